@@ -1,4 +1,4 @@
-//! A small 7k client over TCP: subscribes, asks, changes settings, and puts records together again. Blocking; one thread's.
+//! A small blocking 7k client over TCP: subscribes, requests records, sends commands and reassembles records.
 
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
@@ -14,13 +14,14 @@ use echotank_protocols::sevenk::{
 
 use crate::clock::{Clock, SystemClock};
 
-/// The longest record believed: some minutes of the largest sonar we emulate.
+/// Longest record accepted, bytes.
 const MAX_RECORD_BYTES: u32 = 256 << 20;
-/// How long a command's answer, or a record asked for, is waited for.
+/// Time limit of a command's answer or a requested record.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 const READ_BYTES: usize = 256 * 1024;
 
 #[derive(Debug, thiserror::Error)]
+/// Why a client call failed.
 pub enum ClientError {
     #[error("cannot connect: {0}")]
     Connect(std::io::Error),
@@ -34,14 +35,16 @@ pub enum ClientError {
     NoAnswer,
 }
 
-/// A record that was read, whole and right.
+/// A received record with a valid checksum.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OwnedRecord {
+    /// The record's data record frame.
     pub frame: DataRecordFrame,
     bytes: Vec<u8>,
 }
 
 impl OwnedRecord {
+    /// 7k record type.
     pub fn record_type(&self) -> u32 {
         self.frame.record_type_id
     }
@@ -49,26 +52,29 @@ impl OwnedRecord {
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
+    /// Parses the record.
     pub fn record(&self) -> Result<Record<'_>, WireError> {
         Record::parse(&self.bytes)
     }
-    /// RTH and RD.
+    /// Record type header and record data.
     pub fn body(&self) -> &[u8] {
         self.record().map_or(&[], |record| record.body())
     }
 }
 
+/// A client of one 7k server.
 pub struct SevenKClient {
     stream: TcpStream,
     decoder: StreamDecoder,
     packetiser: Packetiser,
     ticket: u32,
     buffer: Vec<u8>,
-    /// Read while an answer was waited for.
+    /// Records received while an answer was awaited.
     waiting: VecDeque<OwnedRecord>,
 }
 
 impl SevenKClient {
+    /// Connects over TCP.
     pub fn connect(address: impl ToSocketAddrs) -> Result<Self, ClientError> {
         let stream = TcpStream::connect(address).map_err(ClientError::Connect)?;
         stream.set_nodelay(true)?;
@@ -82,26 +88,28 @@ impl SevenKClient {
         })
     }
 
+    /// Address of the server.
     pub fn peer_addr(&self) -> Result<SocketAddr, ClientError> {
         Ok(self.stream.peer_addr()?)
     }
+    /// Address of this end.
     pub fn local_addr(&self) -> Result<SocketAddr, ClientError> {
         Ok(self.stream.local_addr()?)
     }
 
-    /// What was wrong on the way in; all zero but `records` on a sound connection.
+    /// Counters of the decoder; an undamaged connection counts `records` alone.
     pub fn counters(&self) -> StreamCounters {
         self.decoder.counters()
     }
 
-    /// Adds record types to what the server sends.
+    /// Subscribes to further record types.
     pub fn subscribe(&mut self, record_types: &[u32]) -> Result<(), ClientError> {
         self.command(Command::Subscribe {
             record_type_ids: record_types.to_vec(),
         })
     }
 
-    /// Asks for one record and waits for it; one that belongs to a ping comes with the next ping.
+    /// Requests one record and waits for it; a ping's record comes with the next ping.
     pub fn request(&mut self, record_type: u32) -> Result<OwnedRecord, ClientError> {
         self.command(Command::SingleRecord {
             record_type_id: record_type,
@@ -109,7 +117,7 @@ impl SevenKClient {
         self.until(|record| (record.record_type() == record_type).then(|| record.clone()))
     }
 
-    /// Sends a command and waits for its answer. Records that come meanwhile are kept for [`SevenKClient::next_record`].
+    /// Sends a command and waits for its answer. Records that arrive first are kept for [`SevenKClient::next_record`].
     pub fn command(&mut self, command: Command) -> Result<(), ClientError> {
         self.ticket = self.ticket.wrapping_add(1);
         let ticket = self.ticket;
@@ -132,7 +140,7 @@ impl SevenKClient {
             .map_err(ClientError::Refused)
     }
 
-    /// The next record; none if `timeout` passes without one.
+    /// The next record; `None` after `timeout`.
     pub fn next_record(&mut self, timeout: Duration) -> Result<Option<OwnedRecord>, ClientError> {
         if let Some(record) = self.waiting.pop_front() {
             return Ok(Some(record));
@@ -140,7 +148,7 @@ impl SevenKClient {
         self.read_record(Instant::now() + timeout)
     }
 
-    /// Reads on until `pick` picks something; what it does not pick is kept.
+    /// Reads until `pick` returns something; other records are kept.
     fn until<T>(
         &mut self,
         mut pick: impl FnMut(&OwnedRecord) -> Option<T>,
@@ -158,7 +166,7 @@ impl SevenKClient {
     fn read_record(&mut self, deadline: Instant) -> Result<Option<OwnedRecord>, ClientError> {
         loop {
             while let Some(item) = self.decoder.next_record() {
-                // What was no record is counted by the decoder.
+                // The decoder counts undecodable bytes.
                 if let Ok(record) = item {
                     return Ok(Some(OwnedRecord {
                         frame: record.frame,
@@ -195,7 +203,7 @@ impl SevenKClient {
     }
 }
 
-/// Whether the record answers the command with this ticket, and how.
+/// The answer to the command with this ticket, if the record is one.
 fn answer(record: &OwnedRecord, ticket: u32) -> Option<Result<(), ErrorCode>> {
     match record.record_type() {
         Ack7501::RECORD_TYPE_ID => {

@@ -1,4 +1,4 @@
-//! Clients that did not come by themselves: records are sent to them because somebody said so.
+//! Outgoing connections: clients that the server contacts on request of a session.
 
 use std::io::ErrorKind;
 use std::net::SocketAddr;
@@ -14,7 +14,7 @@ use tracing::warn;
 
 use super::{ClientSlot, Shared, Transport, Wants, stopping, tcp, udp};
 
-/// How long a TCP connection is tried for.
+/// Time limit of a TCP connection attempt.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
 pub(super) struct Dial {
@@ -34,7 +34,7 @@ pub(super) async fn serve(
             () = stopping(&mut stopped) => break,
             dial = dials.recv() => match dial {
                 Some(dial) => {
-                    // Dialled again: the new choice of records holds.
+                    // A repeated dial replaces the choice of records.
                     shared.hang_up(dial.peer, dial.transport);
                     if let Some(slot) = shared.admit(dial.peer, dial.transport, true) {
                         clients.spawn(attend(dial, slot, stopped.clone()));

@@ -1,4 +1,4 @@
-//! A small client of the element stream: takes frames, and accounts for them and for how late they were. Blocking; one thread's.
+//! A small blocking client of the element stream that accounts for frames and their lateness.
 
 use std::io::{ErrorKind, Read};
 use std::net::{TcpStream, ToSocketAddrs};
@@ -11,6 +11,7 @@ use echotank_core::time::UtcNs;
 
 const READ_BYTES: usize = 64 * 1024;
 
+/// A client of one element server.
 pub struct ElementClient {
     stream: TcpStream,
     frames: ElementStream,
@@ -19,6 +20,7 @@ pub struct ElementClient {
 }
 
 impl ElementClient {
+    /// Connects over TCP.
     pub fn connect(address: impl ToSocketAddrs) -> std::io::Result<Self> {
         Ok(Self {
             stream: TcpStream::connect(address)?,
@@ -28,7 +30,7 @@ impl ElementClient {
         })
     }
 
-    /// Waits for more and hands every whole frame on, with the host's time at which its last byte was read. False: the server has closed.
+    /// Waits for bytes and passes on each whole frame, with the host time of its last byte. Returns false once the server has closed.
     pub fn read(
         &mut self,
         timeout: Duration,
@@ -49,7 +51,7 @@ impl ElementClient {
         };
         let now = self.clock.host_utc();
         self.frames.feed(&self.buffer[..len], |item| {
-            // What was no frame is counted as bytes passed over.
+            // Undecodable bytes are counted.
             if let Some(frame) = item.ok().and_then(|bytes| Frame::parse(bytes).ok()) {
                 each(&frame, now);
             }
@@ -63,21 +65,23 @@ impl ElementClient {
     }
 }
 
-/// What came of the frames.
+/// Counts of frames and pings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameTally {
+    /// Frames received.
     pub frames: u64,
-    /// Numbers that were left out.
+    /// Frame numbers missing.
     pub lost_frames: u64,
+    /// Pings received, incomplete ones included.
     pub pings: u64,
-    /// Of those that were begun and followed by another.
+    /// Pings followed by another before their last frame.
     pub incomplete_pings: u64,
     next: Option<u32>,
     ping: Option<(u32, u32)>,
 }
 
 impl FrameTally {
-    /// True where the frame is the first of its ping.
+    /// Counts a frame; true for the first frame of its ping.
     pub fn note(&mut self, frame: &Frame<'_>) -> bool {
         let head = &frame.head;
         self.frames += 1;

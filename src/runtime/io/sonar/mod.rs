@@ -1,18 +1,16 @@
-//! Servers for the sonar protocols: one thread per server, which never paces a ping.
+//! Servers of the sonar protocols: one thread per server, none of which paces a ping.
 //!
-//! In: whole records from the delivery thread ([`SonarServer::deliver`]), commands from clients. Out: each client's own choice of records, over
-//! TCP and UDP on one port; the settings, changed. What is spoken is a [`Protocol`]; the server knows sockets, queues, counters and times. The
-//! thread runs a current-thread tokio runtime; the delivery thread only appends to queues and never waits for a socket.
+//! A server takes whole records from the delivery thread ([`SonarServer::deliver`]) and commands from clients over TCP and UDP on one port. A
+//! [`Protocol`] encodes and decodes; the server owns sockets, queues, counters and timeouts. Its thread runs a current-thread tokio runtime. The
+//! delivery thread only appends to queues and never waits for a socket.
 //!
-//! Each client has a bounded queue. What does not fit is dropped for that client only, by whole records, and counted, or ends the connection
-//! ([`WhenFull`]); a record once begun is finished, unless its connection is ended. A record that finds the queue empty always fits, or one
-//! larger than the queue could never be sent. Answers to commands go ahead of queued records; a client that does not read its answers is not
-//! read from (TCP) or loses them, counted (UDP).
+//! Each client has a bounded queue. A record that does not fit is dropped for that client and counted, or the client is disconnected
+//! ([`WhenFull`]). A record that finds the queue empty always fits. A record is sent whole unless the connection ends. Replies to commands precede
+//! queued records. A TCP client that does not read its replies is not read from; a UDP client loses replies, which are counted.
 //!
-//! Over UDP a client lasts as long as its subscriptions: until it has none and was silent for [`ServerTimes::udp_idle`], or it was silent for
-//! [`ServerTimes::udp_silence`] whatever it subscribed to (any command renews it), or its port is reported closed. Records also go to
-//! addresses that were dialled ([`SonarServer::dial`], or a session's word) until they are hung up or fail. A thread of its own sends to all UDP
-//! clients, each at the rate that [`SonarServer::deliver_over`] gives it (`paced`).
+//! A UDP client ends after [`ServerTimes::udp_idle`] without subscriptions or commands, after [`ServerTimes::udp_silence`] without commands, or when
+//! its port is reported closed. Sessions can also dial addresses that receive records until they fail or are hung up. One thread sends to all UDP
+//! clients, each at the rate that [`SonarServer::deliver_over`] sets (`paced`).
 
 pub mod client;
 mod dial;
@@ -47,41 +45,44 @@ use paced::PacedSender;
 use queue::{Client, Offer};
 pub use sevenk::{start_sevenk, start_sevenk_with};
 
-/// Tells rig time: what answers are stamped with.
+/// Reads rig time, which stamps replies.
 pub type RigTime = Arc<dyn Fn() -> UtcNs + Send + Sync>;
 
-/// Ports tried when any will do: TCP may get one that UDP has not free.
+/// Attempts to find a port that is free for both TCP and UDP when `listen` has port 0.
 const PORT_ATTEMPTS: usize = 16;
 
-/// Why a server could not be opened.
+/// Why a server could not start.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
+    /// The address could not be bound.
     #[error("cannot listen on {transport} {address}: {source}")]
     Listen {
         transport: Transport,
         address: SocketAddr,
         source: std::io::Error,
     },
+    /// The 7k packet size is out of range.
     #[error("max_packet = {max_packet}: must be from {min} to {max}")]
     MaxPacket {
         max_packet: usize,
         min: usize,
         max: usize,
     },
+    /// The thread or its runtime could not start.
     #[error("cannot start the server's thread: {0}")]
     Thread(std::io::Error),
 }
 
-/// How often changes by others are looked for.
+/// Interval at which settings changed by others are looked for.
 const NOTICE_INTERVAL: Duration = Duration::from_millis(20);
 
-/// What becomes of a client whose queue is full.
+/// What happens when a client's queue is full.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WhenFull {
-    /// It misses whole records.
+    /// The client misses whole records.
     #[default]
     Skip,
-    /// It is disconnected.
+    /// The client is disconnected.
     Disconnect,
 }
 
@@ -91,29 +92,33 @@ struct QueueLimit {
     when_full: WhenFull,
 }
 
-/// Where a server listens and what it gives each client.
+/// Configuration of a server.
 #[derive(Clone, Debug)]
 pub struct ServerSpec {
-    /// Port 0 picks one that all its transports have free.
+    /// Address; port 0 picks a port that is free for every transport.
     pub listen: SocketAddr,
+    /// Accept TCP connections.
     pub tcp: bool,
+    /// Accept UDP datagrams.
     pub udp: bool,
-    /// Bytes that may wait for one client.
+    /// Limit of a client's queue, bytes.
     pub client_queue_bytes: usize,
+    /// What happens beyond that limit.
     pub when_full: WhenFull,
+    /// Limit of simultaneous clients.
     pub max_clients: usize,
 }
 
-/// How long the server waits for what may never come.
+/// Timeouts of a server.
 #[derive(Clone, Copy, Debug)]
 pub struct ServerTimes {
-    /// For the rest of a command begun on TCP; then what it hid is looked at.
+    /// TCP: limit for the rest of an incomplete command; then decoding resumes after its first byte.
     pub stall: Duration,
-    /// For a word from a UDP client without subscriptions.
+    /// UDP: limit of silence of a client without subscriptions.
     pub udp_idle: Duration,
-    /// For a word from a UDP client with subscriptions.
+    /// UDP: limit of silence of a client with subscriptions.
     pub udp_silence: Duration,
-    /// For queued records to be written when the server stops or a client closes.
+    /// Limit for writing queued records when the server stops or a client closes.
     pub drain: Duration,
 }
 
@@ -128,19 +133,22 @@ impl Default for ServerTimes {
     }
 }
 
-/// What one client was sent and sent us.
+/// Traffic of one client.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ClientCounts {
-    /// On the wire, network frames included.
+    /// Bytes written, network frames included.
     pub bytes_sent: u64,
+    /// Records and replies written.
     pub records_sent: u64,
-    /// Did not fit its queue, or its socket refused them.
+    /// Records that did not fit the queue or that the socket refused.
     pub records_dropped: u64,
-    /// Still queued when it left.
+    /// Records still queued when the client left.
     pub records_unsent: u64,
-    /// Refused ones included.
+    /// Commands received, refused ones included.
     pub commands: u64,
+    /// Commands refused.
     pub nacks: u64,
+    /// Undecodable stretches of bytes received.
     pub framing_errors: u64,
 }
 
@@ -156,29 +164,36 @@ impl std::ops::AddAssign for ClientCounts {
     }
 }
 
-/// A client as it is now.
+/// State of a client.
 #[derive(Clone, Copy, Debug)]
 pub struct ClientReport {
+    /// The client's address.
     pub peer: SocketAddr,
+    /// TCP or UDP.
     pub transport: Transport,
+    /// Record classes subscribed to.
     pub subscribed: Wants,
+    /// Bytes that wait in its queue.
     pub queued_bytes: usize,
+    /// Its traffic.
     pub counts: ClientCounts,
 }
 
 #[derive(Clone, Debug, Default)]
+/// State of a server.
 pub struct ServerReport {
+    /// Connected clients.
     pub clients: Vec<ClientReport>,
-    /// Sum over the clients that left.
+    /// Sum over clients that left.
     pub gone: ClientCounts,
-    /// Clients ever let in.
+    /// Clients accepted so far.
     pub admitted: u64,
-    /// Turned away because there were `max_clients`.
+    /// Clients refused because of `max_clients`.
     pub refused: u64,
 }
 
 impl ServerReport {
-    /// Sum over all clients, gone or not.
+    /// Sum over all clients, present and past.
     pub fn totals(&self) -> ClientCounts {
         self.clients.iter().fold(self.gone, |mut sum, client| {
             sum += client.counts;
@@ -187,7 +202,7 @@ impl ServerReport {
     }
 }
 
-/// A listening server. Stops when dropped.
+/// A running server; it stops when dropped.
 pub struct SonarServer {
     shared: Arc<Shared>,
     local_addr: SocketAddr,
@@ -197,6 +212,7 @@ pub struct SonarServer {
 }
 
 impl SonarServer {
+    /// Binds the sockets and starts the server's thread.
     pub fn start(
         spec: &ServerSpec,
         protocol: Arc<dyn Protocol>,
@@ -246,40 +262,41 @@ impl SonarServer {
         })
     }
 
+    /// The address bound.
     pub fn local_addr(&self) -> SocketAddr {
         self.local_addr
     }
 
-    /// What clients want of the next ping. One atomic read.
+    /// Record classes that clients want from the next ping: one atomic read.
     pub fn wanted(&self) -> Wants {
         Wants(self.shared.wanted.load(Ordering::Acquire))
     }
 
-    /// How its datagrams are sent; to be called before there are any.
+    /// How datagrams are sent; call it before the first one.
     pub(crate) fn set_sending(&self, sending: Sending) {
-        // Too late where the thread has started: then it stays as it is.
+        // Ignored once the sending thread has started.
         let _ = self.shared.sending.set(sending);
     }
 
-    /// Its thread runs under SCHED_FIFO from now on, where the system allows it; 0: as it is. For samples that stream: what clients ask for runs so too.
+    /// Runs the server's thread under SCHED_FIFO with this priority where permitted; 0 changes nothing. For streams, whose commands are urgent too.
     pub(crate) fn hurry(&self, priority: u8) {
         if let Some(thread) = self.thread.as_ref().filter(|_| priority > 0) {
-            // What is not allowed was said when the daemon started.
+            // A refusal was reported when the daemon started.
             let _ = first_in_first_out_of(thread, priority);
         }
     }
 
-    /// What is spread over time is so for TCP clients too, from now on.
+    /// Whether TCP clients are paced as UDP clients are.
     pub fn set_paces_tcp(&self, paces_tcp: bool) {
         self.shared.paces_tcp.store(paces_tcp, Ordering::Relaxed);
     }
 
-    /// Queues records for every client that wants them. Never waits for a client.
+    /// Queues records for each client that wants them; never waits for a client.
     pub fn deliver(&self, records: &[Arc<Datagram>]) {
         self.deliver_over(records, 0.0);
     }
 
-    /// The same, and what then waits for a UDP client leaves evenly over the next `over_s` seconds; 0: at once. For a TCP client too, where
+    /// As [`Self::deliver`], with each UDP client's queue spread evenly over the next `over_s` seconds; 0: at once. TCP clients are paced where
     /// [`Self::set_paces_tcp`] says so.
     pub fn deliver_over(&self, records: &[Arc<Datagram>], over_s: f64) {
         let mut link = self.link.lock().unwrap_or_else(PoisonError::into_inner);
@@ -293,21 +310,22 @@ impl SonarServer {
         self.shared.offer_all(records.iter().cloned(), Some(over_s));
     }
 
-    /// All that is delivered passes `line` from now on.
+    /// Sends all further deliveries through `link`.
     pub(crate) fn set_link(&self, link: Box<dyn Link>) {
         *self.link.lock().unwrap_or_else(PoisonError::into_inner) = Some(link);
     }
 
-    /// How its connections are to be from now on.
+    /// Sets the state of the connections.
     pub fn connect(&self, connection: Connection) {
         self.shared.connect(connection);
     }
 
+    /// Counters of the server and its clients.
     pub fn report(&self) -> ServerReport {
         self.shared.report()
     }
 
-    /// Takes no more clients, writes what is queued for at most [`ServerTimes::drain`], and closes.
+    /// Stops accepting, writes queued records for at most [`ServerTimes::drain`], and closes.
     pub fn stop(mut self) -> ServerReport {
         self.shut();
         self.shared.report()
@@ -316,7 +334,7 @@ impl SonarServer {
     fn shut(&mut self) {
         self.stop.send_replace(true);
         if let Some(thread) = self.thread.take() {
-            // A panic in the server's thread was printed where it happened; there is nothing left to close.
+            // The panic hook has reported a panic of the thread.
             let _ = thread.join();
         }
     }
@@ -328,7 +346,7 @@ impl Drop for SonarServer {
     }
 }
 
-/// What a server listens at.
+/// The bound sockets.
 struct ListeningSockets {
     tcp: Option<std::net::TcpListener>,
     udp: Option<std::net::UdpSocket>,
@@ -398,7 +416,7 @@ async fn serve(
     );
 }
 
-/// Tells the clients what others have changed.
+/// Sends clients the changes that others made to the settings.
 async fn notices(shared: Arc<Shared>, mut stopped: watch::Receiver<bool>) {
     let protocol = &shared.protocol;
     let mut version = protocol.version();
@@ -419,29 +437,29 @@ async fn notices(shared: Arc<Shared>, mut stopped: watch::Receiver<bool>) {
 
 /// Resolves when the server stops.
 async fn stopping(stopped: &mut watch::Receiver<bool>) {
-    // An error means that the server is gone, which is a stop too.
+    // An error means that the server was dropped.
     let _ = stopped.wait_for(|&stop| stop).await;
 }
 
 // ---------------------------------------------------------------- shared by the threads
 
 struct Shared {
-    /// Names the server in diagnostics, inside the span of whoever opened it.
+    /// Identifies the server in diagnostics, within the span of its opener.
     span: Span,
     protocol: Arc<dyn Protocol>,
     rig_time: RigTime,
     times: ServerTimes,
     sending: OnceLock<Sending>,
-    /// TCP clients stay, and nothing is written or read.
+    /// True: TCP connections stay open, but nothing is read or written.
     mute: watch::Sender<bool>,
-    /// TCP clients get what is spread over time so.
+    /// Whether TCP clients are paced.
     paces_tcp: AtomicBool,
-    /// Begun with the first datagram; none where there can be no thread.
+    /// Started by the first datagram; `None` where the thread could not start.
     paced: OnceLock<Option<PacedSender>>,
     queue: QueueLimit,
     max_clients: usize,
     local_addr: SocketAddr,
-    /// Union of what the clients want; written with the table locked.
+    /// Union of the clients' wants; written under the lock of `table`.
     wanted: AtomicU64,
     table: Mutex<ClientTable>,
     dials: mpsc::UnboundedSender<dial::Dial>,
@@ -456,12 +474,12 @@ struct ClientTable {
 }
 
 impl Shared {
-    /// A thread that panicked with the table locked left whole clients in it.
+    /// A panic under the lock leaves complete clients in the table.
     fn lock(&self) -> MutexGuard<'_, ClientTable> {
         self.table.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A slot for a new client, unless all are taken.
+    /// Adds a client; `None` when the server is full.
     fn admit(
         self: &Arc<Self>,
         peer: SocketAddr,
@@ -479,7 +497,7 @@ impl Shared {
         table.admitted += 1;
         let client = Arc::new(Client::new(peer, transport, dialled));
         table.clients.push(Arc::clone(&client));
-        // The delivery thread waits for this lock; standard error may block.
+        // The delivery thread waits for this lock, and standard error may block.
         drop(table);
         info!(parent: &self.span, client = %peer, %transport, dialled, "client connected");
         Some(ClientSlot {
@@ -488,7 +506,7 @@ impl Shared {
         })
     }
 
-    /// How the connections are to be from now on.
+    /// Sets the state of the connections.
     fn connect(&self, connection: Connection) {
         let is_mute = connection == Connection::Mute;
         self.mute
@@ -502,9 +520,9 @@ impl Shared {
         }
     }
 
-    /// Returns when something may be written and read.
+    /// Returns when reading and writing are permitted.
     async fn unmuted(&self) {
-        // An error means that the server is gone.
+        // An error means that the server was dropped.
         let _ = self.mute.subscribe().wait_for(|mute| !mute).await;
     }
 
@@ -525,7 +543,7 @@ impl Shared {
         self.paced.get_or_init(start).as_ref()
     }
 
-    /// `over_s`: of a ping's records, see [`SonarServer::deliver_over`].
+    /// `over_s`: see [`SonarServer::deliver_over`]; `None` keeps the pace.
     fn offer_all(&self, records: impl Iterator<Item = Arc<Datagram>>, over_s: Option<f64>) {
         let offers: Vec<_> = records
             .map(|datagram| Offer {
@@ -541,7 +559,7 @@ impl Shared {
     }
 
     fn dial(&self, peer: SocketAddr, transport: Transport, wants: Wants) {
-        // An error means that the server has stopped, and nobody is dialled any more.
+        // An error means that the server has stopped.
         let _ = self.dials.send(dial::Dial {
             peer,
             transport,
@@ -549,7 +567,7 @@ impl Shared {
         });
     }
 
-    /// Ends what was dialled; whether there was any.
+    /// Disconnects clients that were dialled at this address.
     fn hang_up(&self, peer: SocketAddr, transport: Transport) {
         for client in &self.lock().clients {
             if client.dialled && client.peer == peer && client.transport == transport {
@@ -558,7 +576,7 @@ impl Shared {
         }
     }
 
-    /// A session for a client that has just come.
+    /// Opens a session for a new client.
     fn welcome(&self, client: &Client) -> Box<dyn Session> {
         let mut session = self.protocol.connect(client.transport, client.peer);
         self.converse(client, &mut *session, |session, now, out| {
@@ -567,7 +585,7 @@ impl Shared {
         session
     }
 
-    /// Lets a session work, and carries out what it decided.
+    /// Runs one step of a session and carries out its decisions.
     fn converse(
         &self,
         client: &Client,
@@ -577,7 +595,7 @@ impl Shared {
         let mut outgoing = Vec::new();
         step(session, (self.rig_time)(), &mut outgoing);
         client.note(session.counts());
-        // The answer is queued before the first record that it promises can be.
+        // The reply is queued before the first record that it announces.
         let mut echoes = Vec::new();
         for item in outgoing {
             match item {
@@ -609,7 +627,7 @@ impl Shared {
     }
 }
 
-/// A client's place on the table; dropping it, for whatever reason, takes the client off and keeps its counts.
+/// A client's entry in the table; dropping it removes the client and keeps its counts.
 struct ClientSlot {
     shared: Arc<Shared>,
     client: Arc<Client>,

@@ -1,7 +1,7 @@
-//! The thread that sends a server's datagrams: each client's at its own rate, several clients side by side.
+//! The thread that sends a server's datagrams: each client at its own rate, several clients interleaved.
 //!
-//! In: a client's record, cut in packets, with its bucket. Out: the same, when its last packet has gone or one has failed. tokio's timers are
-//! too coarse for this (1 ms); the thread waits for absolute instants.
+//! A record enters as packets with its client's token bucket and returns when its last packet is sent or one fails. tokio's timers resolve 1 ms,
+//! which is too coarse; the thread sleeps until absolute instants.
 
 use std::io;
 use std::net::SocketAddr;
@@ -20,17 +20,17 @@ use crate::io::pace::batch::send_batch;
 use crate::io::pace::bucket::Bucket;
 use echotank_core::time::MonoNs;
 
-/// One record on its way to one client. Its buffers come back for the next.
+/// One record on its way to one client. Its buffers are reused.
 pub(super) struct Burst {
     pub socket: Arc<UdpSocket>,
     pub to: SockAddr,
     pub wire: Vec<u8>,
     pub packets: Vec<Range<usize>>,
-    /// None: the client's first.
+    /// `None` for the client's first record.
     pub(crate) bucket: Option<Bucket>,
     /// Infinite: at once.
     pub bytes_per_s: f64,
-    /// What ended it before its last packet.
+    /// The error that ended it before its last packet.
     pub error: Option<io::Error>,
 }
 
@@ -48,7 +48,7 @@ impl Burst {
     }
 }
 
-/// The near end. The thread ends when this is dropped.
+/// Sending end of the queue; the thread ends when it is dropped.
 pub(super) struct PacedSender {
     jobs: Sender<Job>,
 }
@@ -68,7 +68,7 @@ impl PacedSender {
         Ok(Self { jobs })
     }
 
-    /// None where the thread is gone.
+    /// Sends a record; `None` when the thread has ended.
     pub(super) async fn send(&self, burst: Burst) -> Option<Burst> {
         let (done, sent) = oneshot::channel();
         self.jobs.send(Job { burst, done }).ok()?;
@@ -76,7 +76,7 @@ impl PacedSender {
     }
 }
 
-/// A burst of which `next` is the first packet that has not gone.
+/// A record being sent; `next` is its first unsent packet.
 struct InFlight {
     job: Job,
     bucket: Bucket,
@@ -107,7 +107,7 @@ impl InFlight {
         flying
     }
 
-    /// The next group, and when it may leave.
+    /// Chooses the next group of packets and its due time.
     fn plan(&mut self, now: MonoNs) {
         let rest = &self.job.burst.packets[self.next..];
         (self.count, self.bytes) = self.bucket.group(rest.iter().map(ExactSizeIterator::len));
@@ -131,7 +131,7 @@ impl InFlight {
 
     fn land(mut self) {
         self.job.burst.bucket = Some(self.bucket);
-        // Nobody waits for it any more where its client is gone.
+        // An error means that the client has left.
         let _ = self.job.done.send(self.job.burst);
     }
 }

@@ -1,4 +1,4 @@
-//! One client as the threads share it: what it wants, what waits for it, what it cost.
+//! State of one client, shared by the threads: subscriptions, queue and counters.
 
 use std::collections::VecDeque;
 use std::net::SocketAddr;
@@ -11,29 +11,29 @@ use super::{ClientCounts, ClientReport, QueueLimit, Transport, WhenFull};
 use echotank_core::flow::Datagram;
 use echotank_emit::session::{SessionCounts, Wants};
 
-/// Answers that may wait for a client before it is no longer listened to (TCP) or loses them (UDP): a few dozen configurations.
+/// Reply bytes queued beyond which a TCP client is not read from and a UDP client loses replies: a few dozen configurations.
 const REPLY_BYTES: usize = 256 * 1024;
 
-/// All counters are statistics: relaxed ordering throughout.
+/// A client of a server. Counters use relaxed ordering.
 pub(super) struct Client {
     pub peer: SocketAddr,
     pub transport: Transport,
-    /// It did not come by itself: records are sent to it because somebody else said so.
+    /// Whether the server contacted this client on request of a session.
     pub dialled: bool,
     subscribed: AtomicU64,
-    /// Wanted once, of the next ping.
+    /// Classes requested once, from the next ping.
     requested: AtomicU64,
     queue: Mutex<Queue>,
-    /// Something was queued, or the client is leaving.
+    /// Notified when something is queued or the client leaves.
     wake: Notify,
-    /// Answers were written.
+    /// Notified when replies are written.
     room: Notify,
     leaving: AtomicBool,
-    /// Leaves at once, whatever waits.
+    /// Leaves at once and discards its queue.
     dropped: AtomicBool,
-    /// ... and its connection is reset.
+    /// The connection is closed with a TCP reset.
     reset: AtomicBool,
-    /// The bits of an f64.
+    /// Bits of an f64.
     pace_bytes_per_s: AtomicU64,
     bytes_sent: AtomicU64,
     records_sent: AtomicU64,
@@ -43,7 +43,7 @@ pub(super) struct Client {
     framing_errors: AtomicU64,
 }
 
-/// A record and the wants that it answers.
+/// A record and the classes that it belongs to.
 #[derive(Clone)]
 pub(super) struct Offer {
     pub class: Wants,
@@ -59,7 +59,7 @@ struct Queue {
     record_bytes: usize,
 }
 
-/// A datagram on its way; give it back with [`Client::written`].
+/// A datagram being written; return it with [`Client::written`].
 pub(super) struct Taken {
     pub datagram: Arc<Datagram>,
     is_reply: bool,
@@ -89,7 +89,7 @@ impl Client {
         }
     }
 
-    /// A queue is whole between any two statements that hold the lock.
+    /// Every statement under the lock leaves a consistent queue.
     fn lock(&self) -> MutexGuard<'_, Queue> {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -105,7 +105,7 @@ impl Client {
         Wants(self.subscribed.load(Ordering::Acquire))
     }
 
-    /// Sets the subscriptions, adds single requests, and takes records off the queue that are no longer wanted.
+    /// Sets the subscriptions, adds single requests, and removes queued records that are no longer wanted.
     pub(super) fn want(&self, subscribed: Wants, requested: Wants) {
         let before = Wants(self.subscribed.swap(subscribed.0, Ordering::AcqRel));
         self.requested.fetch_or(requested.0, Ordering::AcqRel);
@@ -126,7 +126,7 @@ impl Client {
 
     // ------------------------------------------------------------ queue in
 
-    /// Queues those of `offers` that the client wants and that fit. `over_s`: what then waits leaves evenly over so many seconds; 0: at once.
+    /// Queues the wanted `offers` that fit. `over_s`: time over which the queue then leaves evenly; 0: at once; `None` keeps the pace.
     pub(crate) fn offer(&self, offers: &[Offer], limit: QueueLimit, over_s: Option<f64>) {
         let wants = self.wants();
         if wants.is_empty() {
@@ -166,7 +166,7 @@ impl Client {
         }
     }
 
-    /// Queues an answer ahead of the records.
+    /// Queues a reply ahead of the records.
     pub(super) fn reply(&self, datagram: Arc<Datagram>) {
         let mut queue = self.lock();
         if self.transport == Transport::Udp && queue.reply_bytes > REPLY_BYTES {
@@ -179,7 +179,7 @@ impl Client {
         self.wake.notify_one();
     }
 
-    /// Answers do not wait.
+    /// Pace of a datagram; replies are sent at once.
     pub(super) fn pace_bytes_per_s(&self, taken: &Taken) -> f64 {
         match taken.is_reply {
             true => f64::INFINITY,
@@ -187,7 +187,7 @@ impl Client {
         }
     }
 
-    /// Returns once the answers that wait are few enough for more commands.
+    /// Returns when few enough replies wait for another command to be read.
     pub(crate) async fn room_for_replies(&self) {
         while self.lock().reply_bytes > REPLY_BYTES {
             self.room.notified().await;
@@ -211,12 +211,12 @@ impl Client {
         })
     }
 
-    /// Waits until there may be something to take, or the client is leaving.
+    /// Waits until a datagram may be available or the client leaves.
     pub(crate) async fn woken(&self) {
         self.wake.notified().await;
     }
 
-    /// `wire_bytes`: as sent, or why it was lost.
+    /// Counts a datagram as written (`wire_bytes`) or as lost (`None`).
     pub(super) fn written(&self, taken: Taken, wire_bytes: Option<usize>) {
         match wire_bytes {
             Some(bytes) => {
@@ -227,7 +227,7 @@ impl Client {
                 self.records_dropped.fetch_add(1, Ordering::Relaxed);
             }
         }
-        // The pool may have the buffer back before the client is seen to have room.
+        // Returns the buffer to its pool before the queue shows room.
         let len = taken.datagram.bytes.len();
         drop(taken.datagram);
         let mut queue = self.lock();
@@ -244,7 +244,7 @@ impl Client {
 
     // ------------------------------------------------------------ leaving
 
-    /// The client has closed: what waits for it is written, nothing more comes.
+    /// The client leaves after its queue is written.
     pub(super) fn leave(&self) {
         self.subscribed.store(0, Ordering::Release);
         self.requested.store(0, Ordering::Release);
@@ -252,7 +252,7 @@ impl Client {
         self.wake.notify_one();
     }
 
-    /// Its connection is cut off.
+    /// Resets the connection.
     pub(super) fn reset(&self) {
         self.reset.store(true, Ordering::Release);
         self.dropped.store(true, Ordering::Release);
@@ -267,14 +267,14 @@ impl Client {
         self.leaving.load(Ordering::Acquire)
     }
 
-    /// Resolves when nothing more is to be written, not even the rest of what was begun.
+    /// Resolves when nothing more may be written, not even the rest of a record.
     pub(super) async fn gone(&self) {
         while !self.dropped.load(Ordering::Acquire) {
             self.woken().await;
         }
     }
 
-    /// The last word on a client: its counts, with what is still queued as unsent.
+    /// Empties the queue; returns the final counts with the queued records as unsent.
     pub(super) fn close(&self) -> ClientCounts {
         let mut queue = self.lock();
         let unsent = queue.replies.len() + queue.records.len();

@@ -10,7 +10,7 @@ use echotank_core::flow::SettingsPort;
 use echotank_emit::sevenk::protocol::SevenKProtocol;
 use echotank_emit::sevenk::records::DeviceSheet;
 
-/// Listens on TCP and UDP at `spec.listen`; port 0 picks one that both have free.
+/// Starts a 7k server on TCP and UDP at `spec.listen`; port 0 picks one that is free for both.
 pub fn start_sevenk(
     spec: &SevenKSpec,
     sheet: Arc<DeviceSheet>,
@@ -20,6 +20,7 @@ pub fn start_sevenk(
     start_sevenk_with(spec, sheet, settings, rig_time, ServerTimes::default())
 }
 
+/// As [`start_sevenk`], with the timeouts given.
 pub fn start_sevenk_with(
     spec: &SevenKSpec,
     sheet: Arc<DeviceSheet>,

@@ -1,4 +1,4 @@
-//! TCP clients: one task each, that reads commands and writes records side by side.
+//! TCP clients: one task each, which reads commands and writes records concurrently.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -19,7 +19,7 @@ use crate::io::pace::stream::set_pace;
 
 const READ_BYTES: usize = 16 * 1024;
 
-/// Pause after a failed accept: with no file descriptors left, the next one would fail at once.
+/// Pause after a failed accept: without free file descriptors the next one fails at once.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
 pub(super) async fn serve(
@@ -43,7 +43,7 @@ pub(super) async fn serve(
                     sleep(ACCEPT_PAUSE).await;
                 }
             },
-            // Keeps the set small; a task that panicked has given up its slot and hurts nobody else.
+            // Removes finished tasks. A task that panicked has dropped its slot.
             Some(_) = clients.join_next() => {}
         }
     }
@@ -52,7 +52,7 @@ pub(super) async fn serve(
 }
 
 async fn attend(stream: TcpStream, slot: ClientSlot, mut stopped: watch::Receiver<bool>) {
-    // Records go out as they are ready; a socket that cannot be told so is still a socket.
+    // Without TCP_NODELAY the connection still works.
     let _ = stream.set_nodelay(true);
     let (read_half, write_half) = stream.into_split();
     let (shared, client) = (&slot.shared, &slot.client);
@@ -72,7 +72,7 @@ async fn attend(stream: TcpStream, slot: ClientSlot, mut stopped: watch::Receive
 async fn read_commands(mut stream: OwnedReadHalf, shared: &Shared, client: &Client) {
     let mut session = shared.welcome(client);
     let mut buffer = vec![0; READ_BYTES];
-    // When the record that waits for its rest was begun, or something last came of the bytes.
+    // When the incomplete command began, or a command was last decoded.
     let mut since = Instant::now();
     loop {
         if session.is_over() {
@@ -112,7 +112,7 @@ async fn read_commands(mut stream: OwnedReadHalf, shared: &Shared, client: &Clie
     }
 }
 
-/// Returns when the socket fails, or all is written and no more comes.
+/// Returns when the socket fails, or when everything is written and the client leaves.
 pub(super) async fn write_records(
     mut stream: OwnedWriteHalf,
     shared: &Shared,
@@ -121,7 +121,7 @@ pub(super) async fn write_records(
 ) {
     write_all(&mut stream, shared, client, stopped).await;
     if client.is_reset() {
-        // Closed without a word, what is not sent thrown away: the other end is told so.
+        // Closes with a reset and discards unsent data.
         let _ = SockRef::from(stream.as_ref()).set_linger(Some(Duration::ZERO));
         stream.forget();
     }
@@ -148,7 +148,7 @@ async fn write_all(
                 false => f64::INFINITY,
             };
             if wanted != pace_bytes_per_s {
-                // A system that knows no pace sends at once.
+                // Without SO_MAX_PACING_RATE the record is sent at once.
                 let _ = set_pace(stream.as_ref(), wanted);
                 pace_bytes_per_s = wanted;
             }

@@ -1,4 +1,4 @@
-//! UDP clients: one socket for all, one task per client that writes to it.
+//! UDP clients: one socket for all, and one writing task per client.
 
 use std::collections::HashMap;
 use std::io::ErrorKind;
@@ -17,11 +17,11 @@ use super::queue::Client;
 use super::{ClientSlot, Shared, Transport, stopping};
 use echotank_emit::session::Session;
 
-/// How often silent clients are looked for, at most.
+/// Longest interval between searches for silent clients.
 const SWEEP: Duration = Duration::from_millis(500);
-/// Pause after a failed receive, so that a broken socket does not spin.
+/// Pause after a failed receive; a broken socket would otherwise loop without pause.
 const RECEIVE_PAUSE: Duration = Duration::from_millis(10);
-/// The longest datagram there is.
+/// Longest UDP datagram, bytes.
 const RECEIVE_BYTES: usize = 65_536;
 
 struct Peer {
@@ -46,7 +46,7 @@ pub(super) async fn serve(
             received = socket.recv_from(&mut buffer) => match received {
                 Ok((len, from)) => {
                     let datagram = &buffer[..len];
-                    // A client that is on its way out is a new one when it speaks again.
+                    // A leaving client that sends again is a new client.
                     peers.retain(|_, peer| !peer.client.is_leaving());
                     if let Some(peer) = peers.get_mut(&from) {
                         peer.last_received = Instant::now();
@@ -76,7 +76,7 @@ fn listen(shared: &Shared, peer: &mut Peer, datagram: &[u8]) {
     });
 }
 
-/// A slot for whoever speaks the protocol; strays only leave a count.
+/// Admits a sender that speaks the protocol; other datagrams are only counted.
 fn welcome(shared: &Arc<Shared>, from: SocketAddr, datagram: &[u8]) -> Option<(Peer, ClientSlot)> {
     if !shared.protocol.welcomes(datagram) {
         shared.lock().gone.framing_errors += 1;
@@ -91,7 +91,7 @@ fn welcome(shared: &Arc<Shared>, from: SocketAddr, datagram: &[u8]) -> Option<(P
     Some((peer, slot))
 }
 
-/// Shows a client out that was silent for too long.
+/// Disconnects a client that was silent for too long.
 fn is_over(shared: &Shared, peer: &Peer) -> bool {
     let allowed = if peer.client.wants().is_empty() {
         shared.times.udp_idle
@@ -105,7 +105,7 @@ fn is_over(shared: &Shared, peer: &Peer) -> bool {
     is_over
 }
 
-/// Returns when the client's port is closed, or all is written and no more comes.
+/// Returns when the client's port is closed or everything is written and the client leaves.
 pub(super) async fn write_datagrams(
     socket: Arc<UdpSocket>,
     to: SocketAddr,
@@ -121,7 +121,7 @@ pub(super) async fn write_datagrams(
             burst.packets.clear();
             framer.frame(&taken.datagram.bytes, &mut burst.wire, &mut burst.packets);
             burst.bytes_per_s = client.pace_bytes_per_s(&taken);
-            // The rest of a record is no use without a part that failed.
+            // A record is abandoned when one of its packets fails.
             let sent = match slot.shared.paced() {
                 Some(sender) => sender.send(burst).await,
                 None => None,

@@ -1,17 +1,17 @@
-//! Accounts for what came of what was sent, by ping numbers: sent, lost, duplicate, late.
+//! Accounts for received records by ping number: sent, lost, duplicate, late.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Where the ping number stands in the RTH of 7000, 7503, 7007, 7018 and 7038.
+/// Offset of the ping number in the record type headers of 7000, 7503, 7007, 7018 and 7038, bytes.
 const PING_NUMBER_AT: usize = 8;
-/// And the multi-ping sequence in that of 7000 and 7007.
+/// Offset of the multi-ping sequence in those of 7000 and 7007, bytes.
 const SEQUENCE_AT: usize = 12;
 
 /// Missing ping numbers remembered per record type; beyond these the lowest count as lost for good.
 const MISSING_LIMIT: usize = 100_000;
 
-/// The ping number of a record body; none for records without one, for the answer to a request (7503 with 0), and for the further pulses of a
-/// ping (multi-ping sequence 2 and on), whose first counts for it.
+/// The ping number of a record body. `None` for records without one, for the reply to a request (7503 with 0), and for further pulses of a ping
+/// (multi-ping sequence 2 and on).
 pub fn ping_number(record_type: u32, body: &[u8]) -> Option<u32> {
     if !matches!(record_type, 7000 | 7503 | 7007 | 7018 | 7038) {
         return None;
@@ -26,48 +26,51 @@ pub fn ping_number(record_type: u32, body: &[u8]) -> Option<u32> {
     Some(u32::from_le_bytes(*bytes)).filter(|&number| number != 0)
 }
 
-/// Of one record type. Ping numbers are given to skipped pings too: what the sonar skipped is lost as well.
+/// Counts of one record type. Skipped pings have numbers too, so they count as lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PingTally {
-    /// From the lowest to the highest number seen, both included.
+    /// Numbers from the lowest to the highest received.
     pub sent: u64,
-    /// Records that came, duplicates included: sent - lost + duplicate.
+    /// Records received, duplicates included: sent - lost + duplicate.
     pub received: u64,
+    /// Numbers never received.
     pub lost: u64,
+    /// Records received again.
     pub duplicate: u64,
-    /// Came after a higher number; not lost.
+    /// Records received after a higher number; not lost.
     pub late: u64,
 }
 
-/// Notes records as they come.
+/// Counts records by type.
 #[derive(Clone, Debug, Default)]
 pub struct Verifier {
     streams: BTreeMap<u32, NumberTracker>,
 }
 
-/// What a number was when it came.
+/// How a number relates to those received before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Arrival {
     /// Higher than all before.
     New,
+    /// Received before.
     Duplicate,
-    /// After a higher one.
+    /// Lower than one received before.
     Late,
 }
 
-/// The numbers of one stream as they come.
+/// Tracks the numbers of one sequence.
 #[derive(Clone, Debug)]
 pub struct NumberTracker {
     lowest: u32,
     highest: u32,
     missing: BTreeSet<u32>,
-    /// Of those no longer remembered.
+    /// Missing numbers that are no longer remembered.
     forgotten: u64,
     tally: PingTally,
 }
 
 impl Verifier {
-    /// Takes note of a record; false if it has no ping number.
+    /// Counts a record; false if it has no ping number.
     pub fn note(&mut self, record_type: u32, body: &[u8]) -> bool {
         let Some(number) = ping_number(record_type, body) else {
             return false;
@@ -81,13 +84,14 @@ impl Verifier {
         true
     }
 
-    /// Per record type, lowest first.
+    /// Tally of each record type, lowest first.
     pub fn tallies(&self) -> impl Iterator<Item = (u32, PingTally)> + '_ {
         self.streams
             .iter()
             .map(|(&record_type, stream)| (record_type, stream.tally()))
     }
 
+    /// Tally of one record type.
     pub fn tally(&self, record_type: u32) -> PingTally {
         self.streams
             .get(&record_type)
@@ -96,7 +100,7 @@ impl Verifier {
 }
 
 impl From<u32> for NumberTracker {
-    /// The first of them.
+    /// Begins with the first number.
     fn from(number: u32) -> Self {
         Self {
             lowest: number,
@@ -112,6 +116,7 @@ impl From<u32> for NumberTracker {
 }
 
 impl NumberTracker {
+    /// Counts a number.
     pub fn note(&mut self, number: u32) -> Arrival {
         self.tally.received += 1;
         if number > self.highest {
@@ -130,17 +135,17 @@ impl NumberTracker {
         Arrival::Late
     }
 
-    /// Lowest and highest number seen.
+    /// Lowest and highest number received.
     pub fn span(&self) -> (u32, u32) {
         (self.lowest, self.highest)
     }
 
-    /// Those between that have not come, lowest first; of very many the highest.
+    /// Numbers between them not received, lowest first; the highest ones only where there are very many.
     pub fn missing(&self) -> impl Iterator<Item = u32> + '_ {
         self.missing.iter().copied()
     }
 
-    /// NumberTracker from `first` up to, not including, `end` have not come.
+    /// Marks the numbers `first..end` as missing.
     fn miss(&mut self, first: u32, end: u32) {
         let kept_from = first.max(end.saturating_sub(MISSING_LIMIT as u32));
         self.forgotten += u64::from(kept_from - first);
@@ -151,6 +156,7 @@ impl NumberTracker {
         }
     }
 
+    /// The counts so far.
     pub fn tally(&self) -> PingTally {
         PingTally {
             sent: u64::from(self.highest - self.lowest) + 1,

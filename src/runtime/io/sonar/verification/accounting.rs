@@ -1,4 +1,4 @@
-//! Accounting for the records that came: what is lost, came twice or late, is damaged, or holds what it should not.
+//! Accounts for received records: lost, duplicate, late, damaged or different from a reference run.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -6,37 +6,37 @@ use super::decode::{Family, ReceivedRecord, Sequence};
 use super::report::{Finding, Report, ReportHead};
 use crate::io::sonar::verify::{Arrival, NumberTracker, PingTally};
 
-/// Checksums of records, by sequence and [`ReceivedRecord::key`]: what they held in a run without faults.
+/// Checksums of records by sequence and [`ReceivedRecord::key`], from a run without faults.
 pub type Checksums = HashMap<(Sequence, u64), u64>;
 
-/// Of a gap, how many missing numbers have their places kept.
+/// Missing numbers of one gap whose bounds are kept.
 const MAX_PLACES: usize = 100_000;
-/// Findings kept; what is beyond is counted.
+/// Findings kept; further ones are counted only.
 const MAX_FINDINGS: usize = 1_000_000;
 
-/// Fowler, Noll and Vo's hash (1a), 64 bits.
+/// 64-bit FNV-1a hash (Fowler, Noll, Vo).
 fn checksum(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
         (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3)
     })
 }
 
-/// One listener's, over all its connections.
+/// The records of one listener over all its connections.
 pub struct Accounting {
     family: Family,
     sequences: BTreeMap<Sequence, NumberTracker>,
-    /// Where a missing packet or frame lies: between these times of its stream, or these pings.
+    /// Bounds of a missing packet (times of its stream, ns) or frame (ping numbers).
     between: BTreeMap<(Sequence, u32), (i64, i64)>,
-    /// Of the newest of a sequence: its time, or its ping.
+    /// Time or ping number of the newest record of a sequence.
     newest: BTreeMap<Sequence, i64>,
     damaged: BTreeSet<(Sequence, u32)>,
-    /// What records are compared with.
+    /// Reference checksums to compare with.
     against: Option<Checksums>,
-    /// What they held.
+    /// Checksums of this run.
     checksums: Checksums,
     keeps_checksums: bool,
     findings: Vec<Finding>,
-    /// Those that last until the next ping.
+    /// Indices of findings that end at the next ping.
     open: Vec<usize>,
     unkept: u64,
     pings: Option<(u32, u32)>,
@@ -45,7 +45,7 @@ pub struct Accounting {
 }
 
 impl Accounting {
-    /// `against`: the sums of a run without faults. `keeps_checksums`: for [`Accounting::sums`].
+    /// `against`: checksums of a run without faults. `keeps_checksums`: fill [`Accounting::checksums`].
     pub fn new(family: Family, against: Option<Checksums>, keeps_checksums: bool) -> Self {
         Self {
             family,
@@ -65,16 +65,17 @@ impl Accounting {
         }
     }
 
+    /// Checksums of this run; empty unless they are kept.
     pub fn checksums(&self) -> &Checksums {
         &self.checksums
     }
 
-    /// The ping that was heard last.
+    /// Number of the last ping received.
     pub fn last_ping(&self) -> Option<u32> {
         self.last_ping
     }
 
-    /// Findings beyond what is kept.
+    /// Findings beyond the limit.
     pub fn unkept(&self) -> u64 {
         self.unkept
     }
@@ -87,7 +88,7 @@ impl Accounting {
         }
     }
 
-    /// Adds what the listener itself has seen: a reset, a silence, an answer too many.
+    /// Adds a finding of the listener itself, such as a reset, from ping `from` to ping `to`.
     pub fn found(&mut self, kind: &str, from: Option<u32>, to: Option<u32>) {
         self.find(Finding {
             kind: kind.into(),
@@ -97,12 +98,13 @@ impl Accounting {
         });
     }
 
-    /// The same, from the ping that was heard last to the next one.
+    /// As [`Accounting::found`], from the last ping received to the next one.
     pub(crate) fn found_until_next(&mut self, kind: &str) {
         self.found(kind, self.last_ping, None);
         self.open.push(self.findings.len() - 1);
     }
 
+    /// Accounts for one received record.
     pub fn note(&mut self, record: &ReceivedRecord) {
         if let Some(ping) = record.ping_number.filter(|_| !record.is_damaged) {
             for at in self.open.drain(..) {
@@ -124,7 +126,7 @@ impl Accounting {
             if self.damaged.insert((sequence, number)) {
                 self.find(finding("damaged", record));
             }
-            // A datagram's count is believed all the same: or it would be lost as well.
+            // The count of a damaged datagram is used, or the datagram would count as lost too.
             if self.family != Family::Vita49 {
                 return;
             }
@@ -175,13 +177,13 @@ impl Accounting {
         }
     }
 
-    /// Of each sequence: what was sent, lost, came twice or late. What is damaged counts as lost.
+    /// Tally of each sequence. Damaged records count as lost.
     pub fn tallies(&self) -> impl Iterator<Item = (Sequence, PingTally)> + '_ {
         let sequences = self.sequences.iter();
         sequences.map(|(sequence, numbers)| (*sequence, numbers.tally()))
     }
 
-    /// Everything found, and what never came.
+    /// All findings, with one for each number that never came.
     pub fn report(&self) -> Report {
         let mut findings = self.findings.clone();
         for (sequence, numbers) in &self.sequences {
@@ -199,7 +201,7 @@ impl Accounting {
                 _ => None,
             })
             .collect();
-        let tells = self.family.tells(self.against.is_some());
+        let tells = self.family.detectable_faults(self.against.is_some());
         Report {
             head: ReportHead {
                 report: "echotank listen".into(),
@@ -266,7 +268,7 @@ fn finding(kind: &str, record: &ReceivedRecord) -> Finding {
     }
 }
 
-/// Checksums as text: a line each, `KIND A B KEY SUM`.
+/// Checksums as text, a line each: `KIND A B KEY SUM`.
 pub fn checksums_text(sums: &Checksums) -> String {
     let mut lines: Vec<String> = sums
         .iter()
@@ -284,7 +286,7 @@ pub fn checksums_text(sums: &Checksums) -> String {
     lines.concat()
 }
 
-/// And back; the number of the first line that is none.
+/// Parses [`checksums_text`]; the error is the number of the first malformed line, from 1.
 pub fn parse_checksums(text: &str) -> Result<Checksums, usize> {
     let lines = text.lines().enumerate();
     lines
@@ -320,7 +322,7 @@ mod tests {
     use super::super::decode::RecordDecoder;
     use super::*;
 
-    /// Lets datagrams or pieces of a connection be heard.
+    /// Decodes datagrams or pieces of a connection.
     fn decode<'a>(
         family: Family,
         pieces: impl IntoIterator<Item = &'a [u8]>,
@@ -343,7 +345,7 @@ mod tests {
         kinds.into_iter().collect()
     }
 
-    /// Packets of two streams, 1 ms apart, a pause after every tenth.
+    /// Packets of two streams, 1 ms apart, with a pause after every tenth.
     fn packets() -> Vec<Vec<u8>> {
         let mut streams = [7, 8].map(|id| SignalStream::new(id, true, 1, 10e3, 1472));
         let mut packets = Vec::new();
@@ -370,7 +372,7 @@ mod tests {
         assert_eq!(kinds(&clean), []);
         assert_eq!(clean.checksums().len(), 120);
 
-        // Of stream 7: 14 in a row are lost, over two pauses.
+        // Stream 7 loses 14 packets in a row, across two pauses.
         let mut some = packets.clone();
         let mut k = 0;
         some.retain(|_| {
@@ -430,7 +432,7 @@ mod tests {
         let mut sent = frames(5);
         let clean = decode(Family::Elements, [&sent.concat()[..]], None);
         assert_eq!(kinds(&clean), []);
-        // A client that came earlier has other numbers for the same pings.
+        // A client that connected earlier has other frame numbers for the same pings.
         let other = frames(77).concat();
         let again = decode(
             Family::Elements,

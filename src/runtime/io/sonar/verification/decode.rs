@@ -1,4 +1,4 @@
-//! The bytes of any live family to records, and what each says of its place among the unnumbered: a ping number, a count, or nothing.
+//! Decodes the bytes of each live family into records and reads what orders them: a ping number, a packet count or a frame number.
 
 use std::collections::HashMap;
 
@@ -13,22 +13,30 @@ use echotank_protocols::wbms::{self, PacketHeader, WbmsFraming, WbmsStream, pack
 
 use super::super::verify::ping_number;
 
-/// The longest 7k record believed: some minutes of the largest sonar we emulate.
+/// Longest 7k record accepted, bytes.
 const MAX_RECORD_BYTES: u32 = 256 << 20;
 
-/// The families that are sent live.
+/// A protocol family with live output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Family {
+    /// Teledyne RESON 7k.
     SevenK,
+    /// EdgeTech JSF.
     Jsf,
+    /// Norbit WBMS.
     Wbms,
+    /// Blue Robotics and Cerulean Ping protocol.
     Ping,
+    /// Imagenex 872.
     Imagenex872,
+    /// VITA 49 signal data.
     Vita49,
+    /// Raw element samples.
     Elements,
 }
 
 impl Family {
+    /// Every family.
     pub const ALL: [Self; 7] = [
         Self::SevenK,
         Self::Jsf,
@@ -39,7 +47,7 @@ impl Family {
         Self::Elements,
     ];
 
-    /// As the log of faults has it.
+    /// The family's name in the fault log.
     pub fn name(self) -> &'static str {
         match self {
             Self::SevenK => "7k",
@@ -52,9 +60,9 @@ impl Family {
         }
     }
 
-    /// Kinds of faults of the line of which its records tell; `compared`: with what they hold in a run without faults.
-    pub fn tells(self, compared: bool) -> Vec<&'static str> {
-        // An answer that is lost is made again at the next ping, and none has a number.
+    /// Link faults that the records reveal; `compared`: their content is compared with a run without faults.
+    pub fn detectable_faults(self, compared: bool) -> Vec<&'static str> {
+        // A lost answer is sent again at the next ping, and answers have no numbers.
         let mut kinds = match self {
             Self::Imagenex872 => vec!["duplicate", "truncate"],
             _ => vec![
@@ -67,9 +75,9 @@ impl Family {
             ],
         };
         match self {
-            // A checksum, or a network frame, says that a record is not whole.
+            // A checksum or a network frame reveals an incomplete record.
             Self::SevenK | Self::Wbms | Self::Ping => kinds.extend(["corrupt", "truncate"]),
-            // A datagram says how long it is.
+            // A datagram carries its length.
             Self::Vita49 => kinds.push("truncate"),
             _ => {}
         }
@@ -87,12 +95,12 @@ impl Family {
     }
 }
 
-/// In which numbers run by themselves.
+/// A numbered sequence of records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Sequence {
-    /// Ping numbers of one type, named as in the log of faults: a 7k record, a JSF message with subsystem and channel, a WBMS packet, a Ping message.
+    /// Ping numbers of one record type, as the fault log names it: a 7k record, a JSF message with subsystem and channel, a WBMS packet, a Ping message.
     Records(u32),
-    /// Packets of a VITA 49 stream, data and contexts apart: their counts of 4 bits, continued.
+    /// Packets of a VITA 49 stream, data and context apart; the 4-bit counts are extended.
     Packets { stream: u32, context: bool },
     /// Frame numbers of an element stream.
     Frames,
@@ -100,20 +108,22 @@ pub enum Sequence {
     Answers,
 }
 
-/// A record as it came.
+/// One received record.
 #[derive(Clone, Copy, Debug)]
 pub struct ReceivedRecord<'a> {
+    /// The sequence that numbers it.
     pub sequence: Sequence,
-    /// Within the sequence.
+    /// Number within the sequence.
     pub number: Option<u32>,
+    /// Ping number, where the record has one.
     pub ping_number: Option<u32>,
-    /// Of its first sample, of VITA 49.
+    /// VITA 49: time of the first sample, ns since 1970 UTC.
     pub utc_ns: Option<i64>,
-    /// A checksum or a length says that it is not what was sent.
+    /// A checksum or a length shows that the record was altered.
     pub(crate) is_damaged: bool,
-    /// Which record it is in any run of the same rig, however much was heard before.
+    /// Identifies the record in every run of the same rig, however many came before.
     pub key: u64,
-    /// What it says, but for such numbers.
+    /// The bytes without such numbers.
     pub content: &'a [u8],
 }
 
@@ -131,7 +141,7 @@ impl<'a> ReceivedRecord<'a> {
     }
 }
 
-/// Cuts what comes into records. One connection's.
+/// Decodes the records of one connection.
 pub struct RecordDecoder {
     inner: FamilyDecoder,
     errors: u64,
@@ -156,6 +166,7 @@ struct LastPacket {
 }
 
 impl RecordDecoder {
+    /// A decoder for a new connection.
     pub fn new(family: Family) -> Self {
         let inner = match family {
             Family::SevenK => FamilyDecoder::SevenK(Box::new(StreamDecoder::new(MAX_RECORD_BYTES))),
@@ -173,28 +184,27 @@ impl RecordDecoder {
         }
     }
 
-    /// Times that bytes were no record, or a record was wrong.
+    /// Undecodable stretches of bytes and damaged records.
     pub fn errors(&self) -> u64 {
         self.errors
     }
 
-    /// Sound records that carry no number.
+    /// Undamaged records without a number.
     pub fn unnumbered(&self) -> u64 {
         self.unnumbered
     }
 
-    /// What has begun will not be continued: its rest was given up, and the next question has been asked. Of an Imagenex 872; the unnumbered go on by
-    /// themselves.
+    /// Discards an incomplete Imagenex 872 answer after a timeout. Other families resynchronise by themselves.
     pub fn give_up(&mut self) {
         if let FamilyDecoder::Imagenex872(stream) = &mut self.inner {
             stream.finish();
             stream.feed(&[], |item| self.errors += u64::from(item.is_err()));
-            // Anew: one that searches counts no second truncated answer before it has found a whole one.
+            // A new stream does not count the same truncated answer twice.
             *stream = AnswerStream::new(AnswerFraming);
         }
     }
 
-    /// Takes bytes of a connection, cut anywhere, or one whole datagram.
+    /// Decodes bytes of a connection, split anywhere, or one whole datagram.
     pub fn decode(&mut self, bytes: &[u8], each: &mut dyn FnMut(&ReceivedRecord)) {
         let (errors, unnumbered) = (&mut self.errors, &mut self.unnumbered);
         let mut found = |record: Option<ReceivedRecord>| match record {
@@ -282,7 +292,7 @@ fn decode_sevenk(
     }
 }
 
-/// A record that was refused, where its frames are sound and it has a ping number.
+/// A refused record whose frames are valid and that has a ping number.
 fn damaged_sevenk(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
     let record = bytes.get(NETWORK_FRAME_BYTES..)?;
     let frame = DataRecordFrame::parse(record).ok()?;
@@ -313,7 +323,7 @@ fn of_jsf(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
 
 fn of_wbms(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
     let header = PacketHeader::parse(bytes).ok()?;
-    // Snippets and side-scan share a port, and the log of faults calls both side-scan.
+    // Snippets and side-scan share a port; the fault log names both side-scan.
     let (record_type, at) = match header.packet_type {
         packet_type::BATHYMETRY => (packet_type::BATHYMETRY, 36),
         packet_type::WATER_COLUMN => (packet_type::WATER_COLUMN, 108),
@@ -323,11 +333,11 @@ fn of_wbms(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
     Some(ReceivedRecord::ping(record_type, u32_at(bytes, at)?, bytes))
 }
 
-/// Times since the device was switched on are left out of what is compared.
+/// The content leaves out times since power-on, which differ between runs.
 fn of_ping(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
     let frame = Frame::parse(bytes).ok()?;
     let (number, content_at) = match Message::parse(&frame).ok()? {
-        // Its pings count from 0.
+        // This device counts pings from 0.
         Message::OsMonoProfile(profile) => (profile.head.ping_number.wrapping_add(1), 16),
         Message::YzPointData(data) => (data.head.ping_number, 4),
         Message::AtofPointData(data) => (data.head.ping_number, 4),
@@ -348,21 +358,24 @@ fn of_elements(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
         utc_ns: None,
         is_damaged: false,
         key: u64::from(frame.head.ping_number) << 32 | u64::from(frame.head.first_moment),
-        // From behind the frame number.
+        // The content begins after the frame number.
         content: &bytes[16..],
     })
 }
 
-/// A packet's place: of a stream, at a time.
+/// Stream and time of a VITA 49 packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct PacketPosition {
+    /// Stream identifier.
     pub stream: u32,
+    /// Whether it is a context packet.
     pub context: bool,
+    /// Packet time, ns since 1970 UTC.
     pub utc_ns: i64,
     count: u8,
 }
 
-/// Where a VITA 49 packet belongs, whole or cut: its first 28 bytes are enough. None where its time is not UTC.
+/// Stream and time of a VITA 49 packet, from its first 28 bytes; `None` without UTC time.
 pub(crate) fn position_of(bytes: &[u8]) -> Option<PacketPosition> {
     let word = |n: usize| {
         let four = bytes.get(4 * n..)?.first_chunk::<4>()?;
@@ -388,7 +401,7 @@ pub(crate) fn position_of(bytes: &[u8]) -> Option<PacketPosition> {
     })
 }
 
-/// Counts go on from 0 to 15 and around; times say whether a packet is newer than the newest, so that up to 15 lost in a row are told.
+/// Extends the 4-bit counts. The packet times tell newer from late packets, so up to 15 losses in a row are found.
 fn of_vita49<'a>(
     bytes: &'a [u8],
     counted: &mut HashMap<(u32, bool), LastPacket>,
@@ -398,7 +411,7 @@ fn of_vita49<'a>(
     let (count, utc_ns) = (u32::from(place.count), place.utc_ns);
     let newest = counted
         .entry((place.stream, place.context))
-        // Room for those that come late.
+        // Leaves room for late packets.
         .or_insert(LastPacket {
             number: 16 + count,
             utc_ns,
@@ -428,7 +441,7 @@ fn of_vita49<'a>(
         utc_ns: Some(utc_ns),
         is_damaged: !is_whole,
         key: utc_ns as u64,
-        // The first word has the count.
+        // The first word holds the count.
         content: bytes.get(4..).unwrap_or_default(),
     })
 }

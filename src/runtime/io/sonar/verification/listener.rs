@@ -1,4 +1,4 @@
-//! A listener's sockets: TCP, connected anew after a reset; UDP for datagrams that nobody asks for.
+//! The sockets of a verifying listener: TCP with reconnection after a reset, UDP for unsolicited datagrams.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream, UdpSocket};
@@ -13,30 +13,31 @@ use super::accounting::{Accounting, Checksums};
 use super::decode::{Family, RecordDecoder};
 use crate::clock::{Clock, SystemClock};
 
-/// How long a read waits before it is looked whether to stop.
+/// Read timeout; the stop flag is checked this often.
 const LOOK: Duration = Duration::from_millis(50);
-/// A server that was reset from is tried again so often, so long.
+/// Interval and time limit of reconnection after a reset.
 const AGAIN: Duration = Duration::from_millis(10);
 const PATIENCE: Duration = Duration::from_secs(2);
-/// A question that has no answer for so long is asked again: the answer was lost or truncated.
+/// An unanswered switch command is sent again after this time.
 const ASK_AGAIN: Duration = Duration::from_millis(500);
-/// After an answer it is listened so long before the next question, or a second one of the same ping would pass for its answer.
+/// Wait after an answer; a second answer to the same ping would otherwise count as the next one's.
 const SETTLE: Duration = Duration::from_millis(10);
-/// Asked of the kernel for a socket of datagrams.
+/// Receive buffer requested from the kernel, bytes.
 const SOCKET_BUFFER_BYTES: usize = 8 << 20;
 const READ_BYTES: usize = 256 * 1024;
 
-/// What to listen to, and how.
+/// What to listen to.
 #[derive(Clone, Debug)]
 pub struct ListenerSpec {
+    /// Protocol family.
     pub family: Family,
-    /// Of the server; of VITA 49 where the datagrams come to.
+    /// Server address; for VITA 49 the local address.
     pub address: SocketAddr,
-    /// 7k: what is subscribed to.
+    /// 7k: record types to subscribe to.
     pub record_types: Vec<u32>,
-    /// Imagenex 872: the range asked for, m; one of its own.
+    /// Imagenex 872: range setting, m; must be one of the device's ranges.
     pub range_m: u8,
-    /// No record for so long is a silence; none: that is not looked for.
+    /// A gap between reads longer than this is reported as silence; `None`: no report.
     pub silence: Option<Duration>,
 }
 
@@ -47,16 +48,22 @@ enum End {
     Reset,
 }
 
+/// A client that verifies what a sonar sends.
 pub struct Listener {
     what: ListenerSpec,
     link: Link,
+    /// Findings so far.
     pub accounting: Accounting,
     heard: Decoders,
+    /// Bytes received.
     pub bytes: u64,
+    /// Connections reset by the server.
     pub resets: u64,
+    /// Silences longer than [`ListenerSpec::silence`].
     pub silences: u64,
-    /// Imagenex 872.
+    /// Imagenex 872: switch commands sent.
     pub asked: u64,
+    /// Imagenex 872: answers received.
     pub answers: u64,
 }
 
@@ -65,7 +72,7 @@ enum Link {
     Udp(UdpSocket),
 }
 
-/// The ears, of all connections.
+/// Decoder of the current connection and sums over the earlier ones.
 struct Decoders {
     decoder: RecordDecoder,
     errors_before: u64,
@@ -73,7 +80,7 @@ struct Decoders {
 }
 
 impl Listener {
-    /// Connects, and asks for what is to be had. `against`, `keeps_checksums`: see [`Accounting::new`].
+    /// Connects and subscribes. `against`, `keeps_checksums`: see [`Accounting::new`].
     pub fn open(
         what: ListenerSpec,
         against: Option<Checksums>,
@@ -82,7 +89,7 @@ impl Listener {
         let link = match what.family {
             Family::Vita49 => {
                 let socket = UdpSocket::bind(what.address)?;
-                // As much as the system gives.
+                // The kernel may grant less.
                 let _ = socket2::SockRef::from(&socket).set_recv_buffer_size(SOCKET_BUFFER_BYTES);
                 socket.set_read_timeout(Some(LOOK))?;
                 Link::Udp(socket)
@@ -106,7 +113,7 @@ impl Listener {
         })
     }
 
-    /// Where datagrams are to be sent.
+    /// The local address.
     pub fn local_addr(&self) -> std::io::Result<SocketAddr> {
         match &self.link {
             Link::Tcp(stream) => stream.local_addr(),
@@ -114,24 +121,24 @@ impl Listener {
         }
     }
 
-    /// Times that bytes were no record, or one was wrong.
+    /// Undecodable stretches of bytes and damaged records.
     pub fn errors(&self) -> u64 {
         self.heard.errors_before + self.heard.decoder.errors()
     }
 
-    /// Sound records without a number.
+    /// Undamaged records without a number.
     pub fn unnumbered(&self) -> u64 {
         self.heard.unnumbered_before + self.heard.decoder.unnumbered()
     }
 
-    /// Listens until `stop` says so or the server closes.
+    /// Receives until `stop` returns true or the server closes.
     pub fn run(&mut self, stop: &mut dyn FnMut() -> bool) -> std::io::Result<()> {
         loop {
             match self.listen(stop)? {
                 End::Stopped | End::Closed => return Ok(()),
                 End::Reset => {
                     self.resets += 1;
-                    // The ping it came with is one of those up to the next that is heard.
+                    // The reset lies between the last ping received and the next one.
                     self.accounting.found_until_next("reset");
                     if !self.reconnect(stop) {
                         return Ok(());
@@ -215,7 +222,7 @@ impl Listener {
             if asks {
                 self.damaged_since(errors);
                 self.answers += came;
-                // One answer to each question; those beyond are too many.
+                // Each command has one answer; further ones are duplicates.
                 for _ in self.asked..self.answers {
                     self.accounting.found("duplicate", None, None);
                     self.asked += 1;
@@ -228,7 +235,7 @@ impl Listener {
         }
     }
 
-    /// Asks an Imagenex 872, and waits for its answer.
+    /// Sends a switch command to an Imagenex 872 and sets the timeout for its answer.
     fn ask(&mut self) -> std::io::Result<()> {
         if let Link::Tcp(stream) = &mut self.link {
             stream.write_all(&switch(self.what.range_m))?;
@@ -243,7 +250,7 @@ impl Listener {
         }
     }
 
-    /// An answer that has begun is truncated: its rest will not come.
+    /// Ends an incomplete answer as truncated.
     fn give_up(&mut self) {
         let errors = self.heard.decoder.errors();
         self.heard.decoder.give_up();

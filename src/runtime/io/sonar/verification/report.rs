@@ -1,4 +1,4 @@
-//! What a listener, or any device, says went wrong: JSON lines, one finding each, that `echotank score` lays beside the log of faults.
+//! Findings of a listener or of any other device, as JSON lines. `echotank score` compares them with the fault log.
 //!
 //! ```text
 //! {"report": "my topside", "line": "7k", "covers": [7000, 7038], "tells": ["drop", "duplicate"], "first_ping": 1, "last_ping": 900}
@@ -7,48 +7,52 @@
 //! {"kind": "dead", "ping_number": 100, "to_ping": 180, "array": 0, "element": 3}
 //! ```
 //!
-//! A line with `report` is a head; without one the report covers everything. Every other line is a finding. What is left out of it is not
-//! claimed, and keys that are not known here are passed over.
+//! A line with `report` is a head; without one the report covers everything. Every other line is a finding. A report claims only what it
+//! lists; unknown keys are ignored.
 
 use serde::{Deserialize, Serialize};
 
-/// What the findings below it are of.
+/// Scope of a report.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ReportHead {
-    /// Whose it is.
+    /// Name of the reporter.
     pub report: String,
-    /// The family of the line, as in the log; none: every one.
+    /// Protocol family, as in the fault log; `None`: all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub line: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    /// Sonar name; `None`: all.
     pub sonar: Option<String>,
-    /// Record types that were looked at; none: all.
+    /// Record types covered; `None`: all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub covers: Option<Vec<u32>>,
-    /// Kinds of faults that can be found at all; none: every one.
+    /// Kinds of faults that the reporter can detect; `None`: all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tells: Option<Vec<String>>,
-    /// First and last ping heard.
+    /// First ping received.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub first_ping: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    /// Last ping received.
     pub last_ping: Option<u32>,
-    /// First and last packet time heard, of VITA 49.
+    /// VITA 49: time of the first packet, ns since 1970 UTC.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub from_utc_ns: Option<i64>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    /// VITA 49: time of the last packet, ns since 1970 UTC.
     pub to_utc_ns: Option<i64>,
 }
 
-/// One thing that was found wrong.
+/// One observed fault.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Finding {
-    /// `lost`, `duplicate`, `late`, `damaged` (it says itself that it is not whole), `different` (from what it should be), `reset`, `silent`; or a
-    /// kind of fault by its name.
+    /// `lost`, `duplicate`, `late`, `damaged` (by its own checksum or length), `different` (from the reference run), `reset`, `silent`, or the name of a
+    /// kind of fault.
     pub kind: String,
     #[serde(skip_serializing_if = "Option::is_none")]
+    /// Sonar name.
     pub sonar: Option<String>,
     /// The ping, or the first of several up to `to_ping`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -56,45 +60,58 @@ pub struct Finding {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) to_ping: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    /// Record type, as in the fault log.
     pub record_type: Option<u32>,
-    /// Of an element stream.
+    /// Frame number of an element stream.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_number: Option<u32>,
-    /// Of VITA 49, with the packet's own time, or times that it lies between.
+    /// VITA 49 stream identifier.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stream: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    /// VITA 49: whether it is a context packet.
     pub context: Option<bool>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    /// VITA 49: packet time or lower bound, ns since 1970 UTC.
     pub from_utc_ns: Option<i64>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    /// VITA 49: packet time or upper bound, ns since 1970 UTC.
     pub to_utc_ns: Option<i64>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    /// Index of the receive array.
     pub array: Option<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    /// Index of the element within its array.
     pub element: Option<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    /// Name of the navigation source.
     pub source: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    /// Name of the navigation quantity.
     pub quantity: Option<String>,
 }
 
-/// A report, read.
+/// A parsed report.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Report {
+    /// Scope.
     pub head: ReportHead,
+    /// Findings in the order of their lines.
     pub findings: Vec<Finding>,
 }
 
 #[derive(Debug, thiserror::Error)]
 #[error("line {line}: {why}")]
+/// A line that is no head and no finding.
 pub struct ReportError {
+    /// Line number, from 1.
     pub line: usize,
+    /// What is wrong.
     pub why: String,
 }
 
 impl Report {
-    /// Reads JSON lines; empty ones are passed over.
+    /// Parses JSON lines; empty lines are skipped.
     pub fn parse(text: &str) -> Result<Self, ReportError> {
         let mut report = Self::default();
         for (at, line) in text.lines().enumerate() {
@@ -117,7 +134,7 @@ impl Report {
         Ok(report)
     }
 
-    /// The same as JSON lines.
+    /// The report as JSON lines.
     pub fn text(&self) -> String {
         let mut text = serde_json::json!(self.head).to_string() + "\n";
         for finding in &self.findings {
