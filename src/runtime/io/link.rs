@@ -1,27 +1,28 @@
-//! The line between an output and whoever is at its other end, where it may go wrong: the one place that every family's records and packets pass.
+//! The link between an output and its clients, where link faults act on the records and packets of every family.
 
 use std::sync::Arc;
 
 use echotank_core::flow::Datagram;
 use echotank_emit::packets::Packets;
 
-/// How the connections stand.
+/// State of the connections of an output.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Connection {
+    /// Normal operation.
     #[default]
     Up,
-    /// Nothing is sent and nothing is heard, and nobody is told.
+    /// Connections stay open, but nothing is sent or received.
     Mute,
-    /// TCP clients are reset.
+    /// TCP clients are disconnected with a reset.
     Reset,
 }
 
-/// What becomes of a ping's records or packets on their way.
+/// Applies link faults to a ping's records or packets.
 pub trait Link: Send {
-    /// How the connections stand at this ping.
+    /// State of the connections at this ping.
     fn connection(&mut self) -> Connection;
-    /// What comes out when `records` are sent.
+    /// The records that leave when `records` are sent.
     fn records<'a>(&'a mut self, records: &'a [Arc<Datagram>]) -> &'a [Arc<Datagram>];
-    /// The same of packets, in their place.
+    /// Applies the faults to packets in place.
     fn packets(&mut self, packets: &mut Packets);
 }

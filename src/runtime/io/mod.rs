@@ -1,4 +1,4 @@
-//! The only home of tokio, socket2, serialport and files.
+//! Files, sockets, serial ports and the tokio runtimes.
 pub mod capture_text;
 pub mod control;
 pub mod datagrams;
@@ -15,12 +15,12 @@ pub mod sonar;
 mod stamp;
 pub mod trigger;
 
-/// A file of text, for those who may not open files themselves.
+/// Reads a text file.
 pub fn text_of(path: &std::path::Path) -> std::io::Result<String> {
     std::fs::read_to_string(path)
 }
 
-/// The same, written; what has the name is replaced.
+/// Writes a text file, replacing an existing one.
 pub fn write_text(path: &std::path::Path, text: &str) -> std::io::Result<()> {
     std::fs::write(path, text)
 }

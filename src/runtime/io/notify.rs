@@ -1,20 +1,20 @@
-//! What systemd wants to know of a service (sd_notify): that it is ready, that it is alive, what it is doing.
+//! Reports the service's state to systemd (sd_notify(3)): ready, alive, status, stopping.
 
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 
-/// The way to the service manager; none where there is none.
+/// Sends to the service manager, if there is one.
 pub(crate) struct Notify {
     way: Option<(UnixDatagram, SocketAddr)>,
 }
 
 impl Notify {
-    /// By the environment that systemd sets.
+    /// Uses the socket that systemd names in the environment.
     pub(crate) fn from_environment() -> Self {
         Self::to(std::env::var("NOTIFY_SOCKET").ok().as_deref())
     }
 
-    /// To a socket by its path, or by its abstract name behind an `@`.
+    /// Sends to a socket path, or to an abstract name after `@`.
     fn to(name: Option<&str>) -> Self {
         let way = name.and_then(|name| {
             let address = match name.strip_prefix('@') {
@@ -26,12 +26,12 @@ impl Notify {
         Self { way }
     }
 
-    /// The service is up.
+    /// The service is ready.
     pub(crate) fn ready(&self) {
         self.tell("READY=1");
     }
 
-    /// The service is well: to be said more often than every WatchdogSec.
+    /// Resets the watchdog; due more often than WatchdogSec.
     pub(crate) fn alive(&self) {
         self.tell("WATCHDOG=1");
     }
@@ -47,7 +47,7 @@ impl Notify {
 
     fn tell(&self, text: &str) {
         if let Some((socket, address)) = &self.way {
-            // A manager that does not listen is its own fault; the watchdog tells.
+            // A lost message is harmless: the watchdog notices.
             let _ = socket.send_to_addr(text.as_bytes(), address);
         }
     }
@@ -86,7 +86,7 @@ mod tests {
         Notify::to(Some("/no/such/socket")).alive();
     }
 
-    /// Where there is no `systemd-analyze`, only what the unit must say is looked at.
+    /// Without `systemd-analyze` only the required keys are checked.
     #[test]
     fn systemd_finds_nothing_wrong_with_the_unit() {
         let unit = include_str!("../../../hil-configs/echotank.service");
@@ -101,14 +101,14 @@ mod tests {
         }
         let dir = tempfile::tempdir().expect("dir");
         let path = dir.path().join("echotank.service");
-        // The binary of the unit is on no machine that builds it.
+        // The unit's binary is not installed on the build machine.
         let lint = |unit: &str| {
             let unit = unit.replace("ExecStart=/usr/bin/echotank", "ExecStart=/bin/true");
             std::fs::write(&path, unit).expect("written");
             let mut systemd = std::process::Command::new("systemd-analyze");
             let done = systemd.arg("verify").arg(&path).output().ok()?;
             let said = String::from_utf8_lossy(&done.stderr);
-            // It looks at the machine's other units too.
+            // The tool also checks the machine's other units.
             let ours = said.lines().filter(|l| l.contains("echotank.service"));
             Some(ours.map(str::to_owned).collect::<Vec<_>>())
         };

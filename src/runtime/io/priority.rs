@@ -1,10 +1,10 @@
-//! What the kernel grants a program that must be punctual: real-time scheduling of a thread, and memory that stays in memory.
+//! Scheduling priority, locked memory and resource limits of this process.
 
 use std::io;
 use std::os::unix::thread::JoinHandleExt;
 use std::thread::JoinHandle;
 
-/// Puts the calling thread under SCHED_FIFO. Without CAP_SYS_NICE or a limit on rtprio this is refused.
+/// Puts the calling thread under SCHED_FIFO. Requires CAP_SYS_NICE or a limit on rtprio.
 pub(crate) fn first_in_first_out(priority: u8) -> io::Result<()> {
     let parameters = libc::sched_param {
         sched_priority: i32::from(priority),
@@ -14,7 +14,7 @@ pub(crate) fn first_in_first_out(priority: u8) -> io::Result<()> {
     outcome(status)
 }
 
-/// The same of another thread of this process.
+/// Puts another thread of this process under SCHED_FIFO.
 pub(crate) fn first_in_first_out_of<T>(thread: &JoinHandle<T>, priority: u8) -> io::Result<()> {
     let parameters = libc::sched_param {
         sched_priority: i32::from(priority),
@@ -29,8 +29,7 @@ pub(crate) fn first_in_first_out_of<T>(thread: &JoinHandle<T>, priority: u8) -> 
     }
 }
 
-/// Puts the calling thread ahead of other programs' ordinary threads, -20 the farthest: a share of the processor, so that nobody is starved and nothing
-/// throttled. Threads that it starts are so too. Without CAP_SYS_NICE or a limit on nice values this is refused.
+/// Sets the calling thread's nice value, -20 to 19. Threads that it starts inherit it. A negative value requires CAP_SYS_NICE or a limit on nice.
 pub fn nice(value: i8) -> io::Result<()> {
     // SAFETY: takes no pointers; on Linux 0 is the calling thread.
     outcome(unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, i32::from(value)) })
@@ -55,8 +54,7 @@ pub(crate) fn scheduling() -> (i32, i32) {
     (policy, parameters.sched_priority)
 }
 
-/// Keeps every page in memory once it has been touched. Refused unless memory may be locked without limit: under a limit a later
-/// allocation would fail instead.
+/// Locks every page in memory once it has been touched. Refused unless locked memory is unlimited: under a limit a later allocation would fail.
 pub(crate) fn lock_memory() -> io::Result<()> {
     if limit(Limit::LockedMemory) != u64::MAX && !is_root() {
         let why = "the limit on locked memory is not \"unlimited\"";
@@ -74,22 +72,26 @@ fn outcome(status: libc::c_int) -> io::Result<()> {
     }
 }
 
+/// Whether the effective user is root.
 pub fn is_root() -> bool {
     // SAFETY: takes nothing and cannot fail.
     unsafe { libc::geteuid() == 0 }
 }
 
+/// A resource limit of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Limit {
+    /// Highest real-time priority.
     RealTimePriority,
     /// 20 less the lowest nice value.
     Nice,
-    /// Bytes.
+    /// Locked memory, bytes.
     LockedMemory,
+    /// Open file descriptors.
     OpenFiles,
 }
 
-/// What this process may have; `u64::MAX` is no limit.
+/// The soft limit of this process; `u64::MAX`: unlimited.
 pub fn limit(which: Limit) -> u64 {
     let resource = match which {
         Limit::RealTimePriority => libc::RLIMIT_RTPRIO,
@@ -110,7 +112,7 @@ pub fn limit(which: Limit) -> u64 {
     }
 }
 
-/// Whether the kernel holds the host's clock to be disciplined (NTP, PTP), and its estimate of the error, microseconds.
+/// Whether the kernel considers the host's clock synchronised (NTP, PTP), and its error estimate, us.
 pub fn clock_discipline() -> (bool, i64) {
     // SAFETY: all zero is a valid timex, which asks and changes nothing.
     let mut timex: libc::timex = unsafe { std::mem::zeroed() };
@@ -150,7 +152,7 @@ mod tests {
         drop(tell);
         let (before, after) = other.join().expect("the thread");
         match granted {
-            // It may have begun only afterwards.
+            // The thread may have started only afterwards.
             Ok(()) => assert_eq!(after, (libc::SCHED_FIFO, 7)),
             Err(_) => assert_eq!(before, after),
         }

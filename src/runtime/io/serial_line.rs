@@ -1,7 +1,7 @@
-//! One client on a serial line: what it says goes to its session, answers and records go to it, answers first.
+//! A session with one client on a serial line: received bytes go to the session; replies and records are sent, replies first.
 //!
-//! Records that find too much waiting are dropped whole, and counted; at 115200 bits per second that is most of them for a fast sonar. A line
-//! that fails (unplugged) is opened again.
+//! Records are dropped whole and counted when the queue is full; a fast sonar loses most of them at 115200 bit/s. A failed line, such as an unplugged
+//! adapter, is reopened.
 
 use std::io::{ErrorKind, Read};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -16,25 +16,31 @@ use crate::io::sonar::RigTime;
 use echotank_core::flow::Datagram;
 use echotank_emit::session::{Outgoing, Session};
 
-/// Records that may wait for the line.
+/// Limit of records that wait for the line.
 const MAX_WAITING: usize = 4;
-/// How long a look for what the client says lasts: as long as an answer may wait to be begun.
+/// Read timeout; a reply may wait this long.
 const LOOK: Duration = Duration::from_millis(20);
-/// Looks without a byte after which a command begun is given up.
+/// Read timeouts after which an incomplete command is discarded.
 const STALLED_LOOKS: u32 = 100;
-/// Before a line that failed is tried again.
+/// Pause before a failed line is reopened.
 const AGAIN: Duration = Duration::from_secs(1);
 
+/// Counters of a serial line.
 #[derive(Debug, Default)]
 pub struct LineCounts {
+    /// Bytes written.
     pub bytes_sent: AtomicU64,
+    /// Records that did not fit the queue.
     pub records_dropped: AtomicU64,
+    /// Commands received.
     pub commands: AtomicU64,
+    /// Commands refused.
     pub nacks: AtomicU64,
+    /// Failures of the line.
     pub failures: AtomicU64,
 }
 
-/// A line that is served by a thread of its own. Stops when dropped.
+/// A serial line served by its own thread; stops when dropped.
 pub struct SerialLine {
     records: Sender<Arc<Datagram>>,
     counts: Arc<LineCounts>,
@@ -44,7 +50,7 @@ pub struct SerialLine {
 }
 
 impl SerialLine {
-    /// `connect` makes the session of whoever is at the other end; it is asked again after a failure.
+    /// Opens the line. `connect` makes a session, again after each failure.
     pub fn open(
         port: &str,
         baud: u32,
@@ -80,16 +86,17 @@ impl SerialLine {
         })
     }
 
+    /// Counters so far.
     pub fn counts(&self) -> &Arc<LineCounts> {
         &self.counts
     }
 
-    /// All records pass `line` from now on; answers do not.
+    /// Sends all further records through `line`; replies bypass it.
     pub(crate) fn set_line(&self, line: Box<dyn Link>) {
         *self.faulty.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
     }
 
-    /// Never waits for the line.
+    /// Queues records; never waits for the line.
     pub fn deliver(&self, records: &[Arc<Datagram>]) {
         let mut faulty = self.faulty.lock().unwrap_or_else(PoisonError::into_inner);
         let records = match &mut *faulty {
@@ -171,7 +178,7 @@ fn is_silence(error: &std::io::Error) -> bool {
     )
 }
 
-/// All of `bytes`, however long the line takes, unless the server stops.
+/// Writes all of `bytes`, however long it takes, unless the server stops.
 fn write(
     line: &mut dyn serialport::SerialPort,
     mut bytes: &[u8],

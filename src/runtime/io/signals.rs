@@ -1,4 +1,4 @@
-//! SIGINT and SIGTERM: the polite ways to be stopped.
+//! SIGINT and SIGTERM.
 
 use std::io;
 use std::sync::Arc;
@@ -8,11 +8,11 @@ use std::time::{Duration, Instant};
 
 use tokio::signal::unix::{SignalKind, signal};
 
-/// A signal that follows the first within this is the same wish told twice, as when a shell tells the group and a wrapper tells its child.
+/// A second signal within this time is ignored: a shell signals the process group, and a wrapper may signal its child again.
 const SAME_WISH: Duration = Duration::from_secs(1);
 
-/// Sets `stop` at the first SIGINT or SIGTERM. At another, later than [`SAME_WISH`], the process ends at once, with the shell's usual
-/// status: what is recorded by then stays readable.
+/// Sets `stop` at the first SIGINT or SIGTERM. A further one after [`SAME_WISH`] ends the process at once with status 128 + signal; recorded files
+/// stay readable.
 pub fn stop_on_signals(stop: &Arc<AtomicBool>) -> io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()

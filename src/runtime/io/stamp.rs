@@ -1,16 +1,16 @@
-//! How long ago the kernel received a datagram: a thread that is late to read makes neither navigation nor a trigger late.
+//! Age of a received datagram from the kernel's time stamp, so that a late read does not delay navigation or triggers.
 //!
-//! Linux stamps datagrams when asked (`SO_TIMESTAMPNS`, socket(7)); elsewhere, and where it refuses, they count as just arrived.
+//! Linux stamps datagrams on request (`SO_TIMESTAMPNS`, socket(7)). Elsewhere, or if it refuses, the age is 0.
 
 use std::io;
 use std::net::UdpSocket;
 
-/// Asks for stamps; false where there are none.
+/// Requests time stamps; false where they are unavailable.
 pub(super) fn enable(socket: &UdpSocket) -> bool {
     system::enable(socket)
 }
 
-/// One datagram: its length and its age, nanoseconds (0 where it is not known).
+/// Receives one datagram; returns its length and its age, ns (0 if unknown).
 pub(super) fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> io::Result<(usize, i64)> {
     system::receive(socket, buffer)
 }
@@ -36,9 +36,9 @@ mod system {
 
     use super::*;
 
-    /// An older datagram than this means that the host's clock was set meanwhile.
+    /// A greater age means that the host's clock was set meanwhile, ns.
     const OLDEST: Duration = Duration::from_secs(10);
-    /// Room for the stamp's control message, eight-byte aligned; it takes 32 bytes.
+    /// Room for the time stamp's control message, which takes 32 bytes; aligned to 8 bytes.
     type Control = [u64; 16];
 
     pub(super) fn enable(socket: &UdpSocket) -> bool {
@@ -76,7 +76,7 @@ mod system {
         Ok((len, stamp(&message).map_or(0, age_ns)))
     }
 
-    /// When the kernel had it, since 1970.
+    /// Kernel time of reception, since 1970.
     fn stamp(message: &libc::msghdr) -> Option<Duration> {
         // SAFETY: `message` has been filled by recvmsg, its control buffer is alive: the macros walk within msg_controllen, and end in null.
         unsafe {
@@ -86,7 +86,7 @@ mod system {
                     && h.cmsg_type == libc::SCM_TIMESTAMPNS
                     && h.cmsg_len >= libc::CMSG_LEN(size_of::<libc::timespec>() as u32) as _;
                 if is_stamp {
-                    // The data need not be aligned.
+                    // The data may be unaligned.
                     let time = libc::CMSG_DATA(header)
                         .cast::<libc::timespec>()
                         .read_unaligned();
@@ -99,7 +99,7 @@ mod system {
         None
     }
 
-    /// 0 for a stamp that cannot be.
+    /// The age in ns; 0 for an impossible time stamp.
     fn age_ns(stamp: Duration) -> i64 {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).ok();
         let age = now.and_then(|now| now.checked_sub(stamp));
@@ -119,11 +119,11 @@ mod tests {
         let to = socket.local_addr().expect("bound");
         let sender = UdpSocket::bind("127.0.0.1:0").expect("a socket");
         let mut buffer = [0; 64];
-        // Unasked, there is no stamp: the portable way.
+        // Without a request there is no time stamp; this is the portable path.
         sender.send_to(b"one", to).expect("sent");
         assert_eq!(receive(&socket, &mut buffer).expect("read"), (3, 0));
         let stamped = enable(&socket);
-        // A kernel that stamped nothing until now begins a little after it was asked; a datagram that comes before is stamped when it is read.
+        // A kernel begins stamping shortly after the first request; earlier datagrams are stamped when read.
         for _ in 0..200 {
             sender.send_to(b"early", to).expect("sent");
             std::thread::sleep(Duration::from_millis(5));

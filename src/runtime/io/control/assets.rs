@@ -1,11 +1,11 @@
-//! The page itself: files in the binary, sent with headers that keep everything else out.
+//! The page's files, compiled into the binary, with headers that permit no other content.
 
 use axum::Router;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 
-/// Nothing from anywhere else, no inline code, no markup made from text.
+/// Only content of this server: no inline code and no markup made from text.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data:; base-uri 'none'; \
      form-action 'none'; frame-ancestors 'none'; require-trusted-types-for 'script'; trusted-types 'none'";
 
@@ -20,7 +20,7 @@ macro_rules! asset {
     };
 }
 
-/// Route, kind, text.
+/// Route, content type and content.
 const ASSETS: &[(&str, &str, &str)] = &[
     asset!("/", HTML, "index.html"),
     asset!("/page/style.css", CSS, "style.css"),
@@ -50,7 +50,7 @@ fn asset(kind: &'static str, text: &'static str) -> Response {
     let mut headers = HeaderMap::new();
     let kept = [
         (header::CONTENT_TYPE, kind),
-        // Another version of the daemon may answer next.
+        // The next response may come from another version of the daemon.
         (header::CACHE_CONTROL, "no-cache"),
         (header::CONTENT_SECURITY_POLICY, POLICY),
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),

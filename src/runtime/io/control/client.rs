@@ -1,4 +1,4 @@
-//! One request over HTTP/1.1, for `echotank ctl`, `tools/soak` and the tests. Blocking.
+//! A blocking HTTP/1.1 client for single requests, used by `echotank ctl` and the tests.
 
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -6,20 +6,20 @@ use std::time::Duration;
 
 use serde_json::Value;
 
-/// For a daemon that does not answer.
+/// Time limit of connecting, reading and writing.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Longest answer read, bytes.
+/// Longest response read, bytes.
 const MAX_BYTES: u64 = 16 << 20;
 
-/// What came back: the HTTP status and the body.
+/// HTTP status and body.
 pub type Reply = (u16, String);
 
-/// Asks for a page.
+/// Sends a GET request.
 pub fn get(address: SocketAddr, path: &str, token: Option<&str>) -> io::Result<Reply> {
     exchange(address, &format!("GET {path} HTTP/1.1\r\n"), token, "")
 }
 
-/// Sends a command to `/control`.
+/// Sends a command as POST /control.
 pub fn command(address: SocketAddr, body: &Value, token: Option<&str>) -> io::Result<Reply> {
     let body = body.to_string();
     let head = format!(

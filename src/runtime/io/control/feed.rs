@@ -1,7 +1,7 @@
-//! What open pages get: frames of every ping, through bounded queues, and a short history for those that come later.
+//! Distributes frames from the pings to the open pages, through bounded queues, with a short history for pages opened later.
 //!
-//! In: [`Frame`]s from the delivery threads, which never wait here. Out: the same frames to every page that is open. A page that does not
-//! read, as one whose window sleeps, misses the oldest frames; they are counted. What is in a frame is told in [`super::frame`].
+//! Delivery threads publish [`Frame`]s and never wait. A page that does not read, such as a hidden window, misses the oldest frames, which are
+//! counted. [`super::frame`] defines the content of a frame.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -13,49 +13,58 @@ use tokio::sync::broadcast;
 
 use super::frame::Kind;
 
-/// Lines kept of each sonar, for scroll back and for a page that comes later: two and a half minutes at 4 pings a second, some 2 MB.
+/// Side-scan lines kept for each sonar, for scrolling back and for new pages: 2.5 minutes at 4 pings/s, about 2 MB.
 pub(crate) const HISTORY_LINES: usize = 600;
 /// Frames that may wait for the slowest page: a few seconds of a sonar with a fan.
 const QUEUE_FRAMES: usize = 64;
-/// Different rows of samples that all pages together get of one ping.
+/// Different rows of samples that all pages together get from one ping.
 pub(crate) const MAX_SCOPES: usize = 8;
 
-/// One row of samples that a page looks at.
+/// A row of samples that a page displays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scope {
+    /// Kind of row.
     pub of: ScopeOf,
-    /// Receive array, fan or line.
+    /// Index of the receive array, fan or line.
     #[serde(default)]
     pub array: u16,
-    /// Element or beam.
+    /// Index of the element or beam.
     #[serde(default)]
     pub index: u16,
-    /// Of the samples sent.
+    /// Index of the first sample displayed.
     #[serde(default)]
     pub first: u32,
 }
 
+/// Kind of a row of samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ScopeOf {
+    /// Samples of an element.
     Element,
+    /// Samples of a beam.
     Beam,
+    /// Samples of a side-scan line.
     Line,
 }
 
-/// What one page looks at.
+/// What one page displays.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Want {
+    /// Index of the sonar in the configuration.
     pub sonar: u16,
+    /// The fan of beams.
     pub fan: bool,
+    /// Levels of the elements.
     pub elements: bool,
+    /// A row of samples.
     pub scope: Option<Scope>,
 }
 
 impl Want {
-    /// Whether a frame is for this page.
+    /// Whether the page needs a frame.
     pub fn takes(&self, frame: &Frame) -> bool {
         self.sonar == frame.sonar
             && match frame.kind {
@@ -68,33 +77,38 @@ impl Want {
     }
 }
 
-/// What all pages together want of one sonar's next ping.
+/// What all pages together need from one sonar's next ping.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Wanted {
+    /// The fan of beams.
     pub fan: bool,
+    /// Levels of the elements.
     pub elements: bool,
     pub(crate) scopes: Vec<Scope>,
 }
 
-/// Bytes for pages, made once for all of them.
+/// An encoded frame, shared by all pages.
 #[derive(Debug)]
 pub struct Frame {
+    /// Index of the sonar in the configuration.
     pub sonar: u16,
+    /// What it holds.
     pub kind: Kind,
-    /// Of a scope's frame.
+    /// The row, for a frame of samples.
     pub scope: Option<Scope>,
+    /// As sent, see [`super::frame`].
     pub bytes: Bytes,
 }
 
-/// The way from the pings to the pages.
+/// The channel from the pings to the pages.
 pub struct Feed {
     frames: broadcast::Sender<Arc<Frame>>,
     /// By sonar, oldest first.
     history: Mutex<Vec<VecDeque<Arc<Frame>>>>,
-    /// By page; none until it has said what it looks at.
+    /// By page; `None` until the page has chosen.
     wants: Mutex<BTreeMap<u64, Option<Want>>>,
     next_page: AtomicU64,
-    /// Of `wants`: without a page no lock is asked for.
+    /// Number of `wants`; 0 avoids the lock.
     pages: AtomicUsize,
     counts: Counts,
 }
@@ -106,19 +120,21 @@ struct Counts {
     dropped: AtomicU64,
 }
 
-/// What became of the frames.
+/// Counters of the feed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct FeedCounts {
     pub(crate) pages: usize,
     pub(crate) pages_ever: u64,
+    /// Frames published.
     pub frames: u64,
-    /// To any page.
+    /// Frames sent, summed over the pages.
     pub sent: u64,
-    /// That a page was too slow for.
+    /// Frames that a page missed.
     pub dropped: u64,
 }
 
 impl Feed {
+    /// A feed for this number of sonars.
     pub fn new(sonars: usize) -> Self {
         let ring = || VecDeque::with_capacity(HISTORY_LINES);
         Self {
@@ -131,11 +147,12 @@ impl Feed {
         }
     }
 
-    /// Whether anybody looks.
+    /// Whether a page is open.
     pub(crate) fn is_watched(&self) -> bool {
         self.pages.load(Ordering::Acquire) > 0
     }
 
+    /// What the pages need from the next ping of a sonar.
     pub fn wanted(&self, sonar: u16) -> Wanted {
         let mut wanted = Wanted::default();
         if !self.is_watched() {
@@ -155,12 +172,12 @@ impl Feed {
         wanted
     }
 
-    /// Hands a frame to every page. Never waits for one.
+    /// Passes a frame to every page; never waits.
     pub fn publish(&self, frame: Frame) {
         let frame = Arc::new(frame);
         self.counts.frames.fetch_add(1, Ordering::Relaxed);
         if frame.kind != Kind::Line {
-            // Fails when nobody listens any more.
+            // Fails when no page is open.
             let _ = self.frames.send(frame);
             return;
         }
@@ -171,11 +188,11 @@ impl Feed {
             }
             ring.push_back(Arc::clone(&frame));
         }
-        // While the history is locked: whoever listens from now on has this line from one of the two.
+        // The lock on the history makes a new page get this line exactly once.
         let _ = self.frames.send(frame);
     }
 
-    /// A page opens.
+    /// Registers a new page.
     pub fn join(self: &Arc<Self>) -> Page {
         let id = self.next_page.fetch_add(1, Ordering::Relaxed);
         let mut wants = lock(&self.wants);
@@ -190,6 +207,7 @@ impl Feed {
         }
     }
 
+    /// Counters so far.
     pub fn counts(&self) -> FeedCounts {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         FeedCounts {
@@ -202,7 +220,7 @@ impl Feed {
     }
 }
 
-/// An open page's end of the feed.
+/// Receiving end of an open page.
 pub struct Page {
     feed: Arc<Feed>,
     id: u64,
@@ -210,17 +228,18 @@ pub struct Page {
     frames: broadcast::Receiver<Arc<Frame>>,
 }
 
-/// What a page has next.
+/// What a page receives next.
 pub enum Next {
+    /// A frame to send.
     Frame(Arc<Frame>),
-    /// It was too slow for so many.
+    /// The page missed this many frames.
     Dropped(u64),
-    /// There will be no more.
+    /// The feed has ended.
     End,
 }
 
 impl Page {
-    /// Looks at something else from now on; the lines so far where it is another sonar, or the first.
+    /// Changes what the page displays. Returns the line history if the sonar changes or this is the first choice.
     pub fn look(&mut self, want: Want) -> Vec<Arc<Frame>> {
         let before = self.want.replace(want);
         lock(&self.feed.wants).insert(self.id, self.want);
@@ -233,7 +252,7 @@ impl Page {
         ring.map_or(Vec::new(), |ring| ring.iter().cloned().collect())
     }
 
-    /// The next frame that it wants.
+    /// Waits for the next frame that the page needs.
     pub async fn next(&mut self) -> Next {
         loop {
             match self.frames.recv().await {
@@ -250,7 +269,7 @@ impl Page {
         }
     }
 
-    /// A frame has left.
+    /// Counts a frame as sent.
     pub fn sent(&self) {
         self.feed.counts.sent.fetch_add(1, Ordering::Relaxed);
     }
@@ -264,7 +283,7 @@ impl Drop for Page {
     }
 }
 
-/// What is behind these locks is whole whenever they are free.
+/// Every statement under these locks leaves consistent data.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,46 +1,48 @@
-//! Binary frames for the page: a head of 16 bytes, a text of JSON, arrays. All little-endian.
+//! Binary frames for the page: a head of 16 bytes, JSON text and arrays, all little-endian.
 //!
-//! | offset | type | what |
+//! | offset | type | content |
 //! |---|---|---|
 //! | 0 | u8 | kind, see [`Kind`] |
 //! | 1 | u8 | [`VERSION`] |
 //! | 2 | u16 | sonar, in the configuration's order |
 //! | 4 | u32 | ping number |
-//! | 8 | u32 | length of the text, a multiple of 4 (spaces follow the JSON) |
-//! | 12 | u32 | length of the arrays |
-//! | 16 | | text: what the arrays are, and all that is one number a ping |
+//! | 8 | u32 | length of the text, bytes, a multiple of 4 (padded with spaces) |
+//! | 12 | u32 | length of the arrays, bytes |
+//! | 16 | | text: description of the arrays, and the ping's scalar values |
 //! | 16 + length of the text | | arrays |
 //!
-//! Levels are u8: 0 is nothing, otherwise `low_db` + value x [`STEP_DB`], of volts rms. Samples are pairs of f32, I and Q.
+//! Levels are u8: 0 means no signal; others are `low_db` + value x [`STEP_DB`], dB re 1 V rms. Samples are pairs of f32, I and Q, volts.
 
 use axum::body::Bytes;
 use serde_json::Value;
 
+/// Version of this format.
 pub const VERSION: u8 = 1;
+/// Length of the head, bytes.
 pub const HEAD_BYTES: usize = 16;
 
-/// Of a level's u8, dB: 127 dB from the loudest of a frame down.
+/// Step of a level, dB: a frame spans 127 dB.
 pub(crate) const STEP_DB: f32 = 0.5;
-/// Levels that a u8 tells apart besides nothing.
+/// Largest level.
 const STEPS: f32 = 254.0;
 
-/// What a frame holds.
+/// Content of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Kind {
-    /// A side-scan line, port then starboard from the middle outwards, u8; navigation and truth of the ping.
+    /// A side-scan line, u8 levels, port then starboard, each from nadir outwards; the text holds navigation and ground truth.
     Line = 1,
-    /// Levels of a fan, beam by beam, u8.
+    /// Levels of a fan, u8, beam by beam.
     Fan = 2,
-    /// Root mean square and peak of every element, array by array, f32, dB re 1 V.
+    /// Root mean square and peak of every element, f32, dB re 1 V, array by array.
     Elements = 3,
-    /// Samples of one row, f32 pairs.
+    /// Samples of one row, pairs of f32.
     Scope = 4,
-    /// Depths of a tile of seabed, row by row from its south-western corner, f32, metres; NaN where there is none.
+    /// Depths of a seabed tile, f32, m, positive down, row by row from the south-western corner; NaN without data.
     Relief = 5,
 }
 
-/// A frame of these parts.
+/// Encodes a frame.
 pub fn frame(kind: Kind, sonar: u16, ping_number: u32, text: &Value, arrays: &[u8]) -> Bytes {
     let mut text = text.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
@@ -55,7 +57,7 @@ pub fn frame(kind: Kind, sonar: u16, ping_number: u32, text: &Value, arrays: &[u
     bytes.into()
 }
 
-/// Appends `power` (volts squared) as levels; the `low_db` they count from. The loudest is at most [`STEP_DB`] below the top.
+/// Appends `power` (V^2) as levels and returns `low_db`. The maximum lies at most [`STEP_DB`] below the top of the scale.
 pub fn levels(power: &[f32], into: &mut Vec<u8>) -> f32 {
     let loudest = power.iter().copied().fold(0.0, f32::max);
     let low_db = decibels(loudest).max(-600.0).ceil() - STEPS * STEP_DB;
@@ -63,19 +65,19 @@ pub fn levels(power: &[f32], into: &mut Vec<u8>) -> f32 {
         if p <= 0.0 || p.is_nan() {
             return 0;
         }
-        // At least 1: what is there is not nothing.
+        // At least 1, because 0 means no signal.
         ((decibels(p) - low_db) / STEP_DB).round().clamp(1.0, 255.0) as u8
     }));
     low_db
 }
 
-/// Of a power.
+/// Decibels of a power.
 fn decibels(power: f32) -> f32 {
     10.0 * power.log10()
 }
 
-/// The loudest of each of `out.len()` equal parts of a row: sample k of N is in part k n / N. Rows no longer than `out` keep their samples,
-/// and the rest of `out` is not used; how many parts there are.
+/// Reduces a row to the maxima of `out.len()` equal parts: sample k of N falls in part floor(k n / N). A row no longer than `out` is copied.
+/// Returns the number of values written.
 pub(crate) fn max_hold(row: impl ExactSizeIterator<Item = f32>, out: &mut [f32]) -> usize {
     let samples = row.len();
     let parts = samples.min(out.len());

@@ -1,9 +1,9 @@
-//! Control over HTTP: commands in, answers out, as JSON. The routes are in [`router`]; what a command does is behind [`ControlPort`].
+//! Control over HTTP: JSON commands and replies. [`router`] holds the routes; [`ControlPort`] carries out the commands.
 //!
-//! One thread with a tokio runtime of its own, apart from pings and protocols. It listens on this machine alone unless told otherwise, and
-//! then asks for a token. A page of another site cannot reach it: see [`router`].
+//! One thread with its own tokio runtime serves it, apart from pings and protocols. It listens on the loopback interface by default, and requires a
+//! token elsewhere. [`router`] describes the protection against pages of other sites.
 //!
-//! It also serves the operator's page: [`assets`] are its files, [`socket`] is its WebSocket, [`feed`] brings it what the pings made.
+//! It also serves the operator's page: [`assets`] holds the files, [`socket`] the WebSocket, [`feed`] the data of the pings.
 
 mod assets;
 pub mod client;
@@ -27,51 +27,63 @@ use echotank_core::flow::{Asker, SettingChange, TriggerSource};
 use feed::Feed;
 use socket::{Pages, ReliefTile};
 
-/// For answers on their way when the server stops.
+/// Time for replies to leave when the server stops.
 const DRAIN: Duration = Duration::from_millis(500);
 
-/// What may be asked. `{"do": "step", "pings": 3}`.
+/// A command, such as `{"do": "step", "pings": 3}`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "do", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Command {
+    /// Stops rig time; recorded navigation only.
     Pause,
+    /// Resumes rig time.
     Resume,
-    /// Lets so many pings out and pauses.
+    /// Delivers this many pings and pauses.
     Step {
+        /// Number of pings.
         #[serde(default = "one")]
         pings: u64,
     },
+    /// Changes settings.
     Set(Settings),
-    /// Starts so many pings of a sonar, on its beat; for one whose trigger is external, or that does not ping.
+    /// Starts this many pings at the configured rate, for a sonar that has an external trigger or does not ping.
     Trigger {
+        /// Sonar name; optional with one sonar.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         sonar: Option<String>,
+        /// Number of pings.
         #[serde(default = "one")]
         pings: u64,
     },
-    /// From the next ping on, or `at_s` after the first.
+    /// Injects a fault from the next ping, or `at_s` after the first.
     Fault(FaultRequest),
-    /// Takes a fault away, or all.
+    /// Clears one fault, or all.
     ClearFaults {
+        /// Number of the fault; `None`: all.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         fault: Option<u32>,
     },
-    /// How time goes from now on.
+    /// Changes how rig time passes.
     Clock {
+        /// The new mode.
         mode: ClockMode,
-        /// Of `scaled`: times as fast as the machine's.
+        /// Of `scaled`: rig time per machine time.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         rate: Option<f64>,
     },
 }
 
-/// As `run.clock` of the configuration.
+/// As `run.clock` in the configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ClockMode {
+    /// Machine time.
     RealTime,
+    /// Machine time times a rate.
     Scaled,
+    /// As fast as pings are computed.
     Fast,
+    /// Steps by command.
     Lockstep,
 }
 
@@ -79,7 +91,9 @@ pub enum ClockMode {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TriggerName {
+    /// The sonar's own rate.
     Internal,
+    /// An external trigger.
     External,
 }
 
@@ -87,30 +101,38 @@ fn one() -> u64 {
     1
 }
 
-/// Settings of one sonar; what is left out stays.
+/// Settings of one sonar; `None` keeps the present value.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// May be left out where there is one sonar.
+    /// Sonar name; optional with one sonar.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sonar: Option<String>,
+    /// Range, m.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub range_m: Option<f64>,
+    /// Maximum ping rate, Hz.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<f64>,
+    /// Source level, dB re 1 uPa at 1 m.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source_level_db: Option<f64>,
+    /// Receiver gain, dB.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gain_db: Option<f64>,
+    /// Pulse duration, ms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pulse_ms: Option<f64>,
+    /// Whether the sonar pings.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pinging: Option<bool>,
+    /// What starts its pings.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trigger: Option<TriggerName>,
 }
 
 impl Settings {
+    /// The changes in the order in which they are applied.
     pub fn changes(&self) -> Vec<SettingChange> {
         let start_or_stop = |pinging| match pinging {
             true => SettingChange::Start,
@@ -137,26 +159,28 @@ impl Settings {
     }
 }
 
-/// What became of a command.
+/// Reply to a command.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
+    /// Whether it was carried out.
     pub accepted: bool,
-    /// The command as it was understood.
+    /// The command as parsed.
     pub asked: Value,
-    /// Why it was refused.
+    /// Reason of a refusal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
-    /// What holds now.
+    /// State after the command.
     #[serde(default, skip_serializing_if = "Value::is_null")]
     pub now: Value,
 }
 
 impl Answer {
     fn to(command: &Command) -> Value {
-        // A command is plain data: it can always be written.
+        // A command is plain data, so serialisation succeeds.
         serde_json::to_value(command).unwrap_or(Value::Null)
     }
 
+    /// A reply to an accepted command.
     pub fn accepted(command: &Command, now: Value) -> Self {
         Self {
             accepted: true,
@@ -166,6 +190,7 @@ impl Answer {
         }
     }
 
+    /// A reply to a refused command.
     pub fn refused(command: &Command, why: String) -> Self {
         Self {
             accepted: false,
@@ -176,42 +201,47 @@ impl Answer {
     }
 }
 
-/// The daemon as the server sees it. Nothing here waits.
+/// The daemon's interface for this server; no method waits.
 pub trait ControlPort: Send + Sync {
+    /// Carries out or refuses a command.
     fn command(&self, command: &Command, by: Asker) -> Answer;
+    /// Full state as JSON, for GET /status.
     fn status(&self) -> Value;
     /// Prometheus text, version 0.0.4.
     fn metrics(&self) -> String;
-    /// Why the daemon is not well, if it is not.
+    /// Why the daemon is unhealthy; `None` if it is healthy.
     fn ailment(&self) -> Option<String> {
         None
     }
-    /// What the pings have for the page.
+    /// Frames of the pings for the page.
     fn feed(&self) -> &Arc<Feed>;
-    /// What does not change while the daemon runs, for the page.
+    /// For the page: the rig, which does not change while the daemon runs.
     fn hello(&self) -> Value;
-    /// What is not of one ping, for the page.
+    /// For the page: the state that belongs to no ping.
     fn page_state(&self) -> Value;
-    /// Another whenever somebody has changed something.
+    /// Changes whenever settings or commands change the state.
     fn revision(&self) -> u64;
-    /// Where the targets lie, once that is known.
+    /// For the page: the targets, once their positions are known.
     fn world(&self) -> Value;
-    /// A frame of the seabed's depths; none where there is no seabed, or not yet.
+    /// A frame of seabed depths; `None` without a seabed, or before the tile is available.
     fn relief(&self, tile: ReliefTile) -> Option<Bytes>;
 }
 
+/// Why the control server could not start.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
+    /// The address could not be bound.
     #[error("cannot listen on TCP {address}: {source}")]
     Listen {
         address: SocketAddr,
         source: std::io::Error,
     },
+    /// The thread or its runtime could not start.
     #[error("cannot start the server's thread: {0}")]
     Thread(std::io::Error),
 }
 
-/// Stops when dropped.
+/// The running control server; stops when dropped.
 pub(crate) struct ControlServer {
     local_addr: SocketAddr,
     stop: watch::Sender<bool>,
@@ -219,7 +249,7 @@ pub(crate) struct ControlServer {
 }
 
 impl ControlServer {
-    /// `token`: asked for where there is one. `or_any_port`: where the port is somebody else's, any other will do.
+    /// `token`: required from clients. `or_any_port`: use any free port if the port is in use.
     pub(crate) fn start(
         address: SocketAddr,
         or_any_port: bool,
@@ -265,7 +295,7 @@ impl Drop for ControlServer {
     fn drop(&mut self) {
         self.stop.send_replace(true);
         if let Some(thread) = self.thread.take() {
-            // A panic in it was printed where it happened.
+            // The panic hook has reported a panic of the thread.
             let _ = thread.join();
         }
     }

@@ -1,17 +1,16 @@
-//! The routes, and who may use them.
+//! The HTTP routes and their access rules.
 //!
-//! | route | what |
+//! | route | content |
 //! |---|---|
-//! | POST /control | a [`Command`] in, an [`Answer`](super::Answer) out: 200 accepted, 409 refused, 4xx not understood |
-//! | GET /status | everything there is to know, as JSON |
+//! | POST /control | a [`Command`]; replies with an [`Answer`](super::Answer): 200 accepted, 409 refused, 4xx malformed |
+//! | GET /status | the full state as JSON |
 //! | GET /metrics | counters and quantiles as Prometheus text |
-//! | GET /healthz | 200, or 503 with the reason; asks for no token |
-//! | GET /, /page/... | the operator's page, the same for everybody; asks for no token |
-//! | GET /page/socket | its WebSocket, see [`super::socket`]; the token comes as a subprotocol, `token.` and its bytes in hexadecimal |
+//! | GET /healthz | 200, or 503 with the reason; needs no token |
+//! | GET /, /page/... | the operator's page; needs no token |
+//! | GET /page/socket | its WebSocket, see [`super::socket`]; the token is the subprotocol `token.` followed by its bytes in hexadecimal |
 //!
-//! Against pages of other sites in the operator's browser: commands must be `application/json` (which a form cannot send), an `Origin` must be
-//! the server's own, and without a token the server must be asked for by address or as localhost (a name of somebody else's that is made to
-//! point here is refused).
+//! Against pages of other sites in the operator's browser: commands must be `application/json`, which a form cannot send. An `Origin` must be the
+//! server's own. Without a token the `Host` must be an IP address or localhost, which defeats DNS rebinding.
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
@@ -38,7 +37,7 @@ const MAX_BODY_BYTES: usize = 64 * 1024;
 
 type Port = State<Arc<dyn ControlPort>>;
 
-/// What the routes work with.
+/// State of the routes.
 #[derive(Clone)]
 pub(super) struct Shared {
     pub port: Arc<dyn ControlPort>,
@@ -121,7 +120,7 @@ async fn guard(State(token): State<Arc<Option<String>>>, request: Request, next:
     }
 }
 
-/// Why a request is not let in.
+/// Reason to refuse a request.
 fn objection(headers: &HeaderMap, token: Option<&str>) -> Option<(StatusCode, &'static str)> {
     let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
     let host = text(header::HOST).unwrap_or_default();
@@ -135,7 +134,7 @@ fn objection(headers: &HeaderMap, token: Option<&str>) -> Option<(StatusCode, &'
     match token {
         Some(token) => {
             let given = text(header::AUTHORIZATION).and_then(|v| v.strip_prefix("Bearer "));
-            // A browser cannot send a header with a WebSocket.
+            // A browser cannot add a header to a WebSocket request.
             let protocols = text(header::SEC_WEBSOCKET_PROTOCOL).unwrap_or_default();
             let in_hex = protocols
                 .split(',')
@@ -158,13 +157,13 @@ fn hex(token: &str) -> String {
     token.bytes().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// In a time that does not tell where they differ.
+/// Compares in a time that does not depend on the content.
 fn same(a: &[u8], b: &[u8]) -> bool {
     let differing = a.iter().zip(b).fold(0, |sum, (a, b)| sum | (a ^ b));
     a.len() == b.len() && differing == 0
 }
 
-/// `127.0.0.1:7780`, `[::1]:7780`, `localhost`.
+/// Whether a host is an IP address or localhost: `127.0.0.1:7780`, `[::1]:7780`, `localhost`.
 fn is_local_name(host: &str) -> bool {
     let name = match host.rsplit_once(':') {
         Some((name, port)) if !name.is_empty() && port.bytes().all(|b| b.is_ascii_digit()) => name,

@@ -1,23 +1,23 @@
-//! The page's WebSocket, `/page/socket`: frames and states out, commands in.
+//! The page's WebSocket, `/page/socket`.
 //!
-//! | out | what |
+//! | sent | content |
 //! |---|---|
-//! | text `{"hello": ..}` | once: what the rig is |
-//! | text `{"state": ..}` | everything that is not of one ping, twice a second and at once after a change |
-//! | text `{"world": ..}` | the targets, when asked |
-//! | text `{"answer": .., "id": ..}` | what became of a command |
-//! | text `{"dropped": n}` | frames this page was too slow for |
-//! | text `{"error": ..}` | what came was not understood |
+//! | text `{"hello": ..}` | once: the rig |
+//! | text `{"state": ..}` | state that belongs to no ping; twice a second and after each change |
+//! | text `{"world": ..}` | the targets, on request |
+//! | text `{"answer": .., "id": ..}` | reply to a command |
+//! | text `{"dropped": n}` | number of frames that this page missed |
+//! | text `{"error": ..}` | a message was malformed |
 //! | binary | see [`super::frame`] |
 //!
-//! | in, text | what |
+//! | received, text | content |
 //! |---|---|
-//! | `{"look": ..}` | a [`Want`](super::feed::Want): which sonar, which views |
-//! | `{"command": {"id": 1, "command": ..}}` | a [`Command`], as POST /control takes it |
+//! | `{"look": ..}` | a [`Want`](super::feed::Want): the sonar and its views |
+//! | `{"command": {"id": 1, "command": ..}}` | a [`Command`], as for POST /control |
 //! | `{"relief": ..}` | a [`ReliefTile`] of the seabed |
 //! | `{"world": {}}` | the targets |
 //!
-//! Every page has a task of its own on the control thread; one that does not read stops only itself.
+//! Every page has its own task on the control thread; a page that does not read delays no other.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -38,29 +38,30 @@ use super::router::{Shared, refusal};
 use super::{Command, ControlPort};
 use echotank_core::flow::Asker;
 
-/// Pages that may be open at once.
+/// Limit of open pages.
 pub(crate) const MAX_PAGES: usize = 64;
 /// Longest message from a page, bytes.
 const MAX_MESSAGE_BYTES: usize = 16 * 1024;
-/// For a page to take one message; then it is closed.
+/// Time limit for sending one message; then the page is closed.
 const SEND_PATIENCE: Duration = Duration::from_secs(30);
-/// A page is asked whether it is there so often, and closed when it says nothing for [`SILENCE`].
+/// Interval of WebSocket pings; a page silent for [`SILENCE`] is closed.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 const SILENCE: Duration = Duration::from_secs(60);
-/// States are looked at for changes so often, and sent at least so often.
+/// Interval between checks for changes of the state, and longest interval between states.
 const LOOK: Duration = Duration::from_millis(100);
 const STATE_EVERY: Duration = Duration::from_millis(500);
-/// After each tile of seabed, for all pages together: drawing maps never takes a core.
+/// Pause after each seabed tile, for all pages together; it bounds the processor time.
 const RELIEF_REST: Duration = Duration::from_millis(8);
 
-/// A square of the seabed: 128 cells of 2^level metres to a side, with a cell more all around.
+/// A square tile of the seabed: 128 cells of 2^level m to a side, and one more cell on every side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReliefTile {
+    /// Cells are 2^level m wide.
     pub level: u8,
-    /// Northward, in tiles of its level from the world's origin.
+    /// Northward index in tiles of this level from the world's origin.
     pub row: i32,
-    /// Eastward.
+    /// Eastward index.
     pub col: i32,
 }
 
@@ -73,7 +74,7 @@ enum PageMessage {
     World {},
 }
 
-/// What all pages share.
+/// State shared by all pages.
 pub(super) struct Pages {
     slots: Arc<Semaphore>,
     state: watch::Sender<Utf8Bytes>,
@@ -89,7 +90,7 @@ impl Pages {
         }
     }
 
-    /// Renews the state while somebody looks, for ever.
+    /// Renews the state while pages are open; never returns.
     pub(super) async fn renew(&self, port: &dyn ControlPort) {
         let mut look = interval(LOOK);
         look.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -131,7 +132,7 @@ pub(super) async fn open(
         })
 }
 
-/// Why a page is let go.
+/// The page has disconnected or must be closed.
 struct Disconnected;
 
 struct Session {
@@ -156,7 +157,7 @@ async fn serve(socket: WebSocket, shared: Shared, peer: SocketAddr) {
         _ = session.run() => {}
         _ = stopped.wait_for(|&stop| stop) => {}
     }
-    // To a page that waits: come back when there is a daemon again.
+    // Tells a waiting page to reconnect when a daemon runs again.
     let goodbye = CloseFrame {
         code: close_code::AWAY,
         reason: "the daemon stops".into(),
@@ -175,7 +176,7 @@ impl Session {
         loop {
             tokio::select! {
                 message = self.socket.recv() => {
-                    // A frame that is too long or no frame at all is an error, and the end.
+                    // An oversized or malformed frame ends the session.
                     let message = message.ok_or(Disconnected)?.map_err(|_| Disconnected)?;
                     heard = Instant::now();
                     self.take(message).await?;

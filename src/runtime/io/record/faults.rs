@@ -1,16 +1,16 @@
-//! `faults-*.jsonl`: every injected fault, one JSON object per line, so that what a device reports can be scored.
+//! `faults-*.jsonl`: every injected fault, one JSON object per line, for comparison with a device's report.
 //!
-//! | key | |
+//! | key | content |
 //! |---|---|
-//! | `fault`, `kind` | its number in this run and its kind |
-//! | `sonar`, `ping_number`, `utc_ns` | the ping it injected, and the start of its pulse in rig time |
-//! | `line` | of faults of the line: the family, `7k`, `jsf`, `wbms`, `ping`, `ping-serial`, `imagenex872`, `vita49` or `elements` |
-//! | `record_type` | and the record: its number; of JSF type + 65536 subsystem + 2^24 channel; of packets which one of its ping, from 1 |
-//! | `frame_number` | of an element stream |
-//! | `stream`, `context`, `packet_utc_ns` | of VITA 49: the stream, whether it is a context packet, the time it says |
-//! | `source`, `quantity` | of faults of navigation |
-//! | `array`, `element` | of faults of elements: where; absent: all |
-//! | `strength` | how far it had grown, 0 to 1 |
+//! | `fault`, `kind` | number of the fault in this run, and its kind |
+//! | `sonar`, `ping_number`, `utc_ns` | the affected ping, and the start of its pulse in rig time |
+//! | `line` | link faults: the family, `7k`, `jsf`, `wbms`, `ping`, `ping-serial`, `imagenex872`, `vita49` or `elements` |
+//! | `record_type` | link faults: record type; for JSF type + 65536 subsystem + 2^24 channel; for packets the index within the ping, from 1 |
+//! | `frame_number` | element streams: frame number |
+//! | `stream`, `context`, `packet_utc_ns` | VITA 49: stream, whether it is a context packet, packet time |
+//! | `source`, `quantity` | navigation faults: source and quantity |
+//! | `array`, `element` | element faults: location; absent: all |
+//! | `strength` | growth of the fault, 0 to 1 |
 
 use std::fs::File;
 use std::io::Write;
@@ -20,7 +20,7 @@ use serde::Serialize;
 
 use super::RecordError;
 
-/// Grows line by line; readable up to the last whole line whenever it is cut off.
+/// A log that grows by whole lines and stays readable wherever it is cut off.
 pub(crate) struct FaultLog {
     path: PathBuf,
     file: File,
@@ -29,10 +29,10 @@ pub(crate) struct FaultLog {
 }
 
 impl FaultLog {
-    /// Replaces what has this name.
+    /// Creates the file, replacing an existing one.
     pub(crate) fn create(path: &Path) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(RecordError::io(path, "create"))?;
-        // Keeps `recover` away.
+        // The lock makes `recover` leave the file alone.
         let _ = file.try_lock();
         Ok(Self {
             path: path.to_owned(),
@@ -42,11 +42,11 @@ impl FaultLog {
         })
     }
 
-    /// Appends a line for each.
+    /// Appends a line for each event.
     pub(crate) fn write<T: Serialize>(&mut self, injections: &[T]) -> Result<(), RecordError> {
         self.lines.clear();
         for injection in injections {
-            // Plain data: it can always be written.
+            // Plain data, so serialisation succeeds.
             if let Ok(line) = serde_json::to_string(injection) {
                 self.lines += &line;
                 self.lines.push('\n');
@@ -55,7 +55,7 @@ impl FaultLog {
         self.file
             .write_all(self.lines.as_bytes())
             .map_err(|source| {
-                // Whole lines only; if even this fails, the last is truncated.
+                // Restores whole lines; if this fails too, the last line is truncated.
                 let _ = self.file.set_len(self.length_bytes);
                 RecordError::io(&self.path, "write")(source)
             })?;

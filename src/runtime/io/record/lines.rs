@@ -1,12 +1,12 @@
-//! A recording's side-scan lines, read again: `.s7k` and `pings.npz` as this program writes them.
+//! Reads the side-scan lines of `.s7k` and `pings.npz` files that this program wrote.
 //!
-//! - `.s7k`: 7000 (sample rate, sound speed, pulse), 7007 (the lines), and 1003, 1012 and 1013 for place, pitch and heading, each taken at the
-//!   start of the pulse, linearly between its records. Where the arrays sit on the body is in no record of ours: places are the reference point's.
+//! - `.s7k`: 7000 (sample rate, sound speed, pulse), 7007 (lines), and 1003, 1012 and 1013 (position, pitch, heading), linearly interpolated to the
+//!   start of the pulse. No recorded 7k record holds the arrays' lever arms, so positions are those of the reference point.
 //!
-//! - `.npz`: `lines`, `line_side`, `line_position_m`, `position_m`, `attitude_deg`, `geodetic_deg`, `velocity_m_per_s` and the scalars. Stored
-//!   members only, little-endian, C order.
+//! - `.npz`: `lines`, `line_side`, `line_position_m`, `position_m`, `attitude_deg`, `geodetic_deg`, `velocity_m_per_s` and the scalars. Members must
+//!   be stored, little-endian, in C order.
 //!
-//! Of several pulses in one ping the lines of one are read: 7000 and 7007 of its number in the multi-ping sequence, `more_lines` of an `.npz`.
+//! Of a multi-pulse ping one pulse is read: 7000 and 7007 by their multi-ping sequence, `more_lines` of an `.npz`.
 
 use std::collections::HashMap;
 use std::io::Read;
@@ -22,37 +22,46 @@ use glam::DVec3;
 use echotank_core::flow::{Line, Side};
 use echotank_imaging::image::line::RangeAxis;
 
-/// One ping of a recording.
+/// The side-scan lines of one recorded ping.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedPing {
+    /// Ping number.
     pub ping_number: u32,
-    /// Of the reference point, at the start of the pulse.
+    /// Latitude of the reference point at the start of the pulse, rad, north positive.
     pub latitude_rad: f64,
+    /// Longitude, rad, east positive.
     pub longitude_rad: f64,
+    /// Heading, rad, clockwise from true north.
     pub heading_rad: f64,
+    /// Pitch, rad, bow up positive.
     pub pitch_rad: f64,
-    /// North-east-down from the reference point to the transmit arrays of the port and the starboard line.
+    /// Lever arms from the reference point to the transmit arrays of the port and the starboard line, m, north-east-down.
     pub arms_m: [DVec3; 2],
+    /// Sound speed, m/s.
     pub sound_speed_m_per_s: f64,
+    /// Two-way time of the samples.
     pub axis: RangeAxis,
+    /// Port and starboard lines.
     pub lines: Vec<Line>,
-    /// Start of the pulse.
+    /// Start of the pulse, ns since 1970 UTC.
     pub utc_ns: i64,
 }
 
-/// Why a file gives no lines.
+/// Why a file yields no lines.
 #[derive(Debug, thiserror::Error)]
 pub enum LinesError {
+    /// The file cannot be read.
     #[error("{}: cannot be read: {source}", path.display())]
     Unreadable {
         path: PathBuf,
         source: std::io::Error,
     },
+    /// The content is not as this program writes it.
     #[error("{}: {why}", path.display())]
     Unfit { path: PathBuf, why: String },
 }
 
-/// Every ping that has lines of `pulse` (1 is the sonar's own) and a place, in the order of the file.
+/// Pings that have a position and lines of `pulse` (1 is the first), in file order.
 pub fn read(path: &Path, pulse: u16) -> Result<Vec<RecordedPing>, LinesError> {
     let bytes = std::fs::read(path).map_err(|source| LinesError::Unreadable {
         path: path.to_owned(),
@@ -70,16 +79,16 @@ pub fn read(path: &Path, pulse: u16) -> Result<Vec<RecordedPing>, LinesError> {
 
 // ---------------------------------------------------------------- .s7k
 
-/// Something measured at instants that grow.
+/// A quantity measured at increasing times.
 #[derive(Default)]
 struct Track<const N: usize> {
     points: Vec<(i64, [f64; N])>,
-    /// These turn, and go the shorter way round.
+    /// Components that are angles are interpolated the shorter way round.
     angles: bool,
 }
 
 impl<const N: usize> Track<N> {
-    /// Linear between the records about `utc_ns`; the nearest beyond the ends.
+    /// Linear interpolation at `utc_ns`; the nearest value beyond the ends.
     fn at(&self, utc_ns: i64) -> Option<[f64; N]> {
         let after = self.points.partition_point(|p| p.0 < utc_ns);
         let (before, next) = (
@@ -104,7 +113,7 @@ impl<const N: usize> Track<N> {
     }
 }
 
-/// Where a ping has one pulse, its records say 0.
+/// A ping with a single pulse has sequence 0.
 fn is_of(pulse: u16, multi_ping_sequence: u16) -> bool {
     multi_ping_sequence.max(1) == pulse
 }
@@ -136,7 +145,7 @@ fn of_s7k(bytes: &[u8], pulse: u16) -> Result<Vec<RecordedPing>, String> {
         let Ok(utc_ns) = utc_ns(&record) else {
             continue;
         };
-        // A record that does not parse is the world's: the others stay good.
+        // Malformed records are skipped.
         match id {
             7000 => {
                 if let Ok(found) = SonarSettings7000::parse(body)
@@ -193,7 +202,7 @@ fn of_s7k(bytes: &[u8], pulse: u16) -> Result<Vec<RecordedPing>, String> {
         let Some(set) = settings.get(&number) else {
             continue;
         };
-        // Ping records carry the end of the transmission.
+        // Ping records are stamped with the end of transmission.
         let utc_ns = utc_ns - (f64::from(set.tx_pulse_width_s) * 1e9) as i64;
         let (Some(place), Some(heading)) = (places.at(utc_ns), headings.at(utc_ns)) else {
             return Err(
@@ -226,7 +235,7 @@ fn of_s7k(bytes: &[u8], pulse: u16) -> Result<Vec<RecordedPing>, String> {
             arms_m: [DVec3::ZERO; 2],
             sound_speed_m_per_s: c,
             axis: RangeAxis::new(c, rate_hz),
-            // A side that is not there is silent on the wire.
+            // A missing side is all zeros in the record.
             lines: each
                 .into_iter()
                 .filter(|(_, amplitude)| amplitude.iter().any(|a| *a > 0.0))
@@ -247,10 +256,10 @@ fn utc_ns(record: &Record<'_>) -> Result<i64, ()> {
 
 // ---------------------------------------------------------------- .npz
 
-/// Bytes of a member's header at most.
+/// Longest header of a member, bytes.
 const HEADER_BYTES: usize = 65_536;
 
-/// A member as numbers.
+/// An array of numbers.
 struct Array {
     shape: Vec<usize>,
     numbers: Vec<f64>,
@@ -269,7 +278,7 @@ fn of_npz(bytes: Vec<u8>, pulse: u16) -> Result<Vec<RecordedPing>, String> {
             .map_err(|e| format!("{name}: {e}"))?;
         npy(&bytes).map_err(|why| format!("{name}: {why}"))
     };
-    // A pulse and its own lines: those of the sonar's lie in a member of their own.
+    // The lines of further pulses are in a member of their own.
     let more = usize::from(pulse).saturating_sub(2);
     let (lines, delay_s) = match pulse {
         0 | 1 => (array("lines")?, 0.0),
@@ -325,7 +334,7 @@ fn of_npz(bytes: Vec<u8>, pulse: u16) -> Result<Vec<RecordedPing>, String> {
             let mut made = Vec::new();
             for (s, side) in side.iter().enumerate() {
                 let starboard = *side > 0.0;
-                // The arrays go on until the pulse leaves.
+                // The array's samples begin at its own pulse.
                 let ahead_m = delay_s * triple(&velocity, p);
                 arms_m[usize::from(starboard)] =
                     triple(&places, p * sides + s) - triple(&reference, p) + ahead_m;
@@ -357,7 +366,7 @@ fn of_npz(bytes: Vec<u8>, pulse: u16) -> Result<Vec<RecordedPing>, String> {
         .collect())
 }
 
-/// NumPy's `.npy` (NEP 1), numbers of the types this program writes.
+/// Parses NumPy's `.npy` format (NEP 1) for the types that this program writes.
 fn npy(bytes: &[u8]) -> Result<Array, String> {
     const NONE: &str = "is no .npy";
     if bytes.get(..6) != Some(b"\x93NUMPY") {

@@ -1,15 +1,14 @@
-//! `masks.npz`: what each sample of each side-scan line shows, sample for sample with `lines` of `pings.npz`.
+//! `masks.npz`: labels of each sample of each side-scan line, aligned with `lines` of `pings.npz`.
 //!
-//! | array | shape | type |
+//! | array | shape | type and content |
 //! |---|---|---|
-//! | `target` | pings, lines, samples | u2, 1 is the scene's first target, 0 none: where its echoes hold more energy than all else |
-//! | `shadow` | pings, lines, samples | u1, 1 where the ground on the beam's axis is there and not heard, and no target is |
-//! | `depth_m` | pings, lines, samples | f4, of the ground on the beam's axis below the world's zero; NaN none |
+//! | `target` | pings, lines, samples | u2, 1 is the scene's first target, 0 none: the target whose echoes hold more energy than all else |
+//! | `shadow` | pings, lines, samples | u1, 1 where the ground on the beam axis exists but is not insonified, and no target is labelled |
+//! | `depth_m` | pings, lines, samples | f4, m below the world's origin, of the ground on the beam axis; NaN where absent |
 //! | `line_side` | lines | i4, -1 port, +1 starboard |
 //! | `ping_number` | pings | i8 |
 //!
-//! `fan_masks.npz`: the same for every beam of the first fan (pings, beams, samples), sample for sample with `beams` of `pings.npz`, without
-//! `line_side`.
+//! `fan_masks.npz` labels every beam of the first fan (pings, beams, samples), aligned with `beams` of `pings.npz`, without `line_side`.
 
 use std::path::{Path, PathBuf};
 
@@ -23,7 +22,7 @@ pub(crate) struct MaskRecorder {
     shadow: PartialFile,
     depth_m: PartialFile,
     ping_number: PartialFile,
-    /// None of beams.
+    /// `None` for beams.
     sides: Option<Vec<Side>>,
     rows: usize,
     samples: usize,
@@ -32,12 +31,12 @@ pub(crate) struct MaskRecorder {
 }
 
 impl MaskRecorder {
-    /// Will make `dir/masks.npz`; the folder must exist.
+    /// Records `dir/masks.npz`; the folder must exist.
     pub(crate) fn of_lines(dir: &Path) -> Result<Self, RecordError> {
         Self::create(dir, "masks.npz", Some(Vec::new()))
     }
 
-    /// Will make `dir/fan_masks.npz`; the folder must exist.
+    /// Records `dir/fan_masks.npz`; the folder must exist.
     pub(crate) fn of_beams(dir: &Path) -> Result<Self, RecordError> {
         Self::create(dir, "fan_masks.npz", None)
     }
@@ -82,7 +81,7 @@ impl MaskRecorder {
         }
         let bytes = &mut self.bytes;
         for truth in truths {
-            // The same rule as for a pixel.
+            // The rule for picture pixels applies.
             let own: Vec<u16> = (0..self.samples)
                 .map(|k| match truth.target_energy[k] > truth.other_energy[k] {
                     true => truth.target[k],
@@ -106,7 +105,7 @@ impl MaskRecorder {
         Ok(())
     }
 
-    /// Puts the file together; none without pings.
+    /// Assembles the file; `None` without pings.
     pub(crate) fn finish(self) -> Result<Option<PathBuf>, RecordError> {
         if self.pings == 0 {
             return Ok(None);

@@ -1,24 +1,22 @@
-//! Recorders: pings in, files out.
+//! Recorders: they write pings to files.
 //!
-//! - [`faults`]: what was injected, one JSON line per fault.
-//! - [`npz`]: every sample of every ping as NumPy arrays, with the geometry an outside calculation needs.
-//! - [`png`]: the waterfall picture.
-//! - [`recover`]: mends records that were cut off.
-//! - [`masks`]: what each sample of each line shows.
-//! - [`png`]: the waterfall picture. [`picture`]: other pictures, mosaics, and the masks beside them.
-//! - [`lines`]: a recording's lines, read again.
-//! - [`s7k`]: protocol records as a `.s7k` file.
+//! - [`faults`]: injected faults, one JSON line each.
+//! - [`npz`]: samples of every ping as NumPy arrays, with geometry and ground truth.
+//! - [`recover`]: repairs records that were cut off.
+//! - [`masks`]: target and shadow labels of the samples of each line.
+//! - [`png`]: the waterfall picture. [`picture`]: other pictures, mosaics and their masks.
+//! - [`lines`]: reads the side-scan lines of a recording.
+//! - [`s7k`]: 7k records as a `.s7k` file.
 //! - [`synthetic_aperture`]: a back-projected image.
-//! - [`stream`]: protocol records one behind the other, as `.jsf` and `.xtf` files are.
-//! - [`sigmf`]: I and Q of the elements, with words for every ping.
-//! - [`wav`]: what the elements hear, for benches that play it out.
+//! - [`stream`]: concatenated protocol records, as in `.jsf` and `.xtf` files.
+//! - [`sigmf`]: I and Q samples of the elements, with annotations for every ping.
+//! - [`wav`]: signals at the elements, for playback on a bench.
 //! - [`svlog`]: frames of the Ping protocol.
-//! - [`truth`]: what the emulator knows and a sonar does not, one JSON line per ping.
+//! - [`truth`]: ground truth, one JSON line per ping.
 //!
-//! Recorders run beside the pings, never on the ping path. None panics and none prints: a missing folder or a full disk is a
-//! [`RecordError`] that names the file. Pictures and `.npz` files appear whole under their names or not at all; `.s7k`, `.jsf`, `.xtf` and `truth.jsonl`
-//! grow in place and are readable up to the last whole record or line whenever they are cut off; so do `.svlog`, SigMF and WAV once they are
-//! mended ([`recover`]).
+//! Recorders run outside the ping path. They neither panic nor print: a missing folder or a full disk is a [`RecordError`] that names the file.
+//! Pictures and `.npz` files appear complete or not at all. `.s7k`, `.jsf`, `.xtf` and `truth.jsonl` grow in place and are readable up to the last
+//! whole record or line wherever they are cut off. `.svlog`, SigMF and WAV files are so once repaired ([`recover`]).
 pub mod faults;
 pub mod lines;
 pub mod masks;
@@ -42,21 +40,22 @@ use std::path::{Path, PathBuf};
 
 use echotank_protocols::sevenk::file::FileError;
 
-/// Makes a folder and those above it, where absent.
+/// Creates a folder and its missing parents.
 pub(crate) fn make_folder(path: &Path) -> Result<(), RecordError> {
     std::fs::create_dir_all(path).map_err(RecordError::io(path, "create"))
 }
 
-/// Why something was not recorded.
+/// Why a ping or record was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
+    /// The file system refused an action; the recorder has stopped.
     #[error("{}: cannot {action}: {source}", path.display())]
     Io {
         path: PathBuf,
         action: &'static str,
         source: io::Error,
     },
-    /// The ping is left out; the file stays good.
+    /// The ping has another shape than the first one and is left out; the file stays valid.
     #[error(
         "{}: ping {ping_number} has {got} {what}, the first had {want}: an .npz file holds pings of one shape, so keep range and pulse fixed",
         path.display()
@@ -68,9 +67,10 @@ pub enum RecordError {
         got: usize,
         want: usize,
     },
-    /// The record is left out; the file stays good.
+    /// The format cannot hold the record, which is left out; the file stays valid.
     #[error("{}: record left out: {source}", path.display())]
     Refused { path: PathBuf, source: FileError },
+    /// An earlier error stopped the recorder.
     #[error("{}: not recording since an earlier error", path.display())]
     Stopped { path: PathBuf },
 }
@@ -85,7 +85,7 @@ impl RecordError {
     }
 }
 
-/// A file under a temporary name, `NAME.partial`, that is removed unless it is kept.
+/// A file named `NAME.partial` that is removed unless it is kept.
 struct PartialFile {
     partial: PathBuf,
     file: BufWriter<File>,
@@ -93,12 +93,12 @@ struct PartialFile {
 }
 
 impl PartialFile {
-    /// `path` is the name it may get in the end.
+    /// `path` is the final name.
     fn create(path: &Path) -> Result<Self, RecordError> {
         let mut partial = path.as_os_str().to_owned();
         partial.push(".partial");
         let partial = PathBuf::from(partial);
-        // Readable too: what was streamed is read back when a file is put together.
+        // Readable, because streamed data is read back when an archive is assembled.
         let file = File::options()
             .read(true)
             .write(true)
@@ -119,7 +119,7 @@ impl PartialFile {
             .map_err(RecordError::io(&self.partial, "write"))
     }
 
-    /// Gives the file its name, replacing what had it.
+    /// Renames the file to its final name, replacing an existing file.
     fn keep(mut self, path: &Path) -> Result<(), RecordError> {
         self.file
             .flush()
@@ -133,7 +133,7 @@ impl PartialFile {
 impl Drop for PartialFile {
     fn drop(&mut self) {
         if !self.kept {
-            // Best effort: what is left over bears a name that says so.
+            // Best effort: the suffix marks a file that remains.
             let _ = std::fs::remove_file(&self.partial);
         }
     }

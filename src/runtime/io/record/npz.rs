@@ -1,30 +1,30 @@
-//! `pings.npz`: everything one sonar heard and where it was, for anyone who wants to hold it against a calculation of his own.
+//! `pings.npz`: the samples of one sonar with positions and attitudes, for comparison with independent calculations.
 //!
-//! | array | shape | type |
+//! | array | shape | type and content |
 //! |---|---|---|
-//! | `iq_by_element` | pings, elements, samples | complex64 (complex128 on request), volts rms of the envelope; the elements of all receive arrays in their order |
+//! | `iq_by_element` | pings, elements, samples | complex64 (complex128 on request), envelope in V rms; elements of all receive arrays in order |
 //! | `element_array` | elements | i32, index of the receive array |
-//! | `beams` | pings, beams, samples | as `iq_by_element`; no beams without a fan |
-//! | `beam_angle_rad` | beams | f64, from the boresight, starboard positive |
+//! | `beams` | pings, beams, samples | as `iq_by_element`; zero beams without a fan |
+//! | `beam_angle_rad` | beams | f64, from boresight, starboard positive |
 //! | `lines` | pings, lines, line samples | f32, sample 0 at the start of the pulse |
 //! | `line_side` | lines | i32, -1 port, +1 starboard |
 //! | `sample_rate_hz`, `first_sample_s`, `center_frequency_hz`, `sound_speed_m_per_s` | scalar | f64; sample k lies at first_sample_s + k / sample_rate_hz from the start of the pulse |
 //! | `ping_number` | pings | i64 |
 //! | `ping_utc_ns` | pings | i64, start of the pulse |
-//! | `transmit_position_m` | pings, 3 | f64, north-east-down, the first transmit array at the start of the pulse |
+//! | `transmit_position_m` | pings, 3 | f64, north-east-down, first transmit array at the start of the pulse |
 //! | `element_position_m` | pings, elements, 3 | f64, north-east-down, at the start of the pulse |
-//! | `velocity_m_per_s` | pings, 3 | f64, north-east-down, of the reference point at the start of the pulse |
-//! | `position_m` | pings, 3 | f64, north-east-down, the reference point at the start of the pulse |
-//! | `attitude_deg` | pings, 3 | f64, roll (starboard down), pitch (bow up), heading, then |
-//! | `geodetic_deg` | pings, 2 | f64, latitude and longitude of the reference point, then |
-//! | `line_position_m` | pings, lines, 3 | f64, north-east-down, the transmit array of each line, then |
-//! | `sounding_twtt_s`, `sounding_error_s` | pings, beams | f64, two-way time of the bottom in each beam and its predicted error; NaN where none was found. With `bottom_detection` only, as the next |
+//! | `velocity_m_per_s` | pings, 3 | f64, north-east-down, reference point at the start of the pulse |
+//! | `position_m` | pings, 3 | f64, north-east-down, reference point at the start of the pulse |
+//! | `attitude_deg` | pings, 3 | f64, roll (starboard down), pitch (bow up), heading, at the start of the pulse |
+//! | `geodetic_deg` | pings, 2 | f64, latitude and longitude of the reference point at the start of the pulse |
+//! | `line_position_m` | pings, lines, 3 | f64, north-east-down, transmit array of each line at the start of the pulse |
+//! | `sounding_twtt_s`, `sounding_error_s` | pings, beams | f64, two-way time of the bottom in each beam and its predicted error; NaN without detection. Needs `bottom_detection`, as does the next |
 //! | `sounding_method` | pings, beams | u1, 0 none, 1 amplitude, 2 phase |
-//! | `plan` | scalar | JSON text: the sonar and the first ping's plan |
+//! | `plan` | scalar | JSON text: the sonar and the plan of the first ping |
 //!
-//! All pings have one shape: with another number of samples (another range) a ping is refused. While pinging, each array grows in a
-//! `.partial` file beside the target, so that memory stays small; [`NpzRecorder::finish`] puts them together, stored, with fixed dates, so
-//! that equal pings make equal bytes. Layout: NumPy Enhancement Proposal 1 (`.npy` version 1.0) in a ZIP archive.
+//! All pings have one shape; a ping with another number of samples is refused. Each array grows in a `.partial` file beside the target, so memory
+//! stays small. [`NpzRecorder::finish`] assembles them uncompressed with fixed dates, so equal pings give equal bytes. Layout: NumPy Enhancement
+//! Proposal 1 (`.npy` version 1.0) in a ZIP archive.
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
@@ -41,10 +41,10 @@ use echotank_core::frames::angles_from_rotation;
 
 /// Items converted to bytes at a time.
 const BLOCK: usize = 8192;
-/// Members from this size on get 64-bit sizes; the format's own limit is a little above.
+/// Members of at least this size get 64-bit sizes, bytes; the format's own limit is slightly higher.
 const LARGE_BYTES: u64 = 0xFFFF_0000;
 
-/// Collects the pings of one sonar into `pings.npz`.
+/// Records the pings of one sonar to `pings.npz`.
 pub(crate) struct NpzRecorder {
     path: PathBuf,
     sonar: SonarSpec,
@@ -56,7 +56,7 @@ pub(crate) struct NpzRecorder {
     arrays: PerPing,
 }
 
-/// What the first ping fixed.
+/// Properties that the first ping fixes.
 struct First {
     samples: usize,
     line_samples: usize,
@@ -67,7 +67,7 @@ struct First {
     plan_json: String,
 }
 
-/// The arrays that grow with every ping.
+/// Arrays that grow with every ping.
 struct PerPing {
     iq_by_element: PartialFile,
     beams: PartialFile,
@@ -88,7 +88,7 @@ struct PerPing {
 }
 
 impl NpzRecorder {
-    /// Will make `dir/pings.npz`; the folder must exist. `double`: samples as complex128. Several sonars need a folder each.
+    /// Records `dir/pings.npz`; the folder must exist. `double`: complex128 samples. Several sonars need a folder each.
     pub(crate) fn create(dir: &Path, sonar: &SonarSpec, double: bool) -> Result<Self, RecordError> {
         let path = dir.join("pings.npz");
         let grow = |name: &str| PartialFile::create(&dir.join(format!("pings.npz.{name}")));
@@ -121,7 +121,7 @@ impl NpzRecorder {
         })
     }
 
-    /// Adds a ping. After [`RecordError::ShapeChanged`] the recorder goes on without it; after any other error it has stopped.
+    /// Adds a ping. After [`RecordError::ShapeChanged`] recording continues; after any other error it has stopped.
     pub(crate) fn push(&mut self, plan: &PingPlan, output: &PingOutput) -> Result<(), RecordError> {
         if self.stopped {
             return Err(RecordError::Stopped {
@@ -199,7 +199,7 @@ impl NpzRecorder {
                 out.extend(a.to_le_bytes())
             })?;
         }
-        // A pulse that leaves later is heard for so much less: zeros fill its lines.
+        // Zeros fill the lines of a later pulse, which are shorter.
         let line_samples = self.first.as_ref().map_or(0, |f| f.line_samples);
         for line in output.more_lines.iter().flat_map(|more| &more.lines) {
             let samples = (0..line_samples).map(|k| line.amplitude.get(k).copied().unwrap_or(0.0));
@@ -256,7 +256,7 @@ impl NpzRecorder {
         Ok(())
     }
 
-    /// Puts the file together and returns its name; none without pings.
+    /// Assembles the file and returns its path; `None` without pings.
     pub(crate) fn finish(self) -> Result<Option<PathBuf>, RecordError> {
         if self.stopped {
             return Err(RecordError::Stopped { path: self.path });
@@ -367,7 +367,7 @@ impl NpzRecorder {
             archive.streamed("sounding_error_s", "<f8", &shape, sounding_error_s)?;
             archive.streamed("sounding_method", "|u1", &shape, sounding_method)?;
         }
-        // NumPy's text: four bytes a character, its length in the type.
+        // NumPy text has four bytes per character, and its type holds the length.
         let text: Vec<u8> = first
             .plan_json
             .chars()
@@ -379,7 +379,7 @@ impl NpzRecorder {
     }
 }
 
-/// Whether its fan looks for the bottom.
+/// Whether bottom detection is configured.
 fn sounded(sonar: &SonarSpec) -> bool {
     let fan = sonar.beams.fan.as_ref();
     fan.is_some_and(|fan| fan.form.bottom_detection)
@@ -424,10 +424,10 @@ pub(super) fn write_items<T>(
     Ok(())
 }
 
-/// The `.npz` file being put together.
+/// An `.npz` file being assembled.
 pub(super) struct Archive {
     path: PathBuf,
-    /// Removes the file again unless it is finished.
+    /// Removes the file unless it is finished.
     target: PartialFile,
     zip: ZipWriter<BufWriter<File>>,
 }
@@ -480,7 +480,7 @@ impl Archive {
             .map_err(RecordError::io(&self.target.partial, "write"))
     }
 
-    /// Copies and removes a streamed array.
+    /// Copies a streamed array into the archive and removes its file.
     pub(super) fn streamed(
         &mut self,
         name: &str,
@@ -523,7 +523,7 @@ impl Archive {
     }
 }
 
-/// `.npy` version 1.0: magic, version, header length, a Python literal padded with blanks so that the data begin on 64 bytes.
+/// A `.npy` 1.0 header: magic, version, length and a Python literal, padded so that the data begins at a multiple of 64 bytes.
 fn npy_header(descr: &str, shape: &[usize]) -> Vec<u8> {
     const PREFIX: usize = 10;
     let shape = match shape {
@@ -550,7 +550,7 @@ mod tests {
     use crate::io::record::testing::{output, plan, sonar};
     use std::collections::BTreeMap;
 
-    /// A `.npy` file by its published layout: type, shape, data.
+    /// A parsed `.npy` file: type, shape, data.
     struct Npy {
         descr: String,
         shape: Vec<usize>,
@@ -810,7 +810,7 @@ mod tests {
         let full = dir.path().join("pings.npz.lines.partial");
         std::os::unix::fs::symlink("/dev/full", &full).expect("link");
         let mut npz = NpzRecorder::create(dir.path(), &sonar(), false).expect("create");
-        // Small writes wait in the buffer; some ping is the one that meets the disk.
+        // Small writes stay in the buffer; a later ping reaches the disk.
         let failed = (1..10_000).find_map(|ping| npz.push(&plan(ping), &output(ping)).err());
         let text = failed.expect("full disk").to_string();
         assert!(text.contains("lines.partial: cannot write"), "{text}");

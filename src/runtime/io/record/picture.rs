@@ -1,4 +1,4 @@
-//! Finished pictures and their masks as files.
+//! Writes pictures and their masks.
 
 use std::path::{Path, PathBuf};
 
@@ -11,9 +11,9 @@ use echotank_imaging::image::masks::Mask;
 use echotank_imaging::image::mosaic::{Mosaic, MosaicError};
 use echotank_imaging::image::water_column::Picture;
 
-/// Counts of a depth mask that tell depths; 0 tells that there is none.
+/// Values of a depth mask; 0 means no depth.
 const DEPTH_COUNTS: f64 = 65_534.0;
-/// Depths are told no finer than this, metres.
+/// Finest step of a depth mask, m.
 const FINEST_DEPTH_M: f64 = 1e-3;
 
 fn write_png(
@@ -47,7 +47,7 @@ pub(crate) fn write_picture(path: &Path, picture: &Picture) -> Result<(), Record
     write_png(path, size, (ColorType::Rgb, BitDepth::Eight), &picture.rgb)
 }
 
-/// `NAME.tif` and `NAME.png` of a mosaic. False, and no file, where nothing was laid.
+/// Writes `NAME.tif` and `NAME.png` of a mosaic. Returns false and writes nothing for an empty mosaic.
 pub fn write_mosaic(
     tiff: &Path,
     png: &Path,
@@ -73,8 +73,8 @@ pub fn write_mosaic(
     Ok(true)
 }
 
-/// `STEM_target.png` (16 bits, 0 none), `STEM_shadow.png` (8 bits, 255 shadow), `STEM_depth.png` (16 bits, 0 none) and `STEM_masks.json` that
-/// explains them, pixel for pixel with `STEM.png`. `names` of the targets from 1 on.
+/// Writes the masks of `STEM.png`, pixel for pixel: `STEM_target.png` (16 bits, 0 none), `STEM_shadow.png` (8 bits, 255 shadow), `STEM_depth.png`
+/// (16 bits, 0 none), and `STEM_masks.json`, which explains them. `names`: of the targets, from 1.
 pub(crate) fn write_masks<M: Iterator<Item = Mask> + Clone>(
     folder: &Path,
     stem: &str,

@@ -1,4 +1,4 @@
-//! A sonar and one of its plans in words and numbers, for people and for outside calculations: SI, radians, north-east-down.
+//! Describes a sonar and one ping's plan as JSON: SI units, radians, north-east-down.
 
 use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
@@ -9,7 +9,7 @@ use echotank_core::flow::{
     TimeVaryingGain,
 };
 
-/// What is the same for all pings of a fixed setting, from one ping's plan.
+/// Properties common to all pings of fixed settings, from the plan of one ping.
 pub(super) fn sonar_and_plan(sonar: &SonarSpec, plan: &PingPlan) -> Value {
     json!({
         "sonar": sonar.name,
@@ -76,7 +76,7 @@ pub(super) fn plan_summary(plan: &PingPlan) -> Value {
     })
 }
 
-/// The polyline that the echoes of a ping were computed on.
+/// The trajectory samples on which the echoes of a ping were computed.
 pub(super) fn segments(segments: &[Segment]) -> Value {
     segments
         .iter()

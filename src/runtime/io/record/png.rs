@@ -1,4 +1,4 @@
-//! Pictures as PNG files, written row by row.
+//! Writes pictures as PNG files, row by row.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use std::io::Write;
 use super::{PartialFile, RecordError};
 use echotank_imaging::image::waterfall::Waterfall;
 
-/// Writes the picture under its name, whole. False, and no file, when there is no ping in it.
+/// Writes the complete picture under its name. Returns false and writes nothing without pings.
 pub(crate) fn write_waterfall(path: &Path, waterfall: &Waterfall) -> Result<bool, RecordError> {
     if waterfall.pings() == 0 {
         return Ok(false);

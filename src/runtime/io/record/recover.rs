@@ -1,7 +1,7 @@
-//! Mends records that were cut off. Here `.s7k`: what is behind the last whole record goes, the catalogue is written, the header points at it.
-//! The other kinds are in [`repair`](super::repair).
+//! Repairs records that were cut off. For `.s7k` files, data after the last whole record is removed, the catalogue is written, and the header points to
+//! it. [`repair`](super::repair) handles the other kinds.
 //!
-//! A file that is being recorded is locked by its recorder, and left alone.
+//! A recorder locks its file; a locked file is left alone.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -15,23 +15,25 @@ use echotank_protocols::xtf::{FileHeader, XtfFraming};
 
 use super::{RecordError, repair};
 
-/// Bytes that tell how long a record is.
+/// Leading bytes that hold a record's length.
 const FRAME_BYTES: usize = 64;
-/// No record of ours is longer.
+/// Longest record that this program writes, bytes.
 const MAX_RECORD_BYTES: u32 = 1 << 30;
 
-/// What came of a file.
+/// Outcome for one file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Recovered {
-    /// It had been closed.
+    /// The file was closed properly.
     Whole,
-    /// Somebody records into it.
+    /// A recorder has locked the file.
     InUse,
+    /// The file was cut off and is now valid.
     Mended {
-        /// In the file now: records (a file's header among them), pings, lines or moments.
+        /// Number of records (the file header included), pings, lines or metadata entries in the file.
         records: u64,
+        /// What `records` counts.
         what: &'static str,
-        /// Of one that was begun, taken away.
+        /// Length of the incomplete record that was removed, bytes.
         cut_bytes: u64,
     },
 }
@@ -53,20 +55,24 @@ impl std::fmt::Display for Recovered {
     }
 }
 
+/// Why a file was not repaired.
 #[derive(Debug, thiserror::Error)]
 pub enum RecoverError {
+    /// A file system error.
     #[error(transparent)]
     Record(#[from] RecordError),
+    /// The file header is missing or malformed.
     #[error("{}: does not begin with a 7k file header: {why}", path.display())]
     NoHeader { path: PathBuf, why: WireError },
-    /// Left as it was.
+    /// The file is unchanged.
     #[error("{}: at byte {at}: {why}: not as this program records, left alone", path.display())]
     Strange { path: PathBuf, at: u64, why: String },
+    /// The kind of file is unknown.
     #[error("{}: no record of a kind that is mended: {}", path.display(), KINDS.join(", "))]
     Unknown { path: PathBuf },
 }
 
-/// What is mended, by the ends of names. A SigMF recording is one, whichever of its files is named.
+/// Name endings of the kinds that are repaired. The files of a SigMF recording are repaired together.
 const KINDS: [&str; 7] = [
     ".s7k",
     ".jsf",
@@ -77,7 +83,7 @@ const KINDS: [&str; 7] = [
     ".sigmf-meta",
 ];
 
-/// Mends one file in place.
+/// Repairs one file in place.
 pub fn recover(path: &Path) -> Result<Recovered, RecoverError> {
     let name = path.file_name().and_then(|name| name.to_str());
     let extension = name.and_then(|name| name.rsplit_once('.'));
@@ -95,7 +101,7 @@ pub fn recover(path: &Path) -> Result<Recovered, RecoverError> {
     }
 }
 
-/// A record to mend; none where somebody records into it.
+/// Opens and locks a file for repair; `None` while a recorder holds the lock.
 pub(super) fn open_for_repair(path: &Path) -> Result<Option<File>, RecordError> {
     let io = |action| RecordError::io(path, action);
     let opened = File::options().read(true).write(true).open(path);
@@ -140,7 +146,7 @@ fn recover_s7k(path: &Path) -> Result<Recovered, RecoverError> {
     let mut again = Vec::new();
     let mut builder = FileBuilder::begin(header, stamp, &mut again);
     debug_assert_eq!(again.len(), bytes.len());
-    // What is no whole record, or none that may stand here, is where it was cut off: a catalogue without a pointer to it too.
+    // The file was cut off before the first record that is incomplete or misplaced, including a catalogue without a pointer.
     loop {
         next_record(&mut file, &mut bytes).map_err(io("read"))?;
         if Record::parse(&bytes).is_err() || builder.append(&bytes).is_err() {
@@ -153,7 +159,7 @@ fn recover_s7k(path: &Path) -> Result<Recovered, RecoverError> {
     file.set_len(end_of_records)
         .and_then(|()| file.seek(SeekFrom::Start(end_of_records)))
         .and_then(|_| file.write_all(&end.catalogue))
-        // The pointer only once there is something to point at.
+        // The pointer is written after the catalogue exists.
         .and_then(|()| file.sync_data())
         .and_then(|()| file.seek(SeekFrom::Start(0)))
         .and_then(|_| file.write_all(&end.header))
@@ -166,7 +172,7 @@ fn recover_s7k(path: &Path) -> Result<Recovered, RecoverError> {
     })
 }
 
-/// Mends what was cut off among a folder's records, and says so of each; what cannot be mended is said as well. No folder: nothing.
+/// Repairs the records of a folder and returns a line for each repair or failure; none without the folder.
 pub(crate) fn recover_folder(folder: &Path) -> Vec<String> {
     let Ok(entries) = std::fs::read_dir(folder) else {
         return Vec::new();
@@ -188,7 +194,7 @@ pub(crate) fn recover_folder(folder: &Path) -> Vec<String> {
     paths.iter().filter_map(mend).collect()
 }
 
-/// The next record as far as it is there; shorter than it says where the file was cut off.
+/// Reads the next record; shorter than its stated length where the file was cut off.
 fn next_record(file: &mut File, bytes: &mut Vec<u8>) -> io::Result<()> {
     bytes.clear();
     file.take(FRAME_BYTES as u64).read_to_end(bytes)?;
@@ -210,7 +216,7 @@ mod tests {
     use echotank_protocols::sevenk::file::{Catalogue7300, FileReader};
     use proptest::prelude::*;
 
-    /// A closed file of five pings' records, and where each of them ends.
+    /// A closed file with the records of five pings, and the end of each record.
     fn closed(path: &Path) -> (Vec<u8>, Vec<usize>) {
         let mut s7k = S7kRecorder::create(path, header(), stamp()).expect("create");
         let mut ends = vec![s7k.length_bytes() as usize];
@@ -230,7 +236,7 @@ mod tests {
             .collect()
     }
 
-    /// The catalogue is where the header says and has a row for every other record.
+    /// Asserts that the header points to the catalogue, which has a row for every other record.
     fn assert_closed(bytes: &[u8], records: usize) {
         let first = FileReader::new(bytes).next().expect("one").expect("whole");
         let pointer = CataloguePointer::of_record(&first.record).expect("closed");
@@ -247,7 +253,7 @@ mod tests {
         let path = dir.path().join("cut.s7k");
         let (whole, ends) = closed(&path);
         assert_eq!(recover(&path).expect("fine"), Recovered::Whole);
-        // As a kill leaves it: no catalogue, and a header that points nowhere.
+        // The state after a kill: no catalogue and no pointer.
         let mut open = Vec::new();
         FileBuilder::begin(header(), stamp(), &mut open);
         let last = *ends.last().expect("records");

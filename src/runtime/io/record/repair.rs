@@ -1,7 +1,6 @@
-//! Mends records of the other kinds: streams of frames, lines, WAV, SigMF.
+//! Repairs records other than `.s7k`: framed streams, lines, WAV and SigMF.
 //!
-//! None of them may lose a ping that was whole: what is taken away is the part of one that was being written. A file that is not as our
-//! recorders leave it is left alone.
+//! No repair loses a complete ping: only the incomplete end is removed. A file that this program's recorders cannot have left is not changed.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -15,7 +14,7 @@ use super::RecordError;
 use super::recover::{RecoverError, Recovered, open_for_repair};
 use super::sigmf::{Paths, journal_of};
 
-/// Read at once.
+/// Bytes read at a time.
 const READ_BYTES: usize = 1 << 20;
 
 fn strange(path: &Path, at: u64, why: impl ToString) -> RecoverError {
@@ -26,7 +25,7 @@ fn strange(path: &Path, at: u64, why: impl ToString) -> RecoverError {
     }
 }
 
-/// Ends the file at `end`; whole where it does already.
+/// Truncates the file to `end`; reports it as whole if it ends there already.
 fn cut(
     path: &Path,
     file: &File,
@@ -50,7 +49,7 @@ fn cut(
     })
 }
 
-/// Frames behind a head of so many bytes: the last one goes if it is not whole. A head that is not whole was all there was.
+/// Removes an incomplete last frame behind a header of this length. An incomplete header is removed as well.
 pub(super) fn frames(
     path: &Path,
     head_bytes: usize,
@@ -93,7 +92,7 @@ pub(super) fn frames(
     }
 }
 
-/// Lines: what follows the last end of a line goes.
+/// Removes an incomplete last line.
 pub(super) fn lines(path: &Path) -> Result<Recovered, RecoverError> {
     let Some(mut file) = open_for_repair(path)? else {
         return Ok(Recovered::InUse);
@@ -118,7 +117,7 @@ pub(super) fn lines(path: &Path) -> Result<Recovered, RecoverError> {
     }
 }
 
-/// The header says after every ping how long the file then is: what is behind that goes.
+/// The header is updated after every ping; data beyond the length it states is removed.
 pub(super) fn wav(path: &Path) -> Result<Recovered, RecoverError> {
     let Some(file) = open_for_repair(path)? else {
         return Ok(Recovered::InUse);
@@ -146,7 +145,7 @@ pub(super) fn wav(path: &Path) -> Result<Recovered, RecoverError> {
     cut(path, &file, end, header.moments(), "moments")
 }
 
-/// The words that are not on the disk yet are in the journal; samples that neither knows go.
+/// Completes the metadata from the journal, and removes samples that neither describes.
 pub(super) fn sigmf(path: &Path) -> Result<Recovered, RecoverError> {
     let paths = Paths::of(&path.with_extension(""));
     let Some(data) = open_for_repair(&paths.data)? else {
@@ -170,7 +169,7 @@ pub(super) fn sigmf(path: &Path) -> Result<Recovered, RecoverError> {
     let has_journal = paths.journal.exists();
     if has_journal {
         for (capture, annotation) in journal_of(&read(&paths.journal)?) {
-            // Words that both know, and those of a ping whose samples are not all there, are passed over.
+            // Skips annotations that are in both, and those of a ping whose samples are incomplete.
             let known = words.annotations.last();
             let next = known.map_or(0, |last| last.sample_start + last.sample_count);
             let end = (annotation.sample_start + annotation.sample_count) * moment_bytes;
@@ -224,7 +223,7 @@ mod tests {
         std::fs::metadata(path).expect("there").len()
     }
 
-    /// Cut at many bytes, the file at `path` is mended to the last of `ends` that is there, and to what it was up to there.
+    /// Asserts that the file, cut at many lengths, is repaired to the last of `ends` before the cut, with unchanged content.
     fn assert_mended_wherever_it_is_cut(path: &Path, ends: &[u64]) {
         let whole = std::fs::read(path).expect("there");
         let copy = path.with_file_name(format!(
@@ -333,7 +332,7 @@ mod tests {
         wav.close().expect("closes");
         let two = std::fs::read(&path).expect("there");
         let copy = dir.path().join("cut.wav");
-        // The second ping's samples are partly there, and the header does not say so yet.
+        // The second ping's samples are partly written, and the header does not count them.
         for cut in [
             one.len(),
             one.len() + 1,
@@ -360,7 +359,7 @@ mod tests {
                 .push(&testing::plan(number), &testing::output(number))
                 .expect("writes");
         }
-        // What a kill would leave, and the next ping's samples truncated.
+        // The state after a kill, with the next ping's samples truncated.
         let killed = tempfile::tempdir().expect("folder");
         let copy = Paths::of(&killed.path().join("killed"));
         for (from, to) in [

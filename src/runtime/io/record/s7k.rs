@@ -1,7 +1,7 @@
-//! `.s7k` files: whole 7k records, as they go to the clients, between a file header (7200) and a catalogue (7300).
+//! `.s7k` files: 7k records as sent to clients, between a file header (7200) and a catalogue (7300).
 //!
-//! The file has its final name from the start and grows record by record. A file that was cut off has no catalogue and a header that
-//! points nowhere, and is readable all the same; closing it writes the catalogue and points the header at it.
+//! The file has its final name from the start and grows by whole records. A file that was cut off lacks the catalogue and its pointer but is readable.
+//! Closing writes both.
 
 use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
@@ -12,24 +12,24 @@ use echotank_protocols::sevenk::file::{FileBuilder, FileHeader7200};
 
 use super::RecordError;
 
-/// Writes one `.s7k` file. Dropping it closes the file as well as it can.
+/// Records one `.s7k` file. Dropping it closes the file as far as possible.
 #[derive(Debug)]
 pub(crate) struct S7kRecorder {
     path: PathBuf,
     file: File,
-    /// None once closed, or stopped by an error of the file system.
+    /// `None` once closed or stopped by a file system error.
     builder: Option<FileBuilder>,
 }
 
 impl S7kRecorder {
-    /// Replaces what has this name. `stamp` is the header's and the catalogue's own time and device.
+    /// Creates the file, replacing an existing one. `stamp`: time and device of the header and the catalogue.
     pub(crate) fn create(
         path: &Path,
         header: FileHeader7200,
         stamp: RecordStamp,
     ) -> Result<Self, RecordError> {
         let mut file = File::create(path).map_err(RecordError::io(path, "create"))?;
-        // Keeps `recover` away. A file system without locks is one that nobody else should mend files on.
+        // The lock makes `recover` leave the file alone. On a file system without locks no other program may repair it.
         let _ = file.try_lock();
         let mut bytes = Vec::new();
         let builder = FileBuilder::begin(header, stamp, &mut bytes);
@@ -42,8 +42,8 @@ impl S7kRecorder {
         })
     }
 
-    /// Appends one whole record (data record frame to checksum). A record that the file cannot take is [`RecordError::Refused`] and left out;
-    /// after an error of the file system the file is cut back to its last whole record and takes no more.
+    /// Appends a whole record, from data record frame to checksum. A record that the format cannot hold is [`RecordError::Refused`] and left out. After a
+    /// file system error the file is truncated to its last whole record and takes no more.
     pub(crate) fn write(&mut self, record: &[u8]) -> Result<(), RecordError> {
         let Some(builder) = &mut self.builder else {
             return Err(RecordError::Stopped {
@@ -57,9 +57,9 @@ impl S7kRecorder {
                 source,
             })?;
         self.file.write_all(record).map_err(|source| {
-            // The builder counts a record that is not there: no catalogue can be made any more.
+            // The builder has counted a record that is not in the file, so no catalogue can be written.
             self.builder = None;
-            // If even this fails, readers skip the truncated record.
+            // If this fails too, readers skip the truncated record.
             let _ = self.file.set_len(offset);
             RecordError::io(&self.path, "write")(source)
         })
@@ -71,7 +71,7 @@ impl S7kRecorder {
         self.builder.as_ref().map_or(0, FileBuilder::position_bytes)
     }
 
-    /// Writes the catalogue and points the header at it. An error says that the file was left as one that was cut off.
+    /// Writes the catalogue and its pointer. After an error the file is as one that was cut off.
     pub(crate) fn close(mut self) -> Result<(), RecordError> {
         if self.builder.is_none() {
             return Err(RecordError::Stopped {
@@ -90,7 +90,7 @@ impl S7kRecorder {
         let written = self
             .file
             .write_all(&end.catalogue)
-            // The pointer only once there is something to point at.
+            // The pointer is written after the catalogue exists.
             .and_then(|()| self.file.sync_data())
             .and_then(|()| self.file.seek(SeekFrom::Start(0)))
             .and_then(|_| self.file.write_all(&end.header));
@@ -103,7 +103,7 @@ impl S7kRecorder {
 
 impl Drop for S7kRecorder {
     fn drop(&mut self) {
-        // Nobody is left to tell; `close` tells.
+        // A drop cannot report an error; `close` does.
         let _ = self.end();
     }
 }
@@ -170,7 +170,7 @@ mod tests {
         let mut s7k = S7kRecorder::create(&path, header(), stamp()).expect("create");
         s7k.write(&record(7000, &[1; 40])).expect("write");
         s7k.write(&record(7007, &[2; 400])).expect("write");
-        // What a kill would leave, read while the recorder still runs.
+        // The state after a kill, read while the recorder is open.
         let bytes = std::fs::read(&path).expect("read");
         assert_eq!(types(&bytes), [7200, 7000, 7007]);
         assert_eq!(bytes.len() as u64, s7k.length_bytes());

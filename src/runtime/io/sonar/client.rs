@@ -20,8 +20,8 @@ const MAX_RECORD_BYTES: u32 = 256 << 20;
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 const READ_BYTES: usize = 256 * 1024;
 
-#[derive(Debug, thiserror::Error)]
 /// Why a client call failed.
+#[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     #[error("cannot connect: {0}")]
     Connect(std::io::Error),

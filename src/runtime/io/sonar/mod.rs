@@ -179,8 +179,8 @@ pub struct ClientReport {
     pub counts: ClientCounts,
 }
 
-#[derive(Clone, Debug, Default)]
 /// State of a server.
+#[derive(Clone, Debug, Default)]
 pub struct ServerReport {
     /// Connected clients.
     pub clients: Vec<ClientReport>,

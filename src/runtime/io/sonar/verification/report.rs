@@ -21,8 +21,8 @@ pub struct ReportHead {
     /// Protocol family, as in the fault log; `None`: all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub line: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     /// Sonar name; `None`: all.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub sonar: Option<String>,
     /// Record types covered; `None`: all.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -33,14 +33,14 @@ pub struct ReportHead {
     /// First ping received.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub first_ping: Option<u32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     /// Last ping received.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub last_ping: Option<u32>,
     /// VITA 49: time of the first packet, ns since 1970 UTC.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub from_utc_ns: Option<i64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     /// VITA 49: time of the last packet, ns since 1970 UTC.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub to_utc_ns: Option<i64>,
 }
 
@@ -51,16 +51,16 @@ pub struct Finding {
     /// `lost`, `duplicate`, `late`, `damaged` (by its own checksum or length), `different` (from the reference run), `reset`, `silent`, or the name of a
     /// kind of fault.
     pub kind: String,
-    #[serde(skip_serializing_if = "Option::is_none")]
     /// Sonar name.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub sonar: Option<String>,
     /// The ping, or the first of several up to `to_ping`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ping_number: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) to_ping: Option<u32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     /// Record type, as in the fault log.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub record_type: Option<u32>,
     /// Frame number of an element stream.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -68,26 +68,26 @@ pub struct Finding {
     /// VITA 49 stream identifier.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stream: Option<u32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     /// VITA 49: whether it is a context packet.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub context: Option<bool>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     /// VITA 49: packet time or lower bound, ns since 1970 UTC.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub from_utc_ns: Option<i64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     /// VITA 49: packet time or upper bound, ns since 1970 UTC.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub to_utc_ns: Option<i64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     /// Index of the receive array.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub array: Option<usize>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     /// Index of the element within its array.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub element: Option<usize>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     /// Name of the navigation source.
-    pub source: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    pub source: Option<String>,
     /// Name of the navigation quantity.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub quantity: Option<String>,
 }
 
@@ -100,9 +100,9 @@ pub struct Report {
     pub findings: Vec<Finding>,
 }
 
+/// A line that is no head and no finding.
 #[derive(Debug, thiserror::Error)]
 #[error("line {line}: {why}")]
-/// A line that is no head and no finding.
 pub struct ReportError {
     /// Line number, from 1.
     pub line: usize,
