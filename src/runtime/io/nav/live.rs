@@ -1,7 +1,7 @@
-//! Live sources: one blocking thread per UDP socket, TCP connection or serial port, a bounded queue, and rig time.
+//! Live sources: a blocking thread per UDP socket, TCP connection or serial port, a bounded queue, and rig time.
 //!
-//! Threads hand over raw bytes with the monotonic arrival of the first one (of a datagram: when the kernel had it); whoever pulls decodes them. Until rig time is known they are
-//! kept as bytes, so that every sample is decoded on the timeline it belongs to.
+//! The threads queue raw bytes with the monotonic arrival of the first byte (of a datagram: the kernel's time stamp). [`Live::pull`] decodes them. Until
+//! rig time is known they are kept as bytes, so that every sample is decoded on the right timeline.
 
 mod serial;
 mod tcp;
@@ -33,27 +33,27 @@ use echotank_nav::decoder::unwatched;
 
 /// Datagrams or reads that may wait for decoding: 40 s of a 100 Hz sensor.
 const QUEUE: usize = 4096;
-/// Asked of the kernel for a socket, bytes: a second of a stalled pull at any navigation rate. It may give less.
+/// Socket buffer requested from the kernel, bytes: a second of navigation at any rate. The kernel may grant less.
 const SOCKET_BUFFER_BYTES: usize = 1 << 20;
-/// Threads look this often whether they should end.
+/// Read timeout; the threads check the stop flag this often.
 const READ_TIMEOUT: Duration = Duration::from_millis(100);
-/// A vanished serial port is looked for this often.
+/// Pause before a lost serial port or connection is tried again.
 const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
-/// Navigation closer than this to the host's clock is on the host's timeline.
+/// Navigation time within this of the host's clock uses the host's timeline.
 const HOST_TOLERANCE_NS: i64 = 2 * NS_PER_S;
-/// With bytes coming but no dated message for this long, the host's clock rules.
+/// After this time of bytes without a dated message, the host's clock is rig time.
 const PATIENCE_NS: i64 = 5 * NS_PER_S;
 
-/// Bytes as they came.
+/// Received bytes.
 struct Chunk {
     /// Index into `Live::sources`.
     source: usize,
-    /// Of the first byte.
+    /// Arrival of the first byte.
     mono: MonoNs,
     bytes: Vec<u8>,
 }
 
-/// Counted by a source's thread.
+/// Counters of a source's thread.
 #[derive(Default)]
 struct Stats {
     received: AtomicU64,
@@ -67,11 +67,11 @@ struct LiveSource {
     index: usize,
     name: String,
     decoder: NavDecoder,
-    /// Looks for the first dated message while there is no timeline; none where messages do not rule.
+    /// Finds the first dated message while there is no timeline; `None` for sources timed by arrival.
     scout: Option<NavDecoder>,
-    /// Between two bytes on a serial line; zero elsewhere.
+    /// Duration of a byte on a serial line; 0 elsewhere.
     byte_ns: i64,
-    /// Bytes without boundaries; else datagrams.
+    /// A byte stream; otherwise datagrams.
     stream: bool,
     address: Option<SocketAddr>,
     stats: Arc<Stats>,
@@ -83,7 +83,7 @@ pub(super) struct Live {
     clock: Arc<dyn Clock>,
     host: Timeline,
     timeline: Option<Timeline>,
-    /// The timeline comes from outside.
+    /// The timeline is set from outside.
     foreign: bool,
     kept: VecDeque<Chunk>,
     samples: Vec<NavSample>,
@@ -92,7 +92,7 @@ pub(super) struct Live {
 }
 
 impl Live {
-    /// `foreign`: rig time is not found here but given by `set_timeline`.
+    /// `foreign`: rig time comes from `set_timeline`.
     pub(super) fn open(
         spec: &NavSpec,
         clock: Arc<dyn Clock>,
@@ -232,7 +232,7 @@ impl Live {
         }
     }
 
-    /// Decodes what has come; keeps it while rig time is unknown.
+    /// Decodes received bytes, or keeps them while rig time is unknown.
     pub(super) fn pull(&mut self, feed: &mut Feed) {
         if self.timeline.is_none() {
             self.keep();
@@ -258,7 +258,7 @@ impl Live {
         }
     }
 
-    /// Sets waiting chunks aside and looks in them for rig time.
+    /// Keeps received bytes and searches them for rig time.
     fn keep(&mut self) {
         while let Ok(chunk) = self.chunks.try_recv() {
             let source = &mut self.sources[chunk.source];
@@ -295,7 +295,7 @@ impl Drop for Live {
     fn drop(&mut self) {
         self.stop.store(true, Relaxed);
         for thread in self.threads.drain(..) {
-            // A thread that panicked has nothing left to clean up.
+            // The panic hook has reported a panic of the thread.
             let _ = thread.join();
         }
     }
@@ -321,7 +321,7 @@ fn decode(
 ) {
     let arrival = timeline.utc(chunk.mono);
     if !stream {
-        // A datagram that begins with a sentence ends whatever the one before left open; others go on with it.
+        // A datagram that begins with a sentence ends an incomplete previous one; other datagrams continue it.
         let starts = [&b"$"[..], b"!", b"\\", b"UdPbC"];
         if starts.iter().any(|start| chunk.bytes.starts_with(start)) {
             decoder.flush(out);
@@ -329,11 +329,11 @@ fn decode(
         decoder.push(&chunk.bytes, arrival, out);
         return;
     }
-    // Each sentence has the arrival of its own first byte.
+    // Each sentence has the arrival time of its first byte.
     decoder.push_paced(&chunk.bytes, arrival, byte_ns, out, &mut unwatched);
 }
 
-/// A thread's end of the queue.
+/// A source thread's end of the queue.
 struct Outlet {
     source: usize,
     /// The source's name, for diagnostics.
@@ -349,12 +349,12 @@ impl Outlet {
         self.stop.load(Relaxed)
     }
 
-    /// Just read: `bytes`, the last of which came now.
+    /// Queues bytes, the last of which arrived now.
     fn send(&self, bytes: &[u8], byte_ns: i64) {
         self.send_old(bytes, byte_ns, 0);
     }
 
-    /// Read: `bytes`, the last of which came `age_ns` ago.
+    /// Queues bytes, the last of which arrived `age_ns` ago.
     fn send_old(&self, bytes: &[u8], byte_ns: i64, age_ns: i64) {
         let since_first_ns = age_ns + byte_ns * bytes.len() as i64;
         let mono = self.clock.mono().plus_ns(-since_first_ns);
@@ -366,11 +366,11 @@ impl Outlet {
         if self.sender.try_send(chunk).is_err() {
             self.stats.dropped_full.fetch_add(1, Relaxed);
         }
-        // After the queue has it: who reads the counter finds the chunk.
+        // Counted after queueing, so a reader of the counter finds the bytes.
         self.stats.received.fetch_add(1, Release);
     }
 
-    /// Waits in small steps, so that stopping is not delayed.
+    /// Waits in short steps, so that stopping is not delayed.
     fn pause(&self, time: Duration) {
         let end = std::time::Instant::now() + time;
         while !self.stopped() && std::time::Instant::now() < end {
@@ -387,7 +387,7 @@ fn is_timeout(error: &std::io::Error) -> bool {
 // ---------------------------------------------------------------- UDP
 
 fn open_udp(listen: SocketAddr, multicast: Option<Ipv4Addr>) -> std::io::Result<UdpSocket> {
-    // What is sent to a group is not addressed to any one interface: `listen` says at which it comes in, and the socket is bound to all.
+    // Multicast is addressed to no interface: `listen` chooses the interface, and the socket binds to all.
     let (bound, interface) = match (multicast, listen.ip()) {
         (None, _) => (listen, Ipv4Addr::UNSPECIFIED),
         (Some(_), IpAddr::V4(interface)) => (any_at(listen.port()), interface),
@@ -396,13 +396,13 @@ fn open_udp(listen: SocketAddr, multicast: Option<Ipv4Addr>) -> std::io::Result<
     let socket = Socket::new(Domain::for_address(bound), Type::DGRAM, Some(Protocol::UDP))?;
     // Other programs on this machine may listen to the same broadcast.
     socket.set_reuse_address(true)?;
-    // What the kernel does not give is seen in its own drop counters.
+    // The kernel counts datagrams that a smaller buffer loses.
     let _ = socket.set_recv_buffer_size(SOCKET_BUFFER_BYTES);
     socket.set_read_timeout(Some(READ_TIMEOUT))?;
     socket.bind(&bound.into())?;
     if let Some(group) = multicast {
         socket.join_multicast_v4(&group, &interface)?;
-        // Else groups that other programs have joined would come too.
+        // Otherwise the socket would receive groups that other programs joined.
         #[cfg(target_os = "linux")]
         socket.set_multicast_all_v4(false)?;
     }

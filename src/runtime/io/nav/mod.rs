@@ -1,7 +1,7 @@
-//! Navigation inputs: recorded logs, CSV tracks, UDP, TCP and serial ports, into a [`NavHistory`].
+//! Navigation inputs: recorded logs, CSV tracks, UDP, TCP and serial ports, decoded into a [`NavHistory`].
 //!
-//! Recorded sources are read whole when opened and merged by arrival; live ones are read by one blocking thread each, and decoded by whoever
-//! pulls. A rig may have both. [`output`] sends navigation out.
+//! Recorded sources are read completely when opened and merged by arrival time. Each live source has a blocking thread; [`NavInputs::pull`] decodes
+//! its bytes. A rig may have both. [`output`] sends navigation.
 mod live;
 pub mod output;
 mod recorded;
@@ -87,37 +87,44 @@ pub enum NavOpenError {
     Thread { name: String, reason: String },
 }
 
-/// Everything counted about one source.
+/// Counters of one source.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SourceCounters {
+    /// Name of the source.
     pub name: String,
+    /// Counters of its decoder.
     pub decoder: NavCounters,
+    /// Counts of a recorded log.
     pub log: LogCounts,
+    /// Counters of a live source.
     pub live: LiveCounters,
 }
 
+/// Counters of a live source's thread.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LiveCounters {
-    /// Datagrams, or reads of a serial port.
+    /// Datagrams or reads.
     pub received: u64,
-    /// Of those: dropped, the queue to the decoder was full.
+    /// Datagrams or reads dropped because the queue was full.
     pub dropped_full: u64,
+    /// Failed reads.
     pub read_errors: u64,
-    /// A serial port that had vanished was found again, or a TCP connection made.
+    /// Serial ports reopened or TCP connections made.
     pub reopened: u64,
 }
 
+/// The navigation inputs of a rig.
 pub struct NavInputs {
     recorded: Option<Recorded>,
     live: Option<Live>,
-    /// One per configured source, in the file's order.
+    /// One per configured source, in the configuration's order.
     counters: Vec<SourceCounters>,
-    /// How each source did when it was last pulled, in the file's order.
+    /// State of each source at the last pull, in the configuration's order.
     states: Vec<State>,
     spoiler: Option<Box<dyn Spoil>>,
 }
 
-/// The way into a history, on which samples may go wrong.
+/// Inserts samples into a history and applies navigation faults.
 pub struct Feed<'a> {
     history: &'a mut NavHistory,
     spoiler: Option<&'a mut (dyn Spoil + 'static)>,
@@ -128,7 +135,7 @@ impl Feed<'_> {
         match &mut self.spoiler {
             None => self.history.insert(sample),
             Some(spoiler) => {
-                // What was held back comes in its turn.
+                // Delayed samples are inserted in order.
                 while let Some(late) = spoiler.held_back(sample.arrival_utc) {
                     self.history.insert(&late);
                 }
@@ -143,7 +150,7 @@ impl Feed<'_> {
         self.history.seam(at);
     }
 
-    /// What was held back has come by `until`.
+    /// Inserts delayed samples that are due by `until`.
     fn release(&mut self, until: UtcNs) {
         while let Some(late) = self.spoiler.as_mut().and_then(|s| s.held_back(until)) {
             self.history.insert(&late);
@@ -152,12 +159,12 @@ impl Feed<'_> {
 }
 
 impl NavInputs {
-    /// Every sample passes `spoiler` from now on.
+    /// Applies `spoiler` to all further samples.
     pub fn spoil_with(&mut self, spoiler: Box<dyn Spoil>) {
         self.spoiler = Some(spoiler);
     }
 
-    /// Opens every source. Recorded files are read and decoded here; the threads of live sources run from here on until the value is dropped.
+    /// Opens every source: reads and decodes recorded files, and starts the threads of live sources, which run until the value is dropped.
     pub fn open(spec: &NavSpec, clock: Arc<dyn Clock>) -> Result<Self, NavOpenError> {
         let mut counters: Vec<SourceCounters> = spec
             .sources
@@ -188,12 +195,12 @@ impl NavInputs {
         self.recorded.as_ref().map(Recorded::start)
     }
 
-    /// Arrival of the last recorded sample, of the first loop where they are repeated.
+    /// Arrival of the last recorded sample, in the first loop of a repeated log.
     pub(crate) fn recorded_end(&self) -> Option<UtcNs> {
         self.recorded.as_ref().map(Recorded::end)
     }
 
-    /// Inserts everything recorded that had arrived by `until`, and everything received live.
+    /// Inserts recorded samples that arrived by `until`, and all live ones received.
     pub fn pull(&mut self, until: UtcNs, history: &mut NavHistory) {
         let mut feed = Feed {
             history,
@@ -211,7 +218,7 @@ impl NavInputs {
             live.pull(&mut feed);
         }
         feed.release(until);
-        // Before rig time is known nobody can say how old anything is.
+        // Before rig time is known, no age is defined.
         if until != UtcNs(i64::MAX) {
             for (i, state) in self.states.iter_mut().enumerate() {
                 *state = history.source_state(i, until);
@@ -219,12 +226,12 @@ impl NavInputs {
         }
     }
 
-    /// How each source did when it was last pulled, in the file's order.
+    /// State of each source at the last pull, in the configuration's order.
     pub fn states(&self) -> &[State] {
         &self.states
     }
 
-    /// Inserts one more recorded sample; false when there is none.
+    /// Inserts one more recorded sample; false when none is left.
     pub fn pull_next(&mut self, history: &mut NavHistory) -> bool {
         match &mut self.recorded {
             Some(recorded) if recorded.next_arrival().is_some() => {
@@ -238,14 +245,14 @@ impl NavInputs {
         }
     }
 
-    /// Every recorded sample has come, at least once.
+    /// Whether every recorded sample has been inserted at least once.
     pub(crate) fn is_all_known(&self) -> bool {
         self.recorded
             .as_ref()
             .is_none_or(|r| r.next_arrival().is_none_or(|next| next > r.end()))
     }
 
-    /// No sample will come any more.
+    /// Whether no further sample will come.
     pub fn finished(&self) -> bool {
         let recorded_ended = self
             .recorded
@@ -254,25 +261,25 @@ impl NavInputs {
         self.live.is_none() && recorded_ended
     }
 
-    /// Rig time of live sources, once known: that of the first dated message where it is more than two seconds off the host's clock, else
-    /// the host's. With recorded sources beside them it is whatever [`NavInputs::set_timeline`] says. None without live sources.
+    /// Rig time of live sources, once known: that of the first dated message if it differs from the host's clock by more than 2 s, otherwise the host's.
+    /// With recorded sources, [`NavInputs::set_timeline`] sets it. `None` without live sources.
     pub fn timeline(&self) -> Option<Timeline> {
         self.live.as_ref().and_then(Live::timeline)
     }
 
-    /// Gives live sources their rig time, if they have none yet; what they received before is kept and decoded with it.
+    /// Sets the rig time of live sources that have none; bytes received before are decoded with it.
     pub fn set_timeline(&mut self, timeline: Timeline) {
         if let Some(live) = &mut self.live {
             live.set_timeline(timeline);
         }
     }
 
-    /// Bound addresses of the UDP sources and TCP servers, by name (a configured port of 0 is any free one).
+    /// Bound addresses of UDP sources and TCP servers, by source name.
     pub fn listening(&self) -> Vec<(String, SocketAddr)> {
         self.live.as_ref().map_or(Vec::new(), Live::listening)
     }
 
-    /// Name, state and counters of every source.
+    /// State and counters of every source.
     pub fn sources(&mut self) -> Vec<(State, SourceCounters)> {
         let states = self.states.clone();
         states
@@ -281,7 +288,7 @@ impl NavInputs {
             .collect()
     }
 
-    /// A line per source.
+    /// A status line per source.
     pub fn lines(&mut self) -> Vec<String> {
         let states = self.states.clone();
         let line = |(s, state): (&SourceCounters, &State)| {
@@ -310,7 +317,7 @@ impl NavInputs {
         self.counters().iter().zip(&states).map(line).collect()
     }
 
-    /// One entry per configured source, in the file's order.
+    /// One entry per configured source, in the configuration's order.
     pub fn counters(&mut self) -> &[SourceCounters] {
         if let Some(live) = &self.live {
             live.count(&mut self.counters);

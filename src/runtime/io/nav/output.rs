@@ -1,11 +1,11 @@
-//! Navigation going out: ZDA, GGA and HDT of the pings' own clock, so that a device under test shares it.
+//! Navigation outputs: ZDA, GGA and HDT sentences on the pings' clock, so that a device under test shares it.
 //!
 //! ```text
-//! pipeline thread: prediction of the motion -> shared -> a thread per output: tick -> pulse, ZDA, GGA, HDT -> UDP, TCP, serial
+//! pipeline thread: predicted motion -> shared state -> a thread per output: tick -> pulse, ZDA, GGA, HDT -> UDP, TCP, serial
 //! ```
-//! At every whole second the pulse, then the ZDA that names it. GGA and HDT of a tick may wait for their measurements (`latency_ms`), as those
-//! of receivers do. GGA is of the reference point: the source's quality while its position is no older than the motion may be carried on,
-//! 6 (estimated) while it is not stale, then 0 and empty; HDT is empty once stale.
+//! At every whole second the pulse is sent, then the ZDA that names it. GGA and HDT may follow after `latency_ms`, as with real receivers. GGA holds
+//! the reference point. Its quality is the source's while the position may be extrapolated, 6 (estimated) until it is stale, then 0 with empty fields.
+//! HDT is empty once the heading is stale.
 
 mod transports;
 
@@ -26,45 +26,49 @@ use echotank_core::time::{MonoNs, NS_PER_S, UtcNs};
 use echotank_nav::encode::{self, Fix};
 use echotank_nav::{LocalTangentPlane, NavHistory};
 
-/// How often the motion is put on the shared.
+/// Interval at which the motion is published.
 const PUBLISH_EVERY_NS: i64 = 10_000_000;
-/// How long a pulse is.
+/// Length of a pulse.
 const PULSE_NS: i64 = 100_000_000;
-/// Threads look this often whether they should end.
+/// The threads check the stop flag this often.
 const LOOK_NS: i64 = 100_000_000;
-/// A tick that is later than this is left out: its sentences would be of no use as a clock.
+/// Ticks later than this are skipped, because their sentences are useless as a clock.
 const TOO_LATE_NS: i64 = NS_PER_S / 2;
 
-/// What outgoing sentences are stamped with: the same clock as the pings.
+/// Reads the time of outgoing sentences: the pings' clock.
 pub type OutputTime = Arc<dyn Fn() -> UtcNs + Send + Sync>;
 
-/// What may be wrong with whole seconds.
+/// Faults of the outgoing clock.
 pub trait ClockFaults: Send + Sync {
-    /// The pulse that marks this second is not sent.
+    /// Whether the pulse of this second is suppressed.
     fn pulse_is_lost(&self, second: UtcNs) -> bool;
-    /// How much later the second is that ZDA names in its stead.
+    /// Offset of the time in the ZDA of this second, s.
     fn zda_is_off_s(&self, second: UtcNs) -> f64;
 }
 
+/// A navigation output that cannot be opened.
 #[derive(Debug, Error)]
 #[error("nav output `{name}`: cannot open {target}: {reason}")]
 pub struct NavOutputError {
+    /// Name of the output.
     pub name: String,
+    /// Configured target.
     pub target: String,
+    /// Why it cannot be opened.
     pub reason: String,
 }
 
-/// The motion as last known.
+/// The predicted motion.
 struct Prediction {
     zero: MonoNs,
     trajectory: Trajectory,
     state: NavState,
     heading_age_s: f64,
     plane: Option<LocalTangentPlane>,
-    /// How long a value may be carried on, and after how long it is stale, seconds.
+    /// Ages up to which a value is extrapolated, and beyond which it is stale, s.
     carried_s: f64,
     stale_s: f64,
-    /// There is a motion at all.
+    /// Whether any motion is known.
     known: bool,
 }
 
@@ -86,10 +90,10 @@ struct Running {
     counts: Arc<Counts>,
 }
 
-/// The outputs of a rig. Their threads run from `open` on until the value is dropped; they say nothing before the first `publish`.
+/// The navigation outputs of a rig. Their threads run until the value is dropped and send nothing before the first `publish`.
 pub struct NavOutputs {
     shared: SharedPrediction,
-    /// Scratch, changed for the shared's.
+    /// Scratch, swapped with the shared prediction.
     trajectory: Trajectory,
     next: MonoNs,
     running: Vec<Running>,
@@ -98,6 +102,7 @@ pub struct NavOutputs {
 }
 
 impl NavOutputs {
+    /// Opens the outputs without faults.
     pub fn open(
         specs: &[NavOutputSpec],
         clock: &Arc<dyn Clock>,
@@ -106,7 +111,7 @@ impl NavOutputs {
         Self::open_with(specs, clock, time, None)
     }
 
-    /// As [`NavOutputs::open`], with seconds that may go wrong.
+    /// As [`NavOutputs::open`], with faults of the clock.
     pub fn open_with(
         specs: &[NavOutputSpec],
         clock: &Arc<dyn Clock>,
@@ -156,6 +161,7 @@ impl NavOutputs {
         Ok(outputs)
     }
 
+    /// Whether no output is configured.
     pub fn is_empty(&self) -> bool {
         self.running.is_empty()
     }
@@ -169,6 +175,7 @@ impl NavOutputs {
         self.running.iter().map(line).collect()
     }
 
+    /// A status line per output.
     pub fn lines(&self) -> Vec<String> {
         let line = |r: &Running| {
             let c = &r.counts;
@@ -185,7 +192,7 @@ impl NavOutputs {
         self.running.iter().map(line).collect()
     }
 
-    /// When the motion should be published again.
+    /// When the motion should next be published.
     pub(crate) fn next_publish(&self) -> MonoNs {
         match self.is_empty() {
             true => MonoNs(i64::MAX),
@@ -193,7 +200,7 @@ impl NavOutputs {
         }
     }
 
-    /// Puts the motion around now on the shared, if it is time to.
+    /// Publishes the motion around the present time, if it is due.
     pub fn publish(&mut self, history: &mut NavHistory, now: MonoNs, utc: UtcNs) {
         if self.is_empty() || now < self.next {
             return;
@@ -226,7 +233,7 @@ impl Drop for NavOutputs {
     fn drop(&mut self) {
         self.stop.store(true, Relaxed);
         for thread in self.threads.drain(..) {
-            // A thread that panicked has nothing left to clean up.
+            // The panic hook has reported a panic of the thread.
             let _ = thread.join();
         }
     }
@@ -268,7 +275,7 @@ impl Prediction {
         Some(angles_from_rotation(pose.world_from_body).2)
     }
 
-    /// Not farther ahead than a value of this age may be carried on. One that is older rests in the trajectory itself.
+    /// Bounded by the age up to which a value is extrapolated; the trajectory itself holds older values constant.
     fn within(&self, ahead_s: f64, age_s: f64) -> f64 {
         match age_s > self.carried_s {
             true => ahead_s,
@@ -277,7 +284,7 @@ impl Prediction {
     }
 }
 
-/// One output's thread.
+/// State of one output's thread.
 struct Sender {
     spec: NavOutputSpec,
     transport: Box<dyn Transport>,
@@ -290,7 +297,7 @@ struct Sender {
     text: Vec<u8>,
 }
 
-/// A tick: the instant it names, and when that is.
+/// The time that a tick names, and when it is due.
 #[derive(Clone, Copy)]
 struct Tick {
     utc: UtcNs,
@@ -361,14 +368,14 @@ impl Sender {
             .is_some()
     }
 
-    /// The next tick after `last`. The clock that ticks are stamped with may be set anew at any time: a tick far ahead is forgotten then.
+    /// The next tick after `last`. The clock may be reset at any time; a tick far ahead is then discarded.
     fn next_tick(&self, now: MonoNs, last: UtcNs) -> Tick {
         let utc_now = (self.time)();
-        // After a clock was set back, `last` may lie ahead of now by more than a tick.
+        // After the clock was set back, `last` may lie more than a tick ahead.
         let period_ns = (NS_PER_S as f64 / self.spec.rate_hz) as i64;
         let ahead = last.0.saturating_sub(utc_now.0) > period_ns;
         let from = if ahead { utc_now } else { last };
-        // A tick that has passed meanwhile is made up for, unless it is too old for anything.
+        // A missed tick is sent late unless it is too old.
         let oldest = utc_now.plus_ns(-period_ns.min(TOO_LATE_NS));
         let utc = encode::next_tick(from.max(oldest), self.spec.rate_hz);
         Tick {
@@ -384,7 +391,7 @@ impl Sender {
         };
     }
 
-    /// Sends those of `which` that are configured, together.
+    /// Sends the configured sentences among `which` together.
     fn say(&mut self, tick: &Tick, which: &[NavSentence]) {
         let (fix, heading_rad) = {
             let shared = self.shared.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,4 +1,4 @@
-//! Recorded sources: read whole, decoded once, merged by arrival, repeated if asked.
+//! Recorded sources: read completely, decoded once, merged by arrival time, and repeated on request.
 
 use std::fs::File;
 use std::io::Read;
@@ -12,14 +12,14 @@ use echotank_nav::NavCounters;
 use echotank_nav::log::{read_log, refusal};
 use echotank_nav::track::read_track;
 
-/// Largest file read, bytes: a day of 100 Hz attitude would be 700 MB and should be cut; an hour is 30 MB.
+/// Largest file read, bytes. An hour of 100 Hz attitude is 30 MB; a day, 700 MB, should be cut.
 const MAX_FILE_BYTES: u64 = 256 << 20;
 
 pub(super) struct Recorded {
     /// Sorted by arrival.
     samples: Vec<NavSample>,
     next: usize,
-    /// Added to all times of the current loop.
+    /// Offset of all times in the current loop.
     shift_ns: i64,
     repeat: Option<Repeat>,
 }
@@ -27,19 +27,19 @@ pub(super) struct Recorded {
 #[derive(Clone, Copy)]
 struct Repeat {
     period_ns: i64,
-    /// Between the last validity of a loop and the first of the next, in the first loop's time.
+    /// From the last validity time of a loop to the first of the next, in the first loop's time.
     seam: UtcNs,
 }
 
 impl Recorded {
-    /// `None`: no recorded source is configured.
+    /// `None` without recorded sources.
     pub(super) fn open(
         spec: &NavSpec,
         counters: &mut [SourceCounters],
     ) -> Result<Option<Self>, NavOpenError> {
         let mut samples = Vec::new();
         for (i, source) in spec.sources.iter().enumerate() {
-            // There are far fewer sources than 65536; the index type is the samples'.
+            // Source indices fit in 16 bits.
             let index = u16::try_from(i).unwrap_or(u16::MAX);
             samples.append(&mut read_source(index, source, &mut counters[i])?);
         }
@@ -76,7 +76,7 @@ impl Recorded {
         Some(self.start().plus_ns(self.shift_ns + repeat.period_ns))
     }
 
-    /// Hands the next sample to the history, if there is one.
+    /// Inserts the next sample into the history, if there is one.
     pub(super) fn take(&mut self, feed: &mut Feed) {
         if self.next == self.samples.len()
             && let Some(repeat) = self.repeat
@@ -159,7 +159,7 @@ fn read_file(name: &str, path: &Path) -> Result<Vec<u8>, NavOpenError> {
         reason: reason.to_string(),
     };
     let mut bytes = Vec::new();
-    // One byte more than allowed, so that pipes and growing files are bounded too.
+    // Reading one byte more than the limit bounds pipes and growing files too.
     File::open(path)
         .and_then(|file| file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes))
         .map_err(refused)?;
@@ -174,8 +174,8 @@ fn read_file(name: &str, path: &Path) -> Result<Vec<u8>, NavOpenError> {
     Ok(bytes)
 }
 
-/// Cuts the samples to the time that all their channels share, and says how to repeat them: after one median interval of the positions (of
-/// all samples where there are none).
+/// Cuts the samples to the period that all channels cover. A loop repeats after one further median interval of the positions (of all samples without
+/// positions).
 fn prepare_to_repeat(samples: &mut Vec<NavSample>) -> Result<Repeat, NavOpenError> {
     let mut spans: Vec<(Channel, UtcNs, UtcNs)> = Vec::new();
     for s in samples.iter() {

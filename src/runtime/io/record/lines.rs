@@ -39,9 +39,9 @@ pub struct RecordedPing {
     pub arms_m: [DVec3; 2],
     /// Sound speed, m/s.
     pub sound_speed_m_per_s: f64,
-    /// Two-way time of the samples.
+    /// Range axis of the line samples.
     pub axis: RangeAxis,
-    /// Port and starboard lines.
+    /// The side-scan lines of the pulse.
     pub lines: Vec<Line>,
     /// Start of the pulse, ns since 1970 UTC.
     pub utc_ns: i64,
@@ -100,11 +100,11 @@ impl<const N: usize> Track<N> {
         };
         let share = (utc_ns - t0) as f64 / ((t1 - t0) as f64).max(1.0);
         Some(std::array::from_fn(|i| {
-            let mut way = b[i] - a[i];
+            let mut change = b[i] - a[i];
             if self.angles {
-                way -= std::f64::consts::TAU * (way / std::f64::consts::TAU).round();
+                change -= std::f64::consts::TAU * (change / std::f64::consts::TAU).round();
             }
-            a[i] + share * way
+            a[i] + share * change
         }))
     }
 
@@ -267,11 +267,11 @@ struct Array {
 
 fn of_npz(bytes: Vec<u8>, pulse: u16) -> Result<Vec<RecordedPing>, String> {
     let mut zip = zip::ZipArchive::new(std::io::Cursor::new(bytes))
-        .map_err(|e| format!("is no whole .npz: {e}"))?;
+        .map_err(|e| format!("not a complete .npz file: {e}"))?;
     let mut array = |name: &str| -> Result<Array, String> {
         let mut member = zip
             .by_name(&format!("{name}.npy"))
-            .map_err(|e| format!("{name}: {e}; a pings.npz of `echotank replay` is wanted"))?;
+            .map_err(|e| format!("{name}: {e}; expected a pings.npz of `echotank replay`"))?;
         let mut bytes = Vec::new();
         member
             .read_to_end(&mut bytes)
@@ -334,7 +334,7 @@ fn of_npz(bytes: Vec<u8>, pulse: u16) -> Result<Vec<RecordedPing>, String> {
             let mut made = Vec::new();
             for (s, side) in side.iter().enumerate() {
                 let starboard = *side > 0.0;
-                // The array's samples begin at its own pulse.
+                // The arrays move until this pulse is transmitted.
                 let ahead_m = delay_s * triple(&velocity, p);
                 arms_m[usize::from(starboard)] =
                     triple(&places, p * sides + s) - triple(&reference, p) + ahead_m;

@@ -1,8 +1,8 @@
-//! SigMF recordings: I and Q of the elements, 16 bits each, with a capture and an annotation for every ping.
+//! SigMF recordings: 16-bit I and Q samples of the elements, with a capture and an annotation for every ping.
 //!
-//! `NAME.sigmf-data` grows ping by ping; `NAME.sigmf-meta`, which says what is in it, is written anew after 1, 2, 4, ... pings, every
-//! [`MAX_PINGS_UNSAID`] at the latest, and at the end. The words of the pings since are in `NAME.sigmf-journal`, a line each, which goes with
-//! the end: of a recording that was cut off `recover` puts them where they belong.
+//! `NAME.sigmf-data` grows ping by ping. `NAME.sigmf-meta` is rewritten after 1, 2, 4, ... pings, at least every [`MAX_PINGS_UNSAID`] pings, and at
+//! the end. `NAME.sigmf-journal` holds the metadata of later pings, a line each, and is removed at the end. `recover` merges it into the metadata
+//! of a recording that was cut off.
 
 use std::fs::File;
 use std::io::{Seek, Write};
@@ -16,10 +16,10 @@ use echotank_config::spec::SonarSpec;
 use echotank_core::flow::{OverloadState, PingOutput, PingPlan, PulseKind};
 use echotank_emit::elements::interleave_iq;
 
-/// Pings that a recording may hold without words for them.
+/// Most pings whose metadata is in the journal alone.
 const MAX_PINGS_UNSAID: usize = 1024;
 
-/// The files of one recording.
+/// Paths of one recording.
 #[derive(Clone, Debug)]
 pub(super) struct Paths {
     pub data: PathBuf,
@@ -28,7 +28,7 @@ pub(super) struct Paths {
 }
 
 impl Paths {
-    /// `stem` is the name of all without their ends.
+    /// `stem`: path without the extensions.
     pub(super) fn of(stem: &Path) -> Self {
         let named = |extension| {
             let mut path = stem.as_os_str().to_owned();
@@ -42,7 +42,7 @@ impl Paths {
         }
     }
 
-    /// Under a name of its own first, so that the words are whole at any moment.
+    /// Written under a temporary name, so that the metadata file is always complete.
     pub(crate) fn write_words(&self, text: &str) -> Result<(), RecordError> {
         let mut partial = self.meta.as_os_str().to_owned();
         partial.push(".partial");
@@ -57,7 +57,7 @@ fn journal_line(capture: &Capture, annotation: &Annotation) -> String {
     format!("{}\n", json!([capture, annotation]))
 }
 
-/// The words of whole lines.
+/// Entries of the complete journal lines.
 pub(super) fn journal_of(text: &str) -> impl Iterator<Item = (Capture, Annotation)> {
     text.lines().map_while(|line| {
         let both: Value = serde_json::from_str(line).ok()?;
@@ -66,7 +66,7 @@ pub(super) fn journal_of(text: &str) -> impl Iterator<Item = (Capture, Annotatio
     })
 }
 
-/// Writes one recording. Dropping it closes it as well as it can.
+/// Records one pair of files. Dropping it closes them as far as possible.
 pub(crate) struct SigmfRecorder {
     paths: Paths,
     data: File,
@@ -74,18 +74,18 @@ pub(crate) struct SigmfRecorder {
     arrays: Vec<usize>,
     sonar: SonarSpec,
     words: Recording,
-    /// Moments so far.
+    /// Sample times written.
     samples: u64,
-    /// Pings that the words on the disk know of.
+    /// Pings in the metadata file.
     said: usize,
     iq: Vec<[i16; 2]>,
     bytes: Vec<u8>,
-    /// The words on the disk are all there are, or can no longer be written.
+    /// The metadata file is complete, or can no longer be written.
     closed: bool,
 }
 
 impl SigmfRecorder {
-    /// `stem` is the name of both files without `.sigmf-data` and `.sigmf-meta`; what has these names is replaced.
+    /// `stem`: path without `.sigmf-data` and `.sigmf-meta`; existing files are replaced.
     pub(crate) fn create(
         stem: &Path,
         arrays: &[usize],
@@ -94,7 +94,7 @@ impl SigmfRecorder {
         let paths = Paths::of(stem);
         let create = |path| File::create(path).map_err(RecordError::io(path, "create"));
         let (data, journal) = (create(&paths.data)?, create(&paths.journal)?);
-        // Keeps `recover` away.
+        // The lock makes `recover` leave the files alone.
         let _ = data.try_lock();
         let elements: usize = arrays.iter().map(|&a| sonar.receive[a].elements).sum();
         let receiver = &sonar.receiver;
@@ -137,7 +137,7 @@ impl SigmfRecorder {
         [&self.paths.data, &self.paths.meta]
     }
 
-    /// Appends a ping; returns how many values did not fit.
+    /// Appends a ping; returns the number of clipped values.
     pub(crate) fn push(
         &mut self,
         plan: &PingPlan,
@@ -158,7 +158,7 @@ impl SigmfRecorder {
             return Err(self.stop(source));
         }
         let (capture, annotation) = words_of(plan, output.overload_state, self.samples, saturated);
-        // The samples first: the journal has words for none that are not there.
+        // Samples are written before their journal entry, so no entry lacks its samples.
         let line = journal_line(&capture, &annotation);
         if let Err(source) = self.journal.write_all(line.as_bytes()) {
             return Err(self.stop(source));
@@ -173,7 +173,7 @@ impl SigmfRecorder {
         Ok(saturated)
     }
 
-    /// Whole pings only: what was begun is taken back, and no more is written. The words stay as they are on the disk, with the journal.
+    /// Stops recording and removes an incomplete ping. Metadata and journal stay as written.
     fn stop(&mut self, source: std::io::Error) -> RecordError {
         let moment_bytes = 4 * u64::from(self.words.channels);
         let _ = self.data.set_len(self.samples * moment_bytes);
@@ -184,7 +184,7 @@ impl SigmfRecorder {
     fn say(&mut self) -> Result<(), RecordError> {
         self.paths.write_words(&self.words.to_json())?;
         self.said = self.words.captures.len();
-        // What is said twice is passed over: an end between these two loses nothing.
+        // Duplicate entries are skipped on recovery, so an interruption between these two steps loses nothing.
         let emptied = self.journal.set_len(0);
         emptied
             .and_then(|()| self.journal.rewind())
@@ -200,7 +200,7 @@ impl SigmfRecorder {
         if self.said < self.words.captures.len() {
             self.say()?;
         }
-        // Of a recording that is closed there is none; one that is left over does no harm.
+        // A closed recording has no journal; a remaining one is harmless.
         let _ = std::fs::remove_file(&self.paths.journal);
         Ok(())
     }
@@ -208,7 +208,7 @@ impl SigmfRecorder {
 
 impl Drop for SigmfRecorder {
     fn drop(&mut self) {
-        // Nobody is left to tell; `close` tells.
+        // A drop cannot report an error; `close` does.
         let _ = self.end();
     }
 }
@@ -287,7 +287,7 @@ mod tests {
                 }
             }
         }
-        // As a recording that is cut off now would be.
+        // The state of a recording that is cut off here.
         let meta = || std::fs::read_to_string(dir.path().join("rec.sigmf-meta")).expect("there");
         let early = Recording::parse(&meta()).expect("whole");
         assert_eq!(early.captures.len(), 2);

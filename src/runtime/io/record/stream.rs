@@ -1,6 +1,6 @@
-//! Files that are records one behind the other: `.jsf`, `.xtf`.
+//! Files of concatenated records: `.jsf` and `.xtf`.
 //!
-//! The file has its final name from the start and grows record by record: cut off, it is readable up to the last whole record.
+//! The file has its final name from the start and grows by whole records, so it stays readable wherever it is cut off.
 
 use std::fs::File;
 use std::io::Write;
@@ -8,21 +8,21 @@ use std::path::{Path, PathBuf};
 
 use super::RecordError;
 
-/// Writes one such file.
+/// Records one file.
 #[derive(Debug)]
 pub(crate) struct StreamRecorder {
     path: PathBuf,
     file: File,
     length_bytes: u64,
-    /// An error of the file system: nothing more is written.
+    /// A file system error has stopped the recorder.
     stopped: bool,
 }
 
 impl StreamRecorder {
-    /// Replaces what has this name. `head`: what the file begins with.
+    /// Creates the file, replacing an existing one. `head`: bytes before the records.
     pub(crate) fn create(path: &Path, head: &[u8]) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(RecordError::io(path, "create"))?;
-        // Keeps `recover` away.
+        // The lock makes `recover` leave the file alone.
         let _ = file.try_lock();
         let mut recorder = Self {
             path: path.to_owned(),
@@ -34,7 +34,7 @@ impl StreamRecorder {
         Ok(recorder)
     }
 
-    /// Appends whole records. After an error of the file system the file is cut back to its last whole record and takes no more.
+    /// Appends whole records. After a file system error the file is truncated to its last whole record and takes no more.
     pub(crate) fn write(&mut self, records: &[u8]) -> Result<(), RecordError> {
         if self.stopped {
             return Err(RecordError::Stopped {
@@ -43,7 +43,7 @@ impl StreamRecorder {
         }
         self.file.write_all(records).map_err(|source| {
             self.stopped = true;
-            // If even this fails, readers skip the truncated record.
+            // If this fails too, readers skip the truncated record.
             let _ = self.file.set_len(self.length_bytes);
             RecordError::io(&self.path, "write")(source)
         })?;
@@ -55,7 +55,7 @@ impl StreamRecorder {
         &self.path
     }
 
-    /// Appends what the file ends with, and sees it to the disk.
+    /// Appends `tail` and flushes the file to disk.
     pub(crate) fn close(mut self, tail: &[u8]) -> Result<(), RecordError> {
         self.write(tail)?;
         self.file

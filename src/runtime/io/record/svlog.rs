@@ -1,4 +1,4 @@
-//! `.svlog` files: frames of the Ping protocol as they go to the clients, behind a frame (10) that says in JSON what recorded them.
+//! `.svlog` files: Ping protocol frames as sent to clients, after a JSON frame (message 10) that names the recorder.
 
 use std::fs::File;
 use std::io::Write;
@@ -11,7 +11,7 @@ use super::RecordError;
 use echotank_config::spec::PingDevice;
 use echotank_core::time::UtcNs;
 
-/// Writes one file; what is cut off is readable up to its last whole frame.
+/// Records one file, which is readable up to its last whole frame.
 pub(crate) struct SvlogRecorder {
     path: PathBuf,
     file: File,
@@ -20,7 +20,7 @@ pub(crate) struct SvlogRecorder {
 }
 
 impl SvlogRecorder {
-    /// Replaces what has this name. `url` is where the device listens, `utc` when it began.
+    /// Creates the file, replacing an existing one. `url`: the device's address; `utc`: start of the recording.
     pub(crate) fn create(
         path: &Path,
         device: PingDevice,
@@ -28,7 +28,7 @@ impl SvlogRecorder {
         utc: UtcNs,
     ) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(RecordError::io(path, "create"))?;
-        // Keeps `recover` away.
+        // The lock makes `recover` leave the file alone.
         let _ = file.try_lock();
         let mut recorder = Self {
             path: path.to_owned(),
@@ -43,7 +43,7 @@ impl SvlogRecorder {
         let timestamp = chrono::DateTime::from_timestamp_nanos(utc.0).to_rfc3339();
         let words = json!({
             "session_id": 1,
-            // Frames count their milliseconds from `timestamp` on, and readers subtract these.
+            // Frames count milliseconds from `timestamp`, and readers subtract these uptimes.
             "os_uptime": 0.0,
             "process_uptime": 0.0,
             "session_uptime": 0.0,
@@ -75,7 +75,7 @@ impl SvlogRecorder {
         }
         self.file.write_all(frame).map_err(|source| {
             self.stopped = true;
-            // If even this fails, readers pass over the truncated frame.
+            // If this fails too, readers skip the truncated frame.
             let _ = self.file.set_len(self.bytes);
             RecordError::io(&self.path, "write")(source)
         })?;

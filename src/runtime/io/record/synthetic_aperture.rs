@@ -1,5 +1,5 @@
-//! A synthetic-aperture image as files: `sas.png` in decibels under its peak, `sas.npy` (complex64, north to south and west to east) and
-//! `sas.json`: where it lies, and its peak with its -3 dB widths.
+//! Files of a synthetic-aperture image: `sas.png` (dB below the peak), `sas.npy` (complex64, rows north to south, columns west to east) and `sas.json`
+//! (position, peak and -3 dB widths).
 
 use std::path::{Path, PathBuf};
 
@@ -11,20 +11,26 @@ use super::{PartialFile, RecordError};
 use echotank_config::spec::ColourMap;
 use echotank_imaging::image::colour::rgb;
 
-/// Under the peak this is black, dB.
+/// Level of black below the peak, dB.
 const FLOOR_DB: f64 = 40.0;
 
-/// A patch of the world, rows north to south, columns west to east.
+/// An image of a patch of the world, rows north to south, columns west to east.
 pub(crate) struct Patch {
+    /// Columns of `image`.
     pub columns: usize,
+    /// Rows of `image`.
     pub rows: usize,
-    /// Of its north-west corner.
+    /// North coordinate of the north-west corner, m.
     pub north_m: f64,
+    /// West edge, m east of the world's origin.
     pub west_m: f64,
+    /// Depth of the image plane, m, positive down.
     pub down_m: f64,
+    /// Edge of a cell, m.
     pub cell_m: f64,
+    /// Pings in the image.
     pub pings: u64,
-    /// Between the first ping and the last.
+    /// Track length from the first ping to the last.
     pub(crate) track_m: f64,
     /// Row by row.
     pub image: Vec<Complex64>,
@@ -39,7 +45,7 @@ impl Patch {
         )
     }
 
-    /// Full -3 dB width through the peak, metres; none where an edge of the patch is nearer.
+    /// Full -3 dB width through the peak, m; `None` where the patch ends within it.
     fn width_m(&self, at: usize, step: usize, inside: impl Fn(usize) -> bool) -> Option<f64> {
         let half = self.image[at].norm() * 0.5_f64.sqrt();
         let reach = |forward: bool| {
@@ -106,7 +112,7 @@ impl Patch {
         encoder.write_header()?.write_image_data(&pixels)
     }
 
-    /// NumPy's format 1.0.
+    /// NumPy format 1.0.
     fn npy(&self) -> Vec<u8> {
         let mut header = format!(
             "{{'descr': '<c8', 'fortran_order': False, 'shape': ({}, {}), }}",
@@ -126,7 +132,7 @@ impl Patch {
         bytes
     }
 
-    /// Writes the three files into `folder` and names them.
+    /// Writes the three files into `folder` and returns their paths.
     pub(crate) fn write(&self, folder: &Path) -> Result<Vec<PathBuf>, RecordError> {
         let [png, npy, json] = ["sas.png", "sas.npy", "sas.json"].map(|name| folder.join(name));
         let mut file = PartialFile::create(&png)?;
@@ -181,7 +187,7 @@ mod tests {
         let number = |key: &str| said["peak"][key].as_f64().expect("a number");
         assert!((number("north_m") - 3.75).abs() < 1e-9);
         assert!((number("east_m") - 0.05).abs() < 1e-9);
-        // A bell exp(-(x/w)^2) falls to half its power at w sqrt(ln 2 / 2).
+        // A Gaussian exp(-(x/w)^2) falls to half its power at w sqrt(ln 2 / 2).
         let half = (0.5 * 2.0_f64.ln()).sqrt();
         assert!((number("width_north_m") / (0.6 * half) - 1.0).abs() < 0.02);
         assert!((number("width_east_m") / (1.2 * half) - 1.0).abs() < 0.02);

@@ -1,4 +1,4 @@
-//! A small sonar and its pings for the recorders' tests: two receive arrays of two and three elements, a fan of three beams, two lines.
+//! A small sonar and its pings for tests of the recorders: two receive arrays of two and three elements, a fan of three beams, two lines.
 
 use echotank_protocols::sevenk::file::FileHeader7200;
 use echotank_protocols::sevenk::{OpenRecord, RecordStamp, SevenKTime};
@@ -36,6 +36,7 @@ fn mounting(across_m: f64) -> Mounting {
     }
 }
 
+/// The sonar.
 pub fn sonar() -> SonarSpec {
     let plan = plan(1);
     let transmit = |across_m| TransmitArray {
@@ -114,6 +115,7 @@ pub fn sonar() -> SonarSpec {
     }
 }
 
+/// Plan of a ping.
 pub fn plan(ping_number: u32) -> PingPlan {
     let start = DVec3::new(3.0 * f64::from(ping_number), 7.0, 1.5);
     PingPlan {
@@ -128,7 +130,7 @@ pub fn plan(ping_number: u32) -> PingPlan {
     }
 }
 
-/// Samples that are all different and no multiples of a power of two.
+/// Output of a ping; all samples differ and none is a multiple of a power of two.
 pub fn output(ping_number: u32) -> PingOutput {
     let iq = |rows: usize, salt: f64| {
         (0..rows * SAMPLES)
@@ -169,7 +171,7 @@ pub fn output(ping_number: u32) -> PingOutput {
     }
 }
 
-/// Of the records that tests write into `.s7k` files.
+/// Stamp of records in the tests' `.s7k` files.
 pub(crate) fn s7k_stamp() -> RecordStamp {
     RecordStamp {
         time: SevenKTime::from_utc_ns_clamped(1_400_000_000_123_000_000),

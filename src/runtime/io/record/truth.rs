@@ -1,23 +1,23 @@
-//! `truth.jsonl`: what the emulator knows and a sonar has to find out. One JSON object per line and ping:
+//! `truth.jsonl`: ground truth, one JSON object per line and ping.
 //!
-//! | key | |
+//! | key | content |
 //! |---|---|
 //! | `sonar`, `ping_number` | as in the records |
-//! | `utc`, `utc_ns`, `stamp_utc_ns` | start of the pulse; what the records are stamped with |
-//! | `pose` | of the reference point at the start of the pulse: `position_m` (north, east, down), `roll_deg`, `pitch_deg`, `heading_deg`, `heave_down_m`, `latitude_deg`, `longitude_deg`, `height_m` |
+//! | `utc`, `utc_ns`, `stamp_utc_ns` | start of the pulse; time stamp of the records |
+//! | `pose` | reference point at the start of the pulse: `position_m` (north, east, down), `roll_deg`, `pitch_deg`, `heading_deg`, `heave_down_m`, `latitude_deg`, `longitude_deg`, `height_m` |
 //! | `velocity_m_per_s` | north, east, down |
-//! | `plan` | settings, pulse, window and models of this ping |
-//! | `segments` | the polyline on which its echoes were computed |
-//! | `scene` | scatterers of the seabed: `made` for this ping, `culled` (looked at, in no footprint), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made` |
-//! | `error_check` | where one was asked for and enough samples are known: `error`, `low`, `high`, `samples`, `tolerance`, `fault` |
-//! | `methods` | where the plan of methods chose something: `plan` (counts them), `predicted_error`, `predicted_ms`, `tolerance`, `output` (`elements`, or `beams` where lines alone are made) with `part_elements` (elements of a line made as one), and, with an error check, `margin` (tolerance over measured error) |
-//! | `soundings` | where the fan looks for the bottom and finds it: `beam`, `angle_deg`, `twtt_s`, `error_s` (predicted), `by` (`amplitude`, `phase`), `level_v` |
+//! | `plan` | settings, pulse, window and models of the ping |
+//! | `segments` | trajectory samples on which its echoes were computed |
+//! | `scene` | seabed scatterers: `made` for this ping, `culled` (tested, outside every footprint), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made` |
+//! | `error_check` | if configured and enough samples exist: `error`, `low`, `high`, `samples`, `tolerance`, `fault` |
+//! | `methods` | if the method selection applies: `plan` (its number), `predicted_error`, `predicted_ms`, `tolerance`, `output` (`elements`, or `beams` where only lines are computed) with `part_elements` (elements of a line computed as one), and, with an error check, `margin` (tolerance over measured error) |
+//! | `soundings` | of each beam with a detected bottom: `beam`, `angle_deg`, `twtt_s`, `error_s` (predicted), `by` (`amplitude`, `phase`), `level_v` |
 //! | `targets` | every named target, see below |
 //!
-//! Of a target: `name`, `target_strength_db`, `position_m`; `range_m` from the first transmit array at the start of the pulse, `ranges_m` from
-//! every transmit array; `delays_s`, one per receive array: when the leading edge of its echo reaches the array's centre, both ends of the
-//! path moving as the platform does, and `delay_s`, the first of them; `bearing_deg` in the horizontal, from the bow, starboard positive;
-//! `side`; `along_m`, `across_m` and `below_m` from the first transmit array in body axes (forward, starboard, down).
+//! Keys of a target: `name`, `target_strength_db`, `position_m`; `range_m` from the first transmit array at the start of the pulse, `ranges_m` from
+//! every transmit array; `delays_s`, one per receive array: arrival of the echo's leading edge at the array's centre, with both ends of the path
+//! moving, and `delay_s`, the first of them; `bearing_deg`, horizontal, from the bow, starboard positive; `side`; `along_m`, `across_m` and
+//! `below_m` from the first transmit array in body axes (forward, starboard, down).
 
 use std::fs::File;
 use std::io::Write;
@@ -186,7 +186,7 @@ struct TargetTruth<'a> {
     below_m: f64,
 }
 
-/// Writes `truth.jsonl`, one line at a time.
+/// Records `truth.jsonl` line by line.
 #[derive(Debug)]
 pub(crate) struct TruthRecorder {
     path: PathBuf,
@@ -195,14 +195,14 @@ pub(crate) struct TruthRecorder {
 }
 
 impl TruthRecorder {
-    /// Makes `dir/truth.jsonl`; the folder must exist. All sonars of a rig share one file.
+    /// Creates `dir/truth.jsonl`; the folder must exist. All sonars of a rig share the file.
     pub(crate) fn create(dir: &Path) -> Result<Self, RecordError> {
         Self::at(dir.join("truth.jsonl"))
     }
 
     fn at(path: PathBuf) -> Result<Self, RecordError> {
         let file = File::create(&path).map_err(RecordError::io(&path, "create"))?;
-        // Keeps `recover` away.
+        // The lock makes `recover` leave the file alone.
         let _ = file.try_lock();
         Ok(Self {
             path,
@@ -211,7 +211,7 @@ impl TruthRecorder {
         })
     }
 
-    /// Adds a ping of `sonar`. The line is on its way to the disk, whole, when this returns.
+    /// Appends a ping of `sonar`; the whole line is handed to the operating system before this returns.
     pub(crate) fn push(
         &mut self,
         sonar: &SonarSpec,
@@ -317,7 +317,7 @@ fn target_truth<'a>(
     }
 }
 
-/// When the leading edge of an echo from `target_m` (world) reaches the centre of a receive array, from the start of the pulse.
+/// Arrival of the leading edge of an echo from `target_m` (world) at the centre of a receive array, s after the start of the pulse.
 pub(crate) fn echo_delay_s(
     sonar: &SonarSpec,
     plan: &PingPlan,
@@ -331,8 +331,7 @@ pub(crate) fn echo_delay_s(
     delay_s(plan, first_leg_m, array.mounting.position_m, target_m)
 }
 
-/// c u = first leg + |target - r(u)|, by repeated substitution: each round shrinks the error by v/c, so that twelve reach the last bit of
-/// f64 at a tenth of the speed of sound.
+/// Solves c u = first leg + |target - r(u)| by fixed-point iteration. Each round reduces the error by v/c; twelve reach f64 precision at v = 0.1 c.
 fn delay_s(plan: &PingPlan, first_leg_m: f64, receive_body_m: DVec3, target_m: DVec3) -> f64 {
     let mut u_s = 0.0;
     for _ in 0..20 {
@@ -342,7 +341,7 @@ fn delay_s(plan: &PingPlan, first_leg_m: f64, receive_body_m: DVec3, target_m: D
     u_s
 }
 
-/// Into -180..=180.
+/// Wraps to -180..=180.
 fn wrap_half_turn_deg(angle_deg: f64) -> f64 {
     angle_deg - 360.0 * (angle_deg / 360.0).round()
 }
@@ -363,7 +362,7 @@ mod tests {
         }
     }
 
-    /// Heading east at 2 m/s, rolled 10 degrees, somewhere in the world.
+    /// Heading east at 2 m/s with 10 degrees of roll.
     fn heading_east() -> PingPlan {
         let attitude = rotation_from_angles(10_f64.to_radians(), 0.0, 90_f64.to_radians());
         let start = DVec3::new(100.0, -50.0, 1.0);
@@ -399,7 +398,7 @@ mod tests {
         let plan = heading_east();
         let pose = plan.trajectory.pose_at(0.0);
         let transmit = pose.point_m(sonar().transmit[0].mounting.position_m);
-        // Heading east: north is port, south is starboard, east ahead.
+        // Heading east: north is port, south is starboard, east is ahead.
         let targets = [
             target("port", transmit + DVec3::new(30.0, 0.0, 40.0)),
             target("starboard bow", transmit + DVec3::new(-10.0, 10.0, 0.0)),
@@ -412,7 +411,7 @@ mod tests {
         };
         let [port, bow, astern] = [0, 1, 2].map(|i| &line["targets"][i]);
         near(&port["range_m"], 50.0);
-        // The closed form for a receiver that moves at constant velocity (model of the polyline path, one segment).
+        // Closed form for a receiver at constant velocity (polyline path model, one segment).
         let c = plan.sound_speed_m_per_s;
         for (i, array) in sonar().receive.iter().enumerate() {
             let from = pose.point_m(sonar().transmit[array.transmit].mounting.position_m);
@@ -432,7 +431,7 @@ mod tests {
             (&Value::from("port"), &Value::from("port"))
         );
         near(&port["along_m"], 0.0);
-        // Rolled starboard down by 10 degrees: what lies to port and below moves outwards in the body's axes.
+        // With 10 degrees of roll, starboard down, points to port and below move outwards in body axes.
         let (sin, cos) = 10_f64.to_radians().sin_cos();
         near(&port["across_m"], -30.0 * cos + 40.0 * sin);
         near(&port["below_m"], 30.0 * sin + 40.0 * cos);

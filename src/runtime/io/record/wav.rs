@@ -1,7 +1,7 @@
-//! Multichannel WAV of what the elements hear, for benches that play it out: real samples at the converters' rate, a channel per element.
+//! Multichannel WAV of the signals at the elements, for playback on a bench: real samples at the converters' rate, one channel per element.
 //!
-//! Sample k lies k sample times after the first ping's pulse began; every ping lies where it happened, to the sample's own instant, and
-//! between the pings there is silence (a hole in the file where the file system has holes). The sizes in the header are right after every ping.
+//! Sample k lies k sample times after the start of the first ping's pulse. Every ping is placed at its own time, to the nearest sample, with silence
+//! between pings (a hole where the file system supports holes). The header is correct after every ping.
 
 use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
@@ -16,7 +16,7 @@ use echotank_core::time::UtcNs;
 use echotank_emit::elements::{counts, elements_of};
 use echotank_emit::passband::Passband;
 
-/// Writes one file.
+/// Records one file.
 pub(crate) struct WavRecorder {
     path: PathBuf,
     file: File,
@@ -25,23 +25,23 @@ pub(crate) struct WavRecorder {
     full_scale_v: f64,
     in_rate_hz: f64,
     passband: Passband,
-    /// When the first ping's pulse began.
+    /// Start of the first ping's pulse.
     origin: Option<UtcNs>,
-    /// Moments written or skipped so far.
+    /// Sample times written or skipped.
     moments: u64,
     bytes: Vec<u8>,
     stopped: bool,
 }
 
 impl WavRecorder {
-    /// Replaces what has this name.
+    /// Creates the file, replacing an existing one.
     pub(crate) fn create(
         path: &Path,
         output: &WavSpec,
         sonar: &SonarSpec,
     ) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(RecordError::io(path, "create"))?;
-        // Keeps `recover` away.
+        // The lock makes `recover` leave the file alone.
         let _ = file.try_lock();
         let channels: usize = output
             .arrays
@@ -53,7 +53,7 @@ impl WavRecorder {
             path: path.to_owned(),
             file,
             format: WavFormat {
-                // The configuration keeps them to fewer.
+                // The configuration limits the number of channels.
                 channels: channels.min(usize::from(u16::MAX)) as u16,
                 sample_rate_hz: output.rate_hz,
                 sample: if output.is_float {
@@ -85,7 +85,7 @@ impl WavRecorder {
         &self.path
     }
 
-    /// Lays a ping where it happened; returns how many values did not fit.
+    /// Writes a ping at its time; returns the number of clipped values.
     pub(crate) fn push(
         &mut self,
         plan: &PingPlan,
@@ -101,7 +101,7 @@ impl WavRecorder {
         let rate_hz = f64::from(self.format.sample_rate_hz);
         let begin_s = pulse_s + plan.first_sample_s;
         let end_s = begin_s + plan.sample_count as f64 / self.in_rate_hz;
-        // A ping never begins before the last one's window is over; the sample between them belongs to the first.
+        // A ping begins after the previous window; a shared sample belongs to the earlier ping.
         let first = ((begin_s * rate_hz).ceil().max(0.0) as u64).max(self.moments);
         let last = ((end_s * rate_hz).floor().max(0.0) as u64).max(first);
         let moments = (last - first) as usize;
@@ -123,7 +123,7 @@ impl WavRecorder {
             .and_then(|()| self.write_header())
             .map_err(|source| {
                 self.stopped = true;
-                // Whole pings only. If even this fails, readers go by the header.
+                // Restores whole pings. If this fails too, readers rely on the header.
                 let frame_bytes = self.format.frame_bytes();
                 let end = echotank_protocols::wav::HEADER_BYTES as u64 + before * frame_bytes;
                 let _ = self.file.set_len(end);
@@ -183,11 +183,11 @@ mod tests {
     use super::super::testing;
     use super::*;
 
-    /// A steady envelope of 1 V for 10 ms.
+    /// A constant envelope of 1 V for 10 ms.
     fn ping(number: u32) -> (PingPlan, PingOutput) {
         let (mut plan, mut output) = (testing::plan(number), testing::output(number));
         plan.sample_count = 400;
-        // Between two of the file's samples.
+        // Between two samples of the file.
         plan.transmit_utc = plan.transmit_utc.plus_ns(i64::from(number) * 333);
         let frame = &mut output.elements[0];
         frame.samples = plan.sample_count;
@@ -234,7 +234,7 @@ mod tests {
                 let t = moment as f64 / 1e6 - pulse_s;
                 let into_s = t - plan.first_sample_s;
                 *sounds |= (0.0..window_s).contains(&into_s);
-                // A steady envelope of a quarter of full scale is a steady carrier; its ends ring.
+                // A constant envelope of a quarter of full scale gives a constant carrier, with ringing at its ends.
                 if into_s > 1e-3 && into_s < window_s - 1e-3 {
                     let turns = spec.pulse.center_frequency_hz * t;
                     let want = 32767.0 / 4.0 * (std::f64::consts::TAU * turns).cos();
@@ -265,7 +265,7 @@ mod tests {
             .step_by(channels)
             .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]).abs())
             .fold(0.0, f32::max);
-        // The ends of the record ring by a few percent.
+        // The ends of the record ring by a few per cent.
         assert!((0.25..0.3).contains(&largest), "{largest}");
     }
 

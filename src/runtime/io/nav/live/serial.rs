@@ -1,4 +1,4 @@
-//! A serial port, looked for anew when it vanishes.
+//! A serial port that is reopened after it vanishes.
 
 use std::io::Read;
 use std::sync::atomic::Ordering::Relaxed;
@@ -11,7 +11,7 @@ use echotank_config::spec::{ParitySpec, SerialLine};
 
 pub(crate) type Port = Box<dyn serialport::SerialPort>;
 
-/// Any rate, also those that no table has.
+/// Opens a port at any baud rate, also non-standard ones.
 pub(crate) fn open(port: &str, baud: u32, line: SerialLine) -> serialport::Result<Port> {
     settings(port, baud, line).open()
 }
@@ -60,7 +60,7 @@ pub(super) fn read(
         match open.read(&mut buffer) {
             Ok(len) if len > 0 => outlet.send(&buffer[..len], byte_ns),
             Err(error) if is_timeout(&error) => {}
-            // No bytes without a timeout: the line hung up.
+            // A read of no bytes without a timeout means that the line hung up.
             ended => {
                 let error = ended.err().map(|error| error.to_string());
                 warn!(source = outlet.name, error, "serial port lost");
@@ -75,7 +75,7 @@ pub(super) fn read(
 mod tests {
     use super::*;
 
-    /// A pseudo-terminal takes any parity and keeps none: so what the port is asked for.
+    /// A pseudo-terminal ignores parity, so the test compares the requested settings.
     #[test]
     fn every_word_of_the_line_reaches_the_port() {
         let plain = serialport::new("port", 4800).timeout(READ_TIMEOUT);

@@ -1,4 +1,4 @@
-//! TCP: as a client of somebody's server, or as a server whose newest client speaks.
+//! TCP sources: a client of a server, or a server that reads its newest client.
 
 use std::io::Read;
 use std::net::{SocketAddr, TcpListener, TcpStream, ToSocketAddrs};
@@ -9,7 +9,7 @@ use tracing::{info, warn};
 
 use super::{Outlet, READ_TIMEOUT, REOPEN_INTERVAL, is_timeout};
 
-/// A server that does not answer is asked again.
+/// Time limit of a connection attempt.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(1);
 
 pub(super) fn listen(address: SocketAddr) -> std::io::Result<TcpListener> {
@@ -18,7 +18,7 @@ pub(super) fn listen(address: SocketAddr) -> std::io::Result<TcpListener> {
     Ok(listener)
 }
 
-/// Reads from the server at `address`, for ever anew.
+/// Reads from the server at `address` and reconnects until stopped.
 pub(super) fn read_server(address: &str, outlet: &Outlet) {
     let mut failing = false;
     while !outlet.stopped() {
@@ -52,7 +52,7 @@ fn connect(address: &str) -> std::io::Result<TcpStream> {
     Err(last)
 }
 
-/// Reads from one client after the other.
+/// Reads from one client at a time; a new client replaces the previous one.
 pub(super) fn read_clients(listener: &TcpListener, outlet: &Outlet) {
     let mut waiting = None;
     while !outlet.stopped() {
@@ -76,7 +76,7 @@ fn accept(listener: &TcpListener) -> Option<(TcpStream, SocketAddr)> {
     Some((stream, client))
 }
 
-/// Hands over what comes, until the other end closes, or `relieved`, asked between reads, says so.
+/// Reads until the other end closes or `relieved`, called between reads, returns true.
 fn read(mut stream: TcpStream, outlet: &Outlet, mut relieved: impl FnMut() -> bool) {
     if stream.set_read_timeout(Some(READ_TIMEOUT)).is_err() {
         return;

@@ -1,4 +1,4 @@
-//! The transports out: a UDP socket, the clients of a TCP server, a serial port.
+//! Transports of navigation outputs: a UDP socket, the clients of a TCP server, a serial port.
 
 use std::io::{self, Write};
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
@@ -9,18 +9,18 @@ use socket2::{Domain, Protocol, Socket, Type};
 use super::super::live::{Port, open_serial};
 use echotank_config::spec::{NavTargetSpec, PulseSpec, SerialLine};
 
-/// What stands for a pulse where there is no line for it: BEL.
+/// Byte sent in place of a pulse where there is no line for it: BEL.
 pub(crate) const PULSE_BYTE: u8 = 0x07;
-/// A vanished serial port is looked for this often.
+/// Pause before a lost serial port is reopened.
 const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
-/// Clients of one output; more are turned away.
+/// Limit of clients of one output.
 const MAX_CLIENTS: usize = 64;
 
 pub(super) trait Transport: Send {
-    /// The whole second begins (`high`), or its pulse ends.
+    /// Begins (`high`) or ends the pulse of a whole second.
     fn pulse(&mut self, high: bool) -> io::Result<()>;
     fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
-    /// Listening at present; 0 where that cannot be known.
+    /// Connected clients; 0 where unknown.
     fn clients(&mut self) -> u64 {
         0
     }
@@ -44,7 +44,7 @@ pub(super) fn transport(target: &NavTargetSpec) -> &'static str {
     }
 }
 
-/// The transport, and the address it listens at or sends to.
+/// Opens a transport; returns it with the address that it listens at or sends to.
 pub(super) fn open(
     target: &NavTargetSpec,
     pulse: PulseSpec,
@@ -126,7 +126,7 @@ impl Transport for Tcp {
             false => Ok(()),
         }
     }
-    /// A client that does not take all of it at once is dropped: it costs only itself.
+    /// A client that does not accept all bytes at once is dropped, so it delays no other.
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.clients();
         self.clients
@@ -156,7 +156,7 @@ struct Serial {
 impl Serial {
     fn connect(&self) -> io::Result<Port> {
         let mut port = open_serial(&self.path, self.baud, self.line)?;
-        // Opening raises both; a pseudo-terminal has neither.
+        // Opening raises both lines; a pseudo-terminal has neither.
         match self.pulse {
             PulseSpec::Rts => drop(port.write_request_to_send(false)),
             PulseSpec::Dtr => drop(port.write_data_terminal_ready(false)),
@@ -165,7 +165,7 @@ impl Serial {
         Ok(port)
     }
 
-    /// Does something with the port; one that fails is opened anew, not more than once a second.
+    /// Uses the port; a failed port is reopened at most once a second.
     fn with(&mut self, does: impl FnOnce(&mut Port) -> io::Result<()>) -> io::Result<()> {
         if self.port.is_none() && self.tried.is_none_or(|t| t.elapsed() > REOPEN_INTERVAL) {
             self.tried = Some(Instant::now());
@@ -184,7 +184,7 @@ impl Transport for Serial {
     fn pulse(&mut self, high: bool) -> io::Result<()> {
         match self.pulse {
             PulseSpec::None => Ok(()),
-            // A port without such a line still carries the sentences.
+            // A port without this line still carries the sentences.
             PulseSpec::Rts => match &mut self.port {
                 Some(port) => Ok(port.write_request_to_send(high)?),
                 None => Ok(()),
@@ -213,7 +213,7 @@ mod tests {
 
     use super::*;
 
-    /// A port with modem lines, which no pseudo-terminal has: writes down what is done with it.
+    /// A fake port with modem lines, which pseudo-terminals lack; it logs every action.
     #[derive(Clone, Default)]
     struct Bench(Arc<Mutex<Vec<String>>>);
 
