@@ -1,24 +1,24 @@
-//! Bottoms: how much a square metre of seabed scatters back, over the angle of incidence.
+//! Scattering laws of the bottom: backscattering strength as a function of incidence.
 //!
-//! | `bottom` | backscattering strength at incidence i | two directions |
+//! | `bottom` | backscattering strength at incidence i | bistatic, with incidence i and scattering angle s |
 //! |---|---|---|
 //! | `bistatic-lambert` | mu cos^2 i | mu cos i cos s |
-//! | `lambert` | mu cos^2 i (Meng et al. 2023, Eq. 13) | mu cos^2 i, whatever the direction of the receiver |
-//! | `three-term` | A exp(-i^2 / 2 B^2) + C cos^D i + E exp(-i^2 / 2 F^2) | the geometric mean of the two directions' values |
+//! | `lambert` | mu cos^2 i (Meng et al. 2023, Eq. 13) | mu cos^2 i, independent of the receiver's direction |
+//! | `three-term` | A exp(-i^2 / 2 B^2) + C cos^D i + E exp(-i^2 / 2 F^2) | geometric mean of the values at i and s |
 //! | a preset | `three-term` with the values below | the same |
 //!
-//! The three terms: facets that mirror, the Lambert-like rest, and the slope between them (G. Lamarche, X. Lurton, A.-L. Verdier, J.-M. Augustin
-//! 2011, "Quantitative characterisation of seafloor substrate and bedforms using advanced processing of multibeam backscatter", Continental
-//! Shelf Research 31; the form that multibeam processing fits to its angular responses). The geometric mean is reciprocal and is
-//! Lambert's own cos i cos s where only the second term with D = 2 is left.
+//! The three terms are specular facets, Lambert-like diffuse scattering, and the transition between them. The form is the one that multibeam
+//! processing fits to angular responses (G. Lamarche, X. Lurton, A.-L. Verdier, J.-M. Augustin 2011, "Quantitative characterisation of seafloor
+//! substrate and bedforms using advanced processing of multibeam backscatter", Continental Shelf Research 31). The geometric mean is reciprocal. It
+//! equals Lambert's cos i cos s where only the second term with D = 2 is present.
 //!
-//! The presets are sediments of APL-UW TR 9407 (1994, "APL-UW High-Frequency Ocean Environmental Acoustic Models Handbook"), section IV, table 2 (page
-//! IV-6): clay, silt, medium sand, sandy gravel and rock, with its density ratio, sound-speed ratio, loss parameter, volume parameter and spectral
-//! strength of roughness. Their terms are fitted to what the handbook's model (IV.C: Kirchhoff near the vertical, composite roughness, its form for large
-//! roughness, sediment volume) gives at 100 kHz, the top of its range, from 5 degrees of grazing to the vertical. A test computes that model
-//! (`handbook`), holds it to the handbook's own table 3 within 0.08 dB, its last digit, and the terms to it within 1.6 dB.
-//! Where a preset is simpler than the handbook: no frequency dependence (over rock and gravel some 2 dB for every doubling, over mud none; the handbook ends
-//! at 100 kHz); below 5 degrees of grazing the second term goes on as a power of the sine, where the handbook falls faster. Measured bottoms of one name
+//! The presets are sediments of APL-UW TR 9407 (1994, "APL-UW High-Frequency Ocean Environmental Acoustic Models Handbook"), section IV, table 2
+//! (page IV-6): clay, silt, medium sand, sandy gravel and rock. Each has the handbook's density ratio, sound-speed ratio, loss parameter, volume
+//! parameter and spectral strength of roughness. The terms are fitted to the handbook's model (IV.C) at 100 kHz, the top of its range, from 5 degrees
+//! of grazing to the vertical. The model combines the Kirchhoff form near the vertical, composite roughness, a form for large roughness, and sediment
+//! volume. A test computes it (`handbook`), compares it with the handbook's table 3 within 0.08 dB, and the terms with it within 1.6 dB. The presets
+//! are simpler than the handbook in two respects. They have no frequency dependence; rock and gravel change by some 2 dB for every doubling, mud not
+//! at all. Below 5 degrees of grazing the second term continues as a power of the sine; the handbook falls faster. Measured bottoms of one name
 //! differ by 5 dB and more (IV.C.3). Not modelled: ripples, penetration, gas.
 
 use std::sync::Arc;
@@ -26,13 +26,13 @@ use std::sync::Arc;
 use echotank_config::spec::{BottomSpec, Sediment, ThreeTerm};
 use echotank_core::flow::{LawCurve, ScatterLaw};
 
-/// What is known of a sediment: the handbook's values, and the terms fitted to them.
+/// Parameters of a sediment: the handbook's values, and the terms fitted to them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Preset {
-    /// Density and sound speed of the sediment over those of the water.
+    /// Density and sound speed of the sediment relative to those of the water.
     pub(crate) density_ratio: f64,
     pub(crate) speed_ratio: f64,
-    /// Loss parameter delta: imaginary over real wavenumber.
+    /// Loss parameter delta: ratio of the imaginary to the real part of the wavenumber.
     pub loss: f64,
     /// Volume parameter sigma_2.
     pub(crate) volume: f64,
@@ -49,7 +49,7 @@ pub(crate) struct Preset {
     pub(crate) intermediate_deg: f64,
 }
 
-/// What a sediment scatters by.
+/// Parameters of a sediment.
 pub(crate) fn preset(sediment: Sediment) -> Preset {
     match sediment {
         // Clay, mean grain size 9 phi.
@@ -141,7 +141,7 @@ fn power(db: f64) -> f64 {
     libm::pow(10.0, db / 10.0)
 }
 
-/// Backscattering strength of the three terms, a power, at an incidence of at most a right angle.
+/// Backscattering strength of the three terms as a linear power. The incidence is at most a right angle.
 pub(crate) fn three_term(t: &ThreeTerm, incidence_rad: f64) -> f64 {
     let gaussian = |db: f64, width_rad: f64| {
         let x = incidence_rad / width_rad;
@@ -152,13 +152,13 @@ pub(crate) fn three_term(t: &ThreeTerm, incidence_rad: f64) -> f64 {
         + gaussian(t.intermediate_db, t.intermediate_rad)
 }
 
-/// A bottom ready for the scatterers: what their strengths hold and what their law leaves to the angles.
+/// Scattering law of the bottom, split into the scatterers' strengths and the angular law.
 #[derive(Clone, Debug)]
 pub(crate) struct Bottom {
     pub law: ScatterLaw,
     /// For [`ScatterLaw::Curve`].
     pub curve: Option<Arc<LawCurve>>,
-    /// Power per square metre that goes into the strengths.
+    /// Power per square metre that the strengths contain.
     pub mu: f64,
     terms: Option<ThreeTerm>,
 }
@@ -182,7 +182,7 @@ impl Bottom {
         }
     }
 
-    /// Backscattering strength, a power per square metre.
+    /// Backscattering strength per square metre, a linear power.
     pub(crate) fn strength(&self, incidence_rad: f64) -> f64 {
         match &self.terms {
             None => self.mu * libm::cos(incidence_rad).powi(2),

@@ -1,7 +1,7 @@
-//! Random numbers by address: what a scatterer is drawn from depends on the scene's seed and the scatterer's own number, and on nothing else.
+//! Counter-based random numbers: the values of a scatterer depend on the scene's seed and the scatterer's index alone.
 //!
-//! Philox 4x32-10 (Salmon, Moraes, Dror and Shaw 2011, "Parallel random numbers: as easy as 1, 2, 3", SC11): integers only, so the same on
-//! every machine, whenever and in whatever order it is asked.
+//! Philox 4x32-10 (Salmon, Moraes, Dror and Shaw 2011, "Parallel random numbers: as easy as 1, 2, 3", SC11). It uses integers only, so results are
+//! the same on every machine and in any order.
 
 use num_complex::Complex32;
 
@@ -9,10 +9,10 @@ const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];
 const KEY_STEPS: [u32; 2] = [0x9E37_79B9, 0xBB67_AE85];
 const ROUNDS: usize = 10;
 
-/// Keeps these numbers apart from other uses of the same seed; a change of the recipe needs a new one.
+/// Separates these numbers from other uses of the same seed. A change of the algorithm needs a new value.
 const SEABED: u32 = 0x5EAB_ED02;
 
-/// Philox 4x32-10: four random words of a counter and a key.
+/// Philox 4x32-10: four random words from a counter and a key.
 #[inline(always)]
 pub(crate) fn philox(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
     for _ in 0..ROUNDS {
@@ -36,15 +36,15 @@ fn key_of(seed: u64) -> [u32; 2] {
     [seed as u32, (seed >> 32) as u32]
 }
 
-/// The four words of a cell of the seabed's finest lattice: two for its place, two for its reflectivity.
+/// Four random words of a cell of level 0: two for its position, two for its reflectivity.
 #[inline(always)]
 pub(crate) fn of_cell(seed: u64, north: i64, east: i64) -> [u32; 4] {
-    // 48 bits of each index: 2.8e14 cells either way.
+    // The counter holds 48 bits of each index: 2.8e14 cells in each direction.
     let high = (north >> 32) as u32 & 0xFFFF | ((east >> 32) as u32) << 16;
     philox([north as u32, east as u32, high, SEABED], key_of(seed))
 }
 
-/// A fair coin for a cell of some level: which of its two halves speaks for it. SplitMix64's finaliser (Steele, Lea and Flood 2014).
+/// A fair coin for a cell of a level: which of its two halves represents it. SplitMix64's finaliser (Steele, Lea and Flood 2014).
 #[inline(always)]
 pub(crate) fn half_of(seed: u64, level: u32, north: i64, east: i64) -> i64 {
     let mut z = seed
@@ -56,16 +56,16 @@ pub(crate) fn half_of(seed: u64, level: u32, north: i64, east: i64) -> i64 {
     ((z ^ (z >> 31)) >> 63) as i64
 }
 
-/// In 0 .. 1, never 1.
+/// Uniform in [0, 1).
 #[inline(always)]
 pub(crate) fn fraction(word: u32) -> f64 {
     f64::from(word) / 4_294_967_296.0
 }
 
-/// Box and Muller 1958: E|z|^2 = 1 and uniform phase.
+/// Circular Gaussian with E|z|^2 = 1 (Box and Muller 1958).
 #[inline(always)]
 pub(crate) fn circular_gaussian(a: u32, b: u32) -> Complex32 {
-    // In 0 .. 1, never 0.
+    // In (0, 1), so that the logarithm is finite.
     let u = ((f64::from(a) + 0.5) / 4_294_967_296.0) as f32;
     let radius = (-libm::logf(u)).max(0.0).sqrt();
     let (sin, cos) = libm::sincosf((std::f64::consts::TAU * fraction(b)) as f32);
@@ -76,7 +76,7 @@ pub(crate) fn circular_gaussian(a: u32, b: u32) -> Complex32 {
 mod tests {
     use super::*;
 
-    /// The vectors that come with the authors' own code (Random123, `kat_vectors`).
+    /// Test vectors of the authors' code (Random123, `kat_vectors`).
     #[test]
     fn philox_meets_its_authors_vectors() {
         for (counter, key, want) in [
@@ -103,7 +103,7 @@ mod tests {
 
     #[test]
     fn coins_are_fair_and_neighbours_independent() {
-        // 10^5 coins have a standard deviation of 158; four of them are allowed.
+        // 10^5 coins have a standard deviation of 158. Four of them are allowed.
         const ALLOWED: i64 = 640;
         let coin = |n: i64, e: i64, level| half_of(42, level, n - 160, e - 160);
         let (mut heads, mut alike) = (0, [0; 3]);

@@ -1,7 +1,7 @@
-//! The seabed of one ping: which tiles, at which level, and which of their scatterers.
+//! Scatterers of the seabed for one ping: selects tiles, levels and visible scatterers.
 //!
-//! Work is split by tile, and the scatterers come in the order of the tiles: the same for any number of threads.
-//! Allocates only where a ping needs more than any before it.
+//! Work is split by tile, and the scatterers follow the order of the tiles. The result does not depend on the number of threads. Buffers grow only if
+//! a ping needs more than any ping before it.
 
 use glam::{DVec2, DVec3};
 use num_complex::Complex64;
@@ -14,35 +14,35 @@ use super::targets::Targets;
 use super::tiles::{Recipe, Tile, TileBox, TileId};
 use echotank_core::flow::{Footprint, ScatterLaw, Scatterers, SceneCounts};
 
-/// Farther from the scene's zero there is no seabed, metres.
+/// Greatest distance of the seabed from the scene's origin, metres.
 const EDGE_M: f64 = 1e9;
 
 /// Tiles that one thread copies at a time.
 const COPIED_TOGETHER: usize = 8;
 
-/// What a tile gave.
+/// Scatterer counts of one tile.
 #[derive(Clone, Copy, Debug, Default)]
 struct TileCount {
     tile: u32,
     kept: u32,
     shadowed: u32,
-    /// First of its scatterers in the ping's list.
+    /// Index of its first scatterer in the list of the ping.
     first: usize,
 }
 
-/// Who listens to the seabed, and what may stand in the way.
+/// Footprints of the ping, and the obstacles in their way.
 #[derive(Clone, Copy)]
 pub(crate) struct GatherContext<'a> {
-    /// The scene's zero in the world.
+    /// Origin of the scene in the world, metres.
     pub anchor_m: DVec3,
     pub footprints: &'a [Footprint],
-    /// Started for these footprints, and its rays run.
+    /// Shadows of these footprints, already scanned.
     pub occlusion: &'a Occlusion,
     pub surface: &'a Surface,
     pub targets: &'a Targets,
 }
 
-/// Buffers of gathering.
+/// Buffers of tile search and collection.
 #[derive(Debug, Default)]
 pub(crate) struct Gatherer {
     wanted: Vec<(TileId, TileBox)>,
@@ -51,8 +51,8 @@ pub(crate) struct Gatherer {
 }
 
 impl Gatherer {
-    /// Puts the scatterers that are heard and seen, of the tiles found before, at the beginning of `out`, in place of what was there, and returns
-    /// how many. What lies behind them in `out` is of no use.
+    /// Writes the visible scatterers of the tiles that [`Self::find`] selected to the beginning of `out`, and returns their number. Rows after them
+    /// are left undefined.
     pub(crate) fn collect(
         &mut self,
         recipe: &Recipe,
@@ -101,12 +101,12 @@ impl Gatherer {
         filled
     }
 
-    /// The boxes of the tiles that were found.
+    /// Bounding boxes of the selected tiles.
     pub(crate) fn boxes(&self) -> impl Iterator<Item = &TileBox> {
         self.wanted.iter().map(|(_, tile_box)| tile_box)
     }
 
-    /// The tiles that any footprint may hear, each at the level that its nearest sonar needs.
+    /// Selects the tiles that any footprint may contain, each at the level that its nearest sonar needs.
     pub(crate) fn find(
         &mut self,
         recipe: &Recipe,
@@ -171,7 +171,7 @@ impl Search<'_> {
     }
 }
 
-/// The horizontal rectangle around all footprints in the scene's own coordinates; none without footprints, and beyond the edge.
+/// Horizontal bounding rectangle of all footprints in scene coordinates. None without footprints, and beyond the edge.
 fn reach(footprints: &[Footprint], anchor_m: DVec3) -> Option<(DVec2, DVec2)> {
     let (low, high) = footprints
         .iter()
@@ -183,7 +183,7 @@ fn reach(footprints: &[Footprint], anchor_m: DVec3) -> Option<(DVec2, DVec2)> {
     (low.min_element() >= -EDGE_M && high.max_element() <= EDGE_M).then_some((low, high))
 }
 
-/// Lists the tile's scatterers that lie in a footprint whose transmitter and receiver see them.
+/// Lists the scatterers of a tile that lie in a footprint whose transmitter and receiver both see them.
 fn keep(tile: &mut Tile, tile_box: &TileBox, context: GatherContext) -> TileCount {
     let GatherContext {
         anchor_m,
@@ -227,9 +227,9 @@ fn keep(tile: &mut Tile, tile_box: &TileBox, context: GatherContext) -> TileCoun
     }
 }
 
-/// A part of a ping's scatterers to be written.
+/// Rows of the output that one task writes.
 struct Rows<'a> {
-    /// Where in the whole list it begins.
+    /// Index of the first row in the whole list.
     first: usize,
     north_m: &'a mut [f64],
     east_m: &'a mut [f64],
@@ -254,7 +254,7 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// The rows before `row` of the whole list, and the rest.
+    /// Splits into the rows before `row` of the whole list and the rest.
     fn split_at(self, row: usize) -> (Self, Self) {
         let n = row - self.first;
         let north_m = self.north_m.split_at_mut(n);
@@ -288,7 +288,7 @@ impl<'a> Rows<'a> {
         )
     }
 
-    /// Writes what the ping keeps of a tile, all rows.
+    /// Writes the kept scatterers of a tile to all rows.
     fn fill(self, tile: &Tile, anchor_m: DVec3, law: ScatterLaw) {
         let zero_m = tile.zero_m + anchor_m;
         for (row, &i) in tile.kept.iter().enumerate() {
@@ -305,7 +305,7 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Lets `fill` write the rows of every tile, halving the work until a thread has a few tiles.
+/// Writes the rows of every tile with `fill`. Splits the work in halves until a task has a few tiles.
 fn copy(
     pool: &TilePool,
     places: &[Slot],

@@ -1,9 +1,8 @@
-//! Seabed, points and targets: scatterers on demand.
+//! The virtual seabed: scatterers of the bottom, of explicit points and of targets, made on demand for each ping.
 //!
-//! In: a checked [`SceneSpec`] and, for each ping, the footprints of its arrays. Out: [`Scatterers`] in world coordinates.
-//! The scene has its own zero; [`Scene::place`] says where in the world that is. Everything is made and kept in the scene's own
-//! coordinates, so that the seabed does not depend on where the scene is put.
-//! Not modelled: volume and surface scattering.
+//! Input: a checked [`SceneSpec`] and, for each ping, the footprints of its arrays. Output: [`Scatterers`] in world coordinates. The scene has an
+//! origin of its own. [`Scene::place`] moves that origin in the world. All data are made and kept in scene coordinates, so the seabed does not depend
+//! on where the scene lies. The crate opens no file. The caller passes [`Files`]. Not modelled: volume and surface scattering.
 
 #![warn(missing_docs)]
 
@@ -43,26 +42,31 @@ pub use text::{MAX_FILE_BYTES, TextError};
 pub use tiles::TILE_BYTES;
 use tiles::{Levels, Recipe};
 
-/// Normal of things that have none.
+/// Surface normal of scatterers that have none.
 const UP: [f32; 3] = [0.0, 0.0, -1.0];
 
-/// What is wrong with a scene's files or limits.
+/// Error in a scene's files or limits.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
+    /// The file cannot be opened or read.
     #[error("{}: cannot be read: {source}", path.display())]
     Read {
         path: PathBuf,
         source: std::io::Error,
     },
+    /// The file exceeds [`MAX_FILE_BYTES`].
     #[error("{}: larger than the {MAX_FILE_BYTES} bytes that are read", path.display())]
     TooLarge { path: PathBuf },
+    /// A line of a text file breaks a rule.
     #[error("{}: {error}", path.display())]
     Text { path: PathBuf, error: TextError },
+    /// A seabed, mosaic or mesh file breaks a rule of its format.
     #[error("{}: {error}", path.display())]
     Format { path: PathBuf, error: FormatError },
     #[error(
         "scene.memory_limit_bytes = {limit_bytes}: must be at least {TILE_BYTES}, one tile of the seabed"
     )]
+    /// The configured memory limit is smaller than one tile.
     MemoryLimit { limit_bytes: u64 },
     #[error(
         "scene.anchor = \"file\": {what} does not tell where on the earth it lies (its coordinates must be latitude and longitude or UTM)"
@@ -70,7 +74,7 @@ pub enum SceneError {
     NotGeoreferenced { what: String },
 }
 
-/// The seabed's shape in the world.
+/// Shape of the seabed in world coordinates, for use on other threads.
 #[derive(Clone, Debug)]
 pub struct Ground {
     surface: Arc<Surface>,
@@ -78,36 +82,40 @@ pub struct Ground {
 }
 
 impl Ground {
-    /// As [`Scene::seabed_down_m`].
+    /// Depth of the seabed at a position in the world, metres. See [`Scene::seabed_down_m`].
     pub fn down_m(&self, north_m: f64, east_m: f64) -> Option<f64> {
         let own = DVec2::new(north_m, east_m) - self.anchor_m;
         Some(self.surface.sample(own.x, own.y)?.down_m)
     }
 }
 
-/// The virtual world around the platform.
+/// Seabed, explicit points and targets around the platform.
 #[derive(Debug)]
 pub struct Scene {
-    /// The scene's zero in the world, metres north and east.
+    /// Origin of the scene in the world, metres north and east.
     anchor_m: DVec2,
     anchor: AnchorSpec,
     seabed: Option<(Recipe, TilePool)>,
-    /// Own coordinates.
+    /// Scene coordinates.
     points: Scatterers,
     own_targets: Targets,
     floor_reference: FloorReference,
-    /// World.
+    /// World coordinates.
     targets: Vec<Target>,
-    /// The footprints of the gathering under way that hear something.
+    /// The finite footprints of the current call.
     footprints: Vec<Footprint>,
     gatherer: Gatherer,
     occlusion: Occlusion,
 }
 
 impl Scene {
-    /// Reads the scene's files. Its zero lies at the world's origin until [`Scene::place`].
-    /// `memory_limit_bytes` bounds the tiles; besides, a grid takes 4 bytes a cell, an explicit point about 53, and so does every scatterer
-    /// that a ping hears.
+    /// Reads the files of a scene. The origin of the scene lies at the world's origin until [`Scene::place`] is called.
+    ///
+    /// `memory_limit_bytes` of the specification bounds the tiles. In addition, a grid takes 4 bytes a cell. An explicit point takes about 53 bytes,
+    /// and so does every scatterer of a ping.
+    ///
+    /// # Errors
+    /// Returns [`SceneError`] with the path if a file cannot be read or breaks a rule, and if the memory limit is below one tile.
     pub fn open(files: &dyn Files, spec: &SceneSpec) -> Result<Self, SceneError> {
         let seabed = match &spec.seabed {
             None => None,
@@ -152,7 +160,7 @@ impl Scene {
         let recipe = seabed.as_ref().map(|(recipe, _)| recipe);
         let floor_reference = FloorReference::new(recipe, &points);
         for (loud, strength) in points.loud.iter_mut().zip(&points.strength) {
-            // As if near, where the ground's scatterers are weakest.
+            // The factor is computed for the nearest range, where the scatterers of the seabed are weakest.
             *loud = floor_reference.factor(strength.norm(), recipe, 0.0);
         }
         let targets = match &spec.targets {
@@ -183,13 +191,15 @@ impl Scene {
         })
     }
 
-    /// A point of the scene's own whose place on the earth its seabed's file tells.
+    /// A point of the scene whose geodetic position follows from the seabed's file; none without such a file.
     pub fn geodetic_place(&self) -> Option<GeodeticPlace> {
         self.seabed.as_ref()?.0.surface().geodetic_place()
     }
 
-    /// Puts the scene's zero under the first fix, or where its file belongs, once that is known. A scene with neither anchor stays at the
-    /// world's origin.
+    /// Moves the scene's origin to a position in the world, metres.
+    ///
+    /// The position is that of the first fix, or the position that the seabed's file gives. A scene with the anchor "origin" stays at the world's
+    /// origin.
     pub fn place(&mut self, anchor_north_m: f64, anchor_east_m: f64) {
         debug_assert!(anchor_north_m.is_finite() && anchor_east_m.is_finite());
         if self.anchor == AnchorSpec::Origin {
@@ -201,19 +211,19 @@ impl Scene {
         }
     }
 
-    /// The targets, in world coordinates, in the order of their file.
+    /// Targets in world coordinates, in the order of their file.
     pub fn targets(&self) -> &[Target] {
         &self.targets
     }
 
-    /// Depth of the seabed below a place of the world; none in a hole, beyond the end and without a seabed.
+    /// Depth of the seabed at a position in the world, metres. None in a hole, beyond the edge and without a seabed.
     pub fn seabed_down_m(&self, north_m: f64, east_m: f64) -> Option<f64> {
         let (recipe, _) = self.seabed.as_ref()?;
         let own = DVec2::new(north_m, east_m) - self.anchor_m;
         Some(recipe.surface().sample(own.x, own.y)?.down_m)
     }
 
-    /// The seabed for other threads, where it lies now.
+    /// The seabed at its current position, for use on other threads; none without a seabed.
     pub fn ground(&self) -> Option<Ground> {
         let (recipe, _) = self.seabed.as_ref()?;
         Some(Ground {
@@ -222,8 +232,8 @@ impl Scene {
         })
     }
 
-    /// As the arrays of footprint `footprint` of the gathering before see a place of the world: depth of the seabed there, and whether
-    /// nothing stands before it. None where there is no seabed.
+    /// Depth of the seabed at a position in the world, and whether the arrays of a footprint of the last [`Scene::gather`] see it. None where there
+    /// is no seabed.
     pub fn ground_seen(&self, footprint: usize, north_m: f64, east_m: f64) -> Option<(f64, bool)> {
         let (recipe, _) = self.seabed.as_ref()?;
         let own = DVec2::new(north_m, east_m) - self.anchor_m;
@@ -237,8 +247,9 @@ impl Scene {
         Some((down_m, seen))
     }
 
-    /// Which target each scatterer of the gathering before belongs to: 1 is the first, 0 none. They come last, in their own order, less those
-    /// in shadow, so that their places tell.
+    /// Fills `labels` with the target number of each scatterer of the last [`Scene::gather`]: 1 is the first target, 0 is no target.
+    ///
+    /// Scatterers of targets come last and in their own order, less those in shadow. Their positions therefore identify them.
     pub fn target_of_each(&self, scatterers: &Scatterers, labels: &mut Vec<u16>) {
         labels.clear();
         labels.resize(scatterers.len(), 0);
@@ -254,8 +265,7 @@ impl Scene {
         }
     }
 
-    /// Whether nothing lies within this distance of the apex of any of the footprints that a gathering of any range would bring: false where
-    /// that is not known. It makes no tile.
+    /// Whether no scatterer lies within a distance of the apex of any footprint. Returns false if no footprint is finite. Makes no tile.
     pub fn is_clear_within(&mut self, footprints: &[Footprint], within_m: f64) -> bool {
         self.footprints.clear();
         let near = footprints.iter().filter(|f| f.is_finite());
@@ -290,19 +300,19 @@ impl Scene {
         }
     }
 
-    /// Fills `out` with what the footprints may hear, in an order that depends on nothing but the scene and the footprints: the seabed's
-    /// scatterers that any footprint contains, all explicit points (whatever the footprints, so that an outside calculation meets the same
-    /// ones), then the targets within range of any footprint.
+    /// Fills `out` with the scatterers that the footprints may contain, in an order that depends on the scene and the footprints alone.
     ///
-    /// Works on all threads of the pool it is called in. Allocates only where `out` has never been so full and where the pool of tiles has
-    /// not reached its limit; making a tile anew does not.
+    /// The order is: seabed scatterers that any footprint contains, all explicit points, targets within range of any footprint. Explicit points are
+    /// not culled, so an external calculation can use the same ones.
+    ///
+    /// Runs on all threads of the current pool. Allocates only while `out` or the pool of tiles grows; remaking a tile does not allocate.
     pub fn gather(&mut self, footprints: &[Footprint], out: &mut Scatterers) -> SceneCounts {
         self.footprints.clear();
         self.footprints
             .extend(footprints.iter().filter(|f| f.is_finite()));
         let mut counts = SceneCounts::default();
         let seabed = self.gather_seabed(out, &mut counts);
-        // Not cleared before: what is overwritten anyway need not be written twice.
+        // Truncated after filling rather than cleared before, so that nothing is written twice.
         out.truncate(seabed);
         self.gather_points(out, &mut counts);
         self.gather_targets(out, &mut counts);
@@ -346,7 +356,7 @@ impl Scene {
         self.gatherer.collect(recipe, pool, context, out, counts)
     }
 
-    /// Takes points and targets that no pair of arrays sees out of `out`, from `first` on.
+    /// Removes points and targets that no footprint's arrays see from `out`, from index `first` on.
     fn drop_shadowed(&self, first: usize, out: &mut Scatterers, counts: &mut SceneCounts) {
         let anchor_m = self.anchor_m.extend(0.0);
         let around = Occluders {
@@ -406,7 +416,7 @@ impl Scene {
     }
 }
 
-/// Reads a file and gives its faults the file's name.
+/// Reads and parses a file, and adds the path to an error.
 fn read<T>(
     files: &dyn Files,
     path: &Path,

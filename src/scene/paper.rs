@@ -1,13 +1,15 @@
-//! The bottoms of Meng et al. 2023, as functions of place. The paper shows them as pictures without figures: the shapes are its own, the
-//! dimensions below are ours, chosen so that its sonars (400 kHz, 0.56 degrees, 30 m above the bottom) see what its pictures show.
+//! Seabed shapes of Meng et al. 2023 as functions of position.
 //!
-//! | shape | paper | what lies there |
+//! The paper shows the shapes as pictures without dimensions. The dimensions below are chosen so that its sonars (400 kHz, 0.56 degrees, 30 m above
+//! the bottom) see what the pictures show.
+//!
+//! | shape | paper | content |
 //! |---|---|---|
 //! | [`PaperShape::Curves`] | Fig. 6 | a level bottom with five parallel ridges along sine curves, 12 m apart |
-//! | [`PaperShape::Relief`] | Fig. 12 | a level bottom with the letters K and I raised from it, flat on top with round edges |
-//! | [`PaperShape::Lake`] | Fig. 17 | a lake's bottom that slopes away and a bank that rises across it; the piers are targets, `hil-configs/data/lake_piers.toml` |
+//! | [`PaperShape::Relief`] | Fig. 12 | a level bottom with raised letters K and I, flat on top with round edges |
+//! | [`PaperShape::Lake`] | Fig. 17 | a sloping lake bottom and an oblique bank; the piers are targets, `hil-configs/data/lake_piers.toml` |
 //!
-//! Everything is 30 m (the lake: 20 m) below the scene's zero, to the east of a track along north.
+//! The bottom lies 30 m (the lake: 20 m) below the scene's origin, east of a northward track.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -20,26 +22,26 @@ use super::targets::random::KeyedRandom;
 use echotank_config::spec::PaperShape;
 use echotank_core::flow::{ScatterLaw, Scatterers};
 
-/// Of the level bottoms.
+/// Depth of the level bottoms, metres.
 pub const DEPTH_M: f64 = 30.0;
 
 // Fig. 6.
 const CURVES: usize = 5;
 const FIRST_CURVE_EAST_M: f64 = 20.0;
 const CURVE_SPACING_M: f64 = 12.0;
-/// Of the sine, and its length along the track.
+/// Amplitude and wavelength of the sine curves, metres.
 const CURVE_SWING_M: f64 = 2.0;
 const CURVE_LENGTH_M: f64 = 20.0;
 const RIDGE_HEIGHT_M: f64 = 1.0;
-/// Gaussian across.
+/// Standard deviation of the Gaussian cross-section.
 const RIDGE_SIGMA_M: f64 = 0.35;
 
 // Fig. 12.
 const RELIEF_HEIGHT_M: f64 = 1.5;
-/// Half width of the strokes at mid-height, and the width of their edges.
+/// Half width of the strokes at half their height, and the width of their edges.
 const STROKE_HALF_M: f64 = 1.2;
 const EDGE_M: f64 = 1.0;
-/// Ends of the strokes, north and east: K, then I beyond it.
+/// Ends of the strokes (north, east): K, then I farther east.
 const STROKES: [[DVec2; 2]; 4] = [
     [DVec2::new(3.0, 28.0), DVec2::new(17.0, 28.0)],
     [DVec2::new(10.0, 28.0), DVec2::new(17.0, 42.0)],
@@ -49,18 +51,18 @@ const STROKES: [[DVec2; 2]; 4] = [
 
 // Fig. 17.
 const LAKE_DEPTH_M: f64 = 20.0;
-/// Metres of depth per metre eastward.
+/// Depth gradient eastward.
 const LAKE_SLOPE: f64 = 0.06;
-/// The bank runs obliquely: its foot lies at this easting for north 0 and moves east by this much per metre north.
+/// Easting of the bank's foot at north 0, and its change per metre northward.
 const BANK_EAST_M: f64 = 55.0;
 const BANK_OBLIQUE: f64 = 0.25;
 const BANK_HEIGHT_M: f64 = 5.0;
 const BANK_WIDTH_M: f64 = 10.0;
 
-/// Step of the central differences: their error is some 1e-9 of the slope's own scale.
+/// Step of the central differences. Their relative error is about 1e-9.
 const STEP_M: f64 = 1e-4;
 
-/// The surface at a place of the scene.
+/// Depth and slope at a position in scene coordinates, metres; none for coordinates that are not finite.
 pub fn sample(shape: PaperShape, north_m: f64, east_m: f64) -> Option<Depth> {
     if !(north_m.is_finite() && east_m.is_finite()) {
         return None;
@@ -75,7 +77,7 @@ pub fn sample(shape: PaperShape, north_m: f64, east_m: f64) -> Option<Depth> {
     })
 }
 
-/// Least and greatest depth over a rectangle; wider than need be.
+/// Bounds of the depth over a strip of eastings, metres; may be wider than necessary.
 pub(crate) fn bounds_m(shape: PaperShape, east_m: (f64, f64)) -> (f64, f64) {
     match shape {
         PaperShape::Curves => (DEPTH_M - RIDGE_HEIGHT_M, DEPTH_M),
@@ -87,10 +89,10 @@ pub(crate) fn bounds_m(shape: PaperShape, east_m: (f64, f64)) -> (f64, f64) {
     }
 }
 
-/// Steps of [`profile`], metres: a third of the narrowest feature, whose quadratic pieces follow it to a millimetre.
+/// Step of [`profile`], metres: a third of the narrowest feature. The quadratic pieces follow the features within a millimetre.
 const PIECE_M: f64 = 0.1;
 
-/// The ground along a ray, as [`Surface::profile`](super::seabed::Surface::profile) has it.
+/// Pieces of the surface along a ray; see [`Surface::profile`](super::seabed::Surface::profile).
 pub(super) fn profile(
     shape: PaperShape,
     from_m: DVec2,
@@ -147,37 +149,41 @@ fn lake_slope_m(east_m: f64) -> f64 {
     LAKE_DEPTH_M + LAKE_SLOPE * east_m
 }
 
-/// 0 below 0, 1 above 1, with continuous curvature between (Perlin 2002).
+/// Smooth step from 0 to 1 with continuous curvature (Perlin 2002).
 fn smooth(x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0);
     x * x * x * (x * (6.0 * x - 15.0) + 10.0)
 }
 
-// ---------------------------------------------------------------- the cloud of Figs. 12-16
+// Point cloud of Figs. 12-16.
 
-/// Points of the paper's original model.
+/// Number of points of the paper's original model.
 pub(crate) const CLOUD_POINTS: usize = 42_936;
-/// A lattice of this many rows (northward) and columns (eastward) has 144 cells more; the last row goes without them.
+/// Rows (northward) and columns (eastward) of the lattice. It has 144 cells more than points; the last row lacks them.
 const CLOUD_ROWS: usize = 120;
 const CLOUD_COLS: usize = 359;
-/// What it covers: 20 m along the track, from 15 to 75 m beside it.
+/// Area: 20 m along the track, from 15 to 75 m to its side.
 pub(crate) const CLOUD_NORTH_M: (f64, f64) = (0.0, 20.0);
 pub(crate) const CLOUD_EAST_M: (f64, f64) = (15.0, 75.0);
-/// Points lie anywhere within this much of their cell's side about its middle: never a lattice, and its triangles never fold.
+/// Jitter of a point about its cell's middle, as a share of the cell's side. It is below one half, so that no triangle folds.
 const CLOUD_JITTER: f64 = 0.49;
 
-/// Keeps these draws apart from other uses of the seed.
+/// Separates these random numbers from other uses of the seed.
 const KEY_LABEL: &[u8; 24] = b"echotank paper cloud v01";
 
-/// A bottom as points with a triangulation.
+/// A bottom as scatterers with a triangulation.
 #[derive(Clone, Debug)]
 pub struct Cloud {
+    /// Scatterers in scene coordinates.
     pub scatterers: Scatterers,
+    /// Triangles as indices of scatterers.
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// 42,936 points of a shape, evenly over its plan: places from `seed`, circular Gaussian reflectivities from `speckle_seed`.
-/// `lambert_db` is mu.
+/// Samples a shape with 42,936 scatterers, evenly distributed in the horizontal plane.
+///
+/// `seed` determines positions, `speckle_seed` the circular Gaussian reflectivities. `lambert_db` is Lambert's mu, dB. The shape and the size follow
+/// Meng et al. 2023, Figs. 12-16.
 pub fn cloud(shape: PaperShape, seed: u64, speckle_seed: u64, lambert_db: f64) -> Cloud {
     let (height_m, width_m) = (
         CLOUD_NORTH_M.1 - CLOUD_NORTH_M.0,
@@ -193,7 +199,7 @@ pub fn cloud(shape: PaperShape, seed: u64, speckle_seed: u64, lambert_db: f64) -
         let north_m = CLOUD_NORTH_M.0 + row_m * inside(cell / CLOUD_COLS);
         let east_m = CLOUD_EAST_M.0 + col_m * inside(cell % CLOUD_COLS);
         let Some(depth) = sample(shape, north_m, east_m) else {
-            continue; // the lattice is finite
+            continue;
         };
         let amplitude = (mu_area_m2 / depth.slope_cos()).sqrt();
         scatterers.push(
@@ -209,7 +215,7 @@ pub fn cloud(shape: PaperShape, seed: u64, speckle_seed: u64, lambert_db: f64) -
     }
 }
 
-/// Two triangles for every four neighbours of the lattice, cut along the shorter diagonal.
+/// Two triangles for every four neighbours of the lattice, split along the shorter diagonal.
 fn lattice_triangles(s: &Scatterers) -> Vec<[u32; 3]> {
     let mut triangles = Vec::with_capacity(2 * CLOUD_POINTS);
     for row in 0..CLOUD_ROWS - 1 {

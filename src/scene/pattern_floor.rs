@@ -1,26 +1,27 @@
-//! How much louder than the ground points and targets are, so that the floor of the patterns is lowered for them by as much.
+//! Level of points and targets relative to the seabed, which lowers the pattern floor for them by the same ratio.
 //!
-//! The floor (`ModelChoice::cull_db`) is chosen for ground: scatterers alike all round, of which what lies below it is a known share of the energy. A
-//! target may be left out only where its echo is weaker than that of one scatterer of the ground in the same range would be at the floor. A
-//! resolution cell holds five of those or more, so that each target left out costs less than a fifth of the square of the floor, as a share of the
-//! energy of the cell that it shares. Compared with the bottom's own strength at a low grazing angle, where most bottoms are weakest, not with a mosaic's.
+//! The floor (`ModelChoice::cull_db`) is chosen for the seabed, whose scatterers are alike in all directions. The energy below the floor is then a
+//! known share of the total. A target may be culled only if its echo is weaker than that of one seabed scatterer at the same range and at the floor.
+//! A resolution cell holds at least five such scatterers. Each culled target therefore costs less than a fifth of the squared floor, as a share of
+//! the energy of its cell. The reference is the strength of the bottom itself at a low grazing angle, where most bottoms are weakest. A mosaic does
+//! not enter.
 
 use super::Scatterers;
 use super::tiles::Recipe;
 
-/// 5 degrees of grazing.
+/// Incidence that corresponds to 5 degrees of grazing.
 const LOW_INCIDENCE_DEG: f64 = 85.0;
-/// 180 dB: louder than this there is no floor.
+/// Largest factor, 180 dB; above it nothing is culled.
 const LOUDEST: f64 = 1e9;
 
-/// Pressure at 1 m of what the floor is good for.
+/// Pressure at 1 m of the scatterers for which the floor is chosen.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum FloorReference {
-    /// A scatterer of the ground stands for a square metre.
+    /// Seabed: pressure of one square metre; a scatterer stands for the square of the local spacing.
     Ground { per_root_m2: f64 },
-    /// Without a ground: the explicit points, root mean square.
+    /// No seabed: root-mean-square pressure of the explicit points.
     Points { strength: f64 },
-    /// With neither, all targets are loud.
+    /// Neither seabed nor points: no target is culled.
     Nothing,
 }
 
@@ -40,7 +41,7 @@ impl FloorReference {
         }
     }
 
-    /// The factor for something of `strength` (pressure at 1 m) at a distance.
+    /// Factor for a scatterer of `strength` (pressure at 1 m) at a distance.
     pub(crate) fn factor(&self, strength: f64, recipe: Option<&Recipe>, distance_m: f64) -> f32 {
         let own = match *self {
             Self::Ground { per_root_m2 } => {
@@ -49,7 +50,7 @@ impl FloorReference {
             Self::Points { strength } => strength,
             Self::Nothing => 0.0,
         };
-        // No division by a silent ground.
+        // Avoids a division by zero strength of the seabed.
         if strength >= own * LOUDEST {
             return LOUDEST as f32;
         }

@@ -1,31 +1,31 @@
-//! Tiles kept for the next ping, within a bound; the one not used for longest makes room.
+//! Cache of tiles with a bounded size. The least recently used tile is replaced.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use super::tiles::{Recipe, Tile, TileId};
 
-/// None, in the chain of slots.
+/// End of the list of slots.
 const NO_SLOT: u32 = u32::MAX;
 
-/// A slot in the pool that a ping was given.
+/// A slot of the pool that a ping uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Slot {
     pub id: TileId,
     index: u32,
-    /// What stands there is another tile: this one must be made.
+    /// The slot holds another tile; this one must be made.
     pub stale: bool,
 }
 
-/// Allocates while it grows to its capacity, and not after.
+/// Pool of tiles. It allocates while it grows to its capacity, and not after.
 #[derive(Debug)]
 pub(crate) struct TilePool {
     capacity: usize,
     slot_of: HashMap<TileId, u32>,
     ids: Vec<TileId>,
-    /// Each tile is worked on by one thread at a time: no lock ever waits.
+    /// One thread at a time works on a tile, so no lock ever waits.
     tiles: Vec<Mutex<Tile>>,
-    /// Chain from the slot used last to the one not used for longest.
+    /// Doubly linked list from the most to the least recently used slot.
     newer: Vec<u32>,
     older: Vec<u32>,
     newest: u32,
@@ -33,7 +33,7 @@ pub(crate) struct TilePool {
 }
 
 impl TilePool {
-    /// Room for `capacity` tiles, at least one.
+    /// A pool of `capacity` tiles, at least one.
     pub(crate) fn new(capacity: usize) -> Self {
         assert!(capacity > 0, "a pool without room");
         Self {
@@ -52,7 +52,7 @@ impl TilePool {
         self.capacity
     }
 
-    /// Gives each of the tiles a slot, at most as many as there is room for and none twice.
+    /// Assigns a slot to each tile. `ids` holds at most [`Self::capacity`] tiles, none twice.
     pub(crate) fn slots(
         &mut self,
         ids: impl ExactSizeIterator<Item = TileId>,
@@ -60,7 +60,7 @@ impl TilePool {
     ) {
         assert!(ids.len() <= self.capacity, "more tiles than room");
         out.clear();
-        // First those that are there, so that none of them makes room for another.
+        // Present tiles come first, so that none of them is replaced.
         for id in ids {
             let index = self.slot_of.get(&id).copied();
             if let Some(index) = index {
@@ -81,7 +81,7 @@ impl TilePool {
         }
     }
 
-    /// Works on the tile of a slot, made first where it was not there. To be called once for each slot before any is called again.
+    /// Runs `work` on the tile of a slot, and makes the tile first if the slot is stale. Call it once for each slot before calling it again for any.
     pub(crate) fn work<T>(
         &self,
         slot: &Slot,
@@ -95,23 +95,23 @@ impl TilePool {
         work(&mut tile)
     }
 
-    /// Reads a tile that was worked on.
+    /// Runs `read` on a tile that [`Self::work`] has made.
     pub(crate) fn read<T>(&self, slot: &Slot, read: impl FnOnce(&Tile) -> T) -> T {
         read(&self.tile(slot))
     }
 
     fn tile(&self, slot: &Slot) -> MutexGuard<'_, Tile> {
-        // Whoever panicked while he held the lock took his ping with him; the lock itself is sound.
+        // A panic under the lock ends its ping; the tile itself stays valid.
         self.tiles[slot.index as usize]
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A slot that is in no chain: a new one, or that of the tile not used for longest.
+    /// An unlinked slot: a new one, or that of the least recently used tile.
     fn vacate(&mut self) -> u32 {
         if self.tiles.len() < self.capacity {
             let index = self.tiles.len() as u32;
-            // An index at most half full tidies itself up in slot, however often tiles come and go.
+            // A map that is at most half full rehashes in place, however often entries come and go.
             self.slot_of.reserve(self.tiles.len() + 2);
             self.ids.push(TileId {
                 level: 0,

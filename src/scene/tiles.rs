@@ -1,17 +1,16 @@
-//! Seabed scatterers on demand: rectangular tiles, each made from its own number alone.
+//! Seabed scatterers on demand, in rectangular tiles. Each tile is made from its index alone.
 //!
-//! A tile is 32 x 32 cells with one scatterer in each, anywhere in its cell with equal probability (a stratified sample). The mean density
-//! is exact, the tile always has the same size in memory, and no lattice is left: the jitter fills its cell, so that the structure
-//! factor's Bragg lines, which it multiplies by sinc^2, vanish.
+//! A tile has 32 x 32 cells with one scatterer in each, at a uniformly random position in its cell (a stratified sample). The mean density is exact
+//! and every tile has the same size in memory. The jitter fills the cell and multiplies the Bragg lines of the structure factor by sinc^2, which is
+//! zero at each of them.
 //!
-//! Levels: cells of level 0 are square; from each level to the next two cells become one, in turn side by side northward and eastward, so
-//! that the density halves. The scatterer of a cell is that of one of its two halves, by a fair coin, with sqrt(2) times its pressure: the
-//! mean intensity of an area is the same at every level, and where the level changes half of the scatterers stay as they were, so that
-//! the speckle's intensity before and after has a correlation of 1/2 rather than none.
+//! Levels: cells of level 0 are square. From each level to the next, two cells become one, alternately northward and eastward, which halves the
+//! density. The scatterer of a cell is that of one of its two halves, chosen by a fair coin, with sqrt(2) times its pressure. The mean intensity of
+//! an area is thus the same at every level. Where the level changes, half of the scatterers stay, so the speckle intensities of the two levels have a
+//! correlation of 1/2.
 //!
-//! The random numbers are addressed by seed and cell (`draws`) and the elementary functions are those of `libm`: a tile has the same bits
-//! on every machine, whenever and in whatever order it is made.
-//! Not modelled: correlation of the reflectivity from place to place, change in time.
+//! Random numbers are addressed by seed and cell (`draws`), and elementary functions come from `libm`. A tile therefore has the same bits on every
+//! machine and in any order of making. Not modelled: spatial correlation of the reflectivity, change in time.
 
 use std::sync::Arc;
 
@@ -24,19 +23,19 @@ use super::seabed::{Depth, Surface};
 use echotank_config::spec::{Density, IncidenceSpec, MosaicValues, SeabedSpec};
 use echotank_core::flow::Footprint;
 
-/// Cells on a tile's side. 1024 scatterers: enough that a tile's upkeep is small beside them, few enough that little is made in vain.
+/// Cells on a side of a tile. With 1024 scatterers the overhead of a tile is small, and few scatterers are made in vain.
 pub(crate) const CELLS_ON_SIDE: usize = 32;
 pub(crate) const SCATTERERS_PER_TILE: usize = CELLS_ON_SIDE * CELLS_ON_SIDE;
 
-/// What a full tile takes: place, normal, strength, and a place in the list of those a ping keeps.
+/// Size of a full tile, bytes: position, normal, strength and index in the list of kept scatterers.
 pub const TILE_BYTES: u64 = (SCATTERERS_PER_TILE
     * (3 * size_of::<f32>() + size_of::<[f32; 3]>() + size_of::<Complex32>() + size_of::<u16>()))
     as u64;
 
-/// Nearer than this the automatic density grows no further, metres: few hulls and fewer towed bodies come so close to the ground.
+/// Distance below which the automatic density is constant, metres.
 pub(crate) const NEAREST_M: f64 = 2.0;
 
-/// A tile: its level, and row (north) and column (east) among those of its level.
+/// Index of a tile: its level, and its row (north) and column (east) in that level.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct TileId {
     pub level: u32,
@@ -64,14 +63,14 @@ impl TileId {
     }
 }
 
-/// How densely the seabed is sampled at which distance.
+/// Density of scatterers as a function of distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Levels {
-    /// Side of a cell of level 0.
+    /// Side of a cell of level 0, metres.
     cell_m: f64,
-    /// The coarsest in use.
+    /// Coarsest level in use.
     top: u32,
-    /// Level k serves distances from 2^k times this on.
+    /// Level k is used from 2^k times this distance on, metres.
     near_m: f64,
 }
 
@@ -99,7 +98,7 @@ impl Levels {
         }
     }
 
-    /// The level that serves a distance.
+    /// Level used at a distance.
     pub(crate) fn at(&self, distance_m: f64) -> u32 {
         match self.top {
             0 => 0,
@@ -107,7 +106,7 @@ impl Levels {
         }
     }
 
-    /// Northern and eastern side of a cell.
+    /// Northward and eastward side of a cell, metres.
     pub(crate) fn cell_m(&self, level: u32) -> DVec2 {
         DVec2::new(
             self.cell_m * (1_u64 << level.div_ceil(2)) as f64,
@@ -124,26 +123,26 @@ impl Levels {
         1.0 / (cell_m.x * cell_m.y)
     }
 
-    /// Between neighbouring scatterers at a distance, on average.
+    /// Mean spacing of scatterers at a distance, metres.
     pub(crate) fn spacing_m(&self, distance_m: f64) -> f64 {
         1.0 / self.density_per_m2(self.at(distance_m)).sqrt()
     }
 
-    /// The coarsest level whose tiles are no wider than `side_m`, or 0; levels above [`Self::at`] serve only to find tiles.
+    /// Coarsest level whose tiles are at most `side_m` wide, at least 0. Levels above [`Self::at`] are used only to search for tiles.
     pub(crate) fn no_wider_than(&self, side_m: f64) -> u32 {
         let doublings = (side_m / (self.cell_m * CELLS_ON_SIDE as f64)).log2();
-        // 2 levels to a doubling of both sides; 80 of them hold any seabed on Earth.
+        // Two levels double both sides; 80 levels cover any seabed on earth.
         (2.0 * doublings).floor().clamp(0.0, 80.0) as u32
     }
 
-    /// The middle of the sides of tiles in use, metres.
+    /// Longer tile side of the middle level, metres.
     pub(crate) fn typical_side_m(&self) -> f64 {
         let tile_m = self.tile_m(self.top / 2);
         tile_m.x.max(tile_m.y)
     }
 }
 
-/// How tiles are made.
+/// Everything that determines the scatterers of a tile.
 #[derive(Clone, Debug)]
 pub(crate) struct Recipe {
     surface: Arc<Surface>,
@@ -155,12 +154,12 @@ pub(crate) struct Recipe {
     speckle: bool,
 }
 
-/// How the bottom's strength changes from place to place.
+/// Backscatter mosaic: local strength of the bottom.
 #[derive(Clone, Debug)]
 pub(crate) struct Mosaic {
-    /// dB in place of depths.
+    /// Surface whose depth values are decibels.
     pub surface: Surface,
-    /// dB of the bottom's own strength that the values take the place of; 0 where they are added to it.
+    /// Strength of the bottom that absolute values replace, dB; 0 for relative values.
     own_db: f64,
 }
 
@@ -184,22 +183,22 @@ impl Mosaic {
     }
 }
 
-/// The scatterers of one tile, structure of arrays.
+/// Scatterers of one tile, as a structure of arrays.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Tile {
-    /// What the places count from, in the scene's own coordinates, metres.
+    /// Origin of the positions in scene coordinates, metres.
     pub(crate) zero_m: DVec3,
     pub north_m: Vec<f32>,
     pub east_m: Vec<f32>,
     pub down_m: Vec<f32>,
     pub normal: Vec<[f32; 3]>,
     pub strength: Vec<Complex32>,
-    /// Those that the ping under way keeps.
+    /// Indices of the scatterers that the current ping keeps.
     pub(super) kept: Vec<u16>,
 }
 
 impl Tile {
-    /// An empty tile that can be filled without allocating.
+    /// An empty tile with capacity for all of its scatterers.
     pub(crate) fn with_room() -> Self {
         Self {
             zero_m: DVec3::ZERO,
@@ -264,7 +263,7 @@ impl Recipe {
         &self.levels
     }
 
-    /// The law that all scatterers of the seabed obey.
+    /// Scattering law of all scatterers of the seabed.
     pub(crate) fn bottom(&self) -> &Bottom {
         &self.bottom
     }
@@ -274,7 +273,7 @@ impl Recipe {
         (coordinate_m / side_m).floor() as i64
     }
 
-    /// The box of a tile; none where it holds no seabed.
+    /// Bounding box of a tile; none where it holds no seabed.
     pub(crate) fn bounds(&self, id: TileId) -> Option<TileBox> {
         let side_m = self.levels.tile_m(id.level);
         let edges = |index: i64, side_m: f64| (index as f64 * side_m, (index + 1) as f64 * side_m);
@@ -286,7 +285,7 @@ impl Recipe {
         })
     }
 
-    /// Fills `tile` with the scatterers of one tile, cells in the order of [`cell_at`]. Holes give none.
+    /// Fills `tile` with the scatterers of one tile, cells in the order of [`cell_at`]. A hole yields no scatterer.
     pub(crate) fn make(&self, id: TileId, tile: &mut Tile) {
         tile.clear();
         let side_m = self.levels.tile_m(id.level);
@@ -296,7 +295,7 @@ impl Recipe {
         );
         let down_m = self.bounds(id).map_or(0.0, |b| b.low_m.z);
         tile.zero_m = middle_m.extend(down_m);
-        // Intensity goes with the area of the patch, not of its horizontal projection: a cosine to come.
+        // Intensity is proportional to the area of the sloping patch, not of its horizontal projection. The cosine follows below.
         let mu_area_m2 = self.bottom.mu / self.levels.density_per_m2(id.level);
         let first = |index: i64| index * CELLS_ON_SIDE as i64;
         for place in 0..SCATTERERS_PER_TILE {
@@ -333,7 +332,7 @@ impl Recipe {
         }
     }
 
-    /// What the law measures angles from.
+    /// Normal from which the scattering law measures angles.
     fn normal(&self, depth: &Depth) -> [f32; 3] {
         match self.incidence {
             IncidenceSpec::Normal => depth.normal().map(|x| x as f32),
@@ -341,7 +340,7 @@ impl Recipe {
         }
     }
 
-    /// The cell of level 0 whose scatterer speaks for a cell.
+    /// The cell of level 0 whose scatterer represents a cell of a level.
     #[inline(always)]
     fn representative_cell(&self, level: u32, mut north: i64, mut east: i64) -> (i64, i64) {
         for level in (1..=level).rev() {
@@ -355,8 +354,8 @@ impl Recipe {
     }
 }
 
-/// Row and column in a tile of the cell at a place of its list: along Morton's curve (1966), on which what is near in the list is near on the bottom.
-/// Whoever takes some of them at a time then finds their echoes close together.
+/// Row and column of the cell at a position of the tile's list, along Morton's curve (1966). Scatterers that are near in the list are near on the
+/// bottom, and so are their echoes.
 fn cell_at(place: usize) -> (i64, i64) {
     let every_other = |bits: usize| {
         let bit = |k: u32| (bits >> (2 * k) & 1) << k;
@@ -365,24 +364,24 @@ fn cell_at(place: usize) -> (i64, i64) {
     (every_other(place >> 1), every_other(place))
 }
 
-/// A box that holds all scatterers of a tile.
+/// Bounding box of the scatterers of a tile.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TileBox {
     pub low_m: DVec3,
     pub high_m: DVec3,
 }
 
-/// Boxes are grown by this, metres, so that rounding never leaves a scatterer outside its tile's box: places within a tile are f32.
+/// Margin of the boxes, metres. Positions in a tile are f32; the margin covers their rounding.
 const BOX_MARGIN_M: f64 = 1e-3;
 
 impl TileBox {
-    /// From a point in the box's coordinates to the nearest point of the box, metres.
+    /// Distance from a point in the box's coordinates to the nearest point of the box, metres.
     pub(crate) fn distance_m(&self, from_m: DVec3) -> f64 {
         let (low, high) = (self.low_m - BOX_MARGIN_M, self.high_m + BOX_MARGIN_M);
         from_m.clamp(low, high).distance(from_m)
     }
 
-    /// False only where no point of the box is in the footprint. `apex_m` is the footprint's apex in the box's coordinates.
+    /// False only if no point of the box lies in the footprint. `apex_m` is the footprint's apex in the box's coordinates.
     pub(crate) fn may_meet(&self, footprint: &Footprint, apex_m: DVec3) -> bool {
         let (low, high) = (self.low_m - BOX_MARGIN_M, self.high_m + BOX_MARGIN_M);
         if self.distance_m(apex_m) > footprint.max_range_m {
@@ -390,8 +389,7 @@ impl TileBox {
         }
         let center = (low + high) / 2.0 - apex_m;
         let half = (high - low) / 2.0;
-        // |d| is at most the farthest corner's; |d . axis| at least |centre . axis| less the box's half width along the axis, and d . normal at
-        // most centre . normal and that much.
+        // |d| is at most that of the farthest corner. |d . axis| is at least |centre . axis| less the half width of the box along the axis. d . normal is at most centre . normal plus that half width.
         let farthest_m = (center.abs() + half).length().min(footprint.max_range_m);
         footprint.faces.iter().all(|face| {
             let max_m = center.dot(face.normal) + half.dot(face.normal.abs());

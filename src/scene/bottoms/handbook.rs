@@ -1,8 +1,9 @@
-//! The backscattering model of APL-UW TR 9407 (1994), IV.C, equations 34 to 66, for the tests: what the presets are fitted to.
+//! Backscattering model of APL-UW TR 9407 (1994), IV.C, equations 34 to 66. Tests fit the presets to it.
 //!
-//! Equation numbers are the handbook's. Wavenumbers are in 1/cm, since the spectrum of the relief is w_2 (h_0 K)^-gamma with h_0 = 1 cm.
-//! **One exponent differs from the print**: in the Kirchhoff form b = a^(1/2 + 1/(2 alpha)) Gamma(1/alpha) / (2 alpha). With the printed minus sign the strength at
-//! the vertical is not the Kirchhoff integral k^2 |R|^2 / (2 pi) int exp(-2 k^2 C_h^2 r^(2 alpha)) r dr, and lies 3.6 dB below the handbook's table 3; with this sign it is both.
+//! Equation numbers are the handbook's. Wavenumbers are in 1/cm, since the roughness spectrum is w_2 (h_0 K)^-gamma with h_0 = 1 cm. **One exponent
+//! differs from the print.** In the Kirchhoff form, b = a^(1/2 + 1/(2 alpha)) Gamma(1/alpha) / (2 alpha). The print has a minus sign. With the minus
+//! sign the strength at the vertical is not the Kirchhoff integral k^2 |R|^2 / (2 pi) int exp(-2 k^2 C_h^2 r^(2 alpha)) r dr, and lies 3.6 dB below
+//! the handbook's table 3. With the plus sign it agrees with both.
 
 use std::f64::consts::{FRAC_PI_2, LN_10, PI, TAU};
 
@@ -14,7 +15,7 @@ use super::Preset;
 const EXPONENT: f64 = 3.25;
 const ALPHA: f64 = 0.625;
 
-/// Reflection coefficient and the vertical wavenumber in the sediment over that in water (Eqs. 30 to 33).
+/// Reflection coefficient, and the ratio of the vertical wavenumbers in sediment and water (Eqs. 30 to 33).
 fn rayleigh(p: &Preset, grazing_rad: f64) -> (Complex64, Complex64) {
     let (sin, cos) = grazing_rad.sin_cos();
     let kappa = Complex64::new(1.0, p.loss) / p.speed_ratio;
@@ -23,7 +24,7 @@ fn rayleigh(p: &Preset, grazing_rad: f64) -> (Complex64, Complex64) {
     ((y - 1.0) / (y + 1.0), root)
 }
 
-/// Eqs. 50 to 52: perturbation by the roughness.
+/// Perturbation by the roughness (Eqs. 50 to 52).
 fn perturbed(p: &Preset, k: f64, grazing_rad: f64) -> f64 {
     let (sin, cos) = grazing_rad.sin_cos();
     let kappa = Complex64::new(1.0, p.loss) / p.speed_ratio;
@@ -35,7 +36,7 @@ fn perturbed(p: &Preset, k: f64, grazing_rad: f64) -> f64 {
     4.0 * (k * sin).powi(4) * factor.norm_sqr() * spectrum
 }
 
-/// Eqs. 65 and 66: the sediment's volume.
+/// Scattering by the sediment volume (Eqs. 65 and 66).
 fn within(p: &Preset, grazing_rad: f64) -> f64 {
     let (mirrored, root) = rayleigh(p, grazing_rad);
     let sin = grazing_rad.sin();
@@ -43,19 +44,19 @@ fn within(p: &Preset, grazing_rad: f64) -> f64 {
         / (p.speed_ratio * LN_10 * root.norm_sqr() * root.im)
 }
 
-/// Eqs. 46 to 49: a mean over the large slopes, by three points.
+/// Mean over the large-scale slopes by three-point quadrature (Eqs. 46 to 49).
 fn over_slopes(grazing_rad: f64, slope: f64, strength: impl Fn(f64) -> f64) -> f64 {
-    // Below the horizon there is nothing; the strengths vanish there.
+    // The strengths vanish at zero grazing, so angles are clamped there.
     let at = |node: f64| strength((grazing_rad - node * slope).clamp(1e-9, FRAC_PI_2));
     (0.295_410 * (at(1.224_745) + at(-1.224_745)) + 1.181_636 * at(0.0)) / PI.sqrt()
 }
 
-/// Eq. 57.
+/// Blending function (Eq. 57).
 fn blend(x: f64) -> f64 {
     1.0 / (1.0 + x.clamp(-40.0, 40.0).exp())
 }
 
-/// Backscattering strength, a power per square metre, at a grazing angle above 0.
+/// Backscattering strength per square metre, a linear power, at a positive grazing angle.
 pub fn strength(p: &Preset, grazing_rad: f64, frequency_hz: f64, water_m_per_s: f64) -> f64 {
     let gamma = libm::tgamma;
     let k = TAU * frequency_hz / (100.0 * water_m_per_s);
@@ -63,7 +64,7 @@ pub fn strength(p: &Preset, grazing_rad: f64, frequency_hz: f64, water_m_per_s: 
     let grazing_deg = grazing_rad.to_degrees();
     let upright = rayleigh(p, FRAC_PI_2).0.norm_sqr();
 
-    // Kirchhoff, Eqs. 35 to 40.
+    // Kirchhoff approximation, Eqs. 35 to 40.
     let structure = TAU * p.roughness_cm4 * gamma(2.0 - ALPHA) * 2.0_f64.powf(-2.0 * ALPHA)
         / (ALPHA * (1.0 - ALPHA) * gamma(1.0 + ALPHA));
     let q = structure * 2.0_f64.powf(1.0 - 2.0 * ALPHA) * k.powf(2.0 * (1.0 - ALPHA));
@@ -80,7 +81,7 @@ pub fn strength(p: &Preset, grazing_rad: f64, frequency_hz: f64, water_m_per_s: 
         false => 0.0,
     };
 
-    // Composite roughness, Eqs. 41 to 49, with its shadows.
+    // Composite roughness with shadowing, Eqs. 41 to 49.
     let slope_squared = (TAU * p.roughness_cm4).powf(1.0 / ALPHA) / (2.0 * (1.0 - ALPHA))
         * (k * k / ALPHA).powf((1.0 - ALPHA) / ALPHA);
     let slope = slope_squared.sqrt();
@@ -111,7 +112,7 @@ pub fn strength(p: &Preset, grazing_rad: f64, frequency_hz: f64, water_m_per_s: 
     let rough = low * (PI / beyond).sin().powf(0.7263 * slope.powf(-1.0 / 3.0))
         + 0.0260 * upright / (slope_squared * gaussian.powf(1.9) * beyond);
 
-    // From one to the next, Eqs. 57 to 64.
+    // Transitions, Eqs. 57 to 64.
     let fallen = 1000.0_f64.powf(1.0 / (1.0 + ALPHA)) * (a * q * q).powf(1.0 / ALPHA);
     let steep = blend((cos - (1.0 / fallen + 4.0).powf(-0.25)) / 0.0125);
     let moderate = steep * kirchhoff + (1.0 - steep) * composite;

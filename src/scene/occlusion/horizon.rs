@@ -1,4 +1,4 @@
-//! What one eye sees over the seabed: where all ground faces it, and shadows along rays where it does not.
+//! Visibility of the seabed from one eye: the distance up to which all ground faces the eye, and shadows along rays beyond it.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -7,28 +7,28 @@ use super::Piece;
 use crate::seabed::Surface;
 use echotank_config::spec::OcclusionSpec;
 
-/// At the longest range, where the rays are widest.
+/// Rays per scatterer spacing at the longest range.
 const RAYS_TO_A_SPACING: usize = 2;
-/// Rays that are run together, because something may be looked at along any of them.
+/// Adjacent rays that are scanned together.
 const SECTOR: usize = 16;
-/// Spacings in the longest range: at least, and at most, when a full circle of rays takes 4 MiB.
+/// Least and greatest number of spacings in the longest range. At the greatest, a full circle of rays takes 4 MiB.
 const SPACINGS: (f64, f64) = (64.0, 1024.0);
-/// Shadows that a ray keeps; beyond, a ray is cast for every scatterer.
+/// Shadows stored for each ray. Beyond them, a ray is cast for every scatterer.
 const SHADOWS: usize = 32;
-/// Shorter shadows are rounding, metres.
+/// Shorter shadows are attributed to rounding, metres.
 const SLIVER_M: f64 = 1e-3;
-/// Of a tangent; a tenth of a micrometre at 100 m.
+/// Rounding error of a tangent: a tenth of a micrometre at 100 m.
 const ROUNDING: f64 = 1e-9;
-/// Below the horizon of nothing at all.
+/// Tangent of an empty horizon.
 const OPEN: f64 = -1e9;
-/// Nearer than this there is nothing that could hide anything, metres.
+/// Ground nearer than this hides nothing, metres.
 const FIRST_M: f64 = 1e-3;
-/// Turns between light and shadow in a piece of ground: it goes in and out of one at most, and may be hidden where it begins.
+/// Transitions between insonified and shadowed ground in one piece. A piece enters and leaves shadow at most once, and may begin in one.
 const TURNS: usize = 4;
 
 const UNUSED: u32 = u32::MAX;
 
-/// Where the horizontal direction (north, east) lies on the way round: 0 to 4, growing with the azimuth, without a trigonometric function.
+/// Pseudo-angle of a horizontal direction (north, east): 0 to 4, growing with the azimuth, without a trigonometric function.
 #[inline(always)]
 fn turn(d: DVec2) -> f64 {
     let sum = d.x.abs() + d.y.abs();
@@ -40,7 +40,7 @@ fn turn(d: DVec2) -> f64 {
     }
 }
 
-/// The direction that lies there.
+/// Unit direction of a pseudo-angle.
 fn direction(turn: f64) -> DVec2 {
     let quarter = turn.rem_euclid(4.0);
     let d = match quarter {
@@ -52,14 +52,14 @@ fn direction(turn: f64) -> DVec2 {
     d.normalize()
 }
 
-/// A sixteenth or so of a degree to some degrees of the way round.
+/// Adjacent rays: from about a sixteenth of a degree to some degrees.
 #[derive(Clone, Copy, Debug)]
 struct Sector {
-    /// How far it will be looked at, metres; 0 where it will not.
+    /// Distance up to which points will be tested, metres; 0 if none are.
     reach_m: f64,
-    /// Nearer than this all ground faces the eye, so that nothing of it is hidden.
+    /// Distance up to which all ground faces the eye, so that nothing is hidden, metres.
     clear_m: f64,
-    /// Its rays among those that were run, in sectors.
+    /// Index of its rays among those scanned, in sectors.
     place: u32,
 }
 
@@ -69,13 +69,13 @@ const UNMARKED: Sector = Sector {
     place: UNUSED,
 };
 
-/// The ground's shadows along a ray, outward.
+/// Shadows of the ground along a ray, from near to far.
 #[derive(Clone, Copy, Debug)]
 struct Shadows {
     count: u32,
-    /// Beyond this there are more than were kept.
+    /// Distance beyond which shadows were not stored.
     known_m: f32,
-    /// Where each begins and ends.
+    /// Beginning and end of each shadow, metres.
     edges_m: [[f32; 2]; SHADOWS],
 }
 
@@ -85,7 +85,7 @@ const NO_SHADOWS: Shadows = Shadows {
     edges_m: [[0.0; 2]; SHADOWS],
 };
 
-/// What is known of the ground at a place.
+/// Visibility of the ground at a position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Visibility {
     Seen,
@@ -93,7 +93,7 @@ pub(crate) enum Visibility {
     Unsure,
 }
 
-/// Coordinates are the scene's own.
+/// Horizon of one eye. Coordinates are the scene's.
 #[derive(Debug, Default)]
 pub(super) struct Horizon {
     eye_m: DVec3,
@@ -103,7 +103,7 @@ pub(super) struct Horizon {
     /// Occluders everything that will be looked at and the eye.
     low_m: DVec2,
     high_m: DVec2,
-    /// Sectors whose rays were run.
+    /// Sectors whose rays were scanned.
     used: Vec<u32>,
     shadows: Vec<Shadows>,
 }
@@ -112,7 +112,7 @@ impl Horizon {
     pub(super) fn start(&mut self, eye_m: DVec3, longest_m: f64, spacing_m: f64) {
         self.eye_m = eye_m;
         let fine = (longest_m / spacing_m).clamp(SPACINGS.0, SPACINGS.1);
-        // A unit of `turn` holds up to 2 radians.
+        // A unit of `turn` spans up to 2 radians.
         self.rays = (RAYS_TO_A_SPACING * 8 * fine.ceil() as usize).next_multiple_of(SECTOR);
         self.sectors.clear();
         self.sectors.resize(self.rays / SECTOR, UNMARKED);
@@ -120,11 +120,11 @@ impl Horizon {
         self.used.clear();
         self.used.reserve(self.sectors.len());
         self.shadows.clear();
-        // For all, though hardly any ping needs them: what is not written takes no memory.
+        // Reserved for all rays, though hardly any ping needs them: memory that is not written is not committed.
         self.shadows.reserve(self.rays);
     }
 
-    /// Something in this box will be looked at.
+    /// Announces that points in a box will be tested.
     pub(super) fn mark(&mut self, low_m: DVec2, high_m: DVec2) {
         self.low_m = self.low_m.min(low_m);
         self.high_m = self.high_m.max(high_m);
@@ -140,7 +140,7 @@ impl Horizon {
         (low_m - eye_m).abs().max((high_m - eye_m).abs()).length()
     }
 
-    /// The sectors of all rays between which a box lies.
+    /// Sectors of all rays that bracket a box.
     fn sectors_of(&self, low_m: DVec2, high_m: DVec2) -> impl Iterator<Item = usize> + use<> {
         let eye_m = self.eye_m.truncate();
         let (low, high) = (low_m - eye_m, high_m - eye_m);
@@ -156,7 +156,7 @@ impl Horizon {
                 DVec2::new(low.x, high.y),
                 DVec2::new(high.x, low.y),
             ];
-            // Less than half the circle: the box lies on one side of the eye.
+            // The box spans less than half the circle: it lies on one side of the eye.
             let from_middle = corners.map(|c| (turn(c) - middle + 6.0).rem_euclid(4.0) - 2.0);
             let least = from_middle.into_iter().fold(0.0, f64::min);
             let most = from_middle.into_iter().fold(0.0, f64::max);
@@ -167,7 +167,7 @@ impl Horizon {
         (first..=last).map(move |sector| sector.rem_euclid(sectors) as usize)
     }
 
-    /// Finds how far each sector is clear. To be called after all has been marked.
+    /// Finds the clear distance of each sector. Call it after all boxes are marked.
     pub(super) fn clear(&mut self, surface: &Surface) {
         let (eye_m, low_m, high_m) = (self.eye_m, self.low_m, self.high_m);
         let at_m = eye_m.truncate();
@@ -180,7 +180,7 @@ impl Horizon {
         });
     }
 
-    /// Runs the rays of the sectors that are not clear as far as they are looked at.
+    /// Scans the rays of the sectors that are not clear, up to their greatest tested distance.
     pub(super) fn scan(&mut self, surface: &Surface, rule: OcclusionSpec) {
         for (index, sector) in self.sectors.iter_mut().enumerate() {
             if sector.clear_m < sector.reach_m {
@@ -209,7 +209,7 @@ impl Horizon {
                     hidden_from_m: None,
                 };
                 let from_m = match rule {
-                    // The first ground of all counts.
+                    // This rule compares with the first ground along the ray.
                     OcclusionSpec::Paper => 0.0,
                     _ => sector.clear_m,
                 };
@@ -222,14 +222,14 @@ impl Horizon {
             });
     }
 
-    /// Whether all ground in a box that was marked is seen.
+    /// Whether all ground in a marked box is seen.
     pub(crate) fn is_clear(&self, low_m: DVec2, high_m: DVec2) -> bool {
         let farthest_m = self.farthest_m(low_m, high_m);
         self.sectors_of(low_m, high_m)
             .all(|sector| farthest_m <= self.sectors[sector].clear_m)
     }
 
-    /// What the rays on both sides say of the ground at a place that was marked, and the nearer one of them alone.
+    /// Visibility of the ground at a marked position: the common result of the rays on both sides, and that of the nearer ray.
     #[inline(always)]
     pub(super) fn visibility(&self, at_m: DVec2) -> (Visibility, Visibility) {
         let d = at_m - self.eye_m.truncate();
@@ -251,13 +251,13 @@ impl Horizon {
         self.shadows[sector.place as usize * SECTOR + ray % SECTOR].at(distance_m as f32)
     }
 
-    /// A single ray: whether the ground hides a place from the eye.
+    /// Casts a single ray. Returns whether the ground hides a position from the eye.
     pub(crate) fn cast_hides(&self, ground: &Surface, at_m: DVec3) -> bool {
         let way_m = (at_m - self.eye_m).truncate();
         let distance_m = way_m.length();
         let ray = (turn(way_m) * (self.rays as f64 / 4.0)) as usize;
         let clear_m = self.sectors[ray.min(self.rays - 1) / SECTOR].clear_m;
-        // The place of a scatterer is known to some micrometres.
+        // Positions of scatterers are rounded to some micrometres.
         let line = (self.eye_m.z - at_m.z + 1e-5) / distance_m;
         let mut hidden = false;
         let stretch_m = clear_m.min(distance_m)..distance_m;
@@ -289,24 +289,24 @@ impl Shadows {
     }
 }
 
-/// Follows one ray outward.
+/// Scan along one ray, outward.
 struct RayScan<'a> {
     shadows: &'a mut Shadows,
     eye_down_m: f64,
-    /// Horizon rule: the highest tangent so far. Paper's rule: that of the first ground.
+    /// Horizon rule: the highest tangent so far. Paper rule: the tangent of the first ground.
     highest: f64,
     hidden_from_m: Option<f64>,
 }
 
 impl RayScan<'_> {
-    /// Hidden is what lies below the highest tangent before it; over a gap in the ground it stays.
+    /// Horizon rule: ground below the highest tangent before it is hidden. The horizon persists over a gap in the ground.
     fn below_horizon(&mut self, piece: Piece) {
         let eye_down_m = self.eye_down_m;
         let mut s = piece.from_m.max(FIRST_M);
         if s >= piece.to_m {
             return;
         }
-        // Behind a gap the ground may lie higher or lower; elsewhere pieces meet but for rounding.
+        // Behind a gap the ground may lie higher or lower. Elsewhere pieces meet within rounding.
         let here = piece.tangent(eye_down_m, s);
         if here >= self.highest - ROUNDING {
             self.show_from(s);
@@ -332,7 +332,7 @@ impl RayScan<'_> {
         }
     }
 
-    /// Eq. 27: hidden is what lies lower in the view than what comes just before it, or than the first of all.
+    /// Eq. 27: ground is hidden if it lies lower in the view than the ground just before it, or than the first ground.
     fn falling(&mut self, piece: Piece) {
         let eye_down_m = self.eye_down_m;
         let from_m = piece.from_m.max(FIRST_M);
@@ -358,7 +358,7 @@ impl RayScan<'_> {
         }
     }
 
-    /// The end of a shadow, if the ray is in one.
+    /// Ends the current shadow, if there is one.
     fn show_from(&mut self, to_m: f64) {
         let Some(from_m) = self.hidden_from_m.take() else {
             return;

@@ -1,22 +1,19 @@
-//! Shadows: which scatterers transmitter and receiver can see over the seabed and past the solids in the water.
+//! Occlusion: which scatterers the transmitter and the receiver see over the seabed and past solids.
 //!
-//! `horizon`, for every eye (each array's place):
-//! 1. As far out as all ground faces the eye nothing of it is hidden, and the bilinear surface says exactly which of its squares do
-//!    ([`Surface::turned_away`](super::seabed::Surface::turned_away)). On most seabeds that is all there is to do.
-//! 2. Towards ground that is turned away, rays run out over the height field. The profile along a ray is a parabola in every square, so that
-//!    its shadows' beginnings and ends are known in closed form. Rays lie a scatterer's spacing apart or closer at the longest range (or a
-//!    1024th of it where the spacing is finer).
-//! 3. Ground is seen or hidden where the rays on both sides say so. Where they differ, a ray is cast for the scatterer alone.
+//! Rule `horizon`, for every array position (eye):
+//! 1. Up to the distance where all ground faces the eye, nothing is hidden. [`Surface::turned_away`](super::seabed::Surface::turned_away) finds the bilinear squares that face away. Most seabeds need no further step.
+//! 2. Rays scan the height field towards ground that faces away. The profile along a ray is a parabola in every square, so the ends of its shadows have a closed form. At the longest range the rays lie at most one scatterer spacing apart, or a 1024th of the range where the spacing is finer.
+//! 3. Ground is seen or hidden if the rays on both sides agree. Where they differ, a ray is cast for the single scatterer.
 //!
-//! Against a ray cast for each scatterer, shadows so end within one spacing of the right place.
+//! Compared with a ray cast for each scatterer, the edges of shadows are accurate to one spacing.
 //!
-//! `paper`: Meng et al. 2023, Eq. 27 as printed, on the same rays: hidden is what lies below the first ground in the view, or below that just
-//! before it. It forgets an obstacle as soon as the ground behind it rises again.
+//! Rule `paper`: Meng et al. 2023, Eq. 27 as printed, on the same rays. Ground is hidden if it lies lower in the view than the first ground, or than
+//! the ground just before it. An obstacle has no effect once the ground behind it rises again.
 //!
-//! What is not ground (points, targets) is seen where the ground below it is, and otherwise has a ray cast. Solids hide by ray casting,
-//! under either rule. Straight rays: refraction is not modelled.
+//! A point or target is seen if it stands above ground that is seen; otherwise a ray is cast. Solids hide by ray casting under either rule. Rays are
+//! straight: refraction is not modelled.
 //!
-//! Not for points without a height field, as the simplifiers have them: see `simplify::shadow`.
+//! Point sets without a height field, as in the simplification, use `simplify::shadow`.
 
 mod horizon;
 mod piece;
@@ -37,31 +34,31 @@ use echotank_core::flow::Footprint;
 use horizon::{Horizon, Visibility};
 pub(crate) use piece::Piece;
 
-/// Eyes closer together than this are one, metres.
+/// Eyes closer together than this are treated as one, metres.
 const SAME_EYE_M: f64 = 1e-3;
 
-/// What lies no deeper below the ground than this lies on it, metres.
+/// A point at most this far below the ground counts as lying on it, metres.
 const ON_GROUND_M: f64 = 1e-4;
 
-/// What may hide a point.
+/// Objects that may hide a point.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Occluders<'a> {
     pub ground: Option<&'a Surface>,
     pub solids: Option<&'a Targets>,
-    /// The point is one of the ground's own.
+    /// The point is a scatterer of the seabed.
     pub(crate) on_ground: bool,
 }
 
-/// The shadows of one ping. Coordinates are the scene's own.
+/// Shadows of one ping, in scene coordinates.
 #[derive(Debug)]
 pub(crate) struct Occlusion {
     rule: OcclusionSpec,
     eyes_m: Vec<DVec3>,
-    /// One per eye, over a seabed that can hide something.
+    /// One for each eye, over a seabed that can hide something.
     horizons: Vec<Horizon>,
-    /// Of each footprint: the transmitter's eye and the receiver's.
+    /// Indices of the transmitter's and the receiver's eye of each footprint.
     pairs: Vec<(usize, usize)>,
-    /// Targets that are solid and near enough to hide something that is heard.
+    /// Solid targets near enough to hide a scatterer in range.
     solids: Vec<usize>,
     hilly: bool,
 }
@@ -78,7 +75,7 @@ impl Occlusion {
         }
     }
 
-    /// A new ping. `spacing_m`: between scatterers at the longest range; none where there is no seabed that could hide anything.
+    /// Starts a ping. `spacing_m` is the spacing of scatterers at the longest range, or none where the seabed cannot hide anything.
     pub(crate) fn start(
         &mut self,
         footprints: &[Footprint],
@@ -99,11 +96,11 @@ impl Occlusion {
         self.hilly = spacing_m.is_some();
         let longest_m = footprints.iter().map(|f| f.max_range_m).fold(1.0, f64::max);
         let eyes_m = &self.eyes_m;
-        // For all, so that no later ping allocates.
+        // Reserved for all targets, so that no later ping allocates.
         self.solids.reserve(targets.len());
         self.solids.extend((0..targets.len()).filter(|&target| {
             let (center_m, radius_m) = targets.ball_m(target);
-            // Twice: what a transmitter lights may lie beyond a receiver's range, never that far.
+            // Twice the range: a scatterer that the transmitter insonifies may lie beyond the receiver's range, but never that far.
             let near = |eye_m: &DVec3| eye_m.distance(center_m) <= 2.0 * longest_m + radius_m;
             targets.solid(target).is_some() && eyes_m.iter().any(near)
         }));
@@ -129,7 +126,7 @@ impl Occlusion {
         })
     }
 
-    /// Something in this box will be looked at.
+    /// Announces that points in a box will be tested.
     pub(crate) fn mark(&mut self, low_m: DVec3, high_m: DVec3) {
         if self.rule == OcclusionSpec::None || !self.hilly {
             return;
@@ -139,7 +136,7 @@ impl Occlusion {
         }
     }
 
-    /// Looks over the ground before everything that was marked.
+    /// Scans the ground in front of all marked boxes.
     pub(crate) fn scan(&mut self, surface: &Surface) {
         if self.rule == OcclusionSpec::None || !self.hilly {
             return;
@@ -151,7 +148,7 @@ impl Occlusion {
         }
     }
 
-    /// The ground, where it may hide some of the ground in a box that was marked.
+    /// The ground, if it may hide ground in a marked box.
     pub(crate) fn ground_before<'a>(
         &self,
         tile: &TileBox,
@@ -165,7 +162,7 @@ impl Occlusion {
         (!horizons.all(|h| h.is_clear(low_m, high_m))).then_some(ground)
     }
 
-    /// Whether nothing hides a point from transmitter and receiver of a footprint.
+    /// Whether both the transmitter and the receiver of a footprint see a point.
     #[inline(always)]
     pub(crate) fn sees(&self, footprint: usize, at_m: DVec3, around: Occluders) -> bool {
         let Some(&(transmitter, receiver)) = self.pairs.get(footprint) else {
@@ -195,7 +192,7 @@ impl Occlusion {
         match visibility {
             Visibility::Seen if around.on_ground => false,
             Visibility::Hidden if around.on_ground => true,
-            // What stands over ground that is seen is seen.
+            // A point above ground that is seen is seen.
             Visibility::Seen if is_above(ground, at_m) => false,
             _ => horizon.cast_hides(ground, at_m),
         }
@@ -209,7 +206,7 @@ impl Occlusion {
         })
     }
 
-    /// The solids, where any of them may stand between an eye and a tile.
+    /// The solids, if any of them may stand between an eye and a tile.
     pub(crate) fn solids_before<'a>(
         &self,
         tile: &TileBox,

@@ -1,20 +1,20 @@
-//! The ground along a ray, piece by piece, and how steeply the eye at the ray's beginning looks down on it.
+//! Pieces of the ground profile along a ray, and the elevation at which the eye sees them.
 
-/// A stretch of the ground along a ray, between two distances from the eye. About its middle, so that the shortest stretch loses no digits.
+/// Quadratic ground profile between two distances from the eye. It is expanded about its middle, so that short pieces keep their precision.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Piece {
     pub from_m: f64,
     pub to_m: f64,
     middle_m: f64,
-    /// Depth, slope and half the second derivative in the middle.
+    /// Depth, slope and half the second derivative at the middle.
     depth: [f64; 3],
 }
 
 impl Piece {
-    /// Where the ground must be known for [`Piece::through`]: as shares of the way from one end to the other.
+    /// Sampling points of [`Piece::through`], as fractions of the piece.
     pub(crate) const AT: [f64; 3] = [0.1, 0.5, 0.9];
 
-    /// `depth`: in the middle, with its first derivative and half the second.
+    /// A piece from the depth at its middle, the first derivative and half the second.
     pub(crate) fn new(from_m: f64, to_m: f64, depth: [f64; 3]) -> Self {
         Self {
             from_m,
@@ -24,7 +24,7 @@ impl Piece {
         }
     }
 
-    /// Through the depths at [`Self::AT`].
+    /// A piece through three depths at [`Self::AT`].
     pub(crate) fn through(from_m: f64, to_m: f64, [y0, y1, y2]: [f64; 3]) -> Self {
         let step_m = (Self::AT[1] - Self::AT[0]) * (to_m - from_m);
         let depth = [
@@ -35,21 +35,21 @@ impl Piece {
         Self::new(from_m, to_m, depth)
     }
 
-    /// Tangent of the elevation at which the eye sees the ground.
+    /// Tangent of the elevation at which the eye sees the ground at distance `s`.
     pub(crate) fn tangent(&self, eye_down_m: f64, s: f64) -> f64 {
         let [a, b, c] = self.depth;
         let x = s - self.middle_m;
         (eye_down_m - (a + x * (b + x * c))) / s
     }
 
-    /// s^2 times the tangent's derivative: positive where the ground faces the eye. Falls or rises steadily from end to end.
+    /// s^2 times the derivative of the tangent: positive where the ground faces the eye. It is monotonic over the piece.
     pub(crate) fn rise(&self, eye_down_m: f64, s: f64) -> f64 {
         let [a, b, c] = self.depth;
         let x = s - self.middle_m;
         a + x * (b + x * c) - eye_down_m - (b + 2.0 * x * c) * s
     }
 
-    /// The highest tangent from `from_m` (above 0) on.
+    /// Highest tangent from `from_m` (above 0) on.
     pub(crate) fn highest(&self, eye_down_m: f64, from_m: f64) -> f64 {
         let ends = [from_m, self.to_m].map(|s| self.tangent(eye_down_m, s));
         let summit = self.turns_m(eye_down_m, from_m);
@@ -57,9 +57,9 @@ impl Piece {
         ends[0].max(ends[1]).max(summit)
     }
 
-    /// Where inside, beyond `from_m`, the tangent stops rising or falling, if it does.
+    /// Distance beyond `from_m` at which the tangent has an extremum, if any.
     pub(crate) fn turns_m(&self, eye_down_m: f64, from_m: f64) -> Option<f64> {
-        // depth - eye = slope s there: s^2 = m^2 + (a - eye - b m)/c.
+        // At an extremum, depth - eye = slope s, hence s^2 = m^2 + (a - eye - b m)/c.
         let [a, b, c] = self.depth;
         let m = self.middle_m;
         let squared = m * m + (a - eye_down_m - b * m) / c;
@@ -67,7 +67,7 @@ impl Piece {
             .then(|| squared.sqrt())
     }
 
-    /// From where on, beyond `from_m`, the tangent falls; none where it rises to the end.
+    /// Distance beyond `from_m` from which the tangent falls; none if it rises to the end.
     pub(crate) fn falls_m(&self, eye_down_m: f64, from_m: f64) -> Option<f64> {
         if self.rise(eye_down_m, from_m) < 0.0 {
             return Some(from_m);
@@ -75,14 +75,14 @@ impl Piece {
         self.turns_m(eye_down_m, from_m)
     }
 
-    /// Where, beyond `from_m`, the tangent rises through a value that it lies below, or falls from, at `from_m`.
+    /// Distance beyond `from_m` at which the tangent rises through a value, given that it lies below or falls from that value at `from_m`.
     pub(crate) fn rises_through_m(
         &self,
         eye_down_m: f64,
         from_m: f64,
         tangent: f64,
     ) -> Option<f64> {
-        // s (value - tangent) = depth + value s - eye, in x = s - m: c x^2 + b x + a, which goes from positive to negative there.
+        // s (value - tangent) = depth + value s - eye. In x = s - m this is c x^2 + b x + a, which changes from positive to negative there.
         let [depth_m, slope, c] = self.depth;
         let a = depth_m - eye_down_m + tangent * self.middle_m;
         let b = slope + tangent;
@@ -90,7 +90,7 @@ impl Piece {
         if discriminant < 0.0 {
             return None;
         }
-        // Without cancellation (Press et al. 2007, Numerical Recipes, 5.6); of the two roots the one with a falling slope. c may be 0.
+        // Form without cancellation (Press et al. 2007, Numerical Recipes, 5.6), for the root with a falling slope. c may be 0.
         let root = discriminant.sqrt();
         let x = match b >= 0.0 {
             true => -0.5 * (b + root) / c,

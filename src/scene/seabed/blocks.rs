@@ -1,4 +1,4 @@
-//! Bounds of the depth and of the slope over blocks of a grid's squares, so that a rectangle's bounds cost a few look-ups.
+//! Bounds of depth and slope over blocks of grid squares. The bounds of a rectangle then take a few look-ups.
 
 use crate::read::HeightField;
 
@@ -8,19 +8,19 @@ pub(crate) fn united(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
     (a.0.min(b.0), a.1.max(b.1))
 }
 
-/// Least and greatest over a block; (inf, -inf) where all is a hole.
+/// Least and greatest values over a block; (inf, -inf) where all of it is a hole.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Block {
     pub down_m: (f64, f64),
     pub slope_north: (f64, f64),
     pub slope_east: (f64, f64),
-    /// Some of its centres are holes.
+    /// At least one of its cell centres is a hole.
     pub holes: bool,
 }
 
 #[derive(Clone, Debug)]
 pub(crate) struct Blocks {
-    /// Intervals between cell centres on a block's sides.
+    /// Intervals between cell centres along a side of a block.
     pub(crate) intervals_north: usize,
     pub(crate) intervals_east: usize,
     pub rows: usize,
@@ -40,7 +40,7 @@ impl Blocks {
         for row in 0..rows {
             for col in 0..cols {
                 let first = (row * intervals_north, col * intervals_east);
-                // The centres on a block's edge belong to both neighbours: a bilinear surface has its extremes at centres.
+                // Centres on the edge belong to both neighbouring blocks: a bilinear surface has its extremes at centres.
                 let last = (
                     (first.0 + intervals_north).min(grid.rows - 1),
                     (first.1 + intervals_east).min(grid.cols - 1),
@@ -61,7 +61,7 @@ impl Blocks {
         &self.blocks[row * self.cols + col]
     }
 
-    /// The blocks along one side that an interval (metres from the first centre) touches.
+    /// Blocks along one side that an interval (metres from the first centre) touches.
     pub(super) fn reach(
         &self,
         ends_m: (f64, f64),
@@ -69,14 +69,14 @@ impl Blocks {
         count: usize,
     ) -> std::ops::RangeInclusive<usize> {
         let side_m = intervals as f64 * cell_m;
-        // Negative numbers become 0 in the cast.
+        // The cast maps negative numbers to 0.
         let block = |m: f64| ((m / side_m) as usize).min(count - 1);
         block(ends_m.0)..=block(ends_m.1)
     }
 }
 
 impl Block {
-    /// Of the centres from `first` to `last`, both with them. A bilinear surface's slopes are greatest along the sides of its squares.
+    /// Bounds over the centres from `first` to `last`, both included. A bilinear surface is steepest along the sides of its squares.
     fn of(grid: &HeightField, first: (usize, usize), last: (usize, usize)) -> Self {
         let mut block = Self {
             down_m: NOTHING,
@@ -92,7 +92,7 @@ impl Block {
                     continue;
                 }
                 block.down_m = united(block.down_m, (h, h));
-                // A neighbour that is a hole makes this NaN, which no bound takes.
+                // A neighbour that is a hole yields NaN, which no bound takes.
                 if r < last.0 {
                     let slope = (grid.cell_down_m(r + 1, c) - h) / grid.cell_north_m;
                     block.slope_north = united(block.slope_north, (slope, slope));

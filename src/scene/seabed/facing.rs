@@ -1,31 +1,33 @@
-//! Where the ground may be turned away from an eye: what all faces the eye hides nothing of what lies behind it, for the higher the eye's
-//! line of sight over a height field, the farther it goes, as long as it meets no ground turned away.
+//! Finds ground that may face away from an eye.
 //!
-//! With x and y from below the eye, the tangent of the elevation at which the eye sees the ground rises outward where
-//! `depth - eye - x slope_x - y slope_y > 0`. On a bilinear square that is `a - eye - twist x y`: its least value lies on a corner.
+//! Over a height field, the elevation of the line of sight rises outward as long as the ground faces the eye. Ground that faces the eye throughout
+//! therefore hides nothing behind it.
+//!
+//! With x and y from the point below the eye, the tangent of the elevation rises outward where `depth - eye - x slope_x - y slope_y > 0`. On a
+//! bilinear square this is `a - eye - twist x y`, whose least value lies on a corner.
 
 use glam::{DVec2, DVec3};
 
 use super::blocks::Block;
 use super::{GridSurface, Surface};
 
-/// Ground that faces the eye by less than this (metres of the above) counts as turned away: rounding.
+/// Ground that faces the eye by less than this (metres of the expression above) counts as facing away, to cover rounding.
 const EDGE_ON_M: f64 = 1e-6;
 
-/// Consecutive intervals between centres along one side of a grid, or of one of its mirror images.
+/// Consecutive intervals between cell centres along one side of a grid, or of one of its mirror images.
 #[derive(Clone, Copy, Debug)]
 struct Strip {
-    /// Of the grid.
+    /// Index of the first interval in the grid.
     first: usize,
     count: usize,
-    /// Where it lies, metres from the eye.
+    /// Position, metres from the eye.
     low_m: f64,
     high_m: f64,
-    /// -1 in a mirror image that runs the other way.
+    /// -1 in a reversed mirror image, else 1.
     sign: f64,
 }
 
-/// A side of a grid: intervals, their length, where the first begins, metres from the eye, and whether images follow without end.
+/// One side of a grid: number and length of its intervals, position of the first in metres from the eye, and whether mirror images continue it.
 #[derive(Clone, Copy)]
 struct Side {
     intervals: usize,
@@ -35,7 +37,7 @@ struct Side {
 }
 
 impl Side {
-    /// The strips of up to `together` intervals that meet low_m..=high_m.
+    /// Strips of up to `together` intervals that meet the range low_m..=high_m.
     fn strips(
         self,
         together: usize,
@@ -51,13 +53,13 @@ impl Side {
             let from_m = self.first_m + image as f64 * extent_m;
             let back = image.rem_euclid(2) == 1;
             let sign = if back { -1.0 } else { 1.0 };
-            // In intervals from where the grid's first one lies in this image.
+            // Position in intervals from the grid's first one in this image.
             let place = move |m: f64| match back {
                 false => (m - from_m) / self.cell_m,
                 true => (from_m + extent_m - m) / self.cell_m,
             };
             let (a, b) = (place(low_m), place(high_m));
-            // Negative numbers become 0 in the cast.
+            // The cast maps negative numbers to 0.
             let first = (a.min(b) as usize).min(self.intervals) / together;
             let end = (a.max(b).ceil() as usize)
                 .min(self.intervals)
@@ -80,7 +82,7 @@ impl Side {
         })
     }
 
-    /// The intervals of a strip one by one.
+    /// The single intervals of a strip.
     fn single(self, strip: Strip) -> impl Iterator<Item = Strip> + Clone {
         (0..strip.count).map(move |k| {
             let from_low = if strip.sign < 0.0 {
@@ -101,7 +103,7 @@ impl Side {
 }
 
 impl Surface {
-    /// Calls back with rectangles that hold all ground between `low_m` and `high_m` that may be turned away from an eye, and all holes in it.
+    /// Reports rectangles that cover all ground between `low_m` and `high_m` that may face away from the eye, and all holes in it.
     pub(crate) fn turned_away(
         &self,
         eye_m: DVec3,
@@ -111,7 +113,7 @@ impl Surface {
     ) {
         match self {
             Self::Plane { .. } => {}
-            // Cheaper to run every ray than to ask.
+            // Scanning every ray is cheaper than testing the shape.
             Self::Paper(_) => away(low_m, high_m),
             Self::Grid(surface) => surface.turned_away(eye_m, low_m, high_m, away),
         }
@@ -166,12 +168,12 @@ impl GridSurface {
         }
     }
 
-    /// A hole does not.
+    /// Whether a square faces the eye. A hole does not.
     fn square_faces(&self, eye_down_m: f64, v: Strip, u: Strip) -> bool {
         let (row, col) = (v.first, u.first);
         let h = |r: usize, c: usize| self.grid.cell_down_m(row + r, col + c);
         let (sw, se, nw, ne) = (h(0, 0), h(0, 1), h(1, 0), h(1, 1));
-        // The grid's south-western corner of the square, which in a mirror image may be another.
+        // South-western corner of the square in the grid, which in a mirror image may be another.
         let (x, step_x) = match v.sign < 0.0 {
             true => (v.high_m, -self.grid.cell_north_m),
             false => (v.low_m, self.grid.cell_north_m),
@@ -183,7 +185,7 @@ impl GridSurface {
         let faces = |depth_m: f64, x: f64, rise_x: f64, y: f64, rise_y: f64| {
             depth_m - eye_down_m - x * rise_x / step_x - y * rise_y / step_y
         };
-        // One hole among the four makes a corner NaN, which is above nothing.
+        // One hole among the four corners yields NaN, which fails every comparison.
         faces(sw, x, nw - sw, y, se - sw) > EDGE_ON_M
             && faces(se, x, ne - se, y + step_y, se - sw) > EDGE_ON_M
             && faces(nw, x + step_x, nw - sw, y, ne - nw) > EDGE_ON_M
@@ -191,7 +193,7 @@ impl GridSurface {
     }
 }
 
-/// False where some of the block may be turned away, or a hole.
+/// False if part of the block may face away or is a hole.
 fn all_faces(block: &Block, eye_down_m: f64, v: Strip, u: Strip) -> bool {
     let most = |strip: Strip, slope: (f64, f64)| {
         let ends = [strip.low_m, strip.high_m];

@@ -1,6 +1,6 @@
-//! The seabed's surface: depth, slope and bounds at any place of the scene.
+//! Surface of the seabed: depth, slope and bounds at any position.
 //!
-//! Coordinates are the scene's own: metres north and east of its zero, down positive.
+//! Coordinates are the scene's: metres north and east of its origin, depth positive down.
 
 mod blocks;
 mod facing;
@@ -18,7 +18,7 @@ use blocks::{Blocks, NOTHING, united};
 use echotank_config::spec::{MosaicSpec, PaperShape, SeabedShape};
 
 impl Depth {
-    /// Unit normal away from the solid (up: its down component is negative).
+    /// Unit normal away from the solid. Its down component is negative.
     pub fn normal(&self) -> [f64; 3] {
         let cos = self.slope_cos();
         [self.slope_north * cos, self.slope_east * cos, -cos]
@@ -29,7 +29,7 @@ impl Depth {
     }
 }
 
-/// The seabed as a function of place.
+/// Depth of the seabed as a function of position.
 #[derive(Clone, Debug)]
 pub(crate) enum Surface {
     /// `down = depth_m + slope_north * north + slope_east * east`, everywhere.
@@ -42,35 +42,38 @@ pub(crate) enum Surface {
     Paper(PaperShape),
 }
 
-/// A grid whose centre lies at the scene's zero, moved by an offset.
+/// A grid whose centre lies at an offset from the scene's origin.
 #[derive(Clone, Debug)]
 pub(crate) struct GridSurface {
-    /// Its zero is the south-western cell's centre.
+    /// Height field with its origin at the centre of the south-western cell.
     grid: HeightField,
-    /// Beyond its outer cell centres the surface goes on as its mirror image, without end; otherwise it stops there.
+    /// Whether the surface continues beyond its outer cell centres as its mirror image. Otherwise it ends there.
     mirror: bool,
-    /// South-western cell's centre in the scene, metres.
+    /// Centre of the south-western cell in the scene, metres.
     south_m: f64,
     west_m: f64,
     blocks: Blocks,
-    /// Where on the earth the file's middle lies, latitude and longitude, radians; and where in the scene, metres.
+    /// Geodetic position of the file's middle.
     place: Option<GeodeticPlace>,
-    /// The file's coordinates, and its zero in the scene, metres north and east.
+    /// Georeference of the file, and the position of its origin in the scene, metres north and east.
     reference: Option<(Georeference, DVec2)>,
 }
 
-/// A point of the scene whose place on the earth is known.
+/// A point of the scene with a known geodetic position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GeodeticPlace {
+    /// Latitude, WGS84, radians.
     pub latitude_rad: f64,
+    /// Longitude, WGS84, radians.
     pub longitude_rad: f64,
-    /// In the scene's own coordinates.
+    /// Position in the scene, metres north.
     pub north_m: f64,
+    /// Position in the scene, metres east.
     pub east_m: f64,
 }
 
 impl Surface {
-    /// Opens the shape; `block_m` is the size of the areas [`Surface::bounds_m`] will be asked about.
+    /// Opens a seabed shape. `block_m` is the typical size of the areas that [`Surface::bounds_m`] is called with.
     pub(crate) fn open(
         files: &dyn Files,
         shape: &SeabedShape,
@@ -112,8 +115,10 @@ impl Surface {
         }
     }
 
-    /// Opens a mosaic to be laid over this surface: decibels take the place of depths. Over a file's surface it lies where its coordinates put
-    /// it, to be asked at [`Self::unmirrored`]; otherwise its centre lies at the scene's zero.
+    /// Opens a backscatter mosaic over this surface; its values are decibels instead of depths.
+    ///
+    /// Over a surface from a file the mosaic lies where its coordinates put it, and must be sampled at [`Self::unmirrored`]. Over other surfaces its
+    /// centre lies at the scene's origin.
     pub(crate) fn open_mosaic(
         &self,
         files: &dyn Files,
@@ -151,7 +156,7 @@ impl Surface {
         Ok(Self::Grid(Box::new(laid)))
     }
 
-    /// The place of the file that a place of the scene shows: another only in mirror images.
+    /// The position in the file that a position in the scene shows. The two differ only in mirror images.
     pub(crate) fn unmirrored(&self, north_m: f64, east_m: f64) -> (f64, f64) {
         match self {
             Self::Grid(surface) if surface.mirror => {
@@ -163,7 +168,7 @@ impl Surface {
         }
     }
 
-    /// A surface of depths whose zero lies at the offset.
+    /// A surface of depths with its origin at an offset.
     pub(crate) fn from_grid(
         grid: HeightField,
         mirror: bool,
@@ -175,7 +180,7 @@ impl Surface {
         Self::Grid(Box::new(surface))
     }
 
-    /// A point of it whose place on the earth is known; none where no file tells.
+    /// A point of the surface with a known geodetic position; none without a georeferenced file.
     pub(crate) fn geodetic_place(&self) -> Option<GeodeticPlace> {
         match self {
             Self::Plane { .. } | Self::Paper(_) => None,
@@ -183,7 +188,7 @@ impl Surface {
         }
     }
 
-    /// The surface at a place; none in a hole and beyond the end.
+    /// Depth and slope at a position; none in a hole and beyond the edge.
     pub(crate) fn sample(&self, north_m: f64, east_m: f64) -> Option<Depth> {
         match self {
             Self::Plane {
@@ -200,7 +205,7 @@ impl Surface {
         }
     }
 
-    /// Bounds of the depth over a rectangle (may be wider than need be); none where it holds no seabed.
+    /// Bounds of the depth over a rectangle, metres; may be wider than necessary. None where the rectangle holds no seabed.
     pub(crate) fn bounds_m(&self, north_m: (f64, f64), east_m: (f64, f64)) -> Option<(f64, f64)> {
         match self {
             Self::Plane {
@@ -222,13 +227,12 @@ impl Surface {
 }
 
 impl Surface {
-    /// Whether one part of it could hide another.
+    /// Whether one part of the surface could hide another.
     pub(crate) fn is_hilly(&self) -> bool {
         matches!(self, Self::Grid(_) | Self::Paper(_))
     }
 
-    /// The ground along a ray from `from_m` in the horizontal unit direction `along`, over a stretch of distances, piece by piece. Holes give
-    /// none.
+    /// Reports the pieces of ground along a ray from `from_m` in the horizontal unit direction `along`, over a range of distances. Holes yield none.
     pub(crate) fn profile(
         &self,
         from_m: DVec2,
@@ -249,7 +253,7 @@ impl Surface {
             north.pass(here_m);
             east.pass(here_m);
             let next_m = north.next_m.min(east.next_m).min(reach_m);
-            // In the middle of the piece: on the edge of a square its neighbour could answer, or be a hole.
+            // Sampled in the middle of the piece: on the edge of a square, a neighbouring square or hole could answer.
             let middle_m = from_m + along * (0.5 * (here_m + next_m));
             if let Some((depth, twist)) = surface.sample_with_twist(middle_m.x, middle_m.y) {
                 let slope = depth.slope_north * along.x + depth.slope_east * along.y;
@@ -261,10 +265,10 @@ impl Surface {
     }
 }
 
-/// Where a ray crosses the lines of a lattice along one coordinate.
+/// Distances at which a ray crosses the grid lines of one coordinate.
 struct Crossings {
     next_m: f64,
-    /// Between crossings.
+    /// Distance between crossings.
     step_m: f64,
 }
 
@@ -329,7 +333,7 @@ impl GridSurface {
         self.sample_with_twist(north_m, east_m).map(|s| s.0)
     }
 
-    /// And d^2 down / d north d east.
+    /// Depth and slope, and d^2 down / d north d east.
     #[inline]
     fn sample_with_twist(&self, north_m: f64, east_m: f64) -> Option<(Depth, f64)> {
         let (mut v, mut u) = (north_m - self.south_m, east_m - self.west_m);
@@ -379,7 +383,7 @@ impl GridSurface {
     }
 }
 
-/// A coordinate reflected into 0 ..= extent, and the sign its slope takes.
+/// A coordinate reflected into 0 ..= extent, and the sign of its slope.
 fn fold(x: f64, extent: f64) -> (f64, f64) {
     let there_and_back = x.rem_euclid(2.0 * extent);
     if there_and_back <= extent {
@@ -389,12 +393,12 @@ fn fold(x: f64, extent: f64) -> (f64, f64) {
     }
 }
 
-/// An interval that holds all the reflections of an interval.
+/// An interval that contains the reflections of all points of an interval.
 fn fold_interval(ends: (f64, f64), extent: f64) -> (f64, f64) {
     if ends.1 - ends.0 >= extent {
         return (0.0, extent);
     }
-    // Shorter than the extent: at most one seam lies inside.
+    // The interval is shorter than the extent, so at most one seam lies inside.
     let ((a, sign_a), (b, sign_b)) = (fold(ends.0, extent), fold(ends.1, extent));
     match (sign_a > 0.0, sign_b > 0.0) {
         (true, false) => (a.min(b), extent),
