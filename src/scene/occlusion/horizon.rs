@@ -100,7 +100,7 @@ pub(super) struct Horizon {
     /// Rays in the full circle, a multiple of 4.
     rays: usize,
     sectors: Vec<Sector>,
-    /// Occluders everything that will be looked at and the eye.
+    /// Bounding rectangle of the eye and of everything marked.
     low_m: DVec2,
     high_m: DVec2,
     /// Sectors whose rays were scanned.

@@ -1,25 +1,26 @@
-//! The comparator: edge collapse by quadric error on a triangulated surface (Garland and Heckbert 1997), in place of Eqs. 22-25's
-//! optimisation, whose distance energy the quadrics measure and whose springs only break ties here.
+//! Edge collapse by quadric error on a triangulated surface (Garland and Heckbert 1997), as a comparison method.
 //!
-//! Half-edge collapses: the kept are corners of the original surface, where they were, so that a scatterer stays the same scatterer.
-//! Whether a kept corner inherits the area of those that went into it is the caller's choice: [`Collapsed::area_share`] tells.
+//! It replaces the optimisation of Meng et al. 2023, Eqs. 22-25. The quadrics measure its distance energy; its springs only break ties here.
+//!
+//! Collapses are half-edge collapses: the kept corners are corners of the original surface at their original positions. The caller decides whether a
+//! kept corner inherits the area of the corners that collapsed into it; see [`Collapsed::area_share`].
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use glam::DVec3;
 
-/// How strongly the rim of an open surface resists, against the area of the triangles along it (Garland and Heckbert 1997, section 6).
+/// Weight of the rim of an open surface relative to the area of its triangles (Garland and Heckbert 1997, section 6).
 const RIM_WEIGHT: f64 = 10.0;
-/// A collapse may turn a remaining triangle by 78 degrees at most (cosine 0.2), or it folds the surface over.
+/// A collapse may turn a remaining triangle by 78 degrees at most (cosine 0.2); beyond that the surface folds over.
 const MIN_TURN_COSINE: f64 = 0.2;
-/// Springs: squared metres of error per square metre of edge; they decide where the surface is flat and nothing else does.
+/// Spring constant: squared metres of error per square metre of edge. It decides only where the surface is flat.
 const SPRING: f64 = 1e-9;
 
 /// Squared distance from a set of planes: x' A x + 2 b'x + c.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Quadric {
-    /// A's upper triangle, row by row.
+    /// Upper triangle of A, row by row.
     a: [f64; 6],
     b: DVec3,
     c: f64,
@@ -50,7 +51,7 @@ impl Quadric {
             xy * p.x + yy * p.y + yz * p.z,
             xz * p.x + yz * p.y + zz * p.z,
         );
-        // Rounding may leave a plane's own points a hair below zero.
+        // Rounding may yield slightly negative values on the plane itself.
         (p.dot(ap) + 2.0 * self.b.dot(p) + self.c).max(0.0)
     }
     fn add(&mut self, o: &Self) {
@@ -62,14 +63,14 @@ impl Quadric {
     }
 }
 
-/// What is left of a surface.
+/// Result of [`collapse`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Collapsed {
     /// Indices of the kept corners, ascending.
     pub kept: Vec<u32>,
-    /// How many of the original corners each kept one stands for, itself among them.
+    /// Number of original corners that each kept corner represents, itself included.
     pub area_share: Vec<f64>,
-    /// What is left of the surface, by original indices.
+    /// Remaining triangles, by original indices.
     pub triangles: Vec<[u32; 3]>,
 }
 
@@ -77,17 +78,17 @@ pub struct Surface<'a> {
     places: &'a [DVec3],
     triangles: Vec<[u32; 3]>,
     alive: Vec<bool>,
-    /// Triangles at each corner; dead ones are swept out when met.
+    /// Triangles at each corner. Dead ones are removed when met.
     around: Vec<Vec<u32>>,
     quadrics: Vec<Quadric>,
-    /// Counts the changes of a corner: an entry of the queue made before the last is stale.
+    /// Version of each corner. Queue entries with an older version are stale.
     version: Vec<u32>,
     gone: Vec<bool>,
 }
 
-/// Collapses edges, cheapest first, until `keep` corners are left, or none can be collapsed without folding the surface over.
+/// Collapses edges in order of cost until `keep` corners are left, or until every further collapse would fold the surface.
 ///
-/// `places` relative to a point nearby (quadrics square them). Corners in no triangle are kept first of all to go: they are no surface.
+/// `places` are the corners' positions relative to a nearby point, since quadrics square them. Corners in no triangle are dropped first.
 pub fn collapse(places: &[DVec3], triangles: &[[u32; 3]], keep: usize) -> Collapsed {
     let count = places.len();
     let center = places.iter().filter(|p| p.is_finite()).sum::<DVec3>() / count.max(1) as f64;
@@ -142,7 +143,7 @@ pub fn collapse(places: &[DVec3], triangles: &[[u32; 3]], keep: usize) -> Collap
     }
 }
 
-/// A possible collapse of `from` into `to`, ordered by its cost; ties by number, so that the order is always the same.
+/// A possible collapse of `from` into `to`, ordered by cost. Ties are ordered by index, so that the order is deterministic.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Candidate {
     cost: f64,
@@ -167,7 +168,7 @@ impl Ord for Candidate {
 }
 
 impl<'a> Surface<'a> {
-    /// Triangles that name a corner twice or one that is not there, or have a place that is not finite, are no part of the surface.
+    /// Drops triangles with repeated or missing corners or positions that are not finite.
     fn new(places: &'a [DVec3], triangles: &[[u32; 3]]) -> Self {
         let count = places.len();
         let sound = |t: &&[u32; 3]| {
@@ -212,7 +213,7 @@ impl<'a> Surface<'a> {
                 if self.shared(i, j) > 1 {
                     continue;
                 }
-                // A rim: a plane upright on the triangle along its free side.
+                // Rim: a plane perpendicular to the triangle along its free side.
                 let (from, way) = (
                     self.places[i as usize],
                     self.places[j as usize] - self.places[i as usize],
@@ -225,7 +226,7 @@ impl<'a> Surface<'a> {
         }
     }
 
-    /// Triangles that have both corners.
+    /// Number of triangles that contain both corners.
     fn shared(&self, i: u32, j: u32) -> usize {
         self.around[i as usize]
             .iter()
@@ -258,7 +259,7 @@ impl<'a> Surface<'a> {
         })
     }
 
-    /// The surface stays a surface (link condition) and does not fold over.
+    /// Whether the collapse keeps the surface a manifold (link condition) and does not fold it over.
     fn may_collapse(&self, from: u32, to: u32) -> bool {
         let (mine, others) = (self.neighbours(from), self.neighbours(to));
         let common = mine

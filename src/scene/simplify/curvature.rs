@@ -1,23 +1,23 @@
-//! Gaussian curvature of a bottom known by points: a quadratic through each point's neighbourhood.
+//! Gaussian curvature of a bottom known by points: a quadratic fitted to the neighbourhood of each point.
 //!
-//! z = a + b x + c y + d x^2/2 + e x y + f y^2/2 is fitted to the nearest [`NEIGHBOURS`] points and the point itself by least squares; then
-//! K = (d f - e^2) / (1 + b^2 + c^2)^2 (do Carmo 1976, 3-3, example 5). Eq. 28 of Meng et al. 2023 prints the denominator unsquared.
+//! z = a + b x + c y + d x^2/2 + e x y + f y^2/2 is fitted by least squares to a point and its nearest [`NEIGHBOURS`]. Then K = (d f - e^2) / (1 +
+//! b^2 + c^2)^2 (do Carmo 1976, 3-3, example 5). Eq. 28 of Meng et al. 2023 prints the denominator unsquared.
 
 use glam::DVec2;
 
 use echotank_core::flow::Scatterers;
 
-/// Twice the coefficients, so that jitter averages out.
+/// Number of neighbours: twice the number of coefficients, to average out jitter.
 const NEIGHBOURS: usize = 12;
 /// Unknowns of the quadratic.
 const TERMS: usize = 6;
 
-/// Curvatures of a set of scatterers; nothing is allocated once it has been as full.
+/// Curvatures of a set of scatterers. It allocates only while the number of scatterers grows.
 #[derive(Debug, Default)]
 pub struct Curvatures {
-    /// 1/m^2; 0 where there are too few neighbours, or they lie on a line.
+    /// Gaussian curvature, 1/m^2; 0 with too few or collinear neighbours.
     pub per_m2: Vec<f64>,
-    /// With Eq. 28's denominator.
+    /// Curvature with the denominator of Eq. 28, 1/m^2.
     pub(crate) as_printed_per_m2: Vec<f64>,
     bins: Bins,
     near: Vec<(f64, u32)>,
@@ -30,22 +30,22 @@ struct Bins {
     side_m: f64,
     rows: usize,
     cols: usize,
-    /// First of each bin in `order`, and the end.
+    /// Index of the first point of each bin in `order`, and the end.
     starts: Vec<u32>,
     order: Vec<u32>,
 }
 
-/// Points in a bin, on average.
+/// Mean number of points in a bin.
 const BIN_POINTS: f64 = 3.0;
 
 impl Curvatures {
-    /// Takes over what another has fitted to the same places.
+    /// Copies the curvatures of another fit to the same positions.
     pub fn clone_values(&mut self, other: &Self) {
         self.per_m2.clone_from(&other.per_m2);
         self.as_printed_per_m2.clone_from(&other.as_printed_per_m2);
     }
 
-    /// Of the first `free` scatterers; the others have none and are nobody's neighbours.
+    /// Fits the first `free` scatterers. The others get no curvature and are no neighbours.
     pub fn fit(&mut self, scatterers: &Scatterers, free: usize) {
         let count = scatterers.len();
         self.per_m2.clear();
@@ -68,7 +68,7 @@ impl Curvatures {
 }
 
 impl Bins {
-    /// False where there is nothing to sort.
+    /// Returns false if there is nothing to sort.
     fn sort(&mut self, scatterers: &Scatterers, free: usize) -> bool {
         let at = |i: usize| DVec2::new(scatterers.north_m[i], scatterers.east_m[i]);
         let everywhere = (DVec2::INFINITY, DVec2::NEG_INFINITY);
@@ -101,14 +101,14 @@ impl Bins {
         self.order.clear();
         self.order
             .resize(self.starts[self.rows * self.cols] as usize, 0);
-        // Filled from the back, so that the starts end where they belong.
+        // Filled from the back, so that the starts end at their final values.
         for i in (0..free).rev() {
             if let Some(bin) = self.bin(at(i)) {
                 self.starts[bin + 1] -= 1;
                 self.order[self.starts[bin + 1] as usize] = i as u32;
             }
         }
-        // Each start slid to its own bin's beginning, which is the place before it: put the ends back.
+        // Each start has moved to the beginning of its bin, one entry too far: restore the order.
         let total = self.order.len() as u32;
         self.starts.rotate_left(1);
         self.starts[self.rows * self.cols] = total;
@@ -122,7 +122,7 @@ impl Bins {
         })
     }
 
-    /// The nearest points to the `i`th (itself among them) in the horizontal, nearest first, with their squared distances.
+    /// Nearest points to point `i` (itself included) in the horizontal, nearest first, with their squared distances.
     fn nearest(&self, scatterers: &Scatterers, i: usize, near: &mut Vec<(f64, u32)>) {
         near.clear();
         let center = DVec2::new(scatterers.north_m[i], scatterers.east_m[i]);
@@ -131,7 +131,7 @@ impl Bins {
         };
         let (row, col) = (bin / self.cols, bin % self.cols);
         for ring in 0..self.rows.max(self.cols) {
-            // Everything within `ring` bin sides of the point has been seen once the square of that many bins about it has.
+            // All points within `ring` bin sides of the point lie in the square of that many bins around it.
             let rows = row.saturating_sub(ring)..=(row + ring).min(self.rows - 1);
             for r in rows {
                 let edge = r.abs_diff(row) == ring;
@@ -160,17 +160,17 @@ impl Bins {
                 }
             }
         }
-        // In one order whatever the bins, so that sums over them do not depend on who else is there.
+        // A fixed order, so that sums over the neighbours do not depend on the other points.
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     }
 }
 
-/// Coefficients a..f about the `i`th point, z upward; none where the neighbours do not tell.
+/// Coefficients a..f about point `i`, z upward; none if the neighbours do not determine them.
 fn quadratic(scatterers: &Scatterers, i: usize, near: &[(f64, u32)]) -> Option<[f64; TERMS]> {
     if near.len() < TERMS {
         return None;
     }
-    // In units of the neighbourhood's size, so that the pivots are of one order.
+    // Scaled to the size of the neighbourhood, so that the pivots have the same order of magnitude.
     let scale_m = near.iter().map(|n| n.0).fold(0.0, f64::max).sqrt();
     if scale_m <= 0.0 || scale_m.is_nan() {
         return None;
@@ -195,9 +195,9 @@ fn quadratic(scatterers: &Scatterers, i: usize, near: &[(f64, u32)]) -> Option<[
     Some(s)
 }
 
-/// Gauss elimination with pivoting.
+/// Gaussian elimination with partial pivoting.
 fn solved(mut m: [[f64; TERMS + 1]; TERMS]) -> Option<[f64; TERMS]> {
-    /// Pivots of a sum of a dozen terms of order one: below this the points lie on a conic or a line.
+    /// Least pivot of a sum of a dozen terms of order one. Below it the points lie on a conic or a line.
     const MIN_PIVOT: f64 = 1e-9;
     for k in 0..TERMS {
         let pivot = (k..TERMS).max_by(|a, b| m[*a][k].abs().total_cmp(&m[*b][k].abs()))?;

@@ -1,16 +1,15 @@
-//! The energies that say what a scatterer is worth (Meng et al. 2023, Eqs. 26-29).
+//! Energies that rank the scatterers (Meng et al. 2023, Eqs. 26-29).
 //!
-//! Mended, E = visible * (w_curvature E_curvature + w_scattering E_scattering + w_axis E_axis + w_echo E_scattering E_axis), each part linear in 0..=1:
-//! - `curvature`: |Gaussian curvature| over its greatest, with a floor (flat bottoms, ridges and cylinders have none);
-//! - `scattering`: the energy it sends back, |strength|^2 and what its law says of the angle between the ray and the
-//!   surface normal (Lambert: cos^2);
+//! Corrected form: E = visible * (w_curvature E_curvature + w_scattering E_scattering + w_axis E_axis + w_echo E_scattering E_axis), with each part
+//! linear in 0..=1:
+//! - `curvature`: |Gaussian curvature| relative to its greatest value, with a floor, since flat bottoms, ridges and cylinders have none;
+//! - `scattering`: backscattered energy, |strength|^2 times the scattering law at the angle between ray and surface normal (Lambert: cos^2);
 //! - `axis`: two-way pattern power towards the scatterer, the largest of all beams;
-//! - `echo`: the product of the last two, the expected energy in the receiver but for spreading. Not in the paper. It is `Unbiased`'s default, since an
-//!   estimate of a sum has the least variance when it samples each term in proportion to its expected size.
+//! - `echo`: the product of the last two, the expected received energy without spreading. It is not in the paper. It is the default of `Unbiased`: the variance of an estimated sum is least if each term is sampled in proportion to its expected size.
 //!
-//! As printed: decibels of signed curvature (with its denominator unsquared, Eq. 28) and of the incidence angle itself (Eq. 29; from the vertical,
-//! Eq. 9), the modulus of their weighted sum, times 0 for what Eq. 27 calls shadow. All decibels are <= 0, so that the modulus ranks
-//! the worthless first. Decibels of a negative number have the modulus of the complex logarithm; of zero they are infinite.
+//! Form as printed: the modulus of the weighted sum of decibels, times 0 for points that Eq. 27 calls shadowed. The decibels are those of signed
+//! curvature (with an unsquared denominator, Eq. 28) and of the incidence angle itself (Eq. 29; from the vertical, Eq. 9). All decibels are <= 0, so
+//! the modulus ranks the weakest first. Decibels of a negative number have the modulus of the complex logarithm; those of zero are infinite.
 
 use std::f64::consts::{LN_10, PI};
 
@@ -24,19 +23,19 @@ use echotank_core::flow::{ScatterLaw, Scatterers};
 /// One beam: transmit and receive apertures with common axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Beam {
-    /// World, unit: the line's axis, the other side of the face, and where it looks.
+    /// Unit vector along the array, world coordinates.
     pub along: DVec3,
     pub across: DVec3,
     pub boresight: DVec3,
-    /// Sides of the transmit and of the receive aperture in wavelengths; 0 is omnidirectional.
+    /// Lengths of the transmit and the receive aperture, wavelengths; 0 is omnidirectional.
     pub lengths: [f64; 2],
     pub widths: [f64; 2],
-    /// Nothing behind the face.
+    /// Whether a baffle suppresses directions behind the face.
     pub baffled: bool,
 }
 
 impl Beam {
-    /// Two-way pattern power towards the unit `ray`, or towards the best direction within `slack` of its sine along the array.
+    /// Two-way pattern power towards the unit vector `ray`, or towards the best direction within `slack` of its sine along the array.
     fn power(&self, ray: DVec3, slack: f64) -> f64 {
         if self.baffled && ray.dot(self.boresight) < 0.0 {
             return 0.0;
@@ -60,16 +59,16 @@ fn sinc(x: f64) -> f64 {
     }
 }
 
-/// Where the sonar is and where it looks.
+/// Position and beams of the sonar.
 #[derive(Debug, Default, PartialEq)]
 pub struct View {
     pub apex_m: DVec3,
-    /// None: hears all round.
+    /// Beams of the sonar; empty for an omnidirectional one.
     pub beams: Vec<Beam>,
-    /// The choice is to serve the sonar as long as it has not moved farther than this, metres, nor turned more than that.
+    /// Greatest displacement for which a held selection stays valid, metres.
     pub slack_m: f64,
     pub slack_rad: f64,
-    /// Search for shadows; false where something else takes care of them.
+    /// Whether to search for shadows; false if another stage removes shadowed scatterers.
     pub shadows: bool,
 }
 
@@ -80,7 +79,7 @@ impl Clone for View {
             ..*self
         }
     }
-    /// Without a new allocation where there is room.
+    /// Reuses the memory of the beams.
     fn clone_from(&mut self, other: &Self) {
         self.beams.clone_from(&other.beams);
         self.apex_m = other.apex_m;
@@ -106,28 +105,28 @@ impl View {
     }
 }
 
-/// Curvature, scattering, axis.
+/// Number of parts of an energy: curvature, scattering, axis.
 pub const PARTS: usize = 3;
 
-/// Floor of the curvature energy over its greatest value: -30 dB, as far as the paper's figure reaches.
+/// Floor of the curvature energy relative to its greatest value: -30 dB, the range of the paper's figure.
 const CURVATURE_FLOOR: f64 = 1e-3;
 
-/// What a set measured its members with; another set measured with it gives each scatterer the same energy.
+/// Normalisation of the energies of a set. With the same scale, another set yields the same energy for the same scatterer.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct EnergyScale {
     /// The greatest of each part.
     pub parts: [f64; PARTS],
-    /// Of the search for shadows.
+    /// Sector width of the search for shadows, radians.
     pub sector_rad: f64,
 }
 
-/// The energies of a set of scatterers; nothing is allocated once it has been as full.
+/// Energies of a set of scatterers. It allocates only while the number of scatterers grows.
 #[derive(Debug, Default)]
 pub struct Energies {
     pub energy: Vec<f64>,
-    /// In shadow.
+    /// Whether each scatterer lies in shadow.
     pub hidden: Vec<bool>,
-    /// What this set was measured with.
+    /// Normalisation of this set.
     pub(crate) scale: EnergyScale,
     pub curvatures: Curvatures,
     horizon: Horizon,
@@ -135,8 +134,10 @@ pub struct Energies {
 }
 
 impl Energies {
-    /// Evaluates all of them. Scatterers from `free` on are deterministic: they hide nothing, are never hidden, and set no scale. `held`:
-    /// the scale of an earlier set, so that its rule goes on to mean the same.
+    /// Evaluates the energies of all scatterers.
+    ///
+    /// Scatterers from index `free` on are deterministic: they hide nothing, are never hidden, and do not enter the normalisation. `held` is the
+    /// normalisation of an earlier set, under which its rule keeps its meaning.
     pub fn evaluate(
         &mut self,
         scatterers: &Scatterers,
@@ -151,7 +152,7 @@ impl Energies {
         self.evaluate_with_curvatures(scatterers, free, view, settings, held);
     }
 
-    /// As [`Energies::evaluate`], with the curvatures fitted before: they do not depend on the view.
+    /// Evaluates the energies with the curvatures of an earlier fit. Curvatures do not depend on the view; see [`Energies::evaluate`].
     pub fn evaluate_with_curvatures(
         &mut self,
         scatterers: &Scatterers,
@@ -231,7 +232,7 @@ impl Energies {
         for (part, hidden) in self.parts.iter().zip(&self.hidden).take(free) {
             if !hidden {
                 for (most, value) in greatest.iter_mut().zip(part) {
-                    // NaN leaves it as it is.
+                    // `f64::max` ignores NaN.
                     *most = most.max(*value);
                 }
             }
@@ -273,7 +274,7 @@ impl Energies {
     fn combine_as_printed(&mut self, scale: [f64; PARTS], weights: &Weights) {
         self.energy.clear();
         for (part, hidden) in self.parts.iter().zip(&self.hidden) {
-            // 10 log10 x of x < 0 is 10 log10 |x| + j 10 pi / ln 10: only curvature can be negative.
+            // 10 log10 x of x < 0 is 10 log10 |x| + j 10 pi / ln 10. Only curvature can be negative.
             let ratio = part[0] / scale[0];
             let real = weights.curvature * decibels(ratio.abs())
                 + weights.scattering * decibels(part[1] / scale[1])
@@ -282,7 +283,7 @@ impl Energies {
                 true => weights.curvature * 10.0 * PI / LN_10,
                 false => 0.0,
             };
-            // 0 times infinity is no number either.
+            // 0 times infinity is NaN as well.
             let seen = if *hidden { 0.0 } else { 1.0 };
             self.energy.push(seen * real.hypot(imaginary));
         }
@@ -291,7 +292,7 @@ impl Energies {
     }
 }
 
-/// Eq. 9: angle of the ray from the vertical, radians.
+/// Angle of the ray from the vertical, radians (Eq. 9).
 pub(super) fn incidence_from_vertical(scatterers: &Scatterers, i: usize, apex_m: DVec3) -> f64 {
     let offset_m = scatterers.position_m(i) - apex_m;
     libm::acos((offset_m.z / offset_m.length()).clamp(-1.0, 1.0))

@@ -1,4 +1,4 @@
-//! A height field as scatterers with a triangulation: what `echotank scene simplify` chooses from.
+//! A height field as scatterers with a triangulation, the input of `echotank scene simplify`.
 
 use glam::DVec3;
 
@@ -6,11 +6,12 @@ use super::super::read::HeightField;
 use super::super::targets::random::KeyedRandom;
 use echotank_core::flow::{ScatterLaw, Scatterers};
 
-/// Keeps these draws apart from other uses of the seed.
+/// Separates these random numbers from other uses of the seed.
 const KEY_LABEL: &[u8; 24] = b"echotank height field v1";
 
-/// One scatterer at each cell's centre that is no hole, with Lambert's `lambert_db` over the cell's own area and a circular Gaussian
-/// reflectivity, and two triangles between every four neighbours.
+/// One scatterer at the centre of each cell that is no hole, and two triangles between every four neighbours.
+///
+/// Each scatterer has Lambert's mu of `lambert_db` over the area of its cell, and a circular Gaussian reflectivity from `seed`.
 pub fn scatterers(field: &HeightField, lambert_db: f64, seed: u64) -> (Scatterers, Vec<[u32; 3]>) {
     const HOLE: u32 = u32::MAX;
     let mu_area_m2 = libm::pow(10.0, lambert_db / 10.0) * field.cell_north_m * field.cell_east_m;
@@ -19,7 +20,7 @@ pub fn scatterers(field: &HeightField, lambert_db: f64, seed: u64) -> (Scatterer
     let mut number = vec![HOLE; field.rows * field.cols];
     for row in 0..field.rows {
         for col in 0..field.cols {
-            // Drawn for holes too: they move nobody else's numbers.
+            // Drawn for holes too, so that a hole does not change other cells' numbers.
             let reflectivity = chance.circular_gaussian();
             let down_m = field.cell_down_m(row, col);
             if down_m.is_nan() {
@@ -66,7 +67,7 @@ pub fn scatterers(field: &HeightField, lambert_db: f64, seed: u64) -> (Scatterer
     (points, triangles)
 }
 
-/// Central difference per cell, one-sided beside an edge or a hole; 0 where there is no neighbour.
+/// Central difference per cell; one-sided beside an edge or a hole; 0 without neighbours.
 fn slope(count: usize, at: usize, down_m: impl Fn(usize) -> f64) -> f64 {
     let here = down_m(at);
     let neighbour = |k: usize| Some(down_m(k)).filter(|d| !d.is_nan());

@@ -1,17 +1,17 @@
-//! Simplification: which scatterers a ping can do without (Meng et al. 2023, section 4).
+//! Simplification: selects the scatterers that a ping needs (Meng et al. 2023, section 4).
 //!
-//! In: scatterers, the sonar's [`View`] of them, a [`Method`] and how many to keep. Out: which are kept, and a factor on each one's amplitude.
+//! Input: scatterers, the sonar's [`View`] of them, a [`Method`] and the number to keep. Output: the indices of the kept scatterers and a factor on
+//! the amplitude of each.
 //!
 //! | method | keeps | level |
 //! |---|---|---|
-//! | [`Method::Acoustic`] | the highest energies (Eqs. 26-29 mended, [`energy`]) | falls by what is left out |
-//! | [`Method::Paper`] | the highest energies as printed: for comparison | falls |
-//! | [`Method::Unbiased`] | each with a probability p that follows its energy, its amplitude over sqrt(p) (Horvitz and Thompson 1952) | that of all, on average |
-//! | [`collapse`] | corners of the triangulated surface that matter to its shape (Garland and Heckbert 1997) | falls, unless the kept inherit the area |
+//! | [`Method::Acoustic`] | the highest energies (Eqs. 26-29 corrected, [`energy`]) | falls by the discarded energy |
+//! | [`Method::Paper`] | the highest energies as printed, for comparison | falls |
+//! | [`Method::Unbiased`] | each with a probability p that follows its energy, amplitude divided by sqrt(p) (Horvitz and Thompson 1952) | unchanged on average |
+//! | [`collapse`] | corners that matter to the shape of the triangulated surface (Garland and Heckbert 1997) | falls, unless the kept corners inherit the area |
 //!
-//! What is chosen depends on the scatterers' places, the view and the seed alone. In `Unbiased` every scatterer has one random number for
-//! ever, drawn from its place, so that sets for fewer are parts of sets for more, and sets for neighbouring views overlap as far as
-//! they can.
+//! The selection depends on the scatterers' positions, the view and the seed alone. In `Unbiased` every scatterer has one permanent random number,
+//! drawn from its position. Smaller selections are therefore subsets of larger ones, and selections of neighbouring views overlap as far as possible.
 //! Not modelled: merging scatterers into stronger ones.
 
 pub mod collapse;
@@ -31,44 +31,44 @@ use energy::{Energies, View};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     pub method: Method,
-    /// Scatterers to keep besides the deterministic ones; `Unbiased` keeps this many on average.
+    /// Number of scatterers to keep besides the deterministic ones; `Unbiased` keeps this number on average.
     pub keep: usize,
     pub weights: Weights,
-    /// Of the permanent random numbers.
+    /// Seed of the permanent random numbers.
     pub seed: u64,
 }
 
-/// The least energy in `Unbiased` (the greatest is of order one): whatever can be heard keeps a chance.
+/// Least energy in `Unbiased`, relative to a greatest of order one. Every scatterer in the beam keeps a positive probability.
 const MIN_ENERGY: f64 = 1e-9;
 
-/// Which scatterers pass: a rule that holds for any scatterer, so that it can be kept while the sonar moves.
+/// Selection rule. It applies to any scatterer, so it can be held while the sonar moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rule {
     All,
-    /// `Acoustic` and `Paper`: the visible with more than this energy; the hidden only where `hidden_too`. With just this energy: the
-    /// first `ties` of the list.
+    /// `Acoustic` and `Paper`: keeps visible scatterers above an energy. Hidden ones count as below all visible ones. At the threshold, the first
+    /// `ties` of the list are kept.
     Above {
         energy: f64,
         hidden_too: bool,
         ties: usize,
     },
-    /// `Unbiased`: p = min(1, per_energy * energy).
+    /// `Unbiased`: keeps each scatterer with probability p = min(1, per_energy * energy).
     Probability {
         per_energy: f64,
     },
 }
 
-/// Scratch and result of a selection; nothing is allocated once it has been as full.
+/// Result and scratch memory of a selection. It allocates only while the number of scatterers grows.
 #[derive(Debug, Default)]
 pub struct Selection {
-    /// Indices of the kept, ascending.
+    /// Indices of the kept scatterers, ascending.
     pub kept: Vec<u32>,
-    /// What each kept one's amplitude is multiplied with.
+    /// Factor on the amplitude of each kept scatterer.
     pub gain: Vec<f64>,
     order: Vec<u32>,
 }
 
-/// What decides on one scatterer: hidden ones come after all visible ones.
+/// Rank of one scatterer. Hidden scatterers come after all visible ones.
 #[derive(Clone, Copy, Debug)]
 struct Rank {
     hidden: bool,
@@ -80,7 +80,7 @@ impl Rank {
         let energy = energies.energy[i];
         Self {
             hidden: energies.hidden[i],
-            // Not a number (only as printed, where 0/0 is one) ranks last.
+            // NaN ranks last. Only the energies as printed produce it, from 0/0.
             energy: if energy.is_nan() {
                 f64::NEG_INFINITY
             } else {
@@ -88,7 +88,7 @@ impl Rank {
             },
         }
     }
-    /// Less is kept first.
+    /// Lesser ranks are kept first.
     fn cmp(&self, other: &Self) -> std::cmp::Ordering {
         self.hidden
             .cmp(&other.hidden)
@@ -97,7 +97,7 @@ impl Rank {
 }
 
 impl Selection {
-    /// A choice made elsewhere: indices ascending, a gain each.
+    /// A selection made elsewhere: ascending indices, and a gain for each.
     pub fn of(kept: Vec<u32>, gain: Vec<f64>) -> Self {
         Self {
             kept,
@@ -106,7 +106,7 @@ impl Selection {
         }
     }
 
-    /// The rule that keeps `settings.keep` of the first `free` scatterers (those after are deterministic and always kept).
+    /// Rule that keeps `settings.keep` of the first `free` scatterers. The scatterers after them are deterministic and always kept.
     pub fn rule(&mut self, energies: &Energies, free: usize, settings: &Settings) -> Rule {
         let free = free.min(energies.energy.len());
         if settings.keep >= free {
@@ -195,7 +195,7 @@ impl Selection {
         }
     }
 
-    /// The kept scatterers of `all` with their gains, into `out`.
+    /// Copies the kept scatterers of `all`, with their gains, into `out`.
     pub fn gather(&self, all: &Scatterers, out: &mut Scatterers) {
         out.clear();
         out.curve.clone_from(&all.curve);
@@ -211,7 +211,7 @@ impl Selection {
     }
 }
 
-/// Inclusion probability of a scatterer; 0 for the hidden.
+/// Inclusion probability of a scatterer; 0 for hidden ones.
 fn probability(per_energy: f64, energies: &Energies, i: usize) -> f64 {
     if energies.hidden[i] {
         return 0.0;
@@ -220,10 +220,10 @@ fn probability(per_energy: f64, energies: &Energies, i: usize) -> f64 {
     (per_energy * energy).min(1.0)
 }
 
-/// The k for which the probabilities min(1, k E) of the first `free` scatterers add up to `keep`, or to all that are visible.
+/// The k for which the probabilities min(1, k E) of the first `free` scatterers add up to `keep`, or to the number of visible ones.
 fn per_energy(energies: &Energies, free: usize, keep: usize) -> f64 {
     let mut per_energy = 0.0;
-    // Each round makes certain those whose p reaches 1 and shares the rest out among the others: k grows, and ends after a few rounds.
+    // Each round fixes the scatterers whose p reaches 1 and distributes the rest among the others. k grows and converges after a few rounds.
     loop {
         let (mut certain, mut rest) = (0usize, 0.0);
         for i in 0..free {
@@ -235,7 +235,7 @@ fn per_energy(energies: &Energies, free: usize, keep: usize) -> f64 {
             }
         }
         if rest <= 0.0 || certain >= keep {
-            // All that is visible is certain; or nothing has any energy, and nothing would be heard.
+            // All visible scatterers are certain, or none has any energy.
             return if certain > 0 {
                 f64::INFINITY
             } else {
@@ -250,7 +250,8 @@ fn per_energy(energies: &Energies, free: usize, keep: usize) -> f64 {
     }
 }
 
-/// A scatterer's own number in 0 .. 1 for ever: a hash of the seed and its place's bits (the finaliser of Steele, Lea and Flood 2014, in sequence).
+/// Permanent random number of a scatterer in [0, 1): a hash of the seed and the bits of its position (the finaliser of Steele, Lea and Flood 2014, in
+/// sequence).
 pub(crate) fn permanent_number(scatterers: &Scatterers, i: usize, seed: u64) -> f64 {
     const STEP: f64 = 1.0 / (1_u64 << 53) as f64;
     let mut state = seed ^ 0x9e37_79b9_7f4a_7c15;
@@ -259,7 +260,7 @@ pub(crate) fn permanent_number(scatterers: &Scatterers, i: usize, seed: u64) -> 
         scatterers.east_m[i],
         scatterers.down_m[i],
     ] {
-        // -0 and 0 are one place.
+        // -0 and 0 are the same position.
         state = mixed(state.wrapping_add(0x9e37_79b9_7f4a_7c15) ^ (place + 0.0).to_bits());
     }
     (mixed(state) >> 11) as f64 * STEP
@@ -271,7 +272,7 @@ fn mixed(mut x: u64) -> u64 {
     x ^ (x >> 31)
 }
 
-/// Everything in one call, for tools: the scatterers of `all` to keep for one view.
+/// Evaluates, ranks and selects the scatterers of `all` for one view in a single call.
 pub fn select(all: &Scatterers, free: usize, view: &View, settings: &Settings) -> Selection {
     let mut energies = Energies::default();
     energies.evaluate(all, free, view, settings, None);

@@ -1,9 +1,9 @@
-//! Which points of a bottom the sonar cannot see, from the points alone: a horizon scan per azimuth.
+//! Shadows of a bottom known by points alone: a horizon scan per azimuth sector.
 //!
-//! Seen from the sonar, a point is hidden when a nearer one in its direction stands higher in the view. The points are sorted into
-//! sectors as wide as their spacing at the middle range, and each sector is scanned outward with the running maximum of the slope
-//! (down - down_sonar) / horizontal range, upward counted positive. It knows height fields only. Against
-//! rays, 1 % of the points of a bottom with letters 1.5 m high come out otherwise, next to shadows' edges and on walls steeper than 45 degrees.
+//! A point is hidden if a nearer point in its direction stands higher in the view. The points are sorted into sectors as wide as their spacing at the
+//! middle range. Each sector is scanned outward with the running maximum of the slope (down_sonar - down) / horizontal range. The method assumes a
+//! height field. Compared with ray casting over a bottom with letters 1.5 m high, 1 % of the points differ. They lie next to the edges of shadows and
+//! on walls steeper than 45 degrees.
 
 use std::f64::consts::PI;
 
@@ -14,15 +14,16 @@ use echotank_core::flow::Scatterers;
 
 #[derive(Debug, Default)]
 pub struct Horizon {
-    /// Sector, horizontal range, index.
+    /// Sector, horizontal range in metres, and index of each point.
     order: Vec<(u32, f64, u32)>,
-    /// Of a sector in the last scan.
+    /// Width of a sector in the last scan, radians.
     pub width_rad: f64,
 }
 
 impl Horizon {
-    /// Marks the hidden among the first `free` scatterers. `held_rad`: sectors of an earlier scan, so that points that come and go elsewhere
-    /// change nobody's sector.
+    /// Marks the hidden among the first `free` scatterers.
+    ///
+    /// `held_rad` is the sector width of an earlier scan. With it, points that appear or disappear elsewhere do not change the sectors of the others.
     pub fn hide(
         &mut self,
         s: &Scatterers,
@@ -43,8 +44,8 @@ impl Horizon {
         }
     }
 
-    /// Eq. 27 as printed: hidden is what has a smaller angle of incidence (from the vertical, Eq. 9) than something nearer in its sector. On one
-    /// vertical slice that is the same rule, by the ray's angle in place of its slope.
+    /// Marks the hidden as in Eq. 27 as printed: a point is hidden if its incidence angle (from the vertical, Eq. 9) is smaller than that of a nearer
+    /// point in its sector. In one vertical slice this equals the rule of [`Self::hide`], with the angle in place of the slope.
     pub(crate) fn hide_by_incidence(
         &mut self,
         s: &Scatterers,
@@ -75,7 +76,7 @@ impl Horizon {
         for i in 0..free {
             let (n, e) = (s.north_m[i] - apex_m.x, s.east_m[i] - apex_m.y);
             let range_m = n.hypot(e);
-            // What is straight below, or nowhere, hides nothing.
+            // A point straight below the sonar, or at no finite position, hides nothing.
             if range_m == 0.0 || !range_m.is_finite() || !s.down_m[i].is_finite() {
                 continue;
             }
@@ -91,7 +92,7 @@ impl Horizon {
         let area_m2 = (north.1 - north.0) * (east.1 - east.0);
         let spacing_m = (area_m2 / self.order.len() as f64).sqrt();
         let middle_m = 0.5 * (nearest_m + farthest_m);
-        // Between a degree and the smallest angle that keeps the sector's number in range.
+        // At most one degree, and at least the smallest angle whose sector index fits.
         let own_rad = (spacing_m / middle_m).clamp(1e-6, PI / 180.0);
         let width_rad = held_rad.unwrap_or(own_rad);
         self.width_rad = width_rad;

@@ -1,25 +1,24 @@
 //! Simplification as a stage of the ping.
 //!
-//! The choice is made from a held view: as long as the sonar stays within the slack of it, the same rule decides on every scatterer that comes,
-//! whether it was there when the rule was made or not, so that nothing flickers. When the sonar has moved or turned farther, a new rule is
-//! made from where it is.
+//! The rule is made from a held view. While the sonar stays within the slack of that view, the same rule applies to all scatterers, including new
+//! ones, so that the selection does not flicker. When the sonar has moved or turned farther, a new rule is made from its current view.
 
 use super::energy::{Energies, EnergyScale, View};
 use super::{Rule, Selection, Settings};
 use echotank_config::spec::SimplifySpec;
 use echotank_core::flow::Scatterers;
 
-/// What one call did.
+/// Counts of one call of [`Stage::thin`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StageCounts {
-    /// Scatterers that came and that were kept.
+    /// Scatterers before selection.
     pub offered: u64,
     pub kept: u64,
-    /// Rules made anew.
+    /// Rules that were renewed.
     pub chosen: u64,
 }
 
-/// Thins the scatterers of each ping; nothing is allocated once it has been as full.
+/// Simplification of each ping's scatterers. It allocates only while the number of scatterers grows.
 #[derive(Debug)]
 pub struct Stage {
     settings: Settings,
@@ -48,7 +47,7 @@ impl Stage {
         }
     }
 
-    /// Leaves in `scatterers` only what is kept, with its gain, in the order it had. Those from `free` on are deterministic and stay.
+    /// Keeps only the selected scatterers, in their order and with their gain. Those from index `free` on are deterministic and stay.
     pub fn thin(&mut self, scatterers: &mut Scatterers, free: usize, view: &View) -> StageCounts {
         let free = free.min(scatterers.len());
         let mut counts = StageCounts {
@@ -59,7 +58,7 @@ impl Stage {
         let chosen = !self.held.as_ref().is_some_and(serves);
         let held = self.held.get_or_insert_default();
         if chosen {
-            // In place, so that the beams' room is used again.
+            // Copied in place to reuse the memory of the beams.
             held.view.clone_from(view);
             counts.chosen = 1;
         }
@@ -80,7 +79,7 @@ impl Stage {
     }
 }
 
-/// A choice and where it was made from.
+/// A rule and the view from which it was made.
 #[derive(Debug)]
 struct Held {
     view: View,
@@ -110,7 +109,7 @@ fn still_serves(held: &View, now: &View) -> bool {
             .all(|(a, b)| !turned(a.along, b.along) && !turned(a.boresight, b.boresight))
 }
 
-/// Moves the kept to the front and drops the rest.
+/// Moves the kept scatterers to the front and drops the rest.
 fn keep(s: &mut Scatterers, selection: &Selection) {
     for (to, (&from, gain)) in selection.kept.iter().zip(&selection.gain).enumerate() {
         let from = from as usize;

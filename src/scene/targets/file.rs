@@ -1,17 +1,11 @@
-//! The TOML table of targets: shapes with a size, a place and a strength.
+//! TOML table of targets: shapes with a size, a position and a strength.
 //!
 //! ```toml
-//! [[target]]
-//! name = "pier A"
-//! shape = "cylinder"           # point, sphere, cylinder, box, rope, mesh
-//! north_m = 0.0
-//! east_m = 20.0
-//! height_above_seabed_m = 0.0  # of its lowest point over the seabed there; or: down_m = 7.5, the depth of its centre
-//! radius_m = 1.25
-//! length_m = 12.0
+//! [[target]] name = "pier A" shape = "cylinder"           # point, sphere, cylinder, box, rope, mesh north_m = 0.0 east_m = 20.0
+//! height_above_seabed_m = 0.0  # of its lowest point above the seabed; or: down_m = 7.5, the depth of its centre radius_m = 1.25 length_m = 12.0
 //! lambert_db = -12.0           # of the surface; or: target_strength_db, the mean over all directions
 //! ```
-//! Further fields: README of the configurations. A sphere without a strength has a rigid sphere's, 20 log10(a/2) (Urick 1983, 9.2, ka >> 1).
+//! Further fields: README of the configurations. A sphere without a strength has that of a rigid sphere, 20 log10(a/2) (Urick 1983, 9.2, ka >> 1).
 
 use std::f64::consts::PI;
 use std::ops::RangeInclusive;
@@ -30,11 +24,11 @@ use crate::read::mesh::{self, MeshAxes};
 use crate::text::{self, MAX_HORIZONTAL_M, MAX_VERTICAL_M, TextError};
 use echotank_core::flow::Target;
 
-/// Radii and sides, metres: from a fishing line to an island.
+/// Accepted radii and sides, metres: from a fishing line to an island.
 const SIZES_M: RangeInclusive<f64> = 1e-4..=1e4;
 const DENSITIES_PER_M2: RangeInclusive<f64> = 1e-3..=1e8;
 const DEFAULT_DENSITY_PER_M2: f64 = 100.0;
-/// Lambert's mu, dB.
+/// Accepted values of Lambert's mu, dB.
 const LAMBERTS_DB: RangeInclusive<f64> = -100.0..=20.0;
 const MAX_ROPE_VERTICES: usize = 10_000;
 
@@ -51,7 +45,7 @@ const SOLID: &[&str] = &[
     "lambert_db",
     "density_per_m2",
 ];
-/// Shapes and the fields that are theirs.
+/// Shapes and their own fields.
 const SHAPES: &[(&str, &[&str])] = &[
     ("point", &[]),
     ("sphere", &["radius_m"]),
@@ -63,19 +57,19 @@ const SHAPES: &[(&str, &[&str])] = &[
     ("rope", &["radius_m", "path_m"]),
     ("mesh", &["file", "axes", "scale", "heading_deg"]),
 ];
-/// Where a mesh's x, y and z point, the first where nothing is said.
+/// Names of the mesh axes; the first is the default.
 const AXES: [(&str, MeshAxes); 3] = [
     ("east-north-up", MeshAxes::EastNorthUp),
     ("north-east-down", MeshAxes::NorthEastDown),
     ("east-up-south", MeshAxes::EastUpSouth),
 ];
-/// Metres to a mesh's unit: from micrometres to kilometres.
+/// Accepted mesh scales, metres per unit: from micrometres to kilometres.
 const SCALES: RangeInclusive<f64> = 1e-6..=1e3;
 
-/// Depth of the seabed at (north, east), none where there is none.
+/// Depth of the seabed at (north, east), metres; none where there is no seabed.
 pub(super) type SeabedDown<'a> = &'a dyn Fn(f64, f64) -> Option<f64>;
 
-/// `folder`: what the names of meshes count from.
+/// Reads the targets of a TOML table. Names of mesh files are relative to `folder`.
 pub(super) fn parse(
     bytes: &[u8],
     folder: MeshFolder,
@@ -177,7 +171,7 @@ fn target(
         (Some(db), None, _) => libm::pow(10.0, db / 10.0),
         (None, Some(db), _) => lambert_of_mean(db, area_m2),
         (None, None, Solid::Sphere { radius_m, .. }) => {
-            // pi a^2 / 4 pi: the rigid sphere's a^2/4.
+            // A rigid sphere: pi a^2 / 4 pi = a^2/4.
             lambert_of_mean(
                 20.0 * libm::log10(radius_m / 2.0),
                 4.0 * PI * radius_m * radius_m,
@@ -221,7 +215,7 @@ fn point(fields: &Fields, name: &str, seabed: SeabedDown) -> Result<ParsedTarget
     })
 }
 
-/// About its centre.
+/// A cylinder with its centre at the origin.
 fn cylinder(fields: &Fields) -> Result<Solid, TextError> {
     let radius_m = fields.needed("radius_m", SIZES_M)?;
     let length_m = fields.needed("length_m", SIZES_M)?;
@@ -238,7 +232,7 @@ fn cylinder(fields: &Fields) -> Result<Solid, TextError> {
     })
 }
 
-/// The middle of its bounds at zero.
+/// A mesh from a file, with the middle of its bounding box at the origin.
 fn mesh_of_file(fields: &Fields, folder: MeshFolder) -> Result<Solid, TextError> {
     let file = fields.needed_text("file")?;
     let axes = match fields.text("axes")? {
@@ -334,7 +328,7 @@ fn needs_seabed(north_m: f64, east_m: f64) -> String {
     format!("needs a seabed below it; at north {north_m}, east {east_m} the scene has none")
 }
 
-/// Where the centre goes: at its depth, or with the lowest point (`lowest_m` below the centre) at its height over the seabed.
+/// Position of the centre. It lies at the given depth, or its lowest point (`lowest_m` below the centre) lies at the given height above the seabed.
 fn place(fields: &Fields, seabed: SeabedDown, lowest_m: f64) -> Result<DVec3, TextError> {
     let horizontal = -MAX_HORIZONTAL_M..=MAX_HORIZONTAL_M;
     let at = DVec2::new(
@@ -356,7 +350,7 @@ fn place(fields: &Fields, seabed: SeabedDown, lowest_m: f64) -> Result<DVec3, Te
     }
 }
 
-/// One `[[target]]`, with faults that name its lines.
+/// One `[[target]]` table. Its errors name the line.
 struct Fields<'a> {
     text: &'a str,
     table: &'a DeTable<'a>,
@@ -368,7 +362,7 @@ impl<'a> Fields<'a> {
         self.table.get(key)
     }
 
-    /// The error of one field: at its own line if it is there, else at the target's.
+    /// Error of one field: at its own line if it is present, else at the target's.
     fn text_error(&self, key: &str, rule: impl Into<String>) -> TextError {
         match self.value(key) {
             None => TextError::new(self.line, "", rule),

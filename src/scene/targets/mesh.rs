@@ -1,26 +1,26 @@
-//! A [`TriangleMesh`] as a solid: ray tests through a tree of boxes, places spread evenly over the area.
+//! A [`TriangleMesh`] as a solid: ray tests through a bounding-volume hierarchy, and points spread evenly over the area.
 //!
-//! Triangles without area to speak of are dropped: no ray test is sound for them. Which side is out is as the mesh has it, anticlockwise seen from outside; a closed mesh that has it the
-//! other way round throughout is turned.
+//! Triangles of negligible area are dropped, since no ray test is sound for them. Vertices run anticlockwise seen from outside. A closed mesh with
+//! the opposite order throughout is reversed.
 
 use glam::DVec3;
 
 use super::solid::{SKIN_M, SurfacePoint};
 use crate::read::TriangleMesh;
 
-/// Triangles in a leaf of the tree.
+/// Greatest number of triangles in a leaf of the tree.
 const LEAF: usize = 8;
-/// Least area of a triangle, as a share of the square of its longest side: thinner than the rounding of f32 coordinates.
+/// Least area of a triangle, as a share of the squared longest side: below it lies the rounding of f32 coordinates.
 const SLIVER: f64 = 1e-9;
-/// A ray is let past a triangle's edge by this share of the triangle, so that it does not slip between two.
+/// Tolerance of the triangle test at the edges, as a share of the triangle. It prevents rays from passing between two triangles.
 const EDGE: f64 = 1e-9;
-/// A mesh is closed if the vectors of its triangles' areas add up to less than this share of its area: rounding of f32 coordinates.
+/// A mesh is closed if the sum of its area vectors is below this share of its area. The tolerance covers the rounding of f32 coordinates.
 const CLOSED: f64 = 1e-5;
 
 #[derive(Clone, Debug)]
 pub struct Mesh {
     triangles: Vec<Triangle>,
-    /// Area up to and including each triangle.
+    /// Cumulative area, square metres.
     area_up_to_m2: Vec<f64>,
     nodes: Vec<Node>,
 }
@@ -32,7 +32,8 @@ struct Triangle {
     ac_m: DVec3,
 }
 
-/// A box around the triangles `first .. first + count` of the tree's order (a leaf), or around its children, the next node and `second`.
+/// Bounding box of the triangles `first .. first + count` in the order of the tree (a leaf), or of two children. The children are the next node and
+/// the node after its subtree; `second` is the node after this subtree.
 #[derive(Clone, Copy, Debug)]
 struct Node {
     low_m: DVec3,
@@ -43,7 +44,7 @@ struct Node {
 }
 
 impl Mesh {
-    /// None where no triangle has an area. The readers have seen to it that every index is a vertex's and every coordinate finite.
+    /// Builds the tree. None if no triangle has an area. Every index must name a vertex and every coordinate must be finite; the readers check both.
     pub fn new(mesh: &TriangleMesh) -> Option<Self> {
         let mut kept: Vec<Triangle> = mesh
             .triangles
@@ -105,7 +106,7 @@ impl Mesh {
         let mut nearest: Option<f64> = None;
         let inverse = direction.recip();
         let mut at = 0;
-        // Depth-first without a stack: a node that is missed, or a leaf, is followed by the node after all that is below it.
+        // Depth-first traversal without a stack. After a missed node or a leaf comes the node after its subtree.
         while let Some(node) = self.nodes.get(at) {
             let limit_m = nearest.unwrap_or(f64::INFINITY);
             let missed = !node.may_be_met(origin_m, inverse, limit_m);
@@ -141,7 +142,7 @@ impl Mesh {
             self.area_up_to_m2[index - 1]
         };
         let within = ((wanted_m2 - before_m2) / triangle.area_m2()).clamp(0.0, 1.0);
-        // Turk 1990 (Graphics Gems): the root spreads evenly between the corner and the far side.
+        // The square root spreads points evenly between the corner and the opposite side (Turk 1990, Graphics Gems).
         let reach = within.sqrt();
         SurfacePoint {
             position_m: triangle.a_m
@@ -167,7 +168,7 @@ impl Triangle {
     fn center_m(&self) -> DVec3 {
         self.a_m + (self.ab_m + self.ac_m) / 3.0
     }
-    /// Moller and Trumbore 1997, both sides.
+    /// Two-sided ray test of Moller and Trumbore 1997.
     fn hit_m(&self, origin_m: DVec3, direction: DVec3) -> Option<f64> {
         let p = direction.cross(self.ac_m);
         let determinant = self.ab_m.dot(p);
@@ -191,7 +192,7 @@ impl Node {
         let (mut enter, mut leave) = (0.0_f64, limit_m);
         for axis in 0..3 {
             if inverse[axis].is_infinite() {
-                // Along the slab: 0 times infinity below would be NaN.
+                // Parallel to the slab: 0 times infinity below would be NaN.
                 if !(self.low_m[axis]..=self.high_m[axis]).contains(&origin_m[axis]) {
                     return false;
                 }
@@ -206,10 +207,10 @@ impl Node {
     }
 }
 
-/// Whether the triangles close round a volume that they face.
+/// Whether the triangles enclose a volume that they face.
 fn is_inside_out(triangles: &[Triangle]) -> bool {
     let (mut area_m2, mut sum_m2, mut volume_m3) = (0.0, DVec3::ZERO, 0.0);
-    // From a corner of the mesh, so that far from zero nothing cancels.
+    // Relative to a corner of the mesh, which avoids cancellation far from the origin.
     let from_m = triangles[0].a_m;
     for triangle in triangles {
         let twice_m2 = triangle.ab_m.cross(triangle.ac_m);
@@ -220,7 +221,7 @@ fn is_inside_out(triangles: &[Triangle]) -> bool {
     sum_m2.length() < CLOSED * area_m2 && volume_m3 < 0.0
 }
 
-/// Lays the tree of `triangles` (which begin at `offset` of all) behind what `nodes` holds, in depth-first order.
+/// Appends the tree of `triangles`, which begin at index `offset` of all, to `nodes` in depth-first order.
 fn build(triangles: &mut [Triangle], offset: usize, nodes: &mut Vec<Node>) {
     let everywhere = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     let union = |ends: (DVec3, DVec3), low: DVec3, high: DVec3| (ends.0.min(low), ends.1.max(high));

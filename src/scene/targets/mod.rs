@@ -1,13 +1,12 @@
-//! Named targets: points over the seabed (CSV) and solid shapes anywhere in the water (TOML), as scatterers.
+//! Named targets: points above the seabed (CSV) and solids anywhere in the water (TOML), as scatterers.
 //!
-//! CSV: columns `name,north_m,east_m,height_above_seabed_m,target_strength_db`, metres from the scene's zero; points with pressure
-//! 10^(TS/20) and phase 0 (TS is the ratio of intensities at 1 m: Urick 1983, Principles of Underwater Sound, 9.1). TOML: [`file`].
+//! CSV columns: `name,north_m,east_m,height_above_seabed_m,target_strength_db`, metres from the scene's origin. Each row is a point scatterer with
+//! pressure 10^(TS/20) and phase 0. TS is the ratio of intensities at 1 m (Urick 1983, Principles of Underwater Sound, 9.1). TOML: [`file`].
 //!
-//! A solid's surface scatters by Lambert's law: scatterers spread evenly over its area, each with a fixed circular Gaussian reflectivity. Its
-//! mean target strength over all directions is mu area / 6 for any convex shape (the mean of cos^2 over the facing half sphere, by
-//! Cauchy's argument), and that of a sphere is the same in every direction. The far side is silent by its normals; what stands in whose
-//! shadow is for the occlusion to find, through [`Targets::hits`].
-//! Not modelled: resonance, the coherent glint of smooth bodies, elastic waves, echoes between targets.
+//! The surface of a solid scatters by Lambert's law. Its scatterers are spread evenly over its area, each with a fixed circular Gaussian
+//! reflectivity. The mean target strength over all directions is mu area / 6 for any convex shape: the mean of cos^2 over the facing half sphere, by
+//! Cauchy's argument. A sphere has this strength in every direction. Normals silence the far side; the occlusion finds shadows through
+//! [`Targets::hits`]. Not modelled: resonance, the coherent glint of smooth bodies, elastic waves, echoes between targets.
 
 mod file;
 pub(crate) mod mesh;
@@ -29,15 +28,15 @@ use echotank_core::flow::{ScatterLaw, Scatterers, Target};
 use random::KeyedRandom;
 use solid::Solid;
 
-/// Rows at most; every ping's truth record carries them all.
+/// Greatest number of targets. The truth record of every ping carries all of them.
 pub(crate) const MAX_TARGETS: usize = 10_000;
-/// Scatterers of all targets together: 4 million take some 300 MiB.
+/// Greatest number of scatterers of all targets together: 4 million take some 300 MiB.
 pub(crate) const MAX_TARGET_SCATTERERS: usize = 1 << 22;
-/// However small a solid, so that its strength hardly depends on which side the few happen to lie.
+/// Least number of scatterers of a solid, so that its strength varies little with the direction.
 const MIN_SCATTERERS: usize = 64;
 
 const MAX_NAME_CHARACTERS: usize = 64;
-/// dB; a krill has -90, a submarine +30.
+/// Accepted target strengths, dB. A krill has -90 dB, a submarine +30 dB.
 const STRENGTHS_DB: RangeInclusive<f64> = -150.0..=100.0;
 
 const COLUMNS: [Column; 5] = [
@@ -48,15 +47,15 @@ const COLUMNS: [Column; 5] = [
     required("target_strength_db"),
 ];
 
-/// Keeps these draws apart from other uses of the scene's seed; a change of the recipe needs a new version here.
+/// Separates these random numbers from other uses of the scene's seed. A change of the algorithm needs a new version here.
 const KEY_LABEL: &[u8; 24] = b"echotank targets    v001";
 
-/// A target as its file describes it, in the scene's own coordinates.
+/// A target as its file describes it, in scene coordinates.
 #[derive(Clone, Debug)]
 pub struct ParsedTarget {
     pub target: Target,
     pub body: Body,
-    /// Of the file.
+    /// Line of the file.
     line: usize,
 }
 
@@ -74,31 +73,36 @@ pub enum Body {
     Point,
     Solid {
         solid: Solid,
-        /// Lambert's mu of its surface.
+        /// Lambert's mu of its surface, linear.
         lambert: f64,
         density_per_m2: f64,
     },
 }
 
-/// All targets of a scene, in its own coordinates, with every scatterer made.
+/// All targets of a scene with their scatterers, in scene coordinates.
 #[derive(Clone, Debug, Default)]
 pub struct Targets {
     named: Vec<Target>,
-    /// Of each named target: its solid, if it has one.
+    /// Solid of each target, if it has one.
     solids: Vec<Option<Solid>>,
-    /// Middle and radius of a ball that holds each.
+    /// Centre and radius of a bounding sphere of each target, metres.
     balls_m: Vec<(DVec3, f64)>,
     scatterers: Scatterers,
-    /// Area that each scatterer stands for; 0 for a point.
+    /// Area that each scatterer represents, square metres; 0 for a point.
     area_m2: Vec<f64>,
-    /// First scatterer of each target, and one past the last.
+    /// Range of scatterers of each target.
     spans: Vec<Range<usize>>,
-    /// Of each target: echo pressure at 1 m of all its scatterers, facing and with random phases.
+    /// Echo pressure at 1 m of all scatterers of each target, summed with random phases as if all faced the sonar.
     strengths: Vec<f64>,
 }
 
 impl Targets {
-    /// Reads a CSV table, or a TOML one that lies in the folder `toml`, if there is one. `seabed_down_m` gives the seabed at (north, east), none where there is none.
+    /// Reads a CSV table, or a TOML table if `toml` names its folder.
+    ///
+    /// `seabed_down_m` returns the depth of the seabed at (north, east), metres, or none where there is no seabed.
+    ///
+    /// # Errors
+    /// Returns the line, the value and the rule it breaks.
     pub fn parse(
         bytes: &[u8],
         toml: Option<MeshFolder>,
@@ -119,7 +123,7 @@ impl Targets {
         Self::new(placed, seed)
     }
 
-    /// Makes the scatterers. Refuses more than [`MAX_TARGET_SCATTERERS`].
+    /// Makes the scatterers. Rejects more than [`MAX_TARGET_SCATTERERS`].
     pub fn new(placed: Vec<ParsedTarget>, seed: u64) -> Result<Self, TextError> {
         let mut all = Self::default();
         for (index, ParsedTarget { target, body, line }) in placed.into_iter().enumerate() {
@@ -187,32 +191,34 @@ impl Targets {
     pub fn named(&self) -> &[Target] {
         &self.named
     }
-    /// The shape of a target; none for a point.
+    /// Solid of a target; none for a point.
     pub fn solid(&self, target: usize) -> Option<&Solid> {
         self.solids[target].as_ref()
     }
-    /// Middle and radius of a ball that holds a target.
+    /// Centre and radius of a bounding sphere of a target, metres.
     pub(crate) fn ball_m(&self, target: usize) -> (DVec3, f64) {
         self.balls_m[target]
     }
     pub fn scatterers(&self) -> &Scatterers {
         &self.scatterers
     }
-    /// Area that a scatterer stands for, square metres; 0 for a point.
+    /// Area that a scatterer represents, square metres; 0 for a point.
     pub fn area_m2(&self, scatterer: usize) -> f64 {
         self.area_m2[scatterer]
     }
-    /// The scatterers of a target.
+    /// Range of scatterers of a target.
     pub fn span(&self, target: usize) -> Range<usize> {
         self.spans[target].clone()
     }
-    /// Which target a scatterer belongs to, for labels.
+    /// Index of the target that a scatterer belongs to.
     pub(crate) fn target_of(&self, scatterer: usize) -> usize {
         self.spans.partition_point(|span| span.end <= scatterer)
     }
 
-    /// Whether any of the solids among `which` lies on the ray from `origin_m` (the scene's own coordinates) along the unit `direction`, nearer than
-    /// `max_m`. From a solid's own surface outward it is not met.
+    /// Whether a ray meets any of the solids `which` nearer than `max_m`.
+    ///
+    /// `origin_m` is in scene coordinates, `direction` is a unit vector. A ray that starts on a solid's surface and points outward does not meet that
+    /// solid.
     pub fn hits(&self, which: &[usize], origin_m: DVec3, direction: DVec3, max_m: f64) -> bool {
         which.iter().any(|&target| {
             let Some(solid) = &self.solids[target] else {
@@ -231,7 +237,7 @@ impl Targets {
         self.strengths[target]
     }
 
-    /// Adds the scatterers of one target to `out`, moved by `anchor_m`, each `loud`.
+    /// Appends the scatterers of one target to `out`, moved by `anchor_m`, with the pattern-floor factor `loud`.
     pub fn gather(&self, target: usize, anchor_m: DVec3, loud: f32, out: &mut Scatterers) {
         let span = self.span(target);
         let own = &self.scatterers;
@@ -248,19 +254,19 @@ impl Targets {
     }
 }
 
-/// Lambert's mu of a convex surface whose target strength, mean over all directions, is `mean_db`.
+/// Lambert's mu of a convex surface whose target strength averaged over all directions is `mean_db`.
 ///
-/// A patch dA sends back mu cos^2 dA where it faces the sonar; over all directions the mean of cos^2 (half of them facing) is 1/6.
+/// A patch dA returns mu cos^2 dA if it faces the sonar. The mean of cos^2 over all directions, half of which face it, is 1/6.
 pub(crate) fn lambert_of_mean(mean_db: f64, area_m2: f64) -> f64 {
     6.0 * libm::pow(10.0, mean_db / 10.0) / area_m2
 }
 
-/// The reverse of [`lambert_of_mean`], dB.
+/// Mean target strength of a convex surface, dB: the inverse of [`lambert_of_mean`].
 pub(crate) fn mean_strength_db(lambert: f64, area_m2: f64) -> f64 {
     10.0 * libm::log10(lambert * area_m2 / 6.0)
 }
 
-/// The rule that a name breaks.
+/// Checks a target's name. The error is the rule that it breaks.
 fn check_name(name: &str) -> Result<(), String> {
     if name.is_empty() || name.chars().count() > MAX_NAME_CHARACTERS {
         return Err(format!("must have 1 to {MAX_NAME_CHARACTERS} characters"));
@@ -271,7 +277,7 @@ fn check_name(name: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// Points of a CSV table in the scene's own coordinates. `seabed_down_m` gives the seabed at (north, east), none where there is none.
+/// Reads the point targets of a CSV table, in scene coordinates. `seabed_down_m` returns the depth of the seabed at (north, east), or none.
 pub(crate) fn parse(
     bytes: &[u8],
     seabed_down_m: impl Fn(f64, f64) -> Option<f64>,
@@ -305,7 +311,7 @@ pub(crate) fn parse(
     Ok(targets)
 }
 
-/// Echo pressure at 1 m for unit incident pressure.
+/// Echo pressure of a target at 1 m for unit incident pressure.
 pub(crate) fn strength(target: &Target) -> Complex64 {
     Complex64::from(libm::pow(10.0, target.target_strength_db / 20.0))
 }

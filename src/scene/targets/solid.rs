@@ -1,55 +1,54 @@
-//! Solid shapes: where a ray meets them, and scatterers spread evenly over their surface.
+//! Solid shapes: intersection with rays, and scatterers spread evenly over the surface.
 //!
-//! Coordinates are whatever the caller keeps them in (metres, north-east-down). Every ray test is exact for the shape as described; rays
-//! have unit directions.
-//! Ray tests after Ericson 2005, Real-Time Collision Detection, ch. 5 (boxes by slabs, cylinders by the quadratic of the distance from the axis).
+//! Coordinates are north-east-down metres about any origin. Every ray test is exact for the shape as described. Ray directions are unit vectors. Ray
+//! tests follow Ericson 2005, Real-Time Collision Detection, ch. 5 (boxes by slabs, cylinders by the quadratic of the distance from the axis).
 
 use glam::{DMat3, DVec3};
 
 use super::mesh::Mesh;
 use super::random::KeyedRandom;
 
-/// Places closer than this to the start of a ray are not met: a scatterer on a surface does not shade itself by rounding, metres.
+/// Least distance of an intersection from the start of a ray, metres. It prevents a scatterer from shadowing itself by rounding.
 pub(crate) const SKIN_M: f64 = 1e-6;
 
-/// One shape.
+/// Geometry of a solid.
 #[derive(Clone, Debug)]
 pub enum Solid {
     Sphere {
         center_m: DVec3,
         radius_m: f64,
     },
-    /// With flat ends.
+    /// A cylinder with flat ends.
     Cylinder {
-        /// Middle of one end and of the other.
+        /// Centres of the two ends.
         ends_m: [DVec3; 2],
         radius_m: f64,
     },
     Box {
         center_m: DVec3,
-        /// Columns: the box's own axes in the world, unit.
+        /// Unit axes of the box as columns, in world coordinates.
         axes: DMat3,
         half_m: DVec3,
     },
-    /// A polyline of round cylinders whose joints are rounded by balls: ropes, chains, pipelines.
+    /// A polyline of round cylinders with spheres at its joints: ropes, chains, pipelines.
     Rope {
-        /// At least two, no two neighbours in one place.
+        /// At least two vertices; neighbours differ.
         vertices_m: Vec<DVec3>,
         radius_m: f64,
     },
     Mesh(Mesh),
 }
 
-/// A place on a surface.
+/// A point on a surface with its normal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct SurfacePoint {
     pub position_m: DVec3,
-    /// Unit, outward.
+    /// Unit vector, outward.
     pub normal: DVec3,
 }
 
 impl Solid {
-    /// How far along the ray the surface is first met, beyond [`SKIN_M`]; none where it is missed. From inside: where the ray leaves.
+    /// Distance along the ray to the first intersection beyond [`SKIN_M`]; none if the ray misses. From inside, the distance at which the ray leaves.
     pub(crate) fn first_hit_m(&self, origin_m: DVec3, direction: DVec3) -> Option<f64> {
         match self {
             Self::Sphere { center_m, radius_m } => {
@@ -82,18 +81,18 @@ impl Solid {
         }
     }
 
-    /// Whether anything of the shape lies on the ray between its start and `max_m`.
+    /// Whether the ray meets the shape between its start and `max_m`.
     pub fn hits(&self, origin_m: DVec3, direction: DVec3, max_m: f64) -> bool {
         self.first_hit_m(origin_m, direction)
             .is_some_and(|met_m| met_m < max_m)
     }
 
-    /// Corners of a box, parallel to the axes, that holds the shape.
+    /// Corners of the axis-parallel bounding box.
     pub(crate) fn bounds_m(&self) -> (DVec3, DVec3) {
         match self {
             Self::Sphere { center_m, radius_m } => (*center_m - *radius_m, *center_m + *radius_m),
             Self::Cylinder { ends_m, radius_m } => {
-                // A disc of radius r about the unit axis a reaches r sqrt(1 - a_i^2) along each coordinate.
+                // A disc of radius r about the unit axis a extends r sqrt(1 - a_i^2) along each coordinate.
                 let axis = (ends_m[1] - ends_m[0]).normalize();
                 let reach = (DVec3::ONE - axis * axis).max(DVec3::ZERO);
                 let reach = DVec3::new(reach.x.sqrt(), reach.y.sqrt(), reach.z.sqrt()) * *radius_m;
@@ -126,7 +125,7 @@ impl Solid {
         }
     }
 
-    /// Area that scatters, square metres: of a rope only its links' mantles.
+    /// Scattering area, square metres. A rope has its lateral surfaces only.
     pub fn area_m2(&self) -> f64 {
         use std::f64::consts::{PI, TAU};
         match self {
@@ -145,13 +144,13 @@ impl Solid {
         }
     }
 
-    /// The place whose share of the area below it, in some fixed order over the surface, is `share` (0..1): even shares give even places.
-    /// `across` (0..1) moves it where the order leaves a freedom.
+    /// The point of the surface below which, in a fixed order, the share `share` (0..1) of the area lies. Even shares give even points. `across`
+    /// (0..1) is the coordinate transverse to the order.
     pub(crate) fn surface_point(&self, share: f64, across: f64) -> SurfacePoint {
         use std::f64::consts::TAU;
         match self {
             Self::Sphere { center_m, radius_m } => {
-                // Archimedes: equal slices have equal areas.
+                // Equal slices of a sphere have equal areas (Archimedes).
                 let z = 1.0 - 2.0 * share;
                 let (sin, cos) = libm::sincos(TAU * across);
                 let ring = (1.0 - z * z).max(0.0).sqrt();
@@ -207,7 +206,7 @@ impl Solid {
         }
     }
 
-    /// The shape moved as a whole.
+    /// The shape translated by `by_m`, metres.
     pub fn moved(mut self, by_m: DVec3) -> Self {
         match &mut self {
             Self::Sphere { center_m, .. } | Self::Box { center_m, .. } => *center_m += by_m,
@@ -218,7 +217,7 @@ impl Solid {
         self
     }
 
-    /// `count` places, each anywhere in its own equal share of the area.
+    /// Samples `count` points, each at random in an equal share of the area.
     pub(super) fn sample(
         &self,
         count: usize,
@@ -240,7 +239,7 @@ fn length_m(vertices_m: &[DVec3]) -> f64 {
         .sum()
 }
 
-/// The smaller root beyond the skin of t^2 + 2 b t + c = 0, else the larger; none if neither.
+/// The smaller root of t^2 + 2 b t + c = 0 that exceeds [`SKIN_M`]; none if neither does.
 fn first_root(half_b: f64, c: f64) -> Option<f64> {
     let discriminant = half_b * half_b - c;
     if discriminant < 0.0 {
@@ -252,7 +251,7 @@ fn first_root(half_b: f64, c: f64) -> Option<f64> {
         .find(|t| *t > SKIN_M)
 }
 
-/// `from_m`: the ray's start from the centre.
+/// `from_m` is the start of the ray relative to the centre.
 fn sphere_hit_m(from_m: DVec3, direction: DVec3, radius_m: f64) -> Option<f64> {
     first_root(
         from_m.dot(direction),
@@ -301,7 +300,7 @@ fn cylinder_hit_m(
     first
 }
 
-/// In the box's own axes.
+/// Intersection with a box, in the axes of the box.
 fn box_hit_m(from_m: DVec3, way: DVec3, half_m: DVec3) -> Option<f64> {
     let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
     for axis in 0..3 {
@@ -322,7 +321,7 @@ fn box_hit_m(from_m: DVec3, way: DVec3, half_m: DVec3) -> Option<f64> {
     [enter, leave].into_iter().find(|t| *t > SKIN_M)
 }
 
-/// On the mantle of a cylinder: `along` (0..=1) of its length, `across` (0..1) of its girth.
+/// A point on the lateral surface of a cylinder: `along` (0..=1) of its length, `across` (0..1) of its circumference.
 fn mantle_point(
     from_m: DVec3,
     axis: DVec3,
@@ -347,7 +346,7 @@ fn box_point(
     share: f64,
     across: f64,
 ) -> SurfacePoint {
-    // Pairs of faces by the axis they look along; on each, `share` runs along one side and `across` along the other.
+    // Pairs of faces by their normal axis. On each face, `share` runs along one side and `across` along the other.
     let faces = [
         half_m.y * half_m.z,
         half_m.z * half_m.x,
