@@ -51,27 +51,49 @@ pub enum SceneError {
     /// The file cannot be opened or read.
     #[error("{}: cannot be read: {source}", path.display())]
     Read {
+        /// Path of the file.
         path: PathBuf,
+        /// Error of the file system.
         source: std::io::Error,
     },
     /// The file exceeds [`MAX_FILE_BYTES`].
     #[error("{}: larger than the {MAX_FILE_BYTES} bytes that are read", path.display())]
-    TooLarge { path: PathBuf },
+    TooLarge {
+        /// Path of the file.
+        path: PathBuf,
+    },
     /// A line of a text file breaks a rule.
     #[error("{}: {error}", path.display())]
-    Text { path: PathBuf, error: TextError },
+    Text {
+        /// Path of the file.
+        path: PathBuf,
+        /// Line, value and rule.
+        error: TextError,
+    },
     /// A seabed, mosaic or mesh file breaks a rule of its format.
     #[error("{}: {error}", path.display())]
-    Format { path: PathBuf, error: FormatError },
+    Format {
+        /// Path of the file.
+        path: PathBuf,
+        /// Location, value and rule.
+        error: FormatError,
+    },
+    /// The configured memory limit is smaller than one tile.
     #[error(
         "scene.memory_limit_bytes = {limit_bytes}: must be at least {TILE_BYTES}, one tile of the seabed"
     )]
-    /// The configured memory limit is smaller than one tile.
-    MemoryLimit { limit_bytes: u64 },
+    MemoryLimit {
+        /// The configured limit, bytes.
+        limit_bytes: u64,
+    },
+    /// The scene is to be anchored by its file, but the file gives no geodetic position.
     #[error(
-        "scene.anchor = \"file\": {what} does not tell where on the earth it lies (its coordinates must be latitude and longitude or UTM)"
+        "scene.anchor = \"file\": {what} has no geodetic position (its coordinates must be latitude and longitude or UTM)"
     )]
-    NotGeoreferenced { what: String },
+    NotGeoreferenced {
+        /// The seabed's file, or the statement that there is none.
+        what: String,
+    },
 }
 
 /// Shape of the seabed in world coordinates, for use on other threads.

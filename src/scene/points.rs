@@ -1,7 +1,7 @@
 //! Explicit scatterers: a CSV table to [`Scatterers`].
 //!
-//! Columns `north_m,east_m,down_m,amplitude[,amplitude_imag]`: metres from the scene's zero, and the linear pressure at 1 m for unit
-//! incident pressure. Quantity are read to the nearest f64 and the rows keep their order, so that an outside calculation has the same scene.
+//! Columns `north_m,east_m,down_m,amplitude[,amplitude_imag]`: metres from the scene's origin, and the linear pressure at 1 m for unit incident
+//! pressure. Numbers are rounded to the nearest f64 and the rows keep their order, so that an external calculation has the same scene.
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -9,10 +9,10 @@ use num_complex::Complex64;
 use super::text::{self, Column, MAX_HORIZONTAL_M, MAX_VERTICAL_M, TextError, optional, required};
 use echotank_core::flow::{ScatterLaw, Scatterers};
 
-/// Rows at most: 16 million points hold a gigabyte.
+/// Greatest number of rows: 16 million points take a gigabyte.
 pub(crate) const MAX_POINTS: usize = 1 << 24;
 
-/// Largest amplitude: 120 dB, far above anything real, so that sums stay finite.
+/// Largest amplitude, 120 dB. It is far above any real one and keeps sums finite.
 const MAX_AMPLITUDE: f64 = 1e6;
 
 const COLUMNS: [Column; 5] = [
@@ -23,7 +23,10 @@ const COLUMNS: [Column; 5] = [
     optional("amplitude_imag"),
 ];
 
-/// Points in the scene's own coordinates.
+/// Reads a table of points, in scene coordinates.
+///
+/// # Errors
+/// Returns the line, the column, the value and the rule it breaks.
 pub fn parse(bytes: &[u8]) -> Result<Scatterers, TextError> {
     let horizontal = -MAX_HORIZONTAL_M..=MAX_HORIZONTAL_M;
     let amplitude = -MAX_AMPLITUDE..=MAX_AMPLITUDE;

@@ -607,7 +607,7 @@ proptest! {
         let recipe = Recipe::new(surface, &seabed(FLAT, density, true), 1);
         let tile = make(&recipe, (row, col));
         match recipe.bounds(id((row, col))) {
-            None => prop_assert!(tile.is_empty()),
+            None => prop_assert!(tile.len() == 0),
             Some(b) => for i in 0..tile.len() {
                 let p = tile.position_m(i);
                 prop_assert!(p.cmpge(b.low_m - 1e-4).all() && p.cmple(b.high_m + 1e-4).all(), "{} outside {:?}", p, b);

@@ -215,10 +215,6 @@ impl Tile {
         self.north_m.len()
     }
 
-    pub(crate) fn is_empty(&self) -> bool {
-        self.north_m.is_empty()
-    }
-
     pub(crate) fn position_m(&self, i: usize) -> DVec3 {
         let from_zero = [self.north_m[i], self.east_m[i], self.down_m[i]];
         self.zero_m + DVec3::from(from_zero.map(f64::from))

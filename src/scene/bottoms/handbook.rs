@@ -57,7 +57,7 @@ fn blend(x: f64) -> f64 {
 }
 
 /// Backscattering strength per square metre, a linear power, at a positive grazing angle.
-pub fn strength(p: &Preset, grazing_rad: f64, frequency_hz: f64, water_m_per_s: f64) -> f64 {
+pub(super) fn strength(p: &Preset, grazing_rad: f64, frequency_hz: f64, water_m_per_s: f64) -> f64 {
     let gamma = libm::tgamma;
     let k = TAU * frequency_hz / (100.0 * water_m_per_s);
     let (sin, cos) = grazing_rad.sin_cos();

@@ -1,9 +1,9 @@
 //! Bathymetric attributed grids (BAG): HDF5 with `/BAG_root/{elevation, uncertainty, metadata}`.
 //!
-//! Source: Open Navigation Surface Working Group, "Format Specification Document, Description of Bathymetric Attributed Grid Object (BAG)"
-//! 1.0 to 2.0. Elevations are positive up, the first row is the southern one, and coordinates are those of the cells' centres. The metadata are
-//! XML in two dialects (up to 1.4 their own, from 1.5 on ISO 19139 with the system as well-known text); elements are found by their local
-//! names, which they share. A variable-resolution BAG is read at its base resolution.
+//! Source: Open Navigation Surface Working Group, "Format Specification Document, Description of Bathymetric Attributed Grid Object (BAG)" 1.0 to
+//! 2.0. Elevations are positive up, the first row is the southern one, and coordinates refer to cell centres. The metadata are XML in one of two
+//! schemas: BAG's own up to 1.4, ISO 19139 with well-known text from 1.5. Both share the local names by which elements are found. A
+//! variable-resolution BAG is read at its base resolution.
 
 use hdf5_reader::{Hdf5File, OpenOptions};
 use roxmltree::{Document, Node};
@@ -18,11 +18,11 @@ const UNCERTAINTY: &str = "/BAG_root/uncertainty";
 const METADATA: &str = "/BAG_root/metadata";
 const REFINEMENTS: &str = "/BAG_root/varres_metadata";
 
-/// Stands for "no data" in both layers (specification, section 3).
+/// Hole value of both layers (specification, section 3).
 const NULL: f32 = 1e6;
 /// Largest decoded chunk: a quarter of the largest grid.
 const MAX_CHUNK_BYTES: usize = MAX_CELLS;
-/// A survey's metadata are some ten kilobytes.
+/// Largest metadata. Those of a survey take some ten kilobytes.
 const MAX_METADATA_BYTES: u64 = 16 << 20;
 /// Producers put the north-eastern corner at the last centre or a cell beyond it.
 const CORNER_TOLERANCE_CELLS: f64 = 1.5;
@@ -105,7 +105,7 @@ impl Reader for Bag {
     }
 }
 
-/// Rows, columns and numbers of a layer.
+/// Rows, columns and values of a layer.
 fn layer(file: &Hdf5File, path: &str) -> Result<(usize, usize, Vec<f32>), FormatError> {
     let dataset = file
         .dataset(path)
@@ -182,7 +182,7 @@ impl Metadata {
         let text = std::str::from_utf8(&bytes)
             .map_err(|_| FormatError::new(METADATA, "", "must be UTF-8 text"))?
             .trim_start_matches(['\u{feff}', ' ', '\n', '\r']);
-        // Writers fill the rest of the array with zeros and line ends.
+        // Writers pad the array with zeros and line ends.
         let end = text.rfind('>').map_or(0, |at| at + 1);
         Self::parse(&text[..end])
     }
@@ -198,27 +198,28 @@ impl Metadata {
             )
         };
         let axis = |name: &str| {
-            below(root, "MD_Dimension")
+            descendants_named(root, "MD_Dimension")
                 .find(|d| {
-                    below(*d, "dimensionName").any(|n| {
-                        words(n).eq_ignore_ascii_case(name)
+                    descendants_named(*d, "dimensionName").any(|n| {
+                        element_text(n).eq_ignore_ascii_case(name)
                             || n.descendants()
                                 .any(|c| c.attribute("codeListValue") == Some(name))
                     })
                 })
                 .and_then(|d| {
-                    let step = below(d, "resolution").find_map(number)?;
+                    let step = descendants_named(d, "resolution").find_map(number)?;
                     (step.is_finite() && step > 0.0).then(|| Axis {
-                        size: below(d, "dimensionSize").find_map(|n| words(n).parse().ok()),
+                        size: descendants_named(d, "dimensionSize")
+                            .find_map(|n| element_text(n).parse().ok()),
                         step,
                     })
                 })
                 .ok_or_else(|| missing(&format!("resolution of the {name}s")))
         };
         let (rows, cols) = (axis("row")?, axis("column")?);
-        let corners = below(root, "cornerPoints")
-            .find_map(|c| below(c, "coordinates").next())
-            .map(words)
+        let corners = descendants_named(root, "cornerPoints")
+            .find_map(|c| descendants_named(c, "coordinates").next())
+            .map(element_text)
             .ok_or_else(|| missing("cornerPoints"))?;
         let numbers: Vec<f64> = corners
             .split([',', ' ', '\n', '\t'])
@@ -230,8 +231,8 @@ impl Metadata {
             return Err(FormatError::new(METADATA, &corners, rule));
         };
         let mut notes = Vec::new();
-        if let Some(vertical) = below(root, "verticalDatum")
-            .map(words)
+        if let Some(vertical) = descendants_named(root, "verticalDatum")
+            .map(element_text)
             .find(|w| !w.is_empty())
         {
             notes.push(format!("heights are counted from: {vertical}"));
@@ -247,10 +248,10 @@ impl Metadata {
     }
 }
 
-/// The horizontal system: well-known text, or the older dialect's projection and zone.
+/// The horizontal coordinate system: well-known text, or projection and zone of the older schema.
 fn system(root: Node) -> Result<Option<Crs>, FormatError> {
     const PLACE: &str = "/BAG_root/metadata, referenceSystemInfo";
-    for info in below(root, "referenceSystemInfo") {
+    for info in descendants_named(root, "referenceSystemInfo") {
         let text = info.descendants().filter_map(|n| n.text()).map(str::trim);
         for text in text {
             let head = text.get(..8).unwrap_or("").to_ascii_uppercase();
@@ -261,7 +262,11 @@ fn system(root: Node) -> Result<Option<Crs>, FormatError> {
                 return Crs::from_wkt(text, PLACE).map(Some);
             }
         }
-        let value = |name: &str| below(info, name).map(words).find(|w| !w.is_empty());
+        let value = |name: &str| {
+            descendants_named(info, name)
+                .map(element_text)
+                .find(|w| !w.is_empty())
+        };
         let Some(projection) = value("projection") else {
             continue;
         };
@@ -301,7 +306,7 @@ fn system(root: Node) -> Result<Option<Crs>, FormatError> {
 }
 
 fn covered_deg(root: Node) -> Option<[f64; 4]> {
-    let side = |name: &str| below(root, name).find_map(number);
+    let side = |name: &str| descendants_named(root, name).find_map(number);
     let sides = [
         side("westBoundLongitude")?,
         side("southBoundLatitude")?,
@@ -311,14 +316,17 @@ fn covered_deg(root: Node) -> Option<[f64; 4]> {
     sides.iter().all(|v| v.is_finite()).then_some(sides)
 }
 
-/// Descendants by their local name.
-fn below<'a>(node: Node<'a, 'a>, name: &'a str) -> impl Iterator<Item = Node<'a, 'a>> + use<'a> {
+/// Descendants with a local name.
+fn descendants_named<'a>(
+    node: Node<'a, 'a>,
+    name: &'a str,
+) -> impl Iterator<Item = Node<'a, 'a>> + use<'a> {
     node.descendants()
         .filter(move |n| n.is_element() && n.tag_name().name() == name)
 }
 
-/// All the text inside an element, its blanks made one.
-fn words(node: Node) -> String {
+/// Text of an element with normalised white space.
+fn element_text(node: Node) -> String {
     let text: String = node
         .descendants()
         .filter(|n| n.is_text())
@@ -329,14 +337,14 @@ fn words(node: Node) -> String {
 }
 
 fn number(node: Node) -> Option<f64> {
-    words(node).parse().ok()
+    element_text(node).parse().ok()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// The shape of a BAG's metadata from version 1.5 on.
+    /// Metadata as from BAG version 1.5 on.
     const ISO: &str = r#"<gmi:MI_Metadata xmlns:gmi="i" xmlns:gmd="d" xmlns:gco="c" xmlns:gml="g">
 <gmd:spatialRepresentationInfo><gmd:MD_Georectified>
 <gmd:axisDimensionProperties><gmd:MD_Dimension><gmd:dimensionName><gmd:MD_DimensionNameTypeCode codeListValue="row">row</gmd:MD_DimensionNameTypeCode></gmd:dimensionName>

@@ -1,8 +1,7 @@
-//! Coordinate reference systems, as far as a scene needs them: are the numbers degrees or metres, and where on the earth is a point.
+//! Coordinate reference systems of seabed files: whether coordinates are degrees or metres, and the geodetic position of a point.
 //!
-//! Latitudes and longitudes are taken as WGS84's whatever their datum; modern datums (NAD83, ETRS89, GDA) lie within 2 m of it, old ones
-//! (NAD27, ED50) up to some 200 m off. The angle between grid north and true north (convergence) is not modelled: the columns of a
-//! projected grid are the scene's north.
+//! Latitudes and longitudes are taken as WGS84 whatever their datum. Modern datums (NAD83, ETRS89, GDA) lie within 2 m of it, old ones (NAD27, ED50)
+//! up to some 200 m away. The convergence between grid north and true north is not modelled: the columns of a projected grid are the scene's north.
 
 use std::fmt;
 
@@ -10,18 +9,26 @@ use super::FormatError;
 use echotank_config::spec::CrsSpec;
 use echotank_core::utm;
 
-/// Name of a system that the operator laid down.
+/// Name of a system that the configuration states.
 const CONFIGURED: &str = "as configured";
 
+/// Coordinate reference system of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Crs {
-    /// Metres about a zero that is nowhere on the earth.
+    /// Metres about an origin without geodetic position.
     Local,
-    /// x is longitude and y latitude, degrees. The name says which, where the file does.
+    /// Degrees: x is longitude, y latitude. The string is the name in the file, if any.
     Geographic(String),
-    /// Metres; on WGS84, or on a datum that lies within 2 m of it.
-    Utm { zone: u8, north: bool, name: String },
-    /// Metres of another projection. Where on the earth they are is not known here.
+    /// Universal Transverse Mercator on WGS84, or on a datum within 2 m of it, metres.
+    Utm {
+        /// Zone, 1 to 60.
+        zone: u8,
+        /// Whether the zone is on the northern hemisphere.
+        north: bool,
+        /// Name of the system.
+        name: String,
+    },
+    /// Another projection, metres. Its geodetic position is not computed. The string is its name.
     Projected(String),
 }
 
@@ -55,8 +62,8 @@ impl From<CrsSpec> for Crs {
 }
 
 impl Crs {
-    /// Whether the same numbers mean the same place, datums that lie within 2 m of each other taken for one. Metres of unknown origin agree
-    /// with each other, and a projection that the operator laid down with any: nothing says otherwise.
+    /// Whether equal coordinates mean the same position. Datums within 2 m of each other count as equal. Local systems agree with each other, and a
+    /// projection that the configuration states agrees with any projection.
     pub(crate) fn agrees(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Local, Self::Local) | (Self::Geographic(_), Self::Geographic(_)) => true,
@@ -75,7 +82,7 @@ impl Crs {
         }
     }
 
-    /// Latitude and longitude of a point of the file, radians; none where the system does not tell.
+    /// Latitude and longitude of a point of the file, radians; none for a local or unknown projected system.
     pub fn geodetic_rad(&self, x: f64, y: f64) -> Option<(f64, f64)> {
         match self {
             Self::Geographic(_) => Some((y.to_radians(), x.to_radians())),
@@ -84,7 +91,7 @@ impl Crs {
         }
     }
 
-    /// By its number in the EPSG register. `place` is where the file says so.
+    /// The system of an EPSG code. `place` is the location of the code in the file.
     pub(crate) fn from_epsg(code: u32, place: &str) -> Result<Self, FormatError> {
         let name = format!("EPSG:{code}");
         let utm = |zone: u32, north| Self::Utm {
@@ -120,7 +127,7 @@ impl Crs {
         })
     }
 
-    /// From well-known text (OGC 01-009, OGC 18-010), of which the name, the EPSG number and the unit are read.
+    /// The system of a well-known text (OGC 01-009, OGC 18-010). Name, EPSG code and unit are read.
     pub(crate) fn from_wkt(text: &str, place: &str) -> Result<Self, FormatError> {
         let text = text.trim().trim_end_matches('\0').trim();
         let keyword: String = text
@@ -172,7 +179,7 @@ impl Crs {
     }
 }
 
-/// "WGS 84 / UTM zone 20N", "NAD_1983_UTM_Zone_20S".
+/// Zone and hemisphere in a name such as "WGS 84 / UTM zone 20N" or "NAD_1983_UTM_Zone_20S".
 fn utm_in_name(name: &str) -> Option<(u8, bool)> {
     let plain: String = name
         .to_ascii_lowercase()
@@ -190,7 +197,7 @@ fn utm_in_name(name: &str) -> Option<(u8, bool)> {
     }
 }
 
-/// Metres in the unit of a projected system: that of its last UNIT or LENGTHUNIT.
+/// Size of the linear unit of a projected system, metres: that of its last UNIT or LENGTHUNIT.
 fn linear_unit_m(text: &str) -> Option<f64> {
     let at = text.rfind("LENGTHUNIT[").or_else(|| text.rfind("UNIT["))?;
     let number: String = text[at..]

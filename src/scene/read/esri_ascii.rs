@@ -1,18 +1,18 @@
 //! ESRI ASCII grids: text to [`RawGrid`].
 //!
-//! Header keys in any case and order: `ncols nrows xllcorner|xllcenter yllcorner|yllcenter cellsize [NODATA_value]`, or GDAL's `dx` and `dy`
-//! instead of `cellsize`; then `nrows * ncols` numbers, the northern row first, separated by any white space. Source: ESRI, ArcGIS
-//! documentation, "Esri ASCII raster format". The format says nothing about its coordinates.
+//! Header keys in any case and order: `ncols nrows xllcorner|xllcenter yllcorner|yllcenter cellsize [NODATA_value]`, or GDAL's `dx` and `dy` instead
+//! of `cellsize`. Then follow `nrows * ncols` numbers, northern row first, separated by white space. Source: ESRI, ArcGIS documentation, "Esri ASCII
+//! raster format". The format does not state its coordinate system.
 
 use super::text::{self, TextError};
 use super::{Facts, FormatError, Raw, RawGrid, RawShape, Reader, checked_size, south_first};
 use echotank_config::spec::{FirstRow, SeabedFileSpec, SeabedFormat};
 
-/// Cell sizes, metres or degrees.
+/// Accepted cell sizes, metres or degrees.
 const CELL_SIZES: std::ops::RangeInclusive<f64> = 1e-7..=1e5;
-/// Coordinates of the lower left corner: any projection's numbers.
+/// Accepted coordinates of the lower left corner, in any projection.
 const CORNERS: std::ops::RangeInclusive<f64> = -1e9..=1e9;
-/// Where the header names none (ESRI's own default).
+/// Hole value if the header states none (ESRI's default).
 const DEFAULT_NODATA: f64 = -9999.0;
 
 pub(super) struct EsriAscii;
@@ -68,7 +68,7 @@ fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<RawGrid, FormatError> {
     let (rows, cols) = checked_size(rows as u64, cols as u64, "nrows x ncols")?;
     let cells = rows * cols;
     let nodata = header.nodata.unwrap_or(DEFAULT_NODATA);
-    // A number and its blank take two bytes: a header that promises more cells than the text can hold reserves nothing for them.
+    // A number and its separator take two bytes. A header that announces more cells than the text can hold reserves no memory for them.
     let mut values = Vec::with_capacity(cells.min(tokens.rest.len() / 2 + 1));
     while let Some(token) = tokens.next() {
         if values.len() == cells {
@@ -109,7 +109,7 @@ fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<RawGrid, FormatError> {
     })
 }
 
-/// Quantity begin with a digit, a sign or a point, apart from NaN and infinity.
+/// Whether a token is a key: numbers begin with a digit, a sign or a point, except NaN and infinity.
 fn is_key(token: &str) -> bool {
     token.starts_with(|c: char| c.is_ascii_alphabetic()) && token.parse::<f64>().is_err()
 }
@@ -158,7 +158,7 @@ impl Header {
         Ok(header)
     }
 
-    /// Takes one key; otherwise the text that is wrong and the rule it breaks.
+    /// Stores one key. The error is the wrong text and the rule it breaks.
     fn set(&mut self, key: &str, value: &str) -> Result<(), (String, String)> {
         let wrong = |rule: String| (value.to_owned(), format!("{key} {rule}"));
         let count = || match value.parse() {
@@ -197,14 +197,14 @@ impl Header {
     }
 }
 
-/// Words separated by white space, with the line of the last one handed out.
+/// Tokens separated by white space, with the line of the last one.
 struct Tokens<'a> {
     rest: &'a [u8],
     line: usize,
 }
 
 impl<'a> Tokens<'a> {
-    /// The next word, without going past it. Bytes that are not UTF-8 come as a word that is neither number nor key.
+    /// The next token, without consuming it. Bytes that are not UTF-8 yield a token that is neither number nor key.
     fn peek(&mut self) -> Option<&'a str> {
         while let [first, rest @ ..] = self.rest
             && first.is_ascii_whitespace()

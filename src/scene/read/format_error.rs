@@ -1,21 +1,23 @@
-//! What is wrong with a file, and where.
+//! Errors in the content of a file.
 
 use super::text::TextError;
 
-/// Characters of an offending value that are repeated.
+/// Greatest number of characters of a value in an error.
 const SHOWN_CHARACTERS: usize = 60;
 
-/// A place in a file where it does not say what it should. Displayed as `place: ``value``: rule`.
+/// Error in the content of a file. Displayed as `place: ``value``: rule`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FormatError {
-    /// "line 3", "tag ModelPixelScale", "/BAG_root/elevation": as near as the format lets one name it.
+    /// Location as precise as the format allows: "line 3", "tag ModelPixelScale", "/BAG_root/elevation".
     pub place: String,
-    /// Empty where nothing can be shown.
+    /// The value; empty if there is none to show.
     pub value: String,
+    /// The rule that the value breaks.
     pub rule: String,
 }
 
 impl FormatError {
+    /// An error at a place of a file. The value is shortened.
     pub fn new(place: impl Into<String>, value: &str, rule: impl Into<String>) -> Self {
         let shown = value
             .chars()
@@ -28,7 +30,7 @@ impl FormatError {
         }
     }
 
-    /// What a decoder of somebody else's said.
+    /// An error that a decoding library reported.
     pub fn decoder(place: impl Into<String>, error: impl std::fmt::Display) -> Self {
         let said = error.to_string();
         let line: String = said.split_whitespace().collect::<Vec<_>>().join(" ");

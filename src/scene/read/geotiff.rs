@@ -1,7 +1,7 @@
-//! GeoTIFF: one band of heights, in tiles or strips, bare, deflated or LZW, any predictor, with GeoKeys.
+//! GeoTIFF: one band of heights in tiles or strips, uncompressed, deflate or LZW, any predictor, with GeoKeys.
 //!
 //! Source: Adobe, TIFF revision 6.0 and Technical Note 3 (predictor 3); OGC 19-008r4 (GeoTIFF 1.1): tags ModelPixelScale, ModelTiepoint,
-//! GeoKeyDirectory; GDAL's tag 42113 names the value of a hole. Rotated grids, several bands and feet are refused.
+//! GeoKeyDirectory. GDAL's tag 42113 states the hole value. Rotated grids, several bands and feet are rejected.
 
 use std::io::Cursor;
 
@@ -14,9 +14,9 @@ use super::{
 };
 use echotank_config::spec::{FirstRow, SeabedFileSpec, SeabedFormat};
 
-/// Largest strip or tile that is held besides the picture, bytes.
+/// Largest strip or tile held besides the image, bytes.
 const MAX_CHUNK_BYTES: usize = 64 << 20;
-/// Largest value of a tag, bytes; the offsets of a million tiles are no more.
+/// Largest value of a tag, bytes: the offsets of a million tiles.
 const MAX_TAG_BYTES: usize = 8 << 20;
 
 /// GeoKeys (OGC 19-008r4, annex B).
@@ -33,7 +33,7 @@ const VERTICAL_UNIT: u16 = 4099;
 const METRE: u16 = 9001;
 const DEGREE: u16 = 9102;
 const RASTER_PIXEL_IS_POINT: u16 = 2;
-/// The parameters are in the file instead of the register.
+/// The parameters are in the file instead of the EPSG register.
 const USER_DEFINED: u16 = 32_767;
 
 pub(super) struct GeoTiff;
@@ -107,7 +107,7 @@ impl Reader for GeoTiff {
         let first_row = asked.first_row.unwrap_or(place.first_row);
         let also = asked.nodata.map(|v| v as f32);
         let is_hole = |v: f32| Some(v) == nodata || Some(v) == also;
-        // The corner pixel is the first of the file; the south-western one lies a grid away where that is in the north.
+        // The tie point refers to the file's first pixel. If the first row is the northern one, the south-western pixel lies one grid extent south.
         let y_south = match place.first_row {
             FirstRow::North => place.first_y - (rows - 1) as f64 * place.y_step,
             FirstRow::South => place.first_y,
@@ -134,7 +134,7 @@ impl Reader for GeoTiff {
     }
 }
 
-/// Heights as f32. Whole numbers of more than 24 bits are no heights and are refused later by their size.
+/// Converts heights to f32. Integers of more than 24 bits are no heights and are rejected later by their size.
 fn band(image: DecodingResult) -> Vec<f32> {
     fn all<T: Copy>(from: Vec<T>, to_f32: impl Fn(T) -> f32) -> Vec<f32> {
         from.into_iter().map(to_f32).collect()
@@ -196,7 +196,7 @@ impl Georeference {
                 let rule = "must be one tie point of 6 numbers";
                 return Err(FormatError::new(TIEPOINT, &format!("{tie:?}"), rule));
             };
-            // Positive scales run east and, down the rows, south.
+            // With positive scales, columns run east and rows run south.
             (dx, dy) = (sx, -sy);
             (x0, y0) = (x - i * dx, y - j * dy);
         } else if let Some(m) = numbers(tiff, Tag::ModelTransformationTag, TRANSFORMATION)? {
@@ -242,7 +242,7 @@ impl Georeference {
     }
 }
 
-/// The GeoKeys that matter here.
+/// GeoKeys that the reader uses.
 struct GeoKeys {
     shorts: Vec<(u16, u16)>,
     citation: Option<String>,
@@ -264,7 +264,7 @@ impl GeoKeys {
             Ok(Some(value)) => value.into_string().unwrap_or_default(),
             _ => String::new(),
         };
-        // Four numbers of header, then four for each key: its number, where its value is, how many, and the value or its place.
+        // A header of four numbers, then four for each key: key, location of the value, count, and the value or its offset.
         for entry in directory.chunks_exact(4).skip(1) {
             let [key, location, count, value] = *entry else {
                 continue;

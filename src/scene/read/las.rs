@@ -1,4 +1,4 @@
-//! LAS point clouds (ASPRS LAS 1.0 to 1.4, uncompressed). Points classed as noise (7 and 18) are left out. Heights are elevations.
+//! LAS point clouds (ASPRS LAS 1.0 to 1.4, uncompressed). Points classified as noise (7 and 18) are dropped. Heights are elevations.
 
 use std::io::Cursor;
 
@@ -8,7 +8,7 @@ use las::{PointDataBuilder, Reader as LasReader};
 use super::{Crs, Facts, FormatError, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
 use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 
-/// Points decoded at once.
+/// Number of points decoded at a time.
 const BATCH: u64 = 1 << 16;
 /// ASPRS LAS 1.4 R15, table 17: low and high noise.
 const NOISE: [u8; 2] = [7, 18];

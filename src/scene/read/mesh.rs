@@ -1,6 +1,6 @@
 //! Meshes of targets: OBJ, STL and PLY to [`TriangleMesh`].
 //!
-//! None of the formats says which way its axes point or what its unit is. Quantity are taken for metres; the axes are the caller's to tell.
+//! None of the formats states its axes or its unit. Numbers are taken as metres; the caller states the axes.
 
 use std::path::Path;
 
@@ -10,20 +10,20 @@ use super::text::{self, MAX_HORIZONTAL_M};
 use super::{Files, FormatError, MAX_POINTS, TriangleMesh, ply};
 use crate::SceneError;
 
-/// Triangles at most: as a target's they take some 700 MiB.
+/// Greatest number of triangles: in a target they take some 700 MiB.
 pub(crate) const MAX_TRIANGLES: usize = 1 << 22;
-/// Bytes before the triangles of a binary STL, and of each.
+/// Bytes before the triangles of a binary STL file, and of each triangle.
 const STL_HEAD: usize = 84;
 const STL_TRIANGLE: usize = 50;
 
-/// Where a file's x, y and z point. All three keep the sense of rotation, so that triangles keep their outside.
+/// Directions of a file's x, y and z axes. All three are right-handed, so triangles keep their outside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MeshAxes {
-    /// z is up: survey and most printing software.
+    /// Axes x east, y north, z up: survey and most printing software.
     EastNorthUp,
-    /// The scene's own.
+    /// Axes x north, y east, z down: those of the scene.
     NorthEastDown,
-    /// y is up: most animation software; x is east and z south.
+    /// Axes x east, y up, z south: most animation software.
     EastUpSouth,
 }
 
@@ -37,7 +37,10 @@ impl MeshAxes {
     }
 }
 
-/// Reads the mesh of a file by its extension.
+/// Reads a mesh from a file; the extension of the path selects the format.
+///
+/// # Errors
+/// Returns the path and the rule that the file breaks.
 pub fn open(files: &dyn Files, path: &Path, axes: MeshAxes) -> Result<TriangleMesh, SceneError> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("");
     parse(text::read_file(files, path)?, extension, axes).map_err(|error| SceneError::Format {
@@ -46,7 +49,10 @@ pub fn open(files: &dyn Files, path: &Path, axes: MeshAxes) -> Result<TriangleMe
     })
 }
 
-/// Reads a mesh; `extension` is one of obj, stl and ply, in any case.
+/// Reads a mesh from bytes; `extension` is obj, stl or ply, in any case.
+///
+/// # Errors
+/// Returns the location and the rule that the file breaks.
 pub fn parse(bytes: Vec<u8>, extension: &str, axes: MeshAxes) -> Result<TriangleMesh, FormatError> {
     let (mut vertices_m, triangles) = match extension.to_ascii_lowercase().as_str() {
         "obj" => obj(&bytes)?,
@@ -81,7 +87,7 @@ pub fn parse(bytes: Vec<u8>, extension: &str, axes: MeshAxes) -> Result<Triangle
     })
 }
 
-/// Every index must be a vertex's.
+/// Checks that every index names a vertex.
 pub(super) fn check_triangles(triangles: &[[u32; 3]], vertices: usize) -> Result<(), FormatError> {
     if triangles.len() > MAX_TRIANGLES {
         let rule = format!("at most {MAX_TRIANGLES} triangles are read");
@@ -114,7 +120,7 @@ fn obj(bytes: &[u8]) -> Result<Parts, FormatError> {
         .map_err(|e| FormatError::decoder("OBJ", e))?;
     let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
     for model in models {
-        // Each object has its own vertices; their counts stay below what the file's bytes allow, and so far below u32.
+        // Each object has its own vertices. Their number is below the number of bytes and so fits in u32.
         let first = vertices.len() as u32;
         vertices.extend(
             model
@@ -135,7 +141,7 @@ fn obj(bytes: &[u8]) -> Result<Parts, FormatError> {
 }
 
 fn stl(bytes: &[u8]) -> Result<Parts, FormatError> {
-    // Binary files may begin with "solid" as text does: the count that fits the length tells them apart.
+    // Binary files may begin with "solid" as text files do. A triangle count that fits the length identifies them.
     let announced = bytes
         .get(STL_HEAD - 4..STL_HEAD)
         .and_then(|b| b.try_into().ok())

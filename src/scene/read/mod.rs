@@ -1,17 +1,16 @@
-//! Readers of seabeds and models: files in, [`HeightField`]s and [`TriangleMesh`]es in the scene's own metres out.
+//! Readers of seabeds and models: bytes to [`HeightField`]s and [`TriangleMesh`]es in local metres.
 //!
 //! ```text
-//! bytes -> a Reader (one per format) -> Raw: the file's own coordinates -> Survey: north, east, down metres about a stated zero
+//! bytes -> a Reader (one per format) -> Raw: the file's coordinates -> Survey: north, east, down in metres about a stated origin
 //! ```
 //!
-//! Every format is read by one [`Reader`]; [`survey::Survey`] does for all of them alike what georeferencing needs: what the coordinates are, which
-//! way heights are positive, where the zero lies. What the file does not say is taken from the look of its numbers, said so, and can be
-//! laid down in the configuration.
+//! Each format has one [`Reader`]. [`survey::Survey`] georeferences the result of all of them: coordinate system, sign of the heights, origin. Where
+//! a file does not state a property, it is guessed from the numbers and reported as a guess. The configuration can override it.
 //!
-//! Bounds: a file of at most [`MAX_FILE_BYTES`](text::MAX_FILE_BYTES) is held in memory whole, and makes at most [`MAX_CELLS`] cells or
-//! [`MAX_POINTS`] points; what promises more is refused before memory is taken for it.
+//! Bounds: a file of at most [`MAX_FILE_BYTES`](text::MAX_FILE_BYTES) is read into memory whole. It yields at most [`MAX_CELLS`] cells or
+//! [`MAX_POINTS`] points. A header that announces more is rejected before memory is allocated.
 //!
-//! Not modelled: grid convergence, datum shifts, vertical datums (heights are counted from whatever the file counts them from).
+//! Not modelled: grid convergence, datum shifts, vertical datums (heights refer to the datum of the file).
 
 mod bag;
 mod crs;
@@ -39,22 +38,22 @@ use glam::DVec3;
 
 use echotank_config::spec::{FirstRow, HeightSign, SeabedFileSpec, SeabedFormat};
 
-/// Cells at most: 256 MiB of f32.
+/// Greatest number of cells: 256 MiB of f32.
 pub(crate) const MAX_CELLS: usize = 1 << 26;
-/// Soundings or vertices at most: their triangulation takes some 250 bytes each.
+/// Greatest number of soundings or vertices: their triangulation takes some 250 bytes each.
 pub(crate) const MAX_POINTS: usize = 1 << 22;
 
-/// One format of seabed files.
+/// Reader of one format of seabed files.
 pub(crate) trait Reader: Sync {
     fn format(&self) -> SeabedFormat;
     fn name(&self) -> &'static str;
-    /// Whether a file that begins so, or has this extension (small letters), is of this format.
+    /// Whether a file with these first bytes, or with this extension in lower case, has this format.
     fn recognises(&self, head: &[u8], extension: &str) -> bool;
-    /// The file in its own coordinates. Of `asked` only what changes the reading itself is looked at (`nodata`, `first_row`, `crs`).
+    /// Reads a file in its own coordinates. Of `asked` it uses `nodata`, `first_row` and `crs` only.
     fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, FormatError>;
 }
 
-/// In the order in which they are asked: those with a signature first, text last.
+/// All readers in the order in which they are tried: formats with a signature first, text last.
 pub(crate) static READERS: [&dyn Reader; 6] = [
     &geotiff::GeoTiff,
     &bag::Bag,
@@ -64,7 +63,7 @@ pub(crate) static READERS: [&dyn Reader; 6] = [
     &xyz::Xyz,
 ];
 
-/// What a reader found.
+/// Result of a reader.
 pub(crate) struct Raw {
     pub shape: RawShape,
     pub(crate) facts: Facts,
@@ -75,44 +74,44 @@ pub(crate) enum RawShape {
     Points(RawPoints),
 }
 
-/// A grid in its file's own coordinates.
+/// A grid in the coordinates of its file.
 pub(crate) struct RawGrid {
     pub rows: usize,
     pub cols: usize,
     /// Centre of the south-western cell.
     pub(crate) x_west: f64,
     pub(crate) y_south: f64,
-    /// Positive.
+    /// Cell size, positive.
     pub x_step: f64,
     pub y_step: f64,
-    /// The southern row first; NaN is a hole.
+    /// Values with the southern row first; NaN is a hole.
     pub values: Vec<f32>,
-    /// Which row came first in the file.
+    /// First row in the file.
     pub first_row: FirstRow,
-    /// Half a cell was added to what the file gives, which are corners.
+    /// The file gives corners of cells, so half a cell was added.
     pub from_corners: bool,
 }
 
-/// Soundings in their file's own coordinates: x, y and height or depth.
+/// Soundings in the coordinates of their file: x, y and height or depth.
 pub(crate) struct RawPoints {
     pub points: Vec<DVec3>,
-    /// Where the file has them; otherwise they are made.
+    /// Triangles of the file, if it has any. Otherwise the points are triangulated.
     pub triangles: Option<Vec<[u32; 3]>>,
 }
 
-/// What a file says about itself, besides its numbers.
+/// Metadata of a file.
 #[derive(Default)]
 pub(crate) struct Facts {
     pub crs: Option<Crs>,
-    /// Which way its heights are positive, and why.
+    /// Sign convention of the heights, and the reason.
     pub values: Option<(HeightSign, &'static str)>,
-    /// Anything else worth knowing, a sentence each.
+    /// Further findings, one sentence each.
     pub notes: Vec<String>,
-    /// Longitude and latitude, degrees, that the file says it covers: west, south, east, north.
+    /// Area that the metadata state, degrees: west, south, east, north.
     pub(crate) covers_deg: Option<[f64; 4]>,
 }
 
-/// Refuses a grid that is too small to be a surface or too large to be held.
+/// Rejects a grid that is too small for a surface or too large for memory.
 fn checked_size(rows: u64, cols: u64, place: &str) -> Result<(usize, usize), FormatError> {
     let size = format!("{rows} x {cols}");
     if rows < 2 || cols < 2 {
@@ -130,8 +129,7 @@ fn checked_size(rows: u64, cols: u64, place: &str) -> Result<(usize, usize), For
     Ok((rows as usize, cols as usize))
 }
 
-/// Values of rows that came northern row first, southern row first; numbers that stand for a hole become NaN. Refuses what is neither
-/// height nor hole.
+/// Reorders rows to southern row first, and replaces hole values by NaN. Rejects values that are neither a height nor a hole.
 fn south_first(
     mut values: Vec<f32>,
     cols: usize,

@@ -1,4 +1,4 @@
-//! PLY files (Turk 1994): vertices as points, and faces, where there are any, as a mesh. Text, or binary of either byte order.
+//! PLY files (Turk 1994), text or binary of either byte order: vertices as points, and faces, if any, as a mesh.
 
 use glam::DVec3;
 use ply_rs_bw::parser::{Parser, Reader as PlyReader};
@@ -34,7 +34,7 @@ impl Reader for Ply {
     }
 }
 
-/// Vertices in the file's own axes, and its faces as triangles (fans of the polygons).
+/// Vertices in the axes of the file, and its polygons as triangle fans.
 pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<DVec3>, Vec<[u32; 3]>), FormatError> {
     let mut reader = PlyReader::new(bytes);
     let header = Parser::<Skipped>::new()
@@ -49,7 +49,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<DVec3>, Vec<[u32; 3]>), FormatE
                 rule,
             ));
         }
-        // Every element takes at least a byte, unless it has no properties at all.
+        // Every element with properties takes at least one byte.
         if element.count > bytes.len() || element.properties.is_empty() {
             let rule = format!("{name} elements are announced, more than the file can hold");
             return Err(FormatError::new(
@@ -106,7 +106,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<DVec3>, Vec<[u32; 3]>), FormatE
     Ok((points, triangles))
 }
 
-/// An element that nobody needs.
+/// Element that is read and discarded.
 struct Skipped;
 
 impl PropertyAccess for Skipped {
@@ -153,7 +153,7 @@ impl PropertyAccess for Face {
         if !matches!(name, "vertex_indices" | "vertex_index") {
             return PropertyAccessResult::Ignored;
         }
-        // A negative index becomes one that no file reaches, and is refused with the others that are out of range.
+        // A negative index becomes u32::MAX, which is later rejected as out of range.
         fn all<T: Copy>(from: &[T], index: impl Fn(T) -> Option<u32>) -> Vec<u32> {
             from.iter().map(|v| index(*v).unwrap_or(u32::MAX)).collect()
         }

@@ -1,22 +1,22 @@
-//! A picture of a height field: colours of depth, shaded by a light in the north-west, with a scale of length and of depth.
+//! Picture of a height field: colour-coded depth with hill shading from the north-west, a depth legend and a scale bar.
 
 use super::HeightField;
 
-/// The longer side of the relief, pixels: smaller fields are enlarged by whole numbers, larger ones averaged down.
+/// Longer side of the relief, pixels. Smaller fields are interpolated, larger ones averaged.
 const LONG_SIDE: usize = 900;
 const MARGIN: usize = 12;
-/// Beside the relief: the colours' bar and its words.
+/// Width of the depth legend, pixels.
 const LEGEND: usize = 130;
-/// Below it: the bar of length and a line of words.
+/// Height of the scale bar and its text, pixels.
 const FOOT: usize = 54;
-/// Where the light stands: azimuth from north, and height (Imhof 1982: from the north-west).
+/// Direction of the light: azimuth from north, and elevation (Imhof 1982: from the north-west).
 const LIGHT_AZIMUTH_DEG: f64 = 315.0;
 const LIGHT_HEIGHT_DEG: f64 = 45.0;
-/// Slopes are exaggerated until this share of them stays below 45 degrees.
+/// Slopes are exaggerated until this share of them is just below 45 degrees.
 const STEEP_SHARE: f64 = 0.98;
-/// A seabed so flat that it would need more shows its noise only.
+/// Greatest exaggeration. A flatter seabed would show only its noise.
 const MAX_EXAGGERATION: f64 = 1000.0;
-/// Deep to shallow; anchors of a ramp that grows evenly lighter.
+/// Colours from deep to shallow, with evenly increasing lightness.
 const RAMP: [[f64; 3]; 6] = [
     [32.0, 24.0, 84.0],
     [36.0, 72.0, 140.0],
@@ -29,16 +29,19 @@ const PAPER: [u8; 3] = [250, 250, 248];
 const HOLE: [u8; 3] = [214, 214, 212];
 const INK: [u8; 3] = [30, 30, 34];
 
-/// Pixels, row by row from the top, three bytes each.
+/// RGB image: rows from the top, three bytes a pixel.
 pub struct Picture {
+    /// Width, pixels.
     pub width: usize,
+    /// Height, pixels.
     pub height: usize,
+    /// Pixels, three bytes each, rows from the top.
     pub rgb: Vec<u8>,
-    /// What the picture's words say: scale and exaggeration.
+    /// Text of the picture: scale and exaggeration.
     pub caption: String,
 }
 
-/// Draws the field, north up. The depth scale spans the 1st to the 99th percentile.
+/// Draws a field with north up. The depth scale spans the 1st to the 99th percentile.
 pub fn draw(field: &HeightField) -> Picture {
     let view = View::of(field);
     let mut sorted: Vec<f32> = view
@@ -71,7 +74,7 @@ pub fn draw(field: &HeightField) -> Picture {
             } else {
                 let light = match slopes[row * view.width + col] {
                     None => sin_height,
-                    // Where the seabed rises to the north its upward normal leans south.
+                    // Where the seabed rises to the north, its upward normal leans south.
                     Some((north, east)) => {
                         let (n, e) = (-north * exaggeration, -east * exaggeration);
                         let towards = n * cos_azimuth + e * sin_azimuth;
@@ -93,7 +96,7 @@ pub fn draw(field: &HeightField) -> Picture {
         metres(bar_m)
     );
     let words = format!("slopes x{exaggeration:.1}  north up  grey: no data");
-    canvas.words(MARGIN, MARGIN + view.height + 40, &words);
+    canvas.draw_text(MARGIN, MARGIN + view.height + 40, &words);
     Picture {
         width: canvas.width,
         height: canvas.height,
@@ -102,7 +105,7 @@ pub fn draw(field: &HeightField) -> Picture {
     }
 }
 
-/// The field at the picture's pixels, northern row first.
+/// Depths at the picture's pixels, northern row first.
 struct View {
     width: usize,
     height: usize,
@@ -112,8 +115,8 @@ struct View {
 }
 
 impl View {
-    /// Pixels are square on the ground. Where they are smaller than the cells they show the surface between the centres, otherwise the mean of
-    /// their cells.
+    /// Samples a field. Pixels are square on the ground. Pixels smaller than the cells interpolate between the centres; larger ones average their
+    /// cells.
     fn of(field: &HeightField) -> Self {
         let (north_m, east_m) = (field.extent_north_m(), field.extent_east_m());
         let pixel_m = north_m.max(east_m) / LONG_SIDE as f64;
@@ -147,7 +150,7 @@ impl View {
         }
     }
 
-    /// d height / d north and d east at every pixel, over two cells' worth at least; none beside holes and edges.
+    /// Northward and eastward gradient of the height at every pixel, by central differences; none beside holes and edges.
     fn slopes(&self) -> Vec<Option<(f64, f64)>> {
         let at = |row: usize, col: usize| f64::from(self.down_m[row * self.width + col]);
         let mut slopes = Vec::with_capacity(self.down_m.len());
@@ -171,13 +174,13 @@ impl View {
     }
 }
 
-/// The cells of a pixel: those whose share of the side it covers, one at least.
+/// Range of cells that a pixel covers along one side, at least one.
 fn cells(pixel: usize, pixels: usize, cells: usize) -> std::ops::Range<usize> {
     let from = pixel * cells / pixels;
     from..((pixel + 1) * cells / pixels).max(from + 1).min(cells)
 }
 
-/// Of the filled cells; NaN where all are holes.
+/// Mean depth of the filled cells; NaN where all are holes.
 fn mean(field: &HeightField, rows: std::ops::Range<usize>, cols: std::ops::Range<usize>) -> f32 {
     let (mut sum, mut count) = (0.0, 0_u32);
     for row in rows {
@@ -204,7 +207,7 @@ fn exaggeration(slopes: &[Option<(f64, f64)>]) -> f64 {
     (1.0 / steep).clamp(1.0, MAX_EXAGGERATION)
 }
 
-/// From 0, deep, to 1, shallow.
+/// Colour of a share from 0 (deep) to 1 (shallow).
 fn ramp(share: f64) -> [f64; 3] {
     let place = share.clamp(0.0, 1.0) * (RAMP.len() - 1) as f64;
     let index = (place as usize).min(RAMP.len() - 2);
@@ -212,7 +215,7 @@ fn ramp(share: f64) -> [f64; 3] {
     std::array::from_fn(|k| RAMP[index][k] * (1.0 - mix) + RAMP[index + 1][k] * mix)
 }
 
-/// The largest of 1, 2, 5 times a power of ten that is not above.
+/// The largest value of 1, 2 or 5 times a power of ten that does not exceed `length`.
 fn round_down(length: f64) -> f64 {
     let decade = 10_f64.powf(length.max(1e-6).log10().floor());
     let steps = [5.0, 2.0, 1.0];
@@ -239,7 +242,7 @@ struct Canvas {
 
 impl Canvas {
     fn new(width: usize, height: usize) -> Self {
-        // Wide enough for the words below the narrowest relief.
+        // Wide enough for the text below the narrowest relief.
         let width = width.max(360);
         Self {
             width,
@@ -258,7 +261,7 @@ impl Canvas {
     fn depth_legend(&mut self, view: &View, shallow_m: f64, deep_m: f64) {
         let (x, top) = (MARGIN + view.width + 16, MARGIN + 30);
         let height = view.height.saturating_sub(30).clamp(100, 320);
-        self.words(x, MARGIN, "depth m");
+        self.draw_text(x, MARGIN, "depth m");
         for row in 0..height {
             let share = row as f64 / (height - 1) as f64;
             let colour = ramp(1.0 - share).map(|c| c as u8);
@@ -274,7 +277,7 @@ impl Canvas {
                 self.dot(x + col, y, INK);
             }
             let down_m = shallow_m + share * (deep_m - shallow_m);
-            self.words(x + 25, y.saturating_sub(5), &format!("{down_m:.decimals$}"));
+            self.draw_text(x + 25, y.saturating_sub(5), &format!("{down_m:.decimals$}"));
         }
     }
 
@@ -291,11 +294,11 @@ impl Canvas {
                 self.dot(MARGIN + end, y + 1 + rise - 4.min(rise), INK);
             }
         }
-        self.words(MARGIN + pixels + 10, y - 4, &metres(bar_m));
+        self.draw_text(MARGIN + pixels + 10, y - 4, &metres(bar_m));
     }
 
-    /// Twice the size of the glyphs.
-    fn words(&mut self, x: usize, y: usize, text: &str) {
+    /// Draws text at twice the size of the glyphs.
+    fn draw_text(&mut self, x: usize, y: usize, text: &str) {
         for (index, letter) in text.chars().enumerate() {
             let glyph = glyph(letter);
             for (row, bits) in glyph.iter().enumerate() {
@@ -311,7 +314,7 @@ impl Canvas {
     }
 }
 
-/// Five bits a row, seven rows; small letters that the pictures' words need, digits and signs. Anything else is a blank.
+/// Bitmap of a glyph: seven rows of five bits. It covers the lower-case letters in use, digits and signs; anything else is blank.
 fn glyph(letter: char) -> [u8; 7] {
     match letter {
         '0' => [0x0e, 0x11, 0x13, 0x15, 0x19, 0x11, 0x0e],

@@ -1,32 +1,37 @@
-//! What every reader ends in: height fields and triangle meshes, in the scene's own metres.
+//! Results of the readers: height fields and triangle meshes, in local metres.
 
 use glam::DVec3;
 
-/// Depths at the centres of the cells of a grid whose rows run east and whose columns run north. Between the centres the surface is
-/// bilinear; it ends at the outer centres.
+/// Depths at the centres of the cells of a grid whose rows run east and whose columns run north.
 ///
-/// f32, as the files have it: its step is 4 um at 50 m and 0.5 mm at 6 km.
+/// The surface is bilinear between the centres and ends at the outer ones. Depths are f32, as in the files: the resolution is 4 um at 50 m and 0.5 mm
+/// at 6 km.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeightField {
     /// At least 2.
     pub rows: usize,
     /// At least 2.
     pub cols: usize,
+    /// Northward size of a cell, metres.
     pub cell_north_m: f64,
+    /// Eastward size of a cell, metres.
     pub cell_east_m: f64,
-    /// Centre of the south-western cell, metres north and east of the field's own zero.
+    /// Northing of the south-western cell's centre from the field's origin, metres.
     pub south_m: f64,
+    /// Easting of the south-western cell's centre from the field's origin, metres.
     pub west_m: f64,
-    /// Positive down, the southern row first: `down_m[row * cols + col]`. NaN is a hole.
+    /// Depths, positive down, southern row first: `down_m[row * cols + col]`. NaN is a hole.
     pub down_m: Vec<f32>,
 }
 
-/// A surface at one place.
+/// Depth and slope of a surface at one position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Depth {
+    /// Depth, metres, positive down.
     pub down_m: f64,
-    /// d down / d north and d down / d east.
+    /// Northward slope, d down / d north.
     pub slope_north: f64,
+    /// Eastward slope, d down / d east.
     pub slope_east: f64,
 }
 
@@ -36,23 +41,23 @@ impl HeightField {
         f64::from(self.down_m[row * self.cols + col])
     }
 
-    /// From the southern to the northern outer centres, metres.
+    /// Distance from the southern to the northern outer centres, metres.
     pub fn extent_north_m(&self) -> f64 {
         (self.rows - 1) as f64 * self.cell_north_m
     }
 
-    /// From the western to the eastern outer centres, metres.
+    /// Distance from the western to the eastern outer centres, metres.
     pub fn extent_east_m(&self) -> f64 {
         (self.cols - 1) as f64 * self.cell_east_m
     }
 
-    /// Share of the cells that are holes.
+    /// Fraction of the cells that are holes, 0 to 1.
     pub fn hole_share(&self) -> f64 {
         let holes = self.down_m.iter().filter(|d| d.is_nan()).count();
         holes as f64 / self.down_m.len() as f64
     }
 
-    /// For each share (0 the shallowest, 1 the deepest) the depth above which that share of the filled cells lies; empty where all are holes.
+    /// Quantiles of the depths of the filled cells, metres: share 0 is the shallowest, 1 the deepest. Empty if all cells are holes.
     pub fn percentiles_m(&self, shares: &[f64]) -> Vec<f64> {
         let mut depths: Vec<f32> = self
             .down_m
@@ -69,13 +74,13 @@ impl HeightField {
         shares.iter().map(at).collect()
     }
 
-    /// The surface at a place counted from the field's own zero; none outside the outer centres and where any of the four cells around is a
+    /// Depth and slope at a position relative to the field's origin. None outside the outer centres, and where any of the four surrounding cells is a
     /// hole.
     pub fn sample(&self, north_m: f64, east_m: f64) -> Option<Depth> {
         self.sample_with_twist(north_m, east_m).map(|s| s.0)
     }
 
-    /// And d^2 down / d north d east, which is the same over the whole square.
+    /// Depth and slope, and d^2 down / d north d east, which is constant over a square.
     #[inline]
     pub(crate) fn sample_with_twist(&self, north_m: f64, east_m: f64) -> Option<(Depth, f64)> {
         let (from_south_m, from_west_m) = (north_m - self.south_m, east_m - self.west_m);
@@ -93,7 +98,7 @@ impl HeightField {
         let south = sw * (1.0 - u) + se * u;
         let north = nw * (1.0 - u) + ne * u;
         let down_m = south * (1.0 - v) + north * v;
-        // One hole among the four makes the sum NaN, whatever its weight.
+        // A hole among the four corners makes the sum NaN, whatever its weight.
         (!down_m.is_nan()).then(|| {
             let depth = Depth {
                 down_m,
@@ -106,21 +111,25 @@ impl HeightField {
     }
 }
 
-/// Cell index and fraction of a coordinate in cells; the last centre belongs to the last interval.
+/// Index and fraction of a coordinate in cells. The last centre belongs to the last interval.
 fn split(cells: f64, count: usize) -> (usize, f64) {
     let index = (cells as usize).min(count - 2);
     (index, cells - index as f64)
 }
 
-/// A surface of triangles: metres north, east and down of the mesh's own zero. Every index lies inside `vertices_m`. Which side is out is
-/// as the file has it: anticlockwise seen from outside, by the formats' convention.
+/// A surface of triangles in metres north, east and down of the mesh's origin.
+///
+/// Every index lies inside `vertices_m`. Vertices run anticlockwise seen from outside, by the convention of the formats.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriangleMesh {
+    /// Vertices: north, east, down, metres.
     pub vertices_m: Vec<DVec3>,
+    /// Triangles as indices of vertices.
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl TriangleMesh {
+    /// Total area of the triangles, square metres.
     pub fn area_m2(&self) -> f64 {
         let area = |t: &[u32; 3]| {
             let [a, b, c] = t.map(|i| self.vertices_m[i as usize]);
@@ -155,7 +164,7 @@ mod tests {
             7.0,
             "the last corner is inside"
         );
-        // By hand at v = 0.3, u = 0.5 of the western cells: 4 .7 .5 + 8 .7 .5 + 1 .3 .5 + 2 .3 .5.
+        // Computed by hand at v = 0.3, u = 0.5 of the western cells: 4 .7 .5 + 8 .7 .5 + 1 .3 .5 + 2 .3 .5.
         let at = field.sample(103.0, -2.5).unwrap();
         assert!((at.down_m - 4.65).abs() < 1e-14, "{at:?}");
         assert!((at.slope_north - (1.5 - 6.0) / 10.0).abs() < 1e-14);

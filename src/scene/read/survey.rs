@@ -1,11 +1,8 @@
-//! A surveyed seabed: what its file is found to be, and its surface in local metres about a stated zero.
+//! A surveyed seabed: georeferencing of a file, and its surface in local metres about a stated origin.
 //!
-//! - Projected and local grids are used as they are. Geographic grids are resampled (bilinear) onto metres of the tangent plane at their middle,
-//!   cells as large as the file's there. Soundings are turned to metres and triangulated, and the triangles are read off at a grid's cells.
-//! - The zero is the middle of what the file covers.
-//! - What the file does not say is guessed: coordinates that fit longitudes and latitudes, over which the heights differ by more than the
-//!   coordinates themselves, are degrees (as metres they would be steeper than 45 degrees over the whole survey), others metres;
-//!   numbers of which 19 in 20 are negative are elevations, positive ones depths.
+//! - Projected and local grids are used as they are. Geographic grids are resampled (bilinear) to metres of the tangent plane at their middle, with the file's cell size there. Soundings are converted to metres, triangulated, and sampled at the cells of a grid.
+//! - The origin is the middle of the area covered.
+//! - Properties that the file does not state are guessed. Coordinates are degrees if they fit longitudes and latitudes and the heights vary more than the coordinates; as metres, the whole survey would be steeper than 45 degrees. Otherwise they are metres. If 19 in 20 numbers are negative they are elevations, if positive they are depths.
 
 use std::path::Path;
 
@@ -21,32 +18,34 @@ use crate::SceneError;
 use echotank_config::spec::{CrsSpec, FirstRow, HeightSign, SeabedFileSpec};
 use echotank_core::geodesy::LocalTangentPlane;
 
-/// Bytes of a file that tell its format.
+/// Bytes at the beginning of a file that identify its format.
 const HEAD_BYTES: usize = 512;
-/// Share of heights on one side of zero that tells which way they are positive.
+/// Share of heights on one side of zero that determines the sign convention.
 const ONE_SIDED: f64 = 0.95;
-/// Cell sizes of grids in metres; the lower end also refuses most grids in degrees that are taken for metres.
+/// Accepted cell sizes in metres. The lower end also rejects most grids in degrees that are taken as metres.
 const CELL_SIZES_M: std::ops::RangeInclusive<f64> = 0.01..=1e5;
-/// A grid of degrees with larger cells, some 50 km, is no seabed for a sonar.
+/// Largest cell of a grid in degrees, some 50 km; larger ones are no seabed for a sonar.
 const MAX_CELL_DEG: f64 = 0.5;
-/// How far outside a grid of degrees its outer cells are still taken, cells.
+/// Tolerance at the outer centres of a grid in degrees, cells.
 const EDGE_CELLS: f64 = 0.05;
-/// A file's own bounding box is given to some hundredths of a degree.
+/// Tolerance of the bounding box in the metadata, degrees.
 const COVER_TOLERANCE_DEG: f64 = 0.02;
 
-/// What a file's numbers are.
+/// Physical quantity of a file's values.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Quantity {
     Heights,
     Other,
 }
 
-/// Where a finding comes from.
+/// Origin of a property of the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Source {
-    /// The file, or its format, says so; and in which words.
+    /// Stated by the file or its format; the text says how.
     Stated(&'static str),
+    /// Guessed from the numbers; the text gives the reason.
     Guessed(&'static str),
+    /// Stated by the configuration.
     Configured,
 }
 
@@ -60,52 +59,67 @@ impl std::fmt::Display for Source {
     }
 }
 
-/// How the file holds its heights.
+/// Layout of the heights in the file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Layout {
-    /// Steps in the file's units (metres or degrees).
+    /// A regular grid; steps are in the file's units (metres or degrees).
     Grid {
+        /// Number of rows.
         rows: usize,
+        /// Number of columns.
         cols: usize,
+        /// Eastward step.
         x_step: f64,
+        /// Northward step.
         y_step: f64,
+        /// First row in the file.
         first_row: FirstRow,
+        /// Origin of `first_row`.
         first_row_source: Source,
         /// The file gives the corners of its cells, not their centres.
         from_corners: bool,
     },
+    /// Soundings or vertices.
     Points {
-        /// After merging.
+        /// Number of points after merging.
         count: usize,
-        /// Soundings merged with others at the same place.
+        /// Number of soundings merged with others at the same position.
         merged: u64,
+        /// Number of triangles.
         triangles: usize,
-        /// The triangles are the file's own.
+        /// The triangles come from the file.
         own_triangles: bool,
     },
 }
 
-/// A seabed file, read.
+/// A georeferenced seabed file.
 pub struct Survey {
+    /// Name of the format.
     pub format: &'static str,
+    /// Size of the file, bytes.
     pub bytes: u64,
+    /// Coordinate system.
     pub crs: Crs,
+    /// Origin of `crs`.
     pub crs_source: Source,
+    /// Sign convention of the heights.
     pub sign: HeightSign,
+    /// Origin of `sign`.
     pub sign_source: Source,
+    /// Layout of the heights in the file.
     pub layout: Layout,
-    /// The local zero in the file's coordinates (x east, y north).
+    /// Local origin in the file's coordinates (x east, y north).
     pub zero: [f64; 2],
-    /// What the file covers, in its coordinates: west, south, east, north (outer cell centres).
+    /// Area covered, in the file's coordinates: west, south, east, north of the outer cell centres.
     pub covers: [f64; 4],
-    /// Sentences.
+    /// Further findings, one sentence each.
     pub notes: Vec<String>,
-    /// Metres about the zero.
+    /// Depths in metres about the origin.
     pub field: HeightField,
     original: Original,
 }
 
-/// What places are looked up in, where that is not the field.
+/// Source of [`Survey::at`], if it is not the field.
 enum Original {
     Field,
     /// Depths in a grid of degrees.
@@ -113,30 +127,35 @@ enum Original {
     Triangles(Tin),
 }
 
-/// The seabed at one place of the file.
+/// The seabed at one position of the file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lookup {
-    /// From the zero.
+    /// Northing from the origin, metres.
     pub north_m: f64,
+    /// Easting from the origin, metres.
     pub east_m: f64,
-    /// Of the cell that the place lies in, southern row first; none for soundings.
+    /// Row and column of the cell that contains the position, southern row first; none for soundings.
     pub cell: Option<(usize, usize)>,
-    /// The number of that cell as a depth, to the bit; for soundings the surface through them. None in a hole.
+    /// Depth of that cell, equal to the file's value to the bit; for soundings, the triangulated surface. None in a hole.
     pub down_m: Option<f64>,
-    /// Between the cells' centres (bilinear), or on the triangles.
+    /// Depth interpolated between the cell centres (bilinear), or on the triangles.
     pub surface_down_m: Option<f64>,
 }
 
-/// What a file's coordinates are, and where its zero lies in them.
+/// Coordinate system of a file and the origin of its surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Georeference {
+    /// Coordinate system of the file.
     pub crs: Crs,
-    /// x east, y north.
+    /// Origin: x east, y north.
     pub zero: [f64; 2],
 }
 
 impl Georeference {
-    /// North and east of this zero, metres, of another's; refused where its coordinates are counted in another system.
+    /// Northing and easting of another georeference's origin from this one, metres.
+    ///
+    /// # Errors
+    /// Rejects another coordinate system.
     pub fn locate(&self, other: &Self) -> Result<(f64, f64), FormatError> {
         if !self.crs.agrees(&other.crs) {
             let rule = format!(
@@ -161,6 +180,10 @@ fn local_m(crs: &Crs, zero: [f64; 2], x: f64, y: f64) -> (f64, f64) {
 }
 
 impl Survey {
+    /// Reads and georeferences a file.
+    ///
+    /// # Errors
+    /// Returns the path with the error of the file system or the rule that the file breaks.
     pub fn open(files: &dyn Files, asked: &SeabedFileSpec) -> Result<Self, SceneError> {
         let bytes = text::read_file(files, &asked.path)?;
         Self::parse(bytes, asked).map_err(|error| SceneError::Format {
@@ -169,7 +192,7 @@ impl Survey {
         })
     }
 
-    /// A file of anything else over the ground (a backscatter mosaic, dB): its numbers stand where depths would, and nothing is guessed from them.
+    /// Reads a layer over the seabed, such as a backscatter mosaic in dB. Its values take the place of depths, and nothing is guessed from them.
     pub(crate) fn open_layer(
         files: &dyn Files,
         path: &Path,
@@ -187,7 +210,10 @@ impl Survey {
         })
     }
 
-    /// Reads a file's bytes; of `asked.path` only the extension counts.
+    /// Reads the bytes of a file. Only the extension of `asked.path` is used.
+    ///
+    /// # Errors
+    /// Returns the location, the value and the rule it breaks.
     pub fn parse(bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Self, FormatError> {
         Self::parse_as(bytes, asked, Quantity::Heights)
     }
@@ -243,12 +269,12 @@ impl Survey {
         })
     }
 
-    /// Latitude and longitude of the local zero, radians; none where the file's system does not tell.
+    /// Latitude and longitude of the local origin, radians; none without a known system.
     pub fn zero_geodetic_rad(&self) -> Option<(f64, f64)> {
         self.crs.geodetic_rad(self.zero[0], self.zero[1])
     }
 
-    /// North and east of the zero, metres, of a place in the file's coordinates.
+    /// Northing and easting from the origin, metres, of a position in the file's coordinates.
     pub fn local_m(&self, x: f64, y: f64) -> (f64, f64) {
         local_m(&self.crs, self.zero, x, y)
     }
@@ -260,7 +286,7 @@ impl Survey {
         }
     }
 
-    /// The seabed at a place in the file's own coordinates.
+    /// The seabed at a position in the file's coordinates.
     pub fn at(&self, x: f64, y: f64) -> Lookup {
         let (north_m, east_m) = self.local_m(x, y);
         let mut found = Lookup {
@@ -358,7 +384,7 @@ fn covered(shape: &RawShape) -> Result<[f64; 4], FormatError> {
     }
 }
 
-/// Least and greatest height, and whether 19 in 20 lie below or above zero.
+/// Least and greatest height, and the sign convention if 19 in 20 lie on one side of zero.
 fn heights(shape: &RawShape) -> (f64, f64, Option<HeightSign>) {
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     let (mut below, mut above, mut count) = (0_u64, 0_u64, 0_u64);
@@ -420,7 +446,7 @@ fn sign(shape: &RawShape, facts: &Facts, asked: &SeabedFileSpec) -> (HeightSign,
     }
     let (_, _, looks) = heights(shape);
     match (facts.values, looks) {
-        // A column called depth whose numbers are negative holds elevations.
+        // A column named depth whose numbers are negative holds elevations.
         (Some((HeightSign::Depth, _)), Some(HeightSign::Elevation)) => (
             HeightSign::Elevation,
             Source::Guessed("called depths, but they are negative"),
@@ -441,7 +467,7 @@ fn sign(shape: &RawShape, facts: &Facts, asked: &SeabedFileSpec) -> (HeightSign,
     }
 }
 
-/// Coordinates that cannot be of this system are refused.
+/// Rejects coordinates that are impossible in a system.
 fn check_place(crs: &Crs, covers: &[f64; 4]) -> Result<(), FormatError> {
     let [west, south, east, north] = *covers;
     let shown = format!("{west} .. {east}, {south} .. {north}");
@@ -461,7 +487,7 @@ fn check_place(crs: &Crs, covers: &[f64; 4]) -> Result<(), FormatError> {
             }
         }
         Crs::Utm { north: side, .. } => {
-            // A zone's eastings, and its neighbours' a little; northings to the pole.
+            // Eastings of a zone with a margin into its neighbours; northings to the pole.
             let northings = if *side { -1e6..=1e7 } else { 0.0..=1.1e7 };
             if west < -5e5
                 || east > 1.5e6
@@ -476,7 +502,7 @@ fn check_place(crs: &Crs, covers: &[f64; 4]) -> Result<(), FormatError> {
     Ok(())
 }
 
-/// The file's middle must lie where the file says that it lies.
+/// Checks that the middle of the data lies in the area that the metadata state.
 fn check_cover(crs: &Crs, zero: [f64; 2], box_deg: [f64; 4]) -> Result<(), FormatError> {
     let Some((lat, lon)) = crs.geodetic_rad(zero[0], zero[1]) else {
         return Ok(());
@@ -486,7 +512,7 @@ fn check_cover(crs: &Crs, zero: [f64; 2], box_deg: [f64; 4]) -> Result<(), Forma
     let inside = |v: f64, low: f64, high: f64| {
         (low - COVER_TOLERANCE_DEG..=high + COVER_TOLERANCE_DEG).contains(&v)
     };
-    // Longitudes may be counted from another turn.
+    // Longitudes may differ by a full turn.
     let turns = [-360.0, 0.0, 360.0];
     let fits = inside(lat, south, north) && turns.iter().any(|t| inside(lon + t, west, east));
     if fits {
@@ -575,7 +601,7 @@ fn from_grid(
     Ok((field, layout, Original::Degrees(grid)))
 }
 
-/// A grid of degrees on the metres of the plane at its middle.
+/// Resamples a grid of degrees to the tangent plane at its middle.
 fn resampled(
     grid: &RawGrid,
     plane: &LocalTangentPlane,
@@ -609,7 +635,7 @@ fn resampled(
                 south_m + row as f64 * cell_north_m,
                 west_m + col as f64 * cell_east_m,
             );
-            // The plane's longitudes lie in one turn, the file's may lie in another.
+            // The plane's longitudes and the file's may differ by a full turn.
             let lon = lon.to_degrees();
             let lon = lon + 360.0 * ((x - lon) / 360.0).round();
             let (r, c) = grid_place(grid, lon, lat.to_degrees());
@@ -679,7 +705,7 @@ fn from_points(
     Ok((field, layout, Original::Triangles(tin)))
 }
 
-/// Row and column, in cells from the south-western centre.
+/// Row and column coordinates in cells from the south-western centre.
 fn grid_place(grid: &RawGrid, x: f64, y: f64) -> (f64, f64) {
     (
         (y - grid.y_south) / grid.y_step,
@@ -687,7 +713,7 @@ fn grid_place(grid: &RawGrid, x: f64, y: f64) -> (f64, f64) {
     )
 }
 
-/// A place a hair outside the outer centres is put on them: meridians and parallels are not straight on the plane.
+/// Moves a position slightly outside the outer centres onto them: meridians and parallels are curved on the plane.
 fn at_edge(cells: f64, count: usize) -> f64 {
     let edge = cells.clamp(0.0, (count - 1) as f64);
     if (cells - edge).abs() <= EDGE_CELLS {
@@ -697,7 +723,7 @@ fn at_edge(cells: f64, count: usize) -> f64 {
     }
 }
 
-/// The cell around a place; none outside.
+/// The cell that contains a position; none outside.
 fn nearest(row: f64, col: f64, rows: usize, cols: usize) -> Option<(usize, usize)> {
     let inside = |v: f64, count: usize| (-0.5..=count as f64 - 0.5).contains(&v);
     (inside(row, rows) && inside(col, cols)).then(|| {
@@ -706,7 +732,7 @@ fn nearest(row: f64, col: f64, rows: usize, cols: usize) -> Option<(usize, usize
     })
 }
 
-/// Between four centres; none outside and next to a hole.
+/// Bilinear interpolation between four centres; none outside and next to a hole.
 fn bilinear(grid: &RawGrid, row: f64, col: f64) -> Option<f64> {
     let inside = |v: f64, count: usize| (0.0..=(count - 1) as f64).contains(&v);
     if !inside(row, grid.rows) || !inside(col, grid.cols) {

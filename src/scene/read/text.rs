@@ -1,4 +1,4 @@
-//! What the readers of text files share: bounded reading, tables with named columns, and errors that name the place.
+//! Common parts of the text readers: bounded reading, tables with named columns, and errors with line and column.
 
 use std::io::Read;
 use std::ops::RangeInclusive;
@@ -7,25 +7,28 @@ use std::path::Path;
 use super::Files;
 use crate::SceneError;
 
-/// Largest scene file that is read, bytes: it is held in memory whole while it is parsed.
+/// Largest scene file, bytes. A file is held in memory whole while it is parsed.
 pub const MAX_FILE_BYTES: u64 = 1 << 30;
 
-/// Largest horizontal coordinate in a scene's tables, metres; the tangent plane is of no use beyond.
+/// Largest horizontal coordinate, metres: the range of validity of the tangent plane.
 pub(crate) const MAX_HORIZONTAL_M: f64 = 1e6;
-/// Largest depth or height, metres; the sea is 11 km deep.
+/// Largest depth or height, metres. The sea is 11 km deep.
 pub(crate) const MAX_VERTICAL_M: f64 = 2e4;
 
-/// Characters of an offending value that are repeated in the error.
+/// Greatest number of characters of a value in an error.
 const SHOWN_CHARACTERS: usize = 40;
 
-/// A place in a file where it does not say what it should.
+/// Error in a line of a text file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}{}: `{value}`: {rule}", column.as_ref().map(|c| format!(", column `{c}`")).unwrap_or_default())]
 pub struct TextError {
-    /// From 1.
+    /// Line number, from 1.
     pub line: usize,
+    /// Name of the table's column, if the error concerns one.
     pub column: Option<String>,
+    /// The value, shortened.
     pub value: String,
+    /// The rule that the value breaks.
     pub rule: String,
 }
 
@@ -64,12 +67,12 @@ pub(crate) fn read_file(files: &dyn Files, path: &Path) -> Result<Vec<u8>, Scene
     Ok(bytes)
 }
 
-/// The text without a byte order mark, as spreadsheets write it.
+/// Removes a byte order mark, which spreadsheets write.
 pub(crate) fn without_mark(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)
 }
 
-/// A number inside `allowed`, or the rule that it breaks.
+/// Parses a number in a range. The error is the rule that it breaks.
 pub(crate) fn number(text: &str, allowed: RangeInclusive<f64>) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| "must be a number".to_owned())?;
     if allowed.contains(&value) {
@@ -83,7 +86,7 @@ pub(crate) fn number(text: &str, allowed: RangeInclusive<f64>) -> Result<f64, St
     }
 }
 
-/// A column of a table, found by its name in the header.
+/// Column of a table, found by its name in the header.
 pub(crate) struct Column {
     pub name: &'static str,
     pub required: bool,
@@ -102,7 +105,7 @@ pub(crate) const fn optional(name: &'static str) -> Column {
     }
 }
 
-/// One line of a table; columns are counted in the order of the `columns` given to [`read_table`].
+/// One line of a table. Columns are numbered in the order of the `columns` given to [`read_table`].
 pub(crate) struct Row<'a> {
     pub line: usize,
     columns: &'a [Column],
@@ -111,11 +114,11 @@ pub(crate) struct Row<'a> {
 }
 
 impl Row<'_> {
-    /// The field's text without blanks about it; none where the optional column is absent.
+    /// Text of a field, trimmed; none where an optional column is absent.
     pub(crate) fn text(&self, column: usize) -> Option<&str> {
         self.places[column].map(|place| self.fields[place])
     }
-    /// The field's number; `absent` where the optional column is.
+    /// Number in a field; `absent` where an optional column is absent.
     pub(crate) fn number(
         &self,
         column: usize,
@@ -133,8 +136,8 @@ impl Row<'_> {
     }
 }
 
-/// Reads comma-separated text: a header of column names in any order, then rows. No quoting. Blank lines and lines that begin with `#`
-/// are skipped. Hands each row to `take`.
+/// Reads comma-separated text: a header of column names in any order, then rows. There is no quoting. Blank lines and lines that begin with `#` are
+/// skipped. Calls `take` with each row.
 pub(crate) fn read_table(
     bytes: &[u8],
     columns: &[Column],
@@ -183,7 +186,7 @@ pub(crate) fn read_table(
     Ok(())
 }
 
-/// For every known column its place among the fields.
+/// Position of every known column among the fields.
 fn read_header(
     line: usize,
     fields: &[&str],

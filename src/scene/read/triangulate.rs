@@ -1,18 +1,18 @@
-//! Scattered soundings to a surface: Delaunay triangles (Delaunay 1934; the sweep of Sinclair 2010), linear inside each, and a grid of them.
+//! Triangulation of soundings (Delaunay 1934, by the sweep of Sinclair 2010), linear interpolation on triangles, and resampling to a grid.
 
 use delaunator::{Point, triangulate};
 use glam::{DVec2, DVec3};
 
 use super::{FormatError, HeightField, MAX_CELLS};
 
-/// A surface of triangles over the horizontal: z at each corner, linear between.
+/// A triangulated surface over the horizontal plane, linear on each triangle.
 pub(crate) struct Tin {
-    /// Metres north, east and down of the zero.
+    /// Points: north, east, down from the origin, metres.
     pub points_m: Vec<DVec3>,
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Soundings at the same place become their mean. Gives what is left, in the order of first appearance, and how many were merged away.
+/// Replaces soundings at the same position by their mean. Returns the remaining soundings in order of first appearance, and the number removed.
 pub(crate) fn merge_duplicates(points: Vec<DVec3>) -> (Vec<DVec3>, u64) {
     let mut order: Vec<u32> = (0..points.len() as u32).collect();
     let key = |i: &u32| {
@@ -25,7 +25,7 @@ pub(crate) fn merge_duplicates(points: Vec<DVec3>) -> (Vec<DVec3>, u64) {
             .then(a.1.total_cmp(&b.1))
             .then(a.2.cmp(&b.2))
     });
-    // Sum and count at the first of each place; zero at the others.
+    // Sum and count at the first sounding of each position; zero at the others.
     let mut counts = vec![0_u32; points.len()];
     let mut sums = vec![0.0; points.len()];
     let mut first = None;
@@ -51,7 +51,7 @@ pub(crate) fn merge_duplicates(points: Vec<DVec3>) -> (Vec<DVec3>, u64) {
 }
 
 impl Tin {
-    /// Triangulates points without duplicates; leaves out triangles with an edge longer than `max_edge_m`.
+    /// Triangulates points without duplicates. Drops triangles with an edge longer than `max_edge_m`.
     pub(super) fn new(points_m: Vec<DVec3>, max_edge_m: Option<f64>) -> Result<Self, FormatError> {
         let flat: Vec<Point> = points_m.iter().map(|p| Point { x: p.x, y: p.y }).collect();
         let corners = triangulate(&flat).triangles;
@@ -66,7 +66,7 @@ impl Tin {
         tin.without_long_edges(max_edge_m)
     }
 
-    /// A surface whose triangles are given.
+    /// Drops triangles with an edge longer than `max_edge_m`. Rejects a surface without triangles.
     pub(crate) fn without_long_edges(
         mut self,
         max_edge_m: Option<f64>,
@@ -90,7 +90,7 @@ impl Tin {
         Ok(self)
     }
 
-    /// Down at a place; none outside. At a sounding it is the sounding's own, to the bit. Looks at every triangle.
+    /// Depth at a position; none outside. At a sounding it equals the sounding to the bit. Tests every triangle.
     pub(super) fn sample(&self, north_m: f64, east_m: f64) -> Option<f64> {
         let at = DVec2::new(north_m, east_m);
         self.triangles.iter().find_map(|t| {
@@ -105,7 +105,7 @@ impl Tin {
         })
     }
 
-    /// The surface at the centres of cells of `cell_m` (or of the mean distance of the soundings), about the zero.
+    /// Samples the surface at the cell centres of a grid. The cell size is `cell_m`, or the mean spacing of the soundings.
     pub(super) fn grid(&self, cell_m: Option<f64>) -> Result<HeightField, FormatError> {
         let start = DVec3::splat(f64::INFINITY);
         let low = self.points_m.iter().fold(start, |m, p| m.min(*p));
@@ -144,7 +144,7 @@ impl Tin {
     }
 }
 
-/// The second and third corner's shares of a point; none in a triangle without area. At each corner they are exact.
+/// Barycentric weights of the second and the third corner; none in a triangle without area. They are exact at the corners.
 fn weights(corners: [DVec3; 3], at: DVec2) -> Option<(f64, f64)> {
     let [a, b, c] = corners.map(DVec3::truncate);
     let (ab, ac, ap) = (b - a, c - a, at - a);
@@ -156,11 +156,11 @@ fn mixed(corners: [DVec3; 3], b: f64, c: f64) -> f64 {
     corners[0].z * (1.0 - b - c) + corners[1].z * b + corners[2].z * c
 }
 
-/// Writes a triangle's plane into the cells whose centres it covers: row by row, between its edges.
+/// Writes the depths of a triangle to the cells whose centres it covers, row by row between its edges.
 fn fill(field: &mut HeightField, corners: [DVec3; 3]) {
     let cell = DVec2::new(field.cell_north_m, field.cell_east_m);
     let zero = DVec2::new(field.south_m, field.west_m);
-    // In cells from the south-western centre; x runs along the rows' index, y along the columns'.
+    // In cells from the south-western centre: x is the row coordinate, y the column coordinate.
     let at = corners.map(|p| (p.truncate() - zero) / cell);
     let low = at[0].x.min(at[1].x).min(at[2].x).ceil().max(0.0);
     let high = at[0]
@@ -186,7 +186,7 @@ fn fill(field: &mut HeightField, corners: [DVec3; 3]) {
         while col <= to.min((field.cols - 1) as f64) {
             let place = zero + DVec2::new(row, col) * cell;
             if let Some((b, c)) = weights(corners, place) {
-                // Rounding may put a centre on an edge a hair outside.
+                // Rounding may put a centre slightly outside an edge.
                 let (b, c) = (b.clamp(0.0, 1.0), c.clamp(0.0, 1.0));
                 let c = c.min(1.0 - b);
                 field.down_m[row as usize * field.cols + col as usize] =
@@ -202,7 +202,7 @@ fn fill(field: &mut HeightField, corners: [DVec3; 3]) {
 mod tests {
     use super::*;
 
-    /// Places without order, and a plane over them.
+    /// Irregular positions on a plane.
     fn soundings(count: u32) -> Vec<DVec3> {
         (0..count)
             .map(|k| {
@@ -237,7 +237,7 @@ mod tests {
             "{filled} of {} cells, worst {worst:.1e} m",
             field.down_m.len()
         );
-        // f32 at 30 m.
+        // Resolution of f32 at 30 m.
         assert!(worst < 2e-6, "{worst}");
         assert!(filled * 10 > field.down_m.len() * 9);
     }

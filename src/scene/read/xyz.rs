@@ -1,7 +1,7 @@
-//! Scattered soundings as text: a line each, x y and height or depth, separated by commas, semicolons or blanks.
+//! Soundings as text: one line each with x, y and height or depth, separated by commas, semicolons or blanks.
 //!
-//! `#` begins a comment and `>` a segment (GMT). A first line of names says which columns are meant and what they are (`lon lat depth`, `easting,
-//! northing, elevation`); without one the first three columns are x, y and z. A file that was cut off between two lines looks like a shorter one.
+//! `#` begins a comment and `>` a segment (GMT). A first line of names identifies the columns (`lon lat depth`, `easting, northing, elevation`).
+//! Without names the first three columns are x, y and z. A file that was cut between two lines cannot be told from a complete one.
 
 use glam::DVec3;
 
@@ -9,7 +9,7 @@ use super::text::{self, MAX_VERTICAL_M, TextError};
 use super::{Crs, Facts, FormatError, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
 use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 
-/// Any projection's numbers.
+/// Accepted coordinates of any projection.
 const COORDINATES: std::ops::RangeInclusive<f64> = -1e9..=1e9;
 const HEIGHTS: std::ops::RangeInclusive<f64> = -MAX_VERTICAL_M..=MAX_VERTICAL_M;
 
@@ -30,7 +30,7 @@ impl Reader for Xyz {
     }
 }
 
-/// Where the three numbers stand in a line.
+/// Positions of the three numbers in a line.
 #[derive(Clone, Copy)]
 struct Columns {
     x: usize,
@@ -126,7 +126,7 @@ fn split<'a>(line: &'a str, fields: &mut Vec<&'a str>) {
     }
 }
 
-/// The columns that a line of names tells of, and what the names say about coordinates and heights.
+/// Columns that a line of names identifies. Stores what the names state about coordinates and heights in `facts`.
 fn named(line: usize, fields: &[&str], facts: &mut Facts) -> Result<Columns, TextError> {
     let names: Vec<String> = fields.iter().map(|f| f.to_ascii_lowercase()).collect();
     let place = |known: &[&str]| {

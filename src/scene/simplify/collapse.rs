@@ -74,7 +74,7 @@ pub struct Collapsed {
     pub triangles: Vec<[u32; 3]>,
 }
 
-pub struct Surface<'a> {
+struct Surface<'a> {
     places: &'a [DVec3],
     triangles: Vec<[u32; 3]>,
     alive: Vec<bool>,

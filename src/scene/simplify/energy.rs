@@ -25,10 +25,13 @@ use echotank_core::flow::{ScatterLaw, Scatterers};
 pub struct Beam {
     /// Unit vector along the array, world coordinates.
     pub along: DVec3,
+    /// Unit vector across the face, world coordinates.
     pub across: DVec3,
+    /// Unit vector of the boresight, world coordinates.
     pub boresight: DVec3,
     /// Lengths of the transmit and the receive aperture, wavelengths; 0 is omnidirectional.
     pub lengths: [f64; 2],
+    /// Widths of the transmit and the receive aperture, wavelengths; 0 is omnidirectional.
     pub widths: [f64; 2],
     /// Whether a baffle suppresses directions behind the face.
     pub baffled: bool,
@@ -62,11 +65,13 @@ fn sinc(x: f64) -> f64 {
 /// Position and beams of the sonar.
 #[derive(Debug, Default, PartialEq)]
 pub struct View {
+    /// Position of the sonar, world coordinates, metres.
     pub apex_m: DVec3,
     /// Beams of the sonar; empty for an omnidirectional one.
     pub beams: Vec<Beam>,
     /// Greatest displacement for which a held selection stays valid, metres.
     pub slack_m: f64,
+    /// Greatest rotation for which a held selection stays valid, radians.
     pub slack_rad: f64,
     /// Whether to search for shadows; false if another stage removes shadowed scatterers.
     pub shadows: bool,
@@ -123,11 +128,13 @@ pub struct EnergyScale {
 /// Energies of a set of scatterers. It allocates only while the number of scatterers grows.
 #[derive(Debug, Default)]
 pub struct Energies {
+    /// Energy of each scatterer, dimensionless.
     pub energy: Vec<f64>,
     /// Whether each scatterer lies in shadow.
     pub hidden: Vec<bool>,
     /// Normalisation of this set.
     pub(crate) scale: EnergyScale,
+    /// Curvatures of the scatterers.
     pub curvatures: Curvatures,
     horizon: Horizon,
     parts: Vec<[f64; PARTS]>,

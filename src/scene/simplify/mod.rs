@@ -28,11 +28,14 @@ pub use echotank_config::spec::{EnergyWeights as Weights, SimplifyMethod as Meth
 use echotank_core::flow::Scatterers;
 use energy::{Energies, View};
 
+/// Parameters of a selection.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
+    /// Selection method.
     pub method: Method,
     /// Number of scatterers to keep besides the deterministic ones; `Unbiased` keeps this number on average.
     pub keep: usize,
+    /// Weights of the energies.
     pub weights: Weights,
     /// Seed of the permanent random numbers.
     pub seed: u64,
@@ -44,16 +47,21 @@ const MIN_ENERGY: f64 = 1e-9;
 /// Selection rule. It applies to any scatterer, so it can be held while the sonar moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rule {
+    /// Keeps all scatterers.
     All,
     /// `Acoustic` and `Paper`: keeps visible scatterers above an energy. Hidden ones count as below all visible ones. At the threshold, the first
     /// `ties` of the list are kept.
     Above {
+        /// Threshold energy.
         energy: f64,
+        /// Whether the threshold lies among the hidden scatterers.
         hidden_too: bool,
+        /// Number of scatterers to keep at the threshold.
         ties: usize,
     },
     /// `Unbiased`: keeps each scatterer with probability p = min(1, per_energy * energy).
     Probability {
+        /// Probability per unit of energy.
         per_energy: f64,
     },
 }

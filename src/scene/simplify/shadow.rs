@@ -12,6 +12,7 @@ use glam::DVec3;
 use super::energy::incidence_from_vertical;
 use echotank_core::flow::Scatterers;
 
+/// Horizon scan over a set of points. It allocates only while the number of points grows.
 #[derive(Debug, Default)]
 pub struct Horizon {
     /// Sector, horizontal range in metres, and index of each point.

@@ -13,6 +13,7 @@ use echotank_core::flow::Scatterers;
 pub struct StageCounts {
     /// Scatterers before selection.
     pub offered: u64,
+    /// Scatterers after selection.
     pub kept: u64,
     /// Rules that were renewed.
     pub chosen: u64,
@@ -28,6 +29,7 @@ pub struct Stage {
 }
 
 impl Stage {
+    /// A stage with the settings of a configuration. `seed` is the seed of the scene.
     pub fn of_spec(spec: &SimplifySpec, seed: u64) -> Self {
         let settings = Settings {
             method: spec.method,
@@ -38,6 +40,7 @@ impl Stage {
         Self::new(settings)
     }
 
+    /// A stage with the given settings.
     pub fn new(settings: Settings) -> Self {
         Self {
             settings,

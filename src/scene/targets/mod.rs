@@ -182,12 +182,15 @@ impl Targets {
         Ok(all)
     }
 
+    /// Number of targets.
     pub fn len(&self) -> usize {
         self.named.len()
     }
+    /// Whether there are no targets.
     pub fn is_empty(&self) -> bool {
         self.named.is_empty()
     }
+    /// Targets in the order of their file, scene coordinates.
     pub fn named(&self) -> &[Target] {
         &self.named
     }
@@ -199,6 +202,7 @@ impl Targets {
     pub(crate) fn ball_m(&self, target: usize) -> (DVec3, f64) {
         self.balls_m[target]
     }
+    /// Scatterers of all targets, scene coordinates.
     pub fn scatterers(&self) -> &Scatterers {
         &self.scatterers
     }
