@@ -57,7 +57,7 @@ pub enum SceneError {
         source: std::io::Error,
     },
     /// The file exceeds [`MAX_FILE_BYTES`].
-    #[error("{}: larger than the {MAX_FILE_BYTES} bytes that are read", path.display())]
+    #[error("{}: exceeds the limit of {MAX_FILE_BYTES} bytes", path.display())]
     TooLarge {
         /// Path of the file.
         path: PathBuf,

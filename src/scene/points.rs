@@ -98,7 +98,7 @@ mod tests {
             ),
             (
                 "north_m,east_m,depth,amplitude\n".into(),
-                "line 1: `depth`: is no column of this table; it has north_m,east_m,down_m,amplitude,[amplitude_imag]",
+                "line 1: `depth`: is not a column of this table; the columns are north_m,east_m,down_m,amplitude,[amplitude_imag]",
             ),
             (
                 "north_m,north_m\n".into(),

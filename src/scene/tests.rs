@@ -157,7 +157,7 @@ fn rough(rows: usize, cols: usize) -> Vec<f64> {
         .collect()
 }
 
-// ---------------------------------------------------------------- the generator
+// The generator
 
 /// The values come from a calculation of its own: Philox 4x32-10 after Salmon et al. 2011 and double precision throughout.
 #[test]
@@ -505,7 +505,7 @@ fn normals_stand_on_the_plane_and_point_up() {
     );
 }
 
-// ---------------------------------------------------------------- surfaces
+// Surfaces
 
 #[test]
 fn the_mirrored_surface_is_continuous_over_its_seams_and_repeats_for_ever() {
@@ -652,7 +652,7 @@ fn the_recorded_seabed_has_the_depths_of_an_independent_read() {
     assert_eq!(scene.seabed_down_m(0.0, 500.0), None, "beyond the end");
 }
 
-// ---------------------------------------------------------------- gathering
+// Gathering
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
@@ -857,7 +857,7 @@ fn the_quickstart_targets_open_over_the_recorded_seabed() {
     }
 }
 
-// ---------------------------------------------------------------- levels
+// Levels
 
 /// A cell of 5 cm x 1 degree: 5 in it at every range up to 200 m.
 const AUTO: Density = Density::Auto {
@@ -1042,7 +1042,7 @@ fn an_automatic_seabed_covers_every_range_once_and_threads_do_not_matter() {
     }
 }
 
-// ---------------------------------------------------------------- bottoms
+// Bottoms
 
 #[test]
 fn flat_incidence_turns_the_normals_up_and_leaves_all_else() {

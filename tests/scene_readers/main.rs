@@ -436,7 +436,7 @@ fn a_wrong_coordinate_system_is_refused_with_the_reason() {
     );
     assert_eq!(
         keys(&[(1024, 1), (3072, 3857)]),
-        "GeoKey 3072: `EPSG:3857`: is Mercator's, whose metres are not metres on the ground: project the file to UTM first"
+        "GeoKey 3072: `EPSG:3857`: is a Mercator projection, whose metres are not metres on the ground: project the file to UTM first"
     );
     assert_eq!(
         keys(&[(1024, 1), (3072, 32632), (3076, 9003)]),

@@ -54,7 +54,7 @@ impl Reader for Bag {
             ("column", metadata.cols, cols),
         ] {
             if announced.size.is_some_and(|size| size != got as u64) {
-                let rule = format!("names another number of {what}s than {ELEVATION} has, {got}");
+                let rule = format!("differs from the number of {what}s in {ELEVATION}, {got}");
                 let said = announced.size.unwrap_or_default().to_string();
                 return Err(FormatError::new(METADATA, &said, rule));
             }
@@ -68,7 +68,7 @@ impl Reader for Bag {
             let off_cells = extent / step - (count - 1) as f64;
             if off_cells.abs() > CORNER_TOLERANCE_CELLS {
                 let rule = format!(
-                    "is no distance of corners for {count} {what}s of {step}: the cell size or the corners are wrong"
+                    "is not the distance of the corners of {count} {what}s of {step}: the cell size or the corners are wrong"
                 );
                 return Err(FormatError::new(METADATA, &extent.to_string(), rule));
             }
@@ -141,7 +141,7 @@ fn spread_of(uncertainty: &[f32]) -> String {
     match count {
         0 => "vertical uncertainty: none given".to_owned(),
         _ => format!(
-            "vertical uncertainty {low:.3} to {high:.3} m, {:.3} m in the mean",
+            "vertical uncertainty {low:.3} to {high:.3} m, mean {:.3} m",
             sum / count as f64
         ),
     }
@@ -194,7 +194,7 @@ impl Metadata {
             FormatError::new(
                 METADATA,
                 what,
-                "is missing: the grid has no place without it",
+                "is missing: the position of the grid depends on it",
             )
         };
         let axis = |name: &str| {
@@ -235,7 +235,7 @@ impl Metadata {
             .map(element_text)
             .find(|w| !w.is_empty())
         {
-            notes.push(format!("heights are counted from: {vertical}"));
+            notes.push(format!("vertical datum: {vertical}"));
         }
         Ok(Self {
             rows,
@@ -376,11 +376,11 @@ mod tests {
         let said = |text: &str| Metadata::parse(text).map(|_| ()).unwrap_err().to_string();
         assert_eq!(
             said(&ISO.replace("cornerPoints", "corner")),
-            "/BAG_root/metadata: `cornerPoints`: is missing: the grid has no place without it"
+            "/BAG_root/metadata: `cornerPoints`: is missing: the position of the grid depends on it"
         );
         assert_eq!(
             said(&ISO.replace(">4<", ">-4<")),
-            "/BAG_root/metadata: `resolution of the rows`: is missing: the grid has no place without it"
+            "/BAG_root/metadata: `resolution of the rows`: is missing: the position of the grid depends on it"
         );
         assert_eq!(
             said(&ISO.replace("687957.5,5554656.0", "1")),

@@ -111,7 +111,7 @@ impl Crs {
                 return Err(FormatError::new(
                     place,
                     &name,
-                    "is Mercator's, whose metres are not metres on the ground: project the file to UTM first",
+                    "is a Mercator projection, whose metres are not metres on the ground: project the file to UTM first",
                 ));
             }
             4326 => Self::Geographic("EPSG:4326, WGS 84".to_owned()),
@@ -162,7 +162,7 @@ impl Crs {
                 if name.to_ascii_lowercase().contains("mercator")
                     && !name.to_ascii_lowercase().contains("transverse")
                 {
-                    let rule = "is Mercator's, whose metres are not metres on the ground: project the file to UTM first";
+                    let rule = "is a Mercator projection, whose metres are not metres on the ground: project the file to UTM first";
                     return Err(FormatError::new(place, &name, rule));
                 }
                 Ok(match utm_in_name(&name) {
@@ -254,7 +254,7 @@ mod tests {
         let said = Crs::from_epsg(3857, "GeoKey 3072").unwrap_err().to_string();
         assert_eq!(
             said,
-            "GeoKey 3072: `EPSG:3857`: is Mercator's, whose metres are not metres on the ground: project the file to UTM first"
+            "GeoKey 3072: `EPSG:3857`: is a Mercator projection, whose metres are not metres on the ground: project the file to UTM first"
         );
         assert!(Crs::from_epsg(7, "here").is_err());
     }

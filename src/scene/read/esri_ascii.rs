@@ -72,7 +72,7 @@ fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<RawGrid, FormatError> {
     let mut values = Vec::with_capacity(cells.min(tokens.rest.len() / 2 + 1));
     while let Some(token) = tokens.next() {
         if values.len() == cells {
-            let rule = format!("is one number too many: {rows} x {cols} were announced");
+            let rule = format!("is one number too many; {rows} x {cols} were announced");
             return Err(TextError::new(tokens.line, token, rule).into());
         }
         let value: f64 = token
@@ -186,7 +186,7 @@ impl Header {
                 self.nodata.replace(nodata).is_none()
             }
             _ => {
-                let rule = "is no key of an ESRI ASCII grid (ncols, nrows, xllcorner or xllcenter, yllcorner or yllcenter, cellsize or dx and dy, NODATA_value)";
+                let rule = "is not a key of an ESRI ASCII grid (ncols, nrows, xllcorner or xllcenter, yllcorner or yllcenter, cellsize or dx and dy, NODATA_value)";
                 return Err((key.to_owned(), rule.to_owned()));
             }
         };
@@ -311,7 +311,7 @@ mod tests {
             ),
             (
                 format!("{HEAD}1 2 3\n4 5 6\n7\n"),
-                "line 8: `7`: is one number too many: 2 x 3 were announced",
+                "line 8: `7`: is one number too many; 2 x 3 were announced",
             ),
             (
                 format!("{HEAD}1 2 3\n4 1e6 6\n"),
@@ -343,7 +343,7 @@ mod tests {
             ),
             (
                 "dz 3\n".into(),
-                "line 1: `dz`: is no key of an ESRI ASCII grid (ncols, nrows, xllcorner or xllcenter, yllcorner or yllcenter, cellsize or dx and dy, NODATA_value)",
+                "line 1: `dz`: is not a key of an ESRI ASCII grid (ncols, nrows, xllcorner or xllcenter, yllcorner or yllcenter, cellsize or dx and dy, NODATA_value)",
             ),
             (
                 HEAD.replace("ncols 3", "ncols 1000000")

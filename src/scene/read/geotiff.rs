@@ -208,12 +208,13 @@ impl Georeference {
                 ));
             };
             if b != 0.0 || c != 0.0 {
-                let rule = "turns the grid: turn it north-up first";
+                let rule = "rotates the grid: resample it north-up first";
                 return Err(FormatError::new(TRANSFORMATION, &format!("{b}, {c}"), rule));
             }
             (dx, dy, x0, y0) = (a, d, x, y);
         } else {
-            let rule = "is missing: a picture without a place is no seabed (a GeoTIFF has it)";
+            let rule =
+                "is missing: an image without georeference is not a seabed (a GeoTIFF has it)";
             return Err(FormatError::new(SCALE, "", rule));
         }
         let sound = [x0, y0, dx, dy].iter().all(|v| v.is_finite()) && dx > 0.0 && dy != 0.0;
@@ -276,7 +277,7 @@ impl GeoKeys {
                 let said = text.get(from..to.min(text.len())).unwrap_or("");
                 let said = said.trim_end_matches(['|', '\0']).trim();
                 if !said.is_empty() {
-                    citation = Some(format!("the file calls its system: {said}"));
+                    citation = Some(format!("name of the system in the file: {said}"));
                 }
             }
         }

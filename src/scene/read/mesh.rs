@@ -95,7 +95,7 @@ pub(super) fn check_triangles(triangles: &[[u32; 3]], vertices: usize) -> Result
     }
     for (k, triangle) in triangles.iter().enumerate() {
         if triangle.iter().any(|i| *i as usize >= vertices) {
-            let rule = format!("names a vertex that is not there: the mesh has {vertices}");
+            let rule = format!("refers to a missing vertex: the mesh has {vertices}");
             return Err(FormatError::new(
                 format!("triangle {k}"),
                 &format!("{triangle:?}"),

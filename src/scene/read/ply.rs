@@ -27,7 +27,7 @@ impl Reader for Ply {
                 triangles: (!triangles.is_empty()).then_some(triangles),
             }),
             facts: Facts {
-                values: Some((HeightSign::Elevation, "z is up in PLY, by custom")),
+                values: Some((HeightSign::Elevation, "z is up in PLY by convention")),
                 ..Facts::default()
             },
         })

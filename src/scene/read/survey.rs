@@ -159,7 +159,7 @@ impl Georeference {
     pub fn locate(&self, other: &Self) -> Result<(f64, f64), FormatError> {
         if !self.crs.agrees(&other.crs) {
             let rule = format!(
-                "must be that of the seabed's file, {} (mosaic_crs overrides what the file says)",
+                "must equal that of the seabed's file, {} (mosaic_crs overrides the file)",
                 self.crs
             );
             return Err(FormatError::new(
@@ -250,8 +250,7 @@ impl Survey {
         }
         let dry = field.down_m.iter().all(|d| d.is_nan() || *d <= 0.0);
         if dry && numbers == Quantity::Heights {
-            notes
-                .push("all of it lies above zero: is values = \"depth\" what is meant?".to_owned());
+            notes.push("all heights lie above zero: values = \"depth\" may be required".to_owned());
         }
         Ok(Self {
             format: reader.name(),
@@ -338,7 +337,7 @@ fn reader_of(bytes: &[u8], asked: &SeabedFileSpec) -> Result<&'static dyn Reader
     found.ok_or_else(|| {
         let names: Vec<&str> = READERS.iter().map(|r| r.name()).collect();
         let rule = format!(
-            "is of no format that is read ({}), by its first bytes or its name",
+            "has no supported format ({}), by its first bytes or its extension",
             names.join(", ")
         );
         FormatError::new(
@@ -360,7 +359,7 @@ fn covered(shape: &RawShape) -> Result<[f64; 4], FormatError> {
         ]),
         RawShape::Points(p) => {
             if p.points.len() < 3 {
-                let rule = "soundings: three at least make a surface";
+                let rule = "soundings: at least three are required";
                 return Err(FormatError::new("file", &p.points.len().to_string(), rule));
             }
             if p.points.len() > MAX_POINTS {
@@ -436,7 +435,7 @@ fn system(
             Source::Guessed(why),
         ));
     }
-    let why = "nothing says more than that the numbers look like metres";
+    let why = "the file states no system, and the numbers fit metres";
     Ok((Crs::Local, Source::Guessed(why)))
 }
 
@@ -449,7 +448,7 @@ fn sign(shape: &RawShape, facts: &Facts, asked: &SeabedFileSpec) -> (HeightSign,
         // A column named depth whose numbers are negative holds elevations.
         (Some((HeightSign::Depth, _)), Some(HeightSign::Elevation)) => (
             HeightSign::Elevation,
-            Source::Guessed("called depths, but they are negative"),
+            Source::Guessed("named depths, but negative"),
         ),
         (Some((sign, why)), _) => (sign, Source::Stated(why)),
         (None, Some(HeightSign::Elevation)) => (
@@ -462,7 +461,7 @@ fn sign(shape: &RawShape, facts: &Facts, asked: &SeabedFileSpec) -> (HeightSign,
         ),
         (None, None) => (
             HeightSign::Elevation,
-            Source::Guessed("both signs occur, as where land and sea are"),
+            Source::Guessed("both signs occur, as over land and sea"),
         ),
     }
 }
@@ -482,7 +481,7 @@ fn check_place(crs: &Crs, covers: &[f64; 4]) -> Result<(), FormatError> {
         Crs::Geographic(_) => {
             if west < -180.0 || east > 360.0 || south < -90.0 || north > 90.0 {
                 return wrong(
-                    "are no longitudes (-180 to 360) and latitudes (-90 to 90): the system is another",
+                    "are not longitudes (-180 to 360) and latitudes (-90 to 90): the coordinate system is wrong",
                 );
             }
         }
@@ -494,7 +493,9 @@ fn check_place(crs: &Crs, covers: &[f64; 4]) -> Result<(), FormatError> {
                 || !northings.contains(&south)
                 || !northings.contains(&north)
             {
-                return wrong("are no eastings and northings of a UTM zone: the system is another");
+                return wrong(
+                    "are not eastings and northings of a UTM zone: the coordinate system is wrong",
+                );
             }
         }
         Crs::Local | Crs::Projected(_) => {}
@@ -519,7 +520,7 @@ fn check_cover(crs: &Crs, zero: [f64; 2], box_deg: [f64; 4]) -> Result<(), Forma
         return Ok(());
     }
     let rule = format!(
-        "puts its middle at latitude {lat:.3}, longitude {lon:.3}, outside the {south} .. {north}, {west} .. {east} that its metadata name: one of them is wrong (seabed.crs overrides)"
+        "puts its middle at latitude {lat:.3}, longitude {lon:.3}, outside the {south} .. {north}, {west} .. {east} of its metadata: one of them is wrong (seabed.crs overrides)"
     );
     Err(FormatError::new(
         "coordinate system",
@@ -539,7 +540,7 @@ fn check_extent(extent_m: f64) -> Result<(), FormatError> {
         return Ok(());
     }
     let rule = format!(
-        "m are covered: a local plane serves {} km about its middle; cut the file",
+        "m are covered: a local plane is valid within {} km of its middle; crop the file",
         MAX_HORIZONTAL_M / 1e3
     );
     Err(FormatError::new("coordinates", &extent_m.to_string(), rule))
@@ -595,7 +596,7 @@ fn from_grid(
     };
     let field = resampled(&grid, plane, zero)?;
     notes.push(format!(
-        "degrees turned to cells of {:.3} m north, {:.3} m east, by bilinear resampling",
+        "degrees resampled (bilinear) to cells of {:.3} m north, {:.3} m east",
         field.cell_north_m, field.cell_east_m
     ));
     Ok((field, layout, Original::Degrees(grid)))
@@ -614,7 +615,7 @@ fn resampled(
     let cell_north_m = local(x, y + half_y).0 - local(x, y - half_y).0;
     let cell_east_m = local(x + half_x, y).1 - local(x - half_x, y).1;
     if !(cell_north_m > 0.0 && cell_east_m > 0.0) {
-        let rule = "make no cells of a local plane there";
+        let rule = "cannot be resampled to a local plane at this latitude";
         return Err(FormatError::new(
             "cell size",
             &format!("{} x {}", grid.x_step, grid.y_step),

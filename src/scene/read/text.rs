@@ -195,7 +195,10 @@ fn read_header(
     let mut places = vec![None; columns.len()];
     for (place, field) in fields.iter().enumerate() {
         let Some(known) = columns.iter().position(|c| c.name == *field) else {
-            let rule = format!("is no column of this table; it has {}", listed(columns));
+            let rule = format!(
+                "is not a column of this table; the columns are {}",
+                listed(columns)
+            );
             return Err(TextError::new(line, field, rule));
         };
         if places[known].replace(place).is_some() {

@@ -73,7 +73,7 @@ impl Tin {
     ) -> Result<Self, FormatError> {
         if self.triangles.is_empty() {
             let count = self.points_m.len();
-            let rule = "soundings span no surface: three that are not in line are needed";
+            let rule = "soundings span no surface: at least three must not be collinear";
             return Err(FormatError::new("soundings", &count.to_string(), rule));
         }
         if let Some(longest) = max_edge_m {
@@ -277,7 +277,7 @@ mod tests {
         let said = |r: Result<Tin, FormatError>| r.map(|_| ()).unwrap_err().to_string();
         assert_eq!(
             said(Tin::new(line, None)),
-            "soundings: `9`: soundings span no surface: three that are not in line are needed"
+            "soundings: `9`: soundings span no surface: at least three must not be collinear"
         );
         assert_eq!(
             said(Tin::new(soundings(20), Some(0.1))),

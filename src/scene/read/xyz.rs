@@ -64,7 +64,7 @@ fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
             None if fields[0].parse::<f64>().is_ok() => {
                 if fields.len() > 3 {
                     let note = format!(
-                        "{} columns without names: the first three were taken",
+                        "{} columns without names: the first three are used",
                         fields.len()
                     );
                     facts.notes.push(note);
@@ -147,7 +147,7 @@ fn named(line: usize, fields: &[&str], facts: &mut Facts) -> Result<Columns, Tex
     let height = place(&["z", "elevation", "elev", "height", "altitude"]);
     let (x, y) = match (degrees, metres) {
         ((Some(x), Some(y)), _) => {
-            facts.crs = Some(Crs::Geographic("named so in the header".to_owned()));
+            facts.crs = Some(Crs::Geographic("by the header".to_owned()));
             (x, y)
         }
         (_, (Some(x), Some(y))) => (x, y),
@@ -161,9 +161,9 @@ fn named(line: usize, fields: &[&str], facts: &mut Facts) -> Result<Columns, Tex
         return Err(TextError::new(line, &fields.join(" "), rule));
     };
     if depth.is_some() {
-        facts.values = Some((HeightSign::Depth, "the column is called so"));
+        facts.values = Some((HeightSign::Depth, "by the name of the column"));
     } else if names[z].starts_with("elev") {
-        facts.values = Some((HeightSign::Elevation, "the column is called so"));
+        facts.values = Some((HeightSign::Elevation, "by the name of the column"));
     }
     Ok(Columns { x, y, z })
 }

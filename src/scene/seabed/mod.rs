@@ -150,7 +150,7 @@ impl Surface {
                     "{:.0} m north, {:.0} m east of the scene's zero",
                     zero_m.x, zero_m.y
                 ),
-                "lies beside the seabed's file, over none of it",
+                "does not overlap the seabed's file",
             )));
         }
         Ok(Self::Grid(Box::new(laid)))

@@ -72,7 +72,7 @@ fn relief(speckle_seed: u64) -> Scatterers {
     paper::cloud(PaperShape::Relief, 1, speckle_seed, -20.0).scatterers
 }
 
-// ---------------------------------------------------------------- curvature
+// Curvature
 
 #[test]
 fn curvature_of_a_plane_a_cylinder_a_sphere_and_a_saddle_are_the_closed_forms() {
@@ -129,7 +129,7 @@ fn curvature_is_zero_where_points_do_not_tell() {
     }
 }
 
-// ---------------------------------------------------------------- shadows
+// Shadows
 
 /// By marching along the ray over the surface itself.
 fn hidden_by_ray(shape: PaperShape, from: DVec3, to: DVec3) -> bool {
@@ -236,7 +236,7 @@ fn shadowed_points_go_last() {
     assert!(paper * 4 < mended, "paper {paper}, mended {mended}");
 }
 
-// ---------------------------------------------------------------- choices
+// Choices
 
 #[test]
 fn probabilities_add_up_to_what_is_asked_for() {
@@ -389,7 +389,7 @@ fn deterministic_targets_stay_as_they_are() {
     }
 }
 
-// ---------------------------------------------------------------- the stage of the ping
+// The stage of the ping
 
 #[test]
 fn nothing_flickers_while_the_sonar_stays_within_the_slack_and_little_changes_after() {
@@ -439,7 +439,7 @@ fn a_thinned_ping_is_the_selection_in_its_order_with_its_gains() {
     assert_eq!(thinned.north_m, want.north_m);
 }
 
-// ---------------------------------------------------------------- collapse
+// Collapse
 
 #[test]
 fn a_quadric_is_the_squared_distance_from_its_planes() {
@@ -527,7 +527,7 @@ fn collapse_keeps_the_number_asked_for_and_takes_the_flat_first() {
     );
 }
 
-// ---------------------------------------------------------------- degenerate input
+// Degenerate input
 
 #[test]
 fn degenerate_scenes_have_defined_choices() {

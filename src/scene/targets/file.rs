@@ -92,7 +92,7 @@ pub(super) fn parse(
         let line = line_of(text, key.span().start);
         let entries = value.get_ref().as_array();
         let (true, Some(entries)) = (key.get_ref().as_ref() == "target", entries) else {
-            let rule = "must be [[target]]; a table of targets holds nothing else";
+            let rule = "must be [[target]]; a table of targets has no other key";
             return Err(TextError::new(line, key.get_ref(), rule));
         };
         for entry in entries {
@@ -107,7 +107,7 @@ pub(super) fn parse(
                 return Err(fields.text_error("name", rule));
             }
             if placed.iter().any(|p| p.target.name == one.target.name) {
-                return Err(fields.text_error("name", "must be the name of one target only"));
+                return Err(fields.text_error("name", "must be unique among the targets"));
             }
             placed.push(one);
         }
@@ -165,7 +165,7 @@ fn target(
         &solid,
     ) {
         (Some(_), Some(_), _) => {
-            let rule = "must not stand beside lambert_db: one follows from the other";
+            let rule = "must not be given with lambert_db: one determines the other";
             return Err(fields.text_error("target_strength_db", rule));
         }
         (Some(db), None, _) => libm::pow(10.0, db / 10.0),
@@ -201,7 +201,7 @@ fn target(
 fn point(fields: &Fields, name: &str, seabed: SeabedDown) -> Result<ParsedTarget, TextError> {
     for key in ["lambert_db", "density_per_m2"] {
         if fields.value(key).is_some() {
-            return Err(fields.text_error(key, "is no field of a point"));
+            return Err(fields.text_error(key, "is not a field of a point"));
         }
     }
     Ok(ParsedTarget {
@@ -263,7 +263,9 @@ fn rope(fields: &Fields, seabed: SeabedDown) -> Result<Solid, TextError> {
     let radius_m = fields.needed("radius_m", SIZES_M)?;
     for key in ["north_m", "east_m", "down_m"] {
         if fields.value(key).is_some() {
-            return Err(fields.text_error(key, "is no field of a rope: path_m says where it lies"));
+            return Err(
+                fields.text_error(key, "is not a field of a rope: path_m gives its position")
+            );
         }
     }
     let height_m = fields.number("height_above_seabed_m", 0.0..=MAX_VERTICAL_M)?;
@@ -275,7 +277,7 @@ fn rope(fields: &Fields, seabed: SeabedDown) -> Result<Solid, TextError> {
     let wrong = || fields.text_error("path_m", rule);
     let rows = rows.get_ref().as_array().ok_or_else(wrong)?;
     if rows.len() > MAX_ROPE_VERTICES {
-        let rule = format!("may have {MAX_ROPE_VERTICES} places at most");
+        let rule = format!("may have at most {MAX_ROPE_VERTICES} vertices");
         return Err(fields.text_error("path_m", rule));
     }
     let mut vertices_m: Vec<DVec3> = Vec::with_capacity(rows.len());
@@ -303,7 +305,7 @@ fn rope(fields: &Fields, seabed: SeabedDown) -> Result<Solid, TextError> {
         vertices_m.push(DVec3::from_array(numbers));
     }
     if width == Some(3) && height_m.is_some() {
-        let rule = "is for a path over the seabed; this one has its own depths";
+        let rule = "applies to a path over the seabed; this path has its own depths";
         return Err(fields.text_error("height_above_seabed_m", rule));
     }
     if vertices_m.len() < 2 {
@@ -313,10 +315,7 @@ fn rope(fields: &Fields, seabed: SeabedDown) -> Result<Solid, TextError> {
         .windows(2)
         .any(|pair| pair[0].distance(pair[1]) < 1e-3)
     {
-        return Err(fields.text_error(
-            "path_m",
-            "must have a millimetre or more between neighbours",
-        ));
+        return Err(fields.text_error("path_m", "must have at least 1 mm between neighbours"));
     }
     Ok(Solid::Rope {
         vertices_m,
@@ -339,7 +338,7 @@ fn place(fields: &Fields, seabed: SeabedDown, lowest_m: f64) -> Result<DVec3, Te
     let down_m = fields.number("down_m", -MAX_VERTICAL_M..=MAX_VERTICAL_M)?;
     match (down_m, height_m) {
         (Some(_), Some(_)) => {
-            let rule = "must not stand beside height_above_seabed_m";
+            let rule = "must not be given with height_above_seabed_m";
             Err(fields.text_error("down_m", rule))
         }
         (Some(down_m), None) => Ok(at.extend(down_m)),
@@ -381,7 +380,7 @@ impl<'a> Fields<'a> {
             if !known(COMMON) && !known(SOLID) && !known(own) {
                 let line = line_of(self.text, key.span().start);
                 let all = [COMMON, SOLID, own].concat().join(", ");
-                let rule = format!("is no field of a {shape}; it has {all}");
+                let rule = format!("is not a field of a {shape}; its fields are {all}");
                 return Err(TextError::new(line, key.get_ref(), rule));
             }
         }

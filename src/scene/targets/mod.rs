@@ -294,7 +294,7 @@ pub(crate) fn parse(
         let name = row.text(0).unwrap_or("");
         check_name(name).map_err(|rule| row.text_error(0, rule))?;
         if targets.iter().any(|t| t.name == name) {
-            return Err(row.text_error(0, "must be the name of one target only"));
+            return Err(row.text_error(0, "must be unique among the targets"));
         }
         let north_m = row.number(1, -MAX_HORIZONTAL_M..=MAX_HORIZONTAL_M, 0.0)?;
         let east_m = row.number(2, -MAX_HORIZONTAL_M..=MAX_HORIZONTAL_M, 0.0)?;

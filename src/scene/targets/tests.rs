@@ -41,7 +41,7 @@ fn targets_without_a_seabed_or_with_a_name_twice_are_refused_by_name() {
     );
     assert_eq!(
         said("a,1,2,0,0\na,3,4,0,0\n", Some(1.0)),
-        "line 3, column `name`: `a`: must be the name of one target only"
+        "line 3, column `name`: `a`: must be unique among the targets"
     );
     assert_eq!(
         said("a,1,2,-1,0\n", Some(1.0)),
@@ -61,7 +61,7 @@ proptest::proptest! {
     }
 }
 
-// ---------------------------------------------------------------- shapes
+// Shapes
 
 /// Inside, by the shape's definition and not by its ray test. None for meshes.
 fn inside(solid: &Solid, at_m: DVec3) -> bool {
@@ -328,7 +328,7 @@ fn areas_are_the_closed_forms() {
     }
 }
 
-// ---------------------------------------------------------------- strengths
+// Strengths
 
 /// Energy sent back to the direction `to_sonar` for random phases: sum of |strength|^2 cos^2 over the facing side.
 fn incoherent(s: &Scatterers, to_sonar: DVec3) -> f64 {
@@ -420,7 +420,7 @@ fn a_convex_solids_strength_is_its_mean_over_all_directions() {
     }
 }
 
-// ---------------------------------------------------------------- files and sets
+// Files and sets
 
 #[test]
 fn solids_stand_on_the_seabed_or_hang_at_their_depth() {
@@ -512,11 +512,11 @@ fn every_fault_of_a_toml_table_names_its_line_its_field_its_value_and_the_rule()
         ),
         (
             format!("{sphere}radius_m = 1\n{sphere}radius_m = 1\n"),
-            "line 8, column `name`: `\"a\"`: must be the name of one target only",
+            "line 8, column `name`: `\"a\"`: must be unique among the targets",
         ),
         (
             format!("{sphere}radius_m = 1\nlambert_db = -3\ntarget_strength_db = 1\n"),
-            "line 8, column `target_strength_db`: `1`: must not stand beside lambert_db: one follows from the other",
+            "line 8, column `target_strength_db`: `1`: must not be given with lambert_db: one determines the other",
         ),
         (
             sphere.replace("north_m = 0", "north_m = 200") + "radius_m = 1\n",
@@ -532,11 +532,11 @@ fn every_fault_of_a_toml_table_names_its_line_its_field_its_value_and_the_rule()
         ),
         (
             "[[target]]\nname = \"r\"\nshape = \"rope\"\nradius_m = 1\nlambert_db = 1\npath_m = [[0, 0], [0, 0]]\n".into(),
-            "line 6, column `path_m`: `[[0, 0], [0, 0]]`: must have a millimetre or more between neighbours",
+            "line 6, column `path_m`: `[[0, 0], [0, 0]]`: must have at least 1 mm between neighbours",
         ),
         (
             "[[targets]]\n".into(),
-            "line 1: `targets`: must be [[target]]; a table of targets holds nothing else",
+            "line 1: `targets`: must be [[target]]; a table of targets has no other key",
         ),
     ] {
         assert_eq!(said(&text), want, "{text}");
@@ -555,7 +555,7 @@ proptest::proptest! {
     }
 }
 
-// ---------------------------------------------------------------- meshes from files
+// Meshes from files
 
 /// A cube of side 2 about (6, 6, 6), x east, y north, z up, anticlockwise seen from outside.
 fn cube() -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
