@@ -198,9 +198,9 @@ mod handbook;
 mod tests {
     use super::*;
 
-    /// The handbook's regressions on the mean grain size, phi, section IV, give its own table: density, sound speed, roughness and volume.
+    /// The presets agree with the handbook's regressions on the mean grain size, phi (section IV): density, sound speed, roughness and volume.
     #[test]
-    fn the_presets_values_are_those_of_the_handbooks_regressions() {
+    fn the_presets_agree_with_the_handbooks_regressions() {
         for (sediment, phi) in [
             (Sediment::Mud, 9.0_f64),
             (Sediment::Silt, 6.0),
@@ -221,7 +221,7 @@ mod tests {
             } else {
                 (1.1565 - 0.0012973 * phi, 1.0019 - 0.0024324 * phi)
             };
-            // rms relief over 100 cm in cm, and the spectral strength that goes with it.
+            // Rms relief over 100 cm, in cm, and the corresponding spectral strength.
             let relief = match phi < 5.0 {
                 true => (2.03846 - 0.26923 * phi) / (1.0 + 0.076923 * phi),
                 false => 0.5,
@@ -243,8 +243,8 @@ mod tests {
 
     /// TR 9407, table 3 (pages IV-23 to IV-25), at 1528 m/s.
     #[test]
-    fn the_handbooks_model_is_its_own_table_within_its_last_digit() {
-        // The last digit of the table and of the reading; at 1 degree and 10 kHz 0.25 dB.
+    fn the_handbooks_model_agrees_with_its_table_within_the_last_digit() {
+        // Tolerance: the last digit of the table and of the reading; 0.25 dB at 1 degree and 10 kHz.
         let allowed_db = |deg: f64| if deg < 2.0 { 0.3 } else { 0.08 };
         const GRAZING_DEG: [f64; 15] = [
             1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 20.0, 40.0, 60.0, 70.0, 80.0, 85.0, 88.0, 89.0, 90.0,
@@ -290,7 +290,7 @@ mod tests {
                     -8.4, -8.0, -7.9, -7.8,
                 ],
             ),
-            // 40 degrees: -10.0 in the copy that was read, where the model has -10.6.
+            // At 40 degrees the copy in use reads -10.0; the model gives -10.6.
             (
                 Sediment::Rock,
                 30e3,
@@ -341,7 +341,7 @@ mod tests {
             let curve: Vec<f64> = (0..90).map(|deg| db(s, f64::from(deg))).collect();
             assert!(curve.windows(2).all(|w| w[1] < w[0]), "{s:?}");
         }
-        // Mud and silt are alike: both scatter by their volume.
+        // Mud and silt are alike: the volume dominates both.
         for pair in Sediment::ALL[1..].windows(2) {
             assert!(db(pair[1], 45.0) > db(pair[0], 45.0) + 2.0, "{pair:?}");
         }
@@ -371,9 +371,10 @@ mod tests {
         }
     }
 
-    /// The table between its nodes, to within 0.1 degrees of grazing. It is made for lobes of 3 degrees; those of mud and silt are half as wide.
+    /// Interpolation error of the table, within 0.1 degrees of grazing. The table is designed for lobes of 3 degrees; those of mud and silt are half
+    /// as wide.
     #[test]
-    fn the_curve_in_use_is_the_formula_within_a_hundredth_of_a_decibel_a_tenth_over_mud() {
+    fn the_curve_agrees_with_the_formula_within_0_01_db_and_0_1_db_over_mud() {
         for sediment in Sediment::ALL {
             let bottom = Bottom::new(&BottomSpec::Sediment(sediment));
             let curve = bottom.curve.as_ref().unwrap();

@@ -78,7 +78,7 @@ mod tests {
 
     /// Test vectors of the authors' code (Random123, `kat_vectors`).
     #[test]
-    fn philox_meets_its_authors_vectors() {
+    fn philox_agrees_with_its_authors_vectors() {
         for (counter, key, want) in [
             (
                 [0; 4],
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn distant_cells_have_numbers_of_their_own() {
+    fn distant_cells_have_different_numbers() {
         let here = of_cell(1, 5, -7);
         for (north, east) in [(5 + (1 << 32), -7), (5, -7 + (1 << 40)), (-7, 5), (5, 7)] {
             assert_ne!(here, of_cell(1, north, east), "{north} {east}");

@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn every_fault_names_its_line_its_column_its_value_and_the_rule() {
+    fn every_error_names_line_column_value_and_rule() {
         const HEAD: &str = "north_m,east_m,down_m,amplitude\n";
         let said = |text: &str| parse(text.as_bytes()).unwrap_err().to_string();
         for (text, want) in [
@@ -102,7 +102,7 @@ mod tests {
             ),
             (
                 "north_m,north_m\n".into(),
-                "line 1: `north_m`: must be there once",
+                "line 1: `north_m`: must be given once",
             ),
             (
                 "north_m,east_m,amplitude\n".into(),
@@ -123,7 +123,7 @@ mod tests {
 
     proptest::proptest! {
         #[test]
-        fn any_bytes_give_points_or_a_misread(tail in proptest::collection::vec(proptest::num::u8::ANY, 0..200)) {
+        fn any_bytes_yield_points_or_an_error(tail in proptest::collection::vec(proptest::num::u8::ANY, 0..200)) {
             let _ = parse(&tail);
             let mut bytes = b"north_m,east_m,down_m,amplitude\n1,2,3,4\n".to_vec();
             bytes.extend(&tail);

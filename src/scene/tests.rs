@@ -1,4 +1,4 @@
-//! What the scene as a whole promises. Readers are tested in their own files.
+//! Tests of the scene as a whole. Readers have tests in their own files.
 
 use std::f64::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
@@ -117,7 +117,7 @@ fn tile_bits(tile: &Tile) -> Bits {
         .collect()
 }
 
-/// In an order of their own, for lists that were found on different ways.
+/// Sorts lists that were made in different orders.
 fn sorted(mut bits: Bits) -> Bits {
     bits.sort();
     bits
@@ -141,7 +141,7 @@ fn grid(rows: usize, cols: usize, heights: &[f64]) -> HeightField {
     }
 }
 
-/// A file as a shape, its middle at the scene's zero.
+/// A seabed from a file with its middle at the scene's origin.
 fn surveyed(path: PathBuf) -> SeabedShape {
     SeabedShape::File {
         file: SeabedFileSpec::of(path),
@@ -150,7 +150,7 @@ fn surveyed(path: PathBuf) -> SeabedShape {
     }
 }
 
-/// Rough but reproducible heights: the golden ratio's multiples.
+/// Rough but reproducible heights: multiples of the golden ratio.
 fn rough(rows: usize, cols: usize) -> Vec<f64> {
     (0..rows * cols)
         .map(|i| 40.0 + 5.0 * (i as f64 * 0.618_033_988_749_895).fract())
@@ -159,7 +159,7 @@ fn rough(rows: usize, cols: usize) -> Vec<f64> {
 
 // The generator
 
-/// The values come from a calculation of its own: Philox 4x32-10 after Salmon et al. 2011 and double precision throughout.
+/// Values of an independent calculation: Philox 4x32-10 after Salmon et al. 2011, in double precision.
 #[test]
 fn a_tile_equals_an_independent_calculation_from_the_counter_up() {
     let tile = make(&plane_recipe(0.1, -0.2, 4.0, true), (-3, 5));
@@ -200,7 +200,7 @@ fn a_tile_equals_an_independent_calculation_from_the_counter_up() {
         let moved = tile.position_m(i).distance(DVec3::new(north, east, down));
         let strength = strengths(&tile).nth(i).unwrap();
         let changed = (strength - Complex64::new(re, im)).norm();
-        // Places and strengths are kept in single precision: 1e-6 of 8 m and of 0.02.
+        // Positions and strengths are single precision: 1e-6 of 8 m and of 0.02.
         assert!(
             moved < 2e-6 && changed < 2e-8,
             "scatterer {i}: {moved:e} m, {changed:e}"
@@ -224,12 +224,12 @@ fn a_tile_has_the_same_bits_after_eviction_and_in_any_order() {
     for capacity in [1, 3, 16] {
         let mut pool = TilePool::new(capacity);
         let mut made = 0;
-        // Forward, backward, and with a stride that meets all 16 in another order.
+        // Forward, backward, and with a stride that visits all 16 in another order.
         let order = (0..16)
             .chain((0..16).rev())
             .chain((0..16).map(|i| i * 7 % 16));
         for i in order {
-            let (tile, new) = asked(&mut pool, &recipe, &[ids[i]]).remove(0);
+            let (tile, new) = requested(&mut pool, &recipe, &[ids[i]]).remove(0);
             assert_eq!(tile, fresh[i], "tile {:?}, room for {capacity}", ids[i]);
             made += usize::from(new);
         }
@@ -238,8 +238,8 @@ fn a_tile_has_the_same_bits_after_eviction_and_in_any_order() {
     }
 }
 
-/// Asks a pool for tiles: what each holds and whether it had to be made.
-fn asked(pool: &mut TilePool, recipe: &Recipe, ids: &[TileId]) -> Vec<(Bits, bool)> {
+/// Requests tiles from a pool. Returns their content and whether each had to be made.
+fn requested(pool: &mut TilePool, recipe: &Recipe, ids: &[TileId]) -> Vec<(Bits, bool)> {
     let mut places = Vec::new();
     pool.slots(ids.iter().copied(), &mut places);
     places
@@ -254,22 +254,22 @@ fn asked(pool: &mut TilePool, recipe: &Recipe, ids: &[TileId]) -> Vec<(Bits, boo
 }
 
 #[test]
-fn the_tile_not_used_for_longest_makes_room() {
+fn the_least_recently_used_tile_is_replaced() {
     let recipe = plane_recipe(0.0, 0.0, 4.0, true);
     let mut pool = TilePool::new(2);
-    let mut made = |at| asked(&mut pool, &recipe, &[id(at)])[0].1;
+    let mut made = |at| requested(&mut pool, &recipe, &[id(at)])[0].1;
     assert!(made((0, 0)) && made((0, 1)));
     assert!(!made((0, 0)), "still there");
     assert!(made((0, 2)), "takes the room of (0, 1)");
     assert!(!made((0, 0)), "used since (0, 1)");
     assert!(made((0, 1)));
-    // Of two asked for together, the one that is there does not make room for the other, whatever the order.
-    let both = asked(&mut pool, &recipe, &[id((5, 5)), id((0, 0))]);
+    // Of two tiles requested together, the present one is not replaced by the other, whatever the order.
+    let both = requested(&mut pool, &recipe, &[id((5, 5)), id((0, 0))]);
     assert_eq!((both[0].1, both[1].1), (true, false));
 }
 
 #[test]
-fn a_pool_full_of_strangers_hands_out_the_right_tiles() {
+fn a_full_pool_returns_the_right_tiles() {
     let recipe = plane_recipe(0.0, 0.0, 4.0, true);
     let mut pool = TilePool::new(7);
     // A walk over a torus of 11 x 5 tiles in groups of up to 7 that overlap.
@@ -277,7 +277,7 @@ fn a_pool_full_of_strangers_hands_out_the_right_tiles() {
         let group: Vec<TileId> = (0..=step % 7)
             .map(|k| id(((step * 3 + k) % 11, (step + 2 * k) % 5)))
             .collect();
-        for (id, (got, _)) in group.iter().zip(asked(&mut pool, &recipe, &group)) {
+        for (id, (got, _)) in group.iter().zip(requested(&mut pool, &recipe, &group)) {
             assert_eq!(
                 got,
                 tile_bits(&make_id(&recipe, *id)),
@@ -303,8 +303,8 @@ fn seeds_give_different_tiles() {
 
 #[test]
 fn the_pattern_has_no_bragg_lines_where_a_half_jittered_lattice_has() {
-    // Structure factor |sum exp(i k.x)|^2 / N over 10 x 10 tiles; for positions without order it is 1 on average and exceeds 10 dB
-    // by chance once in 22 000. A lattice jittered over half its cell keeps N sinc^2(1/2): 46 dB here.
+    // Structure factor |sum exp(i k.x)|^2 / N over 10 x 10 tiles. For random positions its mean is 1, and it exceeds 10 dB once in 22 000. A lattice
+    // jittered over half its cell has N sinc^2(1/2), here 46 dB.
     const LIMIT_DB: f64 = 10.0;
     let recipe = plane_recipe(0.0, 0.0, 4.0, true);
     let (cell_m, mut north, mut east) = (0.5, Vec::new(), Vec::new());
@@ -342,7 +342,7 @@ fn the_pattern_has_no_bragg_lines_where_a_half_jittered_lattice_has() {
         (2.0, 0.0),
         (0.0, 2.0),
         (2.0, 1.0),
-        // The tiles' own lattice.
+        // The lattice of the tiles.
         (1.0 / 32.0, 0.0),
         (0.0, 1.0 / 32.0),
         (3.0 / 32.0, 2.0 / 32.0),
@@ -387,7 +387,7 @@ fn every_tile_of_a_plane_holds_its_area_times_the_density_and_scatterers_stay_in
 fn a_footprints_count_is_density_times_its_area() {
     let mut scene = Scene::open(&Disk, &spec(Some(seabed(FLAT, 4.0, true)), 400)).unwrap();
     let mut out = Scatterers::default();
-    // 120 m slant over 50 m of water: a circle. Only the cells on its rim are uncertain (standard deviation below 1/2 each).
+    // A slant range of 120 m over 50 m of water is a circle. Only the cells on its rim are uncertain (standard deviation below 1/2 each).
     let radius_m = (120.0_f64.powi(2) - 50.0_f64.powi(2)).sqrt();
     let counts = scene.gather(&[all_round(DVec3::new(3.0, -7.0, 0.0), 120.0)], &mut out);
     let want = 4.0 * PI * radius_m * radius_m;
@@ -404,8 +404,8 @@ fn a_footprints_count_is_density_times_its_area() {
 
 #[test]
 fn the_mean_intensity_does_not_depend_on_the_density() {
-    // Sum |strength|^2 over a slope of 20 degrees against mu times its true area. Each |r|^2 is exponential with mean 1, so the sum's
-    // relative standard error is 1/sqrt(N); 4 of them are allowed.
+    // Sum |strength|^2 over a slope of 20 degrees against mu times its true area. Each |r|^2 is exponential with mean 1, so the relative standard
+    // error of the sum is 1/sqrt(N). Four of them are allowed.
     let slope = 20.0_f64.to_radians().tan();
     let mu = 10.0_f64.powf(MU / 10.0);
     for (density, tiles) in [(0.25, 2), (4.0, 8), (64.0, 32)] {
@@ -442,7 +442,7 @@ fn without_speckle_every_strength_is_the_root_of_mu_times_the_patch() {
     assert_eq!(noisy.north_m, tile.north_m, "speckle moves nothing");
 }
 
-/// Kolmogorov and Smirnov's sqrt(n) D against a distribution function.
+/// Kolmogorov-Smirnov statistic sqrt(n) D against a distribution function.
 fn smirnov(mut values: Vec<f64>, distribution: impl Fn(f64) -> f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let n = values.len() as f64;
@@ -477,7 +477,7 @@ fn reflectivities_are_rayleigh_in_amplitude_and_uniform_in_phase() {
         amplitude < CRITICAL && phase < CRITICAL,
         "{amplitude} {phase}"
     );
-    // The statistic can tell: a mean intensity 5 % off fails.
+    // The statistic is sensitive: a mean intensity 5 % off fails.
     let off = smirnov(r.iter().map(|z| z.norm()).collect(), |a| {
         1.0 - (-a * a / 1.05).exp()
     });
@@ -485,7 +485,7 @@ fn reflectivities_are_rayleigh_in_amplitude_and_uniform_in_phase() {
 }
 
 #[test]
-fn normals_stand_on_the_plane_and_point_up() {
+fn normals_are_perpendicular_to_the_plane_and_point_up() {
     let (slope_north, slope_east) = (0.25, -0.6);
     let tile = make(&plane_recipe(slope_north, slope_east, 4.0, true), (2, -2));
     for normal in &tile.normal {
@@ -508,7 +508,7 @@ fn normals_stand_on_the_plane_and_point_up() {
 // Surfaces
 
 #[test]
-fn the_mirrored_surface_is_continuous_over_its_seams_and_repeats_for_ever() {
+fn the_mirrored_surface_is_continuous_over_its_seams_and_periodic() {
     // 5 x 6 cells of 2 m: seams at +-4 m north and +-5 m east, moved by the offset.
     let surface = Surface::from_grid(grid(5, 6, &rough(5, 6)), true, 1.0, -2.0, 3.0);
     let at = |n, e| surface.sample(n, e).unwrap();
@@ -525,7 +525,7 @@ fn the_mirrored_surface_is_continuous_over_its_seams_and_repeats_for_ever() {
             }
         }
     }
-    // Along a slanting path no step is steeper than the steepest slope of cells 5 m apart in depth on 2 m.
+    // Along an oblique path no step is steeper than the steepest slope of cells that differ by 5 m in depth over 2 m.
     let mut last = at(-100.0, -100.0).down_m;
     for i in 1..40_000 {
         let (n, e) = (-100.0 + 0.005 * f64::from(i), -100.0 + 0.003 * f64::from(i));
@@ -559,7 +559,7 @@ fn the_speckle_is_not_mirrored_with_the_surface() {
 }
 
 #[test]
-fn without_mirror_the_seabed_ends_at_the_outer_centres_and_holes_give_nothing() {
+fn without_mirror_the_seabed_ends_at_the_outer_centres_and_holes_yield_nothing() {
     let mut heights = rough(30, 40);
     for row in 10..20 {
         heights[row * 40 + 5..row * 40 + 25].fill(-9999.0);
@@ -578,7 +578,7 @@ fn without_mirror_the_seabed_ends_at_the_outer_centres_and_holes_give_nothing() 
             for i in 0..tile.len() {
                 let (n, e) = (tile.position_m(i).x, tile.position_m(i).y);
                 inside += usize::from(n.abs() <= 29.0 + 1e-5 && e.abs() <= 39.0 + 1e-5);
-                // Rows 10..20 and columns 5..25 of centres, and the squares about them, from north 29 and east -39.
+                // Rows 10..20 and columns 5..25 of centres, and the squares around them, from north 29 and east -39.
                 let hole =
                     n > -11.0 + 1e-5 && n < 11.0 - 1e-5 && e > -31.0 + 1e-5 && e < 11.0 - 1e-5;
                 assert!(!hole, "a scatterer in the hole at {n} {e}");
@@ -586,7 +586,7 @@ fn without_mirror_the_seabed_ends_at_the_outer_centres_and_holes_give_nothing() 
         }
     }
     assert_eq!(inside, count);
-    // The edges of the grid and of the hole fall on edges of cells, so that the count is exact.
+    // The edges of the grid and of the hole coincide with edges of cells, so the count is exact.
     assert_eq!(count, 4 * (58 * 78 - 22 * 42));
 }
 
@@ -622,9 +622,9 @@ fn the_recorded_seabed_has_the_depths_of_an_independent_read() {
         .join("hil-configs/data/jd211_crop_400x400_2m.asc");
     let shape = surveyed(path);
     let mut scene = Scene::open(&Disk, &spec(Some(seabed(shape, 4.0, true)), 10)).unwrap();
-    /// Half a step of the f32 in which depths are kept, metres.
+    /// Half the resolution of f32 depths, metres.
     const F32_AT_52_M: f64 = 2e-6;
-    // Metres from the grid's centre, and depth; read and interpolated by a script in another language. The first six are cell centres.
+    // Metres from the grid's centre, and depth, read and interpolated by an independent script. The first six are cell centres.
     let places = [
         (-399.0, -399.0, 51.623),
         (399.0, -399.0, 51.594),
@@ -657,7 +657,7 @@ fn the_recorded_seabed_has_the_depths_of_an_independent_read() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
     #[test]
-    fn gathering_finds_just_the_scatterers_in_any_footprint(
+    fn gathering_finds_exactly_the_scatterers_in_any_footprint(
         at in prop::array::uniform3(-40.0..40.0_f64), to in prop::array::uniform3(-1.0..1.0_f64),
         sine in 0.0..1.1_f64, range_m in 0.0..90.0_f64, second_range_m in 0.0..60.0_f64,
         anchor in prop::array::uniform2(-1e4..1e4_f64), density in prop::sample::select(vec![0.5, 2.0, 9.0]),
@@ -674,7 +674,7 @@ proptest! {
         ];
         let mut got = Scatterers::default();
         let counts = scene.gather(&footprints, &mut got);
-        // Everything far and wide, then each by itself.
+        // All scatterers of a large footprint, then each footprint by itself.
         let mut all = Scatterers::default();
         scene.gather(&[all_round(apex_m, 150.0)], &mut all);
         let mut want = Scatterers::default();
@@ -687,7 +687,7 @@ proptest! {
         let want = sorted(bits(&want));
         prop_assert_eq!(&sorted(bits(&got)), &want);
         prop_assert_eq!(counts.scatterers, got.len() as u64);
-        // A pool with room for one tile gives the same.
+        // A pool with capacity for one tile gives the same.
         spec.memory_limit_bytes = TILE_BYTES;
         let mut poor = Scene::open(&Disk, &spec).unwrap();
         poor.place(anchor[0], anchor[1]);
@@ -754,7 +754,7 @@ fn the_seabed_comes_first_then_points_always_then_targets_within_range() {
         },
         "nothing is made twice"
     );
-    // Nothing hears anything: the points alone.
+    // No footprint: the points alone.
     for f in [
         Footprint {
             apex_m: DVec3::NAN,
@@ -779,7 +779,7 @@ fn the_seabed_comes_first_then_points_always_then_targets_within_range() {
             "{f:?}"
         );
     }
-    // Somewhere beyond all numbers of tiles: no seabed, no panic.
+    // Beyond all tile indices: no seabed and no panic.
     let counts = scene.gather(&[all_round(DVec3::splat(1e30), 60.0)], &mut out);
     assert_eq!((counts.scatterers, out.len()), (0, 2));
 }
@@ -804,7 +804,7 @@ fn the_seabed_moves_with_its_anchor_unless_it_lies_at_the_origin() {
 }
 
 #[test]
-fn an_empty_scene_gives_nothing() {
+fn an_empty_scene_yields_nothing() {
     let mut scene = Scene::open(&Disk, &spec(None, 0)).unwrap();
     let mut out = Scatterers::default();
     let counts = scene.gather(&[all_round(DVec3::ZERO, 100.0)], &mut out);
@@ -814,7 +814,7 @@ fn an_empty_scene_gives_nothing() {
 }
 
 #[test]
-fn faults_name_their_file_and_limits_their_key() {
+fn errors_name_the_file_or_the_key() {
     let (_keep, path) = written("bad.asc", "ncols x\n");
     let shape = surveyed(path.clone());
     let said = |spec: &SceneSpec| Scene::open(&Disk, spec).unwrap_err().to_string();
@@ -859,7 +859,7 @@ fn the_quickstart_targets_open_over_the_recorded_seabed() {
 
 // Levels
 
-/// A cell of 5 cm x 1 degree: 5 in it at every range up to 200 m.
+/// A resolution cell of 5 cm x 1 degree with 5 scatterers at every range up to 200 m.
 const AUTO: Density = Density::Auto {
     per_cell: 5.0,
     range_m: 0.05,
@@ -888,7 +888,7 @@ fn every_range_has_five_scatterers_per_cell_and_less_than_eleven() {
         let cell_m2 = 0.05 * range_m * 0.017_453_292_519_943_295;
         let got = levels.density_per_m2(levels.at(range_m)) * cell_m2;
         println!("{range_m} m: level {}, {got:.2}", levels.at(range_m));
-        // The coarsest level serves up to the longest range whatever is left of its octave.
+        // The coarsest level is used up to the longest range, whatever remains of its octave.
         assert!(
             (5.0 - 1e-9..10.0 + 1e-9).contains(&got),
             "{range_m} m: {got}"
@@ -957,7 +957,7 @@ fn the_mean_intensity_is_the_same_at_every_level() {
 
 #[test]
 fn coarse_levels_have_no_bragg_lines_either() {
-    // As above: 10 dB by chance once in 22 000.
+    // As above: 10 dB is exceeded by chance once in 22 000.
     let recipe = auto_recipe(0.0);
     for level in [1, 2, 5] {
         let cell_m = recipe.levels().cell_m(level);
@@ -966,7 +966,7 @@ fn coarse_levels_have_no_bragg_lines_either() {
             .map(|id| make_id(&recipe, id))
             .flat_map(|t| (0..t.len()).map(|i| t.position_m(i)).collect::<Vec<_>>())
             .collect();
-        // Lines of the level's own cells, of the halves they were chosen from, and of the tiles.
+        // Lattice lines of the level's cells, of their halves, and of the tiles.
         for (p, q) in [
             (1.0, 0.0),
             (0.0, 1.0),
@@ -1012,7 +1012,7 @@ fn an_automatic_seabed_covers_every_range_once_and_threads_do_not_matter() {
     assert_eq!(one, two, "threads");
     println!("{counts:?}");
     assert_eq!(counts.made, counts.culled + counts.scatterers);
-    // Per ring of 10 m: five or more per cell, and the intensity of the ring's area.
+    // For each ring of 10 m: at least five scatterers a cell, and the intensity of the ring's area.
     let mu = 10.0_f64.powf(MU / 10.0);
     for ring in 5..12 {
         let (near_m, far_m) = (10.0 * f64::from(ring), 10.0 * f64::from(ring) + 10.0);
@@ -1024,7 +1024,7 @@ fn an_automatic_seabed_covers_every_range_once_and_threads_do_not_matter() {
                 sum += out.strength[i].norm_sqr();
             }
         }
-        // Slant rings on a plane: pi (far^2 - near^2), whatever the depth.
+        // Slant-range rings on a plane: pi (far^2 - near^2), whatever the depth.
         let area_m2 = PI * (far_m * far_m - near_m * near_m);
         let per_cell = count / area_m2 * 0.05 * near_m * 0.017_453_292_519_943_295;
         let (error, allowed) = (sum / (mu * area_m2) - 1.0, 5.0 / f64::sqrt(count));
@@ -1045,7 +1045,7 @@ fn an_automatic_seabed_covers_every_range_once_and_threads_do_not_matter() {
 // Bottoms
 
 #[test]
-fn flat_incidence_turns_the_normals_up_and_leaves_all_else() {
+fn flat_incidence_turns_the_normals_up_and_changes_nothing_else() {
     let shape = SeabedShape::Plane {
         depth_m: 50.0,
         slope_north: 0.3,
@@ -1152,8 +1152,8 @@ fn a_mosaic_sets_the_strength_at_its_incidence_and_holes_keep_the_bottoms_own() 
     }
 }
 
-/// A survey in UTM coordinates, laid over itself: everywhere the strength must be the number that the file has at that place, in the mirror
-/// images too; and whatever is moved moves the strengths.
+/// A survey in UTM coordinates with itself as mosaic. Everywhere, in mirror images too, the strength must equal the file's number at that position.
+/// Moving either moves the strengths.
 #[test]
 fn a_mosaic_over_a_file_lies_where_its_coordinates_put_it() {
     let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("tests/data/bathy");
@@ -1204,11 +1204,11 @@ fn a_mosaic_over_a_file_lies_where_its_coordinates_put_it() {
     let (mut inside, mut outside) = (0, 0);
     for i in 0..with.len() {
         let at = with.position_m(i);
-        // Into the file, whose middle lies at the offset; then to where the moved mosaic has it.
+        // Position in the file, whose middle lies at the offset; then the position in the moved mosaic.
         let v = fold(at.x - 30.0 + extent_m.0 / 2.0, extent_m.0) - extent_m.0 / 2.0;
         let u = fold(at.y + 40.0 + extent_m.1 / 2.0, extent_m.1) - extent_m.1 / 2.0;
         let there = survey.field.sample(v - shift_north_m, u - shift_east_m);
-        // A layer's numbers are taken as they are, heights for depths are not.
+        // A layer's numbers are used as they are; heights are converted to depths.
         let sign = match survey.sign {
             HeightSign::Elevation => -1.0,
             HeightSign::Depth => 1.0,
@@ -1223,7 +1223,7 @@ fn a_mosaic_over_a_file_lies_where_its_coordinates_put_it() {
     }
     println!("{inside} under the mosaic, {outside} beside it");
     assert!(inside > 200 && outside > 50, "{inside} {outside}");
-    // Another system, and the same with what the file should say; and one that lies elsewhere.
+    // Another coordinate system, the same with a configured override, and a file that lies elsewhere.
     let grid = "ncols 2 nrows 2 xllcorner {x} yllcorner {y} cellsize {c} -20 -20 -20 -20";
     let written_at = |x: f64, y: f64| {
         let cell = extent_m.0.to_string();

@@ -382,7 +382,7 @@ mod tests {
     use crate::read::HeightField;
 
     #[test]
-    fn turns_and_directions_are_each_others_inverse_and_grow_with_the_azimuth() {
+    fn turns_and_directions_are_inverse_and_grow_with_the_azimuth() {
         let mut last = -1.0;
         for k in 0..10_000 {
             let azimuth = f64::from(k) * std::f64::consts::TAU / 10_000.0;
@@ -394,9 +394,9 @@ mod tests {
         }
     }
 
-    /// A washboard seen along its ridges' normal: 2 m apart, so that a ray meets more shadows than it keeps.
+    /// Parallel ridges 2 m apart, seen across, so that a ray meets more shadows than it stores.
     #[test]
-    fn beyond_the_shadows_that_a_ray_keeps_nothing_is_sure() {
+    fn beyond_the_stored_shadows_visibility_is_unsure() {
         let (rows, cols) = (21, 201);
         let depth_m = |k: usize| 20.0 - (k % cols % 2) as f32;
         let field = HeightField {
@@ -425,7 +425,7 @@ mod tests {
                 Visibility::Unsure => unsure += 1,
                 visibility => {
                     sure += 1;
-                    // Within a centimetre of an edge either may be right.
+                    // Within a centimetre of an edge either answer may be right.
                     let near = [-0.01, 0.01].map(|d| {
                         let p = at_m + DVec2::new(0.0, d);
                         let down_m = surface.sample(p.x, p.y).unwrap().down_m;

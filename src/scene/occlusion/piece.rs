@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn a_piece_goes_through_its_points_and_knows_where_its_tangent_turns_and_falls() {
+    fn a_piece_passes_through_its_points_and_finds_where_its_tangent_turns_and_falls() {
         for (piece, depth) in pieces() {
             let tangent = |s: f64| (EYE - depth(s)) / s;
             let places: Vec<f64> = (0..=10_000).map(|k| 8.0 + 1e-3 * f64::from(k)).collect();

@@ -1,4 +1,4 @@
-//! Shadows against rays cast one by one.
+//! Shadows compared with rays cast one by one.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ const DENSITY: f64 = 4.0;
 const SPACING: f64 = 0.5;
 const RANGE: f64 = 45.0;
 
-/// The depth of a grid as a file, its centre at the scene's zero.
+/// Writes a grid of depths to a file, its centre at the scene's origin.
 fn written(depth_m: impl Fn(f64, f64) -> f64) -> (tempfile::TempDir, PathBuf) {
     let half = (ROWS - 1) as f64 / 2.0;
     let mut text = format!("ncols {ROWS} nrows {ROWS} xllcorner 0 yllcorner 0 cellsize {CELL}\n");
@@ -87,19 +87,19 @@ fn key(at: DVec3) -> [i64; 2] {
     [at.x, at.y].map(|m| (m * 1e6).round() as i64)
 }
 
-/// The ground as `Scene` has it.
+/// The ground as `Scene` opens it.
 fn ground(path: &Path) -> Surface {
     let survey = Survey::open(&Disk, &SeabedFileSpec::of(path.to_owned())).unwrap();
     Surface::from_grid(survey.field, false, 0.0, 0.0, 16.0)
 }
 
-/// Whether the ground rises over the straight line from a point to an eye, looked at every 2 centimetres.
+/// Whether the ground rises above the straight line from a point to an eye, sampled every 2 centimetres.
 fn hidden(ground: &Surface, at_m: DVec3, eye_m: DVec3) -> bool {
     let way_m = eye_m - at_m;
     let steps = (way_m.truncate().length() / 0.02).ceil();
     (1..steps as usize).any(|k| {
         let p = at_m + way_m * (k as f64 / steps);
-        // The place itself is known to 2 um.
+        // The position is rounded to 2 um.
         ground
             .sample(p.x, p.y)
             .is_some_and(|g| g.down_m < p.z - 1e-5)
@@ -110,13 +110,13 @@ fn hills(n: f64, e: f64) -> f64 {
     20.0 - 3.0 * (n / 7.0).sin() * (e / 9.0 + 1.0).cos() - 1.5 * ((n + 2.0 * e) / 5.0).sin()
 }
 
-/// A wall 6 m high that runs north to south, with a gap.
+/// A wall 6 m high from north to south, with a gap.
 fn wall(n: f64, e: f64) -> f64 {
     let on_wall = (15.0..=19.0).contains(&e) && !(-6.0..=6.0).contains(&n);
     if on_wall { 14.0 } else { 20.0 }
 }
 
-/// Even ground: nothing may be hidden.
+/// An even slope: nothing may be hidden.
 fn slope(n: f64, e: f64) -> f64 {
     20.0 + 0.2 * n - 0.1 * e
 }
@@ -154,7 +154,7 @@ fn shadows_are_those_of_rays_cast_one_by_one_within_a_spacing() {
                 if got == want {
                     continue;
                 }
-                // Right for a place a spacing away: the edge of a shadow.
+                // Correct one spacing away: the edge of a shadow.
                 let near = (0..32).any(|k| {
                     let (sin, cos) = (f64::from(k) * std::f64::consts::TAU / 32.0).sin_cos();
                     [0.1, 0.2, 0.4, 0.7, 1.0].into_iter().any(|share| {
@@ -208,7 +208,7 @@ fn the_same_is_hidden_whatever_the_number_of_threads() {
 }
 
 #[test]
-fn the_papers_rule_forgets_an_obstacle_where_the_ground_behind_it_rises() {
+fn the_papers_rule_ignores_an_obstacle_where_the_ground_behind_it_rises() {
     // A ridge 6 m high from east 10 to 14; behind it the ground lies at 20 m and rises to the east, still far below the ridge's shadow.
     let ridge = |_: f64, e: f64| match e {
         e if (10.0..=14.0).contains(&e) => 14.0,
@@ -250,7 +250,7 @@ fn the_papers_rule_forgets_an_obstacle_where_the_ground_behind_it_rises() {
 }
 
 #[test]
-fn a_ball_in_the_water_throws_the_shadow_that_geometry_gives_it() {
+fn a_sphere_in_the_water_casts_its_geometric_shadow() {
     let (_keep, path) = written(|_, _| 20.0);
     let folder = tempfile::tempdir().unwrap();
     let targets = folder.path().join("ball.toml");
@@ -292,9 +292,9 @@ fn a_ball_in_the_water_throws_the_shadow_that_geometry_gives_it() {
     }
 }
 
-/// The ground that is left in the light is scatterer for scatterer what a box of the same place leaves.
+/// The insonified ground is the same, scatterer by scatterer, as with a box at the same position.
 #[test]
-fn a_mesh_throws_the_shadow_of_the_box_that_it_is() {
+fn a_mesh_of_a_box_casts_the_shadow_of_the_box() {
     let (_keep, path) = written(|n, e| 20.0 + 0.02 * n - 0.03 * e);
     let folder = tempfile::tempdir().unwrap();
     let corners = (0..8).map(|k| [0, 1, 2].map(|bit| if k >> bit & 1 == 1 { 1.0 } else { -1.0 }));
@@ -308,7 +308,7 @@ fn a_mesh_throws_the_shadow_of_the_box_that_it_is() {
         receiver_m: DVec3::new(0.5, 0.3, 5.2),
         ..Footprint::all_round(DVec3::new(0.0, 0.0, 5.0), RANGE)
     };
-    // The mesh's y is north: along its heading.
+    // The mesh's y axis is north, along its heading.
     let [mesh, solid] = [
         "shape = \"mesh\"\nfile = \"box.obj\"\n",
         "shape = \"box\"\nsize_m = [3.0, 2.0, 1.5]\n",

@@ -357,7 +357,7 @@ mod tests {
 </gmi:MI_Metadata>"#;
 
     #[test]
-    fn both_dialects_of_the_metadata_are_read() {
+    fn both_schemas_of_the_metadata_are_read() {
         let metadata = Metadata::parse(ISO).unwrap();
         assert_eq!((metadata.rows.size, metadata.rows.step), (Some(10), 4.0));
         assert_eq!((metadata.cols.size, metadata.cols.step), (Some(20), 2.5));
@@ -372,7 +372,7 @@ mod tests {
     }
 
     #[test]
-    fn metadata_without_a_place_are_refused_by_what_is_missing() {
+    fn metadata_without_a_position_are_rejected_by_the_missing_element() {
         let said = |text: &str| Metadata::parse(text).map(|_| ()).unwrap_err().to_string();
         assert_eq!(
             said(&ISO.replace("cornerPoints", "corner")),

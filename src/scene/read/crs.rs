@@ -215,7 +215,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn epsg_numbers_are_known_by_their_ranges() {
+    fn epsg_codes_are_recognised_by_their_ranges() {
         let of = |code| Crs::from_epsg(code, "here").unwrap();
         assert!(matches!(
             of(32602),

@@ -192,7 +192,7 @@ impl Header {
         };
         match new {
             true => Ok(()),
-            false => Err((key.to_owned(), "must be there once".to_owned())),
+            false => Err((key.to_owned(), "must be given once".to_owned())),
         }
     }
 }
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn every_fault_names_its_line_its_value_and_the_rule() {
+    fn every_error_names_line_value_and_rule() {
         for (text, want) in [
             (
                 format!("{HEAD}1 2 3\n4 5,5 6\n"),
@@ -323,11 +323,11 @@ mod tests {
             ),
             (
                 "ncols 3\nncols 3\n".into(),
-                "line 2: `ncols`: must be there once",
+                "line 2: `ncols`: must be given once",
             ),
             (
                 "dx 3\ncellsize 3\n".into(),
-                "line 2: `cellsize`: must be there once",
+                "line 2: `cellsize`: must be given once",
             ),
             (
                 "ncols\n".into(),
@@ -357,7 +357,7 @@ mod tests {
 
     proptest::proptest! {
         #[test]
-        fn any_bytes_give_a_grid_or_a_fault(tail in proptest::collection::vec(proptest::num::u8::ANY, 0..200)) {
+        fn any_bytes_yield_a_grid_or_an_error(tail in proptest::collection::vec(proptest::num::u8::ANY, 0..200)) {
             let _ = parse(&tail, &asked());
             let mut bytes = HEAD.as_bytes().to_vec();
             bytes.extend(&tail);

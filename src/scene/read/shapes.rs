@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_hole_takes_away_the_squares_about_it_and_no_more() {
+    fn a_hole_removes_only_the_squares_around_it() {
         let mut field = field();
         field.down_m[0] = f32::NAN;
         assert_eq!(field.sample(105.0, -2.5), None);

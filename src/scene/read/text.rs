@@ -202,7 +202,7 @@ fn read_header(
             return Err(TextError::new(line, field, rule));
         };
         if places[known].replace(place).is_some() {
-            return Err(TextError::new(line, field, "must be there once"));
+            return Err(TextError::new(line, field, "must be given once"));
         }
     }
     for (column, place) in columns.iter().zip(&places) {

@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn soundings_at_one_place_become_their_mean() {
+    fn soundings_at_one_position_become_their_mean() {
         let p = DVec3::new;
         let (merged, gone) = merge_duplicates(vec![
             p(1.0, 2.0, 10.0),
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn soundings_in_line_and_edges_too_long_are_refused() {
+    fn collinear_soundings_and_long_edges_are_rejected() {
         let line: Vec<DVec3> = (0..9).map(|k| DVec3::splat(f64::from(k))).collect();
         let said = |r: Result<Tin, FormatError>| r.map(|_| ()).unwrap_err().to_string();
         assert_eq!(

@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_name_their_line() {
+    fn errors_name_their_line() {
         for (text, want) in [
             (
                 "1 2 3\n1 2\n",
@@ -234,7 +234,7 @@ mod tests {
 
     proptest::proptest! {
         #[test]
-        fn any_bytes_give_soundings_or_a_fault(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..200), text in "[0-9,; .a-z#>\n-]{0,80}") {
+        fn any_bytes_yield_soundings_or_an_error(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..200), text in "[0-9,; .a-z#>\n-]{0,80}") {
             let asked = SeabedFileSpec::of("a.xyz".into());
             let _ = parse(&bytes, &asked);
             let _ = parse(text.as_bytes(), &asked);

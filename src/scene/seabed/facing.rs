@@ -210,9 +210,9 @@ mod tests {
     use super::*;
     use crate::read::HeightField;
 
-    /// Rough ground with a hole, mirrored: whatever no rectangle holds faces the eye, and no rectangle holds only ground that does.
+    /// Rough ground with a hole, mirrored. Ground outside the rectangles faces the eye, and every rectangle holds some ground that does not.
     #[test]
-    fn what_is_not_named_faces_the_eye_and_what_is_named_does_not_all() {
+    fn ground_outside_the_rectangles_faces_the_eye_and_no_rectangle_faces_it_throughout() {
         let (rows, cols) = (24, 31);
         let mut down_m: Vec<f32> = (0..rows * cols)
             .map(|k| {
@@ -262,7 +262,7 @@ mod tests {
                     away.len()
                 );
                 assert!(away.len() > 50 && facing > 50_000, "nothing was tried");
-                // Small corners that are turned away may be missed by the places.
+                // The sampled positions may miss small corners that face away.
                 assert!(all_faced * 5 < away.len(), "{all_faced} of {}", away.len());
             }
         }

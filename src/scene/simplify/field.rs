@@ -108,7 +108,7 @@ mod tests {
         field.down_m[7] = f32::NAN;
         let (holed, triangles) = scatterers(&field, 0.0, 1);
         assert_eq!((holed.len(), triangles.len()), (19, 24 - 6));
-        // Away from the hole nothing has changed.
+        // Away from the hole nothing changes.
         assert_eq!(holed.strength[12..], points.strength[13..]);
     }
 }

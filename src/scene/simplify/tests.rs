@@ -1,4 +1,4 @@
-//! Energies against closed forms, choices against their promises, degenerate scenes.
+//! Tests of energies against closed forms, of the properties of selections, and of degenerate scenes.
 
 use std::f64::consts::PI;
 
@@ -27,7 +27,7 @@ fn push(s: &mut Scatterers, position_m: DVec3, strength: f64) {
     );
 }
 
-/// A patch of `down(n, e)` about (0, 0), `side` points a side, `step` apart, on a sheared lattice.
+/// A patch of `down(n, e)` around (0, 0) with `side` points a side, `step` apart, on a sheared lattice.
 fn patch(side: i32, step_m: f64, down_m: impl Fn(f64, f64) -> f64) -> Scatterers {
     let mut s = Scatterers::default();
     for r in -side / 2..=side / 2 {
@@ -86,7 +86,7 @@ fn curvature_of_a_plane_a_cylinder_a_sphere_and_a_saddle_are_the_closed_forms() 
     assert!(plane.abs() < 1e-10, "plane: {plane}");
     let cylinder = middle(&patch(9, 0.01, |n, _| 5.0 - (25.0 - n * n).sqrt())).0;
     assert!(cylinder.abs() < 1e-6, "cylinder: {cylinder}");
-    // 1/R^2 wherever on the sphere one looks; the quadratic is off by the square of the patch's size over R.
+    // 1/R^2 everywhere on the sphere. The error of the quadratic is the square of the patch size over R.
     for off in [0.0, 1.5, 3.0] {
         let sphere = patch(9, 0.01, |n, e| {
             5.0 - (25.0 - (n + off).powi(2) - e * e).sqrt()
@@ -109,7 +109,7 @@ fn curvature_of_a_plane_a_cylinder_a_sphere_and_a_saddle_are_the_closed_forms() 
 }
 
 #[test]
-fn curvature_is_zero_where_points_do_not_tell() {
+fn curvature_is_zero_where_points_do_not_determine_it() {
     for count in [0, 1, 3, 6, 40] {
         let mut line = Scatterers::default();
         for k in 0..count {
@@ -131,7 +131,7 @@ fn curvature_is_zero_where_points_do_not_tell() {
 
 // Shadows
 
-/// By marching along the ray over the surface itself.
+/// Visibility by marching along the ray over the surface itself.
 fn hidden_by_ray(shape: PaperShape, from: DVec3, to: DVec3) -> bool {
     const STEPS: usize = 4000;
     (1..STEPS).any(|k| {
@@ -156,7 +156,7 @@ fn the_horizon_scan_hides_what_rays_do_not_reach() {
             continue;
         }
         wrong += 1;
-        // Two spacings (0.35 m; a sector is 0.28 m wide at the far end) to either side along the ray, or across it, the answer changes: it was the edge.
+        // At the edge of a shadow the answer changes within two spacings along the ray or across it (0.35 m; a sector is 0.28 m wide at the far end).
         let ray = (at - SONAR_M).truncate().normalize();
         let edge = [(0.35, 0.0), (-0.35, 0.0), (0.0, 0.35), (0.0, -0.35)]
             .iter()
@@ -177,7 +177,7 @@ fn the_horizon_scan_hides_what_rays_do_not_reach() {
     }
     println!("{wrong} of {tested} differ, {far_wrong} of them away from an edge");
     assert!(wrong * 50 < tested, "{wrong} of {tested} differ");
-    // Side walls of 63 degrees: within a sector a nearer neighbour stands a step higher.
+    // On side walls of 63 degrees, a nearer neighbour in the same sector stands a step higher.
     assert!(
         far_wrong * 200 < tested,
         "{far_wrong} of {tested} wrong away from a shadow's edge"
@@ -221,7 +221,7 @@ fn shadowed_points_go_last() {
         chosen.kept.iter().filter(|i| hidden[**i as usize]).count(),
         5
     );
-    // As printed they tie with the best instead, and the worthless come first: hardly anything kept lies in the beam.
+    // As printed they tie with the best, and the weakest come first: hardly any kept point lies in the beam.
     let in_beam = |chosen: &Selection| {
         let near = |i: &&u32| (s.north_m[**i as usize] - 10.0).abs() < 0.4;
         chosen.kept.iter().filter(near).count()
@@ -239,7 +239,7 @@ fn shadowed_points_go_last() {
 // Choices
 
 #[test]
-fn probabilities_add_up_to_what_is_asked_for() {
+fn probabilities_add_up_to_the_number_to_keep() {
     let s = relief(1);
     for slack_m in [0.0, 10.0] {
         let mut energies = Energies::default();
@@ -262,7 +262,7 @@ fn probabilities_add_up_to_what_is_asked_for() {
 }
 
 #[test]
-fn the_expected_energy_of_any_part_is_that_of_all_at_every_retention() {
+fn the_expected_energy_of_any_part_is_unbiased_at_every_retention() {
     let s = relief(3);
     let view = View {
         shadows: false,
@@ -273,7 +273,7 @@ fn the_expected_energy_of_any_part_is_that_of_all_at_every_retention() {
         let cos = -DVec3::from_array(s.normal[i].map(f64::from)).dot(ray);
         s.strength[i].norm_sqr() * cos.max(0.0).powi(2)
     };
-    // Two halves of the scene, by easting: a level that held only in sum would not hold here.
+    // Two halves of the scene by easting: a level that holds only in total would fail here.
     for (low_m, high_m) in [(15.0, 40.0), (40.0, 75.0)] {
         let within = |i: usize| (low_m..high_m).contains(&s.east_m[i]);
         let all: f64 = (0..s.len()).filter(|i| within(*i)).map(energy).sum();
@@ -298,7 +298,7 @@ fn the_expected_energy_of_any_part_is_that_of_all_at_every_retention() {
                 }
             }
             let got_db = 10.0 * (sum / SEEDS as f64 / all).log10();
-            // 64 draws of some 80 or more in each half: a standard error of 1.5 %, 0.06 dB, or less.
+            // 64 draws of at least some 80 in each half: a standard error of 1.5 %, 0.06 dB, or less.
             assert!(
                 got_db.abs() < 0.3,
                 "keep {keep}, {low_m}..{high_m} m: {got_db} dB"
@@ -314,7 +314,7 @@ fn the_expected_energy_of_any_part_is_that_of_all_at_every_retention() {
 }
 
 #[test]
-fn sets_for_fewer_are_parts_of_sets_for_more_and_a_gain_never_falls_below_one() {
+fn smaller_selections_are_subsets_of_larger_ones_and_gains_are_at_least_one() {
     let s = relief(1);
     for method in [Method::Unbiased, Method::Acoustic] {
         let mut larger: Option<Vec<u32>> = None;
@@ -333,7 +333,7 @@ fn sets_for_fewer_are_parts_of_sets_for_more_and_a_gain_never_falls_below_one() 
 }
 
 #[test]
-fn permanent_numbers_are_even_and_belong_to_places_and_seeds() {
+fn permanent_numbers_are_uniform_and_depend_on_position_and_seed() {
     let s = relief(1);
     let mut numbers: Vec<f64> = (0..s.len()).map(|i| permanent_number(&s, i, 7)).collect();
     assert_eq!(
@@ -392,7 +392,7 @@ fn deterministic_targets_stay_as_they_are() {
 // The stage of the ping
 
 #[test]
-fn nothing_flickers_while_the_sonar_stays_within_the_slack_and_little_changes_after() {
+fn the_selection_is_constant_within_the_slack_and_changes_little_beyond() {
     let bottom = relief(1);
     for method in [Method::Acoustic, Method::Unbiased] {
         let mut stage = Stage::new(settings(method, 1000));
@@ -402,7 +402,7 @@ fn nothing_flickers_while_the_sonar_stays_within_the_slack_and_little_changes_af
             let mut view = looking_east(0.5);
             view.apex_m.x += 0.1 * f64::from(ping);
             let mut s = bottom.clone();
-            // Other scatterers come and go beyond the beam; nobody else's fate depends on them.
+            // Other scatterers appear and disappear outside the beam without effect on the rest.
             push(&mut s, DVec3::new(60.0 + f64::from(ping), 40.0, 30.0), 1e-3);
             let counts = stage.thin(&mut s, usize::MAX, &view);
             chosen += counts.chosen;
@@ -494,7 +494,7 @@ fn a_plane_collapses_to_its_corners_and_a_ridge_keeps_its_crest() {
         (area - 121.0 * (1.0f64 + 0.01 + 0.04).sqrt()).abs() < 1e-9,
         "{area}"
     );
-    // A roof: what is left after much collapsing lies on the crest and at the corners.
+    // A roof: after much collapsing the remaining corners lie on the crest and at the corners.
     let (places, triangles) = lattice(21, |_, e| (e - 10.0).abs());
     let got = collapse(&places, &triangles, 6);
     let crest = got.kept.iter().filter(|i| **i % 21 == 10).count();
@@ -502,7 +502,7 @@ fn a_plane_collapses_to_its_corners_and_a_ridge_keeps_its_crest() {
 }
 
 #[test]
-fn collapse_keeps_the_number_asked_for_and_takes_the_flat_first() {
+fn collapse_keeps_the_requested_number_and_removes_flat_parts_first() {
     let cloud = paper::cloud(PaperShape::Relief, 1, 1, -20.0);
     let places: Vec<DVec3> = (0..cloud.scatterers.len())
         .map(|i| cloud.scatterers.position_m(i))
@@ -530,7 +530,7 @@ fn collapse_keeps_the_number_asked_for_and_takes_the_flat_first() {
 // Degenerate input
 
 #[test]
-fn degenerate_scenes_have_defined_choices() {
+fn degenerate_scenes_have_defined_selections() {
     let empty = Scatterers::default();
     let mut one = Scatterers::default();
     push(&mut one, DVec3::new(10.0, 20.0, 30.0), 1.0);
@@ -589,7 +589,7 @@ fn degenerate_scenes_have_defined_choices() {
 
 #[test]
 fn with_everything_in_shadow_the_requested_number_is_still_kept_and_unbiased_keeps_none() {
-    // A wall before everything, nearer than the rest and not asked about.
+    // A deterministic wall in front of everything.
     let mut s = Scatterers::default();
     for k in 0..2000 {
         push(
@@ -667,7 +667,7 @@ proptest! {
     }
 
     #[test]
-    fn the_area_of_what_is_collapsed_goes_into_what_is_kept(
+    fn the_area_of_collapsed_corners_goes_to_the_kept_ones(
         heights in proptest::collection::vec(-1.0..1.0f64, 64),
         keep in 4..64usize,
     ) {

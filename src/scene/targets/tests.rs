@@ -1,4 +1,4 @@
-//! Files of targets, shapes against closed forms, and strengths.
+//! Tests of target files, of shapes against closed forms, and of strengths.
 
 use std::path::Path;
 
@@ -29,7 +29,7 @@ fn a_target_stands_at_its_height_over_the_seabed_with_the_pressure_of_its_streng
 }
 
 #[test]
-fn targets_without_a_seabed_or_with_a_name_twice_are_refused_by_name() {
+fn targets_without_a_seabed_or_with_a_repeated_name_are_rejected_by_name() {
     let said = |rows: &str, seabed: Option<f64>| {
         parse(format!("{HEAD}{rows}").as_bytes(), |_, _| seabed)
             .unwrap_err()
@@ -55,7 +55,7 @@ fn targets_without_a_seabed_or_with_a_name_twice_are_refused_by_name() {
 
 proptest::proptest! {
     #[test]
-    fn any_bytes_give_targets_or_a_misread(tail in ".{0,80}") {
+    fn any_bytes_yield_targets_or_an_error(tail in ".{0,80}") {
         let _ = parse(tail.as_bytes(), |_, _| Some(1.0));
         let _ = parse(format!("{HEAD}a,1,2,0,0\n{tail}").as_bytes(), |_, _| Some(1.0));
     }
@@ -63,7 +63,7 @@ proptest::proptest! {
 
 // Shapes
 
-/// Inside, by the shape's definition and not by its ray test. None for meshes.
+/// Whether a point lies inside, by the definition of the shape and not by its ray test. Not implemented for meshes.
 fn inside(solid: &Solid, at_m: DVec3) -> bool {
     match solid {
         Solid::Sphere { center_m, radius_m } => at_m.distance(*center_m) < *radius_m,
@@ -98,7 +98,7 @@ fn inside(solid: &Solid, at_m: DVec3) -> bool {
             let joint = |v: &DVec3| at_m.distance(*v) < *radius_m;
             vertices_m.windows(2).any(link) || vertices_m[1..vertices_m.len() - 1].iter().any(joint)
         }
-        // Not used: meshes are held against boxes.
+        // Not used: meshes are compared with boxes.
         Solid::Mesh(_) => false,
     }
 }
@@ -186,7 +186,7 @@ proptest::proptest! {
     #![proptest_config(proptest::prelude::ProptestConfig::with_cases(300))]
 
     #[test]
-    fn rays_meet_shapes_where_their_definition_says(
+    fn rays_meet_shapes_where_their_definition_requires(
         origin in proptest::array::uniform3(-3.0..3.0f64),
         (a, b) in (0.0..1.0f64, 0.0..1.0f64),
     ) {
@@ -195,12 +195,12 @@ proptest::proptest! {
             let began = inside(&solid, origin_m);
             let hit = solid.first_hit_m(origin_m, direction);
             let until_m = hit.unwrap_or(8.0);
-            // A chord shorter than the step can hide from the walk, so the walk checks what the hit claims and not the reverse.
+            // The walk can miss a chord shorter than its step. It therefore checks the hit, not the reverse.
             let step_m = 1e-3;
             let mut at_m = step_m;
             while at_m < until_m - step_m {
                 let here = inside(&solid, origin_m + direction * at_m);
-                // A rope's ball inside its next link is left and met again: its first surface may lie inside.
+                // A ray leaves a rope's sphere inside the next link and meets it again: its first surface may lie inside.
                 assert!(here == began || name == "rope" && began, "{name} at {at_m} of {until_m}");
                 at_m += step_m;
             }
@@ -233,7 +233,7 @@ proptest::proptest! {
     }
 
     #[test]
-    fn a_trees_answer_is_that_of_trying_every_triangle(
+    fn the_tree_agrees_with_a_test_of_every_triangle(
         corners in proptest::collection::vec(proptest::array::uniform9(-1.0..1.0f64), 1..60),
         (a, b) in (0.0..1.0f64, 0.0..1.0f64),
     ) {
@@ -298,7 +298,7 @@ fn scatterers_lie_on_the_surface_with_normals_outward_and_evenly_by_area() {
                 inside(defined, position_m - normal * 1e-7),
                 "{name} at {position_m}"
             );
-            // A link's mantle may run into the next link.
+            // The lateral surface of a link may run into the next link.
             buried += usize::from(inside(defined, position_m + normal * 1e-7));
             mean += normal / COUNT as f64;
         });
@@ -306,7 +306,7 @@ fn scatterers_lie_on_the_surface_with_normals_outward_and_evenly_by_area() {
             buried == 0 || *name == "rope" && buried < COUNT / 10,
             "{name}: {buried} buried"
         );
-        // Over a closed surface the normals cancel: six standard errors of stratified draws are far below this.
+        // Over a closed surface the normals cancel. Six standard errors of the stratified samples are far below this limit.
         assert!(mean.length() < 0.02, "{name}: mean normal {mean}");
     }
 }
@@ -330,7 +330,7 @@ fn areas_are_the_closed_forms() {
 
 // Strengths
 
-/// Energy sent back to the direction `to_sonar` for random phases: sum of |strength|^2 cos^2 over the facing side.
+/// Energy scattered to the direction `to_sonar` with random phases: the sum of |strength|^2 cos^2 over the facing side.
 fn incoherent(s: &Scatterers, to_sonar: DVec3) -> f64 {
     (0..s.len())
         .map(|i| {
@@ -367,7 +367,7 @@ fn a_spheres_target_strength_is_20_log_half_its_radius_from_everywhere() {
             "towards {a} {b}: {got_db} want {want_db}"
         );
     }
-    // With the carrier's phase: intensity is exponential, so 600 seeds have a standard error of 4 %, 0.18 dB.
+    // With the phase of the carrier the intensity is exponential: 600 seeds have a standard error of 4 %, 0.18 dB.
     let wavenumber_per_m = 2.0 * std::f64::consts::PI / 0.00375;
     let mean = (0..600)
         .map(|seed| {
@@ -405,13 +405,13 @@ fn a_convex_solids_strength_is_its_mean_over_all_directions() {
         const DIRECTIONS: usize = 2000;
         let mean = (0..DIRECTIONS)
             .map(|k| {
-                // Fibonacci's lattice on the sphere.
+                // Fibonacci lattice on the sphere.
                 let a = (k as f64 + 0.5) / DIRECTIONS as f64;
                 incoherent(s, unit(a, (k as f64 * 0.618_033_988_749_895).fract()))
             })
             .sum::<f64>()
             / DIRECTIONS as f64;
-        // Some 15000 scatterers of exponential energy: 0.8 %, 0.04 dB.
+        // Some 15000 scatterers of exponential energy have a standard error of 0.8 %, 0.04 dB.
         let got_db = 10.0 * mean.log10();
         assert!((got_db + 3.0).abs() < 0.15, "{shape}: {got_db} want -3");
         assert!((targets.named()[0].target_strength_db + 3.0).abs() < 1e-9);
@@ -444,7 +444,7 @@ fn solids_stand_on_the_seabed_or_hang_at_their_depth() {
         (low, high),
         (DVec3::new(-0.5, -0.5, 29.0), DVec3::new(10.5, 5.5, 30.0))
     );
-    // Labels: every scatterer knows its target.
+    // Labels: every scatterer maps to its target.
     for target in 0..4 {
         assert!(targets.span(target).all(|i| targets.target_of(i) == target));
     }
@@ -457,7 +457,7 @@ fn solids_stand_on_the_seabed_or_hang_at_their_depth() {
     assert!(targets.hits(&all, DVec3::new(1.0, -20.0, 0.0), DVec3::Z, 18.1));
     assert!(!targets.hits(&all, DVec3::new(1.0, -20.0, 0.0), DVec3::Z, 17.9));
     assert!(!targets.hits(&all, DVec3::new(3.0, 8.0, 0.0), DVec3::Z, 30.0));
-    // A scatterer's way out of its own convex shape is free.
+    // The outward path from a scatterer on a convex shape is free.
     for i in targets.span(0) {
         let s = targets.scatterers();
         let normal = DVec3::from_array(s.normal[i].map(f64::from)).normalize();
@@ -480,7 +480,7 @@ fn the_same_seed_gives_the_same_scatterers_and_targets_do_not_disturb_each_other
 }
 
 #[test]
-fn every_fault_of_a_toml_table_names_its_line_its_field_its_value_and_the_rule() {
+fn every_error_of_a_toml_table_names_line_field_value_and_rule() {
     let said = |rows: &str| {
         Targets::parse(
             rows.as_bytes(),
@@ -508,7 +508,7 @@ fn every_fault_of_a_toml_table_names_its_line_its_field_its_value_and_the_rule()
         (sphere.to_owned(), "line 1, column `radius_m`: ``: is missing"),
         (
             format!("{sphere}radius_m = 1\nlength_m = 2\n"),
-            "line 7: `length_m`: is no field of a sphere; it has name, shape, north_m, east_m, height_above_seabed_m, down_m, target_strength_db, lambert_db, density_per_m2, radius_m",
+            "line 7: `length_m`: is not a field of a sphere; its fields are name, shape, north_m, east_m, height_above_seabed_m, down_m, target_strength_db, lambert_db, density_per_m2, radius_m",
         ),
         (
             format!("{sphere}radius_m = 1\n{sphere}radius_m = 1\n"),
@@ -545,7 +545,7 @@ fn every_fault_of_a_toml_table_names_its_line_its_field_its_value_and_the_rule()
 
 proptest::proptest! {
     #[test]
-    fn any_table_of_targets_is_read_or_refused(tail in ".{0,120}", number in proptest::num::f64::ANY, shape in 0..6usize) {
+    fn any_table_of_targets_is_read_or_rejected(tail in ".{0,120}", number in proptest::num::f64::ANY, shape in 0..6usize) {
         let _ = Targets::parse(tail.as_bytes(), Some(meshes_in(Path::new("."))), 1, |_, _| Some(1.0));
         let shape = ["point", "sphere", "cylinder", "box", "rope", "mesh"][shape];
         for field in ["radius_m", "length_m", "down_m", "heading_deg", "density_per_m2", "lambert_db", "scale"] {
@@ -614,7 +614,8 @@ fn ply((vertices, triangles): &(Vec<[f64; 3]>, Vec<[usize; 3]>)) -> String {
     text
 }
 
-/// Scaled, turned and set down on the seabed, of every format, and inside out, it has the box's place, strength and hits.
+/// A mesh of a box in every format, scaled, rotated, placed on the seabed, and with inverted triangles. It must have the position, strength and hits
+/// of the box.
 #[test]
 fn a_mesh_of_a_file_stands_where_the_same_box_would() {
     let folder = tempfile::tempdir().unwrap();
@@ -667,7 +668,7 @@ fn a_mesh_of_a_file_stands_where_the_same_box_would() {
             }
         }
         assert!(met > 100, "{name}: only {met} rays met it");
-        // What it sends back to a side: a face's area times mu, the other faces none, over the draws' scatter of a tenth.
+        // Energy scattered to one side: the area of a face times mu, within the scatter of a tenth of the random draws.
         let own = targets.span(0);
         let seen: f64 = own
             .map(|i| {
@@ -682,7 +683,7 @@ fn a_mesh_of_a_file_stands_where_the_same_box_would() {
 }
 
 #[test]
-fn files_that_are_no_meshes_are_refused_with_the_line_and_the_reason() {
+fn files_that_are_not_meshes_are_rejected_with_line_and_reason() {
     let folder = tempfile::tempdir().unwrap();
     let cube = cube();
     for (name, bytes) in [
@@ -712,7 +713,7 @@ fn files_that_are_no_meshes_are_refused_with_the_line_and_the_reason() {
         ("cube.obj", "cut.ply", "damaged or cut short"),
         ("cube.obj", "flat.obj", "has no triangle with an area"),
         ("cube.obj", "points.obj", "has no triangles"),
-        ("cube.obj", "beyond.ply", "names a vertex that is not there"),
+        ("cube.obj", "beyond.ply", "refers to a missing vertex"),
         ("cube.obj", "words.stl", "words.stl: "),
         ("file = \"cube.obj\"\n", "", "is missing"),
         ("scale = 0.5", "scale = 0.0", "must lie in"),
@@ -721,7 +722,11 @@ fn files_that_are_no_meshes_are_refused_with_the_line_and_the_reason() {
             "axes = \"up\"",
             "must be one of east-north-up",
         ),
-        ("scale = 0.5", "size_m = [1, 1, 1]", "is no field of a mesh"),
+        (
+            "scale = 0.5",
+            "size_m = [1, 1, 1]",
+            "is not a field of a mesh",
+        ),
         (
             "lambert_db = -10.0\n",
             "",
@@ -756,7 +761,7 @@ fn globe(n: usize, radius_m: f64) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
     (vertices.collect(), triangles.collect())
 }
 
-/// With steps of d radians the flat pieces lie between R cos^2(d / 2), at most R d^2 / 4 below the sphere, and the sphere.
+/// With steps of d radians the facets lie at most R d^2 / 4 below the sphere, at R cos^2(d / 2).
 #[test]
 fn a_mesh_of_a_sphere_is_the_sphere_to_the_depth_of_its_facets() {
     const RADIUS: f64 = 1.5;
@@ -785,14 +790,15 @@ fn a_mesh_of_a_sphere_is_the_sphere_to_the_depth_of_its_facets() {
         for k in 0..2000 {
             let share = |step: f64| (f64::from(k) * step).fract();
             let along = unit(share(0.754_877_666), share(0.569_840_291));
-            // Through places up to 0.9 R off the middle.
+            // Rays through points up to 0.9 R off the middle.
             let aside = along.any_orthonormal_vector() * (0.9 * RADIUS * share(0.32));
             let from = DVec3::new(3.0, -4.0, 12.0) + aside - along * 10.0;
             let (a, b) = (mesh.first_hit_m(from, along), ball.first_hit_m(from, along));
             let (a, b) = (a.unwrap(), b.unwrap());
             let facing = (1.0 - (aside.length() / RADIUS).powi(2)).sqrt();
             met += 1;
-            // A surface lower by h along its normal is met h / cos later, to first order; 1.3 for the second at 26 degrees of grazing.
+            // A ray meets a surface that is lower by h along its normal h / cos later, to first order; 1.3 covers the second order at 26 degrees of
+            // grazing.
             assert!(
                 a > b - 1e-6 && (a - b) * facing < 1.3 * depth_m,
                 "{n}: {a} {b}"
