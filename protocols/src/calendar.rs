@@ -1,26 +1,33 @@
-//! UTC nanoseconds since 1970 to the fields that formats write, and back. Proleptic Gregorian, no leap seconds.
+//! Converts UTC nanoseconds since 1970 to date and time fields, and back. Proleptic Gregorian calendar, no leap seconds.
 //!
-//! Days to dates and back: H. Hinnant, "chrono-Compatible Low-Level Date Algorithms" (2013), years that begin in March.
+//! Date algorithms: H. Hinnant, "chrono-Compatible Low-Level Date Algorithms" (2013), with years that begin in March.
 
 const NS_PER_S: i64 = 1_000_000_000;
 const S_PER_DAY: i64 = 86_400;
 
-/// A UTC moment in fields.
+/// A UTC time as date and time fields.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Moment {
+    /// Gregorian year.
     pub year: i32,
     /// 1 is January.
     pub month: u8,
+    /// Day of the month, from 1.
     pub day: u8,
     /// 1 is the first of January.
     pub day_of_year: u16,
+    /// 0 to 23.
     pub hour: u8,
+    /// 0 to 59.
     pub minute: u8,
+    /// 0 to 59.
     pub second: u8,
+    /// 0 to 999 999 999.
     pub nanosecond: u32,
 }
 
 impl Moment {
+    /// The fields of a time in nanoseconds since 1970.
     pub fn from_utc_ns(utc_ns: i64) -> Self {
         let (seconds, nanosecond) = (utc_ns.div_euclid(NS_PER_S), utc_ns.rem_euclid(NS_PER_S));
         let (days, in_day) = (seconds.div_euclid(S_PER_DAY), seconds.rem_euclid(S_PER_DAY));

@@ -1,6 +1,7 @@
-//! A plain stream of element samples, Echotank's own: for whoever wants I and Q with as little around them as there can be.
+//! A simple stream of element samples, Echotank's own: I and Q with a minimal header.
 //!
-//! One frame after the other over TCP, a frame in each datagram over UDP. Little endian. Every frame stands by itself.
+//! Frames follow each other over TCP; over UDP each datagram holds one frame. Little endian. Every frame is self-contained. A moment is one
+//! sample time, with a sample of each element.
 //!
 //! ```text
 //!  0  4s   "ETEL"
@@ -26,22 +27,28 @@ use crate::WireError;
 use crate::framing::{Framing, Look, Splitter};
 use crate::layout::data_at;
 
+/// Size of the frame header.
 pub const HEADER_BYTES: usize = 72;
+/// First four bytes of a frame.
 pub const MAGIC: [u8; 4] = *b"ETEL";
+/// Version of the format.
 pub const VERSION: u16 = 1;
-/// No frame is longer.
+/// Maximum size of a frame.
 pub const MAX_FRAME_BYTES: usize = 1 << 26;
 
 const WHAT: &str = "element frame";
 
+/// Number type of I and Q.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SampleType {
+    /// Signed 16-bit integers.
     I16,
+    /// 32-bit floats.
     F32,
 }
 
 impl SampleType {
-    /// Of I and Q together.
+    /// Size of I and Q together.
     pub fn bytes(self) -> usize {
         match self {
             Self::I16 => 4,
@@ -50,35 +57,49 @@ impl SampleType {
     }
 }
 
-/// All but the samples and the lengths.
+/// Frame header without the lengths.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameHead {
+    /// Counter of the stream; a gap means lost frames.
     pub frame_number: u32,
+    /// Ping that the samples belong to.
     pub ping_number: u32,
+    /// Index of the frame's first moment in the ping.
     pub first_moment: u32,
+    /// Number of moments in the whole ping.
     pub ping_moments: u32,
+    /// Number of elements.
     pub elements: u16,
+    /// Number type of the samples.
     pub sample_type: SampleType,
+    /// Volts rms of one count, or of 1.0 for floats.
     pub volts_per_unit: f32,
+    /// Start of the pulse, UTC nanoseconds since 1970.
     pub pulse_utc_ns: i64,
+    /// Time of moment 0, seconds after the start of the pulse.
     pub first_moment_s: f64,
+    /// Sample rate.
     pub moments_per_s: f64,
+    /// Carrier frequency of the complex samples.
     pub center_frequency_hz: f64,
 }
 
-/// A frame, read: its samples stay where they were.
+/// A parsed frame that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame<'a> {
+    /// Header fields.
     pub head: FrameHead,
+    /// Number of moments in this frame.
     pub moments: u32,
+    /// Samples as on the wire: by moment, by element, I then Q.
     pub samples: &'a [u8],
 }
 
 impl FrameHead {
-    /// Appends a frame; `write_samples` appends I and Q of `moments` moments.
+    /// Appends a frame. `write_samples` must append I and Q of `moments` moments.
     ///
     /// # Panics
-    /// If it appends another number of bytes, or the frame is longer than [`MAX_FRAME_BYTES`].
+    /// If it appends another number of bytes, or the frame exceeds [`MAX_FRAME_BYTES`].
     pub fn emit(&self, buf: &mut Vec<u8>, moments: u32, write_samples: impl FnOnce(&mut Vec<u8>)) {
         let sample_bytes = self.sample_type.bytes() * usize::from(self.elements) * moments as usize;
         let size = HEADER_BYTES + sample_bytes;
@@ -118,7 +139,7 @@ impl FrameHead {
 }
 
 impl<'a> Frame<'a> {
-    /// Reads the frame at the front of `bytes`.
+    /// Parses the frame at the front of `bytes`.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, WireError> {
         let head = data_at(bytes, 0, HEADER_BYTES as u64, WHAT)?;
         let u16_at = |at: usize| u16::from_le_bytes([head[at], head[at + 1]]);
@@ -166,15 +187,17 @@ impl<'a> Frame<'a> {
         })
     }
 
+    /// Size of the whole frame.
     pub fn size_bytes(&self) -> usize {
         HEADER_BYTES + self.samples.len()
     }
 }
 
-/// Finds frames in the bytes of a TCP connection.
+/// Splits the bytes of a TCP connection into frames.
 #[derive(Debug, Clone, Copy)]
 pub struct ElementFraming;
 
+/// Frames from a connection.
 pub type ElementStream = Splitter<ElementFraming>;
 
 impl Framing for ElementFraming {

@@ -1,29 +1,30 @@
-//! Whole messages from the bytes of a connection or a file, for formats that say their length at their front.
+//! Splits the bytes of a connection or file into whole messages, for formats that state their length near the front.
 //!
-//! Memory is bounded by the largest message allowed. What is no start of a message is passed over byte by byte until one is: one error
-//! per gap, and a counter.
+//! Memory is bounded by the largest permitted message. Bytes that do not start a message are skipped one by one. Each gap yields one error
+//! and increases a counter.
 
 use crate::WireError;
 
-/// What the front of some bytes is.
+/// Result of examining the front of some bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Look {
-    /// Could be a message; more bytes are needed to tell, or to have it whole.
+    /// Possibly a message; more bytes are needed.
     More,
-    /// A whole message of so many bytes (at least 1, at most what is there).
+    /// A whole message of this many bytes (at least 1, at most those available).
     Whole(usize),
     /// No message begins here.
     Wrong(WireError),
 }
 
-/// How a format shows where its messages end.
+/// Rule by which a format delimits its messages.
 pub trait Framing {
-    /// Bytes that always suffice to say something other than [`Look::More`].
+    /// Number of bytes that always suffice for a result other than [`Look::More`].
     fn max_message_bytes(&self) -> usize;
+    /// Examines the front of `bytes`.
     fn look(&self, bytes: &[u8]) -> Look;
 }
 
-/// Cuts messages from bytes as they come.
+/// Splits arriving bytes into messages.
 #[derive(Debug)]
 pub struct Splitter<F> {
     framing: F,
@@ -36,6 +37,7 @@ pub struct Splitter<F> {
 }
 
 impl<F: Framing> Splitter<F> {
+    /// An empty splitter.
     pub fn new(framing: F) -> Self {
         Self {
             framing,
@@ -48,22 +50,22 @@ impl<F: Framing> Splitter<F> {
         }
     }
 
-    /// Messages found so far.
+    /// Number of messages so far.
     pub fn messages(&self) -> u64 {
         self.messages
     }
 
-    /// Bytes that wait for the rest of their message.
+    /// Number of bytes of an incomplete message.
     pub fn held_bytes(&self) -> usize {
         self.buf.len() - self.head
     }
 
-    /// Bytes passed over because no message began at them.
+    /// Number of bytes skipped because no message began at them.
     pub fn skipped_bytes(&self) -> u64 {
         self.skipped_bytes
     }
 
-    /// Takes bytes, as many as there is room for, and returns how many; at least one after [`Splitter::next_message`] returned `None`.
+    /// Takes bytes while there is room and returns their number; at least one after [`Splitter::next_message`] returned `None`.
     pub fn push(&mut self, bytes: &[u8]) -> usize {
         self.ended = false;
         self.buf.drain(..self.head);
@@ -74,12 +76,12 @@ impl<F: Framing> Splitter<F> {
         taken
     }
 
-    /// Says that what is held will not be continued.
+    /// Marks the end of the input: an incomplete message becomes an error.
     pub fn finish(&mut self) {
         self.ended = true;
     }
 
-    /// The next whole message or error; `None` when more bytes are needed.
+    /// The next whole message or error; `None` if more bytes are needed.
     pub fn next_message(&mut self) -> Option<Result<&[u8], WireError>> {
         loop {
             let held = &self.buf[self.head..];
@@ -113,7 +115,7 @@ impl<F: Framing> Splitter<F> {
         }
     }
 
-    /// Takes all of `bytes` and hands every message and error on as it is met.
+    /// Takes all of `bytes` and passes every message and error to `each`.
     pub fn feed(&mut self, mut bytes: &[u8], mut each: impl FnMut(Result<&[u8], WireError>)) {
         loop {
             while let Some(item) = self.next_message() {

@@ -1,42 +1,64 @@
-//! What the formats beside 7k share: layouts of fixed length, and what can be wrong with bytes.
+//! Common parts of the formats other than 7k: layouts of fixed length, and parse errors.
 
 use std::io::Cursor;
 
 use binrw::io::NoSeek;
 use binrw::{BinRead, BinWrite, Endian};
 
-/// What is wrong with bytes that should be of a format. Every variant names what was looked at and the numbers that disagree.
+/// Why bytes are not a valid message. Every variant names the checked item and the values that disagree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
     #[error("{what} needs {need_bytes} bytes, {got_bytes} are there")]
+    /// Bytes are missing.
     Truncated {
+        /// The checked item.
         what: &'static str,
+        /// Required number of bytes.
         need_bytes: u64,
+        /// Available number of bytes.
         got_bytes: u64,
     },
     #[error("{what} of {got_bytes} bytes is over the limit of {limit_bytes}")]
+    /// A length exceeds its limit.
     Oversized {
+        /// The checked item.
         what: &'static str,
+        /// Stated number of bytes.
         got_bytes: u64,
+        /// Permitted number of bytes.
         limit_bytes: u64,
     },
     #[error("{what} is {got:#x}, not {expected:#x}")]
+    /// A constant field has the wrong value.
     Mark {
+        /// The checked field.
         what: &'static str,
+        /// Required value.
         expected: u64,
+        /// Value found.
         got: u64,
     },
     #[error("checksum of {what} is {stored:#x}, the bytes give {computed:#x}")]
+    /// The checksum does not match the bytes.
     Checksum {
+        /// The checked message.
         what: &'static str,
+        /// Checksum in the message.
         stored: u64,
+        /// Checksum of the bytes.
         computed: u64,
     },
     #[error("{what} of {got} is not one we read")]
-    Unsupported { what: &'static str, got: u64 },
+    /// The value is not supported.
+    Unsupported {
+        /// The checked field.
+        what: &'static str,
+        /// Value found.
+        got: u64,
+    },
 }
 
-/// Bytes of fixed length with a fixed order.
+/// A fixed-length layout with a fixed byte order.
 pub(crate) trait Layout:
     for<'a> BinRead<Args<'a> = ()> + for<'a> BinWrite<Args<'a> = ()>
 {
@@ -45,7 +67,7 @@ pub(crate) trait Layout:
     const ENDIAN: Endian;
 }
 
-/// Reads a layout from the front of `bytes`; what is behind it is left alone.
+/// Reads a layout from the front of `bytes`; further bytes are ignored.
 pub(crate) fn read_layout<T: Layout>(bytes: &[u8]) -> Result<T, WireError> {
     let truncated = WireError::Truncated {
         what: T::NAME,
@@ -53,7 +75,7 @@ pub(crate) fn read_layout<T: Layout>(bytes: &[u8]) -> Result<T, WireError> {
         got_bytes: bytes.len() as u64,
     };
     let front = bytes.get(..T::SIZE_BYTES).ok_or(truncated)?;
-    // With the length seen to, a layout of plain numbers has nothing else that could fail.
+    // After the length check, a layout of plain numbers cannot fail.
     T::read_options(&mut Cursor::new(front), T::ENDIAN, ()).map_err(|_| truncated)
 }
 
@@ -83,14 +105,18 @@ macro_rules! layout {
         crate::layout::layout_of!($type, $size, $name, $endian);
 
         impl $type {
+            /// Size of the layout.
+            #[allow(unreachable_pub, reason = "some of the types are private to the crate")]
             pub const SIZE_BYTES: usize = $size;
 
-            /// Reads the fields as they are from the front of `bytes`.
+            /// Parses the fields at the front of `bytes`, without checking values.
+            #[allow(unreachable_pub, reason = "some of the types are private to the crate")]
             pub fn parse(bytes: &[u8]) -> Result<Self, crate::WireError> {
                 crate::layout::read_layout(bytes)
             }
 
             /// Appends the fields.
+            #[allow(unreachable_pub, reason = "some of the types are private to the crate")]
             pub fn emit(&self, buf: &mut Vec<u8>) {
                 crate::layout::write_layout(self, buf);
             }
@@ -99,7 +125,7 @@ macro_rules! layout {
 }
 pub(crate) use layout;
 
-/// The `len` bytes from `at`, or what is missing.
+/// The `len` bytes from `at`, or an error that states the missing bytes.
 pub(crate) fn data_at<'a>(
     bytes: &'a [u8],
     at: usize,
@@ -107,7 +133,7 @@ pub(crate) fn data_at<'a>(
     what: &'static str,
 ) -> Result<&'a [u8], WireError> {
     let data = bytes.get(at..).unwrap_or_default();
-    // A length from the wire may be beyond usize on a 32-bit machine: compare as u64 before it becomes one.
+    // A length from the wire may exceed usize on a 32-bit machine, so it is compared as u64 before conversion.
     if (data.len() as u64) < len {
         return Err(WireError::Truncated {
             what,
@@ -118,7 +144,7 @@ pub(crate) fn data_at<'a>(
     Ok(&data[..len as usize])
 }
 
-/// A text field: cut at its first NUL, bytes that are no ASCII shown as `?`.
+/// A text field up to its first NUL; bytes other than printable ASCII become `?`.
 pub(crate) fn text_of(field: &[u8]) -> String {
     field
         .iter()
@@ -133,7 +159,7 @@ pub(crate) fn text_of(field: &[u8]) -> String {
         .collect()
 }
 
-/// A text field of `N` bytes, NUL padded, at least one NUL at its end; characters beyond ASCII become `?`.
+/// A text field of `N` bytes, padded with at least one NUL; characters other than printable ASCII become `?`.
 pub(crate) fn text_field<const N: usize>(text: &str) -> [u8; N] {
     let mut field = [0; N];
     for (byte, character) in field.iter_mut().zip(text.chars()).take(N.saturating_sub(1)) {
@@ -146,7 +172,7 @@ pub(crate) fn text_field<const N: usize>(text: &str) -> [u8; N] {
     field
 }
 
-/// Nearest whole number within the bounds of the field; NaN becomes 0.
+/// Nearest integer within the bounds of the field; NaN becomes 0.
 pub(crate) fn rounded(value: f64, low: f64, high: f64) -> f64 {
     if value.is_nan() {
         0.0
@@ -171,7 +197,7 @@ pub(crate) fn to_u32(value: f64) -> u32 {
     rounded(value, 0.0, f64::from(u32::MAX)) as u32
 }
 
-/// An angle folded to 0..360 degrees and counted in steps of 1/`per_degree`; what rounds up to a whole turn is 0.
+/// An angle reduced to 0..360 degrees, in steps of 1/`per_degree`; a value that rounds to a full turn becomes 0.
 pub(crate) fn turn_counts(angle_rad: f64, per_degree: f64) -> f64 {
     let counts = (angle_rad.to_degrees().rem_euclid(360.0) * per_degree).round();
     if counts >= 360.0 * per_degree {

@@ -1,24 +1,24 @@
-//! Sonar wire formats, sans I/O.
+//! Wire formats of sonars and recordings, sans I/O.
 //!
-//! Bytes come in as slices and go out into buffers that belong to the caller. There is no socket, no file and no clock here, and nothing of
-//! the program around it: a format is one folder, and every file in it keeps the same order: what it is and where its layout was read,
-//! frame, records, length, parse, emit, print, tests.
+//! Parsers take slices, and emitters append to buffers of the caller. The crate opens no socket or file, reads no clock, and does not
+//! depend on the rest of the program. Each format has one folder. Its files share an order: description and source, frame, records,
+//! lengths, parsing, emitting, printing, tests.
 //!
-//! Two promises hold for every format. Parsing never panics, whatever the bytes; emitting allocates nothing but the growth of the
-//! caller's buffer.
+//! Two guarantees hold for every format. Parsing never panics, whatever the bytes. Emitting allocates only when the caller's buffer grows.
 //!
 //! - [`sevenk`]: Teledyne RESON 7k (TCP and UDP port 7000, `.s7k` files).
 //! - [`jsf`]: EdgeTech JSF (TCP ports 1700 and 1701, `.jsf` files).
 //! - [`wbms`]: NORBIT WBMS (TCP ports 2209 to 2212); [`imagenex872`]: Imagenex 872 (TCP port 4040).
-//! - [`elements`]: element samples with little around them, a stream of our own.
+//! - [`elements`]: element samples with a minimal header, Echotank's own format.
 //! - [`ping_protocol`]: Blue Robotics and Cerulean Ping protocol (Omniscan 450, Surveyor 240).
-//! - [`sigmf`]: the words beside a file of samples; [`wav`]: multichannel WAV and RF64.
+//! - [`sigmf`]: metadata of a sample file; [`wav`]: multichannel WAV and RF64.
 //! - [`vita49`]: ANSI/VITA 49.2 signal data and context packets (UDP port 4991).
 //! - [`xtf`]: Triton XTF files.
 //!
-//! [`words`] prints any of them.
+//! [`words`] describes messages of any format as text.
 
 #![forbid(unsafe_code)]
+#![warn(missing_docs)]
 
 pub mod calendar;
 pub mod elements;

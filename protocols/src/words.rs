@@ -1,5 +1,5 @@
-//! Any of our formats in words, one line a message: for people, and as the oracle of the fuzzers. Nothing here can fail or panic: what is wrong
-//! with bytes is part of the words.
+//! Describes messages of any format as text, one line per message, for people and as the oracle of the fuzzers. It never fails or panics:
+//! errors in the bytes are part of the text.
 
 use std::fmt;
 
@@ -15,31 +15,40 @@ use crate::wav::WavHeader;
 use crate::wbms::{self, Backscatter, Bathymetry, WbmsFraming, packet_type};
 use crate::xtf::{self, FileHeader, Ping, XtfFraming};
 
-/// Up to six channels; more have another length.
+/// Header size for up to six channels; files with more channels have a longer header.
 const XTF_HEADER_BYTES: usize = 1024;
-/// Longest 7k record put into words.
+/// Maximum size of a 7k record.
 const MAX_7K_RECORD_BYTES: u32 = 1 << 26;
 
-/// How bytes are to be read.
+/// Format of the bytes to describe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Format {
-    /// 7k on the wire: records in network frames.
+    /// 7k connection: records in network frames.
     SevenK,
-    /// 7k in a file.
+    /// 7k file.
     S7k,
+    /// EdgeTech JSF.
     Jsf,
+    /// ANSI/VITA 49.2.
     Vita49,
+    /// Blue Robotics and Cerulean Ping protocol.
     PingProtocol,
+    /// NORBIT WBMS packets.
     Wbms,
-    /// The control of WBMS.
+    /// NORBIT WBMS text control.
     WbmsText,
+    /// Triton XTF file.
     Xtf,
+    /// Imagenex 872.
     Imagenex872,
+    /// SigMF metadata.
     Sigmf,
+    /// WAV or RF64 file.
     Wav,
 }
 
 impl Format {
+    /// All formats.
     pub const ALL: [Self; 11] = [
         Self::SevenK,
         Self::S7k,
@@ -54,6 +63,7 @@ impl Format {
         Self::Wav,
     ];
 
+    /// Name of the format in commands.
     pub fn name(self) -> &'static str {
         match self {
             Self::SevenK => "sevenk",
@@ -70,11 +80,12 @@ impl Format {
         }
     }
 
+    /// The format with this name.
     pub fn of_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|format| format.name() == name)
     }
 
-    /// What is usually spoken on a port.
+    /// The format commonly used on a port.
     pub fn of_port(port: u16) -> Option<Self> {
         Some(match port {
             7000 => Self::SevenK,
@@ -88,7 +99,7 @@ impl Format {
         })
     }
 
-    /// What the front of a file or a connection is, told by its marks.
+    /// The format of a file or connection, from the marks at its front.
     pub fn of_bytes(bytes: &[u8]) -> Option<Self> {
         let starts = |mark: &[u8]| bytes.starts_with(mark);
         if starts(b"BR") {
@@ -123,7 +134,7 @@ impl fmt::Display for Format {
     }
 }
 
-/// Puts what comes over a connection, or lies in a file, into words, message by message.
+/// Describes a connection or file, message by message.
 pub struct Words {
     state: State,
 }
@@ -134,15 +145,16 @@ enum State {
     Ping(Splitter<PingFraming>),
     Wbms(Splitter<WbmsFraming>),
     Imagenex(Splitter<EitherFraming>),
-    /// With the front of the file until its header is whole, then the header.
+    /// The front of the file until its header is complete, then the header.
     Xtf(Vec<u8>, Option<FileHeader>, Splitter<XtfFraming>),
-    /// A line that has no end yet.
+    /// A line whose end has not arrived.
     WbmsText(Vec<u8>),
-    /// Formats that are read as a whole.
+    /// Formats that are parsed as a whole.
     Whole(Format, Vec<u8>),
 }
 
 impl Words {
+    /// An empty input in this format.
     pub fn new(format: Format) -> Self {
         let state = match format {
             Format::SevenK => State::SevenK(Box::new(StreamDecoder::new(MAX_7K_RECORD_BYTES))),
@@ -159,7 +171,7 @@ impl Words {
         Self { state }
     }
 
-    /// Takes some bytes and hands on a line for every message, and for every gap.
+    /// Takes some bytes and passes a line for every message and every gap to `each`.
     pub fn push(&mut self, bytes: &[u8], each: &mut dyn FnMut(String)) {
         match &mut self.state {
             State::SevenK(decoder) => decoder.feed(bytes, |item| {
@@ -188,7 +200,7 @@ impl Words {
         }
     }
 
-    /// Says that nothing more comes.
+    /// Marks the end of the input.
     pub fn finish(mut self, each: &mut dyn FnMut(String)) {
         match &mut self.state {
             State::SevenK(decoder) => decoder.finish(),
@@ -215,7 +227,7 @@ impl Words {
     }
 }
 
-/// Puts datagrams into words; records of 7k that come in several are put together.
+/// Describes datagrams; 7k records in several datagrams are reassembled.
 pub struct Datagrams {
     sevenk: Reassembler,
 }
@@ -229,7 +241,7 @@ impl Default for Datagrams {
 }
 
 impl Datagrams {
-    /// A line for each message of a datagram.
+    /// Passes a line for each message of a datagram to `each`.
     pub fn push(&mut self, format: Format, bytes: &[u8], each: &mut dyn FnMut(String)) {
         match format {
             Format::SevenK => match self.sevenk.push_datagram(bytes) {
@@ -247,7 +259,7 @@ impl Datagrams {
     }
 }
 
-/// A line for each message of one datagram.
+/// Passes a line for each message of one datagram to `each`.
 pub fn datagram(format: Format, bytes: &[u8], each: &mut dyn FnMut(String)) {
     Datagrams::default().push(format, bytes, each);
 }
@@ -313,7 +325,7 @@ fn whole(format: Format, bytes: &[u8], each: &mut dyn FnMut(String)) {
             ),
             Err(error) => format!("no WAV: {error}"),
         }),
-        // The others are read as they come.
+        // The other formats are parsed as they arrive.
         _ => {}
     }
 }
@@ -321,7 +333,7 @@ fn whole(format: Format, bytes: &[u8], each: &mut dyn FnMut(String)) {
 fn wbms_text(bytes: &[u8], each: &mut dyn FnMut(String)) {
     let text = String::from_utf8_lossy(bytes);
     for line in text.split(['\r', '\n']).map(str::trim) {
-        // What is refused or greeted with is told behind the mark.
+        // Refusals and the greeting follow the comment mark.
         let (line, comment) = line.split_once('#').unwrap_or((line, ""));
         let (line, comment) = (line.trim(), comment.trim());
         if line.is_empty() && comment.is_empty() {
@@ -374,7 +386,7 @@ fn vita49_packet(bytes: &[u8]) -> String {
     let body = match packet.packet_type {
         PacketType::Context => or_wrong(Context::parse(packet.payload), |c| format!("{c:?}")),
         PacketType::SignalData => {
-            // Whether they are I and Q is the context's to say: the largest of either reading.
+            // The context states whether the samples are complex; the largest of either reading is printed.
             let iq = complex_samples(packet.payload).flatten();
             let real = real_samples(packet.payload);
             let largest = iq.chain(real).map(i16::unsigned_abs).max();

@@ -1,8 +1,8 @@
-//! Imagenex 872 YellowFin: side-scan heads that answer every switch command with one line. Source: what LSTS DUNE's `Sensors.Imagenex872` sends
-//! and reads; the bytes of the answer's header, of which it reads none, are 0 but for the letters.
+//! Imagenex 872 YellowFin: side-scan heads that answer every switch command with one line. Source: the messages that LSTS DUNE's
+//! `Sensors.Imagenex872` sends and reads. It reads no bytes of the answer's header, so these are 0 except for the letters.
 //!
-//! TCP port [`PORT`]. A client sends [`SwitchCommand`] (27 bytes) per side and ping, and gets [`ANSWER_BYTES`]: a header of 12 bytes, 1000 bytes of
-//! echo, and FC.
+//! TCP port [`PORT`]. A client sends one [`SwitchCommand`] (27 bytes) per side and ping. The answer has [`ANSWER_BYTES`]: a header of 12
+//! bytes, 1000 bytes of echo, and FC.
 
 use std::ops::Range;
 
@@ -10,42 +10,50 @@ use crate::WireError;
 use crate::framing::{Framing, Look, Splitter};
 use crate::layout::data_at;
 
+/// TCP port of the head.
 pub const PORT: u16 = 4040;
+/// Size of a switch command.
 pub const SWITCH_BYTES: usize = 27;
+/// Number of points in an echo.
 pub const ECHO_BYTES: usize = 1000;
 const ANSWER_HEADER_BYTES: usize = 12;
+/// Size of an answer.
 pub const ANSWER_BYTES: usize = ANSWER_HEADER_BYTES + ECHO_BYTES + 1;
-/// The ranges that a head has, m.
+/// Ranges that a head supports, metres.
 pub const RANGES_M: [u8; 11] = [10, 20, 30, 40, 50, 60, 80, 100, 125, 150, 200];
-/// The frequencies that a head has, by their index.
+/// Frequencies that a head supports, by their index.
 pub const FREQUENCIES_KHZ: [u16; 3] = [260, 330, 770];
 const BEGIN: [u8; 2] = [0xFE, 0x44];
 const END: u8 = 0xFD;
 const ANSWER_MARK: [u8; 3] = *b"IMX";
 const ANSWER_END: u8 = 0xFC;
 
+/// Side of the head.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Side {
+    /// Port transducer.
     Port,
+    /// Starboard transducer.
     Starboard,
 }
 
-/// What a client wants of one ping.
+/// Settings that a client requests for one ping.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SwitchCommand {
     /// One of [`RANGES_M`].
     pub range_m: u8,
     /// Index into [`FREQUENCIES_KHZ`].
     pub frequency_index: u8,
-    /// 0 to 100.
+    /// Receiver gain, 0 to 100.
     pub data_gain: u8,
-    /// 0 to 60.
+    /// Balance between the sides, 0 to 60.
     pub balance_gain: u8,
+    /// Side that shall ping.
     pub side: Side,
 }
 
 impl SwitchCommand {
-    /// Reads the command at the front of `bytes`; a range or frequency that no head has is refused.
+    /// Parses the command at the front of `bytes`. An unsupported range or frequency is an error.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         const WHAT: &str = "Imagenex switch command";
         let bytes = data_at(bytes, 0, SWITCH_BYTES as u64, WHAT)?;
@@ -80,6 +88,7 @@ impl SwitchCommand {
         })
     }
 
+    /// Appends the command and returns its byte range.
     pub fn emit(&self, buf: &mut Vec<u8>) -> Range<usize> {
         let start = buf.len();
         let mut bytes = [0; SWITCH_BYTES];
@@ -98,7 +107,7 @@ impl SwitchCommand {
     }
 }
 
-/// Appends the answer: one side's echo, nearest first, over the whole range.
+/// Appends the answer: one side's echo over the whole range, from the head outwards.
 pub fn emit_answer(buf: &mut Vec<u8>, echo: &[u8; ECHO_BYTES]) -> Range<usize> {
     let start = buf.len();
     buf.extend(ANSWER_MARK);
@@ -108,7 +117,7 @@ pub fn emit_answer(buf: &mut Vec<u8>, echo: &[u8; ECHO_BYTES]) -> Range<usize> {
     start..buf.len()
 }
 
-/// The echo of the answer at the front of `bytes`.
+/// The echo in the answer at the front of `bytes`.
 pub fn parse_answer(bytes: &[u8]) -> Result<&[u8; ECHO_BYTES], WireError> {
     const WHAT: &str = "Imagenex answer";
     let bytes = data_at(bytes, 0, ANSWER_BYTES as u64, WHAT)?;
@@ -123,7 +132,7 @@ pub fn parse_answer(bytes: &[u8]) -> Result<&[u8; ECHO_BYTES], WireError> {
     Ok(echo.expect("the answer has the echo's length"))
 }
 
-/// Answers as they come over a connection: all of one length.
+/// Splits a connection into answers, which have a constant length.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct AnswerFraming;
 
@@ -156,7 +165,7 @@ impl Framing for AnswerFraming {
 /// Answers from a connection.
 pub type AnswerStream = Splitter<AnswerFraming>;
 
-/// Commands as they come over a connection.
+/// Splits a connection into commands.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SwitchFraming;
 
@@ -182,7 +191,7 @@ impl Framing for SwitchFraming {
     }
 }
 
-/// What either end says over a connection: commands and answers.
+/// Splits a connection into commands and answers.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct EitherFraming;
 

@@ -1,38 +1,38 @@
-//! Block floating point: the samples of one message are i16 with one exponent, value = sample x 2^-N.
+//! Block floating point: the samples of one message are i16 with a common exponent, value = sample x 2^-N.
 //!
-//! Source: Rev. 1.20, table 2-5 and equation 2-1. N is chosen as large as the largest sample allows, so that the error of every sample is at
-//! most half a step, 2^-(N+1), and at most 2^-15 of the largest (the largest fills more than 14 of the 15 bits).
+//! Source: Rev. 1.20, table 2-5 and equation 2-1. N is the largest value that the largest sample permits. The error of every sample is then
+//! at most half a step, 2^-(N+1), and at most 2^-15 of the largest (the largest uses more than 14 of the 15 bits).
 
-/// Samples after quantising: what the message states, and what did not fit.
+/// Result of quantising: the exponent, and values that are not finite.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Scaled {
     /// N of value = sample x 2^-N.
     pub weighting: i16,
-    /// Samples that were no finite number: infinities become the largest number, NaN becomes 0.
+    /// Number of samples that are not finite: infinities become the largest number, NaN becomes 0.
     pub not_finite: usize,
     /// Largest magnitude written.
     pub largest: u16,
 }
 
-/// Largest magnitude of a written sample: the same on both sides, so that turning a phase never overflows.
+/// Largest magnitude of a written sample: symmetric, so that a phase rotation never overflows.
 const FULL_SCALE: f64 = 32_767.0;
-/// What N of a finite f32 other than 0 can be.
+/// Range of N for finite non-zero f32.
 const WEIGHTING_LIMITS: (i32, i32) = (-113, 163);
 
-/// Largest N that fits the largest magnitude in 15 bits; 0 where there is nothing but zeros.
+/// Largest N for which the largest magnitude fits 15 bits; 0 if all samples are zero.
 pub fn weighting_for(largest: f32) -> i16 {
     if !(largest > 0.0 && largest.is_finite()) {
         return 0;
     }
     let mut n = (FULL_SCALE / f64::from(largest)).log2().floor() as i32 + 1;
-    // The logarithm is off by an ulp at most: two steps down suffice.
+    // The logarithm is off by at most one ulp, so that two steps down suffice.
     while n > WEIGHTING_LIMITS.0 && (f64::from(largest) * power_of_two(n)).round() > FULL_SCALE {
         n -= 1;
     }
     n.clamp(WEIGHTING_LIMITS.0, WEIGHTING_LIMITS.1) as i16
 }
 
-/// Appends the samples as i16 to `out`, with the finest scale that holds them all.
+/// Appends the samples as i16 to `out`, with the finest scale that holds all of them.
 pub fn quantise(samples: &[f32], out: &mut Vec<i16>) -> Scaled {
     let largest = samples
         .iter()
@@ -41,7 +41,7 @@ pub fn quantise(samples: &[f32], out: &mut Vec<i16>) -> Scaled {
     quantise_with(samples, weighting_for(largest), out)
 }
 
-/// Appends the samples as i16 with a given scale; what is beyond it saturates.
+/// Appends the samples as i16 with a given scale; values beyond it are clipped.
 pub fn quantise_with(samples: &[f32], weighting: i16, out: &mut Vec<i16>) -> Scaled {
     let scale = power_of_two(weighting.into());
     let (mut not_finite, mut largest) = (0, 0);
@@ -63,12 +63,12 @@ pub fn quantise_with(samples: &[f32], weighting: i16, out: &mut Vec<i16>) -> Sca
     }
 }
 
-/// The value that a sample stands for.
+/// Value of a sample.
 pub fn value(sample: i16, weighting: i16) -> f64 {
     f64::from(sample) * power_of_two(-i32::from(weighting))
 }
 
-/// 2^n without rounding where an f64 holds it, 0 or infinity where not.
+/// 2^n, exact within the range of f64, otherwise 0 or infinity.
 fn power_of_two(n: i32) -> f64 {
     2.0_f64.powi(n)
 }
@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn zeros_and_numbers_that_are_none_are_counted_not_scaled() {
+    fn zeros_and_non_finite_numbers_do_not_set_the_scale() {
         let mut out = Vec::new();
         let scaled = quantise(&[0.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY], &mut out);
         assert_eq!((scaled.weighting, scaled.not_finite), (0, 3));

@@ -1,11 +1,11 @@
-//! Commands and what is answered to them. Source: the messages that LSTS DUNE's `Sensors.Edgetech2205` sends and reads; numbers that it does
-//! not use, from the public file-format manual and the names in its own list.
+//! Commands and their answers. Source: the messages that LSTS DUNE's `Sensors.Edgetech2205` sends and reads; for numbers that it does not
+//! use, the public file-format manual and the names in DUNE's list.
 //!
-//! A client sends SET, which is not answered where all is well, or GET, which is answered by a REPLY of the same message type, subsystem,
-//! channel and sequence. A command that cannot be carried out is answered by an ERROR with a code. The body of a GET means nothing: a
-//! client in wide use leaves stale bytes there.
+//! A client sends SET, which has no answer on success, or GET, which is answered by a REPLY of the same message type, subsystem, channel
+//! and sequence. A command that fails is answered by an ERROR with a code. The body of a GET is ignored: a widely used client leaves stale
+//! bytes there.
 //!
-//! Most values are one i32. Message 22 is two, 129 three u32, 123 a text of up to 256 bytes.
+//! Most values are one i32. Message 22 has two, 129 has three u32, 123 a text of up to 256 bytes.
 
 use std::fmt;
 use std::ops::Range;
@@ -16,62 +16,88 @@ use crate::layout::{data_at, text_of};
 
 /// Codes in the body of an ERROR.
 pub mod error_code {
+    /// The command failed.
     pub const FAILED: i32 = 1;
+    /// The body has the wrong size.
     pub const WRONG_SIZE: i32 = 2;
+    /// The subsystem does not exist.
     pub const UNKNOWN_SUBSYSTEM: i32 = 3;
+    /// The channel does not exist.
     pub const UNKNOWN_CHANNEL: i32 = 4;
+    /// The message type is not supported.
     pub const UNKNOWN_MESSAGE: i32 = 5;
+    /// The pulse file does not exist.
     pub const UNKNOWN_PULSE: i32 = 6;
 }
 
 /// Values of message 44, and of the first field of message 182.
 pub mod system_type {
+    /// Side-scan with two frequencies.
     pub const DUAL_FREQUENCY_SIDE_SCAN: i32 = 4;
+    /// Side-scan with one frequency.
     pub const SINGLE_FREQUENCY_SIDE_SCAN: i32 = 8;
+    /// Bathymetric sonar with one pulse.
     pub const BATHYMETRIC_SINGLE_PULSE: i32 = 13;
 }
 
 /// Values of message 125.
 pub mod trigger {
+    /// The sonar's own clock starts pings.
     pub const INTERNAL: i32 = 0;
+    /// An input signal starts pings.
     pub const EXTERNAL: i32 = 1;
+    /// Another subsystem starts pings.
     pub const COUPLED: i32 = 2;
 }
 
-/// Length of the text of message 123, with the NUL that closes it.
+/// Length of the text of message 123 including its final NUL.
 pub const MAX_PULSE_NAME_BYTES: usize = 256;
 
-/// What a command or an answer says.
+/// Value of a command or an answer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Value {
-    /// A GET, or a body that means nothing.
+    /// A GET, or a body without meaning.
     None,
     /// One i32: alive, system type, data active, ping, gain (x 1000), rate (x 1000), trigger, range (mm), ...
     Number(i32),
     /// 22: the sonar's clock.
-    Time { seconds: i32, milliseconds: i32 },
-    /// 129
+    Time {
+        /// Seconds since 1970.
+        seconds: i32,
+        /// Milliseconds within the second.
+        milliseconds: i32,
+    },
+    /// 129: coupling of subsystems.
     Coupling {
+        /// Subsystem that starts the pings.
         master_subsystem: u32,
+        /// Number of the master's pings per ping.
         divisor: u32,
+        /// Delay after the master's ping.
         delay_us: u32,
     },
     /// 123: the name of a pulse file.
     PulseName(String),
-    /// An ERROR: see [`error_code`].
+    /// Code of an ERROR from [`error_code`].
     Error(i32),
 }
 
 /// A command or an answer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Control {
+    /// One of [`super::message_type`].
     pub message_type: u16,
-    /// See [`command_type`].
+    /// One of [`super::command_type`].
     pub command_type: u8,
+    /// One of [`super::subsystem`].
     pub subsystem: u8,
+    /// Channel within the subsystem.
     pub channel: u8,
+    /// Session number, uninterpreted.
     pub session: u8,
+    /// Sequence number; a reply repeats that of its command.
     pub sequence: u8,
+    /// Contents of the body.
     pub value: Value,
 }
 
@@ -80,7 +106,7 @@ fn i32_at(body: &[u8], at: usize) -> Result<i32, WireError> {
     Ok(i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
 }
 
-/// Whether a message type is a command of this list.
+/// True if a message type is a supported command.
 pub fn is_command(message_type: u16) -> bool {
     use message_type::*;
     matches!(
@@ -100,8 +126,8 @@ pub fn is_command(message_type: u16) -> bool {
 }
 
 impl Control {
-    /// Reads a message of the command connection. A type that is not in the list is `Unsupported`, which a sonar answers by
-    /// [`error_code::UNKNOWN_MESSAGE`]; a body too short is `Truncated`, answered by [`error_code::WRONG_SIZE`].
+    /// Parses a message of the command connection. An unknown type is `Unsupported` (answered by [`error_code::UNKNOWN_MESSAGE`]). A body
+    /// that is too short is `Truncated` (answered by [`error_code::WRONG_SIZE`]).
     pub fn parse(message: &Message<'_>) -> Result<Self, WireError> {
         let (header, body) = (&message.header, message.body);
         let value = match (header.command_type, header.message_type) {
@@ -124,7 +150,7 @@ impl Control {
                     delay_us: i32_at(body, 8)? as u32,
                 },
                 message_type::PING_SELECT => {
-                    // One byte of the field is its closing NUL.
+                    // One byte of the field is the final NUL.
                     Value::PulseName(text_of(&body[..body.len().min(MAX_PULSE_NAME_BYTES - 1)]))
                 }
                 _ => Value::Number(i32_at(body, 0)?),
@@ -147,7 +173,7 @@ impl Control {
         })
     }
 
-    /// The answer to this GET.
+    /// Reply to this GET.
     pub fn reply(&self, value: Value) -> Self {
         Self {
             command_type: command_type::REPLY,
@@ -156,7 +182,7 @@ impl Control {
         }
     }
 
-    /// The answer to this command where it cannot be carried out.
+    /// Error answer to this command.
     pub fn refuse(&self, code: i32) -> Self {
         Self {
             command_type: command_type::ERROR,
@@ -165,6 +191,7 @@ impl Control {
         }
     }
 
+    /// Appends the message and returns its byte range.
     pub fn emit(&self, buf: &mut Vec<u8>) -> Range<usize> {
         let header = MessageHeader {
             protocol_version: PROTOCOL_VERSION,
@@ -200,7 +227,7 @@ impl Control {
     }
 }
 
-/// What an error in a command is answered by.
+/// Code of the ERROR that answers a parse error.
 pub fn error_code_for(error: &WireError) -> i32 {
     match error {
         WireError::Unsupported { .. } => error_code::UNKNOWN_MESSAGE,

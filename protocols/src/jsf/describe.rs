@@ -1,4 +1,4 @@
-//! Any message in words, one line. Nothing here can fail: what is wrong with a message is part of the words.
+//! Describes any message in one line of text. It never fails: errors in a message are part of the text.
 
 use super::{
     Control, Dvl2080, FileTime426, Message, Nmea2002, PitchRoll2020, Pressure2060, Situation2091,
@@ -6,7 +6,7 @@ use super::{
 };
 use crate::layout::text_of;
 
-/// Words for the message at the front of `bytes`, right or wrong.
+/// Description of the message at the front of `bytes`, valid or not.
 pub fn describe(bytes: &[u8]) -> String {
     let message = match Message::parse(bytes) {
         Ok(message) => message,

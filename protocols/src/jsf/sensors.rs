@@ -1,6 +1,7 @@
-//! Messages of the sensors: 2002, 2020, 2060, 2080, 2091. Source: Rev. 1.20, tables 2-15 to 2-18 and 2-20.
+//! Sensor messages: 2002, 2020, 2060, 2080, 2091. Source: Rev. 1.20, tables 2-15 to 2-18 and 2-20.
 //!
-//! Each is the wire's fields as they are; reserved bytes are written 0 and read past. Every field but the time has a bit of `validity`.
+//! Fields are those of the wire; reserved bytes are written as 0 and ignored when read. Every field except the time has a bit of
+//! `validity`.
 
 use std::ops::Range;
 
@@ -10,19 +11,19 @@ use super::{MessageHeader, emit_message, message_type, subsystem};
 use crate::WireError;
 use crate::layout::layout;
 
-/// Seconds and milliseconds, as sensors' messages begin.
+/// Time at the start of sensor messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
 pub struct SensorTime {
-    /// Since 1970.
+    /// Seconds since 1970.
     pub seconds: i32,
-    /// In the second.
+    /// Milliseconds within the second.
     pub milliseconds: i32,
 }
 
 layout!(SensorTime, 8, "JSF sensor time", Little);
 
 impl SensorTime {
-    /// To a millisecond, and until 2038.
+    /// Rounded to a millisecond; valid until 2038.
     pub fn from_utc_ns(utc_ns: i64) -> Self {
         Self {
             seconds: utc_ns.div_euclid(1_000_000_000).clamp(0, i32::MAX.into()) as i32,
@@ -30,6 +31,7 @@ impl SensorTime {
         }
     }
 
+    /// Nanoseconds since 1970.
     pub fn to_utc_ns(self) -> i64 {
         i64::from(self.seconds) * 1_000_000_000 + i64::from(self.milliseconds) * 1_000_000
     }
@@ -41,9 +43,10 @@ macro_rules! sensor_message {
         layout!($type, $size, $name, Little);
 
         impl $type {
+            /// Message type.
             pub const MESSAGE_TYPE: u16 = $message_type;
 
-            /// Appends the whole message of a serial port and says where it lies.
+            /// Appends the whole message of a serial port and returns its byte range.
             pub fn emit_message(&self, buf: &mut Vec<u8>, port: u8) -> Range<usize> {
                 let header = MessageHeader::data($message_type, subsystem::PARSED_SERIAL, port);
                 emit_message(buf, &header, |buf| self.emit(buf))
@@ -55,15 +58,18 @@ macro_rules! sensor_message {
 /// 2002: one NMEA sentence, without its line end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Nmea2002<'a> {
+    /// Time of reception.
     pub time: SensorTime,
     /// 1 sonar, 2 topside.
     pub source: u8,
+    /// The sentence without line end.
     pub sentence: &'a [u8],
 }
 
 impl<'a> Nmea2002<'a> {
     const HEAD_BYTES: usize = 12;
 
+    /// Parses the body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let truncated = WireError::Truncated {
             what: "JSF 2002",
@@ -78,7 +84,7 @@ impl<'a> Nmea2002<'a> {
         })
     }
 
-    /// Appends the whole message of a serial port; a line end in the sentence is left out.
+    /// Appends the whole message of a serial port and returns its byte range. A line end in the sentence is removed.
     pub fn emit_message(&self, buf: &mut Vec<u8>, port: u8) -> Range<usize> {
         let header = MessageHeader::data(message_type::NMEA, subsystem::RAW_SERIAL, port);
         emit_message(buf, &header, |buf| {
@@ -89,24 +95,25 @@ impl<'a> Nmea2002<'a> {
     }
 }
 
-/// 2020: what a motion sensor said.
+/// 2020: a reading of a motion sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
 pub struct PitchRoll2020 {
     #[brw(pad_after = 4)]
+    /// Time of the reading.
     pub time: SensorTime,
     /// 12: x, y, z, steps of 20 x 1.5 / 32768 g.
     pub acceleration: [i16; 3],
     /// 18: x, y, z, steps of 500 x 1.5 / 32768 deg/s.
     pub rate: [i16; 3],
-    /// 24: bow up, 180 degrees = 32768.
+    /// 24: positive bow up, 180 degrees = 32768.
     pub pitch: i16,
-    /// 26: port up, 180 degrees = 32768.
+    /// 26: positive port up, 180 degrees = 32768.
     pub roll: i16,
     /// 28
     pub temperature_dc: i16,
     /// 30
     pub device_info: u16,
-    /// 32: down.
+    /// 32: positive down.
     pub heave_down_mm: i16,
     /// 34
     pub heading_cdeg: u16,
@@ -119,10 +126,11 @@ pub struct PitchRoll2020 {
 
 sensor_message!(PitchRoll2020, 44, "JSF 2020", message_type::PITCH_ROLL);
 
-/// 2060: what a pressure sensor said.
+/// 2060: a reading of a pressure sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
 pub struct Pressure2060 {
     #[brw(pad_after = 4)]
+    /// Time of the reading.
     pub time: SensorTime,
     /// 12: thousandths of a pound per square inch, absolute.
     pub pressure_mpsi: i32,
@@ -143,25 +151,26 @@ pub struct Pressure2060 {
 
 sensor_message!(Pressure2060, 76, "JSF 2060", message_type::PRESSURE);
 
-/// 2080: what a Doppler log said.
+/// 2080: a reading of a Doppler velocity log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
 pub struct Dvl2080 {
     #[brw(pad_after = 4)]
+    /// Time of the reading.
     pub time: SensorTime,
     /// 12: bits 0 x and y velocity, 1 ship's axes (0: the earth's), 2 z velocity, 3 x and y through water, 4 z through water, 5 distance,
     /// 6 heading, 7 pitch, 8 roll, 9 temperature, 10 depth, 11 salinity, 12 sound velocity, 31 error.
     pub validity: u32,
-    /// 16: to the bottom, per beam; 0 none.
+    /// 16: distance to the bottom per beam; 0 is none.
     pub distance_cm: [i32; 4],
-    /// 32: over ground: starboard or east, forward or north, up.
+    /// 32: velocity over ground: starboard or east, forward or north, up.
     pub velocity_mm_per_s: [i16; 3],
-    /// 38: through the water, likewise.
+    /// 38: velocity through the water, in the same axes.
     pub water_velocity_mm_per_s: [i16; 3],
     /// 44
     pub depth_dm: u16,
-    /// 46: bow up.
+    /// 46: positive bow up.
     pub pitch_cdeg: i16,
-    /// 48: port up.
+    /// 48: positive port up.
     pub roll_cdeg: i16,
     /// 50
     pub heading_cdeg: u16,
@@ -176,36 +185,43 @@ pub struct Dvl2080 {
 
 sensor_message!(Dvl2080, 72, "JSF 2080", message_type::DVL);
 
-/// 2091: the situation, from all sensors.
+/// 2091: combined navigation of all sensors.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Situation2091 {
     #[brw(pad_after = 4)]
+    /// Time of the message.
     pub time: SensorTime,
     /// 12: bits 0 source's time, 1 longitude, 2 latitude, 3 depth, 4 altitude, 5 heave, 6 velocity 1 and 2, 7 velocity down, 8 pitch, 9 roll,
     /// 10 heading, 11 sound speed, 12 water temperature.
     pub validity: u32,
-    /// 16: 0 north and east, 1 forward and starboard, 2 turned by 45 degrees.
+    /// 16: 0 north and east, 1 forward and starboard, 2 rotated by 45 degrees.
     #[brw(pad_after = 3)]
     pub velocity_axes: u8,
-    /// 20: 1e-7 s since 1970.
+    /// 20: time in units of 1e-7 s since 1970.
     pub source_time_100ns: u64,
-    /// 28: north positive.
+    /// 28: positive north.
     pub latitude_deg: f64,
-    /// 36: east positive.
+    /// 36: positive east.
     pub longitude_deg: f64,
     /// 44
     pub depth_m: f32,
+    /// 48: height above the bottom.
     pub altitude_m: f32,
-    /// 52: down.
+    /// 52: positive down.
     pub heave_down_m: f32,
+    /// 56: first horizontal velocity in the axes of `velocity_type`.
     pub velocity_1_m_per_s: f32,
+    /// 60: second horizontal velocity.
     pub velocity_2_m_per_s: f32,
+    /// 64: positive down.
     pub velocity_down_m_per_s: f32,
-    /// 68: bow up.
+    /// 68: positive bow up.
     pub pitch_deg: f32,
-    /// 72: port up.
+    /// 72: positive port up.
     pub roll_deg: f32,
+    /// 76: clockwise from north.
     pub heading_deg: f32,
+    /// 80: sound speed.
     pub sound_speed_m_per_s: f32,
     /// 84
     #[brw(pad_after = 12)]

@@ -5,9 +5,9 @@
 //! data   samples x 1 or 2 i16, block floating point: value = sample x 2^-weighting
 //! ```
 //!
-//! Numbers of 20 bits (samples, start and end frequency, mark) have their upper four in [`SonarDataHeader::msb`]. What a header does not know is
-//! 0 with its bit of `validity` unset. The unit of the sampling interval's eight fraction bits is not stated in the manual: they are written
-//! 0, and the interval is a whole number of nanoseconds.
+//! Numbers of 20 bits (samples, start and end frequency, mark) have their upper four bits in [`SonarDataHeader::msb`]. Unknown fields are 0
+//! with their bit of `validity` cleared. The manual does not state the unit of the sampling interval's eight fraction bits. They are
+//! written as 0, and the interval is a whole number of nanoseconds.
 
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -19,7 +19,7 @@ use crate::WireError;
 use crate::calendar::Moment;
 use crate::layout::{data_at, layout, to_i16, to_i32, to_u16, to_u32, turn_counts};
 
-/// How the samples of a message are to be read.
+/// Format of the samples of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DataFormat {
     /// One i16 per sample.
@@ -28,11 +28,12 @@ pub enum DataFormat {
     Analytic,
     /// One i16 per sample, before the matched filter.
     Real,
-    /// Real and imaginary i16, before the matched filter: what an element received.
+    /// Real and imaginary i16, before the matched filter: the received signal of an element.
     AnalyticUnfiltered,
 }
 
 impl DataFormat {
+    /// Code on the wire.
     pub fn code(self) -> i16 {
         match self {
             Self::Envelope => 0,
@@ -42,6 +43,7 @@ impl DataFormat {
         }
     }
 
+    /// Format of a wire code.
     pub fn from_code(code: i16) -> Result<Self, WireError> {
         match code {
             0 => Ok(Self::Envelope),
@@ -55,6 +57,7 @@ impl DataFormat {
         }
     }
 
+    /// Number of i16 per sample.
     pub fn shorts_per_sample(self) -> usize {
         match self {
             Self::Envelope | Self::Real => 1,
@@ -65,36 +68,49 @@ impl DataFormat {
 
 /// Bits of [`SonarDataHeader::validity`].
 pub mod validity {
+    /// Position.
     pub const POSITION: u16 = 1;
+    /// Course over ground.
     pub const COURSE: u16 = 1 << 1;
+    /// Speed over ground.
     pub const SPEED: u16 = 1 << 2;
+    /// Heading.
     pub const HEADING: u16 = 1 << 3;
+    /// Pressure.
     pub const PRESSURE: u16 = 1 << 4;
+    /// Pitch and roll.
     pub const PITCH_ROLL: u16 = 1 << 5;
+    /// Altitude above the bottom.
     pub const ALTITUDE: u16 = 1 << 6;
+    /// Water temperature.
     pub const WATER_TEMPERATURE: u16 = 1 << 8;
+    /// Depth.
     pub const DEPTH: u16 = 1 << 9;
+    /// Annotation.
     pub const ANNOTATION: u16 = 1 << 10;
+    /// Length of cable.
     pub const CABLE: u16 = 1 << 11;
+    /// Distance along a pipe.
     pub const KILOMETRES_OF_PIPE: u16 = 1 << 12;
-    /// The position is the sonar's at the time of the ping.
+    /// The position is that of the sonar at the time of the ping.
     pub const POSITION_INTERPOLATED: u16 = 1 << 13;
+    /// Sound speed.
     pub const SOUND_SPEED: u16 = 1 << 14;
 }
 
-/// Samples and marks have 20 bits.
+/// Maximum number of samples: samples and marks have 20 bits.
 pub const MAX_SAMPLES: usize = (1 << 20) - 1;
 const COORDINATES_LAT_LON: i16 = 2;
-/// Minutes of arc x 10000 in a radian.
+/// Minutes of arc x 10000 per radian.
 const ARC_COUNTS_PER_RAD: f64 = 180.0 / PI * 60.0 * 1e4;
-/// Counts of pitch and roll in a radian.
+/// Counts of pitch and roll per radian.
 const TILT_COUNTS_PER_RAD: f64 = 32_768.0 / PI;
 const MPS_PER_KNOT: f64 = 1852.0 / 3600.0;
 
 /// The 240 bytes before the samples, as on the wire.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct SonarDataHeader {
-    /// 0: seconds since 1970 of the start of the ping.
+    /// 0: start of the ping in seconds since 1970.
     pub ping_time_s: i32,
     /// 4: samples from the ping to the first sample.
     pub starting_depth_samples: u32,
@@ -110,14 +126,14 @@ pub struct SonarDataHeader {
     pub lsb2: u16,
     /// 28: 1.
     pub id_code: i16,
-    /// 30: see [`validity`].
+    /// 30: bits of [`validity`].
     #[brw(pad_after = 2)]
     pub validity: u16,
-    /// 34: see [`DataFormat`].
+    /// 34: code of [`DataFormat`].
     pub data_format: i16,
-    /// 36: from antenna to tow point, aft positive.
+    /// 36: from antenna to tow point, positive aft.
     pub antenna_aft_cm: i16,
-    /// 38: starboard positive.
+    /// 38: positive starboard.
     #[brw(pad_after = 4)]
     pub antenna_starboard_cm: i16,
     /// 44
@@ -160,11 +176,15 @@ pub struct SonarDataHeader {
     pub sound_speed_m_per_s: f32,
     /// 152
     pub mixer_frequency_hz: f32,
-    /// 156: the time again, in fields.
+    /// 156: year of the ping.
     pub year: i16,
+    /// 158: day of the year.
     pub day_of_year: i16,
+    /// 160: hour of the ping.
     pub hour: i16,
+    /// 162: minute of the ping.
     pub minute: i16,
+    /// 164: second of the ping.
     pub second: i16,
     /// 166: 3.
     pub time_basis: i16,
@@ -174,18 +194,20 @@ pub struct SonarDataHeader {
     pub pulses_in_water: i16,
     /// 172
     pub heading_cdeg: u16,
-    /// 174: bow up, 180 degrees = 32768.
+    /// 174: positive bow up, 180 degrees = 32768.
     pub pitch: i16,
-    /// 176: port up, 180 degrees = 32768.
+    /// 176: positive port up, 180 degrees = 32768.
     #[brw(pad_after = 4)]
     pub roll: i16,
     /// 182: 0 internal, 1 external, 2 coupled.
     pub trigger_source: i16,
-    /// 184: lower 16 bits; 0 no mark.
+    /// 184: lower 16 bits; 0 is no mark.
     pub mark_number: u16,
-    /// 186: time of the position.
+    /// 186: hour of the position.
     pub fix_hour: i16,
+    /// 188: minute of the position.
     pub fix_minute: i16,
+    /// 190: second of the position.
     pub fix_second: i16,
     /// 192: whole degrees; hundredths in `lsb`.
     pub course_deg: i16,
@@ -193,6 +215,7 @@ pub struct SonarDataHeader {
     pub speed_dkn: i16,
     /// 196
     pub fix_day_of_year: i16,
+    /// 198: year of the position.
     pub fix_year: i16,
     /// 200
     pub milliseconds_today: u32,
@@ -201,7 +224,7 @@ pub struct SonarDataHeader {
     pub adc_largest: u16,
     /// 210: ASCII.
     pub software_version: [u8; 6],
-    /// 216: -1 switched off.
+    /// 216: -1 is off.
     pub spherical_correction_csamples: i32,
     /// 220: 1.
     pub packet_number: u16,
@@ -221,7 +244,7 @@ pub struct SonarDataHeader {
 layout!(SonarDataHeader, 240, "JSF 80 header", Little);
 
 impl Default for SonarDataHeader {
-    /// Nothing known: all 0 but what is always the same.
+    /// Unknown values: all fields 0 except constants.
     fn default() -> Self {
         let zeros = Self::parse(&[0; Self::SIZE_BYTES]).expect("240 bytes are a header");
         Self {
@@ -236,7 +259,7 @@ impl Default for SonarDataHeader {
     }
 }
 
-/// Puts `bits` at the place in `word` that `mask` marks.
+/// Writes `bits` to the bits of `word` that `mask` selects.
 fn put_bits(word: &mut u16, mask: u16, bits: u16) {
     *word = (*word & !mask) | ((bits << mask.trailing_zeros()) & mask);
 }
@@ -252,14 +275,17 @@ const COURSE_BITS: u16 = 0xFF00;
 const SPEED_BITS: u16 = 0x000F;
 const SWEEP_BITS: u16 = 0x3FF0;
 
-/// Largest number of 20 bits.
+/// Largest 20-bit number.
 const MAX_20_BITS: f64 = 1_048_575.0;
 
 impl SonarDataHeader {
+    /// Number of samples.
     pub fn samples(&self) -> usize {
         usize::from(bits_of(self.msb, SAMPLES_BITS)) << 16 | usize::from(self.samples_lsb)
     }
 
+    /// Sets the number of samples.
+    ///
     /// # Panics
     /// If there are more than [`MAX_SAMPLES`].
     pub fn set_samples(&mut self, samples: usize) {
@@ -279,7 +305,7 @@ impl SonarDataHeader {
         )
     }
 
-    /// To 10 Hz, at most 10.5 MHz.
+    /// Resolution 10 Hz, maximum 10.5 MHz.
     pub fn set_frequencies_hz(&mut self, start_hz: f64, end_hz: f64) {
         let counts = |hz: f64| to_u32((hz / 10.0).min(MAX_20_BITS));
         let (start, end) = (counts(start_hz), counts(end_hz));
@@ -288,24 +314,25 @@ impl SonarDataHeader {
         put_bits(&mut self.msb, END_FREQUENCY_BITS, (end >> 16) as u16);
     }
 
+    /// Duration of the sweep.
     pub fn sweep_length_s(&self) -> f64 {
         f64::from(self.sweep_length_ms) * 1e-3 + f64::from(bits_of(self.lsb2, SWEEP_BITS)) * 1e-6
     }
 
-    /// To a microsecond.
+    /// Resolution one microsecond.
     pub fn set_sweep_length_s(&mut self, seconds: f64) {
         let us = to_u32((seconds * 1e6).min(65_535_999.0));
         self.sweep_length_ms = (us / 1000) as u16;
         put_bits(&mut self.lsb2, SWEEP_BITS, (us % 1000) as u16);
     }
 
-    /// Nanoseconds since 1970 of the ping, to a millisecond.
+    /// Time of the ping in nanoseconds since 1970, with millisecond resolution.
     pub fn utc_ns(&self) -> i64 {
         i64::from(self.ping_time_s) * 1_000_000_000
             + i64::from(self.milliseconds_today % 1000) * 1_000_000
     }
 
-    /// Writes all fields of the ping's time: to a millisecond, and until 2038.
+    /// Sets all time fields of the ping, with millisecond resolution; valid until 2038.
     pub fn set_utc_ns(&mut self, utc_ns: i64) {
         let moment = Moment::from_utc_ns(utc_ns);
         self.ping_time_s = utc_ns.div_euclid(1_000_000_000).clamp(0, i32::MAX.into()) as i32;
@@ -317,7 +344,7 @@ impl SonarDataHeader {
         self.second = moment.second.into();
     }
 
-    /// Latitude and longitude, if they are there and are such.
+    /// Latitude and longitude, if they are valid and in these units.
     pub fn position_rad(&self) -> Option<(f64, f64)> {
         let is_there =
             self.validity & validity::POSITION != 0 && self.coordinate_units == COORDINATES_LAT_LON;
@@ -329,7 +356,8 @@ impl SonarDataHeader {
         })
     }
 
-    /// The sonar's own position at the time of the ping: to 1e-4 minutes of arc (0.19 m of latitude). The fix is as old as the ping.
+    /// Sets the sonar's position at the time of the ping, with a resolution of 1e-4 minutes of arc (0.19 m of latitude). The time of the
+    /// position is that of the ping.
     pub fn set_position_rad(&mut self, latitude_rad: f64, longitude_rad: f64) {
         self.latitude = to_i32(latitude_rad * ARC_COUNTS_PER_RAD);
         self.longitude = to_i32(longitude_rad * ARC_COUNTS_PER_RAD);
@@ -339,18 +367,19 @@ impl SonarDataHeader {
         (self.fix_day_of_year, self.fix_year) = (self.day_of_year, self.year);
     }
 
+    /// Heading, clockwise from north.
     pub fn heading_rad(&self) -> Option<f64> {
         (self.validity & validity::HEADING != 0)
             .then(|| (f64::from(self.heading_cdeg) / 100.0).to_radians())
     }
 
-    /// To 0.01 degrees.
+    /// Resolution 0.01 degrees.
     pub fn set_heading_rad(&mut self, heading_rad: f64) {
         self.heading_cdeg = to_u16(turn_counts(heading_rad, 100.0));
         self.validity |= validity::HEADING;
     }
 
-    /// Pitch (bow up) and roll (port up).
+    /// Pitch (positive bow up) and roll (positive port up).
     pub fn pitch_roll_rad(&self) -> Option<(f64, f64)> {
         (self.validity & validity::PITCH_ROLL != 0).then(|| {
             (
@@ -360,36 +389,42 @@ impl SonarDataHeader {
         })
     }
 
-    /// To 0.0055 degrees; bow up and port up are positive.
+    /// Resolution 0.0055 degrees; bow up and port up are positive.
     pub fn set_pitch_roll_rad(&mut self, pitch_rad: f64, roll_rad: f64) {
         self.pitch = to_i16(pitch_rad * TILT_COUNTS_PER_RAD);
         self.roll = to_i16(roll_rad * TILT_COUNTS_PER_RAD);
         self.validity |= validity::PITCH_ROLL;
     }
 
+    /// Height above the bottom.
     pub fn altitude_m(&self) -> Option<f64> {
         (self.validity & validity::ALTITUDE != 0).then(|| f64::from(self.altitude_mm) * 1e-3)
     }
 
+    /// Resolution one millimetre.
     pub fn set_altitude_m(&mut self, altitude_m: f64) {
         self.altitude_mm = to_i32(altitude_m * 1e3);
         self.validity |= validity::ALTITUDE;
     }
 
+    /// Depth below the surface.
     pub fn depth_m(&self) -> Option<f64> {
         (self.validity & validity::DEPTH != 0).then(|| f64::from(self.depth_mm) * 1e-3)
     }
 
+    /// Resolution one millimetre.
     pub fn set_depth_m(&mut self, depth_m: f64) {
         self.depth_mm = to_i32(depth_m * 1e3);
         self.validity |= validity::DEPTH;
     }
 
+    /// Sets the sound speed and its validity bit.
     pub fn set_sound_speed_m_per_s(&mut self, sound_speed_m_per_s: f32) {
         self.sound_speed_m_per_s = sound_speed_m_per_s;
         self.validity |= validity::SOUND_SPEED;
     }
 
+    /// Course over ground, clockwise from north.
     pub fn course_rad(&self) -> Option<f64> {
         (self.validity & validity::COURSE != 0).then(|| {
             (f64::from(self.course_deg) + f64::from(bits_of(self.lsb, COURSE_BITS)) * 1e-2)
@@ -397,7 +432,7 @@ impl SonarDataHeader {
         })
     }
 
-    /// Whole degrees and hundredths, as the manual has it; some readers take the whole degrees for tenths.
+    /// Whole degrees and hundredths, as the manual defines; some readers take the whole degrees for tenths.
     pub fn set_course_rad(&mut self, course_rad: f64) {
         let counts = to_u16(turn_counts(course_rad, 100.0));
         self.course_deg = (counts / 100) as i16;
@@ -405,6 +440,7 @@ impl SonarDataHeader {
         self.validity |= validity::COURSE;
     }
 
+    /// Speed over ground.
     pub fn speed_m_per_s(&self) -> Option<f64> {
         (self.validity & validity::SPEED != 0).then(|| {
             (f64::from(self.speed_dkn) * 0.1 + f64::from(bits_of(self.lsb2, SPEED_BITS)) * 0.01)
@@ -412,7 +448,7 @@ impl SonarDataHeader {
         })
     }
 
-    /// Speed over ground to 0.01 knots.
+    /// Resolution 0.01 knots.
     pub fn set_speed_m_per_s(&mut self, speed_m_per_s: f64) {
         let counts = to_u32((speed_m_per_s / MPS_PER_KNOT * 100.0).clamp(0.0, 327_679.0));
         self.speed_dkn = (counts / 10) as i16;
@@ -421,15 +457,18 @@ impl SonarDataHeader {
     }
 }
 
-/// Message 80, read: the samples stay in the body.
+/// A parsed message 80 that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SonarData80<'a> {
+    /// Header of the message.
     pub header: SonarDataHeader,
+    /// Format of the samples.
     pub format: DataFormat,
     data: &'a [u8],
 }
 
 impl<'a> SonarData80<'a> {
+    /// Parses the body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let header = SonarDataHeader::parse(body)?;
         let format = DataFormat::from_code(header.data_format)?;
@@ -442,14 +481,14 @@ impl<'a> SonarData80<'a> {
         })
     }
 
-    /// The numbers as they lie; pairs of real and imaginary part in the analytic formats.
+    /// The integers as on the wire; pairs of real and imaginary part in the analytic formats.
     pub fn shorts(&self) -> impl ExactSizeIterator<Item = i16> + 'a {
         self.data
             .chunks_exact(2)
             .map(|bytes| i16::from_le_bytes([bytes[0], bytes[1]]))
     }
 
-    /// The numbers with the block's exponent put to them.
+    /// The integers scaled by the block's exponent.
     pub fn values(&self) -> impl ExactSizeIterator<Item = f64> + 'a {
         let weighting = self.header.weighting;
         self.shorts()
@@ -457,10 +496,11 @@ impl<'a> SonarData80<'a> {
     }
 }
 
-/// Appends message 80 for a subsystem and a channel, and says where it lies. Format, samples and weighting are those of the header.
+/// Appends message 80 for a subsystem and a channel and returns its byte range. Format, number of samples and weighting are those of the
+/// header.
 ///
 /// # Panics
-/// If the header's format is not one we write, or `shorts` are not as many as the header says.
+/// If the header's format is not supported, or the number of `shorts` differs from the header.
 pub fn emit_80(
     buf: &mut Vec<u8>,
     subsystem: u8,

@@ -1,4 +1,4 @@
-//! What every device speaks. Source: `common.json` of bluerobotics/ping-protocol.
+//! Messages that every device supports. Source: `common.json` of bluerobotics/ping-protocol.
 
 use std::ops::Range;
 
@@ -6,15 +6,16 @@ use binrw::{BinRead, BinWrite};
 
 use super::{emit_frame, message_id, ping_message};
 
-/// 1: a message was taken.
+/// 1: a message was accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct AckMessage {
+    /// Number of the accepted message.
     pub acked_id: u16,
 }
 
 ping_message!(AckMessage, 2, "Ping 1", message_id::ACK);
 
-/// Appends 2: a message was refused, and why.
+/// Appends 2: a message was refused, with the reason.
 pub fn emit_nack(
     buf: &mut Vec<u8>,
     source: u8,
@@ -28,13 +29,14 @@ pub fn emit_nack(
     })
 }
 
-/// 4: what a device is.
+/// 4: identity of a device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct DeviceInformation {
-    /// 0 unknown.
+    /// 0 is unknown.
     pub device_type: u8,
+    /// Hardware revision.
     pub device_revision: u8,
-    /// Major, minor, patch.
+    /// Firmware version: major, minor, patch.
     #[brw(pad_after = 1)]
     pub firmware: [u8; 3],
 }
@@ -46,24 +48,26 @@ ping_message!(
     message_id::DEVICE_INFORMATION
 );
 
-/// 5: major, minor, patch.
+/// 5: version of the protocol.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct ProtocolVersion {
     #[brw(pad_after = 1)]
+    /// Major, minor, patch.
     pub version: [u8; 3],
 }
 
 ping_message!(ProtocolVersion, 4, "Ping 5", message_id::PROTOCOL_VERSION);
 
-/// 6: asks for a message.
+/// 6: requests a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct GeneralRequest {
+    /// Number of the requested message.
     pub requested_id: u16,
 }
 
 ping_message!(GeneralRequest, 2, "Ping 6", message_id::GENERAL_REQUEST);
 
-/// 100
+/// 100: sets the identifier of the device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct SetDeviceId {
     /// 1 to 254.

@@ -1,17 +1,17 @@
-//! The Ping protocol of Blue Robotics and Cerulean: what it is, its frame, and its messages.
+//! The Ping protocol of Blue Robotics and Cerulean: overview, frame, and messages.
 //!
-//! Source: `src/definitions/*.json` of bluerobotics/ping-protocol (MIT, public), which the makers generate their clients from; messages 169 and
-//! 170 from the client brping 0.2.5. Little endian; TCP, UDP (port [`PORT`] in the makers' examples) or a serial line.
+//! Source: `src/definitions/*.json` of bluerobotics/ping-protocol (MIT, public), from which the makers generate their clients. Messages 169
+//! and 170 follow the client brping 0.2.5. Little endian; TCP, UDP (port [`PORT`] in the makers' examples) or a serial line.
 //!
 //! ```text
 //! 'B' 'R' | u16 payload length | u16 message | u8 source | u8 destination | payload | u16 sum of all bytes before
 //! ```
 //!
-//! - [`common`]: what every device speaks
+//! - [`common`]: messages that every device supports
 //! - [`omniscan450`]: side-scan, one line of dB per ping
 //! - [`surveyor240`]: multibeam, detected points
 //!
-//! Element data have no public layout in this protocol.
+//! This protocol has no public layout for element data.
 
 pub mod common;
 pub mod omniscan450;
@@ -32,36 +32,59 @@ use surveyor240::{
 
 /// TCP and UDP port of Cerulean's devices in their examples.
 pub const PORT: u16 = 51_200;
+/// Size of the frame header.
 pub const HEADER_BYTES: usize = 8;
+/// Size of the checksum.
 pub const CHECKSUM_BYTES: usize = 2;
-/// Longer payloads do not exist: their length has 16 bits.
+/// Maximum size of a frame: the payload length has 16 bits.
 pub const MAX_FRAME_BYTES: usize = HEADER_BYTES + u16::MAX as usize + CHECKSUM_BYTES;
 const MARK: [u8; 2] = *b"BR";
 
 /// Message numbers.
 pub mod message_id {
+    /// A message was accepted.
     pub const ACK: u16 = 1;
+    /// A message was refused.
     pub const NACK: u16 = 2;
+    /// Text for display.
     pub const ASCII_TEXT: u16 = 3;
+    /// Identity of a device.
     pub const DEVICE_INFORMATION: u16 = 4;
+    /// Version of the protocol.
     pub const PROTOCOL_VERSION: u16 = 5;
+    /// Requests a message.
     pub const GENERAL_REQUEST: u16 = 6;
+    /// JSON text.
     pub const JSON_WRAPPER: u16 = 10;
+    /// The device requests the time.
     pub const UTC_REQUEST: u16 = 14;
+    /// Time from the client.
     pub const UTC_RESPONSE: u16 = 15;
+    /// Network settings.
     pub const SET_NET_INFO: u16 = 17;
+    /// Sets the identifier of the device.
     pub const SET_DEVICE_ID: u16 = 100;
+    /// Sets the speed of sound.
     pub const SET_SPEED_OF_SOUND: u16 = 116;
-    /// The same in the definitions that some clients were generated from (crate `bluerobotics-ping` 0.3.6).
+    /// The number of SET_SPEED_OF_SOUND in the definitions that some clients use (crate `bluerobotics-ping` 0.3.6).
     pub const SET_SPEED_OF_SOUND_EARLIER: u16 = 1002;
+    /// Water temperature and pressure.
     pub const WATER_STATS: u16 = 118;
+    /// Synchronisation channel.
     pub const SYNC_CHANNEL: u16 = 169;
+    /// Sets the synchronisation channel.
     pub const SET_SYNC_CHANNEL: u16 = 170;
+    /// Direction of the vertical.
     pub const ATTITUDE_REPORT: u16 = 504;
+    /// Omniscan: ping settings.
     pub const OS_PING_PARAMS: u16 = 2197;
+    /// Omniscan: one line.
     pub const OS_MONO_PROFILE: u16 = 2198;
+    /// Surveyor: points in the vertical plane.
     pub const YZ_POINT_DATA: u16 = 3011;
+    /// Surveyor: angles and times of flight.
     pub const ATOF_POINT_DATA: u16 = 3012;
+    /// Surveyor: ping settings.
     pub const SET_PING_PARAMETERS: u16 = 3023;
 }
 
@@ -72,17 +95,21 @@ pub fn checksum(bytes: &[u8]) -> u16 {
         .fold(0, |sum: u16, &byte| sum.wrapping_add(byte.into()))
 }
 
-/// A frame, read: its payload stays where it was.
+/// A parsed frame that borrows its payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Frame<'a> {
+    /// One of [`message_id`], or another number.
     pub message_id: u16,
+    /// Identifier of the sender.
     pub source: u8,
+    /// Identifier of the receiver.
     pub destination: u8,
+    /// Bytes of the message.
     pub payload: &'a [u8],
 }
 
 impl<'a> Frame<'a> {
-    /// Reads the frame at the front of `bytes` and holds its checksum against its bytes.
+    /// Parses the frame at the front of `bytes` and verifies its checksum.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, WireError> {
         const WHAT: &str = "Ping frame";
         let head = data_at(bytes, 0, HEADER_BYTES as u64, WHAT)?;
@@ -117,7 +144,7 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// Appends a frame whose payload `write_payload` appends, and says where it lies.
+/// Appends a frame whose payload `write_payload` appends, and returns its byte range.
 ///
 /// # Panics
 /// If the payload is longer than 65535 bytes.
@@ -142,7 +169,7 @@ pub fn emit_frame(
     start..buf.len()
 }
 
-/// How frames show their lengths; a frame with a wrong checksum is none.
+/// Splits a connection into frames; a frame with a wrong checksum is skipped.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct PingFraming;
 
@@ -170,41 +197,67 @@ impl Framing for PingFraming {
 /// Frames from a connection.
 pub type PingStream = Splitter<PingFraming>;
 
-/// What a frame says, in either direction.
+/// A parsed message of either direction.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Message<'a> {
+    /// 1: a message was accepted.
     Ack(AckMessage),
+    /// 2: a message was refused.
     Nack {
+        /// Number of the refused message.
         refused_id: u16,
+        /// Reason.
         text: String,
     },
+    /// 3: text for display.
     AsciiText(String),
+    /// 4: identity of a device.
     DeviceInformation(DeviceInformation),
+    /// 5: version of the protocol.
     ProtocolVersion(ProtocolVersion),
+    /// 6: requests a message.
     GeneralRequest(GeneralRequest),
+    /// 100: sets the identifier of the device.
     SetDeviceId(SetDeviceId),
+    /// 10: JSON text.
     Json(&'a [u8]),
+    /// 116: sets the speed of sound.
     SetSpeedOfSound(SetSpeedOfSound),
+    /// 169: synchronisation channel.
     SyncChannel(SyncChannel),
+    /// 170: sets the synchronisation channel.
     SetSyncChannel(SyncChannel),
+    /// 2197: ping settings.
     OsPingParams(OsPingParams),
+    /// 2198: one line.
     OsMonoProfile(OsMonoProfile<'a>),
+    /// 14: the device requests the time.
     UtcRequest,
+    /// 15: time from the client.
     UtcResponse(UtcResponse),
+    /// 17: network settings.
     SetNetInfo(SetNetInfo),
+    /// 3023: ping settings.
     SetPingParameters(SetPingParameters),
+    /// 504: direction of the vertical.
     AttitudeReport(AttitudeReport),
+    /// 118: water temperature and pressure.
     WaterStats(WaterStats),
+    /// 3012: angles and times of flight.
     AtofPointData(AtofPointData<'a>),
+    /// 3011: points in the vertical plane.
     YzPointData(YzPointData<'a>),
-    /// A message that is none of these.
+    /// Any other message.
     Other {
+        /// Number of the message.
         message_id: u16,
+        /// Bytes of the message.
         payload: &'a [u8],
     },
 }
 
 impl<'a> Message<'a> {
+    /// Parses the payload of a frame.
     pub fn parse(frame: &Frame<'a>) -> Result<Self, WireError> {
         let payload = frame.payload;
         Ok(match frame.message_id {
@@ -252,9 +305,10 @@ macro_rules! ping_message {
         crate::layout::layout!($type, $size, $name, Little);
 
         impl $type {
+            /// Message number.
             pub const MESSAGE_ID: u16 = $id;
 
-            /// Appends the whole frame and says where it lies.
+            /// Appends the whole frame and returns its byte range.
             pub fn emit_frame(
                 &self,
                 buf: &mut Vec<u8>,

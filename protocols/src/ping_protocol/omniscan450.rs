@@ -1,6 +1,6 @@
 //! Omniscan 450: side-scan, one line per ping. Source: `omniscan450.json` of bluerobotics/ping-protocol; 169 and 170 from brping 0.2.5.
 //!
-//! A port and starboard pair is two devices, synchronised by 170.
+//! A port and starboard pair consists of two devices, synchronised by message 170.
 
 use std::ops::Range;
 
@@ -11,9 +11,10 @@ use crate::WireError;
 use crate::layout::{data_at, layout};
 use crate::sevenk::frame::extend_encoded;
 
-/// 116
+/// 116: sets the speed of sound.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct SetSpeedOfSound {
+    /// Speed of sound.
     pub speed_of_sound_mm_per_s: u32,
 }
 
@@ -24,72 +25,90 @@ ping_message!(
     message_id::SET_SPEED_OF_SOUND
 );
 
-/// 169 and 170: which of the synchronised devices this one is.
+/// 169 and 170: position of this device among the synchronised devices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct SyncChannel {
+    /// Index of the device.
     pub channel_number: u8,
+    /// Number of synchronised devices.
     pub number_of_channels: u8,
 }
 
 ping_message!(SyncChannel, 2, "Ping 169", message_id::SYNC_CHANNEL);
 
-/// 2197: how to ping.
+/// 2197: ping settings.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct OsPingParams {
+    /// Range of the first result.
     pub start_mm: u32,
+    /// Range from the first to the last result.
     pub length_mm: u32,
-    /// 0 as fast as it goes.
+    /// Time between pings; 0 is as fast as possible.
     #[brw(pad_after = 8)]
     pub msec_per_ping: u32,
-    /// Part of the time of a ping; 0.002 is usual.
+    /// Pulse length as a fraction of the ping's reception time; 0.002 is usual.
     pub pulse_len_percent: f32,
-    /// 0.0015 is usual.
+    /// Filter length as a fraction; 0.0015 is usual.
     pub filter_duration_percent: f32,
-    /// -1 automatic, else 0 to 7.
+    /// -1 is automatic, otherwise 0 to 7.
     pub gain_index: i16,
     /// 200 to 1200.
     pub num_results: u16,
-    /// 1 pings, 0 does not.
+    /// 1 starts pinging, 0 stops it.
     #[brw(pad_after = 3)]
     pub enable: u8,
 }
 
 ping_message!(OsPingParams, 36, "Ping 2197", message_id::OS_PING_PARAMS);
 
-/// 2198 before its results; their number is filled in when it is written.
+/// Head of 2198 before its results; their number is set when the message is emitted.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct OsMonoProfileHead {
+    /// Counter from power-up.
     pub ping_number: u32,
+    /// Range of the first result.
     pub start_mm: u32,
+    /// Range from the first to the last result.
     pub length_mm: u32,
-    /// Since the device was switched on.
+    /// Time since power-up.
     pub timestamp_ms: u32,
+    /// Centre frequency.
     pub ping_hz: u32,
+    /// 0 to 7.
     pub gain_index: u16,
+    /// Number of results.
     pub num_results: u16,
-    /// Speed of sound, tenths of m/s.
+    /// Speed of sound, 0.1 m/s.
     pub sos_dmps: u16,
     #[brw(pad_after = 1)]
+    /// Index of the device.
     pub channel_number: u8,
+    /// Pulse length.
     pub pulse_duration_s: f32,
+    /// Receiver gain as a factor.
     pub analog_gain: f32,
-    /// What 65535 and 0 stand for.
+    /// Level of 65535.
     pub max_pwr_db: f32,
+    /// Level of 0.
     pub min_pwr_db: f32,
+    /// Heading of the beam.
     pub transducer_heading_deg: f32,
+    /// Heading of the vehicle.
     pub vehicle_heading_deg: f32,
 }
 
 layout!(OsMonoProfileHead, 52, "Ping 2198", Little);
 
-/// 2198: one line, read.
+/// A parsed 2198: one line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OsMonoProfile<'a> {
+    /// Head of the message.
     pub head: OsMonoProfileHead,
     results: &'a [u8],
 }
 
 impl<'a> OsMonoProfile<'a> {
+    /// Parses the payload.
     pub fn parse(payload: &'a [u8]) -> Result<Self, WireError> {
         let head = OsMonoProfileHead::parse(payload)?;
         let results = data_at(
@@ -101,6 +120,7 @@ impl<'a> OsMonoProfile<'a> {
         Ok(Self { head, results })
     }
 
+    /// Results on the scale of the head, 0 to 65535.
     pub fn results(&self) -> impl ExactSizeIterator<Item = u16> + 'a {
         self.results
             .chunks_exact(2)
@@ -118,16 +138,16 @@ impl<'a> OsMonoProfile<'a> {
     }
 }
 
-/// dB as 0 to 65535 between the ends of the scale; what is beyond them saturates, NaN is the lowest.
+/// Maps dB to 0 to 65535 between the ends of the scale. Values beyond the ends are clipped; NaN becomes 0.
 pub fn quantise_db(db: f32, min_pwr_db: f32, max_pwr_db: f32) -> u16 {
     let span = f64::from(max_pwr_db) - f64::from(min_pwr_db);
     ((f64::from(db) - f64::from(min_pwr_db)) / span * 65_535.0).round() as u16
 }
 
-/// Appends 2198 and says where it lies.
+/// Appends 2198 and returns its byte range.
 ///
 /// # Panics
-/// If there are more than 1200 results, which is what the device has at most.
+/// If there are more than 1200 results, the maximum of the device.
 pub fn emit_2198(
     buf: &mut Vec<u8>,
     source: u8,

@@ -10,54 +10,67 @@ use super::{emit_frame, message_id, ping_message};
 use crate::WireError;
 use crate::layout::{data_at, layout};
 
-/// Appends 14: asks the client for the time.
+/// Appends 14: requests the time from the client.
 pub fn emit_utc_request(buf: &mut Vec<u8>, source: u8, destination: u8) -> Range<usize> {
     emit_frame(buf, message_id::UTC_REQUEST, source, destination, |_| {})
 }
 
-/// 15: the client's answer.
+/// 15: time from the client.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct UtcResponse {
+    /// Milliseconds since 1970.
     pub utc_msec: u64,
+    /// Accuracy of the time.
     pub accuracy_msec: u32,
 }
 
 ping_message!(UtcResponse, 12, "Ping 15", message_id::UTC_RESPONSE);
 
-/// 17
+/// 17: network settings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct SetNetInfo {
+    /// Address of the time server.
     pub ntp_ip_address: u32,
+    /// Mask of the network.
     pub subnet_mask: u32,
+    /// Address of the gateway.
     pub gateway_ip: u32,
 }
 
 ping_message!(SetNetInfo, 12, "Ping 17", message_id::SET_NET_INFO);
 
-/// 3023: how to ping.
+/// 3023: ping settings.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct SetPingParameters {
+    /// Start of the range.
     pub start_mm: i32,
-    /// 0 follows the bottom.
+    /// End of the range; 0 is automatic (bottom tracking).
     pub end_mm: i32,
+    /// Speed of sound, m/s.
     pub sos_mps: f32,
-    /// -1 automatic, else 0 to 100.
+    /// -1 is automatic, otherwise 0 to 100.
     pub gain_index: i16,
     #[brw(pad_after = 2)]
+    /// Time between pings; 0 is as fast as possible.
     pub msec_per_ping: i16,
-    /// 0.
+    /// Must be 0.
     pub diagnostic_injected_signal: u8,
+    /// 1 starts pinging, 0 stops it.
     pub ping_enable: u8,
+    /// 1 enables channel data.
     pub enable_channel_data: u8,
-    /// 0.
+    /// Must be 0.
     pub reserved_for_raw_data: u8,
+    /// 1 enables 3011.
     pub enable_yz_point_data: u8,
+    /// 1 enables 3012.
     pub enable_atof_data: u8,
-    /// 240000.
+    /// Centre frequency; 240000.
     pub target_ping_hz: i32,
     /// 200 to 800.
     #[brw(pad_after = 2)]
     pub n_range_steps: u16,
+    /// Pulse length in range steps.
     pub pulse_len_steps: f32,
 }
 
@@ -68,31 +81,36 @@ ping_message!(
     message_id::SET_PING_PARAMETERS
 );
 
-/// 504: which way is up, in the device's axes.
+/// 504: direction of the vertical in the device's axes.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct AttitudeReport {
     #[brw(pad_after = 12)]
+    /// Unit vector upwards.
     pub up: [f32; 3],
+    /// Milliseconds since 1970.
     pub utc_msec: u64,
+    /// Time since power-up.
     pub pwr_up_msec: u32,
 }
 
 ping_message!(AttitudeReport, 36, "Ping 504", message_id::ATTITUDE_REPORT);
 
 impl AttitudeReport {
-    /// Up in the axes of a device with this roll (port up) and pitch (bow up): x forward, y port, z up.
+    /// Upward unit vector for a device with this roll (positive port up) and pitch (positive bow up); axes x forward, y port, z up.
     pub fn up_from(roll_port_up_rad: f64, pitch_bow_up_rad: f64) -> [f32; 3] {
         let (sin_roll, cos_roll) = roll_port_up_rad.sin_cos();
         let (sin_pitch, cos_pitch) = pitch_bow_up_rad.sin_cos();
-        // The bow is above the horizon by the pitch; the rest of up lies between port and the mast.
+        // The bow is above the horizon by the pitch; the remainder lies between port and the device's z axis.
         [sin_pitch, cos_pitch * sin_roll, cos_pitch * cos_roll].map(|value| value as f32)
     }
 }
 
-/// 118
+/// 118: water temperature and pressure.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct WaterStats {
+    /// Degrees Celsius.
     pub temperature_c: f32,
+    /// Absolute pressure.
     pub pressure_bar: f32,
 }
 
@@ -101,39 +119,51 @@ ping_message!(WaterStats, 8, "Ping 118", message_id::WATER_STATS);
 /// One point: an angle and a two-way time.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct AtofPoint {
+    /// Positive to port.
     pub angle_rad: f32,
     #[brw(pad_after = 8)]
+    /// Two-way travel time.
     pub two_way_time_s: f32,
 }
 
 layout!(AtofPoint, 16, "Ping 3012 point", Little);
 
-/// 3012 before its points; their number is filled in when it is written.
+/// Head of 3012 before its points; their number is set when the message is emitted.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct AtofHead {
+    /// Time since power-up.
     pub pwr_up_msec: u32,
-    /// Of the ping; 0 not known.
+    /// Time of the ping, milliseconds since 1970; 0 is unknown.
     pub utc_msec: u64,
+    /// Reception time of the ping.
     pub listening_s: f32,
+    /// Speed of sound, m/s.
     pub sos_mps: f32,
+    /// Counter of pings.
     pub ping_number: u32,
+    /// Centre frequency.
     pub ping_hz: u32,
+    /// Pulse length.
     pub pulse_s: f32,
+    /// Reserved.
     pub flags: u32,
     #[brw(pad_after = 2)]
+    /// Number of points.
     pub num_points: u16,
 }
 
 layout!(AtofHead, 40, "Ping 3012", Little);
 
-/// 3012, read.
+/// A parsed 3012.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AtofPointData<'a> {
+    /// Head of the message.
     pub head: AtofHead,
     points: &'a [u8],
 }
 
 impl<'a> AtofPointData<'a> {
+    /// Parses the payload.
     pub fn parse(payload: &'a [u8]) -> Result<Self, WireError> {
         let head = AtofHead::parse(payload)?;
         let len = AtofPoint::SIZE_BYTES as u64 * u64::from(head.num_points);
@@ -141,6 +171,7 @@ impl<'a> AtofPointData<'a> {
         Ok(Self { head, points })
     }
 
+    /// Iterates over the points.
     pub fn points(&self) -> impl Iterator<Item = AtofPoint> + 'a {
         self.points
             .chunks_exact(AtofPoint::SIZE_BYTES)
@@ -148,10 +179,10 @@ impl<'a> AtofPointData<'a> {
     }
 }
 
-/// Appends 3012 and says where it lies.
+/// Appends 3012 and returns its byte range.
 ///
 /// # Panics
-/// If the points do not fit a frame: more than 4093.
+/// If the points do not fit a frame (more than 4093).
 pub fn emit_3012(
     buf: &mut Vec<u8>,
     source: u8,
@@ -175,36 +206,45 @@ pub fn emit_3012(
     )
 }
 
-/// 3011 before its points; their number is filled in when it is written.
+/// Head of 3011 before its points; their number is set when the message is emitted.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct YzHead {
+    /// Time since power-up.
     pub timestamp_msec: u32,
+    /// Counter of pings.
     pub ping_number: u32,
+    /// Speed of sound, m/s.
     pub sos_mps: f32,
-    /// In the device's axes.
+    /// Unit vector upwards in the device's axes.
     #[brw(pad_after = 52)]
     pub up: [f32; 3],
-    /// -1000 without a sensor.
+    /// Water temperature; -1000 without a sensor.
     pub water_c: f32,
-    /// -1000 without a sensor.
+    /// Water pressure; -1000 without a sensor.
     pub water_bar: f32,
+    /// Positive up.
     pub heave_m: f32,
+    /// Start of the range.
     pub start_m: f32,
     #[brw(pad_after = 2)]
+    /// End of the range.
     pub end_m: f32,
+    /// Number of points.
     pub num_points: u16,
 }
 
 layout!(YzHead, 100, "Ping 3011", Little);
 
-/// 3011, read.
+/// A parsed 3011.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct YzPointData<'a> {
+    /// Head of the message.
     pub head: YzHead,
     points: &'a [u8],
 }
 
 impl<'a> YzPointData<'a> {
+    /// Parses the payload.
     pub fn parse(payload: &'a [u8]) -> Result<Self, WireError> {
         let head = YzHead::parse(payload)?;
         let len = 8 * u64::from(head.num_points);
@@ -212,7 +252,7 @@ impl<'a> YzPointData<'a> {
         Ok(Self { head, points })
     }
 
-    /// Port and up, m.
+    /// Iterates over the points: port and up, metres.
     pub fn points(&self) -> impl ExactSizeIterator<Item = [f32; 2]> + 'a {
         self.points.chunks_exact(8).map(|b| {
             [
@@ -223,10 +263,10 @@ impl<'a> YzPointData<'a> {
     }
 }
 
-/// Appends 3011 with points port and up in m, and says where it lies.
+/// Appends 3011 with points (port and up, metres) and returns its byte range.
 ///
 /// # Panics
-/// If the points do not fit a frame: more than 8179.
+/// If the points do not fit a frame (more than 8179).
 pub fn emit_3011(
     buf: &mut Vec<u8>,
     source: u8,

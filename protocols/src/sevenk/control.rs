@@ -1,4 +1,4 @@
-//! Remote control: 7500 commands, and the answers 7501 (done) and 7502 (refused). Source: DFD 3.12.
+//! Remote control: 7500 commands, and the answers 7501 (accepted) and 7502 (refused). Source: DFD 3.12.
 //!
 //! ```text
 //! 7500 RTH   0 u32 remote_control_id   4 u32 ticket   8 u64 x 2 tracking_number        24 bytes, then the arguments
@@ -6,8 +6,8 @@
 //! 7502 RTH   0 u32 ticket   4 u64 x 2 tracking_number   20 u32 error_code              24 bytes
 //! ```
 //!
-//! A command without arguments is sent with one empty byte behind it, and read with any number. Arguments longer than we know are read as
-//! far as we know them. An answer repeats ticket and tracking number; accepted commands are echoed to the clients subscribed to 7500.
+//! A command without arguments is sent with one empty byte after it, and accepted with any number of bytes. Arguments beyond the known ones
+//! are ignored. An answer repeats ticket and tracking number. Accepted commands are echoed to the clients subscribed to 7500.
 
 use std::fmt;
 use std::ops::Range;
@@ -18,12 +18,14 @@ use super::frame::{Fixed, OpenRecord, RecordStamp, read_fixed, write_fixed};
 use super::record_id;
 use super::records::{rth, rth_record};
 
-/// What names a command and its answer.
+/// Identification of a command and its answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
 pub struct ControlHeader {
-    /// Which command: see [`command_id`].
+    /// One of [`command_id`], or another number.
     pub remote_control_id: u32,
+    /// Number chosen by the client.
     pub ticket: u32,
+    /// Identifier chosen by the client.
     pub tracking_number: [u64; 2],
 }
 
@@ -32,17 +34,22 @@ rth!(ControlHeader, 24, "7500 remote control");
 /// 7501: the command was accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
 pub struct Ack7501 {
+    /// Ticket of the command.
     pub ticket: u32,
+    /// Tracking number of the command.
     pub tracking_number: [u64; 2],
 }
 
 /// 7502: the command was refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct Nack7502 {
+    /// Ticket of the command.
     pub ticket: u32,
+    /// Tracking number of the command.
     pub tracking_number: [u64; 2],
     #[br(map = |code: u32| ErrorCode::from_code(code))]
     #[bw(map = |error: &ErrorCode| error.code())]
+    /// Reason.
     pub error: ErrorCode,
 }
 
@@ -55,6 +62,7 @@ rth_record!(
 rth_record!(Nack7502, record_id::REMOTE_CONTROL_NACK, 24, "7502 refusal");
 
 impl ControlHeader {
+    /// Answer that accepts this command.
     pub fn ack(&self) -> Ack7501 {
         Ack7501 {
             ticket: self.ticket,
@@ -62,6 +70,7 @@ impl ControlHeader {
         }
     }
 
+    /// Answer that refuses this command.
     pub fn nack(&self, error: ErrorCode) -> Nack7502 {
         Nack7502 {
             ticket: self.ticket,
@@ -71,12 +80,13 @@ impl ControlHeader {
     }
 }
 
-/// Declares the error codes once, for both directions and for print.
+/// Declares each error code once for both directions and for display.
 macro_rules! error_codes {
     ($($name:ident = $code:literal, $words:literal;)*) => {
-        /// Why a command was refused.
+        /// Reason for refusing a command.
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-        pub enum ErrorCode {
+        #[allow(missing_docs, reason = "the names are those of the DFD")]
+pub enum ErrorCode {
             $(#[doc = $words] $name,)*
             /// A code that the DFD does not list.
             Unlisted(u32),
@@ -86,6 +96,7 @@ macro_rules! error_codes {
             /// All listed codes.
             pub const LISTED: &'static [Self] = &[$(Self::$name),*];
 
+            /// Code on the wire.
             pub const fn code(self) -> u32 {
                 match self {
                     $(Self::$name => $code,)*
@@ -93,6 +104,7 @@ macro_rules! error_codes {
                 }
             }
 
+            /// The error with this code.
             pub const fn from_code(code: u32) -> Self {
                 match code {
                     $($code => Self::$name,)*
@@ -134,235 +146,370 @@ error_codes! {
 
 /// Remote control identifiers.
 pub mod command_id {
+    /// Range.
     pub const RANGE: u32 = 1003;
+    /// Maximum ping rate.
     pub const MAX_PING_RATE: u32 = 1004;
+    /// Source level.
     pub const POWER: u32 = 1005;
+    /// Pulse length.
     pub const PULSE_LENGTH: u32 = 1006;
+    /// Pulse type.
     pub const PULSE_TYPE: u32 = 1007;
+    /// Receiver gain.
     pub const GAIN: u32 = 1008;
+    /// Flags of the bottom detection.
     pub const BOTTOM_DETECTION_MASK: u32 = 1009;
+    /// Limits of the bottom detection.
     pub const BOTTOM_DETECTION_FILTER: u32 = 1010;
+    /// Type of the receiver gain.
     pub const GAIN_TYPE: u32 = 1017;
+    /// Envelope of the pulse.
     pub const PULSE_ENVELOPE: u32 = 1020;
+    /// Direction of the transmit beam.
     pub const PROJECTOR_STEERING: u32 = 1021;
+    /// Widths of the transmit beam.
     pub const PROJECTOR_BEAM_WIDTHS: u32 = 1022;
+    /// Centre frequency.
     pub const CENTER_FREQUENCY: u32 = 1026;
+    /// Band of the chirp.
     pub const CHIRP_BAND: u32 = 1027;
+    /// Motion stabilisation.
     pub const MOTION_COMPENSATION: u32 = 1033;
+    /// Window of the matched filter.
     pub const MATCH_FILTER: u32 = 1034;
+    /// Width and direction of the swath.
     pub const COVERAGE_SECTOR: u32 = 1035;
+    /// Requests a record once.
     pub const SINGLE_RECORD: u32 = 1050;
+    /// Adds records to the subscription.
     pub const SUBSCRIBE: u32 = 1051;
+    /// Ends the subscription.
     pub const END_SUBSCRIPTIONS: u32 = 1052;
+    /// Sends records to a third party.
     pub const CONNECT_THIRD_PARTY: u32 = 1053;
+    /// Stops sending to a third party.
     pub const DISCONNECT_THIRD_PARTY: u32 = 1054;
+    /// Adds a range of record types to the subscription.
     pub const SUBSCRIBE_RANGE: u32 = 1055;
+    /// Removes records from the subscription.
     pub const UNSUBSCRIBE: u32 = 1056;
+    /// Starts continuous pinging.
     pub const START_PINGING: u32 = 1100;
+    /// Stops pinging.
     pub const STOP_PINGING: u32 = 1101;
+    /// Transmits one ping.
     pub const SINGLE_PING: u32 = 1107;
+    /// Selects the external trigger.
     pub const EXTERNAL_TRIGGER: u32 = 1114;
+    /// Trigger output.
     pub const TRIGGER_OUT: u32 = 1115;
+    /// Edge of the pulse per second.
     pub const PPS_EDGE: u32 = 1116;
+    /// Limits on snippets.
     pub const SNIPPET_CONTROL: u32 = 1118;
+    /// Transmits a number of pings.
     pub const PING_TIMES: u32 = 1121;
+    /// Flags of record 7042.
     pub const COMPRESSED_WATER_COLUMN: u32 = 7042;
+    /// Sound velocity.
     pub const SOUND_VELOCITY: u32 = 7610;
 }
 
+/// Type of the transmitted pulse.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PulseType {
+    /// Continuous wave.
     ContinuousWave,
+    /// Linear frequency modulation.
     LinearChirp,
 }
 
+/// Type of the receiver gain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum GainType {
+    /// Time-varying gain.
     Tvg,
+    /// Constant gain.
     Fixed,
 }
 
+/// Envelope of the transmitted pulse.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PulseEnvelope {
+    /// Tapered rectangle.
     Rectangle,
+    /// Tukey window.
     Tukey,
 }
 
+/// Transport of a third-party connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Transport {
+    /// Datagrams.
     Udp,
+    /// Stream.
     Tcp,
 }
 
-/// Where a third-party connection leads.
+/// Destination of a third-party connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ThirdParty {
-    /// As on the wire. The DFD does not say which end comes first; not tried with a client.
+    /// Address as on the wire. The DFD does not define the byte order; not verified with a client.
     pub ipv4: u32,
+    /// Port of the third party.
     pub port: u16,
+    /// Transport to use.
     pub transport: Transport,
 }
 
-/// A command with its arguments. Numbers are finite; whether the sonar can do what they say is the server's to judge.
+/// A command with its arguments. Numbers are finite; the server decides whether the sonar supports the values.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Command {
+    /// Sets the range.
     Range {
+        /// Slant range.
         range_m: f32,
     },
-    /// 0 keeps pinging from starting.
+    /// Sets the maximum ping rate; 0 inhibits pinging.
     MaxPingRate {
+        /// Maximum rate.
         pings_per_s: f32,
     },
-    /// Source level, dB re 1 uPa at 1 m.
+    /// Sets the source level.
     Power {
+        /// dB re 1 uPa at 1 m.
         power_db: f32,
     },
+    /// Sets the pulse length.
     PulseLength {
+        /// Pulse length.
         pulse_length_s: f32,
     },
+    /// Sets the pulse type.
     PulseType(PulseType),
+    /// Sets the receiver gain.
     Gain {
+        /// Gain.
         gain_db: f32,
     },
-    /// Bit 8 range filter, bit 9 depth filter, bits 10..=13 adaptive gate.
+    /// Sets the flags of the bottom detection.
     BottomDetectionMask {
+        /// Bit 8 range filter, bit 9 depth filter, bits 10 to 13 adaptive gate.
         flags: u32,
     },
+    /// Sets the limits of the bottom detection.
     BottomDetectionFilter {
+        /// Minimum range.
         min_range_m: f32,
+        /// Maximum range.
         max_range_m: f32,
+        /// Minimum depth.
         min_depth_m: f32,
+        /// Maximum depth.
         max_depth_m: f32,
-        /// Older clients leave it out.
+        /// Tilt of the gates; older clients omit it.
         gate_tilt_rad: Option<f32>,
     },
+    /// Sets the type of the receiver gain.
     GainType(GainType),
+    /// Sets the envelope of the pulse.
     PulseEnvelope {
+        /// Envelope.
         envelope: PulseEnvelope,
+        /// Parameter of the envelope.
         shading: f32,
     },
+    /// Sets the direction of the transmit beam.
     ProjectorSteering {
+        /// Along-track angle.
         vertical_rad: f32,
+        /// Across-track angle.
         horizontal_rad: f32,
     },
+    /// Sets the widths of the transmit beam.
     ProjectorBeamWidths {
+        /// Along-track width, -3 dB.
         vertical_rad: f32,
+        /// Across-track width, -3 dB.
         horizontal_rad: f32,
     },
+    /// Sets the centre frequency.
     CenterFrequency {
+        /// Centre frequency.
         frequency_hz: f32,
     },
+    /// Sets the band of the chirp.
     ChirpBand {
+        /// Frequency at the start of the pulse.
         start_hz: f32,
+        /// Frequency at the end of the pulse.
         stop_hz: f32,
     },
+    /// Sets the motion stabilisation.
     MotionCompensation {
+        /// 0 is off.
         roll: u8,
+        /// 0 is off.
         pitch: u8,
     },
+    /// Sets the window of the matched filter.
     MatchFilter {
+        /// Number of the window.
         window: u32,
+        /// Parameter of the window.
         shading: f32,
     },
+    /// Sets the swath.
     CoverageSector {
+        /// Width of the swath.
         sector_rad: f32,
-        /// Starboard is positive.
+        /// Direction of its centre, positive to starboard.
         rx_steering_rad: f32,
     },
-    /// Answered by 7501, then the record.
+    /// Requests a record once; answered by 7501, then the record.
     SingleRecord {
+        /// Record type.
         record_type_id: u32,
     },
+    /// Adds to the subscription.
     Subscribe {
+        /// Record types.
         record_type_ids: Vec<u32>,
     },
+    /// Ends the subscription.
     EndSubscriptions,
+    /// Sends records to a third party.
     ConnectThirdParty {
+        /// Destination.
         party: ThirdParty,
+        /// Record types.
         record_type_ids: Vec<u32>,
     },
+    /// Stops sending to a third party.
     DisconnectThirdParty {
+        /// Destination.
         party: ThirdParty,
     },
-    /// Both ends included.
+    /// Adds a range of record types to the subscription, both ends included.
     SubscribeRange {
+        /// First record type.
         first: u32,
+        /// Last record type.
         last: u32,
     },
+    /// Removes from the subscription.
     Unsubscribe {
+        /// Record types.
         record_type_ids: Vec<u32>,
     },
+    /// Starts continuous pinging.
     StartPinging,
+    /// Stops pinging.
     StopPinging,
-    /// Halts continuous pinging.
+    /// Transmits one ping and stops continuous pinging.
     SinglePing,
+    /// Selects the external trigger.
     ExternalTrigger,
+    /// Sets the trigger output.
     TriggerOut {
+        /// Mode of the output.
         flags: u32,
+        /// Length of the signal.
         length_s: f64,
+        /// Delay after the ping.
         offset_s: f64,
     },
+    /// Sets the edge of the pulse per second.
     PpsEdge {
+        /// Number of the edge.
         edge: u32,
     },
-    /// Bit 0 automatic, bit 1 minimum window, bit 2 maximum window.
+    /// Sets the limits on snippets.
     SnippetControl {
+        /// Bit 0 automatic, bit 1 minimum window, bit 2 maximum window.
         flags: u32,
+        /// Minimum length of a snippet.
         min_window_samples: u32,
+        /// Maximum length of a snippet.
         max_window_samples: u32,
     },
+    /// Transmits a number of pings.
     PingTimes {
+        /// Number of pings.
         count: u32,
     },
-    /// The flags of record 7042.
+    /// Sets up record 7042.
     CompressedWaterColumn {
+        /// Flags of the record.
         flags: u32,
     },
-    /// Bit 0 override, bit 1 settings only, bit 2 filter.
+    /// Sets the sound velocity.
     SoundVelocity {
+        /// Bit 0 override, bit 1 settings only, bit 2 filter.
         flags: u16,
+        /// Sound velocity.
         sound_velocity_m_per_s: f32,
+        /// Parameter of the filter.
         filter: u8,
     },
-    /// Any other remote control id; to be answered with [`ErrorCode::RemoteCommandNotFound`]. Its arguments are not kept.
+    /// Any other remote control identifier, to be answered by [`ErrorCode::RemoteCommandNotFound`]. Its arguments are not stored.
     Unknown(u32),
 }
 
-/// A command that could not be read, with as much of its header as there was: with one, it can be answered.
+/// A malformed command, with the header if it is complete, so that the command can be answered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("{kind}")]
 pub struct CommandError {
+    /// Header of the command.
     pub header: Option<ControlHeader>,
+    /// Reason.
     pub kind: CommandErrorKind,
 }
 
+/// Why a command is malformed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum CommandErrorKind {
     #[error("a command needs a header of 24 bytes, {got_bytes} are there")]
-    HeaderTruncated { got_bytes: usize },
+    /// The header is incomplete.
+    HeaderTruncated {
+        /// Available bytes.
+        got_bytes: usize,
+    },
     #[error(
         "command {remote_control_id} needs at least {need_bytes} bytes of arguments, {got_bytes} are there"
     )]
+    /// The arguments are incomplete.
     ArgumentsTruncated {
+        /// Identifier of the command.
         remote_control_id: u32,
+        /// Required bytes.
         need_bytes: u64,
+        /// Available bytes.
         got_bytes: usize,
     },
     #[error("command {remote_control_id} has {argument} that is not a finite number")]
+    /// An argument is NaN or infinite.
     NotFinite {
+        /// Identifier of the command.
         remote_control_id: u32,
+        /// Name of the argument.
         argument: &'static str,
     },
     #[error("command {remote_control_id} has {argument} {value}, which is not one of the listed")]
+    /// An argument is not one of the listed values.
     NotListed {
+        /// Identifier of the command.
         remote_control_id: u32,
+        /// Name of the argument.
         argument: &'static str,
+        /// Value found.
         value: u32,
     },
 }
 
 impl CommandError {
-    /// The code that the refusal carries.
+    /// Error code of the refusal.
     pub fn nack_code(&self) -> ErrorCode {
         match self.kind {
             CommandErrorKind::NotListed { .. } => ErrorCode::ParameterOutOfRange,
@@ -372,7 +519,7 @@ impl CommandError {
         }
     }
 
-    /// The refusal to send; ticket and tracking number are 0 if not even the header was whole.
+    /// The refusal to send; ticket and tracking number are 0 without a complete header.
     pub fn nack(&self) -> Nack7502 {
         self.header.unwrap_or_default().nack(self.nack_code())
     }
@@ -380,7 +527,7 @@ impl CommandError {
 
 // ------------------------------------------------------------------------------------------------------------------------------- parse
 
-/// Walks through the arguments of one command.
+/// Reads the arguments of one command in order.
 struct Arguments<'a> {
     remote_control_id: u32,
     bytes: &'a [u8],
@@ -451,7 +598,7 @@ impl<'a> Arguments<'a> {
         }
     }
 
-    /// A count and as many record types. The count is believed only after the bytes are seen to be there.
+    /// A count and this number of record types. The count is used only after the length check.
     fn record_types(&mut self) -> Result<Vec<u32>, CommandErrorKind> {
         let count = self.u32()?;
         let rest = self.bytes.get(self.at..).unwrap_or_default();
@@ -477,7 +624,7 @@ impl<'a> Arguments<'a> {
 }
 
 impl Command {
-    /// Reads the arguments of a command.
+    /// Parses the arguments of a command.
     pub fn parse(remote_control_id: u32, arguments: &[u8]) -> Result<Self, CommandErrorKind> {
         let mut a = Arguments {
             remote_control_id,
@@ -604,6 +751,7 @@ impl Command {
         })
     }
 
+    /// Identifier of the command.
     pub fn remote_control_id(&self) -> u32 {
         match self {
             Self::Range { .. } => command_id::RANGE,
@@ -646,7 +794,7 @@ impl Command {
 
     // --------------------------------------------------------------------------------------------------------------------------- emit
 
-    /// Appends the arguments, reserved ones as 0; one empty byte if there are none.
+    /// Appends the arguments, with reserved ones as 0, or one empty byte if there are none.
     pub fn emit_arguments(&self, buf: &mut Vec<u8>) {
         fn f32s(buf: &mut Vec<u8>, values: &[f32]) {
             values
@@ -776,11 +924,14 @@ impl Command {
     }
 }
 
-/// 7500: a command and what its answer will repeat.
+/// 7500: a command and the values that its answer repeats.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControlRequest {
+    /// Number chosen by the client.
     pub ticket: u32,
+    /// Identifier chosen by the client.
     pub tracking_number: [u64; 2],
+    /// The command.
     pub command: Command,
 }
 
@@ -788,7 +939,7 @@ impl ControlRequest {
     pub const RECORD_TYPE_ID: u32 = record_id::REMOTE_CONTROL;
     pub const RTH_BYTES: usize = ControlHeader::SIZE_BYTES;
 
-    /// Reads the body of a 7500 record.
+    /// Parses the body of a 7500 record.
     pub fn parse(body: &[u8]) -> Result<Self, CommandError> {
         let header: ControlHeader = read_fixed(body).map_err(|_| CommandError {
             header: None,
@@ -808,6 +959,7 @@ impl ControlRequest {
         })
     }
 
+    /// Header of the command.
     pub fn header(&self) -> ControlHeader {
         ControlHeader {
             remote_control_id: self.command.remote_control_id(),

@@ -1,17 +1,17 @@
-//! Any record in words, one line. Nothing here can fail: what is wrong with a record is part of the words.
+//! Describes any record in one line of text. It never fails: errors in a record are part of the text.
 
 use std::fmt;
 
 use super::frame::{DataRecordFrame, Record};
 use super::records::RecordBody;
 
-/// Words for a record; write it with `{}`.
+/// Description of a record, for use with `{}`.
 #[derive(Debug, Clone, Copy)]
 pub struct Description<'a> {
     record_bytes: &'a [u8],
 }
 
-/// Words for the whole record in `record_bytes` (no network frame), right or wrong.
+/// Description of the whole record in `record_bytes` (without network frame), valid or not.
 pub fn describe(record_bytes: &[u8]) -> Description<'_> {
     Description { record_bytes }
 }

@@ -1,4 +1,4 @@
-//! `.s7k` files: the header 7200, the catalogue 7300, and the walk through the records between. Source: DFD 3.12.
+//! `.s7k` files: header 7200, catalogue 7300, and iteration over the records between them. Source: DFD 3.12.
 //!
 //! ```text
 //! 7200 header, its optional data point to the 7300 | records, bare, one behind the other | 7300 catalogue, one row per record before it
@@ -11,8 +11,8 @@
 //! 7300 RD    per record 48 bytes, see CatalogueRow
 //! ```
 //!
-//! A file is written front to back; only when it is closed is the header written once more, now with the pointer. A file that was cut off
-//! has a header that points nowhere and no catalogue, and is read all the same.
+//! A file is written from front to back. When it is closed, the header is overwritten with the pointer to the catalogue. An interrupted
+//! file has no catalogue and a header without a pointer, and can still be read.
 
 use std::fmt;
 use std::iter::FusedIterator;
@@ -43,10 +43,12 @@ struct Rth7200 {
 
 rth!(Rth7200, 316, "7200 file header");
 
-/// 7200: what a file is. The texts end in a NUL on the wire; what does not fit before it is cut.
+/// 7200: description of a file. Texts end in a NUL on the wire and are truncated to fit.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct FileHeader7200 {
+    /// Identifier of the file.
     pub file_id: [u64; 2],
+    /// Identifier of the session.
     pub session_id: [u64; 2],
     /// At most 63 bytes.
     pub recording_name: String,
@@ -56,31 +58,34 @@ pub struct FileHeader7200 {
     pub user_defined_name: String,
     /// At most 127 bytes.
     pub notes: String,
-    /// Whose records the file holds.
+    /// Devices whose records the file contains.
     pub devices: Vec<FileDevice>,
 }
 
+/// A device with records in the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct FileDevice {
+    /// Device identifier.
     pub device_id: u32,
+    /// Enumerator of the system.
     pub system_enumerator: u16,
 }
 
 rth!(FileDevice, 6, "7200 device");
 
-/// The optional data of 7200: where the catalogue is. All 0 while the file is being written.
+/// Optional data of 7200: position of the catalogue. All 0 while the file is being written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
 pub struct CataloguePointer {
-    /// The whole 7300 record.
+    /// Size of the whole 7300 record.
     pub size_bytes: u32,
-    /// From the start of the file.
+    /// Offset from the start of the file.
     pub offset_bytes: u64,
 }
 
 rth!(CataloguePointer, 12, "7200 catalogue pointer");
 
 impl CataloguePointer {
-    /// The pointer in a 7200 record; none if it has none or the file was never closed.
+    /// The pointer in a 7200 record; none if it has none or the file was not closed.
     pub fn of_record(record: &Record<'_>) -> Option<Self> {
         let (id, data) = record.optional_data()?;
         let pointer: Self = read_fixed(data).ok()?;
@@ -95,6 +100,7 @@ impl FileHeader7200 {
     pub const RECORD_TYPE_ID: u32 = record_id::FILE_HEADER;
     pub const RTH_BYTES: usize = Rth7200::RTH_BYTES;
 
+    /// Parses the record body.
     pub fn parse(body: &[u8]) -> Result<Self, WireError> {
         let rth: Rth7200 = read_fixed(body)?;
         let devices_len = u64::from(rth.devices) * FileDevice::SIZE_BYTES as u64;
@@ -113,7 +119,7 @@ impl FileHeader7200 {
         })
     }
 
-    /// Appends the 7200 record. Its length depends on nothing but the number of devices.
+    /// Appends the 7200 record. Its length depends only on the number of devices.
     pub fn emit(
         &self,
         buf: &mut Vec<u8>,
@@ -154,15 +160,20 @@ struct Rth7300 {
 
 rth!(Rth7300, 14, "7300 file catalogue");
 
-/// One record of a file.
+/// Catalogue entry of one record.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct CatalogueRow {
+    /// Size of the record.
     pub size_bytes: u32,
-    /// From the start of the file.
+    /// Offset from the start of the file.
     pub offset_bytes: u64,
+    /// Record type.
     pub record_type_id: u16,
+    /// Device identifier.
     pub device_id: u16,
+    /// Enumerator of the system.
     pub system_enumerator: u16,
+    /// Timestamp of the record.
     pub time: SevenKTime,
     /// 0.
     #[brw(pad_after = 16)]
@@ -171,10 +182,10 @@ pub struct CatalogueRow {
 
 rth!(CatalogueRow, 48, "7300 row");
 
-/// 7300, read: the rows stay in the body.
+/// A parsed 7300 that borrows its rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Catalogue7300<'a> {
-    /// All records of the file but the catalogue itself.
+    /// Number of records in the file, without the catalogue.
     pub records: u32,
     rows: &'a [u8],
 }
@@ -183,9 +194,10 @@ impl<'a> Catalogue7300<'a> {
     pub const RECORD_TYPE_ID: u32 = record_id::FILE_CATALOGUE;
     pub const RTH_BYTES: usize = Rth7300::RTH_BYTES;
 
+    /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7300 = read_fixed(body)?;
-        // The RTH states its own size, so that a longer one of a later version can be passed over.
+        // The RTH states its size, so that a longer one of a later version can be skipped.
         if (rth.size_bytes as usize) < Rth7300::RTH_BYTES {
             return Err(WireError::Unsupported {
                 what: "7300 header size",
@@ -199,6 +211,7 @@ impl<'a> Catalogue7300<'a> {
         })
     }
 
+    /// Iterates over the entries.
     pub fn rows(&self) -> impl Iterator<Item = CatalogueRow> + 'a {
         self.rows
             .chunks_exact(CatalogueRow::SIZE_BYTES)
@@ -224,27 +237,34 @@ pub fn emit_7300(buf: &mut Vec<u8>, stamp: &RecordStamp, rows: &[CatalogueRow]) 
 
 // ------------------------------------------------------------------------------------------------------------------------------- write
 
-/// Rows that fit into a catalogue whose size is a u32.
+/// Maximum number of rows in a catalogue, whose size is a u32.
 pub const MAX_CATALOGUE_ROWS: usize =
     (u32::MAX as usize - MIN_RECORD_BYTES - Rth7300::RTH_BYTES) / CatalogueRow::RTH_BYTES;
 
-/// Why a record does not go into a file.
+/// Why a record cannot be added to a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum FileError {
     #[error("not a record: {0}")]
+    /// The bytes are not a valid record.
     Record(#[from] WireError),
     #[error("the file has its 7001 record; readers want exactly one")]
+    /// The file already has a 7001.
     SecondConfiguration,
     #[error("record {record_type_id} belongs to the file's own frame")]
-    Reserved { record_type_id: u32 },
+    /// The record type is reserved for the file's structure.
+    Reserved {
+        /// Record type.
+        record_type_id: u32,
+    },
     #[error("the catalogue is full")]
+    /// The catalogue has its maximum size.
     CatalogueFull,
 }
 
-/// Keeps the catalogue of a file that somebody else writes.
+/// Builds the catalogue of a file that the caller writes.
 ///
-/// Write what [`FileBuilder::begin`] appended; for every record call [`FileBuilder::append`] and write the record; at the end write
-/// [`FileEnd::catalogue`] behind the last record and [`FileEnd::header`] over the start of the file.
+/// The caller writes the bytes from [`FileBuilder::begin`]. For every record it calls [`FileBuilder::append`] and writes the record. At the
+/// end it writes [`FileEnd::catalogue`] after the last record and [`FileEnd::header`] over the start of the file.
 #[derive(Debug)]
 pub struct FileBuilder {
     header: FileHeader7200,
@@ -254,17 +274,17 @@ pub struct FileBuilder {
     has_configuration: bool,
 }
 
-/// What closes a file.
+/// Bytes that close a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FileEnd {
-    /// Goes behind the last record.
+    /// Written after the last record.
     pub catalogue: Vec<u8>,
-    /// Goes over the start of the file; as long as what was there.
+    /// Written over the start of the file; as long as the original header.
     pub header: Vec<u8>,
 }
 
 impl FileBuilder {
-    /// Appends the header to `out`, with a pointer to nowhere.
+    /// Appends the header to `out`, without a pointer.
     pub fn begin(header: FileHeader7200, stamp: RecordStamp, out: &mut Vec<u8>) -> Self {
         let range = header.emit(out, &stamp, CataloguePointer::default());
         let row = CatalogueRow {
@@ -285,7 +305,7 @@ impl FileBuilder {
         }
     }
 
-    /// Notes a whole record that the caller now writes, and returns its place in the file. After an error the caller leaves it out.
+    /// Registers a whole record that the caller then writes, and returns its offset. After an error the caller omits the record.
     pub fn append(&mut self, record: &[u8]) -> Result<u64, FileError> {
         let frame = DataRecordFrame::parse(record)?;
         frame.check()?;
@@ -328,12 +348,12 @@ impl FileBuilder {
         self.position_bytes
     }
 
-    /// Records so far, the header among them.
+    /// Number of records so far, including the header.
     pub fn records(&self) -> usize {
         self.rows.len()
     }
 
-    /// The catalogue, and the header with the pointer to it.
+    /// Catalogue, and header with the pointer to it.
     pub fn close(self) -> FileEnd {
         let (mut catalogue, mut header) = (Vec::new(), Vec::new());
         emit_7300(&mut catalogue, &self.stamp, &self.rows);
@@ -346,33 +366,37 @@ impl FileBuilder {
     }
 }
 
-/// Catalogue rows are narrower than frames; a number that does not fit is written as the largest.
+/// Catalogue rows are narrower than frames; larger numbers are clamped to the maximum.
 fn row_u16(value: u32) -> u16 {
     u16::try_from(value).unwrap_or(u16::MAX)
 }
 
 // -------------------------------------------------------------------------------------------------------------------------------- read
 
-/// A record and its place in the file.
+/// A record and its position in the file.
 #[derive(Debug, Clone, Copy)]
 pub struct FileRecord<'a> {
+    /// Offset from the start of the file.
     pub offset_bytes: u64,
+    /// The record.
     pub record: Record<'a>,
 }
 
-/// Bytes of a file that are no record.
+/// Bytes of a file that are not a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("at byte {offset_bytes}: {error}")]
 pub struct FileReadError {
+    /// Offset from the start of the file.
     pub offset_bytes: u64,
+    /// Reason.
     pub error: WireError,
 }
 
-/// Of the pattern, from the front of a record.
+/// Offset of the sync pattern from the front of a record.
 const SYNC_AT_BYTES: usize = 4;
 
-/// Walks through the records of a file, closed or cut off. After an error it goes on at the next thing that looks like a record; the
-/// bytes between are counted.
+/// Iterates over the records of a file, complete or interrupted. After an error it continues at the next possible record and counts the
+/// bytes between.
 #[derive(Debug, Clone)]
 pub struct FileReader<'a> {
     bytes: &'a [u8],
@@ -382,6 +406,7 @@ pub struct FileReader<'a> {
 }
 
 impl<'a> FileReader<'a> {
+    /// `bytes` is the whole file.
     pub fn new(bytes: &'a [u8]) -> Self {
         Self {
             bytes,
@@ -391,12 +416,12 @@ impl<'a> FileReader<'a> {
         }
     }
 
-    /// Bytes so far that belonged to no record.
+    /// Number of bytes so far that belong to no record.
     pub fn skipped_bytes(&self) -> u64 {
         self.skipped_bytes
     }
 
-    /// Over everything that cannot be the front of a record: without the pattern in its place none is.
+    /// Skips bytes that cannot start a record because the sync pattern is missing.
     fn skip_to_sync(&mut self) {
         let rest = &self.bytes[self.at..];
         let pattern = SYNC_PATTERN.to_le_bytes();
@@ -404,7 +429,7 @@ impl<'a> FileReader<'a> {
         let next = behind_front
             .windows(pattern.len())
             .position(|window| window == pattern);
-        // What is too short for the pattern is passed over byte by byte.
+        // Bytes too few for the pattern are skipped one by one.
         let skipped = next.unwrap_or(behind_front.len().saturating_sub(pattern.len() - 1));
         self.at += skipped;
         self.skipped_bytes += skipped as u64;

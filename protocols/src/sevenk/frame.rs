@@ -5,8 +5,8 @@
 //! data record frame (64) | RTH | RD | OD | checksum (u32)
 //! ```
 //!
-//! The data record frame's `offset` counts from the sync pattern (byte 4) to the RTH (byte 64), so it is 60. A client in wide use writes
-//! 64; the RTH is at byte 64 all the same, and both are read alike.
+//! The data record frame's `offset` counts from the sync pattern (byte 4) to the RTH (byte 64), so it is 60. A widely used client writes
+//! 64. The RTH is at byte 64 in both cases, and both values are accepted.
 
 use std::fmt;
 use std::io::Cursor;
@@ -17,20 +17,26 @@ use binrw::{BinRead, BinWrite, Endian};
 
 use super::{PROTOCOL_VERSION, SevenKTime, WireError};
 
+/// Size of the network frame.
 pub const NETWORK_FRAME_BYTES: usize = 36;
+/// Size of the data record frame.
 pub const DATA_RECORD_FRAME_BYTES: usize = 64;
+/// Size of the checksum.
 pub const CHECKSUM_BYTES: usize = 4;
-/// A record with neither RTH nor data.
+/// Size of a record without RTH and data.
 pub const MIN_RECORD_BYTES: usize = DATA_RECORD_FRAME_BYTES + CHECKSUM_BYTES;
+/// Value of the sync pattern.
 pub const SYNC_PATTERN: u32 = 0x0000_FFFF;
-/// From the sync pattern to the RTH.
+/// Offset from the sync pattern to the RTH.
 pub const RECORD_OFFSET: u16 = 60;
-/// What a client in wide use (MBARI's) writes instead.
+/// Value that a widely used client (MBARI's) writes instead.
 pub const RECORD_OFFSET_FROM_START: u16 = 64;
 
 /// Bits of [`DataRecordFrame::flags`].
 pub mod frame_flags {
+    /// The checksum is valid.
     pub const CHECKSUM_VALID: u16 = 1;
+    /// The record comes from a file.
     pub const RECORDED_DATA: u16 = 1 << 15;
 }
 
@@ -46,7 +52,7 @@ pub(crate) trait Fixed:
     const NAME: &'static str;
 }
 
-/// Reads a fixed layout from the front of `bytes`.
+/// Parses a fixed layout at the front of `bytes`.
 pub(crate) fn read_fixed<T: Fixed>(bytes: &[u8]) -> Result<T, WireError> {
     let truncated = WireError::Truncated {
         what: T::NAME,
@@ -54,7 +60,7 @@ pub(crate) fn read_fixed<T: Fixed>(bytes: &[u8]) -> Result<T, WireError> {
         got_bytes: bytes.len() as u64,
     };
     let front = bytes.get(..T::SIZE_BYTES).ok_or(truncated)?;
-    // With the length seen to, a layout of plain numbers has nothing else that could fail.
+    // After the length check, a layout of plain numbers cannot fail.
     T::read_options(&mut Cursor::new(front), Endian::Little, ()).map_err(|_| truncated)
 }
 
@@ -66,7 +72,7 @@ pub(crate) fn write_fixed<T: Fixed>(value: &T, buf: &mut Vec<u8>) {
     debug_assert_eq!(buf.len() - start, T::SIZE_BYTES, "{}", T::NAME);
 }
 
-/// Appends numbers as bytes, by blocks that stay in cache: `buf` is neither zeroed first nor grown by one number at a time.
+/// Appends numbers as bytes in blocks that stay in cache. This avoids zeroing `buf` and growing it number by number.
 pub(crate) fn extend_encoded<T: Copy, const N: usize>(
     buf: &mut Vec<u8>,
     values: &[T],
@@ -85,7 +91,7 @@ pub(crate) fn extend_encoded<T: Copy, const N: usize>(
 
 /// Sum of all bytes, modulo 2^32.
 pub fn checksum(bytes: &[u8]) -> u32 {
-    // A block of 2^16 bytes cannot overflow a u32, so that the inner sum has no carries to mind.
+    // A block of 2^16 bytes cannot overflow a u32, so that the inner sum needs no wrapping.
     bytes
         .chunks(1 << 16)
         .map(|block| block.iter().map(|&b| u32::from(b)).sum::<u32>())
@@ -102,29 +108,32 @@ pub(crate) fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
 
 // ---------------------------------------------------------------------------------------------------------------------- network frame
 
-/// The header of every packet on the network.
+/// Header of every packet on the network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct NetworkFrame {
-    /// 5.
+    /// Always 5.
     pub protocol_version: u16,
     /// Bytes from the start of the packet to its data: 36.
     pub offset_bytes: u16,
-    /// Packets of this record.
+    /// Number of packets of this record.
     pub total_packets: u32,
-    /// 1.
+    /// Always 1.
     pub total_records: u16,
-    /// The same for all packets of a record; adjacent records differ.
+    /// Equal for all packets of a record; consecutive records differ.
     pub transmission_id: u16,
-    /// This packet, this header included.
+    /// Size of this packet including this header.
     pub packet_size_bytes: u32,
-    /// The record, network frames excluded.
+    /// Size of the record without network frames.
     pub total_size_bytes: u32,
-    /// 0..total_packets.
+    /// 0 to `total_packets` - 1.
     pub sequence_number: u32,
-    /// 0 unspecified.
+    /// 0 is unspecified.
     pub dest_device_id: u32,
+    /// Enumerator of the destination.
     pub dest_enumerator: u16,
+    /// Enumerator of the source.
     pub source_enumerator: u16,
+    /// Device identifier of the source.
     pub source_device_id: u32,
 }
 
@@ -134,23 +143,23 @@ impl Fixed for NetworkFrame {
 }
 
 impl NetworkFrame {
-    /// Reads the fields as they are; [`NetworkFrame::check`] judges them.
+    /// Parses the fields; [`NetworkFrame::check`] validates them.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         read_fixed(bytes)
     }
 
+    /// Appends the frame.
     pub fn emit(&self, buf: &mut Vec<u8>) {
         write_fixed(self, buf);
     }
 
-    /// Data bytes behind this header; 0 if the packet size is nonsense.
+    /// Size of the data after this header; 0 if the packet size is invalid.
     pub fn data_bytes(&self) -> u32 {
         self.packet_size_bytes
             .saturating_sub(NETWORK_FRAME_BYTES as u32)
     }
 
-    /// Whether the frame can be believed: version, offset, a record size from 68 to `max_record_bytes`, and sizes and numbers that fit each
-    /// other.
+    /// Validates version, offset, a record size from 68 to `max_record_bytes`, and the consistency of sizes and numbers.
     pub fn check(&self, max_record_bytes: u32) -> Result<(), WireError> {
         if self.protocol_version != PROTOCOL_VERSION {
             return Err(WireError::NetworkVersion {
@@ -171,8 +180,8 @@ impl NetworkFrame {
         self.fragment_bytes().map(|_| ())
     }
 
-    /// Data bytes in every packet of the record but the last. Because those are all equal, any one packet tells, and with it where its
-    /// data belong.
+    /// Size of the data in every packet of the record except the last. These are all equal, so that any packet gives the size and the
+    /// position of its data.
     pub fn fragment_bytes(&self) -> Result<u32, WireError> {
         let inconsistent = WireError::PacketSizes {
             packet_bytes: self.packet_size_bytes,
@@ -205,7 +214,7 @@ impl NetworkFrame {
             data.saturating_mul(packets - 1)
         };
         let fragment = before_last / (packets - 1);
-        // The data record frame is only in the first packet, hence whole in it: no fragment is shorter than 64 bytes.
+        // The data record frame must be whole in the first packet: no fragment is shorter than 64 bytes.
         let fits = before_last % (packets - 1) == 0
             && fragment >= DATA_RECORD_FRAME_BYTES as u64
             && before_last < total
@@ -238,33 +247,39 @@ impl fmt::Display for NetworkFrame {
 
 // ------------------------------------------------------------------------------------------------------------------- data record frame
 
-/// The header of every record.
+/// Header of every record.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct DataRecordFrame {
-    /// 5.
+    /// Always 5.
     pub protocol_version: u16,
-    /// From the sync pattern to the RTH: 60 (some write 64 and mean the same place).
+    /// Offset from the sync pattern to the RTH: 60 (some clients write 64 for the same position).
     pub offset_bytes: u16,
+    /// [`SYNC_PATTERN`].
     pub sync_pattern: u32,
-    /// The whole record, checksum included.
+    /// Size of the whole record including the checksum.
     pub size_bytes: u32,
-    /// From the start of the record; 0 is none.
+    /// Offset from the start of the record; 0 is none.
     pub optional_data_offset_bytes: u32,
     /// Record type that describes the optional data.
     pub optional_data_id: u32,
+    /// Timestamp of the record.
     pub time: SevenKTime,
+    /// Version of the record layout.
     pub record_version: u16,
+    /// Record type.
     pub record_type_id: u32,
     #[brw(pad_after = 2)]
+    /// Device identifier.
     pub device_id: u32,
     #[brw(pad_after = 4)]
+    /// Enumerator of the system.
     pub system_enumerator: u16,
-    /// See [`frame_flags`].
+    /// Bits of [`frame_flags`].
     #[brw(pad_after = 6)]
     pub flags: u16,
-    /// 0.
+    /// Always 0.
     pub total_records_in_fragmented_set: u32,
-    /// 0.
+    /// Always 0.
     pub fragment_number: u32,
 }
 
@@ -274,16 +289,17 @@ impl Fixed for DataRecordFrame {
 }
 
 impl DataRecordFrame {
-    /// Reads the fields as they are; [`DataRecordFrame::check`] judges them.
+    /// Parses the fields; [`DataRecordFrame::check`] validates them.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         read_fixed(bytes)
     }
 
+    /// Appends the frame.
     pub fn emit(&self, buf: &mut Vec<u8>) {
         write_fixed(self, buf);
     }
 
-    /// Version, sync pattern, offset and a size that at least holds the frame and the checksum.
+    /// Validates version, sync pattern, offset, and a size that includes frame and checksum.
     pub fn check(&self) -> Result<(), WireError> {
         if self.protocol_version != PROTOCOL_VERSION {
             return Err(WireError::DataVersion {
@@ -309,6 +325,7 @@ impl DataRecordFrame {
         Ok(())
     }
 
+    /// True if the flags declare the checksum valid.
     pub fn has_checksum(&self) -> bool {
         self.flags & frame_flags::CHECKSUM_VALID != 0
     }
@@ -326,16 +343,17 @@ impl fmt::Display for DataRecordFrame {
 
 // ------------------------------------------------------------------------------------------------------------------------------ record
 
-/// A whole record whose frame, size and checksum were found right.
+/// A whole record with valid frame, size and checksum.
 #[derive(Debug, Clone, Copy)]
 pub struct Record<'a> {
+    /// Frame of the record.
     pub frame: DataRecordFrame,
     bytes: &'a [u8],
     body_end: usize,
 }
 
 impl<'a> Record<'a> {
-    /// Reads a record that fills `bytes` exactly.
+    /// Parses a record that fills `bytes` exactly.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, WireError> {
         Self::dissect(bytes).map(|(frame, body_end)| Self {
             frame,
@@ -344,7 +362,7 @@ impl<'a> Record<'a> {
         })
     }
 
-    /// Checks all of a record; returns its frame and where its body ends.
+    /// Validates a whole record; returns its frame and the end of its body.
     pub(crate) fn dissect(bytes: &[u8]) -> Result<(DataRecordFrame, usize), WireError> {
         let frame = DataRecordFrame::parse(bytes)?;
         frame.check()?;
@@ -377,7 +395,7 @@ impl<'a> Record<'a> {
         Ok((frame, offset))
     }
 
-    /// A record from what [`Record::dissect`] returned for the same bytes.
+    /// A record from the result of [`Record::dissect`] for the same bytes.
     pub(crate) fn from_checked(frame: DataRecordFrame, bytes: &'a [u8], body_end: usize) -> Self {
         Self {
             frame,
@@ -386,6 +404,7 @@ impl<'a> Record<'a> {
         }
     }
 
+    /// The whole record.
     pub fn bytes(&self) -> &'a [u8] {
         self.bytes
     }
@@ -395,7 +414,7 @@ impl<'a> Record<'a> {
         &self.bytes[DATA_RECORD_FRAME_BYTES..self.body_end]
     }
 
-    /// What record type describes the optional data, and the data; none if the frame points to none.
+    /// Record type that describes the optional data, and the data; none without optional data.
     pub fn optional_data(&self) -> Option<(u32, &'a [u8])> {
         (self.frame.optional_data_offset_bytes != 0).then(|| {
             (
@@ -406,19 +425,21 @@ impl<'a> Record<'a> {
     }
 }
 
-/// When and by whom a record is sent: what its frame needs beside its type.
+/// Timestamp and origin of a record, for its frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RecordStamp {
-    /// Ping records: the end of the transmission.
+    /// End of the transmission for ping records.
     pub time: SevenKTime,
-    /// See [`device_id`](super::device_id).
+    /// One of [`device_id`](super::device_id).
     pub device_id: u32,
+    /// Enumerator of the system.
     pub system_enumerator: u16,
 }
 
-/// A record being written at the end of a buffer: `begin`, append RTH and RD to the buffer, perhaps `optional_data` and append it, `finish`.
+/// A record under construction at the end of a buffer. Call `begin`, append RTH and RD, optionally call `optional_data` and append it, then
+/// call `finish`.
 #[derive(Debug)]
-#[must_use = "a record without `finish` has neither size nor checksum"]
+#[must_use = "a record without `finish` has no size and no checksum"]
 pub struct OpenRecord {
     start: usize,
 }
@@ -447,17 +468,17 @@ impl OpenRecord {
         Self { start }
     }
 
-    /// What is appended from here on is optional data, described by record type `optional_data_id`.
+    /// Marks the bytes appended from here on as optional data, described by record type `optional_data_id`.
     pub fn optional_data(&self, buf: &mut [u8], optional_data_id: u32) {
         let offset = record_bytes(buf.len() - self.start);
         self.patch(buf, OPTIONAL_DATA_OFFSET_AT, offset);
         self.patch(buf, OPTIONAL_DATA_ID_AT, optional_data_id);
     }
 
-    /// Writes the size, appends the checksum, and says where in the buffer the record lies.
+    /// Sets the size, appends the checksum, and returns the byte range of the record.
     ///
     /// # Panics
-    /// If the record is 4 GiB or longer: nothing the configuration lets through is.
+    /// If the record is 4 GiB or longer, which the configuration prevents.
     pub fn finish(self, buf: &mut Vec<u8>) -> Range<usize> {
         let size = record_bytes(buf.len() - self.start + CHECKSUM_BYTES);
         self.patch(buf, SIZE_AT, size);

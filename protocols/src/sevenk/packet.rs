@@ -1,10 +1,10 @@
-//! Records to packets and back. Source: DFD 3.12, network frame.
+//! Divides records into packets, and reassembles them. Source: DFD 3.12, network frame.
 //!
-//! A record longer than a packet may be is cut; all packets are equally long except the last, and the data record frame is only in the
-//! first. The DFD allows 60 000 bytes per packet, network frame included. A reader in wide use (MBARI's) does not put packets together
-//! again: for it, [`Packetiser::whole_records`].
+//! A record longer than the maximum packet is divided. All packets except the last have equal length, and only the first contains the data
+//! record frame. The DFD permits 60 000 bytes per packet including the network frame. A widely used reader (MBARI's) does not reassemble
+//! packets and needs [`Packetiser::whole_records`].
 //!
-//! Datagrams are put together by [`Reassembler`]; a TCP connection is read by [`StreamDecoder`](super::StreamDecoder).
+//! [`Reassembler`] reassembles datagrams; [`StreamDecoder`](super::StreamDecoder) reads a TCP connection.
 
 use std::iter::FusedIterator;
 use std::ops::Range;
@@ -15,26 +15,27 @@ use super::frame::{
 };
 use super::{PROTOCOL_VERSION, WireError};
 
-/// What the DFD allows, network frame included.
+/// Maximum packet of the DFD including the network frame.
 pub const DEFAULT_MAX_PACKET_BYTES: u32 = 60_000;
-/// Less would cut the data record frame.
+/// Minimum packet limit: a smaller one would divide the data record frame.
 pub const MIN_MAX_PACKET_BYTES: u32 = (NETWORK_FRAME_BYTES + DATA_RECORD_FRAME_BYTES) as u32;
-/// The longest payload of a UDP datagram over IPv4.
+/// Maximum payload of a UDP datagram over IPv4.
 pub const MAX_DATAGRAM_BYTES: u32 = 65_507;
 
 const DEVICE_ID_AT: usize = 36;
 const SYSTEM_ENUMERATOR_AT: usize = 42;
 
-/// A packet limit below [`MIN_MAX_PACKET_BYTES`].
+/// The packet limit is below [`MIN_MAX_PACKET_BYTES`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
     "packets of at most {max_packet_bytes} bytes cannot hold both frames of 7k: {MIN_MAX_PACKET_BYTES} is the least"
 )]
 pub struct PacketLimitError {
+    /// Limit requested.
     pub max_packet_bytes: u32,
 }
 
-/// Cuts records into packets and numbers the transmissions.
+/// Divides records into packets and numbers the transmissions.
 #[derive(Debug, Clone)]
 pub struct Packetiser {
     max_packet_bytes: u32,
@@ -51,7 +52,7 @@ impl Default for Packetiser {
 }
 
 impl Packetiser {
-    /// `max_packet_bytes` includes the network frame. For datagrams it should not be over [`MAX_DATAGRAM_BYTES`].
+    /// `max_packet_bytes` includes the network frame. For datagrams it should not exceed [`MAX_DATAGRAM_BYTES`].
     pub fn new(max_packet_bytes: u32) -> Result<Self, PacketLimitError> {
         if max_packet_bytes < MIN_MAX_PACKET_BYTES {
             return Err(PacketLimitError { max_packet_bytes });
@@ -62,7 +63,7 @@ impl Packetiser {
         })
     }
 
-    /// One packet per record, however long; for TCP readers that do not reassemble.
+    /// One packet per record of any length, for TCP readers that do not reassemble.
     pub fn whole_records() -> Self {
         Self {
             max_packet_bytes: u32::MAX,
@@ -70,10 +71,10 @@ impl Packetiser {
         }
     }
 
-    /// Appends the packets of one record and says where each lies in `buf`: over TCP send all of them, over UDP each as a datagram.
+    /// Appends the packets of one record and returns their ranges in `buf`. Send all of them over TCP, or each as a datagram over UDP.
     ///
     /// # Panics
-    /// If `record` is shorter than 68 bytes or so long that it does not fit a u32 with its network frame: this crate emits neither.
+    /// If `record` is shorter than 68 bytes, or its size with the network frame exceeds a u32.
     pub fn packetise(&mut self, record: &[u8], buf: &mut Vec<u8>) -> PacketRanges {
         assert!(
             record.len() >= MIN_RECORD_BYTES,
@@ -118,7 +119,7 @@ impl Packetiser {
     }
 }
 
-/// Where the packets of one record lie in the buffer, in order of sending.
+/// Ranges of the packets of one record in the buffer, in order of sending.
 #[derive(Debug, Clone)]
 pub struct PacketRanges {
     next: usize,
@@ -127,7 +128,7 @@ pub struct PacketRanges {
 }
 
 impl PacketRanges {
-    /// All packets as one piece: what goes into a TCP connection.
+    /// Range of all packets, for a TCP connection.
     pub fn whole(&self) -> Range<usize> {
         self.next..self.end
     }
@@ -156,25 +157,26 @@ impl FusedIterator for PacketRanges {}
 
 // ------------------------------------------------------------------------------------------------------------------------- reassembly
 
-/// Records that are put together at the same time; a further one drops the oldest.
+/// Maximum number of records under reassembly; a further one drops the oldest.
 pub const PARTIAL_RECORDS: usize = 4;
 
-/// What a [`Reassembler`] has seen.
+/// Counters of a [`Reassembler`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ReassemblyCounters {
-    /// Whole records handed out.
+    /// Whole records returned.
     pub records: u64,
-    /// Packets refused, and records that were whole but wrong.
+    /// Packets refused, and complete records that were invalid.
     pub errors: u64,
-    /// Packets that came before an earlier one of their record; they were put in place.
+    /// Packets that arrived before an earlier one of their record; they were used.
     pub out_of_order_packets: u64,
+    /// Packets received twice.
     pub duplicate_packets: u64,
-    /// Records given up with packets missing.
+    /// Records dropped with packets missing.
     pub abandoned_records: u64,
 }
 
-/// Puts datagrams together to records, in whatever order the packets of a record come. Holds at most [`PARTIAL_RECORDS`] unfinished
-/// records and one finished, each no longer than the limit it was made with.
+/// Reassembles datagrams to records for any order of packets. It holds at most [`PARTIAL_RECORDS`] incomplete records and one complete
+/// record, each within the size limit.
 #[derive(Debug)]
 pub struct Reassembler {
     max_record_bytes: u32,
@@ -186,7 +188,7 @@ pub struct Reassembler {
 
 #[derive(Debug)]
 struct PartialRecord {
-    /// The frame of the packet that came first.
+    /// Frame of the first packet received.
     frame: NetworkFrame,
     fragment_bytes: u32,
     bytes: Vec<u8>,
@@ -195,7 +197,7 @@ struct PartialRecord {
 }
 
 impl PartialRecord {
-    /// Whether a packet belongs to the same record.
+    /// True if a packet belongs to the same record.
     fn matches(&self, frame: &NetworkFrame, fragment_bytes: u32) -> bool {
         self.same_transmission(frame)
             && self.frame.total_size_bytes == frame.total_size_bytes
@@ -216,6 +218,7 @@ impl PartialRecord {
 }
 
 impl Reassembler {
+    /// Records longer than `max_record_bytes` are refused.
     pub fn new(max_record_bytes: u32) -> Self {
         Self {
             max_record_bytes,
@@ -225,16 +228,17 @@ impl Reassembler {
         }
     }
 
+    /// Counters so far.
     pub fn counters(&self) -> ReassemblyCounters {
         self.counters
     }
 
-    /// Takes one datagram; returns the record if it is now whole.
+    /// Takes one datagram and returns the record if it is complete.
     pub fn push_datagram<'a>(
         &'a mut self,
         datagram: &'a [u8],
     ) -> Result<Option<Record<'a>>, WireError> {
-        // Counted here so that no error path below can forget it; the borrow of the record ends before the counters are touched.
+        // Counted here so that every error path is included; the borrow of the record ends before the counters change.
         let whole = match self.place(datagram) {
             Ok(Placed::Waiting) => return Ok(None),
             Ok(Placed::Alone) => &datagram[NETWORK_FRAME_BYTES..],
@@ -291,7 +295,7 @@ impl Reassembler {
         Ok(Placed::Complete)
     }
 
-    /// The unfinished record that a packet belongs to, begun if need be.
+    /// Index of the incomplete record that a packet belongs to; created if necessary.
     fn partial_of(&mut self, frame: &NetworkFrame, fragment_bytes: u32) -> usize {
         if let Some(index) = self
             .partial
@@ -300,7 +304,7 @@ impl Reassembler {
         {
             return index;
         }
-        // The same transmission with other sizes is a new one whose number came round again: what was left of the old is dead.
+        // The same transmission number with other sizes is a new record after the counter wrapped; the old one is dropped.
         let stale = self
             .partial
             .iter()

@@ -1,11 +1,11 @@
-//! The bytes of a TCP connection to records, with resynchronisation. Source: DFD 3.12, network frame.
+//! Decodes the bytes of a TCP connection to records, with resynchronisation. Source: DFD 3.12, network frame.
 //!
-//! A record is believed only when all of it is there and right: every network frame of it, the data record frame, the checksum. Until then
-//! no byte of it is given up; when something is wrong, the search for the next frame starts one byte further. A record behind a damaged
-//! one is therefore found even when the damaged one claims to be longer than it is.
+//! A record is accepted only when it is complete and valid: all of its network frames, the data record frame, the checksum. Its bytes are
+//! kept until then. After an error, the search for the next frame starts one byte further. A record after a damaged one is therefore found
+//! even if the damaged one states an excessive length.
 //!
-//! The packets of one record are taken to follow each other, as TCP keeps them. Memory stays below [`StreamDecoder::capacity_bytes`].
-//! A peer that sends nothing but forged frames can make each one cost a checksum over the record it claims: the record limit bounds that.
+//! The packets of one record must follow each other, as TCP preserves their order. Memory stays below [`StreamDecoder::capacity_bytes`]. A
+//! peer that sends only forged frames can cause a checksum calculation for each; the record limit bounds its cost.
 
 use std::ops::Range;
 
@@ -14,35 +14,43 @@ use super::frame::{
 };
 use super::{PROTOCOL_VERSION, WireError};
 
-/// Record limit for a server: commands are short.
+/// Record limit for a server, because commands are short.
 pub const DEFAULT_MAX_COMMAND_BYTES: u32 = 1 << 20;
 
-/// Room beyond the longest record, so that reading one never hands bytes back in driblets.
+/// Buffer space beyond the longest record, so that `push` accepts bytes in large pieces.
 const SLACK_BYTES: usize = 4096;
 
-/// What a [`StreamDecoder`] has seen. Errors are counted once where they are met, not for every byte of rubbish behind them.
+/// Counters of a [`StreamDecoder`]. Each error is counted once, not for every invalid byte after it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct StreamCounters {
-    /// Whole, right records.
+    /// Complete, valid records.
     pub records: u64,
-    /// Bytes that belonged to no record.
+    /// Bytes that belong to no record.
     pub skipped_bytes: u64,
-    /// Times that a record was found again after an error.
+    /// Number of times that a record was found after an error.
     pub resyncs: u64,
+    /// Network frames with the wrong version.
     pub network_version_errors: u64,
+    /// Network frames with the wrong offset.
     pub network_offset_errors: u64,
+    /// Records beyond the size limit.
     pub oversized_errors: u64,
+    /// Network frames with inconsistent sizes.
     pub packet_size_errors: u64,
+    /// Packets out of order.
     pub fragment_sequence_errors: u64,
+    /// Records with a wrong sync pattern.
     pub sync_pattern_errors: u64,
+    /// Records with a wrong checksum.
     pub checksum_errors: u64,
+    /// Records that ended early.
     pub truncated_errors: u64,
-    /// Data record frames otherwise wrong: version, offset, size, optional data.
+    /// Data record frames with another error: version, offset, size, optional data.
     pub data_frame_errors: u64,
 }
 
 impl StreamCounters {
-    /// All errors.
+    /// Sum of all errors.
     pub fn errors(&self) -> u64 {
         self.network_version_errors
             + self.network_offset_errors
@@ -75,18 +83,18 @@ impl StreamCounters {
     }
 }
 
-/// Reads records from a byte stream. Push bytes, pull records until there is none; [`StreamDecoder::feed`] does both.
+/// Decodes records from a byte stream. Push bytes, then take records until there is none; [`StreamDecoder::feed`] does both.
 #[derive(Debug)]
 pub struct StreamDecoder {
     max_record_bytes: u32,
     buf: Vec<u8>,
-    /// Bytes of `buf` that are done with.
+    /// Number of bytes at the front of `buf` that are processed.
     head: usize,
-    /// After an error: what does not look like a frame is passed over in silence.
+    /// After an error: bytes that do not look like a frame are skipped without another error.
     searching: bool,
-    /// Nothing will come to complete what is held.
+    /// No further bytes will complete the data held.
     ended: bool,
-    /// The record last put together from several packets.
+    /// The last record reassembled from several packets.
     joined: Vec<u8>,
     counters: StreamCounters,
 }
@@ -97,13 +105,13 @@ impl Default for StreamDecoder {
     }
 }
 
-/// What stands at the head of the stream.
+/// Result of examining the front of the stream.
 enum Look {
-    /// More bytes are needed. `believable`: what is there passed every check so far, so that its end is worth a word.
+    /// More bytes are needed. `believable`: the bytes so far passed every check, so that an early end is an error.
     Wait { need_bytes: u64, believable: bool },
-    /// Not a record. `believable`: it looked like one from its headers.
+    /// Not a record. `believable`: the headers look like a record.
     Bad { error: WireError, believable: bool },
-    /// A record of as many bytes on the wire; joined if it came in several packets.
+    /// A complete record with its size on the wire; reassembled if it has several packets.
     Good {
         wire_bytes: usize,
         frame: DataRecordFrame,
@@ -112,16 +120,16 @@ enum Look {
     },
 }
 
-/// Where a record that was found lies.
+/// Location of a complete record.
 struct Found {
-    /// In `buf`; none if it lies in `joined`.
+    /// Range in `buf`; none if the record is in `joined`.
     range: Option<Range<usize>>,
     frame: DataRecordFrame,
     body_end: usize,
 }
 
 impl StreamDecoder {
-    /// Records longer than `max_record_bytes` are refused from their header.
+    /// Records longer than `max_record_bytes` are refused by their header.
     pub fn new(max_record_bytes: u32) -> Self {
         Self {
             max_record_bytes,
@@ -134,29 +142,29 @@ impl StreamDecoder {
         }
     }
 
+    /// Counters so far.
     pub fn counters(&self) -> StreamCounters {
         self.counters
     }
 
-    /// The most bytes held: the longest record, cut into the shortest packets, and some slack.
+    /// Maximum number of bytes held: the longest record in the shortest packets, plus reserve.
     pub fn capacity_bytes(&self) -> usize {
         let packets = self.max_record_bytes as usize / DATA_RECORD_FRAME_BYTES + 1;
         self.max_record_bytes as usize + packets * NETWORK_FRAME_BYTES + SLACK_BYTES
     }
 
-    /// Bytes that wait for the rest of their record.
+    /// Number of bytes of an incomplete record.
     pub fn held_bytes(&self) -> usize {
         self.buf.len() - self.head
     }
 
-    /// Right after [`StreamDecoder::next_record`] returned an error: the bytes held, from the one on that was no start of a record. From
-    /// a refused command's frame a server learns what to answer to.
+    /// Directly after [`StreamDecoder::next_record`] returned an error: the bytes from the invalid record on. A server reads the ticket for
+    /// its refusal from these bytes.
     pub fn refused_bytes(&self) -> &[u8] {
         &self.buf[self.head.saturating_sub(1)..]
     }
 
-    /// Takes bytes, as many as there is room for, and returns how many. After [`StreamDecoder::next_record`] returned `None` there is room
-    /// for at least one.
+    /// Takes bytes while there is room and returns their number; at least one after [`StreamDecoder::next_record`] returned `None`.
     pub fn push(&mut self, bytes: &[u8]) -> usize {
         if bytes.is_empty() {
             return 0;
@@ -169,13 +177,13 @@ impl StreamDecoder {
         taken
     }
 
-    /// Says that what is held will not be continued: the peer closed, or stalled for too long. An unfinished record becomes an error, and
-    /// records that it hid come to light by further calls of [`StreamDecoder::next_record`]. Pushing again afterwards is allowed.
+    /// Marks the end of the input, because the peer closed or stalled. An incomplete record becomes an error, and further calls of
+    /// [`StreamDecoder::next_record`] return records that it hid. More bytes may be pushed afterwards.
     pub fn finish(&mut self) {
         self.ended = true;
     }
 
-    /// The next record or error; `None` when more bytes are needed.
+    /// The next record or error; `None` if more bytes are needed.
     pub fn next_record(&mut self) -> Option<Result<Record<'_>, WireError>> {
         match self.advance()? {
             Ok(Found {
@@ -193,7 +201,7 @@ impl StreamDecoder {
         }
     }
 
-    /// Takes all of `bytes` and hands every record and error on as it is met.
+    /// Takes all of `bytes` and passes every record and error to `each`.
     pub fn feed(&mut self, mut bytes: &[u8], mut each: impl FnMut(Result<Record<'_>, WireError>)) {
         loop {
             while let Some(item) = self.next_record() {
@@ -266,7 +274,7 @@ impl StreamDecoder {
             Ok(frame) => frame,
             Err(look) => return look,
         };
-        // From here on it looks like a record.
+        // From here on the bytes look like a record.
         let bad = |error| Look::Bad {
             error,
             believable: true,
@@ -307,7 +315,7 @@ impl StreamDecoder {
         let is_joined = first.total_packets > 1;
         if is_joined {
             self.joined.clear();
-            // `check` saw to it that every packet but the last is as long as the first.
+            // `check` ensures that every packet except the last is as long as the first.
             for packet in held[..wire_bytes].chunks(first.packet_size_bytes as usize) {
                 self.joined
                     .extend_from_slice(&packet[NETWORK_FRAME_BYTES..]);
@@ -329,7 +337,7 @@ impl StreamDecoder {
         }
     }
 
-    /// Judges the first network frame and the data record frame behind it, as early as their bytes allow.
+    /// Validates the first network frame and the following data record frame as early as their bytes permit.
     fn look_at_headers(&self, held: &[u8]) -> Result<NetworkFrame, Look> {
         let bad = |error| Look::Bad {
             error,
@@ -339,7 +347,7 @@ impl StreamDecoder {
             need_bytes: need as u64,
             believable,
         };
-        // A peer that does not speak 7k is told so by its first bytes, not when it has sent 36.
+        // The version is checked from the first bytes, so that a peer with another protocol is refused before 36 bytes.
         if let Some(got) = u16_at(held, 0).filter(|&got| got != PROTOCOL_VERSION) {
             return Err(bad(WireError::NetworkVersion { got }));
         }

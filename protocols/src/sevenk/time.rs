@@ -1,4 +1,4 @@
-//! 7KTIME: the ten-byte UTC stamp of every 7k record. Source: DFD 3.12, data record frame.
+//! 7KTIME: the ten-byte UTC timestamp of every 7k record. Source: DFD 3.12, data record frame.
 //!
 //! | off | type | field |
 //! |---:|---|---|
@@ -8,7 +8,7 @@
 //! | 8 | u8 | hours |
 //! | 9 | u8 | minutes |
 //!
-//! The seconds are an f32: near 60 s its steps are 3.8 us, so a stamp is good to 1.9 us and no better.
+//! The seconds are an f32 with steps of 3.8 us near 60 s, so that a timestamp is accurate to 1.9 us.
 
 use std::fmt;
 
@@ -17,24 +17,28 @@ use binrw::{BinRead, BinWrite};
 use super::frame::{Fixed, read_fixed, write_fixed};
 use super::{ErrorCode, WireError};
 
-/// Worst distance between a UTC time and the stamp made from it: the whole last f32 step below 60 s (other values round to half of it).
+/// Largest difference between a UTC time and its timestamp: the whole last f32 step below 60 s (other values round to half a step).
 pub const TIME_RESOLUTION_NS: i64 = 3_815;
 
-/// The largest f32 below 60: what a time that would round up to 60.0 is written as, because 60.0 names no moment of its minute.
+/// The largest f32 below 60. It replaces times that would round up to 60.0, which is not a time within its minute.
 const LAST_SECOND: f32 = f32::from_bits(60.0_f32.to_bits() - 1);
 
 const NS_PER_S: i64 = 1_000_000_000;
 const NS_PER_MINUTE: i64 = 60 * NS_PER_S;
 const NS_PER_DAY: i64 = 86_400 * NS_PER_S;
 
-/// A UTC moment as 7k writes it. Fields are as on the wire and may be nonsense after parsing; [`SevenKTime::to_utc_ns`] judges them.
+/// A UTC time as on the wire. Fields may be invalid after parsing; [`SevenKTime::to_utc_ns`] validates them.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct SevenKTime {
+    /// Year.
     pub year: u16,
     /// 1 is the first of January.
     pub day_of_year: u16,
+    /// Seconds within the minute.
     pub seconds: f32,
+    /// Hour, 0 to 23.
     pub hours: u8,
+    /// Minute, 0 to 59.
     pub minutes: u8,
 }
 
@@ -43,33 +47,44 @@ impl Fixed for SevenKTime {
     const NAME: &'static str = "7KTIME";
 }
 
-/// A time that cannot be written as, or read from, a 7KTIME.
+/// Why a time has no 7KTIME, or a 7KTIME is no time.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum TimeError {
     #[error("{utc_ns} ns is before 1970, which a 7k stamp of ours does not reach")]
-    BeforeEpoch { utc_ns: i64 },
+    /// Times before 1970 are not supported.
+    BeforeEpoch {
+        /// Nanoseconds since 1970.
+        utc_ns: i64,
+    },
     #[error("7KTIME field {field} is {value}")]
-    Field { field: &'static str, value: f64 },
+    /// A field is out of range.
+    Field {
+        /// Name of the field.
+        field: &'static str,
+        /// Value found.
+        value: f64,
+    },
 }
 
 impl TimeError {
-    /// What a server answers to a command that carries such a time.
+    /// Error code of the answer to a command with such a time.
     pub fn nack_code(&self) -> ErrorCode {
         ErrorCode::InvalidParameter
     }
 }
 
 impl SevenKTime {
+    /// Size of a timestamp.
     pub const SIZE_BYTES: usize = <Self as Fixed>::SIZE_BYTES;
 
-    /// The stamp of a UTC moment, nanoseconds since 1970-01-01, rounded to the f32 nearest to its seconds but never up to 60.0.
+    /// Timestamp of a UTC time in nanoseconds since 1970-01-01, rounded to the nearest f32 seconds but never up to 60.0.
     pub fn from_utc_ns(utc_ns: i64) -> Result<Self, TimeError> {
         if utc_ns < 0 {
             return Err(TimeError::BeforeEpoch { utc_ns });
         }
         let day = utc_ns / NS_PER_DAY;
         let in_day_ns = utc_ns % NS_PER_DAY;
-        // Too late by a year at most within the reach of an i64 (year 2262): 365-day years outrun the calendar by 73 days by then.
+        // At most one year too late within the range of an i64 (year 2262): 365-day years exceed the calendar by 73 days by then.
         let mut year = 1970 + day / 365;
         while days_before_year(year) > day {
             year -= 1;
@@ -85,17 +100,17 @@ impl SevenKTime {
         })
     }
 
-    /// The stamp of a UTC moment; a time before 1970 becomes 1970-01-01 00:00, for callers that must not fail.
+    /// Timestamp of a UTC time; times before 1970 become 1970-01-01 00:00, for callers that must not fail.
     pub fn from_utc_ns_clamped(utc_ns: i64) -> Self {
         Self::from_utc_ns(utc_ns.max(0)).expect("a time from 1970 on has a stamp")
     }
 
-    /// UTC nanoseconds since 1970-01-01, to the precision of the f32 seconds. Seconds of exactly 60.0, which careless rounding writes, are
-    /// read as the start of the next minute.
+    /// UTC nanoseconds since 1970-01-01, to the precision of the f32 seconds. Seconds of exactly 60.0, which some writers produce by
+    /// rounding, mean the start of the next minute.
     pub fn to_utc_ns(&self) -> Result<i64, TimeError> {
         let field = |field, value: f64| Err(TimeError::Field { field, value });
         let year = i64::from(self.year);
-        // 2261 is the last whole year that an i64 of nanoseconds holds.
+        // 2261 is the last whole year within the range of i64 nanoseconds.
         if !(1970..=2261).contains(&year) {
             return field("year", f64::from(self.year));
         }
@@ -120,10 +135,12 @@ impl SevenKTime {
             + seconds_ns)
     }
 
+    /// Parses the fields at the front of `bytes`.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         read_fixed(bytes)
     }
 
+    /// Appends the timestamp.
     pub fn emit(&self, buf: &mut Vec<u8>) {
         write_fixed(self, buf);
     }
@@ -208,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_fields_are_named() {
+    fn invalid_fields_are_named() {
         let good = stamp(2023, 365, 23, 59, 59.0);
         assert!(good.to_utc_ns().is_ok());
         for (bad, name) in [

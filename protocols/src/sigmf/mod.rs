@@ -1,27 +1,31 @@
-//! SigMF: the words beside a file of samples. Source: SigMF specification 1.2 (public): `core` namespace.
+//! SigMF: the metadata of a sample file. Source: SigMF specification 1.2 (public), `core` namespace.
 //!
-//! A recording is two files: `NAME.sigmf-data`, the samples of all channels side by side, moment by moment, and `NAME.sigmf-meta`, JSON with
-//! what they are (`global`), where each ping begins and when (`captures`), and what is in it (`annotations`). Sample numbers count
-//! moments, not numbers: one is a sample of every channel.
+//! A recording is two files. `NAME.sigmf-data` holds the samples of all channels, interleaved by sample time. `NAME.sigmf-meta` is JSON
+//! with the format (`global`), the start and time of each ping (`captures`) and the contents (`annotations`). Sample numbers count sample
+//! times: one includes a sample of every channel.
 
 use serde_json::{Map, Value, json};
 
 use crate::calendar::Moment;
 
-/// The specification that the words follow.
+/// Version of the specification.
 pub const VERSION: &str = "1.2.5";
 
-/// One number of a channel at a moment.
+/// Number type of one sample of a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DataType {
+    /// Complex 16-bit integers.
     ComplexI16,
+    /// Real 16-bit integers.
     RealI16,
+    /// Complex 32-bit floats.
     ComplexF32,
+    /// Real 32-bit floats.
     RealF32,
 }
 
 impl DataType {
-    /// Its name, little endian.
+    /// SigMF name of the type, little endian.
     pub fn name(self) -> &'static str {
         match self {
             Self::ComplexI16 => "ci16_le",
@@ -42,7 +46,7 @@ impl DataType {
         .find(|kind| kind.name() == name)
     }
 
-    /// Bytes of one channel at a moment.
+    /// Size of one sample of one channel.
     pub fn bytes(self) -> usize {
         match self {
             Self::RealI16 => 2,
@@ -52,56 +56,75 @@ impl DataType {
     }
 }
 
-/// A stretch of samples without a gap: a ping.
+/// A contiguous section of samples: a ping.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Capture {
+    /// Index of the first sample.
     pub sample_start: u64,
-    /// What 0 Hz is at the transducer; `None` for real samples.
+    /// Frequency at the transducer of 0 Hz in the samples; `None` for real samples.
     pub frequency_hz: Option<f64>,
-    /// Of the first sample.
+    /// Time of the first sample, nanoseconds since 1970.
     pub utc_ns: i64,
 }
 
-/// What is in some samples.
+/// Description of a section of samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Annotation {
+    /// Index of the first sample.
     pub sample_start: u64,
+    /// Number of samples.
     pub sample_count: u64,
-    /// Short: at most 20 characters are displayed by many programs.
+    /// Short label: many programs display at most 20 characters.
     pub label: String,
+    /// Free text.
     pub comment: String,
     /// Lower and upper edge of the pulse's band at the transducer.
     pub band_hz: Option<(f64, f64)>,
 }
 
-/// The words of a recording.
+/// Metadata of a recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
+    /// Type of the samples.
     pub data_type: DataType,
+    /// Sample rate of each channel.
     pub sample_rate_hz: f64,
+    /// Number of channels.
     pub channels: u32,
+    /// Equipment that recorded the samples.
     pub hardware: String,
+    /// Free text.
     pub description: String,
+    /// Program that wrote the file.
     pub recorder: String,
-    /// In the order of their first samples.
+    /// Ordered by first sample.
     pub captures: Vec<Capture>,
-    /// In the order of their first samples.
+    /// Ordered by first sample.
     pub annotations: Vec<Annotation>,
 }
 
-/// What is wrong with words that should be SigMF.
+/// Why text is not valid SigMF metadata.
 #[derive(Debug, thiserror::Error)]
 pub enum SigmfError {
     #[error("no JSON: {0}")]
+    /// The text is not JSON.
     Json(#[from] serde_json::Error),
     #[error("{field} is not there, or not of its kind")]
-    Field { field: &'static str },
+    /// A field is missing or has the wrong type.
+    Field {
+        /// Name of the field.
+        field: &'static str,
+    },
     #[error("data type {got:?} is not one we read")]
-    DataType { got: String },
+    /// The data type is not supported.
+    DataType {
+        /// Name found.
+        got: String,
+    },
 }
 
 impl Recording {
-    /// The text of the `.sigmf-meta` file.
+    /// Text of the `.sigmf-meta` file.
     pub fn to_json(&self) -> String {
         let captures: Vec<Value> = self.captures.iter().map(Capture::to_json).collect();
         let annotations: Vec<Value> = self.annotations.iter().map(Annotation::to_json).collect();
@@ -121,6 +144,7 @@ impl Recording {
         format!("{all:#}\n")
     }
 
+    /// Parses the text of a `.sigmf-meta` file.
     pub fn parse(text: &str) -> Result<Self, SigmfError> {
         let all: Value = serde_json::from_str(text)?;
         let global = all
@@ -165,6 +189,7 @@ impl Recording {
 }
 
 impl Capture {
+    /// The capture as a JSON object.
     pub fn to_json(&self) -> Value {
         let mut map = Map::new();
         map.insert("core:sample_start".into(), self.sample_start.into());
@@ -175,6 +200,7 @@ impl Capture {
         map.into()
     }
 
+    /// Parses a capture object.
     pub fn parse(value: &Value) -> Result<Self, SigmfError> {
         Ok(Self {
             sample_start: whole_at(value, "core:sample_start")?,
@@ -187,6 +213,7 @@ impl Capture {
 }
 
 impl Annotation {
+    /// The annotation as a JSON object.
     pub fn to_json(&self) -> Value {
         let mut value = json!({
             "core:sample_start": self.sample_start,
@@ -201,6 +228,7 @@ impl Annotation {
         value
     }
 
+    /// Parses an annotation object.
     pub fn parse(value: &Value) -> Result<Self, SigmfError> {
         let edge = |field| value.get(field).and_then(Value::as_f64);
         let text = |field| text_at(value, field).unwrap_or_default().to_owned();
@@ -229,7 +257,7 @@ fn whole_at(value: &Value, field: &'static str) -> Result<u64, SigmfError> {
     number.ok_or(SigmfError::Field { field })
 }
 
-/// ISO 8601 with nine digits of a second.
+/// ISO 8601 with nine decimals of a second.
 fn date_time(utc_ns: i64) -> String {
     let m = Moment::from_utc_ns(utc_ns);
     format!(
@@ -238,7 +266,7 @@ fn date_time(utc_ns: i64) -> String {
     )
 }
 
-/// The moment of such a text, with up to nine digits of a second.
+/// Nanoseconds since 1970 of an ISO 8601 time with up to nine decimals of a second.
 fn utc_ns(text: &str) -> Option<i64> {
     let (date, time) = text.strip_suffix('Z')?.split_once('T')?;
     let number = |text: &str, digits: usize| {

@@ -1,30 +1,34 @@
-//! Context packets: what a stream's samples are. Source: ANSI/VITA 49.2-2017, sections 9.1 (indicator field 0), 9.5 (frequencies and
-//! rates: 64 bits, radix point 20 from the right) and 9.13.3 (payload format).
+//! Context packets: the properties of a stream's samples. Source: ANSI/VITA 49.2-2017, sections 9.1 (indicator field 0), 9.5 (frequencies
+//! and rates: 64 bits, radix point 20 bits from the right) and 9.13.3 (payload format).
 //!
-//! Fields stand in the order of the bits of indicator field 0, from 31 down. Those that are not written here are passed over when their
-//! length is fixed; indicator fields beyond 0 and fields of variable length are refused.
+//! Fields follow the order of the bits of indicator field 0, from 31 down. Other fields of fixed length are skipped. Further indicator
+//! fields and fields of variable length are errors.
 
 use std::ops::Range;
 
 use super::{PacketType, VrtTime, emit_packet, two_words_at, word_at};
 use crate::WireError;
 
-/// What a number of the payload is.
+/// Number type of the payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SampleKind {
-    /// Signed integers of so many bits.
-    Fixed { bits: u8 },
+    /// Signed integers.
+    Fixed {
+        /// Number of bits.
+        bits: u8,
+    },
     /// IEEE 754, 32 bits.
     Float,
 }
 
-/// How the payload of data packets is to be read.
+/// Format of the payload of data packets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PayloadFormat {
-    /// I and Q, or real samples.
+    /// True for I and Q, false for real samples.
     pub is_complex: bool,
+    /// Number type of the samples.
     pub kind: SampleKind,
-    /// Samples that stand side by side, one of each element: 1..=65536.
+    /// Number of interleaved samples, one per element: 1 to 65536.
     pub vector_size: u32,
 }
 
@@ -59,23 +63,26 @@ impl PayloadFormat {
     }
 }
 
-/// What is stated of a stream; `None` is not stated.
+/// Stated properties of a stream; `None` means not stated.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Context {
-    /// Something differs from the stream's last context packet.
+    /// True if a field differs from the stream's last context packet.
     pub is_change: bool,
+    /// Bandwidth of the signal.
     pub bandwidth_hz: Option<f64>,
-    /// What the middle of the band is at the transducer; what 0 Hz of complex samples is.
+    /// Frequency at the transducer of the middle of the band, which is 0 Hz of complex samples.
     pub rf_reference_hz: Option<f64>,
-    /// Where that frequency lies in the samples; 0, or not stated, for complex ones.
+    /// Frequency of the middle of the band within the samples; 0 or not stated for complex samples.
     pub if_reference_hz: Option<f64>,
-    /// Of a full-scale sample, in dBm, to 1/128 dB.
+    /// Level of a full-scale sample, in steps of 1/128 dB.
     pub reference_level_dbm: Option<f64>,
+    /// Sample rate.
     pub sample_rate_hz: Option<f64>,
+    /// Format of the payload.
     pub payload_format: Option<PayloadFormat>,
 }
 
-/// Bits of indicator field 0 that we write.
+/// Supported bits of indicator field 0.
 const CHANGE: u32 = 31;
 const BANDWIDTH: u32 = 29;
 const IF_REFERENCE: u32 = 28;
@@ -83,7 +90,7 @@ const RF_REFERENCE: u32 = 27;
 const REFERENCE_LEVEL: u32 = 24;
 const SAMPLE_RATE: u32 = 21;
 const PAYLOAD_FORMAT: u32 = 15;
-/// Words of the fields of bits 30 down to 10; bit 31 has none.
+/// Number of words of the fields of bits 30 to 10; bit 31 has none.
 const FIELD_WORDS: [(u32, usize); 21] = [
     (30, 1),
     (29, 2),
@@ -107,13 +114,13 @@ const FIELD_WORDS: [(u32, usize); 21] = [
     (11, 13),
     (10, 1),
 ];
-/// Hz and its fraction: radix point 20 bits from the right, to 2^-20 Hz, at most 8.8 THz.
+/// Unit of frequencies: radix point 20 bits from the right (2^-20 Hz, at most 8.8 THz).
 const RADIX_20: f64 = (1 << 20) as f64;
-/// dB and their fraction: radix point 7 bits from the right.
+/// Unit of levels: radix point 7 bits from the right.
 const RADIX_7: f64 = 128.0;
 
 impl Context {
-    /// Reads the payload of a context packet.
+    /// Parses the payload of a context packet.
     pub fn parse(payload: &[u8]) -> Result<Self, WireError> {
         const WHAT: &str = "VRT context";
         let indicators = word_at(payload, 0, WHAT)?;
@@ -135,7 +142,7 @@ impl Context {
             if indicators >> bit & 1 == 0 {
                 continue;
             }
-            // Whatever is passed over has to be there too.
+            // Skipped fields must be complete as well.
             word_at(payload, word + words - 1, WHAT)?;
             match bit {
                 BANDWIDTH => context.bandwidth_hz = Some(hz(word)?),
@@ -157,7 +164,7 @@ impl Context {
         Ok(context)
     }
 
-    /// Appends the context packet of a stream and says where it lies.
+    /// Appends the context packet of a stream and returns its byte range.
     pub fn emit(
         &self,
         buf: &mut Vec<u8>,
@@ -189,7 +196,7 @@ impl Context {
         let indicators = bits
             .iter()
             .fold(0, |word, &(bit, is_set)| word | u32::from(is_set) << bit);
-        // A cast saturates, and makes NaN 0.
+        // The cast saturates and makes NaN 0.
         let hz = |value: f64| ((value * RADIX_20).round() as i64).to_be_bytes();
         buf.extend(indicators.to_be_bytes());
         for value in [

@@ -1,7 +1,7 @@
-//! ANSI/VITA 49.2 (VITA Radio Transport) over UDP: samples of elements, and what they are, for acquisition and DSP boards.
+//! ANSI/VITA 49.2 (VITA Radio Transport) over UDP: element samples and their properties, for acquisition and DSP boards.
 //!
-//! Source: ANSI/VITA 49.2-2017, sections 5.1 (header), 6.3 (signal data), 7.1 and 9 (context), as two public decoders read it: the `vrt`
-//! dissector of Wireshark and the MIT/Apache crate `vita49`. Big endian, 32-bit words.
+//! Source: ANSI/VITA 49.2-2017, sections 5.1 (header), 6.3 (signal data), 7.1 and 9 (context), as interpreted by two public decoders: the
+//! `vrt` dissector of Wireshark and the MIT/Apache crate `vita49`. Big endian, 32-bit words.
 //!
 //! ```text
 //! word 0   packet type (31-28) | class id (27) | specific (26-24) | TSI (23-22) | TSF (21-20) | count (19-16) | size in words (15-0)
@@ -9,10 +9,10 @@
 //! then     seconds (TSI, 1 word), fraction (TSF, 2 words), payload or context fields, trailer if bit 26 of a data packet
 //! ```
 //!
-//! One stream per element, or one stream for all of them whose samples are vectors. Times are UTC seconds and picoseconds of the first sample
-//! of a packet. Packets of a stream count 0 to 15 and around, data and context each for itself.
+//! Each element has a stream, or one stream carries vectors of all elements. The timestamp is that of a packet's first sample, in UTC
+//! seconds and picoseconds. Data and context packets of a stream have separate counters, modulo 16.
 //!
-//! - [`signal`]: samples, cut in packets
+//! - [`signal`]: samples, divided into packets
 //! - [`context`]: rate, frequency, bandwidth, payload format
 
 pub mod context;
@@ -24,26 +24,26 @@ use crate::layout::data_at;
 pub use context::{Context, PayloadFormat, SampleKind};
 pub use signal::{SignalStream, complex_samples, real_samples};
 
-/// The registered UDP port.
+/// Registered UDP port.
 pub const PORT: u16 = 4991;
-/// What fits an Ethernet frame over UDP and IPv4, in whole words.
+/// Maximum packet for an Ethernet frame over UDP and IPv4, in whole words.
 pub const ETHERNET_PACKET_BYTES: usize = 1472;
-/// The longest UDP datagram over IPv4, in whole words.
+/// Maximum UDP datagram over IPv4, in whole words.
 pub const MAX_DATAGRAM_BYTES: usize = 65_504;
 
 const PS_PER_S: u64 = 1_000_000_000_000;
 
-/// A UTC moment as packets carry it.
+/// UTC timestamp of packets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub struct VrtTime {
-    /// Since 1970.
+    /// Seconds since 1970.
     pub seconds: u32,
-    /// 0..10^12.
+    /// 0 to 10^12 - 1.
     pub picoseconds: u64,
 }
 
 impl VrtTime {
-    /// Exact, from 1970 to 2106.
+    /// Exact conversion from nanoseconds since 1970, for 1970 to 2106.
     pub fn from_utc_ns(utc_ns: i64) -> Self {
         Self {
             seconds: utc_ns.div_euclid(1_000_000_000).clamp(0, u32::MAX.into()) as u32,
@@ -51,12 +51,12 @@ impl VrtTime {
         }
     }
 
-    /// Rounded down to a nanosecond.
+    /// Nanoseconds since 1970, rounded down.
     pub fn to_utc_ns(self) -> i64 {
         i64::from(self.seconds) * 1_000_000_000 + (self.picoseconds / 1000) as i64
     }
 
-    /// This moment and so many picoseconds.
+    /// The time `picoseconds` later.
     pub fn plus_ps(self, picoseconds: u128) -> Self {
         let total = u128::from(self.seconds) * u128::from(PS_PER_S)
             + u128::from(self.picoseconds)
@@ -68,28 +68,31 @@ impl VrtTime {
     }
 }
 
-/// What a packet is.
+/// Supported packet types.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PacketType {
     /// 1: samples of a stream.
     SignalData,
-    /// 4: what a stream's samples are.
+    /// 4: properties of a stream's samples.
     Context,
 }
 
-/// Says what is true of a data packet's samples: a 32-bit trailer, enable bits 31-20 and indicators 19-8. `None` is not stated.
+/// State of a data packet's samples: a 32-bit trailer with enable bits 31-20 and indicators 19-8. `None` means not stated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Trailer {
+    /// The timestamp is synchronised to UTC.
     pub calibrated_time: Option<bool>,
+    /// The samples are valid.
     pub valid_data: Option<bool>,
     /// A sample saturated.
     pub over_range: Option<bool>,
+    /// Samples before this packet were lost.
     pub sample_loss: Option<bool>,
-    /// The lower of the two that users define: the samples are less exact than they should be.
+    /// The lower user-defined indicator: the samples have reduced accuracy.
     pub degraded: Option<bool>,
 }
 
-/// Enable bits of the trailer's indicators, each 12 above its indicator.
+/// Enable bits of the trailer's indicators; each indicator is 12 bits lower.
 const TRAILER_ENABLES: [u32; 5] = [31, 30, 25, 24, 20];
 
 impl Trailer {
@@ -129,22 +132,24 @@ impl Trailer {
     }
 }
 
-/// A packet, read: its payload stays where it was.
+/// A parsed packet that borrows its payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Packet<'a> {
+    /// Type of the packet.
     pub packet_type: PacketType,
+    /// Stream identifier.
     pub stream_id: u32,
-    /// Organisation, information class and packet class, as they are.
+    /// Organisation, information class and packet class, uninterpreted.
     pub class_id: Option<u64>,
-    /// `None` where the packet's times are not UTC and picoseconds.
+    /// `None` if the packet's times are not UTC and picoseconds.
     pub time: Option<VrtTime>,
-    /// 0..=15.
+    /// Packet counter, 0 to 15.
     pub count: u8,
     /// Samples, or the fields of a context.
     pub payload: &'a [u8],
-    /// Of data packets only.
+    /// State of the samples; data packets only.
     pub trailer: Option<Trailer>,
-    /// All of the packet.
+    /// Size of the whole packet.
     pub size_bytes: usize,
 }
 
@@ -167,7 +172,7 @@ const TSI_UTC: u32 = 1;
 const TSF_PICOSECONDS: u32 = 2;
 
 impl<'a> Packet<'a> {
-    /// Reads the packet at the front of `bytes`.
+    /// Parses the packet at the front of `bytes`.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, WireError> {
         const WHAT: &str = "VRT packet";
         let head = word_at(bytes, 0, WHAT)?;

@@ -1,23 +1,25 @@
-//! Signal data packets: a stream's samples, cut to datagrams. Source: ANSI/VITA 49.2-2017, section 6.3.
+//! Signal data packets: the samples of a stream, divided into datagrams. Source: ANSI/VITA 49.2-2017, section 6.3.
 //!
-//! Complex samples are one word, I in its upper and Q in its lower half. Real samples are two to a word, so that a packet takes an even number
-//! of them. A vector stream has all elements' samples of a moment side by side.
+//! A complex sample is one word, with I in the upper and Q in the lower half. A word holds two real samples, so that a packet has an even
+//! number of them. A vector stream interleaves the elements by sample time.
 
 use std::ops::Range;
 
 use super::{Context, PacketType, PayloadFormat, SampleKind, Trailer, VrtTime, emit_packet};
 
-/// Bytes of a packet around its payload: header, stream, time, trailer.
+/// Size of a packet without its payload: header, stream, time, trailer.
 const AROUND_PAYLOAD_BYTES: usize = 4 + 4 + 4 + 8 + 4;
 
-/// One stream: an element, or all of them side by side. It keeps the packet counts.
+/// One stream of an element or of all elements. It owns the packet counters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SignalStream {
+    /// Stream identifier.
     pub stream_id: u32,
-    /// I and Q, or real samples.
+    /// True for I and Q, false for real samples.
     pub is_complex: bool,
-    /// 1, or the elements of a vector stream.
+    /// 1, or the number of elements of a vector stream.
     pub vector_size: u32,
+    /// Sample rate of an element.
     pub sample_rate_hz: f64,
     max_packet_bytes: usize,
     data_count: u8,
@@ -25,9 +27,11 @@ pub struct SignalStream {
 }
 
 impl SignalStream {
+    /// `max_packet_bytes` limits a packet including header and trailer.
+    ///
     /// # Panics
-    /// If there is no element or more than 65536, if the rate is not above 0, or if a packet does not hold one moment's samples (two moments'
-    /// real ones, which fill whole words).
+    /// If there is no element or more than 65536, if the rate is not positive, or if a packet cannot hold one sample of each element (two
+    /// for real samples, which fill whole words).
     pub fn new(
         stream_id: u32,
         is_complex: bool,
@@ -56,7 +60,7 @@ impl SignalStream {
         stream
     }
 
-    /// Samples of one element that a packet holds at most.
+    /// Maximum number of samples per element in a packet.
     pub fn moments_per_packet(&self) -> usize {
         let payload = self.max_packet_bytes.saturating_sub(AROUND_PAYLOAD_BYTES);
         let moments = payload / (self.sample_bytes() * self.vector_size as usize);
@@ -71,7 +75,7 @@ impl SignalStream {
         if self.is_complex { 4 } else { 2 }
     }
 
-    /// What the samples of this stream are; the caller adds frequency and bandwidth.
+    /// Properties of this stream's samples; the caller adds frequency and bandwidth.
     pub fn context(&self) -> Context {
         Context {
             sample_rate_hz: Some(self.sample_rate_hz),
@@ -84,7 +88,7 @@ impl SignalStream {
         }
     }
 
-    /// Appends a context packet and says where it lies.
+    /// Appends a context packet and returns its byte range.
     pub fn emit_context(
         &mut self,
         buf: &mut Vec<u8>,
@@ -96,7 +100,7 @@ impl SignalStream {
         context.emit(buf, self.stream_id, count, time)
     }
 
-    /// Hands out packets of complex samples, one after the other in `buf`, which is overwritten. `time` is that of the first sample.
+    /// Passes packets of complex samples to the caller one by one, in `buf`, which is overwritten. `time` is that of the first sample.
     ///
     /// # Panics
     /// If the stream is real, or the samples are not a whole number of vectors.
@@ -122,7 +126,7 @@ impl SignalStream {
         );
     }
 
-    /// Likewise for real samples.
+    /// The same for real samples.
     ///
     /// # Panics
     /// If the stream is complex, the samples are not a whole number of vectors, or their number is odd.
@@ -161,7 +165,7 @@ impl SignalStream {
         let moments = self.moments_per_packet();
         for (packet, chunk) in samples.chunks(moments * vector).enumerate() {
             buf.clear();
-            // From the record's start every time, so that rounding does not add up.
+            // Computed from the start of the record each time, so that rounding errors do not accumulate.
             let after_s = (packet * moments) as f64 / self.sample_rate_hz;
             emit_packet(
                 buf,
@@ -178,7 +182,7 @@ impl SignalStream {
     }
 }
 
-/// The complex 16-bit samples of a data packet's payload.
+/// Complex 16-bit samples of a data packet's payload.
 pub fn complex_samples(payload: &[u8]) -> impl ExactSizeIterator<Item = [i16; 2]> + '_ {
     payload.chunks_exact(4).map(|bytes| {
         [
@@ -188,7 +192,7 @@ pub fn complex_samples(payload: &[u8]) -> impl ExactSizeIterator<Item = [i16; 2]
     })
 }
 
-/// The real 16-bit samples of a data packet's payload.
+/// Real 16-bit samples of a data packet's payload.
 pub fn real_samples(payload: &[u8]) -> impl ExactSizeIterator<Item = i16> + '_ {
     payload
         .chunks_exact(2)

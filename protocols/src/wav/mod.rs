@@ -1,8 +1,8 @@
-//! Multichannel WAV for benches that play samples out: RIFF below 4 GiB, RF64 above.
+//! Multichannel WAV for test benches that play samples: RIFF below 4 GiB, RF64 above.
 //!
-//! Sources: Microsoft, "Multiple channel audio data and WAVE files" (WAVE_FORMAT_EXTENSIBLE); EBU Tech 3306 v1.1 (2009), RF64: where a size
-//! does not fit 32 bits it is 0xFFFFFFFF, and a `ds64` chunk, which is always the first, has it in 64. That chunk's place is kept by a
-//! `JUNK` chunk of the same length, so that a file may become RF64 when it is closed, whatever it was begun as. Little endian.
+//! Sources: Microsoft, "Multiple channel audio data and WAVE files" (WAVE_FORMAT_EXTENSIBLE); EBU Tech 3306 v1.1 (2009), RF64. In RF64, a
+//! size beyond 32 bits is 0xFFFFFFFF and its 64-bit value is in the `ds64` chunk, which is always the first. A `JUNK` chunk of the same
+//! length reserves its space, so that any file can become RF64 when it is closed. Little endian.
 //!
 //! ```text
 //!  0 RIFF or RF64, size, WAVE      48 fmt , 40 bytes
@@ -12,26 +12,30 @@
 use crate::WireError;
 use crate::layout::data_at;
 
-/// Where the samples begin in a file written here.
+/// Offset of the samples in a file written by this module.
 pub const HEADER_BYTES: usize = 104;
 const EXTENSIBLE: u16 = 0xFFFE;
-/// The end of the identifiers of integer and floating samples: {0000000N-0000-0010-8000-00AA00389B71}.
+/// Last bytes of the identifiers of integer and float samples: {0000000N-0000-0010-8000-00AA00389B71}.
 const SUBFORMAT_END: [u8; 14] = [
     0x00, 0x00, 0x00, 0x00, 0x10, 0x00, 0x80, 0x00, 0x00, 0xAA, 0x00, 0x38, 0x9B, 0x71,
 ];
 const IN_DS64: u32 = u32::MAX;
-/// More chunks than this before the samples are no file of ours or of anybody's.
+/// Maximum number of chunks before the samples; more indicates an invalid file.
 const MAX_CHUNKS: usize = 64;
 
-/// One sample of one channel.
+/// Type of one sample of one channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WavSample {
+    /// Signed 16-bit integers.
     I16,
+    /// Signed 32-bit integers.
     I32,
+    /// 32-bit floats.
     F32,
 }
 
 impl WavSample {
+    /// Size of a sample.
     pub fn bytes(self) -> usize {
         match self {
             Self::I16 => 2,
@@ -40,32 +44,37 @@ impl WavSample {
     }
 }
 
-/// What a file holds.
+/// Format of the samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WavFormat {
+    /// Number of channels.
     pub channels: u16,
+    /// Sample rate.
     pub sample_rate_hz: u32,
+    /// Type of the samples.
     pub sample: WavSample,
 }
 
-/// Which kind of file.
+/// Kind of file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Container {
-    /// RIFF where the sizes fit 32 bits, RF64 where not.
+    /// RIFF if the sizes fit 32 bits, otherwise RF64.
     AsNeeded,
+    /// Always RF64.
     Rf64,
 }
 
 impl WavFormat {
-    /// Bytes of all channels at a moment.
+    /// Size of one sample of all channels.
     pub fn frame_bytes(&self) -> u64 {
         u64::from(self.channels) * self.sample.bytes() as u64
     }
 
-    /// Appends the header of a file with so many moments: always [`HEADER_BYTES`] long, to be written again when the number is known.
+    /// Appends the header of a file with this many samples per channel. Its length is always [`HEADER_BYTES`], so that it can be
+    /// overwritten when the number is known.
     ///
     /// # Panics
-    /// If there is no channel, or a moment has more bytes than 16 bits count.
+    /// If there is no channel, or the size of one sample of all channels exceeds 16 bits.
     pub fn emit_header(&self, buf: &mut Vec<u8>, moments: u64, container: Container) {
         let frame_bytes = u16::try_from(self.frame_bytes()).expect("bytes of a moment in 16 bits");
         assert!(frame_bytes > 0, "WAV without a channel");
@@ -88,7 +97,7 @@ impl WavFormat {
             [0; 3]
         };
         buf.extend(sizes.map(u64::to_le_bytes).as_flattened());
-        // No further chunk is longer than 32 bits.
+        // No further chunk needs a 64-bit length.
         buf.extend([0; 4]);
         buf.extend(b"fmt ");
         buf.extend(40_u32.to_le_bytes());
@@ -103,7 +112,7 @@ impl WavFormat {
         );
         buf.extend(frame_bytes.to_le_bytes());
         buf.extend(bits.to_le_bytes());
-        // What follows, the bits that count, and no loudspeaker for any channel.
+        // Size of the extension, valid bits, and no loudspeaker positions.
         buf.extend(22_u16.to_le_bytes());
         buf.extend(bits.to_le_bytes());
         buf.extend(0_u32.to_le_bytes());
@@ -119,22 +128,26 @@ impl WavFormat {
     }
 }
 
-/// What the front of a file says.
+/// Contents of a file's header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WavHeader {
+    /// Format of the samples.
     pub format: WavFormat,
+    /// True for RF64, false for RIFF.
     pub is_rf64: bool,
-    /// Where the samples begin.
+    /// Offset of the samples in the file.
     pub data_at: usize,
+    /// Size of the samples.
     pub data_bytes: u64,
 }
 
 impl WavHeader {
+    /// Number of samples per channel.
     pub fn moments(&self) -> u64 {
         self.data_bytes / self.format.frame_bytes()
     }
 
-    /// Reads a file's front, up to its samples; chunks that are not needed are passed over.
+    /// Parses the front of a file up to its samples; unknown chunks are skipped.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let is_rf64 = match data_at(bytes, 0, 4, "WAV")? {
             b"RIFF" => false,
@@ -190,7 +203,7 @@ impl WavHeader {
     }
 }
 
-/// Up to eight bytes as a number.
+/// Up to eight bytes as a little-endian number.
 fn number(bytes: &[u8]) -> u64 {
     bytes
         .iter()

@@ -1,5 +1,5 @@
-//! Types 2 (water column), 4 (snippets) and 5 (side-scan): samples under one head. Source: TN-180196, water column, snippet and side-scan data;
-//! offsets count from the start of the packet.
+//! Types 2 (water column), 4 (snippets) and 5 (side-scan): samples with a common head. Source: TN-180196, water column, snippet and
+//! side-scan data. Offsets count from the start of the packet.
 //!
 //! ```text
 //! type 2   samples[M][N], f32 angle[N]
@@ -16,18 +16,28 @@ use crate::WireError;
 use crate::layout::{data_at, layout};
 use crate::sevenk::frame::extend_encoded;
 
-/// The samples' type. Written: i16, which a display in wide use insists on; read: all real ones.
+/// Number type of the samples. Emitted packets have i16, because a widely used display requires it; all real types are parsed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DataKind {
+    /// 8-bit unsigned.
     U8,
+    /// 8-bit signed.
     I8,
+    /// 16-bit unsigned.
     U16,
+    /// 16-bit signed.
     I16,
+    /// 32-bit unsigned.
     U32,
+    /// 32-bit signed.
     I32,
+    /// 64-bit unsigned.
     U64,
+    /// 64-bit signed.
     I64,
+    /// 32-bit float.
     F32,
+    /// 64-bit float.
     F64,
 }
 
@@ -45,6 +55,7 @@ impl DataKind {
         (0x17, Self::F64),
     ];
 
+    /// Type of a wire code.
     pub fn from_code(code: u32) -> Result<Self, WireError> {
         Self::CODES
             .iter()
@@ -56,6 +67,7 @@ impl DataKind {
             })
     }
 
+    /// Size of a sample.
     pub fn bytes(self) -> usize {
         match self {
             Self::U8 | Self::I8 => 1,
@@ -81,33 +93,38 @@ impl DataKind {
     }
 }
 
-/// i16, [`DataKind::I16`] on the wire.
+/// Wire code of [`DataKind::I16`].
 const I16_CODE: u32 = 3;
 
-/// What is true of all samples; numbers of beams and samples and their type are filled in when it is written.
+/// Fields common to all samples. The numbers of beams and samples and their type are set when the packet is emitted.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct BackscatterHead {
     /// 24
     pub sound_velocity_m_per_s: f32,
+    /// 28: sample rate.
     pub sample_rate_hz: f32,
-    /// 32: N; 2 for side-scan.
+    /// 32: number of beams N; 2 for side-scan.
     pub beams: u32,
-    /// 36: M, of each beam.
+    /// 36: M.
     pub samples: u32,
     /// 40: seconds since 1970.
     pub time_s: f64,
-    /// 48: see [`DataKind`].
+    /// 48: code of [`DataKind`].
     pub data_type: u32,
     /// 52: number of the first sample.
     pub t0_samples: i32,
-    /// 56: a display divides by it.
+    /// 56: gain; a display divides by it.
     #[brw(pad_after = 4)]
     pub gain: f32,
     /// 64
     pub swath_direction_rad: f32,
+    /// 68: width of the swath.
     pub swath_opening_rad: f32,
+    /// 72: centre frequency.
     pub tx_frequency_hz: f32,
+    /// 76: bandwidth of the pulse.
     pub tx_bandwidth_hz: f32,
+    /// 80: pulse length.
     pub tx_length_s: f32,
     /// 84
     #[brw(pad_after = 12)]
@@ -117,49 +134,62 @@ pub struct BackscatterHead {
     pub ping_rate_hz: f32,
     /// 108
     pub ping_number: u32,
-    /// 112: seconds since 1970, when it was sent.
+    /// 112: time of sending, seconds since 1970.
     pub time_net_s: f64,
     /// 120
     pub beams_of_former: u32,
-    /// 124: gain over time: `vga_g0_db` up to sample `vga_t0`, `vga_g1_db` from `vga_t1`, a straight line between.
+    /// 124: gain over time: `vga_g0_db` up to sample `vga_t0`, `vga_g1_db` from `vga_t1`, linear between.
     pub vga_t0: i32,
+    /// 128: gain before `vga_t0`.
     pub vga_g0_db: f32,
+    /// 132: end of the gain ramp, samples.
     pub vga_t1: i32,
     #[brw(pad_after = 4)]
+    /// Gain after `vga_t1`.
     pub vga_g1_db: f32,
     /// 144
     pub tx_angle_rad: f32,
+    /// 148: voltage of the transmitter.
     pub tx_voltage: f32,
     /// 152
     pub beam_distribution: u8,
     #[brw(pad_after = 2)]
+    /// 153: 1 is bathymetry.
     pub sonar_mode: u8,
     /// 156
     pub gate_tilt_rad: f32,
     #[brw(pad_after = 28)]
+    /// Uncertainty of the time.
     pub time_uncertainty_s: f32,
 }
 
 layout!(BackscatterHead, 168, "WBMS backscatter", Little);
 
-/// What is behind the samples.
+/// Data after the samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Tail<'a> {
-    /// Of the water column: the beams' angles.
-    WaterColumn { angles_rad: &'a [f32] },
-    Snippets {
+    /// Angles of the beams of the water column.
+    WaterColumn {
+        /// Positive to starboard.
         angles_rad: &'a [f32],
+    },
+    /// Positions of the snippets.
+    Snippets {
+        /// Beam angles, positive to starboard.
+        angles_rad: &'a [f32],
+        /// Number of the first sample of each snippet.
         start_samples: &'a [u16],
+        /// Number of the detection's sample of each snippet.
         detection_samples: &'a [u16],
     },
-    /// Two columns, port and starboard.
+    /// Two columns, port and starboard, without further data.
     SideScan,
 }
 
-/// Appends a packet of i16 samples, sample by sample, and says where it lies.
+/// Appends a packet of i16 samples in sample order and returns its byte range.
 ///
 /// # Panics
-/// If the numbers of angles, snippets and samples do not fit each other; side-scan has two columns.
+/// If the numbers of angles, snippets and samples are inconsistent; side-scan has two columns.
 pub fn emit_backscatter(
     buf: &mut Vec<u8>,
     head: &BackscatterHead,
@@ -209,12 +239,14 @@ pub fn emit_backscatter(
     })
 }
 
-/// Types 2, 4 and 5, read.
+/// Parsed types 2, 4 and 5.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Backscatter<'a> {
     /// One of [`packet_type`].
     pub packet_type: u32,
+    /// Head of the packet.
     pub head: BackscatterHead,
+    /// Type of the samples.
     pub kind: DataKind,
     samples: &'a [u8],
     angles: &'a [u8],
@@ -223,6 +255,7 @@ pub struct Backscatter<'a> {
 }
 
 impl<'a> Backscatter<'a> {
+    /// Parses the payload of a packet.
     pub fn parse(packet: &Packet<'a>) -> Result<Self, WireError> {
         const WHAT: &str = "WBMS samples";
         let packet_type = packet.header.packet_type;
@@ -266,7 +299,7 @@ impl<'a> Backscatter<'a> {
         })
     }
 
-    /// All samples as they lie: per sample, per beam.
+    /// All samples in wire order: by sample, then by beam.
     pub fn values(&self) -> impl ExactSizeIterator<Item = f64> + 'a {
         let kind = self.kind;
         self.samples
@@ -274,13 +307,14 @@ impl<'a> Backscatter<'a> {
             .map(move |bytes| kind.value(bytes))
     }
 
+    /// Iterates over the beam angles, positive to starboard; none for side-scan.
     pub fn angles_rad(&self) -> impl ExactSizeIterator<Item = f32> + 'a {
         self.angles
             .chunks_exact(4)
             .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
     }
 
-    /// First sample and sample of the detection, per snippet.
+    /// Iterates over the snippets: first sample and detection sample.
     pub fn snippets(&self) -> impl Iterator<Item = (u16, u16)> + 'a {
         let u16s = |bytes: &'a [u8]| {
             bytes

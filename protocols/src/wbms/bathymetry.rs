@@ -1,4 +1,4 @@
-//! Type 1: detections. Source: TN-180196, bathymetric data; offsets count from the start of the packet.
+//! Type 1: detections. Source: TN-180196, bathymetric data. Offsets count from the start of the packet.
 
 use std::ops::Range;
 
@@ -8,45 +8,52 @@ use super::{Packet, emit_packet, packet_type};
 use crate::WireError;
 use crate::layout::{data_at, layout};
 
-/// What is true of all detections; their number is filled in when it is written.
+/// Fields common to all detections; their number is set when the packet is emitted.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct BathymetryHead {
     /// 24
     pub sound_velocity_m_per_s: f32,
-    /// 28: of the sample numbers.
+    /// 28: sample rate of the sample numbers.
     pub sample_rate_hz: f32,
     /// 32
     pub detections: u32,
     /// 36
     pub ping_number: u32,
-    /// 40: seconds since 1970, of the transmission.
+    /// 40: time of the transmission, seconds since 1970.
     pub time_s: f64,
-    /// 48: likewise, when it was sent.
+    /// 48: time of sending, seconds since 1970.
     pub time_net_s: f64,
     /// 56
     pub ping_rate_hz: f32,
-    /// 60: 0 automatic gate.
+    /// 60: 0 is automatic gate.
     pub sub_type: u16,
-    /// 62: 1 512 equal angles, 2 256 equal angles, 3 256 equal distances.
+    /// 62: 1 is 512 equal angles, 2 is 256 equal angles, 3 is 256 equal distances.
     pub beam_distribution: u8,
+    /// 63: 1 is bathymetry.
     pub sonar_mode: u8,
     /// 64
     pub time_uncertainty_s: f32,
     /// 68
     pub multiping: u16,
+    /// 70: index within a multi-ping sequence.
     pub multiping_sequence: u16,
     /// 72
     pub tx_angle_rad: f32,
-    /// 76: of the intensities; a display divides by it.
+    /// 76: gain of the intensities; a display divides by it.
     pub gain: f32,
+    /// 80: centre frequency.
     pub tx_frequency_hz: f32,
+    /// 84: bandwidth of the pulse.
     pub tx_bandwidth_hz: f32,
+    /// 88: pulse length.
     pub tx_length_s: f32,
     /// 92
     pub sound_velocity_raw_m_per_s: f32,
-    /// 96: NaN where it is not measured.
+    /// 96: NaN if it is not measured.
     pub tx_voltage: f32,
+    /// 100: direction of the swath's centre, positive to starboard.
     pub swath_direction_rad: f32,
+    /// 104: width of the swath.
     pub swath_opening_rad: f32,
     /// 108
     pub gate_tilt_rad: f32,
@@ -54,32 +61,39 @@ pub struct BathymetryHead {
 
 layout!(BathymetryHead, 88, "WBMS bathymetry", Little);
 
-/// One detection, of 20 bytes.
+/// One detection (20 bytes).
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Detection {
     /// Range = sample_number x c / (2 x rate).
     pub sample_number: u32,
+    /// Positive to starboard.
     pub angle_rad: f32,
+    /// Start of the gate, sample number.
     pub upper_gate: u16,
+    /// End of the gate, sample number.
     pub lower_gate: u16,
+    /// Level of the echo on the scale of `gain`.
     pub intensity: f32,
     /// Bit 0 by magnitude, 1 by phase, 2-8 kind of quality, 9-12 priority.
     pub flags: u16,
-    /// Bit 0 signal to noise, 1 colinearity; 3 is good.
+    /// Bit 0 signal-to-noise ratio, 1 colinearity; 3 is good.
     pub quality_flags: u8,
+    /// Quality of the detection; 3 is good.
     pub quality: u8,
 }
 
 layout!(Detection, 20, "WBMS detection", Little);
 
-/// Type 1, read.
+/// A parsed packet of type 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bathymetry<'a> {
+    /// Head of the packet.
     pub head: BathymetryHead,
     detections: &'a [u8],
 }
 
 impl<'a> Bathymetry<'a> {
+    /// Parses the payload of a packet.
     pub fn parse(packet: &Packet<'a>) -> Result<Self, WireError> {
         if packet.header.packet_type != packet_type::BATHYMETRY {
             return Err(WireError::Unsupported {
@@ -94,6 +108,7 @@ impl<'a> Bathymetry<'a> {
         Ok(Self { head, detections })
     }
 
+    /// Iterates over the detections.
     pub fn detections(&self) -> impl Iterator<Item = Detection> + 'a {
         self.detections
             .chunks_exact(Detection::SIZE_BYTES)
@@ -101,7 +116,7 @@ impl<'a> Bathymetry<'a> {
     }
 }
 
-/// Appends a packet of detections, port-most first, and says where it lies.
+/// Appends a packet of detections, port side first, and returns its byte range.
 pub fn emit_bathymetry(
     buf: &mut Vec<u8>,
     head: &BathymetryHead,

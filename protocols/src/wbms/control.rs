@@ -1,99 +1,142 @@
-//! The text commands. Source: TN-180197 and TN-180196 (commands and their limits), revision 11 of it for those of gain, rates, the transmitter's
-//! sector, time and logs.
+//! Text commands. Source: TN-180197 and TN-180196 (commands and their limits); revision 11 for those of gain, rates, transmit sector, time
+//! and logs.
 //!
-//! A line is a command and its arguments, ended by CR LF; a client in wide use leaves the end out, so that the end of a TCP segment ends a
-//! command too. A command alone asks. The answer repeats the command with its values, and may have a comment behind `#`.
+//! A line is a command and its arguments, terminated by CR LF. A widely used client omits the terminator, so that the end of a TCP segment
+//! ends a command as well. A command without arguments is a query. The answer repeats the command with its values and may have a comment
+//! after `#`.
 
 use std::fmt::Write as _;
 
-/// Longer lines are no commands.
+/// Maximum length of a line.
 pub const MAX_LINE_BYTES: usize = 512;
 
-/// A command that could be read and is within its limits.
+/// A valid command within its limits.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Command {
-    /// What a setting is, by its name.
+    /// Queries the setting with this name.
     Query(String),
-    /// 0 to 7; 1 is bathymetry.
+    /// Operating mode, 0 to 7; 1 is bathymetry.
     Mode(u8),
     /// 0 off, 1 or 9.
     SidescanMode(u8),
+    /// Reverses port and starboard.
     Flip(bool),
+    /// Restores the default settings.
     Default,
-    /// 0 to 2
+    /// Gate mode, 0 to 2.
     GateMode(u8),
+    /// Tilt of the gates.
     GateTiltDeg(f64),
-    /// First and last range, and depths if there are any.
+    /// First and last range, and optionally depths, metres.
     RangeM {
+        /// First range.
         start: f64,
+        /// Last range.
         stop: f64,
+        /// First and last depth.
         depths: Option<(f64, f64)>,
     },
+    /// Direction of the swath's centre.
     DirectionDeg(f64),
+    /// Width of the swath.
     OpeningAngleDeg(f64),
+    /// Resolution of the detections.
     Resolution {
+        /// Vertical resolution.
         vertical: f64,
+        /// Horizontal resolution.
         horizontal: f64,
     },
+    /// Transmitted pulse.
     Tx {
+        /// Centre frequency.
         frequency_khz: f64,
+        /// Bandwidth.
         bandwidth_khz: f64,
-        /// 0 to 15
+        /// Amplitude, 0 to 15.
         amplitude: u8,
+        /// Pulse length.
         length_us: f64,
     },
-    /// -1 as fast as it goes, up to 60.
+    /// Ping rate up to 60; -1 is as fast as possible.
     RateHz(f64),
+    /// Rate of snippets: -1 with every ping, 0 never.
     SnippetRateHz(f64),
+    /// Rate of water-column packets: -1 with every ping, 0 never.
     WaterColumnRateHz(f64),
+    /// Receiver gain.
     GainDb(f64),
-    /// dB in 100 m
+    /// Variable gain, dB in 100 m.
     VgaDb(f64),
+    /// Direction of the transmit sector.
     TxDirectionDeg(f64),
+    /// Width of the transmit sector.
     TxOpeningAngleDeg(f64),
-    /// 1 to 64
+    /// Number of transmit beams, 1 to 64.
     TxBeams(u8),
-    /// 1 to 16
+    /// Decimation of the matched filter, 1 to 16.
     MfDecimation(u8),
-    /// 0 to 8
+    /// Source of the time, 0 to 8.
     TimeSource(u8),
-    /// An address.
+    /// Address of the NTP server.
     NtpServer(String),
     /// 0 to 5; 4 and 5 are external.
     TriggerMode(u8),
-    /// `None` by the probe.
+    /// Sound speed; `None` uses the probe.
     SoundVelocity(Option<f64>),
-    /// 0 to 3
+    /// 0 to 3.
     AutogatePreset(u8),
+    /// Switches pinging on or off.
     Power(bool),
+    /// Closes the connection.
     Exit,
 }
 
-/// A command that is refused.
+/// Why a command is refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CommandError {
     #[error("unknown command {0:?}")]
+    /// The command does not exist.
     Unknown(String),
     #[error("{command} takes {expected} arguments, not {got}")]
+    /// The number of arguments is wrong.
     Arguments {
+        /// Name of the command.
         command: &'static str,
+        /// Permitted numbers in words.
         expected: &'static str,
+        /// Number found.
         got: usize,
     },
     #[error("{command}: {text:?} is no number")]
-    Number { command: &'static str, text: String },
-    #[error("{command} takes {low} to {high}, not {got}")]
-    Range {
+    /// An argument is not a number.
+    Number {
+        /// Name of the command.
         command: &'static str,
+        /// Argument found.
+        text: String,
+    },
+    #[error("{command} takes {low} to {high}, not {got}")]
+    /// An argument exceeds its limits.
+    Range {
+        /// Name of the command.
+        command: &'static str,
+        /// Lower limit.
         low: f64,
+        /// Upper limit.
         high: f64,
+        /// Value found.
         got: f64,
     },
     #[error("line of {got} bytes, at most {MAX_LINE_BYTES}")]
-    TooLong { got: usize },
+    /// The line is too long.
+    TooLong {
+        /// Number of bytes found.
+        got: usize,
+    },
 }
 
-/// The commands in a segment as it came: ended by CR, LF or the end of the segment; empty ones left out.
+/// Commands in a TCP segment, ended by CR, LF or the end of the segment; empty lines are skipped.
 pub fn commands_in(segment: &str) -> impl Iterator<Item = Result<Command, CommandError>> + '_ {
     segment
         .split(['\r', '\n'])
@@ -102,14 +145,14 @@ pub fn commands_in(segment: &str) -> impl Iterator<Item = Result<Command, Comman
         .map(Command::parse)
 }
 
-/// What is answered: the command, its values, a comment if there is one, CR LF.
+/// Text of an answer: the command, its values, an optional comment, CR LF.
 pub fn answer(command: &str, values: &[f64], comment: &str) -> String {
     let mut text = command.to_owned();
     for value in values {
         write!(text, " {value}").expect("writing to a String cannot fail");
     }
     if !comment.is_empty() {
-        // A comment that breaks the line would be read as another answer.
+        // A line break in a comment would start another answer.
         write!(text, " # {}", comment.replace(['\r', '\n'], " "))
             .expect("writing to a String cannot fail");
     }
@@ -117,7 +160,7 @@ pub fn answer(command: &str, values: &[f64], comment: &str) -> String {
     text
 }
 
-/// The commands that set something, and what may be queried.
+/// Commands with arguments, and commands that may be queried.
 const COMMANDS: [&str; 33] = [
     "set_mode",
     "set_sidescan_mode",
@@ -155,7 +198,7 @@ const COMMANDS: [&str; 33] = [
 ];
 
 impl Command {
-    /// Reads one line without its end.
+    /// Parses one line without its terminator.
     pub fn parse(line: &str) -> Result<Self, CommandError> {
         if line.len() > MAX_LINE_BYTES {
             return Err(CommandError::TooLong { got: line.len() });
@@ -251,7 +294,7 @@ impl Command {
             }
             "set_autogate_preset" => Self::AutogatePreset(one(0.0, 3.0)? as u8),
             "set_power" => Self::Power(one(0.0, 1.0)? != 0.0),
-            // What can only be asked.
+            // Query-only commands.
             _ => return Err(wrong("no")),
         })
     }

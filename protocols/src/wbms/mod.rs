@@ -1,19 +1,20 @@
-//! NORBIT WBMS: what it is, its header, and what its packets share.
+//! NORBIT WBMS: overview, packet header, and the common part of packets.
 //!
-//! Sources: TN-180196 "WBMS DFD External" (2018) and TN-180197 (control without a GUI), public in uri-ocean-robotics/norbit; the MIT licensed
-//! header of magnuan/wbms_georef for the fields that the document calls reserved. Little endian, angles in rad.
+//! Sources: TN-180196 "WBMS DFD External" (2018) and TN-180197 (control without a GUI), public in uri-ocean-robotics/norbit. Fields that
+//! the document calls reserved follow the MIT licensed header of magnuan/wbms_georef. Little endian, angles in rad.
 //!
-//! Four TCP servers: text control, bathymetry, water column, side-scan or snippets; connecting is subscribing. Each packet is
+//! There are four TCP servers: text control, bathymetry, water column, and side-scan or snippets. A connection is a subscription. Each
+//! packet is
 //!
 //! ```text
-//! u32 mark DEADBEEF | type | size in bytes, all of it | version | reserved | CRC-32 of what is behind these 24 bytes
+//! u32 mark DEADBEEF | type | size in bytes, whole packet | version | reserved | CRC-32 of the bytes after these 24
 //! ```
 //!
 //! - [`bathymetry`]: type 1, detections
 //! - [`backscatter`]: types 2 water column, 4 snippets, 5 side-scan
-//! - [`control`]: the text commands
+//! - [`control`]: text commands
 //!
-//! There are no element data in what is public.
+//! The public documents contain no element data.
 
 pub mod backscatter;
 pub mod bathymetry;
@@ -31,37 +32,47 @@ pub use backscatter::{Backscatter, BackscatterHead, DataKind, Tail, emit_backsca
 pub use bathymetry::{Bathymetry, BathymetryHead, Detection, emit_bathymetry};
 pub use control::{Command, CommandError, answer, commands_in};
 
+/// TCP port of the text control.
 pub const CONTROL_PORT: u16 = 2209;
+/// TCP port of bathymetry.
 pub const BATHYMETRY_PORT: u16 = 2210;
+/// TCP port of the water column.
 pub const WATER_COLUMN_PORT: u16 = 2211;
-/// Side-scan or snippets.
+/// TCP port of side-scan or snippets.
 pub const SIDE_SCAN_PORT: u16 = 2212;
 const MARK: u32 = 0xDEAD_BEEF;
-/// Of all packets written and read here.
+/// Version of all packets.
 pub const VERSION: u32 = 4;
-/// Longest packet read: 1024 beams x 4096 samples of f64, and what is around them.
+/// Maximum packet size of the parser: 1024 beams x 4096 samples of f64 and their head.
 pub const MAX_PACKET_BYTES: u32 = 1 << 26;
 
 /// Packet types.
 pub mod packet_type {
+    /// Detections.
     pub const BATHYMETRY: u32 = 1;
+    /// Samples of all beams.
     pub const WATER_COLUMN: u32 = 2;
+    /// Samples around detections.
     pub const SNIPPETS: u32 = 4;
+    /// Side-scan lines.
     pub const SIDE_SCAN: u32 = 5;
+    /// Connection check without data.
     pub const HEARTBEAT: u32 = 7;
 }
 
 /// The first 24 bytes of every packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct PacketHeader {
+    /// DEADBEEF.
     pub mark: u32,
-    /// See [`packet_type`].
+    /// One of [`packet_type`].
     pub packet_type: u32,
-    /// All of the packet.
+    /// Size of the whole packet.
     pub size_bytes: u32,
     #[brw(pad_after = 4)]
+    /// Version of the layout.
     pub version: u32,
-    /// Of what is behind this header.
+    /// CRC-32 of the bytes after this header.
     pub crc: u32,
 }
 
@@ -94,15 +105,17 @@ impl PacketHeader {
     }
 }
 
-/// A packet, read: its payload stays where it was.
+/// A parsed packet that borrows its payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Packet<'a> {
+    /// Packet header.
     pub header: PacketHeader,
+    /// Bytes after the header.
     pub payload: &'a [u8],
 }
 
 impl<'a> Packet<'a> {
-    /// Reads the packet at the front of `bytes` and holds its CRC against its bytes.
+    /// Parses the packet at the front of `bytes` and verifies its CRC.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, WireError> {
         let header = PacketHeader::parse(bytes)?;
         header.check()?;
@@ -126,7 +139,7 @@ impl<'a> Packet<'a> {
     }
 }
 
-/// Appends a packet whose payload `write_payload` appends, and says where it lies.
+/// Appends a packet whose payload `write_payload` appends, and returns its byte range.
 fn emit_packet(
     buf: &mut Vec<u8>,
     packet_type: u32,
@@ -165,14 +178,14 @@ const CRC_TABLE: [u32; 256] = {
     table
 };
 
-/// CRC-32 as zlib has it: polynomial 0xEDB88320.
+/// CRC-32 as in zlib: polynomial 0xEDB88320.
 pub fn crc32(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(u32::MAX, |crc, &byte| {
         crc >> 8 ^ CRC_TABLE[usize::from(crc as u8 ^ byte)]
     })
 }
 
-/// How packets show their lengths.
+/// Splits a connection into packets.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct WbmsFraming;
 

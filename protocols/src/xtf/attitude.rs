@@ -33,20 +33,23 @@ struct RawAttitude {
 
 layout!(RawAttitude, 64, "XTF attitude", Little);
 
-/// Attitude at a moment, to a microsecond.
+/// Attitude at one time, with microsecond resolution.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Attitude {
+    /// Nanoseconds since 1970.
     pub utc_ns: i64,
-    /// Nose up.
+    /// Positive nose up.
     pub pitch_deg: f32,
-    /// To starboard, which is port up.
+    /// Positive to starboard (port up).
     pub roll_deg: f32,
+    /// Positive up.
     pub heave_up_m: f32,
+    /// Clockwise from north.
     pub heading_deg: f32,
 }
 
 impl Attitude {
-    /// Reads the packet at the front of `bytes`, by its seconds since 1970.
+    /// Parses the packet at the front of `bytes`, with its time in seconds since 1970.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let (_, packet) = packet_of(bytes, packet_type::ATTITUDE)?;
         let raw = RawAttitude::parse(packet)?;
@@ -59,7 +62,7 @@ impl Attitude {
         })
     }
 
-    /// Appends the packet and says where it lies.
+    /// Appends the packet and returns its byte range.
     pub fn emit(&self, buf: &mut Vec<u8>) -> Range<usize> {
         let at = buf.len();
         let moment = Moment::from_utc_ns(self.utc_ns);

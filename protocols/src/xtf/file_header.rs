@@ -1,37 +1,47 @@
-//! The header of a file. Source: Rev. X41, tables C (XTFFILEHEADER) and D (CHANINFO).
+//! Header of a file. Source: Rev. X41, tables C (XTFFILEHEADER) and D (CHANINFO).
 //!
-//! Six channels at most are read and written: with more, the header grows by further 1024 bytes, which few readers know.
+//! At most six channels are supported: with more, the header grows in steps of 1024 bytes, which few readers support.
 
 use binrw::{BinRead, BinWrite};
 
 use crate::WireError;
 use crate::layout::{layout_of, read_layout, text_field, text_of, write_layout};
 
+/// Maximum number of channels.
 pub const MAX_CHANNELS: usize = 6;
 /// Byte 0 of a file.
 const FILE_FORMAT: u8 = 0x7B;
-/// What old viewers want where the number of samples used to be.
+/// Value that old viewers expect in the former field for the number of samples.
 const SAMPLES_OF_OLD_VIEWERS: u32 = 1024;
 
-/// What a channel looks at.
+/// Kind of data in a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ChannelKind {
+    /// Sub-bottom profile.
     SubBottom,
+    /// Port side-scan.
     Port,
+    /// Starboard side-scan.
     Starboard,
+    /// Bathymetry.
     Bathymetry,
 }
 
-/// What one sample of a channel is. Integers are unsigned.
+/// Type of one sample of a channel. Integers are unsigned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SampleFormat {
+    /// 8-bit integer.
     U8,
+    /// 16-bit integer.
     U16,
+    /// 32-bit integer.
     U32,
+    /// 32-bit float.
     F32,
 }
 
 impl SampleFormat {
+    /// Size of a sample.
     pub fn bytes(self) -> usize {
         match self {
             Self::U8 => 1,
@@ -50,31 +60,37 @@ impl SampleFormat {
     }
 }
 
-/// Whether places are degrees or metres.
+/// Unit of positions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NavUnits {
+    /// Projected coordinates, metres.
     Metres,
+    /// Geographic coordinates, degrees.
     LatitudeLongitude,
 }
 
-/// One channel, of 128 bytes.
+/// One channel (128 bytes).
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChannelInfo {
+    /// Kind of data.
     pub kind: ChannelKind,
+    /// Type of the samples.
     pub format: SampleFormat,
-    /// At most 15 characters of ASCII.
+    /// At most 15 ASCII characters.
     pub name: String,
+    /// Centre frequency.
     pub frequency_khz: f32,
-    /// Along track.
+    /// Along-track beam width.
     pub horizontal_beam_deg: f32,
+    /// Angle of the beam axis below the horizontal.
     pub tilt_deg: f32,
-    /// Across track, -3 dB.
+    /// Across-track beam width, -3 dB.
     pub beam_width_deg: f32,
     /// Volts of a full-scale sample.
     pub volt_scale: f32,
-    /// Of the sonar: starboard, forward, down.
+    /// Position of the sonar: starboard, forward, down.
     pub offset_m: [f32; 3],
-    /// Of the sonar: to the right, nose up, to starboard.
+    /// Orientation of the sonar: positive to the right, nose up, to starboard.
     pub offset_yaw_pitch_roll_deg: [f32; 3],
 }
 
@@ -101,22 +117,26 @@ struct RawChannel {
 
 layout_of!(RawChannel, 128, "XTF channel", Little);
 
-/// The header of a file of side-scan.
+/// Header of a side-scan file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FileHeader {
-    /// At most 7 characters of ASCII each.
+    /// At most 7 ASCII characters.
     pub program: String,
+    /// At most 7 ASCII characters.
     pub program_version: String,
     /// At most 15 characters.
     pub sonar_name: String,
-    /// 0 none; the list is table C's.
+    /// Type of the sonar from table C; 0 is unspecified.
     pub sonar_type: u16,
-    /// At most 63 characters each.
+    /// At most 63 characters.
     pub note: String,
+    /// At most 63 characters.
     pub file_name: String,
+    /// Unit of positions.
     pub nav_units: NavUnits,
+    /// Latency of the navigation.
     pub nav_latency_ms: i32,
-    /// Side-scan and sub-bottom channels, six at most.
+    /// Side-scan and sub-bottom channels, at most six.
     pub channels: Vec<ChannelInfo>,
 }
 
@@ -148,8 +168,10 @@ struct RawHeader {
 layout_of!(RawHeader, 1024, "XTF file header", Little);
 
 impl FileHeader {
+    /// Size of the header.
     pub const SIZE_BYTES: usize = 1024;
 
+    /// Parses the header at the front of `bytes`.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let raw: RawHeader = read_layout(bytes)?;
         if raw.file_format != FILE_FORMAT {
@@ -193,7 +215,7 @@ impl FileHeader {
         })
     }
 
-    /// Appends the header; texts are cut to their fields.
+    /// Appends the header; texts are truncated to their fields.
     ///
     /// # Panics
     /// With more than six channels.
@@ -249,7 +271,7 @@ impl ChannelInfo {
                 });
             }
         };
-        // Files from before Rev. X41 state the width only.
+        // Files from before Rev. X41 state the sample size only.
         let format = match (raw.sample_format, raw.bytes_per_sample) {
             (8, _) | (0, 1) => SampleFormat::U8,
             (3, _) | (0, 2) => SampleFormat::U16,

@@ -1,10 +1,10 @@
-//! Triton XTF files: what they are, and what all their packets share.
+//! Triton XTF files: structure, and the common part of all packets.
 //!
-//! Source: "eXtended Triton Format (XTF)" Rev. X41 (2016), public. Little endian; angles in degrees; nose up, roll to starboard (port up) and
-//! sensor up are positive; time to 0.01 s.
+//! Source: "eXtended Triton Format (XTF)" Rev. X41 (2016), public. Little endian; angles in degrees. Positive directions are nose up, roll
+//! to starboard (port up) and sensor up. Times have a resolution of 0.01 s.
 //!
-//! A file is a header of 1024 bytes ([`FileHeader`], with up to six channels) and packets, each with the mark [`MARK`], its type and its
-//! length, which is a multiple of 64.
+//! A file is a header of 1024 bytes ([`FileHeader`], with up to six channels) and packets. Each packet has the mark [`MARK`], its type and
+//! its length, which is a multiple of 64.
 //!
 //! - [`file_header`]: the header and its channels
 //! - [`ping`]: one ping of side-scan, all channels
@@ -28,13 +28,16 @@ pub use ping::{ChannelHeader, ChannelSamples, Ping, PingHeader, Samples, emit_pi
 pub const MARK: u16 = 0xFACE;
 /// Packets are padded with zeros to a multiple of this.
 pub const PACKET_STEP_BYTES: usize = 64;
-/// Longest packet read unless told otherwise.
+/// Default maximum packet size of the parser.
 pub const MAX_PACKET_BYTES: u32 = 1 << 26;
 
 /// Packet types.
 pub mod packet_type {
+    /// Side-scan ping.
     pub const SONAR: u8 = 0;
+    /// Annotation text.
     pub const NOTES: u8 = 1;
+    /// Attitude.
     pub const ATTITUDE: u8 = 3;
 }
 
@@ -43,12 +46,14 @@ pub mod packet_type {
 pub struct PacketStart {
     /// [`MARK`].
     pub mark: u16,
-    /// See [`packet_type`].
+    /// One of [`packet_type`].
     pub packet_type: u8,
+    /// Sub-channel of the packet.
     pub sub_channel: u8,
     #[brw(pad_after = 4)]
+    /// Number of channels that follow.
     pub channels_to_follow: u16,
-    /// All of the packet, padding included.
+    /// Size of the whole packet including padding.
     pub packet_bytes: u32,
 }
 
@@ -81,7 +86,7 @@ impl PacketStart {
     }
 }
 
-/// The packet of the stated type at the front of `bytes`, all of it.
+/// The whole packet at the front of `bytes`, which must have the given type.
 fn packet_of(bytes: &[u8], packet_type: u8) -> Result<(PacketStart, &[u8]), WireError> {
     let start = PacketStart::parse(bytes)?;
     start.check(MAX_PACKET_BYTES)?;
@@ -94,9 +99,10 @@ fn packet_of(bytes: &[u8], packet_type: u8) -> Result<(PacketStart, &[u8]), Wire
     data_at(bytes, 0, start.packet_bytes.into(), "XTF packet").map(|packet| (start, packet))
 }
 
-/// How packets behind the file header show their lengths.
+/// Splits the bytes after the file header into packets.
 #[derive(Debug, Clone, Copy)]
 pub struct XtfFraming {
+    /// Maximum packet size accepted.
     pub max_packet_bytes: u32,
 }
 
@@ -134,5 +140,5 @@ impl Framing for XtfFraming {
     }
 }
 
-/// Packets of a file read in pieces, its header taken off.
+/// Packets of a file, read in pieces after its header.
 pub type XtfStream = Splitter<XtfFraming>;

@@ -1,4 +1,4 @@
-//! One ping of side-scan. Source: Rev. X41, tables H (XTFPINGHEADER) and I (XTFPINGCHANHEADER).
+//! One side-scan ping. Source: Rev. X41, tables H (XTFPINGHEADER) and I (XTFPINGCHANHEADER).
 //!
 //! ```text
 //! ping header 256 | per channel: header 64, samples | zeros up to a multiple of 64 bytes
@@ -18,25 +18,33 @@ use crate::sevenk::frame::extend_encoded;
 
 const NS_PER_HUNDREDTH: i64 = 10_000_000;
 
-/// The 256 bytes before the channels, as on the wire; counts of bytes and channels are filled in when it is written.
+/// The 256 bytes before the channels, as on the wire. Byte and channel counts are set when the packet is emitted. Comments give byte
+/// offsets.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct PingHeader {
+    /// Common start of a packet.
     pub start: PacketStart,
-    /// 14: the time of the ping, UTC.
+    /// 14: UTC time of the ping.
     pub year: u16,
+    /// Month, from 1.
     pub month: u8,
+    /// Day of the month, from 1.
     pub day: u8,
+    /// Hour.
     pub hour: u8,
+    /// Minute.
     pub minute: u8,
+    /// Second.
     pub second: u8,
+    /// Hundredths of a second.
     pub hundredths: u8,
     /// 22: day of the year.
     pub julian_day: u16,
-    /// 24
+    /// 24: event number.
     pub event_number: u32,
-    /// 28
+    /// 28: ping number.
     pub ping_number: u32,
-    /// 32: half of the speed of sound, as one counts two-way time.
+    /// 32: half the speed of sound, for two-way times.
     pub sound_velocity_one_way_m_per_s: f32,
     /// 36
     #[brw(pad_after = 24)]
@@ -48,40 +56,45 @@ pub struct PingHeader {
     /// 72
     #[brw(pad_after = 44)]
     pub computed_sound_velocity_m_per_s: f32,
-    /// 120
+    /// 120: speed of the ship.
     pub ship_speed_kn: f32,
+    /// 124: heading of the ship's gyro.
     pub ship_gyro_deg: f32,
-    /// 128: degrees or metres, as the file header says.
+    /// 128: latitude or northing, in the unit of the file header.
     pub ship_y: f64,
+    /// 136: longitude or easting.
     pub ship_x: f64,
-    /// 144
+    /// 144: altitude of the ship.
     pub ship_altitude_dm: u16,
+    /// 146: depth of the ship.
     pub ship_depth_dm: u16,
     /// 148: hour, minute, second, hundredths of the position.
     pub fix_time: [u8; 4],
     /// 152
     #[brw(pad_after = 4)]
     pub sensor_speed_kn: f32,
-    /// 160: degrees or metres, as the file header says.
+    /// 160: latitude or northing, in the unit of the file header.
     pub sensor_y: f64,
     #[brw(pad_after = 8)]
+    /// Longitude or easting.
     pub sensor_x: f64,
     /// 184
     #[brw(pad_after = 4)]
     pub layback_m: f32,
-    /// 192
+    /// 192: depth of the sensor.
     pub sensor_depth_m: f32,
     /// 196: above the bottom.
     #[brw(pad_after = 4)]
     pub sensor_altitude_m: f32,
-    /// 204: nose up.
+    /// 204: positive nose up.
     pub sensor_pitch_deg: f32,
-    /// 208: to starboard, which is port up.
+    /// 208: positive to starboard (port up).
     pub sensor_roll_deg: f32,
+    /// 212: heading of the sensor.
     pub sensor_heading_deg: f32,
-    /// 216: up.
+    /// 216: positive up.
     pub heave_up_m: f32,
-    /// 220: to the right.
+    /// 220: positive to the right.
     pub yaw_deg: f32,
     /// 224: milliseconds, a clock shared with attitude packets.
     #[brw(pad_after = 4)]
@@ -94,7 +107,7 @@ pub struct PingHeader {
 layout!(PingHeader, 256, "XTF ping header", Little);
 
 impl Default for PingHeader {
-    /// Nothing known: all 0 but mark and type.
+    /// Unknown values: all fields 0 except mark and type.
     fn default() -> Self {
         let zeros = Self::parse(&[0; Self::SIZE_BYTES]).expect("256 bytes are a header");
         Self {
@@ -109,7 +122,7 @@ impl Default for PingHeader {
 }
 
 impl PingHeader {
-    /// Nanoseconds since 1970 of the ping, to 0.01 s; `None` if the fields are no moment between 1970 and 2262.
+    /// Time of the ping in nanoseconds since 1970, to 0.01 s; `None` if the fields are not a time between 1970 and 2262.
     pub fn utc_ns(&self) -> Option<i64> {
         let is_moment = (1970..2262).contains(&self.year)
             && (1..=12).contains(&self.month)
@@ -126,7 +139,7 @@ impl PingHeader {
         })
     }
 
-    /// Writes the time of the ping, rounded to 0.01 s, which is all there is room for, and that of the position, which is as old.
+    /// Sets the time of the ping, rounded to the resolution of 0.01 s, and the equal time of the position.
     pub fn set_utc_ns(&mut self, utc_ns: i64) {
         let moment = Moment::from_utc_ns(utc_ns.saturating_add(NS_PER_HUNDREDTH / 2));
         self.year = moment.year as u16;
@@ -140,32 +153,35 @@ impl PingHeader {
     }
 }
 
-/// The 64 bytes before a channel's samples.
+/// The 64 bytes before a channel's samples. Comments give byte offsets.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct ChannelHeader {
     /// Index of the channel in the file header.
     pub channel: u16,
-    /// 2 largest, 4 root of mean square.
+    /// 2: largest, 4: root mean square.
     pub downsample_method: u16,
-    /// 4
+    /// 4: slant range.
     pub slant_range_m: f32,
-    /// 8: 0 where the data are in slant range.
+    /// 8: ground range; 0 for data in slant range.
     pub ground_range_m: f32,
-    /// 12: from the ping to the first sample.
+    /// 12: time from the ping to the first sample.
     pub time_delay_s: f32,
-    /// 16: recorded.
+    /// 16: recorded duration.
     pub time_duration_s: f32,
-    /// 20: from ping to ping.
+    /// 20: period between pings.
     pub seconds_per_ping: f32,
     /// 24: 4 TVG, 8 angle and gain correction, 16 filter.
     pub processing_flags: u16,
-    /// 26
+    /// 26: centre frequency.
     pub frequency_khz: u16,
+    /// Gain at the start, in the sonar's code.
     pub initial_gain_code: u16,
+    /// Gain in the sonar's code.
     pub gain_code: u16,
     #[brw(pad_after = 8)]
+    /// Bandwidth.
     pub bandwidth_khz: u16,
-    /// 42: filled in when it is written.
+    /// 42: number of samples, set when the packet is emitted.
     pub samples: u32,
     /// 46
     #[brw(pad_after = 10)]
@@ -177,16 +193,21 @@ pub struct ChannelHeader {
 
 layout!(ChannelHeader, 64, "XTF channel header", Little);
 
-/// Samples to write.
+/// Samples of a channel to emit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Samples<'a> {
+    /// 8-bit integers.
     U8(&'a [u8]),
+    /// 16-bit integers.
     U16(&'a [u16]),
+    /// 32-bit integers.
     U32(&'a [u32]),
+    /// 32-bit floats.
     F32(&'a [f32]),
 }
 
 impl Samples<'_> {
+    /// Type of the samples.
     pub fn format(&self) -> SampleFormat {
         match self {
             Self::U8(_) => SampleFormat::U8,
@@ -196,6 +217,7 @@ impl Samples<'_> {
         }
     }
 
+    /// Number of samples.
     pub fn count(&self) -> usize {
         match self {
             Self::U8(samples) => samples.len(),
@@ -206,10 +228,10 @@ impl Samples<'_> {
     }
 }
 
-/// Appends a ping with all channels of the file, and says where it lies.
+/// Appends a ping with all channels of the file and returns its byte range.
 ///
 /// # Panics
-/// If the channels are not those of the file header, one by one, in number and format.
+/// If number or formats of the channels differ from the file header.
 pub fn emit_ping(
     buf: &mut Vec<u8>,
     file: &FileHeader,
@@ -244,16 +266,18 @@ pub fn emit_ping(
     start..buf.len()
 }
 
-/// A channel of a ping, read: its samples stay in the packet.
+/// A parsed channel that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ChannelSamples<'a> {
+    /// Channel header.
     pub header: ChannelHeader,
+    /// Type of the samples.
     pub format: SampleFormat,
     data: &'a [u8],
 }
 
 impl<'a> ChannelSamples<'a> {
-    /// The samples, whatever their format.
+    /// The samples converted to f64.
     pub fn values(&self) -> impl ExactSizeIterator<Item = f64> + 'a {
         let format = self.format;
         self.data
@@ -268,16 +292,17 @@ impl<'a> ChannelSamples<'a> {
     }
 }
 
-/// A ping, read.
+/// A parsed ping.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ping<'a> {
+    /// Ping header.
     pub header: PingHeader,
-    /// As many as the packet says, at most those of the file header.
+    /// As many as the packet states, at most those of the file header.
     pub channels: Vec<ChannelSamples<'a>>,
 }
 
 impl<'a> Ping<'a> {
-    /// Reads the packet at the front of `bytes`, which belongs to a file with this header.
+    /// Parses the packet at the front of `bytes`, which belongs to a file with this header.
     pub fn parse(bytes: &'a [u8], file: &FileHeader) -> Result<Self, WireError> {
         let (start, packet) = packet_of(bytes, packet_type::SONAR)?;
         let header = PingHeader::parse(packet)?;
