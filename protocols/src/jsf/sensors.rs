@@ -101,25 +101,25 @@ pub struct PitchRoll2020 {
     #[brw(pad_after = 4)]
     /// Time of the reading.
     pub time: SensorTime,
-    /// 12: x, y, z, steps of 20 x 1.5 / 32768 g.
+    /// Offset 12: x, y, z, steps of 20 x 1.5 / 32768 g.
     pub acceleration: [i16; 3],
-    /// 18: x, y, z, steps of 500 x 1.5 / 32768 deg/s.
+    /// Offset 18: x, y, z, steps of 500 x 1.5 / 32768 deg/s.
     pub rate: [i16; 3],
-    /// 24: positive bow up, 180 degrees = 32768.
+    /// Offset 24: positive bow up, 180 degrees = 32768.
     pub pitch: i16,
-    /// 26: positive port up, 180 degrees = 32768.
+    /// Offset 26: positive port up, 180 degrees = 32768.
     pub roll: i16,
-    /// 28
+    /// Offset 28: temperature, 0.1 degrees Celsius.
     pub temperature_dc: i16,
-    /// 30
+    /// Offset 30: uninterpreted.
     pub device_info: u16,
-    /// 32: positive down.
+    /// Offset 32: positive down.
     pub heave_down_mm: i16,
-    /// 34
+    /// Offset 34: heading, 0.01 degrees.
     pub heading_cdeg: u16,
-    /// 36: bits 0-2 acceleration, 3-5 rates, 6 pitch, 7 roll, 8 heave, 9 heading, 10 temperature, 11 device info, 12 yaw.
+    /// Offset 36: bits 0-2 acceleration, 3-5 rates, 6 pitch, 7 roll, 8 heave, 9 heading, 10 temperature, 11 device info, 12 yaw.
     pub validity: u32,
-    /// 40
+    /// Offset 40: yaw, 0.01 degrees.
     #[brw(pad_after = 2)]
     pub yaw_cdeg: i16,
 }
@@ -132,19 +132,19 @@ pub struct Pressure2060 {
     #[brw(pad_after = 4)]
     /// Time of the reading.
     pub time: SensorTime,
-    /// 12: thousandths of a pound per square inch, absolute.
+    /// Offset 12: thousandths of a pound per square inch, absolute.
     pub pressure_mpsi: i32,
-    /// 16
+    /// Offset 16: water temperature, 0.001 degrees Celsius.
     pub temperature_mc: i32,
-    /// 20
+    /// Offset 20: salinity.
     pub salinity_ppm: i32,
-    /// 24: bits 0 pressure, 1 temperature, 2 salinity, 3 conductivity, 4 sound velocity, 5 depth.
+    /// Offset 24: bits 0 pressure, 1 temperature, 2 salinity, 3 conductivity, 4 sound velocity, 5 depth.
     pub validity: u32,
-    /// 28
+    /// Offset 28: conductivity.
     pub conductivity_us_per_cm: i32,
-    /// 32
+    /// Offset 32: sound velocity.
     pub sound_velocity_mm_per_s: i32,
-    /// 36
+    /// Offset 36: depth below the surface.
     #[brw(pad_after = 36)]
     pub depth_m: i32,
 }
@@ -157,28 +157,28 @@ pub struct Dvl2080 {
     #[brw(pad_after = 4)]
     /// Time of the reading.
     pub time: SensorTime,
-    /// 12: bits 0 x and y velocity, 1 ship's axes (0: the earth's), 2 z velocity, 3 x and y through water, 4 z through water, 5 distance,
+    /// Offset 12: bits 0 x and y velocity, 1 ship's axes (0: the earth's), 2 z velocity, 3 x and y through water, 4 z through water, 5 distance,
     /// 6 heading, 7 pitch, 8 roll, 9 temperature, 10 depth, 11 salinity, 12 sound velocity, 31 error.
     pub validity: u32,
-    /// 16: distance to the bottom per beam; 0 is none.
+    /// Offset 16: distance to the bottom per beam; 0 is none.
     pub distance_cm: [i32; 4],
-    /// 32: velocity over ground: starboard or east, forward or north, up.
+    /// Offset 32: velocity over ground: starboard or east, forward or north, up.
     pub velocity_mm_per_s: [i16; 3],
-    /// 38: velocity through the water, in the same axes.
+    /// Offset 38: velocity through the water, in the same axes.
     pub water_velocity_mm_per_s: [i16; 3],
-    /// 44
+    /// Offset 44: depth, 0.1 m.
     pub depth_dm: u16,
-    /// 46: positive bow up.
+    /// Offset 46: positive bow up.
     pub pitch_cdeg: i16,
-    /// 48: positive port up.
+    /// Offset 48: positive port up.
     pub roll_cdeg: i16,
-    /// 50
+    /// Offset 50: heading, 0.01 degrees.
     pub heading_cdeg: u16,
-    /// 52: parts per thousand.
+    /// Offset 52: parts per thousand.
     pub salinity_ppt: u16,
-    /// 54
+    /// Offset 54: water temperature, 0.01 degrees Celsius.
     pub temperature_cc: i16,
-    /// 56
+    /// Offset 56: sound velocity.
     #[brw(pad_after = 14)]
     pub sound_velocity_m_per_s: i16,
 }
@@ -191,39 +191,39 @@ pub struct Situation2091 {
     #[brw(pad_after = 4)]
     /// Time of the message.
     pub time: SensorTime,
-    /// 12: bits 0 source's time, 1 longitude, 2 latitude, 3 depth, 4 altitude, 5 heave, 6 velocity 1 and 2, 7 velocity down, 8 pitch, 9 roll,
+    /// Offset 12: bits 0 source's time, 1 longitude, 2 latitude, 3 depth, 4 altitude, 5 heave, 6 velocity 1 and 2, 7 velocity down, 8 pitch, 9 roll,
     /// 10 heading, 11 sound speed, 12 water temperature.
     pub validity: u32,
-    /// 16: 0 north and east, 1 forward and starboard, 2 rotated by 45 degrees.
+    /// Offset 16: 0 north and east, 1 forward and starboard, 2 rotated by 45 degrees.
     #[brw(pad_after = 3)]
     pub velocity_axes: u8,
-    /// 20: time in units of 1e-7 s since 1970.
+    /// Offset 20: time in units of 1e-7 s since 1970.
     pub source_time_100ns: u64,
-    /// 28: positive north.
+    /// Offset 28: positive north.
     pub latitude_deg: f64,
-    /// 36: positive east.
+    /// Offset 36: positive east.
     pub longitude_deg: f64,
-    /// 44
+    /// Offset 44: depth below the surface.
     pub depth_m: f32,
-    /// 48: height above the bottom.
+    /// Offset 48: height above the bottom.
     pub altitude_m: f32,
-    /// 52: positive down.
+    /// Offset 52: positive down.
     pub heave_down_m: f32,
-    /// 56: first horizontal velocity in the axes of `velocity_type`.
+    /// Offset 56: first horizontal velocity in the axes of `velocity_type`.
     pub velocity_1_m_per_s: f32,
-    /// 60: second horizontal velocity.
+    /// Offset 60: second horizontal velocity.
     pub velocity_2_m_per_s: f32,
-    /// 64: positive down.
+    /// Offset 64: positive down.
     pub velocity_down_m_per_s: f32,
-    /// 68: positive bow up.
+    /// Offset 68: positive bow up.
     pub pitch_deg: f32,
-    /// 72: positive port up.
+    /// Offset 72: positive port up.
     pub roll_deg: f32,
-    /// 76: clockwise from north.
+    /// Offset 76: clockwise from north.
     pub heading_deg: f32,
-    /// 80: sound speed.
+    /// Offset 80: sound speed.
     pub sound_speed_m_per_s: f32,
-    /// 84
+    /// Offset 84: water temperature.
     #[brw(pad_after = 12)]
     pub water_temperature_c: f32,
 }

@@ -110,133 +110,133 @@ const MPS_PER_KNOT: f64 = 1852.0 / 3600.0;
 /// The 240 bytes before the samples, as on the wire.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct SonarDataHeader {
-    /// 0: start of the ping in seconds since 1970.
+    /// Offset 0: start of the ping in seconds since 1970.
     pub ping_time_s: i32,
-    /// 4: samples from the ping to the first sample.
+    /// Offset 4: samples from the ping to the first sample.
     pub starting_depth_samples: u32,
-    /// 8
+    /// Offset 8: counter of pings.
     #[brw(pad_after = 4)]
     pub ping_number: u32,
-    /// 16: upper bits of start frequency (0-3), end frequency (4-7), samples (8-11), mark (12-15).
+    /// Offset 16: upper bits of start frequency (0-3), end frequency (4-7), samples (8-11), mark (12-15).
     pub msb: u16,
-    /// 18: fractions of sampling interval (0-7) and course (8-15).
+    /// Offset 18: fractions of sampling interval (0-7) and course (8-15).
     pub lsb: u16,
-    /// 20: hundredths of knots (0-3), microseconds of the sweep (4-13).
+    /// Offset 20: hundredths of knots (0-3), microseconds of the sweep (4-13).
     #[brw(pad_after = 6)]
     pub lsb2: u16,
-    /// 28: 1.
+    /// Offset 28: always 1.
     pub id_code: i16,
-    /// 30: bits of [`validity`].
+    /// Offset 30: bits of [`validity`].
     #[brw(pad_after = 2)]
     pub validity: u16,
-    /// 34: code of [`DataFormat`].
+    /// Offset 34: code of [`DataFormat`].
     pub data_format: i16,
-    /// 36: from antenna to tow point, positive aft.
+    /// Offset 36: from antenna to tow point, positive aft.
     pub antenna_aft_cm: i16,
-    /// 38: positive starboard.
+    /// Offset 38: positive starboard.
     #[brw(pad_after = 4)]
     pub antenna_starboard_cm: i16,
-    /// 44
+    /// Offset 44: distance along a pipe.
     #[brw(pad_after = 32)]
     pub kilometres_of_pipe: f32,
-    /// 80: minutes of arc x 10000, or x.
+    /// Offset 80: minutes of arc x 10000, or x.
     pub longitude: i32,
-    /// 84: minutes of arc x 10000, or y.
+    /// Offset 84: minutes of arc x 10000, or y.
     pub latitude: i32,
-    /// 88: 1 mm, 2 latitude and longitude, 3 dm.
+    /// Offset 88: 1 mm, 2 latitude and longitude, 3 dm.
     pub coordinate_units: i16,
-    /// 90
+    /// Offset 90: text, padded with NUL.
     pub annotation: [u8; 24],
-    /// 114: lower 16 bits.
+    /// Offset 114: lower 16 bits.
     pub samples_lsb: u16,
-    /// 116
+    /// Offset 116: time between samples.
     pub sample_interval_ns: u32,
-    /// 120
+    /// Offset 120: gain of the converter.
     pub adc_gain_factor: u16,
-    /// 122: 0 to 100.
+    /// Offset 122: 0 to 100.
     #[brw(pad_after = 2)]
     pub transmit_level_percent: i16,
-    /// 126: lower 16 bits, steps of 10 Hz.
+    /// Offset 126: lower 16 bits, steps of 10 Hz.
     pub start_frequency_dahz: u16,
-    /// 128: lower 16 bits, steps of 10 Hz.
+    /// Offset 128: lower 16 bits, steps of 10 Hz.
     pub end_frequency_dahz: u16,
-    /// 130: whole milliseconds; see `lsb2`.
+    /// Offset 130: whole milliseconds; see `lsb2`.
     pub sweep_length_ms: u16,
-    /// 132: thousandths of a pound per square inch.
+    /// Offset 132: thousandths of a pound per square inch.
     pub pressure_mpsi: i32,
-    /// 136
+    /// Offset 136: depth of the sonar.
     pub depth_mm: i32,
-    /// 140: modulo 65536; half the rate for [`DataFormat::Real`].
+    /// Offset 140: modulo 65536; half the rate for [`DataFormat::Real`].
     pub sample_frequency_hz: u16,
-    /// 142
+    /// Offset 142: number of the pulse file.
     pub pulse_id: u16,
-    /// 144
+    /// Offset 144: altitude above the bottom.
     pub altitude_mm: i32,
-    /// 148
+    /// Offset 148: sound speed.
     pub sound_speed_m_per_s: f32,
-    /// 152
+    /// Offset 152: frequency of the mixer.
     pub mixer_frequency_hz: f32,
-    /// 156: year of the ping.
+    /// Offset 156: year of the ping.
     pub year: i16,
-    /// 158: day of the year.
+    /// Offset 158: day of the year.
     pub day_of_year: i16,
-    /// 160: hour of the ping.
+    /// Offset 160: hour of the ping.
     pub hour: i16,
-    /// 162: minute of the ping.
+    /// Offset 162: minute of the ping.
     pub minute: i16,
-    /// 164: second of the ping.
+    /// Offset 164: second of the ping.
     pub second: i16,
-    /// 166: 3.
+    /// Offset 166: always 3.
     pub time_basis: i16,
-    /// 168: N of value = sample x 2^-N.
+    /// Offset 168: N of value = sample x 2^-N.
     pub weighting: i16,
-    /// 170
+    /// Offset 170: number of pulses travelling at the same time.
     pub pulses_in_water: i16,
-    /// 172
+    /// Offset 172: heading, 0.01 degrees.
     pub heading_cdeg: u16,
-    /// 174: positive bow up, 180 degrees = 32768.
+    /// Offset 174: positive bow up, 180 degrees = 32768.
     pub pitch: i16,
-    /// 176: positive port up, 180 degrees = 32768.
+    /// Offset 176: positive port up, 180 degrees = 32768.
     #[brw(pad_after = 4)]
     pub roll: i16,
-    /// 182: 0 internal, 1 external, 2 coupled.
+    /// Offset 182: 0 internal, 1 external, 2 coupled.
     pub trigger_source: i16,
-    /// 184: lower 16 bits; 0 is no mark.
+    /// Offset 184: lower 16 bits; 0 is no mark.
     pub mark_number: u16,
-    /// 186: hour of the position.
+    /// Offset 186: hour of the position.
     pub fix_hour: i16,
-    /// 188: minute of the position.
+    /// Offset 188: minute of the position.
     pub fix_minute: i16,
-    /// 190: second of the position.
+    /// Offset 190: second of the position.
     pub fix_second: i16,
-    /// 192: whole degrees; hundredths in `lsb`.
+    /// Offset 192: whole degrees; hundredths in `lsb`.
     pub course_deg: i16,
-    /// 194: tenths of a knot; hundredths in `lsb2`.
+    /// Offset 194: tenths of a knot; hundredths in `lsb2`.
     pub speed_dkn: i16,
-    /// 196
+    /// Offset 196: day of the year of the position.
     pub fix_day_of_year: i16,
-    /// 198: year of the position.
+    /// Offset 198: year of the position.
     pub fix_year: i16,
-    /// 200
+    /// Offset 200: milliseconds since midnight.
     pub milliseconds_today: u32,
-    /// 204: largest magnitude of the converter's samples.
+    /// Offset 204: largest magnitude of the converter's samples.
     #[brw(pad_after = 4)]
     pub adc_largest: u16,
-    /// 210: ASCII.
+    /// Offset 210: ASCII.
     pub software_version: [u8; 6],
-    /// 216: -1 is off.
+    /// Offset 216: -1 is off.
     pub spherical_correction_csamples: i32,
-    /// 220: 1.
+    /// Offset 220: always 1.
     pub packet_number: u16,
-    /// 222: x 100.
+    /// Offset 222: x 100.
     #[brw(pad_after = 2)]
     pub adc_decimation_percent: i16,
-    /// 226
+    /// Offset 226: water temperature, 0.1 degrees Celsius.
     pub water_temperature_dc: i16,
-    /// 228
+    /// Offset 228: distance of the sonar behind the tow point.
     #[brw(pad_after = 4)]
     pub layback_m: f32,
-    /// 236
+    /// Offset 236: length of cable, 0.1 m.
     #[brw(pad_after = 2)]
     pub cable_out_dm: u16,
 }

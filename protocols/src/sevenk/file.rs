@@ -1,7 +1,7 @@
 //! `.s7k` files: header 7200, catalogue 7300, and iteration over the records between them. Source: DFD 3.12.
 //!
 //! ```text
-//! 7200 header, its optional data point to the 7300 | records, bare, one behind the other | 7300 catalogue, one row per record before it
+//! 7200 header, its optional data point to the 7300 | records without network frames | 7300 catalogue, one row per record before it
 //!
 //! 7200 RTH   0 u64 x 2 file_id   16 u16 version   20 u64 x 2 session_id   36 u32 record_data_size   40 u32 devices
 //!            44 char[64] recording_name   108 char[16] program_version   124 char[64] user_defined_name   188 char[128] notes   316 bytes
@@ -97,7 +97,9 @@ impl CataloguePointer {
 }
 
 impl FileHeader7200 {
+    /// Record type.
     pub const RECORD_TYPE_ID: u32 = record_id::FILE_HEADER;
+    /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7200::RTH_BYTES;
 
     /// Parses the record body.
@@ -191,7 +193,9 @@ pub struct Catalogue7300<'a> {
 }
 
 impl<'a> Catalogue7300<'a> {
+    /// Record type.
     pub const RECORD_TYPE_ID: u32 = record_id::FILE_CATALOGUE;
+    /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7300::RTH_BYTES;
 
     /// Parses the record body.

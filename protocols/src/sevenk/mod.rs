@@ -55,9 +55,9 @@ pub mod device_id {
     pub const LOGGER: u32 = 7004;
     /// Enumerator 0 is 200 kHz, 1 is 400 kHz.
     pub const SEABAT_7125: u32 = 7125;
-    /// Norbit, first model.
+    /// NORBIT sonar, type 13003.
     pub const NORBIT_13003: u32 = 13003;
-    /// Norbit, second model.
+    /// NORBIT sonar, type 13016.
     pub const NORBIT_13016: u32 = 13016;
 }
 

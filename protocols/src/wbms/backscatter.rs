@@ -99,64 +99,64 @@ const I16_CODE: u32 = 3;
 /// Fields common to all samples. The numbers of beams and samples and their type are set when the packet is emitted.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct BackscatterHead {
-    /// 24
+    /// Offset 24: sound velocity.
     pub sound_velocity_m_per_s: f32,
-    /// 28: sample rate.
+    /// Offset 28: sample rate.
     pub sample_rate_hz: f32,
-    /// 32: number of beams N; 2 for side-scan.
+    /// Offset 32: number of beams N; 2 for side-scan.
     pub beams: u32,
-    /// 36: M.
+    /// Offset 36: M.
     pub samples: u32,
-    /// 40: seconds since 1970.
+    /// Offset 40: seconds since 1970.
     pub time_s: f64,
-    /// 48: code of [`DataKind`].
+    /// Offset 48: code of [`DataKind`].
     pub data_type: u32,
-    /// 52: number of the first sample.
+    /// Offset 52: number of the first sample.
     pub t0_samples: i32,
-    /// 56: gain; a display divides by it.
+    /// Offset 56: gain; a display divides by it.
     #[brw(pad_after = 4)]
     pub gain: f32,
-    /// 64
+    /// Offset 64: direction of the swath's centre, positive to starboard.
     pub swath_direction_rad: f32,
-    /// 68: width of the swath.
+    /// Offset 68: width of the swath.
     pub swath_opening_rad: f32,
-    /// 72: centre frequency.
+    /// Offset 72: centre frequency.
     pub tx_frequency_hz: f32,
-    /// 76: bandwidth of the pulse.
+    /// Offset 76: bandwidth of the pulse.
     pub tx_bandwidth_hz: f32,
-    /// 80: pulse length.
+    /// Offset 80: pulse length.
     pub tx_length_s: f32,
-    /// 84
+    /// Offset 84: amplitude of the transmitter, 0 to 15.
     #[brw(pad_after = 12)]
     pub tx_amplitude: u32,
-    /// 100
+    /// Offset 100: ping rate.
     #[brw(pad_after = 4)]
     pub ping_rate_hz: f32,
-    /// 108
+    /// Offset 108: counter of pings.
     pub ping_number: u32,
-    /// 112: time of sending, seconds since 1970.
+    /// Offset 112: time of sending, seconds since 1970.
     pub time_net_s: f64,
-    /// 120
+    /// Offset 120: number of beams of the beamformer.
     pub beams_of_former: u32,
-    /// 124: gain over time: `vga_g0_db` up to sample `vga_t0`, `vga_g1_db` from `vga_t1`, linear between.
+    /// Offset 124: gain over time: `vga_g0_db` up to sample `vga_t0`, `vga_g1_db` from `vga_t1`, linear between.
     pub vga_t0: i32,
-    /// 128: gain before `vga_t0`.
+    /// Offset 128: gain before `vga_t0`.
     pub vga_g0_db: f32,
-    /// 132: end of the gain ramp, samples.
+    /// Offset 132: end of the gain ramp, samples.
     pub vga_t1: i32,
     #[brw(pad_after = 4)]
     /// Gain after `vga_t1`.
     pub vga_g1_db: f32,
-    /// 144
+    /// Offset 144: direction of the transmit sector.
     pub tx_angle_rad: f32,
-    /// 148: voltage of the transmitter.
+    /// Offset 148: voltage of the transmitter.
     pub tx_voltage: f32,
-    /// 152
+    /// Offset 152: rule for the beam directions.
     pub beam_distribution: u8,
     #[brw(pad_after = 2)]
-    /// 153: 1 is bathymetry.
+    /// Offset 153: 1 is bathymetry.
     pub sonar_mode: u8,
-    /// 156
+    /// Offset 156: tilt of the gates.
     pub gate_tilt_rad: f32,
     #[brw(pad_after = 28)]
     /// Uncertainty of the time.

@@ -11,51 +11,51 @@ use crate::layout::{data_at, layout};
 /// Fields common to all detections; their number is set when the packet is emitted.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct BathymetryHead {
-    /// 24
+    /// Offset 24: sound velocity.
     pub sound_velocity_m_per_s: f32,
-    /// 28: sample rate of the sample numbers.
+    /// Offset 28: sample rate of the sample numbers.
     pub sample_rate_hz: f32,
-    /// 32
+    /// Offset 32: number of detections.
     pub detections: u32,
-    /// 36
+    /// Offset 36: counter of pings.
     pub ping_number: u32,
-    /// 40: time of the transmission, seconds since 1970.
+    /// Offset 40: time of the transmission, seconds since 1970.
     pub time_s: f64,
-    /// 48: time of sending, seconds since 1970.
+    /// Offset 48: time of sending, seconds since 1970.
     pub time_net_s: f64,
-    /// 56
+    /// Offset 56: ping rate.
     pub ping_rate_hz: f32,
-    /// 60: 0 is automatic gate.
+    /// Offset 60: 0 is automatic gate.
     pub sub_type: u16,
-    /// 62: 1 is 512 equal angles, 2 is 256 equal angles, 3 is 256 equal distances.
+    /// Offset 62: 1 is 512 equal angles, 2 is 256 equal angles, 3 is 256 equal distances.
     pub beam_distribution: u8,
-    /// 63: 1 is bathymetry.
+    /// Offset 63: 1 is bathymetry.
     pub sonar_mode: u8,
-    /// 64
+    /// Offset 64: uncertainty of the time.
     pub time_uncertainty_s: f32,
-    /// 68
+    /// Offset 68: 0 outside multi-ping mode.
     pub multiping: u16,
-    /// 70: index within a multi-ping sequence.
+    /// Offset 70: index within a multi-ping sequence.
     pub multiping_sequence: u16,
-    /// 72
+    /// Offset 72: direction of the transmit sector.
     pub tx_angle_rad: f32,
-    /// 76: gain of the intensities; a display divides by it.
+    /// Offset 76: gain of the intensities; a display divides by it.
     pub gain: f32,
-    /// 80: centre frequency.
+    /// Offset 80: centre frequency.
     pub tx_frequency_hz: f32,
-    /// 84: bandwidth of the pulse.
+    /// Offset 84: bandwidth of the pulse.
     pub tx_bandwidth_hz: f32,
-    /// 88: pulse length.
+    /// Offset 88: pulse length.
     pub tx_length_s: f32,
-    /// 92
+    /// Offset 92: sound velocity before smoothing.
     pub sound_velocity_raw_m_per_s: f32,
-    /// 96: NaN if it is not measured.
+    /// Offset 96: NaN if it is not measured.
     pub tx_voltage: f32,
-    /// 100: direction of the swath's centre, positive to starboard.
+    /// Offset 100: direction of the swath's centre, positive to starboard.
     pub swath_direction_rad: f32,
-    /// 104: width of the swath.
+    /// Offset 104: width of the swath.
     pub swath_opening_rad: f32,
-    /// 108
+    /// Offset 108: tilt of the gates.
     pub gate_tilt_rad: f32,
 }
 

@@ -18,13 +18,12 @@ use crate::sevenk::frame::extend_encoded;
 
 const NS_PER_HUNDREDTH: i64 = 10_000_000;
 
-/// The 256 bytes before the channels, as on the wire. Byte and channel counts are set when the packet is emitted. Comments give byte
-/// offsets.
+/// The 256 bytes before the channels, as on the wire. Byte and channel counts are set when the packet is emitted.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct PingHeader {
     /// Common start of a packet.
     pub start: PacketStart,
-    /// 14: UTC time of the ping.
+    /// Offset 14: UTC time of the ping.
     pub year: u16,
     /// Month, from 1.
     pub month: u8,
@@ -38,68 +37,68 @@ pub struct PingHeader {
     pub second: u8,
     /// Hundredths of a second.
     pub hundredths: u8,
-    /// 22: day of the year.
+    /// Offset 22: day of the year.
     pub julian_day: u16,
-    /// 24: event number.
+    /// Offset 24: event number.
     pub event_number: u32,
-    /// 28: ping number.
+    /// Offset 28: ping number.
     pub ping_number: u32,
-    /// 32: half the speed of sound, for two-way times.
+    /// Offset 32: half the speed of sound, for two-way times.
     pub sound_velocity_one_way_m_per_s: f32,
-    /// 36
+    /// Offset 36: height of the tide.
     #[brw(pad_after = 24)]
     pub ocean_tide_m: f32,
-    /// 64
+    /// Offset 64: water temperature.
     pub water_temperature_c: f32,
-    /// 68
+    /// Offset 68: water pressure.
     pub pressure_psi: f32,
-    /// 72
+    /// Offset 72: speed of sound.
     #[brw(pad_after = 44)]
     pub computed_sound_velocity_m_per_s: f32,
-    /// 120: speed of the ship.
+    /// Offset 120: speed of the ship.
     pub ship_speed_kn: f32,
-    /// 124: heading of the ship's gyro.
+    /// Offset 124: heading of the ship's gyro.
     pub ship_gyro_deg: f32,
-    /// 128: latitude or northing, in the unit of the file header.
+    /// Offset 128: latitude or northing, in the unit of the file header.
     pub ship_y: f64,
-    /// 136: longitude or easting.
+    /// Offset 136: longitude or easting.
     pub ship_x: f64,
-    /// 144: altitude of the ship.
+    /// Offset 144: altitude of the ship.
     pub ship_altitude_dm: u16,
-    /// 146: depth of the ship.
+    /// Offset 146: depth of the ship.
     pub ship_depth_dm: u16,
-    /// 148: hour, minute, second, hundredths of the position.
+    /// Offset 148: hour, minute, second, hundredths of the position.
     pub fix_time: [u8; 4],
-    /// 152
+    /// Offset 152: speed of the sensor.
     #[brw(pad_after = 4)]
     pub sensor_speed_kn: f32,
-    /// 160: latitude or northing, in the unit of the file header.
+    /// Offset 160: latitude or northing, in the unit of the file header.
     pub sensor_y: f64,
     #[brw(pad_after = 8)]
     /// Longitude or easting.
     pub sensor_x: f64,
-    /// 184
+    /// Offset 184: distance of the sensor behind the reference point.
     #[brw(pad_after = 4)]
     pub layback_m: f32,
-    /// 192: depth of the sensor.
+    /// Offset 192: depth of the sensor.
     pub sensor_depth_m: f32,
-    /// 196: above the bottom.
+    /// Offset 196: above the bottom.
     #[brw(pad_after = 4)]
     pub sensor_altitude_m: f32,
-    /// 204: positive nose up.
+    /// Offset 204: positive nose up.
     pub sensor_pitch_deg: f32,
-    /// 208: positive to starboard (port up).
+    /// Offset 208: positive to starboard (port up).
     pub sensor_roll_deg: f32,
-    /// 212: heading of the sensor.
+    /// Offset 212: heading of the sensor.
     pub sensor_heading_deg: f32,
-    /// 216: positive up.
+    /// Offset 216: positive up.
     pub heave_up_m: f32,
-    /// 220: positive to the right.
+    /// Offset 220: positive to the right.
     pub yaw_deg: f32,
-    /// 224: milliseconds, a clock shared with attitude packets.
+    /// Offset 224: milliseconds, a clock shared with attitude packets.
     #[brw(pad_after = 4)]
     pub attitude_time_tag_ms: u32,
-    /// 232
+    /// Offset 232.
     #[brw(pad_after = 20)]
     pub nav_fix_ms: u32,
 }
@@ -153,26 +152,26 @@ impl PingHeader {
     }
 }
 
-/// The 64 bytes before a channel's samples. Comments give byte offsets.
+/// The 64 bytes before a channel's samples.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct ChannelHeader {
     /// Index of the channel in the file header.
     pub channel: u16,
-    /// 2: largest, 4: root mean square.
+    /// Offset 2: largest, 4: root mean square.
     pub downsample_method: u16,
-    /// 4: slant range.
+    /// Offset 4: slant range.
     pub slant_range_m: f32,
-    /// 8: ground range; 0 for data in slant range.
+    /// Offset 8: ground range; 0 for data in slant range.
     pub ground_range_m: f32,
-    /// 12: time from the ping to the first sample.
+    /// Offset 12: time from the ping to the first sample.
     pub time_delay_s: f32,
-    /// 16: recorded duration.
+    /// Offset 16: recorded duration.
     pub time_duration_s: f32,
-    /// 20: period between pings.
+    /// Offset 20: period between pings.
     pub seconds_per_ping: f32,
-    /// 24: 4 TVG, 8 angle and gain correction, 16 filter.
+    /// Offset 24: 4 TVG, 8 angle and gain correction, 16 filter.
     pub processing_flags: u16,
-    /// 26: centre frequency.
+    /// Offset 26: centre frequency.
     pub frequency_khz: u16,
     /// Gain at the start, in the sonar's code.
     pub initial_gain_code: u16,
@@ -181,12 +180,12 @@ pub struct ChannelHeader {
     #[brw(pad_after = 8)]
     /// Bandwidth.
     pub bandwidth_khz: u16,
-    /// 42: number of samples, set when the packet is emitted.
+    /// Offset 42: number of samples, set when the packet is emitted.
     pub samples: u32,
-    /// 46
+    /// Offset 46: scale of the samples.
     #[brw(pad_after = 10)]
     pub millivolt_scale: u16,
-    /// 58: N of value = sample x 2^-N, for sonars that have it.
+    /// Offset 58: N of value = sample x 2^-N, for sonars that have it.
     #[brw(pad_after = 4)]
     pub weight: i16,
 }

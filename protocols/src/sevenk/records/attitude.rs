@@ -17,29 +17,33 @@ use crate::sevenk::{WireError, record_id};
 /// One reading of 1016.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct AttitudeSet {
-    /// After the record's time.
+    /// Time after the record's timestamp.
     pub after_ms: u16,
-    /// Port up is positive.
+    /// Positive port up.
     pub roll_rad: f32,
-    /// Bow up is positive.
+    /// Positive bow up.
     pub pitch_rad: f32,
-    /// Up is positive.
+    /// Positive up.
     pub heave_up_m: f32,
+    /// Clockwise from true north.
     pub heading_rad: f32,
 }
 
 rth!(AttitudeSet, 18, "1016 attitude");
 
-/// 1016, read: the readings stay in the body.
+/// A parsed 1016 that borrows its readings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Attitude1016<'a> {
     sets: &'a [u8],
 }
 
 impl<'a> Attitude1016<'a> {
+    /// Record type.
     pub const RECORD_TYPE_ID: u32 = record_id::ATTITUDE;
+    /// Size of the RTH.
     pub const RTH_BYTES: usize = 1;
 
+    /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let count = data_at(body, 0, 1, "1016 attitude")?[0];
         let len = u64::from(count) * AttitudeSet::SIZE_BYTES as u64;
@@ -48,6 +52,7 @@ impl<'a> Attitude1016<'a> {
         })
     }
 
+    /// Iterates over the readings.
     pub fn sets(&self) -> impl Iterator<Item = AttitudeSet> + 'a {
         self.sets
             .chunks_exact(AttitudeSet::SIZE_BYTES)

@@ -26,10 +26,11 @@ pub struct Rth7018 {
     pub sonar_id: u64,
     /// Sequential from 1.
     pub ping_number: u32,
-    /// 0 when not in multi-ping mode.
+    /// 0 outside multi-ping mode.
     pub multi_ping_sequence: u16,
+    /// Number of beams.
     pub beams: u16,
-    /// Per beam.
+    /// Number of samples of each beam.
     #[brw(pad_after = 32)]
     pub samples: u32,
 }
@@ -39,8 +40,9 @@ rth!(Rth7018, 52, "7018 beamformed");
 /// One sample of one beam.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct BeamSample {
+    /// Magnitude in counts.
     pub amplitude: u16,
-    /// [`PHASE_COUNTS_PER_RAD`] per radian.
+    /// Phase in counts, [`PHASE_COUNTS_PER_RAD`] per radian.
     pub phase: i16,
 }
 
@@ -53,17 +55,21 @@ impl BeamSample {
     }
 }
 
-/// 7018, read: the samples stay in the body.
+/// A parsed 7018 that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Beamformed7018<'a> {
+    /// Record type header.
     pub rth: Rth7018,
     data: &'a [u8],
 }
 
 impl<'a> Beamformed7018<'a> {
+    /// Record type.
     pub const RECORD_TYPE_ID: u32 = record_id::BEAMFORMED;
+    /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7018::RTH_BYTES;
 
+    /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7018 = read_fixed(body)?;
         let len = u64::from(rth.beams) * u64::from(rth.samples) * BeamSample::BYTES as u64;
@@ -73,6 +79,7 @@ impl<'a> Beamformed7018<'a> {
         })
     }
 
+    /// One sample of one beam; none outside the record.
     pub fn sample(&self, sample: u32, beam: u16) -> Option<BeamSample> {
         if sample >= self.rth.samples || beam >= self.rth.beams {
             return None;
@@ -85,7 +92,7 @@ impl<'a> Beamformed7018<'a> {
         })
     }
 
-    /// All samples as they lie: per sample, per beam.
+    /// All samples in wire order: by sample, then by beam.
     pub fn samples(&self) -> impl ExactSizeIterator<Item = BeamSample> + 'a {
         self.data
             .chunks_exact(BeamSample::BYTES)
@@ -96,10 +103,10 @@ impl<'a> Beamformed7018<'a> {
     }
 }
 
-/// Appends a 7018 record from samples that lie per sample, per beam.
+/// Appends a 7018 record. Samples are ordered by sample, then by beam.
 ///
 /// # Panics
-/// If there are not `rth.samples * rth.beams` of them.
+/// If their number is not `rth.samples * rth.beams`.
 pub fn emit_7018(
     buf: &mut Vec<u8>,
     stamp: &RecordStamp,

@@ -21,22 +21,25 @@ use crate::sevenk::{WireError, record_id};
 pub struct Rth7057 {
     /// Serial number.
     pub sonar_id: u64,
+    /// Sequential from 1.
     pub ping_number: u32,
-    /// 0 when not in multi-ping mode.
+    /// 0 outside multi-ping mode.
     pub multi_ping_sequence: u16,
-    /// Forward of beam 0.
+    /// Distance forward of beam 0.
     #[brw(pad_after = 4)]
     pub beam_position_m: f32,
-    /// Written from the slices.
+    /// Number of samples per side, set from the slices.
     #[brw(pad_after = 32)]
     pub samples_per_side: u32,
-    /// Written 1.
+    /// Always 1 in emitted records.
     pub beams_per_side: u16,
+    /// Index of the beam.
     pub current_beam: u16,
-    /// 4 for f32, 8 for f64; written 4.
+    /// 4 for f32, 8 for f64; emitted records have 4.
     pub bytes_per_sample: u8,
+    /// Not used.
     pub data_types: u8,
-    /// 0 right; else the samples are not calibrated.
+    /// 0: valid; otherwise the samples are not calibrated.
     pub error_flag: u8,
 }
 
@@ -45,14 +48,16 @@ rth!(Rth7057, 65, "7057 calibrated side scan");
 /// One side of a line.
 #[derive(Debug, Clone, Copy)]
 pub struct CalibratedSide<'a> {
+    /// Samples, uPa.
     pub samples: &'a [f32],
-    /// The beam that each sample was taken from.
+    /// Beam that each sample was taken from.
     pub beams: &'a [u16],
 }
 
-/// 7057, read: the samples stay in the body.
+/// A parsed 7057 that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CalibratedSideScan7057<'a> {
+    /// Record type header.
     pub rth: Rth7057,
     /// Port and starboard.
     samples: [&'a [u8]; 2],
@@ -60,9 +65,12 @@ pub struct CalibratedSideScan7057<'a> {
 }
 
 impl<'a> CalibratedSideScan7057<'a> {
+    /// Record type.
     pub const RECORD_TYPE_ID: u32 = record_id::CALIBRATED_SIDE_SCAN;
+    /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7057::RTH_BYTES;
 
+    /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7057 = read_fixed(body)?;
         if !matches!(rth.bytes_per_sample, 4 | 8) {
@@ -87,12 +95,12 @@ impl<'a> CalibratedSideScan7057<'a> {
         })
     }
 
-    /// Each port sample and the beam that it was taken from; the first is range 0.
+    /// Iterates over the port samples with the beam of each; the first is range 0.
     pub fn port(&self) -> impl Iterator<Item = (f64, u16)> + 'a {
         side(self.samples[0], self.beams[0], self.rth.bytes_per_sample)
     }
 
-    /// Likewise to starboard.
+    /// The same for starboard.
     pub fn starboard(&self) -> impl Iterator<Item = (f64, u16)> + 'a {
         side(self.samples[1], self.beams[1], self.rth.bytes_per_sample)
     }
@@ -116,10 +124,10 @@ fn side<'a>(
     samples.zip(beams)
 }
 
-/// Appends a 7057 record of f32. `samples_per_side`, `bytes_per_sample` and `beams_per_side` of `rth` are not used.
+/// Appends a 7057 record of f32. `samples_per_side`, `bytes_per_sample` and `beams_per_side` of `rth` are ignored.
 ///
 /// # Panics
-/// If the sides differ in length, or samples and beams of a side do.
+/// If the sides differ in length, or samples and beams of a side differ in number.
 pub fn emit_7057(
     buf: &mut Vec<u8>,
     stamp: &RecordStamp,
@@ -159,38 +167,46 @@ pub fn emit_7057(
 /// The RTH of 10038.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Rth10038 {
+    /// Sequential from 1.
     pub ping_number: u32,
+    /// 0 outside multi-ping mode.
     pub multi_ping_sequence: u32,
+    /// Mean sound velocity of the water column.
     pub mean_sound_velocity_m_per_s: f32,
-    /// Of the transducer; not in the data.
+    /// Draught of the transducer, which the data do not include.
     pub draft_not_applied_m: f32,
+    /// Sample rate.
     pub sample_rate_hz: f32,
+    /// Effective length of the pulse.
     pub effective_pulse_length_s: f32,
     /// Two-way time of the first sample.
     pub start_sample_delay_s: f32,
-    /// 64.
+    /// Always 64.
     pub bits_per_sample: u32,
-    /// The largest value there can be.
+    /// Largest possible value.
     pub full_scale: f32,
-    /// Written from the slice.
+    /// Number of samples, set from the slice.
     #[brw(pad_after = 80)]
     pub samples: u32,
 }
 
 rth!(Rth10038, 120, "10038 single-beam raw I/Q");
 
-/// 10038, read: the samples stay in the body.
+/// A parsed 10038 that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SingleBeamIq10038<'a> {
+    /// Record type header.
     pub rth: Rth10038,
     data: &'a [u8],
 }
 
 impl<'a> SingleBeamIq10038<'a> {
+    /// Record type.
     pub const RECORD_TYPE_ID: u32 = record_id::SINGLE_BEAM_IQ;
+    /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth10038::RTH_BYTES;
 
-    /// Reads 64 bits per sample, an f32 each for I and Q.
+    /// Parses a body with 64 bits per sample, an f32 each for I and Q.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth10038 = read_fixed(body)?;
         if rth.bits_per_sample != 64 {
@@ -204,6 +220,7 @@ impl<'a> SingleBeamIq10038<'a> {
         Ok(Self { rth, data })
     }
 
+    /// Iterates over I and Q.
     pub fn iq(&self) -> impl ExactSizeIterator<Item = [f32; 2]> + 'a {
         self.data.chunks_exact(8).map(|b| {
             [
@@ -214,7 +231,7 @@ impl<'a> SingleBeamIq10038<'a> {
     }
 }
 
-/// Appends a 10038 record. `samples` and `bits_per_sample` of `rth` are not used.
+/// Appends a 10038 record. `samples` and `bits_per_sample` of `rth` are ignored.
 pub fn emit_10038(
     buf: &mut Vec<u8>,
     stamp: &RecordStamp,

@@ -1,12 +1,12 @@
-//! 7001: what the sonar is, sent when asked for. Source: DFD 3.12.
+//! 7001: description of the sonar, sent on request. Source: DFD 3.12.
 //!
 //! ```text
 //! RTH   0 u64 sonar_id   8 u32 modules                                                                            12 bytes
 //! RD    per module: u32 identifier, char[60] description, u32 alphadata_card, u64 serial, u32 info_length L, L bytes of XML
 //! ```
 //!
-//! Teledyne's reader drops the last byte of the XML and asserts exactly one 7001 in a file: the text is closed by one NUL, which is
-//! counted in L, and a file gets one 7001.
+//! Teledyne's reader drops the last byte of the XML and requires exactly one 7001 in a file. The text therefore ends in one NUL, which L
+//! includes, and a file contains one 7001.
 
 use std::fmt;
 use std::ops::Range;
@@ -39,31 +39,37 @@ impl Fixed for ModuleHead {
     const NAME: &'static str = "7001 module";
 }
 
-/// 7001: the modules of a sonar.
+/// 7001: modules of a sonar.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Configuration7001 {
+    /// Serial number of the sonar.
     pub sonar_id: u64,
+    /// Modules of the sonar.
     pub modules: Vec<Module>,
 }
 
 /// One module of a sonar.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Module {
-    /// A device id.
+    /// A device identifier.
     pub identifier: u32,
-    /// At most 59 bytes go out.
+    /// At most 59 bytes are emitted.
     pub description: String,
     /// 0x400, 0x800 or 0x1000.
     pub alphadata_card: u32,
+    /// Serial number of the module.
     pub serial_number: u64,
-    /// Up to the first NUL; the closing NUL is not part of it.
+    /// Description in XML, without the final NUL.
     pub info_xml: String,
 }
 
 impl Configuration7001 {
+    /// Record type.
     pub const RECORD_TYPE_ID: u32 = record_id::CONFIGURATION;
+    /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7001::RTH_BYTES;
 
+    /// Parses the record body.
     pub fn parse(body: &[u8]) -> Result<Self, WireError> {
         let rth: Rth7001 = read_fixed(body)?;
         let mut at = Rth7001::RTH_BYTES;
@@ -97,12 +103,13 @@ impl Configuration7001 {
         })
     }
 
+    /// Appends the record and returns its byte range.
     pub fn emit(&self, buf: &mut Vec<u8>, stamp: &RecordStamp) -> Range<usize> {
         emit_7001(buf, stamp, self.sonar_id, &self.modules)
     }
 }
 
-/// Appends a 7001 record. Texts are cut at their first NUL, the description also to 59 bytes.
+/// Appends a 7001 record. Texts are truncated at their first NUL, the description also to 59 bytes.
 pub fn emit_7001(
     buf: &mut Vec<u8>,
     stamp: &RecordStamp,
@@ -137,7 +144,7 @@ fn before_nul(text: &str) -> &str {
     text.split('\0').next().unwrap_or_default()
 }
 
-/// A text as a field of fixed length that always ends in a NUL; what does not fit is cut between characters.
+/// A text as a field of fixed length that always ends in a NUL; longer texts are truncated between characters.
 pub(crate) fn text_field<const N: usize>(text: &str) -> [u8; N] {
     let text = before_nul(text);
     let fitting = (0..=text.len().min(N - 1))
@@ -149,7 +156,7 @@ pub(crate) fn text_field<const N: usize>(text: &str) -> [u8; N] {
     field
 }
 
-/// The text of a field, up to its first NUL; what is not UTF-8 is replaced.
+/// Text of a field up to its first NUL; invalid UTF-8 is replaced.
 pub(crate) fn text_of(field: &[u8]) -> String {
     String::from_utf8_lossy(field.split(|&byte| byte == 0).next().unwrap_or_default()).into_owned()
 }

@@ -1,4 +1,4 @@
-//! 7027: raw detections, what the bottom detector found. Source: DFD 3.12, tables 72 to 74.
+//! 7027: raw detections of the bottom detector. Source: DFD 3.12, tables 72 to 74.
 //!
 //! ```text
 //! RTH   99 bytes, see Rth7027
@@ -19,20 +19,23 @@ use crate::sevenk::{WireError, record_id};
 pub struct Rth7027 {
     /// Serial number.
     pub sonar_id: u64,
+    /// Sequential from 1.
     pub ping_number: u32,
-    /// 0 when not in multi-ping mode.
+    /// 0 outside multi-ping mode.
     pub multi_ping_sequence: u16,
-    /// Written from the slice.
+    /// Number of detections, set from the slice.
     pub detections: u32,
-    /// Bytes of each detection; written 34.
+    /// Size of each detection, bytes; 34 in emitted records.
     pub data_field_size: u32,
     /// 0 G1 simple, 1 G1 blended, 2 G2, 3 G3, ...
     pub detection_algorithm: u8,
     /// Bits 0-3 method of the uncertainty, 4 multi-detection, 6 detections have the snippet flag.
     pub flags: u32,
+    /// Sample rate of the sample numbers.
     pub sampling_rate_hz: f32,
+    /// Along-track angle of the transmit beam.
     pub tx_angle_rad: f32,
-    /// Put to the gates; 0 where roll is stabilised.
+    /// Roll applied to the gates; 0 with roll stabilisation.
     #[brw(pad_after = 60)]
     pub applied_roll_rad: f32,
 }
@@ -42,37 +45,43 @@ rth!(Rth7027, 99, "7027 raw detections");
 /// One detection.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Detection7027 {
+    /// Index of the beam.
     pub beam: u16,
-    /// Sample of the two-way time, fractional; sample 0 is the transmission.
+    /// Two-way time as a fractional sample number; sample 0 is the transmission.
     pub detection_sample: f32,
-    /// In the sonar's frame, starboard positive.
+    /// Angle in the sonar's frame, positive to starboard.
     pub rx_angle_rad: f32,
     /// Bit 0 by magnitude, 1 by phase, 2-8 type of the quality, 9-12 priority within the beam, 14 not used in a snippet.
     pub flags: u32,
     /// Type 1: bit 0 brightness, bit 1 colinearity passed.
     pub quality: u32,
-    /// Of the detection sample, relative.
+    /// Relative uncertainty of the detection sample.
     pub uncertainty: f32,
+    /// Level of the echo.
     pub intensity: f32,
-    /// Of the gate, in samples.
+    /// Start of the gate, samples.
     pub min_limit_sample: f32,
+    /// End of the gate, samples.
     pub max_limit_sample: f32,
 }
 
 rth!(Detection7027, 34, "7027 detection");
 
-/// 7027, read: the detections stay in the body.
+/// A parsed 7027 that borrows its detections.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RawDetections7027<'a> {
+    /// Record type header.
     pub rth: Rth7027,
     data: &'a [u8],
 }
 
 impl<'a> RawDetections7027<'a> {
+    /// Record type.
     pub const RECORD_TYPE_ID: u32 = record_id::RAW_DETECTIONS;
+    /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7027::RTH_BYTES;
 
-    /// Reads detections of 34 bytes or more; fields beyond those known are passed over.
+    /// Parses a body with detections of 34 bytes or more; unknown fields are skipped.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7027 = read_fixed(body)?;
         if rth.data_field_size < Detection7027::SIZE_BYTES as u32 {
@@ -87,6 +96,7 @@ impl<'a> RawDetections7027<'a> {
         Ok(Self { rth, data })
     }
 
+    /// Iterates over the detections.
     pub fn detections(&self) -> impl Iterator<Item = Detection7027> + 'a {
         self.data
             .chunks_exact(self.rth.data_field_size as usize)
@@ -94,7 +104,7 @@ impl<'a> RawDetections7027<'a> {
     }
 }
 
-/// Appends a 7027 record. `detections` and `data_field_size` of `rth` are not used.
+/// Appends a 7027 record. `detections` and `data_field_size` of `rth` are ignored.
 pub fn emit_7027(
     buf: &mut Vec<u8>,
     stamp: &RecordStamp,

@@ -1,4 +1,4 @@
-//! 7004: where the beams point and how wide they are. Source: DFD 3.12.
+//! 7004: directions and widths of the beams. Source: DFD 3.12.
 //!
 //! ```text
 //! RTH   0 u64 sonar_id   8 u32 beams N                                          12 bytes
@@ -24,30 +24,36 @@ struct Rth7004 {
 
 rth!(Rth7004, 12, "7004 beam geometry");
 
-/// The angles of all beams, beam 0 port-most; four slices of one length.
+/// Angles of all beams, from port; four slices of equal length.
 #[derive(Debug, Clone, Copy)]
 pub struct BeamAngles<'a> {
+    /// Direction along track, positive forward.
     pub along_track_rad: &'a [f32],
-    /// Starboard is positive.
+    /// Direction across track, positive to starboard.
     pub across_track_rad: &'a [f32],
-    /// At -3 dB, along track.
+    /// Along-track width, -3 dB.
     pub width_y_rad: &'a [f32],
-    /// At -3 dB, across track.
+    /// Across-track width, -3 dB.
     pub width_x_rad: &'a [f32],
 }
 
-/// 7004, read: the angles stay in the body.
+/// A parsed 7004 that borrows its angles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BeamGeometry7004<'a> {
+    /// Serial number of the sonar.
     pub sonar_id: u64,
+    /// Number of beams.
     pub beams: u32,
     data: &'a [u8],
 }
 
 impl<'a> BeamGeometry7004<'a> {
+    /// Record type.
     pub const RECORD_TYPE_ID: u32 = record_id::BEAM_GEOMETRY;
+    /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7004::RTH_BYTES;
 
+    /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7004 = read_fixed(body)?;
         let data = data_at(
@@ -63,19 +69,22 @@ impl<'a> BeamGeometry7004<'a> {
         })
     }
 
+    /// Direction along track, positive forward.
     pub fn along_track_rad(&self, beam: u32) -> Option<f32> {
         self.value(0, beam)
     }
 
-    /// Starboard is positive.
+    /// Direction across track, positive to starboard.
     pub fn across_track_rad(&self, beam: u32) -> Option<f32> {
         self.value(1, beam)
     }
 
+    /// Along-track width, -3 dB.
     pub fn width_y_rad(&self, beam: u32) -> Option<f32> {
         self.value(2, beam)
     }
 
+    /// Across-track width, -3 dB.
     pub fn width_x_rad(&self, beam: u32) -> Option<f32> {
         self.value(3, beam)
     }

@@ -1,9 +1,9 @@
-//! What 7k records hold: one file per family, each record a plain struct of the wire's fields. `parse` reads the body of a
-//! [`Record`] (RTH and RD) and tolerates bytes beyond what it knows, as later versions append; `emit` appends a whole record, frame and
-//! checksum included, and says where it lies. Reserved bytes are written 0 and read past.
+//! Contents of 7k records: one file per family, each record a plain struct of the wire's fields. `parse` reads the body of a [`Record`]
+//! (RTH and RD) and ignores further bytes, because later versions append fields. `emit` appends a whole record including frame and
+//! checksum, and returns its byte range. Reserved bytes are written as 0 and ignored when read.
 //!
-//! Records with samples parse to views that borrow the body. They are emitted by `emit_NNNN`, from slices of finished wire numbers:
-//! quantising is the caller's. Slices that do not fit each other are the programmer's mistake and panic.
+//! Records with samples parse to views that borrow the body. `emit_NNNN` emits them from slices of wire numbers; the caller quantises.
+//! Inconsistent slices are programming errors and panic.
 
 mod attitude;
 mod beamformed;
@@ -50,7 +50,7 @@ use super::file::{Catalogue7300, FileHeader7200};
 use super::frame::Record;
 use super::{WireError, record_id};
 
-/// Implements parse, emit and the constants for a record that is nothing but its RTH.
+/// Implements parsing, emission and constants for a record without data after its RTH.
 macro_rules! rth_record {
     ($record:ty, $id:expr, $size:expr, $name:literal) => {
         impl crate::sevenk::frame::Fixed for $record {
@@ -59,15 +59,17 @@ macro_rules! rth_record {
         }
 
         impl $record {
+            /// Record type.
             pub const RECORD_TYPE_ID: u32 = $id;
+            /// Size of the RTH.
             pub const RTH_BYTES: usize = $size;
 
-            /// Reads a record's body.
+            /// Parses a record's body.
             pub fn parse(body: &[u8]) -> Result<Self, crate::sevenk::WireError> {
                 crate::sevenk::frame::read_fixed(body)
             }
 
-            /// Appends the whole record and says where it lies in `buf`.
+            /// Appends the whole record and returns its byte range.
             pub fn emit(
                 &self,
                 buf: &mut Vec<u8>,
@@ -82,7 +84,7 @@ macro_rules! rth_record {
 }
 pub(crate) use rth_record;
 
-/// Implements length and name for the RTH of a record that has data behind it.
+/// Implements length and name for the RTH of a record with data.
 macro_rules! rth {
     ($rth:ty, $size:expr, $name:literal) => {
         impl crate::sevenk::frame::Fixed for $rth {
@@ -91,13 +93,15 @@ macro_rules! rth {
         }
 
         impl $rth {
+            /// Size of the RTH.
+            #[allow(unreachable_pub, reason = "some of the types are private to the crate")]
             pub const RTH_BYTES: usize = $size;
         }
     };
 }
 pub(crate) use rth;
 
-/// The `len` bytes of record data from `at`, or what is missing.
+/// The `len` bytes of record data from `at`, or an error that states the missing bytes.
 pub(crate) fn data_at<'a>(
     body: &'a [u8],
     at: usize,
@@ -105,7 +109,7 @@ pub(crate) fn data_at<'a>(
     what: &'static str,
 ) -> Result<&'a [u8], WireError> {
     let data = body.get(at..).unwrap_or_default();
-    // A length from the wire may be beyond usize on a 32-bit machine: compare as u64 before it becomes one.
+    // A length from the wire may exceed usize on a 32-bit machine, so it is compared as u64 before conversion.
     if (data.len() as u64) < len {
         return Err(WireError::Truncated {
             what,
@@ -116,47 +120,74 @@ pub(crate) fn data_at<'a>(
     Ok(&data[..len as usize])
 }
 
-/// The body of any record, by its type.
+/// A parsed record body, by record type.
 #[derive(Debug, Clone, PartialEq)]
 pub enum RecordBody<'a> {
+    /// 1003.
     Position(Position1003),
+    /// 1012.
     RollPitchHeave(RollPitchHeave1012),
+    /// 1013.
     Heading(Heading1013),
+    /// 7000.
     SonarSettings(Box<SonarSettings7000>),
+    /// 7001.
     Configuration(Configuration7001),
+    /// 7004.
     BeamGeometry(BeamGeometry7004<'a>),
+    /// 7007.
     SideScan(SideScan7007<'a>),
+    /// 7018.
     Beamformed(Beamformed7018<'a>),
+    /// 7038.
     RawIq(RawIq7038<'a>),
+    /// 7200.
     FileHeader(Box<FileHeader7200>),
+    /// 7300.
     FileCatalogue(Catalogue7300<'a>),
+    /// 7500.
     RemoteControl(ControlRequest),
+    /// 7501.
     Ack(Ack7501),
+    /// 7502.
     Nack(Nack7502),
+    /// 7503.
     RemoteSettings(Box<RemoteSettings7503>),
+    /// 7610.
     SoundVelocity(SoundVelocity7610),
+    /// 1015.
     Navigation(Navigation1015),
+    /// 1016.
     Attitude(Attitude1016<'a>),
+    /// 7027.
     RawDetections(RawDetections7027<'a>),
+    /// 7028.
     Snippets(Snippets7028<'a>),
+    /// 7042.
     WaterColumn(WaterColumn7042<'a>),
+    /// 7057.
     CalibratedSideScan(CalibratedSideScan7057<'a>),
+    /// 7058.
     SnippetStrengths(SnippetStrengths7058<'a>),
+    /// 10038.
     SingleBeamIq(SingleBeamIq10038<'a>),
-    /// A type this crate does not read.
+    /// Any other record type.
     Other(&'a [u8]),
 }
 
-/// A record body that could not be read.
+/// Why a record body is invalid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum BodyError {
+    /// The bytes do not fit the layout.
     #[error(transparent)]
     Wire(#[from] WireError),
+    /// The command is malformed.
     #[error(transparent)]
     Command(#[from] CommandError),
 }
 
 impl<'a> RecordBody<'a> {
+    /// Parses the body of a record.
     pub fn parse(record: &Record<'a>) -> Result<Self, BodyError> {
         let body = record.body();
         Ok(match record.frame.record_type_id {

@@ -1,7 +1,7 @@
-//! What the platform tells: 1003 position, 1012 roll, pitch and heave, 1013 heading, 1015 navigation, 7610 sound
-//! velocity. Source: DFD 3.12.
+//! Navigation of the platform: 1003 position, 1012 roll, pitch and heave, 1013 heading, 1015 navigation, 7610 sound velocity. Source: DFD
+//! 3.12.
 //!
-//! Signs: roll port up, pitch bow up, heave up. A server on the network needs 7610 for readers that refuse bathymetry without it.
+//! Signs: roll port up, pitch bow up, heave up. Some readers require 7610 for bathymetry, so that a server must send it.
 
 use std::fmt;
 
@@ -10,72 +10,87 @@ use binrw::{BinRead, BinWrite};
 use super::rth_record;
 use crate::sevenk::record_id;
 
-/// 1003: a position, geographic or on a grid.
+/// 1003: a geographic or grid position.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Position1003 {
     /// 0 is WGS84.
     pub datum_id: u32,
+    /// Age of the position at the record's timestamp.
     pub latency_s: f32,
-    /// rad when geographic, m on a grid.
+    /// Radians if geographic, metres on a grid.
     pub latitude_rad_or_northing_m: f64,
-    /// rad when geographic, m on a grid.
+    /// Radians if geographic, metres on a grid.
     pub longitude_rad_or_easting_m: f64,
+    /// Height above the datum.
     pub height_m: f64,
-    /// See [`Position1003::GEOGRAPHIC`].
+    /// One of [`Position1003::GEOGRAPHIC`] and [`Position1003::GRID`].
     pub position_type: u8,
+    /// Zone of a grid position.
     pub utm_zone: u8,
     /// 0 navigation, 1 dead reckoning.
     pub quality_flag: u8,
     /// 0 GPS, 1 DGPS, 15 RTK fixed, 16 RTK float.
     pub positioning_method: u8,
+    /// Number of satellites in use.
     pub satellites: u8,
 }
 
 impl Position1003 {
+    /// Latitude and longitude.
     pub const GEOGRAPHIC: u8 = 0;
+    /// Northing and easting.
     pub const GRID: u8 = 1;
 }
 
 /// 1012: attitude and heave.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct RollPitchHeave1012 {
-    /// Port up is positive.
+    /// Positive port up.
     pub roll_rad: f32,
-    /// Bow up is positive.
+    /// Positive bow up.
     pub pitch_rad: f32,
-    /// Up is positive.
+    /// Positive up.
     pub heave_up_m: f32,
 }
 
 /// 1013: true heading.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Heading1013 {
+    /// Clockwise from true north.
     pub heading_rad: f32,
 }
 
-/// 1015: where, how fast and which way.
+/// 1015: position, velocity and heading.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Navigation1015 {
     /// 1 ellipsoid, 2 geoid, 3 chart datum.
     pub vertical_reference: u8,
+    /// Positive north.
     pub latitude_rad: f64,
+    /// Positive east.
     pub longitude_rad: f64,
+    /// 0 is unknown.
     pub horizontal_accuracy_m: f32,
-    /// Of the vessel's reference point.
+    /// Height of the vessel's reference point.
     pub height_m: f32,
+    /// 0 is unknown.
     pub height_accuracy_m: f32,
+    /// Horizontal speed.
     pub speed_over_ground_m_per_s: f32,
+    /// Clockwise from true north.
     pub course_over_ground_rad: f32,
+    /// Clockwise from true north.
     pub heading_rad: f32,
 }
 
 /// 7610: sound velocity at the sonar head.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct SoundVelocity7610 {
+    /// Sound velocity.
     pub sound_velocity_m_per_s: f32,
-    /// 0 when not known.
+    /// 0 is unknown.
     pub temperature_k: f32,
-    /// 0 when not known.
+    /// 0 is unknown.
     pub pressure_pa: f32,
 }
 

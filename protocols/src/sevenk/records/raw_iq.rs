@@ -5,7 +5,7 @@
 //! RD    u16 element_number[E], then sample-major: for each sample start..=stop, for each listed element, i16 I, i16 Q
 //! ```
 //!
-//! Teledyne's reader takes an element number as a column of an array E wide: number the elements of a record 0..E.
+//! Teledyne's reader uses an element number as a column of an array with E columns: number the elements of a record 0..E.
 
 use std::fmt;
 use std::ops::Range;
@@ -18,7 +18,7 @@ use crate::sevenk::frame::{
 };
 use crate::sevenk::{WireError, record_id};
 
-/// `sample_type` of i16 I, i16 Q: the only one written and read here.
+/// `sample_type` of i16 I, i16 Q, the only type supported.
 pub const SAMPLE_TYPE_I16: u16 = 16;
 
 const SAMPLE_BYTES: usize = 4;
@@ -26,20 +26,22 @@ const SAMPLE_BYTES: usize = 4;
 /// The RTH of 7038.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct Rth7038 {
+    /// Serial number.
     pub sonar_serial: u64,
+    /// Sequential from 1.
     #[brw(pad_after = 2)]
     pub ping_number: u32,
-    /// Receive elements of the system.
+    /// Number of receive elements of the system.
     pub channel_count: u16,
-    /// Samples in the ping.
+    /// Number of samples in the ping.
     pub samples: u32,
-    /// Elements in this record.
+    /// Number of elements in this record.
     pub elements: u16,
-    /// First sample present.
+    /// First sample in the record.
     pub start_sample: u32,
-    /// Last sample present: inclusive.
+    /// Last sample in the record, inclusive.
     pub stop_sample: u32,
-    /// See [`SAMPLE_TYPE_I16`].
+    /// [`SAMPLE_TYPE_I16`].
     #[brw(pad_after = 28)]
     pub sample_type: u16,
 }
@@ -47,24 +49,28 @@ pub struct Rth7038 {
 rth!(Rth7038, 60, "7038 raw I/Q");
 
 impl Rth7038 {
-    /// Samples per element in this record; 0 if stop lies before start.
+    /// Number of samples per element in this record; 0 if stop is before start.
     pub fn samples_present(&self) -> u64 {
         (u64::from(self.stop_sample) + 1).saturating_sub(u64::from(self.start_sample))
     }
 }
 
-/// 7038, read: the samples stay in the body.
+/// A parsed 7038 that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RawIq7038<'a> {
+    /// Record type header.
     pub rth: Rth7038,
     element_numbers: &'a [u8],
     iq: &'a [u8],
 }
 
 impl<'a> RawIq7038<'a> {
+    /// Record type.
     pub const RECORD_TYPE_ID: u32 = record_id::RAW_IQ;
+    /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7038::RTH_BYTES;
 
+    /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7038 = read_fixed(body)?;
         if rth.sample_type != SAMPLE_TYPE_I16 {
@@ -93,13 +99,14 @@ impl<'a> RawIq7038<'a> {
         })
     }
 
+    /// Iterates over the element numbers of the columns.
     pub fn element_numbers(&self) -> impl ExactSizeIterator<Item = u16> + 'a {
         self.element_numbers
             .chunks_exact(2)
             .map(|bytes| u16::from_le_bytes([bytes[0], bytes[1]]))
     }
 
-    /// I and Q at a sample counted from `start_sample`, for the element in a column of the record.
+    /// I and Q of a sample, counted from `start_sample`, in a column of the record; none outside.
     pub fn iq(&self, sample_from_start: u32, column: u16) -> Option<[i16; 2]> {
         if u64::from(sample_from_start) >= self.rth.samples_present() || column >= self.rth.elements
         {
@@ -111,7 +118,7 @@ impl<'a> RawIq7038<'a> {
         Some([u16_at(self.iq, at)? as i16, u16_at(self.iq, at + 2)? as i16])
     }
 
-    /// All I and Q as they lie: per sample, per element.
+    /// All I and Q in wire order: by sample, then by element.
     pub fn iq_sample_major(&self) -> impl ExactSizeIterator<Item = [i16; 2]> + 'a {
         self.iq.chunks_exact(SAMPLE_BYTES).map(|bytes| {
             [
@@ -127,11 +134,11 @@ fn iq_bytes([i, q]: [i16; 2]) -> [u8; SAMPLE_BYTES] {
     [i0, i1, q0, q1]
 }
 
-/// Appends a 7038 record from I/Q that lie per sample, per element: the fast way.
+/// Appends a 7038 record from I/Q ordered by sample, then by element: the fast path.
 ///
 /// # Panics
-/// If `rth.elements` is not the number of element numbers, the sample type not [`SAMPLE_TYPE_I16`], `stop_sample` before `start_sample`, or
-/// the number of I/Q pairs not samples present x elements.
+/// If `rth.elements` differs from the number of element numbers, the sample type is not [`SAMPLE_TYPE_I16`], `stop_sample` is before
+/// `start_sample`, or the number of I/Q pairs is not samples x elements.
 pub fn emit_7038(
     buf: &mut Vec<u8>,
     stamp: &RecordStamp,
@@ -144,7 +151,7 @@ pub fn emit_7038(
     open.finish(buf)
 }
 
-/// Appends a 7038 record from I/Q that lie per element, per sample, and turns them over on the way.
+/// Appends a 7038 record from I/Q ordered by element, then by sample, and transposes them.
 ///
 /// # Panics
 /// As [`emit_7038`].
@@ -155,7 +162,7 @@ pub fn emit_7038_element_major(
     element_numbers: &[u16],
     iq_element_major: &[[i16; 2]],
 ) -> Range<usize> {
-    /// Tile edge: 32 x 32 pairs are 4 KiB on either side, within the first-level cache.
+    /// Tile edge: 32 x 32 pairs are 4 KiB on either side and fit the first-level cache.
     const TILE: usize = 32;
     let open = begin_7038(buf, stamp, rth, element_numbers, iq_element_major.len());
     let (elements, samples) = (element_numbers.len(), rth.samples_present() as usize);

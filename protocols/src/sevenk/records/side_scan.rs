@@ -23,57 +23,71 @@ pub struct Rth7007 {
     pub sonar_id: u64,
     /// Sequential from 1.
     pub ping_number: u32,
-    /// 0 when not in multi-ping mode.
+    /// 0 outside multi-ping mode.
     pub multi_ping_sequence: u16,
-    /// Forward of beam 0.
+    /// Distance forward of beam 0.
     pub beam_position_m: f32,
     /// Bit 0: the nadir depth field is used.
     pub control_flags: u32,
-    /// Written from the slices.
+    /// Number of samples per side, set from the slices.
     pub samples_per_side: u32,
-    /// In samples, one way.
+    /// Depth below the sonar, one-way samples.
     #[brw(pad_after = 28)]
     pub nadir_depth_samples: u32,
-    /// Written 1.
+    /// Always 1 in emitted records.
     pub beams_per_side: u16,
+    /// Index of the beam.
     pub current_beam: u16,
-    /// Written from the slices: 1, 2 or 4.
+    /// 1, 2 or 4, set from the slices.
     pub bytes_per_sample: u8,
-    /// 0.
+    /// Always 0.
     pub data_types: u8,
 }
 
 rth!(Rth7007, 64, "7007 side scan");
 
-/// Both sides of a line, in the width that goes on the wire.
+/// Both sides of a line, in the width of the wire.
 #[derive(Debug, Clone, Copy)]
 pub enum SideSamples<'a> {
+    /// 8 bits per sample.
     U8 {
+        /// Samples from range 0.
         port: &'a [u8],
+        /// Samples from range 0.
         starboard: &'a [u8],
     },
+    /// 16 bits per sample.
     U16 {
+        /// Samples from range 0.
         port: &'a [u16],
+        /// Samples from range 0.
         starboard: &'a [u16],
     },
+    /// 32 bits per sample.
     U32 {
+        /// Samples from range 0.
         port: &'a [u32],
+        /// Samples from range 0.
         starboard: &'a [u32],
     },
 }
 
-/// 7007, read: the samples stay in the body.
+/// A parsed 7007 that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SideScan7007<'a> {
+    /// Record type header.
     pub rth: Rth7007,
     port: &'a [u8],
     starboard: &'a [u8],
 }
 
 impl<'a> SideScan7007<'a> {
+    /// Record type.
     pub const RECORD_TYPE_ID: u32 = record_id::SIDE_SCAN;
+    /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7007::RTH_BYTES;
 
+    /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7007 = read_fixed(body)?;
         if !matches!(rth.bytes_per_sample, 1 | 2 | 4) {
@@ -92,12 +106,12 @@ impl<'a> SideScan7007<'a> {
         })
     }
 
-    /// Port samples, widened; the first is range 0.
+    /// Iterates over the port samples as u32; the first is range 0.
     pub fn port(&self) -> impl ExactSizeIterator<Item = u32> + 'a {
         samples_of(self.port, self.rth.bytes_per_sample)
     }
 
-    /// Starboard samples, widened; the first is range 0.
+    /// Iterates over the starboard samples as u32; the first is range 0.
     pub fn starboard(&self) -> impl ExactSizeIterator<Item = u32> + 'a {
         samples_of(self.starboard, self.rth.bytes_per_sample)
     }
@@ -113,8 +127,7 @@ fn samples_of(bytes: &[u8], bytes_per_sample: u8) -> impl ExactSizeIterator<Item
         })
 }
 
-/// Appends a 7007 record. `samples_per_side`, `bytes_per_sample` and `beams_per_side` of `rth` are not used: the first two follow from the
-/// slices, the last is 1.
+/// Appends a 7007 record. `samples_per_side` and `bytes_per_sample` of `rth` are ignored and follow from the slices; `beams_per_side` is 1.
 ///
 /// # Panics
 /// If the sides differ in length.

@@ -6,7 +6,7 @@
 //!       7058 with bit 6 of its control flags: N series of footprints, f32, as long
 //! ```
 //!
-//! A descriptor whose start is behind its end has no samples.
+//! A descriptor with its start after its end has no samples.
 
 use std::fmt;
 use std::ops::Range;
@@ -19,20 +19,23 @@ use crate::sevenk::frame::{
 };
 use crate::sevenk::{WireError, record_id};
 
-/// Where one snippet is.
+/// Position of one snippet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
 pub struct SnippetDescriptor {
+    /// Index of the beam.
     pub beam: u16,
+    /// First sample.
     pub start_sample: u32,
+    /// Sample of the detection.
     pub detection_sample: u32,
-    /// Inclusive.
+    /// Last sample, inclusive.
     pub end_sample: u32,
 }
 
 rth!(SnippetDescriptor, 14, "snippet descriptor");
 
 impl SnippetDescriptor {
-    /// Samples of the snippet; 0 if its start is behind its end.
+    /// Number of samples of the snippet; 0 if its start is after its end.
     pub fn samples(&self) -> u64 {
         (u64::from(self.end_sample) + 1).saturating_sub(self.start_sample.into())
     }
@@ -43,16 +46,17 @@ impl SnippetDescriptor {
 pub struct Rth7028 {
     /// Serial number.
     pub sonar_id: u64,
+    /// Sequential from 1.
     pub ping_number: u32,
-    /// 0 when not in multi-ping mode.
+    /// 0 outside multi-ping mode.
     pub multi_ping_sequence: u16,
-    /// Written from the slice.
+    /// Number of detections, set from the slice.
     pub detections: u16,
-    /// 0 right; 6 bottom detection failed.
+    /// 0: valid; 6: bottom detection failed.
     pub error_flag: u8,
-    /// Bit 0 automatic window, 1 quality filter, 2 least window, 3 largest window.
+    /// Bit 0 automatic window, 1 quality filter, 2 minimum window, 3 maximum window.
     pub control_flags: u8,
-    /// Bit 0: samples of 32 bits; written from the samples.
+    /// Bit 0: samples of 32 bits; set from the samples.
     #[brw(pad_after = 24)]
     pub flags: u32,
 }
@@ -64,16 +68,18 @@ rth!(Rth7028, 46, "7028 snippets");
 pub struct Rth7058 {
     /// Serial number.
     pub sonar_id: u64,
+    /// Sequential from 1.
     pub ping_number: u32,
-    /// 0 when not in multi-ping mode.
+    /// 0 outside multi-ping mode.
     pub multi_ping_sequence: u16,
-    /// Written from the slice.
+    /// Number of detections, set from the slice.
     pub detections: u16,
-    /// 0 right; else the record holds what is not calibrated.
+    /// 0: valid; otherwise the contents are not calibrated.
     pub error_flag: u8,
-    /// Bits 0 brightness, 1 colinearity required, 6 footprints (written from the slices), 7 generic compensation, 8 one absorption.
+    /// Bits 0 brightness and 1 colinearity required, 6 footprints (set from the slices), 7 generic compensation, 8 one absorption.
     pub control_flags: u32,
     #[brw(pad_after = 24)]
+    /// Absorption, one way.
     pub absorption_db_per_km: f32,
 }
 
@@ -82,7 +88,7 @@ rth!(Rth7058, 49, "7058 snippet scattering strength");
 const SAMPLES_OF_32_BITS: u32 = 1;
 const HAS_FOOTPRINTS: u32 = 1 << 6;
 
-/// Descriptors, checked against the samples behind them.
+/// Descriptors, validated against the samples that follow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Snippets<'a> {
     descriptors: &'a [u8],
@@ -120,7 +126,7 @@ impl<'a> Snippets<'a> {
             .filter_map(|bytes| read_fixed(bytes).ok())
     }
 
-    /// Each descriptor with the bytes of its samples, in series that begin at byte `from`.
+    /// Iterates over the descriptors with the bytes of their samples, in series from byte `from` on.
     fn series(
         &self,
         from: usize,
@@ -135,17 +141,21 @@ impl<'a> Snippets<'a> {
     }
 }
 
-/// 7028, read: the samples stay in the body.
+/// A parsed 7028 that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Snippets7028<'a> {
+    /// Record type header.
     pub rth: Rth7028,
     snippets: Snippets<'a>,
 }
 
 impl<'a> Snippets7028<'a> {
+    /// Record type.
     pub const RECORD_TYPE_ID: u32 = record_id::SNIPPETS;
+    /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7028::RTH_BYTES;
 
+    /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7028 = read_fixed(body)?;
         let width = sample_bytes_7028(&rth) as u64;
@@ -159,7 +169,7 @@ impl<'a> Snippets7028<'a> {
         Ok(Self { rth, snippets })
     }
 
-    /// Each snippet with its intensities, widened.
+    /// Iterates over the snippets with their intensities as u32.
     pub fn snippets(
         &self,
     ) -> impl Iterator<Item = (SnippetDescriptor, impl Iterator<Item = u32> + 'a)> + 'a {
@@ -185,17 +195,19 @@ fn sample_bytes_7028(rth: &Rth7028) -> usize {
     }
 }
 
-/// The intensities of all snippets, one behind the other, in the width that goes on the wire.
+/// Intensities of all snippets in sequence, in the width of the wire.
 #[derive(Debug, Clone, Copy)]
 pub enum SnippetSamples<'a> {
+    /// 16 bits per sample.
     U16(&'a [u16]),
+    /// 32 bits per sample.
     U32(&'a [u32]),
 }
 
 /// Appends a 7028 record.
 ///
 /// # Panics
-/// If the samples are not as many as the descriptors say, or there are more than 65535 snippets.
+/// If the number of samples differs from the descriptors, or there are more than 65535 snippets.
 pub fn emit_7028(
     buf: &mut Vec<u8>,
     stamp: &RecordStamp,
@@ -230,17 +242,21 @@ fn count_of(descriptors: &[SnippetDescriptor], samples: usize, what: &str) -> u1
     u16::try_from(descriptors.len()).expect("at most 65535 snippets")
 }
 
-/// 7058, read: the samples stay in the body.
+/// A parsed 7058 that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SnippetStrengths7058<'a> {
+    /// Record type header.
     pub rth: Rth7058,
     snippets: Snippets<'a>,
 }
 
 impl<'a> SnippetStrengths7058<'a> {
+    /// Record type.
     pub const RECORD_TYPE_ID: u32 = record_id::SNIPPET_STRENGTHS;
+    /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7058::RTH_BYTES;
 
+    /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7058 = read_fixed(body)?;
         let per_sample = if rth.control_flags & HAS_FOOTPRINTS == 0 {
@@ -258,7 +274,7 @@ impl<'a> SnippetStrengths7058<'a> {
         Ok(Self { rth, snippets })
     }
 
-    /// Each snippet with its scattering strengths, 10 log10 of the cross section per area.
+    /// Iterates over the snippets with their scattering strengths, 10 log10 of the cross section per area.
     pub fn strengths_db(
         &self,
     ) -> impl Iterator<Item = (SnippetDescriptor, impl Iterator<Item = f32> + 'a)> + 'a {
@@ -267,7 +283,7 @@ impl<'a> SnippetStrengths7058<'a> {
             .map(|(descriptor, data)| (descriptor, f32s(data)))
     }
 
-    /// Each snippet with its samples' footprints; none where the record has none.
+    /// Iterates over the snippets with the footprints of their samples; none if the record has none.
     pub fn footprints_m2(
         &self,
     ) -> impl Iterator<Item = (SnippetDescriptor, impl Iterator<Item = f32> + 'a)> + 'a {
@@ -285,10 +301,10 @@ fn f32s(data: &[u8]) -> impl Iterator<Item = f32> + '_ {
         .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
 }
 
-/// Appends a 7058 record; footprints if there are any, as many as strengths.
+/// Appends a 7058 record. Footprints are optional, as many as strengths.
 ///
 /// # Panics
-/// If strengths or footprints are not as many as the descriptors say, or there are more than 65535 snippets.
+/// If the numbers of strengths or footprints differ from the descriptors, or there are more than 65535 snippets.
 pub fn emit_7058(
     buf: &mut Vec<u8>,
     stamp: &RecordStamp,

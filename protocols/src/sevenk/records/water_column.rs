@@ -1,4 +1,4 @@
-//! 7042: compressed water column, beam by beam. Source: DFD 3.12, tables 83 and 84.
+//! 7042: compressed water column, by beam. Source: DFD 3.12, tables 83 and 84.
 //!
 //! ```text
 //! RTH   44 bytes, see Rth7042
@@ -17,13 +17,21 @@ use crate::sevenk::{WireError, record_id};
 
 /// Bits of [`Rth7042::flags`].
 pub mod flags_7042 {
+    /// Samples are limited by the detection.
     pub const LIMITED_BY_DETECTION: u32 = 1;
+    /// No phase.
     pub const MAGNITUDE_ONLY: u32 = 1 << 1;
+    /// Magnitudes in dB with 8 bits.
     pub const DB_IN_8_BITS: u32 = 1 << 2;
+    /// Position of the divisor of the sample rate.
     pub const DIVISOR_SHIFT: u32 = 4;
+    /// Magnitudes with 32 bits.
     pub const MAGNITUDE_IN_32_BITS: u32 = 1 << 12;
+    /// The compression factor is valid.
     pub const COMPRESSION_FACTOR: u32 = 1 << 13;
+    /// Beams have segments.
     pub const SEGMENTS: u32 = 1 << 14;
+    /// The first sample is a delay.
     pub const FIRST_SAMPLE_IS_DELAY: u32 = 1 << 15;
 }
 
@@ -32,27 +40,30 @@ pub mod flags_7042 {
 pub struct Rth7042 {
     /// Serial number.
     pub sonar_id: u64,
+    /// Sequential from 1.
     pub ping_number: u32,
-    /// 0 when not in multi-ping mode.
+    /// 0 outside multi-ping mode.
     pub multi_ping_sequence: u16,
-    /// Written from the slice.
+    /// Number of beams, set from the slice.
     pub beams: u16,
-    /// By the range.
+    /// Number of samples for the range.
     pub samples: u32,
-    /// Of the longest beam; written from the slices.
+    /// Number of samples of the longest beam, set from the slices.
     pub compressed_samples: u32,
-    /// See [`flags_7042`].
+    /// Bits of [`flags_7042`].
     pub flags: u32,
+    /// First sample of the beams.
     pub first_sample: u32,
-    /// After the divisor.
+    /// Sample rate after the divisor.
     pub sample_rate_hz: f32,
     #[brw(pad_after = 4)]
+    /// Factor between magnitudes and counts.
     pub compression_factor: f32,
 }
 
 rth!(Rth7042, 44, "7042 compressed water column");
 
-/// Bytes of magnitude and of phase of a sample.
+/// Sizes of magnitude and phase of a sample, bytes.
 fn widths(flags: u32) -> Result<(usize, usize), WireError> {
     use flags_7042::{DB_IN_8_BITS, MAGNITUDE_IN_32_BITS, MAGNITUDE_ONLY};
     let is = |flag| flags & flag != 0;
@@ -70,11 +81,12 @@ fn widths(flags: u32) -> Result<(usize, usize), WireError> {
     Ok((magnitude, if is(MAGNITUDE_ONLY) { 0 } else { phase }))
 }
 
-/// One beam, read: its samples stay in the body.
+/// A parsed beam that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CompressedBeam<'a> {
+    /// Index of the beam.
     pub beam: u16,
-    /// 0 where the record has no segments.
+    /// 0 if the record has no segments.
     pub segment: u8,
     magnitude_bytes: usize,
     phase_bytes: usize,
@@ -82,7 +94,7 @@ pub struct CompressedBeam<'a> {
 }
 
 impl<'a> CompressedBeam<'a> {
-    /// Magnitude and phase as they are; a phase of 8 bits is the upper half of one of 16. Without phase it is 0.
+    /// Iterates over magnitude and phase. A phase of 8 bits is the upper half of 16 bits; a missing phase is 0.
     pub fn samples(&self) -> impl ExactSizeIterator<Item = (u32, i16)> + 'a {
         let (magnitude_bytes, phase_bytes) = (self.magnitude_bytes, self.phase_bytes);
         self.data
@@ -101,18 +113,21 @@ impl<'a> CompressedBeam<'a> {
     }
 }
 
-/// 7042, read: the beams stay in the body.
+/// A parsed 7042 that borrows its beams.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WaterColumn7042<'a> {
+    /// Record type header.
     pub rth: Rth7042,
     data: &'a [u8],
 }
 
 impl<'a> WaterColumn7042<'a> {
+    /// Record type.
     pub const RECORD_TYPE_ID: u32 = record_id::COMPRESSED_WATER_COLUMN;
+    /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7042::RTH_BYTES;
 
-    /// Walks all beams, so that [`WaterColumn7042::beams`] has them whole.
+    /// Parses all beams, so that [`WaterColumn7042::beams`] cannot fail.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7042 = read_fixed(body)?;
         widths(rth.flags)?;
@@ -127,6 +142,7 @@ impl<'a> WaterColumn7042<'a> {
         })
     }
 
+    /// Iterates over the beams.
     pub fn beams(&self) -> impl Iterator<Item = CompressedBeam<'a>> + 'a {
         let (rth, data, mut at) = (self.rth, self.data, 0);
         (0..rth.beams).map_while(move |_| {
@@ -137,7 +153,7 @@ impl<'a> WaterColumn7042<'a> {
     }
 }
 
-/// The beam at a place in the record data, and its length.
+/// Beam at an offset in the record data, and its length.
 fn beam_at<'a>(
     rth: &Rth7042,
     data: &'a [u8],
@@ -161,22 +177,23 @@ fn beam_at<'a>(
     Ok((beam, head_bytes + data.len()))
 }
 
-/// One beam to write: finished wire numbers.
+/// One beam to emit, in wire numbers.
 #[derive(Debug, Clone, Copy)]
 pub struct BeamSamples<'a> {
+    /// Index of the beam.
     pub beam: u16,
-    /// Written where the flags say so.
+    /// Emitted if the flags require it.
     pub segment: u8,
-    /// What is beyond the width that the flags say saturates.
+    /// Values beyond the width set by the flags are clipped.
     pub magnitudes: &'a [u32],
-    /// As many as magnitudes, or none where the flags say so; of 8 bits the upper half is written.
+    /// As many as magnitudes, or none if the flags exclude phases; with 8 bits the upper half is emitted.
     pub phases: &'a [i16],
 }
 
-/// Appends a 7042 record. `beams` and `compressed_samples` of `rth` are not used.
+/// Appends a 7042 record. `beams` and `compressed_samples` of `rth` are ignored.
 ///
 /// # Panics
-/// If the flags contradict each other, phases and magnitudes of a beam differ in number, or there are more than 65535 beams.
+/// If the flags are contradictory, phases and magnitudes of a beam differ in number, or there are more than 65535 beams.
 pub fn emit_7042(
     buf: &mut Vec<u8>,
     stamp: &RecordStamp,
