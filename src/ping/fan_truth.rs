@@ -1,14 +1,14 @@
-//! What each sample of each beam of a fan shows, by the scene's own knowledge: as [`line_truth`](super::line_truth), beam by beam. For masks; never
-//! on the ping path.
+//! Ground truth of each sample of each beam of a fan: as [`line_truth`](super::line_truth), beam by beam. Used for masks, never on the ping
+//! path.
 //!
-//! Echo energy: both patterns, the beam's array factor with the fan's shading (far field), the law of scattering and spreading of every scatterer
-//! that the ping heard. A target counts as far as the main lobe of transmitter and beam together reaches ([`MAIN_LOBE_DB`]). The ground is that of
-//! the plane square to the transmitter; a beam has what of it lies nearer to its axis than to its neighbours'.
+//! Echo energy includes both element patterns, the beam's array factor with the fan's shading (far field), and the scattering law and
+//! spreading of every scatterer in the ping. A target counts within the main lobe of transmitter and beam together ([`MAIN_LOBE_DB`]). The
+//! ground is that of the plane normal to the transmitter's axis. Each ground point belongs to the nearest beam.
 
 use glam::DVec3;
 
 use super::line_truth::{
-    Depths, Face, MAIN_LOBE_DB, Motion, blank, half_cell, law_of, walk_ground,
+    Depths, Face, MAIN_LOBE_DB, Motion, blank, half_cell, law_of, trace_ground,
 };
 use crate::rig::{PingSlot, Rig};
 use echotank_config::spec::{FanSpec, SonarSpec};
@@ -17,52 +17,53 @@ use echotank_imaging::beam::weights;
 use echotank_imaging::image::water_column::beam_at;
 use echotank_synthesis::echo::levels::Directivity;
 
-/// Beams that hear less than this of an echo's energy are left out.
+/// Beams that receive less than this share of an echo's energy are omitted.
 const MIN_SHARE: f64 = 1e-8;
-/// Steps of the table of the array factor in one period of it.
+/// Number of table entries of the array factor per period.
 const FACTOR_STEPS: usize = 8192;
 
-/// One truth for each beam of the fan of the ping that `rig` made last in `slot`, sample for sample with the beams. Empty without a fan.
+/// Returns one truth per beam of the fan for the last ping that `rig` computed in `slot`, sample for sample with the beams. Empty without a
+/// fan.
 pub fn fan_truth(rig: &Rig, slot: &PingSlot) -> Vec<LineTruth> {
     let spec = &rig.sonars[slot.plan.sonar].spec;
-    let (Some(fan), Some(made)) = (&spec.beams.fan, slot.output.beams.first()) else {
+    let (Some(fan), Some(beams)) = (&spec.beams.fan, slot.output.beams.first()) else {
         return Vec::new();
     };
     let side = |angle: &f64| match *angle < 0.0 {
         true => Side::Port,
         false => Side::Starboard,
     };
-    let angles = made.angle_rad.iter();
-    let mut truths: Vec<LineTruth> = angles.map(|a| blank(side(a), made.samples)).collect();
-    let view = View {
+    let angles = beams.angle_rad.iter();
+    let mut truths: Vec<LineTruth> = angles.map(|a| blank(side(a), beams.samples)).collect();
+    let geometry = FanGeometry {
         spec,
         slot,
         fan,
-        made,
+        beams,
         motion: Motion::of(&slot.plan, spec.receiver.sample_rate_hz),
     };
     let mut labels = Vec::new();
     rig.scene.target_of_each(rig.scatterers(), &mut labels);
-    view.energies(rig.scatterers(), &labels, &mut truths);
-    view.ground(rig, &mut truths);
+    geometry.energies(rig.scatterers(), &labels, &mut truths);
+    geometry.ground(rig, &mut truths);
     truths
 }
 
-struct View<'a> {
+struct FanGeometry<'a> {
     spec: &'a SonarSpec,
     slot: &'a PingSlot,
     fan: &'a FanSpec,
-    made: &'a BeamFrame,
+    beams: &'a BeamFrame,
     motion: Motion,
 }
 
-/// |sum_e w_e exp(j 2pi e d s)|^2, s the sine's offset: tabulated over one period.
-struct Factor {
+/// |sum_e w_e exp(j 2pi e d s)|^2 for the sine offset s, tabulated over one period.
+struct ArrayFactor {
     spacing: f64,
     power: Vec<f64>,
 }
 
-impl Factor {
+impl ArrayFactor {
     fn new(fan: &FanSpec, elements: usize, spacing_wavelengths: f64) -> Self {
         let mut weights = vec![0.0; elements];
         weights::fill(fan.shading, &mut weights);
@@ -83,43 +84,43 @@ impl Factor {
     }
 
     fn power(&self, sine: f64) -> f64 {
-        let place = (self.spacing * sine).rem_euclid(1.0) * FACTOR_STEPS as f64;
-        self.power[place.round() as usize % FACTOR_STEPS]
+        let position = (self.spacing * sine).rem_euclid(1.0) * FACTOR_STEPS as f64;
+        self.power[position.round() as usize % FACTOR_STEPS]
     }
 }
 
-impl View<'_> {
+impl FanGeometry<'_> {
     fn first_s(&self) -> f64 {
         self.slot.plan.first_sample_s
     }
 
-    /// Of every beam, towards the array's +x.
+    /// Sine of every beam towards the array's +x.
     fn sines(&self) -> Vec<f64> {
         let towards_x = self.towards_x();
-        let angles = self.made.angle_rad.iter();
+        let angles = self.beams.angle_rad.iter();
         angles.map(|angle| towards_x * angle.sin()).collect()
     }
 
-    /// Angles count to starboard whichever way the array's x points.
+    /// Angles are positive to starboard, whichever way the array's x axis points.
     fn towards_x(&self) -> f64 {
         let x_in_body = self.spec.receive[self.fan.array].mounting.body_from_array * DVec3::X;
         if x_in_body.y < -1e-9 { -1.0 } else { 1.0 }
     }
 
     fn energies(&self, scatterers: &Scatterers, labels: &[u16], truths: &mut [LineTruth]) {
-        let (plan, samples) = (&self.slot.plan, self.made.samples);
+        let (plan, samples) = (&self.slot.plan, self.beams.samples);
         let (c, rate_hz) = (plan.sound_speed_m_per_s, self.spec.receiver.sample_rate_hz);
         let array = &self.spec.receive[self.fan.array];
         let wavelength_m = c / plan.pulse.center_frequency_hz;
         let transmit = &self.spec.transmit[array.transmit];
         let sent = Directivity::new(&transmit.pattern, wavelength_m);
-        let heard = Directivity::new(&array.element_pattern, wavelength_m);
-        let sender = Face::new(self.motion.at(0.0), &transmit.mounting, &sent);
-        let factor = Factor::new(self.fan, array.elements, array.spacing_m / wavelength_m);
+        let received = Directivity::new(&array.element_pattern, wavelength_m);
+        let transmitter = Face::new(self.motion.at(0.0), &transmit.mounting, &sent);
+        let factor = ArrayFactor::new(self.fan, array.elements, array.spacing_m / wavelength_m);
         let lobe = 10f64.powf(MAIN_LOBE_DB / 10.0);
         let half = half_cell(plan, rate_hz);
         let sines = self.sines();
-        // Of the target at hand, beam by beam.
+        // Energy of the current target in each beam.
         let mut own = vec![0.0f32; samples * sines.len()];
         let mut first = 0;
         while first < labels.len() {
@@ -128,12 +129,12 @@ impl View<'_> {
             let mut touched = (samples, 0);
             for i in first..end {
                 let at_m = scatterers.position_m(i);
-                let (out_m, _, sent, sent_middle) = sender.towards(at_m);
+                let (out_m, _, sent, sent_middle) = transmitter.towards(at_m);
                 let pose = self.motion.at(2.0 * out_m / c);
-                let hearer = Face::new(pose, &array.mounting, &heard);
-                let (back_m, w, heard, _) = hearer.towards(at_m);
-                let law = law_of(scatterers, i, &sender, &hearer.at_m);
-                let amplitude = sent * heard * law / (out_m * back_m);
+                let receiver = Face::new(pose, &array.mounting, &received);
+                let (back_m, w, received, _) = receiver.towards(at_m);
+                let law = law_of(scatterers, i, &transmitter, &receiver.at_m);
+                let amplitude = sent * received * law / (out_m * back_m);
                 let energy = amplitude * amplitude * scatterers.strength[i].norm_sqr();
                 let k = (((out_m + back_m) / c - self.first_s()) * rate_hz).round();
                 if !(0.0..samples as f64).contains(&k) || energy.is_nan() || energy <= 0.0 {
@@ -170,28 +171,28 @@ impl View<'_> {
     }
 
     fn ground(&self, rig: &Rig, truths: &mut [LineTruth]) {
-        let (plan, samples) = (&self.slot.plan, self.made.samples);
+        let (plan, samples) = (&self.slot.plan, self.beams.samples);
         let rate_hz = self.spec.receiver.sample_rate_hz;
         let mounting = &self.spec.receive[self.fan.array].mounting;
         let towards_x = self.towards_x();
         let mut depths: Vec<Depths> = truths.iter().map(|_| Depths::of(samples)).collect();
         let end_s = self.first_s() + samples as f64 / rate_hz;
-        let walk = (self.spec, plan, &self.motion);
+        let trace = (self.spec, plan, &self.motion);
         for side in [Side::Port, Side::Starboard] {
-            walk_ground(rig, walk, self.fan.array, side, end_s, |met| {
-                let pose = self.motion.at(met.two_way_s);
-                let way = met.at_m - pose.point_m(mounting.position_m);
+            trace_ground(rig, trace, self.fan.array, side, end_s, |point| {
+                let pose = self.motion.at(point.two_way_s);
+                let way = point.at_m - pose.point_m(mounting.position_m);
                 let line = pose.world_from_body * (mounting.body_from_array * DVec3::X);
                 let sine = towards_x * way.normalize_or_zero().dot(line);
-                let k = ((met.two_way_s - self.first_s()) * rate_hz).round();
-                let beam = beam_at(&self.made.angle_rad, sine.clamp(-1.0, 1.0).asin());
+                let k = ((point.two_way_s - self.first_s()) * rate_hz).round();
+                let beam = beam_at(&self.beams.angle_rad, sine.clamp(-1.0, 1.0).asin());
                 if let Some(b) = beam.filter(|_| k >= 0.0) {
-                    depths[b].meet(&mut truths[b], k as usize, met);
+                    depths[b].add(&mut truths[b], k as usize, point);
                 }
             });
         }
         for (truth, depths) in truths.iter_mut().zip(depths) {
-            depths.keep(truth);
+            depths.store_depths(truth);
         }
     }
 }

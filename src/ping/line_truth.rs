@@ -1,12 +1,12 @@
-//! What each sample of a side-scan line shows, by the scene's own knowledge: targets by the energy of their echoes, shadow and depth along the
-//! ground under the beam's axis. For masks; never on the ping path.
+//! Ground truth of each sample of a side-scan line: targets by the energy of their echoes, shadow and depth along the ground below the
+//! beam's axis. Used for masks, never on the ping path.
 //!
-//! Echo energy: both patterns, the line's array factor, the law of scattering and spreading of every scatterer that the ping heard, at its
-//! two-way range; absorption and gains are the same for all that share a sample. A target counts as far as the beam's main lobe reaches
-//! ([`MAIN_LOBE_DB`]); what is heard of it beside counts with all else.
+//! Echo energy includes both element patterns, the line's array factor, and the scattering law and spreading of every scatterer in the
+//! ping, at its two-way range. Absorption and gains are equal for all contributions to a sample. A target counts within the beam's main
+//! lobe ([`MAIN_LOBE_DB`]); its side-lobe echoes count as other energy.
 //!
-//! The ground is walked in the plane through the middle between where the pulse was sent and where its echo is heard, square to the
-//! transmitter, in steps of half a sample.
+//! The ground is traced in the plane normal to the transmitter's axis, through the midpoint between transmission and reception, in steps of
+//! half a sample.
 
 use glam::{DQuat, DVec2, DVec3};
 
@@ -19,12 +19,12 @@ use echotank_core::frames::Pose;
 use echotank_imaging::beam::conventional::line_array_response;
 use echotank_synthesis::echo::levels::Directivity;
 
-/// Two-way pattern along the track, against its own middle, down to which an echo shows its target.
+/// Two-way pattern along the track, relative to its centre, above which an echo shows its target.
 pub(crate) const MAIN_LOBE_DB: f64 = -12.0;
-/// Poses kept of a listening window: between two of them a platform moves by millimetres.
+/// Number of poses stored for a reception window: between two of them a platform moves by millimetres.
 const POSES: usize = 128;
 
-/// Where the platform is while it listens.
+/// Poses of the platform during reception.
 pub(super) struct Motion {
     poses: Vec<Pose>,
     step_s: f64,
@@ -47,7 +47,7 @@ impl Motion {
     }
 }
 
-/// A face in the world at one instant.
+/// A face (transmitter or element) in world coordinates at one time.
 pub(super) struct Face<'a> {
     pub(super) at_m: DVec3,
     array_from_world: DQuat,
@@ -62,7 +62,7 @@ impl<'a> Face<'a> {
             directivity,
         }
     }
-    /// Range, sine along the face, response, and the response as it would be without that sine.
+    /// Range, direction in face axes, response, and the response for a zero sine along the face.
     pub(super) fn towards(&self, at_m: DVec3) -> (f64, DVec3, f64, f64) {
         let way = at_m - self.at_m;
         let range_m = way.length().max(1e-6);
@@ -72,7 +72,7 @@ impl<'a> Face<'a> {
     }
 }
 
-/// The truth of every line of the ping that `rig` made last in `slot`.
+/// Ground truth of every line of the last ping that `rig` computed in `slot`.
 pub fn line_truths(rig: &Rig, slot: &PingSlot) -> Vec<LineTruth> {
     let plan = &slot.plan;
     let spec = &rig.sonars[plan.sonar].spec;
@@ -81,16 +81,16 @@ pub fn line_truths(rig: &Rig, slot: &PingSlot) -> Vec<LineTruth> {
     rig.scene.target_of_each(rig.scatterers(), &mut labels);
     let lines = spec.beams.lines.iter().zip(&slot.output.lines);
     lines
-        .map(|(line, made)| {
-            let mut truth = blank(line.side, made.amplitude.len());
-            let view = View {
+        .map(|(line, computed)| {
+            let mut truth = blank(line.side, computed.amplitude.len());
+            let geometry = LineGeometry {
                 spec,
                 plan,
                 motion: &motion,
                 line,
             };
-            view.energies(rig.scatterers(), &labels, &mut truth);
-            view.ground(rig, &mut truth);
+            geometry.energies(rig.scatterers(), &labels, &mut truth);
+            geometry.ground(rig, &mut truth);
             truth
         })
         .collect()
@@ -107,14 +107,14 @@ pub(super) fn blank(side: Side, samples: usize) -> LineTruth {
     }
 }
 
-struct View<'a> {
+struct LineGeometry<'a> {
     spec: &'a SonarSpec,
     plan: &'a PingPlan,
     motion: &'a Motion,
     line: &'a LineSpec,
 }
 
-impl View<'_> {
+impl LineGeometry<'_> {
     fn array(&self) -> &ArrayGeometry {
         &self.spec.receive[self.line.array]
     }
@@ -125,10 +125,10 @@ impl View<'_> {
         let wavelength_m = c / self.plan.pulse.center_frequency_hz;
         let transmit = &self.spec.transmit[array.transmit];
         let sent = Directivity::new(&transmit.pattern, wavelength_m);
-        let heard = Directivity::new(&array.element_pattern, wavelength_m);
-        let sender = Face::new(self.motion.at(0.0), &transmit.mounting, &sent);
-        let hearers: Vec<Face> = (self.motion.poses.iter())
-            .map(|pose| Face::new(pose, &array.mounting, &heard))
+        let received = Directivity::new(&array.element_pattern, wavelength_m);
+        let transmitter = Face::new(self.motion.at(0.0), &transmit.mounting, &sent);
+        let receivers: Vec<Face> = (self.motion.poses.iter())
+            .map(|pose| Face::new(pose, &array.mounting, &received))
             .collect();
         let spacing = array.spacing_m / wavelength_m;
         let lobe = 10f64.powf(MAIN_LOBE_DB / 20.0);
@@ -142,20 +142,20 @@ impl View<'_> {
             let mut touched = (usize::MAX, 0);
             for i in first..end {
                 let at_m = scatterers.position_m(i);
-                let (out_m, u, sent, sent_middle) = sender.towards(at_m);
-                let hearer = &hearers[self.motion.place(2.0 * out_m / c)];
-                let (back_m, w, heard, heard_middle) = hearer.towards(at_m);
+                let (out_m, u, sent, sent_middle) = transmitter.towards(at_m);
+                let receiver = &receivers[self.motion.place(2.0 * out_m / c)];
+                let (back_m, w, received, received_middle) = receiver.towards(at_m);
                 let factor = line_array_response(array.elements, spacing, w.x);
-                let middle = sent_middle * heard_middle;
-                let law = law_of(scatterers, i, &sender, &hearer.at_m);
-                let amplitude = sent * heard * factor * law / (out_m * back_m);
+                let middle = sent_middle * received_middle;
+                let law = law_of(scatterers, i, &transmitter, &receiver.at_m);
+                let amplitude = sent * received * factor * law / (out_m * back_m);
                 let strength = scatterers.strength[i].norm_sqr();
                 let energy = (amplitude * amplitude * strength) as f32;
                 let k = ((out_m + back_m) / c * rate_hz).round() as usize;
                 if k >= samples || energy <= 0.0 || u.z.is_nan() {
                     continue;
                 }
-                let shown = label != 0 && (sent * heard * factor).abs() >= lobe * middle.abs();
+                let shown = label != 0 && (sent * received * factor).abs() >= lobe * middle.abs();
                 let (from, to) = (k.saturating_sub(half), (k + half + 1).min(samples));
                 let part = energy / (to - from) as f32;
                 let into = match shown {
@@ -179,47 +179,54 @@ impl View<'_> {
         let rate_hz = self.spec.receiver.sample_rate_hz;
         let mut sums = Depths::of(truth.target.len());
         let end_s = truth.target.len() as f64 / rate_hz;
-        let walk = (self.spec, self.plan, self.motion);
-        walk_ground(rig, walk, self.line.array, self.line.side, end_s, |met| {
-            sums.meet(truth, (met.two_way_s * rate_hz).round() as usize, met);
-        });
-        sums.keep(truth);
+        let trace = (self.spec, self.plan, self.motion);
+        trace_ground(
+            rig,
+            trace,
+            self.line.array,
+            self.line.side,
+            end_s,
+            |point| {
+                sums.add(truth, (point.two_way_s * rate_hz).round() as usize, point);
+            },
+        );
+        sums.store_depths(truth);
     }
 }
 
-/// Half of the samples, less the middle one, that a compressed echo takes.
+/// Half the number of samples, without the middle one, that a compressed echo covers.
 pub(super) fn half_cell(plan: &PingPlan, rate_hz: f64) -> usize {
     let resolved_hz = plan.pulse.bandwidth_hz.max(1.0 / plan.pulse.duration_s);
     (0.5 * (rate_hz / resolved_hz - 1.0)).round().max(0.0) as usize
 }
 
-/// A place of the ground as an array meets it.
-pub(super) struct Met {
+/// A ground point with its geometry relative to an array.
+pub(super) struct GroundPoint {
     pub(super) at_m: DVec3,
     pub(super) two_way_s: f64,
     pub(super) seen: bool,
 }
 
-/// Depths of the ground, sample by sample.
+/// Depth sums of the ground, by sample.
 pub(super) struct Depths(Vec<(f64, u32)>);
 
 impl Depths {
     pub(super) fn of(samples: usize) -> Self {
         Self(vec![(0.0, 0); samples])
     }
-    /// What of sample `k` is seen, and how deep it lies. Samples beyond the record are none.
-    pub(super) fn meet(&mut self, truth: &mut LineTruth, k: usize, met: &Met) {
+    /// Adds a ground point to sample `k`: visibility and depth. Samples beyond the record are ignored.
+    pub(super) fn add(&mut self, truth: &mut LineTruth, k: usize, point: &GroundPoint) {
         let Some(sum) = self.0.get_mut(k) else {
             return;
         };
-        if met.seen {
+        if point.seen {
             truth.ground[k] = GroundSeen::Seen;
         } else if truth.ground[k] == GroundSeen::None {
             truth.ground[k] = GroundSeen::Hidden;
         }
-        *sum = (sum.0 + met.at_m.z, sum.1 + 1);
+        *sum = (sum.0 + point.at_m.z, sum.1 + 1);
     }
-    pub(super) fn keep(self, truth: &mut LineTruth) {
+    pub(super) fn store_depths(self, truth: &mut LineTruth) {
         for (down, sum) in truth.down_m.iter_mut().zip(self.0) {
             if sum.1 > 0 {
                 *down = (sum.0 / f64::from(sum.1)) as f32;
@@ -228,20 +235,20 @@ impl Depths {
     }
 }
 
-/// Walks the ground to one side of receive array `array` until its echo comes after `end_s`.
-pub(super) fn walk_ground(
+/// Traces the ground to one side of receive array `array` until its echo arrives after `end_s`. Passes each point to `add`.
+pub(super) fn trace_ground(
     rig: &Rig,
     (spec, plan, motion): (&SonarSpec, &PingPlan, &Motion),
     array: usize,
     side: Side,
     end_s: f64,
-    mut meet: impl FnMut(&Met),
+    mut add: impl FnMut(&GroundPoint),
 ) {
     let c = plan.sound_speed_m_per_s;
     let receive = &spec.receive[array].mounting;
     let transmit = &spec.transmit[spec.receive[array].transmit].mounting;
     let start = motion.at(0.0);
-    let sent_m = start.point_m(transmit.position_m);
+    let transmitter_m = start.point_m(transmit.position_m);
     let mut along = start.world_from_body * (transmit.body_from_array * DVec3::X);
     if along.dot(start.world_from_body * DVec3::X) < 0.0 {
         along = -along;
@@ -250,26 +257,26 @@ pub(super) fn walk_ground(
     let Some(ahead) = level.try_normalize() else {
         return;
     };
-    let aside = match side {
+    let sideways = match side {
         Side::Starboard => DVec2::new(-ahead.y, ahead.x),
         Side::Port => DVec2::new(ahead.y, -ahead.x),
     };
     let step_m = 0.25 * c / spec.receiver.sample_rate_hz;
-    let Some(mut down_m) = rig.scene.seabed_down_m(sent_m.x, sent_m.y) else {
+    let Some(mut down_m) = rig.scene.seabed_down_m(transmitter_m.x, transmitter_m.y) else {
         return;
     };
-    let mut two_way_m = 2.0 * (down_m - sent_m.z).max(0.0);
+    let mut two_way_m = 2.0 * (down_m - transmitter_m.z).max(0.0);
     let mut across_m = 0.0;
     while across_m < 0.5 * end_s * c {
         across_m += step_m;
-        let heard_m = motion.at(two_way_m / c).point_m(receive.position_m);
-        let eye_m = 0.5 * (sent_m + heard_m);
-        // Twice: the place depends on the depth, and that little on the place.
+        let receiver_m = motion.at(two_way_m / c).point_m(receive.position_m);
+        let midpoint_m = 0.5 * (transmitter_m + receiver_m);
+        // Two iterations: the position depends weakly on the depth.
         let mut seen = None;
         let mut at = DVec2::ZERO;
         for _ in 0..2 {
-            let ahead_m = -(down_m - eye_m.z) * along.z / level.length();
-            at = eye_m.truncate() + aside * across_m + ahead * ahead_m;
+            let ahead_m = -(down_m - midpoint_m.z) * along.z / level.length();
+            at = midpoint_m.truncate() + sideways * across_m + ahead * ahead_m;
             seen = rig.scene.ground_seen(array, at.x, at.y);
             if let Some((there_m, _)) = seen {
                 down_m = there_m;
@@ -279,8 +286,8 @@ pub(super) fn walk_ground(
             continue;
         };
         let at_m = at.extend(there_m);
-        two_way_m = at_m.distance(sent_m) + at_m.distance(heard_m);
-        meet(&Met {
+        two_way_m = at_m.distance(transmitter_m) + at_m.distance(receiver_m);
+        add(&GroundPoint {
             at_m,
             two_way_s: two_way_m / c,
             seen,
@@ -288,12 +295,17 @@ pub(super) fn walk_ground(
     }
 }
 
-/// Pressure that the law of scatterer `i` sends from transmitter to receiver.
-pub(super) fn law_of(scatterers: &Scatterers, i: usize, sender: &Face, hearer_m: &DVec3) -> f64 {
+/// Pressure factor of the scattering law of scatterer `i` from transmitter to receiver.
+pub(super) fn law_of(
+    scatterers: &Scatterers,
+    i: usize,
+    transmitter: &Face,
+    receiver_m: &DVec3,
+) -> f64 {
     let at_m = scatterers.position_m(i);
     let normal = DVec3::from_array(scatterers.normal[i].map(f64::from));
     let cosine = |from_m: DVec3| ((from_m - at_m).normalize_or_zero().dot(normal)).max(0.0);
-    let (incoming, outgoing) = (cosine(sender.at_m), cosine(*hearer_m));
+    let (incoming, outgoing) = (cosine(transmitter.at_m), cosine(*receiver_m));
     match scatterers.law[i] {
         ScatterLaw::Point => 1.0,
         ScatterLaw::Lambert => (incoming * outgoing).sqrt(),

@@ -14,7 +14,7 @@ use crate::element_synthesis::{
     ElementScratch, ElementSynthesis, doppler_hz, of_this_thread, receiver_filter, shortest_pulse,
 };
 use crate::error_check::ErrorChecker;
-use crate::footprints::{footprints, max_audible_range_m};
+use crate::footprints::{footprints, max_echo_range_m};
 use crate::more_pulses::MorePulse;
 use crate::plan;
 use echotank_config::spec::{LineSpec, MediumSpec, SonarSpec};
@@ -292,12 +292,12 @@ impl SonarPipeline {
     }
 
     /// Whatever lies farther than this from every transmitter has no part in the first `end` samples of a ping, metres.
-    pub(crate) fn max_audible_range_m(&self, plan: &mut PingPlan, end: usize) -> f64 {
+    pub(crate) fn max_echo_range_m(&self, plan: &mut PingPlan, end: usize) -> f64 {
         let samples = std::mem::replace(&mut plan.sample_count, end);
         // As far as the receiver filter looks ahead.
         let (first_s, rate_hz, len) = self.synthesis.grid(plan);
         plan.sample_count = samples;
-        max_audible_range_m(&self.spec, plan, first_s + len as f64 / rate_hz)
+        max_echo_range_m(&self.spec, plan, first_s + len as f64 / rate_hz)
     }
 
     /// The first `end` samples of a ping: the same bits as the whole ping's, where sums go echo by echo and no element has a fault. `is_first`: nothing

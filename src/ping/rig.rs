@@ -11,7 +11,7 @@ use crate::method_selection::costs::Costs;
 use crate::method_selection::live::Planner;
 use crate::pipeline::{PipelineError, SonarPipeline};
 use crate::plan;
-use crate::world::{Placed, World};
+use crate::world::{SceneSummary, SharedSceneSummary};
 use echotank_config::spec::{AnchorSpec, FaultRefused, MediumSpec, NavMode, RigSpec, SonarSpec};
 use echotank_core::flow::{
     PingOutput, PingPlan, Scatterers, SonarSettings, Target, TimeVaryingGain,
@@ -96,7 +96,7 @@ pub struct Rig {
     costs: Arc<Costs>,
     placed: bool,
     /// For threads beside the pings.
-    pub world: Placed,
+    pub world: SharedSceneSummary,
     pub(crate) scatterers: Scatterers,
     pub(crate) simplify_counts: StageCounts,
 }
@@ -153,7 +153,7 @@ impl Rig {
             faults,
             costs,
             placed: false,
-            world: Placed::default(),
+            world: SharedSceneSummary::default(),
             scatterers: Scatterers::default(),
             simplify_counts: StageCounts::default(),
         })
@@ -233,7 +233,7 @@ impl Rig {
             };
             self.scene.place(north_m, east_m);
             self.placed = true;
-            self.world.get_or_init(|| World::of(&self.scene));
+            self.world.get_or_init(|| SceneSummary::of(&self.scene));
         }
     }
 
@@ -278,7 +278,7 @@ impl Rig {
             return false;
         }
         let pipeline = &mut unit.pipeline;
-        let within_m = pipeline.max_audible_range_m(&mut slot.plan, end);
+        let within_m = pipeline.max_echo_range_m(&mut slot.plan, end);
         self.scene
             .is_clear_within(pipeline.footprints(&slot.plan), within_m)
             && self.begin_of(sonar, slot, (end, true), &Scatterers::default(), tile)

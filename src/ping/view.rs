@@ -1,4 +1,4 @@
-//! How a ping's transmitters and elements see the scene, for the choice of scatterers.
+//! Geometry and patterns of a ping's arrays, from which the scene selects scatterers.
 
 use glam::DVec3;
 
@@ -6,12 +6,12 @@ use echotank_config::spec::SonarSpec;
 use echotank_core::flow::{Pattern, PingPlan};
 use echotank_scene::simplify::energy::{Beam, View};
 
-/// Transmit and receive arrays turned less than this against each other share their axes; others are seen with the transmitter's pattern
-/// alone, which leaves out less.
+/// Transmit and receive arrays rotated by less than this against each other share their axes. Otherwise the view uses the transmitter's
+/// pattern alone, which omits fewer scatterers.
 const PARALLEL_RAD: f64 = 1e-3;
 
-/// One beam for each receive array, into `view`: its element's pattern with that of the transmitter it listens to, since every output is made
-/// of elements. What the view holds besides place and beams stays.
+/// Sets the position and beams of `view`: one beam per receive array, from its element's pattern and the pattern of its transmitter. Other
+/// fields of the view are unchanged.
 pub fn view(spec: &SonarSpec, plan: &PingPlan, view: &mut View) {
     let pose = plan.trajectory.pose_at(0.0);
     let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
@@ -33,7 +33,7 @@ pub fn view(spec: &SonarSpec, plan: &PingPlan, view: &mut View) {
     view.beams.clear();
     view.beams.extend(spec.receive.iter().map(|array| {
         let transmit = &spec.transmit[array.transmit];
-        // Axes of the narrower of the two: an omnidirectional face has none of its own.
+        // Axes of the narrower of the two faces; an omnidirectional face has no axes.
         let mounting = match transmit.pattern {
             Pattern::Omnidirectional => &array.mounting,
             Pattern::Rectangle { .. } | Pattern::Part { .. } => &transmit.mounting,
@@ -42,8 +42,8 @@ pub fn view(spec: &SonarSpec, plan: &PingPlan, view: &mut View) {
         let apart_rad = mounting
             .body_from_array
             .angle_between(array.mounting.body_from_array);
-        let sent = face(&transmit.pattern);
-        let heard = match apart_rad < PARALLEL_RAD {
+        let transmit_face = face(&transmit.pattern);
+        let receive_face = match apart_rad < PARALLEL_RAD {
             true => face(&array.element_pattern),
             false => (0.0, 0.0, false),
         };
@@ -51,9 +51,9 @@ pub fn view(spec: &SonarSpec, plan: &PingPlan, view: &mut View) {
             along: turn * DVec3::X,
             across: turn * DVec3::Y,
             boresight: turn * DVec3::Z,
-            lengths: [sent.0, heard.0],
-            widths: [sent.1, heard.1],
-            baffled: sent.2 || heard.2,
+            lengths: [transmit_face.0, receive_face.0],
+            widths: [transmit_face.1, receive_face.1],
+            baffled: transmit_face.2 || receive_face.2,
         }
     }));
 }

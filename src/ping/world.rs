@@ -1,20 +1,23 @@
-//! What the scene is to those who look on: where its targets lie and how deep the seabed is, for threads beside the pings.
+//! Summary of the scene for threads beside the ping path: positions of targets and depth of the seabed.
 
 use std::sync::{Arc, OnceLock};
 
 use echotank_core::flow::Target;
 use echotank_scene::{Ground, Scene};
 
-/// The scene where it was placed.
-pub struct World {
+/// Targets and ground of a scene after placement.
+pub struct SceneSummary {
+    /// Targets in world coordinates.
     pub targets: Vec<Target>,
+    /// Seabed, if the scene has one.
     pub ground: Option<Ground>,
 }
 
-/// Filled once, when the scene is placed under the first fix.
-pub type Placed = Arc<OnceLock<World>>;
+/// Set once, when the scene is placed at the first position fix.
+pub type SharedSceneSummary = Arc<OnceLock<SceneSummary>>;
 
-impl World {
+impl SceneSummary {
+    /// Copies the targets and the ground of `scene`.
     pub fn of(scene: &Scene) -> Self {
         Self {
             targets: scene.targets().to_vec(),

@@ -16,7 +16,7 @@ use echotank_core::flow::{
     Changed, JournalEntry, KeptValue, SettingChange, SettingsPort, SonarSettings, TriggerSource,
 };
 use echotank_nav::health::State;
-use echotank_ping::world::Placed;
+use echotank_ping::world::SharedSceneSummary;
 
 /// Cells to a side of a tile of relief, and those with the border around it.
 const RELIEF_CELLS: i64 = 128;
@@ -34,7 +34,7 @@ const MAX_TEXT: usize = 200;
 pub struct PageSource {
     pub feed: Arc<Feed>,
     pub spec: RigSpec,
-    pub world: Placed,
+    pub world: SharedSceneSummary,
 }
 
 /// Tiles of relief made before, the newest last.

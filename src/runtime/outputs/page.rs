@@ -16,7 +16,7 @@ use echotank_config::spec::SonarSpec;
 use echotank_core::flow::{Detection, PingOutput, PingPlan, Side};
 use echotank_core::frames::angles_from_rotation;
 use echotank_ping::rig::PingSlot;
-use echotank_ping::world::Placed;
+use echotank_ping::world::SharedSceneSummary;
 
 /// Most pixels per side of a waterfall line; more than a screen shows.
 const MAX_PIXELS: usize = 1000;
@@ -38,7 +38,7 @@ pub struct PageOpening {
     /// Index of the sonar in the configuration.
     pub sonar: u16,
     /// The targets and terrain, once they are placed.
-    pub world: Placed,
+    pub world: SharedSceneSummary,
 }
 
 /// The page output of one sonar.
@@ -46,7 +46,7 @@ pub(super) struct Page {
     spec: SonarSpec,
     feed: Arc<Feed>,
     sonar: u16,
-    world: Placed,
+    world: SharedSceneSummary,
     /// Frames of the encoded ping, published at its deadline.
     pending: Vec<Frame>,
     /// Scratch: squared amplitudes of the current frame.
@@ -475,7 +475,7 @@ mod tests {
     use crate::io::control::frame::{HEAD_BYTES, STEP_DB};
     use crate::io::record::testing::{output, plan, sonar};
     use echotank_core::flow::Target;
-    use echotank_ping::world::World;
+    use echotank_ping::world::SceneSummary;
 
     fn slot(number: u32) -> PingSlot {
         PingSlot {
@@ -486,8 +486,8 @@ mod tests {
 
     fn page(targets: Vec<Target>) -> (Page, Arc<Feed>) {
         let feed = Arc::new(Feed::new(1));
-        let world = Placed::default();
-        world.get_or_init(|| World {
+        let world = SharedSceneSummary::default();
+        world.get_or_init(|| SceneSummary {
             targets,
             ground: None,
         });
