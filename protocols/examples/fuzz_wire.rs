@@ -1,4 +1,4 @@
-//! tools/fuzz wire: spoiled messages for every decoder, as many as one likes. A panic ends it, and the message is left in a file.
+//! `tools/fuzz wire`: corrupts messages for every decoder. A panic ends the run, and the message is kept in a file.
 
 #[path = "../tests/fuzz/mod.rs"]
 mod cases;
@@ -35,7 +35,7 @@ fn main() -> ExitCode {
         let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
         let (began, mut lines, mut longest) = (Instant::now(), 0, 0);
         for case in 0..cases {
-            let bytes = decoder.spoiled(&seeds, &mut random);
+            let bytes = decoder.corrupted(&seeds, &mut random);
             longest = longest.max(bytes.len());
             match catch_unwind(AssertUnwindSafe(|| decoder.decode(&bytes))) {
                 Ok(n) => lines += n,

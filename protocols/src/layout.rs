@@ -8,7 +8,7 @@ use binrw::{BinRead, BinWrite, Endian};
 /// Why bytes are not a valid message. Every variant names the checked item and the values that disagree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
-    #[error("{what} needs {need_bytes} bytes, {got_bytes} are there")]
+    #[error("{what} needs {need_bytes} bytes, only {got_bytes} are available")]
     /// Bytes are missing.
     Truncated {
         /// The checked item.
@@ -18,7 +18,7 @@ pub enum WireError {
         /// Available number of bytes.
         got_bytes: u64,
     },
-    #[error("{what} of {got_bytes} bytes is over the limit of {limit_bytes}")]
+    #[error("{what} of {got_bytes} bytes exceeds the limit of {limit_bytes}")]
     /// A length exceeds its limit.
     Oversized {
         /// The checked item.
@@ -38,7 +38,7 @@ pub enum WireError {
         /// Value found.
         got: u64,
     },
-    #[error("checksum of {what} is {stored:#x}, the bytes give {computed:#x}")]
+    #[error("checksum of {what} is {stored:#x}, computed {computed:#x}")]
     /// The checksum does not match the bytes.
     Checksum {
         /// The checked message.
@@ -48,7 +48,7 @@ pub enum WireError {
         /// Checksum of the bytes.
         computed: u64,
     },
-    #[error("{what} of {got} is not one we read")]
+    #[error("{what} {got} is not supported")]
     /// The value is not supported.
     Unsupported {
         /// The checked field.

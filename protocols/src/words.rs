@@ -177,7 +177,7 @@ impl Words {
             State::SevenK(decoder) => decoder.feed(bytes, |item| {
                 each(match item {
                     Ok(record) => sevenk::describe(record.bytes()).to_string(),
-                    Err(error) => format!("no record: {error}"),
+                    Err(error) => format!("not a record: {error}"),
                 });
             }),
             State::Jsf(stream) => feed(stream, bytes, jsf::describe, each),
@@ -210,7 +210,7 @@ impl Words {
             State::Imagenex(stream) => stream.finish(),
             State::Xtf(front, header, stream) => {
                 if header.is_none() && !front.is_empty() {
-                    each(format!("{} B that are no XTF header", front.len()));
+                    each(format!("{} B, not an XTF header", front.len()));
                 }
                 stream.finish();
             }
@@ -247,7 +247,7 @@ impl Datagrams {
             Format::SevenK => match self.sevenk.push_datagram(bytes) {
                 Ok(Some(record)) => each(sevenk::describe(record.bytes()).to_string()),
                 Ok(None) => each(format!("part of a 7k record, {} B", bytes.len())),
-                Err(error) => each(format!("no 7k packet: {error}")),
+                Err(error) => each(format!("not a 7k packet: {error}")),
             },
             Format::Vita49 => each(vita49_packet(bytes)),
             other => {
@@ -273,7 +273,7 @@ fn feed<F: Framing>(
     stream.feed(bytes, |item| {
         each(match item {
             Ok(message) => describe(message),
-            Err(error) => format!("no message: {error}"),
+            Err(error) => format!("not a message: {error}"),
         });
     });
 }
@@ -281,7 +281,7 @@ fn feed<F: Framing>(
 fn or_wrong<T>(read: Result<T, WireError>, words: impl FnOnce(T) -> String) -> String {
     match read {
         Ok(value) => words(value),
-        Err(error) => format!("body not read: {error}"),
+        Err(error) => format!("invalid body: {error}"),
     }
 }
 
@@ -311,7 +311,7 @@ fn whole(format: Format, bytes: &[u8], each: &mut dyn FnMut(String)) {
         }
         Format::Sigmf => match Recording::parse(&String::from_utf8_lossy(bytes)) {
             Ok(recording) => sigmf(&recording, each),
-            Err(error) => each(format!("no SigMF words: {error}")),
+            Err(error) => each(format!("not a SigMF file: {error}")),
         },
         Format::Wav => each(match WavHeader::parse(bytes) {
             Ok(header) => format!(
@@ -323,7 +323,7 @@ fn whole(format: Format, bytes: &[u8], each: &mut dyn FnMut(String)) {
                 header.moments(),
                 header.data_at
             ),
-            Err(error) => format!("no WAV: {error}"),
+            Err(error) => format!("not a WAV file: {error}"),
         }),
         // The other formats are parsed as they arrive.
         _ => {}
@@ -377,7 +377,7 @@ fn sigmf(recording: &Recording, each: &mut dyn FnMut(String)) {
 fn vita49_packet(bytes: &[u8]) -> String {
     let packet = match vita49::Packet::parse(bytes) {
         Ok(packet) => packet,
-        Err(error) => return format!("{} B that are no VITA 49 packet: {error}", bytes.len()),
+        Err(error) => return format!("{} B, not a VITA 49 packet: {error}", bytes.len()),
     };
     let time = match packet.time {
         Some(time) => format!("{}.{:012} UTC", time.seconds, time.picoseconds),
@@ -409,7 +409,7 @@ fn vita49_packet(bytes: &[u8]) -> String {
 fn ping_frame(bytes: &[u8]) -> String {
     let frame = match Frame::parse(bytes) {
         Ok(frame) => frame,
-        Err(error) => return format!("{} B that are no Ping frame: {error}", bytes.len()),
+        Err(error) => return format!("{} B, not a Ping frame: {error}", bytes.len()),
     };
     let body = or_wrong(Message::parse(&frame), |message| match message {
         Message::OsMonoProfile(profile) => {
@@ -441,7 +441,7 @@ fn ping_frame(bytes: &[u8]) -> String {
 fn wbms_packet(bytes: &[u8]) -> String {
     let packet = match wbms::Packet::parse(bytes) {
         Ok(packet) => packet,
-        Err(error) => return format!("{} B that are no WBMS packet: {error}", bytes.len()),
+        Err(error) => return format!("{} B, not a WBMS packet: {error}", bytes.len()),
     };
     let body = match packet.header.packet_type {
         packet_type::BATHYMETRY => or_wrong(Bathymetry::parse(&packet), |bathymetry| {
@@ -472,7 +472,7 @@ fn imagenex(bytes: &[u8]) -> String {
             "Imagenex answer, loudest {}",
             echo.iter().max().unwrap_or(&0)
         ),
-        (Err(error), Err(_)) => format!("no Imagenex message: {error}"),
+        (Err(error), Err(_)) => format!("not an Imagenex message: {error}"),
     }
 }
 
@@ -495,7 +495,7 @@ fn xtf(
                 *header = Some(read);
             }
             Err(error) => {
-                each(format!("no XTF header: {error}"));
+                each(format!("not an XTF header: {error}"));
                 front.clear();
                 return;
             }
@@ -506,7 +506,7 @@ fn xtf(
     let Some(header) = header else { return };
     stream.feed(&bytes, |item| {
         each(match item {
-            Err(error) => format!("no packet: {error}"),
+            Err(error) => format!("not a packet: {error}"),
             Ok(packet) => xtf_packet(packet, header),
         });
     });

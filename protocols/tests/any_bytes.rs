@@ -1,4 +1,4 @@
-//! No bytes make a parser panic, and what a parser keeps it writes back.
+//! Parsers never panic on any bytes, and emitting what was parsed restores the bytes.
 
 use std::ops::Range;
 
@@ -52,7 +52,7 @@ fn with_zeros(bytes: &[u8], reserved: &[Range<usize>]) -> Vec<u8> {
 }
 
 #[test]
-fn a_record_one_byte_short_is_truncated_not_read() {
+fn a_record_one_byte_short_is_reported_as_truncated() {
     for (record_type_id, rth_bytes) in [
         (1003, 37),
         (1012, 12),
@@ -98,7 +98,7 @@ fn a_record_one_byte_short_is_truncated_not_read() {
 }
 
 #[test]
-fn counts_beyond_the_data_are_refused_before_anything_is_reserved() {
+fn counts_beyond_the_data_are_refused_before_memory_is_reserved() {
     let huge = |rth_bytes: usize, at: usize, len: usize| {
         let mut body = vec![0; rth_bytes + 100];
         body[at..at + len].fill(0xff);
@@ -138,7 +138,7 @@ fn counts_beyond_the_data_are_refused_before_anything_is_reserved() {
 }
 
 #[test]
-fn sample_widths_we_do_not_read_are_named() {
+fn unsupported_sample_widths_are_named() {
     let mut body = vec![0; 64];
     body[62] = 3;
     assert_eq!(
@@ -260,7 +260,7 @@ proptest! {
 
     #[test]
     fn every_byte_of_a_fixed_record_survives_but_the_reserved(bytes in vec(any::<u8>(), 260)) {
-        // NaNs are bytes like others: compared on the wire, not as numbers.
+        // NaNs are compared as bytes on the wire, not as numbers.
         let b = |len: usize| &bytes[..len];
         prop_assert_eq!(body_of(|buf| Position1003::parse(b(37)).unwrap().emit(buf, &STAMP)), b(37));
         prop_assert_eq!(body_of(|buf| RollPitchHeave1012::parse(b(12)).unwrap().emit(buf, &STAMP)), b(12));
@@ -396,7 +396,7 @@ proptest! {
         let end = record_of(7610, &[0; 12]);
         file.extend_from_slice(&end);
         for (at, value) in damage {
-            // The last record stays whole, and must be found.
+            // The last record is intact and must be found.
             let at = at % (file.len() - end.len());
             file[at] = value;
         }

@@ -1,4 +1,5 @@
-//! 7k records of navigation, detections, snippets, water column and calibrated side-scan against the tables of DFD 3.12, and any bytes.
+//! Compares 7k records of navigation, detections, snippets, water column and calibrated side-scan with the tables of DFD 3.12, and parses
+//! random bytes.
 
 mod offsets;
 
@@ -23,7 +24,7 @@ const STAMP: RecordStamp = RecordStamp {
     system_enumerator: 1,
 };
 
-/// The body of a record that was emitted whole, read back as its type.
+/// The body of an emitted record, parsed as its type.
 fn check(id: u32, golden: &[u8], emit: impl FnOnce(&mut Vec<u8>) -> Range<usize>) {
     let mut buf = vec![1, 2, 3];
     let range = emit(&mut buf);
@@ -45,13 +46,13 @@ fn le_f32(values: &[f32]) -> Vec<u8> {
     values.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
-/// Sonar 77, ping 7, no multi-ping: what most of these begin with.
+/// Sonar 77, ping 7, no multi-ping: the common start of these records.
 fn head() -> Vec<u8> {
     [&77_u64.to_le_bytes()[..], &7_u32.to_le_bytes(), &[0, 0]].concat()
 }
 
 #[test]
-fn navigation_1015_and_attitude_1016_lie_as_tables_32_to_34_have_it() {
+fn navigation_1015_and_attitude_1016_match_tables_32_to_34() {
     let golden = table(
         41,
         &[
@@ -95,7 +96,7 @@ fn navigation_1015_and_attitude_1016_lie_as_tables_32_to_34_have_it() {
 }
 
 #[test]
-fn detections_7027_lie_as_tables_72_and_73_have_it_and_longer_ones_are_read() {
+fn detections_7027_match_tables_72_and_73_and_longer_ones_parse() {
     let detection = Detection7027 {
         beam: 3,
         detection_sample: 1234.5,
@@ -172,7 +173,7 @@ const DESCRIPTORS: [SnippetDescriptor; 3] = [
         detection_sample: 101,
         end_sample: 102,
     },
-    // No samples: its start is behind its end.
+    // No samples: the start is after the end.
     SnippetDescriptor {
         beam: 2,
         start_sample: 1257,
@@ -202,7 +203,7 @@ fn descriptor_bytes() -> Vec<u8> {
 }
 
 #[test]
-fn snippets_7028_lie_as_tables_75_and_76_have_it_in_both_widths() {
+fn snippets_7028_match_tables_75_and_76_in_both_widths() {
     let rth = Rth7028 {
         sonar_id: 77,
         ping_number: 7,
@@ -256,7 +257,7 @@ fn snippets_7028_lie_as_tables_75_and_76_have_it_in_both_widths() {
 }
 
 #[test]
-fn strengths_7058_lie_as_tables_101_and_102_have_it_with_and_without_footprints() {
+fn strengths_7058_match_tables_101_and_102_with_and_without_footprints() {
     let rth = Rth7058 {
         sonar_id: 77,
         ping_number: 7,
@@ -311,7 +312,7 @@ fn strengths_7058_lie_as_tables_101_and_102_have_it_with_and_without_footprints(
 }
 
 #[test]
-fn water_column_7042_lies_as_tables_83_and_84_have_it_in_all_six_widths() {
+fn water_column_7042_matches_tables_83_and_84_in_all_six_widths() {
     use flags_7042::*;
     let beams = [
         BeamSamples {
@@ -327,7 +328,7 @@ fn water_column_7042_lies_as_tables_83_and_84_have_it_in_all_six_widths() {
             phases: &[0x7FFF],
         },
     ];
-    // Magnitude and phase of the three samples; what is beyond a width saturates, 8 bits of phase are its upper half.
+    // Magnitude and phase of the three samples. Values beyond a width are clipped; an 8-bit phase is the upper half.
     let cases: [(u32, [&[u8]; 3]); 6] = [
         (
             0,
@@ -420,7 +421,7 @@ fn water_column_7042_lies_as_tables_83_and_84_have_it_in_all_six_widths() {
 }
 
 #[test]
-fn calibrated_side_scan_7057_and_raw_iq_10038_lie_as_their_tables_have_it() {
+fn calibrated_side_scan_7057_and_raw_iq_10038_match_their_tables() {
     let rth = Rth7057 {
         sonar_id: 77,
         ping_number: 7,
@@ -457,7 +458,7 @@ fn calibrated_side_scan_7057_and_raw_iq_10038_lie_as_their_tables_have_it() {
     let read = CalibratedSideScan7057::parse(&golden).unwrap();
     assert_eq!(read.port().collect::<Vec<_>>(), [(1.0, 10), (2.0, 11)]);
     assert_eq!(read.starboard().collect::<Vec<_>>(), [(3.0, 12), (4.0, 13)]);
-    // Double precision, which is read only.
+    // Double precision is parsed but not emitted.
     let mut wide = golden[..65].to_vec();
     (wide[22], wide[62]) = (1, 8);
     wide.extend([5_f64, 6.0].iter().flat_map(|v| v.to_le_bytes()));
@@ -551,7 +552,7 @@ proptest! {
     fn no_bytes_make_a_parser_panic(which in 0..8_usize, mut body in proptest::collection::vec(any::<u8>(), 0..400), is_small: bool) {
         let (id, rth_bytes) = TYPES[which];
         if is_small && body.len() >= rth_bytes && id != 1015 {
-            // Counts that the bytes may well hold.
+            // Counts that the bytes may contain.
             let at = match id { 1016 => 0..1, 7027 => 15..22, 7028 | 7058 => 15..16, 7042 => 15..16, 7057 => 23..26, _ => 37..40 };
             body[at].fill(0);
             match id { 7027 => body[18] = 34, 7057 => body[62] = 4, 10_038 => body[28..32].copy_from_slice(&[64, 0, 0, 0]), _ => {} }
@@ -583,7 +584,7 @@ proptest! {
     }
 
     #[test]
-    fn snippets_of_any_lengths_come_back(lengths in proptest::collection::vec(0..20_u32, 0..12)) {
+    fn snippets_of_any_lengths_round_trip(lengths in proptest::collection::vec(0..20_u32, 0..12)) {
         let descriptors: Vec<SnippetDescriptor> = lengths.iter().enumerate().map(|(i, &len)| SnippetDescriptor {
             beam: i as u16, start_sample: 100, detection_sample: 100, end_sample: 99 + len,
         }).collect();

@@ -1,4 +1,4 @@
-//! Frames of element samples: bytes against the layout, and any bytes.
+//! Compares frames of element samples with the layout, and parses random bytes.
 
 use echotank_protocols::elements::{
     ElementFraming, ElementStream, Frame, FrameHead, HEADER_BYTES, SampleType,
@@ -28,7 +28,7 @@ fn frame(number: u32) -> Vec<u8> {
 }
 
 #[test]
-fn the_bytes_lie_where_the_layout_says() {
+fn the_bytes_match_the_layout() {
     let bytes = frame(7);
     let mut want = b"ETEL\x01\x00\x48\x00".to_vec();
     want.extend([96, 0, 0, 0, 7, 0, 0, 0, 4, 3, 2, 1, 20, 0, 0, 0, 3, 0, 0, 0]);
@@ -50,7 +50,7 @@ fn the_bytes_lie_where_the_layout_says() {
 }
 
 #[test]
-fn frames_are_found_again_behind_rubbish_whatever_the_pieces() {
+fn frames_are_found_after_invalid_bytes_for_any_division() {
     let wire = [b"noise ETE".to_vec(), frame(1), frame(2)].concat();
     for piece in [1, 7, 1000] {
         let mut stream = ElementStream::new(ElementFraming);
@@ -67,7 +67,7 @@ fn frames_are_found_again_behind_rubbish_whatever_the_pieces() {
 
 proptest! {
     #[test]
-    fn any_bytes_are_read_or_refused(mut bytes in proptest::collection::vec(any::<u8>(), 0..200), whole in any::<bool>(), at in 0..96_usize, with in any::<u8>()) {
+    fn any_bytes_parse_or_are_refused(mut bytes in proptest::collection::vec(any::<u8>(), 0..200), whole in any::<bool>(), at in 0..96_usize, with in any::<u8>()) {
         if whole {
             bytes = frame(3);
             bytes[at] = with;

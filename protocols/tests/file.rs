@@ -1,4 +1,4 @@
-//! `.s7k` files: the sample that other people's readers accepted, and files of our own, whole, cut off and damaged.
+//! `.s7k` files: the sample that third-party readers accept, and files of this crate, complete, interrupted and damaged.
 
 use std::collections::BTreeMap;
 
@@ -32,7 +32,7 @@ fn records(bytes: &[u8]) -> Vec<Record<'_>> {
 }
 
 #[test]
-fn the_sample_holds_what_its_makers_counted() {
+fn the_sample_has_the_record_counts_of_its_makers() {
     let mut counts = BTreeMap::new();
     for record in records(SAMPLE) {
         *counts.entry(record.frame.record_type_id).or_insert(0) += 1;
@@ -49,7 +49,7 @@ fn the_sample_holds_what_its_makers_counted() {
 }
 
 #[test]
-fn every_record_of_the_sample_that_we_know_is_read() {
+fn every_supported_record_of_the_sample_parses() {
     for record in records(SAMPLE) {
         let body =
             RecordBody::parse(&record).unwrap_or_else(|error| panic!("{}: {error}", record.frame));
@@ -172,7 +172,7 @@ fn heading(heading_rad: f32) -> Vec<u8> {
     record
 }
 
-/// A file with three records, as a writer would make it; not closed.
+/// A file with three records that is not closed.
 fn open_file() -> (FileBuilder, Vec<u8>) {
     let mut file = Vec::new();
     let mut builder = FileBuilder::begin(header(), STAMP, &mut file);
@@ -187,7 +187,7 @@ fn open_file() -> (FileBuilder, Vec<u8>) {
 }
 
 #[test]
-fn a_closed_file_has_a_right_catalogue() {
+fn a_closed_file_has_a_valid_catalogue() {
     let (builder, mut file) = open_file();
     let FileEnd { catalogue, header } = builder.close();
     file.extend_from_slice(&catalogue);
@@ -197,7 +197,7 @@ fn a_closed_file_has_a_right_catalogue() {
 }
 
 #[test]
-fn a_file_that_was_never_closed_is_read_to_its_end() {
+fn a_file_that_was_not_closed_is_read_to_its_end() {
     let (_, file) = open_file();
     let all = records(&file);
     assert_eq!(all.len(), 4);
@@ -229,7 +229,7 @@ fn a_file_cut_within_a_record_gives_all_before_it_and_one_error() {
 }
 
 #[test]
-fn a_damaged_record_costs_itself_only() {
+fn a_damaged_record_does_not_affect_others() {
     let (_, file) = open_file();
     let start = file.len() - 2 * 72;
     // A wrong sample, a wrong size, a wrong sync pattern.
@@ -247,7 +247,7 @@ fn a_damaged_record_costs_itself_only() {
 }
 
 #[test]
-fn what_would_spoil_a_file_is_refused() {
+fn records_that_would_invalidate_a_file_are_refused() {
     let mut file = Vec::new();
     let mut builder = FileBuilder::begin(header(), STAMP, &mut file);
     let module = Module {

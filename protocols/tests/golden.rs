@@ -1,5 +1,5 @@
 //! Golden vectors: bytes written from the byte tables of the DFD (files in `golden/`, and short ones here), never by the encoder. Every
-//! record is read from them, and written back to them bit for bit.
+//! record is parsed from them and emitted bit for bit.
 
 use echotank_protocols::sevenk::control::{
     Ack7501, ControlHeader, GainType, Nack7502, PulseEnvelope, PulseType, ThirdParty, Transport,
@@ -14,7 +14,7 @@ use echotank_protocols::sevenk::{
     RecordStamp, SevenKTime, describe,
 };
 
-/// The bytes of a text of hex pairs, line comments behind `#`.
+/// Bytes of a text of hex pairs, with comments after `#`.
 fn hex(text: &str) -> Vec<u8> {
     text.lines()
         .flat_map(|line| {
@@ -46,7 +46,7 @@ const STAMP: RecordStamp = RecordStamp {
     system_enumerator: 1,
 };
 
-/// The body of what `emit` appended, after the whole record was checked.
+/// Body of the record that `emit` appended, after validation of the whole record.
 fn emitted_body(emit: impl FnOnce(&mut Vec<u8>) -> std::ops::Range<usize>) -> Vec<u8> {
     let mut buf = vec![0xAA; 3];
     let range = emit(&mut buf);
@@ -173,7 +173,7 @@ fn data_record_frame_is_at_its_offsets() {
     assert_eq!(buf, bytes);
 }
 
-/// Heading 1.5 rad, packet and all, with the checksum added up on paper.
+/// Heading 1.5 rad, whole packet, with a checksum computed by hand.
 const HEADING_PACKET: &str = "
     05 00 24 00  01 00 00 00  01 00  00 00   # network frame: version 5, offset 36, 1 packet, 1 record, transmission 0
     6c 00 00 00  48 00 00 00  00 00 00 00    # packet 108, record 72, sequence 0
@@ -189,7 +189,7 @@ const HEADING_PACKET: &str = "
 ";
 
 #[test]
-fn the_checksum_was_added_up_on_paper() {
+fn the_checksum_matches_the_sum_by_hand() {
     // Byte sums of the lines from `data record frame` to `1.5`.
     let lines = [
         0x05 + 0x3c + 0xff + 0xff + 0x48,
@@ -387,7 +387,7 @@ fn platform_records_are_at_their_offsets() {
 const SONAR_ID: u64 = (1 << 40) + 8;
 
 #[test]
-fn raw_iq_7038_lies_per_sample_per_element() {
+fn raw_iq_7038_is_ordered_by_sample_then_element() {
     let mut bytes = golden!("7038_rth.hex");
     bytes.extend(hex("
         00 00  01 00                 # elements 0, 1
@@ -431,7 +431,7 @@ fn raw_iq_7038_lies_per_sample_per_element() {
 }
 
 #[test]
-fn beamformed_7018_lies_per_sample_per_beam() {
+fn beamformed_7018_is_ordered_by_sample_then_beam() {
     let mut bytes = golden!("7018_rth.hex");
     bytes.extend(hex("
         01 00 ff ff   02 00 fe ff
@@ -493,7 +493,7 @@ fn side_scan_7007_has_port_before_starboard_in_all_widths() {
     assert_eq!(record.rth, rth);
     assert_eq!(record.port().collect::<Vec<_>>(), [1, 2, 65535]);
     assert_eq!(record.starboard().collect::<Vec<_>>(), [4, 5, 0x0106]);
-    // What follows from the slices is not asked of the caller.
+    // Fields that follow from the slices are not required of the caller.
     let asked = Rth7007 {
         samples_per_side: 0,
         bytes_per_sample: 0,
@@ -942,7 +942,7 @@ fn every_command_of_the_table_is_bit_for_bit() {
             bytes,
             "{request}"
         );
-        // Later versions append arguments; sonars take them.
+        // Later versions append arguments, which must be accepted.
         let with_more = [bytes.as_slice(), &[0; 3]].concat();
         assert_eq!(ControlRequest::parse(&with_more), Ok(request));
     }

@@ -1,4 +1,4 @@
-//! JSF against its published tables, against a file that other people's readers accepted, and against any bytes.
+//! Compares JSF with its published tables and with a file that third-party readers accept, and parses random bytes.
 
 mod offsets;
 
@@ -44,7 +44,7 @@ fn ping() -> SonarDataHeader {
 }
 
 #[test]
-fn message_80_lies_as_tables_2_1_to_2_9_have_it() {
+fn message_80_matches_tables_2_1_to_2_9() {
     let i16s = |values: &[i16]| {
         values
             .iter()
@@ -118,7 +118,7 @@ fn message_80_lies_as_tables_2_1_to_2_9_have_it() {
 }
 
 #[test]
-fn the_header_of_a_message_lies_as_section_2_1_has_it() {
+fn the_header_of_a_message_matches_section_2_1() {
     let mut buf = vec![0xAA; 3];
     let header = MessageHeader {
         session: 4,
@@ -141,7 +141,7 @@ fn the_header_of_a_message_lies_as_section_2_1_has_it() {
 }
 
 #[test]
-fn sensors_lie_as_their_tables_have_it() {
+fn sensor_messages_match_their_tables() {
     let time = SensorTime::from_utc_ns(UTC_NS);
     let (s, ms) = (1_750_000_000_i32.to_le_bytes(), 123_i32.to_le_bytes());
     let of = |emit: &dyn Fn(&mut Vec<u8>)| {
@@ -345,9 +345,9 @@ fn sensors_lie_as_their_tables_have_it() {
     );
 }
 
-/// The bytes that LSTS DUNE sends, and what it expects back.
+/// Bytes that LSTS DUNE sends, and the answers it expects.
 #[test]
-fn commands_of_a_public_client_are_read_and_answered_in_its_bytes() {
+fn commands_of_a_public_client_parse_and_have_the_expected_answers() {
     let set_range = table(
         20,
         &[
@@ -360,7 +360,7 @@ fn commands_of_a_public_client_are_read_and_answered_in_its_bytes() {
     );
     let control = Control::parse(&Message::parse(&set_range).unwrap()).unwrap();
     assert_eq!(control.value, Value::Number(50_000));
-    // GET of the same without a body, and with stale bytes in it.
+    // GET of the same value without a body, and with stale bytes.
     let get = table(
         16,
         &[
@@ -423,7 +423,7 @@ fn commands_of_a_public_client_are_read_and_answered_in_its_bytes() {
 }
 
 #[test]
-fn every_command_comes_back_and_what_is_none_is_refused_as_unknown() {
+fn every_command_round_trips_and_unknown_types_are_refused() {
     for kind in 0..=u16::MAX {
         if !is_command(kind) {
             continue;
@@ -480,9 +480,9 @@ fn every_command_comes_back_and_what_is_none_is_refused_as_unknown() {
     ));
 }
 
-/// 60 messages 80 in formats 0, 1, 9 of subsystems 20, 21, 40, which pyjsf, pingverter and sidescantools read.
+/// 60 messages 80 in formats 0, 1, 9 of subsystems 20, 21, 40, which pyjsf, pingverter and sidescantools can read.
 #[test]
-fn a_file_that_other_readers_accepted_is_read_and_written_back_byte_for_byte() {
+fn a_file_that_other_readers_accept_round_trips_byte_for_byte() {
     let file = std::fs::read(concat!(
         env!("CARGO_MANIFEST_DIR"),
         "/tests/data/proto_iq.jsf"
@@ -511,7 +511,7 @@ fn a_file_that_other_readers_accepted_is_read_and_written_back_byte_for_byte() {
             &data.header,
             &shorts,
         );
-        // Its version and sequence are its own.
+        // Version and sequence are those of the file.
         back[at + 2] = message.header.protocol_version;
         back[at + 9] = message.header.sequence;
     });
@@ -524,14 +524,14 @@ fn a_file_that_other_readers_accepted_is_read_and_written_back_byte_for_byte() {
             .collect::<std::collections::BTreeSet<_>>(),
         [0, 1, 9].into()
     );
-    // Bytes that the manual calls reserved are written 0.
+    // Bytes that the manual calls reserved are emitted as 0.
     let first_difference = back.iter().zip(&file).position(|(b, f)| b != f);
     assert_eq!(first_difference, None, "of {} bytes", file.len());
     assert_eq!(back.len(), file.len());
 }
 
 #[test]
-fn messages_come_whole_from_any_cut_of_the_stream_and_after_rubbish() {
+fn messages_are_complete_for_any_division_of_the_stream_and_after_invalid_bytes() {
     let mut bytes = Vec::new();
     for port in 0..5 {
         Situation2091::default().emit_message(&mut bytes, port);
@@ -597,7 +597,7 @@ fn one_byte_short_is_truncated_and_a_huge_count_reserves_nothing() {
 }
 
 #[test]
-fn unknown_values_say_so() {
+fn unknown_values_are_described_as_unknown() {
     let header = SonarDataHeader::default();
     assert_eq!(header.position_rad(), None);
     assert_eq!(header.heading_rad(), None);
@@ -611,7 +611,7 @@ fn unknown_values_say_so() {
     );
 }
 
-/// Bytes that look like messages often enough to be read.
+/// Bytes that often resemble valid messages.
 fn nearly_messages() -> impl Strategy<Value = Vec<u8>> {
     let kinds = [
         22_u16, 80, 120, 123, 129, 182, 426, 2002, 2020, 2060, 2080, 2091, 9999,
@@ -629,7 +629,7 @@ fn nearly_messages() -> impl Strategy<Value = Vec<u8>> {
         let mut bytes = Vec::new();
         for (kind, flags, mut body, is_small) in parts {
             if is_small && body.len() > 116 {
-                // Few samples, a format that is read.
+                // Few samples and a supported format.
                 body[17] = 0;
                 body[34..36].copy_from_slice(&[[0, 1, 2, 9][usize::from(flags[3] % 4)], 0]);
                 body[115] = 0;
@@ -683,14 +683,14 @@ proptest! {
             for result in results {
                 result?;
             }
-            // Every byte is in a message or was passed over.
+            // Every byte belongs to a message or was skipped.
             prop_assert_eq!(seen as u64 + stream.skipped_bytes(), bytes.len() as u64);
             describe(bytes);
         }
     }
 
     #[test]
-    fn header_bytes_that_are_not_reserved_come_back(bytes in proptest::collection::vec(any::<u8>(), 240)) {
+    fn header_bytes_that_are_not_reserved_round_trip(bytes in proptest::collection::vec(any::<u8>(), 240)) {
         let read = SonarDataHeader::parse(&bytes).unwrap();
         let mut back = Vec::new();
         read.emit(&mut back);
@@ -703,7 +703,7 @@ proptest! {
     }
 
     #[test]
-    fn samples_come_back_in_all_formats_and_with_their_scale(
+    fn samples_round_trip_in_all_formats_with_their_scale(
         samples in proptest::collection::vec(-1e3_f32..1e3, 0..200), format in 0..4_usize
     ) {
         let format = [DataFormat::Envelope, DataFormat::Analytic, DataFormat::Real, DataFormat::AnalyticUnfiltered][format];

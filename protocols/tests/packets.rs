@@ -1,4 +1,4 @@
-//! What packetiser and reassembler promise each other and everybody else.
+//! Guarantees of packetiser and reassembler.
 
 use echotank_protocols::sevenk::packet::{
     MIN_MAX_PACKET_BYTES, PARTIAL_RECORDS, PacketLimitError, PacketRanges,
@@ -37,7 +37,7 @@ fn datagrams(packetiser: &mut Packetiser, record: &[u8]) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn packets_are_full_but_the_last_and_numbered() {
+fn all_packets_but_the_last_are_full_and_numbered() {
     let record = record_of(200_000);
     let mut packetiser = Packetiser::default();
     let packets = datagrams(&mut packetiser, &record);
@@ -82,7 +82,7 @@ fn whole_records_are_one_packet_however_long() {
     let packets = datagrams(&mut Packetiser::whole_records(), &record);
     assert_eq!(packets.len(), 1);
     let frame = NetworkFrame::parse(&packets[0]).unwrap();
-    // What MBARI's reader demands.
+    // Required by MBARI's reader.
     assert_eq!(frame.packet_size_bytes, frame.total_size_bytes + 36);
 }
 
@@ -113,7 +113,7 @@ fn transmission_numbers_wrap() {
 }
 
 #[test]
-fn unfinished_records_are_given_up_oldest_first() {
+fn incomplete_records_are_dropped_oldest_first() {
     let mut packetiser = Packetiser::new(200).unwrap();
     let record = record_of(300);
     let sets: Vec<_> = (0..=PARTIAL_RECORDS)
@@ -124,7 +124,7 @@ fn unfinished_records_are_given_up_oldest_first() {
         assert!(reassembler.push_datagram(&set[0]).unwrap().is_none());
     }
     assert_eq!(reassembler.counters().abandoned_records, 1);
-    // The first was given up, the second was not.
+    // The first record was dropped, the second was not.
     assert!(
         sets[1][1..]
             .iter()
@@ -134,7 +134,7 @@ fn unfinished_records_are_given_up_oldest_first() {
 }
 
 #[test]
-fn late_and_double_packets_are_put_right_and_counted() {
+fn late_and_duplicate_packets_are_handled_and_counted() {
     let record = record_of(500);
     let packets = datagrams(&mut Packetiser::new(200).unwrap(), &record);
     assert_eq!(packets.len(), 4);
@@ -167,7 +167,7 @@ fn late_and_double_packets_are_put_right_and_counted() {
 }
 
 #[test]
-fn bad_datagrams_are_named_and_counted() {
+fn invalid_datagrams_are_reported_and_counted() {
     let mut reassembler = Reassembler::new(1000);
     let packet = datagrams(&mut Packetiser::default(), &record_of(10)).remove(0);
     assert!(matches!(
@@ -210,7 +210,7 @@ proptest! {
         let mut decoder = StreamDecoder::default();
         decoder.push(&packets.concat());
         prop_assert_eq!(decoder.next_record().unwrap().unwrap().bytes(), &record[..]);
-        // ... and in some other order, the first twice, as datagrams.
+        // ... and as datagrams in another order, the first one twice.
         packets.sort_by_key(|packet| checksum_of(packet).wrapping_mul(shuffle | 1));
         packets.insert(0, packets[0].clone());
         let mut reassembler = Reassembler::new(1 << 20);

@@ -1,4 +1,4 @@
-//! The Ping protocol against its makers' published definitions, and against any bytes.
+//! Compares the Ping protocol with its makers' published definitions, and parses random bytes.
 
 mod offsets;
 
@@ -12,7 +12,7 @@ use echotank_protocols::ping_protocol::{
 use offsets::{assert_same, table};
 use proptest::prelude::*;
 
-/// The payload of a frame that was emitted whole.
+/// Payload of an emitted frame.
 fn payload_of(emit: impl FnOnce(&mut Vec<u8>) -> std::ops::Range<usize>, id: u16) -> Vec<u8> {
     let mut buf = vec![9];
     let range = emit(&mut buf);
@@ -47,7 +47,7 @@ fn a_frame_is_byte_for_byte() {
 }
 
 #[test]
-fn omniscan_450_lies_as_its_definition_has_it() {
+fn omniscan_450_matches_its_definition() {
     let params = OsPingParams {
         start_mm: 1000,
         length_mm: 50_000,
@@ -144,7 +144,7 @@ fn omniscan_450_lies_as_its_definition_has_it() {
 }
 
 #[test]
-fn surveyor_240_lies_as_its_definition_has_it() {
+fn surveyor_240_matches_its_definition() {
     let params = SetPingParameters {
         start_mm: 500,
         end_mm: 30_000,
@@ -325,7 +325,7 @@ fn surveyor_240_lies_as_its_definition_has_it() {
 }
 
 #[test]
-fn common_messages_are_read_as_what_they_are() {
+fn common_messages_parse_as_their_types() {
     let mut buf = Vec::new();
     DeviceInformation {
         device_type: 0,
@@ -360,7 +360,7 @@ fn common_messages_are_read_as_what_they_are() {
 }
 
 #[test]
-fn a_payload_cut_short_is_truncated() {
+fn a_shortened_payload_is_reported_as_truncated() {
     for (id, bytes) in [
         (message_id::ACK, 2),
         (message_id::NACK, 2),
@@ -432,7 +432,7 @@ proptest! {
     }
 
     #[test]
-    fn lines_come_back(results in proptest::collection::vec(any::<u16>(), 0..1200)) {
+    fn lines_round_trip(results in proptest::collection::vec(any::<u16>(), 0..1200)) {
         let mut buf = Vec::new();
         let range = emit_2198(&mut buf, 3, 4, &OsMonoProfileHead::default(), &results);
         prop_assert!(range.len() < MAX_FRAME_BYTES);

@@ -1,4 +1,4 @@
-//! SigMF words and WAV headers: what they say, what they refuse, and any bytes.
+//! SigMF metadata and WAV headers: contents, errors, and random bytes.
 
 mod offsets;
 
@@ -15,7 +15,7 @@ const EIGHT: WavFormat = WavFormat {
 };
 
 #[test]
-fn a_small_file_is_riff_as_the_wave_definition_has_it() {
+fn a_small_file_is_riff_as_the_wave_definition_specifies() {
     let mut bytes = Vec::new();
     EIGHT.emit_header(&mut bytes, 1000, Container::AsNeeded);
     let guid = [
@@ -65,7 +65,7 @@ fn a_file_over_4_gib_is_rf64_with_its_sizes_in_ds64() {
     let header = WavHeader::parse(&bytes).unwrap();
     assert!(header.is_rf64);
     assert_eq!(header.moments(), moments);
-    // The last that fits: sizes below 0xFFFFFFFF.
+    // The last one that fits: sizes below 0xFFFFFFFF.
     bytes.clear();
     EIGHT.emit_header(
         &mut bytes,
@@ -76,7 +76,7 @@ fn a_file_over_4_gib_is_rf64_with_its_sizes_in_ds64() {
 }
 
 #[test]
-fn chunks_before_the_samples_are_passed_over_and_nonsense_is_refused() {
+fn chunks_before_the_samples_are_skipped_and_invalid_ones_refused() {
     let mut bytes = Vec::new();
     EIGHT.emit_header(&mut bytes, 5, Container::AsNeeded);
     let mut more = bytes[..48].to_vec();
@@ -132,7 +132,7 @@ fn recording() -> Recording {
 }
 
 #[test]
-fn the_words_of_a_recording_are_those_of_the_core_namespace() {
+fn the_metadata_of_a_recording_use_the_core_namespace() {
     let text = recording().to_json();
     for expected in [
         r#""core:datatype": "ci16_le""#,
@@ -151,7 +151,7 @@ fn the_words_of_a_recording_are_those_of_the_core_namespace() {
 }
 
 #[test]
-fn words_that_are_none_of_ours_are_refused_by_their_place() {
+fn unsupported_metadata_are_refused_with_their_field() {
     let text = recording().to_json();
     let error = |text: &str| Recording::parse(text).unwrap_err();
     assert!(matches!(error("{"), SigmfError::Json(_)));
@@ -201,7 +201,7 @@ proptest! {
     }
 
     #[test]
-    fn headers_come_back(channels in 1..4000_u16, sample_rate_hz: u32, sample in 0..3_usize, moments in 0..1_u64 << 40, is_64: bool) {
+    fn headers_round_trip(channels in 1..4000_u16, sample_rate_hz: u32, sample in 0..3_usize, moments in 0..1_u64 << 40, is_64: bool) {
         let format = WavFormat { channels, sample_rate_hz, sample: [WavSample::I16, WavSample::I32, WavSample::F32][sample] };
         let mut bytes = Vec::new();
         format.emit_header(&mut bytes, moments, if is_64 { Container::Rf64 } else { Container::AsNeeded });
@@ -210,7 +210,7 @@ proptest! {
     }
 
     #[test]
-    fn moments_in_words_come_back_to_the_nanosecond(utc_ns in 0..9_000_000_000_000_000_000_i64, label: String) {
+    fn times_round_trip_to_the_nanosecond(utc_ns in 0..9_000_000_000_000_000_000_i64, label: String) {
         let mut recording = recording();
         recording.captures[0].utc_ns = utc_ns;
         recording.annotations[0].label = label;

@@ -1,4 +1,4 @@
-//! What the stream decoder promises: every right record comes out, whatever stands between, however the bytes are cut.
+//! Guarantees of the stream decoder: it returns every valid record, whatever lies between records and however the bytes are divided.
 
 use echotank_protocols::sevenk::frame::{DATA_RECORD_FRAME_BYTES, NETWORK_FRAME_BYTES};
 use echotank_protocols::sevenk::records::Heading1013;
@@ -47,7 +47,7 @@ fn wire(record: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn a_refused_record_can_be_looked_at_and_what_waits_is_counted() {
+fn a_refused_record_is_accessible_and_held_bytes_are_counted() {
     let mut bad = wire(&heading_record(1.0));
     let last = bad.len() - 1;
     bad[last] ^= 1;
@@ -73,7 +73,7 @@ fn a_refused_record_can_be_looked_at_and_what_waits_is_counted() {
     assert_eq!(decoder.held_bytes(), 0);
 }
 
-/// Everything that comes out of `stream`, fed in pieces, and after the peer closed.
+/// All results for `stream`, pushed in pieces, including those after the peer closed.
 fn decode_in_pieces(
     decoder: &mut StreamDecoder,
     stream: &[u8],
@@ -130,7 +130,7 @@ fn drf_offset_64_is_read_like_60() {
     };
     let mut record = Vec::new();
     request.emit(&mut record, &STAMP);
-    // As MBARI's client writes it.
+    // As MBARI's client sends it.
     record[2] = 64;
     let end = record.len() - 4;
     let sum = checksum(&record[..end]);
@@ -145,7 +145,7 @@ fn drf_offset_64_is_read_like_60() {
 }
 
 #[test]
-fn each_kind_of_damage_is_named_counted_and_got_over() {
+fn each_kind_of_damage_is_reported_counted_and_skipped() {
     type Damage = fn(&mut Vec<u8>);
     type Expected = fn(&WireError) -> bool;
     let cases: [(&str, Damage, Expected, ErrorCode); 9] = [
@@ -227,7 +227,7 @@ fn each_kind_of_damage_is_named_counted_and_got_over() {
 }
 
 #[test]
-fn a_record_cut_short_does_not_swallow_the_next() {
+fn a_shortened_record_does_not_hide_the_next() {
     let good = [
         heading_record(0.5),
         heading_record(1.5),
@@ -249,7 +249,7 @@ fn a_record_cut_short_does_not_swallow_the_next() {
 }
 
 #[test]
-fn a_cut_fragment_does_not_swallow_the_next() {
+fn a_shortened_fragment_does_not_hide_the_next_record() {
     let good = heading_record(0.5);
     let fragmented = packets_of(&record_of(&[3; 1000]), 300);
     for kept in [150, 300, 336, 450, 600, fragmented.len() - 1] {
@@ -265,7 +265,7 @@ fn a_cut_fragment_does_not_swallow_the_next() {
 }
 
 #[test]
-fn a_lost_fragment_costs_its_record_only() {
+fn a_lost_fragment_loses_only_its_record() {
     let good = heading_record(0.5);
     let fragmented = packets_of(&record_of(&[3; 1000]), 300);
     let stream = [&fragmented[..300], &fragmented[600..], &wire(&good)].concat();
@@ -281,7 +281,7 @@ fn a_lost_fragment_costs_its_record_only() {
 }
 
 #[test]
-fn a_stranger_is_noticed_by_his_first_bytes() {
+fn another_protocol_is_detected_from_its_first_bytes() {
     let mut decoder = StreamDecoder::default();
     decoder.push(b"GET / HTTP/1.1\r\n\r\n");
     let version = u16::from_le_bytes(*b"GE");
@@ -292,7 +292,7 @@ fn a_stranger_is_noticed_by_his_first_bytes() {
 }
 
 #[test]
-fn an_unfinished_record_is_waited_for_until_the_peer_is_done() {
+fn an_incomplete_record_is_held_until_the_peer_closes() {
     let packets = wire(&heading_record(0.5));
     let mut decoder = StreamDecoder::default();
     decoder.push(&packets[..70]);
@@ -307,7 +307,7 @@ fn an_unfinished_record_is_waited_for_until_the_peer_is_done() {
     ));
     assert!(decoder.next_record().is_none());
     assert_eq!(decoder.counters().truncated_errors, 1);
-    // The same connection may still come back to its senses.
+    // The same connection may continue with valid bytes.
     decoder.push(&packets);
     assert!(matches!(decoder.next_record(), Some(Ok(_))));
 }
@@ -316,20 +316,20 @@ fn an_unfinished_record_is_waited_for_until_the_peer_is_done() {
 fn memory_is_bounded_by_the_record_limit() {
     let mut decoder = StreamDecoder::new(1000);
     let mut held = 0;
-    // A believable head that promises more than ever comes, pushed without pulling.
+    // A valid header that announces more than ever arrives, pushed without taking records.
     let packets = packets_of(&record_of(&[0; 900]), 100);
     for _ in 0..100 {
         held += decoder.push(&packets[..500]);
     }
     assert_eq!(held, decoder.capacity_bytes());
-    // The longest allowed record in the shortest packets fits.
+    // The longest permitted record in the shortest packets fits.
     let longest = record_of(&vec![7; 1000 - 68]);
     let mut decoder = StreamDecoder::new(1000);
     assert_eq!(
         decode_in_pieces(&mut decoder, &packets_of(&longest, 100), 7).0,
         [longest]
     );
-    // One byte more does not, and is refused from its header.
+    // One more byte does not, and is refused by its header.
     let (records, errors) = decode_in_pieces(
         &mut StreamDecoder::new(1000),
         &wire(&record_of(&vec![7; 1001 - 68])),
@@ -347,7 +347,7 @@ fn memory_is_bounded_by_the_record_limit() {
     );
 }
 
-/// Rubbish without a network frame in it: no byte is the 5 that begins one.
+/// Bytes without a network frame: none is the 5 with which a frame begins.
 fn rubbish() -> impl Strategy<Value = Vec<u8>> {
     proptest::collection::vec(
         any::<u8>().prop_map(|byte| if byte == 5 { 6 } else { byte }),
@@ -357,7 +357,7 @@ fn rubbish() -> impl Strategy<Value = Vec<u8>> {
 
 proptest! {
     #[test]
-    fn all_records_between_rubbish_are_recovered(
+    fn all_records_between_invalid_bytes_are_recovered(
         parts in proptest::collection::vec((rubbish(), proptest::collection::vec(any::<u8>(), 0..300), 100_u32..500), 1..8),
         piece_bytes in 1_usize..700,
     ) {
@@ -377,7 +377,7 @@ proptest! {
     }
 
     #[test]
-    fn one_damaged_byte_costs_at_most_its_own_record(at in 0_usize..3 * 108, value in any::<u8>()) {
+    fn one_damaged_byte_loses_at_most_its_own_record(at in 0_usize..3 * 108, value in any::<u8>()) {
         let good = [heading_record(0.5), heading_record(1.5), heading_record(2.5)];
         let mut stream: Vec<u8> = good.iter().flat_map(|record| wire(record)).collect();
         prop_assert_eq!(stream.len(), 3 * 108);
@@ -400,7 +400,7 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_behind_believable_frames_stream_without_panic(
+    fn any_bytes_after_valid_frames_stream_without_panic(
         body in proptest::collection::vec(any::<u8>(), 0..400),
         damage in proptest::collection::vec((0_usize..400, any::<u8>()), 0..4),
         max_packet_bytes in 100_u32..200,

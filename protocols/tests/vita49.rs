@@ -1,4 +1,4 @@
-//! VITA 49.2 against words put together by hand, against the crate `vita49`, and against any bytes.
+//! Compares VITA 49.2 with words assembled by hand and with the crate `vita49`, and parses random bytes.
 
 mod offsets;
 
@@ -113,9 +113,9 @@ fn a_data_packet_is_word_for_word() {
     );
 }
 
-/// The MIT/Apache crate `vita49`, which shares nothing with this one.
+/// The MIT/Apache crate `vita49`, an independent implementation.
 #[test]
-fn another_decoder_reads_the_same() {
+fn another_decoder_gives_equal_results() {
     let mut bytes = Vec::new();
     context().emit(&mut bytes, 0x100, 3, TIME);
     let packet = Vrt::try_from(&bytes[..]).unwrap();
@@ -155,7 +155,7 @@ fn another_decoder_reads_the_same() {
 }
 
 #[test]
-fn packets_of_a_ping_follow_each_other_in_time_to_a_picosecond_and_count_around() {
+fn packets_of_a_ping_are_contiguous_to_a_picosecond_and_their_counter_wraps() {
     // 10 MS/s: 100 ns a sample, exact in picoseconds.
     let mut stream = SignalStream::new(1, true, 1, 10e6, 24 + 4 * 10);
     assert_eq!(stream.moments_per_packet(), 10);
@@ -187,10 +187,10 @@ fn packets_of_a_ping_follow_each_other_in_time_to_a_picosecond_and_count_around(
     );
 }
 
-/// Four context and four data packets that Wireshark's dissector decodes. Their payload format calls 16-bit numbers IEEE single precision (code
-/// 01110), which the dissector does not look at: it is refused here.
+/// Four context and four data packets that Wireshark's dissector decodes. Their payload format declares 16-bit numbers as IEEE single
+/// precision (code 01110), which the dissector ignores; this crate refuses it.
 #[test]
-fn a_capture_that_another_decoder_accepted_is_read_but_for_its_contradiction() {
+fn a_capture_that_another_decoder_accepts_parses_except_for_its_contradiction() {
     let pcap = std::fs::read(concat!(
         env!("CARGO_MANIFEST_DIR"),
         "/tests/data/proto_vita49.pcap"
@@ -199,7 +199,7 @@ fn a_capture_that_another_decoder_accepted_is_read_but_for_its_contradiction() {
     let (mut at, mut contexts, mut samples) = (24, 0, 0);
     while at < pcap.len() {
         let len = u32::from_le_bytes(pcap[at + 8..at + 12].try_into().unwrap()) as usize;
-        // Ethernet, IPv4 and UDP before it.
+        // Ethernet, IPv4 and UDP headers.
         let bytes = &pcap[at + 16 + 42..at + 16 + len];
         at += 16 + len;
         let packet = Packet::parse(bytes).unwrap();
@@ -217,7 +217,7 @@ fn a_capture_that_another_decoder_accepted_is_read_but_for_its_contradiction() {
                 got: 0xAE00_03CF
             })
         );
-        // Signed fixed point instead, by the processing-efficient packing.
+        // Signed fixed point instead, with processing-efficient packing.
         let mut mended = bytes.to_vec();
         mended[4 * 12] = 0x20;
         let context = Context::parse(Packet::parse(&mended).unwrap().payload).unwrap();
@@ -236,7 +236,7 @@ fn a_capture_that_another_decoder_accepted_is_read_but_for_its_contradiction() {
 }
 
 #[test]
-fn what_we_do_not_read_is_refused_by_its_name() {
+fn unsupported_contents_are_refused_by_name() {
     let unsupported = |bytes: &[u8]| {
         let error = Packet::parse(bytes).unwrap_err();
         assert!(matches!(error, WireError::Unsupported { .. }), "{error}");
@@ -248,14 +248,14 @@ fn what_we_do_not_read_is_refused_by_its_name() {
     };
     truncated(&[]);
     truncated(&words(&[0x1060_FFFF, 0, 0, 0, 0]));
-    // Header, stream and time do not fit the stated size.
+    // Header, stream and time exceed the stated size.
     truncated(&words(&[0x1060_0004, 0, 0, 0, 0]));
     truncated(&words(&[0x1460_0005, 0, 0, 0, 0]));
     assert!(matches!(
         Context::parse(&words(&[0x0000_0002])),
         Err(WireError::Unsupported { .. })
     ));
-    // Another time base is no time of ours.
+    // Another time base is reported as no time.
     let gps = words(&[0x10A0_0005, 0, 5, 0, 0]);
     assert_eq!(Packet::parse(&gps).unwrap().time, None);
 }
@@ -263,7 +263,7 @@ fn what_we_do_not_read_is_refused_by_its_name() {
 proptest! {
     #[test]
     fn no_bytes_make_a_parser_panic(mut bytes in proptest::collection::vec(any::<u8>(), 0..200), kind in 0..3_u8) {
-        // Half of them with a head that is believable.
+        // Half of them start with a valid header.
         if kind > 0 && bytes.len() >= 4 {
             bytes[0] = [0x10, 0x40][usize::from(kind - 1)] | bytes[0] & 0x0C;
             let words = bytes.len() / 4;
@@ -282,7 +282,7 @@ proptest! {
     }
 
     #[test]
-    fn every_sample_comes_back_once_from_any_cut(
+    fn every_sample_round_trips_once_for_any_packet_size(
         count in 0..500_usize, elements in 1..6_u32, is_complex: bool, packet_bytes in 64..600_usize
     ) {
         let mut stream = SignalStream::new(3, is_complex, elements, 48e3, packet_bytes);
@@ -307,7 +307,7 @@ proptest! {
     }
 
     #[test]
-    fn contexts_come_back(
+    fn contexts_round_trip(
         is_change: bool, numbers in any::<[Option<u32>; 4]>(), level in any::<Option<i16>>(), bits in 1..=64_u8, elements in 1..=65_536_u32, is_complex: bool
     ) {
         let [bandwidth, frequency, intermediate, rate] = numbers.map(|n| n.map(|n| f64::from(n) / 1024.0));

@@ -1,4 +1,4 @@
-//! NORBIT WBMS and Imagenex 872 against their published layouts, and against any bytes.
+//! Compares NORBIT WBMS and Imagenex 872 with their published layouts, and parses random bytes.
 
 mod offsets;
 
@@ -51,14 +51,14 @@ fn with_crc(mut packet: Vec<u8>) -> Vec<u8> {
 }
 
 #[test]
-fn the_crc_is_that_of_zlib() {
-    // The check value that every description of CRC-32 gives.
+fn the_crc_equals_that_of_zlib() {
+    // The standard check value of CRC-32.
     assert_eq!(crc32(b"123456789"), 0xCBF4_3926);
     assert_eq!(crc32(b""), 0);
 }
 
 #[test]
-fn bathymetry_lies_as_its_table_has_it() {
+fn bathymetry_matches_its_table() {
     let f = |value: f32| value.to_le_bytes();
     let golden = with_crc(table(
         132,
@@ -153,7 +153,7 @@ fn backscatter_head() -> BackscatterHead {
 }
 
 #[test]
-fn water_column_side_scan_and_snippets_lie_as_their_table_has_it() {
+fn water_column_side_scan_and_snippets_match_their_table() {
     let f = |value: f32| value.to_le_bytes();
     let golden = |kind: u32, beams: u32, samples: u32, behind: &[u8]| {
         let head = table(
@@ -245,7 +245,7 @@ fn water_column_side_scan_and_snippets_lie_as_their_table_has_it() {
 }
 
 #[test]
-fn commands_are_read_with_and_without_their_line_ends() {
+fn commands_parse_with_and_without_line_ends() {
     let read = |text: &str| commands_in(text).collect::<Result<Vec<_>, _>>().unwrap();
     assert_eq!(
         read("set_range 1 50\r\nset_rate -1\r\nset_tx 400 80 15 500 # loud\r\nset_power"),
@@ -290,7 +290,7 @@ fn commands_are_read_with_and_without_their_line_ends() {
 }
 
 #[test]
-fn commands_out_of_their_limits_are_refused_with_the_limit() {
+fn commands_beyond_their_limits_are_refused_with_the_limit() {
     let refused = |line: &str| Command::parse(line).unwrap_err();
     assert_eq!(
         refused("set_rate 61").to_string(),
@@ -334,7 +334,7 @@ fn commands_out_of_their_limits_are_refused_with_the_limit() {
 }
 
 #[test]
-fn an_imagenex_head_is_switched_and_answers_in_the_client_s_bytes() {
+fn imagenex_commands_and_answers_match_the_client_s_bytes() {
     let golden = table(
         27,
         &[
@@ -394,7 +394,7 @@ proptest! {
         SwitchCommand { range_m: 50, frequency_index: 0, data_gain: 0, balance_gain: 0, side: Side::Port }.emit(&mut good);
         let at = spoil.0.index(good.len());
         good[at] ^= spoil.1;
-        // A right header and checksum around anything: numbers of beams and samples as wild as they come.
+        // A valid header and checksum around random contents, with any numbers of beams and samples.
         forged[..4].copy_from_slice(&0xDEAD_BEEF_u32.to_le_bytes());
         forged[4..8].copy_from_slice(&kind.to_le_bytes());
         let size = forged.len() as u32;
@@ -431,7 +431,7 @@ proptest! {
     }
 
     #[test]
-    fn samples_come_back(samples in proptest::collection::vec(any::<i16>(), 0..300), beams in 1..7_usize) {
+    fn samples_round_trip(samples in proptest::collection::vec(any::<i16>(), 0..300), beams in 1..7_usize) {
         let samples = &samples[..samples.len() / beams * beams];
         let angles: Vec<f32> = (0..beams).map(|beam| beam as f32).collect();
         let mut bytes = vec![1];

@@ -1,4 +1,4 @@
-//! XTF against its published tables, against a file that pyxtf accepted, and against any bytes.
+//! Compares XTF with its published tables and with a file that pyxtf accepts, and parses random bytes.
 
 mod offsets;
 
@@ -50,7 +50,7 @@ fn file(formats: &[SampleFormat]) -> FileHeader {
 }
 
 #[test]
-fn the_file_header_lies_as_tables_c_and_d_have_it() {
+fn the_file_header_matches_tables_c_and_d() {
     let f = |value: f32| value.to_le_bytes();
     let mut fields: Vec<(usize, Vec<u8>)> = vec![
         (0, vec![0x7B, 1]),
@@ -115,10 +115,10 @@ fn ping_header() -> PingHeader {
 }
 
 #[test]
-fn a_ping_lies_as_tables_h_and_i_have_it() {
+fn a_ping_matches_tables_h_and_i() {
     let f = |value: f32| value.to_le_bytes();
     let d = |value: f64| value.to_le_bytes();
-    // 15:06:40.12 rounded; the tags are milliseconds of the day of the rounded time's clock (5 ms added, then cut).
+    // 15:06:40.12 rounded; the tags are milliseconds of the day of the rounded time (5 ms added, then truncated).
     let ms = 54_400_128_u32.to_le_bytes();
     let golden = table(
         // 256 + 64 + 3 x 2 + 64 + 2 x 2 = 394, padded to 448.
@@ -207,7 +207,7 @@ fn a_ping_lies_as_tables_h_and_i_have_it() {
 }
 
 #[test]
-fn attitude_lies_as_table_e_has_it() {
+fn attitude_matches_table_e() {
     let golden = table(
         64,
         &[
@@ -246,9 +246,9 @@ fn attitude_lies_as_table_e_has_it() {
     );
 }
 
-/// Five pings of two channels, which pyxtf reads.
+/// Five pings of two channels, which pyxtf can read.
 #[test]
-fn a_file_that_another_reader_accepted_is_read() {
+fn a_file_that_another_reader_accepts_parses() {
     let bytes =
         std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/proto.xtf")).unwrap();
     let header = FileHeader::parse(&bytes).unwrap();
@@ -267,7 +267,7 @@ fn a_file_that_another_reader_accepted_is_read() {
 }
 
 #[test]
-fn what_is_cut_short_or_too_much_is_refused() {
+fn truncated_and_oversized_data_are_refused() {
     let truncated = |error: Option<WireError>| {
         assert!(
             matches!(error, Some(WireError::Truncated { .. })),
@@ -347,7 +347,7 @@ proptest! {
     }
 
     #[test]
-    fn samples_of_every_format_come_back(u8s in any::<Vec<u8>>(), u16s in any::<Vec<u16>>(), u32s in any::<Vec<u32>>()) {
+    fn samples_of_every_format_round_trip(u8s in any::<Vec<u8>>(), u16s in any::<Vec<u16>>(), u32s in any::<Vec<u32>>()) {
         let floats: Vec<f32> = u16s.iter().map(|&v| f32::from(v) / 7.0).collect();
         let file = file(&[SampleFormat::U8, SampleFormat::U16, SampleFormat::U32, SampleFormat::F32]);
         let all = [Samples::U8(&u8s), Samples::U16(&u16s), Samples::U32(&u32s), Samples::F32(&floats)];
@@ -363,7 +363,7 @@ proptest! {
     }
 
     #[test]
-    fn times_come_back_to_five_milliseconds(utc_ns in 0..4_102_444_800_000_000_000_i64) {
+    fn times_round_trip_to_five_milliseconds(utc_ns in 0..4_102_444_800_000_000_000_i64) {
         let mut header = PingHeader::default();
         header.set_utc_ns(utc_ns);
         prop_assert!((header.utc_ns().unwrap() - utc_ns).abs() <= 5_000_000);

@@ -171,7 +171,7 @@ fn what_is_wrong_is_refused_with_words_and_the_values_in_force_and_changes_nothi
         ),
         (
             "set_range near far",
-            "set_range 0 75 # refused: set_range: \"near\" is no number",
+            "set_range 0 75 # refused: set_range: \"near\" is not a number",
         ),
         (
             "set_range 1",

@@ -1,4 +1,4 @@
-//! Three pings of messages 80 in formats 0, 1 and 9, with the sensors' messages between them.
+//! Three pings of messages 80 in formats 0, 1 and 9, with sensor messages between them.
 
 use std::path::Path;
 
@@ -60,7 +60,7 @@ pub fn write(folder: &Path) -> std::io::Result<()> {
         ] {
             for channel in 0..2_u8 {
                 let shorts = SAMPLES * format.shorts_per_sample();
-                // Fractions of a volt that block floating point holds exactly.
+                // Fractions of a volt that block floating point represents exactly.
                 let volts: Vec<f32> = (0..shorts)
                     .map(|k| f32::from(count(ping.into(), channel.into(), k as u64)) / 512.0)
                     .collect();

@@ -1,4 +1,4 @@
-//! What an Omniscan 450 and a Surveyor 240 send, and what their clients send them: frames one behind the other.
+//! Frames that an Omniscan 450 and a Surveyor 240 send, and frames that their clients send, in sequence.
 
 use std::path::Path;
 

@@ -54,7 +54,7 @@ pub fn write(folder: &Path) -> std::io::Result<()> {
     std::fs::write(folder.join("sample_vita49.pcap"), pcap)
 }
 
-/// Appends a UDP datagram to port 4991 of this computer, in Ethernet, without checksums.
+/// Appends a UDP datagram to port 4991 of this computer, with Ethernet header, without checksums.
 fn frame(pcap: &mut Vec<u8>, payload: &[u8]) {
     let udp_bytes = (8 + payload.len()) as u16;
     let mut frame = vec![0_u8; 12];

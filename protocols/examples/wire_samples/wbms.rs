@@ -1,4 +1,4 @@
-//! Bathymetry and water column of a flat bottom 20 m below a WBMS, 20 pings, as its streams send them.
+//! Bathymetry and water column of a flat bottom 20 m below a WBMS, 20 pings, as its streams contain them.
 
 use std::path::Path;
 

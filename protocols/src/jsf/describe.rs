@@ -10,7 +10,7 @@ use crate::layout::text_of;
 pub fn describe(bytes: &[u8]) -> String {
     let message = match Message::parse(bytes) {
         Ok(message) => message,
-        Err(error) => return format!("{} B that are no JSF message: {error}", bytes.len()),
+        Err(error) => return format!("{} B, not a JSF message: {error}", bytes.len()),
     };
     let (header, body) = (&message.header, message.body);
     let words = match header.message_type {
@@ -40,7 +40,7 @@ pub fn describe(bytes: &[u8]) -> String {
         }
         _ => Control::parse(&message).map(|control| control.to_string()),
     };
-    let words = words.unwrap_or_else(|error| format!("body not read: {error}"));
+    let words = words.unwrap_or_else(|error| format!("invalid body: {error}"));
     format!(
         "JSF {} subsystem {} channel {} {} B: {words}",
         header.message_type, header.subsystem, header.channel, header.body_bytes

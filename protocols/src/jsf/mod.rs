@@ -44,8 +44,6 @@ pub const MARK: u16 = 0x1601;
 pub const PROTOCOL_VERSION: u8 = 0x0D;
 /// Default maximum body size of the parser: 2^20 pairs of i16 and a header, rounded up.
 pub const MAX_BODY_BYTES: u32 = 1 << 23;
-/// Maximum body size for compatibility: a widely used client skips longer bodies.
-pub const BODY_BYTES_THAT_EVERYBODY_READS: usize = 256 * 1024;
 
 /// Subsystem numbers.
 pub mod subsystem {

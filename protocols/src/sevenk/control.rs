@@ -470,14 +470,14 @@ pub struct CommandError {
 /// Why a command is malformed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum CommandErrorKind {
-    #[error("a command needs a header of 24 bytes, {got_bytes} are there")]
+    #[error("a command needs a header of 24 bytes, only {got_bytes} are available")]
     /// The header is incomplete.
     HeaderTruncated {
         /// Available bytes.
         got_bytes: usize,
     },
     #[error(
-        "command {remote_control_id} needs at least {need_bytes} bytes of arguments, {got_bytes} are there"
+        "command {remote_control_id} needs at least {need_bytes} bytes of arguments, only {got_bytes} are available"
     )]
     /// The arguments are incomplete.
     ArgumentsTruncated {
@@ -488,7 +488,7 @@ pub enum CommandErrorKind {
         /// Available bytes.
         got_bytes: usize,
     },
-    #[error("command {remote_control_id} has {argument} that is not a finite number")]
+    #[error("command {remote_control_id} has {argument}, which is not a finite number")]
     /// An argument is NaN or infinite.
     NotFinite {
         /// Identifier of the command.
@@ -496,7 +496,7 @@ pub enum CommandErrorKind {
         /// Name of the argument.
         argument: &'static str,
     },
-    #[error("command {remote_control_id} has {argument} {value}, which is not one of the listed")]
+    #[error("command {remote_control_id} has {argument} {value}, which is not a listed value")]
     /// An argument is not one of the listed values.
     NotListed {
         /// Identifier of the command.
@@ -1110,7 +1110,7 @@ impl fmt::Display for Command {
                     "sound velocity {sound_velocity_m_per_s} m/s, flags {flags:#x}, filter {filter}"
                 )
             }
-            Self::Unknown(_) => f.write_str("not one we know"),
+            Self::Unknown(_) => f.write_str("not a known command"),
         }
     }
 }

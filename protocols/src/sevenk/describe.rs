@@ -23,14 +23,14 @@ impl fmt::Display for Description<'_> {
                 write!(f, "{}: ", record.frame)?;
                 match RecordBody::parse(&record) {
                     Ok(body) => body.fmt(f),
-                    Err(error) => write!(f, "body wrong: {error}"),
+                    Err(error) => write!(f, "invalid body: {error}"),
                 }
             }
             Err(error) => match DataRecordFrame::parse(self.record_bytes) {
-                Ok(frame) if frame.check().is_ok() => write!(f, "{frame}: record wrong: {error}"),
+                Ok(frame) if frame.check().is_ok() => write!(f, "{frame}: invalid record: {error}"),
                 _ => write!(
                     f,
-                    "{} B that are no record: {error}",
+                    "{} B that are not a record: {error}",
                     self.record_bytes.len()
                 ),
             },

@@ -251,10 +251,10 @@ pub enum FileError {
     #[error("not a record: {0}")]
     /// The bytes are not a valid record.
     Record(#[from] WireError),
-    #[error("the file has its 7001 record; readers want exactly one")]
+    #[error("the file already has a 7001 record; readers require exactly one")]
     /// The file already has a 7001.
     SecondConfiguration,
-    #[error("record {record_type_id} belongs to the file's own frame")]
+    #[error("record {record_type_id} is reserved for the structure of the file")]
     /// The record type is reserved for the file's structure.
     Reserved {
         /// Record type.

@@ -149,7 +149,7 @@ pub fn ping_order_rank(record_type_id: u32) -> usize {
 /// Why bytes are not valid 7k. Every variant names the checked item and the values that disagree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
-    #[error("{what} needs {need_bytes} bytes, {got_bytes} are there")]
+    #[error("{what} needs {need_bytes} bytes, only {got_bytes} are available")]
     /// Bytes are missing.
     Truncated {
         /// The checked item.
@@ -171,7 +171,7 @@ pub enum WireError {
         /// Value found.
         got: u16,
     },
-    #[error("record of {total_bytes} bytes is over the limit of {limit_bytes}")]
+    #[error("record of {total_bytes} bytes exceeds the limit of {limit_bytes}")]
     /// The record is too long.
     Oversized {
         /// Size of the record.
@@ -180,7 +180,7 @@ pub enum WireError {
         limit_bytes: u32,
     },
     #[error(
-        "network frame contradicts itself: packet {sequence_number} of {total_packets}, {packet_bytes} bytes of a record of {total_bytes}"
+        "network frame is inconsistent: packet {sequence_number} of {total_packets}, {packet_bytes} bytes of a record of {total_bytes}"
     )]
     /// Inconsistent network frame.
     PacketSizes {
@@ -193,7 +193,7 @@ pub enum WireError {
         /// Number of packets.
         total_packets: u32,
     },
-    #[error("packet {got} came where packet {expected} of the record was due")]
+    #[error("packet {got} received, packet {expected} of the record expected")]
     /// A packet is out of order.
     FragmentSequence {
         /// Index required.
@@ -227,7 +227,7 @@ pub enum WireError {
         /// Size of the record.
         got_bytes: u64,
     },
-    #[error("optional data at {offset_bytes} lie outside the record of {size_bytes} bytes")]
+    #[error("optional data at {offset_bytes} are outside the record of {size_bytes} bytes")]
     /// The optional data are outside the record.
     OptionalData {
         /// Offset in the frame.
@@ -235,7 +235,7 @@ pub enum WireError {
         /// Size of the record.
         size_bytes: u32,
     },
-    #[error("checksum is {stored:#010x}, the bytes sum to {computed:#010x}")]
+    #[error("checksum is {stored:#010x}, computed {computed:#010x}")]
     /// The checksum does not match the bytes.
     Checksum {
         /// Checksum in the record.
@@ -243,7 +243,7 @@ pub enum WireError {
         /// Sum of the bytes.
         computed: u32,
     },
-    #[error("{what} of {got} is not one we read")]
+    #[error("{what} {got} is not supported")]
     /// The value is not supported.
     Unsupported {
         /// The checked item.

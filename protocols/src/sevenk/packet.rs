@@ -28,7 +28,7 @@ const SYSTEM_ENUMERATOR_AT: usize = 42;
 /// The packet limit is below [`MIN_MAX_PACKET_BYTES`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "packets of at most {max_packet_bytes} bytes cannot hold both frames of 7k: {MIN_MAX_PACKET_BYTES} is the least"
+    "packets of at most {max_packet_bytes} bytes cannot hold both frames of 7k: the minimum is {MIN_MAX_PACKET_BYTES}"
 )]
 pub struct PacketLimitError {
     /// Limit requested.

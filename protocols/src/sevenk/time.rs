@@ -50,13 +50,13 @@ impl Fixed for SevenKTime {
 /// Why a time has no 7KTIME, or a 7KTIME is no time.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum TimeError {
-    #[error("{utc_ns} ns is before 1970, which a 7k stamp of ours does not reach")]
+    #[error("{utc_ns} ns is before 1970, the first year of 7k timestamps")]
     /// Times before 1970 are not supported.
     BeforeEpoch {
         /// Nanoseconds since 1970.
         utc_ns: i64,
     },
-    #[error("7KTIME field {field} is {value}")]
+    #[error("7KTIME field {field} is out of range: {value}")]
     /// A field is out of range.
     Field {
         /// Name of the field.

@@ -106,16 +106,16 @@ pub struct Recording {
 /// Why text is not valid SigMF metadata.
 #[derive(Debug, thiserror::Error)]
 pub enum SigmfError {
-    #[error("no JSON: {0}")]
+    #[error("not JSON: {0}")]
     /// The text is not JSON.
     Json(#[from] serde_json::Error),
-    #[error("{field} is not there, or not of its kind")]
+    #[error("{field} is missing or has the wrong type")]
     /// A field is missing or has the wrong type.
     Field {
         /// Name of the field.
         field: &'static str,
     },
-    #[error("data type {got:?} is not one we read")]
+    #[error("data type {got:?} is not supported")]
     /// The data type is not supported.
     DataType {
         /// Name found.

@@ -175,7 +175,7 @@ impl WavHeader {
             match name {
                 b"data" => {
                     let format = format.ok_or(WireError::Unsupported {
-                        what: "WAV data before their format, at byte",
+                        what: "WAV data before the format chunk, at byte",
                         got: at as u64,
                     })?;
                     let data_bytes = match long_data {
@@ -197,7 +197,7 @@ impl WavHeader {
             at += (size + size % 2) as usize;
         }
         Err(WireError::Unsupported {
-            what: "WAV with a number of chunks",
+            what: "WAV chunk count",
             got: MAX_CHUNKS as u64,
         })
     }
@@ -224,7 +224,7 @@ fn parse_format(chunk: &[u8]) -> Result<WavFormat, WireError> {
         (3, 32) => WavSample::F32,
         _ => {
             return Err(WireError::Unsupported {
-                what: "WAV sample of bits",
+                what: "WAV bits per sample",
                 got: bits,
             });
         }
@@ -232,7 +232,7 @@ fn parse_format(chunk: &[u8]) -> Result<WavFormat, WireError> {
     let channels = field(2, 2)? as u16;
     if channels == 0 {
         return Err(WireError::Unsupported {
-            what: "WAV number of channels",
+            what: "WAV channel count",
             got: 0,
         });
     }

@@ -108,7 +108,7 @@ pub enum CommandError {
         /// Number found.
         got: usize,
     },
-    #[error("{command}: {text:?} is no number")]
+    #[error("{command}: {text:?} is not a number")]
     /// An argument is not a number.
     Number {
         /// Name of the command.

@@ -184,7 +184,7 @@ impl FileHeader {
         let sonar_channels = usize::from(raw.sonar_channels);
         if sonar_channels > MAX_CHANNELS {
             return Err(WireError::Unsupported {
-                what: "XTF number of channels",
+                what: "XTF channel count",
                 got: raw.sonar_channels.into(),
             });
         }

@@ -1,6 +1,6 @@
-//! Spoiled messages for every decoder of the crate, by rules that know something of how messages are built: numbers are put in at the places and
-//! in the byte orders where formats have them, lengths and checksums are often mended afterwards so that what is behind them is reached, and
-//! messages are cut, doubled and spliced. The oracle is that nothing panics; all is put into words, which reads every field and sample.
+//! Corrupted messages for every decoder of the crate. The rules use the structure of messages. Numbers are inserted at the positions and in
+//! the byte orders that formats use. Lengths and checksums are often corrected afterwards, so that the following contents are parsed.
+//! Messages are cut, doubled and spliced. The oracle: nothing panics while all is described as text, which parses every field and sample.
 
 use echotank_protocols::imagenex872::{Side, SwitchCommand, emit_answer};
 use echotank_protocols::jsf;
@@ -22,7 +22,7 @@ use echotank_protocols::wbms::{
 };
 use echotank_protocols::words::{Format, Words, datagram};
 
-/// xorshift64*; the same numbers everywhere.
+/// xorshift64*, deterministic on every platform.
 pub struct Random(pub u64);
 
 impl Random {
@@ -37,7 +37,7 @@ impl Random {
     }
 }
 
-/// One way into the crate.
+/// One entry point of the crate.
 #[derive(Clone, Copy)]
 pub struct Decoder {
     pub name: &'static str,
@@ -46,7 +46,7 @@ pub struct Decoder {
     is_datagram: bool,
 }
 
-/// Every format as it comes over a connection or lies in a file, and those that come in datagrams as such.
+/// Every format as a connection or file, and the datagram formats as datagrams.
 pub fn decoders() -> Vec<Decoder> {
     let all = Format::ALL.into_iter().map(|format| Decoder {
         name: format.name(),
@@ -66,7 +66,7 @@ pub fn decoders() -> Vec<Decoder> {
 }
 
 impl Decoder {
-    /// Reads everything that is in `bytes` and returns how many messages and gaps there were.
+    /// Parses all of `bytes` and returns the number of messages and gaps.
     pub fn decode(&self, bytes: &[u8]) -> u64 {
         let mut lines = 0;
         self.each_line(bytes, &mut |line| {
@@ -76,13 +76,13 @@ impl Decoder {
         lines
     }
 
-    /// Everything that is in `bytes`, in words.
+    /// Describes all of `bytes`.
     pub fn each_line(&self, bytes: &[u8], each: &mut dyn FnMut(String)) {
         if self.is_datagram {
             datagram(self.format, bytes, each);
         } else {
             let mut words = Words::new(self.format);
-            // In two pieces, as connections have it.
+            // In two pieces, as connections deliver them.
             let (front, back) = bytes.split_at(bytes.len() / 3);
             words.push(front, each);
             words.push(back, each);
@@ -90,7 +90,7 @@ impl Decoder {
         }
     }
 
-    /// Right messages, short ones.
+    /// Valid short messages.
     pub fn seeds(&self) -> Vec<Vec<u8>> {
         match self.format {
             Format::SevenK => sevenk_packets(),
@@ -111,20 +111,20 @@ impl Decoder {
         }
     }
 
-    /// A message that is not quite right.
-    pub fn spoiled(&self, seeds: &[Vec<u8>], random: &mut Random) -> Vec<u8> {
+    /// A corrupted message.
+    pub fn corrupted(&self, seeds: &[Vec<u8>], random: &mut Random) -> Vec<u8> {
         let mut bytes = seeds[random.below(seeds.len())].clone();
         for _ in 0..1 + random.below(4) {
-            spoil(&mut bytes, seeds, random);
+            corrupt(&mut bytes, seeds, random);
         }
         if random.below(3) > 0 {
-            self.mend(&mut bytes);
+            self.correct(&mut bytes);
         }
         bytes
     }
 
-    /// Makes checksum and length right again, so that what is behind them is read.
-    fn mend(&self, bytes: &mut [u8]) {
+    /// Corrects checksum and length, so that the following contents are parsed.
+    fn correct(&self, bytes: &mut [u8]) {
         let len = bytes.len();
         match self.format {
             Format::PingProtocol if len >= 10 => {
@@ -146,12 +146,12 @@ impl Decoder {
                 let record = len - 36;
                 bytes[12..16].copy_from_slice(&(len as u32).to_le_bytes());
                 bytes[16..20].copy_from_slice(&(record as u32).to_le_bytes());
-                mend_record(&mut bytes[36..]);
+                correct_record(&mut bytes[36..]);
             }
             Format::S7k if len >= 68 => {
                 let size = u32::from_le_bytes([bytes[8], bytes[9], bytes[10], bytes[11]]);
                 let end = (size as usize).clamp(68, len);
-                mend_record(&mut bytes[..end]);
+                correct_record(&mut bytes[..end]);
             }
             Format::Jsf if len >= 16 => {
                 bytes[..2].copy_from_slice(&[0x01, 0x16]);
@@ -166,14 +166,14 @@ impl Decoder {
 }
 
 /// Size and checksum of a whole 7k record.
-fn mend_record(record: &mut [u8]) {
+fn correct_record(record: &mut [u8]) {
     let len = record.len();
     record[8..12].copy_from_slice(&(len as u32).to_le_bytes());
     let sum = checksum(&record[..len - 4]);
     record[len - 4..].copy_from_slice(&sum.to_le_bytes());
 }
 
-/// Numbers that are limits of something.
+/// Numbers at the limits of fields.
 const EDGES: [u64; 16] = [
     0,
     1,
@@ -193,7 +193,7 @@ const EDGES: [u64; 16] = [
     u64::MAX,
 ];
 
-fn spoil(bytes: &mut Vec<u8>, seeds: &[Vec<u8>], random: &mut Random) {
+fn corrupt(bytes: &mut Vec<u8>, seeds: &[Vec<u8>], random: &mut Random) {
     if bytes.is_empty() {
         bytes.push(random.next() as u8);
         return;
@@ -210,7 +210,7 @@ fn spoil(bytes: &mut Vec<u8>, seeds: &[Vec<u8>], random: &mut Random) {
         1 => bytes[at] ^= 1 << random.below(8),
         2 => bytes[at] = random.next() as u8,
         3..=5 => {
-            // A number of a width and order that formats have, at a place where one may stand.
+            // A number with the width and byte order of a format, at a possible position.
             let width = [1, 2, 4, 8][random.below(4)];
             let at = at / width * width;
             let value = match random.below(3) {
@@ -245,7 +245,7 @@ fn spoil(bytes: &mut Vec<u8>, seeds: &[Vec<u8>], random: &mut Random) {
             bytes.extend_from_slice(&other[random.below(other.len())..]);
         }
     }
-    // What grows at every turn is no test of anything.
+    // Messages that grow with every iteration test nothing new.
     bytes.truncate(16_384);
 }
 
@@ -254,7 +254,7 @@ fn spoil(bytes: &mut Vec<u8>, seeds: &[Vec<u8>], random: &mut Random) {
 const S7K: &[u8] = include_bytes!("../data/proto_7k_with_7038.s7k");
 const XTF: &[u8] = include_bytes!("../data/proto.xtf");
 const JSF: &[u8] = include_bytes!("../data/proto_iq.jsf");
-/// Longer messages make slow cases, and show nothing more.
+/// Longer messages make slow cases without further coverage.
 const SHORT_BYTES: usize = 3000;
 
 /// One of each kind, and commands.

@@ -1,6 +1,6 @@
-//! Golden bytes from a published table: zeros, and at each offset of the table what stands there.
+//! Golden bytes from a published table: zeros, and the given bytes at each offset.
 
-/// Bytes made of `(offset, value)`: nothing here knows the order of fields in a struct.
+/// Bytes made of `(offset, value)` pairs, independent of the order of fields in a struct.
 #[allow(dead_code, reason = "not every test file has tables")]
 pub fn table(len: usize, fields: &[(usize, &[u8])]) -> Vec<u8> {
     let mut bytes = vec![0; len];
@@ -10,7 +10,7 @@ pub fn table(len: usize, fields: &[(usize, &[u8])]) -> Vec<u8> {
     bytes
 }
 
-/// The same, with the first difference named.
+/// Asserts equality and names the first difference.
 pub fn assert_same(got: &[u8], want: &[u8], what: &str) {
     for (at, (g, w)) in got.iter().zip(want).enumerate() {
         assert_eq!(

@@ -256,7 +256,7 @@ impl fmt::Display for RecordBody<'_> {
             Self::SnippetStrengths(record) => record.fmt(f),
             Self::SingleBeamIq(record) => record.fmt(f),
             Self::Other(body) => {
-                write!(f, "a record type we do not read, {} B of data", body.len())
+                write!(f, "an unsupported record type, {} B of data", body.len())
             }
         }
     }

@@ -73,7 +73,7 @@ fn widths(flags: u32) -> Result<(usize, usize), WireError> {
         (true, false) => (4, 1),
         (true, true) => {
             return Err(WireError::Unsupported {
-                what: "7042 of 8 and of 32 bits at once, flags",
+                what: "7042 with both 8-bit and 32-bit samples, flags",
                 got: flags.into(),
             });
         }
