@@ -12,7 +12,7 @@ use echotank_protocols::sevenk::describe;
 
 use super::Failure;
 use echotank_core::time::UtcNs;
-use echotank_runtime::histograms::Spread;
+use echotank_runtime::histograms::LatencyHistogram;
 use echotank_runtime::io::sonar::client::SevenKClient;
 use echotank_runtime::io::sonar::elements::{ElementClient, FrameTally};
 use pulses::{Pulses, TriggerTo};
@@ -80,7 +80,7 @@ impl ListenArgs {
 const BIN_US: u64 = 100;
 
 /// A histogram in a line of percentiles and a line of how many were no later than so many milliseconds.
-fn print_spread(what: &str, spread: &Spread) {
+fn print_spread(what: &str, spread: &LatencyHistogram) {
     let f = spread.figures();
     let ms = [f.p50_us, f.p99_us, f.p999_us, f.max_us].map(|us| us as f64 / 1e3);
     println!(
@@ -100,7 +100,7 @@ fn elements(args: &ListenArgs) -> Result<(), Failure> {
         .seconds
         .map(|s| Instant::now() + Duration::from_secs_f64(s.clamp(0.0, 1e9)));
     let mut tally = FrameTally::default();
-    let (first_sample, frames) = (Spread::new(), Spread::new());
+    let (first_sample, frames) = (LatencyHistogram::new(), LatencyHistogram::new());
     let mut bytes = 0;
     let pulses = args.pulses()?;
     loop {

@@ -1,7 +1,8 @@
-//! Measures what methods cost on this machine: ways to sum and move are timed on a configuration's own sonars and scene and on sonars of its own
-//! ([`benches`]), one thread, and the table of costs is fitted to the times.
+//! Calibrates the cost table of method selection on this machine.
 //!
-//! The fit is in logarithms, since a factor is what matters, and holds on to the table it starts from where the times say nothing.
+//! Methods are timed on one thread, on the configured sonars and scene and on synthetic benchmarks ([`benches`]). The cost table is fitted
+//! to the times. The fit is in logarithms, because relative errors matter. A weak penalty keeps entries without data at their previous
+//! values.
 
 use std::time::{Duration, Instant};
 
@@ -11,7 +12,7 @@ mod benches;
 
 use self::benches::benches;
 use crate::chart::bare;
-use crate::first_pings::{FirstError, first};
+use crate::first_pings::{FirstPingError, first};
 use echotank_config::spec::{AutoModel, MediumSpec, RigSpec, SonarSpec};
 use echotank_core::flow::{DopplerModel, PathModel, PingPlan, Scatterers};
 use echotank_ping::method_selection::costs::Costs;
@@ -22,46 +23,54 @@ use echotank_ping::polyline;
 use echotank_ping::rig::pool;
 use echotank_ping::work::{FIGURES, Figure, Work};
 
-/// All of it takes no longer than this, and the configuration's own sonars no longer than that.
-const LONGEST: Duration = Duration::from_secs(130);
-const OWN: Duration = Duration::from_secs(50);
-/// One method is run for so long, and so often at most; the least time counts, since all that disturbs a run makes it longer.
-const EACH: Duration = Duration::from_millis(150);
+/// Time limit of the whole calibration.
+const MAX_TOTAL: Duration = Duration::from_secs(130);
+/// Time limit of the configured sonars.
+const MAX_CONFIGURED: Duration = Duration::from_secs(50);
+/// Time spent on one method. The minimum counts, because disturbances only lengthen a run.
+const PER_METHOD: Duration = Duration::from_millis(150);
+/// Most runs of one method.
 const MAX_RUNS: usize = 30;
-/// Methods that would take longer are left out, ms.
-const LONGEST_MS: f64 = 800.0;
-/// A ping shorter than this is not the plan's concern, ms.
-const SHORTEST_MS: f64 = 0.03;
-/// Weight of staying where the table was, against one method's.
-const HOLD: f64 = 1e-3;
+/// Methods with a higher estimated cost are skipped, ms.
+const MAX_COST_MS: f64 = 800.0;
+/// Shorter measured times are not used in the fit, ms.
+const MIN_TIME_MS: f64 = 0.03;
+/// Weight of the penalty on changes of the table, relative to one method.
+const PRIOR_WEIGHT: f64 = 1e-3;
 /// Rounds of the search.
 const ROUNDS: usize = 400;
 
+/// Why a calibration fails.
 #[derive(Debug, Error)]
 pub enum CalibrateError {
+    /// A first ping cannot be planned.
     #[error(transparent)]
-    First(#[from] FirstError),
+    First(#[from] FirstPingError),
+    /// The compute thread pool.
     #[error("threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
+/// A fitted cost table with the measurements behind it.
 pub struct Calibration {
+    /// The fitted cost table.
     pub costs: Costs,
-    /// Every method: what it is, what the new table predicts, what it took, ms.
+    /// Per method: description, time predicted by the new table, measured time, both ms.
     pub methods: Vec<(String, f64, f64)>,
-    /// exp of the rms of log(predicted / measured), by the table before and by this one.
+    /// exp of the rms of log(predicted / measured) with the previous table.
     pub before: f64,
+    /// The same with the fitted table.
     pub after: f64,
 }
 
-/// One method: what it is made of, and what it took.
+/// The work and measured time of one method.
 struct Timed {
     name: String,
     work: Work,
     took_ms: f64,
 }
 
-/// `machine`: whose figures they will be.
+/// Times methods on this machine and fits the cost table, starting from `before`. `machine` describes the machine in the table.
 pub fn calibrate(
     spec: &RigSpec,
     before: &Costs,
@@ -70,7 +79,7 @@ pub fn calibrate(
     let pool = pool(1)?;
     pool.install(|| {
         let began = Instant::now();
-        let mut timed = own(spec, before, began + OWN)?;
+        let mut timed = configured(spec, before, began + MAX_CONFIGURED)?;
         let mut all = true;
         for bench in benches() {
             let scene = Scene {
@@ -83,14 +92,14 @@ pub fn calibrate(
                 swell: Swell::NONE,
             };
             if let Some(ranking) = rank(&scene, &[]) {
-                let place = Place {
+                let case = TimingCase {
                     name: "bench",
                     spec: &bench.spec,
                     medium: &bench.medium,
                     plan: &bench.plan,
                     scatterers: &bench.scatterers,
                 };
-                all &= place.time(&ranking, began + LONGEST, &mut timed);
+                all &= case.time(&ranking, began + MAX_TOTAL, &mut timed);
             }
         }
         let factors = fit(&timed, &before.ns);
@@ -102,7 +111,7 @@ pub fn calibrate(
         };
         let mut ns = Work::NONE;
         for (k, &figure) in Figure::ALL.iter().enumerate() {
-            // Three digits are more than a machine keeps.
+            // Three significant digits exceed the repeatability.
             let exact = before.ns[figure] * factors[k];
             let digits = 10f64.powf(2.0 - exact.log10().floor());
             ns[figure] = (exact * digits).round() / digits;
@@ -128,10 +137,10 @@ pub fn calibrate(
     })
 }
 
-/// The configuration's own sonars.
-fn own(spec: &RigSpec, costs: &Costs, until: Instant) -> Result<Vec<Timed>, CalibrateError> {
+/// Times the methods on the configured sonars.
+fn configured(spec: &RigSpec, costs: &Costs, until: Instant) -> Result<Vec<Timed>, CalibrateError> {
     let mut open = spec.clone();
-    // Everything is tried, whatever the configuration says.
+    // Ranks all methods, even if the configuration fixes some.
     for sonar in &mut open.sonars {
         sonar.synthesis.auto = AutoModel {
             path: true,
@@ -146,19 +155,20 @@ fn own(spec: &RigSpec, costs: &Costs, until: Instant) -> Result<Vec<Timed>, Cali
         let Some(ranking) = one.ranking else {
             continue;
         };
-        let place = Place {
+        let case = TimingCase {
             name: &sonar.name,
             spec: sonar,
             medium: &spec.medium,
             plan: &one.plan,
             scatterers: &one.scatterers,
         };
-        place.time(&ranking, until, &mut timed);
+        case.time(&ranking, until, &mut timed);
     }
     Ok(timed)
 }
 
-struct Place<'a> {
+/// One ping on which methods are timed.
+struct TimingCase<'a> {
     name: &'a str,
     spec: &'a SonarSpec,
     medium: &'a MediumSpec,
@@ -166,14 +176,14 @@ struct Place<'a> {
     scatterers: &'a Scatterers,
 }
 
-impl Place<'_> {
-    /// Times one candidate of every kind; false where there was no time for all.
+impl TimingCase<'_> {
+    /// Times one candidate of every kind. Returns false if the time limit ended it early.
     fn time(&self, ranking: &Ranking, until: Instant, timed: &mut Vec<Timed>) -> bool {
         let mut spec = bare(self.spec);
         spec.beams = Default::default();
         spec.more_pulses.clear();
         let mut seen: Vec<String> = Vec::new();
-        for candidate in ranking.candidates.iter().filter(|c| says_much(c)) {
+        for candidate in ranking.candidates.iter().filter(|c| is_representative(c)) {
             let model = &candidate.choice.model;
             let name = format!(
                 "{}: {} {} ms, {}, {} {:.1e}",
@@ -184,14 +194,14 @@ impl Place<'_> {
                 model.synthesis.name(),
                 candidate.choice.engine_tolerance.unwrap_or(0.0)
             );
-            if seen.contains(&name) || candidate.cost_ms() > LONGEST_MS {
+            if seen.contains(&name) || candidate.cost_ms() > MAX_COST_MS {
                 continue;
             }
             if Instant::now() > until {
                 return false;
             }
             let took_ms = self.min_ms(&with_choice(&spec, &candidate.choice));
-            if let Some(took_ms) = took_ms.filter(|ms| *ms > SHORTEST_MS) {
+            if let Some(took_ms) = took_ms.filter(|ms| *ms > MIN_TIME_MS) {
                 let parts = candidate.parts.iter();
                 timed.push(Timed {
                     name: name.clone(),
@@ -217,10 +227,10 @@ impl Place<'_> {
         for run in 0..MAX_RUNS {
             let run_began = Instant::now();
             pipeline.compute_ping(&plan, self.scatterers, &mut output);
-            // The first warms up.
+            // The first run is a warm-up.
             if run > 0 {
                 min_ms = min_ms.min(1e3 * run_began.elapsed().as_secs_f64());
-                if began.elapsed() > EACH {
+                if began.elapsed() > PER_METHOD {
                     break;
                 }
             }
@@ -229,8 +239,8 @@ impl Place<'_> {
     }
 }
 
-/// Enough of the kinds that all figures show, and no more.
-fn says_much(candidate: &Candidate) -> bool {
+/// Selects enough path and Doppler models to exercise every cost figure.
+fn is_representative(candidate: &Candidate) -> bool {
     let model = &candidate.choice.model;
     let segment_ms = (1e3 * model.segment_s).round() as u32;
     match (model.path, model.doppler) {
@@ -248,7 +258,7 @@ fn residual(timed: &Timed, ns: &Work) -> f64 {
     (predicted_ms / timed.took_ms.max(1e-6)).max(1e-9).ln()
 }
 
-/// Factors on the table: least squares of logarithms, one figure after another by halving steps.
+/// Fits factors on the table `before`: least squares of logarithms by coordinate search with halving steps.
 fn fit(timed: &[Timed], before: &Work) -> [f64; FIGURES] {
     let loss = |logs: &[f64; FIGURES]| {
         let mut ns = Work::NONE;
@@ -256,7 +266,7 @@ fn fit(timed: &[Timed], before: &Work) -> [f64; FIGURES] {
             ns[figure] = before[figure] * log.exp();
         }
         let misses: f64 = timed.iter().map(|t| residual(t, &ns).powi(2)).sum();
-        misses + HOLD * logs.iter().map(|l| l * l).sum::<f64>()
+        misses + PRIOR_WEIGHT * logs.iter().map(|l| l * l).sum::<f64>()
     };
     let mut logs = [0.0; FIGURES];
     let mut step = 1.0;
@@ -285,7 +295,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_fit_finds_the_factors_that_made_the_times() {
+    fn the_fit_recovers_known_factors() {
         let before = Costs::committed().ns;
         let (far, near) = (Figure::Pair, Figure::DirectPoint);
         let mut true_ns = before;
@@ -314,7 +324,7 @@ mod tests {
                 figure.name()
             );
         }
-        let untold = got[Figure::SpectralBin as usize];
-        assert!((untold - 1.0).abs() < 1e-9, "no method has it: {untold}");
+        let unused = got[Figure::SpectralBin as usize];
+        assert!((unused - 1.0).abs() < 1e-9, "no method uses it: {unused}");
     }
 }

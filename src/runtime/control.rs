@@ -18,7 +18,7 @@ use crate::io::sonar::RigTime;
 use crate::metrics::{self, Family, Kind};
 use crate::outputs::OutputReports;
 use crate::overload::OverloadLog;
-use crate::page::{PageSource, ReliefKept, changes, nav_source, settings_json, trigger_name};
+use crate::page::{PageSource, ReliefCache, changes, nav_source, settings_json, trigger_name};
 use crate::settings::SettingsStore;
 use crate::triggers::TriggerCounts;
 use echotank_config::spec::ClockSpec;
@@ -70,7 +70,7 @@ pub struct RunControl {
     nav_lines: Mutex<Vec<String>>,
     nav_sources: Mutex<Vec<(State, SourceCounters)>>,
     page: PageSource,
-    relief: ReliefKept,
+    relief: ReliefCache,
     /// What was asked that is no setting, the newest last.
     deeds: Mutex<VecDeque<Value>>,
     deeds_done: AtomicU64,
@@ -103,7 +103,7 @@ impl RunControl {
             nav_lines: Mutex::default(),
             nav_sources: Mutex::default(),
             page,
-            relief: ReliefKept::default(),
+            relief: ReliefCache::default(),
             deeds: Mutex::default(),
             deeds_done: AtomicU64::new(0),
             opened: machine.host_utc(),

@@ -1,7 +1,7 @@
-//! The plans of a rig's first pings, without computing any: for `echotank check` and for tools.
+//! Plans each sonar's first ping without computing it, for `echotank check` and for tools.
 //!
-//! In: a rig. Out: for each sonar a ping of its own (its plan and scatterers) and the [`Ranking`] made on it. Where navigation is not recorded the
-//! motion is supposed.
+//! For each sonar, this gives the plan, its scatterers and the [`Ranking`] of methods on them. Without recorded navigation, it assumes a
+//! motion.
 
 use glam::{DQuat, DVec3};
 use thiserror::Error;
@@ -18,38 +18,44 @@ use echotank_ping::method_selection::{Scene, Swell, rank};
 use echotank_ping::methods::Ranking;
 use echotank_ping::{self as ping, PingOrder};
 
-/// Of a platform whose navigation comes only while it runs: 5 knots, straight ahead, level.
-const SUPPOSED_M_PER_S: f64 = 2.572;
-/// Pings tried where the first has a gap in its navigation.
+/// Speed assumed without recorded navigation: 5 knots, straight ahead and level.
+const ASSUMED_M_PER_S: f64 = 2.572;
+/// Pings tried if the first has a gap in its navigation.
 const TRIES: u32 = 50;
 
+/// Why a first ping cannot be planned.
 #[derive(Debug, Error)]
-pub enum FirstError {
+pub enum FirstPingError {
+    /// The rig or its recorded navigation.
     #[error(transparent)]
     Recorded(#[from] RecordedError),
+    /// The rig.
     #[error(transparent)]
     Rig(#[from] OpenError),
+    /// The navigation has a gap at each of the first pings of the named sonar.
     #[error("the recorded navigation covers none of the first {TRIES} pings of sonar {0}")]
     Gaps(String),
 }
 
-/// One sonar's.
-pub struct First {
+/// The first ping of one sonar.
+pub struct FirstPing {
+    /// The plan of the ping.
     pub plan: PingPlan,
+    /// The scatterers in its footprint.
     pub scatterers: Scatterers,
-    /// None where nothing can be made at all.
+    /// The candidate methods; `None` if no method applies.
     pub ranking: Option<Ranking>,
-    /// The motion is not the configuration's.
+    /// The motion is assumed, because the navigation is not recorded.
     pub is_supposed: bool,
 }
 
-/// For each sonar. To be called inside the pool that would run it.
-pub fn first(spec: &RigSpec, costs: &Costs) -> Result<Vec<First>, FirstError> {
+/// Plans the first ping of each sonar and ranks the methods. Call it inside the thread pool that would run the rig.
+pub fn first(spec: &RigSpec, costs: &Costs) -> Result<Vec<FirstPing>, FirstPingError> {
     let pings = pings(spec)?;
     let is_supposed = !spec.nav.is_recorded();
     let sonars = spec.sonars.iter().zip(pings);
     Ok(sonars
-        .map(|(sonar, (plan, scatterers))| First {
+        .map(|(sonar, (plan, scatterers))| FirstPing {
             ranking: rank(
                 &Scene {
                     spec: sonar,
@@ -69,16 +75,16 @@ pub fn first(spec: &RigSpec, costs: &Costs) -> Result<Vec<First>, FirstError> {
         .collect())
 }
 
-/// For each sonar a ping with what it hears, down to the configuration's own floor of the patterns.
-pub fn pings(spec: &RigSpec) -> Result<Vec<(PingPlan, Scatterers)>, FirstError> {
+/// The first plan of each sonar with the scatterers in its footprint, culled at the configured level.
+pub fn pings(spec: &RigSpec) -> Result<Vec<(PingPlan, Scatterers)>, FirstPingError> {
     match RecordedRig::open(&bare(spec)) {
         Ok(recorded) => recorded_pings(recorded),
-        Err(RecordedError::NoLog) => supposed_pings(&bare(spec)),
+        Err(RecordedError::NoLog) => assumed_pings(&bare(spec)),
         Err(other) => Err(other.into()),
     }
 }
 
-/// Hears what the sonars hear, with pipelines that cost nothing to make.
+/// The same footprints with pipelines that are cheap to build.
 fn bare(spec: &RigSpec) -> RigSpec {
     let mut spec = spec.clone();
     for sonar in &mut spec.sonars {
@@ -93,7 +99,9 @@ fn bare(spec: &RigSpec) -> RigSpec {
     spec
 }
 
-fn recorded_pings(mut recorded: RecordedRig) -> Result<Vec<(PingPlan, Scatterers)>, FirstError> {
+fn recorded_pings(
+    mut recorded: RecordedRig,
+) -> Result<Vec<(PingPlan, Scatterers)>, FirstPingError> {
     let sonars = recorded.rig.sonars.len();
     let mode = recorded.rig.spec.nav.mode;
     let mut found: Vec<Option<(PingPlan, Scatterers)>> = vec![None; sonars];
@@ -119,11 +127,11 @@ fn recorded_pings(mut recorded: RecordedRig) -> Result<Vec<(PingPlan, Scatterers
     let names = recorded.rig.sonars.iter().map(|unit| &unit.spec.name);
     names
         .zip(found)
-        .map(|(name, ping)| ping.ok_or_else(|| FirstError::Gaps(name.clone())))
+        .map(|(name, ping)| ping.ok_or_else(|| FirstPingError::Gaps(name.clone())))
         .collect()
 }
 
-fn supposed_pings(spec: &RigSpec) -> Result<Vec<(PingPlan, Scatterers)>, FirstError> {
+fn assumed_pings(spec: &RigSpec) -> Result<Vec<(PingPlan, Scatterers)>, FirstPingError> {
     let mut rig = crate::rig::open(spec)?;
     let place = rig.scene.geodetic_place().map(|p| (p.north_m, p.east_m));
     let (north_m, east_m) = match (spec.scene.anchor, place) {
@@ -150,15 +158,15 @@ fn supposed_pings(spec: &RigSpec) -> Result<Vec<(PingPlan, Scatterers)>, FirstEr
         };
         slot.plan.trajectory = Trajectory::uniform(
             DVec3::new(0.0, 0.0, down_m),
-            DVec3::X * SUPPOSED_M_PER_S,
+            DVec3::X * ASSUMED_M_PER_S,
             DQuat::IDENTITY,
         );
         let spec: SonarSpec = unit.spec.clone();
         ping::fill(&mut slot.plan, &spec, &order, NavState::default(), UtcNs(0));
-        let mut heard = Vec::new();
-        footprints(&spec, &slot.plan, &mut heard);
+        let mut areas = Vec::new();
+        footprints(&spec, &slot.plan, &mut areas);
         let mut scatterers = Scatterers::default();
-        rig.scene.gather(&heard, &mut scatterers);
+        rig.scene.gather(&areas, &mut scatterers);
         pings.push((slot.plan, scatterers));
     }
     Ok(pings)

@@ -1,37 +1,39 @@
-//! How punctual a sonar is: high-dynamic-range histograms of microseconds.
+//! Latency histograms of a sonar's output, in microseconds (HdrHistogram).
 
 use std::sync::{Mutex, PoisonError};
 
 use hdrhistogram::Histogram;
 
-/// Counted apart up to here, microseconds (ten minutes); what is beyond counts as this.
+/// Largest recorded value, microseconds (ten minutes). Larger values count as this.
 const MAX_US: u64 = 600_000_000;
-/// Two digits: percentiles within 1 %.
+/// Significant decimal digits: percentiles are within 1 %.
 const DIGITS: u8 = 2;
 
-/// Of a picture of a histogram: the first bin ends here, and each is so many times as wide as the one before.
+/// End of the first logarithmic bin, microseconds.
 const FIRST_BIN_US: u64 = 16;
+/// Width of each logarithmic bin relative to the one before.
 const BIN_GROWTH: f64 = 2.0;
 
-/// Of one sonar. Their memory is all taken when they are made.
+/// The latency histograms of one sonar. They allocate only when created.
 pub struct Histograms {
-    start_error: Spread,
-    margin: Spread,
-    nav_to_samples: Spread,
-    hand_over: Spread,
-    pacing: Spread,
+    start_error: LatencyHistogram,
+    margin: LatencyHistogram,
+    nav_to_samples: LatencyHistogram,
+    hand_over: LatencyHistogram,
+    pacing: LatencyHistogram,
 }
 
-/// One histogram.
-pub struct Spread(Mutex<Histogram<u64>>);
+/// A thread-safe histogram of durations in microseconds.
+pub struct LatencyHistogram(Mutex<Histogram<u64>>);
 
-impl Default for Spread {
+impl Default for LatencyHistogram {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Spread {
+impl LatencyHistogram {
+    /// An empty histogram with all its memory allocated.
     pub fn new() -> Self {
         let histogram = Histogram::new_with_bounds(1, MAX_US, DIGITS);
         Self(Mutex::new(
@@ -39,12 +41,13 @@ impl Spread {
         ))
     }
 
+    /// Records one duration, microseconds.
     pub fn note(&self, us: u64) {
         let mut histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         histogram.saturating_record(us);
     }
 
-    /// Where bins end, microseconds, and what is in them.
+    /// Logarithmic bins as (end in microseconds, count).
     pub fn bins(&self) -> Vec<(u64, u64)> {
         let histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let bins = histogram.iter_log(FIRST_BIN_US, BIN_GROWTH);
@@ -52,7 +55,7 @@ impl Spread {
         bins.collect()
     }
 
-    /// The same in bins of so many microseconds.
+    /// Linear bins of `step_us` microseconds as (end in microseconds, count).
     pub fn bins_of(&self, step_us: u64) -> Vec<(u64, u64)> {
         let histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let bins = histogram.iter_linear(step_us);
@@ -60,6 +63,7 @@ impl Spread {
         bins.collect()
     }
 
+    /// Count, extremes and percentiles.
     pub fn figures(&self) -> Figures {
         let histogram = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         Figures {
@@ -76,17 +80,24 @@ impl Spread {
     }
 }
 
-/// A histogram in a few words.
+/// Count, extremes and percentiles of a histogram, microseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Figures {
+    /// Recorded durations.
     pub count: u64,
+    /// Minimum.
     pub(crate) min_us: u64,
-    /// A thousandth and a hundredth are no more than this: the bad end of a margin.
+    /// 0.1 % quantile: the critical end of a margin.
     pub(crate) p01_us: u64,
+    /// 1 % quantile.
     pub(crate) p1_us: u64,
+    /// Median.
     pub p50_us: u64,
+    /// 99 % quantile.
     pub p99_us: u64,
+    /// 99.9 % quantile.
     pub p999_us: u64,
+    /// Maximum.
     pub max_us: u64,
     /// Of all values, to the histogram's resolution.
     #[serde(skip)]
@@ -94,42 +105,43 @@ pub struct Figures {
 }
 
 impl Histograms {
+    /// Empty histograms with all their memory allocated.
     pub fn new() -> Self {
         Self {
-            start_error: Spread::new(),
-            margin: Spread::new(),
-            nav_to_samples: Spread::new(),
-            hand_over: Spread::new(),
-            pacing: Spread::new(),
+            start_error: LatencyHistogram::new(),
+            margin: LatencyHistogram::new(),
+            nav_to_samples: LatencyHistogram::new(),
+            hand_over: LatencyHistogram::new(),
+            pacing: LatencyHistogram::new(),
         }
     }
 
-    /// A ping's records began to be handed over so long after their instant.
+    /// Records the delay of a ping's delivery start after its deadline.
     pub(crate) fn start_error_us(&self, us: u64) {
         self.start_error.note(us);
     }
 
-    /// A ping was whole so long before its records had to leave; too late counts as 0.
+    /// Records the time from a ping's completion to its deadline; a late ping counts as 0.
     pub(crate) fn margin_us(&self, ns: i64) {
         self.margin.note((ns.max(0) / 1000) as u64);
     }
 
-    /// From the pulse, whose motion is the newest the ping is made with, until its samples were whole.
+    /// Records the time from the pulse to the ping's completion. The pulse is the instant of the newest motion used.
     pub(crate) fn nav_to_samples_us(&self, ns: i64) {
         self.nav_to_samples.note((ns.max(0) / 1000) as u64);
     }
 
-    /// All of a ping's records were with the servers and the recorder so long after their instant.
+    /// Records the delay of a ping's complete delivery after its deadline.
     pub(crate) fn handed_over_us(&self, ns: i64) {
         self.hand_over.note((ns.max(0) / 1000) as u64);
     }
 
-    /// A group of datagrams left so long after its own instant.
+    /// Records the delay of a group of datagrams after its scheduled instant.
     pub(crate) fn pacing_us(&self, ns: i64) {
         self.pacing.note((ns.max(0) / 1000) as u64);
     }
 
-    /// By name: where bins end, microseconds, and what is in them; up to the last with anything in it.
+    /// Logarithmic bins by histogram name, as (end in microseconds, count), up to the last non-empty bin.
     pub fn bins(&self) -> [(&'static str, Vec<(u64, u64)>); 5] {
         [
             ("start_error", self.start_error.bins()),
@@ -140,7 +152,7 @@ impl Histograms {
         ]
     }
 
-    /// Name, meaning, figures.
+    /// Name, description and figures of every histogram.
     pub fn all(&self) -> [(&'static str, &'static str, Figures); 5] {
         [
             (
@@ -183,7 +195,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn percentiles_are_within_one_in_a_hundred_and_nothing_is_too_large() {
+    fn percentiles_are_within_one_percent_and_large_values_are_clamped() {
         let histograms = Histograms::new();
         for us in 1..=1000 {
             histograms.start_error_us(us);

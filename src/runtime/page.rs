@@ -1,4 +1,4 @@
-//! What the operator's page is told besides the frames of pings: what the rig is, how it does, where targets lie, how deep the seabed is.
+//! JSON for the operator's page besides ping frames: the rig, its settings and changes, targets, seabed relief and navigation status.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -18,30 +18,35 @@ use echotank_core::flow::{
 use echotank_nav::health::State;
 use echotank_ping::world::SharedSceneSummary;
 
-/// Cells to a side of a tile of relief, and those with the border around it.
+/// Cells per side of a relief tile.
 const RELIEF_CELLS: i64 = 128;
+/// Cells per side with the border of one cell.
 const WITH_BORDER: i64 = RELIEF_CELLS + 2;
-/// 256 km to a side: coarser than any survey.
+/// Coarsest level: tiles of 256 km per side.
 const MAX_LEVEL: u8 = 11;
-/// Tiles kept: 9 MB.
+/// Most cached tiles: 9 MB.
 const MAX_TILES: usize = 128;
-/// Targets told of, at most.
+/// Most targets sent to the page.
 const MAX_TARGETS: usize = 2000;
-/// Longest text of a kept setting that is shown, characters.
+/// Longest displayed text of a stored setting, characters.
 const MAX_TEXT: usize = 200;
 
-/// What the page is fed from.
+/// The data behind the operator's page.
 pub struct PageSource {
+    /// Distributes ping frames to the open pages.
     pub feed: Arc<Feed>,
+    /// The checked configuration.
     pub spec: RigSpec,
+    /// The targets and terrain, once they are placed.
     pub world: SharedSceneSummary,
 }
 
-/// Tiles of relief made before, the newest last.
+/// A cache of relief tiles, the newest last.
 #[derive(Default)]
-pub struct ReliefKept(Mutex<VecDeque<(ReliefTile, Bytes)>>);
+pub struct ReliefCache(Mutex<VecDeque<(ReliefTile, Bytes)>>);
 
 impl PageSource {
+    /// The first message to a page: the sonars, the fault kinds and the navigation sources. `run` identifies this run of the daemon.
     pub fn hello(&self, run: i64) -> Value {
         let faults = FaultRequest::KINDS.iter().map(
             |(kind, unit, min, max)| json!({ "kind": kind, "unit": unit, "min": min, "max": max }),
@@ -49,7 +54,7 @@ impl PageSource {
         json!({
             "page": 1,
             "echotank": env!("CARGO_PKG_VERSION"),
-            // Another after a restart: what the page has kept is of another run.
+            // A page discards its data when this changes.
             "run": run.to_string(),
             "sonars": self.spec.sonars.iter().map(sonar).collect::<Value>(),
             "faults": faults.collect::<Value>(),
@@ -59,6 +64,7 @@ impl PageSource {
         })
     }
 
+    /// The targets, as rows of name, north, east, down (m) and strength (dB); null until the scene is placed.
     pub fn world(&self) -> Value {
         let Some(world) = self.world.get() else {
             return Value::Null;
@@ -71,13 +77,16 @@ impl PageSource {
         json!({ "targets": targets.collect::<Value>(), "relief": world.ground.is_some() })
     }
 
-    pub fn relief(&self, tile: ReliefTile, kept: &ReliefKept) -> Option<Bytes> {
+    /// The seabed depths of a tile as a relief frame. `None` without a seabed or beyond the coarsest level.
+    ///
+    /// Depths are f32, metres down, row by row from the south-west, with a border of one cell; NaN without data.
+    pub fn relief(&self, tile: ReliefTile, cache: &ReliefCache) -> Option<Bytes> {
         let ground = self.world.get()?.ground.as_ref()?;
         if tile.level > MAX_LEVEL {
             return None;
         }
-        let mut kept = kept.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, bytes)) = kept.iter().find(|(known, _)| *known == tile) {
+        let mut cache = cache.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, bytes)) = cache.iter().find(|(known, _)| *known == tile) {
             return Some(bytes.clone());
         }
         let cell_m = f64::from(1_u32 << tile.level);
@@ -97,10 +106,10 @@ impl PageSource {
             "cells": RELIEF_CELLS, "border": 1, "cell_m": cell_m,
         });
         let bytes = frame(Kind::Relief, 0, 0, &text, &depths);
-        if kept.len() == MAX_TILES {
-            kept.pop_front();
+        if cache.len() == MAX_TILES {
+            cache.pop_front();
         }
-        kept.push_back((tile, bytes.clone()));
+        cache.push_back((tile, bytes.clone()));
         Some(bytes)
     }
 }
@@ -144,6 +153,7 @@ pub(crate) fn settings_json(settings: &SonarSettings) -> Value {
     })
 }
 
+/// The name of a trigger source in the page's JSON.
 pub fn trigger_name(trigger: TriggerSource) -> &'static str {
     match trigger {
         TriggerSource::Internal => "internal",
@@ -151,7 +161,7 @@ pub fn trigger_name(trigger: TriggerSource) -> &'static str {
     }
 }
 
-/// Every change of a sonar that is remembered, oldest first: who asked, for what, and what came of it.
+/// The recent setting changes of a sonar, oldest first: requester, setting, value and outcome.
 pub fn changes(settings: &SettingsStore) -> Value {
     let kept = settings.changes_since(0);
     let kept = kept.iter().filter_map(kept_change);
@@ -190,7 +200,7 @@ fn change(recent: &RecentChange) -> Value {
     row
 }
 
-/// A setting that is only kept; the others are among the recent changes.
+/// A stored setting without effect on the model. The other settings are among the recent changes.
 fn kept_change(entry: &JournalEntry) -> Option<Value> {
     let Changed::Kept(key, value) = &entry.changed else {
         return None;
@@ -206,6 +216,7 @@ fn kept_change(entry: &JournalEntry) -> Option<Value> {
     Some(row)
 }
 
+/// The state and counters of one navigation source.
 pub fn nav_source((state, source): &(State, SourceCounters)) -> Value {
     let (d, l) = (&source.decoder, &source.live);
     json!({

@@ -1,4 +1,4 @@
-//! The pictures of a replay and the masks beside them, as `[sonar.picture]` wants them.
+//! The pictures of a replay and their masks, as configured in `[sonar.picture]`.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -24,10 +24,10 @@ use echotank_ping::line_truth::line_truths;
 use echotank_ping::rig::{PingSlot, Rig};
 use echotank_synthesis::array::receiver::amplify;
 
-/// Columns of a waterfall on each side where the configuration does not say: both sides fit a screen.
+/// Default columns per side of a waterfall; both sides fit a screen.
 const WATERFALL_COLUMNS: f64 = 600.0;
 
-/// Darkest and brightest pixels of a mosaic, at most and at least.
+/// Largest low and smallest high percentile of a mosaic's contrast, as fractions.
 const MAP_SHARES: (f64, f64) = (0.02, 0.999);
 
 /// The pictures of one sonar.
@@ -40,10 +40,10 @@ pub(crate) struct Pictures {
     stack: Option<Stack>,
     masks: Option<MaskRecorder>,
     fan_masks: Option<MaskRecorder>,
-    /// Fans drawn, and their masks.
+    /// Paths of the fan pictures and their masks.
     written: Vec<PathBuf>,
     gains: Vec<Complex64>,
-    /// Altitude by the newest first return.
+    /// Altitude from the newest detected first return.
     last_return_m: Option<f64>,
 }
 
@@ -76,7 +76,7 @@ impl Pictures {
         })
     }
 
-    /// The ping that `rig` has just made.
+    /// Adds the ping that `rig` has just computed.
     pub(crate) fn push(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
         self.fan(slot, rig)?;
         let Formats {
@@ -93,7 +93,7 @@ impl Pictures {
         if let Some(recorder) = &mut self.masks {
             recorder.push(plan.ping_number, &truths)?;
         }
-        // Of several pulses each has lines of its own, in the order in which they left.
+        // Each pulse of a ping has its own side-scan lines, ordered by transmit time.
         let more = &slot.output.more_lines;
         let mut pulses: Vec<(f64, Cow<[Line]>)> = vec![(0.0, (&slot.output.lines[..]).into())];
         pulses.extend(more.iter().map(|m| (m.delay_s, (&m.lines[..]).into())));
@@ -117,7 +117,7 @@ impl Pictures {
                 let labels = masks.then(|| WaterfallMasks::of(&waterfall, rate_hz));
                 (waterfall, labels)
             });
-            // Each pulse has rows of its own: the picture counts them as pings.
+            // The picture counts each pulse as a ping.
             let mut row = plan.clone();
             for (number, (_, lines)) in (0..).zip(&pulses) {
                 if pulses.len() > 1 {
@@ -131,7 +131,7 @@ impl Pictures {
             }
         }
         if mosaic {
-            self.lay(rig, plan, &arms, altitude_m, &own, &truths);
+            self.add_to_mosaic(rig, plan, &arms, altitude_m, &own, &truths);
         }
         Ok(())
     }
@@ -176,19 +176,19 @@ impl Pictures {
         Ok(())
     }
 
-    /// The lines with the time-varying gain taken out, as it was at the middle of the pulse.
+    /// The side-scan lines without the time-varying gain, taken at the middle of the pulse.
     fn raw(&mut self, plan: &PingPlan, lines: &[Line]) -> Vec<Line> {
         let rate_hz = self.spec.receiver.sample_rate_hz;
-        let late = (0.5 * plan.pulse.duration_s * rate_hz).round() as usize;
+        let half_pulse = (0.5 * plan.pulse.duration_s * rate_hz).round() as usize;
         self.gains.clear();
         self.gains
-            .resize(plan.sample_count + late, Complex64::new(1.0, 0.0));
+            .resize(plan.sample_count + half_pulse, Complex64::new(1.0, 0.0));
         amplify(plan, &self.spec.receiver, &mut self.gains);
         let fixed = 10f64.powf(plan.settings.gain_db / 20.0);
-        let silent = (plan.first_sample_s * rate_hz).round().max(0.0) as usize;
+        let first = (plan.first_sample_s * rate_hz).round().max(0.0) as usize;
         let gain = |k: usize| {
-            let heard = k.saturating_sub(silent) + late;
-            self.gains.get(heard).map_or(1.0, |g| g.re / fixed) as f32
+            let at = k.saturating_sub(first) + half_pulse;
+            self.gains.get(at).map_or(1.0, |g| g.re / fixed) as f32
         };
         let mut raw = lines.to_vec();
         for line in &mut raw {
@@ -218,7 +218,7 @@ impl Pictures {
         }
     }
 
-    /// Where the transmit arrays of the lines are at the start of the pulse.
+    /// World positions of the lines' transmit arrays at the start of the pulse.
     fn arms(&self, plan: &PingPlan) -> Arms {
         let pose = plan.trajectory.pose_at(0.0);
         let mut sides = [None; 2];
@@ -239,7 +239,7 @@ impl Pictures {
         }
     }
 
-    fn lay(
+    fn add_to_mosaic(
         &mut self,
         rig: &Rig,
         plan: &PingPlan,
@@ -281,7 +281,7 @@ impl Pictures {
         builder.push_labelled(&place, axis, lines, truths);
     }
 
-    /// Writes what was gathered, and names the files.
+    /// Writes the accumulated pictures and returns the paths of all files.
     pub(crate) fn finish(self, targets: &[Target]) -> Result<Vec<PathBuf>, RecordError> {
         let names = target_names(targets);
         let look = &self.spec.picture;
@@ -324,7 +324,7 @@ impl Pictures {
                     other => std::io::Error::other(other),
                 },
             })?;
-            // A map has no water column to be kept dark.
+            // A map has no water column that must stay dark.
             let contrast = match look.contrast {
                 Contrast::Percentiles { low, high } => Contrast::Percentiles {
                     low: low.min(MAP_SHARES.0),
@@ -352,9 +352,10 @@ fn target_names(targets: &[Target]) -> Vec<String> {
     targets.iter().map(|t| t.name.clone()).collect()
 }
 
+/// World positions of the transmit arrays, metres.
 struct Arms {
     middle_m: DVec3,
-    /// Port and starboard.
+    /// Port, starboard.
     sides_m: [DVec3; 2],
 }
 

@@ -1,8 +1,8 @@
-//! A report laid beside the log of faults: which were found, which were not, and what was found that was never there.
+//! Compares a device's report with the log of injected faults: faults found, faults missed, and findings without a fault.
 //!
-//! A finding explains a fault when its kind is what such a fault looks like from the other end of the line ([`looks_like`]) or the fault's own
-//! name, and nothing that both say of where it was contradicts it. What follows from a fault besides (the record behind a cut one) is no
-//! invention. A finding that does not say where counts for the first fault that it could be: such are counted apart.
+//! A finding matches a fault on two conditions. Its kind is an observable effect of the fault ([`effects`]) or the fault's own name, and no
+//! stated position contradicts the fault's. A consequence of a fault, such as the record lost behind a truncated one, is not a false
+//! finding. A finding without a position counts for the first fault that it can match, and is counted separately.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -10,29 +10,44 @@ use serde::{Deserialize, Serialize};
 
 use crate::io::sonar::verification::report::{Finding, Report};
 
-/// A line of `faults-*.jsonl`, as far as it is needed.
+/// One injection from the fault log `faults-*.jsonl`, with the fields used for scoring.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
-pub struct Logged {
+pub struct LoggedFault {
+    /// Number of the fault in the run.
     pub fault: u32,
+    /// Kind of the fault, for example `drop`.
     pub kind: String,
+    /// The configured name of the affected sonar.
     pub sonar: Option<String>,
+    /// Protocol family of the affected link, for example `7k`.
     pub line: Option<String>,
+    /// Number of the affected ping, or of the navigation sample.
     pub ping_number: u32,
+    /// UTC of the injection, rig time.
     pub utc_ns: i64,
+    /// The affected navigation source.
     pub source: Option<String>,
+    /// The affected navigation quantity.
     pub quantity: Option<String>,
+    /// Type of the affected record, or number of the packet within its ping.
     pub record_type: Option<u32>,
+    /// Index of the affected receive array.
     pub array: Option<usize>,
+    /// Index of the affected element within its array.
     pub element: Option<usize>,
+    /// Frame number of the affected frame of the element stream.
     pub frame_number: Option<u32>,
+    /// VITA 49 stream identifier of the affected packet.
     pub stream: Option<u32>,
+    /// Whether the affected VITA 49 packet is a context packet.
     pub context: Option<bool>,
+    /// Timestamp of the affected VITA 49 packet, UTC.
     pub packet_utc_ns: Option<i64>,
 }
 
-/// Reads a log; the number of the first line that is none, and why.
-pub fn log_of(text: &str) -> Result<Vec<Logged>, (usize, String)> {
+/// Parses a fault log. On an error, returns the number of the first invalid line, from 1, and the reason.
+pub fn log_of(text: &str) -> Result<Vec<LoggedFault>, (usize, String)> {
     let lines = text.lines().enumerate();
     let lines = lines.filter(|(_, line)| !line.trim().is_empty());
     lines
@@ -40,141 +55,101 @@ pub fn log_of(text: &str) -> Result<Vec<Logged>, (usize, String)> {
         .collect()
 }
 
-/// What a kind of fault looks like from the other end of the line: the findings that show it, and those that may come of it besides, so many
-/// pings later.
-fn looks_like(kind: &str) -> (&'static [&'static str], &'static [&'static str], u32) {
-    match kind {
+/// How a client observes a kind of fault.
+struct Effects {
+    /// Kinds of findings that show the fault.
+    shown_as: &'static [&'static str],
+    /// Kinds of findings that may follow from it.
+    consequences: &'static [&'static str],
+    /// Pings after the fault within which they follow.
+    within_pings: u32,
+}
+
+fn effects(kind: &str) -> Effects {
+    let (shown_as, consequences, within_pings): (&[&str], &[&str], u32) = match kind {
         "drop" | "link-down" => (&["lost"], &["silent"], 0),
         "duplicate" => (&["duplicate"], &[], 0),
         "reorder" | "delay" | "jitter" => (&["late", "lost"], &[], 0),
         "corrupt" => (&["damaged", "different", "lost"], &[], 0),
         "corrupt-mended" => (&["different"], &[], 0),
-        // A cut record takes the beginning of what follows on a connection for its own end.
+        // The client takes the start of the next record for the end of the truncated one.
         "truncate" => (
             &["damaged", "different", "lost"],
             &["damaged", "different", "lost"],
             1,
         ),
-        // What was on its way is gone, and what comes until the client is back.
+        // Records in transit and records until the reconnection are lost.
         "reset" => (&["reset"], &["lost", "silent"], 3),
         "half-open" => (&["silent"], &["lost"], 1),
         _ => (&[], &[], 0),
+    };
+    Effects {
+        shown_as,
+        consequences,
+        within_pings,
     }
 }
 
 fn shows(kind: &str, finding: &str) -> bool {
-    kind == finding || looks_like(kind).0.contains(&finding)
+    kind == finding || effects(kind).shown_as.contains(&finding)
 }
 
-/// Of one kind.
+/// Counts of the injections of one kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Tally {
-    /// In the log and covered by the report. Of half-open connections: each silence is one.
+    /// Logged injections that the report covers. Consecutive pings of one half-open connection count once.
     pub injected: u64,
+    /// Matched by a finding with a position.
     pub found: u64,
-    /// By a finding that does not say where.
+    /// Matched by a finding without a position.
     pub found_by_count: u64,
-    /// Held back, and so was what would have overtaken it: it came in order.
+    /// Unobservable: the next record was delayed or lost too, so the order did not change.
     pub masked: u64,
+    /// Matched by no finding.
     pub missed: u64,
-    /// The report says that this kind cannot be told.
+    /// Of a kind that the reporting device cannot detect, by its own statement.
     pub untold: u64,
-    /// Records, pings or lines that the report does not cover.
+    /// In records, pings or links that the report does not cover.
     pub not_covered: u64,
 }
 
+/// The comparison of a report with a fault log.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Score {
+    /// Counts by kind of fault.
     pub kinds: BTreeMap<String, Tally>,
+    /// Descriptions of the missed injections.
     pub missed: Vec<String>,
+    /// Findings that no fault explains.
     pub invented: Vec<Finding>,
-    /// Findings that follow from a fault without being it.
+    /// Findings that follow from a fault but do not show it.
     pub consequences: u64,
 }
 
 impl Score {
-    /// Everything was found, and nothing else.
+    /// Whether all covered faults were found and no finding is unexplained.
     pub fn is_clean(&self) -> bool {
         self.missed.is_empty() && self.invented.is_empty()
     }
 }
 
-/// One fault on trial: one injection, or a half-open connection's pings in a row.
+/// One injection to be found, or the consecutive pings of one half-open connection.
 struct Case<'a> {
-    logged: &'a Logged,
+    logged: &'a LoggedFault,
     to_ping: u32,
     found: bool,
     by_count: bool,
-    /// Not to be found: the report does not cover it or cannot tell it. What comes of it may be in the report all the same.
+    /// Outside the report's coverage or abilities. Its consequences may still be in the report.
     is_aside: bool,
 }
 
-/// Lays a report beside a log.
-pub fn score(log: &[Logged], report: &Report) -> Score {
+/// Compares a report with the fault log of the same run.
+pub fn score(log: &[LoggedFault], report: &Report) -> Score {
     let mut score = Score::default();
-    let mut cases = Vec::new();
-    let mut seen_connections = BTreeSet::new();
-    for logged in log {
-        let tally = score.kinds.entry(logged.kind.clone()).or_default();
-        let tells = report.head.tells.as_ref();
-        let is_covered = covers(report, logged);
-        let is_untold = is_covered && tells.is_some_and(|tells| !tells.contains(&logged.kind));
-        tally.not_covered += u64::from(!is_covered);
-        tally.untold += u64::from(is_untold);
-        let is_aside = !is_covered || is_untold;
-        if is_aside && !is_of_line(report, logged) {
-            continue;
-        }
-        if !is_aside && matches!(logged.kind.as_str(), "reset" | "half-open") {
-            // Every port of a family has its own line in the log.
-            if !seen_connections.insert((logged.fault, logged.ping_number)) {
-                continue;
-            }
-        }
-        cases.push(Case {
-            logged,
-            to_ping: logged.ping_number,
-            found: false,
-            by_count: false,
-            is_aside,
-        });
-    }
+    let mut cases = cases(log, report, &mut score);
     join_silences(&mut cases);
-    let index = Index::of(&cases);
-    let mut unplaced = Vec::new();
-    for finding in &report.findings {
-        if !is_placed(finding) {
-            unplaced.push(finding);
-            continue;
-        }
-        let (mut explains, mut follows) = (false, false);
-        for at in index.near(finding, &cases) {
-            let case = &mut cases[at];
-            if !case.is_aside && shows(&case.logged.kind, &finding.kind) && agree(case, finding, 0)
-            {
-                (case.found, explains) = (true, true);
-            }
-            let (_, besides, pings) = looks_like(&case.logged.kind);
-            follows |= besides.contains(&finding.kind.as_str()) && comes_of(case, finding, pings);
-        }
-        match (explains, follows) {
-            (true, _) => {}
-            (false, true) => score.consequences += 1,
-            (false, false) => score.invented.push(finding.clone()),
-        }
-    }
-    for finding in unplaced {
-        let mut open = cases
-            .iter_mut()
-            .filter(|case| !case.found && !case.by_count && !case.is_aside);
-        let case =
-            open.find(|case| shows(&case.logged.kind, &finding.kind) && agree(case, finding, 0));
-        match case {
-            Some(case) => case.by_count = true,
-            None if could_be_untold(report, log, finding) => score.consequences += 1,
-            None => score.invented.push(finding.clone()),
-        }
-    }
+    match_placed(report, &mut cases, &mut score);
+    match_unplaced(report, log, &mut cases, &mut score);
     let held = held_pings(log);
     for case in cases.iter().filter(|case| !case.is_aside) {
         let logged = case.logged;
@@ -194,10 +169,81 @@ pub fn score(log: &[Logged], report: &Report) -> Score {
     score
 }
 
-/// Pings in a row of one half-open connection are one silence.
+/// The injections relevant to the report. Counts those that it does not cover or cannot detect.
+fn cases<'a>(log: &'a [LoggedFault], report: &Report, score: &mut Score) -> Vec<Case<'a>> {
+    let mut cases = Vec::new();
+    let mut seen_connections = BTreeSet::new();
+    for logged in log {
+        let tally = score.kinds.entry(logged.kind.clone()).or_default();
+        let tells = report.head.tells.as_ref();
+        let is_covered = covers(report, logged);
+        let is_untold = is_covered && tells.is_some_and(|tells| !tells.contains(&logged.kind));
+        tally.not_covered += u64::from(!is_covered);
+        tally.untold += u64::from(is_untold);
+        let is_aside = !is_covered || is_untold;
+        if is_aside && !is_of_link(report, logged) {
+            continue;
+        }
+        if !is_aside && matches!(logged.kind.as_str(), "reset" | "half-open") {
+            // The log has one line per port of a family.
+            if !seen_connections.insert((logged.fault, logged.ping_number)) {
+                continue;
+            }
+        }
+        cases.push(Case {
+            logged,
+            to_ping: logged.ping_number,
+            found: false,
+            by_count: false,
+            is_aside,
+        });
+    }
+    cases
+}
+
+/// Matches the findings with a position to cases.
+fn match_placed(report: &Report, cases: &mut [Case], score: &mut Score) {
+    let index = Index::of(cases);
+    for finding in report.findings.iter().filter(|f| is_placed(f)) {
+        let (mut explains, mut follows) = (false, false);
+        for at in index.near(finding, cases) {
+            let case = &mut cases[at];
+            if !case.is_aside && shows(&case.logged.kind, &finding.kind) && agree(case, finding, 0)
+            {
+                (case.found, explains) = (true, true);
+            }
+            let effects = effects(&case.logged.kind);
+            follows |= effects.consequences.contains(&finding.kind.as_str())
+                && follows_from(case, finding, effects.within_pings);
+        }
+        match (explains, follows) {
+            (true, _) => {}
+            (false, true) => score.consequences += 1,
+            (false, false) => score.invented.push(finding.clone()),
+        }
+    }
+}
+
+/// Matches the findings without a position to the cases still open.
+fn match_unplaced(report: &Report, log: &[LoggedFault], cases: &mut [Case], score: &mut Score) {
+    for finding in report.findings.iter().filter(|f| !is_placed(f)) {
+        let mut open = cases
+            .iter_mut()
+            .filter(|case| !case.found && !case.by_count && !case.is_aside);
+        let case =
+            open.find(|case| shows(&case.logged.kind, &finding.kind) && agree(case, finding, 0));
+        match case {
+            Some(case) => case.by_count = true,
+            None if could_be_untold(report, log, finding) => score.consequences += 1,
+            None => score.invented.push(finding.clone()),
+        }
+    }
+}
+
+/// Joins the consecutive pings of one half-open connection into one case.
 fn join_silences(cases: &mut Vec<Case>) {
     let mut kept: Vec<Case> = Vec::with_capacity(cases.len());
-    // Of each fault, where its newest silence is kept.
+    // Index in `kept` of each fault's newest silence.
     let mut newest: HashMap<u32, usize> = HashMap::new();
     for case in cases.drain(..) {
         if case.logged.kind == "half-open" && !case.is_aside {
@@ -213,8 +259,8 @@ fn join_silences(cases: &mut Vec<Case>) {
     *cases = kept;
 }
 
-/// Of the line and the sonar that the report is of: other faults are not of one family.
-fn is_of_line(report: &Report, logged: &Logged) -> bool {
+/// Whether the fault affects the report's link and sonar. Faults without a link belong to no protocol family.
+fn is_of_link(report: &Report, logged: &LoggedFault) -> bool {
     let head = &report.head;
     let same = |of_report: &Option<String>, of_log: &Option<String>| {
         of_report.is_none() || of_log.is_none() || of_report == of_log
@@ -224,7 +270,7 @@ fn is_of_line(report: &Report, logged: &Logged) -> bool {
         && same(&head.sonar, &logged.sonar)
 }
 
-fn covers(report: &Report, logged: &Logged) -> bool {
+fn covers(report: &Report, logged: &LoggedFault) -> bool {
     let head = &report.head;
     let in_types = match (&head.covers, logged.record_type, logged.stream) {
         (Some(types), Some(record_type), None) => types.contains(&record_type),
@@ -235,7 +281,7 @@ fn covers(report: &Report, logged: &Logged) -> bool {
     let in_time = logged.packet_utc_ns.is_none_or(|utc| {
         head.from_utc_ns.is_none_or(|from| utc >= from) && head.to_utc_ns.is_none_or(|to| utc <= to)
     });
-    is_of_line(report, logged) && in_types && in_pings && in_time
+    is_of_link(report, logged) && in_types && in_pings && in_time
 }
 
 fn is_placed(finding: &Finding) -> bool {
@@ -245,10 +291,10 @@ fn is_placed(finding: &Finding) -> bool {
         || finding.from_utc_ns.is_some()
 }
 
-/// Cases by ping, so that a long report is not laid beside all of a long log.
+/// Cases by ping, so that a finding is compared with nearby cases only.
 struct Index(BTreeMap<u32, Vec<usize>>);
 
-/// Farther from its ping nothing follows from a fault.
+/// Largest distance of a consequence from its fault, pings.
 const MAX_FOLLOWS: u32 = 3;
 
 impl Index {
@@ -281,7 +327,7 @@ fn pings_of(finding: &Finding) -> Option<(u32, u32)> {
     Some((from, finding.to_ping.unwrap_or(from)))
 }
 
-/// Whether nothing that both say contradicts, the finding lying up to `later` pings behind.
+/// Whether the finding's position does not contradict the case's. The finding may lie up to `later` pings after the case.
 fn agree(case: &Case, finding: &Finding, later: u32) -> bool {
     let logged = case.logged;
     fn same<T: PartialEq>(a: &Option<T>, b: &Option<T>) -> bool {
@@ -297,7 +343,7 @@ fn agree(case: &Case, finding: &Finding, later: u32) -> bool {
         (Some(from), Some(to), Some(at)) => (from..=to).contains(&at),
         (Some(from), None, Some(at)) => at == from,
         (None, _, _) => true,
-        // A time against a ping: not to be told.
+        // A time and a ping number cannot be compared.
         _ => false,
     };
     in_pings
@@ -313,8 +359,8 @@ fn agree(case: &Case, finding: &Finding, later: u32) -> bool {
         && same(&finding.quantity, &logged.quantity)
 }
 
-/// The same of what follows: it may be any record of the line.
-fn comes_of(case: &Case, finding: &Finding, pings: u32) -> bool {
+/// Whether the finding may be a consequence of the case, which may be in any record of the link.
+fn follows_from(case: &Case, finding: &Finding, pings: u32) -> bool {
     let anywhere = Finding {
         record_type: None,
         frame_number: None,
@@ -323,8 +369,8 @@ fn comes_of(case: &Case, finding: &Finding, pings: u32) -> bool {
     agree(case, &anywhere, pings)
 }
 
-/// A finding without a place may come of a fault that the family cannot tell either.
-fn could_be_untold(report: &Report, log: &[Logged], finding: &Finding) -> bool {
+/// Whether a finding without a position may stem from a fault that the device cannot identify.
+fn could_be_untold(report: &Report, log: &[LoggedFault], finding: &Finding) -> bool {
     let Some(tells) = &report.head.tells else {
         return false;
     };
@@ -332,19 +378,19 @@ fn could_be_untold(report: &Report, log: &[Logged], finding: &Finding) -> bool {
         .iter()
         .filter(|logged| covers(report, logged) && !tells.contains(&logged.kind));
     untold.any(|logged| {
-        let (shows, besides, _) = looks_like(&logged.kind);
+        let effects = effects(&logged.kind);
         let kind = finding.kind.as_str();
-        // An answer that was held back comes beside the one that was made in its place.
-        shows.contains(&kind)
-            || besides.contains(&kind)
+        // A delayed answer arrives together with the next one.
+        effects.shown_as.contains(&kind)
+            || effects.consequences.contains(&kind)
             || matches!(logged.kind.as_str(), "reorder" | "delay" | "jitter" if kind == "duplicate")
     })
 }
 
-/// Where a record of one type was held back, lost or spoiled, by fault line and place.
+/// The pings with a delayed, lost or corrupted record, by sonar, link and record type.
 type Held = HashMap<(Option<String>, Option<String>, Option<u32>), BTreeSet<u32>>;
 
-fn held_pings(log: &[Logged]) -> Held {
+fn held_pings(log: &[LoggedFault]) -> Held {
     let mut held = Held::new();
     for logged in log {
         let holds = matches!(
@@ -364,8 +410,8 @@ fn held_pings(log: &[Logged]) -> Held {
     held
 }
 
-/// A record that was held back is not late where the next of its kind was held back or lost too.
-fn is_masked(logged: &Logged, held: &Held) -> bool {
+/// Whether a delayed record still arrives in order because the next of its type was delayed or lost too.
+fn is_masked(logged: &LoggedFault, held: &Held) -> bool {
     let key = (
         logged.sonar.clone(),
         logged.line.clone(),
@@ -377,7 +423,7 @@ fn is_masked(logged: &Logged, held: &Held) -> bool {
             .is_some_and(|pings| pings.contains(&(logged.ping_number + 1)))
 }
 
-fn name_of(logged: &Logged) -> String {
+fn name_of(logged: &LoggedFault) -> String {
     let mut name = format!(
         "{} of ping {} (fault {})",
         logged.kind, logged.ping_number, logged.fault
@@ -395,7 +441,7 @@ fn name_of(logged: &Logged) -> String {
 mod tests {
     use super::*;
 
-    fn log(lines: &[&str]) -> Vec<Logged> {
+    fn log(lines: &[&str]) -> Vec<LoggedFault> {
         log_of(&lines.join("\n")).expect("a log")
     }
 
@@ -404,7 +450,7 @@ mod tests {
     }
 
     #[test]
-    fn found_missed_and_invented_are_told_apart() {
+    fn found_missed_and_invented_are_distinguished() {
         let log = log(&[
             r#"{"fault":1,"kind":"drop","line":"7k","ping_number":5,"record_type":7038,"strength":1}"#,
             r#"{"fault":1,"kind":"drop","line":"7k","ping_number":8,"record_type":7038}"#,
@@ -435,7 +481,7 @@ mod tests {
     }
 
     #[test]
-    fn what_follows_from_a_fault_is_neither_found_nor_invented() {
+    fn a_consequence_of_a_fault_is_neither_found_nor_invented() {
         let log = log(&[
             r#"{"fault":1,"kind":"truncate","line":"jsf","ping_number":5,"record_type":80}"#,
         ]);
@@ -452,7 +498,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_looked_at_has_consequences_too() {
+    fn faults_outside_the_coverage_have_consequences_too() {
         let log = log(&[
             r#"{"fault":1,"kind":"truncate","line":"jsf","ping_number":5,"record_type":2020}"#,
         ]);
@@ -468,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn spans_places_and_counts() {
+    fn findings_match_by_span_by_position_or_by_count() {
         let log = log(&[
             r#"{"fault":1,"kind":"half-open","line":"7k","ping_number":5}"#,
             r#"{"fault":1,"kind":"half-open","line":"7k","ping_number":6}"#,
@@ -502,7 +548,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_in_order_all_the_same_is_masked() {
+    fn a_delayed_record_that_arrives_in_order_is_masked() {
         let log = log(&[
             r#"{"fault":1,"kind":"reorder","line":"7k","ping_number":5,"record_type":7038}"#,
             r#"{"fault":1,"kind":"reorder","line":"7k","ping_number":6,"record_type":7038}"#,
@@ -516,7 +562,7 @@ mod tests {
     }
 
     #[test]
-    fn a_family_that_cannot_tell_is_not_blamed() {
+    fn faults_that_a_device_cannot_detect_are_not_missed() {
         let log = log(&[
             r#"{"fault":1,"kind":"corrupt-mended","line":"7k","ping_number":5,"record_type":7038}"#,
         ]);

@@ -1,7 +1,7 @@
-//! Synthetic aperture in a replay: every ping back-projected onto a patch of the world, by the navigation as the plans state it.
+//! Synthetic aperture in a replay: back-projects every ping onto a patch of the world, using the trajectory of the ping plan.
 //!
-//! Each array of `[sonar.beams.synthetic_aperture]` adds each of its elements' rows ([`BackProjection`]); rows run north to south, columns west
-//! to east, all at one depth.
+//! All elements of the arrays in `[sonar.beams.synthetic_aperture]` contribute ([`BackProjection`]). Rows run north to south and columns
+//! west to east, all at one depth.
 
 use glam::DVec3;
 
@@ -12,17 +12,17 @@ use echotank_imaging::beam::RowLimits;
 use echotank_imaging::beam::backproject::BackProjection;
 use echotank_ping::plan;
 
-/// One sonar's image.
+/// The synthetic-aperture image of one sonar.
 pub(crate) struct SyntheticAperture {
     spec: SyntheticApertureSpec,
     projection: BackProjection,
     pings: u64,
-    /// Of the first and of the last ping.
+    /// Platform positions at the first and last ping.
     ends_m: Option<(DVec3, DVec3)>,
 }
 
 impl SyntheticAperture {
-    /// None where none is configured.
+    /// `None` if the sonar has no synthetic aperture configured.
     pub(crate) fn new(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Option<Self> {
         let spec = sonar.beams.synthetic_aperture.clone()?;
         let limits = RowLimits {
@@ -64,7 +64,7 @@ impl SyntheticAperture {
         self.pings += 1;
     }
 
-    /// None without pings.
+    /// The image with its extent and track; `None` without pings.
     pub(crate) fn finish(self) -> Option<Patch> {
         let (first_m, last_m) = self.ends_m?;
         let (columns, rows) = self.spec.size();

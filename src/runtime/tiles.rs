@@ -1,19 +1,18 @@
-//! A ping made piece by piece, in increasing delay, while what is made leaves already (`run.stream_tiles`).
+//! Tiled computation of a ping: the first samples are sent while later samples are computed (`run.stream_tiles`).
 //!
-//! Every tile is a ping cut short: its first samples alone, up to the end of a block, the next twice as long as the one before. What the sum over
-//! echoes makes of a sample depends on nothing that is heard later, so the tiles are the whole ping's bits; the last one is the whole ping. All
-//! together they cost less than three pings, and a machine that makes a ping in a quarter of its window is ahead of the samples from the first
-//! block on: the second tile, twice as long, is made while the first leaves, and so on.
+//! A tile is the ping truncated at the end of a block. Each tile is twice as long as the one before, and the last tile is the whole ping. A
+//! sample does not depend on later echoes, so a tile equals the beginning of the whole ping bit for bit. All tiles together cost less than
+//! three pings. If a ping takes at most a quarter of its window to compute, each tile is ready before its samples are due.
 //!
-//! Before all that come tiles in which nothing can be heard, since everything lies too far away: they need the plan of the ping and no scatterer, so
-//! that the first leaves as soon as a trigger is known, and the scene is gathered while it does. The tiles behind them begin anew with one block.
+//! The first tiles precede the earliest possible echo. They need the ping plan but no scatterers, so the first is sent as soon as a trigger
+//! is known. The scene is gathered meanwhile. The following tiles start again with one block.
 //!
-//! Only sums that go echo by echo can be cut short so (`reference`, `direct`); where elements have faults in a ping, which may
-//! look at all of it, that ping is one tile.
+//! Tiles need methods that sum echo by echo (`reference`, `direct`). Element faults may depend on the whole ping, so a ping with element
+//! faults is one tile.
 
 use echotank_emit::blocks::end_of_block;
 
-/// Where the tiles of a ping end that follow so many of its blocks, in blocks and in samples; the whole ping, which is the last, is not among them.
+/// The ends of the tiles after the first `after` blocks, as (blocks, samples). The last tile, the whole ping, is not included.
 pub(crate) fn tile_ends(
     after: u32,
     samples: usize,
@@ -25,7 +24,7 @@ pub(crate) fn tile_ends(
     let ends = blocks.map(move |blocks| (blocks, end_of_block(blocks, rate_hz, block_s)));
     let mut before = end_of_block(after, rate_hz, block_s);
     ends.take_while(move |&(_, end)| end < samples)
-        // Blocks shorter than a sample end none.
+        // A block shorter than a sample adds no tile.
         .filter(move |&(_, end)| end > std::mem::replace(&mut before, end))
 }
 
@@ -43,7 +42,7 @@ mod tests {
     use echotank_ping::rig::pool;
 
     #[test]
-    fn tiles_double_end_with_blocks_and_leave_the_rest_to_the_whole_ping() {
+    fn tiles_double_in_length_and_end_with_blocks() {
         let ends: Vec<_> = tile_ends(0, 1000, 40e3, 1e-3).collect();
         assert_eq!(ends, [(1, 40), (2, 80), (4, 160), (8, 320), (16, 640)]);
         assert_eq!(tile_ends(0, 40, 40e3, 1e-3).count(), 0);
@@ -62,7 +61,7 @@ mod tests {
         }
     }
 
-    /// Blocks in which nothing can be heard, and in which something can, of tiles that were held against the whole ping.
+    /// Compares tiles with the whole ping. Returns the numbers of blocks compared before and after the earliest possible echo.
     fn tiles_of(file: &str, adapt: impl Fn(&mut RigSpec)) -> (u32, u32) {
         const BLOCK_S: f64 = 1e-3;
         let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("hil-configs");
@@ -127,12 +126,12 @@ mod tests {
     }
 
     #[test]
-    fn tiles_are_the_beginning_of_the_ping_bit_for_bit_before_the_first_echo_and_after() {
-        // Points 20 m away and more, no filter, no noise.
-        let (quiet, heard) = tiles_of("points.toml", |_| {});
-        assert!(quiet >= 16 && heard >= 32, "points: {quiet} {heard}");
-        // A seabed, a filter, noise and a converter: the ship is in some 50 m of water.
-        let (quiet, heard) = tiles_of("quickstart.toml", |spec| {
+    fn tiles_equal_the_beginning_of_the_ping_bit_for_bit() {
+        // Points at 20 m and more, no filter, no noise.
+        let (quiet, echoes) = tiles_of("points.toml", |_| {});
+        assert!(quiet >= 16 && echoes >= 32, "points: {quiet} {echoes}");
+        // A seabed at about 50 m, a filter, noise and a converter.
+        let (quiet, echoes) = tiles_of("quickstart.toml", |spec| {
             if let Some(seabed) = &mut spec.scene.seabed {
                 seabed.density = Density::PerM2(0.02);
             }
@@ -142,6 +141,6 @@ mod tests {
                 sonar.synthesis.auto = Default::default();
             }
         });
-        assert!(quiet >= 8 && heard >= 32, "quickstart: {quiet} {heard}");
+        assert!(quiet >= 8 && echoes >= 32, "quickstart: {quiet} {echoes}");
     }
 }

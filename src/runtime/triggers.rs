@@ -1,4 +1,4 @@
-//! What came of triggers, in numbers.
+//! Counters of external triggers.
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, OnceLock};
@@ -7,26 +7,35 @@ use crate::io::trigger::TriggerListenerCounts;
 use crate::io::trigger::out::OutCounts;
 use echotank_ping::{Refusal, Triggered};
 
-/// Of one sonar.
+/// The trigger counters of one sonar.
 #[derive(Debug, Default)]
 pub struct TriggerCounts {
+    /// Triggers that started a ping.
     pub obeyed: AtomicU64,
+    /// Triggers that waited for the end of a ping.
     pub queued: AtomicU64,
+    /// Triggers refused because the previous ping was still being received.
     pub early: AtomicU64,
+    /// Triggers refused because they were older than the last pulse.
     pub stale: AtomicU64,
+    /// Triggers refused because their number had been received before.
     pub duplicate: AtomicU64,
+    /// Triggers refused because the sonar obeyed no external trigger.
     pub held: AtomicU64,
-    /// Found too many others waiting.
+    /// Triggers that found the queue full.
     pub dropped: AtomicU64,
-    /// Did not come within the watchdog's time.
+    /// Triggers missing at the end of the watchdog's time.
     pub absent: AtomicU64,
-    /// Latest pulse of a beat, after its instant, microseconds.
+    /// Largest delay of a pulse after its scheduled instant, microseconds.
     pub(crate) worst_pulse_us: AtomicU64,
+    /// The counters of the sonar's trigger input, if it has one.
     pub listener: OnceLock<Arc<TriggerListenerCounts>>,
+    /// The counters of the sonar's trigger output, if it has one.
     pub out: OnceLock<Arc<OutCounts>>,
 }
 
 impl TriggerCounts {
+    /// Counts the outcome of one trigger.
     pub fn note(&self, triggered: &Triggered) {
         let counter = match triggered {
             Triggered::Pulse(_) => &self.obeyed,
@@ -45,7 +54,7 @@ impl TriggerCounts {
         }
     }
 
-    /// Name, meaning, value.
+    /// Name, description and value of every counter.
     pub fn all(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> + '_ {
         let listener = |of: fn(&TriggerListenerCounts) -> &AtomicU64| {
             self.listener.get().map(|listener| of(listener))
@@ -54,22 +63,22 @@ impl TriggerCounts {
         [
             (
                 "triggers_received",
-                "Triggers that came by the sonar's own door",
+                "Triggers received on the sonar's trigger input",
                 listener(|listener| &listener.received),
             ),
             (
                 "triggers_spoiled",
-                "Trigger sentences that were not whole",
+                "Incomplete or invalid trigger sentences",
                 listener(|listener| &listener.spoiled),
             ),
             (
                 "trigger_errors",
-                "Errors of the door triggers come by",
+                "Read errors of the sonar's trigger input",
                 listener(|listener| &listener.errors),
             ),
             (
                 "triggers_obeyed",
-                "Triggers that made a ping",
+                "Triggers that started a ping",
                 Some(&self.obeyed),
             ),
             (
@@ -79,7 +88,7 @@ impl TriggerCounts {
             ),
             (
                 "triggers_early",
-                "Triggers refused because the ping before was still listened to",
+                "Triggers refused because the previous ping was still being received",
                 Some(&self.early),
             ),
             (
@@ -89,27 +98,27 @@ impl TriggerCounts {
             ),
             (
                 "triggers_duplicate",
-                "Triggers refused because their number had come before",
+                "Triggers refused because their number had been received before",
                 Some(&self.duplicate),
             ),
             (
                 "triggers_held",
-                "Triggers refused because the sonar did not obey any",
+                "Triggers refused because the sonar obeyed no external trigger",
                 Some(&self.held),
             ),
             (
                 "triggers_dropped",
-                "Triggers that found too many others waiting",
+                "Triggers dropped because the queue was full",
                 Some(&self.dropped),
             ),
             (
                 "triggers_absent",
-                "Triggers that did not come within the watchdog's time",
+                "Triggers missing at the end of the watchdog's time",
                 Some(&self.absent),
             ),
             (
                 "triggers_sent",
-                "Triggers sent to others",
+                "Triggers sent to other devices",
                 out(|out| &out.sent),
             ),
             (
@@ -119,7 +128,7 @@ impl TriggerCounts {
             ),
             (
                 "worst_pulse_us",
-                "Latest pulse after its instant",
+                "Largest delay of a pulse after its scheduled instant, microseconds",
                 Some(&self.worst_pulse_us),
             ),
         ]
@@ -127,10 +136,10 @@ impl TriggerCounts {
         .map(|(name, doc, counter)| (name, doc, counter.map_or(0, |c| c.load(Relaxed))))
     }
 
-    /// For the status lines; none where no trigger plays a part.
+    /// The non-zero counters as a status line; `None` for a sonar without triggers.
     pub fn line(&self, sonar: &str) -> Option<String> {
-        let plays = self.listener.get().is_some() || self.out.get().is_some();
-        let any = plays || self.obeyed.load(Relaxed) > 0;
+        let configured = self.listener.get().is_some() || self.out.get().is_some();
+        let any = configured || self.obeyed.load(Relaxed) > 0;
         let figures: Vec<_> = self
             .all()
             .filter(|(_, _, value)| *value > 0)

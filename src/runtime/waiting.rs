@@ -1,10 +1,10 @@
-//! What a rig's first ping waits for, in words: a daemon that makes no ping says why.
+//! Explains why a rig has not made its first ping.
 
 use crate::io::nav::NavInputs;
 use echotank_config::spec::{NavChannel, NavSourceSpec, NavSpec};
 use echotank_nav::NavHistory;
 
-/// What every ping needs and nothing has come of, with the sources that should send it.
+/// The quantities that every ping needs and no source has sent, with the sources that should send them.
 pub(crate) fn lacking(spec: &NavSpec, history: &NavHistory) -> String {
     let from = |channel: NavChannel| {
         let gives = |s: &&NavSourceSpec| s.provides.contains(&channel);
@@ -28,7 +28,7 @@ pub fn reason(spec: &NavSpec, inputs: &mut NavInputs, history: &NavHistory) -> S
         "what has come has no date; after 5 s the computer's clock holds".to_owned()
     } else {
         let lacking = lacking(spec, history);
-        format!("{lacking} yet; what a source never sends must not stand in its `provides`")
+        format!("{lacking} yet; list in `provides` only what a source sends")
     };
     format!("waiting for navigation: {why}")
 }

@@ -14,7 +14,7 @@ use echotank_runtime::io::sonar::verification::accounting::Checksums;
 use echotank_runtime::io::sonar::verification::decode::Family;
 use echotank_runtime::io::sonar::verification::listener::{Listener, ListenerSpec};
 use echotank_runtime::io::sonar::verification::report::Report;
-use echotank_runtime::score::{Logged, Score, log_of, score};
+use echotank_runtime::score::{LoggedFault, Score, log_of, score};
 use serde_json::{Value, json};
 
 use super::modes::{rig, tell, wait_delivered};
@@ -139,14 +139,14 @@ fn wait_clients(control: SocketAddr, wanted: &[(&str, &str)]) {
     }
 }
 
-fn logged(folder: &Path) -> Vec<Logged> {
+fn logged(folder: &Path) -> Vec<LoggedFault> {
     let files = std::fs::read_dir(folder).expect("folder");
     let texts = files.map(|e| std::fs::read_to_string(e.expect("entry").path()).expect("text"));
     log_of(&texts.collect::<String>()).expect("a log")
 }
 
 /// One run of all families side by side; `clean`: what they brought home from a run without faults, and then there are some.
-fn run(clean: Option<&AllHeard>) -> (AllHeard, Vec<Logged>) {
+fn run(clean: Option<&AllHeard>) -> (AllHeard, Vec<LoggedFault>) {
     let folders = [(); 2].map(|()| tempfile::tempdir().expect("folder"));
     let mut listeners = Listeners::new();
     let any = "127.0.0.1:0".parse().expect("an address");

@@ -21,7 +21,7 @@ pub(crate) fn html(chart: &Chart, svg: &str, work: Option<&str>, about: &About) 
                 "<tr data-row=\"{k}\"{class}><td>{:.2}<td>{:.2}<td>{:.2}<td>{:.1e}<td>{:.1e}<td>{}<td>{}<td>{:.3}<td>{name}{}</tr>\n",
                 m.times.median_ms,
                 m.times.min_ms,
-                m.times.greatest_ms,
+                m.times.max_ms,
                 m.errors.elements,
                 row.predicted_error,
                 m.errors.lines.map_or("-".into(), |e| format!("{e:.1e}")),

@@ -344,7 +344,7 @@ fn points(
         let (x, y) = axes.at(m.times.median_ms, value);
         if radius > 4.0 {
             let (from, _) = axes.at(m.times.min_ms, value);
-            let (to, _) = axes.at(m.times.greatest_ms, value);
+            let (to, _) = axes.at(m.times.max_ms, value);
             svg.line((from, y), (to, y), colour(row.method.synthesis), "");
         }
         if row.configured {
@@ -367,7 +367,7 @@ fn points(
             row.method,
             m.times.median_ms,
             m.times.min_ms,
-            m.times.greatest_ms,
+            m.times.max_ms,
             m.errors.elements,
             row.predicted_error
         );

@@ -172,8 +172,8 @@ pub(crate) fn csv(chart: &Chart, peers: &[Peer]) -> String {
                 "{:.4},{:.4},{:.4},{:.3},{:e},{:e},{:e},{},{},{:e},",
                 m.times.median_ms,
                 m.times.min_ms,
-                m.times.greatest_ms,
-                m.making_ms,
+                m.times.max_ms,
+                m.setup_ms,
                 row.predicted_error,
                 m.errors.elements,
                 m.errors.worst_element,
@@ -266,8 +266,8 @@ fn row(row: &Row) -> serde_json::Value {
         Ok(m) => {
             value["median_ms"] = json!(m.times.median_ms);
             value["min_ms"] = json!(m.times.min_ms);
-            value["greatest_ms"] = json!(m.times.greatest_ms);
-            value["making_ms"] = json!(m.making_ms);
+            value["greatest_ms"] = json!(m.times.max_ms);
+            value["making_ms"] = json!(m.setup_ms);
             value["element_error"] = json!(m.errors.elements);
             value["worst_element_error"] = json!(m.errors.worst_element);
             value["line_error"] = json!(m.errors.lines);

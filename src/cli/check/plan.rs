@@ -14,7 +14,7 @@ use echotank_ping::methods::{ALONG_PER_RANGE, Candidate, Family, Ranking};
 use echotank_ping::period_ns;
 use echotank_ping::rig::pool;
 use echotank_runtime::calibrate::{self, Calibration};
-use echotank_runtime::first_pings::{First, first};
+use echotank_runtime::first_pings::{FirstPing, first};
 
 /// A tenth of a cell in range: what a picture bears where nobody looks at samples.
 const PICTURE_CELLS: f64 = 0.1;
@@ -22,7 +22,7 @@ const PICTURE_CELLS: f64 = 0.1;
 /// What is said about one sonar.
 struct Told<'a> {
     sonar: &'a SonarSpec,
-    first: First,
+    first: FirstPing,
     /// The plan for pictures, where no output carries element samples and the tolerance is asked of them all the same.
     for_pictures: Option<Ranking>,
     period_ms: f64,
@@ -56,7 +56,12 @@ fn tell(spec: &RigSpec) -> Result<(Costs, Vec<Told<'_>>), Failure> {
     Ok((costs, told.collect()))
 }
 
-fn for_pictures(rig: &RigSpec, sonar: &SonarSpec, first: &First, costs: &Costs) -> Option<Ranking> {
+fn for_pictures(
+    rig: &RigSpec,
+    sonar: &SonarSpec,
+    first: &FirstPing,
+    costs: &Costs,
+) -> Option<Ranking> {
     let synthesis = &sonar.synthesis;
     let asked = synthesis.auto.any() && synthesis.image_cells.is_none() && !synthesis.error_check;
     if !asked || !sonar.element_readers().is_empty() {

@@ -14,7 +14,7 @@ use serde_json::json;
 
 use crate::cli::Failure;
 use echotank_runtime::clock::{Clock, SystemClock};
-use echotank_runtime::histograms::Spread;
+use echotank_runtime::histograms::LatencyHistogram;
 use echotank_runtime::io::control::client;
 
 /// Nothing has been sent since a first sample came.
@@ -64,7 +64,7 @@ pub(crate) struct Pulses {
     sent: Arc<AtomicI64>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
-    to_first_sample: Spread,
+    to_first_sample: LatencyHistogram,
 }
 
 impl Pulses {
@@ -93,7 +93,7 @@ impl Pulses {
             sent,
             stop,
             thread: Some(thread.map_err(Failure::running)?),
-            to_first_sample: Spread::new(),
+            to_first_sample: LatencyHistogram::new(),
         })
     }
 

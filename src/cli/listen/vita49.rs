@@ -8,7 +8,7 @@ use echotank_protocols::vita49::{Context, Packet, PacketType, PayloadFormat, Sam
 
 use super::{Failure, ListenArgs, print_spread};
 use echotank_runtime::clock::{Clock, SystemClock};
-use echotank_runtime::histograms::Spread;
+use echotank_runtime::histograms::LatencyHistogram;
 
 /// Asked of the operating system: a second of 8 elements at 40 kS/s.
 const RECEIVE_BUFFER_BYTES: usize = 2 << 20;
@@ -106,7 +106,7 @@ pub(crate) fn main(args: &ListenArgs) -> Result<(), Failure> {
         .map(|s| Instant::now() + Duration::from_secs_f64(s.clamp(0.0, 1e9)));
     let clock = SystemClock::new();
     let mut tally = Tally::default();
-    let (first_sample, packets) = (Spread::new(), Spread::new());
+    let (first_sample, packets) = (LatencyHistogram::new(), LatencyHistogram::new());
     let us = |ns: i64| (ns.max(0) / 1000) as u64;
     let mut buffer = vec![0; LONGEST_DATAGRAM];
     let pulses = args.pulses()?;

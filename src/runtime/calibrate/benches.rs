@@ -1,4 +1,4 @@
-//! Sonars and scenes to measure a machine on: between them they have every kind of work in other proportions, which one configuration has not.
+//! Synthetic sonars and scenes for calibration. Together they contain every kind of work in different proportions.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -13,7 +13,7 @@ use echotank_core::frames::Trajectory;
 use echotank_core::time::UtcNs;
 use echotank_ping::{self as ping, PingOrder};
 
-/// One of them.
+/// A sonar with one ping and its scatterers.
 pub(super) struct Bench {
     pub spec: SonarSpec,
     pub medium: MediumSpec,
@@ -21,8 +21,8 @@ pub(super) struct Bench {
     pub scatterers: Scatterers,
 }
 
-/// What differs from one to the next. All lie along the track and look all round, 12 m above a flat bottom, at 3 m/s.
-struct Sketch {
+/// The parameters of a benchmark. All arrays lie along the track, 12 m above a flat bottom, at 3 m/s, with omnidirectional transmitters.
+struct BenchParameters {
     elements: usize,
     patterned: bool,
     carrier_khz: f64,
@@ -36,21 +36,21 @@ struct Sketch {
     tolerance: f64,
 }
 
-const SKETCHES: [Sketch; 9] = [
-    // Many echoes at one element; few at a few, far off; a line; the same with sharp ends; a fan.
-    sketch(1, 400.0, 20.0, 1.0, 0.2, 60.0, 60.0, 20_000, 1e-3),
-    sketch(1, 200.0, 10.0, 0.5, 0.5, 40.0, 30.0, 100_000, 1e-2),
-    sketch(3, 300.0, 8.0, 1.0, 0.2, 40.0, 120.0, 500, 1e-4),
-    sketch(4, 200.0, 30.0, 2.0, 0.1, 80.0, 40.0, 4_000, 1e-4).round(),
-    sketch(32, 200.0, 20.0, 1.0, 0.1, 40.0, 30.0, 6_000, 1e-3),
-    sketch(32, 100.0, 4.0, 4.0, 0.0, 20.0, 30.0, 1_500, 1e-2),
-    sketch(128, 200.0, 20.0, 1.0, 0.1, 40.0, 30.0, 40_000, 1e-3),
-    sketch(2, 200.0, 5.0, 4.0, 0.0, 40.0, 40.0, 5_000, 1e-3).unfiltered(),
-    sketch(16, 50.0, 4.0, 1.0, 0.3, 20.0, 60.0, 2_000, 1e-3).unfiltered(),
+const PARAMETERS: [BenchParameters; 9] = [
+    // From many echoes on one element to a fan of 128 elements; tapers of 0 make sharp pulse edges.
+    parameters(1, 400.0, 20.0, 1.0, 0.2, 60.0, 60.0, 20_000, 1e-3),
+    parameters(1, 200.0, 10.0, 0.5, 0.5, 40.0, 30.0, 100_000, 1e-2),
+    parameters(3, 300.0, 8.0, 1.0, 0.2, 40.0, 120.0, 500, 1e-4),
+    parameters(4, 200.0, 30.0, 2.0, 0.1, 80.0, 40.0, 4_000, 1e-4).omnidirectional(),
+    parameters(32, 200.0, 20.0, 1.0, 0.1, 40.0, 30.0, 6_000, 1e-3),
+    parameters(32, 100.0, 4.0, 4.0, 0.0, 20.0, 30.0, 1_500, 1e-2),
+    parameters(128, 200.0, 20.0, 1.0, 0.1, 40.0, 30.0, 40_000, 1e-3),
+    parameters(2, 200.0, 5.0, 4.0, 0.0, 40.0, 40.0, 5_000, 1e-3).unfiltered(),
+    parameters(16, 50.0, 4.0, 1.0, 0.3, 20.0, 60.0, 2_000, 1e-3).unfiltered(),
 ];
 
 #[allow(clippy::too_many_arguments)]
-const fn sketch(
+const fn parameters(
     elements: usize,
     carrier_khz: f64,
     bandwidth_khz: f64,
@@ -60,8 +60,8 @@ const fn sketch(
     range_m: f64,
     scatterers: usize,
     tolerance: f64,
-) -> Sketch {
-    Sketch {
+) -> BenchParameters {
+    BenchParameters {
         elements,
         patterned: true,
         carrier_khz,
@@ -80,8 +80,8 @@ const DEPTH_M: f64 = 12.0;
 const SPEED_M_PER_S: f64 = 3.0;
 const SOUND_SPEED_M_PER_S: f64 = 1500.0;
 
-impl Sketch {
-    const fn round(mut self) -> Self {
+impl BenchParameters {
+    const fn omnidirectional(mut self) -> Self {
         self.patterned = false;
         self
     }
@@ -156,7 +156,7 @@ tolerance = {:?}
 
     fn bench(&self) -> Bench {
         let rig = config::parse(&self.text(), Path::new("."))
-            .expect("a test has read every one of these configurations");
+            .expect("a test parses every benchmark configuration");
         let mut sonars = rig.sonars;
         let spec = sonars.swap_remove(0);
         let mut plan = ping::blank(0, &spec, &rig.medium, 0.0);
@@ -178,7 +178,7 @@ tolerance = {:?}
     }
 }
 
-/// So many, evenly over a disc, ring by ring.
+/// `count` scatterers, spread evenly over a disc on the bottom.
 fn bottom(count: usize, range_m: f64) -> Scatterers {
     let ground_m = (range_m * range_m - DEPTH_M * DEPTH_M).sqrt() * 0.95;
     // The golden angle spreads points evenly (Vogel 1979).
@@ -194,8 +194,9 @@ fn bottom(count: usize, range_m: f64) -> Scatterers {
     scatterers
 }
 
+/// All benchmarks.
 pub(super) fn benches() -> impl Iterator<Item = Bench> {
-    SKETCHES.iter().map(Sketch::bench)
+    PARAMETERS.iter().map(BenchParameters::bench)
 }
 
 #[cfg(test)]
@@ -205,14 +206,14 @@ mod tests {
     use echotank_ping::method_selection::{Scene, Swell, rank};
     use echotank_ping::work::Figure;
 
-    /// What no bench has, no calibration can tell. The reference is too slow to be looked at, and no bench has a line to be made of parts.
+    /// Calibration needs every kind of work, except the slow reference and line arrays computed in parts.
     #[test]
-    fn together_they_have_every_kind_of_work() {
+    fn the_benchmarks_contain_every_kind_of_work() {
         let costs = Costs::committed();
         let mut seen = echotank_ping::work::Work::NONE;
         for (k, bench) in benches().enumerate() {
             assert!(!bench.scatterers.is_empty());
-            // A line with sharp ends behind the filter has them all.
+            // The filtered line array with sharp pulse edges has all of them.
             if k != 5 {
                 continue;
             }
@@ -235,8 +236,8 @@ mod tests {
             }
         }
         for &figure in Figure::ALL {
-            let untold = matches!(figure, Figure::ReferencePoint | Figure::PartElement);
-            assert!(seen[figure] > 0.0 || untold, "{}", figure.name());
+            let excluded = matches!(figure, Figure::ReferencePoint | Figure::PartElement);
+            assert!(seen[figure] > 0.0 || excluded, "{}", figure.name());
         }
     }
 }

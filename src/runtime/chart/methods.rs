@@ -5,21 +5,24 @@ use std::fmt;
 use echotank_config::spec::SonarSpec;
 use echotank_core::flow::{DopplerModel, ModelChoice, PathModel, ReceiverFilter, Synthesis};
 
-/// One choice of path, Doppler and synthesis.
+/// One choice of path, Doppler and synthesis, with settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Method {
+    /// The path model.
     pub path: PathModel,
-    /// Longest segment of paths that have any; 0 for the others.
+    /// Longest segment of a segmented path, seconds; 0 for other paths.
     pub segment_s: f64,
+    /// The Doppler model.
     pub doppler: DopplerModel,
+    /// The synthesis engine.
     pub synthesis: Synthesis,
-    /// What a synthesis that keeps one is made for; 0 for the others.
+    /// Relative tolerance of engines that keep one; 0 for other engines.
     pub tolerance: f64,
-    /// Scatterers whose two-way pattern is below this are left out, dB; none keeps all.
+    /// Scatterers with a two-way beam pattern below this level are omitted, dB; `None` keeps all.
     pub cull_db: Option<f64>,
 }
 
-/// What all others are held against.
+/// The method of the reference solution.
 pub fn reference() -> Method {
     Method::new(
         PathModel::Continuous,
@@ -30,15 +33,15 @@ pub fn reference() -> Method {
     )
 }
 
-/// Tolerances that engines are made for.
+/// Tolerances of the gridded engines.
 const TOLERANCES: [f64; 6] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6];
 const QUICK_TOLERANCES: [f64; 2] = [1e-2, 1e-3];
-/// Segments, seconds.
+/// Segment lengths, seconds.
 const LONG_S: f64 = 0.05;
 const MIDDLE_S: f64 = 0.01;
 const SHORT_S: f64 = 0.002;
 
-/// Every method for this sonar, its own configuration among them.
+/// All methods for this sonar, the configured one first. `quick` omits some.
 pub fn all(sonar: &SonarSpec, quick: bool) -> Vec<Method> {
     use DopplerModel::{None, PaperEq21, Stretch, StretchQuadratic};
     use PathModel::{Continuous, KSegment, Polyline, StopAndHop};
@@ -56,10 +59,11 @@ pub fn all(sonar: &SonarSpec, quick: bool) -> Vec<Method> {
     ];
     let own = Method::of(sonar);
     let mut methods = vec![own];
-    // Culled as the configuration has it and, where that leaves something out, with all scatterers too.
-    let mut add = |method: Method, all_too: bool| {
+    // Adds the method with the configured culling, and on request also without culling.
+    let mut add = |method: Method, also_unculled: bool| {
         let culled = method.culling(own.cull_db);
-        for method in [culled, method].into_iter().take(1 + usize::from(all_too)) {
+        let count = 1 + usize::from(also_unculled);
+        for method in [culled, method].into_iter().take(count) {
             if !methods.contains(&method) {
                 methods.push(method);
             }
@@ -102,6 +106,7 @@ pub fn all(sonar: &SonarSpec, quick: bool) -> Vec<Method> {
 }
 
 impl Method {
+    /// A method without culling.
     pub fn new(
         path: PathModel,
         segment_s: f64,
@@ -123,7 +128,7 @@ impl Method {
         Self { cull_db, ..self }
     }
 
-    /// The configuration's own.
+    /// The configured method of a sonar.
     pub fn of(sonar: &SonarSpec) -> Self {
         let ModelChoice {
             path,
@@ -146,8 +151,8 @@ impl Method {
         }
     }
 
-    /// The same with its sum made for another tolerance.
-    pub(super) fn made_for(self, tolerance: f64) -> Self {
+    /// The same method with its engine built for another tolerance.
+    pub(super) fn with_tolerance(self, tolerance: f64) -> Self {
         Self {
             tolerance: match self.synthesis.keeps_tolerance() {
                 true => tolerance,
@@ -157,7 +162,7 @@ impl Method {
         }
     }
 
-    /// The sonar under this choice; everything else stays.
+    /// The sonar with this method; everything else is unchanged.
     pub fn on(&self, sonar: &SonarSpec) -> SonarSpec {
         let mut spec = sonar.clone();
         spec.model.path = self.path;
@@ -173,22 +178,22 @@ impl Method {
         spec
     }
 
-    /// Why a configuration would refuse this choice for this sonar.
+    /// Whether this sonar can use the method; the error says why not.
     pub fn applies(&self, sonar: &SonarSpec) -> Result<(), String> {
         if !self.synthesis.takes(self.doppler) {
-            return Err(format!("takes no Doppler {}", self.doppler.name()));
+            return Err(format!("does not support Doppler {}", self.doppler.name()));
         }
         let filtered = sonar.receiver.filter == ReceiverFilter::Fir;
         match (self.synthesis, self.path) {
             (Synthesis::Gridded2d, PathModel::Polyline) => {
-                Err("the polyline's steps of attitude tear a line apart".into())
+                Err("the polyline's attitude steps break up an array line".into())
             }
-            (Synthesis::Gridded2d, _) if !filtered => Err("wants the receiver filter".into()),
+            (Synthesis::Gridded2d, _) if !filtered => Err("needs the receiver filter".into()),
             _ => Ok(()),
         }
     }
 
-    /// What moves, in words.
+    /// The path and Doppler models as text.
     pub fn motion(&self) -> String {
         let path = match self.segment_s > 0.0 {
             true => format!("{} {} ms", self.path.name(), self.segment_s * 1e3),

@@ -1,32 +1,32 @@
-//! How far a method's ping is from the reference solution's, in four ways.
+//! Error measures of a method's pings against the reference solution.
 
 use num_complex::Complex64;
 
 use echotank_core::flow::PingOutput;
 
-/// Samples of a line whose energies a pixel of a picture adds up.
+/// Samples per picture pixel; a pixel sums their energies.
 const PIXEL_SAMPLES: usize = 16;
-/// Decibels by which a pixel may differ before more makes no difference to the eye.
+/// Pixel differences are clipped at this level, because larger ones look the same, dB.
 const MAX_DB: f64 = 20.0;
-/// Pixels this far below a line's strongest are dark in every picture, dB.
+/// Pixels below this level relative to a line's maximum count as dark, dB.
 const DARK_DB: f64 = -60.0;
 
-/// All against the reference solution.
+/// Errors against the reference solution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Errors {
-    /// Relative l2 of all element samples.
+    /// Relative l2 error of all element samples.
     pub elements: f64,
-    /// Of the worst element.
+    /// Largest relative l2 error of one element in one ping.
     pub worst_element: f64,
-    /// Relative l2 of the compressed lines' (or, without lines, the beams') envelopes; none without either.
+    /// Relative l2 error of the compressed envelopes of side-scan lines, or of beams without lines; `None` without both.
     pub lines: Option<f64>,
-    /// rms of what a picture's pixels differ by, dB, clipped at 20; none without lines and beams.
+    /// rms difference of the picture's pixels, dB, clipped at 20 dB; `None` without lines and beams.
     pub image_db: Option<f64>,
-    /// Energy of all samples over the reference solution's, dB.
+    /// Energy of all samples relative to the reference solution, dB.
     pub level_db: f64,
 }
 
-/// Sum of squared differences, and of squares.
+/// Sums of squared differences (`off`) and of squared reference values (`all`).
 #[derive(Clone, Copy, Default)]
 struct Sums {
     off: f64,
@@ -37,7 +37,7 @@ impl Sums {
     fn relative(self) -> f64 {
         match self.all > 0.0 {
             true => (self.off / self.all).sqrt(),
-            // Silence must be silence.
+            // With a zero reference, any difference counts as an error of 1.
             false => f64::from(u8::from(self.off > 0.0)),
         }
     }
@@ -47,7 +47,7 @@ impl Sums {
     }
 }
 
-/// Over all pings together.
+/// The errors over all pings together. Both slices must hold the same pings in the same order.
 pub fn errors(got: &[PingOutput], want: &[PingOutput]) -> Errors {
     let (mut elements, mut lines) = (Sums::default(), Sums::default());
     let (mut energy, mut reference_energy) = (0.0, 0.0);
@@ -114,7 +114,7 @@ fn real_sums(got: &[f32], want: &[f32]) -> Sums {
     sums
 }
 
-/// How many pixels a row has, and the sum of their squared differences in dB.
+/// The number of pixels of a row, and the sum of their squared differences, dB squared.
 fn pixels_off_db2(got: &[f32], want: &[f32]) -> (usize, f64) {
     let energies = |row: &[f32]| -> Vec<f64> {
         row.chunks(PIXEL_SAMPLES)
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gain_of_one_percent_is_one_percent_in_all_four() {
+    fn a_gain_of_one_percent_is_one_percent_in_all_measures() {
         let got = errors(&[output(1.01)], &[output(1.0)]);
         let db = 20.0 * 1.01f64.log10();
         assert!((got.elements - 0.01).abs() < 1e-12, "{got:?}");
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn silence_against_silence_is_no_error_and_sound_against_silence_is_all_wrong() {
+    fn against_a_zero_reference_zero_has_no_error_and_any_signal_has_error_one() {
         let silent = output(0.0);
         let silent = std::slice::from_ref(&silent);
         assert_eq!(errors(silent, silent).elements, 0.0);

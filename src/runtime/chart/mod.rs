@@ -1,10 +1,10 @@
-//! Accuracy against speed: every method and setting on the operator's own scene, sonar and motion.
+//! Measures accuracy and speed of every method and setting on the configured scene, sonar and motion.
 //!
-//! In: a configuration with recorded navigation. Out: for every method the error of element samples, lines and picture, the error of the
-//! mean level and the milliseconds of a ping; or why it does not apply. Noise and converter are left out: they are the same for all.
+//! The configuration needs recorded navigation. The chart lists, for every method, the errors of element samples, side-scan lines, picture
+//! and mean level, and the compute time of a ping; or why the method does not apply. Receiver noise and quantisation are off.
 //!
-//! The reference solution is the direct sum of all scatterers on the continuous trajectory with second-order Doppler; what it is off by itself is measured at random
-//! samples by the reference's equation and stands in the results: an error near it is only a bound.
+//! The reference solution is the direct sum of all scatterers on the continuous trajectory with second-order Doppler. Its own error is
+//! measured at random samples with the equation of the `reference` method. Errors close to that value are upper bounds only.
 
 pub mod methods;
 pub mod metrics;
@@ -28,90 +28,128 @@ use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::rig::pool;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
 
+/// Why a chart cannot be measured.
 #[derive(Debug, Error)]
 pub enum ChartError {
+    /// The rig or its recorded navigation.
     #[error(transparent)]
     Recorded(#[from] RecordedError),
+    /// The compute thread pool.
     #[error("threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
+    /// The rig or its cost table.
     #[error(transparent)]
     Rig(#[from] OpenError),
+    /// The navigation does not cover a ping.
     #[error("ping {ping} of sonar {sonar}: the recorded navigation has a gap there")]
-    Gap { ping: u32, sonar: String },
+    Gap {
+        /// Number of the ping.
+        ping: u32,
+        /// The configured name of the sonar.
+        sonar: String,
+    },
+    /// The recorded navigation is too short; holds the number of the missing ping.
     #[error("the recorded navigation ends before ping {0}")]
     Short(u32),
-    #[error("sonar {0} hears nothing in the pings looked at: there is nothing to compare")]
+    /// No ping has a scatterer in its footprint; holds the name of the sonar.
+    #[error("sonar {0}: no scatterer is in the footprint of any sampled ping")]
     Silent(String),
-    #[error("the reference solution cannot be made for sonar {sonar}: {why}")]
-    ReferenceSolution { sonar: String, why: String },
+    /// The reference solution cannot be computed.
+    #[error("the reference solution cannot be computed for sonar {sonar}: {why}")]
+    ReferenceSolution {
+        /// The configured name of the sonar.
+        sonar: String,
+        /// The cause.
+        why: String,
+    },
 }
 
+/// What a chart measures.
 #[derive(Clone, Debug)]
 pub struct ChartOptions {
-    /// Pings looked at, evenly over `span_pings`.
+    /// Number of pings, spread evenly over `span_pings`.
     pub pings: u32,
-    /// The last of them.
+    /// Number of the last ping of the span.
     pub span_pings: u32,
     /// Timed runs of each ping and method.
     pub repeats: usize,
+    /// Compute threads; 0 means one per core.
     pub threads: usize,
-    /// Which sonar.
+    /// Index of the sonar in the configuration.
     pub sonar: usize,
-    /// Fewer methods.
+    /// Measures fewer methods.
     pub quick: bool,
 }
 
-/// One ping as every method gets it.
+/// The input of one ping, the same for every method.
 pub struct Scene {
+    /// The plan of the ping.
     pub plan: PingPlan,
+    /// The scatterers in its footprint.
     pub scatterers: Scatterers,
 }
 
-/// Times of one method over pings and repeats, milliseconds.
+/// Compute times of one method over pings and repeats, milliseconds per ping.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Times {
+    /// Median.
     pub median_ms: f64,
+    /// Minimum.
     pub min_ms: f64,
-    pub greatest_ms: f64,
+    /// Maximum.
+    pub max_ms: f64,
 }
 
+/// Measured errors and times of one method.
 #[derive(Clone, Debug)]
 pub struct Measured {
+    /// Errors against the reference solution.
     pub errors: Errors,
+    /// Compute times per ping.
     pub times: Times,
-    /// Making the method's tables, once.
-    pub making_ms: f64,
+    /// One-time cost of building the method's tables, milliseconds.
+    pub setup_ms: f64,
 }
 
-/// One method with what it promised and what it did.
+/// The predicted and measured performance of one method.
 pub struct Row {
+    /// The method and its settings.
     pub method: Method,
-    /// Path, Doppler and synthesis, as their error models have it; culling has none.
+    /// Relative error predicted by the error models of path, Doppler and synthesis. Culling has no error model.
     pub predicted_error: f64,
+    /// The measurement, or why the method does not apply.
     pub outcome: Result<Measured, String>,
-    /// Nothing measured is both faster and better, by element samples.
+    /// On the Pareto front: no measured method is faster with smaller element error.
     pub pareto: bool,
-    /// What the configuration itself asks for.
+    /// Whether the configuration asks for this method.
     pub configured: bool,
-    /// What the plan of methods chooses here, and what it predicts that to cost, milliseconds of one core.
+    /// For the automatically selected method: its predicted cost, milliseconds on one core.
     pub planned_ms: Option<f64>,
 }
 
+/// The measured methods of one sonar.
 pub struct Chart {
+    /// The configured name of the sonar.
     pub sonar: String,
+    /// Scatterers in the first ping.
     pub scatterers: usize,
+    /// Receive elements of all arrays.
     pub elements: usize,
+    /// Pings measured.
     pub pings: usize,
+    /// Compute threads.
     pub threads: usize,
+    /// The configured tolerance, relative.
     pub tolerance: f64,
-    /// Of the reference solution against the reference: relative l2 over `samples` random samples.
+    /// Relative l2 error of the reference solution against the `reference` method, and the number of random samples compared.
     pub reference_error: Option<(f64, u32)>,
-    /// Gathering the scatterers, the same for every method.
+    /// Mean time to gather the scatterers of a ping, milliseconds; the same for every method.
     pub gather_ms: f64,
+    /// One row per method.
     pub rows: Vec<Row>,
 }
 
-/// Noise, converter and error checks are no part of what is compared.
+/// The sonar without receiver noise, quantisation and error checks, with element outputs.
 pub fn bare(spec: &SonarSpec) -> SonarSpec {
     let mut spec = spec.clone();
     spec.receiver.noise_db = None;
@@ -121,9 +159,9 @@ pub fn bare(spec: &SonarSpec) -> SonarSpec {
     spec
 }
 
-/// The pings that are looked at, as [`Scene`]s, and the mean milliseconds that gathering them took.
+/// The sampled pings, and the mean time to gather their scatterers, milliseconds.
 pub fn scenes(spec: &RigSpec, options: &ChartOptions) -> Result<(Vec<Scene>, f64), ChartError> {
-    // The rig itself computes nothing here: the cheapest pipeline will do, and it makes no tables.
+    // The rig computes no ping here. The direct method builds no tables.
     let mut spec = spec.clone();
     for sonar in &mut spec.sonars {
         *sonar = methods::reference().on(&bare(sonar));
@@ -169,8 +207,8 @@ pub fn scenes(spec: &RigSpec, options: &ChartOptions) -> Result<(Vec<Scene>, f64
     Ok((scenes, gather_ms))
 }
 
-/// The scene's ping under another choice of methods.
-fn plan_under(scene: &Scene, spec: &SonarSpec) -> PingPlan {
+/// The scene's plan with the methods of `spec`.
+fn plan_with(scene: &Scene, spec: &SonarSpec) -> PingPlan {
     let mut plan = scene.plan.clone();
     plan.model = spec.model;
     let window_s = plan.window_s(spec.receiver.sample_rate_hz);
@@ -179,7 +217,9 @@ fn plan_under(scene: &Scene, spec: &SonarSpec) -> PingPlan {
     plan
 }
 
-/// Runs one method over all scenes: its outputs and times. `repeats` timed runs after one that warms up.
+/// Runs one method over all scenes, with one warm-up and `repeats` timed runs each.
+///
+/// Returns the outputs, the times per ping and the setup time in milliseconds.
 pub(crate) fn run_method(
     spec: &SonarSpec,
     medium: &MediumSpec,
@@ -188,13 +228,13 @@ pub(crate) fn run_method(
 ) -> Result<(Vec<PingOutput>, Times, f64), String> {
     let began = Instant::now();
     let mut pipeline = SonarPipeline::new(spec, medium).map_err(|why| why.to_string())?;
-    let making_ms = began.elapsed().as_secs_f64() * 1e3;
-    // Only the reference solution has any, and here they need not be cheap.
+    let setup_ms = began.elapsed().as_secs_f64() * 1e3;
+    // Only the reference solution has error checks, and their cost does not matter here.
     pipeline.allow_error_checks(f64::INFINITY);
     let mut outputs = Vec::new();
     let mut times_ms = Vec::new();
     for scene in scenes {
-        let plan = plan_under(scene, spec);
+        let plan = plan_with(scene, spec);
         let mut output = pipeline.blank_output();
         for run in 0..=repeats {
             let began = Instant::now();
@@ -213,12 +253,12 @@ pub(crate) fn run_method(
     let times = Times {
         median_ms: at(0.5).unwrap_or(0.0),
         min_ms: at(0.0).unwrap_or(0.0),
-        greatest_ms: at(1.0).unwrap_or(0.0),
+        max_ms: at(1.0).unwrap_or(0.0),
     };
-    Ok((outputs, times, making_ms))
+    Ok((outputs, times, setup_ms))
 }
 
-/// Measures every method; `progress` is told what comes next and how many there are.
+/// Measures every method. Calls `progress` with the name of the next step and the total number of steps, or 0 if unchanged.
 pub fn measure(
     spec: &RigSpec,
     options: &ChartOptions,
@@ -233,44 +273,48 @@ pub fn measure(
         let (scenes, gather_ms) = scenes(spec, options)?;
         progress("reference", methods.len() + 2);
         let (truth, reference_error) = reference(&sonar, medium, &scenes)?;
-        let run = |under: &SonarSpec| -> Result<Measured, String> {
-            let (outputs, times, making_ms) = run_method(under, medium, &scenes, options.repeats)?;
+        let run = |spec: &SonarSpec| -> Result<Measured, String> {
+            let (outputs, times, setup_ms) = run_method(spec, medium, &scenes, options.repeats)?;
             Ok(Measured {
                 errors: errors(&outputs, &truth),
                 times,
-                making_ms,
+                setup_ms,
             })
         };
-        // Where the plan is asked, it is what is configured.
+        // With automatic method selection, the selected method is the configured one.
         let auto = sonar.synthesis.auto.any();
         let configured = (!auto).then(|| Method::of(&sonar));
         let mut rows = Vec::new();
         for method in methods.into_iter().skip(usize::from(auto)) {
             progress(&method.to_string(), 0);
-            let under = method.on(&sonar);
+            let with_method = method.on(&sonar);
             let predicted_error = scenes
                 .iter()
-                .map(|scene| predicted(&under, &plan_under(scene, &under), &scene.scatterers))
+                .map(|scene| {
+                    let plan = plan_with(scene, &with_method);
+                    predicted(&with_method, &plan, &scene.scatterers)
+                })
                 .fold(0.0, f64::max);
             rows.push(Row {
                 configured: Some(method) == configured,
                 method,
                 predicted_error,
-                outcome: method.applies(&sonar).and_then(|()| run(&under)),
+                outcome: method.applies(&sonar).and_then(|()| run(&with_method)),
                 pareto: false,
                 planned_ms: None,
             });
         }
         progress("the plan's choice", 0);
         let costs = crate::rig::costs_of(spec.run.costs.as_deref())?;
-        if let Some(plan) = plan(&sonar, medium, &scenes[0], &costs) {
+        if let Some(selected) = select(&sonar, medium, &scenes[0], &costs) {
+            let spec = &selected.spec;
             rows.push(Row {
                 configured: auto,
-                method: Method::of(&plan.spec).made_for(plan.spec.synthesis.made_for()),
-                predicted_error: plan.error,
-                outcome: run(&plan.spec),
+                method: Method::of(spec).with_tolerance(spec.synthesis.made_for()),
+                predicted_error: selected.error,
+                outcome: run(spec),
                 pareto: false,
-                planned_ms: Some(plan.cost_ms),
+                planned_ms: Some(selected.cost_ms),
             });
         }
         mark_pareto(&mut rows);
@@ -288,17 +332,22 @@ pub fn measure(
     })
 }
 
-/// The plan of methods for this sonar, and what it predicts.
-struct Planned {
+/// The selected methods of a sonar with their predicted error and cost.
+struct Selected {
     spec: SonarSpec,
     error: f64,
     cost_ms: f64,
 }
 
-/// As the configuration asks for it; where that fixes its methods, as if it left everything to the plan.
-fn plan(sonar: &SonarSpec, medium: &MediumSpec, scene: &Scene, costs: &Costs) -> Option<Planned> {
+/// Selects the methods as the configuration asks. If it fixes them, selects all of them automatically.
+fn select(
+    sonar: &SonarSpec,
+    medium: &MediumSpec,
+    scene: &Scene,
+    costs: &Costs,
+) -> Option<Selected> {
     let mut spec = sonar.clone();
-    // What is charted are errors of elements.
+    // The chart compares element errors.
     spec.synthesis.output = MadeOutput::Elements;
     if !spec.synthesis.auto.any() {
         spec.synthesis.auto = AutoModel {
@@ -323,20 +372,20 @@ fn plan(sonar: &SonarSpec, medium: &MediumSpec, scene: &Scene, costs: &Costs) ->
         &[],
     )?;
     let chosen = ranking.chosen();
-    Some(Planned {
+    Some(Selected {
         spec: with_choice(sonar, &chosen.choice),
         error: chosen.error(),
         cost_ms: chosen.cost_ms(),
     })
 }
 
-/// Path, Doppler and synthesis together; what culling leaves out has no error model.
+/// The summed predicted errors of path, Doppler and synthesis. Culling has no error model.
 fn predicted(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> f64 {
     let conditions = conditions(spec, plan, scatterers);
     let model = &spec.model;
     let synthesis = sum_error_model(model.synthesis, spec, plan, &conditions).error;
     match model.synthesis {
-        // On the trajectory itself, whatever path and Doppler say.
+        // The reference uses the trajectory itself and ignores path and Doppler models.
         Synthesis::Reference => synthesis,
         _ => {
             path_error_model(model.path, &conditions).error
@@ -346,7 +395,7 @@ fn predicted(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> f64 
     }
 }
 
-/// The outputs that all others are held against, and how far they are from the reference at random samples.
+/// The outputs of the reference solution, with its error and the number of random samples compared.
 #[allow(clippy::type_complexity)]
 fn reference(
     sonar: &SonarSpec,

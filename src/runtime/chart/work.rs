@@ -1,4 +1,4 @@
-//! What a ping costs against how much there is to do: scatterers, elements, range, bandwidth, one at a time, with fitted exponents.
+//! Scaling of a ping's compute time with scatterers, elements, range and bandwidth, with fitted exponents.
 
 use crate::chart::methods::Method;
 use crate::chart::{Scene, run_method};
@@ -6,24 +6,31 @@ use echotank_config::spec::{MediumSpec, SonarSpec};
 use echotank_core::flow::{PingPlan, Scatterers};
 use echotank_ping as ping;
 
-/// Shares of the configuration's own amount.
+/// Fractions of the configured amount.
 const SHARES: [f64; 4] = [0.125, 0.25, 0.5, 1.0];
 
+/// The quantity that is varied.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Work {
+    /// Number of scatterers.
     Scatterers,
+    /// Number of receive elements, in proportion for each array.
     Elements,
+    /// Range of the ping, and so its duration.
     Range,
+    /// Bandwidth of the pulse, with the sample rate in proportion.
     Bandwidth,
 }
 
 impl Work {
+    /// All quantities.
     pub const ALL: [Self; 4] = [
         Self::Scatterers,
         Self::Elements,
         Self::Range,
         Self::Bandwidth,
     ];
+    /// Name with unit, for axes and tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Scatterers => "scatterers",
@@ -34,17 +41,19 @@ impl Work {
     }
 }
 
-/// One method's cost over one kind of work.
+/// The compute time of one method as a function of one quantity.
 pub struct Curve {
+    /// The method and its settings.
     pub method: Method,
+    /// The varied quantity.
     pub work: Work,
-    /// (amount, median milliseconds of a ping).
+    /// (amount, median milliseconds per ping).
     pub points: Vec<(f64, f64)>,
-    /// p of ms = a amount^p, least squares in logarithms; none with fewer than two points.
+    /// Exponent p of ms = a amount^p, fitted by least squares in logarithms; `None` with fewer than two points.
     pub exponent: Option<f64>,
 }
 
-/// Measures `method` on the first scene.
+/// Measures `method` on `scene` with reduced amounts of `work`, each with `repeats` timed runs.
 pub fn curve(
     sonar: &SonarSpec,
     medium: &MediumSpec,
@@ -53,10 +62,10 @@ pub fn curve(
     work: Work,
     repeats: usize,
 ) -> Curve {
-    let under = method.on(sonar);
+    let full = method.on(sonar);
     let mut points: Vec<(f64, f64)> = Vec::new();
     for share in SHARES {
-        let (spec, scene, amount) = reduced(&under, scene, work, share);
+        let (spec, scene, amount) = reduced(&full, scene, work, share);
         if points.iter().any(|&(seen, _)| seen == amount) {
             continue;
         }
@@ -73,7 +82,7 @@ pub fn curve(
     }
 }
 
-/// The sonar and its scene with a share of one kind of work, and how much that is.
+/// The sonar and its scene with a fraction of one quantity, and the resulting amount.
 fn reduced(spec: &SonarSpec, scene: &Scene, work: Work, share: f64) -> (SonarSpec, Scene, f64) {
     let mut spec = spec.clone();
     let mut plan = scene.plan.clone();
@@ -109,7 +118,7 @@ fn reduced(spec: &SonarSpec, scene: &Scene, work: Work, share: f64) -> (SonarSpe
             plan.pulse.bandwidth_hz / 1e3
         }
     };
-    // Fewer elements than a fan or a line was made for are no reason to make none.
+    // A fan beamformer needs the configured number of elements.
     spec.beams.fan = match work {
         Work::Elements => None,
         _ => spec.beams.fan,
@@ -141,7 +150,7 @@ fn only(all: &Scatterers, keep: impl Fn(usize, glam::DVec3) -> bool) -> Scattere
     some
 }
 
-/// Slope of a straight line through the logarithms.
+/// Slope of the least-squares line through the logarithms.
 fn exponent(points: &[(f64, f64)]) -> Option<f64> {
     let logs: Vec<(f64, f64)> = points
         .iter()

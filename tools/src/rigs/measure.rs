@@ -12,7 +12,7 @@ use echotank_ping::methods::{Candidate, Choice, Family, Ranking};
 use echotank_ping::pipeline::{PipelineError, SonarPipeline};
 use echotank_ping::polyline;
 use echotank_runtime::chart::bare;
-use echotank_runtime::first_pings::{FirstError, first, pings};
+use echotank_runtime::first_pings::{FirstPingError, first, pings};
 
 use super::reference::ReferenceSolution;
 
@@ -93,7 +93,7 @@ impl Measured {
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum MeasureError {
     #[error(transparent)]
-    First(#[from] FirstError),
+    First(#[from] FirstPingError),
     #[error("{0}")]
     Pipeline(#[from] PipelineError),
 }
@@ -159,7 +159,7 @@ struct Gathered<'a> {
 
 impl Gathered<'_> {
     /// Where it is found.
-    fn down_to(&mut self, cull_db: Option<f64>) -> Result<usize, FirstError> {
+    fn down_to(&mut self, cull_db: Option<f64>) -> Result<usize, FirstPingError> {
         if let Some(k) = self.by_floor.iter().position(|(db, _)| *db == cull_db) {
             return Ok(k);
         }
