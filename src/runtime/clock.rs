@@ -280,17 +280,17 @@ mod tests {
     fn a_stopped_clock_resumes_from_the_time_at_which_it_stopped() {
         let clock = PacedClock::at_rate(1000.0);
         clock.stop();
-        let stood = clock.mono();
+        let stopped_at = clock.mono();
         std::thread::sleep(Duration::from_millis(3));
-        assert_eq!(clock.mono(), stood);
+        assert_eq!(clock.mono(), stopped_at);
         std::thread::scope(|scope| {
-            let sleeper = scope.spawn(|| clock.sleep_until(stood.plus_ns(NS_PER_S)));
+            let sleeper = scope.spawn(|| clock.sleep_until(stopped_at.plus_ns(NS_PER_S)));
             std::thread::sleep(Duration::from_millis(3));
             assert!(!sleeper.is_finished(), "the clock is stopped");
             clock.go();
             sleeper.join().expect("woken");
         });
-        assert!(clock.mono() >= stood.plus_ns(NS_PER_S));
+        assert!(clock.mono() >= stopped_at.plus_ns(NS_PER_S));
     }
 
     #[test]
@@ -320,10 +320,10 @@ mod tests {
         });
         assert!(clock.mono() >= before.plus_ns(NS_PER_S));
         clock.stop();
-        let stood = clock.mono();
+        let stopped_at = clock.mono();
         clock.set_rate(2.0);
         assert!(clock.is_stopped() && clock.rate() == 2.0);
-        assert_eq!(clock.mono(), stood);
+        assert_eq!(clock.mono(), stopped_at);
     }
 
     #[test]

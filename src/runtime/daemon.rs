@@ -49,7 +49,7 @@ use crate::io::record::RecordError;
 use crate::io::record::recover::recover_folder;
 use crate::io::trigger::ListenerError;
 use crate::io::trigger::out::OutError;
-use crate::outputs::{OutputError, Outputs, PageOpening};
+use crate::outputs::{OutputError, Outputs, PageContext};
 use crate::overload::{Backlog, DegradationLevels};
 use crate::page::PageSource;
 use crate::rig::OpenError;
@@ -162,7 +162,7 @@ impl Daemon {
         let mut histograms = Vec::new();
         for (unit, settings) in rig.sonars.iter().zip(&settings) {
             let own = Arc::new(Histograms::new());
-            let page = spec.control.listen.map(|_| PageOpening {
+            let page = spec.control.listen.map(|_| PageContext {
                 feed: feed.clone(),
                 sonar: outputs.len() as u16,
                 world: rig.world.clone(),

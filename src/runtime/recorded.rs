@@ -8,7 +8,7 @@ use crate::clock::VirtualClock;
 use crate::faults::nav::NavFaults;
 use crate::io::nav::NavInputs;
 use crate::rig::OpenError;
-use crate::waiting::lacking;
+use crate::waiting::missing_quantities;
 use echotank_config::spec::{RigSpec, TriggerFrom, TriggerSpec};
 use echotank_core::flow::SonarSettings;
 use echotank_core::time::UtcNs;
@@ -64,7 +64,10 @@ impl RecordedRig {
                 break first;
             }
             if inputs.is_all_known() {
-                return Err(RecordedError::NoNav(lacking(&spec.nav, &rig.history)));
+                return Err(RecordedError::NoNav(missing_quantities(
+                    &spec.nav,
+                    &rig.history,
+                )));
             }
             inputs.pull_next(&mut rig.history);
         };
@@ -112,7 +115,7 @@ impl RecordedRig {
     }
 
     /// Records that the order's pulse was transmitted. An injected double-trigger fault schedules a second pulse.
-    pub fn pulsed(&mut self, sonar: usize, order: &PingOrder) {
+    pub fn record_pulse(&mut self, sonar: usize, order: &PingOrder) {
         if !self.beats.is_second(sonar)
             && let Some(after_s) = self.rig.faults.trigger_double_s(PingMark::of(sonar, order))
         {
@@ -123,6 +126,6 @@ impl RecordedRig {
 
     /// Reads on until the navigation covers the ping. Returns false if the log ends first.
     pub fn settle(&mut self, sonar: usize, order: &PingOrder) -> bool {
-        crate::rig::read_on(&mut self.rig, &mut self.inputs, sonar, order)
+        crate::rig::read_navigation_for(&mut self.rig, &mut self.inputs, sonar, order)
     }
 }

@@ -203,7 +203,7 @@ impl Replay {
                 let mark = PingMark::of(sonar, &order);
                 let missed = self.recorded.rig.faults.trigger_missed(mark);
                 if !missed {
-                    self.recorded.pulsed(sonar, &order);
+                    self.recorded.record_pulse(sonar, &order);
                 }
                 if order.ping_number < self.pings.0 {
                     continue;

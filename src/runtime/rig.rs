@@ -62,7 +62,7 @@ pub fn costs_of(path: Option<&Path>) -> Result<Costs, OpenError> {
 /// Reads recorded navigation up to what `order` needs, without waiting for a clock.
 ///
 /// Returns false if the log ends first.
-pub(crate) fn read_on(
+pub(crate) fn read_navigation_for(
     rig: &mut Rig,
     inputs: &mut NavInputs,
     sonar: usize,
@@ -100,7 +100,7 @@ pub(crate) fn plan_all(rig: &mut Rig, inputs: &mut NavInputs, first: UtcNs) {
             },
             period_s: 0.0,
         };
-        if rig.sonars[sonar].planner.is_some() && read_on(rig, inputs, sonar, &order) {
+        if rig.sonars[sonar].planner.is_some() && read_navigation_for(rig, inputs, sonar, &order) {
             rig.plan_first(sonar, &order);
         }
     }

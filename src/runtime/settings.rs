@@ -45,7 +45,7 @@ pub struct SettingsStore {
 }
 
 struct State {
-    asked: AskedFor,
+    requested: RequestedSettings,
     kept: BTreeMap<KeptKey, KeptValue>,
     counts: SettingCounts,
     recent: VecDeque<RecentChange>,
@@ -54,17 +54,17 @@ struct State {
     past: VecDeque<(MonoNs, InForce)>,
 }
 
-/// The requested settings, before the rules of [`AskedFor::effective`].
+/// The requested settings, before the rules of [`RequestedSettings::effective`].
 #[derive(Clone, Copy)]
-struct AskedFor {
+struct RequestedSettings {
     /// `pinging` is the last start or stop request, regardless of rate and trigger.
     settings: SonarSettings,
     trigger: TriggerSource,
     /// Pings left of a request for a number of pings.
-    owed: u32,
+    pings_left: u32,
 }
 
-impl AskedFor {
+impl RequestedSettings {
     fn in_force(&self) -> InForce {
         let obeys = self.settings.pinging && self.trigger == TriggerSource::External;
         InForce {
@@ -77,7 +77,7 @@ impl AskedFor {
     fn effective(&self) -> SonarSettings {
         let beats = self.settings.pinging && self.trigger == TriggerSource::Internal;
         SonarSettings {
-            pinging: (beats || self.owed > 0) && self.settings.max_ping_rate_hz > 0.0,
+            pinging: (beats || self.pings_left > 0) && self.settings.max_ping_rate_hz > 0.0,
             ..self.settings
         }
     }
@@ -116,19 +116,19 @@ impl SettingsStore {
         limits: LimitsSpec,
         clock: Arc<dyn Clock>,
     ) -> Self {
-        let asked = AskedFor {
+        let requested = RequestedSettings {
             settings: start,
             trigger,
-            owed: 0,
+            pings_left: 0,
         };
         let mut past = VecDeque::with_capacity(RECENT_CHANGES);
-        past.push_back((clock.mono(), asked.in_force()));
+        past.push_back((clock.mono(), requested.in_force()));
         Self {
             limits,
             clock,
             version: AtomicU64::new(0),
             state: Mutex::new(State {
-                asked,
+                requested,
                 kept: BTreeMap::new(),
                 counts: SettingCounts::default(),
                 recent: VecDeque::with_capacity(RECENT_CHANGES),
@@ -142,7 +142,7 @@ impl SettingsStore {
     pub fn snapshot(&self) -> (SonarSettings, u64) {
         let state = self.lock();
         (
-            state.asked.effective(),
+            state.requested.effective(),
             self.version.load(Ordering::Acquire),
         )
     }
@@ -163,19 +163,19 @@ impl SettingsStore {
             .rev()
             .find(|(since, _)| *since < instant)
             .or(state.past.front());
-        held.map_or(state.asked.in_force(), |&(_, in_force)| in_force)
+        held.map_or(state.requested.in_force(), |&(_, in_force)| in_force)
     }
 
     /// Records a ping transmitted at `instant`. Decrements the remaining pings of a request for a number of pings; the last one stops
     /// pinging.
     pub fn pinged(&self, instant: MonoNs) {
         let mut state = self.lock();
-        if state.asked.owed == 0 {
+        if state.requested.pings_left == 0 {
             return;
         }
-        state.asked.owed -= 1;
-        if state.asked.owed == 0 {
-            let in_force = state.asked.in_force();
+        state.requested.pings_left -= 1;
+        if state.requested.pings_left == 0 {
+            let in_force = state.requested.in_force();
             state.remember(instant, in_force);
             self.next_version();
         }
@@ -199,8 +199,8 @@ impl SettingsStore {
     ) -> Result<SettingApplied, SettingRefused> {
         let asked = asked.into();
         let mut state = self.lock();
-        let outcome = changed(state.asked, change, &self.limits).map(|settings| {
-            state.asked = settings;
+        let outcome = apply_change(state.requested, change, &self.limits).map(|settings| {
+            state.requested = settings;
             state.remember(self.clock.mono(), settings.in_force());
             let settings = settings.effective();
             let version = self.next_version();
@@ -280,7 +280,7 @@ impl SettingsPort for SettingsStore {
         self.snapshot().0
     }
     fn trigger(&self) -> TriggerSource {
-        self.lock().asked.trigger
+        self.lock().requested.trigger
     }
     fn limits(&self) -> LimitsSpec {
         self.limits
@@ -321,12 +321,12 @@ impl SettingsPort for SettingsStore {
     }
 }
 
-fn changed(
-    mut asked: AskedFor,
+fn apply_change(
+    mut requested: RequestedSettings,
     change: SettingChange,
     limits: &LimitsSpec,
-) -> Result<AskedFor, SettingRefused> {
-    let settings = &mut asked.settings;
+) -> Result<RequestedSettings, SettingRefused> {
+    let settings = &mut requested.settings;
     match change {
         SettingChange::RangeM(value) => {
             settings.range_m = within("range_m", value, limits.range_m)?;
@@ -351,15 +351,15 @@ fn changed(
         SettingChange::PulseDurationS(value) => {
             settings.pulse_duration_s = within("pulse_duration_s", value, limits.pulse_duration_s)?;
         }
-        SettingChange::Start => (settings.pinging, asked.owed) = (true, 0),
-        SettingChange::Stop => (settings.pinging, asked.owed) = (false, 0),
+        SettingChange::Start => (settings.pinging, requested.pings_left) = (true, 0),
+        SettingChange::Stop => (settings.pinging, requested.pings_left) = (false, 0),
         SettingChange::PingTimes(times) => {
             within("ping_times", f64::from(times), (1.0, MAX_PINGS_ASKED))?;
-            (settings.pinging, asked.owed) = (false, times);
+            (settings.pinging, requested.pings_left) = (false, times);
         }
-        SettingChange::Trigger(source) => asked.trigger = source,
+        SettingChange::Trigger(source) => requested.trigger = source,
     }
-    Ok(asked)
+    Ok(requested)
 }
 
 /// Returns `value` clamped to the limits, or refuses it if it is outside by more than the precision of an f32.

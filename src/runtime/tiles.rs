@@ -84,7 +84,12 @@ mod tests {
                 settings: sonar.settings,
                 period_s: 1.0,
             };
-            assert!(crate::rig::read_on(&mut rig, &mut inputs, 0, &order));
+            assert!(crate::rig::read_navigation_for(
+                &mut rig,
+                &mut inputs,
+                0,
+                &order
+            ));
             let (mut slot, mut tile) = (rig.slot(0), rig.slot(0));
             echotank_ping::make_ping::motion(&mut rig, 0, &order, spec.nav.mode, first, &mut slot)
                 .expect("planned");

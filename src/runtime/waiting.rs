@@ -5,7 +5,7 @@ use echotank_config::spec::{NavChannel, NavSourceSpec, NavSpec};
 use echotank_nav::NavHistory;
 
 /// The quantities that every ping needs and no source has sent, with the sources that should send them.
-pub(crate) fn lacking(spec: &NavSpec, history: &NavHistory) -> String {
+pub(crate) fn missing_quantities(spec: &NavSpec, history: &NavHistory) -> String {
     let from = |channel: NavChannel| {
         let gives = |s: &&NavSourceSpec| s.provides.contains(&channel);
         let names: Vec<_> = spec.sources.iter().filter(gives).collect();
@@ -23,12 +23,12 @@ pub(crate) fn lacking(spec: &NavSpec, history: &NavHistory) -> String {
 pub fn reason(spec: &NavSpec, inputs: &mut NavInputs, history: &NavHistory) -> String {
     let received: u64 = inputs.counters().iter().map(|s| s.live.received).sum();
     let why = if received == 0 {
-        "nothing has come from any source".to_owned()
+        "no source has sent anything".to_owned()
     } else if inputs.timeline().is_none() {
-        "what has come has no date; after 5 s the computer's clock holds".to_owned()
+        "the received sentences have no date; after 5 s the computer's clock is used".to_owned()
     } else {
-        let lacking = lacking(spec, history);
-        format!("{lacking} yet; list in `provides` only what a source sends")
+        let missing = missing_quantities(spec, history);
+        format!("{missing} yet; list in `provides` only what a source sends")
     };
     format!("waiting for navigation: {why}")
 }

@@ -38,7 +38,7 @@ fn what_the_first_ping_waits_for_is_said_until_it_comes() {
         }
     };
     until(
-        "waiting for navigation: nothing has come from any source",
+        "waiting for navigation: no source has sent anything",
         &mut |_| {},
     );
     let socket = UdpSocket::bind("127.0.0.1:0").expect("socket");
@@ -52,7 +52,7 @@ fn what_the_first_ping_waits_for_is_said_until_it_comes() {
         "GPHDT,123.45,T",
     ];
     say(&fix);
-    until("has no date", &mut |_| {});
+    until("have no date", &mut |_| {});
     say(&["GPZDA,120000.10,17,03,2012,00,00"]);
     let line = until("no roll-pitch from bridge yet", &mut |_| say(&fix));
     assert!(!line.contains("no position"), "{line}");

@@ -176,7 +176,7 @@ pub fn scenes(spec: &RigSpec, options: &ChartOptions) -> Result<(Vec<Scene>, f64
         let Some((sonar, order)) = recorded.next_order(u32::MAX) else {
             return Err(ChartError::Short(options.span_pings));
         };
-        recorded.pulsed(sonar, &order);
+        recorded.record_pulse(sonar, &order);
         if sonar != options.sonar || !(order.ping_number - 1).is_multiple_of(step) {
             continue;
         }

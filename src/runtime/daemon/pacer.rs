@@ -214,8 +214,8 @@ impl Pacer {
                 return Ok(None);
             }
             if self.inputs.is_all_known() {
-                let lacking = waiting::lacking(&self.rig.spec.nav, history);
-                return Err(DaemonError::NoNav(lacking));
+                let missing = waiting::missing_quantities(&self.rig.spec.nav, history);
+                return Err(DaemonError::NoNav(missing));
             }
             self.inputs.pull_next(&mut self.rig.history);
         }

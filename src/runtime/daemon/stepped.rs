@@ -65,7 +65,7 @@ impl Pacer {
             let Some((sonar, order)) = beat.next(at) else {
                 continue;
             };
-            if !crate::rig::read_on(&mut self.rig, &mut self.inputs, sonar, &order) {
+            if !crate::rig::read_navigation_for(&mut self.rig, &mut self.inputs, sonar, &order) {
                 return Ok(());
             }
             let stop = self.stop.clone();

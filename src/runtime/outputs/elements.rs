@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::server_counts::{server_lines, server_streams};
-use super::{Opening, Output, OutputError, Report, Spread, StreamCounts};
+use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts};
 use crate::faults::link::RecordLayout;
 use crate::io::datagrams::{DatagramCounts, DatagramSender, Leaving, Route};
 use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
@@ -38,10 +38,13 @@ struct Transport {
 }
 
 impl Elements {
-    pub(super) fn open(output: &ElementStreamSpec, opening: &Opening) -> Result<Self, OutputError> {
-        let (unit, spread) = (opening.unit, opening.spread);
+    pub(super) fn open(
+        output: &ElementStreamSpec,
+        context: &OutputContext,
+    ) -> Result<Self, OutputError> {
+        let (unit, spread) = (context.unit, context.spread);
         let name = unit.spec.name.clone();
-        let queue = opening.queue();
+        let queue = context.queue();
         let listener = ServerSpec {
             listen: output.listen,
             tcp: true,
@@ -51,7 +54,7 @@ impl Elements {
             max_clients: output.max_clients,
         };
         let protocol = Arc::new(ElementsProtocol);
-        let rig_time = Arc::clone(opening.rig_time);
+        let rig_time = Arc::clone(context.rig_time);
         let server = SonarServer::start(&listener, protocol, rig_time, ServerTimes::default());
         let server = server.map_err(|source| OutputError::Server {
             name: name.clone(),
@@ -59,10 +62,10 @@ impl Elements {
         })?;
         if spread.streaming.is_some() {
             // One below the delivery threads that feed the server.
-            server.hurry(opening.sending.priority.saturating_sub(1));
+            server.hurry(context.sending.priority.saturating_sub(1));
         }
         let server = Arc::new(server);
-        let (clock, sending) = (|| Arc::clone(opening.clock), || opening.sending.clone());
+        let (clock, sending) = (|| Arc::clone(context.clock), || context.sending.clone());
         let mut senders = vec![(
             DatagramSender::serve(Arc::clone(&server), queue, clock(), sending()),
             TCP_FRAME_BYTES,
@@ -86,7 +89,7 @@ impl Elements {
                 name: name.clone(),
                 source,
             })?;
-            sender.set_line(opening.line(RecordLayout::ELEMENTS));
+            sender.set_line(context.line(RecordLayout::ELEMENTS));
             transports.push(Transport {
                 emitter: ElementStreamEmitter::new(output, &unit.spec, max_frame_bytes, block_s),
                 sender,
@@ -105,9 +108,9 @@ impl Elements {
     }
 
     fn emit(&mut self, slot: &PingSlot, samples: Range<usize>) {
-        let nobody = self.server.wanted().is_empty();
+        let no_clients = self.server.wanted().is_empty();
         for transport in &mut self.transports {
-            if transport.is_tcp && nobody {
+            if transport.is_tcp && no_clients {
                 continue;
             }
             let mut packets = match transport.pending.take() {

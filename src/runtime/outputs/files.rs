@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::{Opening, Output, OutputError, Report};
+use super::{Output, OutputContext, OutputError, Report};
 use crate::io::record::sigmf::SigmfRecorder;
 use crate::io::record::wav::WavRecorder;
 use crate::io::record::{RecordError, make_folder};
@@ -12,14 +12,14 @@ use echotank_config::spec::{SigmfSpec, SonarSpec, WavSpec};
 use echotank_ping::rig::PingSlot;
 
 /// The path of a new recording. The configuration check ensures that the folder is set.
-fn path(opening: &Opening, extension: &str) -> Result<PathBuf, RecordError> {
-    let folder = opening
+fn path(context: &OutputContext, extension: &str) -> Result<PathBuf, RecordError> {
+    let folder = context
         .spec
         .record
         .as_ref()
         .map_or_else(PathBuf::new, |record| record.directory.clone());
     make_folder(&folder)?;
-    Ok(folder.join(opening.file_name((opening.rig_time)(), extension)))
+    Ok(folder.join(context.file_name((context.rig_time)(), extension)))
 }
 
 /// A SigMF or WAV recorder.
@@ -101,18 +101,18 @@ impl Recording {
 }
 
 /// Opens the SigMF recording of a sonar.
-pub(super) fn sigmf(output: &SigmfSpec, opening: &Opening) -> Result<Recording, OutputError> {
-    let sonar = &opening.unit.spec;
+pub(super) fn sigmf(output: &SigmfSpec, context: &OutputContext) -> Result<Recording, OutputError> {
+    let sonar = &context.unit.spec;
     // The recorder adds the extensions of its two files.
-    let stem = path(opening, "sigmf")?.with_extension("");
+    let stem = path(context, "sigmf")?.with_extension("");
     let recorder = SigmfRecorder::create(&stem, &output.arrays, sonar)?;
     Ok(Recording::of("sigmf", sonar, stem, Box::new(recorder)))
 }
 
 /// Opens the WAV recording of a sonar.
-pub(super) fn wav(output: &WavSpec, opening: &Opening) -> Result<Recording, OutputError> {
-    let sonar = &opening.unit.spec;
-    let path = path(opening, "wav")?;
+pub(super) fn wav(output: &WavSpec, context: &OutputContext) -> Result<Recording, OutputError> {
+    let sonar = &context.unit.spec;
+    let path = path(context, "wav")?;
     let recorder = WavRecorder::create(&path, output, sonar)?;
     Ok(Recording::of("wav", sonar, path, Box::new(recorder)))
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::server_counts::{server_lines, server_streams};
-use super::{Opening, Output, OutputError, Report, StreamCounts};
+use super::{Output, OutputContext, OutputError, Report, StreamCounts};
 use crate::faults::link::RecordLayout;
 use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
 use echotank_config::spec::ImagenexSpec;
@@ -22,7 +22,10 @@ pub(super) struct Imagenex872 {
 }
 
 impl Imagenex872 {
-    pub(super) fn open(output: &ImagenexSpec, opening: &Opening) -> Result<Self, OutputError> {
+    pub(super) fn open(
+        output: &ImagenexSpec,
+        context: &OutputContext,
+    ) -> Result<Self, OutputError> {
         let head = Arc::new(Head::default());
         let listener = ServerSpec {
             listen: output.listen,
@@ -33,21 +36,21 @@ impl Imagenex872 {
             max_clients: output.max_clients,
         };
         let protocol = ImagenexProtocol {
-            settings: Arc::clone(opening.settings) as _,
+            settings: Arc::clone(context.settings) as _,
             head: Arc::clone(&head),
         };
-        let sonar = &opening.unit.spec;
+        let sonar = &context.unit.spec;
         let server = SonarServer::start(
             &listener,
             Arc::new(protocol),
-            Arc::clone(opening.rig_time),
+            Arc::clone(context.rig_time),
             ServerTimes::default(),
         )
         .map_err(|source| OutputError::Server {
             name: sonar.name.clone(),
             source,
         })?;
-        server.set_link(opening.line(RecordLayout::IMAGENEX872));
+        server.set_link(context.line(RecordLayout::IMAGENEX872));
         Ok(Self {
             name: sonar.name.clone(),
             head,

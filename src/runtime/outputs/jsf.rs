@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::server_counts::{server_lines, server_streams};
-use super::{Opening, Output, OutputError, Report, Spread, StreamCounts, record};
+use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts, record};
 use crate::faults::link::RecordLayout;
 use crate::io::record::make_folder;
 use crate::io::record::stream::StreamRecorder;
@@ -48,14 +48,14 @@ pub(crate) fn row_filter(sonar: &SonarSpec, medium: &MediumSpec) -> RowFilter {
 }
 
 impl Jsf {
-    pub(super) fn open(output: &JsfSpec, opening: &Opening) -> Result<Self, OutputError> {
-        let Opening {
+    pub(super) fn open(output: &JsfSpec, context: &OutputContext) -> Result<Self, OutputError> {
+        let OutputContext {
             spec,
             unit,
             settings,
             rig_time,
             ..
-        } = opening;
+        } = context;
         let sheet = Arc::new(JsfSheet {
             output: output.clone(),
             sonar: unit.spec.clone(),
@@ -91,12 +91,12 @@ impl Jsf {
             ServerTimes::default(),
         )
         .map_err(failed)?;
-        opening.configure(&data, RecordLayout::JSF);
+        context.configure(&data, RecordLayout::JSF);
         let recorder = match &spec.record {
             Some(record) if output.record => {
                 make_folder(&record.directory)?;
                 let now = rig_time();
-                let path = record.directory.join(opening.file_name(now, "jsf"));
+                let path = record.directory.join(context.file_name(now, "jsf"));
                 Some(StreamRecorder::create(&path, &sheet.file_head(now))?)
             }
             _ => None,
@@ -110,7 +110,7 @@ impl Jsf {
             recorder,
             rig_time: Arc::clone(rig_time),
             pending: Vec::new(),
-            spread: opening.spread,
+            spread: context.spread,
             over_s: 0.0,
         })
     }

@@ -33,7 +33,7 @@ use echotank_core::time::{MonoNs, UtcNs};
 use echotank_ping::rig::{PingSlot, SonarUnit};
 
 use page::Page;
-pub use page::PageOpening;
+pub use page::PageContext;
 
 pub(super) use jsf::row_filter;
 
@@ -137,7 +137,7 @@ pub struct StreamCounts {
 }
 
 /// The context in which an output is opened.
-struct Opening<'a> {
+struct OutputContext<'a> {
     spec: &'a RigSpec,
     unit: &'a SonarUnit,
     settings: &'a Arc<SettingsStore>,
@@ -198,7 +198,7 @@ impl Spread {
 /// Most tiles of a ping in the send queue. Each tile is twice as long as the one before.
 const MAX_TILES: usize = 16;
 
-impl Opening<'_> {
+impl OutputContext<'_> {
     /// Opens one configured output.
     fn output(&self, output: &OutputSpec) -> Result<Box<dyn Output>, OutputError> {
         Ok(match output {
@@ -272,7 +272,7 @@ impl Outputs {
         rig_time: &RigTime,
         clock: &Arc<dyn Clock>,
         histograms: &Arc<Histograms>,
-        page: Option<PageOpening>,
+        page: Option<PageContext>,
     ) -> Result<Self, OutputError> {
         let lateness = {
             let histograms = Arc::clone(histograms);
@@ -288,7 +288,7 @@ impl Outputs {
             .outputs
             .iter()
             .map(|output| -> Result<MarkedOutput, OutputError> {
-                let opening = Opening {
+                let context = OutputContext {
                     spec,
                     unit,
                     settings,
@@ -299,8 +299,8 @@ impl Outputs {
                     mark: Arc::default(),
                 };
                 Ok(MarkedOutput {
-                    output: opening.output(output)?,
-                    mark: opening.mark,
+                    output: context.output(output)?,
+                    mark: context.mark,
                 })
             })
             .collect::<Result<Vec<_>, _>>()?;

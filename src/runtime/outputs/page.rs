@@ -32,7 +32,7 @@ const MAX_EXPECTED: usize = 24;
 const MAX_OFF_BROADSIDE_RAD: f64 = 0.35;
 
 /// The context of one sonar's page output.
-pub struct PageOpening {
+pub struct PageContext {
     /// Receives the frames of all sonars.
     pub feed: Arc<Feed>,
     /// Index of the sonar in the configuration.
@@ -56,12 +56,12 @@ pub(super) struct Page {
 }
 
 impl Page {
-    pub(super) fn new(spec: &SonarSpec, opening: PageOpening) -> Self {
+    pub(super) fn new(spec: &SonarSpec, context: PageContext) -> Self {
         Self {
             spec: spec.clone(),
-            feed: opening.feed,
-            sonar: opening.sonar,
-            world: opening.world,
+            feed: context.feed,
+            sonar: context.sonar,
+            world: context.world,
             pending: Vec::new(),
             power: Vec::new(),
             bytes: Vec::new(),
@@ -491,12 +491,12 @@ mod tests {
             targets,
             ground: None,
         });
-        let opening = PageOpening {
+        let context = PageContext {
             feed: feed.clone(),
             sonar: 0,
             world,
         };
-        (Page::new(&sonar(), opening), feed)
+        (Page::new(&sonar(), context), feed)
     }
 
     /// The JSON text and the array bytes of a frame.

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use super::server_counts::{server_lines, server_streams};
-use super::{Opening, Output, OutputError, Report, Spread, StreamCounts, record};
+use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts, record};
 use crate::faults::link::RecordLayout;
 use crate::io::record::make_folder;
 use crate::io::record::svlog::SvlogRecorder;
@@ -31,14 +31,17 @@ pub(super) struct PingProtocol {
 }
 
 impl PingProtocol {
-    pub(super) fn open(output: &PingProtocolSpec, opening: &Opening) -> Result<Self, OutputError> {
-        let Opening {
+    pub(super) fn open(
+        output: &PingProtocolSpec,
+        context: &OutputContext,
+    ) -> Result<Self, OutputError> {
+        let OutputContext {
             spec,
             unit,
             settings,
             rig_time,
             ..
-        } = opening;
+        } = context;
         let name = unit.spec.name.clone();
         let now = rig_time();
         let c = spec.medium.sound_speed_m_per_s;
@@ -63,7 +66,7 @@ impl PingProtocol {
             name: name.clone(),
             source,
         })?;
-        opening.configure(&server, RecordLayout::PING);
+        context.configure(&server, RecordLayout::PING);
         let line = match &output.serial {
             None => None,
             Some((path, baud)) => {
@@ -74,7 +77,7 @@ impl PingProtocol {
                     path: path.clone(),
                     source,
                 })?;
-                line.set_line(opening.line(RecordLayout::PING_SERIAL));
+                line.set_line(context.line(RecordLayout::PING_SERIAL));
                 Some(line)
             }
         };
@@ -82,7 +85,7 @@ impl PingProtocol {
             None => None,
             Some(record) => {
                 make_folder(&record.directory)?;
-                let path = record.directory.join(opening.file_name(now, "svlog"));
+                let path = record.directory.join(context.file_name(now, "svlog"));
                 let url = format!("tcp://{}", server.local_addr());
                 Some(SvlogRecorder::create(&path, output.device, &url, now)?)
             }
@@ -95,7 +98,7 @@ impl PingProtocol {
             line,
             recorder,
             pending: Vec::new(),
-            spread: opening.spread,
+            spread: context.spread,
             over_s: 0.0,
         })
     }
@@ -126,8 +129,8 @@ impl Output for PingProtocol {
     fn encode(&mut self, slot: &PingSlot) {
         self.pending.clear();
         self.over_s = self.spread.over_s(&slot.plan);
-        let nobody = self.server.wanted().is_empty();
-        if nobody && self.line.is_none() && self.recorder.is_none() {
+        let no_clients = self.server.wanted().is_empty();
+        if no_clients && self.line.is_none() && self.recorder.is_none() {
             return;
         }
         self.emitter

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::server_counts::{server_lines, server_streams};
-use super::{Opening, Output, OutputError, Report, Spread, StreamCounts, record};
+use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts, record};
 use crate::faults::link::RecordLayout;
 use crate::io::record::make_folder;
 use crate::io::record::s7k::S7kRecorder;
@@ -33,14 +33,14 @@ pub(super) struct SevenK {
 }
 
 impl SevenK {
-    pub(super) fn open(output: &SevenKSpec, opening: &Opening) -> Result<Self, OutputError> {
-        let Opening {
+    pub(super) fn open(output: &SevenKSpec, context: &OutputContext) -> Result<Self, OutputError> {
+        let OutputContext {
             spec,
             unit,
             settings,
             rig_time,
             ..
-        } = opening;
+        } = context;
         let sheet = Arc::new(DeviceSheet::new(
             output,
             &unit.spec,
@@ -55,13 +55,13 @@ impl SevenK {
                     source,
                 }
             })?;
-        opening.configure(&server, RecordLayout::SEVENK);
+        context.configure(&server, RecordLayout::SEVENK);
         let recorder = match &spec.record {
             None => None,
             Some(record) => {
                 make_folder(&record.directory)?;
                 let now = rig_time();
-                let path = record.directory.join(opening.file_name(now, "s7k"));
+                let path = record.directory.join(context.file_name(now, "s7k"));
                 Some(begin_s7k(&path, &sheet, now)?)
             }
         };
@@ -73,7 +73,7 @@ impl SevenK {
             settings: Arc::clone(settings),
             kept_version: None,
             pending: Vec::new(),
-            spread: opening.spread,
+            spread: context.spread,
             over_s: 0.0,
         })
     }

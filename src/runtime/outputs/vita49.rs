@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::{Opening, Output, OutputError, Report, Spread, StreamCounts};
+use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts};
 use crate::faults::link::RecordLayout;
 use crate::io::datagrams::{DatagramCounts, DatagramSender, Leaving, Route};
 use echotank_config::spec::Vita49Spec;
@@ -27,29 +27,29 @@ pub(super) struct Vita49 {
 }
 
 impl Vita49 {
-    pub(super) fn open(output: &Vita49Spec, opening: &Opening) -> Result<Self, OutputError> {
-        let unit = opening.unit;
+    pub(super) fn open(output: &Vita49Spec, context: &OutputContext) -> Result<Self, OutputError> {
+        let unit = context.unit;
         let route = Route {
             send_to: output.send_to.clone(),
             multicast_interface: output.multicast_interface,
             multicast_ttl: output.multicast_ttl,
             pace_bytes_per_s: output.pace_bytes_per_s,
-            queue: opening.queue(),
+            queue: context.queue(),
         };
-        let clock = Arc::clone(opening.clock);
-        let sender = DatagramSender::open(route, clock, opening.sending.clone());
+        let clock = Arc::clone(context.clock);
+        let sender = DatagramSender::open(route, clock, context.sending.clone());
         let sender = sender.map_err(|source| OutputError::Sender {
             name: unit.spec.name.clone(),
             source,
         })?;
-        sender.set_line(opening.line(RecordLayout::VITA49));
+        sender.set_line(context.line(RecordLayout::VITA49));
         Ok(Self {
             name: unit.spec.name.clone(),
             send_to: output.send_to.clone(),
-            emitter: Vita49Emitter::new(output, &unit.spec).in_blocks_of(opening.spread.block_s()),
+            emitter: Vita49Emitter::new(output, &unit.spec).in_blocks_of(context.spread.block_s()),
             sender,
             saturated: Arc::default(),
-            spread: opening.spread,
+            spread: context.spread,
             pending: None,
             lost: false,
         })

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::server_counts::{server_lines, server_streams};
-use super::{Opening, Output, OutputError, Report, Spread, StreamCounts};
+use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts};
 use crate::faults::link::RecordLayout;
 use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
 use echotank_config::spec::WbmsSpec;
@@ -28,14 +28,14 @@ pub(super) struct Wbms {
 }
 
 impl Wbms {
-    pub(super) fn open(output: &WbmsSpec, opening: &Opening) -> Result<Self, OutputError> {
-        let Opening {
+    pub(super) fn open(output: &WbmsSpec, context: &OutputContext) -> Result<Self, OutputError> {
+        let OutputContext {
             spec,
             unit,
             settings,
             rig_time,
             ..
-        } = opening;
+        } = context;
         let name = unit.spec.name.clone();
         let device = Arc::new(Device::new(&unit.spec, spec.medium.sound_speed_m_per_s));
         let settings: Arc<dyn SettingsPort> = Arc::clone(settings) as _;
@@ -72,14 +72,14 @@ impl Wbms {
             })
             .collect::<Result<Arc<[_]>, _>>()?;
         for server in servers.iter().skip(1) {
-            opening.configure(server, RecordLayout::WBMS);
+            context.configure(server, RecordLayout::WBMS);
         }
         Ok(Self {
             name,
             emitter: WbmsEmitter::new(device, spec.run.queue_pings),
             servers,
             pending: Vec::new(),
-            spread: opening.spread,
+            spread: context.spread,
             over_s: 0.0,
         })
     }

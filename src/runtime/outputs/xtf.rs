@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::{Opening, Output, OutputError, Report, record};
+use super::{Output, OutputContext, OutputError, Report, record};
 use crate::io::record::make_folder;
 use crate::io::record::stream::StreamRecorder;
 use echotank_config::spec::XtfSpec;
@@ -19,17 +19,17 @@ pub(super) struct Xtf {
 }
 
 impl Xtf {
-    pub(super) fn open(output: &XtfSpec, opening: &Opening) -> Result<Self, OutputError> {
-        let c = opening.spec.medium.sound_speed_m_per_s;
-        let emitter = XtfEmitter::new(output, &opening.unit.spec, c);
+    pub(super) fn open(output: &XtfSpec, context: &OutputContext) -> Result<Self, OutputError> {
+        let c = context.spec.medium.sound_speed_m_per_s;
+        let emitter = XtfEmitter::new(output, &context.unit.spec, c);
         // The configuration check ensures that the folder is set.
-        let recorder = match &opening.spec.record {
+        let recorder = match &context.spec.record {
             None => None,
             Some(record) => {
                 make_folder(&record.directory)?;
                 let path = record
                     .directory
-                    .join(opening.file_name((opening.rig_time)(), "xtf"));
+                    .join(context.file_name((context.rig_time)(), "xtf"));
                 Some(StreamRecorder::create(&path, &emitter.file_head())?)
             }
         };
@@ -38,7 +38,7 @@ impl Xtf {
             recorder,
             pending: Vec::new(),
             report: Arc::new(XtfReport {
-                name: opening.unit.spec.name.clone(),
+                name: context.unit.spec.name.clone(),
                 bytes: AtomicU64::new(0),
                 saturated: AtomicU64::new(0),
             }),
