@@ -204,7 +204,7 @@ impl Report for ElementsReport {
             )
         }));
         let saturated = read(&self.saturated);
-        lines.push(format!("  {saturated} values held at full scale"));
+        lines.push(format!("  {saturated} values clipped at full scale"));
         lines
     }
 

@@ -157,7 +157,7 @@ struct FileReport {
 impl Report for FileReport {
     fn lines(&self) -> Vec<String> {
         vec![format!(
-            "{} {}: {} pings recorded, {} values held at full scale",
+            "{} {}: {} pings recorded, {} values clipped at full scale",
             self.kind,
             self.name,
             self.counts.pings.load(Ordering::Relaxed),

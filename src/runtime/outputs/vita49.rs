@@ -124,7 +124,7 @@ impl Report for Vita49Report {
     fn lines(&self) -> Vec<String> {
         let read = |count: &AtomicU64| count.load(Ordering::Relaxed);
         let mut lines = vec![format!(
-            "vita49 {}: {} pings dropped, {} values held at full scale",
+            "vita49 {}: {} pings dropped, {} values clipped at full scale",
             self.name,
             read(&self.counts.dropped_pings),
             read(&self.saturated),
