@@ -17,11 +17,12 @@ fn repository() -> PathBuf {
 }
 
 fn load(file: &str) -> RigSpec {
-    config::load(&repository().join(file)).unwrap_or_else(|errors| panic!("{errors}"))
+    echotank_runtime::config_files::load(&repository().join(file))
+        .unwrap_or_else(|errors| panic!("{errors}"))
 }
 
 fn parse(text: &str) -> RigSpec {
-    config::parse(text, &repository().join("tests/data/config"))
+    echotank_runtime::config_files::parse(text, &repository().join("tests/data/config"))
         .unwrap_or_else(|errors| panic!("{errors}"))
 }
 
@@ -796,7 +797,7 @@ fn what_triggers_a_sonar_and_whom_it_tells_mean_what_they_say() {
 
 #[test]
 fn the_template_is_accepted_as_it_stands() {
-    let rig = config::parse(config::template(), Path::new("/nonexistent"))
+    let rig = echotank_runtime::config_files::parse(config::template(), Path::new("/nonexistent"))
         .unwrap_or_else(|errors| panic!("{errors}"));
     assert_eq!(rig.sonars.len(), 1);
     for line in config::template().lines() {
@@ -842,7 +843,8 @@ fn a_default_in_the_template_may_be_uncommented_and_changes_nothing() {
 }
 
 fn parse_template(text: &str) -> RigSpec {
-    config::parse(text, Path::new("/nonexistent")).unwrap_or_else(|errors| panic!("{errors}"))
+    echotank_runtime::config_files::parse(text, Path::new("/nonexistent"))
+        .unwrap_or_else(|errors| panic!("{errors}"))
 }
 
 fn schema() -> Value {
@@ -1005,7 +1007,7 @@ proptest! {
             changed[at] = format!("{key} = {value}");
         }
         let text = changed.join("\n");
-        if config::parse(&text, &repository().join("tests/data/config")).is_ok() {
+        if echotank_runtime::config_files::parse(&text, &repository().join("tests/data/config")).is_ok() {
             prop_assert!(valid(&schema(), &as_json(&text)), "{}", changed[at]);
         }
     }
@@ -1021,7 +1023,9 @@ fn any_line_may_be_left_out_and_is_either_not_needed_or_missed_by_name() {
         for i in 0..lines.len() {
             let mut left = lines.clone();
             left.remove(i);
-            if let Err(errors) = config::parse(&left.join("\n"), &repository().join(folder)) {
+            if let Err(errors) =
+                echotank_runtime::config_files::parse(&left.join("\n"), &repository().join(folder))
+            {
                 assert!(!errors.problems.is_empty());
                 let said = errors.to_string();
                 assert!(!said.contains("without a reason"), "{}: {said}", lines[i]);
@@ -1038,7 +1042,7 @@ fn with_model(lines: &str) -> RigSpec {
         "sample_rate_khz = 40.0",
         "sample_rate_khz = 40.0\nrx_filter = \"fir\"",
     );
-    config::parse(
+    echotank_runtime::config_files::parse(
         &format!("{filtered}\n[sonar.model]\n{lines}\n"),
         &repository(),
     )
@@ -1111,7 +1115,7 @@ fn every_rig_of_the_repository_is_accepted() {
     for entry in std::fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();
         if path.extension().is_some_and(|e| e == "toml") {
-            let loaded = echotank_config::load(&path);
+            let loaded = echotank_runtime::config_files::load(&path);
             assert!(loaded.is_ok(), "{}: {:?}", path.display(), loaded.err());
             seen += 1;
         }

@@ -34,7 +34,7 @@ fn each_broken_configuration_prints_its_whole_list_of_problems() {
     let mut differences = Vec::new();
     for file in files {
         let text = fs::read_to_string(&file).expect("readable");
-        let got = match config::parse(&text, &broken_dir()) {
+        let got = match echotank_runtime::config_files::parse(&text, &broken_dir()) {
             Ok(_) => "accepted\n".to_owned(),
             Err(errors) => format!("{errors}\n"),
         };
@@ -57,7 +57,7 @@ fn each_broken_configuration_prints_its_whole_list_of_problems() {
 fn no_broken_configuration_is_accepted_and_each_problem_is_one_line() {
     for file in broken_files() {
         let text = fs::read_to_string(&file).expect("readable");
-        let errors = config::parse(&text, &broken_dir())
+        let errors = echotank_runtime::config_files::parse(&text, &broken_dir())
             .err()
             .unwrap_or_else(|| panic!("{} was accepted", file.display()));
         for problem in &errors.problems {
@@ -75,7 +75,9 @@ fn no_broken_configuration_is_accepted_and_each_problem_is_one_line() {
 fn a_file_that_cannot_be_read_is_named_with_the_reason() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let missing = folder.path().join("missing.toml");
-    let said = config::load(&missing).expect_err("missing").to_string();
+    let said = echotank_runtime::config_files::load(&missing)
+        .expect_err("missing")
+        .to_string();
     let want = format!(
         "{}: 1 problem\ncannot be read: not found",
         missing.display()
@@ -84,7 +86,9 @@ fn a_file_that_cannot_be_read_is_named_with_the_reason() {
 
     let latin = folder.path().join("latin.toml");
     fs::write(&latin, b"# caf\xe9\n").expect("writable");
-    let said = config::load(&latin).expect_err("not UTF-8").to_string();
+    let said = echotank_runtime::config_files::load(&latin)
+        .expect_err("not UTF-8")
+        .to_string();
     assert!(
         said.ends_with("cannot be read: byte 5 is not UTF-8"),
         "{said}"
@@ -122,7 +126,7 @@ proptest! {
         changes in prop::collection::vec((any::<usize>(), any::<u8>(), any::<u8>()), 1..20)
     ) {
         let text = mutated(&changes);
-        if let Ok(spec) = config::parse(&text, Path::new("/nonexistent")) {
+        if let Ok(spec) = echotank_runtime::config_files::parse(&text, Path::new("/nonexistent")) {
             config::summary(&spec);
         }
     }
@@ -148,7 +152,7 @@ proptest! {
                 _ => format!("{l}\n"),
             })
             .collect();
-        if let Ok(spec) = config::parse(&text, Path::new("/nonexistent")) {
+        if let Ok(spec) = echotank_runtime::config_files::parse(&text, Path::new("/nonexistent")) {
             config::summary(&spec);
         }
     }

@@ -4,7 +4,6 @@ use std::path::Path;
 use std::sync::Arc;
 
 use echotank_config::spec::{Density, NavMode, RigSpec, SonarSpec};
-use echotank_config::{load, parse};
 use echotank_core::flow::*;
 use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
 use echotank_core::time::UtcNs;
@@ -13,6 +12,7 @@ use echotank_ping::element_synthesis::engine_error_models;
 use echotank_ping::pipeline::{PipelineError, SonarPipeline};
 use echotank_ping::{self as ping, PingOrder, Schedule};
 use echotank_runtime::clock::VirtualClock;
+use echotank_runtime::config_files::{load, parse};
 use echotank_runtime::io::nav::NavInputs;
 use glam::DVec3;
 use num_complex::Complex64;

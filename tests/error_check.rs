@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use echotank_config::parse;
 use echotank_config::spec::RigSpec;
 use echotank_core::flow::*;
 use echotank_core::frames::{Trajectory, rotation_from_angles};
@@ -10,6 +9,7 @@ use echotank_core::time::UtcNs;
 use echotank_ping::error_check::{FAULT, KEPT, LEAST};
 use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::{self as ping, PingOrder};
+use echotank_runtime::config_files::parse;
 use glam::DVec3;
 use num_complex::Complex64;
 

@@ -4,7 +4,6 @@ mod counting;
 
 use std::path::Path;
 
-use echotank_config as config;
 use echotank_core::flow::{NavState, PingPlan, ScatterLaw, Scatterers};
 use echotank_core::frames::{Trajectory, rotation_from_angles};
 use echotank_core::time::UtcNs;
@@ -67,7 +66,8 @@ fn no_path_model_and_no_synthesis_allocates_after_warm_up() {
         "doppler = \"none\"\nsynthesis = \"linear\"",
     ] {
         let text = format!("{CONFIGURATION}{model}\n");
-        let rig = config::parse(&text, Path::new(".")).expect("a good configuration");
+        let rig = echotank_runtime::config_files::parse(&text, Path::new("."))
+            .expect("a good configuration");
         let sonar = &rig.sonars[0];
         // One thread and its own pool: what the pool does for itself is not the ping's.
         let pool = rayon::ThreadPoolBuilder::new()

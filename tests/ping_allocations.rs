@@ -5,7 +5,6 @@ mod counting;
 use std::path::Path;
 use std::sync::Arc;
 
-use echotank_config as config;
 use echotank_config::spec::{Density, NavMode};
 use echotank_core::flow::Synthesis;
 use echotank_nav::Coverage;
@@ -19,7 +18,7 @@ fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("hil-configs")
         .join(file);
-    let mut spec = config::load(&path).expect("a good configuration");
+    let mut spec = echotank_runtime::config_files::load(&path).expect("a good configuration");
     // Tiles are made while the ship moves on; a still scene shows the ping alone.
     spec.scene
         .seabed

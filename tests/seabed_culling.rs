@@ -5,7 +5,6 @@ use std::collections::HashSet;
 use std::path::Path;
 use std::sync::Arc;
 
-use echotank_config as config;
 use echotank_config::spec::{NavMode, OcclusionSpec, RigSpec, SeabedShape};
 use echotank_core::flow::{
     ArrivalChunk, ArrivalSink, Footprint, Mounting, NavState, PingPlan, Scatterers,
@@ -36,7 +35,7 @@ fn weyl(k: u32, coordinate: usize) -> f64 {
 #[test]
 fn a_footprint_holds_every_place_that_an_element_hears_above_the_floor() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs/quickstart.toml");
-    let mut spec = config::load(&path).expect("a good configuration");
+    let mut spec = echotank_runtime::config_files::load(&path).expect("a good configuration");
     spec.scene.seabed = None;
     spec.scene.targets = None;
     spec.sonars[0].synthesis.auto = Default::default();
@@ -124,7 +123,8 @@ fn a_floor_that_nobody_gave_costs_half_the_tolerance_and_a_decibel_more_would_co
     assert!(!text.contains("\ncull_db"), "the operator gives none");
     for tolerance in [1e-2, 1e-3] {
         let asked = text.replace("tolerance = 1e-3", &format!("tolerance = {tolerance:e}"));
-        let spec = config::parse(&asked, &folder).unwrap_or_else(|e| panic!("{e}"));
+        let spec = echotank_runtime::config_files::parse(&asked, &folder)
+            .unwrap_or_else(|e| panic!("{e}"));
         let sonar = &spec.sonars[0];
         let cull_db = sonar.model.cull_db.expect("something is left out");
         let wavelength_m = spec.medium.sound_speed_m_per_s / sonar.pulse.center_frequency_hz;
@@ -146,7 +146,8 @@ fn a_floor_that_nobody_gave_costs_half_the_tolerance_and_a_decibel_more_would_co
         assert!(over > 0.5 * tolerance, "{over}");
     }
     let own = text.replace("[sonar.model]", "[sonar.model]\ncull_db = -30.0");
-    let spec = config::parse(&own, &folder).unwrap_or_else(|e| panic!("{e}"));
+    let spec =
+        echotank_runtime::config_files::parse(&own, &folder).unwrap_or_else(|e| panic!("{e}"));
     assert_eq!(spec.sonars[0].model.cull_db, Some(-30.0));
 }
 
@@ -191,7 +192,8 @@ fn energies(spec: &RigSpec, plan: &PingPlan, scatterers: &Scatterers) -> (Vec<f6
 #[test]
 fn a_strong_target_in_a_side_lobe_stays_and_what_is_left_out_stays_within_the_tolerance() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
-    let mut spec = config::load(&folder.join("seabed.toml")).expect("a good configuration");
+    let mut spec = echotank_runtime::config_files::load(&folder.join("seabed.toml"))
+        .expect("a good configuration");
     const DEPTH: f64 = 51.0;
     spec.scene.seabed.as_mut().expect("a seabed").shape = SeabedShape::Plane {
         depth_m: DEPTH,
@@ -285,7 +287,8 @@ fn key(at: DVec3) -> [i64; 2] {
 #[test]
 fn the_shadows_of_the_seabed_configuration_are_those_of_rays_cast_one_by_one() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
-    let spec = config::load(&folder.join("seabed.toml")).expect("a good configuration");
+    let spec = echotank_runtime::config_files::load(&folder.join("seabed.toml"))
+        .expect("a good configuration");
     let sonar = spec.sonars[0].clone();
     pool(2).expect("threads").install(|| {
         let mut rig = echotank_runtime::rig::open(&spec).expect("rig");

@@ -22,7 +22,7 @@ use std::process::ExitCode;
 use clap::{Args, Parser, Subcommand};
 
 use self::logging::LogFormat;
-use echotank_config::{self as config, spec::RigSpec};
+use echotank_config::spec::RigSpec;
 
 /// Feeds a real sonar topside, DSP or acquisition board as though it were in the water.
 ///
@@ -150,7 +150,7 @@ impl Failure {
 pub(crate) fn load(path: &Path, set: &[String]) -> Result<RigSpec, Failure> {
     let refuse = |text: String| Failure::Configuration(text);
     if set.is_empty() {
-        return config::load(path).map_err(|e| refuse(e.to_string()));
+        return echotank_runtime::config_files::load(path).map_err(|e| refuse(e.to_string()));
     }
     let text =
         std::fs::read_to_string(path).map_err(|e| refuse(format!("{}: {e}", path.display())))?;
@@ -162,7 +162,7 @@ pub(crate) fn load(path: &Path, set: &[String]) -> Result<RigSpec, Failure> {
     }
     let text = toml::to_string(&table).map_err(|e| refuse(e.to_string()))?;
     let folder = path.parent().unwrap_or(Path::new("."));
-    config::parse(&text, folder)
+    echotank_runtime::config_files::parse(&text, folder)
         .map_err(|e| refuse(format!("{} (with --set)\n{e}", path.display())))
 }
 

@@ -21,15 +21,16 @@ use std::collections::HashMap;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::Path;
 
+use super::files::Files;
 use super::keys;
 use super::problem::{ConfigErrors, Problem};
-use super::raw::{self, Entry, Field, Problems, plain};
+use super::raw::{self, Entry, Field, Problems};
 use super::spec::*;
 
 const MIB: u64 = 1 << 20;
 
-/// Reads and checks a configuration file, and that the files it names can be read. Opens nothing else.
-pub fn load(path: &Path) -> Result<RigSpec, ConfigErrors> {
+/// Reads and checks a configuration file, and checks that the files it names can be read.
+pub fn load(path: &Path, files: &dyn Files) -> Result<RigSpec, ConfigErrors> {
     let unreadable = |why: String| ConfigErrors {
         file: Some(path.to_owned()),
         problems: vec![Problem {
@@ -37,23 +38,23 @@ pub fn load(path: &Path) -> Result<RigSpec, ConfigErrors> {
             ..Problem::default()
         }],
     };
-    let bytes = std::fs::read(path).map_err(|e| unreadable(plain(&e)))?;
+    let bytes = files.read(path).map_err(unreadable)?;
     let text = String::from_utf8(bytes).map_err(|e| {
         let byte = e.utf8_error().valid_up_to();
         unreadable(format!("byte {byte} is not UTF-8"))
     })?;
     let base_dir = path.parent().unwrap_or(Path::new("."));
-    parse(&text, base_dir).map_err(|errors| ConfigErrors {
+    parse(&text, base_dir, files).map_err(|errors| ConfigErrors {
         file: Some(path.to_owned()),
         ..errors
     })
 }
 
 /// Checks a configuration's text; relative file names in it count from `base_dir`.
-pub fn parse(text: &str, base_dir: &Path) -> Result<RigSpec, ConfigErrors> {
+pub fn parse(text: &str, base_dir: &Path, files: &dyn Files) -> Result<RigSpec, ConfigErrors> {
     let mut problems = Problems::default();
-    let checked =
-        raw::read(text, base_dir, &mut problems).and_then(|table| rig(&table, text, &mut problems));
+    let checked = raw::read(text, base_dir, files, &mut problems)
+        .and_then(|table| rig(&table, text, &mut problems));
     let mut problems = problems.0;
     // Problems without a line concern the whole file and come first.
     problems.sort_by(|a, b| (a.line, &a.path).cmp(&(b.line, &b.path)));

@@ -6,6 +6,7 @@
 
 mod check;
 mod describe;
+mod files;
 mod keys;
 mod problem;
 mod raw;
@@ -14,5 +15,6 @@ mod summary;
 
 pub use check::{load, parse};
 pub use describe::{schema, template};
+pub use files::{AnyFiles, Files};
 pub use problem::{ConfigErrors, Problem};
 pub use summary::summary;

@@ -11,6 +11,7 @@ use glam::DVec3;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::files::Files;
 use super::keys::{Key, Kind, Presence, Range, Table, Unit};
 use super::problem::Problem;
 
@@ -314,9 +315,18 @@ impl Unit {
 }
 
 /// The text as a declared table, all problems on the list. A text that is not TOML gives none.
-pub(crate) fn read<T: Declared>(text: &str, base_dir: &Path, problems: &mut Problems) -> Option<T> {
+pub(crate) fn read<T: Declared>(
+    text: &str,
+    base_dir: &Path,
+    files: &dyn Files,
+    problems: &mut Problems,
+) -> Option<T> {
     let (document, errors) = DeTable::parse_recoverable(text);
-    let walk = Walk { text, base_dir };
+    let walk = Walk {
+        text,
+        base_dir,
+        files,
+    };
     if !errors.is_empty() {
         // What could be rescued of a broken text would only bring problems that are not there.
         let listed = errors.iter().take(MAX_SYNTAX_ERRORS);
@@ -334,6 +344,7 @@ pub(crate) fn read<T: Declared>(text: &str, base_dir: &Path, problems: &mut Prob
 struct Walk<'t> {
     text: &'t str,
     base_dir: &'t Path,
+    files: &'t dyn Files,
 }
 
 fn joined(path: &str, key: &str) -> String {
@@ -536,7 +547,7 @@ impl Walk<'_> {
                 }
                 (Kind::File, DeValue::String(name)) => {
                     let path = self.base_dir.join(name.as_ref());
-                    match readable(&path) {
+                    match self.files.check_readable(&path) {
                         Ok(()) => Some(RawValue::Path(path)),
                         Err(why) => {
                             problems
@@ -547,7 +558,9 @@ impl Walk<'_> {
                 }
                 (Kind::Folder, DeValue::String(name)) if !name.is_empty() => {
                     let path = self.base_dir.join(name.as_ref());
-                    (path.is_dir() || !path.exists()).then_some(RawValue::Path(path))
+                    self.files
+                        .is_folder_or_free(&path)
+                        .then_some(RawValue::Path(path))
                 }
                 (_, value) => simple(kind, value),
             };
@@ -643,23 +656,6 @@ fn is_name(text: &str) -> bool {
         && text
             .bytes()
             .all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_')
-}
-
-fn readable(path: &Path) -> Result<(), String> {
-    let metadata = std::fs::metadata(path).map_err(|e| plain(&e))?;
-    if !metadata.is_file() {
-        return Err("not a file".to_owned());
-    }
-    std::fs::File::open(path).map(|_| ()).map_err(|e| plain(&e))
-}
-
-/// The error in words that are the same on every system.
-pub(crate) fn plain(error: &std::io::Error) -> String {
-    match error.kind() {
-        std::io::ErrorKind::NotFound => "not found".to_owned(),
-        std::io::ErrorKind::PermissionDenied => "no permission".to_owned(),
-        _ => error.to_string(),
-    }
 }
 
 /// The rule of a kind in words, fit after "must be".

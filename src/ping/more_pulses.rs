@@ -195,9 +195,9 @@ mod tests {
 
     /// The example's sonar, with a short window, no noise, no culling, no TVG, exact sums and rectangular weighting.
     fn sonar() -> (SonarSpec, MediumSpec) {
-        let file = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
-            .join("hil-configs/multipulse.toml");
-        let rig = config::load(&file).expect("a good configuration");
+        let text = include_str!("../../hil-configs/multipulse.toml");
+        let rig =
+            config::parse(text, Path::new("."), &config::AnyFiles).expect("a good configuration");
         let mut spec = rig.sonars[0].clone();
         spec.receiver.noise_db = None;
         spec.receiver.tvg = echotank_core::flow::TimeVaryingGain::None;

@@ -5,6 +5,7 @@
 pub mod calibrate;
 pub mod chart;
 pub mod clock;
+pub mod config_files;
 pub mod control;
 pub mod counters;
 pub mod daemon;

@@ -34,7 +34,6 @@ mod tests {
 
     use super::*;
     use crate::recorded::RecordedRig;
-    use echotank_config as config;
     use echotank_config::spec::{Density, RigSpec};
     use echotank_core::flow::Synthesis;
     use echotank_emit::blocks::blocks;
@@ -65,7 +64,7 @@ mod tests {
     fn tiles_of(file: &str, adapt: impl Fn(&mut RigSpec)) -> (u32, u32) {
         const BLOCK_S: f64 = 1e-3;
         let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("hil-configs");
-        let mut spec = config::load(&path.join(file)).expect("sound");
+        let mut spec = crate::config_files::load(&path.join(file)).expect("sound");
         for sonar in &mut spec.sonars {
             sonar.model.synthesis = Synthesis::Direct;
         }

@@ -109,7 +109,7 @@ listen = "127.0.0.1:0"
         mru = mru.display(),
         rate = 1.0 / PING_S,
     );
-    config::parse(&text, folder).unwrap_or_else(|errors| panic!("{errors}"))
+    echotank_runtime::config_files::parse(&text, folder).unwrap_or_else(|errors| panic!("{errors}"))
 }
 
 fn sentence(body: &str) -> String {

@@ -6,7 +6,6 @@ use std::f64::consts::TAU;
 use std::fmt::Write;
 use std::path::Path;
 
-use echotank_config as config;
 use echotank_config::spec::{Density, RigSpec};
 use echotank_core::flow::{DopplerModel, ErrorCheck, PathModel, PingPlan, Scatterers, Synthesis};
 use echotank_core::frames::Trajectory;
@@ -104,7 +103,8 @@ pulse_duration_ms = [{pulse_ms}, {pulse_ms}]
         carrier_khz = CARRIER_HZ / 1e3,
         pulse_ms = PULSE_S * 1e3,
     );
-    config::parse(&text, folder).unwrap_or_else(|why| panic!("{why}\n{text}"))
+    echotank_runtime::config_files::parse(&text, folder)
+        .unwrap_or_else(|why| panic!("{why}\n{text}"))
 }
 
 struct One {
@@ -283,7 +283,8 @@ fn what_a_fixed_floor_leaves_out_is_promised_and_no_more_than_ten_times_too_much
     let costs = Costs::committed();
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
     for (file, floor_db) in [("omniscan450", -40.0), ("board", -30.0)] {
-        let mut spec = config::load(&folder.join(format!("{file}.toml"))).expect("good");
+        let mut spec = echotank_runtime::config_files::load(&folder.join(format!("{file}.toml")))
+            .expect("good");
         spec.scene.seabed.as_mut().expect("a seabed").density = Density::PerM2(1.0);
         for sonar in &mut spec.sonars {
             sonar.synthesis.auto.cull = false;
@@ -317,7 +318,8 @@ fn every_configuration_is_planned_within_its_tolerance() {
     assert!(files.len() >= 18, "{files:?}");
     pool(2).expect("threads").install(|| {
         files.par_iter().for_each(|file| {
-            let spec = config::load(file).unwrap_or_else(|why| panic!("{why}"));
+            let spec =
+                echotank_runtime::config_files::load(file).unwrap_or_else(|why| panic!("{why}"));
             let firsts = first(&spec, &costs).unwrap_or_else(|why| panic!("{file:?}: {why}"));
             let mut each_ms = 0.0;
             for (sonar, first) in spec.sonars.iter().zip(&firsts) {
@@ -458,7 +460,7 @@ fn a_plan_takes_no_engine_that_the_limits_put_out_of_reach() {
     let costs = Costs::committed();
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs/paper.toml");
     for (shortest_ms, want) in [(2.0, Synthesis::Direct), (5.0, Synthesis::Gridded1d)] {
-        let mut spec = config::load(&file).expect("a rig");
+        let mut spec = echotank_runtime::config_files::load(&file).expect("a rig");
         let sonar = &mut spec.sonars[0];
         sonar.limits.pulse_duration_s.0 = 1e-3 * shortest_ms;
         let firsts = first(&spec, &costs).expect("pings");

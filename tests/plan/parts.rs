@@ -3,7 +3,6 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use echotank_config as config;
 use echotank_config::spec::{MadeOutput, RigSpec, SonarSpec};
 use echotank_core::flow::{
     DopplerModel, PathModel, PingOutput, PingPlan, ScatterLaw, Scatterers, Synthesis,
@@ -142,7 +141,7 @@ starboard = "starboard"
     }
 
     fn parse(&self, folder: &Path) -> Result<RigSpec, String> {
-        config::parse(&self.text(), folder).map_err(|why| why.to_string())
+        echotank_runtime::config_files::parse(&self.text(), folder).map_err(|why| why.to_string())
     }
 
     fn open(&self) -> (tempfile::TempDir, RigSpec) {
@@ -523,7 +522,7 @@ fn elements_are_made_wherever_somebody_needs_them_and_beams_alone_are_refused_th
         let fixed = rig
             .text()
             .replace("output = \"auto\"", "output = \"beams\"");
-        let said = config::parse(&fixed, folder.path())
+        let said = echotank_runtime::config_files::parse(&fixed, folder.path())
             .expect_err("refused")
             .to_string();
         assert!(

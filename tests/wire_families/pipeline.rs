@@ -152,7 +152,7 @@ fn made(folder: &Path) -> (RigSpec, PingPlan, PingOutput) {
     }
     std::fs::write(folder.join("points.csv"), points).expect("written");
     std::fs::write(folder.join("track.csv"), track).expect("written");
-    let spec = echotank_config::parse(RIG, folder).unwrap_or_else(|e| panic!("{e}"));
+    let spec = echotank_runtime::config_files::parse(RIG, folder).unwrap_or_else(|e| panic!("{e}"));
     let (plan, output) = pool(1).expect("a thread").install(|| {
         let mut recorded = RecordedRig::open(&spec).unwrap_or_else(|e| panic!("{e}"));
         let (sonar, order) = recorded.next_order(1).expect("a ping");

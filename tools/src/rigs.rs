@@ -156,7 +156,10 @@ fn configuration(path: &Path) -> Result<config::spec::RigSpec, Box<dyn std::erro
         }
     }
     let folder = path.parent().unwrap_or(Path::new("."));
-    Ok(config::parse(&toml::to_string(&table)?, folder)?)
+    Ok(echotank_runtime::config_files::parse(
+        &toml::to_string(&table)?,
+        folder,
+    )?)
 }
 
 fn load() -> String {

@@ -8,7 +8,6 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Instant;
 
-use echotank_config as config;
 use echotank_core::flow::{NavState, PingOutput, Scatterers};
 use echotank_core::frames::Trajectory;
 use echotank_core::time::UtcNs;
@@ -54,7 +53,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// Peak memory in bytes, where the system tells, and error checks at fault.
 fn survey(folder: &Path, pings: usize) -> Result<(Option<u64>, u32), Box<dyn std::error::Error>> {
     std::fs::write(folder.join("ground.asc"), ground())?;
-    let spec = config::parse(&configuration(), folder).map_err(|e| e.to_string())?;
+    let spec = echotank_runtime::config_files::parse(&configuration(), folder)
+        .map_err(|e| e.to_string())?;
     let sonar = &spec.sonars[0];
     let mut scene = Scene::open(&FileSystem, &spec.scene)?;
     let mut pipeline = SonarPipeline::new(sonar, &spec.medium)?;

@@ -23,7 +23,7 @@ const SAMPLES: usize = 1001;
 fn sonar() -> SonarSpec {
     let text = include_str!("../../../hil-configs/points.toml");
     let folder = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../hil-configs"));
-    let rig = echotank_config::parse(text, folder).expect("right");
+    let rig = echotank_config::parse(text, folder, &echotank_config::AnyFiles).expect("right");
     let mut sonar = rig.sonars.into_iter().next().expect("one");
     sonar.pulse = PULSE;
     sonar.receiver.sample_rate_hz = RATE_HZ;

@@ -6,7 +6,6 @@ use std::path::Path;
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
-use echotank_config as config;
 use echotank_config::spec::{MediumSpec, SonarSpec};
 use echotank_core::flow::{NavState, PingPlan, ScatterLaw, Scatterers};
 use echotank_core::frames::Trajectory;
@@ -155,7 +154,7 @@ tolerance = {:?}
     }
 
     fn bench(&self) -> Bench {
-        let rig = config::parse(&self.text(), Path::new("."))
+        let rig = crate::config_files::parse(&self.text(), Path::new("."))
             .expect("a test parses every benchmark configuration");
         let mut sonars = rig.sonars;
         let spec = sonars.swap_remove(0);

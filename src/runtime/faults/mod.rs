@@ -16,7 +16,7 @@ mod testing {
     pub(super) fn faults() -> Faults {
         let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../hil-configs"));
         let rig =
-            echotank_config::load(&folder.join("points.toml")).expect("a sound configuration");
+            crate::config_files::load(&folder.join("points.toml")).expect("a sound configuration");
         let mut sources = vec![rig.nav.sources[0].clone(), rig.nav.sources[0].clone()];
         sources[0].name = "gnss".to_owned();
         sources[0].input = NavInputSpec::Udp {

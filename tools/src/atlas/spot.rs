@@ -1,6 +1,5 @@
 //! One sonar in one motion over a handful of points, and how a regime bends it.
 
-use echotank_config as config;
 use echotank_config::spec::{NavInputSpec, NavMode, RigSpec, SonarSpec};
 use echotank_core::flow::*;
 use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
@@ -120,8 +119,8 @@ tolerance = 1e-3
             &format!("{COLUMNS}0,0,0,5,0,0,0\n1,0,0,5,0,0,0\n"),
         );
         write("points.csv", "north_m,east_m,down_m,amplitude\n0,30,10,1\n");
-        let mut rig =
-            config::parse(&text, folder.path()).unwrap_or_else(|why| panic!("{why}\n{text}"));
+        let mut rig = echotank_runtime::config_files::parse(&text, folder.path())
+            .unwrap_or_else(|why| panic!("{why}\n{text}"));
         // A sensor's: a track in a file may be as sparse as it likes.
         rig.nav.sources[0].input = NavInputSpec::Log {
             path: "sensor.log".into(),

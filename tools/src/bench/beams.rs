@@ -439,7 +439,8 @@ fn checked(
 /// The fan's array in a configuration (found from the repository's root) of its own: the multibeam's, with this pulse and window.
 fn sonar(synthesis: Synthesis) -> Result<(SonarSpec, config::spec::MediumSpec), String> {
     let file = Path::new("hil-configs/multibeam.toml");
-    let rig = config::load(file).map_err(|e| format!("{}: {e:?}", file.display()))?;
+    let rig = echotank_runtime::config_files::load(file)
+        .map_err(|e| format!("{}: {e:?}", file.display()))?;
     let mut spec = rig.sonars[0].clone();
     spec.pulse = pulse();
     spec.transmit = vec![rig::transmitter(DVec3::X * transmit_x_m())];

@@ -23,7 +23,8 @@ const WARM_UP: usize = 5;
 /// Prints and keeps one line per number of threads.
 pub(crate) fn run(file: &Path, quick: bool, json: Option<&Path>) -> Result<(), String> {
     let mut report = Report::new();
-    let mut spec = config::load(file).map_err(|e| format!("{}: {e:?}", file.display()))?;
+    let mut spec = echotank_runtime::config_files::load(file)
+        .map_err(|e| format!("{}: {e:?}", file.display()))?;
     for sonar in &mut spec.sonars {
         sonar.synthesis.error_check = true;
     }

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use echotank_config::{self as config, spec::NavMode, spec::RigSpec};
+use echotank_config::spec::{NavMode, RigSpec};
 use echotank_core::flow::{PingOutput, PingPlan, Scatterers, Target};
 use echotank_nav::Coverage;
 use echotank_ping::Schedule;
@@ -16,7 +16,7 @@ pub(crate) fn load(name: &str) -> Result<RigSpec, String> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("hil-configs/paper")
         .join(name);
-    config::load(&file).map_err(|e| format!("{}: {e:?}", file.display()))
+    echotank_runtime::config_files::load(&file).map_err(|e| format!("{}: {e:?}", file.display()))
 }
 
 /// What of a ping the figures need.

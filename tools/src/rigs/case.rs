@@ -3,7 +3,6 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use echotank_config as config;
 use echotank_config::spec::RigSpec;
 
 use crate::track::{ALONG_TRACK, COLUMNS};
@@ -45,8 +44,8 @@ impl Chance {
 pub(crate) fn random(seed: u64, folder: &Path, small: bool) -> (RigSpec, String) {
     let mut chance = Chance::new(seed);
     let (text, about) = write(&mut chance, folder, small);
-    let spec =
-        config::parse(&text, folder).unwrap_or_else(|why| panic!("seed {seed}: {why}\n{text}"));
+    let spec = echotank_runtime::config_files::parse(&text, folder)
+        .unwrap_or_else(|why| panic!("seed {seed}: {why}\n{text}"));
     (spec, about)
 }
 

@@ -84,7 +84,7 @@ pub(crate) fn spec(
     beams: usize,
 ) -> Result<RigSpec, String> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut spec = echotank_config::load(&root.join("hil-configs/multibeam.toml"))
+    let mut spec = echotank_runtime::config_files::load(&root.join("hil-configs/multibeam.toml"))
         .map_err(|e| e.to_string())?;
     let sonar = &mut spec.sonars[0];
     sonar.receive[0].elements = elements;
