@@ -231,20 +231,21 @@ table! {
     Medium, later "profile", "sound_speed_profile";
     sound_speed_m_per_s: Number(from(300.0, 3000.0)), Default("1500.0");
 
-    /// Francois and Garrison 1982, Ainslie and McColm 1998, nothing, or a number: { db_per_km = 30.0 }, one way.
+    /// "francois-garrison": Francois and Garrison 1982. "ainslie-mccolm": Ainslie and McColm 1998. "none": no absorption. Or a fixed one-way
+    /// value: { db_per_km = 30.0 }.
     absorption: ChoiceOrTable(FixedAbsorption: "francois-garrison", "ainslie-mccolm", "none"; later "thorp"), Default("\"francois-garrison\"");
 
-    /// This and the next three feed the absorption law only.
+    /// Temperature, salinity, depth and pH are used by the absorption formula only.
     temperature_c: Number(from(-4.0, 40.0)), Default("10.0");
 
-    /// 0 for a lake.
+    /// 0 for fresh water.
     salinity_psu: Number(from(0.0, 50.0)), Default("35.0");
     depth_m: Number(from(0.0, 11_000.0)), Default("50.0");
     ph: Number(from(6.0, 9.0)), Default("8.0");
 }
 
 table! {
-    /// A given absorption.
+    /// A fixed absorption.
     FixedAbsorption;
 
     /// One way.
@@ -252,82 +253,83 @@ table! {
 }
 
 table! {
-    /// Pacing and threads.
+    /// Timing, threads and delivery.
     Run, later "cores";
 
-    /// 0: as many as there are cores. The samples do not depend on it.
+    /// Number of computing threads. 0: one per core. The samples do not depend on it.
     threads: Integer(0, 1024), Default("0");
 
-    /// A ping is delivered this long after its listening window; later is a deadline miss.
+    /// A ping is delivered this long after its listening window. A later delivery is counted as a deadline miss.
     latency_ms: Ms(from(0.0, 600_000.0)), Default("200.0");
 
-    /// The counters are printed this often.
+    /// Interval between printed status lines.
     status_interval_s: Number(from(0.1, 86_400.0)), Default("10.0");
 
-    /// Pings that may wait for their delivery.
+    /// Maximum number of pings that wait for delivery.
     queue_pings: Integer(1, 10_000), Default("4");
 
-    /// What becomes of a ping that had to wait for others and cannot be ready in time: it is left out; or made with a tolerance ten times looser,
-    /// and ten times again, back when there is room; or pulses come later, no faster than pings can be made. Counted, and told in truth.jsonl;
-    /// then, and only then, the samples depend on the machine. With clock = "fast" and "lockstep" nothing is late.
+    /// What to do when a ping waited for others and cannot be ready in time. "skip": leave it out. "degrade": compute it with a tolerance ten
+    /// times looser, then a hundred times, and recover when there is room. "stretch": delay the pulses to the rate that can be computed. Each
+    /// case is counted and written to truth.jsonl; only then do the samples depend on the machine. Without effect with clock = "fast" and
+    /// "lockstep".
     overload: Choice("skip", "degrade", "stretch"), Default("\"skip\"");
 
-    /// Every ping takes at least so long to compute, and half of it at each looser tolerance: to see what an overload does. Without effect with
-    /// clock = "fast" and "lockstep".
+    /// Every ping takes at least this long to compute, and half of it at each looser tolerance. For testing overload. Without effect with clock =
+    /// "fast" and "lockstep".
     simulated_compute_ms: Ms(from(0.0, 600_000.0)), Default("0.0");
 
-    /// "streaming": element samples (vita49, elements) leave as they would be heard, block by block, each stream_latency_ms after its end; the
-    /// ping is computed before that, whole: ahead_ms before its pulse, or, where somebody else triggers it, after, and stream_latency_ms must
-    /// have room for it; so nav.mode must be "predict". All else leaves at the end of the ping. The samples are the same.
+    /// "ping-end": everything leaves at the end of the ping. "streaming": element samples (vita49, elements) leave block by block while the ping
+    /// is received, each block stream_latency_ms after its end; all other records leave at the end of the ping. The ping is computed ahead_ms
+    /// before its pulse, so nav.mode must be "predict". With an external trigger it is computed after the pulse, and stream_latency_ms must cover
+    /// that time. The samples are the same.
     delivery: Choice("ping-end", "streaming"), Default("\"ping-end\"");
 
-    /// Only with delivery = "streaming".
+    /// Length of a block. Only with delivery = "streaming".
     stream_block_ms: Ms(from(0.1, 1000.0)), Default("1.0");
 
-    /// Constant. Only with delivery = "streaming".
+    /// Constant delay of each block after its end. Only with delivery = "streaming".
     stream_latency_ms: Ms(from(0.0, 600_000.0)), Default("0.5");
 
-    /// A ping is computed tile by tile, each twice as long as the one before, and its first blocks leave meanwhile, so that stream_latency_ms
-    /// needs room for the first alone, and that for none of the scene where nothing is near enough to be heard in it: for pulses that nobody
-    /// knows beforehand, on a machine that makes a ping in a quarter of its window. Only with delivery = "streaming", model.synthesis =
-    /// "reference" or "direct", without error checks, further pulses and passband samples.
+    /// Compute a ping in tiles, each twice as long as the one before, and send the first blocks meanwhile. stream_latency_ms must then cover only
+    /// the first tile. For external triggers, on a machine that computes a ping in a quarter of its window. Only with delivery = "streaming" and
+    /// model.synthesis = "reference" or "direct", without error check, further pulses and passband samples.
     stream_tiles: Bool, Default("false");
 
-    /// A ping is computed so long before its pulse, by the settings and from the motion known then; at least what a ping takes. Left out: 0, and
-    /// 100 with delivery = "streaming". Above 0 only with nav.mode = "predict".
+    /// A ping is computed this long before its pulse, with the settings and the motion known then. Should be at least the computing time of a
+    /// ping. Default: 0, or 100 with delivery = "streaming". Above 0 only with nav.mode = "predict".
     ahead_ms: Ms(from(0.0, 10_000.0)), Shown("100.0");
 
-    /// "scaled": clock_rate times as fast; "fast": as fast as pings can be computed; "lockstep": a ping for every step that is asked for
-    /// (echotank ctl step). All but "realtime" need recorded navigation. The samples do not depend on it.
+    /// "realtime": the computer's time. "scaled": clock_rate times as fast. "fast": as fast as pings can be computed. "lockstep": one ping per
+    /// step that is requested (echotank ctl step). All but "realtime" need recorded navigation. The samples do not depend on it.
     clock: Choice("realtime", "scaled", "fast", "lockstep"), Default("\"realtime\"");
 
-    /// Only with clock = "scaled".
+    /// Speed relative to real time. Only with clock = "scaled".
     clock_rate: Number(from(0.1, 1000.0)), Default("10.0");
 
-    /// A ping's datagrams leave evenly over a part of the time to the next ping, or all at once, which a receiver with a socket buffer of stock
-    /// size loses most of. TCP loses nothing: see pace_tcp. With clock = "fast" and "lockstep" always all at once.
+    /// "spread": a ping's datagrams leave evenly over a share of the time to the next ping. "burst": they leave all at once, and a receiver with
+    /// a default socket buffer loses most of them. TCP loses nothing: see pace_tcp. With clock = "fast" and "lockstep" always "burst".
     pace: Choice("spread", "burst"), Default("\"spread\"");
 
-    /// The part. Only with pace = "spread".
+    /// Share of the time to the next ping. Only with pace = "spread".
     pace_share: Number(from(0.01, 0.95)), Default("0.8");
 
-    /// Records of 7k, JSF, WBMS and the Ping protocol are spread over TCP too, by the kernel (Linux); otherwise as fast as a client takes them.
-    /// Only with pace = "spread".
+    /// Also spread records of 7k, JSF, WBMS and the Ping protocol over TCP, by the kernel (Linux). Otherwise they leave as fast as a client
+    /// reads. Only with pace = "spread".
     pace_tcp: Bool, Default("false");
 
-    /// SCHED_FIFO priority of the threads that hand pings over, and memory locked, where the system allows it (echotank doctor); 0: neither.
+    /// SCHED_FIFO priority of the delivery threads, with locked memory, where the system allows it (echotank doctor). 0: normal scheduling.
     priority: Integer(0, 99), Default("40");
 
-    /// Nice value of the threads that compute pings, where the system allows it (echotank doctor): the lower, the larger their share of the
-    /// processors beside other programs that only count; -20 leaves those a hundredth. 0: as any other program.
+    /// Nice value of the computing threads, where the system allows it (echotank doctor). Lower values take a larger share of the processors; at
+    /// -20 other programs keep about a hundredth. 0: normal.
     compute_nice: Integer(-20, 0), Default("0");
 
-    /// Where faults-TIME.jsonl and overload-TIME.jsonl go; left out: record.directory (with overload = "skip" the first alone), and without that
-    /// nowhere.
+    /// Folder for faults-TIME.jsonl and overload-TIME.jsonl. Default: record.directory (with overload = "skip" only the fault file); without a
+    /// record table no file is written.
     fault_directory: Folder, Optional("\"out\"");
 
-    /// What methods cost on this machine, as `echotank check --calibrate FILE` writes it; left out: the table that comes with the program. What
-    /// is "auto" is chosen by it.
+    /// Cost of the methods on this machine, as written by `echotank check --calibrate FILE`. Settings that are "auto" are chosen with it.
+    /// Default: the built-in table.
     costs: File, Optional("\"costs.toml\"");
 }
 
@@ -335,17 +337,17 @@ table! {
     /// Records everything that is sent. Leave the table out for no recording.
     Record, later "formats", "max_gib";
 
-    /// Made if it is not there.
+    /// Created if it does not exist.
     directory: Folder, Required("\"out\"");
 }
 
 table! {
-    /// Control over HTTP: the operator's page at http://ADDRESS/, POST /control, GET /status, /metrics, /healthz. Without `listen` there is none.
+    /// Control over HTTP: the operator's page at http://ADDRESS/, POST /control, GET /status, /metrics, /healthz. Off without `listen`.
     Control;
 
     /// Address and port.
     listen: Text, Optional("\"127.0.0.1:7780\"");
 
-    /// Asked of whoever controls, as `Authorization: Bearer TOKEN` or on the page. Needed where `listen` is not this machine alone.
+    /// Password of clients that control the rig, as `Authorization: Bearer TOKEN` or on the page. Required if `listen` accepts other computers.
     token: Text, Optional("\"a long secret\"");
 }

@@ -9,23 +9,23 @@ table! {
     /// A side-scan, which sends one line, or a multibeam, which sends the soundings of a fan with bottom_detection.
     device: Choice("omniscan450", "surveyor240"), Required("\"omniscan450\"");
 
-    /// Whose line an omniscan450 sends.
+    /// The side-scan line that an omniscan450 sends.
     side: Choice("port", "starboard"), Shown("\"port\"");
 
-    /// Only this computer by default: the protocol knows no password.
+    /// Only this computer by default: the protocol has no password.
     listen: Text, Default("\"127.0.0.1:51200\"");
 
-    /// A serial line besides.
+    /// A serial port in addition.
     serial_port: Text, Optional("\"/dev/ttyUSB0\"");
     serial_baud: Integer(1200, 4_000_000), Default("115200");
 
-    /// Which of the synchronised devices an omniscan450 is.
+    /// Number of an omniscan450 among synchronised devices.
     channel_number: Integer(0, 255), Default("0");
 
-    /// How many they are.
+    /// Number of synchronised devices.
     channels: Integer(1, 255), Default("1");
 
-    /// What may wait for one slow client before its records are dropped.
+    /// Queue of one slow client; further records are dropped.
     client_queue_mib: Mib(1, 65_536), Default("16");
     max_clients: Integer(1, 1000), Default("8");
 }
@@ -34,10 +34,10 @@ table! {
     /// NORBIT WBMS on four TCP ports in a row: text control, bathymetry, water column, side-scan or snippets.
     Wbms, later "xml", "georeferenced";
 
-    /// Of the control; the others are behind it. Only this computer by default: the protocol knows no password.
+    /// Control port; the other three ports follow it. Only this computer by default: the protocol has no password.
     listen: Text, Default("\"127.0.0.1:2209\"");
 
-    /// What may wait for one slow client before its records are dropped.
+    /// Queue of one slow client; further records are dropped.
     client_queue_mib: Mib(1, 65_536), Default("16");
     max_clients: Integer(1, 1000), Default("8");
 }

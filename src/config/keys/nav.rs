@@ -10,62 +10,62 @@ table! {
     /// How measurements become the platform's motion. Axes: body x forward, y starboard, z down; world north, east, down.
     Nav;
 
-    /// Where north = east = 0 lies: the first position received, or { latitude_deg = 54.3, longitude_deg = 10.1 }.
+    /// The point north = east = 0: the first position received, or { latitude_deg = 54.3, longitude_deg = 10.1 }.
     origin: ChoiceOrTable(GeodeticOrigin: "first-fix"), Default("\"first-fix\"");
 
-    /// "settle" waits for measurements on both sides of the ping, "predict" extrapolates. Default: settle where every source is a file, else
-    /// predict.
+    /// "settle" waits for measurements on both sides of the ping; "predict" extrapolates. Default: "settle" if every source is a file, else
+    /// "predict".
     mode: Choice("settle", "predict"), Optional("\"predict\"");
 
-    /// What the platform's depth is made of: "waterline" a fixed reference_depth_m plus heave, "gnss" minus the antenna's height plus
-    /// datum_offset_m, "depth" a CSV track's own or a depth sensor's (provides "depth"). Heave is added only to the first.
+    /// Source of the platform's depth. "waterline": reference_depth_m plus heave. "gnss": datum_offset_m minus the antenna's height. "depth": the
+    /// depth of a CSV track or of a depth sensor (provides "depth"). Heave is added only with "waterline".
     vertical: Choice("waterline", "gnss", "depth"), Default("\"waterline\"");
 
-    /// Of the reference point, positive down. Only with vertical = "waterline".
+    /// Depth of the reference point, positive down. Only with vertical = "waterline".
     reference_depth_m: Number(METRES), Default("0.0");
 
     /// Added to the depth. Only with vertical = "gnss".
     datum_offset_m: Number(METRES), Default("0.0");
 
-    /// Which UTC the records carry: the navigation's, or this computer's.
+    /// UTC of the records: from the navigation ("log") or from this computer ("host").
     stamp: Choice("log", "host"), Default("\"log\"");
 
-    /// Recorded sources start again at their end, their time moved on by whole loops.
+    /// Recorded sources restart at their end, with their time shifted by whole loops.
     r#loop: Bool, Default("false");
 
-    /// Longest look ahead: on_lost says what becomes of a ping that would need a longer one. Only with mode = "predict".
+    /// Longest extrapolation. on_lost says what happens to a ping that needs a longer one. Only with mode = "predict".
     max_extrapolation_ms: Ms(from(0.0, 60_000.0)), Default("250.0");
 
-    /// How much of the past is kept.
+    /// Time for which measurements are kept.
     history_s: Number(from(1.0, 3600.0)), Default("10.0");
 
-    /// Where no source gives a heading, take the course over ground.
+    /// Use the course over ground as heading if no source provides a heading.
     heading_from_course: Bool, Default("false");
 
-    /// Where several sources provide a quantity: the next one in the file speaks when the better one has been silent this long. Without it the
-    /// first owns the quantity.
+    /// If several sources provide a quantity, the next one in the file takes over after the active source is silent for this time. Default: only
+    /// the first is used.
     failover_s: Number(above(0.0, 3600.0)), Optional("2.0");
 
-    /// How long the better source must have come again before it has the word back. Only with failover_s.
+    /// The better source becomes active again after it has delivered for this time. Only with failover_s.
     hold_off_s: Number(from(0.0, 3600.0)), Default("5.0");
 
-    /// Set samples aside that lie farther from the one before than the platform can have moved, until five in a row agree.
+    /// Reject samples that are farther from the previous one than the platform can have moved, until five in a row agree.
     jump_gate: Bool, Default("false");
 
-    /// Only with jump_gate.
+    /// Speed limit of the jump gate. Only with jump_gate.
     max_speed_m_per_s: Number(above(0.0, 150.0)), Default("50.0");
 
-    /// Of heading, roll and pitch. Only with jump_gate.
+    /// Limit of the rates of heading, roll and pitch. Only with jump_gate.
     max_turn_rate_deg_per_s: Degrees(above(0.0, 1.0e4)), Default("60.0");
 
-    /// A source is stale, in the status, when nothing came for so long; on hold when it misses three of its own intervals.
+    /// The status shows a source as stale after this time without data. It shows it as on hold after three missed intervals.
     stale_s: Number(above(0.0, 3600.0)), Default("2.0");
 
-    /// A source is lost when nothing came for so long; not below stale_s.
+    /// A source is lost after this time without data. Not below stale_s.
     lost_s: Number(above(0.0, 86_400.0)), Default("10.0");
 
-    /// A ping for which something is older than max_extrapolation_ms: made with the last known motion come to rest, and flagged invalid; or
-    /// skipped. Only with mode = "predict".
+    /// What to do if a ping needs data older than max_extrapolation_ms. "hold": use the last known motion, brought to rest, and flag the ping as
+    /// invalid. "skip": leave the ping out. Only with mode = "predict".
     on_lost: Choice("hold", "skip"), Default("\"hold\"");
     tow: Table(NavTow), Optional("");
     source: Tables(NavSource), Required("");
@@ -73,31 +73,31 @@ table! {
 }
 
 table! {
-    /// The sonar is towed: positions are those of the ship's antennas (their lever_arm_m counts from the ship's reference point), all else is the
-    /// towed body's. It follows on the heading, sqrt((cable_out_m * cable_scope)^2 - (its depth - the cable's height)^2) behind the point where
-    /// the cable leaves the ship.
+    /// The sonar is towed. Positions are those of the ship's antennas (lever_arm_m counts from the ship's reference point); all other quantities
+    /// are those of the towed body. The body follows along the heading, sqrt((cable_out_m * cable_scope)^2 - (body depth - tow point depth)^2)
+    /// behind the tow point.
     NavTow;
 
-    /// Where the cable leaves the ship: forward and starboard of the ship's reference point, down from the waterline.
+    /// The tow point: forward and starboard of the ship's reference point, down from the waterline.
     point_m: Vector(ARM_M), Default("[0.0, 0.0, 0.0]");
     cable_out_m: Number(from(0.0, 20_000.0)), Required("60.0");
 
-    /// Straight distance over cable length: below 1 for a cable that sags.
+    /// Straight distance divided by cable length. Below 1 for a sagging cable.
     cable_scope: Number(above(0.0, 1.0)), Default("1.0");
 }
 
 table! {
-    /// Navigation sent out, so that a device under test shares the pings' clock: at every whole second the pulse, then the ZDA that names it.
+    /// Navigation output, which gives a device under test the clock of the pings: at every whole second a pulse, then the ZDA with its time.
     NavOutput;
     name: Name, Required("\"clock\"");
 
-    /// "udp" (to), "tcp" (listen, for any number of clients), "serial" (port, baud).
+    /// "udp" (with to), "tcp" (with listen, any number of clients), "serial" (with port, baud).
     kind: Choice("udp", "tcp", "serial"), Required("\"udp\"");
 
     /// Address and port of a host, a broadcast address or a multicast group. Only with kind = "udp".
     to: Text, Shown("\"127.0.0.1:10120\"");
 
-    /// Only with kind = "tcp".
+    /// Address and port. Only with kind = "tcp".
     listen: Text, Optional("\"127.0.0.1:10121\"");
 
     /// Only with kind = "serial".
@@ -109,26 +109,25 @@ table! {
     /// Data bits, parity and stop bits. Only with kind = "serial".
     line: ChoiceOf(SERIAL_LINES), Default("\"8N1\"");
 
-    /// GGA is of the platform's reference point. ZDA goes out on whole seconds only, the others at every tick.
+    /// GGA holds the position of the platform's reference point. ZDA is sent on whole seconds only, the others at every tick.
     sentences: Choices("ZDA", "GGA", "HDT"), Default("[\"ZDA\", \"GGA\", \"HDT\"]");
 
     /// Two capital letters.
     talker: Text, Default("\"GP\"");
 
-    /// Ticks lie on whole seconds and between them.
+    /// Ticks per second. Ticks include the whole seconds.
     rate_hz: Number(from(0.01, 200.0)), Default("1.0");
 
-    /// GGA and HDT go out so long after the instant they name, as a receiver's do, so that their measurements may have come; 0 carries the motion
-    /// on.
+    /// Delay of GGA and HDT after their time of validity, as from a real receiver. 0: the motion is extrapolated.
     latency_ms: Ms(from(0.0, 1000.0)), Default("0.0");
 
-    /// What marks the whole second ahead of its ZDA: the serial port's RTS or DTR raised for 100 ms, or one byte 0x07 (over UDP a datagram of its
-    /// own).
+    /// Pulse at the whole second, before its ZDA: RTS or DTR of the serial port raised for 100 ms, or one byte 0x07 (over UDP in its own
+    /// datagram).
     pulse: Choice("none", "rts", "dtr", "byte"), Default("\"none\"");
 }
 
 table! {
-    /// A given origin, WGS84.
+    /// A fixed origin, WGS84.
     GeodeticOrigin;
 
     /// North positive.
@@ -139,19 +138,19 @@ table! {
 }
 
 table! {
-    /// One source of navigation; the first in the file that provides a quantity owns it.
+    /// One navigation source. The first source in the file that provides a quantity is used for it.
     NavSource;
     name: Name, Required("\"gnss\"");
 
-    /// "log" a recorded log (path): text, pcap, pcapng or a MAVLink tlog, told from its first bytes; "csv" a track (path) with the columns
-    /// time_s, north_m, east_m, down_m, roll_deg, pitch_deg, heading_deg; "udp" (listen), "serial" (port, baud), "tcp" (connect to a server, or
-    /// listen for a client).
+    /// "log": a recorded log (path), which is text, pcap, pcapng or a MAVLink tlog, detected from its first bytes. "csv": a track (path) with the
+    /// columns time_s, north_m, east_m, down_m, roll_deg, pitch_deg, heading_deg. "udp" (with listen), "serial" (with port, baud), "tcp" (with
+    /// connect for a client, or listen for a server).
     kind: Choice("log", "csv", "udp", "serial", "tcp"), Required("\"udp\"");
 
-    /// File names count from this file's folder. Only with kind = "log" or "csv".
+    /// Relative to the folder of this file. Only with kind = "log" or "csv".
     path: File, Optional("\"data/survey.log\"");
 
-    /// Sentences per second of a log in which neither the lines nor the messages carry a time. Only with kind = "log".
+    /// Sentences per second of a log without any time. Only with kind = "log".
     plain_rate_hz: Number(from(0.001, 1.0e5)), Default("10.0");
 
     /// Address and port. Only with kind = "udp" or "tcp".
@@ -160,7 +159,7 @@ table! {
     /// Host and port of a server. Only with kind = "tcp".
     connect: Text, Optional("\"192.168.1.20:10110\"");
 
-    /// Group to join, at the interface whose address `listen` has. Only with kind = "udp".
+    /// Group to join on the interface with the address in `listen`. Only with kind = "udp".
     multicast: Text, Optional("\"239.192.0.1\"");
 
     /// Only with kind = "serial".
@@ -172,40 +171,40 @@ table! {
     /// Data bits, parity and stop bits. Only with kind = "serial".
     line: ChoiceOf(SERIAL_LINES), Default("\"8N1\"");
 
-    /// When a measurement holds: the time in its message; the time of the last dated message of its burst, for messages that carry none; its
-    /// arrival minus latency_ms.
+    /// Time of validity of a measurement. "message": the time in the message. "burst": the time of the last dated message in the same burst, for
+    /// messages without a time. "arrival": the arrival time minus latency_ms.
     time: Choice("message", "burst", "arrival"), Default("\"message\"");
 
     /// Only with time = "arrival".
     latency_ms: Ms(from(0.0, 60_000.0)), Default("0.0");
     checksum: Choice("require", "accept-missing", "ignore"), Default("\"require\"");
 
-    /// Sentences whose checksum is not looked at: whole addresses, or their last three letters.
+    /// Sentences whose checksum is ignored: whole addresses, or their last three letters.
     ignore_checksum_for: Names, Optional("[\"PTNTHPR\"]");
 
-    /// What the bytes are: sentences, or records of one maker; em3000 is em1000 too.
+    /// NMEA sentences, or the records of one maker. em3000 includes em1000.
     format: Choice("nmea", "tss1", "em3000", "seapath26", "kmb"; later "pd0", "pd6", "stdbin", "sbg"), Default("\"nmea\"");
 
-    /// Flavours of sentences that cannot be told from the sentence: PASHR with heave + up (WASSP), where it is + down elsewhere; DPT, DBT, DBS
-    /// and DBK of a depth sensor, that say how deep the platform is and not how deep the water.
+    /// Variants that the sentence itself does not show. "pashr-heave-up": PASHR with heave positive up (WASSP); elsewhere it is positive down.
+    /// "own-depth": DPT, DBT, DBS and DBK hold the depth of the platform and not of the water.
     variants: Choices("pashr-heave-up", "own-depth"), Optional("[\"pashr-heave-up\"]");
 
-    /// Quantities that this instrument sends with the opposite sign of its format's documentation.
+    /// Quantities that this instrument sends with the sign opposite to its format.
     reverse: Choices("roll", "pitch", "heave"), Optional("[\"pitch\"]");
 
-    /// East positive. Makes HDG and HDM true headings where the sentence carries no variation; without it they are not taken.
+    /// East positive. Converts HDG and HDM without variation to true headings. Without it those sentences are ignored.
     magnetic_variation_deg: Degrees(from(-180.0, 180.0)), Optional("1.3");
 
-    /// Where the antenna, or the depth sensor, sits: forward, starboard, down of the reference point.
+    /// Position of the antenna or depth sensor: forward, starboard, down of the reference point.
     lever_arm_m: Vector(ARM_M), Default("[0.0, 0.0, 0.0]");
 
-    /// Where the heave is that of: forward, starboard, down of the reference point. What roll and pitch lift that point is taken off.
+    /// The point whose heave is measured: forward, starboard, down of the reference point. Its lift by roll and pitch is subtracted.
     heave_arm_m: Vector(ARM_M), Default("[0.0, 0.0, 0.0]");
 
-    /// Roll, pitch and yaw that the motion sensor (or compass) says on a level platform heading north; taken off.
+    /// Roll, pitch and yaw that the motion sensor or compass reports on a level platform heading north. They are subtracted.
     mounting_deg: VectorDegrees(ANGLE_DEG), Default("[0.0, 0.0, 0.0]");
 
-    /// What is taken from this source; "depth" is the platform's own (PIXSE,DEPIN_, PIPS, MAVLink's relative altitude, and with variants =
-    /// ["own-depth"] DPT and its kin).
+    /// Quantities used from this source. "depth" is the depth of the platform (PIXSE,DEPIN_, PIPS, relative altitude of MAVLink, and with
+    /// variants = ["own-depth"] DPT, DBT, DBS and DBK).
     provides: Choices("position", "course-speed", "heading", "roll-pitch", "heave", "depth"), Default("[\"position\", \"course-speed\", \"heading\", \"roll-pitch\", \"heave\"]");
 }

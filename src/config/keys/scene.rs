@@ -3,167 +3,167 @@
 use super::*;
 
 table! {
-    /// What lies in the water. Without a seabed, points and targets there is only noise.
+    /// The contents of the water. Without seabed, points and targets there is only noise.
     Scene;
 
-    /// Same seed, same speckle.
+    /// The same seed gives the same speckle.
     seed: Integer(0, MAX_INTEGER), Default("1");
 
-    /// Where the scene's own zero lies: at nav.origin, under the first position received, or where the seabed's file says it lies on the earth.
+    /// Position of the scene's origin: at nav.origin, under the first position received, or at the coordinates in the seabed file.
     anchor: Choice("origin", "first-fix", "file"), Default("\"origin\"");
 
-    /// Beyond the edge of a gridded seabed: nothing, or its mirror image for ever.
+    /// Beyond the edge of a gridded seabed: nothing, or periodic mirror images.
     extend: Choice("none", "mirror"), Default("\"none\"");
 
-    /// CSV of explicit scatterers: north_m, east_m, down_m, amplitude (echo pressure at 1 m for unit pressure), and if wanted amplitude_imag.
+    /// CSV of point scatterers: north_m, east_m, down_m, amplitude (echo pressure at 1 m for unit pressure), and optionally amplitude_imag.
     points: File, Optional("\"data/points.csv\"");
 
-    /// Named targets: CSV of points laid over the seabed, or TOML of shapes (spheres, cylinders, boxes, ropes, meshes from OBJ, STL or PLY)
-    /// anywhere in the water; hil-configs/README.md has their fields.
+    /// Named targets: a CSV of points on the seabed, or a TOML of shapes (spheres, cylinders, boxes, ropes, meshes from OBJ, STL or PLY) anywhere
+    /// in the water. hil-configs/README.md lists their fields.
     targets: File, Optional("\"data/targets.csv\"");
 
-    /// Memory for the tiles of seabed around the sonar.
+    /// Memory limit of the seabed tiles around the sonar.
     memory_mib: Mib(1, 1_048_576), Default("512");
 
-    /// What angles on the seabed are measured from: its own normal, or the vertical (the paper's Eq. 9, right on flat bottoms alone).
+    /// Reference of the angles on the seabed: its normal, or the vertical (Eq. 9 of Meng et al. 2023, correct on flat bottoms only).
     incidence: Choice("normal", "flat"), Default("\"normal\"");
 
-    /// Shadows: none; of seabed and solids, from transmitter and receiver; or over the seabed by the paper's rule (Eq. 27), which forgets
-    /// obstacles.
+    /// Shadows. "none". "horizon": of seabed and solids, from transmitter and receiver. "paper": of the seabed by Eq. 27 of Meng et al. 2023,
+    /// which ignores solids.
     occlusion: Choice("none", "horizon", "paper"), Default("\"horizon\"");
     seabed: Table(Seabed), Shown("");
     simplify: Table(Simplify), Default("{}");
 }
 
 table! {
-    /// Leaves out scatterers of the seabed that a ping can do without; points and targets stay.
+    /// Leaves out seabed scatterers that contribute little. Points and targets stay.
     Simplify;
 
-    /// All are computed; by chance with the lost level made up for; the strongest energies (Meng et al. 2023, mended); the same as printed.
+    /// "none": all scatterers. "acoustic-unbiased": random choice with corrected level. "acoustic": the strongest energies (Meng et al. 2023,
+    /// corrected). "paper": the same as printed.
     method: Choice("none", "acoustic-unbiased", "acoustic", "paper"; later "conventional"), Default("\"none\"");
 
-    /// Scatterers of a ping, needed unless method is none; acoustic-unbiased keeps so many on average.
+    /// Number of scatterers per ping, required unless method is "none". With "acoustic-unbiased" it is the mean number.
     keep: Integer(1, 100_000_000), Optional("20000");
 
-    /// What Gaussian curvature counts; 1 unless acoustic-unbiased, then 0.
+    /// Weight of the Gaussian curvature. Default: 1, with "acoustic-unbiased" 0.
     weight_curvature: Number(from(0.0, 1.0e6)), Optional("1.0");
 
-    /// What the energy that is sent back counts; 1 unless acoustic-unbiased, then 0.
+    /// Weight of the scattered energy. Default: 1, with "acoustic-unbiased" 0.
     weight_scattering: Number(from(0.0, 1.0e6)), Optional("1.0");
 
-    /// What the two-way pattern counts; 1 unless acoustic-unbiased, then 0.
+    /// Weight of the two-way pattern. Default: 1, with "acoustic-unbiased" 0.
     weight_axis: Number(from(0.0, 1.0e6)), Optional("1.0");
 
-    /// What the product of the last two counts; 0 unless acoustic-unbiased, then 1.
+    /// Weight of the product of scattered energy and two-way pattern. Default: 0, with "acoustic-unbiased" 1.
     weight_echo: Number(from(0.0, 1.0e6)), Optional("1.0");
 
-    /// A choice is kept until the sonar has moved this far
+    /// The choice is renewed after the sonar has moved this far.
     hold_m: Number(from(0.0, 1.0e4)), Default("0.5");
 
-    /// or turned this much.
+    /// The choice is renewed after the sonar has turned this much.
     hold_deg: Degrees(from(0.0, 180.0)), Default("0.5");
 
-    /// Search for shadows among the scatterers itself, where occlusion is none, and choose what lies in them last (acoustic-unbiased: never).
+    /// Find shadows among the scatterers even with occlusion = "none", and choose shadowed scatterers last. Not with "acoustic-unbiased".
     shadows: Bool, Default("false");
 }
 
 table! {
-    /// The bottom, as scatterers on a surface. Leave the table out for none.
+    /// The seabed, as scatterers on a surface. Leave the table out for none.
     Seabed;
 
-    /// "file": a survey in any format that is read; `echotank scene info` shows how it is understood. "esri-ascii": the same, of that format. The
-    /// paper's bottoms (Figs. 6, 12, 17) lie some 30 m under the scene's zero, east of a track along north.
+    /// "file": a survey in any supported format; `echotank scene info` shows how it is read. "esri-ascii": the same in that format. "paper-...":
+    /// the seabeds of Figs. 6, 12 and 17 of Meng et al. 2023, about 30 m below the scene's origin, east of a northward track.
     shape: Choice("plane", "file", "esri-ascii", "paper-curves", "paper-relief", "paper-lake"), Required("\"plane\"");
 
-    /// Under the scene's zero. Only with shape = "plane".
+    /// Depth below the scene's origin. Only with shape = "plane".
     depth_m: Number(METRES), Shown("40.0");
 
-    /// Metres of depth per metre. Only with shape = "plane".
+    /// Metres of depth per metre northward. Only with shape = "plane".
     slope_north: Number(from(-10.0, 10.0)), Default("0.0");
 
-    /// Only with shape = "plane".
+    /// Metres of depth per metre eastward. Only with shape = "plane".
     slope_east: Number(from(-10.0, 10.0)), Default("0.0");
 
-    /// The middle of what it covers lies at the scene's zero. Only with shape = "file" or "esri-ascii".
+    /// The centre of the survey lies at the scene's origin. Only with shape = "file" or "esri-ascii".
     path: File, Optional("\"data/seabed.asc\"");
 
-    /// Heights (up positive) or depths; auto: as the file says, or as most of its signs are. Only with shape = "file" or "esri-ascii".
+    /// Elevations (up positive) or depths. "auto": as the file says, or by the sign of most values. Only with shape = "file" or "esri-ascii".
     values: Choice("auto", "elevation", "depth"), Default("\"auto\"");
 
-    /// Moves the middle of the file. Only with shape = "file" or "esri-ascii".
+    /// Moves the survey northward. Only with shape = "file" or "esri-ascii".
     offset_north_m: Number(METRES), Default("0.0");
 
-    /// Only with shape = "file" or "esri-ascii".
+    /// Moves the survey eastward. Only with shape = "file" or "esri-ascii".
     offset_east_m: Number(METRES), Default("0.0");
 
-    /// Auto: by its first bytes, or its name. Only with shape = "file".
+    /// "auto": from the first bytes or the file name. Only with shape = "file".
     format: Choice("auto", "esri-ascii", "geotiff", "bag", "xyz", "las", "ply"), Default("\"auto\"");
 
-    /// What its coordinates are, where it says so wrongly or not at all: local, geographic, projected, utm-31n, EPSG:32631. Only with shape =
-    /// "file" or "esri-ascii".
+    /// Coordinate system, if the file names none or a wrong one: local, geographic, projected, utm-31n, EPSG:32631. Only with shape = "file" or
+    /// "esri-ascii".
     crs: Text, Optional("\"utm-31n\"");
 
-    /// Which end of a grid its first row lies at; auto: as the format has it. Only with shape = "file" or "esri-ascii".
+    /// Position of a grid's first row. "auto": as the format defines. Only with shape = "file" or "esri-ascii".
     first_row: Choice("auto", "north", "south"), Default("\"auto\"");
 
-    /// Stands for a hole, besides the value that the file names. Only with shape = "file" or "esri-ascii".
+    /// Value of a hole, besides the one that the file names. Only with shape = "file" or "esri-ascii".
     nodata: Number(from(-1.0e39, 1.0e39)), Optional("-32768.0");
 
-    /// Soundings: cell of the grid they are made into; left out: their mean distance. Only with shape = "file".
+    /// Grid cell for soundings. Default: their mean distance. Only with shape = "file".
     cell_m: Number(above(0.0, 1.0e6)), Optional("5.0");
 
-    /// Soundings: triangles with a longer edge are holes. Only with shape = "file".
+    /// Triangles of soundings with a longer edge are holes. Only with shape = "file".
     max_edge_m: Number(above(0.0, 1.0e6)), Optional("50.0");
 
-    /// Five scatterers or more in every resolution cell of the finest sonar, c/(2 B) times beam width times range: fewer the farther away.
+    /// At least five scatterers in every resolution cell of the finest sonar: c/(2 B) times beam width times range. The density falls with range.
     density: Choice("auto"), Optional("\"auto\"");
 
-    /// The same number everywhere, per square metre of the horizontal; not with density = "auto". The mean level does not depend on it.
+    /// Constant number of scatterers per horizontal square metre. Not with density = "auto". The mean level does not depend on it.
     density_per_m2: Number(above(0.0, 1.0e6)), Default("1.0");
 
-    /// The law of scattering. "three-term": mirror facets, Lambert and a slope between them; the names of sediments are three-term with values of
-    /// their own.
+    /// Scattering law. "three-term": specular facets, Lambert and an intermediate lobe. The sediments are three-term laws with their own
+    /// parameters.
     bottom: Choice("bistatic-lambert", "lambert", "three-term", "mud", "silt", "sand", "gravel", "rock"), Default("\"bistatic-lambert\"");
 
-    /// Lambert's mu: mud about -35, sand -27, rock -15 (round numbers; the names of sediments are from APL-UW TR 9407, 1994). Not with the name
-    /// of a sediment.
+    /// Lambert parameter mu: mud about -35, sand -27, rock -15 (typical values; the sediments follow APL-UW TR 9407, 1994). Not with a sediment.
     lambert_db: Number(from(-100.0, 20.0)), Default("-27.0");
 
-    /// Of the cosine. Only with bottom = "three-term".
+    /// Exponent of the cosine. Only with bottom = "three-term".
     lambert_exponent: Number(from(0.0, 10.0)), Default("2.0");
 
-    /// What the facets mirror at normal incidence. Only with bottom = "three-term".
+    /// Strength of the specular lobe at normal incidence. Only with bottom = "three-term".
     specular_db: Number(from(-100.0, 30.0)), Default("-5.0");
 
-    /// Standard deviation of that lobe. Only with bottom = "three-term".
+    /// Standard deviation of the specular lobe. Only with bottom = "three-term".
     specular_width_deg: Degrees(from(2.0, 60.0)), Default("6.0");
 
-    /// The slope between the lobe and Lambert's law, at normal incidence. Only with bottom = "three-term".
+    /// Strength of the intermediate lobe at normal incidence. Only with bottom = "three-term".
     intermediate_db: Number(from(-100.0, 30.0)), Default("-23.0");
 
-    /// Standard deviation of that slope. Only with bottom = "three-term".
+    /// Standard deviation of the intermediate lobe. Only with bottom = "three-term".
     intermediate_width_deg: Degrees(from(2.0, 80.0)), Default("18.0");
 
-    /// Backscattering strengths in dB, a file of any of the formats of `path` (GeoTIFF, ESRI ASCII grid and so on); holes and what lies beyond
-    /// keep the bottom's own. Over a seabed from a file it lies where its coordinates put it, and must count them in the same system; otherwise
-    /// its centre lies at the scene's zero.
+    /// File of backscattering strengths in dB, in any format of `path` (GeoTIFF, ESRI ASCII grid and so on). Holes and the area outside keep the
+    /// bottom's own strength. Over a seabed from a file it lies at its coordinates, which must use the same system. Otherwise its centre lies at
+    /// the scene's origin.
     mosaic: File, Optional("\"data/backscatter.asc\"");
 
-    /// As crs, of the mosaic's file. Only with a mosaic.
+    /// Coordinate system of the mosaic file, as crs. Only with a mosaic.
     mosaic_crs: Text, Optional("\"utm-31n\"");
 
-    /// "absolute": strengths at mosaic_incidence_deg, to which the law is raised or lowered; "relative": to be added to it. Only with a mosaic.
+    /// "absolute": strengths at mosaic_incidence_deg, to which the law is scaled. "relative": values added to the law. Only with a mosaic.
     mosaic_values: Choice("absolute", "relative"), Default("\"absolute\"");
 
-    /// Only with mosaic_values = "absolute".
+    /// Incidence angle of the strengths. Only with mosaic_values = "absolute".
     mosaic_incidence_deg: Degrees(from(0.0, 85.0)), Default("45.0");
 
-    /// Moves the mosaic. Only with a mosaic.
+    /// Moves the mosaic northward. Only with a mosaic.
     mosaic_offset_north_m: Number(METRES), Default("0.0");
 
-    /// Moves the mosaic. Only with a mosaic.
+    /// Moves the mosaic eastward. Only with a mosaic.
     mosaic_offset_east_m: Number(METRES), Default("0.0");
 
-    /// Circular Gaussian reflectivities; false: all 1.
+    /// true: circular Gaussian reflectivities. false: all reflectivities are 1.
     speckle: Bool, Default("true");
 }
