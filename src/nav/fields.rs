@@ -63,27 +63,20 @@ impl<'a> Fields<'a> {
         time_of_day_ns(self.text(i)).map(Some).ok_or(Malformed)
     }
 
-    /// Four fields from `i`: ddmm.mmm, N or S, dddmm.mmm, E or W, in degrees.
+    /// The position in four fields from `i`: ddmm.mmm, N or S, dddmm.mmm, E or W; in degrees.
     pub(crate) fn position(&self, i: usize) -> Result<Option<(f64, f64)>, Refusal> {
-        let (Some(latitude), Some(longitude)) = (self.number(i)?, self.number(i + 2)?) else {
+        if self.text(i).is_empty() || self.text(i + 2).is_empty() {
             return Ok(None);
+        }
+        let angle = |at: usize, plus: &str, minus: &str| {
+            let degrees = degrees_of_arc(self.text(at)).ok_or(Malformed)?;
+            match self.text(at + 1) {
+                letter if letter == plus => Ok(degrees),
+                letter if letter == minus => Ok(-degrees),
+                _ => Err(Malformed),
+            }
         };
-        let degrees = |value: f64| {
-            let whole = (value / 100.0).floor();
-            let minutes = value - whole * 100.0;
-            (value >= 0.0 && minutes < 60.0).then_some(whole + minutes / 60.0)
-        };
-        let sign = |text: &str, plus: &str, minus: &str| match text {
-            t if t == plus => Some(1.0),
-            t if t == minus => Some(-1.0),
-            _ => None,
-        };
-        let north = sign(self.text(i + 1), "N", "S").ok_or(Malformed)?;
-        let east = sign(self.text(i + 3), "E", "W").ok_or(Malformed)?;
-        Ok(Some((
-            north * degrees(latitude).ok_or(Malformed)?,
-            east * degrees(longitude).ok_or(Malformed)?,
-        )))
+        Ok(Some((angle(i, "N", "S")?, angle(i + 2, "E", "W")?)))
     }
 
     /// ddmmyy.
@@ -95,6 +88,22 @@ impl<'a> Fields<'a> {
         let two = |at: usize| text[at..at + 2].parse::<u32>().map_err(|_| Malformed);
         Ok((two(0)?, two(2)?, two(4)? as i32))
     }
+}
+
+/// ddmm.mmm or dddmm.mmm, with or without leading zeros, as degrees.
+fn degrees_of_arc(text: &str) -> Option<f64> {
+    if !text.bytes().all(|b| b.is_ascii_digit() || b == b'.') {
+        return None;
+    }
+    // Splitting the text keeps every digit of the minutes.
+    let point = text.find('.').unwrap_or(text.len());
+    let (degrees, minutes) = text.split_at(point.saturating_sub(2));
+    let degrees = match degrees {
+        "" => 0.0,
+        degrees => degrees.parse::<f64>().ok()?,
+    };
+    let minutes = minutes.parse::<f64>().ok()?;
+    (minutes < 60.0).then_some(degrees + minutes / 60.0)
 }
 
 /// hhmmss[.fraction] as nanoseconds since midnight, exact to nine decimals; second 60 is accepted.

@@ -1,60 +1,30 @@
-//! Sentences to readings. Comes in: a framed sentence. Goes out: a [`Reading`] in SI with our signs, or why not.
+//! Decodes a framed NMEA 0183 sentence into a [`Reading`] in SI units.
 //!
-//! The crate `nmea` 0.8 decodes GGA, RMC, VTG, ZDA and HDT, after [`decode`] has given it back what it insists on (checksum, HDT's `T`).
-//! Own decoders take what it lacks (`proprietary`, HDG, HDM, THS, ROT, DBT) or refuses (two-digit years, leap seconds, GGA quality 9, long
-//! sentences, GLL without a mode) or would misread (longitudes not padded with zeros: it takes three digits of degrees whatever comes).
+//! Each sentence type has one decoder. The crate `nmea` 0.8 decodes VTG and HDT. Its `f32` values resolve angles to 1.5e-5 degrees and
+//! speeds to 1e-6 of their value, finer than either sentence prints them. Functions of this module decode the rest, because the crate:
+//! - refuses leap seconds (GGA, RMC, ZDA), GGA quality 9, two-digit years (ZDA) and GLL without a mode;
+//! - misreads longitudes without leading zeros, since it always takes three digits of degrees (GGA, RMC, GLL);
+//! - rounds GGA heights and RMC courses and speeds to `f32`;
+//! - lacks HDG, HDM, THS, DBT and the proprietary sentences.
 //!
-//! Roll + port up (= starboard down), pitch + bow up, heading clockwise from true north, heave + down; each decoder turns its sentence's
-//! signs into these. The flags at the end of PASHR mean different things by maker and are not looked at.
+//! Signs: roll is positive port up (starboard down), pitch bow up, heading clockwise from true north, heave down. Each decoder converts its
+//! sentence's signs to these. The flags at the end of PASHR differ between manufacturers and are ignored.
 
-use std::fmt::Write;
-
-use chrono::{NaiveTime, Timelike};
-use nmea::ParseResult;
-use nmea::sentences::{FixType, rmc::RmcStatusOfFix};
+use nmea::sentences::{parse_hdt, parse_vtg};
+use nmea::{NmeaSentence, SentenceType};
 
 use super::fields::Fields;
-use super::framing::checksum_of;
 use super::proprietary;
 use super::reading::Refusal::{self, Malformed, Unsupported};
-use super::reading::{Decoded, Kind, Reading, date_ns, midnight_ns, sound};
+use super::reading::{Decoded, Kind, Reading, date_ns, sound};
 use echotank_config::spec::NavDialect;
 use echotank_core::flow::FixQuality;
-use echotank_core::time::NS_PER_S;
 
-/// The longest sentence the crate `nmea` looks at.
-const NMEA_CRATE_MAX: usize = nmea::SENTENCE_MAX_LEN;
 const FATHOM_M: f64 = 1.8288;
 const FOOT_M: f64 = 0.3048;
 
-/// Decodes the body of a sentence (without `$` and `*hh`). `scratch` is overwritten.
+/// Decodes the body of a sentence: without `$` and `*hh`. `scratch` is overwritten.
 pub fn decode(body: &str, dialect: &NavDialect, scratch: &mut String) -> Decoded {
-    match decode_by_crate(body, scratch) {
-        Some(decoded) => decoded,
-        None => decode_own(body, dialect),
-    }
-}
-
-/// The crate's opinion; `None` where it has none, or where it is not asked.
-pub fn decode_by_crate(body: &str, scratch: &mut String) -> Option<Decoded> {
-    let fields = Fields::split(body);
-    let kind = match sentence_type(&fields)? {
-        "GGA" => Kind::Gga,
-        "RMC" => Kind::Rmc,
-        "VTG" => Kind::Vtg,
-        "ZDA" => Kind::Zda,
-        "HDT" => Kind::Hdt,
-        _ => return None,
-    };
-    restore(kind, body, &fields, scratch);
-    if scratch.len() > NMEA_CRATE_MAX || !padded(kind, &fields) {
-        return None;
-    }
-    by_crate(kind, scratch)
-}
-
-/// Our own opinion.
-pub fn decode_own(body: &str, dialect: &NavDialect) -> Decoded {
     let f = Fields::split(body);
     if f.text(0).starts_with('P') {
         return proprietary::decode(&f, dialect);
@@ -63,13 +33,14 @@ pub fn decode_own(body: &str, dialect: &NavDialect) -> Decoded {
         "GGA" => gga(&f),
         "RMC" => rmc(&f),
         "GLL" => gll(&f),
-        "VTG" => vtg(&f),
+        "VTG" => vtg(&f, scratch),
         "ZDA" => zda(&f),
-        "HDT" | "THS" => true_heading(&f),
+        "HDT" => hdt(&f, scratch),
+        "THS" => ths(&f),
         "HDG" => hdg(&f, dialect),
         "HDM" => magnetic(f.number(1)?, None, dialect),
-        "DBT" | "DBS" | "DBK" => depth_below(&f).and_then(|r| owned(r, dialect)),
-        "DPT" => dpt(&f).and_then(|r| owned(r, dialect)),
+        "DBT" | "DBS" | "DBK" => depth_below(&f).and_then(|r| own_depth(r, dialect)),
+        "DPT" => dpt(&f).and_then(|r| own_depth(r, dialect)),
         "YMR" | "INS" => proprietary::vectornav(&f),
         "GST" | "ROT" => Ok(match f.text(1).is_empty() {
             true => Reading::new(Kind::Information),
@@ -79,97 +50,33 @@ pub fn decode_own(body: &str, dialect: &NavDialect) -> Decoded {
     }
 }
 
-/// The three letters behind a talker of two.
+/// The three letters after a two-letter talker.
 fn sentence_type<'a>(fields: &Fields<'a>) -> Option<&'a str> {
     let address = fields.text(0);
-    let ours = address.len() == 5 && address.is_ascii() && !address.starts_with('P');
-    ours.then(|| &address[2..])
+    let standard = address.len() == 5 && address.is_ascii() && !address.starts_with('P');
+    standard.then(|| &address[2..])
 }
 
-/// Writes the sentence as the crate wants it: with a checksum, and HDT with its `T`.
-fn restore(kind: Kind, body: &str, fields: &Fields, out: &mut String) {
+/// Writes fields 1 to `count` to `out`, absent ones empty: the crate `nmea` insists on their number.
+fn join_fields(f: &Fields, count: usize, out: &mut String) {
     out.clear();
-    out.push('$');
-    if kind == Kind::Hdt && fields.text(2).is_empty() {
-        let _ = write!(out, "{},{},T", fields.text(0), fields.text(1));
-    } else {
-        out.push_str(body);
-    }
-    let sum = checksum_of(&out[1..]);
-    let _ = write!(out, "*{sum:02X}");
-}
-
-/// Latitude has two digits of degrees and longitude three, or neither is there.
-fn padded(kind: Kind, fields: &Fields) -> bool {
-    let first = match kind {
-        Kind::Gga => 2,
-        Kind::Rmc => 3,
-        _ => return true,
-    };
-    let whole = |text: &str| text.find('.').unwrap_or(text.len());
-    let (latitude, longitude) = (fields.text(first), fields.text(first + 2));
-    (latitude.is_empty() && longitude.is_empty()) || (whole(latitude) == 4 && whole(longitude) == 5)
-}
-
-// ---------------------------------------------------------------- by the crate
-
-/// `None`: the crate would not take it.
-fn by_crate(kind: Kind, text: &str) -> Option<Decoded> {
-    let mut r = Reading::new(kind);
-    let wide = |pair: Option<(f32, f32)>| pair.map(|(a, b)| (f64::from(a), f64::from(b)));
-    let done = match nmea::parse_str(text).ok()? {
-        ParseResult::GGA(d) => {
-            r.set_time(d.fix_time.map(of_naive_time), None);
-            r.fix = d.fix_type.map_or(FixQuality::None, of_fix_type);
-            r.height_m = d.altitude.map(f64::from);
-            r.set_position(d.latitude.zip(d.longitude))
+    for i in 1..=count {
+        if i > 1 {
+            out.push(',');
         }
-        ParseResult::RMC(d) => {
-            r.fix = match d.status_of_fix {
-                RmcStatusOfFix::Autonomous => FixQuality::Autonomous,
-                RmcStatusOfFix::Differential => FixQuality::Differential,
-                RmcStatusOfFix::Invalid => FixQuality::None,
-            };
-            // A receiver without a fix may also be wrong about the date.
-            let date = d.fix_date.filter(|_| r.fix != FixQuality::None);
-            r.set_time(d.fix_time.map(of_naive_time), date.and_then(midnight_ns));
-            let position = r.set_position(d.lat.zip(d.lon));
-            let course_speed = d.true_course.zip(d.speed_over_ground);
-            let course_speed = wide(course_speed).filter(|_| r.fix != FixQuality::None);
-            position.and_then(|()| r.set_course_knots(course_speed))
-        }
-        ParseResult::VTG(d) => r.set_course_knots(wide(d.true_course.zip(d.speed_over_ground))),
-        ParseResult::ZDA(d) => {
-            let day = d.utc_date().and_then(midnight_ns);
-            r.set_time(d.utc_time.map(of_naive_time), day);
-            sound(day.is_some() || d.day.or(d.month).is_none())
-        }
-        ParseResult::HDT(d) => r.set_heading(d.heading.map(f64::from)),
-        _ => Err(Malformed),
-    };
-    Some(done.map(|()| r))
-}
-
-fn of_naive_time(time: NaiveTime) -> i64 {
-    // The crate rounds fractions on its own: nanosecond() may be 1e9.
-    i64::from(time.num_seconds_from_midnight()) * NS_PER_S + i64::from(time.nanosecond())
-}
-
-fn of_fix_type(fix: FixType) -> FixQuality {
-    match fix {
-        FixType::Invalid => FixQuality::None,
-        // Manual and simulated positions are what a bench feeds us.
-        FixType::Gps | FixType::Pps | FixType::Manual | FixType::Simulation => {
-            FixQuality::Autonomous
-        }
-        FixType::DGps => FixQuality::Differential,
-        FixType::Rtk => FixQuality::RtkFixed,
-        FixType::FloatRtk => FixQuality::RtkFloat,
-        FixType::Estimated => FixQuality::DeadReckoning,
+        out.push_str(f.text(i));
     }
 }
 
-// ---------------------------------------------------------------- our own
+/// A sentence as the crate `nmea` parses it. The framing has already verified the checksum.
+fn crate_sentence(message_id: SentenceType, data: &str) -> NmeaSentence<'_> {
+    NmeaSentence {
+        talker_id: "",
+        message_id,
+        data,
+        checksum: 0,
+    }
+}
 
 fn gga(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Gga);
@@ -224,13 +131,14 @@ fn gll(f: &Fields) -> Decoded {
 }
 
 /// `course,T,magnetic,M,knots,N,km/h,K[,mode]`.
-fn vtg(f: &Fields) -> Decoded {
+fn vtg(f: &Fields, scratch: &mut String) -> Decoded {
     let mut r = Reading::new(Kind::Vtg);
-    if !matches!(f.text(2), "T" | "") || !matches!(f.text(6), "N" | "") {
-        return Err(Malformed);
-    }
-    let course_speed = f.number(1)?.zip(f.number(5)?);
-    r.set_course_knots(course_speed.filter(|_| f.text(9) != "N"))?;
+    join_fields(f, 8, scratch);
+    let data = parse_vtg(crate_sentence(SentenceType::VTG, scratch)).map_err(|_| Malformed)?;
+    let course_speed = data.true_course.zip(data.speed_over_ground);
+    // The crate ignores mode N: not valid.
+    let course_speed = course_speed.filter(|_| f.text(9) != "N");
+    r.set_course_knots(course_speed.map(|(course, knots)| (course.into(), knots.into())))?;
     Ok(r)
 }
 
@@ -245,16 +153,22 @@ fn zda(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// HDT, and THS, whose mode V means invalid.
-fn true_heading(f: &Fields) -> Decoded {
-    let ths = f.text(0).ends_with("THS");
-    let mut r = Reading::new(if ths { Kind::Ths } else { Kind::Hdt });
-    let known = if ths {
-        matches!(f.text(2), "A" | "E" | "M" | "S" | "V" | "")
-    } else {
-        matches!(f.text(2), "T" | "")
-    };
-    sound(known)?;
+/// `heading,T`; the crate insists on the `T`, which some senders omit.
+fn hdt(f: &Fields, scratch: &mut String) -> Decoded {
+    let mut r = Reading::new(Kind::Hdt);
+    join_fields(f, 2, scratch);
+    if f.text(2).is_empty() {
+        scratch.push('T');
+    }
+    let data = parse_hdt(crate_sentence(SentenceType::HDT, scratch)).map_err(|_| Malformed)?;
+    r.set_heading(data.heading.map(f64::from))?;
+    Ok(r)
+}
+
+/// `heading,mode`; mode V means not valid.
+fn ths(f: &Fields) -> Decoded {
+    let mut r = Reading::new(Kind::Ths);
+    sound(matches!(f.text(2), "A" | "E" | "M" | "S" | "V" | ""))?;
     r.set_heading(f.number(1)?.filter(|_| f.text(2) != "V"))?;
     Ok(r)
 }
@@ -295,8 +209,8 @@ fn depth_below(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// The same depth as the platform's own, where the operator says that it is.
-fn owned(water: Reading, dialect: &NavDialect) -> Decoded {
+/// Converts a water depth to the platform's own depth if the configuration says that the sensor measures it.
+fn own_depth(water: Reading, dialect: &NavDialect) -> Decoded {
     if !dialect.depth_is_own {
         return Ok(water);
     }
@@ -316,6 +230,7 @@ fn dpt(f: &Fields) -> Decoded {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use echotank_core::time::NS_PER_S;
 
     fn read(body: &str) -> Decoded {
         decode(body, &NavDialect::default(), &mut String::new())
@@ -330,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_crate_refuses_or_misreads_is_taken_here() {
+    fn decodes_what_the_nmea_crate_refuses_or_misreads() {
         let zda = read("GPZDA,195719,16,04,14,-02,00").expect("two-digit year");
         assert_eq!(zda.day_ns(), Some(1_397_606_400 * NS_PER_S), "2014-04-16");
         let padded = read("GPGGA,195719,5310.8115,N,00516.0606,E,9,00,1.10,-2,M,,M,,")

@@ -15,7 +15,7 @@ use echotank_core::flow::FixQuality;
 use echotank_core::time::UtcNs;
 use echotank_nav::framing::{Checksum, Framing};
 use echotank_nav::reading::{Kind, Reading};
-use echotank_nav::sentence::decode_own;
+use echotank_nav::sentence::decode;
 use echotank_protocols::sevenk::RecordBody;
 use echotank_runtime::daemon::Daemon;
 use echotank_runtime::io::sonar::client::SevenKClient;
@@ -396,7 +396,7 @@ fn what_went_out(datagrams: &[Vec<u8>], first_ping_ns: i64) {
         let mut readings: Vec<Reading> = Vec::new();
         while let Some(s) = framing.next(&mut left, UtcNs(0), 0) {
             assert_eq!(s.checksum, Checksum::Right, "{}", s.body);
-            readings.push(decode_own(s.body, &NavDialect::default()).expect(s.body));
+            readings.push(decode(s.body, &NavDialect::default(), &mut String::new()).expect(s.body));
         }
         assert_eq!(framing.resync_bytes(), 0);
         if readings[0].kind == Kind::Zda {

@@ -14,7 +14,7 @@ use echotank_core::time::UtcNs;
 use echotank_nav::NavHistory;
 use echotank_nav::framing::{Checksum, Framing};
 use echotank_nav::reading::{Kind, Reading, When};
-use echotank_nav::sentence::decode_own;
+use echotank_nav::sentence::decode;
 use echotank_ping::faults::Faults;
 use echotank_runtime::clock::{Clock, SystemClock};
 use echotank_runtime::io::nav::output::{ClockFaults, NavOutputs, OutputTime};
@@ -158,7 +158,7 @@ fn read(line: &[u8]) -> Reading {
         .next(&mut left, UtcNs(0), 0)
         .unwrap_or_else(|| panic!("no sentence in {:?}", String::from_utf8_lossy(line)));
     assert_eq!(sentence.checksum, Checksum::Right, "{}", sentence.body);
-    decode_own(sentence.body, &NavDialect::default()).expect(sentence.body)
+    decode(sentence.body, &NavDialect::default(), &mut String::new()).expect(sentence.body)
 }
 
 fn kinds(heard: &[Heard], kind: Kind) -> impl Iterator<Item = (UtcNs, &Reading)> {
