@@ -123,7 +123,7 @@ fn a_silent_gnss_is_relieved_with_its_relief_s_own_lever_arm_and_nothing_is_join
             assert!((north(&mut history, 5.0).expect("first") - 10.0).abs() < 0.1);
         }
         if i == 180 {
-            assert_eq!(history.speaking(NavChannel::Position), Some(1));
+            assert_eq!(history.active_source(NavChannel::Position), Some(1));
             assert!((north(&mut history, 15.0).expect("second") - 30.0).abs() < 0.1);
             // The past keeps the arm of its own source.
             assert!((north(&mut history, 9.0).expect("first") - 18.0).abs() < 0.1);
@@ -132,7 +132,7 @@ fn a_silent_gnss_is_relieved_with_its_relief_s_own_lever_arm_and_nothing_is_join
         }
     }
     // Back at 20 s, trusted again at 25 s.
-    assert_eq!(history.speaking(NavChannel::Position), Some(0));
+    assert_eq!(history.active_source(NavChannel::Position), Some(0));
     let back = motion(&mut history, 30.0).expect("first again");
     assert!((back.pose.position_m.x - 60.0).abs() < 0.1, "{back:?}");
     // Position and heading, there and back.

@@ -981,7 +981,7 @@ fn paced_bytes_give_every_sentence_the_arrival_of_its_own_first_byte() {
         let bytes: Vec<u8> = (0..5).flat_map(|_| (f.encode)(&motion(0.0))).collect();
         let mut samples = Vec::new();
         let mut decoder = NavDecoder::new(0, &spec);
-        let quiet = &mut |_: &echotank_nav::decoder::Heard| {};
+        let quiet = &mut |_: &echotank_nav::decoder::SentenceEvent| {};
         decoder.push_paced(&bytes, UtcNs(0), byte_ns, &mut samples, quiet);
         let mut arrivals: Vec<i64> = samples.iter().map(|s| s.arrival_utc.0).collect();
         arrivals.dedup();

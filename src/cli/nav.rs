@@ -205,7 +205,7 @@ fn fate(s: &SentenceReport, report: &LogReport) -> String {
         parts.push(format!("time or quality {}", count(Outcome::Used)));
     }
     for (i, name) in channel_names().enumerate() {
-        if s.outspoken[i] > 0 {
+        if s.outranked[i] > 0 {
             let others = report
                 .sentences
                 .iter()
@@ -215,7 +215,7 @@ fn fate(s: &SentenceReport, report: &LogReport) -> String {
                 .map_or("another", |o| o.name.as_str());
             parts.push(format!(
                 "{} not taken: {name} comes from {from}",
-                s.outspoken[i]
+                s.outranked[i]
             ));
         }
     }
@@ -231,7 +231,7 @@ fn fate(s: &SentenceReport, report: &LogReport) -> String {
             s.depths
         ));
     }
-    let spoken = s.outspoken.iter().any(|n| *n > 0) || s.magnetic > 0 || s.depths > 0;
+    let spoken = s.outranked.iter().any(|n| *n > 0) || s.magnetic > 0 || s.depths > 0;
     if count(Outcome::NotTaken) > 0 && !spoken {
         parts.push(format!(
             "{} known, of no use here",
@@ -318,7 +318,7 @@ fn text_of(args: &NavArgs, r: &LogReport) -> String {
         let stamped = s.latency_s.filter(|_| log.stamped > 0);
         let latency = stamped.map_or("-".to_owned(), |l| {
             let ms = |v: f64| format!("{:.0}", v * 1e3);
-            format!("{}/{}/{}", ms(l.least), ms(l.median), ms(l.most))
+            format!("{}/{}/{}", ms(l.min), ms(l.median), ms(l.max))
         });
         let _ = writeln!(
             out,
@@ -326,7 +326,7 @@ fn text_of(args: &NavArgs, r: &LogReport) -> String {
             s.name,
             s.count,
             seconds(s.interval_s.map(|i| i.median)),
-            seconds(s.interval_s.map(|i| i.most)),
+            seconds(s.interval_s.map(|i| i.max)),
             fate(s, r)
         );
     }
@@ -366,7 +366,7 @@ fn text_of(args: &NavArgs, r: &LogReport) -> String {
 fn spread_json(spread: Option<Spread>) -> Value {
     spread.map_or(
         Value::Null,
-        |s| json!({ "least": s.least, "median": s.median, "most": s.most }),
+        |s| json!({ "least": s.min, "median": s.median, "most": s.max }),
     )
 }
 
@@ -393,7 +393,7 @@ fn json_of(args: &NavArgs, r: &LogReport) -> Value {
                 "interval_s": spread_json(s.interval_s),
                 "latency_s": spread_json(s.latency_s.filter(|_| r.log.stamped > 0)),
                 "gave": by_channel(&s.gave),
-                "left_to_another": by_channel(&s.outspoken),
+                "left_to_another": by_channel(&s.outranked),
                 "what_comes_of_it": fate(s, r),
             })
         })

@@ -1,97 +1,119 @@
-//! One source's bytes to samples: framing, checksum policy, time policy, and which sentence speaks for which quantity.
+//! Decodes the bytes of one source to samples: framing, checksum policy, time policy, and the choice of sentence for each
+//! quantity.
 
 use super::framing::{Checksum, Framing, RawSentence};
 use super::message_time::{MessageClock, Stamp};
-use super::reading::{Decoded, Invalid, Reading, Refusal};
+use super::reading::{DecodeError, Decoded, Invalid, Reading};
 use super::records::{Record, Records};
 use super::sentence::decode;
 use echotank_config::spec::{ChecksumPolicy, NavChannel, NavDialect, NavSourceSpec, TimePolicy};
 use echotank_core::flow::{NavQuantity, NavSample};
 use echotank_core::time::{NS_PER_S, UtcNs};
 
-/// Of [`NavChannel`].
+/// Number of [`NavChannel`] values.
 const CHANNEL_COUNT: usize = 6;
-/// A lesser sentence speaks for a quantity only after the better one has been silent this long.
+/// A lower-ranked sentence provides a quantity only after the higher-ranked one has been absent for this long.
 const SILENCE_NS: i64 = 5 * NS_PER_S;
 
-/// Kinds of sentences of one source that may borrow a burst's time; there are some fifteen that have none.
-const MAX_FOLLOWERS: usize = 32;
+/// Maximum number of untimed sentence names per source that take the time of a burst; about fifteen untimed sentences exist.
+const MAX_UNTIMED: usize = 32;
 
-/// What a source sent. Every sentence is counted in exactly one of `used`, `refused_checksum`, `malformed`, `unsupported`,
-/// `empty_fields`, `not_taken` and `time_jumps`; `bad_checksum` and `missing_checksum` count what was seen, refused or not.
+/// Counters of one source. Every sentence counts in exactly one of `used`, `refused_checksum`, `malformed`, `unsupported`,
+/// `empty_fields`, `not_taken` and `time_jumps`. `bad_checksum` and `missing_checksum` count sentences whether refused or not.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct NavCounters {
+    /// Bytes received.
     pub bytes: u64,
+    /// Sentences and records found.
     pub sentences: u64,
+    /// Sentences that gave a sample, a time or a quality.
     pub used: u64,
+    /// Sentences that the checksum policy refuses.
     pub refused_checksum: u64,
+    /// Known sentences with invalid fields.
     pub malformed: u64,
+    /// Sentences that have no decoder.
     pub unsupported: u64,
-    /// Known sentences with nothing in them: no fix, empty fields.
+    /// Known sentences without values: no fix, or empty fields.
     pub empty_fields: u64,
-    /// Good sentences that give nothing this source provides, or whose quantities come from a better sentence.
+    /// Valid sentences whose quantities are not wanted from this source or come from a higher-ranked sentence.
     pub not_taken: u64,
-    /// Of those: the instrument itself says that its values are invalid (PSXN,20).
+    /// Sentences with values that the instrument flags as invalid (PSXN,20).
     pub flagged_invalid: u64,
-    /// Message times moved by whole GPS weeks' rollovers (1024 weeks) onto the host's or recorder's date.
+    /// Message times corrected by a multiple of 1024 GPS weeks to match the arrival date.
     pub week_rollovers: u64,
-    /// Message time not believed.
+    /// Sentences rejected because their time jumps.
     pub time_jumps: u64,
+    /// Sentences with a wrong checksum.
     pub bad_checksum: u64,
+    /// Sentences without a checksum.
     pub missing_checksum: u64,
+    /// Bytes outside any sentence or record.
     pub resync_bytes: u64,
-    /// Sentences without a time that found none in their burst, or run on their own, and took their arrival.
+    /// Untimed sentences without a burst, which are valid at their arrival.
     pub undated: u64,
+    /// Samples produced.
     pub samples: u64,
 }
 
-/// What became of one sentence; the names are those of the counters.
+/// Result for one sentence; named like the counters of [`NavCounters`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Outcome {
+    /// It gave a sample, a time or a quality.
     Used,
+    /// The checksum policy refuses it.
     RefusedChecksum,
+    /// A field is invalid.
     Malformed,
+    /// It has no decoder.
     Unsupported,
+    /// It holds no values.
     EmptyFields,
+    /// Its quantities are not wanted or come from a higher-ranked sentence.
     NotTaken,
+    /// Its time jumps.
     TimeJump,
 }
 
-/// One sentence or record, and what became of it: for reports.
+/// One sentence or record and its result, for reports.
 #[derive(Clone, Copy, Debug)]
-pub struct Heard<'a> {
-    /// Address and, where a maker's sentences need it, the word behind it: `INGGA`, `PSXN,23`.
+pub struct SentenceEvent<'a> {
+    /// Address, and for proprietary sentences the word after it: `INGGA`, `PSXN,23`.
     pub name: &'a str,
+    /// Result of decoding.
     pub outcome: Outcome,
+    /// Result of the checksum test.
     pub checksum: Checksum,
+    /// Arrival of the first byte.
     pub arrival: UtcNs,
-    /// The time in the message itself.
+    /// Time in the message.
     pub(crate) message_utc: Option<UtcNs>,
-    /// One bit per [`NavChannel`]: quantities taken.
+    /// Quantities taken: one bit per [`NavChannel`].
     pub taken: u8,
-    /// Quantities that a better sentence of this source gives.
-    pub outspoken: u8,
-    /// Quantities that the source is not to provide.
+    /// Quantities that a higher-ranked sentence of this source provides; one bit per [`NavChannel`].
+    pub outranked: u8,
+    /// Quantities that the configuration does not want from this source; one bit per [`NavChannel`].
     pub(crate) unwanted: u8,
+    /// Decoded values, if the sentence decodes and its time is accepted.
     pub reading: Option<&'a Reading>,
 }
 
-/// Which sentence last spoke for a channel.
+/// The sentence that provides a channel.
 #[derive(Clone, Copy, Debug)]
-struct Speaker {
+struct ActiveSentence {
     rank: u8,
-    /// Of the sentence's name: two talkers that say the same are not mixed.
+    /// Hash of the sentence's name: sentences of two talkers are not mixed.
     name: u64,
     arrival: UtcNs,
 }
 
-/// A sentence without a time, and the burst that it last borrowed one of.
+/// An untimed sentence and the burst whose time it last took.
 #[derive(Clone, Copy, Debug)]
-struct Follower {
+struct UntimedSentence {
     name: u64,
     burst: UtcNs,
-    /// It came twice in one burst.
-    free: bool,
+    /// It came twice in one burst, so its rate is independent of the bursts.
+    independent: bool,
 }
 
 enum Finder {
@@ -99,12 +121,13 @@ enum Finder {
     Records(Records),
 }
 
+/// Decodes the byte stream of one source to samples.
 pub struct NavDecoder {
     finder: Finder,
     reader: Reader,
 }
 
-/// Everything behind the framing.
+/// Decoder stages after the framing.
 struct Reader {
     source: u16,
     time: TimePolicy,
@@ -112,19 +135,19 @@ struct Reader {
     dialect: NavDialect,
     provides: Vec<NavChannel>,
     clock: MessageClock,
-    speakers: [Option<Speaker>; CHANNEL_COUNT],
-    followers: Vec<Follower>,
-    /// By the last PSXN,20.
+    active: [Option<ActiveSentence>; CHANNEL_COUNT],
+    untimed: Vec<UntimedSentence>,
+    /// Flags of the last PSXN,20.
     invalid: Invalid,
     scratch: String,
     counters: NavCounters,
 }
 
-/// What happens at one sentence, beside its samples: nothing, in the ping path.
-pub fn unwatched(_: &Heard) {}
+/// A `watch` callback that does nothing.
+pub fn ignore_events(_: &SentenceEvent) {}
 
 impl NavDecoder {
-    /// `source` is the index of `spec` in `NavSpec::sources`.
+    /// Decoder for `spec`; `source` is its index in `NavSpec::sources`.
     pub fn new(source: u16, spec: &NavSourceSpec) -> Self {
         let finder = match Records::new(spec.dialect.format) {
             Some(records) => Finder::Records(records),
@@ -139,8 +162,8 @@ impl NavDecoder {
                 dialect: spec.dialect.clone(),
                 provides: spec.provides.clone(),
                 clock: MessageClock::default(),
-                speakers: [None; CHANNEL_COUNT],
-                followers: Vec::with_capacity(MAX_FOLLOWERS),
+                active: [None; CHANNEL_COUNT],
+                untimed: Vec::with_capacity(MAX_UNTIMED),
                 invalid: Invalid::default(),
                 scratch: String::new(),
                 counters: NavCounters::default(),
@@ -148,20 +171,20 @@ impl NavDecoder {
         }
     }
 
-    /// Decodes bytes, cut anywhere, of which the first arrived at `arrival` (rig time); samples are appended to `out`.
+    /// Decodes the next bytes of the stream and appends samples to `out`. `arrival` is the rig time of the first byte.
     pub fn push(&mut self, bytes: &[u8], arrival: UtcNs, out: &mut Vec<NavSample>) {
-        self.push_paced(bytes, arrival, 0, out, &mut unwatched);
+        self.push_paced(bytes, arrival, 0, out, &mut ignore_events);
     }
 
-    /// The same with `byte_ns` between two bytes on the wire, so that each sentence has the arrival of its own first byte; `watch` is told of
-    /// every sentence.
+    /// Like [`Self::push`], with `byte_ns` between bytes on the wire, so that each sentence has the arrival of its own first
+    /// byte. Calls `watch` for every sentence.
     pub fn push_paced(
         &mut self,
         bytes: &[u8],
         arrival: UtcNs,
         byte_ns: i64,
         out: &mut Vec<NavSample>,
-        watch: &mut impl FnMut(&Heard),
+        watch: &mut impl FnMut(&SentenceEvent),
     ) {
         let reader = &mut self.reader;
         reader.counters.bytes += bytes.len() as u64;
@@ -187,15 +210,15 @@ impl NavDecoder {
         }
     }
 
-    /// A datagram or a file ends here: a sentence still open ends too.
+    /// Ends a datagram or file: a sentence still open is complete.
     pub fn flush(&mut self, out: &mut Vec<NavSample>) {
-        self.flush_watched(out, &mut unwatched);
+        self.flush_watched(out, &mut ignore_events);
     }
 
     pub(crate) fn flush_watched(
         &mut self,
         out: &mut Vec<NavSample>,
-        watch: &mut impl FnMut(&Heard),
+        watch: &mut impl FnMut(&SentenceEvent),
     ) {
         match &mut self.finder {
             Finder::Sentences(framing) => {
@@ -211,38 +234,39 @@ impl NavDecoder {
         }
     }
 
-    /// Takes a message that somebody else has found and decoded (MAVLink).
+    /// Takes a message that another module has framed and decoded (MAVLink).
     pub(crate) fn push_record(
         &mut self,
         name: &str,
         record: &Record,
         out: &mut Vec<NavSample>,
-        watch: &mut impl FnMut(&Heard),
+        watch: &mut impl FnMut(&SentenceEvent),
     ) {
         self.reader.take_record(name, record, out, watch);
     }
 
-    /// Bytes that the finder of such messages has looked at, and those of them that belonged to none.
+    /// Counts bytes that another module has framed.
     pub(crate) fn count_bytes(&mut self, bytes: u64, resync_bytes: u64) {
         self.reader.counters.bytes += bytes;
         self.reader.counters.resync_bytes += resync_bytes;
     }
 
-    /// The arrivals are not clock time (a log without stamps): dates are taken as they come.
-    pub(crate) fn distrust_arrivals(&mut self) {
-        self.reader.clock.distrust_arrivals();
+    /// Takes dates as they come, because the arrivals are not clock time (a log without stamps).
+    pub(crate) fn ignore_arrival_dates(&mut self) {
+        self.reader.clock.ignore_arrival_dates();
     }
 
+    /// Counters since construction.
     pub fn counters(&self) -> &NavCounters {
         &self.reader.counters
     }
 
-    /// The last believed message time and its arrival.
+    /// The last accepted message time and its arrival.
     pub fn last_message_time(&self) -> Option<(UtcNs, UtcNs)> {
         self.reader.clock.last()
     }
 
-    /// A full date (ZDA, RMC) has been seen; until then message times lean on the arrival's date.
+    /// Whether a full date (ZDA, RMC) has been received. Before that, dates follow the arrival.
     pub fn is_dated(&self) -> bool {
         self.reader.clock.is_dated()
     }
@@ -258,7 +282,7 @@ impl Reader {
         &mut self,
         sentence: &RawSentence,
         out: &mut Vec<NavSample>,
-        watch: &mut impl FnMut(&Heard),
+        watch: &mut impl FnMut(&SentenceEvent),
     ) {
         self.begin(sentence.arrival);
         let decoded = match self.checksum_allows(sentence) {
@@ -271,7 +295,7 @@ impl Reader {
             Some(decoded) => self.finish(name, decoded, checksum, arrival, out, watch),
             None => {
                 self.counters.refused_checksum += 1;
-                watch(&Heard::new(
+                watch(&SentenceEvent::new(
                     name,
                     Outcome::RefusedChecksum,
                     checksum,
@@ -286,14 +310,14 @@ impl Reader {
         name: &str,
         record: &Record,
         out: &mut Vec<NavSample>,
-        watch: &mut impl FnMut(&Heard),
+        watch: &mut impl FnMut(&SentenceEvent),
     ) {
         self.begin(record.arrival);
         let arrival = record.arrival;
         if record.checksum == Checksum::Wrong {
             self.counters.bad_checksum += 1;
             self.counters.refused_checksum += 1;
-            watch(&Heard::new(
+            watch(&SentenceEvent::new(
                 name,
                 Outcome::RefusedChecksum,
                 record.checksum,
@@ -311,46 +335,46 @@ impl Reader {
         checksum: Checksum,
         arrival: UtcNs,
         out: &mut Vec<NavSample>,
-        watch: &mut impl FnMut(&Heard),
+        watch: &mut impl FnMut(&SentenceEvent),
     ) {
-        let mut heard = Heard::new(name, Outcome::Malformed, checksum, arrival);
+        let mut event = SentenceEvent::new(name, Outcome::Malformed, checksum, arrival);
         let mut reading = match decoded {
             Ok(reading) => reading,
             Err(refusal) => {
-                heard.outcome = match refusal {
-                    Refusal::Unsupported => Outcome::Unsupported,
-                    Refusal::Malformed => Outcome::Malformed,
+                event.outcome = match refusal {
+                    DecodeError::Unsupported => Outcome::Unsupported,
+                    DecodeError::Malformed => Outcome::Malformed,
                 };
-                self.count(heard.outcome);
-                return watch(&heard);
+                self.count(event.outcome);
+                return watch(&event);
             }
         };
         if reading.is_empty() {
             self.count(Outcome::EmptyFields);
-            heard.outcome = Outcome::EmptyFields;
-            return watch(&heard);
+            event.outcome = Outcome::EmptyFields;
+            return watch(&event);
         }
         let stamp = self.clock.stamp(&reading, arrival);
         self.counters.week_rollovers = self.clock.week_rollovers();
         if let Stamp::At(utc) = stamp {
-            heard.message_utc = Some(utc);
+            event.message_utc = Some(utc);
         }
         if stamp == Stamp::Jumped {
             self.count(Outcome::TimeJump);
-            heard.outcome = Outcome::TimeJump;
-            return watch(&heard);
+            event.outcome = Outcome::TimeJump;
+            return watch(&event);
         }
-        self.respect(&mut reading);
-        heard.reading = Some(&reading);
-        self.emit(&reading, stamp, &mut heard, out);
-        self.counters.samples += u64::from(heard.taken.count_ones());
-        heard.outcome = if heard.taken != 0 || reading.kind.guides() {
+        self.apply_flags_and_signs(&mut reading);
+        event.reading = Some(&reading);
+        self.emit(&reading, stamp, &mut event, out);
+        self.counters.samples += u64::from(event.taken.count_ones());
+        event.outcome = if event.taken != 0 || reading.kind.is_auxiliary() {
             Outcome::Used
         } else {
             Outcome::NotTaken
         };
-        self.count(heard.outcome);
-        watch(&heard);
+        self.count(event.outcome);
+        watch(&event);
     }
 
     fn count(&mut self, outcome: Outcome) {
@@ -366,8 +390,8 @@ impl Reader {
         } += 1;
     }
 
-    /// Keeps what PSXN,20 says, drops what it called invalid, and turns round what the operator says is the other way round.
-    fn respect(&mut self, r: &mut Reading) {
+    /// Stores the flags of PSXN,20, drops values flagged invalid, and reverses the signs that the configuration reverses.
+    fn apply_flags_and_signs(&mut self, r: &mut Reading) {
         if let Some(invalid) = r.invalid {
             self.invalid = invalid;
         }
@@ -404,16 +428,22 @@ impl Reader {
         }
     }
 
-    /// The operator named this sentence, by its whole address or by its last three letters.
+    /// Whether the configuration ignores the checksum of this sentence, by its address or by its last three letters.
     fn ignores(&self, body: &str) -> bool {
         let address = body.split(',').next().unwrap_or("");
         let mut names = self.dialect.ignore_checksum_for.iter();
         names.any(|name| address == name || (name.len() == 3 && address.ends_with(name.as_str())))
     }
 
-    fn emit(&mut self, r: &Reading, stamp: Stamp, heard: &mut Heard, out: &mut Vec<NavSample>) {
-        let arrival = heard.arrival;
-        let who = fnv(heard.name);
+    fn emit(
+        &mut self,
+        r: &Reading,
+        stamp: Stamp,
+        event: &mut SentenceEvent,
+        out: &mut Vec<NavSample>,
+    ) {
+        let arrival = event.arrival;
+        let who = fnv(event.name);
         let position = r
             .position_rad
             .map(|(latitude_rad, longitude_rad)| NavQuantity::Position {
@@ -453,14 +483,14 @@ impl Reader {
         for (i, (channel, quantity)) in candidates.into_iter().enumerate() {
             let Some(quantity) = quantity else { continue };
             if !self.provides.contains(&channel) {
-                heard.unwanted |= 1 << i;
+                event.unwanted |= 1 << i;
                 continue;
             }
-            if !self.speaks(i, r.kind.rank(), who, arrival) {
-                heard.outspoken |= 1 << i;
+            if !self.is_active(i, r.kind.rank(), who, arrival) {
+                event.outranked |= 1 << i;
                 continue;
             }
-            heard.taken |= 1 << i;
+            event.taken |= 1 << i;
             let valid_utc = *valid.get_or_insert_with(|| self.validity(stamp, who, arrival));
             out.push(NavSample {
                 source: self.source,
@@ -476,7 +506,11 @@ impl Reader {
             (TimePolicy::Arrival { latency_s }, _) => return arrival.plus_s(-latency_s),
             (_, Stamp::At(message)) => return message,
             (TimePolicy::Burst, _) => {
-                if let Some(burst) = self.clock.burst().filter(|b| self.belongs(name, *b)) {
+                if let Some(burst) = self
+                    .clock
+                    .burst()
+                    .filter(|b| self.belongs_to_burst(name, *b))
+                {
                     return burst;
                 }
             }
@@ -486,34 +520,35 @@ impl Reader {
         arrival
     }
 
-    /// A sentence belongs to a burst that it comes in once. One that comes twice in the same runs on its own: no burst is its time, then or later.
-    fn belongs(&mut self, name: u64, burst: UtcNs) -> bool {
-        if let Some(follower) = self.followers.iter_mut().find(|f| f.name == name) {
-            follower.free |= follower.burst == burst;
-            follower.burst = burst;
-            return !follower.free;
+    /// Whether an untimed sentence takes the time of `burst`. One that comes twice in a burst has an independent rate and never
+    /// takes a burst time again.
+    fn belongs_to_burst(&mut self, name: u64, burst: UtcNs) -> bool {
+        if let Some(sentence) = self.untimed.iter_mut().find(|s| s.name == name) {
+            sentence.independent |= sentence.burst == burst;
+            sentence.burst = burst;
+            return !sentence.independent;
         }
-        let room = self.followers.len() < MAX_FOLLOWERS;
+        let room = self.untimed.len() < MAX_UNTIMED;
         if room {
-            self.followers.push(Follower {
+            self.untimed.push(UntimedSentence {
                 name,
                 burst,
-                free: false,
+                independent: false,
             });
         }
         room
     }
 
-    /// Two sentences of one source that say the same thing may hold at different times; mixing them would shake the track, so the
-    /// better one has the word as long as it comes, and among equals the first.
-    fn speaks(&mut self, channel: usize, rank: u8, name: u64, arrival: UtcNs) -> bool {
-        let speaker = &mut self.speakers[channel];
-        let outranked = speaker.is_some_and(|s| {
+    /// Whether this sentence provides the channel. Two sentences with the same quantity may hold at different times, and mixing
+    /// them would distort the track. The higher rank wins, and among equal ranks the first.
+    fn is_active(&mut self, channel: usize, rank: u8, name: u64, arrival: UtcNs) -> bool {
+        let active = &mut self.active[channel];
+        let outranked = active.is_some_and(|s| {
             (s.rank > rank || (s.rank == rank && s.name != name))
                 && arrival.0.saturating_sub(s.arrival.0) < SILENCE_NS
         });
         if !outranked {
-            *speaker = Some(Speaker {
+            *active = Some(ActiveSentence {
                 rank,
                 name,
                 arrival,
@@ -523,7 +558,7 @@ impl Reader {
     }
 }
 
-impl<'a> Heard<'a> {
+impl<'a> SentenceEvent<'a> {
     fn new(name: &'a str, outcome: Outcome, checksum: Checksum, arrival: UtcNs) -> Self {
         Self {
             name,
@@ -532,14 +567,14 @@ impl<'a> Heard<'a> {
             arrival,
             message_utc: None,
             taken: 0,
-            outspoken: 0,
+            outranked: 0,
             unwanted: 0,
             reading: None,
         }
     }
 }
 
-/// Address, and the next word where one address stands for several sentences.
+/// Address, followed by the next word where several sentences share an address.
 fn name_of(body: &str) -> &str {
     let mut commas = body.match_indices(',').map(|(at, _)| at);
     let first = commas.next().unwrap_or(body.len());

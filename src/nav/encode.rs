@@ -1,7 +1,7 @@
-//! Sentences that go out: ZDA, GGA and HDT, with checksum and line end. Comes in: an instant and what is known then. Goes out: bytes.
+//! Encodes ZDA, GGA and HDT sentences with checksum and line end.
 //!
-//! What is not known stands as empty fields, GGA's quality 0 and HDT's empty heading: so does a receiver say that it does not know.
-//! Satellites, dilution and geoid are never known here. Layouts: NMEA 0183.
+//! Unknown values are empty fields, as receivers send them: GGA has quality 0, HDT an empty heading. The number of satellites,
+//! the dilution of precision and the geoid separation are always empty. Layouts: NMEA 0183.
 
 use std::io::Write;
 
@@ -9,26 +9,29 @@ use super::framing::checksum_of;
 use echotank_core::flow::FixQuality;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
-/// Minutes of arc are written to this many of a minute: 0.2 mm.
+/// Steps per minute of arc: 0.2 mm each.
 const MINUTE_STEPS: i64 = 10_000_000;
 
-/// A position as GGA wants it.
+/// Position for GGA.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fix {
+    /// Geodetic latitude, radians, positive north.
     pub latitude_rad: f64,
+    /// Longitude, radians, positive east.
     pub longitude_rad: f64,
-    /// Above the source's own zero, metres.
+    /// Height above the datum of the source, metres.
     pub height_m: f64,
+    /// Fix quality; [`FixQuality::None`] encodes as no fix.
     pub quality: FixQuality,
 }
 
-/// `$GPZDA,hhmmss.ss,dd,mm,yyyy,00,00*hh`: the time zone is UTC.
+/// Appends `$GPZDA,hhmmss.ss,dd,mm,yyyy,00,00*hh`; the time zone is UTC.
 pub fn zda(out: &mut Vec<u8>, talker: &str, utc: UtcNs) {
     let date = chrono::DateTime::from_timestamp_nanos(utc.0).format("%d,%m,%Y");
     sentence(out, &format!("{talker}ZDA,{},{date},00,00", clock(utc)));
 }
 
-/// `$GPGGA,hhmmss.ss,llll.lllllll,N,yyyyy.yyyyyyy,E,q,,,h.hhh,M,,M,,*hh`.
+/// Appends `$GPGGA,hhmmss.ss,llll.lllllll,N,yyyyy.yyyyyyy,E,q,,,h.hhh,M,,M,,*hh`.
 pub fn gga(out: &mut Vec<u8>, talker: &str, utc: UtcNs, fix: Option<&Fix>) {
     let time = clock(utc);
     let fix = fix.filter(|f| f.quality != FixQuality::None);
@@ -39,19 +42,19 @@ pub fn gga(out: &mut Vec<u8>, talker: &str, utc: UtcNs, fix: Option<&Fix>) {
             arc(f.latitude_rad, 2, ['N', 'S']),
             arc(f.longitude_rad, 3, ['E', 'W']),
             quality(f.quality),
-            // Not -0.000.
+            // Adding zero turns -0.000 into 0.000.
             (f.height_m * 1e3).round() / 1e3 + 0.0
         ),
     };
     sentence(out, &body);
 }
 
-/// `$GPHDT,ddd.ddd,T*hh`.
+/// Appends `$GPHDT,ddd.ddd,T*hh`.
 pub fn hdt(out: &mut Vec<u8>, talker: &str, heading_rad: Option<f64>) {
     let body = match heading_rad {
         None => format!("{talker}HDT,,T"),
         Some(rad) => {
-            // 359.9996 is 0.000, neither 360.000 nor -0.000.
+            // 359.9996 becomes 0.000, neither 360.000 nor -0.000.
             let steps = (rad.to_degrees() * 1e3).round().rem_euclid(360_000.0) + 0.0;
             format!("{talker}HDT,{:07.3},T", steps / 1e3)
         }
@@ -70,7 +73,7 @@ fn quality(fix: FixQuality) -> u8 {
     }
 }
 
-/// Hundredths of a second, or milliseconds where the instant needs them.
+/// hhmmss with hundredths of a second, or with milliseconds where the instant needs them.
 fn clock(utc: UtcNs) -> String {
     let ms = (utc.0 + 500_000).div_euclid(1_000_000);
     let of_day = ms.rem_euclid(86_400_000);
@@ -81,7 +84,7 @@ fn clock(utc: UtcNs) -> String {
     }
 }
 
-/// Degrees in so many digits and minutes, in whole steps, so that no minute is written as 60.
+/// Degrees with `digits` digits and minutes. Rounding to whole steps keeps minutes below 60.
 fn arc(angle_rad: f64, digits: usize, letters: [char; 2]) -> String {
     let steps = (angle_rad.to_degrees().abs() * 60.0 * MINUTE_STEPS as f64).round() as i64;
     let (degrees, rest) = (steps / (60 * MINUTE_STEPS), steps % (60 * MINUTE_STEPS));
@@ -94,11 +97,12 @@ fn arc(angle_rad: f64, digits: usize, letters: [char; 2]) -> String {
 }
 
 fn sentence(out: &mut Vec<u8>, body: &str) {
-    // A vector takes everything.
+    // Writing to a vector cannot fail.
     let _ = write!(out, "${body}*{:02X}\r\n", checksum_of(body));
 }
 
-/// The first tick after `utc` of a rate that is a whole number, or one over a whole number: ticks fall on whole seconds and between them.
+/// First tick after `utc` at a rate that is a whole number or the reciprocal of one. Ticks include every whole second, or every
+/// multiple of a longer period.
 pub fn next_tick(utc: UtcNs, rate_hz: f64) -> UtcNs {
     if rate_hz < 1.0 {
         let period_ns = (1.0 / rate_hz).round() as i64 * NS_PER_S;
@@ -106,7 +110,7 @@ pub fn next_tick(utc: UtcNs, rate_hz: f64) -> UtcNs {
     }
     let per_s = rate_hz.round().max(1.0) as i64;
     let (second, rest) = (utc.0.div_euclid(NS_PER_S), utc.0.rem_euclid(NS_PER_S));
-    // Rounded to the nanosecond, so the tick of `rest` itself may be found again: the next one then.
+    // Rounding to the nanosecond may find the tick at `rest` itself; the loop then takes the next one.
     let at = |k: i64| (k * NS_PER_S + per_s / 2) / per_s;
     let mut k = rest * per_s / NS_PER_S;
     while at(k) <= rest {

@@ -1,9 +1,9 @@
 //! The comma-separated fields of a sentence, and the numbers, times and angles in them.
 
-use super::reading::Refusal::{self, Malformed};
+use super::reading::DecodeError::{self, Malformed};
 use echotank_core::time::NS_PER_S;
 
-/// Fields looked at; the sentences decoded here have at most 16.
+/// Maximum number of fields read; the sentences decoded here have at most 16.
 const MAX_FIELDS: usize = 32;
 
 /// The comma-separated fields of a sentence; field 0 is the address. Absent fields read as empty.
@@ -29,8 +29,8 @@ impl<'a> Fields<'a> {
         self.text[i]
     }
 
-    /// `None` where the field is empty.
-    pub(crate) fn number(&self, i: usize) -> Result<Option<f64>, Refusal> {
+    /// The field as a finite number; `None` if it is empty.
+    pub(crate) fn number(&self, i: usize) -> Result<Option<f64>, DecodeError> {
         if self.text(i).is_empty() {
             return Ok(None);
         }
@@ -40,13 +40,13 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// An unsigned number and the letter behind it that says its sign.
+    /// An unsigned number whose next field is the letter of its sign.
     pub(crate) fn signed_by(
         &self,
         i: usize,
         plus: &str,
         minus: &str,
-    ) -> Result<Option<f64>, Refusal> {
+    ) -> Result<Option<f64>, DecodeError> {
         match (self.number(i)?, self.text(i + 1)) {
             (None, _) => Ok(None),
             (Some(v), letter) if letter == plus => Ok(Some(v)),
@@ -55,8 +55,8 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// hhmmss or hhmmss.sss to nanoseconds since midnight, exactly.
-    pub(crate) fn time_of_day(&self, i: usize) -> Result<Option<i64>, Refusal> {
+    /// Nanoseconds since midnight of hhmmss or hhmmss.sss, exact.
+    pub(crate) fn time_of_day(&self, i: usize) -> Result<Option<i64>, DecodeError> {
         if self.text(i).is_empty() {
             return Ok(None);
         }
@@ -64,7 +64,7 @@ impl<'a> Fields<'a> {
     }
 
     /// The position in four fields from `i`: ddmm.mmm, N or S, dddmm.mmm, E or W; in degrees.
-    pub(crate) fn position(&self, i: usize) -> Result<Option<(f64, f64)>, Refusal> {
+    pub(crate) fn position(&self, i: usize) -> Result<Option<(f64, f64)>, DecodeError> {
         if self.text(i).is_empty() || self.text(i + 2).is_empty() {
             return Ok(None);
         }
@@ -79,8 +79,8 @@ impl<'a> Fields<'a> {
         Ok(Some((angle(i, "N", "S")?, angle(i + 2, "E", "W")?)))
     }
 
-    /// ddmmyy.
-    pub(crate) fn day_month_year(&self, i: usize) -> Result<(u32, u32, i32), Refusal> {
+    /// Two-digit day, month and year of ddmmyy.
+    pub(crate) fn day_month_year(&self, i: usize) -> Result<(u32, u32, i32), DecodeError> {
         let text = self.text(i);
         if text.len() != 6 || !text.bytes().all(|b| b.is_ascii_digit()) {
             return Err(Malformed);
@@ -106,7 +106,7 @@ fn degrees_of_arc(text: &str) -> Option<f64> {
     (minutes < 60.0).then_some(degrees + minutes / 60.0)
 }
 
-/// hhmmss[.fraction] as nanoseconds since midnight, exact to nine decimals; second 60 is accepted.
+/// Nanoseconds since midnight of hhmmss[.fraction], exact to nine decimals. Second 60 is accepted.
 pub(crate) fn time_of_day_ns(text: &str) -> Option<i64> {
     let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
     let digits = |t: &str| t.bytes().all(|b| b.is_ascii_digit());
@@ -122,7 +122,7 @@ pub(crate) fn time_of_day_ns(text: &str) -> Option<i64> {
     Some(((hour * 60 + minute) * 60 + second) * NS_PER_S + nanos)
 }
 
-/// Decimal digits after a point, as nanoseconds; digits beyond the ninth are cut.
+/// Nanoseconds of the decimal digits after a point; digits beyond the ninth are cut.
 pub(crate) fn fraction_ns(digits: &str) -> i64 {
     let padded = digits
         .bytes()

@@ -1,51 +1,59 @@
-//! Bytes to sentences. Comes in: any bytes, cut anywhere. Goes out: what stands between `$` (or `!`) and `*`, with the checksum's verdict.
+//! Finds NMEA 0183 sentences in a byte stream and verifies their checksums.
 //!
-//! NMEA 0183 is a line protocol, but logs and gateways lose line ends, so a sentence ends at its checksum, at a line end, or where the
-//! next one begins. TAG blocks (NMEA 4.0) and the `UdPbC` header of IEC 61162-450 are stepped over. Memory is bounded by [`MAX_SENTENCE`].
+//! NMEA 0183 is a line protocol, but logs and gateways lose line ends. A sentence therefore ends at its checksum, at a line end,
+//! or where the next one begins. TAG blocks (NMEA 4.0) and the `UdPbC` header of IEC 61162-450 are skipped. [`MAX_SENTENCE`]
+//! bounds the memory.
 
 use echotank_core::time::UtcNs;
 
-/// Longest sentence taken, bytes. NMEA allows 82; proprietary attitude reaches about 130.
+/// Longest accepted sentence, bytes. NMEA allows 82; proprietary attitude sentences reach about 130.
 pub(crate) const MAX_SENTENCE: usize = 256;
 
-/// What precedes the sentences of an IEC 61162-450 datagram.
+/// Header of an IEC 61162-450 datagram.
 const UDP_HEADER: &[u8; 6] = b"UdPbC\0";
 
+/// Result of a checksum test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Checksum {
+    /// Present and correct.
     Right,
+    /// Present and wrong.
     Wrong,
+    /// Absent.
     Missing,
 }
 
-/// One sentence: printable ASCII without its start, checksum and line end.
+/// One sentence without its start, checksum and line end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RawSentence<'a> {
+    /// Printable ASCII.
     pub body: &'a str,
+    /// Result of the checksum test.
     pub checksum: Checksum,
-    /// Of its first byte.
+    /// Arrival of the first byte.
     pub arrival: UtcNs,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Outside,
-    /// In a TAG block, so many bytes so far.
+    /// In a TAG block; number of its bytes so far.
     Tag(usize),
     Body,
     FirstDigit,
     SecondDigit(u8),
 }
 
-/// What a byte did.
+/// Effect of one byte.
 enum Step {
     Took,
-    /// The sentence is complete; the byte belongs to it.
+    /// The sentence is complete and includes this byte.
     Ended(Checksum),
-    /// The sentence is complete; the byte is still to be looked at.
+    /// The sentence is complete; this byte is not yet consumed.
     EndedBefore(Checksum),
 }
 
+/// Incremental sentence finder.
 #[derive(Debug)]
 pub struct Framing {
     state: State,
@@ -57,6 +65,7 @@ pub struct Framing {
 }
 
 impl Framing {
+    /// Finder outside any sentence.
     pub fn new() -> Self {
         Self {
             state: State::Outside,
@@ -68,13 +77,13 @@ impl Framing {
         }
     }
 
-    /// Bytes that belonged to nothing: neither sentence, line end, TAG block nor datagram header.
+    /// Bytes outside any sentence, line end, TAG block and datagram header.
     pub fn resync_bytes(&self) -> u64 {
         self.resync_bytes
     }
 
-    /// Takes bytes off the front of `bytes`, the first of which arrived at `arrival` and each later one `byte_ns` after it, until a sentence
-    /// is complete or none are left.
+    /// Consumes `bytes` from the front until a sentence is complete. `arrival` is the arrival of the first byte; `byte_ns` is the
+    /// time between bytes.
     pub fn next(
         &mut self,
         bytes: &mut &[u8],
@@ -95,7 +104,7 @@ impl Framing {
         None
     }
 
-    /// Nothing follows (end of a datagram or file): an open sentence ends here.
+    /// Ends a datagram or file: a sentence still open is complete.
     pub fn flush(&mut self) -> Option<RawSentence<'_>> {
         self.header = 0;
         let checksum = match self.state {
@@ -113,7 +122,7 @@ impl Framing {
 
     fn sentence(&self, checksum: Checksum) -> RawSentence<'_> {
         RawSentence {
-            // Only printable ASCII gets in.
+            // The state machine admits only printable ASCII.
             body: std::str::from_utf8(&self.body).unwrap_or(""),
             checksum,
             arrival: self.arrival,
@@ -203,7 +212,7 @@ impl Framing {
         self.arrival = arrival;
     }
 
-    /// Gives up the open sentence: its start, its body and `more` bytes belonged to nothing.
+    /// Discards the open sentence and counts its start, its body and `more` bytes as resync bytes.
     fn abandon(&mut self, more: u64) {
         self.resync_bytes += 1 + self.body.len() as u64 + more;
         self.state = State::Outside;
@@ -225,7 +234,7 @@ fn hex(byte: u8) -> Option<u8> {
     (byte as char).to_digit(16).map(|d| d as u8)
 }
 
-/// Exclusive or of all bytes: what `*hh` says.
+/// NMEA checksum of a body: the exclusive or of its bytes.
 pub fn checksum_of(body: &str) -> u8 {
     body.bytes().fold(0, |sum, byte| sum ^ byte)
 }
@@ -256,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn checksums_in_either_case_wrong_and_missing_are_told_apart() {
+    fn distinguishes_right_wrong_and_missing_checksums() {
         use Checksum::{Missing, Right, Wrong};
         check(
             b"$HEHDT,218.19,T*1c\r\n$HEHDT,218.19,T*1C\n$HEHDT,218.19,T*00\r$HEHDT,218.19,T\r\n$HEHDT,218.19,T*\r\n$HEHDT,218.19,T*1",
@@ -273,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn several_on_a_line_and_torn_ones_resync_on_the_next_start() {
+    fn resyncs_on_the_next_start() {
         check(
             b"$HEHDT,218.19,T*1C$HEHDT,218.19,T*1C$SDVLW,$SDVLW,,N*",
             &[
@@ -291,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn tag_blocks_and_the_udp_header_are_stepped_over() {
+    fn tag_blocks_and_the_udp_header_are_skipped() {
         check(
             b"UdPbC\0\\s:GN9999,n:216*0D\\$HEHDT,218.19,T*1C\r\n\\s:x\\$HEHDT,218.19,T*1C\r\n",
             &[

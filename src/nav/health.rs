@@ -1,31 +1,37 @@
-//! How a source does: OK, HOLD, STALE, LOST. Comes in: arrivals of its samples, and the time. Goes out: its state, and how often it changed.
+//! State of a source: OK, HOLD, STALE or LOST, from the arrival times of its samples.
 //!
-//! A source is on HOLD when it misses a few of its own intervals, STALE and LOST after configured times. From STALE and LOST it comes back only
-//! after several samples in a row, so that one stray sentence does not count as recovery.
+//! A source is on HOLD when it misses a few of its usual intervals. It is STALE and LOST after configured times. From STALE and
+//! LOST it recovers only after several samples in a row, so that one stray sentence does not count as recovery.
 
 use echotank_core::time::UtcNs;
 
-/// Usual intervals without a sample before a source is on hold.
+/// A source is on hold after this many usual intervals without a sample.
 const HOLD_INTERVALS: f64 = 3.0;
-/// A source on hold is at least this old, seconds: sensors at 100 Hz stutter by more than three intervals.
-const HOLD_AT_LEAST_S: f64 = 0.2;
-/// Samples in a row that end STALE and LOST.
-const RECOVERY: u32 = 3;
-/// Weight of the newest interval in the usual one.
+/// Minimum age of a source on hold, seconds: sensors at 100 Hz jitter by more than three intervals.
+const MIN_HOLD_S: f64 = 0.2;
+/// Consecutive samples that end STALE and LOST.
+const RECOVERY_SAMPLES: u32 = 3;
+/// Weight of the newest interval in the smoothed interval.
 const NEWEST_WEIGHT: f64 = 0.1;
 
+/// Health of a source, from best to worst after `Silent`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum State {
-    /// Nothing has ever come.
+    /// No sample has arrived yet.
     #[default]
     Silent,
+    /// Samples arrive at the usual interval.
     Ok,
+    /// Several usual intervals have passed without a sample.
     Hold,
+    /// The newest sample is older than [`Limits::stale_s`].
     Stale,
+    /// The newest sample is older than [`Limits::lost_s`].
     Lost,
 }
 
 impl State {
+    /// Lower-case name for status reports.
     pub fn name(self) -> &'static str {
         match self {
             State::Silent => "silent",
@@ -37,10 +43,12 @@ impl State {
     }
 }
 
-/// Ages at which a source is given up, seconds; `lost_s` not below `stale_s`.
+/// Ages of the newest sample that change the state; `lost_s` is not below `stale_s`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
+    /// Maximum age before a source is stale, seconds.
     pub stale_s: f64,
+    /// Maximum age before a source is lost, seconds.
     pub lost_s: f64,
 }
 
@@ -48,12 +56,11 @@ pub struct Limits {
 pub(crate) struct Health {
     limits: Limits,
     last: Option<UtcNs>,
-    /// Smoothed, seconds.
+    /// Smoothed interval between samples, seconds.
     interval_s: Option<f64>,
     state: State,
-    /// Samples since it was stale or lost; none while it never was.
+    /// Consecutive samples since the source was stale or lost; `None` if it is not recovering.
     recovering: Option<u32>,
-    changes: u64,
 }
 
 impl Health {
@@ -64,16 +71,16 @@ impl Health {
             interval_s: None,
             state: State::Silent,
             recovering: None,
-            changes: 0,
         }
     }
 
-    /// A sample arrived. Several of one instant (one sentence) count once.
-    pub(crate) fn heard(&mut self, arrival: UtcNs) {
+    /// Counts a sample. Samples with the same arrival (one sentence) count once.
+    pub(crate) fn sample_arrived(&mut self, arrival: UtcNs) {
         self.at(arrival);
         let Some(last) = self.last else {
             self.last = Some(arrival);
-            return self.become_state(State::Ok);
+            self.state = State::Ok;
+            return;
         };
         if arrival <= last {
             return;
@@ -86,7 +93,7 @@ impl Health {
             } else {
                 count + 1
             };
-            if again < RECOVERY {
+            if again < RECOVERY_SAMPLES {
                 self.recovering = Some(again);
                 return;
             }
@@ -95,10 +102,10 @@ impl Health {
             let usual = self.interval_s.unwrap_or(step_s);
             self.interval_s = Some(usual + (step_s - usual) * NEWEST_WEIGHT);
         }
-        self.become_state(State::Ok);
+        self.state = State::Ok;
     }
 
-    /// Its state at `now`; times before the last sample leave it as it is.
+    /// Updates and returns the state at `now`. A time before the last sample leaves it unchanged.
     pub(crate) fn at(&mut self, now: UtcNs) -> State {
         let Some(last) = self.last else {
             return self.state;
@@ -106,7 +113,7 @@ impl Health {
         let age_s = now.seconds_since(last);
         let usual_s = self.interval_s.unwrap_or(self.limits.stale_s);
         let hold_s = (usual_s * HOLD_INTERVALS)
-            .max(HOLD_AT_LEAST_S)
+            .max(MIN_HOLD_S)
             .min(self.limits.stale_s);
         let by_age = if age_s > self.limits.lost_s {
             State::Lost
@@ -120,34 +127,14 @@ impl Health {
         if matches!(by_age, State::Stale | State::Lost) {
             self.recovering = Some(0);
         }
-        // While it recovers it stays what it was, or gets worse.
+        // During recovery the state can only get worse.
         if self.recovering.is_none() || by_age == State::Lost || self.state != State::Lost {
             let held = self.recovering.is_some() && matches!(by_age, State::Ok | State::Hold);
             if !held {
-                self.become_state(by_age);
+                self.state = by_age;
             }
         }
         self.state
-    }
-
-    /// Times that the state changed.
-    pub(crate) fn changes(&self) -> u64 {
-        self.changes
-    }
-
-    /// Seconds between samples as of late.
-    pub(crate) fn interval_s(&self) -> Option<f64> {
-        self.interval_s
-    }
-
-    /// Since the last sample.
-    pub(crate) fn age_s(&self, now: UtcNs) -> Option<f64> {
-        self.last.map(|last| now.seconds_since(last))
-    }
-
-    fn become_state(&mut self, state: State) {
-        self.changes += u64::from(state != self.state);
-        self.state = state;
     }
 }
 
@@ -164,17 +151,21 @@ mod tests {
         let at = |s: f64| UtcNs(0).plus_s(s);
         assert_eq!(health.at(at(0.0)), State::Silent);
         for i in 0..50 {
-            health.heard(at(f64::from(i) * 0.1));
+            health.sample_arrived(at(f64::from(i) * 0.1));
             assert_eq!(health.at(at(f64::from(i) * 0.1 + 0.05)), State::Ok);
         }
         // Last at 4.9; three intervals are 0.3 s.
         assert_eq!(health.at(at(5.19)), State::Ok);
         assert_eq!(health.at(at(5.25)), State::Hold);
-        health.heard(at(5.3));
-        assert_eq!(health.at(at(5.31)), State::Ok, "from hold at once");
+        health.sample_arrived(at(5.3));
+        assert_eq!(health.at(at(5.31)), State::Ok, "recovers from hold at once");
         assert_eq!(health.at(at(7.4)), State::Stale);
-        health.heard(at(7.5));
-        assert_eq!(health.at(at(7.51)), State::Stale, "one is not enough");
+        health.sample_arrived(at(7.5));
+        assert_eq!(
+            health.at(at(7.51)),
+            State::Stale,
+            "one sample is not enough"
+        );
         assert_eq!(health.at(at(20.0)), State::Lost);
         for (i, want) in [
             (0, State::Lost),
@@ -182,9 +173,8 @@ mod tests {
             (2, State::Ok),
             (3, State::Ok),
         ] {
-            health.heard(at(20.0 + f64::from(i) * 0.1));
+            health.sample_arrived(at(20.0 + f64::from(i) * 0.1));
             assert_eq!(health.at(at(20.01 + f64::from(i) * 0.1)), want, "{i}");
         }
-        assert_eq!(health.changes(), 6);
     }
 }

@@ -1,15 +1,18 @@
-//! Bytes to samples, samples to a state at a time. Sans I/O.
+//! Navigation: decodes bytes to samples, and samples to the state and trajectory of the platform. Sans I/O.
 //!
 //! ```text
 //! bytes -> framing -> sentence -> message_time -> decoder -> NavSample -> history (rings) -> Trajectory, NavState
 //! ```
-//! Records of fixed length (`records`) and MAVLink (`mavlink`) become the same readings as sentences. `log` and `track` read recorded files
-//! (already in memory); `capture` finds the datagrams in a packet capture.
-//! [`encode`] makes the sentences that go out.
-//! Not modelled: Doppler logs.
+//!
+//! Fixed-length records (`records`) and MAVLink (`mavlink`) become the same [`reading::Reading`]s as sentences. [`log`] and
+//! [`track`] decode recorded files in memory; [`capture`] finds the datagrams in a packet capture. [`encode`] writes sentences
+//! for output. Doppler logs are not supported.
+#![warn(missing_docs)]
+
 pub mod capture;
 pub mod decoder;
 pub mod encode;
+pub mod fault;
 mod fields;
 pub mod framing;
 pub mod health;
@@ -23,7 +26,6 @@ pub mod records;
 pub mod report;
 pub mod ring;
 pub mod sentence;
-pub mod spoil;
 pub mod stamp;
 pub mod track;
 

@@ -1,18 +1,20 @@
-//! Recorded logs to samples. Comes in: a whole file. Goes out: its samples with the recorder's stamps as arrivals.
+//! Decodes recorded logs to samples, with the recorder's stamps as arrivals.
 //!
-//! A file is lines of text, a packet capture, a MAVLink telemetry log, or records of one maker back to back ([`LogKind`]). Loggers put a
-//! time before the sentence, each in its own way: whatever precedes the first `$` or `!` of a line is searched for a date and
-//! `HH:MM:SS[.fraction]`, for the clock alone, or for seconds since 1970. A line without any arrives with the line before it.
+//! A file holds lines of text, a packet capture, a MAVLink telemetry log, or proprietary records back to back ([`LogKind`]).
+//! Loggers write a time before the sentence in different formats. The text before the first `$` or `!` of a line is searched for
+//! a date and `HH:MM:SS[.fraction]`, for the clock time alone, or for seconds since 1970. A line without a stamp arrives with the
+//! line before it.
 //!
-//! - A recorder whose clock is more than [`RECORDER_TOLERANCE_NS`] off the messages is shifted as a whole: by the quarters of an hour of a
-//!   time zone or a missing date, else onto the first dated message. A source taken by arrival has only a missing date mended.
-//! - A plain log (no stamps) arrives as its message times advance; one without message times at a given rate, from 1970 on. Sentences without
-//!   a time that come several times between two such advances are spread evenly over the time between.
+//! - If the recorder's clock differs from the message times by more than [`RECORDER_TOLERANCE_NS`], all stamps are shifted. The
+//!   shift is a multiple of a quarter of an hour (time zone or missing date), or else aligns with the first dated message. For a
+//!   source timed by arrival, only a missing date is corrected.
+//! - A plain log (no stamps) arrives as its message times advance. Without message times it arrives at a given rate, from 1970
+//!   on. Untimed sentences that repeat between two message times are spread evenly over the interval.
 
 use std::ops::Range;
 
 use super::capture;
-use super::decoder::{Heard, NavCounters, NavDecoder, unwatched};
+use super::decoder::{NavCounters, NavDecoder, SentenceEvent, ignore_events};
 use super::mavlink;
 use super::message_time::nearest_day;
 use super::stamp::{LineStamp, split_line};
@@ -21,45 +23,47 @@ use echotank_core::flow::NavSample;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 const DAY_NS: i64 = 86_400 * NS_PER_S;
-/// Time zones differ by multiples of this.
+/// Time zones differ by multiples of a quarter of an hour.
 const QUARTER_HOUR_NS: i64 = 900 * NS_PER_S;
-/// Bytes; of EM3000.
-const SHORTEST_RECORD: usize = 10;
-/// Above this the recorder's clock and the messages do not share a time; serial latency stays below it.
+/// Length of the shortest record (EM3000), bytes.
+const MIN_RECORD_BYTES: usize = 10;
+/// Maximum difference between the recorder's clock and the message times; serial latency stays below it.
 pub(crate) const RECORDER_TOLERANCE_NS: i64 = 2 * NS_PER_S;
 
-/// What kind of file a log is; told from its first bytes.
+/// Format of a log file, found from its first bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LogKind {
-    /// Lines, with a recorder's stamp before the sentence or without.
+    /// Lines of text, with or without a stamp before the sentence.
     #[default]
     Text,
-    /// Records of one maker back to back.
+    /// Proprietary records back to back.
     Binary,
-    /// A packet capture: UDP datagrams.
+    /// UDP datagrams in a packet capture.
     Capture,
-    /// A MAVLink telemetry log.
+    /// MAVLink telemetry.
     Tlog,
 }
 
-/// What a log's lines (datagrams, messages) were.
+/// Counts of a log's lines, datagrams or messages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LogCounts {
+    /// Format of the file.
     pub kind: LogKind,
+    /// Lines, datagrams or messages.
     pub lines: u64,
-    /// Lines with a recorder's stamp.
+    /// Lines with a stamp.
     pub stamped: u64,
-    /// Lines stamped before their predecessor.
+    /// Lines whose stamp precedes the one before.
     pub backward: u64,
-    /// Lines in which no sentence begins.
+    /// Lines without the start of a sentence.
     pub no_sentence: u64,
-    /// Of those: JSON (gpsd, SignalK, OpenRVDAS), which is not read.
+    /// Lines of JSON (gpsd, SignalK, OpenRVDAS), which is not decoded.
     pub json: u64,
-    /// Packets of a capture that are no whole UDP datagram: TCP, fragments, cut ones.
+    /// Packets of a capture that are not complete UDP datagrams: TCP, fragments, truncated packets.
     pub passed_over: u64,
 }
 
-/// Told from the first bytes; `format` says what a log without such a mark holds.
+/// Format of a file from its first bytes; `format` decides for a file without a signature.
 pub fn kind_of(bytes: &[u8], format: NavFormat) -> LogKind {
     if capture::is_capture(bytes) {
         LogKind::Capture
@@ -72,13 +76,15 @@ pub fn kind_of(bytes: &[u8], format: NavFormat) -> LogKind {
     }
 }
 
-/// Why a file is no log that can be read, where its first bytes tell.
+/// Reason why the first bytes show a file that cannot be decoded, or `None`.
 pub fn refusal(bytes: &[u8]) -> Option<&'static str> {
-    let packed = "is packed; unpack it first";
+    let compressed = "is compressed; decompress it first";
     match bytes {
-        [0x1F, 0x8B, ..] => Some(packed),
-        [b'P', b'K', 3, 4, ..] | [b'B', b'Z', b'h', ..] | [0xFD, b'7', b'z', ..] => Some(packed),
-        [0x28, 0xB5, 0x2F, 0xFD, ..] => Some(packed),
+        [0x1F, 0x8B, ..] => Some(compressed),
+        [b'P', b'K', 3, 4, ..] | [b'B', b'Z', b'h', ..] | [0xFD, b'7', b'z', ..] => {
+            Some(compressed)
+        }
+        [0x28, 0xB5, 0x2F, 0xFD, ..] => Some(compressed),
         [0xFF, 0xFE, ..] | [0xFE, 0xFF, ..] => Some("is UTF-16 text; convert it to UTF-8"),
         [a, 0, b, 0, ..] | [0, a, 0, b, ..] if a.is_ascii_graphic() && b.is_ascii_graphic() => {
             Some("is UTF-16 text; convert it to UTF-8")
@@ -87,12 +93,12 @@ pub fn refusal(bytes: &[u8]) -> Option<&'static str> {
     }
 }
 
-/// Without UTF-8's byte order mark.
-fn unmarked(bytes: &[u8]) -> &[u8] {
+/// Strips the byte order mark of UTF-8.
+fn without_mark(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes)
 }
 
-/// Lines with their ends: LF, CR LF, or CR alone.
+/// Lines including their ends: LF, CR LF, or CR alone.
 struct Lines<'a>(&'a [u8]);
 
 impl<'a> Iterator for Lines<'a> {
@@ -104,7 +110,7 @@ impl<'a> Iterator for Lines<'a> {
         }
         let end = self.0.iter().position(|b| matches!(b, b'\n' | b'\r'));
         let mut len = end.map_or(self.0.len(), |at| at + 1);
-        // CR LF is one end, and so is CR CR LF.
+        // CR LF and CR CR LF are single line ends.
         while self.0[len - 1] == b'\r' && matches!(self.0.get(len), Some(b'\r' | b'\n')) {
             len += 1;
         }
@@ -114,20 +120,20 @@ impl<'a> Iterator for Lines<'a> {
     }
 }
 
-/// A line of JSON: gpsd, SignalK, OpenRVDAS records.
+/// Whether a line holds a JSON object, as gpsd, SignalK and OpenRVDAS write.
 fn is_json(line: &[u8]) -> bool {
     let text = line.trim_ascii();
     text.starts_with(b"{") && text.ends_with(b"}")
 }
 
-/// Bytes that came together.
+/// Stamp and bytes that arrived together.
 type Piece<'a> = (Option<LineStamp>, &'a [u8]);
 
-/// A log's pieces: lines, datagrams, or runs of records short enough to hold at most one.
+/// Splits a log into lines, datagrams, or byte runs short enough to hold at most one record.
 fn pieces(bytes: &[u8], kind: LogKind) -> Box<dyn Iterator<Item = Piece<'_>> + '_> {
     match kind {
-        LogKind::Text => Box::new(Lines(unmarked(bytes)).map(split_line)),
-        LogKind::Binary => Box::new(bytes.chunks(SHORTEST_RECORD).map(|piece| (None, piece))),
+        LogKind::Text => Box::new(Lines(without_mark(bytes)).map(split_line)),
+        LogKind::Binary => Box::new(bytes.chunks(MIN_RECORD_BYTES).map(|piece| (None, piece))),
         LogKind::Capture => Box::new(capture::packets(bytes).filter_map(|packet| {
             let stamp = Some(LineStamp::Utc(packet.arrival));
             packet.payload.map(|payload| (stamp, payload))
@@ -136,23 +142,24 @@ fn pieces(bytes: &[u8], kind: LogKind) -> Box<dyn Iterator<Item = Piece<'_>> + '
     }
 }
 
-/// Decodes a whole log. Returned samples are in the file's order.
+/// Decodes a whole log to samples in file order. `source` is the index of `spec` in `NavSpec::sources`; `plain_rate_hz` is the
+/// sentence rate of a log without any times.
 pub fn read_log(
     bytes: &[u8],
     source: u16,
     spec: &NavSourceSpec,
     plain_rate_hz: f64,
 ) -> (Vec<NavSample>, NavCounters, LogCounts) {
-    read_log_watched(bytes, source, spec, plain_rate_hz, &mut unwatched)
+    read_log_watched(bytes, source, spec, plain_rate_hz, &mut ignore_events)
 }
 
-/// The same; `watch` is told of every sentence, in the file's order, with the arrival that its line says.
+/// Like [`read_log`]. Calls `watch` for every sentence in file order, with the arrival of its line.
 pub(crate) fn read_log_watched(
     bytes: &[u8],
     source: u16,
     spec: &NavSourceSpec,
     plain_rate_hz: f64,
-    watch: &mut impl FnMut(&Heard),
+    watch: &mut impl FnMut(&SentenceEvent),
 ) -> (Vec<NavSample>, NavCounters, LogCounts) {
     let kind = kind_of(bytes, spec.dialect.format);
     if kind == LogKind::Tlog {
@@ -161,7 +168,7 @@ pub(crate) fn read_log_watched(
     let start = survey(bytes, kind, source, spec);
     let mut decoder = NavDecoder::new(source, spec);
     if !start.dated_stamps {
-        decoder.distrust_arrivals();
+        decoder.ignore_arrival_dates();
     }
     let mut counts = LogCounts {
         kind,
@@ -172,7 +179,7 @@ pub(crate) fn read_log_watched(
         counts.passed_over = passed_over.count() as u64;
     }
     if kind == LogKind::Text {
-        counts.json = Lines(unmarked(bytes)).filter(|l| is_json(l)).count() as u64;
+        counts.json = Lines(without_mark(bytes)).filter(|l| is_json(l)).count() as u64;
     }
     let mut samples = Vec::new();
     let mut raw = None;
@@ -194,10 +201,10 @@ pub(crate) fn read_log_watched(
             None => plain_now,
         };
         let first_new = samples.len();
-        let mut watch = |heard: &Heard| {
-            watch(heard);
+        let mut watch = |event: &SentenceEvent| {
+            watch(event);
             if spreads {
-                untimed.hear(heard);
+                untimed.record(event);
             }
         };
         decoder.push_paced(sentence, arrival, 0, &mut samples, &mut watch);
@@ -225,36 +232,36 @@ pub(crate) fn read_log_watched(
         }
     }
     decoder.flush_watched(&mut samples, watch);
-    // Nothing says how long the last stretch was: as long as the one before.
+    // The length of the last interval is unknown; the one before stands for it.
     untimed.spread(samples.len(), untimed.last_step_ns, &mut samples);
     (samples, *decoder.counters(), counts)
 }
 
-/// Samples of a plain log without a time of their own, since the last message with one.
+/// Untimed samples of a plain log since the last message time.
 #[derive(Default)]
 struct Untimed {
-    /// By sentence: where the samples lie that each of its kind gave.
+    /// Sample ranges by sentence name, one range per sentence.
     given: Vec<(String, Vec<Range<usize>>)>,
-    /// Samples given so far.
+    /// Number of samples so far.
     samples: usize,
     last_step_ns: i64,
 }
 
 impl Untimed {
-    fn hear(&mut self, heard: &Heard) {
-        let count = heard.taken.count_ones() as usize;
+    fn record(&mut self, event: &SentenceEvent) {
+        let count = event.taken.count_ones() as usize;
         let new = self.samples..self.samples + count;
         self.samples = new.end;
-        if count == 0 || heard.message_utc.is_some() {
+        if count == 0 || event.message_utc.is_some() {
             return;
         }
-        match self.given.iter_mut().find(|(name, _)| name == heard.name) {
+        match self.given.iter_mut().find(|(name, _)| name == event.name) {
             Some((_, ranges)) => ranges.push(new),
-            None => self.given.push((heard.name.to_owned(), vec![new])),
+            None => self.given.push((event.name.to_owned(), vec![new])),
         }
     }
 
-    /// The message time advances by `step_ns` at the sample `first_new`: the sentences before it came evenly, the first of each kind at once.
+    /// Spreads the untimed sentences before the sample `first_new` evenly over `step_ns`; the first of each name is not delayed.
     fn spread(&mut self, first_new: usize, step_ns: i64, samples: &mut [NavSample]) {
         self.last_step_ns = step_ns;
         for (_, ranges) in &mut self.given {
@@ -270,12 +277,13 @@ impl Untimed {
     }
 }
 
-/// A tlog's stamps are the ground station's UTC; its messages count from the vehicle's start, which `SYSTEM_TIME` ties to UTC.
+/// Decodes a tlog. Its stamps are UTC of the ground station. Its messages count from the start of the vehicle, which
+/// `SYSTEM_TIME` relates to UTC.
 fn read_tlog(
     bytes: &[u8],
     source: u16,
     spec: &NavSourceSpec,
-    watch: &mut impl FnMut(&Heard),
+    watch: &mut impl FnMut(&SentenceEvent),
 ) -> (Vec<NavSample>, NavCounters, LogCounts) {
     let mut decoder = NavDecoder::new(source, spec);
     let mut samples = Vec::new();
@@ -298,23 +306,23 @@ fn read_tlog(
 }
 
 struct Survey {
-    /// Some line has a recorder's stamp.
+    /// At least one line has a stamp.
     stamped: bool,
     /// The stamps carry a date.
     dated_stamps: bool,
-    /// Added to the recorder's stamps.
+    /// Correction to add to the stamps, nanoseconds.
     shift_ns: i64,
-    /// The first dated message time, else the first one.
+    /// First dated message time, or else the first message time.
     first_message: Option<UtcNs>,
 }
 
-/// Reads on until the first dated message: how far the recorder's clock is off, and where a plain log starts.
+/// Reads up to the first dated message to find the error of the recorder's clock and the start of a plain log.
 fn survey(bytes: &[u8], kind: LogKind, source: u16, spec: &NavSourceSpec) -> Survey {
     let first_stamp = pieces(bytes, kind).find_map(|(stamp, _)| stamp);
     let dated_stamps = matches!(first_stamp, Some(LineStamp::Utc(_)));
     let mut decoder = NavDecoder::new(source, spec);
     if !dated_stamps {
-        decoder.distrust_arrivals();
+        decoder.ignore_arrival_dates();
     }
     let mut ignored = Vec::new();
     let mut raw = None;
@@ -357,7 +365,7 @@ fn survey(bytes: &[u8], kind: LogKind, source: u16, spec: &NavSourceSpec) -> Sur
     }
 }
 
-/// The recorder's clock after this stamp; without a date it starts on 1970-01-01 and wraps at midnight.
+/// Time of the recorder after a stamp. Without a date it starts on 1970-01-01 and wraps at midnight.
 fn advance(before: Option<UtcNs>, stamp: LineStamp) -> UtcNs {
     match stamp {
         LineStamp::Utc(utc) => utc,
@@ -373,15 +381,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_end_in_any_of_the_three_ways() {
+    fn lines_end_at_lf_cr_lf_or_cr() {
         let lines: Vec<&[u8]> = Lines(b"a\nb\r\nc\rd\r\r\n\n\re").collect();
         let want: [&[u8]; 7] = [b"a\n", b"b\r\n", b"c\r", b"d\r\r\n", b"\n", b"\r", b"e"];
         assert_eq!(lines, want);
     }
 
     #[test]
-    fn packed_files_and_utf_16_are_told_from_logs() {
-        assert!(refusal(&[0x1F, 0x8B, 8, 0]).is_some_and(|why| why.contains("packed")));
+    fn refuses_compressed_files_and_utf_16() {
+        assert!(refusal(&[0x1F, 0x8B, 8, 0]).is_some_and(|why| why.contains("compressed")));
         assert!(refusal(b"\xFF\xFE$\0G\0").is_some_and(|why| why.contains("UTF-16")));
         assert!(refusal(b"$\0G\0P\0").is_some_and(|why| why.contains("UTF-16")));
         for log in [

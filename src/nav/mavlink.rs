@@ -1,27 +1,27 @@
-//! MAVLink telemetry logs (`.tlog`): before every message the ground station's UTC, microseconds, eight bytes big-endian. Comes in: a whole
-//! file. Goes out: one record per message.
+//! Reads MAVLink telemetry logs (`.tlog`): eight bytes of ground-station UTC, big-endian microseconds, before every message.
 //!
-//! Versions 1 and 2 of the frame; ATTITUDE, GLOBAL_POSITION_INT, GPS_RAW_INT and SYSTEM_TIME are decoded, all others pass as unsupported.
-//! Messages count milliseconds from the vehicle's start: SYSTEM_TIME of the same component says when that was. A vehicle that never learns
-//! the date is tied to the ground station's clock by its quickest message. Source: MAVLink `common.xml` and its serialisation guide. Signs are ours already: roll + right down, pitch + nose up.
+//! Frame versions 1 and 2 are read. ATTITUDE, GLOBAL_POSITION_INT, GPS_RAW_INT and SYSTEM_TIME are decoded; all others count as
+//! unsupported. Messages count milliseconds from the start of the vehicle, and SYSTEM_TIME of the same component gives the UTC of
+//! that start. For a vehicle without a date, the message with the least delay relates its clock to the ground station. Signs
+//! match ours: roll positive right side down, pitch positive nose up. Source: MAVLink `common.xml` and its serialisation guide.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
 
 use super::framing::Checksum;
-use super::reading::Refusal::{Malformed, Unsupported};
+use super::reading::DecodeError::{Malformed, Unsupported};
 use super::reading::{Decoded, Kind, Reading, When};
 use super::records::Record;
 use echotank_core::flow::FixQuality;
 use echotank_core::time::UtcNs;
 
 const STAMP_BYTES: usize = 8;
-/// Ground stations' clocks stand between 2001 and 2100.
+/// Accepted stamps lie between 2001 and 2100.
 const PLAUSIBLE_US: std::ops::Range<u64> = 978_307_200_000_000..4_102_444_800_000_000;
-/// Frames in a row at the front that make a file a tlog.
-const FRAMES_TO_BELIEVE: usize = 3;
+/// Consecutive frames at the start that identify a tlog.
+const MIN_FRAMES: usize = 3;
 
-/// Message, name, and the byte that its checksum ends with.
+/// Message number, name, and the extra byte of its checksum (CRC_EXTRA).
 const KNOWN: [(u32, &str, u8); 5] = [
     (0, "HEARTBEAT", 50),
     (2, "SYSTEM_TIME", 137),
@@ -32,12 +32,14 @@ const KNOWN: [(u32, &str, u8); 5] = [
 
 /// One message of a tlog.
 pub struct Message {
+    /// MAVLink name, or `MAVLINK_` and the number.
     pub name: Cow<'static, str>,
+    /// Decoded values and arrival.
     pub record: Record,
 }
 
 struct Frame<'a> {
-    /// Stamp included.
+    /// Length including the stamp, bytes.
     len: usize,
     arrival: UtcNs,
     id: u32,
@@ -46,7 +48,7 @@ struct Frame<'a> {
     checksum: Checksum,
 }
 
-/// The frame at the front, stamp and all.
+/// The frame at the front of `bytes`, which starts with its stamp.
 fn frame(bytes: &[u8]) -> Option<Frame<'_>> {
     let stamp_us = u64::from_be_bytes(bytes.get(..STAMP_BYTES)?.try_into().ok()?);
     if !PLAUSIBLE_US.contains(&stamp_us) {
@@ -58,7 +60,7 @@ fn frame(bytes: &[u8]) -> Option<Frame<'_>> {
         0xFE => (6, 2, (*b.get(3)?, *b.get(4)?), u32::from(*b.get(5)?)),
         0xFD => {
             let id = u32::from_le_bytes([*b.get(7)?, *b.get(8)?, *b.get(9)?, 0]);
-            // Signed messages end with 13 bytes more.
+            // Signed messages have a 13-byte signature.
             let tail = if b[2] & 1 == 1 { 15 } else { 2 };
             (10, tail, (b[5], b[6]), id)
         }
@@ -83,7 +85,7 @@ fn frame(bytes: &[u8]) -> Option<Frame<'_>> {
     })
 }
 
-/// CRC-16/MCRF4XX over the bytes and one more.
+/// CRC-16/MCRF4XX over the bytes and `extra`.
 fn x25(bytes: &[u8], extra: u8) -> u16 {
     bytes.iter().chain([&extra]).fold(0xFFFF, |crc, byte| {
         (0..8).fold(crc ^ u16::from(*byte), |crc, _| {
@@ -94,7 +96,7 @@ fn x25(bytes: &[u8], extra: u8) -> u16 {
 
 pub(crate) fn is_tlog(bytes: &[u8]) -> bool {
     let mut at = 0;
-    for _ in 0..FRAMES_TO_BELIEVE {
+    for _ in 0..MIN_FRAMES {
         match frame(&bytes[at..]) {
             Some(frame) => at += frame.len,
             None => return false,
@@ -106,10 +108,10 @@ pub(crate) fn is_tlog(bytes: &[u8]) -> bool {
     true
 }
 
-/// A tlog's messages in the file's order; bytes that belong to none are passed over and counted.
+/// Iterator over the messages of a tlog in file order. Bytes between messages are counted.
 pub(crate) struct Messages<'a> {
     rest: &'a [u8],
-    /// By sender: UTC minus its own clock, microseconds.
+    /// UTC of the start of each sender, microseconds.
     boots_us: HashMap<(u8, u8), i64>,
     resync_bytes: u64,
 }
@@ -121,19 +123,19 @@ impl<'a> Messages<'a> {
             boots_us: HashMap::new(),
             resync_bytes: 0,
         };
-        // What comes before a sender's first SYSTEM_TIME has the same clock.
-        let mut quickest_us: HashMap<(u8, u8), i64> = HashMap::new();
+        // Messages before a sender's first SYSTEM_TIME use the same clock.
+        let mut earliest_start_us: HashMap<(u8, u8), i64> = HashMap::new();
         while let Some(frame) = messages.next_frame() {
             if let Some(boot_us) = boot_us(&frame) {
                 messages.boots_us.entry(frame.sender).or_insert(boot_us);
             }
             if let Some(own_us) = own_clock_us(&frame) {
                 let start_us = frame.arrival.0 / 1000 - own_us;
-                let quickest = quickest_us.entry(frame.sender).or_insert(start_us);
-                *quickest = start_us.min(*quickest);
+                let earliest = earliest_start_us.entry(frame.sender).or_insert(start_us);
+                *earliest = start_us.min(*earliest);
             }
         }
-        for (sender, start_us) in quickest_us {
+        for (sender, start_us) in earliest_start_us {
             messages.boots_us.entry(sender).or_insert(start_us);
         }
         messages.rest = bytes;
@@ -183,7 +185,7 @@ impl Iterator for Messages<'_> {
     }
 }
 
-/// What a good SYSTEM_TIME says: UTC at the sender's start, microseconds.
+/// UTC of the start of the sender from a valid SYSTEM_TIME, microseconds.
 fn boot_us(frame: &Frame) -> Option<i64> {
     if frame.id != 2 || frame.checksum != Checksum::Right {
         return None;
@@ -195,13 +197,13 @@ fn boot_us(frame: &Frame) -> Option<i64> {
     known.then(|| i64::try_from(unix_us).unwrap_or(0) - boot_us)
 }
 
-/// The sender's own clock, where the message begins with it, microseconds.
+/// Clock of the sender at the start of the message, if it has one, microseconds.
 fn own_clock_us(frame: &Frame) -> Option<i64> {
     let timed = matches!(frame.id, 30 | 33) && frame.checksum == Checksum::Right;
     timed.then(|| i64::from(u32_at(&padded(frame.payload), 0)) * 1000)
 }
 
-/// Version 2 leaves out zeros at the end.
+/// Restores the trailing zeros that version 2 omits.
 fn padded(payload: &[u8]) -> [u8; 64] {
     let mut out = [0; 64];
     let len = payload.len().min(64);
@@ -266,7 +268,7 @@ fn decode(frame: &Frame, boot_us: Option<i64>) -> Decoded {
             let mut r = Reading::new(Kind::MavPosition);
             r.when = since_boot(u32_at(&b, 0));
             let (latitude, longitude) = (i32_at(&b, 4), i32_at(&b, 8));
-            // Exactly zero means not known.
+            // Exactly zero means unknown.
             if latitude != 0.0 || longitude != 0.0 {
                 r.fix = FixQuality::Autonomous;
                 r.height_m = Some(i32_at(&b, 12) / 1000.0);
@@ -274,7 +276,7 @@ fn decode(frame: &Frame, boot_us: Option<i64>) -> Decoded {
                 let velocity = |at: usize| f64::from(u16_at(&b, at) as i16) / 100.0;
                 r.set_velocity(velocity(20), velocity(22))?;
             }
-            // Height above home; of a vehicle under water, its depth.
+            // Height above home; below water it is the negative depth.
             let depth_m = -i32_at(&b, 16) / 1000.0;
             r.set_own_depth(Some(depth_m).filter(|d| *d > -1.0))?;
             Ok(r)

@@ -1,31 +1,32 @@
-//! When a reading holds. Comes in: time fields and arrivals. Goes out: full UTC instants, and the time of a burst for sentences without one.
+//! Determines the UTC of a reading from its time fields and its arrival, and the time of a burst for untimed sentences.
 //!
-//! Only ZDA and RMC carry a date; the others carry a time of day that wraps at midnight. A day is chosen as the one nearest to where the
-//! message clock should be by now (before any date: nearest to the arrival).
+//! Only ZDA and RMC carry a date. The others carry a time of day that wraps at midnight. The day is the one nearest to the
+//! expected message time; before any date it is the one nearest to the arrival.
 //!
-//! A source whose clock is set while it runs goes on where it was: by whole seconds its times are moved back onto those before, so that
-//! nobody downstream sees the step. In a log without stamps a step cannot be told from a pause, and is one.
+//! If the clock of a source is set during operation, its times continue without a step: they are corrected by whole seconds. In a
+//! log without stamps a step and a pause look the same; both count as a pause.
 
 use super::reading::{Reading, When};
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 const DAY_NS: i64 = 86_400 * NS_PER_S;
-/// A pause in the arrivals longer than this ends a burst: a Seapath at 1 Hz pauses up to 0.13 s inside one and 0.76 s between two; logs that
-/// were played again at four lines a second pause 0.26 s.
+/// A pause between arrivals longer than this ends a burst. A Seapath at 1 Hz pauses up to 0.13 s inside a burst and 0.76 s
+/// between bursts. Logs replayed at four lines a second pause 0.26 s.
 const BURST_GAP_NS: i64 = NS_PER_S * 2 / 5;
-/// A message time farther than this from where it should be is doubted.
+/// A message time that differs more than this from the expected one is doubtful.
 const JUMP_NS: i64 = 10 * NS_PER_S;
-/// So many doubted messages that agree with one another are believed.
+/// Consistent doubtful messages after which the new time is accepted.
 const JUMP_CONFIRMATIONS: u32 = 3;
 
-/// A receiver that does not know its epoch is off by a multiple of this.
+/// The GPS week number wraps after 1024 weeks; a receiver without the epoch is wrong by a multiple of that.
 const ROLLOVER_NS: i64 = 1024 * 7 * DAY_NS;
-/// A date this near to a multiple of the rollover off the clock is taken for one.
+/// A date within this distance of a multiple of the rollover counts as a rollover.
 const ROLLOVER_TOLERANCE_NS: i64 = 2 * DAY_NS;
 const WEEK_NS: i64 = 7 * DAY_NS;
 /// 1980-01-06T00:00:00Z.
 const GPS_EPOCH_NS: i64 = 315_964_800 * NS_PER_S;
-/// GPS minus UTC, seconds, from these UTC instants (seconds since 1970) on: the leap seconds since 1999 (IERS Bulletin C). Before: 13.
+/// GPS minus UTC, seconds, from these UTC instants (seconds since 1970) on: the leap seconds since 1999 (IERS Bulletin C).
+/// Earlier times use 13.
 const LEAP_S: [(i64, i64); 5] = [
     (1_136_073_600, 14),
     (1_230_768_000, 15),
@@ -34,7 +35,7 @@ const LEAP_S: [(i64, i64); 5] = [
     (1_483_228_800, 18),
 ];
 
-/// UTC of a GPS time counted as though GPS had no offset: nanoseconds since 1970.
+/// UTC of a GPS time; both in nanoseconds since 1970, the GPS time without leap seconds.
 pub(crate) fn utc_of_gps(gps_ns: i64) -> i64 {
     let leap_s = LEAP_S
         .iter()
@@ -44,13 +45,13 @@ pub(crate) fn utc_of_gps(gps_ns: i64) -> i64 {
     gps_ns.saturating_sub(leap_s * NS_PER_S)
 }
 
-/// What a message's time came to.
+/// Result for the time of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Stamp {
     /// The message has no time.
     None,
     At(UtcNs),
-    /// The time jumped; do not use the message.
+    /// The time jumps; the message must not be used.
     Jumped,
 }
 
@@ -61,14 +62,14 @@ pub(crate) struct MessageClock {
     last_sentence: Option<UtcNs>,
     burst: Option<UtcNs>,
     doubt: Option<(i64, u32)>,
-    /// Added to message times since the source's clock was set, whole seconds.
+    /// Correction of message times since the clock of the source was set: whole seconds, in nanoseconds.
     shift_ns: i64,
-    arrivals_distrusted: bool,
+    ignores_arrival_dates: bool,
     week_rollovers: u64,
 }
 
 impl MessageClock {
-    /// Every sentence of the source passes here first, understood or not: pauses between them part the bursts.
+    /// Records the arrival of any sentence, decoded or not: a pause ends the burst.
     pub(crate) fn arrived(&mut self, arrival: UtcNs) {
         if let Some(before) = self.last_sentence
             && arrival.0.saturating_sub(before.0) > BURST_GAP_NS
@@ -78,28 +79,28 @@ impl MessageClock {
         self.last_sentence = Some(arrival);
     }
 
-    /// Time of the last sentence with a time in the current burst.
+    /// Message time of the last timed sentence in the current burst.
     pub(crate) fn burst(&self) -> Option<UtcNs> {
         self.burst
     }
 
-    /// The last believed message time and its arrival.
+    /// The last accepted message time and its arrival.
     pub(crate) fn last(&self) -> Option<(UtcNs, UtcNs)> {
         self.last
     }
 
-    /// A full date has been seen.
+    /// Whether a full date has been received.
     pub(crate) fn is_dated(&self) -> bool {
         self.dated
     }
 
-    /// Dates that were moved by whole rollovers.
+    /// Number of dates corrected by week rollovers.
     pub(crate) fn week_rollovers(&self) -> u64 {
         self.week_rollovers
     }
 
-    pub(crate) fn distrust_arrivals(&mut self) {
-        self.arrivals_distrusted = true;
+    pub(crate) fn ignore_arrival_dates(&mut self) {
+        self.ignores_arrival_dates = true;
     }
 
     pub(crate) fn stamp(&mut self, reading: &Reading, arrival: UtcNs) -> Stamp {
@@ -121,7 +122,7 @@ impl MessageClock {
             When::Instant(utc) => (utc, true),
         };
         let message = if dated {
-            self.unrolled(message, arrival)
+            self.without_rollover(message, arrival)
         } else {
             message
         };
@@ -130,13 +131,13 @@ impl MessageClock {
             self.shift_ns = 0;
         }
         let mut message = message.plus_ns(self.shift_ns);
-        if self.last.is_some() && !first_date && self.doubts(message, expected, arrival) {
+        if self.last.is_some() && !first_date && self.is_doubtful(message, expected, arrival) {
             return Stamp::Jumped;
         }
         let off_ns = expected.0.saturating_sub(message.0);
-        let set_anew = self.last.is_some() && !first_date && off_ns.saturating_abs() > JUMP_NS;
-        if set_anew && !self.arrivals_distrusted {
-            // The fraction is the source's own: only the latencies would be mixed into it.
+        let is_step = self.last.is_some() && !first_date && off_ns.saturating_abs() > JUMP_NS;
+        if is_step && !self.ignores_arrival_dates {
+            // The correction is in whole seconds: a fraction would add only the latencies.
             let step_ns = (off_ns as f64 / NS_PER_S as f64).round() as i64 * NS_PER_S;
             self.shift_ns = self.shift_ns.saturating_add(step_ns);
             message = message.plus_ns(step_ns);
@@ -147,19 +148,19 @@ impl MessageClock {
         Stamp::At(message)
     }
 
-    /// Moved by the rollovers that part it from the arrival, if nothing else does.
-    fn unrolled(&mut self, message: UtcNs, arrival: UtcNs) -> UtcNs {
+    /// Removes GPS week rollovers if they alone explain the difference from the arrival.
+    fn without_rollover(&mut self, message: UtcNs, arrival: UtcNs) -> UtcNs {
         let off_ns = message.0.saturating_sub(arrival.0);
         let rolls = (off_ns as f64 / ROLLOVER_NS as f64).round() as i64;
         let rest_ns = off_ns.saturating_sub(rolls * ROLLOVER_NS).saturating_abs();
-        if self.arrivals_distrusted || rolls == 0 || rest_ns > ROLLOVER_TOLERANCE_NS {
+        if self.ignores_arrival_dates || rolls == 0 || rest_ns > ROLLOVER_TOLERANCE_NS {
             return message;
         }
         self.week_rollovers += 1;
         message.plus_ns(-rolls * ROLLOVER_NS)
     }
 
-    fn doubts(&mut self, message: UtcNs, expected: UtcNs, arrival: UtcNs) -> bool {
+    fn is_doubtful(&mut self, message: UtcNs, expected: UtcNs, arrival: UtcNs) -> bool {
         if message.0.saturating_sub(expected.0).saturating_abs() <= JUMP_NS {
             self.doubt = None;
             return false;
@@ -176,7 +177,7 @@ impl MessageClock {
     }
 }
 
-/// The instant with this time of day that lies nearest to `reference`.
+/// The instant with this time of day that is nearest to `reference`.
 pub(crate) fn nearest_day(time_of_day_ns: i64, reference: UtcNs) -> UtcNs {
     let midnight = reference.0.saturating_sub(reference.0.rem_euclid(DAY_NS));
     let same_day = midnight.saturating_add(time_of_day_ns);
@@ -191,7 +192,7 @@ pub(crate) fn nearest_day(time_of_day_ns: i64, reference: UtcNs) -> UtcNs {
     UtcNs(same_day.saturating_add(days * DAY_NS))
 }
 
-/// The instant of this GPS time of week that lies nearest to `reference`.
+/// The instant with this GPS time of week that is nearest to `reference`.
 fn nearest_week(of_week_ns: i64, reference: UtcNs) -> UtcNs {
     let weeks = |ns: i64| ns.saturating_sub(GPS_EPOCH_NS).div_euclid(WEEK_NS);
     let at = |week: i64| utc_of_gps(GPS_EPOCH_NS + week * WEEK_NS + of_week_ns);
@@ -214,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn a_receiver_1024_weeks_behind_is_moved_to_the_clock_s_date() {
+    fn week_rollover_is_corrected_to_the_arrival_date() {
         let at = |s: f64| UtcNs(D).plus_s(s);
         // 1024 weeks before 2014-08-01 was 1994-12-16.
         let zda = reading("GPZDA,000001.00,16,12,1994,,");
@@ -222,13 +223,13 @@ mod tests {
         assert_eq!(clock.stamp(&zda, at(1.1)), Stamp::At(at(1.0)));
         assert_eq!(clock.week_rollovers(), 1);
         let mut untimed = MessageClock::default();
-        untimed.distrust_arrivals();
+        untimed.ignore_arrival_dates();
         let rollover_s = 1024.0 * 7.0 * 86400.0;
         assert_eq!(
             untimed.stamp(&zda, at(1.1)),
             Stamp::At(at(1.0 - rollover_s))
         );
-        // A month off is no rollover.
+        // An error of a month is not a rollover.
         let other = reading("GPZDA,000001.00,16,01,1995,,");
         let mut clock = MessageClock::default();
         assert!(matches!(clock.stamp(&other, at(1.1)), Stamp::At(t) if t < at(-1e8)));
@@ -253,7 +254,7 @@ mod tests {
     const D: i64 = 1_406_851_200 * NS_PER_S; // 2014-08-01
 
     #[test]
-    fn midnight_passes_in_either_direction() {
+    fn time_of_day_wraps_at_midnight_in_both_directions() {
         let mut clock = MessageClock::default();
         let at = |s: f64| UtcNs(D).plus_s(s);
         let rmc = reading("INRMC,235959.50,A,2200.1,S,01756.3,W,9.1,215.11,310714,24.7,W,A");
@@ -265,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_wild_date_is_doubted_and_three_in_a_row_move_nothing() {
+    fn a_single_wrong_date_is_rejected_and_three_in_a_row_are_corrected() {
         let mut clock = MessageClock::default();
         let at = |s: f64| UtcNs(D).plus_s(s);
         let zda = |year: i32, s: i32| reading(&format!("INZDA,0000{s:02}.00,01,08,{year},,"));
@@ -277,15 +278,15 @@ mod tests {
         assert_eq!(clock.stamp(&zda(2015, 6), at(6.2)), Stamp::At(at(6.0)));
         let gga = reading("INGGA,000007.25,2200.1,S,01756.3,W,1,12,0.7,-2.76,M,4.67,M,,");
         assert_eq!(clock.stamp(&gga, at(7.3)), Stamp::At(at(7.25)));
-        // And back again.
+        // The clock returns.
         for s in [8, 9] {
             let back = clock.stamp(&zda(2014, s), at(f64::from(s) + 0.1));
             assert_eq!(back, Stamp::Jumped);
         }
         assert_eq!(clock.stamp(&zda(2014, 10), at(10.1)), Stamp::At(at(10.0)));
-        // Without stamps it is a pause, and the day after is the day after.
+        // Without stamps the step is a pause, and the next day is accepted.
         let mut plain = MessageClock::default();
-        plain.distrust_arrivals();
+        plain.ignore_arrival_dates();
         let day = 86_400.0;
         let next = |s: i32| reading(&format!("INZDA,0000{s:02}.00,02,08,2014,,"));
         assert_eq!(plain.stamp(&zda(2014, 1), at(0.0)), Stamp::At(at(1.0)));
@@ -295,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn an_hour_s_step_moves_no_time_of_day_and_a_leap_second_none() {
+    fn clock_steps_are_corrected_and_leap_seconds_do_not_jump() {
         let at = |s: f64| UtcNs(D).plus_s(s);
         let gga = |h: i32, s: i32| {
             reading(&format!(
@@ -308,7 +309,7 @@ mod tests {
         assert_eq!(clock.stamp(&gga(1, 3), at(3.1)), Stamp::Jumped);
         assert_eq!(clock.stamp(&gga(1, 4), at(4.1)), Stamp::At(at(4.0)));
         assert_eq!(clock.stamp(&gga(1, 5), at(5.1)), Stamp::At(at(5.0)));
-        // 2016-12-31T23:59:60Z: counted as the first second of the next day, as POSIX has it; nothing jumps.
+        // 2016-12-31T23:59:60Z counts as the first second of the next day, as in POSIX; nothing jumps.
         let mut clock = MessageClock::default();
         let eve = |s: f64| UtcNs(1_483_228_799 * NS_PER_S).plus_s(s);
         let zda = |text: &str, day: &str| reading(&format!("GPZDA,{text},{day},00,00"));

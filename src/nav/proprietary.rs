@@ -1,17 +1,17 @@
-//! Sentences of single makers: attitude, mostly, each with its own order and signs.
+//! Decoders of proprietary sentences, mostly of attitude; each has its own field order and signs.
 //!
-//! Sources: SBG Systems, sbgECom `doc/nmeaMessages.md` (PASHR, PRDID, PHTRO, PHLIN, PHOCT, PHINF, PSBGA, PSBGB, GGK); Kongsberg Seapath
-//! (PSXN); Ashtech (ATT, AT2, HPR, POS); iXblue (PIXSE); Valeport (PIPS); Trimble (AVR, VHD, GGK); VectorNav (VNYMR, VNINS); Hemisphere (PSAT).
-//! Where a sentence says T or E or I about a value, only T counts.
+//! Sources: SBG Systems, sbgECom `doc/nmeaMessages.md` (PASHR, PRDID, PHTRO, PHLIN, PHOCT, PHINF, PSBGA, PSBGB, GGK); Kongsberg
+//! Seapath (PSXN); Ashtech (ATT, AT2, HPR, POS); iXblue (PIXSE); Valeport (PIPS); Trimble (AVR, VHD, GGK); VectorNav (VNYMR,
+//! VNINS); Hemisphere (PSAT). Where a status is T, E or I, only values with T are used.
 
 use super::fields::Fields;
-use super::reading::Refusal::{self, Malformed, Unsupported};
-use super::reading::{Decoded, Kind, Reading, When, date_ns, seconds_ns, sound};
+use super::reading::DecodeError::{self, Malformed, Unsupported};
+use super::reading::{Decoded, Kind, Reading, When, date_ns, ensure, seconds_ns};
 use echotank_config::spec::NavDialect;
 use echotank_core::flow::FixQuality;
 use echotank_core::time::UtcNs;
 
-/// GPS time began 1980-01-06T00:00:00Z, seconds since 1970.
+/// Start of GPS time, 1980-01-06T00:00:00Z, seconds since 1970.
 const GPS_EPOCH_S: i64 = 315_964_800;
 const WEEK_S: i64 = 604_800;
 
@@ -25,7 +25,7 @@ pub(crate) fn decode(f: &Fields, dialect: &NavDialect) -> Decoded {
         }
         ("PASHR", _) => pashr(f, dialect),
         ("PSXN", "20") => psxn_20(f),
-        // 10: angles and heave in units that are chosen on the instrument and not said.
+        // Sentence 10 has units that the instrument sets and the sentence does not state.
         ("PSXN", "10" | "22" | "24") => Ok(Reading::information()),
         ("PSXN", "23") => psxn_23(f),
         ("PRDID", _) => prdid(f),
@@ -57,7 +57,7 @@ pub(crate) fn decode(f: &Fields, dialect: &NavDialect) -> Decoded {
     }
 }
 
-/// `hhmmss.sss,heading,T,roll,pitch,heave,sigmas...`. Heave is + down in SBG's and OxTS' flavour, + up in WASSP's of the same sentence.
+/// `hhmmss.sss,heading,T,roll,pitch,heave,sigmas...`. Heave is positive down from SBG and OxTS, positive up from WASSP.
 fn pashr(f: &Fields, dialect: &NavDialect) -> Decoded {
     let mut r = Reading::new(Kind::Pashr);
     if f.count < 7 || !matches!(f.text(3), "T" | "") {
@@ -74,9 +74,9 @@ fn pashr(f: &Fields, dialect: &NavDialect) -> Decoded {
 /// `ATT,GPS seconds of week,heading,pitch,roll,...`: pitch before roll.
 fn pashr_att(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::PashrAshtech);
-    sound(f.count >= 6)?;
+    ensure(f.count >= 6)?;
     if let Some(seconds) = f.number(2)? {
-        sound((0.0..WEEK_S as f64).contains(&seconds))?;
+        ensure((0.0..WEEK_S as f64).contains(&seconds))?;
         r.when = Some(When::GpsOfWeek(seconds_ns(seconds)));
     }
     r.set_heading(f.number(3)?)?;
@@ -87,7 +87,7 @@ fn pashr_att(f: &Fields) -> Decoded {
 /// `HPR,hhmmss.ss,heading,pitch,roll,...`: pitch before roll.
 fn pashr_hpr(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::PashrAshtech);
-    sound(f.count >= 6)?;
+    ensure(f.count >= 6)?;
     r.set_time(f.time_of_day(2)?, None);
     r.set_heading(f.number(3)?)?;
     r.set_roll_pitch(f.number(5)?, f.number(4)?)?;
@@ -97,7 +97,7 @@ fn pashr_hpr(f: &Fields) -> Decoded {
 /// `POS,mode,satellites,hhmmss.ss,lat,N,lon,E,height,age,course,knots,...`.
 fn pashr_pos(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::PashrPos);
-    sound(f.count >= 13)?;
+    ensure(f.count >= 13)?;
     r.fix = match f.text(2) {
         "0" => FixQuality::Autonomous,
         "1" => FixQuality::Differential,
@@ -130,10 +130,10 @@ fn psxn_20(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// `23,roll,pitch,heading,heave`: heave + down.
+/// `23,roll,pitch,heading,heave`: heave positive down.
 fn psxn_23(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Psxn23);
-    sound(f.count >= 6)?;
+    ensure(f.count >= 6)?;
     r.set_heading(f.number(4)?)?;
     r.set_roll_pitch(f.number(2)?, f.number(3)?)?;
     r.set_heave_down(f.number(5)?)?;
@@ -143,13 +143,13 @@ fn psxn_23(f: &Fields) -> Decoded {
 /// `pitch,roll,heading`: pitch first.
 fn prdid(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Prdid);
-    sound(f.count >= 4)?;
+    ensure(f.count >= 4)?;
     r.set_heading(f.number(3)?)?;
     r.set_roll_pitch(f.number(2)?, f.number(1)?)?;
     Ok(r)
 }
 
-/// `pitch,M/P,roll,B/T`: unsigned; M bow up, P bow down, B port down, T port up.
+/// `pitch,M/P,roll,B/T`, unsigned: M bow up, P bow down, B port down, T port up.
 fn phtro(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Phtro);
     let pitch = f.signed_by(1, "M", "P")?;
@@ -158,19 +158,19 @@ fn phtro(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// A sentence of which only the heave at field `i`, + up, is of use.
+/// A sentence whose only useful value is the heave in field `i`, positive up.
 fn heave_up(kind: Kind, f: &Fields, i: usize) -> Decoded {
     let mut r = Reading::new(kind);
-    sound(f.count > i)?;
+    ensure(f.count > i)?;
     r.set_heave_down(f.number(i)?.map(|h| -h))?;
     Ok(r)
 }
 
-/// `01,hhmmss.sss,T/E,latency,heading,s,roll,s,pitch,s,primary heave,s,...`: pitch + bow down, heave + up.
+/// `01,hhmmss.sss,T/E,latency,heading,s,roll,s,pitch,s,primary heave,s,...`: pitch positive bow down, heave positive up.
 fn phoct(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Phoct);
-    sound(f.count >= 13)?;
-    let valid = |value: usize, status: usize| -> Result<Option<f64>, Refusal> {
+    ensure(f.count >= 13)?;
+    let valid = |value: usize, status: usize| -> Result<Option<f64>, DecodeError> {
         let value = f.number(value)?;
         match f.text(status) {
             "T" => Ok(value),
@@ -186,10 +186,10 @@ fn phoct(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// `ATITUD,roll,pitch`: roll + port up; pitch + bow down, as everywhere with this maker.
+/// `ATITUD,roll,pitch`: roll positive port up; pitch positive bow down, as in every iXblue sentence.
 fn pixse_attitude(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::PixseAttitude);
-    sound(f.count >= 4)?;
+    ensure(f.count >= 4)?;
     r.set_roll_pitch(f.number(2)?, f.number(3)?.map(|p| -p))?;
     Ok(r)
 }
@@ -197,25 +197,25 @@ fn pixse_attitude(f: &Fields) -> Decoded {
 /// `POSITI,latitude,longitude,altitude`: degrees, metres.
 fn pixse_position(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::PixsePosition);
-    sound(f.count >= 5)?;
+    ensure(f.count >= 5)?;
     r.fix = FixQuality::Autonomous;
     r.height_m = f.number(4)?;
-    // East longitudes may run to 360.
+    // Longitudes may run to 360 degrees east.
     let longitude = f.number(3)?.map(|l| if l > 180.0 { l - 360.0 } else { l });
     r.set_position(f.number(2)?.zip(longitude))?;
     Ok(r)
 }
 
-/// `DEPIN_,depth,hhmmss.ssss`: what the unit's depth sensor said, and when; metres.
+/// `DEPIN_,depth,hhmmss.ssss`: depth sensor of the unit, metres, and its time.
 fn pixse_depth(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::OwnDepth);
-    sound(f.count >= 3)?;
+    ensure(f.count >= 3)?;
     r.set_time(f.time_of_day(3)?, None);
     r.set_own_depth(f.number(2)?)?;
     Ok(r)
 }
 
-/// `depth,M`: other units, or none, are not taken, since they may be pressures.
+/// `depth,M`. Other units are ignored because they may be pressures.
 fn pips(f: &Fields) -> Decoded {
     if f.text(2) != "M" {
         return Ok(Reading::information());
@@ -225,7 +225,8 @@ fn pips(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// `AVR,hhmmss.ss,yaw,Yaw,tilt,Tilt,roll,Roll,range,quality,...`: tilt + bow up; an antenna pair gives tilt or roll, not both.
+/// `AVR,hhmmss.ss,yaw,Yaw,tilt,Tilt,roll,Roll,range,quality,...`: tilt positive bow up. An antenna pair gives tilt or roll, not
+/// both.
 fn avr(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Avr);
     r.set_time(f.time_of_day(2)?, None);
@@ -250,7 +251,7 @@ fn avr(f: &Fields) -> Decoded {
 /// `GGK,hhmmss.ss,mmddyy,lat,N,lon,E,quality,satellites,DOP,EHTheight,M`.
 fn ggk(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Ggk);
-    sound(f.count >= 12)?;
+    ensure(f.count >= 12)?;
     let mut day_ns = None;
     if !f.text(3).is_empty() {
         let (month, day, year) = f.day_month_year(3)?;
@@ -273,12 +274,12 @@ fn ggk(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// `heading,s,pitch,s,roll,s`: s is N normal, or L, H, C, M, P, O: outside of what the instrument can do; a heading against magnetic north
-/// where the instrument has not been told the variation, taken as it comes.
+/// `heading,s,pitch,s,roll,s`. Status N is normal; L, H, C, M, P and O are outside the instrument's range. A magnetic heading
+/// from an instrument without a variation cannot be recognised.
 fn ptnthpr(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Ptnthpr);
-    sound(f.count >= 7)?;
-    let normal = |i: usize| -> Result<Option<f64>, Refusal> {
+    ensure(f.count >= 7)?;
+    let normal = |i: usize| -> Result<Option<f64>, DecodeError> {
         let value = f.number(i)?;
         Ok(value.filter(|_| f.text(i + 1) == "N"))
     };
@@ -290,17 +291,17 @@ fn ptnthpr(f: &Fields) -> Decoded {
 /// `HPR,hhmmss.ss,heading,pitch,roll,N/G`.
 fn psat_hpr(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Psat);
-    sound(f.count >= 6)?;
+    ensure(f.count >= 6)?;
     r.set_time(f.time_of_day(2)?, None);
     r.set_heading(f.number(3)?)?;
     r.set_roll_pitch(f.number(5)?, f.number(4)?)?;
     Ok(r)
 }
 
-/// PSBGA `time,s,roll,pitch,heading,...,i/v`, PSBGB `version,time,s,roll,pitch,heading,...,heave`: heave + down.
+/// PSBGA `time,s,roll,pitch,heading,...,i/v`; PSBGB `version,time,s,roll,pitch,heading,...,heave`: heave positive down.
 fn psbg(f: &Fields, time: usize, heave: Option<usize>) -> Decoded {
     let mut r = Reading::new(Kind::Psbg);
-    sound(f.count >= time + 5)?;
+    ensure(f.count >= time + 5)?;
     r.set_time(f.time_of_day(time)?, None);
     r.set_roll_pitch(f.number(time + 2)?, f.number(time + 3)?)?;
     r.set_heading(f.number(time + 4)?)?;
@@ -318,20 +319,20 @@ fn psbg(f: &Fields, time: usize, heave: Option<usize>) -> Decoded {
     Ok(r)
 }
 
-/// VectorNav's sentences: `VNYMR,yaw,pitch,roll,...`, `VNINS,seconds of week,week,status,yaw,pitch,roll,lat,lon,alt,vN,vE,...`.
+/// VectorNav: `VNYMR,yaw,pitch,roll,...` and `VNINS,seconds of week,week,status,yaw,pitch,roll,lat,lon,alt,vN,vE,...`.
 pub(crate) fn vectornav(f: &Fields) -> Decoded {
     let heading = |yaw: Option<f64>| yaw.map(|y| y.rem_euclid(360.0));
     match f.text(0) {
         "VNYMR" => {
             let mut r = Reading::new(Kind::Vnymr);
-            sound(f.count >= 4)?;
+            ensure(f.count >= 4)?;
             r.set_heading(heading(f.number(1)?))?;
             r.set_roll_pitch(f.number(3)?, f.number(2)?)?;
             Ok(r)
         }
         "VNINS" => {
             let mut r = Reading::new(Kind::Vnins);
-            sound(f.count >= 12)?;
+            ensure(f.count >= 12)?;
             let status = u16::from_str_radix(f.text(3).trim_start_matches("0x"), 16)
                 .map_err(|_| Malformed)?;
             // Mode 0: the filter is not tracking.
@@ -339,7 +340,7 @@ pub(crate) fn vectornav(f: &Fields) -> Decoded {
                 return Ok(r);
             }
             if let (Some(seconds), Some(week)) = (f.number(1)?, f.number(2)?) {
-                sound((0.0..WEEK_S as f64).contains(&seconds) && (0.0..10_000.0).contains(&week))?;
+                ensure((0.0..WEEK_S as f64).contains(&seconds) && (0.0..10_000.0).contains(&week))?;
                 let gps_s = GPS_EPOCH_S + week as i64 * WEEK_S;
                 let gps_ns = gps_s * echotank_core::time::NS_PER_S + seconds_ns(seconds);
                 r.when = Some(When::Instant(UtcNs(super::message_time::utc_of_gps(

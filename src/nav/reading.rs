@@ -1,4 +1,4 @@
-//! What one message says, whatever its format, in SI with our signs; and the rules that every decoder applies to it.
+//! Values of one message of any format, in SI units with our signs, and the range checks for all decoders.
 
 use chrono::{NaiveDate, NaiveTime};
 
@@ -6,67 +6,99 @@ use echotank_core::flow::FixQuality;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 const KNOT_M_PER_S: f64 = 1852.0 / 3600.0;
-/// Largest heave that a format can say, metres; the tallest ocean wave recorded stands 30 m.
+/// Largest heave that a format can express, metres; the tallest ocean wave recorded is 30 m.
 const MAX_HEAVE_M: f64 = 99.99;
-/// No height above the sea or the ellipsoid, metres, is larger where boats go.
+/// Largest accepted height, metres.
 const MAX_HEIGHT_M: f64 = 100_000.0;
-/// No platform dives deeper, metres.
+/// Largest accepted depth, metres.
 const MAX_DEPTH_M: f64 = 12_000.0;
-/// No speed over ground, metres per second, is larger.
+/// Largest accepted speed over ground, metres per second.
 const MAX_SPEED_M_PER_S: f64 = 1000.0;
 
-/// Which message it was. Names are those of the sentences.
+/// Type of a message. Variants are named after the sentence or record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
+    /// GGA: position, height and fix quality.
     Gga,
+    /// RMC: position, course, speed and date.
     Rmc,
+    /// GLL: position.
     Gll,
+    /// VTG: course and speed over ground.
     Vtg,
+    /// ZDA: time and date.
     Zda,
+    /// HDT: true heading.
     Hdt,
+    /// THS: true heading with a mode.
     Ths,
-    /// HDG and HDM: magnetic.
+    /// HDG and HDM: magnetic heading.
     Magnetic,
-    /// DBT, DBS, DBK and DPT.
+    /// DBT, DBS, DBK and DPT: water depth.
     Depth,
-    /// A depth sensor's: PIPS, PIXSE,DEPIN_, and the kinds above where the operator says so.
+    /// Depth of the platform: PIPS; PIXSE,DEPIN_; and [`Self::Depth`] sentences if so configured.
     OwnDepth,
-    /// Understood, and of no use for the motion: GST, ROT, PSXN 10, 22 and 24, PHINF, PIXSE's speeds.
+    /// Known, without values for the motion: GST, ROT, PSXN 10, 22 and 24, PHINF, speeds of PIXSE.
     Information,
+    /// PASHR of SBG, OxTS and WASSP: heading, roll, pitch and heave.
     Pashr,
-    /// Ashtech's forms ATT, AT2 and HPR: heading, pitch, roll.
+    /// PASHR,ATT, AT2 and HPR of Ashtech: heading, pitch and roll.
     PashrAshtech,
+    /// PASHR,POS: position, course and speed.
     PashrPos,
-    /// Quality of what follows in the burst.
+    /// PSXN,20: quality of the other sentences of the burst.
     Psxn20,
+    /// PSXN,23: roll, pitch, heading and heave.
     Psxn23,
+    /// PRDID: pitch, roll and heading.
     Prdid,
+    /// PHTRO: pitch and roll.
     Phtro,
+    /// PHLIN: heave.
     Phlin,
+    /// PHOCT: attitude and heave.
     Phoct,
+    /// PIXSE,ATITUD: roll and pitch.
     PixseAttitude,
+    /// PIXSE,POSITI: position and height.
     PixsePosition,
+    /// PIXSE,HEAVE_: heave.
     PixseHeave,
+    /// PTNL,AVR: antenna-pair attitude.
     Avr,
+    /// PTNL,GGK: position with date.
     Ggk,
+    /// PTNTHPR: heading, pitch and roll.
     Ptnthpr,
+    /// PSAT,HPR: heading, pitch and roll.
     Psat,
+    /// VNYMR: heading, pitch and roll.
     Vnymr,
+    /// VNINS: full inertial solution.
     Vnins,
+    /// PSBGA and PSBGB: attitude, and heave in the latter.
     Psbg,
+    /// TSS1 record: heave, roll and pitch.
     Tss1,
+    /// EM1000 or EM3000 record: attitude and heave.
     Em3000,
+    /// Seapath binary 26 record: full solution.
     Seapath26,
+    /// #KMB record: full solution.
     Kmb,
+    /// MAVLink ATTITUDE.
     MavAttitude,
+    /// MAVLink GLOBAL_POSITION_INT.
     MavPosition,
+    /// MAVLink GPS_RAW_INT.
     MavGps,
+    /// MAVLink SYSTEM_TIME.
     MavTime,
 }
 
 impl Kind {
-    /// Where two messages of one source say the same thing, the higher has the word: own time beats borrowed time, true beats magnetic,
-    /// and GGA has height and quality, which RMC lacks.
+    /// Priority among messages of one source with the same quantity; the higher rank wins. Own time ranks above burst time and
+    /// true above magnetic. GGA ranks above RMC because it has height and quality.
     pub fn rank(self) -> u8 {
         use Kind::*;
         match self {
@@ -79,64 +111,76 @@ impl Kind {
         }
     }
 
-    /// Of use although it gives no quantity: time and quality.
-    pub(crate) fn guides(self) -> bool {
+    /// Whether the message is used for time or quality although it gives no quantity.
+    pub(crate) fn is_auxiliary(self) -> bool {
         matches!(self, Kind::Zda | Kind::Psxn20 | Kind::MavTime)
     }
 }
 
-/// When a message says it holds.
+/// Time of validity in a message.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum When {
-    /// UTC since midnight, nanoseconds; a leap second counts as the first second of the next day.
+    /// UTC since midnight, nanoseconds. A leap second counts as the first second of the next day.
     TimeOfDay(i64),
-    /// The same, and UTC midnight of its day, nanoseconds since 1970.
+    /// Time of day with a date.
     Dated {
+        /// UTC midnight, nanoseconds since 1970.
         day_ns: i64,
+        /// UTC since midnight, nanoseconds.
         time_of_day_ns: i64,
     },
-    /// GPS time, nanoseconds since the week began.
+    /// GPS time since the start of the week, nanoseconds.
     GpsOfWeek(i64),
+    /// Full UTC instant.
     Instant(UtcNs),
 }
 
-/// What PSXN,20 says is invalid.
+/// Quantities that PSXN,20 flags as invalid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Invalid {
+    /// Horizontal position.
     pub position: bool,
+    /// Heading.
     pub heading: bool,
+    /// Roll and pitch.
     pub roll_pitch: bool,
 }
 
-/// What one message said; empty fields are `None`.
+/// Values of one message; empty fields are `None`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
+    /// Type of the message.
     pub kind: Kind,
+    /// Time of validity.
     pub when: Option<When>,
-    /// Latitude and longitude, radians; only from a valid fix.
+    /// Latitude (positive north) and longitude (positive east), radians; only from a valid fix.
     pub position_rad: Option<(f64, f64)>,
-    /// Above mean sea level, except where only the ellipsoid's is given (Seapath 26, KMB, GGK, VNINS).
+    /// Height, metres, above mean sea level; above the ellipsoid in Seapath 26, KMB, GGK and VNINS.
     pub height_m: Option<f64>,
+    /// Quality of the position.
     pub fix: FixQuality,
     /// Course over ground (radians) and speed (metres per second).
     pub course_speed: Option<(f64, f64)>,
-    /// True.
+    /// True heading, radians, clockwise from north.
     pub heading_rad: Option<f64>,
-    /// A magnetic heading, deviation applied, whose variation is not known.
+    /// Magnetic heading, radians, with deviation applied; its variation is unknown.
     pub(crate) magnetic_rad: Option<f64>,
-    /// Roll + starboard down, pitch + bow up, radians.
+    /// Roll (positive starboard down) and pitch (positive bow up), radians.
     pub(crate) roll_pitch_rad: Option<(f64, f64)>,
+    /// Heave, metres, positive down.
     pub heave_down_m: Option<f64>,
-    /// Of water, as the sounder says it.
+    /// Water depth from an echo sounder, metres.
     pub(crate) water_depth_m: Option<f64>,
-    /// Of the platform's own depth sensor below the surface.
+    /// Depth of the platform below the surface, metres.
     pub(crate) own_depth_m: Option<f64>,
+    /// Flags of PSXN,20.
     pub invalid: Option<Invalid>,
-    /// Something was said, though nothing of the above.
-    pub said: bool,
+    /// The message holds values, but none that has a field here.
+    pub has_other_values: bool,
 }
 
 impl Reading {
+    /// Reading without values.
     pub fn new(kind: Kind) -> Self {
         Self {
             kind,
@@ -152,23 +196,24 @@ impl Reading {
             water_depth_m: None,
             own_depth_m: None,
             invalid: None,
-            said: false,
+            has_other_values: false,
         }
     }
 
-    /// Known, but of no use.
+    /// Reading of a known message whose values have no field here.
     pub fn information() -> Self {
         Self {
-            said: true,
+            has_other_values: true,
             ..Self::new(Kind::Information)
         }
     }
 
-    /// Every field that matters was empty, or there was no fix.
+    /// Whether the message has no values: all fields empty, or no fix.
     pub fn is_empty(&self) -> bool {
         *self == Self::new(self.kind)
     }
 
+    /// UTC since midnight, nanoseconds, if the message has it.
     pub fn time_of_day_ns(&self) -> Option<i64> {
         match self.when? {
             When::TimeOfDay(ns)
@@ -179,6 +224,7 @@ impl Reading {
         }
     }
 
+    /// UTC midnight of the date, nanoseconds since 1970, if the message has it.
     pub fn day_ns(&self) -> Option<i64> {
         match self.when? {
             When::Dated { day_ns, .. } => Some(day_ns),
@@ -186,7 +232,7 @@ impl Reading {
         }
     }
 
-    /// The instant, where the message knows it whole.
+    /// The full UTC instant, if the message has time and date.
     pub fn instant(&self) -> Option<UtcNs> {
         match self.when? {
             When::Instant(utc) => Some(utc),
@@ -208,8 +254,8 @@ impl Reading {
         });
     }
 
-    /// Takes a position in degrees if there is a fix.
-    pub(super) fn set_position(&mut self, position_deg: Option<(f64, f64)>) -> Sound {
+    /// Stores a position in degrees if there is a fix.
+    pub(super) fn set_position(&mut self, position_deg: Option<(f64, f64)>) -> Checked {
         let position = position_deg.filter(|_| self.fix != FixQuality::None);
         let Some((latitude, longitude)) = position else {
             self.fix = FixQuality::None;
@@ -217,71 +263,72 @@ impl Reading {
             return Ok(());
         };
         self.position_rad = Some((latitude.to_radians(), longitude.to_radians()));
-        let sane = latitude.abs() <= 90.0
+        let valid = latitude.abs() <= 90.0
             && longitude.abs() <= 180.0
             && self.height_m.is_none_or(|h| h.abs() < MAX_HEIGHT_M);
-        sound(sane)
+        ensure(valid)
     }
 
-    /// Takes course (degrees) and speed (knots).
-    pub(super) fn set_course_knots(&mut self, course_speed: Option<(f64, f64)>) -> Sound {
+    /// Stores course (degrees) and speed (knots).
+    pub(super) fn set_course_knots(&mut self, course_speed: Option<(f64, f64)>) -> Checked {
         let Some((course, knots)) = course_speed else {
             return Ok(());
         };
         let speed = knots * KNOT_M_PER_S;
         self.course_speed = Some((wrapped(course), speed));
-        sound(sane_heading(course) && (0.0..MAX_SPEED_M_PER_S).contains(&speed))
+        ensure(is_valid_heading(course) && (0.0..MAX_SPEED_M_PER_S).contains(&speed))
     }
 
-    /// Takes a velocity over ground, metres per second.
-    pub(super) fn set_velocity(&mut self, north: f64, east: f64) -> Sound {
+    /// Stores a velocity over ground, metres per second, as course and speed.
+    pub(super) fn set_velocity(&mut self, north: f64, east: f64) -> Checked {
         let speed = north.hypot(east);
         self.course_speed = Some((wrapped(east.atan2(north).to_degrees()), speed));
-        sound(speed < MAX_SPEED_M_PER_S)
+        ensure(speed < MAX_SPEED_M_PER_S)
     }
 
-    pub(super) fn set_heading(&mut self, heading_deg: Option<f64>) -> Sound {
+    pub(super) fn set_heading(&mut self, heading_deg: Option<f64>) -> Checked {
         self.heading_rad = heading_deg.map(wrapped);
-        sound(heading_deg.is_none_or(sane_heading))
+        ensure(heading_deg.is_none_or(is_valid_heading))
     }
 
-    /// Takes degrees; both or neither, since half an attitude is none.
-    pub(super) fn set_roll_pitch(&mut self, roll: Option<f64>, pitch: Option<f64>) -> Sound {
+    /// Stores roll and pitch in degrees if both are present.
+    pub(super) fn set_roll_pitch(&mut self, roll: Option<f64>, pitch: Option<f64>) -> Checked {
         self.roll_pitch_rad = roll
             .zip(pitch)
             .map(|(roll, pitch)| (roll.to_radians(), pitch.to_radians()));
-        sound(roll.is_none_or(|r| r.abs() <= 180.0) && pitch.is_none_or(|p| p.abs() <= 90.0))
+        ensure(roll.is_none_or(|r| r.abs() <= 180.0) && pitch.is_none_or(|p| p.abs() <= 90.0))
     }
 
-    /// Takes the depth of the platform, metres; a sensor at the surface may say a little less than nothing.
-    pub(super) fn set_own_depth(&mut self, depth_m: Option<f64>) -> Sound {
+    /// Stores the depth of the platform, metres. A sensor at the surface may be slightly negative.
+    pub(super) fn set_own_depth(&mut self, depth_m: Option<f64>) -> Checked {
         self.own_depth_m = depth_m;
-        sound(depth_m.is_none_or(|d| (-MAX_HEAVE_M..MAX_DEPTH_M).contains(&d)))
+        ensure(depth_m.is_none_or(|d| (-MAX_HEAVE_M..MAX_DEPTH_M).contains(&d)))
     }
 
-    pub(super) fn set_heave_down(&mut self, heave_down_m: Option<f64>) -> Sound {
+    pub(super) fn set_heave_down(&mut self, heave_down_m: Option<f64>) -> Checked {
         self.heave_down_m = heave_down_m;
-        sound(heave_down_m.is_none_or(|h| h.abs() <= MAX_HEAVE_M))
+        ensure(heave_down_m.is_none_or(|h| h.abs() <= MAX_HEAVE_M))
     }
 }
 
+/// Reason why a message has no reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Refusal {
-    /// A message that is not decoded here.
+pub enum DecodeError {
+    /// The message type has no decoder.
     Unsupported,
-    /// A known message whose fields make no sense.
+    /// A field of a known message is invalid.
     Malformed,
 }
 
-pub(crate) type Decoded = Result<Reading, Refusal>;
-pub(super) type Sound = Result<(), Refusal>;
+pub(crate) type Decoded = Result<Reading, DecodeError>;
+pub(super) type Checked = Result<(), DecodeError>;
 
-/// `Malformed` unless the values make sense.
-pub(super) fn sound(sane: bool) -> Sound {
-    sane.then_some(()).ok_or(Refusal::Malformed)
+/// `Malformed` unless `valid`.
+pub(super) fn ensure(valid: bool) -> Checked {
+    valid.then_some(()).ok_or(DecodeError::Malformed)
 }
 
-pub(super) fn sane_heading(degrees: f64) -> bool {
+pub(super) fn is_valid_heading(degrees: f64) -> bool {
     (-360.0..=720.0).contains(&degrees)
 }
 
@@ -290,15 +337,15 @@ pub(super) fn wrapped(degrees: f64) -> f64 {
     degrees.rem_euclid(360.0).to_radians()
 }
 
-/// UTC midnight in nanoseconds since 1970; `None` outside what 64 bits hold.
+/// UTC midnight of a date, nanoseconds since 1970; `None` if it exceeds 64 bits.
 pub(super) fn midnight_ns(date: NaiveDate) -> Option<i64> {
     date.and_time(NaiveTime::MIN)
         .and_utc()
         .timestamp_nanos_opt()
 }
 
-/// Midnight of a date; a year below 100 lies in 1983..2082, as the crate `nmea` has it.
-pub(super) fn date_ns(day: u32, month: u32, year: i32) -> Result<i64, Refusal> {
+/// UTC midnight of a date, nanoseconds since 1970. A year below 100 lies in 1983..2082, as in the crate `nmea`.
+pub(super) fn date_ns(day: u32, month: u32, year: i32) -> Result<i64, DecodeError> {
     let year = match year {
         0..=82 => year + 2000,
         83..=99 => year + 1900,
@@ -306,7 +353,7 @@ pub(super) fn date_ns(day: u32, month: u32, year: i32) -> Result<i64, Refusal> {
     };
     NaiveDate::from_ymd_opt(year, month, day)
         .and_then(midnight_ns)
-        .ok_or(Refusal::Malformed)
+        .ok_or(DecodeError::Malformed)
 }
 
 /// Seconds to nanoseconds, rounded.

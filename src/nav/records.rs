@@ -1,12 +1,11 @@
-//! Records of fixed length to readings: EM1000/EM3000, Seapath binary 26, #KMB and TSS1. Comes in: bytes, cut anywhere, of a line that
-//! carries nothing else. Goes out: one reading per record, and how many bytes belonged to none.
+//! Decodes records of fixed length: EM1000/EM3000, Seapath binary 26, #KMB and TSS1, from a stream that carries nothing else.
 //!
-//! Only Seapath's record has a checksum. The others are found by what they look like, and EM3000, of which only two bytes look like
-//! anything, by several in a row. Sources: SBG Systems, sbgECom `doc/thirdPartyMessages.md`; signs as there.
+//! Only the Seapath record has a checksum. The others are found by their fixed bytes. EM3000 has two fixed bytes, so several
+//! records in a row are needed. Source: SBG Systems, sbgECom `doc/thirdPartyMessages.md`, also for the signs.
 
 use super::framing::Checksum;
-use super::reading::Refusal::Malformed;
-use super::reading::{Decoded, Kind, Reading, When, sound};
+use super::reading::DecodeError::Malformed;
+use super::reading::{Decoded, Kind, Reading, When, ensure};
 use echotank_config::spec::NavFormat;
 use echotank_core::flow::FixQuality;
 use echotank_core::time::{NS_PER_S, UtcNs};
@@ -15,56 +14,58 @@ const EM3000_BYTES: usize = 10;
 const SEAPATH_BYTES: usize = 52;
 const KMB_BYTES: usize = 132;
 const TSS1_BYTES: usize = 27;
-/// EM3000 records in a row that are believed; by chance one in 2^8 * 2^8 / 33 looks like one.
+/// EM3000 records in a row that are accepted. Random bytes find like one with probability 33/2^16.
 const EM3000_ROW: usize = 3;
 
-/// What stands at the front of the buffer.
-enum Look {
-    /// More bytes are needed to say.
-    Short,
-    /// Nothing: this many bytes can go.
-    Noise(usize),
-    /// A record that its own checksum calls wrong.
-    Spoiled,
-    /// A record of so many bytes.
+/// Result for the front of the buffer.
+enum Match {
+    /// More bytes are needed.
+    Incomplete,
+    /// No record; this many bytes can be discarded.
+    NoRecord(usize),
+    /// A record with a wrong checksum.
+    BadChecksum,
+    /// A record of this length, bytes.
     Record(usize),
 }
 
-/// One record as it came.
+/// One record.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Record {
+    /// Decoded values, or why there are none.
     pub reading: Decoded,
+    /// Result of the checksum test; `Missing` for formats without one.
     pub checksum: Checksum,
-    /// Of its first byte.
+    /// Arrival of the first byte.
     pub arrival: UtcNs,
 }
 
-/// Finds the records of one format in a stream.
+/// Incremental finder of the records of one format.
 #[derive(Debug)]
 pub struct Records {
-    look: fn(&[u8], bool) -> Look,
+    find: fn(&[u8], bool) -> Match,
     decode: fn(&[u8]) -> Decoded,
     checksum: Checksum,
     buffer: Vec<u8>,
     arrivals: Vec<UtcNs>,
-    /// The last record ended where the buffer starts.
+    /// The last record ended at the start of the buffer.
     locked: bool,
     resync_bytes: u64,
 }
 
 impl Records {
-    /// `None`: the format is text.
+    /// Finder for a format; `None` if the format is text.
     pub fn new(format: NavFormat) -> Option<Self> {
-        type Parts = (fn(&[u8], bool) -> Look, fn(&[u8]) -> Decoded, Checksum);
-        let (look, decode, checksum): Parts = match format {
+        type Parts = (fn(&[u8], bool) -> Match, fn(&[u8]) -> Decoded, Checksum);
+        let (find, decode, checksum): Parts = match format {
             NavFormat::Nmea => return None,
-            NavFormat::Tss1 => (look_tss1, tss1, Checksum::Missing),
-            NavFormat::Em3000 => (look_em3000, em3000, Checksum::Missing),
-            NavFormat::Seapath26 => (look_seapath, seapath_26, Checksum::Right),
-            NavFormat::Kmb => (look_kmb, kmb, Checksum::Missing),
+            NavFormat::Tss1 => (find_tss1, tss1, Checksum::Missing),
+            NavFormat::Em3000 => (find_em3000, em3000, Checksum::Missing),
+            NavFormat::Seapath26 => (find_seapath, seapath_26, Checksum::Right),
+            NavFormat::Kmb => (find_kmb, kmb, Checksum::Missing),
         };
         Some(Self {
-            look,
+            find,
             decode,
             checksum,
             buffer: Vec::with_capacity(2 * KMB_BYTES),
@@ -74,27 +75,28 @@ impl Records {
         })
     }
 
+    /// Bytes outside any record.
     pub fn resync_bytes(&self) -> u64 {
         self.resync_bytes
     }
 
-    /// Takes bytes off the front of `bytes`, the first of which arrived at `arrival` and each later one `byte_ns` after it, until a record is
-    /// complete or none are left.
+    /// Consumes `bytes` from the front until a record is complete. `arrival` is the arrival of the first byte; `byte_ns` is the
+    /// time between bytes.
     pub fn next(&mut self, bytes: &mut &[u8], arrival: UtcNs, byte_ns: i64) -> Option<Record> {
         let mut at = arrival;
         loop {
-            match (self.look)(&self.buffer, self.locked) {
-                Look::Short => {
+            match (self.find)(&self.buffer, self.locked) {
+                Match::Incomplete => {
                     let (&byte, rest) = bytes.split_first()?;
                     *bytes = rest;
                     self.buffer.push(byte);
                     self.arrivals.push(at);
                     at = at.plus_ns(byte_ns);
                 }
-                Look::Noise(n) => self.skip(n),
-                Look::Spoiled => {
+                Match::NoRecord(n) => self.skip(n),
+                Match::BadChecksum => {
                     let arrival = self.arrivals[0];
-                    // Its first byte only: a good record may begin inside.
+                    // Skips only the first byte: a valid record may begin inside.
                     self.skip(1);
                     return Some(Record {
                         reading: Err(Malformed),
@@ -102,7 +104,7 @@ impl Records {
                         arrival,
                     });
                 }
-                Look::Record(n) => {
+                Match::Record(n) => {
                     let record = Record {
                         reading: (self.decode)(&self.buffer[..n]),
                         checksum: self.checksum,
@@ -116,7 +118,7 @@ impl Records {
         }
     }
 
-    /// Nothing follows: what is left is no record.
+    /// Ends the stream: the remaining bytes are no record.
     pub fn flush(&mut self) {
         self.skip(self.buffer.len());
     }
@@ -148,14 +150,14 @@ fn i32_be(b: &[u8], at: usize) -> f64 {
 fn u32_le(b: &[u8], at: usize) -> u32 {
     u32::from_le_bytes([b[at], b[at + 1], b[at + 2], b[at + 3]])
 }
-fn f32_le(b: &[u8], at: usize) -> Result<f64, super::reading::Refusal> {
+fn f32_le(b: &[u8], at: usize) -> Result<f64, super::reading::DecodeError> {
     let value = f64::from(f32::from_bits(u32_le(b, at)));
-    sound(value.is_finite()).map(|()| value)
+    ensure(value.is_finite()).map(|()| value)
 }
-fn f64_le(b: &[u8], at: usize) -> Result<f64, super::reading::Refusal> {
+fn f64_le(b: &[u8], at: usize) -> Result<f64, super::reading::DecodeError> {
     let low = u64::from(u32_le(b, at));
     let value = f64::from_bits(low | u64::from(u32_le(b, at + 4)) << 32);
-    sound(value.is_finite()).map(|()| value)
+    ensure(value.is_finite()).map(|()| value)
 }
 
 // ---------------------------------------------------------------- EM1000, EM3000
@@ -164,24 +166,24 @@ fn is_em3000(b: &[u8]) -> bool {
     b[1] == 0x90 && matches!(b[0], 0x00 | 0x90..=0xAF)
 }
 
-fn look_em3000(b: &[u8], locked: bool) -> Look {
+fn find_em3000(b: &[u8], locked: bool) -> Match {
     let row = if locked { 1 } else { EM3000_ROW };
     for record in b.chunks(EM3000_BYTES).take(row) {
         if record.len() >= 2 && !is_em3000(record) {
-            return Look::Noise(1);
+            return Match::NoRecord(1);
         }
     }
     if b.len() < row * EM3000_BYTES {
-        return Look::Short;
+        return Match::Incomplete;
     }
-    Look::Record(EM3000_BYTES)
+    Match::Record(EM3000_BYTES)
 }
 
-/// Status, 0x90, roll, pitch (0.01 degrees, port up and bow up), heave (cm, + up), heading (0.01 degrees), little-endian. A value outside
-/// its range is one that the instrument does not have.
+/// Status, 0x90, roll and pitch (0.01 degrees, positive port up and bow up), heave (cm, positive up), heading (0.01 degrees),
+/// little-endian. A value outside its range is unavailable.
 fn em3000(b: &[u8]) -> Decoded {
     let mut r = Reading::new(Kind::Em3000);
-    // 0x00 (EM1000) and 0x90 full, 0x91 reduced accuracy; the rest is aligning or in error.
+    // 0x00 (EM1000) and 0x90 are full accuracy, 0x91 is reduced accuracy; other states are alignment or errors.
     if !matches!(b[0], 0x00 | 0x90 | 0x91) {
         return Ok(r);
     }
@@ -198,7 +200,7 @@ fn em3000(b: &[u8]) -> Decoded {
 
 // ---------------------------------------------------------------- Seapath binary 26
 
-/// CRC-16, polynomial 0x8408 (reflected), start 0xFFFF, nothing added at the end.
+/// Checksum of Seapath binary 26: CRC-16, polynomial 0x8408 (reflected), start 0xFFFF, no final exclusive or.
 pub fn seapath_crc(bytes: &[u8]) -> u16 {
     bytes.iter().fold(0xFFFF, |crc, byte| {
         (0..8).fold(crc ^ u16::from(*byte), |crc, _| {
@@ -207,20 +209,20 @@ pub fn seapath_crc(bytes: &[u8]) -> u16 {
     })
 }
 
-fn look_seapath(b: &[u8], _: bool) -> Look {
+fn find_seapath(b: &[u8], _: bool) -> Match {
     match b {
-        [] | [0xAA] => Look::Short,
-        [0xAA, 0x55, ..] if b.len() < SEAPATH_BYTES => Look::Short,
+        [] | [0xAA] => Match::Incomplete,
+        [0xAA, 0x55, ..] if b.len() < SEAPATH_BYTES => Match::Incomplete,
         [0xAA, 0x55, ..] => {
             let crc = seapath_crc(&b[2..SEAPATH_BYTES - 2]);
-            // The manual does not say the order of these two bytes; Kongsberg's are all big-endian.
+            // The manual does not state the order of these two bytes. Big-endian is the order of all Kongsberg fields.
             if b[SEAPATH_BYTES - 2..SEAPATH_BYTES] == crc.to_be_bytes() {
-                Look::Record(SEAPATH_BYTES)
+                Match::Record(SEAPATH_BYTES)
             } else {
-                Look::Spoiled
+                Match::BadChecksum
             }
         }
-        _ => Look::Noise(1),
+        _ => Match::NoRecord(1),
     }
 }
 
@@ -254,22 +256,22 @@ fn seapath_26(b: &[u8]) -> Decoded {
 
 // ---------------------------------------------------------------- #KMB
 
-fn look_kmb(b: &[u8], _: bool) -> Look {
+fn find_kmb(b: &[u8], _: bool) -> Match {
     const HEAD: [u8; 8] = [b'#', b'K', b'M', b'B', 132, 0, 1, 0];
     let known = b.len().min(HEAD.len());
     if b[..known] != HEAD[..known] {
-        return Look::Noise(1);
+        return Match::NoRecord(1);
     }
     if b.len() < KMB_BYTES {
-        return Look::Short;
+        return Match::Incomplete;
     }
-    Look::Record(KMB_BYTES)
+    Match::Record(KMB_BYTES)
 }
 
 fn kmb(b: &[u8]) -> Decoded {
     let mut r = Reading::new(Kind::Kmb);
     let nanos = u32_le(b, 12);
-    sound(i64::from(nanos) < NS_PER_S)?;
+    ensure(i64::from(nanos) < NS_PER_S)?;
     let utc_ns = i64::from(u32_le(b, 8)) * NS_PER_S + i64::from(nanos);
     r.when = Some(When::Instant(UtcNs(utc_ns)));
     let status = u32_le(b, 16);
@@ -297,7 +299,7 @@ fn kmb(b: &[u8]) -> Decoded {
 /// `:XXAAAA SHHHHQSRRRR SPPPP<CR><LF>`: x hexadecimal, d decimal, s sign (space or minus), q quality.
 const TSS1_FORM: &[u8; TSS1_BYTES] = b":xxxxxx sddddqsdddd sdddd\r\n";
 
-fn look_tss1(b: &[u8], _: bool) -> Look {
+fn find_tss1(b: &[u8], _: bool) -> Match {
     let fits = |(&byte, &form): (&u8, &u8)| match form {
         b'x' => byte.is_ascii_hexdigit(),
         b'd' => byte.is_ascii_digit(),
@@ -306,15 +308,16 @@ fn look_tss1(b: &[u8], _: bool) -> Look {
         fixed => byte == fixed,
     };
     if !b.iter().zip(TSS1_FORM).all(fits) {
-        return Look::Noise(1);
+        return Match::NoRecord(1);
     }
     if b.len() < TSS1_BYTES {
-        return Look::Short;
+        return Match::Incomplete;
     }
-    Look::Record(TSS1_BYTES)
+    Match::Record(TSS1_BYTES)
 }
 
-/// Heave in cm, + up; roll (port up) and pitch (bow up) in 0.01 degrees. Heave is of use once the filter has settled (capital letter).
+/// Heave in cm, positive up; roll (positive port up) and pitch (positive bow up) in 0.01 degrees. Heave is valid once the filter
+/// has settled (capital letter).
 fn tss1(b: &[u8]) -> Decoded {
     let mut r = Reading::new(Kind::Tss1);
     let value = |at: usize| {
@@ -346,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn the_manual_s_tss1_string_reads_as_the_manual_says() {
+    fn decodes_the_tss1_example_of_the_manual() {
         let bytes = b"noise:1A4770 -0016H 0429 -0680\r\n:1A4770 -0016h 0429 -0680\r\n:12";
         for cut in [1, 5, 100] {
             let (found, resync) = all(NavFormat::Tss1, bytes, cut);
@@ -362,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn em3000_is_found_by_three_in_a_row_and_then_one_at_a_time() {
+    fn em3000_needs_three_records_in_a_row_to_lock() {
         let record = |status: u8, roll: i16| {
             let mut b = vec![status, 0x90];
             for v in [roll, -680, -16, 9000] {

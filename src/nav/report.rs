@@ -1,9 +1,9 @@
-//! What a recorded log holds, and what would come of it. Comes in: a whole log and how a source would read it. Goes out: per sentence its
-//! count, rate, gaps, latency and fate; per quantity who spoke for it, gaps, jumps and range.
+//! Reports the content of a recorded log: per sentence its count, rate, gaps, latency and result; per quantity its interval, gaps
+//! and jumps.
 
 use std::collections::BTreeMap;
 
-use super::decoder::{Heard, NavCounters, Outcome};
+use super::decoder::{NavCounters, Outcome, SentenceEvent};
 use super::framing::Checksum;
 use super::log::{LogCounts, read_log_watched};
 use super::reading::Kind;
@@ -12,8 +12,9 @@ use echotank_core::flow::{NavQuantity, NavSample};
 use echotank_core::geodesy::LocalTangentPlane;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
-/// Quantities told apart.
+/// Number of quantities.
 pub const CHANNEL_COUNT: usize = 6;
+/// Quantities in the order of all per-channel arrays.
 pub const CHANNELS: [NavChannel; CHANNEL_COUNT] = [
     NavChannel::Position,
     NavChannel::CourseSpeed,
@@ -23,103 +24,114 @@ pub const CHANNELS: [NavChannel; CHANNEL_COUNT] = [
     NavChannel::Depth,
 ];
 const DAY_NS: i64 = 86_400 * NS_PER_S;
-/// Different sentences told apart; noise that looks like sentences beyond them is put together.
+/// Maximum number of sentence names; further names, mostly noise, are combined.
 const MAX_NAMES: usize = 200;
 const OTHERS: &str = "(others)";
-/// A silence counts as a gap when it is longer than this many usual intervals, and than [`SHORTEST_GAP_S`].
+/// A gap is longer than this many median intervals and than [`MIN_GAP_S`].
 const GAP_INTERVALS: f64 = 3.0;
-const SHORTEST_GAP_S: f64 = 0.5;
+const MIN_GAP_S: f64 = 0.5;
 
-/// Steps beyond `0 + 1 * dt` are jumps: metres and metres per second, or degrees and degrees per second. No survey platform moves faster;
-/// the first number forgives samples whose times lie close together.
+/// Limits of a step, `offset + rate * dt`: metres and metres per second, or degrees and degrees per second. Survey platforms stay
+/// below them. The offset tolerates samples that are close in time.
 const POSITION_GATE: (f64, f64) = (5.0, 50.0);
 const ANGLE_GATE: (f64, f64) = (2.0, 60.0);
 const HEAVE_GATE: (f64, f64) = (0.5, 10.0);
 
-/// Least, median and most.
+/// Minimum, median and maximum.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spread {
-    pub least: f64,
+    /// Minimum.
+    pub min: f64,
+    /// Median.
     pub median: f64,
-    pub most: f64,
+    /// Maximum.
+    pub max: f64,
 }
 
-/// Of one kind of sentence.
+/// Statistics of one sentence name.
 #[derive(Clone, Debug, Default)]
 pub struct SentenceReport {
+    /// Sentence name as in [`SentenceEvent`].
     pub name: String,
+    /// Sentences.
     pub count: u64,
+    /// Sentences with a wrong checksum.
     pub bad_checksum: u64,
+    /// Sentences without a checksum.
     pub missing_checksum: u64,
-    /// How many met which end.
+    /// Sentences by result.
     pub outcomes: BTreeMap<Outcome, u64>,
-    /// Between arrivals, seconds; none below two.
+    /// Time between arrivals, seconds; `None` below two sentences.
     pub interval_s: Option<Spread>,
-    /// Arrival minus the message's own time, seconds; none where it has none.
+    /// Arrival minus message time, seconds; `None` without message times.
     pub latency_s: Option<Spread>,
-    /// Samples given, by channel.
+    /// Samples by channel.
     pub gave: [u64; CHANNEL_COUNT],
-    /// Quantities left to a better sentence, by channel.
-    pub outspoken: [u64; CHANNEL_COUNT],
-    /// Quantities that the source is not to provide, by channel.
+    /// Quantities that a higher-ranked sentence provides, by channel.
+    pub outranked: [u64; CHANNEL_COUNT],
+    /// Quantities that the configuration does not want from this source, by channel.
     pub(crate) unwanted: [u64; CHANNEL_COUNT],
     /// Magnetic headings without a variation.
     pub magnetic: u64,
-    /// Depths of water.
+    /// Water depths.
     pub depths: u64,
     arrivals: Vec<i64>,
     latencies: Vec<f64>,
 }
 
-/// Of one quantity.
+/// Statistics of one quantity.
 #[derive(Clone, Debug, Default)]
 pub struct ChannelReport {
+    /// Samples.
     pub samples: u64,
-    /// Between validities, seconds.
+    /// Time between times of validity, seconds.
     pub interval_s: Option<Spread>,
-    /// Silences (start, seconds).
+    /// Gaps: start and length in seconds.
     pub gaps: Vec<(UtcNs, f64)>,
-    /// Steps that no platform makes.
+    /// Times of steps beyond the limits.
     pub jumps: Vec<UtcNs>,
-    /// Valid at or before the sample before.
+    /// Samples valid at or before the previous sample.
     pub backward: u64,
 }
 
+/// Report of one log.
 #[derive(Clone, Debug, Default)]
 pub struct LogReport {
+    /// Counts of lines.
     pub log: LogCounts,
+    /// Counters of the decoder.
     pub counters: NavCounters,
-    /// By name.
+    /// Statistics by sentence, sorted by name.
     pub sentences: Vec<SentenceReport>,
-    /// In the order of [`CHANNELS`].
+    /// Statistics by quantity, in the order of [`CHANNELS`].
     pub channels: [ChannelReport; CHANNEL_COUNT],
-    /// In the file's order.
+    /// Samples in file order.
     pub samples: Vec<NavSample>,
-    /// Arrival of the first and last sentence.
+    /// Arrivals of the first and the last sentence.
     pub span: Option<(UtcNs, UtcNs)>,
-    /// Message times that passed midnight.
+    /// Number of midnights in the message times.
     pub midnights: u64,
 }
 
-/// Reads a log as `spec` would have it read.
+/// Decodes a log as `spec` configures and reports its content; `plain_rate_hz` is the sentence rate of a log without any times.
 pub fn report(bytes: &[u8], spec: &NavSourceSpec, plain_rate_hz: f64) -> LogReport {
     let mut sentences: BTreeMap<String, SentenceReport> = BTreeMap::new();
     let mut span: Option<(UtcNs, UtcNs)> = None;
     let (mut midnights, mut day) = (0, None);
-    let mut watch = |heard: &Heard| {
-        let name = match sentences.len() < MAX_NAMES || sentences.contains_key(heard.name) {
-            true => heard.name,
+    let mut watch = |event: &SentenceEvent| {
+        let name = match sentences.len() < MAX_NAMES || sentences.contains_key(event.name) {
+            true => event.name,
             false => OTHERS,
         };
         if !sentences.contains_key(name) {
             sentences.insert(name.to_owned(), SentenceReport::default());
         }
         if let Some(sentence) = sentences.get_mut(name) {
-            sentence.hear(heard);
+            sentence.record(event);
         }
-        let (first, last) = span.unwrap_or((heard.arrival, heard.arrival));
-        span = Some((first.min(heard.arrival), last.max(heard.arrival)));
-        if let Some(utc) = heard.message_utc {
+        let (first, last) = span.unwrap_or((event.arrival, event.arrival));
+        span = Some((first.min(event.arrival), last.max(event.arrival)));
+        if let Some(utc) = event.message_utc {
             let today = utc.0.div_euclid(DAY_NS);
             midnights += u64::from(day.is_some_and(|before| today == before + 1));
             day = Some(today);
@@ -142,22 +154,22 @@ pub fn report(bytes: &[u8], spec: &NavSourceSpec, plain_rate_hz: f64) -> LogRepo
 }
 
 impl SentenceReport {
-    fn hear(&mut self, heard: &Heard) {
+    fn record(&mut self, event: &SentenceEvent) {
         self.count += 1;
-        self.bad_checksum += u64::from(heard.checksum == Checksum::Wrong);
-        self.missing_checksum += u64::from(heard.checksum == Checksum::Missing);
-        *self.outcomes.entry(heard.outcome).or_default() += 1;
-        self.arrivals.push(heard.arrival.0);
-        if let Some(utc) = heard.message_utc {
-            self.latencies.push(heard.arrival.seconds_since(utc));
+        self.bad_checksum += u64::from(event.checksum == Checksum::Wrong);
+        self.missing_checksum += u64::from(event.checksum == Checksum::Missing);
+        *self.outcomes.entry(event.outcome).or_default() += 1;
+        self.arrivals.push(event.arrival.0);
+        if let Some(utc) = event.message_utc {
+            self.latencies.push(event.arrival.seconds_since(utc));
         }
         for i in 0..CHANNELS.len() {
             let set = |mask: u8| u64::from(mask >> i & 1);
-            self.gave[i] += set(heard.taken);
-            self.outspoken[i] += set(heard.outspoken);
-            self.unwanted[i] += set(heard.unwanted);
+            self.gave[i] += set(event.taken);
+            self.outranked[i] += set(event.outranked);
+            self.unwanted[i] += set(event.unwanted);
         }
-        if let Some(reading) = heard.reading {
+        if let Some(reading) = event.reading {
             self.magnetic += u64::from(reading.magnetic_rad.is_some());
             self.depths += u64::from(reading.kind == Kind::Depth);
         }
@@ -179,9 +191,9 @@ impl SentenceReport {
 fn spread(mut values: Vec<f64>) -> Option<Spread> {
     values.sort_by(f64::total_cmp);
     Some(Spread {
-        least: *values.first()?,
+        min: *values.first()?,
         median: values[values.len() / 2],
-        most: *values.last()?,
+        max: *values.last()?,
     })
 }
 
@@ -203,14 +215,12 @@ fn channel_report(channel: NavChannel, samples: &[NavSample]) -> ChannelReport {
         .windows(2)
         .filter(|w| w[1].valid_utc <= w[0].valid_utc)
         .count() as u64;
-    // As the history has them: in order, the first of each time.
+    // As in the history: sorted, the first sample of each time.
     sorted.sort_by_key(|s| s.valid_utc);
     sorted.dedup_by_key(|s| s.valid_utc);
     let step_s = |w: &[&NavSample]| w[1].valid_utc.seconds_since(w[0].valid_utc);
     let interval_s = spread(sorted.windows(2).map(step_s).collect());
-    let longest_s = interval_s.map_or(f64::INFINITY, |i| {
-        (GAP_INTERVALS * i.median).max(SHORTEST_GAP_S)
-    });
+    let longest_s = interval_s.map_or(f64::INFINITY, |i| (GAP_INTERVALS * i.median).max(MIN_GAP_S));
     let plane = sorted.iter().find_map(|s| match s.quantity {
         NavQuantity::Position {
             latitude_rad,

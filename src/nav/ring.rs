@@ -1,4 +1,4 @@
-//! One channel's recent past: knots sorted by validity, and the slopes between them.
+//! Recent knots of one channel, sorted by time of validity, and the rates between them.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -9,40 +9,51 @@ use echotank_core::flow::FixQuality;
 use echotank_core::frames::{AttitudeKnot, VectorKnot};
 use echotank_core::time::UtcNs;
 
-/// Hard bound of a ring, whatever the configured depth: 160 s at 100 Hz, 1 MiB.
+/// Maximum number of knots of a ring, whatever the configured depth: 160 s at 100 Hz, 1 MiB.
 pub(crate) const MAX_KNOTS: usize = 16_384;
-/// The slope at the newest knot carries extrapolation, so it is taken over knots at least this far apart, seconds: between neighbours at
-/// 100 Hz and 0.01 deg, one step of the resolution would count as 1 deg/s.
+/// Minimum distance of the knots for the rate at the newest knot, seconds. That rate drives extrapolation. Between neighbours at
+/// 100 Hz, a resolution step of 0.01 deg would count as 1 deg/s.
 const END_BASELINE_S: f64 = 0.05;
 
+/// Value of a channel at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Knot {
+    /// Time of validity.
     pub utc: UtcNs,
+    /// Value of the channel; the channel defines the axes and the unit.
     pub value: DVec3,
+    /// Fix quality of a position; `None` for other channels.
     pub fix: FixQuality,
 }
 
+/// Result of [`Ring::insert`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Inserted {
+    /// The knot is the newest.
     AtTheEnd,
+    /// The knot precedes an existing one.
     OutOfOrder,
-    /// A knot with this time is there already; the new one is dropped.
+    /// A knot with this time exists; the new one is dropped.
     Duplicate,
 }
 
-/// A stretch of time without a seam: `start <= t < end`.
+/// A time interval without a seam: `start <= t < end`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stretch {
+    /// First instant.
     pub start: UtcNs,
+    /// First instant after the interval.
     pub end: UtcNs,
 }
 
+/// Bounded buffer of knots with distinct, increasing times.
 #[derive(Clone, Debug, Default)]
 pub struct Ring {
     knots: VecDeque<Knot>,
 }
 
 impl Ring {
+    /// Inserts a knot and drops knots older than `depth_ns` before the newest.
     pub fn insert(&mut self, knot: Knot, depth_ns: i64) -> Inserted {
         let at = self.first_at_or_after(knot.utc);
         if self.knots.get(at).is_some_and(|k| k.utc == knot.utc) {
@@ -61,14 +72,17 @@ impl Ring {
         inserted
     }
 
+    /// Time of the newest knot.
     pub fn newest(&self) -> Option<UtcNs> {
         self.knots.back().map(|k| k.utc)
     }
 
+    /// The newest knot.
     pub fn last(&self) -> Option<&Knot> {
         self.knots.back()
     }
 
+    /// Time of the oldest knot.
     pub fn oldest(&self) -> Option<UtcNs> {
         self.knots.front().map(|k| k.utc)
     }
@@ -86,19 +100,20 @@ impl Ring {
     }
 
     fn first_at_or_after(&self, utc: UtcNs) -> usize {
-        // Nearly always at the end.
+        // Nearly every knot is the newest.
         if self.knots.back().is_none_or(|k| k.utc < utc) {
             return self.knots.len();
         }
         self.knots.partition_point(|k| k.utc < utc)
     }
 
-    /// Knots of one stretch.
+    /// Index range of the knots in `stretch`.
     pub fn within(&self, stretch: Stretch) -> Range<usize> {
         self.first_at_or_after(stretch.start)..self.first_at_or_after(stretch.end)
     }
 
-    /// Knots of a stretch around `from..=to`: two before or at `from`, `ahead` at or after `to`, fewer where there are no more.
+    /// Index range of the knots of `stretch` around `from..=to`: up to two at or before `from` and up to `ahead` at or after
+    /// `to`.
     pub fn around(&self, from: UtcNs, to: UtcNs, ahead: usize, stretch: Stretch) -> Range<usize> {
         let all = self.within(stretch);
         let after_from = self.knots.partition_point(|k| k.utc <= from);
@@ -107,11 +122,12 @@ impl Ring {
         start..end
     }
 
+    /// Knots of an index range.
     pub fn iter(&self, range: Range<usize>) -> impl DoubleEndedIterator<Item = &Knot> {
         self.knots.range(range)
     }
 
-    /// The knots of `range` with times relative to `zero` and rates still zero.
+    /// Writes the knots of `range` to `out`, with times relative to `zero` in seconds and zero rates.
     pub fn fill(&self, range: Range<usize>, zero: UtcNs, out: &mut Vec<VectorKnot>) {
         out.clear();
         out.extend(self.iter(range).map(|k| VectorKnot {
@@ -122,7 +138,7 @@ impl Ring {
     }
 }
 
-/// Rates of vector knots from their values.
+/// Sets the rates of vector knots from their values.
 pub(crate) fn set_rates(knots: &mut [VectorKnot]) {
     for i in 0..knots.len() {
         let rate = three_point_rate(
@@ -135,7 +151,7 @@ pub(crate) fn set_rates(knots: &mut [VectorKnot]) {
     }
 }
 
-/// Body rates of attitude knots from their rotations, through the rotation vectors between them.
+/// Sets the body rates of attitude knots from the rotation vectors between them.
 pub(crate) fn set_body_rates(knots: &mut [AttitudeKnot]) {
     for i in 0..knots.len() {
         let rate = three_point_rate(
@@ -151,14 +167,14 @@ pub(crate) fn set_body_rates(knots: &mut [AttitudeKnot]) {
     }
 }
 
-/// The rotation vector that leads from `a` to `b` the short way, body axes.
+/// Rotation vector from `a` to `b` along the shorter arc, body axes.
 fn turn(a: DQuat, b: DQuat) -> DVec3 {
     let between = a.inverse() * b;
     let short = if between.w < 0.0 { -between } else { between };
     short.to_scaled_axis()
 }
 
-/// Derivative at knot `i` by the parabola through three knots (unequal steps); through two if there are no more, zero for a single one.
+/// Derivative at knot `i` of the parabola through three knots with unequal steps; of the line through two knots; zero for one.
 /// `slope(a, b)` is the mean rate from knot a to knot b > a.
 fn three_point_rate(
     i: usize,
@@ -169,7 +185,7 @@ fn three_point_rate(
     if len < 2 {
         return DVec3::ZERO;
     }
-    // The knot at least a baseline before `k`, or its neighbour.
+    // The last knot at least the baseline before `k`, or the first one.
     let back = |k: usize| {
         let neighbour = k.checked_sub(1)?;
         let far = (0..=neighbour)
@@ -231,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn around_takes_two_before_and_so_many_after() {
+    fn around_takes_two_knots_before_and_the_given_number_after() {
         let mut ring = Ring::default();
         for t in 0..10 {
             ring.insert(knot(t * 10), 1000);

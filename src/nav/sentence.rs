@@ -15,8 +15,8 @@ use nmea::{NmeaSentence, SentenceType};
 
 use super::fields::Fields;
 use super::proprietary;
-use super::reading::Refusal::{self, Malformed, Unsupported};
-use super::reading::{Decoded, Kind, Reading, date_ns, sound};
+use super::reading::DecodeError::{self, Malformed, Unsupported};
+use super::reading::{Decoded, Kind, Reading, date_ns, ensure};
 use echotank_config::spec::NavDialect;
 use echotank_core::flow::FixQuality;
 
@@ -115,7 +115,7 @@ fn rmc(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// Before NMEA 2.0 GLL had no time, before 2.3 no mode.
+/// `lat,N,lon,E[,hhmmss.ss,status[,mode]]`: NMEA 2.0 added the time, 2.3 the mode.
 fn gll(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Gll);
     r.set_time(f.time_of_day(5)?, None);
@@ -168,14 +168,14 @@ fn hdt(f: &Fields, scratch: &mut String) -> Decoded {
 /// `heading,mode`; mode V means not valid.
 fn ths(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Ths);
-    sound(matches!(f.text(2), "A" | "E" | "M" | "S" | "V" | ""))?;
+    ensure(matches!(f.text(2), "A" | "E" | "M" | "S" | "V" | ""))?;
     r.set_heading(f.number(1)?.filter(|_| f.text(2) != "V"))?;
     Ok(r)
 }
 
 /// `heading,deviation,E/W,variation,E/W`: true = magnetic + deviation + variation, east plus.
 fn hdg(f: &Fields, dialect: &NavDialect) -> Decoded {
-    let east = |value: usize| -> Result<Option<f64>, Refusal> {
+    let east = |value: usize| -> Result<Option<f64>, DecodeError> {
         match (f.number(value)?, f.text(value + 1)) {
             (None, _) => Ok(None),
             (Some(v), "E") => Ok(Some(v)),
@@ -219,7 +219,7 @@ fn own_depth(water: Reading, dialect: &NavDialect) -> Decoded {
     Ok(r)
 }
 
-/// `depth,offset[,range]`: below the transducer.
+/// `depth,offset[,range]`: depth below the transducer.
 fn dpt(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Depth);
     r.water_depth_m = f.number(1)?;
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn magnetic_headings_turn_true_only_with_a_variation() {
+    fn magnetic_headings_need_a_variation_to_become_true() {
         let heading = |body: &str, variation_deg: Option<f64>| {
             let dialect = NavDialect {
                 magnetic_variation_rad: variation_deg.map(f64::to_radians),
@@ -305,12 +305,12 @@ mod tests {
         assert_eq!(true_deg, None);
         close(magnetic_deg, 229.8);
         close(heading("BKHDM,277.5,M", Some(-3.0)).0, 274.5);
-        // What the sentence says itself counts more than what the operator says.
+        // The variation in the sentence takes precedence over the configured one.
         close(heading("SDHDG,229.8,,,1.3,E", Some(-3.0)).0, 231.1);
     }
 
     #[test]
-    fn depths_are_metres_in_whatever_unit_they_come() {
+    fn depths_convert_to_metres() {
         let depth = |body: &str| read(body).expect("decodes").water_depth_m;
         assert_eq!(depth("SDDBT,12.3,f,3.75,M,2.05,F"), Some(3.75));
         let feet = depth("SDDBT,10.0,f,,M,,F").expect("feet");
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn ths_in_mode_v_says_nothing() {
+    fn ths_in_mode_v_has_no_heading() {
         let heading = |body: &str| read(body).expect("decodes").heading_rad;
         near(heading("HETHS,77.5,A").expect("valid"), 77.5, 1e-12);
         assert_eq!(heading("HETHS,77.5,V"), None);
@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn a_receiver_without_a_fix_says_nothing_but_the_time() {
+    fn a_receiver_without_a_fix_gives_only_the_time() {
         let gga = read("GPGGA,133605.0,5521.75946,N,03731.93769,E,0,00,,,M,,M,,").expect("decodes");
         assert_eq!(gga.position_rad, None);
         let rmc = read("GPRMC,133605.0,V,,,,,,,060180,,").expect("decodes");

@@ -1,16 +1,18 @@
-//! The time that a logger put before a sentence, each in its own way. Comes in: a line. Goes out: its stamp and its sentence.
+//! Finds the time stamp that a logger wrote before a sentence.
 
 use super::fields::{fraction_ns, time_of_day_ns};
 use echotank_core::time::{NS_PER_S, UtcNs};
 
+/// Time stamp of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LineStamp {
+    /// Date and time.
     Utc(UtcNs),
-    /// Nanoseconds since midnight, no date.
+    /// Time of day without a date, nanoseconds since midnight.
     TimeOfDay(i64),
 }
 
-/// A line as recorded: its stamp, if any, and what follows, from the sentence's start on (empty if there is none).
+/// Splits a line into its stamp, if any, and the rest from the start of the sentence on. The rest is empty without a sentence.
 pub fn split_line(line: &[u8]) -> (Option<LineStamp>, &[u8]) {
     let start = line
         .iter()
@@ -22,7 +24,7 @@ pub fn split_line(line: &[u8]) -> (Option<LineStamp>, &[u8]) {
 }
 
 fn find_stamp(prefix: &[u8]) -> Option<LineStamp> {
-    // Loggers' stamps are ASCII and stand near the front.
+    // Stamps of loggers are ASCII near the start of the line.
     let text = std::str::from_utf8(prefix).ok()?;
     if !text.is_ascii() {
         return None;
@@ -42,7 +44,8 @@ fn find_stamp(prefix: &[u8]) -> Option<LineStamp> {
     Some(LineStamp::Utc(UtcNs(utc_ns)))
 }
 
-/// The first HH:MM:SS that is not the tail of a longer number; one behind a date before any other (`2014-08-01:00:00:01`).
+/// Position and time of the first HH:MM:SS that is not the end of a longer number. A clock after a date is preferred
+/// (`2014-08-01:00:00:01`).
 fn find_clock(text: &str) -> Option<(usize, i64)> {
     let clocks = || {
         text.match_indices(':').filter_map(|(at, _)| {
@@ -58,7 +61,7 @@ fn find_clock(text: &str) -> Option<(usize, i64)> {
     dated.or_else(|| clocks().next())
 }
 
-/// `YYYYMMDDTHHMMSS[.fraction]` (also `_`, `-` or a space between), UTC nanoseconds since 1970.
+/// UTC nanoseconds since 1970 of `YYYYMMDDTHHMMSS[.fraction]`; the separator may also be `_`, `-` or a space.
 fn compact(text: &str) -> Option<i64> {
     let word = |at: usize| text.get(at..at + 15);
     let starts = (0..text.len().saturating_sub(14)).filter(|at| {
@@ -68,9 +71,9 @@ fn compact(text: &str) -> Option<i64> {
     starts.into_iter().find_map(|at| {
         let word = word(at)?;
         let date = chrono::NaiveDate::parse_from_str(&word[..8], "%Y%m%d").ok()?;
-        let parted = matches!(word.as_bytes()[8], b'T' | b't' | b'_' | b'-' | b' ');
+        let separated = matches!(word.as_bytes()[8], b'T' | b't' | b'_' | b'-' | b' ');
         let digits = word[..8].bytes().all(|b| b.is_ascii_digit());
-        let time_ns = time_of_day_ns(&word[9..]).filter(|_| parted && digits)?;
+        let time_ns = time_of_day_ns(&word[9..]).filter(|_| separated && digits)?;
         let midnight = date
             .and_time(chrono::NaiveTime::MIN)
             .and_utc()
@@ -83,11 +86,9 @@ fn compact(text: &str) -> Option<i64> {
     })
 }
 
-/// The hours and minutes by which a clock with `+02:00`, `-0730` or the like behind it is ahead of UTC, nanoseconds.
-fn zone_ns(behind_clock: &str) -> i64 {
-    let fraction = behind_clock
-        .strip_prefix(['.', ','])
-        .unwrap_or(behind_clock);
+/// Offset from UTC of a zone such as `+02:00` or `-0730` after the clock, nanoseconds; zero without a zone.
+fn zone_ns(after_clock: &str) -> i64 {
+    let fraction = after_clock.strip_prefix(['.', ',']).unwrap_or(after_clock);
     let zone = fraction.trim_start_matches(|c: char| c.is_ascii_digit());
     let sign = match zone.bytes().next() {
         Some(b'+') => 1,
@@ -111,7 +112,7 @@ fn zone_ns(behind_clock: &str) -> i64 {
     }
 }
 
-/// The date that ends where the clock begins, one character between: `YYYY-MM-DD`, `YYYY/MM/DD`, `MM/DD/YYYY` (SCS), `DD.MM.YYYY`, `YYYY:DDD` (RVDAS).
+/// The date one character before the clock: `YYYY-MM-DD`, `YYYY/MM/DD`, `MM/DD/YYYY` (SCS), `DD.MM.YYYY` or `YYYY:DDD` (RVDAS).
 fn date_before(text: &str) -> Option<chrono::NaiveDate> {
     let tail = |len: usize| {
         text.len()
@@ -132,7 +133,8 @@ fn date_before(text: &str) -> Option<chrono::NaiveDate> {
     None
 }
 
-/// Seconds since 1970 before the sentence, alone or in a TAG block (`c:`); without a point also milliseconds, microseconds and nanoseconds.
+/// Seconds since 1970, alone or in a TAG block (`c:`). The number of digits distinguishes milliseconds, microseconds and
+/// nanoseconds.
 fn seconds_stamp(text: &str) -> Option<LineStamp> {
     let tag = text.split_once("c:").map(|(_, rest)| rest);
     let number = match tag {
@@ -155,12 +157,12 @@ fn seconds_stamp(text: &str) -> Option<LineStamp> {
         _ => return None,
     };
     let ns = whole.parse::<i64>().ok()?.checked_mul(unit_ns)?;
-    // A fraction stands behind seconds; behind a smaller unit it says nothing that matters.
+    // Only seconds have a significant fraction.
     let fraction = if unit_ns == NS_PER_S { fraction } else { "" };
     Some(LineStamp::Utc(UtcNs(ns + fraction_ns(fraction))))
 }
 
-/// HH:MM:SS[.fraction] at the front of `text`, nanoseconds since midnight.
+/// Nanoseconds since midnight of HH:MM:SS[.fraction] at the start of `text`.
 fn clock(text: &str) -> Option<i64> {
     let bytes = text.as_bytes();
     if bytes.len() < 8 || bytes[2] != b':' || bytes[5] != b':' {
@@ -237,7 +239,7 @@ mod tests {
         assert_eq!(stamp("201408010000001 $A,1"), None);
         assert_eq!(stamp("12 $A,1"), None);
         assert_eq!(stamp("99:99:99 $HEHDT,218.53,T*12"), None);
-        assert_eq!(stamp("# Title: 12:00:00"), None, "no sentence, no stamp");
+        assert_eq!(stamp("# Title: 12:00:00"), None, "a stamp needs a sentence");
     }
 
     #[test]

@@ -1,7 +1,7 @@
-//! CSV tracks. Comes in: text with the header [`HEADER`]. Goes out: local positions, attitudes and headings.
+//! Reads CSV tracks with the header [`HEADER`] to local positions, attitudes and headings.
 //!
-//! `time_s` is UTC, seconds since 1970 in plain decimals, taken digit by digit to the nanosecond; times increase strictly.
-//! Empty lines and lines that start with `#` are passed over.
+//! `time_s` is UTC, seconds since 1970 in plain decimals, converted digit by digit to nanoseconds. Times increase strictly. Empty
+//! lines and lines that start with `#` are skipped.
 
 use thiserror::Error;
 
@@ -21,34 +21,55 @@ const COLUMNS: [&str; 7] = [
     "heading_deg",
 ];
 
+/// Reason why a track is refused, with file and line.
 #[derive(Debug, Error, PartialEq, Eq)]
 pub enum TrackError {
+    /// The first line is not the header.
     #[error("{file}:{line}: the header must be `{HEADER}`, found `{found}`")]
     Header {
+        /// Name of the file.
         file: String,
+        /// Line number, from 1.
         line: usize,
+        /// Text of the line.
         found: String,
     },
+    /// A value is not a number, out of range, or out of order.
     #[error("{file}:{line}: column `{column}`: `{value}` {rule}")]
     Value {
+        /// Name of the file.
         file: String,
+        /// Line number, from 1.
         line: usize,
+        /// Name of the column.
         column: &'static str,
+        /// Text of the value.
         value: String,
+        /// Violated rule.
         rule: &'static str,
     },
+    /// A line has the wrong number of columns.
     #[error("{file}:{line}: {found} columns, the header has 7")]
     Columns {
+        /// Name of the file.
         file: String,
+        /// Line number, from 1.
         line: usize,
+        /// Number of columns.
         found: usize,
     },
+    /// The track has fewer than two points.
     #[error("{file}: a track needs at least two points, found {found}")]
-    TooShort { file: String, found: usize },
+    TooShort {
+        /// Name of the file.
+        file: String,
+        /// Number of points.
+        found: usize,
+    },
 }
 
-/// Samples of a track, three per line (position, attitude, heading) or fewer if `provides` says so; arrival = validity.
-/// `file` is named in errors.
+/// Samples of a track: position, attitude and heading per line, as far as `provides` lists them. Arrival equals validity. `file`
+/// names the file in errors.
 pub fn read_track(
     text: &str,
     file: &str,
@@ -188,7 +209,7 @@ fn out_of_range(column: usize, number: f64) -> Option<&'static str> {
     (number.abs() > limit).then_some(rule)
 }
 
-/// Plain decimal seconds to nanoseconds, digit by digit; digits beyond the ninth decimal are cut.
+/// Nanoseconds of plain decimal seconds, converted digit by digit; digits beyond the ninth decimal are cut.
 fn seconds_to_ns(text: &str) -> Option<UtcNs> {
     let (negative, digits) = match text.strip_prefix('-') {
         Some(rest) => (true, rest),

@@ -396,7 +396,8 @@ fn what_went_out(datagrams: &[Vec<u8>], first_ping_ns: i64) {
         let mut readings: Vec<Reading> = Vec::new();
         while let Some(s) = framing.next(&mut left, UtcNs(0), 0) {
             assert_eq!(s.checksum, Checksum::Right, "{}", s.body);
-            readings.push(decode(s.body, &NavDialect::default(), &mut String::new()).expect(s.body));
+            readings
+                .push(decode(s.body, &NavDialect::default(), &mut String::new()).expect(s.body));
         }
         assert_eq!(framing.resync_bytes(), 0);
         if readings[0].kind == Kind::Zda {

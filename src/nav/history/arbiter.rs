@@ -1,25 +1,28 @@
-//! Which source speaks for a quantity. Comes in: who said something, and when it arrived. Goes out: whether it counts.
+//! Selects the active source of a quantity from the arrivals of all candidates.
 //!
-//! Sources stand in the file's order. The best one that is not silent speaks; a worse one takes over when it has been silent for a configured
-//! time, and it takes the word back when it has come without such a silence for another. Without fail-over the first one owns the quantity.
+//! Sources rank in the order of the configuration file. The best source that is not silent is active. A worse one takes over
+//! after a configured silence of the better ones. A better one takes back after it has arrived without such a silence for a
+//! configured time. Without failover only the first source is used.
 
 use echotank_config::spec::FailoverSpec;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
+/// Whether a sample comes from the active source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Word {
-    /// It counts.
-    Has,
-    /// It counts, and is the first of another source than before: nothing joins it to what was.
-    Takes,
-    HasNot,
+pub(crate) enum Verdict {
+    /// The source is active.
+    Active,
+    /// The source becomes active: its samples do not continue those of the previous source.
+    TakesOver,
+    /// The source is not active.
+    Inactive,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
     source: u16,
     last: Option<UtcNs>,
-    /// It has come without a silence from here on.
+    /// Start of its arrivals without a silence.
     since: UtcNs,
 }
 
@@ -27,9 +30,9 @@ struct Candidate {
 pub(crate) struct Arbiter {
     /// Best first.
     candidates: Vec<Candidate>,
-    speaking: Option<usize>,
-    /// When the first sample of any of them arrived.
-    begun: Option<UtcNs>,
+    active: Option<usize>,
+    /// Arrival of the first sample of any candidate.
+    first_arrival: Option<UtcNs>,
 }
 
 impl Arbiter {
@@ -41,48 +44,61 @@ impl Arbiter {
         };
         Self {
             candidates: sources.map(candidate).collect(),
-            speaking: None,
-            begun: None,
+            active: None,
+            first_arrival: None,
         }
     }
 
-    /// The source whose samples count at present; before any came, the best.
+    /// The active source; before the first sample, the best one.
     pub(super) fn source(&self) -> Option<u16> {
         self.candidates
-            .get(self.speaking.unwrap_or(0))
+            .get(self.active.unwrap_or(0))
             .map(|c| c.source)
     }
 
-    pub(super) fn hear(&mut self, source: u16, arrival: UtcNs, rule: Option<FailoverSpec>) -> Word {
+    pub(super) fn receive(
+        &mut self,
+        source: u16,
+        arrival: UtcNs,
+        rule: Option<FailoverSpec>,
+    ) -> Verdict {
         let Some(who) = self.candidates.iter().position(|c| c.source == source) else {
-            return Word::HasNot;
+            return Verdict::Inactive;
         };
         let Some(rule) = rule else {
-            return if who == 0 { Word::Has } else { Word::HasNot };
+            return if who == 0 {
+                Verdict::Active
+            } else {
+                Verdict::Inactive
+            };
         };
         let silence_ns = (rule.after_s * NS_PER_S as f64) as i64;
         let hold_off_ns = (rule.hold_off_s * NS_PER_S as f64) as i64;
         let since = |from: UtcNs| arrival.0.saturating_sub(from.0);
-        let begun = *self.begun.get_or_insert(arrival);
+        let first_arrival = *self.first_arrival.get_or_insert(arrival);
         let candidate = &mut self.candidates[who];
         if candidate.last.is_none_or(|last| since(last) > silence_ns) {
             candidate.since = arrival;
         }
         candidate.last = Some(candidate.last.map_or(arrival, |last| last.max(arrival)));
         let steady_ns = since(candidate.since);
-        let silent = |c: &Candidate| since(c.last.unwrap_or(begun)) > silence_ns;
-        let takes = match self.speaking {
-            Some(speaking) if who == speaking => return Word::Has,
-            Some(speaking) if who < speaking => {
-                steady_ns >= hold_off_ns || silent(&self.candidates[speaking])
+        let silent = |c: &Candidate| since(c.last.unwrap_or(first_arrival)) > silence_ns;
+        let takes_over = match self.active {
+            Some(active) if who == active => return Verdict::Active,
+            Some(active) if who < active => {
+                steady_ns >= hold_off_ns || silent(&self.candidates[active])
             }
             _ => self.candidates[..who].iter().all(silent),
         };
-        if !takes {
-            return Word::HasNot;
+        if !takes_over {
+            return Verdict::Inactive;
         }
-        let first = self.speaking.replace(who).is_none();
-        if first { Word::Has } else { Word::Takes }
+        let first = self.active.replace(who).is_none();
+        if first {
+            Verdict::Active
+        } else {
+            Verdict::TakesOver
+        }
     }
 }
 
@@ -95,18 +111,18 @@ mod tests {
         hold_off_s: 5.0,
     });
 
-    /// Who speaks at each tenth of a second, where `comes(source, t)` says who sends.
-    fn speakers(comes: fn(u16, f64) -> bool, until: i32) -> Vec<(f64, u16)> {
+    /// Changes of the active source at steps of 0.1 s, where `comes(source, t)` says which source sends.
+    fn changes_of_source(comes: fn(u16, f64) -> bool, until: i32) -> Vec<(f64, u16)> {
         let mut arbiter = Arbiter::new([3, 7].into_iter());
         let mut changes = Vec::new();
         for i in 0..until {
             let t = f64::from(i) / 10.0;
             for source in [7, 3] {
                 if comes(source, t) {
-                    let word = arbiter.hear(source, UtcNs(0).plus_s(t), RULE);
-                    let spoke = word != Word::HasNot;
-                    if spoke && changes.last().is_none_or(|(_, s)| *s != source) {
-                        assert_eq!(word == Word::Takes, !changes.is_empty());
+                    let verdict = arbiter.receive(source, UtcNs(0).plus_s(t), RULE);
+                    let is_active = verdict != Verdict::Inactive;
+                    if is_active && changes.last().is_none_or(|(_, s)| *s != source) {
+                        assert_eq!(verdict == Verdict::TakesOver, !changes.is_empty());
                         changes.push((t, source));
                     }
                 }
@@ -116,29 +132,32 @@ mod tests {
     }
 
     #[test]
-    fn the_second_takes_over_after_the_silence_and_the_first_comes_back_after_the_hold_off() {
-        let changes = speakers(|source, t| source == 7 || !(10.0..20.0).contains(&t), 400);
+    fn fails_over_after_the_silence_and_back_after_the_hold_off() {
+        let changes = changes_of_source(|source, t| source == 7 || !(10.0..20.0).contains(&t), 400);
         assert_eq!(changes, [(0.0, 3), (12.0, 7), (25.0, 3)]);
     }
 
     #[test]
-    fn a_first_that_comes_and_goes_does_not_take_the_word_back() {
-        // Three seconds on, three off, from 10 s on.
+    fn an_intermittent_first_source_does_not_take_back() {
+        // Alternates every three seconds from 10 s on.
         let flaps = |source: u16, t: f64| source == 7 || t < 10.0 || (t as i64 / 3) % 2 == 0;
-        let changes = speakers(flaps, 600);
+        let changes = changes_of_source(flaps, 600);
         assert_eq!(changes.len(), 2, "{changes:?}");
     }
 
     #[test]
-    fn where_the_first_never_comes_the_second_speaks_after_the_silence() {
-        assert_eq!(speakers(|source, _| source == 7, 100), [(2.1, 7)]);
+    fn fails_over_if_the_first_source_never_arrives() {
+        assert_eq!(changes_of_source(|source, _| source == 7, 100), [(2.1, 7)]);
     }
 
     #[test]
-    fn without_fail_over_only_the_first_counts() {
+    fn without_failover_only_the_first_source_is_active() {
         let mut arbiter = Arbiter::new([3, 7].into_iter());
-        assert_eq!(arbiter.hear(7, UtcNs(0), None), Word::HasNot);
-        assert_eq!(arbiter.hear(3, UtcNs(0).plus_s(99.0), None), Word::Has);
-        assert_eq!(arbiter.hear(5, UtcNs(0), RULE), Word::HasNot);
+        assert_eq!(arbiter.receive(7, UtcNs(0), None), Verdict::Inactive);
+        assert_eq!(
+            arbiter.receive(3, UtcNs(0).plus_s(99.0), None),
+            Verdict::Active
+        );
+        assert_eq!(arbiter.receive(5, UtcNs(0), RULE), Verdict::Inactive);
     }
 }

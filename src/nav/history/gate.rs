@@ -1,7 +1,7 @@
-//! Keeps out what no platform does. Comes in: a channel's samples. Goes out: whether each may be taken.
+//! Rejects samples that imply impossible motion.
 //!
-//! A sample too far from the last one taken is set aside. When several in a row agree with one another, they are believed: the platform, or
-//! the receiver's idea of it, really is elsewhere, and nothing joins the two places.
+//! A sample too far from the last accepted one is set aside. Several consecutive samples that agree with one another are accepted
+//! as a new position, which does not continue the old one.
 
 use std::f64::consts::TAU;
 
@@ -10,33 +10,35 @@ use glam::DVec3;
 use echotank_config::spec::{JumpGateSpec, NavChannel};
 use echotank_core::time::UtcNs;
 
-/// Samples in a row that agree away from the old place before they are believed.
+/// Consecutive agreeing samples after which a new position is accepted.
 const CONFIRMATIONS: u32 = 5;
-/// Steps below these are never doubted, however close the samples lie in time: metres, radians (2 degrees), metres of heave.
+/// Steps below these limits are accepted at any time difference: metres, radians (2 degrees), metres of heave.
 const POSITION_SLACK_M: f64 = 5.0;
 const ANGLE_SLACK_RAD: f64 = 0.035;
 const HEAVE_SLACK_M: f64 = 0.5;
-/// Heave and depth change no faster, metres per second.
+/// Maximum rate of heave and depth, metres per second.
 const HEAVE_RATE_M_PER_S: f64 = 10.0;
 
+/// Result of the gate for one sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Passage {
-    Open,
-    /// Set aside.
-    Shut,
-    /// Believed after several that agreed: from here on it is another place.
+pub(super) enum GateResult {
+    /// The sample continues the track.
+    Accepted,
+    /// The sample is set aside.
+    Rejected,
+    /// The sample is accepted after several that agree; it starts a new track.
     Reset,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Gate {
-    taken: Option<(UtcNs, DVec3)>,
-    doubted: Option<(UtcNs, DVec3)>,
+    accepted: Option<(UtcNs, DVec3)>,
+    set_aside: Option<(UtcNs, DVec3)>,
     agreeing: u32,
 }
 
 impl Gate {
-    /// Another source speaks from here on: whatever it says is no jump.
+    /// Clears the state: the next sample of the new source is no jump.
     pub(super) fn forget(&mut self) {
         *self = Self::default();
     }
@@ -47,11 +49,11 @@ impl Gate {
         utc: UtcNs,
         value: DVec3,
         rule: &JumpGateSpec,
-    ) -> Passage {
+    ) -> GateResult {
         let near = |(before_utc, before): (UtcNs, DVec3)| {
             let dt_s = utc.seconds_since(before_utc).abs();
             let (step, slack, rate) = match channel {
-                // Height may be anything a receiver makes of it; the plane is what the track is drawn in.
+                // Only the horizontal step counts: receivers differ too much in height.
                 NavChannel::Position => (
                     (value.x - before.x).hypot(value.y - before.y),
                     POSITION_SLACK_M,
@@ -72,32 +74,32 @@ impl Gate {
                     HEAVE_SLACK_M,
                     HEAVE_RATE_M_PER_S,
                 ),
-                // Courses turn round within a sample at low speed.
+                // The course is arbitrary at low speed.
                 NavChannel::CourseSpeed => (0.0, 0.0, 0.0),
             };
             step <= slack + rate * dt_s
         };
-        if self.taken.is_none_or(near) {
-            self.taken = Some((utc, value));
-            self.doubted = None;
+        if self.accepted.is_none_or(near) {
+            self.accepted = Some((utc, value));
+            self.set_aside = None;
             self.agreeing = 0;
-            return Passage::Open;
+            return GateResult::Accepted;
         }
-        self.agreeing = match self.doubted {
-            Some(doubted) if near(doubted) => self.agreeing + 1,
+        self.agreeing = match self.set_aside {
+            Some(set_aside) if near(set_aside) => self.agreeing + 1,
             _ => 1,
         };
-        self.doubted = Some((utc, value));
+        self.set_aside = Some((utc, value));
         if self.agreeing < CONFIRMATIONS {
-            return Passage::Shut;
+            return GateResult::Rejected;
         }
-        self.taken = self.doubted.take();
+        self.accepted = self.set_aside.take();
         self.agreeing = 0;
-        Passage::Reset
+        GateResult::Reset
     }
 }
 
-/// The short way round.
+/// Magnitude of an angle along the shorter arc.
 fn turn(angle_rad: f64) -> f64 {
     (angle_rad - TAU * (angle_rad / TAU).round()).abs()
 }
@@ -111,7 +113,7 @@ mod tests {
         max_rate_rad_per_s: 1.0,
     };
 
-    fn passages(channel: NavChannel, values: &[f64]) -> Vec<Passage> {
+    fn gate_results(channel: NavChannel, values: &[f64]) -> Vec<GateResult> {
         let mut gate = Gate::default();
         let judge = |(i, v): (usize, &f64)| {
             let value = match channel {
@@ -124,34 +126,38 @@ mod tests {
     }
 
     #[test]
-    fn a_stray_fix_is_set_aside_and_a_new_place_believed_after_five() {
-        use Passage::{Open, Reset, Shut};
+    fn rejects_an_outlier_and_accepts_a_new_position_after_five_samples() {
+        use GateResult::{Accepted, Rejected, Reset};
         let fixes = [
             0.0, 1.0, 500.0, 2.0, 3.0, 900.0, 901.0, 902.0, 903.0, 904.0, 905.0,
         ];
         let want = [
-            Open, Open, Shut, Open, Open, Shut, Shut, Shut, Shut, Reset, Open,
+            Accepted, Accepted, Rejected, Accepted, Accepted, Rejected, Rejected, Rejected,
+            Rejected, Reset, Accepted,
         ];
-        assert_eq!(passages(NavChannel::Position, &fixes), want);
-        // Strays that do not agree are never believed.
+        assert_eq!(gate_results(NavChannel::Position, &fixes), want);
+        // Outliers that disagree with one another are never accepted.
         let strays: Vec<f64> = (0..20)
             .map(|i| if i == 0 { 0.0 } else { 1e4 * f64::from(i) })
             .collect();
-        let shut = passages(NavChannel::Position, &strays);
-        assert!(shut[1..].iter().all(|p| *p == Shut), "{shut:?}");
+        let results = gate_results(NavChannel::Position, &strays);
+        assert!(results[1..].iter().all(|p| *p == Rejected), "{results:?}");
     }
 
     #[test]
-    fn a_heading_through_north_is_no_jump_and_a_heave_of_metres_in_a_tenth_is() {
-        use Passage::{Open, Shut};
+    fn accepts_a_heading_through_north_and_rejects_a_fast_heave() {
+        use GateResult::{Accepted, Rejected};
         assert_eq!(
-            passages(NavChannel::Heading, &[6.27, 0.02, 0.05]),
-            [Open; 3]
+            gate_results(NavChannel::Heading, &[6.27, 0.02, 0.05]),
+            [Accepted; 3]
         );
-        assert_eq!(passages(NavChannel::Heading, &[0.0, 1.0]), [Open, Shut]);
         assert_eq!(
-            passages(NavChannel::Heave, &[0.0, 1.0, 4.0]),
-            [Open, Open, Shut]
+            gate_results(NavChannel::Heading, &[0.0, 1.0]),
+            [Accepted, Rejected]
+        );
+        assert_eq!(
+            gate_results(NavChannel::Heave, &[0.0, 1.0, 4.0]),
+            [Accepted, Accepted, Rejected]
         );
     }
 }

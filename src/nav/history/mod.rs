@@ -1,18 +1,19 @@
-//! Samples to motion: per-channel rings, and the platform's state and trajectory at a ping.
+//! Converts samples to motion: rings of knots per channel, and the state and trajectory of the platform at a ping.
 //!
-//! - The first source of the file that provides a channel owns it, or, with fail-over, the best one that is not silent (`arbiter`); nobody
-//!   else's samples are taken. A change of source is a seam.
-//! - With a jump gate, samples that no platform can have made are set aside (`gate`).
-//! - Positions, heaves and depths are reduced from antenna and sensor to the body's reference point each at its own time: between two fixes
-//!   the antenna sways with the roll, the reference point does not. So [`echotank_core::frames::Trajectory::lever_arm_m`] leaves here as zero. A
-//!   static list counts as induced heave too, though no heave sensor shows it.
-//! - What a motion sensor says is turned by its mounting into what the body does (`mounted`).
-//! - A towed body lies behind the ship on the heading, as far as cable and depth say.
-//! - Attitude knots lie at the roll-pitch samples; heading is interpolated there the short way round. Without roll and pitch they lie at the
-//!   heading samples.
-//! - A seam is a gap: nothing is interpolated across it. Seams part loops of a log, in every channel, and in one channel sources that relieve
-//!   one another and places joined by no motion.
-//! - Not modelled: smoothing.
+//! - The first configured source of a channel is active; with failover, the best source that is not silent (`arbiter`). Other
+//!   samples are dropped. A change of source is a seam.
+//! - With a jump gate, samples that imply impossible motion are set aside (`gate`).
+//! - Positions, heaves and depths are reduced from the antenna or sensor to the reference point of the body, each at its own
+//!   time. The antenna sways with the roll between two fixes; the reference point does not. Therefore
+//!   [`echotank_core::frames::Trajectory::lever_arm_m`] is zero in the output. A static list counts as induced heave, although no
+//!   heave sensor measures it.
+//! - Angles of a motion sensor are converted to the body by its mounting (`motion::Mounting`).
+//! - A towed body lies behind the ship on the heading, at the distance that cable and depth give.
+//! - Attitude knots lie at the roll-pitch samples, with the heading interpolated along the shorter arc. Without roll and pitch
+//!   they lie at the heading samples.
+//! - A seam is a gap: nothing is interpolated across it. In every channel, seams separate the loops of a log. In one channel,
+//!   they separate sources that replace one another and positions on both sides of a jump.
+//! - Smoothing is not modelled.
 
 mod arbiter;
 mod gate;
@@ -21,8 +22,8 @@ mod motion;
 use glam::DVec3;
 use thiserror::Error;
 
-use self::arbiter::{Arbiter, Word};
-use self::gate::{Gate, Passage};
+use self::arbiter::{Arbiter, Verdict};
+use self::gate::{Gate, GateResult};
 use super::health::{Health, Limits, State};
 use super::ring::{Inserted, Knot, Ring};
 use echotank_config::spec::{
@@ -34,92 +35,117 @@ use echotank_core::frames::VectorKnot;
 use echotank_core::geodesy::LocalTangentPlane;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
-/// Below this speed, metres per second, course is noise: the last one is kept.
+/// Below this speed, metres per second, the course is noise and the previous course is kept.
 const MIN_COURSE_SPEED_M_PER_S: f64 = 0.2;
-/// A sample that holds so much later than it came, seconds, is of another clock; it would push the whole past out of the rings. Less may be a
-/// log that somebody feeds in faster than it was recorded.
+/// Maximum lead of the time of validity over the arrival, seconds. A sample beyond it uses another clock and would displace all
+/// knots. A log replayed faster than recorded stays below it.
 const FUTURE_S: f64 = 600.0;
-/// Seams remembered; a loop shorter than a sixteenth of the history forgets its oldest.
+/// Maximum number of stored seams.
 const MAX_SEAMS: usize = 16;
 
-/// Why there is no state at a time.
+/// Reason why no state exists at a time.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum NavGap {
+    /// A channel has no sample at or before the ping.
     #[error("no {0:?} at or before the ping")]
     NoData(NavChannel),
-    /// Measured from the window's end.
+    /// The newest sample of a channel is too old.
     #[error("the newest {channel:?} is {age_s:.3} s old")]
-    Stale { channel: NavChannel, age_s: f64 },
+    Stale {
+        /// Quantity.
+        channel: NavChannel,
+        /// Age at the end of the window, seconds.
+        age_s: f64,
+    },
+    /// Two samples of a channel are too far apart.
     #[error("{gap_s:.1} s between two samples of {channel:?}")]
-    Hole { channel: NavChannel, gap_s: f64 },
-    #[error("the window lies across the seam of the repeated log")]
+    Hole {
+        /// Quantity.
+        channel: NavChannel,
+        /// Time between the samples, seconds.
+        gap_s: f64,
+    },
+    /// The window contains a seam.
+    #[error("the window contains a seam (repeated log, change of source or jump)")]
     Seam,
+    /// Two positions imply an impossible speed.
     #[error("two positions imply {speed_m_per_s:.0} m/s")]
-    TooFast { speed_m_per_s: f64 },
+    TooFast {
+        /// Horizontal speed, metres per second.
+        speed_m_per_s: f64,
+    },
 }
 
-/// Whether a window can be settled.
+/// Whether the samples determine the motion over a window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Coverage {
     /// More samples will not change the state.
     Ready,
+    /// More samples are needed.
     Waiting,
-    /// This channel has nothing at or before the window's start, and waiting will not bring it.
+    /// The channel has no sample at or before the start of the window; further samples cannot change that.
     Missing(NavChannel),
 }
 
+/// Counters of inserted and dropped samples and of refused states.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HistoryCounts {
+    /// Samples inserted.
     pub inserted: u64,
-    /// Of those: valid before a sample already there.
+    /// Of those: samples that precede an existing sample.
     pub out_of_order: u64,
-    /// Of those: valid before the last ping asked for.
+    /// Of those: samples that precede the last ping.
     pub late: u64,
-    /// Dropped: the channel has a sample of this time.
+    /// Dropped: the channel has a sample at this time.
     pub duplicates: u64,
-    /// Dropped: said to hold later than it came; the source's clock is not this rig's.
+    /// Dropped: valid later than its arrival; the source uses another clock.
     pub(crate) from_the_future: u64,
-    /// Dropped: another source owns the channel.
+    /// Dropped: another source is active.
     pub not_owned: u64,
-    /// Times that another source took a channel over.
+    /// Changes of the active source.
     pub switches: u64,
-    /// Dropped: farther from the sample before than the platform can have moved.
+    /// Dropped: rejected by the jump gate.
     pub quarantined: u64,
-    /// Times that such samples were believed, since they agreed.
+    /// Jumps accepted because several samples agreed.
     pub resets: u64,
     /// Dropped: a position without the height that `nav.vertical` needs.
     pub no_vertical: u64,
-    /// States refused.
+    /// States refused because a channel has no sample.
     pub no_data: u64,
+    /// States refused because the newest sample is too old.
     pub stale: u64,
+    /// States refused because of a gap between samples.
     pub holes: u64,
+    /// States refused because of a seam.
     pub seams: u64,
+    /// States refused because of an impossible speed.
     pub too_fast: u64,
 }
 
-/// Where heading comes from.
+/// Origin of the heading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum HeadingFrom {
     Sensor,
     Course,
     Track,
-    Nowhere,
+    None,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Owner {
-    /// A track in a file: its points are joined however far apart.
+    /// The source is a track file: its points are joined at any distance.
     sparse: bool,
 }
 
-/// Where a source's sensors sit in the body.
+/// Position and mounting of the sensors of a source in the body.
 #[derive(Clone, Copy, Debug)]
-struct Place {
-    /// Antenna or depth sensor, metres.
+struct Sensor {
+    /// Position of the antenna or depth sensor in the body, metres.
     arm_m: DVec3,
-    sensor: SensorMounting,
+    mounting: SensorMounting,
 }
 
+/// Recent navigation of all sources, and the state and trajectory derived from it.
 pub struct NavHistory {
     vertical: VerticalSpec,
     heading_from: HeadingFrom,
@@ -131,28 +157,29 @@ pub struct NavHistory {
     stale_s: f64,
     tow: Option<TowSpec>,
     /// By source.
-    places: Vec<Place>,
-    /// By channel: who speaks, from when on; ascending, never empty once somebody can.
-    spoke: [Vec<(UtcNs, u16)>; CHANNELS],
+    sensors: Vec<Sensor>,
+    /// By channel: active sources and the times from which they hold; ascending, and not empty if a source provides the channel.
+    source_changes: [Vec<(UtcNs, u16)>; CHANNELS],
     owners: [Option<Owner>; CHANNELS],
     arbiters: [Arbiter; CHANNELS],
     gates: [Gate; CHANNELS],
-    /// Nothing valid before is taken: another source spoke then.
-    taken_from: [UtcNs; CHANNELS],
+    /// By channel: samples before this time are dropped, because another source was active.
+    accepted_from: [UtcNs; CHANNELS],
     /// By source.
     health: Vec<Health>,
     rings: [Ring; CHANNELS],
     plane: Option<LocalTangentPlane>,
     first_fix_m: Option<DVec3>,
-    /// When, and in which channel (none: in every one).
+    /// Time and channel of each seam; `None` stands for every channel.
     seams: Vec<(UtcNs, Option<usize>)>,
     last_ping: UtcNs,
     counts: HistoryCounts,
-    /// Scratch: heading in `value.x`, unwrapped.
+    /// Buffer for unwrapped headings in `value.x`, radians.
     heading: Vec<VectorKnot>,
 }
 
 impl NavHistory {
+    /// Empty history as `spec` configures.
     pub fn new(spec: &NavSpec) -> Self {
         let owners = ALL_CHANNELS.map(|channel| {
             let i = spec
@@ -167,7 +194,7 @@ impl NavHistory {
         let heading_from = if owns(NavChannel::Heading) {
             HeadingFrom::Sensor
         } else if !spec.fallback_heading_from_course {
-            HeadingFrom::Nowhere
+            HeadingFrom::None
         } else if owns(NavChannel::CourseSpeed) {
             HeadingFrom::Course
         } else {
@@ -178,15 +205,15 @@ impl NavHistory {
             let sources = spec.sources.iter().enumerate().filter(provides);
             Arbiter::new(sources.filter_map(|(i, _)| u16::try_from(i).ok()))
         });
-        let place = |s: &NavSourceSpec| Place {
+        let sensor = |s: &NavSourceSpec| Sensor {
             arm_m: s.lever_arm_m,
-            sensor: s.mounting,
+            mounting: s.mounting,
         };
-        let spoke = ALL_CHANNELS.map(|channel| {
+        let source_changes = ALL_CHANNELS.map(|channel| {
             let first = arbiters[index(channel)].source();
-            let mut spoke = Vec::with_capacity(MAX_SEAMS + 2);
-            spoke.extend(first.map(|source| (UtcNs(i64::MIN), source)));
-            spoke
+            let mut source_changes = Vec::with_capacity(MAX_SEAMS + 2);
+            source_changes.extend(first.map(|source| (UtcNs(i64::MIN), source)));
+            source_changes
         });
         let limits = Limits {
             stale_s: spec.stale_s,
@@ -202,12 +229,12 @@ impl NavHistory {
             on_lost: spec.on_lost,
             stale_s: spec.stale_s,
             tow: spec.tow,
-            places: spec.sources.iter().map(place).collect(),
-            spoke,
+            sensors: spec.sources.iter().map(sensor).collect(),
+            source_changes,
             owners,
             arbiters,
             gates: Default::default(),
-            taken_from: [UtcNs(i64::MIN); CHANNELS],
+            accepted_from: [UtcNs(i64::MIN); CHANNELS],
             health: vec![Health::new(limits); spec.sources.len()],
             rings: Default::default(),
             plane: match spec.origin {
@@ -225,22 +252,23 @@ impl NavHistory {
         }
     }
 
-    /// The world's plane: configured, or set by the first position (a local track alone lies at latitude 0, longitude 0).
+    /// Local tangent plane of the world: configured, or set by the first position. A local track without an origin lies at
+    /// latitude 0, longitude 0.
     pub fn origin(&self) -> Option<LocalTangentPlane> {
         self.plane
     }
 
-    /// The first position taken, antenna, world metres.
+    /// First accepted position of the antenna, world metres.
     pub fn first_fix_local(&self) -> Option<DVec3> {
         self.first_fix_m
     }
 
-    /// The first instant at which every channel that a ping needs has a sample; none while one of them is silent.
+    /// First instant at which every channel that a ping needs has a sample; `None` while one has none.
     pub fn first_usable_utc(&self) -> Option<UtcNs> {
         self.first_usable_utc_of(|_| true)
     }
 
-    /// The same, of what `counts` among the channels a ping needs; none too where it needs none of them.
+    /// Like [`Self::first_usable_utc`], for the needed channels that `counts` selects; `None` if it selects none of them.
     pub fn first_usable_utc_of(&self, counts: impl Fn(NavChannel) -> bool) -> Option<UtcNs> {
         let mut first = None;
         for channel in self.needed().filter(|&channel| counts(channel)) {
@@ -249,7 +277,7 @@ impl NavHistory {
         first
     }
 
-    /// Channels that a ping needs and that have been silent so far.
+    /// Channels that a ping needs and that have no sample yet.
     pub fn silent(&self) -> Vec<NavChannel> {
         self.needed()
             .filter(|&channel| self.ring(channel).oldest().is_none())
@@ -268,60 +296,63 @@ impl NavHistory {
             .chain(used.map(|(channel, _)| channel))
     }
 
+    /// Counters since construction.
     pub fn counts(&self) -> &HistoryCounts {
         &self.counts
     }
 
-    /// How the source with this index does at `now`, by the arrivals of its samples.
+    /// State of the source with this index at `now`, from the arrivals of its samples.
     pub fn source_state(&mut self, source: usize, now: UtcNs) -> State {
         self.health
             .get_mut(source)
             .map_or(State::Silent, |h| h.at(now))
     }
 
-    /// The source whose samples of a channel count at present; before any came, the best.
-    pub fn speaking(&self, channel: NavChannel) -> Option<u16> {
+    /// Active source of a channel; before the first sample, the best one.
+    pub fn active_source(&self, channel: NavChannel) -> Option<u16> {
         self.arbiters[index(channel)].source()
     }
 
-    /// Whether a sample counts, by who said it.
-    fn has_the_word(&mut self, channel: usize, sample: &NavSample) -> bool {
-        let word = self.arbiters[channel].hear(sample.source, sample.arrival_utc, self.failover);
-        if word == Word::Takes {
-            // Behind everything that the other source said.
+    /// Whether a sample comes from the active source of the channel. A change of source starts a seam.
+    fn is_from_active_source(&mut self, channel: usize, sample: &NavSample) -> bool {
+        let verdict =
+            self.arbiters[channel].receive(sample.source, sample.arrival_utc, self.failover);
+        if verdict == Verdict::TakesOver {
+            // The new source starts after all samples of the previous one.
             let newest = self.rings[channel].newest();
             let from = newest.map_or(sample.valid_utc, |n| sample.valid_utc.max(n.plus_ns(1)));
             self.counts.switches += 1;
-            self.taken_from[channel] = from;
+            self.accepted_from[channel] = from;
             self.gates[channel].forget();
             self.seam_in(Some(channel), from);
-            let spoke = &mut self.spoke[channel];
-            if spoke.len() > MAX_SEAMS {
-                spoke.remove(0);
+            let source_changes = &mut self.source_changes[channel];
+            if source_changes.len() > MAX_SEAMS {
+                source_changes.remove(0);
             }
-            spoke.push((from, sample.source));
+            source_changes.push((from, sample.source));
         }
-        word != Word::HasNot && sample.valid_utc >= self.taken_from[channel]
+        verdict != Verdict::Inactive && sample.valid_utc >= self.accepted_from[channel]
     }
 
-    /// Whose samples of a channel hold at this time.
-    fn spoke_at(&self, channel: NavChannel, utc: UtcNs) -> Option<u16> {
-        let spoke = &self.spoke[index(channel)];
-        let since = spoke.iter().rev().find(|(from, _)| *from <= utc);
-        since.or(spoke.first()).map(|(_, source)| *source)
+    /// Source that is active in a channel at this time.
+    fn active_source_at(&self, channel: NavChannel, utc: UtcNs) -> Option<u16> {
+        let source_changes = &self.source_changes[index(channel)];
+        let since = source_changes.iter().rev().find(|(from, _)| *from <= utc);
+        since.or(source_changes.first()).map(|(_, source)| *source)
     }
 
-    /// Where the sensors of that source sit; none where nobody gives the channel.
-    fn place_at(&self, channel: NavChannel, utc: UtcNs) -> Option<&Place> {
-        self.places.get(usize::from(self.spoke_at(channel, utc)?))
+    /// Sensors of the source that is active in a channel at this time; `None` if no source provides the channel.
+    fn sensor_at(&self, channel: NavChannel, utc: UtcNs) -> Option<&Sensor> {
+        self.sensors
+            .get(usize::from(self.active_source_at(channel, utc)?))
     }
 
-    /// From here on samples belong to another run of a repeated log.
+    /// Starts a seam in every channel: later samples belong to another run of a repeated log.
     pub fn seam(&mut self, at: UtcNs) {
         self.seam_in(None, at);
     }
 
-    /// Nothing joins what this channel (or every one) says from here on to what it said before.
+    /// Starts a seam in one channel, or in every one.
     fn seam_in(&mut self, channel: Option<usize>, at: UtcNs) {
         if self.seams.len() == MAX_SEAMS {
             self.seams.remove(0);
@@ -329,16 +360,17 @@ impl NavHistory {
         self.seams.push((at, channel));
     }
 
+    /// Inserts a sample into the ring of its channel, or drops and counts it.
     pub fn insert(&mut self, sample: &NavSample) {
         let channel = channel_of(&sample.quantity);
         if let Some(health) = self.health.get_mut(usize::from(sample.source)) {
-            health.heard(sample.arrival_utc);
+            health.sample_arrived(sample.arrival_utc);
         }
         if sample.valid_utc > sample.arrival_utc.plus_s(FUTURE_S) {
             self.counts.from_the_future += 1;
             return;
         }
-        if !self.has_the_word(index(channel), sample) {
+        if !self.is_from_active_source(index(channel), sample) {
             self.counts.not_owned += 1;
             return;
         }
@@ -393,12 +425,12 @@ impl NavHistory {
         };
         if let Some(rule) = &self.jump_gate {
             match self.gates[index(channel)].judge(channel, sample.valid_utc, value, rule) {
-                Passage::Open => {}
-                Passage::Shut => {
+                GateResult::Accepted => {}
+                GateResult::Rejected => {
                     self.counts.quarantined += 1;
                     return;
                 }
-                Passage::Reset => {
+                GateResult::Reset => {
                     self.counts.resets += 1;
                     self.seam_in(Some(index(channel)), sample.valid_utc);
                 }
@@ -424,7 +456,7 @@ impl NavHistory {
         self.counts.late += u64::from(sample.valid_utc < self.last_ping);
     }
 
-    /// World down of a position sample (of the antenna, unless the waterline rules); none if the sample does not say.
+    /// World down of a position sample, metres (of the antenna, except with a waterline); `None` if the sample lacks it.
     fn down_m(&self, height_m: Option<f64>, local_down_m: Option<f64>) -> Option<f64> {
         match self.vertical {
             VerticalSpec::Waterline { reference_down_m } => Some(reference_down_m),
@@ -432,7 +464,7 @@ impl NavHistory {
                 .map(|h| -h)
                 .or(local_down_m)
                 .map(|down| down + datum_offset_m),
-            // The depth sensor's channel brings it.
+            // The depth channel adds it.
             VerticalSpec::Depth if self.uses_depth() => Some(0.0),
             VerticalSpec::Depth => local_down_m,
         }
@@ -461,7 +493,7 @@ impl NavHistory {
         self.owns(NavChannel::Depth) && self.vertical == VerticalSpec::Depth
     }
 
-    /// What is added to the positions' down, if anything is.
+    /// Channel that is added to the down component of positions.
     fn vertical_channel(&self) -> Option<NavChannel> {
         if self.uses_heave() {
             Some(NavChannel::Heave)
@@ -472,74 +504,77 @@ impl NavHistory {
         }
     }
 
-    /// Positions lean on the attitude.
+    /// Whether positions depend on the attitude.
     fn has_arm(&self) -> bool {
         let on_arm = |(_, source): &(UtcNs, u16)| {
-            let place = self.places.get(usize::from(*source));
-            place.is_some_and(|p| p.arm_m != DVec3::ZERO)
+            let sensor = self.sensors.get(usize::from(*source));
+            sensor.is_some_and(|p| p.arm_m != DVec3::ZERO)
         };
-        self.tow.is_some() || self.spoke[index(NavChannel::Position)].iter().any(on_arm)
+        self.tow.is_some()
+            || self.source_changes[index(NavChannel::Position)]
+                .iter()
+                .any(on_arm)
     }
 
-    /// So do heaves or depths.
+    /// Whether heaves or depths depend on the attitude.
     fn vertical_has_arm(&self) -> bool {
         let Some(channel) = self.vertical_channel() else {
             return false;
         };
         let on_arm = |(_, source): &(UtcNs, u16)| {
-            let place = self.places.get(usize::from(*source));
-            place.is_some_and(|p| p.vertical_arm_m(channel) != DVec3::ZERO)
+            let sensor = self.sensors.get(usize::from(*source));
+            sensor.is_some_and(|p| p.vertical_arm_m(channel) != DVec3::ZERO)
         };
-        self.spoke[index(channel)].iter().any(on_arm)
+        self.source_changes[index(channel)].iter().any(on_arm)
     }
 
-    /// The channel heading is made of, and how many knots past a time it takes to settle it there.
+    /// Channel that gives the heading, and the number of knots at or after a time that determine the heading there.
     fn heading_channel(&self) -> (NavChannel, usize) {
         match self.heading_from {
-            HeadingFrom::Sensor | HeadingFrom::Nowhere => (NavChannel::Heading, 2),
+            HeadingFrom::Sensor | HeadingFrom::None => (NavChannel::Heading, 2),
             HeadingFrom::Course => (NavChannel::CourseSpeed, 2),
-            // A course knot is a slope, which takes one neighbour more.
+            // A course is a rate of positions, which needs one knot more.
             HeadingFrom::Track => (NavChannel::Position, 3),
         }
     }
 
-    /// Whether everything that shapes the motion over `from..=to` is there. A knot's slope needs the knot after it, so each channel needs two
-    /// knots at or after its end; and the channels lean on one another: positions on attitude (lever arm), attitude on heading.
+    /// Whether the samples determine the motion over `from..=to`. The rate at a knot needs the next knot, so each channel needs
+    /// two knots at or after its end. Channels depend on one another: positions on attitude (lever arm), attitude on heading.
     pub fn coverage(&self, from: UtcNs, to: UtcNs) -> Coverage {
         let mut waiting = false;
         let mut missing = None;
         // Time of the `ahead`-th knot at or after `to`.
-        let mut reach = |channel: NavChannel, to: UtcNs, ahead: usize| -> UtcNs {
+        let mut require = |channel: NavChannel, to: UtcNs, ahead: usize| -> UtcNs {
             let ring = self.ring(channel);
             if ring.oldest().is_some_and(|oldest| oldest > from) {
                 missing = missing.or(Some(channel));
             }
-            let reach = ring.nth_at_or_after(to, ahead);
-            waiting |= reach.is_none();
-            reach.unwrap_or(to)
+            let require = ring.nth_at_or_after(to, ahead);
+            waiting |= require.is_none();
+            require.unwrap_or(to)
         };
-        let position_to = reach(NavChannel::Position, to, 2);
-        // What the next channel must reach, and whose knots ask for it; none: the window itself.
-        let (mut needed_to, mut asking) = match self.has_arm() {
+        let position_to = require(NavChannel::Position, to, 2);
+        // Time that the next channel must require, and the channel that needs it; `None` stands for the window.
+        let (mut needed_to, mut dependent) = match self.has_arm() {
             true => (position_to, Some(NavChannel::Position)),
             false => (to, None),
         };
         if let Some(vertical) = self.vertical_channel() {
-            // How far behind a towed body lies depends on its depth, at every fix.
+            // The layback of a towed body depends on its depth at every fix.
             let upto = if self.tow.is_some() { position_to } else { to };
-            let vertical_to = reach(vertical, upto, 2);
+            let vertical_to = require(vertical, upto, 2);
             if self.vertical_has_arm() && vertical_to > needed_to {
-                (needed_to, asking) = (vertical_to, Some(vertical));
+                (needed_to, dependent) = (vertical_to, Some(vertical));
             }
         }
         if self.owns(NavChannel::RollPitch) {
-            let ahead = self.knots_ahead(NavChannel::RollPitch, 2, asking, needed_to);
-            needed_to = reach(NavChannel::RollPitch, needed_to, ahead);
-            asking = Some(NavChannel::RollPitch);
+            let ahead = self.knots_ahead(NavChannel::RollPitch, 2, dependent, needed_to);
+            needed_to = require(NavChannel::RollPitch, needed_to, ahead);
+            dependent = Some(NavChannel::RollPitch);
         }
         let (heading, ahead) = self.heading_channel();
-        let ahead = self.knots_ahead(heading, ahead, asking, needed_to);
-        reach(heading, needed_to, ahead);
+        let ahead = self.knots_ahead(heading, ahead, dependent, needed_to);
+        require(heading, needed_to, ahead);
         match (missing, waiting) {
             (Some(channel), _) => Coverage::Missing(channel),
             (None, true) => Coverage::Waiting,
@@ -547,22 +582,22 @@ impl NavHistory {
         }
     }
 
-    /// One knot less is enough where `channel` has a knot at the very time it is asked for and is asked for nothing between its last two
-    /// knots: there no slope matters. So it is when one sentence gives both.
+    /// Number of knots that `channel` needs at or after `to`. One fewer is enough if it has a knot at `to` and no knot of
+    /// `dependent` lies between its last two knots, because then no rate matters. This holds when one sentence gives both channels.
     fn knots_ahead(
         &self,
         channel: NavChannel,
         ahead: usize,
-        asking: Option<NavChannel>,
+        dependent: Option<NavChannel>,
         to: UtcNs,
     ) -> usize {
-        let Some(asking) = asking.map(|a| self.ring(a)) else {
+        let Some(dependent) = dependent.map(|a| self.ring(a)) else {
             return ahead;
         };
         let just_before = to.plus_ns(-1);
         let before = |ring: &Ring| ring.last_at_or_before(just_before).map(|k| k.utc);
         let ring = self.ring(channel);
-        let meets = ring.nth_at_or_after(to, 1) == Some(to) && before(ring) >= before(asking);
+        let meets = ring.nth_at_or_after(to, 1) == Some(to) && before(ring) >= before(dependent);
         if meets { ahead - 1 } else { ahead }
     }
 }
@@ -577,11 +612,11 @@ const ALL_CHANNELS: [NavChannel; CHANNELS] = [
     NavChannel::Depth,
 ];
 
-impl Place {
-    /// Where the sensor of this vertical channel sits.
+impl Sensor {
+    /// Position of the sensor of a vertical channel in the body, metres.
     fn vertical_arm_m(&self, channel: NavChannel) -> DVec3 {
         match channel {
-            NavChannel::Heave => self.sensor.heave_arm_m,
+            NavChannel::Heave => self.mounting.heave_arm_m,
             _ => self.arm_m,
         }
     }

@@ -1,4 +1,4 @@
-//! From the rings to one ping's trajectory and state.
+//! Computes the trajectory and the state at one ping from the rings.
 
 use glam::{DQuat, DVec2, DVec3};
 
@@ -12,23 +12,25 @@ use echotank_core::frames::{
 };
 use echotank_core::time::UtcNs;
 
-/// Knots are handed over from this long before the pulse, seconds, so that slopes at its start are those of a known track.
+/// Trajectories start this long before the pulse, seconds, so that the rates at its start come from measured knots.
 const LOOKBACK_S: f64 = 1.0;
-/// Two samples of a sensor farther apart than this are not joined by a curve, seconds: swell turns round within it. Tracks in a file may be
-/// as sparse as their author likes.
-const LONGEST_HOLE_S: f64 = 5.0;
-/// No seam before, and none after.
-const EVER: UtcNs = UtcNs(i64::MIN);
-const NEVER: UtcNs = UtcNs(i64::MAX);
-/// What is held comes to rest in no less than this, seconds, so that knots have different times.
-const SHORTEST_REST_S: f64 = 1e-3;
-/// A tenth of the speed of sound in water, metres per second: beyond it the echo model does not hold, and no platform goes there.
+/// Samples of a sensor farther apart than this, seconds, are not interpolated: swell can reverse in between. Track files may be
+/// sparser.
+const MAX_GAP_S: f64 = 5.0;
+/// Bounds of a stretch without a seam.
+const NO_SEAM_BEFORE: UtcNs = UtcNs(i64::MIN);
+const NO_SEAM_AFTER: UtcNs = UtcNs(i64::MAX);
+/// Minimum time to come to rest, seconds; it keeps knot times distinct.
+const MIN_REST_S: f64 = 1e-3;
+/// Largest accepted platform speed, metres per second: a tenth of the speed of sound in water, beyond which the echo model does
+/// not hold.
 const MAX_SPEED_M_PER_S: f64 = 150.0;
 
 impl NavHistory {
-    /// State at `transmit_utc` and the motion from a second before it to `window_s` after it, times counted from it. `trajectory`'s buffers
-    /// are reused. In `settle` nothing is extrapolated; in `predict` at most `max_extrapolation_s` up to the window's end, and with
-    /// `on_lost = "hold"` what is older than that comes to rest, invalid.
+    /// State at `transmit_utc`, and the motion from a second before it to `window_s` after it. Times in `trajectory` are relative
+    /// to `transmit_utc`; its buffers are reused. Mode `settle` does not extrapolate. Mode `predict` extrapolates up to
+    /// `max_extrapolation_s` at the end of the window. With `on_lost = "hold"`, older motion comes to rest and is flagged
+    /// invalid.
     pub fn motion(
         &mut self,
         transmit_utc: UtcNs,
@@ -63,9 +65,9 @@ impl NavHistory {
         }
     }
 
-    /// What is known now of the motion around `utc`, for whoever wants to be told between pings: carried on for `max_extrapolation_s`, then
-    /// held and invalid. Counts nothing.
-    pub fn outlook(&mut self, utc: UtcNs, trajectory: &mut Trajectory) -> Result<NavState, NavGap> {
+    /// Predicted state and motion at `utc` from the present samples: extrapolated for `max_extrapolation_s`, then held and
+    /// flagged invalid. Does not count refusals.
+    pub fn predict(&mut self, utc: UtcNs, trajectory: &mut Trajectory) -> Result<NavState, NavGap> {
         let beyond = Beyond::Held {
             after_s: self.max_extrapolation_s,
         };
@@ -73,13 +75,13 @@ impl NavHistory {
         Ok(self.state(utc, 0.0, invalid, trajectory))
     }
 
-    /// How old the newest heading (or what it is made of) is at `utc`, seconds; infinite where there is none.
+    /// Age at `utc` of the newest sample that gives the heading, seconds; infinite without one.
     pub fn heading_age_s(&self, utc: UtcNs) -> f64 {
         let newest = self.ring(self.heading_channel().0).newest();
         newest.map_or(f64::INFINITY, |newest| utc.seconds_since(newest))
     }
 
-    /// How long a value may be carried on beyond its last measurement, seconds.
+    /// Maximum extrapolation beyond the newest sample, seconds.
     pub fn max_extrapolation_s(&self) -> f64 {
         self.max_extrapolation_s
     }
@@ -130,12 +132,12 @@ impl NavHistory {
         }
         self.attitude_knots(&window, &wide, &mut trajectory.attitude)?;
 
-        // Knots lie in one stretch: one source said them all.
-        let said = |knots: &[VectorKnot]| knots.last().map_or(zero, |k| zero.plus_s(k.time_s));
+        // The knots of a stretch come from one source.
+        let end_of = |knots: &[VectorKnot]| knots.last().map_or(zero, |k| zero.plus_s(k.time_s));
         if let Some(channel) = vertical.filter(|_| self.vertical_has_arm()) {
-            let place = self.place_at(channel, said(&trajectory.heave));
-            let arm_m = place.map_or(DVec3::ZERO, |p| p.vertical_arm_m(channel));
-            // A heave sensor shows nothing at rest, a depth sensor its own depth.
+            let sensor = self.sensor_at(channel, end_of(&trajectory.heave));
+            let arm_m = sensor.map_or(DVec3::ZERO, |p| p.vertical_arm_m(channel));
+            // A heave sensor measures zero at rest, a depth sensor its own depth.
             let at_rest_m = if channel == NavChannel::Heave {
                 arm_m.z
             } else {
@@ -149,8 +151,8 @@ impl NavHistory {
         set_rates(&mut trajectory.heave);
 
         if self.has_arm() {
-            let place = self.place_at(NavChannel::Position, said(&trajectory.position));
-            let arm_m = place.map_or(DVec3::ZERO, |p| p.arm_m);
+            let sensor = self.sensor_at(NavChannel::Position, end_of(&trajectory.position));
+            let arm_m = sensor.map_or(DVec3::ZERO, |p| p.arm_m);
             let level = match self.vertical {
                 VerticalSpec::Waterline { .. } => true,
                 VerticalSpec::Gnss { .. } => false,
@@ -162,7 +164,7 @@ impl NavHistory {
                     None => rotation * arm_m,
                     Some(tow) => {
                         let (heave, _) = hermite(&trajectory.heave, knot.time_s);
-                        behind(tow, arm_m, rotation, knot.value.z + heave.z)
+                        ship_offset_m(tow, arm_m, rotation, knot.value.z + heave.z)
                     }
                 };
                 knot.value -= DVec3::new(arm.x, arm.y, if level { 0.0 } else { arm.z });
@@ -170,21 +172,22 @@ impl NavHistory {
         }
         set_rates(&mut trajectory.position);
         trajectory.lever_arm_m = DVec3::ZERO;
-        Ok(self.come_to_rest(&window, trajectory))
+        Ok(self.bring_to_rest(&window, trajectory))
     }
 
-    /// How long a channel is carried on before it rests, if it does so in this window: seconds.
+    /// Time for which a channel is extrapolated before it comes to rest, seconds; `None` if it does not come to rest in this
+    /// window.
     fn resting(&self, channel: NavChannel, w: &Window) -> Option<f64> {
         let Beyond::Held { after_s } = w.beyond else {
             return None;
         };
         let newest = self.newest_of(channel, self.stretch(channel, w).ok()?)?;
         let old = w.end.seconds_since(newest.utc) > after_s;
-        old.then_some(after_s.max(SHORTEST_REST_S))
+        old.then_some(after_s.max(MIN_REST_S))
     }
 
-    /// What is too old at the window's end stops there, and is invalid. The attitude has been seen to.
-    fn come_to_rest(&self, w: &Window, trajectory: &mut Trajectory) -> NavInvalid {
+    /// Brings outdated positions and heaves to rest and flags them invalid. The attitude is already at rest.
+    fn bring_to_rest(&self, w: &Window, trajectory: &mut Trajectory) -> NavInvalid {
         let position = self.resting(NavChannel::Position, w);
         let vertical = self.vertical_channel().and_then(|c| self.resting(c, w));
         if let Some(after_s) = position {
@@ -202,14 +205,20 @@ impl NavHistory {
         }
     }
 
-    /// The stretch of a channel between seams that holds the ping's window. Where pings go on in silence: the last one that has begun.
+    /// The stretch between seams that contains the window. If samples may be absent, it is the last stretch that has begun.
     fn stretch(&self, channel: NavChannel, w: &Window) -> Result<Stretch, NavGap> {
         let own = |(at, of): &(UtcNs, Option<usize>)| {
             of.is_none_or(|of| of == index(channel)).then_some(*at)
         };
         let seams = || self.seams.iter().filter_map(own);
-        let mut end = seams().filter(|s| *s > w.zero).min().unwrap_or(NEVER);
-        let mut start = seams().filter(|s| *s <= w.zero).max().unwrap_or(EVER);
+        let mut end = seams()
+            .filter(|s| *s > w.zero)
+            .min()
+            .unwrap_or(NO_SEAM_AFTER);
+        let mut start = seams()
+            .filter(|s| *s <= w.zero)
+            .max()
+            .unwrap_or(NO_SEAM_BEFORE);
         if matches!(w.beyond, Beyond::Refused { .. }) {
             return match end <= w.end {
                 true => Err(NavGap::Seam),
@@ -220,25 +229,28 @@ impl NavHistory {
             let newest = self.ring(channel).last_at_or_before(w.zero);
             newest.is_some_and(|k| k.utc >= start)
         };
-        while start != EVER && !begun(start) {
+        while start != NO_SEAM_BEFORE && !begun(start) {
             end = start;
-            start = seams().filter(|s| *s < start).max().unwrap_or(EVER);
+            start = seams()
+                .filter(|s| *s < start)
+                .max()
+                .unwrap_or(NO_SEAM_BEFORE);
         }
         Ok(Stretch { start, end })
     }
 
-    /// The newest knot of a stretch.
+    /// Newest knot of a stretch.
     fn newest_of(&self, channel: NavChannel, stretch: Stretch) -> Option<&Knot> {
         let ring = self.ring(channel);
         ring.iter(ring.within(stretch)).next_back()
     }
 
-    /// Refuses a channel that does not carry the window.
+    /// Verifies that a channel covers the window.
     fn check(&self, channel: NavChannel, w: &Window) -> Result<(), NavGap> {
         let stretch = self.stretch(channel, w)?;
         let ring = self.ring(channel);
         let range = ring.within(stretch);
-        let nothing = if stretch.start == EVER {
+        let nothing = if stretch.start == NO_SEAM_BEFORE {
             NavGap::NoData(channel)
         } else {
             NavGap::Seam
@@ -250,7 +262,7 @@ impl NavHistory {
         let last = ends.next_back().unwrap_or(first);
         let age_s = w.end.seconds_since(last.utc);
         match w.beyond {
-            Beyond::Refused { .. } if age_s > 0.0 && stretch.end != NEVER => {
+            Beyond::Refused { .. } if age_s > 0.0 && stretch.end != NO_SEAM_AFTER => {
                 return Err(NavGap::Seam);
             }
             Beyond::Refused { after_s } if age_s > after_s => {
@@ -264,7 +276,7 @@ impl NavHistory {
         let mut before = None;
         for knot in ring.iter(ring.around(w.zero, w.end, 1, stretch)) {
             let gap_s = before.map_or(0.0, |b| knot.utc.seconds_since(b));
-            if gap_s > LONGEST_HOLE_S && knot.utc > w.zero {
+            if gap_s > MAX_GAP_S && knot.utc > w.zero {
                 return Err(NavGap::Hole { channel, gap_s });
             }
             before = Some(knot.utc);
@@ -272,7 +284,7 @@ impl NavHistory {
         Ok(())
     }
 
-    /// Values of a channel around the window, rates not yet set.
+    /// Writes the knots of a channel around the window, with zero rates.
     fn vector_knots(
         &self,
         channel: NavChannel,
@@ -297,7 +309,7 @@ impl NavHistory {
         result
     }
 
-    /// Attitude over `wide`; only `needed` must be carried.
+    /// Attitude knots over `wide`. Only `needed` must be covered.
     fn attitude_knots_with(
         &self,
         needed: &Window,
@@ -306,10 +318,10 @@ impl NavHistory {
         out: &mut Vec<AttitudeKnot>,
     ) -> Result<(), NavGap> {
         out.clear();
-        let mounted = self.mounted(wide.zero);
+        let mounting = self.mounting(wide.zero);
         let knot = |time_s: f64, roll: f64, pitch: f64, heading: f64| AttitudeKnot {
             time_s,
-            world_from_body: mounted.body(roll, pitch, heading),
+            world_from_body: mounting.body(roll, pitch, heading),
             body_rate_rad_per_s: DVec3::ZERO,
         };
         if self.owns(NavChannel::RollPitch) {
@@ -331,18 +343,18 @@ impl NavHistory {
                 self.resting(NavChannel::RollPitch, needed),
                 self.newest_of(NavChannel::RollPitch, stretch),
             ) {
-                // Roll and pitch stay as they were last known; the heading goes on.
+                // Roll and pitch keep their last values; the heading continues.
                 let last_s = last.utc.seconds_since(wide.zero);
                 let mut rested_s = last_s + 2.0 * after_s;
-                let mut stay = |time_s: f64| {
+                let mut hold = |time_s: f64| {
                     let (angle, _) = hermite(heading, time_s);
                     out.push(knot(time_s, last.value.x, last.value.y, angle.x));
                 };
-                stay(last_s + after_s);
-                stay(rested_s);
+                hold(last_s + after_s);
+                hold(rested_s);
                 for k in heading.iter() {
                     if k.time_s > rested_s {
-                        stay(k.time_s);
+                        hold(k.time_s);
                         rested_s = k.time_s;
                     }
                 }
@@ -355,7 +367,7 @@ impl NavHistory {
         Ok(())
     }
 
-    /// Heading over `wide`, unwrapped, with rates. Only `needed` must be carried.
+    /// Unwrapped heading knots with rates over `wide`. Only `needed` must be covered.
     fn heading_knots(
         &self,
         needed: &Window,
@@ -363,7 +375,7 @@ impl NavHistory {
         out: &mut Vec<VectorKnot>,
     ) -> Result<(), NavGap> {
         let (channel, ahead) = self.heading_channel();
-        if self.heading_from == HeadingFrom::Nowhere {
+        if self.heading_from == HeadingFrom::None {
             return Err(NavGap::NoData(channel));
         }
         self.check(channel, needed)?;
@@ -383,27 +395,28 @@ impl NavHistory {
         Ok(())
     }
 
-    /// How the sensors of this time are mounted.
-    fn mounted(&self, utc: UtcNs) -> Mounted {
+    /// Mounting of the sensors that are active at this time.
+    fn mounting(&self, utc: UtcNs) -> Mounting {
         let angles = |channel| {
-            let place = self.place_at(channel, utc);
-            place.map_or(DVec3::ZERO, |p| p.sensor.angles_rad)
+            let sensor = self.sensor_at(channel, utc);
+            sensor.map_or(DVec3::ZERO, |p| p.mounting.angles_rad)
         };
         let (heading, _) = self.heading_channel();
         let compass_rad = match self.heading_from {
             HeadingFrom::Sensor => angles(heading).z,
-            // A course has no mounting.
+            // A course is independent of any mounting.
             _ => 0.0,
         };
         let motion = match self.owns(NavChannel::RollPitch) {
             true => angles(NavChannel::RollPitch),
             false => DVec3::ZERO,
         };
-        Mounted {
-            plain: motion == DVec3::ZERO && compass_rad == 0.0,
-            one: self.heading_from == HeadingFrom::Sensor
+        Mounting {
+            aligned: motion == DVec3::ZERO && compass_rad == 0.0,
+            same_sensor: self.heading_from == HeadingFrom::Sensor
                 && self.owns(NavChannel::RollPitch)
-                && self.spoke_at(heading, utc) == self.spoke_at(NavChannel::RollPitch, utc),
+                && self.active_source_at(heading, utc)
+                    == self.active_source_at(NavChannel::RollPitch, utc),
             sensor_from_body: rotation_from_angles(motion.x, motion.y, motion.z).inverse(),
             compass_rad,
         }
@@ -422,13 +435,13 @@ impl NavHistory {
         let (latitude_rad, longitude_rad) = self.plane.map_or((0.0, 0.0), |plane| {
             plane.geodetic_rad(pose.position_m.x, pose.position_m.y)
         });
-        // Knots that bring something to rest are no measurements.
+        // Knots that bring a channel to rest are not measurements.
         let newest = |channel: NavChannel, old: bool, knots: f64| match self.ring(channel).newest()
         {
             Some(newest) if old => newest.seconds_since(utc),
             _ => knots,
         };
-        let behind = |knots: &[VectorKnot]| newest_behind(knots.iter().map(|k| k.time_s), window_s);
+        let behind = |knots: &[VectorKnot]| newest_used(knots.iter().map(|k| k.time_s), window_s);
         let heading_channel = self.heading_channel().0;
         let position_s = newest(
             NavChannel::Position,
@@ -440,7 +453,7 @@ impl NavHistory {
             true => newest(
                 NavChannel::RollPitch,
                 invalid.roll_pitch,
-                newest_behind(trajectory.attitude.iter().map(|k| k.time_s), window_s),
+                newest_used(trajectory.attitude.iter().map(|k| k.time_s), window_s),
             ),
             false => heading_s,
         };
@@ -471,7 +484,7 @@ impl NavHistory {
     }
 }
 
-/// A knot's own rotation at its time, to the bit, whether or not more knots follow; the curve between.
+/// Rotation at a time: exactly that of a knot at this time, independent of later knots; otherwise interpolated.
 fn rotation_at(knots: &[AttitudeKnot], time_s: f64) -> DQuat {
     match knots.iter().find(|k| k.time_s == time_s) {
         Some(knot) => knot.world_from_body,
@@ -479,8 +492,9 @@ fn rotation_at(knots: &[AttitudeKnot], time_s: f64) -> DQuat {
     }
 }
 
-/// Time of the newest knot that shapes the motion up to `window_s`: the second at or after it, or the last. Infinite without knots.
-fn newest_behind(times_s: impl Iterator<Item = f64>, window_s: f64) -> f64 {
+/// Time of the newest knot that affects the motion up to `window_s`, seconds: the second at or after it, or the last. Infinite
+/// without knots.
+fn newest_used(times_s: impl Iterator<Item = f64>, window_s: f64) -> f64 {
     let mut newest_s = f64::INFINITY;
     let mut behind = 0;
     for time_s in times_s {
@@ -493,32 +507,32 @@ fn newest_behind(times_s: impl Iterator<Item = f64>, window_s: f64) -> f64 {
     newest_s
 }
 
-/// What becomes of a window that begins or ends beyond the last measurement.
+/// Policy for a window that extends beyond the last measurement.
 #[derive(Clone, Copy)]
 enum Beyond {
-    /// It is refused when it ends later than this.
+    /// The window is refused if it ends later than this after the last measurement, seconds.
     Refused { after_s: f64 },
-    /// Motion is carried on for so long, and then comes to rest.
+    /// Motion is extrapolated for this time, seconds, and then comes to rest.
     Held { after_s: f64 },
 }
 
-/// How motion sensor and compass sit in the body.
-struct Mounted {
-    /// Along its axes.
-    plain: bool,
-    /// One instrument gives roll, pitch and heading.
-    one: bool,
+/// Orientation of motion sensor and compass in the body.
+struct Mounting {
+    /// Both sensors are aligned with the body.
+    aligned: bool,
+    /// One sensor gives roll, pitch and heading.
+    same_sensor: bool,
     sensor_from_body: DQuat,
     compass_rad: f64,
 }
 
-impl Mounted {
-    /// The body's attitude from what the instruments say.
+impl Mounting {
+    /// Attitude of the body from the angles of the sensors.
     fn body(&self, roll_rad: f64, pitch_rad: f64, heading_rad: f64) -> DQuat {
-        if self.plain {
+        if self.aligned {
             return rotation_from_angles(roll_rad, pitch_rad, heading_rad);
         }
-        if self.one {
+        if self.same_sensor {
             return rotation_from_angles(roll_rad, pitch_rad, heading_rad) * self.sensor_from_body;
         }
         let tilt = rotation_from_angles(roll_rad, pitch_rad, 0.0) * self.sensor_from_body;
@@ -527,20 +541,18 @@ impl Mounted {
     }
 }
 
-/// From a towed body to the ship's antenna, north and east: both on the body's heading.
-fn behind(tow: &TowSpec, antenna_m: DVec3, world_from_body: DQuat, down_m: f64) -> DVec3 {
+/// Horizontal offset from a towed body to the antenna of the ship, north and east, metres. Both have the heading of the body.
+fn ship_offset_m(tow: &TowSpec, antenna_m: DVec3, world_from_body: DQuat, down_m: f64) -> DVec3 {
     let (_, _, heading_rad) = angles_from_rotation(world_from_body);
-    let straight_m = tow.cable_out_m * tow.cable_scope;
-    let under_m = down_m - tow.point_m.z;
-    let layback_m = (straight_m * straight_m - under_m * under_m)
-        .max(0.0)
-        .sqrt();
+    let cable_m = tow.cable_out_m * tow.cable_scope;
+    let depth_m = down_m - tow.point_m.z;
+    let layback_m = (cable_m * cable_m - depth_m * depth_m).max(0.0).sqrt();
     let ahead_m = antenna_m.x - tow.point_m.x + layback_m;
     let starboard_m = antenna_m.y - tow.point_m.y;
     DQuat::from_rotation_z(heading_rad) * DVec3::new(ahead_m, starboard_m, 0.0)
 }
 
-/// Two knots more: on with the last rate for `after_s`, then to rest in as long again.
+/// Appends two knots: uniform motion for `after_s`, then uniform deceleration to rest over the same time.
 fn rest(knots: &mut Vec<VectorKnot>, after_s: f64) {
     let Some(last) = knots.last().copied() else {
         return;
@@ -558,10 +570,10 @@ fn rest(knots: &mut Vec<VectorKnot>, after_s: f64) {
     });
 }
 
-/// What one ping asks of the rings.
+/// Time window of one ping.
 #[derive(Clone, Copy)]
 struct Window {
-    /// Start of the pulse.
+    /// Start of the transmitted pulse.
     zero: UtcNs,
     from: UtcNs,
     end: UtcNs,
@@ -594,7 +606,8 @@ fn check_speed(position: &[VectorKnot]) -> Result<(), NavGap> {
     Ok(())
 }
 
-/// Replaces the values by the direction of the rates in `value.x`; a knot at rest keeps the direction of the one before it.
+/// Replaces each value by the direction of its rate in `value.x`, radians. A knot at rest keeps the direction of the previous
+/// one.
 fn courses_from_rates(knots: &mut [VectorKnot]) {
     let moving = |k: &VectorKnot| {
         let v = k.rate_per_s;
@@ -607,7 +620,7 @@ fn courses_from_rates(knots: &mut [VectorKnot]) {
     }
 }
 
-/// Adds whole turns so that neighbouring angles in `value.x` differ by less than half a turn.
+/// Adds whole turns so that consecutive angles in `value.x` differ by at most half a turn.
 fn unwrap(knots: &mut [VectorKnot]) {
     use std::f64::consts::TAU;
     for i in 1..knots.len() {

@@ -13,7 +13,7 @@ use super::nav_bytes::NavByteFaults;
 use echotank_config::spec::{FaultKind, NavChannel, NavFault, NavSourceSpec, TimePolicy};
 use echotank_core::flow::{NavQuantity, NavSample};
 use echotank_core::time::UtcNs;
-use echotank_nav::spoil::Spoil;
+use echotank_nav::fault::NavFaultFilter;
 use echotank_ping::faults::{Faults, Moment, Standing};
 
 /// Mean radius of the earth, for offsets of latitude.
@@ -99,12 +99,12 @@ fn channel_of(quantity: &NavQuantity) -> (NavChannel, &'static str) {
     }
 }
 
-impl Spoil for NavFaults {
-    fn bytes(&mut self, source: usize, arrival: UtcNs, bytes: &mut Vec<u8>) {
+impl NavFaultFilter for NavFaults {
+    fn modify_bytes(&mut self, source: usize, arrival: UtcNs, bytes: &mut Vec<u8>) {
         self.bytes.inject(source, arrival, bytes);
     }
 
-    fn sample(&mut self, sample: NavSample) -> Option<NavSample> {
+    fn modify_sample(&mut self, sample: NavSample) -> Option<NavSample> {
         if self.faults.standing() == 0 {
             self.channels.clear();
             return Some(sample);
@@ -166,7 +166,7 @@ impl Spoil for NavFaults {
         }
     }
 
-    fn held_back(&mut self, until: UtcNs) -> Option<NavSample> {
+    fn take_delayed(&mut self, until: UtcNs) -> Option<NavSample> {
         let due = self.held.front().is_some_and(|(due, _)| *due <= until);
         let (_, sample) = due.then(|| self.held.pop_front()).flatten()?;
         Some(sample)
@@ -264,7 +264,7 @@ mod tests {
         let mut injected = 0;
         for k in 0..100 {
             let at = UtcNs(k * 10 * MS);
-            while let Some(sample) = nav_faults.held_back(at) {
+            while let Some(sample) = nav_faults.take_delayed(at) {
                 note(sample);
             }
             let sample = NavSample {
@@ -275,7 +275,7 @@ mod tests {
                     heading_rad: (k as f64).to_radians(),
                 },
             };
-            match nav_faults.sample(sample) {
+            match nav_faults.modify_sample(sample) {
                 Some(same) if same == sample => note(same),
                 Some(other) => {
                     injected += 1;

@@ -29,7 +29,7 @@ use echotank_config::spec::{NavInputSpec, NavSourceSpec, NavSpec, TimePolicy};
 use echotank_core::flow::NavSample;
 use echotank_core::time::{MonoNs, NS_PER_S, Timeline};
 use echotank_nav::NavDecoder;
-use echotank_nav::decoder::unwatched;
+use echotank_nav::decoder::ignore_events;
 
 /// Datagrams or reads that may wait for decoding: 40 s of a 100 Hz sensor.
 const QUEUE: usize = 4096;
@@ -248,7 +248,7 @@ impl Live {
             let source = &mut self.sources[chunk.source];
             let samples = &mut self.samples;
             if let Some(spoiler) = &mut feed.spoiler {
-                spoiler.bytes(source.index, timeline.utc(chunk.mono), &mut chunk.bytes);
+                spoiler.modify_bytes(source.index, timeline.utc(chunk.mono), &mut chunk.bytes);
             }
             let pace = (source.stream, source.byte_ns);
             decode(&mut source.decoder, &chunk, pace, timeline, samples);
@@ -330,7 +330,7 @@ fn decode(
         return;
     }
     // Each sentence has the arrival time of its first byte.
-    decoder.push_paced(&chunk.bytes, arrival, byte_ns, out, &mut unwatched);
+    decoder.push_paced(&chunk.bytes, arrival, byte_ns, out, &mut ignore_events);
 }
 
 /// A source thread's end of the queue.

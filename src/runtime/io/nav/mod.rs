@@ -15,9 +15,9 @@ use crate::clock::Clock;
 use echotank_config::spec::NavSpec;
 use echotank_core::flow::NavSample;
 use echotank_core::time::{Timeline, UtcNs};
+use echotank_nav::fault::NavFaultFilter;
 use echotank_nav::health::State;
 use echotank_nav::log::LogCounts;
-use echotank_nav::spoil::Spoil;
 use echotank_nav::track::TrackError;
 use echotank_nav::{NavCounters, NavHistory};
 
@@ -121,13 +121,13 @@ pub struct NavInputs {
     counters: Vec<SourceCounters>,
     /// State of each source at the last pull, in the configuration's order.
     states: Vec<State>,
-    spoiler: Option<Box<dyn Spoil>>,
+    spoiler: Option<Box<dyn NavFaultFilter>>,
 }
 
 /// Inserts samples into a history and applies navigation faults.
 pub struct Feed<'a> {
     history: &'a mut NavHistory,
-    spoiler: Option<&'a mut (dyn Spoil + 'static)>,
+    spoiler: Option<&'a mut (dyn NavFaultFilter + 'static)>,
 }
 
 impl Feed<'_> {
@@ -136,10 +136,10 @@ impl Feed<'_> {
             None => self.history.insert(sample),
             Some(spoiler) => {
                 // Delayed samples are inserted in order.
-                while let Some(late) = spoiler.held_back(sample.arrival_utc) {
+                while let Some(late) = spoiler.take_delayed(sample.arrival_utc) {
                     self.history.insert(&late);
                 }
-                if let Some(sample) = spoiler.sample(*sample) {
+                if let Some(sample) = spoiler.modify_sample(*sample) {
                     self.history.insert(&sample);
                 }
             }
@@ -152,7 +152,7 @@ impl Feed<'_> {
 
     /// Inserts delayed samples that are due by `until`.
     fn release(&mut self, until: UtcNs) {
-        while let Some(late) = self.spoiler.as_mut().and_then(|s| s.held_back(until)) {
+        while let Some(late) = self.spoiler.as_mut().and_then(|s| s.take_delayed(until)) {
             self.history.insert(&late);
         }
     }
