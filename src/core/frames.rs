@@ -1,22 +1,22 @@
-//! Frames, rotations and the motion of a platform through one ping.
+//! Frames of reference, rotations, and the motion of the platform during one ping.
 //!
 //! - World: north-east-down metres on a local tangent plane.
 //! - Body: x forward, y starboard, z down. `world_from_body = Rz(heading) Ry(pitch) Rx(roll)`.
-//! - Array: x along the line of elements, y across it, z the boresight. `body_from_array = Rz(yaw) Ry(pitch) Rx(roll)`: with all angles
-//!   zero the line lies fore-and-aft and looks straight down; roll -60 deg looks to starboard and 30 deg below the horizon, +60 to port;
-//!   yaw 90 deg makes it an across-track line whose +x end is to starboard.
+//! - Array: x along the line of elements, y across it, z the boresight. `body_from_array = Rz(yaw) Ry(pitch) Rx(roll)`. With zero
+//!   angles the line lies fore-and-aft and looks straight down. Roll -60 deg looks to starboard, 30 deg below the horizontal; +60
+//!   deg looks to port. Yaw 90 deg gives an across-track line whose +x end is to starboard.
 
 use glam::{DMat3, DQuat, DVec3};
 
-/// Rotation that maps vectors of a body (or array) onto its parent frame: Rz(heading) Ry(pitch) Rx(roll), angles in radians.
+/// Rotation from a body (or array) frame to its parent frame: Rz(heading) Ry(pitch) Rx(roll), angles in radians.
 pub fn rotation_from_angles(roll_rad: f64, pitch_rad: f64, heading_rad: f64) -> DQuat {
     DQuat::from_rotation_z(heading_rad)
         * DQuat::from_rotation_y(pitch_rad)
         * DQuat::from_rotation_x(roll_rad)
 }
 
-/// Roll, pitch and heading (radians, heading in 0..2pi) of a rotation made by [`rotation_from_angles`].
-/// At pitch = +-90 deg roll and heading are not separable: roll is then given as zero.
+/// Roll, pitch and heading (radians, heading in 0..2pi) of a rotation; inverse of [`rotation_from_angles`]. At pitch +-90 deg,
+/// roll and heading are not separable and roll is zero.
 pub fn angles_from_rotation(world_from_body: DQuat) -> (f64, f64, f64) {
     let m = DMat3::from_quat(world_from_body);
     // Rows and columns: m.x_axis is the body's forward axis in the world.
@@ -37,6 +37,7 @@ pub struct Pose {
     pub position_m: DVec3,
     /// World, metres per second.
     pub velocity_m_per_s: DVec3,
+    /// Rotation from body to world axes.
     pub world_from_body: DQuat,
     /// World axes, radians per second.
     pub angular_velocity_rad_per_s: DVec3,
@@ -56,38 +57,43 @@ impl Pose {
     }
 }
 
-/// A knot of a vector channel: value and first derivative at a time.
+/// Value and first derivative of a vector channel at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VectorKnot {
     /// Seconds from the start of the transmitted pulse.
     pub time_s: f64,
+    /// Value; the channel defines the unit.
     pub value: DVec3,
+    /// First derivative of the value, per second.
     pub rate_per_s: DVec3,
 }
 
-/// A knot of the attitude channel: rotation and body rates (body axes, radians per second) at a time.
+/// Rotation and body rates at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AttitudeKnot {
     /// Seconds from the start of the transmitted pulse.
     pub time_s: f64,
+    /// Rotation from body to world axes.
     pub world_from_body: DQuat,
+    /// Angular velocity, body axes, radians per second.
     pub body_rate_rad_per_s: DVec3,
 }
 
-/// The platform's motion around one ping: the interpolation law itself, so that every model moves the same platform.
+/// Motion of the platform around one ping, with its interpolation rule, which all models share.
 ///
-/// Position and heave: C1 cubic Hermite between knots. Attitude: C1 cumulative cubic Bezier on rotations (Kim, Kim and Shin 1995, Eq. 11)
-/// that meets the knots' rotations and rates. Outside the knots: straight on with the end knot's rate.
-/// `position` is the track of the navigation's reference (an antenna at `lever_arm_m`), `heave` is added to its down component.
+/// Position and heave: C1 cubic Hermite interpolation between knots. Attitude: C1 cumulative cubic Bezier curve on rotations
+/// (Kim, Kim and Shin 1995, Eq. 11) through the rotations and rates of the knots. Outside the knots the motion continues at the
+/// rate of the end knot. `position` is the track of the navigation reference (an antenna at `lever_arm_m`); `heave` adds to its
+/// down component.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Trajectory {
     /// World, metres: north, east, down without heave. At least one knot, strictly increasing times.
     pub position: Vec<VectorKnot>,
-    /// Heave in `value.z`, positive down, metres. May be empty: no heave.
+    /// Heave in `value.z`, positive down, metres. Empty without heave.
     pub heave: Vec<VectorKnot>,
     /// At least one knot, strictly increasing times.
     pub attitude: Vec<AttitudeKnot>,
-    /// Where in the body the positions were measured, metres.
+    /// Position of the navigation reference in the body, metres.
     pub lever_arm_m: DVec3,
 }
 
@@ -105,7 +111,7 @@ pub fn hermite(knots: &[VectorKnot], time_s: f64) -> (DVec3, DVec3) {
     hermite_from(knots, DVec3::ZERO, time_s)
 }
 
-/// [`hermite`] with the value counted from `origin`, which costs it no digits however far away both are.
+/// [`hermite`] relative to `origin`, without loss of precision far from zero.
 fn hermite_from(knots: &[VectorKnot], origin: DVec3, time_s: f64) -> (DVec3, DVec3) {
     let (Some(first), Some(last)) = (knots.first(), knots.last()) else {
         return (DVec3::ZERO - origin, DVec3::ZERO);
@@ -127,7 +133,7 @@ fn hermite_from(knots: &[VectorKnot], origin: DVec3, time_s: f64) -> (DVec3, DVe
     let h = b.time_s - a.time_s;
     let s = (time_s - a.time_s) / h;
     let (s2, s3) = (s * s, s * s * s);
-    // Written about the first knot, so that metres far from the origin lose nothing.
+    // Relative to the first knot, to keep precision far from the origin.
     let step = b.value - a.value;
     let value = (a.value - origin)
         + step * (3.0 * s2 - 2.0 * s3)
@@ -190,7 +196,7 @@ impl Trajectory {
         self.pose_from(DVec3::ZERO, time_s)
     }
 
-    /// [`Self::pose_at`] with the position counted from `origin_m`, so that a world of any size rounds nothing away.
+    /// [`Self::pose_at`] with the position relative to `origin_m`, without loss of precision far from zero.
     pub fn pose_from(&self, origin_m: DVec3, time_s: f64) -> Pose {
         let (antenna, antenna_velocity) = hermite_from(&self.position, origin_m, time_s);
         let (heave, heave_rate) = hermite(&self.heave, time_s);
@@ -205,7 +211,7 @@ impl Trajectory {
         }
     }
 
-    /// A platform in uniform straight motion without rotation.
+    /// Uniform straight motion without rotation; `position_m` and `velocity_m_per_s` at time zero, world axes.
     pub fn uniform(position_m: DVec3, velocity_m_per_s: DVec3, world_from_body: DQuat) -> Self {
         Self {
             position: vec![VectorKnot {
@@ -261,9 +267,9 @@ mod tests {
         assert!(rotation_from_angles(r, p, h).angle_between(steep) < 1e-6);
     }
 
-    /// Eq. 4 of Meng et al. 2023 with its third column mended (cos beta where cos alpha is printed) is Rx(eta) Ry(beta) Rz(alpha).
+    /// Eq. 4 of Meng et al. 2023 is Rx(eta) Ry(beta) Rz(alpha) if its third column has cos beta instead of the printed cos alpha.
     #[test]
-    fn equation_4_mended_is_a_rotation_and_as_printed_is_not() {
+    fn equation_4_is_a_rotation_only_as_corrected() {
         let (alpha, beta, eta) = (0.3_f64, -0.4_f64, 0.7_f64);
         let matrix = |third: f64| {
             let (sa, ca, sb, cb, se, ce) = (
@@ -280,12 +286,12 @@ mod tests {
                 DVec3::new(sb, -third * se, third * ce),
             )
         };
-        let mended = matrix(beta.cos());
+        let corrected = matrix(beta.cos());
         let product = DMat3::from_rotation_x(eta)
             * DMat3::from_rotation_y(beta)
             * DMat3::from_rotation_z(alpha);
         assert!(
-            (mended - product)
+            (corrected - product)
                 .to_cols_array()
                 .iter()
                 .all(|d| d.abs() < 1e-15)
@@ -296,7 +302,7 @@ mod tests {
                 .iter()
                 .fold(0.0_f64, |a, d| a.max(d.abs()))
         };
-        assert!(gram(mended) < 1e-15 && gram(matrix(alpha.cos())) > 0.01);
+        assert!(gram(corrected) < 1e-15 && gram(matrix(alpha.cos())) > 0.01);
     }
 
     #[test]

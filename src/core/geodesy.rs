@@ -1,8 +1,11 @@
 //! Latitude and longitude to metres north and east of an origin, and back.
 //!
-//! The plane touches the WGS84 ellipsoid at the origin. A point's north and east are those of its foot on the ellipsoid, through
-//! earth-centred coordinates; its depth is kept apart, as the world's down. Thus the sea stays flat: at 10 km the plane is 7.8 m above the
-//! ellipsoid, which the model does not see, and horizontal distances come out short by 4e-7.
+//! The plane is tangent to the WGS84 ellipsoid at the origin. North and east of a point are those of its projection on the
+//! ellipsoid, in earth-centred coordinates. Its depth is separate: the down coordinate of the world. The sea surface is therefore
+//! flat. At 10 km the plane is 7.8 m above the ellipsoid, which the model ignores, and horizontal distances are short by 4e-7.
+//!
+//! The crate `map_3d` agrees with the forward conversion (see the tests), but its inverse needs the height above the plane, which
+//! is unknown here.
 
 /// WGS84 semi-major axis, metres (NIMA TR8350.2).
 const A_M: f64 = 6_378_137.0;
@@ -11,18 +14,20 @@ const F: f64 = 1.0 / 298.257_223_563;
 /// First eccentricity squared.
 const E2: f64 = F * (2.0 - F);
 
+/// Plane tangent to the WGS84 ellipsoid at an origin, with north and east axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalTangentPlane {
     latitude_rad: f64,
     longitude_rad: f64,
     sin_latitude: f64,
     cos_latitude: f64,
-    /// Of the origin in the meridian plane: distance from the axis, and along it, metres.
+    /// Origin in the meridian plane: distance from the polar axis and along it, metres.
     axis_m: f64,
     polar_m: f64,
 }
 
 impl LocalTangentPlane {
+    /// Plane with its origin at a latitude and longitude, radians.
     pub fn new(latitude_rad: f64, longitude_rad: f64) -> Self {
         let (axis_m, polar_m) = meridian_point(latitude_rad);
         Self {
@@ -51,9 +56,9 @@ impl LocalTangentPlane {
         (north_m, east_m)
     }
 
-    /// Latitude and longitude (-pi..pi) of a point, radians: the foot on the ellipsoid straight below or above it.
+    /// Latitude and longitude (-pi..pi) of a point, radians: its projection on the ellipsoid along the up axis of the plane.
     pub fn geodetic_rad(&self, north_m: f64, east_m: f64) -> (f64, f64) {
-        // The point of the plane, then along the plane's up by t until |p|_ellipsoid = 1: a quadratic in t.
+        // Moves from the plane along its up axis by t to the ellipsoid: a quadratic equation in t.
         let (up_axis, up_polar) = (self.cos_latitude, self.sin_latitude);
         let axis_m = self.axis_m - north_m * self.sin_latitude;
         let polar_m = self.polar_m + north_m * self.cos_latitude;
@@ -72,14 +77,14 @@ impl LocalTangentPlane {
     }
 }
 
-/// A point of the ellipsoid: distance from the axis and along it, metres.
+/// Point of the ellipsoid: distance from the polar axis and along it, metres.
 fn meridian_point(latitude_rad: f64) -> (f64, f64) {
     let (sin, cos) = latitude_rad.sin_cos();
     let normal_m = A_M / (1.0 - E2 * sin * sin).sqrt();
     (normal_m * cos, normal_m * (1.0 - E2) * sin)
 }
 
-/// An angle in -pi..=pi.
+/// The equivalent angle in -pi..=pi.
 fn wrap_pi(angle_rad: f64) -> f64 {
     use std::f64::consts::{PI, TAU};
     if (-PI..=PI).contains(&angle_rad) {
@@ -93,7 +98,7 @@ fn wrap_pi(angle_rad: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Origins: the log's, the poles and a neighbourhood, the antimeridian from both sides, the equator.
+    /// Origins: that of the test log, the poles and their surroundings, both sides of the antimeridian, the equator.
     const ORIGINS_DEG: [(f64, f64); 9] = [
         (-22.0, -17.9),
         (53.2, 5.4),
@@ -151,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn the_antimeridian_is_no_edge() {
+    fn is_continuous_across_the_antimeridian() {
         let plane = LocalTangentPlane::new(0.2, 179.999_f64.to_radians());
         let (_, east) = plane.local_m(0.2, -179.999_f64.to_radians());
         assert!((200.0..240.0).contains(&east), "{east}");

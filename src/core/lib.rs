@@ -1,6 +1,8 @@
-//! The domain types that every other crate shares: time, frames of reference, geodesy, and the data that passes between the stages of a ping.
+//! Domain types shared by all other crates: time, frames of reference, geodesy, and the data passed between the stages of a ping.
 //!
-//! Knows no stage, opens no file and reads no clock.
+//! The crate depends on no stage, opens no file and reads no clock.
+
+#![warn(missing_docs)]
 
 pub mod flow;
 pub mod frames;

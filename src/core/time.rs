@@ -1,11 +1,12 @@
-//! Instants on the two time axes, and the map from one to the other.
+//! Instants on the two time axes, and the conversion between them.
 //!
-//! Two time axes exist. **Mono** is the machine's monotonic clock; pacing happens on it. **Rig time** is UTC on the timeline of the
-//! navigation (a log recorded in 2014 pings in 2014); every [`UtcNs`] inside the house is rig time. [`Timeline`] maps one onto the other.
+//! Mono time is the monotonic clock of the machine; pacing uses it. Rig time is UTC on the timeline of the navigation: with a log
+//! recorded in 2014, pings are in 2014. Every [`UtcNs`] is rig time. [`Timeline`] converts between the axes.
 
+/// Nanoseconds per second.
 pub const NS_PER_S: i64 = 1_000_000_000;
 
-/// UTC, nanoseconds since 1970-01-01T00:00:00Z, leap seconds not counted.
+/// UTC, nanoseconds since 1970-01-01T00:00:00Z without leap seconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct UtcNs(pub i64);
 
@@ -16,15 +17,15 @@ pub struct MonoNs(pub i64);
 macro_rules! instant {
     ($name:ident) => {
         impl $name {
-            /// This instant moved by `ns` nanoseconds (saturating).
+            /// Adds `ns` nanoseconds (saturating).
             pub fn plus_ns(self, ns: i64) -> Self {
                 Self(self.0.saturating_add(ns))
             }
-            /// This instant moved by `s` seconds, rounded to the nearest nanosecond.
+            /// Adds `s` seconds, rounded to the nearest nanosecond.
             pub fn plus_s(self, s: f64) -> Self {
                 self.plus_ns((s * NS_PER_S as f64).round() as i64)
             }
-            /// `self - earlier`, in seconds. Exact to f64 for spans up to 104 days.
+            /// `self - earlier` in seconds; exact in f64 for spans up to 104 days.
             pub fn seconds_since(self, earlier: Self) -> f64 {
                 self.0.saturating_sub(earlier.0) as f64 / NS_PER_S as f64
             }
@@ -34,21 +35,26 @@ macro_rules! instant {
 instant!(UtcNs);
 instant!(MonoNs);
 
-/// Maps the monotonic clock onto rig time: `utc = mono + offset`. Fixed once set, so that no date jump in the navigation moves the pings.
+/// Conversion from mono to rig time: `utc = mono + offset`. The offset is fixed, so that a date jump in the navigation does not
+/// move the pings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Timeline {
+    /// Rig time minus mono time, nanoseconds.
     pub utc_minus_mono_ns: i64,
 }
 
 impl Timeline {
+    /// Timeline on which `mono` and `utc` are the same instant.
     pub fn through(mono: MonoNs, utc: UtcNs) -> Self {
         Self {
             utc_minus_mono_ns: utc.0.saturating_sub(mono.0),
         }
     }
+    /// Rig time of a mono time.
     pub fn utc(&self, mono: MonoNs) -> UtcNs {
         UtcNs(mono.0.saturating_add(self.utc_minus_mono_ns))
     }
+    /// Mono time of a rig time.
     pub fn mono(&self, utc: UtcNs) -> MonoNs {
         MonoNs(utc.0.saturating_sub(self.utc_minus_mono_ns))
     }

@@ -1,12 +1,18 @@
-//! Latitude and longitude to universal transverse Mercator on WGS84 and back, by Krueger's series to the fourth order in the third flattening: better than a
-//! micrometre within 2000 km of the central meridian. Source: Karney, C. F. F. (2011), "Transverse Mercator with an accuracy of a few
-//! nanometers", J. Geodesy 85, 475-485, equations 7 to 20 and 35, 36.
+//! WGS84 latitude and longitude to universal transverse Mercator (UTM) coordinates and back.
+//!
+//! Krueger's series to the fourth order in the third flattening is accurate to a micrometre within 2000 km of the central
+//! meridian. Source: Karney, C. F. F. (2011), "Transverse Mercator with an accuracy of a few nanometers", J. Geodesy 85, 475-485,
+//! equations 7 to 20 and 35, 36.
+//!
+//! The module is not replaced by a crate: `utm` uses a series in the longitude difference that holds only near its zone,
+//! `geographiclib-rs` has no transverse Mercator projection, and `proj4rs` and `geodesy` are general projection engines
+//! configured by strings.
 
 const A_M: f64 = 6_378_137.0;
 const F: f64 = 1.0 / 298.257_223_563;
 /// Third flattening.
 const N: f64 = F / (2.0 - F);
-/// Radius of the sphere with the ellipsoid's meridian.
+/// Radius of the sphere whose meridian has the length of the ellipsoid's, metres.
 const RECTIFYING_M: f64 = A_M / (1.0 + N) * (1.0 + N * N / 4.0 + N * N * N * N / 64.0);
 const K0: f64 = 0.9996;
 const FALSE_EASTING_M: f64 = 500_000.0;
@@ -25,7 +31,7 @@ const BETA: [f64; 4] = [
     4397.0 / 161_280.0 * N * N * N * N,
 ];
 
-/// Newton steps for the latitude: two reach the last bit (Karney 2011, section 2).
+/// Newton steps for the latitude; two reach machine precision (Karney 2011, section 2).
 const LATITUDE_STEPS: usize = 4;
 
 fn eccentricity() -> f64 {
@@ -40,22 +46,24 @@ fn false_northing_m(north: bool) -> f64 {
     if north { 0.0 } else { FALSE_NORTHING_SOUTH_M }
 }
 
-/// Tangent of the conformal latitude from that of the latitude (Karney 2011, equations 7 to 9).
+/// Tangent of the conformal latitude from the tangent of the latitude (Karney 2011, equations 7 to 9).
 fn conformal_tangent(tangent: f64) -> f64 {
     let e = eccentricity();
     let sigma = (e * (e * tangent / tangent.hypot(1.0)).atanh()).sinh();
     tangent * sigma.hypot(1.0) - sigma * tangent.hypot(1.0)
 }
 
-/// One zone, on one side of the equator.
+/// UTM zone and hemisphere.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UtmZone {
+    /// Zone number, 1 to 60.
     pub zone: u8,
+    /// Northern hemisphere: false northing zero.
     pub north: bool,
 }
 
 impl UtmZone {
-    /// That a place lies in by its longitude; Norway's and Svalbard's exceptions are not made.
+    /// Zone of a position (radians) by its longitude, without the exceptions of Norway and Svalbard.
     pub fn of(latitude_rad: f64, longitude_rad: f64) -> Self {
         let zone = ((longitude_rad.to_degrees() + 180.0) / 6.0).floor() as i64;
         Self {
@@ -64,13 +72,13 @@ impl UtmZone {
         }
     }
 
-    /// EPSG's number.
+    /// EPSG code of the projected WGS84 system.
     pub fn epsg(self) -> u16 {
         let first = if self.north { 32_600 } else { 32_700 };
         first + u16::from(self.zone)
     }
 
-    /// Easting and northing, metres.
+    /// Easting and northing, metres, of a position in radians.
     pub fn project_m(self, latitude_rad: f64, longitude_rad: f64) -> (f64, f64) {
         let (sin, cos) = (longitude_rad - central_meridian_rad(self.zone)).sin_cos();
         let tangent = conformal_tangent(latitude_rad.tan());
@@ -89,7 +97,7 @@ impl UtmZone {
     }
 }
 
-/// Latitude and longitude (radians) of an easting and a northing.
+/// Latitude and longitude, radians, of an easting and northing in metres.
 pub fn geodetic_rad(zone: u8, north: bool, easting_m: f64, northing_m: f64) -> (f64, f64) {
     let y = (northing_m - false_northing_m(north)) / (K0 * RECTIFYING_M);
     let x = (easting_m - FALSE_EASTING_M) / (K0 * RECTIFYING_M);
@@ -121,14 +129,14 @@ mod tests {
     }
 
     #[test]
-    fn a_place_lies_in_its_zone() {
+    fn positions_are_in_their_zone() {
         let zone = |lat: f64, lon: f64| UtmZone::of(lat.to_radians(), lon.to_radians()).epsg();
         assert_eq!(zone(51.4779, 0.0), 32_631);
         assert_eq!(zone(-22.0, -17.9), 32_728);
         assert_eq!(zone(10.0, 180.0), 32_601);
     }
 
-    /// Central meridian, and the edges of a zone and beyond, from pole to pole.
+    /// Positions on the central meridian and at and beyond the edges of a zone, at all latitudes.
     fn places() -> impl Iterator<Item = (f64, f64)> {
         (-8..=8).flat_map(|i| {
             (-3..=3).map(move |j| {
@@ -139,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn there_and_back_is_the_same_to_a_micrometre() {
+    fn round_trip_is_accurate_to_a_micrometre() {
         let mut worst_m = 0.0_f64;
         for (lat, lon) in places() {
             let (e, n) = projected_m(2, lat >= 0.0, lat, lon);
@@ -151,10 +159,10 @@ mod tests {
         assert!(worst_m < 1e-6, "{worst_m} m");
     }
 
-    /// The projection is the only conformal one whose central meridian is straight and true to scale K0: both are held here by calculations
-    /// that share nothing with the series (an integral of the meridian's curvature, and differences).
+    /// The only conformal projection with a central meridian of constant scale K0 is transverse Mercator. The test verifies both
+    /// properties without the series, by an integral of the meridian curvature and by differences.
     #[test]
-    fn the_meridian_is_true_and_angles_are_kept() {
+    fn central_meridian_has_scale_k0_and_the_projection_is_conformal() {
         let e2 = F * (2.0 - F);
         let curvature_m = |lat: f64| A_M * (1.0 - e2) / (1.0 - e2 * lat.sin().powi(2)).powf(1.5);
         let top = 65.3_f64.to_radians();
@@ -194,7 +202,7 @@ mod tests {
                 (east.0 - west.0) / parallel_m,
                 (east.1 - west.1) / parallel_m,
             );
-            // A quarter turn of the northward image is the eastward one.
+            // Conformal: the eastward image is the northward image rotated by a quarter turn.
             let off = (v.0 - u.1).hypot(v.1 + u.0) / u.0.hypot(u.1);
             assert!(off < 1e-8, "{lat} {lon}: {off:.1e}");
         }
