@@ -1,12 +1,12 @@
-//! The nouns that travel through the house, as plain data, and the one seam between stages, [`ArrivalSink`].
+//! The domain types passed between the stages of a ping, as plain data, and the interface between echoes and samples, [`ArrivalSink`].
 //!
 //! ```text
 //! io::nav -> nav -> ping -> scene -> echo -> array -> beam -> image -> emit -> io
 //!     NavSample PingPlan Scatterers ArrivalChunk ElementFrame BeamFrame Line  Datagram
 //! ```
 //!
-//! Inside: SI, radians, north-east-down, f64. Degrees, kHz and dB live in the configuration and on the wire.
-//! The starting point of "the start of the pulse" is `PingPlan::transmit_utc`; every `_s` inside a ping counts from there.
+//! Units are SI with radians, axes north-east-down, values f64. Degrees, kHz and dB occur only in the configuration and in records.
+//! Times in seconds (`_s`) within a ping count from `PingPlan::transmit_utc`, the start of the pulse.
 
 mod parts;
 
@@ -24,98 +24,137 @@ use crate::time::UtcNs;
 /// One decoded measurement of a navigation source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NavSample {
-    /// Which configured source said it (index into `NavSpec::sources`).
+    /// Index of the source in `NavSpec::sources`.
     pub source: u16,
-    /// When it holds (rig time).
+    /// Time of validity, rig time.
     pub valid_utc: UtcNs,
-    /// When its first byte arrived (rig time; for a recorded log the recorder's stamp).
+    /// Arrival of the first byte, rig time; for a recorded log the stamp of the recorder.
     pub arrival_utc: UtcNs,
+    /// Measured values.
     pub quantity: NavQuantity,
 }
 
-/// What was measured. Angles in radians, roll starboard down, pitch bow up, heading clockwise from true north, heave down.
+/// Measured values of one sample. Angles in radians: roll positive starboard down, pitch positive bow up, heading clockwise from
+/// true north. Heave is positive down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum NavQuantity {
-    /// Antenna position on WGS84. `height_m` is above the source's own zero (mean sea level for GGA); none when not given.
+    /// Antenna position on WGS84.
     Position {
+        /// Geodetic latitude, positive north.
         latitude_rad: f64,
+        /// Longitude, positive east.
         longitude_rad: f64,
+        /// Height above the datum of the source (mean sea level for GGA), if given.
         height_m: Option<f64>,
+        /// Quality of the position.
         fix: FixQuality,
     },
-    /// Position already in world coordinates (a CSV track).
+    /// Position in world coordinates, from a CSV track.
     LocalPosition {
+        /// World north, metres.
         north_m: f64,
+        /// World east, metres.
         east_m: f64,
+        /// World down, metres.
         down_m: f64,
     },
-    /// Over ground.
+    /// Motion over ground.
     CourseSpeed {
+        /// Course, clockwise from true north.
         course_rad: f64,
+        /// Horizontal speed, metres per second.
         speed_m_per_s: f64,
     },
+    /// True heading.
     Heading {
+        /// Heading, clockwise from true north.
         heading_rad: f64,
     },
+    /// Roll and pitch of the sensor.
     RollPitch {
+        /// Roll, positive starboard down.
         roll_rad: f64,
+        /// Pitch, positive bow up.
         pitch_rad: f64,
     },
+    /// Heave of the sensor.
     Heave {
+        /// Heave, metres, positive down.
         heave_down_m: f64,
     },
-    /// Of the platform's depth sensor, below the surface.
+    /// Depth of the platform's depth sensor.
     Depth {
+        /// Depth below the surface, metres.
         depth_m: f64,
     },
 }
 
+/// Quality of a GNSS position.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FixQuality {
+    /// No fix.
     #[default]
     None,
+    /// GNSS without corrections; also manual and simulated positions.
     Autonomous,
+    /// Differential GNSS.
     Differential,
+    /// Real-time kinematic, integer ambiguities.
     RtkFixed,
+    /// Real-time kinematic, float ambiguities.
     RtkFloat,
+    /// Estimated position.
     DeadReckoning,
 }
 
-/// The platform at one instant, as the wire wants it (the model uses `PingPlan::trajectory`).
+/// State of the platform at one instant, for output records; the echo model uses [`PingPlan::trajectory`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NavState {
+    /// Rig time.
     pub utc: UtcNs,
+    /// Pose of the reference point.
     pub pose: Pose,
+    /// Roll, positive starboard down, radians.
     pub roll_rad: f64,
+    /// Pitch, positive bow up, radians.
     pub pitch_rad: f64,
+    /// Heading, clockwise from true north, radians.
     pub heading_rad: f64,
+    /// Heave, metres, positive down; zero if heave is not used.
     pub heave_down_m: f64,
-    /// Of the reference point, WGS84.
+    /// WGS84 latitude of the reference point, radians.
     pub latitude_rad: f64,
+    /// WGS84 longitude of the reference point, radians.
     pub longitude_rad: f64,
-    /// Up, metres: minus the world's down.
+    /// Height, metres: the negative of world down.
     pub height_m: f64,
+    /// Quality of the newest position.
     pub fix: FixQuality,
-    /// Age of the newest position and attitude behind this state, seconds; negative where a later sample is known (interpolated).
+    /// Age of the newest position used, seconds; negative if a later sample is known (interpolation).
     pub position_age_s: f64,
+    /// Age of the newest attitude used, seconds; negative if a later sample is known.
     pub attitude_age_s: f64,
-    /// Some quantity had to be extrapolated.
+    /// Some quantity is extrapolated.
     pub extrapolated: bool,
-    /// What must not be relied on.
+    /// Quantities that are out of date.
     pub invalid: NavInvalid,
 }
 
-/// Quantities older than they may be: the last known value stands in their place.
+/// Flags of quantities that are too old; their last known values are held.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct NavInvalid {
+    /// Horizontal position.
     pub position: bool,
+    /// Heading.
     pub heading: bool,
+    /// Roll and pitch.
     pub roll_pitch: bool,
-    /// Heave or depth, where it is used.
+    /// Heave or depth, if used.
     pub vertical: bool,
 }
 
 impl NavInvalid {
+    /// Whether any quantity is invalid.
     pub fn any(&self) -> bool {
         self.position || self.heading || self.roll_pitch || self.vertical
     }
@@ -123,92 +162,113 @@ impl NavInvalid {
 
 // ---------------------------------------------------------------- the ping
 
-/// What an operator, or a topside over its protocol, can change while the sonar runs. Changed only through `run::settings`.
+/// Settings that an operator or a topside can change while the sonar runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SonarSettings {
+    /// The sonar pings.
     pub pinging: bool,
+    /// Maximum slant range, metres.
     pub range_m: f64,
-    /// 0 only while `pinging` is false.
+    /// Maximum ping rate, hertz; 0 only while `pinging` is false.
     pub max_ping_rate_hz: f64,
-    /// dB re 1 uPa at 1 m.
+    /// Source level, dB re 1 uPa at 1 m.
     pub source_level_db: f64,
+    /// Receiver gain, dB.
     pub gain_db: f64,
+    /// Pulse length, seconds.
     pub pulse_duration_s: f64,
 }
 
-/// The ranges settings may move in, inclusive; buffers are sized from the maxima.
+/// Inclusive limits of the settings; the maxima determine buffer sizes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SettingLimits {
+    /// Slant range, metres.
     pub range_m: (f64, f64),
+    /// Ping rate, hertz.
     pub ping_rate_hz: (f64, f64),
+    /// Source level, dB re 1 uPa at 1 m.
     pub source_level_db: (f64, f64),
+    /// Receiver gain, dB.
     pub gain_db: (f64, f64),
+    /// Pulse length, seconds.
     pub pulse_duration_s: (f64, f64),
 }
 
-/// What starts a ping.
+/// Origin of the ping triggers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TriggerSource {
-    /// The sonar's own beat.
+    /// The sonar's own ping rate.
     #[default]
     Internal,
-    /// Somebody else's pulse: the sonar itself starts none but those asked for by number.
+    /// External pulses; the sonar itself starts only pings requested by number.
     External,
 }
 
-/// One change of the settings, as an operator or a topside asks for it.
+/// One requested change of the settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SettingChange {
+    /// Maximum slant range, metres.
     RangeM(f64),
-    /// 0 holds the sonar: it keeps what it is told and pings again when the rate is above 0.
+    /// Maximum ping rate, hertz. 0 pauses pinging; a later rate above 0 resumes it.
     MaxPingRateHz(f64),
-    /// dB re 1 uPa at 1 m.
+    /// Source level, dB re 1 uPa at 1 m.
     SourceLevelDb(f64),
+    /// Receiver gain, dB.
     GainDb(f64),
+    /// Pulse length, seconds.
     PulseDurationS(f64),
+    /// Start pinging.
     Start,
+    /// Stop pinging.
     Stop,
-    /// So many pings from now on, on the sonar's beat, and then none: ends what [`Self::Start`] began.
+    /// Transmit this number of pings at the ping rate, then stop; ends a [`Self::Start`].
     PingTimes(u32),
+    /// Change the trigger source.
     Trigger(TriggerSource),
 }
 
-/// Names a setting that a device has and the model does not use.
+/// Key of a device setting that the model stores but does not use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct KeptKey {
-    /// The protocol whose setting it is.
+    /// Protocol of the setting.
     pub via: &'static str,
+    /// Name of the setting in the protocol.
     pub name: &'static str,
-    /// Which of several: a channel, a subsystem. 0 where there is one.
+    /// Index of the channel or subsystem; 0 if there is one.
     pub place: u32,
 }
 
-/// What such a setting was told: it is reported as it was, and changes nothing else.
+/// Value of a stored setting, reported back unchanged.
 #[derive(Clone, Debug, PartialEq)]
 pub enum KeptValue {
+    /// Integer value.
     Integer(i64),
+    /// List of numbers.
     Numbers(Vec<f64>),
+    /// Text value.
     Text(String),
 }
 
-/// Who asks for a change.
+/// Origin of a change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Asker {
-    /// The protocol, page or command it came by.
+    /// Protocol, page or command.
     pub via: &'static str,
+    /// Network address of the client, if there is one.
     pub peer: Option<SocketAddr>,
 }
 
-/// When and by whom a change was asked for.
+/// Time and origin of a change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Asked {
     /// Rig time.
     pub utc: UtcNs,
+    /// Origin.
     pub by: Asker,
 }
 
 impl From<UtcNs> for Asked {
-    /// By this program itself.
+    /// A change by the program itself.
     fn from(utc: UtcNs) -> Self {
         let by = Asker {
             via: "echotank",
@@ -218,66 +278,94 @@ impl From<UtcNs> for Asked {
     }
 }
 
-/// Something that was changed, whoever asked.
+/// A change that took effect.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Changed {
+    /// A setting of the model.
     Setting(SettingChange),
+    /// A stored setting.
     Kept(KeptKey, KeptValue),
 }
 
-/// One line of the journal of changes.
+/// One entry of the journal of changes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JournalEntry {
-    /// The settings' version from this change on.
+    /// Version of the settings after this change.
     pub version: u64,
+    /// Time and origin.
     pub asked: Asked,
+    /// The change.
     pub changed: Changed,
 }
 
-/// A change that was obeyed.
+/// Result of an accepted change.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SettingApplied {
-    /// The settings with the change in them.
+    /// Settings after the change.
     pub settings: SonarSettings,
-    /// Counts the changes obeyed so far; 0 is the configuration's own settings.
+    /// Number of changes so far; 0 is the configuration.
     pub version: u64,
 }
 
-/// A change that was refused: nothing changed.
+/// A refused change; the settings are unchanged.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("{key} = {value}: must be {rule}")]
 pub struct SettingRefused {
-    /// The setting's key in the configuration.
+    /// Configuration key of the setting.
     pub key: &'static str,
+    /// Refused value.
     pub value: f64,
+    /// Violated rule.
     pub rule: SettingRule,
 }
 
+/// Rule for the value of a setting.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SettingRule {
+    /// The value must be finite.
     #[error("a finite number")]
     Finite,
+    /// The value must lie in an inclusive interval.
     #[error("from {min} to {max}")]
-    Between { min: f64, max: f64 },
+    Between {
+        /// Minimum.
+        min: f64,
+        /// Maximum.
+        max: f64,
+    },
+    /// The value must be zero or lie in an inclusive interval.
     #[error("0 or from {min} to {max}")]
-    ZeroOrBetween { min: f64, max: f64 },
+    ZeroOrBetween {
+        /// Minimum.
+        min: f64,
+        /// Maximum.
+        max: f64,
+    },
+    /// Too many settings are stored.
     #[error("one of at most {most} settings that are only kept")]
-    TooMany { most: usize },
+    TooMany {
+        /// Maximum number of stored settings.
+        most: usize,
+    },
 }
 
-/// The way from any protocol, page or command to the settings of one sonar; `run::settings` is behind it.
+/// Access of any protocol, page or command to the settings of one sonar.
 pub trait SettingsPort: Send + Sync {
-    /// What the next ping obeys.
+    /// Settings of the next ping.
     fn settings(&self) -> SonarSettings;
+    /// Present trigger source.
     fn trigger(&self) -> TriggerSource;
+    /// Limits of the settings.
     fn limits(&self) -> SettingLimits;
-    /// Goes up with every change, those of kept settings included.
+    /// Version of the settings; increases with every change, including stored settings.
     fn version(&self) -> u64;
+    /// Applies a change, or refuses it with the violated rule.
     fn apply(&self, change: SettingChange, asked: Asked) -> Result<SettingApplied, SettingRefused>;
-    /// Keeps a setting that the model does not use. Refused only when too many are kept.
+    /// Stores a setting that the model does not use; refused only if too many are stored.
     fn keep(&self, key: KeptKey, value: KeptValue, asked: Asked) -> Result<(), SettingRefused>;
+    /// Value of a stored setting.
     fn kept(&self, key: KeptKey) -> Option<KeptValue>;
-    /// The changes after `version`, oldest first; of a long time ago only the newest.
+    /// Changes after `version`, oldest first; old entries may be dropped.
     fn changes_since(&self, version: u64) -> Vec<JournalEntry>;
 }
 
@@ -285,17 +373,20 @@ pub trait SettingsPort: Send + Sync {
 /// LFM: a(t) = taper(t) exp(+-j pi (B/T) (t - T/2)^2), plus for an up sweep. CW: a(t) = taper(t).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pulse {
+    /// Modulation.
     pub kind: PulseKind,
+    /// Centre frequency f_c, hertz.
     pub center_frequency_hz: f64,
-    /// Swept bandwidth; 0 for CW.
+    /// Swept bandwidth B, hertz; 0 for CW.
     pub bandwidth_hz: f64,
+    /// Length T, seconds.
     pub duration_s: f64,
-    /// Tukey taper: the fraction of the pulse under its two cosine flanks; 0 is rectangular.
+    /// Tukey taper: fraction of the pulse under the two cosine flanks; 0 is rectangular.
     pub taper: f64,
 }
 
 impl Pulse {
-    /// Hz per second at which the frequency sweeps: +B/T up, -B/T down, 0 for CW.
+    /// Sweep rate, hertz per second: +B/T up, -B/T down, 0 for CW.
     pub fn sweep_hz_per_s(&self) -> f64 {
         match self.kind {
             PulseKind::LfmUp => self.bandwidth_hz / self.duration_s,
@@ -304,13 +395,13 @@ impl Pulse {
         }
     }
 
-    /// a(t), `t_s` seconds after the pulse began: zero outside 0..=T, both ends belonging to the pulse.
+    /// a(t) at `t_s` seconds after the start of the pulse; zero outside 0..=T, both ends inclusive.
     pub fn envelope(&self, t_s: f64) -> Complex64 {
         let duration_s = self.duration_s;
         if !(0.0..=duration_s).contains(&t_s) {
             return Complex64::ZERO;
         }
-        // Tukey: raised cosine over `taper * T / 2` at either end.
+        // Tukey: raised cosine over `taper * T / 2` at each end.
         let flank_s = 0.5 * self.taper * duration_s;
         let from_end_s = t_s.min(duration_s - t_s);
         let level = if from_end_s < flank_s {
@@ -324,11 +415,13 @@ impl Pulse {
         Complex64::new(level * cos, level * sin)
     }
 
-    /// How weak echoes that sound together may make a window of a pulse's length: its rms over theirs, in all windows but one in ten thousand. Of pulses
-    /// with many degrees of freedom (their band times the window) no window is much weaker than the echoes in it, of a pure tone some are.
+    /// Lower bound of the rms of a pulse-length window relative to the rms of the overlapping echoes in it; one window in ten
+    /// thousand is weaker. With many degrees of freedom (bandwidth times window) no window is much weaker than its echoes; with a
+    /// pure tone some are.
     ///
-    /// A window's energy is that of so many normal numbers; the lower end of its distribution (gamma) is that of a power. Flanks leave a chirp fewer of
-    /// them, as many as there are equal ones with the same mean and mean square: the square of a raised cosine is 3/8 on the mean, its fourth power 35/128.
+    /// The energy of a window follows a gamma distribution, whose lower tail is a power law. Taper flanks reduce the degrees of
+    /// freedom of a chirp to those of a rectangular pulse with the same ratio of mean to mean square: a squared raised cosine has
+    /// mean 3/8, its fourth power 35/128.
     pub fn weakest_window(&self, sample_rate_hz: f64) -> f64 {
         let window_s = self.duration_s.max(MIN_WINDOW / sample_rate_hz);
         let flat = 1.0 - self.taper;
@@ -340,31 +433,33 @@ impl Pulse {
     }
 }
 
-/// Least samples of a window over which errors are counted.
+/// Minimum length of the windows over which errors are measured, samples.
 pub const MIN_WINDOW: f64 = 32.0;
 
-/// Share of all windows that may be weaker than [`Pulse::weakest_window`] says: a ping has some thousands.
+/// Share of windows that may be weaker than [`Pulse::weakest_window`]: a ping has some thousands.
 const WEAKEST_WINDOWS: f64 = 1e-4;
 
-/// How a sum over echoes is read at its points. An echo of a rectangular pulse begins and ends with a jump between two of them.
+/// Weights of the samples next to the edges of an echo in a sum over echoes. An echo of a rectangular pulse starts and ends with
+/// a step between two samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Edges {
-    /// The value at the point, and nothing else: what a receiver without a filter would sample.
+    /// The value at the sample: the output of a receiver without a filter.
     #[default]
     Sampled,
-    /// The points next to a jump are weighted with [`edge_corrections`], so that a filter's convolution sum over them converges on its
-    /// integral to the fifth order in the step, where points alone give the first.
+    /// Samples next to a step are weighted with [`edge_corrections`]. A convolution sum over them converges to its integral with
+    /// order five in the step, instead of order one.
     Weighted,
 }
 
-/// Points that [`edge_corrections`] weighs at either end of an echo.
+/// Number of samples that [`edge_corrections`] weights at each end of an echo.
 pub const EDGE_POINTS: usize = 4;
 
-/// What is added to the weight 1 of the first points inside an edge, outermost first. `inside`: the outermost one's distance from the edge
-/// in steps, 0..1.
+/// Corrections to the weight 1 of the first samples inside an edge, outermost first. `inside` is the distance of the outermost
+/// sample from the edge in steps, 0..1.
 ///
-/// Exact for cubics: the weights of Gregory's formula for an edge on a point (251, 897, 633, 739 over 720), and between the edge and the
-/// point the integral of the cubic through the four points. With one point instead of four it would be its cell's covered part, `inside` + 1/2.
+/// Exact for cubics. The weights are those of Gregory's formula for an edge on a sample (251, 897, 633, 739 over 720), plus the
+/// integral of the cubic through the four samples between the edge and the outermost sample. With one sample instead of four, the
+/// weight would be the covered part of its cell, `inside` + 1/2.
 pub fn edge_corrections(inside: f64) -> [f64; EDGE_POINTS] {
     let x = inside;
     [
@@ -375,18 +470,23 @@ pub fn edge_corrections(inside: f64) -> [f64; EDGE_POINTS] {
     ]
 }
 
+/// Modulation of a pulse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PulseKind {
+    /// Linear frequency sweep, upward.
     LfmUp,
+    /// Linear frequency sweep, downward.
     LfmDown,
+    /// Constant frequency.
     Cw,
 }
 
-/// Where an array sits in the body and what it radiates or hears.
+/// Position and orientation of an array in the body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mounting {
-    /// Body, metres: the array's centre.
+    /// Centre of the array, body axes, metres.
     pub position_m: DVec3,
+    /// Rotation from array to body axes.
     pub body_from_array: DQuat,
 }
 
@@ -395,20 +495,28 @@ pub struct Mounting {
 pub enum Pattern {
     /// 1 in every direction.
     Omnidirectional,
-    /// A rectangular piston: sinc(L u_x/lambda) sinc(W u_y/lambda), u the unit vector to the point in array axes; a side of 0 is omnidirectional.
-    /// `baffled`: nothing behind the face (u_z < 0).
+    /// A rectangular piston: sinc(L u_x/lambda) sinc(W u_y/lambda), with u the unit vector to the point in array axes. A side of
+    /// 0 is omnidirectional.
     Rectangle {
+        /// Length L along x, metres.
         length_m: f64,
+        /// Width W along y, metres.
         width_m: f64,
+        /// No response behind the face (u_z < 0).
         baffled: bool,
     },
-    /// The mean of so many elements alike, `spacing_m` apart along x, each a rectangle as above: a part of a line, taken as one in its middle.
-    /// What its elements' places make of an echo depends on where the echo comes from and is the walk's; levels and culling are one element's.
+    /// Mean of several equal elements along x, represented by one element at their centre. The walk applies the array factor of
+    /// the elements, which depends on the direction of the echo. Levels and culling use one element.
     Part {
+        /// Number of elements.
         elements: usize,
+        /// Spacing of the elements along x, metres.
         spacing_m: f64,
+        /// Length of an element along x, metres.
         length_m: f64,
+        /// Width of an element along y, metres.
         width_m: f64,
+        /// No response behind the face (u_z < 0).
         baffled: bool,
     },
 }
@@ -416,116 +524,137 @@ pub enum Pattern {
 /// One transmit array: a single coherent radiator.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TransmitArray {
+    /// Position and orientation in the body.
     pub mounting: Mounting,
+    /// Directional response.
     pub pattern: Pattern,
-    /// Added to the settings' source level, dB.
+    /// Offset to the source level of the settings, dB.
     pub level_offset_db: f64,
 }
 
 /// One receive array: a uniform line of equal elements along the array's x axis, centred on the mounting.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArrayGeometry {
+    /// Position and orientation in the body.
     pub mounting: Mounting,
+    /// Number of elements.
     pub elements: usize,
+    /// Element spacing along x, metres.
     pub spacing_m: f64,
+    /// Directional response of one element.
     pub element_pattern: Pattern,
-    /// dB re 1 V/uPa.
+    /// Receive sensitivity, dB re 1 V/uPa.
     pub sensitivity_db: f64,
-    /// Index of the transmit array whose pulse this array listens to.
+    /// Index of the transmit array whose pulse this array receives.
     pub transmit: usize,
 }
 
 impl ArrayGeometry {
-    /// Element `e`'s place in array axes, metres along x.
+    /// Position of element `e` along the array's x axis, metres.
     pub fn element_x_m(&self, e: usize) -> f64 {
         (e as f64 - (self.elements as f64 - 1.0) / 2.0) * self.spacing_m
     }
-    /// Element `e`'s place in the body, metres.
+    /// Position of element `e` in body axes, metres.
     pub fn element_body_m(&self, e: usize) -> DVec3 {
         self.mounting.position_m
             + self.mounting.body_from_array * DVec3::new(self.element_x_m(e), 0.0, 0.0)
     }
 }
 
-/// A piece of the polyline: from `start_s` on, the reference point moves at constant velocity with constant attitude.
+/// One segment of the polyline: constant velocity and attitude of the reference point from `start_s` on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Segment {
-    /// Seconds from the start of the pulse; the first segment's is 0.
+    /// Start, seconds after the start of the pulse; 0 for the first segment.
     pub start_s: f64,
     /// Reference point at `start_s`, world, metres.
     pub position_m: DVec3,
+    /// Velocity, world, metres per second.
     pub velocity_m_per_s: DVec3,
+    /// Rotation from body to world axes.
     pub world_from_body: DQuat,
 }
 
+/// Model of the platform motion during the listening window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PathModel {
+    /// The platform is at rest during the window.
     StopAndHop,
-    /// The platform on the plan's segments: constant velocity and attitude on each, and a step of the attitude between them.
+    /// The platform moves along the segments of the plan: constant velocity and attitude on each, with a step of the attitude
+    /// between them.
     Polyline,
-    /// Each element on chords of its own between the plan's vertices: no steps, and what rotation does to an element on an arm is in it.
+    /// Each element moves along its own chords between the vertices of the plan, without steps. Chords include the rotation of an
+    /// element on a lever arm.
     KSegment,
-    /// Position and attitude at the moment of reception itself.
+    /// Exact position and attitude at the time of reception.
     Continuous,
 }
 
+/// Model of the Doppler effect on echoes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DopplerModel {
+    /// No Doppler effect.
     None,
-    /// Each echo stretched evenly about its leading edge.
+    /// Each echo is stretched uniformly about its leading edge.
     Stretch,
-    /// Each echo stretched about the middle of the pulse, with the change of the stretch during it.
+    /// Each echo is stretched about the middle of the pulse, with the change of the stretch during the pulse.
     StretchQuadratic,
     /// Eq. 21 of Meng et al. 2023 as printed: delays stretched, pulse not. For comparison.
     PaperEq21,
 }
 
+/// Method that sums echoes to element samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Synthesis {
-    /// Retarded time per sample on the continuous trajectory: slow and trusted.
+    /// Retarded time of every sample on the continuous trajectory: the slow reference solution.
     Reference,
-    /// The linearised sum under the chosen path and Doppler.
+    /// Linearised sum with the selected path and Doppler models.
     Direct,
     /// Eqs. 18 and 21 of Meng et al. 2023 on their frequency grid.
     Spectral,
-    /// Each echo's replica laid on the nearest sample.
+    /// Replica of each echo, placed at the nearest sample.
     Nearest,
-    /// Each echo's replica interpolated linearly between its samples.
+    /// Replica of each echo, interpolated linearly between samples.
     Linear,
-    /// Echoes spread on a grid and transformed, an element at a time, within a tolerance.
+    /// Echoes gridded and transformed per element, within a tolerance.
     Gridded1d,
-    /// The same over delay and slope, a whole line array at a time.
+    /// Echoes gridded over delay and slope and transformed for a whole line array, within a tolerance.
     Gridded2d,
 }
 
+/// Anti-aliasing filter of the receiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReceiverFilter {
-    /// The sum is sampled at its points.
+    /// No filter: the sum is sampled directly.
     None,
-    /// A linear-phase low-pass ahead of the sampling, delay removed.
+    /// Linear-phase low-pass filter before sampling, with its delay removed.
     Fir,
 }
 
+/// Selected models and method of a ping.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ModelChoice {
+    /// Motion model.
     pub path: PathModel,
+    /// Doppler model.
     pub doppler: DopplerModel,
+    /// Synthesis method.
     pub synthesis: Synthesis,
-    /// Longest polyline segment, seconds.
+    /// Maximum length of a polyline segment, seconds.
     pub segment_s: f64,
-    /// Scatterers whose two-way pattern (transmit times element, over their boresights) is below this are left out, dB (negative);
-    /// where [`Scatterers::loud`] says so, only below less. None keeps all.
+    /// Scatterers are culled if their two-way pattern (transmit times element, relative to boresight) is below this level, dB
+    /// (negative). [`Scatterers::loud`] lowers the level of single scatterers. `None` keeps all.
     pub cull_db: Option<f64>,
 }
 
 impl PathModel {
+    /// All models.
     pub const ALL: [Self; 4] = [
         Self::StopAndHop,
         Self::Polyline,
         Self::KSegment,
         Self::Continuous,
     ];
-    /// As the configuration and the records spell it.
+    /// Name in the configuration and in records.
     pub fn name(self) -> &'static str {
         match self {
             Self::StopAndHop => "stop-and-hop",
@@ -537,13 +666,14 @@ impl PathModel {
 }
 
 impl DopplerModel {
+    /// All models.
     pub const ALL: [Self; 4] = [
         Self::None,
         Self::Stretch,
         Self::StretchQuadratic,
         Self::PaperEq21,
     ];
-    /// As the configuration and the records spell it.
+    /// Name in the configuration and in records.
     pub fn name(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -552,13 +682,14 @@ impl DopplerModel {
             Self::PaperEq21 => "paper-eq21",
         }
     }
-    /// Whether it leaves the pulse as it is, so that one spectrum or one replica serves every echo.
+    /// Whether the pulse is unchanged, so that one spectrum or replica serves every echo.
     pub fn keeps_pulse(self) -> bool {
         matches!(self, Self::None | Self::PaperEq21)
     }
 }
 
 impl Synthesis {
+    /// All methods.
     pub const ALL: [Self; 7] = [
         Self::Reference,
         Self::Direct,
@@ -568,7 +699,7 @@ impl Synthesis {
         Self::Gridded1d,
         Self::Gridded2d,
     ];
-    /// As the configuration and the records spell it.
+    /// Name in the configuration and in records.
     pub fn name(self) -> &'static str {
         match self {
             Self::Reference => "reference",
@@ -580,15 +711,15 @@ impl Synthesis {
             Self::Gridded2d => "gridded-2d",
         }
     }
-    /// Whether it lays one and the same pulse under every echo, so that only [`DopplerModel::keeps_pulse`] models go with it.
+    /// Whether all echoes share one pulse; such methods need a model that [`DopplerModel::keeps_pulse`].
     pub fn shares_pulse(self) -> bool {
         matches!(self, Self::Spectral | Self::Nearest | Self::Linear)
     }
-    /// Whether it is made for a tolerance and keeps it, rather than having the error it has.
+    /// Whether the method is built for a tolerance and meets it.
     pub fn keeps_tolerance(self) -> bool {
         matches!(self, Self::Gridded1d | Self::Gridded2d)
     }
-    /// Whether it can sum echoes of this Doppler model.
+    /// Whether the method supports this Doppler model.
     pub fn takes(self, doppler: DopplerModel) -> bool {
         match self {
             Self::Reference | Self::Direct => true,
@@ -598,19 +729,21 @@ impl Synthesis {
     }
 }
 
-/// What a method promises and costs; the method selection chooses among error models.
+/// Predicted error and cost of a method, for method selection.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ErrorModel {
+    /// Name of the method.
     pub name: &'static str,
-    /// Predicted relative error against the reference.
+    /// Predicted relative error against the reference solution.
     pub error: f64,
-    /// Predicted core milliseconds per ping.
+    /// Predicted core time per ping, milliseconds.
     pub cost_ms: f64,
+    /// Reason for the prediction, for reports.
     pub why: String,
 }
 
 impl ErrorModel {
-    /// The error model itself if its method reaches `tolerance`.
+    /// The error model if its error is within `tolerance`.
     pub fn within(self, tolerance: f64) -> Result<Self, MethodRefused> {
         if self.error <= tolerance {
             return Ok(self);
@@ -624,136 +757,164 @@ impl ErrorModel {
     }
 }
 
-/// A method that cannot do what is asked of it.
+/// A method whose error exceeds the tolerance.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{name} is off by {error:.1e} here, and {tolerance:.1e} is asked: {why}")]
 pub struct MethodRefused {
+    /// Name of the method.
     pub name: &'static str,
-    /// Predicted, as in [`ErrorModel`].
+    /// Predicted relative error, as in [`ErrorModel`].
     pub error: f64,
+    /// Required tolerance.
     pub tolerance: f64,
+    /// Reason for the prediction.
     pub why: String,
 }
 
-/// What the errors and costs of methods depend on; the worst of a ping, or of a whole run.
+/// Parameters of the error and cost models; the maxima over a ping or a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conditions {
+    /// Transmitted pulse.
     pub pulse: Pulse,
+    /// Sound speed, metres per second.
     pub sound_speed_m_per_s: f64,
+    /// Sample rate, hertz.
     pub sample_rate_hz: f64,
+    /// Receiver filter.
     pub filter: ReceiverFilter,
-    /// Of a transmitter or an element, its arm included.
+    /// Speed of a transmitter or element, including its lever arm, metres per second.
     pub speed_m_per_s: f64,
+    /// Acceleration of a transmitter or element, metres per second squared.
     pub acceleration_m_per_s2: f64,
-    /// How fast an arm's end moves by the platform's turning alone.
+    /// Speed of the end of a lever arm from the rotation of the platform, metres per second.
     pub turning_m_per_s: f64,
-    /// Nearest and farthest scatterer.
+    /// Ranges of the nearest and the farthest scatterer, metres.
     pub range_m: (f64, f64),
+    /// Maximum length of a polyline segment, seconds.
     pub segment_s: f64,
+    /// Number of scatterers.
     pub scatterers: usize,
+    /// Number of elements.
     pub elements: usize,
-    /// What the methods that keep a tolerance are made for.
+    /// Tolerance for methods that meet one.
     pub tolerance: f64,
-    /// None: echoes may come from any direction.
+    /// Statistics of the received echoes; `None` if echoes may come from any direction.
     pub heard: Option<Heard>,
 }
 
-/// How the echoes that are heard move, weighted with their energy: root mean squares over the echoes of a window of a pulse's length, of the
-/// worst window of a ping, relative to that window or to the whole ping, whichever is louder.
+/// Energy-weighted motion of the received echoes. Values are root mean squares over the echoes of a pulse-length window, for the
+/// worst window of a ping. They are relative to that window or to the whole ping, whichever is louder.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Heard {
-    /// How far an element moves along the ray between the pulse and the echo.
+    /// Displacement of an element along the ray between pulse and echo, metres.
     pub hop_m: f64,
-    /// Along the ray, the mean of transmitter and element. A window may hold the end of a pulse alone, where Doppler's phase has grown: as its root
-    /// mean square there would be that of a whole pulse, so much more than [`Self::closing_of_echoes_m_per_s`].
+    /// Closing speed along the ray, mean of transmitter and element, metres per second. A window may hold only the end of a
+    /// pulse, where the Doppler phase is largest. This value is scaled so that its root mean square represents a whole pulse and
+    /// exceeds [`Self::closing_of_echoes_m_per_s`] accordingly.
     pub closing_m_per_s: f64,
-    /// ... of whole echoes.
+    /// Closing speed of whole echoes, metres per second.
     pub closing_of_echoes_m_per_s: f64,
-    /// Second derivative of the range, the mean of both legs.
+    /// Second derivative of the range, mean of both legs, metres per second squared.
     pub bend_m_per_s2: f64,
-    /// Of an element, along the ray.
+    /// Acceleration of an element along the ray, metres per second squared.
     pub acceleration_m_per_s2: f64,
-    /// Of an element on its arm by the platform's turning alone, along the ray.
+    /// Speed of an element on its lever arm from the rotation of the platform, along the ray, metres per second.
     pub turning_m_per_s: f64,
-    /// Of an element, along the ray, of what its motion has across its array.
+    /// Component along the ray of the motion of an element across its array, metres per second.
     pub across_m_per_s: f64,
-    /// By how much the errors of echoes at random phases add up to more than their root mean square in the worst window of any element, and
-    /// what else a sample of the echoes does not show.
+    /// Ratio of the summed error of echoes with random phases in the worst window of any element to its root mean square, with an
+    /// allowance for the sampling of echoes.
     pub spread: f64,
-    /// Of the energy of a window, at most, what its loudest echo alone has.
+    /// Maximum share of the loudest echo in the energy of a window.
     pub loudest: f64,
-    /// Echoes of all elements.
+    /// Number of echoes of all elements.
     pub echoes: f64,
 }
 
 impl Conditions {
-    /// Relative error that a phase error of `phase_rad` (rms) makes at most: that of an echo turned upside down is 2.
+    /// Relative error from a phase error of `phase_rad` (rms); at most 2, that of a reversed echo.
     pub fn error_of_phase(phase_rad: f64) -> f64 {
         phase_rad.min(2.0)
     }
 
-    /// Radians of carrier in a metre of path, at the highest frequency of the sweep.
+    /// Wavenumber at the highest frequency of the sweep, radians per metre.
     pub fn wavenumber_per_m(&self) -> f64 {
         let highest_hz = self.pulse.center_frequency_hz + 0.5 * self.pulse.bandwidth_hz;
         std::f64::consts::TAU * highest_hz / self.sound_speed_m_per_s
     }
 }
 
-/// Time-varying gain over slant range r.
+/// Time-varying gain over slant range r, metres.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TimeVaryingGain {
+    /// No gain.
     None,
-    /// spreading log10(r) + 2 absorption r, clipped to 0..=max; `spreading` is 20, 30 or 40; `absorption_db_per_m` one way.
+    /// spreading log10(r) + 2 absorption r, limited to 0..=max.
     Law {
+        /// Spreading coefficient: 20, 30 or 40.
         spreading: f64,
+        /// One-way absorption, dB per metre.
         absorption_db_per_m: f64,
+        /// Maximum gain, dB.
         max_db: f64,
     },
-    /// (range in metres, gain in dB), linear between, held outside.
+    /// Points of range (metres) and gain (dB): linear between them, constant outside.
     Table(Vec<(f64, f64)>),
 }
 
-/// Receiver chain behind the elements.
+/// Receiver chain after the elements.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Receiver {
+    /// Sample rate, hertz.
     pub sample_rate_hz: f64,
+    /// Anti-aliasing filter.
     pub filter: ReceiverFilter,
+    /// Time-varying gain.
     pub tvg: TimeVaryingGain,
-    /// Noise at the element, dB re 1 uPa^2/Hz; none is noiseless.
+    /// Noise at the element, dB re 1 uPa^2/Hz; `None` is noiseless.
     pub noise_db: Option<f64>,
-    /// None: not quantised.
+    /// Resolution of the converter, bits; `None` does not quantise.
     pub adc_bits: Option<u32>,
-    /// Volts (rms of the envelope) that fill the converter, and the wire's integers.
+    /// Full scale of the converter and of integer records, volts (rms of the envelope).
     pub full_scale_v: f64,
+    /// Seed of the noise.
     pub seed: u64,
 }
 
-/// One ping of one sonar, complete: nothing downstream asks anybody else.
+/// Complete description of one ping of one sonar; later stages need nothing else.
 #[derive(Clone, Debug)]
 pub struct PingPlan {
+    /// Index of the sonar.
     pub sonar: usize,
-    /// Sequential, from 1; a skipped ping keeps its number.
+    /// Sequential number, from 1; a skipped ping keeps its number.
     pub ping_number: u32,
     /// Start of the pulse, rig time.
     pub transmit_utc: UtcNs,
-    /// What the records are stamped with (`nav.stamp`).
+    /// Time stamp of the records (`nav.stamp`).
     pub stamp_utc: UtcNs,
-    /// Seconds since the previous transmitted ping; 0 for the first.
+    /// Time since the previous transmitted ping, seconds; 0 for the first.
     pub ping_period_s: f64,
+    /// Settings of this ping.
     pub settings: SonarSettings,
-    /// The rate actually kept (lower than the maximum where the range is too long for it).
+    /// Actual ping rate, hertz; below the maximum if the range requires it.
     pub ping_rate_hz: f64,
+    /// Transmitted pulse.
     pub pulse: Pulse,
+    /// Sound speed, metres per second.
     pub sound_speed_m_per_s: f64,
-    /// One way.
+    /// One-way absorption, dB per metre.
     pub absorption_db_per_m: f64,
-    /// Samples of every element; sample k lies at `first_sample_s + k / receiver.sample_rate_hz`.
+    /// Samples per element; sample k lies at `first_sample_s + k / receiver.sample_rate_hz`.
     pub sample_count: usize,
+    /// Time of sample 0, seconds.
     pub first_sample_s: f64,
+    /// Selected models and method.
     pub model: ModelChoice,
+    /// State of the platform for output records.
     pub nav: NavState,
+    /// Motion of the platform over the listening window.
     pub trajectory: Trajectory,
-    /// The polyline over the listening window; at least one.
+    /// Polyline over the listening window; at least one segment.
     pub segments: Vec<Segment>,
 }
 
@@ -766,31 +927,33 @@ impl PingPlan {
 
 // ---------------------------------------------------------------- the scene
 
-/// How a scatterer's pressure depends on the angles between its normal and the two rays. Nothing on the far side of the normal.
+/// Dependence of a scatterer's pressure on the angles between its normal and the two rays. Scatterers do not radiate behind their
+/// normal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ScatterLaw {
-    /// The same in every direction.
+    /// Independent of direction.
     Point,
-    /// Times sqrt(cos i cos s) (bistatic Lambert).
+    /// Factor sqrt(cos i cos s) (bistatic Lambert).
     Lambert,
-    /// Times cos i of the incoming ray, whatever the direction of the receiver (Meng et al. 2023, Eq. 13).
+    /// Factor cos i of the incident ray, independent of the receiver (Meng et al. 2023, Eq. 13).
     LambertOneWay,
-    /// Times [`LawCurve::half`] of either ray, of the curve that comes with the scatterers.
+    /// Product of [`LawCurve::half`] for both rays, with the curve of the scatterers.
     Curve,
 }
 
-/// A backscattering strength over the angle of incidence, ready for loops: the pressure of one leg, so that the legs multiply.
+/// Backscattering strength over the angle of incidence, tabulated as the pressure factor of one leg; the factors of both legs
+/// multiply.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LawCurve {
-    /// Fourth roots of the strength at even steps of the root of the cosine, from grazing to normal incidence.
+    /// Fourth roots of the strength at even steps of the square root of the cosine, from grazing to normal incidence.
     half: Box<[f64; Self::STEPS + 1]>,
 }
 
 impl LawCurve {
-    /// A Gaussian lobe 3 degrees wide is met to 0.01 dB between the nodes; 32 KiB stay near a core.
+    /// Number of steps: a Gaussian lobe 3 degrees wide is accurate to 0.01 dB, and the table of 32 KiB fits the L1 cache.
     const STEPS: usize = 4096;
 
-    /// `strength`: a power per square metre of seabed, over the cosine of incidence (0 to 1).
+    /// Curve of `strength`: backscattered power per square metre of seabed, as a function of the cosine of incidence (0 to 1).
     pub fn new(strength: impl Fn(f64) -> f64) -> Self {
         let mut half = Box::new([0.0; Self::STEPS + 1]);
         for (k, half) in half.iter_mut().enumerate() {
@@ -800,7 +963,7 @@ impl LawCurve {
         Self { half }
     }
 
-    /// Pressure of one leg, linear between the nodes. `root`: of the cosine of incidence, 0 to 1.
+    /// Pressure factor of one leg, interpolated linearly. `root` is the square root of the cosine of incidence, 0 to 1.
     #[inline(always)]
     pub fn half(&self, root: f64) -> f64 {
         let x = root * Self::STEPS as f64;
@@ -809,35 +972,42 @@ impl LawCurve {
     }
 }
 
-/// Points that scatter, structure of arrays; all vectors have the same length.
+/// Point scatterers as a structure of arrays of equal length.
 #[derive(Clone, Debug, Default)]
 pub struct Scatterers {
-    /// World, metres.
+    /// World north, metres.
     pub north_m: Vec<f64>,
+    /// World east, metres.
     pub east_m: Vec<f64>,
+    /// World down, metres.
     pub down_m: Vec<f64>,
-    /// Unit, away from the solid; unused for points.
+    /// Outward unit normal, world axes; unused for points.
     pub normal: Vec<[f32; 3]>,
-    /// Echo pressure at 1 m for unit incident pressure; for a patch of seabed sqrt(mu area) times its fixed complex reflectivity.
+    /// Echo pressure at 1 m for unit incident pressure. For a seabed patch it is sqrt(mu area) times a fixed complex
+    /// reflectivity.
     pub strength: Vec<Complex64>,
+    /// Directional law.
     pub law: Vec<ScatterLaw>,
-    /// By which factor, 1 or more, the floor of the patterns ([`ModelChoice::cull_db`]) lies lower for this one, because it is louder than the
-    /// ground that the floor was chosen for.
+    /// Factor, 1 or more, by which the pattern floor ([`ModelChoice::cull_db`]) is lower for a scatterer louder than the ground.
     pub loud: Vec<f32>,
-    /// Of those whose law is [`ScatterLaw::Curve`]; without it they are silent.
+    /// Curve of scatterers with [`ScatterLaw::Curve`]; without it they are silent.
     pub curve: Option<Arc<LawCurve>>,
 }
 
 impl Scatterers {
+    /// Number of scatterers.
     pub fn len(&self) -> usize {
         self.north_m.len()
     }
+    /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.north_m.is_empty()
     }
+    /// Removes all scatterers.
     pub fn clear(&mut self) {
         self.truncate(0);
     }
+    /// Removes all but the first `len` scatterers.
     pub fn truncate(&mut self, len: usize) {
         self.north_m.truncate(len);
         self.east_m.truncate(len);
@@ -847,7 +1017,7 @@ impl Scatterers {
         self.law.truncate(len);
         self.loud.truncate(len);
     }
-    /// Puts scatterer `from` in the place of scatterer `to`.
+    /// Copies scatterer `from` over scatterer `to`.
     pub fn copy_within(&mut self, from: usize, to: usize) {
         self.north_m[to] = self.north_m[from];
         self.east_m[to] = self.east_m[from];
@@ -857,7 +1027,7 @@ impl Scatterers {
         self.law[to] = self.law[from];
         self.loud[to] = self.loud[from];
     }
-    /// To be written over: what is added scatters nothing.
+    /// Changes the number of scatterers; new ones have zero strength.
     pub fn resize(&mut self, len: usize) {
         self.north_m.resize(len, 0.0);
         self.east_m.resize(len, 0.0);
@@ -867,6 +1037,7 @@ impl Scatterers {
         self.law.resize(len, ScatterLaw::Point);
         self.loud.resize(len, 1.0);
     }
+    /// Appends a scatterer: position in world metres, outward unit normal, strength and law.
     pub fn push(
         &mut self,
         position_m: DVec3,
@@ -882,50 +1053,57 @@ impl Scatterers {
         self.law.push(law);
         self.loud.push(1.0);
     }
+    /// Position of scatterer `i`, world, metres.
     pub fn position_m(&self, i: usize) -> DVec3 {
         DVec3::new(self.north_m[i], self.east_m[i], self.down_m[i])
     }
 }
 
-/// What one pair of transmitter and receive array can hear of the scene: a ball, less the directions where the patterns of transmitter and
-/// element together surely lie below what counts, and what lies behind a baffle. A footprint with a value that is not finite hears nothing.
+/// Region of the scene that a pair of transmitter and receive array can receive: a sphere, without directions in which the
+/// two-way pattern is below the floor, and without the region behind a baffle. A footprint with a non-finite value is empty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Footprint {
-    /// World, metres: the transmitter.
+    /// Transmitter, world, metres.
     pub apex_m: DVec3,
-    /// World, metres: the middle of the receive array.
+    /// Centre of the receive array, world, metres.
     pub receiver_m: DVec3,
+    /// Radius of the sphere around the apex, metres.
     pub max_range_m: f64,
+    /// Bounds of the pattern: length and width of transmitter and element.
     pub sides: [PatternSide; Self::SIDES],
-    /// How many times below its greatest value the product of the sides may fall; infinite keeps all.
+    /// Ratio of the maximum of the product of the sides to its floor; infinite keeps all directions.
     pub depth: f64,
+    /// Faces of transmitter and element.
     pub faces: [BaffledFace; 2],
 }
 
-/// One side of a rectangular radiator. Its pattern stays below 1 / (u / knee), u the sine of the direction off the side's broadside.
+/// Bound on the pattern of one side of a rectangular radiator: it stays below 1 / (u / knee), with u the sine of the angle from
+/// broadside.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PatternSide {
-    /// Along the side, in the world, unit.
+    /// Direction of the side, world, unit vector.
     pub axis: DVec3,
-    /// Sine from which that is less than 1: lambda / (pi L); infinite for a side without length.
+    /// Sine from which the bound is less than 1: lambda / (pi L); infinite for a side without length.
     pub knee: f64,
-    /// What the sine may be off by, because the platform turns ...
+    /// Error of the sine from the rotation of the platform.
     pub turn: f64,
-    /// ... and, over the range in metres, because the radiator sits or moves elsewhere than the apex.
+    /// Error of the sine times range from the distance of the radiator to the apex, metres.
     pub shift_m: f64,
 }
 
-/// A face that radiates or hears nothing behind.
+/// A face without response behind it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BaffledFace {
-    /// Out of the face, in the world, unit; zero for a face that is open.
+    /// Outward unit normal, world axes; zero for an open face.
     pub normal: DVec3,
-    /// As in [`PatternSide`].
+    /// Error of the sine from the rotation of the platform, as in [`PatternSide`].
     pub turn: f64,
+    /// Error from the distance of the face to the apex, metres, as in [`PatternSide`].
     pub shift_m: f64,
 }
 
 impl PatternSide {
+    /// Side without a bound.
     pub const OPEN: Self = Self {
         axis: DVec3::X,
         knee: f64::INFINITY,
@@ -933,7 +1111,7 @@ impl PatternSide {
         shift_m: 0.0,
     };
 
-    /// How many times below 1 the pattern surely lies where the direction's part along the axis is `along_m` of `range_m`.
+    /// Factor by which the pattern is at least below 1 for a point at `range_m` whose component along the axis is `along_m`.
     #[inline(always)]
     pub fn below(&self, along_m: f64, range_m: f64) -> f64 {
         let sine = (along_m.abs() - self.shift_m) / range_m - self.turn;
@@ -942,12 +1120,14 @@ impl PatternSide {
 }
 
 impl BaffledFace {
+    /// Face without a baffle.
     pub const OPEN: Self = Self {
         normal: DVec3::ZERO,
         turn: 0.0,
         shift_m: 0.0,
     };
 
+    /// Whether a point at `range_m`, `ahead_m` along the normal, may be in front of the face.
     #[inline(always)]
     pub fn may_face(&self, ahead_m: f64, range_m: f64) -> bool {
         ahead_m >= -(self.turn * range_m + self.shift_m)
@@ -958,7 +1138,7 @@ impl Footprint {
     /// Length and width of transmitter and element.
     pub(crate) const SIDES: usize = 4;
 
-    /// Everything within range.
+    /// All directions within range of a point (world, metres).
     pub fn all_round(apex_m: DVec3, max_range_m: f64) -> Self {
         Self {
             apex_m,
@@ -970,7 +1150,7 @@ impl Footprint {
         }
     }
 
-    /// Everything within range whose direction u has |u . axis| no greater than `max_sine`.
+    /// Directions u within range with |u . axis| at most `max_sine`.
     pub fn fan(apex_m: DVec3, max_range_m: f64, axis: DVec3, max_sine: f64) -> Self {
         let mut footprint = Self::all_round(apex_m, max_range_m);
         footprint.sides[0] = PatternSide {
@@ -982,6 +1162,7 @@ impl Footprint {
         footprint
     }
 
+    /// Whether a position (world, metres) is inside.
     pub fn contains(&self, position_m: DVec3) -> bool {
         let d = position_m - self.apex_m;
         let range_squared = d.length_squared();
@@ -1001,6 +1182,7 @@ impl Footprint {
                     <= self.depth)
     }
 
+    /// Whether all values are finite and valid.
     pub fn is_finite(&self) -> bool {
         self.apex_m.is_finite()
             && self.receiver_m.is_finite()
@@ -1018,58 +1200,64 @@ impl Footprint {
     }
 }
 
-/// What one gathering met.
+/// Counts of one collection of scatterers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SceneCounts {
-    /// Tiles that lay in reach of a footprint, and of these the ones that had to be made.
+    /// Tiles in reach of a footprint.
     pub tiles_used: u64,
+    /// Of those: tiles that had to be generated.
     pub tiles_made: u64,
-    /// Pieces of the seabed around the footprints, one tile or many, that were out of reach or held no seabed.
+    /// Seabed regions (one or more tiles) that are out of reach or empty.
     pub culled_tiles: u64,
-    /// Scatterers of the seabed: those in the tiles that had to be made.
+    /// Seabed scatterers in generated tiles.
     pub made: u64,
-    /// Those in the tiles in reach, which every ping looks at, are culled (in no footprint), in shadow, or handed on.
+    /// Scatterers of tiles in reach that are outside every footprint.
     pub culled: u64,
-    /// Explicit points and scatterers of targets are among these.
+    /// Scatterers in shadow, including explicit points and scatterers of targets.
     pub shadowed: u64,
+    /// Scatterers passed on, including explicit points and scatterers of targets.
     pub scatterers: u64,
-    /// Explicit points and targets handed on.
+    /// Explicit points passed on.
     pub points: u64,
+    /// Targets passed on.
     pub targets: u64,
 }
 
 /// A named strong target, for the truth file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Target {
+    /// Name in the scene.
     pub name: String,
     /// World, metres.
     pub position_m: DVec3,
-    /// dB.
+    /// Target strength, dB.
     pub target_strength_db: f64,
 }
 
 // ---------------------------------------------------------------- echoes
 
-/// Scatterers in one chunk at most.
+/// Maximum number of scatterers in one chunk.
 pub const CHUNK: usize = 256;
 
 /// Echoes of up to [`CHUNK`] scatterers at one element, structure of arrays, small enough for L1.
 pub struct ArrivalChunk {
+    /// Number of echoes.
     pub len: usize,
-    /// Which element of the array being computed.
+    /// Index of the element.
     pub element: usize,
     /// Leading edge after the start of the pulse, seconds.
     pub delay_s: [f64; CHUNK],
-    /// eta = dt'/dt - 1: the Doppler stretch minus one (kept so that small ones lose no digits).
+    /// eta = dt'/dt - 1: Doppler stretch minus one, which keeps the precision of small values.
     pub doppler: [f64; CHUNK],
-    /// Half of d2t'/dt2, per second: s seconds after the leading edge sounds what left at (1 + doppler) s + curvature s^2. Zero unless the
-    /// Doppler model is [`DopplerModel::StretchQuadratic`].
+    /// Half of d2t'/dt2, per second. The sound at s seconds after the leading edge left at (1 + doppler) s + curvature s^2. Zero
+    /// except with [`DopplerModel::StretchQuadratic`].
     pub curvature_per_s: [f64; CHUNK],
-    /// Complex amplitude A_{m,e} at the element, without carrier phase: uPa (rms) after sensitivity: volts.
+    /// Complex amplitude A_{m,e} at the element without carrier phase: uPa (rms), and volts after the sensitivity.
     pub amplitude: [Complex64; CHUNK],
 }
 
 impl ArrivalChunk {
+    /// Empty chunk.
     pub fn new() -> Self {
         Self {
             len: 0,
@@ -1088,8 +1276,9 @@ impl Default for ArrivalChunk {
     }
 }
 
-/// Whatever turns echoes into samples. `echo` fills chunks, `array` implements this, `run` joins them.
+/// Consumer of echoes at elements.
 pub trait ArrivalSink {
+    /// Adds the echoes of a chunk.
     fn accept(&mut self, chunk: &ArrivalChunk);
 }
 
@@ -1097,26 +1286,31 @@ pub trait ArrivalSink {
 ///
 /// With u(y, w) the delay, at y metres along the line from the point, of what left w seconds into the pulse (leading edge: 0, 0).
 pub struct LineChunk {
+    /// Number of echoes.
     pub len: usize,
-    /// As [`ArrivalChunk`] has them.
+    /// As in [`ArrivalChunk`].
     pub delay_s: [f64; CHUNK],
+    /// As in [`ArrivalChunk`].
     pub doppler: [f64; CHUNK],
+    /// As in [`ArrivalChunk`].
     pub amplitude: [Complex64; CHUNK],
-    /// -c du/dy: the sine of the angle from broadside, as the moving line sees it.
+    /// -c du/dy: sine of the angle from broadside, as the moving line receives it.
     pub slope: [f64; CHUNK],
     /// c d2u/dy2.
     pub bend_per_m: [f64; CHUNK],
     /// c d2u/dy dw.
     pub twist_per_s: [f64; CHUNK],
-    /// c d2u/dw2: what the linearised stretch leaves out.
+    /// c d2u/dw2: the part that the linear stretch omits.
     pub swing_m_per_s2: [f64; CHUNK],
-    /// How the amplitude differs along the stretch: `amplitude` times 1 + fade y + curl y^2 at y metres from the middle, exact at both ends.
-    /// Zero where they were not asked for.
+    /// First-order variation of the amplitude along the stretch: `amplitude` times 1 + fade y + curl y^2 at y metres from the
+    /// middle, exact at both ends. Zero if not requested.
     pub fade_per_m: [f64; CHUNK],
+    /// Second-order variation of the amplitude along the stretch, as in `fade_per_m`.
     pub curl_per_m2: [f64; CHUNK],
 }
 
 impl LineChunk {
+    /// Empty chunk.
     pub fn new() -> Self {
         let zero = [0.0; CHUNK];
         Self {
@@ -1133,7 +1327,7 @@ impl LineChunk {
         }
     }
 
-    /// Copies slope, bend, twist, swing, fade and curl from one place to another.
+    /// Copies slope, bend, twist, swing, fade and curl of echo `from` to echo `to`.
     pub fn move_derivatives(&mut self, from: usize, to: usize) {
         self.slope[to] = self.slope[from];
         self.bend_per_m[to] = self.bend_per_m[from];
@@ -1150,63 +1344,64 @@ impl Default for LineChunk {
     }
 }
 
-/// As [`ArrivalSink`], for whole stretches of a line array.
+/// Consumer of echoes at stretches of a line array.
 pub trait LineSink {
+    /// Adds the echoes of a chunk.
     fn accept(&mut self, chunk: &LineChunk);
 }
 
-/// A stretch of a line array, by its middle, and the leading edges that are asked for.
+/// A stretch of a line array around its middle, and the requested interval of leading edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineStretch {
-    /// From the array's centre.
+    /// Middle of the stretch relative to the centre of the array, metres.
     pub middle_m: f64,
-    /// From its middle to its outermost elements.
+    /// Distance from the middle to the outermost elements, metres.
     pub half_m: f64,
-    /// Whether fade and curl are wanted.
+    /// Fade and curl are requested.
     pub fades: bool,
-    /// Elements in it, for the counts.
+    /// Number of elements, for the counts.
     pub elements: u64,
-    /// From `earliest_s` up to, not including, `latest_s`.
+    /// First requested leading edge, inclusive, seconds.
     pub earliest_s: f64,
+    /// Last requested leading edge, exclusive, seconds.
     pub latest_s: f64,
 }
 
-/// Where the echoes of one ping at one line array come from; many threads ask at once.
+/// Source of the echoes of one ping at one line array; threads use it concurrently.
 pub trait LineSource: Sync {
-    /// Scatterers that may be heard.
+    /// Number of candidate scatterers.
     fn scatterers(&self) -> u64;
 
-    /// No echo begins before, anywhere on the line; infinite where there is none.
+    /// Lower bound of all leading edges anywhere on the line, seconds; infinite without echoes.
     fn earliest_s(&self) -> f64;
 
-    /// Points of amplitude 0 that span what [`Self::walk`] would hand on (all but a few of the echoes lie between them), and a sample of its
-    /// echoes, with fade and curl.
+    /// Emits points of amplitude 0 that bound nearly all echoes of [`Self::walk`], and a sample of its echoes with fade and curl.
     fn survey(&self, stretch: LineStretch, sink: &mut impl LineSink);
 
-    /// Echoes at the middle of a stretch, in chunks of at most [`CHUNK`], always in the same order. Counts are of scatterer-element pairs;
-    /// an echo outside the delays asked for is not counted at all, since another stretch asks for it.
+    /// Emits the echoes at the middle of a stretch in a fixed order, in chunks of at most [`CHUNK`]. Counts are of
+    /// scatterer-element pairs. An echo outside the requested delays is not counted, because another stretch requests it.
     fn walk(&self, stretch: LineStretch, sink: &mut impl LineSink) -> EchoCounts;
 }
 
-/// What a walk over the scatterers met.
+/// Counts of one walk over the scatterers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EchoCounts {
-    /// Scatterer-element pairs handed on.
+    /// Scatterer-element pairs passed on.
     pub used: u64,
-    /// Left out by the patterns (`ModelChoice::cull_db`).
+    /// Culled by the patterns ([`ModelChoice::cull_db`]).
     pub culled: u64,
     /// Outside the listening window.
     pub outside_window: u64,
-    /// Closer than a wavelength, where the far-field amplitude does not hold: held at one wavelength.
+    /// Closer than a wavelength, where the far-field amplitude is invalid; clamped at one wavelength.
     pub too_close: u64,
-    /// Polyline: fell into the gap where an element jumps at a vertex; placed at the vertex time.
+    /// Polyline: in the gap of an element's step at a vertex; placed at the vertex time.
     pub no_root: u64,
-    /// Polyline: two segments had a root; the first was taken.
+    /// Polyline: two segments have a root; the first is used.
     pub two_roots: u64,
-    /// Beyond the polyline's last segment; carried on along it.
+    /// After the last segment of the polyline; extrapolated along it.
     pub beyond_track: u64,
-    /// Beyond what the engine is made for. `gridded-1d`: faster, and heard with the greatest Doppler it knows. `gridded-2d`: all those of a
-    /// ping that was nearer or faster than its tolerance bears.
+    /// Beyond the range of the engine. `gridded-1d`: clamped at its maximum Doppler. `gridded-2d`: all echoes of a ping that is
+    /// nearer or faster than its tolerance allows.
     pub beyond_engine: u64,
 }
 
@@ -1228,18 +1423,22 @@ impl std::ops::AddAssign for EchoCounts {
 pub struct ElementFrame {
     /// Index of the receive array.
     pub array: usize,
+    /// Number of elements.
     pub elements: usize,
+    /// Samples per element.
     pub samples: usize,
-    /// Element-major: `iq[e * samples + k]`.
+    /// Element-major samples: `iq[e * samples + k]`.
     pub iq: Vec<Complex64>,
-    /// Sample values that met the converter's ends in this ping.
+    /// Number of values clipped by the converter in this ping.
     pub saturated: u64,
 }
 
 impl ElementFrame {
+    /// Samples of element `e`.
     pub fn element(&self, e: usize) -> &[Complex64] {
         &self.iq[e * self.samples..(e + 1) * self.samples]
     }
+    /// Mutable samples of element `e`.
     pub fn element_mut(&mut self, e: usize) -> &mut [Complex64] {
         &mut self.iq[e * self.samples..(e + 1) * self.samples]
     }
@@ -1248,82 +1447,97 @@ impl ElementFrame {
 /// Beams of one fan after the matched filter; sample k of a beam is a leading edge at `first_sample_s + k / sample_rate`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BeamFrame {
+    /// Number of beams.
     pub beams: usize,
+    /// Samples per beam.
     pub samples: usize,
-    /// From the boresight, positive to starboard, radians; beam 0 is port-most.
+    /// Angles from the boresight, positive to starboard, radians; beam 0 is the most port.
     pub angle_rad: Vec<f64>,
-    /// -3 dB width of each beam across, radians.
+    /// -3 dB width of each beam across track, radians.
     pub width_rad: Vec<f64>,
-    /// Beam-major: `iq[b * samples + k]`.
+    /// Beam-major samples: `iq[b * samples + k]`.
     pub iq: Vec<Complex64>,
 }
 
 impl BeamFrame {
+    /// Samples of beam `b`.
     pub fn beam(&self, b: usize) -> &[Complex64] {
         &self.iq[b * self.samples..(b + 1) * self.samples]
     }
 }
 
-/// Where one beam of a fan meets the bottom.
+/// Bottom detection of one beam.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sounding {
-    /// Which beam of the fan.
+    /// Index of the beam.
     pub beam: usize,
-    /// As [`BeamFrame::angle_rad`].
+    /// Angle as in [`BeamFrame::angle_rad`].
     pub angle_rad: f64,
-    /// Two-way travel time at the array's centre, from the start of the pulse.
+    /// Two-way travel time at the centre of the array, from the start of the pulse, seconds.
     pub twtt_s: f64,
-    /// Predicted standard deviation of it.
+    /// Predicted standard deviation of the travel time, seconds.
     pub error_s: f64,
+    /// Detection method.
     pub detection: Detection,
-    /// Level of the echo, volts (rms).
+    /// Echo level, volts (rms).
     pub level_v: f64,
 }
 
-/// By what a bottom was found.
+/// Method of a bottom detection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Detection {
+    /// Amplitude of the beam.
     Amplitude,
+    /// Phase difference of two subarrays.
     Phase,
 }
 
+/// Side of a side-scan line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Side {
+    /// Left of the platform.
     Port,
+    /// Right of the platform.
     Starboard,
 }
 
-/// One side-scan line: envelope (volts, rms) against slant range, sample 0 at the start of the pulse.
+/// One side-scan line: envelope over slant range, sample 0 at the start of the pulse.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
+    /// Side of the platform.
     pub side: Side,
+    /// Envelope, volts (rms).
     pub amplitude: Vec<f32>,
 }
 
-/// The side-scan lines of one of several pulses.
+/// Side-scan lines of one further pulse of a ping.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PulseLines {
-    /// It left so long after the sonar's own pulse. Its lines count from its own start.
+    /// Delay of the pulse after the first pulse, seconds. Its lines start at its own start.
     pub delay_s: f64,
+    /// Lines of this pulse.
     pub lines: Vec<Line>,
 }
 
-/// What the scene knows of each sample of one side-scan line, or of one beam of a fan: labels for those who teach machines to read pictures. Not made on the ping path.
+/// Ground truth of each sample of a side-scan line or of a beam: labels for machine learning. Not computed on the ping path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineTruth {
+    /// Side of the platform.
     pub side: Side,
-    /// The target with the strongest echo in each sample: 1 is the scene's first, 0 none.
+    /// Target with the strongest echo in each sample: 1 is the first of the scene, 0 is none.
     pub target: Vec<u16>,
-    /// Its energy, and that of all else; the same unit, which is nobody's concern.
+    /// Echo energy of that target, arbitrary unit.
     pub target_energy: Vec<f32>,
+    /// Energy of all other echoes, same unit.
     pub other_energy: Vec<f32>,
+    /// Visibility of the seabed.
     pub ground: Vec<GroundSeen>,
-    /// Depth of that ground, world, metres; NaN where there is none.
+    /// Depth of the seabed, world, metres; NaN without seabed.
     pub down_m: Vec<f32>,
 }
 
 impl LineTruth {
-    /// Echoes of target `label` in sample `k`: the sample is its if no other target's are stronger.
+    /// Adds echo energy of target `label` to sample `k`, which gets the label of its strongest target.
     pub fn claim(&mut self, k: usize, label: u16, energy: f32) {
         if energy > self.target_energy[k] {
             self.other_energy[k] += self.target_energy[k];
@@ -1334,99 +1548,110 @@ impl LineTruth {
     }
 }
 
-/// Whether the seabed on the beam's axis at the range of a sample is heard.
+/// Visibility of the seabed on the beam axis at the range of a sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum GroundSeen {
-    /// There is none: water, a hole, the end of the world.
+    /// No seabed: water, a hole or the edge of the scene.
     #[default]
     None,
+    /// Insonified seabed.
     Seen,
-    /// Something stands before all of it.
+    /// Seabed entirely in shadow.
     Hidden,
 }
 
-/// The error of element samples against the reference, measured at random ones before noise, gain and converter: rms of the differences, each
-/// over the rms of the samples around it or of the element's whole ping, whichever is larger.
+/// Error of element samples against the reference solution, at random samples before noise, gain and converter. It is the rms of
+/// the differences, each relative to the rms of the surrounding samples or of the whole ping of the element, whichever is larger.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ErrorCheck {
-    /// How many samples it rests on.
+    /// Number of compared samples.
     pub samples: u32,
+    /// Relative error.
     pub error: f64,
-    /// Its 95 % interval.
+    /// Lower end of the 95 % confidence interval.
     pub low: f64,
+    /// Upper end of the 95 % confidence interval.
     pub high: f64,
     /// `sonar.model.tolerance`.
     pub tolerance: f64,
-    /// On the newest two pings with samples looked at the error was above 1.3 tolerances.
+    /// The error exceeds 1.3 tolerances on the last two pings with compared samples.
     pub fault: bool,
 }
 
-/// Everything one ping produced.
+/// Results of one ping.
 #[derive(Clone, Debug, Default)]
 pub struct PingOutput {
-    /// Of the newest samples looked at, this ping's and those before it; none where none is asked for, or too few were seen yet.
+    /// Error check over the newest compared samples; `None` if disabled or with too few samples.
     pub error_check: Option<ErrorCheck>,
-    /// One per receive array.
+    /// Element samples, one frame per receive array.
     pub elements: Vec<ElementFrame>,
-    /// One per configured fan (at most one today).
+    /// Beams, one frame per configured fan (at most one).
     pub beams: Vec<BeamFrame>,
-    /// Of the fan, where it detects the bottom; a beam without a bottom has none.
+    /// Bottom detections of the fan; none for beams without a bottom.
     pub soundings: Vec<Sounding>,
+    /// Side-scan lines.
     pub lines: Vec<Line>,
-    /// Of the further pulses in the water, one each.
+    /// Side-scan lines of the further pulses, one each.
     pub more_lines: Vec<PulseLines>,
+    /// Counts of the echoes.
     pub counts: EchoCounts,
+    /// Counts of the scatterers.
     pub scene: SceneCounts,
-    /// Where the plan of methods chose something.
+    /// Selected methods, if method selection ran.
     pub methods: Option<MethodMark>,
+    /// Effects of overload on this ping.
     pub overload_state: OverloadState,
 }
 
-/// What was done to a ping because computing did not keep up; nothing, mostly. It depends on the machine.
+/// Effects of overload on a ping; they depend on the machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct OverloadState {
-    /// Made with this tolerance in place of the configured one.
+    /// Tolerance used instead of the configured one.
     pub tolerance: Option<f64>,
-    /// The pulse went out so much later than the beat had it, seconds.
+    /// Delay of the pulse after its scheduled time, seconds.
     pub put_off_s: f64,
 }
 
 impl OverloadState {
+    /// No effects.
     pub const NONE: Self = Self {
         tolerance: None,
         put_off_s: 0.0,
     };
 }
 
-/// Which plan of methods made a ping, and what it promised.
+/// Method selection of a ping and its prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MethodMark {
-    /// Counts the plans of a sonar; the configuration's start is 0.
+    /// Sequence number of the selection; the configuration is 0.
     pub plan: u32,
-    /// By the plan's conditions, relative, of element samples.
+    /// Predicted relative error of element samples.
     pub predicted_error: f64,
+    /// Predicted core time, milliseconds.
     pub predicted_ms: f64,
+    /// Tolerance of the selection.
     pub tolerance: f64,
-    /// Elements of a line that were made as one ([`Pattern::Part`]); 1 where elements themselves were made.
+    /// Elements combined to one ([`Pattern::Part`]); 1 without combination.
     pub part_elements: usize,
 }
 
 // ---------------------------------------------------------------- out
 
-/// One whole protocol record, ready for framing.
+/// One complete protocol record, ready for framing.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Datagram {
-    /// The protocol's own number (7038, 7018, ...).
+    /// Record number in the protocol (7038, 7018, ...).
     pub record_type: u32,
+    /// Bytes of the record.
     pub bytes: Vec<u8>,
 }
 
-/// For the tests of any crate.
+/// Test data for any crate.
 #[doc(hidden)]
 pub mod testing {
     use super::*;
 
-    /// A ping of a platform at rest in the origin.
+    /// Plan of a ping of a platform at rest at the origin.
     pub fn plan_at_rest(pulse: &Pulse, sample_count: usize, sound_speed_m_per_s: f64) -> PingPlan {
         let trajectory = Trajectory::uniform(DVec3::ZERO, DVec3::ZERO, glam::DQuat::IDENTITY);
         PingPlan {

@@ -1,9 +1,9 @@
-//! Lines in parts: some elements side by side taken as one, in their middle.
+//! Line arrays in parts: adjacent elements combined to one element at their centre.
 
 use super::{ArrayGeometry, MethodMark, Pattern};
 
 impl Pattern {
-    /// Elements that it is the mean of: 1 but for [`Pattern::Part`].
+    /// Number of elements that the pattern represents: 1 except for [`Pattern::Part`].
     pub fn stands_for(&self) -> usize {
         match *self {
             Self::Part { elements, .. } => elements,
@@ -13,7 +13,7 @@ impl Pattern {
 }
 
 impl ArrayGeometry {
-    /// The same line with every `of` elements taken as one. None where they do not come out even, and of a line that is in parts already.
+    /// The line with every `of` elements combined to one; `None` if they do not divide evenly or the line is already in parts.
     pub fn in_parts(&self, of: usize) -> Option<Self> {
         let (length_m, width_m, baffled) = match self.element_pattern {
             Pattern::Omnidirectional => (0.0, 0.0, false),
@@ -41,7 +41,7 @@ impl ArrayGeometry {
         })
     }
 
-    /// The elements that a line in parts stands for; any other line as it is.
+    /// The line of elements that a line in parts represents; any other line unchanged.
     pub fn whole(&self) -> Self {
         let Pattern::Part {
             elements,
@@ -67,7 +67,7 @@ impl ArrayGeometry {
 }
 
 impl MethodMark {
-    /// As the configuration spells it.
+    /// Name in the configuration.
     pub fn output(&self) -> &'static str {
         match self.part_elements {
             1 => "elements",
@@ -83,7 +83,7 @@ mod tests {
     use glam::{DQuat, DVec3};
 
     #[test]
-    fn a_part_lies_in_the_middle_of_its_elements_and_gives_them_back() {
+    fn a_part_is_at_the_centre_of_its_elements_and_whole_restores_them() {
         let line = ArrayGeometry {
             mounting: Mounting {
                 position_m: DVec3::new(1.0, -2.0, 0.5),
