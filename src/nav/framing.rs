@@ -1,7 +1,7 @@
 //! Finds NMEA 0183 sentences in a byte stream and verifies their checksums.
 //!
 //! NMEA 0183 is a line protocol, but logs and gateways lose line ends. A sentence therefore ends at its checksum, at a line end,
-//! or where the next one begins. TAG blocks (NMEA 4.0) and the `UdPbC` header of IEC 61162-450 are skipped. [`MAX_SENTENCE`]
+//! or where the next one begins. TAG blocks (NMEA 4.0) and the `UdPbC` header of IEC 61162-450 are skipped. `MAX_SENTENCE`
 //! bounds the memory.
 
 use echotank_core::time::UtcNs;

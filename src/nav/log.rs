@@ -5,7 +5,7 @@
 //! a date and `HH:MM:SS[.fraction]`, for the clock time alone, or for seconds since 1970. A line without a stamp arrives with the
 //! line before it.
 //!
-//! - If the recorder's clock differs from the message times by more than [`RECORDER_TOLERANCE_NS`], all stamps are shifted. The
+//! - If the recorder's clock differs from the message times by more than `RECORDER_TOLERANCE_NS`, all stamps are shifted. The
 //!   shift is a multiple of a quarter of an hour (time zone or missing date), or else aligns with the first dated message. For a
 //!   source timed by arrival, only a missing date is corrected.
 //! - A plain log (no stamps) arrives as its message times advance. Without message times it arrives at a given rate, from 1970

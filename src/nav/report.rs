@@ -27,7 +27,7 @@ const DAY_NS: i64 = 86_400 * NS_PER_S;
 /// Maximum number of sentence names; further names, mostly noise, are combined.
 const MAX_NAMES: usize = 200;
 const OTHERS: &str = "(others)";
-/// A gap is longer than this many median intervals and than [`MIN_GAP_S`].
+/// A gap is longer than this many median intervals and than `MIN_GAP_S`.
 const GAP_INTERVALS: f64 = 3.0;
 const MIN_GAP_S: f64 = 0.5;
 

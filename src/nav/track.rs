@@ -1,4 +1,4 @@
-//! Reads CSV tracks with the header [`HEADER`] to local positions, attitudes and headings.
+//! Reads CSV tracks with the header `HEADER` to local positions, attitudes and headings.
 //!
 //! `time_s` is UTC, seconds since 1970 in plain decimals, converted digit by digit to nanoseconds. Times increase strictly. Empty
 //! lines and lines that start with `#` are skipped.
