@@ -206,7 +206,7 @@ impl NavOutputs {
             return;
         }
         self.next = now.plus_ns(PUBLISH_EVERY_NS);
-        let state = history.outlook(utc, &mut self.trajectory);
+        let state = history.predict(utc, &mut self.trajectory);
         let mut shared = self.shared.lock().unwrap_or_else(PoisonError::into_inner);
         let prediction = shared.get_or_insert_with(|| Prediction {
             zero: now,
