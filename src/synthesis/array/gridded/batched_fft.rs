@@ -842,7 +842,7 @@ mod tests {
         }
     }
 
-    fn every_dialect_spreads<T: Real + Into<f64>>(limit: f64) {
+    fn every_simd_level_spreads<T: Real + Into<f64>>(limit: f64) {
         const CELLS: usize = 23;
         let number = |i: usize| T::narrow(chance(i));
         let below = |i: usize, end: usize| (chance(i).abs() * end as f64) as u32;
@@ -895,12 +895,12 @@ mod tests {
 
     // Sums of some 100 terms below 1: a few roundings of 6e-8 or 1.1e-16 each.
     #[test]
-    fn every_dialect_spreads_points_over_columns_in_f32_to_3e_5() {
-        every_dialect_spreads::<f32>(3e-5);
+    fn every_simd_level_spreads_points_over_columns_in_f32_to_3e_5() {
+        every_simd_level_spreads::<f32>(3e-5);
     }
 
     #[test]
-    fn every_dialect_spreads_points_over_columns_in_f64_to_1e_13() {
-        every_dialect_spreads::<f64>(1e-13);
+    fn every_simd_level_spreads_points_over_columns_in_f64_to_1e_13() {
+        every_simd_level_spreads::<f64>(1e-13);
     }
 }

@@ -1,33 +1,54 @@
-//! Doppler on a fixed grid: a few received pulses between which every echo's own is interpolated.
+//! Doppler on a fixed grid: each echo is interpolated between the templates of a few Doppler
+//! columns.
 //!
-//! An echo stretched by eta = 1 + d sounds as a(eta (t - u)) exp(j 2pi f_c d (t - u)). About its middle, u + T/(2 eta), its spectrum is
+//! An echo stretched by eta = 1 + d is a(eta (t - u)) exp(j 2pi f_c d (t - u)). About its middle, u
+//! + T/(2 eta), its spectrum is
 //!
-//! S_d(f) = S((f - f_c d)/(1 + d)) / (1 + d) H(f),  S the pulse's own, H the receiver's.
+//! ```text
+//! S_d(f) = S((f - f_c d)/(1 + d)) / (1 + d) H(f)
+//! ```
 //!
-//! With w the time into the pulse, S_d is an integral over -T/2..T/2 of waves exp(j 2pi w (f_c d - f)/(1 + d)). So it is spread over d like a
-//! point over time: each echo goes with `taps` weights to as many columns of a grid of Dopplers, and column j is given the template G_j that
-//! makes sum_j weight_j(d) G_j(f) meet S_d(f) best in the least-squares sense. Nothing is expanded in d: the second order is in it, and edges
-//! move. The columns lie at fixed Dopplers, so a platform that changes its speed uses other columns, not other templates.
+//! with S the spectrum of the pulse and H that of the receiver. With w the time into the pulse, S_d
+//! is an integral over -T/2..T/2 of waves exp(j 2pi w (f_c d - f)/(1 + d)). It can therefore be
+//! spread over d as a point is spread over time.
 //!
-//! The fit of every column is one real combination of pulses of the family, the same at every frequency: so a column sounds no longer than
-//! they do, and what the fit leaves of an echo, seen at any instant w of its pulse, is that instant's own sound times how ill the weights do
-//! on a wave of w's rate of turning ([`Trial`]). Windows that hold nothing but the end of an echo are as good as any. (A sweep's shift could go into the
-//! echo's place, range-Doppler coupling, and a third of the columns be spared; but then the ends of pulses are where they are not, and
-//! what the fit leaves lies about them.)
+//! Each echo goes with `taps` weights to as many columns of a grid of Dopplers. Column j has the
+//! template G_j for which sum_j weight_j(d) G_j(f) is the best least-squares fit to S_d(f). There
+//! is no expansion in d, so second-order terms and the shift of the pulse's ends are included. The
+//! columns lie at fixed Dopplers: a change of platform speed selects other columns and keeps the
+//! templates.
 //!
-//! An echo whose stretch changes (d at its middle, q the change: emission time d s + q s^2 about it) sounds, with p = q/eta^3 and
-//! alpha = 2pi (f + f_c), as the integral of a(w) exp(j 2pi w (f_c d - f)/eta) exp(j alpha p w^2 - 2j alpha p^2 eta w^3) (1/eta - 2 p w + 6 p^2 eta w^2).
-//! alpha p w^2 is small (7e-3 rad at 5 m/s, 36 m, 400 kHz and 5 ms), so the series in p ends soon. Two ways to add its terms:
+//! The fit of each column is one real combination of received pulses, the same at every frequency,
+//! so a column is as short as they are. At any instant w of the pulse, the fit error is the signal
+//! of that instant times the weights' error on a wave of w's rate ([`Trial`]). Windows that hold
+//! only the end of an echo therefore keep the accuracy. (Moving the shift of a sweep into the
+//! delay, by range-Doppler coupling, would save a third of the columns but misplace the ends of
+//! pulses.)
 //!
-//! By the weights ([`DopplerGrid::bent`]). d^2/dd^2 of the integrand is -(alpha w/eta^2)^2 of it, so the columns that give S_d give
-//! j alpha p w^2 S_d too, with -j p eta^4/alpha times the second derivative of the weights. What f is in alpha is not known to a weight, but about where a
-//! sweep of K Hz/s has it: K w, of which one w is one more derivative. At the ends of a pulse that is not so: there all frequencies sound, and
-//! 2 pi p (T/2)^2 (f - K w) is too much; that is a delay by p (T/2)^2 and a Doppler of K p (T/2)^2/f_c, which the echo is given.
+//! Changing stretch: let d be the stretch at the middle and q its rate, with emission time d s + q
+//! s^2 about the middle. With p = q/eta^3 and alpha = 2pi (f + f_c), the spectrum is the integral
+//! of
 //!
-//! By columns of their own, where a tolerance wants more than that: the k-th term is an echo of its own, of amplitude (p/p_max)^k, with a grid
-//! and templates that need be no finer than the term is large ([`Received::order`]).
+//! ```text
+//! a(w) exp(j 2pi w (f_c d - f)/eta) exp(j alpha p w^2 - 2j alpha p^2 eta w^3) (1/eta - 2 p w + 6 p^2 eta w^2)
+//! ```
 //!
-//! In: spectra, span of d, tolerance. Out: weights of an echo, templates per column and bin, the error of the fit as measured.
+//! alpha p w^2 is small (7e-3 rad at 5 m/s, 36 m, 400 kHz and 5 ms), so few terms of the series in
+//! p suffice. There are two ways to add them.
+//!
+//! By the weights ([`DopplerGrid::bent`]): d^2/dd^2 of the integrand is -(alpha w/eta^2)^2 times
+//! the integrand. The columns that fit S_d therefore fit j alpha p w^2 S_d too, with -j p
+//! eta^4/alpha times the second derivative of the weights. The weights do not know f in alpha. A
+//! sweep of K Hz/s has it near K w, and each factor w is one more derivative. At the ends of a
+//! pulse all frequencies occur, and the weights are off by 2 pi p (T/2)^2 (f - K w). This equals a
+//! delay of p (T/2)^2 and a Doppler of K p (T/2)^2/f_c, which are applied to the echo.
+//!
+//! By separate columns, for tighter tolerances: the k-th term is an echo of amplitude (p/p_max)^k.
+//! Its grid and templates need an accuracy relative to the size of the term only
+//! ([`Received::order`]).
+//!
+//! Input: spectra, span of d, tolerance. Output: weights of an echo, templates per column and bin,
+//! and the measured error of the fit.
 
 use num_complex::Complex64;
 
@@ -38,36 +59,44 @@ use super::moments::MAX_TAPS;
 use super::pulse_spectrum::PulseSpectrum;
 use super::simd_level::{Kind, SimdLevel};
 
-/// Dopplers at which a cell of the grid is fitted, at least, and for each cycle by which the pulse's ends turn over the whole span.
+/// Fitted Dopplers per cell of the grid, and per cycle that the ends of the pulse turn over the
+/// whole span; lower bounds.
 const SAMPLES_PER_CELL: usize = 6;
 const SAMPLES_PER_CYCLE: f64 = 4.0;
 
-/// Powers of the weights' polynomials, at most.
+/// Maximum number of powers in the polynomials of the weights.
 pub(crate) const POWERS: usize = 12;
 
-/// d = eta - 1, least and greatest.
+/// Range of the relative stretch d = eta - 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DopplerSpan {
+    /// Smallest d.
     pub least: f64,
+    /// Largest d.
     pub greatest: f64,
 }
 
-/// The received spectrum S_d(f) of one echo, seen from its middle; or the term of `order` in what its curvature adds, for the greatest p.
+/// Received spectrum S_d(f) of one echo about its middle, or the curvature term of `order` for the
+/// largest p.
 #[derive(Clone, Copy)]
 pub struct Received<'a> {
+    /// Spectrum of the transmitted pulse.
     pub spectrum: &'a PulseSpectrum,
+    /// Carrier frequency, Hz.
     pub carrier_hz: f64,
+    /// Length of the pulse, seconds.
     pub duration_s: f64,
+    /// Order of the curvature term; 0 is the echo itself.
     pub order: usize,
-    /// p, per second.
+    /// Largest p, per second.
     pub(crate) greatest_p: f64,
 }
 
-/// Terms of the series in p, at most.
+/// Maximum number of terms of the series in p.
 pub(crate) const MAX_ORDER: usize = 5;
 
 impl Received<'_> {
-    /// Without the receiver's gain.
+    /// Spectrum at `f_hz` from the carrier for stretch `d`, without the gain of the receiver.
     #[inline(always)]
     pub fn at(&self, f_hz: f64, d: f64) -> Complex64 {
         let doppler_hz = self.carrier_hz * d;
@@ -85,7 +114,7 @@ impl Received<'_> {
         self.spectrum.powers_at(g_hz, &mut powers[..=2 * k]);
         let (p, half_s) = (self.greatest_p, 0.5 * self.duration_s);
         let alpha = std::f64::consts::TAU * (f_hz + self.carrier_hz);
-        // Phase of the quadratic at the pulse's ends.
+        // Phase of the quadratic term at the ends of the pulse.
         let bend = Complex64::new(0.0, alpha * p * half_s * half_s);
         // bend^(k-1) / (k-1)!
         let before = (1..k).fold(Complex64::ONE, |term, i| term * bend / i as f64);
@@ -99,7 +128,7 @@ impl Received<'_> {
     }
 }
 
-/// `[k][i]`: of power x^k for tap i.
+/// Coefficients of the weights: `[k][i]` is power x^k of tap i.
 pub(crate) type Polynomials = [[f64; MAX_TAPS]; POWERS];
 
 pub(crate) fn value_of(polynomials: &Polynomials, tap: usize, x: f64) -> f64 {
@@ -109,7 +138,7 @@ pub(crate) fn value_of(polynomials: &Polynomials, tap: usize, x: f64) -> f64 {
         .fold(0.0, |sum, powers| sum * x + powers[tap])
 }
 
-/// The derivative of `order` in x.
+/// The derivative of order `order` in x.
 pub fn derivative(polynomials: &Polynomials, order: usize) -> Polynomials {
     let mut out = [[0.0; MAX_TAPS]; POWERS];
     for k in order..POWERS {
@@ -125,36 +154,42 @@ fn times(factor: f64, polynomials: Polynomials) -> Polynomials {
     polynomials.map(|row| row.map(|power| factor * power))
 }
 
-/// See [`DopplerGrid::bent`].
+/// Derivative combinations of the weights; see [`DopplerGrid::bent`].
 pub(crate) struct Bent {
     pub imaginary: Polynomials,
     pub real: Polynomials,
     pub(crate) real_2: Polynomials,
 }
 
-/// The grid of Dopplers and the weights on it.
+/// Grid of Doppler columns with interpolation weights.
 #[derive(Clone, Debug)]
 pub struct DopplerGrid {
+    /// Columns that each echo goes to.
     pub taps: usize,
+    /// Columns of the grid.
     pub columns: usize,
-    /// d to cells: `d * per_doppler + offset`.
+    /// Conversion of d to cells: `d * per_doppler + offset`.
     pub(crate) per_doppler: f64,
+    /// Offset of that conversion, cells.
     pub offset: f64,
+    /// Cells of the grid; there are `taps - 1` more columns than cells.
     pub cells: usize,
     span: DopplerSpan,
-    /// Unused taps are 0. A single column has the weight 1.
+    /// Polynomials of the weights across a cell. Unused taps are 0, and a single column has weight
+    /// 1.
     pub weights: Polynomials,
 }
 
 impl DopplerGrid {
-    /// One column for all.
+    /// A grid of one column for all Dopplers of `span`.
     pub fn common(span: DopplerSpan) -> Self {
         let mut weights = [[0.0; MAX_TAPS]; POWERS];
         weights[0][0] = 1.0;
         Self::with_weights(span, 1, 1, weights)
     }
 
-    /// `kernel`: its width is the number of taps, its moments the powers of x in their weights, [`POWERS`] at most.
+    /// A grid of `cells` cells over `span`. The width of `kernel` is the number of taps, and its
+    /// moments are the powers of x in their weights, at most [`POWERS`].
     pub fn new(span: DopplerSpan, cells: usize, kernel: &Kernel) -> Self {
         let mut weights = [[0.0; MAX_TAPS]; POWERS];
         for (k, weights) in weights[..kernel.moments].iter_mut().enumerate() {
@@ -184,7 +219,7 @@ impl DopplerGrid {
         }
     }
 
-    /// The same weights on a part of the grid, or a grid that goes on.
+    /// The same weights on a grid of another number of cells.
     fn with_cells(&self, cells: usize) -> Self {
         let mut other = self.clone();
         other.cells = cells;
@@ -192,7 +227,7 @@ impl DopplerGrid {
         other
     }
 
-    /// So many cells of it from `first` on, by themselves.
+    /// The `cells` cells from `first` on as a separate grid.
     pub fn part(&self, first: usize, cells: usize) -> Self {
         let at = |cell: usize| self.span.least + cell as f64 / self.per_doppler;
         let span = DopplerSpan {
@@ -202,18 +237,19 @@ impl DopplerGrid {
         Self::with_weights(span, cells, self.taps, self.weights)
     }
 
-    /// Greatest |d|.
+    /// Largest |d| of the span.
     pub fn fastest(&self) -> f64 {
         self.span.least.abs().max(self.span.greatest.abs())
     }
 
-    /// Columns that echoes go to whose Dopplers take up this share of the span.
+    /// Number of columns used by echoes whose Dopplers cover this share of the span.
     pub(crate) fn columns_of(&self, share: f64) -> usize {
         let cells = (share * self.cells as f64).ceil() as usize + 1;
         cells.min(self.cells) + self.taps - 1
     }
 
-    /// Lanes that echoes take whose Dopplers take up this share of the span, on the average of where it lies.
+    /// Number of lanes used by echoes whose Dopplers cover this share of the span, averaged over
+    /// its position.
     pub(crate) fn typical_lanes(&self, share: f64) -> f64 {
         let touched = share * self.cells as f64;
         let lanes_of = |cells: usize| lanes_for(cells.min(self.cells) + self.taps - 1) as f64;
@@ -221,7 +257,8 @@ impl DopplerGrid {
         lanes_of(least) + touched.fract() * (lanes_of(least + 1) - lanes_of(least))
     }
 
-    /// The first column an echo goes to, and its weights. Dopplers outside the span go to the nearest end of it.
+    /// Index of the first column of an echo, and its position across the cell. Dopplers outside the
+    /// span are clamped.
     #[inline(always)]
     pub fn place(&self, doppler: f64) -> (usize, f64) {
         let position = (doppler * self.per_doppler + self.offset).clamp(0.0, self.cells as f64);
@@ -229,14 +266,14 @@ impl DopplerGrid {
         (cell, 2.0 * (position - cell as f64) - 1.0)
     }
 
-    /// Cell and place across it of what lies at `share` of the span.
+    /// Cell, and position across it, at `share` of the span.
     fn cell_of(&self, share: f64) -> (usize, f64) {
         let position = share * self.cells as f64;
         let cell = (position as usize).min(self.cells - 1);
         (cell, 2.0 * (position - cell as f64) - 1.0)
     }
 
-    /// The Doppler at `share` of the span, the first column of an echo that has it, and its weights.
+    /// The Doppler at `share` of the span, the first column of such an echo, and its weights.
     pub fn at(&self, share: f64) -> (f64, usize, [f64; MAX_TAPS]) {
         let (cell, x) = self.cell_of(share);
         let DopplerSpan { least, greatest } = self.span;
@@ -247,12 +284,12 @@ impl DopplerGrid {
         )
     }
 
-    /// The columns' weights at Dopplers that lie at `shares` of the span.
+    /// Weights of the columns at Dopplers at `shares` of the span.
     fn weights_at(&self, shares: &[f64]) -> Matrix {
         self.matrix(shares, &self.weights)
     }
 
-    /// The same of weights whose powers are `polynomials`.
+    /// The same for weights with the coefficients `polynomials`.
     fn matrix(&self, shares: &[f64], polynomials: &Polynomials) -> Matrix {
         Matrix::from_fn(shares.len(), self.columns, |s, column| {
             let (cell, x) = self.cell_of(shares[s]);
@@ -263,9 +300,11 @@ impl DopplerGrid {
         })
     }
 
-    /// Weights for echoes that are bent by exp(j b (2w/T)^2): those of S_d plus
-    /// b `real` + b^2 `real_2` + j b `imaginary`, in powers of x. `theta`: by what a pulse's end turns over half a cell; `sweep`: half the
-    /// swept band over the carrier, with its sign.
+    /// Weights for echoes with the curvature factor exp(j b (2w/T)^2): the weights of S_d plus b
+    /// `real` + b^2 `real_2` + j b `imaginary`, in powers of x.
+    ///
+    /// `theta` is the phase that a pulse's end turns over half a cell. `sweep` is half the swept
+    /// band over the carrier, with its sign.
     pub(crate) fn bent(&self, theta: f64, sweep: f64) -> Bent {
         Bent {
             imaginary: times(-theta.powi(-2), derivative(&self.weights, 2)),
@@ -274,7 +313,7 @@ impl DopplerGrid {
         }
     }
 
-    /// By what the end of a pulse turns over half a cell, about.
+    /// Approximate phase that the end of a pulse turns over half a cell, radians.
     pub fn theta(&self, carrier_hz: f64, duration_s: f64) -> f64 {
         match self.per_doppler > 0.0 {
             true => 0.5 * std::f64::consts::PI * carrier_hz * duration_s / self.per_doppler,
@@ -282,7 +321,8 @@ impl DopplerGrid {
         }
     }
 
-    /// How many Dopplers a fit of such a pulse needs: more than there are columns, of which a single wide cell has more than samples.
+    /// Number of Dopplers in a fit of such a pulse. It exceeds the number of columns, which for a
+    /// single wide cell exceeds the samples per cell.
     fn sample_count(&self, carrier_hz: f64, duration_s: f64) -> usize {
         let cycles = (self.span.greatest - self.span.least) * carrier_hz * duration_s;
         (SAMPLES_PER_CELL * self.cells)
@@ -291,7 +331,8 @@ impl DopplerGrid {
     }
 }
 
-/// Where `count` Dopplers lie over a span, its ends among them and closest there: a fit is worst at ends.
+/// `count` positions over a span, both ends included. They are densest at the ends, where a fit is
+/// worst.
 fn fitted_shares(count: usize) -> Vec<f64> {
     let step_rad = std::f64::consts::PI / (count - 1) as f64;
     (0..count)
@@ -299,12 +340,12 @@ fn fitted_shares(count: usize) -> Vec<f64> {
         .collect()
 }
 
-/// As many evenly, ends included: where a fit is looked at.
+/// `count` uniform positions, both ends included, where the fit is checked.
 fn even_shares(count: usize) -> Vec<f64> {
     (0..count).map(|s| s as f64 / (count - 1) as f64).collect()
 }
 
-/// The Dopplers there.
+/// The Dopplers at these shares of the span.
 fn dopplers(span: DopplerSpan, shares: &[f64]) -> Vec<f64> {
     shares
         .iter()
@@ -312,24 +353,26 @@ fn dopplers(span: DopplerSpan, shares: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// What a grid is tried on: waves over the span of Dopplers that turn as fast as instants of the pulse do, from its middle to its end.
+/// Test of a grid: waves over the span of Dopplers that turn as fast as instants of the pulse, from
+/// its middle to its end.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Trial {
-    /// Turns of the pulse's end, from its middle, over the whole span.
+    /// Turns of the pulse's end relative to its middle, over the whole span.
     pub turns: f64,
-    /// Greatest phase of the curvature at the pulse's ends, if the weights are to carry it, and half the swept band over the carrier.
+    /// Largest curvature phase at the ends of the pulse, if the weights carry it; and half the
+    /// swept band over the carrier.
     pub(crate) bend_rad: f64,
     pub sweep: f64,
 }
 
-/// Instants of the pulse that are looked at, over half its length: the fit is worst at the end.
+/// Checked instants of the pulse over half its length, denser at the end, where the fit is worst.
 const INSTANTS: [f64; 8] = [0.0, 0.3, 0.55, 0.75, 0.85, 0.92, 0.97, 1.0];
 
-/// A finer grid is as good as its first cells.
+/// A finer grid has the error of its first cells.
 const MAX_TRIAL_CELLS: usize = 20;
 
 impl Trial {
-    /// Greatest error at any instant of the echo that `grid` serves worst, over what sounds at that instant.
+    /// Largest relative error of `grid` over all instants and Dopplers.
     pub(crate) fn worst(&self, grid: &DopplerGrid) -> f64 {
         if grid.cells > MAX_TRIAL_CELLS {
             let fewer = Self {
@@ -338,7 +381,7 @@ impl Trial {
             };
             return fewer.worst(&grid.with_cells(MAX_TRIAL_CELLS));
         }
-        // As many Dopplers as the fit has, and twice as many to look at.
+        // As many Dopplers as the fit has, and twice as many to check.
         let count = (SAMPLES_PER_CELL * grid.cells).max(3 * grid.columns);
         let fitted = fitted_shares(count);
         let fit = grid.weights_at(&fitted).pseudo_inverse();
@@ -374,7 +417,7 @@ impl Trial {
                         .sum()
                 };
                 let mut off = (through(&weights) - want).norm();
-                // What each should be of the wave: (2w/T)^2, sweep (2w/T)^3 and -(2w/T)^4/2.
+                // Target factors of the wave: (2w/T)^2, sweep (2w/T)^3 and -(2w/T)^4/2.
                 let should = [
                     Complex64::new(u.powi(2), 0.0),
                     Complex64::new(0.0, self.sweep * u.powi(3)) * -1.0,
@@ -390,25 +433,26 @@ impl Trial {
     }
 }
 
-/// Bins whose templates are worked out together.
+/// Bins whose templates are computed together.
 const BINS: usize = 64;
 
-/// Columns and bins whose sums are held in registers.
+/// Columns and bins whose sums stay in registers.
 const COLUMNS: usize = 4;
 const LANES: usize = 16;
 
-/// A fit to be made for many bins.
+/// A fit applied to many bins.
 struct Fitting<'a> {
     received: Received<'a>,
     dopplers: Vec<f64>,
-    /// Of each column that is wanted: by what it takes the pulse at each Doppler.
+    /// Per requested column: the factors on the pulse at each Doppler.
     rows: Vec<&'a [f64]>,
 }
 
-/// Numbers of the bins of a block.
+/// Values of the bins of a block.
 type Lane = [f64; BINS];
 
-/// What `columns` of the grid sound like: `[k * bins + bin]`, k counting them. `frequency_hz` and `gain` give each bin's place and H there.
+/// Templates of `columns` of the grid: `[k * bins + bin]`, with k counting the columns.
+/// `frequency_hz` and `gain` give the frequency and H of each bin.
 pub fn templates(
     grid: &DopplerGrid,
     received: Received,
@@ -444,7 +488,8 @@ pub fn templates(
 }
 
 impl Fitting<'_> {
-    /// The bins from the first of `at` on; its second is how many there are in all. `wanted` is scratch, one for each Doppler.
+    /// Computes the bins from `at.0` on, of `at.1` in all. `wanted` is a buffer with one entry per
+    /// Doppler.
     fn block(
         &self,
         at: (usize, usize),
@@ -454,7 +499,8 @@ impl Fitting<'_> {
         out: &mut [Complex64],
     ) {
         match SimdLevel::best().kind() {
-            // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features.
+            // SAFETY (twice): a `SimdLevel` of this kind exists only on processors with the
+            // features.
             #[cfg(target_arch = "x86_64")]
             Kind::Avx512 => unsafe { self.block_avx512(at, frequency_hz, gain, wanted, out) },
             #[cfg(target_arch = "x86_64")]
@@ -507,7 +553,7 @@ impl Fitting<'_> {
             }
         }
         for (group, rows) in self.rows.chunks(COLUMNS).enumerate() {
-            // What is missing from a group is worked out twice.
+            // Missing columns of a group repeat the last one.
             let last = rows.len() - 1;
             let of: [&[f64]; COLUMNS] = std::array::from_fn(|k| rows[k.min(last)]);
             for lane in (0..frequency_hz.len()).step_by(LANES) {
@@ -539,7 +585,7 @@ mod tests {
     use super::*;
     use echotank_core::flow::{Pulse, PulseKind};
 
-    /// Seven columns over a single cell were once fitted to six Dopplers.
+    /// Seven columns over a single cell need more than six fitted Dopplers.
     #[test]
     fn wide_kernels_over_few_cells_are_fitted_to_more_dopplers_than_they_have_columns() {
         let pulse = Pulse {

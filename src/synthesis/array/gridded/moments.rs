@@ -1,13 +1,16 @@
-//! Points into moments, moments onto the grid: the two hot loops, for f32 and f64.
+//! The two inner loops, points to moments and moments to grid values, for f32 and f64.
 //!
-//! In: points located in cells. Per point one aligned row of a table of moments gets c x^k added, whatever the kernel's width; nothing is
-//! sorted ([`Real::accumulate`]). Out: grid values, by a (width x moments) matrix per cell ([`Real::flush`]).
-//! Over two dimensions a table of moments would outgrow the caches: there each point's few grid values are added at once
-//! ([`Real::spread`]), with the columns of the second dimension side by side, so that a point's share of all of them is two additions per
-//! tap of the first ([`super::batched_fft`]).
+//! [`Real::accumulate`] adds c x^k of every located point to one aligned row of a table of moments,
+//! whatever the width of the kernel. It needs no sorting. [`Real::flush`] applies a (width x
+//! moments) matrix per cell to obtain grid values.
 //!
-//! Points that lie nowhere go to a cell of their own, the drain: the last of a table, one far past the end of a grid.
-//! Every loop exists once in plain Rust here and, where the processor has it, in [`super::avx2`] and [`super::avx512`].
+//! In two dimensions a table of moments would exceed the caches. There [`Real::spread`] adds the
+//! few grid values of each point directly. The columns of the second dimension lie side by side, so
+//! each tap of the first dimension costs two vector additions ([`super::batched_fft`]).
+//!
+//! Points outside the grid go to the drain, a cell at the end of a table and far past the end of a
+//! grid. Every loop exists in plain Rust here and, where the processor supports it, in
+//! [`super::avx2`] and [`super::avx512`].
 
 use echotank_fft::Planned;
 use num_complex::{Complex, Complex32, Complex64};
@@ -17,13 +20,14 @@ use super::kernel::{Kernel, MAX_WIDTH};
 use super::prepare::{Sharing, share_plain};
 use super::simd_level::{Kind, SimdLevel};
 
-/// Points worked on together.
+/// Number of points processed together.
 pub const BLOCK: usize = 256;
 
-/// Neighbouring columns that a point goes to in the second dimension, at most.
+/// Maximum number of neighbouring columns of a point in the second dimension.
 pub(crate) const MAX_TAPS: usize = 8;
 
-/// Moments of one cell: 8 complex f32 (one cache line) or 12 complex f64 (three), interleaved re, im.
+/// Moments of one cell: 8 complex f32 (one cache line) or 12 complex f64 (three), interleaved re,
+/// im.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub struct Row<R, const N: usize>(pub [R; N]);
@@ -31,51 +35,60 @@ pub struct Row<R, const N: usize>(pub [R; N]);
 pub(crate) type Row32 = Row<f32, 16>;
 pub(crate) type Row64 = Row<f64, 24>;
 
-/// Up to [`BLOCK`] points, structure of arrays; all slices have the same length.
+/// Up to [`BLOCK`] points as a structure of arrays; all slices have the same length.
 #[derive(Clone, Copy, Debug)]
 pub struct Points<'a, T> {
+    /// Cell of each point.
     pub cell: &'a [u32],
-    /// Place across the cell, -1..1.
+    /// Position across the cell, -1..1.
     pub x: &'a [T],
+    /// Complex amplitude of each point.
     pub amplitude: &'a [Complex<T>],
 }
 
-/// What of a point's amplitude goes to each tap, real parts first, then imaginary ones.
+/// Amplitude of a point times each tap's weight: real parts first, then imaginary parts.
 pub type Shared<T> = [T; 2 * MAX_TAPS];
 
-/// Where the same points go in the second dimension: to `taps` neighbouring columns from `column` on, and what of each point's amplitude
-/// goes there: 0 from `taps` on.
+/// Second dimension of the same points: each goes to `taps` neighbouring columns.
 #[derive(Clone, Copy, Debug)]
 pub struct Across<'a, T> {
+    /// First column of each point.
     pub column: &'a [u32],
+    /// Value of each point for these columns; 0 from `taps` on.
     pub value: &'a [Shared<T>],
+    /// Number of columns per point.
     pub taps: usize,
-    /// Columns of a table: of row v the real part of column q is number `2 v lanes + q`, the imaginary one `lanes` on.
+    /// Columns of a table. In row v, the real part of column q has index `2 v lanes + q`, and the
+    /// imaginary part follows `lanes` later.
     pub lanes: usize,
 }
 
-/// Cells and places of up to [`BLOCK`] points, as [`locate`] finds them.
+/// Cells and positions of up to [`BLOCK`] points, as computed by [`locate`].
 #[derive(Clone, Debug)]
 pub struct Located<T> {
+    /// Cell of each point.
     pub cell: [u32; BLOCK],
+    /// Position across the cell, -1..1.
     pub x: [T; BLOCK],
 }
 
-/// The real numbers that moments are made of.
+/// Floating-point precision of the moments.
 pub trait Real: Planned + Default {
+    /// Moments of one cell.
     type Row: Copy + Send + Sync + std::fmt::Debug;
     /// Complex moments per row.
     const MOMENTS: usize;
+    /// A row of zeros.
     const EMPTY: Self::Row;
 
     /// Rounds to this precision.
     fn narrow(value: f64) -> Self;
 
-    /// Adds every point's moments to the row of its cell. Panics where there is none.
+    /// Adds the moments of every point to the row of its cell. Panics if a cell does not exist.
     fn accumulate(simd_level: SimdLevel, points: Points<Self>, rows: &mut [Self::Row]);
 
-    /// Puts all cells but the drain on the grid: `out[cell + i]` is what tap i of each cell adds up to.
-    /// `out` is overwritten; its length is cells + width - 1 without the drain.
+    /// Maps all cells except the drain to the grid: `out[cell + i]` is the sum of tap i over the
+    /// cells. Overwrites `out`, whose length is cells + width - 1 without the drain.
     fn flush(
         simd_level: SimdLevel,
         rows: &[Self::Row],
@@ -83,8 +96,9 @@ pub trait Real: Planned + Default {
         out: &mut [Complex<Self>],
     );
 
-    /// Adds every point's values across to a few of many grids: tap i of column q to row `cell + i` of the table. May add zeros to the next
-    /// [`MAX_TAPS`] numbers. Panics where the table ends before that. The points' amplitudes are not looked at.
+    /// Adds the values of every point to several grids: tap i of column q goes to row `cell + i` of
+    /// the table. It may add zeros to the next [`MAX_TAPS`] numbers, and ignores the amplitudes of
+    /// the points. Panics if the table is too short.
     fn spread(
         simd_level: SimdLevel,
         points: Points<Self>,
@@ -93,13 +107,14 @@ pub trait Real: Planned + Default {
         table: &mut [Self],
     );
 
-    /// What rows are made of, one number after another.
+    /// The numbers of the rows as one slice.
     fn numbers(rows: &mut [Self::Row]) -> &mut [Self];
 
-    /// All columns of a table into a spectrum; the table is empty afterwards.
+    /// Transforms all columns of a table into a spectrum and clears the table.
     fn transform(simd_level: SimdLevel, batched_fft: &BatchedFft<Self>, job: Job<Self>);
 
-    /// The values of points across: their amplitudes times weights read from a table. Panics where entries are missing.
+    /// Computes the values of points across columns: amplitudes times weights read from a table.
+    /// Panics if an entry is missing.
     fn share<const BENT: bool>(
         simd_level: SimdLevel,
         points: Sharing<Self>,
@@ -107,15 +122,18 @@ pub trait Real: Planned + Default {
     );
 }
 
-/// The kernel's weights laid out for the loops: every weight twice (re, im), taps padded with zeros to a whole number of vectors.
+/// Kernel weights in the layout of the loops: each weight twice (re, im), with taps padded by zeros
+/// to whole vectors.
 #[derive(Clone, Debug)]
 pub struct FlushWeights<T> {
+    /// Taps of the kernel.
     pub width: usize,
-    /// `[k][2 i]` and `[k][2 i + 1]`: of tap i for moment k.
+    /// Weight of tap i for moment k, at `[k][2 i]` and `[k][2 i + 1]`.
     pub doubled: Vec<[T; 2 * MAX_WIDTH]>,
 }
 
 impl<T: Real> FlushWeights<T> {
+    /// Converts the weights of `kernel`.
     pub fn new(kernel: &Kernel) -> Self {
         let doubled = (0..T::MOMENTS)
             .map(|k| {
@@ -136,6 +154,7 @@ impl<T: Real> FlushWeights<T> {
 }
 
 impl<T: Real> Located<T> {
+    /// Zeroed buffers.
     pub fn new() -> Self {
         Self {
             cell: [0; BLOCK],
@@ -150,19 +169,26 @@ impl<T: Real> Default for Located<T> {
     }
 }
 
-/// Adding and subtracting it rounds to the nearest integer (|x| < 2^51) and leaves that integer in the low bits of the sum.
+/// Adding and subtracting this rounds to the nearest integer (|x| < 2^51). The low bits of the sum
+/// hold that integer.
 pub(crate) const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
-/// Delays in cells: `per_s * delay_s + offset`. What lies outside 0..`cells` goes to cell `drain`.
+/// Conversion of delays to cells: `per_s * delay_s + offset`. Delays outside 0..`cells` go to cell
+/// `drain`.
 #[derive(Clone, Copy, Debug)]
 pub struct Axis {
+    /// Cells per second.
     pub per_s: f64,
+    /// Cell coordinate of delay 0.
     pub offset: f64,
+    /// Number of cells.
     pub cells: usize,
+    /// Index of the drain.
     pub drain: usize,
 }
 
-/// Cells and places of up to [`BLOCK`] delays. Returns how many went to the drain; NaN does.
+/// Computes cells and positions of up to [`BLOCK`] delays. Returns the number of delays in the
+/// drain, NaN included.
 #[inline(always)]
 fn locate_plain<T: Real>(axis: Axis, delay_s: &[f64], located: &mut Located<T>) -> u64 {
     let end = axis.cells as f64;
@@ -174,7 +200,8 @@ fn locate_plain<T: Real>(axis: Axis, delay_s: &[f64], located: &mut Located<T>) 
         let inside = (position >= 0.0) & (position < end);
         outside += u64::from(!inside);
         let position = if inside { position } else { drain };
-        // Truncation by rounding half a cell earlier; a position on a boundary may go to either cell, as x = 1 or x = -1.
+        // Truncates by rounding half a cell earlier. A position on a boundary may go to either
+        // cell, with x = 1 or x = -1.
         let shifted = (position - 0.5) + ROUND;
         *cell = shifted.to_bits() as u32;
         *x = T::narrow(2.0 * (position - (shifted - ROUND)) - 1.0);
@@ -195,7 +222,8 @@ fn locate_avx512<T: Real>(axis: Axis, delay_s: &[f64], located: &mut Located<T>)
     locate_plain(axis, delay_s, located)
 }
 
-/// Cells and places of up to [`BLOCK`] delays. Returns how many went to the drain; NaN does.
+/// Computes cells and positions of up to [`BLOCK`] delays. Returns the number of delays in the
+/// drain, NaN included.
 pub fn locate<T: Real>(
     simd_level: SimdLevel,
     axis: Axis,
@@ -204,7 +232,7 @@ pub fn locate<T: Real>(
 ) -> u64 {
     assert!(delay_s.len() <= BLOCK);
     match simd_level.kind() {
-        // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features.
+        // SAFETY (twice): a `SimdLevel` of this kind exists only on processors with the features.
         #[cfg(target_arch = "x86_64")]
         Kind::Avx512 => unsafe { locate_avx512(axis, delay_s, located) },
         #[cfg(target_arch = "x86_64")]
@@ -213,7 +241,8 @@ pub fn locate<T: Real>(
     }
 }
 
-/// What the vector loops rely on: slices long enough. (That every row exists each of them checks in its own first pass.)
+/// Checks the slice lengths that the vector loops rely on. Each loop checks the row indices in its
+/// own first pass.
 fn check_points<T>(points: &Points<T>) {
     let len = points.cell.len();
     assert!(len <= BLOCK, "{len} points in a block of {BLOCK}");
@@ -242,7 +271,8 @@ macro_rules! real {
             fn accumulate(simd_level: SimdLevel, points: Points<Self>, rows: &mut [$row]) {
                 check_points(&points);
                 match simd_level.kind() {
-                    // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features; slices checked above.
+                    // SAFETY (twice): a `SimdLevel` of this kind exists only on processors with the
+                    // features; slices are checked above.
                     #[cfg(target_arch = "x86_64")]
                     Kind::Avx512 => unsafe { super::avx512::$accumulate(points, rows) },
                     #[cfg(target_arch = "x86_64")]
@@ -261,7 +291,8 @@ macro_rules! real {
                 assert!(rows.len() >= 2, "a cell and the drain");
                 assert_eq!(out.len(), rows.len() - 1 + weights.width - 1, "grid values");
                 match simd_level.kind() {
-                    // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features; shapes checked above.
+                    // SAFETY (twice): a `SimdLevel` of this kind exists only on processors with the
+                    // features; shapes are checked above.
                     #[cfg(target_arch = "x86_64")]
                     Kind::Avx512 => unsafe { super::avx512::$flush(rows, weights, out) },
                     #[cfg(target_arch = "x86_64")]
@@ -284,7 +315,8 @@ macro_rules! real {
 
             fn numbers(rows: &mut [$row]) -> &mut [Self] {
                 let len = 2 * $moments * rows.len();
-                // SAFETY: a row is so many numbers and, its length being a multiple of its alignment, nothing else.
+                // SAFETY: a row consists of its numbers only, since its length is a multiple of its
+                // alignment.
                 unsafe { std::slice::from_raw_parts_mut(rows.as_mut_ptr().cast(), len) }
             }
 
@@ -333,19 +365,21 @@ fn share_32<const BENT: bool>(
     values: &mut [Shared<f32>],
 ) {
     match simd_level.kind() {
-        // SAFETY: a `SimdLevel` of these kinds exists only where the processor has AVX2 and FMA; `Real::share` has checked the slices.
+        // SAFETY: a `SimdLevel` of these kinds exists only on processors with AVX2 and FMA;
+        // `Real::share` has checked the slices.
         #[cfg(target_arch = "x86_64")]
         Kind::Avx512 | Kind::Avx2 => unsafe { super::avx2::share_32::<BENT>(points, values) },
         _ => share_plain::<f32, BENT>(points, values),
     }
 }
 
-/// Seldom needed: plain for all.
+/// Rarely used, so there is only the portable version.
 fn share_64<const BENT: bool>(_: SimdLevel, points: Sharing<f64>, values: &mut [Shared<f64>]) {
     share_plain::<f64, BENT>(points, values);
 }
 
-/// What the vector loop relies on: a number of each for every value, and every entry in the table.
+/// Checks what the vector loop relies on: one number of each kind per value, and table entries
+/// within bounds.
 fn check_sharing<T>(points: &Sharing<T>, len: usize) {
     assert_eq!(points.entry.len(), len, "entries");
     assert_eq!(points.beyond.len(), len, "places");
@@ -359,7 +393,7 @@ fn check_sharing<T>(points: &Sharing<T>, len: usize) {
     );
 }
 
-/// The portable twin of the vector loops.
+/// Portable version of the vector loops.
 fn accumulate_plain<T: Real, const N: usize>(points: Points<T>, rows: &mut [Row<T, N>]) {
     for ((&cell, &x), &amplitude) in points.cell.iter().zip(points.x).zip(points.amplitude) {
         let mut moment = amplitude;
@@ -371,7 +405,7 @@ fn accumulate_plain<T: Real, const N: usize>(points: Points<T>, rows: &mut [Row<
     }
 }
 
-/// The portable twin of the vector loops.
+/// Portable version of the vector loops.
 fn flush_plain<T: Real, const N: usize>(
     rows: &[Row<T, N>],
     weights: &FlushWeights<T>,
@@ -393,7 +427,7 @@ mod tests {
     use super::*;
     use std::f64::consts::TAU;
 
-    /// Numbers in -1..1 that look like chance.
+    /// Pseudo-random numbers in -1..1.
     fn chance(i: usize) -> f64 {
         let x = (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         let x = (x ^ (x >> 31)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -402,7 +436,7 @@ mod tests {
 
     type Block<T> = (Located<T>, [Complex<T>; BLOCK]);
 
-    /// Points in all cells but the last of `cells`.
+    /// Points in all of `cells` cells except the last.
     fn block<T: Real>(cells: usize) -> Block<T> {
         let number = |i: usize| T::narrow(chance(i));
         let below = |i: usize, end: usize| (chance(i).abs() * end as f64) as u32;
@@ -432,8 +466,8 @@ mod tests {
         })
     }
 
-    /// Accumulate and flush against their portable twins.
-    fn every_dialect_agrees<T: Real<Row = Row<T, N>> + Into<f64>, const N: usize>(limit: f64) {
+    /// Compares accumulate and flush with their portable versions.
+    fn every_simd_level_agrees<T: Real<Row = Row<T, N>> + Into<f64>, const N: usize>(limit: f64) {
         const CELLS: usize = 23;
         let one = Complex::new(T::one(), T::one());
         let block = block::<T>(CELLS);
@@ -459,19 +493,19 @@ mod tests {
         }
     }
 
-    // Sums of some 100 terms below 1: a few roundings of 6e-8 or 1.1e-16 each.
+    // Sums of about 100 terms below 1: a few roundings of 6e-8 or 1.1e-16 each.
     #[test]
-    fn every_dialect_gives_the_portable_f32_to_3e_5() {
-        every_dialect_agrees::<f32, 16>(3e-5);
+    fn every_simd_level_gives_the_portable_f32_to_3e_5() {
+        every_simd_level_agrees::<f32, 16>(3e-5);
     }
 
     #[test]
-    fn every_dialect_gives_the_portable_f64_to_1e_13() {
-        every_dialect_agrees::<f64, 24>(1e-13);
+    fn every_simd_level_gives_the_portable_f64_to_1e_13() {
+        every_simd_level_agrees::<f64, 24>(1e-13);
     }
 
     #[test]
-    fn every_dialect_shares_points_like_the_portable_f32_to_1e_6() {
+    fn every_simd_level_shares_points_like_the_portable_f32_to_1e_6() {
         use crate::array::gridded::prepare::Entry;
         let eight = |i: usize| std::array::from_fn(|t| chance(8 * i + t) as f32);
         let table: Vec<Entry<f32>> = (0..16)
@@ -522,7 +556,7 @@ mod tests {
     }
 
     #[test]
-    fn locating_gives_the_same_bits_in_every_dialect_and_drains_what_lies_outside() {
+    fn locating_gives_the_same_bits_in_every_simd_level_and_drains_what_lies_outside() {
         let mut delay_s: Vec<f64> = (0..BLOCK).map(|i| 1e-3 * (chance(i) + 1.0)).collect();
         for (i, odd) in [
             f64::NAN,

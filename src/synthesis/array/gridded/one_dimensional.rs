@@ -1,19 +1,24 @@
-//! `gridded-1d`: the echoes of one element by the one-dimensional transform, for any array.
+//! `gridded-1d`: synthesis of one element by a one-dimensional nonuniform Fourier transform, for
+//! any array.
 //!
-//! In: arrivals of one element ([`ArrivalSink`]). Out: its samples. Every echo's middle is spread with its carrier phase over the grid of
-//! delays ([`super::moments`]) and, where echoes differ in Doppler, over a few of the columns of [`super::doppler`]. Each column is
-//! transformed, multiplied by its template (pulse stretched by the column's Doppler, receiver filter, what undoes the kernels), the sum is
-//! folded onto the sample rate and transformed back.
+//! The middle of every echo is spread with its carrier phase over a grid of delays
+//! ([`super::moments`]). If echoes differ in Doppler, it is also spread over a few Doppler columns
+//! ([`super::doppler`]). An FFT transforms each column, and its template multiplies the spectrum:
+//! the pulse stretched by the column's Doppler, the receiver filter, and the correction of the
+//! kernels. The sum is folded onto the sample rate and transformed back.
 //!
-//! Where the stretch itself changes during the pulse (`stretch-quadratic`), the weights on the columns carry it. To a tolerance for which that
-//! is not good enough each term of the series in its curvature is one more set of columns, which the same points are added to with (p/p_max)^k as factor: few and coarse, since the terms are small, and left out for
-//! chunks whose echoes are bent too little to need them.
+//! With `stretch-quadratic` the stretch changes during the pulse, and the weights on the columns
+//! carry this curvature. Tighter tolerances need one more set of columns per term of the series in
+//! curvature. The same points are added to them with the factor (p/p_max)^k. These sets are few and
+//! coarse, since the terms are small, and chunks with little curvature skip them.
 //!
-//! The tolerance decides: widths and oversamplings of both kernels, how many multiples of the sample rate the band has, f32 or f64 for
-//! moments and transforms. f32 rounding in a transform spreads 1e-7 of the strongest echo over the whole record, f32 moments stay near
-//! their echo: so between the two lies the member with f32 moments and f64 transforms.
+//! The tolerance sets the widths and oversamplings of both kernels, the band in multiples of the
+//! sample rate, and the precision of moments and transforms. f32 rounding in a transform spreads
+//! 1e-7 of the strongest echo over the whole record, whereas f32 moments err only near their echo.
+//! Between the two is a variant with f32 moments and f64 transforms.
 //!
-//! What it equals: [`super::super::direct`] fed to the receiver filter, in the limit of dense sampling.
+//! Input: arrivals of one element ([`ArrivalSink`]). Output: its samples, equal within the
+//! tolerance to [`super::super::direct`] with the receiver filter in the limit of dense sampling.
 
 use std::any::TypeId;
 use std::sync::{Arc, OnceLock};
@@ -34,82 +39,120 @@ use super::moments::{Across, Axis, FlushWeights, Located, Points, Real, locate};
 use super::prepare::{Columns, Frame, Prepared};
 use super::simd_level::{Kind, SimdLevel};
 
-/// Below this tolerance moments are f64: f32 rounds amplitudes, places and sums to 1e-7 or so of an echo.
+/// Below this tolerance moments are f64, since f32 rounds amplitudes, positions and sums to about
+/// 1e-7 of an echo.
 pub(crate) const MIN_F32_MOMENTS: f64 = 1e-6;
 
-/// f32 transforms leave this much of the strongest echo everywhere.
+/// Rounding error of f32 transforms, relative to the strongest echo, over the whole record.
 const F32_TRANSFORM: f64 = 1e-7;
 
-/// The least tolerance that f64 delays and kernels are good for here.
+/// Smallest tolerance that f64 delays and kernels support here.
 const MIN_TOLERANCE: f64 = 1e-10;
 
-/// What the engine is to be made for.
+/// Requirements on the engine.
 #[derive(Clone, Copy)]
 pub struct Spec<'a> {
+    /// Transmitted pulse.
     pub pulse: &'a Pulse,
+    /// Sample rate of the output, Hz.
     pub sample_rate_hz: f64,
-    /// Samples of one element, at most.
+    /// Maximum number of samples of one element.
     pub samples: usize,
-    /// None: the sum is sampled at its points.
+    /// Receiver filter; None samples the sum directly.
     pub filter: Option<&'a Decimator>,
+    /// Doppler model; `paper-eq21` is not supported.
     pub doppler: DopplerModel,
-    /// The widest that will occur at leading edges; with `DopplerModel::None` it is not looked at.
+    /// Widest range of Dopplers at leading edges; ignored with `DopplerModel::None`.
     pub span: DopplerSpan,
-    /// Greatest |curvature| that will occur, per second; looked at with `DopplerModel::StretchQuadratic` alone.
+    /// Largest |curvature|, per second; used only with `DopplerModel::StretchQuadratic`.
     pub curvature_per_s: f64,
-    /// Relative error in any window of a pulse's length.
+    /// Largest relative error in any window of one pulse length.
     pub tolerance: f64,
-    /// How much weaker than the strongest window the weakest may be, dB.
+    /// Level of the weakest window below the strongest, dB.
     pub level_range_db: f64,
-    /// Arrivals per element, roughly: decides what is fastest, and whether echoes may sound by themselves.
+    /// Approximate number of arrivals per element. It decides which design is fastest, and whether
+    /// the error of a single echo matters.
     pub arrivals: usize,
+    /// Instruction set of the inner loops.
     pub simd_level: SimdLevel,
 }
 
+/// Requirements that `gridded-1d` does not meet.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum GriddedError {
+    /// Too much energy of the pulse lies outside every available band.
     #[error(
-        "gridded-1d cannot reach a tolerance of {tolerance:e}: what of the pulse lies outside every band it can have makes an error of \
+        "gridded-1d: tolerance {tolerance:e} cannot be met: energy of the pulse outside the widest band makes an error of \
          {share:.1e} in some window; use the receiver filter, a longer taper or `direct`"
     )]
-    OutOfBand { tolerance: f64, share: f64 },
-    #[error("gridded-1d cannot reach a tolerance of {tolerance:e}; its least is {least:e}")]
-    Tolerance { tolerance: f64, least: f64 },
-    #[error("gridded-1d does not know the Doppler model `paper-eq21`")]
+    OutOfBand {
+        /// Requested tolerance.
+        tolerance: f64,
+        /// Relative error in the worst window.
+        share: f64,
+    },
+    /// The tolerance is below the smallest supported one.
+    #[error("gridded-1d: tolerance {tolerance:e} is below the minimum of {least:e}")]
+    Tolerance {
+        /// Requested tolerance.
+        tolerance: f64,
+        /// Smallest supported tolerance.
+        least: f64,
+    },
+    /// The Doppler model is `paper-eq21`.
+    #[error("gridded-1d: Doppler model `paper-eq21` is not supported")]
     DopplerModel,
+    /// The curvature is too large for the tolerance.
     #[error(
         "gridded-1d: a curvature of {curvature_per_s} per second turns the ends of the pulse by {turned_rad:.1} rad, too much for a tolerance \
          of {tolerance:e}"
     )]
     Curvature {
+        /// Largest curvature, per second.
         curvature_per_s: f64,
+        /// Phase at the ends of the pulse, radians.
         turned_rad: f64,
+        /// Requested tolerance.
         tolerance: f64,
     },
-    #[error("Doppler from {least} to {greatest}: expected -0.1 <= least <= greatest <= 0.1")]
-    Doppler { least: f64, greatest: f64 },
+    /// The Doppler span is invalid.
+    #[error(
+        "gridded-1d: Doppler span from {least} to {greatest}: expected -0.1 <= least <= greatest <= 0.1"
+    )]
+    Doppler {
+        /// Smallest eta - 1.
+        least: f64,
+        /// Largest eta - 1.
+        greatest: f64,
+    },
 }
 
-/// The engine as it is designed; its tables are made for the first [`Self::work`], and shared by all threads.
+/// The designed engine. The first [`Self::work`] computes its tables, which all threads share.
 pub struct Gridded1d {
     make: Box<dyn Fn() -> Box<dyn Element> + Send + Sync>,
     cost_estimate: Box<dyn Fn(usize, f64, f64) -> CostEstimate + Send + Sync>,
     error_model: ErrorModel,
 }
 
-/// One thread's buffers and the element it is at. Use: [`Self::start`], then as [`ArrivalSink`], then [`Self::finish`].
+/// Buffers of one thread, and the element in progress. Call [`Self::start`], pass the arrivals as
+/// to any [`ArrivalSink`], then call [`Self::finish`].
 pub struct Gridded1dWork(Box<dyn Element>);
 
-/// What did not fit the plan, per element.
+/// Echoes of one element outside the design range of the engine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Misfits {
-    /// Delays that cannot be heard in the window: left out.
+    /// Echoes outside the record; omitted.
     pub outside_window: u64,
-    /// Dopplers outside the span given to `start`, curvatures beyond the plan's: taken as the nearest within.
+    /// Echoes with a Doppler outside the span given to `start`, or a curvature beyond the design;
+    /// clamped.
     pub outside_span: u64,
 }
 
 impl Gridded1d {
+    /// Designs an engine for `spec`.
+    ///
+    /// Fails if the Doppler span, the Doppler model, the curvature or the pulse's spectrum does not
+    /// allow the tolerance.
     pub fn new(spec: &Spec) -> Result<Self, GriddedError> {
         let DopplerSpan { least, greatest } = spec.span;
         if !(-0.1 <= least && least <= greatest && greatest <= 0.1) {
@@ -140,7 +183,7 @@ impl Gridded1d {
         precision: &str,
     ) -> Result<Self, GriddedError> {
         let design = Design::new::<M>(spec, weakening)?;
-        // f64 is twice as much of everything.
+        // f64 doubles the memory traffic.
         let words = (size_of::<G>() / size_of::<f32>()) as f64;
         let error = weakening * (design.error.powi(2) + spread_error.powi(2)).sqrt();
         let doppler = &design.terms[0].grid;
@@ -181,30 +224,33 @@ impl Gridded1d {
         })
     }
 
-    /// Predicted error, and milliseconds of one core per element.
+    /// Predicted error, and cost in milliseconds of one core per element.
     pub fn error_model(&self) -> &ErrorModel {
         &self.error_model
     }
 
-    /// Of one element with so many echoes, whose Dopplers take up this share of the span and whose curvatures reach this far.
+    /// Cost of one element with `arrivals` echoes, whose Dopplers cover `share` of the span and
+    /// whose curvatures reach `curvature_per_s`.
     pub fn cost_estimate(&self, arrivals: usize, share: f64, curvature_per_s: f64) -> CostEstimate {
         (self.cost_estimate)(arrivals, share, curvature_per_s)
     }
 
-    /// Buffers for one thread. The first makes the tables: milliseconds to seconds.
+    /// Allocates buffers for one thread. The first call computes the tables, which takes
+    /// milliseconds to seconds.
     pub fn work(&self) -> Gridded1dWork {
         Gridded1dWork((self.make)())
     }
 }
 
 impl Gridded1dWork {
-    /// Begins an element. Sample k will lie `first_sample_s + k / sample_rate_hz` after the start of the pulse; echoes have Dopplers in
-    /// `span`, part of the plan's: the narrower, the less there is to do.
+    /// Begins an element. Sample k lies `first_sample_s + k / sample_rate_hz` after the start of
+    /// the pulse. Echo Dopplers lie in `span`, part of the designed span; a narrower span costs
+    /// less.
     pub fn start(&mut self, first_sample_s: f64, span: DopplerSpan) {
         self.0.start(first_sample_s, span);
     }
 
-    /// Overwrites `out`, at most the plan's `samples` of it.
+    /// Overwrites `out`, whose length is at most the `samples` of the design.
     pub fn finish(&mut self, out: &mut [Complex64]) -> Misfits {
         self.0.finish(out)
     }
@@ -216,32 +262,32 @@ impl ArrivalSink for Gridded1dWork {
     }
 }
 
-/// [`Gridded1dWork`], whatever its precision.
+/// [`Gridded1dWork`] of any precision.
 trait Element: Send {
     fn start(&mut self, first_sample_s: f64, span: DopplerSpan);
     fn accept(&mut self, chunk: &ArrivalChunk);
     fn finish(&mut self, out: &mut [Complex64]) -> Misfits;
 }
 
-/// M: moments; G: grids and transforms.
+/// Tables of the engine. M is the precision of moments, G that of grids and transforms.
 struct Plan<M: Real, G: Real> {
     simd_level: SimdLevel,
     samples: usize,
-    /// Length of the record in samples, and of its spectrum.
+    /// Length of the record, and of its spectrum, in samples.
     period: usize,
     grid: usize,
     /// Grid steps per second.
     scale: f64,
     shift: f64,
-    /// From the start of the record to the first sample.
+    /// Time from the start of the record to the first sample, seconds.
     lead_s: f64,
     flush: FlushWeights<M>,
     frame: Frame,
-    /// Of the series in the curvature; the first is the echo without.
+    /// Terms of the series in curvature; the first is the echo without curvature.
     terms: Vec<Term<M, G>>,
-    /// None where every term has one column.
+    /// None if every term has one column.
     columnwise: Option<Columnwise<G>>,
-    /// By which Dopplers of middles may lie outside those of leading edges.
+    /// Largest amount by which Dopplers at the middle lie outside those at leading edges.
     beside: f64,
     forward: Arc<dyn Fft<G>>,
     inverse: Arc<dyn Fft<G>>,
@@ -250,23 +296,24 @@ struct Plan<M: Real, G: Real> {
 struct Term<M: Real, G: Real> {
     columns: Columns<M>,
     templates: Templates<G>,
-    /// Chunks whose greatest |p| over the plan's is below this do without.
+    /// Chunks whose largest |p|, relative to the design's, is below this skip the term.
     min_bend: f64,
 }
 
-/// What each column sounds like, and what undoes the kernel.
+/// Templates of the columns, with the correction of the kernel.
 enum Templates<G> {
     /// One column: `[bin]`, lowest frequency first.
     One(Vec<Complex<G>>),
-    /// `[place][2 * lanes]`, real parts and then imaginary ones; [`LANES`] more than there are columns.
+    /// Several columns: `[place][2 * lanes]`, real parts, then imaginary parts; [`LANES`] more than
+    /// there are columns.
     BatchedFft { lanes: usize, numbers: Vec<G> },
 }
 
-/// What the terms of several columns have in common.
+/// Tables that the terms of several columns share.
 struct Columnwise<G> {
     transform: BatchedFft<G>,
     places: Vec<Place>,
-    /// Of every place.
+    /// Bin of each place.
     bins: Vec<u32>,
 }
 
@@ -277,7 +324,7 @@ impl<G: Real> Columnwise<G> {
         for (row, frequency) in transform.frequencies().enumerate() {
             let bin = (frequency + bins / 2) % grid;
             if bin < bins {
-                // A period more than the band has multiples of: no difference below 0.
+                // Adding `bins` periods keeps the difference non-negative.
                 let to = (bin + bins * period - bins / 2) % period;
                 places.push(Place {
                     row: row as u32,
@@ -357,12 +404,12 @@ impl<M: Real, G: Real> Plan<M, G> {
         }
     }
 
-    /// Where what is not heard goes: far enough past the values that count.
+    /// Cell of points outside the record, far enough past the values that count.
     fn drain(&self) -> usize {
         self.grid + MAX_WIDTH
     }
 
-    /// Of a table of several columns: up to the drain, and what it reaches.
+    /// Rows of a table of several columns, up to the reach of the drain.
     fn rows(&self) -> usize {
         self.grid + 2 * MAX_WIDTH + 2
     }
@@ -370,37 +417,38 @@ impl<M: Real, G: Real> Plan<M, G> {
 
 struct Work<M: Real, G: Real> {
     plan: Arc<Plan<M, G>>,
-    /// One for each of the plan's terms.
+    /// One for each term of the tables.
     terms: Vec<TermWork<M, G>>,
     prepared: Box<Prepared<M>>,
     located: Box<Located<M>>,
-    /// One column, flushed.
+    /// One column after the flush.
     values: Vec<Complex<M>>,
     column: Vec<Complex<G>>,
     spectrum: Vec<Complex<G>>,
     scratch: Vec<Complex<G>>,
-    /// Several columns as they are transformed, where moments are something else or there are many.
+    /// Several columns in transform precision, used if the moments differ in precision or the
+    /// columns are many.
     wide: Vec<G::Row>,
     wide_scratch: Vec<G::Row>,
-    /// Of this element.
+    /// Start of this element's record.
     origin_s: f64,
-    /// Of its echoes' middles.
+    /// Doppler span at the middles of its echoes.
     span: DopplerSpan,
     misfits: Misfits,
 }
 
-/// Where one term of an element is added up.
+/// Accumulator of one term of an element.
 struct TermWork<M: Real, G: Real> {
-    /// Moments for one column; for several their grids abreast.
+    /// Moments of one column, or the interleaved grids of several.
     table: Vec<M::Row>,
     first_column: usize,
     columns: usize,
     lanes: usize,
-    /// Of these columns alone, `[place][2 * lanes]`.
+    /// Templates of the columns in use, `[place][2 * lanes]`.
     templates: Vec<G::Row>,
-    /// First column and lanes that those are of.
+    /// First column and lanes of `templates`.
     kept: (usize, usize),
-    /// Something was added since the element began.
+    /// Whether any point was added since the element began.
     used: bool,
 }
 
@@ -471,18 +519,18 @@ impl<M: Real, G: Real> Work<M, G> {
     }
 }
 
-/// Lanes that are laid together to be transformed.
+/// Maximum number of lanes that one transform takes.
 fn together<G: Real>() -> usize {
     MAX_TOGETHER * size_of::<f32>() / size_of::<G>()
 }
 
-/// Rows of storage that hold so many numbers.
+/// Number of rows that hold `numbers` numbers.
 fn rows_of<T: Real>(numbers: usize) -> usize {
     numbers.div_ceil(2 * T::MOMENTS)
 }
 
 impl<M: Real, G: Real> TermWork<M, G> {
-    /// Has the templates of the columns at hand that the element's echoes go to.
+    /// Copies the templates of the columns that the element's echoes use.
     fn keep(&mut self, planned: &Templates<G>) {
         let Templates::BatchedFft { lanes, numbers } = planned else {
             return;
@@ -501,7 +549,7 @@ impl<M: Real, G: Real> TermWork<M, G> {
     }
 }
 
-/// The same numbers, where M is G.
+/// Returns the same numbers as G if M is G.
 fn same<M: Real, G: Real>(numbers: &mut [M]) -> Option<&mut [G]> {
     if TypeId::of::<M>() != TypeId::of::<G>() {
         return None;
@@ -603,10 +651,11 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
                 continue;
             }
             if let Templates::One(templates) = &planned.templates {
-                // Cells 0..=grid; the row behind them is empty, as `flush` leaves it out.
+                // Cells 0..=grid. `flush` omits the last row, which is empty here.
                 let cells = &term.table[..plan.grid + 2];
                 M::flush(plan.simd_level, cells, &plan.flush, &mut self.values);
-                // The record closes: what was put past its end belongs to its beginning, where no sample is heard.
+                // The record is periodic: values past its end wrap to its beginning, where no
+                // sample is taken.
                 let (period, beyond) = self.values.split_at(plan.grid);
                 for (value, v) in self.column.iter_mut().zip(period) {
                     *value = widen(*v);
@@ -625,7 +674,7 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
             let width = 2 * term.lanes;
             let (table, rest) =
                 M::numbers(&mut term.table)[..width * plan.rows()].split_at_mut(width * plan.grid);
-            // It closes, as above.
+            // Periodic, as above.
             for (value, beyond) in table.iter_mut().zip(&rest[..width * plan.flush.width]) {
                 *value = *value + *beyond;
             }
@@ -649,7 +698,7 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
             if direct && let Some(table) = same::<M, G>(table) {
                 transform(table, term.lanes, 0);
             } else {
-                // Some at a time, closer together.
+                // Transforms several lanes at a time, packed closely.
                 for first in (0..term.lanes).step_by(most) {
                     let lanes = most.min(term.lanes - first);
                     let wide = &mut G::numbers(&mut self.wide)[..2 * lanes * plan.grid];
@@ -667,7 +716,7 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
                 }
                 table.fill(M::zero());
             }
-            // The table is empty again.
+            // The transform has cleared the table.
             term.used = false;
         }
         plan.inverse
@@ -683,7 +732,7 @@ fn widen<M: Real + Into<f64>, G: Real>(v: Complex<M>) -> Complex<G> {
     Complex::new(G::narrow(v.re.into()), G::narrow(v.im.into()))
 }
 
-/// Adds transform times template, bin for bin, to the spectrum that repeats every sample rate.
+/// Adds transform times template, bin by bin, to the spectrum with the period of the sample rate.
 fn add_folded<G: Real>(
     simd_level: SimdLevel,
     spectrum: &mut [Complex<G>],
@@ -691,7 +740,7 @@ fn add_folded<G: Real>(
     template: &[Complex<G>],
 ) {
     match simd_level.kind() {
-        // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features.
+        // SAFETY (twice): a `SimdLevel` of this kind exists only on processors with the features.
         #[cfg(target_arch = "x86_64")]
         Kind::Avx512 => unsafe { add_folded_avx512(spectrum, column, template) },
         #[cfg(target_arch = "x86_64")]
@@ -730,9 +779,10 @@ fn add_folded_plain<G: Real>(
     let (period, bins) = (spectrum.len(), template.len());
     let mut bin = 0;
     while bin < bins {
-        // Bin b is frequency b - bins/2: where it lies in the column's transform and in the spectrum.
+        // Bin b is frequency b - bins/2; computes its index in the column's transform and in the
+        // spectrum.
         let at = (bin + column.len() - bins / 2) % column.len();
-        // A period more than the band has multiples of: no difference below 0.
+        // Adding `bins` periods keeps the difference non-negative.
         let to = (bin + bins * period - bins / 2) % period;
         let run = (bins - bin).min(column.len() - at).min(period - to);
         for ((sum, value), factor) in spectrum[to..to + run]
@@ -767,7 +817,8 @@ mod tests {
         }
     }
 
-    /// Echoes all over the window and past both its ends, falling by 50 dB from first to last, with Dopplers over all of `span`.
+    /// Echoes over the whole window and past both ends, with levels falling by 50 dB and Dopplers
+    /// over all of `span`.
     fn arrivals(count: usize, span: DopplerSpan) -> Vec<ArrivalChunk> {
         let fraction = |m: usize, step: f64| (0.5 + step * m as f64).fract();
         let length_s = SAMPLES as f64 / RATE_HZ;
@@ -789,7 +840,7 @@ mod tests {
         chunks
     }
 
-    /// The direct sum, through the filter where there is one.
+    /// The direct sum, filtered if there is a filter.
     fn direct(
         pulse: &Pulse,
         filter: Option<&Decimator>,
@@ -826,7 +877,7 @@ mod tests {
         println!("    made in {:.1} ms", begun.elapsed().as_secs_f64() * 1e3);
         let mut work = engine.work();
         let mut out = vec![Complex64::ONE; SAMPLES];
-        // Twice: what the first element left behind must not show in the second.
+        // Twice, since the first element must not affect the second.
         for _ in 0..2 {
             work.start(FIRST_S, span);
             chunks.iter().for_each(|chunk| work.accept(chunk));
@@ -836,7 +887,7 @@ mod tests {
         (out, engine.error_model().error)
     }
 
-    /// Largest relative error over windows of a pulse's length, starting every half of one.
+    /// Largest relative error over windows of one pulse length, with half overlap.
     fn windowed(got: &[Complex64], want: &[Complex64], pulse: &Pulse) -> f64 {
         let length = ((pulse.duration_s * RATE_HZ) as usize).max(32);
         (0..=(want.len() - length) / (length / 2))
@@ -876,7 +927,7 @@ mod tests {
     #[test]
     fn error_stays_below_every_tolerance_in_every_window() {
         for kind in [PulseKind::LfmUp, PulseKind::LfmDown, PulseKind::Cw] {
-            // A taper so long that the dense sum itself has converged.
+            // The taper is long enough for the dense sum itself to converge.
             let pulse = pulse(kind, 1.0);
             let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
             let chunks = arrivals(700, SIDESCAN);
@@ -894,7 +945,8 @@ mod tests {
         }
     }
 
-    /// One echo alone, at either end of the Dopplers and between: worst window of the contract, every sample, noise 55 dB below the strongest.
+    /// A single echo at the ends of the Doppler range and between: worst window, every sample,
+    /// noise 55 dB below the strongest.
     fn alone(doppler: DopplerModel, curvature_per_s: f64, tolerance: f64) -> (f64, String) {
         let pulse = pulse(PulseKind::LfmUp, 1.0);
         let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
@@ -953,7 +1005,7 @@ mod tests {
         }
     }
 
-    /// 2 ms, 0.013 rad at the ends: by the weights to a hundredth, by columns of its own to 1e-5.
+    /// 2 ms, 0.013 rad at the ends: the weights suffice to a hundredth, separate columns to 1e-5.
     #[test]
     fn weights_carry_a_curvature_as_well_as_columns_of_its_own_would() {
         let carried = |tolerance| {
@@ -964,7 +1016,8 @@ mod tests {
         assert!(carried(1e-2) && !carried(1e-5));
     }
 
-    /// The paper's pulse has edges: the direct sum at 48 samples per output sample converges because their points are weighted.
+    /// The pulse of the paper has sharp edges. The direct sum at 48 samples per output sample
+    /// converges because its edge points are weighted.
     #[test]
     fn a_rectangular_pulse_meets_the_filtered_direct_sum_to_1e_3() {
         let pulse = pulse(PulseKind::LfmUp, 0.0);
@@ -976,7 +1029,8 @@ mod tests {
         assert!(error < 1e-3, "{error:e}");
     }
 
-    /// A sharp CW has a spectrum that no band holds, and a band that is cut rings on: not into an echo 55 dB weaker, 8 ms later.
+    /// No band contains the spectrum of a sharp CW, and a truncated spectrum rings. The ringing
+    /// must not reach an echo 55 dB weaker and 8 ms later.
     #[test]
     fn what_the_band_leaves_out_of_an_echo_stays_near_it() {
         let pulse = Pulse {
@@ -1060,7 +1114,7 @@ mod tests {
         }
     }
 
-    /// Curvatures as of 5 m/s at 36 m, as of a swell, and as of a scatterer next to a fast platform.
+    /// Curvatures of 5 m/s at 36 m, of swell, and of a scatterer close to a fast platform.
     #[test]
     fn curvature_keeps_every_tolerance_in_every_window() {
         for (kind, greatest) in [
@@ -1079,7 +1133,7 @@ mod tests {
                 }
             }
             let want = direct(&pulse, Some(&filter), &chunks);
-            // The direct sum's own parabolas leave some 1e-8 of bent sweeps.
+            // The parabolas of the direct sum itself are off by about 1e-8 for distorted sweeps.
             for tolerance in [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6] {
                 let spec = Spec {
                     doppler: DopplerModel::StretchQuadratic,

@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn every_dialect_meets_5e_7_and_1e_12() {
+    fn every_simd_level_meets_5e_7_and_1e_12() {
         for simd_level in SimdLevel::available() {
             let (single, ..) = error::<f32>(7, 2.0, simd_level);
             let (double, ..) = error::<f64>(14, 2.0, simd_level);

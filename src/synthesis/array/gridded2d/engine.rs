@@ -1,4 +1,4 @@
-//! The engine of one line array: what is made once, what a ping sets, and the buffers of a thread.
+//! The engine of one line array: tables made once, settings of a ping, and the buffers of a thread.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -25,50 +25,57 @@ use super::stages::{Stage, Stages};
 use super::task::{MAX_ALONG, Task};
 use super::weights::{InverseGain, Taps, tap_tables};
 
-/// Blocks of bins where the filter leaves less than this much of what each series may leave are zero.
+/// Blocks of bins where the filter gain is below this multiple of the error allowed per series are
+/// set to zero.
 const FILTERED: f64 = 0.1;
-/// Of what each series may leave out, what following the bow to second order may.
+/// Share of the error allowed per series that is given to following the bow to second order.
 const BOW_SHARE: f64 = 0.1;
-/// By how much more than surveyed the spans of a task are taken, until all echoes lie within.
+/// Margins on the surveyed spans of a task, tried in turn until all echoes lie within.
 const MARGINS: [f64; 3] = [0.03, 0.3, 3.0];
 
-/// What a pulse is during an echo.
+/// Model of the pulse during an echo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PulseMotion {
-    /// Stretched evenly about the leading edge, as `direct` does under `DopplerModel::Stretch`.
+    /// Uniformly stretched about the leading edge, as `direct` computes it under
+    /// `DopplerModel::Stretch`.
     Stretch,
-    /// Its stretch changes at an even rate: as the reference to third order.
+    /// Stretch with a constant rate of change; equals the reference to third order.
     Quadratic,
 }
 
-/// How finely to compute; [`super::plan`] chooses.
+/// Resolution of the computation, chosen by [`super::plan`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fineness {
     /// Elements of one stretch of the line.
     pub stretch: usize,
     /// Output samples of one slab, a multiple of 32.
     pub slab_samples: usize,
+    /// Width of the kernel over time, grid rows.
     pub time_width: usize,
+    /// Width of the kernel over slope, grid columns.
     pub slope_width: usize,
-    /// Rows per bin that is heard, at least; columns per cycle of the aperture, over the least that sampling asks for.
+    /// Smallest number of rows per bin that is used.
     pub time_oversampling: f64,
-    /// Of the band, the part about its middle that the kernel over time is made for: beyond it there is next to nothing of the pulse.
+    /// Central share of the band that the kernel over time is designed for; beyond it the pulse has
+    /// almost no energy.
     pub time_core: f64,
+    /// Columns per cycle of the aperture, relative to the sampling limit.
     pub slope_oversampling: f64,
-    /// Of the kernels.
+    /// Moments of the kernels.
     pub moments: usize,
-    /// What each series may leave out, relative to an echo.
+    /// Truncation error allowed per series, relative to an echo.
     pub series: f64,
-    /// What may be left all over a slab, relative to its echoes.
+    /// Error allowed over a whole slab, relative to its echoes.
     pub far: f64,
+    /// Model of the pulse during an echo.
     pub motion: PulseMotion,
 }
 
-/// The receiver filter as the transform needs it.
+/// The receiver filter as a transfer function.
 pub struct Filter<'a> {
     /// Gain at an offset from the centre frequency, Hz.
     pub gain: &'a dyn Fn(f64) -> f64,
-    /// How far it reaches to either side in time, seconds.
+    /// Half the length of the impulse response, seconds.
     pub half_s: f64,
 }
 
@@ -77,38 +84,49 @@ pub struct Filter<'a> {
 pub struct Orders {
     /// Instants of the emission.
     pub instants: usize,
-    /// What channels carry: the echoes themselves, and what changes along the stretch or during the pulse in ways of their own.
+    /// Kinds of values in the channels: the echoes, and separate terms that vary along the stretch
+    /// or during the pulse.
     pub kinds: usize,
-    /// Powers of the place along the stretch, without and with the turn inside a block.
+    /// Powers of the position along the stretch, without the rotation inside a block.
     pub along: usize,
+    /// Powers of the position along the stretch, with the rotation inside a block.
     pub turn: usize,
     /// Powers of the frequency.
     pub band: usize,
-    /// Terms for what is left of the dilation, for the bend, and for what is left of the twist; a channel is a product of three.
+    /// Terms for the residual of the dilation. A channel is a product of dilation, bend and twist.
     pub dilation: usize,
+    /// Terms for the bend.
     pub bend: usize,
+    /// Terms for the residual of the twist.
     pub twist: usize,
 }
 
-/// What a task met.
+/// Statistics of one task.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TaskReport {
+    /// Elements of the stretch.
     pub elements: usize,
+    /// Echoes of the slab.
     pub echoes: usize,
-    /// Of the grid, and its transforms' length.
+    /// Rows of the grid, which is the length of its transforms.
     pub rows: usize,
-    /// Bins that the receiver filter leaves.
+    /// Bins in the pass band of the receiver filter.
     pub heard: usize,
+    /// Columns of the grid.
     pub columns: usize,
+    /// Channels of the grid.
     pub channels: usize,
-    /// What those are sums of: products of kind, dilation, bend and twist.
+    /// Products of kind, dilation, bend and twist, of which the channels are sums.
     pub products: usize,
-    /// Coefficients of a template, and powers along the stretch.
+    /// Coefficients of a template.
     pub entries: usize,
+    /// Powers of the position along the stretch.
     pub powers: usize,
+    /// Lengths of the series.
     pub orders: Orders,
-    /// Bound on what the series leave out, relative to an echo.
+    /// Bound on the truncation error of the series, relative to an echo.
     pub left_out: f64,
+    /// Time spent in each stage.
     pub stages: Stages,
 }
 
@@ -117,7 +135,7 @@ pub struct TaskReport {
 pub(super) struct Stretch {
     pub first: usize,
     pub middle_m: f64,
-    /// Of each element from the middle.
+    /// Position of each element relative to the middle.
     pub along_m: Vec<f64>,
     pub half_m: f64,
 }
@@ -127,7 +145,7 @@ pub struct LineEngine<T: Sample> {
     pub(super) fineness: Fineness,
     pub(super) rate_hz: f64,
     pub(super) filter_half_s: f64,
-    /// Room in the tables of the pulse.
+    /// Platform speed that the tables of the pulse allow for.
     pub(super) fastest_m_per_s: f64,
     pub(super) simd_level: SimdLevel,
     pub(super) stretches: Vec<Stretch>,
@@ -139,7 +157,7 @@ pub struct LineEngine<T: Sample> {
     pub(super) rows: usize,
     pub(super) forward: PanelFft<T>,
     pub(super) inverse: Arc<dyn Fft<T>>,
-    /// Blocks of bins that the filter leaves.
+    /// Blocks of bins in the pass band.
     pub(super) blocks: std::ops::Range<usize>,
     /// Per bin, from -rate/2: filter, time kernel, bin width.
     pub(super) band: Vec<f64>,
@@ -149,7 +167,7 @@ pub struct LineEngine<T: Sample> {
     pub(super) ping: Ping,
 }
 
-/// What a ping sets.
+/// Settings of one ping.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Ping {
     pub sound_speed_m_per_s: f64,
@@ -158,7 +176,7 @@ pub(super) struct Ping {
     pub(crate) nepers_per_m: f64,
     pub first_sample_s: f64,
     pub slabs: usize,
-    /// Leading edges of the first slab begin here, and of each next one so much later.
+    /// Leading edges of the first slab begin here. Each further slab begins `slab_s` later.
     pub(crate) first_edge_s: f64,
     pub(crate) slab_s: f64,
 }
@@ -170,57 +188,61 @@ pub struct Work<T: Sample> {
     pub(super) merge: Merge,
     pub(super) prepared: Box<Prepared<T>>,
     pub(super) mixing: Mixing<T>,
-    /// `[panel][row]`, a panel's lanes from `[column][channel]` as they come.
+    /// `[panel][row]`; the lanes of a panel are consecutive elements of `[column][channel]`.
     pub(super) grid: Vec<Row<T>>,
-    /// Whether all of it is zeros.
+    /// Whether the whole grid is zero.
     pub(super) cleared: bool,
     /// Two buffers of one panel.
     pub(super) panel: [Vec<Row<T>>; 2],
     pub(super) scratch: Vec<Complex<T>>,
     /// `[block][column][channel][lane]`.
     pub(super) spectrum: Split<T>,
-    /// Of one block and the columns at hand: `[column][power][lane]`.
+    /// Of one block and the current columns: `[column][power][lane]`.
     pub(super) moments: Split<T>,
     /// `[instant][kind][bend][twist]`, then `[instant][channel]`; `[power along][power of frequency]`.
     pub(super) values: Vec<Complex64>,
     pub(super) values_next: Vec<Complex64>,
-    /// `[slope][power of frequency][instant][channel][power along]`; then with terms of the emission for instants, in `values`.
+    /// `[slope][power of frequency][instant][channel][power along]`; then with terms of the
+    /// emission in place of instants, in `values`.
     pub(super) all_shapes: Vec<Complex64>,
-    /// Of each channel and power along the stretch, the most that it is.
+    /// Largest value of each channel and power along the stretch.
     pub(super) most: Vec<f64>,
-    /// Of every coefficient the most that it is, and its place.
+    /// Largest value of each coefficient, and its index.
     pub(super) sizes: Vec<(f64, usize)>,
-    /// The sounds that any is of: term of the emission times channels and channel.
+    /// Sources in use: term of the emission times channels, plus channel.
     pub(super) sources: Vec<usize>,
-    /// Those of the shapes that count, power by power.
+    /// Entries of the shapes that matter, power by power.
     pub(super) entries: Vec<Entry>,
-    /// Powers along the stretch that there are entries of, and with those that the turn inside a block adds.
+    /// Powers along the stretch that have entries, without and with those that the rotation inside
+    /// a block adds.
     pub(super) along: usize,
     pub(super) powers: usize,
     /// `[slope][power of frequency][entry]`.
     pub(super) shapes: Split<T>,
     /// `[column][slope]`
     pub(super) shares: Vec<T>,
-    /// Of one block, at each slope: value at its middle, and rise.
+    /// Of one block, at each slope: value at its middle, and slope over frequency.
     pub(super) chords: [Split<T>; 2],
-    /// The same of one column.
+    /// The same for one column.
     pub(super) here: [Split<T>; 2],
-    /// What is left of the dilation: `[instant][dilation][frequency]`.
+    /// Residual of the dilation: `[instant][dilation][frequency]`.
     pub(super) dilation: Vec<Complex64>,
-    /// The pulse as a column hears it in one block, by terms of the emission; and its powers along the stretch, without and with the turn.
+    /// The pulse received by a column in one block, by terms of the emission; and its powers along
+    /// the stretch, without and with the rotation.
     pub(super) pulses: Vec<Lanes<T>>,
     pub(super) of_powers: [Vec<Lanes<T>>; 2],
-    /// Of one block of one column: each of the sources.
+    /// Spectra of the sources in one block of one column.
     pub(super) sounds: Vec<Lanes<T>>,
     /// Of one block, by pair of elements and column: cosine and sine.
     pub(super) rotors: Vec<[T; 2]>,
-    /// Of one block, pair by pair; and the pairs' places, of the half stretch.
+    /// Of one block, pair by pair; and the positions of the pairs, relative to half the stretch.
     pub(super) sums: Vec<PairSums<T>>,
     pub(super) places: Vec<T>,
     /// `[element][bin]`.
     pub(super) elements: Split<T>,
 }
 impl<T: Sample> LineEngine<T> {
+    /// Prepares the engine of `array` at a sample rate of `rate_hz` (Hz).
     pub fn new(
         array: &ArrayGeometry,
         rate_hz: f64,
@@ -236,7 +258,7 @@ impl<T: Sample> LineEngine<T> {
             .map(|q| (filter.gain)((q as f64 - (bins / 2) as f64) * step_hz))
             .collect();
         let blocks = heard_blocks(&gain, FILTERED * fineness.series);
-        // Only what the filter leaves has to be right.
+        // Accuracy matters only in the pass band.
         let heard = 2 * (bins / 2 - BLOCK * blocks.start).max(BLOCK * blocks.end - bins / 2);
         let rows = grid_size((heard as f64 * fineness.time_oversampling).ceil() as usize).max(bins);
         let time_kernel = Kernel::new(
@@ -262,7 +284,7 @@ impl<T: Sample> LineEngine<T> {
         let count = array.elements.div_ceil(fineness.stretch);
         let stretches = (0..count)
             .map(|s| {
-                // As even as whole elements allow.
+                // Stretches as equal as whole elements allow.
                 let (first, end) = (s * array.elements / count, (s + 1) * array.elements / count);
                 let middle_m = 0.5 * (array.element_x_m(first) + array.element_x_m(end - 1));
                 let along_m: Vec<f64> = (first..end)
@@ -301,18 +323,20 @@ impl<T: Sample> LineEngine<T> {
         }
     }
 
-    /// Makes tables that do not have to be made again for platforms up to this speed.
+    /// Sizes the tables for platforms up to this speed, m/s, so that they need no rebuild.
     pub fn with_room_for(mut self, fastest_m_per_s: f64) -> Self {
         self.fastest_m_per_s = self.fastest_m_per_s.max(1.1 * fastest_m_per_s);
         self
     }
 
-    /// Rows from one panel of the grid to the next: one more than there are, or the rows of all panels would share the sets of a cache.
+    /// Distance in rows between panels of the grid. One spare row avoids mapping all panels to the
+    /// same cache sets.
     pub(super) fn panel_rows(&self) -> usize {
         self.rows + 1
     }
 
-    /// How much sooner or later than at its middle something is heard at a stretch's ends, the filter included.
+    /// Largest time difference between the middle and the ends of a stretch, filter included,
+    /// seconds.
     fn beside_s(&self, sound_speed_m_per_s: f64) -> f64 {
         let halves_m = self.stretches.iter().map(|stretch| stretch.half_m);
         self.filter_half_s + halves_m.fold(0.0, f64::max) / sound_speed_m_per_s
@@ -322,6 +346,7 @@ impl<T: Sample> LineEngine<T> {
         self.fineness.slab_samples
     }
 
+    /// Allocates buffers for one thread.
     pub fn work(&self) -> Work<T> {
         let zero = Complex::new(T::ZERO, T::ZERO);
         Work {
@@ -360,12 +385,13 @@ impl<T: Sample> LineEngine<T> {
         }
     }
 
-    /// [`Self::prepare_from`] the first instant that counts.
+    /// Calls [`Self::prepare_from`] with the first instant of the record.
     pub fn prepare(&mut self, plan: &PingPlan) {
         self.prepare_from(plan, f64::NEG_INFINITY);
     }
 
-    /// Sets the engine to a ping none of whose echoes begin before `earliest_s`: slabs, and the pulse's spectra if they are not those at hand.
+    /// Sets the engine to a ping none of whose echoes begin before `earliest_s`: the slabs, and the
+    /// spectra of the pulse if they changed.
     pub fn prepare_from(&mut self, plan: &PingPlan, earliest_s: f64) {
         let c = plan.sound_speed_m_per_s;
         let pulse = &plan.pulse;
@@ -381,7 +407,7 @@ impl<T: Sample> LineEngine<T> {
             .as_ref()
             .is_some_and(|p| p.is_of(pulse, half_hz + shift(speed)))
         {
-            // Room for a platform that speeds up.
+            // Margin for a platform that accelerates.
             let reach_hz = half_hz + shift((1.5 * speed).max(self.fastest_m_per_s));
             self.pulse = Some(PulseSpectra::new(
                 pulse,
@@ -389,7 +415,7 @@ impl<T: Sample> LineEngine<T> {
                 self.rate_hz / self.bins() as f64,
             ));
         }
-        // An echo sounds from its leading edge on for T, give or take its stretch; the filter adds to both sides.
+        // An echo lasts T, give or take its stretch; the filter adds to both sides.
         let echo_s = pulse.duration_s * (1.0 + 3.0 * speed / c);
         let beside_s = self.beside_s(c);
         let max_s = (self.bins() - 2) as f64 / self.rate_hz - echo_s - 2.0 * beside_s;
@@ -398,7 +424,7 @@ impl<T: Sample> LineEngine<T> {
         let first_edge_s = (plan.first_sample_s - echo_s - beside_s)
             .max(earliest_s)
             .min(last_edge_s);
-        // As even as can be: threads then have alike to do. No slab for what is rounding.
+        // Equal slabs balance the load of the threads. Rounding must not add a slab.
         let all_s = (last_edge_s - first_edge_s).max(1e-3 * max_s);
         let slabs = (all_s / max_s - 1e-9).ceil().max(1.0);
         self.ping = Ping {
@@ -413,11 +439,12 @@ impl<T: Sample> LineEngine<T> {
         };
     }
 
-    /// Tasks of this ping: slabs times stretches, stretch by stretch.
+    /// Number of tasks of this ping: slabs times stretches, stretch by stretch.
     pub fn tasks(&self) -> usize {
         self.ping.slabs * self.stretches.len()
     }
 
+    /// Number of slabs of this ping.
     pub fn slabs(&self) -> usize {
         self.ping.slabs
     }
@@ -430,13 +457,13 @@ impl<T: Sample> LineEngine<T> {
         task % self.ping.slabs
     }
 
-    /// Elements a task computes, and how many values it writes for each.
+    /// Elements that a task computes.
     pub(crate) fn task_elements(&self, task: usize) -> std::ops::Range<usize> {
         let stretch = self.stretch(task);
         stretch.first..stretch.first + stretch.along_m.len()
     }
 
-    /// Values of the largest task's output.
+    /// Length of the largest output of a task, in values.
     pub(crate) fn output_len(&self) -> usize {
         self.bins()
             * self
@@ -447,7 +474,7 @@ impl<T: Sample> LineEngine<T> {
                 .unwrap_or(0)
     }
 
-    /// Which echoes a task wants.
+    /// The echoes that a task needs.
     pub fn wanted(&self, task: usize) -> LineStretch {
         let stretch = self.stretch(task);
         let ping = &self.ping;
@@ -462,7 +489,7 @@ impl<T: Sample> LineEngine<T> {
         }
     }
 
-    /// First sample of a slab's output, counted from the record's.
+    /// First sample of a slab's output, relative to the record.
     fn slab_start(&self, slab: usize) -> isize {
         let ping = &self.ping;
         let beside_s = self.beside_s(ping.sound_speed_m_per_s);
@@ -470,7 +497,7 @@ impl<T: Sample> LineEngine<T> {
         ((from_s - ping.first_sample_s) * self.rate_hz).floor() as isize
     }
 
-    /// Adds an element's slabs up, in order. `outputs(task)` is what [`Self::synthesise`] made.
+    /// Adds the slabs of an element in order. `outputs(task)` is the output of [`Self::run`].
     pub fn assemble<'a>(
         &self,
         outputs: impl Fn(usize) -> &'a [Complex<T>],
@@ -505,7 +532,7 @@ impl<T: Sample> LineEngine<T> {
         }
     }
 
-    /// Greatest frequency of the band, Hz.
+    /// Largest frequency of the band, Hz.
     pub(super) fn top_hz(&self) -> f64 {
         self.ping.carrier_hz + 0.5 * self.rate_hz
     }
@@ -514,28 +541,30 @@ impl<T: Sample> LineEngine<T> {
         self.rows as f64 * self.rate_hz / self.bins() as f64
     }
 
-    /// Of a stretch at rest: in motion there are more.
+    /// Columns per unit of slope for a stretch at rest; motion needs more.
     fn columns_per_slope(&self, half_m: f64) -> f64 {
         let ping = &self.ping;
         let reach_m = half_m.max(0.25 * ping.sound_speed_m_per_s / ping.carrier_hz);
         2.0 * self.fineness.slope_oversampling * reach_m * self.top_hz() / ping.sound_speed_m_per_s
     }
 
-    /// Half of the span of slopes from which on dilation may be bowed. Columns reach half a kernel beyond the span: of a narrower one a square
-    /// would run away there, and turn templates by many radians from one end of a block of frequencies to the other.
+    /// Smallest half span of slopes for which the dilation may be curved over slope. Columns reach
+    /// half a kernel beyond the span. Over a narrower span a quadratic would grow there and turn
+    /// templates by many radians across a block of frequencies.
     fn min_bow(&self, half_m: f64) -> f64 {
         0.5 * self.slope_kernel.width as f64 / self.columns_per_slope(half_m)
     }
 
-    /// The steepest that dilation beyond its line may become per slope: templates follow what changes from column to column to second order,
-    /// so that the cube of the phase that is met from one to the next is left.
+    /// Largest curvature of the dilation over slope. Templates follow the change from column to
+    /// column to second order, so the error is the cube of the phase between columns.
     fn steepest_bow(&self, half_m: f64) -> f64 {
         let turn_rad = (BOW_SHARE * self.fineness.series).cbrt();
         turn_rad * self.columns_per_slope(half_m)
             / (std::f64::consts::PI * self.top_hz() * self.ping.duration_s)
     }
 
-    /// One task: echoes from `source` to samples, element by element, slab-long. `output` is resized; empty where there are no echoes.
+    /// Computes one task: echoes from `source` to samples, element by element, each of slab length.
+    /// Resizes `output`, which stays empty without echoes.
     pub fn run(
         &self,
         task: usize,
@@ -612,7 +641,7 @@ impl<T: Sample> LineEngine<T> {
     }
 }
 
-/// From the first to the last block where the filter leaves more than `least` of its most.
+/// Range of blocks where the filter gain exceeds `least` of its maximum.
 fn heard_blocks(gain: &[f64], least: f64) -> std::ops::Range<usize> {
     let most = gain.iter().fold(0.0, |most: f64, g| most.max(g.abs()));
     let heard = |block: &[f64]| block.iter().any(|g| g.abs() > least * most);

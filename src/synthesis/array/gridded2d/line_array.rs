@@ -1,4 +1,5 @@
-//! The engine as a pipeline uses it: made once for the limits, then one call per ping.
+//! The engine as the pipeline uses it: built once for the limits of a run, then called once per
+//! ping.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -11,15 +12,16 @@ use super::engine::{Filter, LineEngine, TaskReport, Work};
 use super::plan::{Precision, Refusal, Spec, choose};
 use super::sample::Sample;
 
-/// `gridded-2d` for one line array: every element's samples from one call per ping.
+/// `gridded-2d` for one line array: one call per ping yields the samples of every element.
 ///
-/// To be made inside the pool of threads that will run it. Samples are the same bits for any number of threads. Nothing is allocated once
-/// the largest ping has been; a pulse of another length rebuilds its tables (some tens of milliseconds).
+/// Build it inside the thread pool that runs it. The samples are bit-identical for any number of
+/// threads. After the largest ping it allocates nothing. A pulse of another length rebuilds the
+/// tables, which takes some tens of milliseconds.
 ///
 /// ```
-/// use crate::array::Decimator;
-/// use crate::array::gridded::SIMD level::Dialect;
-/// use crate::array::gridded2d::{Bounds, Gridded2d, Spec};
+/// use echotank_synthesis::array::Decimator;
+/// use echotank_synthesis::array::gridded::SimdLevel;
+/// use echotank_synthesis::array::gridded2d::{Bounds, Gridded2d, Spec};
 /// # use echotank_core::flow::*;
 /// # use glam::{DQuat, DVec3};
 /// # let array = ArrayGeometry {
@@ -49,11 +51,11 @@ use super::sample::Sample;
 ///     level_range_db: 60.0,
 ///     samples: 10_000,
 ///     scatterers: 1_000_000,
-///     SIMD level: Dialect::best(),
+///     simd_level: SimdLevel::best(),
 /// };
-/// let engine = Gridded2d::new(&spec).expect("within reach");
-/// assert!(engine.error model().error <= 1e-3);
-/// // And then, ping by ping, after `echo::insonify`:
+/// let engine = Gridded2d::new(&spec).expect("the tolerance can be met");
+/// assert!(engine.error_model().error <= 1e-3);
+/// // Then, for every ping, after `echo::insonify`:
 /// //     let echoes = LineEchoes { plan, array: &array, transmit_leg: &transmit_leg, work: &line_workspaces };
 /// //     counts += engine.synthesise(plan, &echoes, &mut frame.iq);
 /// ```
@@ -61,17 +63,20 @@ pub struct Gridded2d {
     error_model: ErrorModel,
     elements: usize,
     member: Member,
-    /// Of the last ping.
+    /// Truncation error of the last ping.
     left_out: f64,
 }
 
-/// The two precisions.
+/// The engine in one of two precisions.
 enum Member {
     Single(Tasks<f32>),
     Double(Tasks<f64>),
 }
 
 impl Gridded2d {
+    /// Selects the cheapest resolution for `spec` and builds the engine.
+    ///
+    /// Returns a [`Refusal`] if no resolution reaches the tolerance.
     pub fn new(spec: &Spec) -> Result<Self, Refusal> {
         let choice = choose(spec)?;
         let Some(decimator) = spec.filter else {
@@ -112,14 +117,15 @@ impl Gridded2d {
         })
     }
 
-    /// Predicted error by window, and core milliseconds per ping.
+    /// Predicted windowed error, and cost in milliseconds of one core per ping.
     pub fn error_model(&self) -> &ErrorModel {
         &self.error_model
     }
 
-    /// One ping: overwrites `iq`, element-major as [`echotank_core::flow::ElementFrame`] has it.
+    /// Synthesises one ping. Overwrites `iq`, element-major as in
+    /// [`echotank_core::flow::ElementFrame`].
     ///
-    /// Of the counts, `outside_window` are the pairs that no stretch asked for.
+    /// In the counts, `outside_window` holds the pairs outside the delays of every stretch.
     pub fn synthesise(
         &mut self,
         plan: &PingPlan,
@@ -141,7 +147,7 @@ impl Gridded2d {
         counts
     }
 
-    /// What the tasks of the last ping met, and where their time went.
+    /// Statistics of the tasks of the last ping.
     pub fn reports(&self) -> impl Iterator<Item = &TaskReport> {
         let (single, double) = match &self.member {
             Member::Single(tasks) => (Some(tasks.reports()), None),
@@ -153,14 +159,14 @@ impl Gridded2d {
             .chain(double.into_iter().flatten())
     }
 
-    /// Bound on what the last ping's own echoes left out of their series, relative to an echo: above the tolerance where the ping was
-    /// beyond the bounds that the engine was made for.
+    /// Bound on the truncation error of the last ping's series, relative to an echo. It exceeds the
+    /// tolerance if the ping was outside the bounds of the engine.
     pub fn left_out(&self) -> f64 {
         self.left_out
     }
 }
 
-/// What one task leaves.
+/// Result of one task.
 #[derive(Clone, Default)]
 struct Output<T> {
     values: Vec<Complex<T>>,
@@ -187,7 +193,7 @@ impl<T: Sample> Tasks<T> {
         }
     }
 
-    /// Of the last ping.
+    /// Statistics of the last ping's tasks.
     fn reports(&self) -> impl Iterator<Item = &TaskReport> {
         let tasks = self.engine.tasks().min(self.outputs.len());
         self.outputs[..tasks].iter().map(|output| &output.report)
@@ -216,7 +222,8 @@ impl<T: Sample> Tasks<T> {
             .enumerate()
             .for_each(|(task, output)| {
                 let thread = rayon::current_thread_index().unwrap_or(0);
-                // A panic in another ping leaves the buffers as good as any: every task overwrites them.
+                // The lock may be poisoned by a panic in another ping. The buffers remain valid:
+                // every task overwrites them.
                 let mut work = work[thread].lock().unwrap_or_else(PoisonError::into_inner);
                 let (counts, report) = engine.run(task, source, &mut work, &mut output.values);
                 (output.counts, output.report) = (counts, report);

@@ -1,29 +1,41 @@
-//! Line arrays, whole stretches of elements at a time: a transform over delay and slope.
+//! Synthesis of line arrays, whole stretches of elements at a time: a transform over delay and
+//! slope.
 //!
-//! An echo at y metres along a stretch of the line, of what left w seconds from mid-pulse, is late by
+//! For an element at y metres along a stretch, sound that left w seconds from mid-pulse arrives at
+//! the delay
 //!
 //! ```text
 //! u(y, w) = u - s y/c + d w + (second and third order in y and w) / R
 //! ```
 //!
-//! with slope s, dilation d (its Doppler) and range R of its own. Echoes are spread on a grid over u and s. Of the dilation, the line
-//! d = d0 + d1 s is left to the grid: a column of one slope has one Doppler, and the aperture grows by c d1 T. What is left of d (motion
-//! across the array, the bottom's roughness) and R are short Chebyshev series; each echo carries its own values, so any steady motion of
-//! the platform is met without a model of the bottom. The channels of the grid are a few sums of the series' products, as the echoes of the
-//! task need them (`merge.rs`). What is smooth in the time of emission is taken
-//! at a few instants of it, so a ping's templates are values of functions that only the pulse decides ([`pulse`]), read where the motion
-//! puts them: they are made anew for every task. Then, column by column, FFT over time; block by block of bins, a few columns at a time,
-//! templates and the turn from the column to each element, as a polynomial in the element's place times one rotor per block; element by
-//! element, inverse FFT. Slabs of delay are added up in order.
+//! with slope s, dilation d (the Doppler) and range R of each echo. The engine spreads echoes on a
+//! grid over u and s.
 //!
-//! In: [`LineChunk`](echotank_core::flow::LineChunk)s of one slab at the middle of one stretch. Out: samples of its elements, receiver filter
-//! included. f64 geometry and templates; grids and transforms in f32 or f64. A task is one thread's: no sum crosses threads.
+//! The linear part d = d0 + d1 s of the dilation is left to the grid: a column of one slope has one
+//! Doppler, and the aperture grows by c d1 T. The residual of d (motion across the array, roughness
+//! of the seabed) and R enter as short Chebyshev series. Each echo carries its own values, so any
+//! steady motion is covered without a model of the seabed. The channels of the grid are a few sums
+//! of the products of these series, selected for the echoes of the task (`merge.rs`).
 //!
-//! The strength of an echo differs along a stretch too (range, scattering law, element pattern): what is a line over the slope goes into the
-//! templates, and the rest, where a survey of the echoes finds it too large, into channels of first and second order in the place. So does
-//! what is left of the pulse's third order where the platform moves across the line.
+//! Quantities that are smooth in the time of emission are evaluated at a few instants. Templates
+//! are therefore values of functions of the pulse alone ([`pulse`]), read at the frequencies that
+//! the motion sets, and are recomputed for every task.
 //!
-//! Not modelled: alias images of the filter's stop band (82 dB down).
+//! The steps are an FFT over time for each column, then templates and the phase from the column to
+//! each element, then an inverse FFT for each element. The second step handles one block of bins
+//! and a few columns at a time. It uses a polynomial in the element's position times one rotor per
+//! block. Slabs of delay are added in order.
+//!
+//! Input: [`LineChunk`](echotank_core::flow::LineChunk)s of one slab at the middle of one stretch.
+//! Output: samples of its elements, with the receiver filter. Geometry and templates are f64, grids
+//! and transforms f32 or f64. One thread computes a task, and no sum crosses threads.
+//!
+//! The strength of an echo also varies along a stretch (range, scattering law, element pattern).
+//! The part that is linear in slope goes into the templates. Where a survey of the echoes finds the
+//! residual too large, it goes into channels of first and second order in position. The residual of
+//! the pulse's third order, from motion across the line, is treated in the same way.
+//!
+//! Not modelled: aliases from the stop band of the filter (82 dB down).
 
 pub mod alone;
 mod columns;

@@ -1,8 +1,9 @@
-//! Which fineness a tolerance asks for, and what is refused.
+//! Selection of the resolution for a tolerance, and the conditions that are refused.
 //!
-//! The parts of the error, each relative to the echoes of a window: the two kernels (computed, not estimated: [`Kernel::error`]), the
-//! series (each task takes as many terms as its own echoes need, and reports what it left out), the delay's fourth order along a stretch,
-//! steps of the attitude between a polyline's segments, rounding.
+//! The parts of the error, each relative to the echoes of a window, are: the two kernels (computed,
+//! see [`Kernel::error`]); the series (each task takes as many terms as its echoes need, and
+//! reports the truncation error); the fourth order of the delay along a stretch; attitude steps
+//! between segments of a polyline; and rounding.
 
 use std::f64::consts::{PI, TAU};
 
@@ -22,153 +23,215 @@ use super::lanes::BLOCK;
 use super::series::terms_needed;
 use super::task::MAX_DILATION;
 
-/// Stretches tried, from long to short: long ones are cheap.
+/// Stretch lengths to try, from long to short; long ones are cheap.
 const STRETCHES: [usize; 6] = [128, 64, 32, 16, 8, 1];
-/// By how much more than a kernel's mean over the band the worst of many windows errs, where echoes cancel: 4.4 in 17,000 windows of a multibeam over
-/// a swath of seabed (measured). A window that holds no more than the onset of a few echoes is one number, which is so many times less than they
-/// are with a chance of one over its square: 2 %.
+/// Ratio of the kernel error in the worst of many windows, where echoes cancel, to its mean over
+/// the band. Measured: 4.4 in 17,000 windows of a multibeam over a swath of seabed. In a window
+/// that holds only the onset of a few echoes, a cancellation by this factor has a probability of
+/// one over its square, 2 %.
 const KERNEL_FACTOR: f64 = 7.0;
-/// The same of a pulse with few degrees of freedom, times its [`Pulse::weakest_window`] (measured).
+/// The same for a pulse with few degrees of freedom, times its [`Pulse::weakest_window`]
+/// (measured).
 const FACTOR_OF_WEAKEST: f64 = 2.25;
-/// Of the tolerance, what the kernel over time may leave of an echo by itself in any window beside it; and what lies beyond the band, of which
-/// no choice makes less (it is that of the worst echo alone: where it was up to 1.25 of a tolerance, answers were off by 0.63 of theirs at most).
+/// Share of the tolerance for the single-echo error of the kernel over time in any window beside
+/// the echo, and for energy outside the band, which no choice reduces. It refers to the worst
+/// single echo. At up to 1.25 of a tolerance, measured errors reached 0.63 of theirs.
 const ALONE_SHARE: f64 = 0.6;
 const BAND_SHARE: f64 = 1.25;
-/// Of f32 tables, grids and transforms: of the strongest echo of a slab, in any window of it (measured: 1e-7 to 2.5e-7).
+/// Error of f32 tables, grids and transforms relative to the strongest echo of a slab, in any
+/// window (measured: 1e-7 to 2.5e-7).
 const F32_ERROR: f64 = 2.5e-7;
-/// They will do where that, against the noise, is so many times less than the tolerance.
+/// f32 is used if this error, relative to the noise, is smaller than the tolerance by this factor.
 const F32_ROOM: f64 = 2.5;
-/// Per m/s along the array, and Hz over metre of range (1.8e-6 of 400 kHz at 36 m): third orders in slope and motion that are taken at a
-/// column's own slope (measured).
+/// Error per m/s along the array and per Hz over metre of range (1.8e-6 at 400 kHz and 36 m). It
+/// stems from third orders in slope and motion, which are taken at a column's slope (measured).
 const UNDERWAY_ERROR_S_PER_M: f64 = 1.8e-6 * 36.0 / 400e3;
-/// Of the tolerance (half of it where the rest is not small), what each series may leave out in the worst corner of its spans; what a window sees is several times less (measured).
+/// Share of the tolerance (half of it if the rest is not small) for the truncation of each series
+/// in the worst corner of its spans. The error in a window is several times smaller (measured).
 const SERIES_SHARE: f64 = 0.2;
-/// Terms of the dilation's series that leave room for those of bend, twist and fade in the grid's channels.
+/// Maximum number of terms in the series of the dilation. It leaves channels for bend, twist and
+/// fade.
 const MAX_TERMS: usize = 16;
-/// Levels farther below a slab's strongest are not reached by f32 transforms either, dB.
+/// f32 transforms do not reach levels further below the strongest echo of a slab than this, dB.
 const FARTHEST_DB: f64 = 60.0;
-/// Of the tolerance, what the delay's and the strength's changes along a stretch may leave, of which a shorter one makes less.
+/// Share of the tolerance for changes of delay and strength along a stretch; a shorter stretch
+/// reduces them.
 const STRETCH_SHARE: f64 = 0.3;
-/// Rows per bin that is heard, and columns per cycle of the aperture over the least, that are tried. (Fewer columns take more powers along the
-/// stretch: 13 in place of 9 with 1.25, and longer altogether.)
+/// Oversamplings to try: rows per used bin, and columns per cycle of the aperture relative to the
+/// sampling limit. (Fewer columns need more powers along the stretch: 13 instead of 9 at 1.25,
+/// which takes longer in total.)
 const ROWS: [f64; 4] = [1.25, 1.5, 1.75, 2.0];
 const COLUMNS: [f64; 3] = [1.5, 1.75, 2.0];
-/// Widest kernels.
+/// Maximum width of the kernels.
 const MAX_WIDTH: usize = 14;
-/// Nanoseconds of one core, rough (measured on a 2.7 GHz core): per echo and stretch, and for each of its values on the grid's columns and
-/// rows; per element and slab, and for its share of the columns of a grid twice as dense as sampling asks for, of which so much is there
-/// however many rows the columns have.
+/// Approximate costs in nanoseconds of one core (measured at 2.7 GHz): per echo and stretch; per
+/// grid value of an echo; per element and slab; and per element and slab for the columns of a grid
+/// at twice the sampling limit. The last share is independent of the rows of the columns.
 const ECHO_NS: f64 = 60.0;
 const VALUE_NS: f64 = 5.0;
 const RETURN_NS: f64 = 2e4;
 const COLUMNS_NS: f64 = 2.2e5;
 const COLUMN_SHARE: f64 = 0.7;
-/// Below this nothing is promised: the receiver filter's stop band is 82 dB down and its image is left out, and motion across the array
-/// leaves what the columns beside an echo do not know.
+/// Smallest supported tolerance. The stop band of the receiver filter is 82 dB down and its alias
+/// is neglected. Motion across the array leaves an error that neighbouring columns do not
+/// represent.
 pub(crate) const MIN_TOLERANCE: f64 = 2e-5;
 
-/// What the scene and the platform may be.
+/// Limits of the scene and the platform.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
+    /// Smallest range of a scatterer, metres.
     pub nearest_m: f64,
-    /// Sine of the greatest angle from broadside.
+    /// Sine of the largest angle from broadside.
     pub greatest_slope: f64,
-    /// Speed along and across the array, m/s.
+    /// Largest speed along the array, m/s.
     pub along_m_per_s: f64,
+    /// Largest speed across the array, m/s.
     pub across_m_per_s: f64,
-    /// Of the platform; counts where attitude steps from segment to segment.
+    /// Largest rate of turn of the platform, rad/s; matters where the attitude steps from segment
+    /// to segment.
     pub turning_rad_per_s: f64,
 }
 
-/// What the engine is to be made for.
+/// Requirements on the engine.
 #[derive(Clone, Copy)]
 pub struct Spec<'a> {
+    /// The line array.
     pub array: &'a ArrayGeometry,
+    /// Transmitted pulse.
     pub pulse: &'a Pulse,
+    /// Sound speed, m/s.
     pub sound_speed_m_per_s: f64,
+    /// Sample rate of the output, Hz.
     pub sample_rate_hz: f64,
-    /// Without one the method is refused: it needs a band that ends.
+    /// Receiver filter. It is required, since the method needs a limited band.
     pub filter: Option<&'a Decimator>,
+    /// Path and Doppler models.
     pub model: &'a ModelChoice,
+    /// Limits of the scene and the platform.
     pub bounds: Bounds,
-    /// Relative error in any window of a pulse's length.
+    /// Largest relative error in any window of one pulse length.
     pub tolerance: f64,
-    /// How much weaker than the strongest window the weakest may be, dB.
+    /// Level of the weakest window below the strongest, dB.
     pub level_range_db: f64,
-    /// Samples of one element and scatterers, roughly: for the cost only.
+    /// Approximate number of samples of one element, for the cost only.
     pub samples: usize,
+    /// Approximate number of scatterers, for the cost only.
     pub scatterers: usize,
+    /// Instruction set of the inner loops.
     pub simd_level: SimdLevel,
 }
 
+/// Precision of grids and transforms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precision {
+    /// f32.
     Single,
+    /// f64.
     Double,
 }
 
-/// What was chosen.
+/// The selected resolution with its predicted error and cost.
 #[derive(Clone, Debug)]
 pub struct Choice {
+    /// Resolution of the computation.
     pub fineness: Fineness,
+    /// Precision of grids and transforms.
     pub precision: Precision,
+    /// Predicted windowed error, and cost per ping.
     pub error_model: ErrorModel,
-    /// What the error model's cost is made of.
+    /// Parts of the cost in the error model.
     pub cost: CostEstimate,
 }
 
+/// Requirements that `gridded-2d` does not meet.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
-    #[error("tolerance {tolerance}: gridded-2d promises none below {MIN_TOLERANCE}")]
-    TooFine { tolerance: f64 },
+    /// The tolerance is below the smallest supported one.
+    #[error("gridded-2d: tolerance {tolerance} is below its minimum of {MIN_TOLERANCE}")]
+    TooFine {
+        /// Requested tolerance.
+        tolerance: f64,
+    },
+    /// Scatterers are too close for every stretch length.
     #[error(
-        "tolerance {tolerance}: with scatterers as near as {nearest_m} m no stretch of the line is short enough for gridded-2d"
+        "gridded-2d: tolerance {tolerance} cannot be met with scatterers as near as {nearest_m} m: no stretch of the line is short enough"
     )]
-    TooNear { tolerance: f64, nearest_m: f64 },
+    TooNear {
+        /// Requested tolerance.
+        tolerance: f64,
+        /// Smallest range of a scatterer, metres.
+        nearest_m: f64,
+    },
+    /// The platform moves too fast across the line.
     #[error(
-        "tolerance {tolerance}: {across_m_per_s} m/s across the line is too fast for gridded-2d: the Doppler differs by {turn_rad:.0} rad from one side to the other"
+        "gridded-2d: tolerance {tolerance} cannot be met at {across_m_per_s} m/s across the line: the Doppler phase differs by {turn_rad:.0} rad from one side to the other"
     )]
     TooFastAcross {
+        /// Requested tolerance.
         tolerance: f64,
+        /// Speed across the array, m/s.
         across_m_per_s: f64,
+        /// Difference in Doppler phase over the pulse between echoes from the two sides, radians.
         turn_rad: f64,
     },
-    #[error("doppler model `{}`: gridded-2d knows `none`, `stretch` and `stretch-quadratic`", .0.name())]
+    /// The Doppler model is not supported.
+    #[error("gridded-2d: doppler model `{}` is not supported: expected `none`, `stretch` or `stretch-quadratic`", .0.name())]
     Doppler(DopplerModel),
-    #[error("gridded-2d needs the receiver filter: without it the pulse has no end in frequency")]
+    /// There is no receiver filter.
+    #[error("gridded-2d needs the receiver filter: without it the band of the pulse is unlimited")]
     NoFilter,
-    #[error("{what} = {value}: must be {rule}")]
+    /// A value in [`Bounds`] is invalid.
+    #[error("gridded-2d: {what} = {value}: must be {rule}")]
     Bounds {
+        /// Name of the value.
         what: &'static str,
+        /// The value.
         value: f64,
+        /// The rule that it breaks.
         rule: &'static str,
     },
+    /// Too much energy of the pulse lies outside the sampled band.
     #[error(
-        "tolerance {tolerance}: gridded-2d makes what lies within the sampled band, and beyond it lies {share:.1e} of what ends of pulses leave in some window; use a longer taper or `direct`"
+        "gridded-2d: tolerance {tolerance} cannot be met: energy of the pulse's ends outside the sampled band makes an error of {share:.1e} in some window; use a longer taper or `direct`"
     )]
-    OutOfBand { tolerance: f64, share: f64 },
-    #[error("sample rate {rate_hz} Hz: a slab of {samples} samples is too short for the pulse")]
-    SlabTooShort { rate_hz: f64, samples: usize },
+    OutOfBand {
+        /// Requested tolerance.
+        tolerance: f64,
+        /// Relative error in the worst window.
+        share: f64,
+    },
+    /// The longest slab is too short for the pulse.
+    #[error("gridded-2d: a slab of {samples} samples at {rate_hz} Hz is too short for the pulse")]
+    SlabTooShort {
+        /// Sample rate, Hz.
+        rate_hz: f64,
+        /// Length of the longest slab, samples.
+        samples: usize,
+    },
 }
 
-/// Slabs that are tried, samples.
+/// Range of slab lengths to try, samples.
 const MIN_SLAB: usize = 256;
 const MAX_SLAB: usize = 1 << 16;
-/// A slab is at least so many times as long as what its last echo leaves beyond it.
+/// Smallest slab length relative to the time that its last echo, with the filter, lasts beyond it.
 const MAX_SPENT: f64 = 3.0;
-/// Of the tolerance, what straight pieces of the templates may leave of an echo; and over the noise. What they leave are images of the echo, a
-/// block's worth of time and more to either side of it, where it may be silent.
+/// Share of the tolerance for the piecewise linear approximation of templates, and its limit
+/// relative to the noise. The approximation causes images of the echo one block's time and more to
+/// either side, where the echo may have no energy.
 const STRAIGHT_SHARE: f64 = 0.1;
 const STRAIGHT_BESIDE: f64 = 5.6;
-/// What a slab costs whatever its length, in samples (templates, bases of channels; measured).
+/// Fixed cost of a slab, in samples (templates, bases of channels; measured).
 const TASK_SAMPLES: f64 = 64.0;
-/// By how much dearer than the least slabs may be, so that there be as many tasks as a few threads share evenly.
+/// Largest cost of a slab length relative to the cheapest one. The margin gives enough tasks to
+/// balance a few threads.
 const SLAB_SLACK: f64 = 1.1;
 const TASKS: f64 = 8.0;
-/// Both halves of a receiver filter that is not known yet, seconds.
+/// Length of a receiver filter that is not known yet, seconds.
 const FILTER_S: f64 = 2e-3;
 
-/// A kernel that was tried: its width, its grid, the part of the band that it is made for, and its error in the worst of many windows.
+/// A candidate kernel: its width, its grid, the part of the band that it is designed for, and its
+/// error in the worst of many windows.
 #[derive(Clone, Copy)]
 struct Fit {
     width: usize,
@@ -177,13 +240,15 @@ struct Fit {
     error: f64,
 }
 
-/// The first that is fine enough, and the next one: which leaves the other kernel more.
+/// The first candidate that is accurate enough, and the next one, which leaves more error to the
+/// other kernel.
 fn two_that(fits: impl Iterator<Item = Fit>, fine: impl Fn(&Fit) -> bool) -> [Option<Fit>; 2] {
     let mut fine = fits.skip_while(|fit| !fine(fit));
     [fine.next(), fine.next()]
 }
 
-/// As which power of the frequency the inverse of a kernel's spectrum grows at the end of its band.
+/// Exponent of the frequency with which the inverse of the kernel's spectrum grows at the end of
+/// its band.
 fn edge_power(kernel: &Kernel) -> f64 {
     const STEP: f64 = 1e-3;
     let edge = 0.5 / kernel.oversampling;
@@ -191,15 +256,15 @@ fn edge_power(kernel: &Kernel) -> f64 {
     (log(1.0 - STEP) - log(1.0 + STEP)) / (2.0 * STEP)
 }
 
-/// Whether echoes are stretched at all.
+/// Whether the Doppler model stretches echoes.
 fn motion_matters(doppler: DopplerModel) -> bool {
     doppler != DopplerModel::None
 }
 
-/// How long slabs are, samples, and about how many have echoes: of what costs little more than the least, the most there are, so that no thread
-/// waits long for the last.
+/// Length of the slabs in samples, and their approximate number. Among lengths near the minimum
+/// cost it takes the one with the most slabs, to balance the threads.
 ///
-/// `half_m`: of a stretch; `turned_rad`: phase of what templates follow.
+/// `half_m`: half the length of a stretch; `turned_rad`: phase that the templates follow.
 fn slabs(
     spec: &Spec,
     stretches: usize,
@@ -207,11 +272,13 @@ fn slabs(
     turned_rad: f64,
 ) -> Result<(usize, f64), Refusal> {
     let rate_hz = spec.sample_rate_hz;
-    // Echoes that begin near a slab's end last beyond it, the filter adds to both, and the ends of a stretch hear sooner or later.
+    // Echoes that begin near the end of a slab last beyond it. The filter and the time difference
+    // to the ends of a stretch add to both sides.
     let filter_s = spec.filter.map_or(FILTER_S, |filter| 2.0 * filter.half_s());
     let beside_s = filter_s + 2.0 * half_m / spec.sound_speed_m_per_s;
     let spent = rate_hz * (spec.pulse.duration_s + beside_s) + 2.0;
-    // Templates are lines over a block of frequencies: half of what they turn in half of one, squared, is left.
+    // Templates are linear over a block of frequencies. The error is the square of half the phase
+    // over half a block.
     let beside = STRAIGHT_BESIDE * 10f64.powf(-noise_db(spec.level_range_db) / 20.0);
     let straight_rad = (2.0 * beside.min(STRAIGHT_SHARE) * spec.tolerance).sqrt();
     let per_bin = 0.5 * BLOCK as f64 * rate_hz / spec.pulse.center_frequency_hz;
@@ -246,7 +313,9 @@ fn slabs(
         })
 }
 
-/// The cheapest fineness that keeps the tolerance.
+/// Selects the cheapest resolution that keeps the tolerance.
+///
+/// Returns a [`Refusal`] if there is none.
 pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     let Spec {
         array,
@@ -298,7 +367,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     let per_m = TAU * (pulse.center_frequency_hz + 0.5 * rate_hz) / sound_speed_m_per_s;
     let half_s = 0.5 * pulse.duration_s;
     let across = bounds.across_m_per_s;
-    // How fast the strength of an echo can change as the line looks at it from another angle.
+    // Largest rate of change of an echo's strength with the viewing angle along the line.
     let sides = match array.element_pattern {
         Pattern::Omnidirectional => 0.0,
         Pattern::Rectangle {
@@ -317,7 +386,8 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         quartic + turned.powi(3) / 6.0
     };
     let beyond_series = |stretch: usize| along_stretch(stretch) + underway;
-    // A polyline's attitude steps at its vertices: while the wave passes the stretch, part of it is on either side.
+    // The attitude of a polyline steps at its vertices. While the wave passes the stretch, a part
+    // of the stretch lies on either side of a step.
     let steps = |stretch: usize| match spec.model.path {
         PathModel::Polyline => {
             let half_m = 0.5 * (stretch.min(array.elements) - 1) as f64 * array.spacing_m;
@@ -328,7 +398,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         }
         _ => 0.0,
     };
-    // All parts but this one add up to four fifths of the tolerance at most, squared.
+    // All other parts add up to at most four fifths of the tolerance, squared.
     let share = if tolerance < 1e-4 { 0.9 } else { 0.3 } * tolerance;
     let stretch = STRETCHES
         .into_iter()
@@ -351,7 +421,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         Precision::Single => 8,
         Precision::Double => 12,
     };
-    // Where the rest is not small either, the kernels leave it room.
+    // If the rest is not small either, the kernels leave it a share.
     let kernel_share = if tolerance < 1e-4 { 0.42 } else { 0.78 };
     let stretches = array.elements.div_ceil(stretch);
     let half_m = 0.5 * (stretch.min(array.elements) - 1) as f64 * array.spacing_m;
@@ -362,7 +432,8 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     };
     let echoes = (spec.scatterers * stretches) as f64;
     let factor = (FACTOR_OF_WEAKEST / pulse.weakest_window(rate_hz)).max(KERNEL_FACTOR);
-    // Few values beside an echo on a dense grid, or more on a coarse one: the more echoes, the denser.
+    // Few values per echo on a dense grid, or more values on a coarse grid: many echoes favour the
+    // dense grid.
     let room = kernel_share * tolerance;
     let slopes = COLUMNS.map(|oversampling| {
         let fits = (2..=MAX_WIDTH).map(|width| {
@@ -376,8 +447,8 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         });
         two_that(fits, |fit| fit.error <= room)
     });
-    // While the motion carries a stretch beyond its ends, a column's own spectrum is met at other places than at the end, where it is divided
-    // out: a power of the frequency, as far as that is.
+    // Motion carries a stretch beyond its ends. There the column's spectrum differs from that at
+    // the end, where it is divided out, by a power of the frequency.
     let drift_m = match motion_matters(spec.model.doppler) {
         true => pulse.duration_s * (bounds.along_m_per_s + across),
         false => 0.0,
@@ -389,7 +460,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     let turned_rad = (bend_rad + across_rad).hypot(power);
     let (slab_samples, slabs) = slabs(spec, stretches, half_m, turned_rad)?;
     let element_slabs = array.elements as f64 * slabs;
-    // Over time, beside echoes too; exact where there is something of the pulse.
+    // Over time, also beside echoes; exact where the pulse has energy.
     let alone = spec.filter.map(|filter| {
         let doppler = match motion_matters(spec.model.doppler) {
             true => 2.0 * bounds.along_m_per_s.hypot(across) / sound_speed_m_per_s,
@@ -409,7 +480,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
                 width,
                 oversampling,
                 core,
-                // Not looked at closely where it is too much anyway.
+                // Skips the single-echo error if the kernel error is already too large.
                 error: match kernel.error * factor <= room {
                     true => alone.as_ref().map_or(kernel.error * factor, error),
                     false => f64::INFINITY,

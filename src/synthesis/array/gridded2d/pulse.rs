@@ -1,9 +1,10 @@
-//! Spectra of the pulse as seen from a few instants of its emission.
+//! Spectra of the pulse weighted by Chebyshev polynomials of the emission time.
 //!
-//! Whatever varies smoothly while the pulse is emitted is a short Chebyshev series in the time of emission x = 2w/T, w from mid-pulse. So
-//! all that the pulse contributes is S_n(g) = integral of a(w) T_n(x) exp(-j 2pi g w) dw, n = 0, 1, ... They depend on the pulse alone: a
-//! ping's motion only says where they are read (at the Doppler-shifted frequency), which is what makes templates cheap to make anew for
-//! every ping.
+//! Any quantity that varies smoothly during the emission is a short Chebyshev series in the
+//! emission time x = 2w/T, with w from mid-pulse. The pulse therefore enters only through S_n(g) =
+//! integral of a(w) T_n(x) exp(-j 2pi g w) dw, n = 0, 1, ... These tables depend on the pulse
+//! alone. The motion of a ping only changes the Doppler-shifted frequency at which they are read,
+//! so templates are cheap to compute for every ping.
 
 use std::f64::consts::{PI, TAU};
 
@@ -13,28 +14,30 @@ use echotank_core::flow::Pulse;
 
 use super::sample::Sample;
 
-/// Nodes of one panel of the quadrature, for at most [`CYCLES_PER_PANEL`] of the fastest phase: exact to rounding.
+/// Nodes of one quadrature panel, for at most [`CYCLES_PER_PANEL`] cycles of the fastest phase;
+/// exact to rounding.
 const PANEL: usize = 16;
 const CYCLES_PER_PANEL: f64 = 2.0;
 
-/// Chebyshev's points of the first kind, -1..1.
+/// Chebyshev points of the first kind, -1..1.
 pub(crate) fn chebyshev_nodes(count: usize) -> impl Iterator<Item = f64> {
     (0..count).map(move |i| -libm::cos(PI * (i as f64 + 0.5) / count as f64))
 }
 
-/// Terms in the tables, and so the most instants at which anything is looked at.
+/// Terms in the tables, which is also the maximum number of emission instants.
 pub(crate) const MAX_INSTANTS: usize = 24;
 
-/// T_n(x) for -1 <= x <= 1.
+/// Chebyshev polynomial T_n(x) for -1 <= x <= 1.
 pub fn chebyshev(n: usize, x: f64) -> f64 {
     libm::cos(n as f64 * libm::acos(x.clamp(-1.0, 1.0)))
 }
 
-/// Tables of S_n, from which neighbouring bins are read side by side (Farrow 1988).
+/// Tables of S_n, interpolated for many neighbouring bins at once (Farrow 1988).
 ///
-/// The tables' step is the bins' over a whole number, `phases`, so the bins of a block lie (but for the Doppler stretch of the bins
-/// themselves, a thousandth) at one and the same fraction x of a step; there S_n is a polynomial in x, and the tables hold its
-/// coefficients: of Lagrange's interpolation through [`Reading::POINTS`] neighbours.
+/// The step of the tables is the bin spacing over a whole number, `phases`. Apart from the Doppler
+/// stretch of the bins, a thousandth, all bins of a block therefore lie at the same fraction x of a
+/// step. There S_n is a polynomial in x, and the tables hold its coefficients: Lagrange
+/// interpolation through [`Reading::POINTS`] neighbours.
 pub(crate) struct PulseSpectra<T> {
     pulse: Pulse,
     bin_hz: f64,
@@ -42,36 +45,39 @@ pub(crate) struct PulseSpectra<T> {
     first_hz: f64,
     /// Entries of one phase.
     count: usize,
-    /// `[n][phase][power][entry]`, split.
+    /// `[n][phase][power][entry]`, real and imaginary parts apart.
     re: Vec<T>,
     im: Vec<T>,
 }
 
-/// How finely a kind of number is read: samples per 1/T, and points of interpolation.
+/// Interpolation accuracy for one precision.
 pub trait Reading: Copy + Default {
+    /// Table entries per 1/T.
     const DENSITY: f64;
+    /// Points of interpolation.
     const POINTS: usize;
 }
 
-/// 6e-7 of the spectrum's peak is left.
+/// Error 6e-7 of the peak of the spectrum.
 impl Reading for f32 {
     const DENSITY: f64 = 8.0;
     const POINTS: usize = 8;
 }
 
-/// 2e-11 of the spectrum's peak is left.
+/// Error 2e-11 of the peak of the spectrum.
 impl Reading for f64 {
     const DENSITY: f64 = 16.0;
     const POINTS: usize = 10;
 }
 
 impl<T: Sample> PulseSpectra<T> {
-    /// For frequencies from -`reach_hz` to `reach_hz` about the centre, read at bins `bin_hz` apart.
+    /// Tables for frequencies from -`reach_hz` to `reach_hz` about the centre, read at bins
+    /// `bin_hz` apart.
     pub(crate) fn new(pulse: &Pulse, reach_hz: f64, bin_hz: f64) -> Self {
         let half_s = 0.5 * pulse.duration_s;
         let phases = (T::DENSITY * pulse.duration_s * bin_hz).ceil().max(1.0) as usize;
         let step_hz = bin_hz / phases as f64;
-        // Room for a block beyond either end.
+        // Margin for a block beyond either end.
         let margin = 2 * (T::POINTS + phases * MAX_LANES);
         let steps = (2.0 * reach_hz / step_hz).ceil() as usize + margin;
         let count = steps.div_ceil(phases);
@@ -84,7 +90,7 @@ impl<T: Sample> PulseSpectra<T> {
             let value = pulse.envelope(w_s + half_s) * weight;
             let shares: [Complex64; MAX_INSTANTS] =
                 std::array::from_fn(|n| value * chebyshev(n, w_s / half_s));
-            // Forty steps of the recurrence between sines: rounding stays at 1e-14.
+            // Restarting the recurrence every forty steps keeps rounding at 1e-14.
             let turn = Complex64::from_polar(1.0, -TAU * step_hz * w_s);
             let mut phasor = Complex64::ONE;
             for (i, row) in samples.chunks_exact_mut(MAX_INSTANTS).enumerate() {
@@ -128,14 +134,14 @@ impl<T: Sample> PulseSpectra<T> {
         }
     }
 
-    /// Whether these are of that pulse, as far out.
+    /// Whether the tables are those of `pulse` and reach as far.
     pub(crate) fn is_of(&self, pulse: &Pulse, reach_hz: f64) -> bool {
         self.pulse == *pulse
             && -self.first_hz >= reach_hz + self.bin_hz * (MAX_LANES + T::POINTS) as f64
     }
 
-    /// Where `LANES` bins are read whose middle (between its lanes' centres) is to lie at `middle_hz` and that are `stretch` bins apart.
-    /// None beyond the tables.
+    /// Position in the tables of `LANES` bins that are `stretch` bins apart, with their middle
+    /// (between the central lanes) at `middle_hz`. None beyond the tables.
     #[inline(always)]
     pub(crate) fn place<const LANES: usize>(
         &self,
@@ -145,7 +151,7 @@ impl<T: Sample> PulseSpectra<T> {
         let half = 0.5 * (LANES as f64 - 1.0);
         let per_bin = self.phases as f64;
         let at = (middle_hz - self.first_hz) / self.bin_hz * per_bin;
-        // The middle's fraction of a step, and the step that lane 0 then starts from.
+        // The fraction of a step at the middle, and the first step of lane 0.
         let first = (at - half * per_bin).floor();
         let fraction = at - half * per_bin - first;
         let end = (self.count * self.phases) as f64 - per_bin * LANES as f64;
@@ -163,7 +169,7 @@ impl<T: Sample> PulseSpectra<T> {
         })
     }
 
-    /// S_n there.
+    /// S_n at this position.
     #[inline(always)]
     pub(crate) fn read<const LANES: usize, const FUSED: bool>(
         &self,
@@ -184,17 +190,17 @@ impl<T: Sample> PulseSpectra<T> {
     }
 }
 
-/// Most bins that are read side by side.
+/// Maximum number of bins read at once.
 const MAX_LANES: usize = 32;
 
-/// Where a block of bins lies in the tables.
+/// Position of a block of bins in the tables.
 pub struct Place<T, const LANES: usize> {
     phase: usize,
     entry: usize,
     x: [T; LANES],
 }
 
-/// Lagrange's polynomials of the points -(P/2 - 1) ... P/2 in powers of x - 1/2: `[power][point]`.
+/// Lagrange polynomials of the points -(P/2 - 1) ... P/2 in powers of x - 1/2: `[power][point]`.
 fn lagrange_powers(points: usize) -> Vec<Vec<f64>> {
     let place = |j: usize| j as f64 - (points / 2 - 1) as f64 - 0.5;
     let mut all = vec![vec![0.0; points]; points];
@@ -202,7 +208,7 @@ fn lagrange_powers(points: usize) -> Vec<Vec<f64>> {
         let mut powers = vec![0.0; points];
         powers[0] = 1.0;
         for i in (0..points).filter(|&i| i != j) {
-            // Times (x - place(i)) / (place(j) - place(i)).
+            // Multiplies by (x - place(i)) / (place(j) - place(i)).
             let scale = 1.0 / (place(j) - place(i));
             for k in (0..points).rev() {
                 let lower = if k > 0 { powers[k - 1] } else { 0.0 };
@@ -216,7 +222,8 @@ fn lagrange_powers(points: usize) -> Vec<Vec<f64>> {
     all
 }
 
-/// Points (seconds from mid-pulse) and weights of an integral over the pulse: panels that no corner of the taper crosses.
+/// Points (seconds from mid-pulse) and weights of an integral over the pulse, on panels bounded at
+/// the corners of the taper.
 fn quadrature(pulse: &Pulse, fastest_hz: f64) -> Vec<(f64, f64)> {
     let half_s = 0.5 * pulse.duration_s;
     let flank_s = 0.5 * pulse.taper * pulse.duration_s;
@@ -241,7 +248,7 @@ fn quadrature(pulse: &Pulse, fastest_hz: f64) -> Vec<(f64, f64)> {
     all
 }
 
-/// Gauss and Legendre's points and weights on -1..1, by Newton's method on the polynomial's recurrence.
+/// Gauss-Legendre points and weights on -1..1, by Newton's method on the polynomial's recurrence.
 fn gauss_legendre() -> [(f64, f64); PANEL] {
     let n = PANEL as f64;
     std::array::from_fn(|i| {
@@ -335,7 +342,7 @@ mod tests {
             let spectra = PulseSpectra::<f64>::new(&pulse, 21e3, BIN_HZ);
             let mut worst: f64 = 0.0;
             for (g_hz, [burst, ..]) in read(&spectra).into_iter().step_by(131) {
-                // Midpoints: their error is that of the edges, quadratic in the step.
+                // Midpoint rule; its error is that of the edges, quadratic in the step.
                 let steps = 400_000;
                 let step_s = pulse.duration_s / f64::from(steps);
                 let want: Complex64 = (0..steps)

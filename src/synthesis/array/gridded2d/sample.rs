@@ -1,4 +1,4 @@
-//! The two kinds of numbers that grids and transforms are made of.
+//! The two precisions of grids and transforms.
 
 use echotank_fft::Planned;
 
@@ -8,27 +8,30 @@ use super::elements::Columns;
 use super::pulse::Reading;
 use super::spread::Wide;
 
-/// The real numbers that grids and transforms are made of.
+/// Floating-point precision of grids and transforms.
 pub trait Sample: Planned + Default + Reading {
+    /// Zero.
     const ZERO: Self;
+    /// Rounds to this precision.
     fn narrow(value: f64) -> Self;
+    /// Converts to f64.
     fn widen(self) -> f64;
-    /// Whether [`Self::spread_wide`] is there.
+    /// Whether [`Self::spread_wide`] is implemented.
     const WIDE: bool = false;
-    /// Echoes of up to sixteen channels onto the grid, by a kernel of the processor's own; `simd_level` is proof that it has AVX-512. Returns
-    /// how many lie outside.
+    /// Spreads echoes of up to sixteen channels onto the grid with AVX-512; `simd_level` proves
+    /// that the processor supports it. Returns the number of echoes outside the grid.
     fn spread_wide(_: Wide<Self>, _simd_level: SimdLevel) -> usize {
         unreachable!("no kernel of that kind")
     }
-    /// Whether [`Self::elements_wide`] takes so many powers.
+    /// Whether [`Self::elements_wide`] supports this number of powers.
     fn takes_wide(_powers: usize, _simd_level: SimdLevel) -> bool {
         false
     }
-    /// Columns' powers into pairs of elements, likewise.
+    /// Sums the columns' powers into pairs of elements with AVX-512.
     fn elements_wide(_: Columns<Self>, _simd_level: SimdLevel) {
         unreachable!("no kernel of that kind")
     }
-    /// self a + b, in one rounding where the processor has been asked for it.
+    /// self a + b, with one rounding if `FUSED`.
     fn times_plus<const FUSED: bool>(self, a: Self, b: Self) -> Self;
 }
 
@@ -39,7 +42,7 @@ impl Sample for f32 {
     #[cfg(target_arch = "x86_64")]
     fn spread_wide(wide: Wide<Self>, simd_level: SimdLevel) -> usize {
         assert_eq!(simd_level.kind(), Kind::Avx512);
-        // SAFETY: such a `SimdLevel` is proof that the processor has AVX-512 F, DQ and VL.
+        // SAFETY: such a `SimdLevel` proves that the processor has AVX-512 F, DQ and VL.
         unsafe { super::spread_avx512::add(wide) }
     }
     #[cfg(target_arch = "x86_64")]

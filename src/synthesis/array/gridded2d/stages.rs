@@ -1,31 +1,32 @@
-//! Where the time of a ping goes: core seconds by stage.
+//! Core time of a ping by stage.
 
 use std::time::{Duration, Instant};
 
-/// What a task does, in the order it is done.
+/// Stages of a task, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// Going over the scatterers for what their echoes have in common, and the fits to that.
+    /// Passing over the scatterers to find common parameters of their echoes, and fitting them.
     Survey,
-    /// How many terms each series needs.
+    /// Choosing the number of terms of each series.
     Orders,
-    /// Delays and strengths of all echoes at the middle of the stretch.
+    /// Computing delays and amplitudes of all echoes at the middle of the stretch.
     Walk,
-    /// From echoes onto the grid.
+    /// Spreading echoes onto the grid.
     Spread,
-    /// The grid's columns to frequency.
+    /// Transforming the columns of the grid to frequency.
     Transform,
-    /// Templates for the motion.
+    /// Computing the templates for the motion.
     Templates,
-    /// Channels, pulse and templates into powers along the stretch.
+    /// Combining channels, pulse and templates into powers along the stretch.
     Combine,
-    /// Powers along the stretch to elements.
+    /// Evaluating powers along the stretch at the elements.
     Elements,
-    /// Elements back to time samples.
+    /// Transforming the elements back to time samples.
     Return,
 }
 
 impl Stage {
+    /// All stages, in order.
     pub const ALL: [Self; 9] = [
         Self::Survey,
         Self::Orders,
@@ -38,6 +39,7 @@ impl Stage {
         Self::Return,
     ];
 
+    /// Name of the stage in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Survey => "survey",
@@ -53,35 +55,38 @@ impl Stage {
     }
 }
 
-/// Time spent in each stage, summed over tasks.
+/// Core time spent in each stage, summed over tasks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stages {
     spent: [Duration; Stage::ALL.len()],
 }
 
 impl Stages {
+    /// Time spent in `stage`.
     pub fn spent(&self, stage: Stage) -> Duration {
         self.spent[stage as usize]
     }
 
+    /// Time spent in all stages.
     pub fn total(&self) -> Duration {
         self.spent.iter().sum()
     }
 
-    /// Books what has passed since `start` and starts anew.
+    /// Adds the time since `start` to `stage`, and resets `start`.
     pub(super) fn lap(&mut self, stage: Stage, start: &mut Instant) {
         let now = Instant::now();
         self.spent[stage as usize] += now - *start;
         *start = now;
     }
 
-    /// Books part of one stage under another instead.
+    /// Moves time from one stage to another.
     pub(super) fn transfer(&mut self, from: Stage, to: Stage, time: Duration) {
         let time = time.min(self.spent[from as usize]);
         self.spent[from as usize] -= time;
         self.spent[to as usize] += time;
     }
 
+    /// Adds the times of another task.
     pub fn add(&mut self, other: &Self) {
         for (sum, spent) in self.spent.iter_mut().zip(other.spent) {
             *sum += spent;
