@@ -1,9 +1,11 @@
-//! One echo by itself, in every window of a pulse's length, noise being there, as the contract looks at it.
+//! Single-echo error in every window of a pulse length, with a noise floor, as the accuracy
+//! requirement defines it.
 //!
-//! What the sum leaves amiss of an echo does not end where the echo does: what a band cuts off rings on, a kernel over delay errs by some grid
-//! values to either side, and what a fit over Dopplers leaves of a pulse is no such pulse to the receiver filter. A window that holds no more
-//! than the end of an echo, or of the receiver filter's tail, is held to a share of that little. So an echo is made as it should be and as it is
-//! amiss, and both are looked at window by window.
+//! The error of an echo extends beyond the echo. A truncated band rings, a kernel over delay errs
+//! by some grid values to either side, and the error of a fit over Dopplers is not a pulse matched
+//! to the receiver filter. A window that holds only the end of an echo, or of the filter's tail,
+//! requires a small error relative to that part. The check therefore synthesises an echo and its
+//! error, and compares both window by window.
 
 use num_complex::Complex64;
 
@@ -17,29 +19,31 @@ use super::one_dimensional::Spec;
 use super::pulse_spectrum::{PulseSpectrum, energies};
 use super::transform::grid_size;
 
-/// Windows that are weaker than the strongest by more than this are counted against it: a sharp pulse fills every band to that depth.
+/// Largest depth below the strongest window at which windows count by their own level, dB. Sharp
+/// pulses fill every band to that depth.
 const DEEPEST_DB: f64 = 60.0;
 
-/// Places across a cell at which a kernel is tried: it is symmetric, and does worst at the ends or in the middle.
+/// Positions across a cell at which a kernel is tested. It is symmetric, with the largest error at
+/// the ends or in the middle.
 const PLACES: [f64; 3] = [0.0, 0.5, 0.95];
 
-/// Places across a cell of Dopplers at which a fit is looked at.
+/// Positions across a cell of Dopplers at which a fit is tested.
 const ACROSS: [f64; 5] = [0.0, 0.2, 0.45, 0.7, 0.95];
 
-/// Cells at the end of a grid of Dopplers that a fit there knows: what lies further matters less and less.
+/// Cells at the end of a grid of Dopplers that enter a test there; further cells matter little.
 const END_CELLS: usize = 12;
 
-/// An echo at either end of the span of Dopplers.
+/// Echoes at both ends of the span of Dopplers.
 pub(super) struct Alone {
-    /// Of every bin, lowest first and then the negative ones, as transforms have them.
+    /// Frequency of every bin in transform order: lowest first, then the negative ones.
     frequency_hz: Vec<f64>,
-    /// The receiver filter's.
+    /// Gain of the receiver filter.
     gain: Vec<f64>,
     spectra: Vec<Vec<Complex64>>,
-    /// Energies in all windows, or that of the noise where it is more.
+    /// Energies in all windows, at least that of the noise.
     windows: Vec<Vec<f64>>,
     length: usize,
-    /// Energy of the noise in a window over that of the strongest.
+    /// Energy of the noise in a window relative to the strongest window.
     noise: f64,
 }
 
@@ -90,12 +94,13 @@ impl Alone {
         }
     }
 
-    /// Error in the worst window of what `band` leaves out.
+    /// Truncation error of `band` in the worst window.
     pub(super) fn left_out(&self, band: &Band) -> f64 {
         self.worst(|f_hz| Complex64::from(1.0 - band.gain(f_hz)))
     }
 
-    /// Error in the worst window that `kernel` makes of what `band` keeps, on a grid of so many values a second, at the places that suit it least.
+    /// Error of `kernel` in the worst window for what `band` keeps, on a grid of `grid_hz` values
+    /// per second, at the worst position.
     pub(super) fn kernel(&self, kernel: &Kernel, band: &Band, grid_hz: f64) -> f64 {
         let middle = 0.5 * (kernel.width - 1) as f64;
         let at = |x: f64| {
@@ -119,8 +124,8 @@ impl Alone {
         PLACES.into_iter().map(at).fold(0.0, f64::max)
     }
 
-    /// Error in the worst window that a fit over the Dopplers of `grid` makes of what `band` keeps: worst towards the ends, so of a long grid
-    /// both ends are looked at, by themselves.
+    /// Error in the worst window of a fit over the Dopplers of `grid`, for what `band` keeps. The
+    /// error is largest at the ends, so for a long grid each end is tested separately.
     pub(super) fn dopplers(&self, grid: &DopplerGrid, received: Received, band: &Band) -> f64 {
         if grid.cells <= 2 * END_CELLS {
             return self.on_grid(grid, received, band);
@@ -164,7 +169,7 @@ impl Alone {
         shares.map(at).fold(0.0, f64::max)
     }
 
-    /// Error in the worst window where `amiss` of what sounds at each frequency is.
+    /// Error in the worst window if the spectrum has the relative error `amiss` at each frequency.
     fn worst(&self, amiss: impl Fn(f64) -> Complex64) -> f64 {
         let amiss: Vec<Complex64> = self.frequency_hz.iter().map(|&f_hz| amiss(f_hz)).collect();
         let echoes = self.spectra.iter().zip(&self.windows);
@@ -181,7 +186,7 @@ impl Alone {
     }
 }
 
-/// Energies of an echo in all windows of `length` samples, or that of the noise where it is more.
+/// Energies of an echo in all windows of `length` samples, at least that of the noise.
 fn sizes(spectrum: &[Complex64], length: usize, noise: f64) -> Vec<f64> {
     let mut windows = energies(spectrum.to_vec(), length);
     let strongest = windows.iter().copied().fold(0.0, f64::max);
@@ -191,7 +196,7 @@ fn sizes(spectrum: &[Complex64], length: usize, noise: f64) -> Vec<f64> {
     windows
 }
 
-/// What a spectrum sounds like, over `windows`, where that is most.
+/// Largest ratio of the windowed energy of a spectrum to `windows`.
 fn worst(rest: Vec<Complex64>, windows: &[f64], length: usize) -> f64 {
     let off = energies(rest, length);
     let shares = off.iter().zip(windows).map(|(off, size)| off / size);

@@ -1,4 +1,5 @@
-//! The loops of [`super::moments`] in AVX2 with FMA. Their twins there say what they compute.
+//! The loops of [`super::moments`] in AVX2 with FMA. The portable versions there define the
+//! results.
 
 use std::arch::x86_64::*;
 
@@ -10,12 +11,14 @@ use super::prepare::Sharing;
 /// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
 #[target_feature(enable = "avx2,fma")]
 pub(crate) unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
-    // SAFETY: the caller vouches for features and shapes: at most BLOCK points, all slices as long as `cell`. Every row is inside the table, as `last` shows; rows are 64 bytes long and so aligned.
+    // SAFETY: the caller guarantees features and shapes: at most BLOCK points, all slices as long
+    // as `cell`. Every row is inside the table, as `last` shows; rows are 64 bytes long and
+    // therefore aligned.
     unsafe {
         let n = points.cell.len();
         let table = rows.as_mut_ptr().cast::<f32>();
         let (x, row) = (points.x.as_ptr(), points.cell.as_ptr());
-        // x^2 and x^4 of all points first, eight at once: later they are broadcast as they are read.
+        // Computes x^2 and x^4 of all points first, eight at once; they are broadcast when read.
         let (mut x2, mut x4) = ([0f32; BLOCK], [0f32; BLOCK]);
         let mut last = 0;
         for j in 0..n {
@@ -71,12 +74,13 @@ pub(crate) unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
     }
 }
 
-/// A window of grid values slides over the cells in registers: each cell adds its taps, then the first value is finished and leaves.
+/// A window of grid values slides over the cells in registers. Each cell adds its taps, then the
+/// first value is complete and leaves the window.
 ///
 /// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
 #[target_feature(enable = "avx2,fma")]
 pub(crate) unsafe fn flush_32(rows: &[Row32], weights: &FlushWeights<f32>, out: &mut [Complex32]) {
-    // SAFETY: the caller vouches for features and shapes.
+    // SAFETY: the caller guarantees features and shapes.
     unsafe {
         match weights.width {
             0..=4 => flush_32_of::<1>(rows, weights, out),
@@ -127,13 +131,13 @@ unsafe fn flush_32_of<const V: usize>(
     }
 }
 
-/// Writes the first complex value of the window and moves the others down by one.
+/// Writes the first complex value of the window and shifts the others by one.
 ///
 /// SAFETY: `out` must be writable.
 #[inline]
 #[target_feature(enable = "avx2,fma")]
 unsafe fn shift_32<const V: usize>(window: &mut [__m256; V], out: *mut f64) {
-    // SAFETY: the caller vouches for `out`.
+    // SAFETY: the caller guarantees `out`.
     unsafe {
         _mm_storel_pd(out, _mm_castps_pd(_mm256_castps256_ps128(window[0])));
         for v in 0..V {
@@ -191,13 +195,13 @@ pub(crate) unsafe fn flush_64(rows: &[Row64], weights: &FlushWeights<f64>, out: 
     }
 }
 
-/// [`super::prepare::share_plain`], a point at a time: 256 bits hold a weight for every tap.
+/// [`super::prepare::share_plain`], one point at a time: 256 bits hold a weight for every tap.
 ///
 /// SAFETY: the processor must have the features; shapes as `Real::share` checks them.
 #[target_feature(enable = "avx2,fma")]
 pub(crate) unsafe fn share_32<const BENT: bool>(points: Sharing<f32>, values: &mut [Shared<f32>]) {
-    // SAFETY: all slices have a number for every value, every entry is in the table, and each of an entry's fields has eight numbers, as each half
-    // of a value.
+    // SAFETY: all slices have a number for every value, every entry is in the table, and each field
+    // of an entry has eight numbers, as each half of a value.
     unsafe {
         for (j, value) in values.iter_mut().enumerate() {
             let weights = points

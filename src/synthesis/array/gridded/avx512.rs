@@ -1,4 +1,4 @@
-//! The loops of [`super::moments`] in AVX-512. Their twins there say what they compute.
+//! The loops of [`super::moments`] in AVX-512. The portable versions there define the results.
 
 use std::arch::x86_64::*;
 
@@ -6,22 +6,24 @@ use num_complex::{Complex32, Complex64};
 
 use super::moments::{BLOCK, FlushWeights, Points, Row32, Row64};
 
-/// Points whose factors are worked out together.
+/// Points whose factors are computed together.
 const GROUP: usize = 16;
 
-/// Row numbers of four floats: which of 1, x^2, x^4, x^6 each of a row's lanes is multiplied with.
+/// Permutation: selects which of 1, x^2, x^4, x^6 multiplies each lane of a row.
 const SPREAD_FOUR: [i32; 16] = [0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3];
 /// Eight numbers, each twice.
 const TWICE: [i32; 16] = [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6, 7, 7];
 
-/// A row is (c, c x) times (1, x^2, x^4, x^6). The four numbers on either side are made for 16 points at once; what is left per point is two
-/// loads, one permutation and the addition.
+/// A row is (c, c x) times (1, x^2, x^4, x^6). The factors are computed for 16 points at once. Each
+/// point then costs two loads, one permutation and the addition.
 ///
-/// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
+/// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics
+/// where a row is missing.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 pub(crate) unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
-    // SAFETY: the caller vouches for features and shapes: all slices as long as `cell`. Every row is inside the table, as `last` shows; rows are
-    // 64 bytes long and so aligned. Beyond the last point nothing is read: the masks leave it out.
+    // SAFETY: the caller guarantees features and shapes: all slices as long as `cell`. Every row is
+    // inside the table, as `last` shows; rows are 64 bytes long and therefore aligned. Masks
+    // prevent reads beyond the last point.
     unsafe {
         let n = points.cell.len();
         let table = rows.as_mut_ptr().cast::<f32>();
@@ -31,7 +33,8 @@ pub(crate) unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
         let twice = _mm512_loadu_si512(TWICE.as_ptr().cast());
         let twice_high = _mm512_add_epi32(twice, _mm512_set1_epi32(8));
         let one = _mm512_set1_ps(1.0);
-        // Of point 4 l + r of a group: lanes 4 l ... of the r-th register. And of 8 h + 2 l + r: of the 2 h + r-th.
+        // Point 4 l + r of a group: lanes 4 l ... of register r. Point 8 h + 2 l + r: register 2 h
+        // + r.
         let mut powers = [one; 4];
         let mut pairs = [one; 4];
         for first in (0..n).step_by(GROUP) {
@@ -69,7 +72,7 @@ pub(crate) unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
                 _mm512_store_ps(at, _mm512_fmadd_ps(powers, pairs, _mm512_load_ps(at)));
             };
             if count == GROUP {
-                // Unrolled, so that all the offsets above are constants.
+                // Unrolled, so that all offsets are constants.
                 add(0);
                 add(1);
                 add(2);
@@ -129,12 +132,13 @@ pub(crate) unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
     }
 }
 
-/// A window of grid values slides over the cells in registers: each cell adds its taps, then the first value is finished and leaves.
+/// A window of grid values slides over the cells in registers. Each cell adds its taps, then the
+/// first value is complete and leaves the window.
 ///
 /// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 pub(crate) unsafe fn flush_32(rows: &[Row32], weights: &FlushWeights<f32>, out: &mut [Complex32]) {
-    // SAFETY: the caller vouches for features and shapes.
+    // SAFETY: the caller guarantees features and shapes.
     unsafe {
         match weights.width {
             0..=8 => flush_32_of::<1>(rows, weights, out),
@@ -165,7 +169,8 @@ unsafe fn flush_32_of<const V: usize>(
         let out_at = out.as_mut_ptr().cast::<f64>();
         let mut row = rows.as_ptr().cast::<f64>();
         for cell in 0..cells {
-            // Two chains of products per register, apart from the window: only its one addition waits for the cell before.
+            // Two chains of products per register, apart from the window: only the final addition
+            // depends on the previous cell.
             let (mut even, mut odd) = ([zero; V], [zero; V]);
             for k in 0..4 {
                 let a = _mm512_castpd_ps(_mm512_set1_pd(*row.add(2 * k)));
@@ -187,13 +192,13 @@ unsafe fn flush_32_of<const V: usize>(
     }
 }
 
-/// Writes the first complex value of the window and moves the others down by one.
+/// Writes the first complex value of the window and shifts the others by one.
 ///
 /// SAFETY: `out` must be writable.
 #[inline]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 unsafe fn shift_32<const V: usize>(window: &mut [__m512; V], out: *mut f64) {
-    // SAFETY: the caller vouches for `out`.
+    // SAFETY: the caller guarantees `out`.
     unsafe {
         _mm_storel_pd(out, _mm_castps_pd(_mm512_castps512_ps128(window[0])));
         for v in 0..V {
@@ -215,7 +220,7 @@ unsafe fn shift_32<const V: usize>(window: &mut [__m512; V], out: *mut f64) {
 /// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 pub(crate) unsafe fn flush_64(rows: &[Row64], weights: &FlushWeights<f64>, out: &mut [Complex64]) {
-    // SAFETY: the caller vouches for features and shapes.
+    // SAFETY: the caller guarantees features and shapes.
     unsafe {
         match weights.width {
             0..=4 => flush_64_of::<1>(rows, weights, out),
@@ -265,13 +270,13 @@ unsafe fn flush_64_of<const V: usize>(
     }
 }
 
-/// Writes the first complex value of the window and moves the others down by one.
+/// Writes the first complex value of the window and shifts the others by one.
 ///
 /// SAFETY: `out` must be writable, 16 bytes.
 #[inline]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 unsafe fn shift_64<const V: usize>(window: &mut [__m512d; V], out: *mut f64) {
-    // SAFETY: the caller vouches for `out`.
+    // SAFETY: the caller guarantees `out`.
     unsafe {
         _mm_storeu_pd(out, _mm512_castpd512_pd128(window[0]));
         for v in 0..V {

@@ -1,7 +1,9 @@
-//! The band of a received pulse that is kept.
+//! Selects the band of a received pulse that is kept.
 //!
-//! What is left out of an echo must be little in every window: it lies about the ends of pulses, and what is cut sharply rings on, where there is no
-//! echo at all. So an echo is made with and without it, and looked at window by window ([`Alone`]), as the contract does.
+//! Truncation of the spectrum must cause a small error in every window. The error lies about the
+//! ends of pulses, and a sharp cut rings into times without an echo. The selection therefore
+//! synthesises an echo with and without the truncation, and compares the two window by window
+//! ([`SingleEcho`]), as the accuracy requirement does.
 
 use std::sync::LazyLock;
 
@@ -11,34 +13,36 @@ use super::alone::Alone;
 use super::choose::SHARE;
 use super::one_dimensional::{GriddedError, Spec};
 
-/// Multiples of the sample rate that the band may have; where a filter leaves next to nothing beyond, half as many.
+/// Maximum width of the band in multiples of the sample rate; half of it where a filter removes
+/// nearly everything beyond.
 const MAX_BANDS: usize = 8;
 
-/// Bands are tried in steps of this share of the sample rate.
+/// Step between the bands to try, in sample rates.
 const STEP: f64 = 0.125;
 
-/// Of the tolerance, what may be left out where no band leaves out less than [`SHARE`].
+/// Share of the tolerance for truncation if no band reaches [`SHARE`].
 const LAST_SHARE: f64 = 0.7;
 
-/// The band that is kept of the received pulse.
+/// The kept band of the received pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Band {
-    /// Kept whole up to here to either side.
+    /// Half the width of the part with unit gain.
     pub(crate) whole_hz: f64,
-    /// Beyond that it is let fade over this; 0: cut.
+    /// Width of the fade beyond; 0 for a sharp cut.
     pub(crate) fade_hz: f64,
-    /// Of the tolerance's norm: error that leaving out the rest makes in the worst window.
+    /// Truncation error in the worst window, in the units of the tolerance.
     pub outside: f64,
 }
 
-/// Over which a band fades, in sample rates: what it leaves out of an echo then stays within 24 samples of it.
+/// Width of the fade in sample rates. It confines the truncation error of an echo to 24 samples
+/// about it.
 const FADE: f64 = 0.125;
 
-/// The fade is the integral of a Kaiser window: beyond the samples just named 70 dB down.
+/// The fade is the integral of a Kaiser window, 70 dB down beyond these 24 samples.
 const FADE_BETA: f64 = 9.0;
 
 impl Band {
-    /// Share of frequency `f_hz` that is kept.
+    /// Gain at frequency `f_hz`.
     pub(super) fn gain(&self, f_hz: f64) -> f64 {
         let beyond_hz = f_hz.abs() - self.whole_hz;
         if beyond_hz <= 0.0 {
@@ -53,7 +57,7 @@ impl Band {
     }
 }
 
-/// The integral from the outer end of the fade to its inner one.
+/// Integral from the outer end of the fade to its inner end.
 static FADING: LazyLock<Vec<f64>> = LazyLock::new(|| {
     const STEPS: usize = 1024;
     let bump = |i: usize| {
@@ -70,12 +74,14 @@ static FADING: LazyLock<Vec<f64>> = LazyLock::new(|| {
     fading
 });
 
-/// What a receiver filter's stop band lets pass of a sharp tone beyond twice the sample rate to either side is 4e-6 of a window in noise (random scene 61
-/// of `tools/sweep`): from this tolerance on that is not looked at.
+/// From this tolerance on, the check stops at twice the sample rate to either side. Beyond that,
+/// the stop band of a receiver filter passes 4e-6 of a window in noise for a sharp tone (random
+/// scene 61 of `tools/sweep`).
 const NEAR_TOLERANCE: f64 = 3e-5;
 
-/// Multiples of the sample rate that the band may have, and how far to either side of the carrier it is looked at, in sample rates: twice the widest
-/// band, or in the near case the widest, which the others are measured by.
+/// Multiples of the sample rate allowed for the band, and the reach of the check to either side of
+/// the carrier, in sample rates. The reach is twice the widest band, or the widest band if the
+/// check stops early.
 fn reach(spec: &Spec) -> (usize, f64) {
     match spec.filter.is_some() && spec.tolerance >= NEAR_TOLERANCE {
         true => (MAX_BANDS / 2, 0.25 * MAX_BANDS as f64),
@@ -83,12 +89,13 @@ fn reach(spec: &Spec) -> (usize, f64) {
     }
 }
 
-/// How far to either side of the carrier the band of pulses is looked at, sample rates.
+/// Reach of the check to either side of the carrier, in sample rates.
 pub(super) fn widest(spec: &Spec) -> f64 {
     reach(spec).1
 }
 
-/// The narrowest band that leaves out no more than its share in any window, at the ends of the span of Dopplers.
+/// Selects the narrowest band whose truncation error keeps its share in any window, at both ends of
+/// the span of Dopplers.
 pub(super) fn band(spec: &Spec, alone: &Alone) -> Result<Band, GriddedError> {
     let (most, _) = reach(spec);
     let steps = (most as f64 / STEP) as usize;

@@ -1,12 +1,15 @@
-//! Columns that lie abreast: points spread over them, and all of them transformed at once.
+//! Batched FFT: points are spread over interleaved columns, which are all transformed at once.
 //!
-//! A table has a row for every value of the grid of delays and a column for every Doppler. A row is `lanes` real parts and then `lanes` imaginary
-//! ones, so vectors hold the same value of several columns, and nothing is ever moved between their lanes: a transform of all columns is
-//! the transform of one with vectors in place of numbers. Bins come out in an order of their own ([`BatchedFft::frequencies`]), which costs nothing,
-//! as templates are kept in it; what the columns add up to is put in its place at the end.
+//! A table has a row for every value of the grid of delays and a column for every Doppler. A row
+//! consists of `lanes` real parts and then `lanes` imaginary parts. A vector thus holds the same
+//! value of several columns, and no operation moves data between lanes. The transform of all
+//! columns is the transform of one column with vectors in place of numbers. Bins come out in
+//! transform order ([`BatchedFft::frequencies`]), in which the templates are stored too; the sum is
+//! reordered at the end.
 //!
-//! The transform takes two ways through the table: of every `short`-th row, and then of `short` neighbours at a time, which the innermost cache holds
-//! (Cooley and Tukey 1965; in each, steps of 5, 3, 4 and 2 with decimation in frequency, in place).
+//! The transform makes two passes through the table. The first transforms every `short`-th row, and
+//! the second `short` neighbouring rows at a time, which fit the innermost cache (Cooley and Tukey
+//! 1965). Each pass runs in place in steps of radix 5, 3, 4 and 2 with decimation in frequency.
 
 use std::f64::consts::TAU;
 
@@ -20,50 +23,52 @@ use super::simd_level::{Kind, SimdLevel};
 #[cfg(target_arch = "x86_64")]
 use std::arch::x86_64::*;
 
-/// Lanes are a multiple of it.
+/// The number of lanes is a multiple of this.
 pub(super) const LANES: usize = 8;
 
-/// Neighbouring rows transformed together, at most: 32 KB of 16 columns in f32.
+/// Maximum number of neighbouring rows transformed together: 32 KB of 16 columns in f32.
 const SHORT: usize = 256;
 
-/// Lanes that are transformed together, at most: in f32 a vector full, and tables of twenty thousand rows in the second cache.
+/// Maximum number of lanes transformed together: one full vector in f32, and a table of twenty
+/// thousand rows in the second cache.
 pub(crate) const MAX_TOGETHER: usize = 16;
 
-/// Columns to lanes.
+/// Number of lanes for `columns` columns.
 pub(crate) fn lanes_for(columns: usize) -> usize {
     columns.next_multiple_of(LANES)
 }
 
-/// The transform of one size.
+/// Tables of the transform of one size.
 pub struct BatchedFft<T> {
     size: usize,
     long: Steps<T>,
     short: Steps<T>,
-    /// Of value k of the long transform of rows j, j + short, ...: `[j * long + k]`.
+    /// Twiddle factors of value k of the long transform of rows j, j + short, ...: `[j * long +
+    /// k]`.
     turns: Vec<Complex<T>>,
 }
 
-/// One transform in place, step by step.
+/// Steps of one transform in place.
 struct Steps<T> {
     size: usize,
     /// Radix, and factors `[j * (radix - 1) + m - 1]`.
     steps: Vec<(usize, Vec<Complex<T>>)>,
 }
 
-/// Which rows of a transformed table are bins, and where in the spectrum they belong. By rows.
+/// A row of a transformed table that is a bin, and its index in the spectrum. Sorted by rows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Place {
     pub row: u32,
     pub to: u32,
 }
 
-/// What is to be done with a table: transformed, multiplied with templates, added up, and emptied.
+/// Operation on a table: transform it, multiply by templates, add up, and clear.
 pub struct Job<'a, T> {
     /// `[row][2 * lanes]`
     pub table: &'a mut [T],
     pub lanes: usize,
     pub places: &'a [Place],
-    /// `[place][2 * template_lanes]`; the table's are those from `first_template` on.
+    /// `[place][2 * template_lanes]`; those of the table start at `first_template`.
     pub templates: &'a [T],
     pub(crate) template_lanes: usize,
     pub(crate) first_template: usize,
@@ -94,7 +99,7 @@ impl<T: Real> Steps<T> {
         Self { size, steps }
     }
 
-    /// What is found at `place`.
+    /// Frequency of the row at `place`.
     fn frequency(&self, mut place: usize) -> usize {
         let (mut rest, mut frequency, mut weight) = (self.size, 0, 1);
         for (radix, _) in &self.steps {
@@ -108,7 +113,7 @@ impl<T: Real> Steps<T> {
 }
 
 impl<T: Real> BatchedFft<T> {
-    /// `size`: as [`super::transform::grid_size`] finds them.
+    /// Prepares a transform of `size` rows, a size returned by [`super::transform::grid_size`].
     pub fn new(size: usize) -> Self {
         let short = SHORT.min(1 << size.trailing_zeros());
         let long = size / short;
@@ -125,7 +130,7 @@ impl<T: Real> BatchedFft<T> {
         }
     }
 
-    /// The frequency of every row of a transformed table, 0 to size - 1.
+    /// Frequency of every row of a transformed table, 0 to size - 1.
     pub fn frequencies(&self) -> impl Iterator<Item = usize> {
         let of_row = |row: usize| {
             let (k, j) = (row / self.short.size, row % self.short.size);
@@ -134,7 +139,7 @@ impl<T: Real> BatchedFft<T> {
         (0..self.size).map(of_row)
     }
 
-    /// Numbers of scratch that a [`Job`] needs.
+    /// Length of the scratch buffer of a [`Job`].
     pub(crate) fn scratch_len(&self) -> usize {
         2 * 16 * self.long.size
     }
@@ -168,9 +173,10 @@ impl<T: Real> BatchedFft<T> {
         );
     }
 
-    /// The columns from lane `first` on, as many as V has.
+    /// Processes the columns from lane `first` on, as many as V has lanes.
     ///
-    /// SAFETY: the processor must have V; `job` is as [`Self::check`] wants it, and `first` + V's lanes <= its lanes.
+    /// SAFETY: the processor must have V; `job` is as [`Self::check`] requires, and `first` + V's
+    /// lanes <= its lanes.
     #[inline(always)]
     unsafe fn group<V: Lanes<Number = T>>(&self, job: &mut Job<T>, first: usize) {
         // SAFETY: rows up to size exist in the table, `long` rows of 2 V in the scratch, a row of templates for every place.
@@ -224,7 +230,8 @@ impl<T: Real> BatchedFft<T> {
     }
 }
 
-/// Some columns of a table: real parts, and `apart` numbers on the imaginary ones; the next row `step` numbers on.
+/// Some columns of a table: pointer to the real parts; the imaginary parts follow `apart` numbers
+/// later, and the next row `step` numbers later.
 #[derive(Clone, Copy)]
 struct Columns<T> {
     re: *mut T,
@@ -236,7 +243,7 @@ impl<T: Real> Columns<T> {
     /// SAFETY (of all): the row must exist, and the processor must have V.
     #[inline(always)]
     unsafe fn at<V: Lanes<Number = T>>(self, row: usize) -> Pair<V> {
-        // SAFETY: the caller vouches for it.
+        // SAFETY: the caller guarantees it.
         unsafe {
             let re = self.re.add(row * self.step);
             Pair::load(re, re.add(self.apart))
@@ -245,7 +252,7 @@ impl<T: Real> Columns<T> {
 
     #[inline(always)]
     unsafe fn put<V: Lanes<Number = T>>(self, row: usize, value: Pair<V>) {
-        // SAFETY: the caller vouches for it.
+        // SAFETY: the caller guarantees it.
         unsafe {
             let re = self.re.add(row * self.step);
             value.store(re, re.add(self.apart));
@@ -254,7 +261,7 @@ impl<T: Real> Columns<T> {
 
     #[inline(always)]
     unsafe fn from(self, row: usize) -> Self {
-        // SAFETY: the caller vouches for it.
+        // SAFETY: the caller guarantees it.
         let re = unsafe { self.re.add(row * self.step) };
         Self { re, ..self }
     }
@@ -269,12 +276,12 @@ impl<T: Real> Steps<T> {
         let mut size = self.size;
         for (radix, turns) in &self.steps {
             size /= radix;
-            // SAFETY: the caller vouches for it.
+            // SAFETY: the caller guarantees it.
             unsafe { self.step::<V>(*radix, rows, rows, size, turns) }
         }
     }
 
-    /// The same by way of `scratch`; what comes out is multiplied with `turns`.
+    /// As [`Self::run`], through `scratch`, with the result multiplied by `turns`.
     ///
     /// SAFETY: `size` rows must exist in either, as many turns, and the processor must have V.
     #[inline(always)]
@@ -288,7 +295,7 @@ impl<T: Real> Steps<T> {
         let mut from = rows;
         for (radix, factors) in &self.steps {
             size /= radix;
-            // SAFETY: the caller vouches for it.
+            // SAFETY: the caller guarantees it.
             unsafe {
                 if size > 1 {
                     self.step::<V>(*radix, from, scratch, size, factors);
@@ -316,7 +323,7 @@ impl<T: Real> Steps<T> {
         turns: &[Complex<T>],
     ) {
         for first in (0..self.size).step_by(radix * next) {
-            // SAFETY: the caller vouches for it; first + radix next <= size.
+            // SAFETY: the caller guarantees it; first + radix next <= size.
             unsafe {
                 let (from, to) = (from.from(first), to.from(first));
                 match radix {
@@ -330,7 +337,7 @@ impl<T: Real> Steps<T> {
     }
 }
 
-/// The transform of R values.
+/// Transform of R values.
 trait Small<V: Lanes, const R: usize> {
     /// SAFETY: the processor must have V.
     unsafe fn of(values: [Pair<V>; R]) -> [Pair<V>; R];
@@ -348,7 +355,7 @@ unsafe fn step<V: Lanes, S: Small<V, R>, const R: usize>(
 ) where
     V::Number: Real,
 {
-    // SAFETY: the caller vouches for it.
+    // SAFETY: the caller guarantees it.
     unsafe {
         if next == 1 {
             let out = S::of(std::array::from_fn(|m| from.at::<V>(m)));
@@ -368,7 +375,7 @@ unsafe fn step<V: Lanes, S: Small<V, R>, const R: usize>(
     }
 }
 
-/// The last step, over all rows; what comes out is multiplied with `turns`.
+/// The last step, over all rows; the result is multiplied by `turns`.
 ///
 /// SAFETY: rows must exist in either, and the processor must have V.
 #[inline(always)]
@@ -380,7 +387,7 @@ unsafe fn last<V: Lanes, S: Small<V, R>, const R: usize>(
     V::Number: Real,
 {
     for (k, turns) in turns.chunks_exact(R).enumerate() {
-        // SAFETY: the caller vouches for it.
+        // SAFETY: the caller guarantees it.
         unsafe {
             let out = S::of(std::array::from_fn(|m| from.at::<V>(R * k + m)));
             for (m, (out, turn)) in out.into_iter().zip(turns).enumerate() {
@@ -398,7 +405,7 @@ struct Five;
 impl<V: Lanes> Small<V, 2> for Two {
     #[inline(always)]
     unsafe fn of([a, b]: [Pair<V>; 2]) -> [Pair<V>; 2] {
-        // SAFETY: the caller vouches for V.
+        // SAFETY: the caller guarantees V.
         unsafe { [a.add(b), a.sub(b)] }
     }
 }
@@ -411,7 +418,7 @@ where
     unsafe fn of([a, b, c]: [Pair<V>; 3]) -> [Pair<V>; 3] {
         // sin(2 pi / 3)
         const SIN: f64 = 0.866_025_403_784_438_6;
-        // SAFETY: the caller vouches for V.
+        // SAFETY: the caller guarantees V.
         unsafe {
             let real = |x: f64| V::splat(V::Number::narrow(x));
             let both = b.add(c);
@@ -425,7 +432,7 @@ where
 impl<V: Lanes> Small<V, 4> for Four {
     #[inline(always)]
     unsafe fn of([a, b, c, d]: [Pair<V>; 4]) -> [Pair<V>; 4] {
-        // SAFETY: the caller vouches for V.
+        // SAFETY: the caller guarantees V.
         unsafe {
             let (even, even_off) = (a.add(c), a.sub(c));
             let (odd, odd_off) = (b.add(d), b.sub(d));
@@ -448,7 +455,7 @@ where
         // cos and sin of 2 pi / 5 and 4 pi / 5
         const COS: [f64; 2] = [0.309_016_994_374_947_45, -0.809_016_994_374_947_5];
         const SIN: [f64; 2] = [0.951_056_516_295_153_5, 0.587_785_252_292_473_1];
-        // SAFETY: the caller vouches for V.
+        // SAFETY: the caller guarantees V.
         unsafe {
             let real = |x: f64| V::splat(V::Number::narrow(x));
             let (outer, outer_off) = (b.add(e), b.sub(e));
@@ -468,7 +475,8 @@ where
     }
 }
 
-/// What the vector loops rely on: every lane that any point adds to, and [`MAX_TAPS`] from its first column on, exists.
+/// Checks what the vector loops rely on: every lane that a point adds to exists, and [`MAX_TAPS`]
+/// numbers from its first column on.
 fn check_spread<T: Real>(points: &Points<T>, across: &Across<T>, width: usize, table: usize) {
     let len = points.cell.len();
     assert_eq!(points.x.len(), len, "places");
@@ -481,7 +489,7 @@ fn check_spread<T: Real>(points: &Points<T>, across: &Across<T>, width: usize, t
         "column {last_column} of {}",
         across.lanes
     );
-    // One row more: what reaches past the last imaginary part lies there.
+    // One row more, for what reaches past the last imaginary part.
     let rows = greatest(points.cell) + width + 1;
     assert!(
         rows * 2 * across.lanes <= table && (1..=MAX_WIDTH).contains(&width),
@@ -500,7 +508,7 @@ unsafe fn spread<V: Lanes>(
 ) where
     V::Number: Real,
 {
-    // SAFETY: the caller vouches for it.
+    // SAFETY: the caller guarantees it.
     unsafe {
         match weights.width {
             4 => spread_of::<V, 4>(points, across, weights, table),
@@ -513,7 +521,7 @@ unsafe fn spread<V: Lanes>(
     }
 }
 
-/// Loops of fixed length where the kernel is W wide; the widest stands for all others.
+/// Loops of fixed length for kernels of width W; the largest W handles all others.
 ///
 /// SAFETY: as [`spread`].
 #[inline(always)]
@@ -531,8 +539,9 @@ unsafe fn spread_of<V: Lanes, const W: usize>(
     let step = 2 * across.lanes;
     let mut x = [V::Number::default(); STRIP];
     let mut values = [x; MAX_WIDTH];
-    // SAFETY: from lane `column` of both halves of rows cell to cell + width - 1 on MAX_TAPS numbers exist; all slices have one for each point.
-    // A value is MAX_TAPS real parts and as many imaginary ones; no V has fewer than a PARTS-th of them.
+    // SAFETY: MAX_TAPS numbers exist from lane `column` on in both halves of rows cell to cell +
+    // width - 1; all slices have one entry per point. A value is MAX_TAPS real parts and as many
+    // imaginary parts; no V has fewer lanes than a PARTS-th of them.
     unsafe {
         let table = table.as_mut_ptr();
         for j in 0..points.cell.len() {
@@ -565,10 +574,10 @@ unsafe fn spread_of<V: Lanes, const W: usize>(
     }
 }
 
-/// Points whose weights on the rows are worked out together.
+/// Points whose row weights are computed together.
 const STRIP: usize = 64;
 
-/// Weights of points at `x` on row `tap` of those that they go to.
+/// Weights of points at `x` for tap `tap`.
 ///
 /// SAFETY: the processor must have V; `weights` has a row for every moment.
 #[inline(always)]
@@ -602,7 +611,7 @@ macro_rules! batched_fft {
         mod $mod {
             use super::*;
 
-            // SAFETY (of all): the processor must have the features; shapes as for the functions they are made of.
+            // SAFETY (of all): the processor must have the features; shapes as for the functions they call.
             #[target_feature(enable = "avx2,fma")]
             pub(crate) unsafe fn spread_avx2(
                 points: Points<$number>,
@@ -659,7 +668,7 @@ macro_rules! batched_fft {
         ) {
             check_spread(&points, &across, weights.width, table.len());
             match simd_level.kind() {
-                // SAFETY (of the three): a `SimdLevel` of this kind exists only where the processor has the features; shapes checked above.
+                // SAFETY (of the three): a `SimdLevel` of this kind exists only on processors with the features; shapes checked above.
                 #[cfg(target_arch = "x86_64")]
                 Kind::Avx512 => unsafe { $mod::spread_avx512(points, across, weights, table) },
                 #[cfg(target_arch = "x86_64")]
@@ -676,7 +685,7 @@ macro_rules! batched_fft {
         ) {
             batched_fft.check(&job);
             match simd_level.kind() {
-                // SAFETY (of the three): a `SimdLevel` of this kind exists only where the processor has the features; shapes checked above.
+                // SAFETY (of the three): a `SimdLevel` of this kind exists only on processors with the features; shapes checked above.
                 #[cfg(target_arch = "x86_64")]
                 Kind::Avx512 => unsafe { $mod::transform_avx512(batched_fft, &mut job) },
                 #[cfg(target_arch = "x86_64")]
@@ -718,14 +727,15 @@ mod tests {
     use crate::array::gridded::kernel::Kernel;
     use crate::array::gridded::moments::{BLOCK, Shared};
 
-    /// Numbers in -1..1 that look like chance.
+    /// Pseudo-random numbers in -1..1.
     fn chance(i: usize) -> f64 {
         let x = (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         let x = (x ^ (x >> 31)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         (x >> 11) as f64 / (1u64 << 52) as f64 - 1.0
     }
 
-    /// What `spectrum` gets of columns with templates, in f64; `place.to` is the frequency's index among the places.
+    /// Expected `spectrum` of columns with templates, in f64; `place.to` is the index of the
+    /// frequency among the places.
     fn summed(rows: usize, lanes: usize, table: &[f64], templates: &[f64]) -> Vec<(f64, f64)> {
         let number = |all: &[f64], row: usize, lane: usize| {
             let at = 2 * lanes * row + lane;
@@ -743,7 +753,8 @@ mod tests {
         (0..rows).map(bin).collect()
     }
 
-    /// Every size that a grid can have by its odd part, and lanes that fill vectors and that do not: against the sum as it is defined.
+    /// Every odd part of a grid size, with full and partial vectors of lanes, against the
+    /// definition of the sum.
     fn columns_add_up<T: Real + Into<f64>>(limit: f64) {
         for size in [8, 24, 40, 48, 72, 120, 512] {
             for lanes in [8, 16, 24] {
@@ -758,7 +769,7 @@ mod tests {
                 let table: Vec<f64> = (0..count).map(of_table).collect();
                 let by_frequency: Vec<f64> = (0..count).map(of_template).collect();
                 let want = summed(size, lanes, &table, &by_frequency);
-                // The last frequency is no bin; all others go to where twice as many would.
+                // The last frequency is not a bin. All others are stored at twice their spacing.
                 let places: Vec<Place> = (0..size)
                     .filter(|&row| frequencies[row] + 1 < size)
                     .map(|row| Place {
@@ -807,7 +818,8 @@ mod tests {
         }
     }
 
-    // Sums of up to 12,000 products of numbers below 1, rounded some ten times; in f64 the definition rounds as much as the transform.
+    // Sums of up to 12,000 products of numbers below 1, rounded about ten times; in f64 the
+    // definition rounds as much as the transform.
     #[test]
     fn columns_add_up_as_defined_in_f32_to_1e_6() {
         columns_add_up::<f32>(1e-6);
@@ -818,7 +830,7 @@ mod tests {
         columns_add_up::<f64>(5e-14);
     }
 
-    /// Points on a table, a number at a time.
+    /// Spreads points onto a table, one number at a time.
     fn spread_plainly<T: Real + Into<f64>>(
         points: &Points<T>,
         across: &Across<T>,
@@ -893,7 +905,7 @@ mod tests {
         }
     }
 
-    // Sums of some 100 terms below 1: a few roundings of 6e-8 or 1.1e-16 each.
+    // Sums of about 100 terms below 1: a few roundings of 6e-8 or 1.1e-16 each.
     #[test]
     fn every_simd_level_spreads_points_over_columns_in_f32_to_3e_5() {
         every_simd_level_spreads::<f32>(3e-5);

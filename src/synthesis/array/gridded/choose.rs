@@ -1,4 +1,5 @@
-//! What a tolerance needs, at the least cost: the kernel over delay, the grid of Dopplers. ([`super::band`]: the band.)
+//! Selects the cheapest kernel over delay and grid of Dopplers for a tolerance; [`super::band`]
+//! selects the band.
 
 use std::sync::LazyLock;
 
@@ -8,22 +9,26 @@ use super::moments::{MAX_TAPS, Real};
 use super::one_dimensional::Spec;
 use super::transform::grid_size;
 
-/// Part of [`Pulse::weakest_window`](echotank_core::flow::Pulse::weakest_window) which the shares below leave room for.
+/// Part of [`Pulse::weakest_window`](echotank_core::flow::Pulse::weakest_window) that the shares
+/// below allow for.
 const ROOM: f64 = 0.6;
 
-/// By how much echoes that sound together may weaken one another in a window, and with it what errors are measured by: 1 or more.
+/// Factor by which overlapping echoes may cancel in a window and so reduce the level that errors
+/// are measured by; at least 1.
 pub(crate) fn weakening(spec: &Spec) -> f64 {
     (ROOM / spec.pulse.weakest_window(spec.sample_rate_hz)).max(1.0)
 }
 
-/// What the band leaves out may take this share of the tolerance in the worst window.
+/// Share of the tolerance, in the worst window, for what lies outside the band.
 pub(super) const SHARE: f64 = 0.25;
 
-/// Root mean square error of the kernel over delay, as a share of the tolerance; single echoes do three times as ill at a band's ends, where a sweep ends.
+/// Rms error of the kernel over delay, as a share of the tolerance. Single echoes have three times
+/// this error at the ends of a band, where a sweep ends.
 const KERNEL_SHARE: f64 = 0.1;
 
-/// The kernel over delay: the smallest grid on which `widest` reaches the shares. `alone`: what a kernel on a grid of so many values leaves of an echo
-/// alone in its worst window, by the same tolerance.
+/// Selects the kernel over delay: the smallest grid on which `widest` reaches the shares. `alone`
+/// returns the single-echo error of a kernel on a grid of a given size in the worst window,
+/// relative to the tolerance.
 pub(crate) fn delay_kernel<M: Real>(
     spec: &Spec,
     bins: usize,
@@ -38,7 +43,7 @@ pub(crate) fn delay_kernel<M: Real>(
     [1.25, 1.5, 2.0].into_iter().find_map(|oversampling| {
         let grid = grid_size((bins as f64 * oversampling) as usize);
         let oversampling = grid as f64 / bins as f64;
-        // A search for the best window makes a kernel no more than so much better.
+        // The search for the best window improves a kernel by at most this factor.
         let hopeful = |width: &usize| {
             let rough = Kernel::rough(*width, oversampling, M::MOMENTS);
             rough.error <= 3.0 * KERNEL_SHARE * tolerance
@@ -54,46 +59,52 @@ pub(crate) fn delay_kernel<M: Real>(
     })
 }
 
-// Nanoseconds of one core, rough: measured on two processors, within a factor of two.
+// Approximate nanoseconds of one core, within a factor of two on two processors.
 pub(crate) const NS_PER_ARRIVAL: f64 = 6.0;
-/// Of an arrival that goes to several columns, more.
+/// Additional cost of an arrival that goes to several columns.
 pub(crate) const NS_PER_SPREAD: f64 = 14.0;
-/// One column.
+/// Cost of a grid value of one column.
 pub(crate) const NS_PER_GRID_VALUE: f64 = 3.0;
-/// Several, each of the lanes that they take.
+/// Cost of a grid value of several columns, per lane.
 pub(crate) const NS_PER_LANE_VALUE: f64 = 2.0;
 
-/// Error that the grid of Dopplers may leave at any instant of the echo that it serves worst, as a share of the tolerance.
+/// Largest error of the grid of Dopplers at any instant of an echo, as a share of the tolerance.
 const WORST_SHARE: f64 = 0.5;
 
-/// Share of the plan's Dopplers that a ping has: a beam that looks to the side, 16 degrees to either hand, from a platform at full speed.
+/// Typical share of the design's Dopplers in one ping: a side-looking beam, 16 degrees to either
+/// side, from a platform at full speed.
 const TYPICAL_SPAN: f64 = 0.275;
 
-/// What it may leave of an echo alone in its worst window, likewise; and the kernel over delay. Two echoes that begin or end within a sample of each other
-/// sound there as two tones do, however wide their band, and may all but cancel, while what is left of them does not: so there is room for
-/// 10 to 14 dB where echoes are few.
+/// Single-echo error allowed in the worst window, as a share of the tolerance, for the grid of
+/// Dopplers and for the kernel over delay.
+///
+/// Two echoes that begin or end within a sample of each other interfere like two tones there,
+/// whatever their bandwidth. They may almost cancel while their errors do not. The shares therefore
+/// leave a margin of 10 to 14 dB where echoes are few.
 const ALONE_SHARE: f64 = 0.2;
 const KERNEL_ALONE_SHARE: f64 = 0.3;
 
-/// Likewise where they are many: what is left of those that end together adds up to less than the worst of them alone.
+/// The same where echoes are many: the errors of echoes that end together add up to less than the
+/// worst single error.
 const ALONE_AMONG_MANY_SHARE: f64 = 0.5;
 const KERNEL_ALONE_AMONG_MANY_SHARE: f64 = 0.6;
 
-/// Whether fewer than one echo begins in a sample.
+/// Whether fewer than one echo begins per sample.
 fn few(spec: &Spec) -> bool {
     spec.arrivals < spec.samples
 }
 
-/// How often the former share is halved where a grid leaves more than the latter.
+/// Limit on halving [`WORST_SHARE`] until a grid meets the single-echo share.
 const TRIES: usize = 6;
 
-/// Of the tolerance, what each term of the series in the curvature may leave.
+/// Error allowed for each term of the series in curvature, as a share of the tolerance.
 const TERM_SHARE: f64 = 0.1;
 
-/// Of the tolerance: what the terms of that series that are left out may amount to at the ends of a pulse.
+/// Truncation error of that series allowed at the ends of a pulse, as a share of the tolerance.
 pub(crate) const SERIES_SHARE: f64 = 0.1;
 
-/// Terms that the phase `bend_rad` at the ends of a pulse needs; none where [`MAX_ORDER`] are too few.
+/// Number of terms for the phase `bend_rad` at the ends of a pulse; None if [`MAX_ORDER`] is too
+/// few.
 pub(crate) fn series_terms(bend_rad: f64, tolerance: f64) -> Option<usize> {
     let mut rest = bend_rad;
     for terms in 0..=MAX_ORDER {
@@ -105,34 +116,38 @@ pub(crate) fn series_terms(bend_rad: f64, tolerance: f64) -> Option<usize> {
     None
 }
 
-/// Of the tolerance: what of an echo's curvature may be lost where weights carry it.
+/// Error in the curvature that weights carry, as a share of the tolerance.
 const BENT_SHARE: f64 = 0.2;
 
-/// Whether weights may carry a curvature that turns the ends of a pulse by `bend_rad`, and at most p per second.
+/// Whether weights may carry a curvature that turns the ends of a pulse by `bend_rad`, with p of at
+/// most `greatest_p` per second.
 pub(crate) fn weights_bend(spec: &Spec, bend_rad: f64, greatest_p: f64) -> bool {
     let pulse = spec.pulse;
     let wide = 0.5 * (spec.sample_rate_hz + pulse.bandwidth_hz) / pulse.center_frequency_hz;
-    // Weights know no frequency: what is not made good for the ends of pulses (`doppler`) is of second order in the relative band.
+    // Weights do not depend on frequency. The error that remains after the correction at the ends
+    // of pulses (`doppler`) is of second order in the relative band.
     let unknown = wide * wide * bend_rad;
     let strength = greatest_p * pulse.duration_s;
     let third = bend_rad.powi(3) / 6.0;
     unknown + strength + third <= BENT_SHARE * spec.tolerance
 }
 
-/// Cells of the grids that are tried.
+/// Numbers of cells to try.
 const TRIAL_CELLS: [usize; 52] = [
     1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 20, 22, 24, 26, 28, 30, 32, 34,
     35, 36, 37, 38, 39, 40, 42, 44, 46, 48, 52, 56, 60, 64, 72, 80, 88, 96, 112, 128, 144, 160,
     184, 208, 232, 256,
 ];
 
-/// Breadths of the weights that are tried: oversamplings that a kernel of so many taps would be made for.
+/// Shapes of weights to try, given by the oversampling that a kernel with these taps is designed
+/// for.
 const TRIAL_SHAPES: [f64; 5] = [1.15, 1.3, 1.5, 2.0, 4.0];
 
-/// Powers that weights have beyond their taps: they are read from a table, and derivatives of them are wanted.
+/// Additional powers of the weights beyond their taps, for the table and the derivatives.
 const MORE_POWERS: usize = 4;
 
-/// The kernels that are tried, most taps first: they need the fewest cells, and what costs more than they do need not be looked at.
+/// Kernels to try, most taps first. These need the fewest cells, so later candidates that cost more
+/// are skipped.
 static TRIAL_KERNELS: LazyLock<Vec<Kernel>> = LazyLock::new(|| {
     (MIN_WIDTH..=MAX_TAPS)
         .rev()
@@ -140,17 +155,18 @@ static TRIAL_KERNELS: LazyLock<Vec<Kernel>> = LazyLock::new(|| {
         .collect()
 });
 
-/// What grids of Dopplers are tried with.
+/// Inputs to the selection of grids of Dopplers.
 pub(crate) struct Trials<'a> {
     pub spec: &'a Spec<'a>,
     pub span: DopplerSpan,
-    /// Values of a column, roughly.
+    /// Approximate number of values of a column.
     pub grid: usize,
 }
 
 impl Trials<'_> {
-    /// The grid for echoes without curvature, or with as much as turns the ends of pulses by `bend_rad`; and its error. `alone`: what a grid
-    /// leaves of an echo without curvature, alone in its worst window.
+    /// Selects the grid for echoes without curvature, or with a curvature that turns the ends of
+    /// pulses by `bend_rad`, and returns its error. `alone` returns the single-echo error of a grid
+    /// in the worst window, without curvature.
     pub(super) fn doppler(
         &self,
         bend_rad: f64,
@@ -175,7 +191,7 @@ impl Trials<'_> {
         None
     }
 
-    /// The grid for a term of the series in the curvature that amounts to `size` at the ends of pulses.
+    /// Selects the grid for a curvature term whose value at the ends of pulses is `size`.
     pub(super) fn term(&self, size: f64) -> Option<(DopplerGrid, f64)> {
         let (grid, error) =
             self.cheapest(&self.trial(0.0), TERM_SHARE * self.spec.tolerance / size)?;
@@ -196,12 +212,12 @@ impl Trials<'_> {
     }
 
     fn cost(&self, grid: &DopplerGrid) -> f64 {
-        // What is saved where a ping's Dopplers take up less counts a little.
+        // Counts the saving for pings with a narrower span with a small weight.
         let lanes = grid.typical_lanes(TYPICAL_SPAN) + 0.1 * grid.columns_of(TYPICAL_SPAN) as f64;
         lanes * NS_PER_LANE_VALUE * self.grid as f64
     }
 
-    /// The cheapest grid that leaves no instant of an echo more than `share`, and what it leaves.
+    /// The cheapest grid with an error of at most `share` at any instant, and its error.
     fn cheapest(&self, trial: &Trial, share: f64) -> Option<(DopplerGrid, f64)> {
         let common = DopplerGrid::common(self.span);
         let alone = trial.worst(&common);
@@ -212,7 +228,8 @@ impl Trials<'_> {
         let mut held = f64::INFINITY;
         let enough = |g: &DopplerGrid| trial.worst(g) <= share;
         for kernel in &*TRIAL_KERNELS {
-            // The finer the better, give or take: the coarsest that is enough is found by halving.
+            // The error decreases with the number of cells, so bisection finds the coarsest
+            // sufficient grid.
             let grids = TRIAL_CELLS.map(|cells| DopplerGrid::new(self.span, cells, kernel));
             let affordable = grids.partition_point(|g| self.cost(g) < held);
             let first = grids[..affordable].partition_point(|g| !enough(g));
@@ -225,7 +242,7 @@ impl Trials<'_> {
     }
 }
 
-/// Half the swept band over the carrier, with the sweep's sign.
+/// Half the swept band over the carrier, with the sign of the sweep.
 pub(super) fn sweep(spec: &Spec) -> f64 {
     let pulse = spec.pulse;
     0.5 * pulse.sweep_hz_per_s() * pulse.duration_s / pulse.center_frequency_hz

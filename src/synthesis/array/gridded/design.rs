@@ -1,6 +1,7 @@
-//! What an engine will be: its grids, kernel and error, chosen before any of its tables is made. A plan that compares engines needs no more.
+//! Design of an engine: its grids, kernel and error, selected before any table is computed. Method
+//! selection compares engines by their designs.
 //!
-//! In: a [`Spec`]. Out: [`Design`], or why there is none.
+//! Input: a [`Spec`]. Output: a [`Design`], or the reason for refusal.
 
 use std::f64::consts::TAU;
 
@@ -26,7 +27,7 @@ use super::prepare::Frame;
 use super::pulse_spectrum::PulseSpectrum;
 use super::transform::grid_size;
 
-/// Curvature times pulse length from which on an echo's middle is no longer where the series looks for it.
+/// Curvature times pulse length above which the series for the middle of an echo fails.
 const MAX_CURVATURE_TIMES_PULSE: f64 = 0.05;
 
 pub(crate) struct Design {
@@ -35,19 +36,19 @@ pub(crate) struct Design {
     spectrum: PulseSpectrum,
     band: Band,
     pub kernel: Kernel,
-    /// Length of the record in samples, and of its spectrum.
+    /// Length of the record, and of its spectrum, in samples.
     pub period: usize,
     period_s: f64,
     pub bins: usize,
     pub grid: usize,
-    /// From the start of the record to the first sample.
+    /// Time from the start of the record to the first sample.
     pub(crate) lead_s: f64,
     pub frame: Frame,
-    /// Of the series in the curvature; the first is the echo without.
+    /// Terms of the series in curvature; the first is the echo without curvature.
     pub terms: Vec<DesignedTerm>,
-    /// Nothing differs in Doppler.
+    /// Whether all echoes share one Doppler column.
     pub(crate) has_one_column: bool,
-    /// By which Dopplers of middles may lie outside those of leading edges.
+    /// Largest amount by which Dopplers at the middle lie outside those at leading edges.
     pub beside: f64,
     sweep: f64,
     pub error: f64,
@@ -55,12 +56,13 @@ pub(crate) struct Design {
 
 pub(crate) struct DesignedTerm {
     pub grid: DopplerGrid,
-    /// Chunks whose greatest |p| over the plan's is below this do without.
+    /// Chunks whose largest |p|, relative to the design's, is below this skip the term.
     pub(crate) min_bend: f64,
 }
 
 impl Design {
-    /// `weakening`: see [`weakening()`](super::choose::weakening). M: moments.
+    /// Designs an engine; M is the precision of moments. `weakening`: see
+    /// [`weakening()`](super::choose::weakening).
     pub(super) fn new<M: Real>(asked: &Spec, weakening: f64) -> Result<Self, GriddedError> {
         let spec = &Spec {
             tolerance: asked.tolerance / weakening,
@@ -79,8 +81,8 @@ impl Design {
             DopplerModel::StretchQuadratic => (false, spec.curvature_per_s.abs()),
             DopplerModel::PaperEq21 => return Err(GriddedError::DopplerModel),
         };
-        // sqrt(eta^2 + 2 q T) - eta, eta no less than 0.9; in a pulse so much bent that this does not bound it the series fails below. And what the
-        // ends of a sweep are moved by where weights carry the curvature.
+        // sqrt(eta^2 + 2 q T) - eta with eta at least 0.9. For curvatures beyond this bound the
+        // series fails below. Adds the shift of a sweep's ends where weights carry the curvature.
         let beside = greatest_q
             * (1.25 * pulse.duration_s
                 + 0.5 * (pulse.duration_s.powi(2) * pulse.sweep_hz_per_s() / carrier_hz).abs());
@@ -97,7 +99,7 @@ impl Design {
         let fastest = span.least.abs().max(span.greatest);
         let half_s = 0.5 * pulse.duration_s;
         let greatest_p = greatest_q / (1.0 - fastest).powi(3);
-        // The band's upper half has more turns than the carrier.
+        // The upper end of the band turns faster than the carrier.
         let highest_carrier_hz = carrier_hz + 0.5 * pulse.bandwidth_hz;
         let bend_rad = TAU * highest_carrier_hz * greatest_p * half_s * half_s;
         let needed = match greatest_q < MAX_CURVATURE_TIMES_PULSE / pulse.duration_s {
@@ -113,12 +115,13 @@ impl Design {
             ((widest(asked) + 0.25) * rate_hz + fastest * carrier_hz) / (1.0 - fastest);
         let known_hz = highest_hz + beyond_hz(pulse.duration_s, fastest) / (1.0 - fastest);
         let spectrum = PulseSpectrum::with_powers(pulse, known_hz, 2 * count);
-        // There echoes are looked at one by one, in every window.
+        // The single-echo error decides here, in every window.
         let alone = Alone::new(asked, span, &spectrum);
         let kept = band(asked, &alone)?;
         let kept_hz = 2.0 * (kept.whole_hz + kept.fade_hz);
 
-        // An echo reaches from half a pulse and half a filter before its middle to as much after it, and further by what a curvature moves it.
+        // An echo extends half a pulse and half a filter to either side of its middle, and further
+        // by the shift from curvature.
         let filter_s = spec.filter.map_or(0.0, |f| -f.dense_first_s(0.0));
         let alone_s = half_s / (1.0 - fastest) + filter_s + 2.0 / rate_hz;
         let period_with =
@@ -133,7 +136,8 @@ impl Design {
             span,
             grid: roughly,
         };
-        // Of the highest frequency; of the carrier, which weights and templates know, it is a little less.
+        // Of the highest frequency. The phase at the carrier, which weights and templates use, is
+        // slightly smaller.
         let received = |order| Received {
             spectrum: &spectrum,
             carrier_hz,
@@ -168,14 +172,14 @@ impl Design {
                 min_bend: (SERIES_SHARE * spec.tolerance / term_rad).powf(1.0 / order as f64),
             });
         }
-        // The ends of bent pulses move by p (T/2)^2.
+        // The ends of curved pulses move by p (T/2)^2.
         let reach_s = alone_s + greatest_p * half_s * half_s;
         let period = period_with(reach_s);
         let period = period + period % 2;
         let bins = bins_of(period);
         let period_s = period as f64 / rate_hz;
 
-        // Moments cost the same whatever the width; values spread at once do not.
+        // Moments cost the same for any width; direct spreading does not.
         let has_one_column = terms.iter().all(|term| term.grid.columns == 1);
         let widest = match (has_one_column, M::MOMENTS) {
             (false, 8) => 8,
@@ -242,7 +246,7 @@ impl Design {
         (0..self.bins).map(|q| (q as f64 - (self.bins / 2) as f64) / self.period_s)
     }
 
-    /// What each column of each term sounds like: `[bin * columns + column]`, lowest frequency first.
+    /// Templates of every column of each term: `[bin * columns + column]`, lowest frequency first.
     pub(super) fn templates(&self) -> impl Iterator<Item = Vec<Complex64>> + '_ {
         let heard = |f_hz: f64| self.filter.as_ref().map_or(1.0, |filter| filter.gain(f_hz));
         let gain: Vec<f64> = self
@@ -262,7 +266,8 @@ impl Design {
         })
     }
 
-    /// Of every bin: what undoes the kernel and the flush's beginning at its first value, and moves the record's beginning to 0.
+    /// Per bin: corrects the kernel's spectrum and the first grid value of the flush, and moves the
+    /// start of the record to 0.
     pub(crate) fn undo(&self) -> Vec<Complex64> {
         let undo = |f_hz: f64| {
             let nu = f_hz * self.period_s / self.grid as f64;
@@ -273,7 +278,8 @@ impl Design {
         self.frequencies().map(undo).collect()
     }
 
-    /// What a curvature makes of the weights on `grid`, and the phase at the pulse's ends that is meant; none where columns of their own carry it.
+    /// Curvature terms of the weights on `grid`, and the phase at the ends of the pulse that they
+    /// belong to; None if separate columns carry the curvature.
     pub(crate) fn bent(&self, grid: &DopplerGrid) -> Option<(Bent, f64)> {
         let (carrier_hz, half_s) = (self.frame.carrier_hz, self.frame.half_pulse_s);
         self.frame.bent.then(|| {
@@ -285,7 +291,7 @@ impl Design {
         })
     }
 
-    /// Costs of an element. `words`: of a number of the grids, in those of f32.
+    /// Cost of an element. `words`: size of a grid value relative to f32.
     pub(super) fn cost_estimate(
         &self,
         words: f64,

@@ -1,10 +1,12 @@
-//! Templates at many evenly spaced frequencies: fitted at few, read between.
+//! Templates at many uniform frequencies, fitted at a few and interpolated between.
 //!
-//! A column sounds no longer than the longest pulse of its family, so its spectrum is band-limited over frequency: what it is every 1/(8 half a
-//! pulse) decides it. A record is as long as hundreds of pulses, and its bins lie as much closer. Between the few a sinc is used,
-//! tapered by exp(beta (sqrt(1 - x^2) - 1)) (Barnett, Magland and af Klinteberg 2019), which leaves some exp(-beta).
+//! A column is no longer than the longest pulse it combines, so its spectrum is band-limited over
+//! frequency. Samples at a spacing of 1/(8 half a pulse) determine it, and the bins of a record are
+//! hundreds of times closer. The interpolation kernel is a sinc tapered by exp(beta (sqrt(1 - x^2)
+//! - 1)) (Barnett, Magland and af Klinteberg 2019), with an error of about exp(-beta).
 //!
-//! In: a grid of Dopplers, what is received. Out: those of [`templates`], column beside column. Error: 2e-11 of the greatest value, which is that of the pulse's table.
+//! Input: a grid of Dopplers and the received pulse. Output: the same as [`templates`], column
+//! beside column. Error: 2e-11 of the largest value, which is that of the table of the pulse.
 
 use std::f64::consts::PI;
 
@@ -12,32 +14,32 @@ use num_complex::Complex64;
 
 use super::doppler::{DopplerGrid, Received, templates};
 
-/// Frequencies per one that the pulse's length asks for.
+/// Density of the fitted frequencies relative to the sampling limit of the pulse length.
 const OVERSAMPLING: f64 = 4.0;
 
-/// Frequencies between which one is read.
+/// Fitted frequencies per interpolated value.
 const TAPS: usize = 24;
 
-/// The taper's spectrum has to stay between the pulse's end and that of its next image.
+/// The spectrum of the taper has to fit between the end of the pulse and its next image.
 const BETA: f64 = PI * TAPS as f64 * 0.5 * (1.0 - 1.0 / OVERSAMPLING);
 
-/// Half of the longest pulse of the family.
+/// Half the longest pulse of the family.
 fn reach_s(duration_s: f64, fastest: f64) -> f64 {
     0.5 * duration_s / (1.0 - fastest)
 }
 
-/// Distance of the frequencies at which columns are fitted, for Dopplers up to `fastest`.
+/// Spacing of the fitted frequencies for Dopplers up to `fastest`.
 fn step_hz(duration_s: f64, fastest: f64) -> f64 {
     0.5 / (OVERSAMPLING * reach_s(duration_s, fastest))
 }
 
-/// By how much the spectrum received must be known beyond the bins.
+/// Margin beyond the bins over which the received spectrum must be known.
 pub(crate) fn beyond_hz(duration_s: f64, fastest: f64) -> f64 {
     (0.5 * TAPS as f64 + 1.0) * step_hz(duration_s, fastest)
 }
 
-/// What every column sounds like: `[bin * columns + column]`, where bin 0 lies at `first_hz`, the next `bin_hz` above it, and `gain` is H at
-/// each of them.
+/// Templates of every column: `[bin * columns + column]`. Bin 0 lies at `first_hz`, the spacing is
+/// `bin_hz`, and `gain` is H at each bin.
 pub(super) fn evenly(
     grid: &DopplerGrid,
     received: Received,
@@ -65,7 +67,7 @@ pub(super) fn evenly(
     let mut values = vec![Complex64::ZERO; bins * columns];
     for (q, sums) in values.chunks_exact_mut(columns).enumerate() {
         let position = (first_hz + q as f64 * bin_hz) / step_hz - lowest as f64;
-        // The TAPS/2 frequencies at or below it and as many above.
+        // TAPS/2 frequencies at or below the bin, and as many above.
         let first = position as usize + 1 - TAPS / 2;
         let weights = weights(position - (position as usize) as f64);
         for (weight, row) in weights.iter().zip(rows[first * columns..].chunks(columns)) {
@@ -78,7 +80,7 @@ pub(super) fn evenly(
     values
 }
 
-/// `[column * bins + bin]` as `[bin * columns + column]`.
+/// Transposes `[column * bins + bin]` to `[bin * columns + column]`.
 fn batched_fft(fitted: &[Complex64], bins: usize) -> Vec<Complex64> {
     let columns = fitted.len() / bins;
     let mut rows = vec![Complex64::ZERO; fitted.len()];
@@ -90,9 +92,10 @@ fn batched_fft(fitted: &[Complex64], bins: usize) -> Vec<Complex64> {
     rows
 }
 
-/// Of the frequencies about what lies at `x`, 0..1, between the two in the middle.
+/// Weights of the fitted frequencies for a position `x`, 0..1, between the two in the middle.
 fn weights(x: f64) -> [f64; TAPS] {
-    // Near either end of 0..1 the small distance counts, and its rounding: sin(pi x) is made of it, and `away` in one step.
+    // Near the ends of 0..1 the smaller distance sets the rounding error, so sin(pi x) and `away`
+    // are computed from it.
     let sine = libm::sin(PI * x.min(1.0 - x)) / PI;
     std::array::from_fn(|i| {
         let away = x - (i as f64 - (TAPS / 2 - 1) as f64);
@@ -116,7 +119,8 @@ mod tests {
     use crate::array::gridded::pulse_spectrum::PulseSpectrum;
     use echotank_core::flow::{Pulse, PulseKind};
 
-    /// Bins lie about 0 Hz, and 0 Hz is a frequency that is fitted: what lies on one but for rounding is that one.
+    /// Bins lie about 0 Hz, which is a fitted frequency. A bin that equals a fitted frequency up to
+    /// rounding takes its value.
     #[test]
     fn what_lies_on_a_frequency_but_for_rounding_is_read_from_it() {
         for k in 0..60 {

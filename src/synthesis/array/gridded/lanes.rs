@@ -1,8 +1,9 @@
-//! A few real numbers that are worked on at once: vectors where the processor has them, arrays elsewhere.
+//! A few real numbers processed together: vectors where the processor supports them, arrays
+//! elsewhere.
 
 use num_complex::Complex;
 
-/// Every function is unsafe for one reason: where `Self` is a vector, the processor must have it.
+/// Every function is unsafe because `Self` may be a vector type that the processor must support.
 pub(crate) trait Lanes: Copy {
     type Number: Copy;
     const COUNT: usize;
@@ -17,9 +18,9 @@ pub(crate) trait Lanes: Copy {
     unsafe fn mul(self, other: Self) -> Self;
     /// self times `factor`, plus `more`.
     unsafe fn mul_add(self, factor: Self, more: Self) -> Self;
-    /// self times `factor`, less `less`.
+    /// self times `factor`, minus `less`.
     unsafe fn mul_sub(self, factor: Self, less: Self) -> Self;
-    /// All lanes added up, of each of the two.
+    /// Sum over all lanes of `re` and of `im`.
     unsafe fn sums(re: Self, im: Self) -> Complex<Self::Number>;
 }
 
@@ -34,7 +35,7 @@ impl<V: Lanes> Pair<V> {
     /// SAFETY: as [`Lanes::load`], twice.
     #[inline(always)]
     pub(super) unsafe fn load(re: *const V::Number, im: *const V::Number) -> Self {
-        // SAFETY: the caller vouches for it.
+        // SAFETY: the caller guarantees it.
         unsafe {
             Self {
                 re: V::load(re),
@@ -46,7 +47,7 @@ impl<V: Lanes> Pair<V> {
     /// SAFETY: as [`Lanes::store`], twice.
     #[inline(always)]
     pub(super) unsafe fn store(self, re: *mut V::Number, im: *mut V::Number) {
-        // SAFETY: the caller vouches for it.
+        // SAFETY: the caller guarantees it.
         unsafe {
             self.re.store(re);
             self.im.store(im);
@@ -56,7 +57,7 @@ impl<V: Lanes> Pair<V> {
     /// SAFETY (to the end of this block): the processor must have `V`.
     #[inline(always)]
     pub(super) unsafe fn add(self, other: Self) -> Self {
-        // SAFETY: the caller vouches for it.
+        // SAFETY: the caller guarantees it.
         unsafe {
             Self {
                 re: self.re.add(other.re),
@@ -67,7 +68,7 @@ impl<V: Lanes> Pair<V> {
 
     #[inline(always)]
     pub(crate) unsafe fn sub(self, other: Self) -> Self {
-        // SAFETY: the caller vouches for it.
+        // SAFETY: the caller guarantees it.
         unsafe {
             Self {
                 re: self.re.sub(other.re),
@@ -79,7 +80,7 @@ impl<V: Lanes> Pair<V> {
     /// self + j other
     #[inline(always)]
     pub(crate) unsafe fn add_turned(self, other: Self) -> Self {
-        // SAFETY: the caller vouches for it.
+        // SAFETY: the caller guarantees it.
         unsafe {
             Self {
                 re: self.re.sub(other.im),
@@ -91,7 +92,7 @@ impl<V: Lanes> Pair<V> {
     /// self - j other
     #[inline(always)]
     pub(crate) unsafe fn sub_turned(self, other: Self) -> Self {
-        // SAFETY: the caller vouches for it.
+        // SAFETY: the caller guarantees it.
         unsafe {
             Self {
                 re: self.re.add(other.im),
@@ -102,7 +103,7 @@ impl<V: Lanes> Pair<V> {
 
     #[inline(always)]
     pub(super) unsafe fn scale(self, factor: V) -> Self {
-        // SAFETY: the caller vouches for it.
+        // SAFETY: the caller guarantees it.
         unsafe {
             Self {
                 re: self.re.mul(factor),
@@ -114,7 +115,7 @@ impl<V: Lanes> Pair<V> {
     /// self times the real `factor`, plus `more`.
     #[inline(always)]
     pub(crate) unsafe fn scale_add(self, factor: V, more: Self) -> Self {
-        // SAFETY: the caller vouches for it.
+        // SAFETY: the caller guarantees it.
         unsafe {
             Self {
                 re: self.re.mul_add(factor, more.re),
@@ -125,7 +126,7 @@ impl<V: Lanes> Pair<V> {
 
     #[inline(always)]
     pub(super) unsafe fn times(self, other: Self) -> Self {
-        // SAFETY: the caller vouches for it.
+        // SAFETY: the caller guarantees it.
         unsafe {
             Self {
                 re: self.re.mul_sub(other.re, self.im.mul(other.im)),
@@ -136,7 +137,7 @@ impl<V: Lanes> Pair<V> {
 
     #[inline(always)]
     pub(super) unsafe fn splat(number: Complex<V::Number>) -> Self {
-        // SAFETY: the caller vouches for it.
+        // SAFETY: the caller guarantees it.
         unsafe {
             Self {
                 re: V::splat(number.re),
@@ -154,12 +155,12 @@ macro_rules! plain {
 
             #[inline(always)]
             unsafe fn load(from: *const $number) -> Self {
-                // SAFETY: the caller vouches for the numbers.
+                // SAFETY: the caller guarantees the numbers.
                 unsafe { from.cast::<Self>().read_unaligned() }
             }
             #[inline(always)]
             unsafe fn store(self, to: *mut $number) {
-                // SAFETY: the caller vouches for the numbers.
+                // SAFETY: the caller guarantees the numbers.
                 unsafe { to.cast::<Self>().write_unaligned(self) }
             }
             #[inline(always)]
@@ -209,7 +210,7 @@ mod x86 {
                 type Number = $number;
                 const COUNT: usize = $count;
 
-                // SAFETY (of all): the caller vouches for the processor, and for the numbers behind pointers.
+                // SAFETY (of all): the caller guarantees the processor, and for the numbers behind pointers.
                 #[inline(always)]
                 unsafe fn load(from: *const $number) -> Self {
                     unsafe { $load(from) }
@@ -265,7 +266,7 @@ mod x86 {
     #[inline(always)]
     unsafe fn sums_256(re: __m256, im: __m256) -> Complex32 {
         unsafe {
-            // Pairs of the one beside pairs of the other, twice; then the halves.
+            // Adds pairs of both inputs twice, then the halves.
             let pairs = _mm256_hadd_ps(re, im);
             let fours = _mm256_hadd_ps(pairs, pairs);
             let upper = _mm256_extractf128_ps::<1>(fours);

@@ -1,7 +1,8 @@
-//! Least squares by orthogonalisation: small dense problems that are solved once per plan.
+//! Least squares by orthogonalisation, for small dense problems solved once per plan.
 //!
-//! In: a matrix of more rows than columns. Out: its pseudo-inverse. Method: modified Gram-Schmidt, every column orthogonalised twice
-//! (Giraud, Langou and Rozloznik 2005: twice is enough for an orthogonal basis to rounding), then back substitution.
+//! Input: a matrix with more rows than columns. Output: its pseudo-inverse. The method is modified
+//! Gram-Schmidt with two passes per column, followed by back substitution. Two passes give an
+//! orthogonal basis to rounding (Giraud, Langou and Rozloznik 2005).
 
 /// A dense matrix, row-major.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,10 +1,13 @@
-//! From a chunk of arrivals to points on the grids: middle of the echo, carrier phase there, place among the Doppler columns.
+//! Converts a chunk of arrivals to points on the grids: middle of the echo, carrier phase there,
+//! and position among the Doppler columns.
 //!
-//! An echo that leads at u with stretch eta = 1 + d has its middle at u + m, m = T/(2 eta), with the phase exp(j 2pi f_c (d m - u)).
+//! An echo with leading edge u and stretch eta = 1 + d has its middle at u + m, m = T/(2 eta), with
+//! the phase exp(j 2pi f_c (d m - u)).
 //!
-//! With curvature q its middle comes where eta m + q m^2 = T/2, the phase is exp(j 2pi f_c (d m + q m^2 - u)), and d from there on that of
-//! the middle: sqrt(eta^2 + 2 q T) - 1. Where weights carry the curvature ([`super::doppler`]), what they do too much at the ends of the pulse is a
-//! delay and a Doppler.
+//! With curvature q the middle is where eta m + q m^2 = T/2, and the phase is exp(j 2pi f_c (d m +
+//! q m^2 - u)). The Doppler at the middle is sqrt(eta^2 + 2 q T) - 1. Where weights carry the
+//! curvature ([`super::doppler`]), a delay and a Doppler correct their error at the ends of the
+//! pulse.
 
 use std::ops::Range;
 
@@ -19,48 +22,52 @@ use super::simd_level::{Kind, SimdLevel};
 
 const _: () = assert!(CHUNK == BLOCK, "a chunk is a block of points");
 
-/// What does not change between the chunks of an element.
+/// Parameters common to the chunks of an element.
 #[derive(Clone, Copy)]
 pub(super) struct Frame {
     pub carrier_hz: f64,
     pub(crate) half_pulse_s: f64,
-    /// Stretch is left out: eta is 1.
+    /// Without stretch: eta is 1.
     pub still: bool,
-    /// Greatest |q| and |p|; 0 where curvature is left out.
+    /// Largest |q| and |p|; 0 without curvature.
     pub(crate) greatest_q: f64,
     pub(crate) greatest_p: f64,
-    /// Weights carry the curvature.
+    /// Whether weights carry the curvature.
     pub(crate) bent: bool,
-    /// Of the pulse; 0 without.
+    /// Sweep rate of the pulse; 0 without a sweep.
     pub sweep_hz_per_s: f64,
 }
 
-/// Where echoes go among the columns of a grid of Dopplers.
+/// Assignment of echoes to the columns of a grid of Dopplers.
 pub(super) struct Columns<T> {
     pub grid: DopplerGrid,
     /// Whether weights carry a curvature.
     bent: bool,
-    /// Across a cell, [`ENTRIES`] of them.
+    /// Table of weights across a cell, with [`ENTRIES`] entries.
     table: Vec<Entry<T>>,
 }
 
-/// Entries of a table of weights across a cell, powers of two. Each is the middle of a Taylor series that ends after the square: 1e-7 is left, or with f64
-/// moments, from whose tolerances on the table is that much finer, 1e-11.
+/// Entries of a table of weights across a cell, powers of two. Each entry is the centre of a
+/// second-order Taylor series. The error is 1e-7, or 1e-11 with the finer table that the tolerances
+/// of f64 moments need.
 const ENTRIES: [usize; 2] = [128, 2048];
 
-/// Weights about a place in a cell, and what a curvature makes of them, for each tap.
+/// Weights at one position in a cell with their derivatives, and their curvature terms, for each
+/// tap.
 #[derive(Clone, Copy)]
 #[repr(C)]
 pub struct Entry<T> {
-    /// The weights and their derivatives in x, the second one halved.
+    /// The weights, their first derivative in x, and half the second.
     pub plain: [[T; MAX_TAPS]; 3],
-    /// To be multiplied with the curvature: imaginary part and its derivative, real part; with its square: real part.
+    /// Factors of the curvature: imaginary part and its derivative, real part; and a real part for
+    /// its square.
     pub imaginary: [[T; MAX_TAPS]; 2],
     pub real: [T; MAX_TAPS],
     pub(crate) real_2: [T; MAX_TAPS],
 }
 
-/// What the values of a chunk's points are made of: `beyond` the middle of an entry lies each point's place.
+/// Inputs to the values of a chunk's points: `beyond` is the position of each point relative to the
+/// centre of its table entry.
 pub struct Sharing<'a, T> {
     pub table: &'a [Entry<T>],
     pub entry: &'a [u32],
@@ -69,15 +76,16 @@ pub struct Sharing<'a, T> {
     pub bend: &'a [T],
 }
 
-/// A chunk's points; `delay_s` is that of the middle.
+/// Points of a chunk; `delay_s` is that of the middle.
 pub(super) struct Prepared<T> {
     pub delay_s: [f64; BLOCK],
     pub amplitude: [Complex<T>; BLOCK],
-    /// Of the middle.
+    /// Doppler at the middle.
     pub doppler: [f64; BLOCK],
-    /// p over the greatest; where weights carry it, p eta^4 over the greatest p.
+    /// p relative to its largest value; where weights carry the curvature, p eta^4 relative to the
+    /// largest p.
     pub bend: [T; BLOCK],
-    /// Greatest |bend|.
+    /// Largest |bend|.
     pub(crate) most_bent: f64,
     pub column: [u32; BLOCK],
     /// Weight times amplitude.
@@ -99,8 +107,8 @@ impl<T: Real> Prepared<T> {
 }
 
 impl Frame {
-    /// Fills the first `chunk.len` points but for their columns. Returns how many had a Doppler outside `span`, that of middles, or more
-    /// curvature than there is room for; they sound like the nearest within.
+    /// Fills the first `chunk.len` points except their columns. Echoes with a Doppler outside
+    /// `span` (that of the middles), or with too much curvature, are clamped. Returns their number.
     pub(super) fn prepare<T: Real>(
         &self,
         simd_level: SimdLevel,
@@ -109,7 +117,7 @@ impl Frame {
         points: &mut Prepared<T>,
     ) -> u64 {
         match simd_level.kind() {
-            // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features.
+            // SAFETY (twice): a `SimdLevel` of this kind exists only on processors with the features.
             #[cfg(target_arch = "x86_64")]
             Kind::Avx512 => unsafe { self.prepare_avx512(chunk, span, points) },
             #[cfg(target_arch = "x86_64")]
@@ -152,7 +160,7 @@ impl Frame {
         let DopplerSpan { least, greatest } = span;
         let mut outside = 0;
         let (mut cos, mut sin) = ([0.0; BLOCK], [0.0; BLOCK]);
-        // Of the middle's emission before its reception: d m + q m^2.
+        // Difference between emission and reception of the middle: d m + q m^2.
         let mut ahead_s = [0.0; BLOCK];
         let mut middle_s = [0.0; BLOCK];
         let mut later_s = [0.0; BLOCK];
@@ -164,7 +172,7 @@ impl Frame {
             for j in 0..n {
                 let d = chunk.doppler[j];
                 outside += u64::from(!((d >= least) & (d <= greatest)));
-                // In this order NaN becomes an end of the span too.
+                // In this order of operations NaN is clamped to an end of the span too.
                 let d = d.max(least).min(greatest);
                 points.doppler[j] = d;
                 middle_s[j] = self.half_pulse_s / (1.0 + d);
@@ -183,7 +191,7 @@ impl Frame {
         }
         for j in 0..n {
             let turns = self.carrier_hz * chunk.delay_s[j];
-            // Whole turns away first: the rest keeps its digits.
+            // Removes whole turns first, which preserves the digits of the rest.
             let turns = self.carrier_hz * ahead_s[j] - (turns - turns.round_ties_even());
             points.delay_s[j] = chunk.delay_s[j] + (middle_s[j] + later_s[j]);
             (cos[j], sin[j]) = cis(turns);
@@ -198,13 +206,14 @@ impl Frame {
         outside
     }
 
-    /// Whether series will do for the roots of curved echoes: to 1e-13 of a middle.
+    /// Whether series suffice for the roots of curved echoes, to 1e-13 of a middle.
     fn gentle(&self) -> bool {
         const MOST: f64 = 1e-3;
         4.0 * self.half_pulse_s * self.greatest_q <= 0.8 * MOST
     }
 
-    /// Middles, Dopplers there and curvatures; returns how many echoes lie outside the plan.
+    /// Computes middles, their Dopplers and curvatures. Returns the number of echoes outside the
+    /// design range.
     #[inline(always)]
     fn bend<T: Real, const GENTLE: bool>(
         &self,
@@ -223,12 +232,13 @@ impl Frame {
             ),
             false => (0.0, 0.0),
         };
-        // The greatest |bend| by its bits, whose order is the same: compilers put the greatest of integers into vectors.
+        // Finds the largest |bend| by its bits, which sort the same way. Compilers vectorise the
+        // maximum of integers.
         let (mut outside, mut most) = (0, 0u64);
         for j in 0..n {
             let (d, q) = (chunk.doppler[j], chunk.curvature_per_s[j]);
             outside += u64::from(!((d >= least) & (d <= greatest) & (q.abs() <= self.greatest_q)));
-            // In this order NaN becomes an end of the span too.
+            // In this order of operations NaN is clamped to an end of the span too.
             let d = d.max(least).min(greatest);
             let q = q.max(-self.greatest_q).min(self.greatest_q);
             let eta = 1.0 + d;
@@ -252,7 +262,7 @@ impl Frame {
             middles.middle_s[j] = m;
             middles.ahead_s[j] = (d + q * m) * m;
             middles.later_s[j] = later_s2 * p;
-            // Its difference from d is a small one: no digits are lost.
+            // The difference from d is small, so this form loses no digits.
             points.doppler[j] = (d + 2.0 * q * m + faster * p).max(least).min(greatest);
             let bend = match self.bent {
                 true => q * of_middle * per_greatest,
@@ -266,7 +276,8 @@ impl Frame {
     }
 }
 
-/// Of a chunk's echoes: emission of the middle before its reception, reception of the middle after the leading edge, and what is added to that.
+/// Of a chunk's echoes: emission minus reception of the middle, delay of the middle after the
+/// leading edge, and the correction of that delay.
 struct Middles<'a> {
     ahead_s: &'a mut [f64; BLOCK],
     middle_s: &'a mut [f64; BLOCK],
@@ -274,7 +285,8 @@ struct Middles<'a> {
 }
 
 impl<T: Real> Columns<T> {
-    /// With `bent` weights carry a curvature that turns the ends of pulses by the greatest angle given with it.
+    /// With `bent`, weights carry a curvature that turns the ends of pulses by at most the given
+    /// phase.
     pub(super) fn new(grid: DopplerGrid, bent: Option<(Bent, f64)>) -> Self {
         let entries = ENTRIES[usize::from(T::MOMENTS != 8)];
         let (b, max_rad) = match &bent {
@@ -308,7 +320,8 @@ impl<T: Real> Columns<T> {
         }
     }
 
-    /// First columns, counted from the first of `columns`, and values on them of the first `n` points.
+    /// Computes the first columns, relative to the first of `columns`, and the values there of the
+    /// first `n` points.
     pub(super) fn place(
         &self,
         simd_level: SimdLevel,
@@ -320,7 +333,7 @@ impl<T: Real> Columns<T> {
         let mut entry = [0u32; BLOCK];
         let mut beyond = [T::zero(); BLOCK];
         match simd_level.kind() {
-            // SAFETY (twice): a `SimdLevel` of this kind exists only where the processor has the features.
+            // SAFETY (twice): a `SimdLevel` of this kind exists only on processors with the features.
             #[cfg(target_arch = "x86_64")]
             Kind::Avx512 => unsafe {
                 self.enter_avx512(n, columns, points, &mut entry, &mut beyond);
@@ -372,7 +385,8 @@ impl<T: Real> Columns<T> {
         self.enter(n, columns, points, entry, beyond)
     }
 
-    /// First columns of the points, entries of the table and places beyond them.
+    /// Computes the first columns of the points, their table entries and the positions relative to
+    /// these.
     #[inline(always)]
     fn enter(
         &self,
@@ -395,13 +409,14 @@ impl<T: Real> Columns<T> {
             self.table.len() as u32 - 1,
         );
         for j in 0..n {
-            // Entries from the span's beginning; half of one earlier rounding truncates, and the sum's low bits are the number.
+            // Entries from the start of the span. Rounding half an entry earlier truncates, and the
+            // low bits of the sum are the index.
             let position = (points.doppler[j] * per_doppler + offset - 0.5)
                 .max(-0.5)
                 .min(last + 0.499);
             let rounded = position + ROUND;
             let number = rounded.to_bits() as u32;
-            // A hair's rounding at the end of the ping's span must not lead to a column that it has not.
+            // Rounding at the end of the ping's span must not lead to a missing column.
             let column = (number >> shift).max(first) - first;
             points.column[j] = column.min(most);
             entry[j] = number & mask;
@@ -410,7 +425,7 @@ impl<T: Real> Columns<T> {
     }
 }
 
-/// The portable twin of the vector loops.
+/// Portable version of the vector loops.
 pub(crate) fn share_plain<T: Real, const BENT: bool>(points: Sharing<T>, values: &mut [Shared<T>]) {
     let Sharing {
         table,

@@ -1,8 +1,10 @@
-//! What one echo by itself loses to the kernel over time and to the end of the sampled band, window by window.
+//! Single-echo error of the kernel over time and of the truncated band, window by window.
 //!
-//! Both err in proportion to an echo, but a little beside it too: the kernel by some rows, what is cut off a band for longer. Where echoes
-//! overlap that is lost among them. A window that holds no more than an echo's last samples, or what the receiver filter makes of its end, is held
-//! to a share of that little. So an echo is made with and without, and looked at as the contract does, down to the noise.
+//! Both errors are proportional to an echo but extend beside it: that of the kernel by some rows,
+//! that of the band for longer. Overlapping echoes hide them. A window that holds only the last
+//! samples of an echo, or the filter's response to its end, requires a small error relative to that
+//! part. The check therefore synthesises an echo with and without the error, and compares the two
+//! in windows down to the noise.
 
 use num_complex::Complex64;
 
@@ -13,27 +15,29 @@ use crate::array::gridded::transform::grid_size;
 use crate::array::phasor::cis;
 use echotank_core::flow::Pulse;
 
-/// Least samples of a window.
+/// Smallest window, samples.
 const MIN_WINDOW: f64 = 32.0;
-/// Noise is this far below the strongest window, dB: weaker ones are counted against it.
+/// Level of the noise below the strongest window, dB; weaker windows count as the noise.
 const NOISE_DB: f64 = 55.0;
-/// Of the sample rate, what is looked at: as much again lies beyond the sampled band, where the receiver filter stops.
+/// Width of the check in sample rates. Half of it lies beyond the sampled band, where the receiver
+/// filter stops.
 const DENSE: f64 = 2.0;
-/// Of an echo's energy, what may lie beyond the part of the band that kernels are made for; and the least such part.
+/// Share of an echo's energy allowed beyond the part of the band that kernels are designed for; and
+/// the smallest such part.
 const CORE_REST: f64 = 1e-5;
 const MIN_CORE: f64 = 0.3;
-/// How far below the strongest window noise is, dB, where levels have such a range.
+/// Level of the noise below the strongest window, dB, for a given level range.
 pub fn noise_db(level_range_db: f64) -> f64 {
     level_range_db.clamp(0.0, NOISE_DB)
 }
 
-/// Places across a cell at which a kernel is tried.
+/// Positions across a cell at which a kernel is tested.
 const PLACES: [f64; 3] = [0.0, 0.5, 0.95];
 
-/// An echo at the least and at the greatest Doppler.
+/// Echoes at the smallest and at the largest Doppler.
 pub struct Alone {
     sample_rate_hz: f64,
-    /// Of every bin, as transforms have them.
+    /// Frequency of every bin, in transform order.
     frequency_hz: Vec<f64>,
     spectra: Vec<Vec<Complex64>>,
     /// Energies in all windows, and in the strongest.
@@ -43,7 +47,8 @@ pub struct Alone {
 }
 
 impl Alone {
-    /// `greatest_doppler`: share of the frequency by which echoes are shifted to either side at most.
+    /// Prepares the echoes. `greatest_doppler` is the largest relative frequency shift to either
+    /// side.
     pub fn new(
         pulse: &Pulse,
         sample_rate_hz: f64,
@@ -96,7 +101,7 @@ impl Alone {
         }
     }
 
-    /// Error in the worst window of what lies beyond the sampled band.
+    /// Error in the worst window from energy beyond the sampled band.
     pub fn beyond_band(&self) -> f64 {
         let off = |&f_hz: &f64| match self.sampled(f_hz) {
             true => Complex64::ZERO,
@@ -106,8 +111,8 @@ impl Alone {
         self.worst(&off)
     }
 
-    /// Error of the whole echo, and in the worst window, that a kernel makes at the places that suit it least; it was made for so much of the
-    /// band about its middle.
+    /// Error of the whole echo and in the worst window for a kernel designed for the share `core`
+    /// of the band, at the worst position.
     pub fn kernel(&self, kernel: &Kernel, core: f64) -> [f64; 2] {
         let mut most = [0.0f64; 2];
         for x in PLACES {
@@ -136,11 +141,12 @@ impl Alone {
         most
     }
 
-    /// The part of the band about its middle beyond which next to nothing of an echo lies.
+    /// Central share of the band beyond which an echo has almost no energy.
     pub fn core(&self) -> f64 {
         let reach = |spectrum: &Vec<Complex64>| {
             let all: f64 = spectrum.iter().map(|s| s.norm_sqr()).sum();
-            // From the edges inwards: bins of both signs lie evenly about the middle of the list.
+            // From the edges inwards: bins of both signs lie symmetrically about the middle of the
+            // list.
             let (half, mut beyond) = (spectrum.len() / 2, 0.0);
             for k in 0..half {
                 beyond += spectrum[half - k].norm_sqr()
@@ -159,7 +165,7 @@ impl Alone {
         f_hz.abs() <= 0.5 * self.sample_rate_hz
     }
 
-    /// Error of an echo as a whole where `off` of each frequency is amiss.
+    /// Error of the whole echo if each frequency has the error `off`.
     fn whole(&self, off: &[Complex64]) -> f64 {
         let energy = |s: Complex64| s.norm_sqr();
         let error = |spectrum: &Vec<Complex64>| {
@@ -175,7 +181,7 @@ impl Alone {
         errors.fold(0.0, f64::max).sqrt()
     }
 
-    /// Error in the worst window where `off` of each frequency is amiss, in noise.
+    /// Error in the worst window, with noise, if each frequency has the error `off`.
     fn worst(&self, off: &[Complex64]) -> f64 {
         let noise = 10f64.powf(-noise_db(self.level_range_db) / 10.0);
         let mut worst: f64 = 0.0;

@@ -14,36 +14,38 @@ use super::sample::Sample;
 use super::stages::Stage;
 use super::task::{Ray, Task};
 
-/// Of what a series may leave out, what coefficients that are left out may together.
+/// Joint error of the omitted coefficients, as a share of the truncation error allowed per series.
 const TRIMMED: f64 = 1.0;
 
-/// Of what may be left all over a slab, a coefficient that is no more.
+/// Size of a coefficient that is always omitted, as a share of the error allowed over a whole slab.
 const NOTHING: f64 = 1e-3;
 
-/// Coefficients are worked on so many at a time; their rows end in zeros.
+/// Number of coefficients processed together; their rows are padded with zeros.
 const WHOLE: usize = 16;
 
 /// One coefficient of the templates.
 #[derive(Clone, Copy)]
 pub(super) struct Entry {
-    /// Which sound it is of.
+    /// Index of the source that it multiplies.
     pub sound: usize,
-    /// Along the stretch.
+    /// Power along the stretch.
     pub power: usize,
 }
 
 impl<T: Sample> Task<'_, T> {
-    /// Bins that the filter leaves.
+    /// Number of bins in the pass band.
     pub(super) fn heard(&self) -> usize {
         self.engine.blocks.len() * BLOCK
     }
 
-    /// Terms of the emission, channels, powers along the stretch: entries of a template per power of the frequency.
+    /// Entries of a template per power of the frequency: terms of the emission, channels, powers
+    /// along the stretch.
     fn entries(&self) -> usize {
         self.orders.instants * self.channels() * self.orders.along
     }
 
-    /// Each column to frequency, and what makes powers along the stretch of it.
+    /// Transforms each column to frequency and computes its contribution to the powers along the
+    /// stretch.
     #[inline(always)]
     pub(crate) fn to_spectra<const FUSED: bool>(&self, work: &mut Work<T>) {
         let mut since = Instant::now();
@@ -72,14 +74,15 @@ impl<T: Sample> Task<'_, T> {
         work.stages.lap(Stage::Transform, &mut since);
     }
 
-    /// One panel of channels and columns to frequency.
+    /// Transforms one panel of channels and columns to frequency.
     #[inline(always)]
     fn spectra<const FUSED: bool>(&self, work: &mut Work<T>, panel: usize) {
         let (rows, bins) = (self.engine.rows, self.engine.bins());
         let heard = self.heard();
         let all = self.columns * self.channels();
         let [a, b] = &mut work.panel;
-        // The first bin that is heard lies below the centre: at the transform's end.
+        // The first bin in the pass band lies below the centre frequency, at the end of the
+        // transform.
         let first = (rows + self.engine.blocks.start * BLOCK - bins / 2) % rows;
         let grid = &mut work.grid[panel * self.engine.panel_rows()..][..rows];
         let forward = &self.engine.forward;
@@ -104,11 +107,12 @@ impl<T: Sample> Task<'_, T> {
                 im[to..][..PANEL].copy_from_slice(&of_im[lane]);
             }
         }
-        // For the next task, while it is near.
+        // Cleared for the next task while it is in the cache.
         grid.fill(Row::ZERO);
     }
 
-    /// exp(-j psi w d) at each instant w as a series of T_r(d), at a few frequencies: `[instant][dilation][frequency]`.
+    /// exp(-j psi w d) at each instant w as a series of T_r(d), at a few frequencies:
+    /// `[instant][dilation][frequency]`.
     fn dilation_series(&self, work: &mut Work<T>) {
         let orders = self.orders;
         let series = &self.engine.series[orders.dilation - 1];
@@ -127,7 +131,7 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// Of the lanes of a block, in half bands from its middle.
+    /// Positions of the lanes of a block, in half bands from its middle.
     fn lanes(&self) -> [T; BLOCK] {
         let half_bins = 0.5 * self.engine.bins() as f64;
         std::array::from_fn(|lane| T::narrow((lane as f64 - 0.5 * (BLOCK - 1) as f64) / half_bins))
@@ -137,7 +141,8 @@ impl<T: Sample> Task<'_, T> {
         self.middle_hz(block) / (0.5 * self.engine.rate_hz)
     }
 
-    /// The shape at a few slopes, as series of bend and twist, powers along the stretch and powers of the frequency.
+    /// Computes the shape at a few slopes, as series of bend and twist, powers along the stretch
+    /// and powers of the frequency.
     fn shapes(&self, work: &mut Work<T>) {
         let orders = self.orders;
         let (along, band) = (orders.along, orders.band);
@@ -167,7 +172,7 @@ impl<T: Sample> Task<'_, T> {
                     }
                 }
             }
-            // One dimension after the other, from the outside in.
+            // One dimension after the other, from the outermost.
             let inner = along * band;
             along_dimension(
                 &engine.series[orders.bend - 1],
@@ -207,8 +212,9 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// Templates of products, `[instant][kind][bend][twist][place][frequency]`, times those of what is left of the dilation, to those of
-    /// channels: `[instant][channel][place][frequency]`.
+    /// Converts templates of products, `[instant][kind][bend][twist][place][frequency]`, times
+    /// those of the residual dilation, to those of channels:
+    /// `[instant][channel][place][frequency]`.
     fn merge_products(
         &self,
         merge: &Merge,
@@ -242,7 +248,8 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// The most that each channel's templates are of each power along the stretch, at any slope, instant and frequency.
+    /// Largest value of each channel's templates for each power along the stretch, over slopes,
+    /// instants and frequencies.
     fn most_of_powers(&self, work: &mut Work<T>) {
         let Orders { along, band, .. } = self.orders;
         let (channels, all) = (self.channels(), self.entries());
@@ -258,15 +265,15 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// The smallest coefficients that together are next to nothing are left out; and of the powers that the turn inside a block adds, the
-    /// highest.
+    /// Omits the smallest coefficients whose sum is negligible, and the highest of the powers that
+    /// the rotation inside a block adds.
     fn choose_entries(&self, work: &mut Work<T>) {
         let Orders {
             along, turn, band, ..
         } = self.orders;
         let channels = self.channels();
         let all = self.entries();
-        // Of each: the most that it is at any slope and frequency.
+        // Largest value of each coefficient over slopes and frequencies.
         work.sizes.clear();
         work.sizes.extend((0..all).map(|entry| (0.0, entry)));
         for node in work.values.chunks_exact(all * band) {
@@ -279,7 +286,8 @@ impl<T: Sample> Task<'_, T> {
         let order = |a: &(f64, usize), b: &(f64, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
         work.sizes.sort_unstable_by(order);
         let share = TRIMMED * self.engine.fineness.series;
-        // No more than rounding, and products of such come near the least numbers there are, which processors are slow with.
+        // Such values are mere rounding, and their products approach subnormal numbers, which are
+        // slow.
         let nothing = NOTHING * self.engine.fineness.far;
         let mut rest = 0.0;
         let small = work.sizes.iter().take_while(|(size, _)| {
@@ -288,7 +296,7 @@ impl<T: Sample> Task<'_, T> {
         });
         let small = small.count();
         let kept = &mut work.sizes[small..];
-        // By sound, then by power.
+        // By source, then by power.
         kept.sort_unstable_by_key(|(_, entry)| *entry);
         work.sources.clear();
         work.entries.clear();
@@ -306,7 +314,7 @@ impl<T: Sample> Task<'_, T> {
             .sort_unstable_by_key(|entry| (entry.power, entry.sound));
         let used = work.entries.last().map_or(1, |entry| entry.power + 1);
         work.along = used;
-        // What is left out of the turn jumps from block to block.
+        // The truncation error of the rotation has steps between blocks.
         let theta = self.turn_rad(0, self.greatest_slope()).abs();
         let turned = |m: usize| (1..=m).fold(1.0, |term, k| term * theta / k as f64);
         let left_out = |powers: usize| -> f64 {
@@ -325,7 +333,7 @@ impl<T: Sample> Task<'_, T> {
             .unwrap_or(most);
     }
 
-    /// How much of the template at each of the few slopes a column has: `[column][node]`.
+    /// Interpolation weights of each column on the templates at the few slopes: `[column][node]`.
     fn shares_of_nodes(&self, work: &mut Work<T>) {
         let series = &self.engine.series[self.nodes - 1];
         let slopes = self.slopes();
@@ -342,7 +350,7 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// The templates at the few slopes in one block: over it everything smooth is a line.
+    /// Templates at the few slopes in one block, where all smooth functions are linear.
     #[inline(always)]
     pub(super) fn chords<const FUSED: bool>(&self, work: &mut Work<T>, block: usize) {
         let middle = self.middle_band(block);
@@ -370,7 +378,7 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// A column's template in one block, from those at the few slopes.
+    /// Template of a column in one block, interpolated from those at the few slopes.
     #[inline(always)]
     fn template<const FUSED: bool>(&self, work: &mut Work<T>, column: usize) {
         let whole = work.entries.len().next_multiple_of(WHOLE);
@@ -390,7 +398,8 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// The pulse's spectra as a column at slope `s` hears them, shifted by its Doppler: of the terms of the emission.
+    /// Spectra of the pulse received by a column at slope `s`, shifted by its Doppler, by terms of
+    /// the emission.
     #[inline(always)]
     fn pulses<const FUSED: bool>(&self, s: f64, block: usize, pulses: &mut [Lanes<T>]) {
         pulses.fill(Lanes::ZERO);
@@ -406,7 +415,7 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// Middle of one of the blocks that are heard, Hz from the centre.
+    /// Middle of one of the blocks in the pass band, Hz from the centre.
     pub(crate) fn middle_hz(&self, block: usize) -> f64 {
         let bins = self.engine.bins();
         let first = (self.engine.blocks.start + block) * BLOCK;
@@ -414,7 +423,8 @@ impl<T: Sample> Task<'_, T> {
         middle * self.engine.rate_hz / bins as f64
     }
 
-    /// One block of one column: channels, pulse and shape into powers along the stretch, the `near`-th of those at hand.
+    /// Combines channels, pulse and shape of one block of one column into powers along the stretch,
+    /// at index `near` of the current columns.
     #[inline(always)]
     pub(super) fn block<const FUSED: bool>(
         &self,
@@ -428,7 +438,7 @@ impl<T: Sample> Task<'_, T> {
         let first = (block * self.columns + column) * channels * BLOCK;
         let s = self.slope(column);
         self.pulses::<FUSED>(s, block, &mut work.pulses);
-        // Of each term of the emission, every channel as the pulse then has it.
+        // For each term of the emission, every channel times the pulse.
         for (sound, source) in work.sounds.iter_mut().zip(&work.sources) {
             let heard = Lanes::load(&work.spectrum, first + source % channels * BLOCK);
             *sound = heard.times::<FUSED>(&work.pulses[source / channels]);
@@ -452,7 +462,7 @@ impl<T: Sample> Task<'_, T> {
             }
             *sum = total.sum();
         }
-        // exp(j theta x), theta the turn within the block, times the powers so far.
+        // exp(j theta x), theta the rotation within the block, times the powers so far.
         let mut theta = [T::ZERO; BLOCK];
         for (lane, theta) in theta.iter_mut().enumerate() {
             *theta = T::narrow(self.turn_rad(lane, s));
@@ -474,14 +484,15 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// Phase of what is left of the dilation at the pulse's ends, radians.
+    /// Phase of the residual dilation at the ends of the pulse, radians.
     pub(crate) fn rest_rad(&self, band: f64) -> f64 {
         PI * self.absolute_hz(band) * self.smooth.dilation_rest * self.engine.ping.duration_s
     }
 }
 
-/// Polynomials `[power][entry]`, given with the number of entries and of powers, between two places, as lines through their values there: from
-/// block to block they go on without a step, which would be heard all over the slab.
+/// Linear interpolation of polynomials `[power][entry]` between two positions, given the numbers of
+/// entries and powers. It is continuous from block to block, since steps would spread over the
+/// whole slab.
 #[inline(always)]
 fn chord<T: Sample, const FUSED: bool>(
     (series, entries, powers): (&[T], usize, usize),
@@ -508,7 +519,8 @@ fn chord<T: Sample, const FUSED: bool>(
     }
 }
 
-/// Applies a square matrix along one dimension of `from`: that with `inner` values between neighbours.
+/// Applies a square matrix along one dimension of `from`, the one with `inner` values between
+/// neighbours.
 fn along_dimension(matrix: &[f64], from: &[Complex64], to: &mut Vec<Complex64>, inner: usize) {
     let count = matrix.len().isqrt();
     to.clear();

@@ -13,19 +13,20 @@ use super::sample::Sample;
 use super::stages::Stage;
 use super::task::Task;
 
-/// Pairs of elements worked on together, and lanes: as many sums as there are registers for.
+/// Pairs of elements and lanes processed together: as many sums as there are registers.
 const PAIRS: usize = 2;
 const PART: usize = 16;
-/// Columns whose powers stay in the nearest cache while all pairs are seen to.
+/// Columns whose powers stay in the nearest cache while all pairs are processed.
 const NEAR: usize = 8;
 
 /// Real and imaginary parts.
 type Part<T> = [[T; PART]; 2];
 
-/// Of a pair of elements and a block: what both have in common, real and imaginary parts, and what with opposite signs.
+/// Of a pair of elements and a block: the common part, and the part with opposite signs, each as
+/// real and imaginary parts.
 pub(crate) type PairSums<T> = [[T; BLOCK]; 4];
 
-/// Some columns of one block, for the processor's own kernel of [`Sample::elements_wide`].
+/// Some columns of one block, the input of [`Sample::elements_wide`].
 pub struct Columns<'a, T> {
     /// Of `count` columns, `[column][power][lane]`.
     pub(super) re: &'a [T],
@@ -33,10 +34,10 @@ pub struct Columns<'a, T> {
     pub(super) powers: usize,
     pub(super) first: usize,
     pub(super) count: usize,
-    /// `[pair][column]`, `room` to a pair.
+    /// `[pair][column]`, with `room` entries per pair.
     pub(super) rotors: &'a [[T; 2]],
     pub(super) room: usize,
-    /// Place of each pair, of the half stretch.
+    /// Position of each pair, relative to half the stretch.
     pub(super) x: &'a [T],
     pub(super) sums: &'a mut [PairSums<T>],
 }
@@ -46,7 +47,7 @@ impl<T: Sample> Task<'_, T> {
     pub(super) fn run(&self, work: &mut Work<T>, output: &mut Vec<Complex<T>>) {
         #[cfg(target_arch = "x86_64")]
         match self.engine.simd_level.kind() {
-            // SAFETY: a `SimdLevel` of that kind is proof that the processor has these.
+            // SAFETY: such a `SimdLevel` proves that the processor has these features.
             Kind::Avx512 => return unsafe { self.run_avx512(work, output) },
             // SAFETY: as above.
             Kind::Avx2 => return unsafe { self.run_avx2(work, output) },
@@ -76,8 +77,8 @@ impl<T: Sample> Task<'_, T> {
         work.stages.lap(Stage::Return, &mut since);
     }
 
-    /// All columns to all elements, block by block, a few columns at a time: the pulse's tables of a block and the powers of those columns stay
-    /// near.
+    /// Sums all columns into all elements, block by block and a few columns at a time. The tables
+    /// of the pulse for a block and the powers of those columns stay in the cache.
     #[inline(always)]
     fn to_elements<const FUSED: bool>(&self, work: &mut Work<T>) {
         let elements = self.stretch.along_m.len();
@@ -134,7 +135,8 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// Pairs apart: at y and -y elements have conjugate rotors, and the same even and odd powers.
+    /// Separates pairs: the elements at y and -y have conjugate rotors, and the same even and odd
+    /// powers.
     #[inline(always)]
     fn part_of_elements<const FUSED: bool>(&self, work: &mut Work<T>, block: usize) {
         let (elements, heard) = (self.stretch.along_m.len(), self.heard());
@@ -153,7 +155,8 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// Of an element at `y` to all columns, at the middle of a block: cosine and sine. Each eight follow from the eight before.
+    /// Rotors of an element at `y` for all columns, at the middle of a block: cosine and sine. Each
+    /// eight follow from the eight before.
     #[inline(always)]
     fn rotors(&self, rotors: &mut [[T; 2]], block: usize, y: f64) {
         let carrier_hz = self.engine.ping.carrier_hz;
@@ -174,7 +177,7 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// Elements back to time.
+    /// Transforms elements back to time.
     #[inline(always)]
     fn to_time<const FUSED: bool>(&self, work: &mut Work<T>, output: &mut Vec<Complex<T>>) {
         let bins = self.engine.bins();
@@ -195,7 +198,7 @@ impl<T: Sample> Task<'_, T> {
                     .slope_inverse
                     .block::<T, FUSED>(|lane| per_hz * (start_hz + lane as f64 * step_hz));
                 let from = Lanes::load(&work.elements, e * self.heard() + block * BLOCK);
-                // Both bins / 2 and blocks are whole multiples of a block, so that none wraps.
+                // bins / 2 and the blocks are whole multiples of a block, so none wraps.
                 let to = (at + bins - bins / 2) % bins;
                 let (band, to) = (&self.engine.band[at..][..BLOCK], &mut row[to..][..BLOCK]);
                 for lane in 0..BLOCK {
@@ -210,7 +213,7 @@ impl<T: Sample> Task<'_, T> {
     }
 }
 
-/// Adds columns to all pairs' sums.
+/// Adds columns to the sums of all pairs.
 #[inline(always)]
 pub(crate) fn all_pairs<T: Sample, const FUSED: bool>(mut columns: Columns<T>) {
     let pairs = columns.sums.len();
@@ -227,7 +230,7 @@ pub(crate) fn all_pairs<T: Sample, const FUSED: bool>(mut columns: Columns<T>) {
     }
 }
 
-/// Adds columns to some pairs' sums, for part of a block's lanes.
+/// Adds columns to the sums of some pairs, for part of a block's lanes.
 #[inline(always)]
 fn add_columns<T: Sample, const PAIRS: usize, const FUSED: bool>(
     columns: &mut Columns<T>,
@@ -248,7 +251,8 @@ fn add_columns<T: Sample, const PAIRS: usize, const FUSED: bool>(
     let im = columns.im.chunks_exact(powers * BLOCK);
     for (column, (re, im)) in re.zip(im).enumerate() {
         let rotor = |p: usize| columns.rotors[(pair + p) * columns.room + columns.first + column];
-        // From the highest power down; even powers are done with before odd ones are begun, or there would be too few registers.
+        // From the highest power down. Even powers are finished before odd ones begin, to limit the
+        // number of registers.
         let mut even = zero;
         for q in (0..even_powers).rev() {
             let next = part_of(re, im, 2 * q * BLOCK + part);
@@ -297,7 +301,7 @@ fn add_scaled<T: Sample, const FUSED: bool>(to: &mut [T; PART], from: &[T; PART]
     }
 }
 
-/// Polynomials of several places at once: value times square plus the next coefficient.
+/// Horner step for polynomials of several positions: value times square plus the next coefficient.
 #[inline(always)]
 fn horner<T: Sample, const PAIRS: usize, const FUSED: bool>(
     value: &mut [Part<T>; PAIRS],

@@ -1,21 +1,22 @@
-//! AVX-512 kernel that sums columns' powers into pairs of elements. Its scalar twin is `Task::add_columns`.
+//! AVX-512 kernel that sums the columns' powers into pairs of elements. The scalar version is
+//! `Task::add_columns`.
 
 use std::arch::x86_64::*;
 
 use super::elements::Columns;
 use super::lanes::BLOCK;
 
-/// Pairs worked on together.
+/// Pairs processed together.
 const PAIRS: usize = 2;
 /// Vectors of a block.
 const PARTS: usize = BLOCK / 16;
 
-/// Whether there is a kernel for so many powers.
+/// Whether there is a kernel for this number of powers.
 pub(super) const fn takes(powers: usize) -> bool {
     matches!(powers, 4..=14)
 }
 
-/// Adds some columns to all pairs' sums.
+/// Adds some columns to the sums of all pairs.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
 pub(super) fn add(columns: Columns<f32>) {
     let (count, powers) = (columns.count, columns.powers);
@@ -25,8 +26,8 @@ pub(super) fn add(columns: Columns<f32>) {
     let pairs = columns.sums.len();
     assert!(columns.x.len() >= pairs && columns.rotors.len() >= pairs * columns.room);
     assert!(columns.first + count <= columns.room);
-    // SAFETY: the lengths that the kernels need have just been asserted, and that the processor has what they use is this function's own
-    // condition.
+    // SAFETY: the lengths that the kernels need are asserted above; the processor's features are
+    // this function's own precondition.
     unsafe {
         match powers {
             4 => all::<2, 2>(columns),
@@ -51,12 +52,12 @@ unsafe fn all<const EVEN: usize, const ODD: usize>(mut columns: Columns<f32>) {
     let pairs = columns.sums.len();
     let mut pair = 0;
     while pair + PAIRS <= pairs {
-        // SAFETY: handed on.
+        // SAFETY: the caller has the same precondition.
         unsafe { some::<PAIRS, EVEN, ODD>(&mut columns, pair) };
         pair += PAIRS;
     }
     while pair < pairs {
-        // SAFETY: handed on.
+        // SAFETY: the caller has the same precondition.
         unsafe { some::<1, EVEN, ODD>(&mut columns, pair) };
         pair += 1;
     }
@@ -72,7 +73,8 @@ unsafe fn some<const N: usize, const EVEN: usize, const ODD: usize>(
     let zero = _mm512_setzero_ps();
     let per_column = (EVEN + ODD) * BLOCK;
     let mut sums = [[[zero; 4]; PARTS]; N];
-    // SAFETY: all within what `add` asserted: a column's powers are `per_column` numbers, a pair's sums four blocks.
+    // SAFETY: all accesses lie within what `add` has asserted: a column's powers are `per_column`
+    // numbers, a pair's sums four blocks.
     unsafe {
         for (n, sums) in sums.iter_mut().enumerate() {
             let of_pair = columns.sums.as_ptr().add(pair + n).cast::<f32>();
@@ -186,7 +188,7 @@ mod tests {
                 });
                 sums
             };
-            // SAFETY: asked above; VL, AVX2 and FMA come with these.
+            // SAFETY: checked above; VL, AVX2 and FMA are implied.
             let got = sums(|columns| unsafe { add(columns) });
             let want = sums(all_pairs::<f32, false>);
             let pairs = got.as_flattened().as_flattened().iter();

@@ -1,11 +1,12 @@
-//! A block of bins side by side.
+//! A block of neighbouring bins.
 
 use super::sample::Sample;
 
-/// Bins worked on together: over so few the rotor from a column to an element hardly turns beyond its middle's.
+/// Bins processed together. Over this few bins, the rotor from a column to an element hardly
+/// changes from that of the middle.
 pub(super) const BLOCK: usize = 32;
 
-/// Complex numbers in two pieces.
+/// Complex numbers with separate real and imaginary parts.
 #[derive(Default)]
 pub(crate) struct Split<T> {
     pub re: Vec<T>,
@@ -13,13 +14,13 @@ pub(crate) struct Split<T> {
 }
 
 impl<T: Sample> Split<T> {
-    /// Of that length, contents unspecified.
+    /// Resizes to `len`; the contents are unspecified.
     pub(super) fn resize(&mut self, len: usize) {
         self.re.resize(len, T::ZERO);
         self.im.resize(len, T::ZERO);
     }
 
-    /// Zeros of that length.
+    /// Resizes to `len` zeros.
     pub(crate) fn clear_to(&mut self, len: usize) {
         self.re.clear();
         self.re.resize(len, T::ZERO);
@@ -28,7 +29,7 @@ impl<T: Sample> Split<T> {
     }
 }
 
-/// A block of complex numbers, split.
+/// A block of complex numbers with separate parts.
 #[derive(Clone, Copy)]
 pub(crate) struct Lanes<T> {
     pub re: [T; BLOCK],
@@ -85,7 +86,7 @@ impl<T: Sample> Lanes<T> {
         product
     }
 
-    /// Times j theta scale.
+    /// Multiplies by j theta scale.
     #[inline(always)]
     pub(super) fn turn(&mut self, theta: &[T; BLOCK], scale: T) {
         for (j, &theta) in theta.iter().enumerate() {
@@ -95,7 +96,8 @@ impl<T: Sample> Lanes<T> {
     }
 }
 
-/// A sum of products of blocks, its four real products apart: no addition waits for the one before it.
+/// A sum of products of blocks with four separate real products, so no addition depends on the
+/// previous one.
 #[derive(Clone, Copy)]
 pub(crate) struct Apart<T> {
     parts: [[T; BLOCK]; 4],

@@ -1,40 +1,41 @@
-//! Fewer channels than products of the series: a few sums of them, as this task's own echoes need.
+//! Reduces the products of the series to fewer channels, for the echoes of one task.
 //!
-//! What an echo has of its own (dilation, bend, twist, swing) is given product by product of Chebyshev's terms. Over a sea floor those hang
-//! together: nearly all follows from the echo's place, so that the products span far fewer directions than there are. A basis of those
-//! directions is found among the surveyed echoes, always adding the echo that is met worst so far (Gram and Schmidt with pivots), each
-//! product weighed by the most that its template is. So the greatest of what is left is known.
+//! Each echo has its own dilation, bend, twist and swing, which enter as products of Chebyshev
+//! terms. Over a seabed these values are correlated, since nearly all follow from the position of
+//! the echo, so the products span few directions. A pivoted Gram-Schmidt process over the surveyed
+//! echoes finds a basis: each step adds the echo with the largest residual. Products are weighted
+//! by the largest value of their templates, so the largest residual bounds the error.
 
 use crate::array::gridded::simd_level::{Kind as Processor, SimdLevel};
 
-/// Echoes that are looked at; more are thinned out evenly.
+/// Maximum number of echoes in the process; a larger set is thinned evenly.
 const MAX_LOOKED: usize = 4096;
-/// Every so many echoes, one half way to the next: what corners of boxes do not show.
+/// Every so many echoes, a point halfway to the next is added, since corners of boxes miss it.
 pub(crate) const MIDWAY: usize = 4;
-/// Tenths of a direction beyond this are rounding: no basis grows on them.
+/// Relative size of a direction below which it is rounding and adds nothing to the basis.
 const LEAST: f64 = 1e-14;
 
-/// Which sums of products the channels carry.
+/// Sums of products that the channels carry.
 #[derive(Default)]
 pub(crate) struct Merge {
     pub count: usize,
     products: usize,
     /// Orthonormal, `[channel][product]`.
     basis: Vec<f64>,
-    /// The most that the template of each product is.
+    /// Largest value of each product's template.
     weight: Vec<f64>,
-    /// The most that each channel is of an echo.
+    /// Largest value of each channel over the echoes.
     pub peak: Vec<f64>,
-    /// Of every echo looked at, what is left of its weighed products, `[product][echo]`.
+    /// Residual of the weighted products of every echo, `[product][echo]`.
     left: Vec<f64>,
     squares: Vec<f64>,
     along: Vec<f64>,
-    /// Echoes looked at.
+    /// Number of echoes in the process.
     looked: usize,
 }
 
 impl Merge {
-    /// Forgets everything; `weight` of each product.
+    /// Resets the basis; `weight` holds the weight of each product.
     pub(super) fn start(&mut self, weight: impl Iterator<Item = f64>, echoes: usize) {
         self.weight.clear();
         self.weight.extend(weight);
@@ -45,24 +46,25 @@ impl Merge {
         self.looked = echoes;
     }
 
-    /// How many of so many echoes are looked at, every which, and how many with those between.
+    /// For a set of `echoes` echoes: how many are used, the stride between them, and how many there
+    /// are with the midway points.
     pub(super) fn sample(echoes: usize) -> (usize, usize) {
         let every = echoes.div_ceil(MAX_LOOKED).max(1);
         (every, echoes.div_ceil(every))
     }
 
-    /// Looked at besides, between an echo and the next.
+    /// Number of midway points among the echoes used.
     pub(crate) fn midway(kept: usize) -> usize {
         kept.saturating_sub(1) / MIDWAY
     }
 
-    /// Room for the products of all echoes that are looked at, `[product][echo]`, unspecified.
+    /// Buffer for the products of all echoes used, `[product][echo]`, with unspecified contents.
     pub(crate) fn products_mut(&mut self) -> &mut [f64] {
         self.left.resize(self.products * self.looked, 0.0);
         &mut self.left
     }
 
-    /// A channel of its own for every product of `among`, which an echo has up to `peak` times.
+    /// Gives every product of `among` a channel of its own; `peak` is its largest value.
     pub(crate) fn keep_apart(&mut self, among: impl Iterator<Item = usize>, peak: f64) {
         for product in among {
             let row = self.basis.len();
@@ -73,11 +75,12 @@ impl Merge {
         }
     }
 
-    /// Adds channels until no echo's products of `among` (the others are to be 0) are left by more than `tolerance`. Returns the most that is.
+    /// Adds channels until the residual of every echo's products of `among` (the others must be 0)
+    /// is at most `tolerance`. Returns the largest residual.
     pub(super) fn choose(&mut self, tolerance: f64, simd_level: SimdLevel) -> f64 {
         #[cfg(target_arch = "x86_64")]
         match simd_level.kind() {
-            // SAFETY: a `SimdLevel` of that kind is proof that the processor has these.
+            // SAFETY: such a `SimdLevel` proves that the processor has these features.
             Processor::Avx512 => return unsafe { self.choose_avx512(tolerance) },
             // SAFETY: as above.
             Processor::Avx2 => return unsafe { self.choose_avx2(tolerance) },
@@ -135,7 +138,8 @@ impl Merge {
             if met <= tolerance || *count == products || met < LEAST {
                 return met;
             }
-            // A new direction: what is left of the echo that is met worst, made orthogonal once more against rounding.
+            // A new direction: the residual of the worst echo, orthogonalised once more against
+            // rounding.
             let at = basis.len();
             basis.extend((0..products).map(|m| left[m * looked + worst]));
             let (known, new) = basis.split_at_mut(at);
@@ -170,12 +174,12 @@ impl Merge {
         }
     }
 
-    /// How much of a product goes into a channel.
+    /// Contribution of a product to a channel.
     pub(crate) fn share_of_channel(&self, product: usize, channel: usize) -> f64 {
         self.basis[channel * self.products + product] * self.weight[product]
     }
 
-    /// How much of a product's template a channel's has.
+    /// Contribution of a product's template to that of a channel.
     pub(crate) fn of_template(&self, product: usize, channel: usize) -> f64 {
         self.basis[channel * self.products + product] / self.weight[product]
     }
@@ -185,7 +189,8 @@ impl Merge {
 mod tests {
     use super::*;
 
-    /// Products of a bottom on which two things follow from one place, a little of their own beside it.
+    /// Products over a seabed on which two values follow from one position, with a small
+    /// independent part.
     fn products(echo: usize) -> Vec<f64> {
         let at = |step: f64| 2.0 * (echo as f64 * step).fract() - 1.0;
         let (place, own) = (at(0.618_034), at(0.754_878));
@@ -232,7 +237,8 @@ mod tests {
             assert!(worst <= tolerance && (worst - says).abs() < 1e-9 + 1e-6 * says);
             counts.push(merge.count);
         }
-        // Kept apart, as many products are needed as leave no more than the tolerance of the weights behind them.
+        // Without merging, as many products are needed as bring the remaining weights below the
+        // tolerance.
         let apart = [1e-2, 1e-3, 1e-5].map(|tolerance: f64| {
             let mut sorted = weights.clone();
             sorted.sort_by(f64::total_cmp);

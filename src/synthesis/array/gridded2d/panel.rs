@@ -1,6 +1,8 @@
-//! Fourier transforms of many columns side by side, one column to a vector lane: no shuffles, and every access is a whole vector.
+//! Fourier transforms of many columns, one column per vector lane. There are no shuffles, and every
+//! access is a whole vector.
 //!
-//! Stockham's self-sorting form (Cooley and Tukey 1965; Stockham 1966), radices 8, 4, 2, 3 and 5, between two buffers.
+//! Stockham's self-sorting form (Cooley and Tukey 1965; Stockham 1966), radices 8, 4, 2, 3 and 5,
+//! between two buffers.
 
 use std::f64::consts::TAU;
 
@@ -86,7 +88,7 @@ impl<T: Sample> Row<T> {
     }
 }
 
-/// Rows to columns of a square, by halves, quarters, ...: a few shuffles of whole vectors.
+/// Transposes a square by halves, quarters and so on, with a few shuffles of whole vectors.
 #[inline(always)]
 pub(crate) fn transposed<T: Sample>(mut square: [[T; PANEL]; PANEL]) -> [[T; PANEL]; PANEL] {
     swap_corners::<T, 8>(&mut square);
@@ -96,7 +98,8 @@ pub(crate) fn transposed<T: Sample>(mut square: [[T; PANEL]; PANEL]) -> [[T; PAN
     square
 }
 
-/// Of every square of twice `D` along the diagonal's blocks, the upper right and the lower left quarter change places.
+/// In every square of size twice `D` along the diagonal, exchanges the upper right and lower left
+/// quarters.
 #[inline(always)]
 fn swap_corners<T: Sample, const D: usize>(square: &mut [[T; PANEL]; PANEL]) {
     for i in 0..PANEL {
@@ -117,15 +120,15 @@ fn swap_corners<T: Sample, const D: usize>(square: &mut [[T; PANEL]; PANEL]) {
 pub(crate) struct PanelFft<T> {
     size: usize,
     radices: Vec<usize>,
-    /// The buffers have a row more after so many: what a pass reads and writes side by side lies whole powers of two apart, and would share
-    /// the sets of a cache.
+    /// The buffers have a spare row after every `period` rows. Otherwise the rows of a pass would
+    /// lie a power of two apart and share cache sets.
     period: usize,
     /// exp(-j 2pi k / size).
     twiddles: Vec<[T; 2]>,
 }
 
 impl<T: Sample> PanelFft<T> {
-    /// `size` has no prime factors but 2, 3 and 5.
+    /// `size` may have only the prime factors 2, 3 and 5.
     pub(super) fn new(size: usize) -> Self {
         let mut radices = Vec::new();
         let mut rest = size;
@@ -144,7 +147,7 @@ impl<T: Sample> PanelFft<T> {
             .collect();
         Self {
             size,
-            // All passes' strides are whole parts or whole multiples of it.
+            // The strides of all passes are divisors or multiples of it.
             period: radices.iter().take(2).product::<usize>().max(1),
             radices,
             twiddles,
@@ -156,13 +159,14 @@ impl<T: Sample> PanelFft<T> {
         self.place(self.size) + 1
     }
 
-    /// Where a row lies in a buffer.
+    /// Index of a row in a buffer.
     #[inline(always)]
     pub(super) fn place(&self, row: usize) -> usize {
         row + row / self.period
     }
 
-    /// Transforms the `size` rows of `from` with the help of two buffers. Returns the one that the result is in, row r at [`Self::place`].
+    /// Transforms the `size` rows of `from` with two buffers. Returns the buffer with the result,
+    /// row r at [`Self::place`].
     #[inline(always)]
     pub(super) fn run<'a, const FUSED: bool>(
         &self,
@@ -200,7 +204,7 @@ impl<T: Sample> PanelFft<T> {
         }
     }
 
-    /// One pass of so many groups of `s`; what comes first is not in a buffer.
+    /// One pass over groups of `s`; the input of the first pass is not in a buffer.
     #[inline(always)]
     fn each<const RADIX: usize, B: Butterfly<RADIX>, const FUSED: bool>(
         &self,
@@ -227,7 +231,7 @@ impl<T: Sample> PanelFft<T> {
     }
 }
 
-/// Rows at the places `x` to rows at the places `y`; `w` of each of these.
+/// Transforms rows at the indices `x` to rows at the indices `y`; `w` are the twiddle factors.
 trait Butterfly<const RADIX: usize> {
     fn run<T: Sample, const FUSED: bool>(
         from: &[Row<T>],
@@ -273,7 +277,7 @@ impl Butterfly<3> for Three {
         let sin = T::narrow(-0.866_025_403_784_438_6);
         let sum = x1.plus(x2);
         let even = x0.plus_scaled::<FUSED>(&sum, T::narrow(-0.5));
-        // j sin (x1 - x2), sin negative: forwards.
+        // j sin (x1 - x2), with negative sin: forward transform.
         let odd = x2.minus(x1).scaled(sin).turned();
         to[y[0]] = x0.plus(&sum);
         to[y[1]] = even.plus(&odd).times::<FUSED>(w[1]);
@@ -358,7 +362,7 @@ impl Butterfly<5> for Five {
         let x2 = &from[x[2]];
         let x3 = &from[x[3]];
         let x4 = &from[x[4]];
-        // Cosines and sines of a fifth and two fifths of a turn.
+        // Cosines and sines of one fifth and two fifths of a turn.
         let [c1, c2] = [0.309_016_994_374_947_45, -0.809_016_994_374_947_5].map(T::narrow);
         let [s1, s2] = [0.951_056_516_295_153_5, 0.587_785_252_292_473_1].map(T::narrow);
         let (sum1, less1) = (x1.plus(x4), x1.minus(x4));

@@ -1,14 +1,14 @@
-//! Short Chebyshev series: how many terms a smooth function needs, and its powers.
+//! Short Chebyshev series: number of terms for a smooth function, and conversion to powers.
 
 use num_complex::Complex64;
 
 use super::pulse::{chebyshev, chebyshev_nodes};
 use super::sample::Sample;
 
-/// Points at which a function is tried beyond the most terms allowed.
+/// Test points beyond the maximum number of terms.
 const EXTRA: usize = 4;
 
-/// Terms that are ever looked at.
+/// Maximum number of terms that is examined.
 pub(crate) const MAX_SIZES: usize = 32;
 
 /// |coefficients| of the first `count` terms.
@@ -26,7 +26,7 @@ pub(super) fn sizes(f: impl Fn(f64) -> Complex64, count: usize) -> [f64; MAX_SIZ
     sums.map(Complex64::norm)
 }
 
-/// T_0(x) ... of so many terms.
+/// T_0(x) ... T_(terms-1)(x).
 #[inline(always)]
 pub(crate) fn chebyshev_terms<T: Sample, const MOST: usize>(x: T, terms: usize) -> [T; MOST] {
     let mut values = [T::one(); MOST];
@@ -39,7 +39,8 @@ pub(crate) fn chebyshev_terms<T: Sample, const MOST: usize>(x: T, terms: usize) 
     values
 }
 
-/// Least number of terms whose remainder is at most `tolerance` over -1..1, at most `most`; and that remainder.
+/// Smallest number of terms whose remainder is at most `tolerance` over -1..1, up to `most`; and
+/// that remainder.
 pub(crate) fn terms_needed(
     f: impl Fn(f64) -> Complex64,
     most: usize,
@@ -61,7 +62,7 @@ pub(crate) fn terms_needed(
     (1, rest)
 }
 
-/// The matrix from values at Chebyshev's points to coefficients on powers, `[power * count + point]`.
+/// Matrix from values at the Chebyshev points to coefficients of powers, `[power * count + point]`.
 pub(crate) fn powers_from_nodes(count: usize) -> Vec<f64> {
     let mut powers = vec![vec![1.0], vec![0.0, 1.0]];
     for k in 2..count {
@@ -86,7 +87,7 @@ pub(crate) fn powers_from_nodes(count: usize) -> Vec<f64> {
     matrix
 }
 
-/// The matrix from values at Chebyshev's points to coefficients of T_n, `[n * count + point]`.
+/// Matrix from values at the Chebyshev points to coefficients of T_n, `[n * count + point]`.
 pub(crate) fn series_from_nodes(count: usize) -> Vec<f64> {
     let mut matrix = vec![0.0; count * count];
     for (point, x) in chebyshev_nodes(count).enumerate() {

@@ -1,29 +1,29 @@
-//! What the echoes of one task have in common, fitted to them: everything that the templates take as a function of slope alone, and the
-//! spans of what is left over for each echo to carry itself.
+//! Fits to the echoes of one task: the functions of slope that the templates use, and the spans of
+//! the residuals that each echo carries.
 
-/// Echoes of one task about mid-pulse, structure of arrays.
+/// Echoes of one task about mid-pulse, as a structure of arrays.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Echoes {
     pub slope: Vec<f64>,
-    /// du/dw: what the delay gains per second of emission.
+    /// du/dw: change of the delay per second of emission.
     pub dilation: Vec<f64>,
-    /// c d2u/dy2 over 1 - slope^2: 1/R but for terms of v/c.
+    /// c d2u/dy2 over 1 - slope^2: 1/R up to terms of v/c.
     pub(crate) per_range_per_m: Vec<f64>,
     pub twist_per_s: Vec<f64>,
     pub swing_m_per_s2: Vec<f64>,
-    /// Of those that are no mere places.
+    /// Echoes with an amplitude, without the survey points.
     pub heard: Vec<HeardEcho>,
 }
 
-/// What an echo's strength is like along the stretch.
+/// Strength of an echo along the stretch.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct HeardEcho {
-    /// From the slab's first sample.
+    /// From the first sample of the slab.
     pub middle_s: f64,
     pub slope: f64,
     pub(crate) per_range_per_m: f64,
     pub energy: f64,
-    /// Beyond what range and absorption make of it.
+    /// Beyond the effect of range and absorption.
     pub fade_per_m: f64,
     pub curl_per_m2: f64,
 }
@@ -72,7 +72,7 @@ impl Span {
         }
     }
 
-    /// -1..1 within the span; 0 where it has no width.
+    /// Position within the span, -1..1; 0 for a span without width.
     #[inline]
     pub(super) fn unit(&self, value: f64) -> f64 {
         if self.half > 0.0 {
@@ -87,11 +87,12 @@ impl Span {
     }
 }
 
-/// a (1 - s^2) + p + q s, s the slope: what steady motion makes of twist and swing, its part along the line the first term, the mean of its
-/// part across the line the others.
+/// Curve a (1 - s^2) + p + q s over the slope s. This is the form that steady motion gives to twist
+/// and swing: motion along the line gives the first term, and the mean of motion across the line
+/// gives the others.
 ///
-/// Columns beside the echoes' slopes take the curve's values there: a polynomial that were free to follow the echoes' scatter would run
-/// away between them.
+/// Columns beside the slopes of the echoes use the values of the curve there. A free polynomial
+/// would follow the scatter of the echoes and diverge between and beyond them.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Curve {
     along: f64,
@@ -105,7 +106,7 @@ impl Curve {
         self.along * (1.0 - slope * slope) + self.constant + self.linear * slope
     }
 
-    /// By least squares. `odd`: without a constant.
+    /// Least-squares fit. `odd`: without a constant.
     fn fit(odd: bool, points: impl Iterator<Item = (f64, f64)> + Clone) -> Self {
         if odd {
             let [along, linear] = least_squares(points.map(|(s, v)| ([1.0 - s * s, s], v)));
@@ -125,10 +126,10 @@ impl Curve {
     }
 }
 
-/// Against columns that hardly differ over the echoes' slopes, as a share of their mean square.
+/// Ridge for columns that hardly differ over the echoes' slopes, relative to their mean square.
 const RIDGE: f64 = 1e-5;
 
-/// The coefficients of least squares of given values in given columns.
+/// Least-squares coefficients of given values in given columns.
 fn least_squares<const N: usize>(rows: impl Iterator<Item = ([f64; N], f64)>) -> [f64; N] {
     let (mut a, mut b) = ([[0.0; N]; N], [0.0; N]);
     for (columns, value) in rows {
@@ -139,12 +140,12 @@ fn least_squares<const N: usize>(rows: impl Iterator<Item = ([f64; N], f64)>) ->
             }
         }
     }
-    // One echo, or all from one direction: the least of the solutions.
+    // For one echo, or all from one direction: the minimum-norm solution.
     let size = (0..N).map(|i| a[i][i]).sum::<f64>();
     for (i, row) in a.iter_mut().enumerate() {
         row[i] += RIDGE * size + f64::MIN_POSITIVE;
     }
-    // Gauss's elimination; positive definite, so no pivots are sought.
+    // Gaussian elimination; the matrix is positive definite, so there is no pivoting.
     for i in 0..N {
         let pivot = a[i];
         for j in i + 1..N {
@@ -162,42 +163,47 @@ fn least_squares<const N: usize>(rows: impl Iterator<Item = ([f64; N], f64)>) ->
     b
 }
 
-/// What the templates are made from.
+/// Inputs to the templates.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Smooth {
     pub slope: Span,
-    /// The dilation every echo of a slope shares: `dilation0 + dilation1 * slope`, a line because a line only lengthens the aperture.
-    /// (Taking out a function of range too was tried: the tensor of its terms with those of the rest came out larger.)
+    /// Common dilation of echoes of one slope: `dilation0 + dilation1 * slope`. A line only
+    /// lengthens the aperture.
     pub(crate) dilation0: f64,
     pub(crate) dilation1: f64,
-    /// And of the square of what the slope is from its middle: beyond the plane wave, so that the templates take it.
+    /// Coefficient of the squared distance of the slope from its middle. It exceeds the plane wave,
+    /// so the templates carry it.
     pub(crate) dilation2: f64,
-    /// Of what is left of it.
+    /// Largest residual of the dilation.
     pub(crate) dilation_rest: f64,
     pub(crate) per_range_per_m: Span,
-    /// Twist and swing times range, m/s and (m/s)^2: for motion along the line v (1 - s^2) and 2 v^2 (1 - s^2).
+    /// Twist and swing times range, m/s and (m/s)^2: for motion along the line v (1 - s^2) and 2
+    /// v^2 (1 - s^2).
     pub twist: Curve,
     pub swing: Curve,
-    /// Greatest of what the curves leave of twist and swing themselves, 1/s and m/s^2.
+    /// Largest residuals of twist and swing themselves, 1/s and m/s^2.
     pub(crate) twist_rest: f64,
     pub(crate) swing_rest: f64,
-    /// Fade times range: a line over the slope, for what is even about broadside and what is not.
+    /// Fade times range: linear in the slope, with a part symmetric about broadside and an
+    /// antisymmetric part.
     pub(crate) fade: Curve,
-    /// Greatest share of a window's energy that fade and curl make at the ends of the stretch, square root of it.
+    /// Largest square root of the share of a window's energy in fade and curl, at the ends of the
+    /// stretch.
     pub(crate) faded: [f64; FADES],
 }
 
-/// Of narrower spans of slopes the dilation is a line: a square would run away beside them.
+/// Over narrower spans of slopes the dilation is linear; a quadratic would diverge beside them.
 const MIN_BOW: f64 = 0.05;
 
 /// Orders of the change of strength along a stretch.
 pub(crate) const FADES: usize = 2;
-/// Windows, half a pulse each, over which energies are taken together; later ones join the last.
+/// Windows of half a pulse over which energies are summed; later ones join the last.
 const WINDOWS: usize = 256;
 
 impl Smooth {
-    /// `window_s`: of time over which echoes share a window; `half_m`: of the stretch; `min_bow`: half of the span of slopes from which on there
-    /// may be a bow; `steepest`: that it may become, per slope.
+    /// Fits the echoes. `window_s` is the length of the energy windows and `half_m` half the
+    /// stretch. `min_bow` is the smallest half span of slopes for a curved dilation, and `steepest`
+    /// its largest curvature.
     pub(super) fn of(
         echoes: &Echoes,
         window_s: f64,
@@ -261,7 +267,7 @@ impl Smooth {
             energies[window(echo)] += echo.energy;
         }
         let share = |echo: &HeardEcho| echo.energy / energies[window(echo)].max(f64::MIN_POSITIVE);
-        // Every window counts alike, every echo by its energy in it.
+        // Every window has the same weight, and every echo its share of energy in the window.
         let [linear, constant] = least_squares(heard.iter().map(|echo| {
             let weight = (share(echo) * echo.per_range_per_m.powi(2)).sqrt();
             let over_range = echo.fade_per_m / echo.per_range_per_m.max(1e-12);
@@ -282,13 +288,13 @@ impl Smooth {
         self.faded = faded.map(|windows| windows.into_iter().fold(0.0, f64::max).sqrt());
     }
 
-    /// The part of the fade that the templates know.
+    /// The part of the fade that the templates carry.
     #[inline(always)]
     pub(crate) fn shared_fade(&self, slope: f64, per_range_per_m: f64) -> f64 {
         per_range_per_m * self.fade.at(slope)
     }
 
-    /// The same with wider spans: by a share of them, and a little for rounding.
+    /// The same with spans widened by a share, and slightly for rounding.
     pub(crate) fn widened(&self, share: f64) -> Self {
         let mut wider = *self;
         wider.slope.half = (1.0 + share) * self.slope.half + 1e-9;
@@ -298,20 +304,20 @@ impl Smooth {
         wider
     }
 
-    /// What the fits leave of an echo's dilation.
+    /// Residual of an echo's dilation.
     #[inline]
     pub(super) fn rest(&self, echoes: &Echoes, i: usize) -> f64 {
         echoes.dilation[i] - self.dilation(echoes.slope[i]) - self.bow(echoes.slope[i])
     }
 
-    /// What templates add to [`Self::dilation`] at a slope.
+    /// Addition of the templates to [`Self::dilation`] at a slope.
     #[inline(always)]
     pub(super) fn bow(&self, slope: f64) -> f64 {
         let beside = slope - self.slope.middle;
         self.dilation2 * beside * beside
     }
 
-    /// The dilation shared at a slope.
+    /// Common dilation at a slope.
     #[inline(always)]
     pub(super) fn dilation(&self, slope: f64) -> f64 {
         self.dilation0 + self.dilation1 * slope
@@ -329,10 +335,10 @@ mod tests {
         let fit = Curve::fit(true, slopes().map(|s| (s, law(s))));
         for s in [0.0, 0.5, 0.7, 1.1] {
             let error = (fit.at(s) - law(s)).abs();
-            // Half of 1 % of the greatest value: [`RIDGE`] against slopes as alike as these.
+            // Half of 1 % of the largest value: the effect of [`RIDGE`] for slopes this similar.
             assert!(error < 2.5e-2, "at {s}: {error:e}");
         }
-        // Motion across: no function of the slope at all.
+        // Motion across the line, which is no function of the slope.
         let scatter = |s: f64| (1e4 * s).sin();
         for odd in [false, true] {
             let fit = Curve::fit(odd, slopes().map(|s| (s, scatter(s))));

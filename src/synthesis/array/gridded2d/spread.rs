@@ -1,4 +1,4 @@
-//! Echoes in: what a survey remembers, and the spreading of every echo onto the grid, each in all channels.
+//! Surveys the echoes, and spreads every echo onto all channels of the grid.
 
 use std::time::{Duration, Instant};
 
@@ -18,25 +18,26 @@ use super::smooth::{Echoes, FADES, HeardEcho, Smooth};
 use super::task::{KINDS, Kept, Kind, MAX_BEND, MAX_CHANNELS, MAX_DILATION, MAX_TWIST, Task};
 use super::weights::{Taps, taps};
 
-/// Closer to endfire the range is not to be had from the bend over 1 - s^2; nor does it matter.
+/// Closer to endfire the range cannot be computed from the bend over 1 - s^2, and it does not
+/// matter.
 const MIN_BROADSIDE: f64 = 1e-3;
 
-/// From here on a survey remembers only every second chunk, then every third, ...
+/// Beyond this number a survey stores only every second chunk, then every third, and so on.
 const SURVEYED: usize = 16_384;
 
-/// Adding it to a whole number (|n| < 2^31) leaves that number in the low bits.
+/// Adding this to an integer (|n| < 2^31) leaves that integer in the low bits.
 const WHOLE: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
-/// Most values of one echo on one row of the grid, and a panel before and behind.
+/// Maximum number of values of one echo in one row of the grid, with a panel before and after.
 const MAX_LINE: usize = MAX_WIDTH * MAX_CHANNELS + 2 * PANEL;
 
-/// From leading edges to mid-pulse, for one task.
+/// Conversion from leading edges to mid-pulse, for one task.
 #[derive(Clone, Copy)]
 pub(crate) struct Centring {
     half_s: f64,
-    /// 1/c where the change of the stretch is followed, else 0.
+    /// 1/c if the change of the stretch is modelled, else 0.
     bent: f64,
-    /// 1 where it is, else 0.
+    /// 1 if it is modelled, else 0.
     follows: f64,
     carrier_hz: f64,
     nepers_per_m: f64,
@@ -44,15 +45,15 @@ pub(crate) struct Centring {
     first_s: f64,
 }
 
-/// One echo about mid-pulse, less its amplitude.
+/// One echo about mid-pulse, without its amplitude.
 struct Centred {
-    /// From the slab's first sample.
+    /// From the first sample of the slab.
     middle_s: f64,
     slope: f64,
     dilation: f64,
     per_range_per_m: f64,
     twist_per_s: f64,
-    /// Of what the amplitude is turned by.
+    /// Phase of the amplitude, turns.
     turns: f64,
     stretched: f64,
 }
@@ -80,13 +81,14 @@ impl Centring {
         let rate = self.bent * chunk.swing_m_per_s2[i];
         let delay_s = chunk.delay_s[i] + half_s * (at_edge + 0.5 * rate * half_s);
         let slope = chunk.slope[i];
-        // The third order of the pulse's motion that follows from the second: the range changes along the line.
+        // Third order of the motion during the pulse, which follows from the second: the range
+        // changes along the line.
         let per_range_there = chunk.bend_per_m[i] / (1.0 - slope * slope).max(MIN_BROADSIDE);
         let third = 3.0 * slope * per_range_there * self.follows * chunk.swing_m_per_s2[i];
         let twist = chunk.twist_per_s[i] + 0.5 * third * half_s;
         let middle = slope - twist * half_s;
         let twist_per_s = chunk.twist_per_s[i] + third * half_s;
-        // The bend changes during the pulse too: third order, so plain 1/R will do.
+        // The bend also changes during the pulse. This is third order, so plain 1/R suffices.
         let bend = chunk.bend_per_m[i] + 3.0 * slope * per_range_there * twist * half_s;
         Centred {
             middle_s: delay_s + half_s - self.first_s,
@@ -99,14 +101,14 @@ impl Centring {
         }
     }
 
-    /// The fade beyond what range and absorption make of it.
+    /// Fade beyond the effect of range and absorption.
     #[inline(always)]
     fn fade_per_m(&self, chunk: &LineChunk, i: usize, echo: &Centred) -> f64 {
         chunk.fade_per_m[i] - echo.slope * (echo.per_range_per_m + self.nepers_per_m)
     }
 }
 
-/// Remembers what echoes are like.
+/// Collects the parameters of echoes.
 pub(super) struct Survey<'a> {
     pub echoes: &'a mut Echoes,
     pub(crate) centring: Centring,
@@ -142,39 +144,42 @@ impl LineSink for Survey<'_> {
     }
 }
 
-/// A chunk between its two loops, structure of arrays.
+/// A chunk between the two loops, as a structure of arrays.
 pub(super) struct Prepared<T> {
     pub(super) re: [T; CHUNK],
     pub(super) im: [T; CHUNK],
-    /// What is left of dilation, bend and twist, each over its span.
+    /// Residuals of dilation, bend and twist, each relative to its span.
     pub(super) dilation: [T; CHUNK],
     pub(super) bend: [T; CHUNK],
     pub(super) twist: [T; CHUNK],
-    /// Of every kind but the echo itself: what fade and curl make of it at the stretch's end, what is left of the swing at the pulse's.
+    /// Values of all kinds except the echo itself: fade and curl at the end of the stretch, and
+    /// residual swing at the end of the pulse.
     pub(super) kinds: [[T; CHUNK]; KINDS - 1],
-    /// Greatest of the three.
+    /// Largest of the three.
     farthest: [f64; CHUNK],
     pub(super) row: [i32; CHUNK],
     pub(super) column: [i32; CHUNK],
-    /// -1..1 across the cell.
+    /// Position across the cell, -1..1.
     pub(super) in_row: [T; CHUNK],
     pub(super) in_column: [T; CHUNK],
 }
 
-/// How products become channels, and where those of an echo's columns lie in the vectors of a panel.
+/// Conversion of products to channels, and the layout of an echo's columns in the vectors of a
+/// panel.
 #[derive(Default)]
 pub(crate) struct Mixing<T> {
     /// `[product][channel]`, whole vectors.
     pub(super) into: Vec<[T; PANEL]>,
     /// Vectors of one product.
     vectors: usize,
-    /// By the place of an echo's first value in its panel, and vector by vector: each lane's channel, and its tap.
+    /// By the position of an echo's first value in its panel, vector by vector: channel and tap of
+    /// each lane.
     pub(super) lanes: Vec<[[i32; PANEL]; 2]>,
-    /// Vectors of one place.
+    /// Vectors of one position.
     pub(super) reach: usize,
 }
 
-/// A tap that every kernel has, of weight 0.
+/// A tap that every kernel has with weight 0.
 const NO_TAP: i32 = MAX_WIDTH as i32 - 1;
 
 impl<T: Sample> Mixing<T> {
@@ -214,7 +219,7 @@ impl<T: Sample> Mixing<T> {
 }
 
 impl<T: Sample> Mixing<T> {
-    /// The channels of one echo, less its amplitude; zeros up to a whole vector.
+    /// Channels of one echo without its amplitude, padded with zeros to a whole vector.
     #[inline(always)]
     fn one<const FUSED: bool>(
         &self,
@@ -246,7 +251,7 @@ impl<T: Sample> Mixing<T> {
     }
 }
 
-/// One chunk of echoes onto the grid, a vector for each: what the processor's own kernel of [`Sample::spread_wide`] is given.
+/// One chunk of echoes, a vector for each; the input of [`Sample::spread_wide`].
 pub struct Wide<'a, T> {
     pub(super) prepared: &'a Prepared<T>,
     pub(super) len: usize,
@@ -283,7 +288,7 @@ impl<T: Sample> Default for Prepared<T> {
     }
 }
 
-/// What turns an echo into places on the grid.
+/// Scale factors from echoes to grid positions.
 #[derive(Clone, Copy)]
 struct Scales {
     smooth: Smooth,
@@ -291,13 +296,13 @@ struct Scales {
     per_bend: f64,
     per_twist: f64,
     half_m: f64,
-    /// Phase of a swing at the pulse's ends.
+    /// Phase per swing at the ends of the pulse.
     per_swing: f64,
-    /// Columns: per unit of slope, and where a cell is; and the first value's column.
+    /// Columns per unit of slope, offset of the cells, and the first column.
     per_step: f64,
     slope_shift: f64,
     first_column: f64,
-    /// Rows: per second, and so on.
+    /// Rows per second, and so on.
     rows_per_s: f64,
     time_shift: f64,
     first_row: f64,
@@ -325,8 +330,8 @@ impl Scales {
     }
 }
 
-/// Everything about a chunk that goes side by side. The chunk and what is made of it are parameters of their own so that the compiler knows
-/// them apart.
+/// Computes the vectorised part of a chunk. The chunk and its results are separate parameters, so
+/// that the compiler knows that they do not overlap.
 #[inline(always)]
 fn prepare<T: Sample>(k: Scales, centring: Centring, chunk: &LineChunk, p: &mut Prepared<T>) {
     for i in 0..chunk.len.min(CHUNK) {
@@ -361,7 +366,7 @@ fn prepare<T: Sample>(k: Scales, centring: Centring, chunk: &LineChunk, p: &mut 
     }
 }
 
-/// What is left of fade, curl and swing.
+/// Computes the residuals of fade, curl and swing.
 #[inline(always)]
 fn prepare_kinds<T: Sample>(k: Scales, centring: Centring, chunk: &LineChunk, p: &mut Prepared<T>) {
     for i in 0..chunk.len.min(CHUNK) {
@@ -375,8 +380,8 @@ fn prepare_kinds<T: Sample>(k: Scales, centring: Centring, chunk: &LineChunk, p:
     }
 }
 
-/// The cell of a place, a whole number, and where in it: -1..1. By adding, where `floor` may be a call: the nearest whole number to
-/// what lies half a step below.
+/// Cell index of a position, and the position within it, -1..1. Rounds half a step lower by
+/// addition, since `floor` may be a function call.
 #[inline(always)]
 fn cell(place: f64) -> (f64, f64) {
     let cell = (place - 0.5 + WHOLE) - WHOLE;
@@ -392,9 +397,9 @@ pub(super) struct Spread<'a, T: Sample> {
     prepared: &'a mut Prepared<T>,
     mixing: &'a Mixing<T>,
     pub echoes: usize,
-    /// Echoes outside the spans that the task was made for: left out if they would lie outside the grid.
+    /// Number of echoes outside the spans of the task; those outside the grid are omitted.
     pub beyond: usize,
-    /// In here, and not in what hands the echoes on.
+    /// Time spent here, without the source of the echoes.
     pub spent: Duration,
 }
 
@@ -428,7 +433,7 @@ impl<'a, T: Sample> Spread<'a, T> {
     fn accept_as_can_be(&mut self, chunk: &LineChunk) {
         #[cfg(target_arch = "x86_64")]
         match self.task.engine.simd_level.kind() {
-            // SAFETY: a `SimdLevel` of that kind is proof that the processor has these.
+            // SAFETY: such a `SimdLevel` proves that the processor has these features.
             Processor::Avx512 => return unsafe { self.accept_avx512(chunk) },
             // SAFETY: as above.
             Processor::Avx2 => return unsafe { self.accept_avx2(chunk) },
@@ -491,7 +496,7 @@ impl<'a, T: Sample> Spread<'a, T> {
         }
     }
 
-    /// Echo by echo onto the grid.
+    /// Adds echo by echo to the grid.
     #[inline(always)]
     fn add<const FUSED: bool>(&mut self, len: usize) {
         let task = self.task;
@@ -518,7 +523,8 @@ impl<'a, T: Sample> Spread<'a, T> {
                 *vector_mut(&mut each[0], v) = scaled(mixed, p.re[i]);
                 *vector_mut(&mut each[1], v) = scaled(mixed, p.im[i]);
             }
-            // Whole vectors, each tap's over the zeros behind the one before it; zeros before the first and behind the last.
+            // Whole vectors: each tap overwrites the zero padding of the one before, with zeros
+            // before the first and after the last.
             let weights = taps::<T, FUSED>(&engine.slope_taps, p.in_column[i]);
             let place = column * channels;
             let (first, before) = (place / PANEL, place % PANEL);
@@ -565,7 +571,7 @@ fn vector_mut<T>(values: &mut [T], at: usize) -> &mut [T; PANEL] {
     (&mut values[at..][..PANEL]).try_into().expect("a vector")
 }
 
-/// By value, here and below: so the compiler knows that nothing overlaps, and takes whole vectors.
+/// By value, here and below, so that the compiler knows that nothing overlaps and vectorises.
 #[inline(always)]
 fn scaled<T: Sample>(mut a: [T; PANEL], by: T) -> [T; PANEL] {
     for a in &mut a {

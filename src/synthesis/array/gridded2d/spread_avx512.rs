@@ -1,4 +1,5 @@
-//! AVX-512 kernel that spreads echoes of up to sixteen channels. Its scalar twin is `Spread::add`.
+//! AVX-512 kernel that spreads echoes of up to sixteen channels. The scalar version is
+//! `Spread::add`.
 
 use std::arch::x86_64::*;
 
@@ -8,12 +9,13 @@ use super::spread::Wide;
 use super::task::{Kind, MAX_BEND, MAX_CHANNELS, MAX_DILATION, MAX_TWIST};
 use super::weights::Taps;
 
-/// Most vectors that one echo's row has: sixteen channels in fourteen columns, and the place of the first.
+/// Maximum number of vectors in the row of one echo: sixteen channels in fourteen columns, and the
+/// offset of the first.
 const MAX_REACH: usize = 15;
-/// Rows are fetched so many echoes ahead.
+/// Prefetch distance of rows, in echoes.
 const AHEAD: usize = 4;
 
-/// Sum of powers of `x`, each table's lanes times its power.
+/// Sum of powers of `x`, each multiplied by the lanes of its table.
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn weights(tables: &[Taps<f32>], x: f32) -> __m512 {
@@ -27,7 +29,7 @@ fn weights(tables: &[Taps<f32>], x: f32) -> __m512 {
     sum
 }
 
-/// T_0(x) ... of so many terms.
+/// T_0(x) ... T_(terms-1)(x).
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn chebyshev<const MOST: usize>(x: __m512, terms: usize) -> [__m512; MOST] {
@@ -42,7 +44,7 @@ fn chebyshev<const MOST: usize>(x: __m512, terms: usize) -> [__m512; MOST] {
     values
 }
 
-/// Every product of the sixteen echoes from `start` on, `[product][echo]`.
+/// Products of the sixteen echoes from `start` on, `[product][echo]`.
 #[target_feature(enable = "avx512f")]
 fn products(wide: &Wide<f32>, start: usize, to: &mut [[f32; PANEL]; MAX_CHANNELS]) {
     let p = wide.prepared;
@@ -67,7 +69,7 @@ fn products(wide: &Wide<f32>, start: usize, to: &mut [[f32; PANEL]; MAX_CHANNELS
     }
 }
 
-/// A line of values, times real and imaginary parts, to a row.
+/// Adds a line of values, times real and imaginary parts, to a row.
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn add_line(sum: &mut Row<f32>, line: __m512, [re, im]: [__m512; 2]) {
@@ -81,7 +83,7 @@ fn add_line(sum: &mut Row<f32>, line: __m512, [re, im]: [__m512; 2]) {
     }
 }
 
-/// Echoes onto the grid; returns how many would lie outside, and are left out.
+/// Adds echoes to the grid. Returns the number of echoes outside, which are omitted.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
 pub(super) fn add(wide: Wide<f32>) -> usize {
     match wide.time_width {
@@ -95,7 +97,7 @@ pub(super) fn add(wide: Wide<f32>) -> usize {
     }
 }
 
-/// The same for kernels over so many rows; 0 for any number.
+/// The same for kernels over `ROWS` rows; 0 for any number.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
 fn add_all<const ROWS: usize>(mut wide: Wide<f32>) -> usize {
     let grid = std::mem::take(&mut wide.grid);

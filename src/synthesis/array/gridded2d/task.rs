@@ -1,4 +1,5 @@
-//! The numbers of one task: how many terms each of its series needs, and what an echo becomes beyond the plane wave.
+//! Parameters of one task: the number of terms of each series, and the model of an echo beyond the
+//! plane wave.
 
 use std::f64::consts::TAU;
 
@@ -15,7 +16,7 @@ use super::sample::Sample;
 use super::series::{chebyshev_terms as chebyshev, sizes, terms_needed};
 use super::smooth::{Echoes, FADES, Smooth, Span};
 
-/// Most terms of each series; what does not converge with them is reported as error.
+/// Maximum number of terms of each series. A larger remainder is reported as error.
 pub(crate) const MAX_ALONG: usize = 16;
 const MAX_BAND: usize = 10;
 pub(crate) const MAX_DILATION: usize = MAX_INSTANTS;
@@ -24,22 +25,23 @@ pub(crate) const MAX_TURN: usize = 12;
 pub(crate) const MAX_TWIST: usize = 4;
 const MAX_NODES: usize = 16;
 const MAX_KEPT: usize = KINDS * MAX_BEND * MAX_TWIST;
-/// Most products of the series, and so most channels of the grid.
+/// Maximum number of products of the series, and of channels of the grid.
 pub(super) const MAX_CHANNELS: usize = 96;
-/// Of what each series may leave out, what the products' sums may leave of an echo.
+/// Error of the merged products, as a share of the truncation error allowed per series.
 const MERGED: f64 = 1.0;
-/// A product's template is at least this much.
+/// Smallest weight of a product's template.
 const MIN_WEIGHT: f64 = 1e-9;
 
-/// Of what a series may leave out, a kind that is left without channels.
+/// Size of a kind that gets no channels, as a share of the truncation error allowed per series.
 const KIND_SHARE: f64 = 0.5;
-/// How much more than a sample of echoes has it a window may have of a kind.
+/// Largest value of a kind in a window relative to a sample of echoes.
 const KIND_PEAK: f64 = 3.0;
 
-/// Step of the differences that stand for the derivatives of 1/D, cycles per column: of fourth order in what they are for.
+/// Step of the finite differences for the derivatives of 1/D, cycles per column. The derivatives
+/// appear in terms of fourth order.
 const STEP_NU: f64 = 1e-3;
 
-/// What an echo has of its own beyond its slope: inverse range, and what is left of the twist over the most that is.
+/// Values of an echo beyond its slope: inverse range, and residual twist relative to its maximum.
 #[derive(Clone, Copy)]
 pub(crate) struct Ray {
     pub(crate) per_range_per_m: f64,
@@ -47,55 +49,57 @@ pub(crate) struct Ray {
     pub kind: Kind,
 }
 
-/// What a channel carries of its echoes.
+/// Kinds of values in a channel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// Themselves.
+    /// The echoes themselves.
     #[default]
     Whole,
-    /// What fade (0) and curl (1) make of them.
+    /// Fade (0) and curl (1).
     Fade(usize),
-    /// What is left of the swing.
+    /// The residual swing.
     Swing,
 }
 
-/// Kinds that there are.
+/// Number of kinds.
 pub(super) const KINDS: usize = 2 + FADES;
 
 /// Channels of one kind times one term of the bend times one of the twist.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Kept {
-    /// Of [`Task::kinds`], by its number.
+    /// Index in [`Task::kinds`].
     pub kind: usize,
     pub bend: usize,
     pub twist: usize,
-    /// First terms of the dilation.
+    /// Number of terms of the dilation, from the first.
     pub dilation: usize,
 }
 
-/// The numbers of one task.
+/// Parameters of one task.
 pub(crate) struct Task<'a, T: Sample> {
     pub engine: &'a LineEngine<T>,
     pub pulse: &'a PulseSpectra<T>,
     pub stretch: &'a Stretch,
     pub smooth: Smooth,
     pub orders: Orders,
-    /// Slopes at which the shape is worked out; columns take it from there.
+    /// Slopes at which the shape is computed; columns interpolate between them.
     pub nodes: usize,
     kinds: [Kind; KINDS],
-    /// Which products of kinds and terms of bend and twist have channels, and for how many terms of the dilation.
+    /// Products of kinds and terms of bend and twist that have channels, with their number of terms
+    /// of the dilation.
     kept: [Kept; MAX_KEPT],
     kept_len: usize,
     merged: usize,
     pub left_out: f64,
-    /// Slope per column, index of the first column, number.
+    /// Slope per column, index of the first column, number of columns.
     pub step: f64,
     pub first: isize,
     pub columns: usize,
 }
 
 impl<'a, T: Sample> Task<'a, T> {
-    /// `smooth` of the surveyed `echoes`; `merge` is set to what this task's channels carry.
+    /// Chooses the parameters from `smooth`, the fit to the surveyed `echoes`. Sets `merge` to the
+    /// channels of this task.
     pub(super) fn new(
         engine: &'a LineEngine<T>,
         stretch: &'a Stretch,
@@ -105,7 +109,7 @@ impl<'a, T: Sample> Task<'a, T> {
     ) -> Self {
         let ping = &engine.ping;
         let c = ping.sound_speed_m_per_s;
-        // The aperture, and how much farther the motion along the line carries it while the pulse is emitted.
+        // The aperture, extended by the motion along the line during the emission.
         let drift_m = 0.5 * ping.duration_s * c * smooth.dilation1.abs();
         let reach_m = (stretch.half_m + drift_m).max(0.25 * c / ping.carrier_hz);
         let step = c / (engine.top_hz() * 2.0 * engine.fineness.slope_oversampling * reach_m);
@@ -138,14 +142,14 @@ impl<'a, T: Sample> Task<'a, T> {
         &self.kinds[..self.orders.kinds]
     }
 
-    /// Whether any of them is of a change of strength.
+    /// Whether any of them is a change of strength.
     pub(super) fn fades(&self) -> bool {
         self.kinds()
             .iter()
             .any(|kind| matches!(kind, Kind::Fade(_)))
     }
 
-    /// How much of an echo a kind is.
+    /// Size of a kind relative to the echo.
     fn size_of(&self, kind: Kind) -> f64 {
         match kind {
             Kind::Whole => 1.0,
@@ -154,7 +158,7 @@ impl<'a, T: Sample> Task<'a, T> {
         }
     }
 
-    /// Phase at the pulse's ends per swing.
+    /// Phase per swing at the ends of the pulse.
     pub(crate) fn rad_per_swing(&self) -> f64 {
         let per_m = TAU * self.engine.top_hz() / self.engine.ping.sound_speed_m_per_s;
         let half_s = 0.5 * self.engine.ping.duration_s;
@@ -173,13 +177,15 @@ impl<'a, T: Sample> Task<'a, T> {
         self.engine.ping.carrier_hz + 0.5 * self.engine.rate_hz * band
     }
 
-    /// What an echo becomes beyond the plane wave, at `x` (of the half stretch), `w` (of the half pulse) and `band` (of the half band).
+    /// Factor of an echo beyond the plane wave, at `x` (relative to half the stretch), `w` (half
+    /// the pulse) and `band` (half the band).
     fn beyond_plane(&self, s: f64, ray: Ray, x: f64, w: f64, band: f64) -> Complex64 {
         let ping = &self.engine.ping;
         let c = ping.sound_speed_m_per_s;
         let (y, t) = (x * self.stretch.half_m, w * 0.5 * ping.duration_s);
         let per_range = ray.per_range_per_m;
-        // Polynomials in the slope, so that columns beside the echoes' own slopes, beyond endfire even, go on smoothly.
+        // Polynomials in the slope, which continue smoothly for columns beside the echoes' slopes,
+        // even beyond endfire.
         let bend = per_range * (1.0 - s * s);
         let (twist, swing) = (self.smooth.twist.at(s), self.smooth.swing.at(s));
         let twist_rest = ray.twist * self.smooth.twist_rest;
@@ -187,7 +193,8 @@ impl<'a, T: Sample> Task<'a, T> {
             PulseMotion::Stretch => 0.0,
             PulseMotion::Quadratic => 1.0,
         };
-        // Second order of the delay, and the third that follows from it: the range itself changes along the line.
+        // Second order of the delay, and the third order that follows from the change of range
+        // along the line.
         let path_m = per_range * t * (twist * y + 0.5 * quadratic * swing * t)
             + twist_rest * y * t
             + c * self.smooth.bow(s) * t
@@ -201,7 +208,7 @@ impl<'a, T: Sample> Task<'a, T> {
             }
             Kind::Fade(order) => x.powi(order as i32 + 1),
             Kind::Swing => {
-                // To first order, over the greatest that is left.
+                // To first order, relative to the largest residual.
                 let turned = self.absolute_hz(band) / self.engine.top_hz() * w * w;
                 return Complex64::new(turned * sin, -turned * cos);
             }
@@ -209,11 +216,12 @@ impl<'a, T: Sample> Task<'a, T> {
         Complex64::new(level * cos, level * sin)
     }
 
-    /// The weight of the column at slope `s`, over the kernel's own spectrum at `x` at rest.
+    /// Weight of the column at slope `s`, divided by the kernel's spectrum at `x` at rest.
     ///
-    /// A column stands for echoes beside it too. With Y the place along the aperture in cycles per unit of slope and D the kernel's
-    /// spectrum, exp(j 2pi Y s) has the weights exp(j 2pi Y s_k) / D(Y); differentiating by Y gives those of s exp(j 2pi Y s), so a factor
-    /// g(s) needs g/D + g' (1/D)'/(j 2pi) + g''/2 (1/D)''/(j 2pi)^2 + ...
+    /// A column also represents echoes beside it. Let Y be the position along the aperture in
+    /// cycles per unit of slope, and D the spectrum of the kernel. exp(j 2pi Y s) has the weights
+    /// exp(j 2pi Y s_k) / D(Y), and differentiation by Y gives those of s exp(j 2pi Y s). A factor
+    /// g(s) therefore needs g/D + g' (1/D)'/(j 2pi) + g''/2 (1/D)''/(j 2pi)^2 + ...
     pub(super) fn shape(&self, s: f64, ray: Ray, x: f64, w: f64, band: f64) -> Complex64 {
         let ping = &self.engine.ping;
         let c = ping.sound_speed_m_per_s;
@@ -239,7 +247,8 @@ impl<'a, T: Sample> Task<'a, T> {
     fn choose_orders(&mut self, echoes: &Echoes, merge: &mut Merge) {
         let ping = &self.engine.ping;
         let half_m = self.stretch.half_m;
-        // What a series leaves out is as smooth over the slope as what it keeps: the kernel's own spectrum cancels from it too.
+        // The truncation error of a series is as smooth over the slope as its kept part, so the
+        // kernel's spectrum cancels from it too.
         let tolerance = self.engine.fineness.series.max(1e-13);
         let slopes = [-1.0, 0.0, 1.0].map(|x| self.smooth.slope.at(x));
         let bends = [-1.0, 1.0].map(|x| self.smooth.per_range_per_m.at(x));
@@ -275,7 +284,7 @@ impl<'a, T: Sample> Task<'a, T> {
             &|w, s, ray, x| self.shape(s, ray, x, w, 1.0) * beyond(rest_rad * w),
             MAX_INSTANTS,
         );
-        // Kinds that matter; what is beyond the last fade is left out with it.
+        // Kinds that matter; everything beyond the last fade is omitted with it.
         let mut kinds = 1;
         let mut unkept = 0.0;
         for kind in [Kind::Fade(0), Kind::Fade(1), Kind::Swing] {
@@ -291,7 +300,7 @@ impl<'a, T: Sample> Task<'a, T> {
             &|x, s, ray, w| self.shape(s, ray, x, w, 1.0),
             MAX_ALONG - FADES,
         );
-        // A fade's channels have powers of their own.
+        // The channels of a fade have powers of their own.
         let along = along + if kinds > 1 { FADES } else { 0 };
         let bend = most(
             &|b, s, ray, x| self.shape(s, bent(ray, b), x, x, 1.0),
@@ -312,7 +321,8 @@ impl<'a, T: Sample> Task<'a, T> {
             MAX_NODES,
         );
         let turn_rad = self.turn_rad(0, self.greatest_slope());
-        // What is left here jumps from block to block and so spreads over the whole slab: it is held against the slab's weakest window.
+        // This truncation error has steps between blocks and spreads over the whole slab, so it is
+        // compared with the weakest window of the slab.
         let turn = terms_of_turn(turn_rad.abs(), self.engine.fineness.far);
         self.orders = Orders {
             instants,
@@ -334,8 +344,8 @@ impl<'a, T: Sample> Task<'a, T> {
         self.left_out = left_out;
     }
 
-    /// Products whose terms together are too small to count are left out too, the others merged into channels. Returns what all that
-    /// leaves out.
+    /// Omits products whose terms are jointly negligible, and merges the others into channels.
+    /// Returns the total omitted.
     fn choose_channels(
         &mut self,
         slopes: [f64; 3],
@@ -386,7 +396,7 @@ impl<'a, T: Sample> Task<'a, T> {
                 &bend_sizes,
                 &twist_sizes,
             );
-            // Where there are too many, all give up alike.
+            // If there are too many, the accuracy of all is reduced alike.
             if channels <= MAX_CHANNELS {
                 break left_out;
             }
@@ -412,7 +422,7 @@ impl<'a, T: Sample> Task<'a, T> {
         left_out + unmerged
     }
 
-    /// The products of all echoes that are looked at, but for fades.
+    /// Computes the products of all echoes in the process, except fades.
     fn look(&self, echoes: &Echoes, every: usize, looked: usize, merge: &mut Merge) {
         let per = |half: f64| if half > 0.0 { 1.0 / half } else { 0.0 };
         let smooth = &self.smooth;
@@ -456,8 +466,8 @@ impl<'a, T: Sample> Task<'a, T> {
         }
     }
 
-    /// Keeps of every product as many terms of the dilation as leave out no more than `share`. Returns how many channels those are, and
-    /// what all leave out together.
+    /// Keeps as many terms of the dilation for every product as limit the truncation error to
+    /// `share`. Returns the number of channels and the total truncation error.
     fn keep(
         &mut self,
         share: f64,
@@ -477,7 +487,7 @@ impl<'a, T: Sample> Task<'a, T> {
             };
             let size = of_kind * bend_sizes[p] * twist_sizes[z];
             let (mut rest, mut terms) = (0.0, dilation_sizes.len());
-            // The first of all carries the echo itself.
+            // The first product carries the echo itself.
             let first = kind + p + z == 0;
             while terms > usize::from(first) && rest + dilation_sizes[terms - 1] * size <= share {
                 rest += dilation_sizes[terms - 1] * size;
@@ -503,20 +513,22 @@ impl<'a, T: Sample> Task<'a, T> {
         &self.kept[..self.kept_len]
     }
 
-    /// How far the rotor of slope `s` to the stretch's end turns from the middle of a block to its lane, radians.
+    /// Rotation of the rotor of slope `s` at the end of the stretch from the middle of a block to a
+    /// lane, radians.
     pub(crate) fn turn_rad(&self, lane: usize, s: f64) -> f64 {
         let step_hz = self.engine.rate_hz / self.engine.bins() as f64;
         let from_middle = lane as f64 - 0.5 * (BLOCK - 1) as f64;
         TAU * from_middle * step_hz * s * self.stretch.half_m / self.engine.ping.sound_speed_m_per_s
     }
 
-    /// Of any column that counts.
+    /// Largest slope of the columns that matter.
     pub(super) fn greatest_slope(&self) -> f64 {
         let [least, most] = [-1.0, 1.0].map(|x| self.smooth.slope.at(x));
         least.abs().max(most.abs()) + self.step
     }
 
-    /// What the channels are sums of: each kept product times each of its terms of the dilation.
+    /// Products that the channels are sums of: each kept product times each of its terms of the
+    /// dilation.
     pub(super) fn products(&self) -> impl Iterator<Item = (Kept, usize)> + '_ {
         let terms = |kept: &Kept| {
             let kept = *kept;
@@ -525,7 +537,7 @@ impl<'a, T: Sample> Task<'a, T> {
         self.kept().iter().flat_map(terms)
     }
 
-    /// Of the grid.
+    /// Channels of the grid.
     pub(super) fn channels(&self) -> usize {
         self.merged
     }
@@ -534,18 +546,18 @@ impl<'a, T: Sample> Task<'a, T> {
         (self.first + column as isize) as f64 * self.step
     }
 
-    /// Of the grid.
+    /// Panels of the grid.
     pub(super) fn panels(&self) -> usize {
         (self.columns * self.channels()).div_ceil(PANEL)
     }
 
-    /// All slopes of columns.
+    /// Span of the slopes of all columns.
     pub(super) fn slopes(&self) -> Span {
         Span::of([self.slope(0), self.slope(self.columns - 1)].into_iter())
     }
 }
 
-/// Terms of exp(j theta) whose remainder is at most `far`.
+/// Number of terms of exp(j theta) whose remainder is at most `far`.
 fn terms_of_turn(theta: f64, far: f64) -> usize {
     let (mut terms, mut rest) = (1, theta);
     while rest > far && terms < MAX_TURN {

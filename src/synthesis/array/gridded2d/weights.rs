@@ -1,4 +1,4 @@
-//! Weights of the kernels as tables.
+//! Tables of kernel weights.
 
 use crate::array::gridded::kernel::{Kernel, MAX_WIDTH};
 
@@ -9,17 +9,17 @@ use super::series::powers_from_nodes;
 
 /// 1/D of a kernel as a polynomial in the square of the frequency.
 pub(crate) struct InverseGain {
-    /// Of 2 (nu/greatest)^2 - 1.
+    /// Coefficients in powers of 2 (nu/greatest)^2 - 1.
     powers: [f64; INVERSE_TERMS],
     scale: f64,
 }
 
-/// Terms of [`InverseGain`]: 1e-11 for the widest kernel.
+/// Terms of [`InverseGain`]: error 1e-11 for the widest kernel.
 const INVERSE_TERMS: usize = 16;
 
 impl InverseGain {
     pub(super) fn new(kernel: &Kernel) -> Self {
-        // A little beyond the band, for differences at its end.
+        // Slightly beyond the band, for differences at its end.
         let greatest = 0.5 / kernel.oversampling + 0.01;
         let matrix = powers_from_nodes(INVERSE_TERMS);
         let values: Vec<f64> = chebyshev_nodes(INVERSE_TERMS)
