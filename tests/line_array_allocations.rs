@@ -5,7 +5,7 @@ mod counting;
 use std::sync::Mutex;
 
 use echotank_synthesis::array::gridded::simd_level::SimdLevel;
-use echotank_synthesis::array::gridded2d::{Filter, Fineness, LineEngine, PulseMotion};
+use echotank_synthesis::array::gridded2d::{Filter, LineEngine, PulseMotion, Resolution};
 use echotank_synthesis::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};
 use glam::DVec3;
 use num_complex::Complex64;
@@ -28,7 +28,7 @@ fn pings_of_changing_motion_allocate_nothing_once_all_have_been() {
         ..SIDE_SCAN
     };
     let scenes = [5.0, 4.0, 1.0].map(|speed| draw(drawn(speed)));
-    let fineness = Fineness {
+    let resolution = Resolution {
         stretch: 16,
         slab_samples: 2048,
         time_width: 4,
@@ -47,7 +47,7 @@ fn pings_of_changing_motion_allocate_nothing_once_all_have_been() {
         half_s: decimator.half_s(),
     };
     let rx = &scenes[0].rx;
-    let mut engine = LineEngine::<f32>::new(rx, RATE_HZ, filter, fineness, SimdLevel::best());
+    let mut engine = LineEngine::<f32>::new(rx, RATE_HZ, filter, resolution, SimdLevel::best());
     let mut transmit_leg = TransmitLeg::new();
     let walk = [Mutex::new(LineWorkspace::default())];
     let mut work = engine.work();

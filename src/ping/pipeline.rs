@@ -27,7 +27,7 @@ use echotank_imaging::beam::fan::Fan;
 use echotank_imaging::beam::halves::HalvesFormer;
 use echotank_imaging::beam::sidescan::LineFormer;
 use echotank_imaging::image::bottom::BottomDetector;
-use echotank_synthesis::array::faults::{ActiveFault, spoil};
+use echotank_synthesis::array::faults::{ActiveFault, apply_fault};
 use echotank_synthesis::array::filter::FilterError;
 use echotank_synthesis::array::gridded::GriddedError;
 use echotank_synthesis::array::gridded2d::Refusal;
@@ -263,7 +263,7 @@ impl SonarPipeline {
         }
         for fault in &self.faults {
             for frame in &mut output.elements {
-                spoil(fault, plan, &self.spec.receiver, frame, &mut self.spoiling);
+                apply_fault(fault, plan, &self.spec.receiver, frame, &mut self.spoiling);
             }
         }
     }

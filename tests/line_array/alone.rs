@@ -4,7 +4,7 @@ use echotank_core::flow::{Pulse, PulseKind, Synthesis};
 use echotank_synthesis::array::Decimator;
 use echotank_synthesis::array::filter;
 use echotank_synthesis::array::gridded::kernel::Kernel;
-use echotank_synthesis::array::gridded2d::alone::Alone;
+use echotank_synthesis::array::gridded2d::single_echo::SingleEcho;
 
 fn pulse(taper: f64) -> Pulse {
     Pulse {
@@ -16,11 +16,11 @@ fn pulse(taper: f64) -> Pulse {
     }
 }
 
-fn alone(taper: f64) -> Alone {
+fn alone(taper: f64) -> SingleEcho {
     let (pulse, rate_hz) = (pulse(taper), 26e3);
     let dense = filter::oversample(&pulse, rate_hz, Synthesis::Gridded2d);
     let decimator = Decimator::new(&pulse, rate_hz, 200.0, dense).expect("fits");
-    Alone::new(&pulse, rate_hz, &decimator, 1e-5, 80.0)
+    SingleEcho::new(&pulse, rate_hz, &decimator, 1e-5, 80.0)
 }
 
 #[test]
@@ -56,7 +56,7 @@ fn a_kernel_made_for_the_part_of_the_band_where_the_pulse_is_errs_by_a_third_and
     };
     let rate_hz = 52e3;
     let decimator = Decimator::new(&pulse, rate_hz, 2700.0, 8).expect("fits");
-    let alone = Alone::new(&pulse, rate_hz, &decimator, 6.7e-3, 60.0);
+    let alone = SingleEcho::new(&pulse, rate_hz, &decimator, 6.7e-3, 60.0);
     let core = alone.core();
     // The chirp's own band, its Doppler of 2.7 kHz to either side, and a little for its ends.
     assert!((0.62..0.85).contains(&core), "{core}");

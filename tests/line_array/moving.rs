@@ -1,6 +1,6 @@
 //! A platform under way: surge, sway and heave.
 
-use echotank_synthesis::array::gridded2d::{Fineness, PulseMotion};
+use echotank_synthesis::array::gridded2d::{PulseMotion, Resolution};
 use glam::DVec3;
 
 use crate::scene::*;
@@ -40,7 +40,7 @@ fn in_motion_the_engine_meets_the_direct_sum() {
 
 #[test]
 fn in_motion_the_quadratic_engine_meets_the_reference_and_the_linear_does_not() {
-    let quadratic = Fineness {
+    let quadratic = Resolution {
         motion: PulseMotion::Quadratic,
         ..FINE
     };
@@ -55,8 +55,8 @@ fn in_motion_the_quadratic_engine_meets_the_reference_and_the_linear_does_not() 
             far_m: 48.0,
             ..SIDE_SCAN
         });
-        let [got, linear] = [quadratic, FINE].map(|fineness| {
-            let (records, _) = engine::<f64>(&scene, fineness);
+        let [got, linear] = [quadratic, FINE].map(|resolution| {
+            let (records, _) = engine::<f64>(&scene, resolution);
             [0, 31].map(|e| {
                 let want = truth(&scene, e, true);
                 worst_window(&records[e], &want, scene.plan.pulse.duration_s)

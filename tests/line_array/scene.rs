@@ -4,7 +4,7 @@ use std::sync::Mutex;
 
 use echotank_core::flow::*;
 use echotank_synthesis::array::gridded::simd_level::SimdLevel;
-use echotank_synthesis::array::gridded2d::{Filter, Fineness, LineEngine, Sample, TaskReport};
+use echotank_synthesis::array::gridded2d::{Filter, LineEngine, Resolution, Sample, TaskReport};
 use echotank_synthesis::array::{Decimator, Direct};
 use echotank_synthesis::echo::{
     LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, insonify, reference,
@@ -97,15 +97,15 @@ pub(crate) fn draw(d: Draw) -> Scene {
 /// Records of all elements, and the reports of all tasks.
 pub(crate) fn engine<T: Sample>(
     scene: &Scene,
-    fineness: Fineness,
+    resolution: Resolution,
 ) -> (Vec<Vec<Complex64>>, Vec<TaskReport>) {
-    engine_in::<T>(scene, fineness, SimdLevel::best(), false)
+    engine_in::<T>(scene, resolution, SimdLevel::best(), false)
 }
 
 /// The same in a given SIMD level, first task last if `backward`.
 pub(crate) fn engine_in<T: Sample>(
     scene: &Scene,
-    fineness: Fineness,
+    resolution: Resolution,
     simd_level: SimdLevel,
     backward: bool,
 ) -> (Vec<Vec<Complex64>>, Vec<TaskReport>) {
@@ -120,7 +120,7 @@ pub(crate) fn engine_in<T: Sample>(
         gain: &|f| decimator.gain(f),
         half_s: decimator.half_s(),
     };
-    let mut engine = LineEngine::<T>::new(rx, RATE_HZ, filter, fineness, simd_level);
+    let mut engine = LineEngine::<T>::new(rx, RATE_HZ, filter, resolution, simd_level);
     let mut transmit_leg = TransmitLeg::new();
     insonify(plan, tx, ALWAYS, scatterers, &mut transmit_leg);
     let walk = [Mutex::new(LineWorkspace::default())];
@@ -210,10 +210,10 @@ pub(crate) fn worst_window(got: &[Complex64], want: &[Complex64], pulse_s: f64) 
 /// Worst window over a few elements: the ends and one between.
 pub(crate) fn error<T: Sample>(
     scene: &Scene,
-    fineness: Fineness,
+    resolution: Resolution,
     slow: bool,
 ) -> (f64, Vec<TaskReport>) {
-    let (records, reports) = engine::<T>(scene, fineness);
+    let (records, reports) = engine::<T>(scene, resolution);
     let last = scene.rx.elements - 1;
     let mut worst: f64 = 0.0;
     for e in [0, last / 3, last] {

@@ -3,7 +3,7 @@
 use std::sync::Mutex;
 
 use echotank_core::flow::*;
-use echotank_synthesis::array::gridded2d::{Fineness, PulseMotion};
+use echotank_synthesis::array::gridded2d::{PulseMotion, Resolution};
 use echotank_synthesis::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};
 use glam::DVec3;
 
@@ -11,7 +11,7 @@ use crate::rig::ALWAYS;
 use crate::scene::*;
 
 /// Nothing spared.
-pub(crate) const FINE: Fineness = Fineness {
+pub(crate) const FINE: Resolution = Resolution {
     stretch: 16,
     slab_samples: 2048,
     time_width: 12,
@@ -50,12 +50,12 @@ fn what_ends_of_a_long_stretch_hear_sooner_and_later_stays_where_it_belongs() {
         sector_deg: 60.0,
         ..SIDE_SCAN
     });
-    let fineness = Fineness {
+    let resolution = Resolution {
         stretch: 128,
         slab_samples: 1024,
         ..FINE
     };
-    let (got, reports) = error::<f64>(&scene, fineness, false);
+    let (got, reports) = error::<f64>(&scene, resolution, false);
     println!("{} tasks: {got:.2e}", reports.len());
     // The delay's fourth order along half the line, at 36 m: 1e-6 of a radian.
     assert!(reports.len() > 4 && got < 3e-6, "{got:e}");

@@ -2,7 +2,7 @@
 
 use echotank_synthesis::array::gridded::simd_level::SimdLevel;
 use echotank_synthesis::array::gridded2d::{
-    Bounds, Choice, Fineness, Precision, Refusal, Spec, choose,
+    Bounds, Choice, Precision, Refusal, Resolution, Spec, choose,
 };
 use glam::DVec3;
 
@@ -66,16 +66,16 @@ fn the_error_by_window_keeps_every_tolerance() {
                 };
                 cells += 1;
                 let (got, reports) = match choice.precision {
-                    Precision::Single => error::<f32>(&scene, choice.fineness, false),
-                    Precision::Double => error::<f64>(&scene, choice.fineness, false),
+                    Precision::Single => error::<f32>(&scene, choice.resolution, false),
+                    Precision::Double => error::<f64>(&scene, choice.resolution, false),
                 };
                 let left_out = reports.iter().map(|r| r.left_out).fold(0.0, f64::max);
                 let most = reports.iter().max_by_key(|r| r.channels).expect("tasks");
                 println!(
                     "{velocity_m_per_s} m/s, +-{sector_deg} deg, {tolerance:e}: {got:.1e}, predicted {:.1e}, left out {left_out:.1e}; stretch {}, width {}, {} columns, {} channels, {:?}",
                     choice.error_model.error,
-                    choice.fineness.stretch,
-                    choice.fineness.time_width,
+                    choice.resolution.stretch,
+                    choice.resolution.time_width,
                     most.columns,
                     most.channels,
                     most.orders,
@@ -103,7 +103,7 @@ fn what_cannot_be_kept_is_refused_with_a_reason() {
         ..SIDE_SCAN
     };
     match chosen(&scene, close, 1e-3) {
-        Ok(choice) => assert!(choice.fineness.stretch < 64, "{:?}", choice.fineness),
+        Ok(choice) => assert!(choice.resolution.stretch < 64, "{:?}", choice.resolution),
         Err(refusal) => assert!(matches!(refusal, Refusal::TooNear { .. }), "{refusal}"),
     }
     assert!(chosen(&scene, SIDE_SCAN, f64::NAN).is_err());
@@ -118,11 +118,11 @@ fn every_dialect_gives_the_same_to_rounding_and_every_order_of_tasks_the_same_bi
         ..SIDE_SCAN
     };
     let scene = draw(drawn);
-    let fineness = chosen(&scene, drawn, 1e-3).expect("easy").fineness;
-    let plain = engine_in::<f32>(&scene, fineness, SimdLevel::PORTABLE, false).0;
+    let resolution = chosen(&scene, drawn, 1e-3).expect("easy").resolution;
+    let plain = engine_in::<f32>(&scene, resolution, SimdLevel::PORTABLE, false).0;
     for simd_level in SimdLevel::available() {
-        let forward = engine_in::<f32>(&scene, fineness, simd_level, false).0;
-        let backward = engine_in::<f32>(&scene, fineness, simd_level, true).0;
+        let forward = engine_in::<f32>(&scene, resolution, simd_level, false).0;
+        let backward = engine_in::<f32>(&scene, resolution, simd_level, true).0;
         assert!(
             forward == backward,
             "{simd_level:?}: the order of the tasks shows"
@@ -134,12 +134,12 @@ fn every_dialect_gives_the_same_to_rounding_and_every_order_of_tasks_the_same_bi
     }
     // Kernels over time of other widths, of which some have code of their own.
     for time_width in [3, 4, 6, 7, 8, 9] {
-        let fineness = Fineness {
+        let resolution = Resolution {
             time_width,
-            ..fineness
+            ..resolution
         };
-        let plain = engine_in::<f32>(&scene, fineness, SimdLevel::PORTABLE, false).0;
-        let best = engine_in::<f32>(&scene, fineness, SimdLevel::best(), false).0;
+        let plain = engine_in::<f32>(&scene, resolution, SimdLevel::PORTABLE, false).0;
+        let best = engine_in::<f32>(&scene, resolution, SimdLevel::best(), false).0;
         for (e, (got, want)) in best.iter().zip(&plain).enumerate() {
             let worst = worst_window(got, want, scene.plan.pulse.duration_s);
             assert!(worst < 2e-6, "{time_width} rows, element {e}: {worst:e}");

@@ -521,7 +521,7 @@ impl<'a> Maker<'a> {
             }),
             stretches: stretches
                 .map(|(choice, array)| {
-                    array.elements.div_ceil(choice.fineness.stretch.max(1)) as f64
+                    array.elements.div_ceil(choice.resolution.stretch.max(1)) as f64
                 })
                 .sum(),
             why: choices

@@ -35,7 +35,7 @@ pub struct ActiveFault {
 }
 
 /// Applies a fault to the samples of one array. `before` is a buffer for one element.
-pub fn spoil(
+pub fn apply_fault(
     active: &ActiveFault,
     plan: &PingPlan,
     receiver: &Receiver,
@@ -86,12 +86,16 @@ pub fn spoil(
 fn each(
     active: &ActiveFault,
     frame: &mut ElementFrame,
-    mut spoil: impl FnMut(usize, &mut [Complex64]),
+    mut apply_fault: impl FnMut(usize, &mut [Complex64]),
 ) {
     match active.element {
-        Some(element) if element < frame.elements => spoil(element, frame.element_mut(element)),
+        Some(element) if element < frame.elements => {
+            apply_fault(element, frame.element_mut(element))
+        }
         Some(_) => {}
-        None => (0..frame.elements).for_each(|element| spoil(element, frame.element_mut(element))),
+        None => {
+            (0..frame.elements).for_each(|element| apply_fault(element, frame.element_mut(element)))
+        }
     }
 }
 
@@ -291,7 +295,7 @@ mod tests {
     /// Returns element 1 before and after the fault, and checks that the others are unchanged.
     fn spoiled(fault: ElementFault, bits: Option<u32>) -> (Vec<Complex64>, Vec<Complex64>) {
         let (mut frame, was) = (frame(), frame());
-        spoil(
+        apply_fault(
             &active(fault),
             &plan(),
             &receiver(bits),
@@ -336,20 +340,20 @@ mod tests {
     }
 
     #[test]
-    fn half_grown_faults_are_half_as_large() {
+    fn faults_at_half_strength_are_half_as_large() {
         let mut half = active(ElementFault::Gain { db: -20.0 });
         half.strength = 0.5;
         let (mut frame, was) = (frame(), frame());
-        spoil(&half, &plan(), &receiver(None), &mut frame, &mut Vec::new());
+        apply_fault(&half, &plan(), &receiver(None), &mut frame, &mut Vec::new());
         let ratio = frame.element(1)[5].norm() / was.element(1)[5].norm();
         assert!((20.0 * ratio.log10() + 10.0).abs() < 1e-9, "{ratio}");
     }
 
     #[test]
-    fn swapped_elements_have_each_others_samples() {
+    fn swapped_elements_exchange_their_samples() {
         let (mut frame, was) = (frame(), frame());
         let fault = active(ElementFault::Swapped { with: 2 });
-        spoil(
+        apply_fault(
             &fault,
             &plan(),
             &receiver(None),
@@ -382,14 +386,14 @@ mod tests {
     }
 
     #[test]
-    fn mains_hum_is_50_hz_and_runs_on_from_ping_to_ping() {
+    fn mains_hum_is_50_hz_and_continuous_from_ping_to_ping() {
         let hum = |utc_ns: i64| {
             let mut plan = plan();
             plan.transmit_utc = UtcNs(utc_ns);
             let mut frame = frame();
             let was = frame.clone();
             let fault = active(ElementFault::MainsHum { volts: 1.0 });
-            spoil(&fault, &plan, &receiver(None), &mut frame, &mut Vec::new());
+            apply_fault(&fault, &plan, &receiver(None), &mut frame, &mut Vec::new());
             let pairs = frame.element(1).iter().zip(was.element(1));
             pairs.map(|(a, b)| (a - b).re).collect::<Vec<_>>()
         };
@@ -411,7 +415,7 @@ mod tests {
             quantise(12, 8.0, &mut frame.iq);
             let was = frame.clone();
             let fault = active(ElementFault::AdcBitStuck { bit, high });
-            spoil(
+            apply_fault(
                 &fault,
                 &plan(),
                 &receiver(Some(12)),
@@ -434,7 +438,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drifting_clock_finds_echoes_later_and_a_slip_shifts_them() {
+    fn a_drifting_clock_delays_echoes_and_a_slip_shifts_them() {
         let (was, got) = spoiled(ElementFault::ClockDrift { ppm: 1000.0 }, None);
         for (k, got) in got.iter().enumerate().take(SAMPLES - 3).skip(3) {
             let at = k as f64 / 1.001;
@@ -458,7 +462,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_there_cannot_be_spoiled() {
+    fn faults_of_missing_arrays_and_elements_change_nothing() {
         for (array, element) in [(Some(1), Some(1)), (Some(0), Some(9)), (Some(0), None)] {
             let (mut frame, was) = (frame(), frame());
             let fault = ActiveFault {
@@ -466,7 +470,7 @@ mod tests {
                 element,
                 ..active(ElementFault::Crosstalk { from: 9, db: 0.0 })
             };
-            spoil(
+            apply_fault(
                 &fault,
                 &plan(),
                 &receiver(None),

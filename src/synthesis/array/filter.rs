@@ -253,7 +253,7 @@ mod tests {
     };
 
     #[test]
-    fn the_pass_band_is_flat_to_2e_4_and_the_stop_band_80_db_down() {
+    fn the_pass_band_is_flat_to_2e_4_and_the_stop_band_is_80_db_down() {
         for oversample in [2, 6, 24] {
             let filter = Decimator::new(&PULSE, 40e3, 500.0, oversample).expect("fits");
             for k in 0..=1000 {
@@ -270,7 +270,7 @@ mod tests {
     /// A pulse of 0.8 samples. With the step of Kaiser's own window, the difference at the end of
     /// the filter is 6e-7, for 6 and 64 points per sample.
     #[test]
-    fn filters_of_two_densities_end_alike() {
+    fn filters_of_two_densities_end_at_the_same_time() {
         let heard = |oversample: usize| {
             let filter = Decimator::new(&PULSE, 40e3, 500.0, oversample).expect("fits");
             let count = 81;
@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tone_comes_out_at_its_own_times_with_the_filters_gain() {
+    fn a_tone_passes_without_delay_and_with_the_filters_gain() {
         let filter = Decimator::new(&PULSE, 40e3, 500.0, 6).expect("fits");
         let (first_s, count) = (0.0123, 50);
         for offset_hz in [0.0, -7.3e3, 15e3, 17.7e3] {
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rate_that_cannot_hold_the_pulse_is_refused_with_the_least_that_can() {
+    fn a_rate_too_low_for_the_pulse_is_refused_with_the_smallest_sufficient_rate() {
         let error = Decimator::new(&PULSE, 32e3, 500.0, 6).expect_err("too low");
         let FilterError::RateTooLow { min_hz, .. } = error;
         assert!(Decimator::new(&PULSE, min_hz * 1.001, 500.0, 6).is_ok());
@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn a_short_pulse_occupies_its_own_width() {
+    fn a_short_pulse_occupies_four_over_its_length() {
         let ping = Pulse {
             duration_s: 1e-4,
             bandwidth_hz: 0.0,

@@ -51,7 +51,7 @@ pub fn window_error_model(
         Synthesis::Reference | Synthesis::Gridded1d | Synthesis::Gridded2d => true,
     };
     if !exact {
-        let alone = Alone::new(synthesis, conditions, plan, doppler_hz)?;
+        let alone = SingleEcho::new(synthesis, conditions, plan, doppler_hz)?;
         let worst = alone.worst(conditions, noise_below_db);
         error_model.error = error_model.error.max(MORE * worst).min(MOST);
         error_model.why += &format!(
@@ -70,7 +70,7 @@ enum Sum {
 }
 
 /// A single echo in its own record.
-struct Alone<'a> {
+struct SingleEcho<'a> {
     plan: &'a PingPlan,
     rate_hz: f64,
     sum: Sum,
@@ -83,7 +83,7 @@ struct Alone<'a> {
     samples: usize,
 }
 
-impl<'a> Alone<'a> {
+impl<'a> SingleEcho<'a> {
     fn new(
         synthesis: Synthesis,
         conditions: &Conditions,
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn no_place_between_two_samples_is_worse_than_the_card() {
+    fn no_position_between_two_samples_exceeds_the_error_model() {
         for (synthesis, filter) in [
             (Synthesis::Direct, ReceiverFilter::Fir),
             (Synthesis::Spectral, ReceiverFilter::Fir),
@@ -274,7 +274,7 @@ mod tests {
                 let plan = plan_at_rest(&pulse, 100, 1500.0);
                 let error_model =
                     window_error_model(synthesis, &c, &plan, 900.0, 55.0).expect("fits");
-                let alone = Alone::new(synthesis, &c, &plan, 900.0).expect("fits");
+                let alone = SingleEcho::new(synthesis, &c, &plan, 900.0).expect("fits");
                 let got = (0..24)
                     .map(|k| (0.01 + 0.754_877_666 * f64::from(k)).fract())
                     .map(|place| alone.at(place, 0.0, 55.0))
@@ -292,7 +292,7 @@ mod tests {
     /// The flanks rise quadratically. Half a sample is therefore a large share of an echo where it
     /// emerges from the noise.
     #[test]
-    fn the_worst_window_is_an_end_and_worse_than_the_whole_echo() {
+    fn the_worst_window_is_an_end_and_exceeds_the_error_of_the_whole_echo() {
         let pulse = pulse(0.0, 1e-3, 1.0);
         let c = conditions(pulse, ReceiverFilter::Fir);
         let plan = plan_at_rest(&pulse, 100, 1500.0);

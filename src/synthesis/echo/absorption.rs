@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn sea_water_at_400_khz_and_10_c_swallows_96_0_db_per_km_and_fresh_water_49_7() {
+    fn sea_water_at_400_khz_and_10_c_absorbs_96_0_db_per_km_and_fresh_water_49_7() {
         let fresh = Water {
             salinity: 0.0,
             ..SEA
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn fixed_and_none_are_what_they_say_at_any_frequency() {
+    fn fixed_and_none_do_not_depend_on_frequency() {
         assert_eq!(
             absorption_db_per_m(&AbsorptionSpec::Fixed { db_per_m: 0.05 }, 1e6),
             0.05

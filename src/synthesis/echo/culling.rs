@@ -259,7 +259,7 @@ mod tests {
     /// A floor above the axis drops everything, and a very low floor drops nothing. Between, the
     /// share of each window is that of its ring.
     #[test]
-    fn windows_leave_out_the_shares_of_their_rings_and_all_of_it_above_the_axis() {
+    fn windows_drop_the_shares_of_their_rings_and_everything_above_the_axis() {
         let mounting = Mounting {
             position_m: DVec3::ZERO,
             body_from_array: DQuat::from_rotation_x(f64::to_radians(-45.0)),
@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn the_share_of_a_line_is_that_of_its_side_lobes() {
+    fn the_dropped_share_of_a_line_is_that_of_its_side_lobes() {
         // An omnidirectional element and a line of 17 wavelengths, 45 degrees off the vertical:
         // sinc^2 with everything, or below the floor.
         const WAVELENGTH_M: f64 = 0.00375;

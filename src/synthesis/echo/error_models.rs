@@ -303,7 +303,7 @@ mod tests {
     /// Unit echoes at evenly spaced positions between two samples, each late by the same number of
     /// samples: counts what the samples gain and lose.
     #[test]
-    fn sharp_edges_that_cross_samples_cost_what_counting_them_says() {
+    fn the_error_of_crossing_edges_matches_a_count() {
         let conditions = sharp();
         let (n, echoes) = (500.0f64, 100_000);
         for late in [0.003, 0.1, 0.4] {
@@ -327,7 +327,7 @@ mod tests {
     /// A thousand echoes at ten elements, of which about one in a million crosses; then a taper;
     /// then a filter.
     #[test]
-    fn edges_count_only_where_there_are_edges_and_they_cross_samples() {
+    fn edges_count_only_if_they_are_sharp_and_cross_samples() {
         let at = |conditions: &Conditions, late: f64| {
             edge_error(conditions, late / conditions.sample_rate_hz)
         };

@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn a_baffle_hears_nothing_behind_and_everything_before() {
+    fn a_baffle_blocks_everything_behind_and_nothing_in_front() {
         let pattern = Pattern::Rectangle {
             length_m: 0.0,
             width_m: 0.0,

@@ -95,7 +95,7 @@ impl Profile {
                 r.rows,
                 r.channels,
                 r.products,
-                r.heard,
+                r.passed_bins,
                 r.entries,
                 r.powers,
                 r.orders,
@@ -116,7 +116,7 @@ struct Work {
 impl Work {
     fn of(stage: Stage, r: &TaskReport) -> Self {
         let [columns, channels, rows, heard] =
-            [r.columns, r.channels, r.rows, r.heard].map(|n| n as f64);
+            [r.columns, r.channels, r.rows, r.passed_bins].map(|n| n as f64);
         let [instants, along, turn] =
             [r.orders.instants, r.orders.along, r.orders.turn].map(|n| n as f64);
         let [entries, powers] = [r.entries, r.powers].map(|n| n as f64);

@@ -9,9 +9,9 @@ use std::sync::LazyLock;
 
 use crate::array::filter::bessel_i0;
 
-use super::alone::Alone;
 use super::choose::SHARE;
 use super::one_dimensional::{GriddedError, Spec};
+use super::single_echo::SingleEcho;
 
 /// Maximum width of the band in multiples of the sample rate; half of it where a filter removes
 /// nearly everything beyond.
@@ -96,7 +96,7 @@ pub(super) fn widest(spec: &Spec) -> f64 {
 
 /// Selects the narrowest band whose truncation error keeps its share in any window, at both ends of
 /// the span of Dopplers.
-pub(super) fn band(spec: &Spec, alone: &Alone) -> Result<Band, GriddedError> {
+pub(super) fn band(spec: &Spec, alone: &SingleEcho) -> Result<Band, GriddedError> {
     let (most, _) = reach(spec);
     let steps = (most as f64 / STEP) as usize;
     let mut least: Option<Band> = None;

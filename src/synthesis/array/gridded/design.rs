@@ -10,7 +10,6 @@ use num_complex::Complex64;
 use crate::array::filter::Decimator;
 use echotank_core::flow::{DopplerModel, Pulse};
 
-use super::alone::Alone;
 use super::band::{Band, band, widest};
 use super::batched_fft::lanes_for;
 use super::choose::{
@@ -25,6 +24,7 @@ use super::moments::Real;
 use super::one_dimensional::{GriddedError, MIN_F32_MOMENTS, Spec};
 use super::prepare::Frame;
 use super::pulse_spectrum::PulseSpectrum;
+use super::single_echo::SingleEcho;
 use super::transform::grid_size;
 
 /// Curvature times pulse length above which the series for the middle of an echo fails.
@@ -116,7 +116,7 @@ impl Design {
         let known_hz = highest_hz + beyond_hz(pulse.duration_s, fastest) / (1.0 - fastest);
         let spectrum = PulseSpectrum::with_powers(pulse, known_hz, 2 * count);
         // The single-echo error decides here, in every window.
-        let alone = Alone::new(asked, span, &spectrum);
+        let alone = SingleEcho::new(asked, span, &spectrum);
         let kept = band(asked, &alone)?;
         let kept_hz = 2.0 * (kept.whole_hz + kept.fade_hz);
 

@@ -122,7 +122,7 @@ mod tests {
     /// Bins lie about 0 Hz, which is a fitted frequency. A bin that equals a fitted frequency up to
     /// rounding takes its value.
     #[test]
-    fn what_lies_on_a_frequency_but_for_rounding_is_read_from_it() {
+    fn bins_at_a_fitted_frequency_up_to_rounding_take_its_value() {
         for k in 0..60 {
             let off = 0.5 * f64::from(k) * f64::EPSILON;
             for (x, on) in [(off, TAPS / 2 - 1), (1.0 - off, TAPS / 2)] {
@@ -136,7 +136,7 @@ mod tests {
 
     /// Sharp and tapered pulses, with and without curvature, against the fit at every bin.
     #[test]
-    fn templates_read_between_a_few_frequencies_are_those_fitted_at_every_bin() {
+    fn interpolated_templates_equal_those_fitted_at_every_bin() {
         for (taper, order) in [(0.0, 0), (0.2, 0), (0.0, 1), (0.0, 3)] {
             let pulse = Pulse {
                 kind: PulseKind::LfmUp,

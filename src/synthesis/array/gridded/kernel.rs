@@ -307,7 +307,7 @@ mod tests {
     ];
 
     #[test]
-    fn errors_are_those_of_the_table_to_a_tenth() {
+    fn errors_match_the_table_to_a_tenth() {
         for (moments, sigma, limits) in ERRORS {
             for (width, &limit) in (MIN_WIDTH..).zip(limits) {
                 let got = Kernel::new(width, sigma, moments).error;
@@ -321,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn special_functions_meet_their_known_values() {
+    fn special_functions_have_their_known_values() {
         for (got, want) in [
             (bessel_j(0, 1.0), 0.765_197_686_557_966_6),
             (bessel_j(1, 2.0), 0.576_724_807_756_873_4),

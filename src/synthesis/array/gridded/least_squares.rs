@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_is_orthogonal_to_every_column() {
+    fn the_residual_is_orthogonal_to_every_column() {
         let a = Matrix::from_fn(12, 3, |i, j| libm::cos((i * (j + 1)) as f64 * 0.3));
         let b: Vec<f64> = (0..12).map(|i| libm::sin(0.7 * i as f64)).collect();
         let p = a.pseudo_inverse();

@@ -7,9 +7,8 @@
 //!
 //! Suggested order: [`kernel`] (the interpolation), [`moments`] (the inner loops), [`transform`]
 //! (both combined), then [`one_dimensional`], the engine. [`doppler`], `evenly`, `batched_fft` and
-//! [`pulse_spectrum`] support the engine. `design`, `choose`, `band` and `alone` derive its sizes
+//! [`pulse_spectrum`] support the engine. `design`, `choose`, `band` and `single_echo` derive its sizes
 //! from a tolerance.
-mod alone;
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
@@ -29,6 +28,7 @@ pub mod one_dimensional;
 mod prepare;
 pub mod pulse_spectrum;
 pub mod simd_level;
+mod single_echo;
 pub mod transform;
 
 pub use cost_estimate::CostEstimate;

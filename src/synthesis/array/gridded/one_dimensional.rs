@@ -140,7 +140,7 @@ pub struct Gridded1dWork(Box<dyn Element>);
 
 /// Echoes of one element outside the design range of the engine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Misfits {
+pub struct OutOfRangeEchoes {
     /// Echoes outside the record; omitted.
     pub outside_window: u64,
     /// Echoes with a Doppler outside the span given to `start`, or a curvature beyond the design;
@@ -251,7 +251,7 @@ impl Gridded1dWork {
     }
 
     /// Overwrites `out`, whose length is at most the `samples` of the design.
-    pub fn finish(&mut self, out: &mut [Complex64]) -> Misfits {
+    pub fn finish(&mut self, out: &mut [Complex64]) -> OutOfRangeEchoes {
         self.0.finish(out)
     }
 }
@@ -266,7 +266,7 @@ impl ArrivalSink for Gridded1dWork {
 trait Element: Send {
     fn start(&mut self, first_sample_s: f64, span: DopplerSpan);
     fn accept(&mut self, chunk: &ArrivalChunk);
-    fn finish(&mut self, out: &mut [Complex64]) -> Misfits;
+    fn finish(&mut self, out: &mut [Complex64]) -> OutOfRangeEchoes;
 }
 
 /// Tables of the engine. M is the precision of moments, G that of grids and transforms.
@@ -434,7 +434,7 @@ struct Work<M: Real, G: Real> {
     origin_s: f64,
     /// Doppler span at the middles of its echoes.
     span: DopplerSpan,
-    misfits: Misfits,
+    misfits: OutOfRangeEchoes,
 }
 
 /// Accumulator of one term of an element.
@@ -513,7 +513,7 @@ impl<M: Real, G: Real> Work<M, G> {
                 least: 0.0,
                 greatest: 0.0,
             },
-            misfits: Misfits::default(),
+            misfits: OutOfRangeEchoes::default(),
             plan,
         }
     }
@@ -566,7 +566,7 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
     fn start(&mut self, first_sample_s: f64, span: DopplerSpan) {
         let plan = &*self.plan;
         self.origin_s = first_sample_s - plan.lead_s;
-        self.misfits = Misfits::default();
+        self.misfits = OutOfRangeEchoes::default();
         self.span = DopplerSpan {
             least: span.least - plan.beside,
             greatest: span.greatest + plan.beside,
@@ -637,7 +637,7 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
         }
     }
 
-    fn finish(&mut self, out: &mut [Complex64]) -> Misfits {
+    fn finish(&mut self, out: &mut [Complex64]) -> OutOfRangeEchoes {
         let plan = &*self.plan;
         assert!(
             out.len() <= plan.samples,
@@ -992,7 +992,7 @@ mod tests {
     }
 
     #[test]
-    fn windows_that_hold_the_end_of_an_echo_alone_are_as_good_as_asked() {
+    fn windows_with_only_the_end_of_an_echo_keep_the_tolerance() {
         for (doppler, curvature_per_s) in [
             (DopplerModel::Stretch, 0.0),
             (DopplerModel::StretchQuadratic, 5e-4),
@@ -1007,7 +1007,7 @@ mod tests {
 
     /// 2 ms, 0.013 rad at the ends: the weights suffice to a hundredth, separate columns to 1e-5.
     #[test]
-    fn weights_carry_a_curvature_as_well_as_columns_of_its_own_would() {
+    fn weights_carry_a_curvature_as_well_as_separate_columns() {
         let carried = |tolerance| {
             let (error, why) = alone(DopplerModel::StretchQuadratic, 5e-3, tolerance);
             assert!(error <= tolerance, "{error:e} > {tolerance:e}: {why}");
@@ -1032,7 +1032,7 @@ mod tests {
     /// No band contains the spectrum of a sharp CW, and a truncated spectrum rings. The ringing
     /// must not reach an echo 55 dB weaker and 8 ms later.
     #[test]
-    fn what_the_band_leaves_out_of_an_echo_stays_near_it() {
+    fn truncation_errors_of_the_band_stay_near_the_echo() {
         let pulse = Pulse {
             duration_s: 0.6e-3,
             ..pulse(PulseKind::Cw, 0.0)
@@ -1066,7 +1066,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_filter_it_refuses_what_the_band_leaves_out_and_meets_the_rest() {
+    fn without_a_filter_sharp_pulses_are_refused_and_tapered_ones_keep_the_tolerance() {
         let sharp = pulse(PulseKind::LfmUp, 0.0);
         let refusal = Gridded1d::new(&spec(&sharp, None, SIDESCAN)).err();
         let Some(GriddedError::OutOfBand { tolerance, share }) = refusal else {
@@ -1084,7 +1084,7 @@ mod tests {
     }
 
     #[test]
-    fn still_and_nearly_common_dopplers_take_one_column() {
+    fn zero_and_nearly_equal_dopplers_take_one_column() {
         let pulse = pulse(PulseKind::LfmUp, 1.0);
         let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
         let narrow = DopplerSpan {
@@ -1150,7 +1150,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pulse_that_bends_too_far_is_refused() {
+    fn a_curvature_above_the_limit_is_refused() {
         let pulse = pulse(PulseKind::LfmUp, 1.0);
         let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 12).expect("fits");
         let spec = Spec {
@@ -1166,7 +1166,7 @@ mod tests {
     }
 
     #[test]
-    fn no_doppler_leaves_the_arrivals_own_aside() {
+    fn without_a_doppler_model_the_stretch_of_arrivals_is_ignored() {
         let pulse = pulse(PulseKind::LfmUp, 1.0);
         let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 12).expect("fits");
         let spec = Spec {
@@ -1182,7 +1182,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ping_of_a_narrower_span_needs_no_other_plan() {
+    fn a_ping_with_a_narrower_span_uses_the_same_design() {
         let pulse = pulse(PulseKind::LfmUp, 1.0);
         let filter = Decimator::new(&pulse, RATE_HZ, 2000.0, 48).expect("fits");
         let wide = DopplerSpan {
@@ -1205,7 +1205,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_counted() {
+    fn echoes_outside_the_design_range_are_counted() {
         let pulse = pulse(PulseKind::LfmUp, 1.0);
         let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 12).expect("fits");
         let engine = Gridded1d::new(&spec(&pulse, Some(&filter), SIDESCAN)).expect("within reach");
@@ -1218,7 +1218,7 @@ mod tests {
         work.start(FIRST_S, SIDESCAN);
         work.accept(&chunk);
         let mut out = vec![Complex64::ZERO; SAMPLES];
-        let want = Misfits {
+        let want = OutOfRangeEchoes {
             outside_window: 2,
             outside_span: 1,
         };
@@ -1227,7 +1227,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_wishes_are_refused_with_their_numbers() {
+    fn unsupported_specs_are_refused_with_their_values() {
         let pulse = pulse(PulseKind::LfmUp, 1.0);
         let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 12).expect("fits");
         for tolerance in [0.0, -1.0, 1e-12, f64::NAN] {

@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn points_outside_the_period_are_counted_and_leave_no_trace() {
+    fn points_outside_the_period_are_counted_and_omitted() {
         let plan = Transform1d::<f64>::new(BINS, PERIOD_S, 8, 2.0, SimdLevel::best());
         let mut work = plan.workspace();
         let mut out = vec![Complex64::ZERO; BINS];
@@ -292,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn grids_are_close_to_what_is_asked() {
+    fn grid_sizes_are_close_to_the_requested_size() {
         for least in 4..20_000 {
             let got = grid_size(least);
             assert!(

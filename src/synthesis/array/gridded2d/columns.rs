@@ -34,7 +34,7 @@ pub(super) struct Entry {
 
 impl<T: Sample> Task<'_, T> {
     /// Number of bins in the pass band.
-    pub(super) fn heard(&self) -> usize {
+    pub(super) fn passed_bins(&self) -> usize {
         self.engine.blocks.len() * BLOCK
     }
 
@@ -66,7 +66,7 @@ impl<T: Sample> Task<'_, T> {
         }
         work.stages.lap(Stage::Templates, &mut since);
         let lanes = self.columns * self.channels();
-        work.spectrum.resize(lanes * self.heard());
+        work.spectrum.resize(lanes * self.passed_bins());
         for panel in 0..self.panels() {
             self.spectra::<FUSED>(work, panel);
         }
@@ -78,7 +78,7 @@ impl<T: Sample> Task<'_, T> {
     #[inline(always)]
     fn spectra<const FUSED: bool>(&self, work: &mut Work<T>, panel: usize) {
         let (rows, bins) = (self.engine.rows, self.engine.bins());
-        let heard = self.heard();
+        let passed_bins = self.passed_bins();
         let all = self.columns * self.channels();
         let [a, b] = &mut work.panel;
         // The first bin in the pass band lies below the centre frequency, at the end of the
@@ -90,7 +90,7 @@ impl<T: Sample> Task<'_, T> {
         let lanes = PANEL.min(all - panel * PANEL);
         let Split { re, im } = &mut work.spectrum;
         // Squares of 16 by 16 stay in the cache.
-        for q in (0..heard).step_by(PANEL) {
+        for q in (0..passed_bins).step_by(PANEL) {
             let mut square = [&from[0]; PANEL];
             for (k, row) in square.iter_mut().enumerate() {
                 *row = &from[forward.place((first + q + k) % rows)];
@@ -285,10 +285,10 @@ impl<T: Sample> Task<'_, T> {
         }
         let order = |a: &(f64, usize), b: &(f64, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
         work.sizes.sort_unstable_by(order);
-        let share = TRIMMED * self.engine.fineness.series;
+        let share = TRIMMED * self.engine.resolution.series;
         // Such values are mere rounding, and their products approach subnormal numbers, which are
         // slow.
-        let nothing = NOTHING * self.engine.fineness.far;
+        let nothing = NOTHING * self.engine.resolution.far;
         let mut rest = 0.0;
         let small = work.sizes.iter().take_while(|(size, _)| {
             rest += size;
@@ -329,7 +329,7 @@ impl<T: Sample> Task<'_, T> {
         };
         let most = used + turn - 1;
         work.powers = (used..most)
-            .find(|&powers| left_out(powers) <= self.engine.fineness.far)
+            .find(|&powers| left_out(powers) <= self.engine.resolution.far)
             .unwrap_or(most);
     }
 
@@ -440,8 +440,8 @@ impl<T: Sample> Task<'_, T> {
         self.pulses::<FUSED>(s, block, &mut work.pulses);
         // For each term of the emission, every channel times the pulse.
         for (sound, source) in work.sounds.iter_mut().zip(&work.sources) {
-            let heard = Lanes::load(&work.spectrum, first + source % channels * BLOCK);
-            *sound = heard.times::<FUSED>(&work.pulses[source / channels]);
+            let received = Lanes::load(&work.spectrum, first + source % channels * BLOCK);
+            *sound = received.times::<FUSED>(&work.pulses[source / channels]);
         }
         let x = self.lanes();
         let [here, slope] = &work.here;

@@ -84,7 +84,7 @@ impl<T: Sample> Task<'_, T> {
         let elements = self.stretch.along_m.len();
         let pairs = elements.div_ceil(2);
         let room = self.columns.next_multiple_of(LANES);
-        work.elements.resize(elements * self.heard());
+        work.elements.resize(elements * self.passed_bins());
         work.rotors.resize(pairs * room, [T::ZERO; 2]);
         let half_m = self.half_m();
         let places = self.stretch.along_m[..pairs].iter();
@@ -139,10 +139,10 @@ impl<T: Sample> Task<'_, T> {
     /// powers.
     #[inline(always)]
     fn part_of_elements<const FUSED: bool>(&self, work: &mut Work<T>, block: usize) {
-        let (elements, heard) = (self.stretch.along_m.len(), self.heard());
+        let (elements, passed_bins) = (self.stretch.along_m.len(), self.passed_bins());
         for (pair, [re, im, opposite_re, opposite_im]) in work.sums.iter().enumerate() {
             for (e, sign) in [(elements - 1 - pair, -T::one()), (pair, T::one())] {
-                let at = e * heard + block * BLOCK;
+                let at = e * passed_bins + block * BLOCK;
                 let (to_re, to_im) = (
                     &mut work.elements.re[at..][..BLOCK],
                     &mut work.elements.im[at..][..BLOCK],
@@ -197,7 +197,7 @@ impl<T: Sample> Task<'_, T> {
                     .engine
                     .slope_inverse
                     .block::<T, FUSED>(|lane| per_hz * (start_hz + lane as f64 * step_hz));
-                let from = Lanes::load(&work.elements, e * self.heard() + block * BLOCK);
+                let from = Lanes::load(&work.elements, e * self.passed_bins() + block * BLOCK);
                 // bins / 2 and the blocks are whole multiples of a block, so none wraps.
                 let to = (at + bins - bins / 2) % bins;
                 let (band, to) = (&self.engine.band[at..][..BLOCK], &mut row[to..][..BLOCK]);

@@ -159,7 +159,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_kernel_gives_what_plain_arithmetic_gives() {
+    fn the_avx512_kernel_matches_plain_arithmetic() {
         if !is_x86_feature_detected!("avx512f") || !is_x86_feature_detected!("avx512dq") {
             return;
         }

@@ -45,7 +45,7 @@ pub enum PulseMotion {
 
 /// Resolution of the computation, chosen by [`super::plan`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Fineness {
+pub struct Resolution {
     /// Elements of one stretch of the line.
     pub stretch: usize,
     /// Output samples of one slab, a multiple of 32.
@@ -111,7 +111,7 @@ pub struct TaskReport {
     /// Rows of the grid, which is the length of its transforms.
     pub rows: usize,
     /// Bins in the pass band of the receiver filter.
-    pub heard: usize,
+    pub passed_bins: usize,
     /// Columns of the grid.
     pub columns: usize,
     /// Channels of the grid.
@@ -142,7 +142,7 @@ pub(super) struct Stretch {
 
 /// The engine of one receive array.
 pub struct LineEngine<T: Sample> {
-    pub(super) fineness: Fineness,
+    pub(super) resolution: Resolution,
     pub(super) rate_hz: f64,
     pub(super) filter_half_s: f64,
     /// Platform speed that the tables of the pulse allow for.
@@ -247,41 +247,42 @@ impl<T: Sample> LineEngine<T> {
         array: &ArrayGeometry,
         rate_hz: f64,
         filter: Filter,
-        fineness: Fineness,
+        resolution: Resolution,
         simd_level: SimdLevel,
     ) -> Self {
-        let bins = fineness.slab_samples;
+        let bins = resolution.slab_samples;
         assert!(bins.is_multiple_of(BLOCK) && bins > 0, "{bins} samples");
-        assert!(fineness.stretch > 0, "a stretch without elements");
+        assert!(resolution.stretch > 0, "a stretch without elements");
         let step_hz = rate_hz / bins as f64;
         let gain: Vec<f64> = (0..bins)
             .map(|q| (filter.gain)((q as f64 - (bins / 2) as f64) * step_hz))
             .collect();
-        let blocks = heard_blocks(&gain, FILTERED * fineness.series);
+        let blocks = passed_blocks(&gain, FILTERED * resolution.series);
         // Accuracy matters only in the pass band.
-        let heard = 2 * (bins / 2 - BLOCK * blocks.start).max(BLOCK * blocks.end - bins / 2);
-        let rows = grid_size((heard as f64 * fineness.time_oversampling).ceil() as usize).max(bins);
+        let passed_bins = 2 * (bins / 2 - BLOCK * blocks.start).max(BLOCK * blocks.end - bins / 2);
+        let rows = grid_size((passed_bins as f64 * resolution.time_oversampling).ceil() as usize)
+            .max(bins);
         let time_kernel = Kernel::new(
-            fineness.time_width,
-            rows as f64 / heard as f64 / fineness.time_core,
-            fineness.moments,
+            resolution.time_width,
+            rows as f64 / passed_bins as f64 / resolution.time_core,
+            resolution.moments,
         );
         let slope_kernel = Kernel::new(
-            fineness.slope_width,
-            fineness.slope_oversampling,
-            fineness.moments,
+            resolution.slope_width,
+            resolution.slope_oversampling,
+            resolution.moments,
         );
-        let heard_bins = BLOCK * blocks.start..BLOCK * blocks.end;
+        let passed_range = BLOCK * blocks.start..BLOCK * blocks.end;
         let band = (0..bins)
             .map(|q| {
-                if !heard_bins.contains(&q) {
+                if !passed_range.contains(&q) {
                     return 0.0;
                 }
                 let bin = q as f64 - (bins / 2) as f64;
                 gain[q] * step_hz / time_kernel.window_gain(bin / rows as f64)
             })
             .collect();
-        let count = array.elements.div_ceil(fineness.stretch);
+        let count = array.elements.div_ceil(resolution.stretch);
         let stretches = (0..count)
             .map(|s| {
                 // Stretches as equal as whole elements allow.
@@ -300,7 +301,7 @@ impl<T: Sample> LineEngine<T> {
             .collect();
         let most = MAX_INSTANTS.max(MAX_ALONG);
         Self {
-            fineness,
+            resolution,
             rate_hz,
             filter_half_s: filter.half_s,
             fastest_m_per_s: 5.0,
@@ -343,7 +344,7 @@ impl<T: Sample> LineEngine<T> {
     }
 
     pub(super) fn bins(&self) -> usize {
-        self.fineness.slab_samples
+        self.resolution.slab_samples
     }
 
     /// Allocates buffers for one thread.
@@ -545,7 +546,8 @@ impl<T: Sample> LineEngine<T> {
     fn columns_per_slope(&self, half_m: f64) -> f64 {
         let ping = &self.ping;
         let reach_m = half_m.max(0.25 * ping.sound_speed_m_per_s / ping.carrier_hz);
-        2.0 * self.fineness.slope_oversampling * reach_m * self.top_hz() / ping.sound_speed_m_per_s
+        2.0 * self.resolution.slope_oversampling * reach_m * self.top_hz()
+            / ping.sound_speed_m_per_s
     }
 
     /// Smallest half span of slopes for which the dilation may be curved over slope. Columns reach
@@ -558,7 +560,7 @@ impl<T: Sample> LineEngine<T> {
     /// Largest curvature of the dilation over slope. Templates follow the change from column to
     /// column to second order, so the error is the cube of the phase between columns.
     fn steepest_bow(&self, half_m: f64) -> f64 {
-        let turn_rad = (BOW_SHARE * self.fineness.series).cbrt();
+        let turn_rad = (BOW_SHARE * self.resolution.series).cbrt();
         turn_rad * self.columns_per_slope(half_m)
             / (std::f64::consts::PI * self.top_hz() * self.ping.duration_s)
     }
@@ -576,7 +578,7 @@ impl<T: Sample> LineEngine<T> {
         let wanted = self.wanted(task);
         let slab_s = self.slab_start(self.slab(task)) as f64 / self.rate_hz;
         let first_s = self.ping.first_sample_s + slab_s;
-        let centring = Centring::new(&self.ping, self.fineness.motion, first_s);
+        let centring = Centring::new(&self.ping, self.resolution.motion, first_s);
         let mut since = Instant::now();
         work.stages = Stages::default();
         work.echoes.clear();
@@ -625,7 +627,7 @@ impl<T: Sample> LineEngine<T> {
                 elements: self.stretch(task).along_m.len(),
                 echoes,
                 rows: self.rows,
-                heard: numbers.heard(),
+                passed_bins: numbers.passed_bins(),
                 columns: numbers.columns,
                 channels: numbers.channels(),
                 products: numbers.products().count(),
@@ -642,10 +644,10 @@ impl<T: Sample> LineEngine<T> {
 }
 
 /// Range of blocks where the filter gain exceeds `least` of its maximum.
-fn heard_blocks(gain: &[f64], least: f64) -> std::ops::Range<usize> {
+fn passed_blocks(gain: &[f64], least: f64) -> std::ops::Range<usize> {
     let most = gain.iter().fold(0.0, |most: f64, g| most.max(g.abs()));
-    let heard = |block: &[f64]| block.iter().any(|g| g.abs() > least * most);
-    let first = gain.chunks(BLOCK).position(heard).unwrap_or(0);
-    let last = gain.chunks(BLOCK).rposition(heard).unwrap_or(0);
+    let passes = |block: &[f64]| block.iter().any(|g| g.abs() > least * most);
+    let first = gain.chunks(BLOCK).position(passes).unwrap_or(0);
+    let last = gain.chunks(BLOCK).rposition(passes).unwrap_or(0);
     first..last + 1
 }

@@ -93,7 +93,7 @@ impl Gridded2d {
                     spec.array,
                     spec.sample_rate_hz,
                     filter,
-                    choice.fineness,
+                    choice.resolution,
                     spec.simd_level,
                 )
                 .with_room_for(fastest_m_per_s),
@@ -103,7 +103,7 @@ impl Gridded2d {
                     spec.array,
                     spec.sample_rate_hz,
                     filter,
-                    choice.fineness,
+                    choice.resolution,
                     spec.simd_level,
                 )
                 .with_room_for(fastest_m_per_s),

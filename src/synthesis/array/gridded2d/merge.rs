@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_few_sums_of_products_leave_no_echo_more_than_the_tolerance() {
+    fn merged_channels_keep_every_echo_within_the_tolerance() {
         const ECHOES: usize = 1000;
         let weights: Vec<f64> = (0..12).map(|m| 0.3f64.powi(m / 3 + m % 3)).collect();
         let mut counts = Vec::new();

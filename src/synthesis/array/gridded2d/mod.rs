@@ -37,7 +37,6 @@
 //!
 //! Not modelled: aliases from the stop band of the filter (82 dB down).
 
-pub mod alone;
 mod columns;
 mod elements;
 #[cfg(target_arch = "x86_64")]
@@ -51,6 +50,7 @@ pub mod plan;
 pub mod pulse;
 mod sample;
 mod series;
+pub mod single_echo;
 mod smooth;
 mod spread;
 #[cfg(target_arch = "x86_64")]
@@ -59,7 +59,7 @@ mod stages;
 mod task;
 mod weights;
 
-pub use engine::{Filter, Fineness, LineEngine, Orders, PulseMotion, TaskReport, Work};
+pub use engine::{Filter, LineEngine, Orders, PulseMotion, Resolution, TaskReport, Work};
 pub use line_array::Gridded2d;
 pub use plan::{Bounds, Choice, Precision, Refusal, Spec, choose};
 pub use sample::Sample;

@@ -405,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn every_column_is_what_a_plain_transform_makes_of_it() {
+    fn every_column_matches_a_plain_transform() {
         for size in [1, 2, 3, 4, 5, 8, 12, 30, 96, 60, 64, 768, 4096] {
             let fft = PanelFft::<f64>::new(size);
             let value = |row: usize, lane: usize| {

@@ -17,10 +17,10 @@ use echotank_core::flow::{
 
 use num_complex::Complex64;
 
-use super::alone::{Alone, noise_db};
-use super::engine::{Fineness, PulseMotion};
+use super::engine::{PulseMotion, Resolution};
 use super::lanes::BLOCK;
 use super::series::terms_needed;
+use super::single_echo::{SingleEcho, noise_db};
 use super::task::MAX_DILATION;
 
 /// Stretch lengths to try, from long to short; long ones are cheap.
@@ -135,7 +135,7 @@ pub enum Precision {
 #[derive(Clone, Debug)]
 pub struct Choice {
     /// Resolution of the computation.
-    pub fineness: Fineness,
+    pub resolution: Resolution,
     /// Precision of grids and transforms.
     pub precision: Precision,
     /// Predicted windowed error, and cost per ping.
@@ -284,13 +284,13 @@ fn slabs(
     let per_bin = 0.5 * BLOCK as f64 * rate_hz / spec.pulse.center_frequency_hz;
     let straight = per_bin * turned_rad / straight_rad;
     let silent = rate_hz * 2.0 * spec.bounds.nearest_m / spec.sound_speed_m_per_s;
-    let heard = (spec.samples as f64 - silent).max(1.0) + spent;
+    let active = (spec.samples as f64 - silent).max(1.0) + spent;
     let sizes = (MIN_SLAB..=MAX_SLAB).step_by(BLOCK).filter(|size| {
         let odd = size >> size.trailing_zeros();
         [1, 3, 5].contains(&odd) && *size as f64 >= straight.max(MAX_SPENT * spent)
     });
     let sized = sizes.map(|size| {
-        let slabs = (heard / (size as f64 - spent)).ceil();
+        let slabs = (active / (size as f64 - spent)).ceil();
         (size, slabs, slabs * (size as f64 + TASK_SAMPLES))
     });
     let least = sized
@@ -466,13 +466,13 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
             true => 2.0 * bounds.along_m_per_s.hypot(across) / sound_speed_m_per_s,
             false => 0.0,
         };
-        Alone::new(pulse, rate_hz, filter, doppler, spec.level_range_db)
+        SingleEcho::new(pulse, rate_hz, filter, doppler, spec.level_range_db)
     });
-    let core = alone.as_ref().map_or(1.0, Alone::core);
+    let core = alone.as_ref().map_or(1.0, SingleEcho::core);
     let times = ROWS.map(|oversampling| {
         let fits = (2..=MAX_WIDTH).map(|width| {
             let kernel = Kernel::new(width, oversampling / core, moments);
-            let error = |alone: &Alone| {
+            let error = |alone: &SingleEcho| {
                 let [whole, beside] = alone.kernel(&kernel, core);
                 (whole.max(kernel.error) * factor).max(beside * room / (ALONE_SHARE * tolerance))
             };
@@ -489,7 +489,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         });
         two_that(fits, |fit| fit.error <= room)
     });
-    let share = alone.as_ref().map_or(0.0, Alone::beyond_band);
+    let share = alone.as_ref().map_or(0.0, SingleEcho::beyond_band);
     if share > BAND_SHARE * tolerance {
         return Err(Refusal::OutOfBand { tolerance, share });
     }
@@ -546,7 +546,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         return Err(Refusal::TooFine { tolerance });
     }
     Ok(Choice {
-        fineness: Fineness {
+        resolution: Resolution {
             stretch,
             slab_samples,
             time_width: time.width,

@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plain_burst_has_its_sinc_and_its_first_moment() {
+    fn a_rectangular_burst_has_a_sinc_spectrum_and_its_first_moment() {
         fn worst<T: Sample>() -> f64 {
             let duration_s = 5e-3;
             let spectra = PulseSpectra::<T>::new(&pulse(PulseKind::Cw, 0.0), 21e3, BIN_HZ);
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn a_chirp_meets_the_plain_sum_to_1e_9() {
+    fn a_chirp_matches_the_plain_sum_to_1e_9() {
         for (kind, taper) in [
             (PulseKind::LfmUp, 0.0),
             (PulseKind::LfmDown, 0.1),
@@ -360,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn beyond_the_tables_there_is_no_place_and_no_panic() {
+    fn positions_beyond_the_tables_are_none() {
         let spectra = PulseSpectra::<f64>::new(&pulse(PulseKind::Cw, 0.0), 1e3, BIN_HZ);
         for g_hz in [1e9, -1e9, f64::NAN, f64::INFINITY] {
             assert!(spectra.place::<32>(g_hz, 1.0).is_none());

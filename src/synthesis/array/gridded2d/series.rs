@@ -104,7 +104,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn terms_needed_are_those_of_the_bessel_functions() {
+    fn the_number_of_terms_follows_the_bessel_functions() {
         // exp(-j z x): 2 J_n(z). J_4(0.5) = 1.6e-4, J_5(0.5) = 8.1e-6.
         let wave = |x: f64| Complex64::from_polar(1.0, -0.5 * x);
         assert_eq!(terms_needed(wave, 12, 1e-3).0, 4);

@@ -12,12 +12,12 @@ pub(super) struct Echoes {
     pub twist_per_s: Vec<f64>,
     pub swing_m_per_s2: Vec<f64>,
     /// Echoes with an amplitude, without the survey points.
-    pub heard: Vec<HeardEcho>,
+    pub strengths: Vec<EchoStrength>,
 }
 
 /// Strength of an echo along the stretch.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct HeardEcho {
+pub(crate) struct EchoStrength {
     /// From the first sample of the slab.
     pub middle_s: f64,
     pub slope: f64,
@@ -39,7 +39,7 @@ impl Echoes {
         ] {
             column.clear();
         }
-        self.heard.clear();
+        self.strengths.clear();
     }
 
     pub(super) fn len(&self) -> usize {
@@ -255,20 +255,21 @@ impl Smooth {
         smooth.swing = times_range(false, &echoes.swing_m_per_s2);
         smooth.twist_rest = left_over(&smooth.twist, &echoes.twist_per_s);
         smooth.swing_rest = left_over(&smooth.swing, &echoes.swing_m_per_s2);
-        smooth.measure_fades(&echoes.heard, window_s, half_m);
+        smooth.measure_fades(&echoes.strengths, window_s, half_m);
         smooth
     }
 
-    fn measure_fades(&mut self, heard: &[HeardEcho], window_s: f64, half_m: f64) {
+    fn measure_fades(&mut self, strengths: &[EchoStrength], window_s: f64, half_m: f64) {
         let window =
-            |echo: &HeardEcho| ((echo.middle_s / window_s).max(0.0) as usize).min(WINDOWS - 1);
+            |echo: &EchoStrength| ((echo.middle_s / window_s).max(0.0) as usize).min(WINDOWS - 1);
         let mut energies = [0.0; WINDOWS];
-        for echo in heard {
+        for echo in strengths {
             energies[window(echo)] += echo.energy;
         }
-        let share = |echo: &HeardEcho| echo.energy / energies[window(echo)].max(f64::MIN_POSITIVE);
+        let share =
+            |echo: &EchoStrength| echo.energy / energies[window(echo)].max(f64::MIN_POSITIVE);
         // Every window has the same weight, and every echo its share of energy in the window.
-        let [linear, constant] = least_squares(heard.iter().map(|echo| {
+        let [linear, constant] = least_squares(strengths.iter().map(|echo| {
             let weight = (share(echo) * echo.per_range_per_m.powi(2)).sqrt();
             let over_range = echo.fade_per_m / echo.per_range_per_m.max(1e-12);
             ([weight * echo.slope, weight], weight * over_range)
@@ -279,7 +280,7 @@ impl Smooth {
             linear,
         };
         let mut faded = [[0.0; WINDOWS]; FADES];
-        for echo in heard {
+        for echo in strengths {
             let rest = echo.fade_per_m - self.shared_fade(echo.slope, echo.per_range_per_m);
             let at = window(echo);
             faded[0][at] += share(echo) * (rest * half_m).powi(2);
@@ -329,7 +330,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_curve_is_that_of_motion_along_the_line_and_never_runs_away() {
+    fn a_curve_follows_motion_along_the_line_and_stays_bounded() {
         let slopes = || (0..50).map(|k| 0.6 + 0.1 * f64::from(k) / 49.0);
         let law = |s: f64| 5.0 * (1.0 - s * s);
         let fit = Curve::fit(true, slopes().map(|s| (s, law(s))));

@@ -14,7 +14,7 @@ use super::merge::Merge;
 use super::panel::{PANEL, Row};
 use super::sample::Sample;
 use super::series::chebyshev_terms as chebyshev;
-use super::smooth::{Echoes, FADES, HeardEcho, Smooth};
+use super::smooth::{EchoStrength, Echoes, FADES, Smooth};
 use super::task::{KINDS, Kept, Kind, MAX_BEND, MAX_CHANNELS, MAX_DILATION, MAX_TWIST, Task};
 use super::weights::{Taps, taps};
 
@@ -123,7 +123,7 @@ impl LineSink for Survey<'_> {
             let echo = self.centring.echo(chunk, i);
             let e = &mut *self.echoes;
             if chunk.amplitude[i] != Complex64::ZERO {
-                e.heard.push(HeardEcho {
+                e.strengths.push(EchoStrength {
                     middle_s: echo.middle_s,
                     slope: echo.slope,
                     per_range_per_m: echo.per_range_per_m,

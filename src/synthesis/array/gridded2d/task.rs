@@ -112,7 +112,7 @@ impl<'a, T: Sample> Task<'a, T> {
         // The aperture, extended by the motion along the line during the emission.
         let drift_m = 0.5 * ping.duration_s * c * smooth.dilation1.abs();
         let reach_m = (stretch.half_m + drift_m).max(0.25 * c / ping.carrier_hz);
-        let step = c / (engine.top_hz() * 2.0 * engine.fineness.slope_oversampling * reach_m);
+        let step = c / (engine.top_hz() * 2.0 * engine.resolution.slope_oversampling * reach_m);
         let kernel = &engine.slope_kernel;
         let cell = |slope: f64| (slope / step + kernel.shift()).floor() as isize;
         let first = cell(smooth.slope.at(-1.0)) + kernel.first();
@@ -162,7 +162,7 @@ impl<'a, T: Sample> Task<'a, T> {
     pub(crate) fn rad_per_swing(&self) -> f64 {
         let per_m = TAU * self.engine.top_hz() / self.engine.ping.sound_speed_m_per_s;
         let half_s = 0.5 * self.engine.ping.duration_s;
-        match self.engine.fineness.motion {
+        match self.engine.resolution.motion {
             PulseMotion::Stretch => 0.0,
             PulseMotion::Quadratic => 0.5 * per_m * half_s * half_s,
         }
@@ -189,7 +189,7 @@ impl<'a, T: Sample> Task<'a, T> {
         let bend = per_range * (1.0 - s * s);
         let (twist, swing) = (self.smooth.twist.at(s), self.smooth.swing.at(s));
         let twist_rest = ray.twist * self.smooth.twist_rest;
-        let quadratic = match self.engine.fineness.motion {
+        let quadratic = match self.engine.resolution.motion {
             PulseMotion::Stretch => 0.0,
             PulseMotion::Quadratic => 1.0,
         };
@@ -249,7 +249,7 @@ impl<'a, T: Sample> Task<'a, T> {
         let half_m = self.stretch.half_m;
         // The truncation error of a series is as smooth over the slope as its kept part, so the
         // kernel's spectrum cancels from it too.
-        let tolerance = self.engine.fineness.series.max(1e-13);
+        let tolerance = self.engine.resolution.series.max(1e-13);
         let slopes = [-1.0, 0.0, 1.0].map(|x| self.smooth.slope.at(x));
         let bends = [-1.0, 1.0].map(|x| self.smooth.per_range_per_m.at(x));
         let mut left_out: f64 = 0.0;
@@ -323,7 +323,7 @@ impl<'a, T: Sample> Task<'a, T> {
         let turn_rad = self.turn_rad(0, self.greatest_slope());
         // This truncation error has steps between blocks and spreads over the whole slab, so it is
         // compared with the weakest window of the slab.
-        let turn = terms_of_turn(turn_rad.abs(), self.engine.fineness.far);
+        let turn = terms_of_turn(turn_rad.abs(), self.engine.resolution.far);
         self.orders = Orders {
             instants,
             kinds,

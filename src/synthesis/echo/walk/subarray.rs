@@ -220,7 +220,7 @@ mod tests {
 
     /// Expected value: the delay of each element by fixed-point iteration on c t = |d - x - v t|.
     #[test]
-    fn a_part_answers_as_its_elements_hear_the_carrier() {
+    fn the_array_factor_is_the_mean_of_the_elements_carrier_phases() {
         let v = DVec3::new(5.0, 0.3, -1.0);
         for count in [2, 5, 8] {
             let part = part(count);
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn an_element_alone_answers_with_one() {
+    fn a_single_element_has_array_factor_one() {
         let (_, mut out) = batch(DVec3::ZERO);
         sum_plain(&part(1), 0.0, &mut out);
         assert!(out.of_each().all(|g| g == Complex64::ONE));

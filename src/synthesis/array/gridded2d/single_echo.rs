@@ -35,7 +35,7 @@ pub fn noise_db(level_range_db: f64) -> f64 {
 const PLACES: [f64; 3] = [0.0, 0.5, 0.95];
 
 /// Echoes at the smallest and at the largest Doppler.
-pub struct Alone {
+pub struct SingleEcho {
     sample_rate_hz: f64,
     /// Frequency of every bin, in transform order.
     frequency_hz: Vec<f64>,
@@ -46,7 +46,7 @@ pub struct Alone {
     level_range_db: f64,
 }
 
-impl Alone {
+impl SingleEcho {
     /// Prepares the echoes. `greatest_doppler` is the largest relative frequency shift to either
     /// side.
     pub fn new(

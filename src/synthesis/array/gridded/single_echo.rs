@@ -34,7 +34,7 @@ const ACROSS: [f64; 5] = [0.0, 0.2, 0.45, 0.7, 0.95];
 const END_CELLS: usize = 12;
 
 /// Echoes at both ends of the span of Dopplers.
-pub(super) struct Alone {
+pub(super) struct SingleEcho {
     /// Frequency of every bin in transform order: lowest first, then the negative ones.
     frequency_hz: Vec<f64>,
     /// Gain of the receiver filter.
@@ -47,7 +47,7 @@ pub(super) struct Alone {
     noise: f64,
 }
 
-impl Alone {
+impl SingleEcho {
     pub(super) fn new(spec: &Spec, span: DopplerSpan, spectrum: &PulseSpectrum) -> Self {
         let (pulse, rate_hz) = (spec.pulse, spec.sample_rate_hz);
         let filter_s = spec.filter.map_or(0.0, |f| -f.dense_first_s(0.0));
