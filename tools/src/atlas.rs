@@ -34,22 +34,22 @@ use picture::{Map, Mark, Panel, Sign};
     about = "Every regime in which methods break, swept: pictures, a page of them, and a table of every cell"
 )]
 struct Arguments {
-    /// Only maps whose name contains this; the page is then left as it is
+    /// Draw only maps whose name contains this; leave the page unchanged
     #[arg(long)]
     only: Option<String>,
-    /// Folder of the pictures and their page
+    /// Folder for the images and their page
     #[arg(long, default_value = "hil-configs/atlas")]
     out: PathBuf,
-    /// Every cell as CSV
+    /// Write every cell as CSV
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// SVG beside PNG
+    /// Write SVG besides PNG
     #[arg(long)]
     svg: bool,
-    /// A short pulse and two elements: a quick look
+    /// Use a short pulse and two elements, for a quick check
     #[arg(long)]
     small: bool,
-    /// Draw nothing, write the page
+    /// Write only the page; draw nothing
     #[arg(long)]
     page: bool,
     #[arg(long, default_value_t = 2)]
@@ -63,7 +63,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if given.page {
         return Ok(std::fs::write(page, page::page())?);
     }
-    // Panics are cells of a map.
+    // Panics are recorded as cells of a map.
     std::panic::set_hook(Box::new(|_| {}));
     let pool = echotank_ping::rig::pool(given.threads)?;
     let size = if given.small {
@@ -187,7 +187,7 @@ fn map(regime: &Regime, columns: &[Column]) -> Map {
     }
 }
 
-/// What the plan chose, one line for neighbours that got the same.
+/// The selected method of each column; neighbours with the same choice share a line.
 fn choices(regime: &Regime, columns: &[Column]) -> Vec<String> {
     let mut runs: Vec<(String, usize, usize)> = Vec::new();
     for (k, column) in columns.iter().enumerate() {
@@ -195,7 +195,7 @@ fn choices(regime: &Regime, columns: &[Column]) -> Vec<String> {
             None => "no ping".to_owned(),
             Some(plan) => {
                 let parts: Vec<&str> = plan.text.split(", ").collect();
-                // The engine's own tolerance is beside the point here.
+                // The engine's tolerance is the same for all columns and is omitted.
                 let mut text = parts[..3.min(parts.len())].join(", ");
                 if let Some((name, _)) = text.rsplit_once(' ').filter(|_| text.contains("gridded"))
                 {

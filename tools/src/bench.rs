@@ -1,4 +1,4 @@
-//! Measures the echo engine: errors and milliseconds on one line. See `tools/bench --help`.
+//! Measures the echo engine: errors and run times, one line each. See `tools/bench --help`.
 
 #[path = "bench/beams.rs"]
 mod beams;
@@ -45,64 +45,64 @@ struct Arguments {
 
 #[derive(Args)]
 struct Common {
-    /// Fewer scenes and runs: under a minute on an idle machine.
+    /// Fewer scenes and runs; takes less than a minute on an idle machine.
     #[arg(long)]
     quick: bool,
-    /// Write the table as JSON too.
+    /// Also write the table as JSON.
     #[arg(long)]
     json: Option<PathBuf>,
 }
 
 #[derive(Subcommand)]
 enum What {
-    /// Synthesis methods: sums alone, whole pings, a forward-looking ping.
+    /// Synthesis methods: the sum alone, whole pings, a forward-looking ping.
     Echo {
         #[command(flatten)]
         common: Common,
-        /// Whole pings whose name, elements, scatterers, sector, velocity and tolerance contain this ("line 256 1000000 15 5 0.3"); without
-        /// it all, and the other tables.
+        /// Only whole pings whose name, elements, scatterers, sector, velocity and tolerance contain this ("line 256 1000000 15 5 0.3").
+        /// Default: all, and the other tables.
         #[arg(long)]
         only: Option<String>,
-        /// Of whole pings one method alone: direct, spectral, gridded-1d, gridded-2d.
+        /// Only this method for whole pings: direct, spectral, gridded-1d, gridded-2d.
         #[arg(long)]
         method: Option<String>,
-        /// best, portable, avx2, avx512.
+        /// SIMD level: best, portable, avx2, avx512.
         #[arg(long, value_delimiter = ',', default_value = "best")]
         simd_levels: Vec<String>,
         #[arg(long, value_delimiter = ',', default_values_t = [1, 2])]
         threads: Vec<usize>,
-        /// Where the time of gridded-2d goes, stage by stage.
+        /// Print the time of gridded-2d stage by stage.
         #[arg(long)]
         stages: bool,
     },
-    /// Fans of 128 elements, 256 beams and 8000 samples by every former, and focused beams beside echo synthesis at work.
+    /// Fans of 128 elements, 256 beams and 8000 samples with every beamformer, and focused beams concurrent with echo synthesis.
     Beams {
         #[command(flatten)]
         common: Common,
     },
-    /// Pings of a configuration through the whole pipeline, beams and lines included.
+    /// Pings of a configuration through the whole pipeline, including beams and side-scan lines.
     Ping {
         #[command(flatten)]
         common: Common,
         #[arg(long, default_value = "hil-configs/quickstart.toml")]
         config: PathBuf,
     },
-    /// Navigation sentences per second, beside the crate nmea and, with --python, pynmea2, on the same lines.
+    /// Navigation sentences per second, compared with the nmea crate and, with --python, pynmea2 on the same lines.
     Nav {
         #[command(flatten)]
         common: Common,
         /// A text log; its sentences are repeated.
         #[arg(long, default_value = "tests/data/nav/seapath330_90s.rvdas")]
         log: PathBuf,
-        /// A Python that has pynmea2.
+        /// A Python interpreter with pynmea2.
         #[arg(long)]
         python: Option<PathBuf>,
     },
-    /// Records of each family per second, and a load of several topsides.
+    /// Records per second of each protocol family, and the load of several topsides.
     Wire {
         #[command(flatten)]
         common: Common,
-        /// Deliver in real time for so many seconds.
+        /// Deliver in real time for this many seconds.
         #[arg(long)]
         load: Option<u32>,
     },
@@ -111,18 +111,18 @@ enum What {
         directory: PathBuf,
         #[arg(long, default_value_t = 1_000_000)]
         scatterers: usize,
-        /// Of a line of so many elements ...
+        /// Number of elements of the line.
         #[arg(long, default_value_t = 1)]
         elements: usize,
-        /// ... this one.
+        /// Index of the element.
         #[arg(long, default_value_t = 0)]
         element: usize,
     },
-    /// Run transforms as standard input asks, one per line.
+    /// Run transforms requested on standard input, one per line.
     TransformServe { directory: PathBuf },
-    /// Write matched-filtered elements and the points of some beams for peers.
+    /// Write matched-filtered element samples and the points of some beams for peers.
     BeamsDump { directory: PathBuf },
-    /// Form the fan as standard input asks, one former per line.
+    /// Form the fan as requested on standard input, one beamformer per line.
     BeamsServe,
 }
 

@@ -1,6 +1,6 @@
-//! Prints what path and Doppler models are off by against the reference: samples over speed and angle, pictures over speed and range.
+//! Prints the errors of path and Doppler models against the reference: of samples over speed and angle, of images over speed and range.
 //!
-//! `tools/errors` prints the tables that tests/stability/errors.txt and images.txt keep; `tools/errors --keep` writes them there.
+//! `tools/errors` prints the tables of tests/stability/errors.txt and images.txt; `tools/errors --keep` rewrites these files.
 
 #[path = "errors/images.rs"]
 mod images;

@@ -1,4 +1,4 @@
-//! tools/fuzz: spoiled files for as long as one likes. A panic, or more memory than a reader may take, ends it and leaves the file.
+//! tools/fuzz: feeds corrupted files to the readers until stopped. A panic or an excessive allocation ends it and keeps the file.
 
 #[path = "../../tests/scene_readers/peak.rs"]
 mod peak;
@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use clap::{Parser, ValueEnum};
 
-/// Largest grid as f64 and f32, and what decoding needs beside it.
+/// Largest grid as f64 and f32, plus the memory for decoding.
 const MAX_BYTES: usize = 1 << 30;
 
 #[derive(Parser)]
@@ -50,7 +50,7 @@ fn main() -> ExitCode {
     let mut most = 0;
     while Instant::now() < end {
         for file in &files {
-            // The large one costs as much as a hundred small ones.
+            // The large file takes as long as a hundred small ones.
             let rounds = if file.bytes.len() > 1 << 20 { 1 } else { 100 };
             for _ in 0..rounds {
                 let bytes = seeds::spoiled(&file.bytes, &mut random);

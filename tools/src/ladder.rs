@@ -1,4 +1,5 @@
-//! The ladder of Meng et al. 2023, Figs. 12-16: what simplifying a seabed does to the image, to the mean level and to the time of a ping.
+//! Simplification levels of Meng et al. 2023, Figs. 12-16: effect of simplifying a seabed on the image, the mean level and the run time of
+//! a ping.
 
 #[path = "bench/machine.rs"]
 mod machine;

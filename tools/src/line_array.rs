@@ -1,8 +1,8 @@
-//! The line-array engine on a side-scan scene: error by worst window and milliseconds per ping, on one line.
+//! The line-array engine on a side-scan scene: largest windowed error and milliseconds per ping, one line each.
 //!
 //! `cargo run --release --example line_array -- elements=256 scatterers=1000000 tolerance=1e-3 threads=2 pings=5 surge=5 sway=0.3 heave=0.3
-//! sector=15 check=2`. `check` elements are held against the direct sum. What is timed: the transmit leg, and everything from there to the
-//! time samples of all elements. Not in it: noise, gain, packets.
+//! sector=15 check=2`. `check` is the number of elements compared with the direct sum. Timed: the transmit leg, and from there to the time
+//! samples of all elements. Not timed: noise, gain, packets.
 
 use std::collections::HashMap;
 use std::sync::Mutex;
@@ -138,7 +138,7 @@ fn run(number: &impl Fn(&str, f64) -> f64, threads: usize) {
     );
 }
 
-/// Stores scatterers of one square together, as a scene's tiles do.
+/// Reorders scatterers so that those of one square are adjacent, as in a scene's tiles.
 fn by_tiles(scatterers: &mut Scatterers) {
     let mut order: Vec<usize> = (0..scatterers.len()).collect();
     let tile = |i: usize| {
@@ -148,7 +148,7 @@ fn by_tiles(scatterers: &mut Scatterers) {
     order.sort_by_key(|&i| tile(i));
     let mut sorted = Scatterers::default();
     for (k, i) in order.into_iter().enumerate() {
-        // Phases of their own: those of an evenly filling sequence cancel far better than chance has it.
+        // Independent phases: those of a low-discrepancy sequence cancel far better than random ones.
         let phase = std::f64::consts::TAU * hash(k as u64);
         sorted.push(
             scatterers.position_m(i),
@@ -160,7 +160,7 @@ fn by_tiles(scatterers: &mut Scatterers) {
     *scatterers = sorted;
 }
 
-/// 0..1, by splitmix64 (Steele, Lea and Flood 2014).
+/// Uniform in 0..1, by splitmix64 (Steele, Lea and Flood 2014).
 fn hash(k: u64) -> f64 {
     let mut z = k.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

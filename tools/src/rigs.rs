@@ -1,4 +1,4 @@
-//! Plans of methods on random rigs and on configurations, held against what is measured; see `tools/rigs --help`.
+//! Compares automatic method selection with measurements, on random rigs and on configurations; see `tools/rigs --help`.
 
 #[path = "rigs/mod.rs"]
 mod rigs;
@@ -18,7 +18,7 @@ use echotank_ping::rig::pool;
 use rigs::case;
 use rigs::measure::{Did, Measured, measure};
 
-/// Pings below this are not held to the limit on costs, ms.
+/// Pings faster than this are exempt from the cost limit, ms.
 const MIN_MS: f64 = 1.0;
 
 #[derive(Parser)]
@@ -32,27 +32,27 @@ reference's equation, and that counts. Where the reference solution is off by mo
 measured error is that of 128 random samples, marked c. Times: least of 5 runs in turn, one thread."
 )]
 struct Arguments {
-    /// Random rigs.
+    /// Number of random rigs
     #[arg(long, default_value_t = 200)]
     random: u64,
-    /// The first seed.
+    /// First seed
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Configurations; a sonar that leaves nothing to the plan with path, doppler and synthesis = "auto".
+    /// Configurations; path, doppler and synthesis of sonars with fixed methods are set to "auto"
     configs: Vec<PathBuf>,
-    /// What methods cost here.
+    /// Cost table of this machine
     #[arg(long)]
     costs: Option<PathBuf>,
-    /// Append what is measured here, a line of JSON for each row.
+    /// Append measurements to FILE, a JSON line per row
     #[arg(long)]
     rows: Option<PathBuf>,
-    /// Measure nothing: report on rows measured before.
+    /// Measure nothing; report on rows measured before
     #[arg(long)]
     from: Vec<PathBuf>,
-    /// Say everything of every rig, on standard error.
+    /// Print every rig's details on standard error
     #[arg(long)]
     why: bool,
-    /// Write tests/stability/rigs.txt.
+    /// Write tests/stability/rigs.txt
     #[arg(long)]
     keep: bool,
 }
@@ -132,7 +132,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// As it is, but for what the plan may choose.
+/// The configuration unchanged except for what the selection may choose.
 fn configuration(path: &Path) -> Result<config::spec::RigSpec, Box<dyn std::error::Error>> {
     let mut table: toml::Table = fs::read_to_string(path)?.parse()?;
     if let Some(sonars) = table.get_mut("sonar").and_then(|s| s.as_array_mut()) {
@@ -142,7 +142,7 @@ fn configuration(path: &Path) -> Result<config::spec::RigSpec, Box<dyn std::erro
                 .or_insert_with(|| toml::Table::new().into())
                 .as_table_mut()
                 .ok_or("sonar.model is no table")?;
-            // Every element is looked at here; lines from parts are `tests/plan/parts.rs`'s.
+            // Compares every element; `tests/plan/parts.rs` covers side-scan lines without elements.
             model.insert("output".into(), "elements".into());
             if model.values().any(|value| value.as_str() == Some("auto")) {
                 continue;
@@ -170,7 +170,7 @@ fn load() -> String {
         .to_owned()
 }
 
-/// The plan's time over the least of all that promise as much, and over the least of all that are as good.
+/// Cost of the selected methods over the least cost of those that predict, and of those that reach, the same error.
 fn ratios(of: &Measured) -> (f64, f64) {
     let least = |good: &dyn Fn(&&Did) -> bool| {
         let others = of.others.iter().filter(good);

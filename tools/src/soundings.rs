@@ -1,4 +1,4 @@
-//! Soundings of the whole pipeline against the seabed they were made from; see `tools/soundings --help`.
+//! Compares soundings of the whole pipeline with their seabed; see `tools/soundings --help`.
 
 #[path = "soundings/measure.rs"]
 mod measure;
@@ -14,7 +14,7 @@ Depth errors of hil-configs/multibeam.toml with bottom detection, by angle: over
 and in the quickstart's swell. N pings each (60), 4 s apart. --picture: the survey's soundings and its truth, in cells of 10 m.
 ";
 
-/// Cells in which the relief is looked for.
+/// Cell sizes at which relief is compared.
 const CELL_M: f64 = 10.0;
 const LEAST: usize = 5;
 
@@ -56,7 +56,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Soundings above, truth below; north up, a cell is 4 pixels.
+/// Soundings above, truth below; north up, 4 pixels per cell.
 fn draw(soundings: &Soundings, file: &std::path::Path) -> Result<(), Box<dyn std::error::Error>> {
     const PIXELS: usize = 4;
     let key = |f: &measure::Found| {

@@ -1,8 +1,10 @@
-//! A seabed far larger than any memory: 10 km x 1 km at 10 scatterers per 0.02 m^2, and pings 100 m apart along it.
+//! Stress test of streaming scenes: a seabed of 10 km x 1 km with 10 scatterers per 0.02 m^2, far beyond memory, and pings 100 m apart
+//! along it.
 //!
-//! Prints, for every tenth ping, what it took: scatterers made, used and in shadow, milliseconds to gather them and to make samples of them,
-//! of the whole ping also the processor's time, which another's load changes less, the process's peak memory so far, and an error check: the ping once more, with 64 random samples of it computed through the reference, and the error
-//! of these and of the 64 before. Ends with exit code 1 where the peak is above 2 GiB or an error check at fault.
+//! Prints for every tenth ping: scatterers generated, used and in shadow; milliseconds to gather them and to synthesise; processor time of
+//! the whole ping, which other load affects less; peak memory so far; and an error check. The error check repeats the ping, computes 64
+//! random samples by the reference, and prints the error of these and of the 64 before. Exits with code 1 if the peak exceeds 2 GiB or an
+//! error check fails.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -19,7 +21,7 @@ use glam::{DQuat, DVec3};
 
 const LENGTH_M: f64 = 10_000.0;
 const WIDTH_M: f64 = 1_000.0;
-/// Of the height field.
+/// Cell of the height field.
 const CELL_M: f64 = 4.0;
 const DENSITY_PER_M2: f64 = 10.0 / 0.02;
 const LIMIT_BYTES: u64 = 2 << 30;
@@ -50,7 +52,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Peak memory in bytes, where the system tells, and error checks at fault.
+/// Peak memory in bytes, where the system reports it, and failed error checks.
 fn survey(folder: &Path, pings: usize) -> Result<(Option<u64>, u32), Box<dyn std::error::Error>> {
     std::fs::write(folder.join("ground.asc"), ground())?;
     let spec = echotank_runtime::config_files::parse(&configuration(), folder)
@@ -138,7 +140,7 @@ fn line(ping: usize, north_m: f64, output: &PingOutput, [gather_ms, samples_ms, 
     );
 }
 
-/// Hills of a metre or two over tens of metres, 20 m deep, as an ESRI ASCII grid: far out one hides the next.
+/// Hills of a metre or two over tens of metres at 20 m depth, as an ESRI ASCII grid; at long range they shadow each other.
 fn ground() -> String {
     let (rows, cols) = ((LENGTH_M / CELL_M) as usize, (WIDTH_M / CELL_M) as usize);
     let mut text = format!("ncols {cols} nrows {rows} xllcorner 0 yllcorner 0 cellsize {CELL_M}\n");
@@ -235,7 +237,7 @@ error_check = true
     )
 }
 
-/// The most memory the process ever held (Linux).
+/// Peak resident memory of the process (Linux).
 fn peak_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
@@ -243,11 +245,11 @@ fn peak_bytes() -> Option<u64> {
     Some(kib << 10)
 }
 
-/// What all threads of the process have computed so far (Linux; 0 elsewhere), in steps of 10 ms.
+/// Processor time of all threads of the process (Linux; 0 elsewhere), in steps of 10 ms.
 fn cpu_ms() -> f64 {
     let ticks = || -> Option<f64> {
         let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-        // Behind the name, which may hold blanks: fields 3 on; user and system time are 14 and 15.
+        // Fields 3 onwards follow the name, which may contain blanks; user and system time are fields 14 and 15.
         let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
         Some(fields.get(11)?.parse::<f64>().ok()? + fields.get(12)?.parse::<f64>().ok()?)
     };

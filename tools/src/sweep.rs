@@ -1,4 +1,4 @@
-//! Prints the tolerance contract as measured; see `tools/sweep --help`.
+//! Measures whether methods meet their tolerance; see `tools/sweep --help`.
 
 #[path = "sweep/mod.rs"]
 mod sweep;
@@ -32,25 +32,25 @@ tolerance is marked !.
     about = "Every method, scene, motion and tolerance against the reference; and random scenes"
 )]
 struct Arguments {
-    /// Scatterers of the table's scenes.
+    /// Scatterers in the table's scenes
     #[arg(long, default_value_t = 40)]
     scatterers: usize,
-    /// Only scenes whose name or motion contains this.
+    /// Only scenes whose name or motion contains this
     #[arg(long)]
     only: Option<String>,
-    /// Only these methods.
+    /// Only these methods
     #[arg(long, value_delimiter = ',', conflicts_with = "keep")]
     method: Vec<String>,
-    /// Random scenes.
+    /// Number of random scenes
     #[arg(long, default_value_t = 200)]
     random: u64,
-    /// The first of them.
+    /// First random scene
     #[arg(long, default_value_t = 0, conflicts_with = "keep")]
     first: u64,
-    /// Write tests/stability/tolerances.txt.
+    /// Write tests/stability/tolerances.txt
     #[arg(long)]
     keep: bool,
-    /// Say for each cell what was chosen, or why it was refused.
+    /// Print the models chosen for each cell, or why the method refused
     #[arg(long)]
     why: bool,
 }
@@ -58,7 +58,7 @@ struct Arguments {
 fn main() -> std::io::Result<()> {
     let given = Arguments::parse();
     let mut text = format!("{ABOUT}\n{}\n", heading());
-    // As they come, on standard error; in order, on standard output.
+    // Unordered on standard error as they finish, in order on standard output.
     let mut broken = 0;
     let cases: Vec<Case> = SCENES
         .iter()
@@ -134,21 +134,22 @@ fn reasons(row: &Row) -> String {
     row.cells.iter().map(line).collect()
 }
 
-/// By what the reference half as dense may be off in noise where 1e-6 is asked for: the truth of a random scene is made as dense as that takes.
+/// Largest error, with noise floor, of the half-dense reference where 1e-6 is requested: the truth of a random scene is sampled as densely
+/// as this requires.
 const MAX_DOUBT: f64 = 2e-7;
 
-/// Methods over random scenes: how often each answered, its worst error over its tolerance, and where. And how many answers were above in noise by
-/// more than the reference half as dense is off.
+/// Methods over random scenes: how often each answered, its worst error over its tolerance, and where; and how many errors with noise floor
+/// exceed the tolerance by more than the half-dense reference's error.
 fn random(given: &Arguments) -> (String, usize) {
     let count = given.random;
     struct One {
         method: Method,
         cell: Cell,
         about: String,
-        /// By what the reference half as dense is off, in noise.
+        /// Error of the half-dense reference, with noise floor.
         doubt: f64,
     }
-    // f32 and f64, sharp and smooth.
+    // f32 and f64, with sharp and tapered pulses.
     let tolerances = &TOLERANCES[..6];
     let all: Vec<One> = (given.first..given.first + count)
         .into_par_iter()
@@ -177,7 +178,7 @@ fn random(given: &Arguments) -> (String, usize) {
     );
     let cells: Vec<(Method, &Cell)> = all.iter().map(|one| (one.method, &one.cell)).collect();
     text += &counts(&cells);
-    // What the reference half as dense is off by is not known of the truth either.
+    // The truth is not known better than the half-dense reference's error.
     let misses = |method| {
         let of = move |one: &&One| one.method == method && !one.cell.holds(|e| e.in_noise);
         all.iter()
@@ -234,7 +235,7 @@ fn random(given: &Arguments) -> (String, usize) {
     (text, all_above)
 }
 
-/// How often each method answered, and how often that was above its tolerance by each measure, with the worst of error over tolerance.
+/// How often each method answered, and how often its error exceeded the tolerance by each measure, with the worst ratio.
 fn counts(cells: &[(Method, &Cell)]) -> String {
     let mut text = format!("{:<10}", "method");
     for column in ["answers", "model", "sum"] {

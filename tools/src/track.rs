@@ -1,6 +1,6 @@
-//! Rigs that a recorded track carries, in tests and tools.
+//! Rigs on a recorded track, for tests and tools.
 
-/// Navigation from `track.csv` beside the configuration, waited for on both sides of every ping.
+/// Navigation from `track.csv` beside the configuration, awaited before and after every ping.
 pub(crate) const ALONG_TRACK: &str = r#"[nav]
 origin = { latitude_deg = 59.0, longitude_deg = 18.0 }
 mode = "settle"
@@ -12,5 +12,5 @@ path = "track.csv"
 provides = ["position", "heading", "roll-pitch"]
 "#;
 
-/// What that file begins with.
+/// Header of that file.
 pub(crate) const COLUMNS: &str = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n";

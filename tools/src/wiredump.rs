@@ -1,4 +1,4 @@
-//! tools/wiredump: any of our protocols in words, a line a message, from a file, a capture or a socket.
+//! tools/wiredump: prints the messages of any supported protocol, one per line, from a file, a capture or a socket.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, SocketAddr, TcpStream, UdpSocket};
@@ -13,18 +13,20 @@ use echotank_runtime::io::capture_text::describe_capture;
 #[derive(Parser)]
 #[command(about = "Any of our protocols in words, a line a message")]
 struct Args {
-    /// A file; a capture (pcap, pcapng) of UDP and TCP; tcp:HOST:PORT to connect; udp:ADDRESS:PORT to listen, groups (multicast) too; `-` for the standard input
+    /// A file; a capture (pcap, pcapng) of UDP and TCP; tcp:HOST:PORT to connect; udp:ADDRESS:PORT to listen, also to multicast groups; `-`
+    /// for standard input
     source: String,
-    /// What it is: sevenk, s7k, jsf, vita49, ping, wbms, wbms-text, xtf, imagenex872, sigmf, wav (default: told by its first bytes or its port)
+    /// Protocol: sevenk, s7k, jsf, vita49, ping, wbms, wbms-text, xtf, imagenex872, sigmf, wav (default: detected from its first bytes or
+    /// its port)
     #[arg(long, value_parser = format_of)]
     format: Option<Format>,
-    /// Sent to a tcp: source first, in hexadecimal, for servers that want to be asked
+    /// Request sent first to a tcp: source, in hexadecimal
     #[arg(long, default_value = "")]
     send: String,
-    /// Sockets are read for so long, 0 for ever
+    /// Time to read from sockets, seconds; 0 is without limit
     #[arg(long, default_value_t = 0.0)]
     seconds: f64,
-    /// Stops after so many lines, 0 never
+    /// Stop after this many lines; 0 is without limit
     #[arg(long, default_value_t = 0)]
     lines: u64,
 }
@@ -36,7 +38,7 @@ fn format_of(name: &str) -> Result<Format, String> {
     })
 }
 
-/// Prints lines until there have been enough.
+/// Prints lines up to the limit.
 struct Printer {
     left: Option<u64>,
 }
@@ -49,7 +51,7 @@ impl Printer {
             }
             *left -= 1;
         }
-        // Whoever reads us may have gone.
+        // The reader of the output may have closed it.
         let _ = writeln!(std::io::stdout(), "{line}");
     }
     fn is_done(&self) -> bool {
@@ -105,7 +107,7 @@ fn end(args: &Args) -> Option<Instant> {
     (args.seconds > 0.0).then(|| Instant::now() + Duration::from_secs_f64(args.seconds.min(1e9)))
 }
 
-/// How long a read may take before the clock is looked at.
+/// Timeout of a read, after which the clock is checked.
 const LOOK: Duration = Duration::from_millis(100);
 
 fn is_silence(error: &std::io::Error) -> bool {
@@ -174,7 +176,7 @@ fn udp(address: &str, args: &Args, printer: &mut Printer) -> Result<(), String> 
         SocketAddr::V4(v4) if v4.ip().is_multicast() => {
             let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, v4.port())).map_err(say)?;
             for interface in [Ipv4Addr::UNSPECIFIED, Ipv4Addr::LOCALHOST] {
-                // A machine may lack one of them.
+                // The machine may lack one of the two.
                 let _ = socket.join_multicast_v4(v4.ip(), &interface);
             }
             socket

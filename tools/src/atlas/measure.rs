@@ -1,4 +1,4 @@
-//! What every method makes of a spot, and what the plan of methods chooses there; held against the retarded-time sum.
+//! Measures every method and the automatic method selection at one spot, against the retarded-time sum.
 
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -15,7 +15,7 @@ use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_mod
 
 use super::spot::Spot;
 
-/// Sums, in the order of the pictures' panels.
+/// Synthesis methods, in the order of the figures' panels.
 pub(crate) const SUMS: [Synthesis; 6] = [
     Synthesis::Direct,
     Synthesis::Gridded1d,
@@ -24,7 +24,7 @@ pub(crate) const SUMS: [Synthesis; 6] = [
     Synthesis::Nearest,
     Synthesis::Linear,
 ];
-/// Rows of a panel: Doppler by Doppler, those first that every sum takes.
+/// Doppler models, the rows of a panel; those that every synthesis supports come first.
 pub(crate) const DOPPLERS: [DopplerModel; 4] = [
     DopplerModel::None,
     DopplerModel::PaperEq21,
@@ -32,32 +32,32 @@ pub(crate) const DOPPLERS: [DopplerModel; 4] = [
     DopplerModel::StretchQuadratic,
 ];
 
-/// What a method made of a spot.
+/// Result of one method at a spot.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Outcome {
-    /// This sum knows no such Doppler.
+    /// The synthesis does not support this Doppler model.
     NotTaken,
-    /// In words.
+    /// The method was refused, with the reason.
     Refused(String),
-    /// Nothing is to be heard, and nothing is.
+    /// No echo is expected and none was synthesised.
     Silence,
     Answer {
-        /// Of the worst window of any element, over that window or the element's whole ping, whichever is louder.
+        /// Largest windowed error of any element, relative to the window or the element's whole ping, whichever is stronger.
         error: f64,
-        /// What the error models say of it: at most so much.
+        /// Upper bound predicted by the error models.
         said: f64,
-        /// They say that it keeps the tolerance (of an engine made for it: that its models leave it room).
+        /// The error models predict that the tolerance is met (for an engine made to the tolerance: that they leave it a share).
         claims: bool,
-        /// Echoes that the ping counts as beyond what its method is made for.
+        /// Echoes that the ping counted as outside the limits of its method.
         counted: u64,
     },
-    /// A sample that is no number, or infinite.
+    /// A sample is NaN or infinite.
     NoNumber,
     Panic(String),
 }
 
 impl Outcome {
-    /// Wrong by more than `tolerance`, promised to be right, and nothing said.
+    /// Whether the error exceeds `tolerance` although the models predict otherwise and nothing was counted.
     pub(crate) fn is_silently_wrong(&self, tolerance: f64) -> bool {
         match *self {
             Self::Answer {
@@ -80,23 +80,23 @@ impl Outcome {
     }
 }
 
-/// What the plan chose and what came of it.
+/// The automatic selection and its result.
 #[derive(Clone, Debug)]
 pub(crate) struct Planned {
     pub(crate) path: PathModel,
     pub(crate) doppler: DopplerModel,
     pub(crate) synthesis: Synthesis,
     pub(crate) text: String,
-    /// It says itself that nothing keeps the tolerance.
+    /// The selection reports that no method meets the tolerance.
     pub(crate) out_of_reach: bool,
     pub(crate) outcome: Outcome,
 }
 
 /// One column of a map.
 pub(crate) struct Column {
-    /// By sum, Doppler and path, in the order of [`SUMS`], [`DOPPLERS`] and [`PathModel::ALL`].
+    /// Ordered by [`SUMS`], [`DOPPLERS`] and [`PathModel::ALL`].
     pub(crate) cells: Vec<Outcome>,
-    /// None where no ping is made, or where nothing at all can be planned.
+    /// None if no ping was made or no method could be selected.
     pub(crate) plan: Option<Planned>,
     pub(crate) tolerance: f64,
 }
@@ -106,7 +106,7 @@ impl Column {
         &self.cells[(sum * DOPPLERS.len() + doppler) * PathModel::ALL.len() + path]
     }
 
-    /// Every cell with its name.
+    /// Every cell with the name of its method.
     pub(crate) fn named(&self) -> impl Iterator<Item = (String, &Outcome)> {
         let mut names = Vec::new();
         for sum in SUMS {
@@ -125,9 +125,9 @@ impl Column {
     }
 }
 
-/// Pipelines, kept from spot to spot as long as the sonar stays the same.
+/// Pipelines, reused from spot to spot while the sonar stays the same.
 pub(crate) struct Bench {
-    /// Plans choose the sum too; making out what engines would do takes most of a column's time.
+    /// Whether the selection chooses the synthesis too. Predicting engines takes most of a column's time.
     whole_plans: bool,
     made: HashMap<(&'static str, &'static str), (String, SonarPipeline)>,
     costs: Option<Costs>,
@@ -142,7 +142,7 @@ impl Bench {
         }
     }
 
-    /// To be called inside one and the same pool.
+    /// Call inside one thread pool.
     pub(crate) fn column(&mut self, spot: &Spot) -> Column {
         let tolerance = spot.spec.synthesis.tolerance;
         if let Some(why) = &spot.refused {
@@ -286,7 +286,7 @@ impl Bench {
         })
     }
 
-    /// The ping, and how many echoes it counts as beyond its method; or why there is none.
+    /// The ping and the number of echoes outside its method's limits, or why no ping was made.
     fn run(
         &mut self,
         spec: &SonarSpec,
@@ -297,7 +297,7 @@ impl Bench {
         let mut plan = plan.clone();
         plan.model = spec.model;
         let key = (spec.model.synthesis.name(), spec.model.doppler.name());
-        // Path, segments and floor go with the ping, all else with the pipeline.
+        // Path, segments and floor belong to the ping, the rest to the pipeline.
         let mut common = spec.clone();
         common.model.path = PathModel::KSegment;
         common.model.cull_db = None;
@@ -336,7 +336,7 @@ impl Bench {
     }
 }
 
-/// The same of every method that there is.
+/// Measures every method.
 fn all(outcome: &Outcome) -> Vec<Outcome> {
     let mut cells = Vec::new();
     for sum in SUMS {
@@ -357,7 +357,7 @@ fn words(panic: Box<dyn std::any::Any + Send>) -> String {
         .unwrap_or_else(|| "no words".into())
 }
 
-/// What the stages promise at a spot.
+/// Predictions of the stages at a spot.
 struct ErrorModels {
     conditions: Conditions,
     culling: f64,
@@ -366,7 +366,7 @@ struct ErrorModels {
 impl ErrorModels {
     fn of(spot: &Spot, plan: &PingPlan, scatterers: &Scatterers) -> Self {
         let conditions = conditions(&spot.spec, plan, scatterers);
-        // What a floor of the patterns leaves out, as the plan has it for a sonar whose methods are all fixed.
+        // Error of pattern culling, as the selection predicts it for a sonar whose methods are all fixed.
         let culling = match spot.spec.model.cull_db {
             None => 0.0,
             Some(_) => {
@@ -406,7 +406,7 @@ impl ErrorModels {
             + doppler_error_model(doppler, path, &conditions).error
             + self.culling
             + match synthesis.keeps_tolerance() {
-                // Made for the tolerance, and never beyond it by itself.
+                // The engine is made to the tolerance and never exceeds it by itself.
                 true => conditions.tolerance,
                 false => sum_error_model(synthesis, &spot.spec, plan, &conditions).error,
             }

@@ -1,6 +1,7 @@
-//! The map of failures: every regime in which methods are known to break, swept through the place where they do.
+//! The failure atlas: sweeps through every regime in which methods are known to fail.
 //!
-//! Read [`spot`] (one sonar, one motion, one scene), [`regimes`] (what is swept), [`measure`] (what every method makes of it, and the plan).
+//! Read [`spot`] (one sonar, one motion, one scene), [`regimes`] (the sweeps) and [`measure`] (results of every method and of the
+//! selection).
 
 pub(crate) mod measure;
 pub(crate) mod regimes;

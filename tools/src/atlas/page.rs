@@ -1,4 +1,4 @@
-//! The pictures' page.
+//! The page that shows the figures.
 
 use std::fmt::Write;
 

@@ -1,4 +1,4 @@
-//! Maps as SVG.
+//! Maps of errors as SVG.
 
 use std::fmt::Write;
 
@@ -7,13 +7,13 @@ use super::chart_draw::{Anchor, GREY, INK, Svg, escaped};
 /// One square of a map.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Mark {
-    /// The method is none for this row.
+    /// The method does not exist in this row.
     Blank,
     Refused,
     Silence,
-    /// No number, or a panic.
+    /// NaN, infinity or a panic.
     Shout,
-    /// log10 of error over tolerance, and what is written on it.
+    /// log10 of error over tolerance, and the text in the square.
     Ratio {
         log10: f64,
         sign: Sign,
@@ -23,17 +23,17 @@ pub(crate) enum Mark {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sign {
     None,
-    /// Wrong, and nothing said so.
+    /// Wrong without any warning.
     Silent,
-    /// Echoes were counted.
+    /// Some echoes were counted as outside the method's limits.
     Counted,
 }
 
 pub(crate) struct Panel {
     pub(crate) title: String,
-    /// By row, then column.
+    /// Marks by row, then column.
     pub(crate) marks: Vec<Vec<Mark>>,
-    /// (column, row) that a plan chose.
+    /// (column, row) of the selected methods.
     pub(crate) rings: Vec<(usize, usize)>,
 }
 
@@ -42,13 +42,13 @@ pub(crate) struct Map {
     pub(crate) about: String,
     pub(crate) axis: String,
     pub(crate) columns: Vec<String>,
-    /// Names of the rows, and after which of them there is a gap.
+    /// Names of the rows, and the rows that a gap follows.
     pub(crate) rows: Vec<String>,
     pub(crate) gaps: Vec<usize>,
-    /// A row that stands out.
+    /// A highlighted row.
     pub(crate) framed: Vec<(usize, usize, String)>,
     pub(crate) panels: Vec<Panel>,
-    /// What the plan made of each column, and its choices in words.
+    /// Result of the selection in each column, and its choices as text.
     pub(crate) plan: Option<(Vec<Mark>, Vec<String>)>,
 }
 
@@ -57,13 +57,13 @@ const GAP: f64 = 6.0;
 const LEFT: f64 = 208.0;
 const TOP: f64 = 104.0;
 const PANEL_GAP: f64 = 16.0;
-/// Columns of all panels together, at their widest.
+/// Largest width of the columns of all panels together.
 const WIDEST: f64 = 14.0;
 const PANELS_WIDTH: f64 = 1180.0;
-/// The colours' ends, decades from the tolerance.
+/// Ends of the colour scale, decades from the tolerance.
 const ENDS: f64 = 4.0;
 
-/// Blues within, oranges and browns beyond: told apart with any colour vision, and in grey by their shade from pale in the middle
+/// Blue below the tolerance, orange and brown above. The shades differ for any colour vision and in greyscale, palest at the tolerance
 /// (ColorBrewer's PuOr and Blues, Brewer 2003).
 fn colour(log10: f64) -> String {
     const WITHIN: [[f64; 3]; 3] = [

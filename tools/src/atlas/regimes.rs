@@ -1,4 +1,4 @@
-//! What is swept, and what comes of it in words.
+//! The sweeps and the text of their page.
 
 use echotank_core::flow::*;
 use glam::DVec3;
@@ -10,24 +10,24 @@ const CRUISE_M_PER_S: f64 = 2.572;
 
 /// One map.
 pub(crate) struct Regime {
-    /// Of its picture.
+    /// File name of the figure.
     pub(crate) name: &'static str,
     pub(crate) title: &'static str,
-    /// What the columns are, with the unit.
+    /// Quantity of the columns, with its unit.
     pub(crate) axis: &'static str,
     pub(crate) values: &'static [f64],
-    /// Either side of the place where methods break: for the tests.
+    /// Values on both sides of the failure, for tests.
     pub(crate) few: &'static [f64],
     pub(crate) spot: fn(&Base, f64) -> Spot,
-    /// One sentence under the picture.
+    /// One sentence below the figure.
     pub(crate) says: &'static str,
-    /// What the paper's own formula does there.
+    /// Behaviour of the paper's formula.
     pub(crate) paper: &'static str,
     pub(crate) ours: &'static str,
 }
 
 impl Regime {
-    /// What is wrong here no method can know: it believes what it is told of the motion.
+    /// Whether the error lies in the navigation itself, which no method can detect.
     pub(crate) fn is_blind(&self) -> bool {
         self.name.starts_with("navigation")
     }
@@ -46,7 +46,7 @@ impl Regime {
     }
 }
 
-/// Stands for a sonar that culls nothing.
+/// Value that stands for no culling.
 const NO_FLOOR: f64 = -999.0;
 
 const FAULTS: [&str; 9] = [
@@ -172,7 +172,7 @@ pub(crate) const ALL: [Regime; 20] = [
             let edge_s = window_s - pulses * spot.spec.pulse.duration_s;
             let far_m = 0.5 * super::spot::C * edge_s;
             spot.scatterers = scatter(&[place(30.0, 90.0, 0.0), place(far_m, 90.0, 0.0)]);
-            // The echo at the window's end is as loud as the other.
+            // The echo at the window's end has the same strength as the other.
             spot
         },
         says: "An echo that the window's end cuts is cut, and wraps round to nowhere: every method that keeps the tolerance elsewhere keeps it here.",
@@ -283,7 +283,7 @@ pub(crate) const ALL: [Regime; 20] = [
             let spot = base.under_way(CRUISE_M_PER_S);
             let spoil = |k: usize, valid_s: f64, said: &mut Vec<Said>| match which as usize {
                 1 if k % 2 == 1 => said.iter_mut().for_each(|s| s.valid_s -= 0.1),
-                // What held then comes late, and after younger ones.
+                // Late messages, overtaken by newer ones.
                 2 if k % 3 == 2 => {
                     for s in said.iter_mut() {
                         s.valid_s -= 0.15;
@@ -419,7 +419,7 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.transmit[0].pattern = pattern;
             spot.spec.receive[0].element_pattern = pattern;
             spot.spec.model.cull_db = (floor_db != NO_FLOOR).then_some(floor_db);
-            // A swath of flat ground, a few degrees of it inside the beam.
+            // A swath of flat bottom, a few degrees of it inside the beam.
             let points: Vec<DVec3> = (0..48)
                 .map(|k| place(30.0 + 0.2 * f64::from(k % 12), 66.5 + f64::from(k), 12.0))
                 .collect();
@@ -464,7 +464,7 @@ pub(crate) const ALL: [Regime; 20] = [
         few: &[0.0, 0.5, 0.99],
         spot: |base, samples| {
             let mut spot = base.spot();
-            // On the transmitter's own delay: a whole number of samples, and so much more.
+            // The two-way delay is a whole number of samples plus `samples`.
             let rate_hz = spot.rate_hz();
             let delay_s = ((0.041 * rate_hz).round() + samples) / rate_hz;
             let points = [DVec3::new(0.0, 0.5 * super::spot::C * delay_s, DOWN_M)];

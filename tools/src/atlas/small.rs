@@ -1,4 +1,4 @@
-//! Maps of what is no method of summing: simplification where surfaces have no curvature, and places where longitudes end.
+//! Maps of effects outside synthesis: simplification of surfaces without curvature, and positions near the limits of longitude.
 
 use echotank_core::flow::{ScatterLaw, Scatterers};
 use echotank_core::geodesy::LocalTangentPlane;
@@ -10,12 +10,12 @@ use num_complex::Complex64;
 
 use super::picture::{Map, Mark, Panel, Sign};
 
-/// What a level may be off by, dB.
+/// Allowed level error, dB.
 const LEVEL_DB: f64 = 0.5;
-/// What a place may be off by after there and back, metres.
+/// Allowed position error after a round trip, metres.
 const PLACE_M: f64 = 1e-3;
 
-/// Name, map and sentence.
+/// Name, map and sentence of each.
 pub(crate) fn maps() -> Vec<(&'static str, Map, &'static str)> {
     vec![
         ("curvature", curvature(), CURVATURE_SAYS),
@@ -36,13 +36,13 @@ fn ratio(value: f64, tolerance: f64) -> Mark {
     }
 }
 
-/// A bottom of points with its triangles.
+/// A bottom of points with its triangulation.
 struct Ground {
     scatterers: Scatterers,
     triangles: Vec<[u32; 3]>,
 }
 
-/// 21 by 21 points half a metre apart, 20 m to starboard.
+/// 21 by 21 points spaced 0.5 m, 20 m to starboard.
 fn patch(down_m: impl Fn(f64, f64) -> f64) -> Ground {
     const SIDE: u32 = 21;
     let mut scatterers = Scatterers::default();
@@ -97,7 +97,7 @@ fn curvature() -> Map {
             "rough",
             patch(|n, e| 10.0 + 0.1 * (7.0 * n).sin() * (5.0 * e).cos()),
         ),
-        // The first row hides all that is behind it.
+        // The first row hides everything behind it.
         (
             "behind a wall",
             patch(|_, e| if e < -4.9 { -30.0 } else { 10.0 }),
@@ -136,7 +136,7 @@ fn curvature() -> Map {
     }
 }
 
-/// Energies that are no number are shouted.
+/// NaN energies are marked.
 fn level(ground: &Ground, method: Option<Method>) -> Mark {
     let Ground {
         scatterers,

@@ -1,4 +1,4 @@
-//! One sonar in one motion over a handful of points, and how a regime bends it.
+//! One sonar in one motion over a few points, with the parameters that a regime changes.
 
 use echotank_config::spec::{NavInputSpec, NavMode, RigSpec, SonarSpec};
 use echotank_core::flow::*;
@@ -12,22 +12,22 @@ use num_complex::Complex64;
 use crate::track::{ALONG_TRACK, COLUMNS};
 
 pub(crate) const C: f64 = 1500.0;
-/// Of the pulse, and of navigation.
+/// UTC time of navigation samples at the pulse.
 const T0: UtcNs = UtcNs(1_793_611_200 * NS_PER_S);
-/// The ping goes out so long after navigation began.
+/// Time from the start of navigation to the ping, seconds.
 pub(crate) const NAV_BEFORE_S: f64 = 8.0;
-/// ... and navigation goes on for so long after it.
+/// Navigation recorded after the ping, seconds.
 const NAV_AFTER_S: f64 = 8.0;
-/// Knots of a motion known as it is, seconds.
+/// Interval of the knots of an exactly known motion, seconds.
 const KNOT_S: f64 = 0.01;
 
-/// What a regime starts from: the paper's pulse and a short line of elements.
+/// Base case: the paper's pulse and a short line array.
 #[derive(Clone)]
 pub(crate) struct Base {
     pub(crate) rig: RigSpec,
 }
 
-/// How much of everything.
+/// Size of a case.
 #[derive(Clone, Copy)]
 pub(crate) struct Size {
     pub(crate) elements: usize,
@@ -36,13 +36,13 @@ pub(crate) struct Size {
 }
 
 impl Size {
-    /// The paper's: 400 kHz, 30 kHz, 5 ms.
+    /// The paper's pulse: 400 kHz, 30 kHz, 5 ms.
     pub(crate) const PAPER: Self = Self {
         elements: 8,
         duration_ms: 5.0,
         bandwidth_khz: 30.0,
     };
-    /// For tests of seconds.
+    /// For tests that run in seconds.
     pub(crate) const SMALL: Self = Self {
         elements: 2,
         duration_ms: 0.5,
@@ -119,9 +119,9 @@ tolerance = 1e-3
             &format!("{COLUMNS}0,0,0,5,0,0,0\n1,0,0,5,0,0,0\n"),
         );
         write("points.csv", "north_m,east_m,down_m,amplitude\n0,30,10,1\n");
-        let mut rig = echotank_runtime::config_files::parse(&text, folder.path())
-            .unwrap_or_else(|why| panic!("{why}\n{text}"));
-        // A sensor's: a track in a file may be as sparse as it likes.
+        let mut rig =
+            echotank_runtime::config_files::parse(&text, folder.path()).unwrap_or_else(|why| panic!("{why}\n{text}"));
+        // The sample rate of a motion sensor; recorded tracks may be slower.
         rig.nav.sources[0].input = NavInputSpec::Log {
             path: "sensor.log".into(),
             plain_rate_hz: 10.0,
@@ -133,7 +133,7 @@ tolerance = 1e-3
         C / self.rig.sonars[0].pulse.center_frequency_hz
     }
 
-    /// At rest at the origin, 5 m down, before five points between 30 m and 40 m on the starboard side.
+    /// At rest at the origin, 5 m deep, with five points 30 m to 40 m to starboard.
     pub(crate) fn spot(&self) -> Spot {
         let mut points = Vec::new();
         for k in 0..5 {
@@ -152,7 +152,7 @@ tolerance = 1e-3
         }
     }
 
-    /// The same under way.
+    /// The same, moving.
     pub(crate) fn under_way(&self, speed_m_per_s: f64) -> Spot {
         let mut spot = self.spot();
         spot.motion.velocity_m_per_s = DVec3::X * speed_m_per_s;
@@ -160,7 +160,7 @@ tolerance = 1e-3
     }
 }
 
-/// A place so far away, so far from the track, so deep below the platform.
+/// A position by distance, azimuth from the track and depth below the platform.
 pub(crate) fn place(range_m: f64, azimuth_deg: f64, below_m: f64) -> DVec3 {
     let ground_m = (range_m * range_m - below_m * below_m).max(0.0).sqrt();
     let (sin, cos) = azimuth_deg.to_radians().sin_cos();
@@ -169,7 +169,7 @@ pub(crate) fn place(range_m: f64, azimuth_deg: f64, below_m: f64) -> DVec3 {
 
 pub(crate) const DOWN_M: f64 = 5.0;
 
-/// Of equal strength, phases all different.
+/// Scatterers of equal strength with different phases.
 pub(crate) fn scatter(places: &[DVec3]) -> Scatterers {
     let mut scatterers = Scatterers::default();
     for (k, &at_m) in places.iter().enumerate() {
@@ -179,20 +179,20 @@ pub(crate) fn scatter(places: &[DVec3]) -> Scatterers {
     scatterers
 }
 
-/// A platform's way, as it is: uniform, with a swell, turning evenly.
+/// The true motion of the platform: uniform, with swell, at a constant turn rate.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Motion {
     pub(crate) velocity_m_per_s: DVec3,
     pub(crate) heave_m: f64,
-    /// Of a swell.
+    /// Roll amplitude of the swell.
     pub(crate) roll_deg: f64,
-    /// Held.
+    /// Constant pitch.
     pub(crate) pitch_deg: f64,
     pub(crate) heading_deg: f64,
     pub(crate) yaw_deg_per_s: f64,
 }
 
-/// Of the swell, seconds; the pulse leaves somewhere in it.
+/// Period of the swell, seconds; the pulse leaves within it.
 const SWELL_S: f64 = 6.0;
 const ROLL_S: f64 = 5.0;
 
@@ -217,7 +217,7 @@ impl Motion {
         (place_m, angles.map(f64::to_radians))
     }
 
-    /// The motion itself, in knots close together.
+    /// The exact motion, as closely spaced knots.
     pub(crate) fn trajectory(&self, until_s: f64) -> Trajectory {
         let turned = |t: f64| {
             let (_, [roll, pitch, heading]) = self.at(t);
@@ -248,29 +248,29 @@ impl Motion {
     }
 }
 
-/// Everything that a ping is made from.
+/// All inputs of a ping.
 pub(crate) struct Spot {
     pub(crate) spec: SonarSpec,
     rig: RigSpec,
     pub(crate) motion: Motion,
-    /// What navigation makes of the motion; none: the motion itself is known.
+    /// Motion derived from navigation; none if the exact motion is used.
     pub(crate) heard: Option<Trajectory>,
     pub(crate) scatterers: Scatterers,
     pub(crate) first_sample_s: f64,
-    /// Where in the world all this is, to the methods; the truth stays at the origin.
+    /// Position in world coordinates as the methods get it; the truth stays at the origin.
     pub(crate) offset_m: DVec3,
-    /// There will be no ping at all, and why.
+    /// Why no ping is made, if none is.
     pub(crate) refused: Option<String>,
 }
 
-/// One sentence of navigation: seconds from the pulse on which it holds and at which it comes, and what it says.
+/// One navigation message: seconds from the pulse of its validity and of its arrival, and its content.
 pub(crate) struct Said {
     pub(crate) valid_s: f64,
     pub(crate) quantity: NavQuantity,
 }
 
 impl Spot {
-    /// What a sensor tells of the motion every `interval_s`, which `spoil` may change, through the program's own navigation.
+    /// Samples the motion every `interval_s`, lets `spoil` change the messages, and feeds them to the program's navigation.
     pub(crate) fn through_navigation(
         mut self,
         interval_s: f64,
@@ -331,7 +331,7 @@ impl Spot {
         &self.rig
     }
 
-    /// On the motion as it is, at the origin.
+    /// The exact motion, at the origin.
     fn plan(&self) -> PingPlan {
         let order = PingOrder {
             ping_number: 1,
@@ -350,7 +350,7 @@ impl Spot {
         plan
     }
 
-    /// The ping as it truly is, and its scatterers.
+    /// The true ping and its scatterers.
     pub(crate) fn truth(&self) -> (PingPlan, Scatterers) {
         (self.plan(), self.scatterers.clone())
     }

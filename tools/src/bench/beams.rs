@@ -1,11 +1,11 @@
-//! Fans of one line array: milliseconds a ping and the error against delay-and-sum written out in f64, on one line; and what peers need to
-//! beamform the same samples.
+//! Fans of one line array: run time per ping and error against direct delay-and-sum in f64, one line each; also writes the data that peers
+//! beamform.
 //!
-//! Scene: 128 elements half a wavelength apart at 400 kHz, at rest; 2000 points of equal level in the plane of the line and its boresight, 1 to
-//! 149 m away; 24 kHz of LFM, 1 ms; 8000 samples at 40 kHz; 256 beams over 120 degrees. One element transmits (peers know no other place).
-//! Timed: matched filter, steering, sums, one thread. Error: rms of the differences at random samples of random beams over the rms there; want:
-//! every element's matched-filtered row at its own delay by a sinc of 64 taps, times its carrier, for the focus of that very sample (or for
-//! its plane wave), nothing rounded to fractions, zones or f32.
+//! Scene: 128 elements spaced half a wavelength at 400 kHz, at rest. 2000 points of equal level lie in the plane of the line and its
+//! boresight, 1 to 149 m away. Pulse: 24 kHz LFM, 1 ms; 8000 samples at 40 kHz; 256 beams over 120 degrees. One element transmits, because
+//! peers support no other transmitter position. Timed on one thread: matched filter, steering, sums. The error is the rms difference at
+//! random samples of random beams over their rms. The reference delays every element's matched-filtered row by a 64-tap sinc times its
+//! carrier, for the exact focus of the sample (or its plane wave), without rounding to fractions, zones or f32.
 
 use std::f64::consts::{PI, TAU};
 use std::io::{BufRead, Write};
@@ -36,17 +36,17 @@ const SAMPLES: usize = 8000;
 const POINTS: usize = 2000;
 const SECTOR_RAD: f64 = 2.0 * PI / 3.0;
 const TRANSMITTING: usize = ELEMENTS / 2;
-/// Samples that are computed again.
+/// Samples computed again for the error.
 const PROBES: usize = 3000;
-/// No probe nearer: the points begin at 1 m.
+/// Shortest range of a compared sample; the points begin at 1 m.
 const FIRST_PROBE: usize = 80;
-/// Half the reference's sinc.
+/// Half-length of the reference's sinc, taps.
 const REACH: i64 = 32;
 const BETA: f64 = 9.0;
 /// Beams that peers form.
 const PEER_BEAMS: usize = 8;
 
-/// Tapered, so that next to nothing of it lies outside the sampled band: there nobody knows what is between two samples.
+/// Tapered so that almost no energy lies outside the sampled band, where interpolation is undefined.
 fn pulse() -> Pulse {
     Pulse {
         taper: 0.5,
@@ -95,7 +95,7 @@ fn plan() -> PingPlan {
     plan
 }
 
-/// Element samples: every point's pulse at its delay.
+/// Element samples: the sum of every point's delayed pulse.
 fn elements() -> ElementFrame {
     let mut chance = Chance::seeded(5);
     let array = array();
@@ -129,7 +129,7 @@ fn elements() -> ElementFrame {
     }
 }
 
-/// The rows after the matched filter, f64.
+/// Matched-filtered rows, f64.
 fn compressed(frame: &ElementFrame) -> Vec<Complex64> {
     let mut filter = MatchedFilter::new(&pulse(), limits(), Shading::Uniform);
     let mut rows = frame.iq.clone();
@@ -139,7 +139,7 @@ fn compressed(frame: &ElementFrame) -> Vec<Complex64> {
     rows
 }
 
-/// Range along a beam of the point that is heard at the array's centre at `time_s`.
+/// Range along a beam of the point whose echo reaches the array's centre at `time_s`.
 fn range_m(sine: f64, time_s: f64) -> f64 {
     let path_m = C * time_s;
     let tx = transmit_x_m();
@@ -147,7 +147,7 @@ fn range_m(sine: f64, time_s: f64) -> f64 {
     (path_m * path_m - tx * tx) / (2.0 * (path_m - tx * sine))
 }
 
-/// One sample of one beam, written out.
+/// One sample of one beam by the reference.
 fn written_out(rows: &[Complex64], beam: usize, sample: usize, focused: bool) -> Complex64 {
     let array = array();
     let sine = angle_rad(beam).sin();
@@ -183,7 +183,7 @@ fn written_out(rows: &[Complex64], beam: usize, sample: usize, focused: bool) ->
     sum
 }
 
-/// Kaiser's window over -1 to 1.
+/// Kaiser window on [-1, 1].
 fn kaiser(beta: f64) -> impl Fn(f64) -> f64 {
     let i0 = |x: f64| {
         let (mut sum, mut term, mut k) = (1.0, 1.0, 1.0);
@@ -198,11 +198,11 @@ fn kaiser(beta: f64) -> impl Fn(f64) -> f64 {
     move |x: f64| i0(beta * (1.0 - x * x).max(0.0).sqrt()) / middle
 }
 
-/// Times of one call of `work` on this thread, milliseconds.
+/// Run times of repeated calls of `work` on this thread, milliseconds.
 #[derive(Clone, Copy)]
 struct Took {
     wall: f64,
-    /// On a core; as `wall` where the system does not say.
+    /// Processor time; the wall time where the system does not report it.
     core: f64,
 }
 
@@ -221,7 +221,7 @@ fn timed(work: impl FnOnce()) -> Took {
     }
 }
 
-/// The least and the median.
+/// Minimum and median.
 fn least_and_median(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
@@ -283,10 +283,10 @@ const FORMERS: [Former; 5] = [
     Former::DynamicFocus,
 ];
 
-/// Elements x points (beams x samples) of a ping.
+/// Products of elements and points, or of beams and samples, of a ping.
 const TERMS: f64 = (ELEMENTS * BEAMS * SAMPLES) as f64;
 
-/// Every former alone, then the focused fan while another core synthesises the echoes.
+/// Times every beamformer alone, then the focused fan while another core synthesises echoes.
 pub(crate) fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
     let mut report = Report::new();
     let frame = elements();
@@ -299,7 +299,7 @@ pub(crate) fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
             let mut took: Vec<Took> = (0..=runs)
                 .map(|_| timed(|| fan.form(&plan(), &frame, &mut out)))
                 .collect();
-            // The first grows the buffers.
+            // The first run grows the buffers.
             took.remove(0);
             (took, error(&probes, former == Former::DynamicFocus, &out))
         });
@@ -330,7 +330,7 @@ pub(crate) fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
     report.keep(json)
 }
 
-/// Echoes on one core and focused beams on another, ping after ping.
+/// Synthesises echoes on one core and forms focused beams on another, ping after ping.
 fn together(
     synthesis: Synthesis,
     count: usize,
@@ -353,7 +353,7 @@ fn together(
         pool(1).map_err(|e| e.to_string())?,
         pool(1).map_err(|e| e.to_string())?,
     );
-    // Two frames go round, so that neither waits for the other's memory.
+    // Two frames circulate, so that neither side waits for a buffer.
     let (filled, take) = sync_channel::<PingOutput>(1);
     let (back, empty) = sync_channel::<PingOutput>(2);
     let mut pipeline = synthesiser
@@ -413,7 +413,7 @@ fn together(
     Ok(())
 }
 
-/// Error of the element samples by the pipeline's own error check: against the reference, rms at random samples.
+/// Error of the element samples by the pipeline's error check: rms at random samples against the reference.
 fn checked(
     mut spec: SonarSpec,
     medium: &config::spec::MediumSpec,
@@ -436,7 +436,7 @@ fn checked(
     Err(format!("no error check in {PINGS} pings"))
 }
 
-/// The fan's array in a configuration (found from the repository's root) of its own: the multibeam's, with this pulse and window.
+/// The fan's array as a configuration: multibeam.toml, found from the repository root, with this pulse and window.
 fn sonar(synthesis: Synthesis) -> Result<(SonarSpec, config::spec::MediumSpec), String> {
     let file = Path::new("hil-configs/multibeam.toml");
     let rig = echotank_runtime::config_files::load(file)
@@ -454,7 +454,7 @@ fn sonar(synthesis: Synthesis) -> Result<(SonarSpec, config::spec::MediumSpec), 
     spec.settings.pulse_duration_s = pulse().duration_s;
     spec.limits.range_m = (range_m, range_m);
     spec.limits.pulse_duration_s = (pulse().duration_s, pulse().duration_s);
-    // The line's engine takes no polyline; the motion is straight, and its pieces are the same.
+    // The line engine does not support polyline; for straight motion its segments are the same.
     spec.model.path = match synthesis {
         Synthesis::Gridded2d => PathModel::KSegment,
         _ => PathModel::Polyline,
@@ -468,7 +468,7 @@ fn sonar(synthesis: Synthesis) -> Result<(SonarSpec, config::spec::MediumSpec), 
     Ok((spec, medium))
 }
 
-/// A flat bottom 30 m down, 36 to 145 m away in slant range.
+/// A flat bottom at 30 m depth, 36 to 145 m away in slant range.
 fn bottom(count: usize) -> Scatterers {
     let mut chance = Chance::seeded(3);
     let mut scatterers = Scatterers::default();
@@ -483,12 +483,12 @@ fn bottom(count: usize) -> Scatterers {
     scatterers
 }
 
-/// Beams whose samples peers form: over the whole sector.
+/// Beams whose samples peers form, spread over the sector.
 fn peer_beam(i: usize) -> usize {
     i * (BEAMS - 1) / (PEER_BEAMS - 1)
 }
 
-/// For peers: matched-filtered rows, the elements' places, the points of some beams, and what their samples ought to be.
+/// Writes the data for peers: matched-filtered rows, element positions, points of some beams and their expected samples.
 pub(crate) fn dump(directory: &Path) -> Result<(), String> {
     std::fs::create_dir_all(directory).map_err(|e| format!("{}: {e}", directory.display()))?;
     let rows = compressed(&elements());
@@ -523,8 +523,8 @@ pub(crate) fn dump(directory: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// Answers one line per line of standard input: a former's name with `WALL CORE ERROR` (milliseconds) of one ping of all beams, one thread; the error over
-/// the beams that peers form.
+/// Reads the name of a beamformer per input line. Prints `WALL CORE ERROR` (milliseconds) of one ping of all beams on one thread; the error
+/// is over the beams that peers form.
 pub(crate) fn serve() -> Result<(), String> {
     let frame = elements();
     let rows = compressed(&frame);

@@ -1,8 +1,8 @@
-//! Synthesis methods on one scene's arrivals: error and milliseconds of each on one line; what a whole ping takes is `whole`'s.
+//! Synthesis methods on one scene's arrivals: error and run time, one line each. See `whole` for whole pings.
 //!
-//! Timed: arrivals of all elements to samples through the receiver filter, one thread, best of some runs. Not timed: the walk that makes
-//! the arrivals, noise, gain, converter. Error: one element, the first 2000 scatterers, worst window of a pulse's length, against the
-//! direct sum 256 B dense.
+//! Timed: from the arrivals of all elements to samples behind the receiver filter, one thread, fastest of several runs. Not timed:
+//! computing the arrivals, noise, gain, converter. Error: one element, the first 2000 scatterers, largest error in a window of a pulse
+//! length, against the direct sum with 256 points per bandwidth.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -24,14 +24,14 @@ const ELEMENTS: usize = 5;
 const ERROR_SCATTERERS: usize = 2000;
 const TRUTH_DENSITY: f64 = 256.0;
 const DIRECT_DENSITY: f64 = 8.0;
-/// Room for Doppler in the receiver filter, and the engine's span: a platform of 5 m/s.
+/// Doppler allowance of the receiver filter and the engine: platform speed, m/s.
 const FASTEST_M_PER_S: f64 = 5.0;
 
-/// Samples of one element out of its arrivals.
+/// Synthesises the samples of one element from its arrivals.
 trait Method {
     fn name(&self) -> String;
     fn element(&mut self, chunks: &[ArrivalChunk], out: &mut [Complex64]);
-    /// What it says of itself.
+    /// Error that the method predicts.
     fn says(&self) -> String {
         String::new()
     }
@@ -93,7 +93,7 @@ impl Gridded {
         arrivals: usize,
     ) -> Result<Self, GriddedError> {
         let fastest = 2.0 * FASTEST_M_PER_S / SOUND_SPEED_M_PER_S;
-        // Denser filters differ from one another by some 1e-8: below that it must be the truth's own.
+        // Denser filters differ by about 1e-8; a smaller error requires the reference's own filter.
         let density = if tolerance < 1e-6 {
             TRUTH_DENSITY
         } else {
@@ -110,7 +110,7 @@ impl Gridded {
                 least: -fastest,
                 greatest: fastest,
             },
-            // A platform of that speed at 36 m: 25/(36 1500).
+            // A platform of that speed at 36 m range: 25/(36 1500).
             curvature_per_s: 5e-4,
             tolerance,
             level_range_db: 55.0,
@@ -145,8 +145,8 @@ impl Method for Gridded {
     }
 }
 
-/// What simulators usually do: every echo to the nearest sample, or shared between two, with its carrier phase; one transmitted pulse
-/// for all, no Doppler.
+/// Common practice of simulators: every echo is placed at the nearest sample or split between two, with its carrier phase. One transmitted
+/// pulse for all echoes, no Doppler.
 struct Samples {
     linear: bool,
     carrier_hz: f64,
@@ -228,7 +228,7 @@ impl Method for Samples {
     }
 }
 
-/// Largest relative error over windows of a pulse's length in which the echoes are whole.
+/// Largest relative error over windows of a pulse length that contain whole echoes.
 fn windowed(got: &[Complex64], want: &[Complex64]) -> f64 {
     let length = (DURATION_S * SAMPLE_RATE_HZ) as usize;
     let (first, last) = (0.05, 0.195);
@@ -249,7 +249,7 @@ fn doppler_span(chunks: &[Vec<ArrivalChunk>]) -> DopplerSpan {
     DopplerSpan { least, greatest }
 }
 
-/// Prints and keeps one line per scene and method.
+/// Prints and records one line per scene and method.
 pub(crate) fn run(quick: bool, report: &mut Report) {
     println!(
         "sums alone: {ELEMENTS} elements, 400 kHz, 30 kHz, 5 ms, 36..150 m, one thread; without the walk over the scatterers and the receiver"

@@ -2,11 +2,11 @@
 //! rays, 60 m, 29.9 kHz.
 //!
 //! Timed, from each ray's range and fixed complex reflectivity to time samples of every beam: delay and two-way spreading of the ray; each
-//! beam's spectrum of its own rays on 2392 frequencies; window; every beam hears its neighbours by their pattern (a 512 x 512 matrix that
-//! depends on the difference of sines, so here on even steps of sine a convolution); inverse transform. Not timed: casting the rays (DAVE
-//! takes them from a depth camera), drawing the reflectivities, noise, any picture. It is DAVE's arithmetic on this library's transform, not
-//! a ping of the pipeline. Error: of four beams of the last result against the same arithmetic in f64 with every exponential and the whole
-//! matrix written out, over all their samples.
+//! beam's spectrum of its own rays on 2392 frequencies; window; leakage between beams by their pattern (a 512 x 512 matrix that depends on
+//! the difference of sines, and is thus a convolution on uniform steps of sine); inverse transform. Not timed: casting the rays (DAVE takes
+//! them from a depth camera), drawing the reflectivities, noise, images. This is DAVE's arithmetic on this library's transform, not a ping
+//! of the pipeline. Error: all samples of four beams of the last result against the same arithmetic in f64, with every exponential and the
+//! whole matrix evaluated directly.
 
 use std::f64::consts::TAU;
 use std::time::Instant;
@@ -28,12 +28,12 @@ const SOUND_SPEED_M_PER_S: f64 = 1500.0;
 /// 2392 frequencies.
 const BINS: usize = (BANDWIDTH_HZ * 2.0 * RANGE_M / SOUND_SPEED_M_PER_S) as usize;
 const PERIOD_S: f64 = BINS as f64 / BANDWIDTH_HZ;
-/// Half of the fan, as a sine, and the beams' width.
+/// Half the fan, as a sine, and the beam width.
 const SECTOR_SINE: f64 = 0.707;
 const WIDTH_RAD: f64 = 0.017_453;
-/// Pings timed.
+/// Number of timed pings.
 const RUNS: usize = 9;
-/// Beams of the convolution: none wraps round.
+/// Beams of the circular convolution, padded so that none wraps around.
 const PADDED: usize = 2 * BEAMS;
 
 struct Rays {
@@ -42,7 +42,7 @@ struct Rays {
 }
 
 impl Rays {
-    /// Delays and amplitudes: spherical spreading both ways.
+    /// Delays and amplitudes with two-way spherical spreading.
     fn heard(&self) -> impl Iterator<Item = (f64, Complex32)> {
         let rays = self.range_m.iter().zip(&self.reflectivity);
         rays.map(|(r, strength)| (2.0 * r / SOUND_SPEED_M_PER_S, strength / (r * r) as f32))
@@ -65,19 +65,19 @@ fn rays() -> Vec<Rays> {
         .collect()
 }
 
-/// Hamming, over frequencies.
+/// Hamming window over frequency.
 fn window(bin: usize) -> f64 {
     0.54 - 0.46 * (TAU * bin as f64 / (BINS - 1) as f64).cos()
 }
 
-/// How loud a beam is heard `steps` beams away.
+/// Leakage from a beam `steps` beams away.
 fn neighbour(steps: i64) -> f64 {
     let sine = steps as f64 * 2.0 * SECTOR_SINE / (BEAMS - 1) as f64;
     let x = std::f64::consts::PI * 0.884 / WIDTH_RAD * sine;
     if x == 0.0 { 1.0 } else { x.sin() / x }
 }
 
-/// Beam `beam`'s spectrum before mixing, every exponential written out.
+/// Spectrum of beam `beam` before leakage, every exponential evaluated directly.
 fn plain(rays: &Rays) -> Vec<Complex64> {
     (0..BINS)
         .map(|k| {
@@ -94,7 +94,7 @@ fn plain(rays: &Rays) -> Vec<Complex64> {
         .collect()
 }
 
-/// Some beams by plain sums in f64.
+/// Some beams by direct sums in f64.
 fn want(rays: &[Rays], beams: &[usize]) -> Vec<Vec<Complex64>> {
     let all: Vec<Vec<Complex64>> = rays.par_iter().map(plain).collect();
     let inverse = f64::plan_inverse(BINS);
@@ -114,7 +114,7 @@ fn want(rays: &[Rays], beams: &[usize]) -> Vec<Vec<Complex64>> {
         .collect()
 }
 
-/// Prints and keeps one line per tolerance and number of threads.
+/// Prints and records one line per tolerance and number of threads.
 pub(crate) fn run(threads: &[usize], report: &mut Report) -> Result<(), String> {
     println!(
         "forward-looking: {BEAMS} beams x {RAYS} rays, {RANGE_M} m, {BINS} frequencies, from ranges and reflectivities to every beam's time samples, \
@@ -152,12 +152,12 @@ pub(crate) fn run(threads: &[usize], report: &mut Report) -> Result<(), String> 
     Ok(())
 }
 
-/// Milliseconds of each ping, and the last one's beams.
+/// Milliseconds of each ping, and the beams of the last.
 fn measure(rays: &[Rays], width: usize) -> (Vec<f64>, Vec<Complex32>) {
     let plan = Transform1d::<f32>::new(BINS, PERIOD_S, width, 2.0, SimdLevel::best());
     let (forward, backward) = (f32::plan_forward(PADDED), f32::plan_inverse(PADDED));
     let inverse = f32::plan_inverse(BINS);
-    // The mixing's own spectrum, even in beams.
+    // Transform of the leakage over beams.
     let mut mixing: Vec<Complex32> = (0..PADDED)
         .map(|k| {
             let steps = if k < BEAMS { k } else { PADDED - k };
@@ -169,7 +169,7 @@ fn measure(rays: &[Rays], width: usize) -> (Vec<f64>, Vec<Complex32>) {
     let mut spectra = vec![Complex32::ZERO; BEAMS * BINS];
     let mut turned = vec![Complex32::ZERO; BEAMS * BINS];
     let mut beams = vec![Complex32::ZERO; BEAMS * BINS];
-    // Frequencies that a thread mixes together.
+    // Frequencies that a thread processes together.
     const TOGETHER: usize = 8;
     let mut took_ms = Vec::new();
     for _ in 0..RUNS {
@@ -189,7 +189,7 @@ fn measure(rays: &[Rays], width: usize) -> (Vec<f64>, Vec<Complex32>) {
                 plan.execute(work, delay_s, amplitude, out);
             },
         );
-        // Frequency by frequency: all beams of it, mixed.
+        // Convolves the beams of each frequency.
         turned
             .par_chunks_mut(TOGETHER * BEAMS)
             .enumerate()

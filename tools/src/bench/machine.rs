@@ -1,4 +1,4 @@
-//! What was measured on, and how busy it was.
+//! The machine and its load during a measurement.
 
 fn first_line(path: &str, key: &str) -> Option<String> {
     let text = std::fs::read_to_string(path).ok()?;
@@ -6,7 +6,7 @@ fn first_line(path: &str, key: &str) -> Option<String> {
     Some(line.split(':').next_back()?.trim().to_string())
 }
 
-/// Processor, cores, vector instructions and the load of the last minute.
+/// Processor, cores, vector instructions and one-minute load average.
 pub(crate) fn describe() -> String {
     let processor = first_line("/proc/cpuinfo", "model name").unwrap_or_else(|| "unknown".into());
     let cores = std::thread::available_parallelism().map_or(0, std::num::NonZero::get);
@@ -18,7 +18,7 @@ pub(crate) fn describe() -> String {
     )
 }
 
-/// Runnable tasks averaged over the last minute; above 1 or so a measurement of one thread on two cores suffers.
+/// One-minute load average; above about 1, a single-thread measurement on two cores is disturbed.
 pub(crate) fn load() -> String {
     std::fs::read_to_string("/proc/loadavg")
         .ok()

@@ -1,6 +1,6 @@
-//! Sentences per second: framing and decoding to samples, against the crate `nmea` alone and against pynmea2, on the same sentences in one run.
+//! Sentences per second of framing and decoding, against the crate `nmea` and pynmea2 on the same sentences.
 //!
-//! Ours finds the sentences in the bytes, checks and stamps them; the others are handed one sentence at a time, already cut.
+//! This program finds the sentences in the bytes, checks and timestamps them; the others get one sentence at a time.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -16,7 +16,7 @@ use glam::DVec3;
 
 use super::report::Report;
 
-/// Rounds of which the best and the median are printed.
+/// Rounds; the fastest and the median are printed.
 const ROUNDS: usize = 7;
 
 pub(crate) fn run(
@@ -125,7 +125,7 @@ pub(crate) fn run(
 struct Rounds {
     best_per_s: f64,
     median_per_s: f64,
-    /// Of the log's sentences.
+    /// Mean length of the log's sentences.
     understood: u64,
 }
 
@@ -162,7 +162,7 @@ fn row(report: &mut Report, name: &str, r: &Rounds, of: usize) {
     );
 }
 
-/// Best and median sentences per second, and how many are understood, from `tools/peers_nav.py`.
+/// Best and median sentences per second, and the number decoded, from `tools/peers_nav.py`.
 fn pynmea2(python: &Path, sentences: &[String], count: usize) -> Result<String, String> {
     let failed = |e: std::io::Error| format!("{}: {e}", python.display());
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tools/peers_nav.py");

@@ -1,7 +1,7 @@
-//! Pings of a configuration through the whole pipeline: percentiles of milliseconds, and what the error check says.
+//! Pings of a configuration through the whole pipeline: percentiles of run time, and the result of the error check.
 //!
-//! Timed: everything from the ping's order to its element samples, beams and lines (`run::rig::Rig::make`). Not timed: records and
-//! delivery. As fast as it goes, on the navigation's own virtual time.
+//! Timed: from the ping request to its element samples, beams and side-scan lines (`Rig::make`). Not timed: records and delivery. Pings
+//! follow each other without pacing, on the navigation's virtual time.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -17,10 +17,10 @@ use echotank_runtime::io::nav::NavInputs;
 
 use super::report::Report;
 
-/// Pings before the first that counts: buffers grow, tiles are made.
+/// Untimed first pings, in which buffers grow and tiles are generated.
 const WARM_UP: usize = 5;
 
-/// Prints and keeps one line per number of threads.
+/// Prints and records one line per number of threads.
 pub(crate) fn run(file: &Path, quick: bool, json: Option<&Path>) -> Result<(), String> {
     let mut report = Report::new();
     let mut spec = echotank_runtime::config_files::load(file)

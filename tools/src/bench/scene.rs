@@ -1,4 +1,4 @@
-//! The scene that all methods and peers are timed on: a side-scan swath over a rough bottom, as the echo model hands it over.
+//! The scene on which all methods and peers are timed: a side-scan swath over a rough bottom, as the echo model passes it on.
 //!
 //! Sonar 30 m above the bottom, slant ranges 36 to 150 m, azimuth within a sector about broadside, array along the track, uniform motion.
 
@@ -15,20 +15,20 @@ pub(crate) use super::rig::{C as SOUND_SPEED_M_PER_S, CARRIER_HZ};
 pub(crate) const BANDWIDTH_HZ: f64 = 30e3;
 pub(crate) const DURATION_S: f64 = 5e-3;
 pub(crate) const SAMPLE_RATE_HZ: f64 = 40e3;
-/// The transform's period and bins: bandwidth times period.
+/// Period and bins of the transform: bandwidth times period.
 pub(crate) const PERIOD_S: f64 = 0.2048;
 pub(crate) const BINS: usize = 6144;
 pub(crate) const WINDOW_S: f64 = 0.21;
-/// Leading edges of the first and the last echo, about.
+/// Approximate leading edges of the first and the last echo.
 pub(crate) const ECHOES_S: [f64; 2] = [0.0485, 0.1985];
 
 #[derive(Clone, Copy)]
 pub(crate) struct Shape {
     pub(crate) scatterers: usize,
     pub(crate) speed_m_per_s: f64,
-    /// Azimuth about broadside, either side.
+    /// Azimuth limits about broadside.
     pub(crate) sector_deg: f64,
-    /// Fraction of the pulse under its flanks.
+    /// Share of the pulse under its tapers.
     pub(crate) taper: f64,
 }
 
@@ -38,7 +38,7 @@ pub(crate) struct Scene {
     pub(crate) scatterers: Scatterers,
 }
 
-/// Draws in 0..1.
+/// Uniform random numbers in 0..1.
 pub(crate) struct Chance(ChaCha8Rng);
 
 impl Chance {
@@ -56,7 +56,7 @@ impl Chance {
 }
 
 impl Scene {
-    /// Scatterers in no order at all.
+    /// Scatterers in random order.
     pub(crate) fn new(shape: Shape) -> Self {
         let mut chance = Chance::seeded(1);
         let mut scatterers = Scatterers::default();
@@ -79,7 +79,7 @@ impl Scene {
         }
     }
 
-    /// A line of omnidirectional elements half a wavelength apart, along the track.
+    /// A line of omnidirectional elements spaced half a wavelength along the track.
     pub(crate) fn array(&self, elements: usize) -> ArrayGeometry {
         ArrayGeometry {
             sensitivity_db: -180.0,
@@ -87,14 +87,14 @@ impl Scene {
         }
     }
 
-    /// Arrivals at each element, as the walk makes them.
+    /// Arrivals at each element.
     pub(crate) fn chunks(&self, elements: usize) -> Vec<Vec<ArrivalChunk>> {
         (0..elements)
             .map(|element| self.chunks_at(elements, element))
             .collect()
     }
 
-    /// The same at one of `elements`.
+    /// Arrivals at one of `elements`.
     pub(crate) fn chunks_at(&self, elements: usize, element: usize) -> Vec<ArrivalChunk> {
         let mut transmit_leg = TransmitLeg::new();
         let window = Window {

@@ -1,23 +1,23 @@
-//! Where the time of a line array's ping goes: core milliseconds by stage, beside what the processor's peaks would allow.
+//! Time of a line array's ping by stage: core milliseconds, and the limit by the processor's peak rates.
 //!
-//! Operations and bytes are counted from the sizes that the tasks report; the peaks are measured in the same run, on one core.
+//! Operations and bytes follow from the sizes that the tasks report. Peak rates are measured in the same run, on one core.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
 use echotank_synthesis::array::gridded2d::{Stage, Stages, TaskReport};
 
-/// One complex number of a grid in f32.
+/// Bytes of a complex grid value in f32.
 const COMPLEX_BYTES: f64 = 8.0;
-/// Points of interpolation in the tables of the pulse.
+/// Interpolation points in the pulse tables.
 const PULSE_POINTS: f64 = 8.0;
 
-/// A ping by stages: of the run that took least.
+/// Stage times of the fastest run.
 #[derive(Default)]
 pub(crate) struct Profile {
     pub(crate) insonify: Duration,
     pub(crate) stages: Stages,
-    /// Walls of all that the engine did.
+    /// Wall time of all engine calls.
     pub(crate) synthesise: Duration,
     pub(crate) reports: Vec<TaskReport>,
 }
@@ -109,7 +109,7 @@ impl Profile {
 #[derive(Default)]
 struct Work {
     flops: f64,
-    /// Read or written once, were there no caches.
+    /// Bytes read or written once, assuming no caches.
     bytes: f64,
 }
 
@@ -136,7 +136,7 @@ impl Work {
                 )
             }
             Stage::Elements => (
-                // Two elements at a time: their even and odd powers, then two rotors' worth of sums.
+                // Two elements at a time: even and odd powers, then sums for two rotors.
                 columns * heard * 0.5 * elements * (4.0 * powers + 16.0),
                 heard * elements,
             ),
@@ -151,7 +151,7 @@ impl Work {
     }
 }
 
-/// What one core can do.
+/// Peak rates of one core.
 struct Roof {
     flops: f64,
     memory: f64,
@@ -186,18 +186,18 @@ impl Roof {
 }
 
 const ROUNDS: usize = 2_000_000;
-/// Independent sums: enough to hide a fused multiplication's latency.
+/// Number of independent sums, enough to hide the latency of a fused multiply-add.
 const SUMS: usize = 12;
 
 fn fused_per_s() -> f64 {
     let start = Instant::now();
     #[cfg(target_arch = "x86_64")]
     let lanes = if std::arch::is_x86_feature_detected!("avx512f") {
-        // SAFETY: just detected.
+        // SAFETY: the CPU feature was just detected.
         unsafe { fused_avx512() };
         16
     } else if std::arch::is_x86_feature_detected!("fma") {
-        // SAFETY: just detected.
+        // SAFETY: the CPU feature was just detected.
         unsafe { fused_avx2() };
         8
     } else {
@@ -212,7 +212,7 @@ fn fused_per_s() -> f64 {
     (2 * lanes * SUMS * ROUNDS) as f64 / start.elapsed().as_secs_f64()
 }
 
-/// By intrinsics: a compiler makes sixteen scalar multiplications of arrays.
+/// Intrinsics, because the compiler turns arrays into sixteen scalar multiplications.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f")]
 fn fused_avx512() {

@@ -1,5 +1,5 @@
-//! The one-dimensional transform alone, on given points: `dump` writes them, `serve` runs on request, so that a peer in another process
-//! can be timed turn by turn on the same data.
+//! The one-dimensional transform alone on given points: `dump` writes them, `serve` runs on request, so that peers in another process are
+//! timed alternately on the same data.
 
 use std::io::{BufRead, Write};
 use std::path::Path;
@@ -19,7 +19,7 @@ struct Points {
 }
 
 impl Points {
-    /// Arrivals at one element of a line over the scene, in no order.
+    /// Arrivals at one element of a line over the scene, in random order.
     fn new(scatterers: usize, elements: usize, element: usize) -> Self {
         let scene = Scene::new(Shape {
             scatterers,
@@ -43,7 +43,7 @@ impl Points {
         points
     }
 
-    /// Phasor recurrence over the bins, started afresh every 64: below 1e-14.
+    /// Phasor recurrence over the bins, restarted every 64; error below 1e-14.
     fn direct(&self) -> Vec<Complex64> {
         const RESTART: usize = 64;
         const LANES: usize = 8;
@@ -55,7 +55,7 @@ impl Points {
                 let turns = k * u / PERIOD_S;
                 Complex64::from_polar(1.0, -std::f64::consts::TAU * (turns - turns.round()))
             };
-            // Starts of all blocks by their own recurrence would lose digits; of every 16th by sine and cosine, the rest by one product.
+            // Starting all blocks by recurrence would lose digits. Every 16th starts by sine and cosine, the others by one product.
             let (fine, step): (Vec<_>, _) = (
                 (0..16).map(|b| phasor((b * RESTART) as f64)).collect(),
                 phasor(LANES as f64),
@@ -89,7 +89,7 @@ fn write(path: &Path, values: impl IntoIterator<Item = f64>) -> Result<(), Strin
     std::fs::write(path, bytes).map_err(|e| format!("{}: {e}", path.display()))
 }
 
-/// Writes `delay_s.f64`, `amplitude.c128` and `direct.c128` into `directory`, little-endian and raw.
+/// Writes `delay_s.f64`, `amplitude.c128` and `direct.c128` into `directory`, raw little-endian.
 pub(crate) fn dump(
     directory: &Path,
     scatterers: usize,
@@ -135,7 +135,7 @@ fn complex(values: &[f64]) -> Vec<Complex64> {
 trait Runner {
     /// Milliseconds of one transform.
     fn run(&mut self) -> f64;
-    /// Of the last one, against the direct sum.
+    /// Error of the last transform against the direct sum.
     fn error(&self, want: &[Complex64]) -> f64;
 }
 
@@ -189,8 +189,8 @@ impl<T: Real + Into<f64>> Runner for Prepared<T> {
     }
 }
 
-/// Answers one line per line of standard input: `f32|f64 WIDTH OVERSAMPLING SIMD_LEVEL` with `MILLISECONDS ERROR`, one transform each.
-/// Dialect: portable, avx2, avx512 or best.
+/// Reads `f32|f64 WIDTH OVERSAMPLING SIMD_LEVEL` per input line and prints `MILLISECONDS ERROR` of one transform. SIMD level: portable,
+/// avx2, avx512 or best.
 pub(crate) fn serve(directory: &Path) -> Result<(), String> {
     let delay_s = std::rc::Rc::new(read(&directory.join("delay_s.f64"))?);
     let amplitude = complex(&read(&directory.join("amplitude.c128"))?);

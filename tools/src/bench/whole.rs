@@ -1,9 +1,9 @@
 //! Whole pings: from scatterers to the time samples of every element.
 //!
 //! Timed: transmit leg, sonar equation, delays and Doppler of every element, templates for the ping's motion, receiver filter, return to
-//! time. Not timed: noise, gain, converter. Error, as the contract has it: windows of a pulse's length at random elements, the first and the
-//! last of the ping's echoes among them; in each some random samples of the timed ping are computed again through the reference's equation
-//! on the continuous motion. rms of the differences over the rms of the window: the worst window, and over all.
+//! time. Not timed: noise, gain, converter. Error: windows of a pulse length at random elements, including the first and last echoes of the
+//! ping. In each, some random samples of the timed ping are computed again by the reference's equation on the continuous motion. The error
+//! is the rms difference over the rms of the window: for the worst window, and over all.
 
 use std::sync::Mutex;
 use std::time::Instant;
@@ -31,20 +31,20 @@ use super::scene::{ECHOES_S, SOUND_SPEED_M_PER_S, Scene, Shape, WINDOW_S};
 use super::stages::Profile;
 use super::transform::simd_level_named;
 
-/// Holds 30 kHz and the Doppler of 10 m/s over +-60 degrees.
+/// Pass band for 30 kHz and the Doppler of 10 m/s over +-60 degrees.
 const RATE_HZ: f64 = 52e3;
 const ENGINE_DENSITY: f64 = 26.0;
-/// Windows in which samples are computed again, and how many in each: eight estimate a window's error to a quarter.
+/// Windows with samples computed again, and samples in each; eight estimate a window's error to a quarter.
 const WINDOWS: usize = 8;
 const SAMPLES: usize = 8;
-/// Of ever so many scatterers fewer are: what sounds in a window takes seconds to sum.
+/// Fewer windows for many scatterers, because each takes seconds to sum.
 const MANY: usize = 1_500_000;
-/// How long is waited.
+/// Time limits.
 #[derive(Clone, Copy)]
 pub(crate) struct Effort {
-    /// A method whose ping takes longer is left out, core seconds.
+    /// Methods whose ping takes longer are skipped, core seconds.
     patience_s: f64,
-    /// Runs end when they have taken this long together, seconds.
+    /// Runs end after this total time, seconds.
     runs_s: f64,
     max_scatterers: usize,
 }
@@ -61,16 +61,16 @@ pub(crate) const QUICK: Effort = Effort {
     max_scatterers: 50_000,
 };
 
-/// Of `direct` and `spectral`, per scatterer and element, at most.
+/// Largest predicted cost of `direct` and `spectral`, per scatterer and element.
 const DIRECT_S: f64 = 8e-7;
-/// Of `gridded-1d`.
+/// The same for `gridded-1d`.
 const GRIDDED_S: f64 = 1.5e-8;
-/// Runs of each, at most.
+/// Maximum number of runs of each method.
 const RUNS: usize = 9;
-/// Scatterers of one square lie together, as a scene's tiles have them.
+/// Scatterers of one square are stored together, as in a scene's tiles.
 const TILE_M: f64 = 3.0;
 
-/// What is measured.
+/// One measured ping.
 #[derive(Clone, Copy)]
 pub(crate) struct Ping {
     pub(crate) name: &'static str,
@@ -87,11 +87,11 @@ const AHEAD: DVec3 = DVec3::new(5.0, 0.0, 0.0);
 const SEAWAY: DVec3 = DVec3::new(5.0, 0.3, 0.3);
 const FAST: DVec3 = DVec3::new(10.0, 0.3, 0.3);
 
-/// Elements from which an engine for lines is asked.
+/// Smallest number of elements for which a line engine is made.
 const MIN_LINE: usize = 4;
 
 impl Ping {
-    /// What `--only` looks at.
+    /// Text that `--only` searches.
     fn label(&self) -> String {
         let v = self.velocity_m_per_s;
         format!(
@@ -126,8 +126,7 @@ const fn ping(
     }
 }
 
-/// Every number of elements and of scatterers under way; then what sector, speed and tolerance change; then what is to be reached in real
-/// time.
+/// All numbers of elements and scatterers while moving; then the effect of sector, speed and tolerance; then the real-time target.
 pub(crate) const PINGS: [Ping; 30] = [
     ping("paper", 5, 42_936, 15.0, STILL, 1e-3),
     ping("paper", 5, 42_936, 15.0, SEAWAY, 1e-3),
@@ -161,7 +160,7 @@ pub(crate) const PINGS: [Ping; 30] = [
     ping("goal", 256, 4_000_000, 15.0, SEAWAY, 1e-3),
 ];
 
-/// Everything made before the first ping.
+/// Everything prepared before the first ping.
 struct Ready {
     ping: Ping,
     effort: Effort,
@@ -169,31 +168,31 @@ struct Ready {
     array: ArrayGeometry,
     filter: Decimator,
     iq: Vec<Complex64>,
-    /// Samples by the reference, window by window; made when first asked for.
+    /// Reference samples by window, computed on first use.
     truth: Vec<Looked>,
 }
 
-/// A window of one element, and what some of its samples are by the reference.
+/// A window of one element, with reference values of some of its samples.
 struct Looked {
     element: usize,
     window: std::ops::Range<usize>,
     samples: Vec<(usize, Complex64)>,
 }
 
-/// rms of the differences over the rms of the window.
+/// rms difference over the rms of the window.
 struct Error {
     worst: f64,
     all: f64,
 }
 
-/// Milliseconds of some runs.
+/// Milliseconds of several runs.
 struct Took {
     best_ms: f64,
     median_ms: f64,
     runs: usize,
 }
 
-/// What a method took, and what it says of itself.
+/// Time of a method and the error it predicts.
 type Outcome = Result<(Took, String), String>;
 
 impl Ready {
@@ -320,7 +319,7 @@ impl Ready {
         looked
     }
 
-    /// Of the last ping made.
+    /// Output of the last ping.
     fn error(&mut self) -> Error {
         if self.truth.is_empty() {
             self.truth = self.look();
@@ -349,7 +348,7 @@ impl Ready {
     }
 }
 
-/// Stores scatterers of one square together.
+/// Reorders scatterers so that those of one square are adjacent.
 fn by_tiles(scatterers: &mut Scatterers) {
     let mut order: Vec<usize> = (0..scatterers.len()).collect();
     order.sort_by_key(|&i| {
@@ -368,7 +367,7 @@ fn by_tiles(scatterers: &mut Scatterers) {
     *scatterers = sorted;
 }
 
-/// Some runs after a first that grows buffers; fewer where one takes long.
+/// Times several runs after a first that grows buffers; fewer if a run takes long.
 fn timed(effort: Effort, mut run: impl FnMut()) -> Took {
     let started = Instant::now();
     let mut taken = Vec::new();
@@ -391,7 +390,7 @@ fn timed(effort: Effort, mut run: impl FnMut()) -> Took {
     }
 }
 
-/// Why a method is not waited for, if it is not.
+/// Why a method is skipped, if it is.
 fn patient(ready: &Ready, per_pair_s: f64) -> Result<(), String> {
     let took_s = (ready.ping.scatterers * ready.ping.elements) as f64 * per_pair_s;
     if took_s > ready.effort.patience_s {
@@ -434,7 +433,7 @@ fn direct(ready: &mut Ready) -> Outcome {
     Ok((took, plan.model.doppler.name().into()))
 }
 
-/// The paper's sum on its frequency grid; of use to a sonar that stands still.
+/// The paper's sum on its frequency grid; valid only for a sonar at rest.
 fn spectral(ready: &mut Ready) -> Outcome {
     patient(ready, DIRECT_S)?;
     let plan = ready.plan(|_| true);
@@ -489,7 +488,7 @@ fn gridded_1d(ready: &mut Ready, simd_level: SimdLevel) -> Outcome {
             least: -fastest,
             greatest: fastest,
         },
-        // At 18 m, half the least slant range: room to spare.
+        // At 18 m, half the least slant range, for margin.
         curvature_per_s: ready.ping.velocity_m_per_s.length_squared()
             / (18.0 * SOUND_SPEED_M_PER_S),
         tolerance: ready.ping.tolerance,
@@ -601,19 +600,19 @@ fn gridded_2d(ready: &mut Ready, simd_level: SimdLevel, stages: bool) -> Outcome
     ))
 }
 
-/// What to run: SIMD levels by name, numbers of threads, a part of a ping's label.
+/// What to run: SIMD levels by name, numbers of threads, part of a ping's label.
 pub(crate) struct Selection<'a> {
     pub(crate) only: &'a str,
-    /// None: all.
+    /// None: all methods.
     pub(crate) method: Option<&'a str>,
     pub(crate) simd_levels: &'a [String],
     pub(crate) threads: &'a [usize],
     pub(crate) effort: Effort,
-    /// Where the time of `gridded-2d` goes.
+    /// Print the stage times of `gridded-2d`.
     pub(crate) stages: bool,
 }
 
-/// Prints and keeps one line per ping, method, SIMD level and number of threads.
+/// Prints and records one line per ping, method, SIMD level and number of threads.
 pub(crate) fn run(selection: &Selection, report: &mut Report) -> Result<(), String> {
     println!(
         "whole pings: 400 kHz, 30 kHz, 5 ms, 36..150 m, {:.0} kHz samples; transmit leg, sonar equation, Doppler, templates, filter, samples",
@@ -673,7 +672,7 @@ fn one(
             let outcome = gridded_2d(ready, simd_level, selection.stages);
             add("gridded-2d", ready, outcome);
         }
-        // What is the same in every SIMD level.
+        // Columns common to all SIMD levels.
         if k == 0 && wanted("direct") {
             let outcome = direct(ready);
             add("direct", ready, outcome);

@@ -1,8 +1,8 @@
-//! Records per second: how fast each family's are made, and a load of two topsides that read and one that hardly does.
+//! Records per second: encoding rate of each protocol family, and a load of two fast topsides and a slow one.
 //!
-//! Timed: frames to whole records in their buffers, one thread. Error: the worst of the samples read back, over full scale (7k, XTF) or over
-//! the largest of the message (JSF). The load is 256 elements and beams of 2000 samples at 20 pings/s: 7038 and 7018, 82 MB/s to each of two
-//! readers, while a third reads a byte a second.
+//! Timed: from frames to whole records in their buffers, one thread. Error: the worst of the samples read back, over full scale (7k, XTF)
+//! or over the largest of the message (JSF). The load is 256 elements and beams of 2000 samples at 20 pings/s: 7038 and 7018, 82 MB/s to
+//! each of two readers, while a third reads one byte per second.
 
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpStream};
@@ -99,7 +99,7 @@ fn sevenk_sheet() -> Arc<DeviceSheet> {
     ))
 }
 
-/// Runs `encode`, which returns the bytes it made, until a while has passed; GB/s of the best of three.
+/// Runs `encode`, which returns the number of bytes, for a fixed time; GB/s of the best of three.
 fn gb_per_s(while_s: f64, mut encode: impl FnMut() -> usize) -> f64 {
     encode();
     let mut best = 0.0_f64;
@@ -114,7 +114,7 @@ fn gb_per_s(while_s: f64, mut encode: impl FnMut() -> usize) -> f64 {
     best
 }
 
-/// Prints and keeps a line per family, and one for the load if it is asked for.
+/// Prints and records a line per family, and one for the load if requested.
 pub(crate) fn run(quick: bool, load_s: Option<u32>, json: Option<&Path>) -> Result<(), String> {
     let mut report = Report::new();
     let while_s = if quick { 0.3 } else { 2.0 };
@@ -138,7 +138,7 @@ pub(crate) fn run(quick: bool, load_s: Option<u32>, json: Option<&Path>) -> Resu
         let speed = gb_per_s(while_s, encode);
         let error = match id {
             7038 => error_7038(&records[0].bytes, &output)?,
-            // Half a count of 65535: rounded to the nearest.
+            // Half a count of 65535: rounding to nearest.
             _ => 0.5 / 65_535.0,
         };
         tell(&format!("7k {id}"), error, speed, bytes);
@@ -257,7 +257,7 @@ fn devices(
     };
     let bytes = encode();
     let speed = gb_per_s(while_s, encode);
-    // Of the span of its dB.
+    // Relative to the span in dB.
     tell("ping 2198", 0.5 / 65_535.0, speed, bytes);
 
     let head = Head::default();
@@ -273,7 +273,7 @@ fn devices(
     Ok(())
 }
 
-/// Of the samples read back, over full scale.
+/// Worst error of samples read back, over full scale.
 fn error_vita49(packets: &Packets, output: &PingOutput) -> Result<f64, String> {
     let mut next = vec![0; ELEMENTS];
     let mut worst = 0.0_f64;
@@ -327,7 +327,7 @@ fn error_7038(bytes: &[u8], output: &PingOutput) -> Result<f64, String> {
     Ok(worst)
 }
 
-/// Of the last channel.
+/// Values of the last channel.
 fn error_80(bytes: &[u8], output: &PingOutput, format: JsfFormat) -> Result<f64, String> {
     let message = Message::parse(bytes).map_err(|e| e.to_string())?;
     if message.header.message_type != message_type::SONAR_DATA {
@@ -354,13 +354,13 @@ fn error_80(bytes: &[u8], output: &PingOutput, format: JsfFormat) -> Result<f64,
     Ok(off.fold(0.0, f64::max) / largest)
 }
 
-/// What became of one run.
+/// Result of one run.
 struct Run {
-    /// Of every delivery, milliseconds behind its moment, sorted.
+    /// Lateness of every delivery, milliseconds, sorted.
     late_ms: Vec<f64>,
-    /// Records that the two readers did not get.
+    /// Records that the two fast readers did not get.
     lost: u64,
-    /// Whole records that the third missed.
+    /// Whole records that the slow reader missed.
     dropped: u64,
 }
 
@@ -373,7 +373,7 @@ impl Run {
     }
 }
 
-/// Delivers in real time with nobody there and with three clients, and says how late the deliveries were and what came.
+/// Delivers in real time without clients and with three; reports the lateness of deliveries and the records received.
 fn load(seconds: u32, output: &PingOutput, report: &mut Report) -> Result<(), String> {
     let pings = seconds * PINGS_PER_S;
     let runs = [
@@ -417,7 +417,7 @@ fn deliver(pings: u32, output: &PingOutput, has_clients: bool) -> Result<Run, St
             .map_err(|e| e.to_string())?;
         peer = Some(third.local_addr().map_err(|e| e.to_string())?);
         thread::spawn(move || {
-            // Ends with the program.
+            // The thread ends with the program.
             let mut byte = [0; 1];
             while matches!(third.read(&mut byte), Ok(1)) {
                 thread::sleep(Duration::from_secs(1));
@@ -442,7 +442,7 @@ fn deliver(pings: u32, output: &PingOutput, has_clients: bool) -> Result<Run, St
     let mut emitter = SevenKEmitter::new(sheet, 32);
     let mut records = Vec::new();
     let mut late_ms = Vec::new();
-    // Records are made beside the moment in both runs.
+    // Records are encoded in both runs.
     let wanted = RecordSet::of(&[7018, 7038]);
     let began = Instant::now();
     for ping in 1..=pings {

@@ -1,10 +1,10 @@
-//! The table of what path and Doppler models cost a picture, beside what they cost samples: one point, side-scan lines, over speed and range.
+//! Table of the image errors of path and Doppler models, beside their sample errors: one point, side-scan lines, over speed and range.
 //!
-//! Two numbers, two tolerances (`tolerance` and a picture's own). A picture may be displaced along the track by a quarter of its cell there,
-//! which motion does by v r / c where it is left out, and in range by a tenth of a cell, which Doppler does by |d| f_c T / B where it is.
-//! Measured: lines of a sonar with equal transmit and receive apertures passing the point; each the sum of its elements, compressed with the
-//! echo that a still sonar would hear. The strongest line, by a parabola, is where the picture has the point along the track; the peak of the
-//! compressed line is its range.
+//! Samples and images have separate tolerances. An image may be displaced by a quarter of its cell along the track and by a tenth of a cell
+//! in range. Ignoring motion displaces it along the track by v r / c; ignoring Doppler displaces it in range by |d| f_c T / B. The
+//! measurement forms lines of a sonar with equal transmit and receive apertures that passes the point. Each line is the sum of its
+//! elements, compressed with the echo of a sonar at rest. The strongest line, found with a parabola, gives the position along the track;
+//! the peak of the compressed line gives the range.
 
 use echotank_core::flow::*;
 use echotank_synthesis::array::Direct;
@@ -14,48 +14,48 @@ use num_complex::Complex64;
 
 use super::table::{self, C, Case, METHODS, Method, TOLERANCE};
 
-/// Of both apertures, metres.
+/// Length of both apertures, metres.
 const APERTURE_M: f64 = 0.2;
-/// Receivers in it: between their grating lobes the transmitter sends nothing.
+/// Number of receivers; the transmitter suppresses their grating lobes.
 const ELEMENTS: usize = 8;
-/// Samples of the lines, Hz: several to a range cell, so that a parabola finds a peak to hundredths of it.
+/// Sample rate of the lines, Hz: several samples per range cell, so that a parabola finds the peak to hundredths of a cell.
 const RATE_HZ: f64 = 160e3;
-/// How far a compressed line is looked at before and after where a still sonar would have the point, samples.
+/// Searched interval of a compressed line around the range of a sonar at rest, samples.
 const REACH: i64 = 260;
 const MARGIN_S: f64 = 2e-3;
-/// Lines about the point, and how many of them to a cell.
+/// Lines about the point, and lines per cell.
 const LINES: i64 = 6;
 const LINES_PER_CELL: f64 = 5.0;
-/// From the track, degrees, where range bias is measured: at the half-power edge of the receivers' beam, which is what a side-scan sees of it,
-/// and where a beam that looks ahead might.
+/// Angles from the track, degrees, where the range bias is measured: the half-power edge of the receive beam, which a side-scan sees, and a
+/// forward-squinted beam.
 const EDGE_DEG: f64 = 89.524;
 const AHEAD_DEG: f64 = 60.0;
 const BANDWIDTH_HZ: f64 = 30e3;
 const DURATION_S: f64 = 5e-3;
 const CARRIER_HZ: f64 = 400e3;
 
-/// Compared: the models of [`METHODS`] that somebody who looks at pictures might take.
+/// Compared models: those of [`METHODS`] suited to images.
 pub(crate) fn methods() -> &'static [Method] {
     &METHODS[1..4]
 }
 
-/// Speeds and ranges of the whole table.
+/// Speeds and ranges of the full table.
 pub(crate) fn cases() -> Vec<(f64, f64)> {
     let speeds = [0.1, 0.5, 1.0, 2.572, 4.0, 5.144, 10.0];
     let rows = |range_m| speeds.map(|speed_m_per_s| (speed_m_per_s, range_m));
     [36.0, 75.0, 150.0].into_iter().flat_map(rows).collect()
 }
 
-/// Along the track, of equal apertures (two-way, half power), metres.
+/// Along-track resolution with equal apertures (two-way, half power), metres.
 pub(crate) fn along_cell_m(range_m: f64) -> f64 {
     0.64 * C / CARRIER_HZ * range_m / APERTURE_M
 }
 
-/// In range, metres.
+/// Range resolution, metres.
 pub(crate) const RANGE_CELL_M: f64 = 0.5 * C / BANDWIDTH_HZ;
 
-/// Displacements, metres, what the criterion says and what was measured: along the track, in range at the beam's edge and ahead; and the
-/// error of an element's own samples at the edge.
+/// Displacements, metres, as predicted and as measured: along the track, in range at the beam's edge and ahead; and the sample error of an
+/// element at the edge.
 pub(crate) struct Image {
     pub(crate) along_m: (f64, f64),
     pub(crate) edge_m: (f64, f64),
@@ -64,7 +64,7 @@ pub(crate) struct Image {
 }
 
 impl Image {
-    /// As a side-scan's picture, by the criterion and by what was measured.
+    /// Whether a side-scan image meets the tolerance, as predicted and as measured.
     pub(crate) fn passes(&self, range_m: f64) -> (bool, bool) {
         let pass = |along: f64, bias: f64| {
             along.abs() < 0.25 * along_cell_m(range_m) && bias.abs() < 0.1 * RANGE_CELL_M
@@ -94,7 +94,7 @@ fn sonar() -> (TransmitArray, ArrayGeometry) {
     (tx, rx)
 }
 
-/// One element's samples from `first_s` on; `method` none: the reference.
+/// Samples of one element from `first_s` on; without a `method`, the reference.
 fn record(
     method: Option<&Method>,
     plan: &PingPlan,
@@ -138,13 +138,13 @@ fn record(
     out
 }
 
-/// Where a parabola through a value and its neighbours is greatest, in steps from it.
+/// Vertex of the parabola through a value and its neighbours, in steps from it.
 fn summit(values: [f64; 3]) -> f64 {
     let [a, b, c] = values;
     0.5 * (a - c) / (a - 2.0 * b + c)
 }
 
-/// The compressed line's greatest square, and the range there less that of a still sonar, metres.
+/// Peak energy of the compressed line, and its range minus that of a sonar at rest, metres.
 fn compressed(line: &[Complex64], still: &[Complex64]) -> (f64, f64) {
     let at = |lag: i64| {
         let product = |(n, s): (usize, &Complex64)| {
@@ -162,7 +162,7 @@ fn compressed(line: &[Complex64], still: &[Complex64]) -> (f64, f64) {
     (squares[peak], 0.5 * C * lag / RATE_HZ)
 }
 
-/// Where along the track the picture has a point abeam, metres ahead of the sonar at its transmission.
+/// Along-track position of a point abeam in the image, metres ahead of the sonar at transmission.
 fn along_m(method: Option<&Method>, speed_m_per_s: f64, range_m: f64) -> f64 {
     let case = Case {
         speed_m_per_s,
@@ -197,7 +197,7 @@ fn along_m(method: Option<&Method>, speed_m_per_s: f64, range_m: f64) -> f64 {
     (peak as f64 - LINES as f64 + summit(around)) * step_m
 }
 
-/// Range of a point in the compressed line of one element, less that of a still sonar, metres.
+/// Range of a point in the compressed line of one element minus that of a sonar at rest, metres.
 fn range_m(method: Option<&Method>, case: Case) -> f64 {
     let plan = table::plan(case);
     let (sin, cos) = case.angle_deg.to_radians().sin_cos();
@@ -212,10 +212,10 @@ fn range_m(method: Option<&Method>, case: Case) -> f64 {
     compressed(&record(method, &plan, (&tx, &rx), 0, at_m, first_s), &still).1
 }
 
-/// Range bias of `method` at an angle, metres: by the criterion, and as measured.
+/// Range bias of `method` at an angle, metres: predicted and measured.
 fn range_bias_m(method: &Method, case: Case) -> (f64, f64) {
     let closing_m_per_s = case.speed_m_per_s * case.angle_deg.to_radians().cos();
-    // Where the way during the ping is left out, so is its part along the ray; Doppler's shift of the compressed pulse adds.
+    // Ignoring motion during the ping ignores its radial part; the Doppler shift of the compressed pulse adds to it.
     let hops = method.path == PathModel::StopAndHop;
     let hop_m = if hops {
         closing_m_per_s * case.range_m / C
@@ -232,7 +232,7 @@ fn range_bias_m(method: &Method, case: Case) -> (f64, f64) {
     )
 }
 
-/// All that the table says of some speed and range, method by method.
+/// The table's values at one speed and range, by method.
 pub(crate) fn measure(speed_m_per_s: f64, range_m: f64) -> Vec<Image> {
     let at = |angle_deg| Case {
         speed_m_per_s,
@@ -274,13 +274,13 @@ pub(crate) fn heading() -> String {
     text
 }
 
-/// One line: for each method displacements as predicted and as measured, whether the picture passes by either, and the samples' error.
+/// One line: for each method predicted and measured displacements, whether the image passes by either, and the sample error.
 pub(crate) fn row((speed_m_per_s, range_m): (f64, f64)) -> String {
     let mut line = format!(
         "{range_m:>5} {speed_m_per_s:>6} {:>6.3}",
         along_cell_m(range_m)
     );
-    // Half a millimetre is not shown, nor a sign: the criterion has none.
+    // Displacements below half a millimetre are shown as 0, without a sign, as the prediction has none.
     let pair = |(a, b): (f64, f64)| format!("{:.3} {:.3}", a.abs(), b.abs());
     for image in measure(speed_m_per_s, range_m) {
         let verdict = |pass: bool| if pass { "pass" } else { "fail" };

@@ -1,4 +1,4 @@
-//! The table of what path and Doppler models cost in truth: one point, one element, over speed and angle.
+//! Table of the errors of path and Doppler models: one point, one element, over speed and angle.
 
 use echotank_core::flow::*;
 use echotank_core::frames::Trajectory;
@@ -9,12 +9,12 @@ use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
 pub(crate) const C: f64 = 1500.0;
-/// Samples of the comparison, Hz: over twice the band, so that a chirp and its shifted self are both whole.
+/// Sample rate, Hz: more than twice the band, so that both a chirp and its shifted copy are sampled fully.
 const RATE_HZ: f64 = 80e3;
-/// An element-level error up to this is a pass.
+/// Largest element-level error that passes.
 pub(crate) const TOLERANCE: f64 = 1e-3;
 
-/// Errors below are not told apart.
+/// Smaller errors are treated as equal.
 const ROUNDING: f64 = 1e-9;
 
 pub(crate) struct Method {
@@ -23,7 +23,7 @@ pub(crate) struct Method {
     pub(crate) doppler: DopplerModel,
 }
 
-/// What is compared, with the reference as truth.
+/// Compared models; the reference is the truth.
 pub(crate) const METHODS: [Method; 5] = [
     Method {
         name: "paper-eq21",
@@ -56,11 +56,11 @@ pub(crate) const METHODS: [Method; 5] = [
 pub(crate) struct Case {
     pub(crate) speed_m_per_s: f64,
     pub(crate) range_m: f64,
-    /// From the track: 0 straight ahead.
+    /// Angle from the track: 0 is straight ahead.
     pub(crate) angle_deg: f64,
 }
 
-/// Speeds, ranges and angles of the whole table.
+/// Speeds, ranges and angles of the full table.
 pub(crate) fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
     for range_m in [36.0, 250.0] {
@@ -89,8 +89,7 @@ pub(crate) fn heading() -> String {
     lines
 }
 
-/// One line: for each method the range at which it puts the echo less the true one, the relative error of its samples, and whether that
-/// passes.
+/// One line: for each method the range error of the echo, the relative error of its samples, and whether that passes.
 pub(crate) fn row(case: Case) -> String {
     let mut line = format!(
         "{:>5} {:>6} {:>5}",
@@ -99,13 +98,13 @@ pub(crate) fn row(case: Case) -> String {
     for method in &METHODS {
         let (range_error_m, error) = measure(method, case);
         let verdict = if error <= TOLERANCE { "pass" } else { "fail" };
-        // Half a millimetre is not shown; neither is its sign.
+        // Range errors below half a millimetre are shown as 0, without a sign.
         let range_error_m = if range_error_m.abs() < 5e-4 {
             0.0
         } else {
             range_error_m
         };
-        // What is left then is the rounding of delays.
+        // The remainder is rounding of delays.
         let error = if error < ROUNDING {
             format!("<{ROUNDING:.0e}")
         } else {
@@ -116,7 +115,7 @@ pub(crate) fn row(case: Case) -> String {
     line
 }
 
-/// Range error of the leading edge, metres one way, and relative l2 error of the samples over the echo and 3 ms either side.
+/// Range error of the leading edge, metres one way, and relative l2 error of the samples over the echo and 3 ms on either side.
 pub(crate) fn measure(method: &Method, case: Case) -> (f64, f64) {
     let (sin, cos) = case.angle_deg.to_radians().sin_cos();
     let at_m = DVec3::new(case.range_m * cos, case.range_m * sin, 0.0);
@@ -171,7 +170,7 @@ fn walk(plan: &PingPlan, window: Window, scatterers: &Scatterers, sink: &mut imp
     arrivals(plan, &rx, 0, &transmit_leg, &mut Workspace::new(), sink);
 }
 
-/// Keeps the last echo's leading edge.
+/// Keeps the leading edge of the last echo.
 struct LeadingEdge(f64);
 
 impl ArrivalSink for LeadingEdge {
@@ -190,7 +189,7 @@ fn leading_s(plan: &PingPlan, scatterers: &Scatterers) -> f64 {
     edge.0
 }
 
-/// 400 kHz, 30 kHz, 5 ms (the paper's pulse, its ends tapered by a twentieth each), straight ahead along x.
+/// 400 kHz, 30 kHz, 5 ms (the paper's pulse, with tapers of a twentieth at each end), straight ahead along x.
 pub(crate) fn plan(case: Case) -> PingPlan {
     let velocity_m_per_s = DVec3::X * case.speed_m_per_s;
     PingPlan {

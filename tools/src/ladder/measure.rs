@@ -1,4 +1,4 @@
-//! The scene, the sonar, the simplifiers and what their images are measured by. Used by `tools/ladder` and by its short form in the tests.
+//! Scene, sonar, simplifiers and image metrics. Used by `tools/ladder` and by its short form in the tests.
 
 use std::time::Instant;
 
@@ -34,28 +34,28 @@ const PING_SPACING_M: f64 = 0.25;
 const SPEED_M_PER_S: f64 = 1.543;
 const TRACK_MIDDLE_NORTH_M: f64 = 10.0;
 const FIRST_SAMPLE_S: f64 = 0.044;
-/// To 82 m of slant range, and the pulse.
+/// Slant range up to 82 m, plus the pulse.
 const SAMPLES: usize = 2830;
 /// Slant ranges of the image.
 const IMAGE_M: (f64, f64) = (34.0, 80.0);
 const BLOCK_PINGS: usize = 4;
 const BLOCK_SAMPLES: usize = 64;
 const CLIP_DB: f64 = 20.0;
-/// Blocks this far below the median of the original's are shadow, and not compared.
+/// Blocks this far below the original's median are shadow and are not compared.
 const SHADOW_DB: f64 = -30.0;
-/// Half of the scene and of the track: from the middle of the pass everything lies within it.
+/// Half size of the scene and of the track; the whole scene lies within it of the track's middle.
 const PASS_SLACK_M: f64 = 12.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Simplifier {
-    /// Quadric error; the removed leave nothing.
+    /// Quadric error; the area of removed vertices is lost.
     Conventional,
-    /// Quadric error; the kept inherit the area of the removed.
+    /// Quadric error; kept vertices inherit the area of removed ones.
     ConventionalWithArea,
     Paper,
-    /// The paper's sum of energies, mended.
+    /// The paper's sum of energies, corrected.
     Acoustic,
-    /// The same rule with the product of scattering and axis.
+    /// The same selection by the product of scattering and axis.
     AcousticEcho,
     Unbiased,
 }
@@ -79,7 +79,7 @@ impl Simplifier {
             Self::Unbiased => "acoustic-unbiased",
         }
     }
-    /// None for the collapses.
+    /// None for edge collapse.
     fn rule(self) -> Option<(Method, Weights)> {
         match self {
             Self::Conventional | Self::ConventionalWithArea => None,
@@ -91,7 +91,7 @@ impl Simplifier {
     }
 }
 
-/// When the choice is made.
+/// When the selection is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Once {
     EachPing,
@@ -114,10 +114,10 @@ pub(crate) struct Figures {
     pub(crate) points: usize,
     pub(crate) once: Once,
     pub(crate) simplifier: Simplifier,
-    /// On average.
+    /// Mean number of kept scatterers.
     pub(crate) kept: f64,
     pub(crate) level_db: f64,
-    /// Standard deviation of one seed's level.
+    /// Standard deviation of the level between seeds.
     pub(crate) level_scatter_db: f64,
     pub(crate) image_db: f64,
     pub(crate) l2: f64,
@@ -142,20 +142,20 @@ impl Figures {
 #[derive(Clone, Default)]
 pub(crate) struct Pass {
     pub(crate) iq: Vec<Vec<Complex64>>,
-    /// Energy of the line with its gain, by ping and sample of the image.
+    /// Energy of the line with gain, by ping and image sample.
     pub(crate) energy: Vec<Vec<f64>>,
 }
 
-/// The geometry that all seeds share.
+/// Geometry shared by all seeds.
 pub(crate) struct Ladder {
     pings: usize,
-    /// What each ping cannot see.
+    /// Scatterers in shadow, by ping.
     hidden: Vec<Vec<bool>>,
     curvatures: Energies,
     collapsed: Vec<Collapsed>,
 }
 
-/// Seed of the places; those of speckle and of permanent numbers count from 0.
+/// Seed of positions; seeds of speckle and of permanent random numbers count from 0.
 const PLACES: u64 = 1;
 
 impl Ladder {
@@ -222,7 +222,7 @@ impl Ladder {
         sums
     }
 
-    /// The original's pass, for pictures.
+    /// The pass of the original scene, for images.
     pub(crate) fn original(&self) -> Pass {
         let all = cloud(0).scatterers;
         self.pass(&mut Imager::new(), |ping, out| {
@@ -230,7 +230,7 @@ impl Ladder {
         })
     }
 
-    /// A simplifier's passes at every level, with the mean number kept.
+    /// Passes of a simplifier at every level, with the mean number kept.
     pub(crate) fn passes(&self, once: Once, simplifier: Simplifier) -> Vec<(Pass, f64)> {
         let all = cloud(0).scatterers;
         self.simplified(&all, 0, once, simplifier, &mut Imager::new())
@@ -311,7 +311,8 @@ impl Ladder {
         passes
     }
 
-    /// Milliseconds to choose and to compute one ping (medians over the pings, this thread), and the level, dB. None: the original.
+    /// Milliseconds to select and to compute one ping (medians over the pings, this thread), and the level, dB. Without a simplifier: the
+    /// original.
     pub(crate) fn time(&self, which: Option<(Simplifier, usize)>) -> (f64, f64, f64) {
         let all = cloud(0).scatterers;
         let mut imager = Imager::new();
@@ -427,12 +428,12 @@ fn view(at_m: DVec3, slack_m: f64) -> View {
     }
 }
 
-/// Makes choices, and keeps the energies while place and method stay.
+/// Makes selections, and keeps the energies while position and method stay the same.
 struct Chooser {
     energies: Energies,
     selections: Vec<Selection>,
     made: Option<(Option<usize>, Method, Weights)>,
-    /// For the pass: the levels whose choice stands.
+    /// Levels whose selection is fixed for the pass.
     chosen: Vec<bool>,
 }
 
@@ -454,7 +455,7 @@ impl Chooser {
         self.made = None;
     }
 
-    /// `ping`: none is from the middle of the pass for all of it.
+    /// Selects for `ping`; none selects once, from the middle of the pass.
     fn choose(
         &mut self,
         all: &Scatterers,
@@ -484,7 +485,7 @@ impl Chooser {
     }
 }
 
-/// Scatterers to element samples and an image line.
+/// From scatterers to element samples and an image line.
 struct Imager {
     transmit: TransmitArray,
     receive: ArrayGeometry,
@@ -574,7 +575,7 @@ impl Imager {
     }
 }
 
-/// What one seed adds to a row.
+/// Contribution of one seed to a row.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
     kept: f64,
@@ -632,7 +633,7 @@ impl Sums {
     }
 }
 
-/// Energy of every whole block.
+/// Energy of every complete block.
 fn blocks(pass: &Pass) -> Vec<f64> {
     let samples = pass.energy[0].len();
     let mut energies = Vec::new();

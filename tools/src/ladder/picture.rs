@@ -1,15 +1,15 @@
-//! The images of one scene side by side, as Fig. 16 shows them.
+//! The images of one scene side by side, as in Fig. 16.
 
 use std::io;
 use std::path::Path;
 
 use super::measure::{LEVELS, Ladder, Once, Pass, Simplifier};
 
-/// Samples of range that share a pixel, and rows of a ping.
+/// Range samples per pixel, and pixel rows per ping.
 const SAMPLES_PER_PIXEL: usize = 6;
 const ROWS_PER_PING: usize = 3;
 const GAP: usize = 6;
-/// Brightness runs over this much.
+/// Dynamic range of the image, dB.
 const RANGE_DB: f64 = 40.0;
 
 struct Panel {
@@ -18,10 +18,10 @@ struct Panel {
     pixels: Vec<u8>,
 }
 
-/// Original on top; below it a row for each level, a column for each of conventional, acoustic and acoustic-unbiased.
+/// Original on top; below it a row per level with columns conventional, acoustic and acoustic-unbiased.
 pub(crate) fn draw(ladder: &Ladder, file: &Path) -> io::Result<()> {
     let original = ladder.original();
-    // White is where 1 % of the original's pixels are brighter; the same for all panels.
+    // White is exceeded by 1 % of the original's pixels; the same for all panels.
     let mut sorted: Vec<f64> = pixels(&original).into_iter().flatten().collect();
     sorted.sort_by(f64::total_cmp);
     let white = sorted[sorted.len() * 99 / 100];
@@ -44,7 +44,7 @@ pub(crate) fn draw(ladder: &Ladder, file: &Path) -> io::Result<()> {
     let mut image = vec![255u8; all_width * all_height];
     for (r, row) in rows.iter().enumerate() {
         for (c, panel) in row.iter().enumerate() {
-            // The original stands alone, in the middle.
+            // The original is centred.
             let c = if row.len() == 1 { columns.len() / 2 } else { c };
             let (left, top) = (c * (width + GAP), r * (height + GAP));
             for (y, line) in panel.pixels.chunks(width).enumerate() {
@@ -63,7 +63,7 @@ pub(crate) fn draw(ladder: &Ladder, file: &Path) -> io::Result<()> {
     writer.finish().map_err(io::Error::other)
 }
 
-/// Mean energy of each pixel, by ping; range runs to the right.
+/// Mean energy of each pixel, by ping; range increases to the right.
 fn pixels(pass: &Pass) -> Vec<Vec<f64>> {
     let mean = |cells: &[f64]| cells.iter().sum::<f64>() / cells.len() as f64;
     pass.energy

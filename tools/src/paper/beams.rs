@@ -1,5 +1,5 @@
-//! Fig. 11: five subarrays at 10 knots. The far-field beams of `conventional` are out of focus near by, and show each curve many times over;
-//! `dynamic-focus` is not.
+//! Fig. 11: five subarrays at 10 knots. Far-field beams of `conventional` are unfocused at short range and show each curve several times;
+//! beams of `dynamic-focus` do not.
 
 use std::path::Path;
 
@@ -39,8 +39,8 @@ pub(crate) fn figure_11(out: &Path) -> Result<Value, String> {
     }))
 }
 
-/// Where along the track a sample of a beam lies: focused beams count from where the array was at the start of the pulse, far-field beams from where it
-/// is when it hears.
+/// Along-track position of a beam's sample. Focused beams refer to the array's position at the start of the pulse, far-field beams to its
+/// position at reception.
 fn along_m(spec: &RigSpec, heard: &Heard, sine: f64, range_m: f64) -> f64 {
     let pose = &heard.plan.nav.pose;
     let c = heard.plan.sound_speed_m_per_s;
@@ -51,7 +51,7 @@ fn along_m(spec: &RigSpec, heard: &Heard, sine: f64, range_m: f64) -> f64 {
     pose.position_m.x + moved + range_m * sine
 }
 
-/// Every cell from the beam that passes nearest.
+/// Each cell takes the beam that passes nearest.
 fn lay(spec: &RigSpec, heard: &[Heard]) -> Grid {
     let width = ((RANGE_M.1 - RANGE_M.0) / CELL_M) as usize;
     let height = ((TRACK_M.1 - TRACK_M.0) / CELL_M) as usize;
@@ -94,14 +94,14 @@ fn lay(spec: &RigSpec, heard: &[Heard]) -> Grid {
     grid
 }
 
-/// Images of single points on the boresight plane: loss of the peak, width, and the greatest false echo.
+/// Images of single points on the boresight plane: peak loss, width, and the strongest false echo.
 fn points(spec: &RigSpec, heard: &Heard) -> Result<Vec<Value>, String> {
     let mut wide = spec.clone();
     let sonar = &mut wide.sonars[0];
     let Some(fan) = &mut sonar.beams.fan else {
         return Err("the configuration has no fan".into());
     };
-    // Finer and wider than the picture's, all within the first null of the transmitter.
+    // Finer and wider than the figure, and within the transmitter's first null.
     fan.beams = 401;
     fan.sector_rad = 2.0_f64.to_radians();
     let (focused, array) = (fan.form.former == Former::DynamicFocus, fan.array);
@@ -132,11 +132,11 @@ fn points(spec: &RigSpec, heard: &Heard) -> Result<Vec<Value>, String> {
             fan.angle_rad[k].sin()
         };
         let width_m = range_m * (side(1) - side(-1));
-        // The point as this former counts: from where the array was, or is.
+        // The point relative to the array's position at transmission or reception, as the beamformer refers to it.
         let sine = if focused { north_m } else { -north_m } / range_m;
         let outside = (0..fan.beams)
             .filter(|&k| (fan.angle_rad[k].sin() - sine).abs() > 1.5 * lobe)
-            // Half way to the grating lobes, which the transmitter and the subarrays look past.
+            // Half way to the grating lobes, which the transmitter and the subarrays suppress.
             .filter(|&k| {
                 (fan.angle_rad[k].sin() - sine).abs() < 0.5 * wavelength_m / array.spacing_m
             })
@@ -159,12 +159,12 @@ fn greatest_of_each(fan: &BeamFrame) -> Vec<f64> {
         .collect()
 }
 
-/// Mean level of the elements while the echo lasts: what a matched filter gives at a peak that everything joins in.
+/// Mean level of the elements during the echo: the peak of a matched filter with full coherence.
 fn single_element_level(frame: &echotank_core::flow::ElementFrame) -> f64 {
     let each = (0..frame.elements).map(|e| {
         let mut levels: Vec<f64> = frame.element(e).iter().map(|y| y.norm()).collect();
         levels.sort_by(f64::total_cmp);
-        // The echo is flat over its pulse: the level that a hundred samples exceed.
+        // The echo is flat over its pulse: take the level that a hundred samples exceed.
         levels[levels.len() - 100]
     });
     each.sum::<f64>() / frame.elements as f64

@@ -1,4 +1,4 @@
-//! Figs. 6 and 7: where the receiving beam looks. In `stop-and-hop` it stays; in `polyline` it goes with the array until the echo is there.
+//! Figs. 6 and 7: direction of the receive beam. In `stop-and-hop` it is fixed; in `polyline` it moves with the array until reception.
 
 use std::path::Path;
 
@@ -15,9 +15,9 @@ const CELL_M: f64 = 0.05;
 const NORTH_M: (f64, f64) = (-6.0, 6.0);
 const EAST_M: (f64, f64) = (10.0, 75.0);
 
-/// What a place of the bottom is to one ping.
+/// Values of a bottom position for one ping.
 struct Seen {
-    /// Receive pattern, dB, under either path model.
+    /// Receive pattern, dB, with either path model.
     stop_db: f64,
     moving_db: f64,
     path_m: f64,
@@ -48,7 +48,7 @@ impl Rig {
         let at = DVec3::new(north_m, east_m, down_m);
         let v = DVec3::X * self.speed_m_per_s;
         let out_m = at.length();
-        // Eq. 5 by iteration: each round gains a factor v/c.
+        // Eq. 5 by iteration: each step reduces the error by v/c.
         let mut delay_s = 2.0 * out_m / self.c;
         for _ in 0..20 {
             delay_s = (out_m + at.distance(v * delay_s)) / self.c;
@@ -73,7 +73,7 @@ impl Rig {
         })
     }
 
-    /// Panels of the bottom: east to the right, north up; `value` of what is within 3 dB of the beam, or of everything.
+    /// Panels of the bottom, east to the right, north up. They show `value` within 3 dB of the beam axis, or everywhere.
     fn panel(&self, value: impl Fn(&Seen) -> Option<f64>) -> Grid {
         let width = ((EAST_M.1 - EAST_M.0) / CELL_M / 2.0) as usize;
         let height = ((NORTH_M.1 - NORTH_M.0) / CELL_M) as usize;
@@ -90,7 +90,7 @@ impl Rig {
         grid
     }
 
-    /// Along-track place of the beam's axis at an easting, by halving.
+    /// Along-track position of the beam axis at an easting, by bisection.
     fn axis_m(&self, east_m: f64) -> Option<f64> {
         let (mut low, mut high) = (-5.0, 5.0);
         for _ in 0..60 {

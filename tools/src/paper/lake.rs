@@ -1,4 +1,4 @@
-//! Figs. 17 and 18: bridge piers in a lake, on a straight track and under a deviation of the motion.
+//! Figs. 17 and 18: bridge piers in a lake, on a straight track and with a deviation of the motion.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use super::pings::{self, Heard};
 
 const CELL_M: f64 = 0.1;
 const RANGE_M: f64 = 85.0;
-/// Rows of one ping.
+/// Pixel rows per ping.
 const ROWS: usize = 2;
 
 pub(crate) fn figure_17(out: &Path) -> Result<Value, String> {
@@ -42,7 +42,7 @@ pub(crate) fn figure_18(out: &Path) -> Result<Value, String> {
         spec.sonars[0].receiver.sample_rate_hz,
     );
     let grid = waterfall(&heard, axis);
-    // The curve beside the picture: a row per ping, sway from -15 to 15 m.
+    // The curve beside the image: a row per ping, sway from -15 to 15 m.
     let mut curve = Grid::new(150, grid.height);
     for (k, ping) in heard.iter().rev().enumerate() {
         let x = (ping.plan.nav.pose.position_m.y * 5.0 + 75.0).clamp(0.0, 149.0) as usize;
@@ -64,7 +64,7 @@ pub(crate) fn figure_18(out: &Path) -> Result<Value, String> {
         &out.join("fig18.png"),
         &[(&curve, black_and_white), (&grid, look)],
     )?;
-    // What the picture, read as if the track were straight, moves each pier by.
+    // Displacement of each pier if the image is read as from a straight track.
     let before = piers(&straight, axis, &targets);
     let shifts: Vec<Value> = piers(&heard, axis, &targets)
         .iter()
@@ -99,27 +99,27 @@ fn waterfall(heard: &[Heard], axis: RangeAxis) -> Grid {
     grid
 }
 
-/// One column as its ping shows it.
+/// One pier as its ping shows it.
 struct Pier {
     name: String,
     sway_m: f64,
     true_east_m: f64,
     slant_range_m: f64,
     shown_range_m: f64,
-    /// On a straight track at east 0: of the upper edge that the first echo comes from.
+    /// Range of the upper edge, which gives the first echo, on a straight track at east 0.
     shown_east_m: f64,
 }
 
-/// Upper edge of the columns under their middle, metres, and their radius (`data/lake_piers.toml`).
+/// Upper edge of the piers below their centre, metres, and their radius (`data/lake_piers.toml`).
 const HALF_LENGTH_M: f64 = 9.0;
 const RADIUS_M: f64 = 1.0;
-/// How far about the place that is expected an echo is looked for.
+/// Searched interval around the expected position of an echo.
 const LOOK_M: f64 = 3.0;
-/// The first echo is over when a stretch of so many metres is this share of the strongest there.
+/// The first echo ends where a stretch of this many metres falls below this share of the strongest there.
 const STRETCH_M: f64 = 0.15;
 const FIRST_SHARE: f32 = 0.2;
 
-/// Columns that nothing stands before, by the first echo of their near wall's upper edge.
+/// Piers that nothing occludes, by the first echo of the upper edge of their near wall.
 fn piers(heard: &[Heard], axis: RangeAxis, targets: &[Target]) -> Vec<Pier> {
     let hidden = |t: &Target| {
         targets.iter().any(|o| {
@@ -151,7 +151,7 @@ fn piers(heard: &[Heard], axis: RangeAxis, targets: &[Target]) -> Vec<Pier> {
         let Some(first) = power.iter().position(|p| *p > FIRST_SHARE * strongest) else {
             continue;
         };
-        // The stretch that rose has the echo in its last part.
+        // The stretch that rose contains the echo in its last part.
         let shown_range_m = axis.slant_range_m(near.start + first + stretch - 1);
         rows.push(Pier {
             name: target.name.clone(),

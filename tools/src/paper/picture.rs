@@ -1,4 +1,4 @@
-//! Grids of levels to PNG, several beside one another.
+//! Grids of levels to PNG, side by side.
 
 use std::io::BufWriter;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use echotank_config::spec::ColourMap;
 use echotank_imaging::image::colour::rgb;
 
-/// Row-major levels; NaN is nothing.
+/// Levels in row-major order; NaN is no data.
 pub(crate) struct Grid {
     pub(crate) width: usize,
     pub(crate) height: usize,
@@ -26,7 +26,7 @@ impl Grid {
     }
 }
 
-/// How a panel is coloured: levels of the darkest and brightest.
+/// Colour scale of a panel: levels of the darkest and brightest colour.
 #[derive(Clone, Copy)]
 pub(crate) struct Look {
     pub(crate) map: ColourMap,
@@ -35,7 +35,7 @@ pub(crate) struct Look {
 }
 
 impl Look {
-    /// These shares of the levels lie below darkest and brightest.
+    /// Scale from the percentiles `low` and `high` of the levels, as shares.
     pub(crate) fn of_shares(grids: &[&Grid], map: ColourMap, low: f64, high: f64) -> Self {
         let mut levels: Vec<f32> = grids
             .iter()
@@ -61,7 +61,7 @@ impl Look {
 const GAP: usize = 8;
 const PAPER: [u8; 3] = [255, 255, 255];
 const NOTHING: [u8; 3] = [30, 34, 60];
-/// Shades of one panel: as many as an eye tells apart in speckle, and a file of a third.
+/// Colours per panel: enough for speckle, at a third of the file size.
 const SHADES: usize = 32;
 
 /// Panels side by side, at most seven.

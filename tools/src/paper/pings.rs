@@ -19,13 +19,13 @@ pub(crate) fn load(name: &str) -> Result<RigSpec, String> {
     echotank_runtime::config_files::load(&file).map_err(|e| format!("{}: {e:?}", file.display()))
 }
 
-/// What of a ping the figures need.
+/// Parts of a ping that the figures need.
 pub(crate) struct Heard {
     pub(crate) plan: PingPlan,
     pub(crate) output: PingOutput,
 }
 
-/// Every ping until the navigation ends, and the scene's targets.
+/// Makes pings until the navigation ends; also returns the scene's targets.
 pub(crate) fn run(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
     pool(0)
         .map_err(|e| e.to_string())?
@@ -67,7 +67,7 @@ fn run_here(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
         .map_err(|e| format!("{e:?}"))?;
         heard.push(Heard {
             plan: slot.plan.clone(),
-            // Elements are large, and no figure shows them.
+            // Element samples are large and no figure shows them.
             output: PingOutput {
                 beams: slot.output.beams.clone(),
                 lines: slot.output.lines.clone(),

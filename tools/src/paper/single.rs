@@ -1,5 +1,5 @@
-//! Fig. 10: a single beam at 3 and at 10 knots. Where a ping's footprint is narrower than the way to the next ping the picture is fractured:
-//! r theta < v T, T the time between pings (Eq. 2 with T = 2 R/c).
+//! Fig. 10: a single beam at 3 and at 10 knots. If a ping's footprint is narrower than the advance to the next ping, the image has gaps: r
+//! theta < v T, T the time between pings (Eq. 2 with T = 2 R/c).
 
 use std::path::Path;
 
@@ -12,11 +12,11 @@ use serde_json::{Value, json};
 use super::picture::{self, Grid, Look};
 use super::pings::{self, Heard};
 
-/// Along the track and in slant range, metres.
+/// Cell size along the track and in slant range, metres.
 const CELL_M: f64 = 0.06;
 const RANGE_M: (f64, f64) = (29.0, 75.0);
 const TRACK_M: (f64, f64) = (0.0, 36.0);
-/// Ranges looked at for the echo between pings.
+/// Ranges searched for the echo between pings.
 const STEPS: usize = 92;
 
 pub(crate) fn figure_10(out: &Path) -> Result<Value, String> {
@@ -54,7 +54,7 @@ pub(crate) fn figure_10(out: &Path) -> Result<Value, String> {
     )
 }
 
-/// Each ping within its own -3 dB footprint, about the middle between where it was sent and where it was heard.
+/// Each ping fills its own -3 dB footprint, centred between its transmit and receive positions.
 fn lay(heard: &[Heard], axis: RangeAxis, theta_rad: f64, c: f64) -> Grid {
     let width = ((RANGE_M.1 - RANGE_M.0) / CELL_M) as usize;
     let height = ((TRACK_M.1 - TRACK_M.0) / CELL_M) as usize;
@@ -89,7 +89,7 @@ fn lay(heard: &[Heard], axis: RangeAxis, theta_rad: f64, c: f64) -> Grid {
     grid
 }
 
-/// Range up to which the picture has gaps: the farthest column in which more than one cell in a hundred is empty (rows at the ends left out).
+/// Range up to which the image has gaps: the farthest column with more than one empty cell in a hundred (rows at the ends excluded).
 fn fractured_to_m(grid: &Grid) -> Option<f64> {
     let rows = grid.height / 8..grid.height * 7 / 8;
     (0..grid.width)
@@ -104,7 +104,7 @@ fn fractured_to_m(grid: &Grid) -> Option<f64> {
         .map(|x| RANGE_M.0 + x as f64 * CELL_M)
 }
 
-/// Range at which the echo of a point half way between two pings lies 6 dB (two ways of 3 dB) under that of one on the beam's axis.
+/// Range at which the echo of a point half way between two pings is 6 dB (3 dB each way) below that of one on the beam axis.
 fn half_way_echo_m(
     spec: &echotank_config::spec::RigSpec,
     ping: &Heard,

@@ -1,4 +1,4 @@
-//! One rig from a seed: sonar, scene, motion and tolerance, as a configuration and the files it names.
+//! One random rig per seed: sonar, scene, motion and tolerance, as a configuration with its files.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -7,7 +7,7 @@ use echotank_config::spec::RigSpec;
 
 use crate::track::{ALONG_TRACK, COLUMNS};
 
-/// Evenly distributed numbers: splitmix64 (Steele, Lea and Flood 2014).
+/// Uniform random numbers: splitmix64 (Steele, Lea and Flood 2014).
 pub(crate) struct Chance(u64);
 
 impl Chance {
@@ -28,7 +28,7 @@ impl Chance {
     pub(crate) fn between(&mut self, from: f64, to: f64) -> f64 {
         from + (to - from) * self.even()
     }
-    /// Even in the logarithm.
+    /// Uniform in the logarithm.
     pub(crate) fn decades(&mut self, from: f64, to: f64) -> f64 {
         (self.between(from.ln(), to.ln())).exp()
     }
@@ -40,7 +40,7 @@ impl Chance {
     }
 }
 
-/// Writes the rig of `seed` into `folder`, reads it, and describes it. `small`: for a test of seconds.
+/// Writes the rig of `seed` into `folder`, reads it, and describes it. `small` suits tests that run in seconds.
 pub(crate) fn random(seed: u64, folder: &Path, small: bool) -> (RigSpec, String) {
     let mut chance = Chance::new(seed);
     let (text, about) = write(&mut chance, folder, small);
@@ -63,7 +63,7 @@ fn write(chance: &mut Chance, folder: &Path, small: bool) -> (String, String) {
         chance.between(0.05, 0.6)
     };
     let filtered = !chance.one_in(4);
-    // 1.25 (max(B, 4/T) + 2 f_d) at the fastest platform there is, and something.
+    // 1.25 (max(B, 4/T) + 2 f_d) at the greatest platform speed, plus a margin.
     let doppler_khz = 2.0 * 10.0 / c * (carrier_khz + 0.5 * bandwidth_khz);
     let band_khz = if cw { 0.0 } else { bandwidth_khz };
     let rate_khz =
@@ -78,7 +78,7 @@ fn write(chance: &mut Chance, folder: &Path, small: bool) -> (String, String) {
         true => 16 << chance.of(if small { 1 } else { 2 }),
         false => 1 + chance.of(4),
     };
-    // Across the track, as a fan's; or along it, as a side-scan's.
+    // Across the track as in a fan sonar, or along it as in a side-scan sonar.
     let yaw_deg = if line && chance.one_in(2) { 90.0 } else { 0.0 };
     let roll_deg = if yaw_deg > 0.0 {
         0.0
@@ -213,7 +213,7 @@ tolerance = {tolerance:.3e}
     (text, about)
 }
 
-/// 20 s of it, 20 times a second.
+/// A track of 20 s, sampled 20 times a second.
 fn track(
     folder: &Path,
     speed: f64,
@@ -242,7 +242,7 @@ fn track(
     std::fs::write(folder.join("track.csv"), text).expect("the folder takes files");
 }
 
-/// Points about the first position, within the range.
+/// Points around the first position, within the range.
 fn scatter(folder: &Path, chance: &mut Chance, count: usize, depth_m: f64, range_m: f64) {
     let mut text = String::from("north_m,east_m,down_m,amplitude\n");
     for _ in 0..count {

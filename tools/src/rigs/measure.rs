@@ -1,4 +1,4 @@
-//! A plan held against what it plans: its ping, and those of other choices, against the continuous trajectory with second-order Doppler.
+//! Measures selected and other methods on one ping, against the continuous trajectory with second-order Doppler.
 
 use std::time::Instant;
 
@@ -16,29 +16,30 @@ use echotank_runtime::first_pings::{FirstPingError, first, pings};
 
 use super::reference::ReferenceSolution;
 
-/// Timed runs of every choice, taken in turn; the least counts.
+/// Timed runs of every candidate, in turn; the minimum counts.
 const REPEATS: usize = 5;
-/// Choices that are predicted to cost more than this times the plan's are not timed: none was ever the cheapest.
+/// Candidates with a predicted cost above this multiple of the selection's are not timed: none was ever the cheapest.
 const WORTH_TIMING: f64 = 4.0;
-/// A reference solution that is off by more of the tolerance measures nothing.
+/// Largest error of the reference solution, as a share of the tolerance, at which the result is valid.
 const FINE_REFERENCE: f64 = 0.1;
-/// At most so many other choices.
+/// Maximum number of other candidates.
 const OTHERS: usize = 12;
 
-/// What one ping did under one choice.
+/// Result of one candidate on one ping.
 #[derive(Clone, Serialize, Deserialize)]
 pub(crate) struct Did {
     pub(crate) text: String,
-    /// What each family promises.
+    /// Predicted errors by method family.
     pub(crate) parts: [f64; 5],
     pub(crate) predicted_error: f64,
     pub(crate) predicted_ms: f64,
-    /// Of the worst window of any element, over that window or the element's whole ping, whichever is louder: as error checks have it. The plan's
-    /// worst windows are computed again by the reference's equation. Where the reference solution is too coarse, an error check's own, over 128 random samples.
+    /// Largest windowed error of any element, relative to the window or the element's whole ping, whichever is stronger, as in error
+    /// checks. The selection's worst windows are computed again by the reference's equation. If the reference solution is too coarse, this
+    /// is an error check over 128 random samples.
     pub(crate) error: f64,
     pub(crate) by_error_check: bool,
     pub(crate) ms: f64,
-    /// Within the goal, as predicted.
+    /// Predicted to meet the goal.
     pub(crate) promised: bool,
 }
 
@@ -48,16 +49,16 @@ pub(crate) struct Measured {
     pub(crate) tolerance: f64,
     pub(crate) scatterers: usize,
     pub(crate) elements: usize,
-    /// What the reference solution itself is off by at random samples, by the reference's equation.
+    /// Error of the reference solution at random samples, by the reference's equation.
     pub(crate) reference: Option<f64>,
     pub(crate) plan: Did,
     pub(crate) others: Vec<Did>,
-    /// The plan says itself that it is not within.
+    /// The selection itself predicts that it misses the goal.
     pub(crate) out_of_reach: bool,
 }
 
 impl Measured {
-    /// All of it, a line for the plan and one for each other choice.
+    /// The full result, a line for the selection and one per other candidate.
     pub(crate) fn said(&self) -> String {
         let did = |did: &Did| {
             format!(
@@ -98,14 +99,14 @@ pub(crate) enum MeasureError {
     Pipeline(#[from] PipelineError),
 }
 
-/// The first ping of every sonar that hears something. To be called inside the pool. `time`: other choices too.
+/// The first ping of every sonar that receives an echo. Call inside the pool. `time`: also measure other candidates.
 pub(crate) fn measure(
     rig: &RigSpec,
     costs: &Costs,
     time: bool,
 ) -> Result<Vec<Measured>, MeasureError> {
     let mut all = Vec::new();
-    // What culling leaves out is part of the truth.
+    // The truth includes scatterers that culling leaves out.
     let mut whole = rig.clone();
     for sonar in &mut whole.sonars {
         sonar.model.cull_db = None;
@@ -122,7 +123,7 @@ pub(crate) fn measure(
         let mut spec = bare(spec);
         spec.beams = Default::default();
         spec.more_pulses.clear();
-        // Errors are counted ahead of the receiver.
+        // Errors are measured before the receiver.
         spec.receiver.tvg = TimeVaryingGain::None;
         let ping = Ping {
             spec: &spec,
@@ -146,11 +147,11 @@ pub(crate) struct Ping<'a> {
     pub(crate) spec: &'a SonarSpec,
     pub(crate) medium: &'a MediumSpec,
     pub(crate) plan: &'a PingPlan,
-    /// Not culled.
+    /// Scatterers without culling.
     pub(crate) everything: &'a Scatterers,
 }
 
-/// What one sonar's ping hears, down to each floor that a choice has: a pipeline gathers no more.
+/// Scatterers of one sonar's ping, down to each candidate's floor: a pipeline gathers no more.
 struct Gathered<'a> {
     rig: &'a RigSpec,
     sonar: usize,
@@ -158,7 +159,7 @@ struct Gathered<'a> {
 }
 
 impl Gathered<'_> {
-    /// Where it is found.
+    /// Index among the floors.
     fn down_to(&mut self, cull_db: Option<f64>) -> Result<usize, FirstPingError> {
         if let Some(k) = self.by_floor.iter().position(|(db, _)| *db == cull_db) {
             return Ok(k);
@@ -171,7 +172,7 @@ impl Gathered<'_> {
     }
 }
 
-/// One choice's pipeline with its plan and output.
+/// One candidate's pipeline with its plan and output.
 struct Runner {
     pipeline: SonarPipeline,
     plan: PingPlan,
@@ -273,7 +274,7 @@ fn one(
     }))
 }
 
-/// One of every kind, cheapest first: those that promise to keep the goal, and where there is room some that do not and may all the same.
+/// One candidate of every kind, cheapest first: those predicted to meet the goal and, if there is room, some that are not.
 fn others(ranking: &Ranking) -> Vec<&Candidate> {
     let kind = |c: &Candidate| {
         let Choice { model, .. } = c.choice;

@@ -1,4 +1,4 @@
-//! Random rigs for the plan of methods: [`case`] makes them, [`measure`] holds a plan's promises against what its ping and those of other choices do.
+//! Random rigs that test method selection: [`case`] generates them, [`measure`] compares predictions with measurements.
 
 pub(crate) mod case;
 pub(crate) mod measure;

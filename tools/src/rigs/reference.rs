@@ -1,5 +1,5 @@
-//! What pings are held against: the direct sum on the trajectory itself with second-order Doppler, as dense behind the receiver filter as the reference;
-//! and, where it matters, the reference's own equation sample for sample.
+//! Reference solutions of pings: the direct sum on the exact trajectory with second-order Doppler, sampled as densely behind the receiver
+//! filter as the reference; where needed, the reference's own equation sample by sample.
 
 use num_complex::Complex64;
 
@@ -16,17 +16,17 @@ use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, i
 use super::case::Chance;
 use super::measure::Ping;
 
-/// Windows are a pulse long, and so many samples at least.
+/// Windows are a pulse long, but at least this many samples.
 const MIN_WINDOW: usize = 32;
-/// Samples of a ping that are looked at by chance.
+/// Number of randomly chosen samples per ping.
 const LOOKED_AT: usize = 128;
-/// Worst windows of a ping that are computed again by the reference, and how many of their samples, evenly.
+/// Number of worst windows computed again by the reference, and of samples in each, evenly spaced.
 const WORST: usize = 4;
 const OF_EACH: usize = 256;
-/// Instants that the reference takes at a time.
+/// Instants per call of the reference.
 const AT_ONCE: usize = 64;
 
-/// A sample of an element.
+/// Index of a sample of an element.
 #[derive(Clone, Copy)]
 struct Pick {
     array: usize,
@@ -34,13 +34,13 @@ struct Pick {
     sample: usize,
 }
 
-/// A window of an element, by what it is off.
+/// A window of an element, with its error.
 struct Off {
     square: f64,
     array: usize,
     element: usize,
     first: usize,
-    /// Energy it is held against, over its length.
+    /// Energy per sample that the error refers to.
     against: f64,
 }
 
@@ -48,7 +48,7 @@ pub(crate) struct ReferenceSolution<'a> {
     ping: &'a Ping<'a>,
     plan: PingPlan,
     decimator: Option<Decimator>,
-    /// By array and element.
+    /// Samples by array and element.
     records: Vec<Vec<Vec<Complex64>>>,
     window: usize,
 }
@@ -125,7 +125,7 @@ impl<'a> ReferenceSolution<'a> {
         samples.all(|x| x.norm_sqr() == 0.0)
     }
 
-    /// What these samples are by the reference's equation.
+    /// Values of these samples by the reference's equation.
     fn by_reference(&self, picks: &[Pick]) -> Vec<Complex64> {
         let (plan, spec) = (&self.plan, self.ping.spec);
         let rate_hz = spec.receiver.sample_rate_hz;
@@ -190,7 +190,7 @@ impl<'a> ReferenceSolution<'a> {
         out
     }
 
-    /// Energy that a window of an element is held against, over its length: its own or the ping's mean, whichever is louder.
+    /// Energy per sample that a window's error refers to: its own or the ping's mean, whichever is stronger.
     fn against(&self, array: usize, element: usize, first: usize) -> f64 {
         let record = &self.records[array][element];
         let whole: f64 = record.iter().map(|x| x.norm_sqr()).sum();
@@ -223,18 +223,18 @@ impl<'a> ReferenceSolution<'a> {
                 }
             }
         }
-        // Where nothing tells them apart the louder one is looked at.
+        // Among equals the stronger window comes first.
         let louder = |a: &Off, b: &Off| b.against.total_cmp(&a.against);
         offs.sort_by(|a, b| b.square.total_cmp(&a.square).then(louder(a, b)));
         offs
     }
 
-    /// The error of the worst window of any element, by this reference solution.
+    /// Error of the worst window of any element, by this reference solution.
     pub(crate) fn worst(&self, got: &PingOutput) -> f64 {
         self.offs(got).first().map_or(0.0, |off| off.square.sqrt())
     }
 
-    /// ... and by the reference's equation, of those windows that are the worst by this reference solution and of samples by chance.
+    /// The same by the reference's equation, for the worst windows found here and for random samples.
     pub(crate) fn worst_by_reference(&self, got: &PingOutput) -> f64 {
         let mut worst = self.error_check(got);
         for off in self.offs(got).iter().take(WORST) {
@@ -260,7 +260,7 @@ impl<'a> ReferenceSolution<'a> {
         worst
     }
 
-    /// The error at samples by chance, by the reference's equation, root mean square: of what `of` has.
+    /// Error at random samples, root mean square, of the values that `of` returns, by the reference's equation.
     fn by_chance(&self, of: impl Fn(&Pick) -> Complex64) -> f64 {
         let mut chance = Chance::new(u64::from(self.plan.ping_number));
         let arrays = &self.ping.spec.receive;
@@ -287,12 +287,12 @@ impl<'a> ReferenceSolution<'a> {
         (squares.sum::<f64>() / LOOKED_AT as f64).sqrt()
     }
 
-    /// What this reference solution itself is off by.
+    /// Error of this reference solution itself.
     pub(crate) fn own_error(&self) -> f64 {
         self.by_chance(|pick| self.records[pick.array][pick.element][pick.sample])
     }
 
-    /// What a ping is off by at the same samples.
+    /// Error of a ping at the same samples.
     pub(crate) fn error_check(&self, got: &PingOutput) -> f64 {
         self.by_chance(|pick| got.elements[pick.array].element(pick.element)[pick.sample])
     }

@@ -1,4 +1,4 @@
-//! Soundings of whole pings (navigation, scene, echoes, elements, beams, bottom detection) against the seabed they were made from.
+//! Soundings of whole pings (navigation, scene, echoes, elements, beams, bottom detection) compared with their seabed.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -20,11 +20,11 @@ use glam::DVec3;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Case {
     Flat,
-    /// Falls to starboard by 10 degrees.
+    /// Plane that slopes down to starboard by 10 degrees.
     Slope,
-    /// The survey of the quickstart, on a straight track.
+    /// The quickstart's survey, on a straight track.
     Survey,
-    /// The same in the quickstart's swell.
+    /// The same with the quickstart's swell.
     Swell,
 }
 
@@ -41,7 +41,7 @@ impl Case {
     }
 }
 
-/// One sounding in the world, beside the seabed under it.
+/// One sounding in world coordinates, with the seabed depth below it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Found {
     pub(crate) angle_rad: f64,
@@ -52,31 +52,31 @@ pub(crate) struct Found {
     pub(crate) detection: Detection,
 }
 
-/// Everything one case found.
+/// Result of one case.
 pub(crate) struct Soundings {
     pub(crate) case: Case,
     pub(crate) pings: usize,
-    /// From port to starboard.
+    /// Soundings from port to starboard.
     pub(crate) angles_rad: Vec<f64>,
     pub(crate) found: Vec<Found>,
 }
 
-/// Beams of one stretch of angle off the vertical, both sides.
+/// Beams of an interval of angle from the vertical, both sides.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Row {
     pub(crate) from_deg: f64,
     pub(crate) to_deg: f64,
     pub(crate) found: usize,
-    /// Of the beams that were there.
+    /// Number of detections.
     pub(crate) share: f64,
     pub(crate) by_phase: f64,
     pub(crate) mean_m: f64,
-    /// 95 % of the errors are smaller.
+    /// 95th percentile of the errors.
     pub(crate) p95_m: f64,
     pub(crate) depth_m: f64,
 }
 
-/// What is changed in `hil-configs/multibeam.toml` for a case. `folder` takes the track.
+/// Changes to `hil-configs/multibeam.toml` for a case. The track is written to `folder`.
 pub(crate) fn spec(
     case: Case,
     folder: &Path,
@@ -109,9 +109,9 @@ pub(crate) fn spec(
     match case {
         Case::Flat => spec.scene.seabed = Some(plane(0.0)),
         Case::Slope => {
-            // The track leads east: starboard is south.
+            // The track leads east, so starboard is south.
             spec.scene.seabed = Some(plane(-10f64.to_radians().tan()));
-            // At 55 degrees the bottom that falls away lies 107 m off.
+            // At 55 degrees the sloping bottom is 107 m away.
             spec.sonars[0].settings.range_m = 120.0;
             if let Some(fan) = &mut spec.sonars[0].beams.fan {
                 fan.sector_rad = 110f64.to_radians();
@@ -120,7 +120,7 @@ pub(crate) fn spec(
         Case::Survey | Case::Swell => {}
     }
     if case != Case::Swell {
-        // Due east at 2.5 m/s; a survey's middle lies under the first fix, and half of it behind.
+        // Due east at 2.5 m/s. A survey's centre lies below the first fix, so half of it is astern.
         let mut track = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n".to_owned();
         for k in 0..140 {
             let (t, east_m) = (1_793_611_200 + 2 * k, 5 * k);
@@ -136,7 +136,7 @@ pub(crate) fn spec(
     Ok(spec)
 }
 
-/// Soundings of so many pings, each `every_s` apart.
+/// Soundings of consecutive pings, `every_s` apart.
 pub(crate) fn measure(
     case: Case,
     spec: &RigSpec,
@@ -205,8 +205,8 @@ fn run(case: Case, spec: &RigSpec, pings: usize) -> Result<Soundings, String> {
     Ok(out)
 }
 
-/// Where a sounding lies: on the line where the plane across the transmitter, as it stood when it sent, meets the cone about the receiver's line,
-/// as it lay when it heard; from half way between them.
+/// Position of a sounding: on the intersection of the plane across the transmitter, at its attitude on transmission, with the cone about
+/// the receiver's line, at its attitude on reception; measured from the midpoint between them.
 fn place(spec: &RigSpec, plan: &PingPlan, sounding: &Sounding) -> DVec3 {
     let sonar = &spec.sonars[0];
     let (sent, heard) = (
@@ -216,7 +216,7 @@ fn place(spec: &RigSpec, plan: &PingPlan, sounding: &Sounding) -> DVec3 {
     let transmit = &sonar.transmit[sonar.receive[0].transmit].mounting;
     let receive = &sonar.receive[0].mounting;
     let from_m = 0.5 * (sent.point_m(transmit.position_m) + heard.point_m(receive.position_m));
-    // Along the transmitter, square to it along the receiver, and down.
+    // Axes: along the transmitter, perpendicular to it along the receiver, and down.
     let along = sent.world_from_body * (transmit.body_from_array * DVec3::X);
     let line = heard.world_from_body * (receive.body_from_array * DVec3::X);
     let (askew, sine) = (along.dot(line), sounding.angle_rad.sin());
@@ -229,7 +229,7 @@ fn place(spec: &RigSpec, plan: &PingPlan, sounding: &Sounding) -> DVec3 {
 }
 
 impl Soundings {
-    /// By angle off the boresight, in steps of `step_deg`.
+    /// Statistics by angle from boresight, in steps of `step_deg`.
     pub(crate) fn rows(&self, step_deg: f64) -> Vec<Row> {
         let max_deg = (self.angles_rad.iter()).fold(0.0_f64, |a, b| a.max(b.abs().to_degrees()));
         let steps = (max_deg / step_deg).ceil() as usize;
@@ -288,7 +288,7 @@ impl Soundings {
         out
     }
 
-    /// Relief in cells of `cell_m`: pairs of mean sounding and mean truth, for cells of at least `least` soundings.
+    /// Relief in cells of `cell_m`: pairs of mean sounding and mean truth, for cells with at least `least` soundings.
     pub(crate) fn relief(&self, cell_m: f64, least: usize) -> Vec<(f64, f64)> {
         let mut cells = std::collections::BTreeMap::<(i64, i64), (f64, f64, usize)>::new();
         for f in &self.found {
@@ -306,7 +306,7 @@ impl Soundings {
     }
 }
 
-/// Correlation of the two, and the standard deviation of the second and of their difference.
+/// Correlation of the pairs, and standard deviations of the second value and of the difference.
 pub(crate) fn agreement(pairs: &[(f64, f64)]) -> (f64, f64, f64) {
     let n = pairs.len() as f64;
     let mean = |of: &dyn Fn(&(f64, f64)) -> f64| pairs.iter().map(of).sum::<f64>() / n;

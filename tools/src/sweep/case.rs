@@ -1,4 +1,4 @@
-//! One sonar over one scene in one motion, and the three families of them: the paper's ping, its variations, anything at all.
+//! One sonar over one scene in one motion, in three families: the paper's ping, variations of it, and fully random cases.
 
 use echotank_core::flow::*;
 use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
@@ -13,31 +13,31 @@ use super::draw::Chance;
 
 pub(crate) const C: f64 = 1500.0;
 
-/// Everything that a method needs to know.
+/// All inputs of a method.
 pub(crate) struct Case {
     pub(crate) scene: String,
     pub(crate) motion: String,
-    /// Path and Doppler model are for the methods to set.
+    /// Path and Doppler model are set by the methods.
     pub(crate) plan: PingPlan,
     pub(crate) tx: TransmitArray,
     pub(crate) rx: ArrayGeometry,
     pub(crate) scatterers: Scatterers,
     pub(crate) rate_hz: f64,
     pub(crate) filter: ReceiverFilter,
-    /// Largest Doppler shift that the receiver filter lets pass.
+    /// Largest Doppler shift in the receiver filter's pass band.
     pub(crate) doppler_hz: f64,
-    /// Elements that are compared.
+    /// Compared elements.
     pub(crate) looked_at: Vec<usize>,
     pub(crate) conditions: Conditions,
 }
 
-/// A platform's way: what sets the contract's cells apart.
+/// Motion of the platform, which distinguishes the table's cells.
 #[derive(Clone, Copy)]
 pub(crate) struct Motion {
     pub(crate) name: &'static str,
-    /// Forward, to starboard, down.
+    /// Velocity forward, to starboard, down.
     pub(crate) velocity_m_per_s: DVec3,
-    /// A swell: heave's amplitude in metres, roll's and pitch's in radians; yaw turns evenly, radians per second.
+    /// Swell: amplitude of heave in metres, of roll and pitch in radians; yaw at a constant rate, radians per second.
     pub(crate) heave_m: f64,
     pub(crate) roll_rad: f64,
     pub(crate) pitch_rad: f64,
@@ -80,10 +80,10 @@ pub(crate) const MOTIONS: [Motion; 5] = [
     },
 ];
 
-/// Periods of heave, roll and pitch, seconds, and where in them a ping begins.
+/// Periods of heave, roll and pitch, seconds, and their phases at a ping's start.
 const SWELL_S: [f64; 3] = [6.0, 8.0, 5.0];
 const SWELL_PHASE_RAD: [f64; 3] = [0.9, 2.0, 0.3];
-/// Knots of the trajectory, as a fast motion sensor gives them.
+/// Interval of the trajectory's knots, as from a fast motion sensor.
 const KNOT_S: f64 = 0.02;
 
 impl Motion {
@@ -137,7 +137,7 @@ impl Motion {
     }
 }
 
-/// How the swath lies: slant ranges, sector about broadside, depth below the sonar.
+/// Geometry of the swath: slant ranges, sector about broadside, depth below the sonar.
 #[derive(Clone, Copy)]
 struct Swath {
     near_m: f64,
@@ -167,7 +167,7 @@ impl Swath {
     }
 }
 
-/// What is transmitted and how it is heard.
+/// Transmitted pulse and receiver.
 #[derive(Clone, Copy)]
 struct Hearing {
     pulse: Pulse,
@@ -195,14 +195,14 @@ fn build(
         gain_db: 0.0,
         pulse_duration_s: pulse.duration_s,
     };
-    // From well before the first echo to well past the last, so that no window is cut.
+    // From well before the first echo to well past the last, so that no window is truncated.
     let first_sample_s = 2.0 * swath.near_m / C - 3.1e-3;
     let span_s = 2.0 * (swath.far_m - swath.near_m) / C + pulse.duration_s + 6.2e-3;
     let sample_count = (span_s * hearing.rate_hz) as usize;
     let until_s = first_sample_s + span_s;
     let trajectory = motion.trajectory(until_s);
     let mut segments = Vec::new();
-    // Of a uniform motion one segment is the truth.
+    // For uniform motion one segment is exact.
     let segment_s = if motion.uniform() {
         10.0
     } else {
@@ -233,7 +233,7 @@ fn build(
         trajectory,
         segments,
     };
-    // The ends and the middle; a median needs three where there are three.
+    // The ends and the middle; a median needs three if there are three.
     let mut looked_at = vec![0, (rx.elements - 1) / 2, rx.elements - 1];
     looked_at.dedup();
     let conditions = conditions(&plan, &tx, &rx, swath, hearing, scatterers.len());
@@ -252,7 +252,7 @@ fn build(
     }
 }
 
-/// What the error models want to know, measured on the trajectory.
+/// Inputs of the error models, measured on the trajectory.
 fn conditions(
     plan: &PingPlan,
     tx: &TransmitArray,
@@ -284,7 +284,7 @@ fn conditions(
             let (here, platform, place_m) = velocity(k);
             let change = (velocity(k + 1).0 - here).length() / step_s;
             speed = speed.max(here.length());
-            // Finite differences of what does not change leave rounding.
+            // Finite differences of a constant leave rounding errors.
             acceleration = acceleration.max(if change < 1e-9 { 0.0 } else { change });
             turning = turning.max((here - platform).length());
             farthest_m = farthest_m.max(place_m.length());
@@ -309,7 +309,7 @@ fn conditions(
 }
 
 impl Case {
-    /// Error that path and Doppler model make together, as their error models have it.
+    /// Combined error of path and Doppler model by their error models.
     pub(crate) fn model_error(&self, path: PathModel, doppler: DopplerModel) -> f64 {
         let error_models = error_models::window_error_models(path, doppler, &self.conditions);
         error_models
@@ -318,7 +318,7 @@ impl Case {
             .sum()
     }
 
-    /// What an engine for the whole line must be made for: angles and speeds as they occur.
+    /// Angles and speeds of the case, for which an engine for the whole line is made.
     pub(crate) fn bounds(&self) -> Bounds {
         const INSTANTS: usize = 50;
         let axis_body = self.rx.mounting.body_from_array * DVec3::X;
@@ -352,7 +352,7 @@ impl Case {
                 }
             }
         }
-        // Rounding leaves a hair beyond 1.
+        // Rounding may exceed 1 slightly.
         bounds.greatest_slope = bounds.greatest_slope.min(1.0);
         bounds
     }
@@ -383,7 +383,7 @@ fn paper_pulse(kind: PulseKind, taper: f64) -> Pulse {
     }
 }
 
-/// Scenes of the contract's table.
+/// Scenes of the table.
 #[derive(Clone, Copy)]
 pub(crate) struct Scene {
     pub(crate) name: &'static str,
@@ -438,7 +438,7 @@ pub(crate) const SCENES: [Scene; 5] = [
 ];
 
 impl Scene {
-    /// Every window holds a few of `scatterers`.
+    /// Every window contains several of `scatterers`.
     pub(crate) fn case(&self, motion: &Motion, scatterers: usize) -> Case {
         let swath = Swath {
             near_m: 36.0,
@@ -474,7 +474,7 @@ impl Scene {
     }
 }
 
-/// Anything at all, from a seed: pulse, filter, arrays, ranges, motion.
+/// A fully random case from a seed: pulse, filter, arrays, ranges, motion.
 pub(crate) fn random(seed: u64) -> Case {
     let mut chance = Chance::new(1_000_003 + seed);
     let kind = chance.one_of(&[PulseKind::LfmUp, PulseKind::LfmDown, PulseKind::Cw]);
@@ -514,7 +514,7 @@ pub(crate) fn random(seed: u64) -> Case {
         ..motion
     };
     let near_m = 10f64.powf(chance.between(0.7, 1.8));
-    // So many pulse lengths of swath, and so many echoes in each.
+    // Length of the swath in pulses, and number of echoes per pulse.
     let windows = chance.between(5.0, 20.0);
     let swath = Swath {
         near_m,
@@ -579,7 +579,7 @@ pub(crate) fn random(seed: u64) -> Case {
     build(names, &motion, swath, hearing, (tx, rx), scatterers)
 }
 
-/// One line about a random scene, for whoever must find out why.
+/// One-line description of a random scene, for diagnosis.
 pub(crate) fn describe(case: &Case) -> String {
     let p = &case.plan.pulse;
     let c = &case.conditions;

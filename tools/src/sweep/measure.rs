@@ -1,4 +1,4 @@
-//! Truth and the norm of the contract: error by element and window against the reference through the receiver filter.
+//! True element samples and error norms: error by element and window against the reference through the receiver filter.
 
 use std::sync::Mutex;
 
@@ -11,16 +11,16 @@ use num_complex::Complex64;
 
 use super::case::Case;
 
-/// Points of the truth over max(B, 4/T): twice the reference's own density, which leaves 4e-8 of sharp edges and 1e-9 of long flanks.
+/// Points of the truth over max(B, 4/T): twice the reference's own density, which leaves 4e-8 for sharp edges and 1e-9 for long tapers.
 const TRUTH_DENSITY: f64 = 64.0;
 
-/// A truth that must be known better is made denser, up to here: points alone, without weights for edges, converge slowly on flanks of a few points.
+/// Largest density. Points alone, without weights for edges, converge slowly on tapers of a few points.
 const DENSEST: f64 = 512.0;
 
-/// ... and at least so many per sample, where a pulse is narrow: its edges are as sharp as the receiver's band lets them be.
+/// Least points per sample for narrow pulses, whose edges are as sharp as the receiver's bandwidth allows.
 const MIN_OVERSAMPLE: f64 = 64.0;
 
-/// What the engines are told of the range of levels, and where the noise is put that the contract may count a weak window against.
+/// Dynamic range that engines are made for, and the level of the noise floor that weak windows are compared with.
 pub(crate) const LEVEL_RANGE_DB: f64 = 55.0;
 
 /// A window is a pulse long, or this many samples.
@@ -29,14 +29,14 @@ const MIN_WINDOW: usize = 32;
 pub(crate) struct Truth {
     /// The receiver filter, as dense as the truth.
     pub(crate) filter: Option<Decimator>,
-    /// Of the elements looked at.
+    /// True samples of the compared elements.
     pub(crate) records: Vec<Vec<Complex64>>,
-    /// Of the sums without a tolerance of their own, as they were asked for: none depends on what is asked.
+    /// Results of the sums without a tolerance of their own, which do not depend on the requested one.
     error_models: Mutex<Vec<(Synthesis, ErrorModel)>>,
 }
 
 impl Truth {
-    /// The error model of `synthesis` in every window in noise.
+    /// Applies the error model of `synthesis` to every window, with noise floor.
     pub(crate) fn error_model(&self, synthesis: Synthesis, case: &Case) -> ErrorModel {
         let mut error_models = self.error_models.lock().expect("nobody panics with it");
         if let Some((_, error_model)) = error_models.iter().find(|(of, _)| *of == synthesis) {
@@ -88,7 +88,7 @@ fn truth_of(case: &Case, density: f64) -> Truth {
     }
 }
 
-/// One of which the next sparser, half as dense, is off by `most` in noise at most; and by what that is off.
+/// A truth whose half-dense version differs by at most `most` with noise floor; and that difference.
 pub(crate) fn truth_within(case: &Case, most: f64) -> (Truth, WorstWindow) {
     let mut density = TRUTH_DENSITY;
     let mut truth = truth(case);
@@ -102,8 +102,8 @@ pub(crate) fn truth_within(case: &Case, most: f64) -> (Truth, WorstWindow) {
     (truth, doubt)
 }
 
-/// The reference and its filter half as dense, against the truth: what by each measure is not known. Without a filter nothing is summed
-/// densely.
+/// Error of the half-dense reference and filter against the truth, by each measure: the uncertainty of the truth. Without a filter nothing
+/// is sampled.
 pub(crate) fn doubt(case: &Case, truth: &Truth) -> WorstWindow {
     match truth.filter {
         None => WorstWindow::default(),
@@ -139,34 +139,34 @@ fn reference_record(case: &Case, filter: Option<&Decimator>, element: usize) -> 
     out
 }
 
-/// The contract counts a window against itself, or against this share of the middlemost element's where it is weaker still.
+/// A window's error refers to its own energy, or to this share of the middle element's if that is greater.
 const FLOOR_OF_MEDIAN: f64 = 1e-6;
 
-/// Worst of |got - want| by window and element, three ways.
+/// Largest |got - want| by window and element, by three measures.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct WorstWindow {
-    /// The contract's where there is no noise: over |want| in the same window, or over 1e-6 of that window's median over the elements. Infinite
-    /// where no element hears anything and something was made. Where a window holds the end of a flank or of the filter's tail alone, this
-    /// asks for that end to within its tolerance of itself: the reference half as dense does not keep that either.
+    /// Without noise: over |want| in the same window, or over 1e-6 of that window's median over the elements. Infinite if no element
+    /// receives anything and something was synthesised. If a window contains only the end of a taper or of the filter's tail, this compares
+    /// that end with itself: even the half-dense reference misses the tolerance there.
     pub(crate) without_noise: f64,
-    /// The contract's: over |want| in the same window, or over the noise in it, 55 dB below the strongest.
+    /// The measure that tolerances apply to: over |want| in the same window, or over its noise, 55 dB below the strongest window.
     pub(crate) in_noise: f64,
-    /// Looser, and no promise: over the loudest window that shares samples with it; where even that is below the noise of `in_noise`, over
-    /// the strongest. It tells what is wrong with an echo from what is left beside echoes.
+    /// A looser measure without guarantee: over the strongest window that shares samples with it; if that is below the noise of `in_noise`,
+    /// over the strongest window of all. It distinguishes errors of an echo from residuals beside echoes.
     pub(crate) beside: f64,
 }
 
-/// What is no number is worse than any.
+/// NaN ranks as the worst error.
 fn worse(a: f64, b: f64) -> f64 {
     if b.is_nan() { f64::INFINITY } else { a.max(b) }
 }
 
-/// Nothing where nothing is: no error.
+/// No error where both are zero.
 fn relative(off: f64, size: f64) -> f64 {
     if off == 0.0 { 0.0 } else { (off / size).sqrt() }
 }
 
-/// Energy of every window, sample by sample; each summed afresh, since differences of running sums would lose the weak ones.
+/// Energy of every window, sample by sample; each is summed afresh, because differences of running sums would lose weak windows.
 fn energies(record: impl Iterator<Item = f64>, length: usize) -> Vec<f64> {
     let squares: Vec<f64> = record.collect();
     squares.windows(length).map(|w| w.iter().sum()).collect()
@@ -178,7 +178,7 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// Over all windows of `length` samples of all elements' records; `got` and `want` by element.
+/// Over all windows of `length` samples of all elements; `got` and `want` by element.
 pub(crate) fn worst_window(
     got: &[Vec<Complex64>],
     want: &[Vec<Complex64>],
@@ -201,7 +201,7 @@ pub(crate) fn worst_window(
         for (at, (&off, &here)) in off.iter().zip(size).enumerate() {
             worst.without_noise = worse(worst.without_noise, relative(off, here.max(floor[at])));
             worst.in_noise = worse(worst.in_noise, relative(off, here.max(noise)));
-            // Those that begin anywhere up to a window away; every quarter of one will do.
+            // Windows that begin up to a window length away, at steps of a quarter.
             let last = size.len() - 1;
             let around = (0..=8).map(|k| (at + k * length / 4).saturating_sub(length).min(last));
             let loudest = around.map(|k| size[k]).fold(here, f64::max);
@@ -212,7 +212,7 @@ pub(crate) fn worst_window(
     worst
 }
 
-/// Over all elements looked at.
+/// Over all compared elements.
 pub(crate) fn error(case: &Case, truth: &Truth, records: &[Vec<Complex64>]) -> WorstWindow {
     let length = (case.plan.pulse.duration_s * case.rate_hz).ceil() as usize;
     worst_window(records, &truth.records, length)

@@ -1,4 +1,4 @@
-//! From a tolerance to models and a sum, by what their error models promise, or to a refusal.
+//! Chooses models and a synthesis method for a tolerance by their error models, or refuses.
 
 use std::sync::Mutex;
 
@@ -22,7 +22,7 @@ use num_complex::Complex64;
 use super::case::Case;
 use super::measure::{LEVEL_RANGE_DB, Truth};
 
-/// Elements from which an engine for lines is asked.
+/// Smallest number of elements for which a line engine is made.
 const MIN_LINE: usize = 8;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,19 +35,19 @@ pub(crate) enum Method {
     Gridded2d,
 }
 
-/// Models and sum with which a method answers.
+/// Models and synthesis of an answer.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Chosen {
     pub(crate) path: PathModel,
     pub(crate) doppler: DopplerModel,
-    /// Of the sum alone; infinite where it has none to keep.
+    /// Tolerance of the synthesis alone; infinite if it has none.
     pub(crate) tolerance: f64,
-    /// What the error models add up to.
+    /// Sum of the error models.
     pub(crate) predicted: f64,
     pub(crate) why: String,
 }
 
-/// An engine made for a case, where the method has one to make.
+/// The engine made for a case, for methods that have one.
 pub(crate) enum Ready {
     Sum,
     Elements(Gridded),
@@ -65,7 +65,7 @@ impl Chosen {
     }
 }
 
-/// What kept a method from a tolerance, and its own words.
+/// Why a method cannot meet a tolerance, with its own message.
 #[derive(Clone, Debug)]
 pub(crate) struct Refused {
     pub(crate) by: Reason,
@@ -74,9 +74,9 @@ pub(crate) struct Refused {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Reason {
-    /// No path and Doppler model that it takes is close enough.
+    /// No supported path and Doppler model is accurate enough.
     Model,
-    /// The sum is not.
+    /// The synthesis is not accurate enough.
     Sum,
 }
 
@@ -90,7 +90,7 @@ impl Method {
         Self::Gridded2d,
     ];
 
-    /// Those that are of use for so many elements.
+    /// Methods applicable to this many elements.
     pub(crate) fn of(case: &Case) -> impl Iterator<Item = Self> {
         let line = case.rx.elements >= MIN_LINE;
         Self::ALL
@@ -109,7 +109,7 @@ impl Method {
         }
     }
 
-    /// Doppler models that go with it, from cheap to dear.
+    /// Supported Doppler models, from cheap to expensive.
     fn dopplers(self) -> Vec<DopplerModel> {
         let takes = |doppler: DopplerModel| match self {
             Self::Direct => Synthesis::Direct.takes(doppler),
@@ -129,7 +129,7 @@ impl Method {
         .collect()
     }
 
-    /// The cheapest models with which the sum that is left over keeps `tolerance`.
+    /// The cheapest models whose remainder lets the synthesis meet `tolerance`.
     pub(crate) fn within(
         self,
         tolerance: f64,
@@ -172,8 +172,8 @@ impl Method {
         Err(refused.expect("every method has a model"))
     }
 
-    /// The best models that it takes, whatever comes of it; a sum that can be made to any tolerance to a thousandth. None where the sum
-    /// refuses even that.
+    /// The most accurate supported models without a tolerance; an adjustable synthesis is made to 1e-3. None if the synthesis refuses even
+    /// that.
     pub(crate) fn as_it_is(self, case: &Case, truth: &Truth) -> Option<(Chosen, Ready)> {
         let path = PathModel::Continuous;
         let doppler = self.dopplers().last().copied()?;
@@ -189,12 +189,12 @@ impl Method {
         Some((chosen, ready))
     }
 
-    /// Whether its sum is made for a tolerance.
+    /// Whether its synthesis is made to a tolerance.
     fn adapts(self) -> bool {
         matches!(self, Self::Gridded1d | Self::Gridded2d)
     }
 
-    /// The sum and its error model, if that is within `tolerance`.
+    /// The synthesis and its error model, if within `tolerance`.
     fn ready(
         self,
         tolerance: f64,
@@ -226,7 +226,7 @@ impl Method {
         Ok((error_model, Ready::Sum))
     }
 
-    /// Samples of the elements looked at.
+    /// Samples of the compared elements.
     pub(crate) fn records(self, case: &Case, chosen: &Chosen, ready: Ready) -> Vec<Vec<Complex64>> {
         let plan = case.with_models(chosen.path, chosen.doppler);
         match (self, ready) {
@@ -248,7 +248,7 @@ fn model_refusal(tolerance: f64, case: &Case, path: PathModel, doppler: DopplerM
     } else {
         doppler_error_model
     };
-    // Half of it each where neither alone is too much.
+    // Half of the tolerance for each, if neither needs more.
     let refusal = worse.clone().within(tolerance).err();
     let refusal = refusal.or_else(|| worse.within(0.5 * tolerance).err());
     Refused {
@@ -270,7 +270,7 @@ fn grid(case: &Case, filter: Option<&Decimator>) -> (f64, f64, usize) {
     }
 }
 
-/// Hands the arrivals of one element in the window of `grid` to `sink`.
+/// Passes the arrivals of one element in the window of `grid` to `sink`.
 fn walk(
     case: &Case,
     plan: &PingPlan,
@@ -291,7 +291,7 @@ fn walk(
     );
 }
 
-/// The receiver filter as the pipeline gives it to this synthesis.
+/// The receiver filter as the pipeline makes it for this synthesis.
 fn own_filter(case: &Case, synthesis: Synthesis) -> Option<Decimator> {
     let pulse = &case.plan.pulse;
     let factor = oversample(pulse, case.rate_hz, synthesis);
@@ -369,7 +369,7 @@ fn replicas(case: &Case, plan: &PingPlan, linear: bool) -> Vec<Vec<Complex64>> {
     })
 }
 
-/// Keeps all arrivals.
+/// Collects all arrivals.
 #[derive(Default)]
 struct Kept(Vec<ArrivalChunk>);
 
@@ -451,7 +451,7 @@ impl Gridded {
     }
 }
 
-/// To be made and used inside the same pool.
+/// Create and use inside the same thread pool.
 fn gridded_2d(
     tolerance: f64,
     case: &Case,

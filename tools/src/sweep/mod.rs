@@ -1,6 +1,6 @@
-//! The contract of tolerances, measured: every method asked for every tolerance on scenes that move.
+//! Measurement of tolerances: every method at every tolerance on scenes with a moving platform.
 //!
-//! Read [`case`] (scenes and motions), [`methods`] (how a tolerance becomes models and a sum, or a refusal), [`measure`] (truth and norm).
+//! Read [`case`] (scenes and motions), [`methods`] (choice of models and synthesis, or refusal) and [`measure`] (truth and error norms).
 
 pub(crate) mod case;
 pub(crate) mod draw;

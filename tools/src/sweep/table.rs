@@ -4,10 +4,10 @@ use super::case::Case;
 use super::measure::{self, Truth, WorstWindow};
 use super::methods::{Chosen, Method, Ready, Reason, Refused};
 
-/// Tolerances asked for.
+/// Requested tolerances.
 pub(crate) const TOLERANCES: [f64; 8] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8];
 
-/// One method asked for one tolerance.
+/// One method at one tolerance.
 pub(crate) struct Cell {
     pub(crate) tolerance: f64,
     pub(crate) outcome: Result<Measured, Refused>,
@@ -21,13 +21,13 @@ pub(crate) struct Measured {
 }
 
 impl Cell {
-    /// Refused, or as good as asked by this measure of it.
+    /// Refused, or within the tolerance by this measure.
     pub(crate) fn holds(&self, error: Measure) -> bool {
         let good = |m: &Measured| error(&m.error) <= self.tolerance;
         self.outcome.as_ref().map_or(true, good)
     }
 
-    /// Its error by this measure, marked where it is above, or by what it was refused.
+    /// The error by this measure, marked if above the tolerance, or the reason of refusal.
     pub(crate) fn text(&self, error: Measure) -> String {
         match &self.outcome {
             Ok(m) if self.holds(error) => figure(error(&m.error)),
@@ -45,28 +45,28 @@ pub(crate) fn figure(error: f64) -> String {
     format!("{error:.1e}")
 }
 
-/// One of an error's three figures.
+/// One of the three measures of an error.
 pub(crate) type Measure = fn(&WorstWindow) -> f64;
 
-/// What is printed of an error, line by line.
+/// Printed measures, line by line.
 pub(crate) const MEASURES: [(&str, Measure); 3] = [
     ("", |e| e.in_noise),
     ("  beside", |e| e.beside),
     ("  no noise", |e| e.without_noise),
 ];
 
-/// One method on one case, tolerance by tolerance.
+/// One method on one case, by tolerance.
 pub(crate) struct Row {
     pub(crate) method: Method,
     pub(crate) cells: Vec<Cell>,
-    /// Its error where nothing is asked of it.
+    /// Error without a requested tolerance.
     pub(crate) as_it_is: Option<WorstWindow>,
 }
 
 impl Row {
     pub(crate) fn of(method: Method, case: &Case, truth: &Truth, tolerances: &[f64]) -> Self {
         let mut known: Vec<(Chosen, WorstWindow)> = Vec::new();
-        // A sum without a tolerance of its own is the same for all.
+        // A synthesis without a tolerance gives the same error at all.
         let mut error_of = |(chosen, ready): (Chosen, Ready)| {
             let of = known.iter().find(|(c, _)| *c == chosen).map(|k| k.1);
             let error = of.unwrap_or_else(|| {
@@ -95,7 +95,7 @@ impl Row {
         }
     }
 
-    /// Above their tolerance in noise.
+    /// Number of cells above their tolerance with noise floor.
     pub(crate) fn broken(&self) -> impl Iterator<Item = &Cell> {
         self.cells.iter().filter(|cell| !cell.holds(|e| e.in_noise))
     }
@@ -118,7 +118,7 @@ impl Row {
                 .map_or("-".into(), |e| figure(error(e)));
             text += &format!("{scene:<18} {motion:<22} {method:<10} {as_it_is:>8}");
             for cell in &self.cells {
-                // A refusal is said once.
+                // A refusal is printed only once.
                 let shown = if k == 0 || cell.outcome.is_ok() {
                     cell.text(error)
                 } else {
@@ -133,7 +133,7 @@ impl Row {
     }
 }
 
-/// What is not known of the truth itself.
+/// Uncertainty of the truth.
 pub(crate) fn doubt(case: &Case, truth: &Truth) -> String {
     let WorstWindow {
         without_noise,
