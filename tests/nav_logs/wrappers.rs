@@ -191,7 +191,7 @@ fn the_report_is_printed_as_text_and_json_and_drawn() {
     for words in [
         "720: 452 used, 268 not taken",
         "roll-pitch    90 samples, every 1.000 s",
-        "depth         nothing",
+        "depth         no samples",
         "heading comes from PSXN,23",
     ] {
         assert!(text.contains(words), "no `{words}`:\n{text}");

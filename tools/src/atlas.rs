@@ -31,7 +31,7 @@ use picture::{Map, Mark, Panel, Sign};
 
 #[derive(Parser)]
 #[command(
-    about = "Every regime in which methods break, swept: pictures, a page of them, and a table of every cell"
+    about = "Sweep every regime in which methods fail: figures, a page of them, and a table of every cell"
 )]
 struct Arguments {
     /// Draw only maps whose name contains this; leave the page unchanged
@@ -202,7 +202,7 @@ fn choices(regime: &Regime, columns: &[Column]) -> Vec<String> {
                     text = name.to_owned();
                 }
                 match plan.out_of_reach {
-                    true => format!("{text}: says that nothing keeps the tolerance"),
+                    true => format!("{text}: reports that no method meets the tolerance"),
                     false => text,
                 }
             }
@@ -227,13 +227,13 @@ fn summary(regime: &Regime, columns: &[Column], seconds: f64) {
         let label = regime.label(value);
         for (name, outcome) in column.named() {
             if outcome.is_silently_wrong(column.tolerance) && !blind {
-                println!("  SILENT at {label}: {name}: {outcome:?}");
+                println!("  UNDETECTED ERROR at {label}: {name}: {outcome:?}");
             }
         }
         if let Some(plan) = &column.plan {
             let wrong = !plan.out_of_reach && !plan.outcome.is_within(column.tolerance) && !blind;
             if wrong || matches!(plan.outcome, Outcome::NoNumber | Outcome::Panic(_)) {
-                println!("  PLAN at {label}: {}: {:?}", plan.text, plan.outcome);
+                println!("  SELECTION at {label}: {}: {:?}", plan.text, plan.outcome);
             }
         }
     }

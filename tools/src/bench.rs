@@ -37,7 +37,7 @@ use clap::{Args, Parser, Subcommand};
 use report::Report;
 
 #[derive(Parser)]
-#[command(about = "Error and time of the emulator's parts, on one line")]
+#[command(about = "Measure errors and run times of the emulator's parts")]
 struct Arguments {
     #[command(subcommand)]
     what: What,

@@ -10,20 +10,19 @@ mod table;
 use std::path::Path;
 
 const ABOUT: &str = "\
-One point, one element, LFM 400 kHz / 30 kHz / 5 ms (ends tapered by a twentieth each), 1500 m/s, uniform motion along the track.
-range m: where a method puts the leading edge less where it truly is, one way. error: relative l2 of the element's samples at 80 kHz
-against the retarded-time sum on the continuous motion; pass up to 1e-3. An error of 1.4 is that of two signals with nothing in common.
+One point, one element, LFM 400 kHz / 30 kHz / 5 ms (tapered by a twentieth at each end), 1500 m/s, uniform motion along the track.
+range m: one-way range error of the leading edge. error: relative l2 error of the element's samples at 80 kHz against the retarded-time sum on
+the continuous motion; pass up to 1e-3. Uncorrelated signals have an error of 1.4.
 paper-eq21: Eq. 21 of Meng et al. 2023 as printed, on the polyline. stop-and-hop: without Doppler. The others: on the polyline.
 ";
 
 const ABOUT_IMAGES: &str = "\
-What the same models cost a picture. One point, the pulse of errors.txt, transmitter and receiver of 0.2 m each; truth is the retarded-time sum.
-Each pair: what the criterion says, and what was measured. along m: how far along the track the strongest line moves the point (abeam); criterion
-v r / c where the way during the ping is left out. edge m, 60 deg m: how far its compressed line moves it in range at the edge of the beam (0.48
-degrees ahead of abeam) and 60 degrees from the track; criterion v r cos / c of the way left out plus |d| f_c T / B of the Doppler left out. picture:
-of a side-scan, pass where along is below a quarter of the cell (0.64 lambda r / L) and edge below a tenth of its own (c / 2B = 0.025 m), by the
-criterion and by what was measured. samples: the relative error of the element's samples at the edge, ! above 1e-3: what a picture may do without,
-whoever beamforms may not.
+Image errors of the same models. One point, the pulse of errors.txt, transmit and receive apertures of 0.2 m each; truth is the retarded-time sum.
+Each pair: predicted and measured. along m: displacement of the point along the track by the strongest line (abeam); predicted v r / c where motion
+during the ping is ignored. edge m, 60 deg m: displacement in range of the compressed line at the edge of the beam (0.48 degrees ahead of abeam) and
+60 degrees from the track; predicted v r cos / c of the ignored motion plus |d| f_c T / B of the ignored Doppler. picture: a side-scan image passes if
+along is below a quarter of its cell (0.64 lambda r / L) and edge below a tenth of its cell (c / 2B = 0.025 m); predicted, measured. samples: relative
+error of the element's samples at the edge, ! above 1e-3; this matters to beamforming but not to the image.
 ";
 
 fn main() -> std::io::Result<()> {
@@ -46,7 +45,7 @@ fn main() -> std::io::Result<()> {
             std::fs::write(folder.join("images.txt"), pictures)
         }
         Some(other) => {
-            eprintln!("{other}: only --keep is known");
+            eprintln!("{other}: unknown option; the only option is --keep");
             std::process::exit(2);
         }
     }

@@ -18,7 +18,7 @@ const MAX_BYTES: usize = 1 << 30;
 
 #[derive(Parser)]
 #[command(
-    about = "Spoils files and sees that they are read or refused, without a panic and within memory"
+    about = "Feed corrupted files to the readers and check that they are read or refused without a panic and within the memory limit"
 )]
 struct Args {
     #[arg(value_enum)]
@@ -64,7 +64,7 @@ fn main() -> ExitCode {
                     let path = std::env::temp_dir().join(format!("fuzz-found-{}", file.name));
                     let kept = std::fs::write(&path, bytes);
                     println!(
-                        "FOUND in {}: {taken} bytes taken; left in {} ({kept:?})",
+                        "FOUND in {}: {taken} bytes allocated; file kept as {} ({kept:?})",
                         file.name,
                         path.display()
                     );
@@ -77,6 +77,6 @@ fn main() -> ExitCode {
     for (name, [read, refused]) in counts {
         println!("{name:16} {read:8} read {refused:8} refused");
     }
-    println!("no panic; at most {most} bytes at once");
+    println!("no panic; peak allocation {most} bytes");
     ExitCode::SUCCESS
 }

@@ -17,17 +17,17 @@ const HELP: &str = "\
 tools/ladder [--quick] [--seeds N] [--json FILE] [--picture FILE] [--times]
 
   --quick         4 seeds and 12 pings instead of 64 and 48
-  --seeds N       how many scenes of fresh speckle and fresh random numbers
-  --json FILE     the same figures for a program
+  --seeds N       number of scenes with different speckle and random numbers
+  --json FILE     write the results as JSON
   --picture FILE  the images of one scene as PNG: the original on top, then a row of simplifiers for each level
-  --times         only times, one thread: what choosing and what computing a ping costs
+  --times         only run times on one thread: of the selection and of computing a ping
 
-scene     42,936 points over 20 m x 60 m of the raised letters of Fig. 12, 30 m below the sonar; what a ping cannot see is silent for all
+scene     42,936 points over 20 m x 60 m of the raised letters of Fig. 12, 30 m below the sonar; scatterers in shadow are excluded for all simplifiers
 sonar     one beam of 0.56 degrees each way, 400 kHz, 30 kHz LFM of 5 ms, 30 degrees down, 3 knots, a ping every 0.25 m
-level dB  energy of all images over that of the original's, both with 40 log r + 2 alpha r of gain: mean over the seeds, and how one seed scatters
+level dB  energy of all images over the original's, both with a gain of 40 log r + 2 alpha r: mean over the seeds, and standard deviation of one seed
 image dB  rms over blocks of 4 pings x 64 samples (192 resolution cells) of the ratio of energies, clipped at 20 dB
 l2        relative l2 difference of the complex element samples
-chosen    `each ping`: anew for each ping, as the paper's axis energy asks; `once`: for the whole pass, from its middle
+chosen    `each ping`: selected for each ping, as the paper's axis energy requires; `once`: for the whole pass, from its middle
 ";
 
 fn main() {
@@ -58,7 +58,7 @@ fn main() {
                 print!("{HELP}");
                 return;
             }
-            other => refuse(&format!("{other}: no such option")),
+            other => refuse(&format!("{other}: unknown option")),
         }
     }
     println!("{}", machine::describe());
@@ -142,7 +142,7 @@ fn print_times(ladder: &Ladder) {
         }
     }
     println!(
-        "conventional chooses once for all pings; the others for each ping, curvatures fitted before"
+        "conventional selects once for all pings; the others for each ping, with curvatures fitted beforehand"
     );
     let _ = Once::ALL;
 }

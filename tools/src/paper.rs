@@ -20,15 +20,15 @@ tools/paper FIG [--out DIR]
 
   6    footprints of stop-and-hop and polyline, and the propagation distance
   7    incidence and direction of arrival in the polyline's footprint
-  10   single-beam side-scan at 3 and 10 knots, and its fractures
+  10   single-beam side-scan at 3 and 10 knots, with its gaps
   11   five subarrays at 10 knots: conventional beams and dynamic focus
   17   the lake with its bridge piers
-  18   the same under a deviation of the motion
-  all  these
+  18   the same with a deviation of the motion
+  all  all of these
 
-  --out DIR   where PNG and JSON go; else out/paper
+  --out DIR   folder for PNG and JSON; default out/paper
 
-  12 to 16  the simplified seabeds: what tools/ladder measures, in its short form (the script tools/paper calls it)
+  12 to 16  the simplified seabeds: the short form of tools/ladder (called by the script tools/paper)
 ";
 
 fn main() -> std::process::ExitCode {

@@ -23,13 +23,13 @@ const MIN_MS: f64 = 1.0;
 
 #[derive(Parser)]
 #[command(
-    about = "The plan of methods on seeded random rigs and on configurations: promises, errors and costs, measured side by side on one thread",
-    long_about = "For each rig the first ping: what the plan chose, what it promises, what the ping then did, and what other choices did. Error: the worst \
-window of a pulse's length (32 samples at least) of any element, over that window or that element's whole ping, whichever is louder. The reference solution is the \
-direct sum on the trajectory itself with second-order Doppler, as dense behind the filter as the reference; it is itself off by what stands under \
-\"reference solution\" (128 random samples by the reference's equation). The plan's four windows that are the worst by the reference solution are computed again by the \
-reference's equation, and that counts. Where the reference solution is off by more than a tenth of the tolerance the \
-measured error is that of 128 random samples, marked c. Times: least of 5 runs in turn, one thread."
+    about = "Measure automatic method selection on random rigs and on configurations: predicted and measured errors and costs, on one thread",
+    long_about = "Makes the first ping of each rig with the selected methods and with other candidates. The error is the largest in any window of a \
+pulse length (at least 32 samples) of any element, over that window or that element's whole ping, whichever is stronger. The reference solution is the \
+direct sum on the exact trajectory with second-order Doppler, sampled as densely behind the filter as the reference; its own error, at 128 random samples by \
+the reference's equation, stands under \"ref. err\". The four worst windows of the selected methods are computed again by the reference's equation, and that error \
+counts. If the reference solution's error exceeds a tenth of the tolerance, the measured error is that of 128 random samples, marked c. \
+Times: minimum of 5 runs in turn, one thread."
 )]
 struct Arguments {
     /// Number of random rigs
@@ -184,16 +184,16 @@ fn ratios(of: &Measured) -> (f64, f64) {
 
 fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)) -> String {
     let mut text = String::from(
-        "Plans of methods held against what was measured: tools/rigs --help says how.\n\n",
+        "Selected methods compared with measurements; see tools/rigs --help.\n\n",
     );
     let _ = writeln!(
         text,
-        "{:<16} {:>8} {:>8} {:>8}  {:>8} | {:>8} {:>8} | {:>6} {:>6} | {:>7} {:>4} plan; rig",
+        "{:<16} {:>8} {:>8} {:>8}  {:>8} | {:>8} {:>8} | {:>6} {:>6} | {:>7} {:>4} selected methods; rig",
         "rig",
         "toler.",
-        "promised",
+        "pred.",
         "measured",
-        "reference",
+        "ref. err",
         "pred. ms",
         "ms",
         "best p",
@@ -241,7 +241,7 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
     };
     let _ = writeln!(
         text,
-        "\n{} rows, {} of them said to be out of reach; load {} to {}; costs: {}",
+        "\n{} rows, {} of them predicted to be out of reach; load {} to {}; costs: {}",
         rows.len(),
         rows.len() - all,
         load.0,
@@ -254,12 +254,12 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
     );
     let _ = writeln!(
         text,
-        "promised error an upper bound: {bound} of {all}; within 10 times of the measured: {tight} of {all} ({:.0} %)",
+        "predicted error an upper bound: {bound} of {all}; within 10 times the measured: {tight} of {all} ({:.0} %)",
         percent(tight, all)
     );
     let _ = writeln!(
         text,
-        "cost within 1.5 times of the best that promises as much, pings above {MIN_MS} ms: {} of {} ({:.0} %); of the best that is as good: {} ({:.0} %)",
+        "cost within 1.5 times the cheapest predicted within the tolerance, pings above {MIN_MS} ms: {} of {} ({:.0} %); the cheapest measured within: {} ({:.0} %)",
         near(|r| r.0),
         long.len(),
         percent(near(|r| r.0), long.len()),
@@ -268,7 +268,7 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
     );
     let mut worst: Vec<&&&Row> = long.iter().collect();
     worst.sort_by(|a, b| ratios(&b.of).0.total_cmp(&ratios(&a.of).0));
-    text += "\nfarthest from the best promised:\n";
+    text += "\nlargest cost ratio to the cheapest predicted within the tolerance:\n";
     for row in worst.iter().take(5) {
         let best = row
             .of
@@ -298,11 +298,11 @@ fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)
         (b.of.plan.error / b.of.plan.predicted_error)
             .total_cmp(&(a.of.plan.error / a.of.plan.predicted_error))
     });
-    text += "\nmeasured above promised, worst first:\n";
+    text += "\nmeasured above predicted, worst first:\n";
     for row in over.iter().take(20) {
         let _ = writeln!(
             text,
-            "{}: {:.1e} measured, {:.1e} promised, reference solution {:.0e}: {}; {}",
+            "{}: {:.1e} measured, {:.1e} predicted, reference solution {:.0e}: {}; {}",
             row.name,
             row.of.plan.error,
             row.of.plan.predicted_error,

@@ -10,8 +10,8 @@ use measure::{Case, Soundings, agreement};
 const HELP: &str = "\
 tools/soundings [--pings N] [--picture FILE.png]
 
-Depth errors of hil-configs/multibeam.toml with bottom detection, by angle: over a flat bottom, a slope, the JD211 survey on a straight track
-and in the quickstart's swell. N pings each (60), 4 s apart. --picture: the survey's soundings and its truth, in cells of 10 m.
+Prints depth errors of hil-configs/multibeam.toml with bottom detection by angle: over a flat bottom, over a slope, and over the JD211 survey
+on a straight track and with the quickstart's swell. N pings each (default 60), 4 s apart. --picture: the survey's soundings and truth, in cells of 10 m.
 ";
 
 /// Cell sizes at which relief is compared.
@@ -45,7 +45,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         if case == Case::Survey {
             let (correlation, relief_m, apart_m) = agreement(&soundings.relief(CELL_M, LEAST));
             println!(
-                "relief in cells of {CELL_M} m: {relief_m:.3} m of standard deviation in the truth, soundings off by {apart_m:.3} m, correlation {correlation:.3}\n"
+                "relief in cells of {CELL_M} m: standard deviation of the truth {relief_m:.3} m, of the sounding error {apart_m:.3} m, correlation {correlation:.3}\n"
             );
             if let Some(file) = &picture {
                 draw(&soundings, std::path::Path::new(file))?;

@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         [] => 100,
         ["--quick"] => 10,
         _ => {
-            eprintln!("only --quick is known");
+            eprintln!("unknown option; the only option is --quick");
             std::process::exit(2);
         }
     };
@@ -42,7 +42,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     std::fs::remove_dir_all(&folder)?;
     let (peak, faults) = done?;
     if peak.is_some_and(|bytes| bytes > LIMIT_BYTES) {
-        eprintln!("above 2 GiB");
+        eprintln!("peak memory above 2 GiB");
         std::process::exit(1);
     }
     if faults > 0 {

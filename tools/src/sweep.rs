@@ -14,22 +14,21 @@ use sweep::methods::{Method, Reason};
 use sweep::table::{Cell, MEASURES, Measured, Row, TOLERANCES, doubt, heading};
 
 const ABOUT: &str = "\
-Three lines a method, all of the worst of every window of a pulse's length (32 samples at least), sample by sample, at three elements. First: the
-contract's number, |x - x_ref| over max(|x_ref|, noise) in the window; the noise of every scene lies 55 dB below its strongest window. x_ref is the
-retarded-time sum on the continuous motion through the receiver filter, 64 points per width of the band. \"beside\": looser and no promise, a
-window's error over the loudest window that shares samples with it, and over the strongest where that is below the noise. \"no noise\": over
-max(|x_ref|, 1e-6 of the median over the elements), inf where something is left and no element hears anything. These scenes are sparse: windows there
-are that hold the end of a flank or of the filter's tail alone, and that asks for this end to within its tolerance of itself; what the reference
-half as dense scores by all three stands above each scene. Scenes: 36 m to 150 m (75 m, 60 m) slant, 400 kHz, 30 kHz, 5 ms, 48 kHz samples;
-\"paper\" is rectangular, the others have half the pulse under flanks. A method is asked for a tolerance, takes the cheapest path and Doppler models
-whose error models leave room for it, and answers with samples or with a refusal: \"model\" where no Doppler or path model that it takes is close enough,
-\"sum\" where its way to sum is not. \"as it is\": continuous path, the best Doppler model it takes, whatever comes of it. A figure above its
-tolerance is marked !.
+Each method has three lines: the largest error in any window of a pulse length (at least 32 samples), over all samples of three elements. First line:
+the error that tolerances apply to, |x - x_ref| over max(|x_ref|, noise) in the window. The noise of a scene is 55 dB below its strongest window. x_ref
+is the retarded-time sum on the continuous motion through the receiver filter, with 64 points per bandwidth. \"beside\": a looser measure without
+guarantee, a window's error over the strongest window that shares samples with it, or over the strongest of all where that is below the noise.
+\"no noise\": over max(|x_ref|, 1e-6 of the median over the elements); inf if a residual remains where no element receives anything. These scenes are
+sparse: some windows contain only the end of a taper or of the filter's tail, which this measure compares with itself. The line above each scene gives
+the same three errors of the half-dense reference. Scenes: 36 m to 150 m (75 m, 60 m) slant range, 400 kHz, 30 kHz, 5 ms, 48 kHz sample rate. \"paper\"
+has a rectangular pulse, the others taper half of it. For each tolerance a method takes the cheapest path and Doppler models whose error models leave
+it a share, and answers with samples or refuses. \"model\": no supported Doppler or path model is accurate enough. \"sum\": its synthesis is not accurate
+enough. \"as it is\": continuous path and the best supported Doppler model, without a tolerance. Errors above the tolerance are marked !.
 ";
 
 #[derive(Parser)]
 #[command(
-    about = "Every method, scene, motion and tolerance against the reference; and random scenes"
+    about = "Measure every method at every tolerance on fixed and random scenes, against the reference"
 )]
 struct Arguments {
     /// Scatterers in the table's scenes
@@ -174,7 +173,7 @@ fn random(given: &Arguments) -> (String, usize) {
         })
         .collect();
     let mut text = format!(
-        "\n{count} random scenes (pulse, filter, arrays, ranges, motion; their seeds are their numbers), tolerances 1e-1 to 1e-6; the reference as dense as makes the one half as dense off by {MAX_DOUBT:.0e} at most.\n\n"
+        "\n{count} random scenes (pulse, filter, arrays, ranges, motion; the number is the seed), tolerances 1e-1 to 1e-6. The reference is so dense that the half-dense one differs by at most {MAX_DOUBT:.0e}.\n\n"
     );
     let cells: Vec<(Method, &Cell)> = all.iter().map(|one| (one.method, &one.cell)).collect();
     text += &counts(&cells);
@@ -186,7 +185,7 @@ fn random(given: &Arguments) -> (String, usize) {
             .filter_map(|one| Some((one.cell.outcome.as_ref().ok()?, one)))
     };
     let beyond = |(m, one): &(&Measured, &One)| m.error.in_noise - one.doubt > one.cell.tolerance;
-    text += "\nabove by more than the reference half as dense is off:";
+    text += "\nabove the tolerance by more than the half-dense reference's error:";
     let mut all_above = 0;
     for method in Method::ALL {
         let (above, of) = (
@@ -201,7 +200,7 @@ fn random(given: &Arguments) -> (String, usize) {
     if all_above == 0 {
         text += " none";
     }
-    text += "\nthe worst of each, beyond that if any is:\n";
+    text += "\nthe worst of each method and tolerance:\n";
     for method in Method::ALL {
         for &tolerance in tolerances {
             let here = |found: &(&Measured, &One)| found.1.cell.tolerance == tolerance;

@@ -11,7 +11,7 @@ use echotank_protocols::words::{Datagrams, Format, Words};
 use echotank_runtime::io::capture_text::describe_capture;
 
 #[derive(Parser)]
-#[command(about = "Any of our protocols in words, a line a message")]
+#[command(about = "Print the messages of any supported protocol, one per line")]
 struct Args {
     /// A file; a capture (pcap, pcapng) of UDP and TCP; tcp:HOST:PORT to connect; udp:ADDRESS:PORT to listen, also to multicast groups; `-`
     /// for standard input
@@ -78,7 +78,7 @@ fn main() -> ExitCode {
     }
 }
 
-const UNKNOWN: &str = "its first bytes are none that we know; say what it is with --format";
+const UNKNOWN: &str = "unknown format (first bytes not recognised); name it with --format";
 
 fn file(args: &Args, printer: &mut Printer) -> Result<(), String> {
     let bytes = if args.source == "-" {
@@ -198,7 +198,7 @@ fn udp(address: &str, args: &Args, printer: &mut Printer) -> Result<(), String> 
             Some(format) => {
                 datagrams.push(format, &buffer[..len], &mut |line| printer.print(&line));
             }
-            None => printer.print(&format!("{len} B of no format that we know")),
+            None => printer.print(&format!("{len} B of unknown format")),
         }
     }
     Ok(())

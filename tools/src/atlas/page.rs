@@ -6,16 +6,16 @@ use super::atlas::regimes::ALL;
 use super::small::{CURVATURE_SAYS, PLACES_SAYS};
 
 const HEAD: &str = "\
-# The map of failures
+# The failure atlas
 
-Where the methods of this program break, and what they do there. Each picture sweeps one regime (left to right) over every way to sum echoes (six panels)
-with every path and Doppler model (rows): how far the samples are from the retarded-time sum on the continuous motion, in tolerances. Blue keeps the
-tolerance, orange does not; hatched is refused, in words. A ring is what the plan of methods chose for that column, the strip below what came of it. The frame is
-the paper's own formula, Eq. 21 of Meng et al. 2023 on the sum of Eq. 18, as printed.
+This page shows where the methods of this program fail, and how. Each figure sweeps one regime (left to right) over every synthesis method (six panels)
+with every path and Doppler model (rows). The colour is the error of the samples against the retarded-time sum on the continuous motion, in tolerances.
+Blue is within the tolerance, orange is not; hatched cells were refused with a reason. Rings mark the selected methods of each column, and the strip below
+shows their errors. The frame marks the paper's own formula, Eq. 21 of Meng et al. 2023 with the sum of Eq. 18, as printed.
 
-`tools/atlas` draws it all anew, an hour on a busy machine; `--only NAME` one of them, `--page` writes this page. `tests/stability/regimes.rs` holds the
-boundaries of every regime of the table's first part on a short pulse, two to six columns of each: no number that is none, no panic, no answer that its error models
-promised to be right and is not, no plan inside a failing region.
+`tools/atlas` draws all figures (an hour on a busy machine), `--only NAME` one of them; `--page` writes this page. `tests/stability/regimes.rs` tests the
+boundaries of every regime in the first part of the table on a short pulse, with two to six columns each: no NaN, no panic, no error above its prediction
+and no selection inside a failing region.
 
 ";
 

@@ -544,7 +544,7 @@ pub(crate) fn serve() -> Result<(), String> {
             let former = FORMERS
                 .into_iter()
                 .find(|f| f.name() == line.trim())
-                .ok_or_else(|| format!("{line:?}: no former"))?;
+                .ok_or_else(|| format!("{line:?}: unknown beamformer"))?;
             let place = match made.iter().position(|(f, _)| *f == former) {
                 Some(place) => place,
                 None => {

@@ -219,7 +219,7 @@ fn prepare(
     delay_s: &std::rc::Rc<Vec<f64>>,
     amplitude: &[Complex64],
 ) -> Result<Box<dyn Runner>, String> {
-    let malformed = || format!("{line:?}: expected f32|f64 WIDTH OVERSAMPLING DIALECT");
+    let malformed = || format!("{line:?}: expected f32|f64 WIDTH OVERSAMPLING SIMD_LEVEL");
     let words: Vec<&str> = line.split_whitespace().collect();
     let [precision, width, oversampling, simd_level] = words[..] else {
         return Err(malformed());

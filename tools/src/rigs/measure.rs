@@ -62,7 +62,7 @@ impl Measured {
     pub(crate) fn said(&self) -> String {
         let did = |did: &Did| {
             format!(
-                "{:.1e} measured{}, {:.1e} promised ({}), {:.2} ms, {:.2} predicted{}: {}",
+                "{:.1e} measured{}, {:.1e} predicted ({}), {:.2} ms, {:.2} predicted{}: {}",
                 did.error,
                 if did.by_error_check {
                     " by error check"
@@ -73,7 +73,7 @@ impl Measured {
                 did.parts.map(|part| format!("{part:.1e}")).join(" + "),
                 did.ms,
                 did.predicted_ms,
-                if did.promised { "" } else { ", not within" },
+                if did.promised { "" } else { ", above the tolerance" },
                 did.text
             )
         };

@@ -141,7 +141,7 @@ pub(crate) fn doubt(case: &Case, truth: &Truth) -> String {
         beside,
     } = measure::doubt(case, truth);
     format!(
-        "{:<18} {:<22} the reference half as dense: {in_noise:.1e}, beside {beside:.1e}, without noise {without_noise:.1e}\n",
+        "{:<18} {:<22} the half-dense reference: {in_noise:.1e}, beside {beside:.1e}, without noise {without_noise:.1e}\n",
         case.scene, case.motion
     )
 }
