@@ -22,32 +22,32 @@ and no selection inside a failing region.
 const OTHERS: [[&str; 4]; 6] = [
     [
         "curvature on planes",
-        "0/0 on flat ground, on few points and where all lie in shadow (Eqs. 27 and 28)",
-        "a floor of -30 dB under the curvature; what is no number as printed ranks last",
+        "0/0 on flat ground, on few points and if all are in shadow (Eqs. 27 and 28)",
+        "a floor of -30 dB under the curvature; undefined energies rank last",
         "[picture](curvature.png); `simplification_has_a_number_for_every_surface` (`tests/stability`)",
     ],
     [
         "poles, antimeridian",
-        "not considered: places are metres",
-        "through earth-centred coordinates: good to a micrometre anywhere",
+        "not considered: positions are in metres",
+        "via earth-centred coordinates: accurate to a micrometre anywhere",
         "[picture](places.png); `places_come_back_over_poles_and_antimeridian` (`tests/stability`)",
     ],
     [
         "ping period below the two-way time",
         "not considered",
-        "the range wins: the rate is lowered to what it allows, and the records tell the rate that was kept",
+        "the range takes precedence: the rate is lowered, and the records hold the actual rate",
         "`a_range_too_long_for_the_rate_lowers_the_rate` (`ping`)",
     ],
     [
         "all points in shadow",
         "shadowed points tie with the best (Eq. 26's modulus)",
-        "hidden ones are not handed on: a silent ping, counted in `shadowed`",
+        "shadowed points are excluded: a ping without echoes, counted in `shadowed`",
         "`scene::occlusion`",
     ],
     [
         "first bottom return",
         "not considered",
-        "nadir is a direction like any other (`grazing`, 0 degrees)",
+        "nadir needs no special case (`grazing`, 0 degrees)",
         "[grazing](grazing.png)",
     ],
     [
@@ -72,7 +72,7 @@ pub(crate) fn page() -> String {
         "## Simplification where curvature is zero\n\n![Simplification](curvature.png)\n\n{CURVATURE_SAYS}\n\n## Poles and the antimeridian\n\n![Places](places.png)\n\n{PLACES_SAYS}\n\n"
     );
     text +=
-        "## All of them\n\n| regime | the paper's formula | ours | shown by |\n|---|---|---|---|\n";
+        "## Summary\n\n| regime | the paper's formula | ours | shown by |\n|---|---|---|---|\n";
     for regime in &ALL {
         let _ = writeln!(
             text,

@@ -72,9 +72,9 @@ pub(crate) const ALL: [Regime; 20] = [
         ],
         few: &[0.0, 1e-6, 2.572, 12.0, 149.0, 151.0],
         spot: |base, v| base.under_way(v).through_navigation(0.1, |_, _, _| {}),
-        says: "Without its motion an echo is right up to 10 micrometres a second; the paper's Eq. 21 is never better than no motion at all; engines with a tolerance are made for 10 m/s and count what is beyond; above 150 m/s navigation gives no ping.",
-        paper: "divides by the speed (Eq. 5), and Eq. 21 undoes what Eq. 5 did: off by the signal itself from 0.1 m/s on",
-        ours: "one expression for every speed, 0 included; at 30 m/s and above `gridded-1d`'s echoes are counted as beyond it, from 30 m/s on the plan says that nothing keeps the tolerance (what it takes keeps it up to 30 m/s); above 150 m/s the ping is refused: \"two positions imply 151 m/s\"",
+        says: "Ignoring motion is accurate only up to 10 micrometres per second. The paper's Eq. 21 is never better than ignoring motion. Engines with a tolerance are made for 10 m/s and count faster echoes; above 150 m/s navigation refuses the ping.",
+        paper: "divides by the speed (Eq. 5), and Eq. 21 reverses Eq. 5: from 0.1 m/s on the error is as large as the signal",
+        ours: "one expression for every speed including 0; from 30 m/s on `gridded-1d` counts its echoes as outside its limits, and method selection reports that no method meets the tolerance (its choice still does at 30 m/s); above 150 m/s the ping is refused: \"two positions imply 151 m/s\"",
     },
     Regime {
         name: "range",
@@ -90,13 +90,13 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers.strength[0] = 1.0.into();
             spot
         },
-        says: "On the transmitter itself nothing divides by zero: nearer than a wavelength the amplitude is held at one wavelength and the echo is counted (`too_close`).",
-        paper: "1/r of both legs: infinite on the array",
-        ours: "held at one wavelength and counted; motion bends an echo more and more as it comes nearer, and the error models say so",
+        says: "There is no division by zero at the transmitter: within one wavelength the amplitude is that at one wavelength, and the echo is counted (`too_close`).",
+        paper: "1/r of both legs: infinite at the array",
+        ours: "limited to that at one wavelength and counted; the effect of motion grows at short range, and the error models include it",
     },
     Regime {
         name: "grazing",
-        title: "Incidence on a flat Lambert bottom, from nadir to grazing and behind",
+        title: "Incidence on a flat Lambert bottom, from nadir to grazing and beyond",
         axis: "degrees from the normal",
         values: &[
             0.0, 1.0, 10.0, 30.0, 60.0, 80.0, 85.0, 88.0, 89.0, 89.9, 89.99, 89.9999, 90.0, 91.0,
@@ -116,9 +116,9 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers.law.fill(ScatterLaw::Lambert);
             spot
         },
-        says: "From nadir to 90 degrees nothing happens to any method; behind that the ground is silent for all alike, the truth included.",
-        paper: "Eq. 13's 20 log cos falls to minus infinity dB at 90 degrees and is no number behind",
-        ours: "the cosine is held at 0: silence, for one leg or both",
+        says: "No method fails between nadir and 90 degrees; beyond that the bottom returns no echo in any method, nor in the truth.",
+        paper: "Eq. 13's 20 log cos is minus infinity dB at 90 degrees and undefined beyond",
+        ours: "the cosine is limited to 0: no echo, for one leg or both",
     },
     Regime {
         name: "endfire",
@@ -137,8 +137,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers = scatter(&points);
             spot
         },
-        says: "At endfire motion and Doppler are strongest and the path is straight: a stretch is enough up to 30 degrees; nearer broadside the bend of the path is left, which a stretch alone does not follow.",
-        paper: "worst ahead and astern; at 90 degrees it is as good as no motion",
+        says: "At endfire motion and Doppler are strongest and the path is straight: a time stretch suffices up to 30 degrees. Closer to broadside the curvature of the path remains, which a stretch does not model.",
+        paper: "worst ahead and astern; at 90 degrees as good as ignoring motion",
         ours: "`stretch-quadratic` keeps the tolerance in every direction",
     },
     Regime {
@@ -154,9 +154,9 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.receive[0].spacing_m = wavelengths * base.wavelength_m();
             spot
         },
-        says: "Samples know no grating lobes (those are the beams' affair): no method cares, from a thousandth of a wavelength to 300 of them.",
+        says: "Grating lobes affect beams, not element samples: no method depends on the spacing, from a thousandth of a wavelength to 300 wavelengths.",
         paper: "a plane wave over the subarray: fails as L^2/(8 r) grows beyond a wavelength",
-        ours: "exact per element; `gridded-2d` takes stretches as short as it must, or refuses",
+        ours: "exact per element; `gridded-2d` divides the line into short sections as needed, or refuses",
     },
     Regime {
         name: "window-end",
@@ -175,9 +175,9 @@ pub(crate) const ALL: [Regime; 20] = [
             // The echo at the window's end has the same strength as the other.
             spot
         },
-        says: "An echo that the window's end cuts is cut, and wraps round to nowhere: every method that keeps the tolerance elsewhere keeps it here.",
-        paper: "Eq. 18 on a grid of its own length wraps what is cut to the window's start",
-        ours: "`spectral` has room for a pulse and the filter's tails; grids of the engines end beyond the window",
+        says: "An echo at the end of the window is truncated and does not wrap around: every method that meets the tolerance elsewhere meets it here.",
+        paper: "Eq. 18 on a grid of the window's length wraps the rest of the echo to the window's start",
+        ours: "`spectral` pads for a pulse and the filter's tails; the engines' grids extend beyond the window",
     },
     Regime {
         name: "window-start",
@@ -195,7 +195,7 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers = scatter(&[place(near_m, 90.0, 0.0), place(40.0, 90.0, 0.0)]);
             spot
         },
-        says: "Echoes under way when the window opens are heard from there on, by every method.",
+        says: "Every method receives the remainder of echoes that began before the window opens.",
         paper: "the window begins with the pulse",
         ours: "as at the end",
     },
@@ -214,9 +214,9 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.model.segment_s = ms * 1e-3;
             spot
         },
-        says: "Attitude held on a segment moves an element on its arm in steps; chords of each element's own (`k-segment`) keep 1e-3 here up to 5 ms; echoes past the last segment are carried on along it.",
-        paper: "stops at the end of its segment, and attitude steps there: \"the attitude change only occurs at the polyline intersection\"",
-        ours: "`polyline` as printed, its steps counted; `k-segment` and `continuous` beside it",
+        says: "Constant attitude per segment moves an off-centre element in steps. Chords per element (`k-segment`) meet 1e-3 here up to 5 ms; echoes after the last segment extrapolate it.",
+        paper: "ends at its last segment, and attitude changes in steps: \"the attitude change only occurs at the polyline intersection\"",
+        ours: "`polyline` as printed, with its steps counted; `k-segment` and `continuous` as alternatives",
     },
     Regime {
         name: "manoeuvre",
@@ -233,9 +233,9 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.transmit[0].mounting.position_m = DVec3::new(2.0, 1.0, 2.1);
             spot
         },
-        says: "The harder the roll, the more of the path models drop out; what accelerates beyond the engines is counted.",
-        paper: "its polyline moves the array by steps of attitude",
-        ours: "`continuous` holds as far as the second order of the Doppler does, and its error model says how far",
+        says: "Path models fail one after another as roll increases; echoes with accelerations beyond the engines' limits are counted.",
+        paper: "its polyline changes the array's attitude in steps",
+        ours: "`continuous` is limited by second-order Doppler; its error model gives the limit",
     },
     Regime {
         name: "attitude",
@@ -252,13 +252,13 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.motion.yaw_deg_per_s = 2.0;
             spot.through_navigation(0.02, |_, _, _| {})
         },
-        says: "Attitude is a rotation from the first sample on: roll and heading that cannot be told apart at 90 degrees, and a heading that passes 360 during the ping, change nothing for what follows the motion itself; a polyline's steps of the turning heading are felt but straight up and down.",
+        says: "Attitude is a rotation throughout. Gimbal lock at 90 degrees and a heading that passes 360 during the ping do not affect models of continuous motion. The heading steps of a polyline matter except at vertical pitch.",
         paper: "Eq. 4 is no rotation matrix as printed (cos alpha where cos beta belongs)",
-        ours: "unit quaternions between samples, the short way round",
+        ours: "unit quaternions, interpolated along the shorter arc",
     },
     Regime {
         name: "navigation-rate",
-        title: "Navigation's own rate, in a swell: samples against the motion as it truly was",
+        title: "Navigation rate, in a swell: samples compared with the true motion",
         axis: "s between two samples",
         values: &[
             0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 4.9, 5.1, 6.0,
@@ -269,14 +269,14 @@ pub(crate) const ALL: [Regime; 20] = [
             (spot.motion.heave_m, spot.motion.roll_deg) = (0.5, 3.0);
             spot.through_navigation(every_s, |_, _, _| {})
         },
-        says: "What navigation does not say no method can know: with 20 samples a second and more the samples follow the true swell within 1e-3 (`continuous`, `stretch-quadratic`), with fewer they follow the curve through what was said. From 3 s on the ten seconds of history that this sonar keeps hold no position before the ping, and there is none.",
+        says: "No method can recover motion that navigation does not report. At 20 Hz and above the samples follow the true swell within 1e-3 (`continuous`, `stretch-quadratic`); at lower rates they follow the interpolated curve. From 3 s on this sonar's ten-second history holds no position before the ping, and no ping is made.",
         paper: "vertices of the polyline are the navigation's own samples, straight between them",
-        ours: "a smooth curve through them, the same law for every method: a measured error of the input, not of a method",
+        ours: "a smooth curve through them, the same for every method: the error is one of the input",
     },
     Regime {
         name: "navigation-faults",
-        title: "Navigation that repeats itself, goes backward, jumps, leaves gaps or runs ahead",
-        axis: "what is wrong with it",
+        title: "Navigation faults: repeated and backward timestamps, jumps, gaps, a fast clock",
+        axis: "fault",
         values: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0],
         few: &[0.0, 1.0, 2.0, 5.0, 8.0],
         spot: |base, which| {
@@ -307,13 +307,13 @@ pub(crate) const ALL: [Regime; 20] = [
             };
             spot.through_navigation(0.1, spoil)
         },
-        says: "Repeated stamps are dropped, late ones put where they belong, a gap of a second is bridged by the curve, one of 6 s is not; a jump that implies more than 150 m/s is refused, a smaller one believed; a clock an hour ahead gives no ping.",
+        says: "Samples with repeated timestamps are dropped and late ones are inserted in order. Interpolation bridges a gap of 1 s but not of 6 s. A jump that implies more than 150 m/s is rejected, a smaller one accepted. A clock one hour ahead gives no ping.",
         paper: "not considered",
-        ours: "every one of these is counted by the navigation's history; refusals name the channel and the number",
+        ours: "the navigation history counts each of these; rejections name the channel and the value",
     },
     Regime {
         name: "far-from-origin",
-        title: "How far from the world's origin all this happens: f32 would end at 100 m",
+        title: "Distance from the world's origin: f32 would fail beyond 100 m",
         axis: "m north and east of the origin",
         values: &[0.0, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8],
         few: &[0.0, 1e6, 1e7],
@@ -322,9 +322,9 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.offset_m = DVec3::new(away_m, away_m, 0.0);
             spot
         },
-        says: "Places are f64 and every ping counts from its own transmitter: 10,000 km from the origin costs nothing that can be measured; in f32 the carrier's phase would be lost at 10 km (a place is good to 1 mm there, a wavelength is 3.75 mm).",
+        says: "Positions are f64 and every ping is relative to its own transmitter: there is no measurable error 10,000 km from the origin. In f32 the carrier phase would be lost at 10 km, where the resolution is 1 mm and a wavelength 3.75 mm.",
         paper: "not said; its script's numbers are f64",
-        ours: "f64 places, phases reduced before anything is f32",
+        ours: "f64 positions; phases are reduced before conversion to f32",
     },
     Regime {
         name: "frequency-step",
@@ -341,9 +341,9 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.synthesis.frequency_step_hz = Some(share / record_s);
             spot
         },
-        says: "Above one over the record's length late echoes wrap round onto early ones (here, with echoes in the window's second half, from a step a little above 1 on): \"a narrow interval improves fidelity\" is this.",
-        paper: "Df is chosen by hand; too coarse a step is wrong by the signal itself and nothing says so",
-        ours: "a step of one's own is the only way to get there: by default it follows the record; `spectral` is then out of the plan's hands",
+        says: "A step above one over the record's length wraps late echoes around onto early ones (here, with echoes in the window's second half, from slightly above 1 on). This explains \"a narrow interval improves fidelity\".",
+        paper: "Df is chosen by hand; with too coarse a step the error is as large as the signal, without a warning",
+        ours: "only an explicit step can fail: the default follows the record; an explicit step excludes `spectral` from method selection",
     },
     Regime {
         name: "pulse-stretch",
@@ -358,8 +358,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.limits.pulse_duration_s = (ms * 1e-3, ms * 1e-3);
             spot
         },
-        says: "Without Doppler the phase runs away over the pulse at any length of use; an even stretch holds up to 1 ms, until the path bends within the pulse; its second order holds to 20 ms, in engines as far as they can be made (5 ms and 8 ms).",
-        paper: "Eq. 21 shifts no frequency: it stretches the delays and leaves the pulse as it is",
+        says: "Without Doppler the phase drifts over a pulse of any practical length. A uniform stretch is accurate up to 1 ms, where path curvature within the pulse sets in. The second order is accurate to 20 ms, in engines up to their limits (5 ms and 8 ms).",
+        paper: "Eq. 21 shifts no frequency: it stretches the delays and not the pulse",
         ours: "every echo stretched about its own arrival; engines hold the stretch in Doppler columns made for the longest pulse",
     },
     Regime {
@@ -379,13 +379,13 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.receiver.sample_rate_hz = share * needed_hz;
             spot
         },
-        says: "Where the receiver filter's pass band would not fit below the sampling there is no sonar: the configuration is refused with the least rate that would do.",
-        paper: "the band is sampled as it comes",
-        ours: "refused when the sonar is made, with the number of hertz that it needs",
+        says: "If the receiver filter's pass band does not fit the sample rate, the configuration is refused with the least sufficient rate.",
+        paper: "the band is sampled without a check",
+        ours: "refused when the sonar is made, with the required rate",
     },
     Regime {
         name: "tolerance",
-        title: "The tolerance that is asked for, 5 knots: colour is error over that tolerance",
+        title: "The requested tolerance, 5 knots: colour is error over that tolerance",
         axis: "tolerance",
         values: &[
             1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9,
@@ -396,13 +396,13 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.synthesis.tolerance = tolerance;
             spot
         },
-        says: "Each method has its own end: engines refuse what they cannot be made for, the others' error models say what they are off by, and below all of them the plan says that nothing keeps it.",
+        says: "Each method has its own limit: engines refuse tolerances that they cannot meet, the other methods' error models predict their error, and below all of them method selection reports that no method meets the tolerance.",
         paper: "has no tolerance",
-        ours: "a promise, or a refusal with the figure",
+        ours: "an error bound, or a refusal with the value",
     },
     Regime {
         name: "culling",
-        title: "Culling by the patterns, to nothing at all",
+        title: "Culling by beam patterns, up to everything",
         axis: "dB of the two-way pattern below which scatterers are left out",
         values: &[
             NO_FLOOR, -120.0, -100.0, -80.0, -60.0, -50.0, -40.0, -30.0, -20.0, -10.0, -6.0, -3.0,
@@ -427,13 +427,13 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers.law.fill(ScatterLaw::Lambert);
             spot
         },
-        says: "A floor costs what it leaves out of flat ground, and the error models say how much at most; a plan that may choose lowers it until the tolerance is kept, and never raises it.",
+        says: "The error of a floor is the energy that it culls from a flat bottom, and the error models give an upper bound. Method selection lowers the floor until the tolerance is met, and never raises it.",
         paper: "keeps all",
-        ours: "the left-out share of the energy is part of the promise; a plan may lower the floor, never raise it",
+        ours: "the culled share of energy is part of the predicted error; method selection may lower the floor, never raise it",
     },
     Regime {
         name: "scatterers",
-        title: "Scenes of nothing, of one point, of points in one place",
+        title: "Empty scenes, single points, coincident points",
         axis: "scatterers (those above 100: that many less 100, all in one place)",
         values: &[0.0, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 101.0, 102.0, 110.0],
         few: &[0.0, 1.0, 110.0],
@@ -450,13 +450,13 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers = scatter(&points);
             spot
         },
-        says: "An empty scene (or one all in shadow, which reaches the methods as the same thing) is silent; a single point, and many in one place, are like any others.",
-        paper: "its curvature and incidence energies (Eqs. 27 and 28) divide by the greatest of all: 0/0 for a single point",
-        ours: "silence is silence, to the last bit",
+        says: "An empty scene gives no signal, as does one entirely in shadow, which is the same to the methods. A single point and many coincident points are handled like any others.",
+        paper: "its curvature and incidence energies (Eqs. 27 and 28) divide by the maximum: 0/0 for a single point",
+        ours: "exactly zero samples",
     },
     Regime {
         name: "grid-edge",
-        title: "An echo moved across the engines' grid in steps of a hundredth of a sample",
+        title: "An echo at fractional positions of the engines' grid",
         axis: "samples",
         values: &[
             0.0, 0.01, 0.05, 0.1, 0.2, 0.25, 0.3, 0.4, 0.49, 0.5, 0.51, 0.75, 0.9, 0.99, 1.0,
@@ -471,8 +471,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers = scatter(&points);
             spot
         },
-        says: "The kernel of the engines is as good between the points of its grid as on them; `nearest` and `linear` are beyond the tolerance everywhere, and worst halfway between two samples.",
-        paper: "Eq. 18 knows no grid of delays",
+        says: "The engines' kernel is as accurate between grid points as on them. `nearest` and `linear` exceed the tolerance everywhere, and most halfway between two samples.",
+        paper: "Eq. 18 has no grid of delays",
         ours: "kernel width follows the tolerance",
     },
 ];

@@ -23,8 +23,8 @@ pub(crate) fn maps() -> Vec<(&'static str, Map, &'static str)> {
     ]
 }
 
-pub(crate) const CURVATURE_SAYS: &str = "On flat ground, behind a wall, on one point and on three in a line the energies as printed hold no number (0/0), ours a floor; `acoustic` loses the level of what it leaves out by design, `acoustic-unbiased` and area inherited keep it.";
-pub(crate) const PLACES_SAYS: &str = "A kilometre from anywhere, over the antimeridian and over both poles, latitude and longitude come back to the micrometre.";
+pub(crate) const CURVATURE_SAYS: &str = "On flat ground, behind a wall, on one point and on three in a line the published energies are undefined (0/0), while ours have a floor; `acoustic` by design loses the level of removed points, `acoustic-unbiased` and area inherited keep it.";
+pub(crate) const PLACES_SAYS: &str = "Positions converted over a distance of a kilometre return to the same latitude and longitude within a micrometre, also across the antimeridian and both poles.";
 
 fn ratio(value: f64, tolerance: f64) -> Mark {
     match value.is_finite() {
