@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Holds ten depths of every real seabed in the repository against a read that shares nothing with the emulator.
+"""Compares ten depths of every real seabed in the repository with an independent read of its file.
 
     bathy_check.py ECHOTANK [--places 10] [--seed 1]
 
-BAG by h5py (placed by the metadata in the .xml beside it), GeoTIFF by tifffile and imagecodecs, texts by numpy. For each file the places are drawn from its filled cells (or from its
-soundings), their coordinates worked out here from the file's own georeference, and asked of `ECHOTANK scene info --json --at Y,X`. Besides
-the depths: size, share of holes, sign, rows and columns, least and greatest depth. A depth must be equal to the file's precision: to the bit where
-the file holds f32 or the soundings themselves, to half the last decimal of a text grid.
-Exit code 0: all equal. 1: not. 2: the question cannot be put.
+Readers: h5py for BAG (positioned by the metadata in the .xml beside it), tifffile and imagecodecs for GeoTIFF, numpy for text. Positions are
+drawn from the filled cells or the soundings of each file, converted here with the file's own georeference, and passed to
+`ECHOTANK scene info --json --at Y,X`. Also compared: size, share of holes, sign, rows and columns, minimum and maximum depth. Depths must be
+equal to the file's precision: exactly for f32 files and soundings, to half the last decimal for text grids.
+Exit code 0: all equal. 1: differences. 2: the comparison is not possible.
 """
 
 import argparse
@@ -41,10 +41,10 @@ def read_bag(path):
     with h5py.File(path) as file:
         elevation = file["BAG_root/elevation"][:]
         text = file["BAG_root/metadata"][:].tobytes().decode("utf-8", "replace")
-    # The survey's own copy of its metadata: what the depths are placed by is read from there.
+    # The survey's own copy of its metadata, which gives the georeference.
     beside = path.with_suffix(".xml").read_text()
     if beside.split() != text.replace("\0", "").split():
-        raise SystemExit(f"{path.with_suffix('.xml').name} is not the metadata in {path.name}")
+        raise SystemExit(f"{path.with_suffix('.xml').name} differs from the metadata in {path.name}")
     text = beside
     corners = re.search(r"<gml:coordinates[^>]*>([^<]+)<", text).group(1)
     west, south = (float(v) for v in re.split(r"[ ,]+", corners.strip())[:2])
@@ -63,7 +63,7 @@ def read_tiff(path):
         keys = page.geotiff_tags
         nodata = page.tags["GDAL_NODATA"].value if "GDAL_NODATA" in page.tags else None
     if str(keys.get("GTRasterTypeGeoKey", 1)).split(".")[-1] not in ("1", "RasterPixelIsArea"):
-        raise SystemExit(f"{path}: pixels are points, which this check does not know")
+        raise SystemExit(f"{path}: pixels are points, which this check does not support")
     rows, cols = band.shape
     x = tie[3] + scale[0] * (np.arange(cols) + 0.5)
     y = tie[4] - scale[1] * (np.arange(rows) + 0.5)
@@ -95,7 +95,7 @@ def ask(echotank, path, places):
 
 
 class Tally:
-    """What was compared and what was off."""
+    """Counts of comparisons and differences."""
 
     def __init__(self):
         self.wrong = 0

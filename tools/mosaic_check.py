@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Holds a mosaic of `echotank` against the truth of the replay it was made from, with nothing of the emulator but their files.
+"""Compares a mosaic of `echotank` with the truth file of the replay that made it, without the emulator's code.
 
     mosaic_check.py MOSAIC.tif TRUTH.jsonl [--least-db 12] [--targets 3]
 
-The GeoTIFF is read by tifffile. Each target of the truth file that some ping passed abeam is projected here: its offset from that ping on the
-ellipsoid, then transverse Mercator by the series of Snyder 1987 (eqs. 8-9 to 8-15). The brightest pixel within four of the place must be at most
-one pixel away in either direction and stand LEAST-DB above the median around it; at least TARGETS targets must have been passed. If masks lie
-beside the mosaic, that pixel must bear the target's number.
-Exit code 0: all hold. 1: not. 2: the question cannot be put.
+tifffile reads the GeoTIFF. Each target that some ping passed abeam is projected here: its offset from that ping on the ellipsoid, then
+transverse Mercator by the series of Snyder 1987 (eqs. 8-9 to 8-15). The brightest pixel within four of the position must be at most one pixel
+away in either direction and LEAST-DB above the median around it. At least TARGETS targets must have been passed. If masks lie beside the
+mosaic, that pixel must have the target's number.
+Exit code 0: all checks pass. 1: some fail. 2: the comparison is not possible.
 """
 
 import argparse
@@ -24,7 +24,7 @@ F = 1 / 298.257223563
 E2 = F * (2 - F)
 K0 = 0.9996
 SEARCH = 4
-# A target counts where its ping's beam passed it by no more than this, and no nearer to the nadir than so many metres.
+# A target counts if its ping's beam passed it within this distance, and at least this far from nadir, metres.
 ABEAM_M = 1.0
 LEAST_ACROSS_M = 20.0
 
@@ -55,7 +55,7 @@ def utm(latitude, longitude):
 
 
 def offset_degrees(latitude, longitude, north, east):
-    """The place so many metres away, by the radii of curvature there."""
+    """Position displaced by metres north and east, by the local radii of curvature."""
     phi = math.radians(latitude)
     w = math.sqrt(1 - E2 * math.sin(phi) ** 2)
     meridian, prime = A * (1 - E2) / w**3, A / w
@@ -71,7 +71,7 @@ def georeference(page):
 
 
 def passed(pings):
-    """Of each target: the ping that had it most nearly abeam, where any had within ABEAM_M."""
+    """For each target the ping that had it closest to abeam, if within ABEAM_M."""
     for number, target in enumerate(pings[0]["targets"]):
         ping = min(pings[3:-3], key=lambda p: abs(p["targets"][number]["along_m"]))
         seen = ping["targets"][number]
@@ -119,7 +119,7 @@ def main():
         off = (at[1] - SEARCH, at[0] - SEARCH)
         above = np.nanmax(near) - np.nanmedian(db[row - 8 : row + 9, column - 8 : column + 9])
         if above < args.least_db:
-            print(f"{name}: {above:.1f} dB above its surroundings: too weak to be held against anything")
+            print(f"{name}: {above:.1f} dB above its surroundings: too weak to compare")
             continue
         held += 1
         fits = max(abs(off[0]), abs(off[1])) <= 1 and epsg == wanted_epsg
@@ -134,7 +134,7 @@ def main():
             f"brightest {off[0]:+d} {off[1]:+d} pixels of {pixel} m away, {above:.1f} dB above{labelled}: {'holds' if fits else 'DOES NOT HOLD'}"
         )
     if held < args.targets:
-        print(f"{held} targets were passed and stood out, {args.targets} are wanted")
+        print(f"{held} targets were passed and detected, expected at least {args.targets}")
         return 2
     return 0 if good else 1
 

@@ -8,11 +8,11 @@ import struct
 
 
 class Closed(Exception):
-    """The daemon has closed the connection, or refused it."""
+    """The daemon closed or refused the connection."""
 
 
 class PageClient:
-    """One open page. `status` is that of the handshake: 101 where it was let in."""
+    """One open page. `status` is the HTTP status of the handshake: 101 if accepted."""
 
     def __init__(self, address, origin=None, protocols=("echotank",), timeout_s=10.0, receive_bytes=None):
         host, port = address.rsplit(":", 1)
@@ -63,7 +63,7 @@ class PageClient:
         self.send_frame(1, (message if isinstance(message, str) else json.dumps(message)).encode())
 
     def receive(self):
-        """The next message: a dictionary for text, bytes for a frame of a ping. Pings of the protocol are answered."""
+        """The next message: a dictionary for text, bytes for a frame of a ping. WebSocket pings are answered."""
         try:
             while True:
                 kind, length = struct.unpack(">BB", self._take(2))

@@ -1,13 +1,13 @@
-"""Delay-and-sum of the same matched-filtered elements at the same points: PyMUST's `dasmtx`, NumPy, JAX, and ours, turn by turn in one run.
+"""Delay-and-sum of the same matched-filtered elements at the same points: PyMUST's `dasmtx`, NumPy, JAX and this emulator, timed in turn.
 
-128 elements, 8000 samples, focused points along beams of 120 degrees (`bench beams-dump` says where). Ours forms all 256 beams of a ping,
-matched filter and delays included; a peer forms some of them, matched filter not included. A rate is elements times points over time.
-Errors: rms of the differences from delay-and-sum written out in f64 with a sinc of 64 taps, over its rms, at those beams.
-Times are of the processor, all threads together; one thread each, but JAX, which takes what it takes.
+128 elements, 8000 samples, focused points along beams over 120 degrees (written by `bench beams-dump`). The emulator forms all 256 beams of a
+ping, including matched filter and delays; a peer forms some of them without the matched filter. A rate is elements times points over time.
+Errors: rms difference from direct delay-and-sum in f64 with a 64-tap sinc, over its rms, at those beams.
+Times are processor times of all threads. All run on one thread except JAX, which chooses its own number.
 
-- PyMUST: the matrix is made once and not timed in the rate (its time is said); timed is matrix times samples.
+- PyMUST: the matrix is made once and excluded from the rate (its time is printed); timed is matrix times samples.
 - NumPy: delays, linear interpolation and carrier of every ping, element by element, complex128 and complex64.
-- JAX: the same, compiled for this processor, in f32 with the carrier in turns; delays of a fixed geometry beforehand in f64 (not timed).
+- JAX: the same, compiled for this processor, in f32 with the carrier in turns; delays of the fixed geometry are precomputed in f64 (not timed).
 """
 
 import argparse
@@ -33,7 +33,7 @@ class Data:
         self.element_x_m = read("element_x_m.f64", float)
         self.points_m = read("point_xz_m.f64", float).reshape(-1, 2)
         self.want = read("want.c128", complex)
-        # The first samples lie on the line itself, the last ones reach beyond the record.
+        # The first samples lie on the array itself, the last beyond the record.
         sample = np.arange(len(self.want)) % self.samples
         self.counts = (sample >= self.first_probe) & (sample < self.samples - 100)
 
@@ -43,7 +43,7 @@ class Data:
         return (out + np.hypot(x - self.element_x_m[element], z)) / self.sound_speed_m_per_s
 
     def error(self, got):
-        """`got` carries the phase of the whole delay, as everybody's but ours does."""
+        """`got` contains the phase of the whole delay, as in all programs but ours."""
         time_s = np.tile(np.arange(self.samples) / self.rate_hz, self.peer_beams)
         got = got * np.exp(-2j * np.pi * self.carrier_hz * time_s)
         off = np.linalg.norm((got - self.want)[self.counts])
@@ -54,7 +54,7 @@ class Data:
 
 
 def best(runs, work):
-    """Least seconds of processor, and the result: on a machine that others use too, the wall's clock says little."""
+    """Minimum processor time in seconds, and the result; wall time is unreliable on a shared machine."""
     took = []
     for _ in range(runs):
         start = time.process_time()
@@ -80,7 +80,7 @@ def pymust(data, method, runs):
     delays[0, data.transmitting] = 0.0
     seconds, got, made = 0.0, [], 0.0
     samples = data.rows.T.flatten(order="F")
-    # One beam's matrix at a time: that of all would not fit.
+    # One beam's matrix at a time: all together exceed memory.
     for points in np.split(data.points_m, data.peer_beams):
         start = time.perf_counter()
         size = 1j * np.array([data.samples, data.elements])

@@ -1,4 +1,4 @@
-"""The bench's points, and its transforms on request: what every peer script needs."""
+"""Access to the bench's points and transforms, shared by the peer scripts."""
 
 import json
 import os
@@ -26,7 +26,7 @@ class Points:
 
 
 class Ours:
-    """`bench transform-serve` in a process of its own; `run` gives (milliseconds, error) of one transform."""
+    """`bench transform-serve` in a separate process; `run` returns (milliseconds, error) of one transform."""
 
     def __init__(self, bench, directory):
         self.process = subprocess.Popen(
@@ -52,7 +52,7 @@ POINTS = "out/peers/points.json"
 
 
 def keep(name, scatterers, elements, milliseconds, error, threads=1):
-    """One program at one setting, for the pictures of `echotank chart`; takes the place of an older point of that name."""
+    """Stores one program's result for `echotank chart`; replaces an older point of that name."""
     points = []
     if os.path.exists(POINTS):
         with open(POINTS) as file:

@@ -1,6 +1,6 @@
-"""FINUFFT and gridded-1d's transform on the same unsorted points, one thread each, turn by turn: best of N, and the ratio.
+"""FINUFFT and the transform of gridded-1d on the same unsorted points, one thread each, timed in turn: best of N, and the ratio.
 
-Timed for FINUFFT: setpts (its sort) and execute; for us: execute, which is all there is. Plans are made before, conversions too.
+Timed for FINUFFT: setpts (which sorts) and execute; for this emulator: execute. Plans and conversions are made before.
 """
 
 import argparse
@@ -10,7 +10,7 @@ from peers_bench import BINS, PERIOD_S, Ours, Points, keep, load
 import finufft
 import numpy as np
 
-# What is compared at about equal error: ours, and FINUFFT's type, eps and oversampling (it stalls at 4e-4 in f32, so f64 from there on).
+# Settings compared at about equal error: ours, and FINUFFT's type, eps and oversampling (f64 below 4e-4, where its f32 error stalls).
 PAIRS = [
     ("5e-4", ["f32 6 1.25 best", "f32 4 2.0 best"], [("complex64", 1e-3, 2.0)]),
     ("5e-7", ["f32 7 2.0 best", "f32 9 1.5 best"], [("complex128", 1e-6, 2.0), ("complex128", 1e-6, 1.25), ("complex64", 1e-6, 2.0)]),
@@ -60,7 +60,7 @@ def main():
         print(f"  at {goal}:")
         for name in ms:
             print(f"    {name:44} error {error[name]:.1e}  {ms[name]:8.2f} ms")
-        # The fastest of each that is as good as what it is compared with, within a third.
+        # The fastest setting of each whose error is within a third of the other's.
         our_best = min(requests, key=ms.get)
         their_best = min((name for name, _ in theirs if error[name] < 1.34 * float(goal)), key=ms.get)
         keep(f"FINUFFT {finufft.__version__} {given.build} at {goal}", len(points.delay_s), 1, ms[their_best], error[their_best])

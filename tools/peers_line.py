@@ -1,8 +1,8 @@
-"""A line array of 256: FINUFFT element by element, delays and amplitudes given to it, against whole pings of ours with geometry, sonar
-equation, Doppler, receiver filter and return to time included, on the same scatterers in one run: ours before and after FINUFFT's turns.
+"""A line array of 256: FINUFFT element by element from given delays and amplitudes, against whole pings of this emulator, which include
+geometry, sonar equation, Doppler, receiver filter and return to time. Same scatterers, one run; the emulator is timed before and after FINUFFT.
 
-FINUFFT is timed on some of the elements (setpts, which sorts, and execute) and the time of all counted from their mean: every element has
-the same number of points, and no two the same ones.
+FINUFFT is timed on some elements (setpts, which sorts, and execute), and the total is extrapolated from their mean: every element has the same
+number of points, at different delays.
 """
 
 import argparse
@@ -19,7 +19,7 @@ ELEMENTS = 256
 
 
 def ours(bench, scatterers):
-    """(threads -> [best ms, worst window, what it says]) of our line engine's pings."""
+    """(threads -> [best ms, worst windowed error, predicted error]) of our line engine's pings."""
     with tempfile.NamedTemporaryFile(suffix=".json") as file:
         only = f"grid {ELEMENTS} {scatterers} "
         command = [bench, "echo", "--only", only, "--method", "gridded-2d", "--threads", "1,2", "--json", file.name]

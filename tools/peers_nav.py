@@ -1,4 +1,4 @@
-"""pynmea2 on the sentences of standard input: peers_nav.py COUNT ROUNDS prints best and median sentences per second, and how many are understood."""
+"""pynmea2 on the sentences of standard input: peers_nav.py COUNT ROUNDS prints best and median sentences per second, and how many are decoded."""
 
 import sys
 import time
@@ -15,7 +15,7 @@ def understood(sentence):
         message = pynmea2.parse(sentence, check=True)
     except pynmea2.ParseError:
         return False
-    # A proprietary sentence of an unknown maker comes back as a bare container.
+    # A proprietary sentence of an unknown manufacturer is returned undecoded.
     return type(message) is not pynmea2.ProprietarySentence
 
 

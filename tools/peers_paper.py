@@ -1,5 +1,5 @@
 """The paper's Eq. 18 (Meng et al., Sensors 2023, 23, 3083) in NumPy, written from the equation, on a scene of its size: one element,
-all scatterers, frequency by frequency; then our transform on the same points.
+all scatterers, frequency by frequency; then this emulator's transform on the same points.
 """
 
 import sys

@@ -1,8 +1,8 @@
-"""PyMUST and FastSIMUS (Garcia 2022: every scatterer, element and frequency summed), and ours, on one small scene of point scatterers.
+"""PyMUST, FastSIMUS (Garcia 2022: sums over every scatterer, element and frequency) and this emulator on one small scene of point scatterers.
 
-Each computes its own model. SIMUS: two-dimensional spreading, an element's directivity, its own transducer response; nothing moves. So what
-is compared is how fast sums of scatterers over elements and frequencies are made, and how well each keeps its own formula: their spectra
-against the same formula with every exponential written out in f64; ours, the delays of the same scatterers at one element, against its
+Each computes its own model. SIMUS: two-dimensional spreading, element directivity, its own transducer response, no motion. Compared are
+therefore the speed of sums of scatterers over elements and frequencies, and the accuracy of each against its own formula: SIMUS spectra
+against the formula with every exponential evaluated in f64; the emulator, with the delays of the same scatterers at one element, against its
 direct sum. One thread each. Scene: 64 elements half a wavelength apart, 400 kHz, one of them transmitting; scatterers 0.2 to 1 m away.
 """
 
@@ -21,7 +21,7 @@ ELEMENTS = 64
 PITCH_M = SOUND_SPEED_M_PER_S / CARRIER_HZ / 2
 WIDTH_M = 0.9 * PITCH_M
 TRANSMITTER = ELEMENTS // 2
-# Frequencies left out: those this far below the strongest.
+# Frequencies this far below the strongest are omitted.
 THRESHOLD_DB = -60
 
 
@@ -42,7 +42,7 @@ class Scene:
         self.leg = directivity / np.sqrt(self.distance_m)
 
     def spectrum(self, frequency_hz, gain):
-        """SIMUS's formula, every exponential written out: frequencies x elements."""
+        """SIMUS's formula with every exponential evaluated: frequencies x elements."""
         out = np.empty((len(frequency_hz), ELEMENTS), complex)
         for row, (f, g) in enumerate(zip(frequency_hz, gain)):
             legs = self.leg * np.exp(2j * np.pi * f / SOUND_SPEED_M_PER_S * self.distance_m)
@@ -101,7 +101,7 @@ def pymust(scene, frequency_hz, some, want, first):
 
     seconds, (_, spectrum) = best(2, run)
     got = spectrum[first : first + len(frequency_hz)][some]
-    # Its constant factors are its own, and so is the last bit of where its frequencies lie: the best one complex factor is taken out.
+    # Its constant factors and frequency rounding differ: the best-fitting complex factor is removed.
     factor = np.vdot(got, want) / np.vdot(got, got)
     error = np.linalg.norm(factor * got - want) / np.linalg.norm(want)
     name = f"PyMUST {importlib.metadata.version('pymust')}"

@@ -3,9 +3,9 @@
 
     points_check.py RIG.toml pings.npz [--sonar NAME] [--limit 1e-9] [--model exact|linear]
 
-An outside calculation: it shares no code with the emulator and reads nothing the emulator made except the pings.npz under test.
-Holds for a platform in uniform straight motion at constant attitude, omnidirectional elements, no absorption, no noise, no receiver
-filter. For every output sample and every point the moment t' at which the sound left is solved from
+An independent calculation: it shares no code with the emulator and reads none of its output except the pings.npz under test.
+Valid for a platform in uniform straight motion at constant attitude, omnidirectional elements, no absorption, no noise, no receiver
+filter. For every output sample and every point, the time t' of transmission is solved from
 
     c (t - t') = |S - p_T(t')| + |S - r_e(t)|
 
@@ -16,8 +16,8 @@ x = A exp(-j 2 pi f_c u) a(eta (t - u)) exp(j 2 pi f_c (eta - 1)(t - u)), eta = 
 the residual phase at pulse time s is 2 pi f v^2 sin^2(theta) s^2 / (r c) with f <= f_c + B/2, and the bound that follows (its rms
 over the pulse) is printed beside what is measured.
 
-Delays are formed in extended precision where numpy has it (x86), so that this side's rounding does not count. Python >= 3.9 with tools/requirements.txt.
-Exit code 0: within the limits. 1: not. 2: the question cannot be put (files, keys, motion that is not uniform).
+Delays are computed in extended precision where numpy supports it (x86), so that their rounding is negligible. Python >= 3.9 with tools/requirements.txt.
+Exit code 0: within the limits. 1: not. 2: the comparison is not possible (files, keys, motion that is not uniform).
 """
 
 import argparse
@@ -33,14 +33,14 @@ import numpy as np
 
 REAL = np.longdouble
 TAU = 2 * np.arctan2(REAL(0), REAL(-1))
-# A departure this near the pulse's first or last moment may fall on either side of it by rounding alone.
+# By rounding, a transmission time this close to the pulse's start or end may fall on either side of it.
 EDGE_S = 1e-12
 POSITION_LIMIT_M = 1e-9
 VELOCITY_LIMIT_M_PER_S = 1e-9
 
 
 # ---------------------------------------------------------------------------------------------------------------------
-# The configuration: every key this tool knows is named in this one function.
+# The configuration: this function names every key that the tool supports.
 
 @dataclasses.dataclass
 class ReceiveArray:
@@ -173,7 +173,7 @@ def length(vector):
 
 
 def leading_edge(point, transmit, receive, velocity, c):
-    """Delay of the pulse's first moment: |d - v u| = c u - r_T."""
+    """Delay of the pulse's leading edge: |d - v u| = c u - r_T."""
     r_t = length(point - transmit)
     d = point - receive
     v2, dv = (velocity * velocity).sum(), (d * velocity).sum(axis=-1)
@@ -197,7 +197,7 @@ def departure(t, point, transmit, receive, velocity, c):
 # The signal
 
 def unit_phasor(cycles):
-    """exp(j 2 pi cycles); whole cycles are taken off in extended precision first."""
+    """exp(j 2 pi cycles); whole cycles are removed in extended precision first."""
     angle = ((cycles - np.round(cycles)) * TAU).astype(np.float64)
     return np.cos(angle) + 1j * np.sin(angle)
 
@@ -258,7 +258,7 @@ def element_samples(rig, level_db, transmit, receive, velocity, sample_rate_hz, 
         peak = max(peak, float(TAU * fc * duration ** 2) * curvature)
         inside_count = int(inside[0].sum())
         if inside_count:
-            # rms over the samples there are; the pulse turns at no more than f_c + B/2.
+            # rms over the existing samples; the instantaneous frequency is at most f_c + B/2.
             fastest = 2 * math.pi * (rig.center_frequency_hz + rig.bandwidth_hz / 2)
             rms = fastest * curvature * float(np.sqrt((left[inside[0]] ** 4).mean()))
             intervals.append((begin, end, abs(amplitude) * rms * math.sqrt(inside_count)))
@@ -267,7 +267,7 @@ def element_samples(rig, level_db, transmit, receive, velocity, sample_rate_hz, 
 
 
 def overlap_sum(intervals):
-    """l2 bound of a sum of errors: those of echoes that overlap add as they are, those of separate groups in squares."""
+    """l2 bound of a sum of errors: errors of overlapping echoes add linearly, those of separate groups in squares."""
     groups, reach = [], -1
     for begin, end, error in sorted(intervals):
         if begin < reach:
@@ -373,10 +373,10 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("rig", metavar="RIG.toml")
     parser.add_argument("pings", metavar="pings.npz")
-    parser.add_argument("--sonar", metavar="NAME", help="which [[sonar]] the file belongs to (the first)")
-    parser.add_argument("--limit", type=float, default=1e-9, help="largest relative l2 error of any element in any ping (1e-9)")
+    parser.add_argument("--sonar", metavar="NAME", help="[[sonar]] of the file (default: the first)")
+    parser.add_argument("--limit", type=float, default=1e-9, help="largest relative l2 error of any element in any ping (default 1e-9)")
     parser.add_argument("--model", choices=("exact", "linear"), default="exact")
-    parser.add_argument("--json", metavar="FILE", help="write every figure there")
+    parser.add_argument("--json", metavar="FILE", help="write all results as JSON")
     options = parser.parse_args(arguments)
     try:
         rig = load_rig(options.rig, options.sonar)

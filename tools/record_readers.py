@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Opens records with readers that nobody here wrote (tools/requirements.txt) and says how many pings each holds, as one JSON object.
+"""Opens recordings with third-party readers (tools/requirements.txt) and prints the number of pings in each, as one JSON object.
 
     .venv/bin/python tools/record_readers.py FILE...
 
 pyjsf for .jsf, pyxtf for .xtf, brping for .svlog, sigmf for .sigmf-meta, libsndfile for .wav, json for .jsonl (.s7k
-has tools/sevenk_reader.py). A file that its reader does not take whole is an error.
+has tools/sevenk_reader.py). A file that its reader cannot read completely is an error.
 """
 
 import json
@@ -43,7 +43,7 @@ def svlog(path):
 def sigmf(path):
     import sigmf as reader
     if os.path.getsize(path.replace(".sigmf-meta", ".sigmf-data")) == 0:
-        # It cannot read an empty recording; its words have nothing to say then.
+        # The reader fails on an empty recording; its message is irrelevant.
         with open(path, encoding="utf-8") as file:
             return {"pings": len(json.load(file)["annotations"])}
     recording = reader.sigmffile.fromfile(path, autoscale=False)

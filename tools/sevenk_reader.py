@@ -8,9 +8,9 @@ Written from the byte tables of the public 7k data format definition, not from t
     sevenk_reader.py --connect HOST:PORT --sequence   the whole remote-control contract in one run, as a table
     sevenk_reader.py --udp HOST:PORT ...              the same over UDP
 
-Exit code 0: nothing was wrong. 1: something was (each finding says what was got and what was expected). 2: bad usage.
+Exit code 0: no findings. 1: findings (each prints the actual and the expected value). 2: wrong usage.
 
-What is not checked: the physics of the samples (another tool does that), 7042, 7028 and 7058 beyond their header sizes.
+Not checked: the physics of the samples (see points_check.py); 7042, 7028 and 7058 beyond their header sizes.
 """
 
 import argparse
@@ -445,14 +445,14 @@ RANGE, MAX_RATE, POWER, PULSE_LENGTH, GAIN = 1003, 1004, 1005, 1006, 1008
 SINGLE_REQUEST, SUBSCRIBE, END_SUBSCRIPTIONS, UNSUBSCRIBE = 1050, 1051, 1052, 1056
 START_PINGING, STOP_PINGING = 1100, 1101
 
-# The order in which the records of one ping leave.
+# Order in which the records of one ping are sent.
 PING_ORDER = [7000, 7503, 1750, 7002, 7004, 7017, 7006, 7027, 7007, 7008, 7010, 7011, 7012, 7013, 7018, 7019, 7028, 7029, 7037,
               7038, 7039, 7041, 7042, 7048, 7049, 7057, 7058, 7068, 7070]
 DEFAULT_SUBSCRIPTION = [7000, 7503, 7004, 7007, 7018, 7038, 7610, 1003, 1012, 1013, 7500]
 
 # 7KTIME keeps the seconds as f32: just under 60 s one step is 3.8 us.
 STAMP_STEP_NS = 4000
-# Answers and pings stamped farther apart than this come from different clocks (a log's and the host's).
+# Replies and pings stamped farther apart than this use different clocks (a log's and the host's).
 SAME_CLOCK_S = 30.0
 
 
@@ -460,7 +460,7 @@ SAME_CLOCK_S = 30.0
 # Findings
 
 class Findings:
-    """What was wrong, in words; identical kinds are counted rather than repeated without end."""
+    """Findings as text; repeated kinds are counted instead of printed again."""
 
     def __init__(self, shown_per_kind=5, ignore=()):
         self.counts = {}
@@ -519,7 +519,7 @@ class Record:
 
 
 def stamp_ns(frame):
-    """UTC nanoseconds since 1970 of a 7KTIME, None where it is no time."""
+    """UTC nanoseconds since 1970 of a 7KTIME, None if it is invalid."""
     try:
         day = datetime.date(frame["year"], 1, 1).toordinal() + frame["day"] - 1
     except ValueError:
@@ -531,7 +531,7 @@ def stamp_ns(frame):
 
 
 def parse_record(raw, where, findings):
-    """Checks the frame of one whole record and decodes it. None where it makes no sense to go on with it."""
+    """Checks the frame of one whole record and decodes it. None if the record cannot be decoded."""
     if len(raw) < DRF.size + 4:
         findings.add("frame", "%s: a record of %d bytes is shorter than its frame and checksum (68)" % (where, len(raw)))
         return None
@@ -754,7 +754,7 @@ class Ping:
 
 
 class PingLedger:
-    """Follows pings through a stream of records in the order in which they come."""
+    """Follows pings through a stream of records in order of arrival."""
 
     def __init__(self, findings, gapless=True):
         self.findings = findings
@@ -903,7 +903,7 @@ def compare_catalogue(name, record, rows, findings):
 
 
 def summarise(pings):
-    """A few figures for the reader, not for the verdict."""
+    """Statistics for the user, which do not affect the result."""
     if not pings:
         return {}
     periods = [(b.stamp_ns - a.stamp_ns) / 1e9 for a, b in zip(pings, pings[1:]) if None not in (a.stamp_ns, b.stamp_ns)]
@@ -1063,7 +1063,7 @@ class Session:
         return self.ledger.pings
 
     def pump(self, seconds, until=None):
-        """Receives for so long, or until the condition holds (the return value says whether it does)."""
+        """Receives for a time or until the condition holds; returns whether it does."""
         deadline = time.monotonic() + seconds
         while True:
             if until is not None and until():
@@ -1448,16 +1448,16 @@ def parse_address(text):
 
 
 def parse_arguments(arguments):
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0], epilog="Exit codes: 0 all well, 1 findings, 2 usage.")
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0], epilog="Exit codes: 0 no findings, 1 findings, 2 usage.")
     parser.add_argument("files", nargs="*", metavar="FILE.s7k")
     parser.add_argument("--connect", metavar="HOST:PORT", help="listen to a 7k server over TCP")
     parser.add_argument("--udp", metavar="HOST:PORT", help="the same over UDP")
-    parser.add_argument("--seconds", type=float, default=3.0, help="how long to listen (3)")
-    parser.add_argument("--sequence", action="store_true", help="the whole remote-control contract, as a table")
-    parser.add_argument("--subscribe", type=lambda s: [int(x) for x in s.split(",")], metavar="ID,ID", help="record types to ask for")
-    parser.add_argument("--expect-ping-gapless", action="store_true", help="kept for scripts: gaps are always findings")
+    parser.add_argument("--seconds", type=float, default=3.0, help="time to listen, seconds (default 3)")
+    parser.add_argument("--sequence", action="store_true", help="test the whole remote-control protocol and print a table")
+    parser.add_argument("--subscribe", type=lambda s: [int(x) for x in s.split(",")], metavar="ID,ID", help="record types to subscribe to")
+    parser.add_argument("--expect-ping-gapless", action="store_true", help="no effect, kept for scripts: gaps are always findings")
     parser.add_argument("--set-range", type=float, metavar="M")
-    parser.add_argument("--bad-range", type=float, metavar="M", help="must be refused with 0x7001, and change nothing")
+    parser.add_argument("--bad-range", type=float, metavar="M", help="a range that must be refused with 0x7001 without effect")
     parser.add_argument("--power", type=float, metavar="DB")
     parser.add_argument("--gain", type=float, metavar="DB")
     parser.add_argument("--pulse-length", type=float, metavar="S")
@@ -1465,11 +1465,11 @@ def parse_arguments(arguments):
     parser.add_argument("--stop-start", action="store_true")
     parser.add_argument("--unsubscribe", type=int, metavar="ID")
     parser.add_argument("--end-subscriptions", action="store_true")
-    parser.add_argument("--max-packet", type=int, default=SPEC_MAX_PACKET, help="largest packet allowed, 0 for any (60000)")
+    parser.add_argument("--max-packet", type=int, default=SPEC_MAX_PACKET, help="largest packet allowed, 0 for any size (default 60000)")
     parser.add_argument("--reply-timeout", type=float, default=5.0, metavar="S")
     parser.add_argument("--ignore", type=lambda s: s.split(","), default=[], metavar="KIND,KIND",
-                        help="kinds of finding to leave out, named as they are printed (range, order, gap, ...)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of words")
+                        help="kinds of findings to ignore, by their printed names (range, order, gap, ...)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
     parser.add_argument("--verbose", action="store_true", help="print every record")
     options = parser.parse_args(arguments)
     if bool(options.files) + (options.connect is not None) + (options.udp is not None) != 1:

@@ -1,7 +1,7 @@
-"""The daemon's sockets and files, read by programs that nobody here wrote (tools/requirements.txt): the makers' own client on both devices of the
-Ping protocol over TCP and UDP, tshark on every VITA 49 packet, sigmf, libsndfile, pingverter on .svlog, pynmea2 on navigation that goes out.
+"""Third-party readers (tools/requirements.txt) on the daemon's sockets and files: the manufacturers' client on both devices of the Ping
+protocol over TCP and UDP, tshark on every VITA 49 packet, sigmf, libsndfile, pingverter on .svlog, pynmea2 on navigation output.
 
-The rigs are those of hil-configs, with ports of their own. The program is target/release/echotank, or what ECHOTANK names.
+The rigs are those of hil-configs with other ports. The program is target/release/echotank, or ECHOTANK.
 """
 
 import contextlib

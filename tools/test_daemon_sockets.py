@@ -1,7 +1,7 @@
-"""The daemon's sockets of the families whose makers' clients are not to be had as packages: JSF (EdgeTech), WBMS (NORBIT), Imagenex 872. Commands and
-records are put together and taken apart here from the layouts' tables, with nothing of the emulator's; pyjsf reads the JSF data connection too.
+"""The daemon's sockets of families whose manufacturers' clients are not available as packages: JSF (EdgeTech), WBMS (NORBIT), Imagenex 872.
+Commands and records are encoded and decoded here from the published layouts, without the emulator's code; pyjsf also reads the JSF data connection.
 
-The program is target/release/echotank, or what ECHOTANK names.
+The program is target/release/echotank, or ECHOTANK.
 """
 
 import os

@@ -1,6 +1,6 @@
-"""The operator's page, opened in headless Chromium (Debian's package, driven by Playwright), and its socket, attacked.
+"""The operator's page in headless Chromium (Debian's package, driven by Playwright), and malformed requests to its socket.
 
-The program is target/release/echotank, or what ECHOTANK names.
+The program is target/release/echotank, or ECHOTANK.
 """
 
 import json
@@ -62,7 +62,7 @@ def rig(folder, more=""):
 
 
 def world_m(seconds, body_m):
-    """Where a place of the body is: Rz(heading) Ry(pitch) Rx(roll), as hil-configs/points.toml has it."""
+    """World position of a body position: Rz(heading) Ry(pitch) Rx(roll), as in hil-configs/points.toml."""
     roll, pitch, heading = (math.radians(a) for a in ATTITUDE_DEG)
     x, y, z = body_m
     y, z = y * math.cos(roll) - z * math.sin(roll), y * math.sin(roll) + z * math.cos(roll)
@@ -72,7 +72,7 @@ def world_m(seconds, body_m):
 
 
 def two_way_s(seconds):
-    """From the pulse at so many seconds of the track until its echo from the target reaches the starboard array."""
+    """Delay of the target's echo at the starboard array, for a pulse at a time on the track."""
     out_m = math.dist(world_m(seconds, TRANSMITTER_M), TARGET_M)
     delay_s = 0.0
     for _ in range(20):
@@ -81,7 +81,7 @@ def two_way_s(seconds):
 
 
 class Page(unittest.TestCase):
-    """One daemon and one page for all: each test leaves them as it found them."""
+    """One daemon and one page for all tests; each restores their state."""
 
     @classmethod
     def setUpClass(cls):
@@ -95,7 +95,7 @@ class Page(unittest.TestCase):
         cls.addClassCleanup(lambda: cls.daemon.stop())
         cls.playwright = sync_playwright().start()
         cls.addClassCleanup(cls.playwright.stop)
-        # Chromium does not isolate what root runs.
+        # Chromium has no sandbox for root.
         cls.browser = cls.playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"] if os.geteuid() == 0 else [])
         cls.addClassCleanup(cls.browser.close)
         cls.page = cls.browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme="dark")
@@ -116,7 +116,7 @@ class Page(unittest.TestCase):
         self.wait("() => Number(document.getElementById('ping').textContent) > 0")
 
     def tearDown(self):
-        # That a test reads pictures back is no fault of the page.
+        # Reading canvases back causes a warning that is not the page's fault.
         complaints = [said for said in self.said if said[0] in ("error", "warning") and "getImageData" not in said[1]]
         self.assertEqual(complaints, [], "the page complained")
 
@@ -132,7 +132,7 @@ class Page(unittest.TestCase):
 
     def test_a_known_target_is_drawn_where_its_range_and_time_say(self):
         page = self.page
-        # Abeam after 6 s; a little later it is in the picture, and time stands.
+        # Abeam after 6 s; slightly later the target is in the image, and time is paused.
         self.wait("() => { const t = document.getElementById('clock').textContent.slice(-8); return t >= '09:20:10' && t < '09:29:00'; }")
         page.evaluate("document.activeElement.blur()")
         page.keyboard.press("Space")
@@ -143,7 +143,7 @@ class Page(unittest.TestCase):
         scale = width / box["width"]
         best = []
         for row in range(2, int(box["height"] * scale / 2) - 2):
-            # The cursor says which ping a row is, and when it was.
+            # The cursor shows number and time of a row's ping.
             page.mouse.move(box["x"] + box["width"] / 2 + 40, box["y"] + (2 * row + 1) / scale)
             page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
             text = page.locator("#wf-cursor").text_content()
@@ -154,7 +154,7 @@ class Page(unittest.TestCase):
             if seconds < 5.0:
                 break
             if abs(seconds - 5.8) > 0.6:
-                # Ten pings a second, the newest on top.
+                # Ten pings per second, the newest on top.
                 continue
             pixels = page.evaluate("""(y) => {
                 const canvas = document.getElementById("wf");
@@ -169,9 +169,9 @@ class Page(unittest.TestCase):
             best.append((seconds, want, got[0], got[-1]))
         self.assertGreaterEqual(len(best), 8, "rows about the target")
         for seconds, want, first, last in best:
-            # A pixel is 0.1 m, a sample 0.02 m; the loudest colour may fill a neighbour, and no more.
+            # A pixel is 0.1 m, a sample 0.02 m; the brightest colour may cover one neighbour.
             self.assertTrue(first - 1.0 <= want <= last + 1.5 and last - first <= 3, f"at {seconds} s: drawn at {first} to {last}, predicted {want:.1f}")
-        # The mark of the truth is there as well: at the ping broadside to it, in its own colour.
+        # The truth mark is also shown, at the ping broadside to the target, in its own colour.
         marked = page.evaluate("""() => {
             const canvas = document.getElementById("wf-over");
             const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
@@ -204,7 +204,7 @@ class Page(unittest.TestCase):
         self.wait_text("#now-range_m", "45 m")
         port = session.socket.getsockname()[1]
         self.wait_text("#note-range_m", f"asked 45 by 7k 127.0.0.1:{port}")
-        # What is refused says why, and changes nothing.
+        # A refused command gives a reason and has no effect.
         page.fill("#set-range_m", "1000")
         page.press("#set-range_m", "Enter")
         self.wait_text("#note-range_m", "range_m = 1000: must be from 10 to 60")
@@ -302,7 +302,7 @@ class Page(unittest.TestCase):
         listen = self.at
         self.daemon.stop()
         self.wait_text("#state", "no connection")
-        # That there is nobody is the browser's own complaint, and right.
+        # The browser itself reports that the server is gone.
         type(self).start(listen)
         self.wait_text("#state", "pinging")
         self.wait("() => { const n = Number(document.getElementById('ping').textContent); return n > 0 && n < 200; }")
@@ -311,7 +311,7 @@ class Page(unittest.TestCase):
 
 
 class Hostile(unittest.TestCase):
-    """What nobody should send."""
+    """Malformed and hostile requests."""
 
     def setUp(self):
         folder = tempfile.TemporaryDirectory()
@@ -335,13 +335,13 @@ class Hostile(unittest.TestCase):
         return client
 
     def until(self, client, wanted):
-        """Reads on to what is wanted."""
+        """Reads until the wanted message."""
         deadline = time.monotonic() + PATIENCE_S
         while not wanted(client.receive()):
             self.assertLess(time.monotonic(), deadline, "it never came")
 
     def ended(self, client):
-        """Reads on until the daemon closes."""
+        """Reads until the daemon closes."""
         try:
             while True:
                 client.receive()
@@ -355,7 +355,7 @@ class Hostile(unittest.TestCase):
         self.assertTrue(session.pump(PATIENCE_S, lambda: len(session.pings) > 2))
         first = len(session.pings)
 
-        # Pages of other sites; names of somebody else's that point here.
+        # Other origins; foreign host names that resolve to this host.
         for origin in ("http://evil.example", "null", "http://127.0.0.1:1", "file://"):
             self.assertEqual(self.open(origin=origin).status, 403, origin)
         self.assertEqual(self.open(origin=f"http://{self.at}").status, 101)
@@ -373,7 +373,7 @@ class Hostile(unittest.TestCase):
                 error.close()
             self.assertEqual(got, want, path)
 
-        # Malformed: told so, and still served.
+        # Malformed: answered with an error, and still served.
         client = self.open()
         for text in ("", "{", "[]", '{"look": {"sonar": 99999999}}', '{"look": {"sonar": 0, "scope": {"of": "nothing"}}}', '{"command": {"id": -1}}',
                      '{"relief": {"level": 300, "row": 0, "col": 0}}', '{"command": {"id": 1, "command": {"do": "explode"}}}', "[" * 10_000):
@@ -396,7 +396,7 @@ class Hostile(unittest.TestCase):
             spoil(spoiled)
             self.assertTrue(self.ended(spoiled))
 
-        # Fifty that ask for everything and do not read; and a page of sentences.
+        # Fifty clients that subscribe to everything and do not read; and a page of text.
         crowd = [self.open(receive_bytes=4096) for _ in range(50)]
         for index, client in enumerate(crowd):
             client.send({"look": {"sonar": 0, "fan": True, "elements": True, "scope": {"of": "element", "array": 0, "index": index % 8, "first": 0}}})
@@ -411,7 +411,7 @@ class Hostile(unittest.TestCase):
         counters = status["sonars"][0]["counters"]
         self.assertEqual([counters[key] for key in ("pings_skipped_late", "pings_skipped_queue", "pings_skipped_nav")], [0, 0, 0])
         self.assertGreaterEqual(status["page"]["pages"], 50)
-        # The rest of the seats, and then none.
+        # The remaining connections are accepted, further ones refused.
         more = [self.open() for _ in range(20)]
         self.assertIn(503, [client.status for client in more])
         self.assertNotIn(SCRIPT, json.dumps(status["nav"]), "a sentence's fields are nobody's business")

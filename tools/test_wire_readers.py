@@ -1,7 +1,7 @@
-"""What the protocols crate writes, read by programs that nobody here wrote (tools/requirements.txt).
+"""Third-party readers (tools/requirements.txt) on the output of the protocols crate.
 
-The sample files come from `protocols/examples/wire_samples`; what they should hold is stated here a second time. To read a folder that was
-written before, name it in WIRE_SAMPLES.
+The sample files come from `protocols/examples/wire_samples`; their expected content is stated here independently. WIRE_SAMPLES names a folder
+written before.
 """
 
 import json
