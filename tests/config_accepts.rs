@@ -1,4 +1,4 @@
-//! What a configuration may say, what it then means, and that the template and the schema tell the truth about both.
+//! Accepted configurations and their meaning; the template and the schema agree with the parser.
 
 use std::f64::consts::FRAC_PI_2;
 use std::fs;
@@ -122,7 +122,7 @@ fn streaming_takes_its_blocks_latency_and_foresight_and_pings_are_spread_unless_
 
 #[test]
 fn units_are_shifted_without_rounding_twice() {
-    // Among these are some that a product with 1e-3 misses by one bit, and some that a quotient by 1e3 misses.
+    // For some of these, multiplying by 1e-3 or dividing by 1e3 is one bit off.
     for digits in ["0.9", "2.1", "4.9", "5.9e0", "59e-1", "1_000.7", "4"] {
         let text = minimal().replace("duration_ms = 2.0", &format!("duration_ms = {digits}"));
         let text = text.replace("sample_rate_khz = 40.0", "sample_rate_khz = 400.7");
@@ -585,7 +585,7 @@ fn a_range_too_long_for_the_rate_is_a_note_and_no_error() {
     assert!(summary.contains(want), "{summary}");
 }
 
-/// Rows of a CSV of numbers, comments and heading left out.
+/// Rows of a CSV of numbers, without comments and heading.
 fn rows(file: &str) -> Vec<Vec<f64>> {
     let text = fs::read_to_string(repository().join(file)).expect("readable");
     text.lines()
@@ -816,13 +816,13 @@ fn a_default_in_the_template_may_be_uncommented_and_changes_nothing() {
         };
         let is_default = line.ends_with("; the default")
             || lines[i.saturating_sub(1)].ends_with("; the default]");
-        // Keys that have an effect only beside another choice are refused without it, which is their rule.
+        // Keys that have an effect only with another choice are refused without it.
         let only_beside = lines[..i]
             .iter()
             .rev()
             .take_while(|l| l.starts_with("# ") && !l.contains(" = ") || l.contains("Only with"))
             .any(|l| l.contains("Only with"));
-        // So are those of a table that is itself commented out.
+        // The same for keys of a table that is itself commented out.
         let is_header = |l: &&&str| {
             let text = l.trim_start_matches("# ");
             text.starts_with('[') && text.ends_with(']') && !text.contains(' ')
@@ -893,7 +893,7 @@ fn every_key_of_the_schema_stands_in_the_template() {
     assert!(missing.is_empty(), "{missing:?}");
 }
 
-/// Whether `value` is valid under the part of JSON Schema that the schema uses; unknown words of it are a failure of this test.
+/// Whether `value` is valid under the subset of JSON Schema that the schema uses; unknown keywords fail the test.
 fn valid(schema: &Value, value: &Value) -> bool {
     let known = [
         "$schema",
@@ -991,7 +991,7 @@ fn what_is_accepted_is_valid_under_the_schema() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 600, ..ProptestConfig::default() })]
 
-    /// One value replaced by another: accepted means valid, so an editor that trusts the schema never marks what is right.
+    /// Replaces single values: accepted means valid, so an editor with the schema never marks a correct value.
     #[test]
     fn a_changed_configuration_that_is_accepted_is_valid_under_the_schema(
         line in any::<usize>(),
@@ -1034,7 +1034,7 @@ fn any_line_may_be_left_out_and_is_either_not_needed_or_missed_by_name() {
     }
 }
 
-/// The least configuration with `lines` in `[sonar.model]`.
+/// The minimal configuration with `lines` in `[sonar.model]`.
 fn with_model(lines: &str) -> RigSpec {
     let minimal =
         fs::read_to_string(repository().join("tests/data/config/minimal.toml")).expect("readable");
@@ -1090,7 +1090,7 @@ fn every_path_doppler_and_synthesis_goes_by_its_name() {
     assert_eq!(spec.tolerance, 2e-5);
 }
 
-/// The engine where it surely reaches its tolerance, else the exact sum.
+/// The fast engine where it certainly reaches its tolerance, otherwise the exact sum.
 #[test]
 fn a_synthesis_left_out_is_the_engine_behind_the_filter_and_the_direct_sum_elsewhere() {
     let chosen = |filter: &str, doppler: &str| {

@@ -1,4 +1,4 @@
-//! Every broken configuration is refused with its whole list of problems, and nothing that can be typed ends in a panic.
+//! Every broken configuration is refused with its whole list of problems, and no input causes a panic.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ fn broken_files() -> Vec<PathBuf> {
     files
 }
 
-/// `NN-name.txt` holds what must be printed for `NN-name.toml`. With ECHOTANK_BLESS=1 in the environment it is written anew, to be read.
+/// `NN-name.txt` holds the expected message for `NN-name.toml`. ECHOTANK_BLESS=1 in the environment rewrites it for review.
 #[test]
 fn each_broken_configuration_prints_its_whole_list_of_problems() {
     let bless = std::env::var_os("ECHOTANK_BLESS").is_some();
@@ -95,7 +95,7 @@ fn a_file_that_cannot_be_read_is_named_with_the_reason() {
     );
 }
 
-/// A template with a few bytes put in, taken out or changed: refused or accepted, never a panic.
+/// A template with a few bytes inserted, removed or changed: refused or accepted, never a panic.
 fn mutated(seed_bytes: &[(usize, u8, u8)]) -> String {
     let mut bytes = config::template().as_bytes().to_vec();
     for &(place, action, byte) in seed_bytes {
@@ -106,7 +106,7 @@ fn mutated(seed_bytes: &[(usize, u8, u8)]) -> String {
             2 => {
                 bytes.remove(at);
             }
-            // Uncomments: most of the template is comments.
+            // Uncomment lines: most of the template is comments.
             _ => {
                 let hash = bytes[at..].iter().position(|&b| b == b'#');
                 if let Some(hash) = hash {

@@ -45,10 +45,10 @@ use echotank_protocols::sevenk::{Command as Request, RecordBody};
 use echotank_runtime::io::sonar::client::SevenKClient;
 use echotank_runtime::io::sonar::verify::{Verifier, ping_number};
 
-/// Longest that anything may take before the test gives up; far beyond what a loaded machine needs.
+/// Time limit of a test, far beyond what a loaded machine needs.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A running daemon; killed when the test ends before it.
+/// A running daemon, killed when dropped.
 struct Daemon {
     child: Child,
     stdout: BufReader<ChildStdout>,
@@ -93,7 +93,7 @@ impl Daemon {
         }
     }
 
-    /// The same, whatever was asked before.
+    /// The same from the start of the output.
     fn address_of(&mut self, line: &str, before: &str) -> SocketAddr {
         let address = |text: &str| {
             let mut words = text.split_whitespace().skip_while(|word| *word != before);
@@ -104,7 +104,7 @@ impl Daemon {
         found.unwrap_or_else(|| self.announced(line, before))
     }
 
-    /// Tells it to stop and returns everything it printed.
+    /// Stops the daemon and returns everything it printed.
     fn terminate(mut self) -> String {
         let told = Command::new("kill")
             .args(["-TERM", &self.child.id().to_string()])
@@ -149,7 +149,7 @@ fn next_settings(client: &mut SevenKClient, verifier: &mut Verifier) -> (u32, f3
 fn quickstart_pings_obeys_and_ends_with_its_record_closed() {
     let folder = tempfile::tempdir().expect("folder");
     let record = format!("record.directory={:?}", folder.path());
-    // A thin seabed: how much a machine carries in real time is a benchmark's business.
+    // A seabed of low density: real-time capacity is measured by benchmarks.
     let mut daemon = Daemon::start(&[
         "--set",
         "sonar.output.sevenk.listen=127.0.0.1:0",
@@ -171,7 +171,7 @@ fn quickstart_pings_obeys_and_ends_with_its_record_closed() {
         client.command(Request::Range { range_m: 1e6 }).is_err(),
         "refused"
     );
-    // What was on its way keeps the old range; the new one follows without a gap.
+    // Pings under way keep the old range; the new range follows without a gap.
     let mut last = first;
     loop {
         let (number, range_m) = next_settings(&mut client, &mut verifier);
@@ -218,7 +218,7 @@ fn quickstart_pings_obeys_and_ends_with_its_record_closed() {
     );
 }
 
-/// A small rig that lives on UDP navigation and predicts.
+/// A small rig with UDP navigation and prediction.
 const LIVE: &str = r#"
 [medium]
 sound_speed_m_per_s = 1500.0
@@ -275,7 +275,7 @@ fn sentence(body: &str) -> String {
     format!("${body}*{sum:02X}\r\n")
 }
 
-/// GGA, HDT and PSXN,23 of a platform that turns, twenty times a second, until told to stop.
+/// GGA, HDT and PSXN,23 of a turning platform, twenty times a second, until stopped.
 fn bridge(to: SocketAddr, stop: Arc<AtomicBool>) -> thread::JoinHandle<()> {
     thread::spawn(move || {
         let socket = UdpSocket::bind("127.0.0.1:0").expect("socket");

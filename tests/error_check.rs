@@ -1,4 +1,4 @@
-//! The error check of whole pings: what it says of their error, against the error of every sample.
+//! The error check of whole pings: its estimate compared with the error of every sample.
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ use echotank_runtime::config_files::parse;
 use glam::DVec3;
 use num_complex::Complex64;
 
-/// `model`: lines of `[sonar.model]`; `receiver`: more of `[sonar.receiver]`.
+/// `model`: lines of `[sonar.model]`; `receiver`: additional lines of `[sonar.receiver]`.
 fn rig(model: &str, receiver: &str) -> RigSpec {
     let text = format!(
         r#"
@@ -89,7 +89,7 @@ fn plan(rig: &RigSpec, number: u32) -> PingPlan {
     plan
 }
 
-/// Error checks of `pings` pings, and the last one's samples before the receiver's (which does nothing here).
+/// Error checks of `pings` pings, and the last one's samples before the receiver stage (which does nothing here).
 fn run(
     rig: &RigSpec,
     scatterers: &Scatterers,
@@ -106,8 +106,8 @@ fn run(
     (error_checks, output.elements[0].iq.clone())
 }
 
-/// The error that an error check estimates, over every sample: rms of the differences, each over the larger of the rms around it and of the
-/// element's ping.
+/// The error that an error check estimates, over every sample: rms of the differences, each over the larger of the local rms and that of
+/// the element's ping.
 fn true_error(got: &[Complex64], want: &[Complex64], samples: usize, window: usize) -> f64 {
     let mean_square =
         |x: &[Complex64]| x.iter().map(|s| s.norm_sqr()).sum::<f64>() / x.len() as f64;
@@ -128,7 +128,7 @@ const QUIET: &str = "tvg = \"none\"";
 #[test]
 fn a_certificate_holds_the_error_of_every_sample_in_its_interval() {
     let scatterers = scene(150);
-    // The reference takes its time: once for each receiver.
+    // The reference is slow: compute it once per receiver.
     let mut known: Option<(&str, Vec<Complex64>)> = None;
     for (model, receiver) in [
         (
@@ -151,7 +151,7 @@ fn a_certificate_holds_the_error_of_every_sample_in_its_interval() {
     ] {
         let lines = format!("{receiver}\n{QUIET}");
         let checked = rig(&format!("{model}\ncertificate = true"), &lines);
-        // Of a method that costs little, little may be spent on watching it.
+        // The budget for checking a cheap method is small.
         let pings = if model.contains("gridded") { 4000 } else { 400 };
         let (error_checks, got) = run(&checked, &scatterers, pings);
         let none = error_checks.iter().take_while(|c| c.is_none()).count();
@@ -180,7 +180,7 @@ fn a_certificate_holds_the_error_of_every_sample_in_its_interval() {
             "{model:?}, {receiver:?}: true {error:.2e}, error check {:.2e} ({:.2e} to {:.2e}) after {none} pings",
             last.error, last.low, last.high
         );
-        // The interval is of 95 %: one in twenty may miss, by a little. The seed is fixed, so this either holds or does not.
+        // The interval has 95 % confidence: one in twenty may miss slightly. The seed is fixed, so the result is deterministic.
         assert!(
             error > 0.9 * last.low && error < 1.1 * last.high,
             "{error:e}, {last:?}"
@@ -188,7 +188,7 @@ fn a_certificate_holds_the_error_of_every_sample_in_its_interval() {
     }
 }
 
-/// A wrong model is found out; the samples themselves are not touched by being watched.
+/// A wrong model is detected; checking does not change the samples.
 #[test]
 fn a_certificate_changes_no_sample_and_says_so_where_the_model_is_wrong() {
     let scatterers = scene(150);
@@ -203,7 +203,7 @@ fn a_certificate_changes_no_sample_and_says_so_where_the_model_is_wrong() {
     assert!(last.low > 0.5, "{last:?}");
 }
 
-/// One error check above 1.3 tolerances is chance, two running are a fault; a method that keeps its tolerance has none.
+/// One error check above 1.3 tolerances is chance, two in a row are a fault; a method within its tolerance has none.
 #[test]
 fn a_fault_is_an_error_above_1p3_tolerances_on_two_pings_running() {
     let scatterers = scene(150);

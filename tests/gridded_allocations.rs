@@ -1,4 +1,4 @@
-//! The fast engine allocates nothing after its plans and workspaces are made.
+//! The fast engine does not allocate after its plans and workspaces are made.
 
 mod counting;
 
@@ -34,7 +34,7 @@ fn transforms_and_elements_allocate_nothing() {
     }
     let mut out = vec![Complex64::ZERO; 1200];
 
-    // One column and many; f32, mixed and f64.
+    // One column and several; f32, mixed and f64.
     for doppler in [
         DopplerModel::None,
         DopplerModel::Stretch,

@@ -1,4 +1,4 @@
-//! The line-array engine allocates nothing once its buffers have met the largest task.
+//! The line-array engine does not allocate after its buffers have processed the largest task.
 
 mod counting;
 

@@ -1,4 +1,4 @@
-//! A ping allocates nothing once buffers have met the largest: every synthesis, with an error check.
+//! A ping does not allocate after buffers have processed the largest: every synthesis, with an error check.
 
 mod counting;
 
@@ -69,7 +69,7 @@ fn no_path_model_and_no_synthesis_allocates_after_warm_up() {
         let rig = echotank_runtime::config_files::parse(&text, Path::new("."))
             .expect("a good configuration");
         let sonar = &rig.sonars[0];
-        // One thread and its own pool: what the pool does for itself is not the ping's.
+        // One thread with its own pool: allocations of the pool itself do not count.
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(1)
             .build()
@@ -83,7 +83,7 @@ fn no_path_model_and_no_synthesis_allocates_after_warm_up() {
                     rotation_from_angles(0.0, 0.0, 0.0),
                 );
                 let mut settings = sonar.settings;
-                // The pulse changes now and then, the longest first. "gridded-2d" makes its tables anew for another pulse.
+                // The pulse changes now and then, the longest first. "gridded-2d" makes new tables for another pulse.
                 let shorter = number / 10 % 2 == 1 && !model.contains("gridded-2d");
                 settings.pulse_duration_s = if shorter { 1.5e-3 } else { 2e-3 };
                 let order = PingOrder {
@@ -112,7 +112,7 @@ fn no_path_model_and_no_synthesis_allocates_after_warm_up() {
         });
         println!("{model}: {allocations} allocations, checked: {checked}");
         assert_eq!(allocations, 0, "{model}");
-        // Few samples of cheap methods are paid for; of the others there are enough by now.
+        // The budget of cheap methods allows few samples; the others have enough by now.
         let cheap = model.contains("synthesis") && !model.contains("direct");
         assert!(checked || cheap, "{model}");
     }

@@ -1,4 +1,4 @@
-//! Bytes to samples: real logs, epochs, signs, policies, and what random bytes do.
+//! Decoding: real logs, epochs, signs, policies, and random bytes.
 
 use echotank_config::spec::{ChecksumPolicy, NavChannel, NavInputSpec, NavSourceSpec, TimePolicy};
 use echotank_core::flow::{NavQuantity, NavSample};
@@ -63,7 +63,7 @@ fn seapath_counts_equal_an_independent_count() {
     assert_eq!((log.stamped, log.backward), (720, 0));
     assert_eq!(counters.sentences, count("$"));
     assert_eq!(counters.unsupported, 0);
-    // VTG and HDT speak until RMC and PSXN do; PSXN,22 says nothing of use, PSXN,20 what is valid.
+    // VTG and HDT are active until RMC and PSXN arrive; PSXN,22 holds nothing of use, PSXN,20 quality flags.
     assert_eq!(
         counters.not_taken,
         count("HDT") - 1 + count("VTG") - 1 + count("PSXN,22")
@@ -129,7 +129,7 @@ fn psxn_23_gets_the_epoch_of_the_gga_of_its_burst() {
     );
 }
 
-/// An independent reading of the log's fields: split at commas, parse, convert.
+/// An independent decoding of the log's fields: split at commas, parse, convert.
 fn split_by_hand(sentence: &str) -> Vec<(&'static str, Vec<f64>)> {
     let body = sentence.trim().split('*').next().unwrap_or("");
     let f: Vec<&str> = body.split(',').collect();
@@ -206,7 +206,7 @@ fn samples_agree_with_an_independent_field_split() {
     let mut compared = 0;
     for log in [SEAPATH, GYRO] {
         for line in String::from_utf8_lossy(log).lines() {
-            // A fresh decoder per sentence: each speaks for itself.
+            // A fresh decoder per sentence, so that each is active.
             let spec = source(TimePolicy::Message, ChecksumPolicy::Require, &ALL);
             let mut decoder = NavDecoder::new(0, &spec);
             let mut out = Vec::new();
@@ -248,7 +248,7 @@ fn lower_case_checksums_of_the_gyro_are_good() {
 #[test]
 fn hydroball_wrong_checksums_are_refused_or_ignored_as_told_and_its_date_is_found() {
     let lines = String::from_utf8_lossy(HYDROBALL);
-    // Every *00; by chance a few of them are right.
+    // Every checksum is 00; by chance a few are right.
     let sum = |line: &str| {
         let body = line.split(['$', '*']).nth(1).unwrap_or("");
         body.bytes().fold(0, |sum, byte| sum ^ byte)
@@ -269,7 +269,7 @@ fn hydroball_wrong_checksums_are_refused_or_ignored_as_told_and_its_date_is_foun
         assert!(counters.missing_checksum > 20, "{counters:?}");
         assert!(log.backward > 10, "{log:?}");
         check_sum(&counters);
-        // 2017-12-11 18:58:40, which no line before the first RMC says.
+        // 2017-12-11 18:58:40, a date that no line before the first RMC holds.
         let is_fix = |s: &&NavSample| matches!(s.quantity, NavQuantity::Position { .. });
         let first = samples.iter().find(is_fix).expect("a fix");
         assert_eq!(first.valid_utc, UtcNs(1_513_018_720 * NS_PER_S));

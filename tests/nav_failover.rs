@@ -1,4 +1,4 @@
-//! Several sources at once: who speaks, what becomes of the motion at the change, jumps, states of sources; TCP in both roles.
+//! Several sources at once: the active source, motion across failover, jumps, source states; TCP in both roles.
 
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
@@ -74,7 +74,7 @@ fn insert(history: &mut NavHistory, source: u16, t: f64, quantity: NavQuantity) 
     });
 }
 
-/// So many metres north of the origin: the meridian's radius at 0.9 rad is 6,374,674 m.
+/// Metres north of the origin: the meridian's radius at 0.9 rad is 6,374,674 m.
 fn position(north_m: f64) -> NavQuantity {
     NavQuantity::Position {
         latitude_rad: 0.9 + north_m / 6_374_674.0,
@@ -100,7 +100,7 @@ fn a_silent_gnss_is_relieved_with_its_relief_s_own_lever_arm_and_nothing_is_join
     let mut history = NavHistory::new(&spec(vec![first, second, compass]));
     for i in 0..400 {
         let t = f64::from(i) / 10.0;
-        // Northward at 2 m/s, heading north: the antennas are 10 m before and 20 m behind the reference point.
+        // Northward at 2 m/s, heading north: the antennas are 10 m ahead and 20 m astern of the reference point.
         if !(10.0..20.0).contains(&t) {
             insert(&mut history, 0, t, position(2.0 * t + 10.0));
             insert(
@@ -125,13 +125,13 @@ fn a_silent_gnss_is_relieved_with_its_relief_s_own_lever_arm_and_nothing_is_join
         if i == 180 {
             assert_eq!(history.active_source(NavChannel::Position), Some(1));
             assert!((north(&mut history, 15.0).expect("second") - 30.0).abs() < 0.1);
-            // The past keeps the arm of its own source.
+            // Earlier motion keeps the lever arm of its own source.
             assert!((north(&mut history, 9.0).expect("first") - 18.0).abs() < 0.1);
             let across = motion(&mut history, 11.5);
             assert!(across.is_err(), "nobody was heard at 11.5 s: {across:?}");
         }
     }
-    // Back at 20 s, trusted again at 25 s.
+    // The source is back at 20 s and trusted again at 25 s.
     assert_eq!(history.active_source(NavChannel::Position), Some(0));
     let back = motion(&mut history, 30.0).expect("first again");
     assert!((back.pose.position_m.x - 60.0).abs() < 0.1, "{back:?}");
@@ -171,7 +171,7 @@ fn a_jump_is_set_aside_and_a_lasting_one_becomes_a_reset() {
         "{counts:?}"
     );
     let north = |history: &mut NavHistory, t: f64| motion(history, t).map(|s| s.pose.position_m.x);
-    // The stray fix at 5 s leaves no trace.
+    // The stray fix at 5 s has no effect.
     assert!((north(&mut history, 5.0).expect("fine") - 10.0).abs() < 0.05);
     assert!((north(&mut history, 15.0).expect("fine") - 330.0).abs() < 0.05);
     assert!(

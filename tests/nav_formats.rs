@@ -1,4 +1,5 @@
-//! A known motion, written in every format that is read, comes back as it was; signs; what spoiled bytes do; our decoders against the crate.
+//! A known motion, encoded in every supported format, is decoded unchanged; signs; corrupted bytes; our decoders compared with the nmea
+//! crate.
 
 use std::f64::consts::TAU;
 
@@ -25,7 +26,7 @@ const ALL: [NavChannel; 5] = [
 ];
 /// 2014-08-01T00:00:00Z; GPS week 1803, 432016 s.
 const DAY_S: i64 = 1_406_851_200;
-/// Of a Seapath's attitude on a serial line.
+/// Time base of a Seapath's attitude on a serial line.
 const LATENCY_S: f64 = 0.36;
 
 fn source(dialect: NavDialect, time: TimePolicy) -> NavSourceSpec {
@@ -46,7 +47,7 @@ fn source(dialect: NavDialect, time: TimePolicy) -> NavSourceSpec {
 
 // ---------------------------------------------------------------- the known motion
 
-/// Degrees and metres, our signs, at `t` seconds past midnight.
+/// Degrees and metres, our sign conventions, at `t` seconds past midnight.
 #[derive(Clone, Copy)]
 struct Motion {
     t: f64,
@@ -369,7 +370,7 @@ fn kmb(m: &Motion) -> Vec<u8> {
 }
 
 fn x25(bytes: &[u8]) -> u16 {
-    // Table-free and unlike the library's: bit by bit on the message polynomial, reflected by hand.
+    // Without a table, unlike the library: bit by bit on the reflected message polynomial.
     let mut crc: u16 = 0xFFFF;
     for byte in bytes {
         let tmp = byte ^ (crc as u8);
@@ -418,14 +419,14 @@ fn tlog(m: &Motion, version: u8) -> Vec<u8> {
 /// Half a step of the format's numbers: (roll and pitch deg, heading deg, heave m, latitude and longitude deg, height m).
 type Steps = (f64, f64, f64, f64, f64);
 
-/// What a format must give back of the motion.
+/// Values that a format must return.
 struct Format {
     name: &'static str,
     format: NavFormat,
     encode: fn(&Motion) -> Vec<u8>,
     steps: Steps,
     channels: &'static [NavChannel],
-    /// The message carries its time.
+    /// The message carries its own time.
     timed: bool,
 }
 
@@ -553,7 +554,7 @@ fn check(name: &str, sample: &NavSample, steps: &Steps) {
     let t = sample.valid_utc.seconds_since(UtcNs(DAY_S * NS_PER_S));
     let want = motion(t);
     let near = |what: &str, got: f64, want: f64, step: f64| {
-        // The steps are exact; a millionth of them is rounding.
+        // Half steps are exact bounds; a millionth more allows for rounding.
         let error = (got - want).abs();
         assert!(
             error <= step * (1.0 + 1e-6) + 1e-9,
@@ -629,7 +630,7 @@ fn a_known_motion_comes_back_within_half_a_step_of_every_format() {
         };
         let mut decoder = NavDecoder::new(0, &source(dialect, time));
         let mut samples = Vec::new();
-        // Two records more than are looked at: EM3000 believes in threes.
+        // Two records more than compared: EM3000 accepts records in threes.
         for i in 0..602 {
             let t = f64::from(i) * 0.1;
             let arrival = UtcNs(DAY_S * NS_PER_S).plus_s(t + LATENCY_S);
@@ -720,7 +721,7 @@ fn a_tlog_of_either_version_gives_the_motion_at_the_vehicle_s_own_time() {
             let late = s.arrival_utc.seconds_since(s.valid_utc);
             assert!((late - LATENCY_S).abs() < 1e-3, "{late}");
         }
-        // A spoiled byte in a known message is found.
+        // A corrupted byte in a known message is detected.
         let at = bytes.len() - 10;
         bytes[at] ^= 0x10;
         let (_, spoiled, _) = read_log(&bytes, 0, &spec, 1.0);
@@ -730,7 +731,7 @@ fn a_tlog_of_either_version_gives_the_motion_at_the_vehicle_s_own_time() {
 
 // ---------------------------------------------------------------- signs, by hand
 
-/// Strings from manuals and logs, and what the platform did.
+/// Sentences from manuals and logs, with the platform's motion.
 #[test]
 fn the_sign_table() {
     // (name, format, bytes without checksum, roll, pitch, heave down)
@@ -919,7 +920,7 @@ fn two_talkers_of_the_same_quantity_are_not_mixed() {
     let mut samples = Vec::new();
     for i in 0..20 {
         let at = UtcNs(DAY_S * NS_PER_S).plus_s(f64::from(i));
-        // The first talker falls silent for good after ten seconds.
+        // The first talker stops for good after ten seconds.
         if i < 10 {
             decoder.push(&nmea("HEHDT,10.0,T".into()), at, &mut samples);
         }
@@ -939,7 +940,7 @@ fn two_talkers_of_the_same_quantity_are_not_mixed() {
     );
 }
 
-/// Attitude at 8 Hz between fixes at 1 Hz, no pause: it is not of the fix's time, which grows a second old.
+/// Attitude at 8 Hz between fixes at 1 Hz, without a pause: it does not belong to the fix's time, which is up to a second old.
 #[test]
 fn a_sentence_that_comes_twice_in_a_burst_is_taken_at_its_arrival() {
     let mut decoder = NavDecoder::new(0, &source(NavDialect::default(), TimePolicy::Burst));
@@ -1014,7 +1015,7 @@ fn digest(format: NavFormat, bytes: &[u8], cuts: &[usize]) -> (Vec<NavSample>, N
     (out, *decoder.counters())
 }
 
-/// Records of all formats, some spoiled, with noise between.
+/// Records of all formats, some corrupted, with noise between.
 fn stream() -> impl Strategy<Value = Vec<u8>> {
     let piece = (
         0..formats().len(),
@@ -1046,7 +1047,7 @@ const FORMATS: [NavFormat; 5] = [
 ];
 
 fn sentence_body() -> impl Strategy<Value = String> {
-    // Bodies of what both read, each field now and then spoiled.
+    // Sentences that both decode, some with a corrupted field.
     let list: [fn(&Motion) -> Vec<u8>; 4] = [gga, rmc, hdt, gll];
     let spoil = (any::<u8>(), "[0-9.,A-Z-]{0,8}");
     (0..list.len() + 2, 0.0..86_000.0_f64, spoil, 0u8..3).prop_map(

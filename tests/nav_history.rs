@@ -1,4 +1,4 @@
-//! Samples to motion: against analytic motions, across wraps, gaps and seams.
+//! From samples to motion: compared with analytic motions, across wraps, gaps and loops of a log.
 
 mod counting;
 mod nav_mounting;
@@ -201,7 +201,7 @@ fn swell_errors(rate_hz: f64) -> [f64; 5] {
     worst
 }
 
-/// Bounds about twice what was seen; the law is a cubic, so that a tenth of the rate costs some thousand times the accuracy.
+/// Bounds about twice the observed errors; interpolation is cubic, so a tenth of the rate costs about a thousand times the accuracy.
 #[test]
 fn swell_at_10_hz_is_met_to_0p1_mm_and_0p001_deg() {
     for (rate_hz, limit) in [
@@ -237,7 +237,7 @@ fn heading_goes_through_north_the_short_way() {
     }
 }
 
-/// PSXN,23 and PASHR call port up positive; a starboard transducer must then go down.
+/// PSXN,23 and PASHR define port up as positive; a starboard transducer must then go down.
 #[test]
 fn roll_to_starboard_puts_the_starboard_side_deeper_and_heave_down_sinks() {
     use echotank_nav::NavDecoder;
@@ -366,7 +366,7 @@ fn vertical_is_made_of_waterline_and_heave_or_of_the_height_or_of_the_depth() {
             Some(0.0)
         );
     }
-    // A fix without a height cannot say how deep.
+    // A fix without a height gives no depth.
     for vertical in [
         VerticalSpec::Gnss {
             datum_offset_m: 0.0,
@@ -383,8 +383,8 @@ fn vertical_is_made_of_waterline_and_heave_or_of_the_height_or_of_the_depth() {
 
 #[test]
 fn a_settled_state_does_not_change_when_more_samples_come() {
-    // Heading from another source at another rate, from the track, or with everything else in one sentence; an antenna on an arm: every
-    // channel leans on another.
+    // Heading from another source at another rate, from the track, or with everything else in one sentence; an antenna on a lever arm:
+    // every channel depends on another.
     for (course_only, together) in [(false, false), (true, false), (false, true), (true, true)] {
         let mut spec = nav_spec(vec![
             log_source(&[
@@ -507,7 +507,7 @@ fn prediction_carries_on_with_the_last_rates_and_stops_at_its_limit() {
     assert_eq!(history.counts().stale, 1);
 }
 
-/// Rolling sinusoid with the resolution of a real sensor: the end slope must not turn a last digit into degrees.
+/// A roll sinusoid with the resolution of a real sensor: the end slope must not amplify the last digit to degrees.
 #[test]
 fn prediction_at_100_hz_is_not_shaken_by_the_sensor_s_resolution() {
     let roll_deg = |t: f64| 6.0 * (TAU * t / 8.0).sin();
@@ -671,7 +671,7 @@ fn without_roll_and_pitch_the_platform_is_level() {
     assert_eq!(state.heave_down_m, 0.0);
 }
 
-/// Straight on at 5 m/s, over the antimeridian and 3 m beside either pole: longitudes jump by any amount, the track does not.
+/// Straight on at 5 m/s, over the antimeridian and 3 m beside either pole: longitudes jump arbitrarily, the track does not.
 #[test]
 fn a_track_over_the_dateline_and_by_the_poles_is_straight() {
     for (latitude_deg, longitude_deg) in [
@@ -689,7 +689,7 @@ fn a_track_over_the_dateline_and_by_the_poles_is_straight() {
         let mut longitudes = Vec::new();
         for k in 0..=100 {
             let t = f64::from(k) * 0.1;
-            // From 25 m on one side of it to 25 m on the other.
+            // From 25 m on one side to 25 m on the other.
             let (latitude_rad, longitude_rad) = plane.geodetic_rad(3.0, 5.0 * t - 25.0);
             longitudes.push(longitude_rad);
             let position = NavQuantity::Position {
@@ -710,7 +710,7 @@ fn a_track_over_the_dateline_and_by_the_poles_is_straight() {
             let state = settle(&mut history, t, 0.1).expect("settled");
             let way = (state.pose.position_m - start.pose.position_m).length();
             let speed = state.pose.velocity_m_per_s.length();
-            // The plane of the first fix lies 25 m from that of the edge: 4e-6 rad.
+            // The plane of the first fix is 25 m from that at the edge: 4e-6 rad.
             assert!(
                 (way - 5.0 * (t - 1.0)).abs() < 1e-5 && (speed - 5.0).abs() < 1e-5,
                 "({latitude_deg}, {longitude_deg}) at {t}: {way} m, {speed} m/s"

@@ -30,7 +30,7 @@ use serialport::{SerialPort, TTYPort};
 
 /// 2014-08-01.
 const DAY: UtcNs = UtcNs(1_406_851_200 * NS_PER_S);
-/// How long a test waits for bytes to come through the kernel before it fails.
+/// Time limit for bytes to pass the kernel.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 fn data(name: &str) -> PathBuf {
@@ -95,7 +95,7 @@ fn nav_spec(sources: Vec<NavSourceSpec>) -> NavSpec {
     }
 }
 
-/// An instrument's end and a port. One at a time: `ptsname`, behind it, shares its buffer among threads.
+/// An instrument's end and a port, created one at a time: `ptsname` has a buffer shared by threads.
 fn pseudo_terminal() -> (TTYPort, TTYPort) {
     static ONE: Mutex<()> = Mutex::new(());
     let _held = ONE.lock().unwrap_or_else(PoisonError::into_inner);
@@ -138,7 +138,7 @@ fn from_file() -> Vec<NavState> {
     states(&mut history)
 }
 
-/// Pulls until the last ping is covered.
+/// Reads until the last ping is covered.
 fn pull_all(inputs: &mut NavInputs, history: &mut NavHistory, what: &str) {
     let begun = Instant::now();
     let last = ping_times().last().expect("some pings");
@@ -154,7 +154,7 @@ fn pull_all(inputs: &mut NavInputs, history: &mut NavHistory, what: &str) {
     }
 }
 
-/// Validity comes from the messages, so that only arrivals differ, which no state shows.
+/// Times of validity come from the messages, so different arrivals do not change the states.
 fn same(got: &[NavState], want: &[NavState]) {
     assert_eq!(got.len(), want.len());
     for (g, w) in got.iter().zip(want) {
@@ -183,7 +183,7 @@ fn udp_gives_the_states_of_the_file() {
     let mut history = NavHistory::new(&spec);
     let sender = UdpSocket::bind("127.0.0.1:0").expect("a port");
     let stream = sentences().concat();
-    // A gateway that cuts sentences as it likes.
+    // A gateway that splits sentences anywhere.
     let mut sent = 0;
     for (i, datagram) in stream.chunks(301).enumerate() {
         sender.send_to(datagram, address).expect("sent");
@@ -239,7 +239,7 @@ fn a_serial_port_gives_the_states_of_the_file() {
     });
     pull_all(&mut inputs, &mut history, "serial");
     let instrument = writer.join().expect("wrote all");
-    // The last ping was covered before the last sentence: what was written meanwhile is still on its way.
+    // The last ping was covered before the last sentence; data written meanwhile are still in transit.
     let begun = Instant::now();
     while inputs.counters()[0].decoder.sentences < 720 && begun.elapsed() < PATIENCE {
         inputs.pull(UtcNs(0), &mut history);
@@ -324,7 +324,7 @@ fn beside_a_recorded_source_rig_time_is_given_from_outside() {
     );
 }
 
-/// A clock that stands where it is put.
+/// A clock with settable time.
 struct Still {
     mono: AtomicI64,
     utc: UtcNs,
@@ -373,7 +373,7 @@ fn rig_time_is_the_messages_if_they_are_far_from_the_host_and_the_hosts_otherwis
     let near = clock(message.plus_ns(1_500_000_000));
     let mono = far.mono();
     let host = |c: &Still| Some(Timeline::through(mono, c.utc));
-    // The kernel's stamp is real: the datagram came a little before the clock that stands still says.
+    // The kernel's timestamp is real: the datagram arrived slightly before the fixed clock's time.
     let found = timeline_after(far.clone(), TimePolicy::Burst, zda).expect("dated");
     let earlier_ns = found.utc_minus_mono_ns - Timeline::through(mono, message).utc_minus_mono_ns;
     assert!(
@@ -444,7 +444,7 @@ fn recorded_sources_are_merged_by_arrival_and_pulled_up_to_a_time() {
     gyro.time = TimePolicy::Message;
     gyro.provides = vec![NavChannel::Heading];
     let seapath = source("s330", log(data("seapath330_90s.rvdas")));
-    // The gyro stands first, so that heading is its own.
+    // The gyro has priority, so heading comes from it.
     let spec = nav_spec(vec![gyro, seapath]);
     let mut inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
     let start = inputs.recorded_start().expect("recorded");
@@ -521,7 +521,7 @@ fn a_repeated_log_goes_on_for_ever_with_short_gaps() {
         }
     }
     println!("{good} pings, {seams} at seams");
-    // Nine seams of 0.25 s and a window of 0.05 s, ten pings a second.
+    // Nine loops of 0.25 s and a window of 0.05 s, ten pings per second.
     assert!((18..=36).contains(&seams), "{seams}");
     assert!(!inputs.finished());
     assert_eq!(history.counts().seams, seams);
@@ -554,7 +554,7 @@ fn errors_name_the_source_the_place_and_the_reason() {
             path.display()
         )
     );
-    // A buoy that has no heave, and whose attitude has wrong checksums: the operator is told.
+    // A buoy without heave whose attitude has wrong checksums: the operator is warned.
     let mut buoy = source("c", log(data("hydroball_22s.txt")));
     buoy.provides = vec![NavChannel::Heave];
     let (message, error) = open(buoy);
@@ -575,7 +575,7 @@ fn errors_name_the_source_the_place_and_the_reason() {
     let (message, _) = open(source(
         "e",
         NavInputSpec::Udp {
-            // A documentation address, on no machine.
+            // A documentation address that no machine has.
             listen: "192.0.2.1:5000".parse().expect("an address"),
             multicast: None,
         },

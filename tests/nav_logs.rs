@@ -1,4 +1,4 @@
-//! Recorded logs of every kind: counters equal to those of `tests/data/navlogs/count.py`, and what the report says of them.
+//! Recorded logs of every kind: counters equal to those of `tests/data/navlogs/count.py`, and the content of the report.
 
 #[path = "nav_logs/wrappers.rs"]
 mod wrappers;
@@ -303,7 +303,7 @@ fn the_report_says_who_speaks_and_why_others_do_not() {
     let pashr = r.channels[3].interval_s.expect("several");
     assert!((pashr.median - 0.04).abs() < 1e-9, "25 Hz");
 
-    // Contradictory headings: the true one speaks, the magnetic ones have no variation.
+    // Contradictory headings: the true one is active; the magnetic ones have no variation.
     let r = read("navlogs/mayara_udp10110.pcap");
     assert_eq!(gave(&r, "BMHDT", Heading), 64);
     let magnetic = r
@@ -312,16 +312,16 @@ fn the_report_says_who_speaks_and_why_others_do_not() {
         .find(|s| s.name == "BKHDM")
         .expect("BKHDM");
     assert_eq!(magnetic.magnetic, 129);
-    // Two talkers' positions: one of them is taken.
+    // Positions of two talkers: one is used.
     let places = ["BMGLL", "BOGLL", "CHGLL"].map(|name| gave(&r, name, Position));
     assert_eq!(places.iter().filter(|n| **n > 0).count(), 1, "{places:?}");
 
-    // Depths are known, and no part of the motion.
+    // Depths are decoded but not part of the motion.
     let r = read("navlogs/em122depth_300.rvdas");
     assert_eq!((r.counters.not_taken, r.samples.len()), (300, 0));
     assert_eq!(r.sentences[0].depths, 300);
 
-    // A compass at 10 Hz between fixes at 1 Hz, in a log without stamps: its headings lie between.
+    // A compass at 10 Hz between fixes at 1 Hz, in a log without stamps: its headings are interpolated in time.
     let r = read("navlogs/zeus_1200.log");
     let heading = &r.channels[2];
     let interval = heading.interval_s.expect("several");
@@ -342,7 +342,7 @@ fn the_report_says_who_speaks_and_why_others_do_not() {
         .expect("GPHDT");
     assert_eq!(hdt.outcomes.get(&Outcome::EmptyFields), Some(&129));
 
-    // The buoy's attitude has a constant wrong checksum: nothing, until it is ignored.
+    // The buoy's attitude has a constant wrong checksum and gives nothing until checksums are ignored.
     let mut ignoring = spec(ChecksumPolicy::AcceptMissing, TimePolicy::Burst);
     let log = bytes("nav/hydroball_22s.txt");
     let strict = report(&log, &ignoring, 10.0);
@@ -430,8 +430,8 @@ fn stamping_the_seapath_on_arrival_costs_its_pitch_rate_times_0p36_s() {
     assert!(worst > 0.5, "it matters: {worst} deg");
 }
 
-/// One second ahead at one hertz, on the same seconds: holding, a straight line, and the mean of both neighbours. Figures of
-/// `python3` on the same 90 s; over 625 s of the same ship they are 1.39, 1.15 and 0.57 degrees.
+/// One second ahead at 1 Hz, at the same times: holding, linear extrapolation, and the mean of both neighbours. Values from `python3` on
+/// the same 90 s; over 625 s of the same ship they are 1.39, 1.15 and 0.57 degrees.
 #[test]
 fn a_second_of_extrapolation_at_1_hz_is_as_bad_as_an_independent_computation_says() {
     let r = read("nav/seapath330_90s.rvdas");
@@ -462,8 +462,8 @@ fn a_second_of_extrapolation_at_1_hz_is_as_bad_as_an_independent_computation_say
     }
 }
 
-/// As OpenRVDAS writes it with an older time format, from a log of 2014 that was played again in 2017 at four lines a second, with CR for a
-/// line end and a byte order mark at the front.
+/// As OpenRVDAS writes it with an older time format, from a log of 2014 replayed in 2017 at four lines a second, with CR line ends and a
+/// byte order mark at the start.
 #[test]
 fn a_log_played_again_slowly_in_another_year_keeps_its_bursts_and_dates() {
     let sum = |body: &str| body.bytes().fold(0, |a, b| a ^ b);
@@ -494,7 +494,7 @@ fn a_log_played_again_slowly_in_another_year_keeps_its_bursts_and_dates() {
         (100, 100, 0)
     );
     let c = &r.counters;
-    // The heading is PSXN's, so HDT is not taken.
+    // The heading comes from PSXN, so HDT is not used.
     assert_eq!((c.used + c.not_taken, c.undated, c.time_jumps), (100, 0, 0));
     let (first, second) = (1_407_369_600.16, 1_407_369_601.16);
     for (channel, count) in [(NavChannel::Position, 20), (NavChannel::RollPitch, 20)] {

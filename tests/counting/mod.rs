@@ -1,4 +1,4 @@
-//! A global allocator that counts, for tests of what must not allocate.
+//! A counting global allocator, for tests of code that must not allocate.
 #![allow(dead_code, reason = "each test uses one of the two counters")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -18,11 +18,11 @@ fn count() {
     let _ = THIS_THREAD.try_with(|n| n.set(n.get() + 1));
 }
 
-// SAFETY: every call is handed to the system's allocator unchanged; the counters allocate nothing and have no destructors.
+// SAFETY: every call is passed unchanged to the system allocator; the counters allocate nothing and have no destructors.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count();
-        // SAFETY: the caller's promise about `layout` is passed on.
+        // SAFETY: the caller's guarantee about `layout` is passed on.
         unsafe { System.alloc(layout) }
     }
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
@@ -31,7 +31,7 @@ unsafe impl GlobalAlloc for Counting {
     }
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         count();
-        // SAFETY: as for `dealloc`; the caller promises that `size` is not zero.
+        // SAFETY: as for `dealloc`; the caller guarantees that `size` is not zero.
         unsafe { System.realloc(pointer, layout, size) }
     }
 }

@@ -85,7 +85,7 @@ fn settings_are_obeyed_refused_and_told_over_http_and_ctl() {
         .find_map(|line| line.strip_prefix("echotank_pings_made{sonar=\"points\"} "))
         .expect("the counter");
     assert!(made.parse::<u64>().expect("a count") >= 2, "{made}");
-    // Every sample line belongs to a name whose kind was said.
+    // Every sample line belongs to a metric with a declared type.
     for line in text.lines().filter(|line| !line.starts_with('#')) {
         let name = line.split(['{', ' ']).next().expect("a name");
         let name = name.trim_end_matches("_count").trim_end_matches("_sum");

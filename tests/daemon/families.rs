@@ -1,4 +1,4 @@
-//! Several protocols at once: driven by the same pings, and each reports what another has changed.
+//! Several protocols at once: driven by the same pings, and each reports settings that another has changed.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpStream, UdpSocket};
@@ -18,7 +18,7 @@ fn twtt_s(range_m: f64) -> f64 {
     2.0 * range_m / 1480.0
 }
 
-/// Reads frames until one is what is looked for.
+/// Reads frames until one matches.
 fn next<T>(
     stream: &mut TcpStream,
     frames: &mut PingStream,
@@ -81,7 +81,7 @@ fn ping_wbms_and_vita_tell_of_the_same_pings_and_obey_each_other() {
     let bathymetry = daemon.announced("wbms surveyor bathymetry", "tcp");
     let http = daemon.announced("control http", "http");
 
-    // The makers' protocol: what was asked, what was answered, what the next pings did.
+    // Ping protocol: requests, replies and the following pings.
     let mut topside = TcpStream::connect(ping).expect("listening");
     topside.set_read_timeout(Some(PATIENCE)).expect("set");
     let mut frames = PingStream::new(PingFraming);
@@ -131,7 +131,7 @@ fn ping_wbms_and_vita_tell_of_the_same_pings_and_obey_each_other() {
     assert_eq!(refused.0, 3023);
     assert!(refused.1.contains("range_m = 61"), "{}", refused.1);
 
-    // WBMS says what the other set, and sets what the other then says.
+    // WBMS reports what the other client set, and sets what the other then reports.
     let text = TcpStream::connect(control).expect("listening");
     text.set_read_timeout(Some(PATIENCE)).expect("set");
     let mut text = BufReader::new(text);
@@ -143,7 +143,7 @@ fn ping_wbms_and_vita_tell_of_the_same_pings_and_obey_each_other() {
     assert_eq!(line(&mut text).trim(), "set_range 0 20");
     next(&mut topside, &mut frames, listens_for(20.0));
 
-    // Both tell of one ping in the same way, and the board gets its samples.
+    // Both report the same ping, and the board gets its samples.
     let mut depths = TcpStream::connect(bathymetry).expect("listening");
     depths.set_read_timeout(Some(PATIENCE)).expect("set");
     let mut packets = WbmsStream::new(WbmsFraming);
@@ -167,7 +167,7 @@ fn ping_wbms_and_vita_tell_of_the_same_pings_and_obey_each_other() {
         Message::AtofPointData(data) if data.head.ping_number > number => Some(Vec::new()),
         _ => None,
     });
-    // The one that was read first may be gone from the other's socket already; if it is not, they agree.
+    // The ping read first may already have left the other's socket; otherwise they agree.
     assert!(
         points.is_empty() || points == angles,
         "{points:?}, {angles:?}"
@@ -187,7 +187,7 @@ fn ping_wbms_and_vita_tell_of_the_same_pings_and_obey_each_other() {
         (Some(34e3), Some(240e3))
     );
 
-    // Who gets what, in numbers: the board, that nobody asked, like the clients.
+    // Counts by client: the board without a request, like the clients.
     let (_, metrics) = client::get(http, "/metrics", None).expect("answers");
     let to = board.local_addr().expect("address");
     for (family, peer) in [
@@ -233,7 +233,7 @@ fn ping_wbms_and_vita_tell_of_the_same_pings_and_obey_each_other() {
     assert!(profiles > 2, "{profiles} pings in the log");
 }
 
-/// A serial line whose other end is ours.
+/// A serial line whose other end is the test's.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_client_on_a_serial_line_is_answered_and_gets_every_ping() {

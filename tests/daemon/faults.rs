@@ -1,4 +1,4 @@
-//! A scored run: what the log says was injected is what a topside finds, record by record.
+//! A scored run: a topside finds exactly the faults that the log lists as injected, record by record.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
@@ -16,7 +16,7 @@ use super::scored::track;
 use super::triggers::records;
 
 const RECORDS: [u32; 3] = [7000, 7007, 7038];
-/// Struck with probability one half: three records each, so a hundred faults or so.
+/// Each fault has probability one half: with three records per ping about a hundred faults.
 const PINGS: u64 = 70;
 
 fn log_of(folder: &Path) -> Vec<Value> {
@@ -33,7 +33,7 @@ struct Bench {
     control: SocketAddr,
     client: SevenKClient,
     delivered: u64,
-    /// Number of the last ping that left.
+    /// Number of the last ping sent.
     last: u32,
 }
 
@@ -44,7 +44,7 @@ impl Bench {
         self.delivered = wait_delivered(self.control, self.delivered + pings);
     }
 
-    /// Reads until the last record of ping `until` has come.
+    /// Reads until the last record of ping `until` has arrived.
     fn read(&mut self, until: u32, verifier: &mut Verifier) {
         let patience = Instant::now() + PATIENCE;
         while Instant::now() < patience {
@@ -63,7 +63,7 @@ impl Bench {
     }
 }
 
-/// What a topside should count of one record type, the injected pings known: an account of its own, ping by ping.
+/// Expected counts of one record type for known injected pings: an independent account, ping by ping.
 fn expected(kind: &str, struck: &BTreeSet<u32>, first: u32, last: u32) -> PingTally {
     let mut arrivals = Vec::new();
     let mut held: Vec<(u32, u32)> = Vec::new();
@@ -72,7 +72,7 @@ fn expected(kind: &str, struck: &BTreeSet<u32>, first: u32, last: u32) -> PingTa
             ("drop" | "link-down" | "corrupt" | "truncate", true) => {}
             ("duplicate", true) => arrivals.extend([ping, ping]),
             ("reorder", true) => held.push((ping + 1, ping)),
-            // 250 ms at ten pings a second: with the third ping after.
+            // 250 ms at ten pings per second: arrives with the third ping after.
             ("delay", true) => held.push((ping + 3, ping)),
             _ => arrivals.push(ping),
         }
@@ -134,7 +134,7 @@ fn a_topside_finds_exactly_the_faults_of_the_line_that_the_log_tells() {
     for (seed, kind) in kinds.into_iter().enumerate() {
         let mut verifier = Verifier::default();
         let errors_before = bench.client.counters().errors();
-        // A clean ping before, and five after: nothing is lost unseen, and what was held back has come.
+        // A clean ping before, and five after, so that no loss goes unseen and delayed records have arrived.
         bench.step(1);
         let first = bench.last + 1;
         bench.read(first, &mut verifier);
@@ -161,7 +161,7 @@ fn a_topside_finds_exactly_the_faults_of_the_line_that_the_log_tells() {
         let mut faults = 0;
         for line in log.iter().filter(|line| line["kind"] == kind) {
             let number = |key: &str| line[key].as_u64().expect("a number") as u32;
-            // Records that nobody subscribed to are injected as well.
+            // Faults are also injected into records without subscribers.
             if RECORDS.contains(&number("record_type")) {
                 struck
                     .entry(number("record_type"))
@@ -178,7 +178,7 @@ fn a_topside_finds_exactly_the_faults_of_the_line_that_the_log_tells() {
         }
         match kind {
             "corrupt" => assert_eq!(errors, faults, "{kind}"),
-            // What is cut short takes the search for the next record with it: several in a row are one error.
+            // A truncated record also swallows the search for the next: several in a row are one error.
             "truncate" => assert!((1..=faults).contains(&errors), "{errors} {faults}"),
             _ => assert_eq!(errors, 0, "{kind}"),
         }
@@ -268,7 +268,7 @@ fn a_wrong_second_moves_the_stamps_and_a_double_trigger_makes_a_second_pulse() {
     let folders = [(); 2].map(|()| tempfile::tempdir().expect("folder"));
     let scenario = r#"fault=[{kind="wrong-second", value=3600, at_s=1.0, for_s=0.45}, {kind="trigger-double", value=40, at_s=2.0, for_s=0.25}]"#;
     let log = format!("run.fault_directory={:?}", folders[0].path().join("log"));
-    // A pulse 40 ms later is heard after the window of the one before.
+    // A pulse 40 ms later is received after the window of the previous ping.
     let common = ["run.clock=fast", "sonar.ping.range_m=15"];
     let mut faulty = rig(
         folders[0].path(),

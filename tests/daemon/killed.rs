@@ -1,4 +1,4 @@
-//! Killed at any moment, a record holds every ping that had left, and the next start mends it.
+//! After a kill at any time, recordings hold every sent ping, and the next start recovers them.
 
 use std::io::BufReader;
 use std::process::{Command, Stdio};
@@ -23,7 +23,7 @@ fn a_killed_daemon_loses_no_ping_that_had_left_and_the_next_mends_its_record() {
     let printed = next.terminate();
     assert!(printed.contains("had been cut off: mended"), "{printed}");
 
-    // The second begins a record of its own; of one second it may have the first's name with another's.
+    // The second run begins a new recording; in the same second it may have the same name with another suffix.
     let mut files: Vec<_> = std::fs::read_dir(folder.path())
         .expect("folder")
         .map(|e| e.expect("entry").path())
@@ -49,7 +49,7 @@ fn a_killed_daemon_loses_no_ping_that_had_left_and_the_next_mends_its_record() {
     assert!(done.status.success() && said.contains("is whole"), "{said}");
 }
 
-/// Every kind of record at once.
+/// Every record format at once.
 const EVERY_KIND: [&str; 12] = [
     "run.queue_pings=30",
     "sonar.output.sevenk.listen=127.0.0.1:0",
@@ -68,7 +68,7 @@ const EVERY_KIND: [&str; 12] = [
 #[test]
 fn files_that_can_grow_no_more_stop_their_recordings_each_counted_and_the_pings_go_on() {
     let folder = tempfile::tempdir().expect("folder");
-    // Some tens of kilobytes for each file, and no signal that would end the process: a write fails as on a full disk.
+    // Some tens of kilobytes per file, with SIGXFSZ ignored: a write fails as on a full disk.
     let limited = "trap '' XFSZ; ulimit -f 40; exec \"$0\" \"$@\"";
     let mut command = Command::new("sh");
     command.args(["-c", limited, env!("CARGO_BIN_EXE_echotank"), "run"]);
@@ -99,7 +99,7 @@ fn files_that_can_grow_no_more_stop_their_recordings_each_counted_and_the_pings_
     wait_delivered(at, then + 5);
     daemon.child.kill().expect("killed");
     daemon.child.wait().expect("gone");
-    // What they hold is whole, or mended to be so.
+    // The files are whole or recovered.
     let files = std::fs::read_dir(folder.path()).expect("folder");
     let files: Vec<_> = files.map(|e| e.expect("entry").path()).collect();
     let kinds = ["s7k", "jsf", "xtf", "svlog", "sigmf-meta", "wav"];

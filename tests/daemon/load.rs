@@ -1,5 +1,5 @@
-//! The running daemon with a large multibeam's records, two topsides that read and one that does not. The long form, with one that takes
-//! a byte a second, and the timing without them, is `tools/soak --load`.
+//! The running daemon with a large multibeam's records, two topsides that read and one that does not. `tools/soak --load` is the long form,
+//! with one that reads a byte per second, and compares the timing without clients.
 
 use std::time::{Duration, Instant};
 
@@ -64,7 +64,7 @@ fn who_reads_gets_every_ping_while_who_does_not_misses_whole_records() {
         .into_iter()
         .map(|reader| reader.join().expect("no panic"))
         .collect();
-    // What a loaded machine skipped has a number and never comes.
+    // A ping skipped on a loaded machine has a number but is never sent.
     let begun = Instant::now();
     let (skipped, line) = loop {
         let status = status(http);
@@ -90,7 +90,7 @@ fn who_reads_gets_every_ping_while_who_does_not_misses_whole_records() {
         let tally = verifier.tally(7038);
         assert!(tally.lost <= skipped, "{tally:?}, {skipped} skipped");
         assert_eq!((tally.duplicate, tally.late), (0, 0));
-        // The last ping's beams may still be on their way.
+        // The last ping's beams may still be in transit.
         let beams = verifier.tally(7018);
         assert!(
             beams.lost <= skipped && beams.received + 1 >= PINGS,

@@ -1,7 +1,8 @@
-//! Blue Robotics' own Rust client of the Ping protocol (crate `bluerobotics-ping`), run against the daemon: it asks, and the next pings obey.
+//! Blue Robotics' own Rust client of the Ping protocol (crate `bluerobotics-ping`) against the daemon: its requests take effect in the next
+//! pings.
 //!
-//! Its commands, framing and checksums are its own. Of an Omniscan's profile it takes the results for text (its definitions name no width for
-//! them), and the Surveyor's messages it leaves out: those payloads are read and made here.
+//! Its commands, framing and checksums are its own. It treats the results of an Omniscan profile as text (its definitions name no width for
+//! them) and lacks the Surveyor's messages: those payloads are decoded and encoded here.
 
 use std::future::Future;
 use std::io;
@@ -25,11 +26,11 @@ const PROFILE: u16 = 2198;
 const POINTS: u16 = 3012;
 const ATTITUDE: u16 = 504;
 
-/// Datagrams as the client wants its streams: whole ones taken, however little it asks for at a time.
+/// Adapts datagrams to the stream that the client expects: keeps whole datagrams, however little it reads at a time.
 struct Datagrams {
     socket: UdpSocket,
     datagram: Box<[u8]>,
-    /// What of it has not been handed on.
+    /// The rest of a datagram, not yet read.
     left: Range<usize>,
 }
 
@@ -68,7 +69,7 @@ impl AsyncWrite for Datagrams {
     }
 }
 
-/// Runs to the end, which must come in time. The client's own threads are let go of: one that finds its connection closed never ends.
+/// Runs to the end within a time limit. The client's own threads are leaked: one that finds its connection closed never ends.
 fn run(future: impl Future<Output = ()>) {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
@@ -90,7 +91,7 @@ async fn datagrams(to: SocketAddr) -> Datagrams {
     }
 }
 
-/// The payload of the next message of this kind that is as wanted.
+/// The payload of the next message of this kind that matches.
 async fn next(
     heard: &mut Receiver<ProtocolMessage>,
     id: u16,
@@ -154,7 +155,7 @@ async fn omniscan(device: &omniscan450::Device) {
         for _ in 0..3 {
             let profile = next(&mut heard, PROFILE, |_| true).await;
             assert_eq!(profile.len(), 52 + 2 * usize::from(results));
-            // A busy machine leaves pings out; those keep their numbers.
+            // A busy machine skips pings; those keep their numbers.
             let pings = u32_at(&profile, 0) - u32_at(&before, 0);
             let step_ms = u32_at(&profile, 12) - u32_at(&before, 12);
             assert!(
@@ -163,7 +164,7 @@ async fn omniscan(device: &omniscan450::Device) {
             );
             before = profile;
         }
-        // Silent water over a loud bottom, 11.4 m below the head.
+        // No echo from the water, then a strong bottom 11.4 m below the head.
         let (most, least) = (f32_at(&before, 36), f32_at(&before, 40));
         let db = |at_m: f32| {
             let index = (at_m / length_m as f32 * f32::from(results)) as usize;
@@ -182,14 +183,14 @@ async fn omniscan(device: &omniscan450::Device) {
             "{water} dB in the water, {sand} on the sand"
         );
     }
-    // Beyond the limits: refused in words, and nothing changes.
+    // Beyond the limits: refused with a reason and without effect.
     let mut heard = device.subscribe();
     ask(81, 100, 1, 600).await.expect("sent");
     let refused = next(&mut heard, NACK, |p| u16_at(p, 0) == 2197).await;
     let words = String::from_utf8_lossy(&refused[2..]).into_owned();
     assert!(words.contains("range_m = 81"), "{words}");
     next(&mut heard, PROFILE, |p| u32_at(p, 8) == 20_000).await;
-    // In its definitions the command has another number than in brping's.
+    // Its definitions number this command differently from brping's.
     let mut heard = device.subscribe();
     device.set_speed_of_sound(1_480_000).await.expect("sent");
     next(&mut heard, ACK, |p| u16_at(p, 0) == 1002).await;
@@ -215,7 +216,7 @@ fn the_makers_rust_client_is_obeyed_by_an_omniscan_over_tcp_and_udp() {
     daemon.terminate();
 }
 
-/// 3023: the crate leaves the Surveyor's messages out, so that the payload is made here; frame and checksum are the client's.
+/// 3023: the crate lacks the Surveyor's messages, so the payload is made here; frame and checksum are the client's.
 fn ping_parameters(end_m: i32, msec: i16) -> ProtocolMessage {
     let mut payload = Vec::new();
     payload.extend(0_i32.to_le_bytes());
@@ -223,7 +224,7 @@ fn ping_parameters(end_m: i32, msec: i16) -> ProtocolMessage {
     payload.extend(1480.0_f32.to_le_bytes());
     payload.extend(20_i16.to_le_bytes());
     payload.extend(msec.to_le_bytes());
-    // Nothing injected; on; neither channel data, raw data nor points in metres; angles and times.
+    // No test data; pinging on; no channel data, raw data or points in metres; angles and times on.
     payload.extend([0, 0, 0, 1, 0, 0, 0, 1]);
     payload.extend(240_000_i32.to_le_bytes());
     payload.extend(400_u16.to_le_bytes());
@@ -237,7 +238,7 @@ fn ping_parameters(end_m: i32, msec: i16) -> ProtocolMessage {
     message
 }
 
-/// Of any device: what the crate knows of all of them.
+/// Any device that the crate supports.
 async fn surveyor(device: &omniscan450::Device) {
     device.device_information().await.expect("answers");
     let ask = |end_m, msec| {
@@ -249,7 +250,7 @@ async fn surveyor(device: &omniscan450::Device) {
         let mut heard = device.subscribe();
         ask(end_m, msec).await.expect("sent");
         next(&mut heard, ACK, |p| u16_at(p, 0) == 3023).await;
-        // Listening includes the pulse.
+        // The receive window includes the pulse.
         let listens_s = 2.0 * end_m as f32 / 1480.0;
         let obeyed = |p: &[u8]| (f32_at(p, 12) - f32_at(p, 28) - listens_s).abs() < 1e-3;
         let mut before = next(&mut heard, POINTS, obeyed).await;
@@ -269,7 +270,7 @@ async fn surveyor(device: &omniscan450::Device) {
                 .collect();
             depths.sort_by(f32::total_cmp);
             let median = depths[count / 2];
-            // 12 m less the head's 0.8 m; heave and roll of the launch move single points.
+            // 12 m minus the head's 0.8 m; heave and roll of the launch move single points.
             assert!((median - 11.2).abs() < 0.5, "{median} m");
             before = points;
         }

@@ -1,4 +1,4 @@
-//! However time goes, the same pings leave: `realtime`, `scaled`, `fast`, `lockstep`, `replay`, and after a stop in the middle.
+//! All clock modes send the same pings: `realtime`, `scaled`, `fast`, `lockstep`, `replay`, and after a pause.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -14,10 +14,10 @@ use serde_json::{Value, json};
 use super::triggers::{records, three};
 use super::{Daemon, PATIENCE};
 
-/// Records of pings by type and time stamp: what says when a file was begun stays out.
+/// Records of pings by type and timestamp; records that hold the start time of a file are left out.
 pub(crate) type Pings = BTreeMap<(u32, Vec<u8>), Vec<u8>>;
 
-/// Where year, day, seconds, hours and minutes stand in a record's frame.
+/// Offset of year, day, seconds, hours and minutes in a record's frame.
 const TIME: std::ops::Range<usize> = 20..30;
 
 pub(crate) fn pings_of(folder: &Path) -> Pings {
@@ -48,7 +48,7 @@ pub(crate) fn pings_in(pings: &Pings) -> usize {
     pings.keys().filter(|(kind, _)| *kind == 7000).count()
 }
 
-/// What both made is the same; how many records were compared.
+/// Compares the records that both have; returns their number.
 fn assert_same(got: &Pings, want: &Pings, what: &str) -> usize {
     let mut compared = 0;
     for (key, bytes) in got {
@@ -67,7 +67,7 @@ fn assert_same(got: &Pings, want: &Pings, what: &str) -> usize {
     compared
 }
 
-/// A small, quick rig: points in still water, ten pings a second.
+/// A small, fast rig: points in still water, ten pings per second.
 pub(crate) fn rig(folder: &Path, more: &[&str]) -> Daemon {
     let record = format!("record.directory={folder:?}");
     let mut arguments = vec!["hil-configs/points.toml"];
@@ -96,7 +96,7 @@ pub(crate) fn tell(control: SocketAddr, command: &Value) -> (u16, Value) {
     (code, serde_json::from_str(&body).expect("JSON"))
 }
 
-/// Waits until so many pings have left.
+/// Waits until this many pings have been sent.
 pub(crate) fn wait_delivered(control: SocketAddr, pings: u64) -> u64 {
     let until = Instant::now() + PATIENCE;
     loop {
@@ -142,7 +142,7 @@ fn the_same_pings_leave_in_every_clock_mode_and_after_a_stop_in_the_middle() {
     let want = pings_of(folders[5].path());
     assert!(pings_in(&want) > 20, "{} pings", pings_in(&want));
 
-    // All at once: most of the time they wait.
+    // All at once: they wait most of the time.
     let mut realtime = rig(folders[0].path(), &["run.clock=realtime"]);
     let mut stopped = rig(folders[1].path(), &["run.clock=realtime"]);
     let mut scaled = rig(
@@ -159,7 +159,7 @@ fn the_same_pings_leave_in_every_clock_mode_and_after_a_stop_in_the_middle() {
     let (code, answer) = tell(at, &json!({ "do": "step", "pings": 4 }));
     assert_eq!((code, &answer["accepted"]), (200, &json!(true)), "{answer}");
     assert_eq!(wait_delivered(at, 4), 4);
-    // Nobody asks: time stands.
+    // Without a step request time stands still.
     let before = status(at)["rig_utc_ns"].clone();
     thread::sleep(Duration::from_millis(300));
     assert_eq!(status(at)["pings_delivered"], 4);
@@ -168,7 +168,7 @@ fn the_same_pings_leave_in_every_clock_mode_and_after_a_stop_in_the_middle() {
     assert_eq!(wait_delivered(at, 5), 5);
     signal(&stopped, "-CONT");
 
-    // Two of them go to the end of the log by themselves.
+    // Two of them run to the end of the log by themselves.
     for daemon in [&mut scaled, &mut fast] {
         let status = daemon.child.wait().expect("ended");
         assert!(status.success(), "{status}");
@@ -193,7 +193,7 @@ fn the_same_pings_leave_in_every_clock_mode_and_after_a_stop_in_the_middle() {
     }
 }
 
-/// Faults of elements, of navigation and of pulses, the last of which those sonars hear of that follow.
+/// Faults of elements, navigation and pulses; pulse faults propagate to the sonars that follow.
 const SCENARIO: &str = r#"
 [[fault]]
 kind = "inverted"
@@ -232,18 +232,18 @@ at_s = 1.4
 for_s = 0.25
 "#;
 
-/// Three sonars, two of which follow the first; methods left to the plan, an engine for a tolerance among them.
+/// Three sonars, two of which follow the first, with automatic method selection, including an engine with a tolerance.
 #[test]
 fn plans_faults_and_triggers_are_the_same_in_every_clock_mode() {
     let folder = tempfile::tempdir().expect("folder");
     let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"auto\"\ntolerance = 1e-2";
     let config = three(folder.path(), model, SCENARIO);
     let text = std::fs::read_to_string(&config).expect("readable");
-    // An engine for a tolerance wants the receiver's filter, and pulses without sharp edges.
+    // An engine with a tolerance needs the receiver filter, and pulses without sharp edges.
     let text = text
         .replace("rx_filter = \"none\"", "rx_filter = \"fir\"")
         .replace("taper = 0.0", "taper = 0.2")
-        // Headings that come twice a second settle later than the track's own.
+        // Headings at 2 Hz settle later than the track's own.
         .replace("latency_ms = 600.0", "latency_ms = 1500.0");
     let (first, others) = text.split_once("name = \"bow\"").expect("three sonars");
     let engine = others.replacen("synthesis = \"auto\"", "synthesis = \"gridded-1d\"", 1);
@@ -261,13 +261,13 @@ fn plans_faults_and_triggers_are_the_same_in_every_clock_mode() {
         }
         Daemon::start(&arguments)
     };
-    // Those that take what time they need first: engines are made for seconds, and a clock that runs leaves out what is late.
+    // Modes without a deadline come first: making engines takes seconds, and a running clock skips late pings.
     let mut fast = start("fast", &["run.clock=fast"]);
     let mut lockstep = start("lockstep", &["run.clock=lockstep"]);
     let control = lockstep.announced("control http", "http");
     let (code, answer) = tell(control, &json!({ "do": "step", "pings": 70 }));
     assert_eq!(code, 200, "{answer}");
-    // Missed pulses make none.
+    // Missed pulses make no pings.
     wait_delivered(control, 60);
     lockstep.terminate();
     let ended = fast.child.wait().expect("ended");
@@ -323,7 +323,7 @@ fn plans_faults_and_triggers_are_the_same_in_every_clock_mode() {
     }
 }
 
-/// Stops every thread in a debugger for a while and lets go; where there is none, or it may not, nothing comes of it.
+/// Stops every thread in a debugger for a while; without a debugger or permission this does nothing.
 fn debug(daemon: &Daemon) -> bool {
     let done = Command::new("gdb")
         .args(["--batch", "--nx", "--readnever"])
@@ -362,7 +362,7 @@ fn paused_time_stands_and_a_step_lets_one_ping_out() {
     thread::sleep(Duration::from_millis(300));
     let later = status(at);
     assert_eq!(later["rig_utc_ns"], paused["rig_utc_ns"], "time stands");
-    // A ping that was being handed over may have left since.
+    // A ping being delivered may have been sent since.
     let before = later["pings_delivered"].as_u64().expect("a count");
     tell(at, &json!({ "do": "step", "pings": 2 }));
     assert_eq!(wait_delivered(at, before + 2), before + 2);
@@ -370,7 +370,7 @@ fn paused_time_stands_and_a_step_lets_one_ping_out() {
     assert_eq!(status(at)["pings_delivered"], before + 2);
     tell(at, &json!({ "do": "resume" }));
     wait_delivered(at, before + 4);
-    // Stopped while it stands, it ends all the same.
+    // A daemon told to stop while its clock stands still ends.
     tell(at, &json!({ "do": "pause" }));
     daemon.terminate();
 }

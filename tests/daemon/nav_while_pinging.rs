@@ -1,5 +1,5 @@
-//! Everything that goes wrong with live navigation, while pings go on: unplugging, garbage, silence, contradiction, dates that jump. And the
-//! navigation that goes out meanwhile, read back by our own decoder.
+//! Live navigation faults while pinging: disconnection, garbage, silence, contradiction, jumping dates. Also navigation output meanwhile,
+//! read back by our own decoder.
 
 use std::io::Write;
 use std::net::{SocketAddr, UdpSocket};
@@ -21,12 +21,12 @@ use echotank_runtime::daemon::Daemon;
 use echotank_runtime::io::sonar::client::SevenKClient;
 use serialport::{SerialPort, TTYPort};
 
-/// Longest that anything may take before the test gives up.
+/// Time limit of a wait.
 const PATIENCE: Duration = Duration::from_secs(60);
 const PING_S: f64 = 0.1;
 const YEAR_DAYS: u64 = 365;
 
-/// What the instruments do at present.
+/// What the instruments currently send.
 #[derive(Default)]
 struct Faults {
     stop: AtomicBool,
@@ -117,7 +117,7 @@ fn sentence(body: &str) -> String {
     format!("${body}*{sum:02X}\r\n")
 }
 
-/// ZDA, GGA and HDT of now; `north_deg` minutes of latitude north of 54 degrees.
+/// ZDA, GGA and HDT of the current time; `north_deg` minutes of latitude north of 54 degrees.
 fn gnss(minutes: f64, date_jumps: bool) -> String {
     let now = SystemTime::now()
         .duration_since(UNIX_EPOCH)
@@ -132,7 +132,7 @@ fn gnss(minutes: f64, date_jumps: bool) -> String {
         + &sentence("GPHDT,123.45,T")
 }
 
-/// A pseudo-terminal behind a name of its own; dropping it pulls the plug.
+/// A pseudo-terminal with a stable name; dropping it disconnects the line.
 fn plug_in(name: &Path) -> (TTYPort, TTYPort) {
     let (instrument, port) = TTYPort::pair().expect("a pseudo-terminal");
     let _ = std::fs::remove_file(name);
@@ -140,7 +140,7 @@ fn plug_in(name: &Path) -> (TTYPort, TTYPort) {
     (instrument, port)
 }
 
-/// Sends what the instruments would, fifty times a second.
+/// Sends instrument data fifty times a second.
 fn instruments(
     faults: Arc<Faults>,
     mru: Arc<Mutex<Option<(TTYPort, TTYPort)>>>,
@@ -155,7 +155,7 @@ fn instruments(
                     let text = gnss(0.0, faults.date_jumps.load(SeqCst));
                     let _ = socket.send_to(text.as_bytes(), first);
                 }
-                // It contradicts the first by one minute, 1.85 km.
+                // Contradicts the first source by one minute, 1.85 km.
                 let _ = socket.send_to(gnss(1.0, false).as_bytes(), second);
             }
             if let Some((line, _)) = &mut *mru.lock().expect("unspoiled") {
@@ -176,7 +176,7 @@ fn instruments(
     })
 }
 
-/// What a topside got of one ping.
+/// What a topside received of one ping.
 #[derive(Clone, Copy, Debug, Default)]
 struct Got {
     number: u32,
@@ -212,7 +212,7 @@ fn listen(
                     ..Got::default()
                 }),
                 body => {
-                    // Navigation follows the settings of its ping.
+                    // Navigation takes effect with the settings of its ping.
                     let Some(ping) = pings.last_mut() else {
                         continue;
                     };
@@ -231,7 +231,7 @@ fn listen(
     })
 }
 
-/// What the device under test hears: datagrams with their pulses.
+/// What the device under test receives: datagrams with their pulses.
 fn hear(socket: UdpSocket, faults: Arc<Faults>) -> thread::JoinHandle<Vec<Vec<u8>>> {
     thread::spawn(move || {
         socket
@@ -333,7 +333,7 @@ fn pings_keep_their_rate_whatever_the_navigation_does_and_say_what_is_invalid() 
     faults.first_silent.store(false, SeqCst);
     until("both are back", &well);
 
-    // A few wild dates are set aside; where they last, they are believed, and hold for other samples than pings ask for.
+    // A few wild dates are ignored. Persistent ones are accepted, and then hold for other times than the pings.
     faults.date_jumps.store(true, SeqCst);
     let jumps = |text: &str| {
         let line = text.lines().find(|l| l.starts_with("nav first:"));
@@ -358,7 +358,7 @@ fn pings_keep_their_rate_whatever_the_navigation_does_and_say_what_is_invalid() 
         "{} pings, {invalid} without a valid attitude\n{printed}",
         pings.len()
     );
-    // None is skipped for the navigation's sake; on a busy machine some may be for their own, and those keep their numbers.
+    // Navigation causes no skipped ping; on a busy machine late pings may be skipped, and keep their numbers.
     let count = |before: &str| -> u32 {
         let (_, rest) = printed
             .split_once(before)
@@ -382,7 +382,7 @@ fn pings_keep_their_rate_whatever_the_navigation_does_and_say_what_is_invalid() 
     what_went_out(&device.join().expect("heard"), pings[0].utc_ns);
 }
 
-/// The device shares the pings' clock: a pulse, then the ZDA that names it; GGA and HDT of their instants.
+/// The device shares the pings' clock: a pulse, then the ZDA that names it, then GGA and HDT of the same times.
 fn what_went_out(datagrams: &[Vec<u8>], first_ping_ns: i64) {
     let mut last_second = None;
     let (mut pulses, mut fixes, mut headings) = (0, 0, 0);

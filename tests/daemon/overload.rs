@@ -1,4 +1,4 @@
-//! What becomes of pings that take longer than there is time: skipped, made looser, put off; counted, logged, and nothing else changed.
+//! Handling of pings that take longer than the available time: skipped, degraded or delayed; counted, logged, and otherwise unchanged.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,10 +10,10 @@ use serde_json::Value;
 use super::Daemon;
 use super::modes::{Pings, pings_in, pings_of, rig, status};
 
-/// Where year, day, seconds, hours and minutes stand in a record's frame.
+/// Offset of year, day, seconds, hours and minutes in a record's frame.
 type Instant = Vec<u8>;
 
-/// Five seconds of 20 pings a second, each of which takes 75 ms where 50 are to be had.
+/// Five seconds of 20 pings per second, each of which takes 75 ms with 50 ms available.
 fn overloaded(folder: &Path, overload: &str, more: &[&str]) -> (Daemon, Value) {
     let overload = format!("run.overload={overload}");
     let log = format!("run.fault_directory={folder:?}");
@@ -26,7 +26,7 @@ fn overloaded(folder: &Path, overload: &str, more: &[&str]) -> (Daemon, Value) {
     let mut daemon = rig(folder, &sets);
     let control = daemon.announced("control http", "http");
     let mut last = Value::Null;
-    // Until the log ends, and the daemon with it.
+    // Runs until the log and with it the daemon ends.
     while daemon.child.try_wait().expect("a child").is_none() {
         if let Ok((200, body)) =
             echotank_runtime::io::control::client::get(control, "/status", None)
@@ -46,14 +46,14 @@ const QUICK: [&str; 3] = [
     "run.status_interval_s=1000",
 ];
 
-/// Its last words.
+/// Its last status line.
 fn said(mut daemon: Daemon) -> String {
     let mut text = String::new();
     std::io::Read::read_to_string(&mut daemon.stdout, &mut text).expect("readable");
     text
 }
 
-/// The same rig without a time to keep.
+/// The same rig without a deadline.
 fn at_leisure(folder: &Path, more: &[&str]) -> Pings {
     let mut sets = vec!["run.clock=fast"];
     sets.extend(QUICK.iter().chain(more));
@@ -62,7 +62,7 @@ fn at_leisure(folder: &Path, more: &[&str]) -> Pings {
     pings_of(folder)
 }
 
-/// What the log of overloads says: what befell which ping.
+/// Entries of the overload log by ping.
 fn log_of(folder: &Path) -> Vec<Value> {
     let files = std::fs::read_dir(folder).expect("folder");
     let paths = files.map(|e| e.expect("entry").path());
@@ -84,7 +84,7 @@ fn numbers(log: &[Value], what: &str) -> Vec<u64> {
         .collect()
 }
 
-/// Ping numbers and periods by the instants that records are stamped with.
+/// Ping numbers and periods by the timestamps of records.
 fn settings_of(folder: &Path) -> BTreeMap<Instant, (u64, f32)> {
     let files = std::fs::read_dir(folder).expect("folder");
     let paths = files.map(|e| e.expect("entry").path());
@@ -122,7 +122,7 @@ fn skipped_pings_are_counted_and_logged_and_the_others_are_those_of_a_machine_th
     let log = log_of(folders[1].path());
     let skipped = numbers(&log, "skipped");
     assert_eq!(last["sonars"][0]["overload"], "skip");
-    // Five seconds have room for 67 of 100 and what waits.
+    // Five seconds allow 67 of 100 pings, and those queued.
     assert!(skipped.len() >= 10, "{} skipped: {log:?}", skipped.len());
     assert!(
         pings_in(&got) >= 20 && pings_in(&got) < pings_in(&want),
@@ -182,7 +182,7 @@ fn degraded_pings_are_flagged_and_keep_to_the_looser_tolerance_and_the_finer_com
         compared[which] += 1;
     }
     assert!(compared.iter().all(|&n| n >= 20), "{compared:?}");
-    // Back when there is room.
+    // Restored when there is time again.
     let after = numbers_of.values().map(|(number, _)| *number);
     let fine_again = after.filter(|n| *n > first[0] && !all.contains(n)).count();
     assert!(fine_again > 0, "{all:?}");
@@ -205,7 +205,7 @@ fn stretched_pulses_come_as_fast_as_their_pings_can_be_made_and_say_so() {
     made.sort_by_key(|(number, _)| *number);
     assert!(stretched.len() >= 10, "{log:?}");
     assert!(4 * skipped.len() <= made.len(), "{log:?}");
-    // The record's period is the real one.
+    // The record holds the actual period.
     for (number, period_s) in &made[1..] {
         match stretched.contains(number) {
             true => assert!(*period_s > 0.05, "ping {number}: {period_s} s"),
@@ -215,7 +215,7 @@ fn stretched_pulses_come_as_fast_as_their_pings_can_be_made_and_say_so() {
             ),
         }
     }
-    // From the first that waited on they keep their 75 ms, but for what the queue still held.
+    // From the first delayed ping on the period is 75 ms, except for pings still queued.
     let last_ones = &made[made.len() / 2..];
     let mean_s = last_ones.iter().map(|(_, s)| f64::from(*s)).sum::<f64>() / last_ones.len() as f64;
     assert!(mean_s > 0.065, "{mean_s} s: {made:?}");
@@ -225,7 +225,7 @@ fn stretched_pulses_come_as_fast_as_their_pings_can_be_made_and_say_so() {
         said.contains(&format!("OVERLOAD: {} pulses put off", stretched.len())),
         "{said}"
     );
-    // Where a machine keeps up nothing of it happens.
+    // A machine that keeps up shows none of this.
     let folder = tempfile::tempdir().expect("folder");
     let mut daemon = rig(folder.path(), &["run.overload=stretch", "nav.loop=true"]);
     let control = daemon.announced("control http", "http");

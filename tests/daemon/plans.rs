@@ -1,4 +1,5 @@
-//! Plans of methods in the daemon: one that does not hold is seen in its error check, counted, and given up for a dearer one.
+//! Method selection in the daemon: the error check detects a selection that misses its tolerance; it is counted and replaced by a costlier
+//! one.
 
 use std::fmt::Write;
 use std::net::SocketAddr;
@@ -13,13 +14,13 @@ use track::{ALONG_TRACK, COLUMNS};
 #[path = "../../tools/src/track.rs"]
 mod track;
 
-/// Points abeam, along the ray: as long as they are abeam nothing closes in, and a sonar that drifts by may stand still in its model. Nothing in its
-/// own motion says when that is over: only the error check does.
+/// Points abeam: while they are abeam the range rate is zero, and methods that ignore motion suffice. Nothing in the sonar's own motion
+/// shows when that ends; only the error check does.
 const POINTS: usize = 300;
 const SPEED_M_PER_S: f64 = 0.05;
-/// Three percent of such a ping are two samples: 64 of them take half of these.
+/// Three percent of such a ping are two samples; 64 samples take half of the budget.
 const PATIENCE_PINGS: u64 = 80;
-/// Until a plan made now is in effect, and 128 samples more, of which none is the old one's.
+/// Pings until a new selection takes effect, plus 128 samples of which none belongs to the old one.
 const LEAD_PINGS: u64 = 8;
 const FLUSH_PINGS: u64 = 80;
 
@@ -68,7 +69,7 @@ tolerance = 2e-2
 error_check = true
 "#;
 
-/// One of /metrics.
+/// One metric of /metrics.
 fn metric(control: SocketAddr, name: &str) -> Option<f64> {
     let (code, text) = client::get(control, "/metrics", None).expect("answers");
     assert_eq!(code, 200, "{text}");
@@ -82,7 +83,7 @@ fn a_plan_whose_certificate_fails_is_a_counted_fault_and_a_dearer_one_takes_its_
     let folder = tempfile::tempdir().expect("folder");
     let mut points = String::from("north_m,east_m,down_m,amplitude\n");
     for k in 0..POINTS {
-        // 3 to 9 m, a centimetre to either side.
+        // 3 to 9 m, one centimetre to either side.
         let part = |step: f64| (k as f64 * step).fract();
         let _ = writeln!(
             points,

@@ -1,4 +1,4 @@
-//! Faults of the line, scored in every live family: what the log tells is what a listener finds, no more and no less.
+//! Link faults, scored in every live family: a listener finds exactly the faults in the log.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -21,7 +21,7 @@ use super::modes::{rig, tell, wait_delivered};
 use super::{Daemon, PATIENCE};
 
 const RECORDS: [u32; 3] = [7000, 7007, 7038];
-/// Each strikes with this probability.
+/// Probability of each fault.
 const PROBABILITY: f64 = 0.6;
 const KINDS: [&str; 9] = [
     "drop",
@@ -34,12 +34,12 @@ const KINDS: [&str; 9] = [
     "jitter",
     "link-down",
 ];
-/// Pings that a kind stands, and clean ones after it.
+/// Pings under a kind of fault, and clean pings after it.
 const STRUCK: u64 = 6;
-/// What is delayed by a quarter of a second has come.
+/// Time after which records delayed by a quarter of a second have arrived.
 const CLEAN: u64 = 3;
 
-/// What one listener brings home.
+/// Result of one listener.
 struct Heard {
     report: Report,
     sums: Checksums,
@@ -61,7 +61,7 @@ impl Listeners {
         }
     }
 
-    /// Begins to listen; the address of its own end.
+    /// Starts a listener; returns its address.
     fn listen(
         &mut self,
         family: Family,
@@ -95,7 +95,7 @@ impl Listeners {
     }
 
     fn end(self) -> AllHeard {
-        // Datagrams have no end: what was sent is on this machine already.
+        // Datagrams have no end of stream: everything sent is already on this machine.
         thread::sleep(Duration::from_millis(200));
         self.stop.store(true, Ordering::Release);
         let threads = self.threads.into_iter();
@@ -103,7 +103,7 @@ impl Listeners {
     }
 }
 
-/// A track that is long enough, and without a seam at which pings would be skipped, in the folder; the setting that has it followed.
+/// Writes a track into the folder that is long enough not to loop, which would skip pings; returns the setting that selects it.
 pub(crate) fn track(folder: &Path) -> String {
     let track = folder.join("track.csv");
     let mut text = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n".to_owned();
@@ -115,7 +115,7 @@ pub(crate) fn track(folder: &Path) -> String {
     format!("nav.source.path={track:?}")
 }
 
-/// Steps so many pings, few at a time: a socket's buffer of stock size holds them.
+/// Steps pings, a few at a time: a socket buffer of default size holds them.
 fn step(control: SocketAddr, delivered: &mut u64, pings: u64) {
     for _ in 0..pings {
         let (code, answer) = tell(control, &json!({ "do": "step", "pings": 1 }));
@@ -124,14 +124,14 @@ fn step(control: SocketAddr, delivered: &mut u64, pings: u64) {
     }
 }
 
-/// Until a client of each of these outputs is there and has asked: `OUTPUT: N clients now, M ever`.
+/// Waits until each of these outputs has a client with a request: `OUTPUT: N clients now, M ever`.
 fn wait_clients(control: SocketAddr, wanted: &[(&str, &str)]) {
     let until = Instant::now() + PATIENCE;
     loop {
         let (_, status) = client::get(control, "/status", None).expect("answers");
         let said = |(output, count): &(&str, &str)| status.contains(&format!("{output}: {count}"));
         if wanted.iter().all(said) {
-            // A client is listed a moment before it has asked.
+            // A client is listed slightly before its first request.
             return thread::sleep(Duration::from_millis(100));
         }
         assert!(Instant::now() < until, "{wanted:?}: {status}");
@@ -145,7 +145,7 @@ fn logged(folder: &Path) -> Vec<LoggedFault> {
     log_of(&texts.collect::<String>()).expect("a log")
 }
 
-/// One run of all families side by side; `clean`: what they brought home from a run without faults, and then there are some.
+/// One run of all families together; with `clean`, the results of a run without faults, faults are injected.
 fn run(clean: Option<&AllHeard>) -> (AllHeard, Vec<LoggedFault>) {
     let folders = [(); 2].map(|()| tempfile::tempdir().expect("folder"));
     let mut listeners = Listeners::new();
@@ -241,7 +241,7 @@ fn every_live_family_finds_exactly_what_the_log_tells() {
         );
         for kind in KINDS {
             let tally = score.kinds[kind];
-            // One record of each ping at least: six draws.
+            // At least one record per ping: six draws.
             assert!(tally.injected > 0, "{name} {kind}: {tally:?}");
             assert_eq!(tally.untold, 0, "{name} {kind}");
             let held = matches!(kind, "reorder" | "delay" | "jitter");
@@ -255,7 +255,7 @@ fn every_live_family_finds_exactly_what_the_log_tells() {
 
 const ROUNDS: u64 = 2;
 
-/// The families of which nothing but a connection is tested, in steps that nobody hurries.
+/// Families of which only the connection is tested, in unhurried steps.
 fn connections(kind: &str, value: &Value, pings: u64) -> (Score, Score) {
     let folders = [(); 2].map(|()| tempfile::tempdir().expect("folder"));
     let mut daemon: Daemon = rig(
@@ -272,7 +272,7 @@ fn connections(kind: &str, value: &Value, pings: u64) -> (Score, Score) {
     let elements = daemon.address_of("elements points", "tcp");
     let control = daemon.address_of("control http", "http");
     let mut listeners = Listeners::new();
-    // Steps follow each other much faster, and a silence is made longer.
+    // Steps follow each other much faster, so the silence is longer.
     let silence = Some(Duration::from_millis(300));
     listeners.listen(Family::SevenK, "7k", sevenk, None, silence);
     listeners.listen(Family::Elements, "elements", elements, None, silence);
@@ -294,7 +294,7 @@ fn connections(kind: &str, value: &Value, pings: u64) -> (Score, Score) {
         step(control, &mut delivered, pings);
         match kind {
             "reset" => both(1 + round),
-            // Nobody hears anything meanwhile.
+            // No records arrive meanwhile.
             _ => thread::sleep(Duration::from_millis(500)),
         }
         step(control, &mut delivered, 2);
@@ -322,7 +322,7 @@ fn resets_and_silences_of_connections_are_found_where_the_log_has_them() {
             let tally = score.kinds[kind];
             let found = (tally.injected, tally.found);
             assert_eq!(found, (ROUNDS, ROUNDS), "{name} {kind}: {score:?}");
-            // A machine that stands still for a third of a second is silent too.
+            // A machine that stalls for a third of a second also causes a silence.
             let invented = score.invented.iter().filter(|f| f.kind != "silent");
             assert_eq!(invented.count(), 0, "{name} {kind}: {:?}", score.invented);
         }
@@ -337,7 +337,7 @@ fn a_dead_element_asked_for_live_is_dead_in_the_pings_of_the_log_and_in_no_other
         folders[0].path(),
         &[
             "run.clock=lockstep",
-            // Far enough for echoes.
+            // Far enough away for echoes.
             "sonar.ping.range_m=50",
             "sonar.output.elements.listen=127.0.0.1:0",
             &track(folders[0].path()),
@@ -357,9 +357,9 @@ fn a_dead_element_asked_for_live_is_dead_in_the_pings_of_the_log_and_in_no_other
     assert_eq!(code, 200, "{answer}");
     step(control, &mut delivered, 6);
     daemon.terminate();
-    // Array 1 comes after the eight elements of array 0.
+    // Array 1 follows the eight elements of array 0.
     let (dead_one, its_neighbour) = (8 + 3, 8 + 4);
-    // Whether anything was heard of it in a ping's frames.
+    // Whether a ping's frames contain any signal of it.
     let mut pings: BTreeMap<u32, bool> = BTreeMap::new();
     let mut neighbours: BTreeMap<u32, bool> = BTreeMap::new();
     loop {

@@ -1,4 +1,4 @@
-//! Samples that leave as they would be heard are the samples that leave at the end of the ping, bit for bit.
+//! Samples streamed during the ping equal those sent at its end, bit for bit.
 
 use std::collections::BTreeMap;
 use std::net::UdpSocket;
@@ -10,28 +10,28 @@ use echotank_runtime::io::sonar::elements::ElementClient;
 use super::{Daemon, PATIENCE};
 
 const RANGE_M: f64 = 150.0;
-/// What a ping listens for: 2 x 150 m at 1500 m/s and its pulse.
+/// Receive window of a ping: 2 x 150 m at 1500 m/s, plus its pulse.
 const WINDOW_S: f64 = 0.2;
 const PINGS: usize = 6;
-/// Of all arrays, and of the first.
+/// Elements of all arrays, and of the first.
 const ELEMENTS: usize = 32;
 const PORT: usize = 8;
 
-/// Samples of whole pings, by their numbers.
+/// Samples of whole pings, by ping number.
 type Pings = BTreeMap<u32, Vec<u8>>;
 
 struct Heard {
     pings: Pings,
-    /// From each pulse until its first frame was there, seconds.
+    /// Time from each pulse to its first frame, seconds.
     first_sample_s: Vec<f64>,
-    /// Payloads from context packet to context packet.
+    /// Payloads between context packets.
     vita: Vec<Vec<u8>>,
 }
 
 impl Heard {
-    /// Pings whose packets carry what the frames of some ping carry. The last may be cut.
+    /// Pings whose packets carry the same samples as some ping's frames. The last may be incomplete.
     fn vita_pings_among_the_others(&self) -> usize {
-        // The elements of the first array, moment by moment, big endian.
+        // Elements of the first array, sample by sample, big endian.
         let port = |frames: &[u8]| -> Vec<u8> {
             let moments = frames.chunks_exact(4 * ELEMENTS);
             let values = moments.flat_map(|moment| moment[..4 * PORT].chunks_exact(2));
@@ -64,7 +64,7 @@ fn listen(more: &[&str]) -> Heard {
         "nav.stamp=host",
         "run.ahead_ms=400",
         "sonar.output.vita49.arrays=[\"port\"]",
-        // A packet a block: a socket's buffer holds many.
+        // One packet per block: a socket buffer holds many.
         "sonar.output.vita49.streams=vector",
         "run.queue_pings=8",
         "nav.loop=true",
@@ -107,7 +107,7 @@ fn listen(more: &[&str]) -> Heard {
         while let Ok(len) = board.recv(&mut packet) {
             let read = Packet::parse(&packet[..len]).expect("a packet");
             match read.packet_type {
-                // A ping begins.
+                // A new ping begins.
                 PacketType::Context => heard.vita.push(Vec::new()),
                 PacketType::SignalData => {
                     if let Some(samples) = heard.vita.last_mut() {
@@ -158,7 +158,7 @@ fn streamed_samples_are_those_of_the_pings_end_and_leave_while_the_ping_still_li
     println!(
         "first sample {of_stream:.4} s after its pulse streaming, {of_whole:.4} s at the ping's end"
     );
-    // A block of 1 ms and 0.5 ms of latency are never undercut, and a ping's end never reached.
+    // The delay is never below a block of 1 ms plus 0.5 ms of latency, and always ends before the ping does.
     let least = streamed
         .first_sample_s
         .iter()
@@ -171,7 +171,7 @@ fn streamed_samples_are_those_of_the_pings_end_and_leave_while_the_ping_still_li
     );
 }
 
-/// Pulses of somebody else's are known when they come: the latency has room for the whole ping to be made.
+/// External pulses are known only on arrival: the latency allows the whole ping to be computed.
 #[test]
 fn triggered_pings_stream_with_the_latency_that_is_stated_and_are_what_is_recorded_at_their_end() {
     triggered(0.3, &[]);
@@ -179,7 +179,7 @@ fn triggered_pings_stream_with_the_latency_that_is_stated_and_are_what_is_record
 
 #[test]
 fn so_do_those_that_are_made_tile_by_tile_while_they_leave() {
-    // Room for a loaded machine and a build without optimisation: what is not ready in time is truncated.
+    // Margin for a loaded machine and an unoptimised build: late samples are truncated.
     triggered(2.0, &["run.stream_tiles=true"]);
 }
 
@@ -244,7 +244,7 @@ fn triggered(latency_s: f64, more: &[&str]) {
         });
         assert!(open.expect("connected"), "the daemon goes on");
     }
-    // The files have each ping at its end.
+    // The files hold each ping at its end.
     std::thread::sleep(Duration::from_millis(500));
     daemon.terminate();
     let files = std::fs::read_dir(folder.path()).expect("folder");
@@ -260,6 +260,6 @@ fn triggered(latency_s: f64, more: &[&str]) {
             .any(|ping| ping == samples.as_slice());
         assert!(same, "ping {number} is not in the recording");
     }
-    // No frame before its block was heard and the latency over; host time may be read a little apart.
+    // No frame arrives before its block's end plus the latency; host time may be read slightly later.
     assert!(min_s > latency_s - 1e-3, "{min_s} s");
 }

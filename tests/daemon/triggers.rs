@@ -1,4 +1,4 @@
-//! Pulses of somebody else's: triggers in by UDP and TCP, triggers out, a step of `lockstep`, one sonar after another.
+//! External pulses: trigger inputs by UDP and TCP, trigger outputs, a step of `lockstep`, one sonar after another.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 use super::modes::{rig, status, tell, wait_delivered};
 use super::{Daemon, PATIENCE};
 
-/// A socket that hears of pulses, and the setting that has them sent there.
+/// A socket that receives trigger outputs, and the setting that sends them there.
 fn ear() -> (UdpSocket, String) {
     let socket = UdpSocket::bind("127.0.0.1:0").expect("socket");
     socket.set_read_timeout(Some(PATIENCE)).expect("set");
@@ -25,7 +25,7 @@ fn ear() -> (UdpSocket, String) {
     (socket, format!("sonar.trigger_out.to={to}"))
 }
 
-/// Number and nanoseconds of the next pulse that is told of.
+/// Number and nanoseconds of the next announced pulse.
 fn heard(ear: &UdpSocket) -> (u32, i64) {
     let mut buffer = [0; 256];
     let len = ear.recv(&mut buffer).expect("a pulse");

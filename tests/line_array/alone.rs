@@ -1,4 +1,4 @@
-//! What one echo by itself loses beside it.
+//! Single-echo error of the engine.
 
 use echotank_core::flow::{Pulse, PulseKind, Synthesis};
 use echotank_synthesis::array::Decimator;
@@ -40,7 +40,7 @@ fn a_kernel_errs_by_more_beside_an_echo_than_in_the_mean_and_less_so_the_wider_i
         }
     }
     for alone in [sharp, soft] {
-        // The filter's stop band lies 80 dB down and little of a pulse beyond it, a twentieth at most: in noise 55 dB down that is 2.8e-3.
+        // The filter's stop band is 80 dB down and at most a twentieth of a pulse lies in it: with noise 55 dB down that is 2.8e-3.
         assert!(alone.beyond_band() < 2.8e-3, "{:e}", alone.beyond_band());
     }
 }
@@ -58,7 +58,7 @@ fn a_kernel_made_for_the_part_of_the_band_where_the_pulse_is_errs_by_a_third_and
     let decimator = Decimator::new(&pulse, rate_hz, 2700.0, 8).expect("fits");
     let alone = SingleEcho::new(&pulse, rate_hz, &decimator, 6.7e-3, 60.0);
     let core = alone.core();
-    // The chirp's own band, its Doppler of 2.7 kHz to either side, and a little for its ends.
+    // The chirp's own band, its Doppler of 2.7 kHz to either side, and a margin for its ends.
     assert!((0.62..0.85).contains(&core), "{core}");
     for width in [4, 5, 6] {
         let of_band = alone.kernel(&Kernel::new(width, 1.5, 8), 1.0);

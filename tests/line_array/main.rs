@@ -1,4 +1,4 @@
-//! The line-array engine held to the direct sum and to the slow reference.
+//! The line-array engine compared with the direct sum and with the slow reference.
 
 mod alone;
 mod models;

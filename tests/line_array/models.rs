@@ -1,4 +1,4 @@
-//! The engine as a pipeline calls it, under every path and Doppler model that it knows.
+//! The engine as the pipeline calls it, with every supported path and Doppler model.
 
 use std::sync::Mutex;
 
@@ -38,7 +38,7 @@ fn spec(scene: &Scene) -> Spec<'_> {
     }
 }
 
-/// All elements, element-major, and the counts, computed by so many threads.
+/// Samples of all elements, element-major, and the counts, computed on this many threads.
 fn run(scene: &Scene, threads: usize) -> (Vec<Complex64>, EchoCounts, f64) {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
@@ -88,7 +88,7 @@ const DRAWN: Draw = Draw {
     ..SIDE_SCAN
 };
 
-/// Rolls, pitches and yaws at a tenth of a radian per second while it goes.
+/// Motion with roll, pitch and yaw rates of a tenth of a radian per second.
 fn turning() -> Scene {
     let mut scene = draw(DRAWN);
     let rate_rad_per_s = DVec3::new(0.1, -0.1, 0.1);
@@ -181,7 +181,7 @@ fn what_the_method_does_not_know_is_refused() {
     };
     assert_eq!(Gridded2d::new(&unfiltered).err(), Some(Refusal::NoFilter));
 
-    // A tenth of a radian per second and a twentieth of a second: five milliradians at each vertex.
+    // 0.1 rad/s for 0.05 s: five milliradians at each vertex.
     let mut turning = spec(&scene);
     turning.bounds.turning_rad_per_s = 0.1;
     let mut model = scene.plan.model;

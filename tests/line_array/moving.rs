@@ -1,4 +1,4 @@
-//! A platform under way: surge, sway and heave.
+//! A moving platform: surge, sway and heave.
 
 use echotank_synthesis::array::gridded2d::{PulseMotion, Resolution};
 use glam::DVec3;
@@ -8,7 +8,7 @@ use crate::still::FINE;
 
 #[test]
 fn in_motion_the_engine_meets_the_direct_sum() {
-    // Along the array; heave and sway; all at once; and far across it. What is left are third orders of the motion.
+    // Along the array; heave and sway; all at once; and far across it. The remainder are third orders of the motion.
     for (velocity_m_per_s, sector_deg, limit) in [
         (DVec3::new(5.0, 0.0, 0.0), 15.0, 4e-6),
         (DVec3::new(5.0, 0.0, 0.0), 60.0, 5e-6),

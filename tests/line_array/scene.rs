@@ -1,4 +1,4 @@
-//! Scenes, the engine's driver and the measure of its error.
+//! Scenes, the engine's driver and the error measure.
 
 use std::sync::Mutex;
 
@@ -16,7 +16,7 @@ use crate::rig::*;
 
 pub(crate) const RATE_HZ: f64 = 52e3;
 
-/// One ping with everything it needs.
+/// All inputs of one ping.
 pub(crate) struct Scene {
     pub(crate) plan: PingPlan,
     pub(crate) tx: TransmitArray,
@@ -25,18 +25,18 @@ pub(crate) struct Scene {
     pub(crate) decimator: Decimator,
 }
 
-/// How a scene is drawn.
+/// Parameters of a random scene.
 #[derive(Clone, Copy)]
 pub(crate) struct Draw {
     pub(crate) elements: usize,
     pub(crate) scatterers: usize,
-    /// To either side of broadside, degrees.
+    /// Sector to either side of broadside, degrees.
     pub(crate) sector_deg: f64,
     /// Surge (along the array), sway, heave.
     pub(crate) velocity_m_per_s: DVec3,
     pub(crate) near_m: f64,
     pub(crate) far_m: f64,
-    /// Of the bottom about its mean depth.
+    /// Relief of the bottom about its mean depth, metres.
     pub(crate) rough_m: f64,
     pub(crate) taper: f64,
     pub(crate) seed: usize,
@@ -56,7 +56,7 @@ pub(crate) const SIDE_SCAN: Draw = Draw {
 
 const DEPTH_M: f64 = 30.0;
 
-/// A bottom 30 m below a line array along the track, seen to starboard.
+/// A bottom 30 m below a line array along the track, on the starboard side.
 pub(crate) fn draw(d: Draw) -> Scene {
     let mut plan = uniform(DVec3::ZERO, d.velocity_m_per_s, DQuat::IDENTITY);
     plan.pulse.taper = d.taper;
@@ -102,7 +102,7 @@ pub(crate) fn engine<T: Sample>(
     engine_in::<T>(scene, resolution, SimdLevel::best(), false)
 }
 
-/// The same in a given SIMD level, first task last if `backward`.
+/// The same at a given SIMD level, tasks in reverse order if `backward`.
 pub(crate) fn engine_in<T: Sample>(
     scene: &Scene,
     resolution: Resolution,
@@ -188,8 +188,8 @@ pub(crate) fn truth(scene: &Scene, element: usize, slow: bool) -> Vec<Complex64>
     record
 }
 
-/// Worst |got - want| over |want| in windows of one pulse, a quarter of a window apart. Windows below a millionth of the record's rms
-/// count against that.
+/// Largest |got - want| over |want| in windows of one pulse, a quarter of a window apart. Windows below a millionth of the record's rms are
+/// compared with that level.
 pub(crate) fn worst_window(got: &[Complex64], want: &[Complex64], pulse_s: f64) -> f64 {
     let length = ((pulse_s * RATE_HZ) as usize).max(32).min(want.len());
     let energy = |x: &[Complex64]| x.iter().map(|v| v.norm_sqr()).sum::<f64>();
@@ -207,7 +207,7 @@ pub(crate) fn worst_window(got: &[Complex64], want: &[Complex64], pulse_s: f64) 
     worst
 }
 
-/// Worst window over a few elements: the ends and one between.
+/// Largest windowed error over a few elements: the ends and one between.
 pub(crate) fn error<T: Sample>(
     scene: &Scene,
     resolution: Resolution,

@@ -10,7 +10,7 @@ use glam::DVec3;
 use crate::rig::ALWAYS;
 use crate::scene::*;
 
-/// Nothing spared.
+/// All stages at full accuracy.
 pub(crate) const FINE: Resolution = Resolution {
     stretch: 16,
     slab_samples: 2048,
@@ -44,7 +44,8 @@ fn at_rest_the_engine_meets_the_direct_sum() {
 
 #[test]
 fn what_ends_of_a_long_stretch_hear_sooner_and_later_stays_where_it_belongs() {
-    // From far to the side the line's ends hear 160 us before and after its middle; slabs of 20 ms begin and end all along the record.
+    // For echoes near endfire the line's ends receive 160 us before and after its middle; slabs of 20 ms begin and end along the whole
+    // record.
     let scene = draw(Draw {
         elements: 128,
         sector_deg: 60.0,
@@ -57,11 +58,11 @@ fn what_ends_of_a_long_stretch_hear_sooner_and_later_stays_where_it_belongs() {
     };
     let (got, reports) = error::<f64>(&scene, resolution, false);
     println!("{} tasks: {got:.2e}", reports.len());
-    // The delay's fourth order along half the line, at 36 m: 1e-6 of a radian.
+    // Fourth-order delay along half the line, at 36 m: 1e-6 rad.
     assert!(reports.len() > 4 && got < 3e-6, "{got:e}");
 }
 
-/// The least and the greatest delay that is handed on.
+/// The smallest and largest delay passed on.
 struct Delays(f64, f64);
 
 impl LineSink for Delays {
@@ -123,7 +124,7 @@ fn slabs_begin_with_the_first_echo_and_share_the_rest_evenly() {
             1e-5
         };
         assert!(got < tolerance, "{got:e}");
-        // 36 m to 75 m are 52 ms, a slab at most 34 ms; two stretches.
+        // 36 m to 75 m are 52 ms, a slab at most 34 ms; two sections.
         assert_eq!(counts.len(), 4, "{counts:?}");
         assert!(counts.iter().all(|count| *count > 100), "{counts:?}");
     }

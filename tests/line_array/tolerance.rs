@@ -1,4 +1,4 @@
-//! The tolerance asked for is the tolerance kept, in every window.
+//! The requested tolerance is met in every window.
 
 use echotank_synthesis::array::gridded::simd_level::SimdLevel;
 use echotank_synthesis::array::gridded2d::{
@@ -97,7 +97,7 @@ fn what_cannot_be_kept_is_refused_with_a_reason() {
     let fine = chosen(&scene, SIDE_SCAN, 1e-7).expect_err("too fine");
     assert!(matches!(fine, Refusal::TooFine { .. }), "{fine}");
     assert!(fine.to_string().contains("gridded-2d"), "{fine}");
-    // One element of a stretch of one sees no curvature; beside a wall no longer stretch does.
+    // A section of one element has no curvature; beside a wall no longer section meets the tolerance.
     let close = Draw {
         near_m: 0.5,
         ..SIDE_SCAN
@@ -132,7 +132,7 @@ fn every_dialect_gives_the_same_to_rounding_and_every_order_of_tasks_the_same_bi
             assert!(worst < 2e-6, "{simd_level:?}, element {e}: {worst:e}");
         }
     }
-    // Kernels over time of other widths, of which some have code of their own.
+    // Kernels over time of other widths, some of which have specialised code.
     for time_width in [3, 4, 6, 7, 8, 9] {
         let resolution = Resolution {
             time_width,

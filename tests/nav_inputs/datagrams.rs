@@ -1,4 +1,4 @@
-//! Datagrams that are sent to many: broadcast, multicast; and lines with unusual rates.
+//! Broadcast and multicast datagrams; serial lines with unusual rates.
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
@@ -106,7 +106,7 @@ fn of_the_groups_on_a_port_a_source_hears_its_own_at_the_interface_it_names() {
     wait(&mut others, &mut other_history, "foreign group", 2);
     assert_eq!(samples(&mut inputs, 0), 4, "none of the other's");
     assert_eq!(samples(&mut others, 0), 2, "none of the other's");
-    // What is sent to the computer itself comes too.
+    // Datagrams sent to this host itself are also received.
     send(&socket, HDT, (Ipv4Addr::LOCALHOST, port));
 }
 
@@ -114,7 +114,7 @@ fn of_the_groups_on_a_port_a_source_hears_its_own_at_the_interface_it_names() {
 fn a_line_of_any_rate_is_opened_at_it() {
     for (baud, line) in [
         (4800, SerialLine::default()),
-        // No table has it.
+        // A rate in no table.
         (250_000, SerialLine::default()),
         (
             38_400,

@@ -1,4 +1,4 @@
-//! Bytes of live navigation that go wrong: the decoder counts exactly what the faults did.
+//! Faults injected into live navigation bytes: the decoder counts exactly their effects.
 
 use std::net::UdpSocket;
 use std::sync::Arc;
@@ -15,7 +15,8 @@ use echotank_runtime::io::nav::NavInputs;
 
 use super::{PATIENCE, nav_spec, sentences, source, udp};
 
-/// All sentences of the log over UDP, cut anywhere, through a fault: what the decoder counted, and how many sentences were injected.
+/// Sends all sentences of the log over UDP, split anywhere, through a fault: returns the decoder's counts and the number of injected
+/// sentences.
 fn heard(fault: Option<&str>) -> (NavCounters, u64) {
     let spec = nav_spec(vec![source("s330", udp())]);
     let mut inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");

@@ -1,4 +1,4 @@
-//! Navigation that goes out over TCP and over a serial line, as a device under test hears it.
+//! Navigation output over TCP and over a serial line, as a device under test receives it.
 
 use std::io::{ErrorKind, Read};
 use std::net::{SocketAddr, TcpStream};
@@ -36,7 +36,7 @@ fn output(target: NavTargetSpec, pulse: PulseSpec) -> NavOutputSpec {
     }
 }
 
-/// A platform that goes north at 10 m/s and turns, and one output.
+/// A platform that moves north at 10 m/s and turns, with one output.
 struct Bench {
     clock: Arc<dyn Clock>,
     history: NavHistory,
@@ -104,7 +104,7 @@ impl Bench {
         std::thread::sleep(Duration::from_millis(5));
     }
 
-    /// What was heard, with the second at which it was, until `enough`.
+    /// Received lines with the time of each, until `enough`.
     fn hear(
         &mut self,
         line: &mut dyn Read,
@@ -172,7 +172,7 @@ fn seconds(heard: &[Heard]) -> usize {
     kinds(heard, Kind::Zda).count()
 }
 
-/// Every sentence is of this clock, of this motion, and in its order: the pulse, the ZDA that names it, GGA, HDT.
+/// Every sentence has this clock, this motion and this order: the pulse, the ZDA that names it, GGA, HDT.
 fn check(bench: &Bench, heard: &[Heard], has_pulses: bool) {
     let mut before = None;
     for h in heard {
@@ -197,14 +197,14 @@ fn check(bench: &Bench, heard: &[Heard], has_pulses: bool) {
     for (_, r) in kinds(heard, Kind::Gga) {
         let (latitude, longitude) = r.position_rad.expect("a position");
         assert_eq!(r.fix, FixQuality::RtkFixed);
-        // Of the instant it names, whenever it came.
+        // Valid at the named time, whenever it arrived.
         let Some(When::TimeOfDay(ns)) = r.when else {
             panic!("{r:?}")
         };
         let named_s = ns as f64 / 1e9;
         let t = named_s - bench.begun.0.rem_euclid(86_400_000_000_000) as f64 / 1e9;
         let north_m = (latitude - 0.9) * 6_374_674.0;
-        // A speed wants two measurements.
+        // A speed needs two measurements.
         assert!(
             t < 0.5 || (north_m - 10.0 * t).abs() < 0.3,
             "{north_m} m north at {t} s"
@@ -220,7 +220,7 @@ fn check(bench: &Bench, heard: &[Heard], has_pulses: bool) {
         let got = r.heading_rad.expect("a heading").to_degrees();
         let want = heading_deg(at.seconds_since(bench.begun));
         let off = (got - want + 540.0).rem_euclid(360.0) - 180.0;
-        // 2 degrees a second; a busy machine may hear it late.
+        // 2 degrees per second; a busy machine may receive late.
         assert!((-1.8..0.1).contains(&off), "got {got}, want {want}");
     }
 }
@@ -240,7 +240,7 @@ fn clients_of_a_tcp_output_hear_the_same_and_one_that_leaves_costs_only_itself()
     check(&bench, &heard, true);
     assert!(kinds(&heard, Kind::Gga).count() >= 6, "five a second");
     drop(second);
-    // Whoever comes later hears from then on.
+    // Later clients receive from their connection on.
     let mut third = join(&bench);
     let heard = bench.hear(&mut third, "third", |h| seconds(h) == 1);
     check(&bench, &heard[1..], true);
@@ -261,7 +261,7 @@ fn lost_pulses_and_misnamed_seconds_are_those_of_the_log_and_no_others() {
         Some(faults.clone()),
     );
     faults.begin(bench.begun);
-    // The first whole second from now on has no pulse, the second a name of its own.
+    // The first whole second from now on has no pulse, the second has its own.
     for json in [
         r#"{"kind": "pps-loss", "at_s": 0, "for_s": 1}"#,
         r#"{"kind": "wrong-zda", "value": -3, "at_s": 1, "for_s": 1}"#,
