@@ -1,4 +1,4 @@
-//! The engines in the pipeline: whole pings against the direct sum, and what happens when settings change.
+//! The engines in the pipeline: whole pings against the direct sum, and changes of settings.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use echotank_runtime::io::nav::NavInputs;
 use glam::DVec3;
 use num_complex::Complex64;
 
-/// `model`: lines of `[sonar.model]`; `receiver`: more of `[sonar.receiver]`; `taper` of the pulse.
+/// `model`: lines of `[sonar.model]`; `receiver`: additional lines of `[sonar.receiver]`; `taper` of the pulse.
 fn rig(model: &str, receiver: &str, taper: f64) -> RigSpec {
     rig_of([(3, 0.05), (2, 0.002)], model, receiver, taper)
 }
@@ -74,7 +74,7 @@ pulse_duration_ms = [1.0, 3.0]
 
 const FILTER: &str = "rx_filter = \"fir\"";
 
-/// Points all around, 4 to 34 m away, and one target.
+/// Points in all directions, 4 to 34 m away, and one target.
 fn scene(count: usize) -> Scatterers {
     let mut scatterers = Scatterers::default();
     for k in 0..count {
@@ -162,11 +162,11 @@ fn once(rig: &RigSpec, plan: &PingPlan, scatterers: &Scatterers) -> PingOutput {
     output
 }
 
-/// Over all elements and windows of a pulse's length that begin every half of one: the worst relative error of those that hold an echo, and
-/// of those that hold none the loudest, over the median.
+/// Over all elements and windows of a pulse length at half-pulse steps: the largest relative error of windows with an echo, and the
+/// strongest window without one, over the median.
 ///
-/// A band ends somewhere, and what it leaves out of an echo rings around it. So a window counts as loud as the loudest within a pulse of it,
-/// and where the sum is silent, an engine is only nearly so.
+/// A band-limited echo rings around itself. A window therefore counts as strong as the strongest within a pulse of it, and where the sum is
+/// zero, an engine is only nearly zero.
 fn worst_window(got: &PingOutput, want: &PingOutput, plan: &PingPlan, rate_hz: f64) -> (f64, f64) {
     let length = ((plan.pulse.duration_s * rate_hz) as usize).max(32);
     let energy = |x: &[Complex64]| x.iter().map(|s| s.norm_sqr()).sum::<f64>();
@@ -185,7 +185,7 @@ fn worst_window(got: &PingOutput, want: &PingOutput, plan: &PingPlan, rate_hz: f
                 let off: Vec<Complex64> = (k..k + length).map(|i| got[i] - want[i]).collect();
                 let around = w.saturating_sub(2)..(w + 3).min(all.len());
                 let level = all[around].iter().copied().fold(0.0, f64::max);
-                // 80 dB below the median there is no echo, but the filter's onset at most.
+                // 80 dB below the median there is no echo, at most the filter's onset.
                 match all[w] > 1e-8 * median {
                     true => worst = worst.max((energy(&off) / level).sqrt()),
                     false => silent = silent.max((energy(&off) / median).sqrt()),
@@ -196,7 +196,7 @@ fn worst_window(got: &PingOutput, want: &PingOutput, plan: &PingPlan, rate_hz: f
     (worst, silent)
 }
 
-/// Every pair of models that an engine takes, behind the filter, against the direct sum of the same models.
+/// Every pair of models that an engine supports, behind the filter, against the direct sum of the same models.
 #[test]
 fn every_path_and_doppler_is_the_direct_sum_within_the_tolerance() {
     let scatterers = scene(300);
@@ -219,7 +219,7 @@ fn every_path_and_doppler_is_the_direct_sum_within_the_tolerance() {
             let direct = model("direct", 1e-3);
             let ping = plan(&direct, 1, |_| {});
             let want = once(&direct, &ping, &scatterers);
-            // The direct sum's own density behind the filter leaves 2e-5 of a tapered pulse.
+            // The direct sum's own density behind the filter leaves an error of 2e-5 for a tapered pulse.
             for tolerance in [1e-1, 1e-2, 1e-3, 1e-4] {
                 let engine = model("gridded-1d", tolerance);
                 let ping = plan(&engine, 1, |_| {});
@@ -235,14 +235,14 @@ fn every_path_and_doppler_is_the_direct_sum_within_the_tolerance() {
                     "{path:?} {doppler:?}: {error:e}, {silent:e} of {tolerance:e}"
                 );
                 assert!(got.counts.used > 1000 && got.counts.beyond_engine == 0);
-                // Its filter reaches a little farther: an echo more or less at the window's ends.
+                // Its filter is slightly longer, so an echo at the window's ends may differ.
                 assert!(got.counts.used.abs_diff(want.counts.used) < 30);
             }
         }
     }
 }
 
-/// A record many echoes long is made in slabs; echoes that overlap two of them are heard in both and counted once.
+/// A record many echoes long is processed in slabs; echoes that overlap two are received in both and counted once.
 #[test]
 fn a_long_record_in_slabs_is_the_direct_sum_and_counts_every_pair_once() {
     let scatterers = scene(300);
@@ -278,7 +278,7 @@ fn a_long_record_in_slabs_is_the_direct_sum_and_counts_every_pair_once() {
     println!("{error:.1e}, silent {silent:.1e}, {:?}", got.counts);
     assert!(error < 1e-3 && silent < 1e-3, "{error:e}, {silent:e}");
     let pairs = |counts: EchoCounts| counts.used + counts.culled + counts.outside_window;
-    // Culled before the second leg, a scatterer counts once whatever the elements.
+    // A scatterer culled before the second leg counts once, whatever the number of elements.
     assert_eq!(pairs(got.counts), pairs(want.counts));
     assert!(got.counts.culled > 10 && got.counts.culled.abs_diff(want.counts.culled) < 10);
     assert!(got.counts.used > 900 && got.counts.used.abs_diff(want.counts.used) < 30);
@@ -286,7 +286,7 @@ fn a_long_record_in_slabs_is_the_direct_sum_and_counts_every_pair_once() {
     assert_eq!(roots(got.counts), roots(want.counts));
 }
 
-/// What a ping begins with does not depend on what it ends with: tiles of a ping are its bits, whatever is made of the electronics too.
+/// The start of a ping is independent of its end: its tiles are identical bits, electronics included.
 #[test]
 fn the_first_samples_alone_are_those_of_the_whole_ping_bit_for_bit() {
     let scatterers = scene(40);
@@ -307,7 +307,7 @@ fn the_first_samples_alone_are_those_of_the_whole_ping_bit_for_bit() {
             let mut pipeline = SonarPipeline::new(&rig.sonars[0], &rig.medium).expect("fits");
             let mut tile = pipeline.blank_output();
             let total = ping.sample_count;
-            // One that no block of eight ends with, and most of the ping.
+            // A sample that ends no block of eight, and most of the ping.
             for (end, is_first) in [(50, true), (333, false), (total - 13, false)] {
                 let elements = &mut tile.elements;
                 pipeline.begin_ping(&mut ping, end, is_first, &scatterers, elements);
@@ -325,7 +325,7 @@ fn the_first_samples_alone_are_those_of_the_whole_ping_bit_for_bit() {
     }
 }
 
-/// Without the receiver filter a soft pulse is within reach, and what is not is refused with numbers.
+/// Without the receiver filter a smooth pulse is possible; other pulses are refused with numbers.
 #[test]
 fn without_the_filter_the_pulse_decides() {
     let scatterers = scene(300);
@@ -374,7 +374,8 @@ fn the_card_says_what_it_is_made_for() {
     assert!(error_models.is_empty());
 }
 
-/// Pulse and range change in mid-run, foreseen or not: each ping is the one that a sonar with these settings from the start makes.
+/// Changes of pulse and range during a run, within the declared limits or not: each ping equals that of a sonar with these settings from
+/// the start.
 #[test]
 fn changed_settings_give_the_bits_of_a_sonar_that_had_them_always() {
     let scatterers = scene(200);
@@ -414,7 +415,7 @@ fn changed_settings_give_the_bits_of_a_sonar_that_had_them_always() {
             assert_eq!(output.elements[0].samples, ping.sample_count);
         }
     }
-    // ... and none of them is anything but the direct sum.
+    // All of them agree with the direct sum.
     let direct = self::rig("synthesis = \"direct\"", FILTER, 0.1);
     for (number, got) in alone.iter().enumerate() {
         let ping = of(number);
@@ -451,7 +452,7 @@ fn the_bits_are_the_same_for_any_number_of_threads() {
     }
 }
 
-/// A platform faster than any sonar's: counted, heard at the fastest Doppler known, and nothing worse.
+/// A platform faster than the limit: counted and received at the largest supported Doppler, without further effect.
 #[test]
 fn echoes_too_fast_for_the_engine_are_counted() {
     let scatterers = scene(300);
@@ -569,7 +570,7 @@ fn whole_line_arrays_give_the_same_bits_for_any_number_of_threads_and_any_past()
     }
 }
 
-/// A scatterer far nearer than the engine is made for is not summed in silence.
+/// A scatterer closer than the engine's limit is not summed without a warning.
 #[test]
 fn a_ping_beyond_the_engines_bounds_is_counted() {
     let mut scatterers = scene(100);
@@ -604,7 +605,7 @@ fn the_line_engine_says_what_it_promises() {
 
 // ---------------------------------------------------------------- the quickstart
 
-/// A configuration of the repository on a thinner seabed, without noise and converter.
+/// A configuration of the repository with a thinner seabed, without noise and converter.
 fn thinned(file: &str, change: impl Fn(&mut SonarSpec)) -> RigSpec {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("hil-configs")
@@ -621,7 +622,7 @@ fn thinned(file: &str, change: impl Fn(&mut SonarSpec)) -> RigSpec {
     spec
 }
 
-/// So many pings of the first sonar along its log, each shown with its plan.
+/// Pings of the first sonar along its log, each passed on with its plan.
 fn along_the_log(spec: &RigSpec, pings: usize, mut each: impl FnMut(&PingPlan, &PingOutput)) {
     let mut rig = echotank_runtime::rig::open(spec).expect("a rig");
     let clock = Arc::new(VirtualClock::default());
@@ -654,19 +655,20 @@ fn along_the_log(spec: &RigSpec, pings: usize, mut each: impl FnMut(&PingPlan, &
     }
 }
 
-/// Both engines, each with a configuration's sonar, on a real ship's log over a real seabed: the direct sum of the same path and Doppler by window.
+/// Both engines, each with a configuration's sonar, on a real ship's log over a real seabed, against the direct sum with the same path and
+/// Doppler, by window.
 #[test]
 fn the_repositorys_engines_are_the_direct_sum_within_the_tolerance() {
     for (file, engine, cull_db, tolerance) in [
         ("checked.toml", Synthesis::Gridded1d, -34.0, 1e-3),
-        // A line culls a stretch at a time, the direct sum an element: with a floor of -40 dB that alone is up to 2e-2.
+        // A line culls by section, the direct sum by element: with a floor of -40 dB this alone is up to 2e-2.
         ("multibeam.toml", Synthesis::Gridded2d, -60.0, 2e-2),
     ] {
         let of = |synthesis: Option<Synthesis>| {
             let spec = thinned(file, |sonar| {
                 sonar.synthesis.error_check = false;
                 sonar.synthesis.tolerance = tolerance;
-                // As the plan of methods may choose, and always the same.
+                // Fixed methods that method selection might choose.
                 sonar.synthesis.auto = Default::default();
                 sonar.synthesis.nearest_m = 10.0;
                 sonar.model = ModelChoice {
@@ -699,7 +701,7 @@ fn the_repositorys_engines_are_the_direct_sum_within_the_tolerance() {
     }
 }
 
-/// As configured, culling included, against the reference: what the error check of every ping says.
+/// As configured, including culling, against the reference: the error check of every ping.
 #[test]
 fn the_quickstart_is_certified_within_its_tolerance() {
     let spec = thinned("checked.toml", |_| {});

@@ -1,4 +1,4 @@
-//! The ping path allocates nothing after warm-up: a test of its own, because it counts with the global allocator.
+//! The ping path does not allocate after warm-up. A separate binary, because it counts with the global allocator.
 
 mod counting;
 
@@ -18,14 +18,14 @@ fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("hil-configs")
         .join(file);
-    let mut spec = echotank_runtime::config_files::load(&path).expect("a good configuration");
-    // Tiles are made while the ship moves on; a still scene shows the ping alone.
+    let mut spec = config::load(&path).expect("a good configuration");
+    // A moving ship needs new tiles; a static scene shows the ping alone.
     spec.scene
         .seabed
         .iter_mut()
         .for_each(|seabed| seabed.density = Density::PerM2(0.5));
     for sonar in &mut spec.sonars {
-        // Another plan is another pipeline, made beside the pings.
+        // Another selection is another pipeline, made beside the pings.
         sonar.synthesis.auto = Default::default();
         sonar.model.synthesis = Synthesis::Direct;
         sonar.model.cull_db = Some(-24.0);
@@ -74,8 +74,8 @@ fn a_ping_allocates_nothing_after_warm_up() {
     for threads in [1, 2] {
         let points = allocations_per_ping("points.toml", threads, 8, 4);
         assert_eq!(points, [0; 4], "points, {threads} threads");
-        // Over a seabed new tiles come in as the ship moves on, and more scatterers than ever before may lie in one ping: both grow a
-        // buffer, rarely, and nothing else does.
+        // Over a seabed new tiles appear as the ship moves on, and a ping may contain more scatterers than any before: both rarely grow a
+        // buffer; nothing else does.
         let seabed = allocations_per_ping("quickstart.toml", threads, 60, 20);
         let quiet = seabed.iter().filter(|&&n| n == 0).count();
         assert!(quiet >= 10, "quickstart, {threads} threads: {seabed:?}");

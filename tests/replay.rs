@@ -1,4 +1,4 @@
-//! `echotank replay` as its user runs it: the same bytes every time and for any number of threads, and targets where they belong.
+//! `echotank replay` as a command: reproducible bytes for any number of threads, and correct target positions.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -88,7 +88,7 @@ fn replay_gives_the_same_bytes_twice_and_for_one_and_two_threads() {
     }
 }
 
-/// The error check rests on samples of the pings before as well, and the scene says what it had to make anew: these know where a replay began.
+/// The error check also uses samples of earlier pings, and the scene reports newly generated tiles: these depend on where a replay began.
 fn without_history(line: &str) -> String {
     let mut ping: serde_json::Value = serde_json::from_str(line).expect("JSON");
     let fields = ping.as_object_mut().expect("an object");
@@ -102,7 +102,7 @@ fn without_history(line: &str) -> String {
 
 #[test]
 fn a_part_of_a_replay_is_the_same_as_in_the_whole() {
-    // A plan of methods is made on the first ping that is asked for.
+    // Methods are selected on the first requested ping.
     let fixed = ["path=k-segment", "doppler=stretch", "synthesis=gridded-1d"];
     let fixed = fixed.map(|model| format!("--set=sonar.model.{model}"));
     let of = |pings: &str| {
@@ -208,8 +208,8 @@ impl Picture {
     }
 }
 
-/// Targets lie in the waterfall where the truth file says: in the row of the ping in which the target is nearest to broadside, at its
-/// slant range. The brightest pixel nearby must be within one pixel across and within the rows that the beam dwells on it.
+/// Targets lie in the waterfall where the truth file says: in the row of the ping with the target closest to broadside, at its slant range.
+/// The brightest pixel nearby must be within one pixel across and within the rows of the beam's dwell.
 #[test]
 fn waterfall_shows_the_targets_at_their_predicted_places_within_one_pixel() {
     let (first, last) = (1_u32, 140_u32);
@@ -289,7 +289,7 @@ fn waterfall_shows_the_targets_at_their_predicted_places_within_one_pixel() {
     assert!(seen >= 3, "{seen} targets were passed");
 }
 
-/// The rigs that imitate devices: every one pings, offline, and hears the flat bottom of 12 m. What else they show stands at their heads.
+/// The rigs that imitate devices: each pings offline and receives the flat bottom at 12 m. Their file headers state what else they show.
 #[test]
 fn every_rig_that_imitates_a_device_pings() {
     for rig in ["seabat", "wbms", "surveyor240", "omniscan450", "board"] {
@@ -313,7 +313,7 @@ fn every_rig_that_imitates_a_device_pings() {
     }
 }
 
-/// What a bench plays out, and what goes with it, from a rig whose configuration names neither.
+/// Sample playback files and their metadata, from a rig whose configuration names neither.
 #[test]
 fn sigmf_and_wav_hold_the_same_pings() {
     let out = replay(&["--pings", "1..2", "--formats", "sigmf,wav"], "board.toml");
@@ -337,7 +337,7 @@ fn sigmf_and_wav_hold_the_same_pings() {
         (header.format.channels, header.format.sample_rate_hz),
         (8, 384_000)
     );
-    // The second ping begins a quarter of a second after the first and lasts 2 x 40 m / 1480 m/s and a pulse.
+    // The second ping begins a quarter of a second after the first and lasts 2 x 40 m / 1480 m/s plus a pulse.
     let lasts_s = header.moments() as f64 / 384e3;
     assert!(
         (lasts_s - (0.25 + 80.0 / 1480.0 + 2e-3)).abs() < 1e-3,

@@ -1,4 +1,4 @@
-//! Gathering allocates nothing once its buffers have been full and the pool of tiles has reached its limit.
+//! Gathering does not allocate once its buffers have been full and the tile pool has reached its limit.
 
 mod counting;
 
@@ -14,7 +14,7 @@ use glam::DVec3;
 
 #[test]
 fn a_moving_platform_gathers_without_allocating_after_warm_up() {
-    // In a pool, as every ping is: to hand work to one from outside takes memory.
+    // In a pool, as every ping is: passing work from outside allocates.
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(2)
         .build()
@@ -86,7 +86,7 @@ fn gather_on_the_move(shape: SeabedShape) -> u64 {
         warm_up_made > 40,
         "{warm_up_made}: the pool is not full yet"
     );
-    // The circle's count varies by a few as the platform moves; the doubling of a vector usually leaves room for them, this makes sure.
+    // The circle's count varies by a few as the platform moves; the spare capacity of a vector usually suffices, and this ensures it.
     let room = out.len() / 10;
     out.north_m.reserve(room);
     out.east_m.reserve(room);

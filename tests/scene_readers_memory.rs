@@ -1,4 +1,4 @@
-//! What a header promises is weighed before memory is taken for it. Alone in its process, since it counts the process's memory.
+//! Sizes in headers are checked before memory is allocated. A separate binary, because it counts the process's memory.
 
 #[path = "scene_readers/peak.rs"]
 mod peak;
@@ -29,7 +29,7 @@ fn headers_that_promise_too_much_are_refused_before_memory_is_taken() {
     stl[..5].fill(b' ');
     stl[80..84].copy_from_slice(&u32::MAX.to_le_bytes());
     let mut las = seeds::las();
-    // Number of point records of LAS 1.2: an announcement of 4 million, which is allowed, and of 4 thousand million.
+    // Number of point records of LAS 1.2: 4 million, which is allowed, and 4 thousand million.
     let (mut many, mut most) = (las.clone(), std::mem::take(&mut las));
     many[107..111].copy_from_slice(&4_000_000_u32.to_le_bytes());
     most[107..111].copy_from_slice(&u32::MAX.to_le_bytes());

@@ -1,5 +1,5 @@
-//! What a ping asks of the scene holds everything that the walk over the scatterers keeps, strong targets are heard in side lobes too, and what is
-//! hidden is what rays cast one by one do not reach.
+//! The scatterers that a ping requests from the scene include all that the transmit leg keeps; strong targets are received in side lobes;
+//! shadowed scatterers are those that individually cast rays do not reach.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -31,7 +31,7 @@ fn weyl(k: u32, coordinate: usize) -> f64 {
     (f64::from(k) * [0.754_877_666, 0.569_840_291, 0.327_0][coordinate]).fract()
 }
 
-/// On a real log of a ship in a swell, whose attitude changes by degrees within a listening window.
+/// On a real log of a ship in a swell, whose attitude changes by degrees within a receive window.
 #[test]
 fn a_footprint_holds_every_place_that_an_element_hears_above_the_floor() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs/quickstart.toml");
@@ -91,7 +91,7 @@ fn a_footprint_holds_every_place_that_an_element_hears_above_the_floor() {
                     let element = Directivity::new(&array.element_pattern, wavelength_m);
                     let out_m = at_m - start.point_m(transmit.mounting.position_m);
                     let sent = towards(&lit, &start, &transmit.mounting, out_m);
-                    // When the echo comes back, to a millimetre of the platform's way.
+                    // Arrival of the echo, to a millimetre of platform motion.
                     let back = plan.trajectory.pose_at(2.0 * out_m.length() / c);
                     let contained = footprint.contains(at_m);
                     asked += u32::from(contained);
@@ -168,7 +168,7 @@ impl ArrivalSink for Energies {
     }
 }
 
-/// The energies of a ping of the port array, and how many echoes there are.
+/// The energies of a ping of the port array, and its number of echoes.
 fn energies(spec: &RigSpec, plan: &PingPlan, scatterers: &Scatterers) -> (Vec<f64>, u64) {
     let sonar = &spec.sonars[0];
     let (tx, rx) = (&sonar.transmit[0], &sonar.receive[0]);
@@ -188,7 +188,7 @@ fn energies(spec: &RigSpec, plan: &PingPlan, scatterers: &Scatterers) -> (Vec<f6
     (all.sums, counts.used)
 }
 
-/// A target of +20 dB in a side lobe that is too weak for the ground, and one of -60 dB a little nearer in the same one.
+/// A target of +20 dB in a side lobe too weak for the bottom, and one of -60 dB slightly closer in the same lobe.
 #[test]
 fn a_strong_target_in_a_side_lobe_stays_and_what_is_left_out_stays_within_the_tolerance() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
@@ -212,7 +212,7 @@ fn a_strong_target_in_a_side_lobe_stays_and_what_is_left_out_stays_within_the_to
         };
         one(&tx.pattern, &tx.mounting) * one(&rx.element_pattern, &rx.mounting)
     };
-    // Ahead and to port: the first place where the pattern is well below the floor.
+    // Ahead and to port: the first position where the pattern is well below the floor.
     let below = |east_m: f64| {
         (0..4000)
             .map(|k| DVec3::new(30.0 + 0.01 * f64::from(k), east_m, DEPTH - 1.0))
@@ -252,7 +252,7 @@ fn a_strong_target_in_a_side_lobe_stays_and_what_is_left_out_stays_within_the_to
     let (by_pattern, by_pattern_count) = energies(&spec, &plan, &deaf);
     plan.model.cull_db = None;
     let (all, all_count) = energies(&spec, &plan, &scatterers);
-    // The element's own level differs a little from the middle's; the weak one is left out and the strong one is not.
+    // The element's level differs slightly from the middle's; the weak target is culled and the strong one is not.
     assert_eq!(kept_count, by_pattern_count + 1, "of {all_count}");
     let window_of = |at_m: DVec3| {
         let way_m = at_m.distance(tx.mounting.position_m) + at_m.distance(rx.mounting.position_m);
@@ -278,12 +278,12 @@ fn a_strong_target_in_a_side_lobe_stays_and_what_is_left_out_stays_within_the_to
     }
 }
 
-/// Millimetres, to tell scatterers apart.
+/// Millimetres, as keys of scatterers.
 fn key(at: DVec3) -> [i64; 2] {
     [at.x, at.y].map(|m| (m * 1e4).round() as i64)
 }
 
-/// On the real seabed, at the instants when the container, the wreck, the mooring and the mine lie abeam.
+/// On the real seabed, at the times when the container, the wreck, the mooring and the mine are abeam.
 #[test]
 fn the_shadows_of_the_seabed_configuration_are_those_of_rays_cast_one_by_one() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
@@ -350,7 +350,7 @@ fn the_shadows_of_the_seabed_configuration_are_those_of_rays_cast_one_by_one() {
             let visible = |at_m: DVec3, f: &Footprint| {
                 f.contains(at_m) && clear(at_m, f.apex_m) && clear(at_m, f.receiver_m)
             };
-            // All that were found in the dark, and every twentieth of the others.
+            // All shadowed scatterers, and every twentieth of the others.
             let wrong: Vec<DVec3> = (0..ground)
                 .into_par_iter()
                 .map(|i| all.position_m(i))

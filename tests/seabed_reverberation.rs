@@ -1,7 +1,7 @@
-//! The seabed as a sonar hears it: level against the sonar equation's integral, and speckle.
+//! Seabed reverberation: level against the integral of the sonar equation, and speckle.
 //!
-//! A continuous wave of one range cell's length, sampled once per cell by a transmitter and an element in one place: every sample is the sum
-//! of the scatterers of its own ring, so that samples are independent and nothing stands between scene and walk and the figures here.
+//! A CW pulse of one range cell, sampled once per cell by a collocated transmitter and element. Every sample is the sum of the scatterers
+//! of its own ring, so samples are independent and depend only on scene and transmit leg.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 

@@ -1,4 +1,4 @@
-//! A survey that no memory could hold: what a ping costs does not depend on how much of it there is.
+//! A survey far beyond memory: the cost of a ping does not depend on the survey's size.
 
 use echotank_config::spec::*;
 use echotank_core::flow::{Footprint, Scatterers};
@@ -7,7 +7,7 @@ use echotank_scene::Scene;
 use echotank_scene::TILE_BYTES;
 use glam::DVec3;
 
-/// 10 km along the track at 500 scatterers per square metre; room for 500 tiles, less than two pings need.
+/// 10 km along the track at 500 scatterers per square metre; a limit of 500 tiles, fewer than two pings need.
 #[test]
 fn pings_along_ten_kilometres_make_the_same_number_of_tiles_and_come_back_to_the_same_scatterers() {
     let spec = SceneSpec {

@@ -1,4 +1,4 @@
-//! Simplification seen from outside: the paper's ladder in short, its bottoms in a scene, and that a thinned ping allocates nothing.
+//! Simplification: the paper's levels in short, its seabeds in a scene, and allocation-free pings.
 
 #[path = "counting/mod.rs"]
 mod counting;
@@ -43,7 +43,7 @@ fn the_ladder_in_short() {
             paper.level_db < -20.0,
             "as printed it keeps the worthless: {paper:?}"
         );
-        // Chosen once for the pass, the whole bottom is thinned: there the level falls without the weights.
+        // Selected once for the pass, the whole bottom is thinned, and without the weights the level falls.
         let once = row(points, Once::Pass, Simplifier::Unbiased);
         let falls = row(points, Once::Pass, Simplifier::Acoustic);
         assert!(
@@ -102,7 +102,7 @@ fn the_papers_bottoms_have_the_shapes_that_are_stated() {
         assert!((down(PaperShape::Curves, 5.0, crest_m + 2.0) - 29.0).abs() < 1e-6);
         assert!((down(PaperShape::Curves, 0.0, crest_m + 6.0) - 30.0).abs() < 1e-6);
     }
-    // On the letters' strokes, and between them.
+    // On the strokes of the letters, and between them.
     for (north_m, east_m) in [(10.0, 28.0), (13.5, 35.0), (6.5, 35.0), (10.0, 58.0)] {
         assert!((down(PaperShape::Relief, north_m, east_m) - 28.5).abs() < 1e-9);
     }

@@ -1,4 +1,4 @@
-//! Kept tables of errors, made anew: pass or fail and two digits.
+//! Stored tables of errors, computed again: pass or fail, and two digits.
 
 #[allow(dead_code, reason = "shared with tools/atlas")]
 #[path = "../tools/src/atlas/mod.rs"]
@@ -66,7 +66,7 @@ fn eq_21_is_worse_than_no_motion_and_only_stretch_follows_the_samples() {
         range_m(2).abs() < 1e-9 && range_m(3).abs() < 1e-9,
         "{errors:?}"
     );
-    // Nothing but a stretched pulse has anything in common with the samples.
+    // Only a stretched pulse correlates with the samples.
     assert!(errors[..3].iter().all(|e| e.1.1 > 1.0), "{errors:?}");
     assert!(errors[3].1.1 < 3e-3 && errors[4].1.1 < 1e-5, "{errors:?}");
 }
@@ -102,7 +102,7 @@ fn a_picture_bears_what_samples_do_not_and_the_criterion_says_when() {
     assert!(near(none.ahead_m, 0.05), "{:?}", none.ahead_m);
     let stretched = [stretch.along_m.1, stretch.edge_m.1, stretch.ahead_m.1];
     assert!(stretched.iter().all(|m| m.abs() < 1e-3), "{stretched:?}");
-    // Without Doppler the picture passes by prediction and measurement, the samples have little in common with the truth's.
+    // Without Doppler the image passes by prediction and measurement, while the samples hardly correlate with the truth.
     assert_eq!(none.passes(75.0), (true, true));
     assert!(none.element_error > 0.1, "{}", none.element_error);
 }

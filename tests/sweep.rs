@@ -1,5 +1,5 @@
-//! The tolerance contract in short: every method that answers is as good as was asked in every window, noise 55 dB below the strongest
-//! being there. `tools/sweep` is the long form.
+//! Tolerances in short: every method that answers meets the requested tolerance in every window, with noise 55 dB below the strongest.
+//! `tools/sweep` is the long form.
 
 #[allow(dead_code, reason = "shared with tools/sweep")]
 #[path = "../tools/src/sweep/mod.rs"]
@@ -11,7 +11,7 @@ use sweep::measure::{self, worst_window};
 use sweep::methods::{Method, Reason};
 use sweep::table::{Row, TOLERANCES};
 
-/// Echoes of a case: a few in every window, so that it takes seconds.
+/// Echoes of a case: a few per window, so that it takes seconds.
 const SCATTERERS: usize = 30;
 
 /// The first element of few, both ends of a line.
@@ -60,10 +60,10 @@ fn a_line_under_way_is_as_good_as_asked() {
     assert!(answers >= 4 + 1 + 3, "{answers}");
 }
 
-/// Pulse, filter, arrays, ranges and motion by chance. Among them what was once above its tolerance: short flanks behind `direct`'s filter (2, 25), a
-/// pure tone without a filter, which a model's phase at the ends of echoes spoilt (9), tones laid on samples (16), edges that cross the
-/// end of the filter itself (12), two echoes that begin or end together and all but cancel in a window that holds nothing else (48, 103, 120), echoes
-/// near the null of an element that turns (75).
+/// Random pulse, filter, arrays, ranges and motion. The seeds include past failures: short tapers behind `direct`'s filter (2, 25); a pure
+/// tone without a filter, with a model's phase error at the ends of echoes (9); tones on samples (16); edges that cross the end of the
+/// filter (12); two echoes that begin or end together and almost cancel in a window without others (48, 103, 120); echoes near the null of
+/// a turning element (75).
 #[test]
 fn chance_finds_nothing_above_its_tolerance_in_noise() {
     let mut answers = 0;
@@ -95,8 +95,8 @@ fn chance_finds_nothing_above_its_tolerance_in_noise() {
     assert!(answers > 20, "{answers}");
 }
 
-/// At rest, in windows that hold the end of an echo alone: what the receiver filter's stop band lets pass of sharp edges was once cut off unseen (4.0e-6
-/// of scene 61, 2.6e-6 of 92), and a kernel over delay reached out beside echoes (1.5e-4 of 188).
+/// At rest, in windows with only the end of an echo. The seeds include past failures: truncation of what the receiver filter's stop band
+/// passes of sharp edges (4.0e-6 of scene 61, 2.6e-6 of 92), and a kernel over delay that extends beyond echoes (1.5e-4 of 188).
 #[test]
 fn ends_of_echoes_by_chance_are_as_good_as_asked() {
     let mut answers = 0;
@@ -117,16 +117,16 @@ fn ends_of_echoes_by_chance_are_as_good_as_asked() {
     assert_eq!(answers, 3);
 }
 
-/// Lines by chance: patterns, Lambert bottoms, near scatterers, weak ends of a record, motion across the line, which is refused. Among them what was
-/// once above its tolerance: images of echoes that straight pieces of templates leave beside them (2, 120, 141, 149), dilation bowed over so narrow a
-/// span of slopes that it ran away beyond it (68, 117), what lies beyond the band (32), tones that cancel (172), echoes near the null of elements that
-/// have moved until they hear them (47), a window that holds the onsets of three echoes which cancel (170).
+/// Random line arrays: patterns, Lambert bottoms, near scatterers, weak ends of a record; motion across the line is refused. The seeds
+/// include past failures: image echoes of piecewise linear templates (2, 120, 141, 149); extrapolated dilation over a narrow span of slopes
+/// (68, 117); out-of-band energy (32); tones that cancel (172); echoes near the null of elements that then move out of it (47); a window
+/// with the onsets of three echoes that cancel (170).
 #[test]
 fn chance_finds_no_line_above_its_tolerance_in_noise() {
     let mut answers = 0;
     for seed in [18, 32, 47, 68, 106, 117, 120, 141, 142, 149, 170, 172] {
         let mut case = case::random(seed);
-        // These two were above at others than the first.
+        // These two failed at other elements than the first.
         if ![47, 170].contains(&seed) {
             case.looked_at.truncate(1);
         }
@@ -213,8 +213,8 @@ fn where_nothing_is_heard_nothing_may_be() {
     assert!(worst_window(&got, &want, 100).beside.is_infinite());
 }
 
-/// Why a promise without noise is kept by nobody where a window holds the end of a tail alone; the same filter of another density ends
-/// elsewhere.
+/// Why no method can meet a tolerance without noise in a window with only the end of a filter tail: the same filter with another density
+/// ends elsewhere.
 #[test]
 fn the_reference_itself_knows_no_tail_to_a_thousandth_but_every_window_in_noise() {
     let mut case = SCENES[1].case(&MOTIONS[0], 6);

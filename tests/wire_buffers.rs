@@ -1,4 +1,4 @@
-//! Emitting a ping allocates nothing once every buffer has been met.
+//! Emitting a ping does not allocate once every buffer has been used.
 
 mod counting;
 mod wire_rig;

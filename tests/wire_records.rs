@@ -1,4 +1,4 @@
-//! The records of a ping, field by field: parsed with the protocols crate, and by offset from the tables of the DFD.
+//! The records of a ping, field by field: parsed with the protocols crate, and by offset from the tables of the data format definition.
 
 mod wire_rig;
 
@@ -47,7 +47,7 @@ fn close(got: f64, want: f64, what: &str) {
     );
 }
 
-/// The width along track against the customary 0.886 lambda / L, whose last digit is worth 0.1 %.
+/// The width along track against the customary 0.886 lambda / L, whose last digit is 0.1 %.
 fn customary(width_rad: f32) {
     let ratio = f64::from(width_rad) / (0.886 * 0.015 / 0.5);
     assert!((ratio - 1.0).abs() < 1e-3, "got {ratio} of 0.886 lambda/L");
@@ -82,7 +82,7 @@ fn only_what_is_wanted_and_there_is_emitted() {
     let ids: Vec<u32> = records.iter().map(|r| r.record_type).collect();
     assert_eq!(ids, [7000, 7503, 7610, 1003, 1012, 1013, 1015, 1016]);
     for &id in &RECORDS[..18] {
-        // This fan does not look for the bottom.
+        // This fan has no bottom detection.
         if ![7027, 7028, 7058].contains(&id) {
             one(id);
         }
@@ -94,7 +94,7 @@ fn only_what_is_wanted_and_there_is_emitted() {
 #[test]
 fn ping_records_carry_the_end_of_the_transmission_and_navigation_its_own_time() {
     let mut plan = plan(9, 6);
-    // Stamped with host time one hour on; the state holds 0.25 s after the start of the pulse.
+    // Stamped with host time one hour ahead; the state is valid 0.25 s after the start of the pulse.
     plan.stamp_utc = plan.transmit_utc.plus_s(3600.0);
     plan.nav.utc = plan.transmit_utc.plus_s(0.25);
     let (records, _) = emitted(&plan, &output(6), RecordSet::ALL);

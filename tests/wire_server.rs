@@ -1,4 +1,4 @@
-//! The server over real loopback sockets: several clients, slow ones, vanished ones, rubbish, UDP.
+//! The server over loopback sockets: several clients, slow and vanished ones, garbage, UDP.
 
 mod wire_rig;
 
@@ -20,7 +20,7 @@ use echotank_runtime::io::sonar::{
 use echotank_runtime::settings::SettingsStore;
 use wire_rig::*;
 
-/// Nothing here should take long; a test that waits this long has failed.
+/// Time limit of a wait.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 struct Rig {
@@ -69,7 +69,7 @@ impl Rig {
         client
     }
 
-    /// One ping: what is wanted of it is made and handed over.
+    /// Makes and delivers the subscribed records of one ping.
     fn ping(&mut self, number: u32, samples: usize) -> Vec<Arc<Datagram>> {
         let mut records = Vec::new();
         let wanted = self.wanted();
@@ -83,7 +83,7 @@ impl Rig {
         records
     }
 
-    /// Waits until nothing is on its way to these clients: then all that was sent is counted.
+    /// Waits until nothing is queued for these clients: then all sent records are counted.
     fn settle(&self, peers: &[SocketAddr]) {
         eventually("all counted", || {
             peers.iter().all(|&peer| {
@@ -126,7 +126,7 @@ fn three_clients_get_their_own_records_and_one_that_never_reads_only_loses_its_o
     let mut lines = rig.client(&[7007, 1012]);
     let idle = socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::STREAM, None);
     let idle = idle.expect("a socket");
-    // Or a machine with large buffers would take it all.
+    // Otherwise a machine with large buffers would take everything.
     idle.set_recv_buffer_size(64 << 10).expect("a buffer");
     idle.connect(&rig.address().into()).expect("connects");
     let mut idle = TcpStream::from(idle);
@@ -210,7 +210,7 @@ fn what_the_slow_client_gets_in_the_end_is_whole_records_with_gaps() {
         last = raw.rth.ping_number;
         verifier.note(7038, record.body());
     }
-    // With the queue empty again, the next one comes.
+    // With the queue empty again, the next record arrives.
     rig.ping(PINGS + 1, 10_000);
     let record = next(&mut slow);
     verifier.note(7038, record.body());
@@ -274,7 +274,7 @@ fn rubbish_is_counted_at_its_sender_and_disturbs_nobody() {
     .into_iter()
     .enumerate()
     {
-        // The offender itself is still served: rubbish without a right record behind it counts as one error, however long.
+        // The offender itself is still served: garbage without a valid record after it counts as one error, however long.
         let range_m = 20.0 + number as f32;
         noisy.write_all(&rubbish).expect("sent");
         noisy
@@ -302,7 +302,7 @@ fn a_setting_over_the_wire_is_in_the_snapshot_once_acknowledged_and_echoed_to_li
     let rig = Rig::new(|_| {});
     let mut listener = rig.client(&[7500]);
     let mut operator = rig.client(&[]);
-    // The listener hears of its own subscription too.
+    // The listener receives its own subscription too.
     assert_eq!(next(&mut listener).record_type(), 7500);
     for k in 1..=50 {
         let range_m = 10.0 + k as f32;
@@ -610,7 +610,7 @@ fn udp_subscribes_receives_records_in_datagrams_and_unsubscribes() {
     assert_eq!(report.clients[0].transport, Transport::Udp);
     let counts = report.clients[0].counts;
     assert_eq!((counts.commands, counts.nacks), (4, 1));
-    // Five answers and two records ten times, and one more.
+    // Five replies and two records ten times, and one more.
     assert_eq!((counts.records_sent, counts.records_dropped), (4 + 21, 0));
 }
 
@@ -665,7 +665,7 @@ fn udp_clients_that_fall_silent_lose_their_seat() {
         let report = rig.server.report();
         report.clients.is_empty() && report.admitted == 2 && rig.wanted().is_empty()
     });
-    // It may come back.
+    // It may reconnect.
     subscriber.send(subscribe, 2);
     assert_eq!(subscriber.next().0, 7501);
     assert_eq!(rig.wanted(), RecordSet::of(&[7000]));

@@ -1,4 +1,4 @@
-//! One client's session over bytes in memory: settings, subscriptions, refusals, and rubbish.
+//! One client's session over bytes in memory: settings, subscriptions, refusals, and garbage.
 
 #[path = "wire_devices/ping.rs"]
 mod ping;
@@ -68,7 +68,7 @@ impl Rig {
         out
     }
 
-    /// The answer to a command: nothing, or the code of the refusal. Checks ticket and tracking number.
+    /// The reply to a command: none, or the code of the refusal. Checks ticket and tracking number.
     fn ask(&mut self, command: Command, ticket: u32) -> Result<(), ErrorCode> {
         let bytes = wire_rig::command(command, ticket);
         answer(&self.send(&bytes), ticket)
@@ -97,7 +97,7 @@ fn reply(out: &[Outgoing], at: usize) -> &[u8] {
 
 fn answer(out: &[Outgoing], ticket: u32) -> Result<(), ErrorCode> {
     let bytes = reply(out, 0);
-    // By offset: ticket and tracking number stand alike in 7501 and 7502.
+    // By offset: ticket and tracking number have the same positions in 7501 and 7502.
     assert_eq!(u32_at(bytes, 64), ticket);
     assert_eq!(
         (u64_at(bytes, 68), u64_at(bytes, 76)),
@@ -311,7 +311,7 @@ fn what_the_model_does_not_use_is_acknowledged_and_reported_in_7503() {
             max_window_samples: 80,
         },
         Command::CompressedWaterColumn { flags: 1 << 2 },
-        // What the configuration says already.
+        // The configuration's own settings.
         Command::PulseType(PulseType::LinearChirp),
         Command::CenterFrequency { frequency_hz: 1e5 },
         Command::ChirpBand {
@@ -463,7 +463,7 @@ fn commands_are_taken_when_addressed_to_us_or_to_any_sonar() {
 fn subscriptions_add_up_and_come_off_one_by_one_or_all_at_once() {
     let mut rig = Rig::tcp();
     let ids = |ids: &[u32]| ids.to_vec();
-    // What MBARI's client asks for; half of it is nothing of ours.
+    // The requests of MBARI's client; half of them are not supported.
     let mbari = ids(&[
         1003, 1006, 1008, 1010, 1012, 1013, 1015, 1016, 7000, 7004, 7027,
     ]);
@@ -606,7 +606,7 @@ fn a_wrong_checksum_of_something_else_is_only_counted() {
     record[32..36].copy_from_slice(&7610_u32.to_le_bytes());
     assert_eq!(rig.send(&packet(&record)), []);
     assert_eq!(rig.session.counts().framing_errors, 1);
-    // Mended, it is a whole record that is no command.
+    // Repaired, it is a whole record that is no command.
     let end = record.len() - 4;
     let sum = echotank_protocols::sevenk::checksum(&record[..end]);
     record[end..].copy_from_slice(&sum.to_le_bytes());
@@ -648,7 +648,7 @@ fn frames_that_are_wrong_are_counted_and_the_command_behind_them_found() {
 #[test]
 fn what_a_truncated_record_hid_comes_to_light_when_the_session_gives_up() {
     let mut rig = Rig::tcp();
-    // Claims a longer record than what follows.
+    // Declares a longer record than follows.
     let ids = vec![7000; 1000];
     let long = command(
         Command::Subscribe {
@@ -690,7 +690,7 @@ fn a_command_cut_into_packets_is_put_together_again() {
     assert_eq!(answer(&out, 3), Ok(()));
 }
 
-/// Rubbish, commands, and commands spoiled in one place.
+/// Garbage, commands, and commands corrupted in one place.
 fn anything() -> impl Strategy<Value = Vec<u8>> {
     let commands = (
         any::<u32>(),

@@ -45,7 +45,7 @@ fn counters(control: SocketAddr) -> Value {
     status(control)["sonars"][0]["counters"].clone()
 }
 
-/// Waits until a counter has come so far.
+/// Waits until a counter has reached a value.
 fn wait_counted(control: SocketAddr, name: &str, least: u64) {
     let until = Instant::now() + PATIENCE;
     loop {
@@ -77,7 +77,7 @@ fn a_ping_begins_with_its_trigger_and_what_comes_early_twice_or_paused_makes_non
     let control = daemon.announced("control http", "http");
     let sender = UdpSocket::bind("127.0.0.1:0").expect("socket");
     let send = |text: &str| assert!(sender.send_to(text.as_bytes(), listener).is_ok());
-    // Nobody triggers: nobody pings, and the watchdog counts.
+    // Without triggers there are no pings, and the watchdog counts.
     wait_counted(control, "triggers_absent", 3);
     assert_eq!(counters(control)["triggers_obeyed"], 0);
     let mut utc = Vec::new();
@@ -86,24 +86,24 @@ fn a_ping_begins_with_its_trigger_and_what_comes_early_twice_or_paused_makes_non
         let (got, ns) = heard(&ear);
         assert_eq!(got, number);
         utc.push(ns);
-        // Far beyond the window of 69 ms.
+        // Far longer than the receive window of 69 ms.
         thread::sleep(Duration::from_millis(400));
     }
-    // A beat would be 100 ms apart; half of what was slept leaves room for a machine that is late.
+    // The own period would be 100 ms; half of the sleep leaves a margin for a late machine.
     assert!(utc.windows(2).all(|w| w[1] - w[0] > 200_000_000), "{utc:?}");
-    // The number again, one that was overtaken, and spoiled words: no ping.
+    // A repeated number, an old one, and malformed text: no ping.
     send(&sentence::write(43, UtcNs(0), "master"));
     wait_counted(control, "triggers_duplicate", 1);
     send(&sentence::write(40, UtcNs(0), "master"));
     wait_counted(control, "triggers_stale", 1);
     send("$PETKT,44,1.0,master*00");
     wait_counted(control, "triggers_spoiled", 1);
-    // Plain words do too; twice in a row is once too often.
+    // Plain text also triggers; two in a row are one too many.
     send("ping!");
     send("ping!");
     assert_eq!(heard(&ear).0, 4);
     wait_counted(control, "triggers_early", 1);
-    // While time stands nothing is obeyed; a topside's own beat takes no triggers either.
+    // While time stands still triggers are ignored; a sonar with its own period ignores them too.
     tell(control, &json!({ "do": "pause" }));
     thread::sleep(Duration::from_millis(100));
     send("ping!");
@@ -142,7 +142,7 @@ fn queued_triggers_ping_as_fast_as_the_window_allows() {
     client.write_all(b"go\ngo\ngo\n").expect("written");
     let (first, second) = (heard(&ear), heard(&ear));
     assert_eq!((first.0, second.0), (1, 2));
-    // 2 x 50 m at 1500 m/s, a pulse of 2 ms, 1 ms to turn round.
+    // 2 x 50 m at 1500 m/s, a pulse of 2 ms, 1 ms of turnaround.
     assert_eq!(second.1 - first.1, 69_666_667);
     wait_counted(control, "triggers_early", 1);
     assert_eq!(counters(control)["triggers_queued"], 1);
@@ -173,10 +173,10 @@ fn in_lockstep_a_trigger_is_a_step_and_a_number_counts_once() {
     daemon.terminate();
 }
 
-/// Bodies by kind and ping number.
+/// Record bodies by type and ping number.
 pub(crate) type Bodies = BTreeMap<(u32, u32), Vec<u8>>;
 
-/// Ping number and time stamp (of the record's frame) of every 7000 of a sonar's records, and all its records of pings.
+/// Ping number and timestamp (of the record's frame) of every 7000 of a sonar, and all its ping records.
 pub(crate) fn records(folder: &Path, sonar: &str) -> (Vec<(u32, f64)>, Bodies) {
     let files = std::fs::read_dir(folder).expect("folder");
     let mut paths = files.map(|e| e.expect("entry").path());
@@ -218,13 +218,14 @@ fn every_pulse_is_told_with_the_number_and_the_time_of_its_records() {
     for (number, seconds) in pings {
         let (told, ns) = heard(&ear);
         assert_eq!(told, number);
-        // 7k stamps the end of the pulse, in single precision: within a minute it tells 4 microseconds.
+        // 7k stamps the end of the pulse in single precision: within a minute the resolution is 4 microseconds.
         let off_s = (ns % DAY_NS) as f64 / 1e9 + PULSE_S - seconds;
         assert!(off_s.abs() < 1e-5, "{number}: {off_s}");
     }
 }
 
-/// The points' rig with a second and a third sonar, which follow the first at once and 40 ms later. `model`: lines of [sonar.model]; `more`: tables.
+/// The points' rig with a second and a third sonar, which follow the first at once and after 40 ms. `model`: lines of [sonar.model];
+/// `more`: tables.
 pub(crate) fn three(folder: &Path, model: &str, more: &str) -> std::path::PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
     let text = std::fs::read_to_string(root.join("points.toml")).expect("readable");

@@ -1,4 +1,4 @@
-//! A daemon that makes no ping says what it waits for.
+//! A daemon that cannot ping reports what it waits for.
 
 use std::net::UdpSocket;
 use std::path::Path;
@@ -46,7 +46,7 @@ fn what_the_first_ping_waits_for_is_said_until_it_comes() {
         let text: String = bodies.iter().map(|b| sentence(b)).collect();
         let _ = socket.send_to(text.as_bytes(), nav);
     };
-    // A receiver without a date; then a date of long ago; then attitude.
+    // A receiver without a date; then a date long past; then attitude.
     let fix = [
         "GPGGA,120000.00,5400.000000,N,01000.000000,E,1,9,0.9,1.0,M,0.0,M,,",
         "GPHDT,123.45,T",
@@ -56,7 +56,7 @@ fn what_the_first_ping_waits_for_is_said_until_it_comes() {
     say(&["GPZDA,120000.10,17,03,2012,00,00"]);
     let line = until("no roll-pitch from bridge yet", &mut |_| say(&fix));
     assert!(!line.contains("no position"), "{line}");
-    // Waiting is no ailment.
+    // Waiting is not an error state.
     assert_eq!(client::get(at, "/healthz", None).expect("answers").0, 200);
     until("nav bridge", &mut |_| {
         say(&["PSXN,23,1.50,-2.50,123.45,0.20"])
@@ -66,7 +66,7 @@ fn what_the_first_ping_waits_for_is_said_until_it_comes() {
 
 #[test]
 fn a_log_without_what_every_ping_needs_ends_the_daemon_with_words() {
-    // For ever (`loop`), too.
+    // Also with `loop`.
     let log = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/nav/gyro_90s.rvdas");
     for clock in ["realtime", "fast"] {
         let done = Command::new(env!("CARGO_BIN_EXE_echotank"))

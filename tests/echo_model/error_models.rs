@@ -1,4 +1,4 @@
-//! Predicted errors held against measured ones.
+//! Predicted errors compared with measured ones.
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -32,7 +32,7 @@ fn conditions(plan: &PingPlan, range_m: (f64, f64)) -> Conditions {
     }
 }
 
-/// Direct under the plan's models against the reference, tapered so that edges do not count.
+/// The direct sum with the selected models against the reference, tapered so that edges do not count.
 fn measured(plan: &PingPlan, tx_m: DVec3, rx_m: DVec3, at_m: &[DVec3]) -> f64 {
     let (tx, rx) = (transmitter(tx_m), element(rx_m));
     let mut worst: f64 = 0.0;
@@ -51,7 +51,7 @@ fn measured(plan: &PingPlan, tx_m: DVec3, rx_m: DVec3, at_m: &[DVec3]) -> f64 {
     worst
 }
 
-/// Points all around, near and far.
+/// Points in all directions, near and far.
 fn around(range_m: (f64, f64)) -> Vec<DVec3> {
     (0..24)
         .map(|k| {
@@ -62,7 +62,7 @@ fn around(range_m: (f64, f64)) -> Vec<DVec3> {
         .collect()
 }
 
-/// The product of two models' errors is bounded by the sum of their error models.
+/// The combined error of two models is bounded by the sum of their error models.
 #[test]
 fn no_model_is_worse_than_its_card_and_no_card_ten_times_worse_than_its_model() {
     let range_m = (36.0, 150.0);
@@ -87,7 +87,7 @@ fn no_model_is_worse_than_its_card_and_no_card_ten_times_worse_than_its_model() 
                 let name = format!("{} {} {v} m/s", path.name(), doppler.name());
                 println!("{name}: {got:.1e}, error model {want:.1e}");
                 assert!(got <= 1.1 * want, "{name}: {got:e}, error model {want:e}");
-                // Below that it is the floor of f64 or of the cubic chirp.
+                // Smaller errors are rounding of f64 or of the cubic chirp.
                 let floor = 2e-5;
                 assert!(
                     want < 10.0 * got + floor,

@@ -1,4 +1,4 @@
-//! The echo model held to closed forms and to plain slow formulas: `echo` and `array` together, through their public faces.
+//! The echo model compared with closed forms and with direct, slow formulas: `echo` and `array` together, through their public interfaces.
 
 mod error_models;
 mod paths;

@@ -1,4 +1,4 @@
-//! The error check's samples held against the reference itself.
+//! The error check's samples compared with the reference itself.
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -12,7 +12,7 @@ use crate::paths::restless;
 use crate::rig::*;
 use crate::synthesis::busy;
 
-/// One sample: what the probe says, what the reference says, and the rms around it.
+/// One sample: the error check's value, the reference's value, and the rms around it.
 fn both(
     plan: &PingPlan,
     filter: Option<&Decimator>,
@@ -76,12 +76,12 @@ fn a_probed_sample_is_the_references_to_1e_6_of_the_rms() {
     for taper in [0.0, 0.1] {
         let mut plan = restless();
         plan.pulse.taper = taper;
-        // Nothing of the plan's models may enter.
+        // The selected models must not be used here.
         chords(&mut plan, 0.256, 2);
         plan.model.path = PathModel::StopAndHop;
         plan.model.doppler = DopplerModel::None;
         plan.model.cull_db = Some(-3.0);
-        // Thinly: both sum the same points, and the reference takes its time.
+        // At low density: both sum the same points, and the reference is slow.
         let filter = Decimator::new(&plan.pulse, 40e3, 300.0, 6).expect("40 kHz is enough");
         for filter in [None, Some(&filter)] {
             let pairs: Vec<_> = (0..20)
@@ -98,7 +98,7 @@ fn a_probed_sample_is_the_references_to_1e_6_of_the_rms() {
     }
 }
 
-/// What is left out by range is not heard: the same samples from all scatterers.
+/// Points excluded by range do not contribute: the same samples result from all scatterers.
 #[test]
 fn finding_scatterers_by_range_misses_none() {
     let mut plan = restless();
@@ -133,7 +133,7 @@ fn finding_scatterers_by_range_misses_none() {
         left_out += scatterers.len() - by_range.len();
     }
     assert!(left_out > 64 * 150, "{left_out}");
-    // Off the world and far away.
+    // Outside the world and far away.
     let mut odd = points([DVec3::NAN, DVec3::splat(1e300), DVec3::ZERO]);
     odd.north_m[1] = f64::INFINITY;
     receivable(&plan, &odd, &ranges_m, &mut found);

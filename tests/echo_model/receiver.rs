@@ -64,14 +64,14 @@ fn noise_is_circular_gaussian_of_variance_n0_fs() {
     ] {
         assert!(got.abs() < slack, "{name}: {got:e} of {slack:e}");
     }
-    // Gaussian: the fourth moment of a circular one is 2 variance^2, and a share exp(-x) of the power values lies above x variances.
+    // Gaussian: the fourth moment of a circular variable is 2 variance^2, and a share exp(-x) of the power values exceeds x variances.
     let fourth = mean(&|n| n.norm_sqr().powi(2)) / (want * want);
     assert!((fourth / 2.0 - 1.0).abs() < 5.0 * slack, "{fourth}");
     for x in [0.5, 1.0, 3.0] {
         let share = mean(&|n| f64::from(u8::from(n.norm_sqr() > x * want)));
         assert!((share - f64::exp(-x)).abs() < slack, "{x}: {share}");
     }
-    // White: neighbours do not resemble each other.
+    // White: adjacent samples are uncorrelated.
     let next: Complex64 = noise.windows(2).map(|w| w[0].conj() * w[1]).sum();
     assert!(next.norm() / (count as f64 * want) < slack);
 }
@@ -97,7 +97,7 @@ fn noise_repeats_exactly_and_differs_between_pings_elements_and_seeds() {
     }
 }
 
-/// The first draws, written down: they must not change with the machine, the compiler or the crate.
+/// Expected first draws: they must not depend on the machine, the compiler or the crate's version.
 #[test]
 fn the_first_noise_sample_is_what_it_always_was() {
     let mut receiver = plain();

@@ -90,12 +90,12 @@ pub(crate) fn uniform(
     }
 }
 
-/// Along x (north) at `speed_m_per_s`, level, from the world's zero.
+/// Along x (north) at `speed_m_per_s`, level, from the world's origin.
 pub(crate) fn ahead(speed_m_per_s: f64) -> PingPlan {
     uniform(DVec3::ZERO, DVec3::X * speed_m_per_s, DQuat::IDENTITY)
 }
 
-/// Replaces the polyline by chords of the trajectory, `count` of them over `span_s`, with the attitude of each chord's middle.
+/// Replaces the polyline by `count` chords of the trajectory over `span_s`, with the attitude at each chord's middle.
 pub(crate) fn chords(plan: &mut PingPlan, span_s: f64, count: usize) {
     let step_s = span_s / count as f64;
     let place_m = |k: usize| plan.trajectory.pose_at(k as f64 * step_s).position_m;
@@ -144,7 +144,7 @@ pub(crate) fn line(position_m: DVec3, elements: usize) -> ArrayGeometry {
     }
 }
 
-/// Looks to starboard, 30 degrees below the horizon.
+/// Directed to starboard, 30 degrees below the horizon.
 pub(crate) fn starboard() -> DQuat {
     rotation_from_angles(-60f64.to_radians(), 0.0, 0.0)
 }
@@ -165,7 +165,7 @@ pub(crate) struct Arrival {
     pub(crate) amplitude: Complex64,
 }
 
-/// Keeps every echo.
+/// Collects every echo.
 #[derive(Default)]
 pub(crate) struct Collected {
     pub(crate) arrivals: Vec<Arrival>,
@@ -186,7 +186,7 @@ impl ArrivalSink for Collected {
     }
 }
 
-/// Listens for ever.
+/// Unlimited receive window.
 pub(crate) const ALWAYS: Window = Window {
     first_s: 0.0,
     last_s: 1e3,
@@ -227,7 +227,7 @@ pub(crate) fn walk(
     counts
 }
 
-/// Numbers in 0..1 that look random and are the same everywhere (a Weyl sequence).
+/// Quasi-random numbers in 0..1, the same on every machine (a Weyl sequence).
 pub(crate) fn weyl(k: usize, which: usize) -> f64 {
     const STEPS: [f64; 4] = [
         0.754_877_666_246_693,

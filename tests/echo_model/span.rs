@@ -1,4 +1,4 @@
-//! The bound on a ping's Dopplers against the Dopplers themselves.
+//! The bound on a ping's Doppler compared with the actual values.
 
 use glam::{DQuat, DVec3};
 
@@ -8,7 +8,7 @@ use echotank_synthesis::echo::{TransmitLeg, Workspace, arrivals, doppler_span, i
 use crate::paths::restless;
 use crate::rig::*;
 
-/// Scatterers all around, up to 150 m away.
+/// Scatterers in all directions, up to 150 m away.
 fn around(nearest_m: f64) -> Scatterers {
     points((0..600).map(|k| {
         let r = nearest_m * (150.0 / nearest_m).powf(weyl(k, 0));

@@ -29,9 +29,9 @@ struct Grid {
 }
 
 impl Grid {
-    /// From just before an echo of `range_m` to just after it.
+    /// From slightly before an echo of `range_m` to slightly after it.
     fn around(range_m: f64, rate_hz: f64) -> Self {
-        // An odd start, so that no edge falls on a sample.
+        // An odd start time, so that no edge falls on a sample.
         Self {
             rate_hz,
             first_s: 2.0 * range_m / C - 1.234_567e-3,
@@ -91,7 +91,7 @@ fn worst_difference(a: &[Complex64], b: &[Complex64]) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// Everything written out again, with nothing of the crate but its nouns: one point, nothing moves.
+/// An independent implementation that uses only the crate's types: one point, no motion.
 #[test]
 fn one_still_point_is_the_plain_formula_in_both_methods() {
     let mut plan = ahead(0.0);
@@ -156,7 +156,7 @@ type Method = fn(
     Grid,
 ) -> (Vec<Complex64>, EchoCounts);
 
-/// A few hundred points, two arrays with patterns, normals and laws of both kinds.
+/// A few hundred points, two arrays with patterns, normals and both scattering laws.
 pub(crate) fn busy() -> (TransmitArray, ArrayGeometry, Scatterers) {
     let mut tx = transmitter(DVec3::new(0.4, 0.0, 0.0));
     tx.pattern = Pattern::Rectangle {
@@ -207,7 +207,7 @@ fn without_motion_direct_is_the_reference_to_1e_9() {
     assert!(worst < 1e-9, "{worst:e}");
 }
 
-/// The linear form leaves a phase 2 pi f v^2 sin^2(theta) s^2 / (r c) at time s into the pulse, f the frequency there, and nothing else.
+/// The linear form leaves exactly a phase 2 pi f v^2 sin^2(theta) s^2 / (r c) at time s into the pulse, f the frequency there.
 #[test]
 fn in_uniform_motion_direct_differs_from_the_reference_by_the_residual_phase() {
     for (v, r, theta_deg) in [
@@ -223,9 +223,9 @@ fn in_uniform_motion_direct_differs_from_the_reference_by_the_residual_phase() {
         let tools = (transmitter(DVec3::ZERO), element(DVec3::ZERO));
         let (got, _) = direct(&plan, &tools.0, &tools.1, 0, &points([at_m]), grid);
         let (want, _) = truth(&plan, &tools.0, &tools.1, 0, &points([at_m]), grid);
-        // f is f_c + B/2 at the end of an up sweep: with f_c alone the bound is passed by 1.4 to 5 %.
+        // f is f_c + B/2 at the end of an up sweep; with f_c alone the bound is exceeded by 1.4 to 5 %.
         let bound = TAU * (CARRIER_HZ + 15e3) * (v * sin).powi(2) * 5e-3_f64.powi(2) / (r * C);
-        // Both of an edge's samples may disagree on which side they fall: compare where both sound.
+        // Samples at an edge may fall on either side of it: compare where both are nonzero.
         let error = got
             .iter()
             .zip(&want)
@@ -293,7 +293,7 @@ fn a_cw_echo_has_the_doppler_shift_of_mid_pulse_within_0p1_hz() {
     ] {
         let grid = Grid::around(at_m.length(), 100e3);
         let tools = (transmitter(DVec3::ZERO), element(DVec3::ZERO));
-        // eta at a moment: transmitted at t', received near t' + 2 r / c.
+        // eta at a time: transmitted at t', received near t' + 2 r / c.
         let eta = |emitted_s: f64| {
             let x_t = v * emitted_s;
             let r_t = (at_m - DVec3::X * x_t).length();
@@ -320,7 +320,7 @@ fn a_cw_echo_has_the_doppler_shift_of_mid_pulse_within_0p1_hz() {
     }
 }
 
-/// A platform that only turns moves an element on an arm by omega x arm: the reference hears that.
+/// Rotation alone moves an element on a lever arm by omega x arm, which the reference includes.
 #[test]
 fn a_turning_platform_shifts_the_echo_at_an_element_on_an_arm() {
     let mut plan = ahead(0.0);
@@ -342,7 +342,7 @@ fn a_turning_platform_shifts_the_echo_at_an_element_on_an_arm() {
     };
     let at_m = DVec3::new(0.0, 75.0, 0.0);
     let grid = Grid::around(75.0, 100e3);
-    // One metre ahead, a turn to starboard carries it to starboard, towards the point: by 0.2 m/s times the cosine of a tenth of 0.2 rad.
+    // One metre ahead, a turn to starboard moves it towards the point by 0.2 m/s times the cosine of a tenth of 0.2 rad.
     let (got, _) = truth(
         &plan,
         &transmitter(DVec3::ZERO),
@@ -405,7 +405,7 @@ fn doppler_moves_a_compressed_lfm_by_the_stated_range_within_1_percent() {
 #[test]
 fn shorter_segments_bring_a_restless_platform_closer_to_the_reference() {
     let mut plan = restless();
-    // Transmitter and element at the reference point: attitude moves neither, so what is left is the track itself.
+    // Transmitter and element at the reference point: attitude moves neither, so only the track remains.
     let tools = (transmitter(DVec3::ZERO), element(DVec3::ZERO));
     let at_m = DVec3::new(20.0, 90.0, 30.0);
     let grid = Grid::around(at_m.length(), 100e3);
@@ -442,7 +442,7 @@ fn the_edges_of_the_record_cut_echoes_and_nothing_else() {
     assert!(counts.outside_window > 50 && counts.used > 50, "{counts:?}");
     let error = worst_difference(&cut, &whole[from..from + count]) / peak(&whole);
     assert!(error < 1e-10, "{error:e}");
-    // Past everything there is nothing.
+    // After the last echo the samples are zero.
     let after = Grid {
         first_s: 0.5,
         ..part
@@ -517,7 +517,7 @@ fn dense_truth(
     out
 }
 
-/// What is left of the sum's finite density behind the receiver filter, against eight times that density.
+/// Remaining error of the sum's finite density behind the receiver filter, against eight times that density.
 fn density_error(taper: f64, edges: Edges, factor: usize) -> f64 {
     let mut plan = ahead(2.0);
     plan.pulse.taper = taper;
@@ -544,15 +544,15 @@ fn the_density_of_the_filtered_sum_leaves_the_documented_error() {
     assert!(at(0.0, Synthesis::Reference, Sampled) > 5e-4);
     assert!(at(0.0, Synthesis::Reference, Weighted) < 1e-6);
     assert!(at(0.0, Synthesis::Direct, Weighted) < 4e-4);
-    // Flanks of 5 % of the pulse each: next to nothing, and no weights.
+    // Tapers of 5 % of the pulse each: almost no error, without weights.
     assert!(at(0.1, Synthesis::Reference, Weighted) < 1e-6);
     assert!(at(0.1, Synthesis::Direct, Weighted) < 1e-5);
-    // Flanks shorter than a few steps are neither.
+    // Tapers shorter than a few steps have neither property.
     assert!(at(0.001, Synthesis::Reference, Weighted) < 1e-4);
     assert!(at(0.01, Synthesis::Reference, Weighted) < 1e-5);
 }
 
-/// By doubling: without weights the error halves, with them it falls by more than eight.
+/// Convergence: without weights the error halves with twice the density, with them it falls by more than eight.
 #[test]
 fn weighted_edges_converge_at_a_high_order_and_sampled_ones_at_the_first() {
     let errors = |edges: Edges| [6, 12, 24].map(|factor| density_error(0.0, edges, factor));
@@ -564,7 +564,7 @@ fn weighted_edges_converge_at_a_high_order_and_sampled_ones_at_the_first() {
     }
 }
 
-/// Edges on samples, where rounding decides which side they fall, cost the weighted sum nothing.
+/// Edges on samples, whose side rounding decides, do not affect the weighted sum.
 #[test]
 fn an_edge_that_falls_on_a_sample_is_weighted_like_any_other() {
     let pulse = lfm(30e3, 5e-3);
@@ -586,7 +586,7 @@ fn an_edge_that_falls_on_a_sample_is_weighted_like_any_other() {
             let dense = method(&plan, &tx, &rx, 0, &scatterer, grid, Edges::Weighted);
             let mut out = vec![Complex64::ZERO; count];
             filter.apply(&dense, &mut out);
-            // Without the carrier, which turns by a third of a turn in a step.
+            // Without the carrier, whose phase advances by a third of a turn per step.
             let turn = Complex64::from_polar(1.0, TAU * (CARRIER_HZ * 2.0 * range_m / C).fract());
             out.iter().map(|x| x * turn).collect::<Vec<_>>()
         });
@@ -604,7 +604,7 @@ fn an_edge_that_falls_on_a_sample_is_weighted_like_any_other() {
     }
 }
 
-/// The product's chain: both methods behind the same filter at the same density.
+/// The production chain: both methods behind the same filter at the same density.
 #[test]
 fn behind_the_same_filter_direct_is_the_reference_to_1e_9_without_motion() {
     let (tx, rx, scatterers) = busy();
@@ -666,7 +666,8 @@ fn the_quadratic_term_takes_the_residual_phase_of_uniform_motion_away() {
     }
 }
 
-/// A platform that surges, heaves, rolls and yaws, ends on long arms: what is left by each path model with each Doppler model.
+/// A platform that surges, heaves, rolls and yaws, with ends on long lever arms: remaining error of each path model with each Doppler
+/// model.
 #[test]
 fn continuous_with_the_quadratic_term_is_the_reference_on_a_restless_platform() {
     let tools = (
@@ -702,15 +703,15 @@ fn continuous_with_the_quadratic_term_is_the_reference_on_a_restless_platform() 
     let chords = [5, 50].map(|count| error(KSegment, StretchQuadratic, count));
     let linear = error(Continuous, Stretch, 5);
     let all = error(Continuous, StretchQuadratic, 5);
-    // 50 ms chords of a platform that rolls and heaves are no good to an interferometer; those of the elements are better, and converge.
+    // 50 ms chords of a rolling and heaving platform are useless for interferometry; chords of the elements are better, and converge.
     assert!(polyline > 2.0 * chords[0], "{polyline}, {chords:?}");
     assert!(chords[1] < chords[0] / 50.0, "{chords:?}");
     assert!(linear < 0.05 && linear > 1e-3, "{linear}");
-    // The trajectory's acceleration steps at its knots, which no two derivatives follow.
+    // The trajectory's acceleration steps at its knots, which two derivatives cannot follow.
     assert!(all < 1e-4, "{all}");
 }
 
-/// One still scene through the receiver filter by every method that keeps the pulse.
+/// One static scene through the receiver filter by every method that preserves the pulse.
 struct Shared {
     plan: PingPlan,
     filter: Decimator,
@@ -764,7 +765,7 @@ impl Shared {
     }
 }
 
-/// The paper's sum by frequency is the same sum: Eq. 18 without Doppler, Eq. 21 with what it calls Doppler.
+/// The paper's sum by frequency gives the same result: Eq. 18 without Doppler, Eq. 21 with its Doppler.
 #[test]
 fn spectral_is_direct_behind_the_filter_to_1e_6() {
     let mut shared = Shared::new();
@@ -782,7 +783,7 @@ fn spectral_is_direct_behind_the_filter_to_1e_6() {
     }
 }
 
-/// Without a receiver filter the pulse itself is cut to the sampled band: off by its share outside, as the error model says.
+/// Without a receiver filter the pulse itself is limited to the sampled band; the error is its share outside, as the error model predicts.
 #[test]
 fn spectral_without_a_filter_misses_the_pulses_out_of_band_share() {
     let mut shared = Shared::new();
@@ -795,7 +796,7 @@ fn spectral_without_a_filter_misses_the_pulses_out_of_band_share() {
     let mut spectrum = Spectrum::new(rate_hz, count as f64 / rate_hz + 0.1, None, None);
     spectrum.prepare(&shared.plan);
     let mut bins = Bins::default();
-    // Where the edges fall between the samples matters: the rms over several places.
+    // The position of edges between samples matters: rms over several positions.
     let (mut difference, mut size) = (0.0, 0.0);
     for k in 0..16 {
         let at_m = at_m * (1.0 + 1e-4 * weyl(k, 0));
@@ -817,7 +818,7 @@ fn spectral_without_a_filter_misses_the_pulses_out_of_band_share() {
     assert!((error - 5.5e-2).abs() < 0.5e-2, "{error:e}");
 }
 
-/// "A narrow interval improves fidelity": with a step above one over the record, what is late comes out early, one period before.
+/// "A narrow interval improves fidelity": with a step above one over the record, late echoes appear one period early.
 #[test]
 fn a_frequency_step_that_is_too_coarse_wraps_late_echoes_around() {
     let shared = Shared::new();
@@ -842,7 +843,7 @@ fn a_frequency_step_that_is_too_coarse_wraps_late_echoes_around() {
     assert_eq!(coarse[..1000], coarse[1000..2000]);
 }
 
-/// What other simulators do, at the sample rate. Half a sample of shift on a 30 kHz band is a lot.
+/// Common practice of other simulators at the sample rate. A shift of half a sample is a large error for a band of 30 kHz.
 #[test]
 fn nearest_and_linear_show_the_errors_of_what_they_do() {
     let shared = Shared::new();
@@ -867,7 +868,7 @@ fn nearest_and_linear_show_the_errors_of_what_they_do() {
     ));
     let errors = (relative_l2(&nearest, &want), relative_l2(&linear, &want));
     println!("nearest {:.2e}, linear {:.2e}", errors.0, errors.1);
-    // Closed forms for a pulse that is even in its band: 0.393 and 0.198 for 30 kHz at 40 kHz.
+    // Closed forms for a pulse with a flat band: 0.393 and 0.198 for 30 kHz at 40 kHz.
     let conditions = Conditions {
         pulse: shared.plan.pulse,
         sound_speed_m_per_s: C,

@@ -18,13 +18,13 @@ fn piston(length_m: f64, width_m: f64) -> Pattern {
     }
 }
 
-/// sin(pi x) / (pi x), the plain way.
+/// sin(pi x) / (pi x), evaluated directly.
 fn sinc(x: f64) -> f64 {
     let a = std::f64::consts::PI * x;
     if a == 0.0 { 1.0 } else { a.sin() / a }
 }
 
-/// The sonar equation in decibels, with every factor written out.
+/// The sonar equation in decibels, factor by factor.
 #[test]
 fn an_amplitude_is_the_sonar_equation_by_hand() {
     let mut plan = ahead(0.0);
@@ -146,7 +146,7 @@ fn what_is_culled_lies_below_the_floor_and_what_is_kept_does_not() {
         counts.used, before as u64,
         "only what is behind the baffle goes"
     );
-    // The kept echoes are the same ones, bit for bit.
+    // The kept echoes are identical, bit for bit.
     assert!(kept.arrivals.iter().all(|a| all.arrivals.contains(a)));
 }
 
@@ -157,7 +157,7 @@ fn an_echo_that_overlaps_the_window_is_kept_and_others_are_counted() {
         first_s: 0.020,
         last_s: 0.040,
     };
-    // Leading edges in milliseconds; the pulse lasts 5.
+    // Leading edges in milliseconds; the pulse lasts 5 ms.
     let inside = [15.1, 19.0, 20.0, 39.9];
     let outside = [14.9, 2.0, 40.1, 41.0, 500.0];
     let scatterers = points(
@@ -209,7 +209,7 @@ fn a_scatterer_on_the_array_is_held_at_a_wavelength_and_counted() {
     let first_m = (rx.element_body_m(2) - DVec3::X).length();
     let want = leg(first_m) * leg(WAVELENGTH_M);
     let got = sink.arrivals[0].amplitude.re;
-    // It has moved 3 mm by the time the sound arrives: less than the wavelength at which the range is held.
+    // It has moved 3 mm by the time of reception: less than the wavelength that limits the range.
     assert!((got / want - 1.0).abs() < 1e-12, "{got} {want}");
 }
 
@@ -233,7 +233,7 @@ fn chunks_are_full_but_the_last_and_keep_the_order_of_the_scatterers() {
     );
 }
 
-/// The pattern of an element looks where the platform looks when the echo comes, that of the transmitter where it looked at the start.
+/// An element's pattern has the platform's attitude at reception, the transmitter's that at transmission.
 #[test]
 fn patterns_turn_with_the_platform_between_transmission_and_reception() {
     let mut plan = ahead(0.0);
@@ -252,7 +252,7 @@ fn patterns_turn_with_the_platform_between_transmission_and_reception() {
     let mut rx = element(DVec3::ZERO);
     rx.element_pattern = piston(0.4, 0.0);
     rx.mounting.body_from_array = starboard();
-    // Abeam at 120 m: transmitted on the boresight, heard 160 ms later on the fourth leg, 6 mrad off it.
+    // Abeam at 120 m: transmitted on the boresight, received 160 ms later on the fourth leg, 6 mrad off it.
     let (sink, _) = collect(&plan, &tx, &rx, 0, ALWAYS, &points([DVec3::Y * 120.0]));
     let leg = 10f64.powf(-0.05 * 120.0 / 20.0) / 120.0;
     let want = leg * leg * sinc(0.4 / WAVELENGTH_M * 0.006f64.sin());
@@ -260,7 +260,7 @@ fn patterns_turn_with_the_platform_between_transmission_and_reception() {
     assert!((got / want - 1.0).abs() < 1e-9, "{got} {want}");
 }
 
-/// Axes that stood still on each chord would be off by 4 mrad at the ends of the longer ones, and first order in their length.
+/// Constant axes per chord would be off by 4 mrad at the ends of the longer ones, first order in their length.
 #[test]
 fn on_chords_an_element_turns_as_it_does_on_the_track_itself() {
     let tx = transmitter(DVec3::ZERO);
@@ -271,7 +271,7 @@ fn on_chords_an_element_turns_as_it_does_on_the_track_itself() {
         baffled: false,
     };
     rx.mounting.body_from_array = starboard();
-    // Off the axis of the beam, where its slope is steep.
+    // Off the beam axis, where the pattern is steep.
     let scatterers = points((0..50).map(|k| {
         let ground_m = 60.0 + 1.6 * k as f64;
         DVec3::new(0.15 * ground_m, ground_m, 0.45 * ground_m)

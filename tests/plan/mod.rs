@@ -1,4 +1,4 @@
-//! The plan of methods: where it crosses from one model to the next, what it promises on random rigs, and that time has no part in it.
+//! Method selection: transitions between models, predictions on random rigs, and independence of run time.
 
 mod parts;
 
@@ -25,11 +25,12 @@ use crate::track::{ALONG_TRACK, COLUMNS};
 const C: f64 = 1500.0;
 const CARRIER_HZ: f64 = 400e3;
 const PULSE_S: f64 = 5e-3;
-/// Of both apertures.
+/// Length of both apertures.
 const APERTURE_M: f64 = 0.2;
 const RANGE_M: f64 = 75.0;
 
-/// One point at 75 m, `angle_deg` from the track, before a transmitter and an element that hear all round or, `focused`, are 0.2 m long.
+/// One point at 75 m, `angle_deg` from the track, before a transmitter and an element that are omnidirectional or, if `focused`, 0.2 m
+/// long.
 fn rig(folder: &Path, angle_deg: f64, focused: bool, model: &str) -> RigSpec {
     let (sin, cos) = angle_deg.to_radians().sin_cos();
     let point = format!(
@@ -127,7 +128,7 @@ impl One {
         }
     }
 
-    /// What is chosen at this speed and tolerance.
+    /// The selection at this speed and tolerance.
     fn at(&self, speed: f64, tolerance: f64) -> (PathModel, DopplerModel) {
         let mut spec = self.rig.sonars[0].clone();
         spec.synthesis.tolerance = tolerance;
@@ -148,7 +149,7 @@ impl One {
     }
 }
 
-/// Where `cheap` begins or ends to hold, by halving in logarithms: it holds at `holds`, and not at `fails`.
+/// The limit of validity of `cheap`, by bisection in logarithms: it is valid at `holds`, and not at `fails`.
 fn crossing(holds: f64, fails: f64, cheap: impl Fn(f64) -> bool) -> f64 {
     assert!(cheap(holds) && !cheap(fails), "{holds} to {fails}");
     let (mut holds, mut fails) = (holds, fails);
@@ -170,7 +171,7 @@ fn near(got: f64, want: f64, what: &str) {
     );
 }
 
-/// rms(4 pi v r cos(theta)/(c lambda)) of samples: motion may be left out up to there.
+/// rms(4 pi v r cos(theta)/(c lambda)) of samples: the limit for ignoring motion.
 #[test]
 fn samples_leave_stop_and_hop_where_the_formula_says() {
     let model = "path = \"auto\"\ndoppler = \"stretch-quadratic\"\nsynthesis = \"direct\"";
@@ -277,7 +278,7 @@ fn on_small_random_rigs_plans_keep_their_promises() {
     }
 }
 
-/// Floors that somebody gave: the promise holds in the worst window too, and is not ten times too high.
+/// Explicit floors: the prediction bounds the worst window too, and is at most ten times too high.
 #[test]
 fn what_a_fixed_floor_leaves_out_is_promised_and_no_more_than_ten_times_too_much() {
     let costs = Costs::committed();
@@ -304,7 +305,7 @@ fn what_a_fixed_floor_leaves_out_is_promised_and_no_more_than_ten_times_too_much
     }
 }
 
-/// ... and what it costs by the committed table leaves two cores room.
+/// The cost by the committed table fits two cores.
 #[test]
 fn every_configuration_is_planned_within_its_tolerance() {
     let costs = Costs::committed();
@@ -334,7 +335,8 @@ fn every_configuration_is_planned_within_its_tolerance() {
                     chosen.cost_ms()
                 );
                 println!("{said}");
-                // Its line stays alone with the whole tolerance, which its error checks keep: as near as 4 m no stretch of it is short enough for less.
+                // Its line remains whole with the full tolerance, which its error checks meet: as close as 4 m no section of it is short
+                // enough for less.
                 let is_soak = file.ends_with("soak.toml");
                 assert!(ranking.is_within() != is_soak, "{said}");
                 if is_soak {
@@ -348,7 +350,7 @@ fn every_configuration_is_planned_within_its_tolerance() {
     });
 }
 
-/// At rest, and from 4 s on under way: (ping number, plan) of every ping, and a sum over the bits of its samples.
+/// At rest, and moving from 4 s on: (ping number, selection) of every ping, and a checksum of its samples.
 fn voyage(threads: usize) -> Vec<(u32, u32, u64)> {
     let folder = tempfile::tempdir().expect("folder");
     let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\ntolerance = 1e-2";
@@ -390,13 +392,13 @@ fn a_platform_that_gets_under_way_gets_another_plan_at_the_same_ping_every_time(
     let plans: Vec<u32> = once.iter().map(|(_, plan, _)| *plan).collect();
     println!("{plans:?}");
     assert_eq!(plans[0], 1, "the first is made ahead of the first ping");
-    // 2 Hz: under way from ping 9 on, seen at ping 12 or so, in effect 4 s later.
+    // 2 Hz: moving from ping 9 on, detected at about ping 12, in effect 4 s later.
     let changed = plans.iter().position(|plan| *plan > 1).expect("a new plan");
     assert!((15..30).contains(&changed), "{plans:?}");
     assert_eq!(once, voyage(2));
 }
 
-/// The next dearer, at a later ping that the fault's own ping decides; counted.
+/// The next costlier methods, from a later ping that depends only on the ping of the fault; counted.
 #[test]
 fn a_plan_whose_certificate_fails_gives_way_to_a_dearer_one() {
     let folder = tempfile::tempdir().expect("folder");
@@ -454,7 +456,8 @@ fn a_plan_whose_certificate_fails_gives_way_to_a_dearer_one() {
     assert!(after.predicted_error <= 1e-2, "{marks:?}");
 }
 
-/// Without a receiver filter the engine cannot be made for the shortest of these pulses: a plan that took it for the present one would fail later.
+/// Without a receiver filter the engine cannot be made for the shortest of these pulses: selecting it for the present pulse would fail
+/// later.
 #[test]
 fn a_plan_takes_no_engine_that_the_limits_put_out_of_reach() {
     let costs = Costs::committed();

@@ -1,4 +1,5 @@
-//! Lines from parts of their arrays, where nobody reads elements: held against lines formed from all elements, and when the plan chooses them.
+//! Side-scan lines from parts of their arrays, if no output carries elements: compared with lines from all elements, and when they are
+//! selected.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -25,7 +26,7 @@ use num_complex::Complex64;
 
 use crate::track::{ALONG_TRACK, COLUMNS};
 
-/// A side-scan with a line to either side, under way at 2 m/s, rolling and yawing.
+/// A side-scan with a line on either side, moving at 2 m/s, rolling and yawing.
 #[derive(Clone, Copy)]
 struct Rig {
     elements: usize,
@@ -33,7 +34,7 @@ struct Rig {
     duration_ms: f64,
     bandwidth_khz: f64,
     model: &'static str,
-    /// More keys of the receiver, of the beams, of the outputs, and at the end of the file.
+    /// Additional keys of the receiver, of the beams, of the outputs, and at the end of the file.
     receiver: &'static str,
     beams: &'static str,
     output: &'static str,
@@ -177,7 +178,7 @@ starboard = "starboard"
     }
 }
 
-/// Along the track, across it, and how strong: of about the same level in the water, close and far, in the beam and beside it.
+/// Points along and across the track with strengths of about equal level in the water, near and far, in and beside the beam.
 const POINTS: [(f64, f64, f64); 14] = [
     (0.45, 4.0, 0.004),
     (0.46, -5.5, 0.009),
@@ -195,7 +196,7 @@ const POINTS: [(f64, f64, f64); 14] = [
     (0.60, 54.0, 1.5),
 ];
 
-/// Ground around, as Lambert has it, of random phases: some 17 a metre of range, ever more along the track the farther away.
+/// Lambert bottom with random phases: about 17 scatterers per metre of range, spread farther along the track with range.
 fn ground() -> Scatterers {
     let mut all = Scatterers::default();
     let part = |k: usize, step: f64| (k as f64 * step).fract();
@@ -270,7 +271,7 @@ impl Ping {
     }
 }
 
-/// What lines are formed from: the mean of whatever a ping made of each array.
+/// Input of the lines: the mean of the synthesised channels of each array.
 fn means(output: &PingOutput) -> PingOutput {
     let mut means = output.clone();
     for frame in &mut means.elements {
@@ -289,7 +290,7 @@ fn means(output: &PingOutput) -> PingOutput {
     means
 }
 
-/// Worst window of the lines' amplitudes behind the matched filter.
+/// Largest windowed error of the lines' amplitudes behind the matched filter.
 fn worst_of_lines(got: &PingOutput, truth: &PingOutput, plan: &PingPlan, rate_hz: f64) -> f64 {
     let as_elements = |output: &PingOutput| {
         let mut lines = means(output);
@@ -307,7 +308,7 @@ fn worst_of_lines(got: &PingOutput, truth: &PingOutput, plan: &PingPlan, rate_hz
     worst_window(&got, &truth, plan.pulse.duration_s, rate_hz)
 }
 
-/// Measured over predicted of every way to part the lines; all must be within what is promised.
+/// Ratio of measured to predicted error for every division of the lines; all must be within the prediction.
 fn held(
     ping: &Ping,
     truth: &PingOutput,
@@ -342,7 +343,7 @@ fn held(
     }
 }
 
-/// The reference's elements, of points close and far.
+/// The reference's elements, of points near and far.
 #[test]
 fn lines_from_parts_are_off_by_no_more_than_promised_over_range_length_and_pulse() {
     let mut ratios = Vec::new();
@@ -366,7 +367,7 @@ fn lines_from_parts_are_off_by_no_more_than_promised_over_range_length_and_pulse
             let what = format!("points, {elements} x {spacing_m} m, {duration_ms} ms");
             held(&ping, &truth, &ping.points, &what, &mut ratios);
         }
-        // The same model from all elements: what parts leave and nothing else.
+        // The same model from all elements: leaves only the error of parts.
         let ground = ground();
         let truth = ping.run(ping.spec(), &ground);
         let what = format!("ground, {elements} x {spacing_m} m, {duration_ms} ms");
@@ -380,7 +381,7 @@ fn lines_from_parts_are_off_by_no_more_than_promised_over_range_length_and_pulse
     );
 }
 
-/// The axes of a chord's middle serve all of it.
+/// One attitude per chord, at its middle.
 #[test]
 fn parts_on_chords_are_off_by_what_the_line_turns_meanwhile() {
     let ping = Ping::of(&Rig {
@@ -460,7 +461,7 @@ fn lines_alone_and_a_loose_tolerance_make_fewer_records_and_anything_else_makes_
         chosen.text(),
         elements.text()
     );
-    // The work itself: records, and echoes in them.
+    // Amount of work: records, and echoes in them.
     let of = chosen.choice.part_elements as u64;
     let few = ping.run(&with_choice(ping.spec(), &chosen.choice), &ground);
     let same = Choice {
@@ -487,7 +488,7 @@ fn lines_alone_and_a_loose_tolerance_make_fewer_records_and_anything_else_makes_
         "{}",
         fine.reason(Family::Output)
     );
-    // Fixed: honoured, and its error told.
+    // Fixed parts are honoured and their error reported.
     let ping = Ping::of(&Rig {
         model: AUTO_MODELS,
         ..RIG
@@ -612,7 +613,7 @@ fn a_replay_that_writes_elements_makes_them_or_says_that_it_cannot() {
     assert!(refused.contains("npz holds elements"), "{refused}");
 }
 
-/// Plans, and a sum over the bits of the lines, of the first pings.
+/// Selections of the first pings, and a checksum of their lines.
 fn voyage(threads: usize, error_check: &str) -> (Vec<(u32, usize, u64)>, Option<f64>) {
     let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\noutput = \"auto\"\ntolerance = 5e-2\n";
     let model: &'static str = Box::leak((model.to_owned() + error_check).into_boxed_str());

@@ -1,4 +1,4 @@
-//! What the masks beside a fan's picture say of a box on a flat bottom, against the geometry of its ping abeam.
+//! Masks of a fan image of a box on a flat bottom, compared with the geometry of its ping abeam.
 
 use std::fs;
 use std::path::Path;
@@ -15,7 +15,7 @@ const BEAMS: usize = 81;
 const STEP_DEG: f64 = 120.0 / (BEAMS - 1) as f64;
 /// Beams are 1.6 degrees wide; 12 dB down, two ways, is not 2 degrees off their axes.
 const LOBE_DEG: f64 = 2.0 + 0.5 * STEP_DEG;
-/// As the picture has it: pixels from the sonar to the end of the range, and the row of the sonar.
+/// Image geometry: pixels from the sonar to the end of the range, and the sonar's row.
 const PIXEL_M: f64 = RANGE_M / 480.0;
 const TOP_ROW: f64 = 10.0;
 
@@ -118,11 +118,11 @@ fn a_fan_s_masks_show_the_box_its_shadow_and_the_bottom_where_they_are() {
             };
             depths += 1;
             near("depth", depth_m, ALTITUDE_M, 0.01);
-            // The ground of a beam lies at its pixel's range, in the stretch that is nearest to its axis.
+            // The ground of a beam is at its pixel's range, in the stretch closest to its axis.
             let ground_deg = (ALTITUDE_M / range_m).min(1.0).acos().to_degrees();
             let off_deg = (angle_deg.abs() - ground_deg).abs();
             let pixel_deg = (PIXEL_M / range_m).to_degrees();
-            // Near the nadir half a pixel of range is much of an angle.
+            // Near nadir half a pixel of range is a large angle.
             let range_deg = (2.0 * PIXEL_M / ALTITUDE_M).sqrt().to_degrees();
             assert!(
                 off_deg < STEP_DEG + pixel_deg + if ground_deg < 10.0 { range_deg } else { 0.3 },
@@ -139,7 +139,7 @@ fn a_fan_s_masks_show_the_box_its_shadow_and_the_bottom_where_they_are() {
         }
     }
     println!("{targets} pixels of the box, {shadows} of shadow, {depths} of the bottom");
-    // Within a pixel: samples, pixels and scatterers are no finer.
+    // Within a pixel, which is the resolution of samples, pixels and scatterers.
     let around = |(range_m, angle_deg): (f64, f64), what: &dyn Fn(usize, usize) -> bool| {
         let (x, y) = pixel(range_m, angle_deg);
         (x - 1..=x + 1).any(|x| (y - 1..=y + 1).any(|y| what(x, y)))
@@ -168,7 +168,7 @@ fn a_fan_s_masks_show_the_box_its_shadow_and_the_bottom_where_they_are() {
             "bottom at {angle_deg}"
         );
     }
-    // Of all pings along the track the strongest beam at each range: between edge and foot of the wall that is the box's.
+    // The strongest beam at each range over all pings: between edge and foot of the wall it is the box's.
     let stack = Masks::open(out.path(), "water_column");
     let rows =
         (0..stack.target.height).filter(|y| stack.target.at(stack.target.width - 1, *y) == 1);

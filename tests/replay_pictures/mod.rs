@@ -1,4 +1,5 @@
-//! Masks, ground range, fans and mosaics of a replay against geometry worked out here: a box on a flat bottom, a level sonar on a straight track.
+//! Masks, ground range, fans and mosaics of a replay compared with independent geometry: a box on a flat bottom, a level sonar on a
+//! straight track.
 
 use std::fs;
 use std::path::Path;
@@ -179,7 +180,7 @@ impl Masks {
     }
 }
 
-/// First and last column of a row, metres from the middle of the picture, that hold something.
+/// First and last non-empty column of a row, metres from the middle of the image.
 fn span_m(picture: &Grey, y: usize, metres_per_pixel: f64) -> Option<(f64, f64)> {
     let half = picture.width / 2;
     let lit: Vec<usize> = (half..picture.width)
@@ -200,10 +201,10 @@ fn near(what: &str, got: f64, want: f64, within: f64) {
     );
 }
 
-/// What the box does to the ping abeam of it, in slant range or on the ground.
+/// Extent of the box in the ping abeam of it, in slant or ground range.
 fn holds_the_box(masks: &Masks, abeam: usize, across: impl Fn(f64) -> f64, water_ends_m: f64) {
     const PIXEL_M: f64 = 0.1;
-    // A sample is 3 cm, a resolution cell 9 cm, and an echo takes its whole pixel.
+    // A sample is 3 cm, a resolution cell 9 cm, and an echo fills its whole pixel.
     const WITHIN_M: f64 = 0.2;
     let top_m = ALTITUDE_M - BOX_HEIGHT_M;
     let (wall_m, back_m) = (
@@ -232,7 +233,7 @@ fn holds_the_box(masks: &Masks, abeam: usize, across: impl Fn(f64) -> f64, water
         across(wall_m.hypot(top_m)),
         across(back_m.hypot(top_m))
     );
-    // The bottom is 20 m deep wherever there is one, and there is none in the water; port has no line.
+    // The bottom is 20 m deep everywhere, the water column is empty, and port has no line.
     let half = masks.depth.width / 2;
     for x in 0..masks.depth.width {
         let depth_m = masks.depth_m(x, y);
@@ -243,7 +244,7 @@ fn holds_the_box(masks: &Masks, abeam: usize, across: impl Fn(f64) -> f64, water
             near("depth", depth_m.expect("a bottom"), ALTITUDE_M, 0.002);
         }
     }
-    // Along the track the box is there as long as a footprint reaches it, and nowhere else.
+    // Along the track the box appears only while a footprint reaches it.
     let step_m = SPEED_M_PER_S / RATE_HZ;
     let slant_m = wall_m.hypot(ALTITUDE_M);
     for ping in 0..pings() {
@@ -304,7 +305,7 @@ fn masks_agree_with_the_geometry_of_a_box_and_its_shadow_in_slant_and_ground_ran
         if range == "ground" {
             holds_the_box(&masks, abeam, across, 0.0);
         } else {
-            // The first return of this sonar, which looks aside, is within a metre of the altitude.
+            // The first return of this side-looking sonar is within a metre of the altitude.
             let y = abeam * masks.target.height / pings();
             let (from, to) = span_m(&masks.target, y, 0.1).expect("the box");
             let top = |east_m: f64| across(east_m.hypot(top_m));
@@ -352,7 +353,7 @@ fn look_of_a_picture_is_chosen_in_the_configuration_and_raw_is_darker_far_away()
     near("gain taken out, dB", fall_db, 58.4, 1.0);
 }
 
-/// The command reads what the replay wrote, both ways, and puts the box where it is; what is no recording is refused.
+/// The command reads both outputs of the replay and shows the box at its position; other files are refused.
 #[test]
 fn mosaic_of_a_recording_shows_the_box_at_its_place_from_s7k_and_npz() {
     use echotank_core::geodesy::LocalTangentPlane;
@@ -361,7 +362,7 @@ fn mosaic_of_a_recording_shows_the_box_at_its_place_from_s7k_and_npz() {
     let rig = rig(folder.path());
     let out = replay_file(&["--formats", "s7k,npz", "--pings", PINGS], &rig);
     let plane = LocalTangentPlane::new(54.5f64.to_radians(), 10.2f64.to_radians());
-    // The roof's near edge, brightest of the box, as a flat bottom has it.
+    // The roof's near edge, the brightest part of the box, at its flat-bottom position.
     let imaged_m = ((BOX_EAST_M - 1.0).powi(2) + 18.0f64.powi(2) - 400.0).sqrt();
     let (latitude, longitude) = plane.geodetic_rad(0.0, imaged_m + 0.5);
     let (east_m, north_m) = UtmZone::of(latitude, longitude).project_m(latitude, longitude);
@@ -415,7 +416,7 @@ fn mosaic_of_a_recording_shows_the_box_at_its_place_from_s7k_and_npz() {
     );
 }
 
-/// Both files tell the lines of each of two pulses in one ping, and where the sonar was when it left; the command lays either.
+/// Both files hold the lines of two pulses per ping and the sonar's position at transmission; the command shows either.
 #[test]
 fn lines_and_mosaic_of_a_second_pulse_come_from_s7k_and_npz_alike() {
     use echotank_runtime::io::record::lines::read;
@@ -438,7 +439,7 @@ fn lines_and_mosaic_of_a_second_pulse_come_from_s7k_and_npz_alike() {
     let files = ["sidescan.s7k", "pings.npz"].map(|name| out.path().join(name));
     let of = |pulse: u16| files.each_ref().map(|f| read(f, pulse).expect("lines"));
     let (first, second) = (of(1), of(2));
-    // As the angle between two lines: 1 where they are one but for the scale.
+    // Correlation of two lines: 1 if they are equal up to scale.
     let alike = |a: &[f32], b: &[f32]| {
         let product = |a: &[f32], b: &[f32]| {
             let pairs = a.iter().zip(b);

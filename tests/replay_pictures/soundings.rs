@@ -1,13 +1,13 @@
-//! Bottom detection through the whole pipeline: navigation, scene, echoes, elements, beams. The long form, with a slope, a survey and a swell, is
-//! `tools/soundings`.
+//! Bottom detection through the whole pipeline: navigation, scene, echoes, elements, beams. `tools/soundings` is the long form, with a
+//! slope, a survey and a swell.
 
 use super::measure::{Case, Soundings, agreement, measure, spec};
 
-/// Of a short line: beams of 2.4 degrees instead of 0.8.
+/// A short line: beams of 2.4 degrees instead of 0.8.
 const ELEMENTS: usize = 48;
 const BEAMS: usize = 41;
 
-/// Soundings of a case, printed: so many pings, each `every_s` apart.
+/// Prints the soundings of a case: consecutive pings, `every_s` apart.
 fn soundings(case: Case, range_m: f64, pings: usize, every_s: f64) -> Soundings {
     let folder = tempfile::tempdir().expect("a folder");
     let mut spec = spec(case, folder.path(), ELEMENTS, BEAMS).expect("a rig");
@@ -17,7 +17,8 @@ fn soundings(case: Case, range_m: f64, pings: usize, every_s: f64) -> Soundings 
     found
 }
 
-/// Of every 20 degrees: nearly all beams find the bottom, the mean is off by 0.2 % of 50 m at most and 95 % of them by `allowed_m` of the depth.
+/// In every 20 degrees nearly all beams detect the bottom, the mean error is at most 0.2 % of 50 m, and 95 % are within `allowed_m` of the
+/// depth.
 fn within(found: &Soundings, allowed_m: fn(f64) -> f64) {
     let rows = found.rows(20.0);
     assert_eq!(rows.len(), 3, "0 to 60 degrees");
@@ -33,7 +34,7 @@ fn one_percent(depth_m: f64) -> f64 {
     0.01 * depth_m
 }
 
-/// What IHO S-44 (2022) allows a survey of order 1a, 95 %.
+/// IHO S-44 (2022) limit of order 1a, 95 %.
 fn order_1a(depth_m: f64) -> f64 {
     f64::hypot(0.5, 0.013 * depth_m)
 }
@@ -51,14 +52,14 @@ fn soundings_lie_on_a_flat_bottom_within_one_percent_of_the_depth_at_every_angle
     );
 }
 
-/// The bottom falls to starboard by 10 degrees: the outermost beams meet it at 25 degrees of grazing there, at 45 to port. A footprint of
-/// this short line spans more depth than on a level bottom.
+/// The bottom slopes down to starboard by 10 degrees: the outermost beams have 25 degrees of grazing there, and 45 to port. The footprint
+/// of this short line spans more depth than on a level bottom.
 #[test]
 fn soundings_lie_on_a_slope_within_order_1a_at_every_angle() {
     within(&soundings(Case::Slope, 120.0, 3, 2.0), order_1a);
 }
 
-/// The survey under the quickstart, 375 m of it: its relief, too gentle to be seen in the strength of echoes, is in the soundings.
+/// The quickstart's survey, 375 m of it: soundings show its relief, which is too gentle to appear in echo strength.
 #[test]
 fn soundings_lie_on_a_survey_and_show_its_relief() {
     let found = soundings(Case::Survey, 100.0, 6, 25.0);

@@ -1,4 +1,4 @@
-//! Seabeds and models of every format: what they are found to be, depths against an independent read, and what is refused.
+//! Seabeds and models of every format: detected properties, depths against an independent read, and refusals.
 
 mod seeds;
 
@@ -85,7 +85,7 @@ fn the_bag_is_as_h5py_reads_it_to_the_bit() {
         ],
         0.0,
     );
-    // Its metadata name the box that it covers.
+    // Its metadata name its bounding box.
     let (lat, lon) = s.zero_geodetic_rad().expect("UTM has a place");
     let (lat, lon) = (lat.to_degrees(), lon.to_degrees());
     assert!(
@@ -276,7 +276,7 @@ fn a_grid_of_degrees_becomes_metres_about_its_middle() {
     }
     // The plane of the test is bent by 1e-4 m over a cell of the plane on the earth; six decimals and f32 add 2e-6.
     assert!(worst_m < 2e-4, "{worst_m} m");
-    // At a cell of the file its own number comes back.
+    // At a cell of the file its own value is returned.
     assert!((s.at(9.995, 53.99).down_m.unwrap() - 12.5).abs() < 1e-6);
 }
 
@@ -347,7 +347,7 @@ fn meshes_of_all_formats_are_the_same_pyramid() {
             .min_by(|a, b| a.z.total_cmp(&b.z))
             .unwrap();
         assert_eq!(*top, DVec3::new(3.0, 2.0, -1.0), "north, east, down");
-        // Triangles go round their outside: the volume is positive.
+        // Triangles are oriented outwards: the volume is positive.
         let volume_m3: f64 = mesh
             .triangles
             .iter()
@@ -416,7 +416,7 @@ fn the_configuration_overrides_what_a_file_says() {
     assert!(coarse.field.hole_share() > whole.field.hole_share());
 }
 
-// ---------------------------------------------------------------- what is refused
+// ---------------------------------------------------------------- refusals
 
 #[test]
 fn a_wrong_coordinate_system_is_refused_with_the_reason() {
@@ -487,7 +487,7 @@ fn a_file_cut_short_is_refused_wherever_it_is_cut() {
     files.push(seeds::bag());
     for seed in &files {
         seeds::open(seed.name, seed.bytes.clone()).unwrap_or_else(|e| panic!("{}: {e}", seed.name));
-        // A text that is cut between two lines is a shorter text: soundings and OBJ cannot tell.
+        // Text truncated at a line end is valid: soundings and OBJ cannot detect it.
         let tells = !["soundings.xyz", "mesh.obj"].contains(&seed.name);
         for k in 0..40 {
             let cut = seed.bytes.len() * k / 41;

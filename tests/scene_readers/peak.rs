@@ -1,4 +1,4 @@
-//! A global allocator that remembers the most that was in use at once.
+//! A global allocator that records the peak of memory in use.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -13,11 +13,11 @@ fn take(bytes: usize) {
     HIGHEST.fetch_max(now, Ordering::Relaxed);
 }
 
-// SAFETY: every call is handed to the system's allocator unchanged; the counters allocate nothing and have no destructors.
+// SAFETY: every call is passed unchanged to the system allocator; the counters allocate nothing and have no destructors.
 unsafe impl GlobalAlloc for Peak {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         take(layout.size());
-        // SAFETY: the caller's promise about `layout` is passed on.
+        // SAFETY: the caller's guarantee about `layout` is passed on.
         unsafe { System.alloc(layout) }
     }
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
@@ -33,7 +33,7 @@ unsafe impl GlobalAlloc for Peak {
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         take(size);
         IN_USE.fetch_sub(layout.size(), Ordering::Relaxed);
-        // SAFETY: as for `dealloc`; the caller promises that `size` is not zero.
+        // SAFETY: as for `dealloc`; the caller guarantees that `size` is not zero.
         unsafe { System.realloc(pointer, layout, size) }
     }
 }
@@ -46,7 +46,7 @@ pub(crate) fn in_use() -> usize {
     IN_USE.load(Ordering::Relaxed)
 }
 
-/// The most since [`reset`].
+/// Peak since [`reset`].
 pub(crate) fn highest() -> usize {
     HIGHEST.load(Ordering::Relaxed)
 }

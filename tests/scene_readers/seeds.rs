@@ -1,4 +1,4 @@
-//! A small file of every format, and ways to spoil it. Used by the tests beside it and by `tools/fuzz`.
+//! A small file of every format, and ways to corrupt it. Used by the tests beside it and by `tools/fuzz`.
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use echotank_scene::read::Survey;
 use echotank_scene::read::mesh::{self, MeshAxes};
 
 pub(crate) struct Seed {
-    /// Its extension tells formats without a signature apart.
+    /// The extension distinguishes formats without a signature.
     pub(crate) name: &'static str,
     pub(crate) bytes: Vec<u8>,
 }
@@ -51,7 +51,7 @@ pub(crate) fn bag() -> Seed {
     Seed::new("survey.bag", bytes)
 }
 
-/// Opens bytes as whatever the name says they are.
+/// Opens bytes in the format of the name.
 pub(crate) fn open(name: &str, bytes: Vec<u8>) -> Result<(), String> {
     let extension = name.rsplit('.').next().unwrap_or("");
     if ["obj", "stl"].contains(&extension) {
@@ -94,7 +94,7 @@ impl Random {
     }
 }
 
-/// Bytes cut off, changed, doubled or put in, most often near the front, where the headers are.
+/// Bytes removed, changed, doubled or inserted, mostly near the front, where the headers are.
 pub(crate) fn spoiled(bytes: &[u8], random: &mut Random) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for _ in 0..1 + random.below(6) {
@@ -112,7 +112,7 @@ pub(crate) fn spoiled(bytes: &[u8], random: &mut Random) -> Vec<u8> {
             1 => bytes[at] ^= 1 << random.below(8),
             2 => bytes[at] = [0, 0xff, 0x7f, 0x80, b'0', b'9', b'-', b'e'][random.below(8)],
             3 => {
-                // A whole number of four bytes made huge.
+                // An integer of four bytes made huge.
                 for k in 0..4.min(bytes.len() - at) {
                     bytes[at + k] = 0xff;
                 }
@@ -242,7 +242,7 @@ pub(crate) fn stl() -> Vec<u8> {
         [0, 3, 2],
         [0, 2, 1],
     ];
-    // Begins as the text form does, which some writers do.
+    // Begins like the text form, as some writers do.
     let mut bytes = b"solid by a writer of binaries".to_vec();
     bytes.resize(80, b' ');
     bytes.extend((faces.len() as u32).to_le_bytes());
@@ -292,7 +292,7 @@ pub(crate) fn las() -> Vec<u8> {
 /// Kind, count and bytes of a tag's value.
 type Value = (u16, u32, Vec<u8>);
 
-/// A bare TIFF of one strip, whose tags can be said one by one.
+/// A bare TIFF of one strip with explicit tags.
 pub(crate) struct Tiff {
     pub(crate) width: u32,
     pub(crate) height: u32,

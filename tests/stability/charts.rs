@@ -1,4 +1,4 @@
-//! What `echotank chart` measures, on a small random rig that leaves its methods to the plan.
+//! Measurements of `echotank chart` on a small random rig with automatic method selection.
 
 use echotank_runtime::chart::{ChartOptions, measure};
 

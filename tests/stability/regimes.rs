@@ -1,5 +1,5 @@
-//! Where methods fail, held on either side of the boundary: no number that is none, no panic, no wrong answer that was promised to be right, no plan
-//! inside a failing region. A short pulse and two elements; `tools/atlas` draws the long form.
+//! Limits of the methods, tested on both sides: no NaN, no panic, no error above its prediction, no selection inside a failing region. A
+//! short pulse and two elements; `tools/atlas` is the long form.
 
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -19,7 +19,7 @@ use crate::atlas::spot::{Base, Size};
 /// All columns of the tests of one regime, by their values.
 struct Swept(&'static Regime, Vec<(f64, Column)>);
 
-/// Holds what holds everywhere.
+/// Checks the conditions common to all regimes.
 fn swept(bench: &mut Bench, name: &str) -> Swept {
     let found = ALL.iter().find(|regime| regime.name == name);
     let regime = found.unwrap_or_else(|| panic!("no regime {name}"));
@@ -67,7 +67,7 @@ impl Swept {
             .1
     }
 
-    /// All are silent there.
+    /// No method gives a signal there.
     fn silent_at(&self, value: f64) {
         for (method, outcome) in self.at(value).named() {
             let quiet = matches!(
@@ -110,7 +110,7 @@ fn on_a_bench(whole_plans: bool, work: impl FnOnce(&mut Bench) + Send) {
     pool.install(|| work(&mut Bench::new(whole_plans)));
 }
 
-/// Speed, range, grazing, endfire, ends of the window, steps of a grid, empty scenes, far places: one sonar.
+/// Speed, range, grazing, endfire, ends of the window, grid positions, empty scenes, distant positions: one sonar.
 #[test]
 fn wherever_echoes_are_nothing_is_silently_wrong() {
     on_a_bench(false, |bench| {
@@ -129,7 +129,7 @@ fn wherever_echoes_are_nothing_is_silently_wrong() {
         assert!(best(cruise).is_within(1e-3), "{:?}", best(cruise));
 
         for (value, column) in &swept(bench, "range").1 {
-            // Nearer than a wavelength is counted.
+            // Echoes closer than a wavelength are counted.
             if let Outcome::Answer { counted, .. } = *best(column) {
                 assert_eq!(
                     counted > 0,
@@ -169,7 +169,7 @@ fn wherever_echoes_are_nothing_is_silently_wrong() {
     });
 }
 
-/// Manoeuvres, attitudes, and navigation that is coarse or wrong.
+/// Manoeuvres, attitudes, and sparse or wrong navigation.
 #[test]
 fn however_it_moves_nothing_is_silently_wrong() {
     on_a_bench(false, |bench| {
@@ -182,7 +182,7 @@ fn however_it_moves_nothing_is_silently_wrong() {
                 "{refused}: {outcome:?}"
             );
         }
-        // Stamps that repeat and come late are put where they belong.
+        // Repeated timestamps are dropped and late samples inserted in order.
         for answered in [0.0, 1.0, 2.0] {
             let outcome = best(faults.at(answered));
             assert!(outcome.is_within(1e-3), "{answered}: {outcome:?}");

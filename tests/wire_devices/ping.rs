@@ -1,4 +1,4 @@
-//! The Ping protocol: what was asked, what was answered, and what the next ping says.
+//! The Ping protocol: requests, replies, and the content of the next ping.
 
 use std::net::SocketAddr;
 
@@ -47,7 +47,7 @@ fn ping() -> (PingPlan, PingOutput) {
     (wire_rig::plan(1, 200), wire_rig::output(200))
 }
 
-/// A client of a device, and the settings behind it.
+/// A client of a device, and the settings of its session.
 struct Bench {
     device: Arc<Device>,
     settings: Arc<SettingsStore>,
@@ -160,7 +160,7 @@ fn each_control_of_the_omniscan_is_acknowledged_and_in_the_settings() {
     assert_eq!(bench.settings.settings().gain_db, limits.gain_db.1);
     assert_eq!(bench.os(|p| p.msec_per_ping = 500), Answer::Ack);
     assert_eq!(bench.settings.settings().max_ping_rate_hz, 2.0);
-    // As fast as it goes, and faster than that.
+    // As fast as possible, and faster than that.
     for msec in [0, 1] {
         assert_eq!(bench.os(|p| p.msec_per_ping = msec), Answer::Ack);
         let rate_hz = bench.settings.settings().max_ping_rate_hz;
@@ -196,7 +196,7 @@ fn a_command_with_one_wrong_value_is_refused_with_words_and_changes_nothing() {
         }),
     ];
     for (words, change) in wrong {
-        // Whatever stands before the wrong value is right, and would show.
+        // The values before the wrong one are valid, so accepting them would show.
         let got = bench.os(|p| {
             (p.start_mm, p.msec_per_ping, p.enable) = (0, 333, 0);
             change(p);
@@ -223,7 +223,7 @@ fn what_the_model_has_no_use_for_is_kept_and_what_the_device_lacks_is_refused() 
         speed_of_sound_mm_per_s: 1_480_500,
     }
     .emit_frame(&mut bytes, 0, 1);
-    // 169 asks and 170 sets.
+    // 169 reads and 170 sets.
     let set_sync = |n| {
         let mut bytes = Vec::new();
         emit_frame(&mut bytes, message_id::SET_SYNC_CHANNEL, 0, 1, |buf| {
@@ -232,7 +232,7 @@ fn what_the_model_has_no_use_for_is_kept_and_what_the_device_lacks_is_refused() 
         bytes
     };
     assert_eq!(answer(&bench.say(&bytes)), Answer::Ack);
-    // The number that clients of earlier definitions send is acknowledged as such.
+    // The number used by clients of earlier definitions is acknowledged as such.
     let mut earlier = Vec::new();
     let id = message_id::SET_SPEED_OF_SOUND_EARLIER;
     emit_frame(&mut earlier, id, 0, 1, |buf| {
@@ -260,7 +260,7 @@ fn what_the_model_has_no_use_for_is_kept_and_what_the_device_lacks_is_refused() 
     let mut bytes = Vec::new();
     SetDeviceId { device_id: 9 }.emit_frame(&mut bytes, 0, 1);
     assert_eq!(answer(&bench.say(&bytes)), Answer::Ack);
-    // From now on it signs with 9.
+    // From now on it identifies itself as 9.
     let mut bytes = Vec::new();
     GeneralRequest { requested_id: 4 }.emit_frame(&mut bytes, 5, 9);
     let [information] = &bench.say(&bytes)[..] else {
@@ -271,7 +271,7 @@ fn what_the_model_has_no_use_for_is_kept_and_what_the_device_lacks_is_refused() 
         (frame.message_id, frame.source, frame.destination),
         (4, 9, 5)
     );
-    // The multibeam's command, and a message that it has not.
+    // The multibeam's command, and a message that this device lacks.
     for (id, payload) in [
         (message_id::SET_PING_PARAMETERS, 36),
         (message_id::GENERAL_REQUEST, 2),
@@ -342,7 +342,7 @@ fn commands_come_in_pieces_over_tcp_and_garbage_is_counted_and_passed_over() {
     assert!(bench.client.is_waiting());
     assert_eq!(bench.say(back).len(), 1);
     assert!(bench.client.counts().framing_errors >= 1);
-    // A length that is not kept hides what follows until it is given up.
+    // A wrong length hides the following data until the message is abandoned.
     let mut bytes = b"BR\xFF\xFF\x06\x00\x00\x00".to_vec();
     GeneralRequest { requested_id: 4 }.emit_frame(&mut bytes, 0, 1);
     assert!(bench.say(&bytes).is_empty() && bench.client.is_waiting());
@@ -395,7 +395,7 @@ fn a_profile_is_the_line_in_db_over_the_range_that_was_asked_for() {
     assert!((head.vehicle_heading_deg - 359.9).abs() < 1e-4);
     assert!((head.transducer_heading_deg - 269.9).abs() < 1e-4);
     let results: Vec<f64> = profile.results_db().collect();
-    // Re 1 uV: 60 dB, and 100 dB in its place; a result is 50 mm, a sample 0.75 m.
+    // Re 1 uV: 60 dB, and 100 dB at the target; a result is 50 mm, a sample 0.75 m.
     let loudest = (0..1200).max_by(|&a, &b| results[a].total_cmp(&results[b]));
     let loudest_m = 20.0 + (loudest.expect("some") as f64 + 0.5) * 0.05;
     assert!((loudest_m - 67.0 * 0.75).abs() <= 0.05, "{loudest_m}");

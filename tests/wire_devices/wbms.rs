@@ -1,4 +1,4 @@
-//! WBMS: what was asked, what was answered, and what the next ping says.
+//! WBMS: requests, replies, and the content of the next ping.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -101,7 +101,7 @@ fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
     assert_eq!(bench.say("set_gain 12.5\r\n"), "set_gain 12.5\r\n");
     assert_eq!(bench.settings.settings().gain_db, 12.5);
     assert_eq!(bench.say("set_tp_rate 5\r\n"), "set_tp_rate 5\r\n");
-    // What is only kept.
+    // Settings that are only stored.
     for command in [
         "set_mode 2",
         "set_flip 1",
@@ -182,7 +182,7 @@ fn what_is_wrong_is_refused_with_words_and_the_values_in_force_and_changes_nothi
             "set_rate 5 # refused: set_rate takes -1 to 60",
         ),
         ("set_rate 30", "set_rate 5 # refused: max_ping_rate_hz = 30"),
-        // Amplitude is right and length is wrong: neither is obeyed.
+        // A valid amplitude with an invalid length: neither takes effect.
         (
             "set_tx 100 0.5 15 2000000",
             "set_tx 100 0.5 13 500000 # refused: ",
@@ -230,7 +230,7 @@ fn a_command_without_an_end_is_taken_when_it_is_whole_and_the_rest_waits() {
     let mut out = Vec::new();
     bench.client.give_up_waiting(NOW, &mut out);
     assert!(texts(out).contains("unknown command"));
-    // A line without an end does not grow for ever.
+    // An unterminated line does not grow without limit.
     for _ in 0..100 {
         bench.say("xxxxxxxxxxxxxxxxxxxx");
     }

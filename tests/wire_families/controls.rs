@@ -1,4 +1,4 @@
-//! What was asked, what was answered, what the next ping did.
+//! Requests, replies, and the effect on the next ping.
 
 use echotank_core::flow::{KeptKey, SettingsPort, TriggerSource};
 use echotank_emit::session::Wants;
@@ -183,13 +183,13 @@ fn half_a_jsf_command_waits_and_stale_bytes_of_a_get_mean_nothing() {
     control(command_type::SET, t::PING_RANGE, 20, 0, N(-1)).emit(&mut bytes);
     bytes[6] = command_type::GET;
     assert_eq!(client.send(&bytes)[0].value, N(60_000));
-    // Rubbish in front is passed over and counted once.
+    // Leading garbage is skipped and counted once.
     let mut rubbish = vec![0x55; 100];
     control(command_type::SET, t::PING_RANGE, 20, 0, N(61_000)).emit(&mut rubbish);
     client.send(&rubbish);
     assert_eq!(client.store.snapshot().0.range_m, 61.0);
     assert_eq!(client.session.counts().framing_errors, 1);
-    // A command that never ends comes to nothing, and what it hid to light.
+    // An unterminated command is abandoned, and the following ones are found.
     let mut hidden = bytes[..20].to_vec();
     hidden[12] = 200;
     control(command_type::SET, t::PING_RANGE, 20, 0, N(62_000)).emit(&mut hidden);
@@ -230,7 +230,7 @@ fn a_switch_command_sets_range_and_gain_and_asks_for_one_side_of_one_ping() {
     let version = store.version();
     session.receive(&switch(50, 50, Side::Port), TRANSMIT_UTC, &mut Vec::new());
     assert_eq!(store.version(), version, "told again, nothing changes");
-    // A sonar that rests pings once for it.
+    // An idle sonar makes one ping for it.
     use echotank_core::flow::SettingChange;
     store
         .apply(SettingChange::Stop, TRANSMIT_UTC)

@@ -36,7 +36,7 @@ fn sample_of(range_m: f64) -> usize {
     (range_m / STEP_M).round() as usize
 }
 
-/// One spike where the bottom is: in each beam by its angle, in lines and elements straight down.
+/// One spike at the bottom: in each beam by its angle, in lines and elements straight down.
 fn flat() -> (PingPlan, PingOutput) {
     let mut plan = plan(5, SAMPLES);
     plan.first_sample_s = SILENT as f64 / SAMPLE_RATE_HZ;
@@ -79,7 +79,7 @@ fn on_the_bottom(family: &str, range_m: f64, angle_rad: f64) {
     );
 }
 
-/// Where the largest value is.
+/// Index of the largest value.
 fn peak(values: impl Iterator<Item = f64>) -> usize {
     let (at, value) = values
         .enumerate()
@@ -89,7 +89,7 @@ fn peak(values: impl Iterator<Item = f64>) -> usize {
     at
 }
 
-/// What the emitter knows after the command 7042.
+/// State of the emitter after the command 7042.
 fn told_7042(flags: u32) -> Kept {
     let store = store();
     let key = KeptKey {
@@ -218,7 +218,7 @@ fn the_7042_set_up_is_obeyed_sample_by_sample() {
             );
         }
     }
-    // Cut off behind the detections.
+    // Truncated after the detections.
     let mut emitter = SevenKEmitter::new(sheet, 1);
     emitter.keep(told_7042(1));
     let mut records = Vec::new();
@@ -260,7 +260,7 @@ fn jsf_puts_a_flat_bottom_at_its_slant_range_in_every_format_and_channel() {
                 let interval_s = f64::from(data.header.sample_interval_ns) * 1e-9;
                 let c = f64::from(data.header.sound_speed_m_per_s);
                 on_the_bottom(&what, 0.5 * c * at as f64 * interval_s, 0.0);
-                // A line is an envelope already; the others show the doubling filter, or not.
+                // A line is an envelope already; the others show whether the doubling filter was applied.
                 let largest = values.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
                 let want = match (channels, format) {
                     (JsfChannels::Sides, JsfFormat::Envelope) => 1.0,

@@ -1,4 +1,4 @@
-//! The load of a large multibeam: two topsides that read and one that does not. The long form is `tools/bench wire --load`.
+//! The load of a large multibeam: two topsides that read and one that does not. `tools/bench wire --load` is the long form.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -134,9 +134,9 @@ fn load(disconnect: bool) -> (u64, bool) {
         records.clear();
         emitter.emit_ping(&plan(ping, SAMPLES), &output, wanted, &mut records);
         server.deliver(&records);
-        // One byte a ping is all that the third reads.
+        // The third client reads one byte per ping.
         is_open = is_open && matches!(third.read(&mut byte), Ok(1));
-        // A loaded machine may lag behind 41 MB/s: no faster than the readers, so that only the third can lose.
+        // A loaded machine may not sustain 41 MB/s: send no faster than the readers, so that only the third client can lose.
         let waiting = || {
             let report = server.report();
             let others = report.clients.iter().filter(|c| c.peer != peer);
@@ -167,7 +167,7 @@ fn load(disconnect: bool) -> (u64, bool) {
 #[test]
 fn two_topsides_lose_nothing_of_41_mb_a_second_while_a_third_misses_whole_records() {
     let (dropped, is_there) = load(false);
-    // 2 MB each, of which 16 MiB may wait.
+    // 2 MB each, of which 16 MiB may be queued.
     assert!(
         is_there && (1..u64::from(PINGS)).contains(&dropped),
         "{dropped}"
@@ -177,7 +177,7 @@ fn two_topsides_lose_nothing_of_41_mb_a_second_while_a_third_misses_whole_record
 #[test]
 fn a_topside_that_does_not_read_is_disconnected_where_the_configuration_says_so() {
     let (dropped, is_there) = load(true);
-    // The record that did not fit, and the one that was under way.
+    // The record that did not fit, and the one in transit.
     assert!(
         !is_there && (1..=2).contains(&dropped),
         "{dropped} dropped, there: {is_there}"

@@ -1,4 +1,4 @@
-//! One state of the platform, read back from every family to its resolution and with its sign.
+//! One platform state, read back from every family within its resolution and with its sign.
 
 use echotank_config::spec::{JsfChannels, JsfFormat};
 use echotank_core::flow::PingPlan;
@@ -16,7 +16,7 @@ use glam::DVec3;
 use super::rig::*;
 use super::wire_rig::*;
 
-/// What a family says: degrees, metres, knots where it has them; none where it has no word for it.
+/// The values of a family: degrees, metres, knots; none for values that it does not carry.
 struct Said {
     family: &'static str,
     latitude: Option<f64>,

@@ -1,6 +1,6 @@
-//! A flat bottom heard by the whole pipeline (navigation, echoes, elements, beams, detection), written by every family and read back: samples lie
-//! within one sample of its depth, detections within one of what the pipeline found. The bottom is points, one where each beam looks, so that the place of every echo is known; to starboard it lies a metre
-//! deeper, so that a side or a sign exchanged is found out.
+//! A flat bottom through the whole pipeline (navigation, echoes, elements, beams, detection), written by every family and read back.
+//! Samples lie within one sample of its depth, detections within one sample of the pipeline's. The bottom consists of points, one per beam,
+//! so that the position of every echo is known. It is deeper to starboard, so that an exchanged side or sign shows.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -41,14 +41,14 @@ const SOUND_M_PER_S: f64 = 1500.0;
 const RATE_HZ: f64 = 40e3;
 /// One sample of range.
 const STEP_M: f64 = 0.5 * SOUND_M_PER_S / RATE_HZ;
-/// Below the arrays, on no sample.
+/// Depth below the arrays, between samples.
 const DEPTH_M: f64 = 20.0034;
-/// More to starboard.
+/// Additional depth to starboard.
 const SHELF_M: f64 = 1.0;
 const BEAM_STEP_DEG: f64 = 6.0;
-/// To each side of straight down.
+/// Angle to each side of the vertical.
 const BEAMS: i32 = 8;
-/// Of every point but the one straight below, which is twice as loud.
+/// Strength of every point except the one straight below, which is twice as strong.
 const LEVEL_V: f64 = 0.002;
 const FULL_SCALE_V: f64 = 0.02;
 
@@ -181,7 +181,7 @@ fn on_the_bottom(family: &str, range_m: f64, angle_rad: f64, step_m: f64) {
     );
 }
 
-/// A detection: what the pipeline found in that beam, to a sample.
+/// A detection: the pipeline's in that beam, to a sample.
 fn as_found(family: &str, output: &PingOutput, range_m: f64, angle_rad: f64) {
     let off = |s: &&Sounding| (s.angle_rad - angle_rad).abs();
     let sounding = output
@@ -202,7 +202,7 @@ fn peak(values: impl Iterator<Item = f64>) -> usize {
     at
 }
 
-/// Where an unfiltered echo begins: its first sample is half as high as the point straight below, or higher.
+/// Start of an unfiltered echo: the first sample of at least half the height of the point straight below.
 fn onset(values: impl Iterator<Item = f64>) -> usize {
     let found = values
         .enumerate()
@@ -527,7 +527,7 @@ fn every_family_puts_the_bottom_of_a_whole_ping_within_one_sample_of_its_depth()
     let (spec, plan, output) = made(folder.path());
     let sonar = &spec.sonars[0];
     assert_eq!(output.soundings.len(), 17, "a sounding a beam");
-    // A phase that is flat, as a lone point's is, crosses zero nowhere in particular: half a percent of the depth.
+    // The flat phase of a single point has no definite zero crossing: allow half a percent of the depth.
     for s in &output.soundings {
         let range_m = 0.5 * SOUND_M_PER_S * s.twtt_s;
         on_the_bottom("soundings", range_m, s.angle_rad, DEPTH_M / 200.0);

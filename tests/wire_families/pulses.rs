@@ -1,4 +1,4 @@
-//! Two pulses in the water together: what the families that can say so say of the second.
+//! Two pulses in one ping: the second in the families that support it.
 
 use std::sync::Arc;
 
@@ -99,7 +99,7 @@ fn each_pulse_has_settings_and_lines_of_its_own_in_7k_under_one_ping_number() {
         assert!((time - want).abs() < 4000, "{time}, want {want}");
     }
 
-    // Who counts pings counts it once.
+    // Ping counters count it once.
     let mut verifier = Verifier::default();
     for record in &records {
         let body = Record::parse(&record.bytes).expect("a record");
@@ -185,7 +185,7 @@ fn each_pulse_is_a_subsystem_of_its_own_in_jsf() {
             )
         })
         .collect();
-    // Somebody has switched port off in the second.
+    // A client has switched port off in the second.
     let places: Vec<_> = said.iter().map(|s| s.0).collect();
     assert_eq!(places, [(20, 0), (20, 1), (21, 1)]);
     assert!(said.iter().all(|s| s.1 == 9), "one ping");
@@ -197,13 +197,13 @@ fn each_pulse_is_a_subsystem_of_its_own_in_jsf() {
         (late_s - DELAY_S).abs() < 1e-3,
         "{late_s}, to a millisecond"
     );
-    // Levels as they were made: 0.8 and 0.6 of the first, 0.2 of the second's starboard.
+    // Levels as synthesised: 0.8 and 0.6 of the first, 0.2 of the second's starboard.
     let level = |k: usize| said[k].4.expect("samples");
     for (k, ratio) in [(1, 0.75), (2, 0.25)] {
         let got = level(k) / level(0);
         assert!((got - ratio).abs() < 1e-3, "message {k}: {got}");
     }
-    // Samples before the filter, and elements, hold all pulses at once.
+    // Unfiltered samples and elements contain all pulses together.
     for (channels, format, count) in [
         (JsfChannels::Sides, JsfFormat::Unfiltered, 2),
         (JsfChannels::Staves, JsfFormat::Envelope, 5),

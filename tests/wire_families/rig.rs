@@ -1,4 +1,4 @@
-//! JSF, XTF and Imagenex of the small sonar, and what their clients say.
+//! JSF, XTF and Imagenex of the small sonar, and messages of their clients.
 
 use std::sync::Arc;
 
@@ -37,7 +37,7 @@ pub(crate) fn jsf_sheet(channels: JsfChannels, format: JsfFormat) -> Arc<JsfShee
     })
 }
 
-/// Messages of a ping; the matched filter doubles, so that one sees whether it was there.
+/// Messages of a ping; the matched filter doubles the samples, so that its use shows.
 pub(crate) fn jsf_ping(
     channels: JsfChannels,
     format: JsfFormat,
@@ -91,7 +91,7 @@ impl JsfClient {
         }
     }
 
-    /// What comes of bytes: the answers, in order.
+    /// Processes bytes: returns the replies in order.
     pub(crate) fn send(&mut self, bytes: &[u8]) -> Vec<Control> {
         let mut out = Vec::new();
         self.session.receive(bytes, self.now, &mut out);
@@ -104,7 +104,7 @@ impl JsfClient {
         self.send(&bytes)
     }
 
-    /// None: obeyed without a word.
+    /// None: accepted without a reply.
     pub(crate) fn set(&mut self, message_type: u16, channel: u8, value: Value) -> Option<Value> {
         let control = control(command_type::SET, message_type, 20, channel, value);
         let mut answers = self.command(&control);
@@ -159,7 +159,7 @@ pub(crate) fn answers(out: &[Outgoing]) -> Vec<Control> {
         .collect()
 }
 
-/// A head over a store, with one client.
+/// A head with its settings and one client.
 pub(crate) fn imagenex(store: &Arc<SettingsStore>) -> (Arc<Head>, Box<dyn Session>) {
     let head = Arc::new(Head::default());
     let protocol = ImagenexProtocol {

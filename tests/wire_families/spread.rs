@@ -1,5 +1,5 @@
-//! What a UDP receiver with a socket buffer of stock size keeps of 41 MB/s, sent at once and spread inside the ping; and how long a ping lasts
-//! over TCP.
+//! Records received by a UDP client with a default socket buffer at 41 MB/s, sent at once and spread over the ping period; and the duration
+//! of a ping over TCP.
 
 use std::io::{Read, Write};
 use std::net::{TcpStream, UdpSocket};
@@ -18,7 +18,7 @@ const PINGS: u32 = 6;
 const PERIOD: Duration = Duration::from_millis(50);
 const PATIENCE: Duration = Duration::from_secs(60);
 const MAX_PACKET: usize = 8000;
-/// The receiver works on each datagram for so long: it can take 130 MB/s and no more.
+/// The receiver's processing time per datagram: at most 130 MB/s.
 const WORK: Duration = Duration::from_micros(60);
 
 /// Datagrams sent and received, with each ping spread over `over_s`.
@@ -46,7 +46,7 @@ fn sent_and_received(over_s: f64) -> (u64, u64) {
         loop {
             let was_over = over.load(Ordering::Acquire);
             while let Ok(len) = socket.recv(&mut buffer) {
-                // The answer to the subscription is shorter.
+                // The reply to the subscription is shorter.
                 received += u64::from(len > 500);
                 let until = Instant::now() + WORK;
                 while Instant::now() < until {
@@ -62,7 +62,7 @@ fn sent_and_received(over_s: f64) -> (u64, u64) {
     let wanted = RecordSet::from(server.wanted());
     let mut records = Vec::new();
     emitter.emit_ping(&plan(1, SAMPLES), &output, wanted, &mut records);
-    // Each datagram has a frame of its own before its part.
+    // Each datagram has a frame before its part.
     let part = MAX_PACKET - 36;
     let datagrams = records.iter().map(|r| r.bytes.len().div_ceil(part) as u64);
     let sent = datagrams.sum::<u64>() * u64::from(PINGS);
@@ -88,7 +88,7 @@ fn a_slow_udp_receiver_loses_most_of_a_burst_and_keeps_what_is_spread_over_most_
     println!("of {sent} datagrams lost: {lost} sent at once, {lost_of_spread} spread");
     assert_eq!(sent, also_sent);
     assert!(3 * lost > sent, "{lost} of {sent}: no burst");
-    // On a machine that leaves the receiver standing for milliseconds some are lost all the same.
+    // On a machine that delays the receiver for milliseconds some are still lost.
     assert!(4 * lost_of_spread < lost, "{lost_of_spread} against {lost}");
 }
 
@@ -125,6 +125,6 @@ fn lasts_over_tcp_s(over_s: f64) -> f64 {
 fn over_tcp_too_a_ping_lasts_as_long_as_it_is_spread() {
     let (spread_s, at_once_s) = (lasts_over_tcp_s(0.2), lasts_over_tcp_s(0.0));
     println!("over TCP {spread_s:.3} s spread over 0.2 s, {at_once_s:.3} s at once");
-    // The kernel lets a little go ahead; faster it never is.
+    // The kernel allows a small burst; the rate is never exceeded.
     assert!(spread_s > 0.14, "{spread_s} s");
 }

@@ -1,4 +1,4 @@
-//! 7k and JSF on one sonar at the same time, over sockets: each obeys, and each reports what the other has changed.
+//! 7k and JSF on one sonar at the same time, over sockets: each sets, and each reports what the other has changed.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -137,13 +137,13 @@ fn each_protocol_reports_what_the_other_has_changed() {
     // Its own subscription is echoed to it first.
     assert!(matches!(next_echo(&mut topside), Command::Subscribe { .. }));
     let mut jsf = JsfSocket::to(&rig.commands);
-    // 7k changes, JSF reports.
+    // 7k sets, JSF reports.
     topside
         .command(Command::Range { range_m: 42.0 })
         .expect("acknowledged");
     assert_eq!(jsf.get(message_type::PING_RANGE), Value::Number(42_000));
     assert!(matches!(next_echo(&mut topside), Command::Range { range_m } if range_m == 42.0));
-    // JSF changes, 7k echoes what would have made the change, and only once.
+    // JSF sets; 7k echoes the equivalent command, only once.
     for (kind, value, want) in [
         (
             message_type::PING_RANGE,
@@ -204,7 +204,7 @@ fn contradictory_commands_from_both_end_in_one_truth_that_both_tell() {
             Value::Number(mm),
         ));
     }
-    // Answered behind all of them.
+    // Replied to after all of them.
     let _ = jsf.get(message_type::ALIVE);
     let mut topside = topside.join().expect("no panic");
     let truth = rig.store.snapshot().0.range_m;
@@ -217,7 +217,7 @@ fn contradictory_commands_from_both_end_in_one_truth_that_both_tell() {
     let counts = rig.store.counts();
     let refused = ROUNDS.div_ceil(3) as u64;
     assert_eq!(counts.refused, refused);
-    // Every accepted command once, and what JSF keeps beside it.
+    // Every accepted command once, and the settings that only JSF has.
     assert_eq!(counts.applied, ROUNDS as u64 - refused + 2 * ROUNDS as u64);
     let last = rig.store.recent().pop().expect("a change");
     assert!(["7k", "jsf"].contains(&last.asked.by.via), "{last:?}");

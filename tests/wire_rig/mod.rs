@@ -1,4 +1,4 @@
-//! A small sonar, its ping and its clients' bytes, for the tests of the wire.
+//! A small sonar, its ping and its clients' bytes, for the protocol tests.
 #![allow(dead_code)] // every test file uses its part
 
 use std::f64::consts::FRAC_PI_3;
@@ -148,7 +148,7 @@ pub(crate) fn sonar() -> SonarSpec {
     }
 }
 
-/// Starboard's elements before port's; the fan's are not on the wire.
+/// Starboard's elements before port's; the fan's are not sent.
 pub(crate) fn output_spec() -> SevenKSpec {
     SevenKSpec {
         listen: "127.0.0.1:0".parse().expect("an address"),
@@ -225,7 +225,7 @@ pub(crate) fn plan(ping_number: u32, samples: usize) -> PingPlan {
     }
 }
 
-/// Volts that tell array, element and sample.
+/// Voltages that identify array, element and sample.
 pub(crate) fn volts(array: usize, element: usize, sample: usize) -> Complex64 {
     Complex64::new(
         0.1 * (array + 1) as f64 + 0.01 * element as f64,
