@@ -1,6 +1,6 @@
 //! `echotank chart`: accuracy against speed, measured on the operator's own scene and machine.
 
-mod draw;
+pub(crate) mod draw;
 mod page;
 mod peers;
 mod plot;

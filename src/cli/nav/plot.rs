@@ -1,50 +1,47 @@
-//! A picture of a log: the track on the left, attitude and heave over time on the right.
+//! A plot of a navigation log: the track on the left, attitude and heave over time on the right.
 
-use std::io::Write;
 use std::path::Path;
 
 use echotank_core::flow::{NavQuantity, NavSample};
 use echotank_core::geodesy::LocalTangentPlane;
 use echotank_core::time::UtcNs;
 use echotank_nav::report::LogReport;
+use plotters::coord::Shift;
+use plotters::prelude::*;
 
-const WIDTH: usize = 1400;
-const HEIGHT: usize = 800;
-const BACKGROUND: [u8; 3] = [255, 255, 255];
-const FRAME: [u8; 3] = [120, 120, 120];
-const GRID: [u8; 3] = [228, 228, 228];
-const INK: [u8; 3] = [20, 20, 20];
-const LINE: [u8; 3] = [20, 80, 160];
-const START: [u8; 3] = [0, 150, 60];
-const END: [u8; 3] = [200, 40, 30];
-/// Samples farther apart than this many usual steps are not joined.
-const BREAK_STEPS: f64 = 5.0;
-/// A font pixel is so many of the picture's.
-const SCALE: usize = 2;
+use crate::cli::chart::draw::{FAMILY, png};
 
-/// A rectangle of the picture, pixels, for the drawing inside its frame.
-#[derive(Clone, Copy)]
-struct Area {
-    left: usize,
-    top: usize,
-    width: usize,
-    height: usize,
+const SIZE: (u32, u32) = (1400, 800);
+const LINE: RGBColor = RGBColor(20, 80, 160);
+const START: RGBColor = RGBColor(0, 150, 60);
+const END: RGBColor = RGBColor(200, 40, 30);
+const GRID: RGBColor = RGBColor(228, 228, 228);
+/// Samples farther apart than this many median intervals are not joined.
+const GAP_INTERVALS: f64 = 5.0;
+/// Time is divided into this many columns; each keeps its first, extreme and last samples.
+const COLUMNS: f64 = 1200.0;
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+type PlotError = Box<dyn std::error::Error>;
+/// Horizontal and vertical value of a point.
+type Point = (f64, f64);
+
+/// Writes the plot as PNG.
+pub(crate) fn write(path: &Path, report: &LogReport) -> Result<(), PlotError> {
+    let mut svg = String::new();
+    draw(&mut svg, report)?;
+    Ok(std::fs::write(path, png(&svg)?)?)
 }
 
-struct Picture {
-    pixels: Vec<u8>,
-}
-
-/// Draws what the log gave.
-pub(crate) fn write(path: &Path, report: &LogReport) -> std::io::Result<()> {
-    let mut picture = Picture {
-        pixels: BACKGROUND.repeat(WIDTH * HEIGHT),
-    };
-    picture.track(&report.samples);
+fn draw(svg: &mut String, report: &LogReport) -> Result<(), PlotError> {
+    let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+    root.fill(&WHITE)?;
+    let (left, right) = root.split_horizontally(SIZE.0 / 2);
+    track(&left, &report.samples)?;
     let mut samples: Vec<&NavSample> = report.samples.iter().collect();
     samples.sort_by_key(|s| s.valid_utc);
     let zero = samples.first().map_or(UtcNs(0), |s| s.valid_utc);
-    let series = |of: fn(&NavQuantity) -> Option<f64>| -> Vec<(f64, f64)> {
+    let series = |of: fn(&NavQuantity) -> Option<f64>| -> Vec<Point> {
         let points = samples
             .iter()
             .filter_map(|s| Some((s.valid_utc.seconds_since(zero), of(&s.quantity)?)));
@@ -66,292 +63,143 @@ pub(crate) fn write(path: &Path, report: &LogReport) -> std::io::Result<()> {
         NavQuantity::Heave { heave_down_m } => Some(*heave_down_m),
         _ => None,
     });
-    let panels = [
-        ("HEADING DEG", heading, true),
-        ("ROLL DEG, STARBOARD DOWN", roll, false),
-        ("PITCH DEG, BOW UP", pitch, false),
-        ("HEAVE M, DOWN", heave, false),
-    ];
     let span_s = samples
         .last()
         .map_or(1.0, |s| s.valid_utc.seconds_since(zero));
-    for (i, (title, points, is_heading)) in panels.iter().enumerate() {
-        let area = Area {
-            left: 760,
-            top: 30 + i * 192,
-            width: 610,
-            height: 140,
-        };
-        picture.panel(area, title, points, span_s.max(1e-3), *is_heading);
+    let panels = [
+        ("Heading, degrees", heading, true),
+        ("Roll, degrees, starboard down", roll, false),
+        ("Pitch, degrees, bow up", pitch, false),
+        ("Heave, metres, down", heave, false),
+    ];
+    for (area, (title, points, wraps)) in right.split_evenly((4, 1)).iter().zip(&panels) {
+        panel(area, title, points, span_s.max(1e-3), *wraps)?;
     }
-    picture.save(path)
+    root.present()?;
+    Ok(())
 }
 
-impl Picture {
-    fn dot(&mut self, x: i64, y: i64, colour: [u8; 3]) {
-        if (0..WIDTH as i64).contains(&x) && (0..HEIGHT as i64).contains(&y) {
-            let at = (y as usize * WIDTH + x as usize) * 3;
-            self.pixels[at..at + 3].copy_from_slice(&colour);
-        }
+/// One quantity over seconds since the first sample. `wraps`: steps over 180 are not joined.
+fn panel(
+    area: &Area,
+    title: &str,
+    points: &[Point],
+    span_s: f64,
+    wraps: bool,
+) -> Result<(), PlotError> {
+    if points.is_empty() {
+        area.titled(&format!("{title}: no samples"), (FAMILY, 16))?;
+        return Ok(());
     }
-
-    fn line(&mut self, from: (f64, f64), to: (f64, f64), colour: [u8; 3]) {
-        let steps = (to.0 - from.0)
-            .abs()
-            .max((to.1 - from.1).abs())
-            .ceil()
-            .max(1.0);
-        for i in 0..=steps as usize {
-            let u = i as f64 / steps;
-            let x = from.0 + (to.0 - from.0) * u;
-            let y = from.1 + (to.1 - from.1) * u;
-            self.dot(x.round() as i64, y.round() as i64, colour);
-        }
+    let low = points.iter().fold(f64::INFINITY, |m, p| m.min(p.1));
+    let high = points.iter().fold(f64::NEG_INFINITY, |m, p| m.max(p.1));
+    let (middle, half) = ((low + high) / 2.0, ((high - low) / 2.0).max(0.05) * 1.05);
+    let mut chart = ChartBuilder::on(area)
+        .caption(title, (FAMILY, 16))
+        .margin_right(24)
+        .x_label_area_size(36)
+        .y_label_area_size(70)
+        .build_cartesian_2d(0.0..span_s, middle - half..middle + half)?;
+    chart
+        .configure_mesh()
+        .x_labels(8)
+        .y_labels(5)
+        .x_desc("seconds since the first sample")
+        .label_style((FAMILY, 12))
+        .bold_line_style(GRID)
+        .light_line_style(TRANSPARENT)
+        .draw()?;
+    let mut intervals: Vec<f64> = points.windows(2).map(|w| w[1].0 - w[0].0).collect();
+    intervals.sort_by(f64::total_cmp);
+    let median = intervals.get(intervals.len() / 2).copied().unwrap_or(0.0);
+    let joined = |a: &Point, b: &Point| {
+        !(wraps && (b.1 - a.1).abs() > 180.0) && b.0 - a.0 <= median * GAP_INTERVALS + 1e-3
+    };
+    let column = |p: &Point| (p.0 / span_s * COLUMNS) as i64;
+    for run in points.chunk_by(joined) {
+        // A run of one sample has no line, so every run is marked at its start.
+        chart.draw_series(run.first().map(|p| Circle::new(*p, 1, LINE.filled())))?;
+        let kept = run
+            .chunk_by(|a, b| column(a) == column(b))
+            .flat_map(extremes);
+        chart.draw_series(LineSeries::new(kept, LINE))?;
     }
-
-    fn blob(&mut self, (x, y): (f64, f64), colour: [u8; 3]) {
-        for dy in -4..=4_i64 {
-            for dx in -4..=4_i64 {
-                if dx * dx + dy * dy <= 17 {
-                    self.dot(x as i64 + dx, y as i64 + dy, colour);
-                }
-            }
-        }
-    }
-
-    /// What would run over the edge is moved in from it.
-    fn text(&mut self, left: usize, top: usize, text: &str) {
-        let left = left.min(WIDTH.saturating_sub(text.len() * 4 * SCALE));
-        for (i, letter) in text.chars().enumerate() {
-            for (row, bits) in glyph(letter).into_iter().enumerate() {
-                for column in 0..3 {
-                    if bits >> (2 - column) & 1 == 0 {
-                        continue;
-                    }
-                    for (dx, dy) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-                        let x = left + (i * 4 + column) * SCALE + dx;
-                        let y = top + row * SCALE + dy;
-                        self.dot(x as i64, y as i64, INK);
-                    }
-                }
-            }
-        }
-    }
-
-    fn frame(&mut self, a: Area) {
-        let (left, top) = (a.left as f64, a.top as f64);
-        let (right, bottom) = (left + a.width as f64, top + a.height as f64);
-        for (from, to) in [
-            ((left, top), (right, top)),
-            ((left, bottom), (right, bottom)),
-            ((left, top), (left, bottom)),
-            ((right, top), (right, bottom)),
-        ] {
-            self.line(from, to, FRAME);
-        }
-    }
-
-    fn panel(
-        &mut self,
-        a: Area,
-        title: &str,
-        points: &[(f64, f64)],
-        span_s: f64,
-        is_heading: bool,
-    ) {
-        self.text(a.left, a.top - 16, title);
-        if points.is_empty() {
-            self.frame(a);
-            self.text(a.left + 12, a.top + 12, "NOTHING");
-            return;
-        }
-        let low = points.iter().fold(f64::INFINITY, |m, p| m.min(p.1));
-        let high = points.iter().fold(f64::NEG_INFINITY, |m, p| m.max(p.1));
-        // A flat line lies in the middle of its panel.
-        let half = ((high - low) / 2.0).max(0.05) * 1.05;
-        let (low, high) = ((low + high) / 2.0 - half, (low + high) / 2.0 + half);
-        let x = |t: f64| a.left as f64 + t / span_s * a.width as f64;
-        let y = |v: f64| a.top as f64 + (high - v) / (high - low) * a.height as f64;
-        let (right, bottom) = ((a.left + a.width) as f64, (a.top + a.height) as f64);
-        for v in ticks(low, high, 4) {
-            self.line((a.left as f64, y(v)), (right, y(v)), GRID);
-            self.text(a.left - 78, y(v) as usize - 5, &format!("{:>9}", label(v)));
-        }
-        for t in ticks(0.0, span_s, 6) {
-            self.line((x(t), a.top as f64), (x(t), bottom), GRID);
-            self.text(
-                x(t) as usize,
-                a.top + a.height + 6,
-                &format!("{} S", label(t)),
-            );
-        }
-        self.frame(a);
-        let mut steps: Vec<f64> = points.windows(2).map(|w| w[1].0 - w[0].0).collect();
-        steps.sort_by(f64::total_cmp);
-        let usual = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
-        for w in points.windows(2) {
-            let wraps = is_heading && (w[1].1 - w[0].1).abs() > 180.0;
-            if !wraps && w[1].0 - w[0].0 <= usual * BREAK_STEPS + 1e-3 {
-                self.line((x(w[0].0), y(w[0].1)), (x(w[1].0), y(w[1].1)), LINE);
-            }
-        }
-        for (t, v) in points {
-            self.dot(x(*t).round() as i64, y(*v).round() as i64, LINE);
-        }
-    }
-
-    fn track(&mut self, samples: &[NavSample]) {
-        let area = Area {
-            left: 90,
-            top: 30,
-            width: 560,
-            height: 716,
-        };
-        self.text(
-            area.left,
-            area.top - 16,
-            "TRACK M, NORTH UP, GREEN START, RED END",
-        );
-        let mut plane = None;
-        let mut points: Vec<(f64, f64)> = Vec::new();
-        for s in samples {
-            if let NavQuantity::Position {
-                latitude_rad,
-                longitude_rad,
-                ..
-            } = s.quantity
-            {
-                let plane = plane
-                    .get_or_insert_with(|| LocalTangentPlane::new(latitude_rad, longitude_rad));
-                let (north, east) = plane.local_m(latitude_rad, longitude_rad);
-                points.push((east, north));
-            }
-        }
-        let (Some(first), Some(last)) = (points.first().copied(), points.last().copied()) else {
-            self.frame(area);
-            self.text(area.left + 12, area.top + 12, "NOTHING");
-            return;
-        };
-        let fold = |pick: fn(&(f64, f64)) -> f64, start: f64, keep: fn(f64, f64) -> f64| {
-            points.iter().map(pick).fold(start, keep)
-        };
-        let (west, east) = (
-            fold(|p| p.0, f64::INFINITY, f64::min),
-            fold(|p| p.0, f64::NEG_INFINITY, f64::max),
-        );
-        let (south, north) = (
-            fold(|p| p.1, f64::INFINITY, f64::min),
-            fold(|p| p.1, f64::NEG_INFINITY, f64::max),
-        );
-        // One scale for both axes.
-        let per_pixel = ((east - west) / area.width as f64)
-            .max((north - south) / area.height as f64)
-            .max(1e-5)
-            * 1.08;
-        let (mid_e, mid_n) = ((west + east) / 2.0, (south + north) / 2.0);
-        let (half_w, half_h) = (area.width as f64 / 2.0, area.height as f64 / 2.0);
-        let x = |e: f64| area.left as f64 + half_w + (e - mid_e) / per_pixel;
-        let y = |n: f64| area.top as f64 + half_h - (n - mid_n) / per_pixel;
-        let (reach_e, reach_n) = (half_w * per_pixel, half_h * per_pixel);
-        for n in ticks(mid_n - reach_n, mid_n + reach_n, 6) {
-            let right = (area.left + area.width) as f64;
-            self.line((area.left as f64, y(n)), (right, y(n)), GRID);
-            self.text(
-                area.left - 78,
-                y(n) as usize - 5,
-                &format!("{:>9}", label(n)),
-            );
-        }
-        for e in ticks(mid_e - reach_e, mid_e + reach_e, 5) {
-            let bottom = (area.top + area.height) as f64;
-            self.line((x(e), area.top as f64), (x(e), bottom), GRID);
-            let text = label(e);
-            let left = x(e) as usize - text.len() * 2 * SCALE;
-            self.text(left, area.top + area.height + 6, &text);
-        }
-        self.frame(area);
-        for w in points.windows(2) {
-            self.line((x(w[0].0), y(w[0].1)), (x(w[1].0), y(w[1].1)), LINE);
-        }
-        self.blob((x(first.0), y(first.1)), START);
-        self.blob((x(last.0), y(last.1)), END);
-    }
-
-    fn save(&self, path: &Path) -> std::io::Result<()> {
-        let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, WIDTH as u32, HEIGHT as u32);
-        encoder.set_color(png::ColorType::Rgb);
-        encoder.set_depth(png::BitDepth::Eight);
-        let mut writer = encoder.write_header().map_err(std::io::Error::other)?;
-        writer
-            .write_image_data(&self.pixels)
-            .map_err(std::io::Error::other)?;
-        writer.finish().map_err(std::io::Error::other)?;
-        std::fs::File::create(path)?.write_all(&bytes)
-    }
+    Ok(())
 }
 
-/// Round numbers between `low` and `high`, at most `most` + 1 of them.
-fn ticks(low: f64, high: f64, most: usize) -> Vec<f64> {
-    let rough = (high - low) / most as f64;
-    let ten = 10_f64.powf(rough.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0]
-        .into_iter()
-        .map(|m| m * ten)
-        .find(|step| *step >= rough * 0.999)
-        .unwrap_or(ten * 10.0);
-    let first = (low / step).ceil() as i64;
-    let last = (high / step).floor() as i64;
-    (first..=last).map(|i| i as f64 * step).collect()
+/// First, lowest, highest and last point of a pixel column.
+fn extremes(points: &[Point]) -> impl Iterator<Item = Point> {
+    let by_value = |a: &&Point, b: &&Point| a.1.total_cmp(&b.1);
+    let lowest = points.iter().min_by(by_value);
+    let highest = points.iter().max_by(by_value);
+    let kept = [points.first(), lowest, highest, points.last()];
+    kept.into_iter().flatten().copied()
 }
 
-/// Without noise behind the point.
-fn label(value: f64) -> String {
-    let text = format!("{value:.4}");
-    let text = text.trim_end_matches('0').trim_end_matches('.');
-    match text {
-        "-0" => "0".to_owned(),
-        _ => text.to_owned(),
+/// North over east, metres, at one scale.
+fn track(area: &Area, samples: &[NavSample]) -> Result<(), PlotError> {
+    let mut plane = None;
+    let mut points: Vec<Point> = Vec::new();
+    for s in samples {
+        if let NavQuantity::Position {
+            latitude_rad,
+            longitude_rad,
+            ..
+        } = s.quantity
+        {
+            let plane =
+                plane.get_or_insert_with(|| LocalTangentPlane::new(latitude_rad, longitude_rad));
+            let (north, east) = plane.local_m(latitude_rad, longitude_rad);
+            points.push((east, north));
+        }
     }
-}
-
-/// Five rows of three pixels, the left one in bit 2.
-fn glyph(letter: char) -> [u8; 5] {
-    match letter.to_ascii_uppercase() {
-        '0' => [7, 5, 5, 5, 7],
-        '1' => [2, 6, 2, 2, 7],
-        '2' => [7, 1, 7, 4, 7],
-        '3' => [7, 1, 7, 1, 7],
-        '4' => [5, 5, 7, 1, 1],
-        '5' => [7, 4, 7, 1, 7],
-        '6' => [7, 4, 7, 5, 7],
-        '7' => [7, 1, 1, 2, 2],
-        '8' => [7, 5, 7, 5, 7],
-        '9' => [7, 5, 7, 1, 7],
-        '-' => [0, 0, 7, 0, 0],
-        '.' => [0, 0, 0, 0, 2],
-        ',' => [0, 0, 0, 2, 4],
-        'A' => [2, 5, 7, 5, 5],
-        'B' => [6, 5, 6, 5, 6],
-        'C' => [7, 4, 4, 4, 7],
-        'D' => [6, 5, 5, 5, 6],
-        'E' => [7, 4, 6, 4, 7],
-        'F' => [7, 4, 6, 4, 4],
-        'G' => [7, 4, 5, 5, 7],
-        'H' => [5, 5, 7, 5, 5],
-        'I' => [7, 2, 2, 2, 7],
-        'K' => [5, 5, 6, 5, 5],
-        'L' => [4, 4, 4, 4, 7],
-        'M' => [5, 7, 7, 5, 5],
-        'N' => [6, 5, 5, 5, 5],
-        'O' => [7, 5, 5, 5, 7],
-        'P' => [7, 5, 7, 4, 4],
-        'R' => [6, 5, 6, 5, 5],
-        'S' => [3, 4, 2, 1, 6],
-        'T' => [7, 2, 2, 2, 2],
-        'U' => [5, 5, 5, 5, 7],
-        'V' => [5, 5, 5, 5, 2],
-        'W' => [5, 5, 7, 7, 5],
-        _ => [0; 5],
-    }
+    let (Some(first), Some(last)) = (points.first().copied(), points.last().copied()) else {
+        area.titled("Track: no samples", (FAMILY, 16))?;
+        return Ok(());
+    };
+    let title = "Track, metres, north up (green: start, red: end)";
+    let area = area.titled(title, (FAMILY, 16))?;
+    let range = |of: fn(&Point) -> f64| {
+        let (low, high) = points
+            .iter()
+            .map(of)
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
+                (low.min(v), high.max(v))
+            });
+        ((low + high) / 2.0, high - low)
+    };
+    let ((east, width), (north, height)) = (range(|p| p.0), range(|p| p.1));
+    let (x_label_size, y_label_size, margin) = (40, 80, 16);
+    let pixels = area.dim_in_pixel();
+    let across = f64::from(pixels.0 - y_label_size - 2 * margin);
+    let down = f64::from(pixels.1 - x_label_size);
+    let metres_per_pixel = 1.08 * (width / across).max(height / down).max(1e-5);
+    let (half_x, half_y) = (
+        across * metres_per_pixel / 2.0,
+        down * metres_per_pixel / 2.0,
+    );
+    let mut chart = ChartBuilder::on(&area)
+        .margin_left(margin)
+        .margin_right(margin)
+        .x_label_area_size(x_label_size)
+        .y_label_area_size(y_label_size)
+        .build_cartesian_2d(east - half_x..east + half_x, north - half_y..north + half_y)?;
+    chart
+        .configure_mesh()
+        .x_labels(6)
+        .y_labels(8)
+        .x_desc("east")
+        .y_desc("north")
+        .label_style((FAMILY, 12))
+        .bold_line_style(GRID)
+        .light_line_style(TRANSPARENT)
+        .draw()?;
+    // Steps shorter than half a pixel are not drawn: a vessel at rest logs many.
+    points.dedup_by(|b, a| (b.0 - a.0).hypot(b.1 - a.1) < metres_per_pixel / 2.0);
+    chart.draw_series(LineSeries::new(points, LINE))?;
+    chart.draw_series([
+        Circle::new(first, 4, START.filled()),
+        Circle::new(last, 4, END.filled()),
+    ])?;
+    Ok(())
 }
