@@ -1,4 +1,4 @@
-//! `echotank chart`: accuracy against speed, measured on the operator's own scene and machine.
+//! `echotank chart`: accuracy against run time, measured on the configured scene and this machine.
 
 pub(crate) mod draw;
 mod page;
@@ -16,35 +16,35 @@ use super::{ConfigArgs, Failure, load};
 use echotank_runtime::chart::work::{self, Work};
 use echotank_runtime::chart::{self, ChartOptions};
 
-/// Timed runs of each ping and method, and of each point of the second chart.
+/// Timed runs of each ping and method, and of each point of the cost chart.
 const REPEATS: usize = 3;
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct ChartArgs {
     #[command(flatten)]
     pub(crate) config: ConfigArgs,
-    /// Folder for chart.svg, chart.png, chart.html, chart.csv, chart.json, work.svg, work.png; made if absent
+    /// Folder for chart.svg, chart.png, chart.html, chart.csv, chart.json, work.svg, work.png; created if absent
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// Which sonar (default: the first)
+    /// Name of the sonar (default: the first)
     #[arg(long, value_name = "NAME")]
     pub(crate) sonar: Option<String>,
-    /// Pings looked at, spread over the first `--span`
+    /// Number of pings measured, spread over the first `--span`
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub(crate) pings: u32,
-    /// The last ping looked at
+    /// Number of the last ping measured
     #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub(crate) span: u32,
-    /// Threads; 0 means as many as there are cores (default: the configuration's)
+    /// Threads; 0 means one per core (default: the configuration's)
     #[arg(long)]
     pub(crate) threads: Option<usize>,
-    /// Fewer methods, one ping, one repeat, no second chart
+    /// Fewer methods, one ping, one repeat, no cost chart
     #[arg(long)]
     pub(crate) quick: bool,
-    /// What `tools/peers` has measured of other software (default: out/peers/points.json, if it is there)
+    /// Measurements of other software by `tools/peers` (default: out/peers/points.json, if present)
     #[arg(long, value_name = "FILE")]
     pub(crate) peers: Option<PathBuf>,
-    /// No progress bar
+    /// Hide the progress bar
     #[arg(long)]
     pub(crate) quiet: bool,
 }
@@ -158,7 +158,7 @@ pub(crate) fn main(args: &ChartArgs) -> Result<(), Failure> {
     }
     print!("{}", table::text(&chart, &curves, &about));
     for peer in &peers {
-        println!("   {}", peer.said(&chart).replace('\n', ": "));
+        println!("   {}", peer.description(&chart).replace('\n', ": "));
     }
     for path in written {
         println!("wrote {}", path.display());
@@ -166,7 +166,7 @@ pub(crate) fn main(args: &ChartArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The fastest method that keeps the configuration's tolerance, and the configuration's own.
+/// The methods of the cost chart: the configured one and the fastest within the tolerance.
 fn work_methods(chart: &chart::Chart) -> Vec<chart::methods::Method> {
     let mut methods: Vec<_> = chart
         .rows
@@ -187,13 +187,13 @@ fn work_methods(chart: &chart::Chart) -> Vec<chart::methods::Method> {
     methods
 }
 
-/// The first of the three figures that Linux keeps; none elsewhere.
+/// One-minute load average on Linux; none elsewhere.
 pub(super) fn load_average() -> Option<f64> {
     let text = fs::read_to_string("/proc/loadavg").ok()?;
     text.split_whitespace().next()?.parse().ok()
 }
 
-/// The processor as the kernel names it, and its cores.
+/// Processor name from the kernel, and number of cores.
 pub(super) fn machine() -> String {
     let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
     let name = fs::read_to_string("/proc/cpuinfo")

@@ -1,6 +1,6 @@
-//! `echotank check`: is a configuration right, and what follows from it.
+//! `echotank check`: validates a configuration and reports derived values, costs and selected methods.
 
-mod plan;
+mod selection;
 
 use std::path::PathBuf;
 
@@ -28,19 +28,19 @@ pub(crate) struct CheckArgs {
     /// Print the JSON Schema of a configuration
     #[arg(long, conflicts_with = "template")]
     pub(crate) schema: bool,
-    /// Print the plan of methods, and nothing else, as JSON
+    /// Print only the selected methods, as JSON
     #[arg(long, requires = "config")]
     pub(crate) json: bool,
-    /// Print every candidate of the plan too, cheapest first
+    /// Also print every candidate method, cheapest first
     #[arg(long, requires = "config")]
     pub(crate) all: bool,
-    /// Do not plan: say only whether the configuration is right
+    /// Only validate the configuration; do not select methods
     #[arg(long, conflicts_with_all = ["json", "all"])]
     pub(crate) quick: bool,
-    /// What methods cost on this machine, as --calibrate writes it (default: run.costs, or the table that comes with the program)
+    /// Cost table of this machine, as --calibrate writes it (default: run.costs, or the built-in table)
     #[arg(long, value_name = "FILE")]
     pub(crate) costs: Option<PathBuf>,
-    /// Measure what methods cost on this machine, on this configuration's sonars and scene, and write FILE
+    /// Time the methods on this machine with this configuration's sonars and scene; write the cost table to FILE
     #[arg(long, value_name = "FILE", requires = "config")]
     pub(crate) calibrate: Option<PathBuf>,
 }
@@ -54,10 +54,10 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
         let mut spec = load(path, &args.set)?;
         spec.run.costs = args.costs.clone().or(spec.run.costs);
         if let Some(file) = &args.calibrate {
-            return plan::calibrate(&spec, file);
+            return selection::calibrate(&spec, file);
         }
         if args.json {
-            print!("{}", plan::json(&spec)?);
+            print!("{}", selection::json(&spec)?);
             return Ok(());
         }
         print!("{}", config::summary(&spec));
@@ -67,13 +67,13 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
             };
             let refuse = |why: PipelineError| refuse_text(why.to_string());
             let error_models = engine_error_models(sonar, &spec.medium).map_err(refuse)?;
-            refuse_what_cannot_stream(&spec.run, sonar, &error_models).map_err(refuse_text)?;
+            check_streaming_time(&spec.run, sonar, &error_models).map_err(refuse_text)?;
             for error_model in error_models {
                 let cost = match error_model.cost_ms > 0.0 {
                     true => format!(
                         ", {:.2} ms on one core per {}",
                         error_model.cost_ms,
-                        whole(sonar)
+                        cost_unit(sonar)
                     ),
                     false => String::new(),
                 };
@@ -87,16 +87,18 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
             print!("{}", culling(sonar, &spec.medium));
         }
         if !args.quick {
-            print!("{}", plan::text(&spec, args.all)?);
+            print!("{}", selection::text(&spec, args.all)?);
         }
         println!("{}: ok", path.display());
     }
     Ok(())
 }
 
-/// A ping that streams is computed whole before its first block leaves: what its engine is foreseen to take on all cores together, at the least,
-/// must lie between, from when its pulse is known. An engine that foresees nothing is taken at its word.
-fn refuse_what_cannot_stream(
+/// Refuses a streaming configuration whose cost estimate exceeds the time available.
+///
+/// A streamed ping is computed completely before its first block is sent. The estimate, spread over all cores, is a lower bound of that
+/// time. Engines without a cost estimate pass.
+fn check_streaming_time(
     run: &RunSpec,
     sonar: &SonarSpec,
     error_models: &[ErrorModel],
@@ -120,33 +122,33 @@ fn refuse_what_cannot_stream(
     let period_ms = 1e3 / sonar.settings.max_ping_rate_hz;
     if min_ms > period_ms {
         return Err(format!(
-            "run.delivery = \"streaming\": a ping is foreseen to take {min_ms:.0} ms or more on {cores} cores and comes every {period_ms:.0} ms: no latency is long enough"
+            "run.delivery = \"streaming\": a ping takes an estimated {min_ms:.0} ms or more on {cores} cores and the ping period is {period_ms:.0} ms: no latency is long enough"
         ));
     }
     let (ahead_ms, latency_ms) = (run.ahead_s * 1e3, latency_s * 1e3);
     let first_ms = (block_s + latency_s) * 1e3;
     if sonar.trigger.from.is_wired() && min_ms > first_ms {
         return Err(format!(
-            "run.stream_latency_ms = {latency_ms}: a ping is foreseen to take {min_ms:.0} ms or more on {cores} cores, and nobody knows of a trigger before it comes: must be longer"
+            "run.stream_latency_ms = {latency_ms}: must be longer: a ping takes an estimated {min_ms:.0} ms or more on {cores} cores and starts at its external trigger"
         ));
     }
     if min_ms > ahead_ms + first_ms {
         return Err(format!(
-            "run.ahead_ms = {ahead_ms}: a ping is foreseen to take {min_ms:.0} ms or more on {cores} cores; must be longer, or run.stream_latency_ms"
+            "run.ahead_ms = {ahead_ms}: must be longer, or run.stream_latency_ms must be: a ping takes an estimated {min_ms:.0} ms or more on {cores} cores"
         ));
     }
     Ok(())
 }
 
-/// What an error model's cost is for.
-fn whole(sonar: &SonarSpec) -> &'static str {
+/// The unit of work that an error model's cost refers to.
+fn cost_unit(sonar: &SonarSpec) -> &'static str {
     match sonar.model.synthesis {
         Synthesis::Gridded2d => "array and ping",
         _ => "element and ping",
     }
 }
 
-/// What `cull_db` leaves out of each array's reverberation; empty where nothing is culled.
+/// Error that `cull_db` causes in each array's reverberation; empty without culling.
 fn culling(sonar: &SonarSpec, medium: &MediumSpec) -> String {
     let Some(cull_db) = sonar.model.cull_db else {
         return String::new();
@@ -161,7 +163,7 @@ fn culling(sonar: &SonarSpec, medium: &MediumSpec) -> String {
         };
         let at = |deg: u32| format!("{:.1e} at {deg}", share(deg).sqrt());
         text += &format!(
-            "culling      {} {name}: what lies below {cull_db} dB; error of a flat bottom's windows {}, {}, {}, {} degrees of incidence\n",
+            "culling      {} {name}: below {cull_db} dB; relative windowed error on a flat bottom {}, {}, {}, {} degrees of incidence\n",
             sonar.name,
             at(20),
             at(45),

@@ -1,4 +1,4 @@
-//! `echotank ctl`: a running daemon told and asked, over its HTTP control.
+//! `echotank ctl`: controls and queries a running daemon over HTTP.
 
 use std::net::SocketAddr;
 
@@ -10,10 +10,10 @@ use echotank_runtime::io::control::{Command, Settings, TriggerName, client};
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct CtlArgs {
-    /// Where the daemon's control listens: `control.listen` of its configuration
+    /// Address of the daemon's control server: `control.listen` of its configuration
     #[arg(long, default_value = "127.0.0.1:7780")]
     pub(crate) address: SocketAddr,
-    /// `control.token` of its configuration, where it has one
+    /// `control.token` of its configuration, if set
     #[arg(long, env = "ECHOTANK_TOKEN", hide_env_values = true)]
     pub(crate) token: Option<String>,
     #[command(subcommand)]
@@ -22,51 +22,51 @@ pub(crate) struct CtlArgs {
 
 #[derive(Subcommand, Clone, Debug)]
 pub(crate) enum What {
-    /// Stop time
+    /// Stop the simulation clock
     Pause,
-    /// Let time go on
+    /// Restart the simulation clock
     Resume,
-    /// Let pings out, and pause
+    /// Send this many pings, then pause
     Step {
         #[arg(default_value_t = 1)]
         pings: u64,
     },
-    /// Change settings; what is not named stays
+    /// Change sonar settings; others keep their values
     Set(SetArgs),
-    /// Start pings of a sonar that waits for it, on its beat
+    /// Request pings of an externally triggered sonar; they start at its ping period
     Trigger {
         #[arg(default_value_t = 1)]
         pings: u64,
-        /// Which sonar, where there are several
+        /// Name of the sonar, required if there are several
         #[arg(long)]
         sonar: Option<String>,
     },
-    /// Inject a fault: a kind and its keys, as in a configuration's [[fault]], e.g. gain element=3 value=-6 for_s=10
+    /// Inject a fault: kind and keys as in [[fault]] of a configuration, e.g. gain element=3 value=-6 for_s=10
     Fault {
         kind: String,
         #[arg(value_name = "KEY=VALUE")]
         keys: Vec<String>,
     },
-    /// Take a fault away, by its number, or all
+    /// Remove the fault with this number, or all faults
     ClearFaults { fault: Option<u32> },
-    /// How time goes: realtime, scaled (with a rate), fast or lockstep; between the first two, and between the last two
+    /// Set the clock mode: realtime or scaled (with a rate), or fast or lockstep. Only switching within either pair is allowed
     Clock { mode: String, rate: Option<f64> },
     /// Send a command as JSON, e.g. '{"do": "step", "pings": 3}'
     Send { json: String },
-    /// Everything there is to know, as JSON
+    /// Print the complete status as JSON
     Status,
-    /// Counters and quantiles as Prometheus text
+    /// Print counters and quantiles as Prometheus text
     Metrics,
 }
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct SetArgs {
-    /// Which sonar, where there are several
+    /// Name of the sonar, required if there are several
     #[arg(long)]
     pub(crate) sonar: Option<String>,
     #[arg(long)]
     pub(crate) range_m: Option<f64>,
-    /// 0 holds the sonar
+    /// Maximum ping rate; 0 stops pinging
     #[arg(long)]
     pub(crate) rate_hz: Option<f64>,
     #[arg(long)]
@@ -77,7 +77,7 @@ pub(crate) struct SetArgs {
     pub(crate) pulse_ms: Option<f64>,
     #[arg(long)]
     pub(crate) pinging: Option<bool>,
-    /// internal: the sonar's own beat; external: it pings only when asked
+    /// internal: pings at the sonar's own rate; external: only when triggered
     #[arg(long, value_parser = trigger_name)]
     pub(crate) trigger: Option<TriggerName>,
 }
@@ -125,7 +125,7 @@ pub(crate) fn main(args: &CtlArgs) -> Result<(), Failure> {
     send(args, &json!(command))
 }
 
-/// `element=3` and the like as JSON: a number where it is one.
+/// Converts `KEY=VALUE` pairs to JSON; values that parse as JSON keep their type.
 fn fault(kind: &str, keys: &[String]) -> Result<Value, Failure> {
     let mut body = json!({ "do": "fault", "kind": kind });
     for pair in keys {

@@ -1,4 +1,4 @@
-//! `echotank doctor`: whether this machine lets a daemon be punctual and lose nothing.
+//! `echotank doctor`: checks whether this machine can run the daemon on time and without packet loss.
 
 use std::fs;
 use std::path::Path;
@@ -8,18 +8,18 @@ use clap::Args;
 use super::Failure;
 use echotank_runtime::io::priority::{self, Limit};
 
-/// Wanted of the kernel's limits on socket buffers: a ping of 128 elements at once.
+/// Required kernel limit of socket buffers: a whole ping of 128 elements.
 const SOCKET_BUFFER_BYTES: u64 = 4 << 20;
-/// Wanted descriptors: clients, ports and files with room.
+/// Required file descriptors for clients, ports and files, with margin.
 const OPEN_FILES: u64 = 1024;
-/// `run.priority` unless it is told otherwise.
+/// Default of `run.priority`.
 const PRIORITY: u64 = 40;
-/// `run.compute_nice` that is of use beside programs that only count.
+/// A `run.compute_nice` that takes effect beside other compute-bound programs.
 const COMPUTE_NICE: i64 = -10;
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct DoctorArgs {
-    /// As JSON
+    /// Print JSON
     #[arg(long)]
     pub(crate) json: bool,
 }
@@ -29,7 +29,7 @@ struct Finding {
     what: &'static str,
     good: bool,
     found: String,
-    /// What to do about it.
+    /// Remedy; empty if good.
     #[serde(skip_serializing_if = "String::is_empty")]
     advice: String,
 }
@@ -62,7 +62,7 @@ pub(crate) fn main(args: &DoctorArgs) -> Result<(), Failure> {
     let bad = findings.iter().filter(|finding| !finding.good).count();
     if bad > 0 && !args.json {
         println!(
-            "{bad} of {} things could be better; the daemon runs all the same",
+            "{bad} of {} checks failed; the daemon runs, but may be late or lose packets",
             findings.len()
         );
     }
@@ -78,7 +78,7 @@ fn number(root: &Path, file: &str) -> Option<u64> {
     line(root, file)?.parse().ok()
 }
 
-/// Everything looked at, `root` being the file system's.
+/// Runs every check; `root` is the root of the file system.
 fn findings(root: &Path) -> Vec<Finding> {
     let mut all = Vec::new();
     for (what, file) in [
@@ -90,7 +90,7 @@ fn findings(root: &Path) -> Vec<Finding> {
         all.push(Finding::of(
             what,
             bytes.is_some_and(|bytes| bytes >= SOCKET_BUFFER_BYTES),
-            bytes.map_or("not told".into(), |b| {
+            bytes.map_or("unknown".into(), |b| {
                 format!("at most {b} bytes per socket")
             }),
             &format!("sysctl -w {key}={SOCKET_BUFFER_BYTES}"),
@@ -116,7 +116,7 @@ fn findings(root: &Path) -> Vec<Finding> {
             true => "root".to_owned(),
             false => format!("{lowest_nice} and above"),
         },
-        "LimitNICE=-10 in the service, or `- nice -10` in /etc/security/limits.d: for run.compute_nice, where other programs count beside it",
+        "LimitNICE=-10 in the service, or `- nice -10` in /etc/security/limits.d: for run.compute_nice, if other programs load the processor",
     ));
     let locked = priority::limit(Limit::LockedMemory);
     all.push(Finding::of(
@@ -142,7 +142,7 @@ fn findings(root: &Path) -> Vec<Finding> {
         governor
             .as_deref()
             .is_none_or(|governor| governor == "performance"),
-        governor.unwrap_or_else(|| "none: the frequency is not this system's to choose".into()),
+        governor.unwrap_or_else(|| "none: the system does not control the frequency".into()),
         "cpupower frequency-set -g performance",
     ));
     let source = line(
@@ -154,16 +154,16 @@ fn findings(root: &Path) -> Vec<Finding> {
         source
             .as_deref()
             .is_none_or(|s| !matches!(s, "acpi_pm" | "refined-jiffies")),
-        source.unwrap_or_else(|| "not told".into()),
-        "a slow source: boot with clocksource=tsc where the processor's is stable",
+        source.unwrap_or_else(|| "unknown".into()),
+        "slow clock source: boot with clocksource=tsc if the processor's TSC is stable",
     ));
     let (disciplined, error_us) = priority::clock_discipline();
     all.push(Finding::of(
         "clock discipline",
         disciplined,
         match disciplined {
-            true => format!("kept by the kernel, estimated error {error_us} us"),
-            false => "nobody keeps the clock".to_owned(),
+            true => format!("disciplined, estimated error {error_us} us"),
+            false => "no program disciplines the clock".to_owned(),
         },
         "run chrony, ntpd or ptp4l: time stamps with nav.stamp = \"host\" follow this clock",
     ));
@@ -171,7 +171,7 @@ fn findings(root: &Path) -> Vec<Finding> {
     all
 }
 
-/// A line per network interface that could lead to a topside.
+/// Checks the MTU of every network interface except loopback.
 fn mtus(root: &Path) -> Vec<Finding> {
     let Ok(entries) = fs::read_dir(root.join("sys/class/net")) else {
         return Vec::new();
@@ -190,7 +190,7 @@ fn mtus(root: &Path) -> Vec<Finding> {
                 "MTU",
                 mtu >= 1500,
                 format!("{name} {mtu}"),
-                "ip link set dev NAME mtu 1500: datagrams are cut for it",
+                "ip link set dev NAME mtu 1500: a smaller MTU fragments datagrams",
             ))
         })
         .collect()
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn small_buffers_a_lazy_governor_and_a_small_mtu_are_found() {
+    fn small_buffers_a_powersave_governor_and_a_small_mtu_are_found() {
         let folder = tempfile::tempdir().expect("folder");
         let root = folder.path();
         put(root, "proc/sys/net/core/rmem_max", "212992\n");
@@ -229,7 +229,7 @@ mod tests {
         assert!(!good("receive buffers"));
         assert!(good("send buffers"));
         assert!(!good("frequency governor"));
-        assert!(!good("MTU"), "and lo is not looked at");
-        assert!(good("clock source"), "what is not told is no fault");
+        assert!(!good("MTU"), "loopback is skipped");
+        assert!(good("clock source"), "an unknown value is not a failure");
     }
 }

@@ -1,4 +1,4 @@
-//! `echotank listen`: a small topside for people.
+//! `echotank listen`: a minimal topside for tests and diagnosis.
 
 mod pulses;
 mod verify;
@@ -18,53 +18,53 @@ use echotank_runtime::io::sonar::elements::{ElementClient, FrameTally};
 use pulses::{Pulses, TriggerTo};
 use verify::FamilyName;
 
-/// What is subscribed to when nothing is named: everything a ping makes.
-const EVERYTHING: [u32; 10] = [7000, 7503, 7004, 7007, 7018, 7038, 7610, 1003, 1012, 1013];
+/// Default subscription: every record type of a ping.
+const PING_RECORDS: [u32; 10] = [7000, 7503, 7004, 7007, 7018, 7038, 7610, 1003, 1012, 1013];
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct ListenArgs {
-    /// 7k server, e.g. 127.0.0.1:7000; with --family the address of its server (of its data), of VITA 49 where its datagrams come to
+    /// Address of the 7k server, e.g. 127.0.0.1:7000; with --family that protocol's (data) server; for VITA 49 the local address to receive at
     pub(crate) address: String,
-    /// Record types to subscribe to, separated by commas [default: all that a ping makes]
+    /// Record types to subscribe to, separated by commas [default: all of a ping]
     #[arg(long, value_delimiter = ',', value_name = "TYPE")]
     pub(crate) records: Vec<u32>,
     /// Stop after this many seconds (default: listen until the server closes)
     #[arg(long, value_name = "S")]
     pub(crate) seconds: Option<f64>,
-    /// Do not print records; account at the end for those sent, lost, duplicated, late and damaged, by whatever numbers they carry. A client
-    /// that was reset connects again
+    /// Do not print records; report at the end how many were sent, lost, duplicated, late and damaged, by their sequence numbers. Reconnects
+    /// after a reset
     #[arg(long)]
     pub(crate) verify: bool,
-    /// What is spoken there. Imagenex 872 carries no numbers: its answers are only counted
+    /// Protocol of the server. Imagenex 872 replies carry no sequence numbers and are only counted
     #[arg(long, value_enum, default_value = "7k", requires = "verify")]
     pub(crate) family: FamilyName,
-    /// Write every finding as a line of JSON, for `echotank score`
+    /// Write every finding as JSON lines, for `echotank score`
     #[arg(long, value_name = "FILE", requires = "verify")]
     pub(crate) report: Option<PathBuf>,
-    /// Write a sum of every record: of a run without faults, for --against
+    /// Write a checksum of every record, for --against; use a run without faults
     #[arg(long, value_name = "FILE", requires = "verify")]
     pub(crate) sums: Option<PathBuf>,
-    /// Compare every record with these sums of the same run without faults: what no checksum tells
+    /// Compare every record with the checksums of the same run without faults; finds changes with valid checksums
     #[arg(long, value_name = "FILE", requires = "verify")]
     pub(crate) against: Option<PathBuf>,
-    /// Find a silence where nothing comes for so long, ms
+    /// Report a silence when nothing arrives for this long, ms
     #[arg(long, value_name = "MS", requires = "verify")]
     pub(crate) silence_ms: Option<f64>,
-    /// The range that an Imagenex 872 is asked for, m
+    /// Range requested from an Imagenex 872, m
     #[arg(long, value_name = "M", default_value_t = 50)]
     pub(crate) range_m: u8,
-    /// The address is an element stream (sonar.output.elements): account for its frames, and tell how long after its pulse each ping's first
-    /// sample came, and each frame after the instant its last sample was heard; needs nav.stamp = "host"
+    /// Receive an element stream (sonar.output.elements): count its frames and print latencies, from the pulse to a ping's first sample and
+    /// from a frame's last sample to its arrival; needs nav.stamp = "host"
     #[arg(long, conflicts_with_all = ["records", "verify"])]
     pub(crate) elements: bool,
-    /// The address is where datagrams of VITA 49 come to (sonar.output.vita49.send_to), e.g. 127.0.0.1:4991: as --elements, of its packets
+    /// Receive VITA 49 datagrams at the address (sonar.output.vita49.send_to), e.g. 127.0.0.1:4991; prints the same as --elements
     #[arg(long, conflicts_with_all = ["records", "verify", "elements"])]
     pub(crate) vita49: bool,
-    /// Trigger the pings itself, at random instants (with --elements or --vita49), and tell how long after that their first samples came: where
-    /// [sonar.trigger] listens, udp=ADDRESS or tcp=ADDRESS; or ctl=ADDRESS of [control], for pings asked for by number
-    #[arg(long, value_name = "WAY=ADDRESS")]
+    /// Trigger pings at random times and print the latency to their first sample; needs --elements or --vita49. udp=ADDRESS or tcp=ADDRESS of
+    /// [sonar.trigger], or ctl=ADDRESS of [control]
+    #[arg(long, value_name = "KIND=ADDRESS")]
     pub(crate) trigger: Option<TriggerTo>,
-    /// Half to one and a half times so long from trigger to trigger, ms; longer than a ping's window
+    /// Mean interval between triggers, ms, varied by half; must be longer than the receive window
     #[arg(long, value_name = "MS", default_value_t = 200.0, requires = "trigger")]
     pub(crate) every_ms: f64,
 }
@@ -76,15 +76,15 @@ impl ListenArgs {
     }
 }
 
-/// Of the histograms printed: fine where pings are prompt, and there are few bins where they are.
+/// Bin width of printed histograms, microseconds.
 const BIN_US: u64 = 100;
 
-/// A histogram in a line of percentiles and a line of how many were no later than so many milliseconds.
-fn print_spread(what: &str, spread: &LatencyHistogram) {
+/// Prints percentiles, and counts by upper bin edge.
+fn print_spread(what: &str, spread: &Spread) {
     let f = spread.figures();
     let ms = [f.p50_us, f.p99_us, f.p999_us, f.max_us].map(|us| us as f64 / 1e3);
     println!(
-        "{what}: p50 {:.3} ms, p99 {:.3}, p99.9 {:.3}, max {:.3} ({} of them)",
+        "{what}: p50 {:.3} ms, p99 {:.3}, p99.9 {:.3}, max {:.3} ({} samples)",
         ms[0], ms[1], ms[2], ms[3], f.count
     );
     let bins = spread.bins_of(BIN_US);
@@ -93,7 +93,7 @@ fn print_spread(what: &str, spread: &LatencyHistogram) {
     println!("  no later than: {}", bins.collect::<Vec<_>>().join(", "));
 }
 
-/// Takes an element stream to the end.
+/// Receives an element stream to its end and prints its latencies.
 fn elements(args: &ListenArgs) -> Result<(), Failure> {
     let mut client = ElementClient::connect(args.address.as_str()).map_err(Failure::running)?;
     let end = args
@@ -123,8 +123,8 @@ fn elements(args: &ListenArgs) -> Result<(), Failure> {
                         }
                     }
                     let last = head.first_moment + frame.moments.saturating_sub(1);
-                    let heard_s = head.first_moment_s + f64::from(last) / head.moments_per_s;
-                    frames.note(us(since_ns(heard_s)));
+                    let received_s = head.first_moment_s + f64::from(last) / head.moments_per_s;
+                    frames.note(us(since_ns(received_s)));
                 })
                 .map_err(Failure::running)?;
         if !is_open {
@@ -132,7 +132,7 @@ fn elements(args: &ListenArgs) -> Result<(), Failure> {
         }
     }
     println!(
-        "{} pings, {} incomplete; {} frames, {} lost; {bytes} bytes, {} of no frame",
+        "{} pings, {} incomplete; {} frames, {} lost; {bytes} bytes, {} outside frames",
         tally.pings,
         tally.incomplete_pings,
         tally.frames,
@@ -162,7 +162,7 @@ pub(crate) fn main(args: &ListenArgs) -> Result<(), Failure> {
         return vita49::main(args);
     }
     let wanted = if args.records.is_empty() {
-        EVERYTHING.to_vec()
+        PING_RECORDS.to_vec()
     } else {
         args.records.clone()
     };
@@ -196,13 +196,13 @@ pub(crate) fn main(args: &ListenArgs) -> Result<(), Failure> {
         }
     };
     println!(
-        "{bytes} bytes in {:.1} s; {} spoiled on the way: {:?}",
+        "{bytes} bytes in {:.1} s; {} transmission errors: {:?}",
         began.elapsed().as_secs_f64(),
         client.counters().errors(),
         client.counters()
     );
     match closed {
-        // The server's end of the conversation is an end, not a fault, unless something was to come.
+        // A server that closes is an error only before --seconds have passed.
         Some(error) if end.is_some() => Err(Failure::running(error)),
         _ => Ok(()),
     }

@@ -24,10 +24,10 @@ use clap::{Args, Parser, Subcommand};
 use self::logging::LogFormat;
 use echotank_config::spec::RigSpec;
 
-/// Feeds a real sonar topside, DSP or acquisition board as though it were in the water.
+/// Feed a real sonar topside, DSP or acquisition board as though it were in the water.
 ///
-/// Navigation comes in (a recorded log, UDP or a serial port), an echo model runs at the ping rate over a virtual seabed, and element
-/// samples, beams and side-scan lines go out in the binary protocol of a real sonar (Teledyne RESON 7k).
+/// Navigation comes in from a recorded log, UDP or a serial port. An echo model runs at the ping rate over a virtual seabed. Element
+/// samples, beams and side-scan lines go out in the binary protocols of real sonars, such as Teledyne RESON 7k.
 ///
 /// Without a subcommand: `run` with the quickstart configuration.
 #[derive(Parser)]
@@ -48,33 +48,33 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// The daemon: navigation in, pings in real time, protocols out, until stopped
+    /// Run the daemon: navigation in, pings in real time, sonar protocols out, until stopped
     Run(run::RunArgs),
-    /// The same pipeline offline, as fast as it goes: files out, the same bytes every time
+    /// The same pipeline offline, without pacing: writes files, reproducible byte for byte
     Replay(replay::ReplayArgs),
-    /// Measures every method on this scene and machine: error against milliseconds, as pictures, a page and tables
+    /// Measure every method on this scene and machine: error against run time, as plots, a page and tables
     Chart(chart::ChartArgs),
-    /// Check a configuration and print what follows from it
+    /// Check a configuration; print derived values, cost estimates and the selected methods
     Check(check::CheckArgs),
-    /// Tell a running daemon: pause, step, settings; or ask how it does
+    /// Control a running daemon (pause, step, change settings) or query its status
     Ctl(ctl::CtlArgs),
-    /// Whether this machine lets the daemon be punctual and lose nothing
+    /// Check whether this machine can run the daemon on time and without packet loss
     Doctor(doctor::DoctorArgs),
-    /// A small topside for people: connect to a 7k server, subscribe, print records; or account for what any family sends
+    /// A minimal topside: connect to a 7k server, subscribe and print records; or verify any protocol's stream
     Listen(listen::ListenArgs),
-    /// A device's report laid beside the log of injected faults: found, missed, invented
+    /// Compare a device's fault report with the log of injected faults: found, missed, false alarms
     Score(score::ScoreArgs),
-    /// Mend records that were cut off; `run` does so by itself with those in its folder
+    /// Recover truncated recordings; `run` does this for those in its folder
     Recover(recover::RecoverArgs),
-    /// A recording's side-scan lines as a georeferenced picture (GeoTIFF and PNG)
+    /// Write a recording's side-scan lines as a georeferenced image (GeoTIFF and PNG)
     Mosaic(mosaic::MosaicArgs),
-    /// What a recorded navigation log holds, what would be used of it, and why something is not
+    /// Report what a recorded navigation log holds, what is used, and why the rest is not
     Nav(nav::NavArgs),
-    /// Look at seabeds and models
+    /// Inspect seabeds and 3-D models
     Scene(scene::SceneArgs),
 }
 
-/// A configuration and the changes to it that the command line makes.
+/// A configuration file and its overrides from the command line.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct ConfigArgs {
     /// Configuration file (TOML); `echotank check --template` prints one to start from
@@ -89,7 +89,7 @@ pub(crate) fn main() -> ExitCode {
     if let Some(Command::Check(_) | Command::Doctor(_) | Command::Nav(_) | Command::Score(_)) =
         cli.command
     {
-        end_with_the_reader();
+        restore_sigpipe();
     }
     let done = logging::start(cli.log).and_then(|()| execute(cli.command));
     match done {
@@ -122,10 +122,10 @@ fn execute(command: Option<Command>) -> Result<(), Failure> {
     }
 }
 
-/// `echotank check rig.toml | head`: who has read enough ends a command that only prints. What serves or records goes on without a reader.
-fn end_with_the_reader() {
+/// Restores the default SIGPIPE action, so that `echotank check rig.toml | head` ends quietly. Commands that serve or record keep running.
+fn restore_sigpipe() {
     #[cfg(unix)]
-    // SAFETY: the default action of a signal has no handler that could be run.
+    // SAFETY: SIG_DFL installs no handler, so no Rust code runs in a signal context.
     unsafe {
         libc::signal(libc::SIGPIPE, libc::SIG_DFL);
     }
@@ -134,9 +134,9 @@ fn end_with_the_reader() {
 /// Why a command ended without success.
 #[derive(Debug)]
 pub(crate) enum Failure {
-    /// The operator's: the whole list of problems.
+    /// Wrong configuration or arguments: every problem, one per line. Exit status 2.
     Configuration(String),
-    /// The world's.
+    /// Failure of a file, device, network or computation. Exit status 1.
     Running(String),
 }
 
@@ -146,7 +146,7 @@ impl Failure {
     }
 }
 
-/// Reads and checks a configuration with the command line's changes in it.
+/// Reads a configuration, applies `--set` overrides and checks it.
 pub(crate) fn load(path: &Path, set: &[String]) -> Result<RigSpec, Failure> {
     let refuse = |text: String| Failure::Configuration(text);
     if set.is_empty() {
@@ -166,18 +166,18 @@ pub(crate) fn load(path: &Path, set: &[String]) -> Result<RigSpec, Failure> {
         .map_err(|e| refuse(format!("{} (with --set)\n{e}", path.display())))
 }
 
-/// Sets `a.b.c=VALUE`. A list of tables is changed in every entry, or in one where the key has a number; absent tables are made.
+/// Applies `a.b.c=VALUE`. In an array of tables every entry is changed, or only the one whose index the key gives; absent tables are created.
 fn apply(table: &mut toml::Table, change: &str) -> Result<(), String> {
     let (key, value) = change.split_once('=').ok_or("expected KEY=VALUE")?;
     let value = parse_value(value.trim());
     let path: Vec<&str> = key.trim().split('.').collect();
     if path.iter().any(|part| part.is_empty()) {
-        return Err("a part of the key is empty".into());
+        return Err("the key has an empty part".into());
     }
     set_in(table, &path, &value)
 }
 
-/// A TOML value, or else the text itself, so that simple words need no quotes.
+/// Parses a TOML value; other text becomes a string, so that simple words need no quotes.
 fn parse_value(text: &str) -> toml::Value {
     match format!("v = {text}").parse::<toml::Table>() {
         Ok(mut table) => table
@@ -225,7 +225,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn set_reaches_every_sonar_or_the_one_named() {
+    fn set_changes_every_sonar_or_the_indexed_one() {
         let mut table: toml::Table = "[[sonar]]\nname = 'a'\n[[sonar]]\nname = 'b'\n"
             .parse()
             .unwrap();

@@ -1,4 +1,4 @@
-//! `echotank mosaic`: a recording's side-scan lines as a georeferenced picture.
+//! `echotank mosaic`: writes a recording's side-scan lines as a georeferenced image.
 
 use std::path::PathBuf;
 
@@ -13,20 +13,20 @@ use echotank_imaging::image::mosaic::{MosaicBuilder, MosaicSpec, SonarPose};
 use echotank_runtime::io::record::lines::{self, RecordedPing};
 use echotank_runtime::io::record::picture::write_mosaic;
 
-/// First returns are the median over so many pings to either side: one fish is no bottom.
+/// Altitude is the median first return over this many pings to either side, so that a single fish is not taken for the bottom.
 const NEIGHBOURS: usize = 7;
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct MosaicArgs {
-    /// What `echotank replay` or `run` recorded: .s7k or pings.npz
+    /// Recording of `echotank replay` or `run`: .s7k or pings.npz
     pub(crate) recording: PathBuf,
-    /// GeoTIFF to write (dB, 32-bit floats, UTM on WGS84); a PNG of the same name comes beside it
+    /// GeoTIFF to write (dB, 32-bit floats, UTM on WGS84); a PNG of the same name is written beside it
     #[arg(long, value_name = "FILE.tif")]
     pub(crate) out: PathBuf,
-    /// Of several pulses in one ping, which: 1 is the sonar's own, 2 that of the first [[sonar.more_pulse]]
+    /// Pulse to show, if a ping has several: 1 is the sonar's own, 2 that of the first [[sonar.more_pulse]]
     #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=64))]
     pub(crate) pulse: u16,
-    /// The beams look so far ahead of broadside; negative is astern. (No recording says where a pulse's transmitter looks.)
+    /// Squint of the beams ahead of broadside; negative is astern. Recordings do not hold the transmitter's squint
     #[arg(
         long,
         value_name = "DEGREES",
@@ -37,13 +37,13 @@ pub(crate) struct MosaicArgs {
     /// Side of a pixel
     #[arg(long, value_name = "METRES", default_value_t = 0.25)]
     pub(crate) pixel: f64,
-    /// Ground range to each side; without it, all there is
+    /// Ground range to each side [default: the longest recorded]
     #[arg(long, value_name = "METRES")]
     pub(crate) range: Option<f64>,
-    /// Directions nearer to the vertical than this are left out
+    /// Leave out directions closer to vertical than this
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0)]
     pub(crate) nadir: f64,
-    /// The sonar lies so far behind the position of the records; negative is ahead. (An .npz knows where its arrays are.)
+    /// Distance of the sonar behind the recorded position; negative is ahead. Not needed for .npz, which holds array positions
     #[arg(
         long,
         value_name = "METRES",
@@ -51,17 +51,17 @@ pub(crate) struct MosaicArgs {
         allow_negative_numbers = true
     )]
     pub(crate) layback: f64,
-    /// Altitude over the bottom; without it, the first return of each line
+    /// Altitude above the bottom [default: from the first return of each line]
     #[arg(long, value_name = "METRES")]
     pub(crate) altitude: Option<f64>,
-    /// What a pixel keeps of several passes
+    /// How a pixel combines several passes
     #[arg(long, value_enum, default_value = "nearest")]
     pub(crate) overlap: OverlapArg,
     /// Colours of the PNG
     #[arg(long, value_enum, default_value = "copper")]
     pub(crate) colours: ColoursArg,
-    /// Shares of the pixels, in per cent, that are darkest and not brightest, e.g. 2,99.8
-    #[arg(long, value_name = "LOW,HIGH", value_parser = shares, default_value = "2,99.8")]
+    /// Percentiles of the pixels shown darkest and brightest, e.g. 2,99.8
+    #[arg(long, value_name = "LOW,HIGH", value_parser = percentiles, default_value = "2,99.8")]
     pub(crate) percentiles: (f64, f64),
 }
 
@@ -80,7 +80,7 @@ pub(crate) enum ColoursArg {
     Rainbow,
 }
 
-fn shares(text: &str) -> Result<(f64, f64), String> {
+fn percentiles(text: &str) -> Result<(f64, f64), String> {
     let (low, high) = text.split_once(',').ok_or("expected LOW,HIGH")?;
     let parse = |s: &str| s.trim().parse::<f64>().map_err(|e| format!("{s}: {e}"));
     let (low, high) = (parse(low)?, parse(high)?);
@@ -90,7 +90,7 @@ fn shares(text: &str) -> Result<(f64, f64), String> {
     }
 }
 
-/// The arguments' own faults, all at once.
+/// Reports every argument out of range at once.
 fn refuse(args: &MosaicArgs) -> Result<(), Failure> {
     let positive = |x: f64| x > 0.0 && x.is_finite();
     let faults: Vec<String> = [
@@ -144,7 +144,7 @@ pub(crate) fn main(args: &MosaicArgs) -> Result<(), Failure> {
         Some(altitude_m) => vec![altitude_m; pings.len()],
         None => first_returns(&pings).ok_or_else(|| {
             Failure::Running(format!(
-                "{}: no line shows a first return of the bottom: give --altitude",
+                "{}: no side-scan line has a first return from the bottom; give --altitude",
                 args.recording.display()
             ))
         })?,
@@ -194,7 +194,7 @@ pub(crate) fn main(args: &MosaicArgs) -> Result<(), Failure> {
         write_mosaic(&args.out, &png, &mosaic, colours, contrast).map_err(Failure::running)?;
     if !written {
         return Err(Failure::Running(format!(
-            "{}: the lines hold nothing beyond the nadir and the first return",
+            "{}: no samples beyond the nadir limit and the first return; the mosaic would be empty",
             args.recording.display()
         )));
     }
@@ -213,7 +213,7 @@ pub(crate) fn main(args: &MosaicArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Altitude of each ping from its first return: the median of its neighbours; where they show none, that of the last that did.
+/// Altitude of each ping, metres: the median first return of its neighbours, or the last known one where they have none.
 fn first_returns(pings: &[RecordedPing]) -> Option<Vec<f64>> {
     let each: Vec<Option<f64>> = pings
         .iter()
@@ -232,8 +232,8 @@ fn first_returns(pings: &[RecordedPing]) -> Option<Vec<f64>> {
     Some(smooth.collect())
 }
 
-/// Where a ping's arrays are, and how fast they go ahead.
-fn place(pings: &[RecordedPing], k: usize, altitude_m: f64) -> SonarPose {
+/// Position, attitude and forward speed of a ping's arrays.
+fn place(pings: &[RecordedPing], k: usize, altitude_m: f64) -> Place {
     let ping = &pings[k];
     let plane = LocalTangentPlane::new(ping.latitude_rad, ping.longitude_rad);
     let [port, starboard] = ping.arms_m;
@@ -244,7 +244,7 @@ fn place(pings: &[RecordedPing], k: usize, altitude_m: f64) -> SonarPose {
     let (latitude_rad, longitude_rad) = plane.geodetic_rad(middle.x, middle.y);
     let (sin, cos) = ping.heading_rad.sin_cos();
     let to_starboard = |arm: DVec3| (arm - middle).dot(DVec3::new(-sin, cos, 0.0));
-    // Speed ahead, by the way between the neighbours.
+    // Forward speed from the positions of the neighbouring pings.
     let (a, b) = (
         &pings[k.saturating_sub(1)],
         &pings[(k + 1).min(pings.len() - 1)],

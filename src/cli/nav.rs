@@ -1,4 +1,4 @@
-//! `echotank nav`: what a recorded log holds, what would be used of it, and why something is not.
+//! `echotank nav`: reports what a recorded log holds, what is used, and why the rest is not.
 
 mod plot;
 
@@ -18,53 +18,54 @@ use echotank_nav::decoder::Outcome;
 use echotank_nav::log::LogKind;
 use echotank_nav::report::{CHANNEL_COUNT, CHANNELS, LogReport, SentenceReport, Spread, report};
 
-/// As sources are called in the output.
+/// Names of the quantities in the output.
 fn channel_names() -> impl Iterator<Item = &'static str> {
     CHANNELS.iter().map(|channel| channel.name())
 }
 
-/// Gaps and jumps written out per quantity.
+/// Printed gaps and jumps per quantity.
 const SHOWN: usize = 5;
-/// Largest file read, bytes; as for sources.
+/// Largest file read, bytes; the same limit as for navigation sources.
 const MAX_BYTES: u64 = 256 << 20;
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct NavArgs {
-    /// A recorded log: text, pcap or pcapng, MAVLink tlog, or records of one maker
+    /// A recorded log: text, pcap or pcapng, MAVLink tlog, or a manufacturer's binary records
     pub(crate) log: PathBuf,
-    /// Draw track and attitude
+    /// Plot track, attitude and heave as PNG
     #[arg(long, value_name = "FILE")]
     pub(crate) png: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     pub(crate) json: bool,
-    /// What the bytes are, where the file does not tell
+    /// Format, if the file does not identify it
     #[arg(long, value_enum, default_value = "nmea")]
     pub(crate) format: Format,
+    /// Treatment of checksums
     #[arg(long, value_enum, default_value = "require")]
     pub(crate) checksum: Checksum,
-    /// Sentences whose checksum is not looked at, e.g. PTNTHPR or HDT
+    /// Sentences whose checksum is ignored, e.g. PTNTHPR or HDT
     #[arg(long, value_name = "NAME")]
     pub(crate) ignore_checksum_for: Vec<String>,
-    /// When a measurement holds
+    /// Time of validity of a measurement: its own, its burst's, or its arrival
     #[arg(long, value_enum, default_value = "burst")]
     pub(crate) time: Time,
-    /// With --time arrival
+    /// Latency subtracted from the arrival, ms; with --time arrival
     #[arg(long, default_value_t = 0.0)]
     pub(crate) latency_ms: f64,
-    /// PASHR carries heave + up
+    /// Heave in PASHR is positive up
     #[arg(long)]
     pub(crate) pashr_heave_up: bool,
-    /// DPT, DBT, DBS and DBK say how deep the platform itself is
+    /// DPT, DBT, DBS and DBK give the platform's own depth
     #[arg(long)]
     pub(crate) own_depth: bool,
-    /// Quantities sent with the opposite sign of their format's documentation
+    /// Quantities whose sign is opposite to their format's documentation
     #[arg(long, value_enum)]
     pub(crate) reverse: Vec<Reverse>,
-    /// East positive; makes magnetic headings true where the sentence does not say it
+    /// Magnetic variation, east positive; converts magnetic headings to true if the sentence has none
     #[arg(long, allow_hyphen_values = true)]
     pub(crate) magnetic_variation_deg: Option<f64>,
-    /// Sentences per second where neither lines nor messages carry a time
+    /// Sentences per second, if neither lines nor messages carry a time
     #[arg(long, default_value_t = 10.0)]
     pub(crate) plain_rate_hz: f64,
 }
@@ -102,14 +103,14 @@ pub(crate) enum Reverse {
 pub(crate) fn main(args: &NavArgs) -> Result<(), Failure> {
     let rate_ok = args.plain_rate_hz.is_finite() && args.plain_rate_hz > 0.0;
     if !rate_ok || !args.latency_ms.is_finite() {
-        let text = "--plain-rate-hz and --latency-ms must be finite, the rate above zero";
+        let text = "--plain-rate-hz must be finite and above 0, and --latency-ms finite";
         return Err(Failure::Configuration(text.to_owned()));
     }
     let failed = |e: std::io::Error| Failure::running(format!("{}: {e}", args.log.display()));
     let size = std::fs::metadata(&args.log).map_err(failed)?.len();
     if size > MAX_BYTES {
         let text = format!(
-            "{}: {size} bytes; at most {MAX_BYTES} are read",
+            "{}: {size} bytes; the limit is {MAX_BYTES}",
             args.log.display()
         );
         return Err(Failure::running(text));
@@ -192,8 +193,8 @@ fn outcome_name(outcome: Outcome) -> &'static str {
     }
 }
 
-/// What a sentence gave, and why the rest of it gave nothing.
-fn fate(s: &SentenceReport, report: &LogReport) -> String {
+/// Which quantities a sentence supplied, and why the others were not used.
+fn usage(s: &SentenceReport, report: &LogReport) -> String {
     let count = |outcome| s.outcomes.get(&outcome).copied().unwrap_or(0);
     let mut parts = Vec::new();
     for (i, name) in channel_names().enumerate() {
@@ -221,32 +222,26 @@ fn fate(s: &SentenceReport, report: &LogReport) -> String {
     }
     if s.magnetic > 0 {
         parts.push(format!(
-            "{} magnetic and of unknown variation (magnetic_variation_deg)",
+            "{} magnetic with unknown variation (magnetic_variation_deg)",
             s.magnetic
         ));
     }
     if s.depths > 0 {
-        parts.push(format!(
-            "{} depths of water, not part of the motion",
-            s.depths
-        ));
+        parts.push(format!("{} water depths, not used for motion", s.depths));
     }
     let spoken = s.outranked.iter().any(|n| *n > 0) || s.magnetic > 0 || s.depths > 0;
     if count(Outcome::NotTaken) > 0 && !spoken {
-        parts.push(format!(
-            "{} known, of no use here",
-            count(Outcome::NotTaken)
-        ));
+        parts.push(format!("{} decoded but not used", count(Outcome::NotTaken)));
     }
     let reasons = [
         (
             Outcome::RefusedChecksum,
-            "refused for their checksum (checksum, ignore_checksum_for)",
+            "rejected by checksum (checksum, ignore_checksum_for)",
         ),
-        (Outcome::Malformed, "whose fields make no sense"),
-        (Outcome::Unsupported, "not decoded here"),
+        (Outcome::Malformed, "with invalid fields"),
+        (Outcome::Unsupported, "of an unsupported type"),
         (Outcome::EmptyFields, "without a fix or with empty fields"),
-        (Outcome::TimeJump, "whose time jumped"),
+        (Outcome::TimeJump, "with a time jump"),
     ];
     for (outcome, why) in reasons {
         if count(outcome) > 0 {
@@ -260,7 +255,6 @@ fn text_of(args: &NavArgs, r: &LogReport) -> String {
     use std::fmt::Write;
     let mut out = String::new();
     let (c, log) = (&r.counters, &r.log);
-    // Writing to a string does not fail.
     let _ = writeln!(out, "{:9} {}", "file", args.log.display());
     let kind = match log.kind {
         LogKind::Text => "lines of text",
@@ -270,7 +264,7 @@ fn text_of(args: &NavArgs, r: &LogReport) -> String {
     };
     let _ = writeln!(
         out,
-        "{:9} {kind}: {}, {} with a stamp, {} stamped before their predecessor, {} without a sentence ({} of them JSON, which is not read), {} packets passed over",
+        "{:9} {kind}: {}, {} with a stamp, {} with a stamp earlier than the previous, {} without a sentence ({} of them JSON, which is not read), {} packets skipped",
         "log", log.lines, log.stamped, log.backward, log.no_sentence, log.json, log.passed_over
     );
     if let Some((first, last)) = r.span {
@@ -285,17 +279,17 @@ fn text_of(args: &NavArgs, r: &LogReport) -> String {
     }
     let _ = writeln!(
         out,
-        "{:9} {} midnights, {} week rollovers mended, {} time jumps, {} without a time of their own or of their burst",
+        "{:9} {} midnights, {} week rollovers corrected, {} time jumps, {} without a time of validity",
         "time", r.midnights, c.week_rollovers, c.time_jumps, c.undated
     );
     let _ = writeln!(
         out,
-        "{:9} {}, of which {} belong to no sentence",
+        "{:9} {}, of which {} outside sentences",
         "bytes", c.bytes, c.resync_bytes
     );
     let _ = writeln!(
         out,
-        "{:9} {}: {} used, {} not taken, {} unsupported, {} malformed, {} empty, {} refused for their checksum ({} wrong, {} missing in all)",
+        "{:9} {}: {} used, {} not taken, {} unsupported, {} malformed, {} empty, {} rejected by checksum (in total {} wrong, {} missing)",
         "sentences",
         c.sentences,
         c.used,
@@ -309,12 +303,12 @@ fn text_of(args: &NavArgs, r: &LogReport) -> String {
     );
     let _ = writeln!(
         out,
-        "\n{:20} {:>7} {:>9} {:>9} {:>26}  what comes of it",
-        "sentence", "count", "every s", "gap s", "latency ms least/med/most"
+        "\n{:20} {:>7} {:>9} {:>9} {:>26}  use",
+        "sentence", "count", "every s", "gap s", "latency ms min/median/max"
     );
     for s in &r.sentences {
         let seconds = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.3}"));
-        // Without stamps the arrivals are made of the messages.
+        // Without stamps, arrival times are derived from the messages, so latency is meaningless.
         let stamped = s.latency_s.filter(|_| log.stamped > 0);
         let latency = stamped.map_or("-".to_owned(), |l| {
             let ms = |v: f64| format!("{:.0}", v * 1e3);
@@ -326,14 +320,14 @@ fn text_of(args: &NavArgs, r: &LogReport) -> String {
             s.name,
             s.count,
             seconds(s.interval_s.map(|i| i.median)),
-            seconds(s.interval_s.map(|i| i.max)),
-            fate(s, r)
+            seconds(s.interval_s.map(|i| i.most)),
+            usage(s, r)
         );
     }
     let _ = writeln!(out);
     for (name, channel) in channel_names().zip(&r.channels) {
         if channel.samples == 0 {
-            let _ = writeln!(out, "{name:13} nothing");
+            let _ = writeln!(out, "{name:13} no samples");
             continue;
         }
         let every = channel
@@ -341,7 +335,7 @@ fn text_of(args: &NavArgs, r: &LogReport) -> String {
             .map_or(String::new(), |i| format!(", every {:.3} s", i.median));
         let _ = write!(
             out,
-            "{name:13} {} samples{every}, {} gaps, {} jumps, {} not after the one before",
+            "{name:13} {} samples{every}, {} gaps, {} jumps, {} not later than the previous",
             channel.samples,
             channel.gaps.len(),
             channel.jumps.len(),
@@ -393,8 +387,8 @@ fn json_of(args: &NavArgs, r: &LogReport) -> Value {
                 "interval_s": spread_json(s.interval_s),
                 "latency_s": spread_json(s.latency_s.filter(|_| r.log.stamped > 0)),
                 "gave": by_channel(&s.gave),
-                "left_to_another": by_channel(&s.outranked),
-                "what_comes_of_it": fate(s, r),
+                "left_to_another": by_channel(&s.outspoken),
+                "what_comes_of_it": usage(s, r),
             })
         })
         .collect();

@@ -1,4 +1,4 @@
-//! `echotank recover`: records that were cut off, mended.
+//! `echotank recover`: recovers truncated recordings.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,7 @@ use echotank_runtime::io::record::recover::recover;
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct RecoverArgs {
-    /// .s7k, .jsf, .xtf, .svlog, .wav, .jsonl, .sigmf-meta; mended in place
+    /// .s7k, .jsf, .xtf, .svlog, .wav, .jsonl, .sigmf-meta; modified in place
     #[arg(required = true)]
     pub(crate) files: Vec<PathBuf>,
 }

@@ -1,4 +1,4 @@
-//! `echotank replay`: the same pipeline offline.
+//! `echotank replay`: runs the pipeline offline and writes files.
 
 use std::path::PathBuf;
 
@@ -16,7 +16,7 @@ pub(crate) struct ReplayArgs {
     /// Recorded navigation to use instead of the first source's file
     #[arg(long, value_name = "LOG")]
     pub(crate) nav: Option<PathBuf>,
-    /// Folder for the results; made if absent
+    /// Folder for the results; created if absent
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     /// What to write, separated by commas; truth.jsonl is always written
@@ -28,10 +28,10 @@ pub(crate) struct ReplayArgs {
     /// Only these pings, counted from 1, both ends included, e.g. 1..600
     #[arg(long, value_name = "A..B", value_parser = parse_range)]
     pub(crate) pings: Option<(u32, u32)>,
-    /// Threads; 0 means as many as there are cores (default: the configuration's)
+    /// Threads; 0 means one per core (default: the configuration's)
     #[arg(long)]
     pub(crate) threads: Option<usize>,
-    /// No progress bar
+    /// Hide the progress bar
     #[arg(long)]
     pub(crate) quiet: bool,
 }
@@ -40,25 +40,25 @@ pub(crate) struct ReplayArgs {
 pub(crate) enum Format {
     /// Teledyne RESON 7k records, one file per sonar
     S7k,
-    /// Element samples, beams and lines as NumPy arrays, one file per sonar
+    /// Element samples, beams and side-scan lines as NumPy arrays, one file per sonar
     Npz,
     /// EdgeTech JSF, one file per sonar
     Jsf,
     /// Triton XTF, one file per sonar with side-scan lines
     Xtf,
-    /// Side-scan waterfall, one picture per sonar; its look is [sonar.picture] of the configuration (--set sonar.picture.range=ground)
+    /// Side-scan waterfall, one image per sonar; styled by [sonar.picture] (e.g. --set sonar.picture.range=ground)
     Png,
-    /// Synthetic aperture over all pings, of sonars with [sonar.beams.synthetic_aperture]
+    /// Synthetic-aperture image over all pings, for sonars with [sonar.beams.synthetic_aperture]
     Sas,
-    /// The fan of beams as polar pictures, and stacked along the track
+    /// The beam fan as polar images, and stacked along the track
     Fan,
-    /// The lines laid on the ground: GeoTIFF with its coordinate system, and PNG
+    /// Georeferenced mosaic of the side-scan lines: GeoTIFF and PNG
     Mosaic,
-    /// What every pixel shows (target, shadow, depth) beside each picture, and every sample of the lines in masks.npz
+    /// Label masks (target, shadow, depth) for each image, and for every line sample in masks.npz
     Masks,
-    /// Element samples with words for every ping, two files per sonar
+    /// Element samples as SigMF with an annotation per ping, two files per sonar
     Sigmf,
-    /// What the elements hear at a converter's rate, one file per sonar
+    /// Element signals at a converter's sample rate, one file per sonar
     Wav,
 }
 
@@ -67,12 +67,12 @@ fn parse_range(text: &str) -> Result<(u32, u32), String> {
     let parse = |s: &str| s.trim().parse::<u32>().map_err(|e| format!("{s}: {e}"));
     let (a, b) = (parse(a)?, parse(b.trim_start_matches('='))?);
     if a == 0 || b < a {
-        return Err("pings count from 1, and B must not be below A".into());
+        return Err("pings are numbered from 1, and B must not be below A".into());
     }
     Ok((a, b))
 }
 
-/// Puts `log` in the place of the first recorded source.
+/// Replaces the file of the first recorded navigation source.
 fn replace_log(spec: &mut RigSpec, log: &std::path::Path) -> Result<(), Failure> {
     for source in &mut spec.nav.sources {
         if let NavInputSpec::Log { path, .. } | NavInputSpec::Csv { path } = &mut source.input {

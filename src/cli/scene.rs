@@ -1,4 +1,4 @@
-//! `echotank scene`: looks at seabeds and models.
+//! `echotank scene`: inspects seabeds and 3-D models.
 
 mod simplify;
 
@@ -16,7 +16,7 @@ use echotank_scene::read::mesh::{self, MeshAxes};
 use echotank_scene::read::relief;
 use echotank_scene::read::survey::{Layout, Lookup, Survey};
 
-/// Shares of the depths that are printed.
+/// Printed depth percentiles, as shares.
 const PERCENTILES: [f64; 7] = [0.0, 0.01, 0.05, 0.5, 0.95, 0.99, 1.0];
 
 #[derive(Args, Clone, Debug)]
@@ -27,9 +27,9 @@ pub(crate) struct SceneArgs {
 
 #[derive(Subcommand, Clone, Debug)]
 pub(crate) enum SceneCommand {
-    /// What a seabed or a model is found to be: format, coordinates, which way heights are positive, holes, depths
+    /// Print properties of a seabed or model: format, coordinates, sign of heights, holes, depths
     Info(InfoArgs),
-    /// Leaves out the scatterers of a seabed that one sonar's view can do without, and writes the others as points
+    /// Reduce a seabed to the scatterers that matter for one sonar, and write them as points
     Simplify(simplify::SimplifyArgs),
 }
 
@@ -50,31 +50,31 @@ pub(crate) struct InfoArgs {
     /// Print JSON
     #[arg(long)]
     pub(crate) json: bool,
-    /// Depth at a place of the file: northing,easting or latitude,longitude, as the file counts them; may be repeated
+    /// Print the depth at a position: northing,easting or latitude,longitude in the file's coordinates; may be repeated
     #[arg(long, value_name = "Y,X", value_parser = parse_place, allow_hyphen_values = true)]
     pub(crate) at: Vec<(f64, f64)>,
-    /// Take the file for this format
+    /// File format [default: detected]
     #[arg(long, value_enum)]
     pub(crate) format: Option<Format>,
-    /// Take its coordinates for these: local, geographic, projected, utm-31n, EPSG:32631
+    /// Coordinate system [default: from the file]: local, geographic, projected, utm-31n, EPSG:32631
     #[arg(long)]
     pub(crate) crs: Option<CrsSpec>,
-    /// Take its heights for these
+    /// Sign of heights [default: from the file]
     #[arg(long, value_enum)]
     pub(crate) values: Option<Values>,
-    /// Which end of a grid its first row lies at
+    /// Position of a grid's first row [default: from the file]
     #[arg(long, value_enum)]
     pub(crate) first_row: Option<Row>,
-    /// Stands for a hole, besides the value that the file names
+    /// Value that marks holes, in addition to the file's own
     #[arg(long, value_name = "VALUE", allow_hyphen_values = true)]
     pub(crate) nodata: Option<f64>,
-    /// Soundings: cell of the grid that they are made into
+    /// Soundings: cell size of the interpolated grid
     #[arg(long, value_name = "M", value_parser = parse_length)]
     pub(crate) cell_m: Option<f64>,
     /// Soundings: triangles with a longer edge are holes
     #[arg(long, value_name = "M", value_parser = parse_length)]
     pub(crate) max_edge_m: Option<f64>,
-    /// Models: where x, y and z point
+    /// Models: directions of x, y and z
     #[arg(long, value_enum, default_value = "east-north-up")]
     pub(crate) axes: Axes,
 }
@@ -112,7 +112,7 @@ fn parse_place(text: &str) -> Result<(f64, f64), String> {
     let (y, x) = text.split_once(',').ok_or("expected two numbers, Y,X")?;
     let number = |s: &str| match s.trim().parse::<f64>() {
         Ok(v) if v.is_finite() => Ok(v),
-        _ => Err(format!("`{}` is no number", s.trim())),
+        _ => Err(format!("`{}`: expected a finite number", s.trim())),
     };
     Ok((number(y)?, number(x)?))
 }
@@ -120,7 +120,7 @@ fn parse_place(text: &str) -> Result<(f64, f64), String> {
 fn parse_length(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(v) if v.is_finite() && v > 0.0 => Ok(v),
-        _ => Err("must be a length above 0".to_owned()),
+        _ => Err("must be a length above 0 m".to_owned()),
     }
 }
 
@@ -182,7 +182,7 @@ fn print_json(value: &Value) {
     println!("{value:#}");
 }
 
-/// Writes the picture and gives its caption.
+/// Writes the shaded relief and returns its caption.
 fn write_relief(path: &Path, survey: &Survey) -> Result<String, String> {
     let picture = relief::draw(&survey.field);
     let failed = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
@@ -204,7 +204,7 @@ fn write_relief(path: &Path, survey: &Survey) -> Result<String, String> {
     Ok(picture.caption)
 }
 
-/// A number without needless digits: a millimetre, or 1e-7 of a degree.
+/// Formats a number with at most seven decimals and no trailing zeros.
 fn short(value: f64) -> String {
     let text = format!("{value:.7}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
@@ -327,7 +327,7 @@ fn zero_words(survey: &Survey) -> String {
             lat.to_degrees(),
             lon.to_degrees()
         ),
-        None => "place on the earth not known".to_owned(),
+        None => "geographic position unknown".to_owned(),
     };
     format!("x {x}, y {y}, the middle ({place})")
 }
@@ -433,7 +433,10 @@ fn as_json(file: &Path, survey: &Survey, at: &[(f64, f64)]) -> Value {
 
 fn model_info(args: &InfoArgs) -> Result<(), Failure> {
     if args.png.is_some() || !args.at.is_empty() {
-        let text = "--png and --at show seabeds; this is a model".to_owned();
+        let text = format!(
+            "{}: --png and --at apply to seabeds only; this file is a 3-D model",
+            args.file.display()
+        );
         return Err(Failure::Configuration(text));
     }
     let axes = match args.axes {
@@ -467,7 +470,7 @@ fn model_info(args: &InfoArgs) -> Result<(), Failure> {
         mesh.triangles.len()
     );
     println!(
-        "{:9} {:?}, numbers taken for metres  [not in the file: --axes]",
+        "{:9} {:?}, unit assumed to be metres  [not in the file: --axes]",
         "axes", args.axes
     );
     for (axis, (low, high)) in ["north", "east", "down"]

@@ -1,4 +1,4 @@
-//! `echotank score`: a device's report laid beside the log of injected faults.
+//! `echotank score`: compares a device's fault report with the log of injected faults.
 
 use std::path::{Path, PathBuf};
 
@@ -13,14 +13,14 @@ use echotank_runtime::score::{Score, log_of, score};
 pub(crate) struct ScoreArgs {
     /// The daemon's log, faults-TIME.jsonl
     pub(crate) log: PathBuf,
-    /// What a device, or `echotank listen --verify --report`, found: JSON lines, e.g. {"kind": "lost", "ping_number": 17, "record_type": 7038}.
-    /// Kinds: lost, duplicate, late, damaged, different, reset, silent, or a fault's own. A line with the keys report, line (7k, jsf, wbms,
-    /// ping, imagenex872, vita49, elements), sonar, covers (record types), tells (kinds of faults), first_ping and last_ping says what it is of
+    /// Report of a device or of `echotank listen --verify --report`: JSON lines, e.g. {"kind": "lost", "ping_number": 17, "record_type": 7038}.
+    /// Kinds: lost, duplicate, late, damaged, different, reset, silent, or the kind of a fault. A header line has the keys report, line (7k, jsf,
+    /// wbms, ping, imagenex872, vita49, elements), sonar, covers (record types), tells (kinds of faults), first_ping and last_ping
     pub(crate) report: PathBuf,
     /// Only faults of this sonar
     #[arg(long)]
     pub(crate) sonar: Option<String>,
-    /// As JSON
+    /// Print JSON
     #[arg(long)]
     pub(crate) json: bool,
 }
@@ -47,14 +47,14 @@ pub(crate) fn main(args: &ScoreArgs) -> Result<(), Failure> {
     match score.is_clean() {
         true => Ok(()),
         false => Err(Failure::Running(format!(
-            "{} missed, {} invented",
+            "{} missed, {} false alarms",
             score.missed.len(),
             score.invented.len()
         ))),
     }
 }
 
-/// Lines of either list that are printed.
+/// Printed entries of each list.
 const MAX_LINES: usize = 20;
 
 fn print(score: &Score) {
@@ -74,11 +74,14 @@ fn print(score: &Score) {
             tally.not_covered
         );
     }
-    println!("{} findings follow from these", score.consequences);
+    println!(
+        "{} further findings are consequences of these",
+        score.consequences
+    );
     for missed in score.missed.iter().take(MAX_LINES) {
         println!("missed: {missed}");
     }
     for invented in score.invented.iter().take(MAX_LINES) {
-        println!("invented: {}", serde_json::json!(invented));
+        println!("false alarm: {}", serde_json::json!(invented));
     }
 }

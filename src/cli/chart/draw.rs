@@ -1,4 +1,4 @@
-//! SVG by hand, and PNG from it.
+//! A small SVG writer, and rendering of SVG to PNG.
 
 use std::fmt::Write;
 use std::sync::Arc;
@@ -6,7 +6,7 @@ use std::sync::Arc;
 use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg::{Options, Tree, fontdb};
 
-/// The typeface that pictures are set in: the same on every machine.
+/// The embedded typeface, so that plots are the same on every machine.
 const FONT: &[u8] = epaint_default_fonts::UBUNTU_LIGHT;
 pub(crate) const FAMILY: &str = "Ubuntu";
 /// Pixels of the PNG per unit of the SVG.
@@ -16,7 +16,7 @@ pub(crate) const INK: &str = "#1b1f24";
 pub(crate) const GREY: &str = "#8a9099";
 pub(crate) const PALE: &str = "#e4e7eb";
 
-/// Text for XML.
+/// Escapes text for XML.
 pub(crate) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")
@@ -24,12 +24,12 @@ pub(crate) fn escaped(text: &str) -> String {
         .replace('"', "&quot;")
 }
 
-/// A drawing under way.
+/// An SVG document under construction.
 pub(crate) struct Svg {
     text: String,
 }
 
-/// Where a text's anchor is.
+/// Horizontal alignment of a text at its position.
 #[derive(Clone, Copy)]
 pub(crate) enum Anchor {
     Start,
@@ -75,7 +75,7 @@ impl Svg {
         );
     }
 
-    pub(crate) fn words(
+    pub(crate) fn label(
         &mut self,
         (x, y): (f64, f64),
         size: f64,
@@ -101,22 +101,22 @@ impl Svg {
     }
 }
 
-/// Width of a text, near enough to keep labels apart.
+/// Estimated width of a text, accurate enough to keep labels apart.
 pub(crate) fn width_of(text: &str, size: f64) -> f64 {
     0.52 * size * text.chars().count() as f64
 }
 
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum DrawError {
-    #[error("the picture cannot be drawn: {0}")]
+    #[error("cannot render the SVG: {0}")]
     Svg(#[from] resvg::usvg::Error),
-    #[error("the picture is too large")]
+    #[error("the image is too large to allocate")]
     Size,
-    #[error("the picture cannot be written: {0}")]
+    #[error("cannot encode the PNG: {0}")]
     Png(String),
 }
 
-/// The SVG as PNG.
+/// Renders an SVG document to PNG.
 pub(crate) fn png(svg: &str) -> Result<Vec<u8>, DrawError> {
     let mut fonts = fontdb::Database::new();
     fonts.load_font_data(FONT.to_vec());

@@ -1,4 +1,4 @@
-//! The chart as a page that shows values under the pointer, without a network.
+//! The chart as a self-contained HTML page that shows values under the pointer.
 
 use echotank_runtime::chart::Chart;
 
@@ -11,7 +11,7 @@ const SCRIPT: &str = "const tip=document.getElementById('tip');const rows=[...do
 
 pub(crate) fn html(chart: &Chart, svg: &str, work: Option<&str>, about: &About) -> String {
     let mut table = String::from(
-        "<table><thead><tr><th>ms, median<th>least<th>greatest<th>element error<th>predicted<th>lines<th>image dB<th>level dB<th>method</tr></thead><tbody>",
+        "<table><thead><tr><th>ms, median<th>min<th>max<th>element error<th>predicted<th>lines<th>image dB<th>level dB<th>method</tr></thead><tbody>",
     );
     for (k, row) in chart.rows.iter().enumerate() {
         let name = escaped(&row.method.to_string());
@@ -41,7 +41,7 @@ pub(crate) fn html(chart: &Chart, svg: &str, work: Option<&str>, about: &About) 
     }
     table += "</tbody></table>";
     format!(
-        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\"><meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'\"><title>{0}: accuracy against speed</title><style>{STYLE}</style></head>\n<body><h1>{0}: accuracy against speed</h1><p>{1}. Points on the front are bold in the table; point at one for its figures, click it for its row.</p>\n{svg}\n{table}\n{2}<div id=\"tip\"></div><script>{SCRIPT}</script></body></html>\n",
+        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\"><meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'\"><title>{0}: accuracy against speed</title><style>{STYLE}</style></head>\n<body><h1>{0}: accuracy against speed</h1><p>{1}. Methods on the Pareto front are bold in the table. Point at a mark for its values; click it for its row.</p>\n{svg}\n{table}\n{2}<div id=\"tip\"></div><script>{SCRIPT}</script></body></html>\n",
         escaped(&chart.sonar),
         escaped(&subtitle(chart, about)),
         work.map_or(String::new(), |svg| format!(

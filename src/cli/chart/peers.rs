@@ -1,4 +1,4 @@
-//! What `tools/peers` has measured of other people's software.
+//! Measurements of other software, written by `tools/peers`.
 
 use std::path::Path;
 
@@ -8,23 +8,23 @@ use echotank_runtime::chart::Chart;
 
 use super::super::Failure;
 
-/// Where `tools/peers` leaves its points, from the folder that it is run in.
+/// Default output of `tools/peers`, relative to the working folder.
 pub(crate) const FILE: &str = "out/peers/points.json";
 
-/// One program at one setting, on points of its own.
+/// One program at one setting, measured on its own scatterers.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 pub(crate) struct Peer {
     pub(crate) name: String,
     pub(crate) scatterers: f64,
     pub(crate) elements: f64,
     pub(crate) milliseconds: f64,
-    /// Against the sum that it computes.
+    /// Relative to the exact value of the sum that the program approximates.
     pub(crate) error: f64,
     pub(crate) threads: f64,
     pub(crate) load: f64,
 }
 
-/// None of them where nobody asked for a file and there is none.
+/// Reads the measurements; empty if no file is named and the default does not exist.
 pub(crate) fn read(asked: Option<&Path>) -> Result<Vec<Peer>, Failure> {
     let path = match asked {
         Some(path) => path,
@@ -48,23 +48,26 @@ fn parse(text: &str) -> Result<Vec<Peer>, String> {
             peer.threads,
         ];
         if !amounts.iter().all(|x| x.is_finite() && *x > 0.0) {
-            return Err(format!("{}: its figures must be above 0", peer.name));
+            return Err(format!(
+                "{}: scatterers, elements, milliseconds, error and threads must be above 0",
+                peer.name
+            ));
         }
     }
     Ok(peers)
 }
 
 impl Peer {
-    /// As if it took this scene's pairs of scatterer and element as fast as its own, evenly on all threads.
+    /// Time scaled to this scene's scatterer-element pairs and threads, milliseconds.
     pub(crate) fn here_ms(&self, chart: &Chart) -> f64 {
         let here = (chart.scatterers * chart.elements) as f64 / chart.threads as f64;
         self.milliseconds * here * self.threads / (self.scatterers * self.elements)
     }
 
-    /// In words.
-    pub(crate) fn said(&self, chart: &Chart) -> String {
+    /// Tooltip and report text.
+    pub(crate) fn description(&self, chart: &Chart) -> String {
         format!(
-            "{}\n{:.2} ms for {} scatterers at {} elements on {} threads, load {:.1}: {:.1} ms here in proportion\nerror {:.1e} of the sum that it computes, nothing moving",
+            "{}\n{:.2} ms for {} scatterers and {} elements on {} threads, load {:.1}; scaled to this scene {:.1} ms\nerror {:.1e} of its own sum, static platform",
             self.name,
             self.milliseconds,
             self.scatterers,
@@ -82,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_peers_left_is_read_and_nonsense_is_refused_by_name() {
+    fn peer_measurements_are_read_and_invalid_ones_are_refused_by_name() {
         let point = |ms: &str| {
             format!(
                 r#"[{{"name": "any", "scatterers": 1000, "elements": 2, "milliseconds": {ms}, "error": 1e-3, "threads": 1, "load": 0.5}}]"#

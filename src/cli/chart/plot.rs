@@ -1,4 +1,6 @@
-//! The pictures: error against milliseconds, and milliseconds against work.
+//! The plots: error against run time, and run time against work.
+//!
+//! SVG is written directly: the page needs `data-` attributes on every mark and labels placed clear of each other, which plotters lacks.
 
 use std::fmt::Write;
 
@@ -28,13 +30,13 @@ fn colour(synthesis: Synthesis) -> &'static str {
     }
 }
 
-/// A rectangle with two logarithmic axes (or, for levels, anything that is given as one).
+/// A rectangle with two logarithmic axes.
 struct Axes {
     left: f64,
     top: f64,
     width: f64,
     height: f64,
-    /// Decades.
+    /// Lower and upper limit, decades.
     x: (f64, f64),
     y: (f64, f64),
 }
@@ -65,9 +67,9 @@ impl Axes {
                     let text = power(decade);
                     match upright {
                         true => {
-                            svg.words((x, bottom + size + 4.0), size, Anchor::Middle, INK, &text)
+                            svg.label((x, bottom + size + 4.0), size, Anchor::Middle, INK, &text)
                         }
-                        false => svg.words(
+                        false => svg.label(
                             (self.left - 6.0, y + 0.35 * size),
                             size,
                             Anchor::End,
@@ -77,16 +79,16 @@ impl Axes {
                     }
                 }
             }
-            // A short axis has no two decades: its ends are written.
+            // An axis with fewer than two decades is labelled at its ends.
             if high.floor() - low.ceil() < 1.0 {
                 for value in [10f64.powf(low), 10f64.powf(high)] {
                     let (x, y) = self.at(value, value);
                     let text = short(value);
                     match upright {
                         true => {
-                            svg.words((x, bottom + size + 4.0), size, Anchor::Middle, INK, &text)
+                            svg.label((x, bottom + size + 4.0), size, Anchor::Middle, INK, &text)
                         }
-                        false => svg.words(
+                        false => svg.label(
                             (self.left - 6.0, y + 0.35 * size),
                             size,
                             Anchor::End,
@@ -102,14 +104,14 @@ impl Axes {
             self.left, self.top, self.width, self.height
         ));
         let middle = self.left + 0.5 * self.width;
-        svg.words(
+        svg.label(
             (middle, bottom + 2.6 * size),
             size + 1.0,
             Anchor::Middle,
             INK,
             x_title,
         );
-        svg.words(
+        svg.label(
             (self.left, self.top - 7.0),
             size + 1.0,
             Anchor::Start,
@@ -134,7 +136,7 @@ fn short(value: f64) -> String {
     }
 }
 
-/// Whole decades around values, with a little room.
+/// Limits in whole decades around the values, with a margin.
 fn decades(values: impl Iterator<Item = f64>, least: f64) -> (f64, f64) {
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for value in values.filter(|v| *v > 0.0 && v.is_finite()) {
@@ -155,15 +157,15 @@ fn measured(chart: &Chart) -> impl Iterator<Item = (usize, &Row, &Measured)> {
         .filter_map(|(k, row)| Some((k, row, row.outcome.as_ref().ok()?)))
 }
 
-/// Errors below this are drawn at it, dB or relative.
+/// Smaller errors are drawn at these limits, relative and dB.
 const MIN_ERROR: f64 = 1e-8;
 const MIN_DB: f64 = 1e-4;
 
 pub(crate) fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
     let mut svg = Svg::new(WIDTH, HEIGHT);
     let title = format!("{}: accuracy against speed", chart.sonar);
-    svg.words((24.0, 32.0), 20.0, Anchor::Start, INK, &title);
-    svg.words(
+    svg.label((24.0, 32.0), 20.0, Anchor::Start, INK, &title);
+    svg.label(
         (24.0, 51.0),
         11.5,
         Anchor::Start,
@@ -190,11 +192,11 @@ pub(crate) fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
     };
     main.draw(
         &mut svg,
-        "milliseconds a ping (median; whiskers: least and greatest)",
+        "milliseconds per ping (median; whiskers: minimum and maximum)",
         "relative error of element samples",
         12.0,
     );
-    // Below what the reference solution is off by itself nothing can be told apart.
+    // Errors below the reference solution's own error are not significant.
     if let Some((error, _)) = chart.reference_error {
         let (_, y) = main.at(1.0, error);
         let bottom = main.top + main.height;
@@ -205,7 +207,7 @@ pub(crate) fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
                 main.width,
                 bottom - y
             ));
-            svg.words(
+            svg.label(
                 (main.left + 6.0, bottom - 6.0),
                 11.0,
                 Anchor::Start,
@@ -221,7 +223,7 @@ pub(crate) fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
         INK,
         "5 4",
     );
-    svg.words(
+    svg.label(
         (main.left + main.width - 6.0, tolerance_y - 5.0),
         11.0,
         Anchor::End,
@@ -235,22 +237,24 @@ pub(crate) fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
         INK,
         "2 4",
     );
-    svg.words(
+    svg.label(
         (period_x - 5.0, main.top + 14.0),
         11.0,
         Anchor::End,
         INK,
-        &format!("a ping every {:.0} ms", about.period_ms),
+        &format!("ping period {:.0} ms", about.period_ms),
     );
     front(&mut svg, &main, chart);
     points(&mut svg, &main, chart, elements, MIN_ERROR, 5.5);
-    let mut taken = taken(&main, chart, peers, about.period_ms);
+    let mut taken = occupied(&main, chart, peers, about.period_ms);
     labels(&mut svg, &main, chart, &mut taken);
     draw_peers(&mut svg, &main, chart, peers, &mut taken);
     type Metric = fn(&Measured) -> Option<f64>;
     let small: [(&str, f64, Metric); 3] = [
-        ("relative error of the lines", MIN_ERROR, |m| m.errors.lines),
-        ("picture: rms of the pixels, dB", MIN_DB, |m| {
+        ("relative error of side-scan lines", MIN_ERROR, |m| {
+            m.errors.lines
+        }),
+        ("rms error of image pixels, dB", MIN_DB, |m| {
             m.errors.image_db
         }),
         ("mean level: |error|, dB", MIN_DB, |m| {
@@ -268,7 +272,7 @@ pub(crate) fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
         };
         axes.draw(
             &mut svg,
-            if k == 2 { "milliseconds a ping" } else { "" },
+            if k == 2 { "milliseconds per ping" } else { "" },
             title,
             10.5,
         );
@@ -281,8 +285,8 @@ pub(crate) fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
 /// A rectangle: left, top, right, bottom.
 type Box4 = (f64, f64, f64, f64);
 
-/// What points and marks cover.
-fn taken(axes: &Axes, chart: &Chart, peers: &[Peer], period_ms: f64) -> Vec<Box4> {
+/// Rectangles covered by points, marks and lines.
+fn occupied(axes: &Axes, chart: &Chart, peers: &[Peer], period_ms: f64) -> Vec<Box4> {
     let ours = measured(chart).map(|(_, _, m)| (m.times.median_ms, m.errors.elements));
     let theirs = peers.iter().map(|peer| (peer.here_ms(chart), peer.error));
     let around = |(ms, error): (f64, f64)| {
@@ -299,11 +303,11 @@ fn taken(axes: &Axes, chart: &Chart, peers: &[Peer], period_ms: f64) -> Vec<Box4
     ours.chain(theirs).map(around).chain(lines).collect()
 }
 
-/// Other people's software on its own points, as if it took this scene's pairs of scatterer and element as fast.
+/// Draws other software at its time scaled to this scene.
 fn draw_peers(svg: &mut Svg, axes: &Axes, chart: &Chart, peers: &[Peer], taken: &mut Vec<Box4>) {
     for peer in peers {
         let (x, y) = axes.at(peer.here_ms(chart), peer.error.max(MIN_ERROR));
-        let tip = peer.said(chart);
+        let tip = peer.description(chart);
         svg.raw(&format!(
             "<path d=\"M{x:.1} {:.1}l5.5 5.5l-5.5 5.5l-5.5 -5.5z\" fill=\"white\" stroke=\"{INK}\" stroke-width=\"1.3\" data-row=\"peer\" data-tip=\"{}\"/>",
             y - 5.5,
@@ -319,7 +323,7 @@ fn front(svg: &mut Svg, axes: &Axes, chart: &Chart) {
         .map(|(_, _, m)| (m.times.median_ms, m.errors.elements.max(MIN_ERROR)))
         .collect();
     front.sort_by(|a, b| a.0.total_cmp(&b.0));
-    // Steps: between two points of the front the better one costs its own time.
+    // The front is a step function: a smaller error is reached only at the next point's time.
     let mut steps: Vec<(f64, f64)> = Vec::new();
     for &(ms, error) in &front {
         if let Some(&(_, last)) = steps.last() {
@@ -375,11 +379,11 @@ fn points(
             let _ = write!(tip, "\nlines {lines:.1e}");
         }
         if let Some(image) = m.errors.image_db {
-            let _ = write!(tip, ", picture {image:.3} dB");
+            let _ = write!(tip, ", image {image:.3} dB");
         }
         let _ = write!(tip, "\nlevel {:+.3} dB", m.errors.level_db);
         if let Some(ms) = row.planned_ms {
-            let _ = write!(tip, "\nthe plan's choice: {ms:.2} ms of one core predicted");
+            let _ = write!(tip, "\nselected: {ms:.2} ms on one core predicted");
         }
         let opacity = if row.pareto { 1.0 } else { 0.55 };
         svg.raw(&format!(
@@ -390,18 +394,18 @@ fn points(
     }
 }
 
-/// Names beside the front's points, the configured one and the plan's, where there is room.
+/// Labels the configured and selected methods and those on the front, where there is space.
 fn labels(svg: &mut Svg, axes: &Axes, chart: &Chart, taken: &mut Vec<Box4>) {
-    // What is asked for and what is chosen have the first choice of places.
+    // The configured and the selected method are placed first.
     let chosen = |row: &Row| row.configured || row.planned_ms.is_some();
     let first = measured(chart).filter(|(_, row, _)| chosen(row));
     let rest = measured(chart).filter(|(_, row, _)| row.pareto && !chosen(row));
     for (_, row, m) in first.chain(rest) {
         let at = axes.at(m.times.median_ms, m.errors.elements.max(MIN_ERROR));
         let text = match (row.configured, row.planned_ms.is_some()) {
-            (true, true) => format!("{} (the plan's, as configured)", row.method),
+            (true, true) => format!("{} (selected, as configured)", row.method),
             (true, false) => format!("{} (configured)", row.method),
-            (false, true) => format!("{} (the plan's)", row.method),
+            (false, true) => format!("{} (selected)", row.method),
             (false, false) => row.method.to_string(),
         };
         label(svg, axes, at, &text, taken);
@@ -437,7 +441,7 @@ fn label(svg: &mut Svg, axes: &Axes, (x, y): (f64, f64), text: &str, taken: &mut
                 .any(|t| this.0 < t.2 && t.0 < this.2 && this.1 < t.3 && t.1 < this.3)
     });
     if let Some((left, base)) = free {
-        svg.words((left, base), LABEL, Anchor::Start, INK, text);
+        svg.label((left, base), LABEL, Anchor::Start, INK, text);
         taken.push((left, base - LABEL, left + wide, base + 3.0));
     }
 }
@@ -456,18 +460,18 @@ fn legend(svg: &mut Svg, chart: &Chart, peers: bool) {
             y - 4.0,
             colour(synthesis)
         ));
-        svg.words((x + 10.0, y), 12.0, Anchor::Start, INK, synthesis.name());
+        svg.label((x + 10.0, y), 12.0, Anchor::Start, INK, synthesis.name());
         x += 26.0 + width_of(synthesis.name(), 12.0);
     }
-    let rest = "ring: the configuration's own; large diamond: the plan's choice; line: nothing measured is both faster and better; names: synthesis, its tolerance, path, Doppler, culling";
-    svg.words((70.0, y + 20.0), 11.0, Anchor::Start, GREY, rest);
+    let rest = "ring: configured; large diamond: selected; grey line: Pareto front; labels: synthesis, its tolerance, path, Doppler, culling";
+    svg.label((70.0, y + 20.0), 11.0, Anchor::Start, GREY, rest);
     if peers {
-        let rest = "small white diamonds: other software on points of its own (tools/peers), a platform at rest and the sum alone, its time a pair of scatterer and element times the pairs here, over the threads";
-        svg.words((70.0, y + 35.0), 11.0, Anchor::Start, GREY, rest);
+        let rest = "small white diamonds: other software (tools/peers) on its own scatterers, static platform, sum only; time scaled to this scene's scatterer-element pairs and threads";
+        svg.label((70.0, y + 35.0), 11.0, Anchor::Start, GREY, rest);
     }
 }
 
-/// Of the methods in the second picture, which may share a synthesis.
+/// Colours of the methods in the cost chart, which may share a synthesis.
 const CURVES: [&str; 3] = ["#0072b2", "#d55e00", "#009e73"];
 
 fn nth_colour(methods: &[Method], curve: &Curve) -> &'static str {
@@ -475,10 +479,10 @@ fn nth_colour(methods: &[Method], curve: &Curve) -> &'static str {
     CURVES[k.unwrap_or(0) % CURVES.len()]
 }
 
-/// Milliseconds against four kinds of work.
+/// Plots run time against four kinds of work.
 pub(crate) fn work(curves: &[Curve], about: &About) -> String {
     let mut svg = Svg::new(WIDTH, 420.0);
-    svg.words(
+    svg.label(
         (24.0, 32.0),
         20.0,
         Anchor::Start,
@@ -486,7 +490,7 @@ pub(crate) fn work(curves: &[Curve], about: &About) -> String {
         "Cost of a ping against the work in it",
     );
     let about = format!("{}, {}", about.machine, about.load_text());
-    svg.words((24.0, 51.0), 11.5, Anchor::Start, GREY, &about);
+    svg.label((24.0, 51.0), 11.5, Anchor::Start, GREY, &about);
     let y = decades(
         curves.iter().flat_map(|c| c.points.iter().map(|p| p.1)),
         1e-6,
@@ -518,7 +522,7 @@ pub(crate) fn work(curves: &[Curve], about: &About) -> String {
         axes.draw(
             &mut svg,
             work.name(),
-            if k == 0 { "milliseconds a ping" } else { "" },
+            if k == 0 { "milliseconds per ping" } else { "" },
             11.0,
         );
         for (row, curve) in these().enumerate() {
@@ -533,7 +537,7 @@ pub(crate) fn work(curves: &[Curve], about: &About) -> String {
             if let Some(p) = curve.exponent {
                 let text = format!("exponent {p:.2}");
                 let place = (axes.left + 10.0, axes.top + 18.0 + 15.0 * row as f64);
-                svg.words(place, 11.5, Anchor::Start, colour, &text);
+                svg.label(place, 11.5, Anchor::Start, colour, &text);
             }
         }
     }
@@ -544,7 +548,7 @@ pub(crate) fn work(curves: &[Curve], about: &About) -> String {
             y - 4.0,
             colour(method.synthesis)
         ));
-        svg.words((80.0, y), 12.0, Anchor::Start, INK, &method.to_string());
+        svg.label((80.0, y), 12.0, Anchor::Start, INK, &method.to_string());
     }
     svg.finish()
 }

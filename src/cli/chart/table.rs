@@ -1,4 +1,4 @@
-//! A chart as words, CSV and JSON.
+//! The chart as a text table, CSV and JSON.
 
 use std::fmt::Write;
 
@@ -9,12 +9,12 @@ use echotank_runtime::chart::{Chart, Row};
 
 use super::peers::Peer;
 
-/// What a chart was measured on.
+/// The machine and ping period of a chart.
 pub(crate) struct About {
     pub(crate) machine: String,
     /// Load average before and after.
     pub(crate) load: (Option<f64>, Option<f64>),
-    /// From ping to ping at the configured rate.
+    /// Ping period at the configured rate, milliseconds.
     pub(crate) period_ms: f64,
 }
 
@@ -27,7 +27,7 @@ impl About {
     }
 }
 
-/// One line on everything that is the same for all methods.
+/// One line with the values common to all methods.
 pub(crate) fn subtitle(chart: &Chart, about: &About) -> String {
     let reference = match chart.reference_error {
         Some((error, samples)) => {
@@ -46,11 +46,11 @@ pub(crate) fn subtitle(chart: &Chart, about: &About) -> String {
     )
 }
 
-/// What is special about a row, in words.
+/// Marks of a row: configured, selected, on the Pareto front.
 pub(crate) fn note(row: &Row) -> String {
     let words = [
         (row.configured, "configured"),
-        (row.planned_ms.is_some(), "the plan's"),
+        (row.planned_ms.is_some(), "selected"),
         (row.pareto, "front"),
     ];
     let words: Vec<&str> = words.iter().filter(|w| w.0).map(|w| w.1).collect();
@@ -62,7 +62,7 @@ pub(crate) fn text(chart: &Chart, curves: &[Curve], about: &About) -> String {
     let _ = writeln!(out, "{}: {}", chart.sonar, subtitle(chart, about));
     let _ = writeln!(
         out,
-        "gathering the scatterers {:.1} ms a ping, the same for all; a ping is due every {:.0} ms",
+        "gathering the scatterers takes {:.1} ms per ping with every method; ping period {:.0} ms",
         chart.gather_ms, about.period_ms
     );
     let _ = writeln!(
@@ -122,7 +122,7 @@ pub(crate) fn text(chart: &Chart, curves: &[Curve], about: &About) -> String {
     out
 }
 
-/// Methods that do not apply, by reason: the first, how many more, and why.
+/// Methods that do not apply, grouped by reason.
 fn refusals(chart: &Chart) -> Vec<(String, &str)> {
     let mut reasons: Vec<(&str, Vec<String>)> = Vec::new();
     for row in &chart.rows {

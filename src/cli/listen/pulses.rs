@@ -1,4 +1,4 @@
-//! `echotank listen --trigger`: a listener that triggers the pings itself, and so knows how long after that their first samples are there.
+//! `echotank listen --trigger`: triggers pings and measures the latency to their first sample.
 
 use std::io::Write;
 use std::net::{SocketAddr, TcpStream, UdpSocket};
@@ -17,24 +17,24 @@ use echotank_runtime::clock::{Clock, SystemClock};
 use echotank_runtime::histograms::LatencyHistogram;
 use echotank_runtime::io::control::client;
 
-/// Nothing has been sent since a first sample came.
+/// No trigger is pending.
 const NONE: i64 = i64::MIN;
 
-/// How a trigger is told.
+/// How a trigger is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Way {
+enum TriggerLink {
     /// `[sonar.trigger] source = "udp"`.
     Udp,
     /// `[sonar.trigger] source = "tcp"`.
     Tcp,
-    /// A ping asked for by number, as `echotank ctl trigger` does: it comes on the sonar's beat.
+    /// A request over HTTP control, as `echotank ctl trigger` sends it; the ping starts at the sonar's ping period.
     Control,
 }
 
-/// Where triggers are sent, as `udp=127.0.0.1:7100`.
+/// Destination of triggers, written as `udp=127.0.0.1:7100`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TriggerTo {
-    way: Way,
+    link: TriggerLink,
     address: SocketAddr,
 }
 
@@ -43,23 +43,23 @@ impl FromStr for TriggerTo {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let rule = "must be udp=ADDRESS, tcp=ADDRESS or ctl=ADDRESS";
-        let (way, address) = text.split_once('=').ok_or(rule)?;
-        let way = match way {
-            "udp" => Way::Udp,
-            "tcp" => Way::Tcp,
-            "ctl" => Way::Control,
+        let (link, address) = text.split_once('=').ok_or(rule)?;
+        let link = match link {
+            "udp" => TriggerLink::Udp,
+            "tcp" => TriggerLink::Tcp,
+            "ctl" => TriggerLink::Control,
             _ => return Err(rule.to_owned()),
         };
         let address = address
             .parse()
             .map_err(|why| format!("{address}: {why}; {rule}"))?;
-        Ok(Self { way, address })
+        Ok(Self { link, address })
     }
 }
 
-/// Triggers at random instants until it is dropped.
+/// Sends triggers at random times until dropped.
 pub(crate) struct Pulses {
-    /// When the last was sent, host time, until a first sample has come.
+    /// Host time of the pending trigger, nanoseconds; `NONE` once its first sample has arrived.
     sent_ns: Arc<AtomicI64>,
     sent: Arc<AtomicI64>,
     stop: Arc<AtomicBool>,
@@ -68,7 +68,7 @@ pub(crate) struct Pulses {
 }
 
 impl Pulses {
-    /// One every half to one and a half times `every`.
+    /// Sends triggers at intervals of 0.5 to 1.5 times `every`.
     pub(crate) fn start(to: TriggerTo, every: Duration) -> Result<Self, Failure> {
         let mut send = sender(to).map_err(Failure::running)?;
         let stop = Arc::new(AtomicBool::new(false));
@@ -78,12 +78,12 @@ impl Pulses {
             let (stop, sent_ns, sent) = (stop.clone(), sent_ns.clone(), sent.clone());
             move || {
                 let clock = SystemClock::new();
-                let mut dice = ChaCha8Rng::seed_from_u64(1);
+                let mut rng = ChaCha8Rng::seed_from_u64(1);
                 while !stop.load(Ordering::Acquire) {
-                    let part = 0.5 + f64::from(dice.next_u32()) / f64::from(u32::MAX);
+                    let part = 0.5 + f64::from(rng.next_u32()) / f64::from(u32::MAX);
                     thread::sleep(every.mul_f64(part));
                     sent_ns.store(clock.host_utc().0, Ordering::Release);
-                    // What fails makes no ping, and is seen by that.
+                    // A failed send is not counted and starts no ping.
                     sent.fetch_add(i64::from(send().is_ok()), Ordering::Relaxed);
                 }
             }
@@ -97,7 +97,7 @@ impl Pulses {
         })
     }
 
-    /// A ping's first sample was there at this instant of the host's time.
+    /// Records the arrival of a ping's first sample, host time in nanoseconds.
     pub(crate) fn first_sample(&self, now_ns: i64) {
         let sent_ns = self.sent_ns.swap(NONE, Ordering::AcqRel);
         if sent_ns != NONE {
@@ -127,8 +127,8 @@ type Sender = Box<dyn FnMut() -> std::io::Result<()> + Send>;
 
 fn sender(to: TriggerTo) -> std::io::Result<Sender> {
     let address = to.address;
-    Ok(match to.way {
-        Way::Udp => {
+    Ok(match to.link {
+        TriggerLink::Udp => {
             let any = match address {
                 SocketAddr::V4(_) => "0.0.0.0:0",
                 SocketAddr::V6(_) => "[::]:0",
@@ -136,12 +136,12 @@ fn sender(to: TriggerTo) -> std::io::Result<Sender> {
             let socket = UdpSocket::bind(any)?;
             Box::new(move || socket.send_to(b"ping!", address).map(|_| ()))
         }
-        Way::Tcp => {
+        TriggerLink::Tcp => {
             let mut stream = TcpStream::connect(address)?;
             stream.set_nodelay(true)?;
             Box::new(move || stream.write_all(b"ping!\n"))
         }
-        Way::Control => Box::new(move || {
+        TriggerLink::Control => Box::new(move || {
             let asked = json!({ "do": "trigger", "pings": 1 });
             client::command(address, &asked, None).map(|_| ())
         }),
@@ -153,7 +153,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_trigger_is_sent_and_the_first_sample_after_it_is_its_own() {
+    fn the_first_sample_after_a_trigger_is_attributed_to_it() {
         let listener = UdpSocket::bind("127.0.0.1:0").expect("a socket");
         let patience = Some(Duration::from_secs(30));
         listener.set_read_timeout(patience).expect("set");
@@ -169,7 +169,7 @@ mod tests {
         }
         let sent_ns = pulses.sent_ns.load(Ordering::Acquire);
         pulses.first_sample(sent_ns + 1_500_000);
-        // Nothing was sent for this one.
+        // No trigger is pending for this one.
         pulses.first_sample(sent_ns + 9_000_000);
         let figures = pulses.to_first_sample.figures();
         assert_eq!(figures.count, 1);
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_way_is_refused_with_the_ways_there_are() {
+    fn an_unknown_trigger_link_is_refused_with_the_known_ones() {
         for text in ["7000", "pigeon=127.0.0.1:1", "udp=somewhere"] {
             let said = TriggerTo::from_str(text).expect_err("refused");
             assert!(said.contains("udp=ADDRESS"), "{said}");

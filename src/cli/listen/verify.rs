@@ -1,4 +1,4 @@
-//! `echotank listen --verify`: accounts for what any family sends.
+//! `echotank listen --verify`: counts lost, duplicated, late and damaged records of any protocol.
 
 use std::net::ToSocketAddrs;
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use echotank_runtime::io::sonar::verification::decode::{Family, Sequence};
 use echotank_runtime::io::sonar::verification::listener::{Listener, ListenerSpec};
 use echotank_runtime::io::{text_of, write_text};
 
-/// Which family, on the command line.
+/// Protocol family, as named on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum FamilyName {
     #[value(name = "7k")]
@@ -54,8 +54,11 @@ pub(crate) fn main(args: &ListenArgs, record_types: &[u32]) -> Result<(), Failur
         None => None,
         Some(path) => {
             let text = text_of(path).map_err(Failure::running)?;
-            let sums = parse_checksums(&text).map_err(|line| {
-                Failure::Configuration(format!("{}: line {line} is no sum", path.display()))
+            let sums = sums_of(&text).map_err(|line| {
+                Failure::Configuration(format!(
+                    "{}: line {line}: expected a checksum as --sums writes it",
+                    path.display()
+                ))
             })?;
             Some(sums)
         }
@@ -93,14 +96,14 @@ pub(crate) fn main(args: &ListenArgs, record_types: &[u32]) -> Result<(), Failur
     }
     ended.map_err(Failure::running)?;
     match (early, lost) {
-        // Something was to come.
+        // --seconds have not passed.
         (true, _) => Err(Failure::Running("the server closed the connection".into())),
         (_, 0) => Ok(()),
         (_, lost) => Err(Failure::Running(format!("{lost} records lost"))),
     }
 }
 
-/// What came of it; how many were lost.
+/// Prints the counts; returns the number of lost records.
 fn print(listener: &Listener, took: Duration) -> u64 {
     let mut lost = 0;
     for (sequence, tally) in listener.accounting.tallies() {
@@ -129,10 +132,10 @@ fn print(listener: &Listener, took: Duration) -> u64 {
         println!("findings: {}", words.join(", "));
     }
     if listener.asked > 0 {
-        println!("{} asked, {} answers", listener.asked, listener.answers);
+        println!("{} requests, {} replies", listener.asked, listener.answers);
     }
     println!(
-        "{} bytes in {:.1} s; {} spoiled on the way, {} records without a number, {} resets, {} silences",
+        "{} bytes in {:.1} s; {} transmission errors, {} records without a number, {} resets, {} silences",
         listener.bytes,
         took.as_secs_f64(),
         listener.errors(),

@@ -1,4 +1,4 @@
-//! `echotank listen --vita49`: how long after its pulse a ping's first sample comes, and every packet after its last.
+//! `echotank listen --vita49`: latency of a ping's first sample after its pulse, and of every packet after its last sample.
 
 use std::collections::HashMap;
 use std::net::{SocketAddr, UdpSocket};
@@ -10,24 +10,24 @@ use super::{Failure, ListenArgs, print_spread};
 use echotank_runtime::clock::{Clock, SystemClock};
 use echotank_runtime::histograms::LatencyHistogram;
 
-/// Asked of the operating system: a second of 8 elements at 40 kS/s.
+/// Requested socket buffer: one second of 8 elements at 40 kS/s.
 const RECEIVE_BUFFER_BYTES: usize = 2 << 20;
 const LONGEST_DATAGRAM: usize = 65_536;
-/// Packets of a stream count so far and begin again.
-const COUNTS: u8 = 16;
+/// Packet counts of a stream wrap at this value.
+const COUNT_MODULUS: u8 = 16;
 
-/// What has come.
+/// Counts of received packets.
 #[derive(Default)]
 struct Tally {
     streams: HashMap<u32, Stream>,
     pings: u64,
     packets: u64,
-    /// By the packets' counts: multiples of 16 in a row go unseen.
+    /// Gaps in the packet counts; the loss of 16 consecutive packets goes unseen.
     lost: u64,
     bytes: u64,
-    /// Neither data nor context, or without a time.
+    /// Packets that are neither data nor context, or have no timestamp.
     odd: u64,
-    /// When the samples of the newest ping begin, ns.
+    /// Start of the newest ping's samples, UTC nanoseconds.
     ping_utc_ns: Option<i64>,
     first_is_due: bool,
 }
@@ -48,7 +48,7 @@ fn moment_bytes(format: PayloadFormat) -> usize {
 }
 
 impl Tally {
-    /// Nanoseconds since the first sample of a ping, where this packet holds it, and since the last sample of the packet.
+    /// Counts a packet. Returns the nanoseconds since a ping's first sample, if the packet holds it, and since the packet's last sample.
     fn note(&mut self, bytes: &[u8], now_ns: i64) -> (Option<i64>, Option<i64>) {
         self.bytes += bytes.len() as u64;
         let packet = Packet::parse(bytes).ok();
@@ -72,8 +72,10 @@ impl Tally {
             }
             PacketType::SignalData => {
                 self.packets += 1;
-                let expected = stream.next.replace((packet.count + 1) % COUNTS);
-                let gap = expected.map_or(0, |next| (packet.count + COUNTS - next) % COUNTS);
+                let expected = stream.next.replace((packet.count + 1) % COUNT_MODULUS);
+                let gap = expected.map_or(0, |next| {
+                    (packet.count + COUNT_MODULUS - next) % COUNT_MODULUS
+                });
                 self.lost += u64::from(gap);
                 let is_first =
                     std::mem::take(&mut self.first_is_due) && self.ping_utc_ns == Some(utc_ns);
@@ -91,11 +93,11 @@ impl Tally {
     }
 }
 
-/// Takes the datagrams that come to an address.
+/// Receives datagrams at an address and prints their latencies.
 pub(crate) fn main(args: &ListenArgs) -> Result<(), Failure> {
     let address: SocketAddr = args.address.parse().map_err(Failure::running)?;
     let socket = UdpSocket::bind(address).map_err(Failure::running)?;
-    // As much as the system gives.
+    // The system may grant less.
     let _ = socket2::SockRef::from(&socket).set_recv_buffer_size(RECEIVE_BUFFER_BYTES);
     println!(
         "listening at {}",
@@ -137,7 +139,7 @@ pub(crate) fn main(args: &ListenArgs) -> Result<(), Failure> {
         }
     }
     println!(
-        "{} pings; {} packets of {} streams, {} lost; {} bytes, {} packets of something else",
+        "{} pings; {} packets of {} streams, {} lost; {} bytes, {} packets not understood",
         tally.pings,
         tally.packets,
         tally.streams.len(),
@@ -163,10 +165,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_packet_of_a_ping_and_the_end_of_every_packet_are_told_from_its_time() {
+    fn latencies_follow_from_the_packet_timestamps() {
         let mut stream = SignalStream::new(7, true, 1, 1000.0, 1472);
         let mut tally = Tally::default();
-        let mut told = Vec::new();
+        let mut latencies = Vec::new();
         for (ping, lost) in [(10_i64, false), (20, false), (30, true)] {
             let time = VrtTime::from_utc_ns(ping * 1_000_000_000);
             let mut packet = Vec::new();
@@ -184,13 +186,13 @@ mod tests {
                 if lost && first == 0 {
                     continue;
                 }
-                // Heard 100 ms after the pulse.
-                told.push(tally.note(&bytes, ping * 1_000_000_000 + 100_000_000));
+                // Received 100 ms after the pulse.
+                latencies.push(tally.note(&bytes, ping * 1_000_000_000 + 100_000_000));
             }
         }
         let ms = |ns: i64| Some(ns * 1_000_000);
         let (first, second) = ((ms(100), ms(96)), (None, ms(94)));
-        assert_eq!(told, [first, second, first, second, second]);
+        assert_eq!(latencies, [first, second, first, second, second]);
         assert_eq!((tally.pings, tally.packets, tally.lost), (3, 5, 1));
         tally.note(b"something else", 0);
         assert_eq!(tally.odd, 1);

@@ -1,4 +1,4 @@
-//! `echotank scene simplify`: the scatterers of a seabed that one sonar's view can do without.
+//! `echotank scene simplify`: reduces a seabed to the scatterers that matter for one sonar.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -15,56 +15,56 @@ use echotank_scene::simplify::collapse::collapse;
 use echotank_scene::simplify::energy::{Beam, View};
 use echotank_scene::simplify::{Selection, Settings, field, select};
 
-/// -3 dB width of a uniform line, in wavelengths over its length.
+/// -3 dB beam width of a uniform line array times its length in wavelengths, radians.
 const BEAM_WIDTH: f64 = 0.886;
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct SimplifyArgs {
     /// Seabed: any file that `echotank scene info` reads
     pub(crate) file: PathBuf,
-    /// How to choose
+    /// Selection method
     #[arg(long, value_enum)]
     pub(crate) method: MethodArg,
-    /// How many to keep; acoustic-unbiased keeps so many on average
+    /// Number of scatterers to keep; acoustic-unbiased keeps this many on average
     #[arg(long)]
     pub(crate) keep: usize,
-    /// CSV of the kept, as scene.points reads it: north_m,east_m,down_m,amplitude,amplitude_imag
+    /// CSV of the kept scatterers, in the format of scene.points: north_m,east_m,down_m,amplitude,amplitude_imag
     #[arg(long)]
     pub(crate) out: PathBuf,
-    /// Where the sonar is: north,east,down in metres from the seabed's zero. Needed but for conventional; amplitudes then hold the angle of
-    /// incidence, which explicit points do not have
+    /// Sonar position: north,east,down in metres from the seabed's origin; optional for conventional. Amplitudes then include the angle of
+    /// incidence, because explicit points have no normals
     #[arg(long, value_name = "N,E,D", value_parser = parse_place, allow_hyphen_values = true)]
     pub(crate) sonar: Option<DVec3>,
-    /// Two-way beam along the track, degrees at -3 dB each way; all round if left out
+    /// Beam width along the track, degrees between one-way -3 dB points, on transmit and receive [default: omnidirectional]
     #[arg(long, value_parser = parse_positive)]
     pub(crate) beam_deg: Option<f64>,
-    /// Heading of the track that the beam is narrow along
+    /// Heading of the track, along which the beam is narrow
     #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
     pub(crate) heading_deg: f64,
-    /// The choice serves the sonar within this distance
+    /// The selection stays valid while the sonar is within this distance
     #[arg(long, default_value_t = 0.0, value_parser = parse_not_negative)]
     pub(crate) hold_m: f64,
-    /// Weights of curvature, scattering, axis and their product scattering x axis; 1,1,1,0, or 0,0,0,1 for acoustic-unbiased
+    /// Weights of curvature, scattering, axis and the product scattering x axis [default: 1,1,1,0; 0,0,0,1 for acoustic-unbiased]
     #[arg(long, value_name = "C,S,A,E", value_parser = parse_weights)]
     pub(crate) weights: Option<EnergyWeights>,
-    /// conventional: the kept inherit the area of the removed
+    /// With conventional: kept scatterers inherit the area of removed ones
     #[arg(long)]
     pub(crate) inherit_area: bool,
-    /// Lambert's mu, dB
+    /// Lambert's law backscattering coefficient mu, dB
     #[arg(long, default_value_t = -27.0, allow_hyphen_values = true)]
     pub(crate) lambert_db: f64,
-    /// Of speckle and of the permanent random numbers
+    /// Seed of speckle and of the random selection
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum MethodArg {
-    /// Highest energies (Meng et al. 2023, mended)
+    /// Highest energies (Meng et al. 2023, corrected)
     Acoustic,
-    /// The same as printed
+    /// Highest energies, exactly as published
     Paper,
-    /// By chance, with the lost level made up for
+    /// Random selection, weighted to keep the mean level
     AcousticUnbiased,
     /// Quadric-error edge collapse
     Conventional,
@@ -88,7 +88,7 @@ pub(crate) fn main(args: &SimplifyArgs) -> Result<(), Failure> {
     let chosen = match (method, args.sonar) {
         (None, _) => collapsed(&all, &triangles, args),
         (Some(_), None) => {
-            let text = "--sonar N,E,D: needed, since energies depend on where the sonar is";
+            let text = "--sonar N,E,D is required: energies depend on the sonar position";
             return Err(Failure::Configuration(text.into()));
         }
         (Some(method), Some(apex_m)) => {
@@ -147,7 +147,7 @@ fn view(args: &SimplifyArgs, apex_m: DVec3) -> View {
     }
 }
 
-/// Lambert's law from one place goes into the amplitudes.
+/// Applies Lambert's law for one sonar position to the amplitudes.
 fn face(kept: &mut Scatterers, apex_m: DVec3) {
     for i in 0..kept.len() {
         let ray = (kept.position_m(i) - apex_m).normalize_or_zero();
@@ -174,10 +174,10 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
         .split(',')
         .map(|part| part.trim().parse().ok().filter(|v: &f64| v.is_finite()))
         .collect::<Option<_>>()
-        .ok_or_else(|| format!("expected {N} numbers with commas between"))?;
+        .ok_or_else(|| format!("expected {N} comma-separated numbers"))?;
     values
         .try_into()
-        .map_err(|_| format!("expected {N} numbers with commas between"))
+        .map_err(|_| format!("expected {N} comma-separated numbers"))
 }
 
 fn parse_place(text: &str) -> Result<DVec3, String> {
@@ -202,7 +202,7 @@ fn parse_positive(text: &str) -> Result<f64, String> {
     if value > 0.0 && value <= 180.0 {
         Ok(value)
     } else {
-        Err("must lie above 0, up to 180".into())
+        Err("must be above 0 and at most 180 degrees".into())
     }
 }
 

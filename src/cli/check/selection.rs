@@ -1,4 +1,4 @@
-//! What `echotank check` says of the plan of methods.
+//! The report of selected methods that `echotank check` prints, and the calibration of costs.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -16,20 +16,20 @@ use echotank_ping::rig::pool;
 use echotank_runtime::calibrate::{self, Calibration};
 use echotank_runtime::first_pings::{FirstPing, first};
 
-/// A tenth of a cell in range: what a picture bears where nobody looks at samples.
-const PICTURE_CELLS: f64 = 0.1;
+/// Default displacement allowed in images, range cells, where no output carries element samples.
+const IMAGE_CELLS: f64 = 0.1;
 
-/// What is said about one sonar.
-struct Told<'a> {
+/// The selected methods of one sonar at its first ping.
+struct SonarSelection<'a> {
     sonar: &'a SonarSpec,
-    first: FirstPing,
-    /// The plan for pictures, where no output carries element samples and the tolerance is asked of them all the same.
+    first: First,
+    /// The selection under an image tolerance instead, where no output carries element samples but the tolerance is set for them.
     for_pictures: Option<Ranking>,
     period_ms: f64,
     threads: usize,
 }
 
-fn tell(spec: &RigSpec) -> Result<(Costs, Vec<Told<'_>>), Failure> {
+fn select_methods(spec: &RigSpec) -> Result<(Costs, Vec<SonarSelection<'_>>), Failure> {
     let refuse = |why: &dyn std::fmt::Display| Failure::Configuration(why.to_string());
     let costs =
         echotank_runtime::rig::costs_of(spec.run.costs.as_deref()).map_err(|why| refuse(&why))?;
@@ -41,25 +41,29 @@ fn tell(spec: &RigSpec) -> Result<(Costs, Vec<Told<'_>>), Failure> {
         .sonars
         .iter()
         .zip(&found)
-        .map(|(sonar, first)| pool.install(|| for_pictures(spec, sonar, first, &costs)))
+        .map(|(sonar, first)| pool.install(|| select_for_images(spec, sonar, first, &costs)))
         .collect();
     let threads = pool.current_num_threads();
     let found = found.into_iter().zip(for_pictures);
-    let told = spec.sonars.iter().zip(found);
-    let told = told.map(|(sonar, (first, for_pictures))| Told {
-        for_pictures,
-        period_ms: 1e-6 * period_ns(&first.plan.settings, spec.medium.sound_speed_m_per_s) as f64,
-        sonar,
-        first,
-        threads,
-    });
-    Ok((costs, told.collect()))
+    let selections = spec
+        .sonars
+        .iter()
+        .zip(found)
+        .map(|(sonar, (first, for_pictures))| SonarSelection {
+            for_pictures,
+            period_ms: 1e-6
+                * period_ns(&first.plan.settings, spec.medium.sound_speed_m_per_s) as f64,
+            sonar,
+            first,
+            threads,
+        });
+    Ok((costs, selections.collect()))
 }
 
-fn for_pictures(
+fn select_for_images(
     rig: &RigSpec,
     sonar: &SonarSpec,
-    first: &FirstPing,
+    first: &First,
     costs: &Costs,
 ) -> Option<Ranking> {
     let synthesis = &sonar.synthesis;
@@ -68,7 +72,7 @@ fn for_pictures(
         return None;
     }
     let mut spec = sonar.clone();
-    spec.synthesis.image_cells = Some(PICTURE_CELLS);
+    spec.synthesis.image_cells = Some(IMAGE_CELLS);
     let scene = Scene {
         spec: &spec,
         medium: &rig.medium,
@@ -81,36 +85,33 @@ fn for_pictures(
     rank(&scene, &[])
 }
 
-/// A few lines for each sonar.
+/// The report as text, a few lines per sonar; `all` adds every candidate.
 pub(crate) fn text(spec: &RigSpec, all: bool) -> Result<String, Failure> {
-    let (costs, told) = tell(spec)?;
+    let (costs, selections) = select_methods(spec)?;
     let mut text = String::new();
-    for told in &told {
-        let _ = write_sonar(&mut text, told, all);
+    for selection in &selections {
+        let _ = write_sonar(&mut text, selection, all);
     }
     let _ = writeln!(text, "costs        {}", costs.machine);
     Ok(text)
 }
 
-fn write_sonar(out: &mut String, told: &Told, all: bool) -> std::fmt::Result {
-    let name = &told.sonar.name;
-    let Some(ranking) = &told.first.ranking else {
-        return writeln!(
-            out,
-            "plan         {name}: nothing can be made of this model"
-        );
+fn write_sonar(out: &mut String, selection: &SonarSelection, all: bool) -> std::fmt::Result {
+    let name = &selection.sonar.name;
+    let Some(ranking) = &selection.first.ranking else {
+        return writeln!(out, "methods      {name}: no method suits this model");
     };
-    let supposed = match told.first.is_supposed {
-        true => ", at 5 knots on a level keel, for want of recorded navigation",
+    let supposed = match selection.first.is_supposed {
+        true => ", assumed motion: 5 knots, level (no recorded navigation)",
         false => "",
     };
     writeln!(
         out,
-        "plan         {name}: ping {}, {} scatterers, {} samples of {} elements{supposed}",
-        told.first.plan.ping_number,
-        told.first.scatterers.len(),
-        told.first.plan.sample_count,
-        elements(told.sonar),
+        "methods      {name}: ping {}, {} scatterers, {} samples of {} elements{supposed}",
+        selection.first.plan.ping_number,
+        selection.first.scatterers.len(),
+        selection.first.plan.sample_count,
+        elements(selection.sonar),
     )?;
     let chosen = ranking.chosen();
     for family in Family::ALL {
@@ -120,19 +121,19 @@ fn write_sonar(out: &mut String, told: &Told, all: bool) -> std::fmt::Result {
             "  {:<10} {}{}: {:.1e}, {:.2} ms; {}{}",
             family.name(),
             part.choice,
-            if is_auto(told.sonar, family) {
+            if is_auto(selection.sonar, family) {
                 ""
             } else {
                 " (as configured)"
             },
             part.error,
             part.cost_ms,
-            match is_auto(told.sonar, family) {
+            match is_auto(selection.sonar, family) {
                 true => ranking.reason(family),
                 false => part.why.clone(),
             },
             match family {
-                Family::Output => output(told),
+                Family::Output => output(selection),
                 _ => String::new(),
             }
         )?;
@@ -140,41 +141,41 @@ fn write_sonar(out: &mut String, told: &Told, all: bool) -> std::fmt::Result {
     let asked = match ranking.goal.image_cells {
         None => format!("tolerance {:.1e}", ranking.goal.tolerance),
         Some(cells) => format!(
-            "a picture's {cells} cells in range and {} along the track, and {:.1e} of samples for synthesis and culling",
+            "an image displacement of {cells} cells in range and {} along track, and {:.1e} of samples for synthesis and culling,",
             ALONG_PER_RANGE * cells,
             ranking.goal.tolerance
         ),
     };
     let verdict = match ranking.is_within() {
-        true => "within it",
-        false => "NOT WITHIN IT",
+        true => "met",
+        false => "NOT MET",
     };
     writeln!(
         out,
-        "  {:<10} {:.1e} of element samples at most, {:.0} % of what {asked} allows: {verdict}{}",
+        "  {:<10} at most {:.1e} of element samples, {:.0} % of what {asked} allows: {verdict}{}",
         "error",
         chosen.error(),
         100.0 * ranking.goal.share(chosen),
         displaced(ranking, chosen)
     )?;
-    let wall_ms = chosen.cost_ms() / told.threads as f64;
+    let wall_ms = chosen.cost_ms() / selection.threads as f64;
     writeln!(
         out,
-        "  {:<10} {:.2} ms of one core, {wall_ms:.2} ms on {} threads of {:.1} ms from ping to ping: {:.1} times as fast as it must be",
+        "  {:<10} {:.2} ms on one core, {wall_ms:.2} ms on {} threads; ping period {:.1} ms, margin {:.1} times",
         "cost",
         chosen.cost_ms(),
-        told.threads,
-        told.period_ms,
-        told.period_ms / wall_ms
+        selection.threads,
+        selection.period_ms,
+        selection.period_ms / wall_ms
     )?;
     if let Some(other) = ranking.next_cheaper() {
         writeln!(out, "  {:<10} {}", "cheaper", ranking.change(other))?;
     }
     if let Some(other) = ranking.next_dearer() {
-        writeln!(out, "  {:<10} {}", "dearer", ranking.change(other))?;
+        writeln!(out, "  {:<10} {}", "costlier", ranking.change(other))?;
     }
     if let Some(other) = ranking.other_output() {
-        writeln!(out, "  {:<10} {}", "otherwise", ranking.change(other))?;
+        writeln!(out, "  {:<10} {}", "alternative", ranking.change(other))?;
     }
     for (what, why) in &ranking.refused {
         writeln!(out, "  {:<10} {what}: {why}", "refused")?;
@@ -217,29 +218,29 @@ fn displaced(ranking: &Ranking, candidate: &Candidate) -> String {
     match ranking.goal.image_cells {
         None => String::new(),
         Some(_) => format!(
-            "; things are displaced by {:.2e} cells in range and {:.2e} along the track",
+            "; image displacement {:.2e} cells in range and {:.2e} along track",
             candidate.displaced.range_cells, candidate.displaced.along_cells
         ),
     }
 }
 
-/// Who reads what is made, and what would come of making less; behind the reason.
-fn output(told: &Told) -> String {
-    let sonar = told.sonar;
+/// Which outputs carry element samples, and what a cheaper output would save.
+fn output(selection: &SonarSelection) -> String {
+    let sonar = selection.sonar;
     let lines = &sonar.beams.lines;
     let fans = usize::from(sonar.beams.fan.is_some());
     let readers = match sonar.element_readers() {
-        of if of.is_empty() => "no output carries elements".to_owned(),
-        of => format!("elements are carried by {}", of.join(", ")),
+        of if of.is_empty() => "no output carries element samples".to_owned(),
+        of => format!("element samples go to {}", of.join(", ")),
     };
     let mut text = format!("; {readers}; {} lines, {fans} fans", lines.len());
     if sonar.synthesis.output == MadeOutput::Elements && sonar.synthesis.elements_for.is_none() {
-        text += "; output = \"auto\" would make lines alone where that is cheaper";
+        text += "; output = \"auto\" would synthesise only side-scan lines where that is cheaper";
     }
-    if let Some(ranking) = &told.for_pictures {
+    if let Some(ranking) = &selection.for_pictures {
         let _ = write!(
             text,
-            "; for those who read pictures alone tolerance_image = {PICTURE_CELLS} would do with {}: {:.2} ms",
+            "; with tolerance_image = {IMAGE_CELLS}, for images only, the choice is {}: {:.2} ms",
             ranking.chosen().text(),
             ranking.chosen().cost_ms()
         );
@@ -247,27 +248,27 @@ fn output(told: &Told) -> String {
     text
 }
 
-/// The same for programs.
+/// The report as JSON.
 pub(crate) fn json(spec: &RigSpec) -> Result<String, Failure> {
-    let (costs, told) = tell(spec)?;
-    let sonars: Vec<Value> = told.iter().map(sonar_json).collect();
+    let (costs, selections) = select_methods(spec)?;
+    let sonars: Vec<Value> = selections.iter().map(sonar_json).collect();
     let value = json!({ "costs": costs.machine, "sonars": sonars });
     let text = serde_json::to_string_pretty(&value).map_err(Failure::running)?;
     Ok(text + "\n")
 }
 
-fn sonar_json(told: &Told) -> Value {
+fn sonar_json(selection: &SonarSelection) -> Value {
     let mut value = json!({
-        "name": told.sonar.name,
-        "motion": if told.first.is_supposed { "supposed" } else { "recorded" },
-        "ping_number": told.first.plan.ping_number,
-        "scatterers": told.first.scatterers.len(),
-        "elements": elements(told.sonar),
-        "samples": told.first.plan.sample_count,
-        "period_ms": told.period_ms,
-        "threads": told.threads,
+        "name": selection.sonar.name,
+        "motion": if selection.first.is_supposed { "supposed" } else { "recorded" },
+        "ping_number": selection.first.plan.ping_number,
+        "scatterers": selection.first.scatterers.len(),
+        "elements": elements(selection.sonar),
+        "samples": selection.first.plan.sample_count,
+        "period_ms": selection.period_ms,
+        "threads": selection.threads,
     });
-    let Some(ranking) = &told.first.ranking else {
+    let Some(ranking) = &selection.first.ranking else {
         return value;
     };
     let families: Vec<Value> = Family::ALL
@@ -277,7 +278,7 @@ fn sonar_json(told: &Told) -> Value {
             json!({
                 "family": family.name(),
                 "choice": part.choice,
-                "auto": is_auto(told.sonar, family),
+                "auto": is_auto(selection.sonar, family),
                 "reason": ranking.reason(family),
                 "error": part.error,
                 "cost_ms": part.cost_ms,
@@ -294,15 +295,16 @@ fn sonar_json(told: &Told) -> Value {
             "along_cells": candidate.displaced.along_cells,
         })
     };
-    value["element_readers"] = json!(told.sonar.element_readers());
-    value["elements_for"] = json!(told.sonar.synthesis.elements_for);
-    value["for_pictures"] = json!(told.for_pictures.as_ref().map(|r| one(r.chosen())));
+    value["element_readers"] = json!(selection.sonar.element_readers());
+    value["elements_for"] = json!(selection.sonar.synthesis.elements_for);
+    value["for_pictures"] = json!(selection.for_pictures.as_ref().map(|r| one(r.chosen())));
     value["tolerance"] = json!(ranking.goal.tolerance);
     value["tolerance_image"] = json!(ranking.goal.image_cells);
     value["within"] = json!(ranking.is_within());
     value["families"] = json!(families);
     value["chosen"] = one(ranking.chosen());
-    value["margin"] = json!(told.period_ms * told.threads as f64 / ranking.chosen().cost_ms());
+    value["margin"] =
+        json!(selection.period_ms * selection.threads as f64 / ranking.chosen().cost_ms());
     value["next_cheaper"] = json!(ranking.next_cheaper().map(one));
     value["next_dearer"] = json!(ranking.next_dearer().map(one));
     value["other_output"] = json!(ranking.other_output().map(one));
@@ -311,7 +313,7 @@ fn sonar_json(told: &Told) -> Value {
     value
 }
 
-/// Measures this machine and writes the table.
+/// Times the methods on this machine and writes the cost table.
 pub(crate) fn calibrate(spec: &RigSpec, file: &Path) -> Result<(), Failure> {
     let costs = echotank_runtime::rig::costs_of(spec.run.costs.as_deref())
         .map_err(|why| Failure::Configuration(why.to_string()))?;
@@ -330,7 +332,7 @@ pub(crate) fn calibrate(spec: &RigSpec, file: &Path) -> Result<(), Failure> {
     };
     let within = methods.iter().filter(near).count();
     println!(
-        "{} methods timed on one thread: costs predicted within a factor of {before:.2} by the table before, of {after:.2} by this one (root mean square), {within} of them within 1.5",
+        "{} methods timed on one thread. Ratio of predicted to measured cost (root mean square): {before:.2} with the previous table, {after:.2} with this one; {within} within 1.5",
         methods.len()
     );
     let mut worst: Vec<_> = methods.iter().collect();
