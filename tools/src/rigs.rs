@@ -183,9 +183,8 @@ fn ratios(of: &Measured) -> (f64, f64) {
 }
 
 fn report(rows: &[Row], failed: &[String], costs: &Costs, load: (String, String)) -> String {
-    let mut text = String::from(
-        "Selected methods compared with measurements; see tools/rigs --help.\n\n",
-    );
+    let mut text =
+        String::from("Selected methods compared with measurements; see tools/rigs --help.\n\n");
     let _ = writeln!(
         text,
         "{:<16} {:>8} {:>8} {:>8}  {:>8} | {:>8} {:>8} | {:>6} {:>6} | {:>7} {:>4} selected methods; rig",

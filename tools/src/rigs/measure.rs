@@ -73,7 +73,11 @@ impl Measured {
                 did.parts.map(|part| format!("{part:.1e}")).join(" + "),
                 did.ms,
                 did.predicted_ms,
-                if did.promised { "" } else { ", above the tolerance" },
+                if did.promised {
+                    ""
+                } else {
+                    ", above the tolerance"
+                },
                 did.text
             )
         };
