@@ -76,7 +76,7 @@ fn the_least_configuration_takes_the_defaults_the_template_shows() {
 }
 
 #[test]
-fn overload_skips_unless_told_to_degrade_or_to_stretch() {
+fn overload_skips_by_default_and_degrades_or_stretches_on_request() {
     let rig = parse(&minimal());
     assert_eq!(
         (rig.run.overload, rig.run.simulated_compute_s),
@@ -95,7 +95,7 @@ fn overload_skips_unless_told_to_degrade_or_to_stretch() {
 }
 
 #[test]
-fn streaming_takes_its_blocks_latency_and_foresight_and_pings_are_spread_unless_told_otherwise() {
+fn streaming_keys_are_read_and_pings_are_spread_by_default() {
     let rig = parse(&minimal());
     assert_eq!(rig.run.delivery, DeliverySpec::PingEnd);
     assert_eq!((rig.run.ahead_s, rig.run.spread_share), (0.0, Some(0.8)));
@@ -322,7 +322,7 @@ max_clients = 1
 "#;
 
 #[test]
-fn navigation_scene_and_pacing_mean_what_they_say() {
+fn navigation_scene_and_pacing_keys_set_the_specification() {
     let rig = parse(EVERYTHING_ELSE);
     let here = repository().join("tests/data/config");
     let track = here.join("broken/track.csv");
@@ -439,7 +439,7 @@ fn navigation_scene_and_pacing_mean_what_they_say() {
 }
 
 #[test]
-fn a_sonar_means_what_it_says() {
+fn sonar_keys_set_the_specification() {
     let rig = parse(EVERYTHING_ELSE);
     let sonar = &rig.sonars[0];
     assert_eq!((sonar.name.as_str(), sonar.serial), ("head", 77));
@@ -544,7 +544,7 @@ fn a_tvg_table_and_the_absorption_laws_are_taken_as_given() {
 // ---------------------------------------------------------------- the configurations in the repository
 
 #[test]
-fn quickstart_is_accepted_and_says_what_follows_from_it() {
+fn quickstart_is_accepted_and_its_summary_is_complete() {
     let rig = load("hil-configs/quickstart.toml");
     let summary = config::summary(&rig);
     for expected in [
@@ -564,7 +564,7 @@ fn quickstart_is_accepted_and_says_what_follows_from_it() {
 
 /// sin 10 deg = 0.1736, 1 - cos 10 deg = 0.0152.
 #[test]
-fn the_summary_says_what_tilting_does_to_an_array() {
+fn the_summary_states_the_tilt_of_an_array() {
     let text = minimal().replace(
         "[[sonar.transmit]]\nname = \"tx\"\n",
         "[[sonar.transmit]]\nname = \"tx\"\nposition_m = [3.0, 2.0, 1.0]\n",
@@ -600,7 +600,7 @@ fn rows(file: &str) -> Vec<Vec<f64>> {
 }
 
 #[test]
-fn the_points_and_their_track_are_what_their_comments_say() {
+fn the_points_and_their_track_match_their_comments() {
     let rig = load("hil-configs/points.toml");
     let sonar = &rig.sonars[0];
     assert_eq!(rig.medium.absorption, AbsorptionSpec::None);
@@ -643,7 +643,7 @@ fn the_points_and_their_track_are_what_their_comments_say() {
 // ---------------------------------------------------------------- template and schema
 
 #[test]
-fn mounting_towing_and_what_goes_out_mean_what_they_say() {
+fn mounting_towing_and_output_keys_set_the_specification() {
     let text = EVERYTHING_ELSE
         .replace("vertical = \"gnss\"\ndatum_offset_m = -3.5", "vertical = \"depth\"")
         .replace("mode = \"settle\"", "mode = \"predict\"\non_lost = \"skip\"")
@@ -736,7 +736,7 @@ seed"#);
 }
 
 #[test]
-fn what_triggers_a_sonar_and_whom_it_tells_mean_what_they_say() {
+fn trigger_input_and_output_keys_set_the_specification() {
     let (rest, sonar) = minimal()
         .split_once("[[sonar]]")
         .map(|(rest, sonar)| (rest.to_owned(), sonar.to_owned()))
@@ -973,7 +973,7 @@ fn as_json(text: &str) -> Value {
 }
 
 #[test]
-fn what_is_accepted_is_valid_under_the_schema() {
+fn accepted_configurations_are_valid_under_the_schema() {
     let schema = schema();
     let mut texts = vec![
         config::template().to_owned(),
@@ -1050,7 +1050,7 @@ fn with_model(lines: &str) -> RigSpec {
 }
 
 #[test]
-fn every_path_doppler_and_synthesis_goes_by_its_name() {
+fn every_path_doppler_and_synthesis_is_selected_by_its_name() {
     for path in PathModel::ALL {
         for doppler in DopplerModel::ALL {
             for synthesis in Synthesis::ALL {
@@ -1092,7 +1092,7 @@ fn every_path_doppler_and_synthesis_goes_by_its_name() {
 
 /// The fast engine where it certainly reaches its tolerance, otherwise the exact sum.
 #[test]
-fn a_synthesis_left_out_is_the_engine_behind_the_filter_and_the_direct_sum_elsewhere() {
+fn the_default_synthesis_is_an_engine_with_the_filter_and_the_direct_sum_without() {
     let chosen = |filter: &str, doppler: &str| {
         let text = minimal().replace(
             "sample_rate_khz = 40.0",
@@ -1125,7 +1125,7 @@ fn every_rig_of_the_repository_is_accepted() {
 
 /// `echotank check rig.toml | head -1`
 #[test]
-fn check_ends_quietly_when_nobody_reads_on() {
+fn check_ends_quietly_when_its_output_is_closed() {
     let mut check = std::process::Command::new(env!("CARGO_BIN_EXE_echotank"))
         .args(["check", "hil-configs/points.toml"])
         .current_dir(env!("CARGO_MANIFEST_DIR"))

@@ -390,7 +390,7 @@ fn a_log_that_is_not_looped_ends_the_daemon() {
 }
 
 #[test]
-fn a_bad_configuration_never_starts_and_says_everything_at_once() {
+fn a_bad_configuration_does_not_start_and_reports_every_problem() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs/points.toml");
     let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
         .arg("run")

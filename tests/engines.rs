@@ -327,7 +327,7 @@ fn the_first_samples_alone_are_those_of_the_whole_ping_bit_for_bit() {
 
 /// Without the receiver filter a smooth pulse is possible; other pulses are refused with numbers.
 #[test]
-fn without_the_filter_the_pulse_decides() {
+fn without_the_filter_the_pulse_determines_the_error() {
     let scatterers = scene(300);
     let soft = |synthesis: &str| rig(&format!("synthesis = \"{synthesis}\""), "", 1.0);
     let ping = plan(&soft("direct"), 1, |_| {});
@@ -354,7 +354,7 @@ fn without_the_filter_the_pulse_decides() {
 }
 
 #[test]
-fn the_card_says_what_it_is_made_for() {
+fn the_error_model_names_the_limits_of_its_engine() {
     for tolerance in [1e-1, 1e-3, 1e-6, 1e-8] {
         let rig = rig(&format!("tolerance = {tolerance}"), FILTER, 0.1);
         assert_eq!(rig.sonars[0].model.synthesis, Synthesis::Gridded1d);
@@ -377,7 +377,7 @@ fn the_card_says_what_it_is_made_for() {
 /// Changes of pulse and range during a run, within the declared limits or not: each ping equals that of a sonar with these settings from
 /// the start.
 #[test]
-fn changed_settings_give_the_bits_of_a_sonar_that_had_them_always() {
+fn changed_settings_give_the_bits_of_a_sonar_started_with_them() {
     let scatterers = scene(200);
     let rig = rig("", FILTER, 0.1);
     assert_eq!(rig.sonars[0].model.synthesis, Synthesis::Gridded1d);
@@ -531,7 +531,7 @@ fn whole_line_arrays_are_the_direct_sum_within_the_tolerance() {
 }
 
 #[test]
-fn whole_line_arrays_give_the_same_bits_for_any_number_of_threads_and_any_past() {
+fn whole_line_arrays_give_the_same_bits_for_any_threads_and_history() {
     let scatterers = scene(500);
     let rig = lines(
         "path = \"k-segment\"\nsynthesis = \"gridded-2d\"\ntolerance = 2e-2",
@@ -588,7 +588,7 @@ fn a_ping_beyond_the_engines_bounds_is_counted() {
 }
 
 #[test]
-fn the_line_engine_says_what_it_promises() {
+fn the_line_engine_reports_its_error_model() {
     let rig = lines(
         "path = \"k-segment\"\nsynthesis = \"gridded-2d\"\ntolerance = 2e-2",
         0.1,
@@ -703,7 +703,7 @@ fn the_repositorys_engines_are_the_direct_sum_within_the_tolerance() {
 
 /// As configured, including culling, against the reference: the error check of every ping.
 #[test]
-fn the_quickstart_is_certified_within_its_tolerance() {
+fn the_error_check_finds_the_quickstart_within_its_tolerance() {
     let spec = thinned("checked.toml", |_| {});
     let mut last = None;
     along_the_log(&spec, 40, |_, output| last = output.error_check.or(last));

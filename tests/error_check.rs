@@ -126,7 +126,7 @@ fn true_error(got: &[Complex64], want: &[Complex64], samples: usize, window: usi
 const QUIET: &str = "tvg = \"none\"";
 
 #[test]
-fn a_certificate_holds_the_error_of_every_sample_in_its_interval() {
+fn the_interval_of_an_error_check_contains_the_error_of_every_sample() {
     let scatterers = scene(150);
     // The reference is slow: compute it once per receiver.
     let mut known: Option<(&str, Vec<Complex64>)> = None;
@@ -190,7 +190,7 @@ fn a_certificate_holds_the_error_of_every_sample_in_its_interval() {
 
 /// A wrong model is detected; checking does not change the samples.
 #[test]
-fn a_certificate_changes_no_sample_and_says_so_where_the_model_is_wrong() {
+fn an_error_check_changes_no_sample_and_detects_a_wrong_model() {
     let scatterers = scene(150);
     let bits = |error_check: bool| {
         let model = format!("path = \"stop-and-hop\"\ncertificate = {error_check}");
@@ -205,7 +205,7 @@ fn a_certificate_changes_no_sample_and_says_so_where_the_model_is_wrong() {
 
 /// One error check above 1.3 tolerances is chance, two in a row are a fault; a method within its tolerance has none.
 #[test]
-fn a_fault_is_an_error_above_1p3_tolerances_on_two_pings_running() {
+fn a_fault_is_an_error_above_1p3_tolerances_on_two_consecutive_pings() {
     let scatterers = scene(150);
     for (tolerance, faulty) in [(1e-1, false), (1e-5, true)] {
         let model = format!("error_check = true\ntolerance = {tolerance}\nsegment_ms = 5.0");
@@ -220,7 +220,7 @@ fn a_fault_is_an_error_above_1p3_tolerances_on_two_pings_running() {
 }
 
 #[test]
-fn a_certificate_is_the_same_for_any_number_of_threads() {
+fn an_error_check_is_the_same_for_any_number_of_threads() {
     let scatterers = scene(150);
     let rig = rig("error_check = true", QUIET);
     let with = |threads: usize| {
@@ -236,7 +236,7 @@ fn a_certificate_is_the_same_for_any_number_of_threads() {
 }
 
 #[test]
-fn an_empty_scene_is_certified_without_a_word() {
+fn an_empty_scene_has_zero_error() {
     let rig = rig("error_check = true", QUIET);
     let (error_checks, _) = run(&rig, &Scatterers::default(), 20);
     assert!(error_checks.iter().flatten().all(|c| c.error == 0.0));

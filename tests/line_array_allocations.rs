@@ -21,7 +21,7 @@ use rig::ALWAYS;
 use scene::*;
 
 #[test]
-fn pings_of_changing_motion_allocate_nothing_once_all_have_been() {
+fn pings_of_changing_motion_allocate_nothing_after_the_first_round() {
     let drawn = |speed: f64| Draw {
         scatterers: 500,
         velocity_m_per_s: DVec3::new(speed, 0.1 * speed, 0.1 * speed),

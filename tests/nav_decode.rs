@@ -246,7 +246,7 @@ fn lower_case_checksums_of_the_gyro_are_good() {
 }
 
 #[test]
-fn hydroball_wrong_checksums_are_refused_or_ignored_as_told_and_its_date_is_found() {
+fn hydroball_wrong_checksums_follow_the_policy_and_its_date_is_found() {
     let lines = String::from_utf8_lossy(HYDROBALL);
     // Every checksum is 00; by chance a few are right.
     let sum = |line: &str| {
@@ -342,7 +342,7 @@ fn only_what_the_source_provides_is_emitted() {
 }
 
 #[test]
-fn message_time_says_when_it_came_and_whether_it_is_dated() {
+fn messages_report_their_arrival_and_whether_they_are_dated() {
     let spec = source(TimePolicy::Burst, ChecksumPolicy::Require, &ALL);
     let mut decoder = NavDecoder::new(0, &spec);
     let mut out = Vec::new();
@@ -416,13 +416,13 @@ proptest! {
     }
 
     #[test]
-    fn sentences_from_an_alphabet_of_their_own_never_panic(text in "([$!\\\\*,.0-9A-Z\r\n-]|GGA|RMC|ZDA|HDT|VTG|PSXN,23|PASHR|\\$GP){0,200}", cut in 1usize..50) {
+    fn sentences_from_a_restricted_alphabet_never_panic(text in "([$!\\\\*,.0-9A-Z\r\n-]|GGA|RMC|ZDA|HDT|VTG|PSXN,23|PASHR|\\$GP){0,200}", cut in 1usize..50) {
         let (_, c) = digest(text.as_bytes(), cut, ChecksumPolicy::Ignore);
         check_sum(&c);
     }
 
     #[test]
-    fn spoiled_sentences_never_panic_and_cuts_do_not_matter(lines in prop::collection::vec(mutated(), 1..12), cut in 1usize..100) {
+    fn corrupted_sentences_never_panic_and_splits_do_not_matter(lines in prop::collection::vec(mutated(), 1..12), cut in 1usize..100) {
         let bytes = lines.concat();
         let whole = digest(&bytes, bytes.len().max(1), ChecksumPolicy::Ignore);
         check_sum(&whole.1);

@@ -90,7 +90,7 @@ fn motion(history: &mut NavHistory, t: f64) -> Result<NavState, NavGap> {
 }
 
 #[test]
-fn a_silent_gnss_is_relieved_with_its_relief_s_own_lever_arm_and_nothing_is_joined_across() {
+fn failover_from_a_silent_gnss_uses_the_new_lever_arm_without_interpolation() {
     let provides = [NavChannel::Position, NavChannel::Heading];
     let mut first = source("first", udp(), &provides);
     first.lever_arm_m = DVec3::new(10.0, 0.0, 0.0);
@@ -140,7 +140,7 @@ fn a_silent_gnss_is_relieved_with_its_relief_s_own_lever_arm_and_nothing_is_join
 }
 
 #[test]
-fn a_jump_is_set_aside_and_a_lasting_one_becomes_a_reset() {
+fn a_jump_is_rejected_and_a_lasting_one_becomes_a_reset() {
     let provides = [NavChannel::Position, NavChannel::Heading];
     let mut spec = spec(vec![source("gnss", udp(), &provides)]);
     spec.failover = None;
@@ -181,7 +181,7 @@ fn a_jump_is_set_aside_and_a_lasting_one_becomes_a_reset() {
 }
 
 #[test]
-fn states_of_sources_are_known_by_their_arrivals() {
+fn source_states_follow_from_arrivals() {
     let provides = [NavChannel::Position, NavChannel::Heading];
     let mut history = NavHistory::new(&spec(vec![
         source("a", udp(), &provides),
@@ -229,7 +229,7 @@ fn opened(input: NavInputSpec) -> (NavInputs, NavHistory) {
 }
 
 #[test]
-fn a_tcp_server_gives_its_sentences_however_they_are_cut_and_again_after_a_broken_connection() {
+fn sentences_of_a_tcp_server_are_read_in_any_pieces_and_after_a_reconnection() {
     let server = TcpListener::bind("127.0.0.1:0").expect("a port");
     let address = server.local_addr().expect("bound").to_string();
     let (mut inputs, mut history) = opened(NavInputSpec::TcpConnect { address });
@@ -251,7 +251,7 @@ fn a_tcp_server_gives_its_sentences_however_they_are_cut_and_again_after_a_broke
 }
 
 #[test]
-fn of_a_tcp_source_s_clients_the_newest_speaks() {
+fn the_newest_client_of_a_tcp_source_is_active() {
     let listen = "127.0.0.1:0".parse().expect("an address");
     let (mut inputs, mut history) = opened(NavInputSpec::TcpListen { listen });
     let (_, address) = inputs.listening()[0].clone();

@@ -857,7 +857,7 @@ fn the_sign_table() {
 }
 
 #[test]
-fn what_psxn_20_calls_invalid_is_not_taken() {
+fn values_that_psxn_20_flags_invalid_are_not_used() {
     let mut decoder = NavDecoder::new(
         0,
         &source(
@@ -942,7 +942,7 @@ fn two_talkers_of_the_same_quantity_are_not_mixed() {
 
 /// Attitude at 8 Hz between fixes at 1 Hz, without a pause: it does not belong to the fix's time, which is up to a second old.
 #[test]
-fn a_sentence_that_comes_twice_in_a_burst_is_taken_at_its_arrival() {
+fn a_sentence_repeated_in_a_burst_is_valid_at_its_arrival() {
     let mut decoder = NavDecoder::new(0, &source(NavDialect::default(), TimePolicy::Burst));
     let mut samples = Vec::new();
     for i in 0..80 {
@@ -1076,7 +1076,7 @@ fn sentence_body() -> impl Strategy<Value = String> {
 
 proptest! {
     #[test]
-    fn any_stream_of_any_format_is_read_the_same_however_it_is_cut(bytes in stream(), cuts in prop::collection::vec(1usize..60, 1..20)) {
+    fn any_stream_of_any_format_is_read_the_same_in_any_pieces(bytes in stream(), cuts in prop::collection::vec(1usize..60, 1..20)) {
         for format in FORMATS {
             let whole = digest(format, &bytes, &[usize::MAX]);
             let pieces = digest(format, &bytes, &cuts);
@@ -1100,7 +1100,7 @@ proptest! {
     }
 
     #[test]
-    fn a_spoiled_tlog_never_panics(version in 1u8..3, at in any::<u16>(), byte in any::<u8>(), n in 4usize..20) {
+    fn a_corrupted_tlog_never_panics(version in 1u8..3, at in any::<u16>(), byte in any::<u8>(), n in 4usize..20) {
         let mut bytes: Vec<u8> = (0..n).flat_map(|i| tlog(&motion(i as f64), version)).collect();
         let at = usize::from(at) % bytes.len();
         bytes[at] = byte;

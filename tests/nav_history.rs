@@ -203,7 +203,7 @@ fn swell_errors(rate_hz: f64) -> [f64; 5] {
 
 /// Bounds about twice the observed errors; interpolation is cubic, so a tenth of the rate costs about a thousand times the accuracy.
 #[test]
-fn swell_at_10_hz_is_met_to_0p1_mm_and_0p001_deg() {
+fn swell_at_10_hz_is_interpolated_to_0p1_mm_and_0p001_deg() {
     for (rate_hz, limit) in [
         (10.0, [1e-4, 1e-3, 1e-4, 4e-3, 0.04]),
         (1.0, [0.08, 0.6, 0.01, 0.3, 2.5]),
@@ -274,7 +274,7 @@ fn roll_to_starboard_puts_the_starboard_side_deeper_and_heave_down_sinks() {
 }
 
 #[test]
-fn an_antenna_on_an_arm_is_reduced_at_its_own_time() {
+fn an_antennas_lever_arm_is_applied_at_its_own_time() {
     let arm = DVec3::new(4.0, -1.0, -20.0);
     let attitude = |t: f64| ((8.0 * (TAU * t / 7.0).sin()), 5.0 * (TAU * t / 6.0).sin());
     let rotation = |t: f64| {
@@ -315,7 +315,7 @@ fn an_antenna_on_an_arm_is_reduced_at_its_own_time() {
 }
 
 #[test]
-fn vertical_is_made_of_waterline_and_heave_or_of_the_height_or_of_the_depth() {
+fn vertical_comes_from_waterline_and_heave_or_the_height_or_the_depth() {
     let position = |height_m| NavQuantity::Position {
         latitude_rad: -0.384,
         longitude_rad: -0.313,
@@ -460,7 +460,7 @@ fn a_settled_state_does_not_change_when_more_samples_come() {
 }
 
 #[test]
-fn coverage_says_ready_waiting_or_what_is_missing() {
+fn coverage_is_ready_waiting_or_names_what_is_missing() {
     let mut history = NavHistory::new(&nav_spec(vec![log_source(&FULL)]));
     let at = |s: f64| T0.plus_s(s);
     assert_eq!(history.coverage(at(1.0), at(1.5)), Coverage::Waiting);
@@ -474,7 +474,7 @@ fn coverage_says_ready_waiting_or_what_is_missing() {
 }
 
 #[test]
-fn prediction_carries_on_with_the_last_rates_and_stops_at_its_limit() {
+fn prediction_extrapolates_the_last_rates_up_to_its_limit() {
     let mut history = NavHistory::new(&nav_spec(vec![log_source(&FULL)]));
     feed(&mut history, 10.0, 5.0, |t| {
         [
@@ -581,7 +581,7 @@ fn gaps_are_refused_by_name_and_counted() {
 }
 
 #[test]
-fn nothing_is_interpolated_across_a_seam() {
+fn nothing_is_interpolated_across_the_loop_of_a_log() {
     let mut history = NavHistory::new(&nav_spec(vec![log_source(&FULL)]));
     feed(&mut history, 1.0, 9.0, steady);
     history.seam(T0.plus_s(9.5));

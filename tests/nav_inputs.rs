@@ -395,7 +395,7 @@ fn rig_time_is_the_messages_if_they_are_far_from_the_host_and_the_hosts_otherwis
 }
 
 #[test]
-fn what_comes_before_rig_time_is_known_is_kept() {
+fn data_before_rig_time_is_known_are_kept() {
     let clock = Arc::new(Still {
         mono: AtomicI64::new(0),
         utc: UtcNs(1_800_000_000 * NS_PER_S),
@@ -472,7 +472,7 @@ fn recorded_sources_are_merged_by_arrival_and_pulled_up_to_a_time() {
 }
 
 #[test]
-fn a_repeated_log_goes_on_for_ever_with_short_gaps() {
+fn a_looped_log_continues_with_short_gaps() {
     let directory = tempfile::tempdir().expect("a directory");
     let header = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg";
     let rows: String = (0..=40)

@@ -288,7 +288,7 @@ fn gave(r: &LogReport, name: &str, channel: NavChannel) -> u64 {
 }
 
 #[test]
-fn the_report_says_who_speaks_and_why_others_do_not() {
+fn the_report_names_active_sources_and_why_others_are_unused() {
     use NavChannel::{Heading, Heave, Position, RollPitch};
     let r = read("navlogs/rst39_oxts_pashr.log");
     assert_eq!(gave(&r, "PASHR", RollPitch), 100);
@@ -433,7 +433,7 @@ fn stamping_the_seapath_on_arrival_costs_its_pitch_rate_times_0p36_s() {
 /// One second ahead at 1 Hz, at the same times: holding, linear extrapolation, and the mean of both neighbours. Values from `python3` on
 /// the same 90 s; over 625 s of the same ship they are 1.39, 1.15 and 0.57 degrees.
 #[test]
-fn a_second_of_extrapolation_at_1_hz_is_as_bad_as_an_independent_computation_says() {
+fn the_error_of_one_second_of_extrapolation_matches_an_independent_computation() {
     let r = read("nav/seapath330_90s.rvdas");
     let pitch: Vec<f64> = r
         .samples
@@ -465,7 +465,7 @@ fn a_second_of_extrapolation_at_1_hz_is_as_bad_as_an_independent_computation_say
 /// As OpenRVDAS writes it with an older time format, from a log of 2014 replayed in 2017 at four lines a second, with CR line ends and a
 /// byte order mark at the start.
 #[test]
-fn a_log_played_again_slowly_in_another_year_keeps_its_bursts_and_dates() {
+fn a_log_replayed_slowly_in_another_year_keeps_its_bursts_and_dates() {
     let sum = |body: &str| body.bytes().fold(0, |a, b| a ^ b);
     let mut text = String::from("\u{feff}");
     let mut lines = 0;
@@ -517,7 +517,7 @@ fn a_log_played_again_slowly_in_another_year_keeps_its_bursts_and_dates() {
 }
 
 #[test]
-fn lines_of_json_and_ais_are_counted_and_passed_over() {
+fn lines_of_json_and_ais_are_counted_and_skipped() {
     let text = concat!(
         "{\"class\":\"TPV\",\"mode\":3,\"lat\":54.1,\"lon\":10.2}\n",
         "{\"updates\":[{\"source\":{\"talker\":\"GP\"},\"values\":[{\"path\":\"navigation.headingTrue\",\"value\":1.2}]}]}\r\n",

@@ -33,7 +33,7 @@ fn weyl(k: u32, coordinate: usize) -> f64 {
 
 /// On a real log of a ship in a swell, whose attitude changes by degrees within a receive window.
 #[test]
-fn a_footprint_holds_every_place_that_an_element_hears_above_the_floor() {
+fn a_footprint_contains_every_position_received_above_the_floor() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs/quickstart.toml");
     let mut spec = echotank_runtime::config_files::load(&path).expect("a good configuration");
     spec.scene.seabed = None;
@@ -117,7 +117,7 @@ fn a_footprint_holds_every_place_that_an_element_hears_above_the_floor() {
 }
 
 #[test]
-fn a_floor_that_nobody_gave_costs_half_the_tolerance_and_a_decibel_more_would_cost_more() {
+fn the_default_floor_takes_half_the_tolerance_and_is_tight_to_one_decibel() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
     let text = std::fs::read_to_string(folder.join("seabed.toml")).expect("readable");
     assert!(!text.contains("\ncull_db"), "the operator gives none");
@@ -190,7 +190,7 @@ fn energies(spec: &RigSpec, plan: &PingPlan, scatterers: &Scatterers) -> (Vec<f6
 
 /// A target of +20 dB in a side lobe too weak for the bottom, and one of -60 dB slightly closer in the same lobe.
 #[test]
-fn a_strong_target_in_a_side_lobe_stays_and_what_is_left_out_stays_within_the_tolerance() {
+fn a_strong_target_in_a_side_lobe_is_kept_and_the_culling_error_is_within_the_tolerance() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
     let mut spec = echotank_runtime::config_files::load(&folder.join("seabed.toml"))
         .expect("a good configuration");

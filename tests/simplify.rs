@@ -20,7 +20,7 @@ use measure::{Figures, LEVELS, Ladder, Once, Simplifier};
 
 /// 4 pings and 2 seeds; `tools/ladder` has 48 and 64.
 #[test]
-fn the_ladder_in_short() {
+fn simplification_levels_match_the_paper_in_short() {
     let rows = Ladder::new(4).measure(2);
     let row = |points: usize, once: Once, simplifier: Simplifier| -> Figures {
         *rows

@@ -91,7 +91,7 @@ fn the_kept_table_of_pictures_still_holds() {
 
 /// 2.572 m/s (5 knots), 75 m: two tolerances, two numbers.
 #[test]
-fn a_picture_bears_what_samples_do_not_and_the_criterion_says_when() {
+fn images_tolerate_errors_that_samples_do_not_as_predicted() {
     let found = images::measure(2.572, 75.0);
     let [hop, none, stretch] = &found[..] else {
         panic!("three methods")

@@ -46,7 +46,7 @@ fn sweep(scene: usize, motion: usize) -> (usize, Vec<String>) {
 }
 
 #[test]
-fn a_still_sonar_is_as_good_as_asked() {
+fn a_sonar_at_rest_meets_its_tolerance() {
     let (answers, broken) = sweep(1, 0);
     assert!(broken.is_empty(), "{broken:#?}");
     // direct to 1e-4, spectral to 1e-5, gridded-1d to 1e-8.
@@ -54,7 +54,7 @@ fn a_still_sonar_is_as_good_as_asked() {
 }
 
 #[test]
-fn a_line_under_way_is_as_good_as_asked() {
+fn a_moving_line_meets_its_tolerance() {
     let (answers, broken) = sweep(4, 3);
     assert!(broken.is_empty(), "{broken:#?}");
     assert!(answers >= 4 + 1 + 3, "{answers}");
@@ -65,7 +65,7 @@ fn a_line_under_way_is_as_good_as_asked() {
 /// filter (12); two echoes that begin or end together and almost cancel in a window without others (48, 103, 120); echoes near the null of
 /// a turning element (75).
 #[test]
-fn chance_finds_nothing_above_its_tolerance_in_noise() {
+fn random_scenes_meet_their_tolerance_with_noise_floor() {
     let mut answers = 0;
     for seed in [0, 2, 9, 12, 16, 25, 48, 75, 103, 120] {
         let mut case = case::random(seed);
@@ -98,7 +98,7 @@ fn chance_finds_nothing_above_its_tolerance_in_noise() {
 /// At rest, in windows with only the end of an echo. The seeds include past failures: truncation of what the receiver filter's stop band
 /// passes of sharp edges (4.0e-6 of scene 61, 2.6e-6 of 92), and a kernel over delay that extends beyond echoes (1.5e-4 of 188).
 #[test]
-fn ends_of_echoes_by_chance_are_as_good_as_asked() {
+fn random_ends_of_echoes_meet_their_tolerance() {
     let mut answers = 0;
     for (seed, tolerance) in [(61, 1e-6), (92, 1e-6), (188, 1e-4)] {
         let case = case::random(seed);
@@ -122,7 +122,7 @@ fn ends_of_echoes_by_chance_are_as_good_as_asked() {
 /// (68, 117); out-of-band energy (32); tones that cancel (172); echoes near the null of elements that then move out of it (47); a window
 /// with the onsets of three echoes that cancel (170).
 #[test]
-fn chance_finds_no_line_above_its_tolerance_in_noise() {
+fn random_lines_meet_their_tolerance_with_noise_floor() {
     let mut answers = 0;
     for seed in [18, 32, 47, 68, 106, 117, 120, 141, 142, 149, 170, 172] {
         let mut case = case::random(seed);
@@ -147,7 +147,7 @@ fn chance_finds_no_line_above_its_tolerance_in_noise() {
 }
 
 #[test]
-fn what_cannot_be_reached_is_refused_with_what_stands_in_the_way() {
+fn unreachable_tolerances_are_refused_with_their_cause() {
     let refused = |motion: usize, method: Method, tolerance| {
         let case = SCENES[0].case(&MOTIONS[motion], 5);
         let truth = measure::truth(&case);
@@ -176,7 +176,7 @@ fn level() -> Vec<Vec<Complex64>> {
 }
 
 #[test]
-fn the_contract_counts_a_window_against_itself_or_a_millionth_of_its_median() {
+fn a_windows_error_refers_to_itself_or_a_millionth_of_its_median() {
     let want = level();
     let mut got = want.clone();
     // One wrong sample of a full window of 100.
@@ -197,7 +197,7 @@ fn the_contract_counts_a_window_against_itself_or_a_millionth_of_its_median() {
 }
 
 #[test]
-fn where_nothing_is_heard_nothing_may_be() {
+fn a_signal_where_none_is_received_is_an_infinite_error() {
     let mut want = level();
     want.iter_mut()
         .for_each(|record| record[250..].fill(Complex64::ZERO));
@@ -216,7 +216,7 @@ fn where_nothing_is_heard_nothing_may_be() {
 /// Why no method can meet a tolerance without noise in a window with only the end of a filter tail: the same filter with another density
 /// ends elsewhere.
 #[test]
-fn the_reference_itself_knows_no_tail_to_a_thousandth_but_every_window_in_noise() {
+fn the_reference_meets_1e_3_in_every_window_only_with_noise_floor() {
     let mut case = SCENES[1].case(&MOTIONS[0], 6);
     case.looked_at.truncate(1);
     let doubt = measure::doubt(&case, &measure::truth(&case));

@@ -76,7 +76,7 @@ fn a_ping_comes_in_the_order_of_the_format_with_7000_first() {
 }
 
 #[test]
-fn only_what_is_wanted_and_there_is_emitted() {
+fn only_subscribed_and_available_records_are_emitted() {
     let bare = PingOutput::default();
     let (records, _) = emitted(&plan(1, 0), &bare, RecordSet::ALL);
     let ids: Vec<u32> = records.iter().map(|r| r.record_type).collect();
@@ -299,7 +299,7 @@ fn elements_7038_are_those_of_the_configured_arrays_in_their_order() {
 }
 
 #[test]
-fn what_does_not_fit_is_held_at_the_end_and_counted() {
+fn values_out_of_range_are_clipped_and_counted() {
     let mut output = output(6);
     output.elements[0].iq[0].re = 2.0 * FULL_SCALE_V;
     output.elements[1].iq[1].im = -2.0 * FULL_SCALE_V;

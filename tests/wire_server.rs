@@ -220,7 +220,7 @@ fn what_the_slow_client_gets_in_the_end_is_whole_records_with_gaps() {
 }
 
 #[test]
-fn a_client_that_vanishes_in_the_middle_of_a_record_disturbs_nobody() {
+fn a_client_that_vanishes_during_a_record_does_not_affect_others() {
     let mut rig = Rig::new(|_| {});
     let mut steady = rig.client(&[7007]);
     let mut fleeting = TcpStream::connect(rig.address()).expect("connects");
@@ -247,7 +247,7 @@ fn a_client_that_vanishes_in_the_middle_of_a_record_disturbs_nobody() {
 }
 
 #[test]
-fn rubbish_is_counted_at_its_sender_and_disturbs_nobody() {
+fn garbage_is_counted_at_its_sender_and_does_not_affect_others() {
     let times = ServerTimes {
         stall: Duration::from_millis(50),
         ..ServerTimes::default()
@@ -362,7 +362,7 @@ fn records_can_be_asked_for_one_at_a_time() {
 }
 
 #[test]
-fn clients_beyond_the_limit_are_turned_away_until_a_seat_is_free() {
+fn clients_beyond_the_limit_are_refused_until_one_leaves() {
     let rig = Rig::new(|spec| spec.max_clients = 2);
     let _first = rig.client(&[7000]);
     let second = rig.client(&[7000]);
@@ -511,7 +511,7 @@ fn packets_are_as_long_as_the_listener_says() {
 }
 
 #[test]
-fn a_port_in_use_and_a_packet_too_short_are_refused_in_words() {
+fn a_port_in_use_and_a_packet_too_short_are_refused_with_a_reason() {
     let rig = Rig::new(|_| {});
     let open = |change: &dyn Fn(&mut SevenKSpec)| {
         let mut spec = output_spec();
@@ -615,7 +615,7 @@ fn udp_subscribes_receives_records_in_datagrams_and_unsubscribes() {
 }
 
 #[test]
-fn udp_strays_are_counted_and_get_no_seat() {
+fn stray_udp_datagrams_are_counted_and_open_no_session() {
     let rig = Rig::new(|_| {});
     let socket = UdpSocket::bind("127.0.0.1:0").expect("a port");
     for rubbish in [&b""[..], b"hello", &[0xFF; 2000]] {
@@ -642,7 +642,7 @@ fn udp_strays_are_counted_and_get_no_seat() {
 }
 
 #[test]
-fn udp_clients_that_fall_silent_lose_their_seat() {
+fn silent_udp_clients_are_dropped() {
     let times = ServerTimes {
         udp_idle: Duration::from_millis(30),
         udp_silence: Duration::from_millis(600),

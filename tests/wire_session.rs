@@ -261,7 +261,7 @@ fn every_refusal_has_its_code_and_changes_nothing() {
 }
 
 #[test]
-fn what_the_model_does_not_use_is_acknowledged_and_reported_in_7503() {
+fn unused_settings_are_acknowledged_and_reported_in_7503() {
     let mut rig = Rig::tcp();
     for (ticket, command) in [
         Command::BottomDetectionMask { flags: 3 << 8 },
@@ -553,7 +553,7 @@ fn settings_asked_for_come_behind_the_acknowledgement_with_ping_number_0() {
 }
 
 #[test]
-fn a_record_of_a_ping_is_promised_once_and_refused_while_the_sonar_rests() {
+fn a_single_record_request_is_served_once_and_refused_while_the_sonar_is_idle() {
     let mut rig = Rig::tcp();
     let single = Command::SingleRecord {
         record_type_id: 7018,
@@ -646,7 +646,7 @@ fn frames_that_are_wrong_are_counted_and_the_command_behind_them_found() {
 }
 
 #[test]
-fn what_a_truncated_record_hid_comes_to_light_when_the_session_gives_up() {
+fn records_behind_a_truncated_one_are_found_after_the_timeout() {
     let mut rig = Rig::tcp();
     // Declares a longer record than follows.
     let ids = vec![7000; 1000];

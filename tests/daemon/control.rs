@@ -39,7 +39,7 @@ fn ctl(arguments: &[&str]) -> (bool, String) {
 }
 
 #[test]
-fn settings_are_obeyed_refused_and_told_over_http_and_ctl() {
+fn settings_are_applied_refused_and_reported_over_http_and_ctl() {
     let mut daemon = quick(&[]);
     let at = daemon.announced("control http", "http");
     let (code, answer) = tell(at, &json!({ "do": "set", "range_m": 40.0, "gain_db": 3.0 }));
@@ -97,7 +97,7 @@ fn settings_are_obeyed_refused_and_told_over_http_and_ctl() {
 }
 
 #[test]
-fn a_token_keeps_strangers_out() {
+fn requests_without_the_token_are_refused() {
     let mut daemon = quick(&["control.token=open-sesame"]);
     let at = daemon.announced("control http", "http");
     for path in ["/status", "/metrics"] {

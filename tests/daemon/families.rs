@@ -49,7 +49,7 @@ fn line(control: &mut BufReader<TcpStream>) -> String {
 }
 
 #[test]
-fn ping_wbms_and_vita_tell_of_the_same_pings_and_obey_each_other() {
+fn ping_wbms_and_vita_report_the_same_pings_and_settings() {
     let board = UdpSocket::bind("127.0.0.1:0").expect("a socket");
     board
         .set_read_timeout(Some(PATIENCE))

@@ -101,7 +101,7 @@ fn expected(kind: &str, struck: &BTreeSet<u32>, first: u32, last: u32) -> PingTa
 }
 
 #[test]
-fn a_topside_finds_exactly_the_faults_of_the_line_that_the_log_tells() {
+fn a_topside_finds_exactly_the_link_faults_in_the_log() {
     let folder = tempfile::tempdir().expect("folder");
     let record = tempfile::tempdir().expect("folder");
     let log = format!("run.fault_directory={:?}", folder.path());
@@ -186,7 +186,7 @@ fn a_topside_finds_exactly_the_faults_of_the_line_that_the_log_tells() {
 }
 
 #[test]
-fn a_scenario_spoils_the_same_samples_live_and_in_replay() {
+fn a_scenario_changes_the_same_samples_live_and_in_replay() {
     let scenario = r#"fault=[{kind="inverted", array=2, element=3, at_s=0.5, for_s=2.0}, {kind="noise-burst", value=1e-5, at_s=1.0, probability=0.4, burst=2, seed=3}, {kind="trigger-missed", at_s=2.0, for_s=0.25}]"#;
     let live = tempfile::tempdir().expect("folder");
     let plain = tempfile::tempdir().expect("folder");
@@ -228,7 +228,7 @@ fn a_scenario_spoils_the_same_samples_live_and_in_replay() {
 }
 
 #[test]
-fn what_cannot_be_injected_is_refused_live_and_before_the_start() {
+fn impossible_faults_are_refused_live_and_before_the_start() {
     let folder = tempfile::tempdir().expect("folder");
     let mut daemon = rig(folder.path(), &["run.clock=lockstep"]);
     let control = daemon.announced("control http", "http");

@@ -10,7 +10,7 @@ use super::modes::{pings_in, pings_of, rig, status, wait_delivered};
 use super::{Daemon, PATIENCE};
 
 #[test]
-fn a_killed_daemon_loses_no_ping_that_had_left_and_the_next_mends_its_record() {
+fn a_killed_daemon_loses_no_sent_ping_and_the_next_recovers_its_recording() {
     let folder = tempfile::tempdir().expect("folder");
     let mut daemon = rig(folder.path(), &[]);
     let at = daemon.announced("control http", "http");
@@ -66,7 +66,7 @@ const EVERY_KIND: [&str; 12] = [
 ];
 
 #[test]
-fn files_that_can_grow_no_more_stop_their_recordings_each_counted_and_the_pings_go_on() {
+fn a_full_disk_stops_recordings_counts_them_and_pings_continue() {
     let folder = tempfile::tempdir().expect("folder");
     // Some tens of kilobytes per file, with SIGXFSZ ignored: a write fails as on a full disk.
     let limited = "trap '' XFSZ; ulimit -f 40; exec \"$0\" \"$@\"";

@@ -35,7 +35,7 @@ const LARGE: [&str; 20] = [
 const PINGS: u64 = 8;
 
 #[test]
-fn who_reads_gets_every_ping_while_who_does_not_misses_whole_records() {
+fn readers_get_every_ping_while_a_stalled_client_misses_whole_records() {
     let mut arguments = vec!["hil-configs/points.toml"];
     arguments.extend(LARGE);
     let mut daemon = Daemon::start(&arguments);

@@ -197,7 +197,7 @@ async fn omniscan(device: &omniscan450::Device) {
 }
 
 #[test]
-fn the_makers_rust_client_is_obeyed_by_an_omniscan_over_tcp_and_udp() {
+fn an_omniscan_serves_the_manufacturers_rust_client_over_tcp_and_udp() {
     let mut daemon = Daemon::start(&[
         "hil-configs/omniscan450.toml",
         "--set",
@@ -284,7 +284,7 @@ async fn surveyor(device: &omniscan450::Device) {
 }
 
 #[test]
-fn the_makers_rust_client_is_obeyed_by_a_surveyor_over_tcp_and_udp() {
+fn a_surveyor_serves_the_manufacturers_rust_client_over_tcp_and_udp() {
     let mut daemon = Daemon::start(&[
         "hil-configs/surveyor240.toml",
         "--set",

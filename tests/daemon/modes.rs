@@ -119,7 +119,7 @@ fn signal(daemon: &Daemon, name: &str) {
 }
 
 #[test]
-fn the_same_pings_leave_in_every_clock_mode_and_after_a_stop_in_the_middle() {
+fn the_same_pings_are_sent_in_every_clock_mode_and_after_a_pause() {
     let folders: Vec<_> = (0..6)
         .map(|_| tempfile::tempdir().expect("folder"))
         .collect();
@@ -234,7 +234,7 @@ for_s = 0.25
 
 /// Three sonars, two of which follow the first, with automatic method selection, including an engine with a tolerance.
 #[test]
-fn plans_faults_and_triggers_are_the_same_in_every_clock_mode() {
+fn selected_methods_faults_and_triggers_are_the_same_in_every_clock_mode() {
     let folder = tempfile::tempdir().expect("folder");
     let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"auto\"\ntolerance = 1e-2";
     let config = three(folder.path(), model, SCENARIO);
@@ -351,7 +351,7 @@ fn a_stop_in_a_debugger_changes_no_ping() {
 }
 
 #[test]
-fn paused_time_stands_and_a_step_lets_one_ping_out() {
+fn a_pause_stops_time_and_a_step_sends_one_ping() {
     let folder = tempfile::tempdir().expect("folder");
     let mut daemon = rig(folder.path(), &["nav.loop=true"]);
     let at = daemon.announced("control http", "http");

@@ -248,7 +248,7 @@ fn hear(socket: UdpSocket, faults: Arc<Faults>) -> thread::JoinHandle<Vec<Vec<u8
 }
 
 #[test]
-fn pings_keep_their_rate_whatever_the_navigation_does_and_say_what_is_invalid() {
+fn pings_keep_their_rate_under_navigation_faults_and_flag_invalid_channels() {
     let folder = tempfile::tempdir().expect("a folder");
     let name = folder.path().join("mru");
     let mru = Arc::new(Mutex::new(Some(plug_in(&name))));

@@ -114,7 +114,7 @@ fn counter(status: &Value, name: &str) -> u64 {
 }
 
 #[test]
-fn skipped_pings_are_counted_and_logged_and_the_others_are_those_of_a_machine_that_keeps_up() {
+fn skipped_pings_are_counted_and_logged_and_the_others_are_unchanged() {
     let folders = [0, 1].map(|_| tempfile::tempdir().expect("folder"));
     let want = at_leisure(folders[0].path(), &[]);
     let (daemon, last) = overloaded(folders[1].path(), "skip", &[]);
@@ -147,7 +147,7 @@ fn skipped_pings_are_counted_and_logged_and_the_others_are_those_of_a_machine_th
 }
 
 #[test]
-fn degraded_pings_are_flagged_and_keep_to_the_looser_tolerance_and_the_finer_comes_back() {
+fn degraded_pings_are_flagged_meet_the_looser_tolerance_and_recover() {
     let sets = [
         "sonar.model.synthesis=gridded-1d",
         "sonar.receiver.rx_filter=fir",
@@ -196,7 +196,7 @@ fn degraded_pings_are_flagged_and_keep_to_the_looser_tolerance_and_the_finer_com
 }
 
 #[test]
-fn stretched_pulses_come_as_fast_as_their_pings_can_be_made_and_say_so() {
+fn stretched_periods_match_the_compute_time_and_are_reported() {
     let folder = tempfile::tempdir().expect("folder");
     let (daemon, last) = overloaded(folder.path(), "stretch", &[]);
     let log = log_of(folder.path());

@@ -79,7 +79,7 @@ fn metric(control: SocketAddr, name: &str) -> Option<f64> {
 }
 
 #[test]
-fn a_plan_whose_certificate_fails_is_a_counted_fault_and_a_dearer_one_takes_its_place() {
+fn a_failed_error_check_is_a_counted_fault_and_selects_costlier_methods() {
     let folder = tempfile::tempdir().expect("folder");
     let mut points = String::from("north_m,east_m,down_m,amplitude\n");
     for k in 0..POINTS {

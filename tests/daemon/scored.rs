@@ -222,7 +222,7 @@ fn run(clean: Option<&AllHeard>) -> (AllHeard, Vec<LoggedFault>) {
 }
 
 #[test]
-fn every_live_family_finds_exactly_what_the_log_tells() {
+fn every_live_family_finds_exactly_the_logged_faults() {
     let (clean, log) = run(None);
     assert!(log.is_empty());
     for (name, heard) in &clean {
@@ -309,7 +309,7 @@ fn connections(kind: &str, value: &Value, pings: u64) -> (Score, Score) {
 }
 
 #[test]
-fn resets_and_silences_of_connections_are_found_where_the_log_has_them() {
+fn resets_and_silences_are_found_at_their_logged_times() {
     let both = thread::scope(|scope| {
         let kinds = [("reset", json!(0.05), 1), ("half-open", json!(0.25), 3)];
         let running = kinds.map(|(kind, value, pings)| {
@@ -330,7 +330,7 @@ fn resets_and_silences_of_connections_are_found_where_the_log_has_them() {
 }
 
 #[test]
-fn a_dead_element_asked_for_live_is_dead_in_the_pings_of_the_log_and_in_no_other() {
+fn a_dead_element_injected_live_is_dead_only_in_the_logged_pings() {
     const ELEMENTS: usize = 32;
     let folders = [(); 2].map(|()| tempfile::tempdir().expect("folder"));
     let mut daemon = rig(

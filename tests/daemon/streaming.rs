@@ -122,7 +122,7 @@ fn listen(more: &[&str]) -> Heard {
 }
 
 #[test]
-fn streamed_samples_are_those_of_the_pings_end_and_leave_while_the_ping_still_listens() {
+fn streamed_samples_equal_those_sent_at_the_end_and_are_sent_during_reception() {
     let (streamed, whole) = std::thread::scope(|scope| {
         let streamed = scope.spawn(|| listen(&["run.delivery=streaming"]));
         let whole = scope.spawn(|| listen(&[]));
@@ -173,12 +173,12 @@ fn streamed_samples_are_those_of_the_pings_end_and_leave_while_the_ping_still_li
 
 /// External pulses are known only on arrival: the latency allows the whole ping to be computed.
 #[test]
-fn triggered_pings_stream_with_the_latency_that_is_stated_and_are_what_is_recorded_at_their_end() {
+fn triggered_pings_stream_with_the_stated_latency_and_equal_the_recording() {
     triggered(0.3, &[]);
 }
 
 #[test]
-fn so_do_those_that_are_made_tile_by_tile_while_they_leave() {
+fn pings_computed_tile_by_tile_stream_with_the_stated_latency() {
     // Margin for a loaded machine and an unoptimised build: late samples are truncated.
     triggered(2.0, &["run.stream_tiles=true"]);
 }

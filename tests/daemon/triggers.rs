@@ -60,7 +60,7 @@ fn wait_counted(control: SocketAddr, name: &str, least: u64) {
 }
 
 #[test]
-fn a_ping_begins_with_its_trigger_and_what_comes_early_twice_or_paused_makes_none() {
+fn a_ping_begins_with_its_trigger_and_early_repeated_or_paused_triggers_are_ignored() {
     let folder = tempfile::tempdir().expect("folder");
     let (ear, to) = ear();
     let mut daemon = rig(
@@ -206,7 +206,7 @@ pub(crate) fn records(folder: &Path, sonar: &str) -> (Vec<(u32, f64)>, Bodies) {
 }
 
 #[test]
-fn every_pulse_is_told_with_the_number_and_the_time_of_its_records() {
+fn every_pulse_is_announced_with_the_number_and_the_time_of_its_records() {
     let folder = tempfile::tempdir().expect("folder");
     let (ear, to) = ear();
     let mut daemon = rig(folder.path(), &["run.clock=fast", &to]);

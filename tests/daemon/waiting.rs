@@ -11,7 +11,7 @@ use super::modes::status;
 use super::{Daemon, LIVE, PATIENCE, sentence};
 
 #[test]
-fn what_the_first_ping_waits_for_is_said_until_it_comes() {
+fn the_status_names_what_the_first_ping_waits_for() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("live.toml");
     std::fs::write(&path, LIVE).expect("written");
@@ -65,7 +65,7 @@ fn what_the_first_ping_waits_for_is_said_until_it_comes() {
 }
 
 #[test]
-fn a_log_without_what_every_ping_needs_ends_the_daemon_with_words() {
+fn a_log_without_required_navigation_ends_the_daemon_with_a_message() {
     // Also with `loop`.
     let log = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/nav/gyro_90s.rvdas");
     for clock in ["realtime", "fast"] {

@@ -64,7 +64,7 @@ fn around(range_m: (f64, f64)) -> Vec<DVec3> {
 
 /// The combined error of two models is bounded by the sum of their error models.
 #[test]
-fn no_model_is_worse_than_its_card_and_no_card_ten_times_worse_than_its_model() {
+fn error_models_bound_the_error_and_are_at_most_ten_times_too_high() {
     let range_m = (36.0, 150.0);
     let at_m = around(range_m);
     for v in [0.01, 0.2, 5.0] {
@@ -99,7 +99,7 @@ fn no_model_is_worse_than_its_card_and_no_card_ten_times_worse_than_its_model() 
 }
 
 #[test]
-fn on_a_restless_platform_the_cards_still_bound_the_models() {
+fn on_a_moving_platform_error_models_bound_the_error() {
     let range_m = (40.0, 120.0);
     let (tx_m, rx_m) = (DVec3::new(1.5, 0.2, 0.8), DVec3::new(-3.0, 0.4, 0.2));
     for (path, count) in [

@@ -148,7 +148,7 @@ fn doppler_is_the_derivative_of_the_emission_time() {
 }
 
 #[test]
-fn models_without_doppler_or_motion_say_zero() {
+fn models_without_doppler_or_motion_give_zero() {
     let at_m = DVec3::new(50.0, 20.0, 30.0);
     let mut plan = ahead(5.0);
     plan.model.doppler = DopplerModel::None;
@@ -446,7 +446,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 2000, ..ProptestConfig::default() })]
 
     #[test]
-    fn no_geometry_and_no_speed_up_to_a_tenth_of_c_makes_a_nan(
+    fn no_geometry_and_no_speed_up_to_a_tenth_of_c_gives_a_nan(
         range_exponent in -8.0..2.4f64,
         direction in (-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64),
         around_receiver in any::<bool>(),

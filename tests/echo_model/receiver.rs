@@ -38,7 +38,7 @@ fn ramp(count: usize) -> Vec<Complex64> {
 }
 
 #[test]
-fn a_receiver_with_nothing_in_it_changes_no_bit() {
+fn a_receiver_without_stages_changes_no_bit() {
     let samples = ramp(1000);
     assert_eq!(through(&ahead(0.0), &plain(), 0, &samples), (samples, 0));
 }
@@ -99,7 +99,7 @@ fn noise_repeats_exactly_and_differs_between_pings_elements_and_seeds() {
 
 /// Expected first draws: they must not depend on the machine, the compiler or the crate's version.
 #[test]
-fn the_first_noise_sample_is_what_it_always_was() {
+fn the_first_noise_samples_are_fixed() {
     let mut receiver = plain();
     receiver.noise_db = Some(0.0);
     receiver.sample_rate_hz = 1.0;

@@ -93,7 +93,7 @@ fn worst_difference(a: &[Complex64], b: &[Complex64]) -> f64 {
 
 /// An independent implementation that uses only the crate's types: one point, no motion.
 #[test]
-fn one_still_point_is_the_plain_formula_in_both_methods() {
+fn one_static_point_matches_the_direct_formula_in_both_methods() {
     let mut plan = ahead(0.0);
     let (tx_m, rx_m) = (DVec3::new(0.4, 0.0, 0.0), DVec3::new(-0.3, 0.1, 0.0));
     let at_m = DVec3::new(11.0, 70.0, 25.0);
@@ -403,7 +403,7 @@ fn doppler_moves_a_compressed_lfm_by_the_stated_range_within_1_percent() {
 }
 
 #[test]
-fn shorter_segments_bring_a_restless_platform_closer_to_the_reference() {
+fn shorter_segments_reduce_the_error_on_a_moving_platform() {
     let mut plan = restless();
     // Transmitter and element at the reference point: attitude moves neither, so only the track remains.
     let tools = (transmitter(DVec3::ZERO), element(DVec3::ZERO));
@@ -845,7 +845,7 @@ fn a_frequency_step_that_is_too_coarse_wraps_late_echoes_around() {
 
 /// Common practice of other simulators at the sample rate. A shift of half a sample is a large error for a band of 30 kHz.
 #[test]
-fn nearest_and_linear_show_the_errors_of_what_they_do() {
+fn nearest_and_linear_have_their_predicted_errors() {
     let shared = Shared::new();
     let want = shared.direct();
     let mut replica = Replica::default();
@@ -935,7 +935,7 @@ fn nearest_and_linear_show_the_errors_of_what_they_do() {
 }
 
 #[test]
-fn echoes_off_the_record_touch_nothing_in_any_method() {
+fn echoes_outside_the_record_change_no_sample_in_any_method() {
     let shared = Shared::new();
     let mut replica = Replica::default();
     replica.prepare(&shared.plan, 40e3, Some(&shared.filter));

@@ -112,7 +112,7 @@ fn transmitter_and_element_may_be_exchanged() {
 }
 
 #[test]
-fn what_is_culled_lies_below_the_floor_and_what_is_kept_does_not() {
+fn culled_echoes_are_below_the_floor_and_kept_echoes_are_not() {
     let mut plan = ahead(0.0);
     let mut tx = transmitter(DVec3::ZERO);
     tx.pattern = piston(0.05, 0.0);
@@ -181,7 +181,7 @@ fn an_echo_that_overlaps_the_window_is_kept_and_others_are_counted() {
 }
 
 #[test]
-fn an_empty_scene_and_a_scene_behind_its_own_back_are_silent() {
+fn an_empty_scene_and_a_scene_facing_away_are_silent() {
     let plan = ahead(5.0);
     let (tx, rx) = (transmitter(DVec3::ZERO), element(DVec3::ZERO));
     let (sink, counts) = collect(&plan, &tx, &rx, 0, ALWAYS, &points([]));
@@ -199,7 +199,7 @@ fn an_empty_scene_and_a_scene_behind_its_own_back_are_silent() {
 }
 
 #[test]
-fn a_scatterer_on_the_array_is_held_at_a_wavelength_and_counted() {
+fn a_scatterer_on_the_array_is_limited_to_one_wavelength_and_counted() {
     let plan = ahead(5.0);
     let rx = line(DVec3::ZERO, 4);
     let on_element = points([rx.element_body_m(2)]);
@@ -295,7 +295,7 @@ fn on_chords_an_element_turns_as_it_does_on_the_track_itself() {
 }
 
 #[test]
-fn every_law_has_the_pressure_of_its_formula_in_the_walk_and_nothing_from_behind() {
+fn every_scattering_law_matches_its_formula_and_is_zero_from_behind() {
     // Transmitter and element 4 m apart, so that the two angles differ by several degrees.
     let (tx_m, rx_m) = (DVec3::new(0.0, -2.0, 0.0), DVec3::new(0.0, 2.0, 0.0));
     let strength = |cosine: f64| 0.3 * cosine.powi(4) + 0.01;

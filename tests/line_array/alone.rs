@@ -24,7 +24,7 @@ fn alone(taper: f64) -> SingleEcho {
 }
 
 #[test]
-fn a_kernel_errs_by_more_beside_an_echo_than_in_the_mean_and_less_so_the_wider_it_is() {
+fn a_kernels_error_beside_an_echo_exceeds_the_mean_and_falls_with_its_width() {
     let [sharp, soft] = [0.0, 1.0].map(alone);
     let mut last = [f64::INFINITY; 2];
     for width in [4, 5, 6, 7] {
@@ -46,7 +46,7 @@ fn a_kernel_errs_by_more_beside_an_echo_than_in_the_mean_and_less_so_the_wider_i
 }
 
 #[test]
-fn a_kernel_made_for_the_part_of_the_band_where_the_pulse_is_errs_by_a_third_and_no_more_beside() {
+fn a_kernel_for_the_pulses_band_has_a_third_of_the_error() {
     let pulse = Pulse {
         kind: PulseKind::LfmUp,
         center_frequency_hz: 400e3,

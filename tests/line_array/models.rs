@@ -168,7 +168,7 @@ fn one_thread_and_two_give_the_same_bits() {
 }
 
 #[test]
-fn what_the_method_does_not_know_is_refused() {
+fn unsupported_models_are_refused() {
     let mut scene = draw(DRAWN);
     scene.plan.model.doppler = DopplerModel::PaperEq21;
     let refusal = Gridded2d::new(&spec(&scene)).err();

@@ -43,7 +43,7 @@ fn at_rest_the_engine_meets_the_direct_sum() {
 }
 
 #[test]
-fn what_ends_of_a_long_stretch_hear_sooner_and_later_stays_where_it_belongs() {
+fn echoes_at_the_ends_of_a_long_section_keep_their_delays() {
     // For echoes near endfire the line's ends receive 160 us before and after its middle; slabs of 20 ms begin and end along the whole
     // record.
     let scene = draw(Draw {

@@ -92,7 +92,7 @@ fn the_error_by_window_keeps_every_tolerance() {
 }
 
 #[test]
-fn what_cannot_be_kept_is_refused_with_a_reason() {
+fn unreachable_tolerances_are_refused_with_a_reason() {
     let scene = draw(SIDE_SCAN);
     let fine = chosen(&scene, SIDE_SCAN, 1e-7).expect_err("too fine");
     assert!(matches!(fine, Refusal::TooFine { .. }), "{fine}");
@@ -110,7 +110,7 @@ fn what_cannot_be_kept_is_refused_with_a_reason() {
 }
 
 #[test]
-fn every_dialect_gives_the_same_to_rounding_and_every_order_of_tasks_the_same_bits() {
+fn simd_levels_agree_to_rounding_and_task_orders_bit_for_bit() {
     let drawn = Draw {
         scatterers: 200,
         velocity_m_per_s: DVec3::new(5.0, 0.3, 0.3),

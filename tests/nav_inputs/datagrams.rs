@@ -77,7 +77,7 @@ fn a_broadcast_reaches_every_source_that_listens_on_its_port() {
 }
 
 #[test]
-fn of_the_groups_on_a_port_a_source_hears_its_own_at_the_interface_it_names() {
+fn a_source_receives_its_own_multicast_group_at_its_interface() {
     let [own, foreign] = [1, 2].map(|last| Ipv4Addr::new(239, 192, 0, last));
     let member = |group, port| NavInputSpec::Udp {
         listen: (Ipv4Addr::LOCALHOST, port).into(),

@@ -59,7 +59,7 @@ fn heard(fault: Option<&str>) -> (NavCounters, u64) {
 }
 
 #[test]
-fn the_decoder_counts_the_sentences_whose_bytes_were_spoiled() {
+fn the_decoder_counts_the_corrupted_sentences() {
     let (clean, none) = heard(None);
     assert_eq!((clean.sentences, clean.bad_checksum, none), (720, 0, 0));
     assert_eq!((clean.missing_checksum, clean.refused_checksum), (0, 0));

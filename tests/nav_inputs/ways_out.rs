@@ -226,7 +226,7 @@ fn check(bench: &Bench, heard: &[Heard], has_pulses: bool) {
 }
 
 #[test]
-fn clients_of_a_tcp_output_hear_the_same_and_one_that_leaves_costs_only_itself() {
+fn clients_of_a_tcp_output_receive_the_same_and_leave_independently() {
     let listen = "127.0.0.1:0".parse().expect("an address");
     let mut bench = Bench::new(output(NavTargetSpec::TcpListen { listen }, PulseSpec::Byte));
     let join = |bench: &Bench| {
@@ -252,7 +252,7 @@ fn clients_of_a_tcp_output_hear_the_same_and_one_that_leaves_costs_only_itself()
 }
 
 #[test]
-fn lost_pulses_and_misnamed_seconds_are_those_of_the_log_and_no_others() {
+fn lost_pulses_and_wrong_seconds_are_exactly_those_in_the_log() {
     const OFF_S: f64 = -3.0;
     let listen = "127.0.0.1:0".parse().expect("an address");
     let faults = Arc::new(Faults::new(&[], &[]));
@@ -305,7 +305,7 @@ fn plug_in(name: &Path) -> (TTYPort, TTYPort) {
 }
 
 #[test]
-fn a_serial_output_pulses_then_names_the_second_and_goes_on_after_it_was_unplugged() {
+fn a_serial_output_pulses_names_the_second_and_survives_disconnection() {
     let folder = tempfile::tempdir().expect("a folder");
     let name = folder.path().join("board");
     let (mut device, port) = plug_in(&name);

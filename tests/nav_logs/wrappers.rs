@@ -148,7 +148,7 @@ fn without_stamps_the_samples_are_the_same_whatever_ends_the_lines() {
 }
 
 #[test]
-fn what_is_torn_from_a_log_costs_the_sentences_that_were_torn() {
+fn truncation_of_a_log_loses_only_the_truncated_sentences() {
     let whole = written("\n", |at, s| {
         format!("{} {s}", at.format("%Y-%m-%dT%H:%M:%S%.6fZ"))
     });

@@ -96,7 +96,7 @@ fn predict(history: &mut NavHistory, time_s: f64) -> Result<NavState, NavGap> {
 
 /// A heave sensor 12 m ahead and 3 m to port of the reference point shows the pitch as heave; so does one 20 m up the mast, a little.
 #[test]
-fn heave_that_a_lever_arm_induces_is_taken_off() {
+fn heave_induced_by_a_lever_arm_is_removed() {
     for arm in [
         DVec3::new(12.0, -3.0, 1.0),
         DVec3::new(0.0, 0.0, -20.0),
@@ -144,7 +144,7 @@ fn heave_that_a_lever_arm_induces_is_taken_off() {
 
 /// One instrument, askew, says the angles of its own axes; a compass of its own says the heading plus its own error.
 #[test]
-fn mounting_angles_of_motion_sensor_and_compass_are_taken_off() {
+fn mounting_angles_of_motion_sensor_and_compass_are_removed() {
     let askew = DVec3::new(2.0, -3.0, 30.0).map(f64::to_radians);
     for separate_compass in [false, true] {
         let mut mru = source(&[Position, Heading, RollPitch]);
@@ -259,7 +259,7 @@ fn a_depth_sensor_on_an_arm_gives_the_depth_and_heave_is_not_counted_twice() {
 }
 
 #[test]
-fn depth_comes_from_the_sentences_that_say_it() {
+fn depth_comes_from_the_configured_sentences() {
     let mut own = source(&[Depth]);
     own.dialect.depth_is_own = true;
     let decode = |spec: &NavSourceSpec, text: &str| {
@@ -297,7 +297,7 @@ fn depth_comes_from_the_sentences_that_say_it() {
 
 /// A fish on 50 m of cable, 30 m below the point where it leaves the ship, is 40 m behind that point; the antenna stands 10 m ahead of it.
 #[test]
-fn a_towed_fish_lies_behind_the_ship_as_far_as_cable_and_depth_say() {
+fn a_towfish_is_astern_by_its_layback_from_cable_and_depth() {
     let heading = 30.0_f64.to_radians();
     let ahead = DVec3::new(heading.cos(), heading.sin(), 0.0);
     let starboard = DVec3::new(-heading.sin(), heading.cos(), 0.0);
@@ -394,7 +394,7 @@ fn silenced(on_lost: OnLost, until_s: [f64; 2]) -> NavHistory {
 }
 
 #[test]
-fn in_silence_pings_go_on_with_the_motion_come_to_rest_and_say_what_is_invalid() {
+fn during_silence_pings_continue_at_rest_and_flag_invalid_channels() {
     let mut history = silenced(OnLost::Hold, [5.0, 8.0]);
     let valid = NavInvalid::default();
     // The window of 0.1 s ends within the 0.25 s.
@@ -446,7 +446,7 @@ fn in_silence_pings_go_on_with_the_motion_come_to_rest_and_say_what_is_invalid()
 }
 
 #[test]
-fn a_value_is_carried_on_up_to_the_limit_and_is_valid_till_there() {
+fn a_value_is_extrapolated_and_valid_up_to_the_limit() {
     for (time_s, invalid) in [(60.0, false), (60.14, false), (60.16, true)] {
         let mut history = silenced(OnLost::Hold, [60.0, 60.0]);
         let state = predict(&mut history, time_s).expect("a state");

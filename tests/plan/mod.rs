@@ -173,7 +173,7 @@ fn near(got: f64, want: f64, what: &str) {
 
 /// rms(4 pi v r cos(theta)/(c lambda)) of samples: the limit for ignoring motion.
 #[test]
-fn samples_leave_stop_and_hop_where_the_formula_says() {
+fn samples_need_more_than_stop_and_hop_above_the_formulas_limit() {
     let model = "path = \"auto\"\ndoppler = \"stretch-quadratic\"\nsynthesis = \"direct\"";
     for angle_deg in [30.0, 60.0] {
         let one = One::new(angle_deg, false, model);
@@ -193,7 +193,7 @@ fn samples_leave_stop_and_hop_where_the_formula_says() {
 /// phase runs away: twice that. And a window may hold the last quarter of the echo alone: from a to 1 of the pulse the mean square of the phase is
 /// 1 + a + a^2 times that of all of it.
 #[test]
-fn samples_leave_no_doppler_where_the_formula_says() {
+fn samples_need_doppler_above_the_formulas_limit() {
     let model = "path = \"continuous\"\ndoppler = \"auto\"\nsynthesis = \"direct\"";
     let one = One::new(60.0, false, model);
     let cos = f64::to_radians(60.0).cos();
@@ -209,7 +209,7 @@ fn samples_leave_no_doppler_where_the_formula_says() {
 
 /// v r/c of a quarter of a cell along the track; |d| f_c T/B of a tenth of a cell in range.
 #[test]
-fn pictures_leave_them_where_their_own_formulas_say() {
+fn images_need_better_models_above_their_formulas_limits() {
     let model =
         "path = \"auto\"\ndoppler = \"stretch\"\nsynthesis = \"direct\"\ntolerance_image = 0.1";
     let broadside = One::new(90.0, true, model);
@@ -237,7 +237,7 @@ fn pictures_leave_them_where_their_own_formulas_say() {
 }
 
 #[test]
-fn a_slow_or_careless_sonar_gets_the_cheap_models_and_ten_knots_at_1e_4_does_not() {
+fn slow_or_tolerant_sonars_get_cheap_models_and_ten_knots_at_1e_4_does_not() {
     let one = One::new(
         60.0,
         false,
@@ -260,7 +260,7 @@ fn a_slow_or_careless_sonar_gets_the_cheap_models_and_ten_knots_at_1e_4_does_not
 
 /// `tools/rigs` is the long form.
 #[test]
-fn on_small_random_rigs_plans_keep_their_promises() {
+fn on_small_random_rigs_the_predicted_error_is_an_upper_bound() {
     let costs = Costs::committed();
     let pool = pool(2).expect("threads");
     for seed in [3, 8, 21, 13, 5] {
@@ -280,7 +280,7 @@ fn on_small_random_rigs_plans_keep_their_promises() {
 
 /// Explicit floors: the prediction bounds the worst window too, and is at most ten times too high.
 #[test]
-fn what_a_fixed_floor_leaves_out_is_promised_and_no_more_than_ten_times_too_much() {
+fn the_error_of_a_fixed_floor_is_bounded_within_ten_times() {
     let costs = Costs::committed();
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
     for (file, floor_db) in [("omniscan450", -40.0), ("board", -30.0)] {
@@ -307,7 +307,7 @@ fn what_a_fixed_floor_leaves_out_is_promised_and_no_more_than_ten_times_too_much
 
 /// The cost by the committed table fits two cores.
 #[test]
-fn every_configuration_is_planned_within_its_tolerance() {
+fn every_configurations_selection_meets_its_tolerance() {
     let costs = Costs::committed();
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs");
     let mut files: Vec<_> = std::fs::read_dir(&folder)
@@ -387,7 +387,7 @@ fn voyage(threads: usize) -> Vec<(u32, u32, u64)> {
 }
 
 #[test]
-fn a_platform_that_gets_under_way_gets_another_plan_at_the_same_ping_every_time() {
+fn a_platform_that_starts_moving_changes_the_selection_at_a_reproducible_ping() {
     let once = voyage(1);
     let plans: Vec<u32> = once.iter().map(|(_, plan, _)| *plan).collect();
     println!("{plans:?}");
@@ -400,7 +400,7 @@ fn a_platform_that_gets_under_way_gets_another_plan_at_the_same_ping_every_time(
 
 /// The next costlier methods, from a later ping that depends only on the ping of the fault; counted.
 #[test]
-fn a_plan_whose_certificate_fails_gives_way_to_a_dearer_one() {
+fn a_failed_error_check_selects_costlier_methods() {
     let folder = tempfile::tempdir().expect("folder");
     let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\ntolerance = 1e-2";
     let spec = rig(folder.path(), 60.0, false, model);
@@ -459,7 +459,7 @@ fn a_plan_whose_certificate_fails_gives_way_to_a_dearer_one() {
 /// Without a receiver filter the engine cannot be made for the shortest of these pulses: selecting it for the present pulse would fail
 /// later.
 #[test]
-fn a_plan_takes_no_engine_that_the_limits_put_out_of_reach() {
+fn an_engine_that_the_limits_exclude_is_never_selected() {
     let costs = Costs::committed();
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs/paper.toml");
     for (shortest_ms, want) in [(2.0, Synthesis::Direct), (5.0, Synthesis::Gridded1d)] {

@@ -345,7 +345,7 @@ fn held(
 
 /// The reference's elements, of points near and far.
 #[test]
-fn lines_from_parts_are_off_by_no_more_than_promised_over_range_length_and_pulse() {
+fn errors_of_lines_from_parts_are_bounded_over_range_length_and_pulse() {
     let mut ratios = Vec::new();
     for (elements, spacing_m, duration_ms, bandwidth_khz) in [
         (24, 0.0125, 1.0, 20.0),
@@ -383,7 +383,7 @@ fn lines_from_parts_are_off_by_no_more_than_promised_over_range_length_and_pulse
 
 /// One attitude per chord, at its middle.
 #[test]
-fn parts_on_chords_are_off_by_what_the_line_turns_meanwhile() {
+fn errors_of_parts_on_chords_equal_the_rotation_within_a_chord() {
     let ping = Ping::of(&Rig {
         model: "path = \"k-segment\"\nsegment_ms = 40.0\ndoppler = \"stretch-quadratic\"\nsynthesis = \"direct\"",
         ..RIG
@@ -513,7 +513,7 @@ fn lines_alone_and_a_loose_tolerance_make_fewer_records_and_anything_else_makes_
 }
 
 #[test]
-fn elements_are_made_wherever_somebody_needs_them_and_beams_alone_are_refused_there() {
+fn elements_are_synthesised_if_an_output_needs_them_and_output_beams_is_refused() {
     let folder = tempfile::tempdir().expect("folder");
     let (_kept, _) = RIG.open();
     let whole = Rig { model: AUTO, ..RIG };
@@ -584,7 +584,7 @@ fn elements_are_made_wherever_somebody_needs_them_and_beams_alone_are_refused_th
 }
 
 #[test]
-fn a_replay_that_writes_elements_makes_them_or_says_that_it_cannot() {
+fn a_replay_that_writes_elements_synthesises_them_or_refuses() {
     let open = |model: &'static str, npz: bool| {
         let (folder, rig) = Rig { model, ..RIG }.open();
         let options = ReplayOptions {
@@ -662,7 +662,7 @@ fn lines_alone_are_the_same_bits_on_any_number_of_threads() {
 
 /// Each sample of a part against the mean of its elements by the reference's equation.
 #[test]
-fn certificates_hold_parts_against_their_elements() {
+fn error_checks_compare_parts_with_their_elements() {
     let (seen, error) = voyage(2, "error_check = true");
     let error = error.expect("64 samples a ping");
     println!("{seen:?} {error:.1e}");

@@ -501,7 +501,7 @@ fn a_file_cut_short_is_refused_wherever_it_is_cut() {
 
 /// A short form of `tools/fuzz scene`.
 #[test]
-fn spoiled_files_are_read_or_refused_and_never_panic() {
+fn corrupted_files_are_read_or_refused_and_never_panic() {
     let mut random = Random(0x5eed_0f5e_abed_0001);
     for seed in seeds::small() {
         let (mut read, mut refused) = (0, 0);
@@ -539,7 +539,7 @@ fn scene_info(args: &[&str]) -> (i32, String, String) {
 }
 
 #[test]
-fn scene_info_says_it_in_words_in_json_and_as_a_picture() {
+fn scene_info_prints_text_and_json_and_draws_relief() {
     let folder = tempfile::tempdir().expect("folder");
     let png = folder.path().join("reef.png");
     let reef = data("laparguera_hitw_bathy.tif");

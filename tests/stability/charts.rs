@@ -5,7 +5,7 @@ use echotank_runtime::chart::{ChartOptions, measure};
 use crate::rigs::case;
 
 #[test]
-fn a_chart_has_one_choice_of_the_plan_and_a_front_that_nothing_beats() {
+fn a_chart_has_one_selected_method_and_a_pareto_front() {
     let folder = tempfile::tempdir().expect("folder");
     let (spec, about) = case::random(8, folder.path(), true);
     let options = ChartOptions {

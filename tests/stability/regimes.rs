@@ -112,7 +112,7 @@ fn on_a_bench(whole_plans: bool, work: impl FnOnce(&mut Bench) + Send) {
 
 /// Speed, range, grazing, endfire, ends of the window, grid positions, empty scenes, distant positions: one sonar.
 #[test]
-fn wherever_echoes_are_nothing_is_silently_wrong() {
+fn no_echo_position_gives_an_undetected_error() {
     on_a_bench(false, |bench| {
         let speed = swept(bench, "speed");
         let fast = best(speed.at(151.0));
@@ -171,7 +171,7 @@ fn wherever_echoes_are_nothing_is_silently_wrong() {
 
 /// Manoeuvres, attitudes, and sparse or wrong navigation.
 #[test]
-fn however_it_moves_nothing_is_silently_wrong() {
+fn no_motion_gives_an_undetected_error() {
     on_a_bench(false, |bench| {
         let faults = swept(bench, "navigation-faults");
         // A jump of 500 m in a tenth of a second, and another clock.
@@ -195,7 +195,7 @@ fn however_it_moves_nothing_is_silently_wrong() {
 
 /// Spacings, pulses, sample rates, tolerances and floors.
 #[test]
-fn whatever_the_sonar_nothing_is_silently_wrong() {
+fn no_sonar_gives_an_undetected_error() {
     on_a_bench(false, |bench| {
         let rate = swept(bench, "sample-rate");
         let low = best(rate.at(0.5));
@@ -273,7 +273,7 @@ fn simplification_has_a_number_for_every_surface() {
 }
 
 #[test]
-fn every_regime_is_drawn_and_stands_on_the_page_with_its_sentence() {
+fn every_regime_has_a_figure_and_its_sentence_on_the_page() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("hil-configs/atlas");
     let page = std::fs::read_to_string(folder.join("README.md")).expect("the page");
     for regime in &ALL {

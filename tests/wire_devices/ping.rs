@@ -174,7 +174,7 @@ fn each_control_of_the_omniscan_is_acknowledged_and_in_the_settings() {
 }
 
 #[test]
-fn a_command_with_one_wrong_value_is_refused_with_words_and_changes_nothing() {
+fn a_command_with_one_wrong_value_is_refused_with_a_reason_and_no_effect() {
     let mut bench = bench(OMNISCAN, Transport::Tcp);
     let before = (bench.settings.settings(), bench.device.requested());
     type Change = fn(&mut OsPingParams);
@@ -216,7 +216,7 @@ fn a_command_with_one_wrong_value_is_refused_with_words_and_changes_nothing() {
 }
 
 #[test]
-fn what_the_model_has_no_use_for_is_kept_and_what_the_device_lacks_is_refused() {
+fn settings_without_a_model_are_stored_and_unsupported_ones_refused() {
     let mut bench = bench(OMNISCAN, Transport::Tcp);
     let mut bytes = Vec::new();
     SetSpeedOfSound {
@@ -352,7 +352,7 @@ fn commands_come_in_pieces_over_tcp_and_garbage_is_counted_and_passed_over() {
 }
 
 #[test]
-fn over_udp_every_datagram_stands_for_itself() {
+fn over_udp_every_datagram_is_independent() {
     let mut bench = bench(OMNISCAN, Transport::Udp);
     assert!(bench.say(b"BR\xFF\xFF").is_empty());
     let mut bytes = Vec::new();

@@ -136,7 +136,7 @@ fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
 }
 
 #[test]
-fn queries_say_what_is_in_force_whoever_changed_it() {
+fn queries_report_current_settings_whoever_changed_them() {
     let mut bench = bench();
     let asked = echotank_core::flow::Asked::from(NOW);
     let change = echotank_core::flow::SettingChange::RangeM(42.5);
@@ -156,7 +156,7 @@ fn queries_say_what_is_in_force_whoever_changed_it() {
 }
 
 #[test]
-fn what_is_wrong_is_refused_with_words_and_the_values_in_force_and_changes_nothing() {
+fn wrong_values_are_refused_with_a_reason_and_the_current_values() {
     let mut bench = bench();
     let before = (bench.settings.settings(), bench.device.requested());
     for (command, words) in [
@@ -398,7 +398,7 @@ fn snippets_lie_around_their_detections() {
 }
 
 #[test]
-fn the_water_column_comes_at_the_rate_it_was_told() {
+fn the_water_column_is_sent_at_its_requested_rate() {
     let mut bench = bench();
     bench.say("set_tp_rate 2\r\n");
     let (mut plan, output) = ping();

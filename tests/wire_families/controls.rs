@@ -87,7 +87,7 @@ fn jsf_settings_without_a_model_are_kept_and_reported() {
 }
 
 #[test]
-fn jsf_says_what_it_is_and_what_time_it_is() {
+fn jsf_reports_its_identity_and_time() {
     let mut client = JsfClient::new();
     let millis = 1_750_000_000_123_000_000;
     client.now = echotank_core::time::UtcNs(millis);
@@ -157,7 +157,7 @@ fn every_jsf_refusal_has_its_code_and_changes_nothing() {
 }
 
 #[test]
-fn the_other_frequency_keeps_what_it_is_told_and_moves_nothing() {
+fn settings_of_the_other_frequency_are_stored_without_effect() {
     let mut client = JsfClient::new();
     let set = control(command_type::SET, t::PING_RANGE, 21, 0, N(30_000));
     assert!(client.command(&set).is_empty());
@@ -168,7 +168,7 @@ fn the_other_frequency_keeps_what_it_is_told_and_moves_nothing() {
 }
 
 #[test]
-fn half_a_jsf_command_waits_and_stale_bytes_of_a_get_mean_nothing() {
+fn a_partial_jsf_command_waits_and_the_body_of_a_get_is_ignored() {
     let mut client = JsfClient::new();
     let mut bytes = Vec::new();
     control(command_type::SET, t::PING_RANGE, 20, 0, N(60_000)).emit(&mut bytes);
@@ -250,7 +250,7 @@ fn a_switch_command_sets_range_and_gain_and_asks_for_one_side_of_one_ping() {
 }
 
 #[test]
-fn a_switch_command_out_of_range_torn_or_wrong_moves_nothing() {
+fn an_invalid_or_truncated_switch_command_has_no_effect() {
     let mut limits = sonar().limits;
     limits.range_m.1 = 100.0;
     let store = std::sync::Arc::new(echotank_runtime::settings::SettingsStore::new(

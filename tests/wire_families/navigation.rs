@@ -220,7 +220,7 @@ fn xtf(plan: &PingPlan) -> Vec<Said> {
 }
 
 #[test]
-fn every_family_says_the_platforms_state_to_its_resolution_and_with_its_sign() {
+fn every_family_carries_the_platforms_state_within_its_resolution_and_sign() {
     let mut seen = 0;
     for (latitude, longitude, tilt) in [
         (54.4, 10.3, 1.0),

@@ -173,7 +173,7 @@ fn each_protocol_reports_what_the_other_has_changed() {
 }
 
 #[test]
-fn contradictory_commands_from_both_end_in_one_truth_that_both_tell() {
+fn contradictory_commands_end_in_one_state_that_both_report() {
     const ROUNDS: usize = 200;
     let rig = Rig::new();
     let address = rig.sevenk.local_addr();
@@ -225,7 +225,7 @@ fn contradictory_commands_from_both_end_in_one_truth_that_both_tell() {
 }
 
 #[test]
-fn whoever_connects_to_the_data_port_is_told_the_system_and_gets_active_channels() {
+fn a_data_port_client_gets_the_system_record_and_active_channels() {
     let rig = Rig::new();
     let mut data = JsfSocket::to(&rig.data);
     let bytes = data.next();
@@ -248,7 +248,7 @@ fn whoever_connects_to_the_data_port_is_told_the_system_and_gets_active_channels
 }
 
 #[test]
-fn a_third_party_gets_the_records_it_was_promised_over_tcp_and_udp() {
+fn a_third_party_gets_its_subscribed_records_over_tcp_and_udp() {
     let rig = Rig::new();
     let mut topside = SevenKClient::connect(rig.sevenk.local_addr()).expect("listening");
     let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
