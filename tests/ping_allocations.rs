@@ -18,7 +18,7 @@ fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("hil-configs")
         .join(file);
-    let mut spec = config::load(&path).expect("a good configuration");
+    let mut spec = echotank_runtime::config_files::load(&path).expect("a good configuration");
     // A moving ship needs new tiles; a static scene shows the ping alone.
     spec.scene
         .seabed

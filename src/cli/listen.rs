@@ -80,7 +80,7 @@ impl ListenArgs {
 const BIN_US: u64 = 100;
 
 /// Prints percentiles, and counts by upper bin edge.
-fn print_spread(what: &str, spread: &Spread) {
+fn print_spread(what: &str, spread: &LatencyHistogram) {
     let f = spread.figures();
     let ms = [f.p50_us, f.p99_us, f.p999_us, f.max_us].map(|us| us as f64 / 1e3);
     println!(

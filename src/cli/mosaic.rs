@@ -233,7 +233,7 @@ fn first_returns(pings: &[RecordedPing]) -> Option<Vec<f64>> {
 }
 
 /// Position, attitude and forward speed of a ping's arrays.
-fn place(pings: &[RecordedPing], k: usize, altitude_m: f64) -> Place {
+fn place(pings: &[RecordedPing], k: usize, altitude_m: f64) -> SonarPose {
     let ping = &pings[k];
     let plane = LocalTangentPlane::new(ping.latitude_rad, ping.longitude_rad);
     let [port, starboard] = ping.arms_m;

@@ -320,7 +320,7 @@ fn text_of(args: &NavArgs, r: &LogReport) -> String {
             s.name,
             s.count,
             seconds(s.interval_s.map(|i| i.median)),
-            seconds(s.interval_s.map(|i| i.most)),
+            seconds(s.interval_s.map(|i| i.max)),
             usage(s, r)
         );
     }
@@ -387,7 +387,7 @@ fn json_of(args: &NavArgs, r: &LogReport) -> Value {
                 "interval_s": spread_json(s.interval_s),
                 "latency_s": spread_json(s.latency_s.filter(|_| r.log.stamped > 0)),
                 "gave": by_channel(&s.gave),
-                "left_to_another": by_channel(&s.outspoken),
+                "left_to_another": by_channel(&s.outranked),
                 "what_comes_of_it": usage(s, r),
             })
         })

@@ -32,7 +32,6 @@ use self::event_log::EventLog;
 use self::machine::{clock_of, preference, punctuality, wire_time};
 use self::pacer::{MAX_ORDERS, Pacer};
 use self::triggers::{Triggers, at_first};
-use serde::Serialize;
 use thiserror::Error;
 
 use crate::clock::{Clock, SystemClock};

@@ -22,7 +22,7 @@ const IMAGE_CELLS: f64 = 0.1;
 /// The selected methods of one sonar at its first ping.
 struct SonarSelection<'a> {
     sonar: &'a SonarSpec,
-    first: First,
+    first: FirstPing,
     /// The selection under an image tolerance instead, where no output carries element samples but the tolerance is set for them.
     for_pictures: Option<Ranking>,
     period_ms: f64,
@@ -63,7 +63,7 @@ fn select_methods(spec: &RigSpec) -> Result<(Costs, Vec<SonarSelection<'_>>), Fa
 fn select_for_images(
     rig: &RigSpec,
     sonar: &SonarSpec,
-    first: &First,
+    first: &FirstPing,
     costs: &Costs,
 ) -> Option<Ranking> {
     let synthesis = &sonar.synthesis;

@@ -54,7 +54,7 @@ pub(crate) fn main(args: &ListenArgs, record_types: &[u32]) -> Result<(), Failur
         None => None,
         Some(path) => {
             let text = text_of(path).map_err(Failure::running)?;
-            let sums = sums_of(&text).map_err(|line| {
+            let sums = parse_checksums(&text).map_err(|line| {
                 Failure::Configuration(format!(
                     "{}: line {line}: expected a checksum as --sums writes it",
                     path.display()

@@ -119,8 +119,8 @@ tolerance = 1e-3
             &format!("{COLUMNS}0,0,0,5,0,0,0\n1,0,0,5,0,0,0\n"),
         );
         write("points.csv", "north_m,east_m,down_m,amplitude\n0,30,10,1\n");
-        let mut rig =
-            echotank_runtime::config_files::parse(&text, folder.path()).unwrap_or_else(|why| panic!("{why}\n{text}"));
+        let mut rig = echotank_runtime::config_files::parse(&text, folder.path())
+            .unwrap_or_else(|why| panic!("{why}\n{text}"));
         // The sample rate of a motion sensor; recorded tracks may be slower.
         rig.nav.sources[0].input = NavInputSpec::Log {
             path: "sensor.log".into(),

@@ -160,7 +160,7 @@ impl Feed<'_> {
 
 impl NavInputs {
     /// Applies `spoiler` to all further samples.
-    pub fn spoil_with(&mut self, spoiler: Box<dyn Spoil>) {
+    pub fn spoil_with(&mut self, spoiler: Box<dyn NavFaultFilter>) {
         self.spoiler = Some(spoiler);
     }
 
