@@ -145,6 +145,23 @@ fn address(key: &Field<String>, problems: &mut Problems) -> Option<SocketAddr> {
     parsed.ok()
 }
 
+/// The address under `key`, at which somebody listens.
+fn listen<'t>(
+    key: &'t Field<String>,
+    protocol: &'static str,
+    listeners: &mut Vec<Listener<'t>>,
+    problems: &mut Problems,
+) -> Option<SocketAddr> {
+    let address = address(key, problems)?;
+    listeners.push(Listener {
+        entry: key,
+        protocol,
+        address,
+        multicast: false,
+    });
+    Some(address)
+}
+
 /// All of `parts`, or none if one is missing.
 fn all<T>(parts: Vec<Option<T>>) -> Option<Vec<T>> {
     parts.into_iter().collect()
@@ -808,13 +825,7 @@ fn nav_input<'t>(
             if !table.listen.given {
                 return None;
             }
-            let listen = address(&table.listen, problems)?;
-            listeners.push(Listener {
-                entry: &table.listen,
-                protocol: "TCP",
-                address: listen,
-                multicast: false,
-            });
+            let listen = listen(&table.listen, "TCP", listeners, problems)?;
             Some(NavInputSpec::TcpListen { listen })
         }
         _ => Some(NavInputSpec::Serial {

@@ -2,9 +2,9 @@
 
 use super::super::spec::*;
 use super::sonar::Arrays;
-use super::{Listener, address, only_with};
+use super::{Listener, listen, only_with};
 use crate::keys;
-use crate::raw::{Entry, Field, Problems};
+use crate::raw::{Entry, Problems};
 
 /// JSF counts channels in 8 bits.
 const MAX_JSF_CHANNELS: usize = 256;
@@ -21,21 +21,6 @@ pub(super) struct Sonar<'a> {
     pub more_pulses: usize,
 }
 
-fn listen<'t>(
-    key: &'t Field<String>,
-    listeners: &mut Vec<Listener<'t>>,
-    problems: &mut Problems,
-) -> Option<std::net::SocketAddr> {
-    let address = address(key, problems)?;
-    listeners.push(Listener {
-        entry: key,
-        protocol: "TCP",
-        address,
-        multicast: false,
-    });
-    Some(address)
-}
-
 fn needs_lines(key: &Entry, sonar: &Sonar<'_>, problems: &mut Problems) {
     if !sonar.has_lines {
         let rule = "needs side-scan lines: beams.port, beams.starboard or both";
@@ -49,8 +34,8 @@ pub(super) fn jsf<'t>(
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<JsfSpec> {
-    let commands = listen(&table.listen, listeners, problems);
-    let data = listen(&table.listen_data, listeners, problems);
+    let commands = listen(&table.listen, "TCP", listeners, problems);
+    let data = listen(&table.listen_data, "TCP", listeners, problems);
     let staves = table.channels.is("staves");
     only_with(&[&table.arrays], staves, "channels = \"staves\"", problems);
     if staves == Some(false) {
@@ -144,7 +129,7 @@ pub(super) fn imagenex872<'t>(
 ) -> Option<ImagenexSpec> {
     needs_lines(&table.listen, sonar, problems);
     Some(ImagenexSpec {
-        listen: listen(&table.listen, listeners, problems)?,
+        listen: listen(&table.listen, "TCP", listeners, problems)?,
         client_queue_bytes: table.client_queue_mib.to()?,
         max_clients: table.max_clients.to()?,
     })

@@ -2,7 +2,7 @@
 
 use std::net::SocketAddr;
 
-use super::{Listener, address, all, needed_with, only_with, unique_names};
+use super::{Listener, address, all, listen, needed_with, only_with, unique_names};
 use crate::keys;
 use crate::raw::{Field, Problems};
 use crate::spec::{
@@ -111,13 +111,7 @@ fn target<'t>(
         }
         "tcp" => {
             table.listen.text()?;
-            let listen = address(&table.listen, problems)?;
-            listeners.push(Listener {
-                entry: &table.listen,
-                protocol: "TCP",
-                address: listen,
-                multicast: false,
-            });
+            let listen = listen(&table.listen, "TCP", listeners, problems)?;
             Some(NavTargetSpec::TcpListen { listen })
         }
         _ => Some(NavTargetSpec::Serial {

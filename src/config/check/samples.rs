@@ -2,7 +2,7 @@
 
 use super::super::spec::*;
 use super::sonar::Arrays;
-use super::{Listener, address, only_with};
+use super::{Listener, listen, only_with};
 use crate::keys;
 use crate::raw::{Field, Problems};
 use echotank_core::flow::Pulse;
@@ -141,15 +141,7 @@ pub(super) fn elements<'t>(
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<ElementStreamSpec> {
-    let listen = address(&table.listen, problems);
-    if let Some(address) = listen {
-        listeners.push(Listener {
-            entry: &table.listen,
-            protocol: "TCP",
-            address,
-            multicast: false,
-        });
-    }
+    let listen = listen(&table.listen, "TCP", listeners, problems);
     let arrays = source.arrays.chosen(&table.arrays, problems);
     let is_float = table.sample.text()? == "f32";
     let max_packet = table.max_packet_bytes.to()?;

@@ -11,7 +11,7 @@ use super::families;
 use super::picture::picture;
 use super::samples::{self, Source};
 use super::trigger;
-use super::{Listener, address, all, index_of, needed_with, only_with, unique_names};
+use super::{Listener, all, index_of, listen, needed_with, only_with, unique_names};
 use crate::keys;
 use crate::raw::{Entry, Field, Problems};
 use echotank_core::flow::{
@@ -1083,15 +1083,7 @@ fn sevenk<'t>(
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<SevenKSpec> {
-    let listen = address(&table.listen, problems);
-    if let Some(address) = listen {
-        listeners.push(Listener {
-            entry: &table.listen,
-            protocol: "TCP",
-            address,
-            multicast: false,
-        });
-    }
+    let listen = listen(&table.listen, "TCP", listeners, problems);
     let client_queue_bytes = table.client_queue_mib.to::<usize>();
     let chosen = arrays.chosen(&table.arrays, problems);
     if let (Some(chosen), Some(samples)) = (&chosen, largest.samples()) {

@@ -1,7 +1,7 @@
 //! `[sonar.trigger]` and `[sonar.trigger_out]`.
 
 use super::super::spec::*;
-use super::{Listener, address, index_of, needed_with, only_with};
+use super::{Listener, address, index_of, listen, needed_with, only_with};
 use crate::keys;
 use crate::raw::{Entry, Problems};
 
@@ -15,9 +15,9 @@ pub(super) fn trigger<'t>(
 ) -> Option<TriggerSpec> {
     let source = table.source.text();
     let is = |wanted: &[&str]| source.map(|s| wanted.contains(&s));
-    let listen: &[&Entry] = &[&table.listen];
+    let by_address: &[&Entry] = &[&table.listen];
     for (keys, sources) in [
-        (listen, &["udp", "tcp"][..]),
+        (by_address, &["udp", "tcp"][..]),
         (&[&table.port, &table.edge], &["serial-cts", "serial-dcd"]),
         (&[&table.follow, &table.delay_ms], &["sonar"]),
     ] {
@@ -36,10 +36,10 @@ pub(super) fn trigger<'t>(
     );
     let from = match source? {
         "udp" => TriggerFrom::Udp {
-            listen: listener(table, "UDP", listeners, problems)?,
+            listen: listen(&table.listen, "UDP", listeners, problems)?,
         },
         "tcp" => TriggerFrom::Tcp {
-            listen: listener(table, "TCP", listeners, problems)?,
+            listen: listen(&table.listen, "TCP", listeners, problems)?,
         },
         "serial-cts" => modem_line(table, ModemLine::ClearToSend)?,
         "serial-dcd" => modem_line(table, ModemLine::CarrierDetect)?,
@@ -67,25 +67,6 @@ pub(super) fn trigger<'t>(
         min_interval_s: table.min_interval_ms.get()?,
         watchdog_s: table.watchdog_ms.if_given()?,
     })
-}
-
-fn listener<'t>(
-    table: &'t keys::trigger::Trigger,
-    protocol: &'static str,
-    listeners: &mut Vec<Listener<'t>>,
-    problems: &mut Problems,
-) -> Option<std::net::SocketAddr> {
-    if !table.listen.given {
-        return None; // missed by name already
-    }
-    let listen = address(&table.listen, problems)?;
-    listeners.push(Listener {
-        entry: &table.listen,
-        protocol,
-        address: listen,
-        multicast: false,
-    });
-    Some(listen)
 }
 
 fn modem_line(table: &keys::trigger::Trigger, line: ModemLine) -> Option<TriggerFrom> {
