@@ -1,8 +1,10 @@
 //! TOML to checked specifications.
 //!
-//! In: a file. Out: a [`spec::RigSpec`], or everything that is wrong with the file at once ([`ConfigErrors`]). A bad configuration never
-//! starts. `keys` declares every key; `raw` reads a text against it; `check` holds the rules between keys and changes to SI; the template
-//! and the JSON Schema are written from `keys`, so that they say what is accepted.
+//! In: the text of a configuration. Out: a [`spec::RigSpec`], or every problem of the text at once ([`ConfigErrors`]). `keys` declares
+//! each key once; `raw` reads the text into the structs of `keys`; `check` tests the rules between keys and makes the specification. The
+//! template and the JSON Schema are written from `keys`. The crate opens no file: it asks [`Files`].
+
+#![warn(missing_docs)]
 
 mod check;
 mod describe;

@@ -44,6 +44,7 @@ impl fmt::Display for Problem {
 pub struct ConfigErrors {
     /// The file it came from, printed first.
     pub file: Option<PathBuf>,
+    /// In the order of their lines.
     pub problems: Vec<Problem>,
 }
 

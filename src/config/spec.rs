@@ -39,11 +39,17 @@ pub use trigger::{
 pub struct RigSpec {
     /// The file's own text, for records that carry it.
     pub source_text: String,
+    /// Sound speed and absorption.
     pub medium: MediumSpec,
+    /// Navigation sources and their evaluation.
     pub nav: NavSpec,
+    /// Seabed, points and targets.
     pub scene: SceneSpec,
+    /// Timing, threads and delivery.
     pub run: RunSpec,
+    /// None: nothing is recorded.
     pub record: Option<RecordSpec>,
+    /// Control over HTTP.
     pub control: ControlSpec,
     /// The scenario of what goes wrong.
     pub faults: Vec<FaultRequest>,
@@ -51,17 +57,23 @@ pub struct RigSpec {
     pub sonars: Vec<SonarSpec>,
 }
 
+/// The water.
 #[derive(Clone, Debug)]
 pub struct MediumSpec {
+    /// One value everywhere.
     pub sound_speed_m_per_s: f64,
+    /// Absorption law or value.
     pub absorption: AbsorptionSpec,
 }
 
+/// How absorption is found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum AbsorptionSpec {
+    /// No absorption.
     None,
     /// dB per metre, one way.
     Fixed {
+        /// One way.
         db_per_m: f64,
     },
     /// Francois and Garrison 1982.
@@ -70,20 +82,29 @@ pub enum AbsorptionSpec {
     AinslieMcColm(Water),
 }
 
+/// Properties of the water that the absorption formulas use.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Water {
+    /// Degrees Celsius.
     pub temperature_c: f64,
     /// Practical salinity (g/kg within the formulas' accuracy).
     pub salinity: f64,
+    /// Metres.
     pub depth_m: f64,
+    /// pH value.
     pub ph: f64,
 }
 
+/// Navigation sources and their evaluation.
 #[derive(Clone, Debug)]
 pub struct NavSpec {
+    /// The point north = east = 0.
     pub origin: OriginSpec,
+    /// Interpolation or extrapolation.
     pub mode: NavMode,
+    /// Source of the platform's depth.
     pub vertical: VerticalSpec,
+    /// Source of the records' UTC.
     pub stamp: StampSpec,
     /// Recorded sources start again at their end, time shifted by whole loops.
     pub loop_log: bool,
@@ -95,9 +116,11 @@ pub struct NavSpec {
     pub fallback_heading_from_course: bool,
     /// None: the first source that provides a quantity owns it.
     pub failover: Option<FailoverSpec>,
+    /// None: no sample is rejected.
     pub jump_gate: Option<JumpGateSpec>,
     /// A source without a sample for so long is stale, or lost; seconds.
     pub stale_s: f64,
+    /// A source is lost after this time without data, seconds.
     pub lost_s: f64,
     /// In `predict`: what becomes of a ping for which something is older than `max_extrapolation_s`.
     pub on_lost: OnLost,
@@ -109,6 +132,7 @@ pub struct NavSpec {
     pub outputs: Vec<NavOutputSpec>,
 }
 
+/// What happens to a ping without current navigation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum OnLost {
     /// It is skipped.
@@ -123,6 +147,7 @@ pub enum OnLost {
 pub struct TowSpec {
     /// Where the cable leaves the ship: forward and starboard of the ship's reference point, down from the waterline; metres.
     pub point_m: DVec3,
+    /// Metres.
     pub cable_out_m: f64,
     /// Straight distance over cable length: 1 for a straight cable.
     pub cable_scope: f64,
@@ -131,38 +156,59 @@ pub struct TowSpec {
 /// Where navigation goes out, and what of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NavOutputSpec {
+    /// Unique among the outputs.
     pub name: String,
+    /// Link to the device.
     pub target: NavTargetSpec,
+    /// Sentences that are sent, in this order.
     pub sentences: Vec<NavSentence>,
     /// Two capital letters.
     pub talker: String,
+    /// Ticks per second.
     pub rate_hz: f64,
     /// GGA and HDT go out so long after the instant they name, seconds.
     pub latency_s: f64,
+    /// Pulse at the whole second.
     pub pulse: PulseSpec,
 }
 
+/// Link of a navigation output.
 #[derive(Clone, Debug, PartialEq)]
 pub enum NavTargetSpec {
     /// A host, a broadcast address or a multicast group.
-    Udp { to: SocketAddr },
+    Udp {
+        /// Host, broadcast address or multicast group.
+        to: SocketAddr,
+    },
     /// A server for any number of clients.
-    TcpListen { listen: SocketAddr },
+    TcpListen {
+        /// Address of the server socket.
+        listen: SocketAddr,
+    },
+    /// A serial port.
     Serial {
+        /// Name of the port, such as /dev/ttyUSB0.
         port: String,
+        /// Bits per second.
         baud: u32,
+        /// Frame format.
         line: SerialLine,
     },
 }
 
+/// NMEA 0183 sentence of a navigation output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NavSentence {
+    /// Date and time.
     Zda,
+    /// Position and height.
     Gga,
+    /// True heading.
     Hdt,
 }
 
 impl NavSentence {
+    /// Three-letter formatter.
     pub fn name(self) -> &'static str {
         match self {
             NavSentence::Zda => "ZDA",
@@ -175,17 +221,21 @@ impl NavSentence {
 /// What marks the whole second, ahead of the sentence that names it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PulseSpec {
+    /// No pulse.
     #[default]
     None,
     /// The serial port's RTS, or DTR, for 100 ms.
     Rts,
+    /// DTR of the serial port.
     Dtr,
     /// One byte, 0x07; over UDP a datagram of its own.
     Byte,
 }
 
+/// Frame format of a serial port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SerialLine {
+    /// Parity bit.
     pub parity: ParitySpec,
     /// 5 to 8.
     pub data_bits: u8,
@@ -222,11 +272,15 @@ impl SerialLine {
     }
 }
 
+/// Parity bit of a serial frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ParitySpec {
+    /// No parity bit.
     #[default]
     None,
+    /// Even parity.
     Even,
+    /// Odd parity.
     Odd,
 }
 
@@ -249,21 +303,27 @@ pub struct FailoverSpec {
 /// What counts as a jump.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JumpGateSpec {
+    /// Faster samples are rejected.
     pub max_speed_m_per_s: f64,
     /// Of heading, roll and pitch.
     pub max_rate_rad_per_s: f64,
 }
 
+/// The point north = east = 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OriginSpec {
     /// The first position of the first source that has one.
     FirstFix,
+    /// A fixed point, WGS84.
     Geodetic {
+        /// North positive.
         latitude_rad: f64,
+        /// East positive.
         longitude_rad: f64,
     },
 }
 
+/// Interpolation or extrapolation of navigation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NavMode {
     /// Extrapolate with rates to the ping (live default).
@@ -276,35 +336,51 @@ pub enum NavMode {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum VerticalSpec {
     /// The waterline is z = 0; reference point at `reference_down_m` below it, plus heave.
-    Waterline { reference_down_m: f64 },
+    Waterline {
+        /// Depth of the reference point, positive down.
+        reference_down_m: f64,
+    },
     /// Minus the GNSS height (which already holds heave; heave is then not added), plus `datum_offset_m`.
-    Gnss { datum_offset_m: f64 },
+    Gnss {
+        /// Added to the depth.
+        datum_offset_m: f64,
+    },
     /// Given by a CSV track itself, or by a depth sensor; heave is not added.
     Depth,
 }
 
+/// Source of the records' UTC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StampSpec {
+    /// Time of the navigation.
     Log,
+    /// Time of this computer.
     Host,
 }
 
+/// One navigation source.
 #[derive(Clone, Debug)]
 pub struct NavSourceSpec {
+    /// Unique among the sources.
     pub name: String,
+    /// File or link.
     pub input: NavInputSpec,
+    /// Time of validity of a measurement.
     pub time: TimePolicy,
+    /// Treatment of NMEA checksums.
     pub checksum: ChecksumPolicy,
     /// Antenna, or depth sensor, in the body, metres; used with this source's positions and depths.
     pub lever_arm_m: DVec3,
     /// How its motion sensor sits in the body.
     pub mounting: SensorMounting,
+    /// Format and its variants.
     pub dialect: NavDialect,
     /// What is taken from this source; the first source in the file that provides a quantity owns it.
     pub provides: Vec<NavChannel>,
 }
 
 impl NavSourceSpec {
+    /// Whether every source is a file.
     pub fn is_recorded(&self) -> bool {
         matches!(
             self.input,
@@ -325,6 +401,7 @@ pub struct SensorMounting {
 /// What is particular about the messages of one source; by default nothing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NavDialect {
+    /// Format of the bytes.
     pub format: NavFormat,
     /// Sentences, by address or its last three letters, whose checksum is not looked at.
     pub ignore_checksum_for: Vec<String>,
@@ -332,6 +409,7 @@ pub struct NavDialect {
     pub pashr_heave_up: bool,
     /// DPT, DBT, DBS and DBK say how deep the platform itself is.
     pub depth_is_own: bool,
+    /// Quantities with the opposite sign.
     pub reversed: Reversed,
     /// East positive; makes magnetic headings true where the sentence does not say it.
     pub magnetic_variation_rad: Option<f64>,
@@ -340,20 +418,27 @@ pub struct NavDialect {
 /// Quantities that the source sends with the opposite sign of its documentation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Reversed {
+    /// The sign of roll is inverted.
     pub roll: bool,
+    /// The sign of pitch is inverted.
     pub pitch: bool,
+    /// The sign of heave is inverted.
     pub heave: bool,
 }
 
 /// What a source's bytes are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum NavFormat {
+    /// NMEA 0183 sentences.
     #[default]
     Nmea,
+    /// TSS1 motion sensor strings.
     Tss1,
     /// EM1000 too.
     Em3000,
+    /// Kongsberg Seapath binary format 26.
     Seapath26,
+    /// Kongsberg KMB binary datagrams.
     Kmb,
 }
 
@@ -370,26 +455,48 @@ impl NavFormat {
     }
 }
 
+/// File or link of a navigation source.
 #[derive(Clone, Debug, PartialEq)]
 pub enum NavInputSpec {
     /// A recorded log: lines with a time prefix, or plain NMEA. Where neither the lines nor the messages tell the time, sentences come at
     /// `plain_rate_hz`.
-    Log { path: PathBuf, plain_rate_hz: f64 },
+    Log {
+        /// The log.
+        path: PathBuf,
+        /// Sentences per second of a log without any time.
+        plain_rate_hz: f64,
+    },
     /// CSV track: time, north, east, down, roll, pitch, heading.
-    Csv { path: PathBuf },
+    Csv {
+        /// The track.
+        path: PathBuf,
+    },
+    /// Datagrams.
     Udp {
+        /// Local address.
         listen: SocketAddr,
+        /// Group to join.
         multicast: Option<std::net::Ipv4Addr>,
     },
+    /// A serial port.
     Serial {
+        /// Name of the port, such as /dev/ttyUSB0.
         port: String,
+        /// Bits per second.
         baud: u32,
+        /// Frame format.
         line: SerialLine,
     },
     /// A client of somebody's server, named as the configuration has it.
-    TcpConnect { address: String },
+    TcpConnect {
+        /// Host and port.
+        address: String,
+    },
     /// A server; its newest client speaks.
-    TcpListen { listen: SocketAddr },
+    TcpListen {
+        /// Local address.
+        listen: SocketAddr,
+    },
 }
 
 /// Where a sample's validity time comes from.
@@ -400,22 +507,35 @@ pub enum TimePolicy {
     /// From the message; a message without a time takes the time of the last dated one of its burst.
     Burst,
     /// Arrival minus this many seconds (0: arrival).
-    Arrival { latency_s: f64 },
+    Arrival {
+        /// Subtracted from the arrival time.
+        latency_s: f64,
+    },
 }
 
+/// Treatment of NMEA checksums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ChecksumPolicy {
+    /// Sentences without a valid checksum are rejected.
     Require,
+    /// Sentences without a checksum are accepted.
     AcceptMissing,
+    /// Checksums are not tested.
     Ignore,
 }
 
+/// Quantity of a navigation source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum NavChannel {
+    /// Latitude and longitude, or north and east.
     Position,
+    /// Course and speed over ground.
     CourseSpeed,
+    /// True heading.
     Heading,
+    /// Roll and pitch.
     RollPitch,
+    /// Vertical motion about the mean.
     Heave,
     /// How deep the platform is.
     Depth,
@@ -435,19 +555,26 @@ impl NavChannel {
     }
 }
 
+/// Contents of the water.
 #[derive(Clone, Debug)]
 pub struct SceneSpec {
+    /// Seed of the speckle.
     pub seed: u64,
+    /// Position of the scene's origin.
     pub anchor: AnchorSpec,
+    /// A gridded seabed continues as mirror images beyond its edge.
     pub mirror: bool,
+    /// None: no seabed.
     pub seabed: Option<SeabedSpec>,
     /// Explicit scatterers, CSV.
     pub points: Option<PathBuf>,
     /// Named targets: points over the seabed (CSV) or shapes (`.toml`).
     pub targets: Option<PathBuf>,
+    /// Shadow model.
     pub occlusion: OcclusionSpec,
     /// Memory for tiles, bytes.
     pub memory_limit_bytes: u64,
+    /// None: every scatterer is used.
     pub simplify: Option<SimplifySpec>,
 }
 
@@ -473,12 +600,18 @@ pub enum OcclusionSpec {
     Paper,
 }
 
+/// The seabed, as scatterers on a surface.
 #[derive(Clone, Debug)]
 pub struct SeabedSpec {
+    /// Depth of the surface.
     pub shape: SeabedShape,
+    /// Scatterers per area.
     pub density: Density,
+    /// Scattering law.
     pub bottom: BottomSpec,
+    /// Reference of the angles on the seabed.
     pub incidence: IncidenceSpec,
+    /// Backscattering strengths from a file.
     pub mosaic: Option<MosaicSpec>,
     /// Circular Gaussian reflectivity per scatterer (true) or 1.
     pub speckle: bool,
@@ -489,27 +622,37 @@ pub struct SeabedSpec {
 pub enum BottomSpec {
     /// mu cos i cos s.
     BistaticLambert {
+        /// Lambert parameter.
         mu_db: f64,
     },
     /// mu cos^2 i of the incoming ray.
     Lambert {
+        /// Lambert parameter.
         mu_db: f64,
     },
+    /// Specular lobe, intermediate lobe and Lambert.
     ThreeTerm(ThreeTerm),
     /// Three terms of its own.
     Sediment(Sediment),
 }
 
+/// Sediment with a three-term scattering law (APL-UW TR 9407, 1994).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sediment {
+    /// Mud.
     Mud,
+    /// Silt.
     Silt,
+    /// Sand.
     Sand,
+    /// Gravel.
     Gravel,
+    /// Rock.
     Rock,
 }
 
 impl Sediment {
+    /// Every sediment.
     pub const ALL: [Self; 5] = [Self::Mud, Self::Silt, Self::Sand, Self::Gravel, Self::Rock];
     /// As the configuration spells it.
     pub fn name(self) -> &'static str {
@@ -528,12 +671,15 @@ impl Sediment {
 pub struct ThreeTerm {
     /// A and B.
     pub specular_db: f64,
+    /// Standard deviation of the specular lobe.
     pub specular_rad: f64,
     /// C and D.
     pub lambert_db: f64,
+    /// Exponent of the cosine.
     pub lambert_exponent: f64,
     /// E and F.
     pub intermediate_db: f64,
+    /// Standard deviation of the intermediate lobe.
     pub intermediate_rad: f64,
 }
 
@@ -549,18 +695,26 @@ pub enum IncidenceSpec {
 /// Backscattering strengths from place to place, in dB, on a grid of the same kinds and coordinates as the seabed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MosaicSpec {
+    /// File of backscattering strengths.
     pub path: PathBuf,
     /// What its coordinates are, where the file does not say or says so wrongly.
     pub crs: Option<CrsSpec>,
+    /// Meaning of the values.
     pub values: MosaicValues,
+    /// Moves the mosaic northward.
     pub offset_north_m: f64,
+    /// Moves the mosaic eastward.
     pub offset_east_m: f64,
 }
 
+/// Meaning of a mosaic's values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MosaicValues {
     /// Backscattering strength at this incidence: the bottom's law is raised or lowered to meet it.
-    Absolute { incidence_rad: f64 },
+    Absolute {
+        /// Incidence angle of the strengths.
+        incidence_rad: f64,
+    },
     /// To be added to the bottom's own.
     Relative,
 }
@@ -573,27 +727,39 @@ pub enum Density {
     /// At slant range r at least `per_cell` in every r `beam_rad` x `range_m`, the finest resolution cell of any sonar: fewer per square metre the
     /// farther away, out to `longest_range_m`.
     Auto {
+        /// Scatterers in the finest resolution cell.
         per_cell: f64,
+        /// Range resolution.
         range_m: f64,
+        /// Beam width.
         beam_rad: f64,
+        /// Longest range of any sonar.
         longest_range_m: f64,
     },
 }
 
+/// Depth of the seabed.
 #[derive(Clone, Debug)]
 pub enum SeabedShape {
     /// z = depth + slope_north x + slope_east y.
     Plane {
+        /// Below the scene's origin.
         depth_m: f64,
+        /// Metres of depth per metre northward.
         slope_north: f64,
+        /// Metres of depth per metre eastward.
         slope_east: f64,
     },
     /// A surveyed seabed. The middle of what it covers lies at the scene's zero, moved by the offset.
     File {
+        /// The survey.
         file: SeabedFileSpec,
+        /// Moves the survey northward.
         offset_north_m: f64,
+        /// Moves the survey eastward.
         offset_east_m: f64,
     },
+    /// A seabed of Meng et al. 2023.
     Paper(PaperShape),
 }
 
@@ -609,6 +775,7 @@ pub enum PaperShape {
 }
 
 impl PaperShape {
+    /// Every shape.
     pub const ALL: [Self; 3] = [Self::Curves, Self::Relief, Self::Lake];
     /// As the configuration spells it.
     pub fn name(self) -> &'static str {
@@ -623,9 +790,11 @@ impl PaperShape {
 /// Thinning of each ping's scatterers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimplifySpec {
+    /// Choice of scatterers.
     pub method: SimplifyMethod,
     /// Scatterers of the seabed to keep in a ping.
     pub keep: usize,
+    /// Weights of the energy terms.
     pub weights: EnergyWeights,
     /// A choice is kept until the sonar has moved this far,
     pub hold_m: f64,
@@ -635,6 +804,7 @@ pub struct SimplifySpec {
     pub shadows: bool,
 }
 
+/// Choice of scatterers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SimplifyMethod {
     /// Eqs. 26-29 of Meng et al. 2023, mended.
@@ -646,6 +816,7 @@ pub enum SimplifyMethod {
 }
 
 impl SimplifyMethod {
+    /// Every method.
     pub const ALL: [Self; 3] = [Self::Acoustic, Self::Paper, Self::Unbiased];
     /// As the configuration and the command line spell it.
     pub fn name(self) -> &'static str {
@@ -660,8 +831,11 @@ impl SimplifyMethod {
 /// What the parts of a scatterer's energy count.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EnergyWeights {
+    /// Gaussian curvature.
     pub curvature: f64,
+    /// Scattered energy.
     pub scattering: f64,
+    /// Two-way pattern.
     pub axis: f64,
     /// Of the product of scattering and axis.
     pub echo: f64,
@@ -675,12 +849,14 @@ impl EnergyWeights {
         axis: 1.0,
         echo: 0.0,
     };
+    /// Weights for [`SimplifyMethod::Unbiased`].
     pub const ECHO: Self = Self {
         curvature: 0.0,
         scattering: 0.0,
         axis: 0.0,
         echo: 1.0,
     };
+    /// Default weights of a method.
     pub fn default_of(method: SimplifyMethod) -> Self {
         match method {
             SimplifyMethod::Acoustic | SimplifyMethod::Paper => Self::PAPER,
@@ -692,9 +868,13 @@ impl EnergyWeights {
 /// A seabed's file and what it is to be taken for. Where a choice is none the file decides, or where it says nothing, the look of its numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeabedFileSpec {
+    /// The survey.
     pub path: PathBuf,
+    /// None: detected.
     pub format: Option<SeabedFormat>,
+    /// None: as the file says.
     pub crs: Option<CrsSpec>,
+    /// None: as the file says, or by the sign of most values.
     pub values: Option<HeightSign>,
     /// Which end of a grid its first row lies at.
     pub first_row: Option<FirstRow>,
@@ -722,13 +902,20 @@ impl SeabedFileSpec {
     }
 }
 
+/// Format of a survey.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SeabedFormat {
+    /// ESRI ASCII grid.
     EsriAscii,
+    /// GeoTIFF.
     GeoTiff,
+    /// Bathymetric Attributed Grid (HDF5).
     Bag,
+    /// Text of three columns.
     Xyz,
+    /// LAS point cloud.
     Las,
+    /// PLY point cloud.
     Ply,
 }
 
@@ -742,7 +929,12 @@ pub enum CrsSpec {
     /// Metres of a projection that is not turned into latitude and longitude.
     Projected,
     /// Universal transverse Mercator on WGS84.
-    Utm { zone: u8, north: bool },
+    Utm {
+        /// 1 to 60.
+        zone: u8,
+        /// Northern hemisphere.
+        north: bool,
+    },
 }
 
 impl std::str::FromStr for CrsSpec {
@@ -777,6 +969,7 @@ impl std::str::FromStr for CrsSpec {
     }
 }
 
+/// Meaning of a survey's heights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HeightSign {
     /// Positive up.
@@ -785,9 +978,12 @@ pub enum HeightSign {
     Depth,
 }
 
+/// Position of a grid's first row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FirstRow {
+    /// At the northern edge.
     North,
+    /// At the southern edge.
     South,
 }
 
@@ -802,6 +998,7 @@ pub struct RunSpec {
     pub status_interval_s: f64,
     /// Pings that may wait for delivery.
     pub queue_pings: usize,
+    /// Clock of the rig.
     pub clock: ClockSpec,
     /// SCHED_FIFO, 1 to 99; 0: ordinary scheduling, and memory is not locked.
     pub priority: u8,
@@ -813,9 +1010,11 @@ pub struct RunSpec {
     pub spread_share: Option<f64>,
     /// So over TCP too.
     pub pace_tcp: bool,
+    /// When records leave.
     pub delivery: DeliverySpec,
     /// Pings that stream are made tile by tile, and leave meanwhile.
     pub stream_tiles: bool,
+    /// What happens when a ping cannot be ready in time.
     pub overload: OverloadSpec,
     /// A ping takes at least so long, and half of it at each looser tolerance, seconds: an overload rehearsed.
     pub simulated_compute_s: f64,
@@ -846,12 +1045,18 @@ pub enum DeliverySpec {
     /// With all else that a ping makes.
     PingEnd,
     /// In blocks of so many seconds, each so long after its last sample would have been heard.
-    Streaming { block_s: f64, latency_s: f64 },
+    Streaming {
+        /// Length of a block, seconds.
+        block_s: f64,
+        /// Delay of each block after its end, seconds.
+        latency_s: f64,
+    },
 }
 
 /// How fast rig time goes. The samples do not depend on it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ClockSpec {
+    /// The computer's time.
     RealTime,
     /// So many times as fast as the machine's clock.
     Scaled(f64),
@@ -868,8 +1073,10 @@ impl ClockSpec {
     }
 }
 
+/// Where records are stored.
 #[derive(Clone, Debug)]
 pub struct RecordSpec {
+    /// Created if it does not exist.
     pub directory: PathBuf,
 }
 
@@ -884,27 +1091,44 @@ pub struct ControlSpec {
     pub or_any_port: bool,
 }
 
+/// One sonar head.
 #[derive(Clone, Debug)]
 pub struct SonarSpec {
+    /// Unique among the sonars.
     pub name: String,
+    /// Serial number in the records.
     pub serial: u64,
+    /// The transmitted pulse.
     pub pulse: Pulse,
     /// In the water together with `pulse`.
     pub more_pulses: Vec<MorePulseSpec>,
+    /// Transmit arrays.
     pub transmit: Vec<TransmitArray>,
+    /// Names, in the order of `transmit`.
     pub transmit_names: Vec<String>,
+    /// Receive arrays.
     pub receive: Vec<ArrayGeometry>,
+    /// Names, in the order of `receive`.
     pub receive_names: Vec<String>,
+    /// From element voltages to samples.
     pub receiver: Receiver,
     /// Settings at start.
     pub settings: SonarSettings,
+    /// Range of each setting.
     pub limits: LimitsSpec,
+    /// Source of pings.
     pub trigger: TriggerSpec,
+    /// Signals at each pulse.
     pub trigger_out: TriggerOutSpec,
+    /// Path, Doppler and synthesis methods.
     pub model: ModelChoice,
+    /// Tolerance and error check.
     pub synthesis: SynthesisSpec,
+    /// Side-scan lines and fan.
     pub beams: BeamsSpec,
+    /// Look of replay pictures.
     pub picture: PictureSpec,
+    /// Protocols.
     pub outputs: Vec<OutputSpec>,
 }
 
@@ -922,10 +1146,13 @@ pub struct MorePulseSpec {
 /// How the pictures of a replay look.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PictureSpec {
+    /// Across-track axis of the waterfall.
     pub range: PictureRange,
     /// With the receiver's time-varying gain taken out again.
     pub raw: bool,
+    /// Colour map of waterfall and mosaic.
     pub colours: ColourMap,
+    /// Limits of the colour scale.
     pub contrast: Contrast,
     /// The mean level at each range is taken out.
     pub flatten: bool,
@@ -933,13 +1160,16 @@ pub struct PictureSpec {
     pub metres_per_pixel: Option<f64>,
     /// Of the fan's pictures.
     pub fan_every_pings: u32,
+    /// Look of the mosaic.
     pub mosaic: MosaicLook,
 }
 
 /// Pixels of a mosaic and what they keep.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MosaicLook {
+    /// Pixel size.
     pub metres_per_pixel: f64,
+    /// Value of a pixel that several passes cover.
     pub overlap: Overlap,
     /// Directions nearer to the vertical than this are left out.
     pub nadir_rad: f64,
@@ -959,6 +1189,7 @@ pub enum Overlap {
 /// What a waterfall's columns are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PictureRange {
+    /// Slant range.
     Slant,
     /// Over a flat bottom as deep as the seabed under the sonar.
     Ground,
@@ -970,14 +1201,25 @@ pub enum PictureRange {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Contrast {
     /// Shares (0 to 1) of the picture's own pixels that lie below darkest and below brightest.
-    Percentiles { low: f64, high: f64 },
+    Percentiles {
+        /// Share of the darkest pixels, 0 to 1.
+        low: f64,
+        /// Share of the pixels below the brightest, 0 to 1.
+        high: f64,
+    },
     /// dB re 1 V; over the mean at that range where the picture is flattened.
-    Fixed { low_db: f64, high_db: f64 },
+    Fixed {
+        /// Level of the darkest colour, dB re 1 V.
+        low_db: f64,
+        /// Level of the brightest colour, dB re 1 V.
+        high_db: f64,
+    },
 }
 
 /// Colours from dark to bright.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColourMap {
+    /// Black to white.
     Grey,
     /// Black, brown, gold, pale yellow: side-scan paper.
     Copper,
@@ -1028,12 +1270,14 @@ pub struct SynthesisSpec {
     pub auto: AutoModel,
     /// Pictures are all that is looked at: cells of range by which things may be displaced.
     pub image_cells: Option<f64>,
+    /// Element samples or side-scan lines.
     pub output: MadeOutput,
     /// Why elements are made even so; none where lines are all that anybody sees.
     pub elements_for: Option<&'static str>,
 }
 
 impl SynthesisSpec {
+    /// The tolerance that the engine is built for.
     pub fn made_for(&self) -> f64 {
         self.engine_tolerance.unwrap_or(self.tolerance)
     }
@@ -1058,6 +1302,7 @@ impl Default for SynthesisSpec {
 pub use echotank_core::flow::SettingLimits as LimitsSpec;
 pub use families::{ImagenexSpec, JsfChannels, JsfFormat, JsfSpec, XtfSpec};
 
+/// Side-scan lines and a fan of beams.
 #[derive(Clone, Debug, Default)]
 pub struct BeamsSpec {
     /// Side-scan lines: which receive array makes which side.
@@ -1068,9 +1313,11 @@ pub struct BeamsSpec {
     pub line_f_number: Option<f64>,
     /// Of focused lines, along the array.
     pub line_shading: Shading,
+    /// None: no fan.
     pub fan: Option<FanSpec>,
     /// Along the pulse, of every matched filter.
     pub weighting: Shading,
+    /// None: no synthetic aperture.
     pub synthetic_aperture: Option<SyntheticApertureSpec>,
 }
 
@@ -1083,7 +1330,9 @@ pub struct SyntheticApertureSpec {
     pub north_m: (f64, f64),
     /// Western and eastern edge.
     pub east_m: (f64, f64),
+    /// Depth of all pixels.
     pub down_m: f64,
+    /// Pixel size.
     pub cell_m: f64,
 }
 
@@ -1095,28 +1344,36 @@ impl SyntheticApertureSpec {
     }
 }
 
+/// A side-scan line.
 #[derive(Clone, Debug)]
 pub struct LineSpec {
+    /// Side that the array looks to.
     pub side: Side,
     /// Index of the receive array.
     pub array: usize,
 }
 
+/// A fan of beams.
 #[derive(Clone, Debug)]
 pub struct FanSpec {
     /// Index of the receive array.
     pub array: usize,
+    /// Number of beams.
     pub beams: usize,
     /// From port-most to starboard-most, radians.
     pub sector_rad: f64,
+    /// Shading along the array.
     pub shading: Shading,
+    /// Beamformer and its parameters.
     pub form: FanForm,
 }
 
 /// How a fan's beams are laid and formed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FanForm {
+    /// Beamforming method.
     pub former: Former,
+    /// Distribution of the beams over the sector.
     pub spacing: BeamSpacing,
     /// Middle of the sector, from the boresight.
     pub center_rad: f64,
@@ -1144,6 +1401,7 @@ impl Default for FanForm {
     }
 }
 
+/// Beamforming method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Former {
     /// Far field, true time delays at every frequency, f64.
@@ -1171,8 +1429,10 @@ impl Former {
     }
 }
 
+/// Distribution of the beams over the sector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BeamSpacing {
+    /// Equal steps of angle.
     EquiAngle,
     /// On a flat bottom.
     EquiDistant,
@@ -1194,18 +1454,26 @@ impl BeamSpacing {
 /// Weights along an aperture or a pulse; side lobes are positive, dB under the main lobe.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Shading {
+    /// No shading.
     #[default]
     Uniform,
+    /// Hann window.
     Hann,
+    /// Hamming window.
     Hamming,
+    /// Taylor window.
     Taylor {
+        /// Below the main lobe.
         side_lobe_db: f64,
     },
     /// Along a pulse: Taylor's of the same side lobes.
     Chebyshev {
+        /// Below the main lobe.
         side_lobe_db: f64,
     },
+    /// Kaiser window.
     Kaiser {
+        /// Shape parameter.
         beta: f64,
     },
 }
@@ -1224,24 +1492,39 @@ impl Shading {
     }
 }
 
+/// A protocol and its parameters.
 #[derive(Clone, Debug)]
 pub enum OutputSpec {
+    /// Teledyne RESON 7k.
     SevenK(SevenKSpec),
+    /// EdgeTech JSF.
     Jsf(JsfSpec),
+    /// Triton XTF.
     Xtf(XtfSpec),
+    /// Imagenex 872.
     Imagenex872(ImagenexSpec),
+    /// ANSI/VITA 49.2.
     Vita49(Vita49Spec),
+    /// Element stream.
     Elements(ElementStreamSpec),
+    /// SigMF recording.
     Sigmf(SigmfSpec),
+    /// Multichannel WAV recording.
     Wav(WavSpec),
+    /// Ping protocol.
     Ping(PingProtocolSpec),
+    /// NORBIT WBMS.
     Wbms(WbmsSpec),
 }
 
+/// Teledyne RESON 7k output.
 #[derive(Clone, Debug)]
 pub struct SevenKSpec {
+    /// TCP and UDP address.
     pub listen: SocketAddr,
+    /// 7k device identifier.
     pub device_id: u32,
+    /// Distinguishes heads with the same device identifier.
     pub enumerator: u16,
     /// Receive arrays whose elements go into 7038, in this order.
     pub arrays: Vec<usize>,
@@ -1251,5 +1534,6 @@ pub struct SevenKSpec {
     pub client_queue_bytes: usize,
     /// A client whose queue is full is disconnected instead of missing records.
     pub disconnect_when_full: bool,
+    /// Connections at the same time.
     pub max_clients: usize,
 }

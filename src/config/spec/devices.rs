@@ -8,7 +8,10 @@ use echotank_core::flow::Side;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PingDevice {
     /// Side-scan: one line, of this side.
-    Omniscan450 { side: Side },
+    Omniscan450 {
+        /// The side-scan line that is sent.
+        side: Side,
+    },
     /// Multibeam: the soundings of the fan.
     Surveyor240,
 }
@@ -23,8 +26,10 @@ impl PingDevice {
     }
 }
 
+/// Ping protocol output.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PingProtocolSpec {
+    /// Device that is emulated.
     pub device: PingDevice,
     /// TCP and UDP.
     pub listen: SocketAddr,
@@ -32,7 +37,9 @@ pub struct PingProtocolSpec {
     pub serial: Option<(String, u32)>,
     /// Which of how many synchronised devices this is.
     pub channel: (u8, u8),
+    /// Queue of one client.
     pub client_queue_bytes: usize,
+    /// Connections at the same time.
     pub max_clients: usize,
 }
 
@@ -41,7 +48,9 @@ pub struct PingProtocolSpec {
 pub struct WbmsSpec {
     /// Of the control; the others are on the ports behind it. Port 0 takes any four.
     pub listen: SocketAddr,
+    /// Queue of one client.
     pub client_queue_bytes: usize,
+    /// Connections at the same time.
     pub max_clients: usize,
 }
 

@@ -8,6 +8,7 @@ use super::NavChannel;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FaultRequest {
+    /// Name in [`FaultRequest::KINDS`].
     pub kind: String,
     /// None: every sonar.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -45,6 +46,7 @@ pub struct FaultRequest {
     /// Pings in a row it then lasts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub burst: Option<u32>,
+    /// Seed of the random draws; none: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
 }
@@ -52,31 +54,49 @@ pub struct FaultRequest {
 /// A fault that makes sense.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaultSpec {
+    /// The fault and its size.
     pub kind: FaultKind,
     /// As it was asked for.
     pub name: &'static str,
+    /// None: every sonar.
     pub sonar: Option<String>,
+    /// None: every navigation source.
     pub source: Option<String>,
+    /// Start after the first ping, rig time; none: now.
     pub at_s: Option<f64>,
+    /// Duration.
     pub for_s: f64,
+    /// Time in which it grows to its full size.
     pub ramp_s: f64,
+    /// Probability of injection per ping or record.
     pub probability: f64,
+    /// Consecutive pings that one injection lasts.
     pub burst: u32,
+    /// Seed of the random draws.
     pub seed: u64,
 }
 
+/// A fault and its size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FaultKind {
+    /// Of receive channels.
     Element {
+        /// The fault.
         fault: ElementFault,
+        /// Index of a receive array; none: every one.
         array: Option<usize>,
+        /// Index of an element; none: every one.
         element: Option<usize>,
     },
+    /// Of the link to the clients.
     Transport(TransportFault),
+    /// Of the clients' TCP connections.
     Connection(ConnectionFault),
     /// Of what navigation sources say.
     Nav {
+        /// The fault.
         fault: NavFault,
+        /// None: every quantity.
         quantity: Option<NavChannel>,
     },
     /// Of the bytes that live navigation sources say.
@@ -85,16 +105,19 @@ pub enum FaultKind {
     TriggerMissed,
     /// The sonar is triggered again so much later, and tells it.
     TriggerDouble {
+        /// Delay of the second trigger.
         s: f64,
     },
     /// The pulse that marks a whole second in outgoing navigation is not sent.
     PulseLost,
     /// Outgoing ZDA names a second so much later than the one it marks.
     WrongZda {
+        /// Shift of the named second.
         s: f64,
     },
     /// The records are stamped so much too late.
     WrongSecond {
+        /// Shift of the time stamp.
         s: f64,
     },
 }
@@ -102,52 +125,72 @@ pub enum FaultKind {
 /// What is wrong with one receive channel. Amplitudes are volts at the converter's input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ElementFault {
+    /// The samples are zero.
     Dead,
     /// Whatever comes in, I and Q read this.
     Stuck {
+        /// Value of I and Q.
         volts: f64,
     },
+    /// The sign of the samples is inverted.
     Inverted,
+    /// The samples of two elements are exchanged.
     Swapped {
+        /// Index of the other element.
         with: usize,
     },
+    /// The level changes.
     Gain {
+        /// Change of the level.
         db: f64,
     },
+    /// The phase changes.
     Phase {
+        /// Change of the phase.
         rad: f64,
     },
     /// I and Q end here.
     Clipping {
+        /// Limit of I and Q.
         volts: f64,
     },
     /// Added to I and Q.
     Offset {
+        /// Offset of I and Q.
         volts: f64,
     },
     /// Circular Gaussian, rms.
     NoiseBurst {
+        /// Root mean square.
         volts: f64,
     },
     /// A 50 Hz tone on I and Q, rms of each, that runs on from ping to ping.
     MainsHum {
+        /// Root mean square of I and of Q.
         volts: f64,
     },
     /// Of the two's complement codes of I and Q; bit 0 is the least.
     AdcBitStuck {
+        /// 0 is the least significant bit.
         bit: u32,
+        /// Stuck at 1, else at 0.
         high: bool,
     },
+    /// Another element's signal is added.
     Crosstalk {
+        /// Index of the other element.
         from: usize,
+        /// Level of the added signal.
         db: f64,
     },
     /// Samples are taken too fast by so much: the echo at t is found at t (1 + ppm 1e-6).
     ClockDrift {
+        /// Rate error.
         ppm: f64,
     },
     /// Samples come so many late; those before are 0.
     SampleSlip {
+        /// Delay in samples.
         samples: usize,
     },
 }
@@ -155,22 +198,27 @@ pub enum ElementFault {
 /// What is wrong with the line to the clients. Works on whole records; what is recorded here stays whole.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TransportFault {
+    /// The record is not sent.
     Drop,
+    /// The record is sent twice.
     Duplicate,
     /// The record changes places with the next ping's.
     Reorder,
     /// One byte of the body changes; `mended`: the checksum is made to fit.
     Corrupt {
+        /// The checksum is corrected.
         mended: bool,
     },
     /// The second half is missing.
     Truncate,
     /// Held back until the first delivery so much later, rig time.
     Delay {
+        /// Delay, rig time.
         s: f64,
     },
     /// Held back as by `Delay`, each record for a time of its own up to this.
     Jitter {
+        /// Maximum delay, rig time.
         s: f64,
     },
     /// Every record of the ping is lost.
@@ -189,6 +237,7 @@ pub enum ConnectionFault {
 /// What is wrong with what a navigation source says.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum NavFault {
+    /// The source is silent.
     Off,
     /// It says the same again and again.
     Stuck,
@@ -196,17 +245,22 @@ pub enum NavFault {
     Garbage,
     /// So much too great: metres (positions: to the north), metres per second, radians.
     Wrong {
+        /// Metres, metres per second or radians.
         by: f64,
     },
     /// One in so many.
     Slow {
+        /// Samples per sample that is kept.
         one_in: u32,
     },
+    /// Samples arrive late.
     Delayed {
+        /// Delay.
         s: f64,
     },
     /// Off for so long, on for so long, and so on.
     Intermittent {
+        /// Length of each silent and each active interval.
         s: f64,
     },
 }
@@ -214,19 +268,24 @@ pub enum NavFault {
 /// What is wrong with a sentence on its way in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NavByteFault {
+    /// The checksum is wrong.
     Checksum,
     /// A line ends in its first field, and the rest is another.
     Cut,
     /// So many bytes that are no text before it.
     Noise {
+        /// Number of bytes.
         bytes: usize,
     },
 }
 
+/// Why a fault request is refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{key}: {rule}")]
 pub struct FaultRefused {
+    /// Key of the request that breaks a rule.
     pub key: &'static str,
+    /// The rule.
     pub rule: String,
 }
 

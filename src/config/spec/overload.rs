@@ -19,6 +19,7 @@ pub enum OverloadSpec {
 }
 
 impl OverloadSpec {
+    /// Value of the key `run.overload`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Skip => "skip",

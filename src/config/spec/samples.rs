@@ -5,16 +5,23 @@ use std::net::{Ipv4Addr, SocketAddr};
 /// Packets for boards.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Vita49Spec {
+    /// Destination addresses.
     pub send_to: Vec<SocketAddr>,
+    /// Indices of the receive arrays, in the order of the samples.
     pub arrays: Vec<usize>,
     /// What a converter of so many samples per second would have seen; none is I and Q at the receiver's rate.
     pub passband_rate_hz: Option<f64>,
     /// One stream whose samples are vectors of all elements.
     pub is_vector: bool,
+    /// Identifier of the first stream.
     pub first_stream: u32,
+    /// Packet length, bytes.
     pub max_packet: usize,
+    /// Maximum data rate.
     pub pace_bytes_per_s: f64,
+    /// Address of the interface that sends to multicast groups.
     pub multicast_interface: Ipv4Addr,
+    /// Hops of multicast packets.
     pub multicast_ttl: u32,
 }
 
@@ -25,23 +32,31 @@ pub struct ElementStreamSpec {
     pub listen: SocketAddr,
     /// UDP, whether or not anybody listens.
     pub send_to: Vec<SocketAddr>,
+    /// Indices of the receive arrays, in the order of the samples.
     pub arrays: Vec<usize>,
     /// 32-bit floats instead of 16-bit integers.
     pub is_float: bool,
     /// Of a datagram.
     pub max_packet: usize,
+    /// Maximum data rate over UDP.
     pub pace_bytes_per_s: f64,
+    /// Queue of one TCP client.
     pub client_queue_bytes: usize,
+    /// TCP connections at the same time.
     pub max_clients: usize,
 }
 
+/// SigMF recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SigmfSpec {
+    /// Indices of the receive arrays, in the order of the samples.
     pub arrays: Vec<usize>,
 }
 
+/// Multichannel WAV recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WavSpec {
+    /// Indices of the receive arrays, in the order of the channels.
     pub arrays: Vec<usize>,
     /// Whole Hz.
     pub rate_hz: u32,
