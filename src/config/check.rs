@@ -1,7 +1,7 @@
-//! Raw tables to checked specifications: every rule that needs more than one key, and the change to SI.
+//! Tables to checked specifications: every rule that needs more than one key.
 //!
-//! Each function reads one table and gives its part of the specification, or none if something in it is on the list of problems already.
-//! Where a value is missing the checks that need it are passed over, and all others still made: one reading says everything.
+//! Each function reads one table and returns its part of the specification, or none if the table has a problem.
+//! Checks of a missing value are skipped and all others are made, so that one run lists every problem.
 
 mod culling;
 mod devices;
@@ -60,7 +60,7 @@ pub fn parse(text: &str, base_dir: &Path, files: &dyn Files) -> Result<RigSpec, 
     problems.sort_by(|a, b| (a.line, &a.path).cmp(&(b.line, &b.path)));
     problems.dedup();
     if checked.is_none() && problems.is_empty() {
-        // The programmer's mistake, found by tests; the operator gets a sentence and no panic.
+        // A programming error, found by tests; the operator gets a message and no panic.
         debug_assert!(false, "a part is missing and no problem says why");
         problems.push(Problem {
             rule: "refused without a reason: please report this file".to_owned(),
@@ -78,25 +78,25 @@ pub fn parse(text: &str, base_dir: &Path, files: &dyn Files) -> Result<RigSpec, 
 
 // ---------------------------------------------------------------- what the rules share
 
-/// `keys` mean something only while `holds`; given otherwise they are a misunderstanding.
+/// Refuses `keys` that are given although `holds` is false.
 fn only_with(keys: &[&Entry], holds: Option<bool>, condition: &str, problems: &mut Problems) {
     if holds != Some(false) {
         return;
     }
-    // What is wrong already is on the list.
+    // A key without a sound value is on the list already.
     for entry in keys.iter().filter(|e| e.given && e.sound) {
         problems.refuse(entry, format!("only with {condition}"));
     }
 }
 
-/// `key` must be given where `holds`.
+/// Refuses a missing `key` if `holds` is true.
 fn needed_with(key: &Entry, holds: Option<bool>, condition: &str, problems: &mut Problems) {
     if holds == Some(true) && !key.given {
         problems.refuse(key, format!("missing: needed with {condition}"));
     }
 }
 
-/// The values of the keys `name` of a row of tables, each of which must be another.
+/// The names of an array of tables; refuses repeated ones.
 fn unique_names<'t>(
     names: impl Iterator<Item = &'t Field<String>>,
     problems: &mut Problems,
@@ -126,7 +126,7 @@ fn index_of(
     problems: &mut Problems,
 ) -> Option<usize> {
     let found = names.iter().position(|n| *n == Some(name));
-    // Among names that cannot be read it may be there.
+    // It may be one of the names that could not be read.
     if found.is_none() && names.iter().all(Option::is_some) {
         let rule = format!("must be the name of a {what}");
         problems.refuse_name(entry, rule, name, names.iter().flatten().copied());
@@ -145,7 +145,7 @@ fn address(key: &Field<String>, problems: &mut Problems) -> Option<SocketAddr> {
     parsed.ok()
 }
 
-/// The address under `key`, at which somebody listens.
+/// The address under `key`, noted as a port that this program opens.
 fn listen<'t>(
     key: &'t Field<String>,
     protocol: &'static str,
@@ -162,12 +162,12 @@ fn listen<'t>(
     Some(address)
 }
 
-/// All of `parts`, or none if one is missing.
+/// All of `parts`; none if one is missing.
 fn all<T>(parts: Vec<Option<T>>) -> Option<Vec<T>> {
     parts.into_iter().collect()
 }
 
-/// Somebody who wants a port of this machine.
+/// A port of this computer that an input or output opens.
 pub(super) struct Listener<'t> {
     entry: &'t Entry,
     protocol: &'static str,
@@ -175,7 +175,7 @@ pub(super) struct Listener<'t> {
     multicast: bool,
 }
 
-/// Two cannot have one port; port 0 means any free one, and members of multicast groups share.
+/// Refuses a port that is used twice. Port 0 means any free port; members of multicast groups share a port.
 fn refuse_port_clashes(listeners: &[Listener<'_>], problems: &mut Problems) {
     for (i, one) in listeners.iter().enumerate() {
         let clash = listeners[..i].iter().find(|other| {
@@ -211,8 +211,8 @@ fn rig(table: &keys::Rig, text: &str, problems: &mut Problems) -> Option<RigSpec
         .and_then(|t| nav(t, &mut listeners, problems));
     let run = table.run.as_ref().and_then(|t| run(t, problems));
     if let (Some(nav), Some(t)) = (&nav, table.run.as_ref()) {
-        refuse_own_time_with_live_sources(nav, t, problems);
-        streaming::refuse_without_foresight(nav, t, problems);
+        refuse_scaled_clock_with_live_sources(nav, t, problems);
+        streaming::refuse_ahead_without_prediction(nav, t, problems);
     }
     let control = table
         .control
@@ -226,7 +226,7 @@ fn rig(table: &keys::Rig, text: &str, problems: &mut Problems) -> Option<RigSpec
         .enumerate()
         .map(|(k, t)| sonar::sonar(t, (k, &names), medium.as_ref(), &mut listeners, problems))
         .collect();
-    trigger::refuse_what_nobody_can_trigger(tables, &sonars, run.as_ref(), problems);
+    trigger::refuse_trigger_conflicts(tables, &sonars, run.as_ref(), problems);
     let longest_range_m = tables
         .iter()
         .filter_map(sonar::longest_range_m)
@@ -247,11 +247,11 @@ fn rig(table: &keys::Rig, text: &str, problems: &mut Problems) -> Option<RigSpec
     }
     let heads: Vec<_> = sonars.iter().flatten().collect();
     if let (Some(nav), Some(medium), Some(t)) = (&nav, &medium, table.run.as_ref()) {
-        streaming::refuse_out_of_sight(nav, t, &heads, medium, problems);
+        streaming::refuse_long_prediction(nav, t, &heads, medium, problems);
     }
     if let Some(t) = table.run.as_ref() {
-        overload::refuse_what_has_nothing_to_give(t, &heads, problems);
-        streaming::refuse_what_has_no_tiles(t, &heads, problems);
+        overload::refuse_overload_conflicts(t, &heads, problems);
+        streaming::refuse_tile_conflicts(t, &heads, problems);
     }
     let rig = scene::Rig {
         sonars: &heads,
@@ -263,16 +263,16 @@ fn rig(table: &keys::Rig, text: &str, problems: &mut Problems) -> Option<RigSpec
         .as_ref()
         .and_then(|t| scene::scene(t, &rig, problems));
     if let (Some(nav), Some(t)) = (&nav, table.scene.as_ref()) {
-        refuse_place_without_earth(nav, t, problems);
+        refuse_anchor_without_position(nav, t, problems);
     }
     let faults = faults::faults(table.fault.all(), problems);
     for (sonar, t) in sonars.iter_mut().zip(tables) {
         if let Some(sonar) = sonar {
-            output::who_needs_elements(sonar, t, control.as_ref(), &faults, problems);
+            output::note_element_needs(sonar, t, control.as_ref(), &faults, problems);
         }
     }
     refuse_port_clashes(&listeners, problems);
-    refuse_files_without_a_folder(table, problems);
+    refuse_recordings_without_folder(table, problems);
 
     Some(RigSpec {
         source_text: text.to_owned(),
@@ -292,8 +292,8 @@ fn rig(table: &keys::Rig, text: &str, problems: &mut Problems) -> Option<RigSpec
     })
 }
 
-/// Outputs that are files need a folder.
-fn refuse_files_without_a_folder(table: &keys::Rig, problems: &mut Problems) {
+/// Refuses recorded outputs without a record table.
+fn refuse_recordings_without_folder(table: &keys::Rig, problems: &mut Problems) {
     if table.record.given {
         return;
     }
@@ -312,8 +312,8 @@ fn refuse_files_without_a_folder(table: &keys::Rig, problems: &mut Problems) {
     }
 }
 
-/// A scene that lies where its file says needs to know where on the earth the platform is.
-fn refuse_place_without_earth(nav: &NavSpec, scene: &keys::Scene, problems: &mut Problems) {
+/// Refuses a georeferenced scene if the platform has no geographic position.
+fn refuse_anchor_without_position(nav: &NavSpec, scene: &keys::Scene, problems: &mut Problems) {
     let in_metres = |s: &NavSourceSpec| matches!(s.input, NavInputSpec::Csv { .. });
     let nowhere = nav.origin == OriginSpec::FirstFix && nav.sources.iter().all(in_metres);
     if nowhere && scene.anchor.text() == Some("file") {
@@ -347,8 +347,8 @@ fn medium(table: &keys::Medium) -> Option<MediumSpec> {
     })
 }
 
-/// Live measurements come in the machine's time; a rig with a time of its own would take them for early or late.
-fn refuse_own_time_with_live_sources(nav: &NavSpec, run: &keys::Run, problems: &mut Problems) {
+/// Refuses live sources with a scaled clock: their measurements carry the computer's time.
+fn refuse_scaled_clock_with_live_sources(nav: &NavSpec, run: &keys::Run, problems: &mut Problems) {
     let own_time = run.clock.text().is_some_and(|clock| clock != "realtime");
     if own_time && !nav.is_recorded() {
         let rule = "only with recorded navigation: every nav.source of kind \"log\" or \"csv\"";
@@ -378,9 +378,9 @@ fn control<'t>(
             address,
             multicast: false,
         });
-        let abroad = !address.ip().is_loopback();
+        let is_remote = !address.ip().is_loopback();
         let condition = "a `listen` that is not this machine alone";
-        needed_with(&table.token, Some(abroad), condition, problems);
+        needed_with(&table.token, Some(is_remote), condition, problems);
     }
     Some(ControlSpec {
         listen,
@@ -576,7 +576,7 @@ fn vertical(table: &keys::Nav, problems: &mut Problems) -> Option<VerticalSpec> 
     })
 }
 
-/// The first source that provides `channel`; none also while a source's list is not known.
+/// The first source that provides `channel`.
 fn owner<'t>(tables: &'t [keys::NavSource], channel: &str) -> Option<&'t keys::NavSource> {
     tables.iter().find(|t| {
         t.provides
@@ -609,7 +609,7 @@ fn refuse_missing_channels(table: &keys::Nav, tables: &[keys::NavSource], proble
     }
 }
 
-/// A CSV track says its depth itself and knows no latitude.
+/// Refuses settings that do not fit a CSV track, which has its own depth and no latitude.
 fn refuse_unfit_track(
     table: &keys::Nav,
     tables: &[keys::NavSource],

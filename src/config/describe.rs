@@ -1,4 +1,4 @@
-//! What a configuration may hold, written for people (the template) and for editors (the JSON Schema), both from `keys`.
+//! The template and the JSON Schema, both written from `keys`.
 
 use std::sync::OnceLock;
 
@@ -9,10 +9,10 @@ use super::raw::{Declared, rule};
 
 /// Columns of the template's lines.
 const COLUMNS: usize = 110;
-/// Where a rule beside its key begins.
+/// Column of a rule beside its key.
 const RULE_COLUMN: usize = 34;
 
-/// A commented configuration with every key: those that must be there with an example, the others commented out with their defaults.
+/// A commented configuration with every key: required keys with an example, the others commented out with their defaults.
 pub fn template() -> &'static str {
     static TEXT: OnceLock<String> = OnceLock::new();
     TEXT.get_or_init(|| {
@@ -49,7 +49,7 @@ fn comment(out: &mut String, text: &str) {
     }
 }
 
-/// The keys of a table, values ahead of tables, as TOML wants them.
+/// The keys of a table: values before tables, as TOML requires.
 fn table(out: &mut String, declared: &Table, path: &str, commented_out: bool) {
     let is_table = |key: &&Key| matches!(key.kind, Kind::Table(_) | Kind::Tables(_));
     for key in declared.keys.iter().filter(|k| !is_table(k)) {
@@ -96,7 +96,7 @@ fn value(out: &mut String, key: &Key, commented_out: bool) {
     out.push('\n');
 }
 
-/// JSON Schema (draft 2020-12) of a configuration. Rules between keys are beyond it.
+/// JSON Schema (draft 2020-12) of a configuration. It does not cover rules between keys.
 pub fn schema() -> String {
     let mut root = table_schema(&Rig::TABLE);
     root.insert(

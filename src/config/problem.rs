@@ -1,20 +1,20 @@
-//! What is wrong with a configuration: all of it at once.
+//! The problems of a configuration.
 
 use std::fmt;
 use std::path::PathBuf;
 
-/// One thing wrong, in one line.
+/// One problem; prints as one line.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Problem {
-    /// Where: `sonar[0].pulse.duration_ms`; empty for a file that is no TOML or cannot be read.
+    /// The key, such as `sonar[0].pulse.duration_ms`; empty for a file that is not TOML or cannot be read.
     pub path: String,
-    /// From 1; none where there is no place in the file.
+    /// Line in the file, from 1; none without a place in the file.
     pub line: Option<usize>,
-    /// As written in the file, shortened; empty where nothing was written.
+    /// The value as written in the file, shortened; empty without a value.
     pub value: String,
-    /// What holds there.
+    /// The rule that does not hold.
     pub rule: String,
-    /// What may have been meant.
+    /// A correction.
     pub hint: Option<String>,
 }
 
@@ -39,10 +39,10 @@ impl fmt::Display for Problem {
     }
 }
 
-/// Everything wrong with one configuration, in the order of its lines; prints one problem per line.
+/// All problems of one configuration; prints one problem per line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ConfigErrors {
-    /// The file it came from, printed first.
+    /// The configuration file, printed first.
     pub file: Option<PathBuf>,
     /// In the order of their lines.
     pub problems: Vec<Problem>,

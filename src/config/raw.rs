@@ -1,7 +1,7 @@
-//! Text to raw tables: walks the TOML against the declarations in [`keys`], with everything that is wrong put on one list.
+//! Text to tables: reads the TOML against the declarations in [`keys`] and lists every problem.
 //!
-//! In: the text. Out: a [`RawTable`] in which every declared key has an entry, and problems for what is unknown, missing, of the wrong
-//! type or outside its range. An entry without a value is either absent by right or already on the list, so `check` passes it over.
+//! In: the text. Out: a [`Declared`] struct with a [`Field`] for every key, and a problem for each key that is unknown, missing, of the wrong
+//! type or outside its range. A field without a value is either absent or already on the list, so `check` skips it.
 
 use std::collections::HashMap;
 use std::ops::Deref;
@@ -15,18 +15,18 @@ use super::files::Files;
 use super::keys::{Key, Kind, Presence, Range, Table, Unit};
 use super::problem::Problem;
 
-/// A name this like a declared one (1: the same) is offered as what was meant.
+/// Minimum similarity (1: equal) of a name that is offered as a correction.
 const LIKENESS: f64 = 0.5;
-/// Syntax errors that are listed: beyond the first few they follow from one another.
+/// Maximum number of listed syntax errors: later ones follow from the first.
 const MAX_SYNTAX_ERRORS: usize = 20;
-/// Characters of a value that a problem quotes.
+/// Maximum number of quoted characters of a value.
 const QUOTED_CHARACTERS: usize = 60;
 
-/// A table as read, on its way into the struct that [`Declared`] names.
+/// A table before its conversion to a [`Declared`] struct.
 #[derive(Debug)]
 pub(crate) struct RawTable(HashMap<&'static str, (Entry, Option<RawValue>)>);
 
-/// Where a key stands, or would stand.
+/// The place of a key in the file.
 #[derive(Debug)]
 pub(crate) struct Entry {
     /// `sonar[0].pulse.kind`.
@@ -34,13 +34,13 @@ pub(crate) struct Entry {
     pub line: Option<usize>,
     /// As written, shortened.
     pub text: String,
-    /// It stands in the file (a default does not).
+    /// The key is in the file; false for a default.
     pub given: bool,
-    /// It has a value that keeps its own rule.
+    /// The value satisfies the key's own rule.
     pub sound: bool,
 }
 
-/// One key of a table as read. Without a value it is either absent by right or already on the list of problems.
+/// A key and its value. Without a value the key is absent or already on the list of problems.
 #[derive(Debug)]
 pub(crate) struct Field<T> {
     entry: Entry,
@@ -68,7 +68,7 @@ pub(crate) enum RawValue {
     /// In SI units.
     Number(f64),
     Text(String),
-    /// A file or a folder, under the configuration's own.
+    /// A file or folder, joined to the configuration's folder.
     Path(PathBuf),
     /// In SI units.
     Numbers(Vec<f64>),
@@ -80,7 +80,7 @@ pub(crate) enum RawValue {
 
 /// What a [`Field`] holds.
 pub(crate) trait Value: Sized {
-    /// None if the value is of another type, which the declaration rules out.
+    /// None if the value has another type, which the declaration excludes.
     fn from_raw(value: RawValue) -> Option<Self>;
 }
 
@@ -170,7 +170,7 @@ impl Entry {
     }
 }
 
-/// A key of any type is also the place where it stands.
+/// A field of any type serves as its entry.
 impl<T> Deref for Field<T> {
     type Target = Entry;
 
@@ -190,7 +190,7 @@ impl<T: Clone> Field<T> {
         self.value.clone()
     }
 
-    /// The value, or that the key is not given; none if the one given is no good.
+    /// `Some(None)` if the key is not given; none if its value is refused.
     pub(crate) fn if_given(&self) -> Option<Option<T>> {
         match self.given {
             true => self.get().map(Some),
@@ -200,7 +200,7 @@ impl<T: Clone> Field<T> {
 }
 
 impl Field<i64> {
-    /// The number in the type that is asked for, which its declared range fits.
+    /// The number in another integer type, which must hold the declared range.
     pub(crate) fn to<T: TryFrom<i64>>(&self) -> Option<T> {
         T::try_from(self.value?).ok()
     }
@@ -243,12 +243,12 @@ impl<T> Field<ChoiceOr<T>> {
     }
 }
 
-/// The list everything wrong goes on.
+/// The list of problems.
 #[derive(Debug, Default)]
 pub(crate) struct Problems(pub Vec<Problem>);
 
 impl Problems {
-    /// `rule` does not hold for what stands at `entry`.
+    /// Adds the problem that `rule` does not hold at `entry`.
     pub(crate) fn refuse(&mut self, entry: &Entry, rule: impl Into<String>) {
         self.0.push(Problem {
             path: entry.path.clone(),
@@ -259,7 +259,7 @@ impl Problems {
         });
     }
 
-    /// As [`Problems::refuse`], with a name of `names` offered in place of `name`.
+    /// As [`Problems::refuse`], with the most similar of `names` as a hint.
     pub(crate) fn refuse_name<'a>(
         &mut self,
         entry: &Entry,
@@ -281,7 +281,7 @@ const RENAMED: &[(&str, &str)] = &[
     ("straightness", "cable_scope"),
 ];
 
-/// `did you mean "…"?` with the likest of `names`, if any is like enough.
+/// `did you mean "…"?` with the most similar of `names`, if it is similar enough.
 fn did_you_mean<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> Option<String> {
     names
         .map(|n| (strsim::normalized_damerau_levenshtein(name, n), n))
@@ -305,7 +305,7 @@ fn scaled(text: &str, power: i32) -> f64 {
 }
 
 impl Unit {
-    /// What is written, in SI units, rounded once.
+    /// The written number in SI units, rounded once.
     fn si(self, digits: &str) -> f64 {
         match self {
             Unit::Power(power) => scaled(digits, power),
@@ -314,7 +314,7 @@ impl Unit {
     }
 }
 
-/// The text as a declared table, all problems on the list. A text that is not TOML gives none.
+/// Reads the text as a declared table and lists its problems. None if the text is not TOML.
 pub(crate) fn read<T: Declared>(
     text: &str,
     base_dir: &Path,
@@ -328,7 +328,7 @@ pub(crate) fn read<T: Declared>(
         files,
     };
     if !errors.is_empty() {
-        // What could be rescued of a broken text would only bring problems that are not there.
+        // The recovered part of a broken text would cause false problems.
         let listed = errors.iter().take(MAX_SYNTAX_ERRORS);
         problems.0.extend(listed.map(|e| Problem {
             line: e.span().map(|span| walk.line(span.start)),
@@ -363,7 +363,7 @@ impl Walk<'_> {
 
     /// The value as written, on one line, shortened.
     fn quote(&self, value: &Spanned<DeValue<'_>>) -> String {
-        // Of what goes over many lines the path says enough.
+        // A table spans many lines; its path is enough.
         let is_table = |value: &Spanned<DeValue<'_>>| value.get_ref().is_table();
         let items = value.get_ref().as_array();
         if is_table(value) || items.is_some_and(|a| a.iter().any(is_table)) {
@@ -464,7 +464,7 @@ impl Walk<'_> {
                 None
             }
             Presence::Default(text) | Presence::Set(text, _) => {
-                // Ours, not the operator's: a default that breaks its own rule is found by a test.
+                // A test checks that each default satisfies its own rule.
                 let written = format!("v = {text}");
                 let parsed = DeTable::parse(&written).ok();
                 let value = parsed.as_ref().and_then(|t| t.get_ref().get("v"));
@@ -481,7 +481,7 @@ impl Walk<'_> {
         }
     }
 
-    /// What stands behind a key, if it is what the declaration wants.
+    /// The value of a key; none, with a problem, if it breaks the declaration.
     fn value(
         &self,
         kind: &Kind,
@@ -571,7 +571,7 @@ impl Walk<'_> {
     }
 }
 
-/// Values that need nothing but themselves; none where the kind does not hold.
+/// A value that needs no context; none if it is not of the kind.
 fn simple(kind: &Kind, value: &DeValue<'_>) -> Option<RawValue> {
     match (kind, value) {
         (Kind::Bool, DeValue::Boolean(b)) => Some(RawValue::Bool(*b)),
@@ -610,7 +610,7 @@ fn simple(kind: &Kind, value: &DeValue<'_>) -> Option<RawValue> {
     }
 }
 
-/// Metres and decibels of a table alike.
+/// Range of the metres and decibels in a table.
 const ROW_CELL: Range = Range {
     min: -1.0e5,
     min_included: true,
@@ -638,7 +638,7 @@ fn number(value: &DeValue<'_>, range: &Range) -> Option<String> {
         value => integer(value)?.to_string(),
     };
     let number: f64 = digits.parse().ok()?;
-    // Written so that NaN falls through; the ends are finite, so infinity does too.
+    // NaN fails every comparison, and infinity exceeds the finite ends.
     let above = number > range.min || (range.min_included && number == range.min);
     (above && number <= range.max).then_some(digits)
 }
@@ -658,7 +658,7 @@ fn is_name(text: &str) -> bool {
             .all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_')
 }
 
-/// The rule of a kind in words, fit after "must be".
+/// The rule of a kind in words that follow "must be".
 pub(crate) fn rule(kind: &Kind) -> String {
     let quoted = |choices: &[&str], last: &str| {
         let all: Vec<_> = choices.iter().map(|c| format!("\"{c}\"")).collect();

@@ -1,4 +1,4 @@
-//! Checked specifications: what the rest of the house may rely on. SI and radians; made only by `config::check`.
+//! Checked specifications, in SI units and radians. Only [`parse`](crate::parse) and [`load`](crate::load) make them.
 //!
 //! A value here has been validated; no stage checks it again.
 
@@ -34,7 +34,7 @@ pub use trigger::{
     EarlyTrigger, ModemLine, OutLine, TriggerFrom, TriggerLineSpec, TriggerOutSpec, TriggerSpec,
 };
 
-/// One rig: what a configuration file describes.
+/// One rig, as a configuration file describes it.
 #[derive(Clone, Debug)]
 pub struct RigSpec {
     /// The file's own text, for records that carry it.
@@ -51,7 +51,7 @@ pub struct RigSpec {
     pub record: Option<RecordSpec>,
     /// Control over HTTP.
     pub control: ControlSpec,
-    /// The scenario of what goes wrong.
+    /// Scheduled faults.
     pub faults: Vec<FaultRequest>,
     /// At least one.
     pub sonars: Vec<SonarSpec>,
@@ -108,21 +108,21 @@ pub struct NavSpec {
     pub stamp: StampSpec,
     /// Recorded sources start again at their end, time shifted by whole loops.
     pub loop_log: bool,
-    /// In `predict`: longest extrapolation before a ping is skipped, seconds.
+    /// In `predict`: longest extrapolation, seconds.
     pub max_extrapolation_s: f64,
     /// Depth of the history ring, seconds.
     pub history_s: f64,
-    /// Used where no source gives it.
+    /// The course over ground is the heading if no source provides one.
     pub fallback_heading_from_course: bool,
     /// None: the first source that provides a quantity owns it.
     pub failover: Option<FailoverSpec>,
     /// None: no sample is rejected.
     pub jump_gate: Option<JumpGateSpec>,
-    /// A source without a sample for so long is stale, or lost; seconds.
+    /// A source is stale after this time without data, seconds.
     pub stale_s: f64,
     /// A source is lost after this time without data, seconds.
     pub lost_s: f64,
-    /// In `predict`: what becomes of a ping for which something is older than `max_extrapolation_s`.
+    /// In `predict`: action for a ping that needs data older than `max_extrapolation_s`.
     pub on_lost: OnLost,
     /// The platform is towed, and positions are those of the ship.
     pub tow: Option<TowSpec>,
@@ -138,14 +138,14 @@ pub enum OnLost {
     /// It is skipped.
     #[default]
     Skip,
-    /// It is made with what was last known, come to rest, and flagged invalid.
+    /// It is made with the last known motion, brought to rest, and flagged invalid.
     Hold,
 }
 
-/// A towed body on the ship's heading behind the point where its cable leaves the ship.
+/// A towed body that follows the tow point along the ship's heading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TowSpec {
-    /// Where the cable leaves the ship: forward and starboard of the ship's reference point, down from the waterline; metres.
+    /// The tow point: forward and starboard of the ship's reference point, down from the waterline; metres.
     pub point_m: DVec3,
     /// Metres.
     pub cable_out_m: f64,
@@ -153,7 +153,7 @@ pub struct TowSpec {
     pub cable_scope: f64,
 }
 
-/// Where navigation goes out, and what of it.
+/// One navigation output.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NavOutputSpec {
     /// Unique among the outputs.
@@ -166,7 +166,7 @@ pub struct NavOutputSpec {
     pub talker: String,
     /// Ticks per second.
     pub rate_hz: f64,
-    /// GGA and HDT go out so long after the instant they name, seconds.
+    /// Delay of GGA and HDT after their time of validity, seconds.
     pub latency_s: f64,
     /// Pulse at the whole second.
     pub pulse: PulseSpec,
@@ -218,7 +218,7 @@ impl NavSentence {
     }
 }
 
-/// What marks the whole second, ahead of the sentence that names it.
+/// Pulse at the whole second, before its ZDA.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PulseSpec {
     /// No pulse.
@@ -228,7 +228,7 @@ pub enum PulseSpec {
     Rts,
     /// DTR of the serial port.
     Dtr,
-    /// One byte, 0x07; over UDP a datagram of its own.
+    /// One byte, 0x07; over UDP in its own datagram.
     Byte,
 }
 
@@ -291,16 +291,16 @@ impl NavSpec {
     }
 }
 
-/// When another source takes a quantity over.
+/// Failover between sources of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FailoverSpec {
-    /// Silence after which the next source speaks, seconds.
+    /// The next source takes over after this silence, seconds.
     pub after_s: f64,
-    /// How long the better one must have come again before it has the word back, seconds.
+    /// The better source becomes active again after it has delivered for this time, seconds.
     pub hold_off_s: f64,
 }
 
-/// What counts as a jump.
+/// Limits above which a sample is a jump.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JumpGateSpec {
     /// Faster samples are rejected.
@@ -332,7 +332,7 @@ pub enum NavMode {
     Settle,
 }
 
-/// What the world's down coordinate of the reference point is made of.
+/// Source of the reference point's down coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum VerticalSpec {
     /// The waterline is z = 0; reference point at `reference_down_m` below it, plus heave.
@@ -375,7 +375,7 @@ pub struct NavSourceSpec {
     pub mounting: SensorMounting,
     /// Format and its variants.
     pub dialect: NavDialect,
-    /// What is taken from this source; the first source in the file that provides a quantity owns it.
+    /// Quantities used from this source; the first source in the file that provides a quantity is used.
     pub provides: Vec<NavChannel>,
 }
 
@@ -398,7 +398,7 @@ pub struct SensorMounting {
     pub angles_rad: DVec3,
 }
 
-/// What is particular about the messages of one source; by default nothing.
+/// Format of a source and its deviations from the standard.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NavDialect {
     /// Format of the bytes.
@@ -426,7 +426,7 @@ pub struct Reversed {
     pub heave: bool,
 }
 
-/// What a source's bytes are.
+/// Format of a source's bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum NavFormat {
     /// NMEA 0183 sentences.
@@ -487,7 +487,7 @@ pub enum NavInputSpec {
         /// Frame format.
         line: SerialLine,
     },
-    /// A client of somebody's server, named as the configuration has it.
+    /// A connection to a server.
     TcpConnect {
         /// Host and port.
         address: String,
@@ -578,25 +578,25 @@ pub struct SceneSpec {
     pub simplify: Option<SimplifySpec>,
 }
 
-/// Where the scene's own zero lies.
+/// Position of the scene's origin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AnchorSpec {
     /// At the world's origin.
     Origin,
-    /// Under the first fix.
+    /// Under the first position received.
     FirstFix,
-    /// Where the seabed's file says it lies on the earth.
+    /// At the coordinates in the seabed file.
     File,
 }
 
-/// What hides what.
+/// Shadow model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OcclusionSpec {
-    /// Nothing.
+    /// No shadows.
     None,
-    /// Whatever stands between.
+    /// Seabed and solids cast shadows.
     Horizon,
-    /// Over the seabed, Meng et al. 2023, Eq. 27 as printed.
+    /// The seabed casts shadows by Eq. 27 of Meng et al. 2023, as printed.
     Paper,
 }
 
@@ -617,7 +617,7 @@ pub struct SeabedSpec {
     pub speckle: bool,
 }
 
-/// How much a square metre of seabed scatters back; powers in dB.
+/// Scattering law of the seabed; strengths in dB per square metre.
 #[derive(Clone, Debug, PartialEq)]
 pub enum BottomSpec {
     /// mu cos i cos s.
@@ -632,7 +632,7 @@ pub enum BottomSpec {
     },
     /// Specular lobe, intermediate lobe and Lambert.
     ThreeTerm(ThreeTerm),
-    /// Three terms of its own.
+    /// Specular, intermediate and Lambert terms.
     Sediment(Sediment),
 }
 
@@ -654,7 +654,7 @@ pub enum Sediment {
 impl Sediment {
     /// Every sediment.
     pub const ALL: [Self; 5] = [Self::Mud, Self::Silt, Self::Sand, Self::Gravel, Self::Rock];
-    /// As the configuration spells it.
+    /// Name in the configuration.
     pub fn name(self) -> &'static str {
         match self {
             Self::Mud => "mud",
@@ -683,21 +683,21 @@ pub struct ThreeTerm {
     pub intermediate_rad: f64,
 }
 
-/// What the angle of incidence is measured from.
+/// Reference of the angle of incidence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum IncidenceSpec {
-    /// The surface's own normal.
+    /// The surface normal.
     Normal,
-    /// The vertical (Meng et al. 2023, Eq. 9): right on flat bottoms alone.
+    /// The vertical (Meng et al. 2023, Eq. 9): correct on flat bottoms only.
     Flat,
 }
 
-/// Backscattering strengths from place to place, in dB, on a grid of the same kinds and coordinates as the seabed.
+/// Grid of backscattering strengths in dB, in the formats and coordinates of the seabed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MosaicSpec {
     /// File of backscattering strengths.
     pub path: PathBuf,
-    /// What its coordinates are, where the file does not say or says so wrongly.
+    /// Coordinate system, if the file names none or a wrong one.
     pub crs: Option<CrsSpec>,
     /// Meaning of the values.
     pub values: MosaicValues,
@@ -710,19 +710,19 @@ pub struct MosaicSpec {
 /// Meaning of a mosaic's values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MosaicValues {
-    /// Backscattering strength at this incidence: the bottom's law is raised or lowered to meet it.
+    /// Strengths at this incidence, to which the scattering law is scaled.
     Absolute {
         /// Incidence angle of the strengths.
         incidence_rad: f64,
     },
-    /// To be added to the bottom's own.
+    /// Values added to the scattering law.
     Relative,
 }
 
-/// How densely scatterers lie on the seabed.
+/// Number of scatterers per area of seabed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Density {
-    /// Per square metre of the horizontal, everywhere.
+    /// Constant, per horizontal square metre.
     PerM2(f64),
     /// At slant range r at least `per_cell` in every r `beam_rad` x `range_m`, the finest resolution cell of any sonar: fewer per square metre the
     /// farther away, out to `longest_range_m`.
@@ -750,7 +750,7 @@ pub enum SeabedShape {
         /// Metres of depth per metre eastward.
         slope_east: f64,
     },
-    /// A surveyed seabed. The middle of what it covers lies at the scene's zero, moved by the offset.
+    /// A surveyed seabed. Its centre lies at the scene's origin plus the offset.
     File {
         /// The survey.
         file: SeabedFileSpec,
@@ -777,7 +777,7 @@ pub enum PaperShape {
 impl PaperShape {
     /// Every shape.
     pub const ALL: [Self; 3] = [Self::Curves, Self::Relief, Self::Lake];
-    /// As the configuration spells it.
+    /// Name in the configuration.
     pub fn name(self) -> &'static str {
         match self {
             Self::Curves => "paper-curves",
@@ -796,29 +796,29 @@ pub struct SimplifySpec {
     pub keep: usize,
     /// Weights of the energy terms.
     pub weights: EnergyWeights,
-    /// A choice is kept until the sonar has moved this far,
+    /// The choice is renewed after the sonar has moved this far.
     pub hold_m: f64,
-    /// or turned this much.
+    /// The choice is renewed after the sonar has turned this much.
     pub hold_rad: f64,
-    /// Search for shadows while choosing.
+    /// Find shadows among the scatterers before the choice.
     pub shadows: bool,
 }
 
 /// Choice of scatterers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SimplifyMethod {
-    /// Eqs. 26-29 of Meng et al. 2023, mended.
+    /// Eqs. 26-29 of Meng et al. 2023, corrected.
     Acoustic,
     /// The same as printed.
     Paper,
-    /// By chance, each with its probability made up for.
+    /// Random, with compensated amplitudes.
     Unbiased,
 }
 
 impl SimplifyMethod {
     /// Every method.
     pub const ALL: [Self; 3] = [Self::Acoustic, Self::Paper, Self::Unbiased];
-    /// As the configuration and the command line spell it.
+    /// Name in the configuration and on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Acoustic => "acoustic",
@@ -828,7 +828,7 @@ impl SimplifyMethod {
     }
 }
 
-/// What the parts of a scatterer's energy count.
+/// Weights of the parts of a scatterer's energy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EnergyWeights {
     /// Gaussian curvature.
@@ -842,7 +842,7 @@ pub struct EnergyWeights {
 }
 
 impl EnergyWeights {
-    /// The paper names three weights and gives no values: all alike.
+    /// Equal weights: the paper names three weights and gives no values.
     pub const PAPER: Self = Self {
         curvature: 1.0,
         scattering: 1.0,
@@ -865,7 +865,7 @@ impl EnergyWeights {
     }
 }
 
-/// A seabed's file and what it is to be taken for. Where a choice is none the file decides, or where it says nothing, the look of its numbers.
+/// A seabed file and its interpretation. None: as the file says, or detected from its values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeabedFileSpec {
     /// The survey.
@@ -876,13 +876,13 @@ pub struct SeabedFileSpec {
     pub crs: Option<CrsSpec>,
     /// None: as the file says, or by the sign of most values.
     pub values: Option<HeightSign>,
-    /// Which end of a grid its first row lies at.
+    /// Position of a grid's first row.
     pub first_row: Option<FirstRow>,
-    /// Stands for a hole, besides the value that the file itself names.
+    /// Value of a hole, besides the one that the file names.
     pub nodata: Option<f64>,
-    /// Soundings: cell of the grid that they are made into.
+    /// Grid cell for soundings, metres.
     pub cell_m: Option<f64>,
-    /// Soundings: triangles with a longer edge are holes.
+    /// Triangles of soundings with a longer edge are holes, metres.
     pub max_edge_m: Option<f64>,
 }
 
@@ -919,14 +919,14 @@ pub enum SeabedFormat {
     Ply,
 }
 
-/// What a file's coordinates are.
+/// Coordinate system of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CrsSpec {
-    /// Metres about a zero that is nowhere on the earth.
+    /// Metres about an origin without geographic position.
     Local,
     /// Longitude and latitude in degrees, WGS84.
     Geographic,
-    /// Metres of a projection that is not turned into latitude and longitude.
+    /// Metres of a projection that is not converted to latitude and longitude.
     Projected,
     /// Universal transverse Mercator on WGS84.
     Utm {
@@ -987,14 +987,14 @@ pub enum FirstRow {
     South,
 }
 
-/// Pacing and threads.
+/// Timing, threads and delivery.
 #[derive(Clone, Debug)]
 pub struct RunSpec {
-    /// 0: as many as there are cores.
+    /// 0: one per core.
     pub threads: usize,
     /// Delivery after the end of the window, seconds.
     pub latency_s: f64,
-    /// Counters are printed this often, seconds.
+    /// Interval between printed status lines, seconds.
     pub status_interval_s: f64,
     /// Pings that may wait for delivery.
     pub queue_pings: usize,
@@ -1004,28 +1004,28 @@ pub struct RunSpec {
     pub priority: u8,
     /// Of the threads that compute pings, -20 to 0.
     pub compute_nice: i8,
-    /// Where the log of injected faults goes, if not beside the records.
+    /// Folder of the fault log; none: the folder of the records.
     pub fault_directory: Option<PathBuf>,
-    /// Of the time to the next ping, over which a ping's datagrams leave; none: all at once.
+    /// Share of the time to the next ping over which a ping's datagrams leave; none: all at once.
     pub spread_share: Option<f64>,
-    /// So over TCP too.
+    /// Records over TCP are spread as well.
     pub pace_tcp: bool,
     /// When records leave.
     pub delivery: DeliverySpec,
-    /// Pings that stream are made tile by tile, and leave meanwhile.
+    /// A streamed ping is computed in tiles, and its first blocks leave meanwhile.
     pub stream_tiles: bool,
     /// What happens when a ping cannot be ready in time.
     pub overload: OverloadSpec,
-    /// A ping takes at least so long, and half of it at each looser tolerance, seconds: an overload rehearsed.
+    /// Minimum computing time of a ping, halved at each looser tolerance, seconds; for testing overload.
     pub simulated_compute_s: f64,
-    /// A ping is computed so long before its pulse, from the motion foreseen then, seconds. Above 0 in `predict` only.
+    /// A ping is computed this long before its pulse, from the predicted motion, seconds. Above 0 only in `predict`.
     pub ahead_s: f64,
-    /// What methods cost on this machine; none is the table that comes with the program.
+    /// Cost table of the methods on this machine; none: the built-in table.
     pub costs: Option<PathBuf>,
 }
 
 impl RunSpec {
-    /// [`RunSpec::ahead_s`] in whole nanoseconds, so that everybody means the same instant.
+    /// [`RunSpec::ahead_s`] in whole nanoseconds, so that every caller gets the same instant.
     pub fn ahead_ns(&self) -> i64 {
         (self.ahead_s * 1e9).round() as i64
     }
@@ -1042,9 +1042,9 @@ impl RunSpec {
 /// When element samples leave.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum DeliverySpec {
-    /// With all else that a ping makes.
+    /// At the end of the ping, with its other records.
     PingEnd,
-    /// In blocks of so many seconds, each so long after its last sample would have been heard.
+    /// In blocks, each a constant time after the reception of its last sample.
     Streaming {
         /// Length of a block, seconds.
         block_s: f64,
@@ -1053,21 +1053,21 @@ pub enum DeliverySpec {
     },
 }
 
-/// How fast rig time goes. The samples do not depend on it.
+/// Speed of rig time. The samples do not depend on it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ClockSpec {
     /// The computer's time.
     RealTime,
-    /// So many times as fast as the machine's clock.
+    /// This many times as fast as real time.
     Scaled(f64),
     /// As fast as pings can be computed.
     Fast,
-    /// A ping for every step that is asked for.
+    /// One ping per requested step.
     Lockstep,
 }
 
 impl ClockSpec {
-    /// Rig time is not the machine's: it goes from pulse to pulse, and nothing is ever late.
+    /// Whether rig time advances from pulse to pulse, so that nothing is late.
     pub fn is_own(self) -> bool {
         matches!(self, Self::Fast | Self::Lockstep)
     }
@@ -1085,9 +1085,9 @@ pub struct RecordSpec {
 pub struct ControlSpec {
     /// None: no control.
     pub listen: Option<SocketAddr>,
-    /// There is one wherever `listen` is not a loopback address.
+    /// Always present unless `listen` is a loopback address.
     pub token: Option<String>,
-    /// Where the port of `listen` is somebody else's, any other will do: nobody named it.
+    /// If the port of `listen` is taken, any free port is used.
     pub or_any_port: bool,
 }
 
@@ -1100,7 +1100,7 @@ pub struct SonarSpec {
     pub serial: u64,
     /// The transmitted pulse.
     pub pulse: Pulse,
-    /// In the water together with `pulse`.
+    /// Further pulses in the water together with `pulse`.
     pub more_pulses: Vec<MorePulseSpec>,
     /// Transmit arrays.
     pub transmit: Vec<TransmitArray>,
@@ -1132,72 +1132,72 @@ pub struct SonarSpec {
     pub outputs: Vec<OutputSpec>,
 }
 
-/// A pulse beside the sonar's own.
+/// A further pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MorePulseSpec {
-    /// Duration and taper are those of the sonar's own.
+    /// Duration and taper equal those of the sonar's own pulse.
     pub pulse: Pulse,
-    /// After the sonar's own.
+    /// Delay after the sonar's own pulse.
     pub delay_s: f64,
     /// Index of the transmit array that sends it, to all receive arrays; none: each receive array's own sends it.
     pub transmit: Option<usize>,
 }
 
-/// How the pictures of a replay look.
+/// Look of replay pictures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PictureSpec {
     /// Across-track axis of the waterfall.
     pub range: PictureRange,
-    /// With the receiver's time-varying gain taken out again.
+    /// The receiver's time-varying gain is removed.
     pub raw: bool,
     /// Colour map of waterfall and mosaic.
     pub colours: ColourMap,
     /// Limits of the colour scale.
     pub contrast: Contrast,
-    /// The mean level at each range is taken out.
+    /// The mean level at each range is removed.
     pub flatten: bool,
-    /// Of the waterfall, across; none: the range over 600 pixels.
+    /// Pixel size across the waterfall; none: 600 pixels per side.
     pub metres_per_pixel: Option<f64>,
-    /// Of the fan's pictures.
+    /// Interval between pictures of the fan, pings.
     pub fan_every_pings: u32,
     /// Look of the mosaic.
     pub mosaic: MosaicLook,
 }
 
-/// Pixels of a mosaic and what they keep.
+/// Look of a mosaic.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MosaicLook {
     /// Pixel size.
     pub metres_per_pixel: f64,
     /// Value of a pixel that several passes cover.
     pub overlap: Overlap,
-    /// Directions nearer to the vertical than this are left out.
+    /// Directions closer to the vertical are left out.
     pub nadir_rad: f64,
 }
 
-/// What a pixel keeps of several pings.
+/// Value of a pixel that several pings cover.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Overlap {
     /// The mean intensity.
     Mean,
-    /// The ping that saw it last.
+    /// The last ping.
     Last,
-    /// The pass that saw it from nearest; the mean over its pings.
+    /// The mean over the pings of the nearest pass.
     Nearest,
 }
 
-/// What a waterfall's columns are.
+/// Across-track axis of a waterfall.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PictureRange {
     /// Slant range.
     Slant,
-    /// Over a flat bottom as deep as the seabed under the sonar.
+    /// Ground range with a flat bottom at the true depth under the sonar.
     Ground,
-    /// Over a flat bottom as far away as the first echo of the bottom.
+    /// Ground range with a flat bottom at the range of the first bottom echo.
     GroundFirstReturn,
 }
 
-/// What is darkest and what is brightest in a picture.
+/// Limits of the colour scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Contrast {
     /// Shares (0 to 1) of the picture's own pixels that lie below darkest and below brightest.
@@ -1252,27 +1252,27 @@ impl Default for PictureSpec {
     }
 }
 
-/// How the chosen synthesis is run and watched.
+/// Tolerance, error check and options of the synthesis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SynthesisSpec {
     /// Relative error of element samples in any window of a pulse's length, before noise and converter: what engines are made for, and what a
     /// error check is held to.
     pub tolerance: f64,
-    /// Recompute random samples through the reference.
+    /// Recompute random samples with the reference.
     pub error_check: bool,
     /// Step of `spectral`'s frequency grid; none: one over the longest record, or finer.
     pub frequency_step_hz: Option<f64>,
-    /// Nearest scatterer for which `gridded-2d` is made.
+    /// Range of the nearest scatterer that `gridded-2d` is designed for.
     pub nearest_m: f64,
-    /// What an engine is made for, where models need the rest of `tolerance`; none is all of it.
+    /// Tolerance of the engine, where models need the rest of `tolerance`; none: all of it.
     pub engine_tolerance: Option<f64>,
-    /// What the plan of methods chooses.
+    /// Methods that are chosen automatically.
     pub auto: AutoModel,
-    /// Pictures are all that is looked at: cells of range by which things may be displaced.
+    /// Range cells by which echoes may be displaced if only pictures are used; none: the sample tolerance applies.
     pub image_cells: Option<f64>,
     /// Element samples or side-scan lines.
     pub output: MadeOutput,
-    /// Why elements are made even so; none where lines are all that anybody sees.
+    /// Why elements are required; none: only side-scan lines are.
     pub elements_for: Option<&'static str>,
 }
 
@@ -1305,26 +1305,26 @@ pub use families::{ImagenexSpec, JsfChannels, JsfFormat, JsfSpec, XtfSpec};
 /// Side-scan lines and a fan of beams.
 #[derive(Clone, Debug, Default)]
 pub struct BeamsSpec {
-    /// Side-scan lines: which receive array makes which side.
+    /// Side-scan lines and their receive arrays.
     pub lines: Vec<LineSpec>,
-    /// Lines are focused along range.
+    /// Side-scan lines are focused along range.
     pub focused_lines: bool,
-    /// Of focused lines: range over the length in use, at most the whole line; none uses all of it everywhere.
+    /// Range over the used array length, for focused lines; none: the whole array.
     pub line_f_number: Option<f64>,
-    /// Of focused lines, along the array.
+    /// Shading along the array, for focused lines.
     pub line_shading: Shading,
     /// None: no fan.
     pub fan: Option<FanSpec>,
-    /// Along the pulse, of every matched filter.
+    /// Window of every matched filter.
     pub weighting: Shading,
     /// None: no synthetic aperture.
     pub synthetic_aperture: Option<SyntheticApertureSpec>,
 }
 
-/// A patch of the world that a replay's pings are back-projected on.
+/// Horizontal area onto which a replay's pings are back-projected.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SyntheticApertureSpec {
-    /// Receive arrays whose elements add to it.
+    /// Indices of the receive arrays that are used.
     pub arrays: Vec<usize>,
     /// Southern and northern edge.
     pub north_m: (f64, f64),
@@ -1368,7 +1368,7 @@ pub struct FanSpec {
     pub form: FanForm,
 }
 
-/// How a fan's beams are laid and formed.
+/// Distribution and forming of a fan's beams.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FanForm {
     /// Beamforming method.
@@ -1377,13 +1377,13 @@ pub struct FanForm {
     pub spacing: BeamSpacing,
     /// Middle of the sector, from the boresight.
     pub center_rad: f64,
-    /// Angles are from the vertical, whatever the roll.
+    /// Beam angles count from the vertical.
     pub roll_stabilised: bool,
-    /// Of `dynamic-focus`: range over the length of line in use, at most all of it; none uses all of it everywhere.
+    /// Range over the used array length with `dynamic-focus`; none: the whole array.
     pub f_number: Option<f64>,
-    /// Of `dynamic-focus`: what carrier phase a focus may err by at the ends of its zone.
+    /// Maximum carrier phase error at the ends of a focal zone with `dynamic-focus`.
     pub focus_error_rad: f64,
-    /// Look for the bottom in every beam.
+    /// Detect the bottom in every beam.
     pub bottom_detection: bool,
 }
 
@@ -1406,18 +1406,18 @@ impl Default for FanForm {
 pub enum Former {
     /// Far field, true time delays at every frequency, f64.
     Exact,
-    /// The same by fast transforms over time and line, f32.
+    /// The same with FFTs over time and array, f32.
     Fft,
     /// Far field, true time delays to a fraction of a sample, f32.
     TimeDelay,
-    /// Far field, carrier phases alone.
+    /// Far field, carrier phases only.
     Phase,
     /// Near field, refocused along range, with the receiver's motion.
     DynamicFocus,
 }
 
 impl Former {
-    /// As the configuration spells it.
+    /// Name in the configuration.
     pub fn name(self) -> &'static str {
         match self {
             Self::Exact => "exact",
@@ -1434,14 +1434,14 @@ impl Former {
 pub enum BeamSpacing {
     /// Equal steps of angle.
     EquiAngle,
-    /// On a flat bottom.
+    /// Equal steps of distance on a flat bottom.
     EquiDistant,
-    /// As a transform over the line has them.
+    /// Equal steps of sine, as from an FFT over the array.
     EquiSine,
 }
 
 impl BeamSpacing {
-    /// As the configuration spells it.
+    /// Name in the configuration.
     pub fn name(self) -> &'static str {
         match self {
             Self::EquiAngle => "equi-angle",
@@ -1466,7 +1466,7 @@ pub enum Shading {
         /// Below the main lobe.
         side_lobe_db: f64,
     },
-    /// Along a pulse: Taylor's of the same side lobes.
+    /// Chebyshev window; along a pulse the Taylor window of the same side lobes.
     Chebyshev {
         /// Below the main lobe.
         side_lobe_db: f64,
@@ -1479,7 +1479,7 @@ pub enum Shading {
 }
 
 impl Shading {
-    /// As the configuration spells it.
+    /// Name in the configuration.
     pub fn name(self) -> &'static str {
         match self {
             Self::Uniform => "uniform",
@@ -1526,13 +1526,13 @@ pub struct SevenKSpec {
     pub device_id: u32,
     /// Distinguishes heads with the same device identifier.
     pub enumerator: u16,
-    /// Receive arrays whose elements go into 7038, in this order.
+    /// Indices of the receive arrays of record 7038, in this order.
     pub arrays: Vec<usize>,
-    /// Bytes of a packet, network frame included.
+    /// Packet length with network frame, bytes.
     pub max_packet: usize,
-    /// Bytes that may wait for one client before its records are dropped.
+    /// Queue of one client; further records are dropped.
     pub client_queue_bytes: usize,
-    /// A client whose queue is full is disconnected instead of missing records.
+    /// A client with a full queue is disconnected instead of missing records.
     pub disconnect_when_full: bool,
     /// Connections at the same time.
     pub max_clients: usize,

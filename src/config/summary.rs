@@ -1,4 +1,4 @@
-//! What follows from a configuration, for people.
+//! The derived quantities of a rig, as text.
 
 mod families;
 mod nav;
@@ -18,7 +18,7 @@ use echotank_core::flow::{
 };
 use echotank_core::frames::rotation_from_angles;
 
-/// How far the platform is tilted to show what the signs mean.
+/// Tilt of the platform in the sign test.
 const SIGN_TEST_DEG: f64 = 10.0;
 
 /// -3 dB width of a uniform line, in wavelengths over its length: sinc^2(0.443) = 1/2.
@@ -28,7 +28,7 @@ const TURNAROUND_S: f64 = 1e-3;
 /// Names line up in a column this wide.
 const LABEL: usize = 12;
 
-/// The derived quantities of a rig, several lines, ending in notes on what may surprise.
+/// The derived quantities of a rig, one per line, and notes on unusual settings.
 pub fn summary(rig: &RigSpec) -> String {
     let mut text = String::new();
     write_rig(&mut text, rig).expect("a String takes everything");
@@ -186,7 +186,7 @@ struct Derived {
     wavelength_m: f64,
     window_s: f64,
     samples: f64,
-    /// Kept: what was asked, or as fast as the range allows.
+    /// The set rate, or the highest that the range allows.
     ping_rate_hz: f64,
     longest_rate_hz: f64,
 }
@@ -311,7 +311,7 @@ fn gain(receiver: &Receiver, range_m: f64) -> String {
     }
 }
 
-/// -3 dB width of an aperture of this length, degrees; 180 where it is too short to have one.
+/// -3 dB beam width of an aperture of this length, degrees; 180 if it is too short to have one.
 fn beamwidth_deg(wavelength_m: f64, length_m: f64) -> f64 {
     let sine = BEAMWIDTH * wavelength_m / length_m;
     if sine.is_finite() && sine < 2.0 {
@@ -367,7 +367,7 @@ fn write_arrays(out: &mut String, sonar: &SonarSpec, wavelength_m: f64) -> fmt::
     write_signs(out, sonar)
 }
 
-/// Where a point of the body goes when the platform tilts.
+/// Displacement of a body point when the platform tilts.
 fn tilted(at: DVec3) -> String {
     let tilt_rad = SIGN_TEST_DEG.to_radians();
     let moves = |roll_rad: f64, pitch_rad: f64| {
@@ -388,7 +388,7 @@ fn tilted(at: DVec3) -> String {
     )
 }
 
-/// What rolling to starboard and lifting the bow do to each array: a wrong sign or a swapped axis shows at once.
+/// Effect of roll and pitch on each array, which shows a wrong sign or a swapped axis.
 fn write_signs(out: &mut String, sonar: &SonarSpec) -> fmt::Result {
     let transmit = sonar.transmit_names.iter().zip(&sonar.transmit);
     let receive = sonar.receive_names.iter().zip(&sonar.receive);

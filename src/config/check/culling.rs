@@ -1,4 +1,4 @@
-//! How much of the patterns may be left out, where the operator does not say.
+//! Default of the culling level.
 //!
 //! Over a seabed, the energy that a ring of ground returns from directions below a floor of the two-way pattern is a known share of all that it
 //! returns, and the root of the share is the relative error of that window's samples. The floor is the highest that costs
@@ -9,16 +9,16 @@ use glam::DVec3;
 use super::super::spec::SonarSpec;
 use echotank_core::flow::{ArrayGeometry, Pattern, TransmitArray};
 
-/// Errors of engines and of models need the rest.
+/// The rest is left to the errors of engines and models.
 const SHARE_OF_TOLERANCE: f64 = 0.5;
 /// From near the first bottom return to grazing.
 const INCIDENCES_DEG: [f64; 4] = [20.0, 45.0, 70.0, 85.0];
 /// Directions on a ring.
 const AZIMUTHS: usize = 7200;
-/// A floor below this is none, dB: it leaves out next to nothing.
+/// Lower floors are not used, dB: they leave out almost nothing.
 const MIN_DB: f64 = -120.0;
 
-/// For [`ModelChoice::cull_db`](echotank_core::flow::ModelChoice); none where hardly anything may be left out.
+/// The default of [`ModelChoice::cull_db`](echotank_core::flow::ModelChoice); none if culling has no use.
 pub(super) fn floor_db(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Option<f64> {
     let wavelength_m = sound_speed_m_per_s / sonar.pulse.center_frequency_hz;
     let share = (SHARE_OF_TOLERANCE * sonar.synthesis.tolerance).powi(2);
@@ -27,7 +27,7 @@ pub(super) fn floor_db(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Option<f6
         INCIDENCES_DEG.map(|deg| floor(transmit, array, wavelength_m, deg.to_radians(), share))
     });
     let least = floors.fold(f64::INFINITY, f64::min);
-    // Down to a tenth, so that the number in the records says all.
+    // Rounded down to a tenth, so that the number in the records is exact.
     let db = (200.0 * libm::log10(least)).floor() / 10.0;
     (MIN_DB..0.0).contains(&db).then_some(db)
 }

@@ -6,7 +6,7 @@ use crate::keys;
 use crate::raw::Problems;
 use echotank_core::flow::Side;
 
-/// Ports that WBMS takes in a row.
+/// Consecutive ports of WBMS.
 const WBMS_PORTS: u16 = 4;
 
 pub(super) fn ping<'t>(

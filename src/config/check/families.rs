@@ -11,13 +11,13 @@ const MAX_JSF_CHANNELS: usize = 256;
 /// JSF counts samples in 20 bits.
 const MAX_JSF_SAMPLES: f64 = ((1 << 20) - 1) as f64;
 
-/// What a side-scan family needs to know of the sonar.
+/// Properties of the sonar that a side-scan output depends on.
 pub(super) struct Sonar<'a> {
     pub arrays: &'a Arrays<'a>,
-    /// Of the longest ping.
+    /// Samples of the longest ping.
     pub samples: Option<f64>,
     pub has_lines: bool,
-    /// In the water together with the first.
+    /// Further pulses in the water together with the first.
     pub more_pulses: usize,
 }
 

@@ -1,4 +1,4 @@
-//! `[[fault]]` to requests that make sense.
+//! `[[fault]]` to checked requests.
 
 use super::Problems;
 use crate::keys;

@@ -1,4 +1,4 @@
-//! The newer parts of the navigation's configuration: towing, and what is sent out.
+//! Towing and navigation outputs.
 
 use std::net::SocketAddr;
 
@@ -122,7 +122,7 @@ fn target<'t>(
     }
 }
 
-/// `8N1` and its kin.
+/// A serial frame format such as `8N1`.
 pub(super) fn serial_line(line: &Field<String>) -> Option<SerialLine> {
     let text = line.text()?.as_bytes();
     let digit = |at: usize| text.get(at).map(|b| b.wrapping_sub(b'0'));

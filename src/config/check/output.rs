@@ -1,11 +1,11 @@
-//! Whether a sonar's pings may be made without elements.
+//! Whether a sonar's pings can be made without elements.
 
 use super::Problems;
 use crate::keys;
 use crate::spec::{ControlSpec, FaultKind, FaultRequest, MadeOutput, SonarSpec};
 
-/// Notes why elements are needed, and refuses to do without them there.
-pub(super) fn who_needs_elements(
+/// Notes why elements are required, and refuses model.output = "beams" in that case.
+pub(super) fn note_element_needs(
     sonar: &mut SonarSpec,
     table: &keys::Sonar,
     control: Option<&ControlSpec>,

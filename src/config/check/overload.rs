@@ -4,8 +4,8 @@ use super::super::spec::*;
 use crate::keys;
 use crate::raw::Problems;
 
-/// `degrade` needs a tolerance that can be looser, `stretch` pulses of one's own.
-pub(crate) fn refuse_what_has_nothing_to_give(
+/// `degrade` needs a tolerance that can be loosened, `stretch` an internal trigger.
+pub(crate) fn refuse_overload_conflicts(
     run: &keys::Run,
     sonars: &[&SonarSpec],
     problems: &mut Problems,

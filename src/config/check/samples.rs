@@ -8,14 +8,14 @@ use crate::raw::{Field, Problems};
 use echotank_core::flow::Pulse;
 use echotank_protocols::elements::{HEADER_BYTES, SampleType};
 
-/// What stands around the samples of a VITA 49 packet.
+/// Header and trailer of a VITA 49 packet.
 const VRT_AROUND_BYTES: usize = 24;
 /// WAV counts channels in 16 bits, and bytes of a moment too.
 const MAX_WAV_CHANNELS: usize = 16_383;
 /// VITA 49 counts a vector's elements in 16 bits.
 const MAX_VECTOR: usize = 65_536;
 
-/// What samples are made from.
+/// Arrays and pulse behind the samples.
 #[derive(Clone, Copy)]
 pub(super) struct Source<'a> {
     pub arrays: &'a Arrays<'a>,
@@ -36,7 +36,7 @@ impl Source<'_> {
             .map(|pulse| pulse.center_frequency_hz + 0.5 * pulse.bandwidth_hz)
     }
 
-    /// A rate that passband samples can have, Hz.
+    /// The passband sample rate, Hz; refused at or below twice the highest frequency.
     fn passband_rate_hz(&self, key: &Field<f64>, problems: &mut Problems) -> Option<f64> {
         let rate_hz = key.get()?;
         if let Some(highest_hz) = self.highest_hz()

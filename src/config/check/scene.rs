@@ -1,4 +1,4 @@
-//! The scene, and how densely the seabed must be sampled for the sonars that look at it.
+//! The scene, and the density of seabed scatterers that the sonars require.
 
 use glam::DVec3;
 
@@ -10,20 +10,20 @@ use echotank_core::flow::{Pattern, PulseKind};
 
 /// Storage of one scatterer in a tile, bytes: three coordinates, a normal, a strength, a mark.
 const BYTES_PER_SCATTERER: f64 = 34.0;
-/// Tiles reach over the edges of what is heard by about this factor.
+/// Tiles extend beyond the insonified area by about this factor.
 const TILE_EDGES: f64 = 1.3;
-/// The density goes in powers of two, on average 1.4 times what is needed and never more than twice that.
+/// The density is a power of two: on average 1.4 times the required one, at most twice.
 const LEVEL_STEPS: f64 = 2.0;
 /// Scatterers in the finest resolution cell where the density is automatic: enough for a Rayleigh envelope (model.md 11).
 const SCATTERERS_PER_CELL: f64 = 5.0;
 /// -3 dB width of a line of length L, in wavelengths over L (Meng et al. 2023, Eq. 1).
 const BEAM_WIDTH: f64 = 0.886;
-/// Two lines whose axes have this much in common narrow the same beam.
+/// Arrays with a larger cosine between their axes narrow the same beam.
 const ALONG: f64 = 0.5;
-/// ... and from which on they are taken for one: 2.6 degrees.
+/// Arrays with a larger cosine count as parallel: 2.6 degrees.
 const PARALLEL: f64 = 0.999;
 
-/// What the scene must know of the rest of the rig, as far as that is without fault.
+/// Properties of the rig that the scene depends on.
 pub(super) struct Rig<'a> {
     pub sonars: &'a [&'a SonarSpec],
     pub sound_speed_m_per_s: Option<f64>,
@@ -48,7 +48,7 @@ pub(super) fn scene(table: &keys::Scene, rig: &Rig, problems: &mut Problems) -> 
     if table.anchor.text() == Some("file") {
         only_with(&[&table.anchor], gridded, condition, problems);
     }
-    // A table of shapes may give depths, and says itself where it needs a seabed.
+    // A file of shapes may give depths; its reader reports a missing seabed.
     let shapes = table
         .targets
         .get()
@@ -101,7 +101,7 @@ pub(super) fn scene(table: &keys::Scene, rig: &Rig, problems: &mut Problems) -> 
     })
 }
 
-/// What is asked for, or that nothing is; none if that is no good.
+/// `Some(None)` without a method; none after a problem.
 fn simplify(table: &keys::Simplify, problems: &mut Problems) -> Option<Option<SimplifySpec>> {
     let name = table.method.text()?;
     let some = Some(name != "none");
@@ -249,7 +249,7 @@ fn file(table: &keys::Seabed, shape: &str, problems: &mut Problems) -> Option<Se
     })
 }
 
-/// The system that a key names, or that none was given; none if it is no good.
+/// `Some(None)` if the key is not given; none after a problem.
 fn crs(key: &Field<String>, problems: &mut Problems) -> Option<Option<CrsSpec>> {
     match key.text().map(str::parse) {
         None => Some(None),
@@ -298,7 +298,7 @@ fn bottom(table: &keys::Seabed, problems: &mut Problems) -> Option<BottomSpec> {
     })
 }
 
-/// The mosaic, or that none was given; none if the one given is no good.
+/// `Some(None)` if no mosaic is given; none after a problem.
 fn mosaic(table: &keys::Seabed, problems: &mut Problems) -> Option<Option<MosaicSpec>> {
     let given = table.mosaic.given;
     only_with(
@@ -384,7 +384,7 @@ impl Rig<'_> {
         full_circle * self.widest_share() * TILE_EDGES
     }
 
-    /// Of the full circle, what the widest pair of transmitter and element hears above the floor for culling.
+    /// Share of the full circle that the widest pair of transmitter and element covers above the culling level.
     fn widest_share(&self) -> f64 {
         let Some(c) = self.sound_speed_m_per_s else {
             return 0.0;
@@ -421,7 +421,7 @@ fn knee(pattern: &Pattern, wavelength_m: f64) -> f64 {
     }
 }
 
-/// Where the product of two such patterns, each at most 1, has fallen to 1 / depth.
+/// Sine at which the product of two such patterns, each at most 1, falls to 1 / depth.
 fn two_way_sine(a: f64, b: f64, depth: f64) -> f64 {
     let (narrow, wide) = (a.min(b), a.max(b));
     match narrow * depth > wide {
@@ -430,7 +430,7 @@ fn two_way_sine(a: f64, b: f64, depth: f64) -> f64 {
     }
 }
 
-/// How parallel two lines lie, 0 to 1.
+/// Cosine between two array axes, 0 to 1.
 fn along(a: &echotank_core::flow::Mounting, b: &echotank_core::flow::Mounting) -> f64 {
     let axis = |mounting: &echotank_core::flow::Mounting| mounting.body_from_array * DVec3::X;
     axis(a).dot(axis(b)).abs()
@@ -446,7 +446,7 @@ fn range_resolution_m(sonar: &SonarSpec, c: f64) -> f64 {
     c / (2.0 * bandwidth_hz)
 }
 
-/// Of each receive array with its transmitter: the width of the beam along the line that both share, radians.
+/// Two-way beam width of each receive array with its transmitter, radians.
 fn beams_rad(sonar: &SonarSpec, c: f64) -> impl Iterator<Item = f64> {
     let wavelength_m = c / sonar.pulse.center_frequency_hz;
     sonar.receive.iter().map(move |array| {

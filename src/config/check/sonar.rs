@@ -20,11 +20,11 @@ use echotank_core::flow::{
 };
 use echotank_core::frames::rotation_from_angles;
 
-/// The fastest platform the sample rate is made for, m/s.
+/// Platform speed that the sample rate must allow for, m/s.
 pub(crate) const MAX_PLATFORM_SPEED_M_PER_S: f64 = 10.0;
-/// Sample rate over signal bandwidth, at least: what a matched filter and an interpolation need to leave a margin at the band's edges.
+/// Minimum sample rate over signal bandwidth: a margin at the band edges for matched filter and interpolation.
 const OVERSAMPLING: f64 = 1.25;
-/// Samples of all elements of one ping, bytes at most: a slip in a unit must not end in an allocation that ends the process.
+/// Maximum size of the element samples of one ping, bytes: a wrong unit must not exhaust the memory.
 const MAX_PING_BYTES: f64 = 8.0 * (1u64 << 30) as f64;
 const BYTES_PER_COMPLEX_F64: f64 = 16.0;
 /// Record 7038 holds 16-bit I and Q.
@@ -33,14 +33,14 @@ pub(crate) const BYTES_PER_7038_SAMPLE: f64 = 4.0;
 const MAX_SYNTHETIC_PIXELS: f64 = 4e6;
 /// 7k counts elements in 16 bits.
 const MAX_7K_ELEMENTS: usize = 65_535;
-/// A boresight or axis is held to point to a side when its starboard component is beyond this: half a degree is no mistake of sign.
+/// A boresight points to a side if its starboard component exceeds this; half a degree is not an error of sign.
 const SIDE_MARGIN: f64 = 0.01;
-/// A fan's line must have this much of its length across the track for port and starboard to mean something.
+/// Minimum starboard component of the axis of a fan's array across the track.
 const MIN_ACROSS: f64 = 0.5;
-/// ... or along it for forward and aft to.
+/// Minimum forward component of the axis of a fan's array along the track.
 const MIN_ALONG: f64 = 0.5;
 
-/// Shortest to longest, from the limits or else the setting.
+/// The longest range that the limits allow, else the set range.
 pub(crate) fn longest_range_m(table: &keys::Sonar) -> Option<f64> {
     let limit = table
         .limits
@@ -50,7 +50,7 @@ pub(crate) fn longest_range_m(table: &keys::Sonar) -> Option<f64> {
     limit.or_else(|| table.ping.as_ref()?.range_m.get())
 }
 
-/// `among`: its place among the sonars, and all their names.
+/// `among`: its index among the sonars, and all their names.
 pub(crate) fn sonar<'t>(
     table: &'t keys::Sonar,
     among: (usize, &[Option<&str>]),
@@ -137,7 +137,7 @@ pub(crate) fn sonar<'t>(
         .beams
         .as_ref()
         .is_some_and(|t| t.port.given || t.starboard.given);
-    let heard = Heard {
+    let context = OutputContext {
         arrays: &arrays,
         largest: &largest,
         has_lines,
@@ -148,7 +148,7 @@ pub(crate) fn sonar<'t>(
     let outputs = table
         .output
         .as_ref()
-        .and_then(|t| outputs(t, &heard, listeners, problems));
+        .and_then(|t| outputs(t, &context, listeners, problems));
     let trigger = table
         .trigger
         .as_ref()
@@ -300,7 +300,7 @@ fn settings(sonar: &keys::Sonar, problems: &mut Problems) -> Option<SonarSetting
     })
 }
 
-/// Each limit, or the setting alone where none is given; the setting must lie inside.
+/// The limits; a limit that is not given holds the setting alone. Refuses settings outside.
 fn limits(sonar: &keys::Sonar, problems: &mut Problems) -> Option<LimitsSpec> {
     let table = sonar.limits.as_ref()?;
     let ping = sonar.ping.as_ref();
@@ -450,7 +450,7 @@ fn receive(
     })
 }
 
-/// The receive arrays that beams and outputs name; those that could not be read are none.
+/// The receive arrays that beams and outputs refer to; none: an array with a problem.
 pub(crate) struct Arrays<'a> {
     pub names: &'a [Option<&'a str>],
     pub specs: &'a [Option<ArrayGeometry>],
@@ -462,7 +462,7 @@ impl Arrays<'_> {
         index_of(key.text()?, key, self.names, "receive array", problems)
     }
 
-    /// The arrays named under `arrays`, or all where none are.
+    /// Indices of the arrays named under `arrays`, or of all arrays if it is not given.
     pub(crate) fn chosen(
         &self,
         arrays: &Field<Vec<String>>,
@@ -546,7 +546,7 @@ fn receiver(
     })
 }
 
-/// What the configuration itself says about absorption. The formulas belong to the echo model; the rig puts their value in.
+/// Absorption given in the configuration. The rig inserts the value of a formula later.
 fn known_absorption_db_per_m(medium: Option<&MediumSpec>) -> f64 {
     match medium.map(|m| m.absorption) {
         Some(AbsorptionSpec::Fixed { db_per_m }) => db_per_m,
@@ -583,7 +583,7 @@ fn refuse_slow_sampling(
     let c = medium.sound_speed_m_per_s;
     let min_hz = min_sample_rate_hz(pulse, shortest_s, c);
     if rate_hz < min_hz {
-        // Rounded up, so that the number named is enough.
+        // Rounded up, so that the number in the message is sufficient.
         let min_khz = (min_hz / 10.0).ceil() / 100.0;
         problems.refuse(
             &table.sample_rate_khz,
@@ -597,7 +597,7 @@ fn refuse_slow_sampling(
     }
 }
 
-/// All bands about the one carrier lie within the sampled band.
+/// Refuses pulses with bands outside the sampled band.
 fn refuse_bands_beyond_sampling(
     sonar: &keys::Sonar,
     receiver: &keys::Receiver,
@@ -624,7 +624,7 @@ fn refuse_bands_beyond_sampling(
     }
 }
 
-/// What bounds the number of samples of a ping.
+/// Quantities that bound the number of samples of a ping.
 struct LargestPing {
     range_m: Option<f64>,
     pulse_duration_s: Option<f64>,
@@ -708,7 +708,7 @@ fn model(
         );
     }
     let path = match table.path.text()? {
-        // Without steps, so that every sum takes it.
+        // Without steps, so that every synthesis accepts it.
         AUTO => PathModel::KSegment.name(),
         named => named,
     };
@@ -730,10 +730,10 @@ fn model(
     })
 }
 
-/// What is left to the plan of methods.
+/// Value of a method that is chosen automatically.
 const AUTO: &str = "auto";
 
-/// Of a path that is left to the plan, until it is made, seconds: short enough for any motion there is.
+/// Segment of an automatic path before the method selection, seconds: short enough for any motion.
 const START_SEGMENT_S: f64 = 0.001;
 
 fn auto_model(table: &keys::Model) -> AutoModel {
@@ -747,7 +747,7 @@ fn auto_model(table: &keys::Model) -> AutoModel {
     }
 }
 
-/// Of a Doppler model that is left to the plan, until it is made: the best that the sum takes.
+/// An automatic Doppler model before the method selection: the most accurate that the synthesis accepts.
 fn start_doppler(table: &keys::Model) -> DopplerModel {
     let named = table.synthesis.text().and_then(synthesis_named);
     match table.synthesis.given && named.is_some_and(Synthesis::shares_pulse) {
@@ -760,7 +760,7 @@ fn synthesis_named(name: &str) -> Option<Synthesis> {
     Synthesis::ALL.into_iter().find(|s| s.name() == name)
 }
 
-/// The engine where it surely reaches its tolerance. Without the receiver filter that depends on how far the pulse's spectrum spreads.
+/// The gridded engine if it surely reaches its tolerance. Without the receiver filter that depends on the pulse's spectrum.
 fn default_synthesis(doppler: DopplerModel, filter: ReceiverFilter) -> Synthesis {
     match filter {
         ReceiverFilter::Fir if Synthesis::Gridded1d.takes(doppler) => Synthesis::Gridded1d,
@@ -971,8 +971,8 @@ fn shading(key: &Field<String>, side_lobe_db: f64, beta: f64) -> Option<Shading>
     })
 }
 
-/// What outputs can be fed with.
-struct Heard<'a, 'b> {
+/// Properties of the sonar that outputs depend on.
+struct OutputContext<'a, 'b> {
     arrays: &'a Arrays<'b>,
     largest: &'a LargestPing,
     has_lines: bool,
@@ -983,18 +983,18 @@ struct Heard<'a, 'b> {
 
 fn outputs<'t>(
     table: &'t keys::Output,
-    heard: &Heard<'_, '_>,
+    context: &OutputContext<'_, '_>,
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<Vec<OutputSpec>> {
-    let &Heard {
+    let &OutputContext {
         arrays,
         largest,
         has_lines,
         pulse,
         more_pulses,
         beams,
-    } = heard;
+    } = context;
     let mut outputs = Vec::new();
     if table.sevenk.given {
         let spec = table

@@ -1,4 +1,4 @@
-//! Samples that leave as they would be heard.
+//! Streaming delivery.
 
 use super::super::spec::*;
 use super::only_with;
@@ -6,7 +6,7 @@ use crate::keys;
 use crate::raw::Problems;
 use echotank_core::flow::{DopplerModel, Synthesis};
 
-/// With streaming, unless it is given, seconds.
+/// Default of `ahead_ms` with streaming, seconds.
 const AHEAD_S: f64 = 0.1;
 
 pub(super) fn delivery(table: &keys::Run, problems: &mut Problems) -> Option<DeliverySpec> {
@@ -39,8 +39,8 @@ pub(super) fn ahead_s(table: &keys::Run) -> Option<f64> {
     }
 }
 
-/// Tiles are pings cut short, and not every way to make a ping can be.
-pub(crate) fn refuse_what_has_no_tiles(
+/// Refuses tiles with methods that need the whole ping.
+pub(crate) fn refuse_tile_conflicts(
     run: &keys::Run,
     sonars: &[&SonarSpec],
     problems: &mut Problems,
@@ -50,7 +50,7 @@ pub(crate) fn refuse_what_has_no_tiles(
     }
     for sonar in sonars {
         let model = &sonar.model;
-        // The replicas of "nearest" and "linear" begin up to a sample before their echoes, which a tile does not know of.
+        // The replicas of "nearest" and "linear" begin up to a sample before their echoes, outside the tile.
         let one_by_one = [Synthesis::Reference, Synthesis::Direct];
         let is_passband = |output: &OutputSpec| matches!(output, OutputSpec::Vita49(output) if output.passband_rate_hz.is_some());
         let why = if sonar.synthesis.auto.any() || !one_by_one.contains(&model.synthesis) {
@@ -70,8 +70,12 @@ pub(crate) fn refuse_what_has_no_tiles(
     }
 }
 
-/// What is computed before its pulse cannot wait for the motion that follows.
-pub(crate) fn refuse_without_foresight(nav: &NavSpec, run: &keys::Run, problems: &mut Problems) {
+/// Refuses computing ahead of the pulse without prediction.
+pub(crate) fn refuse_ahead_without_prediction(
+    nav: &NavSpec,
+    run: &keys::Run,
+    problems: &mut Problems,
+) {
     if nav.mode == NavMode::Predict {
         return;
     }
@@ -83,8 +87,8 @@ pub(crate) fn refuse_without_foresight(nav: &NavSpec, run: &keys::Run, problems:
     }
 }
 
-/// What is foreseen for longer than anything may be carried on is never there.
-pub(crate) fn refuse_out_of_sight(
+/// Refuses a prediction time beyond the longest extrapolation: every ping would be skipped.
+pub(crate) fn refuse_long_prediction(
     nav: &NavSpec,
     run: &keys::Run,
     sonars: &[&SonarSpec],

@@ -5,7 +5,7 @@ use super::{Listener, address, index_of, listen, needed_with, only_with};
 use crate::keys;
 use crate::raw::{Entry, Problems};
 
-/// `sonar` is the one whose table this is, `names` are those of all.
+/// `sonar`: the index of this table's sonar; `names`: the names of all sonars.
 pub(super) fn trigger<'t>(
     table: &'t keys::trigger::Trigger,
     sonar: usize,
@@ -101,8 +101,8 @@ pub(super) fn trigger_out(
     Some(TriggerOutSpec { to, serial })
 }
 
-/// Rules that need the whole rig: who follows does not lead, and triggers come in somebody's time.
-pub(crate) fn refuse_what_nobody_can_trigger(
+/// Refuses chains of following sonars, and external triggers with the fast clock.
+pub(crate) fn refuse_trigger_conflicts(
     tables: &[keys::Sonar],
     sonars: &[Option<SonarSpec>],
     run: Option<&RunSpec>,

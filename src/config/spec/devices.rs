@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 
 use echotank_core::flow::Side;
 
-/// What a device of the Ping protocol is.
+/// Device of the Ping protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PingDevice {
     /// Side-scan: one line, of this side.
@@ -17,7 +17,7 @@ pub enum PingDevice {
 }
 
 impl PingDevice {
-    /// As the configuration spells it.
+    /// Name in the configuration.
     pub fn name(self) -> &'static str {
         match self {
             Self::Omniscan450 { .. } => "omniscan450",
@@ -33,9 +33,9 @@ pub struct PingProtocolSpec {
     pub device: PingDevice,
     /// TCP and UDP.
     pub listen: SocketAddr,
-    /// A serial line's name and bits per second.
+    /// Name and bits per second of a serial port.
     pub serial: Option<(String, u32)>,
-    /// Which of how many synchronised devices this is.
+    /// Number of this device and number of synchronised devices.
     pub channel: (u8, u8),
     /// Queue of one client.
     pub client_queue_bytes: usize,
@@ -46,7 +46,7 @@ pub struct PingProtocolSpec {
 /// Four TCP servers: control, bathymetry, water column, side-scan or snippets.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WbmsSpec {
-    /// Of the control; the others are on the ports behind it. Port 0 takes any four.
+    /// Control port; the others follow it. Port 0 takes any four.
     pub listen: SocketAddr,
     /// Queue of one client.
     pub client_queue_bytes: usize,
@@ -55,7 +55,7 @@ pub struct WbmsSpec {
 }
 
 impl WbmsSpec {
-    /// Where the server `number`, from 0, listens.
+    /// Address of server `number`, from 0.
     pub fn address(&self, number: u16) -> SocketAddr {
         let mut address = self.listen;
         if address.port() != 0 {

@@ -2,12 +2,12 @@
 
 use std::net::SocketAddr;
 
-/// What a channel of JSF is.
+/// Meaning of a JSF channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JsfChannels {
-    /// A side-scan line each.
+    /// One channel per side-scan line.
     Sides,
-    /// An element each.
+    /// One channel per element.
     Staves,
 }
 
@@ -16,32 +16,32 @@ pub enum JsfChannels {
 pub enum JsfFormat {
     /// Format 0.
     Envelope,
-    /// Behind the matched filter.
+    /// After the matched filter.
     Analytic,
-    /// Before it.
+    /// Before the matched filter.
     Unfiltered,
 }
 
 /// EdgeTech JSF output.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JsfSpec {
-    /// Commands.
+    /// Command port.
     pub listen: SocketAddr,
     /// Data port.
     pub listen_data: SocketAddr,
     /// Subsystem number of the first pulse.
     pub subsystem: u8,
-    /// Further ones that only keep what they are told.
+    /// Further subsystems that only accept and report commands.
     pub silent_subsystems: Vec<u8>,
     /// Meaning of a channel.
     pub channels: JsfChannels,
-    /// Of staves.
+    /// Indices of the receive arrays with staves.
     pub arrays: Vec<usize>,
     /// Data format.
     pub format: JsfFormat,
     /// Also write a file.
     pub record: bool,
-    /// Bytes that may wait for one client before its records are dropped.
+    /// Queue of one client; further records are dropped.
     pub client_queue_bytes: usize,
     /// Connections at the same time.
     pub max_clients: usize,

@@ -1,10 +1,10 @@
-//! Faults: what may be wrong, for how long, and how it is asked for. The catalogue is [`FaultRequest::KINDS`].
+//! Faults and their requests. The catalogue is [`FaultRequest::KINDS`].
 
 use serde::{Deserialize, Serialize};
 
 use super::NavChannel;
 
-/// A fault as it is asked for, in a configuration's `[[fault]]` or live; what is left out takes its default.
+/// A request for a fault, from a configuration's `[[fault]]` or live.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FaultRequest {
@@ -25,25 +25,25 @@ pub struct FaultRequest {
     /// A navigation source; none: every one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
-    /// What of it; none: all it gives.
+    /// Quantity of the source; none: every one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quantity: Option<String>,
     /// In the unit of the kind.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub value: Option<f64>,
-    /// From so long after the first ping on, rig time; none: from now on.
+    /// Start after the first ping, rig time; none: now.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub at_s: Option<f64>,
-    /// None: for ever.
+    /// Duration; none: unlimited.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub for_s: Option<f64>,
-    /// Grows to its full size in so long.
+    /// Time in which it grows to its full size.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ramp_s: Option<f64>,
-    /// Of beginning at a ping or record.
+    /// Probability of injection per ping or record.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub probability: Option<f64>,
-    /// Pings in a row it then lasts.
+    /// Consecutive pings that one injection lasts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub burst: Option<u32>,
     /// Seed of the random draws; none: 0.
@@ -51,12 +51,12 @@ pub struct FaultRequest {
     pub seed: Option<u64>,
 }
 
-/// A fault that makes sense.
+/// A checked fault.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaultSpec {
     /// The fault and its size.
     pub kind: FaultKind,
-    /// As it was asked for.
+    /// Name in [`FaultRequest::KINDS`].
     pub name: &'static str,
     /// None: every sonar.
     pub sonar: Option<String>,
@@ -92,42 +92,42 @@ pub enum FaultKind {
     Transport(TransportFault),
     /// Of the clients' TCP connections.
     Connection(ConnectionFault),
-    /// Of what navigation sources say.
+    /// Of the samples of navigation sources.
     Nav {
         /// The fault.
         fault: NavFault,
         /// None: every quantity.
         quantity: Option<NavChannel>,
     },
-    /// Of the bytes that live navigation sources say.
+    /// Of the bytes of live navigation sources.
     NavBytes(NavByteFault),
-    /// A pulse that is due is not sent; its number is used up.
+    /// A pulse is not sent; its number is used.
     TriggerMissed,
-    /// The sonar is triggered again so much later, and tells it.
+    /// The sonar is triggered a second time.
     TriggerDouble {
         /// Delay of the second trigger.
         s: f64,
     },
     /// The pulse that marks a whole second in outgoing navigation is not sent.
     PulseLost,
-    /// Outgoing ZDA names a second so much later than the one it marks.
+    /// The ZDA of an output names a later second.
     WrongZda {
         /// Shift of the named second.
         s: f64,
     },
-    /// The records are stamped so much too late.
+    /// The time stamps of the records are late.
     WrongSecond {
         /// Shift of the time stamp.
         s: f64,
     },
 }
 
-/// What is wrong with one receive channel. Amplitudes are volts at the converter's input.
+/// Fault of one receive channel. Amplitudes are volts at the converter's input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ElementFault {
     /// The samples are zero.
     Dead,
-    /// Whatever comes in, I and Q read this.
+    /// I and Q are constant.
     Stuck {
         /// Value of I and Q.
         volts: f64,
@@ -149,27 +149,27 @@ pub enum ElementFault {
         /// Change of the phase.
         rad: f64,
     },
-    /// I and Q end here.
+    /// I and Q are limited.
     Clipping {
         /// Limit of I and Q.
         volts: f64,
     },
-    /// Added to I and Q.
+    /// I and Q are offset.
     Offset {
         /// Offset of I and Q.
         volts: f64,
     },
-    /// Circular Gaussian, rms.
+    /// Circular Gaussian noise is added.
     NoiseBurst {
         /// Root mean square.
         volts: f64,
     },
-    /// A 50 Hz tone on I and Q, rms of each, that runs on from ping to ping.
+    /// A 50 Hz tone on I and Q, continuous from ping to ping.
     MainsHum {
         /// Root mean square of I and of Q.
         volts: f64,
     },
-    /// Of the two's complement codes of I and Q; bit 0 is the least.
+    /// A bit of the two's complement codes of I and Q is stuck.
     AdcBitStuck {
         /// 0 is the least significant bit.
         bit: u32,
@@ -183,40 +183,40 @@ pub enum ElementFault {
         /// Level of the added signal.
         db: f64,
     },
-    /// Samples are taken too fast by so much: the echo at t is found at t (1 + ppm 1e-6).
+    /// The sample clock is too fast: the echo at t appears at t (1 + ppm 1e-6).
     ClockDrift {
         /// Rate error.
         ppm: f64,
     },
-    /// Samples come so many late; those before are 0.
+    /// The samples are delayed; the first are 0.
     SampleSlip {
         /// Delay in samples.
         samples: usize,
     },
 }
 
-/// What is wrong with the line to the clients. Works on whole records; what is recorded here stays whole.
+/// Fault of the link to the clients, per record. Recordings are not affected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TransportFault {
     /// The record is not sent.
     Drop,
     /// The record is sent twice.
     Duplicate,
-    /// The record changes places with the next ping's.
+    /// The record is exchanged with that of the next ping.
     Reorder,
-    /// One byte of the body changes; `mended`: the checksum is made to fit.
+    /// One byte of the body changes.
     Corrupt {
         /// The checksum is corrected.
         mended: bool,
     },
     /// The second half is missing.
     Truncate,
-    /// Held back until the first delivery so much later, rig time.
+    /// Delayed until the first delivery after this time.
     Delay {
         /// Delay, rig time.
         s: f64,
     },
-    /// Held back as by `Delay`, each record for a time of its own up to this.
+    /// Delayed as by `Delay`, by a random time per record.
     Jitter {
         /// Maximum delay, rig time.
         s: f64,
@@ -225,30 +225,30 @@ pub enum TransportFault {
     LinkDown,
 }
 
-/// What is wrong with the connections to the clients.
+/// Fault of the connections to the clients.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ConnectionFault {
     /// Every TCP client is reset.
     Reset,
-    /// They stay connected; nothing is sent and nothing is heard.
+    /// They stay connected; nothing is sent or received.
     HalfOpen,
 }
 
-/// What is wrong with what a navigation source says.
+/// Fault of a navigation source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum NavFault {
     /// The source is silent.
     Off,
-    /// It says the same again and again.
+    /// It repeats its last sample.
     Stuck,
-    /// Anything at all, of what the quantity can be.
+    /// Random values in the range of the quantity.
     Garbage,
-    /// So much too great: metres (positions: to the north), metres per second, radians.
+    /// An offset; positions move to the north.
     Wrong {
         /// Metres, metres per second or radians.
         by: f64,
     },
-    /// One in so many.
+    /// Only one sample in this many is kept.
     Slow {
         /// Samples per sample that is kept.
         one_in: u32,
@@ -258,21 +258,21 @@ pub enum NavFault {
         /// Delay.
         s: f64,
     },
-    /// Off for so long, on for so long, and so on.
+    /// Silent and active by turns.
     Intermittent {
         /// Length of each silent and each active interval.
         s: f64,
     },
 }
 
-/// What is wrong with a sentence on its way in.
+/// Fault of a received sentence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NavByteFault {
     /// The checksum is wrong.
     Checksum,
-    /// A line ends in its first field, and the rest is another.
+    /// The sentence is split into two lines in its first field.
     Cut,
-    /// So many bytes that are no text before it.
+    /// Binary bytes precede the sentence.
     Noise {
         /// Number of bytes.
         bytes: usize,
@@ -295,7 +295,7 @@ fn refused<T>(key: &'static str, rule: impl Into<String>) -> Result<T, FaultRefu
 }
 
 impl FaultRequest {
-    /// Kind and what its `value` means, with the least and the greatest; no meaning: it takes none.
+    /// Kind, unit of its `value`, minimum and maximum; an empty unit means that it takes no value.
     pub const KINDS: &'static [(&'static str, &'static str, f64, f64)] = &[
         ("dead", "", 0.0, 0.0),
         ("stuck", "volts", -1e6, 1e6),
@@ -340,7 +340,7 @@ impl FaultRequest {
         ("wrong-second", "s", -1e6, 1e6),
     ];
 
-    /// The fault, if what was asked for makes sense.
+    /// The checked fault, or the rule that the request breaks.
     pub fn checked(&self) -> Result<FaultSpec, FaultRefused> {
         let known = Self::KINDS.iter().find(|(name, ..)| *name == self.kind);
         let Some(&(name, unit, min, max)) = known else {
@@ -492,7 +492,7 @@ impl FaultRequest {
 }
 
 impl FaultRequest {
-    /// What `quantity` may be.
+    /// Names of `quantity`.
     pub const QUANTITIES: &'static [(&'static str, NavChannel)] = &[
         ("position", NavChannel::Position),
         ("course-speed", NavChannel::CourseSpeed),
@@ -516,7 +516,7 @@ impl FaultRequest {
     }
 }
 
-/// Longest burst: every ping looks back so far.
+/// Longest burst: every ping looks back this far.
 const MAX_BURST: u32 = 10_000;
 
 #[cfg(test)]

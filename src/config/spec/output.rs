@@ -1,29 +1,29 @@
-//! Whether elements have to be made, and who asks for them.
+//! Whether element samples are required, and why.
 
 use super::{OutputSpec, SonarSpec, SynthesisSpec};
 use echotank_core::flow::{PathModel, Synthesis};
 
-/// What a sonar's pings are made of.
+/// Result of a sonar's synthesis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MadeOutput {
     /// Every element of every array.
     #[default]
     Elements,
-    /// Lines alone, from parts of the arrays that the plan of methods chooses.
+    /// Side-scan lines only, from groups of elements that the method selection chooses.
     Beams,
     /// Whichever is cheaper within the tolerance.
     Auto,
 }
 
 impl SynthesisSpec {
-    /// Whether the plan of methods chooses anything.
+    /// Whether any method is chosen automatically.
     pub fn is_planned(&self) -> bool {
         self.auto.any() || self.output != MadeOutput::Elements
     }
 }
 
 impl SonarSpec {
-    /// Which outputs carry samples of elements, or may on request.
+    /// Whether an output carries element samples, or can on request.
     pub fn element_readers(&self) -> Vec<&'static str> {
         let of = |output: &OutputSpec| match output {
             OutputSpec::SevenK(sevenk) => (!sevenk.arrays.is_empty()).then_some("7k (7038)"),
@@ -40,7 +40,7 @@ impl SonarSpec {
         self.outputs.iter().filter_map(of).collect()
     }
 
-    /// Why the sonar itself needs its elements; none: lines with fixed weights are all that anybody sees of it.
+    /// Why the sonar requires elements; none: only side-scan lines with fixed weights are used.
     pub(crate) fn needs_elements(&self) -> Option<&'static str> {
         let beams = &self.beams;
         let lines = |array: usize| beams.lines.iter().any(|line| line.array == array);

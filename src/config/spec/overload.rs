@@ -1,20 +1,20 @@
-//! What becomes of pings that are too much for the machine.
+//! Action for pings that cannot be ready in time.
 
 use super::SonarSpec;
 
-/// Each looser tolerance lies so many times above the one before, ...
+/// Factor between successive tolerances.
 const COARSER: f64 = 10.0;
-/// ... up to the loosest that a configuration may ask for.
+/// The loosest tolerance.
 const LOOSEST: f64 = 0.1;
 
-/// What becomes of pings that cannot be ready in time.
+/// Action for pings that cannot be ready in time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OverloadSpec {
-    /// They are not made.
+    /// They are left out.
     Skip,
-    /// They are made with a looser tolerance.
+    /// They are computed with a looser tolerance.
     Degrade,
-    /// Pulses come later.
+    /// Pulses are delayed.
     Stretch,
 }
 
@@ -30,7 +30,7 @@ impl OverloadSpec {
 }
 
 impl SonarSpec {
-    /// Tolerances looser than its own, the next first; none where its synthesis keeps none, or the loosest already.
+    /// Tolerances looser than the sonar's own, in rising order; empty if its synthesis has no tolerance or the loosest.
     pub fn looser_tolerances(&self) -> Vec<f64> {
         let keeps = self.model.synthesis.keeps_tolerance() || self.synthesis.auto.synthesis;
         let next =

@@ -2,14 +2,14 @@
 
 use std::net::{Ipv4Addr, SocketAddr};
 
-/// Packets for boards.
+/// ANSI/VITA 49.2 output.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Vita49Spec {
     /// Destination addresses.
     pub send_to: Vec<SocketAddr>,
     /// Indices of the receive arrays, in the order of the samples.
     pub arrays: Vec<usize>,
-    /// What a converter of so many samples per second would have seen; none is I and Q at the receiver's rate.
+    /// Rate of real passband samples; none: I and Q at the receiver's rate.
     pub passband_rate_hz: Option<f64>,
     /// One stream whose samples are vectors of all elements.
     pub is_vector: bool,
@@ -25,18 +25,18 @@ pub struct Vita49Spec {
     pub multicast_ttl: u32,
 }
 
-/// Frames of element samples.
+/// Element stream output.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ElementStreamSpec {
-    /// TCP.
+    /// TCP address.
     pub listen: SocketAddr,
-    /// UDP, whether or not anybody listens.
+    /// UDP destination addresses.
     pub send_to: Vec<SocketAddr>,
     /// Indices of the receive arrays, in the order of the samples.
     pub arrays: Vec<usize>,
     /// 32-bit floats instead of 16-bit integers.
     pub is_float: bool,
-    /// Of a datagram.
+    /// Datagram length, bytes.
     pub max_packet: usize,
     /// Maximum data rate over UDP.
     pub pace_bytes_per_s: f64,
@@ -65,7 +65,7 @@ pub struct WavSpec {
 }
 
 impl WavSpec {
-    /// What converters of benches run at, Hz.
+    /// Usual rates of bench converters, Hz.
     const USUAL_RATES_HZ: [u32; 12] = [
         48_000, 96_000, 192_000, 384_000, 500_000, 768_000, 1_000_000, 2_000_000, 2_500_000,
         5_000_000, 10_000_000, 20_000_000,

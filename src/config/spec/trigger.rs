@@ -1,24 +1,24 @@
-//! What makes a sonar ping, whom it tells of it, and what happens when pings are too much.
+//! Triggers of a sonar, and signals at its pulses.
 
 use std::net::SocketAddr;
 
-/// What makes a sonar ping.
+/// Trigger of a sonar.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriggerSpec {
     /// Source of pings.
     pub from: TriggerFrom,
     /// Treatment of a trigger during a listening window.
     pub early: EarlyTrigger,
-    /// From pulse to pulse at least, beside what the range needs; seconds.
+    /// Minimum interval between pulses, besides that of the range; seconds.
     pub min_interval_s: f64,
-    /// A trigger that has not come for so long is missed, seconds.
+    /// A trigger is counted as missing after this time, seconds.
     pub watchdog_s: Option<f64>,
 }
 
 /// Source of pings.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum TriggerFrom {
-    /// Its own beat.
+    /// The internal ping rate.
     #[default]
     Internal,
     /// Every datagram.
@@ -40,9 +40,9 @@ pub enum TriggerFrom {
         /// The rising edge triggers, else the falling one.
         rising: bool,
     },
-    /// A topside that asks for pings by number, over any protocol or `echotank ctl trigger`.
+    /// Pings that a topside requests by number, over any protocol or `echotank ctl trigger`.
     Protocol,
-    /// Every pulse of another sonar, index into `RigSpec::sonars`, so long after it.
+    /// Every pulse of another sonar of `RigSpec::sonars`.
     Sonar {
         /// Index of the sonar that is followed.
         sonar: usize,
@@ -52,7 +52,7 @@ pub enum TriggerFrom {
 }
 
 impl TriggerFrom {
-    /// It comes from outside of this program through a door of its own.
+    /// Whether the trigger arrives over a socket or serial port of its own.
     pub fn is_wired(&self) -> bool {
         matches!(
             self,
@@ -70,17 +70,17 @@ pub enum ModemLine {
     CarrierDetect,
 }
 
-/// What becomes of a trigger that comes while the ping before is listened to.
+/// Action for a trigger during the listening window of the previous ping.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum EarlyTrigger {
     /// The trigger is refused and counted.
     #[default]
     Refuse,
-    /// One waits until the sonar is free.
+    /// One trigger waits until the window ends.
     Queue,
 }
 
-/// Whom a sonar tells that it pings.
+/// Signals at each pulse.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriggerOutSpec {
     /// A datagram for every pulse.

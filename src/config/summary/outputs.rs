@@ -1,4 +1,4 @@
-//! What goes out, and how much of it.
+//! Outputs and their data rates.
 
 use std::fmt;
 
