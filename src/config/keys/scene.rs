@@ -88,7 +88,7 @@ table! {
     /// The centre of the survey lies at the scene's origin. Only with shape = "file" or "esri-ascii".
     path: File, Optional("\"data/seabed.asc\"");
 
-    /// Elevations (up positive) or depths. "auto": as the file says, or by the sign of most values. Only with shape = "file" or "esri-ascii".
+    /// Elevations (up positive) or depths. "auto": detected. Only with shape = "file" or "esri-ascii".
     values: Choice("auto", "elevation", "depth"), Default("\"auto\"");
 
     /// Moves the survey northward. Only with shape = "file" or "esri-ascii".
