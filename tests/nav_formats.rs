@@ -712,7 +712,7 @@ fn a_tlog_of_either_version_gives_the_motion_at_the_vehicle_s_own_time() {
         assert_eq!(log.kind, LogKind::Tlog);
         assert_eq!(
             (log.lines, counters.used, counters.resync_bytes),
-            (300, 300, 4)
+            (300, 300, 9)
         );
         // Position, course, heading, attitude; f32 radians are 1e-7 of the angle.
         assert_eq!(samples.len(), 400);
