@@ -74,7 +74,7 @@ mod tests {
     #[test]
     fn every_error_names_line_column_value_and_rule() {
         const HEAD: &str = "north_m,east_m,down_m,amplitude\n";
-        let said = |text: &str| parse(text.as_bytes()).unwrap_err().to_string();
+        let message = |text: &str| parse(text.as_bytes()).unwrap_err().to_string();
         for (text, want) in [
             (
                 format!("{HEAD}1,2,3,4\n1,2,x,4\n"),
@@ -113,7 +113,7 @@ mod tests {
                 "line 2: ``: must begin with a header: north_m,east_m,down_m,amplitude,[amplitude_imag]",
             ),
         ] {
-            assert_eq!(said(&text), want);
+            assert_eq!(message(&text), want);
         }
         assert_eq!(
             parse(b"north_m\n\xff").unwrap_err().to_string(),

@@ -817,9 +817,9 @@ fn an_empty_scene_yields_nothing() {
 fn errors_name_the_file_or_the_key() {
     let (_keep, path) = written("bad.asc", "ncols x\n");
     let shape = surveyed(path.clone());
-    let said = |spec: &SceneSpec| Scene::open(&Disk, spec).unwrap_err().to_string();
+    let message = |spec: &SceneSpec| Scene::open(&Disk, spec).unwrap_err().to_string();
     assert_eq!(
-        said(&spec(Some(seabed(shape, 4.0, true)), 1)),
+        message(&spec(Some(seabed(shape, 4.0, true)), 1)),
         format!(
             "{}: line 1: `x`: ncols must be a whole number of at least 2",
             path.display()
@@ -834,7 +834,7 @@ fn errors_name_the_file_or_the_key() {
     let mut poor = spec(Some(seabed(FLAT, 4.0, true)), 1);
     poor.memory_limit_bytes -= 1;
     assert_eq!(
-        said(&poor),
+        message(&poor),
         format!(
             "scene.memory_limit_bytes = {}: must be at least {TILE_BYTES}, one tile of the seabed",
             TILE_BYTES - 1
@@ -1236,14 +1236,14 @@ fn a_mosaic_over_a_file_lies_where_its_coordinates_put_it() {
                 .replace("{c}", &cell),
         )
     };
-    let said = |path: &Path, crs| match opened(Some(mosaic(path, crs))) {
+    let message = |path: &Path, crs| match opened(Some(mosaic(path, crs))) {
         Ok(_) => panic!("was taken"),
         Err(error) => error.to_string(),
     };
     let projected = CrsSpec::Projected;
     let [x, y] = survey.zero;
     let (_keep, path) = written_at(x - extent_m.0, y - extent_m.0);
-    let error = said(&path, None);
+    let error = message(&path, None);
     assert!(
         error.contains("local metres")
             && error.contains("seabed's file, projected metres (EPSG:32161)"),
@@ -1251,6 +1251,6 @@ fn a_mosaic_over_a_file_lies_where_its_coordinates_put_it() {
     );
     assert!(opened(Some(mosaic(&path, Some(projected)))).is_ok());
     let (_keep, path) = written_at(x + 9.0 * extent_m.0, y);
-    let error = said(&path, Some(projected));
+    let error = message(&path, Some(projected));
     assert!(error.contains("over none of it"), "{error}");
 }

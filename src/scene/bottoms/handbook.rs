@@ -1,9 +1,10 @@
 //! Backscattering model of APL-UW TR 9407 (1994), IV.C, equations 34 to 66. Tests fit the presets to it.
 //!
-//! Equation numbers are the handbook's. Wavenumbers are in 1/cm, since the roughness spectrum is w_2 (h_0 K)^-gamma with h_0 = 1 cm. **One exponent
-//! differs from the print.** In the Kirchhoff form, b = a^(1/2 + 1/(2 alpha)) Gamma(1/alpha) / (2 alpha). The print has a minus sign. With the minus
-//! sign the strength at the vertical is not the Kirchhoff integral k^2 |R|^2 / (2 pi) int exp(-2 k^2 C_h^2 r^(2 alpha)) r dr, and lies 3.6 dB below
-//! the handbook's table 3. With the plus sign it agrees with both.
+//! Equation numbers are the handbook's. Wavenumbers are in 1/cm, since the roughness spectrum is w_2 (h_0 K)^-gamma with h_0 = 1 cm.
+//!
+//! **One exponent differs from the print.** In the Kirchhoff form, b = a^(1/2 + 1/(2 alpha)) Gamma(1/alpha) / (2 alpha). The print has a minus sign.
+//! The strength at the vertical must be the Kirchhoff integral k^2 |R|^2 / (2 pi) int exp(-2 k^2 C_h^2 r^(2 alpha)) r dr. With the minus sign it is
+//! not, and lies 3.6 dB below the handbook's table 3. With the plus sign it agrees with both.
 
 use std::f64::consts::{FRAC_PI_2, LN_10, PI, TAU};
 

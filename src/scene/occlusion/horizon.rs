@@ -253,15 +253,15 @@ impl Horizon {
 
     /// Casts a single ray. Returns whether the ground hides a position from the eye.
     pub(crate) fn cast_hides(&self, ground: &Surface, at_m: DVec3) -> bool {
-        let way_m = (at_m - self.eye_m).truncate();
-        let distance_m = way_m.length();
-        let ray = (turn(way_m) * (self.rays as f64 / 4.0)) as usize;
+        let offset_m = (at_m - self.eye_m).truncate();
+        let distance_m = offset_m.length();
+        let ray = (turn(offset_m) * (self.rays as f64 / 4.0)) as usize;
         let clear_m = self.sectors[ray.min(self.rays - 1) / SECTOR].clear_m;
         // Positions of scatterers are rounded to some micrometres.
         let line = (self.eye_m.z - at_m.z + 1e-5) / distance_m;
         let mut hidden = false;
         let stretch_m = clear_m.min(distance_m)..distance_m;
-        let along = way_m / distance_m;
+        let along = offset_m / distance_m;
         ground.profile(self.eye_m.truncate(), along, stretch_m, |piece| {
             let from_m = piece.from_m.max(FIRST_M);
             hidden |= piece.to_m > from_m && piece.highest(self.eye_m.z, from_m) > line;

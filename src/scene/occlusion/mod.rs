@@ -219,9 +219,9 @@ impl Occlusion {
         let radius_m = tile.low_m.distance(tile.high_m) / 2.0;
         let near = |eye_m: &DVec3, solid: usize| {
             let (center_m, solid_m) = solids.ball_m(solid);
-            let way_m = middle_m - *eye_m;
-            let share = (center_m - *eye_m).dot(way_m) / way_m.length_squared().max(1e-12);
-            let nearest_m = *eye_m + way_m * share.clamp(0.0, 1.0);
+            let offset_m = middle_m - *eye_m;
+            let share = (center_m - *eye_m).dot(offset_m) / offset_m.length_squared().max(1e-12);
+            let nearest_m = *eye_m + offset_m * share.clamp(0.0, 1.0);
             // The cone from the eye to the tile is nowhere wider than the tile.
             nearest_m.distance(center_m) <= solid_m + radius_m * SQRT_2
         };

@@ -95,10 +95,10 @@ fn ground(path: &Path) -> Surface {
 
 /// Whether the ground rises above the straight line from a point to an eye, sampled every 2 centimetres.
 fn hidden(ground: &Surface, at_m: DVec3, eye_m: DVec3) -> bool {
-    let way_m = eye_m - at_m;
-    let steps = (way_m.truncate().length() / 0.02).ceil();
+    let offset_m = eye_m - at_m;
+    let steps = (offset_m.truncate().length() / 0.02).ceil();
     (1..steps as usize).any(|k| {
-        let p = at_m + way_m * (k as f64 / steps);
+        let p = at_m + offset_m * (k as f64 / steps);
         // The position is rounded to 2 um.
         ground
             .sample(p.x, p.y)

@@ -40,7 +40,7 @@ impl Reader for Bag {
         head.starts_with(b"\x89HDF\r\n\x1a\n")
     }
 
-    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
+    fn read(&self, bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
         let options = OpenOptions::default()
             .with_chunk_cache_bytes(0)
             .with_max_chunk_bytes(MAX_CHUNK_BYTES)
@@ -55,8 +55,8 @@ impl Reader for Bag {
         ] {
             if announced.size.is_some_and(|size| size != got as u64) {
                 let rule = format!("differs from the number of {what}s in {ELEVATION}, {got}");
-                let said = announced.size.unwrap_or_default().to_string();
-                return Err(FormatError::new(METADATA, &said, rule));
+                let message = announced.size.unwrap_or_default().to_string();
+                return Err(FormatError::new(METADATA, &message, rule));
             }
         }
         let [west, south, east, north] = metadata.corners;
@@ -80,8 +80,8 @@ impl Reader for Bag {
         if file.dataset(REFINEMENTS).is_ok() {
             notes.push("variable resolution: read at its base resolution only".to_owned());
         }
-        let first_row = asked.first_row.unwrap_or(FirstRow::South);
-        let also = asked.nodata.map(|v| v as f32);
+        let first_row = spec.first_row.unwrap_or(FirstRow::South);
+        let also = spec.nodata.map(|v| v as f32);
         let is_hole = |v: f32| v == NULL || Some(v) == also;
         Ok(Raw {
             shape: RawShape::Grid(RawGrid {
@@ -373,19 +373,19 @@ mod tests {
 
     #[test]
     fn metadata_without_a_position_are_rejected_by_the_missing_element() {
-        let said = |text: &str| Metadata::parse(text).map(|_| ()).unwrap_err().to_string();
+        let message = |text: &str| Metadata::parse(text).map(|_| ()).unwrap_err().to_string();
         assert_eq!(
-            said(&ISO.replace("cornerPoints", "corner")),
+            message(&ISO.replace("cornerPoints", "corner")),
             "/BAG_root/metadata: `cornerPoints`: is missing: the position of the grid depends on it"
         );
         assert_eq!(
-            said(&ISO.replace(">4<", ">-4<")),
+            message(&ISO.replace(">4<", ">-4<")),
             "/BAG_root/metadata: `resolution of the rows`: is missing: the position of the grid depends on it"
         );
         assert_eq!(
-            said(&ISO.replace("687957.5,5554656.0", "1")),
+            message(&ISO.replace("687957.5,5554656.0", "1")),
             "/BAG_root/metadata: `687910.0,5554620.0 1`: must be the coordinates of two corners"
         );
-        assert!(said("<a>").starts_with("/BAG_root/metadata: damaged or cut short"));
+        assert!(message("<a>").starts_with("/BAG_root/metadata: damaged or cut short"));
     }
 }

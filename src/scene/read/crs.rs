@@ -251,9 +251,9 @@ mod tests {
         ));
         assert!(matches!(of(4326), Crs::Geographic(_)));
         assert_eq!(of(32161), Crs::Projected("EPSG:32161".to_owned()));
-        let said = Crs::from_epsg(3857, "GeoKey 3072").unwrap_err().to_string();
+        let message = Crs::from_epsg(3857, "GeoKey 3072").unwrap_err().to_string();
         assert_eq!(
-            said,
+            message,
             "GeoKey 3072: `EPSG:3857`: is a Mercator projection, whose metres are not metres on the ground: project the file to UTM first"
         );
         assert!(Crs::from_epsg(7, "here").is_err());
@@ -279,10 +279,10 @@ mod tests {
             r#"UNIT["metre",1"#,
             r#"UNIT["US survey foot",0.304800609601219"#,
         );
-        let said = Crs::from_wkt(&feet, "metadata").unwrap_err().to_string();
+        let message = Crs::from_wkt(&feet, "metadata").unwrap_err().to_string();
         assert!(
-            said.contains("0.304800609601219 m: only metres are read"),
-            "{said}"
+            message.contains("0.304800609601219 m: only metres are read"),
+            "{message}"
         );
         assert_eq!(
             Crs::from_wkt(r#"GEOGCS["WGS 84",UNIT["degree",0.01745]]"#, "").unwrap(),

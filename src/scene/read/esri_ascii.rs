@@ -44,15 +44,15 @@ impl Reader for EsriAscii {
             .peek()
             .is_some_and(|word| KEYS.contains(&word.to_ascii_lowercase().as_str()))
     }
-    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
+    fn read(&self, bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
         Ok(Raw {
-            shape: RawShape::Grid(parse(&bytes, asked)?),
+            shape: RawShape::Grid(parse(&bytes, spec)?),
             facts: Facts::default(),
         })
     }
 }
 
-fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<RawGrid, FormatError> {
+fn parse(bytes: &[u8], spec: &SeabedFileSpec) -> Result<RawGrid, FormatError> {
     let mut tokens = Tokens {
         rest: text::without_mark(bytes),
         line: 1,
@@ -78,7 +78,7 @@ fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<RawGrid, FormatError> {
         let value: f64 = token
             .parse()
             .map_err(|_| TextError::new(tokens.line, token, "must be a number"))?;
-        let hole = value == nodata || asked.nodata == Some(value) || value.is_nan();
+        let hole = value == nodata || spec.nodata == Some(value) || value.is_nan();
         if !hole && value.abs() > text::MAX_VERTICAL_M {
             let rule = format!(
                 "must be a height in metres, {} at most, or the hole value {nodata}",
@@ -95,7 +95,7 @@ fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<RawGrid, FormatError> {
         );
         return Err(TextError::new(tokens.line, "end of file", rule).into());
     }
-    let first_row = asked.first_row.unwrap_or(FirstRow::North);
+    let first_row = spec.first_row.unwrap_or(FirstRow::North);
     Ok(RawGrid {
         rows,
         cols,
@@ -239,16 +239,16 @@ mod tests {
 
     const HEAD: &str = "ncols 3\nnrows 2\nxllcorner 100\nyllcorner 200\ncellsize 10\n";
 
-    fn asked() -> SeabedFileSpec {
+    fn spec() -> SeabedFileSpec {
         SeabedFileSpec::of("grid.asc".into())
     }
 
     fn grid(text: &str) -> RawGrid {
-        parse(text.as_bytes(), &asked()).unwrap()
+        parse(text.as_bytes(), &spec()).unwrap()
     }
 
-    fn said(text: &str) -> String {
-        match parse(text.as_bytes(), &asked()) {
+    fn message(text: &str) -> String {
+        match parse(text.as_bytes(), &spec()) {
             Ok(_) => "ok".to_owned(),
             Err(error) => error.to_string(),
         }
@@ -274,7 +274,7 @@ mod tests {
             format!("{HEAD}1 2 3\n4 5 6\n").as_bytes(),
             &SeabedFileSpec {
                 first_row: Some(FirstRow::South),
-                ..asked()
+                ..spec()
             },
         );
         assert_eq!(upside_down.unwrap().values, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
@@ -285,17 +285,17 @@ mod tests {
         let text =
             format!("{HEAD}1 -9999 3\nnan 5 7\n").replace("ncols 3", "ncols 3\nnodata_value 5");
         assert_eq!(
-            said(&text),
+            message(&text),
             "ok",
             "-9999 is no hole where another is named, and a height that can be"
         );
         let values = grid(&text).values;
         assert!(values[0].is_nan() && values[1].is_nan() && values[4] == -9999.0);
-        let asked = SeabedFileSpec {
+        let spec = SeabedFileSpec {
             nodata: Some(7.0),
-            ..asked()
+            ..spec()
         };
-        assert!(parse(text.as_bytes(), &asked).unwrap().values[2].is_nan());
+        assert!(parse(text.as_bytes(), &spec).unwrap().values[2].is_nan());
     }
 
     #[test]
@@ -351,17 +351,17 @@ mod tests {
                 "nrows x ncols: `1000000 x 1000000`: may have 67108864 cells at most",
             ),
         ] {
-            assert_eq!(said(&text), want);
+            assert_eq!(message(&text), want);
         }
     }
 
     proptest::proptest! {
         #[test]
         fn any_bytes_yield_a_grid_or_an_error(tail in proptest::collection::vec(proptest::num::u8::ANY, 0..200)) {
-            let _ = parse(&tail, &asked());
+            let _ = parse(&tail, &spec());
             let mut bytes = HEAD.as_bytes().to_vec();
             bytes.extend(&tail);
-            let _ = parse(&bytes, &asked());
+            let _ = parse(&bytes, &spec());
         }
     }
 }

@@ -32,8 +32,8 @@ impl FormatError {
 
     /// An error that a decoding library reported.
     pub fn decoder(place: impl Into<String>, error: impl std::fmt::Display) -> Self {
-        let said = error.to_string();
-        let line: String = said.split_whitespace().collect::<Vec<_>>().join(" ");
+        let message = error.to_string();
+        let line: String = message.split_whitespace().collect::<Vec<_>>().join(" ");
         Self::new(
             place,
             "",

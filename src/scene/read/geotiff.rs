@@ -51,7 +51,7 @@ impl Reader for GeoTiff {
             .any(|magic| head.starts_with(magic))
     }
 
-    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
+    fn read(&self, bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
         let mut limits = Limits::default();
         limits.decoding_buffer_size = MAX_CELLS * size_of::<f64>();
         limits.intermediate_buffer_size = MAX_CHUNK_BYTES;
@@ -104,8 +104,8 @@ impl Reader for GeoTiff {
             let rule = format!("holds {} cells, not {rows} x {cols}", values.len());
             return Err(FormatError::new("image", "", rule));
         }
-        let first_row = asked.first_row.unwrap_or(place.first_row);
-        let also = asked.nodata.map(|v| v as f32);
+        let first_row = spec.first_row.unwrap_or(place.first_row);
+        let also = spec.nodata.map(|v| v as f32);
         let is_hole = |v: f32| Some(v) == nodata || Some(v) == also;
         // The tie point refers to the file's first pixel. If the first row is the northern one, the south-western pixel lies one grid extent south.
         let y_south = match place.first_row {
@@ -274,10 +274,10 @@ impl GeoKeys {
                 shorts.push((key, value));
             } else if location == 34737 && matches!(key, CITATION | PROJECTED_CITATION) {
                 let (from, to) = (usize::from(value), usize::from(value) + usize::from(count));
-                let said = text.get(from..to.min(text.len())).unwrap_or("");
-                let said = said.trim_end_matches(['|', '\0']).trim();
-                if !said.is_empty() {
-                    citation = Some(format!("name of the system in the file: {said}"));
+                let message = text.get(from..to.min(text.len())).unwrap_or("");
+                let message = message.trim_end_matches(['|', '\0']).trim();
+                if !message.is_empty() {
+                    citation = Some(format!("name of the system in the file: {message}"));
                 }
             }
         }
@@ -306,8 +306,8 @@ impl GeoKeys {
         must(VERTICAL_UNIT, METRE, "must be 9001, metre")?;
         let named = |key: u16| self.short(key).filter(|v| *v != 0);
         let unregistered = || {
-            let said = self.citation.clone();
-            said.unwrap_or_else(|| "defined in the file".to_owned())
+            let message = self.citation.clone();
+            message.unwrap_or_else(|| "defined in the file".to_owned())
         };
         match (
             self.short(MODEL_TYPE),

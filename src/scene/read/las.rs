@@ -26,7 +26,7 @@ impl Reader for Las {
         head.starts_with(b"LASF")
     }
 
-    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
+    fn read(&self, bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
         let length = bytes.len() as u64;
         let mut reader = LasReader::new(Cursor::new(bytes))
             .map_err(|e| FormatError::decoder("LAS header", e))?;
@@ -43,7 +43,7 @@ impl Reader for Las {
             return Err(FormatError::new("LAS header", &total.to_string(), rule));
         }
         let mut facts = Facts {
-            crs: system(&reader, asked)?,
+            crs: system(&reader, spec)?,
             values: Some((HeightSign::Elevation, "z is up in LAS")),
             ..Facts::default()
         };
@@ -84,8 +84,8 @@ impl Reader for Las {
     }
 }
 
-fn system(reader: &LasReader, asked: &SeabedFileSpec) -> Result<Option<Crs>, FormatError> {
-    if asked.crs.is_some() {
+fn system(reader: &LasReader, spec: &SeabedFileSpec) -> Result<Option<Crs>, FormatError> {
+    if spec.crs.is_some() {
         return Ok(None);
     }
     let header = reader.header();

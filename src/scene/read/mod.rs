@@ -49,8 +49,8 @@ pub(crate) trait Reader: Sync {
     fn name(&self) -> &'static str;
     /// Whether a file with these first bytes, or with this extension in lower case, has this format.
     fn recognises(&self, head: &[u8], extension: &str) -> bool;
-    /// Reads a file in its own coordinates. Of `asked` it uses `nodata`, `first_row` and `crs` only.
-    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, FormatError>;
+    /// Reads a file in its own coordinates. Of `spec` it uses `nodata`, `first_row` and `crs` only.
+    fn read(&self, bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError>;
 }
 
 /// All readers in the order in which they are tried: formats with a signature first, text last.

@@ -184,10 +184,10 @@ impl Survey {
     ///
     /// # Errors
     /// Returns the path with the error of the file system or the rule that the file breaks.
-    pub fn open(files: &dyn Files, asked: &SeabedFileSpec) -> Result<Self, SceneError> {
-        let bytes = text::read_file(files, &asked.path)?;
-        Self::parse(bytes, asked).map_err(|error| SceneError::Format {
-            path: asked.path.clone(),
+    pub fn open(files: &dyn Files, spec: &SeabedFileSpec) -> Result<Self, SceneError> {
+        let bytes = text::read_file(files, &spec.path)?;
+        Self::parse(bytes, spec).map_err(|error| SceneError::Format {
+            path: spec.path.clone(),
             error,
         })
     }
@@ -198,41 +198,41 @@ impl Survey {
         path: &Path,
         crs: Option<CrsSpec>,
     ) -> Result<Self, SceneError> {
-        let asked = SeabedFileSpec {
+        let spec = SeabedFileSpec {
             values: Some(HeightSign::Depth),
             crs,
             ..SeabedFileSpec::of(path.to_owned())
         };
         let bytes = text::read_file(files, path)?;
-        Self::parse_as(bytes, &asked, Quantity::Other).map_err(|error| SceneError::Format {
+        Self::parse_as(bytes, &spec, Quantity::Other).map_err(|error| SceneError::Format {
             path: path.to_owned(),
             error,
         })
     }
 
-    /// Reads the bytes of a file. Only the extension of `asked.path` is used.
+    /// Reads the bytes of a file. Only the extension of `spec.path` is used.
     ///
     /// # Errors
     /// Returns the location, the value and the rule it breaks.
-    pub fn parse(bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Self, FormatError> {
-        Self::parse_as(bytes, asked, Quantity::Heights)
+    pub fn parse(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Self, FormatError> {
+        Self::parse_as(bytes, spec, Quantity::Heights)
     }
 
     fn parse_as(
         bytes: Vec<u8>,
-        asked: &SeabedFileSpec,
+        spec: &SeabedFileSpec,
         numbers: Quantity,
     ) -> Result<Self, FormatError> {
-        let reader = reader_of(&bytes, asked)?;
+        let reader = reader_of(&bytes, spec)?;
         let length = bytes.len() as u64;
-        let Raw { shape, mut facts } = reader.read(bytes, asked)?;
-        let (crs, crs_source) = system(&shape, &mut facts, asked, numbers)?;
-        let (sign, sign_source) = sign(&shape, &facts, asked);
+        let Raw { shape, mut facts } = reader.read(bytes, spec)?;
+        let (crs, crs_source) = system(&shape, &mut facts, spec, numbers)?;
+        let (sign, sign_source) = sign(&shape, &facts, spec);
         let mut notes = std::mem::take(&mut facts.notes);
         let covers = covered(&shape)?;
         check_place(&crs, &covers)?;
         let zero = [(covers[0] + covers[2]) / 2.0, (covers[1] + covers[3]) / 2.0];
-        if asked.crs.is_none()
+        if spec.crs.is_none()
             && let Some(box_deg) = facts.covers_deg
         {
             check_cover(&crs, zero, box_deg)?;
@@ -242,8 +242,8 @@ impl Survey {
             _ => None,
         };
         let (field, layout, original) = match shape {
-            RawShape::Grid(grid) => from_grid(grid, sign, plane.as_ref(), zero, asked, &mut notes)?,
-            RawShape::Points(points) => from_points(points, sign, plane.as_ref(), zero, asked)?,
+            RawShape::Grid(grid) => from_grid(grid, sign, plane.as_ref(), zero, spec, &mut notes)?,
+            RawShape::Points(points) => from_points(points, sign, plane.as_ref(), zero, spec)?,
         };
         if field.down_m.iter().all(|d| d.is_nan()) {
             return Err(FormatError::new("heights", "", "are all holes"));
@@ -322,15 +322,15 @@ impl Survey {
     }
 }
 
-fn reader_of(bytes: &[u8], asked: &SeabedFileSpec) -> Result<&'static dyn Reader, FormatError> {
+fn reader_of(bytes: &[u8], spec: &SeabedFileSpec) -> Result<&'static dyn Reader, FormatError> {
     let head = &bytes[..bytes.len().min(HEAD_BYTES)];
-    let extension = asked
+    let extension = spec
         .path
         .extension()
         .and_then(|e| e.to_str())
         .unwrap_or("")
         .to_ascii_lowercase();
-    let found = READERS.iter().copied().find(|r| match asked.format {
+    let found = READERS.iter().copied().find(|r| match spec.format {
         Some(format) => r.format() == format,
         None => r.recognises(head, &extension),
     });
@@ -411,10 +411,10 @@ fn heights(shape: &RawShape) -> (f64, f64, Option<HeightSign>) {
 fn system(
     shape: &RawShape,
     facts: &mut Facts,
-    asked: &SeabedFileSpec,
+    spec: &SeabedFileSpec,
     numbers: Quantity,
 ) -> Result<(Crs, Source), FormatError> {
-    if let Some(crs) = asked.crs {
+    if let Some(crs) = spec.crs {
         return Ok((crs.into(), Source::Configured));
     }
     if let Some(crs) = facts.crs.take() {
@@ -439,8 +439,8 @@ fn system(
     Ok((Crs::Local, Source::Guessed(why)))
 }
 
-fn sign(shape: &RawShape, facts: &Facts, asked: &SeabedFileSpec) -> (HeightSign, Source) {
-    if let Some(sign) = asked.values {
+fn sign(shape: &RawShape, facts: &Facts, spec: &SeabedFileSpec) -> (HeightSign, Source) {
+    if let Some(sign) = spec.values {
         return (sign, Source::Configured);
     }
     let (_, _, looks) = heights(shape);
@@ -551,7 +551,7 @@ fn from_grid(
     sign: HeightSign,
     plane: Option<&LocalTangentPlane>,
     zero: [f64; 2],
-    asked: &SeabedFileSpec,
+    spec: &SeabedFileSpec,
     notes: &mut Vec<String>,
 ) -> Result<Converted, FormatError> {
     if sign == HeightSign::Elevation {
@@ -565,7 +565,7 @@ fn from_grid(
         x_step: grid.x_step,
         y_step: grid.y_step,
         first_row: grid.first_row,
-        first_row_source: match asked.first_row {
+        first_row_source: match spec.first_row {
             Some(_) => Source::Configured,
             None => Source::Stated("by the format"),
         },
@@ -660,7 +660,7 @@ fn from_points(
     sign: HeightSign,
     plane: Option<&LocalTangentPlane>,
     zero: [f64; 2],
-    asked: &SeabedFileSpec,
+    spec: &SeabedFileSpec,
 ) -> Result<Converted, FormatError> {
     let flip = match sign {
         HeightSign::Elevation => -1.0,
@@ -689,14 +689,14 @@ fn from_points(
                 points_m: points,
                 triangles,
             };
-            (tin.without_long_edges(asked.max_edge_m)?, 0)
+            (tin.without_long_edges(spec.max_edge_m)?, 0)
         }
         None => {
             let (points, merged) = merge_duplicates(points);
-            (Tin::new(points, asked.max_edge_m)?, merged)
+            (Tin::new(points, spec.max_edge_m)?, merged)
         }
     };
-    let field = tin.grid(asked.cell_m)?;
+    let field = tin.grid(spec.cell_m)?;
     let layout = Layout::Points {
         count: tin.points_m.len(),
         merged,

@@ -274,13 +274,13 @@ mod tests {
     #[test]
     fn collinear_soundings_and_long_edges_are_rejected() {
         let line: Vec<DVec3> = (0..9).map(|k| DVec3::splat(f64::from(k))).collect();
-        let said = |r: Result<Tin, FormatError>| r.map(|_| ()).unwrap_err().to_string();
+        let message = |r: Result<Tin, FormatError>| r.map(|_| ()).unwrap_err().to_string();
         assert_eq!(
-            said(Tin::new(line, None)),
+            message(Tin::new(line, None)),
             "soundings: `9`: soundings span no surface: at least three must not be collinear"
         );
         assert_eq!(
-            said(Tin::new(soundings(20), Some(0.1))),
+            message(Tin::new(soundings(20), Some(0.1))),
             "max_edge_m: `0.1`: leaves no triangle of the soundings: they lie farther apart"
         );
         assert!(

@@ -25,8 +25,8 @@ impl Reader for Xyz {
     fn recognises(&self, _head: &[u8], extension: &str) -> bool {
         matches!(extension, "xyz" | "csv" | "txt" | "tsv" | "dat" | "pts")
     }
-    fn read(&self, bytes: Vec<u8>, asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
-        parse(&bytes, asked)
+    fn read(&self, bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
+        parse(&bytes, spec)
     }
 }
 
@@ -38,7 +38,7 @@ struct Columns {
     z: usize,
 }
 
-fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
+fn parse(bytes: &[u8], spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
     let text = std::str::from_utf8(text::without_mark(bytes)).map_err(|e| {
         let line = bytes[..e.valid_up_to()]
             .iter()
@@ -92,7 +92,7 @@ fn parse(bytes: &[u8], asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
         );
         let z = field(columns.z)?;
         if let Ok(value) = z.parse::<f64>()
-            && (value.is_nan() || asked.nodata == Some(value))
+            && (value.is_nan() || spec.nodata == Some(value))
         {
             holes += 1;
             continue;
@@ -235,9 +235,9 @@ mod tests {
     proptest::proptest! {
         #[test]
         fn any_bytes_yield_soundings_or_an_error(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..200), text in "[0-9,; .a-z#>\n-]{0,80}") {
-            let asked = SeabedFileSpec::of("a.xyz".into());
-            let _ = parse(&bytes, &asked);
-            let _ = parse(text.as_bytes(), &asked);
+            let spec = SeabedFileSpec::of("a.xyz".into());
+            let _ = parse(&bytes, &spec);
+            let _ = parse(text.as_bytes(), &spec);
         }
     }
 }

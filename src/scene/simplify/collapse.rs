@@ -214,11 +214,11 @@ impl<'a> Surface<'a> {
                     continue;
                 }
                 // Rim: a plane perpendicular to the triangle along its free side.
-                let (from, way) = (
+                let (from, edge) = (
                     self.places[i as usize],
                     self.places[j as usize] - self.places[i as usize],
                 );
-                let upright = way.cross(normal).normalize_or_zero();
+                let upright = edge.cross(normal).normalize_or_zero();
                 let rim = Quadric::of_plane(from, upright, RIM_WEIGHT * area);
                 self.quadrics[i as usize].add(&rim);
                 self.quadrics[j as usize].add(&rim);

@@ -269,17 +269,17 @@ fn cylinder_hit_m(
     let axis = (ends_m[1] - ends_m[0]) / length_m;
     let from_m = origin_m - ends_m[0];
     let (along, rise) = (from_m.dot(axis), direction.dot(axis));
-    let (flat_from, flat_way) = (from_m - axis * along, direction - axis * rise);
+    let (flat_from, flat_direction) = (from_m - axis * along, direction - axis * rise);
     let mut first: Option<f64> = None;
     let mut consider = |t: f64| {
         if t > SKIN_M && first.is_none_or(|best| t < best) {
             first = Some(t);
         }
     };
-    let way_squared = flat_way.length_squared();
-    if way_squared > 0.0 {
-        let half_b = flat_from.dot(flat_way) / way_squared;
-        let c = (flat_from.length_squared() - radius_m * radius_m) / way_squared;
+    let flat_squared = flat_direction.length_squared();
+    if flat_squared > 0.0 {
+        let half_b = flat_from.dot(flat_direction) / flat_squared;
+        let c = (flat_from.length_squared() - radius_m * radius_m) / flat_squared;
         let discriminant = half_b * half_b - c;
         if discriminant >= 0.0 {
             for t in [-half_b - discriminant.sqrt(), -half_b + discriminant.sqrt()] {
@@ -292,7 +292,7 @@ fn cylinder_hit_m(
     if rise != 0.0 {
         for level_m in [0.0, length_m] {
             let t = (level_m - along) / rise;
-            if (flat_from + flat_way * t).length_squared() <= radius_m * radius_m {
+            if (flat_from + flat_direction * t).length_squared() <= radius_m * radius_m {
                 consider(t);
             }
         }
@@ -301,17 +301,17 @@ fn cylinder_hit_m(
 }
 
 /// Intersection with a box, in the axes of the box.
-fn box_hit_m(from_m: DVec3, way: DVec3, half_m: DVec3) -> Option<f64> {
+fn box_hit_m(from_m: DVec3, direction: DVec3, half_m: DVec3) -> Option<f64> {
     let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
     for axis in 0..3 {
-        if way[axis] == 0.0 {
+        if direction[axis] == 0.0 {
             if from_m[axis].abs() > half_m[axis] {
                 return None;
             }
             continue;
         }
-        let a = (-half_m[axis] - from_m[axis]) / way[axis];
-        let b = (half_m[axis] - from_m[axis]) / way[axis];
+        let a = (-half_m[axis] - from_m[axis]) / direction[axis];
+        let b = (half_m[axis] - from_m[axis]) / direction[axis];
         enter = enter.max(a.min(b));
         leave = leave.min(a.max(b));
     }

@@ -30,25 +30,25 @@ fn a_target_stands_at_its_height_over_the_seabed_with_the_pressure_of_its_streng
 
 #[test]
 fn targets_without_a_seabed_or_with_a_repeated_name_are_rejected_by_name() {
-    let said = |rows: &str, seabed: Option<f64>| {
+    let message = |rows: &str, seabed: Option<f64>| {
         parse(format!("{HEAD}{rows}").as_bytes(), |_, _| seabed)
             .unwrap_err()
             .to_string()
     };
     assert_eq!(
-        said("a,1,2,0,0\n", None),
+        message("a,1,2,0,0\n", None),
         "line 2, column `name`: `a`: needs a seabed below it; at north 1, east 2 the scene has none"
     );
     assert_eq!(
-        said("a,1,2,0,0\na,3,4,0,0\n", Some(1.0)),
+        message("a,1,2,0,0\na,3,4,0,0\n", Some(1.0)),
         "line 3, column `name`: `a`: must be unique among the targets"
     );
     assert_eq!(
-        said("a,1,2,-1,0\n", Some(1.0)),
+        message("a,1,2,-1,0\n", Some(1.0)),
         "line 2, column `height_above_seabed_m`: `-1`: must lie in 0 ..= 20000"
     );
     assert_eq!(
-        said(",1,2,0,0\n", Some(1.0)),
+        message(",1,2,0,0\n", Some(1.0)),
         "line 2, column `name`: ``: must have 1 to 64 characters"
     );
 }
@@ -481,7 +481,7 @@ fn the_same_seed_gives_the_same_scatterers_and_targets_do_not_disturb_each_other
 
 #[test]
 fn every_error_of_a_toml_table_names_line_field_value_and_rule() {
-    let said = |rows: &str| {
+    let message = |rows: &str| {
         Targets::parse(
             rows.as_bytes(),
             Some(meshes_in(Path::new("."))),
@@ -539,7 +539,7 @@ fn every_error_of_a_toml_table_names_line_field_value_and_rule() {
             "line 1: `targets`: must be [[target]]; a table of targets has no other key",
         ),
     ] {
-        assert_eq!(said(&text), want, "{text}");
+        assert_eq!(message(&text), want, "{text}");
     }
 }
 
@@ -733,9 +733,9 @@ fn files_that_are_not_meshes_are_rejected_with_line_and_reason() {
             "needs lambert_db or target_strength_db",
         ),
     ] {
-        let said = parsed(&table.replace(from, to)).unwrap_err().to_string();
-        assert!(said.contains(want), "{to}: {said}");
-        assert!(said.starts_with("line "), "{said}");
+        let message = parsed(&table.replace(from, to)).unwrap_err().to_string();
+        assert!(message.contains(want), "{to}: {message}");
+        assert!(message.starts_with("line "), "{message}");
     }
 }
 
