@@ -1252,5 +1252,8 @@ fn a_mosaic_over_a_file_lies_where_its_coordinates_put_it() {
     assert!(opened(Some(mosaic(&path, Some(projected)))).is_ok());
     let (_keep, path) = written_at(x + 9.0 * extent_m.0, y);
     let error = message(&path, Some(projected));
-    assert!(error.contains("over none of it"), "{error}");
+    assert!(
+        error.contains("does not overlap the seabed's file"),
+        "{error}"
+    );
 }
