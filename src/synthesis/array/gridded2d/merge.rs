@@ -10,7 +10,8 @@ use crate::array::gridded::simd_level::{Kind as Processor, SimdLevel};
 
 /// Maximum number of echoes in the process; a larger set is thinned evenly.
 const MAX_LOOKED: usize = 4096;
-/// Every so many echoes, a point halfway to the next is added, since corners of boxes miss it.
+/// Stride, in echoes, at which a point halfway to the next echo is added, since corners of boxes miss
+/// it.
 pub(crate) const MIDWAY: usize = 4;
 /// Relative size of a direction below which it is rounding and adds nothing to the basis.
 const LEAST: f64 = 1e-14;

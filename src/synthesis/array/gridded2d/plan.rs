@@ -148,14 +148,14 @@ pub struct Choice {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
     /// The tolerance is below the smallest supported one.
-    #[error("gridded-2d: tolerance {tolerance} is below its minimum of {MIN_TOLERANCE}")]
+    #[error("tolerance {tolerance} is below its minimum of {MIN_TOLERANCE}")]
     TooFine {
         /// Requested tolerance.
         tolerance: f64,
     },
     /// Scatterers are too close for every stretch length.
     #[error(
-        "gridded-2d: tolerance {tolerance} cannot be met with scatterers as near as {nearest_m} m: no stretch of the line is short enough"
+        "tolerance {tolerance} cannot be met with scatterers as near as {nearest_m} m: no stretch of the line is short enough"
     )]
     TooNear {
         /// Requested tolerance.
@@ -165,7 +165,7 @@ pub enum Refusal {
     },
     /// The platform moves too fast across the line.
     #[error(
-        "gridded-2d: tolerance {tolerance} cannot be met at {across_m_per_s} m/s across the line: the Doppler phase differs by {turn_rad:.0} rad from one side to the other"
+        "tolerance {tolerance} cannot be met at {across_m_per_s} m/s across the line: the Doppler phase differs by {turn_rad:.0} rad from one side to the other"
     )]
     TooFastAcross {
         /// Requested tolerance.
@@ -176,13 +176,13 @@ pub enum Refusal {
         turn_rad: f64,
     },
     /// The Doppler model is not supported.
-    #[error("gridded-2d: doppler model `{}` is not supported: expected `none`, `stretch` or `stretch-quadratic`", .0.name())]
+    #[error("doppler model `{}` is not supported: expected `none`, `stretch` or `stretch-quadratic`", .0.name())]
     Doppler(DopplerModel),
     /// There is no receiver filter.
-    #[error("gridded-2d needs the receiver filter: without it the band of the pulse is unlimited")]
+    #[error("the receiver filter is required: without it the band of the pulse is unlimited")]
     NoFilter,
     /// A value in [`Bounds`] is invalid.
-    #[error("gridded-2d: {what} = {value}: must be {rule}")]
+    #[error("{what} = {value}: must be {rule}")]
     Bounds {
         /// Name of the value.
         what: &'static str,
@@ -193,7 +193,7 @@ pub enum Refusal {
     },
     /// Too much energy of the pulse lies outside the sampled band.
     #[error(
-        "gridded-2d: tolerance {tolerance} cannot be met: energy of the pulse's ends outside the sampled band makes an error of {share:.1e} in some window; use a longer taper or `direct`"
+        "tolerance {tolerance} cannot be met: energy of the pulse's ends outside the sampled band makes an error of {share:.1e} in some window; use a longer taper or `direct`"
     )]
     OutOfBand {
         /// Requested tolerance.
@@ -202,7 +202,7 @@ pub enum Refusal {
         share: f64,
     },
     /// The longest slab is too short for the pulse.
-    #[error("gridded-2d: a slab of {samples} samples at {rate_hz} Hz is too short for the pulse")]
+    #[error("a slab of {samples} samples at {rate_hz} Hz is too short for the pulse")]
     SlabTooShort {
         /// Sample rate, Hz.
         rate_hz: f64,
