@@ -1237,7 +1237,7 @@ mod tests {
             };
             let refusal = Gridded1d::new(&spec).err().map(|e| e.to_string());
             let said = refusal.expect("out of reach");
-            assert!(said.contains("its least is 1e-10"), "{said}");
+            assert!(said.contains("below the minimum of 1e-10"), "{said}");
         }
         let backwards = DopplerSpan {
             least: 1e-3,
