@@ -29,7 +29,21 @@ fn twenty_thousand_corrupted_messages_per_decoder_do_not_panic() {
 }
 
 /// Phrases in descriptions of invalid bytes.
-const COMPLAINTS: [&str; 2] = ["not a", "invalid "];
+const COMPLAINTS: [&str; 13] = [
+    "not a message",
+    "not a record",
+    "not a packet",
+    "not a 7k",
+    "not a SigMF",
+    "not a WAV",
+    "not a VITA",
+    "not a Ping",
+    "not a WBMS",
+    "not a JSF",
+    "not an ",
+    "invalid body",
+    "invalid record",
+];
 
 fn in_words(format: Format, bytes: &[u8]) -> Vec<String> {
     let mut lines = Vec::new();

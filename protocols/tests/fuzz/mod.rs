@@ -23,31 +23,31 @@ use echotank_protocols::wbms::{
 use echotank_protocols::words::{Format, Words, datagram};
 
 /// xorshift64*, deterministic on every platform.
-pub struct Random(pub u64);
+pub(crate) struct Random(pub u64);
 
 impl Random {
-    pub fn next(&mut self) -> u64 {
+    pub(crate) fn next(&mut self) -> u64 {
         self.0 ^= self.0 >> 12;
         self.0 ^= self.0 << 25;
         self.0 ^= self.0 >> 27;
         self.0.wrapping_mul(0x2545_F491_4F6C_DD1D)
     }
-    pub fn below(&mut self, limit: usize) -> usize {
+    pub(crate) fn below(&mut self, limit: usize) -> usize {
         (self.next() % limit.max(1) as u64) as usize
     }
 }
 
 /// One entry point of the crate.
 #[derive(Clone, Copy)]
-pub struct Decoder {
-    pub name: &'static str,
+pub(crate) struct Decoder {
+    pub(crate) name: &'static str,
     format: Format,
     /// One datagram, instead of a connection or a file.
     is_datagram: bool,
 }
 
 /// Every format as a connection or file, and the datagram formats as datagrams.
-pub fn decoders() -> Vec<Decoder> {
+pub(crate) fn decoders() -> Vec<Decoder> {
     let all = Format::ALL.into_iter().map(|format| Decoder {
         name: format.name(),
         format,
@@ -67,7 +67,7 @@ pub fn decoders() -> Vec<Decoder> {
 
 impl Decoder {
     /// Parses all of `bytes` and returns the number of messages and gaps.
-    pub fn decode(&self, bytes: &[u8]) -> u64 {
+    pub(crate) fn decode(&self, bytes: &[u8]) -> u64 {
         let mut lines = 0;
         self.each_line(bytes, &mut |line| {
             assert!(!line.is_empty());
@@ -77,7 +77,7 @@ impl Decoder {
     }
 
     /// Describes all of `bytes`.
-    pub fn each_line(&self, bytes: &[u8], each: &mut dyn FnMut(String)) {
+    pub(crate) fn each_line(&self, bytes: &[u8], each: &mut dyn FnMut(String)) {
         if self.is_datagram {
             datagram(self.format, bytes, each);
         } else {
@@ -91,7 +91,7 @@ impl Decoder {
     }
 
     /// Valid short messages.
-    pub fn seeds(&self) -> Vec<Vec<u8>> {
+    pub(crate) fn seeds(&self) -> Vec<Vec<u8>> {
         match self.format {
             Format::SevenK => sevenk_packets(),
             Format::S7k => sevenk_records(),
@@ -112,7 +112,7 @@ impl Decoder {
     }
 
     /// A corrupted message.
-    pub fn corrupted(&self, seeds: &[Vec<u8>], random: &mut Random) -> Vec<u8> {
+    pub(crate) fn corrupted(&self, seeds: &[Vec<u8>], random: &mut Random) -> Vec<u8> {
         let mut bytes = seeds[random.below(seeds.len())].clone();
         for _ in 0..1 + random.below(4) {
             corrupt(&mut bytes, seeds, random);
