@@ -1,4 +1,4 @@
-//! What an operator may ask of a running daemon, and what it tells: behind the HTTP server's routes and `echotank ctl`.
+//! Control of a running daemon, behind the HTTP routes and `echotank ctl`: commands and state.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
@@ -27,61 +27,68 @@ use echotank_core::time::{MonoNs, UtcNs};
 use echotank_nav::health::State;
 use echotank_ping::faults::Faults;
 
-/// Steps that may be asked for at once: a slip would otherwise take hours to be noticed.
+/// Most steps per command; it guards against typing errors.
 const MAX_STEPS: u64 = 1_000_000;
 
-/// A pipeline that does not come round for so long is stuck: no ping takes as long.
+/// The pipeline counts as stuck after this time without an iteration, s; no ping takes as long.
 const LONGEST_BEAT_S: f64 = 15.0;
 
-/// As `run.clock_rate` of the configuration.
+/// Limits of `run.clock_rate`, as in the configuration.
 const CLOCK_RATES: std::ops::RangeInclusive<f64> = 0.1..=1000.0;
 
-/// Of what was asked that is no setting, kept for the page.
+/// Commands other than settings kept for the page.
 const MAX_DEEDS: usize = 64;
 
-/// One sonar as its operator sees it.
+/// Control and state of one sonar.
 pub struct SonarControl {
+    /// Name in the configuration.
     pub name: String,
+    /// Settings in force.
     pub settings: Arc<SettingsStore>,
+    /// Counters of its pings.
     pub counters: Arc<PingCounters>,
+    /// Counters of its triggers.
     pub triggers: Arc<TriggerCounts>,
+    /// Histograms of its timing.
     pub histograms: Arc<Histograms>,
+    /// Counters of its outputs.
     pub reports: OutputReports,
 }
 
 impl SonarControl {
-    /// Name, meaning, value.
+    /// Metric name, help text and value.
     fn all_counters(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> + '_ {
         self.counters.all().chain(self.triggers.all())
     }
 }
 
-/// The whole daemon as its operator sees it.
+/// Control and state of the daemon.
 pub struct RunControl {
     clock: Mutex<ClockSpec>,
     gate: Arc<Gate>,
-    /// All navigation is recorded.
+    /// Whether all navigation is recorded.
     recorded: bool,
     sonars: Vec<SonarControl>,
     faults: Arc<Faults>,
     rig_time: RigTime,
     overload_states: OverloadLog,
-    /// The navigation's counters, renewed by the pipeline.
+    /// Status lines of the navigation, renewed by the pipeline.
     nav_lines: Mutex<Vec<String>>,
     nav_sources: Mutex<Vec<(State, SourceCounters)>>,
     page: PageSource,
     relief: ReliefCache,
-    /// What was asked that is no setting, the newest last.
+    /// Commands other than settings, the newest last.
     deeds: Mutex<VecDeque<Value>>,
     deeds_done: AtomicU64,
-    /// When it was opened, the machine's UTC: what tells one run from the next.
+    /// Start of the daemon, machine UTC; it identifies the run.
     opened: UtcNs,
     machine: SystemClock,
-    /// When the pipeline last came round, on `machine`.
+    /// Time of the pipeline's last iteration, on `machine`.
     beat_ns: AtomicI64,
 }
 
 impl RunControl {
+    /// Control of a daemon that is being opened.
     pub fn new(
         clock: ClockSpec,
         gate: Arc<Gate>,
@@ -112,20 +119,22 @@ impl RunControl {
         }
     }
 
-    /// Pings that were not as they should have been, for the log.
+    /// Events of overload, for the log.
     pub(crate) fn overload_states(&self) -> &OverloadLog {
         &self.overload_states
     }
 
+    /// The sonars, in the configuration's order.
     pub fn sonars(&self) -> &[SonarControl] {
         &self.sonars
     }
 
+    /// The gate that pauses and steps rig time.
     pub fn gate(&self) -> &Arc<Gate> {
         &self.gate
     }
 
-    /// The pipeline has come round.
+    /// Notes an iteration of the pipeline.
     pub fn beat(&self) {
         self.beat_ns.store(self.machine.mono().0, Ordering::Relaxed);
     }
@@ -151,7 +160,7 @@ impl RunControl {
         lock(&self.nav_lines).clone()
     }
 
-    /// All counters as text.
+    /// Status lines of all counters.
     pub fn lines(&self, latency_s: f64) -> Vec<String> {
         let mut lines = Vec::new();
         for sonar in &self.sonars {
@@ -164,7 +173,7 @@ impl RunControl {
         lines
     }
 
-    /// The one sonar of that name, or the only one where none is named.
+    /// The sonar of that name, or the only one if no name is given.
     fn sonar(&self, name: Option<&str>) -> Result<&SonarControl, String> {
         let names = || {
             let names: Vec<_> = self.sonars.iter().map(|s| s.name.as_str()).collect();
@@ -238,8 +247,7 @@ impl RunControl {
         }
     }
 
-    /// Time that is the machine's can go at any rate, and time that is the pings' own can go by itself or by steps; from one kind to the
-    /// other only with another configuration.
+    /// Machine time may run at any rate; simulated time runs freely or by steps. Changing between the two requires a restart.
     fn set_clock(&self, mode: ClockMode, rate: Option<f64>) -> Result<Value, String> {
         self.refuse_without_own_nav()?;
         let rate = match (mode, rate) {
@@ -275,7 +283,7 @@ impl RunControl {
         Ok(json!({ "clock": clock_name(wanted), "rate": rate }))
     }
 
-    /// With live navigation rig time cannot stand still.
+    /// Live navigation prevents pausing rig time.
     fn refuse_without_own_nav(&self) -> Result<(), String> {
         match self.recorded {
             true => Ok(()),
@@ -286,10 +294,10 @@ impl RunControl {
         }
     }
 
-    /// Remembers what is no setting: those have a journal of their own.
+    /// Keeps a command for the page and logs it. Settings have a journal and log entries of their own.
     fn note(&self, command: &Command, answer: &Answer, by: Asker) {
         let is_setting = matches!(command, Command::Set(_) | Command::Trigger { .. });
-        // A refusal ahead of the settings' own journal has no line there.
+        // A request refused before the journal has no entry there.
         let is_told = is_setting
             && (answer.accepted || answer.why.as_deref().is_some_and(|w| w.contains(" = ")));
         if is_told {
@@ -323,7 +331,7 @@ impl RunControl {
         }
     }
 
-    /// One after another; what was accepted before a refusal stays.
+    /// Applies changes in order; those before a refusal remain.
     fn set(
         &self,
         sonar: &SonarControl,
@@ -378,7 +386,7 @@ fn clock_name(clock: ClockSpec) -> &'static str {
     }
 }
 
-/// What is behind these locks is whole whenever they are free.
+/// Every statement under these locks leaves consistent data.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -410,7 +418,7 @@ impl ControlPort for RunControl {
     }
 
     fn revision(&self) -> u64 {
-        // Each part only grows, but for the gate's, which changes whenever it does.
+        // Settings and commands only increase it; the gate toggles its last bit.
         let settings = self.sonars.iter().map(|sonar| {
             let counts = sonar.settings.counts();
             sonar.settings.version() + counts.applied + counts.refused
@@ -480,7 +488,7 @@ impl ControlPort for RunControl {
     fn ailment(&self) -> Option<String> {
         let beat = MonoNs(self.beat_ns.load(Ordering::Relaxed));
         let silent_s = self.machine.mono().seconds_since(beat);
-        // Paused it may well stand.
+        // A paused pipeline may stand still.
         (silent_s > LONGEST_BEAT_S && !self.gate.is_paused())
             .then(|| format!("the pipeline has stood for {silent_s:.0} s"))
     }

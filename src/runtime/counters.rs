@@ -1,4 +1,4 @@
-//! What happened, in numbers: printed every few seconds and at the end, and the same for `replay`.
+//! Counters of a sonar, for the periodic status, `/metrics` and `replay`.
 
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -8,72 +8,87 @@ use echotank_core::flow::{
 };
 use echotank_ping::method_selection::live::PlanCounts;
 
-/// Counters of one sonar; written by the pipeline and the delivery thread, read by whoever prints.
+/// Counters of one sonar, written by the pipeline and the delivery thread.
 #[derive(Debug, Default)]
 pub struct PingCounters {
+    /// Pings computed.
     pub made: AtomicU64,
-    /// Navigation did not cover the ping in time.
+    /// Pings whose navigation was incomplete at the deadline.
     pub(crate) skipped_nav: AtomicU64,
-    /// The deadline had passed before the ping could be computed.
+    /// Pings whose deadline passed before they could be computed.
     pub(crate) skipped_late: AtomicU64,
-    /// More pings waited than the queue holds.
+    /// Pings for which the queue was full.
     pub(crate) skipped_queue: AtomicU64,
-    /// Made with a looser tolerance because computing did not keep up, and how many steps looser the newest ping is.
+    /// Pings computed with a larger tolerance because of overload.
     pub degraded: AtomicU64,
+    /// Degradation level of the newest ping, steps.
     pub looser: AtomicU64,
-    /// Began to stream, and could not go on in time: the rest of their samples did not leave by the streams.
+    /// Pings that began to stream and were truncated because the rest was late.
     pub truncated: AtomicU64,
-    /// Pulses that went out later than the beat had them because computing did not keep up, and by how much in all, microseconds.
+    /// Pulses delayed because of overload.
     pub stretched: AtomicU64,
+    /// Sum of these delays, us.
     pub(crate) stretched_us: AtomicU64,
-    /// A recorder ended with an error, as of a full disk; pings go on.
+    /// Recorders that ended with an error; pings continue.
     pub recordings_stopped: AtomicU64,
-    /// A fault had the pulse missed.
+    /// Pulses suppressed by a fault.
     pub(crate) triggers_missed: AtomicU64,
-    /// Delivered, but after the deadline.
+    /// Pings delivered after their deadline.
     pub(crate) deadline_misses: AtomicU64,
-    /// Worst lateness of a delivery, microseconds.
+    /// Largest lateness of a delivery, us.
     pub(crate) worst_late_us: AtomicU64,
-    /// Lateness of the newest delivery, microseconds: deadlines are absolute, so it is how far pings have drifted since the first.
+    /// Lateness of the newest delivery, us. Deadlines are absolute, so it is the drift since the first ping.
     pub(crate) drift_us: AtomicU64,
-    /// Age of the newest position or attitude sample behind the last ping, milliseconds; interpolated pings have 0.
+    /// Age of the newest position or attitude sample of the last ping, ms; 0 where interpolated.
     pub(crate) nav_age_ms: AtomicU64,
-    /// Sum and worst of the time `compute_ping` took, microseconds.
+    /// Sum of computing times, us.
     pub(crate) compute_us: AtomicU64,
+    /// Longest computing time, us.
     pub(crate) worst_compute_us: AtomicU64,
+    /// Samples clipped by the converter.
     pub(crate) samples_saturated: AtomicU64,
+    /// Echo paths used.
     pub arrivals: AtomicU64,
+    /// Echo paths culled.
     pub culled: AtomicU64,
+    /// Pings with extrapolated navigation.
     pub extrapolated: AtomicU64,
-    /// Made with navigation that is flagged invalid.
+    /// Pings whose navigation is flagged invalid.
     pub(crate) invalid_nav: AtomicU64,
-    /// Pings that carried an error check.
+    /// Pings with an error check.
     pub checked: AtomicU64,
-    /// ... and among them those whose error was above 1.3 tolerances, as on the one before.
+    /// Error checks above 1.3 tolerances that followed another such check.
     pub error_check_faults: AtomicU64,
-    /// The plan of methods of the newest ping, and what it promises and is allowed, as the bits of f64.
+    /// Number of the newest ping's method plan; 0 without a plan.
     pub plan: AtomicU64,
+    /// Predicted error and tolerance of that plan, as bits of f64.
     pub(crate) plan_promise: [AtomicU64; 2],
-    /// Elements of a line that it makes as one.
+    /// Elements of a line that the plan computes as one.
     pub(crate) plan_part_elements: AtomicU64,
-    /// Plans given up because an error check was above their tolerance, and that could not be made.
+    /// Plans abandoned because an error check exceeded their tolerance.
     pub plans_given_up: AtomicU64,
+    /// Plans that could not be prepared.
     pub(crate) plans_failed: AtomicU64,
-    /// Echoes nearer or faster than the engine is made for.
+    /// Echoes outside the engine's range of distance or speed.
     pub beyond_engine: AtomicU64,
-    /// Scatterers of the seabed, sums over the pings.
+    /// Seabed scatterers generated, summed over pings.
     pub(crate) seabed_made: AtomicU64,
+    /// Seabed scatterers culled, summed over pings.
     pub(crate) seabed_culled: AtomicU64,
+    /// Seabed scatterers in shadow, summed over pings.
     pub(crate) seabed_shadowed: AtomicU64,
+    /// Seabed scatterers used, summed over pings.
     pub(crate) seabed_used: AtomicU64,
-    /// The newest error check: error, low, high, as the bits of f64.
+    /// Newest error check: error, lower and upper bound, as bits of f64.
     pub error_check: [AtomicU64; 3],
 }
 
+/// Adds to a counter, with relaxed ordering.
 pub fn add(counter: &AtomicU64, n: u64) {
     counter.fetch_add(n, Ordering::Relaxed);
 }
 
+/// Raises a counter to at least `n`, with relaxed ordering.
 pub fn worst(counter: &AtomicU64, n: u64) {
     counter.fetch_max(n, Ordering::Relaxed);
 }
@@ -83,6 +98,7 @@ fn read(counter: &AtomicU64) -> u64 {
 }
 
 impl PingCounters {
+    /// Counts a computed ping; `compute_us`: its computing time, us.
     pub fn ping(&self, counts: &EchoCounts, saturated: u64, compute_us: u64) {
         add(&self.made, 1);
         add(&self.arrivals, counts.used);
@@ -93,7 +109,7 @@ impl PingCounters {
         worst(&self.worst_compute_us, compute_us);
     }
 
-    /// What a ping had of the seabed.
+    /// Counts the seabed scatterers of a ping.
     pub fn scene(&self, counts: &SceneCounts) {
         add(&self.seabed_made, counts.made);
         add(&self.seabed_culled, counts.culled);
@@ -101,7 +117,7 @@ impl PingCounters {
         add(&self.seabed_used, counts.scatterers);
     }
 
-    /// What was done to a ping because computing did not keep up; `level`: how many steps looser than configured it is.
+    /// Counts the overload measures of a ping; `level`: its degradation level.
     pub fn overload_state(&self, level: usize, overload_state: &OverloadState) {
         add(&self.degraded, u64::from(level > 0));
         self.looser.store(level as u64, Ordering::Relaxed);
@@ -109,7 +125,7 @@ impl PingCounters {
         add(&self.stretched_us, (overload_state.put_off_s * 1e6) as u64);
     }
 
-    /// What a ping's error check says, if it has one.
+    /// Counts the error check of a ping, if it has one.
     pub fn error_check(&self, error_check: Option<&ErrorCheck>) {
         let Some(c) = error_check else {
             return;
@@ -121,7 +137,7 @@ impl PingCounters {
         }
     }
 
-    /// What a ping's plan of methods says, if there is one.
+    /// Counts the method plan of a ping, if it has one.
     pub fn plan(&self, mark: Option<&MethodMark>, counts: &PlanCounts) {
         let Some(mark) = mark else {
             return;
@@ -138,7 +154,7 @@ impl PingCounters {
         self.plans_failed.store(counts.failed, Ordering::Relaxed);
     }
 
-    /// For the status lines: what the seabed, the engine and the error check have to say, if anything.
+    /// Text of the status line on seabed, engine, plan, overload and error checks.
     fn model_text(&self) -> String {
         let mut text = String::new();
         let per_ping = |sum: &AtomicU64| read(sum) / read(&self.made).max(1);
@@ -210,7 +226,7 @@ impl PingCounters {
         text
     }
 
-    /// The newest plan of methods with its error check; null where nothing is left to a plan.
+    /// The newest method plan with its error check, as JSON; null without a plan.
     pub(crate) fn methods_json(&self) -> serde_json::Value {
         if read(&self.plan) == 0 {
             return serde_json::Value::Null;
@@ -232,7 +248,7 @@ impl PingCounters {
         })
     }
 
-    /// Where the navigation behind a ping came from in time.
+    /// Counts the navigation state of a ping.
     pub fn nav(&self, state: &NavState) {
         let age_s = state.position_age_s.max(state.attitude_age_s).max(0.0);
         self.nav_age_ms
@@ -241,7 +257,7 @@ impl PingCounters {
         add(&self.invalid_nav, u64::from(state.invalid.any()));
     }
 
-    /// For `replay`, which has no clock.
+    /// Status line of `replay`, which has no clock.
     pub(crate) fn replay_line(&self) -> String {
         format!(
             "{} pings made, {} skipped (navigation), {} samples saturated{}",
@@ -252,7 +268,7 @@ impl PingCounters {
         )
     }
 
-    /// What an operator should know who sees nothing but skipped pings.
+    /// Advice where every ping is skipped.
     pub fn advice(&self, latency_s: f64) -> Option<String> {
         (read(&self.made) == 0 && read(&self.skipped_nav) > 0).then(|| {
             format!(
@@ -262,7 +278,7 @@ impl PingCounters {
         })
     }
 
-    /// Name, meaning, value: for whoever takes numbers rather than text.
+    /// Metric name, help text and value of each counter.
     pub fn all(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> + '_ {
         [
             ("pings_made", "Pings computed", &self.made),
@@ -379,7 +395,7 @@ impl PingCounters {
         .map(|(name, doc, counter)| (name, doc, read(counter)))
     }
 
-    /// As [`Self::all`], of what is no count: what the newest ping's plan and error check say. None where there is none.
+    /// As [`Self::all`], for the newest ping's plan and error check; `None` without a value.
     pub fn errors(&self) -> [(&'static str, &'static str, Option<f64>); 4] {
         let of = |bits: &AtomicU64| f64::from_bits(read(bits));
         let planned = read(&self.plan) > 0;
@@ -411,6 +427,7 @@ impl PingCounters {
         ]
     }
 
+    /// Pings skipped for any reason.
     pub fn skipped(&self) -> u64 {
         read(&self.skipped_nav) + read(&self.skipped_late) + read(&self.skipped_queue)
     }

@@ -1,8 +1,7 @@
-//! Packet captures in words: what `tools/wiredump` prints of them.
+//! Describes packet captures as text for `tools/wiredump`.
 //!
-//! Datagrams are read by the port that they go to, or by their first bytes; each direction of a TCP connection is put together and read as a stream,
-//! by the port at either end. A segment that comes again is passed over, one that comes early waits; where one never comes the stream goes on
-//! behind the gap, and the decoder finds its feet again.
+//! Datagrams are decoded by destination port or by their first bytes. Each direction of a TCP connection is reassembled and decoded by either port.
+//! Repeated segments are skipped and early ones wait. After a lost segment decoding resynchronises behind the gap.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -10,23 +9,23 @@ use echotank_protocols::words::{Datagrams, Format, Words};
 
 use echotank_nav::capture::{self, Segment};
 
-/// Early segments of one direction that may wait for the missing one; more, and it is taken for lost.
+/// Early segments that may wait in one direction before the missing one counts as lost.
 const MAX_WAITING: usize = 64;
 
-/// One direction of a connection.
+/// One direction of a TCP connection.
 #[derive(Default)]
 struct StreamDirection {
-    /// None until its first bytes have told the format.
+    /// `None` until the first bytes reveal the format.
     words: Option<Words>,
-    /// Number of the next byte; none before the first segment.
+    /// Sequence number of the next byte; `None` before the first segment.
     next: Option<u32>,
-    /// By their distance from `next`'s first value, which grows where sequence numbers turn over.
+    /// By offset from the first sequence number, which orders them across wrap-around.
     waiting: BTreeMap<u32, Vec<u8>>,
     begun: u32,
 }
 
 impl StreamDirection {
-    /// Takes a segment and hands on, in order, what is now whole.
+    /// Adds a segment and passes on the bytes that are now in order.
     fn push(&mut self, segment: &Segment<'_>, mut each: impl FnMut(&[u8])) {
         if segment.is_start {
             *self = Self {
@@ -56,7 +55,7 @@ impl StreamDirection {
             let Some((place, bytes)) = self.waiting.pop_first() else {
                 break;
             };
-            // What was sent again is known already.
+            // Skips bytes that were passed on before.
             let known = at.saturating_sub(place) as usize;
             if let Some(new) = bytes.get(known..).filter(|new| !new.is_empty()) {
                 each(new);
@@ -67,7 +66,7 @@ impl StreamDirection {
     }
 }
 
-/// A line for each message in a pcap or pcapng file, until `each` says that there have been enough; `format` is that of everything.
+/// Describes each message of a pcap or pcapng file in a line, until `each` returns false. `format` overrides detection.
 pub fn describe_capture(
     bytes: &[u8],
     format: Option<Format>,
@@ -169,7 +168,7 @@ mod tests {
             "RateHz(4.0)",
             "Power(true)",
         ];
-        // Sequence numbers turn over inside.
+        // Sequence numbers wrap around inside.
         let first = u32::MAX - 20;
         let at = |from: usize, to: usize| {
             let sequence = first.wrapping_add(1).wrapping_add(from as u32);
@@ -206,7 +205,7 @@ mod tests {
     #[test]
     fn a_segment_that_never_comes_is_a_gap_and_no_end() {
         let mut segments = vec![(0, true, &b""[..]), (1, false, &b"set_rate 4\r\n"[..])];
-        // One is lost; many lines follow.
+        // One segment is lost; many follow.
         let lost = 13 + 12;
         segments.extend(
             (0..=MAX_WAITING as u32).map(|k| (lost + 12 * k, false, &b"set_rate 5\r\n"[..])),

@@ -1,8 +1,7 @@
-//! Datagrams that are sent whether or not anybody listens, no faster than a given pace, by a thread of their own.
+//! Unsolicited datagrams, sent by a thread of their own at a limited rate.
 //!
-//! In: the packets of a ping, and how they are to be spread. Out: the same to every address, in groups, at the rate of the stream's token
-//! bucket, those of a block not before it is due. A ping that finds the queue full is not sent at all, and counted. An address that cannot
-//! be reached costs its packets only, counted too.
+//! The packets of a ping go to every address in groups, at the rate of a token bucket per address, and those of a block not before it is due. A ping
+//! that finds the queue full is dropped and counted. Packets to an unreachable address are counted as failed.
 
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -22,45 +21,45 @@ use echotank_core::time::MonoNs;
 use echotank_emit::packets::Packets;
 use echotank_emit::pool::DatagramPool;
 
-/// Asked of the operating system for each socket, so that a group is not lost between two of our looks at the clock.
+/// Send buffer requested for each socket, bytes; it must hold a group.
 const SEND_BUFFER_BYTES: usize = 1 << 20;
 
-/// Frames that clients of a server may hold before buffers are made anew.
+/// Buffers in use by a server's clients before new ones are allocated.
 const MAX_KEPT_BUFFERS: usize = 256;
 
-/// Where packets go.
+/// Destinations and limits of a sender.
 #[derive(Clone, Debug)]
 pub(crate) struct Route {
     pub send_to: Vec<SocketAddr>,
     pub multicast_interface: Ipv4Addr,
     pub multicast_ttl: u32,
-    /// Never faster than this to any address, whatever a ping's spread asks for.
+    /// Limit of the rate to each address, bytes/s, whatever the spread of a ping.
     pub pace_bytes_per_s: f64,
-    /// Pings that may wait.
+    /// Limit of queued pings.
     pub queue: usize,
 }
 
 /// When the packets of a ping leave.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Leaving {
-    /// Evenly over so many seconds from now; 0: as fast as the pace allows.
+    /// Evenly over this time from now, s; 0: as fast as the pace allows.
     Over(f64),
-    /// Each block so long after its last sample was heard. The pulse began at this instant of the rig's clock.
+    /// Each block this long after its last sample. `pulse`: start of the pulse on the rig's clock.
     AsHeard { pulse: MonoNs, latency_s: f64 },
 }
 
-/// What was sent.
+/// Counters of a sender.
 #[derive(Debug, Default)]
 pub(crate) struct DatagramCounts {
     /// One for each address, in the order of [`Route::send_to`]; none where a server's clients get the packets.
     pub(crate) receivers: Vec<ReceiverCounts>,
-    /// Packets handed to a server, which counts each client's itself.
+    /// Packets passed to a server, which keeps counts for each client.
     pub(crate) to_clients: AtomicU64,
     /// Pings that found the queue full.
     pub(crate) dropped_pings: AtomicU64,
 }
 
-/// What was sent to one address.
+/// Counters of one address.
 #[derive(Debug)]
 pub(crate) struct ReceiverCounts {
     pub to: SocketAddr,
@@ -75,29 +74,29 @@ impl DatagramCounts {
         let each = self.receivers.iter().map(|r| of(r).load(Ordering::Relaxed));
         each.sum()
     }
-    /// To anybody.
+    /// Packets sent to any address.
     pub(crate) fn packets(&self) -> u64 {
         self.to_clients.load(Ordering::Relaxed) + self.sum(|r| &r.packets)
     }
-    /// Refused by the operating system.
+    /// Packets refused by the operating system.
     pub(crate) fn failed(&self) -> u64 {
         self.sum(|r| &r.failed)
     }
 }
 
-/// The near end of the sending thread. Stops, with everything queued sent, when dropped.
+/// The sending thread's queue. When dropped, it sends what is queued and stops.
 pub(crate) struct DatagramSender {
     full: Option<Sender<(Packets, Leaving)>>,
     empty: Receiver<Packets>,
     counts: Arc<DatagramCounts>,
     thread: Option<JoinHandle<()>>,
     faulty: Mutex<Option<Box<dyn OutputLink>>>,
-    /// Whose clients get the packets.
+    /// Server whose clients get the packets.
     server: Option<Arc<SonarServer>>,
 }
 
 impl DatagramSender {
-    /// `clock` is the rig's, on which blocks are due.
+    /// `clock`: the rig's clock, on which blocks are due.
     pub(crate) fn open(
         route: Route,
         clock: Arc<dyn Clock>,
@@ -128,7 +127,7 @@ impl DatagramSender {
         )
     }
 
-    /// Sends to the clients of a server instead, which paces itself: blocks are handed over when they are due.
+    /// Sends to the clients of a server, which limits the rate itself; blocks are passed on when they are due.
     pub(crate) fn serve(
         server: Arc<SonarServer>,
         queue: usize,
@@ -171,7 +170,7 @@ impl DatagramSender {
                 line.sending.begin();
                 for (ping, leaving) in pings {
                     line.send(&ping, leaving);
-                    // Full only if somebody keeps more buffers than the queue holds: then this one is let go.
+                    // Full only if more buffers exist than the queue holds; this one is then freed.
                     let _ = give_back.try_send(ping);
                 }
             })?;
@@ -185,7 +184,7 @@ impl DatagramSender {
         })
     }
 
-    /// All that is sent passes `line` from now on.
+    /// Sends all further pings through `line`.
     pub(crate) fn set_line(&self, line: Box<dyn OutputLink>) {
         *self.faulty.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
     }
@@ -194,12 +193,12 @@ impl DatagramSender {
         &self.counts
     }
 
-    /// A buffer for the next ping, used before if there is one.
+    /// A buffer for the next ping, reused if possible.
     pub(crate) fn buffer(&self) -> Packets {
         self.empty.try_recv().unwrap_or_default()
     }
 
-    /// Queues a ping; false if there was no room.
+    /// Queues a ping; false if the queue is full.
     pub(crate) fn send(&self, mut ping: Packets, leaving: Leaving) -> bool {
         let mut faulty = self.faulty.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(line) = &mut *faulty {
@@ -236,7 +235,7 @@ fn socket_for(to: SocketAddr, route: &Route) -> std::io::Result<UdpSocket> {
     };
     let domain = socket2::Domain::for_address(to);
     let socket = socket2::Socket::new(domain, socket2::Type::DGRAM, Some(socket2::Protocol::UDP))?;
-    // As much as the system gives.
+    // The kernel may grant less.
     let _ = socket.set_send_buffer_size(SEND_BUFFER_BYTES);
     if to.ip().is_multicast() && to.is_ipv4() {
         socket.set_multicast_if_v4(&route.multicast_interface)?;
@@ -247,7 +246,7 @@ fn socket_for(to: SocketAddr, route: &Route) -> std::io::Result<UdpSocket> {
     Ok(socket.into())
 }
 
-/// Who gets it.
+/// Destination of the packets.
 enum Destination {
     Addresses(Vec<(UdpSocket, SockAddr)>),
     Clients {
@@ -256,13 +255,13 @@ enum Destination {
     },
 }
 
-/// The thread's own.
+/// State of the sending thread.
 struct Transmission {
     far: Destination,
     bucket: Bucket,
     pace_bytes_per_s: f64,
     clock: Arc<dyn Clock>,
-    /// A pace is a promise to wires and boards, which live in the machine's time.
+    /// The rate limit protects real links and boards, so it applies to machine time.
     machine: SystemClock,
     counts: Arc<DatagramCounts>,
     sending: Sending,
@@ -328,7 +327,7 @@ impl ReceiverCounts {
         self.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
     }
 
-    /// Sends what can be sent: what fails costs itself only.
+    /// Sends to each destination; a failure affects no other.
     fn send(&self, socket: &UdpSocket, to: &SockAddr, group: &[&[u8]]) {
         let mut rest = group;
         while !rest.is_empty() {
@@ -422,7 +421,7 @@ mod tests {
     fn a_full_queue_drops_whole_pings_and_never_waits() {
         let inbox = UdpSocket::bind("127.0.0.1:0").expect("a socket");
         let to = inbox.local_addr().expect("address");
-        // A burst lasts half a second at this pace.
+        // A burst lasts half a second at this rate.
         let sender = open(route(vec![to], 65_536.0));
         let large = vec![0; 32 * 1024];
         let queued = (0..20)

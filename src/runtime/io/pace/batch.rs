@@ -1,17 +1,17 @@
-//! Several datagrams to one address in one call of the kernel (`sendmmsg`), where there is one; elsewhere one call each.
+//! Sends several datagrams to one address in one system call (`sendmmsg`, Linux); elsewhere one call each.
 
 use std::io::{self, ErrorKind};
 use std::os::fd::{AsFd, AsRawFd};
 
 use socket2::{SockAddr, SockRef};
 
-/// Datagrams in one call. A group of 1 ms of 41 MB/s in Ethernet frames is 28.
+/// Most datagrams per call. A 1 ms group at 41 MB/s in Ethernet frames has 28.
 #[cfg(target_os = "linux")]
 const MOST: usize = 64;
-/// A socket whose buffer is full is waited for so long, ms; then the datagram has failed.
+/// Longest wait for a full send buffer, ms; then the datagram fails.
 const PATIENCE_MS: libc::c_int = 200;
 
-/// Sends in order until all are gone or one fails, and says how many went. A full buffer is waited for, whether the socket blocks or not.
+/// Sends in order until all are sent or one fails; returns the number sent. Waits for a full buffer on non-blocking sockets too.
 pub(crate) fn send_batch(
     socket: &impl AsFd,
     to: &SockAddr,
@@ -50,11 +50,11 @@ fn wait_for_room(socket: &impl AsFd) {
         events: libc::POLLOUT,
         revents: 0,
     };
-    // SAFETY: one live structure, as the count says; what comes of it is seen by sending again.
+    // SAFETY: one live structure, as the count says. The result is ignored: the next send shows the socket's state.
     unsafe { libc::poll(&mut poll, 1, PATIENCE_MS) };
 }
 
-/// One datagram: how many went.
+/// Sends one datagram; returns the number sent.
 #[cfg_attr(all(target_os = "linux", not(test)), allow(dead_code))]
 fn send_one(socket: &impl AsFd, to: &SockAddr, packets: &[&[u8]]) -> io::Result<usize> {
     match packets.first() {
@@ -68,7 +68,7 @@ fn send_some(socket: &impl AsFd, to: &SockAddr, packets: &[&[u8]]) -> io::Result
     send_one(socket, to, packets)
 }
 
-/// At most [`MOST`]: how many went; an error only where the first of them failed.
+/// Sends at most [`MOST`] datagrams; returns the number sent, or the error of the first one.
 #[cfg(target_os = "linux")]
 fn send_some(socket: &impl AsFd, to: &SockAddr, packets: &[&[u8]]) -> io::Result<usize> {
     let count = packets.len().min(MOST);
@@ -129,7 +129,7 @@ mod tests {
         let (outbox, inbox, to) = pair();
         let packets: Vec<Vec<u8>> = (0..150_u8).map(|k| vec![k; usize::from(k)]).collect();
         let slices: Vec<&[u8]> = packets.iter().map(Vec::as_slice).collect();
-        // Fewer than fill a stock socket's buffer.
+        // Fewer than fill a default socket buffer.
         for part in slices.chunks(75) {
             let (gone, result) = send_batch(&outbox, &to, part);
             assert_eq!((gone, result.is_ok()), (part.len(), true));

@@ -1,26 +1,26 @@
-//! A token bucket: so many bytes at once, then so many a second, on absolute instants.
+//! A token bucket on absolute time: a burst limit and a rate.
 //!
-//! Tokens come with the clock and not with our waking: who wakes late finds more of them and catches up, but never by more than the bucket
-//! holds. A group larger than the bucket (one long datagram) waits for a full one and leaves a debt.
+//! Tokens accrue with the clock, so a late wake-up catches up, by at most the bucket's size. A group larger than the bucket, such as one long datagram,
+//! waits for a full bucket and leaves a negative balance.
 
 use echotank_core::time::{MonoNs, NS_PER_S};
 
-/// What may leave at once: an eighth of a stock socket's buffer, which counts the kernel's own part of each datagram too.
+/// Bucket size, bytes: an eighth of a default socket buffer, which also holds the kernel's overhead of each datagram.
 pub(crate) const DEPTH_BYTES: usize = 32 * 1024;
-/// Datagrams are put together to groups that last so long, so that the clock is looked at a thousand times a second and not for each.
+/// Duration of a group of datagrams: the thread wakes 1000 times a second rather than for each datagram.
 const GROUP_NS: f64 = 1e6;
 
-/// Of one stream.
+/// The bucket of one stream.
 #[derive(Clone, Debug)]
 pub(crate) struct Bucket {
     bytes_per_s: f64,
-    /// Bytes that might leave at `at`; below zero after a long datagram.
+    /// Balance at `at`, bytes; negative after a long datagram.
     level: f64,
     at: MonoNs,
 }
 
 impl Bucket {
-    /// A full one. An infinite rate never waits.
+    /// A full bucket. An infinite rate never waits.
     pub(crate) fn new(bytes_per_s: f64, now: MonoNs) -> Self {
         Self {
             bytes_per_s,
@@ -29,7 +29,7 @@ impl Bucket {
         }
     }
 
-    /// From now on.
+    /// Changes the rate from `now` on.
     pub(crate) fn set_rate(&mut self, bytes_per_s: f64, now: MonoNs) {
         self.fill(now);
         self.bytes_per_s = bytes_per_s;
@@ -46,7 +46,7 @@ impl Bucket {
         self.at = self.at.max(now);
     }
 
-    /// How many of the next datagrams, of these lengths, leave together, and their bytes.
+    /// Number and total bytes of the next datagrams, of these lengths, that form a group.
     pub(crate) fn group(&self, lengths: impl Iterator<Item = usize>) -> (usize, usize) {
         let full = (self.bytes_per_s * GROUP_NS / NS_PER_S as f64).clamp(1.0, DEPTH_BYTES as f64);
         let (mut count, mut bytes) = (0, 0);
@@ -60,7 +60,7 @@ impl Bucket {
         (count, bytes)
     }
 
-    /// When a group of so many bytes may leave: now, or later.
+    /// Earliest time for a group of this many bytes.
     pub(crate) fn due(&mut self, bytes: usize, now: MonoNs) -> MonoNs {
         self.fill(now);
         let short = bytes.min(DEPTH_BYTES) as f64 - self.level;
@@ -70,7 +70,7 @@ impl Bucket {
         }
     }
 
-    /// A group has left.
+    /// Takes the bytes of a group that was sent.
     pub(crate) fn take(&mut self, bytes: usize, now: MonoNs) {
         self.fill(now);
         self.level -= bytes as f64;
@@ -85,7 +85,7 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// When each group of a run of datagrams leaves where nobody ever wakes late, ms, and its bytes.
+    /// Time, ms, and bytes of each group when wake-ups are never late.
     fn departures(rate: f64, lengths: &[usize]) -> Vec<(f64, usize)> {
         let mut now = MonoNs(5);
         let mut bucket = Bucket::new(rate, now);
@@ -103,7 +103,7 @@ mod tests {
 
     #[test]
     fn a_bucketful_leaves_at_once_and_the_rest_at_the_rate() {
-        // 41 MB/s: a ping of 2 MB lasts 50 ms.
+        // At 41 MB/s a ping of 2 MB takes 50 ms.
         let packets = vec![1472; 2_050_000 / 1472];
         let gone = departures(41e6, &packets);
         let bytes: usize = packets.iter().sum();
@@ -145,7 +145,7 @@ mod tests {
     }
 
     proptest! {
-        /// Over any span no more leaves than a bucketful, one datagram's debt and the rate's share.
+        /// Over any interval the bytes are at most a bucketful, one datagram's debt and the rate's share.
         #[test]
         fn never_more_than_the_rate_and_a_bucketful(rate in 1e4..1e8_f64, lengths in proptest::collection::vec(1..65_000_usize, 1..200)) {
             let gone = departures(rate, &lengths);

@@ -1,8 +1,8 @@
-//! How fast datagrams leave: a token bucket for each stream ([`bucket`]), several datagrams in one call of the kernel ([`batch`]); and the pace of
-//! TCP connections ([`stream`]).
+//! Rate limits: a token bucket per stream ([`bucket`]), several datagrams per system call ([`batch`]), and the kernel's pacing of TCP connections
+//! ([`stream`]).
 //!
-//! A receiver's socket takes 208 kB on a stock Linux; a ping may be megabytes. Spread over a part of the time to the next ping it is never
-//! much more than a few groups ahead of whoever reads.
+//! A default Linux receive buffer holds 208 kB, while a ping may be megabytes. A ping spread over part of the ping interval stays within a few groups
+//! of its reader.
 
 pub mod batch;
 pub(crate) mod bucket;
@@ -12,22 +12,22 @@ use std::sync::Arc;
 
 use crate::io::priority;
 
-/// Is told how late a group left, nanoseconds after it was due.
+/// Receives how late a group was sent, ns after it was due.
 pub(crate) type Lateness = Arc<dyn Fn(i64) + Send + Sync>;
 
-/// Of the threads that send.
+/// Settings of sending threads.
 #[derive(Clone, Default)]
 pub(crate) struct Sending {
-    /// SCHED_FIFO; 0: ordinary.
+    /// SCHED_FIFO priority; 0: ordinary scheduling.
     pub priority: u8,
     pub(crate) lateness: Option<Lateness>,
 }
 
 impl Sending {
-    /// To be called first by the thread that sends.
+    /// Applies the priority; called first by the sending thread.
     pub(crate) fn begin(&self) {
         if self.priority > 0 {
-            // What is not allowed was said when the daemon started.
+            // A refusal was reported when the daemon started.
             let _ = priority::first_in_first_out(self.priority);
         }
     }

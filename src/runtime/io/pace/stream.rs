@@ -1,12 +1,12 @@
-//! The pace of a TCP connection: the kernel's own (`SO_MAX_PACING_RATE`, Linux), which spreads segments by its timers. Elsewhere there is none.
+//! The kernel's pacing of a TCP connection (`SO_MAX_PACING_RATE`, Linux); unavailable elsewhere.
 
 use std::io;
 use std::os::fd::{AsFd, AsRawFd};
 
-/// No faster than this from now on; infinite: as fast as it goes. What is 4 GB/s and more is that.
+/// Limits the rate of a connection, bytes/s; infinite or at least 4 GB/s: unlimited.
 #[cfg(target_os = "linux")]
 pub(crate) fn set_pace(socket: &impl AsFd, bytes_per_s: f64) -> io::Result<()> {
-    // A float beyond its range becomes its largest value, which means unlimited.
+    // The conversion saturates at the largest value, which means unlimited.
     let rate = (bytes_per_s.ceil() as u32).max(1);
     // SAFETY: the option's value is a live u32 and its length is given; the descriptor is open while it is borrowed.
     let result = unsafe {
@@ -38,7 +38,7 @@ mod tests {
 
     use super::*;
 
-    /// Seconds from the first of 2 MB that arrive to the last.
+    /// Time from the first to the last of 2 MB received, s.
     fn lasts_s(bytes_per_s: f64) -> f64 {
         const BYTES: usize = 2_000_000;
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
@@ -60,10 +60,10 @@ mod tests {
 
     #[test]
     fn a_paced_stream_lasts_as_long_as_its_bytes_at_that_rate() {
-        // 0.1 s; the kernel lets a little go ahead. Slower a loaded machine may be, faster never.
+        // 0.1 s, less a short initial burst. A loaded machine may be slower but never faster.
         let lasted_s = lasts_s(20e6);
         assert!(lasted_s > 0.07, "{lasted_s} s");
-        // Unlimited takes any rate there is, and is taken itself.
+        // Unlimited accepts any rate, and is accepted.
         lasts_s(f64::INFINITY);
     }
 }

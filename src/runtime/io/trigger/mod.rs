@@ -1,6 +1,6 @@
-//! Triggers in: who comes by UDP, TCP or on a serial line is handed on with how long ago that was. [`out`] sends triggers.
+//! Trigger inputs: UDP datagrams, TCP lines or edges on a serial line, passed on with their age. [`out`] sends triggers.
 //!
-//! One thread per door, none of which knows pings. What is not understood is counted. A serial port that vanishes is looked for.
+//! One thread per input. Invalid sentences are counted. A lost serial port is reopened.
 
 pub mod out;
 pub mod sentence;
@@ -21,33 +21,39 @@ use echotank_config::spec::{ModemLine, TriggerFrom};
 use sentence::{MAX_BYTES, TriggerSentence};
 use serial::{Edges, InputLevel, LOOK, PortLine};
 
-/// Threads look this often whether they should end.
+/// Read timeout; the threads check the stop flag this often.
 const READ_TIMEOUT: Duration = Duration::from_millis(100);
-/// A vanished serial port is looked for this often.
+/// Pause before a lost serial port is reopened.
 const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
-/// Clients of a TCP door; more are turned away.
+/// Limit of clients of a TCP input.
 const MAX_CLIENTS: u64 = 16;
 
-/// One trigger as it came.
+/// One received trigger.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Trigger {
-    /// Since it came, by the machine's clock, nanoseconds.
+    /// Time since reception on the machine's clock, ns.
     pub(crate) age_ns: i64,
+    /// Number of the pulse, where the sentence holds one.
     pub number: Option<u32>,
 }
 
-/// Takes triggers; called by a door's thread, and returns at once.
+/// Receives triggers; called by an input's thread, must not block.
 pub(crate) type Sink = Arc<dyn Fn(Trigger) + Send + Sync>;
 
+/// Counters of a trigger input.
 #[derive(Debug, Default)]
 pub struct TriggerListenerCounts {
+    /// Triggers received.
     pub received: AtomicU64,
-    /// Sentences of ours that were not whole, lines too long.
+    /// Incomplete trigger sentences and lines that are too long.
     pub spoiled: AtomicU64,
+    /// Failures of the socket or port.
     pub errors: AtomicU64,
+    /// Connected TCP clients.
     pub clients: AtomicU64,
 }
 
+/// A trigger input that cannot be opened.
 #[derive(Debug, Error)]
 #[error("trigger: cannot open {what}: {why}")]
 pub struct ListenerError {
@@ -55,7 +61,7 @@ pub struct ListenerError {
     why: io::Error,
 }
 
-/// A door that is open. Closes when dropped.
+/// An open trigger input; closes when dropped.
 pub(crate) struct TriggerListener {
     address: Option<(&'static str, SocketAddr)>,
     counts: Arc<TriggerListenerCounts>,
@@ -63,7 +69,7 @@ pub(crate) struct TriggerListener {
     thread: Option<JoinHandle<()>>,
 }
 
-/// What a door's thread works with.
+/// State of an input's thread.
 #[derive(Clone)]
 struct Reader {
     sink: Sink,
@@ -72,7 +78,7 @@ struct Reader {
 }
 
 impl TriggerListener {
-    /// None where triggers do not come by a door.
+    /// `None` where no trigger comes from outside.
     pub(crate) fn open(from: &TriggerFrom, sink: Sink) -> Result<Option<Self>, ListenerError> {
         let reader = Reader {
             sink,
@@ -124,11 +130,10 @@ impl TriggerListener {
         Ok(Some(opened))
     }
 
-    /// Whoever waits at it does so under SCHED_FIFO from now on, where the system allows it, clients that come later too; 0: as they are. What comes is
-    /// handed on at once, whatever else counts.
+    /// Runs the input's threads under SCHED_FIFO where permitted, those of later clients too; 0 changes nothing.
     pub(crate) fn hurry(&self, priority: u8) {
         if let Some(thread) = self.thread.as_ref().filter(|_| priority > 0) {
-            // What is not allowed was said when the daemon started.
+            // A refusal was reported when the daemon started.
             let _ = first_in_first_out_of(thread, priority);
         }
     }
@@ -137,7 +142,7 @@ impl TriggerListener {
         &self.counts
     }
 
-    /// Transport and address it listens at; none for a serial line.
+    /// Transport and bound address; `None` for a serial line.
     pub(crate) fn address(&self) -> Option<(&'static str, SocketAddr)> {
         self.address
     }
@@ -147,7 +152,7 @@ impl Drop for TriggerListener {
     fn drop(&mut self) {
         self.stop.store(true, Relaxed);
         if let Some(thread) = self.thread.take() {
-            // A panic in it was printed where it happened.
+            // The panic hook has reported a panic of the thread.
             let _ = thread.join();
         }
     }
@@ -208,7 +213,7 @@ impl Reader {
                         Err(error) => self.error(&error),
                     }
                 }
-                // Turned away.
+                // The server is full; the connection is closed.
                 Ok(_) => {}
                 Err(error) if is_silence(&error) => thread::sleep(READ_TIMEOUT / 10),
                 Err(error) => self.error(&error),
@@ -219,7 +224,7 @@ impl Reader {
         }
     }
 
-    /// Every line is a trigger, stamped when its end has come.
+    /// Reads lines; each is a trigger, stamped when its end arrives.
     fn client(&self, mut stream: TcpStream) {
         let ready = stream.set_nonblocking(false);
         let ready = ready.and_then(|()| stream.set_read_timeout(Some(READ_TIMEOUT)));
@@ -244,7 +249,7 @@ impl Reader {
                 } else if line.len() < MAX_BYTES {
                     line.push(byte);
                 } else {
-                    // Whoever sends no ends of lines sends no triggers.
+                    // A sender of endless lines sends no triggers.
                     self.counts.spoiled.fetch_add(1, Relaxed);
                     return;
                 }
@@ -349,13 +354,13 @@ mod tests {
         }
         first.write_all(&[b'x'; 2 * MAX_BYTES]).expect("written");
         first.set_read_timeout(Some(PATIENCE)).expect("set");
-        // It is closed: its end, or a reset where bytes were left unread.
+        // The server closed it: end of file, or a reset if bytes were unread.
         assert!(!matches!(first.read(&mut [0; 1]), Ok(1)));
         assert_eq!(listener.counts().spoiled.load(Relaxed), 1);
         assert!(triggers.try_recv().is_err());
     }
 
-    /// High at every third look; fails once.
+    /// High at every third sample; fails once.
     struct Fake(mpsc::Sender<()>, u32);
 
     impl InputLevel for Fake {

@@ -1,7 +1,6 @@
-//! Triggers out: a datagram and a raised line for every pulse, at its instant.
+//! Trigger outputs: a datagram and a raised line at the start of every pulse.
 //!
-//! The datagram is sent by whoever calls, without waiting. The line is raised and lowered by a thread of its own; pulses that come while it is
-//! raised are counted as failed.
+//! The caller sends the datagram without waiting. A thread raises and lowers the line; pulses that arrive meanwhile count as failed.
 
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
@@ -17,6 +16,7 @@ use super::sentence;
 use echotank_config::spec::{OutLine, TriggerOutSpec};
 use echotank_core::time::UtcNs;
 
+/// A trigger output that cannot be opened.
 #[derive(Debug, Error)]
 #[error("trigger_out: cannot open {what}: {why}")]
 pub struct OutError {
@@ -24,13 +24,16 @@ pub struct OutError {
     why: io::Error,
 }
 
+/// Counters of a trigger output.
 #[derive(Debug, Default)]
 pub struct OutCounts {
+    /// Triggers sent.
     pub sent: AtomicU64,
+    /// Triggers that could not be sent.
     pub failed: AtomicU64,
 }
 
-/// A line that can be raised.
+/// A line that can be raised and lowered.
 pub(crate) trait OutputLine: Send {
     fn raise(&mut self, high: bool) -> io::Result<()>;
 }
@@ -50,7 +53,7 @@ impl OutputLine for PortLine {
     }
 }
 
-/// Stops when dropped.
+/// An open trigger output; stops when dropped.
 pub struct TriggerOut {
     sonar: String,
     socket: Option<(UdpSocket, SocketAddr)>,
@@ -59,7 +62,7 @@ pub struct TriggerOut {
 }
 
 impl TriggerOut {
-    /// None where nobody is to be told.
+    /// Opens the configured outputs of a sonar; `None` where none is configured.
     pub fn open(spec: &TriggerOutSpec, sonar: &str) -> Result<Option<Self>, OutError> {
         if *spec == TriggerOutSpec::default() {
             return Ok(None);
@@ -82,7 +85,7 @@ impl TriggerOut {
                     port,
                     line: line.line,
                 };
-                // Opening raises both; a pseudo-terminal has neither.
+                // Opening raises both lines; a pseudo-terminal has neither.
                 let _ = port.raise(false);
                 let length = Duration::from_secs_f64(line.pulse_s);
                 let pulser = Pulser::start(port, length, counts.clone());
@@ -97,11 +100,12 @@ impl TriggerOut {
         }))
     }
 
+    /// Counters so far.
     pub fn counts(&self) -> &Arc<OutCounts> {
         &self.counts
     }
 
-    /// The pulse of this number begins now.
+    /// Reports the pulse of this number, which begins now; `utc`: its time stamp.
     pub fn pulse(&self, number: u32, utc: UtcNs) {
         if let Some(line) = &self.line
             && line.pulses.try_send(()).is_err()
@@ -130,7 +134,7 @@ fn socket(to: SocketAddr) -> io::Result<UdpSocket> {
     Ok(socket)
 }
 
-/// Raises a line for so long.
+/// Thread that raises a line for a fixed time.
 struct Pulser {
     pulses: Sender<()>,
     thread: Option<JoinHandle<()>>,
@@ -142,7 +146,7 @@ impl Pulser {
         length: Duration,
         counts: Arc<OutCounts>,
     ) -> io::Result<Self> {
-        // One that waits while the line is raised would come late.
+        // Unbuffered: a pulse that waited while the line is raised would be late.
         let (pulses, wanted) = bounded(0);
         let thread = thread::Builder::new()
             .name("trigger out".into())

@@ -1,20 +1,21 @@
-//! The trigger datagram: `$PETKT,NUMBER,SECONDS,SONAR*SUM`, a proprietary sentence in the frame of NMEA 0183.
+//! The trigger datagram `$PETKT,NUMBER,SECONDS,SONAR*SUM`, a proprietary NMEA 0183 sentence.
 //!
-//! NUMBER counts the sender's pulses, SECONDS is the pulse's UTC since 1970 with nine decimals, SUM the exclusive or of what stands between
-//! `$` and `*`, in two hexadecimal digits. A sentence that is not of this kind is a trigger all the same, without a number.
+//! NUMBER counts the sender's pulses. SECONDS is the pulse's UTC since 1970 with nine decimals. SUM is the exclusive or of the characters between `$`
+//! and `*`, as two hexadecimal digits. Any other content is a trigger without a number.
 
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 const TAG: &[u8] = b"$PETKT";
-/// What a sentence may be long, its line's end included.
+/// Longest sentence, bytes, with its line end.
 pub const MAX_BYTES: usize = 256;
 
+/// A received trigger sentence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TriggerSentence {
-    /// Somebody else's word, whatever it is.
+    /// Any other content.
     Plain,
     Numbered(u32),
-    /// It begins as ours and is not whole.
+    /// An incomplete or damaged `$PETKT` sentence.
     Invalid,
 }
 
@@ -22,7 +23,7 @@ fn sum(body: &[u8]) -> u8 {
     body.iter().fold(0, |a, b| a ^ b)
 }
 
-/// A sonar's name has neither commas nor stars in it.
+/// Formats a sentence. Sonar names contain neither commas nor asterisks.
 pub fn write(number: u32, utc: UtcNs, sonar: &str) -> String {
     let seconds = utc.0.div_euclid(NS_PER_S);
     let ns = utc.0.rem_euclid(NS_PER_S);
@@ -30,6 +31,7 @@ pub fn write(number: u32, utc: UtcNs, sonar: &str) -> String {
     format!("${body}*{:02X}\r\n", sum(body.as_bytes()))
 }
 
+/// Parses a received datagram or line.
 pub fn read(bytes: &[u8]) -> TriggerSentence {
     if !bytes.starts_with(TAG) {
         return TriggerSentence::Plain;
@@ -56,7 +58,7 @@ mod tests {
     #[test]
     fn a_sentence_reads_as_it_is_documented() {
         let text = write(17, UtcNs(1_406_851_210_500_000_001), "main");
-        // The sum by another program.
+        // Checksum computed by another program.
         assert_eq!(text, "$PETKT,17,1406851210.500000001,main*69\r\n");
         assert_eq!(read(text.as_bytes()), TriggerSentence::Numbered(17));
         assert_eq!(read(b"TRIG\n"), TriggerSentence::Plain);

@@ -1,14 +1,13 @@
-//! A trigger on a serial port's modem line: the line is looked at, an edge is a trigger.
+//! Triggers on a modem line of a serial port, found by polling.
 //!
-//! [`Edges`] decides what is an edge; the port is behind [`Level`]. A look every half millisecond: an edge is stamped up to so much late, and
-//! a pulse shorter than that may be missed.
+//! [`Edges`] detects edges; [`InputLevel`] abstracts the port. The polling interval of 0.5 ms bounds the delay of an edge and the shortest pulse found.
 
 use std::io;
 use std::time::Duration;
 
 use echotank_config::spec::ModemLine;
 
-/// From look to look.
+/// Polling interval.
 pub const LOOK: Duration = Duration::from_micros(500);
 
 /// A line that is high or low.
@@ -16,14 +15,14 @@ pub(crate) trait InputLevel: Send {
     fn is_high(&mut self) -> io::Result<bool>;
 }
 
-/// A serial port's.
+/// A modem line of a serial port.
 pub(crate) struct PortLine {
     port: Box<dyn serialport::SerialPort>,
     line: ModemLine,
 }
 
 impl PortLine {
-    /// The baud rate plays no part: nothing is read or written.
+    /// The baud rate is arbitrary: no data is transferred.
     pub(crate) fn open(port: &str, line: ModemLine) -> io::Result<Self> {
         let port = serialport::new(port, 9600).open()?;
         Ok(Self { port, line })
@@ -39,7 +38,7 @@ impl InputLevel for PortLine {
     }
 }
 
-/// Edges of one direction. The first look shows where the line stands and is none.
+/// Detects edges of one direction. The first sample sets the initial level.
 #[derive(Clone, Copy, Debug)]
 pub struct Edges {
     rising: bool,
@@ -47,11 +46,12 @@ pub struct Edges {
 }
 
 impl Edges {
+    /// Detects rising or falling edges.
     pub fn new(rising: bool) -> Self {
         Self { rising, high: None }
     }
 
-    /// Whether the line has just gone where it is to go.
+    /// Takes a sample; true at an edge of the wanted direction.
     pub fn look(&mut self, high: bool) -> bool {
         let before = self.high.replace(high);
         before == Some(!self.rising) && high == self.rising
