@@ -31,13 +31,13 @@ use echotank_ping::faults::Faults;
 const MAX_STEPS: u64 = 1_000_000;
 
 /// The pipeline counts as stuck after this time without an iteration, s; no ping takes as long.
-const LONGEST_BEAT_S: f64 = 15.0;
+const MAX_ITERATION_S: f64 = 15.0;
 
 /// Limits of `run.clock_rate`, as in the configuration.
 const CLOCK_RATES: std::ops::RangeInclusive<f64> = 0.1..=1000.0;
 
 /// Commands other than settings kept for the page.
-const MAX_DEEDS: usize = 64;
+const MAX_RECENT_COMMANDS: usize = 64;
 
 /// Control and state of one sonar.
 pub struct SonarControl {
@@ -78,8 +78,8 @@ pub struct RunControl {
     page: PageSource,
     relief: ReliefCache,
     /// Commands other than settings, the newest last.
-    deeds: Mutex<VecDeque<Value>>,
-    deeds_done: AtomicU64,
+    recent_commands: Mutex<VecDeque<Value>>,
+    commands_done: AtomicU64,
     /// Start of the daemon, machine UTC; it identifies the run.
     opened: UtcNs,
     machine: SystemClock,
@@ -111,8 +111,8 @@ impl RunControl {
             nav_sources: Mutex::default(),
             page,
             relief: ReliefCache::default(),
-            deeds: Mutex::default(),
-            deeds_done: AtomicU64::new(0),
+            recent_commands: Mutex::default(),
+            commands_done: AtomicU64::new(0),
             opened: machine.host_utc(),
             machine,
             beat_ns: AtomicI64::new(0),
@@ -185,7 +185,7 @@ impl RunControl {
             (Some(name), all) => all
                 .iter()
                 .find(|sonar| sonar.name == name)
-                .ok_or_else(|| format!("there is no sonar {name}; there are: {}", names())),
+                .ok_or_else(|| format!("sonar = {name}: must be one of {}", names())),
         }
     }
 
@@ -197,9 +197,9 @@ impl RunControl {
                 self.gate.pause();
                 Ok(standing())
             }
-            Command::Resume if *lock(&self.clock) == ClockSpec::Lockstep => {
-                Err("run.clock = \"lockstep\" goes by steps".to_owned())
-            }
+            Command::Resume if *lock(&self.clock) == ClockSpec::Lockstep => Err(
+                "run.clock = \"lockstep\": rig time advances by steps; send \"step\"".to_owned(),
+            ),
             Command::Resume => {
                 self.gate.resume();
                 Ok(standing())
@@ -217,7 +217,7 @@ impl RunControl {
                 let sonar = self.sonar(wanted.sonar.as_deref())?;
                 let changes = wanted.changes();
                 if changes.is_empty() {
-                    return Err("nothing to set is named".to_owned());
+                    return Err("the command names no setting".to_owned());
                 }
                 self.set(sonar, &changes, by)
             }
@@ -241,7 +241,7 @@ impl RunControl {
             }
             Command::ClearFaults { fault: Some(id) } => match self.faults.remove(*id) {
                 true => Ok(json!({ "cleared": 1, "standing": self.faults.standing() })),
-                false => Err(format!("fault = {id}: there is none of that number")),
+                false => Err(format!("fault = {id}: no such fault")),
             },
             Command::Clock { mode, rate } => self.set_clock(*mode, *rate),
         }
@@ -268,7 +268,7 @@ impl RunControl {
         let mut clock = lock(&self.clock);
         if wanted.is_own() != clock.is_own() {
             return Err(format!(
-                "run.clock = \"{}\" has another kind of time: the daemon must be started with it",
+                "run.clock = \"{}\" cannot replace the present clock: restart the daemon with it",
                 clock_name(wanted)
             ));
         }
@@ -288,7 +288,7 @@ impl RunControl {
         match self.recorded {
             true => Ok(()),
             false => Err(
-                "only with recorded navigation: live measurements do not wait; {\"do\": \"set\", \"pinging\": false} holds the pings"
+                "needs recorded navigation; {\"do\": \"set\", \"pinging\": false} stops the pings"
                     .to_owned(),
             ),
         }
@@ -298,9 +298,9 @@ impl RunControl {
     fn note(&self, command: &Command, answer: &Answer, by: Asker) {
         let is_setting = matches!(command, Command::Set(_) | Command::Trigger { .. });
         // A request refused before the journal has no entry there.
-        let is_told = is_setting
+        let is_journaled = is_setting
             && (answer.accepted || answer.why.as_deref().is_some_and(|w| w.contains(" = ")));
-        if is_told {
+        if is_journaled {
             return;
         }
         let (via, peer) = (by.via, by.peer.map(|peer| peer.to_string()));
@@ -309,11 +309,11 @@ impl RunControl {
             None => tracing::info!(via, client = peer, %command, "command accepted"),
             Some(why) => tracing::warn!(via, client = peer, %command, why, "command refused"),
         }
-        let mut deeds = lock(&self.deeds);
-        if deeds.len() == MAX_DEEDS {
-            deeds.pop_front();
+        let mut recent = lock(&self.recent_commands);
+        if recent.len() == MAX_RECENT_COMMANDS {
+            recent.pop_front();
         }
-        deeds.push_back(json!({
+        recent.push_back(json!({
             "utc_ms": (self.rig_time)().0 as f64 / 1e6,
             "via": by.via,
             "peer": by.peer.map(|peer| peer.to_string()),
@@ -321,7 +321,7 @@ impl RunControl {
             "accepted": answer.accepted,
             "why": answer.why,
         }));
-        self.deeds_done.fetch_add(1, Ordering::Relaxed);
+        self.commands_done.fetch_add(1, Ordering::Relaxed);
     }
 
     fn asked(&self, by: Asker) -> Asked {
@@ -342,7 +342,7 @@ impl RunControl {
             if let Err(refused) = sonar.settings.apply(*change, self.asked(by)) {
                 return Err(match done {
                     0 => refused.to_string(),
-                    _ => format!("{refused}; what stands before it was set"),
+                    _ => format!("{refused}; the settings before it were applied"),
                 });
             }
         }
@@ -424,7 +424,7 @@ impl ControlPort for RunControl {
             sonar.settings.version() + counts.applied + counts.refused
         });
         let paused = u64::from(self.gate.is_paused());
-        settings.sum::<u64>() * 2 + self.deeds_done.load(Ordering::Relaxed) * 4 + paused
+        settings.sum::<u64>() * 2 + self.commands_done.load(Ordering::Relaxed) * 4 + paused
     }
 
     fn page_state(&self) -> Value {
@@ -449,13 +449,13 @@ impl ControlPort for RunControl {
             "delivered": self.gate.pings_delivered(),
             "rig_utc_ms": (self.rig_time)().0 as f64 / 1e6,
             "up_s": self.machine.mono().0 as f64 / 1e9,
-            "ailment": self.ailment(),
+            "ailment": self.health_problem(),
             "sonars": sonars.collect::<Value>(),
             "faults": self.faults.list(),
             "faults_injected": self.faults.injected(),
             "nav": lock(&self.nav_sources).iter().map(nav_source).collect::<Value>(),
             "nav_lines": self.nav_lines(),
-            "deeds": lock(&self.deeds).iter().collect::<Vec<_>>(),
+            "deeds": lock(&self.recent_commands).iter().collect::<Vec<_>>(),
             "feed": self.page.feed.counts(),
         })
     }
@@ -485,12 +485,12 @@ impl ControlPort for RunControl {
         })
     }
 
-    fn ailment(&self) -> Option<String> {
+    fn health_problem(&self) -> Option<String> {
         let beat = MonoNs(self.beat_ns.load(Ordering::Relaxed));
         let silent_s = self.machine.mono().seconds_since(beat);
         // A paused pipeline may stand still.
-        (silent_s > LONGEST_BEAT_S && !self.gate.is_paused())
-            .then(|| format!("the pipeline has stood for {silent_s:.0} s"))
+        (silent_s > MAX_ITERATION_S && !self.gate.is_paused())
+            .then(|| format!("the pipeline has not advanced for {silent_s:.0} s"))
     }
 
     /// Prometheus text, version 0.0.4.

@@ -284,42 +284,42 @@ impl PingCounters {
             ("pings_made", "Pings computed", &self.made),
             (
                 "pings_skipped_nav",
-                "Pings whose navigation did not come in time",
+                "Pings whose navigation was incomplete at the deadline",
                 &self.skipped_nav,
             ),
             (
                 "pings_skipped_late",
-                "Pings whose deadline had passed before they could be computed",
+                "Pings whose deadline passed before they could be computed",
                 &self.skipped_late,
             ),
             (
                 "pings_skipped_queue",
-                "Pings for which there was no room",
+                "Pings for which the queue was full",
                 &self.skipped_queue,
             ),
             (
                 "pings_degraded",
-                "Pings made with a looser tolerance because computing did not keep up",
+                "Pings computed with a larger tolerance because of overload",
                 &self.degraded,
             ),
             (
                 "looser_now",
-                "Steps by which the newest ping's tolerance is looser than the configured one",
+                "Degradation level of the newest ping",
                 &self.looser,
             ),
             (
                 "pings_truncated",
-                "Pings whose first samples streamed, and whose others were not ready in time to",
+                "Pings truncated while streaming because of overload",
                 &self.truncated,
             ),
             (
                 "pings_stretched",
-                "Pings whose pulse went out later because computing did not keep up",
+                "Pings whose pulse was delayed because of overload",
                 &self.stretched,
             ),
             (
                 "stretched_us",
-                "By how much later, in all",
+                "Sum of the delays of pulses because of overload, microseconds",
                 &self.stretched_us,
             ),
             (
@@ -329,7 +329,7 @@ impl PingCounters {
             ),
             (
                 "triggers_missed",
-                "Pulses that a fault had missed",
+                "Pulses suppressed by a fault",
                 &self.triggers_missed,
             ),
             (
@@ -337,57 +337,61 @@ impl PingCounters {
                 "Pings delivered after their deadline",
                 &self.deadline_misses,
             ),
-            ("worst_late_us", "Latest delivery", &self.worst_late_us),
+            (
+                "worst_late_us",
+                "Largest lateness of a delivery, microseconds",
+                &self.worst_late_us,
+            ),
             (
                 "drift_us",
-                "From the newest ping's instant until its delivery began: what has added up since the first",
+                "Lateness of the newest delivery, which is the drift since the first, microseconds",
                 &self.drift_us,
             ),
             (
                 "nav_age_ms",
-                "Age of the newest navigation behind the last ping",
+                "Age of the newest navigation sample of the last ping, milliseconds",
                 &self.nav_age_ms,
             ),
-            ("compute_us", "Time spent computing pings", &self.compute_us),
+            (
+                "compute_us",
+                "Time spent computing pings, microseconds",
+                &self.compute_us,
+            ),
             (
                 "worst_compute_us",
-                "Longest time one ping took",
+                "Longest computing time of a ping, microseconds",
                 &self.worst_compute_us,
             ),
             (
                 "samples_saturated",
-                "Sample values that met the converter's ends",
+                "Samples clipped by the converter",
                 &self.samples_saturated,
             ),
-            ("arrivals", "Echoes summed", &self.arrivals),
+            ("arrivals", "Echo paths summed", &self.arrivals),
             (
                 "pings_extrapolated",
                 "Pings whose navigation was extrapolated",
                 &self.extrapolated,
             ),
-            (
-                "pings_checked",
-                "Pings with an error check",
-                &self.checked,
-            ),
+            ("pings_checked", "Pings with an error check", &self.checked),
             (
                 "error_check_faults",
-                "Pings whose error check was above 1.3 tolerances, as the one before",
+                "Pings whose error check, like the one before, exceeded 1.3 tolerances",
                 &self.error_check_faults,
             ),
             (
                 "plan",
-                "The newest ping's plan of methods, counted; 0 where nothing is left to a plan",
+                "Number of the newest ping's method plan; 0 without a plan",
                 &self.plan,
             ),
             (
                 "plans_given_up",
-                "Plans of methods given up because an error check was above their tolerance",
+                "Method plans abandoned because an error check exceeded their tolerance",
                 &self.plans_given_up,
             ),
             (
                 "plans_failed",
-                "Plans of methods that could not be made",
+                "Method plans that could not be prepared",
                 &self.plans_failed,
             ),
         ]
@@ -406,17 +410,17 @@ impl PingCounters {
         [
             (
                 "plan_predicted_error",
-                "Error of element samples that the newest ping's plan of methods promises not to exceed, relative",
+                "Predicted bound of the relative error of element samples, newest method plan",
                 predicted,
             ),
             (
                 "plan_tolerance",
-                "Error that the newest ping's plan of methods is allowed",
+                "Tolerance of the newest method plan, relative",
                 tolerance,
             ),
             (
                 "checked_error",
-                "Measured error of the newest error check",
+                "Relative error measured by the newest error check",
                 measured,
             ),
             (

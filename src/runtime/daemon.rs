@@ -367,7 +367,7 @@ impl Daemon {
             fault_log.write(&faults.take_injections(), control.sonars());
             overload_log.write(&control.overload_states().take(), control.sonars());
             nav_states.report(&control);
-            match control.ailment() {
+            match control.health_problem() {
                 None => {
                     notify.alive();
                     is_well = true;

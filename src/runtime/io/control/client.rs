@@ -39,7 +39,7 @@ fn exchange(address: SocketAddr, head: &str, token: Option<&str>, body: &str) ->
     let mut bytes = Vec::new();
     stream.take(MAX_BYTES).read_to_end(&mut bytes)?;
     let text = String::from_utf8_lossy(&bytes);
-    let broken = || io::Error::new(io::ErrorKind::InvalidData, "that is not an HTTP answer");
+    let broken = || io::Error::new(io::ErrorKind::InvalidData, "not an HTTP response");
     let (head, body) = text.split_once("\r\n\r\n").ok_or_else(broken)?;
     let status = head.split_whitespace().nth(1);
     let status = status.and_then(|s| s.parse().ok()).ok_or_else(broken)?;

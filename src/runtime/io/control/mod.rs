@@ -210,7 +210,7 @@ pub trait ControlPort: Send + Sync {
     /// Prometheus text, version 0.0.4.
     fn metrics(&self) -> String;
     /// Why the daemon is unhealthy; `None` if it is healthy.
-    fn ailment(&self) -> Option<String> {
+    fn health_problem(&self) -> Option<String> {
         None
     }
     /// Frames of the pings for the page.

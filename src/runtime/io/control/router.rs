@@ -98,7 +98,7 @@ async fn metrics(State(port): Port) -> impl IntoResponse {
 }
 
 async fn health(State(port): Port) -> impl IntoResponse {
-    match port.ailment() {
+    match port.health_problem() {
         None => (StatusCode::OK, "ok\n".to_owned()),
         Some(why) => (StatusCode::SERVICE_UNAVAILABLE, format!("{why}\n")),
     }
@@ -129,7 +129,10 @@ fn objection(headers: &HeaderMap, token: Option<&str>) -> Option<(StatusCode, &'
         site.or(origin.strip_prefix("https://")) == Some(host)
     };
     if headers.contains_key(header::ORIGIN) && !text(header::ORIGIN).is_some_and(own_origin) {
-        return Some((StatusCode::FORBIDDEN, "asked for by a page of another site"));
+        return Some((
+            StatusCode::FORBIDDEN,
+            "the request comes from a page of another site",
+        ));
     }
     match token {
         Some(token) => {
@@ -143,12 +146,12 @@ fn objection(headers: &HeaderMap, token: Option<&str>) -> Option<(StatusCode, &'
                 || in_hex.is_some_and(|given| same(given.as_bytes(), hex(token).as_bytes()));
             (!known).then_some((
                 StatusCode::UNAUTHORIZED,
-                "a token is asked for: Authorization: Bearer TOKEN",
+                "a token is required: Authorization: Bearer TOKEN",
             ))
         }
         None => (!is_local_name(host)).then_some((
             StatusCode::FORBIDDEN,
-            "must be asked for by its address or as localhost",
+            "Host: must be an IP address or localhost without a token",
         )),
     }
 }

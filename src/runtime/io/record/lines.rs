@@ -183,9 +183,9 @@ fn of_s7k(bytes: &[u8], pulse: u16) -> Result<Vec<RecordedPing>, String> {
     if records == 0 {
         return Err(match first_fault {
             Some(fault) => format!(
-                "holds no 7k record ({fault}); a .s7k or a pings.npz of this program is wanted"
+                "holds no 7k record ({fault}); expected a .s7k or pings.npz of this program"
             ),
-            None => "is empty; a .s7k or a pings.npz of this program is wanted".into(),
+            None => "is empty; expected a .s7k or pings.npz of this program".into(),
         });
     }
     if lines.is_empty() {
@@ -206,7 +206,7 @@ fn of_s7k(bytes: &[u8], pulse: u16) -> Result<Vec<RecordedPing>, String> {
         let utc_ns = utc_ns - (f64::from(set.tx_pulse_width_s) * 1e9) as i64;
         let (Some(place), Some(heading)) = (places.at(utc_ns), headings.at(utc_ns)) else {
             return Err(
-                "no position (1003) or no heading (1013): nothing says where the lines lie".into(),
+                "no position (1003) or no heading (1013): the lines cannot be positioned".into(),
             );
         };
         let (c, rate_hz) = (
@@ -245,7 +245,7 @@ fn of_s7k(bytes: &[u8], pulse: u16) -> Result<Vec<RecordedPing>, String> {
         });
     }
     if pings.is_empty() {
-        return Err("no line has its settings (7000) with it".into());
+        return Err("no line has its settings record (7000)".into());
     }
     Ok(pings)
 }
@@ -304,7 +304,7 @@ fn of_npz(bytes: Vec<u8>, pulse: u16) -> Result<Vec<RecordedPing>, String> {
         match found.shape == shape {
             true => Ok(found.numbers),
             false => Err(format!(
-                "{name}: shape {:?}, {shape:?} is wanted",
+                "{name}: shape {:?}, expected {shape:?}",
                 found.shape
             )),
         }
@@ -416,9 +416,7 @@ fn npy(bytes: &[u8]) -> Result<Array, String> {
         "<i4" => all(data, |b| f64::from(i32::from_le_bytes(b))),
         "<i8" => all(data, |b| i64::from_le_bytes(b) as f64),
         other => {
-            return Err(format!(
-                "holds {other}, which is none of <f4, <f8, <i4, <i8"
-            ));
+            return Err(format!("holds {other}, expected one of <f4, <f8, <i4, <i8"));
         }
     };
     let wanted = shape.iter().try_fold(1usize, |a, n| a.checked_mul(*n));

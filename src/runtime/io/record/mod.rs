@@ -57,7 +57,7 @@ pub enum RecordError {
     },
     /// The ping has another shape than the first one and is left out; the file stays valid.
     #[error(
-        "{}: ping {ping_number} has {got} {what}, the first had {want}: an .npz file holds pings of one shape, so keep range and pulse fixed",
+        "{}: ping {ping_number} has {got} {what}, the first had {want}: an .npz file holds pings of one shape; keep range and pulse fixed",
         path.display()
     )]
     ShapeChanged {
@@ -71,7 +71,7 @@ pub enum RecordError {
     #[error("{}: record left out: {source}", path.display())]
     Refused { path: PathBuf, source: FileError },
     /// An earlier error stopped the recorder.
-    #[error("{}: not recording since an earlier error", path.display())]
+    #[error("{}: recording stopped after an earlier error", path.display())]
     Stopped { path: PathBuf },
 }
 

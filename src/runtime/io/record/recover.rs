@@ -65,10 +65,10 @@ pub enum RecoverError {
     #[error("{}: does not begin with a 7k file header: {why}", path.display())]
     NoHeader { path: PathBuf, why: WireError },
     /// The file is unchanged.
-    #[error("{}: at byte {at}: {why}: not as this program records, left alone", path.display())]
+    #[error("{}: at byte {at}: {why}: not written by this program; left unchanged", path.display())]
     Strange { path: PathBuf, at: u64, why: String },
     /// The kind of file is unknown.
-    #[error("{}: no record of a kind that is mended: {}", path.display(), KINDS.join(", "))]
+    #[error("{}: unknown kind of record; known are {}", path.display(), KINDS.join(", "))]
     Unknown { path: PathBuf },
 }
 

@@ -181,7 +181,11 @@ pub(super) fn sigmf(path: &Path) -> Result<Recovered, RecoverError> {
     }
     let end = end_of(&words);
     if length < end {
-        return Err(strange(&paths.data, length, "shorter than its words say"));
+        return Err(strange(
+            &paths.data,
+            length,
+            "shorter than its metadata says",
+        ));
     }
     if !has_journal && length == end {
         return Ok(Recovered::Whole);
