@@ -185,7 +185,7 @@ impl RunControl {
             (Some(name), all) => all
                 .iter()
                 .find(|sonar| sonar.name == name)
-                .ok_or_else(|| format!("sonar = {name}: must be one of {}", names())),
+                .ok_or_else(|| format!("no sonar is named {name}; known are {}", names())),
         }
     }
 

@@ -445,7 +445,7 @@ mod tests {
     fn what_is_no_recording_is_refused_with_the_reason() {
         assert!(error(b"").contains("is empty"));
         assert!(error(b"hello, world; this is a text file\n").contains("holds no 7k record"));
-        assert!(error(b"PK\x03\x04 and then nothing").contains("is no whole .npz"));
+        assert!(error(b"PK\x03\x04 and then nothing").contains("not a complete .npz file"));
         let missing = read(Path::new("/no/such/file.s7k"), 1).expect_err("refused");
         assert!(
             missing
