@@ -48,8 +48,9 @@ pub(crate) fn start(format: LogFormat) -> Result<(), Failure> {
 /// Reports why the command failed: as plain text, or as an event where standard error holds JSON.
 pub(crate) fn report_failure(format: LogFormat, text: &str) {
     match format {
-        LogFormat::Text => eprintln!("{text}"),
-        LogFormat::Json => tracing::error!("{text}"),
+        // An invalid RUST_LOG leaves no subscriber.
+        LogFormat::Json if tracing::dispatcher::has_been_set() => tracing::error!("{text}"),
+        _ => eprintln!("{text}"),
     }
 }
 
