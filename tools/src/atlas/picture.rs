@@ -112,7 +112,7 @@ fn square(svg: &mut Svg, (x, y): (f64, f64), (wide, high): (f64, f64), mark: &Ma
         }
         Mark::Shout => {
             svg.raw(&rect("#ff00c8", " stroke=\"black\" stroke-width=\"2\""));
-            svg.words(
+            svg.label(
                 (middle.0, middle.1 + 4.0),
                 9.0,
                 Anchor::Middle,
@@ -127,7 +127,7 @@ fn square(svg: &mut Svg, (x, y): (f64, f64), (wide, high): (f64, f64), mark: &Ma
                 Sign::None => {}
                 Sign::Silent => {
                     svg.raw(&rect("none", " stroke=\"#d0006f\" stroke-width=\"2.2\""));
-                    svg.words((middle.0, middle.1 + 4.5), 12.0, Anchor::Middle, ink, "!");
+                    svg.label((middle.0, middle.1 + 4.5), 12.0, Anchor::Middle, ink, "!");
                 }
                 Sign::Counted => {
                     svg.raw(&format!(
@@ -180,15 +180,15 @@ impl Map {
         svg.raw(
             "<defs><pattern id=\"refused\" width=\"5\" height=\"5\" patternUnits=\"userSpaceOnUse\"><rect width=\"5\" height=\"5\" fill=\"#e9ebee\"/><path d=\"M-1 6L6 -1M-1 1L1 -1M4 6L6 4\" stroke=\"#9aa1ab\" stroke-width=\"0.9\"/></pattern></defs>",
         );
-        svg.words((20.0, 32.0), 19.0, Anchor::Start, INK, &self.title);
-        svg.words((20.0, 52.0), 11.5, Anchor::Start, GREY, &self.about);
+        svg.label((20.0, 32.0), 19.0, Anchor::Start, INK, &self.title);
+        svg.label((20.0, 52.0), 11.5, Anchor::Start, GREY, &self.about);
         for (row, name) in self.rows.iter().enumerate() {
             let y = self.row_top(row) + 0.5 * CELL + 3.6;
-            svg.words((LEFT - 8.0, y), 10.5, Anchor::End, INK, name);
+            svg.label((LEFT - 8.0, y), 10.5, Anchor::End, INK, name);
         }
         for (k, panel) in self.panels.iter().enumerate() {
             let left = LEFT + k as f64 * panel_width;
-            svg.words((left, TOP - 9.0), 12.5, Anchor::Start, INK, &panel.title);
+            svg.label((left, TOP - 9.0), 12.5, Anchor::Start, INK, &panel.title);
             let mut last = 0;
             for (row, marks) in panel.marks.iter().enumerate() {
                 for (column, mark) in marks.iter().enumerate() {
@@ -224,11 +224,11 @@ impl Map {
                     cell * columns + 3.6,
                     CELL + 3.6
                 ));
-                svg.words((left, TOP - 24.0), 10.5, Anchor::Start, INK, text);
+                svg.label((left, TOP - 24.0), 10.5, Anchor::Start, INK, text);
             }
         }
         let middle = LEFT + 0.5 * (panels * panel_width - PANEL_GAP);
-        svg.words(
+        svg.label(
             (middle, bottom + label + 24.0),
             12.0,
             Anchor::Middle,
@@ -237,7 +237,7 @@ impl Map {
         );
         let mut y = plan_top;
         if let Some((marks, words)) = &self.plan {
-            svg.words(
+            svg.label(
                 (LEFT - 8.0, y + 12.0),
                 11.5,
                 Anchor::End,
@@ -250,7 +250,7 @@ impl Map {
             }
             let beside = LEFT + cell * columns + PANEL_GAP;
             for (k, line) in words.iter().enumerate() {
-                svg.words(
+                svg.label(
                     (beside, y + 11.0 + 14.0 * k as f64),
                     10.5,
                     Anchor::Start,
@@ -289,7 +289,7 @@ fn legend(svg: &mut Svg, y: f64, plan: bool, framed: bool) {
         (0.75, "100"),
         (1.0, "1e4"),
     ] {
-        svg.words(
+        svg.label(
             (left + wide * part, y + 25.0),
             10.0,
             Anchor::Middle,
@@ -297,7 +297,7 @@ fn legend(svg: &mut Svg, y: f64, plan: bool, framed: bool) {
             text,
         );
     }
-    svg.words(
+    svg.label(
         (left + 0.5 * wide, y + 41.0),
         10.5,
         Anchor::Middle,
@@ -326,7 +326,7 @@ fn legend(svg: &mut Svg, y: f64, plan: bool, framed: bool) {
     ];
     for (mark, text) in &entries {
         square(svg, (x, y - 1.0), (CELL, CELL), mark);
-        svg.words((x + 20.0, y + 10.5), 10.5, Anchor::Start, INK, text);
+        svg.label((x + 20.0, y + 10.5), 10.5, Anchor::Start, INK, text);
         x += 34.0 + 5.6 * text.len() as f64;
     }
     let mut rest = String::new();
@@ -336,7 +336,7 @@ fn legend(svg: &mut Svg, y: f64, plan: bool, framed: bool) {
     if framed {
         let _ = write!(rest, "; frame: the paper's Eq. 21 as printed");
     }
-    svg.words(
+    svg.label(
         (left + wide + 36.0, y + 32.0),
         10.5,
         Anchor::Start,
