@@ -128,7 +128,7 @@ fn failover_from_a_silent_gnss_uses_the_new_lever_arm_without_interpolation() {
             // Earlier motion keeps the lever arm of its own source.
             assert!((north(&mut history, 9.0).expect("first") - 18.0).abs() < 0.1);
             let across = motion(&mut history, 11.5);
-            assert!(across.is_err(), "nobody was heard at 11.5 s: {across:?}");
+            assert!(across.is_err(), "no source at 11.5 s: {across:?}");
         }
     }
     // The source is back at 20 s and trusted again at 25 s.

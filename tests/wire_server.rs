@@ -263,7 +263,7 @@ fn garbage_is_counted_at_its_sender_and_does_not_affect_others() {
     };
     let truncated = command(Command::Gain { gain_db: 1.0 }, 3)[..90].to_vec();
     let mut errors = 0;
-    for (number, rubbish) in [
+    for (number, garbage) in [
         b"not a sonar at all".to_vec(),
         spoiled(0, 9),
         spoiled(19, 0x7F),
@@ -276,11 +276,11 @@ fn garbage_is_counted_at_its_sender_and_does_not_affect_others() {
     {
         // The offender itself is still served: garbage without a valid record after it counts as one error, however long.
         let range_m = 20.0 + number as f32;
-        noisy.write_all(&rubbish).expect("sent");
+        noisy.write_all(&garbage).expect("sent");
         noisy
             .write_all(&command(Command::Range { range_m }, 9))
             .expect("sent");
-        eventually("the rubbish counted, the command behind it obeyed", || {
+        eventually("the garbage counted, the command behind it obeyed", || {
             rig.store.snapshot().0.range_m == f64::from(range_m)
                 && rig
                     .report_of(peer)
@@ -618,8 +618,8 @@ fn udp_subscribes_receives_records_in_datagrams_and_unsubscribes() {
 fn stray_udp_datagrams_are_counted_and_open_no_session() {
     let rig = Rig::new(|_| {});
     let socket = UdpSocket::bind("127.0.0.1:0").expect("a port");
-    for rubbish in [&b""[..], b"hello", &[0xFF; 2000]] {
-        socket.send_to(rubbish, rig.address()).expect("sent");
+    for garbage in [&b""[..], b"hello", &[0xFF; 2000]] {
+        socket.send_to(garbage, rig.address()).expect("sent");
     }
     let mut client = UdpClient::to(rig.address());
     client.send(

@@ -36,7 +36,7 @@ def svlog(path):
                 if parser.rx_msg.message_id == definitions.OMNISCAN450_OS_MONO_PROFILE:
                     numbers.append(parser.rx_msg.ping_number)
     if parser.errors or parser.state != PingParser.WAIT_START:
-        raise ValueError("%d frames are wrong, or the last is torn" % parser.errors)
+        raise ValueError("%d frames are wrong, or the last is truncated" % parser.errors)
     return {"pings": len(set(numbers))}
 
 
@@ -69,7 +69,7 @@ def jsonl(path):
     with open(path, encoding="utf-8") as file:
         text = file.read()
     if text and not text.endswith("\n"):
-        raise ValueError("the last line is torn")
+        raise ValueError("the last line is truncated")
     return {"lines": len([json.loads(line) for line in text.splitlines()])}
 
 

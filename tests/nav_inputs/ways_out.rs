@@ -273,7 +273,7 @@ fn lost_pulses_and_wrong_seconds_are_exactly_those_in_the_log() {
     client.set_nonblocking(true).expect("set");
     let heard = bench.hear(&mut client, "client", |h| seconds(h) == 3);
     let log = faults.take_injections();
-    let struck = |kind: &str, second: i64| {
+    let injected = |kind: &str, second: i64| {
         let mut of_kind = log.iter().filter(|i| i.kind == kind);
         of_kind.any(|i| i.utc_ns == second)
     };
@@ -284,9 +284,9 @@ fn lost_pulses_and_wrong_seconds_are_exactly_those_in_the_log() {
         {
             let second = at.0 / 1_000_000_000 * 1_000_000_000;
             let is_pulse = matches!(before, Some(Heard::Pulse(_)));
-            assert_eq!(is_pulse, !struck("pps-loss", second), "{second}");
+            assert_eq!(is_pulse, !injected("pps-loss", second), "{second}");
             let named = r.instant().expect("dated").seconds_since(UtcNs(second));
-            let is_off = struck("wrong-zda", second);
+            let is_off = injected("wrong-zda", second);
             assert_eq!(named, if is_off { OFF_S } else { 0.0 }, "{second}");
             (lost, misnamed) = (lost + u32::from(!is_pulse), misnamed + u32::from(is_off));
         }

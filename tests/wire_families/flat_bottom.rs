@@ -314,5 +314,5 @@ fn xtf_and_imagenex_put_a_flat_bottom_at_its_slant_range() {
     on_the_bottom("imagenex", at as f64 * 0.06, 0.0);
     answers.clear();
     emit_imagenex(&head, &plan, &output, scale, Wants::NONE, &mut answers);
-    assert!(answers.is_empty(), "nobody asked");
+    assert!(answers.is_empty(), "no request");
 }

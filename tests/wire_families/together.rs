@@ -188,7 +188,7 @@ fn contradictory_commands_end_in_one_state_that_both_report() {
             assert_eq!(
                 topside.command(Command::Range { range_m }).is_ok(),
                 k % 3 != 0,
-                "the limits hold whoever else is talking"
+                "the limits hold with other clients active"
             );
         }
         topside

@@ -242,7 +242,7 @@ impl Map {
                 11.5,
                 Anchor::End,
                 INK,
-                "what the plan chose",
+                "selected methods",
             );
             for (column, mark) in marks.iter().enumerate() {
                 let x = LEFT + column as f64 * cell;
@@ -306,23 +306,23 @@ fn legend(svg: &mut Svg, y: f64, plan: bool, framed: bool) {
     );
     let mut x = left + wide + 36.0;
     let entries: [(Mark, &str); 5] = [
-        (Mark::Refused, "refused, in words"),
-        (Mark::Silence, "nothing to hear, silent"),
+        (Mark::Refused, "refused with a reason"),
+        (Mark::Silence, "no echo, no signal"),
         (
             Mark::Ratio {
                 log10: 1.5,
                 sign: Sign::Counted,
             },
-            "echoes counted",
+            "echoes counted as outside limits",
         ),
         (
             Mark::Ratio {
                 log10: 1.5,
                 sign: Sign::Silent,
             },
-            "wrong, and nothing says so",
+            "undetected error",
         ),
-        (Mark::Shout, "no number, or a panic"),
+        (Mark::Shout, "NaN or panic"),
     ];
     for (mark, text) in &entries {
         square(svg, (x, y - 1.0), (CELL, CELL), mark);
@@ -331,7 +331,7 @@ fn legend(svg: &mut Svg, y: f64, plan: bool, framed: bool) {
     }
     let mut rest = String::new();
     if plan {
-        let _ = write!(rest, "ring: what the plan chose for that column");
+        let _ = write!(rest, "ring: selected methods of the column");
     }
     if framed {
         let _ = write!(rest, "; frame: the paper's Eq. 21 as printed");

@@ -38,7 +38,7 @@ pub(crate) struct Truth {
 impl Truth {
     /// Applies the error model of `synthesis` to every window, with noise floor.
     pub(crate) fn error_model(&self, synthesis: Synthesis, case: &Case) -> ErrorModel {
-        let mut error_models = self.error_models.lock().expect("nobody panics with it");
+        let mut error_models = self.error_models.lock().expect("not poisoned");
         if let Some((_, error_model)) = error_models.iter().find(|(of, _)| *of == synthesis) {
             return error_model.clone();
         }
