@@ -107,7 +107,7 @@ fn findings(root: &Path) -> Vec<Finding> {
         },
         "LimitRTPRIO=50 in the service, or `@audio - rtprio 50` in /etc/security/limits.d",
     ));
-    // 20 less the lowest nice value.
+    // RLIMIT_NICE is 20 minus the lowest allowed nice value.
     let lowest_nice = 20 - priority::limit(Limit::Nice).min(40) as i64;
     all.push(Finding::of(
         "nice values",

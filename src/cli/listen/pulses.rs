@@ -116,13 +116,13 @@ impl Drop for Pulses {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Release);
         if let Some(thread) = self.thread.take() {
-            // A panic in it was printed where it happened.
+            // The panic hook has already printed a panic of the thread.
             let _ = thread.join();
         }
     }
 }
 
-/// Sends one.
+/// Opens the link; the returned closure sends one trigger.
 type Sender = Box<dyn FnMut() -> std::io::Result<()> + Send>;
 
 fn sender(to: TriggerTo) -> std::io::Result<Sender> {
