@@ -429,7 +429,7 @@ fn a_wrong_coordinate_system_is_refused_with_the_reason() {
     };
     assert!(
         keys(&[(1024, 2), (2048, 4326)]).starts_with(
-            "coordinates as geographic degrees (EPSG:4326, WGS 84): `500005 .. 500035, 5999975 .. 5999995`: are no longitudes"
+            "coordinates as geographic degrees (EPSG:4326, WGS 84): `500005 .. 500035, 5999975 .. 5999995`: are not longitudes"
         ),
         "{}",
         keys(&[(1024, 2), (2048, 4326)])
