@@ -60,7 +60,9 @@ async fn attend(dial: Dial, slot: ClientSlot, mut stopped: watch::Receiver<bool>
             let socket = match UdpSocket::bind(from).await {
                 Ok(socket) => socket,
                 Err(error) => {
-                    warn!(parent: &slot.shared.span, client = %dial.peer, %error, "cannot open a UDP socket");
+                    slot.shared.span.in_scope(
+                        || warn!(client = %dial.peer, %error, "cannot open a UDP socket"),
+                    );
                     return;
                 }
             };
@@ -76,7 +78,9 @@ async fn attend(dial: Dial, slot: ClientSlot, mut stopped: watch::Receiver<bool>
             let stream = match stream.unwrap_or_else(|_| Err(ErrorKind::TimedOut.into())) {
                 Ok(stream) => stream,
                 Err(error) => {
-                    warn!(parent: &slot.shared.span, client = %dial.peer, %error, "cannot connect");
+                    slot.shared
+                        .span
+                        .in_scope(|| warn!(client = %dial.peer, %error, "cannot connect"));
                     return;
                 }
             };

@@ -491,7 +491,7 @@ impl Shared {
             table.refused += 1;
             drop(table);
             let max_clients = self.max_clients;
-            warn!(parent: &self.span, client = %peer, %transport, max_clients, "client refused: the server is full");
+            self.span.in_scope(|| warn!(client = %peer, %transport, max_clients, "client refused: the server is full"));
             return None;
         }
         table.admitted += 1;
@@ -499,7 +499,8 @@ impl Shared {
         table.clients.push(Arc::clone(&client));
         // The delivery thread waits for this lock, and standard error may block.
         drop(table);
-        info!(parent: &self.span, client = %peer, %transport, dialled, "client connected");
+        self.span
+            .in_scope(|| info!(client = %peer, %transport, dialled, "client connected"));
         Some(ClientSlot {
             shared: Arc::clone(self),
             client,
@@ -646,13 +647,12 @@ impl Drop for ClientSlot {
         let Client {
             peer, transport, ..
         } = &*self.client;
-        info!(
-            parent: &self.shared.span,
-            client = %peer,
+        self.shared.span.in_scope(|| {
+            info!(client = %peer,
             %transport,
             records_sent = counts.records_sent,
             records_dropped = counts.records_dropped,
-            "client disconnected"
-        );
+            "client disconnected")
+        });
     }
 }

@@ -39,7 +39,7 @@ pub(super) async fn serve(
                     }
                 }
                 Err(error) => {
-                    warn!(parent: &shared.span, %error, "cannot accept a connection");
+                    shared.span.in_scope(|| warn!(%error, "cannot accept a connection"));
                     sleep(ACCEPT_PAUSE).await;
                 }
             },

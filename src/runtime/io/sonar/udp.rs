@@ -58,7 +58,7 @@ pub(super) async fn serve(
                     }
                 }
                 Err(error) => {
-                    debug!(parent: &shared.span, %error, "cannot receive a datagram");
+                    shared.span.in_scope(|| debug!(%error, "cannot receive a datagram"));
                     sleep(RECEIVE_PAUSE).await;
                 }
             },
