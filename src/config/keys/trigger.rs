@@ -24,7 +24,7 @@ table! {
     /// The sonar whose pulses trigger this one. Only with source = "sonar".
     follow: Name, Optional("\"main\"");
 
-    /// Delay after the other sonar's pulse: 0 for simultaneous pings, half its period for alternating pings. Only with source = "sonar".
+    /// Delay after the other sonar's pulse. 0: simultaneous pings. Only with source = "sonar".
     delay_ms: Ms(from(0.0, 60_000.0)), Default("0.0");
 
     /// A trigger during the listening window of the previous ping. "refuse": it is refused and counted. "queue": the first one waits until the
