@@ -5,6 +5,7 @@
 //! template and the JSON Schema are written from `keys`. The crate opens no file: it asks [`Files`].
 
 #![warn(missing_docs)]
+#![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 mod check;
 mod describe;

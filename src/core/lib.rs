@@ -3,6 +3,7 @@
 //! The crate depends on no stage, opens no file and reads no clock.
 
 #![warn(missing_docs)]
+#![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 pub mod flow;
 pub mod frames;

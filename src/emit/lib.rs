@@ -4,6 +4,7 @@
 //! buffers.
 
 #![warn(missing_docs)]
+#![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 pub mod blocks;
 pub mod changes;

@@ -8,6 +8,7 @@
 //! [`track`] decode recorded files in memory; [`capture`] finds the datagrams in a packet capture. [`encode`] writes sentences
 //! for output. Doppler logs are not supported.
 #![warn(missing_docs)]
+#![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 pub mod capture;
 pub mod decoder;

@@ -2,6 +2,8 @@
 //!
 //! No file, no socket and no clock: the runtime says when, and hands the results over.
 
+#![cfg_attr(not(test), deny(clippy::disallowed_methods))]
+
 pub mod beats;
 pub mod conditions;
 pub mod element_synthesis;

@@ -5,6 +5,7 @@
 //! on where the scene lies. The crate opens no file. The caller passes [`Files`]. Not modelled: volume and surface scattering.
 
 #![warn(missing_docs)]
+#![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 mod bottoms;
 mod draws;

@@ -1,4 +1,5 @@
 #![warn(missing_docs)]
+#![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 //! Element samples of one ping: scatterers to arrivals ([`echo`]), and arrivals to samples
 //! ([`array`]).
 //!

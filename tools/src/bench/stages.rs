@@ -3,9 +3,10 @@
 //! Operations and bytes follow from the sizes that the tasks report. Peak rates are measured in the same run, on one core.
 
 use std::hint::black_box;
+use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
-use echotank_synthesis::array::gridded2d::{Stage, Stages, TaskReport};
+use echotank_synthesis::array::gridded2d::{Stage, Stages, TaskReport, measure_stages};
 
 /// Bytes of a complex grid value in f32.
 const COMPLEX_BYTES: f64 = 8.0;
@@ -23,6 +24,14 @@ pub(crate) struct Profile {
 }
 
 impl Profile {
+    /// An empty profile; the engine's stages are measured from now on.
+    pub(crate) fn start() -> Self {
+        static START: OnceLock<Instant> = OnceLock::new();
+        START.get_or_init(Instant::now);
+        measure_stages(|| START.get().map_or(Duration::ZERO, Instant::elapsed));
+        Self::default()
+    }
+
     pub(crate) fn keep(
         &mut self,
         insonify: Duration,

@@ -569,7 +569,7 @@ fn gridded_2d(ready: &mut Ready, simd_level: SimdLevel, stages: bool) -> Outcome
     let mut transmit_leg = TransmitLeg::new();
     let mut iq = std::mem::take(&mut ready.iq);
     let this = &*ready;
-    let mut profile = Profile::default();
+    let mut profile = Profile::start();
     let took = timed(this.effort, || {
         let start = Instant::now();
         this.light(&plan, &mut transmit_leg);

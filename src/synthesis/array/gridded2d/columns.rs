@@ -1,7 +1,6 @@
 //! Columns of the grid to powers along the stretch: Fourier transforms, pulse and shape.
 
 use std::f64::consts::PI;
-use std::time::Instant;
 
 use num_complex::Complex64;
 
@@ -11,7 +10,7 @@ use super::merge::Merge;
 use super::panel::{PANEL, Row, transposed};
 use super::pulse::{chebyshev, chebyshev_nodes};
 use super::sample::Sample;
-use super::stages::Stage;
+use super::stages::{self, Stage};
 use super::task::{Ray, Task};
 
 /// Joint error of the omitted coefficients, as a share of the truncation error allowed per series.
@@ -48,7 +47,7 @@ impl<T: Sample> Task<'_, T> {
     /// stretch.
     #[inline(always)]
     pub(crate) fn to_spectra<const FUSED: bool>(&self, work: &mut Work<T>) {
-        let mut since = Instant::now();
+        let mut since = stages::now();
         self.dilation_series(work);
         self.shapes(work);
         self.shares_of_nodes(work);

@@ -1,6 +1,5 @@
 //! Powers along the stretch to elements, and elements back to time.
 
-use std::time::Instant;
 
 use num_complex::Complex;
 
@@ -10,7 +9,7 @@ use crate::array::phasor::{LANES, cis, cis_lanes};
 use super::engine::Work;
 use super::lanes::{BLOCK, Lanes};
 use super::sample::Sample;
-use super::stages::Stage;
+use super::stages::{self, Stage};
 use super::task::Task;
 
 /// Pairs of elements and lanes processed together: as many sums as there are registers.
@@ -72,7 +71,7 @@ impl<T: Sample> Task<'_, T> {
     fn run_plain<const FUSED: bool>(&self, work: &mut Work<T>, output: &mut Vec<Complex<T>>) {
         self.to_spectra::<FUSED>(work);
         self.to_elements::<FUSED>(work);
-        let mut since = Instant::now();
+        let mut since = stages::now();
         self.to_time::<FUSED>(work, output);
         work.stages.lap(Stage::Return, &mut since);
     }
@@ -92,7 +91,7 @@ impl<T: Sample> Task<'_, T> {
         work.places.extend(places.map(|&y| T::narrow(y / half_m)));
         let near = NEAR.min(self.columns) * work.powers * BLOCK;
         work.moments.resize(near);
-        let mut since = Instant::now();
+        let mut since = stages::now();
         for block in 0..self.engine.blocks.len() {
             self.chords::<FUSED>(work, block);
             work.stages.lap(Stage::Combine, &mut since);

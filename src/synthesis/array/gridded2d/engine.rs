@@ -1,7 +1,6 @@
 //! The engine of one line array: tables made once, settings of a ping, and the buffers of a thread.
 
 use std::sync::Arc;
-use std::time::Instant;
 
 use echotank_fft::Fft;
 use num_complex::{Complex, Complex64};
@@ -21,7 +20,7 @@ use super::sample::Sample;
 use super::series::{powers_from_nodes, series_from_nodes};
 use super::smooth::{Echoes, Smooth};
 use super::spread::{Centring, Mixing, Prepared, Spread, Survey};
-use super::stages::{Stage, Stages};
+use super::stages::{self, Stage, Stages};
 use super::task::{MAX_ALONG, Task};
 use super::weights::{InverseGain, Taps, tap_tables};
 
@@ -579,7 +578,7 @@ impl<T: Sample> LineEngine<T> {
         let slab_s = self.slab_start(self.slab(task)) as f64 / self.rate_hz;
         let first_s = self.ping.first_sample_s + slab_s;
         let centring = Centring::new(&self.ping, self.resolution.motion, first_s);
-        let mut since = Instant::now();
+        let mut since = stages::now();
         work.stages = Stages::default();
         work.echoes.clear();
         let mut survey = Survey {

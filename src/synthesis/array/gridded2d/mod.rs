@@ -63,4 +63,4 @@ pub use engine::{Filter, LineEngine, Orders, PulseMotion, Resolution, TaskReport
 pub use line_array::Gridded2d;
 pub use plan::{Bounds, Choice, Precision, Refusal, Spec, choose};
 pub use sample::Sample;
-pub use stages::{Stage, Stages};
+pub use stages::{Stage, Stages, measure_stages};

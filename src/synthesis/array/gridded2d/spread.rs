@@ -1,6 +1,6 @@
 //! Surveys the echoes, and spreads every echo onto all channels of the grid.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use num_complex::Complex64;
 
@@ -15,6 +15,7 @@ use super::panel::{PANEL, Row};
 use super::sample::Sample;
 use super::series::chebyshev_terms as chebyshev;
 use super::smooth::{EchoStrength, Echoes, FADES, Smooth};
+use super::stages::now;
 use super::task::{KINDS, Kept, Kind, MAX_BEND, MAX_CHANNELS, MAX_DILATION, MAX_TWIST, Task};
 use super::weights::{Taps, taps};
 
@@ -405,7 +406,7 @@ pub(super) struct Spread<'a, T: Sample> {
 
 impl<'a, T: Sample> Spread<'a, T> {
     pub(super) fn new(task: &'a Task<'a, T>, centring: Centring, work: &'a mut Work<T>) -> Self {
-        let start = Instant::now();
+        let start = now();
         if !work.cleared {
             work.grid.fill(Row::ZERO);
         }
@@ -426,7 +427,7 @@ impl<'a, T: Sample> Spread<'a, T> {
             mixing: &work.mixing,
             echoes: 0,
             beyond: 0,
-            spent: start.elapsed(),
+            spent: now().saturating_sub(start),
         }
     }
 
@@ -555,9 +556,9 @@ impl<'a, T: Sample> Spread<'a, T> {
 
 impl<T: Sample> LineSink for Spread<'_, T> {
     fn accept(&mut self, chunk: &LineChunk) {
-        let start = Instant::now();
+        let start = now();
         self.accept_as_can_be(chunk);
-        self.spent += start.elapsed();
+        self.spent += now().saturating_sub(start);
     }
 }
 
