@@ -5,9 +5,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use echotank_config::{self as config, spec::*};
-use echotank_core::flow::{
-    DopplerModel, PathModel, Pattern, PulseKind, ReceiverFilter, Side, Synthesis, TimeVaryingGain,
-};
+use echotank_core::arrays::{Pattern, ReceiverFilter, TimeVaryingGain};
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::ping::Side;
+use echotank_core::pulse::PulseKind;
 use glam::DVec3;
 use proptest::prelude::*;
 use serde_json::Value;

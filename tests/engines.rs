@@ -4,8 +4,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use echotank_config::spec::{Density, NavMode, RigSpec, SonarSpec};
-use echotank_core::flow::*;
+use echotank_core::arrays::Pattern;
 use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
+use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
+use echotank_core::navigation::NavState;
+use echotank_core::ping::{EchoCounts, PingOutput, PingPlan};
+use echotank_core::scene::{ScatterLaw, Scatterers};
+use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 use echotank_nav::Coverage;
 use echotank_ping::element_synthesis::engine_error_models;

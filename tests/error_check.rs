@@ -3,8 +3,10 @@
 use std::path::Path;
 
 use echotank_config::spec::RigSpec;
-use echotank_core::flow::*;
 use echotank_core::frames::{Trajectory, rotation_from_angles};
+use echotank_core::navigation::NavState;
+use echotank_core::ping::{ErrorCheck, PingPlan};
+use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_core::time::UtcNs;
 use echotank_ping::error_check::{FAULT, KEPT, LEAST};
 use echotank_ping::pipeline::SonarPipeline;

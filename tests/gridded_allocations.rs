@@ -2,12 +2,14 @@
 
 mod counting;
 
-use echotank_core::flow::{ArrivalChunk, ArrivalSink, CHUNK, DopplerModel, Pulse, PulseKind};
+use echotank_core::model::DopplerModel;
+use echotank_core::pulse::{Pulse, PulseKind};
 use echotank_synthesis::array::Decimator;
 use echotank_synthesis::array::gridded::transform::Transform1d;
 use echotank_synthesis::array::gridded::{
     DopplerSpan, Gridded1d, SimdLevel, one_dimensional::Spec,
 };
+use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink, CHUNK};
 use num_complex::{Complex32, Complex64};
 
 #[test]

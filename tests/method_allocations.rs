@@ -4,8 +4,10 @@ mod counting;
 
 use std::path::Path;
 
-use echotank_core::flow::{NavState, PingPlan, ScatterLaw, Scatterers};
 use echotank_core::frames::{Trajectory, rotation_from_angles};
+use echotank_core::navigation::NavState;
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_core::time::UtcNs;
 use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::{self as ping, PingOrder};

@@ -1,7 +1,7 @@
 //! Decoding: real logs, epochs, signs, policies, and random bytes.
 
 use echotank_config::spec::{ChecksumPolicy, NavChannel, NavInputSpec, NavSourceSpec, TimePolicy};
-use echotank_core::flow::{NavQuantity, NavSample};
+use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::{NS_PER_S, UtcNs};
 use echotank_nav::log::read_log;
 use echotank_nav::stamp::split_line;

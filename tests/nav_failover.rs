@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use echotank_config::spec::*;
-use echotank_core::flow::{FixQuality, NavQuantity, NavSample, NavState};
 use echotank_core::frames::Trajectory;
+use echotank_core::navigation::{FixQuality, NavQuantity, NavSample, NavState};
 use echotank_core::time::UtcNs;
 use echotank_nav::health::State;
 use echotank_nav::{NavGap, NavHistory};

@@ -7,7 +7,7 @@ use echotank_config::spec::{
     ChecksumPolicy, NavChannel, NavDialect, NavFormat, NavInputSpec, NavSourceSpec, Reversed,
     TimePolicy,
 };
-use echotank_core::flow::{NavQuantity, NavSample};
+use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::{NS_PER_S, UtcNs};
 use echotank_nav::framing::checksum_of;
 use echotank_nav::log::{LogKind, read_log};

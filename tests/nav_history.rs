@@ -9,8 +9,8 @@ use echotank_config::spec::{
     ChecksumPolicy, NavChannel, NavInputSpec, NavMode, NavSourceSpec, NavSpec, OnLost, OriginSpec,
     StampSpec, TimePolicy, VerticalSpec,
 };
-use echotank_core::flow::{FixQuality, NavQuantity, NavSample, NavState};
 use echotank_core::frames::{Trajectory, angles_from_rotation, rotation_from_angles};
+use echotank_core::navigation::{FixQuality, NavQuantity, NavSample, NavState};
 use echotank_core::time::{NS_PER_S, UtcNs};
 use echotank_nav::{Coverage, LocalTangentPlane, NavGap, NavHistory};
 use glam::DVec3;

@@ -18,8 +18,8 @@ use echotank_config::spec::{
     ChecksumPolicy, NavChannel, NavInputSpec, NavMode, NavSourceSpec, NavSpec, OnLost, OriginSpec,
     StampSpec, TimePolicy, VerticalSpec,
 };
-use echotank_core::flow::NavState;
 use echotank_core::frames::Trajectory;
+use echotank_core::navigation::NavState;
 use echotank_core::time::{MonoNs, NS_PER_S, Timeline, UtcNs};
 use echotank_nav::stamp::split_line;
 use echotank_nav::{Coverage, NavGap, NavHistory};

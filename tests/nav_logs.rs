@@ -9,7 +9,7 @@ use std::path::Path;
 use echotank_config::spec::{
     ChecksumPolicy, NavChannel, NavDialect, NavInputSpec, NavSourceSpec, TimePolicy,
 };
-use echotank_core::flow::NavQuantity;
+use echotank_core::navigation::NavQuantity;
 use echotank_core::time::UtcNs;
 use echotank_nav::decoder::Outcome;
 use echotank_nav::log::LogKind;
@@ -498,7 +498,7 @@ fn a_log_replayed_slowly_in_another_year_keeps_its_bursts_and_dates() {
     assert_eq!((c.used + c.not_taken, c.undated, c.time_jumps), (100, 0, 0));
     let (first, second) = (1_407_369_600.16, 1_407_369_601.16);
     for (channel, count) in [(NavChannel::Position, 20), (NavChannel::RollPitch, 20)] {
-        let of = |s: &&echotank_core::flow::NavSample| match s.quantity {
+        let of = |s: &&echotank_core::navigation::NavSample| match s.quantity {
             NavQuantity::Position { .. } => channel == NavChannel::Position,
             NavQuantity::RollPitch { .. } => channel == NavChannel::RollPitch,
             _ => false,

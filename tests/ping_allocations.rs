@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use echotank_config::spec::{Density, NavMode};
-use echotank_core::flow::Synthesis;
+use echotank_core::model::Synthesis;
 use echotank_nav::Coverage;
 use echotank_ping::Schedule;
 use echotank_ping::rig::pool;

@@ -6,7 +6,7 @@ use echotank_config::spec::{
     AnchorSpec, BottomSpec, Density, IncidenceSpec, OcclusionSpec, SceneSpec, SeabedFileSpec,
     SeabedShape, SeabedSpec,
 };
-use echotank_core::flow::{Footprint, Scatterers};
+use echotank_core::scene::{Footprint, Scatterers};
 use echotank_runtime::io::files::FileSystem;
 use echotank_scene::Scene;
 use echotank_scene::TILE_BYTES;

@@ -6,10 +6,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use echotank_config::spec::{NavMode, OcclusionSpec, RigSpec, SeabedShape};
-use echotank_core::flow::{
-    ArrivalChunk, ArrivalSink, Footprint, Mounting, NavState, PingPlan, Scatterers,
-};
+use echotank_core::arrays::Mounting;
 use echotank_core::frames::{Pose, Trajectory};
+use echotank_core::navigation::NavState;
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::{Footprint, Scatterers};
 use echotank_core::time::UtcNs;
 use echotank_nav::Coverage;
 use echotank_ping::pipeline::SonarPipeline;
@@ -20,6 +21,7 @@ use echotank_runtime::io::files::FileSystem;
 use echotank_runtime::io::nav::NavInputs;
 use echotank_scene::Scene;
 use echotank_scene::{MeshFolder, Targets};
+use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
 use echotank_synthesis::echo::culling::left_out_share;
 use echotank_synthesis::echo::levels::Directivity;
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};

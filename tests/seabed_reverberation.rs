@@ -6,9 +6,11 @@
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use echotank_config::spec::*;
-use echotank_core::flow::*;
+use echotank_core::arrays::{Pattern, TransmitArray};
+use echotank_core::scene::{Footprint, Scatterers};
 use echotank_runtime::io::files::FileSystem;
 use echotank_scene::Scene;
+use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use glam::DVec3;
 use num_complex::Complex64;

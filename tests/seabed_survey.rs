@@ -1,7 +1,7 @@
 //! A survey far beyond memory: the cost of a ping does not depend on the survey's size.
 
 use echotank_config::spec::*;
-use echotank_core::flow::{Footprint, Scatterers};
+use echotank_core::scene::{Footprint, Scatterers};
 use echotank_runtime::io::files::FileSystem;
 use echotank_scene::Scene;
 use echotank_scene::TILE_BYTES;

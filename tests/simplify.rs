@@ -10,7 +10,7 @@ use echotank_config::spec::{
     AnchorSpec, BottomSpec, Density, EnergyWeights, IncidenceSpec, OcclusionSpec, PaperShape,
     SceneSpec, SeabedShape, SeabedSpec, SimplifyMethod, SimplifySpec,
 };
-use echotank_core::flow::{Footprint, Scatterers};
+use echotank_core::scene::{Footprint, Scatterers};
 use echotank_runtime::io::files::FileSystem;
 use echotank_scene::Scene;
 use echotank_scene::simplify::energy::{Beam, View};

@@ -4,7 +4,8 @@ mod wire_rig;
 
 use std::sync::Arc;
 
-use echotank_core::flow::{Datagram, PingOutput, PingPlan, Side};
+use echotank_core::ping::{PingOutput, PingPlan, Side};
+use echotank_core::records::Datagram;
 use echotank_emit::sevenk::{RECORDS, RecordSet, SevenKEmitter};
 use echotank_protocols::sevenk::records::{
     BeamGeometry7004, Beamformed7018, Configuration7001, Position1003, RawIq7038,
@@ -377,7 +378,7 @@ fn configuration_7001_describes_the_sonar_in_xml_closed_by_one_counted_nul() {
 #[test]
 fn continuous_waves_and_rectangles_are_named() {
     let mut plan = plan(1, 6);
-    plan.pulse.kind = echotank_core::flow::PulseKind::Cw;
+    plan.pulse.kind = echotank_core::pulse::PulseKind::Cw;
     plan.pulse.taper = 0.0;
     let (records, _) = emitted(&plan, &output(6), RecordSet::of(&[7000]));
     let b = &records[0].bytes[RTH..];

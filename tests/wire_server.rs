@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use echotank_config::spec::SevenKSpec;
-use echotank_core::flow::Datagram;
+use echotank_core::records::Datagram;
 use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_protocols::sevenk::records::RawIq7038;
 use echotank_protocols::sevenk::{Command, ErrorCode, NetworkFrame, Reassembler};
@@ -312,7 +312,7 @@ fn a_setting_over_the_wire_is_in_the_snapshot_once_acknowledged_and_echoed_to_li
         assert_eq!(
             rig.store.snapshot(),
             (
-                echotank_core::flow::SonarSettings {
+                echotank_core::settings::SonarSettings {
                     range_m: f64::from(range_m),
                     ..SETTINGS
                 },

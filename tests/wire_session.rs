@@ -8,7 +8,7 @@ mod wire_rig;
 
 use std::sync::Arc;
 
-use echotank_core::flow::Asked;
+use echotank_core::settings::Asked;
 use echotank_core::time::UtcNs;
 use echotank_emit::sevenk::RecordSet;
 use echotank_emit::sevenk::records::DeviceSheet;

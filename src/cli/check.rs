@@ -9,10 +9,11 @@ use clap::Args;
 use super::{Failure, load};
 use echotank_config as config;
 use echotank_config::spec::{DeliverySpec, MediumSpec, RunSpec, SonarSpec};
-use echotank_core::flow::{ErrorModel, Synthesis};
+use echotank_core::model::Synthesis;
 use echotank_ping::element_synthesis::engine_error_models;
 use echotank_ping::pipeline::PipelineError;
 use echotank_synthesis::echo::culling::left_out_share;
+use echotank_synthesis::error_model::ErrorModel;
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct CheckArgs {

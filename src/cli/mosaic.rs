@@ -238,7 +238,7 @@ fn place(pings: &[RecordedPing], k: usize, altitude_m: f64) -> SonarPose {
     let plane = LocalTangentPlane::new(ping.latitude_rad, ping.longitude_rad);
     let [port, starboard] = ping.arms_m;
     let middle = match ping.lines.as_slice() {
-        [one] => ping.arms_m[usize::from(one.side == echotank_core::flow::Side::Starboard)],
+        [one] => ping.arms_m[usize::from(one.side == echotank_core::ping::Side::Starboard)],
         _ => 0.5 * (port + starboard),
     };
     let (latitude_rad, longitude_rad) = plane.geodetic_rad(middle.x, middle.y);

@@ -21,9 +21,11 @@ use std::path::PathBuf;
 
 use glam::DVec3;
 
-use echotank_core::flow::{
-    ArrayGeometry, ModelChoice, Pulse, Receiver, Side, SonarSettings, TransmitArray,
-};
+use echotank_core::arrays::{ArrayGeometry, Receiver, TransmitArray};
+use echotank_core::model::ModelChoice;
+use echotank_core::ping::Side;
+use echotank_core::pulse::Pulse;
+use echotank_core::settings::SonarSettings;
 
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
 pub use methods::AutoModel;
@@ -1299,7 +1301,7 @@ impl Default for SynthesisSpec {
     }
 }
 
-pub use echotank_core::flow::SettingLimits as LimitsSpec;
+pub use echotank_core::settings::SettingLimits as LimitsSpec;
 pub use families::{ImagenexSpec, JsfChannels, JsfFormat, JsfSpec, XtfSpec};
 
 /// Side-scan lines and a fan of beams.

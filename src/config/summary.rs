@@ -12,11 +12,11 @@ use super::check::sonar::{
 use glam::DVec3;
 
 use super::spec::*;
-use echotank_core::flow::{
-    ArrayGeometry, DopplerModel, PathModel, Pattern, PulseKind, Receiver, ReceiverFilter, Side,
-    Synthesis, TimeVaryingGain,
-};
+use echotank_core::arrays::{ArrayGeometry, Pattern, Receiver, ReceiverFilter, TimeVaryingGain};
 use echotank_core::frames::rotation_from_angles;
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::ping::Side;
+use echotank_core::pulse::PulseKind;
 
 /// Tilt of the platform in the sign test.
 const SIGN_TEST_DEG: f64 = 10.0;

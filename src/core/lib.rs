@@ -5,8 +5,18 @@
 #![warn(missing_docs)]
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
-pub mod flow;
+pub mod arrays;
 pub mod frames;
 pub mod geodesy;
+pub mod model;
+pub mod navigation;
+mod parts;
+pub mod ping;
+pub mod pulse;
+pub mod records;
+pub mod scene;
+pub mod settings;
+#[doc(hidden)]
+pub mod testing;
 pub mod time;
 pub mod utm;

@@ -1,6 +1,6 @@
 //! Applies several setting changes as one transaction: all of them, or none. Some protocols send them in one command.
 
-use echotank_core::flow::{
+use echotank_core::settings::{
     Asked, SettingChange, SettingLimits, SettingRefused, SettingRule, SettingsPort,
 };
 

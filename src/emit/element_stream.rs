@@ -11,7 +11,7 @@ use super::packets::Packets;
 use super::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
 use super::sevenk::quantise::IQ_FULL_SCALE;
 use echotank_config::spec::{ElementStreamSpec, SonarSpec};
-use echotank_core::flow::{PingOutput, PingPlan};
+use echotank_core::ping::{PingOutput, PingPlan};
 use echotank_core::time::UtcNs;
 
 /// Converts pings into element frames. Owns its buffers and the frame counter; for use by one thread.

@@ -3,7 +3,7 @@
 use num_complex::Complex64;
 
 use super::sevenk::quantise::IQ_FULL_SCALE;
-use echotank_core::flow::{ElementFrame, PingOutput};
+use echotank_core::ping::{ElementFrame, PingOutput};
 
 /// Iterates over the elements of `arrays` in order; each item is the sample row of one element.
 pub fn elements_of<'a>(

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use echotank_core::flow::Datagram;
+use echotank_core::records::Datagram;
 
 /// Pool of at most `capacity` buffers for one record type. If all are in use, a record gets a new buffer and `misses` counts it.
 #[derive(Debug)]

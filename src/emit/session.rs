@@ -6,7 +6,7 @@
 use std::net::SocketAddr;
 use std::ops::Range;
 
-use echotank_core::flow::Datagram;
+use echotank_core::records::Datagram;
 use echotank_core::time::UtcNs;
 
 /// Bit set of a protocol's record classes, small enough for an atomic. The protocol defines the meaning of the bits ([`Protocol::class`]).

@@ -7,7 +7,7 @@ use super::reading::{DecodeError, Decoded, Invalid, Reading};
 use super::records::{Record, Records};
 use super::sentence::decode;
 use echotank_config::spec::{ChecksumPolicy, NavChannel, NavDialect, NavSourceSpec, TimePolicy};
-use echotank_core::flow::{NavQuantity, NavSample};
+use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 /// Number of [`NavChannel`] values.

@@ -6,7 +6,7 @@
 use std::io::Write;
 
 use super::framing::checksum_of;
-use echotank_core::flow::FixQuality;
+use echotank_core::navigation::FixQuality;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 /// Steps per minute of arc: 0.2 mm each.

@@ -1,6 +1,6 @@
 //! Interface for injecting faults between the navigation sources and the history.
 
-use echotank_core::flow::NavSample;
+use echotank_core::navigation::NavSample;
 use echotank_core::time::UtcNs;
 
 /// A fault injector: every sample passes through it, and so do the bytes of live sources.

@@ -19,7 +19,7 @@ use super::mavlink;
 use super::message_time::nearest_day;
 use super::stamp::{LineStamp, split_line};
 use echotank_config::spec::{NavFormat, NavSourceSpec, TimePolicy};
-use echotank_core::flow::NavSample;
+use echotank_core::navigation::NavSample;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 const DAY_NS: i64 = 86_400 * NS_PER_S;

@@ -12,7 +12,7 @@ use super::framing::Checksum;
 use super::reading::DecodeError::{Malformed, Unsupported};
 use super::reading::{Decoded, Kind, Reading, When};
 use super::records::Record;
-use echotank_core::flow::FixQuality;
+use echotank_core::navigation::FixQuality;
 use echotank_core::time::UtcNs;
 
 const STAMP_BYTES: usize = 8;

@@ -8,7 +8,7 @@ use super::fields::Fields;
 use super::reading::DecodeError::{self, Malformed, Unsupported};
 use super::reading::{Decoded, Kind, Reading, When, date_ns, ensure, seconds_ns};
 use echotank_config::spec::NavDialect;
-use echotank_core::flow::FixQuality;
+use echotank_core::navigation::FixQuality;
 use echotank_core::time::UtcNs;
 
 /// Start of GPS time, 1980-01-06T00:00:00Z, seconds since 1970.

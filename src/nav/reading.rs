@@ -2,7 +2,7 @@
 
 use chrono::{NaiveDate, NaiveTime};
 
-use echotank_core::flow::FixQuality;
+use echotank_core::navigation::FixQuality;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 const KNOT_M_PER_S: f64 = 1852.0 / 3600.0;

@@ -7,7 +7,7 @@ use super::framing::Checksum;
 use super::reading::DecodeError::Malformed;
 use super::reading::{Decoded, Kind, Reading, When, ensure};
 use echotank_config::spec::NavFormat;
-use echotank_core::flow::FixQuality;
+use echotank_core::navigation::FixQuality;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 const EM3000_BYTES: usize = 10;

@@ -8,8 +8,8 @@ use super::framing::Checksum;
 use super::log::{LogCounts, read_log_watched};
 use super::reading::Kind;
 use echotank_config::spec::{NavChannel, NavSourceSpec};
-use echotank_core::flow::{NavQuantity, NavSample};
 use echotank_core::geodesy::LocalTangentPlane;
+use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 /// Number of quantities.

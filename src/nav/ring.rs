@@ -5,8 +5,8 @@ use std::ops::Range;
 
 use glam::{DQuat, DVec3};
 
-use echotank_core::flow::FixQuality;
 use echotank_core::frames::{AttitudeKnot, VectorKnot};
+use echotank_core::navigation::FixQuality;
 use echotank_core::time::UtcNs;
 
 /// Maximum number of knots of a ring, whatever the configured depth: 160 s at 100 Hz, 1 MiB.

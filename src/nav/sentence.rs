@@ -18,7 +18,7 @@ use super::proprietary;
 use super::reading::DecodeError::{self, Malformed, Unsupported};
 use super::reading::{Decoded, Kind, Reading, date_ns, ensure};
 use echotank_config::spec::NavDialect;
-use echotank_core::flow::FixQuality;
+use echotank_core::navigation::FixQuality;
 
 const FATHOM_M: f64 = 1.8288;
 const FOOT_M: f64 = 0.3048;

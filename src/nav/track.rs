@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use super::fields::fraction_ns;
 use echotank_config::spec::NavChannel;
-use echotank_core::flow::{NavQuantity, NavSample};
+use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 pub(crate) const HEADER: &str = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg";

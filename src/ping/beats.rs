@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 
 use super::{Early, PingOrder, Refusal, Schedule, Triggered};
 use echotank_config::spec::{TriggerFrom, TriggerSpec};
-use echotank_core::flow::SonarSettings;
+use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 
 /// Triggers of a followed sonar that may lie ahead: more than its pulses in the longest delay there is.

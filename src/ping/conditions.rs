@@ -4,8 +4,11 @@ use glam::DVec3;
 
 use crate::method_selection::heard::heard;
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{Conditions, ErrorModel, PingPlan, Scatterers, Synthesis};
+use echotank_core::model::Synthesis;
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::error_models::synthesis_error_model;
+use echotank_synthesis::error_model::{Conditions, ErrorModel};
 
 /// Instants of a ping at which its motion is looked at: a window of 0.2 s every 3 ms, far below any platform's periods.
 const INSTANTS: usize = 64;

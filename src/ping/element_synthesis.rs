@@ -5,10 +5,12 @@
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use echotank_config::spec::{MediumSpec, SonarSpec};
-use echotank_core::flow::{
-    EchoCounts, Edges, ErrorModel, PingPlan, Pulse, ReceiverFilter, Scatterers, SonarSettings,
-    Synthesis,
-};
+use echotank_core::arrays::ReceiverFilter;
+use echotank_core::model::Synthesis;
+use echotank_core::ping::{EchoCounts, PingPlan};
+use echotank_core::pulse::Pulse;
+use echotank_core::scene::Scatterers;
+use echotank_core::settings::SonarSettings;
 use echotank_synthesis::array::direct::Direct;
 use echotank_synthesis::array::filter::{self, Decimator, FilterError, grid_ahead};
 use echotank_synthesis::array::gridded::DopplerSpan;
@@ -17,6 +19,8 @@ use echotank_synthesis::comparison::spectral::Bins;
 use echotank_synthesis::echo::reference::reference_with;
 use echotank_synthesis::echo::span::doppler_span;
 use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
+use echotank_synthesis::edges::Edges;
+use echotank_synthesis::error_model::ErrorModel;
 use echotank_synthesis::slabs::{PingElement, SlabEngine};
 use num_complex::Complex64;
 use rayon::prelude::*;

@@ -10,9 +10,13 @@ use std::thread::{self, JoinHandle};
 
 use crate::plan;
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{DopplerModel, ErrorModel, PingPlan, Pulse, SonarSettings, Synthesis};
+use echotank_core::model::{DopplerModel, Synthesis};
+use echotank_core::ping::PingPlan;
+use echotank_core::pulse::Pulse;
+use echotank_core::settings::SonarSettings;
 use echotank_synthesis::array::filter::{self, Decimator, FilterError};
 use echotank_synthesis::array::gridded::{DopplerSpan, GriddedError, SimdLevel, one_dimensional};
+use echotank_synthesis::error_model::ErrorModel;
 use echotank_synthesis::slabs::{SlabDesign, SlabEngine};
 
 /// What the weakest window of a ping may lie below the strongest, dB: from the first bottom echo to the end of a long range.

@@ -12,15 +12,18 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{
-    Conditions, Edges, ErrorCheck, PingOutput, PingPlan, Pulse, ReceiverFilter, Scatterers,
-    Synthesis,
-};
+use echotank_core::arrays::ReceiverFilter;
+use echotank_core::model::Synthesis;
+use echotank_core::ping::{ErrorCheck, PingOutput, PingPlan};
+use echotank_core::pulse::Pulse;
+use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::direct::Direct;
 use echotank_synthesis::array::error_models::synthesis_error_model;
 use echotank_synthesis::array::filter::{self, Decimator, FilterError};
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
 use echotank_synthesis::echo::probe::{Instant, echoes_at, receivable, receivable_ranges_m};
+use echotank_synthesis::edges::Edges;
+use echotank_synthesis::error_model::Conditions;
 
 /// Samples that an error check rests on, at most.
 pub const KEPT: usize = 128;

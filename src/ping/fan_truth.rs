@@ -12,7 +12,8 @@ use super::line_truth::{
 };
 use crate::rig::{PingSlot, Rig};
 use echotank_config::spec::{FanSpec, SonarSpec};
-use echotank_core::flow::{BeamFrame, LineTruth, Scatterers, Side};
+use echotank_core::ping::{BeamFrame, LineTruth, Side};
+use echotank_core::scene::Scatterers;
 use echotank_imaging::beam::weights;
 use echotank_imaging::image::water_column::beam_at;
 use echotank_synthesis::echo::levels::Directivity;

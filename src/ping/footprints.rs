@@ -6,8 +6,10 @@ use std::f64::consts::PI;
 use glam::{DQuat, DVec3};
 
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{BaffledFace, Footprint, Mounting, Pattern, PatternSide, PingPlan};
+use echotank_core::arrays::{Mounting, Pattern};
 use echotank_core::frames::Pose;
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::{BaffledFace, Footprint, PatternSide};
 
 /// Number of times in the reception window at which the platform's motion is sampled.
 const MOTION_SAMPLES: usize = 16;

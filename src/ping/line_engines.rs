@@ -11,11 +11,14 @@ use num_complex::Complex64;
 use crate::engines::LEVEL_RANGE_DB;
 use crate::plan;
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{ArrayGeometry, EchoCounts, ErrorModel, PingPlan, Pulse};
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::ping::{EchoCounts, PingPlan};
+use echotank_core::pulse::Pulse;
 use echotank_synthesis::array::filter::Decimator;
 use echotank_synthesis::array::gridded::SimdLevel;
 use echotank_synthesis::array::gridded2d::{Bounds, Choice, Gridded2d, Refusal, Spec, choose};
 use echotank_synthesis::echo::walk::{LineEchoes, LineWorkspace, TransmitLeg};
+use echotank_synthesis::error_model::ErrorModel;
 
 /// Platforms turn no faster, rad/s: a roll of 10 degrees in 5 s.
 const FASTEST_TURN_RAD_PER_S: f64 = 0.25;

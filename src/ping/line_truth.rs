@@ -12,10 +12,10 @@ use glam::{DQuat, DVec2, DVec3};
 
 use crate::rig::{PingSlot, Rig};
 use echotank_config::spec::{LineSpec, SonarSpec};
-use echotank_core::flow::{
-    ArrayGeometry, GroundSeen, LineTruth, Mounting, PingPlan, ScatterLaw, Scatterers, Side,
-};
+use echotank_core::arrays::{ArrayGeometry, Mounting};
 use echotank_core::frames::Pose;
+use echotank_core::ping::{GroundSeen, LineTruth, PingPlan, Side};
+use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_imaging::beam::conventional::line_array_response;
 use echotank_synthesis::echo::levels::Directivity;
 

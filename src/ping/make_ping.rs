@@ -5,7 +5,7 @@
 //! element and by beam, and no floating-point sum crosses threads, so the samples are the same bits for any number of threads.
 
 use echotank_config::spec::{NavMode, StampSpec};
-use echotank_core::flow::OverloadState;
+use echotank_core::ping::OverloadState;
 use echotank_core::time::UtcNs;
 use echotank_nav::NavGap;
 

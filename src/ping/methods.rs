@@ -8,7 +8,7 @@
 //! phase would add as squares, and the bound is then up to twice too high with four parts alike.
 
 use crate::work::Work;
-use echotank_core::flow::ModelChoice;
+use echotank_core::model::ModelChoice;
 
 /// What is chosen in one place of the plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -279,7 +279,7 @@ impl Ranking {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use echotank_core::flow::{DopplerModel, PathModel, Synthesis};
+    use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 
     fn candidate(error: f64, cost_ms: f64) -> Candidate {
         let part = |family: Family| Part {

@@ -20,9 +20,9 @@ use crate::element_synthesis::{ElementScratch, ElementSynthesis};
 use crate::pipeline::{PipelineError, line_former};
 use crate::plan;
 use echotank_config::spec::{MediumSpec, MorePulseSpec, SonarSpec};
-use echotank_core::flow::{
-    EchoCounts, ElementFrame, Line, PingPlan, PulseLines, Scatterers, SonarSettings,
-};
+use echotank_core::ping::{EchoCounts, ElementFrame, Line, PingPlan, PulseLines};
+use echotank_core::scene::Scatterers;
+use echotank_core::settings::SonarSettings;
 use echotank_imaging::beam::RowLimits;
 use echotank_imaging::beam::sidescan::LineFormer;
 use echotank_synthesis::array::filter::Decimator;
@@ -185,10 +185,12 @@ mod tests {
     use super::*;
     use crate::pipeline::SonarPipeline;
     use echotank_config as config;
-    use echotank_core::flow::{
-        PingOutput, Pulse, PulseKind, ReceiverFilter, ScatterLaw, Synthesis,
-    };
+    use echotank_core::arrays::ReceiverFilter;
     use echotank_core::frames::Trajectory;
+    use echotank_core::model::Synthesis;
+    use echotank_core::ping::PingOutput;
+    use echotank_core::pulse::{Pulse, PulseKind};
+    use echotank_core::scene::ScatterLaw;
     use echotank_core::time::UtcNs;
 
     const VELOCITY: DVec3 = DVec3::new(5.144, 0.0, 0.0);
@@ -200,7 +202,7 @@ mod tests {
             config::parse(text, Path::new("."), &config::AnyFiles).expect("a good configuration");
         let mut spec = rig.sonars[0].clone();
         spec.receiver.noise_db = None;
-        spec.receiver.tvg = echotank_core::flow::TimeVaryingGain::None;
+        spec.receiver.tvg = echotank_core::arrays::TimeVaryingGain::None;
         spec.receiver.filter = ReceiverFilter::None;
         spec.model.synthesis = Synthesis::Direct;
         spec.model.cull_db = None;
@@ -208,9 +210,9 @@ mod tests {
         spec.settings.range_m = 40.0;
         spec.limits.range_m = (40.0, 40.0);
         for transmit in &mut spec.transmit {
-            transmit.pattern = echotank_core::flow::Pattern::Omnidirectional;
+            transmit.pattern = echotank_core::arrays::Pattern::Omnidirectional;
         }
-        spec.receive[0].element_pattern = echotank_core::flow::Pattern::Omnidirectional;
+        spec.receive[0].element_pattern = echotank_core::arrays::Pattern::Omnidirectional;
         (spec, rig.medium.clone())
     }
 

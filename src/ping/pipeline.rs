@@ -18,10 +18,12 @@ use crate::footprints::{footprints, max_echo_range_m};
 use crate::more_pulses::MorePulse;
 use crate::plan;
 use echotank_config::spec::{LineSpec, MediumSpec, SonarSpec};
-use echotank_core::flow::{
-    BeamFrame, EchoCounts, ElementFrame, Footprint, Line, ModelChoice, OverloadState, PingOutput,
-    PingPlan, Scatterers, SceneCounts, SonarSettings,
+use echotank_core::model::ModelChoice;
+use echotank_core::ping::{
+    BeamFrame, EchoCounts, ElementFrame, Line, OverloadState, PingOutput, PingPlan, SceneCounts,
 };
+use echotank_core::scene::{Footprint, Scatterers};
+use echotank_core::settings::SonarSettings;
 use echotank_imaging::beam::RowLimits;
 use echotank_imaging::beam::fan::Fan;
 use echotank_imaging::beam::halves::HalvesFormer;

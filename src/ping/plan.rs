@@ -3,8 +3,11 @@
 //! In: settings, specifications, the platform's motion. Out: [`PingPlan`]. The plan is filled when the navigation around the pulse is known.
 
 use echotank_config::spec::{MediumSpec, SonarSpec};
-use echotank_core::flow::{NavState, PingPlan, Pulse, Segment, SonarSettings};
 use echotank_core::frames::Trajectory;
+use echotank_core::navigation::NavState;
+use echotank_core::ping::{PingPlan, Segment};
+use echotank_core::pulse::Pulse;
+use echotank_core::settings::SonarSettings;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 use crate::schedule::{PingOrder, period_ns};

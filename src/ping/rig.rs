@@ -13,9 +13,10 @@ use crate::pipeline::{PipelineError, SonarPipeline};
 use crate::plan;
 use crate::world::{SceneSummary, SharedSceneSummary};
 use echotank_config::spec::{AnchorSpec, FaultRefused, MediumSpec, NavMode, RigSpec, SonarSpec};
-use echotank_core::flow::{
-    PingOutput, PingPlan, Scatterers, SonarSettings, Target, TimeVaryingGain,
-};
+use echotank_core::arrays::TimeVaryingGain;
+use echotank_core::ping::{PingOutput, PingPlan};
+use echotank_core::scene::{Scatterers, Target};
+use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 use echotank_nav::{NavGap, NavHistory};
 use echotank_scene::simplify::energy::View;

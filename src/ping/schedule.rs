@@ -3,7 +3,7 @@
 //! [`Schedule`] decides `t_tx` and freezes the settings at that instant ([`PingOrder`]), on a beat of its own or when it is triggered;
 //! [`crate::beats`] has those of all sonars.
 
-use echotank_core::flow::SonarSettings;
+use echotank_core::settings::SonarSettings;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 use crate::plan::window_s;

@@ -6,7 +6,7 @@
 
 use super::{PingOrder, Schedule};
 use echotank_config::spec::EarlyTrigger;
-use echotank_core::flow::SonarSettings;
+use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 
 /// What becomes of triggers that come too early.

@@ -3,7 +3,8 @@
 use glam::DVec3;
 
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{Pattern, PingPlan};
+use echotank_core::arrays::Pattern;
+use echotank_core::ping::PingPlan;
 use echotank_scene::simplify::energy::{Beam, View};
 
 /// Transmit and receive arrays rotated by less than this against each other share their axes. Otherwise the view uses the transmitter's

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use echotank_core::flow::Target;
+use echotank_core::scene::Target;
 use echotank_scene::{Ground, Scene};
 
 /// Targets and ground of a scene after placement.

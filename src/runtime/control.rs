@@ -22,7 +22,7 @@ use crate::page::{PageSource, ReliefCache, changes, nav_source, settings_json, t
 use crate::settings::SettingsStore;
 use crate::triggers::TriggerCounts;
 use echotank_config::spec::ClockSpec;
-use echotank_core::flow::{Asked, Asker, SettingChange, SettingsPort};
+use echotank_core::settings::{Asked, Asker, SettingChange, SettingsPort};
 use echotank_core::time::{MonoNs, UtcNs};
 use echotank_nav::health::State;
 use echotank_ping::faults::Faults;

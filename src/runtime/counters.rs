@@ -3,9 +3,8 @@
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use echotank_core::flow::{
-    EchoCounts, ErrorCheck, MethodMark, NavState, OverloadState, SceneCounts,
-};
+use echotank_core::navigation::NavState;
+use echotank_core::ping::{EchoCounts, ErrorCheck, MethodMark, OverloadState, SceneCounts};
 use echotank_ping::method_selection::live::PlanCounts;
 
 /// Counters of one sonar, written by the pipeline and the delivery thread.

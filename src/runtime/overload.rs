@@ -8,7 +8,7 @@
 //! other ping, and one whose predecessor on the same sonar was skipped. They keep the cost estimate current.
 //!
 //! The decisions depend on measured compute times. Under overload, the pings computed, their times and their tolerances depend on the
-//! machine. Each affected ping reports this ([`echotank_core::flow::OverloadState`]). Without overload the output is deterministic, and
+//! machine. Each affected ping reports this ([`echotank_core::ping::OverloadState`]). Without overload the output is deterministic, and
 //! with a `fast` or `lockstep` clock no ping is late.
 
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering::Relaxed};

@@ -12,7 +12,7 @@ use crate::io::control::socket::ReliefTile;
 use crate::io::nav::SourceCounters;
 use crate::settings::{RecentChange, SettingsStore};
 use echotank_config::spec::{FaultRequest, RigSpec, SonarSpec};
-use echotank_core::flow::{
+use echotank_core::settings::{
     Changed, JournalEntry, KeptValue, SettingChange, SettingsPort, SonarSettings, TriggerSource,
 };
 use echotank_nav::health::State;
@@ -170,7 +170,7 @@ pub fn changes(settings: &SettingsStore) -> Value {
     rows.into()
 }
 
-fn row(asked: &echotank_core::flow::Asked, what: &str, value: Value) -> Value {
+fn row(asked: &echotank_core::settings::Asked, what: &str, value: Value) -> Value {
     json!({
         "utc_ms": asked.utc.0 as f64 / 1e6,
         "via": asked.by.via,

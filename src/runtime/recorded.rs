@@ -10,7 +10,7 @@ use crate::io::nav::NavInputs;
 use crate::rig::OpenError;
 use crate::waiting::missing_quantities;
 use echotank_config::spec::{RigSpec, TriggerFrom, TriggerSpec};
-use echotank_core::flow::SonarSettings;
+use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 use echotank_ping::PingOrder;
 use echotank_ping::beats::{Beats, InForce};

@@ -21,7 +21,9 @@ use echotank_config::spec::{
     JsfChannels, JsfFormat, JsfSpec, MediumSpec, OutputSpec, RigSpec, SevenKSpec, SonarSpec,
     WavSpec, XtfSpec,
 };
-use echotank_core::flow::{Datagram, PingOutput, PingPlan, Target};
+use echotank_core::ping::{PingOutput, PingPlan};
+use echotank_core::records::Datagram;
+use echotank_core::scene::Target;
 use echotank_core::time::UtcNs;
 use echotank_emit::jsf::{JsfEmitter, JsfSheet, file_time};
 use echotank_emit::sevenk::records::DeviceSheet;

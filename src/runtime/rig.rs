@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use echotank_config::spec::{NavMode, RigSpec};
-use echotank_core::flow::SonarSettings;
+use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 use echotank_nav::Coverage;
 use echotank_ping::PingOrder;

@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::clock::Clock;
 use echotank_config::spec::LimitsSpec;
-use echotank_core::flow::{
+use echotank_core::settings::{
     Asked, Changed, JournalEntry, KeptKey, KeptValue, SettingApplied, SettingChange,
     SettingRefused, SettingRule, SettingsPort, SonarSettings, TriggerSource,
 };

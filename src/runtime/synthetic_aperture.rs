@@ -7,7 +7,7 @@ use glam::DVec3;
 
 use crate::io::record::synthetic_aperture::Patch;
 use echotank_config::spec::{SonarSpec, SyntheticApertureSpec};
-use echotank_core::flow::{PingOutput, PingPlan};
+use echotank_core::ping::{PingOutput, PingPlan};
 use echotank_imaging::beam::RowLimits;
 use echotank_imaging::beam::backproject::BackProjection;
 use echotank_ping::plan;

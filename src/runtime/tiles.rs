@@ -35,7 +35,7 @@ mod tests {
     use super::*;
     use crate::recorded::RecordedRig;
     use echotank_config::spec::{Density, RigSpec};
-    use echotank_core::flow::Synthesis;
+    use echotank_core::model::Synthesis;
     use echotank_emit::blocks::blocks;
     use echotank_ping::PingOrder;
     use echotank_ping::rig::pool;

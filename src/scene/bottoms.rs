@@ -24,7 +24,7 @@
 use std::sync::Arc;
 
 use echotank_config::spec::{BottomSpec, Sediment, ThreeTerm};
-use echotank_core::flow::{LawCurve, ScatterLaw};
+use echotank_core::scene::{LawCurve, ScatterLaw};
 
 /// Parameters of a sediment: the handbook's values, and the terms fitted to them.
 #[derive(Clone, Copy, Debug, PartialEq)]

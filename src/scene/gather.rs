@@ -12,7 +12,8 @@ use super::pool::{Slot, TilePool};
 use super::seabed::Surface;
 use super::targets::Targets;
 use super::tiles::{Recipe, Tile, TileBox, TileId};
-use echotank_core::flow::{Footprint, ScatterLaw, Scatterers, SceneCounts};
+use echotank_core::ping::SceneCounts;
+use echotank_core::scene::{Footprint, ScatterLaw, Scatterers};
 
 /// Greatest distance of the seabed from the scene's origin, metres.
 const EDGE_M: f64 = 1e9;

@@ -30,7 +30,8 @@ use std::sync::Arc;
 use glam::DVec2;
 
 use echotank_config::spec::{AnchorSpec, SceneSpec, SeabedShape};
-use echotank_core::flow::{Footprint, Scatterers, SceneCounts, Target};
+use echotank_core::ping::SceneCounts;
+use echotank_core::scene::{Footprint, Scatterers, Target};
 use gather::{GatherContext, Gatherer};
 use occlusion::{Occluders, Occlusion};
 use pattern_floor::FloorReference;

@@ -20,7 +20,7 @@ use super::occlusion::Piece;
 use super::seabed::Depth;
 use super::targets::random::KeyedRandom;
 use echotank_config::spec::PaperShape;
-use echotank_core::flow::{ScatterLaw, Scatterers};
+use echotank_core::scene::{ScatterLaw, Scatterers};
 
 /// Depth of the level bottoms, metres.
 pub const DEPTH_M: f64 = 30.0;

@@ -7,7 +7,7 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use super::text::{self, Column, MAX_HORIZONTAL_M, MAX_VERTICAL_M, TextError, optional, required};
-use echotank_core::flow::{ScatterLaw, Scatterers};
+use echotank_core::scene::{ScatterLaw, Scatterers};
 
 /// Greatest number of rows: 16 million points take a gigabyte.
 pub(crate) const MAX_POINTS: usize = 1 << 24;

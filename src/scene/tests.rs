@@ -16,7 +16,8 @@ use echotank_config::spec::{
     AnchorSpec, BottomSpec, CrsSpec, Density, HeightSign, IncidenceSpec, MosaicSpec, MosaicValues,
     OcclusionSpec, SceneSpec, SeabedFileSpec, SeabedShape, SeabedSpec, Sediment,
 };
-use echotank_core::flow::{Footprint, ScatterLaw, Scatterers, SceneCounts};
+use echotank_core::ping::SceneCounts;
+use echotank_core::scene::{Footprint, ScatterLaw, Scatterers};
 
 /// The file system, as the runtime passes it.
 pub(crate) struct Disk;

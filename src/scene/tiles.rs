@@ -21,7 +21,7 @@ use super::bottoms::Bottom;
 use super::draws;
 use super::seabed::{Depth, Surface};
 use echotank_config::spec::{Density, IncidenceSpec, MosaicValues, SeabedSpec};
-use echotank_core::flow::Footprint;
+use echotank_core::scene::Footprint;
 
 /// Cells on a side of a tile. With 1024 scatterers the overhead of a tile is small, and few scatterers are made in vain.
 pub(crate) const CELLS_ON_SIDE: usize = 32;

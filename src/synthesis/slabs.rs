@@ -19,7 +19,9 @@ use crate::array::gridded::{
     CostEstimate, DopplerSpan, Gridded1d, Gridded1dWork, GriddedError, one_dimensional,
 };
 use crate::echo::{Slab, TransmitLeg, Window, Workspace, arrivals_of_slab};
-use echotank_core::flow::{ArrayGeometry, EchoCounts, ErrorModel, PingPlan};
+use crate::error_model::ErrorModel;
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::ping::{EchoCounts, PingPlan};
 
 /// Shortest slab, in echo lengths. Echoes that overlap a slab boundary are synthesised twice, so
 /// short slabs are wasteful.

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use echotank_config as config;
 use echotank_config::spec::NavDialect;
-use echotank_core::flow::FixQuality;
+use echotank_core::navigation::FixQuality;
 use echotank_core::time::UtcNs;
 use echotank_nav::framing::{Checksum, Framing};
 use echotank_nav::reading::{Kind, Reading};

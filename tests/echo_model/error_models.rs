@@ -3,13 +3,16 @@
 use glam::DVec3;
 use num_complex::Complex64;
 
-use echotank_core::flow::*;
+use echotank_core::arrays::ReceiverFilter;
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::ping::PingPlan;
 use echotank_synthesis::array::Direct;
 use echotank_synthesis::array::error_models::synthesis_error_model;
 use echotank_synthesis::echo::error_models::{
     doppler_error_model, doppler_within, path_error_model,
 };
 use echotank_synthesis::echo::{Window, reference};
+use echotank_synthesis::error_model::Conditions;
 
 use crate::paths::restless;
 use crate::rig::*;

@@ -1,8 +1,10 @@
 use glam::{DQuat, DVec3};
 use proptest::prelude::*;
 
-use echotank_core::flow::*;
 use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
+use echotank_core::model::{DopplerModel, PathModel};
+use echotank_core::ping::{PingPlan, Segment};
+use echotank_core::scene::ScatterLaw;
 
 use crate::rig::*;
 

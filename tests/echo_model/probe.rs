@@ -3,10 +3,12 @@
 use glam::DVec3;
 use num_complex::Complex64;
 
-use echotank_core::flow::*;
+use echotank_core::model::{DopplerModel, PathModel};
+use echotank_core::ping::PingPlan;
 use echotank_synthesis::array::{Decimator, Direct};
 use echotank_synthesis::echo::probe::{Instant, echoes_at, receivable, receivable_ranges_m};
 use echotank_synthesis::echo::reference::reference_with;
+use echotank_synthesis::edges::Edges;
 
 use crate::paths::restless;
 use crate::rig::*;

@@ -1,7 +1,8 @@
 use glam::DVec3;
 use num_complex::Complex64;
 
-use echotank_core::flow::*;
+use echotank_core::arrays::{Receiver, ReceiverFilter, TimeVaryingGain};
+use echotank_core::ping::PingPlan;
 use echotank_synthesis::array::receive;
 
 use crate::rig::*;

@@ -1,8 +1,15 @@
 //! A sonar, a plan and a sink for the tests of the echo model.
 
-use echotank_core::flow::*;
+use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, TransmitArray};
 use echotank_core::frames::{Trajectory, rotation_from_angles};
+use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
+use echotank_core::navigation::{FixQuality, NavState};
+use echotank_core::ping::{EchoCounts, PingPlan, Segment};
+use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::scene::{ScatterLaw, Scatterers};
+use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
+use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;

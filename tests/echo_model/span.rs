@@ -2,7 +2,8 @@
 
 use glam::{DQuat, DVec3};
 
-use echotank_core::flow::*;
+use echotank_core::model::{DopplerModel, PathModel};
+use echotank_core::scene::Scatterers;
 use echotank_synthesis::echo::{TransmitLeg, Workspace, arrivals, doppler_span, insonify};
 
 use crate::paths::restless;

@@ -3,11 +3,16 @@ use std::f64::consts::{PI, TAU};
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
-use echotank_core::flow::*;
+use echotank_core::arrays::{ArrayGeometry, Pattern, ReceiverFilter, TransmitArray};
 use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot};
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::ping::{EchoCounts, PingPlan};
+use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::array::error_models::synthesis_error_model;
 use echotank_synthesis::array::filter::occupied_hz;
 use echotank_synthesis::array::{Decimator, Direct, oversample};
+use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
 use echotank_synthesis::comparison::linear::Linear;
 use echotank_synthesis::comparison::nearest::Nearest;
 use echotank_synthesis::comparison::replica::Replica;
@@ -16,6 +21,8 @@ use echotank_synthesis::comparison::spectral::Spectral;
 use echotank_synthesis::comparison::spectral::Spectrum;
 use echotank_synthesis::echo::reference::reference_with;
 use echotank_synthesis::echo::{Window, reference};
+use echotank_synthesis::edges::Edges;
+use echotank_synthesis::error_model::Conditions;
 
 use crate::paths::restless;
 use crate::rig::*;

@@ -3,8 +3,11 @@ use std::sync::Arc;
 use glam::DVec3;
 use num_complex::Complex64;
 
-use echotank_core::flow::*;
+use echotank_core::arrays::Pattern;
 use echotank_core::frames::rotation_from_angles;
+use echotank_core::model::PathModel;
+use echotank_core::ping::{EchoCounts, Segment};
+use echotank_core::scene::{LawCurve, ScatterLaw, Scatterers};
 use echotank_synthesis::echo::Window;
 
 use crate::paths::restless;

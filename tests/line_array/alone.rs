@@ -1,6 +1,7 @@
 //! Single-echo error of the engine.
 
-use echotank_core::flow::{Pulse, PulseKind, Synthesis};
+use echotank_core::model::Synthesis;
+use echotank_core::pulse::{Pulse, PulseKind};
 use echotank_synthesis::array::Decimator;
 use echotank_synthesis::array::filter;
 use echotank_synthesis::array::gridded::kernel::Kernel;

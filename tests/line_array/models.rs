@@ -2,8 +2,9 @@
 
 use std::sync::Mutex;
 
-use echotank_core::flow::*;
 use echotank_core::frames::AttitudeKnot;
+use echotank_core::model::{DopplerModel, ModelChoice, PathModel};
+use echotank_core::ping::EchoCounts;
 use echotank_synthesis::array::gridded::simd_level::SimdLevel;
 use echotank_synthesis::array::gridded2d::{Bounds, Gridded2d, Refusal, Spec};
 use echotank_synthesis::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};

@@ -2,10 +2,13 @@
 
 use std::sync::Mutex;
 
-use echotank_core::flow::*;
+use echotank_core::arrays::{ArrayGeometry, TransmitArray};
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::array::gridded::simd_level::SimdLevel;
 use echotank_synthesis::array::gridded2d::{Filter, LineEngine, Resolution, Sample, TaskReport};
 use echotank_synthesis::array::{Decimator, Direct};
+use echotank_synthesis::arrivals::LineSource;
 use echotank_synthesis::echo::{
     LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, insonify, reference,
 };

@@ -2,8 +2,9 @@
 
 use std::sync::Mutex;
 
-use echotank_core::flow::*;
 use echotank_synthesis::array::gridded2d::{PulseMotion, Resolution};
+use echotank_synthesis::arrivals::LineSource;
+use echotank_synthesis::arrivals::{LineChunk, LineSink, LineStretch};
 use echotank_synthesis::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};
 use glam::DVec3;
 

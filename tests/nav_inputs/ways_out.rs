@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use echotank_config::spec::{
     NavDialect, NavOutputSpec, NavSentence, NavTargetSpec, PulseSpec, SerialLine, VerticalSpec,
 };
-use echotank_core::flow::{FixQuality, NavQuantity, NavSample};
+use echotank_core::navigation::{FixQuality, NavQuantity, NavSample};
 use echotank_core::time::UtcNs;
 use echotank_nav::NavHistory;
 use echotank_nav::framing::{Checksum, Framing};

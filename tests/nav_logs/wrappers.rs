@@ -4,7 +4,7 @@ use std::process::Command;
 
 use chrono::{DateTime, TimeDelta, Utc};
 use echotank_config::spec::{ChecksumPolicy, TimePolicy};
-use echotank_core::flow::NavSample;
+use echotank_core::navigation::NavSample;
 use echotank_core::time::UtcNs;
 use echotank_nav::log::read_log;
 use echotank_nav::stamp::split_line;

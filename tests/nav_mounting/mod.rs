@@ -6,8 +6,8 @@ use echotank_config::spec::{
     ChecksumPolicy, NavChannel, NavDialect, NavInputSpec, NavMode, NavSourceSpec, NavSpec, OnLost,
     OriginSpec, SensorMounting, StampSpec, TimePolicy, TowSpec, VerticalSpec,
 };
-use echotank_core::flow::{FixQuality, NavInvalid, NavQuantity, NavSample, NavState};
 use echotank_core::frames::{Trajectory, angles_from_rotation, rotation_from_angles};
+use echotank_core::navigation::{FixQuality, NavInvalid, NavQuantity, NavSample, NavState};
 use echotank_core::time::{NS_PER_S, UtcNs};
 use echotank_nav::{Coverage, NavDecoder, NavGap, NavHistory};
 use glam::DVec3;

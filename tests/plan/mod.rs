@@ -7,8 +7,10 @@ use std::fmt::Write;
 use std::path::Path;
 
 use echotank_config::spec::{Density, RigSpec};
-use echotank_core::flow::{DopplerModel, ErrorCheck, PathModel, PingPlan, Scatterers, Synthesis};
 use echotank_core::frames::Trajectory;
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::ping::{ErrorCheck, PingPlan};
+use echotank_core::scene::Scatterers;
 use echotank_core::time::UtcNs;
 use echotank_ping::method_selection::costs::Costs;
 use echotank_ping::method_selection::{Scene, Swell, rank};

@@ -5,9 +5,9 @@ use std::fmt::Write;
 use std::path::Path;
 
 use echotank_config::spec::{MadeOutput, RigSpec, SonarSpec};
-use echotank_core::flow::{
-    DopplerModel, PathModel, PingOutput, PingPlan, ScatterLaw, Scatterers, Synthesis,
-};
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::ping::{PingOutput, PingPlan};
+use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_core::time::UtcNs;
 use echotank_ping::conditions::conditions;
 use echotank_ping::error_check::worst_window;

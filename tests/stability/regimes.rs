@@ -4,8 +4,9 @@
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use echotank_core::flow::{DopplerModel, PathModel, ScatterLaw, Scatterers, Synthesis};
 use echotank_core::geodesy::LocalTangentPlane;
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_ping::rig::pool;
 use echotank_scene::simplify::energy::{Energies, View};
 use echotank_scene::simplify::{Method, Selection, Settings, Weights};

@@ -12,10 +12,9 @@ use echotank_protocols::ping_protocol::{Frame, Message, emit_frame};
 use std::sync::Arc;
 
 use echotank_config::spec::{PingDevice, PingProtocolSpec};
-use echotank_core::flow::{
-    Asked, Datagram, Detection, KeptKey, KeptValue, PingOutput, PingPlan, SettingChange,
-    SettingsPort, Side, Sounding,
-};
+use echotank_core::ping::{Detection, PingOutput, PingPlan, Side, Sounding};
+use echotank_core::records::Datagram;
+use echotank_core::settings::{Asked, KeptKey, KeptValue, SettingChange, SettingsPort};
 use echotank_core::time::UtcNs;
 use echotank_emit::ping_protocol::session::PingPort;
 use echotank_emit::ping_protocol::{Device, PingEmitter};

@@ -3,9 +3,9 @@
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use echotank_core::flow::{
-    Datagram, Detection, PingOutput, PingPlan, SettingsPort, Sounding, TriggerSource,
-};
+use echotank_core::ping::{Detection, PingOutput, PingPlan, Sounding};
+use echotank_core::records::Datagram;
+use echotank_core::settings::{SettingsPort, TriggerSource};
 use echotank_core::time::UtcNs;
 use echotank_emit::session::{Outgoing, Protocol, Session, Transport};
 use echotank_emit::wbms::control::ControlPort;
@@ -138,8 +138,8 @@ fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
 #[test]
 fn queries_report_current_settings_whoever_changed_them() {
     let mut bench = bench();
-    let asked = echotank_core::flow::Asked::from(NOW);
-    let change = echotank_core::flow::SettingChange::RangeM(42.5);
+    let asked = echotank_core::settings::Asked::from(NOW);
+    let change = echotank_core::settings::SettingChange::RangeM(42.5);
     bench
         .settings
         .apply(change, asked)

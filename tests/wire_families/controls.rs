@@ -1,6 +1,6 @@
 //! Requests, replies, and the effect on the next ping.
 
-use echotank_core::flow::{KeptKey, SettingsPort, TriggerSource};
+use echotank_core::settings::{KeptKey, SettingsPort, TriggerSource};
 use echotank_emit::session::Wants;
 use echotank_protocols::imagenex872::{Side, SwitchCommand};
 use echotank_protocols::jsf::control::{error_code, system_type, trigger};
@@ -231,7 +231,7 @@ fn a_switch_command_sets_range_and_gain_and_asks_for_one_side_of_one_ping() {
     session.receive(&switch(50, 50, Side::Port), TRANSMIT_UTC, &mut Vec::new());
     assert_eq!(store.version(), version, "told again, nothing changes");
     // An idle sonar makes one ping for it.
-    use echotank_core::flow::SettingChange;
+    use echotank_core::settings::SettingChange;
     store
         .apply(SettingChange::Stop, TRANSMIT_UTC)
         .expect("stops");

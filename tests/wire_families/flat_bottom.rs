@@ -4,9 +4,8 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use echotank_config::spec::{JsfChannels, JsfFormat};
-use echotank_core::flow::{
-    Asked, Detection, KeptKey, KeptValue, PingOutput, PingPlan, SettingsPort, Sounding,
-};
+use echotank_core::ping::{Detection, PingOutput, PingPlan, Sounding};
+use echotank_core::settings::{Asked, KeptKey, KeptValue, SettingsPort};
 use echotank_emit::imagenex872::emit_ping as emit_imagenex;
 use echotank_emit::session::Wants;
 use echotank_emit::sevenk::kept::Kept;

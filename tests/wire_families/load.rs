@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use echotank_config::spec::{FanForm, FanSpec, SevenKSpec, Shading, SonarSpec};
-use echotank_core::flow::{BeamFrame, ElementFrame, PingOutput};
+use echotank_core::ping::{BeamFrame, ElementFrame, PingOutput};
 use echotank_emit::sevenk::records::DeviceSheet;
 use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_protocols::sevenk::Command;

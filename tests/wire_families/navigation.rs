@@ -1,7 +1,7 @@
 //! One platform state, read back from every family within its resolution and with its sign.
 
 use echotank_config::spec::{JsfChannels, JsfFormat};
-use echotank_core::flow::PingPlan;
+use echotank_core::ping::PingPlan;
 use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_protocols::jsf::{
     PitchRoll2020, Situation2091, SonarData80, message_type as jsf_type,

@@ -10,7 +10,7 @@ use echotank_config::spec::{
     JsfChannels, JsfFormat, JsfSpec, NavMode, PingDevice, PingProtocolSpec, RigSpec, SonarSpec,
     Vita49Spec, XtfSpec,
 };
-use echotank_core::flow::{PingOutput, PingPlan, Side, Sounding};
+use echotank_core::ping::{PingOutput, PingPlan, Side, Sounding};
 use echotank_emit::imagenex872::{Head, ImagenexProtocol, emit_ping as emit_imagenex};
 use echotank_emit::jsf::{JsfEmitter, JsfSheet};
 use echotank_emit::packets::Packets;

@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use echotank_config::spec::{JsfChannels, JsfFormat, JsfSpec, MorePulseSpec, SonarSpec};
-use echotank_core::flow::{Datagram, PingOutput, Pulse, PulseKind, PulseLines};
+use echotank_core::ping::{PingOutput, PulseLines};
+use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::records::Datagram;
 use echotank_emit::jsf::session::{JsfCommands, is_active};
 use echotank_emit::jsf::{JsfEmitter, JsfSheet};
 use echotank_emit::session::{Protocol, Transport};

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use echotank_config::spec::{JsfChannels, JsfFormat, JsfSpec, SonarSpec, XtfSpec};
-use echotank_core::flow::{Datagram, PingOutput, PingPlan};
+use echotank_core::ping::{PingOutput, PingPlan};
+use echotank_core::records::Datagram;
 use echotank_core::time::UtcNs;
 use echotank_emit::imagenex872::{Head, ImagenexProtocol};
 use echotank_emit::jsf::session::JsfCommands;

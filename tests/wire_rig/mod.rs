@@ -8,12 +8,15 @@ use echotank_config::spec::{
     BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, PictureSpec, SevenKSpec, Shading, SonarSpec,
     SynthesisSpec, TriggerOutSpec, TriggerSpec,
 };
-use echotank_core::flow::{
-    ArrayGeometry, BeamFrame, DopplerModel, ElementFrame, FixQuality, Line, ModelChoice, Mounting,
-    NavState, PathModel, Pattern, PingOutput, PingPlan, Pulse, PulseKind, Receiver, ReceiverFilter,
-    Segment, Side, SonarSettings, Synthesis, TimeVaryingGain, TransmitArray,
+use echotank_core::arrays::{
+    ArrayGeometry, Mounting, Pattern, Receiver, ReceiverFilter, TimeVaryingGain, TransmitArray,
 };
 use echotank_core::frames::{Trajectory, rotation_from_angles};
+use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
+use echotank_core::navigation::{FixQuality, NavState};
+use echotank_core::ping::{BeamFrame, ElementFrame, Line, PingOutput, PingPlan, Segment, Side};
+use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 use echotank_emit::sevenk::records::DeviceSheet;
 use echotank_protocols::sevenk::{Command, ControlRequest, Packetiser, RecordStamp, SevenKTime};

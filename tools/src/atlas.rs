@@ -22,7 +22,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Parser;
-use echotank_core::flow::PathModel;
+use echotank_core::model::PathModel;
 
 use atlas::measure::{Bench, Column, DOPPLERS, Outcome, SUMS};
 use atlas::regimes::{ALL, Regime};
@@ -133,7 +133,7 @@ fn map(regime: &Regime, columns: &[Column]) -> Map {
     for doppler in DOPPLERS {
         for path in PathModel::ALL {
             let name = match doppler {
-                echotank_core::flow::DopplerModel::None => "no Doppler",
+                echotank_core::model::DopplerModel::None => "no Doppler",
                 doppler => doppler.name(),
             };
             rows.push(format!("{}, {name}", path.name()));

@@ -8,7 +8,8 @@ use std::collections::HashMap;
 use std::sync::Mutex;
 use std::time::Instant;
 
-use echotank_core::flow::{EchoCounts, Scatterers};
+use echotank_core::ping::EchoCounts;
+use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::gridded::simd_level::SimdLevel;
 use echotank_synthesis::array::gridded2d::{Bounds, Gridded2d, Spec};
 use echotank_synthesis::echo::{LineEchoes, LineWorkspace, TransmitLeg, Window, insonify};

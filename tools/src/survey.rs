@@ -10,8 +10,10 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Instant;
 
-use echotank_core::flow::{NavState, PingOutput, Scatterers};
 use echotank_core::frames::Trajectory;
+use echotank_core::navigation::NavState;
+use echotank_core::ping::PingOutput;
+use echotank_core::scene::Scatterers;
 use echotank_core::time::UtcNs;
 use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::{self as ping, PingOrder};

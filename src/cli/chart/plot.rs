@@ -4,7 +4,7 @@
 
 use std::fmt::Write;
 
-use echotank_core::flow::Synthesis;
+use echotank_core::model::Synthesis;
 use echotank_runtime::chart::methods::Method;
 use echotank_runtime::chart::work::{Curve, Work};
 use echotank_runtime::chart::{Chart, Measured, Row};

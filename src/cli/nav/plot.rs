@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use echotank_core::flow::{NavQuantity, NavSample};
 use echotank_core::geodesy::LocalTangentPlane;
+use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::UtcNs;
 use echotank_nav::report::LogReport;
 use plotters::coord::Shift;

@@ -8,7 +8,7 @@ use glam::DVec3;
 
 use crate::cli::Failure;
 use echotank_config::spec::{EnergyWeights, SeabedFileSpec, SimplifyMethod};
-use echotank_core::flow::Scatterers;
+use echotank_core::scene::Scatterers;
 use echotank_runtime::io::files::FileSystem;
 use echotank_scene::read::Survey;
 use echotank_scene::simplify::collapse::collapse;

@@ -7,7 +7,7 @@
 use glam::DVec3;
 
 use super::super::spec::SonarSpec;
-use echotank_core::flow::{ArrayGeometry, Pattern, TransmitArray};
+use echotank_core::arrays::{ArrayGeometry, Pattern, TransmitArray};
 
 /// The rest is left to the errors of engines and models.
 const SHARE_OF_TOLERANCE: f64 = 0.5;
@@ -18,7 +18,7 @@ const AZIMUTHS: usize = 7200;
 /// Lower floors are not used, dB: they leave out almost nothing.
 const MIN_DB: f64 = -120.0;
 
-/// The default of [`ModelChoice::cull_db`](echotank_core::flow::ModelChoice); none if culling has no use.
+/// The default of [`ModelChoice::cull_db`](echotank_core::model::ModelChoice); none if culling has no use.
 pub(super) fn floor_db(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Option<f64> {
     let wavelength_m = sound_speed_m_per_s / sonar.pulse.center_frequency_hz;
     let share = (SHARE_OF_TOLERANCE * sonar.synthesis.tolerance).powi(2);

@@ -4,7 +4,7 @@ use super::super::spec::*;
 use super::{Listener, address, needed_with, only_with};
 use crate::keys;
 use crate::raw::Problems;
-use echotank_core::flow::Side;
+use echotank_core::ping::Side;
 
 /// Consecutive ports of WBMS.
 const WBMS_PORTS: u16 = 4;

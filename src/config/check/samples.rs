@@ -5,7 +5,7 @@ use super::sonar::Arrays;
 use super::{Listener, listen, only_with};
 use crate::keys;
 use crate::raw::{Field, Problems};
-use echotank_core::flow::Pulse;
+use echotank_core::pulse::Pulse;
 use echotank_protocols::elements::{HEADER_BYTES, SampleType};
 
 /// Header and trailer of a VITA 49 packet.

@@ -6,7 +6,8 @@ use super::super::spec::*;
 use super::{MIB, needed_with, only_with};
 use crate::keys;
 use crate::raw::{Field, Problems};
-use echotank_core::flow::{Pattern, PulseKind};
+use echotank_core::arrays::Pattern;
+use echotank_core::pulse::PulseKind;
 
 /// Storage of one scatterer in a tile, bytes: three coordinates, a normal, a strength, a mark.
 const BYTES_PER_SCATTERER: f64 = 34.0;
@@ -431,8 +432,8 @@ fn two_way_sine(a: f64, b: f64, depth: f64) -> f64 {
 }
 
 /// Cosine between two array axes, 0 to 1.
-fn along(a: &echotank_core::flow::Mounting, b: &echotank_core::flow::Mounting) -> f64 {
-    let axis = |mounting: &echotank_core::flow::Mounting| mounting.body_from_array * DVec3::X;
+fn along(a: &echotank_core::arrays::Mounting, b: &echotank_core::arrays::Mounting) -> f64 {
+    let axis = |mounting: &echotank_core::arrays::Mounting| mounting.body_from_array * DVec3::X;
     axis(a).dot(axis(b)).abs()
 }
 

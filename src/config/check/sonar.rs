@@ -14,11 +14,14 @@ use super::trigger;
 use super::{Listener, all, index_of, listen, needed_with, only_with, unique_names};
 use crate::keys;
 use crate::raw::{Entry, Field, Problems};
-use echotank_core::flow::{
-    ArrayGeometry, DopplerModel, ModelChoice, Mounting, PathModel, Pattern, Pulse, PulseKind,
-    Receiver, ReceiverFilter, Side, SonarSettings, Synthesis, TimeVaryingGain, TransmitArray,
+use echotank_core::arrays::{
+    ArrayGeometry, Mounting, Pattern, Receiver, ReceiverFilter, TimeVaryingGain, TransmitArray,
 };
 use echotank_core::frames::rotation_from_angles;
+use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
+use echotank_core::ping::Side;
+use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::settings::SonarSettings;
 
 /// Platform speed that the sample rate must allow for, m/s.
 pub(crate) const MAX_PLATFORM_SPEED_M_PER_S: f64 = 10.0;

@@ -4,7 +4,7 @@ use super::super::spec::*;
 use super::only_with;
 use crate::keys;
 use crate::raw::Problems;
-use echotank_core::flow::{DopplerModel, Synthesis};
+use echotank_core::model::{DopplerModel, Synthesis};
 
 /// Default of `ahead_ms` with streaming, seconds.
 const AHEAD_S: f64 = 0.1;

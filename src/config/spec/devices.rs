@@ -2,7 +2,7 @@
 
 use std::net::SocketAddr;
 
-use echotank_core::flow::Side;
+use echotank_core::ping::Side;
 
 /// Device of the Ping protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,7 +1,7 @@
 //! Value of a method that is chosen automatically.
 
 /// Parts of a sonar's model that the method selection chooses. Their values in
-/// [`ModelChoice`](echotank_core::flow::ModelChoice) is where a sonar starts whose motion is not known yet.
+/// [`ModelChoice`](echotank_core::model::ModelChoice) is where a sonar starts whose motion is not known yet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AutoModel {
     /// The path model.

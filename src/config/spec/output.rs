@@ -1,7 +1,7 @@
 //! Whether element samples are required, and why.
 
 use super::{OutputSpec, SonarSpec, SynthesisSpec};
-use echotank_core::flow::{PathModel, Synthesis};
+use echotank_core::model::{PathModel, Synthesis};
 
 /// Result of a sonar's synthesis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -17,10 +17,9 @@ use echotank_protocols::imagenex872::{
 };
 
 use super::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
-use echotank_core::flow::{
-    Asked, Asker, Datagram, KeptKey, KeptValue, PingOutput, PingPlan, SettingChange, SettingsPort,
-    Side,
-};
+use echotank_core::ping::{PingOutput, PingPlan, Side};
+use echotank_core::records::Datagram;
+use echotank_core::settings::{Asked, Asker, KeptKey, KeptValue, SettingChange, SettingsPort};
 use echotank_core::time::UtcNs;
 
 /// Name under which this protocol changes settings.

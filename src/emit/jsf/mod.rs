@@ -27,7 +27,10 @@ use echotank_protocols::jsf::{
 };
 
 use echotank_config::spec::{JsfChannels, JsfFormat, JsfSpec, SonarSpec};
-use echotank_core::flow::{Datagram, Line, NavState, PingOutput, PingPlan, Pulse, PulseKind, Side};
+use echotank_core::navigation::NavState;
+use echotank_core::ping::{Line, PingOutput, PingPlan, Side};
+use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::records::Datagram;
 use echotank_core::time::UtcNs;
 
 /// Pressure of a metre of sea water in thousandths of a pound per square inch: 1025 kg/m^3 x 9.81 m/s^2 over 6.894757 Pa.

@@ -22,8 +22,9 @@ use echotank_protocols::jsf::{
 
 use super::{JsfSheet, record_type};
 use crate::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
-use echotank_core::flow::{
-    Asked, Asker, Datagram, KeptKey, KeptValue, SettingChange, SettingsPort, TriggerSource,
+use echotank_core::records::Datagram;
+use echotank_core::settings::{
+    Asked, Asker, KeptKey, KeptValue, SettingChange, SettingsPort, TriggerSource,
 };
 use echotank_core::time::UtcNs;
 

@@ -26,7 +26,8 @@ use echotank_protocols::ping_protocol::surveyor240::{
 use crate::changes::part_of;
 use crate::pool::DatagramPool;
 use echotank_config::spec::{PingDevice, PingProtocolSpec, SonarSpec};
-use echotank_core::flow::{Datagram, Line, PingOutput, PingPlan, Side};
+use echotank_core::ping::{Line, PingOutput, PingPlan, Side};
+use echotank_core::records::Datagram;
 use echotank_core::time::UtcNs;
 
 /// Largest span of the 16-bit results, dB.

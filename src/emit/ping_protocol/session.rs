@@ -22,8 +22,9 @@ use super::{Device, GAIN_PERCENT, GAIN_STEPS};
 use crate::changes::{apply_all, at_part};
 use crate::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
 use echotank_config::spec::PingDevice;
-use echotank_core::flow::{
-    Asked, Asker, Datagram, KeptKey, KeptValue, SettingChange, SettingLimits, SettingsPort,
+use echotank_core::records::Datagram;
+use echotank_core::settings::{
+    Asked, Asker, KeptKey, KeptValue, SettingChange, SettingLimits, SettingsPort,
 };
 use echotank_core::time::UtcNs;
 

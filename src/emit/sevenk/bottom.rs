@@ -17,9 +17,9 @@ use echotank_protocols::sevenk::records::{
 use super::kept::Kept;
 use super::quantise::MAGNITUDE_FULL_SCALE;
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{
-    BeamFrame, Detection, PingOutput, PingPlan, PulseKind, Sounding, TimeVaryingGain,
-};
+use echotank_core::arrays::TimeVaryingGain;
+use echotank_core::ping::{BeamFrame, Detection, PingOutput, PingPlan, Sounding};
+use echotank_core::pulse::PulseKind;
 
 /// Both quality tests passed (brightness and colinearity): every detection has passed the equivalent tests here.
 const QUALITY_PASSED: u32 = 0b11;

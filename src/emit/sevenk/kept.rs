@@ -6,7 +6,7 @@ use echotank_protocols::sevenk::control::{GainType, PulseEnvelope};
 use echotank_protocols::sevenk::records::{RemoteSettings7503, SonarSettings7000};
 
 use super::protocol::VIA;
-use echotank_core::flow::{KeptKey, KeptValue, SettingsPort, TriggerSource};
+use echotank_core::settings::{KeptKey, KeptValue, SettingsPort, TriggerSource};
 
 /// Names of the stored settings.
 mod name {

@@ -6,7 +6,7 @@
 //! - [`session`]: commands and subscriptions of one client; bytes in, records out
 //! - [`protocol`]: the server interface to both
 //!
-//! Each of several pulses in a ping ([`echotank_core::flow::PulseLines`]) has its own 7000 and 7007. They carry the ping's number and the
+//! Each of several pulses in a ping ([`echotank_core::ping::PulseLines`]) has its own 7000 and 7007. They carry the ping's number and the
 //! multi-ping sequence 1, 2, ...; those of the further pulses come last. All other records describe the sonar's own pulse.
 //!
 //! Ping records carry the end of the transmission (the ping's timestamp plus the pulse duration), as the DFD specifies. Navigation records
@@ -30,9 +30,9 @@ use echotank_protocols::sevenk::records::{
 
 use crate::pool::DatagramPool;
 use bottom::{Source, Workspace};
-use echotank_core::flow::{
-    BeamFrame, Datagram, ElementFrame, Line, PingOutput, PingPlan, Pulse, Side,
-};
+use echotank_core::ping::{BeamFrame, ElementFrame, Line, PingOutput, PingPlan, Side};
+use echotank_core::pulse::Pulse;
+use echotank_core::records::Datagram;
 use kept::Kept;
 use records::{DeviceSheet, View};
 

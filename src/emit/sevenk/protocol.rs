@@ -11,7 +11,8 @@ use super::RecordSet;
 use super::records::DeviceSheet;
 use super::session::{MAX_COMMAND_BYTES, Session as Inner, SessionContext};
 use crate::session::{Framer, Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
-use echotank_core::flow::{Asker, Changed, Datagram, SettingChange, SettingsPort, TriggerSource};
+use echotank_core::records::Datagram;
+use echotank_core::settings::{Asker, Changed, SettingChange, SettingsPort, TriggerSource};
 use echotank_core::time::UtcNs;
 
 /// Name under which 7k changes settings.

@@ -17,10 +17,12 @@ use echotank_protocols::sevenk::{ErrorCode, RecordStamp, SevenKTime, control_fla
 use super::RecordSet;
 use super::kept::Kept;
 use echotank_config::spec::{SevenKSpec, SonarSpec};
-use echotank_core::flow::{
-    BeamFrame, Datagram, FixQuality, NavState, Pattern, PingPlan, Pulse, PulseKind, SettingsPort,
-    SonarSettings, TimeVaryingGain,
-};
+use echotank_core::arrays::{Pattern, TimeVaryingGain};
+use echotank_core::navigation::{FixQuality, NavState};
+use echotank_core::ping::{BeamFrame, PingPlan};
+use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::records::Datagram;
+use echotank_core::settings::{SettingsPort, SonarSettings};
 use echotank_core::time::UtcNs;
 
 /// Argument u at which sinc(pi u) is -3 dB (1/sqrt 2). Half the beam width of a line source is asin(HALF_POWER lambda / length). The usual
@@ -566,7 +568,7 @@ fn describe(output: &SevenKSpec, sonar: &SonarSpec) -> String {
     xml
 }
 
-fn placed(mounting: &echotank_core::flow::Mounting) -> String {
+fn placed(mounting: &echotank_core::arrays::Mounting) -> String {
     let (roll, pitch, yaw) = echotank_core::frames::angles_from_rotation(mounting.body_from_array);
     let p = mounting.position_m;
     format!(

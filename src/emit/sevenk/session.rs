@@ -30,8 +30,9 @@ use super::records::DeviceSheet;
 use super::{RECORDS, RecordSet};
 use crate::session::Transport;
 pub use crate::session::{Outgoing, SessionCounts};
-use echotank_core::flow::{
-    Asked, Asker, Datagram, KeptValue, SettingChange, SettingsPort, TriggerSource,
+use echotank_core::records::Datagram;
+use echotank_core::settings::{
+    Asked, Asker, KeptValue, SettingChange, SettingsPort, TriggerSource,
 };
 use echotank_core::time::UtcNs;
 

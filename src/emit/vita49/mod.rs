@@ -13,7 +13,7 @@ use super::packets::Packets;
 use super::passband::Passband;
 use super::sevenk::EmitCounts;
 use echotank_config::spec::{SonarSpec, Vita49Spec};
-use echotank_core::flow::{PingOutput, PingPlan};
+use echotank_core::ping::{PingOutput, PingPlan};
 
 /// Converts pings into packets. Owns its buffers and the packet counters of the streams; for use by one thread.
 pub struct Vita49Emitter {

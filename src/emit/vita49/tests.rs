@@ -5,8 +5,10 @@ use num_complex::Complex64;
 
 use super::*;
 
-use echotank_core::flow::testing::plan_at_rest;
-use echotank_core::flow::{ElementFrame, Pulse, PulseKind, ReceiverFilter};
+use echotank_core::arrays::ReceiverFilter;
+use echotank_core::ping::ElementFrame;
+use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::testing::plan_at_rest;
 use echotank_core::time::UtcNs;
 
 const PULSE: Pulse = Pulse {

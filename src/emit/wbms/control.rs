@@ -13,9 +13,9 @@ use echotank_protocols::wbms::control::{Command, answer};
 use super::{Device, RequestedSettings};
 use crate::changes::{apply_all, at_part, part_of};
 use crate::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
-use echotank_core::flow::{
-    Asked, Asker, Datagram, KeptKey, KeptValue, SettingChange, SettingLimits, SettingsPort,
-    TriggerSource,
+use echotank_core::records::Datagram;
+use echotank_core::settings::{
+    Asked, Asker, KeptKey, KeptValue, SettingChange, SettingLimits, SettingsPort, TriggerSource,
 };
 use echotank_core::time::UtcNs;
 

@@ -21,9 +21,8 @@ use num_complex::Complex64;
 use crate::elements::counts;
 use crate::pool::DatagramPool;
 use echotank_config::spec::{BeamSpacing, SonarSpec};
-use echotank_core::flow::{
-    BeamFrame, Datagram, Detection, Line, PingOutput, PingPlan, Side, Sounding,
-};
+use echotank_core::ping::{BeamFrame, Detection, Line, PingOutput, PingPlan, Side, Sounding};
+use echotank_core::records::Datagram;
 use echotank_core::time::UtcNs;
 
 /// Samples of a snippet on each side of its detection.

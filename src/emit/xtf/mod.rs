@@ -14,8 +14,10 @@ use echotank_protocols::xtf::{
 use super::jsf::altitude_m;
 use super::sevenk::quantise;
 use echotank_config::spec::{LineSpec, SonarSpec, XtfSpec};
-use echotank_core::flow::{Pattern, PingOutput, PingPlan, Pulse, Side};
+use echotank_core::arrays::Pattern;
 use echotank_core::frames::angles_from_rotation;
+use echotank_core::ping::{PingOutput, PingPlan, Side};
+use echotank_core::pulse::Pulse;
 
 const KNOTS_PER_M_PER_S: f64 = 3600.0 / 1852.0;
 

@@ -25,7 +25,9 @@ use super::RowLimits;
 use super::matched::MatchedFilter;
 use super::weights::Taper;
 use echotank_config::spec::Shading;
-use echotank_core::flow::{ArrayGeometry, ElementFrame, PingPlan, Pulse, PulseKind, TransmitArray};
+use echotank_core::arrays::{ArrayGeometry, TransmitArray};
+use echotank_core::ping::{ElementFrame, PingPlan};
+use echotank_core::pulse::{Pulse, PulseKind};
 
 /// Length of the interpolation filter and its number of sub-sample positions (the nearest is used: 0.5 % error at the band's edge).
 const TAPS: usize = 16;
@@ -185,8 +187,9 @@ impl ReceivedRow {
 mod tests {
     use super::*;
     use crate::beam::test_rig::array;
-    use echotank_core::flow::testing::plan_at_rest;
-    use echotank_core::flow::{Mounting, Pattern, Segment};
+    use echotank_core::arrays::{Mounting, Pattern};
+    use echotank_core::ping::Segment;
+    use echotank_core::testing::plan_at_rest;
 
     const C: f64 = 1500.0;
     const LAMBDA_M: f64 = C / 400e3;

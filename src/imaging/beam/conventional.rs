@@ -26,7 +26,9 @@ use rayon::prelude::*;
 use super::RowLimits;
 use super::steered::{Band, SteeredArray};
 use echotank_config::spec::{FanSpec, Shading};
-use echotank_core::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse};
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
+use echotank_core::pulse::Pulse;
 
 /// Number of frequencies processed together in the inner loop: their sums and phasors fit sixteen 128-bit registers.
 const TILE: usize = 4;
@@ -251,8 +253,8 @@ mod tests {
     use super::*;
     use crate::beam::test_rig::{array, elements_of_plane_wave, tone};
     use echotank_config::spec::FanForm;
-    use echotank_core::flow::PulseKind;
-    use echotank_core::flow::testing::plan_at_rest as plan;
+    use echotank_core::pulse::PulseKind;
+    use echotank_core::testing::plan_at_rest as plan;
 
     const C: f64 = 1500.0;
 

@@ -35,7 +35,9 @@ use super::kernel::{BLOCK, MAX_SAMPLES, STEP, SimdLevel, Sums, Taps, add_rows};
 use super::steered::SteeredArray;
 use super::weights::Taper;
 use echotank_config::spec::{FanSpec, Former, Shading};
-use echotank_core::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse, TransmitArray};
+use echotank_core::arrays::{ArrayGeometry, TransmitArray};
+use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
+use echotank_core::pulse::Pulse;
 
 /// Number of interpolated rows per sample.
 pub(crate) const FRACTIONS: usize = 16;

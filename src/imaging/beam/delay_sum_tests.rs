@@ -10,8 +10,10 @@ use crate::beam::conventional::line_array_response;
 use crate::beam::test_rig::{array, elements_of_plane_wave, tone};
 use crate::beam::weights;
 use echotank_config::spec::{BeamSpacing, FanForm};
-use echotank_core::flow::testing::plan_at_rest;
-use echotank_core::flow::{Mounting, Pattern, PulseKind, Segment};
+use echotank_core::arrays::{Mounting, Pattern};
+use echotank_core::ping::Segment;
+use echotank_core::pulse::PulseKind;
+use echotank_core::testing::plan_at_rest;
 
 const C: f64 = 1500.0;
 const CARRIER_HZ: f64 = 400e3;

@@ -5,7 +5,8 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 use glam::DVec3;
 
 use echotank_config::spec::{BeamSpacing, FanSpec};
-use echotank_core::flow::{ArrayGeometry, PingPlan};
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::ping::PingPlan;
 
 /// Limit on the angle of equi-distant beams, because the distance on the bottom is unbounded towards the horizontal.
 const MAX_ANGLE_RAD: f64 = 1.55;

@@ -5,7 +5,9 @@ use super::conventional::FanFormer;
 use super::delay_sum::DelaySumFormer;
 use super::fast::FastFan;
 use echotank_config::spec::{FanSpec, Former, Shading};
-use echotank_core::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse, TransmitArray};
+use echotank_core::arrays::{ArrayGeometry, TransmitArray};
+use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
+use echotank_core::pulse::Pulse;
 
 /// Beamformer of a fan.
 pub enum Fan {

@@ -30,7 +30,9 @@ use super::kernel::SimdLevel;
 use super::steered::SteeredArray;
 use super::weights;
 use echotank_config::spec::{FanSpec, Shading};
-use echotank_core::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse};
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
+use echotank_core::pulse::Pulse;
 
 /// Width of the interpolation kernel in steps of the direction grid. With a grid oversampled by two, its error is 1e-7.
 const TAPS: usize = 8;

@@ -6,8 +6,9 @@ use super::*;
 use crate::beam::conventional::FanFormer;
 use crate::beam::test_rig::array;
 use echotank_config::spec::{BeamSpacing, FanForm, Former};
-use echotank_core::flow::testing::plan_at_rest;
-use echotank_core::flow::{Mounting, Pattern, PulseKind};
+use echotank_core::arrays::{Mounting, Pattern};
+use echotank_core::pulse::PulseKind;
+use echotank_core::testing::plan_at_rest;
 
 const C: f64 = 1500.0;
 const RATE_HZ: f64 = 160e3;
@@ -189,7 +190,7 @@ fn scalar_and_simd_beams_agree_to_f32() {
 #[test]
 fn the_configuration_selects_this_fan() {
     let array = array(8, 0.004, 90.0);
-    let transmit = echotank_core::flow::TransmitArray {
+    let transmit = echotank_core::arrays::TransmitArray {
         mounting: Mounting {
             position_m: DVec3::ZERO,
             body_from_array: glam::DQuat::IDENTITY,

@@ -3,7 +3,9 @@
 use super::RowLimits;
 use super::delay_sum::DelaySumFormer;
 use echotank_config::spec::{FanSpec, Former, Shading};
-use echotank_core::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse, TransmitArray};
+use echotank_core::arrays::{ArrayGeometry, TransmitArray};
+use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
+use echotank_core::pulse::Pulse;
 
 /// Two fans that both refer to the whole line's centre, so that they agree in phase on the axis of every beam.
 pub struct HalvesFormer {

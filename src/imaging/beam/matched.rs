@@ -18,7 +18,7 @@ use num_complex::Complex64;
 use super::RowLimits;
 use super::weights::Taper;
 use echotank_config::spec::Shading;
-use echotank_core::flow::Pulse;
+use echotank_core::pulse::Pulse;
 
 /// Transform lengths are multiples of this, so that the fan's tiles divide them.
 const LENGTH_STEP: usize = 16;
@@ -196,7 +196,7 @@ impl MatchedFilter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use echotank_core::flow::PulseKind;
+    use echotank_core::pulse::PulseKind;
     use rand_chacha::ChaCha12Rng;
     use rand_chacha::rand_core::{Rng, SeedableRng};
     use std::f64::consts::TAU;

@@ -1,5 +1,5 @@
-//! Beamforming: [`ElementFrame`](echotank_core::flow::ElementFrame) in, [`BeamFrame`](echotank_core::flow::BeamFrame) or
-//! [`Line`](echotank_core::flow::Line) out.
+//! Beamforming: [`ElementFrame`](echotank_core::ping::ElementFrame) in, [`BeamFrame`](echotank_core::ping::BeamFrame) or
+//! [`Line`](echotank_core::ping::Line) out.
 //!
 //! - [`matched`]: correlation of a row of samples with the transmitted pulse.
 //! - [`weights`]: weightings along pulses and apertures.

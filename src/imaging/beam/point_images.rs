@@ -15,11 +15,10 @@ use super::conventional::line_array_response;
 use super::delay_sum::DelaySumFormer;
 use super::test_rig::{array, elements_of_plane_wave};
 use echotank_config::spec::{FanForm, FanSpec, Former, Shading};
-use echotank_core::flow::testing::plan_at_rest;
-use echotank_core::flow::{
-    ArrayGeometry, BeamFrame, ElementFrame, Mounting, Pattern, PingPlan, Pulse, PulseKind, Segment,
-    TransmitArray,
-};
+use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, TransmitArray};
+use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan, Segment};
+use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::testing::plan_at_rest;
 
 const C: f64 = 1500.0;
 const LAMBDA_M: f64 = C / 400e3;

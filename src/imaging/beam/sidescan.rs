@@ -6,9 +6,9 @@ use super::RowLimits;
 use super::delay_sum::DelaySumFormer;
 use super::matched::MatchedFilter;
 use echotank_config::spec::{BeamsSpec, FanForm, FanSpec, Former, LineSpec, Shading};
-use echotank_core::flow::{
-    ArrayGeometry, BeamFrame, ElementFrame, Line, PingPlan, Pulse, Side, TransmitArray,
-};
+use echotank_core::arrays::{ArrayGeometry, TransmitArray};
+use echotank_core::ping::{BeamFrame, ElementFrame, Line, PingPlan, Side};
+use echotank_core::pulse::Pulse;
 
 /// Forms the line of one side: mean of the elements, matched filter, envelope.
 ///
@@ -137,8 +137,8 @@ impl LineFormer {
 mod tests {
     use super::*;
     use crate::beam::test_rig::{array, elements_of_plane_wave};
-    use echotank_core::flow::PulseKind;
-    use echotank_core::flow::testing::plan_at_rest as plan;
+    use echotank_core::pulse::PulseKind;
+    use echotank_core::testing::plan_at_rest as plan;
 
     const C: f64 = 1500.0;
 

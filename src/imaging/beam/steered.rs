@@ -7,7 +7,9 @@ use super::directions::{Directions, widths_rad};
 use super::matched::Correlator;
 use super::weights;
 use echotank_config::spec::{FanSpec, Shading};
-use echotank_core::flow::{ArrayGeometry, BeamFrame, ElementFrame, PingPlan, Pulse};
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
+use echotank_core::pulse::Pulse;
 
 /// Zeros between row ends beyond twice the travel time along the array, samples: room for the tails of delays applied in the frequency
 /// domain.

@@ -5,8 +5,10 @@ use std::f64::consts::TAU;
 use glam::DVec3;
 use num_complex::Complex64;
 
-use echotank_core::flow::{ArrayGeometry, ElementFrame, Mounting, Pattern, Pulse};
+use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern};
 use echotank_core::frames::rotation_from_angles;
+use echotank_core::ping::ElementFrame;
+use echotank_core::pulse::Pulse;
 
 /// A line array at the body's origin, pointing down, rotated by `yaw_deg` (0: fore and aft, 90: x to starboard).
 pub(crate) fn array(elements: usize, spacing_m: f64, yaw_deg: f64) -> ArrayGeometry {

@@ -13,7 +13,7 @@
 
 use num_complex::Complex64;
 
-use echotank_core::flow::{BeamFrame, Detection, Sounding};
+use echotank_core::ping::{BeamFrame, Detection, Sounding};
 
 /// A beam has a bottom only if its largest smoothed level exceeds its median by this much.
 const MIN_ABOVE_MEDIAN_DB: f64 = 6.0;

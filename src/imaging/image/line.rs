@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use echotank_core::flow::Line;
+use echotank_core::ping::Line;
 
 /// Mapping between the samples of a line and slant range (one way, metres).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -227,7 +227,7 @@ mod tests {
                 })
                 .collect();
             let line = Line {
-                side: echotank_core::flow::Side::Port,
+                side: echotank_core::ping::Side::Port,
                 amplitude,
             };
             let found = first_return_m(&[line], axis).expect("a bottom");
@@ -240,7 +240,7 @@ mod tests {
             vec![f32::NAN; 400],
         ] {
             let line = Line {
-                side: echotank_core::flow::Side::Port,
+                side: echotank_core::ping::Side::Port,
                 amplitude,
             };
             assert_eq!(first_return_m(&[line], axis), None);

@@ -3,7 +3,7 @@
 //! A pixel belongs to a target if more than half of its energy comes from the target. It is shadow if the ground at its range on the beam's
 //! axis exists but returns no echo, and no target does. Its depth is that of the ground on the axis, including shadow.
 
-use echotank_core::flow::{GroundSeen, LineTruth, PingPlan, Side};
+use echotank_core::ping::{GroundSeen, LineTruth, PingPlan, Side};
 
 use super::line::{Projection, RangeAxis};
 

@@ -1,4 +1,4 @@
-//! Pictures from side-scan lines and beams: [`Line`](echotank_core::flow::Line)s in, rows of coloured pixels out. The runtime crate writes
+//! Pictures from side-scan lines and beams: [`Line`](echotank_core::ping::Line)s in, rows of coloured pixels out. The runtime crate writes
 //! the files.
 //!
 //! - [`mod@line`]: the slant-range axis of a line and its division into cells.

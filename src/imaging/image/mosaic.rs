@@ -22,7 +22,7 @@ use super::masks::{Mask, cell_masks};
 use crate::image::colour::rgb;
 pub use echotank_config::spec::Overlap;
 use echotank_config::spec::{ColourMap, Contrast};
-use echotank_core::flow::{Line, LineTruth, Side};
+use echotank_core::ping::{Line, LineTruth, Side};
 use echotank_core::utm::UtmZone;
 
 /// Settings of a mosaic.
@@ -614,7 +614,7 @@ mod tests {
                 target: vec![0; 4000],
                 target_energy: vec![0.0; 4000],
                 other_energy: vec![0.01; 4000],
-                ground: vec![echotank_core::flow::GroundSeen::Seen; 4000],
+                ground: vec![echotank_core::ping::GroundSeen::Seen; 4000],
                 down_m: vec![20.0; 4000],
             };
             if (beam_north - target_north).abs() < 0.15 {

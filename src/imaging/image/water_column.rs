@@ -11,7 +11,7 @@ use std::ops::Range;
 
 use crate::image::colour::rgb;
 use echotank_config::spec::{ColourMap, Contrast};
-use echotank_core::flow::{BeamFrame, LineTruth, PingPlan, Sounding};
+use echotank_core::ping::{BeamFrame, LineTruth, PingPlan, Sounding};
 
 use super::labels;
 use super::masks::{Mask, mask_of};
@@ -397,8 +397,9 @@ impl Stack {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use echotank_core::flow::testing::plan_at_rest;
-    use echotank_core::flow::{Detection, Pulse, PulseKind};
+    use echotank_core::ping::Detection;
+    use echotank_core::pulse::{Pulse, PulseKind};
+    use echotank_core::testing::plan_at_rest;
     use num_complex::Complex64;
 
     const C: f64 = 1500.0;
@@ -523,16 +524,16 @@ mod tests {
     fn masks_match_the_picture_pixel_for_pixel() {
         let fan = fan((50, 600));
         let blank = LineTruth {
-            side: echotank_core::flow::Side::Starboard,
+            side: echotank_core::ping::Side::Starboard,
             target: vec![0; 1000],
             target_energy: vec![0.0; 1000],
             other_energy: vec![1.0; 1000],
-            ground: vec![echotank_core::flow::GroundSeen::None; 1000],
+            ground: vec![echotank_core::ping::GroundSeen::None; 1000],
             down_m: vec![f32::NAN; 1000],
         };
         let mut truths = vec![blank; 61];
         (truths[50].target[600], truths[50].target_energy[600]) = (7, 5.0);
-        truths[20].ground[400] = echotank_core::flow::GroundSeen::Hidden;
+        truths[20].ground[400] = echotank_core::ping::GroundSeen::Hidden;
         truths[20].down_m[400] = 18.0;
         let contrast = Contrast::Percentiles {
             low: 0.0,

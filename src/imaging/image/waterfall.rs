@@ -6,7 +6,7 @@
 //! Memory: one f32 per column and ping, or 4 (2 range / metres-per-pixel) bytes per ping (16 kB for 200 m at 0.1 m). At most
 //! [`WaterfallSpec::max_pings`] pings are stored; further pings are counted and omitted.
 
-use echotank_core::flow::{Line, PingPlan, Side};
+use echotank_core::ping::{Line, PingPlan, Side};
 
 use super::line::{Projection, RangeAxis, cell_intensity};
 use crate::image::colour;
@@ -285,8 +285,8 @@ fn decibels(intensity: f32) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use echotank_core::flow::testing::plan_at_rest;
-    use echotank_core::flow::{Pulse, PulseKind};
+    use echotank_core::pulse::{Pulse, PulseKind};
+    use echotank_core::testing::plan_at_rest;
     use std::convert::Infallible;
 
     const RATE_HZ: f64 = 40e3;

@@ -30,9 +30,9 @@ use echotank_config::spec::{
     FailoverSpec, JumpGateSpec, NavChannel, NavInputSpec, NavSourceSpec, NavSpec, OnLost,
     OriginSpec, SensorMounting, TowSpec, VerticalSpec,
 };
-use echotank_core::flow::{FixQuality, NavQuantity, NavSample};
 use echotank_core::frames::VectorKnot;
 use echotank_core::geodesy::LocalTangentPlane;
+use echotank_core::navigation::{FixQuality, NavQuantity, NavSample};
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 /// Below this speed, metres per second, the course is noise and the previous course is kept.

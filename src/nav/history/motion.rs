@@ -5,11 +5,11 @@ use glam::{DQuat, DVec2, DVec3};
 use super::{HeadingFrom, MIN_COURSE_SPEED_M_PER_S, NavGap, NavHistory, index};
 use crate::ring::{Knot, Stretch, set_body_rates, set_rates};
 use echotank_config::spec::{NavChannel, NavMode, OnLost, TowSpec, VerticalSpec};
-use echotank_core::flow::{FixQuality, NavInvalid, NavState};
 use echotank_core::frames::{
     AttitudeKnot, Trajectory, VectorKnot, angles_from_rotation, attitude_at, hermite,
     rotation_from_angles,
 };
+use echotank_core::navigation::{FixQuality, NavInvalid, NavState};
 use echotank_core::time::UtcNs;
 
 /// Trajectories start this long before the pulse, seconds, so that the rates at its start come from measured knots.

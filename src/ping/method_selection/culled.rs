@@ -17,7 +17,8 @@
 use crate::method_selection::heard::{MIN_WINDOW, Shares, kept_shares};
 use crate::method_selection::{Culling, Scene};
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{PingPlan, ScatterLaw, Scatterers};
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::echo::culling::{Ground, LeftOut, Rings, left_out_share};
 
 /// What of the tolerance culling may leave out.

@@ -7,8 +7,11 @@
 use glam::{DMat3, DVec3};
 
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{ArrayGeometry, Heard, PingPlan, ScatterLaw, Scatterers, TransmitArray};
+use echotank_core::arrays::{ArrayGeometry, TransmitArray};
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::echo::levels::{Directivity, OneWay, amplitude_from_db};
+use echotank_synthesis::error_model::Heard;
 
 /// Scatterers of a seabed looked at, roughly: in a hundred windows enough of each for its root mean squares to within a tenth.
 pub const LOOKED_AT: usize = 20_000;

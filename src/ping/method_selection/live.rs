@@ -19,7 +19,9 @@ use crate::methods::{Choice, Ranking};
 use crate::pipeline::{PipelineError, SonarPipeline};
 use crate::rig::pool;
 use echotank_config::spec::{MediumSpec, SonarSpec};
-use echotank_core::flow::{ErrorCheck, MethodMark, PingPlan, Scatterers, SonarSettings};
+use echotank_core::ping::{ErrorCheck, MethodMark, PingPlan};
+use echotank_core::scene::Scatterers;
+use echotank_core::settings::SonarSettings;
 
 /// Every so many pings the motion is looked at.
 const LOOK_EVERY: u32 = 4;

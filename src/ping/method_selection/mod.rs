@@ -26,14 +26,15 @@ use crate::method_selection::walked::{Walked, direct_runs, flank_points};
 use crate::methods::{Candidate, Choice, Displaced, Family, Goal, Part, Ranking, choose};
 use crate::work::{Figure, Work};
 use echotank_config::spec::{MadeOutput, MediumSpec, SonarSpec};
-use echotank_core::flow::{
-    Conditions, DopplerModel, ErrorModel, PathModel, Pattern, PingPlan, ReceiverFilter, Scatterers,
-    Synthesis,
-};
+use echotank_core::arrays::{Pattern, ReceiverFilter};
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::error_models::synthesis_error_model;
 use echotank_synthesis::array::filter::oversample;
 use echotank_synthesis::array::gridded::CostEstimate;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
+use echotank_synthesis::error_model::{Conditions, ErrorModel};
 use echotank_synthesis::slabs;
 
 /// Lengths of segments, seconds: the longest that is good enough is taken.

@@ -1,4 +1,4 @@
-//! Lines made from parts: where nobody reads elements, some of a line's elements side by side are made as one ([`Pattern::Part`](echotank_core::flow::Pattern)),
+//! Lines made from parts: where nobody reads elements, some of a line's elements side by side are made as one ([`Pattern::Part`](echotank_core::arrays::Pattern)),
 //! and the line is formed from the parts as it would be from elements.
 //!
 //! In: a sonar, a ping's plan and scatterers. Out: what each way to part its lines is off by, of the mean of all elements that a line is formed
@@ -16,7 +16,10 @@ use num_complex::Complex64;
 
 use crate::method_selection::heard::drawn;
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{ArrayGeometry, LawCurve, PathModel, PingPlan, ScatterLaw, Scatterers};
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::model::PathModel;
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::{LawCurve, ScatterLaw, Scatterers};
 use echotank_synthesis::echo::levels::{Directivity, OneWay, amplitude_from_db};
 
 /// Pairs of an echo and an element that are looked at, and echoes at least and at most.

@@ -1,8 +1,13 @@
 //! How much of the walk over the scatterers a ping asks for: what the closed forms of its costs want to know of scene and sonar.
 
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{Conditions, DopplerModel, Pattern, PingPlan, Pulse, Scatterers};
+use echotank_core::arrays::Pattern;
+use echotank_core::model::DopplerModel;
+use echotank_core::ping::PingPlan;
+use echotank_core::pulse::Pulse;
+use echotank_core::scene::Scatterers;
 use echotank_synthesis::echo::paths::PART;
+use echotank_synthesis::error_model::Conditions;
 
 /// Points of an echo that `direct` makes from one start, at most, and at a time.
 const LONGEST_RUN: f64 = 512.0;

@@ -7,8 +7,10 @@ use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
 use echotank_config::spec::{MediumSpec, SonarSpec};
-use echotank_core::flow::{NavState, PingPlan, ScatterLaw, Scatterers};
 use echotank_core::frames::Trajectory;
+use echotank_core::navigation::NavState;
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_core::time::UtcNs;
 use echotank_ping::{self as ping, PingOrder};
 

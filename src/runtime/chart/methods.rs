@@ -3,7 +3,8 @@
 use std::fmt;
 
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{DopplerModel, ModelChoice, PathModel, ReceiverFilter, Synthesis};
+use echotank_core::arrays::ReceiverFilter;
+use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
 
 /// One choice of path, Doppler and synthesis, with settings.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -2,7 +2,7 @@
 
 use num_complex::Complex64;
 
-use echotank_core::flow::PingOutput;
+use echotank_core::ping::PingOutput;
 
 /// Samples per picture pixel; a pixel sums their energies.
 const PIXEL_SAMPLES: usize = 16;
@@ -136,7 +136,7 @@ fn pixels_off_db2(got: &[f32], want: &[f32]) -> (usize, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use echotank_core::flow::{ElementFrame, Line, Side};
+    use echotank_core::ping::{ElementFrame, Line, Side};
 
     fn output(scale: f64) -> PingOutput {
         let iq: Vec<Complex64> = (0..64)

@@ -3,7 +3,8 @@
 use crate::chart::methods::Method;
 use crate::chart::{Scene, run_method};
 use echotank_config::spec::{MediumSpec, SonarSpec};
-use echotank_core::flow::{PingPlan, Scatterers};
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::Scatterers;
 use echotank_ping as ping;
 
 /// Fractions of the configured amount.

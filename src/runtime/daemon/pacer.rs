@@ -9,7 +9,7 @@ use std::sync::{Arc, OnceLock};
 
 use crossbeam_channel::{Receiver, TrySendError, bounded};
 use echotank_config::spec::{DeliverySpec, NavMode, NavSourceSpec};
-use echotank_core::flow::OverloadState;
+use echotank_core::ping::OverloadState;
 use echotank_core::time::{MonoNs, NS_PER_S, Timeline, UtcNs};
 use echotank_nav::{Coverage, NavGap};
 use echotank_ping::rig::{PingSlot, Rig};

@@ -12,7 +12,7 @@ use crate::io::trigger::out::TriggerOut;
 use crate::io::trigger::{Sink, Trigger, TriggerListener};
 use crate::triggers::TriggerCounts;
 use echotank_config::spec::{ClockSpec, RigSpec, TriggerFrom};
-use echotank_core::flow::TriggerSource;
+use echotank_core::settings::TriggerSource;
 use echotank_core::time::MonoNs;
 use echotank_ping::Triggered;
 use echotank_ping::trigger::Numbers;

@@ -11,7 +11,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use super::nav_bytes::NavByteFaults;
 use echotank_config::spec::{FaultKind, NavChannel, NavFault, NavSourceSpec, TimePolicy};
-use echotank_core::flow::{NavQuantity, NavSample};
+use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::UtcNs;
 use echotank_nav::fault::NavFaultFilter;
 use echotank_ping::faults::{Faults, Moment, Standing};

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use echotank_core::flow::Datagram;
+use echotank_core::records::Datagram;
 use echotank_emit::packets::Packets;
 
 /// State of the connections of an output.

@@ -13,7 +13,7 @@ use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded};
 
 use crate::io::link::Link;
 use crate::io::sonar::RigTime;
-use echotank_core::flow::Datagram;
+use echotank_core::records::Datagram;
 use echotank_emit::session::{Outgoing, Session};
 
 /// Limit of records that wait for the line.

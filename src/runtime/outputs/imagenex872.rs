@@ -7,7 +7,7 @@ use super::{Output, OutputContext, OutputError, Report, StreamCounts};
 use crate::faults::link::RecordLayout;
 use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
 use echotank_config::spec::ImagenexSpec;
-use echotank_core::flow::Datagram;
+use echotank_core::records::Datagram;
 use echotank_emit::imagenex872::{Head, ImagenexProtocol, emit_ping};
 use echotank_ping::rig::PingSlot;
 

@@ -10,7 +10,7 @@ use crate::io::record::stream::StreamRecorder;
 use crate::io::sonar::{RigTime, ServerSpec, ServerTimes, SonarServer, WhenFull};
 use crate::settings::SettingsStore;
 use echotank_config::spec::{JsfSpec, MediumSpec, SonarSpec};
-use echotank_core::flow::Datagram;
+use echotank_core::records::Datagram;
 use echotank_emit::jsf::session::{JsfCommands, JsfData, is_active};
 use echotank_emit::jsf::{JsfEmitter, JsfSheet, RowFilter, file_time};
 use echotank_imaging::beam::RowLimits;

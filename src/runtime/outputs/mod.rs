@@ -28,7 +28,7 @@ use crate::io::record::RecordError;
 use crate::io::sonar::{OpenError, RigTime, SonarServer};
 use crate::settings::SettingsStore;
 use echotank_config::spec::{ClockSpec, DeliverySpec, OutputSpec, RigSpec, RunSpec};
-use echotank_core::flow::PingPlan;
+use echotank_core::ping::PingPlan;
 use echotank_core::time::{MonoNs, UtcNs};
 use echotank_ping::rig::{PingSlot, SonarUnit};
 

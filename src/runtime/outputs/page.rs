@@ -13,8 +13,8 @@ use crate::io::control::feed::{Feed, Frame, Scope, ScopeOf};
 use crate::io::control::frame::{Kind, frame, levels, max_hold};
 use crate::io::record::truth::echo_delay_s;
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{Detection, PingOutput, PingPlan, Side};
 use echotank_core::frames::angles_from_rotation;
+use echotank_core::ping::{Detection, PingOutput, PingPlan, Side};
 use echotank_ping::rig::PingSlot;
 use echotank_ping::world::SharedSceneSummary;
 
@@ -474,7 +474,7 @@ mod tests {
     use crate::io::control::feed::Want;
     use crate::io::control::frame::{HEAD_BYTES, STEP_DB};
     use crate::io::record::testing::{output, plan, sonar};
-    use echotank_core::flow::Target;
+    use echotank_core::scene::Target;
     use echotank_ping::world::SceneSummary;
 
     fn slot(number: u32) -> PingSlot {

@@ -30,7 +30,7 @@ use super::seabed::Surface;
 use super::targets::Targets;
 use super::tiles::TileBox;
 use echotank_config::spec::OcclusionSpec;
-use echotank_core::flow::Footprint;
+use echotank_core::scene::Footprint;
 use horizon::{Horizon, Visibility};
 pub(crate) use piece::Piece;
 

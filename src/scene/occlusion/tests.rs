@@ -14,7 +14,7 @@ use echotank_config::spec::{
     AnchorSpec, BottomSpec, Density, IncidenceSpec, OcclusionSpec, SceneSpec, SeabedFileSpec,
     SeabedShape, SeabedSpec,
 };
-use echotank_core::flow::{Footprint, Scatterers};
+use echotank_core::scene::{Footprint, Scatterers};
 
 const ROWS: usize = 61;
 /// Metres.

@@ -5,7 +5,7 @@
 
 use glam::DVec2;
 
-use echotank_core::flow::Scatterers;
+use echotank_core::scene::Scatterers;
 
 /// Number of neighbours: twice the number of coefficients, to average out jitter.
 const NEIGHBOURS: usize = 12;

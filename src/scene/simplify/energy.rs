@@ -18,7 +18,7 @@ use glam::DVec3;
 use super::curvature::Curvatures;
 use super::shadow::Horizon;
 use super::{Method, Settings, Weights};
-use echotank_core::flow::{ScatterLaw, Scatterers};
+use echotank_core::scene::{ScatterLaw, Scatterers};
 
 /// One beam: transmit and receive apertures with common axes.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use super::super::read::HeightField;
 use super::super::targets::random::KeyedRandom;
-use echotank_core::flow::{ScatterLaw, Scatterers};
+use echotank_core::scene::{ScatterLaw, Scatterers};
 
 /// Separates these random numbers from other uses of the seed.
 const KEY_LABEL: &[u8; 24] = b"echotank height field v1";

@@ -25,7 +25,7 @@ pub mod stage;
 mod tests;
 
 pub use echotank_config::spec::{EnergyWeights as Weights, SimplifyMethod as Method};
-use echotank_core::flow::Scatterers;
+use echotank_core::scene::Scatterers;
 use energy::{Energies, View};
 
 /// Parameters of a selection.

@@ -10,7 +10,7 @@ use std::f64::consts::PI;
 use glam::DVec3;
 
 use super::energy::incidence_from_vertical;
-use echotank_core::flow::Scatterers;
+use echotank_core::scene::Scatterers;
 
 /// Horizon scan over a set of points. It allocates only while the number of points grows.
 #[derive(Debug, Default)]

@@ -6,7 +6,7 @@
 use super::energy::{Energies, EnergyScale, View};
 use super::{Rule, Selection, Settings};
 use echotank_config::spec::SimplifySpec;
-use echotank_core::flow::Scatterers;
+use echotank_core::scene::Scatterers;
 
 /// Counts of one call of [`Stage::thin`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -14,7 +14,7 @@ use super::stage::Stage;
 use super::*;
 use crate::paper;
 use echotank_config::spec::PaperShape;
-use echotank_core::flow::ScatterLaw;
+use echotank_core::scene::ScatterLaw;
 
 const SONAR_M: DVec3 = DVec3::new(10.0, 0.0, 0.0);
 

@@ -22,7 +22,7 @@ use super::{
 };
 use crate::read::mesh::{self, MeshAxes};
 use crate::text::{self, MAX_HORIZONTAL_M, MAX_VERTICAL_M, TextError};
-use echotank_core::flow::Target;
+use echotank_core::scene::Target;
 
 /// Accepted radii and sides, metres: from a fishing line to an island.
 const SIZES_M: RangeInclusive<f64> = 1e-4..=1e4;

@@ -24,7 +24,7 @@ use num_complex::Complex64;
 
 use super::text::{self, Column, MAX_HORIZONTAL_M, MAX_VERTICAL_M, TextError, required};
 use crate::Files;
-use echotank_core::flow::{ScatterLaw, Scatterers, Target};
+use echotank_core::scene::{ScatterLaw, Scatterers, Target};
 use random::KeyedRandom;
 use solid::Solid;
 

@@ -8,9 +8,10 @@
 
 use num_complex::Complex64;
 
-use echotank_core::flow::{
-    ArrivalChunk, ArrivalSink, EDGE_POINTS, Edges, PingPlan, Pulse, edge_corrections,
-};
+use crate::arrivals::{ArrivalChunk, ArrivalSink};
+use crate::edges::{EDGE_POINTS, Edges, edge_corrections};
+use echotank_core::ping::PingPlan;
+use echotank_core::pulse::Pulse;
 
 use super::phasor::{LANES, cis, cis_lanes};
 
@@ -486,7 +487,7 @@ fn add_tone_with(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use echotank_core::flow::PulseKind;
+    use echotank_core::pulse::PulseKind;
 
     fn chunk_of(arrivals: &[(f64, f64, Complex64)]) -> ArrivalChunk {
         let mut chunk = ArrivalChunk::new();

@@ -6,7 +6,10 @@
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-use echotank_core::flow::{Conditions, ErrorModel, Pulse, ReceiverFilter, Synthesis};
+use crate::error_model::{Conditions, ErrorModel};
+use echotank_core::arrays::ReceiverFilter;
+use echotank_core::model::Synthesis;
+use echotank_core::pulse::Pulse;
 
 use super::filter::{occupied_hz, oversample};
 use super::gridded::pulse_spectrum::PulseSpectrum;

@@ -11,7 +11,8 @@ use rand_chacha::rand_core::SeedableRng;
 use super::phasor::cis;
 use super::receiver::{add_noise, quantise};
 use echotank_config::spec::ElementFault;
-use echotank_core::flow::{ElementFrame, PingPlan, Receiver};
+use echotank_core::arrays::Receiver;
+use echotank_core::ping::{ElementFrame, PingPlan};
 
 /// Separates these random numbers from the receiver noise.
 const NOISE_TAG: [u8; 8] = *b"elementf";
@@ -239,8 +240,9 @@ fn between(samples: &[Complex64], at: f64) -> Complex64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use echotank_core::flow::testing::plan_at_rest;
-    use echotank_core::flow::{Pulse, PulseKind, ReceiverFilter, TimeVaryingGain};
+    use echotank_core::arrays::{ReceiverFilter, TimeVaryingGain};
+    use echotank_core::pulse::{Pulse, PulseKind};
+    use echotank_core::testing::plan_at_rest;
     use echotank_core::time::UtcNs;
 
     const SAMPLES: usize = 400;

@@ -10,11 +10,12 @@
 //! it.
 //!
 //! A pulse with sharp edges makes the convergence first order in the dense step. Weighted edge
-//! points ([`Edges::Weighted`](echotank_core::flow::Edges)) raise it to fourth order or better.
+//! points ([`Edges::Weighted`](crate::edges::Edges)) raise it to fourth order or better.
 
 use num_complex::Complex64;
 
-use echotank_core::flow::{Pulse, Synthesis};
+use echotank_core::model::Synthesis;
+use echotank_core::pulse::Pulse;
 
 /// Rejection beyond the stop edge, dB, and ripple of the pass band (1e-4). Kaiser's formulas fall
 /// up to 4 dB short for a window that ends in zero, so the filter achieves 80 dB.
@@ -242,7 +243,7 @@ pub(super) fn bessel_i0(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use echotank_core::flow::PulseKind;
+    use echotank_core::pulse::PulseKind;
 
     const PULSE: Pulse = Pulse {
         kind: PulseKind::LfmUp,

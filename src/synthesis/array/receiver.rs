@@ -5,7 +5,8 @@ use num_complex::Complex64;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use echotank_core::flow::{ArrayGeometry, PingPlan, Receiver, TimeVaryingGain};
+use echotank_core::arrays::{ArrayGeometry, Receiver, TimeVaryingGain};
+use echotank_core::ping::PingPlan;
 
 use super::phasor::cis;
 

@@ -12,10 +12,13 @@
 
 use num_complex::Complex64;
 
-use echotank_core::flow::{
-    ArrivalChunk, ArrivalSink, Conditions, Edges, ErrorModel, MIN_WINDOW, PingPlan, ReceiverFilter,
-    Synthesis,
-};
+use crate::arrivals::{ArrivalChunk, ArrivalSink};
+use crate::edges::Edges;
+use crate::error_model::{Conditions, ErrorModel};
+use echotank_core::arrays::ReceiverFilter;
+use echotank_core::model::Synthesis;
+use echotank_core::ping::PingPlan;
+use echotank_core::pulse::MIN_WINDOW;
 
 use super::Direct;
 use super::error_models::synthesis_error_model;
@@ -221,8 +224,8 @@ impl<'a> SingleEcho<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use echotank_core::flow::testing::plan_at_rest;
-    use echotank_core::flow::{Pulse, PulseKind};
+    use echotank_core::pulse::{Pulse, PulseKind};
+    use echotank_core::testing::plan_at_rest;
 
     fn conditions(pulse: Pulse, filter: ReceiverFilter) -> Conditions {
         Conditions {

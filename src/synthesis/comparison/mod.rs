@@ -10,7 +10,9 @@ pub mod spectral;
 
 use num_complex::Complex64;
 
-use echotank_core::flow::{ArrayGeometry, EchoCounts, PingPlan, Synthesis};
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::model::Synthesis;
+use echotank_core::ping::{EchoCounts, PingPlan};
 
 use crate::array::filter::Decimator;
 use crate::echo::walk::{TransmitLeg, Workspace, arrivals};

@@ -4,7 +4,8 @@
 
 use num_complex::Complex64;
 
-use echotank_core::flow::{ArrivalChunk, ArrivalSink, PingPlan};
+use crate::arrivals::{ArrivalChunk, ArrivalSink};
+use echotank_core::ping::PingPlan;
 
 use super::replica::{Replica, with_carrier};
 

@@ -2,7 +2,10 @@
 
 use num_complex::Complex64;
 
-use echotank_core::flow::{ArrivalChunk, ArrivalSink, Edges, PingPlan, Pulse};
+use crate::arrivals::{ArrivalChunk, ArrivalSink};
+use crate::edges::Edges;
+use echotank_core::ping::PingPlan;
+use echotank_core::pulse::Pulse;
 
 use crate::array::direct::Direct;
 use crate::array::filter::Decimator;

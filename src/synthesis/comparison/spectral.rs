@@ -14,9 +14,10 @@ use std::sync::Arc;
 use echotank_fft::{Fft, Planned};
 use num_complex::Complex64;
 
-use echotank_core::flow::{
-    ArrivalChunk, ArrivalSink, EDGE_POINTS, PingPlan, Pulse, edge_corrections,
-};
+use crate::arrivals::{ArrivalChunk, ArrivalSink};
+use crate::edges::{EDGE_POINTS, edge_corrections};
+use echotank_core::ping::PingPlan;
+use echotank_core::pulse::Pulse;
 
 use crate::array::direct::add_tone;
 use crate::array::filter::{Decimator, occupied_hz};

@@ -11,7 +11,7 @@
 
 use glam::{DQuat, DVec3};
 
-use echotank_core::flow::{ArrayGeometry, TransmitArray};
+use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 
 use super::levels::{Directivity, amplitude_from_db};
 
@@ -254,7 +254,7 @@ impl Rings {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use echotank_core::flow::{Mounting, Pattern};
+    use echotank_core::arrays::{Mounting, Pattern};
 
     /// A floor above the axis drops everything, and a very low floor drops nothing. Between, the
     /// share of each window is that of its ring.

@@ -7,9 +7,9 @@
 
 use std::f64::consts::TAU;
 
-use echotank_core::flow::{
-    Conditions, DopplerModel, ErrorModel, MethodRefused, PathModel, ReceiverFilter,
-};
+use crate::error_model::{Conditions, ErrorModel, MethodRefused};
+use echotank_core::arrays::ReceiverFilter;
+use echotank_core::model::{DopplerModel, PathModel};
 
 /// Floor from rounding f64 delays of 0.3 s at 400 kHz, under way.
 const F64_FLOOR: f64 = 1e-9;
@@ -273,7 +273,7 @@ fn first_of(k: f64, speed_m_per_s: f64, duration_s: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use echotank_core::flow::{Pulse, PulseKind};
+    use echotank_core::pulse::{Pulse, PulseKind};
 
     /// 500 samples of a sharp pulse.
     fn sharp() -> Conditions {

@@ -4,7 +4,7 @@
 //! 10^(sensitivity/20), with g(r) = 10^(-alpha r/20) / r. The two one-way losses are separate
 //! factors, and r is at least one wavelength. All factors are evaluated at the leading edge.
 
-use echotank_core::flow::Pattern;
+use echotank_core::arrays::Pattern;
 
 use super::elementary::{exp_decay, sinc};
 

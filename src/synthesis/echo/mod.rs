@@ -1,9 +1,9 @@
 //! Scatterers to arrivals: path models, Doppler and levels.
 //!
-//! Input: a [`PingPlan`](echotank_core::flow::PingPlan), one transmit array, one element of a
-//! receive array, and [`Scatterers`](echotank_core::flow::Scatterers).
-//! Output: [`ArrivalChunk`](echotank_core::flow::ArrivalChunk)s of delay, Doppler stretch and
-//! complex amplitude, passed to an [`ArrivalSink`](echotank_core::flow::ArrivalSink).
+//! Input: a [`PingPlan`](echotank_core::ping::PingPlan), one transmit array, one element of a
+//! receive array, and [`Scatterers`](echotank_core::scene::Scatterers).
+//! Output: [`ArrivalChunk`](crate::arrivals::ArrivalChunk)s of delay, Doppler stretch and
+//! complex amplitude, passed to an [`ArrivalSink`](crate::arrivals::ArrivalSink).
 //! Start with [`walk`].
 //!
 //! [`reference()`](reference::reference) is the slow reference solution. It synthesises samples

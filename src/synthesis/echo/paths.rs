@@ -21,8 +21,11 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
-use echotank_core::flow::{ArrayGeometry, CHUNK, DopplerModel, PathModel, PingPlan, TransmitArray};
+use crate::arrivals::CHUNK;
+use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::frames::Pose;
+use echotank_core::model::{DopplerModel, PathModel};
+use echotank_core::ping::PingPlan;
 
 /// Margin on the bounds that skip whole segments, metres: far above the rounding of ranges and far
 /// below any range.

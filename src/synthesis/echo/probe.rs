@@ -11,10 +11,11 @@
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
-use echotank_core::flow::{
-    ArrayGeometry, ArrivalChunk, ArrivalSink, CHUNK, PingPlan, Scatterers, TransmitArray,
-};
+use crate::arrivals::{ArrivalChunk, ArrivalSink, CHUNK};
+use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::frames::Pose;
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::Scatterers;
 
 use super::reference::{Sonar, facing};
 

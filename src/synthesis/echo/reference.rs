@@ -12,11 +12,11 @@
 use glam::{DMat3, DQuat, DVec3};
 use num_complex::Complex64;
 
-use echotank_core::flow::{
-    ArrayGeometry, EDGE_POINTS, EchoCounts, Edges, LawCurve, PingPlan, ScatterLaw, Scatterers,
-    TransmitArray, edge_corrections,
-};
+use crate::edges::{EDGE_POINTS, Edges, edge_corrections};
+use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::frames::Trajectory;
+use echotank_core::ping::{EchoCounts, PingPlan};
+use echotank_core::scene::{LawCurve, ScatterLaw, Scatterers};
 
 use super::levels::{Directivity, OneWay, amplitude_from_db};
 

@@ -5,7 +5,9 @@
 //! every scatterer. v_R.e_R differs from it by at most |v_R - v_T| + |v_T| |e_R - e_T|. Two unit
 //! vectors to one point differ by at most 2 |a - b|/(|a| + |b|) (Dunkl and Williams 1964).
 
-use echotank_core::flow::{ArrayGeometry, DopplerModel, PingPlan};
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::model::DopplerModel;
+use echotank_core::ping::PingPlan;
 
 use super::walk::{TransmitLeg, Workspace};
 

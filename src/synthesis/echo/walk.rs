@@ -22,10 +22,11 @@ use std::sync::Arc;
 use glam::DVec3;
 use num_complex::Complex64;
 
-use echotank_core::flow::{
-    ArrayGeometry, ArrivalChunk, ArrivalSink, CHUNK, DopplerModel, EchoCounts, LawCurve, PathModel,
-    PingPlan, ScatterLaw, Scatterers, TransmitArray,
-};
+use crate::arrivals::{ArrivalChunk, ArrivalSink, CHUNK};
+use echotank_core::arrays::{ArrayGeometry, TransmitArray};
+use echotank_core::model::{DopplerModel, PathModel};
+use echotank_core::ping::{EchoCounts, PingPlan};
+use echotank_core::scene::{LawCurve, ScatterLaw, Scatterers};
 
 use super::levels::{Directivity, OneWay, amplitude_from_db};
 #[cfg(target_arch = "x86_64")]
@@ -812,7 +813,7 @@ fn apply_paper_eq21(
 #[cfg(all(test, target_arch = "x86_64"))]
 mod tests {
     use super::*;
-    use echotank_core::flow::Pattern;
+    use echotank_core::arrays::Pattern;
 
     #[test]
     fn the_avx2_build_gives_the_same_bits() {

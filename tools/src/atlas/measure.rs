@@ -4,7 +4,9 @@ use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use echotank_config::spec::{AutoModel, SonarSpec};
-use echotank_core::flow::*;
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::ping::{PingOutput, PingPlan};
+use echotank_core::scene::Scatterers;
 use echotank_ping::conditions::{conditions, sum_error_model};
 use echotank_ping::error_check::worst_window;
 use echotank_ping::method_selection::costs::Costs;
@@ -12,6 +14,7 @@ use echotank_ping::method_selection::{Scene, Swell, rank, with_choice};
 use echotank_ping::pipeline::SonarPipeline;
 use echotank_runtime::chart::methods::Method;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
+use echotank_synthesis::error_model::Conditions;
 
 use super::spot::Spot;
 

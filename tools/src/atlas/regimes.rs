@@ -1,6 +1,8 @@
 //! The sweeps and the text of their page.
 
-use echotank_core::flow::*;
+use echotank_core::arrays::Pattern;
+use echotank_core::navigation::NavQuantity;
+use echotank_core::scene::ScatterLaw;
 use glam::DVec3;
 
 use super::spot::{Base, DOWN_M, Said, Spot, place, scatter};

@@ -1,7 +1,7 @@
 //! Maps of effects outside synthesis: simplification of surfaces without curvature, and positions near the limits of longitude.
 
-use echotank_core::flow::{ScatterLaw, Scatterers};
 use echotank_core::geodesy::LocalTangentPlane;
+use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_scene::simplify::collapse::collapse;
 use echotank_scene::simplify::energy::{Energies, View};
 use echotank_scene::simplify::{Method, Selection, Settings, Weights};

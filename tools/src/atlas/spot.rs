@@ -1,8 +1,11 @@
 //! One sonar in one motion over a few points, with the parameters that a regime changes.
 
 use echotank_config::spec::{NavInputSpec, NavMode, RigSpec, SonarSpec};
-use echotank_core::flow::*;
 use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
+use echotank_core::navigation::{NavQuantity, NavSample, NavState};
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::{ScatterLaw, Scatterers};
+use echotank_core::settings::SonarSettings;
 use echotank_core::time::{NS_PER_S, UtcNs};
 use echotank_nav::NavHistory;
 use echotank_ping::{self as ping, PingOrder};

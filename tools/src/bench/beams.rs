@@ -15,7 +15,11 @@ use std::time::Instant;
 
 use echotank_config as config;
 use echotank_config::spec::{FanForm, FanSpec, Former, Shading, SonarSpec};
-use echotank_core::flow::*;
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::model::{PathModel, Synthesis};
+use echotank_core::ping::{BeamFrame, ElementFrame, PingOutput, PingPlan};
+use echotank_core::pulse::Pulse;
+use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_imaging::beam::RowLimits;
 use echotank_imaging::beam::fan::Fan;
 use echotank_imaging::beam::matched::MatchedFilter;

@@ -7,7 +7,8 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use echotank_core::flow::{ArrivalChunk, ArrivalSink, DopplerModel, PingPlan};
+use echotank_core::model::DopplerModel;
+use echotank_core::ping::PingPlan;
 use echotank_fft::{Fft, Planned};
 use echotank_synthesis::array::gridded::pulse_spectrum::PulseSpectrum;
 use echotank_synthesis::array::gridded::transform::grid_size;
@@ -15,6 +16,7 @@ use echotank_synthesis::array::gridded::{
     DopplerSpan, Gridded1d, Gridded1dWork, GriddedError, SimdLevel, one_dimensional,
 };
 use echotank_synthesis::array::{Decimator, Direct};
+use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
 use num_complex::Complex64;
 
 use super::report::Report;

@@ -2,7 +2,11 @@
 //!
 //! Sonar 30 m above the bottom, slant ranges 36 to 150 m, azimuth within a sector about broadside, array along the track, uniform motion.
 
-use echotank_core::flow::*;
+use echotank_core::arrays::{ArrayGeometry, TransmitArray};
+use echotank_core::ping::PingPlan;
+use echotank_core::pulse::Pulse;
+use echotank_core::scene::{ScatterLaw, Scatterers};
+use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;

@@ -8,7 +8,10 @@
 use std::sync::Mutex;
 use std::time::Instant;
 
-use echotank_core::flow::*;
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::model::{DopplerModel, Synthesis};
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::gridded::{DopplerSpan, SimdLevel, one_dimensional};
 use echotank_synthesis::array::gridded2d::{self, Bounds, Gridded2d};
 use echotank_synthesis::array::{Decimator, Direct};
@@ -19,6 +22,7 @@ use echotank_synthesis::echo::probe::{self, echoes_at, receivable, receivable_ra
 use echotank_synthesis::echo::{
     LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, doppler_span, insonify,
 };
+use echotank_synthesis::edges::Edges;
 use echotank_synthesis::slabs::{PingElement, SlabDesign};
 use glam::DVec3;
 use num_complex::Complex64;

@@ -15,7 +15,7 @@ use echotank_config::spec::{
     FanForm, FanSpec, JsfChannels, JsfFormat, JsfSpec, PingDevice, PingProtocolSpec, Shading,
     SonarSpec, Vita49Spec, XtfSpec,
 };
-use echotank_core::flow::{BeamFrame, ElementFrame, Line, PingOutput, PingPlan, Side};
+use echotank_core::ping::{BeamFrame, ElementFrame, Line, PingOutput, PingPlan, Side};
 use echotank_emit::imagenex872::{Head, emit_ping as emit_imagenex};
 use echotank_emit::jsf::{JsfEmitter, JsfSheet};
 use echotank_emit::packets::Packets;

@@ -6,7 +6,10 @@
 //! elements, compressed with the echo of a sonar at rest. The strongest line, found with a parabola, gives the position along the track;
 //! the peak of the compressed line gives the range.
 
-use echotank_core::flow::*;
+use echotank_core::arrays::{ArrayGeometry, Pattern, TransmitArray};
+use echotank_core::model::{DopplerModel, PathModel};
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::array::Direct;
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify, reference};
 use glam::DVec3;

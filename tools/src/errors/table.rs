@@ -1,9 +1,16 @@
 //! Table of the errors of path and Doppler models: one point, one element, over speed and angle.
 
-use echotank_core::flow::*;
+use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, TransmitArray};
 use echotank_core::frames::Trajectory;
+use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
+use echotank_core::navigation::NavState;
+use echotank_core::ping::{PingPlan, Segment};
+use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::scene::{ScatterLaw, Scatterers};
+use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 use echotank_synthesis::array::Direct;
+use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify, reference};
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;

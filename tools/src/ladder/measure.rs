@@ -3,8 +3,14 @@
 use std::time::Instant;
 
 use echotank_config::spec::{LineSpec, PaperShape};
-use echotank_core::flow::*;
+use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, TransmitArray};
 use echotank_core::frames::Trajectory;
+use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
+use echotank_core::navigation::NavState;
+use echotank_core::ping::{ElementFrame, Line, PingPlan, Segment, Side};
+use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::scene::Scatterers;
+use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 use echotank_imaging::beam::RowLimits;
 use echotank_imaging::beam::sidescan::LineFormer;

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use echotank_config::spec::ColourMap;
 use echotank_config::spec::{Former, RigSpec};
-use echotank_core::flow::BeamFrame;
+use echotank_core::ping::BeamFrame;
 use echotank_ping::pipeline::SonarPipeline;
 use glam::DVec3;
 use serde_json::{Value, json};
@@ -160,7 +160,7 @@ fn greatest_of_each(fan: &BeamFrame) -> Vec<f64> {
 }
 
 /// Mean level of the elements during the echo: the peak of a matched filter with full coherence.
-fn single_element_level(frame: &echotank_core::flow::ElementFrame) -> f64 {
+fn single_element_level(frame: &echotank_core::ping::ElementFrame) -> f64 {
     let each = (0..frame.elements).map(|e| {
         let mut levels: Vec<f64> = frame.element(e).iter().map(|y| y.norm()).collect();
         levels.sort_by(f64::total_cmp);

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use echotank_config::spec::ColourMap;
-use echotank_core::flow::Target;
+use echotank_core::scene::Target;
 use echotank_imaging::image::line::{RangeAxis, mean_intensity};
 use serde_json::{Value, json};
 

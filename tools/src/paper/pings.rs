@@ -4,7 +4,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use echotank_config::spec::{NavMode, RigSpec};
-use echotank_core::flow::{PingOutput, PingPlan, Scatterers, Target};
+use echotank_core::ping::{PingOutput, PingPlan};
+use echotank_core::scene::{Scatterers, Target};
 use echotank_nav::Coverage;
 use echotank_ping::Schedule;
 use echotank_ping::rig::pool;
@@ -88,7 +89,7 @@ pub(crate) fn point(at_m: glam::DVec3) -> Scatterers {
         at_m,
         [0.0; 3],
         num_complex::Complex64::ONE,
-        echotank_core::flow::ScatterLaw::Point,
+        echotank_core::scene::ScatterLaw::Point,
     );
     points
 }

@@ -5,7 +5,9 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 
 use echotank_config::spec::{MediumSpec, RigSpec, SonarSpec};
-use echotank_core::flow::{PingOutput, PingPlan, Scatterers, TimeVaryingGain};
+use echotank_core::arrays::TimeVaryingGain;
+use echotank_core::ping::{PingOutput, PingPlan};
+use echotank_core::scene::Scatterers;
 use echotank_ping::method_selection::costs::Costs;
 use echotank_ping::method_selection::with_choice;
 use echotank_ping::methods::{Candidate, Choice, Family, Ranking};

@@ -3,15 +3,17 @@
 
 use num_complex::Complex64;
 
-use echotank_core::flow::{
-    DopplerModel, Edges, PathModel, PingOutput, PingPlan, Pulse, ReceiverFilter, Synthesis,
-};
+use echotank_core::arrays::ReceiverFilter;
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::ping::{PingOutput, PingPlan};
+use echotank_core::pulse::Pulse;
 use echotank_ping::element_synthesis::FASTEST_PLATFORM_M_PER_S;
 use echotank_ping::pipeline::PipelineError;
 use echotank_synthesis::array::filter::{self, Decimator};
 use echotank_synthesis::array::{Direct, receive};
 use echotank_synthesis::echo::probe::{Instant, echoes_at, receivable, receivable_ranges_m};
 use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
+use echotank_synthesis::edges::Edges;
 
 use super::case::Chance;
 use super::measure::Ping;

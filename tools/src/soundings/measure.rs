@@ -8,7 +8,7 @@ use echotank_config::spec::{
     BottomSpec, Density, IncidenceSpec, NavInputSpec, NavMode, RigSpec, SeabedShape, SeabedSpec,
     VerticalSpec,
 };
-use echotank_core::flow::{Detection, PingPlan, Sounding};
+use echotank_core::ping::{Detection, PingPlan, Sounding};
 use echotank_nav::Coverage;
 use echotank_ping::Schedule;
 use echotank_ping::rig::pool;

@@ -1,11 +1,18 @@
 //! One sonar over one scene in one motion, in three families: the paper's ping, variations of it, and fully random cases.
 
-use echotank_core::flow::*;
+use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, ReceiverFilter, TransmitArray};
 use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
+use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
+use echotank_core::navigation::NavState;
+use echotank_core::ping::PingPlan;
+use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::scene::{ScatterLaw, Scatterers};
+use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 use echotank_ping as ping;
 use echotank_synthesis::array::gridded2d::Bounds;
 use echotank_synthesis::echo::error_models;
+use echotank_synthesis::error_model::Conditions;
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 

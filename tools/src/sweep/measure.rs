@@ -2,11 +2,14 @@
 
 use std::sync::Mutex;
 
-use echotank_core::flow::*;
+use echotank_core::arrays::ReceiverFilter;
+use echotank_core::model::Synthesis;
 use echotank_synthesis::array::Decimator;
 use echotank_synthesis::array::filter::occupied_hz;
 use echotank_synthesis::array::windows::window_error_model;
 use echotank_synthesis::echo::reference::reference_with;
+use echotank_synthesis::edges::Edges;
+use echotank_synthesis::error_model::ErrorModel;
 use num_complex::Complex64;
 
 use super::case::Case;

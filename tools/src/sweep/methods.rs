@@ -2,11 +2,14 @@
 
 use std::sync::Mutex;
 
-use echotank_core::flow::*;
+use echotank_core::arrays::ReceiverFilter;
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::ping::PingPlan;
 use echotank_synthesis::array::filter::oversample;
 use echotank_synthesis::array::gridded::{DopplerSpan, Gridded1d, SimdLevel, one_dimensional};
 use echotank_synthesis::array::gridded2d::{self, Gridded2d};
 use echotank_synthesis::array::{Decimator, Direct};
+use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
 use echotank_synthesis::comparison::linear::Linear;
 use echotank_synthesis::comparison::nearest::Nearest;
 use echotank_synthesis::comparison::replica::Replica;
@@ -17,6 +20,8 @@ use echotank_synthesis::echo::error_models::window_error_models;
 use echotank_synthesis::echo::{
     LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, insonify,
 };
+use echotank_synthesis::edges::Edges;
+use echotank_synthesis::error_model::ErrorModel;
 use num_complex::Complex64;
 
 use super::case::Case;

@@ -23,7 +23,7 @@ use serde_json::Value;
 use tokio::sync::watch;
 
 use echotank_config::spec::FaultRequest;
-use echotank_core::flow::{Asker, SettingChange, TriggerSource};
+use echotank_core::settings::{Asker, SettingChange, TriggerSource};
 use feed::Feed;
 use socket::{Pages, ReliefTile};
 

@@ -30,7 +30,7 @@ use tracing::warn;
 
 use super::socket::{self, Pages};
 use super::{Command, ControlPort, assets};
-use echotank_core::flow::Asker;
+use echotank_core::settings::Asker;
 
 /// Longest command, bytes.
 const MAX_BODY_BYTES: usize = 64 * 1024;

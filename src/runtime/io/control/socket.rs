@@ -36,7 +36,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
 use super::feed::{Next, Page, Want};
 use super::router::{Shared, refusal};
 use super::{Command, ControlPort};
-use echotank_core::flow::Asker;
+use echotank_core::settings::Asker;
 
 /// Limit of open pages.
 pub(crate) const MAX_PAGES: usize = 64;

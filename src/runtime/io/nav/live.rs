@@ -26,7 +26,7 @@ use super::{Feed, LiveCounters, NavOpenError, SourceCounters};
 use crate::clock::Clock;
 use crate::io::stamp;
 use echotank_config::spec::{NavInputSpec, NavSourceSpec, NavSpec, TimePolicy};
-use echotank_core::flow::NavSample;
+use echotank_core::navigation::NavSample;
 use echotank_core::time::{MonoNs, NS_PER_S, Timeline};
 use echotank_nav::NavDecoder;
 use echotank_nav::decoder::ignore_events;

@@ -13,7 +13,7 @@ use thiserror::Error;
 
 use crate::clock::Clock;
 use echotank_config::spec::NavSpec;
-use echotank_core::flow::NavSample;
+use echotank_core::navigation::NavSample;
 use echotank_core::time::{Timeline, UtcNs};
 use echotank_nav::fault::NavFaultFilter;
 use echotank_nav::health::State;

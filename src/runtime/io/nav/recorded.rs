@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::{Feed, NavOpenError, SourceCounters};
 use echotank_config::spec::{NavChannel, NavInputSpec, NavSourceSpec, NavSpec};
-use echotank_core::flow::{NavQuantity, NavSample};
+use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::UtcNs;
 use echotank_nav::NavCounters;
 use echotank_nav::log::{read_log, refusal};

@@ -19,7 +19,7 @@ use echotank_protocols::sevenk::records::{
 };
 use glam::DVec3;
 
-use echotank_core::flow::{Line, Side};
+use echotank_core::ping::{Line, Side};
 use echotank_imaging::image::line::RangeAxis;
 
 /// The side-scan lines of one recorded ping.

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 use super::npz::{Archive, write_items};
 use super::{PartialFile, RecordError};
-use echotank_core::flow::{GroundSeen, LineTruth, Side};
+use echotank_core::ping::{GroundSeen, LineTruth, Side};
 
 pub(crate) struct MaskRecorder {
     path: PathBuf,

@@ -36,8 +36,8 @@ use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use super::{PartialFile, RecordError, plan_text};
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{Detection, PingOutput, PingPlan, Side};
 use echotank_core::frames::angles_from_rotation;
+use echotank_core::ping::{Detection, PingOutput, PingPlan, Side};
 
 /// Items converted to bytes at a time.
 const BLOCK: usize = 8192;

@@ -4,10 +4,9 @@ use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
 
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{
-    Mounting, Pattern, PingPlan, Pulse, PulseKind, Receiver, ReceiverFilter, Segment, Side,
-    TimeVaryingGain,
-};
+use echotank_core::arrays::{Mounting, Pattern, Receiver, ReceiverFilter, TimeVaryingGain};
+use echotank_core::ping::{PingPlan, Segment, Side};
+use echotank_core::pulse::{Pulse, PulseKind};
 
 /// Properties common to all pings of fixed settings, from the plan of one ping.
 pub(super) fn sonar_and_plan(sonar: &SonarSpec, plan: &PingPlan) -> Value {

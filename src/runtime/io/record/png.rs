@@ -47,7 +47,7 @@ fn encode(to: impl Write, waterfall: &Waterfall) -> Result<(), EncodingError> {
 mod tests {
     use super::*;
     use crate::io::record::testing::plan;
-    use echotank_core::flow::{Line, Side};
+    use echotank_core::ping::{Line, Side};
     use echotank_imaging::image::waterfall::WaterfallSpec;
 
     fn waterfall() -> Waterfall {

@@ -13,7 +13,8 @@ use serde_json::{Value, json};
 
 use super::RecordError;
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{OverloadState, PingOutput, PingPlan, PulseKind};
+use echotank_core::ping::{OverloadState, PingOutput, PingPlan};
+use echotank_core::pulse::PulseKind;
 use echotank_emit::elements::interleave_iq;
 
 /// Most pings whose metadata is in the journal alone.

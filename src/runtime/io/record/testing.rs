@@ -9,12 +9,13 @@ use echotank_config::spec::{
     BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, PictureSpec, Shading, SonarSpec,
     SynthesisSpec, TriggerOutSpec, TriggerSpec,
 };
-use echotank_core::flow::testing::plan_at_rest;
-use echotank_core::flow::{
-    ArrayGeometry, BeamFrame, ElementFrame, Line, Mounting, Pattern, PingOutput, PingPlan, Pulse,
-    PulseKind, Receiver, ReceiverFilter, Side, TimeVaryingGain, TransmitArray,
+use echotank_core::arrays::{
+    ArrayGeometry, Mounting, Pattern, Receiver, ReceiverFilter, TimeVaryingGain, TransmitArray,
 };
 use echotank_core::frames::{Trajectory, rotation_from_angles};
+use echotank_core::ping::{BeamFrame, ElementFrame, Line, PingOutput, PingPlan, Side};
+use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::testing::plan_at_rest;
 use echotank_core::time::UtcNs;
 
 const SAMPLES: usize = 20;

@@ -30,10 +30,11 @@ use serde_json::Value;
 
 use super::{RecordError, plan_text};
 use echotank_config::spec::SonarSpec;
-use echotank_core::flow::{
-    Detection, ErrorCheck, MethodMark, PingOutput, PingPlan, SceneCounts, Side, Sounding, Target,
-};
 use echotank_core::frames::{Pose, angles_from_rotation};
+use echotank_core::ping::{
+    Detection, ErrorCheck, MethodMark, PingOutput, PingPlan, SceneCounts, Side, Sounding,
+};
+use echotank_core::scene::Target;
 
 #[derive(Serialize)]
 struct PingTruth<'a> {
@@ -350,8 +351,8 @@ fn wrap_half_turn_deg(angle_deg: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::io::record::testing::{plan, sonar};
-    use echotank_core::flow::Segment;
     use echotank_core::frames::{Trajectory, rotation_from_angles};
+    use echotank_core::ping::Segment;
     use echotank_core::time::UtcNs;
 
     fn target(name: &str, position_m: DVec3) -> Target {

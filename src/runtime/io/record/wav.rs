@@ -11,7 +11,7 @@ use echotank_protocols::wav::{Container, WavFormat, WavSample};
 
 use super::RecordError;
 use echotank_config::spec::{SonarSpec, WavSpec};
-use echotank_core::flow::{PingOutput, PingPlan};
+use echotank_core::ping::{PingOutput, PingPlan};
 use echotank_core::time::UtcNs;
 use echotank_emit::elements::{counts, elements_of};
 use echotank_emit::passband::Passband;

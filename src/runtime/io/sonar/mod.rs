@@ -37,7 +37,7 @@ use tracing::{Span, info, info_span, warn};
 use crate::io::link::{Connection, Link};
 use crate::io::pace::Sending;
 use crate::io::priority::first_in_first_out_of;
-use echotank_core::flow::Datagram;
+use echotank_core::records::Datagram;
 use echotank_core::time::UtcNs;
 pub use echotank_emit::session::Transport;
 use echotank_emit::session::{Outgoing, Protocol, Session, Wants};

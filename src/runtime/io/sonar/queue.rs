@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 
 use super::{ClientCounts, ClientReport, QueueLimit, Transport, WhenFull};
-use echotank_core::flow::Datagram;
+use echotank_core::records::Datagram;
 use echotank_emit::session::{SessionCounts, Wants};
 
 /// Reply bytes queued beyond which a TCP client is not read from and a UDP client loses replies: a few dozen configurations.

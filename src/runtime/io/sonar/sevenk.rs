@@ -6,7 +6,7 @@ use echotank_protocols::sevenk::packet::MIN_MAX_PACKET_BYTES;
 
 use super::{OpenError, RigTime, ServerSpec, ServerTimes, SonarServer, WhenFull};
 use echotank_config::spec::SevenKSpec;
-use echotank_core::flow::SettingsPort;
+use echotank_core::settings::SettingsPort;
 use echotank_emit::sevenk::protocol::SevenKProtocol;
 use echotank_emit::sevenk::records::DeviceSheet;
 

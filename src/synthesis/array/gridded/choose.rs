@@ -9,7 +9,7 @@ use super::moments::{MAX_TAPS, Real};
 use super::one_dimensional::Spec;
 use super::transform::grid_size;
 
-/// Part of [`Pulse::weakest_window`](echotank_core::flow::Pulse::weakest_window) that the shares
+/// Part of [`Pulse::weakest_window`](echotank_core::pulse::Pulse::weakest_window) that the shares
 /// below allow for.
 const ROOM: f64 = 0.6;
 

@@ -8,7 +8,8 @@ use std::f64::consts::TAU;
 use num_complex::Complex64;
 
 use crate::array::filter::Decimator;
-use echotank_core::flow::{DopplerModel, Pulse};
+use echotank_core::model::DopplerModel;
+use echotank_core::pulse::Pulse;
 
 use super::band::{Band, band, widest};
 use super::batched_fft::lanes_for;

@@ -583,7 +583,7 @@ impl Fitting<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use echotank_core::flow::{Pulse, PulseKind};
+    use echotank_core::pulse::{Pulse, PulseKind};
 
     /// Seven columns over a single cell need more than six fitted Dopplers.
     #[test]

@@ -117,7 +117,7 @@ mod tests {
     use crate::array::gridded::doppler::{DopplerSpan, POWERS};
     use crate::array::gridded::kernel::Kernel;
     use crate::array::gridded::pulse_spectrum::PulseSpectrum;
-    use echotank_core::flow::{Pulse, PulseKind};
+    use echotank_core::pulse::{Pulse, PulseKind};
 
     /// Bins lie about 0 Hz, which is a fitted frequency. A bin that equals a fitted frequency up to
     /// rounding takes its value.

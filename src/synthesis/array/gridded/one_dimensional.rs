@@ -27,7 +27,10 @@ use echotank_fft::Fft;
 use num_complex::{Complex, Complex64};
 
 use crate::array::filter::Decimator;
-use echotank_core::flow::{ArrivalChunk, ArrivalSink, DopplerModel, ErrorModel, Pulse};
+use crate::arrivals::{ArrivalChunk, ArrivalSink};
+use crate::error_model::ErrorModel;
+use echotank_core::model::DopplerModel;
+use echotank_core::pulse::Pulse;
 
 use super::batched_fft::{BatchedFft, Job, LANES, MAX_TOGETHER, Place, lanes_for};
 use super::choose::{SHARE, weakening};
@@ -800,8 +803,10 @@ fn add_folded_plain<G: Real>(
 mod tests {
     use super::*;
     use crate::array::Direct;
-    use echotank_core::flow::testing::plan_at_rest;
-    use echotank_core::flow::{CHUNK, Edges, PulseKind};
+    use crate::arrivals::CHUNK;
+    use crate::edges::Edges;
+    use echotank_core::pulse::PulseKind;
+    use echotank_core::testing::plan_at_rest;
 
     const RATE_HZ: f64 = 40e3;
     const SAMPLES: usize = 2400;

@@ -14,7 +14,7 @@ use std::ops::Range;
 use num_complex::Complex;
 
 use crate::array::phasor::cis;
-use echotank_core::flow::{ArrivalChunk, CHUNK};
+use crate::arrivals::{ArrivalChunk, CHUNK};
 
 use super::doppler::{Bent, DopplerGrid, DopplerSpan, POWERS, Polynomials, derivative, value_of};
 use super::moments::{BLOCK, MAX_TAPS, ROUND, Real, Shared};

@@ -17,7 +17,7 @@ use std::sync::LazyLock;
 use echotank_fft::Planned;
 use num_complex::Complex64;
 
-use echotank_core::flow::Pulse;
+use echotank_core::pulse::Pulse;
 
 use super::kernel::Kernel;
 use super::simd_level::SimdLevel;
@@ -216,7 +216,7 @@ pub fn energies(mut spectrum: Vec<Complex64>, length: usize) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use echotank_core::flow::PulseKind;
+    use echotank_core::pulse::PulseKind;
     use std::f64::consts::{PI, TAU};
 
     fn pulse(kind: PulseKind, taper: f64) -> Pulse {

@@ -10,7 +10,7 @@
 use num_complex::Complex64;
 
 use crate::array::phasor::cis;
-use echotank_core::flow::MIN_WINDOW;
+use echotank_core::pulse::MIN_WINDOW;
 
 use super::band::{Band, widest};
 use super::doppler::{DopplerGrid, DopplerSpan, Received, templates};

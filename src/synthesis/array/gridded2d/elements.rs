@@ -1,6 +1,5 @@
 //! Powers along the stretch to elements, and elements back to time.
 
-
 use num_complex::Complex;
 
 use crate::array::gridded::simd_level::Kind;

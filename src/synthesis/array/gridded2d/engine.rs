@@ -8,7 +8,9 @@ use num_complex::{Complex, Complex64};
 use crate::array::gridded::kernel::Kernel;
 use crate::array::gridded::simd_level::SimdLevel;
 use crate::array::gridded::transform::grid_size;
-use echotank_core::flow::{ArrayGeometry, EchoCounts, LineSource, LineStretch, PingPlan};
+use crate::arrivals::{LineSource, LineStretch};
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::ping::{EchoCounts, PingPlan};
 
 use super::columns::Entry;
 use super::elements::PairSums;

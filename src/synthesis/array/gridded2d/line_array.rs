@@ -6,7 +6,9 @@ use std::sync::{Mutex, PoisonError};
 use num_complex::{Complex, Complex64};
 use rayon::prelude::*;
 
-use echotank_core::flow::{EchoCounts, ErrorModel, LineSource, PingPlan};
+use crate::arrivals::LineSource;
+use crate::error_model::ErrorModel;
+use echotank_core::ping::{EchoCounts, PingPlan};
 
 use super::engine::{Filter, LineEngine, TaskReport, Work};
 use super::plan::{Precision, Refusal, Spec, choose};
@@ -22,7 +24,9 @@ use super::sample::Sample;
 /// use echotank_synthesis::array::Decimator;
 /// use echotank_synthesis::array::gridded::SimdLevel;
 /// use echotank_synthesis::array::gridded2d::{Bounds, Gridded2d, Spec};
-/// # use echotank_core::flow::*;
+/// # use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern};
+/// # use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
+/// # use echotank_core::pulse::{Pulse, PulseKind};
 /// # use glam::{DQuat, DVec3};
 /// # let array = ArrayGeometry {
 /// #     mounting: Mounting { position_m: DVec3::ZERO, body_from_array: DQuat::IDENTITY },
@@ -123,7 +127,7 @@ impl Gridded2d {
     }
 
     /// Synthesises one ping. Overwrites `iq`, element-major as in
-    /// [`echotank_core::flow::ElementFrame`].
+    /// [`echotank_core::ping::ElementFrame`].
     ///
     /// In the counts, `outside_window` holds the pairs outside the delays of every stretch.
     pub fn synthesise(

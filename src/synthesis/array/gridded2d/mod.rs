@@ -26,7 +26,7 @@
 //! and a few columns at a time. It uses a polynomial in the element's position times one rotor per
 //! block. Slabs of delay are added in order.
 //!
-//! Input: [`LineChunk`](echotank_core::flow::LineChunk)s of one slab at the middle of one stretch.
+//! Input: [`LineChunk`](crate::arrivals::LineChunk)s of one slab at the middle of one stretch.
 //! Output: samples of its elements, with the receiver filter. Geometry and templates are f64, grids
 //! and transforms f32 or f64. One thread computes a task, and no sum crosses threads.
 //!

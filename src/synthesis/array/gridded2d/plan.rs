@@ -11,9 +11,10 @@ use crate::array::filter::Decimator;
 use crate::array::gridded::CostEstimate;
 use crate::array::gridded::kernel::Kernel;
 use crate::array::gridded::simd_level::SimdLevel;
-use echotank_core::flow::{
-    ArrayGeometry, DopplerModel, ErrorModel, ModelChoice, PathModel, Pattern, Pulse,
-};
+use crate::error_model::ErrorModel;
+use echotank_core::arrays::{ArrayGeometry, Pattern};
+use echotank_core::model::{DopplerModel, ModelChoice, PathModel};
+use echotank_core::pulse::Pulse;
 
 use num_complex::Complex64;
 

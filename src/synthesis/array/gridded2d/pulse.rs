@@ -10,7 +10,7 @@ use std::f64::consts::{PI, TAU};
 
 use num_complex::Complex64;
 
-use echotank_core::flow::Pulse;
+use echotank_core::pulse::Pulse;
 
 use super::sample::Sample;
 
@@ -270,7 +270,7 @@ fn gauss_legendre() -> [(f64, f64); PANEL] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use echotank_core::flow::PulseKind;
+    use echotank_core::pulse::PulseKind;
 
     const BIN_HZ: f64 = 25.4;
 

@@ -13,7 +13,7 @@ use crate::array::gridded::kernel::Kernel;
 use crate::array::gridded::pulse_spectrum::{PulseSpectrum, energies};
 use crate::array::gridded::transform::grid_size;
 use crate::array::phasor::cis;
-use echotank_core::flow::Pulse;
+use echotank_core::pulse::Pulse;
 
 /// Smallest window, samples.
 const MIN_WINDOW: f64 = 32.0;

@@ -7,7 +7,7 @@ use num_complex::Complex64;
 use crate::array::gridded::kernel::MAX_WIDTH;
 use crate::array::gridded::simd_level::Kind as Processor;
 use crate::array::phasor::cis;
-use echotank_core::flow::{CHUNK, LineChunk, LineSink};
+use crate::arrivals::{CHUNK, LineChunk, LineSink};
 
 use super::engine::{Orders, Ping, PulseMotion, Work};
 use super::merge::Merge;

@@ -26,10 +26,10 @@ use std::sync::{Mutex, PoisonError};
 
 use glam::DVec3;
 
-use echotank_core::flow::{
-    ArrayGeometry, CHUNK, DopplerModel, EchoCounts, LineChunk, LineSink, LineSource, LineStretch,
-    PathModel, PingPlan,
-};
+use crate::arrivals::{CHUNK, LineChunk, LineSink, LineSource, LineStretch};
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::model::{DopplerModel, PathModel};
+use echotank_core::ping::{EchoCounts, PingPlan};
 
 use super::{
     Batch, Complex64, Rays, ReceiveLeg, ReceivedBatch, TransmitLeg, pattern_floor, receive_gains,

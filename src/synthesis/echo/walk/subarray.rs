@@ -18,7 +18,9 @@
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
-use echotank_core::flow::{ArrayGeometry, CHUNK, Pattern, PingPlan};
+use crate::arrivals::CHUNK;
+use echotank_core::arrays::{ArrayGeometry, Pattern};
+use echotank_core::ping::PingPlan;
 
 use super::super::elementary::cis;
 #[cfg(target_arch = "x86_64")]

@@ -1,6 +1,7 @@
 //! Line arrays in parts: adjacent elements combined to one element at their centre.
 
-use super::{ArrayGeometry, MethodMark, Pattern};
+use crate::arrays::{ArrayGeometry, Pattern};
+use crate::ping::MethodMark;
 
 impl Pattern {
     /// Number of elements that the pattern represents: 1 except for [`Pattern::Part`].
@@ -79,7 +80,7 @@ impl MethodMark {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flow::Mounting;
+    use crate::arrays::Mounting;
     use glam::{DQuat, DVec3};
 
     #[test]

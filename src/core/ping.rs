@@ -1,0 +1,344 @@
+//! One ping: its plan, its counts and its output.
+
+use glam::DQuat;
+use glam::DVec3;
+use num_complex::Complex64;
+
+use crate::frames::Trajectory;
+use crate::model::ModelChoice;
+use crate::navigation::NavState;
+use crate::pulse::Pulse;
+use crate::settings::SonarSettings;
+use crate::time::UtcNs;
+
+/// One segment of the polyline: constant velocity and attitude of the reference point from `start_s` on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Segment {
+    /// Start, seconds after the start of the pulse; 0 for the first segment.
+    pub start_s: f64,
+    /// Reference point at `start_s`, world, metres.
+    pub position_m: DVec3,
+    /// Velocity, world, metres per second.
+    pub velocity_m_per_s: DVec3,
+    /// Rotation from body to world axes.
+    pub world_from_body: DQuat,
+}
+
+/// Complete description of one ping of one sonar; later stages need nothing else.
+#[derive(Clone, Debug)]
+pub struct PingPlan {
+    /// Index of the sonar.
+    pub sonar: usize,
+    /// Sequential number, from 1; a skipped ping keeps its number.
+    pub ping_number: u32,
+    /// Start of the pulse, rig time.
+    pub transmit_utc: UtcNs,
+    /// Time stamp of the records (`nav.stamp`).
+    pub stamp_utc: UtcNs,
+    /// Time since the previous transmitted ping, seconds; 0 for the first.
+    pub ping_period_s: f64,
+    /// Settings of this ping.
+    pub settings: SonarSettings,
+    /// Actual ping rate, hertz; below the maximum if the range requires it.
+    pub ping_rate_hz: f64,
+    /// Transmitted pulse.
+    pub pulse: Pulse,
+    /// Sound speed, metres per second.
+    pub sound_speed_m_per_s: f64,
+    /// One-way absorption, dB per metre.
+    pub absorption_db_per_m: f64,
+    /// Samples per element; sample k lies at `first_sample_s + k / receiver.sample_rate_hz`.
+    pub sample_count: usize,
+    /// Time of sample 0, seconds.
+    pub first_sample_s: f64,
+    /// Selected models and method.
+    pub model: ModelChoice,
+    /// State of the platform for output records.
+    pub nav: NavState,
+    /// Motion of the platform over the listening window.
+    pub trajectory: Trajectory,
+    /// Polyline over the listening window; at least one segment.
+    pub segments: Vec<Segment>,
+}
+
+impl PingPlan {
+    /// Length of the listening window, seconds.
+    pub fn window_s(&self, sample_rate_hz: f64) -> f64 {
+        self.first_sample_s + self.sample_count as f64 / sample_rate_hz
+    }
+}
+
+/// Counts of one collection of scatterers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SceneCounts {
+    /// Tiles in reach of a footprint.
+    pub tiles_used: u64,
+    /// Of those: tiles that had to be generated.
+    pub tiles_made: u64,
+    /// Seabed regions (one or more tiles) that are out of reach or empty.
+    pub culled_tiles: u64,
+    /// Seabed scatterers in generated tiles.
+    pub made: u64,
+    /// Scatterers of tiles in reach that are outside every footprint.
+    pub culled: u64,
+    /// Scatterers in shadow, including explicit points and scatterers of targets.
+    pub shadowed: u64,
+    /// Scatterers passed on, including explicit points and scatterers of targets.
+    pub scatterers: u64,
+    /// Explicit points passed on.
+    pub points: u64,
+    /// Targets passed on.
+    pub targets: u64,
+}
+
+/// Counts of one walk over the scatterers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct EchoCounts {
+    /// Scatterer-element pairs passed on.
+    pub used: u64,
+    /// Culled by the patterns ([`ModelChoice::cull_db`]).
+    pub culled: u64,
+    /// Outside the listening window.
+    pub outside_window: u64,
+    /// Closer than a wavelength, where the far-field amplitude is invalid; clamped at one wavelength.
+    pub too_close: u64,
+    /// Polyline: in the gap of an element's step at a vertex; placed at the vertex time.
+    pub no_root: u64,
+    /// Polyline: two segments have a root; the first is used.
+    pub two_roots: u64,
+    /// After the last segment of the polyline; extrapolated along it.
+    pub beyond_track: u64,
+    /// Beyond the range of the engine. `gridded-1d`: clamped at its maximum Doppler. `gridded-2d`: all echoes of a ping that is
+    /// nearer or faster than its tolerance allows.
+    pub beyond_engine: u64,
+}
+
+impl std::ops::AddAssign for EchoCounts {
+    fn add_assign(&mut self, o: Self) {
+        self.used += o.used;
+        self.culled += o.culled;
+        self.outside_window += o.outside_window;
+        self.too_close += o.too_close;
+        self.no_root += o.no_root;
+        self.two_roots += o.two_roots;
+        self.beyond_track += o.beyond_track;
+        self.beyond_engine += o.beyond_engine;
+    }
+}
+
+/// Samples of all elements of one receive array: volts (rms) of the complex envelope about the centre frequency.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ElementFrame {
+    /// Index of the receive array.
+    pub array: usize,
+    /// Number of elements.
+    pub elements: usize,
+    /// Samples per element.
+    pub samples: usize,
+    /// Element-major samples: `iq[e * samples + k]`.
+    pub iq: Vec<Complex64>,
+    /// Number of values clipped by the converter in this ping.
+    pub saturated: u64,
+}
+
+impl ElementFrame {
+    /// Samples of element `e`.
+    pub fn element(&self, e: usize) -> &[Complex64] {
+        &self.iq[e * self.samples..(e + 1) * self.samples]
+    }
+    /// Mutable samples of element `e`.
+    pub fn element_mut(&mut self, e: usize) -> &mut [Complex64] {
+        &mut self.iq[e * self.samples..(e + 1) * self.samples]
+    }
+}
+
+/// Beams of one fan after the matched filter; sample k of a beam is a leading edge at `first_sample_s + k / sample_rate`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BeamFrame {
+    /// Number of beams.
+    pub beams: usize,
+    /// Samples per beam.
+    pub samples: usize,
+    /// Angles from the boresight, positive to starboard, radians; beam 0 is the most port.
+    pub angle_rad: Vec<f64>,
+    /// -3 dB width of each beam across track, radians.
+    pub width_rad: Vec<f64>,
+    /// Beam-major samples: `iq[b * samples + k]`.
+    pub iq: Vec<Complex64>,
+}
+
+impl BeamFrame {
+    /// Samples of beam `b`.
+    pub fn beam(&self, b: usize) -> &[Complex64] {
+        &self.iq[b * self.samples..(b + 1) * self.samples]
+    }
+}
+
+/// Bottom detection of one beam.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sounding {
+    /// Index of the beam.
+    pub beam: usize,
+    /// Angle as in [`BeamFrame::angle_rad`].
+    pub angle_rad: f64,
+    /// Two-way travel time at the centre of the array, from the start of the pulse, seconds.
+    pub twtt_s: f64,
+    /// Predicted standard deviation of the travel time, seconds.
+    pub error_s: f64,
+    /// Detection method.
+    pub detection: Detection,
+    /// Echo level, volts (rms).
+    pub level_v: f64,
+}
+
+/// Method of a bottom detection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Detection {
+    /// Amplitude of the beam.
+    Amplitude,
+    /// Phase difference of two subarrays.
+    Phase,
+}
+
+/// Side of a side-scan line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Side {
+    /// Left of the platform.
+    Port,
+    /// Right of the platform.
+    Starboard,
+}
+
+/// One side-scan line: envelope over slant range, sample 0 at the start of the pulse.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Line {
+    /// Side of the platform.
+    pub side: Side,
+    /// Envelope, volts (rms).
+    pub amplitude: Vec<f32>,
+}
+
+/// Side-scan lines of one further pulse of a ping.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PulseLines {
+    /// Delay of the pulse after the first pulse, seconds. Its lines start at its own start.
+    pub delay_s: f64,
+    /// Lines of this pulse.
+    pub lines: Vec<Line>,
+}
+
+/// Ground truth of each sample of a side-scan line or of a beam: labels for machine learning. Not computed on the ping path.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LineTruth {
+    /// Side of the platform.
+    pub side: Side,
+    /// Target with the strongest echo in each sample: 1 is the first of the scene, 0 is none.
+    pub target: Vec<u16>,
+    /// Echo energy of that target, arbitrary unit.
+    pub target_energy: Vec<f32>,
+    /// Energy of all other echoes, same unit.
+    pub other_energy: Vec<f32>,
+    /// Visibility of the seabed.
+    pub ground: Vec<GroundSeen>,
+    /// Depth of the seabed, world, metres; NaN without seabed.
+    pub down_m: Vec<f32>,
+}
+
+impl LineTruth {
+    /// Adds echo energy of target `label` to sample `k`, which gets the label of its strongest target.
+    pub fn claim(&mut self, k: usize, label: u16, energy: f32) {
+        if energy > self.target_energy[k] {
+            self.other_energy[k] += self.target_energy[k];
+            (self.target[k], self.target_energy[k]) = (label, energy);
+        } else {
+            self.other_energy[k] += energy;
+        }
+    }
+}
+
+/// Visibility of the seabed on the beam axis at the range of a sample.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GroundSeen {
+    /// No seabed: water, a hole or the edge of the scene.
+    #[default]
+    None,
+    /// Insonified seabed.
+    Seen,
+    /// Seabed entirely in shadow.
+    Hidden,
+}
+
+/// Error of element samples against the reference solution, at random samples before noise, gain and converter. It is the rms of
+/// the differences, each relative to the rms of the surrounding samples or of the whole ping of the element, whichever is larger.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ErrorCheck {
+    /// Number of compared samples.
+    pub samples: u32,
+    /// Relative error.
+    pub error: f64,
+    /// Lower end of the 95 % confidence interval.
+    pub low: f64,
+    /// Upper end of the 95 % confidence interval.
+    pub high: f64,
+    /// `sonar.model.tolerance`.
+    pub tolerance: f64,
+    /// The error exceeds 1.3 tolerances on the last two pings with compared samples.
+    pub fault: bool,
+}
+
+/// Results of one ping.
+#[derive(Clone, Debug, Default)]
+pub struct PingOutput {
+    /// Error check over the newest compared samples; `None` if disabled or with too few samples.
+    pub error_check: Option<ErrorCheck>,
+    /// Element samples, one frame per receive array.
+    pub elements: Vec<ElementFrame>,
+    /// Beams, one frame per configured fan (at most one).
+    pub beams: Vec<BeamFrame>,
+    /// Bottom detections of the fan; none for beams without a bottom.
+    pub soundings: Vec<Sounding>,
+    /// Side-scan lines.
+    pub lines: Vec<Line>,
+    /// Side-scan lines of the further pulses, one each.
+    pub more_lines: Vec<PulseLines>,
+    /// Counts of the echoes.
+    pub counts: EchoCounts,
+    /// Counts of the scatterers.
+    pub scene: SceneCounts,
+    /// Selected methods, if method selection ran.
+    pub methods: Option<MethodMark>,
+    /// Effects of overload on this ping.
+    pub overload_state: OverloadState,
+}
+
+/// Effects of overload on a ping; they depend on the machine.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct OverloadState {
+    /// Tolerance used instead of the configured one.
+    pub tolerance: Option<f64>,
+    /// Delay of the pulse after its scheduled time, seconds.
+    pub put_off_s: f64,
+}
+
+impl OverloadState {
+    /// No effects.
+    pub const NONE: Self = Self {
+        tolerance: None,
+        put_off_s: 0.0,
+    };
+}
+
+/// Method selection of a ping and its prediction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MethodMark {
+    /// Sequence number of the selection; the configuration is 0.
+    pub plan: u32,
+    /// Predicted relative error of element samples.
+    pub predicted_error: f64,
+    /// Predicted core time, milliseconds.
+    pub predicted_ms: f64,
+    /// Tolerance of the selection.
+    pub tolerance: f64,
+    /// Elements combined to one ([`Pattern::Part`]); 1 without combination.
+    pub part_elements: usize,
+}

@@ -1,0 +1,292 @@
+//! Scatterers, the footprints that select them, and targets.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+use num_complex::Complex64;
+
+// ---------------------------------------------------------------- the scene
+
+/// Dependence of a scatterer's pressure on the angles between its normal and the two rays. Scatterers do not radiate behind their
+/// normal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ScatterLaw {
+    /// Independent of direction.
+    Point,
+    /// Factor sqrt(cos i cos s) (bistatic Lambert).
+    Lambert,
+    /// Factor cos i of the incident ray, independent of the receiver (Meng et al. 2023, Eq. 13).
+    LambertOneWay,
+    /// Product of [`LawCurve::half`] for both rays, with the curve of the scatterers.
+    Curve,
+}
+
+/// Backscattering strength over the angle of incidence, tabulated as the pressure factor of one leg; the factors of both legs
+/// multiply.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LawCurve {
+    /// Fourth roots of the strength at even steps of the square root of the cosine, from grazing to normal incidence.
+    half: Box<[f64; Self::STEPS + 1]>,
+}
+
+impl LawCurve {
+    /// Number of steps: a Gaussian lobe 3 degrees wide is accurate to 0.01 dB, and the table of 32 KiB fits the L1 cache.
+    const STEPS: usize = 4096;
+
+    /// Curve of `strength`: backscattered power per square metre of seabed, as a function of the cosine of incidence (0 to 1).
+    pub fn new(strength: impl Fn(f64) -> f64) -> Self {
+        let mut half = Box::new([0.0; Self::STEPS + 1]);
+        for (k, half) in half.iter_mut().enumerate() {
+            let root = k as f64 / Self::STEPS as f64;
+            *half = strength(root * root).max(0.0).sqrt().sqrt();
+        }
+        Self { half }
+    }
+
+    /// Pressure factor of one leg, interpolated linearly. `root` is the square root of the cosine of incidence, 0 to 1.
+    #[inline(always)]
+    pub fn half(&self, root: f64) -> f64 {
+        let x = root * Self::STEPS as f64;
+        let k = (x as usize).min(Self::STEPS - 1);
+        self.half[k] + (x - k as f64) * (self.half[k + 1] - self.half[k])
+    }
+}
+
+/// Point scatterers as a structure of arrays of equal length.
+#[derive(Clone, Debug, Default)]
+pub struct Scatterers {
+    /// World north, metres.
+    pub north_m: Vec<f64>,
+    /// World east, metres.
+    pub east_m: Vec<f64>,
+    /// World down, metres.
+    pub down_m: Vec<f64>,
+    /// Outward unit normal, world axes; unused for points.
+    pub normal: Vec<[f32; 3]>,
+    /// Echo pressure at 1 m for unit incident pressure. For a seabed patch it is sqrt(mu area) times a fixed complex
+    /// reflectivity.
+    pub strength: Vec<Complex64>,
+    /// Directional law.
+    pub law: Vec<ScatterLaw>,
+    /// Factor, 1 or more, by which the pattern floor ([`ModelChoice::cull_db`]) is lower for a scatterer louder than the ground.
+    pub loud: Vec<f32>,
+    /// Curve of scatterers with [`ScatterLaw::Curve`]; without it they are silent.
+    pub curve: Option<Arc<LawCurve>>,
+}
+
+impl Scatterers {
+    /// Number of scatterers.
+    pub fn len(&self) -> usize {
+        self.north_m.len()
+    }
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.north_m.is_empty()
+    }
+    /// Removes all scatterers.
+    pub fn clear(&mut self) {
+        self.truncate(0);
+    }
+    /// Removes all but the first `len` scatterers.
+    pub fn truncate(&mut self, len: usize) {
+        self.north_m.truncate(len);
+        self.east_m.truncate(len);
+        self.down_m.truncate(len);
+        self.normal.truncate(len);
+        self.strength.truncate(len);
+        self.law.truncate(len);
+        self.loud.truncate(len);
+    }
+    /// Copies scatterer `from` over scatterer `to`.
+    pub fn copy_within(&mut self, from: usize, to: usize) {
+        self.north_m[to] = self.north_m[from];
+        self.east_m[to] = self.east_m[from];
+        self.down_m[to] = self.down_m[from];
+        self.normal[to] = self.normal[from];
+        self.strength[to] = self.strength[from];
+        self.law[to] = self.law[from];
+        self.loud[to] = self.loud[from];
+    }
+    /// Changes the number of scatterers; new ones have zero strength.
+    pub fn resize(&mut self, len: usize) {
+        self.north_m.resize(len, 0.0);
+        self.east_m.resize(len, 0.0);
+        self.down_m.resize(len, 0.0);
+        self.normal.resize(len, [0.0; 3]);
+        self.strength.resize(len, Complex64::ZERO);
+        self.law.resize(len, ScatterLaw::Point);
+        self.loud.resize(len, 1.0);
+    }
+    /// Appends a scatterer: position in world metres, outward unit normal, strength and law.
+    pub fn push(
+        &mut self,
+        position_m: DVec3,
+        normal: [f32; 3],
+        strength: Complex64,
+        law: ScatterLaw,
+    ) {
+        self.north_m.push(position_m.x);
+        self.east_m.push(position_m.y);
+        self.down_m.push(position_m.z);
+        self.normal.push(normal);
+        self.strength.push(strength);
+        self.law.push(law);
+        self.loud.push(1.0);
+    }
+    /// Position of scatterer `i`, world, metres.
+    pub fn position_m(&self, i: usize) -> DVec3 {
+        DVec3::new(self.north_m[i], self.east_m[i], self.down_m[i])
+    }
+}
+
+/// Region of the scene that a pair of transmitter and receive array can receive: a sphere, without directions in which the
+/// two-way pattern is below the floor, and without the region behind a baffle. A footprint with a non-finite value is empty.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Footprint {
+    /// Transmitter, world, metres.
+    pub apex_m: DVec3,
+    /// Centre of the receive array, world, metres.
+    pub receiver_m: DVec3,
+    /// Radius of the sphere around the apex, metres.
+    pub max_range_m: f64,
+    /// Bounds of the pattern: length and width of transmitter and element.
+    pub sides: [PatternSide; Self::SIDES],
+    /// Ratio of the maximum of the product of the sides to its floor; infinite keeps all directions.
+    pub depth: f64,
+    /// Faces of transmitter and element.
+    pub faces: [BaffledFace; 2],
+}
+
+/// Bound on the pattern of one side of a rectangular radiator: it stays below 1 / (u / knee), with u the sine of the angle from
+/// broadside.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PatternSide {
+    /// Direction of the side, world, unit vector.
+    pub axis: DVec3,
+    /// Sine from which the bound is less than 1: lambda / (pi L); infinite for a side without length.
+    pub knee: f64,
+    /// Error of the sine from the rotation of the platform.
+    pub turn: f64,
+    /// Error of the sine times range from the distance of the radiator to the apex, metres.
+    pub shift_m: f64,
+}
+
+/// A face without response behind it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BaffledFace {
+    /// Outward unit normal, world axes; zero for an open face.
+    pub normal: DVec3,
+    /// Error of the sine from the rotation of the platform, as in [`PatternSide`].
+    pub turn: f64,
+    /// Error from the distance of the face to the apex, metres, as in [`PatternSide`].
+    pub shift_m: f64,
+}
+
+impl PatternSide {
+    /// Side without a bound.
+    pub const OPEN: Self = Self {
+        axis: DVec3::X,
+        knee: f64::INFINITY,
+        turn: 0.0,
+        shift_m: 0.0,
+    };
+
+    /// Factor by which the pattern is at least below 1 for a point at `range_m` whose component along the axis is `along_m`.
+    #[inline(always)]
+    pub fn below(&self, along_m: f64, range_m: f64) -> f64 {
+        let sine = (along_m.abs() - self.shift_m) / range_m - self.turn;
+        (sine / self.knee).max(1.0)
+    }
+}
+
+impl BaffledFace {
+    /// Face without a baffle.
+    pub const OPEN: Self = Self {
+        normal: DVec3::ZERO,
+        turn: 0.0,
+        shift_m: 0.0,
+    };
+
+    /// Whether a point at `range_m`, `ahead_m` along the normal, may be in front of the face.
+    #[inline(always)]
+    pub fn may_face(&self, ahead_m: f64, range_m: f64) -> bool {
+        ahead_m >= -(self.turn * range_m + self.shift_m)
+    }
+}
+
+impl Footprint {
+    /// Length and width of transmitter and element.
+    pub(crate) const SIDES: usize = 4;
+
+    /// All directions within range of a point (world, metres).
+    pub fn all_round(apex_m: DVec3, max_range_m: f64) -> Self {
+        Self {
+            apex_m,
+            receiver_m: apex_m,
+            max_range_m,
+            sides: [PatternSide::OPEN; Self::SIDES],
+            depth: f64::INFINITY,
+            faces: [BaffledFace::OPEN; 2],
+        }
+    }
+
+    /// Directions u within range with |u . axis| at most `max_sine`.
+    pub fn fan(apex_m: DVec3, max_range_m: f64, axis: DVec3, max_sine: f64) -> Self {
+        let mut footprint = Self::all_round(apex_m, max_range_m);
+        footprint.sides[0] = PatternSide {
+            axis,
+            knee: max_sine,
+            ..PatternSide::OPEN
+        };
+        footprint.depth = 1.0;
+        footprint
+    }
+
+    /// Whether a position (world, metres) is inside.
+    pub fn contains(&self, position_m: DVec3) -> bool {
+        let d = position_m - self.apex_m;
+        let range_squared = d.length_squared();
+        if range_squared > self.max_range_m * self.max_range_m {
+            return false;
+        }
+        let range_m = range_squared.sqrt();
+        self.faces
+            .iter()
+            .all(|face| face.may_face(d.dot(face.normal), range_m))
+            && (self.depth == f64::INFINITY
+                || self
+                    .sides
+                    .iter()
+                    .map(|side| side.below(d.dot(side.axis), range_m))
+                    .product::<f64>()
+                    <= self.depth)
+    }
+
+    /// Whether all values are finite and valid.
+    pub fn is_finite(&self) -> bool {
+        self.apex_m.is_finite()
+            && self.receiver_m.is_finite()
+            && self.max_range_m >= 0.0
+            && self.max_range_m.is_finite()
+            && self.depth >= 0.0
+            && self
+                .sides
+                .iter()
+                .all(|s| s.axis.is_finite() && s.knee >= 0.0 && s.turn >= 0.0 && s.shift_m >= 0.0)
+            && self
+                .faces
+                .iter()
+                .all(|f| f.normal.is_finite() && f.turn >= 0.0 && f.shift_m >= 0.0)
+    }
+}
+
+/// A named strong target, for the truth file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Target {
+    /// Name in the scene.
+    pub name: String,
+    /// World, metres.
+    pub position_m: DVec3,
+    /// Target strength, dB.
+    pub target_strength_db: f64,
+}

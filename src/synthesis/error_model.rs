@@ -1,0 +1,119 @@
+//! The error and the cost that a method predicts, and the conditions of a ping that it predicts them from.
+
+use echotank_core::arrays::ReceiverFilter;
+use echotank_core::pulse::Pulse;
+
+/// Predicted error and cost of a method, for method selection.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ErrorModel {
+    /// Name of the method.
+    pub name: &'static str,
+    /// Predicted relative error against the reference solution.
+    pub error: f64,
+    /// Predicted core time per ping, milliseconds.
+    pub cost_ms: f64,
+    /// Reason for the prediction, for reports.
+    pub why: String,
+}
+
+impl ErrorModel {
+    /// The error model if its error is within `tolerance`.
+    pub fn within(self, tolerance: f64) -> Result<Self, MethodRefused> {
+        if self.error <= tolerance {
+            return Ok(self);
+        }
+        Err(MethodRefused {
+            name: self.name,
+            error: self.error,
+            tolerance,
+            why: self.why,
+        })
+    }
+}
+
+/// A method whose error exceeds the tolerance.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{name} is off by {error:.1e} here, and {tolerance:.1e} is asked: {why}")]
+pub struct MethodRefused {
+    /// Name of the method.
+    pub name: &'static str,
+    /// Predicted relative error, as in [`ErrorModel`].
+    pub error: f64,
+    /// Required tolerance.
+    pub tolerance: f64,
+    /// Reason for the prediction.
+    pub why: String,
+}
+
+/// Parameters of the error and cost models; the maxima over a ping or a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Conditions {
+    /// Transmitted pulse.
+    pub pulse: Pulse,
+    /// Sound speed, metres per second.
+    pub sound_speed_m_per_s: f64,
+    /// Sample rate, hertz.
+    pub sample_rate_hz: f64,
+    /// Receiver filter.
+    pub filter: ReceiverFilter,
+    /// Speed of a transmitter or element, including its lever arm, metres per second.
+    pub speed_m_per_s: f64,
+    /// Acceleration of a transmitter or element, metres per second squared.
+    pub acceleration_m_per_s2: f64,
+    /// Speed of the end of a lever arm from the rotation of the platform, metres per second.
+    pub turning_m_per_s: f64,
+    /// Ranges of the nearest and the farthest scatterer, metres.
+    pub range_m: (f64, f64),
+    /// Maximum length of a polyline segment, seconds.
+    pub segment_s: f64,
+    /// Number of scatterers.
+    pub scatterers: usize,
+    /// Number of elements.
+    pub elements: usize,
+    /// Tolerance for methods that meet one.
+    pub tolerance: f64,
+    /// Statistics of the received echoes; `None` if echoes may come from any direction.
+    pub heard: Option<Heard>,
+}
+
+/// Energy-weighted motion of the received echoes. Values are root mean squares over the echoes of a pulse-length window, for the
+/// worst window of a ping. They are relative to that window or to the whole ping, whichever is louder.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Heard {
+    /// Displacement of an element along the ray between pulse and echo, metres.
+    pub hop_m: f64,
+    /// Closing speed along the ray, mean of transmitter and element, metres per second. A window may hold only the end of a
+    /// pulse, where the Doppler phase is largest. This value is scaled so that its root mean square represents a whole pulse and
+    /// exceeds [`Self::closing_of_echoes_m_per_s`] accordingly.
+    pub closing_m_per_s: f64,
+    /// Closing speed of whole echoes, metres per second.
+    pub closing_of_echoes_m_per_s: f64,
+    /// Second derivative of the range, mean of both legs, metres per second squared.
+    pub bend_m_per_s2: f64,
+    /// Acceleration of an element along the ray, metres per second squared.
+    pub acceleration_m_per_s2: f64,
+    /// Speed of an element on its lever arm from the rotation of the platform, along the ray, metres per second.
+    pub turning_m_per_s: f64,
+    /// Component along the ray of the motion of an element across its array, metres per second.
+    pub across_m_per_s: f64,
+    /// Ratio of the summed error of echoes with random phases in the worst window of any element to its root mean square, with an
+    /// allowance for the sampling of echoes.
+    pub spread: f64,
+    /// Maximum share of the loudest echo in the energy of a window.
+    pub loudest: f64,
+    /// Number of echoes of all elements.
+    pub echoes: f64,
+}
+
+impl Conditions {
+    /// Relative error from a phase error of `phase_rad` (rms); at most 2, that of a reversed echo.
+    pub fn error_of_phase(phase_rad: f64) -> f64 {
+        phase_rad.min(2.0)
+    }
+
+    /// Wavenumber at the highest frequency of the sweep, radians per metre.
+    pub fn wavenumber_per_m(&self) -> f64 {
+        let highest_hz = self.pulse.center_frequency_hz + 0.5 * self.pulse.bandwidth_hz;
+        std::f64::consts::TAU * highest_hz / self.sound_speed_m_per_s
+    }
+}
