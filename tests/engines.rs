@@ -350,7 +350,7 @@ fn without_the_filter_the_pulse_determines_the_error() {
     assert!(matches!(refused, PipelineError::Engine { .. }));
     let said = refused.to_string();
     assert!(
-        said.starts_with("sonar.model.tolerance = 1e-4: gridded-1d cannot reach")
+        said.starts_with("sonar.model.tolerance = 1e-4: gridded-1d: tolerance 1e-4 cannot be met")
             && said.contains("use the receiver filter"),
         "{said}"
     );
@@ -665,7 +665,7 @@ fn along_the_log(spec: &RigSpec, pings: usize, mut each: impl FnMut(&PingPlan, &
 #[test]
 fn the_repositorys_engines_are_the_direct_sum_within_the_tolerance() {
     for (file, engine, cull_db, tolerance) in [
-        ("checked.toml", Synthesis::Gridded1d, -34.0, 1e-3),
+        ("certified.toml", Synthesis::Gridded1d, -34.0, 1e-3),
         // A line culls by section, the direct sum by element: with a floor of -40 dB this alone is up to 2e-2.
         ("multibeam.toml", Synthesis::Gridded2d, -60.0, 2e-2),
     ] {
@@ -709,7 +709,7 @@ fn the_repositorys_engines_are_the_direct_sum_within_the_tolerance() {
 /// As configured, including culling, against the reference: the error check of every ping.
 #[test]
 fn the_error_check_finds_the_quickstart_within_its_tolerance() {
-    let spec = thinned("checked.toml", |_| {});
+    let spec = thinned("certified.toml", |_| {});
     let mut last = None;
     along_the_log(&spec, 40, |_, output| last = output.error_check.or(last));
     let last = last.expect("enough samples");

@@ -152,7 +152,7 @@ fn the_interval_of_an_error_check_contains_the_error_of_every_sample() {
         ("doppler = \"stretch\"", "rx_filter = \"none\""),
     ] {
         let lines = format!("{receiver}\n{QUIET}");
-        let checked = rig(&format!("{model}\ncertificate = true"), &lines);
+        let checked = rig(&format!("{model}\nerror_check = true"), &lines);
         // The budget for checking a cheap method is small.
         let pings = if model.contains("gridded") { 4000 } else { 400 };
         let (error_checks, got) = run(&checked, &scatterers, pings);
@@ -195,7 +195,7 @@ fn the_interval_of_an_error_check_contains_the_error_of_every_sample() {
 fn an_error_check_changes_no_sample_and_detects_a_wrong_model() {
     let scatterers = scene(150);
     let bits = |error_check: bool| {
-        let model = format!("path = \"stop-and-hop\"\ncertificate = {error_check}");
+        let model = format!("path = \"stop-and-hop\"\nerror_check = {error_check}");
         run(&rig(&model, QUIET), &scatterers, 400)
     };
     let ((error_checks, watched), (nothing, plain)) = (bits(true), bits(false));

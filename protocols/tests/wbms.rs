@@ -310,7 +310,7 @@ fn commands_beyond_their_limits_are_refused_with_the_limit() {
     );
     assert_eq!(
         refused("set_gate_tilt nan").to_string(),
-        "set_gate_tilt: \"nan\" is no number"
+        "set_gate_tilt: \"nan\" is not a number"
     );
     assert_eq!(
         refused("reboot now").to_string(),

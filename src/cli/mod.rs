@@ -35,7 +35,7 @@ use echotank_config::spec::RigSpec;
 struct Cli {
     /// How diagnostics are written to standard error; RUST_LOG selects their levels
     #[arg(
-        long,
+        long = "log", id = "log-format",
         global = true,
         value_name = "FORMAT",
         value_enum,

@@ -610,7 +610,7 @@ fn a_replay_that_writes_elements_synthesises_them_or_refuses() {
     let samples = open(LOOSE, true).expect("elements");
     assert!(samples.contains("\"output\":\"elements\""), "{samples}");
     let refused = open(FIXED, true).expect_err("refused");
-    assert!(refused.contains("npz holds elements"), "{refused}");
+    assert!(refused.contains("which npz needs"), "{refused}");
 }
 
 /// Selections of the first pings, and a checksum of their lines.

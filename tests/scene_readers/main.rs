@@ -447,7 +447,7 @@ fn a_wrong_coordinate_system_is_refused_with_the_reason() {
         tie: [0.0, 0.0, 0.0, 5_000_000.0, 6_000_000.0, 0.0],
         ..Tiff::default()
     };
-    assert!(refusal("a.tif", far.bytes()).contains("are no eastings and northings of a UTM zone"));
+    assert!(refusal("a.tif", far.bytes()).contains("are not eastings and northings of a UTM zone"));
 
     // The BAG's metadata moved to another zone, and to the southern hemisphere: they contradict the box that they name.
     let bag = seeds::bag().bytes;
@@ -593,7 +593,7 @@ fn scene_info_refuses_with_status_2_and_the_files_name() {
         ),
         (vec![cut.as_str(), "--crs", "utm-61n"], "must be \"local\""),
         (vec![cut.as_str(), "--at", "1"], "expected two numbers"),
-        (vec![mesh.as_str(), "--png", "a.png"], "this is a model"),
+        (vec![mesh.as_str(), "--png", "a.png"], "this file is a 3-D model"),
     ] {
         let (code, out, err) = scene_info(&args);
         assert_eq!((code, out.as_str()), (2, ""), "{args:?}: {err}");
