@@ -35,7 +35,8 @@ use echotank_config::spec::RigSpec;
 struct Cli {
     /// How diagnostics are written to standard error; RUST_LOG selects their levels
     #[arg(
-        long = "log", id = "log-format",
+        long = "log",
+        id = "log-format",
         global = true,
         value_name = "FORMAT",
         value_enum,

@@ -593,7 +593,10 @@ fn scene_info_refuses_with_status_2_and_the_files_name() {
         ),
         (vec![cut.as_str(), "--crs", "utm-61n"], "must be \"local\""),
         (vec![cut.as_str(), "--at", "1"], "expected two numbers"),
-        (vec![mesh.as_str(), "--png", "a.png"], "this file is a 3-D model"),
+        (
+            vec![mesh.as_str(), "--png", "a.png"],
+            "this file is a 3-D model",
+        ),
     ] {
         let (code, out, err) = scene_info(&args);
         assert_eq!((code, out.as_str()), (2, ""), "{args:?}: {err}");

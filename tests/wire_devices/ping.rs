@@ -190,9 +190,7 @@ fn a_command_with_one_wrong_value_is_refused_with_a_reason_and_no_effect() {
         ("num_results must be from 200 to 1200", |p| {
             p.num_results = 1201
         }),
-        ("the pulse length", |p| {
-            p.pulse_len_percent = f32::NAN
-        }),
+        ("the pulse length", |p| p.pulse_len_percent = f32::NAN),
     ];
     for (words, change) in wrong {
         // The values before the wrong one are valid, so accepting them would show.

@@ -12,7 +12,7 @@ use super::*;
 
 const SAMPLES: usize = 500;
 
-pub fn write(folder: &Path) -> std::io::Result<()> {
+pub(crate) fn write(folder: &Path) -> std::io::Result<()> {
     let mut file = Vec::new();
     let time = SensorTime::from_utc_ns(UTC_NS);
     FileTime426 { time }.emit_message(&mut file);

@@ -23,7 +23,7 @@ pub const ROLL_PORT_UP_DEG: f64 = 5.0;
 pub const SOUND_SPEED_M_PER_S: f32 = 1500.0;
 
 /// The integer of sample `k` in channel `c` of ping `p`: -20000..=20000, all rows different.
-pub fn count(p: u64, c: u64, k: u64) -> i16 {
+pub(crate) fn count(p: u64, c: u64, k: u64) -> i16 {
     (((k * 7_919 + c * 104_729 + p * 15_485_863) % 40_001) as i32 - 20_000) as i16
 }
 

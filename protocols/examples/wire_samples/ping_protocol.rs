@@ -15,7 +15,7 @@ use echotank_protocols::ping_protocol::surveyor240::{
 
 use super::*;
 
-pub fn write(folder: &Path) -> std::io::Result<()> {
+pub(crate) fn write(folder: &Path) -> std::io::Result<()> {
     let mut file = Vec::new();
     DeviceInformation {
         device_type: 0,

@@ -9,7 +9,7 @@ use super::*;
 
 const SAMPLES: u64 = 500;
 
-pub fn write(folder: &Path) -> std::io::Result<()> {
+pub(crate) fn write(folder: &Path) -> std::io::Result<()> {
     let recording = Recording {
         data_type: DataType::ComplexI16,
         sample_rate_hz: 50e3,

@@ -11,7 +11,7 @@ use super::*;
 const ELEMENTS: u64 = 4;
 const SAMPLES: u64 = 500;
 
-pub fn write(folder: &Path) -> std::io::Result<()> {
+pub(crate) fn write(folder: &Path) -> std::io::Result<()> {
     let mut pcap = Vec::new();
     // Classic pcap, microseconds, Ethernet.
     for word in [0xA1B2_C3D4_u32, 4 << 16 | 2, 0, 0, 65_535, 1] {

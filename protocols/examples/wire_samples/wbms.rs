@@ -14,7 +14,7 @@ const SAMPLE_RATE_HZ: f64 = 78_125.0;
 const SWATH_DEG: f64 = 120.0;
 const SAMPLES: usize = 400;
 
-pub fn write(folder: &Path) -> std::io::Result<()> {
+pub(crate) fn write(folder: &Path) -> std::io::Result<()> {
     let (mut bathymetry, mut water_column, mut side_scan) = (Vec::new(), Vec::new(), Vec::new());
     let angles: Vec<f32> = (0..BEAMS)
         .map(|beam| {

@@ -11,7 +11,7 @@ use super::*;
 
 const SAMPLES: u64 = 500;
 
-pub fn write(folder: &Path) -> std::io::Result<()> {
+pub(crate) fn write(folder: &Path) -> std::io::Result<()> {
     let channel = |kind, format, name: &str| ChannelInfo {
         kind,
         format,

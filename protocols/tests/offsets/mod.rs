@@ -2,7 +2,7 @@
 
 /// Bytes made of `(offset, value)` pairs, independent of the order of fields in a struct.
 #[allow(dead_code, reason = "not every test file has tables")]
-pub fn table(len: usize, fields: &[(usize, &[u8])]) -> Vec<u8> {
+pub(crate) fn table(len: usize, fields: &[(usize, &[u8])]) -> Vec<u8> {
     let mut bytes = vec![0; len];
     for (at, value) in fields {
         bytes[*at..at + value.len()].copy_from_slice(value);
@@ -11,7 +11,7 @@ pub fn table(len: usize, fields: &[(usize, &[u8])]) -> Vec<u8> {
 }
 
 /// Asserts equality and names the first difference.
-pub fn assert_same(got: &[u8], want: &[u8], what: &str) {
+pub(crate) fn assert_same(got: &[u8], want: &[u8], what: &str) {
     for (at, (g, w)) in got.iter().zip(want).enumerate() {
         assert_eq!(
             g, w,

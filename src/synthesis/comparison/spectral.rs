@@ -72,10 +72,12 @@ impl Spectrum {
         }
     }
 
+    /// Number of bins of the frequency grid.
     pub fn bins(&self) -> usize {
         self.gain.len()
     }
 
+    /// Step of the frequency grid, hertz.
     pub fn step_hz(&self) -> f64 {
         self.step_hz
     }

@@ -459,23 +459,6 @@ impl<T: Sample> LineEngine<T> {
         task % self.ping.slabs
     }
 
-    /// Elements that a task computes.
-    pub(crate) fn task_elements(&self, task: usize) -> std::ops::Range<usize> {
-        let stretch = self.stretch(task);
-        stretch.first..stretch.first + stretch.along_m.len()
-    }
-
-    /// Length of the largest output of a task, in values.
-    pub(crate) fn output_len(&self) -> usize {
-        self.bins()
-            * self
-                .stretches
-                .iter()
-                .map(|s| s.along_m.len())
-                .max()
-                .unwrap_or(0)
-    }
-
     /// The echoes that a task needs.
     pub fn wanted(&self, task: usize) -> LineStretch {
         let stretch = self.stretch(task);
