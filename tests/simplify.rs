@@ -16,7 +16,7 @@ use echotank_scene::Scene;
 use echotank_scene::simplify::energy::{Beam, View};
 use echotank_scene::simplify::stage::Stage;
 use glam::DVec3;
-use measure::{Figures, LEVELS, Ladder, Once, Simplifier};
+use measure::{Figures, Ladder, Once, POINT_COUNTS, Simplifier};
 
 /// 4 pings and 2 seeds; `tools/ladder` has 48 and 64.
 #[test]
@@ -28,7 +28,7 @@ fn simplification_levels_match_the_paper_in_short() {
             .find(|r| (r.points, r.once, r.simplifier) == (points, once, simplifier))
             .unwrap()
     };
-    for points in LEVELS {
+    for points in POINT_COUNTS {
         let unbiased = row(points, Once::EachPing, Simplifier::Unbiased);
         let acoustic = row(points, Once::EachPing, Simplifier::Acoustic);
         let conventional = row(points, Once::Pass, Simplifier::Conventional);

@@ -314,7 +314,7 @@ mod tests {
         }
     }
 
-    fn ladder() -> Vec<Candidate> {
+    fn candidates() -> Vec<Candidate> {
         vec![
             candidate(1e-5, 40.0),
             candidate(1e-2, 1.0),
@@ -332,7 +332,7 @@ mod tests {
 
     #[test]
     fn the_cheapest_within_is_chosen_and_its_neighbours_are_named() {
-        let at = |tolerance: f64| choose(goal(tolerance), ladder(), Vec::new(), &[]).unwrap();
+        let at = |tolerance: f64| choose(goal(tolerance), candidates(), Vec::new(), &[]).unwrap();
         assert_eq!(at(1e-2).chosen().error(), 1e-2);
         assert_eq!(at(1e-3).chosen().error(), 1e-3);
         assert_eq!(at(1e-4).chosen().error(), 1e-5);
@@ -347,10 +347,10 @@ mod tests {
     #[test]
     fn what_is_barred_is_passed_over() {
         let barred = [candidate(1e-3, 0.0).choice];
-        let ranking = choose(goal(1e-3), ladder(), Vec::new(), &barred).unwrap();
+        let ranking = choose(goal(1e-3), candidates(), Vec::new(), &barred).unwrap();
         assert_eq!(ranking.chosen().error(), 5e-4);
-        let barred: Vec<Choice> = ladder().iter().map(|c| c.choice).collect();
-        assert!(choose(goal(1e-3), ladder(), Vec::new(), &barred).is_none());
+        let barred: Vec<Choice> = candidates().iter().map(|c| c.choice).collect();
+        assert!(choose(goal(1e-3), candidates(), Vec::new(), &barred).is_none());
         assert!(choose(goal(1e-3), Vec::new(), Vec::new(), &[]).is_none());
     }
 
@@ -360,7 +360,7 @@ mod tests {
             tolerance: 1e-6,
             image_cells: Some(1e-2),
         };
-        let ranking = choose(pictures, ladder(), Vec::new(), &[]).unwrap();
+        let ranking = choose(pictures, candidates(), Vec::new(), &[]).unwrap();
         assert!(ranking.is_within());
         assert!((ranking.chosen().cost_ms() - 1.0).abs() < 1e-12);
     }

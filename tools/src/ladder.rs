@@ -11,7 +11,7 @@ mod picture;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use measure::{Figures, LEVELS, Ladder, Once, Simplifier};
+use measure::{Figures, Ladder, Once, POINT_COUNTS, Simplifier};
 
 const HELP: &str = "\
 tools/ladder [--quick] [--seeds N] [--json FILE] [--picture FILE] [--times]
@@ -132,7 +132,7 @@ fn print_times(ladder: &Ladder) {
         "{:>6} {:<22} {:>12.2} {:>12.2} {:>12}",
         "all", "-", choose_ms, ping_ms, "0"
     );
-    for points in LEVELS {
+    for points in POINT_COUNTS {
         for simplifier in Simplifier::ALL {
             let (choose_ms, ping_ms, level_db) = ladder.time(Some((simplifier, points)));
             println!(

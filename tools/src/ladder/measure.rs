@@ -25,7 +25,7 @@ use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 use rayon::prelude::*;
 
-pub(crate) const LEVELS: [usize; 4] = [5125, 3000, 1000, 176];
+pub(crate) const POINT_COUNTS: [usize; 4] = [5125, 3000, 1000, 176];
 
 const SOUND_SPEED_M_PER_S: f64 = 1500.0;
 const CARRIER_HZ: f64 = 400e3;
@@ -177,7 +177,7 @@ impl Ladder {
             })
             .collect();
         let places: Vec<DVec3> = (0..s.len()).map(|i| s.position_m(i)).collect();
-        let collapsed = LEVELS
+        let collapsed = POINT_COUNTS
             .par_iter()
             .map(|keep| collapse(&places, &cloud.triangles, *keep))
             .collect();
@@ -215,7 +215,7 @@ impl Ladder {
         for once in Once::ALL {
             for simplifier in Simplifier::ALL {
                 let passes = self.simplified(&all, seed, once, simplifier, &mut imager);
-                for (points, (pass, kept)) in LEVELS.iter().zip(passes) {
+                for (points, (pass, kept)) in POINT_COUNTS.iter().zip(passes) {
                     let place = rows()
                         .iter()
                         .position(|row| *row == (*points, once, simplifier));
@@ -273,15 +273,15 @@ impl Ladder {
         simplifier: Simplifier,
         imager: &mut Imager,
     ) -> Vec<(Pass, f64)> {
-        let mut passes = vec![(Pass::default(), 0.0); LEVELS.len()];
+        let mut passes = vec![(Pass::default(), 0.0); POINT_COUNTS.len()];
         let mut heard = Scatterers::default();
         let mut chooser = Chooser::new(self);
         for ping in 0..self.pings {
-            for (rung, keep) in LEVELS.into_iter().enumerate() {
+            for (size, keep) in POINT_COUNTS.into_iter().enumerate() {
                 heard.clear();
                 match simplifier.rule() {
                     None => {
-                        let collapsed = &self.collapsed[rung];
+                        let collapsed = &self.collapsed[size];
                         for (&i, share) in collapsed.kept.iter().zip(&collapsed.area_share) {
                             let inherits = simplifier == Simplifier::ConventionalWithArea;
                             let gain = if inherits { share.sqrt() } else { 1.0 };
@@ -289,7 +289,7 @@ impl Ladder {
                                 push(&mut heard, all, i as usize, gain);
                             }
                         }
-                        passes[rung].1 += collapsed.kept.len() as f64 / self.pings as f64;
+                        passes[size].1 += collapsed.kept.len() as f64 / self.pings as f64;
                     }
                     Some((method, weights)) => {
                         let settings = Settings {
@@ -302,16 +302,16 @@ impl Ladder {
                             Once::EachPing => Some(ping),
                             Once::Pass => None,
                         };
-                        let selection = chooser.choose(all, place, self.pings, rung, &settings);
+                        let selection = chooser.choose(all, place, self.pings, size, &settings);
                         for (&i, gain) in selection.kept.iter().zip(&selection.gain) {
                             if !self.hidden[ping][i as usize] {
                                 push(&mut heard, all, i as usize, *gain);
                             }
                         }
-                        passes[rung].1 += selection.kept.len() as f64 / self.pings as f64;
+                        passes[size].1 += selection.kept.len() as f64 / self.pings as f64;
                     }
                 }
-                imager.ping(sonar_m(ping, self.pings), &heard, &mut passes[rung].0);
+                imager.ping(sonar_m(ping, self.pings), &heard, &mut passes[size].0);
             }
         }
         passes
@@ -336,8 +336,8 @@ impl Ladder {
                 heard.clear();
                 match simplifier.rule() {
                     None => {
-                        let rung = LEVELS.iter().position(|r| *r == keep).unwrap_or(0);
-                        let kept = &self.collapsed[rung];
+                        let size = POINT_COUNTS.iter().position(|r| *r == keep).unwrap_or(0);
+                        let kept = &self.collapsed[size];
                         for (&i, share) in kept.kept.iter().zip(&kept.area_share) {
                             let inherits = simplifier == Simplifier::ConventionalWithArea;
                             let gain = if inherits { share.sqrt() } else { 1.0 };
@@ -375,7 +375,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 pub(crate) fn rows() -> Vec<(usize, Once, Simplifier)> {
     let mut rows = Vec::new();
-    for points in LEVELS {
+    for points in POINT_COUNTS {
         for once in Once::ALL {
             for simplifier in Simplifier::ALL {
                 let collapses = simplifier.rule().is_none();
@@ -451,9 +451,9 @@ impl Chooser {
             .clone_values(&ladder.curvatures.curvatures);
         Self {
             energies,
-            selections: LEVELS.iter().map(|_| Selection::default()).collect(),
+            selections: POINT_COUNTS.iter().map(|_| Selection::default()).collect(),
             made: None,
-            chosen: vec![false; LEVELS.len()],
+            chosen: vec![false; POINT_COUNTS.len()],
         }
     }
 
@@ -467,7 +467,7 @@ impl Chooser {
         all: &Scatterers,
         ping: Option<usize>,
         pings: usize,
-        rung: usize,
+        size: usize,
         settings: &Settings,
     ) -> &Selection {
         let key = (ping, settings.method, settings.weights);
@@ -481,11 +481,11 @@ impl Chooser {
             self.made = Some(key);
             self.chosen.fill(false);
         }
-        let selection = &mut self.selections[rung];
-        if !self.chosen[rung] {
+        let selection = &mut self.selections[size];
+        if !self.chosen[size] {
             let rule = selection.rule(&self.energies, all.len(), settings);
             selection.apply(rule, all, &self.energies, all.len(), settings.seed);
-            self.chosen[rung] = true;
+            self.chosen[size] = true;
         }
         selection
     }

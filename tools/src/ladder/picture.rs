@@ -3,7 +3,7 @@
 use std::io;
 use std::path::Path;
 
-use super::measure::{LEVELS, Ladder, Once, Pass, Simplifier};
+use super::measure::{Ladder, Once, POINT_COUNTS, Pass, Simplifier};
 
 /// Range samples per pixel, and pixel rows per ping.
 const SAMPLES_PER_PIXEL: usize = 6;
@@ -35,8 +35,8 @@ pub(crate) fn draw(ladder: &Ladder, file: &Path) -> io::Result<()> {
         .iter()
         .map(|(once, s)| ladder.passes(*once, *s))
         .collect();
-    for rung in 0..LEVELS.len() {
-        rows.push(passes.iter().map(|p| panel(&p[rung].0, white)).collect());
+    for size in 0..POINT_COUNTS.len() {
+        rows.push(passes.iter().map(|p| panel(&p[size].0, white)).collect());
     }
     let (width, height) = (rows[0][0].width, rows[0][0].height);
     let all_width = columns.len() * width + (columns.len() - 1) * GAP;
