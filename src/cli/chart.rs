@@ -1,6 +1,5 @@
 //! `echotank chart`: accuracy against run time, measured on the configured scene and this machine.
 
-pub(crate) mod draw;
 mod page;
 mod peers;
 mod plot;
@@ -141,7 +140,10 @@ pub(crate) fn main(args: &ChartArgs) -> Result<(), Failure> {
     };
     let svg = plot::chart(&chart, &peers, &about);
     write("chart.svg", svg.as_bytes())?;
-    write("chart.png", &draw::png(&svg).map_err(Failure::running)?)?;
+    write(
+        "chart.png",
+        &echotank_drawing::png(&svg).map_err(Failure::running)?,
+    )?;
     write("chart.csv", table::csv(&chart, &peers).as_bytes())?;
     write(
         "chart.json",
@@ -154,7 +156,10 @@ pub(crate) fn main(args: &ChartArgs) -> Result<(), Failure> {
     )?;
     if let Some(svg) = &work_svg {
         write("work.svg", svg.as_bytes())?;
-        write("work.png", &draw::png(svg).map_err(Failure::running)?)?;
+        write(
+            "work.png",
+            &echotank_drawing::png(svg).map_err(Failure::running)?,
+        )?;
     }
     print!("{}", table::text(&chart, &curves, &about));
     for peer in &peers {

@@ -22,7 +22,7 @@ mod targets;
 mod tiles;
 
 #[cfg(test)]
-mod tests;
+mod unit_tests;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

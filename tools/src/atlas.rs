@@ -1,39 +1,29 @@
 //! Draws the map of failures; see `tools/atlas --help`.
 
-#[allow(
-    dead_code,
-    reason = "a regime names the columns about its boundary too"
-)]
-#[path = "atlas/mod.rs"]
-mod atlas;
-#[allow(dead_code, reason = "the chart's own, of which maps use a part")]
-#[path = "../../src/cli/chart/draw.rs"]
-mod chart_draw;
-#[path = "atlas/page.rs"]
+pub(crate) mod measure;
 mod page;
-#[path = "atlas/picture.rs"]
 mod picture;
-#[path = "atlas/small.rs"]
+pub(crate) mod regimes;
 mod small;
-mod track;
+pub(crate) mod spot;
 
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use clap::Parser;
+use clap::Args;
 use echotank_core::model::PathModel;
 
-use atlas::measure::{Bench, Column, DOPPLERS, Outcome, SUMS};
-use atlas::regimes::{ALL, Regime};
-use atlas::spot::{Base, Size};
+use self::measure::{Bench, Column, DOPPLERS, Outcome, SUMS};
+use self::regimes::{ALL, Regime};
+use self::spot::{Base, Size};
 use picture::{Map, Mark, Panel, Sign};
 
-#[derive(Parser)]
+#[derive(Args)]
 #[command(
     about = "Sweep every regime in which methods fail: figures, a page of them, and a table of every cell"
 )]
-struct Arguments {
+pub(crate) struct Arguments {
     /// Draw only maps whose name contains this; leave the page unchanged
     #[arg(long)]
     only: Option<String>,
@@ -56,8 +46,7 @@ struct Arguments {
     threads: usize,
 }
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let given = Arguments::parse();
+pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     std::fs::create_dir_all(&given.out)?;
     let page = given.out.join("README.md");
     if given.page {
@@ -103,7 +92,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 }
 
 fn write(given: &Arguments, name: &str, svg: &str) -> Result<(), Box<dyn std::error::Error>> {
-    std::fs::write(given.out.join(format!("{name}.png")), chart_draw::png(svg)?)?;
+    std::fs::write(
+        given.out.join(format!("{name}.png")),
+        echotank_drawing::png(svg)?,
+    )?;
     if given.svg {
         std::fs::write(given.out.join(format!("{name}.svg")), svg)?;
     }
@@ -149,7 +141,7 @@ fn map(regime: &Regime, columns: &[Column]) -> Map {
                     .map(|c| mark(c.cell(sum, d, p), c.tolerance, blind));
                 marks.push(row.collect());
                 for (column, c) in columns.iter().enumerate() {
-                    let of_it = |plan: &atlas::measure::Planned| {
+                    let of_it = |plan: &measure::Planned| {
                         (plan.synthesis, plan.doppler, plan.path) == (*synthesis, doppler, path)
                     };
                     if c.plan.as_ref().is_some_and(of_it) {

@@ -1,44 +1,27 @@
 //! Measures the echo engine: errors and run times, one line each. See `tools/bench --help`.
 
-#[path = "bench/beams.rs"]
 mod beams;
-#[path = "bench/echo.rs"]
 mod echo;
-#[path = "bench/forward_looking.rs"]
 mod forward_looking;
-#[path = "bench/machine.rs"]
-mod machine;
-#[path = "bench/nav.rs"]
+pub(crate) mod machine;
 mod nav;
-#[path = "bench/ping.rs"]
 mod ping;
-#[path = "bench/report.rs"]
 mod report;
-#[path = "../../tests/echo_model/rig.rs"]
-#[allow(dead_code, reason = "shared with the tests of the echo model")]
-mod rig;
-#[path = "bench/scene.rs"]
 mod scene;
-#[path = "bench/stages.rs"]
 mod stages;
-#[path = "bench/transform.rs"]
 mod transform;
-#[path = "bench/whole.rs"]
 mod whole;
-#[path = "bench/wire.rs"]
 mod wire;
-#[path = "../../tests/wire_rig/mod.rs"]
-mod wire_rig;
 
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Subcommand};
 
 use report::Report;
 
-#[derive(Parser)]
+#[derive(Args)]
 #[command(about = "Measure errors and run times of the emulator's parts")]
-struct Arguments {
+pub(crate) struct Arguments {
     #[command(subcommand)]
     what: What,
 }
@@ -139,8 +122,8 @@ fn echo(common: &Common, selection: &whole::Selection) -> Result<(), String> {
     report.keep(common.json.as_deref())
 }
 
-fn main() -> std::process::ExitCode {
-    let done = match Arguments::parse().what {
+pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
+    let done = match given.what {
         What::Echo {
             common,
             only,
@@ -186,11 +169,5 @@ fn main() -> std::process::ExitCode {
         } => transform::dump(&directory, scatterers, elements, element),
         What::TransformServe { directory } => transform::serve(&directory),
     };
-    match done {
-        Ok(()) => std::process::ExitCode::SUCCESS,
-        Err(message) => {
-            eprintln!("{message}");
-            std::process::ExitCode::FAILURE
-        }
-    }
+    Ok(done?)
 }

@@ -1,13 +1,11 @@
 //! Prints the errors of path and Doppler models against the reference: of samples over speed and angle, of images over speed and range.
 //!
-//! `tools/errors` prints the tables of tests/stability/errors.txt and images.txt; `tools/errors --keep` rewrites these files.
+//! `tools/errors` prints the tables of tools/kept/errors.txt and images.txt; `tools/errors --keep` rewrites these files.
 
-#[path = "errors/images.rs"]
-mod images;
-#[path = "errors/table.rs"]
-mod table;
+pub(crate) mod images;
+pub(crate) mod table;
 
-use std::path::Path;
+use clap::Args;
 
 const ABOUT: &str = "\
 One point, one element, LFM 400 kHz / 30 kHz / 5 ms (tapered by a twentieth at each end), 1500 m/s, uniform motion along the track.
@@ -25,7 +23,17 @@ along is below a quarter of its cell (0.64 lambda r / L) and edge below a tenth 
 error of the element's samples at the edge, ! above 1e-3; this matters to beamforming but not to the image.
 ";
 
-fn main() -> std::io::Result<()> {
+#[derive(Args)]
+#[command(
+    about = "Errors of path and Doppler models over speed, range and angle, of samples and of images"
+)]
+pub(crate) struct Arguments {
+    /// Write tools/kept/errors.txt and images.txt
+    #[arg(long)]
+    keep: bool,
+}
+
+pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let mut samples = format!("{ABOUT}\n{}\n", table::heading());
     for case in table::cases() {
         samples += &table::row(case);
@@ -37,16 +45,9 @@ fn main() -> std::io::Result<()> {
         pictures += "\n";
     }
     print!("{samples}\n{pictures}");
-    match std::env::args().nth(1).as_deref() {
-        None => Ok(()),
-        Some("--keep") => {
-            let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/stability");
-            std::fs::write(folder.join("errors.txt"), samples)?;
-            std::fs::write(folder.join("images.txt"), pictures)
-        }
-        Some(other) => {
-            eprintln!("{other}: unknown option; the only option is --keep");
-            std::process::exit(2);
-        }
+    if given.keep {
+        std::fs::write(crate::kept("errors.txt"), samples)?;
+        std::fs::write(crate::kept("images.txt"), pictures)?;
     }
+    Ok(())
 }

@@ -1,27 +1,26 @@
 //! Compares automatic method selection with measurements, on random rigs and on configurations; see `tools/rigs --help`.
 
-#[path = "rigs/mod.rs"]
-mod rigs;
-mod track;
+pub(crate) mod case;
+pub(crate) mod measure;
+mod reference;
 
 use std::fmt::Write as _;
 use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use clap::Parser;
+use clap::Args;
 use serde::{Deserialize, Serialize};
 
 use echotank_config as config;
 use echotank_ping::method_selection::costs::Costs;
 use echotank_ping::rig::pool;
-use rigs::case;
-use rigs::measure::{Did, Measured, measure};
+use measure::{Did, Measured, measure};
 
 /// Pings faster than this are exempt from the cost limit, ms.
 const MIN_MS: f64 = 1.0;
 
-#[derive(Parser)]
+#[derive(Args)]
 #[command(
     about = "Measure automatic method selection on random rigs and on configurations: predicted and measured errors and costs, on one thread",
     long_about = "Makes the first ping of each rig with the selected methods and with other candidates. The error is the largest in any window of a \
@@ -31,7 +30,7 @@ the reference's equation, stands under \"ref. err\". The four worst windows of t
 counts. If the reference solution's error exceeds a tenth of the tolerance, the measured error is that of 128 random samples, marked c. \
 Times: minimum of 5 runs in turn, one thread."
 )]
-struct Arguments {
+pub(crate) struct Arguments {
     /// Number of random rigs
     #[arg(long, default_value_t = 200)]
     random: u64,
@@ -52,7 +51,7 @@ struct Arguments {
     /// Print every rig's details on standard error
     #[arg(long)]
     why: bool,
-    /// Write tests/stability/rigs.txt
+    /// Write tools/kept/rigs.txt
     #[arg(long)]
     keep: bool,
 }
@@ -64,8 +63,7 @@ struct Row {
     of: Measured,
 }
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let given = Arguments::parse();
+pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let costs = echotank_runtime::rig::costs_of(given.costs.as_deref())?;
     let load_before = load();
     let mut rows = Vec::new();
@@ -126,8 +124,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let text = report(&rows, &failed, &costs, (load_before, load()));
     print!("{text}");
     if given.keep {
-        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/stability/rigs.txt");
-        fs::write(file, &text)?;
+        fs::write(crate::kept("rigs.txt"), &text)?;
     }
     Ok(())
 }
@@ -142,7 +139,7 @@ fn configuration(path: &Path) -> Result<config::spec::RigSpec, Box<dyn std::erro
                 .or_insert_with(|| toml::Table::new().into())
                 .as_table_mut()
                 .ok_or("sonar.model is no table")?;
-            // Compares every element; `tests/plan/parts.rs` covers side-scan lines without elements.
+            // Compares every element; `tools/src/tests/plan/parts.rs` covers side-scan lines without elements.
             model.insert("output".into(), "elements".into());
             if model.values().any(|value| value.as_str() == Some("auto")) {
                 continue;

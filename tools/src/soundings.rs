@@ -1,42 +1,39 @@
 //! Compares soundings of the whole pipeline with their seabed; see `tools/soundings --help`.
 
-#[path = "soundings/measure.rs"]
-mod measure;
+pub(crate) mod measure;
 
+use std::path::PathBuf;
+
+use clap::Args;
 use echotank_config::spec::ColourMap;
 use echotank_imaging::image::colour;
 use measure::{Case, Soundings, agreement};
 
-const HELP: &str = "\
-tools/soundings [--pings N] [--picture FILE.png]
-
-Prints depth errors of hil-configs/multibeam.toml with bottom detection by angle: over a flat bottom, over a slope, and over the JD211 survey
-on a straight track and with the quickstart's swell. N pings each (default 60), 4 s apart. --picture: the survey's soundings and truth, in cells of 10 m.
-";
+#[derive(Args)]
+#[command(
+    about = "Depth errors by angle of hil-configs/multibeam.toml with bottom detection: over a flat bottom, over a slope, and over the JD211 survey on \
+a straight track and with the quickstart's swell"
+)]
+pub(crate) struct Arguments {
+    /// Pings of each case, 4 s apart
+    #[arg(long, default_value_t = 60)]
+    pings: usize,
+    /// The survey's soundings and truth as PNG, in cells of 10 m
+    #[arg(long, value_name = "FILE.png")]
+    picture: Option<PathBuf>,
+}
 
 /// Cell sizes at which relief is compared.
 const CELL_M: f64 = 10.0;
 const LEAST: usize = 5;
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let (mut pings, mut picture) = (60, None);
-    let mut arguments = std::env::args().skip(1);
-    while let Some(argument) = arguments.next() {
-        match argument.as_str() {
-            "--pings" => pings = arguments.next().ok_or("--pings needs a number")?.parse()?,
-            "--picture" => picture = Some(arguments.next().ok_or("--picture needs a file")?),
-            _ => {
-                print!("{HELP}");
-                return Ok(());
-            }
-        }
-    }
+pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let folder = std::env::temp_dir().join(format!("echotank-soundings-{}", std::process::id()));
     std::fs::create_dir_all(&folder)?;
     for case in Case::ALL {
         let spec = measure::spec(case, &folder, 128, 121)?;
         let begun = std::time::Instant::now();
-        let soundings = measure::measure(case, &spec, pings, 4.0)?;
+        let soundings = measure::measure(case, &spec, given.pings, 4.0)?;
         println!(
             "{}({:.1} s)\n",
             soundings.table(10.0),
@@ -47,8 +44,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             println!(
                 "relief in cells of {CELL_M} m: standard deviation of the truth {relief_m:.3} m, of the sounding error {apart_m:.3} m, correlation {correlation:.3}\n"
             );
-            if let Some(file) = &picture {
-                draw(&soundings, std::path::Path::new(file))?;
+            if let Some(file) = &given.picture {
+                draw(&soundings, file)?;
             }
         }
     }

@@ -10,6 +10,8 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Instant;
 
+use clap::Args;
+
 use echotank_core::frames::Trajectory;
 use echotank_core::navigation::NavState;
 use echotank_core::ping::PingOutput;
@@ -28,28 +30,28 @@ const CELL_M: f64 = 4.0;
 const DENSITY_PER_M2: f64 = 10.0 / 0.02;
 const LIMIT_BYTES: u64 = 2 << 30;
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let pings = match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
-        [] => 100,
-        ["--quick"] => 10,
-        _ => {
-            eprintln!("unknown option; the only option is --quick");
-            std::process::exit(2);
-        }
-    };
+#[derive(Args)]
+#[command(
+    about = "A survey of 10 km x 1 km at 10 points per 0.02 m^2 (5e9 scatterers): memory and milliseconds per ping along it"
+)]
+pub(crate) struct Arguments {
+    /// 10 pings instead of 100
+    #[arg(long)]
+    quick: bool,
+}
+
+pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
+    let pings = if given.quick { 10 } else { 100 };
     let folder = std::env::temp_dir().join(format!("echotank-survey-{}", std::process::id()));
     std::fs::create_dir_all(&folder)?;
     let done = survey(&folder, pings);
     std::fs::remove_dir_all(&folder)?;
     let (peak, faults) = done?;
     if peak.is_some_and(|bytes| bytes > LIMIT_BYTES) {
-        eprintln!("peak memory above 2 GiB");
-        std::process::exit(1);
+        return Err("peak memory above 2 GiB".into());
     }
     if faults > 0 {
-        eprintln!("{faults} error checks above 1.3 times the tolerance");
-        std::process::exit(1);
+        return Err(format!("{faults} error checks above 1.3 times the tolerance").into());
     }
     Ok(())
 }

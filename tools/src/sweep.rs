@@ -1,17 +1,17 @@
 //! Measures whether methods meet their tolerance; see `tools/sweep --help`.
 
-#[path = "sweep/mod.rs"]
-mod sweep;
+pub(crate) mod case;
+mod draw;
+pub(crate) mod measure;
+pub(crate) mod methods;
+pub(crate) mod table;
 
-use std::path::Path;
-
-use clap::Parser;
+use clap::Args;
 use rayon::prelude::*;
 
-use sweep::case::{self, Case, MOTIONS, SCENES};
-use sweep::measure;
-use sweep::methods::{Method, Reason};
-use sweep::table::{Cell, MEASURES, Measured, Row, TOLERANCES, doubt, heading};
+use case::{Case, MOTIONS, SCENES};
+use methods::{Method, Reason};
+use table::{Cell, MEASURES, Measured, Row, TOLERANCES, doubt, heading};
 
 const ABOUT: &str = "\
 Each method has three lines: the largest error in any window of a pulse length (at least 32 samples), over all samples of three elements. First line:
@@ -26,11 +26,11 @@ it a share, and answers with samples or refuses. \"model\": no supported Doppler
 enough. \"as it is\": continuous path and the best supported Doppler model, without a tolerance. Errors above the tolerance are marked !.
 ";
 
-#[derive(Parser)]
+#[derive(Args)]
 #[command(
     about = "Measure every method at every tolerance on fixed and random scenes, against the reference"
 )]
-struct Arguments {
+pub(crate) struct Arguments {
     /// Scatterers in the table's scenes
     #[arg(long, default_value_t = 40)]
     scatterers: usize,
@@ -46,7 +46,7 @@ struct Arguments {
     /// First random scene
     #[arg(long, default_value_t = 0, conflicts_with = "keep")]
     first: u64,
-    /// Write tests/stability/tolerances.txt
+    /// Write tools/kept/tolerances.txt
     #[arg(long)]
     keep: bool,
     /// Print the models chosen for each cell, or why the method refused
@@ -54,8 +54,7 @@ struct Arguments {
     why: bool,
 }
 
-fn main() -> std::io::Result<()> {
-    let given = Arguments::parse();
+pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let mut text = format!("{ABOUT}\n{}\n", heading());
     // Unordered on standard error as they finish, in order on standard output.
     let mut broken = 0;
@@ -102,11 +101,10 @@ fn main() -> std::io::Result<()> {
     broken += above;
     print!("{text}");
     if given.keep {
-        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/stability/tolerances.txt");
-        std::fs::write(file, &text)?;
+        std::fs::write(crate::kept("tolerances.txt"), &text)?;
     }
     if broken > 0 {
-        std::process::exit(1);
+        return Err(format!("{broken} errors above their tolerance").into());
     }
     Ok(())
 }

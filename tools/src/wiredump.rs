@@ -1,18 +1,17 @@
-//! tools/wiredump: prints the messages of any supported protocol, one per line, from a file, a capture or a socket.
+//! Prints the messages of any supported protocol, one per line, from a file, a capture or a socket.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, SocketAddr, TcpStream, UdpSocket};
-use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
-use clap::Parser;
+use clap::Args;
 use echotank_nav::capture;
 use echotank_protocols::words::{Datagrams, Format, Words};
 use echotank_runtime::io::capture_text::describe_capture;
 
-#[derive(Parser)]
+#[derive(Args)]
 #[command(about = "Print the messages of any supported protocol, one per line")]
-struct Args {
+pub(crate) struct Arguments {
     /// A file; a capture (pcap, pcapng) of UDP and TCP; tcp:HOST:PORT to connect; udp:ADDRESS:PORT to listen, also to multicast groups; `-`
     /// for standard input
     source: String,
@@ -59,8 +58,7 @@ impl Printer {
     }
 }
 
-fn main() -> ExitCode {
-    let args = Args::parse();
+pub(crate) fn run(args: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let mut printer = Printer {
         left: (args.lines > 0).then_some(args.lines),
     };
@@ -69,18 +67,12 @@ fn main() -> ExitCode {
         Some(("udp", address)) => udp(address, &args, &mut printer),
         _ => file(&args, &mut printer),
     };
-    match outcome {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(why) => {
-            eprintln!("wiredump: {}: {why}", args.source);
-            ExitCode::FAILURE
-        }
-    }
+    outcome.map_err(|why| format!("{}: {why}", args.source).into())
 }
 
 const UNKNOWN: &str = "unknown format (first bytes not recognised); name it with --format";
 
-fn file(args: &Args, printer: &mut Printer) -> Result<(), String> {
+fn file(args: &Arguments, printer: &mut Printer) -> Result<(), String> {
     let bytes = if args.source == "-" {
         let mut bytes = Vec::new();
         std::io::stdin().read_to_end(&mut bytes).map(|_| bytes)
@@ -103,7 +95,7 @@ fn file(args: &Args, printer: &mut Printer) -> Result<(), String> {
 }
 
 /// When to stop.
-fn end(args: &Args) -> Option<Instant> {
+fn end(args: &Arguments) -> Option<Instant> {
     (args.seconds > 0.0).then(|| Instant::now() + Duration::from_secs_f64(args.seconds.min(1e9)))
 }
 
@@ -117,7 +109,7 @@ fn is_silence(error: &std::io::Error) -> bool {
     )
 }
 
-fn tcp(address: &str, args: &Args, printer: &mut Printer) -> Result<(), String> {
+fn tcp(address: &str, args: &Arguments, printer: &mut Printer) -> Result<(), String> {
     let say = |error: std::io::Error| error.to_string();
     let mut stream = TcpStream::connect(address).map_err(say)?;
     stream.set_read_timeout(Some(LOOK)).map_err(say)?;
@@ -167,7 +159,7 @@ fn bytes_of(hexadecimal: &str) -> Result<Vec<u8>, String> {
         .collect()
 }
 
-fn udp(address: &str, args: &Args, printer: &mut Printer) -> Result<(), String> {
+fn udp(address: &str, args: &Arguments, printer: &mut Printer) -> Result<(), String> {
     let say = |error: std::io::Error| error.to_string();
     let address: SocketAddr = address
         .parse()

@@ -2,8 +2,8 @@
 
 use echotank_runtime::chart::Chart;
 
-use super::draw::escaped;
 use super::table::{About, note, subtitle};
+use echotank_drawing::escaped;
 
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:1.5rem auto;max-width:1240px;color:#1b1f24;background:#fff}svg{max-width:100%;height:auto}table{border-collapse:collapse;font-size:13px}th,td{padding:3px 9px;text-align:right;border-bottom:1px solid #e4e7eb}th:last-child,td:last-child{text-align:left}tr.at{background:#fff3c4}tr.front td:last-child{font-weight:600}#tip{position:fixed;pointer-events:none;background:#1b1f24;color:#fff;padding:6px 9px;border-radius:5px;font-size:13px;white-space:pre;display:none;z-index:2}[data-row]{cursor:pointer}";
 

@@ -9,9 +9,9 @@ use echotank_runtime::chart::methods::Method;
 use echotank_runtime::chart::work::{Curve, Work};
 use echotank_runtime::chart::{Chart, Measured, Row};
 
-use super::draw::{Anchor, GREY, INK, PALE, Svg, escaped, width_of};
 use super::peers::Peer;
 use super::table::{About, subtitle};
+use echotank_drawing::{Anchor, GREY, INK, PALE, Svg, escaped, width_of};
 
 const WIDTH: f64 = 1200.0;
 const HEIGHT: f64 = 768.0;

@@ -9,7 +9,7 @@ use echotank_nav::report::LogReport;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use crate::cli::chart::draw::{FAMILY, png};
+use echotank_drawing::{FAMILY, png};
 
 const SIZE: (u32, u32) = (1400, 800);
 const LINE: RGBColor = RGBColor(20, 80, 160);

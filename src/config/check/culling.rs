@@ -62,7 +62,7 @@ fn floor(
     first_kept.copied().unwrap_or(1.0)
 }
 
-/// As [`Pattern`] has it, towards a unit vector in array axes. (`echo::levels::Directivity` is the same for the ping path; `tests/seabed_culling.rs`
+/// As [`Pattern`] has it, towards a unit vector in array axes. (`echo::levels::Directivity` is the same for the ping path; `src/ping/tests/it/culling.rs`
 /// holds what this chooses against that.)
 fn response(pattern: &Pattern, wavelength_m: f64, u: DVec3) -> f64 {
     let sinc = |x: f64| match x == 0.0 {

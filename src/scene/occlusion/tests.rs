@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use crate::Scene;
 use crate::read::Survey;
 use crate::seabed::Surface;
-use crate::tests::Disk;
+use crate::unit_tests::Disk;
 use echotank_config::spec::{
     AnchorSpec, BottomSpec, Density, IncidenceSpec, OcclusionSpec, SceneSpec, SeabedFileSpec,
     SeabedShape, SeabedSpec,

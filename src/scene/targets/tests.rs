@@ -6,7 +6,7 @@ use super::mesh::Mesh;
 use super::solid::SurfacePoint;
 use super::*;
 use crate::read::TriangleMesh;
-use crate::tests::Disk;
+use crate::unit_tests::Disk;
 
 fn meshes_in(path: &Path) -> MeshFolder<'_> {
     MeshFolder { files: &Disk, path }

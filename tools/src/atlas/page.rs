@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::atlas::regimes::ALL;
+use super::regimes::ALL;
 use super::small::{CURVATURE_SAYS, PLACES_SAYS};
 
 const HEAD: &str = "\
@@ -13,7 +13,7 @@ with every path and Doppler model (rows). The colour is the error of the samples
 Blue is within the tolerance, orange is not; hatched cells were refused with a reason. Rings mark the selected methods of each column, and the strip below
 shows their errors. The frame marks the paper's own formula, Eq. 21 of Meng et al. 2023 with the sum of Eq. 18, as printed.
 
-`tools/atlas` draws all figures (an hour on a busy machine), `--only NAME` one of them; `--page` writes this page. `tests/stability/regimes.rs` tests the
+`tools/atlas` draws all figures (an hour on a busy machine), `--only NAME` one of them; `--page` writes this page. `tools/src/tests/regimes.rs` tests the
 boundaries of every regime in the first part of the table on a short pulse, with two to six columns each: no NaN, no panic, no error above its prediction
 and no selection inside a failing region.
 
@@ -24,13 +24,13 @@ const OTHERS: [[&str; 4]; 6] = [
         "curvature on planes",
         "0/0 on flat ground, on few points and if all are in shadow (Eqs. 27 and 28)",
         "a floor of -30 dB under the curvature; undefined energies rank last",
-        "[picture](curvature.png); `simplification_has_a_number_for_every_surface` (`tests/stability`)",
+        "[picture](curvature.png); `simplification_has_a_number_for_every_surface` (`tools/src/tests/regimes.rs`)",
     ],
     [
         "poles, antimeridian",
         "not considered: positions are in metres",
         "via earth-centred coordinates: accurate to a micrometre anywhere",
-        "[picture](places.png); `places_come_back_over_poles_and_antimeridian` (`tests/stability`)",
+        "[picture](places.png); `places_come_back_over_poles_and_antimeridian` (`tools/src/tests/regimes.rs`)",
     ],
     [
         "ping period below the two-way time",
@@ -75,7 +75,7 @@ pub(crate) fn page() -> String {
     for regime in &ALL {
         let _ = writeln!(
             text,
-            "| {} | {} | {} | [picture]({}.png), `tests/stability` |",
+            "| {} | {} | {} | [picture]({}.png), `tools/src/tests/regimes.rs` |",
             regime.name, regime.paper, regime.ours, regime.name
         );
     }

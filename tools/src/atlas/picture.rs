@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::chart_draw::{Anchor, GREY, INK, Svg, escaped};
+use echotank_drawing::{Anchor, GREY, INK, Svg, escaped};
 
 /// One square of a map.
 #[derive(Clone, Debug, PartialEq)]

@@ -19,6 +19,7 @@ pub(crate) struct Regime {
     pub(crate) axis: &'static str,
     pub(crate) values: &'static [f64],
     /// Values on both sides of the failure, for tests.
+    #[cfg_attr(not(test), expect(dead_code, reason = "the columns of the short form"))]
     pub(crate) few: &'static [f64],
     pub(crate) spot: fn(&Base, f64) -> Spot,
     /// One sentence below the figure.

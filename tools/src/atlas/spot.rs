@@ -12,7 +12,7 @@ use echotank_ping::{self as ping, PingOrder};
 use glam::DVec3;
 use num_complex::Complex64;
 
-use crate::track::{ALONG_TRACK, COLUMNS};
+use echotank_testing::track::{ALONG_TRACK, COLUMNS};
 
 pub(crate) const C: f64 = 1500.0;
 /// UTC time of navigation samples at the pulse.

@@ -29,8 +29,8 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use super::report::Report;
-use super::rig;
 use super::scene::Chance;
+use echotank_testing::echo as rig;
 
 const C: f64 = rig::C;
 const RATE_HZ: f64 = 40e3;

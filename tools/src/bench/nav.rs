@@ -165,7 +165,7 @@ fn row(report: &mut Report, name: &str, r: &Rounds, of: usize) {
 /// Best and median sentences per second, and the number decoded, from `tools/peers_nav.py`.
 fn pynmea2(python: &Path, sentences: &[String], count: usize) -> Result<String, String> {
     let failed = |e: std::io::Error| format!("{}: {e}", python.display());
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tools/peers_nav.py");
+    let script = crate::repository().join("tools/peers_nav.py");
     let mut child = Command::new(python)
         .arg(script)
         .args([count.to_string(), ROUNDS.to_string()])

@@ -13,9 +13,9 @@ use num_complex::Complex64;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use super::rig;
+use echotank_testing::echo as rig;
 
-pub(crate) use super::rig::{C as SOUND_SPEED_M_PER_S, CARRIER_HZ};
+pub(crate) use echotank_testing::echo::{C as SOUND_SPEED_M_PER_S, CARRIER_HZ};
 pub(crate) const BANDWIDTH_HZ: f64 = 30e3;
 pub(crate) const DURATION_S: f64 = 5e-3;
 pub(crate) const SAMPLE_RATE_HZ: f64 = 40e3;

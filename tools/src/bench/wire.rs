@@ -36,7 +36,7 @@ use echotank_runtime::io::sonar::verify::Verifier;
 use num_complex::Complex64;
 
 use super::report::Report;
-use super::wire_rig::{
+use echotank_testing::wire::{
     ABSORPTION_DB_PER_M, FULL_SCALE_V, SOUND_M_PER_S, TRANSMIT_UTC, command, output_spec, plan,
     sonar, store,
 };

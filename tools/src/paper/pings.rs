@@ -1,6 +1,5 @@
 //! Pings of a configuration, in order, and single echoes through its pipeline.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use echotank_config::spec::{NavMode, RigSpec};
@@ -14,9 +13,7 @@ use echotank_runtime::io::nav::NavInputs;
 
 /// The checked configuration of a figure.
 pub(crate) fn load(name: &str) -> Result<RigSpec, String> {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("hil-configs/paper")
-        .join(name);
+    let file = crate::repository().join("hil-configs/paper").join(name);
     echotank_runtime::config_files::load(&file).map_err(|e| format!("{}: {e:?}", file.display()))
 }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use echotank_config::spec::RigSpec;
 
-use crate::track::{ALONG_TRACK, COLUMNS};
+use echotank_testing::track::{ALONG_TRACK, COLUMNS};
 
 /// Uniform random numbers: splitmix64 (Steele, Lea and Flood 2014).
 pub(crate) struct Chance(u64);

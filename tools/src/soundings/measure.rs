@@ -83,7 +83,7 @@ pub(crate) fn spec(
     elements: usize,
     beams: usize,
 ) -> Result<RigSpec, String> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = crate::repository();
     let mut spec = echotank_runtime::config_files::load(&root.join("hil-configs/multibeam.toml"))
         .map_err(|e| e.to_string())?;
     let sonar = &mut spec.sonars[0];

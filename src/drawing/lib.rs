@@ -1,0 +1,134 @@
+//! A small SVG writer, and rendering of SVG to PNG.
+
+use std::fmt::Write;
+use std::sync::Arc;
+
+use resvg::tiny_skia::{Pixmap, Transform};
+use resvg::usvg::{Options, Tree, fontdb};
+
+/// The embedded typeface, so that plots are the same on every machine.
+const FONT: &[u8] = epaint_default_fonts::UBUNTU_LIGHT;
+pub const FAMILY: &str = "Ubuntu";
+/// Pixels of the PNG per unit of the SVG.
+const ZOOM: f32 = 1.5;
+
+pub const INK: &str = "#1b1f24";
+pub const GREY: &str = "#8a9099";
+pub const PALE: &str = "#e4e7eb";
+
+/// Escapes text for XML.
+pub fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
+}
+
+/// An SVG document under construction.
+pub struct Svg {
+    text: String,
+}
+
+/// Horizontal alignment of a text at its position.
+#[derive(Clone, Copy)]
+pub enum Anchor {
+    Start,
+    Middle,
+    End,
+}
+
+impl Svg {
+    pub fn new(width: f64, height: f64) -> Self {
+        let text = format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" font-family=\"{FAMILY}, 'Segoe UI', Helvetica, sans-serif\">\n<rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n"
+        );
+        Self { text }
+    }
+
+    pub fn raw(&mut self, element: &str) {
+        self.text.push_str(element);
+        self.text.push('\n');
+    }
+
+    pub fn line(&mut self, (x1, y1): (f64, f64), (x2, y2): (f64, f64), colour: &str, dash: &str) {
+        let _ = writeln!(
+            self.text,
+            "<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" stroke=\"{colour}\" stroke-dasharray=\"{dash}\"/>"
+        );
+    }
+
+    pub fn polyline(&mut self, points: &[(f64, f64)], colour: &str, width: f64) {
+        let points: Vec<String> = points
+            .iter()
+            .map(|(x, y)| format!("{x:.1},{y:.1}"))
+            .collect();
+        let _ = writeln!(
+            self.text,
+            "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"{width}\"/>",
+            points.join(" ")
+        );
+    }
+
+    pub fn label(
+        &mut self,
+        (x, y): (f64, f64),
+        size: f64,
+        anchor: Anchor,
+        colour: &str,
+        text: &str,
+    ) {
+        let anchor = match anchor {
+            Anchor::Start => "start",
+            Anchor::Middle => "middle",
+            Anchor::End => "end",
+        };
+        let _ = writeln!(
+            self.text,
+            "<text x=\"{x:.1}\" y=\"{y:.1}\" font-size=\"{size}\" text-anchor=\"{anchor}\" fill=\"{colour}\">{}</text>",
+            escaped(text)
+        );
+    }
+
+    pub fn finish(mut self) -> String {
+        self.text.push_str("</svg>\n");
+        self.text
+    }
+}
+
+/// Estimated width of a text, accurate enough to keep labels apart.
+pub fn width_of(text: &str, size: f64) -> f64 {
+    0.52 * size * text.chars().count() as f64
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum DrawError {
+    #[error("cannot render the SVG: {0}")]
+    Svg(#[from] resvg::usvg::Error),
+    #[error("the image is too large to allocate")]
+    Size,
+    #[error("cannot encode the PNG: {0}")]
+    Png(String),
+}
+
+/// Renders an SVG document to PNG.
+pub fn png(svg: &str) -> Result<Vec<u8>, DrawError> {
+    let mut fonts = fontdb::Database::new();
+    fonts.load_font_data(FONT.to_vec());
+    let options = Options {
+        fontdb: Arc::new(fonts),
+        font_family: FAMILY.into(),
+        ..Options::default()
+    };
+    let tree = Tree::from_str(svg, &options)?;
+    let size = tree.size();
+    let (width, height) = (size.width() * ZOOM, size.height() * ZOOM);
+    let mut pixels = Pixmap::new(width as u32, height as u32).ok_or(DrawError::Size)?;
+    resvg::render(
+        &tree,
+        Transform::from_scale(ZOOM, ZOOM),
+        &mut pixels.as_mut(),
+    );
+    pixels
+        .encode_png()
+        .map_err(|why| DrawError::Png(why.to_string()))
+}

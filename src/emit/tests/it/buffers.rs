@@ -1,0 +1,26 @@
+//! Emitting a ping does not allocate once every buffer has been used.
+
+use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
+use echotank_testing::allocations;
+use echotank_testing::wire::*;
+
+#[test]
+fn the_second_ping_allocates_nothing() {
+    let mut emitter = SevenKEmitter::new(sheet(), 2);
+    let (plan, output) = (plan(1, 500), output(500));
+    let mut records = Vec::new();
+    // 7042 makes a list of its beams.
+    let wanted = RecordSet::ALL.without(RecordSet::of(&[7042]));
+    let before = allocations::on_this_thread();
+    emitter.emit_ping(&plan, &output, wanted, &mut records);
+    let first = allocations::on_this_thread() - before;
+    assert!(first > 10, "the counter counts: {first} for the first ping");
+    for round in 0..5 {
+        records.clear();
+        let before = allocations::on_this_thread();
+        emitter.emit_ping(&plan, &output, wanted, &mut records);
+        let again = allocations::on_this_thread() - before;
+        assert_eq!(again, 0, "round {round}");
+    }
+    assert_eq!((records.len(), emitter.pool_misses()), (14, 0));
+}

@@ -1,0 +1,718 @@
+//! The engines in the pipeline: whole pings against the direct sum, and changes of settings.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use echotank_config::spec::{Density, NavMode, RigSpec, SonarSpec};
+use echotank_core::arrays::Pattern;
+use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
+use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
+use echotank_core::navigation::NavState;
+use echotank_core::ping::{EchoCounts, PingOutput, PingPlan};
+use echotank_core::scene::{ScatterLaw, Scatterers};
+use echotank_core::settings::SonarSettings;
+use echotank_core::time::UtcNs;
+use echotank_nav::Coverage;
+use echotank_ping::element_synthesis::engine_error_models;
+use echotank_ping::pipeline::{PipelineError, SonarPipeline};
+use echotank_ping::{self as ping, PingOrder, Schedule};
+use echotank_runtime::clock::VirtualClock;
+use echotank_runtime::config_files::{load, parse};
+use echotank_runtime::io::nav::NavInputs;
+use glam::DVec3;
+use num_complex::Complex64;
+
+/// `model`: lines of `[sonar.model]`; `receiver`: additional lines of `[sonar.receiver]`; `taper` of the pulse.
+fn rig(model: &str, receiver: &str, taper: f64) -> RigSpec {
+    rig_of([(3, 0.05), (2, 0.002)], model, receiver, taper)
+}
+
+/// Elements and spacing of both arrays.
+fn rig_of(arrays: [(usize, f64); 2], model: &str, receiver: &str, taper: f64) -> RigSpec {
+    let [(along, along_m), (across, across_m)] = arrays;
+    let text = format!(
+        r#"
+[[nav.source]]
+name = "gnss"
+kind = "udp"
+listen = "127.0.0.1:10110"
+[scene.seabed]
+shape = "plane"
+depth_m = 40.0
+[[sonar]]
+name = "main"
+[sonar.pulse]
+kind = "lfm"
+center_frequency_khz = 100.0
+bandwidth_khz = 24.0
+duration_ms = 2.0
+taper = {taper}
+[[sonar.transmit]]
+name = "tx"
+position_m = [0.4, 0.1, 0.3]
+[[sonar.receive]]
+name = "along"
+elements = {along}
+spacing_m = {along_m}
+[[sonar.receive]]
+name = "across"
+elements = {across}
+spacing_m = {across_m}
+position_m = [-1.0, 0.3, 0.2]
+yaw_deg = 90.0
+[sonar.receiver]
+sample_rate_khz = 50.0
+{receiver}
+[sonar.ping]
+range_m = 30.0
+rate_hz = 5.0
+source_level_db = 200.0
+[sonar.limits]
+range_m = [5.0, 45.0]
+pulse_duration_ms = [1.0, 3.0]
+[sonar.model]
+{model}
+"#
+    );
+    parse(&text, Path::new(".")).unwrap_or_else(|problems| panic!("{model}: {problems}"))
+}
+
+const FILTER: &str = "rx_filter = \"fir\"";
+
+/// Points in all directions, 4 to 34 m away, and one target.
+fn scene(count: usize) -> Scatterers {
+    let mut scatterers = Scatterers::default();
+    for k in 0..count {
+        let part = |step: f64| (0.5 + k as f64 * step).fract();
+        let (r, a) = (
+            4.0 + 30.0 * part(0.754_877_666_246_693),
+            std::f64::consts::TAU * part(0.569_840_290_998_053),
+        );
+        scatterers.push(
+            DVec3::new(r * a.cos(), r * a.sin(), 3.0),
+            [0.0; 3],
+            Complex64::from_polar(1.0, std::f64::consts::TAU * part(0.618_033_988_749_895)),
+            ScatterLaw::Point,
+        );
+    }
+    let target = Complex64::new(20.0, 0.0);
+    scatterers.push(
+        DVec3::new(3.0, 15.0, 3.0),
+        [0.0; 3],
+        target,
+        ScatterLaw::Point,
+    );
+    scatterers
+}
+
+/// Surging, heaving, rolling; `speed` along the track.
+fn restless(speed: f64) -> Trajectory {
+    let knots = || (-2..8).map(|k| 0.1 * f64::from(k));
+    let swing = |t: f64| (1.3 * t).sin_cos();
+    Trajectory {
+        position: knots()
+            .map(|t| VectorKnot {
+                time_s: t,
+                value: DVec3::new(speed * t + 0.4 * t * t, 0.2 * swing(t).0, 0.0),
+                rate_per_s: DVec3::new(speed + 0.8 * t, 0.26 * swing(t).1, 0.0),
+            })
+            .collect(),
+        heave: knots()
+            .map(|t| VectorKnot {
+                time_s: t,
+                value: DVec3::Z * swing(t).1,
+                rate_per_s: DVec3::Z * (-1.3 * swing(t).0),
+            })
+            .collect(),
+        attitude: knots()
+            .map(|t| AttitudeKnot {
+                time_s: t,
+                world_from_body: rotation_from_angles(0.1 * swing(t).0, 0.0, 0.05 * t),
+                body_rate_rad_per_s: DVec3::new(0.13 * swing(t).1, 0.0, 0.05),
+            })
+            .collect(),
+        lever_arm_m: DVec3::ZERO,
+    }
+}
+
+fn plan(rig: &RigSpec, number: u32, change: impl Fn(&mut SonarSettings)) -> PingPlan {
+    plan_at(rig, number, 4.0, change)
+}
+
+fn plan_at(
+    rig: &RigSpec,
+    number: u32,
+    speed: f64,
+    change: impl Fn(&mut SonarSettings),
+) -> PingPlan {
+    let sonar = &rig.sonars[0];
+    let mut plan = ping::blank(0, sonar, &rig.medium, 0.05);
+    plan.trajectory = restless(speed);
+    let mut settings = sonar.settings;
+    change(&mut settings);
+    let order = PingOrder {
+        ping_number: number,
+        transmit_utc: UtcNs(0),
+        settings,
+        period_s: 0.2,
+    };
+    ping::fill(&mut plan, sonar, &order, NavState::default(), UtcNs(0));
+    plan
+}
+
+fn once(rig: &RigSpec, plan: &PingPlan, scatterers: &Scatterers) -> PingOutput {
+    let mut pipeline = SonarPipeline::new(&rig.sonars[0], &rig.medium).expect("fits");
+    let mut output = pipeline.blank_output();
+    pipeline.compute_ping(plan, scatterers, &mut output);
+    output
+}
+
+/// Over all elements and windows of a pulse length at half-pulse steps: the largest relative error of windows with an echo, and the
+/// strongest window without one, over the median.
+///
+/// A band-limited echo rings around itself. A window therefore counts as strong as the strongest within a pulse of it, and where the sum is
+/// zero, an engine is only nearly zero.
+fn worst_window(got: &PingOutput, want: &PingOutput, plan: &PingPlan, rate_hz: f64) -> (f64, f64) {
+    let length = ((plan.pulse.duration_s * rate_hz) as usize).max(32);
+    let energy = |x: &[Complex64]| x.iter().map(|s| s.norm_sqr()).sum::<f64>();
+    let (mut worst, mut silent) = (0.0f64, 0.0f64);
+    assert_eq!(got.elements.len(), want.elements.len());
+    for (got, want) in got.elements.iter().zip(&want.elements) {
+        assert_eq!((got.elements, got.samples), (want.elements, want.samples));
+        for e in 0..got.elements {
+            let (got, want) = (got.element(e), want.element(e));
+            let starts = || (0..=got.len() - length).step_by(length / 2);
+            let all: Vec<f64> = starts().map(|k| energy(&want[k..k + length])).collect();
+            let mut sorted = all.clone();
+            sorted.sort_by(f64::total_cmp);
+            let median = sorted[all.len() / 2];
+            for (w, k) in starts().enumerate() {
+                let off: Vec<Complex64> = (k..k + length).map(|i| got[i] - want[i]).collect();
+                let around = w.saturating_sub(2)..(w + 3).min(all.len());
+                let level = all[around].iter().copied().fold(0.0, f64::max);
+                // 80 dB below the median there is no echo, at most the filter's onset.
+                match all[w] > 1e-8 * median {
+                    true => worst = worst.max((energy(&off) / level).sqrt()),
+                    false => silent = silent.max((energy(&off) / median).sqrt()),
+                }
+            }
+        }
+    }
+    (worst, silent)
+}
+
+/// Every pair of models that an engine supports, behind the filter, against the direct sum of the same models.
+#[test]
+fn every_path_and_doppler_is_the_direct_sum_within_the_tolerance() {
+    let scatterers = scene(300);
+    for path in PathModel::ALL {
+        for doppler in [
+            DopplerModel::None,
+            DopplerModel::Stretch,
+            DopplerModel::StretchQuadratic,
+        ] {
+            let model = |synthesis: &str, tolerance: f64| {
+                let (path, doppler) = (path.name(), doppler.name());
+                rig(
+                    &format!(
+                        "path = \"{path}\"\ndoppler = \"{doppler}\"\nsegment_ms = 10.0\nsynthesis = \"{synthesis}\"\ntolerance = {tolerance}"
+                    ),
+                    FILTER,
+                    1.0,
+                )
+            };
+            let direct = model("direct", 1e-3);
+            let ping = plan(&direct, 1, |_| {});
+            let want = once(&direct, &ping, &scatterers);
+            // The direct sum's own density behind the filter leaves an error of 2e-5 for a tapered pulse.
+            for tolerance in [1e-1, 1e-2, 1e-3, 1e-4] {
+                let engine = model("gridded-1d", tolerance);
+                let ping = plan(&engine, 1, |_| {});
+                let got = once(&engine, &ping, &scatterers);
+                let (error, silent) = worst_window(&got, &want, &ping, 50e3);
+                println!(
+                    "{} {} {tolerance:.0e}: {error:.1e}, silent {silent:.1e}",
+                    path.name(),
+                    doppler.name()
+                );
+                assert!(
+                    error < tolerance && silent < tolerance,
+                    "{path:?} {doppler:?}: {error:e}, {silent:e} of {tolerance:e}"
+                );
+                assert!(got.counts.used > 1000 && got.counts.beyond_engine == 0);
+                // Its filter is slightly longer, so an echo at the window's ends may differ.
+                assert!(got.counts.used.abs_diff(want.counts.used) < 30);
+            }
+        }
+    }
+}
+
+/// A record many echoes long is processed in slabs; echoes that overlap two are received in both and counted once.
+#[test]
+fn a_long_record_in_slabs_is_the_direct_sum_and_counts_every_pair_once() {
+    let scatterers = scene(300);
+    let long = |synthesis: &str| {
+        let model = format!(
+            "path = \"polyline\"\ndoppler = \"stretch-quadratic\"\nsegment_ms = 10.0\ncull_db = -20.0\nsynthesis = \"{synthesis}\"\ntolerance = 1e-3"
+        );
+        let mut rig = rig(&model, FILTER, 1.0);
+        let sonar = &mut rig.sonars[0];
+        sonar.settings.range_m = 45.0;
+        sonar.settings.pulse_duration_s = 1e-3;
+        sonar.transmit[0].pattern = Pattern::Rectangle {
+            length_m: 0.03,
+            width_m: 0.0,
+            baffled: false,
+        };
+        rig
+    };
+    let (direct, engine) = (long("direct"), long("gridded-1d"));
+    let error_models =
+        engine_error_models(&engine.sonars[0], &engine.medium).expect("within reach");
+    assert!(
+        error_models[0].why.contains("each of 4 slabs"),
+        "{}",
+        error_models[0].why
+    );
+    let ping = plan(&engine, 1, |_| {});
+    let (want, got) = (
+        once(&direct, &plan(&direct, 1, |_| {}), &scatterers),
+        once(&engine, &ping, &scatterers),
+    );
+    let (error, silent) = worst_window(&got, &want, &ping, 50e3);
+    println!("{error:.1e}, silent {silent:.1e}, {:?}", got.counts);
+    assert!(error < 1e-3 && silent < 1e-3, "{error:e}, {silent:e}");
+    let pairs = |counts: EchoCounts| counts.used + counts.culled + counts.outside_window;
+    // A scatterer culled before the second leg counts once, whatever the number of elements.
+    assert_eq!(pairs(got.counts), pairs(want.counts));
+    assert!(got.counts.culled > 10 && got.counts.culled.abs_diff(want.counts.culled) < 10);
+    assert!(got.counts.used > 900 && got.counts.used.abs_diff(want.counts.used) < 30);
+    let roots = |counts: EchoCounts| (counts.no_root, counts.two_roots, counts.beyond_track);
+    assert_eq!(roots(got.counts), roots(want.counts));
+}
+
+/// The start of a ping is independent of its end: its tiles are identical bits, electronics included.
+#[test]
+fn the_first_samples_alone_are_those_of_the_whole_ping_bit_for_bit() {
+    let scatterers = scene(40);
+    let electronics = "noise_db = 40.0\nadc_bits = 16\nfull_scale_v = 5.0";
+    let dopplers = ["none", "stretch"];
+    for (path, filter) in [
+        ("polyline", ""),
+        ("k-segment", FILTER),
+        ("continuous", FILTER),
+    ] {
+        for doppler in dopplers {
+            let model = format!(
+                "path = \"{path}\"\ndoppler = \"{doppler}\"\nsegment_ms = 10.0\nsynthesis = \"direct\""
+            );
+            let rig = rig(&model, &format!("{filter}\n{electronics}"), 0.0);
+            let mut ping = plan(&rig, 1, |_| {});
+            let want = once(&rig, &ping, &scatterers);
+            let mut pipeline = SonarPipeline::new(&rig.sonars[0], &rig.medium).expect("fits");
+            let mut tile = pipeline.blank_output();
+            let total = ping.sample_count;
+            // A sample that ends no block of eight, and most of the ping.
+            for (end, is_first) in [(50, true), (333, false), (total - 13, false)] {
+                let elements = &mut tile.elements;
+                pipeline.begin_ping(&mut ping, end, is_first, &scatterers, elements);
+                assert_eq!(ping.sample_count, total);
+                for (got, want) in tile.elements.iter().zip(&want.elements) {
+                    assert_eq!(got.samples, end);
+                    for e in 0..got.elements {
+                        let same = got.element(e) == &want.element(e)[..end];
+                        assert!(same, "{model}: element {e}, {end} samples");
+                    }
+                }
+            }
+            assert!(tile.elements[0].iq.iter().any(|v| v.norm() > 0.0));
+        }
+    }
+}
+
+/// Without the receiver filter a smooth pulse is possible; other pulses are refused with numbers.
+#[test]
+fn without_the_filter_the_pulse_determines_the_error() {
+    let scatterers = scene(300);
+    let soft = |synthesis: &str| rig(&format!("synthesis = \"{synthesis}\""), "", 1.0);
+    let ping = plan(&soft("direct"), 1, |_| {});
+    let want = once(&soft("direct"), &ping, &scatterers);
+    let engine = soft("gridded-1d");
+    let ping = plan(&engine, 1, |_| {});
+    let (error, silent) = worst_window(&once(&engine, &ping, &scatterers), &want, &ping, 50e3);
+    println!("no filter: {error:.1e}, silent {silent:.1e}");
+    assert!(error < 1e-3 && silent < 1e-3, "{error:e}, {silent:e}");
+
+    let sharp = rig("synthesis = \"gridded-1d\"\ntolerance = 1e-4", "", 0.0);
+    let refused = SonarPipeline::new(&sharp.sonars[0], &sharp.medium)
+        .err()
+        .expect("a sharp pulse is as wide as one likes");
+    assert!(matches!(refused, PipelineError::Engine { .. }));
+    let said = refused.to_string();
+    assert!(
+        said.starts_with("sonar.model.tolerance = 1e-4: gridded-1d: tolerance 1e-4 cannot be met")
+            && said.contains("use the receiver filter"),
+        "{said}"
+    );
+    let again = engine_error_models(&sharp.sonars[0], &sharp.medium).expect_err("the same");
+    assert_eq!(again.to_string(), said);
+}
+
+#[test]
+fn the_error_model_names_the_limits_of_its_engine() {
+    for tolerance in [1e-1, 1e-3, 1e-6, 1e-8] {
+        let rig = rig(&format!("tolerance = {tolerance}"), FILTER, 0.1);
+        assert_eq!(rig.sonars[0].model.synthesis, Synthesis::Gridded1d);
+        let error_models = engine_error_models(&rig.sonars[0], &rig.medium).expect("within reach");
+        let [error_model] = &error_models[..] else {
+            panic!("one engine for all elements: {error_models:?}");
+        };
+        assert_eq!(error_model.name, "gridded-1d");
+        assert!(
+            error_model.error <= tolerance && error_model.cost_ms > 0.0,
+            "{error_model:?}"
+        );
+    }
+    let direct = rig("synthesis = \"direct\"", FILTER, 0.1);
+    let error_models =
+        engine_error_models(&direct.sonars[0], &direct.medium).expect("nothing to refuse");
+    assert!(error_models.is_empty());
+}
+
+/// Changes of pulse and range during a run, within the declared limits or not: each ping equals that of a sonar with these settings from
+/// the start.
+#[test]
+fn changed_settings_give_the_bits_of_a_sonar_started_with_them() {
+    let scatterers = scene(200);
+    let rig = rig("", FILTER, 0.1);
+    assert_eq!(rig.sonars[0].model.synthesis, Synthesis::Gridded1d);
+    let changes: [(f64, f64); 9] = [
+        (30.0, 2e-3),
+        (30.0, 1.37e-3),
+        (12.0, 1.37e-3),
+        (45.0, 3e-3),
+        (30.0, 2e-3),
+        (30.5, 1e-3),
+        (10.0, 1e-3),
+        (44.0, 1.5e-3),
+        (12.0, 1.37e-3),
+    ];
+    let of = |number: usize| {
+        let (range_m, pulse_s) = changes[number];
+        plan(&rig, 1 + number as u32, |settings| {
+            settings.range_m = range_m;
+            settings.pulse_duration_s = pulse_s;
+        })
+    };
+    let alone: Vec<PingOutput> = (0..changes.len())
+        .map(|number| once(&rig, &of(number), &scatterers))
+        .collect();
+    for foreseen in [0, 1, 3] {
+        let mut pipeline = SonarPipeline::new(&rig.sonars[0], &rig.medium).expect("fits");
+        let mut output = pipeline.blank_output();
+        for (number, want) in alone.iter().enumerate() {
+            for ahead in number + 1..(number + 1 + foreseen).min(changes.len()) {
+                pipeline.expect(&of(ahead).settings);
+            }
+            let ping = of(number);
+            pipeline.compute_ping(&ping, &scatterers, &mut output);
+            assert_eq!(output.elements, want.elements, "{:?}", changes[number]);
+            assert_eq!(output.elements[0].samples, ping.sample_count);
+        }
+    }
+    // All of them agree with the direct sum.
+    let direct = self::rig("synthesis = \"direct\"", FILTER, 0.1);
+    for (number, got) in alone.iter().enumerate() {
+        let ping = of(number);
+        let sum = PingPlan {
+            model: direct.sonars[0].model,
+            ..ping.clone()
+        };
+        let want = once(&direct, &sum, &scatterers);
+        let (error, silent) = worst_window(got, &want, &ping, 50e3);
+        assert!(
+            error < 1e-3 && silent < 1e-3,
+            "{:?}: {error:e}, {silent:e}",
+            changes[number]
+        );
+    }
+}
+
+#[test]
+fn the_bits_are_the_same_for_any_number_of_threads() {
+    let scatterers = scene(2000);
+    let rig = rig("path = \"k-segment\"", FILTER, 0.1);
+    let with = |threads: usize| {
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("a pool")
+            .install(|| once(&rig, &plan(&rig, 1, |_| {}), &scatterers))
+    };
+    let one = with(1);
+    for threads in [2, 3] {
+        let several = with(threads);
+        assert_eq!(one.elements, several.elements, "{threads} threads");
+        assert_eq!(one.counts, several.counts);
+    }
+}
+
+/// A platform faster than the limit: counted and received at the largest supported Doppler, without further effect.
+#[test]
+fn echoes_too_fast_for_the_engine_are_counted() {
+    let scatterers = scene(300);
+    let rig = rig("", FILTER, 0.1);
+    let slow = once(&rig, &plan_at(&rig, 1, 9.0, |_| {}), &scatterers);
+    assert_eq!(slow.counts.beyond_engine, 0);
+    let fast = once(&rig, &plan_at(&rig, 1, 25.0, |_| {}), &scatterers);
+    assert!(
+        fast.counts.beyond_engine > 100 && fast.counts.beyond_engine < fast.counts.used,
+        "{:?}",
+        fast.counts
+    );
+    assert!(fast.elements[0].iq.iter().all(|x| x.is_finite()));
+}
+
+#[test]
+fn a_scene_that_is_empty_or_out_of_reach_is_silent() {
+    let rig = rig("", FILTER, 0.1);
+    let mut far = Scatterers::default();
+    far.push(DVec3::X * 1e4, [0.0; 3], Complex64::ONE, ScatterLaw::Point);
+    for scatterers in [Scatterers::default(), far] {
+        let output = once(&rig, &plan(&rig, 1, |_| {}), &scatterers);
+        assert!(output.elements[0].iq.iter().all(|x| x.norm() == 0.0));
+    }
+}
+
+// ---------------------------------------------------------------- whole line arrays
+
+/// Two lines at half a wavelength.
+fn lines(model: &str, taper: f64) -> RigSpec {
+    rig_of([(40, 0.0075), (24, 0.0075)], model, FILTER, taper)
+}
+
+#[test]
+fn whole_line_arrays_are_the_direct_sum_within_the_tolerance() {
+    let scatterers = scene(300);
+    for path in PathModel::ALL {
+        for doppler in DopplerModel::ALL {
+            if !Synthesis::Gridded2d.takes(doppler) || path == PathModel::Polyline {
+                continue;
+            }
+            let model = |synthesis: &str| {
+                let (path, doppler) = (path.name(), doppler.name());
+                format!(
+                    "path = \"{path}\"\ndoppler = \"{doppler}\"\nsegment_ms = 10.0\nsynthesis = {synthesis}"
+                )
+            };
+            let direct = lines(&model("\"direct\""), 1.0);
+            let ping = plan(&direct, 1, |_| {});
+            let want = once(&direct, &ping, &scatterers);
+            for tolerance in [1e-1, 1e-2, 1e-3] {
+                let engine = lines(
+                    &model(&format!(
+                        "\"gridded-2d\"\nnearest_m = 2.0\ntolerance = {tolerance}"
+                    )),
+                    1.0,
+                );
+                let ping = plan(&engine, 1, |_| {});
+                let got = once(&engine, &ping, &scatterers);
+                let (error, silent) = worst_window(&got, &want, &ping, 50e3);
+                println!(
+                    "{} {} {tolerance:.0e}: {error:.1e}, silent {silent:.1e}, {:?}",
+                    path.name(),
+                    doppler.name(),
+                    got.counts
+                );
+                assert!(
+                    error < tolerance && silent < tolerance,
+                    "{path:?} {doppler:?}: {error:e}, {silent:e} of {tolerance:e}"
+                );
+                assert!(got.counts.used > 10_000);
+                assert_eq!(got.counts.beyond_engine, 0);
+            }
+        }
+    }
+}
+
+#[test]
+fn whole_line_arrays_give_the_same_bits_for_any_threads_and_history() {
+    let scatterers = scene(500);
+    let rig = lines(
+        "path = \"k-segment\"\nsynthesis = \"gridded-2d\"\ntolerance = 2e-2",
+        0.1,
+    );
+    let with = |threads: usize, past: &[(f64, f64)]| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("a pool");
+        pool.install(|| {
+            let mut pipeline = SonarPipeline::new(&rig.sonars[0], &rig.medium).expect("fits");
+            let mut output = pipeline.blank_output();
+            for &(range_m, pulse_s) in past.iter().chain(&[(30.0, 2e-3)]) {
+                let ping = plan(&rig, 1, |settings| {
+                    settings.range_m = range_m;
+                    settings.pulse_duration_s = pulse_s;
+                });
+                pipeline.compute_ping(&ping, &scatterers, &mut output);
+            }
+            output
+        })
+    };
+    let one = with(1, &[]);
+    for (threads, past) in [
+        (2, &[][..]),
+        (3, &[(45.0, 3e-3), (12.0, 1e-3)]),
+        (1, &[(12.0, 2e-3), (30.0, 1.3e-3)]),
+    ] {
+        let other = with(threads, past);
+        assert_eq!(
+            one.elements, other.elements,
+            "{threads} threads after {past:?}"
+        );
+        assert_eq!(one.counts, other.counts);
+    }
+}
+
+/// A scatterer closer than the engine's limit is not summed without a warning.
+#[test]
+fn a_ping_beyond_the_engines_bounds_is_counted() {
+    let mut scatterers = scene(100);
+    let rig = lines(
+        "path = \"k-segment\"\nsynthesis = \"gridded-2d\"\nnearest_m = 30.0\ntolerance = 2e-2",
+        0.1,
+    );
+    let ping = plan(&rig, 1, |_| {});
+    for k in 0..20 {
+        let at_m = DVec3::new(0.1 * f64::from(k) - 1.0, 0.3, 0.7);
+        scatterers.push(at_m, [0.0; 3], Complex64::ONE, ScatterLaw::Point);
+    }
+    let output = once(&rig, &ping, &scatterers);
+    assert!(output.counts.beyond_engine > 0, "{:?}", output.counts);
+}
+
+#[test]
+fn the_line_engine_reports_its_error_model() {
+    let rig = lines(
+        "path = \"k-segment\"\nsynthesis = \"gridded-2d\"\ntolerance = 2e-2",
+        0.1,
+    );
+    let error_models = engine_error_models(&rig.sonars[0], &rig.medium).expect("within reach");
+    assert_eq!(error_models.len(), 2, "one per array");
+    for error_model in &error_models {
+        assert!(
+            error_model.name == "gridded-2d" && error_model.error <= 2e-2,
+            "{error_model:?}"
+        );
+    }
+}
+
+// ---------------------------------------------------------------- the quickstart
+
+/// A configuration of the repository with a thinner seabed, without noise and converter.
+fn thinned(file: &str, change: impl Fn(&mut SonarSpec)) -> RigSpec {
+    let path = echotank_testing::repository()
+        .join("hil-configs")
+        .join(file);
+    let mut spec = load(&path).expect("a good configuration");
+    if let Some(seabed) = &mut spec.scene.seabed {
+        seabed.density = Density::PerM2(1.0);
+    }
+    for sonar in &mut spec.sonars {
+        sonar.receiver.noise_db = None;
+        sonar.receiver.adc_bits = None;
+        change(sonar);
+    }
+    spec
+}
+
+/// Pings of the first sonar along its log, each passed on with its plan.
+fn along_the_log(spec: &RigSpec, pings: usize, mut each: impl FnMut(&PingPlan, &PingOutput)) {
+    let mut rig = echotank_runtime::rig::open(spec).expect("a rig");
+    let clock = Arc::new(VirtualClock::default());
+    let mut inputs = NavInputs::open(&spec.nav, clock).expect("nav");
+    while rig.history.first_usable_utc().is_none() {
+        assert!(inputs.pull_next(&mut rig.history));
+    }
+    let first = rig.history.first_usable_utc().expect("nav");
+    let mut schedule = Schedule::starting_at(first, rig.medium().sound_speed_m_per_s);
+    let mut slot = rig.slot(0);
+    let settings = spec.sonars[0].settings;
+    for _ in 0..pings {
+        let order = schedule
+            .due(schedule.next_utc(), |_| settings)
+            .expect("due");
+        let end = order.transmit_utc.plus_s(rig.window_s(0, &order));
+        while rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
+            assert!(inputs.pull_next(&mut rig.history), "the log is long enough");
+        }
+        echotank_ping::make_ping(
+            &mut rig,
+            0,
+            &order,
+            NavMode::Settle,
+            order.transmit_utc,
+            &mut slot,
+        )
+        .expect("covered");
+        each(&slot.plan, &slot.output);
+    }
+}
+
+/// Both engines, each with a configuration's sonar, on a real ship's log over a real seabed, against the direct sum with the same path and
+/// Doppler, by window.
+#[test]
+fn the_repositorys_engines_are_the_direct_sum_within_the_tolerance() {
+    for (file, engine, cull_db, tolerance) in [
+        ("certified.toml", Synthesis::Gridded1d, -34.0, 1e-3),
+        // A line culls by section, the direct sum by element: with a floor of -40 dB this alone is up to 2e-2.
+        ("multibeam.toml", Synthesis::Gridded2d, -60.0, 2e-2),
+    ] {
+        let of = |synthesis: Option<Synthesis>| {
+            let spec = thinned(file, |sonar| {
+                sonar.synthesis.error_check = false;
+                sonar.synthesis.tolerance = tolerance;
+                // Fixed methods that method selection might choose.
+                sonar.synthesis.auto = Default::default();
+                sonar.synthesis.nearest_m = 10.0;
+                sonar.model = ModelChoice {
+                    path: PathModel::KSegment,
+                    doppler: DopplerModel::Stretch,
+                    synthesis: synthesis.unwrap_or(engine),
+                    segment_s: 0.01,
+                    cull_db: Some(cull_db),
+                };
+            });
+            let mut outputs = Vec::new();
+            let mut keep = |plan: &PingPlan, output: &PingOutput| {
+                outputs.push((plan.clone(), output.clone()));
+            };
+            along_the_log(&spec, 2, &mut keep);
+            (spec, outputs)
+        };
+        let ((spec, got), (_, want)) = (of(None), of(Some(Synthesis::Direct)));
+        assert!(spec.sonars[0].model.synthesis.keeps_tolerance(), "{file}");
+        for ((plan, got), (_, want)) in got.iter().zip(&want) {
+            let rate_hz = spec.sonars[0].receiver.sample_rate_hz;
+            let (error, silent) = worst_window(got, want, plan, rate_hz);
+            println!("{file}: {error:.1e}, silent {silent:.1e} of {tolerance:.0e}");
+            assert!(
+                error < tolerance && silent < tolerance,
+                "{file}: {error:e}, {silent:e}"
+            );
+            assert_eq!(got.counts.beyond_engine, 0, "{file}");
+        }
+    }
+}
+
+/// As configured, including culling, against the reference: the error check of every ping.
+#[test]
+fn the_error_check_finds_the_quickstart_within_its_tolerance() {
+    let spec = thinned("certified.toml", |_| {});
+    let mut last = None;
+    along_the_log(&spec, 40, |_, output| last = output.error_check.or(last));
+    let last = last.expect("enough samples");
+    println!("{last:?}");
+    assert!(!last.fault && last.error < 1.3 * last.tolerance, "{last:?}");
+}

@@ -1,0 +1,6 @@
+//! Whole pings: engines against each other, error checks, culling, reverberation.
+
+mod culling;
+mod engines;
+mod error_check;
+mod reverberation;

@@ -1,0 +1,159 @@
+//! Every broken configuration is refused with its whole list of problems, and no input causes a panic.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use echotank_config as config;
+use proptest::prelude::*;
+
+fn broken_dir() -> PathBuf {
+    echotank_testing::repository().join("tests/data/config/broken")
+}
+
+/// The `NN-name.toml` of the folder, in order.
+fn broken_files() -> Vec<PathBuf> {
+    let mut files: Vec<_> = fs::read_dir(broken_dir())
+        .expect("folder of broken configurations")
+        .map(|entry| entry.expect("entry").path())
+        .filter(|path| path.extension().is_some_and(|e| e == "toml"))
+        .collect();
+    files.sort();
+    files
+}
+
+/// `NN-name.txt` holds the expected message for `NN-name.toml`. ECHOTANK_BLESS=1 in the environment rewrites it for review.
+#[test]
+fn each_broken_configuration_prints_its_whole_list_of_problems() {
+    let bless = std::env::var_os("ECHOTANK_BLESS").is_some();
+    let files = broken_files();
+    assert!(
+        files.len() >= 20,
+        "only {} broken configurations",
+        files.len()
+    );
+    let mut differences = Vec::new();
+    for file in files {
+        let text = fs::read_to_string(&file).expect("readable");
+        let got = match echotank_runtime::config_files::parse(&text, &broken_dir()) {
+            Ok(_) => "accepted\n".to_owned(),
+            Err(errors) => format!("{errors}\n"),
+        };
+        let expected_file = file.with_extension("txt");
+        if bless {
+            fs::write(&expected_file, &got).expect("writable");
+        }
+        let want = fs::read_to_string(&expected_file).unwrap_or_default();
+        if got != want {
+            differences.push(format!(
+                "{}\n--- want\n{want}--- got\n{got}",
+                file.display()
+            ));
+        }
+    }
+    assert!(differences.is_empty(), "{}", differences.join("\n"));
+}
+
+#[test]
+fn no_broken_configuration_is_accepted_and_each_problem_is_one_line() {
+    for file in broken_files() {
+        let text = fs::read_to_string(&file).expect("readable");
+        let errors = echotank_runtime::config_files::parse(&text, &broken_dir())
+            .err()
+            .unwrap_or_else(|| panic!("{} was accepted", file.display()));
+        for problem in &errors.problems {
+            let printed = problem.to_string();
+            assert!(
+                !printed.contains('\n') && !printed.is_empty(),
+                "{}: {printed:?}",
+                file.display()
+            );
+        }
+    }
+}
+
+#[test]
+fn a_file_that_cannot_be_read_is_named_with_the_reason() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let missing = folder.path().join("missing.toml");
+    let said = echotank_runtime::config_files::load(&missing)
+        .expect_err("missing")
+        .to_string();
+    let want = format!(
+        "{}: 1 problem\ncannot be read: not found",
+        missing.display()
+    );
+    assert_eq!(said, want);
+
+    let latin = folder.path().join("latin.toml");
+    fs::write(&latin, b"# caf\xe9\n").expect("writable");
+    let said = echotank_runtime::config_files::load(&latin)
+        .expect_err("not UTF-8")
+        .to_string();
+    assert!(
+        said.ends_with("cannot be read: byte 5 is not UTF-8"),
+        "{said}"
+    );
+}
+
+/// A template with a few bytes inserted, removed or changed: refused or accepted, never a panic.
+fn mutated(seed_bytes: &[(usize, u8, u8)]) -> String {
+    let mut bytes = config::template().as_bytes().to_vec();
+    for &(place, action, byte) in seed_bytes {
+        let at = place % bytes.len();
+        match action % 4 {
+            0 => bytes[at] = byte,
+            1 => bytes.insert(at, byte),
+            2 => {
+                bytes.remove(at);
+            }
+            // Uncomment lines: most of the template is comments.
+            _ => {
+                let hash = bytes[at..].iter().position(|&b| b == b'#');
+                if let Some(hash) = hash {
+                    bytes[at + hash] = b' ';
+                }
+            }
+        }
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
+
+    #[test]
+    fn mutations_of_the_template_never_panic(
+        changes in prop::collection::vec((any::<usize>(), any::<u8>(), any::<u8>()), 1..20)
+    ) {
+        let text = mutated(&changes);
+        if let Ok(spec) = echotank_runtime::config_files::parse(&text, Path::new("/nonexistent")) {
+            config::summary(&spec);
+        }
+    }
+
+    #[test]
+    fn any_value_behind_any_key_never_panics(
+        line in any::<usize>(),
+        value in prop::sample::select(vec![
+            "0", "-1", "1e308", "-1e308", "1e-308", "5e-324", "nan", "-inf", "9223372036854775807", "-9223372036854775808", "0xff",
+            "99999999999999999999999", "1_000.5", "\"\"", "\"\\u0000\"", "[]", "[[]]", "[[0.0, 0.0]]", "{}", "{ a = 1 }", "true",
+            "1979-05-27", "[\"rx\", 1]", "[nan, nan]", "[1, 2, 3]", "\"rx\"", "\"none\"",
+        ]),
+    ) {
+        let lines: Vec<&str> = config::template().lines().collect();
+        let at = line % lines.len();
+        let text: String = lines
+            .iter()
+            .enumerate()
+            .map(|(i, l)| match l.split_once(" = ") {
+                Some((key, _)) if i >= at && i < at + 12 => {
+                    format!("{} = {value}\n", key.trim_start_matches("# "))
+                }
+                _ => format!("{l}\n"),
+            })
+            .collect();
+        if let Ok(spec) = echotank_runtime::config_files::parse(&text, Path::new("/nonexistent")) {
+            config::summary(&spec);
+        }
+    }
+}

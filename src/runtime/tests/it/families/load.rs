@@ -1,0 +1,185 @@
+//! The load of a large multibeam: two topsides that read and one that does not. `tools/bench wire --load` is the long form.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use echotank_config::spec::{FanForm, FanSpec, SevenKSpec, Shading, SonarSpec};
+use echotank_core::ping::{BeamFrame, ElementFrame, PingOutput};
+use echotank_emit::sevenk::records::DeviceSheet;
+use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
+use echotank_protocols::sevenk::Command;
+use echotank_runtime::io::sonar::client::SevenKClient;
+use echotank_runtime::io::sonar::verify::Verifier;
+use echotank_runtime::io::sonar::{SonarServer, start_sevenk};
+use num_complex::Complex64;
+
+use echotank_testing::wire::*;
+
+const ELEMENTS: usize = 256;
+const BEAMS: usize = 256;
+pub(crate) const SAMPLES: usize = 2000;
+const PINGS: u32 = 20;
+const PATIENCE: Duration = Duration::from_secs(60);
+
+fn large() -> SonarSpec {
+    let mut sonar = sonar();
+    sonar.receive = vec![sonar.receive[2].clone()];
+    sonar.receive[0].elements = ELEMENTS;
+    sonar.beams.lines.clear();
+    sonar.beams.fan = Some(FanSpec {
+        array: 0,
+        beams: BEAMS,
+        sector_rad: 2.0,
+        shading: Shading::Uniform,
+        form: FanForm::default(),
+    });
+    sonar
+}
+
+pub(crate) fn frames() -> PingOutput {
+    let value = |k: usize| Complex64::from_polar(0.5 + 0.001 * (k % 997) as f64, k as f64 * 0.37);
+    PingOutput {
+        elements: vec![ElementFrame {
+            array: 0,
+            elements: ELEMENTS,
+            samples: SAMPLES,
+            iq: (0..ELEMENTS * SAMPLES).map(value).collect(),
+            saturated: 0,
+        }],
+        beams: vec![BeamFrame {
+            beams: BEAMS,
+            samples: SAMPLES,
+            angle_rad: (0..BEAMS).map(|b| b as f64 * 0.007 - 0.9).collect(),
+            width_rad: vec![0.01; BEAMS],
+            iq: (0..BEAMS * SAMPLES).map(value).collect(),
+        }],
+        ..PingOutput::default()
+    }
+}
+
+pub(crate) fn start(change: impl FnOnce(&mut SevenKSpec)) -> (SonarServer, SevenKEmitter) {
+    let mut spec = output_spec();
+    spec.arrays = vec![0];
+    spec.client_queue_bytes = 16 << 20;
+    change(&mut spec);
+    let sheet = Arc::new(DeviceSheet::new(
+        &spec,
+        &large(),
+        SOUND_M_PER_S,
+        ABSORPTION_DB_PER_M,
+    ));
+    let now = Arc::new(|| TRANSMIT_UTC);
+    let server = start_sevenk(&spec, sheet.clone(), store(), now).expect("loopback is free");
+    (server, SevenKEmitter::new(sheet, 8))
+}
+
+fn reader(server: &SonarServer) -> std::thread::JoinHandle<Verifier> {
+    let mut client = SevenKClient::connect(server.local_addr()).expect("listening");
+    client.subscribe(&[7038, 7018]).expect("subscribed");
+    std::thread::spawn(move || {
+        let mut verifier = Verifier::default();
+        while verifier.tally(7038).received < u64::from(PINGS) {
+            let record = client.next_record(PATIENCE).expect("connected");
+            let record = record.expect("a record in time");
+            verifier.note(record.record_type(), record.body());
+        }
+        assert_eq!(client.counters().checksum_errors, 0);
+        verifier
+    })
+}
+
+/// A client with a small window that has subscribed to elements.
+fn slow(server: &SonarServer) -> TcpStream {
+    let socket =
+        socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::STREAM, None).expect("a socket");
+    socket.set_recv_buffer_size(64 << 10).expect("a buffer");
+    socket
+        .connect(&server.local_addr().into())
+        .expect("connects");
+    let mut stream = TcpStream::from(socket);
+    let subscribe = Command::Subscribe {
+        record_type_ids: vec![7038],
+    };
+    stream.write_all(&command(subscribe, 1)).expect("sent");
+    stream
+}
+
+fn load(disconnect: bool) -> (u64, bool) {
+    let (server, mut emitter) = start(|spec| spec.disconnect_when_full = disconnect);
+    let mut third = slow(&server);
+    let readers = [reader(&server), reader(&server)];
+    let deadline = Instant::now() + PATIENCE;
+    let seated = || {
+        let report = server.report();
+        report
+            .clients
+            .iter()
+            .filter(|c| !c.subscribed.is_empty())
+            .count()
+            == 3
+    };
+    while !seated() {
+        assert!(Instant::now() < deadline, "three clients");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let peer = third.local_addr().expect("bound");
+    let output = frames();
+    let wanted = RecordSet::from(server.wanted());
+    let mut records = Vec::new();
+    let mut byte = [0; 1];
+    let mut is_open = true;
+    for ping in 1..=PINGS {
+        records.clear();
+        emitter.emit_ping(&plan(ping, SAMPLES), &output, wanted, &mut records);
+        server.deliver(&records);
+        // The third client reads one byte per ping.
+        is_open = is_open && matches!(third.read(&mut byte), Ok(1));
+        // A loaded machine may not sustain 41 MB/s: send no faster than the readers, so that only the third client can lose.
+        let waiting = || {
+            let report = server.report();
+            let others = report.clients.iter().filter(|c| c.peer != peer);
+            others.map(|c| c.queued_bytes).max().unwrap_or(0)
+        };
+        while waiting() > 8 << 20 {
+            assert!(Instant::now() < deadline, "the readers read");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+    for reader in readers {
+        let verifier = reader.join().expect("no panic");
+        for kind in [7018, 7038] {
+            let tally = verifier.tally(kind);
+            assert_eq!(
+                (tally.received, tally.lost, tally.duplicate, tally.late),
+                (PINGS.into(), 0, 0, 0),
+                "{kind}"
+            );
+        }
+    }
+    let report = server.report();
+    let third = report.clients.iter().find(|c| c.peer == peer);
+    let dropped = third.map_or(report.gone.records_dropped, |c| c.counts.records_dropped);
+    (dropped, third.is_some())
+}
+
+#[test]
+fn two_topsides_lose_nothing_of_41_mb_a_second_while_a_third_misses_whole_records() {
+    let (dropped, is_there) = load(false);
+    // 2 MB each, of which 16 MiB may be queued.
+    assert!(
+        is_there && (1..u64::from(PINGS)).contains(&dropped),
+        "{dropped}"
+    );
+}
+
+#[test]
+fn a_topside_that_does_not_read_is_disconnected_where_the_configuration_says_so() {
+    let (dropped, is_there) = load(true);
+    // The record that did not fit, and the one in transit.
+    assert!(
+        !is_there && (1..=2).contains(&dropped),
+        "{dropped} dropped, there: {is_there}"
+    );
+}

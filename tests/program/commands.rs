@@ -1,0 +1,148 @@
+//! Commands that print and end: `check`, `nav`, `scene info`.
+
+use std::process::Command;
+
+use echotank_testing::seeds::{self, data};
+
+/// `echotank check rig.toml | head -1`
+#[test]
+fn check_ends_quietly_when_its_output_is_closed() {
+    let mut check = Command::new(env!("CARGO_BIN_EXE_echotank"))
+        .args(["check", "hil-configs/points.toml"])
+        .current_dir(echotank_testing::repository())
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("started");
+    drop(check.stdout.take());
+    let ended = check.wait_with_output().expect("ended");
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert!(!said.contains("panicked"), "{said}");
+}
+
+#[test]
+fn the_report_is_printed_as_text_and_json_and_drawn() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let png = folder.path().join("plot.png");
+    let log = echotank_testing::repository().join("tests/data/nav/seapath330_90s.rvdas");
+    let run = |more: &[&str]| {
+        let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
+            .arg("nav")
+            .arg(&log)
+            .args(more)
+            .output()
+            .expect("echotank runs");
+        assert!(done.status.success());
+        String::from_utf8(done.stdout).expect("text")
+    };
+    let text = run(&["--png", png.to_str().expect("text")]);
+    for words in [
+        "720: 452 used, 268 not taken",
+        "roll-pitch    90 samples, every 1.000 s",
+        "depth         no samples",
+        "heading comes from PSXN,23",
+    ] {
+        assert!(text.contains(words), "no `{words}`:\n{text}");
+    }
+    let json: serde_json::Value = serde_json::from_str(&run(&["--json"])).expect("JSON");
+    assert_eq!(json["counters"]["used"], 452);
+    assert_eq!(json["quantities"]["roll-pitch"]["samples"], 90);
+    // A picture with ink in it: a track and four curves.
+    let decoder = png::Decoder::new(std::io::BufReader::new(
+        std::fs::File::open(&png).expect("drawn"),
+    ));
+    let mut reader = decoder.read_info().expect("a PNG");
+    let mut pixels = vec![0; reader.output_buffer_size().expect("small")];
+    let info = reader.next_frame(&mut pixels).expect("whole");
+    assert!(info.width > 1000 && info.height > 500);
+    let channels = info.color_type.samples();
+    let inked = pixels
+        .chunks(channels)
+        .filter(|p| p[0] < 100 && p[channels.min(3) - 1] > 120);
+    assert!(inked.count() > 2000, "blue curves");
+}
+
+fn scene_info(args: &[&str]) -> (i32, String, String) {
+    let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
+        .args(["scene", "info"])
+        .args(args)
+        .output()
+        .expect("echotank runs");
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("text");
+    (
+        done.status.code().unwrap_or(-1),
+        text(done.stdout),
+        text(done.stderr),
+    )
+}
+
+#[test]
+fn scene_info_prints_text_and_json_and_draws_relief() {
+    let folder = tempfile::tempdir().expect("folder");
+    let png = folder.path().join("reef.png");
+    let reef = data("laparguera_hitw_bathy.tif");
+    let (reef, png) = (reef.to_str().unwrap(), png.to_str().unwrap());
+    let at = "--at=205732.37450969967,137484.22769317782";
+    let (code, out, err) = scene_info(&[reef, at, "--png", png]);
+    assert_eq!((code, err.as_str()), (0, ""));
+    for part in [
+        "system    projected metres (EPSG:32161)  [stated: in the file]",
+        "heights   elevations, positive up  [guessed: most numbers are negative]",
+        "size      75 rows x 75 columns, cells 3.9967432 north x 3.9967432 east",
+        "first row north  [stated: by the format]",
+        "holes     0.00 %",
+        "depth 51.938763 m (row 35 from the south, column 2)",
+        "picture   ",
+    ] {
+        assert!(out.contains(part), "{part} is not in\n{out}");
+    }
+    let file = std::io::BufReader::new(std::fs::File::open(png).expect("picture"));
+    let mut reader = png::Decoder::new(file).read_info().expect("PNG");
+    let mut pixels = vec![0; reader.output_buffer_size().expect("size")];
+    reader.next_frame(&mut pixels).expect("pixels");
+    assert!(
+        pixels.chunks(3).any(|p| p[2] > 120 && p[0] < 60),
+        "deep blue"
+    );
+
+    let (code, out, _) = scene_info(&[reef, at, "--json", "--values", "depth"]);
+    let json: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    assert_eq!(code, 0);
+    assert_eq!(json["heights"], "depth");
+    assert_eq!(json["layout"]["rows"], 75);
+    assert_eq!(json["at"][0]["depth_m"], -51.93876266479492);
+}
+
+#[test]
+fn scene_info_refuses_with_status_2_and_the_files_name() {
+    let folder = tempfile::tempdir().expect("folder");
+    let file = |name: &str, bytes: &[u8]| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).expect("write");
+        path.to_str().expect("a name").to_owned()
+    };
+    let cut = file("cut.tif", &seeds::small()[3].bytes[..9000]);
+    let mesh = file("pyramid.obj", seeds::OBJ.as_bytes());
+    for (args, part) in [
+        (vec![cut.as_str()], "cut.tif: "),
+        (
+            vec!["/no/such/file.bag"],
+            "/no/such/file.bag: cannot be read",
+        ),
+        (vec![cut.as_str(), "--crs", "utm-61n"], "must be \"local\""),
+        (vec![cut.as_str(), "--at", "1"], "expected two numbers"),
+        (
+            vec![mesh.as_str(), "--png", "a.png"],
+            "this file is a 3-D model",
+        ),
+    ] {
+        let (code, out, err) = scene_info(&args);
+        assert_eq!((code, out.as_str()), (2, ""), "{args:?}: {err}");
+        assert!(err.contains(part), "{args:?}: {err}");
+    }
+    let (code, out, _) = scene_info(&[&mesh]);
+    assert!(
+        code == 0 && out.contains("5 vertices, 6 triangles"),
+        "{out}"
+    );
+}

@@ -1,0 +1,68 @@
+//! What the daemon writes to standard error: `--log` and `RUST_LOG`.
+
+use std::process::Command;
+
+use serde_json::Value;
+
+/// Standard output and standard error of a short run.
+fn printed(log: &str, rust_log: Option<&str>) -> (String, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_echotank"));
+    command.args(["run", "hil-configs/points.toml", "--log", log]);
+    for set in [
+        "sonar.output.sevenk.listen=127.0.0.1:0",
+        "sonar.model.synthesis=direct",
+        "run.clock=fast",
+    ] {
+        command.args(["--set", set]);
+    }
+    command
+        .env_remove("RUST_LOG")
+        .env_remove("JOURNAL_STREAM")
+        .envs(rust_log.map(|filter| ("RUST_LOG", filter)))
+        .current_dir(echotank_testing::repository());
+    let done = command.output().expect("echotank runs");
+    let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
+    let (out, err) = (text(done.stdout), text(done.stderr));
+    assert!(done.status.success(), "{out}\n{err}");
+    assert!(out.lines().any(|line| line.starts_with("7k ")), "{out}");
+    assert!(!out.contains("INFO"), "{out}");
+    (out, err)
+}
+
+#[test]
+fn json_diagnostics_are_one_object_per_line() {
+    let (_, err) = printed("json", Some("debug"));
+    let events: Vec<Value> = err
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap_or_else(|why| panic!("{why}: {line}")))
+        .collect();
+    assert!(!events.is_empty());
+    for event in &events {
+        for key in ["timestamp", "level", "target"] {
+            assert!(event[key].is_string(), "{key}: {event}");
+        }
+    }
+    assert!(
+        events.iter().any(|event| event["message"] == "pinging"),
+        "{err}"
+    );
+}
+
+#[test]
+fn text_diagnostics_name_their_level_and_have_no_colours_in_a_file() {
+    let (_, err) = printed("text", None);
+    assert!(
+        err.lines()
+            .any(|line| line.contains("INFO") && line.contains("pinging")),
+        "{err}"
+    );
+    assert!(!err.contains('\u{1b}'), "{err}");
+}
+
+#[test]
+fn rust_log_off_silences_diagnostics() {
+    for log in ["text", "json"] {
+        let (_, err) = printed(log, Some("off"));
+        assert_eq!(err, "", "{log}");
+    }
+}

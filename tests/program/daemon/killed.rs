@@ -1,0 +1,118 @@
+//! After a kill at any time, recordings hold every sent ping, and the next start recovers them.
+
+use std::io::BufReader;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use echotank_protocols::sevenk::file::{CataloguePointer, FileReader};
+
+use super::modes::{pings_in, pings_of, rig, status, wait_delivered};
+use super::{Daemon, PATIENCE};
+
+#[test]
+fn a_killed_daemon_loses_no_sent_ping_and_the_next_recovers_its_recording() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut daemon = rig(folder.path(), &[]);
+    let at = daemon.announced("control http", "http");
+    let delivered = wait_delivered(at, 6);
+    daemon.child.kill().expect("killed");
+    daemon.child.wait().expect("gone");
+
+    let mut next = rig(folder.path(), &["run.clock=lockstep"]);
+    next.announced("control http", "http");
+    let printed = next.terminate();
+    assert!(printed.contains("had been cut off: mended"), "{printed}");
+
+    // The second run begins a new recording; in the same second it may have the same name with another suffix.
+    let mut files: Vec<_> = std::fs::read_dir(folder.path())
+        .expect("folder")
+        .map(|e| e.expect("entry").path())
+        .collect();
+    files.sort();
+    let mended = &files[0];
+    let bytes = std::fs::read(mended).expect("readable");
+    let first = FileReader::new(&bytes).next().expect("one").expect("sound");
+    let pointer = CataloguePointer::of_record(&first.record).expect("closed");
+    let end = pointer.offset_bytes + u64::from(pointer.size_bytes);
+    assert_eq!(end, bytes.len() as u64);
+    for file in &files[1..] {
+        std::fs::remove_file(file).expect("removed");
+    }
+    let pings = pings_in(&pings_of(folder.path())) as u64;
+    assert!(pings >= delivered, "{pings} of {delivered} pings");
+    let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
+        .arg("recover")
+        .arg(mended)
+        .output()
+        .expect("echotank runs");
+    let said = String::from_utf8_lossy(&done.stdout);
+    assert!(done.status.success() && said.contains("is whole"), "{said}");
+}
+
+/// Every record format at once.
+const EVERY_KIND: [&str; 12] = [
+    "run.queue_pings=30",
+    "sonar.output.sevenk.listen=127.0.0.1:0",
+    "control.listen=127.0.0.1:0",
+    "sonar.model.synthesis=direct",
+    "sonar.ping.range_m=15",
+    "sonar.ping.rate_hz=20",
+    "nav.loop=true",
+    "sonar.output.jsf={listen=\"127.0.0.1:0\", listen_data=\"127.0.0.1:0\", record=true}",
+    "sonar.output.xtf={}",
+    "sonar.output.ping={device=\"omniscan450\", side=\"port\", listen=\"127.0.0.1:0\"}",
+    "sonar.output.sigmf={arrays=[\"port\"]}",
+    "sonar.output.wav={arrays=[\"port\"]}",
+];
+
+#[test]
+fn a_full_disk_stops_recordings_counts_them_and_pings_continue() {
+    let folder = tempfile::tempdir().expect("folder");
+    // Some tens of kilobytes per file, with SIGXFSZ ignored: a write fails as on a full disk.
+    let limited = "trap '' XFSZ; ulimit -f 40; exec \"$0\" \"$@\"";
+    let mut command = Command::new("sh");
+    command.args(["-c", limited, env!("CARGO_BIN_EXE_echotank"), "run"]);
+    command.arg("hil-configs/points.toml");
+    let record = format!("record.directory={:?}", folder.path());
+    for set in EVERY_KIND.iter().chain([&record.as_str()]) {
+        command.args(["--set", set]);
+    }
+    command.current_dir(echotank_testing::repository());
+    let mut child = command.stdout(Stdio::piped()).spawn().expect("runs");
+    let stdout = BufReader::new(child.stdout.take().expect("piped"));
+    let mut daemon = Daemon {
+        child,
+        stdout,
+        printed: String::new(),
+    };
+    let at = daemon.announced("control http", "http");
+    let until = Instant::now() + PATIENCE;
+    loop {
+        let stopped = &status(at)["sonars"][0]["counters"]["recordings_stopped"];
+        if *stopped == 6 {
+            break;
+        }
+        assert!(Instant::now() < until, "{stopped} of 6 recordings stopped");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let then = status(at)["pings_delivered"].as_u64().expect("a count");
+    wait_delivered(at, then + 5);
+    daemon.child.kill().expect("killed");
+    daemon.child.wait().expect("gone");
+    // The files are whole or recovered.
+    let files = std::fs::read_dir(folder.path()).expect("folder");
+    let files: Vec<_> = files.map(|e| e.expect("entry").path()).collect();
+    let kinds = ["s7k", "jsf", "xtf", "svlog", "sigmf-meta", "wav"];
+    for kind in kinds {
+        let file = files
+            .iter()
+            .find(|f| f.extension().is_some_and(|e| e == kind));
+        let file = file.unwrap_or_else(|| panic!("a .{kind} among {files:?}"));
+        for want in ["", "is whole"] {
+            let done = Command::new(env!("CARGO_BIN_EXE_echotank"));
+            let done = { done }.arg("recover").arg(file).output().expect("runs");
+            let said = String::from_utf8_lossy(&done.stdout);
+            assert!(done.status.success() && said.contains(want), "{said}");
+        }
+    }
+}

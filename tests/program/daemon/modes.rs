@@ -1,0 +1,376 @@
+//! All clock modes send the same pings: `realtime`, `scaled`, `fast`, `lockstep`, `replay`, and after a pause.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::path::Path;
+use std::process::Command;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use echotank_protocols::sevenk::file::FileReader;
+use echotank_runtime::io::control::client;
+use serde_json::{Value, json};
+
+use super::triggers::{records, three};
+use super::{Daemon, PATIENCE};
+
+/// Records of pings by type and timestamp; records that hold the start time of a file are left out.
+pub(crate) type Pings = BTreeMap<(u32, Vec<u8>), Vec<u8>>;
+
+/// Offset of year, day, seconds, hours and minutes in a record's frame.
+const TIME: std::ops::Range<usize> = 20..30;
+
+pub(crate) fn pings_of(folder: &Path) -> Pings {
+    let files = std::fs::read_dir(folder).expect("folder");
+    let paths = files.map(|e| e.expect("entry").path());
+    let path = paths
+        .into_iter()
+        .find(|path| path.extension().is_some_and(|e| e == "s7k"))
+        .expect("a record");
+    let bytes = std::fs::read(path).expect("readable");
+    let mut at = 0;
+    let mut pings = Pings::new();
+    for read in FileReader::new(&bytes) {
+        let record = read.expect("sound").record;
+        let size = record.frame.size_bytes as usize;
+        let whole = &bytes[at..at + size];
+        at += size;
+        let kind = record.frame.record_type_id;
+        if !matches!(kind, 7200 | 7300 | 7001) {
+            let other = pings.insert((kind, whole[TIME].to_vec()), whole.to_vec());
+            assert!(other.is_none(), "two records {kind} of one instant");
+        }
+    }
+    pings
+}
+
+pub(crate) fn pings_in(pings: &Pings) -> usize {
+    pings.keys().filter(|(kind, _)| *kind == 7000).count()
+}
+
+/// Compares the records that both have; returns their number.
+fn assert_same(got: &Pings, want: &Pings, what: &str) -> usize {
+    let mut compared = 0;
+    for (key, bytes) in got {
+        let Some(other) = want.get(key) else {
+            panic!("{what}: replay has no record {} of that instant", key.0);
+        };
+        let differing = bytes.iter().zip(other).position(|(a, b)| a != b);
+        assert!(
+            bytes.len() == other.len() && differing.is_none(),
+            "{what}: record {} of {} bytes differs at {differing:?}",
+            key.0,
+            bytes.len()
+        );
+        compared += 1;
+    }
+    compared
+}
+
+/// A small, fast rig: points in still water, ten pings per second.
+pub(crate) fn rig(folder: &Path, more: &[&str]) -> Daemon {
+    let record = format!("record.directory={folder:?}");
+    let mut arguments = vec!["hil-configs/points.toml"];
+    let common = [
+        record.as_str(),
+        "sonar.output.sevenk.listen=127.0.0.1:0",
+        "control.listen=127.0.0.1:0",
+        "sonar.model.synthesis=direct",
+        "sonar.ping.range_m=50",
+        "sonar.ping.rate_hz=10",
+    ];
+    for set in common.iter().chain(more) {
+        arguments.extend(["--set", set]);
+    }
+    Daemon::start(&arguments)
+}
+
+pub(crate) fn status(control: SocketAddr) -> Value {
+    let (code, body) = client::get(control, "/status", None).expect("answers");
+    assert_eq!(code, 200, "{body}");
+    serde_json::from_str(&body).expect("JSON")
+}
+
+pub(crate) fn tell(control: SocketAddr, command: &Value) -> (u16, Value) {
+    let (code, body) = client::command(control, command, None).expect("answers");
+    (code, serde_json::from_str(&body).expect("JSON"))
+}
+
+/// Waits until this many pings have been sent.
+pub(crate) fn wait_delivered(control: SocketAddr, pings: u64) -> u64 {
+    let until = Instant::now() + PATIENCE;
+    loop {
+        let now = status(control)["pings_delivered"]
+            .as_u64()
+            .expect("a count");
+        if now >= pings {
+            return now;
+        }
+        assert!(Instant::now() < until, "{now} of {pings} pings");
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn signal(daemon: &Daemon, name: &str) {
+    let told = Command::new("kill")
+        .args([name, &daemon.child.id().to_string()])
+        .status();
+    assert!(told.expect("kill").success());
+}
+
+#[test]
+fn the_same_pings_are_sent_in_every_clock_mode_and_after_a_pause() {
+    let folders: Vec<_> = (0..6)
+        .map(|_| tempfile::tempdir().expect("folder"))
+        .collect();
+    let replayed = Command::new(env!("CARGO_BIN_EXE_echotank"))
+        .args(["replay", "hil-configs/points.toml", "--quiet"])
+        .args(["--formats", "s7k", "--set", "sonar.model.synthesis=direct"])
+        .args([
+            "--set",
+            "sonar.ping.range_m=50",
+            "--set",
+            "sonar.ping.rate_hz=10",
+        ])
+        .arg("--out")
+        .arg(folders[5].path())
+        .current_dir(echotank_testing::repository())
+        .output()
+        .expect("echotank runs");
+    let said = String::from_utf8_lossy(&replayed.stderr);
+    assert!(replayed.status.success(), "{said}");
+    let want = pings_of(folders[5].path());
+    assert!(pings_in(&want) > 20, "{} pings", pings_in(&want));
+
+    // All at once: they wait most of the time.
+    let mut realtime = rig(folders[0].path(), &["run.clock=realtime"]);
+    let mut stopped = rig(folders[1].path(), &["run.clock=realtime"]);
+    let mut scaled = rig(
+        folders[2].path(),
+        &["run.clock=scaled", "run.clock_rate=10"],
+    );
+    let mut fast = rig(folders[3].path(), &["run.clock=fast"]);
+    let mut lockstep = rig(folders[4].path(), &["run.clock=lockstep"]);
+
+    let at = stopped.announced("control http", "http");
+    wait_delivered(at, 3);
+    signal(&stopped, "-STOP");
+    let at = lockstep.announced("control http", "http");
+    let (code, answer) = tell(at, &json!({ "do": "step", "pings": 4 }));
+    assert_eq!((code, &answer["accepted"]), (200, &json!(true)), "{answer}");
+    assert_eq!(wait_delivered(at, 4), 4);
+    // Without a step request time stands still.
+    let before = status(at)["rig_utc_ns"].clone();
+    thread::sleep(Duration::from_millis(300));
+    assert_eq!(status(at)["pings_delivered"], 4);
+    assert_eq!(status(at)["rig_utc_ns"], before);
+    tell(at, &json!({ "do": "step" }));
+    assert_eq!(wait_delivered(at, 5), 5);
+    signal(&stopped, "-CONT");
+
+    // Two of them run to the end of the log by themselves.
+    for daemon in [&mut scaled, &mut fast] {
+        let status = daemon.child.wait().expect("ended");
+        assert!(status.success(), "{status}");
+    }
+    let at = realtime.announced("control http", "http");
+    wait_delivered(at, 8);
+    realtime.terminate();
+    stopped.terminate();
+    lockstep.terminate();
+
+    for (k, what, least) in [
+        (0, "realtime", 8),
+        (1, "stopped", 3),
+        (2, "scaled", 3),
+        (3, "fast", pings_in(&want)),
+        (4, "lockstep", 5),
+    ] {
+        let got = pings_of(folders[k].path());
+        let records = assert_same(&got, &want, what);
+        let pings = pings_in(&got);
+        assert!(pings >= least, "{what}: {pings} pings, {records} records");
+    }
+}
+
+/// Faults of elements, navigation and pulses; pulse faults propagate to the sonars that follow.
+const SCENARIO: &str = r#"
+[[fault]]
+kind = "inverted"
+sonar = "bow"
+array = 2
+element = 3
+at_s = 0.2
+for_s = 0.8
+[[fault]]
+kind = "noise-burst"
+value = 1e-5
+at_s = 0.5
+probability = 0.4
+burst = 2
+seed = 3
+[[fault]]
+kind = "nav-wrong"
+quantity = "roll-pitch"
+value = 4.0
+at_s = 0.4
+ramp_s = 0.5
+[[fault]]
+kind = "nav-slow"
+quantity = "heading"
+value = 2.0
+[[fault]]
+kind = "trigger-missed"
+sonar = "points"
+at_s = 1.0
+for_s = 0.15
+[[fault]]
+kind = "trigger-double"
+sonar = "points"
+value = 45.0
+at_s = 1.4
+for_s = 0.25
+"#;
+
+/// Three sonars, two of which follow the first, with automatic method selection, including an engine with a tolerance.
+#[test]
+fn selected_methods_faults_and_triggers_are_the_same_in_every_clock_mode() {
+    let folder = tempfile::tempdir().expect("folder");
+    let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"auto\"\ntolerance = 1e-2";
+    let config = three(folder.path(), model, SCENARIO);
+    let text = std::fs::read_to_string(&config).expect("readable");
+    // An engine with a tolerance needs the receiver filter, and pulses without sharp edges.
+    let text = text
+        .replace("rx_filter = \"none\"", "rx_filter = \"fir\"")
+        .replace("taper = 0.0", "taper = 0.2")
+        // Headings at 2 Hz settle later than the track's own.
+        .replace("latency_ms = 600.0", "latency_ms = 1500.0");
+    let (first, others) = text.split_once("name = \"bow\"").expect("three sonars");
+    let engine = others.replacen("synthesis = \"auto\"", "synthesis = \"gridded-1d\"", 1);
+    std::fs::write(&config, format!("{first}name = \"bow\"{engine}")).expect("written");
+    let config = config.to_str().expect("text");
+    let at = |name: &str| folder.path().join(name);
+    let start = |name: &str, clock: &[&str]| {
+        let record = format!("record.directory={:?}", at(name));
+        let mut arguments = vec![config];
+        for set in clock
+            .iter()
+            .chain(&[record.as_str(), "control.listen=127.0.0.1:0"])
+        {
+            arguments.extend(["--set", set]);
+        }
+        Daemon::start(&arguments)
+    };
+    // Modes without a deadline come first: making engines takes seconds, and a running clock skips late pings.
+    let mut fast = start("fast", &["run.clock=fast"]);
+    let mut lockstep = start("lockstep", &["run.clock=lockstep"]);
+    let control = lockstep.announced("control http", "http");
+    let (code, answer) = tell(control, &json!({ "do": "step", "pings": 70 }));
+    assert_eq!(code, 200, "{answer}");
+    // Missed pulses make no pings.
+    wait_delivered(control, 60);
+    lockstep.terminate();
+    let ended = fast.child.wait().expect("ended");
+    assert!(ended.success(), "{ended}");
+    let replayed = Command::new(env!("CARGO_BIN_EXE_echotank"))
+        .args(["replay", config, "--quiet", "--formats", "s7k", "--out"])
+        .arg(at("replay"))
+        .output()
+        .expect("echotank runs");
+    assert!(replayed.status.success(), "{replayed:?}");
+    let mut stopped = start("stopped", &["run.clock=realtime"]);
+    let control = stopped.announced("control http", "http");
+    wait_delivered(control, 3);
+    signal(&stopped, "-STOP");
+    thread::sleep(Duration::from_millis(700));
+    signal(&stopped, "-CONT");
+    // To the end of the log.
+    for mut daemon in [
+        stopped,
+        start("scaled", &["run.clock=scaled", "run.clock_rate=2"]),
+        start("realtime", &["run.clock=realtime"]),
+    ] {
+        let ended = daemon.child.wait().expect("ended");
+        assert!(ended.success(), "{ended}");
+    }
+    for sonar in ["points", "bow", "stern"] {
+        let (pulses, want) = records(&at("fast"), sonar);
+        assert!(pulses.len() > 20, "{sonar}: {} pings", pulses.len());
+        for (name, least) in [
+            ("replay", pulses.len()),
+            ("lockstep", 20),
+            ("realtime", 10),
+            ("stopped", 5),
+            ("scaled", 5),
+        ] {
+            let folder = match name {
+                // A folder for each sonar.
+                "replay" => at(name).join(sonar),
+                _ => at(name),
+            };
+            let (pings, got) = records(&folder, sonar);
+            for (key, body) in &got {
+                let other = want.get(key);
+                assert!(
+                    other == Some(body),
+                    "{name} {sonar}: record {} of ping {} differs",
+                    key.0,
+                    key.1
+                );
+            }
+            assert!(pings.len() >= least, "{name} {sonar}: {}", pings.len());
+        }
+    }
+}
+
+/// Stops every thread in a debugger for a while; without a debugger or permission this does nothing.
+fn debug(daemon: &Daemon) -> bool {
+    let done = Command::new("gdb")
+        .args(["--batch", "--nx", "--readnever"])
+        .args(["-ex", "shell sleep 0.3", "-ex", "detach"])
+        .args(["--pid", &daemon.child.id().to_string()])
+        .output();
+    done.is_ok_and(|done| String::from_utf8_lossy(&done.stdout).contains("detached"))
+}
+
+#[test]
+fn a_stop_in_a_debugger_changes_no_ping() {
+    let folders = [0, 1].map(|_| tempfile::tempdir().expect("folder"));
+    let mut fast = rig(folders[0].path(), &["run.clock=fast"]);
+    let mut stopped = rig(folders[1].path(), &["run.clock=realtime"]);
+    let at = stopped.announced("control http", "http");
+    wait_delivered(at, 3);
+    println!("stopped in a debugger: {}", debug(&stopped));
+    assert!(fast.child.wait().expect("ended").success());
+    // To the end of the log.
+    assert!(stopped.child.wait().expect("ended").success());
+    let want = pings_of(folders[0].path());
+    let got = pings_of(folders[1].path());
+    assert_same(&got, &want, "in a debugger");
+    assert!(pings_in(&got) >= 3, "{} pings", pings_in(&got));
+}
+
+#[test]
+fn a_pause_stops_time_and_a_step_sends_one_ping() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut daemon = rig(folder.path(), &["nav.loop=true"]);
+    let at = daemon.announced("control http", "http");
+    wait_delivered(at, 2);
+    let (code, answer) = tell(at, &json!({ "do": "pause" }));
+    assert_eq!((code, &answer["accepted"]), (200, &json!(true)), "{answer}");
+    let paused = status(at);
+    thread::sleep(Duration::from_millis(300));
+    let later = status(at);
+    assert_eq!(later["rig_utc_ns"], paused["rig_utc_ns"], "time stands");
+    // A ping being delivered may have been sent since.
+    let before = later["pings_delivered"].as_u64().expect("a count");
+    tell(at, &json!({ "do": "step", "pings": 2 }));
+    assert_eq!(wait_delivered(at, before + 2), before + 2);
+    thread::sleep(Duration::from_millis(300));
+    assert_eq!(status(at)["pings_delivered"], before + 2);
+    tell(at, &json!({ "do": "resume" }));
+    wait_delivered(at, before + 4);
+    // A daemon told to stop while its clock stands still ends.
+    tell(at, &json!({ "do": "pause" }));
+    daemon.terminate();
+}

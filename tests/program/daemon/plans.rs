@@ -1,0 +1,147 @@
+//! Method selection in the daemon: the error check detects a selection that misses its tolerance; it is counted and replaced by a costlier
+//! one.
+
+use std::fmt::Write;
+use std::net::SocketAddr;
+
+use echotank_runtime::io::control::client;
+use serde_json::json;
+
+use super::Daemon;
+use super::modes::{status, tell, wait_delivered};
+use echotank_testing::track::{ALONG_TRACK, COLUMNS};
+
+/// Points abeam: while they are abeam the range rate is zero, and methods that ignore motion suffice. Nothing in the sonar's own motion
+/// shows when that ends; only the error check does.
+const POINTS: usize = 300;
+const SPEED_M_PER_S: f64 = 0.05;
+/// Three percent of such a ping are two samples; 64 samples take half of the budget.
+const PATIENCE_PINGS: u64 = 80;
+/// Pings until a new selection takes effect, plus 128 samples of which none belongs to the old one.
+const LEAD_PINGS: u64 = 8;
+const FLUSH_PINGS: u64 = 80;
+
+const RIG: &str = r#"
+[medium]
+sound_speed_m_per_s = 1500.0
+absorption = "none"
+[scene]
+anchor = "origin"
+points = "points.csv"
+[run]
+clock = "lockstep"
+latency_ms = 600.0
+[control]
+listen = "127.0.0.1:0"
+[[sonar]]
+name = "drifting"
+[sonar.pulse]
+kind = "lfm"
+center_frequency_khz = 400.0
+bandwidth_khz = 20.0
+duration_ms = 0.5
+taper = 0.2
+[[sonar.transmit]]
+name = "tx"
+[[sonar.receive]]
+name = "rx"
+elements = 64
+spacing_m = 0.001875
+[sonar.receiver]
+sample_rate_khz = 60.0
+rx_filter = "none"
+tvg = "none"
+[sonar.ping]
+range_m = 10.0
+rate_hz = 2.0
+source_level_db = 180.0
+[sonar.limits]
+range_m = [1.0, 10.0]
+pulse_duration_ms = [0.5, 0.5]
+[sonar.model]
+path = "auto"
+doppler = "auto"
+synthesis = "direct"
+tolerance = 2e-2
+error_check = true
+"#;
+
+/// One metric of /metrics.
+fn metric(control: SocketAddr, name: &str) -> Option<f64> {
+    let (code, text) = client::get(control, "/metrics", None).expect("answers");
+    assert_eq!(code, 200, "{text}");
+    let begins = format!("echotank_{name}{{");
+    let line = text.lines().find(|line| line.starts_with(&begins))?;
+    line.split_whitespace().nth(1)?.parse().ok()
+}
+
+#[test]
+fn a_failed_error_check_is_a_counted_fault_and_selects_costlier_methods() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut points = String::from("north_m,east_m,down_m,amplitude\n");
+    for k in 0..POINTS {
+        // 3 to 9 m, one centimetre to either side.
+        let part = |step: f64| (k as f64 * step).fract();
+        let _ = writeln!(
+            points,
+            "{:.4},{:.4},5.0,1.0",
+            0.02 * (part(0.618_034) - 0.5),
+            3.0 + 6.0 * part(0.754_878)
+        );
+    }
+    std::fs::write(folder.path().join("points.csv"), points).expect("written");
+    let mut track = String::from(COLUMNS);
+    for k in 0..1200 {
+        let t_s = 0.1 * f64::from(k);
+        let _ = writeln!(
+            track,
+            "{:.1},{:.6},0,5,0,0,0",
+            1_793_611_200.0 + t_s,
+            SPEED_M_PER_S * t_s
+        );
+    }
+    std::fs::write(folder.path().join("track.csv"), track).expect("written");
+    let path = folder.path().join("drift.toml");
+    std::fs::write(&path, format!("{ALONG_TRACK}{RIG}")).expect("written");
+    let mut daemon = Daemon::start(&[path.to_str().expect("text")]);
+    let control = daemon.announced("control", "http");
+    let step = |pings: u64, before: u64| {
+        let (code, answer) = tell(control, &json!({ "do": "step", "pings": pings }));
+        assert_eq!(code, 200, "{answer}");
+        wait_delivered(control, before + pings)
+    };
+    let mut delivered = step(1, 0);
+    let said = status(control);
+    let plan = said["sonars"][0]["methods"]["plan"].clone();
+    assert_eq!(plan, 1, "made ahead of the first ping: {said}");
+    assert_eq!(metric(control, "plans_given_up"), Some(0.0));
+    assert_eq!(metric(control, "plan_tolerance"), Some(2e-2));
+    let first_promise = metric(control, "plan_predicted_error").expect("a promise");
+    assert!(first_promise <= 2e-2, "{first_promise}");
+
+    while metric(control, "plans_given_up") == Some(0.0) && delivered < PATIENCE_PINGS {
+        delivered = step(2, delivered);
+    }
+    let error = metric(control, "checked_error").expect("checked");
+    println!("given up at ping {delivered}: {error:.1e} measured, {first_promise:.1e} promised");
+    assert_eq!(metric(control, "plans_given_up"), Some(1.0));
+    assert!(metric(control, "error_check_faults") >= Some(1.0));
+    assert!(error > 2.6e-2, "{error}");
+    let margin = metric(control, "plan_margin").expect("checked");
+    assert!((margin * error / 2e-2 - 1.0).abs() < 1e-6, "{margin}");
+    let said = status(control)["sonars"][0]["methods"].clone();
+    assert_eq!((&said["plan"], &said["given_up"]), (&json!(1), &json!(1)));
+    assert!(said["margin"].as_f64().is_some_and(|m| m < 1.0), "{said}");
+
+    delivered = step(LEAD_PINGS + FLUSH_PINGS, delivered);
+    let (plan, error) = (metric(control, "plan"), metric(control, "checked_error"));
+    println!("at ping {delivered}: plan {plan:?}, {error:?} measured");
+    assert!(plan >= Some(2.0), "{plan:?}");
+    assert!(error < Some(2e-2), "{error:?}");
+    assert!(metric(control, "plan_predicted_error") <= Some(2e-2));
+    let printed = daemon.terminate();
+    assert!(
+        printed.contains("FAULT: 1 plans given up for their error checks, 0 not made"),
+        "{printed}"
+    );
+}

@@ -1,0 +1,19 @@
+//! What the tests of several crates and the developers' tools share.
+
+pub mod allocations;
+#[cfg(feature = "echo")]
+pub mod echo;
+#[cfg(feature = "echo")]
+pub mod line_scene;
+#[cfg(feature = "scene")]
+pub mod seeds;
+pub mod track;
+#[cfg(feature = "wire")]
+pub mod wire;
+
+use std::path::PathBuf;
+
+/// The root of the repository.
+pub fn repository() -> PathBuf {
+    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
+}

@@ -1,0 +1,478 @@
+//! Method selection: transitions between models, predictions on random rigs, and independence of run time.
+
+mod parts;
+
+use std::f64::consts::TAU;
+use std::fmt::Write;
+use std::path::Path;
+
+use echotank_config::spec::{Density, RigSpec};
+use echotank_core::frames::Trajectory;
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::ping::{ErrorCheck, PingPlan};
+use echotank_core::scene::Scatterers;
+use echotank_core::time::UtcNs;
+use echotank_ping::method_selection::costs::Costs;
+use echotank_ping::method_selection::{Scene, Swell, rank};
+use echotank_ping::rig::pool;
+use echotank_runtime::first_pings::{first, pings};
+use echotank_runtime::recorded::RecordedRig;
+use glam::{DQuat, DVec3};
+use rayon::prelude::*;
+
+use crate::rigs::case;
+use crate::rigs::measure::measure;
+use echotank_testing::track::{ALONG_TRACK, COLUMNS};
+
+const C: f64 = 1500.0;
+const CARRIER_HZ: f64 = 400e3;
+const PULSE_S: f64 = 5e-3;
+/// Length of both apertures.
+const APERTURE_M: f64 = 0.2;
+const RANGE_M: f64 = 75.0;
+
+/// One point at 75 m, `angle_deg` from the track, before a transmitter and an element that are omnidirectional or, if `focused`, 0.2 m
+/// long.
+fn rig(folder: &Path, angle_deg: f64, focused: bool, model: &str) -> RigSpec {
+    let (sin, cos) = angle_deg.to_radians().sin_cos();
+    let point = format!(
+        "north_m,east_m,down_m,amplitude\n{:.6},{:.6},5.0,1.0\n",
+        RANGE_M * cos,
+        RANGE_M * sin
+    );
+    std::fs::write(folder.join("points.csv"), point).expect("write");
+    let mut track = String::from(COLUMNS);
+    for k in 0..20 {
+        let _ = writeln!(track, "{:.1},0,0,5,0,0,0", 1_793_611_200.0 + 0.1 * k as f64);
+    }
+    std::fs::write(folder.join("track.csv"), track).expect("write");
+    let pattern = |prefix: &str| match focused {
+        true => format!(
+            "{prefix}pattern = \"rectangle\"\n{prefix}length_m = {APERTURE_M}\n{prefix}width_m = 0.0\n"
+        ),
+        false => String::new(),
+    };
+    let (lit, heard) = (pattern(""), pattern("element_"));
+    let text = format!(
+        r#"[medium]
+sound_speed_m_per_s = {C}
+absorption = "none"
+{ALONG_TRACK}[scene]
+points = "points.csv"
+[run]
+latency_ms = 600.0
+[[sonar]]
+name = "one"
+[sonar.pulse]
+kind = "lfm"
+sweep = "up"
+center_frequency_khz = {carrier_khz}
+bandwidth_khz = 30.0
+duration_ms = {pulse_ms}
+taper = 0.1
+[[sonar.transmit]]
+name = "tx"
+position_m = [0.0, 0.0, 0.0]
+roll_deg = -90.0
+{lit}
+[[sonar.receive]]
+name = "rx"
+transmit = "tx"
+elements = 1
+spacing_m = 0.1
+position_m = [0.0, 0.0, 0.0]
+roll_deg = -90.0
+sensitivity_db = 0.0
+{heard}
+[sonar.receiver]
+sample_rate_khz = 60.0
+rx_filter = "none"
+tvg = "none"
+full_scale_v = 1.0
+[sonar.ping]
+range_m = 90.0
+rate_hz = 2.0
+source_level_db = 200.0
+gain_db = 0.0
+[sonar.limits]
+range_m = [1.0, 90.0]
+ping_rate_hz = [0.1, 20.0]
+source_level_db = [170.0, 220.0]
+gain_db = [-30.0, 40.0]
+pulse_duration_ms = [{pulse_ms}, {pulse_ms}]
+[sonar.model]
+{model}
+"#,
+        carrier_khz = CARRIER_HZ / 1e3,
+        pulse_ms = PULSE_S * 1e3,
+    );
+    echotank_runtime::config_files::parse(&text, folder)
+        .unwrap_or_else(|why| panic!("{why}\n{text}"))
+}
+
+struct One {
+    rig: RigSpec,
+    plan: PingPlan,
+    scatterers: Scatterers,
+    costs: Costs,
+}
+
+impl One {
+    fn new(angle_deg: f64, focused: bool, model: &str) -> Self {
+        let folder = tempfile::tempdir().expect("folder");
+        let rig = rig(folder.path(), angle_deg, focused, model);
+        let (plan, scatterers) = pings(&rig).expect("a ping").swap_remove(0);
+        Self {
+            rig,
+            plan,
+            scatterers,
+            costs: Costs::committed(),
+        }
+    }
+
+    /// The selection at this speed and tolerance.
+    fn at(&self, speed: f64, tolerance: f64) -> (PathModel, DopplerModel) {
+        let mut spec = self.rig.sonars[0].clone();
+        spec.synthesis.tolerance = tolerance;
+        let mut plan = self.plan.clone();
+        let here = plan.trajectory.pose_at(0.0).position_m;
+        plan.trajectory = Trajectory::uniform(here, DVec3::X * speed, DQuat::IDENTITY);
+        let scene = Scene {
+            spec: &spec,
+            medium: &self.rig.medium,
+            plan: &plan,
+            scatterers: &self.scatterers,
+            count: self.scatterers.len(),
+            costs: &self.costs,
+            swell: Swell::NONE,
+        };
+        let model = rank(&scene, &[]).expect("a plan").chosen().choice.model;
+        (model.path, model.doppler)
+    }
+}
+
+/// The limit of validity of `cheap`, by bisection in logarithms: it is valid at `holds`, and not at `fails`.
+fn crossing(holds: f64, fails: f64, cheap: impl Fn(f64) -> bool) -> f64 {
+    assert!(cheap(holds) && !cheap(fails), "{holds} to {fails}");
+    let (mut holds, mut fails) = (holds, fails);
+    for _ in 0..24 {
+        let middle = (holds * fails).sqrt();
+        match cheap(middle) {
+            true => holds = middle,
+            false => fails = middle,
+        }
+    }
+    holds
+}
+
+fn near(got: f64, want: f64, what: &str) {
+    println!("{what}: crosses at {got:.3e}, the formula says {want:.3e}");
+    assert!(
+        (got / want - 1.0).abs() < 0.2,
+        "{what}: {got:e}, formula {want:e}"
+    );
+}
+
+/// rms(4 pi v r cos(theta)/(c lambda)) of samples: the limit for ignoring motion.
+#[test]
+fn samples_need_more_than_stop_and_hop_above_the_formulas_limit() {
+    let model = "path = \"auto\"\ndoppler = \"stretch-quadratic\"\nsynthesis = \"direct\"";
+    for angle_deg in [30.0, 60.0] {
+        let one = One::new(angle_deg, false, model);
+        let lambda_m = C / CARRIER_HZ;
+        let cos = f64::to_radians(angle_deg).cos();
+        for tolerance in [1e-3, 1e-2] {
+            let got = crossing(1e-9, 1.0, |v| {
+                one.at(v, tolerance).0 == PathModel::StopAndHop
+            });
+            let want = tolerance * C * lambda_m / (2.0 * TAU * RANGE_M * cos);
+            near(got, want, "stop-and-hop, m/s");
+        }
+    }
+}
+
+/// 2 pi f_c |d| T/sqrt(12) where an unstretched pulse lies on the middle of its echo. Here it lies on the leading edge, from which on its
+/// phase runs away: twice that. And a window may hold the last quarter of the echo alone: from a to 1 of the pulse the mean square of the phase is
+/// 1 + a + a^2 times that of all of it.
+#[test]
+fn samples_need_doppler_above_the_formulas_limit() {
+    let model = "path = \"continuous\"\ndoppler = \"auto\"\nsynthesis = \"direct\"";
+    let one = One::new(60.0, false, model);
+    let cos = f64::to_radians(60.0).cos();
+    for tolerance in [1e-3, 1e-2] {
+        let got = crossing(1e-9, 1.0, |v| one.at(v, tolerance).1 == DopplerModel::None);
+        let d_per_m_per_s = 2.0 * cos / C;
+        let middle = TAU * CARRIER_HZ * d_per_m_per_s * PULSE_S / 12f64.sqrt();
+        let last_quarter = (1.0 + 0.75 + 0.75f64.powi(2)).sqrt();
+        let want = tolerance / (2.0 * middle * last_quarter);
+        near(got, want, "no Doppler, m/s");
+    }
+}
+
+/// v r/c of a quarter of a cell along the track; |d| f_c T/B of a tenth of a cell in range.
+#[test]
+fn images_need_better_models_above_their_formulas_limits() {
+    let model =
+        "path = \"auto\"\ndoppler = \"stretch\"\nsynthesis = \"direct\"\ntolerance_image = 0.1";
+    let broadside = One::new(90.0, true, model);
+    let lambda_m = C / CARRIER_HZ;
+    let got = crossing(1e-3, 100.0, |v| {
+        broadside.at(v, 1e-3).0 == PathModel::StopAndHop
+    });
+    let cell_m = 0.64 * lambda_m * RANGE_M / APERTURE_M;
+    near(
+        got,
+        0.25 * cell_m * C / RANGE_M,
+        "a picture's stop-and-hop, m/s",
+    );
+
+    let model =
+        "path = \"continuous\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\ntolerance_image = 0.1";
+    let ahead = One::new(60.0, false, model);
+    let got = crossing(1e-6, 10.0, |v| ahead.at(v, 1e-3).1 == DopplerModel::None);
+    let d_per_m_per_s = 2.0 * f64::to_radians(60.0).cos() / C;
+    near(
+        got,
+        0.1 / (d_per_m_per_s * CARRIER_HZ * PULSE_S),
+        "a picture's Doppler, m/s",
+    );
+}
+
+#[test]
+fn slow_or_tolerant_sonars_get_cheap_models_and_ten_knots_at_1e_4_does_not() {
+    let one = One::new(
+        60.0,
+        false,
+        "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"",
+    );
+    assert_eq!(
+        one.at(0.0, 1e-4),
+        (PathModel::StopAndHop, DopplerModel::None)
+    );
+    assert_eq!(
+        one.at(1e-6, 1e-2),
+        (PathModel::StopAndHop, DopplerModel::None)
+    );
+    let (path, doppler) = one.at(5.144, 1e-4);
+    assert!(
+        path != PathModel::StopAndHop && doppler != DopplerModel::None,
+        "{path:?} {doppler:?}"
+    );
+}
+
+/// `tools/rigs` is the long form.
+#[test]
+fn on_small_random_rigs_the_predicted_error_is_an_upper_bound() {
+    let costs = Costs::committed();
+    let pool = pool(2).expect("threads");
+    for seed in [3, 8, 21, 13, 5] {
+        let folder = tempfile::tempdir().expect("folder");
+        let (spec, about) = case::random(seed, folder.path(), true);
+        let measured = pool
+            .install(|| measure(&spec, &costs, false))
+            .unwrap_or_else(|why| panic!("seed {seed}: {why}: {about}"));
+        for of in measured.iter().filter(|of| !of.out_of_reach) {
+            let said = format!("seed {seed}, {about}: {}", of.said());
+            println!("{said}");
+            assert!(of.plan.error <= of.tolerance, "{said}");
+            assert!(of.plan.error <= of.plan.predicted_error, "{said}");
+        }
+    }
+}
+
+/// Explicit floors: the prediction bounds the worst window too, and is at most ten times too high.
+#[test]
+fn the_error_of_a_fixed_floor_is_bounded_within_ten_times() {
+    let costs = Costs::committed();
+    let folder = crate::repository().join("hil-configs");
+    for (file, floor_db) in [("omniscan450", -40.0), ("board", -30.0)] {
+        let mut spec = echotank_runtime::config_files::load(&folder.join(format!("{file}.toml")))
+            .expect("good");
+        spec.scene.seabed.as_mut().expect("a seabed").density = Density::PerM2(1.0);
+        for sonar in &mut spec.sonars {
+            sonar.synthesis.auto.cull = false;
+            sonar.model.cull_db = Some(floor_db);
+        }
+        let measured = pool(2)
+            .expect("threads")
+            .install(|| measure(&spec, &costs, false))
+            .unwrap_or_else(|why| panic!("{file}: {why}"));
+        for of in measured {
+            let said = format!("{file} at {floor_db} dB: {}", of.said());
+            println!("{said}");
+            assert!(of.out_of_reach, "{said}");
+            assert!(of.plan.error <= of.plan.predicted_error, "{said}");
+            assert!(of.plan.predicted_error <= 10.0 * of.plan.error, "{said}");
+        }
+    }
+}
+
+/// The cost by the committed table fits two cores.
+#[test]
+fn every_configurations_selection_meets_its_tolerance() {
+    let costs = Costs::committed();
+    let folder = crate::repository().join("hil-configs");
+    let mut files: Vec<_> = std::fs::read_dir(&folder)
+        .expect("folder")
+        .map(|entry| entry.expect("entry").path())
+        .filter(|path| path.extension().is_some_and(|e| e == "toml"))
+        .collect();
+    files.sort();
+    assert!(files.len() >= 18, "{files:?}");
+    pool(2).expect("threads").install(|| {
+        files.par_iter().for_each(|file| {
+            let spec =
+                echotank_runtime::config_files::load(file).unwrap_or_else(|why| panic!("{why}"));
+            let firsts = first(&spec, &costs).unwrap_or_else(|why| panic!("{file:?}: {why}"));
+            let mut each_ms = 0.0;
+            for (sonar, first) in spec.sonars.iter().zip(&firsts) {
+                let ranking = first.ranking.as_ref().expect("can be made");
+                let chosen = ranking.chosen();
+                let said = format!(
+                    "{file:?} {}: {}: {:.1e} of {:.1e}, {:.1} ms",
+                    sonar.name,
+                    chosen.text(),
+                    chosen.error(),
+                    ranking.goal.tolerance,
+                    chosen.cost_ms()
+                );
+                println!("{said}");
+                // Its line remains whole with the full tolerance, which its error checks meet: as close as 4 m no section of it is short
+                // enough for less.
+                let is_soak = file.ends_with("soak.toml");
+                assert!(ranking.is_within() != is_soak, "{said}");
+                if is_soak {
+                    continue;
+                }
+                // On two threads.
+                each_ms += 0.5 * chosen.cost_ms() * sonar.settings.max_ping_rate_hz;
+            }
+            assert!(each_ms < 900.0, "{file:?}: {each_ms:.0} ms of every second");
+        });
+    });
+}
+
+/// At rest, and moving from 4 s on: (ping number, selection) of every ping, and a checksum of its samples.
+fn voyage(threads: usize) -> Vec<(u32, u32, u64)> {
+    let folder = tempfile::tempdir().expect("folder");
+    let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\ntolerance = 1e-2";
+    let spec = rig(folder.path(), 60.0, false, model);
+    let mut track = String::from(COLUMNS);
+    for k in 0..280 {
+        let t_s = 0.1 * k as f64;
+        let _ = writeln!(
+            track,
+            "{:.1},{:.6},0,5,0,0,0",
+            1_793_611_200.0 + t_s,
+            0.5 * (t_s - 4.0f64).max(0.0)
+        );
+    }
+    std::fs::write(folder.path().join("track.csv"), track).expect("write");
+    pool(threads).expect("threads").install(|| {
+        let mut recorded = RecordedRig::open(&spec).expect("opens");
+        let mut slot = recorded.rig.slot(0);
+        let mut seen = Vec::new();
+        while let Some((sonar, order)) = recorded.next_order(45) {
+            assert!(recorded.settle(sonar, &order), "the track is long enough");
+            let mode = spec.nav.mode;
+            echotank_ping::make_ping(&mut recorded.rig, sonar, &order, mode, UtcNs(0), &mut slot)
+                .expect("no gap");
+            let plan = slot.output.methods.expect("a plan").plan;
+            let bits = slot.output.elements[0].iq.iter().fold(0u64, |sum, x| {
+                sum.wrapping_mul(31)
+                    .wrapping_add(x.re.to_bits() ^ x.im.to_bits().rotate_left(7))
+            });
+            seen.push((order.ping_number, plan, bits));
+        }
+        seen
+    })
+}
+
+#[test]
+fn a_platform_that_starts_moving_changes_the_selection_at_a_reproducible_ping() {
+    let once = voyage(1);
+    let plans: Vec<u32> = once.iter().map(|(_, plan, _)| *plan).collect();
+    println!("{plans:?}");
+    assert_eq!(plans[0], 1, "the first is made ahead of the first ping");
+    // 2 Hz: moving from ping 9 on, detected at about ping 12, in effect 4 s later.
+    let changed = plans.iter().position(|plan| *plan > 1).expect("a new plan");
+    assert!((15..30).contains(&changed), "{plans:?}");
+    assert_eq!(once, voyage(2));
+}
+
+/// The next costlier methods, from a later ping that depends only on the ping of the fault; counted.
+#[test]
+fn a_failed_error_check_selects_costlier_methods() {
+    let folder = tempfile::tempdir().expect("folder");
+    let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\ntolerance = 1e-2";
+    let spec = rig(folder.path(), 60.0, false, model);
+    let mut track = String::from(COLUMNS);
+    for k in 0..200 {
+        let t_s = 0.1 * k as f64;
+        let _ = writeln!(
+            track,
+            "{:.1},{:.6},0,5,0,0,0",
+            1_793_611_200.0 + t_s,
+            0.5 * t_s
+        );
+    }
+    std::fs::write(folder.path().join("track.csv"), track).expect("write");
+    let marks: Vec<_> = pool(1).expect("threads").install(|| {
+        let mut recorded = RecordedRig::open(&spec).expect("opens");
+        let mut slot = recorded.rig.slot(0);
+        let mut marks = Vec::new();
+        while let Some((sonar, order)) = recorded.next_order(16) {
+            assert!(recorded.settle(sonar, &order), "the track is long enough");
+            let mode = spec.nav.mode;
+            let made = echotank_ping::make_ping(
+                &mut recorded.rig,
+                sonar,
+                &order,
+                mode,
+                UtcNs(0),
+                &mut slot,
+            );
+            made.expect("no gap");
+            marks.push(slot.output.methods.expect("a plan"));
+            if order.ping_number == 3 {
+                let scatterers = recorded.rig.scatterers().clone();
+                let failed = ErrorCheck {
+                    samples: 64,
+                    error: 2e-2,
+                    low: 1e-2,
+                    high: 3e-2,
+                    tolerance: 1e-2,
+                    fault: true,
+                };
+                let planner = recorded.rig.sonars[0].planner.as_mut().expect("auto");
+                planner.after(&slot.plan, &scatterers, Some(&failed));
+                assert_eq!(planner.counts.given_up, 1);
+            }
+        }
+        marks
+    });
+    // 2 Hz and 4 s: ping 11.
+    let (before, after) = (marks[9], marks[10]);
+    assert_eq!((before.plan, after.plan), (1, 2), "{marks:?}");
+    assert!(after.predicted_ms >= before.predicted_ms, "{marks:?}");
+    assert!(after.predicted_error <= 1e-2, "{marks:?}");
+}
+
+/// Without a receiver filter the engine cannot be made for the shortest of these pulses: selecting it for the present pulse would fail
+/// later.
+#[test]
+fn an_engine_that_the_limits_exclude_is_never_selected() {
+    let costs = Costs::committed();
+    let file = crate::repository().join("hil-configs/paper.toml");
+    for (shortest_ms, want) in [(2.0, Synthesis::Direct), (5.0, Synthesis::Gridded1d)] {
+        let mut spec = echotank_runtime::config_files::load(&file).expect("a rig");
+        let sonar = &mut spec.sonars[0];
+        sonar.limits.pulse_duration_s.0 = 1e-3 * shortest_ms;
+        let firsts = first(&spec, &costs).expect("pings");
+        let ranking = firsts[0].ranking.as_ref().expect("can be made");
+        let chosen = ranking.chosen();
+        println!("{shortest_ms} ms: {}", chosen.text());
+        assert_eq!(chosen.choice.model.synthesis, want, "{}", chosen.text());
+        assert!(ranking.is_within());
+    }
+}

@@ -1,0 +1,223 @@
+//! Tolerances in short: every method that answers meets the requested tolerance in every window, with noise 55 dB below the strongest.
+//! `tools/sweep` is the long form.
+
+use crate::sweep::case::{self, MOTIONS, SCENES};
+use crate::sweep::measure::{self, worst_window};
+use crate::sweep::methods::{Method, Reason};
+use crate::sweep::table::{Row, TOLERANCES};
+use num_complex::Complex64;
+
+/// Echoes of a case: a few per window, so that it takes seconds.
+const SCATTERERS: usize = 30;
+
+/// The first element of few, both ends of a line.
+fn sweep(scene: usize, motion: usize) -> (usize, Vec<String>) {
+    let mut case = SCENES[scene].case(&MOTIONS[motion], SCATTERERS);
+    case.looked_at = match case.rx.elements {
+        1..=8 => vec![0],
+        elements => vec![0, elements - 1],
+    };
+    let truth = measure::truth(&case);
+    let (mut answers, mut broken) = (0, Vec::new());
+    for method in Method::of(&case) {
+        let row = Row::of(method, &case, &truth, &TOLERANCES);
+        print!("{}", row.text(&case));
+        for cell in &row.cells {
+            let outcome = &cell.outcome;
+            assert!(cell.holds(|e| e.beside), "beside its echoes: {outcome:?}");
+        }
+        answers += row.cells.iter().filter(|c| c.outcome.is_ok()).count();
+        broken.extend(row.broken().map(|cell| {
+            format!(
+                "{}, {}, {}: {:?} asked for {:e}",
+                case.scene,
+                case.motion,
+                method.name(),
+                cell.outcome,
+                cell.tolerance
+            )
+        }));
+    }
+    (answers, broken)
+}
+
+#[test]
+fn a_sonar_at_rest_meets_its_tolerance() {
+    let (answers, broken) = sweep(1, 0);
+    assert!(broken.is_empty(), "{broken:#?}");
+    // direct to 1e-4, spectral to 1e-5, gridded-1d to 1e-8.
+    assert!(answers >= 4 + 5 + 8, "{answers}");
+}
+
+#[test]
+fn a_moving_line_meets_its_tolerance() {
+    let (answers, broken) = sweep(4, 3);
+    assert!(broken.is_empty(), "{broken:#?}");
+    assert!(answers >= 4 + 1 + 3, "{answers}");
+}
+
+/// Random pulse, filter, arrays, ranges and motion. The seeds include past failures: short tapers behind `direct`'s filter (2, 25); a pure
+/// tone without a filter, with a model's phase error at the ends of echoes (9); tones on samples (16); edges that cross the end of the
+/// filter (12); two echoes that begin or end together and almost cancel in a window without others (48, 103, 120); echoes near the null of
+/// a turning element (75).
+#[test]
+fn random_scenes_meet_their_tolerance_with_noise_floor() {
+    let mut answers = 0;
+    for seed in [0, 2, 9, 12, 16, 25, 48, 75, 103, 120] {
+        let mut case = case::random(seed);
+        case.looked_at = match seed {
+            75 => case.looked_at[2..].to_vec(),
+            _ => vec![0],
+        };
+        let truth = measure::truth(&case);
+        for method in Method::of(&case) {
+            for cell in Row::of(method, &case, &truth, &TOLERANCES[..5]).cells {
+                let said = format!(
+                    "{}: {:?} asked for {:e}: {}",
+                    method.name(),
+                    cell.outcome,
+                    cell.tolerance,
+                    case::describe(&case)
+                );
+                answers += usize::from(cell.outcome.is_ok());
+                assert!(
+                    cell.holds(|e| e.in_noise) && cell.holds(|e| e.beside),
+                    "{said}"
+                );
+            }
+        }
+    }
+    println!("{answers} answers");
+    assert!(answers > 20, "{answers}");
+}
+
+/// At rest, in windows with only the end of an echo. The seeds include past failures: truncation of what the receiver filter's stop band
+/// passes of sharp edges (4.0e-6 of scene 61, 2.6e-6 of 92), and a kernel over delay that extends beyond echoes (1.5e-4 of 188).
+#[test]
+fn random_ends_of_echoes_meet_their_tolerance() {
+    let mut answers = 0;
+    for (seed, tolerance) in [(61, 1e-6), (92, 1e-6), (188, 1e-4)] {
+        let case = case::random(seed);
+        let (truth, doubt) = measure::truth_within(&case, 2e-7);
+        assert!(doubt.in_noise <= 2e-7, "{doubt:?}");
+        for cell in Row::of(Method::Gridded1d, &case, &truth, &[tolerance]).cells {
+            answers += usize::from(cell.outcome.is_ok());
+            assert!(
+                cell.holds(|e| e.in_noise),
+                "{:?}: {}",
+                cell.outcome,
+                case::describe(&case)
+            );
+        }
+    }
+    assert_eq!(answers, 3);
+}
+
+/// Random line arrays: patterns, Lambert bottoms, near scatterers, weak ends of a record; motion across the line is refused. The seeds
+/// include past failures: image echoes of piecewise linear templates (2, 120, 141, 149); extrapolated dilation over a narrow span of slopes
+/// (68, 117); out-of-band energy (32); tones that cancel (172); echoes near the null of elements that then move out of it (47); a window
+/// with the onsets of three echoes that cancel (170).
+#[test]
+fn random_lines_meet_their_tolerance_with_noise_floor() {
+    let mut answers = 0;
+    for seed in [18, 32, 47, 68, 106, 117, 120, 141, 142, 149, 170, 172] {
+        let mut case = case::random(seed);
+        // These two failed at other elements than the first.
+        if ![47, 170].contains(&seed) {
+            case.looked_at.truncate(1);
+        }
+        let truth = measure::truth(&case);
+        for cell in Row::of(Method::Gridded2d, &case, &truth, &TOLERANCES[..4]).cells {
+            answers += usize::from(cell.outcome.is_ok());
+            assert!(
+                cell.holds(|e| e.in_noise) && cell.holds(|e| e.beside),
+                "{:?} asked for {:e}: {}",
+                cell.outcome,
+                cell.tolerance,
+                case::describe(&case)
+            );
+        }
+    }
+    println!("{answers} answers");
+    assert!(answers >= 20, "{answers}");
+}
+
+#[test]
+fn unreachable_tolerances_are_refused_with_their_cause() {
+    let refused = |motion: usize, method: Method, tolerance| {
+        let case = SCENES[0].case(&MOTIONS[motion], 5);
+        let truth = measure::truth(&case);
+        match method.within(tolerance, &case, &truth) {
+            Ok((chosen, _)) => panic!("{} answers: {}", method.name(), chosen.text()),
+            Err(refused) => refused,
+        }
+    };
+    let model = refused(2, Method::Linear, 1e-3);
+    assert_eq!(model.by, Reason::Model);
+    assert!(
+        model.message.contains("none is off by"),
+        "{}",
+        model.message
+    );
+    let sum = refused(0, Method::Direct, 1e-4);
+    assert_eq!(sum.by, Reason::Sum);
+    assert!(sum.message.contains("direct is off by"), "{}", sum.message);
+}
+
+/// Three elements, 400 samples: 1 everywhere but at the third element's samples from 300 on, where it is 1e-9.
+fn level() -> Vec<Vec<Complex64>> {
+    let weak = |k: usize| if k < 300 { 1.0 } else { 1e-9 };
+    let record = |value: &dyn Fn(usize) -> f64| (0..400).map(|k| value(k).into()).collect();
+    vec![record(&|_| 1.0), record(&|_| 1.0), record(&weak)]
+}
+
+#[test]
+fn a_windows_error_refers_to_itself_or_a_millionth_of_its_median() {
+    let want = level();
+    let mut got = want.clone();
+    // One wrong sample of a full window of 100.
+    got[0][50] += 1e-2;
+    let error = worst_window(&got, &want, 100);
+    assert!((error.without_noise / 1e-3 - 1.0).abs() < 1e-9, "{error:?}");
+    assert!((error.in_noise / 1e-3 - 1.0).abs() < 1e-9, "{error:?}");
+    // The last window of the third element holds 1e-9; the median of the three is 1.
+    let mut got = want.clone();
+    got[2][399] += 1e-7;
+    let error = worst_window(&got, &want, 100);
+    assert!((error.without_noise / 1e-2 - 1.0).abs() < 1e-6, "{error:?}");
+    // 55 dB are a factor of 562.
+    let in_noise = 1e-8 * 10f64.powf(55.0 / 20.0);
+    assert!((error.in_noise / in_noise - 1.0).abs() < 1e-6, "{error:?}");
+    // Beside it are 100 loud samples.
+    assert!((error.beside / 1e-8 - 1.0).abs() < 1e-6, "{error:?}");
+}
+
+#[test]
+fn a_signal_where_none_is_received_is_an_infinite_error() {
+    let mut want = level();
+    want.iter_mut()
+        .for_each(|record| record[250..].fill(Complex64::ZERO));
+    assert_eq!(worst_window(&want, &want, 100).without_noise, 0.0);
+    let mut got = want.clone();
+    got[1][390] += 1e-12;
+    let error = worst_window(&got, &want, 100);
+    assert!(
+        error.without_noise.is_infinite() && error.in_noise < 1e-9,
+        "{error:?}"
+    );
+    got[1][390] = f64::NAN.into();
+    assert!(worst_window(&got, &want, 100).beside.is_infinite());
+}
+
+/// Why no method can meet a tolerance without noise in a window with only the end of a filter tail: the same filter with another density
+/// ends elsewhere.
+#[test]
+fn the_reference_meets_1e_3_in_every_window_only_with_noise_floor() {
+    let mut case = SCENES[1].case(&MOTIONS[0], 6);
+    case.looked_at.truncate(1);
+    let doubt = measure::doubt(&case, &measure::truth(&case));
+    assert!(
+        doubt.without_noise > 1e-2 && doubt.in_noise < 1e-4,
+        "{doubt:?}"
+    );
+}
