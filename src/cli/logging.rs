@@ -1,6 +1,6 @@
 //! Diagnostics on standard error, for people, for the systemd journal or as JSON.
 //!
-//! The environment variable `RUST_LOG` selects levels and crates with the syntax of `tracing_subscriber::EnvFilter`.
+//! The environment variable `RUST_LOG` selects levels and crates with the syntax of `tracing_subscriber::filter::Targets`.
 
 use std::fs::File;
 use std::io::{self, IsTerminal};
@@ -8,7 +8,8 @@ use std::os::fd::AsFd;
 use std::os::unix::fs::MetadataExt;
 
 use clap::ValueEnum;
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::Targets;
+use tracing_subscriber::{Layer, fmt, prelude::*};
 
 use super::Failure;
 
@@ -32,16 +33,17 @@ pub(crate) fn start(format: LogFormat) -> Result<(), Failure> {
     let is_colored = !is_journal
         && io::stderr().is_terminal()
         && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
-    let builder = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(io::stderr)
-        .with_ansi(is_colored);
-    match (format, is_journal) {
-        (LogFormat::Text, false) => builder.init(),
-        (LogFormat::Text, true) => builder.without_time().init(),
-        (LogFormat::Json, false) => builder.json().flatten_event(true).init(),
-        (LogFormat::Json, true) => builder.json().flatten_event(true).without_time().init(),
-    }
+    let layer = fmt::layer().with_writer(io::stderr).with_ansi(is_colored);
+    let layer = match (format, is_journal) {
+        (LogFormat::Text, false) => layer.boxed(),
+        (LogFormat::Text, true) => layer.without_time().boxed(),
+        (LogFormat::Json, false) => layer.json().flatten_event(true).boxed(),
+        (LogFormat::Json, true) => layer.json().flatten_event(true).without_time().boxed(),
+    };
+    tracing_subscriber::registry()
+        .with(layer)
+        .with(filter)
+        .init();
     Ok(())
 }
 
@@ -54,11 +56,11 @@ pub(crate) fn report_failure(format: LogFormat, text: &str) {
     }
 }
 
-fn filter(rust_log: Option<&str>) -> Result<EnvFilter, Failure> {
+fn filter(rust_log: Option<&str>) -> Result<Targets, Failure> {
     let text = rust_log
         .filter(|text| !text.trim().is_empty())
         .unwrap_or(DEFAULT_FILTER);
-    EnvFilter::builder().parse(text).map_err(|why| {
+    text.parse().map_err(|why: tracing_subscriber::filter::ParseError| {
         Failure::Configuration(format!(
             "RUST_LOG = {text:?}: {why}; expected directives such as info or echotank_runtime=debug"
         ))
