@@ -17,6 +17,8 @@ import warnings
 
 import numpy as np
 
+from test_daemon_readers import program
+
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 UTC_S, UTC_MS = 1_750_000_000, 123
 LATITUDE, LONGITUDE = -36.8, -121.8
@@ -53,9 +55,7 @@ def daemon_files(name, formats, *changes):
     """What the daemon's own pipeline records of three pings of a configuration, in a folder."""
     keep = tempfile.TemporaryDirectory()
     unittest.addModuleCleanup(keep.cleanup)
-    built = [os.path.join(ROOT, os.environ.get("CARGO_TARGET_DIR", "target"), kind, "echotank") for kind in ("release", "debug")]
-    program = next(([path] for path in built if os.path.exists(path)), ["cargo", "run", "--quiet", "--bin", "echotank", "--"])
-    command = program + ["replay", os.path.join("hil-configs", name), "--quiet", "--out", keep.name, "--pings", "1..3", "--formats", formats]
+    command = [program(), "replay", os.path.join("hil-configs", name), "--quiet", "--out", keep.name, "--pings", "1..3", "--formats", formats]
     for change in changes:
         command += ["--set", change]
     subprocess.run(command, cwd=ROOT, check=True)
