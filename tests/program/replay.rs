@@ -68,7 +68,7 @@ fn assert_equal(a: &BTreeMap<String, Vec<u8>>, b: &BTreeMap<String, Vec<u8>>) {
 #[test]
 fn replay_gives_the_same_bytes_twice_and_for_one_and_two_threads() {
     for (name, extra) in [
-        ("points.toml", vec!["--f64"]),
+        ("points.toml", vec!["--f64", "--pings", "1..3"]),
         ("quickstart.toml", vec!["--pings", "1..4"]),
     ] {
         let arguments = |threads: &'static str| {
@@ -213,7 +213,14 @@ impl Picture {
 fn waterfall_shows_the_targets_at_their_predicted_places_within_one_pixel() {
     let (first, last) = (1_u32, 140_u32);
     let out = replay(
-        &["--formats", "png", "--pings", &format!("{first}..{last}")],
+        &[
+            "--formats",
+            "png",
+            "--pings",
+            &format!("{first}..{last}"),
+            "--set",
+            "scene.seabed.density_per_m2=0.5",
+        ],
         "quickstart.toml",
     );
     let picture = Picture::open(&out.path().join("waterfall.png"));

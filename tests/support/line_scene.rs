@@ -210,19 +210,43 @@ pub fn worst_window(got: &[Complex64], want: &[Complex64], pulse_s: f64) -> f64 
     worst
 }
 
-/// Largest windowed error over a few elements: the ends and one between.
+/// The true samples of a few elements: the ends of the array and one between.
+pub struct Truth(Vec<(usize, Vec<Complex64>)>);
+
+impl Truth {
+    /// By the slow reference, or by the direct sum.
+    pub fn of(scene: &Scene, slow: bool) -> Self {
+        let last = scene.rx.elements - 1;
+        Self(
+            [0, last / 3, last]
+                .map(|e| (e, truth(scene, e, slow)))
+                .to_vec(),
+        )
+    }
+
+    /// Largest windowed error of the engine over these elements.
+    pub fn error<T: Sample>(
+        &self,
+        scene: &Scene,
+        resolution: Resolution,
+    ) -> (f64, Vec<TaskReport>) {
+        let (records, reports) = engine::<T>(scene, resolution);
+        let worst = self.0.iter().fold(0.0, |worst: f64, (e, want)| {
+            worst.max(worst_window(
+                &records[*e],
+                want,
+                scene.plan.pulse.duration_s,
+            ))
+        });
+        (worst, reports)
+    }
+}
+
+/// Largest windowed error over a few elements, against [`Truth`].
 pub fn error<T: Sample>(
     scene: &Scene,
     resolution: Resolution,
     slow: bool,
 ) -> (f64, Vec<TaskReport>) {
-    let (records, reports) = engine::<T>(scene, resolution);
-    let last = scene.rx.elements - 1;
-    let mut worst: f64 = 0.0;
-    for e in [0, last / 3, last] {
-        let want = truth(scene, e, slow);
-        let got = worst_window(&records[e], &want, scene.plan.pulse.duration_s);
-        worst = worst.max(got);
-    }
-    (worst, reports)
+    Truth::of(scene, slow).error::<T>(scene, resolution)
 }

@@ -56,6 +56,7 @@ fn the_error_by_window_keeps_every_tolerance() {
                 ..SIDE_SCAN
             };
             let scene = draw(drawn);
+            let truth = Truth::of(&scene, false);
             for tolerance in [1e-1, 1e-2, 1e-3, 1e-4, 2e-5] {
                 let choice = match chosen(&scene, drawn, tolerance) {
                     Ok(choice) => choice,
@@ -66,8 +67,8 @@ fn the_error_by_window_keeps_every_tolerance() {
                 };
                 cells += 1;
                 let (got, reports) = match choice.precision {
-                    Precision::Single => error::<f32>(&scene, choice.resolution, false),
-                    Precision::Double => error::<f64>(&scene, choice.resolution, false),
+                    Precision::Single => truth.error::<f32>(&scene, choice.resolution),
+                    Precision::Double => truth.error::<f64>(&scene, choice.resolution),
                 };
                 let left_out = reports.iter().map(|r| r.left_out).fold(0.0, f64::max);
                 let most = reports.iter().max_by_key(|r| r.channels).expect("tasks");
