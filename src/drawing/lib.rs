@@ -1,5 +1,7 @@
 //! A small SVG writer, and rendering of SVG to PNG.
 
+#![warn(missing_docs)]
+
 use std::fmt::Write;
 use std::sync::Arc;
 
@@ -8,12 +10,16 @@ use resvg::usvg::{Options, Tree, fontdb};
 
 /// The embedded typeface, so that plots are the same on every machine.
 const FONT: &[u8] = epaint_default_fonts::UBUNTU_LIGHT;
+/// Name of that typeface, for `font-family`.
 pub const FAMILY: &str = "Ubuntu";
 /// Pixels of the PNG per unit of the SVG.
 const ZOOM: f32 = 1.5;
 
+/// Colour of text and axes.
 pub const INK: &str = "#1b1f24";
+/// Colour of secondary lines and labels.
 pub const GREY: &str = "#8a9099";
+/// Colour of grid lines.
 pub const PALE: &str = "#e4e7eb";
 
 /// Escapes text for XML.
@@ -32,12 +38,16 @@ pub struct Svg {
 /// Horizontal alignment of a text at its position.
 #[derive(Clone, Copy)]
 pub enum Anchor {
+    /// The text starts there.
     Start,
+    /// Its middle is there.
     Middle,
+    /// It ends there.
     End,
 }
 
 impl Svg {
+    /// An empty document with a white ground, `width` x `height` units.
     pub fn new(width: f64, height: f64) -> Self {
         let text = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" font-family=\"{FAMILY}, 'Segoe UI', Helvetica, sans-serif\">\n<rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n"
@@ -45,11 +55,13 @@ impl Svg {
         Self { text }
     }
 
+    /// Appends an element as it is: the caller escapes its text.
     pub fn raw(&mut self, element: &str) {
         self.text.push_str(element);
         self.text.push('\n');
     }
 
+    /// A line from one point to another; `dash` is a `stroke-dasharray`, empty for a solid line.
     pub fn line(&mut self, (x1, y1): (f64, f64), (x2, y2): (f64, f64), colour: &str, dash: &str) {
         let _ = writeln!(
             self.text,
@@ -57,6 +69,7 @@ impl Svg {
         );
     }
 
+    /// Lines through `points`, `width` units thick.
     pub fn polyline(&mut self, points: &[(f64, f64)], colour: &str, width: f64) {
         let points: Vec<String> = points
             .iter()
@@ -69,6 +82,7 @@ impl Svg {
         );
     }
 
+    /// A text of height `size` at a point of its base line; it is escaped.
     pub fn label(
         &mut self,
         (x, y): (f64, f64),
@@ -89,6 +103,7 @@ impl Svg {
         );
     }
 
+    /// The text of the document.
     pub fn finish(mut self) -> String {
         self.text.push_str("</svg>\n");
         self.text
@@ -100,17 +115,24 @@ pub fn width_of(text: &str, size: f64) -> f64 {
     0.52 * size * text.chars().count() as f64
 }
 
+/// Why a document cannot become a PNG.
 #[derive(Debug, thiserror::Error)]
 pub enum DrawError {
+    /// The document is not valid SVG.
     #[error("cannot render the SVG: {0}")]
     Svg(#[from] resvg::usvg::Error),
+    /// No memory for the pixels.
     #[error("the image is too large to allocate")]
     Size,
+    /// The PNG writer failed; its message.
     #[error("cannot encode the PNG: {0}")]
     Png(String),
 }
 
-/// Renders an SVG document to PNG.
+/// Renders an SVG document to the bytes of a PNG, 1.5 pixels for each unit, with the embedded typeface.
+///
+/// # Errors
+/// [`DrawError`].
 pub fn png(svg: &str) -> Result<Vec<u8>, DrawError> {
     let mut fonts = fontdb::Database::new();
     fonts.load_font_data(FONT.to_vec());
