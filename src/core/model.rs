@@ -59,7 +59,7 @@ pub struct ModelChoice {
     /// Maximum length of a polyline segment, seconds.
     pub segment_s: f64,
     /// Scatterers are culled if their two-way pattern (transmit times element, relative to boresight) is below this level, dB
-    /// (negative). [`Scatterers::loud`] lowers the level of single scatterers. `None` keeps all.
+    /// (negative). [`Scatterers::loud`](crate::scene::Scatterers::loud) lowers the level of single scatterers. `None` keeps all.
     pub cull_db: Option<f64>,
 }
 

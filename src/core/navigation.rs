@@ -89,7 +89,7 @@ pub enum FixQuality {
     DeadReckoning,
 }
 
-/// State of the platform at one instant, for output records; the echo model uses [`PingPlan::trajectory`].
+/// State of the platform at one instant, for output records; the echo model uses [`PingPlan::trajectory`](crate::ping::PingPlan::trajectory).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NavState {
     /// Rig time.

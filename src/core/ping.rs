@@ -339,6 +339,6 @@ pub struct MethodMark {
     pub predicted_ms: f64,
     /// Tolerance of the selection.
     pub tolerance: f64,
-    /// Elements combined to one ([`Pattern::Part`]); 1 without combination.
+    /// Elements combined to one ([`Pattern::Part`](crate::arrays::Pattern::Part)); 1 without combination.
     pub part_elements: usize,
 }

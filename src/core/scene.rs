@@ -68,7 +68,7 @@ pub struct Scatterers {
     pub strength: Vec<Complex64>,
     /// Directional law.
     pub law: Vec<ScatterLaw>,
-    /// Factor, 1 or more, by which the pattern floor ([`ModelChoice::cull_db`]) is lower for a scatterer louder than the ground.
+    /// Factor, 1 or more, by which the pattern floor ([`ModelChoice::cull_db`](crate::model::ModelChoice::cull_db)) is lower for a scatterer louder than the ground.
     pub loud: Vec<f32>,
     /// Curve of scatterers with [`ScatterLaw::Curve`]; without it they are silent.
     pub curve: Option<Arc<LawCurve>>,

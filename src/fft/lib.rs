@@ -10,9 +10,9 @@ pub use rustfft::{Fft, FftNum};
 
 /// The numbers that have plans.
 pub trait Planned: FftNum {
-    /// out[k] = sum_n in[n] exp(-j 2pi k n / `size`), unscaled.
+    /// `out[k] = sum_n in[n] exp(-j 2pi k n / size)`, unscaled.
     fn plan_forward(size: usize) -> Arc<dyn Fft<Self>>;
-    /// out[k] = sum_n in[n] exp(+j 2pi k n / `size`), unscaled.
+    /// `out[k] = sum_n in[n] exp(+j 2pi k n / size)`, unscaled.
     fn plan_inverse(size: usize) -> Arc<dyn Fft<Self>>;
 }
 

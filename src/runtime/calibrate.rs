@@ -1,6 +1,6 @@
 //! Calibrates the cost table of method selection on this machine.
 //!
-//! Methods are timed on one thread, on the configured sonars and scene and on synthetic benchmarks ([`benches`]). The cost table is fitted
+//! Methods are timed on one thread, on the configured sonars and scene and on synthetic benchmarks (`benches`). The cost table is fitted
 //! to the times. The fit is in logarithms, because relative errors matter. A weak penalty keeps entries without data at their previous
 //! values.
 

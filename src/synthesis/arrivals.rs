@@ -20,7 +20,7 @@ pub struct ArrivalChunk {
     /// eta = dt'/dt - 1: Doppler stretch minus one, which keeps the precision of small values.
     pub doppler: [f64; CHUNK],
     /// Half of d2t'/dt2, per second. The sound at s seconds after the leading edge left at (1 + doppler) s + curvature s^2. Zero
-    /// except with [`DopplerModel::StretchQuadratic`].
+    /// except with [`DopplerModel::StretchQuadratic`](echotank_core::model::DopplerModel::StretchQuadratic).
     pub curvature_per_s: [f64; CHUNK],
     /// Complex amplitude A_{m,e} at the element without carrier phase: uPa (rms), and volts after the sensitivity.
     pub amplitude: [Complex64; CHUNK],

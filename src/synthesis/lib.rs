@@ -1,7 +1,7 @@
 #![warn(missing_docs)]
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 //! Element samples of one ping: scatterers to arrivals ([`echo`]), and arrivals to samples
-//! ([`array`]).
+//! ([`mod@array`]).
 //!
 //! Input: a [`PingPlan`](echotank_core::ping::PingPlan) and its scatterers. Output: complex
 //! baseband samples of every element, after the receiver chain.

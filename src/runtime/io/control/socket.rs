@@ -12,7 +12,7 @@
 //!
 //! | received, text | content |
 //! |---|---|
-//! | `{"look": ..}` | a [`Want`](super::feed::Want): the sonar and its views |
+//! | `{"look": ..}` | a [`Want`]: the sonar and its views |
 //! | `{"command": {"id": 1, "command": ..}}` | a [`Command`], as for POST /control |
 //! | `{"relief": ..}` | a [`ReliefTile`] of the seabed |
 //! | `{"world": {}}` | the targets |

@@ -1,5 +1,5 @@
 //! Repairs records that were cut off. For `.s7k` files, data after the last whole record is removed, the catalogue is written, and the header points to
-//! it. [`repair`](super::repair) handles the other kinds.
+//! it. [`repair`] handles the other kinds.
 //!
 //! A recorder locks its file; a locked file is left alone.
 
