@@ -23,7 +23,7 @@ pub struct SensorTime {
 layout!(SensorTime, 8, "JSF sensor time", Little);
 
 impl SensorTime {
-    /// Rounded to a millisecond; valid until 2038.
+    /// Truncated to a millisecond; valid until 2038.
     pub fn from_utc_ns(utc_ns: i64) -> Self {
         Self {
             seconds: utc_ns.div_euclid(1_000_000_000).clamp(0, i32::MAX.into()) as i32,
