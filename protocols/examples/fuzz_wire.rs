@@ -1,6 +1,6 @@
 //! `tools/fuzz wire`: corrupts messages for every decoder. A panic ends the run, and the message is kept in a file.
 
-#[path = "../tests/fuzz/mod.rs"]
+#[path = "../tests/it/fuzz/cases.rs"]
 mod cases;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};

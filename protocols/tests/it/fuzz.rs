@@ -1,6 +1,5 @@
 //! Short form of `tools/fuzz wire`: every decoder processes thousands of corrupted messages.
 
-#[path = "fuzz/mod.rs"]
 mod cases;
 
 use cases::{Random, decoders};
@@ -55,9 +54,9 @@ fn in_words(format: Format, bytes: &[u8]) -> Vec<String> {
 
 #[test]
 fn golden_files_are_recognised_and_every_message_is_described() {
-    let s7k = include_bytes!("data/proto_7k_with_7038.s7k");
-    let jsf = include_bytes!("data/proto_iq.jsf");
-    let xtf = include_bytes!("data/proto.xtf");
+    let s7k = include_bytes!("../data/proto_7k_with_7038.s7k");
+    let jsf = include_bytes!("../data/proto_iq.jsf");
+    let xtf = include_bytes!("../data/proto.xtf");
     let cases: [(&[u8], Format, usize, &[&str]); 3] = [
         (
             s7k,

@@ -1,7 +1,6 @@
 //! Compares the Ping protocol with its makers' published definitions, and parses random bytes.
 
-mod offsets;
-
+use crate::support::{assert_same, table};
 use echotank_protocols::WireError;
 use echotank_protocols::ping_protocol::common::*;
 use echotank_protocols::ping_protocol::omniscan450::*;
@@ -9,7 +8,6 @@ use echotank_protocols::ping_protocol::surveyor240::*;
 use echotank_protocols::ping_protocol::{
     Frame, MAX_FRAME_BYTES, Message, PingFraming, PingStream, checksum, emit_frame, message_id,
 };
-use offsets::{assert_same, table};
 use proptest::prelude::*;
 
 /// Payload of an emitted frame.

@@ -251,9 +251,9 @@ fn corrupt(bytes: &mut Vec<u8>, seeds: &[Vec<u8>], random: &mut Random) {
 
 // ---------------------------------------------------------------- right messages
 
-const S7K: &[u8] = include_bytes!("../data/proto_7k_with_7038.s7k");
-const XTF: &[u8] = include_bytes!("../data/proto.xtf");
-const JSF: &[u8] = include_bytes!("../data/proto_iq.jsf");
+const S7K: &[u8] = include_bytes!("../../data/proto_7k_with_7038.s7k");
+const XTF: &[u8] = include_bytes!("../../data/proto.xtf");
+const JSF: &[u8] = include_bytes!("../../data/proto_iq.jsf");
 /// Longer messages make slow cases without further coverage.
 const SHORT_BYTES: usize = 3000;
 

@@ -1,7 +1,6 @@
 //! Compares JSF with its published tables and with a file that third-party readers accept, and parses random bytes.
 
-mod offsets;
-
+use crate::support::{assert_same, table};
 use echotank_protocols::WireError;
 use echotank_protocols::jsf::control::{Control, Value, error_code, is_command};
 use echotank_protocols::jsf::sensors::SensorTime;
@@ -11,7 +10,6 @@ use echotank_protocols::jsf::{
     Pressure2060, Situation2091, SonarData80, SystemInformation182, block_float, command_type,
     describe, emit_80, emit_message, message_type, subsystem,
 };
-use offsets::{assert_same, table};
 use proptest::prelude::*;
 
 /// 2025-06-15 15:06:40.123 UTC.

@@ -1,7 +1,6 @@
 //! Compares NORBIT WBMS and Imagenex 872 with their published layouts, and parses random bytes.
 
-mod offsets;
-
+use crate::support::{assert_same, table};
 use echotank_protocols::WireError;
 use echotank_protocols::imagenex872::{
     ECHO_BYTES, Side, SwitchCommand, SwitchFraming, SwitchStream, emit_answer, parse_answer,
@@ -11,7 +10,6 @@ use echotank_protocols::wbms::{
     Packet, Tail, WbmsFraming, WbmsStream, answer, commands_in, crc32, emit_backscatter,
     emit_bathymetry, packet_type,
 };
-use offsets::{assert_same, table};
 use proptest::prelude::*;
 
 const TIME_S: f64 = 1_750_000_000.125;

@@ -2,28 +2,15 @@
 
 use std::collections::BTreeMap;
 
+use crate::support::{STAMP, heading};
 use echotank_protocols::sevenk::file::{
     Catalogue7300, CataloguePointer, FileBuilder, FileDevice, FileEnd, FileError, FileHeader7200,
     FileReader,
 };
-use echotank_protocols::sevenk::records::{Configuration7001, Heading1013, Module};
-use echotank_protocols::sevenk::{
-    Record, RecordBody, RecordStamp, SevenKTime, WireError, describe,
-};
+use echotank_protocols::sevenk::records::{Configuration7001, Module};
+use echotank_protocols::sevenk::{Record, RecordBody, WireError, describe};
 
-const SAMPLE: &[u8] = include_bytes!("data/proto_7k_with_7038.s7k");
-
-const STAMP: RecordStamp = RecordStamp {
-    time: SevenKTime {
-        year: 2025,
-        day_of_year: 166,
-        seconds: 40.5,
-        hours: 15,
-        minutes: 6,
-    },
-    device_id: 7125,
-    system_enumerator: 0,
-};
+const SAMPLE: &[u8] = include_bytes!("../data/proto_7k_with_7038.s7k");
 
 fn records(bytes: &[u8]) -> Vec<Record<'_>> {
     FileReader::new(bytes)
@@ -164,12 +151,6 @@ fn header() -> FileHeader7200 {
         }],
         ..FileHeader7200::default()
     }
-}
-
-fn heading(heading_rad: f32) -> Vec<u8> {
-    let mut record = Vec::new();
-    Heading1013 { heading_rad }.emit(&mut record, &STAMP);
-    record
 }
 
 /// A file with three records that is not closed.

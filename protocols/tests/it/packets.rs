@@ -1,32 +1,15 @@
 //! Guarantees of packetiser and reassembler.
 
+use crate::support;
 use echotank_protocols::sevenk::packet::{
     MIN_MAX_PACKET_BYTES, PARTIAL_RECORDS, PacketLimitError, PacketRanges,
 };
-use echotank_protocols::sevenk::{
-    NetworkFrame, OpenRecord, Packetiser, Reassembler, RecordStamp, SevenKTime, StreamDecoder,
-    WireError,
-};
+use echotank_protocols::sevenk::{NetworkFrame, Packetiser, Reassembler, StreamDecoder, WireError};
 use proptest::prelude::*;
 
-const STAMP: RecordStamp = RecordStamp {
-    time: SevenKTime {
-        year: 2025,
-        day_of_year: 166,
-        seconds: 40.5,
-        hours: 15,
-        minutes: 6,
-    },
-    device_id: 7125,
-    system_enumerator: 1,
-};
-
 fn record_of(body_bytes: usize) -> Vec<u8> {
-    let mut record = Vec::new();
-    let open = OpenRecord::begin(&mut record, 7999, &STAMP);
-    record.extend((0..body_bytes).map(|i| i as u8));
-    open.finish(&mut record);
-    record
+    let body: Vec<u8> = (0..body_bytes).map(|i| i as u8).collect();
+    support::record_of(7999, &body)
 }
 
 fn datagrams(packetiser: &mut Packetiser, record: &[u8]) -> Vec<Vec<u8>> {

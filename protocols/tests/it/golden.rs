@@ -1,6 +1,7 @@
 //! Golden vectors: bytes written from the byte tables of the DFD (files in `golden/`, and short ones here), never by the encoder. Every
 //! record is parsed from them and emitted bit for bit.
 
+use crate::support::{STAMP, emitted_body};
 use echotank_protocols::sevenk::control::{
     Ack7501, ControlHeader, GainType, Nack7502, PulseEnvelope, PulseType, ThirdParty, Transport,
 };
@@ -11,7 +12,7 @@ use echotank_protocols::sevenk::frame::{DATA_RECORD_FRAME_BYTES, NETWORK_FRAME_B
 use echotank_protocols::sevenk::records::*;
 use echotank_protocols::sevenk::{
     Command, ControlRequest, DataRecordFrame, ErrorCode, NetworkFrame, Packetiser, Record,
-    RecordStamp, SevenKTime, describe,
+    SevenKTime, describe,
 };
 
 /// Bytes of a text of hex pairs, with comments after `#`.
@@ -29,36 +30,8 @@ fn hex(text: &str) -> Vec<u8> {
 
 macro_rules! golden {
     ($name:literal) => {
-        hex(include_str!(concat!("golden/", $name)))
+        hex(include_str!(concat!("../golden/", $name)))
     };
-}
-
-/// 2025-06-15 15:06:40.5
-const STAMP: RecordStamp = RecordStamp {
-    time: SevenKTime {
-        year: 2025,
-        day_of_year: 166,
-        seconds: 40.5,
-        hours: 15,
-        minutes: 6,
-    },
-    device_id: 7125,
-    system_enumerator: 1,
-};
-
-/// Body of the record that `emit` appended, after validation of the whole record.
-fn emitted_body(emit: impl FnOnce(&mut Vec<u8>) -> std::ops::Range<usize>) -> Vec<u8> {
-    let mut buf = vec![0xAA; 3];
-    let range = emit(&mut buf);
-    assert_eq!(
-        range,
-        3..buf.len(),
-        "a record goes to the end of the buffer"
-    );
-    Record::parse(&buf[range])
-        .expect("emitted records are right")
-        .body()
-        .to_vec()
 }
 
 #[test]

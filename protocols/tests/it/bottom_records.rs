@@ -1,28 +1,12 @@
 //! Compares 7k records of navigation, detections, snippets, water column and calibrated side-scan with the tables of DFD 3.12, and parses
 //! random bytes.
 
-mod offsets;
-
 use std::ops::Range;
 
+use crate::support::{STAMP, assert_same, record_of, table};
 use echotank_protocols::sevenk::records::*;
-use echotank_protocols::sevenk::{
-    OpenRecord, Record, RecordBody, RecordStamp, SevenKTime, WireError, describe,
-};
-use offsets::{assert_same, table};
+use echotank_protocols::sevenk::{Record, RecordBody, WireError, describe};
 use proptest::prelude::*;
-
-const STAMP: RecordStamp = RecordStamp {
-    time: SevenKTime {
-        year: 2025,
-        day_of_year: 166,
-        seconds: 40.5,
-        hours: 15,
-        minutes: 6,
-    },
-    device_id: 7125,
-    system_enumerator: 1,
-};
 
 /// The body of an emitted record, parsed as its type.
 fn check(id: u32, golden: &[u8], emit: impl FnOnce(&mut Vec<u8>) -> Range<usize>) {
@@ -518,10 +502,7 @@ const TYPES: [(u32, usize); 8] = [
 #[test]
 fn a_body_one_byte_short_or_with_wild_counts_is_refused() {
     for (id, bytes) in TYPES {
-        let mut record = Vec::new();
-        let open = OpenRecord::begin(&mut record, id, &STAMP);
-        record.extend(vec![0; bytes - 1]);
-        open.finish(&mut record);
+        let record = record_of(id, &vec![0; bytes - 1]);
         let error = RecordBody::parse(&Record::parse(&record).unwrap()).unwrap_err();
         assert!(
             matches!(error, BodyError::Wire(WireError::Truncated { .. })),
@@ -557,10 +538,7 @@ proptest! {
             body[at].fill(0);
             match id { 7027 => body[18] = 34, 7057 => body[62] = 4, 10_038 => body[28..32].copy_from_slice(&[64, 0, 0, 0]), _ => {} }
         }
-        let mut record = Vec::new();
-        let open = OpenRecord::begin(&mut record, id, &STAMP);
-        record.extend(&body);
-        open.finish(&mut record);
+        let record = record_of(id, &body);
         let words = describe(&record).to_string();
         prop_assert!(!words.is_empty());
         match RecordBody::parse(&Record::parse(&record).unwrap()) {

@@ -2,46 +2,20 @@
 
 use std::ops::Range;
 
+use crate::support::{STAMP, emitted_body, record_of};
 use echotank_protocols::sevenk::control::{Ack7501, ControlHeader, Nack7502};
 use echotank_protocols::sevenk::file::{Catalogue7300, FileHeader7200, FileReader};
 use echotank_protocols::sevenk::frame::{DATA_RECORD_FRAME_BYTES, MIN_RECORD_BYTES};
 use echotank_protocols::sevenk::records::*;
 use echotank_protocols::sevenk::{
-    Command, CommandErrorKind, ControlRequest, ErrorCode, OpenRecord, Record, RecordBody,
-    RecordStamp, SevenKTime, WireError, describe,
+    Command, CommandErrorKind, ControlRequest, ErrorCode, Record, RecordBody, WireError, describe,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-const STAMP: RecordStamp = RecordStamp {
-    time: SevenKTime {
-        year: 2025,
-        day_of_year: 166,
-        seconds: 40.5,
-        hours: 15,
-        minutes: 6,
-    },
-    device_id: 7125,
-    system_enumerator: 1,
-};
-
 const OUR_TYPES: [u32; 16] = [
     1003, 1012, 1013, 7000, 7001, 7004, 7007, 7018, 7038, 7200, 7300, 7500, 7501, 7502, 7503, 7610,
 ];
-
-fn record_of(record_type_id: u32, body: &[u8]) -> Vec<u8> {
-    let mut record = Vec::new();
-    let open = OpenRecord::begin(&mut record, record_type_id, &STAMP);
-    record.extend_from_slice(body);
-    open.finish(&mut record);
-    record
-}
-
-fn body_of(emit: impl FnOnce(&mut Vec<u8>) -> Range<usize>) -> Vec<u8> {
-    let mut buf = Vec::new();
-    let range = emit(&mut buf);
-    Record::parse(&buf[range]).unwrap().body().to_vec()
-}
 
 fn with_zeros(bytes: &[u8], reserved: &[Range<usize>]) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
@@ -254,7 +228,7 @@ proptest! {
     #[test]
     fn commands_survive_the_wire(command in commands(), ticket in any::<u32>(), tracking_number in any::<[u64; 2]>()) {
         let request = ControlRequest { ticket, tracking_number, command };
-        let body = body_of(|buf| request.emit(buf, &STAMP));
+        let body = emitted_body(|buf| request.emit(buf, &STAMP));
         prop_assert_eq!(ControlRequest::parse(&body), Ok(request));
     }
 
@@ -262,16 +236,16 @@ proptest! {
     fn every_byte_of_a_fixed_record_survives_but_the_reserved(bytes in vec(any::<u8>(), 260)) {
         // NaNs are compared as bytes on the wire, not as numbers.
         let b = |len: usize| &bytes[..len];
-        prop_assert_eq!(body_of(|buf| Position1003::parse(b(37)).unwrap().emit(buf, &STAMP)), b(37));
-        prop_assert_eq!(body_of(|buf| RollPitchHeave1012::parse(b(12)).unwrap().emit(buf, &STAMP)), b(12));
-        prop_assert_eq!(body_of(|buf| Heading1013::parse(b(4)).unwrap().emit(buf, &STAMP)), b(4));
-        prop_assert_eq!(body_of(|buf| SoundVelocity7610::parse(b(12)).unwrap().emit(buf, &STAMP)), b(12));
-        prop_assert_eq!(body_of(|buf| Ack7501::parse(b(20)).unwrap().emit(buf, &STAMP)), b(20));
-        prop_assert_eq!(body_of(|buf| Nack7502::parse(b(24)).unwrap().emit(buf, &STAMP)), b(24));
+        prop_assert_eq!(emitted_body(|buf| Position1003::parse(b(37)).unwrap().emit(buf, &STAMP)), b(37));
+        prop_assert_eq!(emitted_body(|buf| RollPitchHeave1012::parse(b(12)).unwrap().emit(buf, &STAMP)), b(12));
+        prop_assert_eq!(emitted_body(|buf| Heading1013::parse(b(4)).unwrap().emit(buf, &STAMP)), b(4));
+        prop_assert_eq!(emitted_body(|buf| SoundVelocity7610::parse(b(12)).unwrap().emit(buf, &STAMP)), b(12));
+        prop_assert_eq!(emitted_body(|buf| Ack7501::parse(b(20)).unwrap().emit(buf, &STAMP)), b(20));
+        prop_assert_eq!(emitted_body(|buf| Nack7502::parse(b(24)).unwrap().emit(buf, &STAMP)), b(24));
         let expected = with_zeros(b(156), &[44..46, 154..156]);
-        prop_assert_eq!(body_of(|buf| SonarSettings7000::parse(b(156)).unwrap().emit(buf, &STAMP)), expected);
+        prop_assert_eq!(emitted_body(|buf| SonarSettings7000::parse(b(156)).unwrap().emit(buf, &STAMP)), expected);
         let expected = with_zeros(b(260), &[42..44, 208..216, 221..222]);
-        prop_assert_eq!(body_of(|buf| RemoteSettings7503::parse(b(260)).unwrap().emit(buf, &STAMP)), expected);
+        prop_assert_eq!(emitted_body(|buf| RemoteSettings7503::parse(b(260)).unwrap().emit(buf, &STAMP)), expected);
     }
 
     #[test]
@@ -298,8 +272,8 @@ proptest! {
             stop_sample: start_sample + samples as u32 - 1,
             sample_type: SAMPLE_TYPE_I16,
         };
-        let body = body_of(|buf| emit_7038(buf, &STAMP, &rth, &numbers, &sample_major));
-        prop_assert_eq!(&body, &body_of(|buf| emit_7038_element_major(buf, &STAMP, &rth, &numbers, &element_major)));
+        let body = emitted_body(|buf| emit_7038(buf, &STAMP, &rth, &numbers, &sample_major));
+        prop_assert_eq!(&body, &emitted_body(|buf| emit_7038_element_major(buf, &STAMP, &rth, &numbers, &element_major)));
         let record = RawIq7038::parse(&body).unwrap();
         prop_assert_eq!(record.rth, rth);
         prop_assert_eq!(record.element_numbers().collect::<Vec<_>>(), numbers);
@@ -313,7 +287,7 @@ proptest! {
         let beam_samples: Vec<_> =
             values[..samples * usize::from(beams)].iter().map(|&(amplitude, phase)| BeamSample { amplitude, phase }).collect();
         let rth = Rth7018 { sonar_id, ping_number: 1, multi_ping_sequence: 0, beams, samples: samples as u32 };
-        let body = body_of(|buf| emit_7018(buf, &STAMP, &rth, &beam_samples));
+        let body = emitted_body(|buf| emit_7018(buf, &STAMP, &rth, &beam_samples));
         let record = Beamformed7018::parse(&body).unwrap();
         prop_assert_eq!(record.rth, rth);
         prop_assert_eq!(record.samples().collect::<Vec<_>>(), beam_samples);
@@ -321,7 +295,7 @@ proptest! {
         let port: Vec<u16> = values.iter().map(|value| value.0).collect();
         let starboard: Vec<u16> = values.iter().map(|value| value.1 as u16).collect();
         let sides = SideSamples::U16 { port: &port, starboard: &starboard };
-        let body = body_of(|buf| emit_7007(buf, &STAMP, &Rth7007 { sonar_id, ..Rth7007::default() }, &sides));
+        let body = emitted_body(|buf| emit_7007(buf, &STAMP, &Rth7007 { sonar_id, ..Rth7007::default() }, &sides));
         let record = SideScan7007::parse(&body).unwrap();
         prop_assert!(record.port().eq(port.iter().map(|&value| u32::from(value))));
         prop_assert!(record.starboard().eq(starboard.iter().map(|&value| u32::from(value))));
@@ -331,7 +305,7 @@ proptest! {
     fn angles_survive(angles in vec(finite(), 1..400), sonar_id in any::<u64>()) {
         let negated: Vec<f32> = angles.iter().map(|angle| -angle).collect();
         let all = BeamAngles { along_track_rad: &angles, across_track_rad: &negated, width_y_rad: &negated, width_x_rad: &angles };
-        let body = body_of(|buf| emit_7004(buf, &STAMP, sonar_id, &all));
+        let body = emitted_body(|buf| emit_7004(buf, &STAMP, sonar_id, &all));
         let record = BeamGeometry7004::parse(&body).unwrap();
         prop_assert_eq!(record.beams as usize, angles.len());
         for (beam, &angle) in (0..).zip(&angles) {
@@ -349,7 +323,7 @@ proptest! {
             })
             .collect();
         let configuration = Configuration7001 { sonar_id: 3, modules };
-        let body = body_of(|buf| configuration.emit(buf, &STAMP));
+        let body = emitted_body(|buf| configuration.emit(buf, &STAMP));
         prop_assert_eq!(Configuration7001::parse(&body), Ok(configuration));
     }
 

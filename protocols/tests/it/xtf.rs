@@ -1,13 +1,11 @@
 //! Compares XTF with its published tables and with a file that pyxtf accepts, and parses random bytes.
 
-mod offsets;
-
+use crate::support::{assert_same, table};
 use echotank_protocols::WireError;
 use echotank_protocols::xtf::{
     Attitude, ChannelHeader, ChannelInfo, ChannelKind, FileHeader, NavUnits, Ping, PingHeader,
     SampleFormat, Samples, XtfFraming, XtfStream, emit_ping, packet_type,
 };
-use offsets::{assert_same, table};
 use proptest::prelude::*;
 
 /// 2025-06-15 15:06:40.123456789 UTC.

@@ -1,13 +1,11 @@
 //! Compares VITA 49.2 with words assembled by hand and with the crate `vita49`, and parses random bytes.
 
-mod offsets;
-
+use crate::support::assert_same;
 use echotank_protocols::WireError;
 use echotank_protocols::vita49::{
     Context, ETHERNET_PACKET_BYTES, Packet, PacketType, PayloadFormat, SampleKind, SignalStream,
     Trailer, VrtTime, complex_samples, real_samples,
 };
-use offsets::assert_same;
 use proptest::prelude::*;
 use vita49::Vrt;
 use vita49::prelude::Cif0Manipulators;

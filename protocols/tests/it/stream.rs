@@ -1,38 +1,11 @@
 //! Guarantees of the stream decoder: it returns every valid record, whatever lies between records and however the bytes are divided.
 
+use crate::support::{STAMP, heading, record_of};
 use echotank_protocols::sevenk::frame::{DATA_RECORD_FRAME_BYTES, NETWORK_FRAME_BYTES};
-use echotank_protocols::sevenk::records::Heading1013;
 use echotank_protocols::sevenk::{
-    Command, ControlRequest, ErrorCode, OpenRecord, Packetiser, RecordBody, RecordStamp,
-    SevenKTime, StreamDecoder, WireError, checksum,
+    Command, ControlRequest, ErrorCode, Packetiser, RecordBody, StreamDecoder, WireError, checksum,
 };
 use proptest::prelude::*;
-
-const STAMP: RecordStamp = RecordStamp {
-    time: SevenKTime {
-        year: 2025,
-        day_of_year: 166,
-        seconds: 40.5,
-        hours: 15,
-        minutes: 6,
-    },
-    device_id: 7125,
-    system_enumerator: 0,
-};
-
-fn heading_record(heading_rad: f32) -> Vec<u8> {
-    let mut record = Vec::new();
-    Heading1013 { heading_rad }.emit(&mut record, &STAMP);
-    record
-}
-
-fn record_of(body: &[u8]) -> Vec<u8> {
-    let mut record = Vec::new();
-    let open = OpenRecord::begin(&mut record, 7999, &STAMP);
-    record.extend_from_slice(body);
-    open.finish(&mut record);
-    record
-}
 
 fn packets_of(record: &[u8], max_packet_bytes: u32) -> Vec<u8> {
     let mut packets = Vec::new();
@@ -48,7 +21,7 @@ fn wire(record: &[u8]) -> Vec<u8> {
 
 #[test]
 fn a_refused_record_is_accessible_and_held_bytes_are_counted() {
-    let mut bad = wire(&heading_record(1.0));
+    let mut bad = wire(&heading(1.0));
     let last = bad.len() - 1;
     bad[last] ^= 1;
     let mut decoder = StreamDecoder::default();
@@ -64,7 +37,7 @@ fn a_refused_record_is_accessible_and_held_bytes_are_counted() {
     };
     assert_eq!(refused, bad);
     while decoder.next_record().is_some() {}
-    let good = wire(&heading_record(2.0));
+    let good = wire(&heading(2.0));
     decoder.push(&good[..70]);
     assert!(decoder.next_record().is_none());
     assert_eq!(decoder.held_bytes(), 70);
@@ -101,9 +74,9 @@ fn decode(stream: &[u8]) -> (Vec<Vec<u8>>, Vec<WireError>, StreamDecoder) {
 #[test]
 fn records_come_out_byte_by_byte() {
     let records = [
-        heading_record(0.5),
-        record_of(b"something else"),
-        heading_record(1.5),
+        heading(0.5),
+        record_of(7999, b"something else"),
+        heading(1.5),
     ];
     let stream: Vec<u8> = records.iter().flat_map(|record| wire(record)).collect();
     let mut decoder = StreamDecoder::default();
@@ -205,8 +178,8 @@ fn each_kind_of_damage_is_reported_counted_and_skipped() {
         ),
     ];
     for (name, damage, is_expected, nack) in cases {
-        let good = [heading_record(0.5), heading_record(1.5)];
-        let mut bad = wire(&heading_record(1.0));
+        let good = [heading(0.5), heading(1.5)];
+        let mut bad = wire(&heading(1.0));
         damage(&mut bad);
         let stream = [wire(&good[0]), bad.clone(), wire(&good[1])].concat();
         let (records, errors, decoder) = decode(&stream);
@@ -228,12 +201,8 @@ fn each_kind_of_damage_is_reported_counted_and_skipped() {
 
 #[test]
 fn a_shortened_record_does_not_hide_the_next() {
-    let good = [
-        heading_record(0.5),
-        heading_record(1.5),
-        heading_record(2.5),
-    ];
-    let cut = wire(&record_of(&[3; 500]));
+    let good = [heading(0.5), heading(1.5), heading(2.5)];
+    let cut = wire(&record_of(7999, &[3; 500]));
     for kept in [1, 10, 36, 60, 99, 100, 101, 400, cut.len() - 1] {
         let stream = [
             wire(&good[0]),
@@ -250,8 +219,8 @@ fn a_shortened_record_does_not_hide_the_next() {
 
 #[test]
 fn a_shortened_fragment_does_not_hide_the_next_record() {
-    let good = heading_record(0.5);
-    let fragmented = packets_of(&record_of(&[3; 1000]), 300);
+    let good = heading(0.5);
+    let fragmented = packets_of(&record_of(7999, &[3; 1000]), 300);
     for kept in [150, 300, 336, 450, 600, fragmented.len() - 1] {
         let stream = [fragmented[..kept].to_vec(), wire(&good)].concat();
         let (records, errors, _) = decode(&stream);
@@ -266,8 +235,8 @@ fn a_shortened_fragment_does_not_hide_the_next_record() {
 
 #[test]
 fn a_lost_fragment_loses_only_its_record() {
-    let good = heading_record(0.5);
-    let fragmented = packets_of(&record_of(&[3; 1000]), 300);
+    let good = heading(0.5);
+    let fragmented = packets_of(&record_of(7999, &[3; 1000]), 300);
     let stream = [&fragmented[..300], &fragmented[600..], &wire(&good)].concat();
     let (records, errors, _) = decode(&stream);
     assert_eq!(records, [good]);
@@ -293,7 +262,7 @@ fn another_protocol_is_detected_from_its_first_bytes() {
 
 #[test]
 fn an_incomplete_record_is_held_until_the_peer_closes() {
-    let packets = wire(&heading_record(0.5));
+    let packets = wire(&heading(0.5));
     let mut decoder = StreamDecoder::default();
     decoder.push(&packets[..70]);
     assert!(decoder.next_record().is_none());
@@ -317,13 +286,13 @@ fn memory_is_bounded_by_the_record_limit() {
     let mut decoder = StreamDecoder::new(1000);
     let mut held = 0;
     // A valid header that announces more than ever arrives, pushed without taking records.
-    let packets = packets_of(&record_of(&[0; 900]), 100);
+    let packets = packets_of(&record_of(7999, &[0; 900]), 100);
     for _ in 0..100 {
         held += decoder.push(&packets[..500]);
     }
     assert_eq!(held, decoder.capacity_bytes());
     // The longest permitted record in the shortest packets fits.
-    let longest = record_of(&vec![7; 1000 - 68]);
+    let longest = record_of(7999, &vec![7; 1000 - 68]);
     let mut decoder = StreamDecoder::new(1000);
     assert_eq!(
         decode_in_pieces(&mut decoder, &packets_of(&longest, 100), 7).0,
@@ -332,7 +301,7 @@ fn memory_is_bounded_by_the_record_limit() {
     // One more byte does not, and is refused by its header.
     let (records, errors) = decode_in_pieces(
         &mut StreamDecoder::new(1000),
-        &wire(&record_of(&vec![7; 1001 - 68])),
+        &wire(&record_of(7999, &vec![7; 1001 - 68])),
         7,
     );
     assert!(
@@ -365,7 +334,7 @@ proptest! {
         for (rubbish, body, max_packet_bytes) in parts {
             rubbish_bytes += rubbish.len() as u64;
             stream.extend(rubbish);
-            good.push(record_of(&body));
+            good.push(record_of(7999, &body));
             stream.extend(packets_of(good.last().unwrap(), max_packet_bytes));
         }
         let mut decoder = StreamDecoder::default();
@@ -378,7 +347,7 @@ proptest! {
 
     #[test]
     fn one_damaged_byte_loses_at_most_its_own_record(at in 0_usize..3 * 108, value in any::<u8>()) {
-        let good = [heading_record(0.5), heading_record(1.5), heading_record(2.5)];
+        let good = [heading(0.5), heading(1.5), heading(2.5)];
         let mut stream: Vec<u8> = good.iter().flat_map(|record| wire(record)).collect();
         prop_assert_eq!(stream.len(), 3 * 108);
         stream[at] = value;
@@ -405,12 +374,12 @@ proptest! {
         damage in proptest::collection::vec((0_usize..400, any::<u8>()), 0..4),
         max_packet_bytes in 100_u32..200,
     ) {
-        let mut packets = packets_of(&record_of(&body), max_packet_bytes);
+        let mut packets = packets_of(&record_of(7999, &body), max_packet_bytes);
         for (at, value) in damage {
             let at = at % packets.len();
             packets[at] = value;
         }
-        let good = heading_record(0.5);
+        let good = heading(0.5);
         packets.extend(wire(&good));
         let (records, _, _) = decode(&packets);
         prop_assert!(records.contains(&good));

@@ -1,11 +1,9 @@
 //! SigMF metadata and WAV headers: contents, errors, and random bytes.
 
-mod offsets;
-
+use crate::support::{assert_same, table};
 use echotank_protocols::WireError;
 use echotank_protocols::sigmf::{Annotation, Capture, DataType, Recording, SigmfError};
 use echotank_protocols::wav::{Container, HEADER_BYTES, WavFormat, WavHeader, WavSample};
-use offsets::{assert_same, table};
 use proptest::prelude::*;
 
 const EIGHT: WavFormat = WavFormat {

@@ -1,0 +1,70 @@
+//! Golden bytes from published tables, and 7k records with one timestamp.
+
+use std::ops::Range;
+
+use echotank_protocols::sevenk::records::Heading1013;
+use echotank_protocols::sevenk::{OpenRecord, Record, RecordStamp, SevenKTime};
+
+/// 2025-06-15 15:06:40.5
+pub(crate) const STAMP: RecordStamp = RecordStamp {
+    time: SevenKTime {
+        year: 2025,
+        day_of_year: 166,
+        seconds: 40.5,
+        hours: 15,
+        minutes: 6,
+    },
+    device_id: 7125,
+    system_enumerator: 1,
+};
+
+/// Bytes made of `(offset, value)` pairs, independent of the order of fields in a struct.
+pub(crate) fn table(len: usize, fields: &[(usize, &[u8])]) -> Vec<u8> {
+    let mut bytes = vec![0; len];
+    for (at, value) in fields {
+        bytes[*at..at + value.len()].copy_from_slice(value);
+    }
+    bytes
+}
+
+/// Asserts equality and names the first difference.
+pub(crate) fn assert_same(got: &[u8], want: &[u8], what: &str) {
+    for (at, (g, w)) in got.iter().zip(want).enumerate() {
+        assert_eq!(
+            g, w,
+            "{what}: byte {at} is {g:#04x}, the table says {w:#04x}"
+        );
+    }
+    assert_eq!(got.len(), want.len(), "{what}: length");
+}
+
+/// A whole 7k record with this body.
+pub(crate) fn record_of(record_type_id: u32, body: &[u8]) -> Vec<u8> {
+    let mut record = Vec::new();
+    let open = OpenRecord::begin(&mut record, record_type_id, &STAMP);
+    record.extend_from_slice(body);
+    open.finish(&mut record);
+    record
+}
+
+/// A whole record 1013.
+pub(crate) fn heading(heading_rad: f32) -> Vec<u8> {
+    let mut record = Vec::new();
+    Heading1013 { heading_rad }.emit(&mut record, &STAMP);
+    record
+}
+
+/// Body of the record that `emit` appended, after validation of the whole record.
+pub(crate) fn emitted_body(emit: impl FnOnce(&mut Vec<u8>) -> Range<usize>) -> Vec<u8> {
+    let mut buf = vec![0xAA; 3];
+    let range = emit(&mut buf);
+    assert_eq!(
+        range,
+        3..buf.len(),
+        "a record goes to the end of the buffer"
+    );
+    Record::parse(&buf[range])
+        .expect("emitted records are right")
+        .body()
+        .to_vec()
+}
