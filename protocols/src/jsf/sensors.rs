@@ -43,9 +43,6 @@ macro_rules! sensor_message {
         layout!($type, $size, $name, Little);
 
         impl $type {
-            /// Message type.
-            pub const MESSAGE_TYPE: u16 = $message_type;
-
             /// Appends the whole message of a serial port and returns its byte range.
             pub fn emit_message(&self, buf: &mut Vec<u8>, port: u8) -> Range<usize> {
                 let header = MessageHeader::data($message_type, subsystem::PARSED_SERIAL, port);

@@ -305,9 +305,6 @@ macro_rules! ping_message {
         crate::layout::layout!($type, $size, $name, Little);
 
         impl $type {
-            /// Message number.
-            pub const MESSAGE_ID: u16 = $id;
-
             /// Appends the whole frame and returns its byte range.
             pub fn emit_frame(
                 &self,

@@ -691,8 +691,6 @@ pub struct ControlRequest {
 }
 
 impl ControlRequest {
-    /// Record type.
-    pub const RECORD_TYPE_ID: u32 = record_id::REMOTE_CONTROL;
     /// Size of the RTH.
     pub const RTH_BYTES: usize = ControlHeader::SIZE_BYTES;
 

@@ -97,8 +97,6 @@ impl CataloguePointer {
 }
 
 impl FileHeader7200 {
-    /// Record type.
-    pub const RECORD_TYPE_ID: u32 = record_id::FILE_HEADER;
     /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7200::RTH_BYTES;
 
@@ -193,8 +191,6 @@ pub struct Catalogue7300<'a> {
 }
 
 impl<'a> Catalogue7300<'a> {
-    /// Record type.
-    pub const RECORD_TYPE_ID: u32 = record_id::FILE_CATALOGUE;
     /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7300::RTH_BYTES;
 

@@ -50,9 +50,9 @@ fn every_header_has_the_size_of_its_table() {
             260,
         ),
         (SonarSettings7000::RTH_BYTES, golden!("7000.hex").len(), 156),
-        (RawIq7038::RTH_BYTES, golden!("7038_rth.hex").len(), 60),
-        (Beamformed7018::RTH_BYTES, golden!("7018_rth.hex").len(), 52),
-        (SideScan7007::RTH_BYTES, golden!("7007_rth.hex").len(), 64),
+        (Rth7038::RTH_BYTES, golden!("7038_rth.hex").len(), 60),
+        (Rth7018::RTH_BYTES, golden!("7018_rth.hex").len(), 52),
+        (Rth7007::RTH_BYTES, golden!("7007_rth.hex").len(), 64),
         (
             BeamGeometry7004::RTH_BYTES,
             golden!("7004_rth.hex").len(),

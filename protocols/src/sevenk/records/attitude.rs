@@ -38,8 +38,6 @@ pub struct Attitude1016<'a> {
 }
 
 impl<'a> Attitude1016<'a> {
-    /// Record type.
-    pub const RECORD_TYPE_ID: u32 = record_id::ATTITUDE;
     /// Size of the RTH.
     pub const RTH_BYTES: usize = 1;
 

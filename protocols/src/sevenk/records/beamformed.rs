@@ -64,11 +64,6 @@ pub struct Beamformed7018<'a> {
 }
 
 impl<'a> Beamformed7018<'a> {
-    /// Record type.
-    pub const RECORD_TYPE_ID: u32 = record_id::BEAMFORMED;
-    /// Size of the RTH.
-    pub const RTH_BYTES: usize = Rth7018::RTH_BYTES;
-
     /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7018 = read_fixed(body)?;

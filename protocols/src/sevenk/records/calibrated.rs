@@ -65,11 +65,6 @@ pub struct CalibratedSideScan7057<'a> {
 }
 
 impl<'a> CalibratedSideScan7057<'a> {
-    /// Record type.
-    pub const RECORD_TYPE_ID: u32 = record_id::CALIBRATED_SIDE_SCAN;
-    /// Size of the RTH.
-    pub const RTH_BYTES: usize = Rth7057::RTH_BYTES;
-
     /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7057 = read_fixed(body)?;
@@ -201,11 +196,6 @@ pub struct SingleBeamIq10038<'a> {
 }
 
 impl<'a> SingleBeamIq10038<'a> {
-    /// Record type.
-    pub const RECORD_TYPE_ID: u32 = record_id::SINGLE_BEAM_IQ;
-    /// Size of the RTH.
-    pub const RTH_BYTES: usize = Rth10038::RTH_BYTES;
-
     /// Parses a body with 64 bits per sample, an f32 each for I and Q.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth10038 = read_fixed(body)?;

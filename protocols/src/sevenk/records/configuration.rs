@@ -64,8 +64,6 @@ pub struct Module {
 }
 
 impl Configuration7001 {
-    /// Record type.
-    pub const RECORD_TYPE_ID: u32 = record_id::CONFIGURATION;
     /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7001::RTH_BYTES;
 

@@ -76,11 +76,6 @@ pub struct RawDetections7027<'a> {
 }
 
 impl<'a> RawDetections7027<'a> {
-    /// Record type.
-    pub const RECORD_TYPE_ID: u32 = record_id::RAW_DETECTIONS;
-    /// Size of the RTH.
-    pub const RTH_BYTES: usize = Rth7027::RTH_BYTES;
-
     /// Parses a body with detections of 34 bytes or more; unknown fields are skipped.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7027 = read_fixed(body)?;

@@ -48,8 +48,6 @@ pub struct BeamGeometry7004<'a> {
 }
 
 impl<'a> BeamGeometry7004<'a> {
-    /// Record type.
-    pub const RECORD_TYPE_ID: u32 = record_id::BEAM_GEOMETRY;
     /// Size of the RTH.
     pub const RTH_BYTES: usize = Rth7004::RTH_BYTES;
 

@@ -120,59 +120,77 @@ pub(crate) fn data_at<'a>(
     Ok(&data[..len as usize])
 }
 
-/// A parsed record body, by record type.
-#[derive(Debug, Clone, PartialEq)]
-pub enum RecordBody<'a> {
-    /// 1003.
-    Position(Position1003),
-    /// 1012.
-    RollPitchHeave(RollPitchHeave1012),
-    /// 1013.
-    Heading(Heading1013),
-    /// 7000.
-    SonarSettings(Box<SonarSettings7000>),
-    /// 7001.
-    Configuration(Configuration7001),
-    /// 7004.
-    BeamGeometry(BeamGeometry7004<'a>),
-    /// 7007.
-    SideScan(SideScan7007<'a>),
-    /// 7018.
-    Beamformed(Beamformed7018<'a>),
-    /// 7038.
-    RawIq(RawIq7038<'a>),
-    /// 7200.
-    FileHeader(Box<FileHeader7200>),
-    /// 7300.
-    FileCatalogue(Catalogue7300<'a>),
-    /// 7500.
-    RemoteControl(ControlRequest),
-    /// 7501.
-    Ack(Ack7501),
-    /// 7502.
-    Nack(Nack7502),
-    /// 7503.
-    RemoteSettings(Box<RemoteSettings7503>),
-    /// 7610.
-    SoundVelocity(SoundVelocity7610),
-    /// 1015.
-    Navigation(Navigation1015),
-    /// 1016.
-    Attitude(Attitude1016<'a>),
-    /// 7027.
-    RawDetections(RawDetections7027<'a>),
-    /// 7028.
-    Snippets(Snippets7028<'a>),
-    /// 7042.
-    WaterColumn(WaterColumn7042<'a>),
-    /// 7057.
-    CalibratedSideScan(CalibratedSideScan7057<'a>),
-    /// 7058.
-    SnippetStrengths(SnippetStrengths7058<'a>),
-    /// 10038.
-    SingleBeamIq(SingleBeamIq10038<'a>),
-    /// Any other record type.
-    Other(&'a [u8]),
+/// Declares each parsed record once, for parsing by record type and for display. Long records without data are boxed.
+macro_rules! record_bodies {
+    (
+        plain { $($id:ident => $variant:ident($body:ty),)* }
+        boxed { $($boxed_id:ident => $boxed_variant:ident($boxed_body:ty),)* }
+    ) => {
+        /// A parsed record body, by record type.
+        #[derive(Debug, Clone, PartialEq)]
+        #[allow(missing_docs, reason = "the names are those of the record types")]
+        pub enum RecordBody<'a> {
+            $($variant($body),)*
+            $($boxed_variant(Box<$boxed_body>),)*
+            /// Any other record type.
+            Other(&'a [u8]),
+        }
+
+        impl<'a> RecordBody<'a> {
+            /// Parses the body of a record.
+            pub fn parse(record: &Record<'a>) -> Result<Self, BodyError> {
+                let body = record.body();
+                Ok(match record.frame.record_type_id {
+                    $(record_id::$id => Self::$variant(<$body>::parse(body)?),)*
+                    $(record_id::$boxed_id => Self::$boxed_variant(Box::new(<$boxed_body>::parse(body)?)),)*
+                    _ => Self::Other(body),
+                })
+            }
+        }
+
+        impl fmt::Display for RecordBody<'_> {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                match self {
+                    $(Self::$variant(record) => record.fmt(f),)*
+                    $(Self::$boxed_variant(record) => record.fmt(f),)*
+                    Self::Other(body) => {
+                        write!(f, "an unsupported record type, {} B of data", body.len())
+                    }
+                }
+            }
+        }
+    };
+}
+
+record_bodies! {
+    plain {
+        POSITION => Position(Position1003),
+        ROLL_PITCH_HEAVE => RollPitchHeave(RollPitchHeave1012),
+        HEADING => Heading(Heading1013),
+        CONFIGURATION => Configuration(Configuration7001),
+        BEAM_GEOMETRY => BeamGeometry(BeamGeometry7004<'a>),
+        SIDE_SCAN => SideScan(SideScan7007<'a>),
+        BEAMFORMED => Beamformed(Beamformed7018<'a>),
+        RAW_IQ => RawIq(RawIq7038<'a>),
+        FILE_CATALOGUE => FileCatalogue(Catalogue7300<'a>),
+        REMOTE_CONTROL => RemoteControl(ControlRequest),
+        REMOTE_CONTROL_ACK => Ack(Ack7501),
+        REMOTE_CONTROL_NACK => Nack(Nack7502),
+        SOUND_VELOCITY => SoundVelocity(SoundVelocity7610),
+        NAVIGATION => Navigation(Navigation1015),
+        ATTITUDE => Attitude(Attitude1016<'a>),
+        RAW_DETECTIONS => RawDetections(RawDetections7027<'a>),
+        SNIPPETS => Snippets(Snippets7028<'a>),
+        COMPRESSED_WATER_COLUMN => WaterColumn(WaterColumn7042<'a>),
+        CALIBRATED_SIDE_SCAN => CalibratedSideScan(CalibratedSideScan7057<'a>),
+        SNIPPET_STRENGTHS => SnippetStrengths(SnippetStrengths7058<'a>),
+        SINGLE_BEAM_IQ => SingleBeamIq(SingleBeamIq10038<'a>),
+    }
+    boxed {
+        SONAR_SETTINGS => SonarSettings(SonarSettings7000),
+        FILE_HEADER => FileHeader(FileHeader7200),
+        REMOTE_CONTROL_SETTINGS => RemoteSettings(RemoteSettings7503),
+    }
 }
 
 /// Why a record body is invalid.
@@ -184,80 +202,4 @@ pub enum BodyError {
     /// The command is malformed.
     #[error(transparent)]
     Command(#[from] CommandError),
-}
-
-impl<'a> RecordBody<'a> {
-    /// Parses the body of a record.
-    pub fn parse(record: &Record<'a>) -> Result<Self, BodyError> {
-        let body = record.body();
-        Ok(match record.frame.record_type_id {
-            record_id::POSITION => Self::Position(Position1003::parse(body)?),
-            record_id::ROLL_PITCH_HEAVE => Self::RollPitchHeave(RollPitchHeave1012::parse(body)?),
-            record_id::HEADING => Self::Heading(Heading1013::parse(body)?),
-            record_id::SONAR_SETTINGS => {
-                Self::SonarSettings(Box::new(SonarSettings7000::parse(body)?))
-            }
-            record_id::CONFIGURATION => Self::Configuration(Configuration7001::parse(body)?),
-            record_id::BEAM_GEOMETRY => Self::BeamGeometry(BeamGeometry7004::parse(body)?),
-            record_id::SIDE_SCAN => Self::SideScan(SideScan7007::parse(body)?),
-            record_id::BEAMFORMED => Self::Beamformed(Beamformed7018::parse(body)?),
-            record_id::RAW_IQ => Self::RawIq(RawIq7038::parse(body)?),
-            record_id::FILE_HEADER => Self::FileHeader(Box::new(FileHeader7200::parse(body)?)),
-            record_id::FILE_CATALOGUE => Self::FileCatalogue(Catalogue7300::parse(body)?),
-            record_id::REMOTE_CONTROL => Self::RemoteControl(ControlRequest::parse(body)?),
-            record_id::REMOTE_CONTROL_ACK => Self::Ack(Ack7501::parse(body)?),
-            record_id::REMOTE_CONTROL_NACK => Self::Nack(Nack7502::parse(body)?),
-            record_id::REMOTE_CONTROL_SETTINGS => {
-                Self::RemoteSettings(Box::new(RemoteSettings7503::parse(body)?))
-            }
-            record_id::SOUND_VELOCITY => Self::SoundVelocity(SoundVelocity7610::parse(body)?),
-            record_id::NAVIGATION => Self::Navigation(Navigation1015::parse(body)?),
-            record_id::ATTITUDE => Self::Attitude(Attitude1016::parse(body)?),
-            record_id::RAW_DETECTIONS => Self::RawDetections(RawDetections7027::parse(body)?),
-            record_id::SNIPPETS => Self::Snippets(Snippets7028::parse(body)?),
-            record_id::COMPRESSED_WATER_COLUMN => Self::WaterColumn(WaterColumn7042::parse(body)?),
-            record_id::CALIBRATED_SIDE_SCAN => {
-                Self::CalibratedSideScan(CalibratedSideScan7057::parse(body)?)
-            }
-            record_id::SNIPPET_STRENGTHS => {
-                Self::SnippetStrengths(SnippetStrengths7058::parse(body)?)
-            }
-            record_id::SINGLE_BEAM_IQ => Self::SingleBeamIq(SingleBeamIq10038::parse(body)?),
-            _ => Self::Other(body),
-        })
-    }
-}
-
-impl fmt::Display for RecordBody<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Position(record) => record.fmt(f),
-            Self::RollPitchHeave(record) => record.fmt(f),
-            Self::Heading(record) => record.fmt(f),
-            Self::SonarSettings(record) => record.fmt(f),
-            Self::Configuration(record) => record.fmt(f),
-            Self::BeamGeometry(record) => record.fmt(f),
-            Self::SideScan(record) => record.fmt(f),
-            Self::Beamformed(record) => record.fmt(f),
-            Self::RawIq(record) => record.fmt(f),
-            Self::FileHeader(record) => record.fmt(f),
-            Self::FileCatalogue(record) => record.fmt(f),
-            Self::RemoteControl(record) => record.fmt(f),
-            Self::Ack(record) => record.fmt(f),
-            Self::Nack(record) => record.fmt(f),
-            Self::RemoteSettings(record) => record.fmt(f),
-            Self::SoundVelocity(record) => record.fmt(f),
-            Self::Navigation(record) => record.fmt(f),
-            Self::Attitude(record) => record.fmt(f),
-            Self::RawDetections(record) => record.fmt(f),
-            Self::Snippets(record) => record.fmt(f),
-            Self::WaterColumn(record) => record.fmt(f),
-            Self::CalibratedSideScan(record) => record.fmt(f),
-            Self::SnippetStrengths(record) => record.fmt(f),
-            Self::SingleBeamIq(record) => record.fmt(f),
-            Self::Other(body) => {
-                write!(f, "an unsupported record type, {} B of data", body.len())
-            }
-        }
-    }
 }

@@ -65,11 +65,6 @@ pub struct RawIq7038<'a> {
 }
 
 impl<'a> RawIq7038<'a> {
-    /// Record type.
-    pub const RECORD_TYPE_ID: u32 = record_id::RAW_IQ;
-    /// Size of the RTH.
-    pub const RTH_BYTES: usize = Rth7038::RTH_BYTES;
-
     /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7038 = read_fixed(body)?;

@@ -82,11 +82,6 @@ pub struct SideScan7007<'a> {
 }
 
 impl<'a> SideScan7007<'a> {
-    /// Record type.
-    pub const RECORD_TYPE_ID: u32 = record_id::SIDE_SCAN;
-    /// Size of the RTH.
-    pub const RTH_BYTES: usize = Rth7007::RTH_BYTES;
-
     /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7007 = read_fixed(body)?;

@@ -150,11 +150,6 @@ pub struct Snippets7028<'a> {
 }
 
 impl<'a> Snippets7028<'a> {
-    /// Record type.
-    pub const RECORD_TYPE_ID: u32 = record_id::SNIPPETS;
-    /// Size of the RTH.
-    pub const RTH_BYTES: usize = Rth7028::RTH_BYTES;
-
     /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7028 = read_fixed(body)?;
@@ -251,11 +246,6 @@ pub struct SnippetStrengths7058<'a> {
 }
 
 impl<'a> SnippetStrengths7058<'a> {
-    /// Record type.
-    pub const RECORD_TYPE_ID: u32 = record_id::SNIPPET_STRENGTHS;
-    /// Size of the RTH.
-    pub const RTH_BYTES: usize = Rth7058::RTH_BYTES;
-
     /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7058 = read_fixed(body)?;

@@ -122,11 +122,6 @@ pub struct WaterColumn7042<'a> {
 }
 
 impl<'a> WaterColumn7042<'a> {
-    /// Record type.
-    pub const RECORD_TYPE_ID: u32 = record_id::COMPRESSED_WATER_COLUMN;
-    /// Size of the RTH.
-    pub const RTH_BYTES: usize = Rth7042::RTH_BYTES;
-
     /// Parses all beams, so that [`WaterColumn7042::beams`] cannot fail.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7042 = read_fixed(body)?;
