@@ -186,12 +186,8 @@ impl ReceivedRow {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::beam::test_rig::array;
-    use echotank_core::arrays::{Mounting, Pattern};
-    use echotank_core::ping::Segment;
-    use echotank_core::testing::plan_at_rest;
+    use crate::beam::test_rig::{self, C, array, frame, half_power, plan_moving, transmitter};
 
-    const C: f64 = 1500.0;
     const LAMBDA_M: f64 = C / 400e3;
     const RATE_HZ: f64 = 40e3;
     const PINGS: usize = 100;
@@ -203,25 +199,14 @@ mod tests {
     const FIRST_S: f64 = 0.05;
 
     fn pulse() -> Pulse {
-        Pulse {
-            kind: PulseKind::LfmUp,
-            center_frequency_hz: 400e3,
-            bandwidth_hz: 30e3,
-            duration_s: 5e-3,
-            taper: 0.1,
-        }
+        test_rig::pulse(PulseKind::LfmUp, 30e3, 5e-3, 0.1)
     }
 
     fn plan(at_m: DVec3) -> PingPlan {
-        let mut plan = plan_at_rest(&pulse(), SAMPLES, C);
-        plan.first_sample_s = FIRST_S;
-        plan.segments.push(Segment {
-            start_s: 0.0,
-            position_m: at_m,
-            velocity_m_per_s: DVec3::X * SPEED_M_PER_S,
-            world_from_body: glam::DQuat::IDENTITY,
-        });
-        plan
+        PingPlan {
+            first_sample_s: FIRST_S,
+            ..plan_moving(&pulse(), SAMPLES, at_m, DVec3::X * SPEED_M_PER_S)
+        }
     }
 
     /// Echo of a point by the retarded-time sum: pulse time t' from c (t - t') = |S - p_T(t')| + |S - r(t)|, with both ends moving.
@@ -240,13 +225,7 @@ mod tests {
                 pulse.envelope(sent) * Complex64::from_polar(1.0, TAU * (cycles - cycles.round()))
             })
             .collect();
-        ElementFrame {
-            array: 0,
-            elements: 1,
-            samples: SAMPLES,
-            iq,
-            saturated: 0,
-        }
+        frame(1, SAMPLES, iq)
     }
 
     fn position_m(ping: usize) -> DVec3 {
@@ -264,14 +243,7 @@ mod tests {
             samples: SAMPLES,
             pulse_s: 5e-3,
         };
-        let transmit = TransmitArray {
-            mounting: Mounting {
-                position_m: DVec3::ZERO,
-                body_from_array: glam::DQuat::IDENTITY,
-            },
-            pattern: Pattern::Omnidirectional,
-            level_offset_db: 0.0,
-        };
+        let transmit = transmitter(DVec3::ZERO);
         let mut image = BackProjection::new(pixels, limits, &pulse(), Shading::Uniform);
         for ping in 0..PINGS {
             let frame = echo(point, position_m(ping));
@@ -288,16 +260,7 @@ mod tests {
         assert!(peak.abs_diff(150) <= 1, "peak {} mm off", peak as i64 - 150);
         // Doppler at the ends of the track costs 3 % of the time-bandwidth product.
         assert!((level[peak] - 1.0).abs() < 0.05, "{}", level[peak]);
-        let half = level[peak] * 0.5_f64.sqrt();
-        let crossing = |step: isize| {
-            let mut k = peak;
-            while level[k] > half {
-                k = k.strict_add_signed(step);
-            }
-            let inner = k.strict_add_signed(-step);
-            (inner as f64 - peak as f64).abs() + (level[inner] - half) / (level[inner] - level[k])
-        };
-        let width_m = 1e-3 * (crossing(1) + crossing(-1));
+        let width_m = 1e-3 * (half_power(&level, peak, 1) + half_power(&level, peak, -1));
         let want_m = 0.886 * LAMBDA_M * RANGE_M / (2.0 * PINGS as f64 * SPACING_M);
         println!(
             "{:.2} mm, closed form {:.2} mm",

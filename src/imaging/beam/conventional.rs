@@ -251,31 +251,20 @@ pub fn line_array_response(elements: usize, spacing_wavelengths: f64, sine: f64)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::beam::test_rig::{array, elements_of_plane_wave, tone};
-    use echotank_config::spec::FanForm;
+    use crate::beam::test_rig::{self, C, array, elements_of_plane_wave, on_threads, tone};
+    use echotank_config::spec::Former;
     use echotank_core::pulse::PulseKind;
     use echotank_core::testing::plan_at_rest as plan;
 
-    const C: f64 = 1500.0;
-
     fn pulse(kind: PulseKind, center_hz: f64, bandwidth_hz: f64, duration_s: f64) -> Pulse {
         Pulse {
-            kind,
             center_frequency_hz: center_hz,
-            bandwidth_hz,
-            duration_s,
-            taper: 0.0,
+            ..test_rig::pulse(kind, bandwidth_hz, duration_s, 0.0)
         }
     }
 
     fn fan(beams: usize, sector_rad: f64, shading: Shading) -> FanSpec {
-        FanSpec {
-            array: 0,
-            beams,
-            sector_rad,
-            shading,
-            form: FanForm::default(),
-        }
+        test_rig::fan(beams, sector_rad, shading, Former::Exact)
     }
 
     struct Rig {
@@ -299,6 +288,10 @@ mod tests {
             self.former(fan)
                 .form(&plan(&self.pulse, self.samples, C), frame, &mut out);
             out
+        }
+        fn tone(&self, sine: f64) -> ElementFrame {
+            let hz = self.pulse.center_frequency_hz;
+            tone(&self.array, self.samples, hz, sine)
         }
         /// Echo of the pulse from `sine` (array axes) whose leading edge arrives at the array's centre at `edge_s`.
         fn echo(&self, sine: f64, edge_s: f64) -> ElementFrame {
@@ -332,13 +325,7 @@ mod tests {
             let mut worst = 0.0_f64;
             for i in 0..81 {
                 let sine = -0.99 + i as f64 * 0.0247;
-                let frame = tone(
-                    &rig.array,
-                    rig.samples,
-                    rig.pulse.center_frequency_hz,
-                    sine,
-                    C,
-                );
+                let frame = rig.tone(sine);
                 former.form(&plan(&rig.pulse, rig.samples, C), &frame, &mut out);
                 let got = out.beam(2)[400].norm();
                 let want = line_array_response(elements, 0.5, sine - beam_sine);
@@ -362,13 +349,7 @@ mod tests {
             let mut lobe = 0.0_f64;
             for i in 0..60 {
                 let sine = (1.2 + i as f64 * 0.01) * 2.0 / elements as f64;
-                let frame = tone(
-                    &rig.array,
-                    rig.samples,
-                    rig.pulse.center_frequency_hz,
-                    sine,
-                    C,
-                );
+                let frame = rig.tone(sine);
                 former.form(&plan(&rig.pulse, rig.samples, C), &frame, &mut out);
                 lobe = lobe.max(out.beam(0)[400].norm());
             }
@@ -518,13 +499,7 @@ mod tests {
         let rig = wide();
         let spec = fan(37, 2.0, Shading::Hann);
         let frame = rig.echo(0.4, 0.001_234);
-        let on = |threads: usize| {
-            rayon::ThreadPoolBuilder::new()
-                .num_threads(threads)
-                .build()
-                .expect("a pool")
-                .install(|| rig.beams(&spec, &frame))
-        };
+        let on = |threads: usize| on_threads(threads, || rig.beams(&spec, &frame));
         assert_eq!(on(1), on(5));
     }
 

@@ -713,5 +713,4 @@ fn turn(cycles: f32) -> (f32, f32) {
 }
 
 #[cfg(test)]
-#[path = "delay_sum_tests.rs"]
 mod tests;

@@ -451,5 +451,4 @@ fn scaled_i0(x: f64) -> f64 {
 }
 
 #[cfg(test)]
-#[path = "fast_tests.rs"]
 mod tests;

@@ -1,4 +1,4 @@
-//! Inner loops of [`delay_sum`](super::delay_sum): weighted sums of rows that begin at different samples, in f32.
+//! Inner loops of `delay_sum`: weighted sums of rows that begin at different samples, in f32.
 //!
 //! A grid holds one row of real and one of imaginary parts for every element and every fraction of a sample. [`add_rows`] adds up to
 //! [`MAX_SAMPLES`] samples of one such row per element, each multiplied by its complex weight. The sums stay in registers over a block of

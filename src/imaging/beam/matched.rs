@@ -196,20 +196,11 @@ impl MatchedFilter {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::beam::test_rig::{half_power, pulse};
     use echotank_core::pulse::PulseKind;
     use rand_chacha::ChaCha12Rng;
     use rand_chacha::rand_core::{Rng, SeedableRng};
     use std::f64::consts::TAU;
-
-    fn lfm(kind: PulseKind, bandwidth_hz: f64, duration_s: f64) -> Pulse {
-        Pulse {
-            kind,
-            center_frequency_hz: 400e3,
-            bandwidth_hz,
-            duration_s,
-            taper: 0.0,
-        }
-    }
 
     fn filter(pulse: &Pulse, rate_hz: f64, samples: usize, window: Shading) -> MatchedFilter {
         MatchedFilter::new(
@@ -238,18 +229,9 @@ mod tests {
         (row.iter().map(|y| y.norm()).collect(), edge)
     }
 
-    /// Full -3 dB width in seconds; crossings are interpolated linearly.
+    /// Full -3 dB width in seconds.
     fn width_s(level: &[f64], peak: usize, rate_hz: f64) -> f64 {
-        let half = level[peak] * 0.5_f64.sqrt();
-        let crossing = |mut k: usize, step: isize| {
-            while level[k] > half {
-                k = k.strict_add_signed(step);
-            }
-            let inner = k.strict_add_signed(-step);
-            let outside = (level[inner] - half) / (level[inner] - level[k]);
-            (inner as f64 + step as f64 * outside - peak as f64).abs()
-        };
-        (crossing(peak, 1) + crossing(peak, -1)) / rate_hz
+        (half_power(level, peak, 1) + half_power(level, peak, -1)) / rate_hz
     }
 
     /// Level of the first local maximum beyond the first minimum, dB relative to the peak.
@@ -268,12 +250,9 @@ mod tests {
     fn equals_the_correlation_sum_and_peaks_at_one_on_the_leading_edge() {
         let rate_hz = 40e3;
         for pulse in [
-            lfm(PulseKind::LfmUp, 30e3, 5e-3),
-            lfm(PulseKind::LfmDown, 30e3, 3.33e-3),
-            Pulse {
-                taper: 0.3,
-                ..lfm(PulseKind::Cw, 0.0, 1e-3)
-            },
+            pulse(PulseKind::LfmUp, 30e3, 5e-3, 0.0),
+            pulse(PulseKind::LfmDown, 30e3, 3.33e-3, 0.0),
+            pulse(PulseKind::Cw, 0.0, 1e-3, 0.3),
         ] {
             let samples = 700;
             let edge = 311;
@@ -314,7 +293,7 @@ mod tests {
         ] {
             let rate_hz = 32.0 * bandwidth_hz;
             let (level, peak) = compressed(
-                &lfm(kind, bandwidth_hz, duration_s),
+                &pulse(kind, bandwidth_hz, duration_s, 0.0),
                 rate_hz,
                 Shading::Uniform,
             );
@@ -332,7 +311,7 @@ mod tests {
     #[test]
     fn hann_window_trades_width_for_side_lobes_below_minus_30_db() {
         let rate_hz = 32.0 * 60e3;
-        let pulse = lfm(PulseKind::LfmUp, 60e3, 5e-3);
+        let pulse = pulse(PulseKind::LfmUp, 60e3, 5e-3, 0.0);
         let (level, peak) = compressed(&pulse, rate_hz, Shading::Hann);
         let lobe_db = first_side_lobe_db(&level, peak);
         let width = width_s(&level, peak, rate_hz) * 60e3;
@@ -347,7 +326,7 @@ mod tests {
     fn compressed_cw_is_a_triangle_of_twice_its_length() {
         let (rate_hz, duration_s) = (1e6, 1e-3);
         let (level, peak) = compressed(
-            &lfm(PulseKind::Cw, 0.0, duration_s),
+            &pulse(PulseKind::Cw, 0.0, duration_s, 0.0),
             rate_hz,
             Shading::Uniform,
         );
@@ -374,7 +353,7 @@ mod tests {
         for (bandwidth_hz, duration_s) in [(30e3, 5e-3), (100e3, 1e-3)] {
             let rate_hz = 1.25 * bandwidth_hz;
             let samples = 200_000;
-            let pulse = lfm(PulseKind::LfmUp, bandwidth_hz, duration_s);
+            let pulse = pulse(PulseKind::LfmUp, bandwidth_hz, duration_s, 0.0);
             let mut row: Vec<_> = (0..samples).map(|_| gaussian_pair(&mut rng)).collect();
             let power =
                 |r: &[Complex64]| r.iter().map(|x| x.norm_sqr()).sum::<f64>() / r.len() as f64;
@@ -405,7 +384,7 @@ mod tests {
             // Half power and first side lobe of sinh(s)/s, s^2 = beta^2 - (pi u)^2.
             (Shading::Kaiser { beta: 6.0 }, 1.402, -43.8),
         ] {
-            let pulse = lfm(PulseKind::LfmUp, bandwidth_hz, duration_s);
+            let pulse = pulse(PulseKind::LfmUp, bandwidth_hz, duration_s, 0.0);
             let (level, peak) = compressed(&pulse, rate_hz, window);
             assert!(
                 (level[peak] - 1.0).abs() < 1e-9,
@@ -455,10 +434,7 @@ mod tests {
             Shading::Taylor { side_lobe_db: 30.0 },
         ] {
             for duration_s in [5e-3, 3.333_21e-3] {
-                let pulse = Pulse {
-                    taper: 0.2,
-                    ..lfm(PulseKind::LfmUp, 30e3, duration_s)
-                };
+                let pulse = pulse(PulseKind::LfmUp, 30e3, duration_s, 0.2);
                 let edge = 2100.37;
                 let mut row = echo(&pulse, rate_hz, 6000, edge / rate_hz);
                 filter(&pulse, rate_hz, 6000, window).apply(&mut row);
@@ -477,7 +453,7 @@ mod tests {
     fn range_doppler_coupling_is_its_closed_form_within_1_percent_to_5p2_m_per_s() {
         let (rate_hz, samples) = (2e6, 40_000);
         for kind in [PulseKind::LfmUp, PulseKind::LfmDown] {
-            let pulse = lfm(kind, 30e3, 5e-3);
+            let pulse = pulse(kind, 30e3, 5e-3, 0.0);
             let sweep_hz = pulse.sweep_hz_per_s() * pulse.duration_s;
             let end_hz = pulse.center_frequency_hz + 0.5 * sweep_hz;
             let mut filter = filter(&pulse, rate_hz, samples, Shading::Uniform);
@@ -516,8 +492,8 @@ mod tests {
             samples: 500,
             pulse_s: 6e-3,
         };
-        let first = lfm(PulseKind::LfmUp, 30e3, 6e-3);
-        let second = lfm(PulseKind::LfmDown, 20e3, 2e-3);
+        let first = pulse(PulseKind::LfmUp, 30e3, 6e-3, 0.0);
+        let second = pulse(PulseKind::LfmDown, 20e3, 2e-3, 0.0);
         let row = echo(&second, rate_hz, 400, 0.0031);
         let mut changed = MatchedFilter::new(&first, limits, Shading::Uniform);
         changed.apply(&mut row.clone());
@@ -531,7 +507,7 @@ mod tests {
     #[test]
     fn nothing_wraps_around_from_either_end_of_the_row() {
         let rate_hz = 40e3;
-        let pulse = lfm(PulseKind::LfmUp, 30e3, 5e-3);
+        let pulse = pulse(PulseKind::LfmUp, 30e3, 5e-3, 0.0);
         let samples = 1000;
         let mut row = vec![Complex64::ZERO; samples];
         row[..150].fill(Complex64::ONE); // the tail of an echo that began before the record

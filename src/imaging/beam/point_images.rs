@@ -13,14 +13,12 @@ use num_complex::Complex64;
 use super::RowLimits;
 use super::conventional::line_array_response;
 use super::delay_sum::DelaySumFormer;
-use super::test_rig::{array, elements_of_plane_wave};
-use echotank_config::spec::{FanForm, FanSpec, Former, Shading};
-use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, TransmitArray};
-use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan, Segment};
+use super::test_rig::{self, C, array, elements_of_plane_wave, plan_moving, transmitter};
+use echotank_config::spec::{FanSpec, Former, Shading};
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
 use echotank_core::pulse::{Pulse, PulseKind};
-use echotank_core::testing::plan_at_rest;
 
-const C: f64 = 1500.0;
 const LAMBDA_M: f64 = C / 400e3;
 const RATE_HZ: f64 = 40e3;
 /// 10 knots.
@@ -40,13 +38,7 @@ struct Rig {
 }
 
 fn pulse() -> Pulse {
-    Pulse {
-        kind: PulseKind::LfmUp,
-        center_frequency_hz: 400e3,
-        bandwidth_hz: 30e3,
-        duration_s: 1e-3,
-        taper: 0.2,
-    }
+    test_rig::pulse(PulseKind::LfmUp, 30e3, 1e-3, 0.2)
 }
 
 fn sinc(x: f64) -> f64 {
@@ -58,19 +50,11 @@ fn sinc(x: f64) -> f64 {
 
 impl Rig {
     fn fan(&self, former: Former, beams: usize, sector_rad: f64) -> FanSpec {
-        FanSpec {
-            array: 0,
-            beams,
-            sector_rad,
-            shading: Shading::Uniform,
-            form: FanForm {
-                former,
-                center_rad: self.sine.asin(),
-                f_number: self.f_number,
-                focus_error_rad: 0.05,
-                ..FanForm::default()
-            },
-        }
+        let mut fan = test_rig::fan(beams, sector_rad, Shading::Uniform, former);
+        fan.form.center_rad = self.sine.asin();
+        fan.form.f_number = self.f_number;
+        fan.form.focus_error_rad = 0.05;
+        fan
     }
 
     fn former(&self, fan: &FanSpec) -> DelaySumFormer {
@@ -79,28 +63,16 @@ impl Rig {
             samples: SAMPLES,
             pulse_s: pulse().duration_s,
         };
-        let transmit = TransmitArray {
-            mounting: Mounting {
-                position_m: DVec3::ZERO,
-                body_from_array: glam::DQuat::IDENTITY,
-            },
-            pattern: Pattern::Omnidirectional,
-            level_offset_db: 0.0,
-        };
+        let transmit = transmitter(DVec3::ZERO);
         let weighting = Shading::Uniform;
         DelaySumFormer::new(&self.array, &transmit, fan, limits, &pulse(), weighting, C)
     }
 
     fn plan(&self, first: usize) -> PingPlan {
-        let mut plan = plan_at_rest(&pulse(), SAMPLES, C);
-        plan.first_sample_s = first as f64 / RATE_HZ;
-        plan.segments.push(Segment {
-            start_s: 0.0,
-            position_m: DVec3::ZERO,
-            velocity_m_per_s: DVec3::X * SPEED_M_PER_S,
-            world_from_body: glam::DQuat::IDENTITY,
-        });
-        plan
+        PingPlan {
+            first_sample_s: first as f64 / RATE_HZ,
+            ..plan_moving(&pulse(), SAMPLES, DVec3::ZERO, DVec3::X * SPEED_M_PER_S)
+        }
     }
 
     /// Echo of a point `along_m` ahead of the platform at the pulse, from sample `first` on.

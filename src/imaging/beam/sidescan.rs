@@ -136,20 +136,12 @@ impl LineFormer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::beam::test_rig::{array, elements_of_plane_wave};
+    use crate::beam::test_rig::{self, C, array, elements_of_plane_wave};
     use echotank_core::pulse::PulseKind;
     use echotank_core::testing::plan_at_rest as plan;
 
-    const C: f64 = 1500.0;
-
     fn pulse() -> Pulse {
-        Pulse {
-            kind: PulseKind::LfmUp,
-            center_frequency_hz: 400e3,
-            bandwidth_hz: 30e3,
-            duration_s: 5e-3,
-            taper: 0.0,
-        }
+        test_rig::pulse(PulseKind::LfmUp, 30e3, 5e-3, 0.0)
     }
 
     fn former(side: Side, samples: usize) -> LineFormer {
@@ -192,11 +184,7 @@ mod tests {
     fn an_echo_off_broadside_has_the_level_of_the_dirichlet_kernel() {
         // 0.2 m: null and flank of the first side lobe, narrow-band at a relative bandwidth of 0.1 %.
         let array = array(20, 0.01, 0.0);
-        let cw = Pulse {
-            kind: PulseKind::Cw,
-            bandwidth_hz: 0.0,
-            ..pulse()
-        };
+        let cw = test_rig::pulse(PulseKind::Cw, 0.0, 5e-3, 0.0);
         for sine in [0.0, 0.004, 0.01, 0.028] {
             let frame = elements_of_plane_wave(&array, 40e3, 1000, |e| {
                 (cw, 500.0 / 40e3 - array.element_x_m(e) * sine / C)

@@ -5,10 +5,97 @@ use std::f64::consts::TAU;
 use glam::DVec3;
 use num_complex::Complex64;
 
-use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern};
+use echotank_config::spec::{FanForm, FanSpec, Former, Shading};
+use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, TransmitArray};
 use echotank_core::frames::rotation_from_angles;
-use echotank_core::ping::ElementFrame;
-use echotank_core::pulse::Pulse;
+use echotank_core::ping::{ElementFrame, PingPlan, Segment};
+use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::testing::plan_at_rest;
+
+/// Sound speed of these tests.
+pub(crate) const C: f64 = 1500.0;
+
+/// A pulse about 400 kHz.
+pub(crate) fn pulse(kind: PulseKind, bandwidth_hz: f64, duration_s: f64, taper: f64) -> Pulse {
+    Pulse {
+        kind,
+        center_frequency_hz: 400e3,
+        bandwidth_hz,
+        duration_s,
+        taper,
+    }
+}
+
+/// A fan about the boresight with equal steps of angle.
+pub(crate) fn fan(beams: usize, sector_rad: f64, shading: Shading, former: Former) -> FanSpec {
+    FanSpec {
+        array: 0,
+        beams,
+        sector_rad,
+        shading,
+        form: FanForm {
+            former,
+            ..FanForm::default()
+        },
+    }
+}
+
+/// An omnidirectional transmitter.
+pub(crate) fn transmitter(position_m: DVec3) -> TransmitArray {
+    TransmitArray {
+        mounting: Mounting {
+            position_m,
+            body_from_array: glam::DQuat::IDENTITY,
+        },
+        pattern: Pattern::Omnidirectional,
+        level_offset_db: 0.0,
+    }
+}
+
+/// Plan of a level platform that is at `position_m` at the pulse.
+pub(crate) fn plan_moving(
+    pulse: &Pulse,
+    samples: usize,
+    position_m: DVec3,
+    velocity_m_per_s: DVec3,
+) -> PingPlan {
+    let mut plan = plan_at_rest(pulse, samples, C);
+    plan.segments.push(Segment {
+        start_s: 0.0,
+        position_m,
+        velocity_m_per_s,
+        world_from_body: glam::DQuat::IDENTITY,
+    });
+    plan
+}
+
+/// The frame of array 0 with these samples, element-major.
+pub(crate) fn frame(elements: usize, samples: usize, iq: Vec<Complex64>) -> ElementFrame {
+    ElementFrame {
+        array: 0,
+        elements,
+        samples,
+        iq,
+        saturated: 0,
+    }
+}
+
+/// Distance from the peak to half its power towards `step`, in samples, interpolated linearly.
+pub(crate) fn half_power(level: &[f64], peak: usize, step: isize) -> f64 {
+    let half = level[peak] * 0.5_f64.sqrt();
+    let mut k = peak;
+    while level[k] > half {
+        k = k.strict_add_signed(step);
+    }
+    let inner = k.strict_add_signed(-step);
+    inner.abs_diff(peak) as f64 + (level[inner] - half) / (level[inner] - level[k])
+}
+
+/// The result of `work` in a pool of its own.
+pub(crate) fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.expect("a pool").install(work)
+}
 
 /// A line array at the body's origin, pointing down, rotated by `yaw_deg` (0: fore and aft, 90: x to starboard).
 pub(crate) fn array(elements: usize, spacing_m: f64, yaw_deg: f64) -> ArrayGeometry {
@@ -38,13 +125,7 @@ pub(crate) fn elements_of_plane_wave(
         let carrier = Complex64::from_polar(1.0, -TAU * pulse.center_frequency_hz * delay_s);
         iq.extend((0..samples).map(|k| carrier * pulse.envelope(k as f64 / rate_hz - delay_s)));
     }
-    ElementFrame {
-        array: 0,
-        elements: array.elements,
-        samples,
-        iq,
-        saturated: 0,
-    }
+    frame(array.elements, samples, iq)
 }
 
 /// An endless tone from `sine` towards the array's +x.
@@ -53,22 +134,15 @@ pub(crate) fn tone(
     samples: usize,
     frequency_hz: f64,
     sine: f64,
-    sound_speed_m_per_s: f64,
 ) -> ElementFrame {
-    let iq = (0..array.elements)
+    let iq: Vec<_> = (0..array.elements)
         .flat_map(|e| {
-            let early_s = array.element_x_m(e) * sine / sound_speed_m_per_s;
+            let early_s = array.element_x_m(e) * sine / C;
             std::iter::repeat_n(
                 Complex64::from_polar(1.0, TAU * frequency_hz * early_s),
                 samples,
             )
         })
         .collect();
-    ElementFrame {
-        array: 0,
-        elements: array.elements,
-        samples,
-        iq,
-        saturated: 0,
-    }
+    frame(array.elements, samples, iq)
 }

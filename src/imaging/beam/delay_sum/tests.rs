@@ -7,44 +7,18 @@ use num_complex::Complex64;
 
 use super::*;
 use crate::beam::conventional::line_array_response;
-use crate::beam::test_rig::{array, elements_of_plane_wave, tone};
+use crate::beam::test_rig::{
+    C, array, elements_of_plane_wave, fan, on_threads, plan_moving, pulse, tone, transmitter,
+};
 use crate::beam::weights;
-use echotank_config::spec::{BeamSpacing, FanForm};
-use echotank_core::arrays::{Mounting, Pattern};
-use echotank_core::ping::Segment;
+use echotank_config::spec::BeamSpacing;
 use echotank_core::pulse::PulseKind;
-use echotank_core::testing::plan_at_rest;
 
-const C: f64 = 1500.0;
 const CARRIER_HZ: f64 = 400e3;
 const LAMBDA_M: f64 = C / CARRIER_HZ;
 const RATE_HZ: f64 = 40e3;
 /// Samples that hold one echo while it crosses any of these lines.
 const AROUND: usize = 240;
-
-fn transmitter(at_m: DVec3) -> TransmitArray {
-    TransmitArray {
-        mounting: Mounting {
-            position_m: at_m,
-            body_from_array: glam::DQuat::IDENTITY,
-        },
-        pattern: Pattern::Omnidirectional,
-        level_offset_db: 0.0,
-    }
-}
-
-fn fan(beams: usize, sector_rad: f64, shading: Shading, former: Former) -> FanSpec {
-    FanSpec {
-        array: 0,
-        beams,
-        sector_rad,
-        shading,
-        form: FanForm {
-            former,
-            ..FanForm::default()
-        },
-    }
-}
 
 fn single(sine: f64, former: Former) -> FanSpec {
     let mut fan = fan(1, 1.0, Shading::Uniform, former);
@@ -54,13 +28,7 @@ fn single(sine: f64, former: Former) -> FanSpec {
 
 /// Tapered, so that no sample falls on a discontinuity.
 fn sweep(duration_s: f64) -> Pulse {
-    Pulse {
-        kind: PulseKind::LfmUp,
-        center_frequency_hz: CARRIER_HZ,
-        bandwidth_hz: 30e3,
-        duration_s,
-        taper: 0.2,
-    }
+    pulse(PulseKind::LfmUp, 30e3, duration_s, 0.2)
 }
 
 struct Rig {
@@ -102,14 +70,7 @@ impl Rig {
     }
 
     fn plan(&self, velocity_m_per_s: DVec3) -> PingPlan {
-        let mut plan = plan_at_rest(&self.pulse, self.samples, C);
-        plan.segments.push(Segment {
-            start_s: 0.0,
-            position_m: DVec3::ZERO,
-            velocity_m_per_s,
-            world_from_body: glam::DQuat::IDENTITY,
-        });
-        plan
+        plan_moving(&self.pulse, self.samples, DVec3::ZERO, velocity_m_per_s)
     }
 
     fn beams(&self, fan: &FanSpec, frame: &ElementFrame) -> BeamFrame {
@@ -191,7 +152,7 @@ fn db(x: f64) -> f64 {
 /// Level of an endless tone from `sine` in a beam, in the middle of the row.
 fn tone_level(former: &mut DelaySumFormer, rig: &Rig, hz: f64, sine: f64) -> f64 {
     let mut out = BeamFrame::default();
-    let frame = tone(&rig.array, rig.samples, hz, sine, C);
+    let frame = tone(&rig.array, rig.samples, hz, sine);
     former.form(&rig.plan(DVec3::ZERO), &frame, &mut out);
     out.beam(0)[rig.samples / 2].norm()
 }
@@ -199,13 +160,7 @@ fn tone_level(former: &mut DelaySumFormer, rig: &Rig, hz: f64, sine: f64) -> f64
 /// A long CW: narrow-band, so that the envelope has no effect.
 fn narrow(elements: usize, spacing_wavelengths: f64) -> Rig {
     Rig {
-        pulse: Pulse {
-            kind: PulseKind::Cw,
-            bandwidth_hz: 0.0,
-            duration_s: 5e-3,
-            taper: 0.0,
-            ..sweep(5e-3)
-        },
+        pulse: pulse(PulseKind::Cw, 0.0, 5e-3, 0.0),
         ..Rig::new(elements, spacing_wavelengths * LAMBDA_M, 600)
     }
 }
@@ -277,7 +232,7 @@ fn beam_widths_are_those_of_the_exact_pattern_within_1_percent() {
         let (above, below) = (half(1.0), half(-1.0));
         let got = (sine + above).asin() - (sine - below).asin();
         let reported = rig
-            .beams(&spec, &tone(&rig.array, 600, CARRIER_HZ, sine, C))
+            .beams(&spec, &tone(&rig.array, 600, CARRIER_HZ, sine))
             .width_rad[0];
         assert!(
             (got / reported - 1.0).abs() < 0.01,
@@ -307,13 +262,7 @@ fn grating_lobes_are_where_the_spacing_predicts() {
 /// Also off the middle of the band: true time delays do not squint, phases do.
 #[test]
 fn time_delays_do_not_squint_at_the_band_edges_and_phases_do() {
-    let rig = Rig {
-        pulse: Pulse {
-            center_frequency_hz: CARRIER_HZ,
-            ..sweep(1e-3)
-        },
-        ..Rig::new(128, 2.0 * LAMBDA_M, 900)
-    };
+    let rig = Rig::new(128, 2.0 * LAMBDA_M, 900);
     let sine = 0.5;
     let frame = elements_of_plane_wave(&rig.array, RATE_HZ, 900, |e| {
         let late_s = -rig.array.element_x_m(e) * sine / C;
@@ -503,8 +452,7 @@ fn beams_are_bit_identical_on_one_thread_and_on_five_and_ping_after_ping() {
     let spec = fan(23, 0.6, Shading::Hann, Former::DynamicFocus);
     let frame = rig.echo(Rig::point(0.1, 20.0));
     let on = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-        pool.expect("a pool").install(|| {
+        on_threads(threads, || {
             let mut former = rig.former(&spec);
             let mut out = BeamFrame::default();
             former.form(&rig.plan(DVec3::X), &frame, &mut out);

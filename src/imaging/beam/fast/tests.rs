@@ -4,23 +4,18 @@ use glam::DVec3;
 
 use super::*;
 use crate::beam::conventional::FanFormer;
-use crate::beam::test_rig::array;
-use echotank_config::spec::{BeamSpacing, FanForm, Former};
-use echotank_core::arrays::{Mounting, Pattern};
+use crate::beam::test_rig::{self, C, array};
+use echotank_config::spec::{BeamSpacing, Former};
 use echotank_core::pulse::PulseKind;
 use echotank_core::testing::plan_at_rest;
 
-const C: f64 = 1500.0;
 const RATE_HZ: f64 = 160e3;
 const SAMPLES: usize = 700;
 
 fn pulse() -> Pulse {
     Pulse {
-        kind: PulseKind::LfmUp,
         center_frequency_hz: 200e3,
-        bandwidth_hz: 100e3,
-        duration_s: 1e-3,
-        taper: 0.1,
+        ..test_rig::pulse(PulseKind::LfmUp, 100e3, 1e-3, 0.1)
     }
 }
 
@@ -41,29 +36,14 @@ fn noise(elements: usize, samples: usize) -> ElementFrame {
             .wrapping_add(1_442_695_040_888_963_407);
         (state >> 33) as f64 / (1u64 << 31) as f64 - 0.5
     };
-    ElementFrame {
-        array: 0,
-        elements,
-        samples,
-        iq: (0..elements * samples)
-            .map(|_| Complex64::new(draw(), draw()))
-            .collect(),
-        saturated: 0,
-    }
+    let iq = (0..elements * samples).map(|_| Complex64::new(draw(), draw()));
+    test_rig::frame(elements, samples, iq.collect())
 }
 
 fn fan(beams: usize, sector_rad: f64, spacing: BeamSpacing) -> FanSpec {
-    FanSpec {
-        array: 0,
-        beams,
-        sector_rad,
-        shading: Shading::Hann,
-        form: FanForm {
-            former: Former::Fft,
-            spacing,
-            ..FanForm::default()
-        },
-    }
+    let mut fan = test_rig::fan(beams, sector_rad, Shading::Hann, Former::Fft);
+    fan.form.spacing = spacing;
+    fan
 }
 
 /// rms of the differences relative to the rms, and largest difference relative to the largest value.
@@ -156,8 +136,7 @@ fn beams_are_bit_identical_on_one_thread_and_on_five() {
     let spec = fan(23, 2.0, BeamSpacing::EquiAngle);
     let frame = noise(40, SAMPLES);
     let on = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-        pool.expect("a pool").install(|| {
+        test_rig::on_threads(threads, || {
             let mut out = BeamFrame::default();
             FastFan::new(&array, &spec, limits(), &pulse(), Shading::Uniform, C).form(
                 &plan_at_rest(&pulse(), SAMPLES, C),
@@ -190,14 +169,7 @@ fn scalar_and_simd_beams_agree_to_f32() {
 #[test]
 fn the_configuration_selects_this_fan() {
     let array = array(8, 0.004, 90.0);
-    let transmit = echotank_core::arrays::TransmitArray {
-        mounting: Mounting {
-            position_m: DVec3::ZERO,
-            body_from_array: glam::DQuat::IDENTITY,
-        },
-        pattern: Pattern::Omnidirectional,
-        level_offset_db: 0.0,
-    };
+    let transmit = test_rig::transmitter(DVec3::ZERO);
     let spec = fan(3, 1.0, BeamSpacing::EquiAngle);
     let fan = super::super::fan::Fan::new(
         &array,
