@@ -2,17 +2,15 @@
 //! record is parsed from them and emitted bit for bit.
 
 use crate::support::{STAMP, emitted_body};
-use echotank_protocols::sevenk::control::{
-    Ack7501, ControlHeader, GainType, Nack7502, PulseEnvelope, PulseType, ThirdParty, Transport,
-};
+use echotank_protocols::sevenk::control::{Ack7501, ControlHeader, Nack7502};
 use echotank_protocols::sevenk::file::{
     Catalogue7300, CataloguePointer, CatalogueRow, FileDevice, FileHeader7200, emit_7300,
 };
 use echotank_protocols::sevenk::frame::{DATA_RECORD_FRAME_BYTES, NETWORK_FRAME_BYTES};
 use echotank_protocols::sevenk::records::*;
 use echotank_protocols::sevenk::{
-    Command, ControlRequest, DataRecordFrame, ErrorCode, NetworkFrame, Packetiser, Record,
-    SevenKTime, describe,
+    ControlRequest, DataRecordFrame, ErrorCode, NetworkFrame, Packetiser, Record, SevenKTime,
+    describe,
 };
 
 /// Bytes of a text of hex pairs, with comments after `#`.
@@ -670,246 +668,122 @@ fn every_listed_error_code_has_its_number() {
 
 #[test]
 fn every_command_of_the_table_is_bit_for_bit() {
-    let party = ThirdParty {
-        ipv4: 0x0a00_0001,
-        port: 7000,
-        transport: Transport::Tcp,
-    };
     let cases = [
+        (1003, "00 00 48 42", "range 50 m"),
+        (1004, "00 00 a0 41", "at most 20 pings/s"),
+        (1005, "00 00 5c 43", "power 220 dB re 1 uPa at 1 m"),
+        (1006, "00 00 80 38", "pulse length 0.000061035156 s"),
+        (1007, "01 00 00 00", "pulse type linear chirp"),
+        (1007, "00 00 00 00", "pulse type continuous wave"),
+        (1008, "00 00 20 c1", "gain -10 dB"),
+        (1009, "00 03 00 00", "bottom detection mask 0x300"),
         (
-            "eb 03 00 00",
-            "00 00 48 42",
-            Command::Range { range_m: 50.0 },
-        ),
-        (
-            "ec 03 00 00",
-            "00 00 a0 41",
-            Command::MaxPingRate { pings_per_s: 20.0 },
-        ),
-        (
-            "ed 03 00 00",
-            "00 00 5c 43",
-            Command::Power { power_db: 220.0 },
-        ),
-        (
-            "ee 03 00 00",
-            "00 00 80 38",
-            Command::PulseLength {
-                pulse_length_s: 1.0 / 16384.0,
-            },
-        ),
-        (
-            "ef 03 00 00",
-            "01 00 00 00",
-            Command::PulseType(PulseType::LinearChirp),
-        ),
-        (
-            "ef 03 00 00",
-            "00 00 00 00",
-            Command::PulseType(PulseType::ContinuousWave),
-        ),
-        (
-            "f0 03 00 00",
-            "00 00 20 c1",
-            Command::Gain { gain_db: -10.0 },
-        ),
-        (
-            "f1 03 00 00",
-            "00 03 00 00",
-            Command::BottomDetectionMask { flags: 0x300 },
-        ),
-        (
-            "f2 03 00 00",
+            1010,
             "00 00 80 3f  00 00 00 40  00 00 40 40  00 00 80 40",
-            Command::BottomDetectionFilter {
-                min_range_m: 1.0,
-                max_range_m: 2.0,
-                min_depth_m: 3.0,
-                max_depth_m: 4.0,
-                gate_tilt_rad: None,
-            },
+            "bottom detection range 1..2 m, depth 3..4 m",
         ),
         (
-            "f2 03 00 00",
+            1010,
             "00 00 80 3f  00 00 00 40  00 00 40 40  00 00 80 40  00 00 00 3f",
-            Command::BottomDetectionFilter {
-                min_range_m: 1.0,
-                max_range_m: 2.0,
-                min_depth_m: 3.0,
-                max_depth_m: 4.0,
-                gate_tilt_rad: Some(0.5),
-            },
+            "bottom detection range 1..2 m, depth 3..4 m, gate tilt 0.5 rad",
         ),
         (
-            "f9 03 00 00",
+            1017,
             "00 00 00 00  00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00",
-            Command::GainType(GainType::Tvg),
+            "gain type TVG",
         ),
         (
-            "f9 03 00 00",
+            1017,
             "02 00 00 00  00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00",
-            Command::GainType(GainType::Fixed),
+            "gain type fixed",
         ),
         (
-            "fc 03 00 00",
+            1020,
             "01 00 00 00  00 00 00 3f  00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00",
-            Command::PulseEnvelope {
-                envelope: PulseEnvelope::Tukey,
-                shading: 0.5,
-            },
+            "pulse envelope Tukey, shading 0.5",
         ),
         (
-            "fd 03 00 00",
+            1021,
             "00 00 00 3f  00 00 80 3e",
-            Command::ProjectorSteering {
-                vertical_rad: 0.5,
-                horizontal_rad: 0.25,
-            },
+            "projector steering 0.5 rad vertical, 0.25 rad horizontal",
         ),
         (
-            "fe 03 00 00",
+            1022,
             "00 00 00 3f  00 00 80 3e",
-            Command::ProjectorBeamWidths {
-                vertical_rad: 0.5,
-                horizontal_rad: 0.25,
-            },
+            "projector beam widths 0.5 rad vertical, 0.25 rad horizontal",
         ),
+        (1026, "00 50 c3 48", "centre frequency 400000 Hz"),
         (
-            "02 04 00 00",
-            "00 50 c3 48",
-            Command::CenterFrequency {
-                frequency_hz: 400_000.0,
-            },
-        ),
-        (
-            "03 04 00 00",
+            1027,
             "00 50 c3 48  00 50 43 48",
-            Command::ChirpBand {
-                start_hz: 400_000.0,
-                stop_hz: 200_000.0,
-            },
+            "chirp 400000 to 200000 Hz",
         ),
         (
-            "09 04 00 00",
+            1033,
             "01 02 00 00 00 00 00 00 00 00 00 00",
-            Command::MotionCompensation { roll: 1, pitch: 2 },
+            "motion compensation roll 1, pitch 2",
         ),
         (
-            "0a 04 00 00",
+            1034,
             "03 00 00 00  00 00 00 3f  00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00",
-            Command::MatchFilter {
-                window: 3,
-                shading: 0.5,
-            },
+            "match filter window 3, shading 0.5",
         ),
         (
-            "0b 04 00 00",
+            1035,
             "00 00 00 40  00 00 00 bf",
-            Command::CoverageSector {
-                sector_rad: 2.0,
-                rx_steering_rad: -0.5,
-            },
+            "coverage sector 2 rad, steered -0.5 rad to starboard",
         ),
+        (1050, "59 1b 00 00", "send record 7001 once"),
         (
-            "1a 04 00 00",
-            "59 1b 00 00",
-            Command::SingleRecord {
-                record_type_id: 7001,
-            },
-        ),
-        (
-            "1b 04 00 00",
+            1051,
             "02 00 00 00  58 1b 00 00  7e 1b 00 00",
-            Command::Subscribe {
-                record_type_ids: vec![7000, 7038],
-            },
+            "subscribe to [7000, 7038]",
         ),
-        ("1c 04 00 00", "00", Command::EndSubscriptions),
+        (1052, "00", "end all subscriptions"),
         (
-            "1d 04 00 00",
+            1053,
             "01 00 00 0a  58 1b  01 00  01 00 00 00  6a 1b 00 00",
-            Command::ConnectThirdParty {
-                party,
-                record_type_ids: vec![7018],
-            },
+            "send [7018] to Tcp 0x0a000001 port 7000",
         ),
         (
-            "1e 04 00 00",
+            1054,
             "01 00 00 0a  58 1b  00 00",
-            Command::DisconnectThirdParty {
-                party: ThirdParty {
-                    transport: Transport::Udp,
-                    ..party
-                },
-            },
+            "stop sending to Udp 0x0a000001 port 7000",
         ),
+        (1055, "e8 03 00 00  f8 03 00 00", "subscribe to 1000..=1016"),
+        (1056, "00 00 00 00", "unsubscribe from []"),
+        (1100, "00", "start pinging"),
+        (1101, "00", "stop pinging"),
+        (1107, "00", "ping once"),
+        (1114, "00", "ping by external trigger"),
         (
-            "1f 04 00 00",
-            "e8 03 00 00  f8 03 00 00",
-            Command::SubscribeRange {
-                first: 1000,
-                last: 1016,
-            },
-        ),
-        (
-            "20 04 00 00",
-            "00 00 00 00",
-            Command::Unsubscribe {
-                record_type_ids: vec![],
-            },
-        ),
-        ("4c 04 00 00", "00", Command::StartPinging),
-        ("4d 04 00 00", "00", Command::StopPinging),
-        ("53 04 00 00", "00", Command::SinglePing),
-        ("5a 04 00 00", "00", Command::ExternalTrigger),
-        (
-            "5b 04 00 00",
+            1115,
             "07 00 00 00  00 00 00 00 00 00 f0 3f  00 00 00 00 00 00 00 c0",
-            Command::TriggerOut {
-                flags: 7,
-                length_s: 1.0,
-                offset_s: -2.0,
-            },
+            "trigger out flags 0x7, length 1 s, offset -2 s",
         ),
-        ("5c 04 00 00", "01 00 00 00", Command::PpsEdge { edge: 1 }),
+        (1116, "01 00 00 00", "PPS edge 1"),
         (
-            "5e 04 00 00",
+            1118,
             "05 00 00 00  0a 00 00 00  14 00 00 00",
-            Command::SnippetControl {
-                flags: 5,
-                min_window_samples: 10,
-                max_window_samples: 20,
-            },
+            "snippets flags 0x5, window 10..20 samples",
         ),
+        (1121, "03 00 00 00", "ping 3 times"),
+        (7042, "06 00 00 00", "compressed water column flags 0x6"),
         (
-            "61 04 00 00",
-            "03 00 00 00",
-            Command::PingTimes { count: 3 },
-        ),
-        (
-            "82 1b 00 00",
-            "06 00 00 00",
-            Command::CompressedWaterColumn { flags: 6 },
-        ),
-        (
-            "ba 1d 00 00",
+            7610,
             "01 00  00 80 bb 44  09  00 00 00",
-            Command::SoundVelocity {
-                flags: 1,
-                sound_velocity_m_per_s: 1500.0,
-                filter: 9,
-            },
+            "sound velocity 1500 m/s, flags 0x1, filter 9",
         ),
-        ("0f 27 00 00", "00", Command::Unknown(9999)),
+        (9999, "00", "not a known command"),
     ];
-    for (id, arguments, command) in cases {
-        let bytes = hex(&format!("{id} {TICKET_AND_TRACKING} {arguments}"));
-        let request = ControlRequest {
-            ticket: 42,
-            tracking_number: TRACKING,
-            command,
-        };
-        assert_eq!(ControlRequest::parse(&bytes).as_ref(), Ok(&request));
+    for (number, arguments, words) in cases {
+        let id = u32::to_le_bytes(number);
+        let bytes = [&id[..], &hex(&format!("{TICKET_AND_TRACKING} {arguments}"))].concat();
+        // The words contain every argument.
+        let request = ControlRequest::parse(&bytes).expect("a command");
+        let expected = format!("command {number}, ticket 42: {words}");
+        assert_eq!(request.to_string(), expected);
+        assert_eq!(request.tracking_number, TRACKING);
         assert_eq!(
             emitted_body(|buf| request.emit(buf, &STAMP)),
             bytes,
