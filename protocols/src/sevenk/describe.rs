@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::frame::{DataRecordFrame, Record};
-use super::records::RecordBody;
+use super::record_body::RecordBody;
 
 /// Description of a record, for use with `{}`.
 #[derive(Debug, Clone, Copy)]

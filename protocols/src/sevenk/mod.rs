@@ -19,6 +19,7 @@ mod describe;
 pub mod file;
 pub mod frame;
 pub mod packet;
+mod record_body;
 pub mod records;
 pub mod stream;
 pub mod time;
@@ -27,7 +28,7 @@ pub use control::{Command, CommandError, CommandErrorKind, ControlRequest, Error
 pub use describe::{Description, describe};
 pub use frame::{DataRecordFrame, NetworkFrame, OpenRecord, Record, RecordStamp, checksum};
 pub use packet::{Packetiser, Reassembler};
-pub use records::RecordBody;
+pub use record_body::{BodyError, RecordBody};
 pub use stream::StreamDecoder;
 pub use time::{SevenKTime, TimeError};
 

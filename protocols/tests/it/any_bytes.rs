@@ -8,7 +8,8 @@ use echotank_protocols::sevenk::file::{Catalogue7300, FileHeader7200, FileReader
 use echotank_protocols::sevenk::frame::{DATA_RECORD_FRAME_BYTES, MIN_RECORD_BYTES};
 use echotank_protocols::sevenk::records::*;
 use echotank_protocols::sevenk::{
-    Command, CommandErrorKind, ControlRequest, ErrorCode, Record, RecordBody, WireError, describe,
+    BodyError, Command, CommandErrorKind, ControlRequest, ErrorCode, Record, RecordBody, WireError,
+    describe,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;

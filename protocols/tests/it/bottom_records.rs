@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use crate::support::{STAMP, assert_same, record_of, table};
 use echotank_protocols::sevenk::records::*;
-use echotank_protocols::sevenk::{Record, RecordBody, WireError, describe};
+use echotank_protocols::sevenk::{BodyError, Record, RecordBody, WireError, describe};
 use proptest::prelude::*;
 
 /// The body of an emitted record, parsed as its type.
