@@ -41,7 +41,10 @@ impl Rig {
         Self::over(Session::stream())
     }
 
-    fn send(&mut self, bytes: &[u8]) -> Vec<Outgoing> {
+    fn work(
+        &mut self,
+        step: impl FnOnce(&mut Session, &SessionContext<'_>, &mut Vec<Outgoing>),
+    ) -> Vec<Outgoing> {
         let mut out = Vec::new();
         let context = SessionContext {
             sheet: &self.sheet,
@@ -49,20 +52,23 @@ impl Rig {
             now: NOW,
             by: Asked::from(NOW).by,
         };
-        self.session.receive(bytes, &context, &mut out);
+        step(&mut self.session, &context, &mut out);
         out
     }
 
+    fn send(&mut self, bytes: &[u8]) -> Vec<Outgoing> {
+        self.work(|session, context, out| session.receive(bytes, context, out))
+    }
+
     fn give_up(&mut self) -> Vec<Outgoing> {
-        let mut out = Vec::new();
-        let context = SessionContext {
-            sheet: &self.sheet,
-            settings: self.store.as_ref(),
-            now: NOW,
-            by: Asked::from(NOW).by,
-        };
-        self.session.give_up_waiting(&context, &mut out);
-        out
+        self.work(Session::give_up_waiting)
+    }
+
+    /// The current settings, as a client that requests them receives them.
+    fn settings_7503(&mut self) -> RemoteSettings7503 {
+        let out = self.send(&command(single(7503), 99));
+        let record = Record::parse(reply(&out, 1)).expect("a 7503");
+        RemoteSettings7503::parse(record.body()).expect("settings")
     }
 
     /// The reply to a command: none, or the code of the refusal. Checks ticket and tracking number.
@@ -70,6 +76,16 @@ impl Rig {
         let bytes = echotank_testing::wire::command(command, ticket);
         answer(&self.send(&bytes), ticket)
     }
+}
+
+fn subscribe(ids: &[u32]) -> Command {
+    Command::Subscribe {
+        record_type_ids: ids.to_vec(),
+    }
+}
+
+fn single(record_type_id: u32) -> Command {
+    Command::SingleRecord { record_type_id }
 }
 
 fn record_types(out: &[Outgoing]) -> Vec<u32> {
@@ -178,10 +194,6 @@ fn every_refusal_has_its_code_and_changes_nothing() {
         port: 7000,
         transport: Transport::Udp,
     };
-    let subscribe = |ids: &[u32]| Command::Subscribe {
-        record_type_ids: ids.to_vec(),
-    };
-    let single = |record_type_id| Command::SingleRecord { record_type_id };
     for (command, code) in [
         (Command::Range { range_m: 1e9 }, 0x7001),
         (Command::Gain { gain_db: -1.0 }, 0x7001),
@@ -323,14 +335,7 @@ fn unused_settings_are_acknowledged_and_reported_in_7503() {
         assert_eq!(rig.ask(command, ticket as u32), Ok(()), "{text}");
     }
     assert_eq!(rig.store.snapshot().0, SETTINGS, "no ping knows of them");
-    let out = rig.send(&command(
-        Command::SingleRecord {
-            record_type_id: 7503,
-        },
-        99,
-    ));
-    let record = Record::parse(reply(&out, 1)).expect("a 7503");
-    let s = RemoteSettings7503::parse(record.body()).expect("settings");
+    let s = rig.settings_7503();
     assert_eq!(
         (s.bottom_filter_min_range_m, s.bottom_filter_max_range_m),
         (2.0, 90.0)
@@ -380,15 +385,8 @@ fn pings_by_number_and_by_a_foreign_trigger_are_asked_for_and_ended() {
     assert_eq!(rig.ask(Command::StartPinging, 3), Ok(()));
     assert_eq!(rig.ask(Command::ExternalTrigger, 4), Ok(()));
     assert!(!rig.store.snapshot().0.pinging, "it waits for a trigger");
-    let out = rig.send(&command(
-        Command::SingleRecord {
-            record_type_id: 7503,
-        },
-        5,
-    ));
-    let record = Record::parse(reply(&out, 1)).expect("a 7503");
-    let s = RemoteSettings7503::parse(record.body()).expect("settings");
-    assert_eq!(s.ping_state, RemoteSettings7503::PING_EXTERNAL_TRIGGER);
+    let state = rig.settings_7503().ping_state;
+    assert_eq!(state, RemoteSettings7503::PING_EXTERNAL_TRIGGER);
     assert_eq!(rig.ask(Command::StartPinging, 6), Ok(()));
     assert!(
         rig.store.snapshot().0.pinging,
@@ -459,32 +457,20 @@ fn commands_are_taken_when_addressed_to_us_or_to_any_sonar() {
 #[test]
 fn subscriptions_add_up_and_come_off_one_by_one_or_all_at_once() {
     let mut rig = Rig::tcp();
-    let ids = |ids: &[u32]| ids.to_vec();
     // The requests of MBARI's client; half of them are not supported.
-    let mbari = ids(&[
+    let mbari = subscribe(&[
         1003, 1006, 1008, 1010, 1012, 1013, 1015, 1016, 7000, 7004, 7027,
     ]);
-    assert_eq!(
-        rig.ask(
-            Command::Subscribe {
-                record_type_ids: mbari
-            },
-            0
-        ),
-        Ok(())
-    );
+    assert_eq!(rig.ask(mbari, 0), Ok(()));
     let first = RecordSet::of(&[1003, 1012, 1013, 1015, 1016, 7000, 7004]);
     assert_eq!(rig.session.subscribed(), first);
-    let more = Command::Subscribe {
-        record_type_ids: ids(&[7038, 7500]),
-    };
-    assert_eq!(rig.ask(more, 1), Ok(()));
+    assert_eq!(rig.ask(subscribe(&[7038, 7500]), 1), Ok(()));
     assert_eq!(
         rig.session.subscribed(),
         first.union(RecordSet::of(&[7038, 7500]))
     );
     let fewer = Command::Unsubscribe {
-        record_type_ids: ids(&[1003, 7004, 7027]),
+        record_type_ids: vec![1003, 7004, 7027],
     };
     assert_eq!(rig.ask(fewer, 2), Ok(()));
     assert_eq!(
@@ -510,14 +496,11 @@ fn a_sonar_without_a_fan_has_no_beams_to_subscribe_to() {
     sonar.beams.fan = None;
     let mut rig = Rig::tcp();
     rig.sheet = sheet_of(&sonar);
-    let ask = |ids: &[u32]| Command::Subscribe {
-        record_type_ids: ids.to_vec(),
-    };
     assert_eq!(
-        rig.ask(ask(&[7018, 7004]), 1),
+        rig.ask(subscribe(&[7018, 7004]), 1),
         Err(ErrorCode::RecordNotAvailable)
     );
-    assert_eq!(rig.ask(ask(&[7018, 7007]), 2), Ok(()));
+    assert_eq!(rig.ask(subscribe(&[7018, 7007]), 2), Ok(()));
     assert_eq!(rig.session.subscribed(), RecordSet::of(&[7007]));
 }
 
@@ -527,12 +510,7 @@ fn settings_asked_for_come_behind_the_acknowledgement_with_ping_number_0() {
     rig.ask(Command::Power { power_db: 199.0 }, 1)
         .expect("obeyed");
     rig.ask(Command::StopPinging, 2).expect("obeyed");
-    let out = rig.send(&command(
-        Command::SingleRecord {
-            record_type_id: 7503,
-        },
-        3,
-    ));
+    let out = rig.send(&command(single(7503), 3));
     assert_eq!(record_types(&out), [7501, 7503, 7500]);
     let record = Record::parse(reply(&out, 1)).expect("7503");
     let s = RemoteSettings7503::parse(record.body()).expect("7503");
@@ -540,26 +518,18 @@ fn settings_asked_for_come_behind_the_acknowledgement_with_ping_number_0() {
     assert_eq!(s.tx_pulse_width_s, 0.5);
     let b = reply(&out, 1);
     assert_eq!((u32_at(b, 64 + 8), f32_at(b, 64 + 56)), (0, 199.0));
-    let out = rig.send(&command(
-        Command::SingleRecord {
-            record_type_id: 7001,
-        },
-        4,
-    ));
+    let out = rig.send(&command(single(7001), 4));
     assert_eq!(record_types(&out), [7501, 7001, 7500]);
 }
 
 #[test]
 fn a_single_record_request_is_served_once_and_refused_while_the_sonar_is_idle() {
     let mut rig = Rig::tcp();
-    let single = Command::SingleRecord {
-        record_type_id: 7018,
-    };
-    assert_eq!(rig.ask(single.clone(), 1), Ok(()));
+    assert_eq!(rig.ask(single(7018), 1), Ok(()));
     assert_eq!(rig.session.take_requested(), RecordSet::of(&[7018]));
     assert!(rig.session.take_requested().is_empty() && rig.session.subscribed().is_empty());
     rig.ask(Command::StopPinging, 2).expect("obeyed");
-    assert_eq!(rig.ask(single, 3), Err(ErrorCode::RecordNotAvailable));
+    assert_eq!(rig.ask(single(7018), 3), Err(ErrorCode::RecordNotAvailable));
     assert!(rig.session.take_requested().is_empty());
 }
 
@@ -646,13 +616,7 @@ fn frames_that_are_wrong_are_counted_and_the_command_behind_them_found() {
 fn records_behind_a_truncated_one_are_found_after_the_timeout() {
     let mut rig = Rig::tcp();
     // Declares a longer record than follows.
-    let ids = vec![7000; 1000];
-    let long = command(
-        Command::Subscribe {
-            record_type_ids: ids,
-        },
-        1,
-    );
+    let long = command(subscribe(&[7000; 1000]), 1);
     assert_eq!(rig.send(&long[..200]), []);
     assert_eq!(rig.send(&command(Command::Range { range_m: 71.0 }, 2)), []);
     assert!(rig.session.is_waiting());
@@ -664,14 +628,7 @@ fn records_behind_a_truncated_one_are_found_after_the_timeout() {
 
 #[test]
 fn a_command_cut_into_packets_is_put_together_again() {
-    let record = command_record(
-        Command::Subscribe {
-            record_type_ids: vec![7018; 300],
-        },
-        3,
-        7000,
-        0,
-    );
+    let record = command_record(subscribe(&[7018; 300]), 3, 7000, 0);
     let mut wire = Vec::new();
     let mut packetiser = Packetiser::new(200).expect("a limit");
     let packets: Vec<_> = packetiser.packetise(&record, &mut wire).collect();

@@ -1,6 +1,7 @@
 //! The Ping protocol: requests, replies, and the content of the next ping.
 
 use std::net::SocketAddr;
+use std::ops::Range;
 
 use echotank_protocols::ping_protocol::common::{GeneralRequest, SetDeviceId};
 use echotank_protocols::ping_protocol::omniscan450::{
@@ -79,6 +80,11 @@ impl Bench {
             .collect()
     }
 
+    /// The answer to a command.
+    fn ask(&mut self, emit: impl FnOnce(&mut Vec<u8>) -> Range<usize>) -> Answer {
+        answer(&self.say(&bytes_of(emit)))
+    }
+
     fn os(&mut self, change: impl FnOnce(&mut OsPingParams)) -> Answer {
         let mut params = OsPingParams {
             start_mm: 0,
@@ -91,9 +97,7 @@ impl Bench {
             enable: 1,
         };
         change(&mut params);
-        let mut bytes = Vec::new();
-        params.emit_frame(&mut bytes, 0, 1);
-        answer(&self.say(&bytes))
+        self.ask(|buf| params.emit_frame(buf, 0, 1))
     }
 
     fn surveyor(&mut self, change: impl FnOnce(&mut SetPingParameters)) -> Answer {
@@ -114,10 +118,14 @@ impl Bench {
             pulse_len_steps: 40.0,
         };
         change(&mut params);
-        let mut bytes = Vec::new();
-        params.emit_frame(&mut bytes, 0, 1);
-        answer(&self.say(&bytes))
+        self.ask(|buf| params.emit_frame(buf, 0, 1))
     }
+}
+
+fn bytes_of(emit: impl FnOnce(&mut Vec<u8>) -> Range<usize>) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    emit(&mut bytes);
+    bytes
 }
 
 #[derive(Debug, PartialEq)]
@@ -215,27 +223,24 @@ fn a_command_with_one_wrong_value_is_refused_with_a_reason_and_no_effect() {
 #[test]
 fn settings_without_a_model_are_stored_and_unsupported_ones_refused() {
     let mut bench = bench(OMNISCAN, Transport::Tcp);
-    let mut bytes = Vec::new();
-    SetSpeedOfSound {
-        speed_of_sound_mm_per_s: 1_480_500,
-    }
-    .emit_frame(&mut bytes, 0, 1);
-    // 169 reads and 170 sets.
-    let set_sync = |n| {
-        let mut bytes = Vec::new();
-        emit_frame(&mut bytes, message_id::SET_SYNC_CHANNEL, 0, 1, |buf| {
-            buf.extend([n, 2])
-        });
-        bytes
+    let speed_of_sound_mm_per_s: u32 = 1_480_500;
+    let set = SetSpeedOfSound {
+        speed_of_sound_mm_per_s,
     };
-    assert_eq!(answer(&bench.say(&bytes)), Answer::Ack);
+    // 169 reads and 170 sets.
+    let set_sync = |buf: &mut Vec<u8>, n: u8| {
+        emit_frame(buf, message_id::SET_SYNC_CHANNEL, 0, 1, |buf| {
+            buf.extend([n, 2])
+        })
+    };
+    assert_eq!(bench.ask(|buf| set.emit_frame(buf, 0, 1)), Answer::Ack);
     // The number used by clients of earlier definitions is acknowledged as such.
-    let mut earlier = Vec::new();
     let id = message_id::SET_SPEED_OF_SOUND_EARLIER;
-    emit_frame(&mut earlier, id, 0, 1, |buf| {
-        buf.extend(1_480_500_u32.to_le_bytes());
-    });
-    let answered = bench.say(&earlier);
+    let answered = bench.say(&bytes_of(|buf| {
+        emit_frame(buf, id, 0, 1, |buf| {
+            buf.extend(speed_of_sound_mm_per_s.to_le_bytes());
+        })
+    }));
     let frame = Frame::parse(&answered[0]).expect("a frame");
     let acked = Message::parse(&frame).expect("a message");
     assert!(
@@ -251,12 +256,12 @@ fn settings_without_a_model_are_stored_and_unsupported_ones_refused() {
         bench.settings.kept(key),
         Some(KeptValue::Numbers(vec![1480.5]))
     );
-    assert_eq!(answer(&bench.say(&set_sync(0))), Answer::Ack);
+    assert_eq!(bench.ask(|buf| set_sync(buf, 0)), Answer::Ack);
     assert_eq!(bench.device.requested().sync.channel_number, 0);
-    assert!(matches!(answer(&bench.say(&set_sync(2))), Answer::Nack(_)));
-    let mut bytes = Vec::new();
-    SetDeviceId { device_id: 9 }.emit_frame(&mut bytes, 0, 1);
-    assert_eq!(answer(&bench.say(&bytes)), Answer::Ack);
+    let refused = bench.ask(|buf| set_sync(buf, 2));
+    assert!(matches!(refused, Answer::Nack(_)));
+    let id = SetDeviceId { device_id: 9 };
+    assert_eq!(bench.ask(|buf| id.emit_frame(buf, 0, 1)), Answer::Ack);
     // From now on it identifies itself as 9.
     let mut bytes = Vec::new();
     GeneralRequest { requested_id: 4 }.emit_frame(&mut bytes, 5, 9);
@@ -273,14 +278,9 @@ fn settings_without_a_model_are_stored_and_unsupported_ones_refused() {
         (message_id::SET_PING_PARAMETERS, 36),
         (message_id::GENERAL_REQUEST, 2),
     ] {
-        let mut bytes = Vec::new();
-        emit_frame(&mut bytes, id, 0, 1, |buf| {
-            buf.resize(buf.len() + payload, 0)
-        });
-        assert!(
-            matches!(answer(&bench.say(&bytes)), Answer::Nack(_)),
-            "{id}"
-        );
+        let answer =
+            bench.ask(|buf| emit_frame(buf, id, 0, 1, |buf| buf.resize(buf.len() + payload, 0)));
+        assert!(matches!(answer, Answer::Nack(_)), "{id}");
     }
 }
 

@@ -42,6 +42,12 @@ impl Bench {
         self.client.receive(text.as_bytes(), NOW, &mut out);
         texts(out)
     }
+
+    /// The command is answered with the values it set.
+    fn set(&mut self, command: &str) {
+        let line = format!("{command}\r\n");
+        assert_eq!(self.say(&line), line);
+    }
 }
 
 fn texts(out: Vec<Outgoing>) -> String {
@@ -56,10 +62,10 @@ fn texts(out: Vec<Outgoing>) -> String {
 #[test]
 fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
     let mut bench = bench();
-    assert_eq!(bench.say("set_range 2.5 60\r\n"), "set_range 2.5 60\r\n");
+    bench.set("set_range 2.5 60");
     assert_eq!(bench.settings.settings().range_m, 60.0);
     assert_eq!(bench.device.requested().start_m, 2.5);
-    assert_eq!(bench.say("set_rate 12.5\r\n"), "set_rate 12.5\r\n");
+    bench.set("set_rate 12.5");
     assert_eq!(bench.settings.settings().max_ping_rate_hz, 12.5);
     assert_eq!(
         bench.say("set_rate -1\r\n"),
@@ -67,40 +73,25 @@ fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
         "as fast as it goes"
     );
     // 160 to 220 dB in 15 steps of 4 dB.
-    assert_eq!(
-        bench.say("set_tx 100 0.5 10 500\r\n"),
-        "set_tx 100 0.5 10 500\r\n"
-    );
+    bench.set("set_tx 100 0.5 10 500");
     let settings = bench.settings.settings();
     assert_eq!(
         (settings.source_level_db, settings.pulse_duration_s),
         (200.0, 5e-4)
     );
-    assert_eq!(bench.say("set_power 0\r\n"), "set_power 0\r\n");
+    bench.set("set_power 0");
     assert!(!bench.settings.settings().pinging);
-    assert_eq!(bench.say("set_power 1\r\n"), "set_power 1\r\n");
+    bench.set("set_power 1");
     assert!(bench.settings.settings().pinging);
-    assert_eq!(
-        bench.say("set_trigger_mode 5\r\n"),
-        "set_trigger_mode 5\r\n"
-    );
+    bench.set("set_trigger_mode 5");
     assert_eq!(bench.settings.trigger(), TriggerSource::External);
-    assert_eq!(
-        bench.say("set_trigger_mode 0\r\n"),
-        "set_trigger_mode 0\r\n"
-    );
+    bench.set("set_trigger_mode 0");
     assert_eq!(bench.settings.trigger(), TriggerSource::Internal);
-    assert_eq!(
-        bench.say("set_sidescan_mode 9\r\n"),
-        "set_sidescan_mode 9\r\n"
-    );
-    assert_eq!(
-        bench.say("set_snippet_rate 0\r\n"),
-        "set_snippet_rate 0\r\n"
-    );
-    assert_eq!(bench.say("set_gain 12.5\r\n"), "set_gain 12.5\r\n");
+    bench.set("set_sidescan_mode 9");
+    bench.set("set_snippet_rate 0");
+    bench.set("set_gain 12.5");
     assert_eq!(bench.settings.settings().gain_db, 12.5);
-    assert_eq!(bench.say("set_tp_rate 5\r\n"), "set_tp_rate 5\r\n");
+    bench.set("set_tp_rate 5");
     // Settings that are only stored.
     for command in [
         "set_mode 2",
@@ -120,14 +111,11 @@ fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
         "set_time_source 7",
         "set_ntp_server 192.168.1.91",
     ] {
-        assert_eq!(
-            bench.say(&format!("{command}\r\n")),
-            format!("{command}\r\n")
-        );
+        bench.set(command);
         let word = command.split(' ').next().expect("a word");
         assert_eq!(bench.say(&format!("{word}\r\n")), format!("{command}\r\n"));
     }
-    assert_eq!(bench.say("set_default\r\n"), "set_default\r\n");
+    bench.set("set_default");
     assert_eq!(bench.settings.settings(), wire_rig::SETTINGS);
     assert_eq!(bench.device.requested().start_m, 0.0);
     assert!(!bench.client.is_over());
