@@ -71,8 +71,7 @@ impl Protocol for JsfCommands {
             max_body_bytes: MAX_COMMAND_BODY_BYTES,
         };
         Box::new(CommandSession {
-            stream: Some(JsfStream::new(framing)),
-            held: 0,
+            stream: JsfStream::new(framing),
             client: Client {
                 sheet: Arc::clone(&self.sheet),
                 settings: Arc::clone(&self.settings),
@@ -127,10 +126,7 @@ impl Session for DataSession {
 }
 
 struct CommandSession {
-    /// Taken out while it passes messages on.
-    stream: Option<JsfStream>,
-    /// Bytes of an incomplete message.
-    held: usize,
+    stream: JsfStream,
     client: Client,
 }
 
@@ -141,38 +137,19 @@ struct Client {
     counts: SessionCounts,
 }
 
-impl CommandSession {
-    fn work(&mut self, bytes: &[u8], is_end: bool, now: UtcNs, out: &mut Vec<Outgoing>) {
-        let Some(mut stream) = self.stream.take() else {
-            return;
-        };
-        let before = stream.skipped_bytes();
-        let mut taken = 0;
-        if is_end {
-            stream.finish();
-        }
-        stream.feed(bytes, |item| match item {
-            Ok(bytes) => {
-                taken += bytes.len();
-                self.client.message(bytes, now, out);
-            }
-            Err(_) => self.client.counts.framing_errors += 1,
-        });
-        let passed = (stream.skipped_bytes() - before) as usize;
-        self.held = (self.held + bytes.len()).saturating_sub(taken + passed);
-        self.stream = Some(stream);
-    }
-}
-
 impl Session for CommandSession {
     fn receive(&mut self, bytes: &[u8], now: UtcNs, out: &mut Vec<Outgoing>) {
-        self.work(bytes, false, now, out);
+        self.stream.feed(bytes, |item| match item {
+            Ok(bytes) => self.client.message(bytes, now, out),
+            Err(_) => self.client.counts.framing_errors += 1,
+        });
     }
     fn is_waiting(&self) -> bool {
-        self.held > 0
+        self.stream.held_bytes() > 0
     }
     fn give_up_waiting(&mut self, now: UtcNs, out: &mut Vec<Outgoing>) {
-        self.work(&[], true, now, out);
+        self.stream.finish();
+        self.receive(&[], now, out);
     }
     fn wants(&self) -> Wants {
         Wants::NONE

@@ -5,8 +5,10 @@ use echotank_protocols::sevenk::Command;
 use echotank_protocols::sevenk::control::{GainType, PulseEnvelope};
 use echotank_protocols::sevenk::records::{RemoteSettings7503, SonarSettings7000};
 
-use super::protocol::VIA;
 use echotank_core::settings::{KeptKey, KeptValue, SettingsPort, TriggerSource};
+
+/// Name under which 7k changes settings.
+pub(crate) const VIA: &str = "7k";
 
 /// Names of the stored settings.
 mod name {

@@ -8,15 +8,13 @@ use echotank_protocols::sevenk::packet::{MAX_DATAGRAM_BYTES, PacketLimitError};
 use echotank_protocols::sevenk::{Command, ControlRequest, Packetiser, Reassembler};
 
 use super::RecordSet;
+use super::kept::VIA;
 use super::records::DeviceSheet;
 use super::session::{MAX_COMMAND_BYTES, Session as Inner, SessionContext};
 use crate::session::{Framer, Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
 use echotank_core::records::Datagram;
 use echotank_core::settings::{Asker, Changed, SettingChange, SettingsPort, TriggerSource};
 use echotank_core::time::UtcNs;
-
-/// Name under which 7k changes settings.
-pub(crate) const VIA: &str = "7k";
 
 /// 7k on one port, over TCP and UDP.
 pub struct SevenKProtocol {
