@@ -150,24 +150,23 @@ impl Live {
             stop: self.stop.clone(),
         };
         let thread = std::thread::Builder::new().name(format!("nav {}", spec.name));
+        let failed = |what: String| {
+            move |reason: std::io::Error| {
+                NavOpenError::source(&spec.name, format!("{what}: {reason}"))
+            }
+        };
         let started = match &spec.input {
             NavInputSpec::Udp { listen, multicast } => {
-                let socket = open_udp(*listen, *multicast).map_err(|reason| NavOpenError::Udp {
-                    name: spec.name.clone(),
-                    listen: *listen,
-                    reason: reason.to_string(),
-                })?;
+                let socket = open_udp(*listen, *multicast)
+                    .map_err(failed(format!("cannot listen on udp {listen}")))?;
                 source.address = socket.local_addr().ok();
                 thread.spawn(move || read_udp(&socket, &outlet))
             }
             NavInputSpec::Serial { port, baud, line } => {
-                let open =
-                    open_serial(port, *baud, *line).map_err(|reason| NavOpenError::Serial {
-                        name: spec.name.clone(),
-                        port: port.clone(),
-                        baud: *baud,
-                        reason: reason.to_string(),
-                    })?;
+                let open = open_serial(port, *baud, *line).map_err(|reason| {
+                    let what = format!("cannot open serial port {port} at {baud} baud");
+                    NavOpenError::source(&spec.name, format!("{what}: {reason}"))
+                })?;
                 source.stream = true;
                 source.byte_ns = line.bits_per_byte() * NS_PER_S / i64::from((*baud).max(1));
                 let (port, baud, line, byte_ns) = (port.clone(), *baud, *line, source.byte_ns);
@@ -182,20 +181,14 @@ impl Live {
             }
             NavInputSpec::TcpListen { listen } => {
                 source.stream = true;
-                let listener = tcp::listen(*listen).map_err(|reason| NavOpenError::Tcp {
-                    name: spec.name.clone(),
-                    listen: *listen,
-                    reason: reason.to_string(),
-                })?;
+                let listener = tcp::listen(*listen)
+                    .map_err(failed(format!("cannot listen on tcp {listen}")))?;
                 source.address = listener.local_addr().ok();
                 thread.spawn(move || tcp::read_clients(&listener, &outlet))
             }
             NavInputSpec::Log { .. } | NavInputSpec::Csv { .. } => return Ok(()),
         };
-        let handle = started.map_err(|reason| NavOpenError::Thread {
-            name: spec.name.clone(),
-            reason: reason.to_string(),
-        })?;
+        let handle = started.map_err(failed("cannot start its thread".into()))?;
         self.threads.push(handle);
         self.sources.push(source);
         Ok(())

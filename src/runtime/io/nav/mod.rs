@@ -18,7 +18,6 @@ use echotank_core::time::{Timeline, UtcNs};
 use echotank_nav::fault::NavFaultFilter;
 use echotank_nav::health::State;
 use echotank_nav::log::LogCounts;
-use echotank_nav::track::TrackError;
 use echotank_nav::{NavCounters, NavHistory};
 
 use live::Live;
@@ -27,21 +26,15 @@ use recorded::Recorded;
 /// Why the navigation cannot start.
 #[derive(Debug, Error)]
 pub enum NavOpenError {
-    #[error("nav source `{name}`: cannot read {path}: {reason}")]
-    Read {
+    /// The file, socket, port or thread of a source is not available, or its file cannot be used.
+    #[error("nav source `{name}`: {problem}")]
+    Source {
+        /// The source's configured name.
         name: String,
-        path: String,
-        reason: String,
+        /// What is not available, and why.
+        problem: String,
     },
-    #[error("nav source `{name}`: {path} has {bytes} bytes; at most {limit} are read")]
-    TooLarge {
-        name: String,
-        path: String,
-        bytes: u64,
-        limit: u64,
-    },
-    #[error("nav source `{name}`: {reason}")]
-    Track { name: String, reason: TrackError },
+    /// A file was read and holds nothing that the source provides.
     #[error(
         "nav source `{name}`: nothing usable in {path}: {} sentences, of which {} with a wrong checksum, {} without one, {} refused for it, \
          {} of unknown kinds, {} malformed, {} empty, {} that give nothing of what the source provides; {json} lines of JSON, which is not read",
@@ -49,42 +42,29 @@ pub enum NavOpenError {
         .counters.unsupported, .counters.malformed, .counters.empty_fields, .counters.not_taken
     )]
     NothingUsable {
+        /// The source's configured name.
         name: String,
+        /// The file.
         path: String,
+        /// What its decoder counted.
         counters: Box<NavCounters>,
+        /// Lines of JSON.
         json: u64,
     },
-    #[error("nav source `{name}`: {path} {why}")]
-    NoLog {
-        name: String,
-        path: String,
-        why: &'static str,
-    },
+    /// `loop` is set and no period is covered by every channel.
     #[error(
         "nav: the recorded sources have no time in common to repeat (`loop`): the last channel starts when the first has ended"
     )]
     NothingToLoop,
-    #[error("nav source `{name}`: cannot listen on udp {listen}: {reason}")]
-    Udp {
-        name: String,
-        listen: SocketAddr,
-        reason: String,
-    },
-    #[error("nav source `{name}`: cannot listen on tcp {listen}: {reason}")]
-    Tcp {
-        name: String,
-        listen: SocketAddr,
-        reason: String,
-    },
-    #[error("nav source `{name}`: cannot open serial port {port} at {baud} baud: {reason}")]
-    Serial {
-        name: String,
-        port: String,
-        baud: u32,
-        reason: String,
-    },
-    #[error("nav source `{name}`: cannot start its thread: {reason}")]
-    Thread { name: String, reason: String },
+}
+
+impl NavOpenError {
+    fn source(name: &str, problem: String) -> Self {
+        Self::Source {
+            name: name.to_owned(),
+            problem,
+        }
+    }
 }
 
 /// Counters of one source.

@@ -109,11 +109,8 @@ fn read_source(
         } => {
             let bytes = read_file(&source.name, path)?;
             if let Some(why) = refusal(&bytes) {
-                return Err(NavOpenError::NoLog {
-                    name: source.name.clone(),
-                    path: path.display().to_string(),
-                    why,
-                });
+                let problem = format!("{} {why}", path.display());
+                return Err(NavOpenError::source(&source.name, problem));
             }
             let (samples, decoder, log) = read_log(&bytes, index, source, *plain_rate_hz);
             (counters.decoder, counters.log) = (decoder, log);
@@ -123,12 +120,8 @@ fn read_source(
             let bytes = read_file(&source.name, path)?;
             let text = String::from_utf8_lossy(&bytes);
             let file = path.display().to_string();
-            let samples = read_track(&text, &file, index, &source.provides).map_err(|reason| {
-                NavOpenError::Track {
-                    name: source.name.clone(),
-                    reason,
-                }
-            })?;
+            let samples = read_track(&text, &file, index, &source.provides)
+                .map_err(|error| NavOpenError::source(&source.name, error.to_string()))?;
             counters.decoder = NavCounters {
                 bytes: bytes.len() as u64,
                 samples: samples.len() as u64,
@@ -153,10 +146,9 @@ fn read_source(
 }
 
 fn read_file(name: &str, path: &Path) -> Result<Vec<u8>, NavOpenError> {
-    let refused = |reason: std::io::Error| NavOpenError::Read {
-        name: name.to_string(),
-        path: path.display().to_string(),
-        reason: reason.to_string(),
+    let file = path.display();
+    let refused = |reason: std::io::Error| {
+        NavOpenError::source(name, format!("cannot read {file}: {reason}"))
     };
     let mut bytes = Vec::new();
     // Reading one byte more than the limit bounds pipes and growing files too.
@@ -164,12 +156,9 @@ fn read_file(name: &str, path: &Path) -> Result<Vec<u8>, NavOpenError> {
         .and_then(|file| file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes))
         .map_err(refused)?;
     if bytes.len() as u64 > MAX_FILE_BYTES {
-        return Err(NavOpenError::TooLarge {
-            name: name.to_string(),
-            path: path.display().to_string(),
-            bytes: std::fs::metadata(path).map_or(bytes.len() as u64, |m| m.len()),
-            limit: MAX_FILE_BYTES,
-        });
+        let len = std::fs::metadata(path).map_or(bytes.len() as u64, |m| m.len());
+        let problem = format!("{file} has {len} bytes; at most {MAX_FILE_BYTES} are read");
+        return Err(NavOpenError::source(name, problem));
     }
     Ok(bytes)
 }
