@@ -60,30 +60,42 @@ use echotank_core::time::{MonoNs, NS_PER_S, Timeline};
 use echotank_nav::health::State as NavState;
 use echotank_ping::rig::Rig;
 
+/// Why the daemon cannot start, or why it ended.
 #[derive(Debug, Error)]
 pub enum DaemonError {
+    /// The scene, the navigation or the rig cannot be opened.
     #[error(transparent)]
     Rig(#[from] OpenError),
+    /// An output cannot be opened, or its recorder cannot be closed.
     #[error(transparent)]
     Output(#[from] OutputError),
+    /// A navigation output cannot be opened.
     #[error(transparent)]
     NavOutput(#[from] NavOutputError),
+    /// The system refused a thread.
     #[error("could not start a thread: {0}")]
     Thread(std::io::Error),
+    /// The system refused the threads that compute pings.
     #[error("could not start the threads that compute pings: {0}")]
     Pool(#[from] rayon::ThreadPoolBuildError),
+    /// The log of injected faults cannot be written.
     #[error("the log of faults: {0}")]
     FaultLog(#[from] RecordError),
+    /// The trigger input cannot be opened.
     #[error(transparent)]
     Trigger(#[from] ListenerError),
+    /// The trigger output cannot be opened.
     #[error(transparent)]
     TriggerOut(#[from] OutError),
+    /// The control server cannot listen.
     #[error("control: {0}")]
     Control(#[from] ControlOpenError),
+    /// A channel that every ping needs is missing from the recorded sources; the text names it.
     #[error(
         "the recorded navigation does not hold what every ping needs: {0}; what a source never sends must not stand in its `provides`"
     )]
     NoNav(String),
+    /// A thread panicked.
     #[error("a thread of the daemon ended in a panic; this is a bug")]
     Panic,
 }

@@ -2,6 +2,8 @@
 //!
 //! The only crate that opens files and sockets and reads clocks. Tests, tools and the program depend on it.
 
+#![warn(missing_docs)]
+
 pub mod calibrate;
 pub mod chart;
 pub mod clock;

@@ -233,7 +233,9 @@ pub enum OpenError {
     /// The address could not be bound.
     #[error("cannot listen on TCP {address}: {source}")]
     Listen {
+        /// The address that the configuration names.
         address: SocketAddr,
+        /// The cause.
         source: std::io::Error,
     },
     /// The thread or its runtime could not start.

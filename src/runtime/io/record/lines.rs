@@ -53,12 +53,19 @@ pub enum LinesError {
     /// The file cannot be read.
     #[error("{}: cannot be read: {source}", path.display())]
     Unreadable {
+        /// The file.
         path: PathBuf,
+        /// The cause.
         source: std::io::Error,
     },
     /// The content is not as this program writes it.
     #[error("{}: {why}", path.display())]
-    Unfit { path: PathBuf, why: String },
+    Unfit {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        why: String,
+    },
 }
 
 /// Pings that have a position and lines of `pulse` (1 is the first), in file order.

@@ -51,8 +51,11 @@ pub enum RecordError {
     /// The file system refused an action; the recorder has stopped.
     #[error("{}: cannot {action}: {source}", path.display())]
     Io {
+        /// The file or folder.
         path: PathBuf,
+        /// The refused action, a verb.
         action: &'static str,
+        /// The cause.
         source: io::Error,
     },
     /// The ping has another shape than the first one and is left out; the file stays valid.
@@ -61,18 +64,31 @@ pub enum RecordError {
         path.display()
     )]
     ShapeChanged {
+        /// The file.
         path: PathBuf,
+        /// The ping that is left out.
         ping_number: u32,
+        /// The counted items that differ, a plural noun.
         what: &'static str,
+        /// Their count in this ping.
         got: usize,
+        /// Their count in the first ping.
         want: usize,
     },
     /// The format cannot hold the record, which is left out; the file stays valid.
     #[error("{}: record left out: {source}", path.display())]
-    Refused { path: PathBuf, source: FileError },
+    Refused {
+        /// The file.
+        path: PathBuf,
+        /// The rule of the format.
+        source: FileError,
+    },
     /// An earlier error stopped the recorder.
     #[error("{}: recording stopped after an earlier error", path.display())]
-    Stopped { path: PathBuf },
+    Stopped {
+        /// The file.
+        path: PathBuf,
+    },
 }
 
 impl RecordError {

@@ -63,13 +63,28 @@ pub enum RecoverError {
     Record(#[from] RecordError),
     /// The file header is missing or malformed.
     #[error("{}: does not begin with a 7k file header: {why}", path.display())]
-    NoHeader { path: PathBuf, why: WireError },
-    /// The file is unchanged.
+    NoHeader {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        why: WireError,
+    },
+    /// The content is not this program's; the file is unchanged.
     #[error("{}: at byte {at}: {why}: not written by this program; left unchanged", path.display())]
-    Strange { path: PathBuf, at: u64, why: String },
+    Strange {
+        /// The file.
+        path: PathBuf,
+        /// Where, bytes from the start of the file.
+        at: u64,
+        /// What is wrong there.
+        why: String,
+    },
     /// The kind of file is unknown.
     #[error("{}: unknown kind of record; known are {}", path.display(), KINDS.join(", "))]
-    Unknown { path: PathBuf },
+    Unknown {
+        /// The file.
+        path: PathBuf,
+    },
 }
 
 /// Name endings of the kinds that are repaired. The files of a SigMF recording are repaired together.

@@ -23,14 +23,19 @@ const READ_BYTES: usize = 256 * 1024;
 /// Why a client call failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
+    /// No connection to the address.
     #[error("cannot connect: {0}")]
     Connect(std::io::Error),
+    /// Reading or writing failed.
     #[error("connection failed: {0}")]
     Io(#[from] std::io::Error),
+    /// The connection ended before the answer.
     #[error("the server closed the connection")]
     Closed,
+    /// A refusal (NACK) in answer to a command.
     #[error("the server refused: {0}")]
     Refused(ErrorCode),
+    /// No answer within the time allowed.
     #[error("no answer within {} s", ANSWER_TIMEOUT.as_secs())]
     NoAnswer,
 }

@@ -57,15 +57,21 @@ pub enum OpenError {
     /// The address could not be bound.
     #[error("cannot listen on {transport} {address}: {source}")]
     Listen {
+        /// TCP or UDP.
         transport: Transport,
+        /// The address that the configuration names.
         address: SocketAddr,
+        /// The cause.
         source: std::io::Error,
     },
     /// The 7k packet size is out of range.
     #[error("max_packet = {max_packet}: must be from {min} to {max}")]
     MaxPacket {
+        /// The configured size, bytes.
         max_packet: usize,
+        /// The smallest size, bytes.
         min: usize,
+        /// The largest size, bytes.
         max: usize,
     },
     /// The thread or its runtime could not start.

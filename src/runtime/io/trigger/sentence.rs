@@ -14,6 +14,7 @@ pub const MAX_BYTES: usize = 256;
 pub enum TriggerSentence {
     /// Any other content.
     Plain,
+    /// A ping number to use.
     Numbered(u32),
     /// An incomplete or damaged `$PETKT` sentence.
     Invalid,

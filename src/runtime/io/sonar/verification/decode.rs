@@ -101,7 +101,12 @@ pub enum Sequence {
     /// Ping numbers of one record type, as the fault log names it: a 7k record, a JSF message with subsystem and channel, a WBMS packet, a Ping message.
     Records(u32),
     /// Packets of a VITA 49 stream, data and context apart; the 4-bit counts are extended.
-    Packets { stream: u32, context: bool },
+    Packets {
+        /// The stream identifier.
+        stream: u32,
+        /// Context packets; data packets otherwise.
+        context: bool,
+    },
     /// Frame numbers of an element stream.
     Frames,
     /// Answers of an Imagenex 872, which have no numbers.
