@@ -9,7 +9,7 @@ use super::server_counts::{server_lines, server_streams};
 use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts};
 use crate::faults::link::RecordLayout;
 use crate::io::datagrams::{DatagramCounts, DatagramSender, Leaving, Route};
-use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
+use crate::io::sonar::SonarServer;
 use echotank_config::spec::ElementStreamSpec;
 use echotank_core::time::MonoNs;
 use echotank_emit::element_stream::{ElementStreamEmitter, ElementsProtocol};
@@ -45,21 +45,13 @@ impl Elements {
         let (unit, spread) = (context.unit, context.spread);
         let name = unit.spec.name.clone();
         let queue = context.queue();
-        let listener = ServerSpec {
-            listen: output.listen,
-            tcp: true,
-            udp: false,
-            client_queue_bytes: output.client_queue_bytes,
-            when_full: WhenFull::Skip,
-            max_clients: output.max_clients,
-        };
-        let protocol = Arc::new(ElementsProtocol);
-        let rig_time = Arc::clone(context.rig_time);
-        let server = SonarServer::start(&listener, protocol, rig_time, ServerTimes::default());
-        let server = server.map_err(|source| OutputError::Server {
-            name: name.clone(),
-            source,
-        })?;
+        let server = context.serve(
+            Arc::new(ElementsProtocol),
+            output.listen,
+            false,
+            output.client_queue_bytes,
+            output.max_clients,
+        )?;
         if spread.streaming.is_some() {
             // One below the delivery threads that feed the server.
             server.hurry(context.sending.priority.saturating_sub(1));
@@ -176,10 +168,6 @@ impl Output for Elements {
                 transport.sender.send(packets, self.spread.leaving(pulse));
             }
         }
-    }
-
-    fn close(self: Box<Self>) -> Result<(), OutputError> {
-        Ok(())
     }
 }
 

@@ -5,21 +5,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::{Output, OutputContext, OutputError, Report};
+use crate::io::record::RecordError;
 use crate::io::record::sigmf::SigmfRecorder;
 use crate::io::record::wav::WavRecorder;
-use crate::io::record::{RecordError, make_folder};
 use echotank_config::spec::{SigmfSpec, SonarSpec, WavSpec};
 use echotank_ping::rig::PingSlot;
 
 /// The path of a new recording. The configuration check ensures that the folder is set.
 fn path(context: &OutputContext, extension: &str) -> Result<PathBuf, RecordError> {
-    let folder = context
-        .spec
-        .record
-        .as_ref()
-        .map_or_else(PathBuf::new, |record| record.directory.clone());
-    make_folder(&folder)?;
-    Ok(folder.join(context.file_name((context.rig_time)(), extension)))
+    let path = context.recording((context.rig_time)(), extension)?;
+    Ok(path.expect("a folder of recordings"))
 }
 
 /// A SigMF or WAV recorder.

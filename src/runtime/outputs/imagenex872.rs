@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use super::server_counts::{server_lines, server_streams};
-use super::{Output, OutputContext, OutputError, Report, StreamCounts};
+use super::server_counts::ServersReport;
+use super::{Output, OutputContext, OutputError, Report};
 use crate::faults::link::RecordLayout;
-use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
+use crate::io::sonar::SonarServer;
 use echotank_config::spec::ImagenexSpec;
 use echotank_core::records::Datagram;
 use echotank_emit::imagenex872::{Head, ImagenexProtocol, emit_ping};
@@ -27,29 +27,18 @@ impl Imagenex872 {
         context: &OutputContext,
     ) -> Result<Self, OutputError> {
         let head = Arc::new(Head::default());
-        let listener = ServerSpec {
-            listen: output.listen,
-            tcp: true,
-            udp: false,
-            client_queue_bytes: output.client_queue_bytes,
-            when_full: WhenFull::Skip,
-            max_clients: output.max_clients,
-        };
         let protocol = ImagenexProtocol {
             settings: Arc::clone(context.settings) as _,
             head: Arc::clone(&head),
         };
         let sonar = &context.unit.spec;
-        let server = SonarServer::start(
-            &listener,
+        let server = context.serve(
             Arc::new(protocol),
-            Arc::clone(context.rig_time),
-            ServerTimes::default(),
-        )
-        .map_err(|source| OutputError::Server {
-            name: sonar.name.clone(),
-            source,
-        })?;
+            output.listen,
+            false,
+            output.client_queue_bytes,
+            output.max_clients,
+        )?;
         server.set_link(context.line(RecordLayout::IMAGENEX872));
         Ok(Self {
             name: sonar.name.clone(),
@@ -71,10 +60,12 @@ impl Output for Imagenex872 {
     }
 
     fn report(&self) -> Arc<dyn Report> {
-        Arc::new(ImagenexReport {
-            name: self.name.clone(),
-            server: Arc::clone(&self.server),
-        })
+        let server = Arc::clone(&self.server);
+        Arc::new(ServersReport(vec![(
+            "imagenex872",
+            self.name.clone(),
+            server,
+        )]))
     }
 
     fn encode(&mut self, slot: &PingSlot) {
@@ -94,24 +85,5 @@ impl Output for Imagenex872 {
         self.server.deliver(&self.pending);
         self.pending.clear();
         Ok(())
-    }
-
-    fn close(self: Box<Self>) -> Result<(), OutputError> {
-        Ok(())
-    }
-}
-
-struct ImagenexReport {
-    name: String,
-    server: Arc<SonarServer>,
-}
-
-impl Report for ImagenexReport {
-    fn lines(&self) -> Vec<String> {
-        server_lines("imagenex872", &self.name, &self.server.report())
-    }
-
-    fn streams(&self) -> Vec<StreamCounts> {
-        server_streams("imagenex872", &self.server.report())
     }
 }

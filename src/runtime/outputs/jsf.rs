@@ -2,12 +2,11 @@
 
 use std::sync::Arc;
 
-use super::server_counts::{server_lines, server_streams};
-use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts, record};
+use super::server_counts::ServersReport;
+use super::{Output, OutputContext, OutputError, Report, Spread, record};
 use crate::faults::link::RecordLayout;
-use crate::io::record::make_folder;
 use crate::io::record::stream::StreamRecorder;
-use crate::io::sonar::{RigTime, ServerSpec, ServerTimes, SonarServer, WhenFull};
+use crate::io::sonar::{RigTime, SonarServer};
 use crate::settings::SettingsStore;
 use echotank_config::spec::{JsfSpec, MediumSpec, SonarSpec};
 use echotank_core::records::Datagram;
@@ -60,47 +59,28 @@ impl Jsf {
             output: output.clone(),
             sonar: unit.spec.clone(),
         });
-        let listener = |listen| ServerSpec {
-            listen,
-            tcp: true,
-            udp: false,
-            client_queue_bytes: output.client_queue_bytes,
-            when_full: WhenFull::Skip,
-            max_clients: output.max_clients,
+        let serve = |protocol, listen| {
+            let (queue_bytes, clients) = (output.client_queue_bytes, output.max_clients);
+            context.serve(protocol, listen, false, queue_bytes, clients)
         };
-        let failed = |source| OutputError::Server {
-            name: unit.spec.name.clone(),
-            source,
+        let commands = JsfCommands {
+            sheet: Arc::clone(&sheet),
+            settings: Arc::clone(settings) as _,
         };
-        let commands = SonarServer::start(
-            &listener(output.listen),
-            Arc::new(JsfCommands {
-                sheet: Arc::clone(&sheet),
-                settings: Arc::clone(settings) as _,
-            }),
-            Arc::clone(rig_time),
-            ServerTimes::default(),
-        )
-        .map_err(failed)?;
-        let data = SonarServer::start(
-            &listener(output.listen_data),
-            Arc::new(JsfData {
-                sheet: Arc::clone(&sheet),
-            }),
-            Arc::clone(rig_time),
-            ServerTimes::default(),
-        )
-        .map_err(failed)?;
+        let commands = serve(Arc::new(commands), output.listen)?;
+        let data = JsfData {
+            sheet: Arc::clone(&sheet),
+        };
+        let data = serve(Arc::new(data), output.listen_data)?;
         context.configure(&data, RecordLayout::JSF);
-        let recorder = match &spec.record {
-            Some(record) if output.record => {
-                make_folder(&record.directory)?;
-                let now = rig_time();
-                let path = record.directory.join(context.file_name(now, "jsf"));
-                Some(StreamRecorder::create(&path, &sheet.file_head(now))?)
-            }
-            _ => None,
+        let now = rig_time();
+        let recorder = match output.record {
+            true => context.recording(now, "jsf")?,
+            false => None,
         };
+        let recorder = recorder
+            .map(|path| StreamRecorder::create(&path, &sheet.file_head(now)))
+            .transpose()?;
         Ok(Self {
             name: unit.spec.name.clone(),
             emitter: JsfEmitter::new(sheet, row_filter(&unit.spec, &spec.medium)),
@@ -125,11 +105,10 @@ impl Output for Jsf {
     }
 
     fn report(&self) -> Arc<dyn Report> {
-        Arc::new(JsfReport {
-            name: self.name.clone(),
-            commands: Arc::clone(&self.commands),
-            data: Arc::clone(&self.data),
-        })
+        Arc::new(ServersReport(vec![
+            ("jsf", self.name.clone(), Arc::clone(&self.commands)),
+            ("jsf-data", self.name.clone(), Arc::clone(&self.data)),
+        ]))
     }
 
     fn encode(&mut self, slot: &PingSlot) {
@@ -157,25 +136,5 @@ impl Output for Jsf {
         Ok(self
             .recorder
             .map_or(Ok(()), |recorder| recorder.close(&tail))?)
-    }
-}
-
-struct JsfReport {
-    name: String,
-    commands: Arc<SonarServer>,
-    data: Arc<SonarServer>,
-}
-
-impl Report for JsfReport {
-    fn lines(&self) -> Vec<String> {
-        let mut lines = server_lines("jsf", &self.name, &self.commands.report());
-        lines.extend(server_lines("jsf-data", &self.name, &self.data.report()));
-        lines
-    }
-
-    fn streams(&self) -> Vec<StreamCounts> {
-        let mut streams = server_streams("jsf", &self.commands.report());
-        streams.extend(server_streams("jsf-data", &self.data.report()));
-        streams
     }
 }

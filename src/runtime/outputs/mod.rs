@@ -12,7 +12,9 @@ mod vita49;
 mod wbms;
 mod xtf;
 
+use std::net::SocketAddr;
 use std::ops::Range;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use chrono::DateTime;
@@ -24,12 +26,13 @@ use crate::histograms::Histograms;
 use crate::io::datagrams::Leaving;
 use crate::io::link::Link as OutputLink;
 use crate::io::pace::Sending;
-use crate::io::record::RecordError;
-use crate::io::sonar::{OpenError, RigTime, SonarServer};
+use crate::io::record::{RecordError, make_folder};
+use crate::io::sonar::{OpenError, RigTime, ServerSpec, ServerTimes, SonarServer, WhenFull};
 use crate::settings::SettingsStore;
 use echotank_config::spec::{ClockSpec, DeliverySpec, OutputSpec, RigSpec, RunSpec};
 use echotank_core::ping::PingPlan;
 use echotank_core::time::{MonoNs, UtcNs};
+use echotank_emit::session::Protocol;
 use echotank_ping::rig::{PingSlot, SonarUnit};
 
 use page::Page;
@@ -92,7 +95,9 @@ trait Output: Send {
         let _ = (slot, samples, pulse);
     }
     /// Closes its recorder. A server closes when its last handle is dropped.
-    fn close(self: Box<Self>) -> Result<(), OutputError>;
+    fn close(self: Box<Self>) -> Result<(), OutputError> {
+        Ok(())
+    }
 }
 
 /// The counters of one output.
@@ -233,6 +238,35 @@ impl OutputContext<'_> {
         Box::new(FaultyLink::new(faults, layout, Arc::clone(&self.mark)))
     }
 
+    /// Starts a server for `protocol` on TCP, and on UDP if `udp`. A client whose queue of `client_queue_bytes` is full misses records.
+    fn serve(
+        &self,
+        protocol: Arc<dyn Protocol>,
+        listen: SocketAddr,
+        udp: bool,
+        client_queue_bytes: usize,
+        max_clients: usize,
+    ) -> Result<SonarServer, OutputError> {
+        let server = ServerSpec {
+            listen,
+            tcp: true,
+            udp,
+            client_queue_bytes,
+            when_full: WhenFull::Skip,
+            max_clients,
+        };
+        let rig_time = Arc::clone(self.rig_time);
+        SonarServer::start(&server, protocol, rig_time, ServerTimes::default())
+            .map_err(|source| self.server_error(source))
+    }
+
+    fn server_error(&self, source: OpenError) -> OutputError {
+        OutputError::Server {
+            name: self.unit.spec.name.clone(),
+            source,
+        }
+    }
+
     /// Sets a server's link faults and its pacing.
     fn configure(&self, server: &SonarServer, layout: RecordLayout) {
         server.set_link(self.line(layout));
@@ -240,10 +274,16 @@ impl OutputContext<'_> {
         server.set_paces_tcp(self.spec.run.pace_tcp);
     }
 
-    /// The file name `NAME-20140801T000010.EXTENSION`. The start time keeps runs from overwriting each other.
-    fn file_name(&self, utc: UtcNs, extension: &str) -> String {
+    /// The path `NAME-20140801T000010.EXTENSION` of a new recording in its folder, which is made; `None` if the configuration names no folder.
+    /// The start time keeps runs from overwriting each other.
+    fn recording(&self, utc: UtcNs, extension: &str) -> Result<Option<PathBuf>, RecordError> {
+        let Some(record) = &self.spec.record else {
+            return Ok(None);
+        };
+        make_folder(&record.directory)?;
         let stamp = DateTime::from_timestamp_nanos(utc.0).format("%Y%m%dT%H%M%S");
-        format!("{}-{stamp}.{extension}", self.unit.spec.name)
+        let name = format!("{}-{stamp}.{extension}", self.unit.spec.name);
+        Ok(Some(record.directory.join(name)))
     }
 }
 

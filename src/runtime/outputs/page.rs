@@ -453,10 +453,6 @@ impl Output for Page {
         }
         Ok(())
     }
-
-    fn close(self: Box<Self>) -> Result<(), OutputError> {
-        Ok(())
-    }
 }
 
 /// Empty: the feed counts the frames of all sonars together.

@@ -6,10 +6,9 @@ use std::sync::atomic::Ordering;
 use super::server_counts::{server_lines, server_streams};
 use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts, record};
 use crate::faults::link::RecordLayout;
-use crate::io::record::make_folder;
 use crate::io::record::svlog::SvlogRecorder;
 use crate::io::serial_line::{LineCounts, SerialLine};
-use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
+use crate::io::sonar::SonarServer;
 use echotank_config::spec::PingProtocolSpec;
 use echotank_core::records::Datagram;
 use echotank_core::settings::SettingsPort;
@@ -49,24 +48,13 @@ impl PingProtocol {
         let device = Arc::new(Device::new(output, &unit.spec, c, now));
         let settings: Arc<dyn SettingsPort> = Arc::clone(settings) as _;
         let port = Arc::new(PingPort::new(Arc::clone(&device), settings));
-        let server = ServerSpec {
-            listen: output.listen,
-            tcp: true,
-            udp: true,
-            client_queue_bytes: output.client_queue_bytes,
-            when_full: WhenFull::Skip,
-            max_clients: output.max_clients,
-        };
-        let server = SonarServer::start(
-            &server,
+        let server = context.serve(
             Arc::clone(&port) as _,
-            Arc::clone(rig_time),
-            ServerTimes::default(),
-        )
-        .map_err(|source| OutputError::Server {
-            name: name.clone(),
-            source,
-        })?;
+            output.listen,
+            true,
+            output.client_queue_bytes,
+            output.max_clients,
+        )?;
         context.configure(&server, RecordLayout::PING);
         let line = match &output.serial {
             None => None,
@@ -82,15 +70,11 @@ impl PingProtocol {
                 Some(line)
             }
         };
-        let recorder = match &spec.record {
-            None => None,
-            Some(record) => {
-                make_folder(&record.directory)?;
-                let path = record.directory.join(context.file_name(now, "svlog"));
-                let url = format!("tcp://{}", server.local_addr());
-                Some(SvlogRecorder::create(&path, output.device, &url, now)?)
-            }
-        };
+        let url = format!("tcp://{}", server.local_addr());
+        let recorder = context.recording(now, "svlog")?;
+        let recorder = recorder
+            .map(|path| SvlogRecorder::create(&path, output.device, &url, now))
+            .transpose()?;
         Ok(Self {
             name,
             spec: output.clone(),

@@ -1,7 +1,28 @@
 //! A server's counters, as text and in numbers.
 
-use super::StreamCounts;
-use crate::io::sonar::ServerReport;
+use std::sync::Arc;
+
+use super::{Report, StreamCounts};
+use crate::io::sonar::{ServerReport, SonarServer};
+
+/// The counters of an output that only serves clients: family, name and server of each of its ports.
+pub(super) struct ServersReport(pub(super) Vec<(&'static str, String, Arc<SonarServer>)>);
+
+impl Report for ServersReport {
+    fn lines(&self) -> Vec<String> {
+        let servers = self.0.iter();
+        servers
+            .flat_map(|(family, name, server)| server_lines(family, name, &server.report()))
+            .collect()
+    }
+
+    fn streams(&self) -> Vec<StreamCounts> {
+        let servers = self.0.iter();
+        servers
+            .flat_map(|(family, _, server)| server_streams(family, &server.report()))
+            .collect()
+    }
+}
 
 /// One line of a server's totals, including departed clients, and one line per client.
 pub(crate) fn server_lines(family: &str, name: &str, report: &ServerReport) -> Vec<String> {

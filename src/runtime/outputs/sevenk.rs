@@ -5,7 +5,6 @@ use std::sync::Arc;
 use super::server_counts::{server_lines, server_streams};
 use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts, record};
 use crate::faults::link::RecordLayout;
-use crate::io::record::make_folder;
 use crate::io::record::s7k::S7kRecorder;
 use crate::io::sonar::{SonarServer, start_sevenk};
 use crate::recorders::begin_s7k;
@@ -49,23 +48,14 @@ impl SevenK {
             unit.absorption_db_per_m,
         ));
         let port: Arc<dyn SettingsPort> = Arc::clone(settings) as _;
-        let server =
-            start_sevenk(output, sheet.clone(), port, Arc::clone(rig_time)).map_err(|source| {
-                OutputError::Server {
-                    name: unit.spec.name.clone(),
-                    source,
-                }
-            })?;
+        let server = start_sevenk(output, sheet.clone(), port, Arc::clone(rig_time))
+            .map_err(|source| context.server_error(source))?;
         context.configure(&server, RecordLayout::SEVENK);
-        let recorder = match &spec.record {
-            None => None,
-            Some(record) => {
-                make_folder(&record.directory)?;
-                let now = rig_time();
-                let path = record.directory.join(context.file_name(now, "s7k"));
-                Some(begin_s7k(&path, &sheet, now)?)
-            }
-        };
+        let now = rig_time();
+        let recorder = context.recording(now, "s7k")?;
+        let recorder = recorder
+            .map(|path| begin_s7k(&path, &sheet, now))
+            .transpose()?;
         Ok(Self {
             name: unit.spec.name.clone(),
             emitter: SevenKEmitter::new(sheet, spec.run.queue_pings),

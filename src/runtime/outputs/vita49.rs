@@ -107,10 +107,6 @@ impl Output for Vita49 {
             self.lost = !self.sender.send(packets, self.spread.leaving(pulse));
         }
     }
-
-    fn close(self: Box<Self>) -> Result<(), OutputError> {
-        Ok(())
-    }
 }
 
 struct Vita49Report {

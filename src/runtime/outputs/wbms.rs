@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use super::server_counts::{server_lines, server_streams};
-use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts};
+use super::server_counts::ServersReport;
+use super::{Output, OutputContext, OutputError, Report, Spread};
 use crate::faults::link::RecordLayout;
-use crate::io::sonar::{ServerSpec, ServerTimes, SonarServer, WhenFull};
+use crate::io::sonar::SonarServer;
 use echotank_config::spec::WbmsSpec;
 use echotank_core::records::Datagram;
 use echotank_core::settings::SettingsPort;
@@ -21,7 +21,7 @@ pub(super) struct Wbms {
     name: String,
     emitter: WbmsEmitter,
     /// In the order of [`SERVERS`].
-    servers: Arc<[SonarServer]>,
+    servers: Vec<Arc<SonarServer>>,
     pending: Vec<Arc<Datagram>>,
     spread: Spread,
     /// Seconds over which the pending ping is sent.
@@ -34,10 +34,8 @@ impl Wbms {
             spec,
             unit,
             settings,
-            rig_time,
             ..
         } = context;
-        let name = unit.spec.name.clone();
         let device = Arc::new(Device::new(&unit.spec, spec.medium.sound_speed_m_per_s));
         let settings: Arc<dyn SettingsPort> = Arc::clone(settings) as _;
         let protocols: [Arc<dyn Protocol>; 4] = [
@@ -55,28 +53,17 @@ impl Wbms {
         let servers = (0..)
             .zip(protocols)
             .map(|(number, protocol)| {
-                let server = ServerSpec {
-                    listen: output.address(number),
-                    tcp: true,
-                    udp: false,
-                    client_queue_bytes: output.client_queue_bytes,
-                    when_full: WhenFull::Skip,
-                    max_clients: output.max_clients,
-                };
-                let times = ServerTimes::default();
-                SonarServer::start(&server, protocol, Arc::clone(rig_time), times).map_err(
-                    |source| OutputError::Server {
-                        name: name.clone(),
-                        source,
-                    },
-                )
+                let listen = output.address(number);
+                let (queue_bytes, clients) = (output.client_queue_bytes, output.max_clients);
+                let server = context.serve(protocol, listen, false, queue_bytes, clients)?;
+                Ok(Arc::new(server))
             })
-            .collect::<Result<Arc<[_]>, _>>()?;
+            .collect::<Result<Vec<_>, OutputError>>()?;
         for server in servers.iter().skip(1) {
             context.configure(server, RecordLayout::WBMS);
         }
         Ok(Self {
-            name,
+            name: unit.spec.name.clone(),
             emitter: WbmsEmitter::new(device, spec.run.queue_pings),
             servers,
             pending: Vec::new(),
@@ -90,22 +77,22 @@ impl Output for Wbms {
     fn addresses(&self) -> Vec<String> {
         SERVERS
             .iter()
-            .zip(self.servers.iter())
+            .zip(&self.servers)
             .map(|(what, server)| format!("wbms {} {what} tcp {}", self.name, server.local_addr()))
             .collect()
     }
 
     fn report(&self) -> Arc<dyn Report> {
-        Arc::new(WbmsReport {
-            name: self.name.clone(),
-            servers: Arc::clone(&self.servers),
-        })
+        let servers = SERVERS.iter().zip(&self.servers);
+        let servers = servers
+            .map(|(what, server)| ("wbms", format!("{} {what}", self.name), Arc::clone(server)));
+        Arc::new(ServersReport(servers.collect()))
     }
 
     fn encode(&mut self, slot: &PingSlot) {
         self.pending.clear();
         self.over_s = self.spread.over_s(&slot.plan);
-        let [_, bathymetry, water_column, side_scan] = &*self.servers else {
+        let [_, bathymetry, water_column, side_scan] = &self.servers[..] else {
             unreachable!("four servers are opened");
         };
         let wanted = Wanted {
@@ -128,33 +115,5 @@ impl Output for Wbms {
             self.servers[server].deliver_over(&[packet], self.over_s);
         }
         Ok(())
-    }
-
-    fn close(self: Box<Self>) -> Result<(), OutputError> {
-        Ok(())
-    }
-}
-
-struct WbmsReport {
-    name: String,
-    servers: Arc<[SonarServer]>,
-}
-
-impl Report for WbmsReport {
-    fn lines(&self) -> Vec<String> {
-        SERVERS
-            .iter()
-            .zip(self.servers.iter())
-            .flat_map(|(what, server)| {
-                server_lines("wbms", &format!("{} {what}", self.name), &server.report())
-            })
-            .collect()
-    }
-
-    fn streams(&self) -> Vec<StreamCounts> {
-        let servers = self.servers.iter();
-        servers
-            .flat_map(|server| server_streams("wbms", &server.report()))
-            .collect()
     }
 }

@@ -4,7 +4,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::{Output, OutputContext, OutputError, Report, record};
-use crate::io::record::make_folder;
 use crate::io::record::stream::StreamRecorder;
 use echotank_config::spec::XtfSpec;
 use echotank_emit::xtf::XtfEmitter;
@@ -23,16 +22,10 @@ impl Xtf {
         let c = context.spec.medium.sound_speed_m_per_s;
         let emitter = XtfEmitter::new(output, &context.unit.spec, c);
         // The configuration check ensures that the folder is set.
-        let recorder = match &context.spec.record {
-            None => None,
-            Some(record) => {
-                make_folder(&record.directory)?;
-                let path = record
-                    .directory
-                    .join(context.file_name((context.rig_time)(), "xtf"));
-                Some(StreamRecorder::create(&path, &emitter.file_head())?)
-            }
-        };
+        let recorder = context.recording((context.rig_time)(), "xtf")?;
+        let recorder = recorder
+            .map(|path| StreamRecorder::create(&path, &emitter.file_head()))
+            .transpose()?;
         Ok(Self {
             emitter,
             recorder,
