@@ -287,21 +287,7 @@ impl Daemon {
     /// Pings until `stop`, or until every recorded source has ended. `status` gets the counters, a few lines of text, every
     /// `run.status_interval_s` and once at the end.
     pub fn run(self, mut status: impl FnMut(&str)) -> Result<(), DaemonError> {
-        let Self {
-            clock,
-            pool,
-            rig,
-            inputs,
-            nav_out,
-            outputs,
-            settings,
-            triggers,
-            timeline,
-            stop,
-            control,
-            server,
-            remarks: _,
-        } = self;
+        let (rig, control, stop, pool) = (self.rig, self.control, self.stop, self.pool);
         let notify = Notify::from_environment();
         notify.ready();
         let faults = rig.faults.clone();
@@ -316,10 +302,10 @@ impl Daemon {
         let own_time = rig.spec.run.clock.is_own();
         let mut lanes = Vec::new();
         let mut deliveries = Vec::new();
-        for (sonar, outputs) in outputs.into_iter().enumerate() {
+        for (sonar, outputs) in self.outputs.into_iter().enumerate() {
             let context = DeliveryContext {
                 sonar: control.sonars()[sonar].name.clone(),
-                clock: clock.clone(),
+                clock: self.clock.clone(),
                 counters: control.sonars()[sonar].counters.clone(),
                 histograms: control.sonars()[sonar].histograms.clone(),
                 gate: control.gate().clone(),
@@ -329,7 +315,7 @@ impl Daemon {
             lanes.push(lane);
             deliveries.extend(threads);
         }
-        let backlog = Arc::new(Backlog::new(settings.len()));
+        let backlog = Arc::new(Backlog::new(self.settings.len()));
         let levels = rig
             .sonars
             .iter()
@@ -338,22 +324,22 @@ impl Daemon {
             levels: levels.collect(),
             backlog,
             has_rested: true,
-            skipped: vec![false; settings.len()],
+            skipped: vec![false; self.settings.len()],
             first_ready: None,
             first: None,
-            triggers: Some(triggers),
-            expected: vec![0; settings.len()],
+            triggers: Some(self.triggers),
+            expected: vec![0; self.settings.len()],
             waiting: VecDeque::with_capacity(MAX_ORDERS),
             rig,
-            inputs,
-            nav_out,
-            settings,
+            inputs: self.inputs,
+            nav_out: self.nav_out,
+            settings: self.settings,
             control: control.clone(),
-            clock,
+            clock: self.clock,
             machine: SystemClock::new(),
             stop: stop.clone(),
             lanes,
-            timeline,
+            timeline: self.timeline,
             next_nav_lines: MonoNs(0),
         };
         let pipeline = thread::Builder::new()
@@ -408,7 +394,7 @@ impl Daemon {
         fault_log.write(&faults.take_injections(), control.sonars());
         overload_log.write(&control.overload_states().take(), control.sonars());
         status(&control.lines(latency_s).join("\n"));
-        drop(server);
+        drop(self.server);
         pinged.and(closed.map_err(DaemonError::Output))
     }
 }
