@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use echotank_protocols::sevenk::describe;
 
 use super::Failure;
@@ -15,11 +16,18 @@ use echotank_core::time::UtcNs;
 use echotank_runtime::histograms::LatencyHistogram;
 use echotank_runtime::io::sonar::client::SevenKClient;
 use echotank_runtime::io::sonar::elements::{ElementClient, FrameTally};
+use echotank_runtime::io::sonar::verification::decode::Family;
 use pulses::{Pulses, TriggerTo};
-use verify::FamilyName;
 
 /// Default subscription: every record type of a ping.
 const PING_RECORDS: [u32; 10] = [7000, 7503, 7004, 7007, 7018, 7038, 7610, 1003, 1012, 1013];
+
+/// Reads the name of a protocol family.
+fn families() -> impl TypedValueParser<Value = Family> {
+    let named = |name: String| Family::ALL.into_iter().find(|f| f.name() == name);
+    PossibleValuesParser::new(Family::ALL.map(Family::name))
+        .map(move |name| named(name).expect("one of the possible values"))
+}
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct ListenArgs {
@@ -36,8 +44,8 @@ pub(crate) struct ListenArgs {
     #[arg(long)]
     pub(crate) verify: bool,
     /// Protocol of the server. Imagenex 872 replies carry no sequence numbers and are only counted
-    #[arg(long, value_enum, default_value = "7k", requires = "verify")]
-    pub(crate) family: FamilyName,
+    #[arg(long, value_parser = families(), default_value = "7k", requires = "verify")]
+    pub(crate) family: Family,
     /// Write every finding as JSON lines, for `echotank score`
     #[arg(long, value_name = "FILE", requires = "verify")]
     pub(crate) report: Option<PathBuf>,

@@ -9,39 +9,12 @@ use super::ListenArgs;
 use crate::cli::Failure;
 use echotank_runtime::io::signals::stop_on_signals;
 use echotank_runtime::io::sonar::verification::accounting::{checksums_text, parse_checksums};
-use echotank_runtime::io::sonar::verification::decode::{Family, Sequence};
+use echotank_runtime::io::sonar::verification::decode::Sequence;
 use echotank_runtime::io::sonar::verification::listener::{Listener, ListenerSpec};
 use echotank_runtime::io::{text_of, write_text};
 
-/// Protocol family, as named on the command line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub(crate) enum FamilyName {
-    #[value(name = "7k")]
-    SevenK,
-    Jsf,
-    Wbms,
-    Ping,
-    Imagenex872,
-    Vita49,
-    Elements,
-}
-
-impl From<FamilyName> for Family {
-    fn from(name: FamilyName) -> Self {
-        match name {
-            FamilyName::SevenK => Self::SevenK,
-            FamilyName::Jsf => Self::Jsf,
-            FamilyName::Wbms => Self::Wbms,
-            FamilyName::Ping => Self::Ping,
-            FamilyName::Imagenex872 => Self::Imagenex872,
-            FamilyName::Vita49 => Self::Vita49,
-            FamilyName::Elements => Self::Elements,
-        }
-    }
-}
-
 pub(crate) fn main(args: &ListenArgs, record_types: &[u32]) -> Result<(), Failure> {
-    let family = Family::from(args.family);
+    let family = args.family;
     let no_address = |why: String| Failure::Configuration(format!("{}: {why}", args.address));
     let mut addresses = args
         .address
