@@ -5,6 +5,7 @@ pub mod allocations;
 pub mod echo;
 #[cfg(feature = "echo")]
 pub mod line_scene;
+pub mod nav;
 #[cfg(feature = "scene")]
 pub mod seeds;
 pub mod track;

@@ -151,6 +151,47 @@ pub fn sonar() -> SonarSpec {
     }
 }
 
+/// The small sonar with one array of as many elements as beams of its fan; both lines are of this array.
+pub fn large_sonar(elements: usize) -> SonarSpec {
+    let mut sonar = sonar();
+    sonar.receive = vec![sonar.receive[2].clone()];
+    sonar.receive[0].elements = elements;
+    for line in &mut sonar.beams.lines {
+        line.array = 0;
+    }
+    sonar.beams.fan = Some(FanSpec {
+        array: 0,
+        beams: elements,
+        sector_rad: 2.0,
+        shading: Shading::Uniform,
+        form: FanForm::default(),
+    });
+    sonar
+}
+
+/// Elements and beams of a ping of [`large_sonar`].
+pub fn large_output(elements: usize, samples: usize) -> PingOutput {
+    let value = |k: usize| Complex64::from_polar(0.5 + 0.001 * (k % 997) as f64, k as f64 * 0.37);
+    let iq: Vec<_> = (0..elements * samples).map(value).collect();
+    PingOutput {
+        elements: vec![ElementFrame {
+            array: 0,
+            elements,
+            samples,
+            iq: iq.clone(),
+            saturated: 0,
+        }],
+        beams: vec![BeamFrame {
+            beams: elements,
+            samples,
+            angle_rad: (0..elements).map(|b| b as f64 * 0.007 - 0.9).collect(),
+            width_rad: vec![0.01; elements],
+            iq,
+        }],
+        ..PingOutput::default()
+    }
+}
+
 /// Starboard's elements before port's; the fan's are not sent.
 pub fn output_spec() -> SevenKSpec {
     SevenKSpec {

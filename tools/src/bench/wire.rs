@@ -12,10 +12,9 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use echotank_config::spec::{
-    FanForm, FanSpec, JsfChannels, JsfFormat, JsfSpec, PingDevice, PingProtocolSpec, Shading,
-    SonarSpec, Vita49Spec, XtfSpec,
+    JsfChannels, JsfFormat, JsfSpec, PingDevice, PingProtocolSpec, SonarSpec, Vita49Spec, XtfSpec,
 };
-use echotank_core::ping::{BeamFrame, ElementFrame, Line, PingOutput, PingPlan, Side};
+use echotank_core::ping::{Line, PingOutput, PingPlan, Side};
 use echotank_emit::imagenex872::{Head, emit_ping as emit_imagenex};
 use echotank_emit::jsf::{JsfEmitter, JsfSheet};
 use echotank_emit::packets::Packets;
@@ -33,12 +32,11 @@ use echotank_protocols::vita49::{Packet, PacketType, complex_samples};
 use echotank_runtime::io::sonar::client::SevenKClient;
 use echotank_runtime::io::sonar::start_sevenk;
 use echotank_runtime::io::sonar::verify::Verifier;
-use num_complex::Complex64;
 
 use super::report::Report;
 use echotank_testing::wire::{
-    ABSORPTION_DB_PER_M, FULL_SCALE_V, SOUND_M_PER_S, TRANSMIT_UTC, command, output_spec, plan,
-    sonar, store,
+    ABSORPTION_DB_PER_M, FULL_SCALE_V, SOUND_M_PER_S, TRANSMIT_UTC, command, large_output,
+    large_sonar, output_spec, plan, store,
 };
 
 const ELEMENTS: usize = 256;
@@ -46,45 +44,17 @@ const SAMPLES: usize = 2000;
 const PINGS_PER_S: u32 = 20;
 
 fn large() -> SonarSpec {
-    let mut sonar = sonar();
-    sonar.receive = vec![sonar.receive[2].clone()];
-    sonar.receive[0].elements = ELEMENTS;
-    for line in &mut sonar.beams.lines {
-        line.array = 0;
-    }
-    sonar.beams.fan = Some(FanSpec {
-        array: 0,
-        beams: ELEMENTS,
-        sector_rad: 2.0,
-        shading: Shading::Uniform,
-        form: FanForm::default(),
-    });
-    sonar
+    large_sonar(ELEMENTS)
 }
 
 fn frames() -> PingOutput {
-    let value = |k: usize| Complex64::from_polar(0.5 + 0.001 * (k % 997) as f64, k as f64 * 0.37);
     let line = |side| Line {
         side,
         amplitude: (0..SAMPLES).map(|k| 0.001 * (k % 1009) as f32).collect(),
     };
     PingOutput {
-        elements: vec![ElementFrame {
-            array: 0,
-            elements: ELEMENTS,
-            samples: SAMPLES,
-            iq: (0..ELEMENTS * SAMPLES).map(value).collect(),
-            saturated: 0,
-        }],
-        beams: vec![BeamFrame {
-            beams: ELEMENTS,
-            samples: SAMPLES,
-            angle_rad: (0..ELEMENTS).map(|b| b as f64 * 0.007 - 0.9).collect(),
-            width_rad: vec![0.01; ELEMENTS],
-            iq: (0..ELEMENTS * SAMPLES).map(value).collect(),
-        }],
         lines: vec![line(Side::Port), line(Side::Starboard)],
-        ..PingOutput::default()
+        ..large_output(ELEMENTS, SAMPLES)
     }
 }
 

@@ -5,12 +5,9 @@ use echotank_protocols::sevenk::{OpenRecord, RecordStamp, SevenKTime};
 use glam::DVec3;
 use num_complex::Complex64;
 
-use echotank_config::spec::{
-    BeamsSpec, FanForm, FanSpec, LimitsSpec, LineSpec, PictureSpec, Shading, SonarSpec,
-    SynthesisSpec, TriggerOutSpec, TriggerSpec,
-};
+use echotank_config::spec::{BeamsSpec, FanForm, FanSpec, LimitsSpec, Shading, SonarSpec};
 use echotank_core::arrays::{
-    ArrayGeometry, Mounting, Pattern, Receiver, ReceiverFilter, TimeVaryingGain, TransmitArray,
+    ArrayGeometry, Mounting, Pattern, Receiver, TimeVaryingGain, TransmitArray,
 };
 use echotank_core::frames::{Trajectory, rotation_from_angles};
 use echotank_core::ping::{BeamFrame, ElementFrame, Line, PingOutput, PingPlan, Side};
@@ -57,8 +54,8 @@ pub fn sonar() -> SonarSpec {
         sensitivity_db: -180.0,
         transmit: 0,
     };
+    let base = echotank_testing::wire::sonar();
     SonarSpec {
-        more_pulses: Vec::new(),
         name: "bow".into(),
         serial: 7,
         pulse: pulse(),
@@ -68,12 +65,9 @@ pub fn sonar() -> SonarSpec {
         receive_names: vec!["port".into(), "starboard".into()],
         receiver: Receiver {
             sample_rate_hz: 40e3,
-            filter: ReceiverFilter::None,
             tvg: TimeVaryingGain::None,
-            noise_db: None,
-            adc_bits: None,
             full_scale_v: 1.0,
-            seed: 1,
+            ..base.receiver
         },
         settings: plan.settings,
         limits: LimitsSpec {
@@ -83,26 +77,8 @@ pub fn sonar() -> SonarSpec {
             gain_db: (0.0, 20.0),
             pulse_duration_s: (1e-3, 1e-3),
         },
-        trigger: TriggerSpec::default(),
-        trigger_out: TriggerOutSpec::default(),
         model: plan.model,
-        synthesis: SynthesisSpec::default(),
         beams: BeamsSpec {
-            focused_lines: false,
-            line_f_number: None,
-            synthetic_aperture: None,
-            line_shading: Shading::Uniform,
-            weighting: Shading::Uniform,
-            lines: vec![
-                LineSpec {
-                    side: Side::Port,
-                    array: 0,
-                },
-                LineSpec {
-                    side: Side::Starboard,
-                    array: 1,
-                },
-            ],
             fan: Some(FanSpec {
                 array: 1,
                 beams: 3,
@@ -110,9 +86,9 @@ pub fn sonar() -> SonarSpec {
                 shading: Shading::Uniform,
                 form: FanForm::default(),
             }),
+            ..base.beams
         },
-        picture: PictureSpec::default(),
-        outputs: Vec::new(),
+        ..base
     }
 }
 

@@ -13,27 +13,8 @@ use echotank_nav::health::State;
 use echotank_nav::{NavGap, NavHistory};
 use echotank_runtime::clock::SystemClock;
 use echotank_runtime::io::nav::NavInputs;
+use echotank_testing::nav::{nav, sentence, source, udp};
 use glam::DVec3;
-
-fn source(name: &str, input: NavInputSpec, provides: &[NavChannel]) -> NavSourceSpec {
-    NavSourceSpec {
-        name: name.into(),
-        input,
-        time: TimePolicy::Arrival { latency_s: 0.0 },
-        checksum: ChecksumPolicy::Require,
-        lever_arm_m: DVec3::ZERO,
-        mounting: Default::default(),
-        dialect: NavDialect::default(),
-        provides: provides.to_vec(),
-    }
-}
-
-fn udp() -> NavInputSpec {
-    NavInputSpec::Udp {
-        listen: "127.0.0.1:0".parse().expect("an address"),
-        multicast: None,
-    }
-}
 
 fn spec(sources: Vec<NavSourceSpec>) -> NavSpec {
     NavSpec {
@@ -41,26 +22,11 @@ fn spec(sources: Vec<NavSourceSpec>) -> NavSpec {
             latitude_rad: 0.9,
             longitude_rad: 0.1,
         },
-        mode: NavMode::Settle,
-        vertical: VerticalSpec::Waterline {
-            reference_down_m: 0.0,
-        },
-        stamp: StampSpec::Log,
-        loop_log: false,
-        max_extrapolation_s: 0.25,
-        history_s: 60.0,
-        fallback_heading_from_course: false,
         failover: Some(FailoverSpec {
             after_s: 2.0,
             hold_off_s: 5.0,
         }),
-        jump_gate: None,
-        stale_s: 2.0,
-        lost_s: 10.0,
-        on_lost: OnLost::Skip,
-        tow: None,
-        outputs: Vec::new(),
-        sources,
+        ..nav(sources)
     }
 }
 
@@ -200,9 +166,7 @@ fn source_states_follow_from_arrivals() {
 // ---------------------------------------------------------------- TCP
 
 fn hdt(degrees: f64) -> Vec<u8> {
-    let body = format!("HEHDT,{degrees:.1},T");
-    let sum = body.bytes().fold(0, |s, b| s ^ b);
-    format!("${body}*{sum:02X}\r\n").into_bytes()
+    sentence(&format!("HEHDT,{degrees:.1},T"))
 }
 
 fn wait(inputs: &mut NavInputs, history: &mut NavHistory, samples: u64) {

@@ -5,15 +5,14 @@ mod spoiled;
 mod ways_out;
 
 use std::io::Write;
-use std::net::{SocketAddr, UdpSocket};
+use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicI64, Ordering::SeqCst};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use echotank_config::spec::{
-    ChecksumPolicy, NavChannel, NavInputSpec, NavMode, NavSourceSpec, NavSpec, OnLost, OriginSpec,
-    StampSpec, TimePolicy, VerticalSpec,
+    NavChannel, NavInputSpec, NavMode, NavSourceSpec, NavSpec, TimePolicy, VerticalSpec,
 };
 use echotank_core::frames::Trajectory;
 use echotank_core::navigation::NavState;
@@ -22,6 +21,7 @@ use echotank_nav::stamp::split_line;
 use echotank_nav::{Coverage, NavGap, NavHistory};
 use echotank_runtime::clock::{Clock, SystemClock};
 use echotank_runtime::io::nav::{LiveCounters, NavInputs, NavOpenError};
+use echotank_testing::nav::{nav, udp};
 use glam::DVec3;
 use serialport::{SerialPort, TTYPort};
 
@@ -37,21 +37,17 @@ fn data(name: &str) -> PathBuf {
 }
 
 fn source(name: &str, input: NavInputSpec) -> NavSourceSpec {
+    let provides = [
+        NavChannel::Position,
+        NavChannel::CourseSpeed,
+        NavChannel::Heading,
+        NavChannel::RollPitch,
+        NavChannel::Heave,
+    ];
     NavSourceSpec {
-        name: name.into(),
-        input,
         time: TimePolicy::Burst,
-        checksum: ChecksumPolicy::Require,
         lever_arm_m: DVec3::new(2.0, 1.0, -15.0),
-        mounting: Default::default(),
-        dialect: Default::default(),
-        provides: vec![
-            NavChannel::Position,
-            NavChannel::CourseSpeed,
-            NavChannel::Heading,
-            NavChannel::RollPitch,
-            NavChannel::Heave,
-        ],
+        ..echotank_testing::nav::source(name, input, &provides)
     }
 }
 
@@ -62,38 +58,18 @@ fn log(path: PathBuf) -> NavInputSpec {
     }
 }
 
-fn udp() -> NavInputSpec {
-    NavInputSpec::Udp {
-        listen: SocketAddr::from(([127, 0, 0, 1], 0)),
-        multicast: None,
-    }
-}
-
 fn nav_spec(sources: Vec<NavSourceSpec>) -> NavSpec {
     NavSpec {
-        origin: OriginSpec::FirstFix,
-        mode: NavMode::Settle,
         vertical: VerticalSpec::Waterline {
             reference_down_m: 3.0,
         },
-        stamp: StampSpec::Log,
-        loop_log: false,
-        max_extrapolation_s: 0.25,
         history_s: 200.0,
-        fallback_heading_from_course: false,
-        failover: None,
-        jump_gate: None,
-        stale_s: 2.0,
-        lost_s: 10.0,
-        on_lost: OnLost::Skip,
-        tow: None,
-        outputs: Vec::new(),
-        sources,
+        ..nav(sources)
     }
 }
 
 /// An instrument's end and a port, created one at a time: `ptsname` has a buffer shared by threads.
-fn pseudo_terminal() -> (TTYPort, TTYPort) {
+pub(crate) fn pseudo_terminal() -> (TTYPort, TTYPort) {
     static ONE: Mutex<()> = Mutex::new(());
     let _held = ONE.lock().unwrap_or_else(PoisonError::into_inner);
     TTYPort::pair().expect("a pseudo-terminal")

@@ -13,8 +13,10 @@ use echotank_core::time::UtcNs;
 use echotank_nav::NavHistory;
 use echotank_runtime::clock::{Clock, SystemClock};
 use echotank_runtime::io::nav::NavInputs;
-use glam::DVec3;
-use serialport::{SerialPort, TTYPort};
+use echotank_testing::nav::{nav, sentence, source, udp};
+use serialport::SerialPort;
+
+use super::nav_inputs::pseudo_terminal;
 
 /// 921600 Bd carries 92 kB/s; this traffic is 46 kB/s.
 const BAUD: u32 = 921_600;
@@ -29,44 +31,17 @@ fn seconds() -> u64 {
 }
 
 fn spec(input: NavInputSpec) -> NavSpec {
+    let provides = [
+        NavChannel::Position,
+        NavChannel::Heading,
+        NavChannel::RollPitch,
+    ];
     NavSpec {
-        origin: OriginSpec::FirstFix,
         mode: NavMode::Predict,
-        vertical: VerticalSpec::Waterline {
-            reference_down_m: 0.0,
-        },
-        stamp: StampSpec::Log,
-        loop_log: false,
         max_extrapolation_s: 5.0,
         history_s: 10.0,
-        fallback_heading_from_course: false,
-        failover: None,
-        jump_gate: None,
-        stale_s: 2.0,
-        lost_s: 10.0,
-        on_lost: OnLost::Skip,
-        tow: None,
-        outputs: Vec::new(),
-        sources: vec![NavSourceSpec {
-            name: "ins".into(),
-            input,
-            time: TimePolicy::Arrival { latency_s: 0.0 },
-            checksum: ChecksumPolicy::Require,
-            lever_arm_m: DVec3::ZERO,
-            mounting: Default::default(),
-            dialect: NavDialect::default(),
-            provides: vec![
-                NavChannel::Position,
-                NavChannel::Heading,
-                NavChannel::RollPitch,
-            ],
-        }],
+        ..nav(vec![source("ins", input, &provides)])
     }
-}
-
-fn sentence(body: &str) -> Vec<u8> {
-    let sum = body.bytes().fold(0, |s, b| s ^ b);
-    format!("${body}*{sum:02X}\r\n").into_bytes()
 }
 
 /// Sends by the clock, late ones at once, and says how many sentences it sent.
@@ -147,10 +122,7 @@ fn check(
 
 #[test]
 fn nothing_is_lost_over_udp() {
-    let spec = spec(NavInputSpec::Udp {
-        listen: "127.0.0.1:0".parse().expect("an address"),
-        multicast: None,
-    });
+    let spec = spec(udp());
     check("UDP", &spec, |inputs| {
         let (_, address) = inputs.listening()[0].clone();
         std::thread::spawn(move || {
@@ -165,10 +137,7 @@ fn nothing_is_lost_over_udp() {
 
 #[test]
 fn nothing_is_lost_over_a_serial_line() {
-    // One at a time: `ptsname`, behind it, shares its buffer among threads.
-    static ONE: Mutex<()> = Mutex::new(());
-    let _held = ONE.lock().unwrap_or_else(PoisonError::into_inner);
-    let (instrument, port) = TTYPort::pair().expect("a pseudo-terminal");
+    let (instrument, port) = pseudo_terminal();
     // Both ends stay open until everything was read.
     let kept = Arc::new(Mutex::new(instrument));
     let instrument = kept.clone();

@@ -5,58 +5,24 @@ use std::net::TcpStream;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use echotank_config::spec::{FanForm, FanSpec, SevenKSpec, Shading, SonarSpec};
-use echotank_core::ping::{BeamFrame, ElementFrame, PingOutput};
+use echotank_config::spec::SevenKSpec;
+use echotank_core::ping::PingOutput;
 use echotank_emit::sevenk::records::DeviceSheet;
 use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_protocols::sevenk::Command;
 use echotank_runtime::io::sonar::client::SevenKClient;
 use echotank_runtime::io::sonar::verify::Verifier;
 use echotank_runtime::io::sonar::{SonarServer, start_sevenk};
-use num_complex::Complex64;
 
 use echotank_testing::wire::*;
 
 const ELEMENTS: usize = 256;
-const BEAMS: usize = 256;
 pub(crate) const SAMPLES: usize = 2000;
 const PINGS: u32 = 20;
 const PATIENCE: Duration = Duration::from_secs(60);
 
-fn large() -> SonarSpec {
-    let mut sonar = sonar();
-    sonar.receive = vec![sonar.receive[2].clone()];
-    sonar.receive[0].elements = ELEMENTS;
-    sonar.beams.lines.clear();
-    sonar.beams.fan = Some(FanSpec {
-        array: 0,
-        beams: BEAMS,
-        sector_rad: 2.0,
-        shading: Shading::Uniform,
-        form: FanForm::default(),
-    });
-    sonar
-}
-
 pub(crate) fn frames() -> PingOutput {
-    let value = |k: usize| Complex64::from_polar(0.5 + 0.001 * (k % 997) as f64, k as f64 * 0.37);
-    PingOutput {
-        elements: vec![ElementFrame {
-            array: 0,
-            elements: ELEMENTS,
-            samples: SAMPLES,
-            iq: (0..ELEMENTS * SAMPLES).map(value).collect(),
-            saturated: 0,
-        }],
-        beams: vec![BeamFrame {
-            beams: BEAMS,
-            samples: SAMPLES,
-            angle_rad: (0..BEAMS).map(|b| b as f64 * 0.007 - 0.9).collect(),
-            width_rad: vec![0.01; BEAMS],
-            iq: (0..BEAMS * SAMPLES).map(value).collect(),
-        }],
-        ..PingOutput::default()
-    }
+    large_output(ELEMENTS, SAMPLES)
 }
 
 pub(crate) fn start(change: impl FnOnce(&mut SevenKSpec)) -> (SonarServer, SevenKEmitter) {
@@ -64,9 +30,11 @@ pub(crate) fn start(change: impl FnOnce(&mut SevenKSpec)) -> (SonarServer, Seven
     spec.arrays = vec![0];
     spec.client_queue_bytes = 16 << 20;
     change(&mut spec);
+    let mut sonar = large_sonar(ELEMENTS);
+    sonar.beams.lines.clear();
     let sheet = Arc::new(DeviceSheet::new(
         &spec,
-        &large(),
+        &sonar,
         SOUND_M_PER_S,
         ABSORPTION_DB_PER_M,
     ));
