@@ -7,79 +7,83 @@ use echotank_core::navigation::NavState;
 use echotank_core::ping::{EchoCounts, ErrorCheck, MethodMark, OverloadState, SceneCounts};
 use echotank_ping::method_selection::live::PlanCounts;
 
-/// Counters of one sonar, written by the pipeline and the delivery thread.
-#[derive(Debug, Default)]
-pub struct PingCounters {
-    /// Pings computed.
-    pub made: AtomicU64,
-    /// Pings whose navigation was incomplete at the deadline.
-    pub(crate) skipped_nav: AtomicU64,
-    /// Pings whose deadline passed before they could be computed.
-    pub(crate) skipped_late: AtomicU64,
-    /// Pings for which the queue was full.
-    pub(crate) skipped_queue: AtomicU64,
-    /// Pings computed with a larger tolerance because of overload.
-    pub degraded: AtomicU64,
-    /// Degradation level of the newest ping, steps.
-    pub looser: AtomicU64,
-    /// Pings that began to stream and were truncated because the rest was late.
-    pub truncated: AtomicU64,
-    /// Pulses delayed because of overload.
-    pub stretched: AtomicU64,
-    /// Sum of these delays, us.
-    pub(crate) stretched_us: AtomicU64,
-    /// Recorders that ended with an error; pings continue.
-    pub recordings_stopped: AtomicU64,
-    /// Pulses suppressed by a fault.
-    pub(crate) triggers_missed: AtomicU64,
-    /// Pings delivered after their deadline.
-    pub(crate) deadline_misses: AtomicU64,
-    /// Largest lateness of a delivery, us.
-    pub(crate) worst_late_us: AtomicU64,
-    /// Lateness of the newest delivery, us. Deadlines are absolute, so it is the drift since the first ping.
-    pub(crate) drift_us: AtomicU64,
-    /// Age of the newest position or attitude sample of the last ping, ms; 0 where interpolated.
-    pub(crate) nav_age_ms: AtomicU64,
-    /// Sum of computing times, us.
-    pub(crate) compute_us: AtomicU64,
-    /// Longest computing time, us.
-    pub(crate) worst_compute_us: AtomicU64,
-    /// Samples clipped by the converter.
-    pub(crate) samples_saturated: AtomicU64,
-    /// Echo paths used.
-    pub arrivals: AtomicU64,
-    /// Echo paths culled.
-    pub culled: AtomicU64,
-    /// Pings with extrapolated navigation.
-    pub extrapolated: AtomicU64,
-    /// Pings whose navigation is flagged invalid.
-    pub(crate) invalid_nav: AtomicU64,
-    /// Pings with an error check.
-    pub checked: AtomicU64,
-    /// Error checks above 1.3 tolerances that followed another such check.
-    pub error_check_faults: AtomicU64,
-    /// Number of the newest ping's method plan; 0 without a plan.
-    pub plan: AtomicU64,
-    /// Predicted error and tolerance of that plan, as bits of f64.
-    pub(crate) plan_promise: [AtomicU64; 2],
-    /// Elements of a line that the plan computes as one.
-    pub(crate) plan_part_elements: AtomicU64,
-    /// Plans abandoned because an error check exceeded their tolerance.
-    pub plans_given_up: AtomicU64,
-    /// Plans that could not be prepared.
-    pub(crate) plans_failed: AtomicU64,
-    /// Echoes outside the engine's range of distance or speed.
-    pub beyond_engine: AtomicU64,
-    /// Seabed scatterers generated, summed over pings.
-    pub(crate) seabed_made: AtomicU64,
-    /// Seabed scatterers culled, summed over pings.
-    pub(crate) seabed_culled: AtomicU64,
-    /// Seabed scatterers in shadow, summed over pings.
-    pub(crate) seabed_shadowed: AtomicU64,
-    /// Seabed scatterers used, summed over pings.
-    pub(crate) seabed_used: AtomicU64,
-    /// Newest error check: error, lower and upper bound, as bits of f64.
-    pub error_check: [AtomicU64; 3],
+/// The counters, and `all` of those with a metric: its name and help text, which documents the field too.
+macro_rules! ping_counters {
+    (
+        metrics { $($vis:vis $field:ident = $metric:literal, $help:literal;)* }
+        without_metric { $($(#[$doc:meta])* $plain_vis:vis $plain:ident: $type:ty,)* }
+    ) => {
+        /// Counters of one sonar, written by the pipeline and the delivery thread.
+        #[derive(Debug, Default)]
+        pub struct PingCounters {
+            $(
+                #[doc = concat!($help, ".")]
+                $vis $field: AtomicU64,
+            )*
+            $($(#[$doc])* $plain_vis $plain: $type,)*
+        }
+
+        impl PingCounters {
+            /// Metric name, help text and value of each counter.
+            pub fn all(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> + '_ {
+                [$(($metric, $help, &self.$field)),*]
+                    .into_iter()
+                    .map(|(name, help, counter)| (name, help, read(counter)))
+            }
+        }
+    };
+}
+
+ping_counters! {
+    metrics {
+        pub made = "pings_made", "Pings computed";
+        pub(crate) skipped_nav = "pings_skipped_nav", "Pings whose navigation was incomplete at the deadline";
+        pub(crate) skipped_late = "pings_skipped_late", "Pings whose deadline passed before they could be computed";
+        pub(crate) skipped_queue = "pings_skipped_queue", "Pings for which the queue was full";
+        pub degraded = "pings_degraded", "Pings computed with a larger tolerance because of overload";
+        pub looser = "looser_now", "Degradation level of the newest ping";
+        pub truncated = "pings_truncated", "Pings truncated while streaming because of overload";
+        pub stretched = "pings_stretched", "Pings whose pulse was delayed because of overload";
+        pub(crate) stretched_us = "stretched_us", "Sum of the delays of pulses because of overload, microseconds";
+        pub recordings_stopped = "recordings_stopped", "Recorders that ended with an error";
+        pub(crate) triggers_missed = "triggers_missed", "Pulses suppressed by a fault";
+        pub(crate) deadline_misses = "deadline_misses", "Pings delivered after their deadline";
+        pub(crate) worst_late_us = "worst_late_us", "Largest lateness of a delivery, microseconds";
+        pub(crate) drift_us = "drift_us", "Lateness of the newest delivery, which is the drift since the first, microseconds";
+        pub(crate) nav_age_ms = "nav_age_ms", "Age of the newest navigation sample of the last ping, milliseconds";
+        pub(crate) compute_us = "compute_us", "Time spent computing pings, microseconds";
+        pub(crate) worst_compute_us = "worst_compute_us", "Longest computing time of a ping, microseconds";
+        pub(crate) samples_saturated = "samples_saturated", "Samples clipped by the converter";
+        pub arrivals = "arrivals", "Echo paths summed";
+        pub extrapolated = "pings_extrapolated", "Pings whose navigation was extrapolated";
+        pub checked = "pings_checked", "Pings with an error check";
+        pub error_check_faults = "error_check_faults", "Pings whose error check, like the one before, exceeded 1.3 tolerances";
+        pub plan = "plan", "Number of the newest ping's method plan; 0 without a plan";
+        pub plans_given_up = "plans_given_up", "Method plans abandoned because an error check exceeded their tolerance";
+        pub(crate) plans_failed = "plans_failed", "Method plans that could not be prepared";
+    }
+    without_metric {
+        /// Echo paths culled.
+        pub culled: AtomicU64,
+        /// Pings whose navigation is flagged invalid.
+        pub(crate) invalid_nav: AtomicU64,
+        /// Predicted error and tolerance of that plan, as bits of f64.
+        pub(crate) plan_promise: [AtomicU64; 2],
+        /// Elements of a line that the plan computes as one.
+        pub(crate) plan_part_elements: AtomicU64,
+        /// Echoes outside the engine's range of distance or speed.
+        pub beyond_engine: AtomicU64,
+        /// Seabed scatterers generated, summed over pings.
+        pub(crate) seabed_made: AtomicU64,
+        /// Seabed scatterers culled, summed over pings.
+        pub(crate) seabed_culled: AtomicU64,
+        /// Seabed scatterers in shadow, summed over pings.
+        pub(crate) seabed_shadowed: AtomicU64,
+        /// Seabed scatterers used, summed over pings.
+        pub(crate) seabed_used: AtomicU64,
+        /// Newest error check: error, lower and upper bound, as bits of f64.
+        pub error_check: [AtomicU64; 3],
+    }
 }
 
 /// Adds to a counter, with relaxed ordering.
@@ -275,127 +279,6 @@ impl PingCounters {
                 latency_s * 1e3
             )
         })
-    }
-
-    /// Metric name, help text and value of each counter.
-    pub fn all(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> + '_ {
-        [
-            ("pings_made", "Pings computed", &self.made),
-            (
-                "pings_skipped_nav",
-                "Pings whose navigation was incomplete at the deadline",
-                &self.skipped_nav,
-            ),
-            (
-                "pings_skipped_late",
-                "Pings whose deadline passed before they could be computed",
-                &self.skipped_late,
-            ),
-            (
-                "pings_skipped_queue",
-                "Pings for which the queue was full",
-                &self.skipped_queue,
-            ),
-            (
-                "pings_degraded",
-                "Pings computed with a larger tolerance because of overload",
-                &self.degraded,
-            ),
-            (
-                "looser_now",
-                "Degradation level of the newest ping",
-                &self.looser,
-            ),
-            (
-                "pings_truncated",
-                "Pings truncated while streaming because of overload",
-                &self.truncated,
-            ),
-            (
-                "pings_stretched",
-                "Pings whose pulse was delayed because of overload",
-                &self.stretched,
-            ),
-            (
-                "stretched_us",
-                "Sum of the delays of pulses because of overload, microseconds",
-                &self.stretched_us,
-            ),
-            (
-                "recordings_stopped",
-                "Recorders that ended with an error",
-                &self.recordings_stopped,
-            ),
-            (
-                "triggers_missed",
-                "Pulses suppressed by a fault",
-                &self.triggers_missed,
-            ),
-            (
-                "deadline_misses",
-                "Pings delivered after their deadline",
-                &self.deadline_misses,
-            ),
-            (
-                "worst_late_us",
-                "Largest lateness of a delivery, microseconds",
-                &self.worst_late_us,
-            ),
-            (
-                "drift_us",
-                "Lateness of the newest delivery, which is the drift since the first, microseconds",
-                &self.drift_us,
-            ),
-            (
-                "nav_age_ms",
-                "Age of the newest navigation sample of the last ping, milliseconds",
-                &self.nav_age_ms,
-            ),
-            (
-                "compute_us",
-                "Time spent computing pings, microseconds",
-                &self.compute_us,
-            ),
-            (
-                "worst_compute_us",
-                "Longest computing time of a ping, microseconds",
-                &self.worst_compute_us,
-            ),
-            (
-                "samples_saturated",
-                "Samples clipped by the converter",
-                &self.samples_saturated,
-            ),
-            ("arrivals", "Echo paths summed", &self.arrivals),
-            (
-                "pings_extrapolated",
-                "Pings whose navigation was extrapolated",
-                &self.extrapolated,
-            ),
-            ("pings_checked", "Pings with an error check", &self.checked),
-            (
-                "error_check_faults",
-                "Pings whose error check, like the one before, exceeded 1.3 tolerances",
-                &self.error_check_faults,
-            ),
-            (
-                "plan",
-                "Number of the newest ping's method plan; 0 without a plan",
-                &self.plan,
-            ),
-            (
-                "plans_given_up",
-                "Method plans abandoned because an error check exceeded their tolerance",
-                &self.plans_given_up,
-            ),
-            (
-                "plans_failed",
-                "Method plans that could not be prepared",
-                &self.plans_failed,
-            ),
-        ]
-        .into_iter()
-        .map(|(name, doc, counter)| (name, doc, read(counter)))
     }
 
     /// As [`Self::all`], for the newest ping's plan and error check; `None` without a value.
