@@ -17,9 +17,13 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use axum::Json;
 pub use axum::body::Bytes;
+use axum::extract::FromRef;
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::{Value, json};
 use tokio::sync::watch;
 
 use echotank_config::spec::FaultRequest;
@@ -243,6 +247,25 @@ pub enum OpenError {
     Thread(std::io::Error),
 }
 
+/// State of the routes.
+#[derive(Clone)]
+struct Shared {
+    port: Arc<dyn ControlPort>,
+    pages: Arc<Pages>,
+    /// True when the server stops.
+    stopped: watch::Receiver<bool>,
+}
+
+impl FromRef<Shared> for Arc<dyn ControlPort> {
+    fn from_ref(shared: &Shared) -> Self {
+        Arc::clone(&shared.port)
+    }
+}
+
+fn refusal(status: StatusCode, why: &str) -> Response {
+    (status, Json(json!({ "accepted": false, "why": why }))).into_response()
+}
+
 /// The running control server; stops when dropped.
 pub(crate) struct ControlServer {
     local_addr: SocketAddr,
@@ -272,7 +295,7 @@ impl ControlServer {
             .build()
             .map_err(OpenError::Thread)?;
         let (stop, stopped) = watch::channel(false);
-        let shared = router::Shared {
+        let shared = Shared {
             port,
             pages: Arc::new(Pages::new()),
             stopped: stopped.clone(),
@@ -305,7 +328,7 @@ impl Drop for ControlServer {
 
 async fn serve(
     listener: std::net::TcpListener,
-    shared: router::Shared,
+    shared: Shared,
     token: Option<String>,
     stopped: watch::Receiver<bool>,
 ) {

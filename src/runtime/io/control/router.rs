@@ -19,38 +19,20 @@ use axum::Json;
 use axum::Router;
 use axum::extract::connect_info::ConnectInfo;
 use axum::extract::rejection::JsonRejection;
-use axum::extract::{DefaultBodyLimit, FromRef, Request, State};
+use axum::extract::{DefaultBodyLimit, Request, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
-use serde_json::json;
-use tokio::sync::watch;
 use tracing::warn;
 
-use super::socket::{self, Pages};
-use super::{Command, ControlPort, assets};
+use super::{Command, ControlPort, Shared, assets, refusal, socket};
 use echotank_core::settings::Asker;
 
 /// Longest command, bytes.
 const MAX_BODY_BYTES: usize = 64 * 1024;
 
 type Port = State<Arc<dyn ControlPort>>;
-
-/// State of the routes.
-#[derive(Clone)]
-pub(super) struct Shared {
-    pub port: Arc<dyn ControlPort>,
-    pub(crate) pages: Arc<Pages>,
-    /// True when the server stops.
-    pub stopped: watch::Receiver<bool>,
-}
-
-impl FromRef<Shared> for Arc<dyn ControlPort> {
-    fn from_ref(shared: &Shared) -> Self {
-        Arc::clone(&shared.port)
-    }
-}
 
 pub(super) fn router(shared: Shared, token: Option<String>) -> Router {
     let guarded = Router::new()
@@ -102,10 +84,6 @@ async fn health(State(port): Port) -> impl IntoResponse {
         None => (StatusCode::OK, "ok\n".to_owned()),
         Some(why) => (StatusCode::SERVICE_UNAVAILABLE, format!("{why}\n")),
     }
-}
-
-pub(super) fn refusal(status: StatusCode, why: &str) -> Response {
-    (status, Json(json!({ "accepted": false, "why": why }))).into_response()
 }
 
 async fn guard(State(token): State<Arc<Option<String>>>, request: Request, next: Next) -> Response {

@@ -34,8 +34,7 @@ use tokio::sync::{Mutex, Semaphore, watch};
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
 
 use super::feed::{Next, Page, Want};
-use super::router::{Shared, refusal};
-use super::{Command, ControlPort};
+use super::{Command, ControlPort, Shared, refusal};
 use echotank_core::settings::Asker;
 
 /// Limit of open pages.
