@@ -13,6 +13,7 @@ pub mod counters;
 pub mod daemon;
 pub mod faults;
 pub mod first_pings;
+mod formats;
 pub mod gate;
 pub mod histograms;
 pub mod io;

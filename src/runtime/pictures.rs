@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use num_complex::Complex64;
 
+use crate::formats::Formats;
 use crate::io::record::masks::MaskRecorder;
 use crate::io::record::picture::{write_masks, write_mosaic, write_picture};
 use crate::io::record::png::write_waterfall;
 use crate::io::record::{RecordError, make_folder};
-use crate::replay::Formats;
 use echotank_config::spec::{Contrast, PictureRange, SonarSpec};
 use echotank_core::frames::angles_from_rotation;
 use echotank_core::ping::{Line, LineTruth, PingPlan, Side};

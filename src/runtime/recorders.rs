@@ -6,6 +6,7 @@ use std::sync::Arc;
 use echotank_protocols::jsf::subsystem;
 use echotank_protocols::sevenk::file::{FileDevice, FileHeader7200};
 
+use crate::formats::ReplayOptions;
 use crate::io::record::npz::NpzRecorder;
 use crate::io::record::s7k::S7kRecorder;
 use crate::io::record::sigmf::SigmfRecorder;
@@ -15,7 +16,6 @@ use crate::io::record::wav::WavRecorder;
 use crate::io::record::{RecordError, make_folder};
 use crate::outputs::row_filter;
 use crate::pictures::Pictures;
-use crate::replay::ReplayOptions;
 use crate::synthetic_aperture::SyntheticAperture;
 use echotank_config::spec::{
     JsfChannels, JsfFormat, JsfSpec, MediumSpec, OutputSpec, RigSpec, SevenKSpec, SonarSpec,

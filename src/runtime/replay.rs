@@ -3,12 +3,12 @@
 //! The output bytes depend on neither the run nor the number of threads.
 
 use std::fmt;
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use thiserror::Error;
 
 use crate::counters::{PingCounters, add};
+pub use crate::formats::{Formats, ReplayOptions};
 use crate::io::record::RecordError;
 use crate::recorded::{RecordedError, RecordedRig};
 use crate::recorders::Recorders;
@@ -42,50 +42,6 @@ pub enum ReplayError {
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
-/// The file formats that a replay writes.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Formats {
-    /// Teledyne RESON 7k records.
-    pub s7k: bool,
-    /// EdgeTech JSF messages.
-    pub jsf: bool,
-    /// Triton XTF packets.
-    pub xtf: bool,
-    /// NumPy archives of element samples, one per ping.
-    pub npz: bool,
-    /// Side-scan waterfall pictures.
-    pub png: bool,
-    /// Synthetic-aperture images, for the sonars with a synthetic aperture configured.
-    pub sas: bool,
-    /// Fan pictures of the first ping's beams.
-    pub fan: bool,
-    /// Side-scan mosaics.
-    pub mosaic: bool,
-    /// Target and shadow masks beside the waterfall.
-    pub masks: bool,
-    /// SigMF recordings of element samples.
-    pub sigmf: bool,
-    /// WAV recordings of element samples.
-    pub wav: bool,
-}
-
-impl Formats {
-    /// The name of the first requested format that needs element samples.
-    fn of_elements(&self) -> Option<&'static str> {
-        let all = [
-            (self.s7k, "s7k"),
-            (self.jsf, "jsf"),
-            (self.npz, "npz"),
-            (self.sas, "sas"),
-            (self.sigmf, "sigmf"),
-            (self.wav, "wav"),
-        ];
-        all.into_iter()
-            .find(|(asked, _)| *asked)
-            .map(|(_, name)| name)
-    }
-}
-
 /// Makes every sonar keep its element samples if a requested format needs them.
 fn keep_elements(spec: &mut RigSpec, formats: &Formats) -> Result<(), ReplayError> {
     let Some(format) = formats.of_elements() else {
@@ -102,21 +58,6 @@ fn keep_elements(spec: &mut RigSpec, formats: &Formats) -> Result<(), ReplayErro
             .get_or_insert("a file of this replay holds element samples");
     }
     Ok(())
-}
-
-/// What a replay computes and writes.
-#[derive(Clone, Debug)]
-pub struct ReplayOptions {
-    /// The folder of the output files.
-    pub out: PathBuf,
-    /// The file formats to write.
-    pub formats: Formats,
-    /// Writes `.npz` samples as complex128 instead of complex64.
-    pub f64: bool,
-    /// First and last ping number, both included. `None` replays the whole log once, even if the configuration loops it.
-    pub pings: Option<(u32, u32)>,
-    /// Compute threads; 0 means one per core.
-    pub threads: usize,
 }
 
 /// A replay that is open and has not run yet.
