@@ -6,7 +6,8 @@ use std::sync::atomic::Ordering;
 use super::server_counts::{server_lines, server_streams};
 use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts, record};
 use crate::faults::link::RecordLayout;
-use crate::io::record::svlog::SvlogRecorder;
+use crate::io::record::stream::StreamRecorder;
+use crate::io::record::svlog;
 use crate::io::serial_line::{LineCounts, SerialLine};
 use crate::io::sonar::SonarServer;
 use echotank_config::spec::PingProtocolSpec;
@@ -22,7 +23,7 @@ pub(super) struct PingProtocol {
     emitter: PingEmitter,
     server: Arc<SonarServer>,
     line: Option<SerialLine>,
-    recorder: Option<SvlogRecorder>,
+    recorder: Option<StreamRecorder>,
     /// Frames of the encoded ping, sent at its deadline.
     pending: Vec<Arc<Datagram>>,
     spread: Spread,
@@ -73,7 +74,7 @@ impl PingProtocol {
         let url = format!("tcp://{}", server.local_addr());
         let recorder = context.recording(now, "svlog")?;
         let recorder = recorder
-            .map(|path| SvlogRecorder::create(&path, output.device, &url, now))
+            .map(|path| svlog::create(&path, output.device, &url, now))
             .transpose()?;
         Ok(Self {
             name,
@@ -134,7 +135,9 @@ impl Output for PingProtocol {
     }
 
     fn close(self: Box<Self>) -> Result<(), OutputError> {
-        Ok(self.recorder.map_or(Ok(()), SvlogRecorder::close)?)
+        Ok(self
+            .recorder
+            .map_or(Ok(()), |recorder| recorder.close(&[]))?)
     }
 }
 

@@ -8,7 +8,7 @@
 //! - [`lines`]: reads the side-scan lines of a recording.
 //! - [`s7k`]: 7k records as a `.s7k` file.
 //! - [`synthetic_aperture`]: a back-projected image.
-//! - [`stream`]: concatenated protocol records, as in `.jsf` and `.xtf` files.
+//! - [`stream`]: concatenated protocol records, as in `.jsf`, `.xtf` and `.svlog` files.
 //! - [`sigmf`]: I and Q samples of the elements, with annotations for every ping.
 //! - [`wav`]: signals at the elements, for playback on a bench.
 //! - [`svlog`]: frames of the Ping protocol.

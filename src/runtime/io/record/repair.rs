@@ -216,7 +216,7 @@ mod tests {
     use super::super::recover::{recover, recover_folder};
     use super::super::sigmf::SigmfRecorder;
     use super::super::stream::StreamRecorder;
-    use super::super::svlog::SvlogRecorder;
+    use super::super::svlog;
     use super::super::testing;
     use super::super::wav::WavRecorder;
     use super::*;
@@ -294,7 +294,7 @@ mod tests {
 
         let path = dir.path().join("a.svlog");
         let device = PingDevice::Surveyor240;
-        let mut svlog = SvlogRecorder::create(&path, device, "", UtcNs(0)).expect("creates");
+        let mut svlog = svlog::create(&path, device, "", UtcNs(0)).expect("creates");
         let mut ends = vec![length(&path)];
         for _ in 0..4 {
             let mut frame = Vec::new();
@@ -304,7 +304,7 @@ mod tests {
             svlog.write(&frame).expect("writes");
             ends.push(length(&path));
         }
-        svlog.close().expect("closes");
+        svlog.close(&[]).expect("closes");
         assert_mended_wherever_it_is_cut(&path, &ends);
 
         let path = dir.path().join("faults-1.jsonl");

@@ -1,4 +1,4 @@
-//! Files of concatenated records: `.jsf` and `.xtf`.
+//! Files of concatenated records: `.jsf`, `.xtf` and `.svlog`.
 //!
 //! The file has its final name from the start and grows by whole records, so it stays readable wherever it is cut off.
 

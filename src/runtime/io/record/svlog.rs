@@ -1,93 +1,50 @@
 //! `.svlog` files: Ping protocol frames as sent to clients, after a JSON frame (message 10) that names the recorder.
 
-use std::fs::File;
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use echotank_protocols::ping_protocol::{emit_frame, message_id};
 use serde_json::json;
 
 use super::RecordError;
+use super::stream::StreamRecorder;
 use echotank_config::spec::PingDevice;
 use echotank_core::time::UtcNs;
 
-/// Records one file, which is readable up to its last whole frame.
-pub(crate) struct SvlogRecorder {
-    path: PathBuf,
-    file: File,
-    bytes: u64,
-    stopped: bool,
-}
-
-impl SvlogRecorder {
-    /// Creates the file, replacing an existing one. `url`: the device's address; `utc`: start of the recording.
-    pub(crate) fn create(
-        path: &Path,
-        device: PingDevice,
-        url: &str,
-        utc: UtcNs,
-    ) -> Result<Self, RecordError> {
-        let file = File::create(path).map_err(RecordError::io(path, "create"))?;
-        // The lock makes `recover` leave the file alone.
-        let _ = file.try_lock();
-        let mut recorder = Self {
-            path: path.to_owned(),
-            file,
-            bytes: 0,
-            stopped: false,
-        };
-        let product = match device {
-            PingDevice::Omniscan450 { .. } => "os450",
-            PingDevice::Surveyor240 => "mbes24016",
-        };
-        let timestamp = chrono::DateTime::from_timestamp_nanos(utc.0).to_rfc3339();
-        let words = json!({
-            "session_id": 1,
-            // Frames count milliseconds from `timestamp`, and readers subtract these uptimes.
-            "os_uptime": 0.0,
-            "process_uptime": 0.0,
-            "session_uptime": 0.0,
-            "session_devices": [{ "url": url, "product_id": product }],
-            "session_platform": null,
-            "session_clients": [],
-            "session_plan_name": null,
-            "is_recording": true,
-            "sonarlink_version": "",
-            "process_version": concat!("echotank ", env!("CARGO_PKG_VERSION")),
-            "timestamp": timestamp,
-            "timestamp_timezone_offset": 0,
-            "simulated": true,
-        });
-        let mut frame = Vec::new();
-        emit_frame(&mut frame, message_id::JSON_WRAPPER, 0, 0, |buf| {
-            buf.extend_from_slice(format!("{words:#}").as_bytes());
-        });
-        recorder.write(&frame)?;
-        Ok(recorder)
-    }
-
-    /// Appends one whole frame.
-    pub(crate) fn write(&mut self, frame: &[u8]) -> Result<(), RecordError> {
-        if self.stopped {
-            return Err(RecordError::Stopped {
-                path: self.path.clone(),
-            });
-        }
-        self.file.write_all(frame).map_err(|source| {
-            self.stopped = true;
-            // If this fails too, readers skip the truncated frame.
-            let _ = self.file.set_len(self.bytes);
-            RecordError::io(&self.path, "write")(source)
-        })?;
-        self.bytes += frame.len() as u64;
-        Ok(())
-    }
-
-    pub(crate) fn close(self) -> Result<(), RecordError> {
-        self.file
-            .sync_data()
-            .map_err(RecordError::io(&self.path, "close"))
-    }
+/// Creates the file, replacing an existing one, with the frame that names the recorder. `url`: the device's address; `utc`: start of the
+/// recording.
+pub(crate) fn create(
+    path: &Path,
+    device: PingDevice,
+    url: &str,
+    utc: UtcNs,
+) -> Result<StreamRecorder, RecordError> {
+    let product = match device {
+        PingDevice::Omniscan450 { .. } => "os450",
+        PingDevice::Surveyor240 => "mbes24016",
+    };
+    let timestamp = chrono::DateTime::from_timestamp_nanos(utc.0).to_rfc3339();
+    let words = json!({
+        "session_id": 1,
+        // Frames count milliseconds from `timestamp`, and readers subtract these uptimes.
+        "os_uptime": 0.0,
+        "process_uptime": 0.0,
+        "session_uptime": 0.0,
+        "session_devices": [{ "url": url, "product_id": product }],
+        "session_platform": null,
+        "session_clients": [],
+        "session_plan_name": null,
+        "is_recording": true,
+        "sonarlink_version": "",
+        "process_version": concat!("echotank ", env!("CARGO_PKG_VERSION")),
+        "timestamp": timestamp,
+        "timestamp_timezone_offset": 0,
+        "simulated": true,
+    });
+    let mut frame = Vec::new();
+    emit_frame(&mut frame, message_id::JSON_WRAPPER, 0, 0, |buf| {
+        buf.extend_from_slice(format!("{words:#}").as_bytes());
+    });
+    StreamRecorder::create(path, &frame)
 }
 
 #[cfg(test)]
@@ -102,8 +59,7 @@ mod tests {
         let path = dir.path().join("a.svlog");
         let utc = UtcNs(1_400_000_000_000_000_000);
         let mut log =
-            SvlogRecorder::create(&path, PingDevice::Surveyor240, "tcp://127.0.0.1:1", utc)
-                .expect("creates");
+            create(&path, PingDevice::Surveyor240, "tcp://127.0.0.1:1", utc).expect("creates");
         let mut frame = Vec::new();
         emit_frame(&mut frame, message_id::WATER_STATS, 1, 0, |buf| {
             buf.extend([0; 8]);
@@ -111,7 +67,7 @@ mod tests {
         for _ in 0..2 {
             log.write(&frame).expect("writes");
         }
-        log.close().expect("closes");
+        log.close(&[]).expect("closes");
         let mut ids = Vec::new();
         let mut stream = PingStream::new(PingFraming);
         stream.feed(&std::fs::read(&path).expect("there"), |item| {
@@ -133,10 +89,8 @@ mod tests {
             ("/no/such/folder/a.svlog", "create"),
             ("/dev/full", "write"),
         ] {
-            let error =
-                SvlogRecorder::create(Path::new(path), PingDevice::Surveyor240, "", UtcNs(0))
-                    .err()
-                    .expect("cannot be written");
+            let error = create(Path::new(path), PingDevice::Surveyor240, "", UtcNs(0))
+                .expect_err("cannot be written");
             let text = error.to_string();
             assert!(text.contains(path) && text.contains(action), "{text}");
         }
