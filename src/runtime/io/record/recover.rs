@@ -13,90 +13,14 @@ use echotank_protocols::sevenk::file::{CataloguePointer, FileBuilder, FileHeader
 use echotank_protocols::sevenk::{DataRecordFrame, Record, RecordStamp, WireError, record_id};
 use echotank_protocols::xtf::{FileHeader, XtfFraming};
 
+use super::repair::{KINDS, open_for_repair};
+pub use super::repair::{RecoverError, Recovered};
 use super::{RecordError, repair};
 
 /// Leading bytes that hold a record's length.
 const FRAME_BYTES: usize = 64;
 /// Longest record that this program writes, bytes.
 const MAX_RECORD_BYTES: u32 = 1 << 30;
-
-/// Outcome for one file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Recovered {
-    /// The file was closed properly.
-    Whole,
-    /// A recorder has locked the file.
-    InUse,
-    /// The file was cut off and is now valid.
-    Mended {
-        /// Number of records (the file header included), pings, lines or metadata entries in the file.
-        records: u64,
-        /// What `records` counts.
-        what: &'static str,
-        /// Length of the incomplete record that was removed, bytes.
-        cut_bytes: u64,
-    },
-}
-
-impl std::fmt::Display for Recovered {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Whole => f.write_str("is whole"),
-            Self::InUse => f.write_str("is being recorded; left alone"),
-            Self::Mended {
-                records,
-                what,
-                cut_bytes,
-            } => write!(
-                f,
-                "had been cut off: mended, {records} {what}, {cut_bytes} bytes of an unfinished one taken away"
-            ),
-        }
-    }
-}
-
-/// Why a file was not repaired.
-#[derive(Debug, thiserror::Error)]
-pub enum RecoverError {
-    /// A file system error.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// The file header is missing or malformed.
-    #[error("{}: does not begin with a 7k file header: {why}", path.display())]
-    NoHeader {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        why: WireError,
-    },
-    /// The content is not this program's; the file is unchanged.
-    #[error("{}: at byte {at}: {why}: not written by this program; left unchanged", path.display())]
-    Strange {
-        /// The file.
-        path: PathBuf,
-        /// Where, bytes from the start of the file.
-        at: u64,
-        /// What is wrong there.
-        why: String,
-    },
-    /// The kind of file is unknown.
-    #[error("{}: unknown kind of record; known are {}", path.display(), KINDS.join(", "))]
-    Unknown {
-        /// The file.
-        path: PathBuf,
-    },
-}
-
-/// Name endings of the kinds that are repaired. The files of a SigMF recording are repaired together.
-const KINDS: [&str; 7] = [
-    ".s7k",
-    ".jsf",
-    ".xtf",
-    ".svlog",
-    ".wav",
-    ".jsonl",
-    ".sigmf-meta",
-];
 
 /// Repairs one file in place.
 pub fn recover(path: &Path) -> Result<Recovered, RecoverError> {
@@ -113,18 +37,6 @@ pub fn recover(path: &Path) -> Result<Recovered, RecoverError> {
         _ => Err(RecoverError::Unknown {
             path: path.to_owned(),
         }),
-    }
-}
-
-/// Opens and locks a file for repair; `None` while a recorder holds the lock.
-pub(super) fn open_for_repair(path: &Path) -> Result<Option<File>, RecordError> {
-    let io = |action| RecordError::io(path, action);
-    let opened = File::options().read(true).write(true).open(path);
-    let file = opened.map_err(io("open"))?;
-    match file.try_lock() {
-        Ok(()) => Ok(Some(file)),
-        Err(std::fs::TryLockError::WouldBlock) => Ok(None),
-        Err(std::fs::TryLockError::Error(source)) => Err(io("lock")(source)),
     }
 }
 

@@ -1,4 +1,4 @@
-//! Repairs records other than `.s7k`: framed streams, lines, WAV and SigMF.
+//! What a repair reports, and the repair of records other than `.s7k`: framed streams, lines, WAV and SigMF.
 //!
 //! No repair loses a complete ping: only the incomplete end is removed. A file that this program's recorders cannot have left is not changed.
 
@@ -7,15 +7,105 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use echotank_protocols::framing::{Framing, Look};
+use echotank_protocols::sevenk::WireError;
 use echotank_protocols::sigmf::Recording;
 use echotank_protocols::wav::{HEADER_BYTES, WavHeader};
 
 use super::RecordError;
-use super::recover::{RecoverError, Recovered, open_for_repair};
 use super::sigmf::{Paths, journal_of};
 
 /// Bytes read at a time.
 const READ_BYTES: usize = 1 << 20;
+
+/// Outcome for one file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Recovered {
+    /// The file was closed properly.
+    Whole,
+    /// A recorder has locked the file.
+    InUse,
+    /// The file was cut off and is now valid.
+    Mended {
+        /// Number of records (the file header included), pings, lines or metadata entries in the file.
+        records: u64,
+        /// What `records` counts.
+        what: &'static str,
+        /// Length of the incomplete record that was removed, bytes.
+        cut_bytes: u64,
+    },
+}
+
+impl std::fmt::Display for Recovered {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Whole => f.write_str("is whole"),
+            Self::InUse => f.write_str("is being recorded; left alone"),
+            Self::Mended {
+                records,
+                what,
+                cut_bytes,
+            } => write!(
+                f,
+                "had been cut off: mended, {records} {what}, {cut_bytes} bytes of an unfinished one taken away"
+            ),
+        }
+    }
+}
+
+/// Why a file was not repaired.
+#[derive(Debug, thiserror::Error)]
+pub enum RecoverError {
+    /// A file system error.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The file header is missing or malformed.
+    #[error("{}: does not begin with a 7k file header: {why}", path.display())]
+    NoHeader {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        why: WireError,
+    },
+    /// The content is not this program's; the file is unchanged.
+    #[error("{}: at byte {at}: {why}: not written by this program; left unchanged", path.display())]
+    Strange {
+        /// The file.
+        path: PathBuf,
+        /// Where, bytes from the start of the file.
+        at: u64,
+        /// What is wrong there.
+        why: String,
+    },
+    /// The kind of file is unknown.
+    #[error("{}: unknown kind of record; known are {}", path.display(), KINDS.join(", "))]
+    Unknown {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+/// Name endings of the kinds that are repaired. The files of a SigMF recording are repaired together.
+pub(super) const KINDS: [&str; 7] = [
+    ".s7k",
+    ".jsf",
+    ".xtf",
+    ".svlog",
+    ".wav",
+    ".jsonl",
+    ".sigmf-meta",
+];
+
+/// Opens and locks a file for repair; `None` while a recorder holds the lock.
+pub(super) fn open_for_repair(path: &Path) -> Result<Option<File>, RecordError> {
+    let io = |action| RecordError::io(path, action);
+    let opened = File::options().read(true).write(true).open(path);
+    let file = opened.map_err(io("open"))?;
+    match file.try_lock() {
+        Ok(()) => Ok(Some(file)),
+        Err(std::fs::TryLockError::WouldBlock) => Ok(None),
+        Err(std::fs::TryLockError::Error(source)) => Err(io("lock")(source)),
+    }
+}
 
 fn strange(path: &Path, at: u64, why: impl ToString) -> RecoverError {
     RecoverError::Strange {
