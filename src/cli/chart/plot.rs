@@ -54,6 +54,14 @@ impl Axes {
 
     fn draw(&self, svg: &mut Svg, x_title: &str, y_title: &str, size: f64) {
         let (right, bottom) = (self.left + self.width, self.top + self.height);
+        let label = |svg: &mut Svg, upright: bool, value: f64, text: &str| {
+            let (x, y) = self.at(value, value);
+            let (at, anchor) = match upright {
+                true => ((x, bottom + size + 4.0), Anchor::Middle),
+                false => ((self.left - 6.0, y + 0.35 * size), Anchor::End),
+            };
+            svg.label(at, size, anchor, INK, text);
+        };
         for (low, high, upright) in [(self.x.0, self.x.1, true), (self.y.0, self.y.1, false)] {
             let every = (((high - low) / 8.0).ceil() as i32).max(1);
             for decade in low.ceil() as i32..=high.floor() as i32 {
@@ -64,38 +72,13 @@ impl Axes {
                     false => svg.line((self.left, y), (right, y), PALE, ""),
                 }
                 if decade.rem_euclid(every) == 0 {
-                    let text = power(decade);
-                    match upright {
-                        true => {
-                            svg.label((x, bottom + size + 4.0), size, Anchor::Middle, INK, &text)
-                        }
-                        false => svg.label(
-                            (self.left - 6.0, y + 0.35 * size),
-                            size,
-                            Anchor::End,
-                            INK,
-                            &text,
-                        ),
-                    }
+                    label(svg, upright, value, &power(decade));
                 }
             }
             // An axis with fewer than two decades is labelled at its ends.
             if high.floor() - low.ceil() < 1.0 {
                 for value in [10f64.powf(low), 10f64.powf(high)] {
-                    let (x, y) = self.at(value, value);
-                    let text = short(value);
-                    match upright {
-                        true => {
-                            svg.label((x, bottom + size + 4.0), size, Anchor::Middle, INK, &text)
-                        }
-                        false => svg.label(
-                            (self.left - 6.0, y + 0.35 * size),
-                            size,
-                            Anchor::End,
-                            INK,
-                            &text,
-                        ),
-                    }
+                    label(svg, upright, value, &short(value));
                 }
             }
         }
