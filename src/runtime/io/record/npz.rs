@@ -271,29 +271,12 @@ impl NpzRecorder {
         let complex = if self.double { "<c16" } else { "<c8" };
 
         let mut archive = Archive::create(&self.path)?;
-        let PerPing {
-            iq_by_element,
-            beams: beam_samples,
-            lines: line_samples,
-            more_lines,
-            ping_number,
-            ping_utc_ns,
-            transmit_position_m,
-            element_position_m,
-            velocity_m_per_s,
-            position_m,
-            attitude_deg,
-            geodetic_deg,
-            line_position_m,
-            sounding_twtt_s,
-            sounding_error_s,
-            sounding_method,
-        } = self.arrays;
+        let grown = self.arrays;
         archive.streamed(
             "iq_by_element",
             complex,
             &[pings, elements, samples],
-            iq_by_element,
+            grown.iq_by_element,
         )?;
         let element_array: Vec<u8> = (0_i32..)
             .zip(&sonar.receive)
@@ -301,7 +284,7 @@ impl NpzRecorder {
             .flat_map(i32::to_le_bytes)
             .collect();
         archive.small("element_array", "<i4", &[elements], &element_array)?;
-        archive.streamed("beams", complex, &[pings, beams, samples], beam_samples)?;
+        archive.streamed("beams", complex, &[pings, beams, samples], grown.beams)?;
         let angles: Vec<u8> = first
             .beam_angle_rad
             .iter()
@@ -312,12 +295,12 @@ impl NpzRecorder {
             "lines",
             "<f4",
             &[pings, lines.len(), first.line_samples],
-            line_samples,
+            grown.lines,
         )?;
         let pulses = &sonar.more_pulses;
         if !pulses.is_empty() {
             let shape = [pings, pulses.len(), lines.len(), first.line_samples];
-            archive.streamed("more_lines", "<f4", &shape, more_lines)?;
+            archive.streamed("more_lines", "<f4", &shape, grown.more_lines)?;
             let delays: Vec<u8> = pulses
                 .iter()
                 .flat_map(|p| p.delay_s.to_le_bytes())
@@ -341,31 +324,36 @@ impl NpzRecorder {
         ] {
             archive.small(name, "<f8", &[], &value.to_le_bytes())?;
         }
-        archive.streamed("ping_number", "<i8", &[pings], ping_number)?;
-        archive.streamed("ping_utc_ns", "<i8", &[pings], ping_utc_ns)?;
+        archive.streamed("ping_number", "<i8", &[pings], grown.ping_number)?;
+        archive.streamed("ping_utc_ns", "<i8", &[pings], grown.ping_utc_ns)?;
         archive.streamed(
             "transmit_position_m",
             "<f8",
             &[pings, 3],
-            transmit_position_m,
+            grown.transmit_position_m,
         )?;
         archive.streamed(
             "element_position_m",
             "<f8",
             &[pings, elements, 3],
-            element_position_m,
+            grown.element_position_m,
         )?;
-        archive.streamed("velocity_m_per_s", "<f8", &[pings, 3], velocity_m_per_s)?;
-        archive.streamed("position_m", "<f8", &[pings, 3], position_m)?;
-        archive.streamed("attitude_deg", "<f8", &[pings, 3], attitude_deg)?;
-        archive.streamed("geodetic_deg", "<f8", &[pings, 2], geodetic_deg)?;
+        archive.streamed(
+            "velocity_m_per_s",
+            "<f8",
+            &[pings, 3],
+            grown.velocity_m_per_s,
+        )?;
+        archive.streamed("position_m", "<f8", &[pings, 3], grown.position_m)?;
+        archive.streamed("attitude_deg", "<f8", &[pings, 3], grown.attitude_deg)?;
+        archive.streamed("geodetic_deg", "<f8", &[pings, 2], grown.geodetic_deg)?;
         let shape = [pings, lines.len(), 3];
-        archive.streamed("line_position_m", "<f8", &shape, line_position_m)?;
+        archive.streamed("line_position_m", "<f8", &shape, grown.line_position_m)?;
         if sounded(sonar) {
             let shape = [pings, beams];
-            archive.streamed("sounding_twtt_s", "<f8", &shape, sounding_twtt_s)?;
-            archive.streamed("sounding_error_s", "<f8", &shape, sounding_error_s)?;
-            archive.streamed("sounding_method", "|u1", &shape, sounding_method)?;
+            archive.streamed("sounding_twtt_s", "<f8", &shape, grown.sounding_twtt_s)?;
+            archive.streamed("sounding_error_s", "<f8", &shape, grown.sounding_error_s)?;
+            archive.streamed("sounding_method", "|u1", &shape, grown.sounding_method)?;
         }
         // NumPy text has four bytes per character, and its type holds the length.
         let text: Vec<u8> = first
