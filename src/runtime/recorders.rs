@@ -356,12 +356,19 @@ impl Recorders {
     }
 }
 
+/// The first configured output of a kind.
+macro_rules! configured {
+    ($spec:expr, $kind:ident) => {
+        $spec.outputs.iter().find_map(|output| match output {
+            OutputSpec::$kind(output) => Some(output),
+            _ => None,
+        })
+    };
+}
+
 /// The configured 7k output. Without one, all arrays on a generic side-scan.
 fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
-    let configured = spec.outputs.iter().find_map(|output| match output {
-        OutputSpec::SevenK(sevenk) => Some(sevenk),
-        _ => None,
-    });
+    let configured = configured!(spec, SevenK);
     configured.cloned().unwrap_or_else(|| SevenKSpec {
         listen: (std::net::Ipv4Addr::LOCALHOST, 0).into(),
         device_id: GENERIC_SIDE_SCAN,
@@ -376,10 +383,7 @@ fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
 
 /// The configured JSF output. Without one, the side-scan lines as envelopes, or the elements if the sonar has no side-scan lines.
 fn jsf_output(spec: &SonarSpec) -> JsfSpec {
-    let configured = spec.outputs.iter().find_map(|output| match output {
-        OutputSpec::Jsf(jsf) => Some(jsf),
-        _ => None,
-    });
+    let configured = configured!(spec, Jsf);
     let has_lines = !spec.beams.lines.is_empty();
     configured.cloned().unwrap_or_else(|| JsfSpec {
         listen: (std::net::Ipv4Addr::LOCALHOST, 0).into(),
@@ -418,30 +422,21 @@ fn first_channels(spec: &SonarSpec) -> Vec<usize> {
 }
 
 fn xtf_output(spec: &SonarSpec) -> XtfSpec {
-    let configured = spec.outputs.iter().find_map(|output| match output {
-        OutputSpec::Xtf(xtf) => Some(*xtf),
-        _ => None,
-    });
-    configured.unwrap_or(XtfSpec { is_float: false })
+    let configured = configured!(spec, Xtf);
+    configured.copied().unwrap_or(XtfSpec { is_float: false })
 }
 
 /// Records the arrays of the configured output. Without one, all arrays.
 fn begin_sigmf(folder: &Path, spec: &SonarSpec) -> Result<SigmfRecorder, RecordError> {
-    let configured = spec.outputs.iter().find_map(|output| match output {
-        OutputSpec::Sigmf(sigmf) => Some(sigmf.arrays.clone()),
-        _ => None,
-    });
+    let configured = configured!(spec, Sigmf).map(|sigmf| sigmf.arrays.clone());
     let arrays = configured.unwrap_or_else(|| (0..spec.receive.len()).collect());
     SigmfRecorder::create(&folder.join(&spec.name), &arrays, spec)
 }
 
 /// Records with the arrays and rate of the configured output. Without one, all arrays at the default rate.
 fn begin_wav(folder: &Path, spec: &SonarSpec) -> Result<WavRecorder, RecordError> {
-    let configured = spec.outputs.iter().find_map(|output| match output {
-        OutputSpec::Wav(wav) => Some(wav.clone()),
-        _ => None,
-    });
-    let output = configured.unwrap_or_else(|| WavSpec {
+    let configured = configured!(spec, Wav);
+    let output = configured.cloned().unwrap_or_else(|| WavSpec {
         arrays: (0..spec.receive.len()).collect(),
         rate_hz: WavSpec::usual_rate_hz(
             spec.pulse.center_frequency_hz + 0.5 * spec.pulse.bandwidth_hz,
