@@ -2,20 +2,17 @@
 
 use std::f64::consts::FRAC_PI_2;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use echotank_config::{self as config, spec::*};
 use echotank_core::arrays::{Pattern, ReceiverFilter, TimeVaryingGain};
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::Side;
 use echotank_core::pulse::PulseKind;
+use echotank_testing::repository;
 use glam::DVec3;
 use proptest::prelude::*;
 use serde_json::Value;
-
-fn repository() -> PathBuf {
-    echotank_testing::repository()
-}
 
 fn load(file: &str) -> RigSpec {
     echotank_runtime::config_files::load(&repository().join(file))
@@ -798,8 +795,7 @@ fn trigger_input_and_output_keys_set_the_specification() {
 
 #[test]
 fn the_template_is_accepted_as_it_stands() {
-    let rig = echotank_runtime::config_files::parse(config::template(), Path::new("/nonexistent"))
-        .unwrap_or_else(|errors| panic!("{errors}"));
+    let rig = parse_template(config::template());
     assert_eq!(rig.sonars.len(), 1);
     for line in config::template().lines() {
         assert!(line.len() <= 110, "{} columns: {line}", line.len());
@@ -1037,17 +1033,11 @@ fn any_line_may_be_left_out_and_is_either_not_needed_or_missed_by_name() {
 
 /// The minimal configuration with `lines` in `[sonar.model]`.
 fn with_model(lines: &str) -> RigSpec {
-    let minimal =
-        fs::read_to_string(repository().join("tests/data/config/minimal.toml")).expect("readable");
-    let filtered = minimal.replace(
+    let filtered = minimal().replace(
         "sample_rate_khz = 40.0",
         "sample_rate_khz = 40.0\nrx_filter = \"fir\"",
     );
-    echotank_runtime::config_files::parse(
-        &format!("{filtered}\n[sonar.model]\n{lines}\n"),
-        &repository(),
-    )
-    .unwrap_or_else(|errors| panic!("{lines}: {errors}"))
+    parse(&format!("{filtered}\n[sonar.model]\n{lines}\n"))
 }
 
 #[test]
@@ -1111,7 +1101,7 @@ fn the_default_synthesis_is_an_engine_with_the_filter_and_the_direct_sum_without
 
 #[test]
 fn every_rig_of_the_repository_is_accepted() {
-    let folder = echotank_testing::repository().join("hil-configs");
+    let folder = repository().join("hil-configs");
     let mut seen = 0;
     for entry in std::fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();
