@@ -172,7 +172,7 @@ impl Daemon {
         let mut outputs = Vec::new();
         let mut histograms = Vec::new();
         for (unit, settings) in rig.sonars.iter().zip(&settings) {
-            let own = Arc::new(Histograms::new());
+            let own = Arc::<Histograms>::default();
             let page = spec.control.listen.map(|_| PageContext {
                 feed: feed.clone(),
                 sonar: outputs.len() as u16,

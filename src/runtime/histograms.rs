@@ -15,6 +15,7 @@ const FIRST_BIN_US: u64 = 16;
 const BIN_GROWTH: f64 = 2.0;
 
 /// The latency histograms of one sonar. They allocate only when created.
+#[derive(Default)]
 pub struct Histograms {
     start_error: LatencyHistogram,
     margin: LatencyHistogram,
@@ -105,17 +106,6 @@ pub struct Figures {
 }
 
 impl Histograms {
-    /// Empty histograms with all their memory allocated.
-    pub fn new() -> Self {
-        Self {
-            start_error: LatencyHistogram::new(),
-            margin: LatencyHistogram::new(),
-            nav_to_samples: LatencyHistogram::new(),
-            hand_over: LatencyHistogram::new(),
-            pacing: LatencyHistogram::new(),
-        }
-    }
-
     /// Records the delay of a ping's delivery start after its deadline.
     pub(crate) fn start_error_us(&self, us: u64) {
         self.start_error.note(us);
@@ -143,50 +133,44 @@ impl Histograms {
 
     /// Logarithmic bins by histogram name, as (end in microseconds, count), up to the last non-empty bin.
     pub fn bins(&self) -> [(&'static str, Vec<(u64, u64)>); 5] {
-        [
-            ("start_error", self.start_error.bins()),
-            ("compute_margin", self.margin.bins()),
-            ("nav_to_samples", self.nav_to_samples.bins()),
-            ("hand_over", self.hand_over.bins()),
-            ("send_pacing", self.pacing.bins()),
-        ]
+        self.named()
+            .map(|(name, _, histogram)| (name, histogram.bins()))
     }
 
     /// Name, description and figures of every histogram.
     pub fn all(&self) -> [(&'static str, &'static str, Figures); 5] {
+        self.named()
+            .map(|(name, description, histogram)| (name, description, histogram.figures()))
+    }
+
+    fn named(&self) -> [(&'static str, &'static str, &LatencyHistogram); 5] {
         [
             (
                 "start_error",
                 "From the instant a ping's records were due until they began to be handed over",
-                self.start_error.figures(),
+                &self.start_error,
             ),
             (
                 "compute_margin",
                 "From when a ping was computed until its records were due",
-                self.margin.figures(),
+                &self.margin,
             ),
             (
                 "nav_to_samples",
                 "From the pulse until the ping was computed",
-                self.nav_to_samples.figures(),
+                &self.nav_to_samples,
             ),
             (
                 "hand_over",
                 "From the instant a ping's records were due until all were handed over",
-                self.hand_over.figures(),
+                &self.hand_over,
             ),
             (
                 "send_pacing",
                 "From the instant a group of datagrams was due until it was handed to the kernel",
-                self.pacing.figures(),
+                &self.pacing,
             ),
         ]
-    }
-}
-
-impl Default for Histograms {
-    fn default() -> Self {
-        Self::new()
     }
 }
 
@@ -196,7 +180,7 @@ mod tests {
 
     #[test]
     fn percentiles_are_within_one_percent_and_large_values_are_clamped() {
-        let histograms = Histograms::new();
+        let histograms = Histograms::default();
         for us in 1..=1000 {
             histograms.start_error_us(us);
         }
