@@ -19,8 +19,8 @@ use echotank_synthesis::comparison::replica::Replica;
 use echotank_synthesis::comparison::spectral::Bins;
 use echotank_synthesis::comparison::spectral::Spectral;
 use echotank_synthesis::comparison::spectral::Spectrum;
+use echotank_synthesis::echo::Window;
 use echotank_synthesis::echo::reference::reference_with;
-use echotank_synthesis::echo::{Window, reference};
 use echotank_synthesis::edges::Edges;
 use echotank_synthesis::error_model::Conditions;
 
@@ -45,46 +45,88 @@ impl Grid {
             count: (8e-3 * rate_hz) as usize,
         }
     }
+    /// The dense samples from which `filter` makes `count` samples.
+    fn behind(filter: &Decimator, first_s: f64, count: usize) -> Self {
+        Self {
+            rate_hz: filter.dense_rate_hz(),
+            first_s: filter.dense_first_s(first_s),
+            count: filter.dense_len(count),
+        }
+    }
     fn time_s(&self, k: usize) -> f64 {
         self.first_s + k as f64 / self.rate_hz
     }
 }
 
-fn direct(
+/// Transmitter, receiver and scatterers.
+type Setup = (TransmitArray, ArrayGeometry, Scatterers);
+
+/// One point before a transmitter and an element at the reference point.
+fn one_point(at_m: DVec3) -> Setup {
+    (
+        transmitter(DVec3::ZERO),
+        element(DVec3::ZERO),
+        points([at_m]),
+    )
+}
+
+/// A sum at one element, with the weighting of the pulse's edges.
+type Method = fn(&PingPlan, &Setup, usize, Grid, Edges) -> (Vec<Complex64>, EchoCounts);
+
+fn direct_with(
     plan: &PingPlan,
-    tx: &TransmitArray,
-    rx: &ArrayGeometry,
+    (tx, rx, scatterers): &Setup,
     element: usize,
-    scatterers: &Scatterers,
     grid: Grid,
+    edges: Edges,
 ) -> (Vec<Complex64>, EchoCounts) {
     let mut out = vec![Complex64::ZERO; grid.count];
     let window = Window::of_samples(grid.first_s, grid.rate_hz, grid.count);
-    let mut sink = Direct::new(plan, grid.rate_hz, grid.first_s, &mut out);
+    let mut sink = Direct::new(plan, grid.rate_hz, grid.first_s, &mut out).with_edges(edges);
     let counts = walk(plan, tx, rx, element, window, scatterers, &mut sink);
     (out, counts)
 }
 
-fn truth(
+fn truth_with(
     plan: &PingPlan,
-    tx: &TransmitArray,
-    rx: &ArrayGeometry,
+    (tx, rx, scatterers): &Setup,
     element: usize,
-    scatterers: &Scatterers,
     grid: Grid,
+    edges: Edges,
 ) -> (Vec<Complex64>, EchoCounts) {
     let mut out = vec![Complex64::ZERO; grid.count];
-    let counts = reference(
-        plan,
-        tx,
-        rx,
-        element,
-        scatterers,
-        grid.rate_hz,
-        grid.first_s,
-        &mut out,
+    let (rate_hz, first_s) = (grid.rate_hz, grid.first_s);
+    let counts = reference_with(
+        edges, plan, tx, rx, element, scatterers, rate_hz, first_s, &mut out,
     );
     (out, counts)
+}
+
+fn direct(
+    plan: &PingPlan,
+    setup: &Setup,
+    element: usize,
+    grid: Grid,
+) -> (Vec<Complex64>, EchoCounts) {
+    direct_with(plan, setup, element, grid, Edges::Sampled)
+}
+
+fn truth(
+    plan: &PingPlan,
+    setup: &Setup,
+    element: usize,
+    grid: Grid,
+) -> (Vec<Complex64>, EchoCounts) {
+    truth_with(plan, setup, element, grid, Edges::Sampled)
+}
+
+/// Largest phase difference. Samples at an edge may fall on either side of it: compared where both are nonzero.
+fn max_phase_difference_rad(a: &[Complex64], b: &[Complex64]) -> f64 {
+    a.iter()
+        .zip(b)
+        .filter(|(a, b)| a.norm() > 0.0 && b.norm() > 0.0)
+        .map(|(a, b)| (a / b).arg().abs())
+        .fold(0.0, f64::max)
 }
 
 fn peak(x: &[Complex64]) -> f64 {
@@ -138,15 +180,12 @@ fn one_static_point_matches_the_direct_formula_in_both_methods() {
                 Complex64::from_polar(amplitude * level, phase)
             })
             .collect();
-        for (name, got) in [("direct", direct as Method), ("reference", truth as Method)] {
-            let (got, counts) = got(
-                &plan,
-                &transmitter(tx_m),
-                &element(rx_m),
-                0,
-                &points([at_m]),
-                grid,
-            );
+        for (name, got) in [
+            ("direct", direct_with as Method),
+            ("reference", truth_with as Method),
+        ] {
+            let setup = (transmitter(tx_m), element(rx_m), points([at_m]));
+            let (got, counts) = got(&plan, &setup, 0, grid, Edges::Sampled);
             let error = worst_difference(&got, &want) / amplitude;
             assert!(error < 1e-9, "{name}, {kind:?}: {error:e}");
             assert_eq!(counts.used, 1);
@@ -154,17 +193,8 @@ fn one_static_point_matches_the_direct_formula_in_both_methods() {
     }
 }
 
-type Method = fn(
-    &PingPlan,
-    &TransmitArray,
-    &ArrayGeometry,
-    usize,
-    &Scatterers,
-    Grid,
-) -> (Vec<Complex64>, EchoCounts);
-
 /// A few hundred points, two arrays with patterns, normals and both scattering laws.
-pub(crate) fn busy() -> (TransmitArray, ArrayGeometry, Scatterers) {
+pub(crate) fn busy() -> Setup {
     let mut tx = transmitter(DVec3::new(0.4, 0.0, 0.0));
     tx.pattern = Pattern::Rectangle {
         length_m: 0.01,
@@ -195,7 +225,7 @@ pub(crate) fn busy() -> (TransmitArray, ArrayGeometry, Scatterers) {
 
 #[test]
 fn without_motion_direct_is_the_reference_to_1e_9() {
-    let (tx, rx, scatterers) = busy();
+    let setup = busy();
     let mut plan = ahead(0.0);
     plan.pulse.taper = 0.1;
     let grid = Grid {
@@ -205,8 +235,8 @@ fn without_motion_direct_is_the_reference_to_1e_9() {
     };
     let mut worst: f64 = 0.0;
     for element in [0, 3, 7] {
-        let (got, counts) = direct(&plan, &tx, &rx, element, &scatterers, grid);
-        let (want, want_counts) = truth(&plan, &tx, &rx, element, &scatterers, grid);
+        let (got, counts) = direct(&plan, &setup, element, grid);
+        let (want, want_counts) = truth(&plan, &setup, element, grid);
         assert_eq!(counts.outside_window, want_counts.outside_window);
         worst = worst.max(relative_l2(&got, &want));
     }
@@ -227,18 +257,12 @@ fn in_uniform_motion_direct_differs_from_the_reference_by_the_residual_phase() {
         let (sin, cos) = theta_deg.to_radians().sin_cos();
         let at_m = DVec3::new(r * cos, 0.8 * r * sin, 0.6 * r * sin);
         let grid = Grid::around(r, 200e3);
-        let tools = (transmitter(DVec3::ZERO), element(DVec3::ZERO));
-        let (got, _) = direct(&plan, &tools.0, &tools.1, 0, &points([at_m]), grid);
-        let (want, _) = truth(&plan, &tools.0, &tools.1, 0, &points([at_m]), grid);
+        let setup = one_point(at_m);
+        let (got, _) = direct(&plan, &setup, 0, grid);
+        let (want, _) = truth(&plan, &setup, 0, grid);
         // f is f_c + B/2 at the end of an up sweep; with f_c alone the bound is exceeded by 1.4 to 5 %.
         let bound = TAU * (CARRIER_HZ + 15e3) * (v * sin).powi(2) * 5e-3_f64.powi(2) / (r * C);
-        // Samples at an edge may fall on either side of it: compare where both are nonzero.
-        let error = got
-            .iter()
-            .zip(&want)
-            .filter(|(a, b)| a.norm() > 0.0 && b.norm() > 0.0)
-            .map(|(a, b)| (a / b).arg().abs())
-            .fold(0.0, f64::max);
+        let error = max_phase_difference_rad(&got, &want);
         println!("v {v}, r {r}, theta {theta_deg}: {error:.3e} rad, bound {bound:.3e}");
         assert!(
             error < 1.02 * bound && error > 0.95 * bound,
@@ -264,12 +288,13 @@ fn near_a_tenth_of_the_speed_of_sound_delays_edges_and_amplitudes_still_agree() 
         first_s: 0.0801,
         count: 12_000,
     };
-    let tools = (
+    let setup = (
         transmitter(DVec3::ZERO),
         element(DVec3::new(-1.0, 0.0, 0.0)),
+        points([at_m]),
     );
-    let (got, counts) = direct(&plan, &tools.0, &tools.1, 0, &points([at_m]), grid);
-    let (want, _) = truth(&plan, &tools.0, &tools.1, 0, &points([at_m]), grid);
+    let (got, counts) = direct(&plan, &setup, 0, grid);
+    let (want, _) = truth(&plan, &setup, 0, grid);
     assert_eq!(counts.used, 1);
     let first = |x: &[Complex64]| x.iter().position(|s| s.norm() > 0.0).expect("an echo");
     let k = first(&want);
@@ -299,7 +324,7 @@ fn a_cw_echo_has_the_doppler_shift_of_mid_pulse_within_0p1_hz() {
         DVec3::new(150.0, 1.0, 1.0),
     ] {
         let grid = Grid::around(at_m.length(), 100e3);
-        let tools = (transmitter(DVec3::ZERO), element(DVec3::ZERO));
+        let setup = one_point(at_m);
         // eta at a time: transmitted at t', received near t' + 2 r / c.
         let eta = |emitted_s: f64| {
             let x_t = v * emitted_s;
@@ -312,12 +337,12 @@ fn a_cw_echo_has_the_doppler_shift_of_mid_pulse_within_0p1_hz() {
             let cos_r = (at_m.x - v * u) / (at_m - DVec3::X * (v * u)).length();
             (C + v * cos_r) / (C - v * cos_t)
         };
-        let (exact, _) = truth(&plan, &tools.0, &tools.1, 0, &points([at_m]), grid);
+        let (exact, _) = truth(&plan, &setup, 0, grid);
         let want = CARRIER_HZ * (eta(2.5e-3) - 1.0);
         let got = mean_frequency_hz(&exact, grid.rate_hz);
         println!("{at_m}: mid-pulse {want} Hz, reference {got} Hz");
         assert!((got - want).abs() < 0.1, "{at_m}: {got}, {want} Hz");
-        let (linear, _) = direct(&plan, &tools.0, &tools.1, 0, &points([at_m]), grid);
+        let (linear, _) = direct(&plan, &setup, 0, grid);
         let want = CARRIER_HZ * (eta(0.0) - 1.0);
         let got = mean_frequency_hz(&linear, grid.rate_hz);
         assert!(
@@ -350,14 +375,8 @@ fn a_turning_platform_shifts_the_echo_at_an_element_on_an_arm() {
     let at_m = DVec3::new(0.0, 75.0, 0.0);
     let grid = Grid::around(75.0, 100e3);
     // One metre ahead, a turn to starboard moves it towards the point by 0.2 m/s times the cosine of a tenth of 0.2 rad.
-    let (got, _) = truth(
-        &plan,
-        &transmitter(DVec3::ZERO),
-        &element(DVec3::X),
-        0,
-        &points([at_m]),
-        grid,
-    );
+    let setup = (transmitter(DVec3::ZERO), element(DVec3::X), points([at_m]));
+    let (got, _) = truth(&plan, &setup, 0, grid);
     let received_s = 0.1 + 2.5e-3;
     let angle = rate_rad_per_s * received_s;
     let place = DVec3::new(angle.cos(), angle.sin(), 0.0);
@@ -380,10 +399,10 @@ fn doppler_moves_a_compressed_lfm_by_the_stated_range_within_1_percent() {
             let (b, t) = (plan.pulse.bandwidth_hz, plan.pulse.duration_s);
             let at_m = DVec3::new(along, (1.0_f64 - along * along).sqrt(), 0.0) * r;
             let grid = Grid::around(r, rate_hz);
-            let tools = (transmitter(DVec3::ZERO), element(DVec3::ZERO));
-            let (sink, _) = collect(&plan, &tools.0, &tools.1, 0, ALWAYS, &points([at_m]));
+            let setup = one_point(at_m);
+            let (sink, _) = collect(&plan, &setup.0, &setup.1, 0, ALWAYS, &setup.2);
             let arrival = sink.arrivals[0];
-            let (x, _) = direct(&plan, &tools.0, &tools.1, 0, &points([at_m]), grid);
+            let (x, _) = direct(&plan, &setup, 0, grid);
             // Correlation with the replica that starts at `lag` seconds into the grid.
             let level = |start_s: f64| {
                 let sum: Complex64 = x
@@ -413,13 +432,13 @@ fn doppler_moves_a_compressed_lfm_by_the_stated_range_within_1_percent() {
 fn shorter_segments_reduce_the_error_on_a_moving_platform() {
     let mut plan = restless();
     // Transmitter and element at the reference point: attitude moves neither, so only the track remains.
-    let tools = (transmitter(DVec3::ZERO), element(DVec3::ZERO));
     let at_m = DVec3::new(20.0, 90.0, 30.0);
+    let setup = one_point(at_m);
     let grid = Grid::around(at_m.length(), 100e3);
-    let (want, _) = truth(&plan, &tools.0, &tools.1, 0, &points([at_m]), grid);
+    let (want, _) = truth(&plan, &setup, 0, grid);
     let errors = [2, 8, 32].map(|count| {
         chords(&mut plan, 0.256, count);
-        let (got, _) = direct(&plan, &tools.0, &tools.1, 0, &points([at_m]), grid);
+        let (got, _) = direct(&plan, &setup, 0, grid);
         worst_difference(&got[200..500], &want[200..500]) / peak(&want)
     });
     println!("{errors:?}");
@@ -432,20 +451,20 @@ fn shorter_segments_reduce_the_error_on_a_moving_platform() {
 #[test]
 fn the_edges_of_the_record_cut_echoes_and_nothing_else() {
     let plan = ahead(3.0);
-    let (tx, rx, scatterers) = busy();
+    let setup = busy();
     let long = Grid {
         rate_hz: 50e3,
         first_s: 0.03,
         count: 6000,
     };
-    let (whole, _) = direct(&plan, &tx, &rx, 2, &scatterers, long);
+    let (whole, _) = direct(&plan, &setup, 2, long);
     let (from, count) = (1500, 900);
     let part = Grid {
         first_s: long.time_s(from),
         count,
         ..long
     };
-    let (cut, counts) = direct(&plan, &tx, &rx, 2, &scatterers, part);
+    let (cut, counts) = direct(&plan, &setup, 2, part);
     assert!(counts.outside_window > 50 && counts.used > 50, "{counts:?}");
     let error = worst_difference(&cut, &whole[from..from + count]) / peak(&whole);
     assert!(error < 1e-10, "{error:e}");
@@ -454,73 +473,18 @@ fn the_edges_of_the_record_cut_echoes_and_nothing_else() {
         first_s: 0.5,
         ..part
     };
-    let (silent, counts) = direct(&plan, &tx, &rx, 2, &scatterers, after);
+    let (silent, counts) = direct(&plan, &setup, 2, after);
     assert!(peak(&silent) == 0.0 && counts.used == 0);
 }
 
 /// The sum through the receiver filter at `factor` dense samples per sample of 40 kHz.
-fn filtered(plan: &PingPlan, method: Dense, edges: Edges, factor: usize) -> Vec<Complex64> {
-    let (tx, rx, scatterers) = busy();
+fn filtered(plan: &PingPlan, method: Method, edges: Edges, factor: usize) -> Vec<Complex64> {
     let filter = Decimator::new(&plan.pulse, 40e3, 300.0, factor).expect("40 kHz is enough");
     let count = 2500;
-    let grid = Grid {
-        rate_hz: filter.dense_rate_hz(),
-        first_s: filter.dense_first_s(0.0401),
-        count: filter.dense_len(count),
-    };
-    let dense = method(plan, &tx, &rx, 3, &scatterers, grid, edges);
+    let grid = Grid::behind(&filter, 0.0401, count);
+    let (dense, _) = method(plan, &busy(), 3, grid, edges);
     let mut out = vec![Complex64::ZERO; count];
     filter.apply(&dense, &mut out);
-    out
-}
-
-type Dense = fn(
-    &PingPlan,
-    &TransmitArray,
-    &ArrayGeometry,
-    usize,
-    &Scatterers,
-    Grid,
-    Edges,
-) -> Vec<Complex64>;
-
-fn dense_direct(
-    plan: &PingPlan,
-    tx: &TransmitArray,
-    rx: &ArrayGeometry,
-    element: usize,
-    scatterers: &Scatterers,
-    grid: Grid,
-    edges: Edges,
-) -> Vec<Complex64> {
-    let mut out = vec![Complex64::ZERO; grid.count];
-    let window = Window::of_samples(grid.first_s, grid.rate_hz, grid.count);
-    let mut sink = Direct::new(plan, grid.rate_hz, grid.first_s, &mut out).with_edges(edges);
-    walk(plan, tx, rx, element, window, scatterers, &mut sink);
-    out
-}
-
-fn dense_truth(
-    plan: &PingPlan,
-    tx: &TransmitArray,
-    rx: &ArrayGeometry,
-    element: usize,
-    scatterers: &Scatterers,
-    grid: Grid,
-    edges: Edges,
-) -> Vec<Complex64> {
-    let mut out = vec![Complex64::ZERO; grid.count];
-    reference_with(
-        edges,
-        plan,
-        tx,
-        rx,
-        element,
-        scatterers,
-        grid.rate_hz,
-        grid.first_s,
-        &mut out,
-    );
     out
 }
 
@@ -528,8 +492,8 @@ fn dense_truth(
 fn density_error(taper: f64, edges: Edges, factor: usize) -> f64 {
     let mut plan = ahead(2.0);
     plan.pulse.taper = taper;
-    let dense = filtered(&plan, dense_direct, edges, 8 * factor);
-    relative_l2(&filtered(&plan, dense_direct, edges, factor), &dense)
+    let dense = filtered(&plan, direct_with, edges, 8 * factor);
+    relative_l2(&filtered(&plan, direct_with, edges, factor), &dense)
 }
 
 #[test]
@@ -577,20 +541,15 @@ fn an_edge_that_falls_on_a_sample_is_weighted_like_any_other() {
     let pulse = lfm(30e3, 5e-3);
     let filter = Decimator::new(&pulse, 40e3, 300.0, 24).expect("40 kHz is enough");
     let plan = ahead(0.0);
-    let (tx, rx) = (transmitter(DVec3::ZERO), element(DVec3::ZERO));
     // 960 kHz: a step is 0.78125 mm of range.
     let step_m = 0.5 * C / filter.dense_rate_hz();
     let count = 400;
     let at = |shift: f64| {
         let range_m = (48_000.0 + shift) * step_m;
-        let grid = Grid {
-            rate_hz: filter.dense_rate_hz(),
-            first_s: filter.dense_first_s(0.049),
-            count: filter.dense_len(count),
-        };
-        let scatterer = points([DVec3::Y * range_m]);
-        let pair = [dense_direct as Dense, dense_truth as Dense].map(|method| {
-            let dense = method(&plan, &tx, &rx, 0, &scatterer, grid, Edges::Weighted);
+        let grid = Grid::behind(&filter, 0.049, count);
+        let setup = one_point(DVec3::Y * range_m);
+        let pair = [direct_with as Method, truth_with as Method].map(|method| {
+            let (dense, _) = method(&plan, &setup, 0, grid, Edges::Weighted);
             let mut out = vec![Complex64::ZERO; count];
             filter.apply(&dense, &mut out);
             // Without the carrier, whose phase advances by a third of a turn per step.
@@ -614,22 +573,18 @@ fn an_edge_that_falls_on_a_sample_is_weighted_like_any_other() {
 /// The production chain: both methods behind the same filter at the same density.
 #[test]
 fn behind_the_same_filter_direct_is_the_reference_to_1e_9_without_motion() {
-    let (tx, rx, scatterers) = busy();
+    let setup = busy();
     let plan = ahead(0.0);
     let filter = Decimator::new(&plan.pulse, 40e3, 300.0, 6).expect("40 kHz is enough");
     let count = 600;
-    let grid = Grid {
-        rate_hz: filter.dense_rate_hz(),
-        first_s: filter.dense_first_s(0.0601),
-        count: filter.dense_len(count),
-    };
-    let through = |method: Dense| {
-        let dense = method(&plan, &tx, &rx, 5, &scatterers, grid, Edges::Weighted);
+    let grid = Grid::behind(&filter, 0.0601, count);
+    let through = |method: Method| {
+        let (dense, _) = method(&plan, &setup, 5, grid, Edges::Weighted);
         let mut out = vec![Complex64::ZERO; count];
         filter.apply(&dense, &mut out);
         out
     };
-    let error = relative_l2(&through(dense_direct), &through(dense_truth));
+    let error = relative_l2(&through(direct_with), &through(truth_with));
     assert!(error < 1e-9, "{error:e}");
 }
 
@@ -645,21 +600,16 @@ fn the_quadratic_term_takes_the_residual_phase_of_uniform_motion_away() {
     ] {
         let (sin, cos) = theta_deg.to_radians().sin_cos();
         let at_m = DVec3::new(r * cos, 0.8 * r * sin, 0.6 * r * sin);
-        let tools = (transmitter(DVec3::ZERO), element(DVec3::ZERO));
+        let setup = one_point(at_m);
         let grid = Grid::around(r, 200e3);
         let linear = TAU * (CARRIER_HZ + 15e3) * (v * sin).powi(2) * 5e-3_f64.powi(2) / (r * C);
         for path in &PathModel::ALL[1..] {
             let mut plan = ahead(v);
             plan.model.path = *path;
             plan.model.doppler = DopplerModel::StretchQuadratic;
-            let (got, _) = direct(&plan, &tools.0, &tools.1, 0, &points([at_m]), grid);
-            let (want, _) = truth(&plan, &tools.0, &tools.1, 0, &points([at_m]), grid);
-            let error = got
-                .iter()
-                .zip(&want)
-                .filter(|(a, b)| a.norm() > 0.0 && b.norm() > 0.0)
-                .map(|(a, b)| (a / b).arg().abs())
-                .fold(0.0, f64::max);
+            let (got, _) = direct(&plan, &setup, 0, grid);
+            let (want, _) = truth(&plan, &setup, 0, grid);
+            let error = max_phase_difference_rad(&got, &want);
             println!(
                 "{path:?} v {v}, r {r}, theta {theta_deg}: {error:.1e} rad, linear {linear:.1e}"
             );
@@ -677,22 +627,23 @@ fn the_quadratic_term_takes_the_residual_phase_of_uniform_motion_away() {
 /// model.
 #[test]
 fn continuous_with_the_quadratic_term_is_the_reference_on_a_restless_platform() {
-    let tools = (
-        transmitter(DVec3::new(1.5, 0.2, 0.8)),
-        element(DVec3::new(-3.0, 0.4, 0.2)),
-    );
     let scatterers = points(
         (0..40).map(|k| DVec3::new(60.0 * (weyl(k, 0) - 0.5), 50.0 + 12.0 * weyl(k, 1), 30.0)),
+    );
+    let setup = (
+        transmitter(DVec3::new(1.5, 0.2, 0.8)),
+        element(DVec3::new(-3.0, 0.4, 0.2)),
+        scatterers,
     );
     let mut plan = restless();
     plan.pulse.taper = 0.1;
     let grid = Grid::around(65.0, 100e3);
-    let (want, _) = truth(&plan, &tools.0, &tools.1, 0, &scatterers, grid);
+    let (want, _) = truth(&plan, &setup, 0, grid);
     let mut error = |path: PathModel, doppler: DopplerModel, count: usize| {
         chords(&mut plan, 0.256, count);
         plan.model.path = path;
         plan.model.doppler = doppler;
-        let (got, _) = direct(&plan, &tools.0, &tools.1, 0, &scatterers, grid);
+        let (got, _) = direct(&plan, &setup, 0, grid);
         let error = relative_l2(&got, &want);
         println!(
             "{} of {count}, {}: {error:.1e}",
