@@ -1,51 +1,14 @@
 //! A ping does not allocate after buffers have processed the largest: every synthesis, with an error check.
 
 use echotank_testing::allocations;
-use std::path::Path;
+use echotank_testing::pings::{plan_on, small_rig};
 
 use echotank_core::frames::{Trajectory, rotation_from_angles};
-use echotank_core::navigation::NavState;
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::{ScatterLaw, Scatterers};
-use echotank_core::time::UtcNs;
 use echotank_ping::pipeline::SonarPipeline;
-use echotank_ping::{self as ping, PingOrder};
 use glam::DVec3;
 use num_complex::Complex64;
-
-const CONFIGURATION: &str = r#"
-[[nav.source]]
-name = "gnss"
-kind = "udp"
-listen = "127.0.0.1:10110"
-[scene.seabed]
-shape = "plane"
-depth_m = 40.0
-[[sonar]]
-name = "main"
-[sonar.pulse]
-kind = "lfm"
-center_frequency_khz = 400.0
-bandwidth_khz = 30.0
-duration_ms = 2.0
-[[sonar.transmit]]
-name = "tx"
-[[sonar.receive]]
-name = "rx"
-elements = 12
-spacing_m = 0.002
-[sonar.receiver]
-sample_rate_khz = 60.0
-rx_filter = "fir"
-[sonar.ping]
-range_m = 30.0
-rate_hz = 5.0
-source_level_db = 200.0
-[sonar.limits]
-pulse_duration_ms = [1.0, 2.0]
-[sonar.model]
-error_check = true
-"#;
 
 #[test]
 fn no_path_model_and_no_synthesis_allocates_after_warm_up() {
@@ -67,9 +30,12 @@ fn no_path_model_and_no_synthesis_allocates_after_warm_up() {
         "doppler = \"none\"\nsynthesis = \"nearest\"",
         "doppler = \"none\"\nsynthesis = \"linear\"",
     ] {
-        let text = format!("{CONFIGURATION}{model}\n");
-        let rig = echotank_runtime::config_files::parse(&text, Path::new("."))
-            .expect("a good configuration");
+        let rig = small_rig(
+            12,
+            "rx_filter = \"fir\"",
+            "[sonar.limits]\npulse_duration_ms = [1.0, 2.0]",
+            &format!("error_check = true\n{model}"),
+        );
         let sonar = &rig.sonars[0];
         // One thread with its own pool: allocations of the pool itself do not count.
         let pool = rayon::ThreadPoolBuilder::new()
@@ -78,24 +44,16 @@ fn no_path_model_and_no_synthesis_allocates_after_warm_up() {
             .expect("a pool");
         let mut plans: Vec<PingPlan> = (1..=100)
             .map(|number| {
-                let mut plan = ping::blank(0, sonar, &rig.medium, 0.05);
-                plan.trajectory = Trajectory::uniform(
-                    DVec3::ZERO,
-                    DVec3::new(5.0, 1.0, 0.3),
-                    rotation_from_angles(0.0, 0.0, 0.0),
-                );
                 let mut settings = sonar.settings;
                 // The pulse changes now and then, the longest first. "gridded-2d" makes new tables for another pulse.
                 let shorter = number / 10 % 2 == 1 && !model.contains("gridded-2d");
                 settings.pulse_duration_s = if shorter { 1.5e-3 } else { 2e-3 };
-                let order = PingOrder {
-                    ping_number: number,
-                    transmit_utc: UtcNs(0),
-                    settings,
-                    period_s: 0.2,
-                };
-                ping::fill(&mut plan, sonar, &order, NavState::default(), UtcNs(0));
-                plan
+                let trajectory = Trajectory::uniform(
+                    DVec3::ZERO,
+                    DVec3::new(5.0, 1.0, 0.3),
+                    rotation_from_angles(0.0, 0.0, 0.0),
+                );
+                plan_on(trajectory, &rig, number, settings)
             })
             .collect();
         let measured = plans.split_off(60);

@@ -1,15 +1,10 @@
 //! The ping path does not allocate after warm-up. A separate binary, because it counts with the global allocator.
 
-use echotank_testing::allocations;
-use std::sync::Arc;
-
-use echotank_config::spec::{Density, NavMode};
+use echotank_config::spec::Density;
 use echotank_core::model::Synthesis;
-use echotank_nav::Coverage;
-use echotank_ping::Schedule;
 use echotank_ping::rig::pool;
-use echotank_runtime::clock::VirtualClock;
-use echotank_runtime::io::nav::NavInputs;
+use echotank_testing::allocations;
+use echotank_testing::pings::LoggedPings;
 
 /// Allocations in each of the last pings of `count`.
 fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize) -> Vec<u64> {
@@ -30,35 +25,13 @@ fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize
     }
     let pool = pool(threads).expect("threads");
     pool.install(|| {
-        let mut rig = echotank_runtime::rig::open(&spec).expect("rig");
-        let mut inputs =
-            NavInputs::open(&spec.nav, Arc::new(VirtualClock::default())).expect("nav");
-        while rig.history.first_usable_utc().is_none() {
-            assert!(inputs.pull_next(&mut rig.history));
-        }
-        let first = rig.history.first_usable_utc().expect("nav");
-        let mut schedule = Schedule::starting_at(first, rig.medium().sound_speed_m_per_s);
-        let mut slot = rig.slot(0);
-        let settings = spec.sonars[0].settings;
+        let mut pings = LoggedPings::open(&spec).expect("rig").expect("nav");
         let mut counted = Vec::new();
         for ping in 0..count {
-            let order = schedule
-                .due(schedule.next_utc(), |_| settings)
-                .expect("due");
-            let end = order.transmit_utc.plus_s(rig.window_s(0, &order));
-            while rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
-                assert!(inputs.pull_next(&mut rig.history), "the log is long enough");
-            }
+            let order = pings.next_order().expect("due");
+            assert!(pings.cover(&order), "the log is long enough");
             let before = allocations::in_all_threads();
-            echotank_ping::make_ping(
-                &mut rig,
-                0,
-                &order,
-                NavMode::Settle,
-                order.transmit_utc,
-                &mut slot,
-            )
-            .expect("covered");
+            pings.make(&order).expect("covered");
             if ping >= count - watched {
                 counted.push(allocations::in_all_threads() - before);
             }

@@ -6,6 +6,8 @@ pub mod echo;
 #[cfg(feature = "echo")]
 pub mod line_scene;
 pub mod nav;
+#[cfg(feature = "pings")]
+pub mod pings;
 #[cfg(feature = "scene")]
 pub mod seeds;
 pub mod track;

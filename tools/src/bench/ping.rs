@@ -4,16 +4,11 @@
 //! follow each other without pacing, on the navigation's virtual time.
 
 use std::path::Path;
-use std::sync::Arc;
 use std::time::Instant;
 
 use echotank_config as config;
-use echotank_config::spec::NavMode;
-use echotank_nav::Coverage;
-use echotank_ping::Schedule;
 use echotank_ping::rig::pool;
-use echotank_runtime::clock::VirtualClock;
-use echotank_runtime::io::nav::NavInputs;
+use echotank_testing::pings::LoggedPings;
 
 use super::report::Report;
 
@@ -66,49 +61,25 @@ struct Pinged {
 }
 
 fn pinged(spec: &config::spec::RigSpec, pings: usize) -> Result<Pinged, String> {
-    let mut rig = echotank_runtime::rig::open(spec).map_err(|e| e.to_string())?;
-    let clock = Arc::new(VirtualClock::default());
-    let mut inputs = NavInputs::open(&spec.nav, clock).map_err(|e| e.to_string())?;
     let ended = || "the navigation log ends before the pings do".to_string();
-    while rig.history.first_usable_utc().is_none() {
-        if !inputs.pull_next(&mut rig.history) {
-            return Err(ended());
-        }
-    }
-    let first = rig.history.first_usable_utc().ok_or_else(ended)?;
-    let mut schedule = Schedule::starting_at(first, rig.medium().sound_speed_m_per_s);
-    let mut slot = rig.slot(0);
-    let settings = spec.sonars[0].settings;
+    let mut log = LoggedPings::open(spec)?.ok_or_else(ended)?;
     let mut done = Pinged {
         ms: Vec::new(),
         error: None,
         echoes: 0,
     };
     for ping in 0..pings + WARM_UP {
-        let order = schedule
-            .due(schedule.next_utc(), |_| settings)
-            .ok_or("the sonar does not ping")?;
-        let end = order.transmit_utc.plus_s(rig.window_s(0, &order));
-        while rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
-            if !inputs.pull_next(&mut rig.history) {
-                return Err(ended());
-            }
+        let order = log.next_order()?;
+        if !log.cover(&order) {
+            return Err(ended());
         }
         let start = Instant::now();
-        echotank_ping::make_ping(
-            &mut rig,
-            0,
-            &order,
-            NavMode::Settle,
-            order.transmit_utc,
-            &mut slot,
-        )
-        .map_err(|e| format!("{e:?}"))?;
+        log.make(&order)?;
         if ping >= WARM_UP {
             done.ms.push(start.elapsed().as_secs_f64() * 1e3);
         }
-        done.error = slot.output.error_check.map(|c| c.error).or(done.error);
-        done.echoes = slot.output.counts.used;
+        done.error = log.slot.output.error_check.map(|c| c.error).or(done.error);
+        done.echoes = log.slot.output.counts.used;
     }
     Ok(done)
 }

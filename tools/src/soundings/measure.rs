@@ -2,18 +2,14 @@
 
 use std::fmt::Write as _;
 use std::path::Path;
-use std::sync::Arc;
 
 use echotank_config::spec::{
-    BottomSpec, Density, IncidenceSpec, NavInputSpec, NavMode, RigSpec, SeabedShape, SeabedSpec,
+    BottomSpec, Density, IncidenceSpec, NavInputSpec, RigSpec, SeabedShape, SeabedSpec,
     VerticalSpec,
 };
 use echotank_core::ping::{Detection, PingPlan, Sounding};
-use echotank_nav::Coverage;
-use echotank_ping::Schedule;
 use echotank_ping::rig::pool;
-use echotank_runtime::clock::VirtualClock;
-use echotank_runtime::io::nav::NavInputs;
+use echotank_testing::pings::LoggedPings;
 use glam::DVec3;
 
 /// A bottom and a motion.
@@ -151,17 +147,7 @@ pub(crate) fn measure(
 }
 
 fn run(case: Case, spec: &RigSpec, pings: usize) -> Result<Soundings, String> {
-    let mut rig = echotank_runtime::rig::open(spec).map_err(|e| e.to_string())?;
-    let clock = Arc::new(VirtualClock::default());
-    let mut inputs = NavInputs::open(&spec.nav, clock).map_err(|e| e.to_string())?;
-    while rig.history.first_usable_utc().is_none() {
-        if !inputs.pull_next(&mut rig.history) {
-            return Err("the navigation has no position".into());
-        }
-    }
-    let first = rig.history.first_usable_utc().ok_or("no navigation")?;
-    let mut schedule = Schedule::starting_at(first, rig.medium().sound_speed_m_per_s);
-    let mut slot = rig.slot(0);
+    let mut log = LoggedPings::open(spec)?.ok_or("the navigation has no position")?;
     let mut out = Soundings {
         case,
         pings,
@@ -169,28 +155,16 @@ fn run(case: Case, spec: &RigSpec, pings: usize) -> Result<Soundings, String> {
         found: Vec::new(),
     };
     for _ in 0..pings {
-        let order = schedule
-            .due(schedule.next_utc(), |_| spec.sonars[0].settings)
-            .ok_or("the sonar does not ping")?;
-        let end = order.transmit_utc.plus_s(rig.window_s(0, &order));
-        while rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
-            if !inputs.pull_next(&mut rig.history) {
-                return Err("the navigation ends".into());
-            }
+        let order = log.next_order()?;
+        if !log.cover(&order) {
+            return Err("the navigation ends".into());
         }
-        echotank_ping::make_ping(
-            &mut rig,
-            0,
-            &order,
-            NavMode::Settle,
-            order.transmit_utc,
-            &mut slot,
-        )
-        .map_err(|e| format!("{e:?}"))?;
+        log.make(&order)?;
+        let slot = &log.slot;
         out.angles_rad.clone_from(&slot.output.beams[0].angle_rad);
         for sounding in &slot.output.soundings {
             let at_m = place(spec, &slot.plan, sounding);
-            if let Some(true_down_m) = rig.scene.seabed_down_m(at_m.x, at_m.y) {
+            if let Some(true_down_m) = log.rig.scene.seabed_down_m(at_m.x, at_m.y) {
                 out.found.push(Found {
                     angle_rad: sounding.angle_rad,
                     north_m: at_m.x,

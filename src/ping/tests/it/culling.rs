@@ -2,28 +2,23 @@
 //! shadowed scatterers are those that individually cast rays do not reach.
 
 use std::collections::HashSet;
-use std::sync::Arc;
 
-use echotank_config::spec::{NavMode, OcclusionSpec, RigSpec, SeabedShape};
+use echotank_config::spec::{OcclusionSpec, RigSpec, SeabedShape};
 use echotank_core::arrays::Mounting;
 use echotank_core::frames::{Pose, Trajectory};
-use echotank_core::navigation::NavState;
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::{Footprint, Scatterers};
-use echotank_core::time::UtcNs;
-use echotank_nav::Coverage;
+use echotank_ping::PingOrder;
 use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::rig::pool;
-use echotank_ping::{self as ping, PingOrder, Schedule};
-use echotank_runtime::clock::VirtualClock;
 use echotank_runtime::io::files::FileSystem;
-use echotank_runtime::io::nav::NavInputs;
 use echotank_scene::Scene;
 use echotank_scene::{MeshFolder, Targets};
 use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
 use echotank_synthesis::echo::culling::left_out_share;
 use echotank_synthesis::echo::levels::Directivity;
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
+use echotank_testing::pings::{LoggedPings, order, plan_on};
 use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
@@ -43,35 +38,12 @@ fn a_footprint_contains_every_position_received_above_the_floor() {
     spec.sonars[0].model.cull_db = Some(-24.0);
     let sonar = spec.sonars[0].clone();
     pool(1).expect("thread").install(|| {
-        let mut rig = echotank_runtime::rig::open(&spec).expect("rig");
-        let mut inputs =
-            NavInputs::open(&spec.nav, Arc::new(VirtualClock::default())).expect("nav");
-        while rig.history.first_usable_utc().is_none() {
-            assert!(inputs.pull_next(&mut rig.history));
-        }
-        let first = rig.history.first_usable_utc().expect("nav");
-        let mut schedule = Schedule::starting_at(first, rig.medium().sound_speed_m_per_s);
-        let mut slot = rig.slot(0);
+        let mut pings = LoggedPings::open(&spec).expect("rig").expect("nav");
         let (mut heard, mut asked, mut tried) = (0, 0, 0);
         for ping in 0..10 {
-            let order = schedule
-                .due(schedule.next_utc(), |_| sonar.settings)
-                .expect("due");
-            let end = order.transmit_utc.plus_s(rig.window_s(0, &order));
-            while rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
-                assert!(inputs.pull_next(&mut rig.history), "the log is long enough");
-            }
-            echotank_ping::make_ping(
-                &mut rig,
-                0,
-                &order,
-                NavMode::Settle,
-                order.transmit_utc,
-                &mut slot,
-            )
-            .expect("covered");
-            let plan = &slot.plan;
-            let footprints = rig.sonars[0].pipeline.footprints(plan).to_vec();
+            pings.next_ping();
+            let plan = &pings.slot.plan;
+            let footprints = pings.rig.sonars[0].pipeline.footprints(plan).to_vec();
             assert_eq!(footprints.len(), sonar.receive.len());
             let c = plan.sound_speed_m_per_s;
             let wavelength_m = c / plan.pulse.center_frequency_hz;
@@ -229,15 +201,8 @@ fn a_strong_target_in_a_side_lobe_is_kept_and_the_culling_error_is_within_the_to
     );
     std::fs::write(targets.path().join("targets.csv"), table).expect("written");
 
-    let order = PingOrder {
-        ping_number: 1,
-        transmit_utc: UtcNs(0),
-        settings: sonar.settings,
-        period_s: 0.2,
-    };
-    let mut plan = ping::blank(0, &sonar, &spec.medium, 0.05);
-    plan.trajectory = Trajectory::uniform(DVec3::ZERO, DVec3::ZERO, DQuat::IDENTITY);
-    ping::fill(&mut plan, &sonar, &order, NavState::default(), UtcNs(0));
+    let at_rest = Trajectory::uniform(DVec3::ZERO, DVec3::ZERO, DQuat::IDENTITY);
+    let mut plan = plan_on(at_rest, &spec, 1, sonar.settings);
     let mut pipeline = SonarPipeline::new(&sonar, &spec.medium).expect("a pipeline");
     let mut scene = Scene::open(&FileSystem, &spec.scene).expect("a scene");
     let mut scatterers = Scatterers::default();
@@ -292,13 +257,7 @@ fn the_shadows_of_the_seabed_configuration_are_those_of_rays_cast_one_by_one() {
         .expect("a good configuration");
     let sonar = spec.sonars[0].clone();
     pool(2).expect("threads").install(|| {
-        let mut rig = echotank_runtime::rig::open(&spec).expect("rig");
-        let mut inputs =
-            NavInputs::open(&spec.nav, Arc::new(VirtualClock::default())).expect("nav");
-        while rig.history.first_usable_utc().is_none() {
-            assert!(inputs.pull_next(&mut rig.history));
-        }
-        let first = rig.history.first_usable_utc().expect("nav");
+        let mut pings = LoggedPings::open(&spec).expect("rig").expect("nav");
         let mut unshaded = spec.scene.clone();
         unshaded.occlusion = OcclusionSpec::None;
         let mut unshaded = Scene::open(&FileSystem, &unshaded).expect("scene");
@@ -308,20 +267,14 @@ fn the_shadows_of_the_seabed_configuration_are_those_of_rays_cast_one_by_one() {
             unshaded.seabed_down_m(n, e)
         })
         .expect("targets");
-        let mut slot = rig.slot(0);
         for seconds in [12.0, 25.0, 41.0, 56.0] {
             let order = PingOrder {
-                ping_number: 1,
-                transmit_utc: first.plus_s(seconds),
-                settings: sonar.settings,
-                period_s: 0.2,
+                transmit_utc: pings.first_utc.plus_s(seconds),
+                ..order(1, sonar.settings)
             };
-            let end = order.transmit_utc.plus_s(rig.window_s(0, &order));
-            while rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
-                assert!(inputs.pull_next(&mut rig.history), "the log is long enough");
-            }
-            echotank_ping::make_ping(&mut rig, 0, &order, NavMode::Settle, order.transmit_utc, &mut slot)
-                .expect("covered");
+            assert!(pings.cover(&order), "the log is long enough");
+            pings.make(&order).expect("covered");
+            let LoggedPings { rig, slot, .. } = &mut pings;
             let anchor_m = rig.targets()[0].position_m - own;
             unshaded.place(anchor_m.x, anchor_m.y);
             let footprints = rig.sonars[0].pipeline.footprints(&slot.plan).to_vec();

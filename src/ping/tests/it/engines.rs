@@ -1,24 +1,18 @@
 //! The engines in the pipeline: whole pings against the direct sum, and changes of settings.
 
 use std::path::Path;
-use std::sync::Arc;
 
-use echotank_config::spec::{Density, NavMode, RigSpec, SonarSpec};
+use echotank_config::spec::{Density, RigSpec, SonarSpec};
 use echotank_core::arrays::Pattern;
 use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
 use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
-use echotank_core::navigation::NavState;
 use echotank_core::ping::{EchoCounts, PingOutput, PingPlan};
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_core::settings::SonarSettings;
-use echotank_core::time::UtcNs;
-use echotank_nav::Coverage;
 use echotank_ping::element_synthesis::engine_error_models;
 use echotank_ping::pipeline::{PipelineError, SonarPipeline};
-use echotank_ping::{self as ping, PingOrder, Schedule};
-use echotank_runtime::clock::VirtualClock;
 use echotank_runtime::config_files::{load, parse};
-use echotank_runtime::io::nav::NavInputs;
+use echotank_testing::pings::{LoggedPings, plan_on};
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -145,19 +139,9 @@ fn plan_at(
     speed: f64,
     change: impl Fn(&mut SonarSettings),
 ) -> PingPlan {
-    let sonar = &rig.sonars[0];
-    let mut plan = ping::blank(0, sonar, &rig.medium, 0.05);
-    plan.trajectory = restless(speed);
-    let mut settings = sonar.settings;
+    let mut settings = rig.sonars[0].settings;
     change(&mut settings);
-    let order = PingOrder {
-        ping_number: number,
-        transmit_utc: UtcNs(0),
-        settings,
-        period_s: 0.2,
-    };
-    ping::fill(&mut plan, sonar, &order, NavState::default(), UtcNs(0));
-    plan
+    plan_on(restless(speed), rig, number, settings)
 }
 
 fn once(rig: &RigSpec, plan: &PingPlan, scatterers: &Scatterers) -> PingOutput {
@@ -629,34 +613,10 @@ fn thinned(file: &str, change: impl Fn(&mut SonarSpec)) -> RigSpec {
 
 /// Pings of the first sonar along its log, each passed on with its plan.
 fn along_the_log(spec: &RigSpec, pings: usize, mut each: impl FnMut(&PingPlan, &PingOutput)) {
-    let mut rig = echotank_runtime::rig::open(spec).expect("a rig");
-    let clock = Arc::new(VirtualClock::default());
-    let mut inputs = NavInputs::open(&spec.nav, clock).expect("nav");
-    while rig.history.first_usable_utc().is_none() {
-        assert!(inputs.pull_next(&mut rig.history));
-    }
-    let first = rig.history.first_usable_utc().expect("nav");
-    let mut schedule = Schedule::starting_at(first, rig.medium().sound_speed_m_per_s);
-    let mut slot = rig.slot(0);
-    let settings = spec.sonars[0].settings;
+    let mut log = LoggedPings::open(spec).expect("a rig").expect("nav");
     for _ in 0..pings {
-        let order = schedule
-            .due(schedule.next_utc(), |_| settings)
-            .expect("due");
-        let end = order.transmit_utc.plus_s(rig.window_s(0, &order));
-        while rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
-            assert!(inputs.pull_next(&mut rig.history), "the log is long enough");
-        }
-        echotank_ping::make_ping(
-            &mut rig,
-            0,
-            &order,
-            NavMode::Settle,
-            order.transmit_utc,
-            &mut slot,
-        )
-        .expect("covered");
-        each(&slot.plan, &slot.output);
+        log.next_ping();
+        each(&log.slot.plan, &log.slot.output);
     }
 }
 

@@ -1,56 +1,18 @@
 //! The error check of whole pings: its estimate compared with the error of every sample.
 
-use std::path::Path;
-
 use echotank_config::spec::RigSpec;
 use echotank_core::frames::{Trajectory, rotation_from_angles};
-use echotank_core::navigation::NavState;
 use echotank_core::ping::{ErrorCheck, PingPlan};
 use echotank_core::scene::{ScatterLaw, Scatterers};
-use echotank_core::time::UtcNs;
 use echotank_ping::error_check::{FAULT, KEPT, LEAST};
 use echotank_ping::pipeline::SonarPipeline;
-use echotank_ping::{self as ping, PingOrder};
-use echotank_runtime::config_files::parse;
+use echotank_testing::pings::{plan_on, small_rig};
 use glam::DVec3;
 use num_complex::Complex64;
 
 /// `model`: lines of `[sonar.model]`; `receiver`: additional lines of `[sonar.receiver]`.
 fn rig(model: &str, receiver: &str) -> RigSpec {
-    let text = format!(
-        r#"
-[[nav.source]]
-name = "gnss"
-kind = "udp"
-listen = "127.0.0.1:10110"
-[scene.seabed]
-shape = "plane"
-depth_m = 40.0
-[[sonar]]
-name = "main"
-[sonar.pulse]
-kind = "lfm"
-center_frequency_khz = 400.0
-bandwidth_khz = 30.0
-duration_ms = 2.0
-[[sonar.transmit]]
-name = "tx"
-[[sonar.receive]]
-name = "rx"
-elements = 4
-spacing_m = 0.002
-[sonar.receiver]
-sample_rate_khz = 60.0
-{receiver}
-[sonar.ping]
-range_m = 30.0
-rate_hz = 5.0
-source_level_db = 200.0
-[sonar.model]
-{model}
-"#
-    );
-    parse(&text, Path::new(".")).expect("a good configuration")
+    small_rig(4, receiver, "", model)
 }
 
 /// Points on a ring 10 to 28 m away, the same for every ping.
@@ -73,22 +35,13 @@ fn scene(count: usize) -> Scatterers {
 }
 
 fn plan(rig: &RigSpec, number: u32) -> PingPlan {
-    let sonar = &rig.sonars[0];
-    let mut plan = ping::blank(0, sonar, &rig.medium, 0.05);
-    plan.trajectory = Trajectory::uniform(
+    let trajectory = Trajectory::uniform(
         // Back and forth over the scene.
         DVec3::new(0.01 * f64::from(number % 400), 0.0, 0.0),
         DVec3::new(5.0, 1.0, 0.3),
         rotation_from_angles(0.02, 0.01, 0.3),
     );
-    let order = PingOrder {
-        ping_number: number,
-        transmit_utc: UtcNs(0),
-        settings: sonar.settings,
-        period_s: 0.2,
-    };
-    ping::fill(&mut plan, sonar, &order, NavState::default(), UtcNs(0));
-    plan
+    plan_on(trajectory, rig, number, rig.sonars[0].settings)
 }
 
 /// Error checks of `pings` pings, and the last one's samples before the receiver stage (which does nothing here).
