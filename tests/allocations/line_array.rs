@@ -5,7 +5,7 @@ use std::sync::Mutex;
 
 use echotank_synthesis::array::gridded::simd_level::SimdLevel;
 use echotank_synthesis::array::gridded2d::{Filter, LineEngine, PulseMotion, Resolution};
-use echotank_synthesis::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};
+use echotank_synthesis::echo::{LineWorkspace, TransmitLeg, insonify};
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -57,12 +57,7 @@ fn pings_of_changing_motion_allocate_nothing_after_the_first_round() {
             &scene.scatterers,
             &mut transmit_leg,
         );
-        let echoes = LineEchoes {
-            plan: &scene.plan,
-            array: rx,
-            transmit_leg: &transmit_leg,
-            work: &walk,
-        };
+        let echoes = scene.echoes(&transmit_leg, &walk);
         outputs.resize_with(engine.tasks(), Vec::new);
         for (task, output) in outputs.iter_mut().enumerate() {
             engine.run(task, &echoes, &mut work, output);

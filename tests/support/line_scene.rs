@@ -3,14 +3,16 @@
 use std::sync::Mutex;
 
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
-use echotank_core::ping::PingPlan;
+use echotank_core::ping::{EchoCounts, PingPlan};
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::array::gridded::simd_level::SimdLevel;
-use echotank_synthesis::array::gridded2d::{Filter, LineEngine, Resolution, Sample, TaskReport};
+use echotank_synthesis::array::gridded2d::{
+    Bounds, Filter, LineEngine, Resolution, Sample, Spec, TaskReport,
+};
 use echotank_synthesis::array::{Decimator, Direct};
 use echotank_synthesis::arrivals::LineSource;
 use echotank_synthesis::echo::{
-    LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, insonify, reference,
+    LineEchoes, LineWorkspace, TransmitLeg, Window, insonify, reference,
 };
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
@@ -26,6 +28,50 @@ pub struct Scene {
     pub rx: ArrayGeometry,
     pub scatterers: Scatterers,
     pub decimator: Decimator,
+}
+
+impl Scene {
+    pub fn spec(&self, bounds: Bounds, tolerance: f64) -> Spec<'_> {
+        Spec {
+            array: &self.rx,
+            pulse: &self.plan.pulse,
+            sound_speed_m_per_s: C,
+            sample_rate_hz: RATE_HZ,
+            filter: Some(&self.decimator),
+            model: &self.plan.model,
+            bounds,
+            tolerance,
+            level_range_db: 40.0,
+            samples: self.plan.sample_count,
+            scatterers: 1000,
+            simd_level: SimdLevel::best(),
+        }
+    }
+
+    pub fn transmit_leg(&self) -> (TransmitLeg, EchoCounts) {
+        let mut transmit_leg = TransmitLeg::new();
+        let counts = insonify(
+            &self.plan,
+            &self.tx,
+            ALWAYS,
+            &self.scatterers,
+            &mut transmit_leg,
+        );
+        (transmit_leg, counts)
+    }
+
+    pub fn echoes<'a>(
+        &'a self,
+        transmit_leg: &'a TransmitLeg,
+        work: &'a [Mutex<LineWorkspace>],
+    ) -> LineEchoes<'a> {
+        LineEchoes {
+            plan: &self.plan,
+            array: &self.rx,
+            transmit_leg,
+            work,
+        }
+    }
 }
 
 /// Parameters of a random scene.
@@ -114,25 +160,18 @@ pub fn engine_in<T: Sample>(
 ) -> (Vec<Vec<Complex64>>, Vec<TaskReport>) {
     let Scene {
         plan,
-        tx,
         rx,
-        scatterers,
         decimator,
+        ..
     } = scene;
     let filter = Filter {
         gain: &|f| decimator.gain(f),
         half_s: decimator.half_s(),
     };
     let mut engine = LineEngine::<T>::new(rx, RATE_HZ, filter, resolution, simd_level);
-    let mut transmit_leg = TransmitLeg::new();
-    insonify(plan, tx, ALWAYS, scatterers, &mut transmit_leg);
+    let (transmit_leg, _) = scene.transmit_leg();
     let walk = [Mutex::new(LineWorkspace::default())];
-    let echoes = LineEchoes {
-        plan,
-        array: rx,
-        transmit_leg: &transmit_leg,
-        work: &walk,
-    };
+    let echoes = scene.echoes(&transmit_leg, &walk);
     engine.prepare_from(plan, echoes.earliest_s());
     let mut work = engine.work();
     let mut outputs = vec![Vec::new(); engine.tasks()];
@@ -174,17 +213,8 @@ pub fn truth(scene: &Scene, element: usize, slow: bool) -> Vec<Complex64> {
         );
     } else {
         let window = Window::of_samples(first_s, rate_hz, dense.len());
-        let mut transmit_leg = TransmitLeg::new();
-        insonify(plan, tx, window, scatterers, &mut transmit_leg);
         let mut sink = Direct::new(plan, rate_hz, first_s, &mut dense);
-        arrivals(
-            plan,
-            rx,
-            element,
-            &transmit_leg,
-            &mut Workspace::new(),
-            &mut sink,
-        );
+        walk(plan, tx, rx, element, window, scatterers, &mut sink);
     }
     let mut record = vec![Complex64::ZERO; plan.sample_count];
     decimator.apply(&dense, &mut record);

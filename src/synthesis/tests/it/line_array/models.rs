@@ -5,9 +5,8 @@ use std::sync::Mutex;
 use echotank_core::frames::AttitudeKnot;
 use echotank_core::model::{DopplerModel, ModelChoice, PathModel};
 use echotank_core::ping::EchoCounts;
-use echotank_synthesis::array::gridded::simd_level::SimdLevel;
 use echotank_synthesis::array::gridded2d::{Bounds, Gridded2d, Refusal, Spec};
-use echotank_synthesis::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};
+use echotank_synthesis::echo::LineWorkspace;
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
@@ -17,26 +16,14 @@ use echotank_testing::line_scene::*;
 const TOLERANCE: f64 = 1e-3;
 
 fn spec(scene: &Scene) -> Spec<'_> {
-    Spec {
-        array: &scene.rx,
-        pulse: &scene.plan.pulse,
-        sound_speed_m_per_s: C,
-        sample_rate_hz: RATE_HZ,
-        filter: Some(&scene.decimator),
-        model: &scene.plan.model,
-        bounds: Bounds {
-            nearest_m: 36.0,
-            greatest_slope: 0.26,
-            along_m_per_s: 5.0,
-            across_m_per_s: 0.5,
-            turning_rad_per_s: 0.0,
-        },
-        tolerance: TOLERANCE,
-        level_range_db: 40.0,
-        samples: scene.plan.sample_count,
-        scatterers: 1000,
-        simd_level: SimdLevel::best(),
-    }
+    let bounds = Bounds {
+        nearest_m: 36.0,
+        greatest_slope: 0.26,
+        along_m_per_s: 5.0,
+        across_m_per_s: 0.5,
+        turning_rad_per_s: 0.0,
+    };
+    scene.spec(bounds, TOLERANCE)
 }
 
 /// Samples of all elements, element-major, and the counts, computed on this many threads.
@@ -50,20 +37,8 @@ fn run(scene: &Scene, threads: usize) -> (Vec<Complex64>, EchoCounts, f64) {
         let work: Vec<_> = (0..threads)
             .map(|_| Mutex::new(LineWorkspace::default()))
             .collect();
-        let mut transmit_leg = TransmitLeg::new();
-        let mut counts = insonify(
-            &scene.plan,
-            &scene.tx,
-            ALWAYS,
-            &scene.scatterers,
-            &mut transmit_leg,
-        );
-        let echoes = LineEchoes {
-            plan: &scene.plan,
-            array: &scene.rx,
-            transmit_leg: &transmit_leg,
-            work: &work,
-        };
+        let (transmit_leg, mut counts) = scene.transmit_leg();
+        let echoes = scene.echoes(&transmit_leg, &work);
         let mut iq = vec![Complex64::ZERO; scene.rx.elements * scene.plan.sample_count];
         counts += engine.synthesise(&scene.plan, &echoes, &mut iq);
         (iq, counts, engine.left_out())
@@ -79,6 +54,17 @@ fn worst(scene: &Scene, iq: &[Complex64]) -> f64 {
             worst_window(got, &truth(scene, e, false), scene.plan.pulse.duration_s)
         })
         .fold(0.0, f64::max)
+}
+
+/// The engine keeps the tolerance; returns its counts.
+fn assert_within(scene: &Scene) -> EchoCounts {
+    let (iq, counts, left_out) = run(scene, 1);
+    let error = worst(scene, &iq);
+    let ModelChoice { path, doppler, .. } = scene.plan.model;
+    let name = format!("{}, {}", path.name(), doppler.name());
+    println!("{name}: {error:.1e}, left out {left_out:.1e}");
+    assert!(error < TOLERANCE, "{name}: {error:e}");
+    counts
 }
 
 const DRAWN: Draw = Draw {
@@ -116,19 +102,7 @@ fn every_path_and_doppler_model_keeps_the_tolerance() {
         let mut scene = draw(DRAWN);
         scene.plan.model.path = path;
         scene.plan.model.doppler = doppler;
-        let (iq, counts, left_out) = run(&scene, 1);
-        let error = worst(&scene, &iq);
-        println!(
-            "{}, {}: {error:.1e}, left out {left_out:.1e}",
-            path.name(),
-            doppler.name()
-        );
-        assert!(
-            error < TOLERANCE,
-            "{}, {}: {error:e}",
-            path.name(),
-            doppler.name()
-        );
+        let counts = assert_within(&scene);
         assert_eq!(counts.used, 48 * 300, "{counts:?}");
     }
 }
@@ -144,19 +118,7 @@ fn a_turning_platform_keeps_the_tolerance_on_chords_and_on_the_trajectory() {
         let mut scene = turning();
         scene.plan.model.path = path;
         scene.plan.model.doppler = doppler;
-        let (iq, _, left_out) = run(&scene, 1);
-        let error = worst(&scene, &iq);
-        println!(
-            "{}, {}: {error:.1e}, left out {left_out:.1e}",
-            path.name(),
-            doppler.name()
-        );
-        assert!(
-            error < TOLERANCE,
-            "{}, {}: {error:e}",
-            path.name(),
-            doppler.name()
-        );
+        assert_within(&scene);
     }
 }
 

@@ -5,10 +5,9 @@ use std::sync::Mutex;
 use echotank_synthesis::array::gridded2d::{PulseMotion, Resolution};
 use echotank_synthesis::arrivals::LineSource;
 use echotank_synthesis::arrivals::{LineChunk, LineSink, LineStretch};
-use echotank_synthesis::echo::{LineEchoes, LineWorkspace, TransmitLeg, insonify};
+use echotank_synthesis::echo::LineWorkspace;
 use glam::DVec3;
 
-use echotank_testing::echo::ALWAYS;
 use echotank_testing::line_scene::*;
 
 /// All stages at full accuracy.
@@ -85,20 +84,9 @@ fn slabs_begin_with_the_first_echo_and_share_the_rest_evenly() {
         let before = (scene.plan.first_sample_s * RATE_HZ).round();
         scene.plan.sample_count += before as usize;
         scene.plan.first_sample_s = 0.0;
-        let mut transmit_leg = TransmitLeg::new();
-        insonify(
-            &scene.plan,
-            &scene.tx,
-            ALWAYS,
-            &scene.scatterers,
-            &mut transmit_leg,
-        );
-        let echoes = LineEchoes {
-            plan: &scene.plan,
-            array: &scene.rx,
-            transmit_leg: &transmit_leg,
-            work: &[Mutex::new(LineWorkspace::default())],
-        };
+        let (transmit_leg, _) = scene.transmit_leg();
+        let work = [Mutex::new(LineWorkspace::default())];
+        let echoes = scene.echoes(&transmit_leg, &work);
         let end_m = scene.rx.element_x_m(scene.rx.elements - 1);
         let mut delays = Delays(f64::INFINITY, 0.0);
         for middle_m in [-end_m, 0.0, end_m] {

@@ -2,11 +2,10 @@
 
 use echotank_synthesis::array::gridded::simd_level::SimdLevel;
 use echotank_synthesis::array::gridded2d::{
-    Bounds, Choice, Precision, Refusal, Resolution, Spec, choose,
+    Bounds, Choice, Precision, Refusal, Resolution, choose,
 };
 use glam::DVec3;
 
-use echotank_testing::echo::C;
 use echotank_testing::line_scene::*;
 
 fn chosen(scene: &Scene, drawn: Draw, tolerance: f64) -> Result<Choice, Refusal> {
@@ -17,24 +16,7 @@ fn chosen(scene: &Scene, drawn: Draw, tolerance: f64) -> Result<Choice, Refusal>
         across_m_per_s: drawn.velocity_m_per_s.with_x(0.0).length(),
         turning_rad_per_s: 0.0,
     };
-    choose(&spec(scene, bounds, tolerance))
-}
-
-fn spec(scene: &Scene, bounds: Bounds, tolerance: f64) -> Spec<'_> {
-    Spec {
-        array: &scene.rx,
-        pulse: &scene.plan.pulse,
-        sound_speed_m_per_s: C,
-        sample_rate_hz: RATE_HZ,
-        filter: Some(&scene.decimator),
-        model: &scene.plan.model,
-        bounds,
-        tolerance,
-        level_range_db: 40.0,
-        samples: scene.plan.sample_count,
-        scatterers: 1000,
-        simd_level: SimdLevel::best(),
-    }
+    choose(&scene.spec(bounds, tolerance))
 }
 
 #[test]
