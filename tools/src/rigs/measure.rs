@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
-use echotank_config::spec::{MediumSpec, RigSpec, SonarSpec};
+use echotank_config::spec::{RigSpec, SonarSpec};
 use echotank_core::arrays::TimeVaryingGain;
 use echotank_core::ping::{PingOutput, PingPlan};
 use echotank_core::scene::Scatterers;
@@ -16,7 +16,7 @@ use echotank_ping::polyline;
 use echotank_runtime::chart::bare;
 use echotank_runtime::first_pings::{FirstPingError, first, pings};
 
-use super::reference::ReferenceSolution;
+use super::reference::{Ping, ReferenceSolution};
 
 /// Timed runs of every candidate, in turn; the minimum counts.
 const REPEATS: usize = 5;
@@ -147,14 +147,6 @@ pub(crate) fn measure(
         }
     }
     Ok(all)
-}
-
-pub(crate) struct Ping<'a> {
-    pub(crate) spec: &'a SonarSpec,
-    pub(crate) medium: &'a MediumSpec,
-    pub(crate) plan: &'a PingPlan,
-    /// Scatterers without culling.
-    pub(crate) everything: &'a Scatterers,
 }
 
 /// Scatterers of one sonar's ping, down to each candidate's floor: a pipeline gathers no more.

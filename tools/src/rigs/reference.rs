@@ -3,10 +3,12 @@
 
 use num_complex::Complex64;
 
+use echotank_config::spec::{MediumSpec, SonarSpec};
 use echotank_core::arrays::ReceiverFilter;
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::{PingOutput, PingPlan};
 use echotank_core::pulse::Pulse;
+use echotank_core::scene::Scatterers;
 use echotank_ping::element_synthesis::FASTEST_PLATFORM_M_PER_S;
 use echotank_ping::pipeline::PipelineError;
 use echotank_synthesis::array::filter::{self, Decimator};
@@ -16,7 +18,6 @@ use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, i
 use echotank_synthesis::edges::Edges;
 
 use super::case::Chance;
-use super::measure::Ping;
 
 /// Windows are a pulse long, but at least this many samples.
 const MIN_WINDOW: usize = 32;
@@ -27,6 +28,14 @@ const WORST: usize = 4;
 const OF_EACH: usize = 256;
 /// Instants per call of the reference.
 const AT_ONCE: usize = 64;
+
+pub(crate) struct Ping<'a> {
+    pub(crate) spec: &'a SonarSpec,
+    pub(crate) medium: &'a MediumSpec,
+    pub(crate) plan: &'a PingPlan,
+    /// Scatterers without culling.
+    pub(crate) everything: &'a Scatterers,
+}
 
 /// Index of a sample of an element.
 #[derive(Clone, Copy)]
