@@ -2,13 +2,12 @@
 
 use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, TransmitArray};
 use echotank_core::frames::{Trajectory, rotation_from_angles};
-use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
-use echotank_core::navigation::{FixQuality, NavState};
+use echotank_core::navigation::NavState;
 use echotank_core::ping::{EchoCounts, PingPlan, Segment};
 use echotank_core::pulse::{Pulse, PulseKind};
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_core::settings::SonarSettings;
-use echotank_core::time::UtcNs;
+use echotank_core::testing::plan_at_rest;
 use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use glam::{DQuat, DVec3};
@@ -41,10 +40,6 @@ pub fn uniform(position_m: DVec3, velocity_m_per_s: DVec3, world_from_body: DQua
     let trajectory = Trajectory::uniform(position_m, velocity_m_per_s, world_from_body);
     let pose = trajectory.pose_at(0.0);
     PingPlan {
-        sonar: 0,
-        ping_number: 1,
-        transmit_utc: UtcNs(0),
-        stamp_utc: UtcNs(0),
         ping_period_s: 0.5,
         settings: SonarSettings {
             pinging: true,
@@ -55,33 +50,10 @@ pub fn uniform(position_m: DVec3, velocity_m_per_s: DVec3, world_from_body: DQua
             pulse_duration_s: 5e-3,
         },
         ping_rate_hz: 2.0,
-        pulse: lfm(30e3, 5e-3),
-        sound_speed_m_per_s: C,
         absorption_db_per_m: 0.05,
-        sample_count: 0,
-        first_sample_s: 0.0,
-        model: ModelChoice {
-            path: PathModel::Polyline,
-            doppler: DopplerModel::Stretch,
-            synthesis: Synthesis::Direct,
-            segment_s: 1.0,
-            cull_db: None,
-        },
         nav: NavState {
-            utc: UtcNs(0),
             pose,
-            roll_rad: 0.0,
-            pitch_rad: 0.0,
-            heading_rad: 0.0,
-            heave_down_m: 0.0,
-            latitude_rad: 0.0,
-            longitude_rad: 0.0,
-            height_m: 0.0,
-            fix: FixQuality::None,
-            position_age_s: 0.0,
-            attitude_age_s: 0.0,
-            extrapolated: false,
-            invalid: Default::default(),
+            ..NavState::default()
         },
         trajectory,
         segments: vec![Segment {
@@ -90,6 +62,7 @@ pub fn uniform(position_m: DVec3, velocity_m_per_s: DVec3, world_from_body: DQua
             velocity_m_per_s,
             world_from_body,
         }],
+        ..plan_at_rest(&lfm(30e3, 5e-3), 0, C)
     }
 }
 

@@ -17,6 +17,7 @@ use echotank_core::navigation::{FixQuality, NavState};
 use echotank_core::ping::{BeamFrame, ElementFrame, Line, PingOutput, PingPlan, Segment, Side};
 use echotank_core::pulse::{Pulse, PulseKind};
 use echotank_core::settings::SonarSettings;
+use echotank_core::testing::plan_at_rest;
 use echotank_core::time::UtcNs;
 use echotank_emit::sevenk::records::DeviceSheet;
 use echotank_protocols::sevenk::{Command, ControlRequest, Packetiser, RecordStamp, SevenKTime};
@@ -230,18 +231,13 @@ pub fn store() -> Arc<SettingsStore> {
 pub fn plan(ping_number: u32, samples: usize) -> PingPlan {
     let trajectory = Trajectory::uniform(DVec3::ZERO, DVec3::X, DQuat::IDENTITY);
     PingPlan {
-        sonar: 0,
         ping_number,
         transmit_utc: TRANSMIT_UTC,
         stamp_utc: TRANSMIT_UTC,
         ping_period_s: 0.25,
         settings: SETTINGS,
         ping_rate_hz: 4.0,
-        pulse: sonar().pulse,
-        sound_speed_m_per_s: SOUND_M_PER_S,
         absorption_db_per_m: ABSORPTION_DB_PER_M,
-        sample_count: samples,
-        first_sample_s: 0.0,
         model: sonar().model,
         nav: NavState {
             utc: TRANSMIT_UTC,
@@ -256,8 +252,7 @@ pub fn plan(ping_number: u32, samples: usize) -> PingPlan {
             fix: FixQuality::RtkFixed,
             position_age_s: 0.1,
             attitude_age_s: 0.01,
-            extrapolated: false,
-            invalid: Default::default(),
+            ..NavState::default()
         },
         trajectory,
         segments: vec![Segment {
@@ -266,6 +261,7 @@ pub fn plan(ping_number: u32, samples: usize) -> PingPlan {
             velocity_m_per_s: DVec3::X,
             world_from_body: DQuat::IDENTITY,
         }],
+        ..plan_at_rest(&sonar().pulse, samples, SOUND_M_PER_S)
     }
 }
 

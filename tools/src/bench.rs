@@ -7,7 +7,7 @@ pub(crate) mod machine;
 mod nav;
 mod ping;
 mod report;
-mod scene;
+pub(crate) mod scene;
 mod stages;
 mod transform;
 mod whole;

@@ -2,6 +2,7 @@
 
 mod atlas;
 mod bench;
+mod draw;
 mod errors;
 mod ladder;
 mod paper;

@@ -1,7 +1,6 @@
 //! Measures whether methods meet their tolerance; see `tools/sweep --help`.
 
 pub(crate) mod case;
-mod draw;
 pub(crate) mod measure;
 pub(crate) mod methods;
 pub(crate) mod table;

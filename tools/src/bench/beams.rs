@@ -29,7 +29,7 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use super::report::Report;
-use super::scene::Chance;
+use crate::draw::Chance;
 use echotank_testing::echo as rig;
 
 const C: f64 = rig::C;
@@ -101,7 +101,7 @@ fn plan() -> PingPlan {
 
 /// Element samples: the sum of every point's delayed pulse.
 fn elements() -> ElementFrame {
-    let mut chance = Chance::seeded(5);
+    let mut chance = Chance::new(5);
     let array = array();
     let pulse = pulse();
     let mut iq = vec![Complex64::ZERO; ELEMENTS * SAMPLES];
@@ -240,7 +240,7 @@ struct Probe {
 }
 
 fn probes(rows: &[Complex64]) -> Vec<Probe> {
-    let mut chance = Chance::seeded(9);
+    let mut chance = Chance::new(9);
     let mut draw = |n: usize| ((chance.uniform() * n as f64) as usize).min(n - 1);
     (0..PROBES)
         .map(|_| {
@@ -474,7 +474,7 @@ fn sonar(synthesis: Synthesis) -> Result<(SonarSpec, config::spec::MediumSpec), 
 
 /// A flat bottom at 30 m depth, 36 to 145 m away in slant range.
 fn bottom(count: usize) -> Scatterers {
-    let mut chance = Chance::seeded(3);
+    let mut chance = Chance::new(3);
     let mut scatterers = Scatterers::default();
     for _ in 0..count {
         let slant_m = 36.0 + 109.0 * chance.uniform();

@@ -18,7 +18,7 @@ use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
 
 use super::report::Report;
-use super::scene::Chance;
+use crate::draw::Chance;
 
 const BEAMS: usize = 512;
 const RAYS: usize = 114;
@@ -50,7 +50,7 @@ impl Rays {
 }
 
 fn rays() -> Vec<Rays> {
-    let mut chance = Chance::seeded(5);
+    let mut chance = Chance::new(5);
     (0..BEAMS)
         .map(|_| {
             let range_m: Vec<f64> = (0..RAYS)

@@ -10,9 +10,8 @@ use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
 
+use crate::draw::Chance;
 use echotank_testing::echo as rig;
 
 pub(crate) use echotank_testing::echo::{C as SOUND_SPEED_M_PER_S, CARRIER_HZ};
@@ -42,27 +41,10 @@ pub(crate) struct Scene {
     pub(crate) scatterers: Scatterers,
 }
 
-/// Uniform random numbers in 0..1.
-pub(crate) struct Chance(ChaCha8Rng);
-
-impl Chance {
-    pub(crate) fn seeded(seed: u64) -> Self {
-        Self(ChaCha8Rng::seed_from_u64(seed))
-    }
-    pub(crate) fn uniform(&mut self) -> f64 {
-        (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64
-    }
-    /// Box and Muller (1958).
-    pub(crate) fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
-        radius * (std::f64::consts::TAU * self.uniform()).cos()
-    }
-}
-
 impl Scene {
     /// Scatterers in random order.
     pub(crate) fn new(shape: Shape) -> Self {
-        let mut chance = Chance::seeded(1);
+        let mut chance = Chance::new(1);
         let mut scatterers = Scatterers::default();
         let (near, far) = (20f64.powi(2), 146f64.powi(2));
         for _ in 0..shape.scatterers {
@@ -125,7 +107,9 @@ impl Scene {
     }
 }
 
-struct Kept(Vec<ArrivalChunk>);
+/// Collects all arrivals.
+#[derive(Default)]
+pub(crate) struct Kept(pub(crate) Vec<ArrivalChunk>);
 
 impl ArrivalSink for Kept {
     fn accept(&mut self, chunk: &ArrivalChunk) {

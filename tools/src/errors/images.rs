@@ -9,9 +9,9 @@
 use echotank_core::arrays::{ArrayGeometry, Pattern, TransmitArray};
 use echotank_core::model::{DopplerModel, PathModel};
 use echotank_core::ping::PingPlan;
-use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::array::Direct;
-use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify, reference};
+use echotank_synthesis::echo::{Window, reference};
+use echotank_testing::echo as rig;
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -106,8 +106,7 @@ fn record(
     at_m: DVec3,
     first_s: f64,
 ) -> Vec<Complex64> {
-    let mut scatterers = Scatterers::default();
-    scatterers.push(at_m, [0.0; 3], Complex64::ONE, ScatterLaw::Point);
+    let scatterers = rig::points([at_m]);
     let count = ((DURATION_S + 2.0 * MARGIN_S) * RATE_HZ) as usize;
     let mut out = vec![Complex64::ZERO; count];
     let Some(method) = method else {
@@ -126,18 +125,9 @@ fn record(
     let mut plan = plan.clone();
     plan.model.path = method.path;
     plan.model.doppler = method.doppler;
-    let mut transmit_leg = TransmitLeg::new();
     let window = Window::of_samples(first_s, RATE_HZ, count);
-    insonify(&plan, tx, window, &scatterers, &mut transmit_leg);
     let mut sink = Direct::new(&plan, RATE_HZ, first_s, &mut out);
-    arrivals(
-        &plan,
-        rx,
-        element,
-        &transmit_leg,
-        &mut Workspace::new(),
-        &mut sink,
-    );
+    rig::walk(&plan, tx, rx, element, window, &scatterers, &mut sink);
     out
 }
 

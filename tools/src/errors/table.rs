@@ -1,17 +1,15 @@
 //! Table of the errors of path and Doppler models: one point, one element, over speed and angle.
 
-use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, TransmitArray};
-use echotank_core::frames::Trajectory;
+use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
-use echotank_core::navigation::NavState;
-use echotank_core::ping::{PingPlan, Segment};
+use echotank_core::ping::PingPlan;
 use echotank_core::pulse::{Pulse, PulseKind};
-use echotank_core::scene::{ScatterLaw, Scatterers};
+use echotank_core::scene::Scatterers;
 use echotank_core::settings::SonarSettings;
-use echotank_core::time::UtcNs;
 use echotank_synthesis::array::Direct;
 use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
-use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify, reference};
+use echotank_synthesis::echo::{Window, reference};
+use echotank_testing::echo as rig;
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
@@ -126,8 +124,7 @@ pub(crate) fn row(case: Case) -> String {
 pub(crate) fn measure(method: &Method, case: Case) -> (f64, f64) {
     let (sin, cos) = case.angle_deg.to_radians().sin_cos();
     let at_m = DVec3::new(case.range_m * cos, case.range_m * sin, 0.0);
-    let mut scatterers = Scatterers::default();
-    scatterers.push(at_m, [0.0; 3], Complex64::ONE, ScatterLaw::Point);
+    let scatterers = rig::points([at_m]);
     let mut plan = plan(case);
     let exact_s = leading_s(&plan, &scatterers);
     plan.model.path = method.path;
@@ -142,39 +139,12 @@ pub(crate) fn measure(method: &Method, case: Case) -> (f64, f64) {
     let mut got = vec![Complex64::ZERO; count];
     let window = Window::of_samples(first_s, RATE_HZ, count);
     let mut sink = Direct::new(&plan, RATE_HZ, first_s, &mut got);
-    walk(&plan, window, &scatterers, &mut sink);
-    let square = |x: Complex64| x.norm_sqr();
-    let difference: f64 = got.iter().zip(&want).map(|(g, w)| square(g - w)).sum();
-    let size: f64 = want.iter().map(|w| square(*w)).sum();
-    (0.5 * C * (got_s - exact_s), (difference / size).sqrt())
+    rig::walk(&plan, &tx, &rx, 0, window, &scatterers, &mut sink);
+    (0.5 * C * (got_s - exact_s), rig::relative_l2(&got, &want))
 }
 
 pub(crate) fn sonar() -> (TransmitArray, ArrayGeometry) {
-    let mounting = Mounting {
-        position_m: DVec3::ZERO,
-        body_from_array: DQuat::IDENTITY,
-    };
-    let tx = TransmitArray {
-        mounting,
-        pattern: Pattern::Omnidirectional,
-        level_offset_db: 0.0,
-    };
-    let rx = ArrayGeometry {
-        mounting,
-        elements: 1,
-        spacing_m: 0.0,
-        element_pattern: Pattern::Omnidirectional,
-        sensitivity_db: 0.0,
-        transmit: 0,
-    };
-    (tx, rx)
-}
-
-fn walk(plan: &PingPlan, window: Window, scatterers: &Scatterers, sink: &mut impl ArrivalSink) {
-    let (tx, rx) = sonar();
-    let mut transmit_leg = TransmitLeg::new();
-    insonify(plan, &tx, window, scatterers, &mut transmit_leg);
-    arrivals(plan, &rx, 0, &transmit_leg, &mut Workspace::new(), sink);
+    (rig::transmitter(DVec3::ZERO), rig::element(DVec3::ZERO))
 }
 
 /// Keeps the leading edge of the last echo.
@@ -192,7 +162,8 @@ fn leading_s(plan: &PingPlan, scatterers: &Scatterers) -> f64 {
         last_s: 10.0,
     };
     let mut edge = LeadingEdge(f64::NAN);
-    walk(plan, always, scatterers, &mut edge);
+    let (tx, rx) = sonar();
+    rig::walk(plan, &tx, &rx, 0, always, scatterers, &mut edge);
     edge.0
 }
 
@@ -200,10 +171,6 @@ fn leading_s(plan: &PingPlan, scatterers: &Scatterers) -> f64 {
 pub(crate) fn plan(case: Case) -> PingPlan {
     let velocity_m_per_s = DVec3::X * case.speed_m_per_s;
     PingPlan {
-        sonar: 0,
-        ping_number: 1,
-        transmit_utc: UtcNs(0),
-        stamp_utc: UtcNs(0),
         ping_period_s: 1.0,
         settings: SonarSettings {
             pinging: true,
@@ -223,8 +190,6 @@ pub(crate) fn plan(case: Case) -> PingPlan {
         },
         sound_speed_m_per_s: C,
         absorption_db_per_m: 0.0,
-        sample_count: 0,
-        first_sample_s: 0.0,
         model: ModelChoice {
             path: PathModel::Continuous,
             doppler: DopplerModel::Stretch,
@@ -232,13 +197,6 @@ pub(crate) fn plan(case: Case) -> PingPlan {
             segment_s: 10.0,
             cull_db: None,
         },
-        nav: NavState::default(),
-        trajectory: Trajectory::uniform(DVec3::ZERO, velocity_m_per_s, DQuat::IDENTITY),
-        segments: vec![Segment {
-            start_s: 0.0,
-            position_m: DVec3::ZERO,
-            velocity_m_per_s,
-            world_from_body: DQuat::IDENTITY,
-        }],
+        ..rig::uniform(DVec3::ZERO, velocity_m_per_s, DQuat::IDENTITY)
     }
 }

@@ -4,14 +4,10 @@ use std::time::Instant;
 
 use echotank_config::spec::{LineSpec, PaperShape};
 use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, TransmitArray};
-use echotank_core::frames::Trajectory;
-use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
-use echotank_core::navigation::NavState;
-use echotank_core::ping::{ElementFrame, Line, PingPlan, Segment, Side};
+use echotank_core::ping::{ElementFrame, Line, PingPlan, Side};
 use echotank_core::pulse::{Pulse, PulseKind};
 use echotank_core::scene::Scatterers;
 use echotank_core::settings::SonarSettings;
-use echotank_core::time::UtcNs;
 use echotank_imaging::beam::RowLimits;
 use echotank_imaging::beam::sidescan::LineFormer;
 use echotank_scene::paper::{self, Cloud};
@@ -21,6 +17,7 @@ use echotank_scene::simplify::shadow::Horizon;
 use echotank_scene::simplify::{Method, Selection, Settings, Weights};
 use echotank_synthesis::array::Direct;
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
+use echotank_testing::echo as rig;
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 use rayon::prelude::*;
@@ -667,13 +664,7 @@ const PULSE: Pulse = Pulse {
 
 fn plan(at_m: DVec3) -> PingPlan {
     let velocity_m_per_s = DVec3::X * SPEED_M_PER_S;
-    let trajectory = Trajectory::uniform(at_m, velocity_m_per_s, DQuat::IDENTITY);
-    let pose = trajectory.pose_at(0.0);
     PingPlan {
-        sonar: 0,
-        ping_number: 1,
-        transmit_utc: UtcNs(0),
-        stamp_utc: UtcNs(0),
         ping_period_s: 0.16,
         settings: SonarSettings {
             pinging: true,
@@ -689,23 +680,6 @@ fn plan(at_m: DVec3) -> PingPlan {
         absorption_db_per_m: ABSORPTION_DB_PER_M,
         sample_count: SAMPLES,
         first_sample_s: FIRST_SAMPLE_S,
-        model: ModelChoice {
-            path: PathModel::Polyline,
-            doppler: DopplerModel::Stretch,
-            synthesis: Synthesis::Direct,
-            segment_s: 1.0,
-            cull_db: None,
-        },
-        nav: NavState {
-            pose,
-            ..NavState::default()
-        },
-        trajectory,
-        segments: vec![Segment {
-            start_s: 0.0,
-            position_m: at_m,
-            velocity_m_per_s,
-            world_from_body: DQuat::IDENTITY,
-        }],
+        ..rig::uniform(at_m, velocity_m_per_s, DQuat::IDENTITY)
     }
 }

@@ -3,12 +3,11 @@
 use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, ReceiverFilter, TransmitArray};
 use echotank_core::frames::{AttitudeKnot, Trajectory, VectorKnot, rotation_from_angles};
 use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
-use echotank_core::navigation::NavState;
 use echotank_core::ping::PingPlan;
 use echotank_core::pulse::{Pulse, PulseKind};
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_core::settings::SonarSettings;
-use echotank_core::time::UtcNs;
+use echotank_core::testing::plan_at_rest;
 use echotank_ping as ping;
 use echotank_synthesis::array::gridded2d::Bounds;
 use echotank_synthesis::echo::error_models;
@@ -16,7 +15,7 @@ use echotank_synthesis::error_model::Conditions;
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
-use super::draw::Chance;
+use crate::draw::Chance;
 
 pub(crate) const C: f64 = 1500.0;
 
@@ -217,17 +216,9 @@ fn build(
     };
     ping::polyline(&trajectory, until_s, segment_s, &mut segments);
     let plan = PingPlan {
-        sonar: 0,
-        ping_number: 1,
-        transmit_utc: UtcNs(0),
-        stamp_utc: UtcNs(0),
         ping_period_s: 1.0,
         settings,
-        ping_rate_hz: 1.0,
-        pulse,
-        sound_speed_m_per_s: C,
         absorption_db_per_m: 0.096,
-        sample_count,
         first_sample_s,
         model: ModelChoice {
             path: PathModel::Continuous,
@@ -236,9 +227,9 @@ fn build(
             segment_s,
             cull_db: None,
         },
-        nav: NavState::default(),
         trajectory,
         segments,
+        ..plan_at_rest(&pulse, sample_count, C)
     };
     // The ends and the middle; a median needs three if there are three.
     let mut looked_at = vec![0, (rx.elements - 1) / 2, rx.elements - 1];

@@ -17,15 +17,15 @@ use echotank_synthesis::comparison::spectral::Bins;
 use echotank_synthesis::comparison::spectral::Spectral;
 use echotank_synthesis::comparison::spectral::Spectrum;
 use echotank_synthesis::echo::error_models::window_error_models;
-use echotank_synthesis::echo::{
-    LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, insonify,
-};
+use echotank_synthesis::echo::{LineEchoes, LineWorkspace, TransmitLeg, Window, insonify};
 use echotank_synthesis::edges::Edges;
 use echotank_synthesis::error_model::ErrorModel;
+use echotank_testing::echo as rig;
 use num_complex::Complex64;
 
 use super::case::Case;
 use super::measure::{LEVEL_RANGE_DB, Truth};
+use crate::bench::scene::Kept;
 
 /// Smallest number of elements for which a line engine is made.
 const MIN_LINE: usize = 8;
@@ -103,34 +103,30 @@ impl Method {
             .filter(move |&m| line || m != Self::Gridded2d)
     }
 
-    pub(crate) fn name(self) -> &'static str {
+    fn synthesis(self) -> Synthesis {
         match self {
-            Self::Direct => "direct",
-            Self::Spectral => "spectral",
-            Self::Nearest => "nearest",
-            Self::Linear => "linear",
-            Self::Gridded1d => "gridded-1d",
-            Self::Gridded2d => "gridded-2d",
+            Self::Direct => Synthesis::Direct,
+            Self::Spectral => Synthesis::Spectral,
+            Self::Nearest => Synthesis::Nearest,
+            Self::Linear => Synthesis::Linear,
+            Self::Gridded1d => Synthesis::Gridded1d,
+            Self::Gridded2d => Synthesis::Gridded2d,
         }
+    }
+
+    pub(crate) fn name(self) -> &'static str {
+        self.synthesis().name()
     }
 
     /// Supported Doppler models, from cheap to expensive.
     fn dopplers(self) -> Vec<DopplerModel> {
-        let takes = |doppler: DopplerModel| match self {
-            Self::Direct => Synthesis::Direct.takes(doppler),
-            Self::Spectral => Synthesis::Spectral.takes(doppler),
-            Self::Nearest => Synthesis::Nearest.takes(doppler),
-            Self::Linear => Synthesis::Linear.takes(doppler),
-            Self::Gridded1d => Synthesis::Gridded1d.takes(doppler),
-            Self::Gridded2d => true,
-        };
         [
             DopplerModel::None,
             DopplerModel::Stretch,
             DopplerModel::StretchQuadratic,
         ]
         .into_iter()
-        .filter(|&d| takes(d))
+        .filter(|&d| self.synthesis().takes(d))
         .collect()
     }
 
@@ -209,11 +205,7 @@ impl Method {
         doppler: DopplerModel,
     ) -> Result<(ErrorModel, Ready), String> {
         let plan = case.with_models(path, doppler);
-        let synthesis = match self {
-            Self::Direct => Synthesis::Direct,
-            Self::Spectral => Synthesis::Spectral,
-            Self::Nearest => Synthesis::Nearest,
-            Self::Linear => Synthesis::Linear,
+        match self {
             Self::Gridded1d => {
                 let gridded = gridded_1d(tolerance, case, &plan, truth)?;
                 return Ok((
@@ -225,8 +217,9 @@ impl Method {
                 let engine = gridded_2d(tolerance, case, &plan, truth)?;
                 return Ok((engine.error_model().clone(), Ready::Line(Box::new(engine))));
             }
-        };
-        let error_model = truth.error_model(synthesis, case);
+            Self::Direct | Self::Spectral | Self::Nearest | Self::Linear => {}
+        }
+        let error_model = truth.error_model(self.synthesis(), case);
         let error_model = error_model.within(tolerance).map_err(|e| e.to_string())?;
         Ok((error_model, Ready::Sum))
     }
@@ -284,14 +277,13 @@ fn walk(
     sink: &mut impl ArrivalSink,
 ) {
     let window = Window::of_samples(first_s, rate_hz, count);
-    let mut transmit_leg = TransmitLeg::new();
-    insonify(plan, &case.tx, window, &case.scatterers, &mut transmit_leg);
-    arrivals(
+    rig::walk(
         plan,
+        &case.tx,
         &case.rx,
         element,
-        &transmit_leg,
-        &mut Workspace::new(),
+        window,
+        &case.scatterers,
         sink,
     );
 }
@@ -372,23 +364,6 @@ fn replicas(case: &Case, plan: &PingPlan, linear: bool) -> Vec<Vec<Complex64>> {
             walk(case, plan, element, grid, &mut sink);
         }
     })
-}
-
-/// Collects all arrivals.
-#[derive(Default)]
-struct Kept(Vec<ArrivalChunk>);
-
-impl ArrivalSink for Kept {
-    fn accept(&mut self, chunk: &ArrivalChunk) {
-        self.0.push(ArrivalChunk {
-            len: chunk.len,
-            element: chunk.element,
-            delay_s: chunk.delay_s,
-            doppler: chunk.doppler,
-            curvature_per_s: chunk.curvature_per_s,
-            amplitude: chunk.amplitude,
-        });
-    }
 }
 
 pub(crate) struct Gridded {
