@@ -1,7 +1,7 @@
 //! The plan of methods: which path model, Doppler model, sum and culling a sonar's pings are made with.
 //!
 //! In: candidates, each with what the stages' error models promise of its parts and what it costs; the goal. Out: the cheapest candidate within
-//! the goal, all others in the order of their cost, and why. Knows no stage: `run::method_selection` asks the error models.
+//! the goal, all others in the order of their cost, and why. Knows no stage: `crate::method_selection` asks the error models.
 //!
 //! How errors add: a candidate differs from the reference by one step after another (path, then Doppler, then the sum, then what is left out), and
 //! the norm of a sum of differences is at most the sum of their norms (the triangle inequality). So parts are added as they are; parts of random

@@ -213,8 +213,11 @@ impl Vita49Emitter {
         } / elements;
         let per_packet = self.streams[0].moments_per_packet();
         let rate_hz = self.streams[0].sample_rate_hz;
+        // Real samples fill words of two: the odd last one of a block leaves with the next.
+        let whole = |row: usize| if is_complex { row } else { row / 2 * 2 };
         let all = blocks(samples, rate_hz, self.block_s);
         for (block, end_s) in all.filter(|(block, _)| block.start >= from) {
+            let block = whole(block.start)..whole(block.end);
             for first in block.clone().step_by(per_packet) {
                 let rows = first..(first + per_packet).min(block.end);
                 // Computed from the start of the ping each time, so that rounding errors do not accumulate.

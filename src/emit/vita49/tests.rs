@@ -219,6 +219,33 @@ fn passband_samples_equal_the_modulated_carrier_within_one_count() {
 }
 
 #[test]
+fn blocks_of_an_odd_number_of_passband_samples_carry_every_sample_once() {
+    let (plan, output) = ping();
+    let real = Vita49Spec {
+        passband_rate_hz: Some(1.2e6),
+        ..spec()
+    };
+    let samples = |block_s: Option<f64>| -> Vec<i16> {
+        let mut emitter = Vita49Emitter::new(&real, &sonar()).in_blocks_of(block_s);
+        let mut packets = Packets::default();
+        emitter.emit_ping(&plan, &output, false, &mut packets);
+        let mut all = Vec::new();
+        for bytes in packets.iter() {
+            let packet = Packet::parse(bytes).expect("a packet");
+            if packet.stream_id == 7 && packet.packet_type == PacketType::SignalData {
+                assert_eq!(ps(packet.time), moment_ps(all.len(), 1.2e6));
+                all.extend(real_samples(packet.payload));
+            }
+        }
+        all
+    };
+    // 501 samples each, and one sample each.
+    for block_s in [501.0 / 1.2e6, 1.0 / 1.2e6] {
+        assert_eq!(samples(Some(block_s)), samples(None));
+    }
+}
+
+#[test]
 fn values_beyond_full_scale_are_clipped_counted_and_flagged() {
     let (plan, mut output) = ping();
     output.elements[0].iq[5] = Complex64::new(2.1, f64::NAN);
