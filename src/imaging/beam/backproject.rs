@@ -186,7 +186,9 @@ impl ReceivedRow {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::beam::test_rig::{self, C, array, frame, half_power, plan_moving, transmitter};
+    use crate::beam::test_rig::{
+        self, C, array, frame, half_power, limits, plan_moving, transmitter,
+    };
 
     const LAMBDA_M: f64 = C / 400e3;
     const RATE_HZ: f64 = 40e3;
@@ -238,11 +240,7 @@ mod tests {
         let pixels: Vec<_> = (-150..=150)
             .map(|i| point + DVec3::X * f64::from(i) * 1e-3)
             .collect();
-        let limits = RowLimits {
-            sample_rate_hz: RATE_HZ,
-            samples: SAMPLES,
-            pulse_s: 5e-3,
-        };
+        let limits = limits(RATE_HZ, SAMPLES, 5e-3);
         let transmit = transmitter(DVec3::ZERO);
         let mut image = BackProjection::new(pixels, limits, &pulse(), Shading::Uniform);
         for ping in 0..PINGS {

@@ -251,7 +251,7 @@ pub fn line_array_response(elements: usize, spacing_wavelengths: f64, sine: f64)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::beam::test_rig::{self, C, array, elements_of_plane_wave, on_threads, tone};
+    use crate::beam::test_rig::{self, C, array, elements_of_plane_wave, limits, on_threads, tone};
     use echotank_config::spec::Former;
     use echotank_core::pulse::PulseKind;
     use echotank_core::testing::plan_at_rest as plan;
@@ -276,11 +276,7 @@ mod tests {
 
     impl Rig {
         fn former(&self, fan: &FanSpec) -> FanFormer {
-            let limits = RowLimits {
-                sample_rate_hz: self.rate_hz,
-                samples: self.samples,
-                pulse_s: self.pulse.duration_s,
-            };
+            let limits = limits(self.rate_hz, self.samples, self.pulse.duration_s);
             FanFormer::new(&self.array, fan, limits, &self.pulse, Shading::Uniform, C)
         }
         fn beams(&self, fan: &FanSpec, frame: &ElementFrame) -> BeamFrame {

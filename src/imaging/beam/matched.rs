@@ -196,22 +196,14 @@ impl MatchedFilter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::beam::test_rig::{half_power, pulse};
+    use crate::beam::test_rig::{half_power, limits, pulse};
     use echotank_core::pulse::PulseKind;
     use rand_chacha::ChaCha12Rng;
     use rand_chacha::rand_core::{Rng, SeedableRng};
     use std::f64::consts::TAU;
 
     fn filter(pulse: &Pulse, rate_hz: f64, samples: usize, window: Shading) -> MatchedFilter {
-        MatchedFilter::new(
-            pulse,
-            RowLimits {
-                sample_rate_hz: rate_hz,
-                samples,
-                pulse_s: pulse.duration_s,
-            },
-            window,
-        )
+        MatchedFilter::new(pulse, limits(rate_hz, samples, pulse.duration_s), window)
     }
 
     fn echo(pulse: &Pulse, rate_hz: f64, samples: usize, leading_edge_s: f64) -> Vec<Complex64> {
@@ -487,11 +479,7 @@ mod tests {
     #[test]
     fn a_changed_pulse_gives_bit_identical_results_to_a_new_filter() {
         let rate_hz = 40e3;
-        let limits = RowLimits {
-            sample_rate_hz: rate_hz,
-            samples: 500,
-            pulse_s: 6e-3,
-        };
+        let limits = limits(rate_hz, 500, 6e-3);
         let first = pulse(PulseKind::LfmUp, 30e3, 6e-3, 0.0);
         let second = pulse(PulseKind::LfmDown, 20e3, 2e-3, 0.0);
         let row = echo(&second, rate_hz, 400, 0.0031);

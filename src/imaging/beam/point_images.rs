@@ -10,10 +10,9 @@ use std::f64::consts::PI;
 use glam::DVec3;
 use num_complex::Complex64;
 
-use super::RowLimits;
 use super::conventional::line_array_response;
 use super::delay_sum::DelaySumFormer;
-use super::test_rig::{self, C, array, elements_of_plane_wave, plan_moving, transmitter};
+use super::test_rig::{self, C, array, elements_of_plane_wave, limits, plan_moving, transmitter};
 use echotank_config::spec::{FanSpec, Former, Shading};
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
@@ -58,11 +57,7 @@ impl Rig {
     }
 
     fn former(&self, fan: &FanSpec) -> DelaySumFormer {
-        let limits = RowLimits {
-            sample_rate_hz: RATE_HZ,
-            samples: SAMPLES,
-            pulse_s: pulse().duration_s,
-        };
+        let limits = limits(RATE_HZ, SAMPLES, pulse().duration_s);
         let transmit = transmitter(DVec3::ZERO);
         let weighting = Shading::Uniform;
         DelaySumFormer::new(&self.array, &transmit, fan, limits, &pulse(), weighting, C)

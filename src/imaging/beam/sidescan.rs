@@ -136,7 +136,7 @@ impl LineFormer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::beam::test_rig::{self, C, array, elements_of_plane_wave};
+    use crate::beam::test_rig::{self, C, array, elements_of_plane_wave, limits};
     use echotank_core::pulse::PulseKind;
     use echotank_core::testing::plan_at_rest as plan;
 
@@ -147,11 +147,7 @@ mod tests {
     fn former(side: Side, samples: usize) -> LineFormer {
         LineFormer::new(
             &LineSpec { side, array: 0 },
-            RowLimits {
-                sample_rate_hz: 40e3,
-                samples,
-                pulse_s: 5e-3,
-            },
+            limits(40e3, samples, 5e-3),
             &pulse(),
         )
     }

@@ -5,6 +5,7 @@ use std::f64::consts::TAU;
 use glam::DVec3;
 use num_complex::Complex64;
 
+use super::RowLimits;
 use echotank_config::spec::{FanForm, FanSpec, Former, Shading};
 use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, TransmitArray};
 use echotank_core::frames::rotation_from_angles;
@@ -23,6 +24,14 @@ pub(crate) fn pulse(kind: PulseKind, bandwidth_hz: f64, duration_s: f64, taper: 
         bandwidth_hz,
         duration_s,
         taper,
+    }
+}
+
+pub(crate) fn limits(sample_rate_hz: f64, samples: usize, pulse_s: f64) -> RowLimits {
+    RowLimits {
+        sample_rate_hz,
+        samples,
+        pulse_s,
     }
 }
 

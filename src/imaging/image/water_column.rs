@@ -404,6 +404,10 @@ mod tests {
 
     const C: f64 = 1500.0;
     const RATE_HZ: f64 = 15e3;
+    const WHOLE_RANGE: Contrast = Contrast::Percentiles {
+        low: 0.0,
+        high: 1.0,
+    };
 
     fn plan() -> PingPlan {
         let pulse = Pulse {
@@ -436,16 +440,7 @@ mod tests {
     #[test]
     fn an_echo_is_brightest_and_its_sounding_a_dot_at_its_range_and_angle() {
         // Beam 50 points 40 degrees to starboard; sample 600 is at 30 m, with 0.1 m per pixel.
-        let mut picture = polar(
-            &plan(),
-            &fan((50, 600)),
-            &[],
-            RATE_HZ,
-            Contrast::Percentiles {
-                low: 0.0,
-                high: 1.0,
-            },
-        );
+        let mut picture = polar(&plan(), &fan((50, 600)), &[], RATE_HZ, WHOLE_RANGE);
         let half = picture.width as f64 / 2.0;
         let white = |p: &Picture| -> Vec<(usize, usize)> {
             (0..p.width * p.height)
@@ -502,10 +497,7 @@ mod tests {
             stack.push(&plan, &fan((10, sample)), &[]);
         }
         assert_eq!(stack.pings(), 3);
-        let picture = stack.picture(Contrast::Percentiles {
-            low: 0.0,
-            high: 1.0,
-        });
+        let picture = stack.picture(WHOLE_RANGE);
         let left = LEFT;
         let wide = (picture.width - left) / 3;
         let at = |ping: usize, y: usize| {
@@ -535,11 +527,7 @@ mod tests {
         (truths[50].target[600], truths[50].target_energy[600]) = (7, 5.0);
         truths[20].ground[400] = echotank_core::ping::GroundSeen::Hidden;
         truths[20].down_m[400] = 18.0;
-        let contrast = Contrast::Percentiles {
-            low: 0.0,
-            high: 1.0,
-        };
-        let picture = polar(&plan(), &fan, &[], RATE_HZ, contrast);
+        let picture = polar(&plan(), &fan, &[], RATE_HZ, WHOLE_RANGE);
         let (size, masks) = polar_masks(&plan(), &fan, &truths, RATE_HZ);
         assert_eq!(size, (picture.width, picture.height));
         // The echo's pixels are white except under marks, and belong to the target.
@@ -562,7 +550,7 @@ mod tests {
         let mut stack = Stack::new(48.0, RATE_HZ, 10);
         stack.push(&plan(), &fan, &truths);
         let (size, masks) = stack.masks().expect("masks");
-        let picture = stack.picture(contrast);
+        let picture = stack.picture(WHOLE_RANGE);
         assert_eq!(size, (picture.width, picture.height));
         for (p, mask) in masks.iter().enumerate() {
             let (x, y) = (p % size.0, p / size.0);
@@ -582,14 +570,10 @@ mod tests {
                 ..BeamFrame::default()
             },
         ] {
-            let contrast = Contrast::Percentiles {
-                low: 0.0,
-                high: 1.0,
-            };
-            assert!(polar(&plan(), &fan, &[], RATE_HZ, contrast).width > 0);
+            assert!(polar(&plan(), &fan, &[], RATE_HZ, WHOLE_RANGE).width > 0);
             let mut stack = Stack::new(48.0, RATE_HZ, 10);
             stack.push(&plan(), &fan, &[]);
-            assert_eq!(stack.picture(contrast).height, PIXELS);
+            assert_eq!(stack.picture(WHOLE_RANGE).height, PIXELS);
         }
         assert!(
             Stack::new(1.0, RATE_HZ, 10)

@@ -8,7 +8,8 @@ use num_complex::Complex64;
 use super::*;
 use crate::beam::conventional::line_array_response;
 use crate::beam::test_rig::{
-    C, array, elements_of_plane_wave, fan, on_threads, plan_moving, pulse, tone, transmitter,
+    C, array, elements_of_plane_wave, fan, limits, on_threads, plan_moving, pulse, tone,
+    transmitter,
 };
 use crate::beam::weights;
 use echotank_config::spec::BeamSpacing;
@@ -52,11 +53,7 @@ impl Rig {
     }
 
     fn former(&self, fan: &FanSpec) -> DelaySumFormer {
-        let limits = RowLimits {
-            sample_rate_hz: RATE_HZ,
-            samples: self.samples,
-            pulse_s: self.pulse.duration_s,
-        };
+        let limits = limits(RATE_HZ, self.samples, self.pulse.duration_s);
         let transmit = transmitter(self.transmit_m);
         DelaySumFormer::new(
             &self.array,

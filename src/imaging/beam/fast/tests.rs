@@ -20,11 +20,7 @@ fn pulse() -> Pulse {
 }
 
 fn limits() -> RowLimits {
-    RowLimits {
-        sample_rate_hz: RATE_HZ,
-        samples: SAMPLES,
-        pulse_s: 1e-3,
-    }
+    test_rig::limits(RATE_HZ, SAMPLES, 1e-3)
 }
 
 /// Independent random samples for every element: energy from all directions, no cancellation.
