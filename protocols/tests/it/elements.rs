@@ -1,5 +1,6 @@
 //! Compares frames of element samples with the layout, and parses random bytes.
 
+use crate::support::feed_to_end;
 use echotank_protocols::elements::{
     ElementFraming, ElementStream, Frame, FrameHead, HEADER_BYTES, SampleType,
 };
@@ -75,9 +76,6 @@ proptest! {
         if let Ok(read) = Frame::parse(&bytes) {
             prop_assert!(read.size_bytes() <= bytes.len());
         }
-        let mut stream = ElementStream::new(ElementFraming);
-        stream.feed(&bytes, |_| {});
-        stream.finish();
-        while stream.next_message().is_some() {}
+        feed_to_end(ElementFraming, &bytes, usize::MAX, |_| {});
     }
 }

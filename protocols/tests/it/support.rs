@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use echotank_protocols::WireError;
+use echotank_protocols::framing::{Framing, Splitter};
 use echotank_protocols::sevenk::records::Heading1013;
 use echotank_protocols::sevenk::{OpenRecord, Record, RecordStamp, SevenKTime};
 
@@ -67,4 +69,32 @@ pub(crate) fn emitted_body(emit: impl FnOnce(&mut Vec<u8>) -> Range<usize>) -> V
         .expect("emitted records are right")
         .body()
         .to_vec()
+}
+
+/// The bytes that `emit` appends to an empty buffer.
+pub(crate) fn bytes_of<T>(emit: impl FnOnce(&mut Vec<u8>) -> T) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    emit(&mut bytes);
+    bytes
+}
+
+/// Feeds all of `bytes` in pieces of `cut` bytes, ends the stream and asserts that every byte belongs to a message or was skipped.
+pub(crate) fn feed_to_end<F: Framing>(
+    framing: F,
+    bytes: &[u8],
+    cut: usize,
+    mut look: impl FnMut(Result<&[u8], WireError>),
+) {
+    let mut stream = Splitter::new(framing);
+    let mut seen = 0;
+    let mut look = |message: Result<&[u8], WireError>| {
+        seen += message.map_or(0, <[u8]>::len) as u64;
+        look(message);
+    };
+    for piece in bytes.chunks(cut) {
+        stream.feed(piece, &mut look);
+    }
+    stream.finish();
+    stream.feed(&[], &mut look);
+    assert_eq!(seen + stream.skipped_bytes(), bytes.len() as u64);
 }

@@ -1,6 +1,6 @@
 //! Compares VITA 49.2 with words assembled by hand and with the crate `vita49`, and parses random bytes.
 
-use crate::support::assert_same;
+use crate::support::{assert_same, bytes_of};
 use echotank_protocols::WireError;
 use echotank_protocols::vita49::{
     Context, ETHERNET_PACKET_BYTES, Packet, PacketType, PayloadFormat, SampleKind, SignalStream,
@@ -60,8 +60,7 @@ fn a_context_packet_is_word_for_word() {
         0x2000_03CF,
         0x0000_0007,
     ]);
-    let mut bytes = Vec::new();
-    context().emit(&mut bytes, 0x100, 3, TIME);
+    let bytes = bytes_of(|buf| context().emit(buf, 0x100, 3, TIME));
     assert_same(&bytes, &golden, "context");
     let packet = Packet::parse(&golden).unwrap();
     assert_eq!(
@@ -114,8 +113,7 @@ fn a_data_packet_is_word_for_word() {
 /// The MIT/Apache crate `vita49`, an independent implementation.
 #[test]
 fn another_decoder_gives_equal_results() {
-    let mut bytes = Vec::new();
-    context().emit(&mut bytes, 0x100, 3, TIME);
+    let bytes = bytes_of(|buf| context().emit(buf, 0x100, 3, TIME));
     let packet = Vrt::try_from(&bytes[..]).unwrap();
     assert_eq!(packet.stream_id(), Some(0x100));
     assert_eq!(packet.integer_timestamp(), Some(TIME.seconds));

@@ -1,14 +1,14 @@
 //! Compares NORBIT WBMS and Imagenex 872 with their published layouts, and parses random bytes.
 
-use crate::support::{assert_same, table};
+use crate::support::{assert_same, feed_to_end, table};
 use echotank_protocols::WireError;
 use echotank_protocols::imagenex872::{
     ECHO_BYTES, Side, SwitchCommand, SwitchFraming, SwitchStream, emit_answer, parse_answer,
 };
 use echotank_protocols::wbms::{
     Backscatter, BackscatterHead, Bathymetry, BathymetryHead, Command, CommandError, Detection,
-    Packet, Tail, WbmsFraming, WbmsStream, answer, commands_in, crc32, emit_backscatter,
-    emit_bathymetry, packet_type,
+    Packet, Tail, WbmsFraming, answer, commands_in, crc32, emit_backscatter, emit_bathymetry,
+    packet_type,
 };
 use proptest::prelude::*;
 
@@ -412,19 +412,12 @@ proptest! {
             let mut commands = 0;
             switch.feed(bytes, |command| commands += usize::from(command.is_ok_and(|c| SwitchCommand::parse(c).is_ok())));
             prop_assert!(commands * 27 <= bytes.len());
-            let mut stream = WbmsStream::new(WbmsFraming);
-            let mut seen = 0;
-            let mut look = |packet: Result<&[u8], WireError>| if let Ok(packet) = packet {
-                seen += packet.len() as u64;
-                if let Ok(packet) = Packet::parse(packet) {
+            feed_to_end(WbmsFraming, bytes, cut, |packet| {
+                if let Ok(packet) = packet.and_then(Packet::parse) {
                     if let Ok(read) = Bathymetry::parse(&packet) { assert!(read.detections().count() * 20 <= packet.payload.len()); }
                     if let Ok(read) = Backscatter::parse(&packet) { assert!(read.values().len() <= packet.payload.len()); }
                 }
-            };
-            for chunk in bytes.chunks(cut) { stream.feed(chunk, &mut look); }
-            stream.finish();
-            while let Some(packet) = stream.next_message() { look(packet); }
-            prop_assert_eq!(seen + stream.skipped_bytes(), bytes.len() as u64);
+            });
         }
     }
 
