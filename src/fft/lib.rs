@@ -1,6 +1,7 @@
 //! Plans of `rustfft`, in a crate of their own only so that they are compiled once: `rustfft` is generic, so every crate that asks its planner
 //! for a plan compiles all of its kernels again (a minute for the library, and again for each test and example).
 
+#![warn(missing_docs)]
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 use std::sync::Arc;
