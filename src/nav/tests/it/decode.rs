@@ -1,41 +1,27 @@
 //! Decoding: real logs, epochs, signs, policies, and random bytes.
 
-use echotank_config::spec::{ChecksumPolicy, NavChannel, NavInputSpec, NavSourceSpec, TimePolicy};
+use echotank_config::spec::{ChecksumPolicy, NavChannel, NavSourceSpec, TimePolicy};
 use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::{NS_PER_S, UtcNs};
 use echotank_nav::log::read_log;
 use echotank_nav::stamp::split_line;
 use echotank_nav::{NavCounters, NavDecoder};
-use glam::DVec3;
 use proptest::prelude::*;
+
+use crate::{ALL, log_source};
 
 const SEAPATH: &[u8] = include_bytes!("../../../../tests/data/nav/seapath330_90s.rvdas");
 const GYRO: &[u8] = include_bytes!("../../../../tests/data/nav/gyro_90s.rvdas");
 const HYDROBALL: &[u8] = include_bytes!("../../../../tests/data/nav/hydroball_22s.txt");
 
-const ALL: [NavChannel; 5] = [
-    NavChannel::Position,
-    NavChannel::CourseSpeed,
-    NavChannel::Heading,
-    NavChannel::RollPitch,
-    NavChannel::Heave,
-];
 /// 2014-08-01.
 const DAY: UtcNs = UtcNs(1_406_851_200 * NS_PER_S);
 
 fn source(time: TimePolicy, checksum: ChecksumPolicy, provides: &[NavChannel]) -> NavSourceSpec {
     NavSourceSpec {
-        name: "test".into(),
-        input: NavInputSpec::Log {
-            path: "test.log".into(),
-            plain_rate_hz: 10.0,
-        },
         time,
         checksum,
-        lever_arm_m: DVec3::ZERO,
-        mounting: Default::default(),
-        dialect: Default::default(),
-        provides: provides.to_vec(),
+        ..log_source(provides)
     }
 }
 

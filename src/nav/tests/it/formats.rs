@@ -4,8 +4,7 @@
 use std::f64::consts::TAU;
 
 use echotank_config::spec::{
-    ChecksumPolicy, NavChannel, NavDialect, NavFormat, NavInputSpec, NavSourceSpec, Reversed,
-    TimePolicy,
+    ChecksumPolicy, NavChannel, NavDialect, NavFormat, NavSourceSpec, Reversed, TimePolicy,
 };
 use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::{NS_PER_S, UtcNs};
@@ -14,16 +13,10 @@ use echotank_nav::log::{LogKind, read_log};
 use echotank_nav::records::seapath_crc;
 use echotank_nav::sentence::decode;
 use echotank_nav::{NavCounters, NavDecoder};
-use glam::DVec3;
 use proptest::prelude::*;
 
-const ALL: [NavChannel; 5] = [
-    NavChannel::Position,
-    NavChannel::CourseSpeed,
-    NavChannel::Heading,
-    NavChannel::RollPitch,
-    NavChannel::Heave,
-];
+use crate::{ALL, log_source};
+
 /// 2014-08-01T00:00:00Z; GPS week 1803, 432016 s.
 const DAY_S: i64 = 1_406_851_200;
 /// Time base of a Seapath's attitude on a serial line.
@@ -31,17 +24,9 @@ const LATENCY_S: f64 = 0.36;
 
 fn source(dialect: NavDialect, time: TimePolicy) -> NavSourceSpec {
     NavSourceSpec {
-        name: "test".into(),
-        input: NavInputSpec::Log {
-            path: "test.log".into(),
-            plain_rate_hz: 10.0,
-        },
-        time,
-        checksum: ChecksumPolicy::Require,
-        lever_arm_m: DVec3::ZERO,
-        mounting: Default::default(),
         dialect,
-        provides: ALL.to_vec(),
+        time,
+        ..log_source(&ALL)
     }
 }
 

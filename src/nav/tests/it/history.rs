@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use echotank_config::spec::{
     ChecksumPolicy, NavChannel, NavInputSpec, NavMode, NavSourceSpec, NavSpec, OnLost, OriginSpec,
-    StampSpec, TimePolicy, VerticalSpec,
+    StampSpec, VerticalSpec,
 };
 use echotank_core::frames::{Trajectory, angles_from_rotation, rotation_from_angles};
 use echotank_core::navigation::{FixQuality, NavQuantity, NavSample, NavState};
@@ -12,23 +12,9 @@ use echotank_core::time::{NS_PER_S, UtcNs};
 use echotank_nav::{Coverage, LocalTangentPlane, NavGap, NavHistory};
 use glam::DVec3;
 
-const T0: UtcNs = UtcNs(1_406_851_200 * NS_PER_S);
+use crate::log_source;
 
-fn log_source(provides: &[NavChannel]) -> NavSourceSpec {
-    NavSourceSpec {
-        name: "test".into(),
-        input: NavInputSpec::Log {
-            path: "test.log".into(),
-            plain_rate_hz: 10.0,
-        },
-        time: TimePolicy::Message,
-        checksum: ChecksumPolicy::Require,
-        lever_arm_m: DVec3::ZERO,
-        mounting: Default::default(),
-        dialect: Default::default(),
-        provides: provides.to_vec(),
-    }
-}
+const T0: UtcNs = UtcNs(1_406_851_200 * NS_PER_S);
 
 const FULL: [NavChannel; 4] = [
     NavChannel::Position,

@@ -3,8 +3,8 @@
 use std::f64::consts::TAU;
 
 use echotank_config::spec::{
-    ChecksumPolicy, NavChannel, NavDialect, NavInputSpec, NavMode, NavSourceSpec, NavSpec, OnLost,
-    OriginSpec, SensorMounting, StampSpec, TimePolicy, TowSpec, VerticalSpec,
+    ChecksumPolicy, NavChannel, NavMode, NavSourceSpec, NavSpec, OnLost, OriginSpec, StampSpec,
+    TowSpec, VerticalSpec,
 };
 use echotank_core::frames::{Trajectory, angles_from_rotation, rotation_from_angles};
 use echotank_core::navigation::{FixQuality, NavInvalid, NavQuantity, NavSample, NavState};
@@ -12,22 +12,15 @@ use echotank_core::time::{NS_PER_S, UtcNs};
 use echotank_nav::{Coverage, NavDecoder, NavGap, NavHistory};
 use glam::DVec3;
 
+use crate::log_source;
+
 const T0: UtcNs = UtcNs(1_406_851_200 * NS_PER_S);
 use NavChannel::{Depth, Heading, Heave, Position, RollPitch};
 
 fn source(provides: &[NavChannel]) -> NavSourceSpec {
     NavSourceSpec {
-        name: "test".into(),
-        input: NavInputSpec::Log {
-            path: "test.log".into(),
-            plain_rate_hz: 10.0,
-        },
-        time: TimePolicy::Message,
         checksum: ChecksumPolicy::AcceptMissing,
-        lever_arm_m: DVec3::ZERO,
-        mounting: SensorMounting::default(),
-        dialect: NavDialect::default(),
-        provides: provides.to_vec(),
+        ..log_source(provides)
     }
 }
 
