@@ -42,6 +42,7 @@ pub enum Event {
 }
 
 impl Event {
+    /// The ping that the event begins, if it begins one.
     pub fn order(&self) -> Option<PingOrder> {
         match self {
             Self::Beat(order) | Self::Trigger(Triggered::Pulse(order)) => Some(*order),
@@ -74,12 +75,14 @@ impl Lane {
     }
 }
 
+/// The beats and triggers of all sonars of a rig, in the order of their instants.
 #[derive(Clone, Debug)]
 pub struct Beats {
     lanes: Vec<Lane>,
 }
 
 impl Beats {
+    /// Schedules whose beats start at `first_utc`, one for each item of `triggers`.
     pub fn starting_at<'a>(
         first_utc: UtcNs,
         sound_speed_m_per_s: f64,
@@ -104,6 +107,10 @@ impl Beats {
         }
     }
 
+    /// The schedule of a sonar by its index.
+    ///
+    /// # Panics
+    /// If there is no such sonar.
     pub fn schedule(&self, sonar: usize) -> &Schedule {
         &self.lanes[sonar].schedule
     }

@@ -29,7 +29,9 @@ const TAG: [u8; 8] = *b"faultrun";
 /// One injected fault. A line of `faults-*.jsonl`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Injection {
+    /// Number of the fault in the log.
     pub fault: u32,
+    /// Its kind, as the configuration names it.
     pub kind: &'static str,
     /// None of faults of navigation.
     #[serde(serialize_with = "as_text", skip_serializing_if = "Option::is_none")]
@@ -38,8 +40,10 @@ pub struct Injection {
     pub ping_number: u32,
     /// Of the pulse, or of a sample's arrival, or of the second that is marked; rig time.
     pub utc_ns: i64,
+    /// Name of the navigation source, of faults of navigation.
     #[serde(serialize_with = "as_text", skip_serializing_if = "Option::is_none")]
     pub source: Option<Arc<str>>,
+    /// Quantity of the sample, of faults of navigation.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quantity: Option<&'static str>,
     /// Of the line: the family.
@@ -48,10 +52,13 @@ pub struct Injection {
     /// Of the line: which record.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub record_type: Option<u32>,
+    /// Place in a stream of packets, of faults of the link.
     #[serde(flatten)]
     pub place: Place,
+    /// Index of the receive array, of faults of elements.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub array: Option<usize>,
+    /// Index of the element in its array.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub element: Option<usize>,
     /// How far it has grown, 0 to 1.
@@ -64,11 +71,13 @@ pub struct Place {
     /// Of an element stream.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_number: Option<u32>,
-    /// Of VITA 49, and whether it is a context, and the time that it says.
+    /// Stream identifier of VITA 49.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stream: Option<u32>,
+    /// Whether the VITA 49 packet is a context packet.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub context: Option<bool>,
+    /// Time stamp of the VITA 49 packet, nanoseconds since 1970.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub packet_utc_ns: Option<i64>,
 }
@@ -83,12 +92,16 @@ fn as_text<S: serde::Serializer>(
 /// A ping as faults see it.
 #[derive(Clone, Copy, Debug)]
 pub struct PingMark {
+    /// Index of the sonar.
     pub sonar: usize,
+    /// Number of the ping.
     pub number: u32,
+    /// Instant of its pulse.
     pub utc: UtcNs,
 }
 
 impl PingMark {
+    /// The mark of an ordered ping of a sonar.
     pub fn of(sonar: usize, order: &PingOrder) -> Self {
         Self {
             sonar,
@@ -98,10 +111,11 @@ impl PingMark {
     }
 }
 
-/// A fault that stands, with what it has done so far.
+/// An active fault, with its counts.
 pub struct Standing {
     /// Its number in the log.
     pub id: u32,
+    /// What it does, from when, for how long.
     pub spec: FaultSpec,
     /// Index of the sonar; none: every one.
     sonar: Option<usize>,
@@ -116,16 +130,19 @@ pub struct Standing {
     last_ping: AtomicU32,
 }
 
-/// A fault that stands, for whoever looks.
+/// State of an active fault, for the status.
 #[derive(Clone, Debug, Serialize)]
 pub struct StandingFault {
+    /// Number of the fault in the log.
     pub fault: u32,
+    /// The request that injects it.
     #[serde(flatten)]
     pub request: FaultRequest,
     /// Rig time; none before its first ping.
     pub from_utc_ns: Option<i64>,
+    /// Pings or records into which it was injected.
     pub injected: u64,
-    /// 0: none.
+    /// Number of the last of those pings; 0 before the first.
     pub last_ping: u32,
 }
 
@@ -158,6 +175,7 @@ pub struct Faults {
 }
 
 impl Faults {
+    /// No faults yet. `sonars` and `sources` are those of the rig; requests are checked against them.
     pub fn new(sonars: &[SonarSpec], sources: &[NavSourceSpec]) -> Self {
         let heads = sonars.iter().map(|sonar| Head {
             name: sonar.name.as_str().into(),
@@ -285,10 +303,12 @@ impl Faults {
         list.collect()
     }
 
+    /// Number of active faults.
     pub fn standing(&self) -> usize {
         self.count.load(Ordering::Acquire) as usize
     }
 
+    /// Number of injections since the start.
     pub fn injected(&self) -> u64 {
         self.injected.load(Ordering::Relaxed)
     }
@@ -376,6 +396,7 @@ impl Faults {
         }
     }
 
+    /// The line of the log for a fault that is injected at `moment`. `strength` is from 0 to 1.
     pub fn injection(&self, standing: &Standing, moment: Moment, strength: f64) -> Injection {
         Injection {
             fault: standing.id,
@@ -469,6 +490,7 @@ impl Faults {
 /// When, and of what, it is asked whether a fault strikes.
 #[derive(Clone, Copy)]
 pub struct Moment {
+    /// Rig time.
     pub utc: UtcNs,
     /// Of the ping, the sample or the second: what bursts are counted in.
     pub number: u32,
@@ -477,6 +499,7 @@ pub struct Moment {
 }
 
 impl Moment {
+    /// A whole second, for faults of pulses per second.
     pub fn of_second(second: UtcNs) -> Self {
         Self {
             utc: second,

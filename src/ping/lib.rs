@@ -2,6 +2,7 @@
 //!
 //! No file, no socket and no clock: the runtime says when, and hands the results over.
 
+#![warn(missing_docs)]
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 pub mod beats;

@@ -1,7 +1,7 @@
-//! The plan of methods: which path model, Doppler model, sum and culling a sonar's pings are made with.
+//! Choice among candidate methods: path model, Doppler model, synthesis and culling of a sonar's pings.
 //!
-//! In: candidates, each with what the stages' error models promise of its parts and what it costs; the goal. Out: the cheapest candidate within
-//! the goal, all others in the order of their cost, and why. Knows no stage: `crate::method_selection` asks the error models.
+//! In: candidates, each with the errors that the stages' error models predict for its parts and its cost; the goal. Out: the cheapest candidate
+//! within the goal, all others in the order of their cost, and why. Knows no stage: `crate::method_selection` asks the error models.
 //!
 //! How errors add: a candidate differs from the reference by one step after another (path, then Doppler, then the sum, then what is left out), and
 //! the norm of a sum of differences is at most the sum of their norms (the triangle inequality). So parts are added as they are; parts of random
@@ -10,19 +10,23 @@
 use crate::work::Work;
 use echotank_core::model::ModelChoice;
 
-/// What is chosen in one place of the plan.
+/// One of the choices that make up a candidate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Family {
+    /// Path model.
     Path,
+    /// Doppler model.
     Doppler,
-    /// The way to sum, with its array form, kernel and precision.
+    /// Synthesis method, with its array form, kernel and precision.
     Sum,
+    /// Pattern floor below which scatterers are left out.
     Culling,
     /// Whether lines are made from elements or from parts of them.
     Output,
 }
 
 impl Family {
+    /// All families, in the order of the parts of a candidate.
     pub const ALL: [Self; 5] = [
         Self::Path,
         Self::Doppler,
@@ -30,6 +34,7 @@ impl Family {
         Self::Culling,
         Self::Output,
     ];
+    /// As `echotank check` names it.
     pub fn name(self) -> &'static str {
         match self {
             Self::Path => "path",
@@ -44,54 +49,63 @@ impl Family {
 /// One member of a family under the ping's conditions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Part {
+    /// The family.
     pub family: Family,
+    /// The member, as `echotank check` prints it.
     pub choice: String,
-    /// Of element samples, relative; where no elements are made, of the line's before it is compressed.
+    /// Predicted relative error of element samples; where no elements are made, of a line's samples before pulse compression.
     pub error: f64,
-    /// Of one core.
+    /// Cost estimate, milliseconds of one core.
     pub cost_ms: f64,
-    /// What that is the cost of.
+    /// The work behind that cost.
     pub work: Work,
+    /// Reason for the predicted error.
     pub why: String,
 }
 
-/// How far a candidate moves things in a picture.
+/// Displacement of targets in an image by a candidate's path and Doppler models.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Displaced {
-    /// In cells along the track, and in range.
+    /// Along the track, resolution cells.
     pub along_cells: f64,
+    /// In range, resolution cells.
     pub range_cells: f64,
 }
 
-/// Everything that a pipeline can be made from, beside the configuration.
+/// The methods that a pipeline is made with, beside the configuration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Choice {
+    /// Path, Doppler, synthesis and culling.
     pub model: ModelChoice,
-    /// What an engine is made for; none is the whole tolerance.
+    /// Tolerance of the engine; none is the whole tolerance.
     pub engine_tolerance: Option<f64>,
-    /// Nearest scatterer that engines are made for.
+    /// Smallest range of a scatterer that the engines allow, metres.
     pub nearest_m: f64,
     /// Elements of a line that are made as one; 1 where elements are made.
     pub part_elements: usize,
 }
 
+/// A combination of methods with its predicted errors and costs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Candidate {
+    /// The methods.
     pub choice: Choice,
     /// In the order of [`Family::ALL`].
     pub parts: [Part; 5],
+    /// Displacement in images.
     pub displaced: Displaced,
 }
 
 impl Candidate {
-    /// Of element samples: at most.
+    /// Upper bound of the relative error of element samples: the sum over the parts.
     pub fn error(&self) -> f64 {
         self.parts.iter().map(|part| part.error).sum()
     }
-    /// Of one core.
+    /// Cost estimate, milliseconds of one core.
     pub fn cost_ms(&self) -> f64 {
         self.parts.iter().map(|part| part.cost_ms).sum()
     }
+    /// The part of one family.
     pub fn part(&self, family: Family) -> &Part {
         &self.parts[family as usize]
     }
@@ -110,7 +124,7 @@ impl Candidate {
     }
 }
 
-/// What is asked of a ping.
+/// Accuracy that a ping must reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Goal {
     /// Relative error of element samples.
@@ -124,7 +138,7 @@ pub struct Goal {
 pub const ALONG_PER_RANGE: f64 = 2.5;
 
 impl Goal {
-    /// The share of what is allowed that a candidate uses up: 1 and less is within.
+    /// Predicted error over the allowed error: up to 1, the candidate is within the goal.
     pub fn share(&self, candidate: &Candidate) -> f64 {
         let Some(cells) = self.image_cells else {
             return candidate.error() / self.tolerance;
@@ -140,19 +154,22 @@ impl Goal {
             .max(along_cells / (ALONG_PER_RANGE * cells))
     }
 
+    /// Whether the predicted error is within the goal.
     pub fn meets(&self, candidate: &Candidate) -> bool {
         self.share(candidate) <= 1.0
     }
 }
 
-/// A plan and what it was chosen from.
+/// The selected candidate and all others.
 #[derive(Clone, Debug)]
 pub struct Ranking {
+    /// The goal.
     pub goal: Goal,
     /// Cheapest first.
     pub candidates: Vec<Candidate>,
     /// Those that cannot be made, and why.
     pub refused: Vec<(String, String)>,
+    /// Index of the selected candidate.
     pub chosen: usize,
 }
 
@@ -193,6 +210,7 @@ pub fn choose(
 }
 
 impl Ranking {
+    /// The selected candidate.
     pub fn chosen(&self) -> &Candidate {
         &self.candidates[self.chosen]
     }

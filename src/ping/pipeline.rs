@@ -41,10 +41,18 @@ const NEAREST_BOTTOM_M: f64 = 1.0;
 /// A sonar that cannot be computed as it is configured.
 #[derive(Debug, Error)]
 pub enum PipelineError {
+    /// The receiver filter cannot be designed.
     #[error("receiver filter: {0}")]
     Filter(#[from] FilterError),
+    /// A gridded engine cannot reach its tolerance.
     #[error("sonar.model.tolerance = {tolerance:e}: {why}")]
-    Engine { tolerance: f64, why: GriddedError },
+    Engine {
+        /// Relative error.
+        tolerance: f64,
+        /// The limit in the way.
+        why: GriddedError,
+    },
+    /// `gridded-2d` cannot be used for this sonar.
     #[error("sonar.model.synthesis = \"gridded-2d\": {0}")]
     LineEngine(#[from] Refusal),
 }
@@ -197,7 +205,7 @@ impl SonarPipeline {
         }
     }
 
-    /// What it is made for.
+    /// Path, Doppler and synthesis methods of its pings.
     pub fn model(&self) -> ModelChoice {
         self.spec.model
     }

@@ -24,32 +24,50 @@ use echotank_scene::simplify::stage::{Stage, StageCounts};
 use echotank_scene::{Files, Scene, SceneError};
 use echotank_synthesis::echo::absorption::absorption_db_per_m;
 
+/// A rig that cannot be opened.
 #[derive(Debug, Error)]
 pub enum RigError {
+    /// The scene cannot be opened.
     #[error("scene: {0}")]
     Scene(#[from] SceneError),
+    /// A sonar's pipeline cannot be made.
     #[error("sonar {name}: {why}")]
-    Sonar { name: String, why: PipelineError },
+    Sonar {
+        /// Name of the sonar.
+        name: String,
+        /// Why not.
+        why: PipelineError,
+    },
+    /// A configured fault does not fit the rig.
     #[error("fault {number}: {why}")]
-    Fault { number: usize, why: FaultRefused },
+    Fault {
+        /// Its place among the `[[fault]]` tables, from 1.
+        number: usize,
+        /// Why not.
+        why: FaultRefused,
+    },
 }
 
 /// A ping and everything it made, in buffers that are used again.
 #[derive(Clone, Debug)]
 pub struct PingSlot {
+    /// The plan of the ping.
     pub plan: PingPlan,
+    /// Element samples, beams, lines and counts.
     pub output: PingOutput,
 }
 
-/// One head.
+/// One sonar of a rig.
 pub struct SonarUnit {
+    /// The configuration.
     pub spec: SonarSpec,
+    /// From scatterers to beams and lines.
     pub pipeline: SonarPipeline,
     /// Leaves out what a ping can do without.
     pub(crate) simplify: Option<(Stage, View)>,
     /// One way, at the centre frequency.
     pub absorption_db_per_m: f64,
-    /// The rig's.
+    /// Faults of the rig.
     pub faults: Arc<Faults>,
     /// Chooses what the configuration leaves to the plan of methods.
     pub planner: Option<Planner>,
@@ -89,10 +107,15 @@ impl SonarUnit {
 
 /// The parts that every ping passes through.
 pub struct Rig {
+    /// The configuration.
     pub spec: RigSpec,
+    /// Navigation samples.
     pub history: NavHistory,
+    /// The virtual seabed and its targets.
     pub scene: Scene,
+    /// The sonars, in the order of the configuration.
     pub sonars: Vec<SonarUnit>,
+    /// Configured faults and those of the control API.
     pub faults: Arc<Faults>,
     costs: Arc<Costs>,
     placed: bool,
@@ -182,6 +205,7 @@ impl Rig {
         Ok(())
     }
 
+    /// The water.
     pub fn medium(&self) -> &MediumSpec {
         &self.spec.medium
     }

@@ -35,8 +35,11 @@ pub fn period_ns(settings: &SonarSettings, sound_speed_m_per_s: f64) -> i64 {
 /// A ping that will be made: its number, its instant and the settings in force at that instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PingOrder {
+    /// From 1.
     pub ping_number: u32,
+    /// Start of the pulse.
     pub transmit_utc: UtcNs,
+    /// Settings in force at that instant.
     pub settings: SonarSettings,
     /// Since the previous order; 0 for the first.
     pub period_s: f64,
@@ -57,6 +60,7 @@ pub struct Schedule {
 }
 
 impl Schedule {
+    /// First beat at `first_utc`, first ping number 1.
     pub fn starting_at(first_utc: UtcNs, sound_speed_m_per_s: f64) -> Self {
         Self {
             next_utc: first_utc,

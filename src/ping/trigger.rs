@@ -12,17 +12,20 @@ use echotank_core::time::UtcNs;
 /// What becomes of triggers that come too early.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Early {
+    /// Queue or refuse.
     pub rule: EarlyTrigger,
     /// From pulse to pulse, beside what the range needs; seconds.
     pub min_interval_s: f64,
 }
 
+/// Effect of a trigger.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Triggered {
     /// The ping begins with the trigger.
     Pulse(PingOrder),
     /// It begins as soon as it may.
     Queued,
+    /// It makes no ping.
     Refused(Refusal),
 }
 
@@ -94,6 +97,10 @@ impl Numbers {
     /// How far back a number counts as late.
     pub const REACH: u32 = u64::BITS;
 
+    /// Notes a trigger's number.
+    ///
+    /// # Errors
+    /// A number that was seen before, or that a later one has overtaken.
     pub fn check(&mut self, number: u32) -> Result<(), Refusal> {
         let Some(highest) = self.highest else {
             (self.highest, self.seen) = (Some(number), 1);

@@ -13,6 +13,7 @@ macro_rules! figures {
         }
 
         impl Figure {
+            /// All kinds, in the order of the table.
             pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
 
             /// As a table of costs calls it.
@@ -52,12 +53,13 @@ figures! {
     ReplicaEcho "replica_echo" "an echo in `nearest` and `linear`";
     ReplicaSample "replica_sample" "a sample of an echo in `nearest`; `linear` has two";
     FilterTap "filter_tap" "a tap of the receiver filter, for each sample behind it";
-    Gridded1dEcho "gridded_1d_echo" "what `gridded-1d` foresees for its echoes, in its own ns";
-    Gridded1dGrid "gridded_1d_grid" "what `gridded-1d` foresees for its grids, in its own ns";
-    Gridded2dEcho "gridded_2d_echo" "what `gridded-2d` foresees for its echoes, in its own ns";
-    Gridded2dGrid "gridded_2d_grid" "what `gridded-2d` foresees for its grids, in its own ns";
+    Gridded1dEcho "gridded_1d_echo" "cost estimate of `gridded-1d` for its echoes, in its own ns";
+    Gridded1dGrid "gridded_1d_grid" "cost estimate of `gridded-1d` for its grids, in its own ns";
+    Gridded2dEcho "gridded_2d_echo" "cost estimate of `gridded-2d` for its echoes, in its own ns";
+    Gridded2dGrid "gridded_2d_grid" "cost estimate of `gridded-2d` for its grids, in its own ns";
 }
 
+/// Number of kinds of work.
 pub const FIGURES: usize = Figure::ALL.len();
 
 /// Amounts of each kind.
@@ -65,6 +67,7 @@ pub const FIGURES: usize = Figure::ALL.len();
 pub struct Work([f64; FIGURES]);
 
 impl Work {
+    /// No work.
     pub const NONE: Self = Self([0.0; FIGURES]);
 
     /// With this much of one kind.

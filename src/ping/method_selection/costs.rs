@@ -1,7 +1,8 @@
-//! What the stages cost: a table of figures of one core, the one that comes with the program or one that `echotank check --calibrate` has measured.
+//! Cost model of the stages: a table of figures of one core, either the one that comes with the program or one that `echotank check --calibrate`
+//! has measured.
 //!
-//! A method's cost is the sum of its amounts of work ([`Work`]), each times its figure, nanoseconds. What the engines with a tolerance foresee of
-//! themselves is work too, in their own nanoseconds; its figures are near 1.
+//! A method's cost is the sum of its amounts of work ([`Work`]), each times its figure in nanoseconds. The engines' own cost estimates are work too,
+//! in their own nanoseconds; their figures are near 1.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -14,21 +15,41 @@ use crate::work::{Figure, Work};
 /// The table that comes with the program.
 const COMMITTED: &str = include_str!("costs.toml");
 
+/// A table of costs that cannot be used. `path` names the file, `key` the figure.
 #[derive(Debug, Error)]
 pub enum CostsError {
+    /// The text is not TOML of the expected form.
     #[error("{path}: {why}")]
     Parse {
+        /// The file.
         path: String,
+        /// The message of the TOML parser.
         why: Box<toml::de::Error>,
     },
+    /// A figure is missing.
     #[error("{path}: ns.{key} is missing")]
-    Missing { path: String, key: &'static str },
+    Missing {
+        /// The file.
+        path: String,
+        /// The figure.
+        key: &'static str,
+    },
+    /// A key is no figure.
     #[error("{path}: ns.{key}: no such figure; one of {}", names())]
-    Unknown { path: String, key: String },
+    Unknown {
+        /// The file.
+        path: String,
+        /// The key that is no figure.
+        key: String,
+    },
+    /// A figure is not a positive, finite number.
     #[error("{path}: ns.{key} = {value}: must be above 0 and finite")]
     Value {
+        /// The file.
         path: String,
+        /// The figure.
         key: &'static str,
+        /// Its value, nanoseconds.
         value: f64,
     },
 }
@@ -38,9 +59,10 @@ fn names() -> String {
     all.join(", ")
 }
 
+/// A table of costs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Costs {
-    /// Whose figures these are, and how they were got.
+    /// The machine of the measurement, and how it was measured.
     pub machine: String,
     /// Nanoseconds of one core for each unit of work.
     pub ns: Work,
@@ -55,6 +77,7 @@ struct Table {
 }
 
 impl Costs {
+    /// The table that comes with the program.
     pub fn committed() -> Self {
         Self::parse(COMMITTED, "the committed table of costs")
             .expect("costs.toml is checked by a test")

@@ -57,18 +57,20 @@ pub struct Planner {
     seen: VecDeque<Seen>,
     barred: Vec<Choice>,
     pending: Option<Pending>,
+    /// Counts since the sonar was opened.
     pub counts: PlanCounts,
 }
 
 /// Of a sonar, since it was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PlanCounts {
-    /// Times that it was ranked anew, and that another plan came of it.
+    /// New rankings of the candidates.
     pub(crate) ranked: u64,
+    /// Rankings after which the selected methods changed.
     pub changed: u64,
-    /// Plans given up because an error check was above their tolerance.
+    /// Selections given up because an error check was above their tolerance.
     pub given_up: u64,
-    /// Plans that could not be made; the one before stays.
+    /// Selections that could not be made; the one before stays.
     pub failed: u64,
 }
 

@@ -63,29 +63,38 @@ const LINE_DOPPLER_GRIDS: f64 = 10.0;
 /// Mean width of a two-way beam of line arrays, in wavelengths over the root of the sum of their squared lengths: 0.64 for two alike.
 const TWO_WAY_WIDTH: f64 = 0.905;
 
-/// What a plan is made of.
+/// Inputs of a method selection.
 #[derive(Clone, Copy)]
 pub struct Scene<'a> {
+    /// The sonar.
     pub spec: &'a SonarSpec,
+    /// The water.
     pub medium: &'a MediumSpec,
+    /// A ping with the settings and the motion to select for.
     pub plan: &'a PingPlan,
+    /// Its scatterers, or a sample of them.
     pub scatterers: &'a Scatterers,
     /// How many there are, where `scatterers` are a sample of them ([`sample`]).
     pub count: usize,
+    /// Cost model of the machine.
     pub costs: &'a Costs,
-    /// What the platform has done of late, over what it does in this ping.
+    /// Recent motion of the platform over its motion in this ping.
     pub swell: Swell,
 }
 
-/// Factors of 1 and more.
+/// Recent motion over the motion in one ping: factors of 1 and more.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Swell {
+    /// Of the speed.
     pub speed: f64,
+    /// Of the acceleration.
     pub acceleration: f64,
+    /// Of the velocity of the arrays by rotation.
     pub turning: f64,
 }
 
 impl Swell {
+    /// The motion of the ping itself.
     pub const NONE: Self = Self {
         speed: 1.0,
         acceleration: 1.0,
