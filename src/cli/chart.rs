@@ -107,7 +107,7 @@ pub(crate) fn main(args: &ChartArgs) -> Result<(), Failure> {
                 pings: 1,
                 ..options.clone()
             };
-            let pool = echotank_ping::rig::pool(options.threads).map_err(Failure::running)?;
+            let pool = echotank_ping::threads::pool(options.threads).map_err(Failure::running)?;
             pool.install(|| -> Result<Vec<work::Curve>, Failure> {
                 let (scenes, _) = chart::scenes(&spec, &one).map_err(Failure::running)?;
                 let mut curves = Vec::new();

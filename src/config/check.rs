@@ -3,6 +3,7 @@
 //! Each function reads one table and returns its part of the specification, or none if the table has a problem.
 //! Checks of a missing value are skipped and all others are made, so that one run lists every problem.
 
+mod arrays;
 mod culling;
 mod devices;
 mod families;

@@ -13,7 +13,8 @@ use echotank_core::scene::Scatterers;
 use echotank_core::settings::SonarSettings;
 use echotank_synthesis::array::direct::Direct;
 use echotank_synthesis::array::filter::{self, Decimator, FilterError, grid_ahead};
-use echotank_synthesis::array::gridded::DopplerSpan;
+use echotank_synthesis::array::gridded::{DopplerSpan, GriddedError};
+use echotank_synthesis::array::gridded2d::Refusal;
 use echotank_synthesis::comparison::Comparison;
 use echotank_synthesis::comparison::spectral::Bins;
 use echotank_synthesis::echo::reference::reference_with;
@@ -24,11 +25,30 @@ use echotank_synthesis::error_model::ErrorModel;
 use echotank_synthesis::slabs::{PingElement, SlabEngine};
 use num_complex::Complex64;
 use rayon::prelude::*;
+use thiserror::Error;
 
 use crate::engines::{Engines, engine_filter};
 use crate::line_engines::LineEngines;
-use crate::pipeline::PipelineError;
 use crate::plan;
+
+/// A sonar that cannot be computed as it is configured.
+#[derive(Debug, Error)]
+pub enum PipelineError {
+    /// The receiver filter cannot be designed.
+    #[error("receiver filter: {0}")]
+    Filter(#[from] FilterError),
+    /// A gridded engine cannot reach its tolerance.
+    #[error("sonar.model.tolerance = {tolerance:e}: {why}")]
+    Engine {
+        /// Relative error.
+        tolerance: f64,
+        /// The limit in the way.
+        why: GriddedError,
+    },
+    /// `gridded-2d` cannot be used for this sonar.
+    #[error("sonar.model.synthesis = \"gridded-2d\": {0}")]
+    LineEngine(#[from] Refusal),
+}
 
 /// The receiver filter leaves room for the Doppler of a platform as fast as this, m/s.
 pub const FASTEST_PLATFORM_M_PER_S: f64 = 10.0;

@@ -23,12 +23,13 @@ pub mod pipeline;
 pub mod plan;
 pub mod rig;
 pub mod schedule;
+pub mod threads;
 pub mod trigger;
 pub mod view;
 pub mod work;
 pub mod world;
 
 pub use make_ping::{finish_ping, make_degraded_ping, make_ping};
-pub use plan::{blank, fill, max_samples, max_segments, polyline, pulse, sample_count, window_s};
-pub use schedule::{PingOrder, Schedule, TURNAROUND_S, period_ns};
+pub use plan::{blank, fill, max_samples, max_segments, polyline, pulse, sample_count};
+pub use schedule::{PingOrder, Schedule, TURNAROUND_S, period_ns, window_s};
 pub use trigger::{Early, Refusal, Triggered};

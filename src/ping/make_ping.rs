@@ -133,3 +133,43 @@ fn form(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
         planner.after(plan, &rig.scatterers, output.error_check.as_ref());
     }
 }
+
+impl Rig {
+    /// Selects the methods of the first pings for `order`, where the configuration leaves them to the selection and navigation is there. To be called
+    /// before any ping.
+    pub fn plan_first(&mut self, sonar: usize, order: &PingOrder) {
+        if self.sonars[sonar].planner.is_none() {
+            return;
+        }
+        let mut slot = self.slot(sonar);
+        let mode = self.spec.nav.mode;
+        if self
+            .prepare(sonar, order, mode, order.transmit_utc, &mut slot)
+            .is_ok()
+        {
+            let unit = &mut self.sonars[sonar];
+            if let Some(planner) = &mut unit.planner {
+                planner.begin(&slot.plan, &self.scatterers, &mut unit.pipeline);
+            }
+            for level in &mut unit.looser {
+                if let Some(planner) = &mut level.planner {
+                    planner.begin(&slot.plan, &self.scatterers, &mut level.pipeline);
+                }
+            }
+        }
+    }
+
+    /// Makes the plan of a ping and gathers its scatterers, without the ping itself.
+    pub fn prepare(
+        &mut self,
+        sonar: usize,
+        order: &PingOrder,
+        mode: NavMode,
+        host_utc: UtcNs,
+        slot: &mut PingSlot,
+    ) -> Result<(), NavGap> {
+        motion(self, sonar, order, mode, host_utc, slot)?;
+        gather(self, sonar, slot);
+        Ok(())
+    }
+}

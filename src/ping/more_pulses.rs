@@ -16,8 +16,7 @@
 use num_complex::Complex64;
 use std::f64::consts::TAU;
 
-use crate::element_synthesis::{ElementScratch, ElementSynthesis};
-use crate::pipeline::{PipelineError, line_former};
+use crate::element_synthesis::{ElementScratch, ElementSynthesis, PipelineError};
 use crate::plan;
 use echotank_config::spec::{MediumSpec, MorePulseSpec, SonarSpec};
 use echotank_core::ping::{EchoCounts, ElementFrame, Line, PingPlan, PulseLines};
@@ -65,7 +64,7 @@ impl MorePulse {
                 .beams
                 .lines
                 .iter()
-                .map(|line| line_former(&spec, medium, line, limits))
+                .map(|line| LineFormer::of_sonar(&spec, line, limits, medium.sound_speed_m_per_s))
                 .collect(),
             frame: ElementFrame::default(),
         })
@@ -239,7 +238,7 @@ mod tests {
     }
 
     fn once(spec: &SonarSpec, medium: &MediumSpec, plan: &PingPlan) -> PingOutput {
-        let pool = crate::rig::pool(1).expect("a pool");
+        let pool = crate::threads::pool(1).expect("a pool");
         pool.install(|| {
             let mut pipeline = SonarPipeline::new(spec, medium).expect("a sonar");
             let mut output = pipeline.blank_output();

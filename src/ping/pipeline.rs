@@ -8,8 +8,8 @@ use std::sync::Mutex;
 
 use num_complex::Complex64;
 use rayon::prelude::*;
-use thiserror::Error;
 
+pub use crate::element_synthesis::PipelineError;
 use crate::element_synthesis::{
     ElementScratch, ElementSynthesis, doppler_hz, of_this_thread, receiver_filter, shortest_pulse,
 };
@@ -17,7 +17,7 @@ use crate::error_check::ErrorChecker;
 use crate::footprints::{footprints, max_echo_range_m};
 use crate::more_pulses::MorePulse;
 use crate::plan;
-use echotank_config::spec::{LineSpec, MediumSpec, SonarSpec};
+use echotank_config::spec::{MediumSpec, SonarSpec};
 use echotank_core::model::ModelChoice;
 use echotank_core::ping::{
     BeamFrame, EchoCounts, ElementFrame, Line, OverloadState, PingOutput, PingPlan, SceneCounts,
@@ -30,32 +30,10 @@ use echotank_imaging::beam::halves::HalvesFormer;
 use echotank_imaging::beam::sidescan::LineFormer;
 use echotank_imaging::image::bottom::BottomDetector;
 use echotank_synthesis::array::faults::{ActiveFault, apply_fault};
-use echotank_synthesis::array::filter::FilterError;
-use echotank_synthesis::array::gridded::GriddedError;
-use echotank_synthesis::array::gridded2d::Refusal;
 use echotank_synthesis::array::receiver::receive;
 
 /// No bottom is looked for nearer than this beyond the pulse, metres.
 const NEAREST_BOTTOM_M: f64 = 1.0;
-
-/// A sonar that cannot be computed as it is configured.
-#[derive(Debug, Error)]
-pub enum PipelineError {
-    /// The receiver filter cannot be designed.
-    #[error("receiver filter: {0}")]
-    Filter(#[from] FilterError),
-    /// A gridded engine cannot reach its tolerance.
-    #[error("sonar.model.tolerance = {tolerance:e}: {why}")]
-    Engine {
-        /// Relative error.
-        tolerance: f64,
-        /// The limit in the way.
-        why: GriddedError,
-    },
-    /// `gridded-2d` cannot be used for this sonar.
-    #[error("sonar.model.synthesis = \"gridded-2d\": {0}")]
-    LineEngine(#[from] Refusal),
-}
 
 /// Counts of one element, added up when all are done: integers only.
 #[derive(Clone, Copy, Default)]
@@ -145,7 +123,7 @@ impl SonarPipeline {
                 .beams
                 .lines
                 .iter()
-                .map(|line| line_former(spec, medium, line, limits))
+                .map(|line| LineFormer::of_sonar(spec, line, limits, medium.sound_speed_m_per_s))
                 .collect(),
             bottom: bottom(spec, medium, limits),
             faults: Vec::new(),
@@ -446,20 +424,4 @@ fn bottom(spec: &SonarSpec, medium: &MediumSpec, limits: RowLimits) -> Option<Bo
         halves: HalvesFormer::new(array, transmit, fan, limits, &spec.pulse, weighting, c),
         detector: BottomDetector::new(limits.sample_rate_hz, bandwidth_hz, limits.samples),
     })
-}
-
-pub(super) fn line_former(
-    spec: &SonarSpec,
-    medium: &MediumSpec,
-    line: &LineSpec,
-    limits: RowLimits,
-) -> LineFormer {
-    let weighting = spec.beams.weighting;
-    if !spec.beams.focused_lines {
-        return LineFormer::weighted(line, limits, &spec.pulse, weighting);
-    }
-    let array = &spec.receive[line.array];
-    let transmit = &spec.transmit[array.transmit];
-    let c = medium.sound_speed_m_per_s;
-    LineFormer::focused(line, array, transmit, limits, &spec.pulse, &spec.beams, c)
 }

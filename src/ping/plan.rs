@@ -10,12 +10,7 @@ use echotank_core::pulse::Pulse;
 use echotank_core::settings::SonarSettings;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
-use crate::schedule::{PingOrder, period_ns};
-
-/// Listening window for these settings: two-way time to the range plus the pulse, so that an echo at full range is whole. Seconds.
-pub fn window_s(settings: &SonarSettings, sound_speed_m_per_s: f64) -> f64 {
-    2.0 * settings.range_m / sound_speed_m_per_s + settings.pulse_duration_s
-}
+use crate::schedule::{PingOrder, period_ns, window_s};
 
 /// Samples that cover [`window_s`].
 pub fn sample_count(

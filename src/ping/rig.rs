@@ -6,19 +6,17 @@ use thiserror::Error;
 
 use crate::PingOrder;
 use crate::faults::Faults;
-use crate::make_ping;
 use crate::method_selection::costs::Costs;
 use crate::method_selection::live::Planner;
 use crate::pipeline::{PipelineError, SonarPipeline};
 use crate::plan;
 use crate::world::{SceneSummary, SharedSceneSummary};
-use echotank_config::spec::{AnchorSpec, FaultRefused, MediumSpec, NavMode, RigSpec, SonarSpec};
+use echotank_config::spec::{AnchorSpec, FaultRefused, MediumSpec, RigSpec, SonarSpec};
 use echotank_core::arrays::TimeVaryingGain;
 use echotank_core::ping::{PingOutput, PingPlan};
 use echotank_core::scene::{Scatterers, Target};
 use echotank_core::settings::SonarSettings;
-use echotank_core::time::UtcNs;
-use echotank_nav::{NavGap, NavHistory};
+use echotank_nav::NavHistory;
 use echotank_scene::simplify::energy::View;
 use echotank_scene::simplify::stage::{Stage, StageCounts};
 use echotank_scene::{Files, Scene, SceneError};
@@ -72,14 +70,14 @@ pub struct SonarUnit {
     /// Chooses what the configuration leaves to the plan of methods.
     pub planner: Option<Planner>,
     /// Under `run.overload = "degrade"`: what takes the place of pipeline and planner, the next looser first.
-    looser: Vec<DegradationLevel>,
+    pub(crate) looser: Vec<DegradationLevel>,
 }
 
 /// A looser tolerance to fall back on.
-struct DegradationLevel {
+pub(crate) struct DegradationLevel {
     tolerance: f64,
-    pipeline: SonarPipeline,
-    planner: Option<Planner>,
+    pub(crate) pipeline: SonarPipeline,
+    pub(crate) planner: Option<Planner>,
 }
 
 impl SonarUnit {
@@ -328,49 +326,4 @@ impl Rig {
         tile.plan.clone_from(&slot.plan);
         true
     }
-
-    /// The plan of methods for the first pings, on `order`, where it is left to the plan and the navigation is there. Before any ping is made.
-    pub fn plan_first(&mut self, sonar: usize, order: &PingOrder) {
-        if self.sonars[sonar].planner.is_none() {
-            return;
-        }
-        let mut slot = self.slot(sonar);
-        let mode = self.spec.nav.mode;
-        if self
-            .prepare(sonar, order, mode, order.transmit_utc, &mut slot)
-            .is_ok()
-        {
-            let unit = &mut self.sonars[sonar];
-            if let Some(planner) = &mut unit.planner {
-                planner.begin(&slot.plan, &self.scatterers, &mut unit.pipeline);
-            }
-            for level in &mut unit.looser {
-                if let Some(planner) = &mut level.planner {
-                    planner.begin(&slot.plan, &self.scatterers, &mut level.pipeline);
-                }
-            }
-        }
-    }
-
-    /// The plan of a ping and its scatterers, without the ping itself.
-    pub fn prepare(
-        &mut self,
-        sonar: usize,
-        order: &PingOrder,
-        mode: NavMode,
-        host_utc: UtcNs,
-        slot: &mut PingSlot,
-    ) -> Result<(), NavGap> {
-        make_ping::motion(self, sonar, order, mode, host_utc, slot)?;
-        make_ping::gather(self, sonar, slot);
-        Ok(())
-    }
-}
-
-/// The threads that compute pings; 0 means as many as there are cores.
-pub fn pool(threads: usize) -> Result<rayon::ThreadPool, rayon::ThreadPoolBuildError> {
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .thread_name(|k| format!("ping {k}"))
-        .build()
 }

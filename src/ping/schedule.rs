@@ -6,8 +6,6 @@
 use echotank_core::settings::SonarSettings;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
-use crate::plan::window_s;
-
 /// Quiet time between the end of one listening window and the next pulse, seconds: a receiver needs some to turn around.
 pub const TURNAROUND_S: f64 = 1e-3;
 
@@ -30,6 +28,11 @@ pub fn period_ns(settings: &SonarSettings, sound_speed_m_per_s: f64) -> i64 {
         shortest_s
     };
     (period_s * NS_PER_S as f64).round() as i64
+}
+
+/// Listening window for these settings: two-way time to the range plus the pulse, so that an echo at full range is whole. Seconds.
+pub fn window_s(settings: &SonarSettings, sound_speed_m_per_s: f64) -> f64 {
+    2.0 * settings.range_m / sound_speed_m_per_s + settings.pulse_duration_s
 }
 
 /// A ping that will be made: its number, its instant and the settings in force at that instant.

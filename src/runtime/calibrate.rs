@@ -22,7 +22,7 @@ use echotank_ping::method_selection::{Scene, Swell, rank, with_choice};
 use echotank_ping::methods::{Candidate, Ranking};
 use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::polyline;
-use echotank_ping::rig::pool;
+use echotank_ping::threads::pool;
 use echotank_ping::work::{FIGURES, Figure, Work};
 
 /// Time limit of the whole calibration.

@@ -16,7 +16,8 @@ use echotank_config::spec::{MadeOutput, RigSpec, TriggerFrom};
 use echotank_core::time::{NS_PER_S, UtcNs};
 use echotank_ping::PingOrder;
 use echotank_ping::faults::PingMark;
-use echotank_ping::rig::{PingSlot, pool};
+use echotank_ping::rig::PingSlot;
+use echotank_ping::threads::pool;
 
 /// Why a replay cannot start or continue.
 #[derive(Debug, Error)]

@@ -38,7 +38,7 @@ mod tests {
     use echotank_core::model::Synthesis;
     use echotank_emit::blocks::blocks;
     use echotank_ping::PingOrder;
-    use echotank_ping::rig::pool;
+    use echotank_ping::threads::pool;
 
     #[test]
     fn tiles_double_in_length_and_end_with_blocks() {

@@ -13,6 +13,7 @@ mod gather;
 mod occlusion;
 pub mod paper;
 mod pattern_floor;
+mod piece;
 pub mod points;
 mod pool;
 pub mod read;

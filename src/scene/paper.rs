@@ -16,8 +16,8 @@ use std::ops::Range;
 
 use glam::{DVec2, DVec3};
 
-use super::occlusion::Piece;
-use super::seabed::Depth;
+use super::piece::Piece;
+use super::read::Depth;
 use super::targets::random::KeyedRandom;
 use echotank_config::spec::PaperShape;
 use echotank_core::scene::{ScatterLaw, Scatterers};
@@ -92,7 +92,7 @@ pub(crate) fn bounds_m(shape: PaperShape, east_m: (f64, f64)) -> (f64, f64) {
 /// Step of [`profile`], metres: a third of the narrowest feature. The quadratic pieces follow the features within a millimetre.
 const PIECE_M: f64 = 0.1;
 
-/// Pieces of the surface along a ray; see [`Surface::profile`](super::seabed::Surface::profile).
+/// Pieces of the surface along a ray; see `Surface::profile`.
 pub(super) fn profile(
     shape: PaperShape,
     from_m: DVec2,

@@ -2,7 +2,7 @@
 
 use echotank_config::spec::Density;
 use echotank_core::model::Synthesis;
-use echotank_ping::rig::pool;
+use echotank_ping::threads::pool;
 use echotank_testing::allocations;
 use echotank_testing::pings::LoggedPings;
 

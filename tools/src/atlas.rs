@@ -54,7 +54,7 @@ pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     }
     // Panics are recorded as cells of a map.
     std::panic::set_hook(Box::new(|_| {}));
-    let pool = echotank_ping::rig::pool(given.threads)?;
+    let pool = echotank_ping::threads::pool(given.threads)?;
     let size = if given.small {
         Size::SMALL
     } else {

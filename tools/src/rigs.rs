@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use echotank_config as config;
 use echotank_ping::method_selection::costs::Costs;
-use echotank_ping::rig::pool;
+use echotank_ping::threads::pool;
 use measure::{Did, Measured, measure};
 
 /// Pings faster than this are exempt from the cost limit, ms.

@@ -12,7 +12,7 @@ use echotank_ping::method_selection::costs::Costs;
 use echotank_ping::method_selection::{Scene, Swell, rank};
 use echotank_ping::methods::{ALONG_PER_RANGE, Candidate, Family, Ranking};
 use echotank_ping::period_ns;
-use echotank_ping::rig::pool;
+use echotank_ping::threads::pool;
 use echotank_runtime::calibrate::{self, Calibration};
 use echotank_runtime::first_pings::{FirstPing, first};
 

@@ -1,7 +1,7 @@
 //! Side-scan families: JSF, XTF, Imagenex 872.
 
 use super::super::spec::*;
-use super::sonar::Arrays;
+use super::arrays::Arrays;
 use super::{Listener, listen, only_with};
 use crate::keys;
 use crate::raw::{Entry, Problems};

@@ -1,7 +1,7 @@
 //! Outputs of samples.
 
 use super::super::spec::*;
-use super::sonar::Arrays;
+use super::arrays::Arrays;
 use super::{Listener, listen, only_with};
 use crate::keys;
 use crate::raw::{Field, Problems};

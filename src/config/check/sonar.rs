@@ -1,11 +1,11 @@
 //! One `[[sonar]]`.
 
-use std::collections::HashSet;
 use std::f64::consts::FRAC_PI_2;
 
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 
 use super::super::spec::*;
+use super::arrays::Arrays;
 use super::devices;
 use super::families;
 use super::picture::picture;
@@ -451,45 +451,6 @@ fn receive(
         sensitivity_db: table.sensitivity_db.get()?,
         transmit: transmit?,
     })
-}
-
-/// The receive arrays that beams and outputs refer to; none: an array with a problem.
-pub(crate) struct Arrays<'a> {
-    pub names: &'a [Option<&'a str>],
-    pub specs: &'a [Option<ArrayGeometry>],
-}
-
-impl Arrays<'_> {
-    /// The array that `key` names.
-    fn named(&self, key: &Field<String>, problems: &mut Problems) -> Option<usize> {
-        index_of(key.text()?, key, self.names, "receive array", problems)
-    }
-
-    /// Indices of the arrays named under `arrays`, or of all arrays if it is not given.
-    pub(crate) fn chosen(
-        &self,
-        arrays: &Field<Vec<String>>,
-        problems: &mut Problems,
-    ) -> Option<Vec<usize>> {
-        if !arrays.given {
-            return Some((0..self.specs.len()).collect());
-        }
-        let entry = arrays;
-        let mut seen = HashSet::new();
-        let mut chosen = Vec::new();
-        for name in arrays.as_ref()? {
-            if !seen.insert(name) {
-                problems.refuse(entry, format!("names \"{name}\" twice"));
-            }
-            chosen.push(index_of(name, entry, self.names, "receive array", problems));
-        }
-        all(chosen)
-    }
-
-    fn body_from_array(&self, index: usize) -> Option<DQuat> {
-        let spec = self.specs.get(index)?.as_ref()?;
-        Some(spec.mounting.body_from_array)
-    }
 }
 
 // ---------------------------------------------------------------- receiver

@@ -5,7 +5,7 @@ use num_complex::Complex64;
 use super::RowLimits;
 use super::delay_sum::DelaySumFormer;
 use super::matched::MatchedFilter;
-use echotank_config::spec::{BeamsSpec, FanForm, FanSpec, Former, LineSpec, Shading};
+use echotank_config::spec::{BeamsSpec, FanForm, FanSpec, Former, LineSpec, Shading, SonarSpec};
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::ping::{BeamFrame, ElementFrame, Line, PingPlan, Side};
 use echotank_core::pulse::Pulse;
@@ -32,6 +32,33 @@ impl LineFormer {
     /// Panics if the pulse exceeds `limits`; a checked configuration prevents this.
     pub fn new(line: &LineSpec, limits: RowLimits, pulse: &Pulse) -> Self {
         Self::weighted(line, limits, pulse, Shading::Uniform)
+    }
+
+    /// The line as `spec` configures it: focused or not, with its weighting.
+    ///
+    /// # Panics
+    /// As [`LineFormer::new`].
+    pub fn of_sonar(
+        spec: &SonarSpec,
+        line: &LineSpec,
+        limits: RowLimits,
+        sound_speed_m_per_s: f64,
+    ) -> Self {
+        let (pulse, beams) = (&spec.pulse, &spec.beams);
+        if !beams.focused_lines {
+            return Self::weighted(line, limits, pulse, beams.weighting);
+        }
+        let array = &spec.receive[line.array];
+        let transmit = &spec.transmit[array.transmit];
+        Self::focused(
+            line,
+            array,
+            transmit,
+            limits,
+            pulse,
+            beams,
+            sound_speed_m_per_s,
+        )
     }
 
     /// With a weighting along the pulse.

@@ -17,7 +17,7 @@ use crate::method_selection::costs::Costs;
 use crate::method_selection::{Scene, Swell, goal, rank, sample, with_choice};
 use crate::methods::{Choice, Ranking};
 use crate::pipeline::{PipelineError, SonarPipeline};
-use crate::rig::pool;
+use crate::threads::pool;
 use echotank_config::spec::{MediumSpec, SonarSpec};
 use echotank_core::ping::{ErrorCheck, MethodMark, PingPlan};
 use echotank_core::scene::Scatterers;

@@ -27,7 +27,7 @@ use echotank_ping::conditions::{conditions, sum_error_model};
 use echotank_ping::method_selection::costs::Costs;
 use echotank_ping::method_selection::{self, Swell, rank, sample, with_choice};
 use echotank_ping::pipeline::SonarPipeline;
-use echotank_ping::rig::pool;
+use echotank_ping::threads::pool;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
 
 /// Why a chart cannot be measured.

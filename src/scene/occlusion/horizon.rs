@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use super::Piece;
+use crate::piece::Piece;
 use crate::seabed::Surface;
 use echotank_config::spec::OcclusionSpec;
 

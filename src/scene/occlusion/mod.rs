@@ -16,7 +16,6 @@
 //! Point sets without a height field, as in the simplification, use `simplify::shadow`.
 
 mod horizon;
-mod piece;
 
 #[cfg(test)]
 mod tests;
@@ -32,7 +31,6 @@ use super::tiles::TileBox;
 use echotank_config::spec::OcclusionSpec;
 use echotank_core::scene::Footprint;
 use horizon::{Horizon, Visibility};
-pub(crate) use piece::Piece;
 
 /// Eyes closer together than this are treated as one, metres.
 const SAME_EYE_M: f64 = 1e-3;

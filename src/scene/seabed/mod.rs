@@ -10,8 +10,8 @@ use std::ops::Range;
 use glam::DVec2;
 
 use super::SceneError;
-use super::occlusion::Piece;
 use super::paper;
+use super::piece::Piece;
 pub(crate) use super::read::Depth;
 use super::read::{Files, FormatError, Georeference, HeightField, Survey};
 use blocks::{Blocks, NOTHING, united};

@@ -16,7 +16,7 @@ use std::f64::consts::{LN_10, PI};
 use glam::DVec3;
 
 use super::curvature::Curvatures;
-use super::shadow::Horizon;
+use super::shadow::{Horizon, incidence_from_vertical};
 use super::{Method, Settings, Weights};
 use echotank_core::scene::{ScatterLaw, Scatterers};
 
@@ -297,12 +297,6 @@ impl Energies {
         // Shadow is a factor here, not a rank: a shadowed point ties with the best, whose decibels are 0 as well.
         self.hidden.fill(false);
     }
-}
-
-/// Angle of the ray from the vertical, radians (Eq. 9).
-pub(super) fn incidence_from_vertical(scatterers: &Scatterers, i: usize, apex_m: DVec3) -> f64 {
-    let offset_m = scatterers.position_m(i) - apex_m;
-    libm::acos((offset_m.z / offset_m.length()).clamp(-1.0, 1.0))
 }
 
 fn decibels(ratio: f64) -> f64 {

@@ -9,7 +9,6 @@ use std::f64::consts::PI;
 
 use glam::DVec3;
 
-use super::energy::incidence_from_vertical;
 use echotank_core::scene::Scatterers;
 
 /// Horizon scan over a set of points. It allocates only while the number of points grows.
@@ -105,4 +104,10 @@ impl Horizon {
         self.order
             .sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
     }
+}
+
+/// Angle of the ray from the vertical, radians (Eq. 9).
+pub(super) fn incidence_from_vertical(scatterers: &Scatterers, i: usize, apex_m: DVec3) -> f64 {
+    let offset_m = scatterers.position_m(i) - apex_m;
+    libm::acos((offset_m.z / offset_m.length()).clamp(-1.0, 1.0))
 }

@@ -5,7 +5,7 @@
 
 use glam::DVec3;
 
-use super::solid::{SKIN_M, SurfacePoint};
+use super::surface::{SKIN_M, SurfacePoint};
 use crate::read::TriangleMesh;
 
 /// Greatest number of triangles in a leaf of the tree.

@@ -12,6 +12,7 @@ mod file;
 pub(crate) mod mesh;
 pub(crate) mod random;
 pub(crate) mod solid;
+mod surface;
 
 #[cfg(test)]
 mod tests;

@@ -7,9 +7,7 @@ use glam::{DMat3, DVec3};
 
 use super::mesh::Mesh;
 use super::random::KeyedRandom;
-
-/// Least distance of an intersection from the start of a ray, metres. It prevents a scatterer from shadowing itself by rounding.
-pub(crate) const SKIN_M: f64 = 1e-6;
+use super::surface::{SKIN_M, SurfacePoint};
 
 /// Geometry of a solid.
 #[derive(Clone, Debug)]
@@ -37,14 +35,6 @@ pub enum Solid {
         radius_m: f64,
     },
     Mesh(Mesh),
-}
-
-/// A point on a surface with its normal.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct SurfacePoint {
-    pub position_m: DVec3,
-    /// Unit vector, outward.
-    pub normal: DVec3,
 }
 
 impl Solid {

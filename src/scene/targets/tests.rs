@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::mesh::Mesh;
-use super::solid::SurfacePoint;
+use super::surface::SurfacePoint;
 use super::*;
 use crate::read::TriangleMesh;
 use crate::unit_tests::Disk;

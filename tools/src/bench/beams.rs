@@ -24,7 +24,7 @@ use echotank_imaging::beam::RowLimits;
 use echotank_imaging::beam::fan::Fan;
 use echotank_imaging::beam::matched::MatchedFilter;
 use echotank_ping::pipeline::SonarPipeline;
-use echotank_ping::rig::pool;
+use echotank_ping::threads::pool;
 use glam::DVec3;
 use num_complex::Complex64;
 

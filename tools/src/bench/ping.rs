@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use echotank_config as config;
-use echotank_ping::rig::pool;
+use echotank_ping::threads::pool;
 use echotank_testing::pings::LoggedPings;
 
 use super::report::Report;

@@ -3,7 +3,7 @@
 use echotank_config::spec::RigSpec;
 use echotank_core::ping::{PingOutput, PingPlan};
 use echotank_core::scene::{Scatterers, Target};
-use echotank_ping::rig::pool;
+use echotank_ping::threads::pool;
 use echotank_testing::pings::LoggedPings;
 
 /// The checked configuration of a figure.

@@ -8,7 +8,7 @@ use echotank_config::spec::{
     VerticalSpec,
 };
 use echotank_core::ping::{Detection, PingPlan, Sounding};
-use echotank_ping::rig::pool;
+use echotank_ping::threads::pool;
 use echotank_testing::pings::LoggedPings;
 use glam::DVec3;
 

@@ -14,7 +14,7 @@ use echotank_core::scene::Scatterers;
 use echotank_core::time::UtcNs;
 use echotank_ping::method_selection::costs::Costs;
 use echotank_ping::method_selection::{Scene, Swell, rank};
-use echotank_ping::rig::pool;
+use echotank_ping::threads::pool;
 use echotank_runtime::first_pings::{first, pings};
 use echotank_runtime::recorded::RecordedRig;
 use glam::{DQuat, DVec3};

@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use echotank_core::geodesy::LocalTangentPlane;
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::scene::{ScatterLaw, Scatterers};
-use echotank_ping::rig::pool;
+use echotank_ping::threads::pool;
 use echotank_scene::simplify::energy::{Energies, View};
 use echotank_scene::simplify::{Method, Selection, Settings, Weights};
 use glam::DVec3;

@@ -10,7 +10,7 @@ use echotank_core::ping::PingPlan;
 use echotank_core::scene::{Footprint, Scatterers};
 use echotank_ping::PingOrder;
 use echotank_ping::pipeline::SonarPipeline;
-use echotank_ping::rig::pool;
+use echotank_ping::threads::pool;
 use echotank_runtime::io::files::FileSystem;
 use echotank_scene::Scene;
 use echotank_scene::{MeshFolder, Targets};

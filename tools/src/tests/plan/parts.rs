@@ -17,7 +17,7 @@ use echotank_ping::method_selection::{Scene, Swell, rank, with_choice};
 use echotank_ping::methods::{Choice, Family, Ranking};
 use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::polyline;
-use echotank_ping::rig::pool;
+use echotank_ping::threads::pool;
 use echotank_runtime::first_pings::pings;
 use echotank_runtime::recorded::RecordedRig;
 use echotank_runtime::replay::{Formats, Replay, ReplayOptions};

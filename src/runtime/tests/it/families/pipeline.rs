@@ -21,7 +21,7 @@ use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_emit::vita49::Vita49Emitter;
 use echotank_emit::wbms::{Device as WbmsDevice, Wanted, WbmsEmitter};
 use echotank_emit::xtf::XtfEmitter;
-use echotank_ping::rig::pool;
+use echotank_ping::threads::pool;
 use echotank_protocols::imagenex872::{Side as HeadSide, SwitchCommand, parse_answer};
 use echotank_protocols::jsf::{Message as JsfMessage, SonarData80, message_type};
 use echotank_protocols::ping_protocol::{Frame, Message as PingMessage};
