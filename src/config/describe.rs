@@ -4,7 +4,8 @@ use std::sync::OnceLock;
 
 use serde_json::{Map, Value, json};
 
-use super::keys::{Key, Kind, Presence, Range, Rig, Table};
+use super::declaration::{Key, Kind, Presence, Range, Table};
+use super::keys::Rig;
 use super::raw::{Declared, rule};
 
 /// Columns of the template's lines.

@@ -6,102 +6,10 @@
 
 use glam::DVec3;
 
+use super::declaration::{Key, Kind, Presence, Range, Table, Unit, above, from};
 use super::raw::{ChoiceOr, Declared, Field, RawTable};
 
-/// A TOML table.
-pub(crate) struct Table {
-    pub doc: &'static str,
-    pub keys: &'static [Key],
-    /// Names that the design knows and this version does not build: refused with those words.
-    pub later: &'static [&'static str],
-}
-
-/// One key of a table.
-pub(crate) struct Key {
-    pub name: &'static str,
-    pub kind: Kind,
-    pub(crate) presence: Presence,
-    pub doc: &'static str,
-}
-
-/// The values that a key takes.
-pub(crate) enum Kind {
-    Bool,
-    /// A finite number, and its way to SI.
-    Number(Range, Unit),
-    /// A whole number, both ends included; then what it is multiplied by.
-    Integer(i64, i64, i64),
-    /// 1 to 32 letters, digits, '-' or '_': fit for file names.
-    Name,
-    /// Text that is not empty.
-    Text,
-    /// The name of a file that must exist, relative to the configuration's folder.
-    File,
-    /// The name of a folder that is there or can be made, relative to the configuration's folder.
-    Folder,
-    /// One of the names; then the names that the design knows and this version does not build.
-    Choice(&'static [&'static str], &'static [&'static str]),
-    /// An array of this many numbers.
-    Numbers(usize, Range, Unit),
-    /// Pairs of numbers.
-    Rows,
-    /// At least one name.
-    Names,
-    /// At least one of the choices.
-    Choices(&'static [&'static str]),
-    Table(&'static Table),
-    /// One or more tables.
-    Tables(&'static Table),
-    /// The first kind whose TOML type fits.
-    Either(&'static Kind, &'static Kind),
-}
-
-/// How a number in the file becomes one in SI units.
-#[derive(Clone, Copy)]
-pub(crate) enum Unit {
-    /// Times ten to this power.
-    Power(i32),
-    Degrees,
-}
-
-/// Whether a key may be left out.
-pub(crate) enum Presence {
-    /// Must be there. With an example for the template (tables have none).
-    Required(&'static str),
-    /// May be left out: this TOML text then stands in its place.
-    Default(&'static str),
-    /// May be left out, and then does nothing. Commented out in the template.
-    Optional(&'static str),
-    /// As `Default`; the template has the second text in its place.
-    Set(&'static str, &'static str),
-    /// Whether it must be there depends on other keys; the template has it.
-    Shown(&'static str),
-}
 use Presence::{Default, Optional, Required, Set, Shown};
-
-/// Numbers from `min` (itself only if `min_included`) to `max`.
-#[derive(Clone, Copy)]
-pub(crate) struct Range {
-    pub min: f64,
-    pub(crate) min_included: bool,
-    pub max: f64,
-}
-
-const fn from(min: f64, max: f64) -> Range {
-    Range {
-        min,
-        min_included: true,
-        max,
-    }
-}
-
-const fn above(min: f64, max: f64) -> Range {
-    Range {
-        min,
-        min_included: false,
-        max,
-    }
-}
 
 /// A field's name without the `r#` that a Rust keyword needs.
 const fn key_name(field: &'static str) -> &'static str {

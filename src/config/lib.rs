@@ -8,6 +8,7 @@
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 mod check;
+mod declaration;
 mod describe;
 mod files;
 mod keys;

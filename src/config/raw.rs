@@ -11,8 +11,8 @@ use glam::DVec3;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::declaration::{Key, Kind, Presence, Range, Table, Unit};
 use super::files::Files;
-use super::keys::{Key, Kind, Presence, Range, Table, Unit};
 use super::problem::Problem;
 
 /// Minimum similarity (1: equal) of a name that is offered as a correction.
