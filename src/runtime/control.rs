@@ -449,13 +449,13 @@ impl ControlPort for RunControl {
             "delivered": self.gate.pings_delivered(),
             "rig_utc_ms": (self.rig_time)().0 as f64 / 1e6,
             "up_s": self.machine.mono().0 as f64 / 1e9,
-            "ailment": self.health_problem(),
+            "health_problem": self.health_problem(),
             "sonars": sonars.collect::<Value>(),
             "faults": self.faults.list(),
             "faults_injected": self.faults.injected(),
             "nav": lock(&self.nav_sources).iter().map(nav_source).collect::<Value>(),
             "nav_lines": self.nav_lines(),
-            "deeds": lock(&self.recent_commands).iter().collect::<Vec<_>>(),
+            "commands": lock(&self.recent_commands).iter().collect::<Vec<_>>(),
             "feed": self.page.feed.counts(),
         })
     }

@@ -115,7 +115,7 @@ pub struct Daemon {
     stop: Arc<AtomicBool>,
     control: Arc<RunControl>,
     server: Option<ControlServer>,
-    /// What was mended of earlier records, and how punctual it can be, a line each.
+    /// What was recovered of earlier records, and how punctual it can be, a line each.
     remarks: Vec<String>,
 }
 

@@ -38,7 +38,7 @@ table! {
 }
 
 table! {
-    /// Element samples with a short header (protocols/README.md), over TCP to every client and over UDP to fixed addresses.
+    /// Element samples with a short header (docs/formats/elements.md), over TCP to every client and over UDP to fixed addresses.
     Elements;
 
     /// TCP. Only this computer by default: there is no password.

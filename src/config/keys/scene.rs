@@ -19,7 +19,7 @@ table! {
     points: File, Optional("\"data/points.csv\"");
 
     /// Named targets: a CSV of points on the seabed, or a TOML of shapes (spheres, cylinders, boxes, ropes, meshes from OBJ, STL or PLY) anywhere
-    /// in the water. hil-configs/README.md lists their fields.
+    /// in the water. docs/configure/scene.md lists their fields.
     targets: File, Optional("\"data/targets.csv\"");
 
     /// Memory limit of the seabed tiles around the sonar.

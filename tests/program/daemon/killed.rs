@@ -21,7 +21,7 @@ fn a_killed_daemon_loses_no_sent_ping_and_the_next_recovers_its_recording() {
     let mut next = rig(folder.path(), &["run.clock=lockstep"]);
     next.announced("control http", "http");
     let printed = next.terminate();
-    assert!(printed.contains("had been cut off: mended"), "{printed}");
+    assert!(printed.contains("had been cut off: recovered"), "{printed}");
 
     // The second run begins a new recording; in the same second it may have the same name with another suffix.
     let mut files: Vec<_> = std::fs::read_dir(folder.path())

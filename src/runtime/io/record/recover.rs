@@ -92,7 +92,7 @@ fn recover_s7k(path: &Path) -> Result<Recovered, RecoverError> {
         .and_then(|_| file.write_all(&end.header))
         .and_then(|()| file.sync_data())
         .map_err(io("mend"))?;
-    Ok(Recovered::Mended {
+    Ok(Recovered::Repaired {
         records,
         what: "records",
         cut_bytes: length - end_of_records,
@@ -115,7 +115,7 @@ pub(crate) fn recover_folder(folder: &Path) -> Vec<String> {
     paths.sort();
     let mend = |path: &PathBuf| match recover(path) {
         Ok(Recovered::Whole | Recovered::InUse) => None,
-        Ok(mended) => Some(format!("{} {mended}", path.display())),
+        Ok(repaired) => Some(format!("{} {repaired}", path.display())),
         Err(error) => Some(format!("warning: {error}")),
     };
     paths.iter().filter_map(mend).collect()
@@ -189,8 +189,8 @@ mod tests {
             std::fs::write(&path, &open[..length]).expect("written");
             let kept = ends.iter().filter(|&&end| end <= length).count();
             let cut_bytes = (length - ends[kept - 1]) as u64;
-            let got = recover(&path).expect("mended");
-            let want = Recovered::Mended {
+            let got = recover(&path).expect("repaired");
+            let want = Recovered::Repaired {
                 records: kept as u64,
                 what: "records",
                 cut_bytes,
@@ -202,12 +202,12 @@ mod tests {
             assert_eq!(recover(&path).expect("again"), Recovered::Whole);
         }
         std::fs::write(&path, &open).expect("written");
-        recover(&path).expect("mended");
+        recover(&path).expect("repaired");
         assert!(std::fs::read(&path).expect("read") == whole, "as if closed");
     }
 
     #[test]
-    fn killed_between_catalogue_and_pointer_it_is_mended_too() {
+    fn killed_between_catalogue_and_pointer_it_is_repaired_too() {
         let dir = tempfile::tempdir().expect("dir");
         let path = dir.path().join("cut.s7k");
         let (whole, ends) = closed(&path);
@@ -215,7 +215,7 @@ mod tests {
         FileBuilder::begin(header(), stamp(), &mut open);
         open.extend_from_slice(&whole[ends[0]..]);
         std::fs::write(&path, &open).expect("written");
-        assert!(matches!(recover(&path), Ok(Recovered::Mended { .. })));
+        assert!(matches!(recover(&path), Ok(Recovered::Repaired { .. })));
         assert!(std::fs::read(&path).expect("read") == whole);
     }
 

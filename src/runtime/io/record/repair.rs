@@ -25,7 +25,7 @@ pub enum Recovered {
     /// A recorder has locked the file.
     InUse,
     /// The file was cut off and is now valid.
-    Mended {
+    Repaired {
         /// Number of records (the file header included), pings, lines or metadata entries in the file.
         records: u64,
         /// What `records` counts.
@@ -40,13 +40,13 @@ impl std::fmt::Display for Recovered {
         match self {
             Self::Whole => f.write_str("is whole"),
             Self::InUse => f.write_str("is being recorded; left alone"),
-            Self::Mended {
+            Self::Repaired {
                 records,
                 what,
                 cut_bytes,
             } => write!(
                 f,
-                "had been cut off: mended, {records} {what}, {cut_bytes} bytes of an unfinished one taken away"
+                "had been cut off: recovered {records} {what}, removed {cut_bytes} bytes of an incomplete one"
             ),
         }
     }
@@ -132,7 +132,7 @@ fn cut(
     }
     let shortened = file.set_len(end).and_then(|()| file.sync_data());
     shortened.map_err(RecordError::io(path, "mend"))?;
-    Ok(Recovered::Mended {
+    Ok(Recovered::Repaired {
         records,
         what,
         cut_bytes: length.saturating_sub(end),
@@ -287,7 +287,7 @@ pub(super) fn sigmf(path: &Path) -> Result<Recovered, RecoverError> {
         std::fs::remove_file(&paths.journal).map_err(RecordError::io(&paths.journal, "remove"))?;
     }
     Ok(match cut {
-        Recovered::Whole => Recovered::Mended {
+        Recovered::Whole => Recovered::Repaired {
             records: pings,
             what: "pings",
             cut_bytes: 0,
@@ -318,7 +318,7 @@ mod tests {
     }
 
     /// Asserts that the file, cut at many lengths, is repaired to the last of `ends` before the cut, with unchanged content.
-    fn assert_mended_wherever_it_is_cut(path: &Path, ends: &[u64]) {
+    fn assert_repaired_wherever_it_is_cut(path: &Path, ends: &[u64]) {
         let whole = std::fs::read(path).expect("there");
         let copy = path.with_file_name(format!(
             "cut-{}",
@@ -327,7 +327,7 @@ mod tests {
         let first = ends[0] as usize;
         for cut in (first..=whole.len()).step_by(17).chain([whole.len()]) {
             std::fs::write(&copy, &whole[..cut]).expect("written");
-            let outcome = recover(&copy).expect("mended");
+            let outcome = recover(&copy).expect("repaired");
             let want = ends.iter().copied().filter(|&end| end <= cut as u64).max();
             let want = want.expect("the first") as usize;
             assert_eq!(length(&copy), want as u64, "cut at {cut}: {outcome}");
@@ -360,7 +360,7 @@ mod tests {
         }
         assert_eq!(recover(&path).expect("looked at"), Recovered::InUse);
         jsf.close(&[]).expect("closes");
-        assert_mended_wherever_it_is_cut(&path, &ends);
+        assert_repaired_wherever_it_is_cut(&path, &ends);
 
         let path = dir.path().join("a.xtf");
         let mut xtf = StreamRecorder::create(&path, &[0; FileHeader::SIZE_BYTES]).expect("creates");
@@ -380,7 +380,7 @@ mod tests {
             ends.push(length(&path));
         }
         xtf.close(&[]).expect("closes");
-        assert_mended_wherever_it_is_cut(&path, &ends);
+        assert_repaired_wherever_it_is_cut(&path, &ends);
 
         let path = dir.path().join("a.svlog");
         let device = PingDevice::Surveyor240;
@@ -395,7 +395,7 @@ mod tests {
             ends.push(length(&path));
         }
         svlog.close(&[]).expect("closes");
-        assert_mended_wherever_it_is_cut(&path, &ends);
+        assert_repaired_wherever_it_is_cut(&path, &ends);
 
         let path = dir.path().join("faults-1.jsonl");
         let mut log = FaultLog::create(&path).expect("creates");
@@ -405,7 +405,7 @@ mod tests {
             ends.push(length(&path));
         }
         drop(log);
-        assert_mended_wherever_it_is_cut(&path, &ends);
+        assert_repaired_wherever_it_is_cut(&path, &ends);
     }
 
     #[test]
@@ -435,7 +435,7 @@ mod tests {
         ] {
             let bytes = [&one[..HEADER_BYTES], &two[HEADER_BYTES..cut]].concat();
             std::fs::write(&copy, &bytes).expect("written");
-            recover(&copy).expect("mended");
+            recover(&copy).expect("repaired");
             assert!(std::fs::read(&copy).expect("there") == one, "cut at {cut}");
         }
         assert_eq!(length(&copy), end);
@@ -468,8 +468,8 @@ mod tests {
         let said =
             Recording::parse(&std::fs::read_to_string(&copy.meta).expect("there")).expect("words");
         assert!(said.annotations.len() < 7, "some are in the journal alone");
-        let outcome = recover(&copy.meta).expect("mended");
-        let want = Recovered::Mended {
+        let outcome = recover(&copy.meta).expect("repaired");
+        let want = Recovered::Repaired {
             records: 7,
             what: "pings",
             cut_bytes: 100,

@@ -113,7 +113,7 @@ function refresh() {
   motion.sources(state.nav);
   health.show(state, sonar);
   const c = s.counters;
-  if (state.ailment) pill("bad", state.ailment);
+  if (state.health_problem) pill("bad", state.health_problem);
   else if (state.paused) pill("warn", state.clock === "lockstep" ? "lockstep" : "paused");
   else if (!s.settings.pinging) pill("warn", s.trigger === "external" ? "waits for triggers" : "not pinging");
   else pill("good", state.clock === "realtime" ? "pinging" : state.clock === "scaled" ? `pinging ×${digits(state.rate, 1)}` : state.clock);

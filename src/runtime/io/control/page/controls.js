@@ -166,7 +166,7 @@ export class Controls {
   }
 
   #faults(state) {
-    say(byId("faults-count"), state.faults.length ? `${state.faults.length} stand, ${state.faults_injected} injected` : "none");
+    say(byId("faults-count"), state.faults.length ? `${state.faults.length} active, ${state.faults_injected} injected` : "none");
     byId("faults-clear").disabled = state.faults.length === 0;
     const key = JSON.stringify(state.faults.map((f) => [f.fault, f.injected]));
     const list = byId("faults");
@@ -192,7 +192,7 @@ export class Controls {
   #log(state) {
     const rows = [];
     for (const s of state.sonars) for (const c of s.journal) rows.push({ ...c, sonar: s.name, text: c.value === null ? c.what : `${(NAMES[c.what]?.[0] ?? c.what)} ${typeof c.value === "number" ? short(c.value) : JSON.stringify(c.value)} ${NAMES[c.what]?.[1] ?? ""}` });
-    for (const d of state.deeds) rows.push({ ...d, text: inWords(d.command) });
+    for (const d of state.commands) rows.push({ ...d, text: inWords(d.command) });
     rows.sort((a, b) => a.utc_ms - b.utc_ms);
     const newest = rows.slice(-80).reverse();
     const key = JSON.stringify(newest.map((r) => [r.utc_ms, r.text, r.via, r.why]));
