@@ -5,7 +5,7 @@
 //! height_above_seabed_m = 0.0  # of its lowest point above the seabed; or: down_m = 7.5, the depth of its centre radius_m = 1.25 length_m = 12.0
 //! lambert_db = -12.0           # of the surface; or: target_strength_db, the mean over all directions
 //! ```
-//! Further fields: README of the configurations. A sphere without a strength has that of a rigid sphere, 20 log10(a/2) (Urick 1983, 9.2, ka >> 1).
+//! Further fields: docs/configure/scene.md. A sphere without a strength has that of a rigid sphere, 20 log10(a/2) (Urick 1983, 9.2, ka >> 1).
 
 use std::f64::consts::PI;
 use std::ops::RangeInclusive;
