@@ -6,16 +6,34 @@ use super::regimes::ALL;
 use super::small::{CURVATURE_SAYS, PLACES_SAYS};
 
 const HEAD: &str = "\
-# The failure atlas
+# Where methods fail
 
-This page shows where the methods of this program fail, and how. Each figure sweeps one regime (left to right) over every synthesis method (six panels)
-with every path and Doppler model (rows). The colour is the error of the samples against the retarded-time sum on the continuous motion, in tolerances.
-Blue is within the tolerance, orange is not; hatched cells were refused with a reason. Rings mark the selected methods of each column, and the strip below
-shows their errors. The frame marks the paper's own formula, Eq. 21 of Meng et al. 2023 with the sum of Eq. 18, as printed.
+This page shows the conditions under which the methods of Echotank fail. Each figure varies one condition
+from left to right.
 
-`tools/atlas` draws all figures (an hour on a busy machine), `--only NAME` one of them; `--page` writes this page. `tools/src/tests/regimes.rs` tests the
-boundaries of every regime in the first part of the table on a short pulse, with two to six columns each: no NaN, no panic, no error above its prediction
-and no selection inside a failing region.
+| in a figure | meaning |
+|---|---|
+| panel | one synthesis method; six in all |
+| row | one path model with one Doppler model |
+| colour | error of the element samples against the reference, in tolerances |
+| blue | within the tolerance |
+| orange | above the tolerance |
+| hatched | refused, with a reason |
+| ring | selected methods of the column |
+| strip below | error of the selected methods |
+| frame | Eq. 21 of Meng et al. 2023 with the sum of Eq. 18, as printed |
+
+The reference is the retarded-time sum on the continuous motion. In the summary, \"the paper\" is Meng et al.
+2023.
+
+| command | result |
+|---|---|
+| `tools/atlas` | all figures; about an hour on a busy machine |
+| `tools/atlas --only NAME` | one figure |
+| `tools/atlas --page` | this page |
+
+`tools/src/tests/regimes.rs` tests the limits of the conditions in the first part of the summary, on a short
+pulse. It finds no NaN, no panic, no error above its prediction and no selection in a failing region.
 
 ";
 
@@ -23,25 +41,25 @@ const OTHERS: [[&str; 4]; 6] = [
     [
         "curvature on planes",
         "0/0 on flat ground, on few points and if all are in shadow (Eqs. 27 and 28)",
-        "a floor of -30 dB under the curvature; undefined energies rank last",
+        "curvature has a floor of -30 dB; undefined energies rank last",
         "[picture](curvature.png); `simplification_has_a_number_for_every_surface` (`tools/src/tests/regimes.rs`)",
     ],
     [
         "poles, antimeridian",
         "not considered: positions are in metres",
-        "via earth-centred coordinates: accurate to a micrometre anywhere",
+        "conversion by earth-centred coordinates, accurate to a micrometre everywhere",
         "[picture](places.png); `places_come_back_over_poles_and_antimeridian` (`tools/src/tests/regimes.rs`)",
     ],
     [
         "ping period below the two-way time",
         "not considered",
-        "the range takes precedence: the rate is lowered, and the records hold the actual rate",
+        "the range takes precedence; the rate is lowered, and records hold the actual rate",
         "`a_range_too_long_for_the_rate_lowers_the_rate` (`ping`)",
     ],
     [
         "all points in shadow",
         "shadowed points tie with the best (Eq. 26's modulus)",
-        "shadowed points are excluded: a ping without echoes, counted in `shadowed`",
+        "shadowed points are excluded and counted in `shadowed`; the ping has no echoes",
         "`scene::occlusion`",
     ],
     [
@@ -71,7 +89,7 @@ pub(crate) fn page() -> String {
         text,
         "## Simplification where curvature is zero\n\n![Simplification](curvature.png)\n\n{CURVATURE_SAYS}\n\n## Poles and the antimeridian\n\n![Places](places.png)\n\n{PLACES_SAYS}\n\n"
     );
-    text += "## Summary\n\n| regime | the paper's formula | ours | shown by |\n|---|---|---|---|\n";
+    text += "## Summary\n\n| regime | the paper's formula | Echotank | shown by |\n|---|---|---|---|\n";
     for regime in &ALL {
         let _ = writeln!(
             text,

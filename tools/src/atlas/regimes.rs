@@ -75,9 +75,9 @@ pub(crate) const ALL: [Regime; 20] = [
         ],
         few: &[0.0, 1e-6, 2.572, 12.0, 149.0, 151.0],
         spot: |base, v| base.under_way(v).through_navigation(0.1, |_, _, _| {}),
-        says: "Ignoring motion is accurate only up to 10 micrometres per second. The paper's Eq. 21 is never better than ignoring motion. Engines with a tolerance are made for 10 m/s and count faster echoes; above 150 m/s navigation refuses the ping.",
+        says: "Stop-and-hop is accurate only up to 10 micrometres per second. The paper's Eq. 21 is never better than stop-and-hop. The gridded engines are built for 10 m/s and count faster echoes. Above 150 m/s navigation rejects the positions and the ping is skipped.",
         paper: "divides by the speed (Eq. 5), and Eq. 21 reverses Eq. 5: from 0.1 m/s on the error is as large as the signal",
-        ours: "one expression for every speed including 0; from 30 m/s on `gridded-1d` counts its echoes as outside its limits, and method selection reports that no method meets the tolerance (its choice still does at 30 m/s); above 150 m/s the ping is refused: \"two positions imply 151 m/s\"",
+        ours: "one expression for every speed including 0; from 30 m/s on `gridded-1d` counts echoes outside its limits, and method selection reports the tolerance as not met; above 150 m/s: \"two positions imply 151 m/s\"",
     },
     Regime {
         name: "range",
@@ -93,9 +93,9 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers.strength[0] = 1.0.into();
             spot
         },
-        says: "There is no division by zero at the transmitter: within one wavelength the amplitude is that at one wavelength, and the echo is counted (`too_close`).",
+        says: "Nothing divides by zero at the transmitter. Within one wavelength the amplitude is that at one wavelength, and the echo is counted (`too_close`).",
         paper: "1/r of both legs: infinite at the array",
-        ours: "limited to that at one wavelength and counted; the effect of motion grows at short range, and the error models include it",
+        ours: "amplitude limited to that at one wavelength, and counted; error models include the larger effect of motion",
     },
     Regime {
         name: "grazing",
@@ -119,7 +119,7 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers.law.fill(ScatterLaw::Lambert);
             spot
         },
-        says: "No method fails between nadir and 90 degrees; beyond that the bottom returns no echo in any method, nor in the truth.",
+        says: "No method fails between nadir and 90 degrees. Beyond 90 degrees the bottom returns no echo, in any method and in the reference.",
         paper: "Eq. 13's 20 log cos is minus infinity dB at 90 degrees and undefined beyond",
         ours: "the cosine is limited to 0: no echo, for one leg or both",
     },
@@ -140,8 +140,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers = scatter(&points);
             spot
         },
-        says: "At endfire motion and Doppler are strongest and the path is straight: a time stretch suffices up to 30 degrees. Closer to broadside the curvature of the path remains, which a stretch does not model.",
-        paper: "worst ahead and astern; at 90 degrees as good as ignoring motion",
+        says: "At endfire the Doppler is strongest and the path is straight, so a time stretch suffices up to 30 degrees. Closer to broadside the path is curved, and a stretch does not model curvature.",
+        paper: "worst ahead and astern; at 90 degrees as good as stop-and-hop",
         ours: "`stretch-quadratic` keeps the tolerance in every direction",
     },
     Regime {
@@ -157,7 +157,7 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.receive[0].spacing_m = wavelengths * base.wavelength_m();
             spot
         },
-        says: "Grating lobes affect beams, not element samples: no method depends on the spacing, from a thousandth of a wavelength to 300 wavelengths.",
+        says: "Grating lobes affect beams and not element samples. No method depends on the spacing, from a thousandth of a wavelength to 300 wavelengths.",
         paper: "a plane wave over the subarray: fails as L^2/(8 r) grows beyond a wavelength",
         ours: "exact per element; `gridded-2d` divides the line into short sections as needed, or refuses",
     },
@@ -178,7 +178,7 @@ pub(crate) const ALL: [Regime; 20] = [
             // The echo at the window's end has the same strength as the other.
             spot
         },
-        says: "An echo at the end of the window is truncated and does not wrap around: every method that meets the tolerance elsewhere meets it here.",
+        says: "An echo at the end of the window is truncated and does not wrap around. Every method that keeps the tolerance elsewhere keeps it here.",
         paper: "Eq. 18 on a grid of the window's length wraps the rest of the echo to the window's start",
         ours: "`spectral` pads for a pulse and the filter's tails; the engines' grids extend beyond the window",
     },
@@ -198,7 +198,7 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers = scatter(&[place(near_m, 90.0, 0.0), place(40.0, 90.0, 0.0)]);
             spot
         },
-        says: "Every method receives the remainder of echoes that began before the window opens.",
+        says: "Every method includes the rest of an echo that begins before the window opens.",
         paper: "the window begins with the pulse",
         ours: "as at the end",
     },
@@ -217,7 +217,7 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.model.segment_s = ms * 1e-3;
             spot
         },
-        says: "Constant attitude per segment moves an off-centre element in steps. Chords per element (`k-segment`) meet 1e-3 here up to 5 ms; echoes after the last segment extrapolate it.",
+        says: "Constant attitude in each segment moves an off-centre element in steps. Chords of each element (`k-segment`) keep 1e-3 here up to 5 ms. Echoes after the last segment extrapolate it.",
         paper: "ends at its last segment, and attitude changes in steps: \"the attitude change only occurs at the polyline intersection\"",
         ours: "`polyline` as printed, with its steps counted; `k-segment` and `continuous` as alternatives",
     },
@@ -236,7 +236,7 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.transmit[0].mounting.position_m = DVec3::new(2.0, 1.0, 2.1);
             spot
         },
-        says: "Path models fail one after another as roll increases; echoes with accelerations beyond the engines' limits are counted.",
+        says: "Path models fail one after another as roll increases. Echoes with accelerations above the limits of the engines are counted.",
         paper: "its polyline changes the array's attitude in steps",
         ours: "`continuous` is limited by second-order Doppler; its error model gives the limit",
     },
@@ -255,8 +255,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.motion.yaw_deg_per_s = 2.0;
             spot.through_navigation(0.02, |_, _, _| {})
         },
-        says: "Attitude is a rotation throughout. Gimbal lock at 90 degrees and a heading that passes 360 during the ping do not affect models of continuous motion. The heading steps of a polyline matter except at vertical pitch.",
-        paper: "Eq. 4 is no rotation matrix as printed (cos alpha where cos beta belongs)",
+        says: "Attitude is a quaternion throughout. Gimbal lock at 90 degrees and a heading that passes 360 do not affect models of continuous motion. The heading steps of a polyline matter except at vertical pitch.",
+        paper: "Eq. 4 as printed is no rotation matrix (cos alpha instead of cos beta)",
         ours: "unit quaternions, interpolated along the shorter arc",
     },
     Regime {
@@ -272,9 +272,9 @@ pub(crate) const ALL: [Regime; 20] = [
             (spot.motion.heave_m, spot.motion.roll_deg) = (0.5, 3.0);
             spot.through_navigation(every_s, |_, _, _| {})
         },
-        says: "No method can recover motion that navigation does not report. At 20 Hz and above the samples follow the true swell within 1e-3 (`continuous`, `stretch-quadratic`); at lower rates they follow the interpolated curve. From 3 s on this sonar's ten-second history holds no position before the ping, and no ping is made.",
+        says: "No method can recover motion that navigation does not report. At 20 Hz and above the samples match the true swell within 1e-3 (`continuous`, `stretch-quadratic`). At lower rates they match the interpolated curve. With intervals of 3 s and more the ten-second history of this sonar holds no position before the ping, and the ping is skipped.",
         paper: "vertices of the polyline are the navigation's own samples, straight between them",
-        ours: "a smooth curve through them, the same for every method: the error is one of the input",
+        ours: "a smooth curve through them, the same for every method; the remaining error is in the input",
     },
     Regime {
         name: "navigation-faults",
@@ -310,7 +310,7 @@ pub(crate) const ALL: [Regime; 20] = [
             };
             spot.through_navigation(0.1, spoil)
         },
-        says: "Samples with repeated timestamps are dropped and late ones are inserted in order. Interpolation bridges a gap of 1 s but not of 6 s. A jump that implies more than 150 m/s is rejected, a smaller one accepted. A clock one hour ahead gives no ping.",
+        says: "Navigation samples with repeated timestamps are dropped; late ones are inserted in order. Interpolation bridges a gap of 1 s but not of 6 s. A jump that implies more than 150 m/s is rejected, a smaller one accepted. With a clock one hour ahead the ping is skipped.",
         paper: "not considered",
         ours: "the navigation history counts each of these; rejections name the channel and the value",
     },
@@ -325,8 +325,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.offset_m = DVec3::new(away_m, away_m, 0.0);
             spot
         },
-        says: "Positions are f64 and every ping is relative to its own transmitter: there is no measurable error 10,000 km from the origin. In f32 the carrier phase would be lost at 10 km, where the resolution is 1 mm and a wavelength 3.75 mm.",
-        paper: "not said; its script's numbers are f64",
+        says: "Positions are f64 and every ping is relative to its own transmitter. No error is measurable 10,000 km from the origin. In f32 the carrier phase would be lost at 10 km, where the resolution is 1 mm and the wavelength 3.75 mm.",
+        paper: "not stated; the numbers of its script are f64",
         ours: "f64 positions; phases are reduced before conversion to f32",
     },
     Regime {
@@ -344,9 +344,9 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.synthesis.frequency_step_hz = Some(share / record_s);
             spot
         },
-        says: "A step above one over the record's length wraps late echoes around onto early ones (here, with echoes in the window's second half, from slightly above 1 on). This explains \"a narrow interval improves fidelity\".",
-        paper: "Df is chosen by hand; with too coarse a step the error is as large as the signal, without a warning",
-        ours: "only an explicit step can fail: the default follows the record; an explicit step excludes `spectral` from method selection",
+        says: "A step above one over the length of the record wraps late echoes around onto early ones. The echoes here lie in the second half of the window, so errors begin slightly above 1. This explains \"a narrow interval improves fidelity\".",
+        paper: "the step is chosen by hand; a coarse step gives an error as large as the signal, without a warning",
+        ours: "the default follows the record; an explicit step can fail, so it excludes `spectral` from method selection",
     },
     Regime {
         name: "pulse-stretch",
@@ -361,9 +361,9 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.limits.pulse_duration_s = (ms * 1e-3, ms * 1e-3);
             spot
         },
-        says: "Without Doppler the phase drifts over a pulse of any practical length. A uniform stretch is accurate up to 1 ms, where path curvature within the pulse sets in. The second order is accurate to 20 ms, in engines up to their limits (5 ms and 8 ms).",
+        says: "Without Doppler the phase drifts over a pulse of any practical length. A uniform stretch is accurate up to pulses of 1 ms, above which the path is curved within the pulse. The second order is accurate up to 20 ms; the engines have limits of 5 ms and 8 ms.",
         paper: "Eq. 21 shifts no frequency: it stretches the delays and not the pulse",
-        ours: "every echo stretched about its own arrival; engines hold the stretch in Doppler columns made for the longest pulse",
+        ours: "every echo is stretched about its own arrival; the Doppler columns of the engines are designed for the longest pulse",
     },
     Regime {
         name: "sample-rate",
@@ -382,9 +382,9 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.receiver.sample_rate_hz = share * needed_hz;
             spot
         },
-        says: "If the receiver filter's pass band does not fit the sample rate, the configuration is refused with the least sufficient rate.",
+        says: "If the pass band of the receiver filter does not fit the sample rate, the configuration is refused. The message gives the smallest sufficient rate.",
         paper: "the band is sampled without a check",
-        ours: "refused when the sonar is made, with the required rate",
+        ours: "refused at start, with the required rate",
     },
     Regime {
         name: "tolerance",
@@ -399,8 +399,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.synthesis.tolerance = tolerance;
             spot
         },
-        says: "Each method has its own limit: engines refuse tolerances that they cannot meet, the other methods' error models predict their error, and below all of them method selection reports that no method meets the tolerance.",
-        paper: "has no tolerance",
+        says: "Each method has its own limit. Engines refuse tolerances that they cannot keep; for the other methods error models predict the error. Below all limits, method selection reports that no method keeps the tolerance.",
+        paper: "no tolerance exists",
         ours: "an error bound, or a refusal with the value",
     },
     Regime {
@@ -430,9 +430,9 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers.law.fill(ScatterLaw::Lambert);
             spot
         },
-        says: "The error of a floor is the energy that it culls from a flat bottom, and the error models give an upper bound. Method selection lowers the floor until the tolerance is met, and never raises it.",
-        paper: "keeps all",
-        ours: "the culled share of energy is part of the predicted error; method selection may lower the floor, never raise it",
+        says: "The error of a culling floor is the energy that it removes from a flat bottom. The error models give an upper bound. Method selection lowers the floor until the tolerance is kept, and never raises it.",
+        paper: "keeps every scatterer",
+        ours: "the culled share of energy is part of the predicted error",
     },
     Regime {
         name: "scatterers",
@@ -453,7 +453,7 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers = scatter(&points);
             spot
         },
-        says: "An empty scene gives no signal, as does one entirely in shadow, which is the same to the methods. A single point and many coincident points are handled like any others.",
+        says: "An empty scene and a scene entirely in shadow give no signal. A single point and many coincident points need no special case.",
         paper: "its curvature and incidence energies (Eqs. 27 and 28) divide by the maximum: 0/0 for a single point",
         ours: "exactly zero samples",
     },
@@ -474,7 +474,7 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers = scatter(&points);
             spot
         },
-        says: "The engines' kernel is as accurate between grid points as on them. `nearest` and `linear` exceed the tolerance everywhere, and most halfway between two samples.",
+        says: "The kernel of the engines is as accurate between grid points as on them. `nearest` and `linear` exceed the tolerance everywhere, and most half way between two samples.",
         paper: "Eq. 18 has no grid of delays",
         ours: "kernel width follows the tolerance",
     },
