@@ -89,7 +89,8 @@ pub(crate) fn page() -> String {
         text,
         "## Simplification where curvature is zero\n\n![Simplification](curvature.png)\n\n{CURVATURE_SAYS}\n\n## Poles and the antimeridian\n\n![Places](places.png)\n\n{PLACES_SAYS}\n\n"
     );
-    text += "## Summary\n\n| regime | the paper's formula | Echotank | shown by |\n|---|---|---|---|\n";
+    text +=
+        "## Summary\n\n| regime | the paper's formula | Echotank | shown by |\n|---|---|---|---|\n";
     for regime in &ALL {
         let _ = writeln!(
             text,

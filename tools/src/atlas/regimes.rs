@@ -75,7 +75,9 @@ pub(crate) const ALL: [Regime; 20] = [
         ],
         few: &[0.0, 1e-6, 2.572, 12.0, 149.0, 151.0],
         spot: |base, v| base.under_way(v).through_navigation(0.1, |_, _, _| {}),
-        says: "Stop-and-hop is accurate only up to 10 micrometres per second. The paper's Eq. 21 is never better than stop-and-hop. The gridded engines are built for 10 m/s and count faster echoes. Above 150 m/s navigation rejects the positions and the ping is skipped.",
+        says: "Stop-and-hop is accurate only up to 10 micrometres per second. The paper's Eq. 21 is never better\n\
+               than stop-and-hop. The gridded engines are built for 10 m/s and count faster echoes. Above 150 m/s\n\
+               navigation rejects the positions and the ping is skipped.",
         paper: "divides by the speed (Eq. 5), and Eq. 21 reverses Eq. 5: from 0.1 m/s on the error is as large as the signal",
         ours: "one expression for every speed including 0; from 30 m/s on `gridded-1d` counts echoes outside its limits, and method selection reports the tolerance as not met; above 150 m/s: \"two positions imply 151 m/s\"",
     },
@@ -93,7 +95,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers.strength[0] = 1.0.into();
             spot
         },
-        says: "Nothing divides by zero at the transmitter. Within one wavelength the amplitude is that at one wavelength, and the echo is counted (`too_close`).",
+        says: "Nothing divides by zero at the transmitter. Within one wavelength the amplitude is that at one\n\
+               wavelength, and the echo is counted (`too_close`).",
         paper: "1/r of both legs: infinite at the array",
         ours: "amplitude limited to that at one wavelength, and counted; error models include the larger effect of motion",
     },
@@ -119,7 +122,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers.law.fill(ScatterLaw::Lambert);
             spot
         },
-        says: "No method fails between nadir and 90 degrees. Beyond 90 degrees the bottom returns no echo, in any method and in the reference.",
+        says: "No method fails between nadir and 90 degrees. Beyond 90 degrees the bottom returns no echo, in any\n\
+               method and in the reference.",
         paper: "Eq. 13's 20 log cos is minus infinity dB at 90 degrees and undefined beyond",
         ours: "the cosine is limited to 0: no echo, for one leg or both",
     },
@@ -140,7 +144,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers = scatter(&points);
             spot
         },
-        says: "At endfire the Doppler is strongest and the path is straight, so a time stretch suffices up to 30 degrees. Closer to broadside the path is curved, and a stretch does not model curvature.",
+        says: "At endfire the Doppler is strongest and the path is straight, so a time stretch suffices up to 30\n\
+               degrees. Closer to broadside the path is curved, and a stretch does not model curvature.",
         paper: "worst ahead and astern; at 90 degrees as good as stop-and-hop",
         ours: "`stretch-quadratic` keeps the tolerance in every direction",
     },
@@ -157,7 +162,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.receive[0].spacing_m = wavelengths * base.wavelength_m();
             spot
         },
-        says: "Grating lobes affect beams and not element samples. No method depends on the spacing, from a thousandth of a wavelength to 300 wavelengths.",
+        says: "Grating lobes affect beams and not element samples. No method depends on the spacing, from a\n\
+               thousandth of a wavelength to 300 wavelengths.",
         paper: "a plane wave over the subarray: fails as L^2/(8 r) grows beyond a wavelength",
         ours: "exact per element; `gridded-2d` divides the line into short sections as needed, or refuses",
     },
@@ -178,7 +184,8 @@ pub(crate) const ALL: [Regime; 20] = [
             // The echo at the window's end has the same strength as the other.
             spot
         },
-        says: "An echo at the end of the window is truncated and does not wrap around. Every method that keeps the tolerance elsewhere keeps it here.",
+        says: "An echo at the end of the window is truncated and does not wrap around. Every method that keeps the\n\
+               tolerance elsewhere keeps it here.",
         paper: "Eq. 18 on a grid of the window's length wraps the rest of the echo to the window's start",
         ours: "`spectral` pads for a pulse and the filter's tails; the engines' grids extend beyond the window",
     },
@@ -217,7 +224,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.model.segment_s = ms * 1e-3;
             spot
         },
-        says: "Constant attitude in each segment moves an off-centre element in steps. Chords of each element (`k-segment`) keep 1e-3 here up to 5 ms. Echoes after the last segment extrapolate it.",
+        says: "Constant attitude in each segment moves an off-centre element in steps. Chords of each element\n\
+               (`k-segment`) keep 1e-3 here up to 5 ms. Echoes after the last segment extrapolate it.",
         paper: "ends at its last segment, and attitude changes in steps: \"the attitude change only occurs at the polyline intersection\"",
         ours: "`polyline` as printed, with its steps counted; `k-segment` and `continuous` as alternatives",
     },
@@ -236,7 +244,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.transmit[0].mounting.position_m = DVec3::new(2.0, 1.0, 2.1);
             spot
         },
-        says: "Path models fail one after another as roll increases. Echoes with accelerations above the limits of the engines are counted.",
+        says: "Path models fail one after another as roll increases. Echoes with accelerations above the limits of\n\
+               the engines are counted.",
         paper: "its polyline changes the array's attitude in steps",
         ours: "`continuous` is limited by second-order Doppler; its error model gives the limit",
     },
@@ -255,7 +264,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.motion.yaw_deg_per_s = 2.0;
             spot.through_navigation(0.02, |_, _, _| {})
         },
-        says: "Attitude is a quaternion throughout. Gimbal lock at 90 degrees and a heading that passes 360 do not affect models of continuous motion. The heading steps of a polyline matter except at vertical pitch.",
+        says: "Attitude is a quaternion throughout. Gimbal lock at 90 degrees and a heading that passes 360 do not\n\
+               affect models of continuous motion. The heading steps of a polyline matter except at vertical pitch.",
         paper: "Eq. 4 as printed is no rotation matrix (cos alpha instead of cos beta)",
         ours: "unit quaternions, interpolated along the shorter arc",
     },
@@ -272,7 +282,10 @@ pub(crate) const ALL: [Regime; 20] = [
             (spot.motion.heave_m, spot.motion.roll_deg) = (0.5, 3.0);
             spot.through_navigation(every_s, |_, _, _| {})
         },
-        says: "No method can recover motion that navigation does not report. At 20 Hz and above the samples match the true swell within 1e-3 (`continuous`, `stretch-quadratic`). At lower rates they match the interpolated curve. With intervals of 3 s and more the ten-second history of this sonar holds no position before the ping, and the ping is skipped.",
+        says: "No method can recover motion that navigation does not report. At 20 Hz and above the samples match\n\
+               the true swell within 1e-3 (`continuous`, `stretch-quadratic`). At lower rates they match the\n\
+               interpolated curve. With intervals of 3 s and more the ten-second history of this sonar holds no\n\
+               position before the ping, and the ping is skipped.",
         paper: "vertices of the polyline are the navigation's own samples, straight between them",
         ours: "a smooth curve through them, the same for every method; the remaining error is in the input",
     },
@@ -310,7 +323,9 @@ pub(crate) const ALL: [Regime; 20] = [
             };
             spot.through_navigation(0.1, spoil)
         },
-        says: "Navigation samples with repeated timestamps are dropped; late ones are inserted in order. Interpolation bridges a gap of 1 s but not of 6 s. A jump that implies more than 150 m/s is rejected, a smaller one accepted. With a clock one hour ahead the ping is skipped.",
+        says: "Navigation samples with repeated timestamps are dropped; late ones are inserted in order.\n\
+               Interpolation bridges a gap of 1 s but not of 6 s. A jump that implies more than 150 m/s is\n\
+               rejected, a smaller one accepted. With a clock one hour ahead the ping is skipped.",
         paper: "not considered",
         ours: "the navigation history counts each of these; rejections name the channel and the value",
     },
@@ -325,7 +340,9 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.offset_m = DVec3::new(away_m, away_m, 0.0);
             spot
         },
-        says: "Positions are f64 and every ping is relative to its own transmitter. No error is measurable 10,000 km from the origin. In f32 the carrier phase would be lost at 10 km, where the resolution is 1 mm and the wavelength 3.75 mm.",
+        says: "Positions are f64 and every ping is relative to its own transmitter. No error is measurable 10,000\n\
+               km from the origin. In f32 the carrier phase would be lost at 10 km, where the resolution is 1 mm\n\
+               and the wavelength 3.75 mm.",
         paper: "not stated; the numbers of its script are f64",
         ours: "f64 positions; phases are reduced before conversion to f32",
     },
@@ -344,7 +361,9 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.synthesis.frequency_step_hz = Some(share / record_s);
             spot
         },
-        says: "A step above one over the length of the record wraps late echoes around onto early ones. The echoes here lie in the second half of the window, so errors begin slightly above 1. This explains \"a narrow interval improves fidelity\".",
+        says: "A step above one over the length of the record wraps late echoes around onto early ones. The echoes\n\
+               here lie in the second half of the window, so errors begin slightly above 1. This explains \"a narrow\n\
+               interval improves fidelity\".",
         paper: "the step is chosen by hand; a coarse step gives an error as large as the signal, without a warning",
         ours: "the default follows the record; an explicit step can fail, so it excludes `spectral` from method selection",
     },
@@ -361,7 +380,9 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.limits.pulse_duration_s = (ms * 1e-3, ms * 1e-3);
             spot
         },
-        says: "Without Doppler the phase drifts over a pulse of any practical length. A uniform stretch is accurate up to pulses of 1 ms, above which the path is curved within the pulse. The second order is accurate up to 20 ms; the engines have limits of 5 ms and 8 ms.",
+        says: "Without Doppler the phase drifts over a pulse of any practical length. A uniform stretch is accurate\n\
+               up to pulses of 1 ms, above which the path is curved within the pulse. The second order is accurate\n\
+               up to 20 ms; the engines have limits of 5 ms and 8 ms.",
         paper: "Eq. 21 shifts no frequency: it stretches the delays and not the pulse",
         ours: "every echo is stretched about its own arrival; the Doppler columns of the engines are designed for the longest pulse",
     },
@@ -382,7 +403,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.receiver.sample_rate_hz = share * needed_hz;
             spot
         },
-        says: "If the pass band of the receiver filter does not fit the sample rate, the configuration is refused. The message gives the smallest sufficient rate.",
+        says: "If the pass band of the receiver filter does not fit the sample rate, the configuration is refused.\n\
+               The message gives the smallest sufficient rate.",
         paper: "the band is sampled without a check",
         ours: "refused at start, with the required rate",
     },
@@ -399,7 +421,9 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.synthesis.tolerance = tolerance;
             spot
         },
-        says: "Each method has its own limit. Engines refuse tolerances that they cannot keep; for the other methods error models predict the error. Below all limits, method selection reports that no method keeps the tolerance.",
+        says: "Each method has its own limit. Engines refuse tolerances that they cannot keep; for the other\n\
+               methods error models predict the error. Below all limits, method selection reports that no method\n\
+               keeps the tolerance.",
         paper: "no tolerance exists",
         ours: "an error bound, or a refusal with the value",
     },
@@ -430,7 +454,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers.law.fill(ScatterLaw::Lambert);
             spot
         },
-        says: "The error of a culling floor is the energy that it removes from a flat bottom. The error models give an upper bound. Method selection lowers the floor until the tolerance is kept, and never raises it.",
+        says: "The error of a culling floor is the energy that it removes from a flat bottom. The error models give\n\
+               an upper bound. Method selection lowers the floor until the tolerance is kept, and never raises it.",
         paper: "keeps every scatterer",
         ours: "the culled share of energy is part of the predicted error",
     },
@@ -453,7 +478,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers = scatter(&points);
             spot
         },
-        says: "An empty scene and a scene entirely in shadow give no signal. A single point and many coincident points need no special case.",
+        says: "An empty scene and a scene entirely in shadow give no signal. A single point and many coincident\n\
+               points need no special case.",
         paper: "its curvature and incidence energies (Eqs. 27 and 28) divide by the maximum: 0/0 for a single point",
         ours: "exactly zero samples",
     },
@@ -474,7 +500,8 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.scatterers = scatter(&points);
             spot
         },
-        says: "The kernel of the engines is as accurate between grid points as on them. `nearest` and `linear` exceed the tolerance everywhere, and most half way between two samples.",
+        says: "The kernel of the engines is as accurate between grid points as on them. `nearest` and `linear`\n\
+               exceed the tolerance everywhere, and most half way between two samples.",
         paper: "Eq. 18 has no grid of delays",
         ours: "kernel width follows the tolerance",
     },

@@ -23,8 +23,11 @@ pub(crate) fn maps() -> Vec<(&'static str, Map, &'static str)> {
     ]
 }
 
-pub(crate) const CURVATURE_SAYS: &str = "On flat ground, behind a wall, on one point and on three in a line the paper's energies are undefined (0/0). Those of Echotank have a floor. `acoustic` loses the level of removed points by design; `acoustic-unbiased` and inherited areas keep it.";
-pub(crate) const PLACES_SAYS: &str = "Positions converted over a kilometre return to the same latitude and longitude within a micrometre. This holds across the antimeridian and both poles.";
+pub(crate) const CURVATURE_SAYS: &str = "On flat ground, behind a wall, on one point and on three in a line the paper's energies are\n\
+    undefined (0/0). Those of Echotank have a floor. `acoustic` loses the level of removed points by\n\
+    design; `acoustic-unbiased` and inherited areas keep it.";
+pub(crate) const PLACES_SAYS: &str = "Positions converted over a kilometre return to the same latitude and longitude within a micrometre.\n\
+    This holds across the antimeridian and both poles.";
 
 fn ratio(value: f64, tolerance: f64) -> Mark {
     match value.is_finite() {
