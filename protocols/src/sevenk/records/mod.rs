@@ -1,4 +1,4 @@
-//! Contents of 7k records: one file per family, each record a plain struct of the wire's fields. `parse` reads the body of a [`Record`]
+//! Contents of 7k records: one file per family, each record a plain struct of the wire's fields. `parse` reads the body of a [`Record`](super::frame::Record)
 //! (RTH and RD) and ignores further bytes, because later versions append fields. `emit` appends a whole record including frame and
 //! checksum, and returns its byte range. Reserved bytes are written as 0 and ignored when read.
 //!
