@@ -16,7 +16,7 @@ pub trait Files {
     fn is_folder_or_free(&self, path: &Path) -> bool;
 }
 
-/// Takes every file and folder for granted and reads none: for a text that is checked where its files are not at hand.
+/// Accepts every path and reads nothing, to check a text where its files are not at hand.
 #[derive(Clone, Copy, Debug)]
 pub struct AnyFiles;
 
