@@ -10,7 +10,7 @@ use crate::clock::{Clock, SystemClock};
 use crate::control::SonarControl;
 use crate::counters::add;
 use crate::io::record::faults::FaultLog;
-use crate::io::record::make_folder;
+use crate::io::record::{claim_name, make_folder};
 
 /// A log of what befell single pings, JSON lines; begun with the first of them.
 pub(super) struct EventLog {
@@ -54,8 +54,8 @@ impl EventLog {
             none => {
                 make_folder(directory)?;
                 let now = DateTime::from_timestamp_nanos(SystemClock::new().host_utc().0);
-                let name = format!("{}-{}.jsonl", self.stem, now.format("%Y%m%dT%H%M%S"));
-                none.insert(FaultLog::create(&directory.join(name))?)
+                let stem = format!("{}-{}", self.stem, now.format("%Y%m%dT%H%M%S"));
+                none.insert(FaultLog::create(&claim_name(directory, &stem, "jsonl")?)?)
             }
         };
         Ok(log.write(events)?)

@@ -98,8 +98,8 @@ impl Recording {
 /// Opens the SigMF recording of a sonar.
 pub(super) fn sigmf(output: &SigmfSpec, context: &OutputContext) -> Result<Recording, OutputError> {
     let sonar = &context.unit.spec;
-    // The recorder adds the extensions of its two files.
-    let stem = path(context, "sigmf")?.with_extension("");
+    // The recorder adds the extensions of its files.
+    let stem = path(context, "sigmf-data")?.with_extension("");
     let recorder = SigmfRecorder::create(&stem, &output.arrays, sonar)?;
     Ok(Recording::of("sigmf", sonar, stem, Box::new(recorder)))
 }

@@ -26,7 +26,7 @@ use crate::histograms::Histograms;
 use crate::io::datagrams::Leaving;
 use crate::io::link::Link as OutputLink;
 use crate::io::pace::Sending;
-use crate::io::record::{RecordError, make_folder};
+use crate::io::record::{RecordError, claim_name, make_folder};
 use crate::io::sonar::{OpenError, RigTime, ServerSpec, ServerTimes, SonarServer, WhenFull};
 use crate::settings::SettingsStore;
 use echotank_config::spec::{ClockSpec, DeliverySpec, OutputSpec, RigSpec, RunSpec};
@@ -274,16 +274,16 @@ impl OutputContext<'_> {
         server.set_paces_tcp(self.spec.run.pace_tcp);
     }
 
-    /// The path `NAME-20140801T000010.EXTENSION` of a new recording in its folder, which is made; `None` if the configuration names no folder.
-    /// The start time keeps runs from overwriting each other.
+    /// The path of a new, empty recording `NAME-20140801T000010.EXTENSION` in its folder, which is made; `None` if the configuration names no
+    /// folder. No other recording has the path.
     fn recording(&self, utc: UtcNs, extension: &str) -> Result<Option<PathBuf>, RecordError> {
         let Some(record) = &self.spec.record else {
             return Ok(None);
         };
         make_folder(&record.directory)?;
         let stamp = DateTime::from_timestamp_nanos(utc.0).format("%Y%m%dT%H%M%S");
-        let name = format!("{}-{stamp}.{extension}", self.unit.spec.name);
-        Ok(Some(record.directory.join(name)))
+        let stem = format!("{}-{stamp}", self.unit.spec.name);
+        claim_name(&record.directory, &stem, extension).map(Some)
     }
 }
 

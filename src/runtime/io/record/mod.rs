@@ -45,6 +45,26 @@ pub(crate) fn make_folder(path: &Path) -> Result<(), RecordError> {
     std::fs::create_dir_all(path).map_err(RecordError::io(path, "create"))
 }
 
+/// Creates an empty file `STEM.EXTENSION` for a recording, or `STEM-2.EXTENSION` and so on if that exists: two programs may record into one folder
+/// in the same second. Returns its path.
+pub(crate) fn claim_name(
+    folder: &Path,
+    stem: &str,
+    extension: &str,
+) -> Result<PathBuf, RecordError> {
+    let mut path = folder.join(format!("{stem}.{extension}"));
+    for number in 2.. {
+        match File::create_new(&path) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+                path = folder.join(format!("{stem}-{number}.{extension}"));
+            }
+            Err(error) => return Err(RecordError::io(&path, "create")(error)),
+            Ok(_) => break,
+        }
+    }
+    Ok(path)
+}
+
 /// Why a ping or record was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
@@ -157,3 +177,22 @@ impl Drop for PartialFile {
 
 #[cfg(test)]
 pub mod testing;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recordings_of_one_second_have_names_of_their_own() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let names: Vec<_> = (0..3)
+            .map(|_| claim_name(folder.path(), "hull-20140801T000010", "s7k").expect("claimed"))
+            .map(|path| path.display().to_string())
+            .collect();
+        let wanted = ["", "-2", "-3"].map(|suffix| {
+            let name = format!("hull-20140801T000010{suffix}.s7k");
+            folder.path().join(name).display().to_string()
+        });
+        assert_eq!(names, wanted);
+    }
+}
