@@ -3,7 +3,7 @@
 //! The environment variable `RUST_LOG` selects levels and crates with the syntax of `tracing_subscriber::filter::Targets`.
 
 use std::fs::File;
-use std::io::{self, IsTerminal};
+use std::io::{self, IsTerminal, Write};
 use std::os::fd::AsFd;
 use std::os::unix::fs::MetadataExt;
 
@@ -34,6 +34,8 @@ pub(crate) fn start(format: LogFormat) -> Result<(), Failure> {
         && io::stderr().is_terminal()
         && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
     let layer = fmt::layer().with_writer(io::stderr).with_ansi(is_colored);
+    // A closed standard error is no reason to panic.
+    let layer = layer.log_internal_errors(false);
     let layer = match (format, is_journal) {
         (LogFormat::Text, false) => layer.boxed(),
         (LogFormat::Text, true) => layer.without_time().boxed(),
@@ -52,7 +54,7 @@ pub(crate) fn report_failure(format: LogFormat, text: &str) {
     match format {
         // An invalid RUST_LOG leaves no subscriber.
         LogFormat::Json if tracing::dispatcher::has_been_set() => tracing::error!("{text}"),
-        _ => eprintln!("{text}"),
+        _ => drop(writeln!(io::stderr(), "{text}")),
     }
 }
 

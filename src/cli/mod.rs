@@ -87,9 +87,7 @@ pub(crate) struct ConfigArgs {
 
 pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
-    if let Some(Command::Check(_) | Command::Doctor(_) | Command::Nav(_) | Command::Score(_)) =
-        cli.command
-    {
+    if !matches!(cli.command, None | Some(Command::Run(_))) {
         restore_sigpipe();
     }
     let done = logging::start(cli.log).and_then(|()| execute(cli.command));
@@ -123,7 +121,8 @@ fn execute(command: Option<Command>) -> Result<(), Failure> {
     }
 }
 
-/// Restores the default SIGPIPE action, so that `echotank check rig.toml | head` ends quietly. Commands that serve or record keep running.
+/// Restores the default SIGPIPE action, so that `echotank check rig.toml | head` ends quietly. Sockets report a closed peer as an error in
+/// either case.
 fn restore_sigpipe() {
     #[cfg(unix)]
     // SAFETY: SIG_DFL installs no handler, so no Rust code runs in a signal context.
@@ -153,8 +152,8 @@ pub(crate) fn load(path: &Path, set: &[String]) -> Result<RigSpec, Failure> {
     if set.is_empty() {
         return echotank_runtime::config_files::load(path).map_err(|e| refuse(e.to_string()));
     }
-    let text =
-        std::fs::read_to_string(path).map_err(|e| refuse(format!("{}: {e}", path.display())))?;
+    let text = echotank_runtime::config_files::read_text(path)
+        .map_err(|why| refuse(format!("{}: {why}", path.display())))?;
     let mut table: toml::Table = text
         .parse()
         .map_err(|e| refuse(format!("{}: {e}", path.display())))?;

@@ -1,5 +1,6 @@
 //! `echotank run`: the daemon.
 
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -89,6 +90,11 @@ fn describe(spec: &RigSpec) -> Vec<String> {
     lines
 }
 
+/// Prints a line. The daemon goes on where nobody reads its standard output any more.
+fn print_line(line: &str) {
+    let _ = writeln!(io::stdout(), "{line}");
+}
+
 pub(crate) fn main(args: &RunArgs) -> Result<(), Failure> {
     let path = match &args.config {
         Some(path) => path.clone(),
@@ -101,15 +107,21 @@ pub(crate) fn main(args: &RunArgs) -> Result<(), Failure> {
     signals::stop_on_signals(&stop).map_err(Failure::running)?;
     let threads = args.threads.unwrap_or(spec.run.threads);
     let daemon = Daemon::open(&spec, threads, stop.clone()).map_err(Failure::running)?;
-    println!("echotank {}: {}", env!("CARGO_PKG_VERSION"), path.display());
+    print_line(&format!(
+        "echotank {}: {}",
+        env!("CARGO_PKG_VERSION"),
+        path.display()
+    ));
     for line in describe(&spec).into_iter().chain(daemon.describe()) {
-        println!("{line}");
+        print_line(&line);
     }
     let look = match daemon.page() {
         Some(address) => format!("open http://{address}/ in a browser, or"),
         None => "to print records:".to_owned(),
     };
-    println!("pinging; stop with Ctrl-C; {look} echotank listen ADDRESS");
+    print_line(&format!(
+        "pinging; stop with Ctrl-C; {look} echotank listen ADDRESS"
+    ));
     if let Some(seconds) = args.seconds {
         if !(seconds.is_finite() && seconds > 0.0) {
             return Err(Failure::Configuration(format!(
@@ -123,6 +135,6 @@ pub(crate) fn main(args: &RunArgs) -> Result<(), Failure> {
         });
     }
     daemon
-        .run(|status| println!("{status}"))
+        .run(|status| print_line(&status.to_string()))
         .map_err(Failure::running)
 }

@@ -12,14 +12,12 @@ pub struct FileSystem;
 
 impl Files for FileSystem {
     fn read(&self, path: &Path) -> Result<Vec<u8>, String> {
+        regular(path)?;
         std::fs::read(path).map_err(|error| reason(&error))
     }
 
     fn check_readable(&self, path: &Path) -> Result<(), String> {
-        let metadata = std::fs::metadata(path).map_err(|error| reason(&error))?;
-        if !metadata.is_file() {
-            return Err("not a file".to_owned());
-        }
+        regular(path)?;
         match std::fs::File::open(path) {
             Ok(_) => Ok(()),
             Err(error) => Err(reason(&error)),
@@ -31,6 +29,15 @@ impl Files for FileSystem {
     }
 }
 
+/// Refuses folders, pipes and devices, which can be endless.
+fn regular(path: &Path) -> Result<(), String> {
+    let metadata = std::fs::metadata(path).map_err(|error| reason(&error))?;
+    match metadata.is_file() {
+        true => Ok(()),
+        false => Err("not a file".to_owned()),
+    }
+}
+
 /// The error in words that are the same on every system.
 fn reason(error: &io::Error) -> String {
     match error.kind() {
@@ -38,6 +45,11 @@ fn reason(error: &io::Error) -> String {
         io::ErrorKind::PermissionDenied => "no permission".to_owned(),
         _ => error.to_string(),
     }
+}
+
+/// Reads the text of a configuration file.
+pub fn read_text(path: &Path) -> Result<String, String> {
+    String::from_utf8(FileSystem.read(path)?).map_err(|error| error.to_string())
 }
 
 /// Reads and checks a configuration file, and checks that the files it names can be read.

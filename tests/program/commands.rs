@@ -6,18 +6,64 @@ use echotank_testing::seeds::{self, data};
 
 /// `echotank check rig.toml | head -1`
 #[test]
-fn check_ends_quietly_when_its_output_is_closed() {
-    let mut check = Command::new(env!("CARGO_BIN_EXE_echotank"))
-        .args(["check", "hil-configs/points.toml"])
-        .current_dir(echotank_testing::repository())
-        .stdout(std::process::Stdio::piped())
-        .stderr(std::process::Stdio::piped())
-        .spawn()
-        .expect("started");
-    drop(check.stdout.take());
-    let ended = check.wait_with_output().expect("ended");
-    let said = String::from_utf8_lossy(&ended.stderr);
-    assert!(!said.contains("panicked"), "{said}");
+fn commands_end_quietly_when_their_output_is_closed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().to_str().expect("text");
+    for arguments in [
+        &["check", "hil-configs/points.toml"][..],
+        &[
+            "replay",
+            "hil-configs/points.toml",
+            "--pings",
+            "1..1",
+            "--quiet",
+            "--out",
+            out,
+        ],
+        &[
+            "scene",
+            "info",
+            "hil-configs/data/jd211_crop_400x400_2m.asc",
+        ],
+    ] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_echotank"))
+            .args(arguments)
+            .current_dir(echotank_testing::repository())
+            .stdout(std::process::Stdio::piped())
+            .stderr(std::process::Stdio::piped())
+            .spawn()
+            .expect("started");
+        drop(command.stdout.take());
+        let ended = command.wait_with_output().expect("ended");
+        let said = String::from_utf8_lossy(&ended.stderr);
+        assert!(said.is_empty(), "{arguments:?}: {said}");
+    }
+}
+
+/// A pipe without a writer would never be opened, and a device may never end.
+#[test]
+fn pipes_and_devices_are_refused_as_input_files() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let pipe = folder.path().join("pipe");
+    let made = Command::new("mkfifo").arg(&pipe).status();
+    assert!(made.expect("mkfifo runs").success());
+    let pipe = pipe.to_str().expect("text");
+    for arguments in [
+        &["check", pipe][..],
+        &["check", "/dev/zero"],
+        &["check", pipe, "--set", "run.threads=1"],
+        &["scene", "info", pipe],
+    ] {
+        let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
+            .args(arguments)
+            .output();
+        let done = done.expect("echotank runs");
+        let said = String::from_utf8_lossy(&done.stderr);
+        assert!(
+            !done.status.success() && said.contains("not a"),
+            "{arguments:?}: {said}"
+        );
+    }
 }
 
 #[test]

@@ -12,6 +12,10 @@ pub struct FileSystem;
 
 impl Files for FileSystem {
     fn open(&self, path: &Path) -> io::Result<Box<dyn Read>> {
+        // A pipe or a device can be endless, and a pipe without a writer is never opened.
+        if !std::fs::metadata(path)?.is_file() {
+            return Err(io::Error::other("not a regular file"));
+        }
         Ok(Box::new(File::open(path)?))
     }
 }

@@ -1,4 +1,4 @@
-//! SIGINT and SIGTERM.
+//! SIGINT, SIGTERM and SIGHUP.
 
 use std::io;
 use std::sync::Arc;
@@ -6,22 +6,25 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use tokio::signal::unix::{SignalKind, signal};
+use tokio::signal::unix::{Signal, SignalKind, signal};
 
 /// A second signal within this time is ignored: a shell signals the process group, and a wrapper may signal its child again.
 const SAME_WISH: Duration = Duration::from_secs(1);
 
-/// Sets `stop` at the first SIGINT or SIGTERM. A further one after [`SAME_WISH`] ends the process at once with status 128 + signal; recorded files
+/// Sets `stop` at the first SIGINT, SIGTERM or SIGHUP; a SIGHUP that the parent process ignores (`nohup`) stays ignored. A further one after [`SAME_WISH`] ends the process at once with status 128 + signal; recorded files
 /// stay readable.
 pub fn stop_on_signals(stop: &Arc<AtomicBool>) -> io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
         .build()?;
-    let (mut interrupt, mut terminate) = {
+    let (mut interrupt, mut terminate, mut hangup) = {
         let _inside = runtime.enter();
         (
             signal(SignalKind::interrupt())?,
             signal(SignalKind::terminate())?,
+            (!is_hangup_ignored())
+                .then(|| signal(SignalKind::hangup()))
+                .transpose()?,
         )
     };
     let stop = stop.clone();
@@ -34,6 +37,7 @@ pub fn stop_on_signals(stop: &Arc<AtomicBool>) -> io::Result<()> {
                     let number = tokio::select! {
                         _ = interrupt.recv() => 2,
                         _ = terminate.recv() => 15,
+                        _ = receive(&mut hangup) => 1,
                     };
                     match first {
                         None => {
@@ -48,4 +52,23 @@ pub fn stop_on_signals(stop: &Arc<AtomicBool>) -> io::Result<()> {
             });
         })?;
     Ok(())
+}
+
+/// Waits for a signal; for ever without a handler.
+async fn receive(signal: &mut Option<Signal>) {
+    match signal {
+        Some(signal) => {
+            signal.recv().await;
+        }
+        None => std::future::pending().await,
+    }
+}
+
+fn is_hangup_ignored() -> bool {
+    // SAFETY: a null action only reads the present one into `action`, which is plain data.
+    unsafe {
+        let mut action: libc::sigaction = std::mem::zeroed();
+        libc::sigaction(libc::SIGHUP, std::ptr::null(), &raw mut action) == 0
+            && action.sa_sigaction == libc::SIG_IGN
+    }
 }

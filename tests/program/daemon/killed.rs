@@ -1,7 +1,8 @@
 //! After a kill at any time, recordings hold every sent ping, and the next start recovers them.
 
 use std::io::BufReader;
-use std::process::{Command, Stdio};
+use std::os::fd::OwnedFd;
+use std::process::{ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use echotank_protocols::sevenk::file::{CataloguePointer, FileReader};
@@ -47,6 +48,30 @@ fn a_killed_daemon_loses_no_sent_ping_and_the_next_recovers_its_recording() {
         .expect("echotank runs");
     let said = String::from_utf8_lossy(&done.stdout);
     assert!(done.status.success() && said.contains("is whole"), "{said}");
+}
+
+#[test]
+fn a_daemon_that_loses_its_terminal_closes_its_recording() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut daemon = rig(folder.path(), &[]);
+    let at = daemon.announced("control http", "http");
+    wait_delivered(at, 2);
+    let nothing = std::fs::File::open("/dev/null").expect("opens");
+    daemon.stdout = BufReader::new(ChildStdout::from(OwnedFd::from(nothing)));
+    let sent = Command::new("kill")
+        .args(["-HUP", &daemon.child.id().to_string()])
+        .status();
+    assert!(sent.expect("kill").success());
+    let ended = daemon.child.wait().expect("ended");
+    assert!(ended.success(), "{ended}");
+    let mut recovery = Command::new(env!("CARGO_BIN_EXE_echotank"));
+    let files = std::fs::read_dir(folder.path()).expect("folder");
+    let done = recovery
+        .arg("recover")
+        .args(files.map(|e| e.expect("entry").path()))
+        .output();
+    let said = String::from_utf8(done.expect("echotank runs").stdout).expect("text");
+    assert!(said.contains("is whole"), "{said}");
 }
 
 /// Every record format at once.
