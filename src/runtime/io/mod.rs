@@ -3,6 +3,7 @@ pub mod capture_text;
 pub mod control;
 pub mod datagrams;
 pub mod files;
+mod icmp;
 pub mod link;
 pub mod nav;
 pub(crate) mod notify;

@@ -57,7 +57,13 @@ async fn attend(dial: Dial, slot: ClientSlot, mut stopped: watch::Receiver<bool>
     match dial.transport {
         Transport::Udp => {
             let from = SocketAddr::new(slot.shared.local_addr.ip(), 0);
-            let socket = match UdpSocket::bind(from).await {
+            let connected = async {
+                let socket = UdpSocket::bind(from).await?;
+                // A connected socket reports that the peer's port is closed.
+                socket.connect(dial.peer).await?;
+                Ok::<_, std::io::Error>(socket)
+            };
+            let socket = match connected.await {
                 Ok(socket) => socket,
                 Err(error) => {
                     slot.shared.span.in_scope(

@@ -9,7 +9,8 @@
 //! queued records. A TCP client that does not read its replies is not read from; a UDP client loses replies, which are counted.
 //!
 //! A UDP client ends after [`ServerTimes::udp_idle`] without subscriptions or commands, after [`ServerTimes::udp_silence`] without commands, or when
-//! its port is reported closed. Sessions can also dial addresses that receive records until they fail or are hung up. One thread sends to all UDP
+//! its port is reported closed. A TCP client whose host no longer answers ends by keep-alive probes or [`ServerTimes::tcp_unacknowledged`]. A full
+//! server disconnects its idlest client for a new one, see [`ServerTimes::seat_idle`]. Sessions can also dial addresses that receive records until they fail or are hung up. One thread sends to all UDP
 //! clients, each at the rate that [`SonarServer::deliver_over`] sets (`paced`).
 
 pub mod client;
@@ -124,6 +125,13 @@ pub struct ServerTimes {
     pub udp_idle: Duration,
     /// UDP: limit of silence of a client with subscriptions.
     pub udp_silence: Duration,
+    /// TCP: limit for the client's host to acknowledge what was sent.
+    pub tcp_unacknowledged: Duration,
+    /// A full server may disconnect a client that for this long has sent nothing and subscribes to nothing, or has taken none of the records that
+    /// wait for it.
+    pub seat_idle: Duration,
+    /// A full server may disconnect a UDP client that has sent nothing for this long.
+    pub seat_udp_silence: Duration,
     /// Limit for writing queued records when the server stops or a client closes.
     pub drain: Duration,
 }
@@ -134,6 +142,10 @@ impl Default for ServerTimes {
             stall: Duration::from_secs(2),
             udp_idle: Duration::from_secs(10),
             udp_silence: Duration::from_secs(3600),
+            // A client that does not read for less than this, in a debugger for example, stays.
+            tcp_unacknowledged: Duration::from_secs(120),
+            seat_idle: Duration::from_secs(10),
+            seat_udp_silence: Duration::from_secs(60),
             drain: Duration::from_secs(1),
         }
     }
@@ -479,6 +491,15 @@ struct ClientTable {
     refused: u64,
 }
 
+impl ClientTable {
+    /// The client that has been idle for longest among those that a full server may disconnect.
+    fn idlest(&self, times: &ServerTimes) -> Option<Arc<Client>> {
+        let idle = |client: &Arc<Client>| Some((client.idle(times)?, Arc::clone(client)));
+        let idle = self.clients.iter().filter_map(idle);
+        idle.max_by_key(|(idle, _)| *idle).map(|(_, client)| client)
+    }
+}
+
 impl Shared {
     /// A panic under the lock leaves complete clients in the table.
     fn lock(&self) -> MutexGuard<'_, ClientTable> {
@@ -493,6 +514,14 @@ impl Shared {
         dialled: bool,
     ) -> Option<ClientSlot> {
         let mut table = self.lock();
+        let idlest = match table.clients.len() < self.max_clients {
+            true => None,
+            false => table.idlest(&self.times),
+        };
+        if let Some(idlest) = &idlest {
+            idlest.disconnect();
+            table.clients.retain(|client| !Arc::ptr_eq(client, idlest));
+        }
         if table.clients.len() >= self.max_clients {
             table.refused += 1;
             drop(table);
@@ -505,8 +534,12 @@ impl Shared {
         table.clients.push(Arc::clone(&client));
         // The delivery thread waits for this lock, and standard error may block.
         drop(table);
-        self.span
-            .in_scope(|| info!(client = %peer, %transport, dialled, "client connected"));
+        self.span.in_scope(|| {
+            if let Some(idlest) = idlest {
+                warn!(client = %idlest.peer, transport = %idlest.transport, "idle client disconnected: the server was full");
+            }
+            info!(client = %peer, %transport, dialled, "client connected");
+        });
         Some(ClientSlot {
             shared: Arc::clone(self),
             client,

@@ -3,7 +3,7 @@
 //! A record enters as packets with its client's token bucket and returns when its last packet is sent or one fails. tokio's timers resolve 1 ms,
 //! which is too coarse; the thread sleeps until absolute instants.
 
-use std::io;
+use std::io::{self, ErrorKind};
 use std::net::SocketAddr;
 use std::ops::Range;
 use std::sync::Arc;
@@ -24,6 +24,8 @@ use echotank_core::time::MonoNs;
 pub(super) struct Burst {
     pub socket: Arc<UdpSocket>,
     pub to: SockAddr,
+    /// Whether the socket has other clients too.
+    pub is_shared: bool,
     pub wire: Vec<u8>,
     pub packets: Vec<Range<usize>>,
     /// `None` for the client's first record.
@@ -35,10 +37,11 @@ pub(super) struct Burst {
 }
 
 impl Burst {
-    pub(super) fn empty(socket: Arc<UdpSocket>, to: SocketAddr) -> Self {
+    pub(super) fn empty(socket: Arc<UdpSocket>, to: SocketAddr, is_shared: bool) -> Self {
         Self {
             socket,
             to: to.into(),
+            is_shared,
             wire: Vec::new(),
             packets: Vec::new(),
             bucket: None,
@@ -122,8 +125,16 @@ impl InFlight {
         let burst = &mut self.job.burst;
         let group = &burst.packets[self.next..self.next + self.count];
         let packets: Vec<&[u8]> = group.iter().map(|p| &burst.wire[p.clone()]).collect();
-        let (_, result) = send_batch(&*burst.socket, &burst.to, &packets);
-        burst.error = result.err();
+        let mut unsent = &packets[..];
+        burst.error = loop {
+            let (sent, result) = send_batch(&*burst.socket, &burst.to, unsent);
+            unsent = &unsent[sent..];
+            match result {
+                // A socket that serves several clients reports another client's closed port.
+                Err(error) if burst.is_shared && error.kind() == ErrorKind::ConnectionRefused => {}
+                result => break result.err(),
+            }
+        };
         self.next += self.count;
         self.bucket.take(self.bytes, now);
         self.plan(now);

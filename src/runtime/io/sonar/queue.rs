@@ -4,10 +4,11 @@ use std::collections::VecDeque;
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 use tokio::sync::Notify;
 
-use super::{ClientCounts, ClientReport, QueueLimit, Transport, WhenFull};
+use super::{ClientCounts, ClientReport, QueueLimit, ServerTimes, Transport, WhenFull};
 use echotank_core::records::Datagram;
 use echotank_emit::session::{SessionCounts, Wants};
 
@@ -24,6 +25,11 @@ pub(super) struct Client {
     /// Classes requested once, from the next ping.
     requested: AtomicU64,
     queue: Mutex<Queue>,
+    admitted: Instant,
+    /// When bytes last came from it, ms after `admitted`.
+    received_ms: AtomicU64,
+    /// When a datagram was last written or none waited, ms after `admitted`.
+    written_ms: AtomicU64,
     /// Notified when something is queued or the client leaves.
     wake: Notify,
     /// Notified when replies are written.
@@ -74,6 +80,9 @@ impl Client {
             subscribed: AtomicU64::new(0),
             requested: AtomicU64::new(0),
             queue: Mutex::new(Queue::default()),
+            admitted: Instant::now(),
+            received_ms: AtomicU64::new(0),
+            written_ms: AtomicU64::new(0),
             wake: Notify::new(),
             room: Notify::new(),
             leaving: AtomicBool::new(false),
@@ -124,6 +133,34 @@ impl Client {
         }
     }
 
+    // ------------------------------------------------------------ idleness
+
+    fn now_ms(&self) -> u64 {
+        self.admitted.elapsed().as_millis() as u64
+    }
+
+    /// Notes that bytes came from the client.
+    pub(super) fn note_received(&self) {
+        self.received_ms.store(self.now_ms(), Ordering::Relaxed);
+    }
+
+    /// How long the client has been idle, if a full server may disconnect it.
+    pub(super) fn idle(&self, times: &ServerTimes) -> Option<Duration> {
+        let since = |ms: &AtomicU64| {
+            Duration::from_millis(self.now_ms().saturating_sub(ms.load(Ordering::Relaxed)))
+        };
+        let (silent, unwritten) = (since(&self.received_ms), since(&self.written_ms));
+        let queue = self.lock();
+        let waits = queue.reply_bytes + queue.record_bytes > 0;
+        drop(queue);
+        let is_silent = silent > times.seat_idle && self.wants().is_empty()
+            || silent > times.seat_udp_silence && self.transport == Transport::Udp;
+        match waits && unwritten > times.seat_idle {
+            true => Some(silent.max(unwritten)),
+            false => is_silent.then_some(silent),
+        }
+    }
+
     // ------------------------------------------------------------ queue in
 
     /// Queues the wanted `offers` that fit. `over_s`: time over which the queue then leaves evenly; 0: at once; `None` keeps the pace.
@@ -133,6 +170,9 @@ impl Client {
             return;
         }
         let mut queue = self.lock();
+        if queue.reply_bytes + queue.record_bytes == 0 {
+            self.written_ms.store(self.now_ms(), Ordering::Relaxed);
+        }
         let mut queued = false;
         for offer in offers.iter().filter(|offer| wants.meets(offer.class)) {
             let len = offer.datagram.bytes.len();
@@ -140,9 +180,8 @@ impl Client {
             if !fits {
                 self.records_dropped.fetch_add(1, Ordering::Relaxed);
                 if limit.when_full == WhenFull::Disconnect {
-                    self.dropped.store(true, Ordering::Release);
                     drop(queue);
-                    self.leave();
+                    self.disconnect();
                     return;
                 }
                 continue;
@@ -218,6 +257,7 @@ impl Client {
 
     /// Counts a datagram as written (`wire_bytes`) or as lost (`None`).
     pub(super) fn written(&self, taken: Taken, wire_bytes: Option<usize>) {
+        self.written_ms.store(self.now_ms(), Ordering::Relaxed);
         match wire_bytes {
             Some(bytes) => {
                 self.bytes_sent.fetch_add(bytes as u64, Ordering::Relaxed);
@@ -252,11 +292,16 @@ impl Client {
         self.wake.notify_one();
     }
 
+    /// The client leaves at once, and its queue is discarded.
+    pub(super) fn disconnect(&self) {
+        self.dropped.store(true, Ordering::Release);
+        self.leave();
+    }
+
     /// Resets the connection.
     pub(super) fn reset(&self) {
         self.reset.store(true, Ordering::Release);
-        self.dropped.store(true, Ordering::Release);
-        self.leave();
+        self.disconnect();
     }
 
     pub(crate) fn is_reset(&self) -> bool {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use socket2::SockRef;
+use socket2::{SockRef, TcpKeepalive};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{TcpListener, TcpStream};
@@ -18,6 +18,12 @@ use super::{ClientSlot, Shared, Transport, stopping};
 use crate::io::pace::stream::set_pace;
 
 const READ_BYTES: usize = 16 * 1024;
+
+/// A host that no longer answers is noticed within 25 s.
+const KEEP_ALIVE: TcpKeepalive = TcpKeepalive::new()
+    .with_time(Duration::from_secs(10))
+    .with_interval(Duration::from_secs(5))
+    .with_retries(3);
 
 /// Pause after a failed accept: without free file descriptors the next one fails at once.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
@@ -52,8 +58,11 @@ pub(super) async fn serve(
 }
 
 async fn attend(stream: TcpStream, slot: ClientSlot, mut stopped: watch::Receiver<bool>) {
-    // Without TCP_NODELAY the connection still works.
+    // Without these options the connection still works.
     let _ = stream.set_nodelay(true);
+    let socket = SockRef::from(&stream);
+    let _ = socket.set_tcp_keepalive(&KEEP_ALIVE);
+    let _ = socket.set_tcp_user_timeout(Some(slot.shared.times.tcp_unacknowledged));
     let (read_half, write_half) = stream.into_split();
     let (shared, client) = (&slot.shared, &slot.client);
     let drain = shared.times.drain;
@@ -90,6 +99,7 @@ async fn read_commands(mut stream: OwnedReadHalf, shared: &Shared, client: &Clie
         let before = session.counts();
         match read {
             Ok(Ok(len)) if len > 0 => {
+                client.note_received();
                 shared.converse(client, &mut *session, |session, now, out| {
                     session.receive(&buffer[..len], now, out);
                 });

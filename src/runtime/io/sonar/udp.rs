@@ -15,6 +15,7 @@ use tracing::debug;
 use super::paced::Burst;
 use super::queue::Client;
 use super::{ClientSlot, Shared, Transport, stopping};
+use crate::io::icmp;
 use echotank_emit::session::Session;
 
 /// Longest interval between searches for silent clients.
@@ -35,6 +36,7 @@ pub(super) async fn serve(
     shared: Arc<Shared>,
     mut stopped: watch::Receiver<bool>,
 ) {
+    icmp::enable(&socket, shared.local_addr);
     let socket = Arc::new(UdpSocket::from_std(socket).expect("inside a runtime with I/O enabled"));
     let mut peers: HashMap<SocketAddr, Peer> = HashMap::new();
     let mut writers = JoinSet::new();
@@ -57,12 +59,18 @@ pub(super) async fn serve(
                         peers.insert(from, peer);
                     }
                 }
+                Err(error) if error.kind() == ErrorKind::ConnectionRefused => {
+                    end_refused(&socket, &mut peers);
+                }
                 Err(error) => {
                     shared.span.in_scope(|| debug!(%error, "cannot receive a datagram"));
                     sleep(RECEIVE_PAUSE).await;
                 }
             },
-            _ = sweep.tick() => peers.retain(|_, peer| !is_over(&shared, peer)),
+            _ = sweep.tick() => {
+                end_refused(&socket, &mut peers);
+                peers.retain(|_, peer| !is_over(&shared, peer));
+            }
             Some(_) = writers.join_next() => {}
         }
     }
@@ -70,7 +78,17 @@ pub(super) async fn serve(
     let _ = timeout(shared.times.drain, all_written).await;
 }
 
+/// Disconnects clients whose port is closed.
+fn end_refused(socket: &UdpSocket, peers: &mut HashMap<SocketAddr, Peer>) {
+    while let Some(peer) = icmp::next_refused(socket) {
+        if let Some(peer) = peers.remove(&peer) {
+            peer.client.disconnect();
+        }
+    }
+}
+
 fn listen(shared: &Shared, peer: &mut Peer, datagram: &[u8]) {
+    peer.client.note_received();
     shared.converse(&peer.client, &mut *peer.session, |session, now, out| {
         session.receive(datagram, now, out);
     });
@@ -114,7 +132,7 @@ pub(super) async fn write_datagrams(
 ) {
     let client = &slot.client;
     let mut framer = slot.shared.protocol.framer(Transport::Udp);
-    let mut burst = Burst::empty(socket, to);
+    let mut burst = Burst::empty(socket, to, !client.dialled);
     loop {
         while let Some(taken) = client.take() {
             burst.wire.clear();

@@ -6,4 +6,5 @@ mod families;
 mod nav_failover;
 mod nav_inputs;
 mod nav_rates;
+mod seats;
 mod server;
