@@ -3,8 +3,8 @@
 //! Only ZDA and RMC carry a date. The others carry a time of day that wraps at midnight. The day is the one nearest to the
 //! expected message time; before any date it is the one nearest to the arrival.
 //!
-//! If the clock of a source is set during operation, its times continue without a step: they are corrected by whole seconds. In a
-//! log without stamps a step and a pause look the same; both count as a pause.
+//! If the clock of a source is set during operation, its times continue without a step: they are corrected by whole seconds, until
+//! its own times agree with the arrivals again. In a log without stamps a step and a pause look the same; both count as a pause.
 
 use super::reading::{Reading, When};
 use echotank_core::time::{NS_PER_S, UtcNs};
@@ -15,7 +15,7 @@ const DAY_NS: i64 = 86_400 * NS_PER_S;
 const BURST_GAP_NS: i64 = NS_PER_S * 2 / 5;
 /// A message time that differs more than this from the expected one is doubtful.
 const JUMP_NS: i64 = 10 * NS_PER_S;
-/// Consistent doubtful messages after which the new time is accepted.
+/// Consistent doubtful messages after which the new time is accepted; dated ones that agree with the arrival need one fewer.
 const JUMP_CONFIRMATIONS: u32 = 3;
 
 /// The GPS week number wraps after 1024 weeks; a receiver without the epoch is wrong by a multiple of that.
@@ -61,7 +61,9 @@ pub(crate) struct MessageClock {
     last: Option<(UtcNs, UtcNs)>,
     last_sentence: Option<UtcNs>,
     burst: Option<UtcNs>,
-    doubt: Option<(i64, u32)>,
+    /// Offset from the arrival and number of consistent doubtful messages: without and with a date. A wrong date leaves the time of day right, so
+    /// that only dated messages can confirm a date.
+    doubts: [Option<(i64, u32)>; 2],
     /// Correction of message times since the clock of the source was set: whole seconds, in nanoseconds.
     shift_ns: i64,
     ignores_arrival_dates: bool,
@@ -130,17 +132,37 @@ impl MessageClock {
         if first_date {
             self.shift_ns = 0;
         }
+        // The time by the source's own clock.
+        let own = match when {
+            When::TimeOfDay(ns) => nearest_day(ns, expected),
+            When::GpsOfWeek(ns) => nearest_week(ns, expected),
+            When::Dated { .. } | When::Instant(_) => message,
+        };
         let mut message = message.plus_ns(self.shift_ns);
-        if self.last.is_some() && !first_date && self.is_doubtful(message, expected, arrival) {
-            return Stamp::Jumped;
+        if self.last.is_some() && !first_date {
+            let is_likely =
+                dated && !self.ignores_arrival_dates && distance(own, arrival) <= JUMP_NS;
+            let confirmations = JUMP_CONFIRMATIONS - u32::from(is_likely);
+            if self.is_doubtful(message, expected, arrival, dated, confirmations) {
+                return Stamp::Jumped;
+            }
         }
         let off_ns = expected.0.saturating_sub(message.0);
         let is_step = self.last.is_some() && !first_date && off_ns.saturating_abs() > JUMP_NS;
         if is_step && !self.ignores_arrival_dates {
+            let is_right_again = match dated {
+                true => distance(own, arrival) <= distance(expected, arrival),
+                false => distance(own, expected) <= JUMP_NS,
+            };
             // The correction is in whole seconds: a fraction would add only the latencies.
             let step_ns = (off_ns as f64 / NS_PER_S as f64).round() as i64 * NS_PER_S;
-            self.shift_ns = self.shift_ns.saturating_add(step_ns);
-            message = message.plus_ns(step_ns);
+            (self.shift_ns, message) = match is_right_again {
+                true => (0, own),
+                false => (
+                    self.shift_ns.saturating_add(step_ns),
+                    message.plus_ns(step_ns),
+                ),
+            };
         }
         self.dated |= dated;
         self.last = Some((message, arrival));
@@ -160,21 +182,39 @@ impl MessageClock {
         message.plus_ns(-rolls * ROLLOVER_NS)
     }
 
-    fn is_doubtful(&mut self, message: UtcNs, expected: UtcNs, arrival: UtcNs) -> bool {
-        if message.0.saturating_sub(expected.0).saturating_abs() <= JUMP_NS {
-            self.doubt = None;
+    fn is_doubtful(
+        &mut self,
+        message: UtcNs,
+        expected: UtcNs,
+        arrival: UtcNs,
+        dated: bool,
+        confirmations: u32,
+    ) -> bool {
+        if distance(message, expected) <= JUMP_NS {
+            self.doubts[0] = None;
+            if dated {
+                self.doubts[1] = None;
+            }
             return false;
         }
         let offset = message.0.saturating_sub(arrival.0);
-        let seen = match self.doubt {
+        let doubt = &mut self.doubts[usize::from(dated)];
+        let seen = match *doubt {
             Some((before, seen)) if offset.saturating_sub(before).saturating_abs() <= JUMP_NS => {
                 seen + 1
             }
             _ => 1,
         };
-        self.doubt = (seen < JUMP_CONFIRMATIONS).then_some((offset, seen));
-        seen < JUMP_CONFIRMATIONS
+        *doubt = Some((offset, seen));
+        if seen >= confirmations {
+            self.doubts = [None; 2];
+        }
+        seen < confirmations
     }
+}
+
+fn distance(a: UtcNs, b: UtcNs) -> i64 {
+    a.0.saturating_sub(b.0).saturating_abs()
 }
 
 /// The instant with this time of day that is nearest to `reference`.
@@ -278,11 +318,9 @@ mod tests {
         assert_eq!(clock.stamp(&zda(2015, 6), at(6.2)), Stamp::At(at(6.0)));
         let gga = reading("INGGA,000007.25,2200.1,S,01756.3,W,1,12,0.7,-2.76,M,4.67,M,,");
         assert_eq!(clock.stamp(&gga, at(7.3)), Stamp::At(at(7.25)));
-        // The clock returns.
-        for s in [8, 9] {
-            let back = clock.stamp(&zda(2014, s), at(f64::from(s) + 0.1));
-            assert_eq!(back, Stamp::Jumped);
-        }
+        // The clock returns to the time of the arrivals.
+        assert_eq!(clock.stamp(&zda(2014, 8), at(8.1)), Stamp::Jumped);
+        assert_eq!(clock.stamp(&zda(2014, 9), at(9.1)), Stamp::At(at(9.0)));
         assert_eq!(clock.stamp(&zda(2014, 10), at(10.1)), Stamp::At(at(10.0)));
         // Without stamps the step is a pause, and the next day is accepted.
         let mut plain = MessageClock::default();
@@ -293,6 +331,44 @@ mod tests {
         assert_eq!(plain.stamp(&next(2), at(0.0)), Stamp::Jumped);
         assert_eq!(plain.stamp(&next(3), at(0.0)), Stamp::Jumped);
         assert_eq!(plain.stamp(&next(4), at(0.0)), Stamp::At(at(4.0 + day)));
+    }
+
+    /// Dated and undated sentences alternate at 10 Hz; for 3 s the source's clock is wrong, from its first sentence or later.
+    #[test]
+    fn a_clock_that_was_wrong_for_seconds_is_followed_again_within_a_second() {
+        let days = |n: f64| (n * 86_400.0) as i64;
+        let wrong_s = [-days(12_600.0), days(24_000.0), -51 * 3600, 20 * 3600];
+        for (off_s, began_s) in wrong_s
+            .into_iter()
+            .flat_map(|off| [(off, 0.0), (off, 30.0)])
+        {
+            let mut clock = MessageClock::default();
+            for step in 0..600 {
+                let truth_s = f64::from(step) / 10.0;
+                let is_wrong = (began_s..began_s + 3.0).contains(&truth_s);
+                let shown = UtcNs(D).plus_s(truth_s + if is_wrong { off_s as f64 } else { 0.0 });
+                let utc = chrono::DateTime::from_timestamp_nanos(shown.0);
+                let (time, date) = (utc.format("%H%M%S%.3f"), utc.format("%d%m%y"));
+                for text in [
+                    format!("INRMC,{time},A,2200.1,S,01756.3,W,9.1,215.11,{date},24.7,W,A"),
+                    format!("INGGA,{time},2200.1,S,01756.3,W,1,12,0.7,-2.76,M,4.67,M,,"),
+                    format!("PASHR,{time},218.0,T,1.0,2.0,0.1,0.1,0.1,0.1,1,0"),
+                ] {
+                    let arrival = UtcNs(D).plus_s(truth_s + 0.04);
+                    let stamp = clock.stamp(&reading(&text), arrival);
+                    if !is_wrong && !(began_s..began_s + 4.0).contains(&truth_s) {
+                        let Stamp::At(found) = stamp else {
+                            panic!("{off_s} s from {began_s} s: {stamp:?} at {truth_s} s");
+                        };
+                        let error_ns = distance(found, UtcNs(D).plus_s(truth_s));
+                        assert!(
+                            error_ns < 2_000_000,
+                            "{off_s} s from {began_s} s: {error_ns} ns"
+                        );
+                    }
+                }
+            }
+        }
     }
 
     #[test]
