@@ -79,11 +79,8 @@ fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
         n => format!("{n} threads"),
     };
     let latency_ms = rig.run.latency_s * 1e3;
-    line(
-        out,
-        "run",
-        &format!("{threads}, delivery {latency_ms} ms after each listening window"),
-    )?;
+    let text = format!("{threads}, delivery {latency_ms} ms after each listening window");
+    line(out, "run", &text)?;
     if let DeliverySpec::Streaming { block_s, latency_s } = rig.run.delivery {
         let tiles = match rig.run.stream_tiles {
             true => ", tile by tile",
@@ -215,58 +212,46 @@ fn write_sonar(
     let d = Derived::of(sonar, c);
     let (pulse, settings) = (&sonar.pulse, &sonar.settings);
     let elements: usize = sonar.receive.iter().map(|a| a.elements).sum();
-    line(
-        out,
-        "sonar",
-        &format!(
-            "\"{}\", {elements} elements in {} receive arrays, {} transmit arrays",
-            sonar.name,
-            sonar.receive.len(),
-            sonar.transmit.len()
-        ),
-    )?;
+    let text = format!(
+        "\"{}\", {elements} elements in {} receive arrays, {} transmit arrays",
+        sonar.name,
+        sonar.receive.len(),
+        sonar.transmit.len()
+    );
+    line(out, "sonar", &text)?;
     let (kind, resolution_m) = match pulse.kind {
         PulseKind::Cw => ("CW", c * pulse.duration_s / 2.0),
         PulseKind::LfmUp => ("LFM up", c / (2.0 * pulse.bandwidth_hz)),
         PulseKind::LfmDown => ("LFM down", c / (2.0 * pulse.bandwidth_hz)),
     };
-    line(
-        out,
-        "  pulse",
-        &format!(
-            "{kind} {} kHz, B {} kHz, T {} ms, BT {:.0}; wavelength {:.2} mm, range resolution {:.1} cm",
-            pulse.center_frequency_hz / 1e3,
-            pulse.bandwidth_hz / 1e3,
-            pulse.duration_s * 1e3,
-            pulse.bandwidth_hz * pulse.duration_s,
-            d.wavelength_m * 1e3,
-            resolution_m * 1e2,
-        ),
-    )?;
-    line(
-        out,
-        "  ping",
-        &format!(
-            "range {} m: window {:.1} ms, at most {:.2} pings/s; asked {:.2}, kept {:.2}; {:.0} samples per element and ping",
-            settings.range_m,
-            d.window_s * 1e3,
-            d.longest_rate_hz,
-            settings.max_ping_rate_hz,
-            d.ping_rate_hz,
-            d.samples
-        ),
-    )?;
+    let text = format!(
+        "{kind} {} kHz, B {} kHz, T {} ms, BT {:.0}; wavelength {:.2} mm, range resolution {:.1} cm",
+        pulse.center_frequency_hz / 1e3,
+        pulse.bandwidth_hz / 1e3,
+        pulse.duration_s * 1e3,
+        pulse.bandwidth_hz * pulse.duration_s,
+        d.wavelength_m * 1e3,
+        resolution_m * 1e2,
+    );
+    line(out, "  pulse", &text)?;
+    let text = format!(
+        "range {} m: window {:.1} ms, at most {:.2} pings/s; asked {:.2}, kept {:.2}; {:.0} samples per element and ping",
+        settings.range_m,
+        d.window_s * 1e3,
+        d.longest_rate_hz,
+        settings.max_ping_rate_hz,
+        d.ping_rate_hz,
+        d.samples
+    );
+    line(out, "  ping", &text)?;
     line(out, "  receiver", &receiver(sonar, c))?;
-    line(
-        out,
-        "  gain",
-        &format!(
-            "source level {} dB, gain {} dB, {}",
-            settings.source_level_db,
-            settings.gain_db,
-            gain(&sonar.receiver, settings.range_m)
-        ),
-    )?;
+    let text = format!(
+        "source level {} dB, gain {} dB, {}",
+        settings.source_level_db,
+        settings.gain_db,
+        gain(&sonar.receiver, settings.range_m)
+    );
+    line(out, "  gain", &text)?;
     write_arrays(out, sonar, d.wavelength_m)?;
     write_beams(out, sonar)?;
     line(out, "  model", &model(sonar))?;
@@ -344,25 +329,19 @@ fn aperture_m(array: &ArrayGeometry) -> f64 {
 fn write_arrays(out: &mut String, sonar: &SonarSpec, wavelength_m: f64) -> fmt::Result {
     for (name, array) in sonar.transmit_names.iter().zip(&sonar.transmit) {
         let pattern = pattern(&array.pattern, wavelength_m);
-        line(
-            out,
-            "  transmit",
-            &format!("{name}: {pattern} (along x, along y)"),
-        )?;
+        let text = format!("{name}: {pattern} (along x, along y)");
+        line(out, "  transmit", &text)?;
     }
     for (name, array) in sonar.receive_names.iter().zip(&sonar.receive) {
-        line(
-            out,
-            "  receive",
-            &format!(
-                "{name}: {} elements every {:.2} mm ({:.2} wavelengths), together {:.2} deg, each {}",
-                array.elements,
-                array.spacing_m * 1e3,
-                array.spacing_m / wavelength_m,
-                beamwidth_deg(wavelength_m, aperture_m(array)),
-                pattern(&array.element_pattern, wavelength_m),
-            ),
-        )?;
+        let text = format!(
+            "{name}: {} elements every {:.2} mm ({:.2} wavelengths), together {:.2} deg, each {}",
+            array.elements,
+            array.spacing_m * 1e3,
+            array.spacing_m / wavelength_m,
+            beamwidth_deg(wavelength_m, aperture_m(array)),
+            pattern(&array.element_pattern, wavelength_m),
+        );
+        line(out, "  receive", &text)?;
     }
     write_signs(out, sonar)
 }
@@ -397,17 +376,14 @@ fn write_signs(out: &mut String, sonar: &SonarSpec) -> fmt::Result {
         .chain(receive.map(|(name, a)| (name, a.mounting)));
     for (name, mounting) in arrays {
         let looks = mounting.body_from_array * DVec3::Z;
-        line(
-            out,
-            "  signs",
-            &format!(
-                "{name} faces ({:.2}, {:.2}, {:.2}) forward, starboard, down; {}",
-                looks.x,
-                looks.y,
-                looks.z,
-                tilted(mounting.position_m)
-            ),
-        )?;
+        let text = format!(
+            "{name} faces ({:.2}, {:.2}, {:.2}) forward, starboard, down; {}",
+            looks.x,
+            looks.y,
+            looks.z,
+            tilted(mounting.position_m)
+        );
+        line(out, "  signs", &text)?;
     }
     Ok(())
 }
@@ -423,16 +399,13 @@ fn write_beams(out: &mut String, sonar: &SonarSpec) -> fmt::Result {
     }
     if let Some(fan) = &sonar.beams.fan {
         let step_deg = fan.sector_rad.to_degrees() / (fan.beams.max(2) - 1) as f64;
-        line(
-            out,
-            "  fan",
-            &format!(
-                "{} beams over {:.1} deg from {}, every {step_deg:.2} deg",
-                fan.beams,
-                fan.sector_rad.to_degrees(),
-                sonar.receive_names[fan.array],
-            ),
-        )?;
+        let text = format!(
+            "{} beams over {:.1} deg from {}, every {step_deg:.2} deg",
+            fan.beams,
+            fan.sector_rad.to_degrees(),
+            sonar.receive_names[fan.array],
+        );
+        line(out, "  fan", &text)?;
     }
     Ok(())
 }
@@ -491,17 +464,14 @@ fn write_outputs(out: &mut String, sonar: &SonarSpec, d: &Derived) -> fmt::Resul
             Some(fan) => format!(", beams (7018) {:.2} Mbit/s", mbit_per_s(fan.beams)),
             None => String::new(),
         };
-        line(
-            out,
-            "  7k",
-            &format!(
-                "TCP {}, device {}.{}; elements (7038) {:.2} Mbit/s{beams} to each client that asks",
-                output.listen,
-                output.device_id,
-                output.enumerator,
-                mbit_per_s(elements),
-            ),
-        )?;
+        let text = format!(
+            "TCP {}, device {}.{}; elements (7038) {:.2} Mbit/s{beams} to each client that asks",
+            output.listen,
+            output.device_id,
+            output.enumerator,
+            mbit_per_s(elements),
+        );
+        line(out, "  7k", &text)?;
     }
     Ok(())
 }

@@ -33,18 +33,15 @@ pub(super) fn write(
                 JsfFormat::Analytic => ("analytic", 4),
                 JsfFormat::Unfiltered => ("unfiltered analytic", 4),
             };
-            line(
-                out,
-                "  jsf",
-                &format!(
-                    "commands TCP {}, data TCP {}; subsystem {}, {channels} channels, a {what} each, {format}: {:.2} Mbit/s to each client{}",
-                    output.listen,
-                    output.listen_data,
-                    output.subsystem,
-                    mbit_per_s(channels, bytes),
-                    if output.record { "; recorded" } else { "" },
-                ),
-            )
+            let text = format!(
+                "commands TCP {}, data TCP {}; subsystem {}, {channels} channels, a {what} each, {format}: {:.2} Mbit/s to each client{}",
+                output.listen,
+                output.listen_data,
+                output.subsystem,
+                mbit_per_s(channels, bytes),
+                if output.record { "; recorded" } else { "" },
+            );
+            line(out, "  jsf", &text)
         }
         OutputSpec::Xtf(output) => line(
             out,
