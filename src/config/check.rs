@@ -79,24 +79,6 @@ pub fn parse(text: &str, base_dir: &Path, files: &dyn Files) -> Result<RigSpec, 
 
 // ---------------------------------------------------------------- what the rules share
 
-/// Refuses `keys` that are given although `holds` is false.
-fn only_with(keys: &[&Entry], holds: Option<bool>, condition: &str, problems: &mut Problems) {
-    if holds != Some(false) {
-        return;
-    }
-    // A key without a sound value is on the list already.
-    for entry in keys.iter().filter(|e| e.given && e.sound) {
-        problems.refuse(entry, format!("only with {condition}"));
-    }
-}
-
-/// Refuses a missing `key` if `holds` is true.
-fn needed_with(key: &Entry, holds: Option<bool>, condition: &str, problems: &mut Problems) {
-    if holds == Some(true) && !key.given {
-        problems.refuse(key, format!("missing: needed with {condition}"));
-    }
-}
-
 /// The names of an array of tables; refuses repeated ones.
 fn unique_names<'t>(
     names: impl Iterator<Item = &'t Field<String>>,
@@ -205,12 +187,12 @@ fn refuse_port_clashes(listeners: &[Listener<'_>], problems: &mut Problems) {
 
 fn rig(table: &keys::Rig, text: &str, problems: &mut Problems) -> Option<RigSpec> {
     let mut listeners = Vec::new();
-    let medium = table.medium.as_ref().and_then(medium);
+    let medium = table.medium.and_then(medium);
     let nav = table
         .nav
         .as_ref()
         .and_then(|t| nav(t, &mut listeners, problems));
-    let run = table.run.as_ref().and_then(|t| run(t, problems));
+    let run = table.run.and_then(run);
     if let (Some(nav), Some(t)) = (&nav, table.run.as_ref()) {
         refuse_scaled_clock_with_live_sources(nav, t, problems);
         streaming::refuse_ahead_without_prediction(nav, t, problems);
@@ -281,12 +263,10 @@ fn rig(table: &keys::Rig, text: &str, problems: &mut Problems) -> Option<RigSpec
         nav: nav?,
         scene: scene?,
         run: run?,
-        record: match table.record.given {
-            true => Some(RecordSpec {
-                directory: table.record.as_ref()?.directory.get()?,
-            }),
-            false => None,
-        },
+        record: table.record.given_and_then(|t| {
+            let directory = t.directory.get()?;
+            Some(RecordSpec { directory })
+        })?,
         control: control?,
         faults,
         sonars: all(sonars).filter(|s| !s.is_empty())?,
@@ -381,7 +361,7 @@ fn control<'t>(
         });
         let is_remote = !address.ip().is_loopback();
         let condition = "a `listen` that is not this machine alone";
-        needed_with(&table.token, Some(is_remote), condition, problems);
+        problems.needed_with(&table.token, Some(is_remote), condition);
     }
     Some(ControlSpec {
         listen,
@@ -390,35 +370,19 @@ fn control<'t>(
     })
 }
 
-fn run(table: &keys::Run, problems: &mut Problems) -> Option<RunSpec> {
-    let clock = table.clock.text();
-    let scaled = clock.map(|clock| clock == "scaled");
-    let condition = "clock = \"scaled\"";
-    only_with(&[&table.clock_rate], scaled, condition, problems);
-    let spread = table.pace.is("spread");
-    only_with(
-        &[&table.pace_share, &table.pace_tcp],
-        spread,
-        "pace = \"spread\"",
-        problems,
-    );
-    let delivery = streaming::delivery(table, problems);
+fn run(table: &keys::Run) -> Option<RunSpec> {
     Some(RunSpec {
-        spread_share: match spread? {
+        spread_share: match table.pace.is("spread")? {
             true => Some(table.pace_share.get()?),
             false => None,
         },
         pace_tcp: table.pace_tcp.get()?,
-        delivery: delivery?,
+        delivery: streaming::delivery(table)?,
         stream_tiles: table.stream_tiles.get()?,
-        overload: match table.overload.text()? {
-            "degrade" => OverloadSpec::Degrade,
-            "stretch" => OverloadSpec::Stretch,
-            _ => OverloadSpec::Skip,
-        },
+        overload: table.overload.named()?,
         simulated_compute_s: table.simulated_compute_ms.get()?,
         ahead_s: streaming::ahead_s(table)?,
-        clock: match clock? {
+        clock: match table.clock.text()? {
             "scaled" => ClockSpec::Scaled(table.clock_rate.get()?),
             "fast" => ClockSpec::Fast,
             "lockstep" => ClockSpec::Lockstep,
@@ -463,64 +427,42 @@ fn nav<'t>(
         true => table.mode.text().is_some(),
         false => kinds_known,
     };
-    only_with(
-        &[&table.max_extrapolation_ms, &table.on_lost],
-        mode_known.then_some(mode == NavMode::Predict),
-        "mode = \"predict\"",
-        problems,
-    );
+    let predicts = mode_known.then_some(mode == NavMode::Predict);
+    let of_prediction: [&Entry; 2] = [&table.max_extrapolation_ms, &table.on_lost];
+    problems.only_with(&of_prediction, predicts, "mode = \"predict\"");
     if table.r#loop.get() == Some(true) {
         let condition = "a source of kind \"log\" or \"csv\"";
-        only_with(&[&table.r#loop], any_recorded, condition, problems);
+        problems.only_with(&[&table.r#loop], any_recorded, condition);
     }
-    let failing_over = Some(table.failover_s.given);
-    only_with(&[&table.hold_off_s], failing_over, "failover_s", problems);
-    only_with(
-        &[&table.max_speed_m_per_s, &table.max_turn_rate_deg_per_s],
-        table.jump_gate.get(),
-        "jump_gate = true",
-        problems,
-    );
     if let (Some(stale_s), Some(lost_s)) = (table.stale_s.get(), table.lost_s.get())
         && lost_s < stale_s
     {
         problems.refuse(&table.lost_s, "must not be below stale_s");
     }
-    let vertical = vertical(table, problems);
-    let origin = origin(table);
+    let vertical = vertical(table);
     refuse_unfit_track(table, tables, vertical, problems);
-    let tow = match table.tow.as_ref() {
-        Some(t) => {
-            if matches!(vertical, Some(VerticalSpec::Gnss { .. })) {
-                let rule =
-                    "must not be \"gnss\" where the sonar is towed: the antenna is the ship's";
-                problems.refuse(&table.vertical, rule);
-            }
-            Some(nav::tow(t))
-        }
-        None => None,
-    };
+    if table.tow.as_ref().is_some() && matches!(vertical, Some(VerticalSpec::Gnss { .. })) {
+        let rule = "must not be \"gnss\" where the sonar is towed: the antenna is the ship's";
+        problems.refuse(&table.vertical, rule);
+    }
     let outputs = nav::outputs(table.output.all(), listeners, problems);
 
     Some(NavSpec {
-        origin: origin?,
+        origin: origin(table)?,
         mode,
         vertical: vertical?,
-        stamp: match table.stamp.text()? {
-            "host" => StampSpec::Host,
-            _ => StampSpec::Log,
-        },
+        stamp: table.stamp.named()?,
         loop_log: table.r#loop.get()?,
         max_extrapolation_s: table.max_extrapolation_ms.get()?,
         history_s: table.history_s.get()?,
         fallback_heading_from_course: table.heading_from_course.get()?,
-        failover: match table.failover_s.get() {
-            Some(after_s) => Some(FailoverSpec {
+        failover: table.failover_s.given_and_then(|&after_s| {
+            let hold_off_s = table.hold_off_s.get()?;
+            Some(FailoverSpec {
                 after_s,
-                hold_off_s: table.hold_off_s.get()?,
-            }),
-            None => None,
-        },
+                hold_off_s,
+            })
+        })?,
         jump_gate: match table.jump_gate.get()? {
             true => Some(JumpGateSpec {
                 max_speed_m_per_s: table.max_speed_m_per_s.get()?,
@@ -530,14 +472,8 @@ fn nav<'t>(
         },
         stale_s: table.stale_s.get()?,
         lost_s: table.lost_s.get()?,
-        on_lost: match table.on_lost.text()? {
-            "hold" => OnLost::Hold,
-            _ => OnLost::Skip,
-        },
-        tow: match tow {
-            Some(tow) => Some(tow?),
-            None => None,
-        },
+        on_lost: table.on_lost.named()?,
+        tow: table.tow.given_and_then(nav::tow)?,
         outputs: outputs?,
         sources: all(sources).filter(|s| !s.is_empty())?,
     })
@@ -553,20 +489,8 @@ fn origin(table: &keys::Nav) -> Option<OriginSpec> {
     }
 }
 
-fn vertical(table: &keys::Nav, problems: &mut Problems) -> Option<VerticalSpec> {
-    let choice = table.vertical.text();
-    for (key, needs) in [
-        (&table.reference_depth_m, "waterline"),
-        (&table.datum_offset_m, "gnss"),
-    ] {
-        only_with(
-            &[key],
-            choice.map(|c| c == needs),
-            &format!("vertical = \"{needs}\""),
-            problems,
-        );
-    }
-    Some(match choice? {
+fn vertical(table: &keys::Nav) -> Option<VerticalSpec> {
+    Some(match table.vertical.text()? {
         "waterline" => VerticalSpec::Waterline {
             reference_down_m: table.reference_depth_m.get()?,
         },
@@ -649,64 +573,26 @@ fn nav_source<'t>(
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<NavSourceSpec> {
-    let kind = table.kind.text();
-    let is = |wanted: &str| kind.map(|k| k == wanted);
-    let is_file = kind.map(|k| k == "log" || k == "csv");
-    only_with(
-        &[&table.path],
-        is_file,
-        "kind = \"log\" or \"csv\"",
-        problems,
-    );
-    needed_with(&table.path, is_file, "kind = \"log\" or \"csv\"", problems);
-    only_with(
-        &[&table.plain_rate_hz],
-        is("log"),
-        "kind = \"log\"",
-        problems,
-    );
-    only_with(
-        &[&table.listen],
-        kind.map(|k| k == "udp" || k == "tcp"),
-        "kind = \"udp\" or \"tcp\"",
-        problems,
-    );
-    only_with(&[&table.multicast], is("udp"), "kind = \"udp\"", problems);
-    only_with(&[&table.connect], is("tcp"), "kind = \"tcp\"", problems);
+    let is = |wanted: &str| table.kind.is(wanted);
     if is("tcp") == Some(true) && table.listen.given == table.connect.given {
         let rule = "tcp needs either `connect` (a server's address) or `listen` (for a client)";
         problems.refuse(&table.kind, rule);
     }
-    needed_with(&table.listen, is("udp"), "kind = \"udp\"", problems);
-    only_with(
-        &[&table.port, &table.baud, &table.line],
-        is("serial"),
-        "kind = \"serial\"",
-        problems,
-    );
-    needed_with(&table.port, is("serial"), "kind = \"serial\"", problems);
-    needed_with(&table.baud, is("serial"), "kind = \"serial\"", problems);
-    only_with(
-        &[
-            &table.time,
-            &table.latency_ms,
-            &table.checksum,
-            &table.ignore_checksum_for,
-            &table.format,
-            &table.variants,
-            &table.reverse,
-            &table.magnetic_variation_deg,
-        ],
-        is("csv").map(|csv| !csv),
-        "sentences, which a CSV track has not",
-        problems,
-    );
-    only_with(
-        &[&table.latency_ms],
-        table.time.is("arrival"),
-        "time = \"arrival\"",
-        problems,
-    );
+    problems.needed_with(&table.listen, is("udp"), "kind = \"udp\"");
+    let of_sentences: [&Entry; 8] = [
+        &table.time,
+        &table.latency_ms,
+        &table.checksum,
+        &table.ignore_checksum_for,
+        &table.format,
+        &table.variants,
+        &table.reverse,
+        &table.magnetic_variation_deg,
+    ];
+    let condition = "sentences, which a CSV track has not";
+    problems.only_with(&of_sentences, is("csv").map(|csv| !csv), condition);
+    let on_arrival = table.time.is("arrival");
+    problems.only_with(&[&table.latency_ms], on_arrival, "time = \"arrival\"");
 
     let input = nav_input(table, listeners, problems);
     Some(NavSourceSpec {
@@ -719,38 +605,21 @@ fn nav_source<'t>(
             },
             _ => TimePolicy::Message,
         },
-        checksum: match table.checksum.text()? {
-            "accept-missing" => ChecksumPolicy::AcceptMissing,
-            "ignore" => ChecksumPolicy::Ignore,
-            _ => ChecksumPolicy::Require,
-        },
+        checksum: table.checksum.named()?,
         lever_arm_m: table.lever_arm_m.get()?,
         mounting: SensorMounting {
             heave_arm_m: table.heave_arm_m.get()?,
             angles_rad: table.mounting_deg.get()?,
         },
         dialect: dialect(table)?,
-        provides: table
-            .provides
-            .as_ref()?
-            .iter()
-            .map(|c| channel(c))
-            .collect(),
+        provides: table.provides.all_named()?,
     })
 }
 
 fn dialect(table: &keys::NavSource) -> Option<NavDialect> {
     let says = |key: &Field<Vec<String>>, word: &str| key.all().iter().any(|w| w == word);
-    let formats = [
-        NavFormat::Nmea,
-        NavFormat::Tss1,
-        NavFormat::Em3000,
-        NavFormat::Seapath26,
-        NavFormat::Kmb,
-    ];
-    let format = table.format.text()?;
     Some(NavDialect {
-        format: formats.into_iter().find(|f| f.name() == format)?,
+        format: table.format.named()?,
         ignore_checksum_for: table.ignore_checksum_for.all().to_vec(),
         pashr_heave_up: says(&table.variants, "pashr-heave-up"),
         depth_is_own: says(&table.variants, "own-depth"),
@@ -761,17 +630,6 @@ fn dialect(table: &keys::NavSource) -> Option<NavDialect> {
         },
         magnetic_variation_rad: table.magnetic_variation_deg.get(),
     })
-}
-
-fn channel(name: &str) -> NavChannel {
-    match name {
-        "position" => NavChannel::Position,
-        "course-speed" => NavChannel::CourseSpeed,
-        "heading" => NavChannel::Heading,
-        "roll-pitch" => NavChannel::RollPitch,
-        "depth" => NavChannel::Depth,
-        _ => NavChannel::Heave,
-    }
 }
 
 fn nav_input<'t>(

@@ -13,6 +13,7 @@ pub(crate) struct Key {
     pub name: &'static str,
     pub kind: Kind,
     pub(crate) presence: Presence,
+    pub(crate) with: Option<With>,
     pub doc: &'static str,
 }
 
@@ -68,6 +69,15 @@ pub(crate) enum Presence {
     Set(&'static str, &'static str),
     /// Whether it must be there depends on other keys; the template has it.
     Shown(&'static str),
+}
+
+/// Refuses a key unless a key of the same table is given, or has one of the values.
+pub(crate) struct With {
+    /// The key must then be there.
+    pub(crate) needed: bool,
+    pub(crate) key: &'static str,
+    /// As TOML. None of them: any value.
+    pub(crate) values: &'static [&'static str],
 }
 
 /// Numbers from `min` (itself only if `min_included`) to `max`.

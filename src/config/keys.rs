@@ -6,7 +6,7 @@
 
 use glam::DVec3;
 
-use super::declaration::{Key, Kind, Presence, Range, Table, Unit, above, from};
+use super::declaration::{Key, Kind, Presence, Range, Table, Unit, With, above, from};
 use super::raw::{ChoiceOr, Declared, Field, RawTable};
 
 use Presence::{Default, Optional, Required, Set, Shown};
@@ -67,14 +67,22 @@ macro_rules! value {
     ($number:ident($range:expr)) => { f64 };
 }
 
-/// Declares a table: its meaning, its name, and of each key the meaning, the name, the kind and whether it may be left out.
+/// The [`With`] of a declaration, if it has one: `only` with another key, or `needed` there too.
+macro_rules! with {
+    () => { None };
+    (only $key:ident $($value:literal)*) => { Some(With { needed: false, key: stringify!($key), values: &[$(stringify!($value)),*] }) };
+    (needed $key:ident $($value:literal)*) => { Some(With { needed: true, key: stringify!($key), values: &[$(stringify!($value)),*] }) };
+}
+
+/// Declares a table: its meaning, its name, and of each key the meaning, the name, the kind, whether it may be left out, and the key that it
+/// belongs to.
 macro_rules! table {
     (
         $(#[doc = $about:literal])+
         $table:ident $(, later $($later:literal),+)?;
         $(
             $(#[doc = $doc:literal])*
-            $key:ident: $kind:ident $(($($rule:tt)*))?, $presence:expr;
+            $key:ident: $kind:ident $(($($rule:tt)*))?, $presence:expr $(, $bond:ident with $with:ident $(= $($value:literal)or+)?)?;
         )*
     ) => {
         $(#[doc = $about])+
@@ -90,6 +98,7 @@ macro_rules! table {
                     name: key_name(stringify!($key)),
                     kind: kind!($kind $(($($rule)*))?),
                     presence: $presence,
+                    with: with!($($bond $with $($($value)+)?)?),
                     doc: concat!($($doc),*),
                 }),*],
                 later: &[$($($later),+)?],
@@ -193,15 +202,15 @@ table! {
     delivery: Choice("ping-end", "streaming"), Default("\"ping-end\"");
 
     /// Length of a block. Only with delivery = "streaming".
-    stream_block_ms: Ms(from(0.1, 1000.0)), Default("1.0");
+    stream_block_ms: Ms(from(0.1, 1000.0)), Default("1.0"), only with delivery = "streaming";
 
     /// Constant delay of each block after its end. Only with delivery = "streaming".
-    stream_latency_ms: Ms(from(0.0, 600_000.0)), Default("0.5");
+    stream_latency_ms: Ms(from(0.0, 600_000.0)), Default("0.5"), only with delivery = "streaming";
 
     /// Compute a ping in tiles, each twice as long as the one before, and send the first blocks meanwhile. stream_latency_ms must then cover only
     /// the first tile. For external triggers, on a machine that computes a ping in a quarter of its window. Only with delivery = "streaming" and
     /// model.synthesis = "reference" or "direct", without error check, further pulses and passband samples.
-    stream_tiles: Bool, Default("false");
+    stream_tiles: Bool, Default("false"), only with delivery = "streaming";
 
     /// A ping is computed this long before its pulse, with the settings and the motion known then. Should be at least the computing time of a
     /// ping. Default: 0, or 100 with delivery = "streaming". Above 0 only with nav.mode = "predict".
@@ -212,18 +221,18 @@ table! {
     clock: Choice("realtime", "scaled", "fast", "lockstep"), Default("\"realtime\"");
 
     /// Speed relative to real time. Only with clock = "scaled".
-    clock_rate: Number(from(0.1, 1000.0)), Default("10.0");
+    clock_rate: Number(from(0.1, 1000.0)), Default("10.0"), only with clock = "scaled";
 
     /// "spread": a ping's datagrams leave evenly over a share of the time to the next ping. "burst": they leave all at once, and a receiver with
     /// a default socket buffer loses most of them. TCP loses nothing: see pace_tcp. With clock = "fast" and "lockstep" always "burst".
     pace: Choice("spread", "burst"), Default("\"spread\"");
 
     /// Share of the time to the next ping. Only with pace = "spread".
-    pace_share: Number(from(0.01, 0.95)), Default("0.8");
+    pace_share: Number(from(0.01, 0.95)), Default("0.8"), only with pace = "spread";
 
     /// Also spread records of 7k, JSF, WBMS and the Ping protocol over TCP, by the kernel (Linux). Otherwise they leave as fast as a client
     /// reads. Only with pace = "spread".
-    pace_tcp: Bool, Default("false");
+    pace_tcp: Bool, Default("false"), only with pace = "spread";
 
     /// SCHED_FIFO priority of the delivery threads, with locked memory, where the system allows it (echotank doctor). 0: normal scheduling.
     priority: Integer(0, 99), Default("40");

@@ -11,9 +11,10 @@ use glam::DVec3;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::declaration::{Key, Kind, Presence, Range, Table, Unit};
+use super::declaration::{Key, Kind, Presence, Range, Table, Unit, With};
 use super::files::Files;
 use super::problem::Problem;
+use super::spec::words::Words;
 
 /// Minimum similarity (1: equal) of a name that is offered as a correction.
 const LIKENESS: f64 = 0.5;
@@ -183,6 +184,22 @@ impl<T> Field<T> {
     pub(crate) fn as_ref(&self) -> Option<&T> {
         self.value.as_ref()
     }
+
+    /// What `read` makes of the value; none without one.
+    pub(crate) fn and_then<'t, R>(&'t self, read: impl FnOnce(&'t T) -> Option<R>) -> Option<R> {
+        self.value.as_ref().and_then(read)
+    }
+
+    /// As [`Field::and_then`]; `Some(None)` if the key is not given.
+    pub(crate) fn given_and_then<'t, R>(
+        &'t self,
+        read: impl FnOnce(&'t T) -> Option<R>,
+    ) -> Option<Option<R>> {
+        match self.given {
+            true => self.and_then(read).map(Some),
+            false => Some(None),
+        }
+    }
 }
 
 impl<T: Clone> Field<T> {
@@ -192,10 +209,7 @@ impl<T: Clone> Field<T> {
 
     /// `Some(None)` if the key is not given; none if its value is refused.
     pub(crate) fn if_given(&self) -> Option<Option<T>> {
-        match self.given {
-            true => self.get().map(Some),
-            false => Some(None),
-        }
+        self.given_and_then(|value| Some(value.clone()))
     }
 }
 
@@ -212,9 +226,24 @@ impl Field<String> {
         self.value.as_deref()
     }
 
+    /// What the value is the word for.
+    pub(crate) fn named<T: Words>(&self) -> Option<T> {
+        T::from_word(self.text()?)
+    }
+
     /// Whether the value is `text`; none without a value.
     pub(crate) fn is(&self, text: &str) -> Option<bool> {
         self.text().map(|own| own == text)
+    }
+}
+
+impl Field<Vec<String>> {
+    /// What the values are the words for.
+    pub(crate) fn all_named<T: Words>(&self) -> Option<Vec<T>> {
+        self.as_ref()?
+            .iter()
+            .map(|word| T::from_word(word))
+            .collect()
     }
 }
 
@@ -257,6 +286,22 @@ impl Problems {
             rule: rule.into(),
             hint: None,
         });
+    }
+
+    /// Refuses `keys` that are given although `holds` is false.
+    pub(crate) fn only_with(&mut self, keys: &[&Entry], holds: Option<bool>, condition: &str) {
+        // A key without a sound value is on the list already.
+        let misplaced = |e: &&&Entry| holds == Some(false) && e.given && e.sound;
+        for entry in keys.iter().filter(misplaced) {
+            self.refuse(entry, format!("only with {condition}"));
+        }
+    }
+
+    /// Refuses a missing `key` if `holds` is true.
+    pub(crate) fn needed_with(&mut self, key: &Entry, holds: Option<bool>, condition: &str) {
+        if holds == Some(true) && !key.given {
+            self.refuse(key, format!("missing: needed with {condition}"));
+        }
     }
 
     /// As [`Problems::refuse`], with the most similar of `names` as a hint.
@@ -341,6 +386,30 @@ pub(crate) fn read<T: Declared>(
     Some(T::from_raw(table))
 }
 
+impl With {
+    /// Refuses a key without the `other` one that it belongs to, and its absence beside it.
+    fn check(&self, own: &Entry, other: &(Entry, Option<RawValue>), problems: &mut Problems) {
+        let holds = match other {
+            (entry, _) if self.values.is_empty() => entry.given,
+            (_, Some(RawValue::Text(text))) => {
+                self.values.iter().any(|v| v.trim_matches('"') == text)
+            }
+            (_, Some(RawValue::Bool(value))) => self.values.contains(&value.to_string().as_str()),
+            // Absent, or on the list already.
+            (entry, _) if problems.0.iter().any(|p| p.path == entry.path) => return,
+            _ => false,
+        };
+        let condition = match self.values {
+            [] => self.key.to_owned(),
+            values => format!("{} = {}", self.key, values.join(" or ")),
+        };
+        if self.needed {
+            problems.needed_with(own, Some(holds), &condition);
+        }
+        problems.only_with(&[own], Some(holds), &condition);
+    }
+}
+
 struct Walk<'t> {
     text: &'t str,
     base_dir: &'t Path,
@@ -391,7 +460,7 @@ impl Walk<'_> {
                 problems.0.push(self.unknown(declared, name, value, path));
             }
         }
-        let entries = declared
+        let entries: HashMap<_, _> = declared
             .keys
             .iter()
             .map(|key| {
@@ -416,6 +485,11 @@ impl Walk<'_> {
                 (key.name, (entry, value))
             })
             .collect();
+        for key in declared.keys {
+            if let Some(with) = &key.with {
+                with.check(&entries[key.name].0, &entries[with.key], problems);
+            }
+        }
         RawTable(entries)
     }
 

@@ -10,6 +10,7 @@ mod output;
 mod overload;
 mod samples;
 mod trigger;
+pub(crate) mod words;
 
 pub use faults::{
     ConnectionFault, ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, NavByteFault,
@@ -26,6 +27,8 @@ use echotank_core::model::ModelChoice;
 use echotank_core::ping::Side;
 use echotank_core::pulse::Pulse;
 use echotank_core::settings::SonarSettings;
+
+use words::Words;
 
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
 pub use methods::AutoModel;
@@ -212,11 +215,7 @@ pub enum NavSentence {
 impl NavSentence {
     /// Three-letter formatter.
     pub fn name(self) -> &'static str {
-        match self {
-            NavSentence::Zda => "ZDA",
-            NavSentence::Gga => "GGA",
-            NavSentence::Hdt => "HDT",
-        }
+        self.word()
     }
 }
 
@@ -447,13 +446,7 @@ pub enum NavFormat {
 impl NavFormat {
     /// As the configuration has it.
     pub fn name(self) -> &'static str {
-        match self {
-            NavFormat::Nmea => "nmea",
-            NavFormat::Tss1 => "tss1",
-            NavFormat::Em3000 => "em3000",
-            NavFormat::Seapath26 => "seapath26",
-            NavFormat::Kmb => "kmb",
-        }
+        self.word()
     }
 }
 
@@ -546,14 +539,7 @@ pub enum NavChannel {
 impl NavChannel {
     /// As `provides` has it.
     pub fn name(self) -> &'static str {
-        match self {
-            NavChannel::Position => "position",
-            NavChannel::CourseSpeed => "course-speed",
-            NavChannel::Heading => "heading",
-            NavChannel::RollPitch => "roll-pitch",
-            NavChannel::Heave => "heave",
-            NavChannel::Depth => "depth",
-        }
+        self.word()
     }
 }
 
@@ -658,13 +644,7 @@ impl Sediment {
     pub const ALL: [Self; 5] = [Self::Mud, Self::Silt, Self::Sand, Self::Gravel, Self::Rock];
     /// Name in the configuration.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Mud => "mud",
-            Self::Silt => "silt",
-            Self::Sand => "sand",
-            Self::Gravel => "gravel",
-            Self::Rock => "rock",
-        }
+        self.word()
     }
 }
 
@@ -777,15 +757,9 @@ pub enum PaperShape {
 }
 
 impl PaperShape {
-    /// Every shape.
-    pub const ALL: [Self; 3] = [Self::Curves, Self::Relief, Self::Lake];
     /// Name in the configuration.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Curves => "paper-curves",
-            Self::Relief => "paper-relief",
-            Self::Lake => "paper-lake",
-        }
+        self.word()
     }
 }
 
@@ -822,11 +796,7 @@ impl SimplifyMethod {
     pub const ALL: [Self; 3] = [Self::Acoustic, Self::Paper, Self::Unbiased];
     /// Name in the configuration and on the command line.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Acoustic => "acoustic",
-            Self::Paper => "paper",
-            Self::Unbiased => "acoustic-unbiased",
-        }
+        self.word()
     }
 }
 
@@ -1421,13 +1391,7 @@ pub enum Former {
 impl Former {
     /// Name in the configuration.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Exact => "exact",
-            Self::Fft => "fft",
-            Self::TimeDelay => "conventional",
-            Self::Phase => "phase",
-            Self::DynamicFocus => "dynamic-focus",
-        }
+        self.word()
     }
 }
 
@@ -1445,11 +1409,7 @@ pub enum BeamSpacing {
 impl BeamSpacing {
     /// Name in the configuration.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::EquiAngle => "equi-angle",
-            Self::EquiDistant => "equi-distant",
-            Self::EquiSine => "equi-sine",
-        }
+        self.word()
     }
 }
 

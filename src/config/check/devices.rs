@@ -1,10 +1,9 @@
 //! Outputs that imitate one maker's device.
 
 use super::super::spec::*;
-use super::{Listener, address, needed_with, only_with};
+use super::{Listener, address};
 use crate::keys;
 use crate::raw::Problems;
-use echotank_core::ping::Side;
 
 /// Consecutive ports of WBMS.
 const WBMS_PORTS: u16 = 4;
@@ -16,37 +15,26 @@ pub(super) fn ping<'t>(
     problems: &mut Problems,
 ) -> Option<PingProtocolSpec> {
     let is_omniscan = table.device.is("omniscan450");
-    let condition = "device = \"omniscan450\"";
-    only_with(&[&table.side], is_omniscan, condition, problems);
-    needed_with(&table.side, is_omniscan, condition, problems);
     let device = match is_omniscan? {
         true => PingDevice::Omniscan450 {
-            side: match table.side.text()? {
-                "port" => Side::Port,
-                _ => Side::Starboard,
-            },
+            side: table.side.named()?,
         },
         false => PingDevice::Surveyor240,
     };
     if let Some(beams) = beams {
-        let (entry, rule) = match device {
-            PingDevice::Omniscan450 { side } => {
-                let has = beams.lines.iter().any(|line| line.side == side);
-                (
-                    &table.side,
-                    (!has).then_some("needs that side's line: sonar.beams"),
-                )
-            }
-            PingDevice::Surveyor240 => {
-                let has = beams
-                    .fan
-                    .as_ref()
-                    .is_some_and(|fan| fan.form.bottom_detection);
-                let rule = "needs sonar.beams.fan with bottom_detection = true";
-                (&table.device, (!has).then_some(rule))
-            }
+        let (has, entry, rule) = match device {
+            PingDevice::Omniscan450 { side } => (
+                beams.lines.iter().any(|line| line.side == side),
+                &table.side,
+                "needs that side's line: sonar.beams",
+            ),
+            PingDevice::Surveyor240 => (
+                (beams.fan.as_ref()).is_some_and(|fan| fan.form.bottom_detection),
+                &table.device,
+                "needs sonar.beams.fan with bottom_detection = true",
+            ),
         };
-        if let Some(rule) = rule {
+        if !has {
             problems.refuse(entry, rule);
         }
     }
@@ -62,18 +50,11 @@ pub(super) fn ping<'t>(
     let channel = table.channel_number.to()?;
     let channels = table.channels.to()?;
     if channel >= channels {
-        problems.refuse(
-            &table.channel_number,
-            format!("must be below channels = {channels}"),
-        );
+        let rule = format!("must be below channels = {channels}");
+        problems.refuse(&table.channel_number, rule);
     }
-    let serial = match table.serial_port.given {
-        true => Some((
-            table.serial_port.text()?.to_owned(),
-            table.serial_baud.to()?,
-        )),
-        false => None,
-    };
+    let baud = table.serial_baud.to();
+    let serial = (table.serial_port).given_and_then(|port| Some((port.clone(), baud?)))?;
     Some(PingProtocolSpec {
         device,
         listen: listen?,

@@ -2,7 +2,7 @@
 
 use super::super::spec::*;
 use super::arrays::Arrays;
-use super::{Listener, listen, only_with};
+use super::{Listener, listen};
 use crate::keys;
 use crate::raw::{Entry, Problems};
 
@@ -37,7 +37,6 @@ pub(super) fn jsf<'t>(
     let commands = listen(&table.listen, "TCP", listeners, problems);
     let data = listen(&table.listen_data, "TCP", listeners, problems);
     let staves = table.channels.is("staves");
-    only_with(&[&table.arrays], staves, "channels = \"staves\"", problems);
     if staves == Some(false) {
         needs_lines(&table.channels, sonar, problems);
     }
@@ -46,64 +45,41 @@ pub(super) fn jsf<'t>(
         let specs = arrays.iter().filter_map(|&a| sonar.arrays.specs.get(a));
         let elements: usize = specs.flatten().map(|array| array.elements).sum();
         if elements > MAX_JSF_CHANNELS {
-            problems.refuse(
-                &table.arrays,
-                format!("{elements} elements; JSF counts {MAX_JSF_CHANNELS} channels"),
-            );
+            let rule = format!("{elements} elements; JSF counts {MAX_JSF_CHANNELS} channels");
+            problems.refuse(&table.arrays, rule);
         }
     }
-    if sonar
-        .samples
-        .is_some_and(|samples| samples > MAX_JSF_SAMPLES)
-    {
-        problems.refuse(
-            &table.format,
-            format!(
-                "a ping of more than {MAX_JSF_SAMPLES} samples, which is all that JSF counts to"
-            ),
+    if (sonar.samples).is_some_and(|samples| samples > MAX_JSF_SAMPLES) {
+        let rule = format!(
+            "a ping of more than {MAX_JSF_SAMPLES} samples, which is all that JSF counts to"
         );
+        problems.refuse(&table.format, rule);
     }
-    let silent = match table.silent_subsystem.given {
-        true => vec![table.silent_subsystem.to()?],
-        false => Vec::new(),
-    };
+    let silent: Option<u8> = (table.silent_subsystem).given_and_then(|&s| s.try_into().ok())?;
     let subsystem = table.subsystem.to()?;
     if staves == Some(false) && table.format.text() == Some("envelope") {
         let last = usize::from(subsystem) + sonar.more_pulses;
         if last > usize::from(u8::MAX) {
-            problems.refuse(
-                &table.subsystem,
-                format!(
-                    "each pulse is a subsystem, and the last would be {last}; JSF counts to 255"
-                ),
+            let rule = format!(
+                "each pulse is a subsystem, and the last would be {last}; JSF counts to 255"
             );
+            problems.refuse(&table.subsystem, rule);
         }
         let its = usize::from(subsystem)..=last;
-        if silent
-            .iter()
-            .any(|&silent: &u8| its.contains(&silent.into()))
-        {
-            problems.refuse(
-                &table.silent_subsystem,
-                format!("is one of the sonar's own, {subsystem} to {last}: each pulse is one"),
-            );
+        if silent.is_some_and(|silent| its.contains(&silent.into())) {
+            let rule =
+                format!("is one of the sonar's own, {subsystem} to {last}: each pulse is one");
+            problems.refuse(&table.silent_subsystem, rule);
         }
     }
     Some(JsfSpec {
         listen: commands?,
         listen_data: data?,
         subsystem,
-        silent_subsystems: silent,
-        channels: match staves? {
-            true => JsfChannels::Staves,
-            false => JsfChannels::Sides,
-        },
+        silent_subsystems: silent.into_iter().collect(),
+        channels: table.channels.named()?,
         arrays: arrays?,
-        format: match table.format.text()? {
-            "analytic" => JsfFormat::Analytic,
-            "unfiltered" => JsfFormat::Unfiltered,
-            _ => JsfFormat::Envelope,
-        },
+        format: table.format.named()?,
         record: table.record.get()?,
         client_queue_bytes: table.client_queue_mib.to()?,
         max_clients: table.max_clients.to()?,

@@ -1,13 +1,9 @@
 //! Towing and navigation outputs.
 
-use std::net::SocketAddr;
-
-use super::{Listener, address, all, listen, needed_with, only_with, unique_names};
+use super::{Listener, address, all, listen, unique_names};
 use crate::keys;
 use crate::raw::{Field, Problems};
-use crate::spec::{
-    NavOutputSpec, NavSentence, NavTargetSpec, ParitySpec, PulseSpec, SerialLine, TowSpec,
-};
+use crate::spec::{NavOutputSpec, NavTargetSpec, ParitySpec, SerialLine, TowSpec};
 
 pub(super) fn tow(table: &keys::NavTow) -> Option<TowSpec> {
     Some(TowSpec {
@@ -35,34 +31,13 @@ fn output<'t>(
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<NavOutputSpec> {
-    let kind = table.kind.text();
-    let is = |wanted: &str| kind.map(|k| k == wanted);
-    only_with(&[&table.to], is("udp"), "kind = \"udp\"", problems);
-    needed_with(&table.to, is("udp"), "kind = \"udp\"", problems);
-    only_with(&[&table.listen], is("tcp"), "kind = \"tcp\"", problems);
-    needed_with(&table.listen, is("tcp"), "kind = \"tcp\"", problems);
-    let serial = "kind = \"serial\"";
-    only_with(
-        &[&table.port, &table.baud, &table.line],
-        is("serial"),
-        serial,
-        problems,
-    );
-    needed_with(&table.port, is("serial"), serial, problems);
-    needed_with(&table.baud, is("serial"), serial, problems);
-
     let talker = table.talker.text();
     let two_capitals = |t: &&str| t.len() == 2 && t.bytes().all(|b| b.is_ascii_uppercase());
     if talker.is_some() && talker.filter(two_capitals).is_none() {
         problems.refuse(&table.talker, "must be two capital letters");
     }
-    let pulse = match table.pulse.text() {
-        Some("rts") => PulseSpec::Rts,
-        Some("dtr") => PulseSpec::Dtr,
-        Some("byte") => PulseSpec::Byte,
-        _ => PulseSpec::None,
-    };
-    if matches!(pulse, PulseSpec::Rts | PulseSpec::Dtr) && is("serial") == Some(false) {
+    let on_line = matches!(table.pulse.text(), Some("rts" | "dtr"));
+    if on_line && table.kind.is("serial") == Some(false) {
         let rule =
             "needs kind = \"serial\": elsewhere there is no such line, \"byte\" stands for it";
         problems.refuse(&table.pulse, rule);
@@ -81,20 +56,11 @@ fn output<'t>(
     Some(NavOutputSpec {
         name: table.name.text()?.to_owned(),
         target: target?,
-        sentences: table
-            .sentences
-            .as_ref()?
-            .iter()
-            .map(|s| match s.as_str() {
-                "ZDA" => NavSentence::Zda,
-                "GGA" => NavSentence::Gga,
-                _ => NavSentence::Hdt,
-            })
-            .collect(),
+        sentences: table.sentences.all_named()?,
         talker: talker.filter(two_capitals)?.to_owned(),
         rate_hz,
         latency_s: table.latency_ms.get()?,
-        pulse,
+        pulse: table.pulse.named()?,
     })
 }
 
@@ -104,16 +70,12 @@ fn target<'t>(
     problems: &mut Problems,
 ) -> Option<NavTargetSpec> {
     match table.kind.text()? {
-        "udp" => {
-            table.to.text()?;
-            let to: SocketAddr = address(&table.to, problems)?;
-            Some(NavTargetSpec::Udp { to })
-        }
-        "tcp" => {
-            table.listen.text()?;
-            let listen = listen(&table.listen, "TCP", listeners, problems)?;
-            Some(NavTargetSpec::TcpListen { listen })
-        }
+        "udp" => Some(NavTargetSpec::Udp {
+            to: address(&table.to, problems)?,
+        }),
+        "tcp" => Some(NavTargetSpec::TcpListen {
+            listen: listen(&table.listen, "TCP", listeners, problems)?,
+        }),
         _ => Some(NavTargetSpec::Serial {
             port: table.port.text()?.to_owned(),
             baud: table.baud.to()?,

@@ -2,68 +2,37 @@
 
 use super::super::spec::*;
 use crate::keys;
-use crate::raw::Problems;
+use crate::raw::{Field, Problems};
 
 pub(super) fn picture(table: &keys::Picture, problems: &mut Problems) -> Option<PictureSpec> {
     let fixed = table.contrast.is("fixed");
-    let (low_db, high_db) = (table.low_db.get()?, table.high_db.get()?);
-    let (low, high) = (table.low_percent.get()?, table.high_percent.get()?);
-    if low_db >= high_db {
-        let rule = format!("low_db ({low_db}) must be below high_db ({high_db})");
-        let entry = if table.high_db.given {
-            &table.high_db
-        } else {
-            &table.low_db
-        };
-        problems.refuse(entry, rule);
-    }
-    if low >= high {
-        let percent = |share: f64| (share * 1e8).round() / 1e6;
-        let rule = format!(
-            "low_percent ({}) must be below high_percent ({})",
-            percent(low),
-            percent(high)
-        );
-        let entry = if table.high_percent.given {
-            &table.high_percent
-        } else {
-            &table.low_percent
-        };
-        problems.refuse(entry, rule);
-    }
+    let percent = |share: f64| (share * 1e8).round() / 1e6;
+    let mut in_order = |low_key: &Field<f64>, high_key: &Field<f64>, shown: fn(f64) -> f64| {
+        let (low, high) = (low_key.get()?, high_key.get()?);
+        if low >= high {
+            let (low_name, high_name) = (low_key.key(), high_key.key());
+            let (shown_low, shown_high) = (shown(low), shown(high));
+            let rule = format!("{low_name} ({shown_low}) must be below {high_name} ({shown_high})");
+            problems.refuse(if high_key.given { high_key } else { low_key }, rule);
+        }
+        Some((low, high))
+    };
+    let (low_db, high_db) = in_order(&table.low_db, &table.high_db, |db| db)?;
+    let (low, high) = in_order(&table.low_percent, &table.high_percent, percent)?;
     Some(PictureSpec {
-        range: match table.range.text()? {
-            "ground" => PictureRange::Ground,
-            "ground-first-return" => PictureRange::GroundFirstReturn,
-            _ => PictureRange::Slant,
-        },
+        range: table.range.named()?,
         raw: table.gain.text()? == "raw",
-        colours: match table.colours.text()? {
-            "grey" => ColourMap::Grey,
-            "blue" => ColourMap::Blue,
-            "rainbow" => ColourMap::Rainbow,
-            _ => ColourMap::Copper,
-        },
+        colours: table.colours.named()?,
         contrast: match fixed? {
-            true => Contrast::Fixed {
-                low_db: table.low_db.get()?,
-                high_db: table.high_db.get()?,
-            },
-            false => Contrast::Percentiles {
-                low: table.low_percent.get()?,
-                high: table.high_percent.get()?,
-            },
+            true => Contrast::Fixed { low_db, high_db },
+            false => Contrast::Percentiles { low, high },
         },
         flatten: table.flatten.get()?,
         metres_per_pixel: table.m_per_pixel.if_given()?,
         fan_every_pings: table.fan_every_pings.to()?,
         mosaic: MosaicLook {
             metres_per_pixel: table.mosaic_m_per_pixel.get()?,
-            overlap: match table.overlap.text()? {
-                "mean" => Overlap::Mean,
-                "last" => Overlap::Last,
-                _ => Overlap::Nearest,
-            },
+            overlap: table.overlap.named()?,
             nadir_rad: table.nadir_deg.get()?,
         },
     })

@@ -2,7 +2,7 @@
 
 use super::super::spec::*;
 use super::arrays::Arrays;
-use super::{Listener, listen, only_with};
+use super::{Listener, listen};
 use crate::keys;
 use crate::raw::{Field, Problems};
 use echotank_core::pulse::Pulse;
@@ -59,21 +59,8 @@ pub(super) fn vita49(
     problems: &mut Problems,
 ) -> Option<Vita49Spec> {
     let arrays = source.arrays.chosen(&table.arrays, problems);
-    let is_passband = table.samples.is("passband");
     let is_vector = table.streams.is("vector");
-    only_with(
-        &[&table.passband_rate_khz],
-        is_passband,
-        "samples = \"passband\"",
-        problems,
-    );
-    super::needed_with(
-        &table.passband_rate_khz,
-        is_passband,
-        "samples = \"passband\"",
-        problems,
-    );
-    let passband_rate_hz = match is_passband? {
+    let passband_rate_hz = match table.samples.is("passband")? {
         true => Some(source.passband_rate_hz(&table.passband_rate_khz, problems)?),
         false => None,
     };
@@ -86,10 +73,8 @@ pub(super) fn vita49(
         // Two moments of 2-byte samples fill the same words as one moment of I and Q.
         let needed = VRT_AROUND_BYTES + 4 * side_by_side;
         if max_packet < needed || side_by_side > MAX_VECTOR {
-            problems.refuse(
-                &table.max_packet_bytes,
-                format!("must hold a moment of {side_by_side} elements: at least {needed}"),
-            );
+            let rule = format!("must hold a moment of {side_by_side} elements: at least {needed}");
+            problems.refuse(&table.max_packet_bytes, rule);
         }
         let last = table.first_stream.get()? + source.elements(arrays) as i64;
         if last > i64::from(u32::MAX) {
@@ -99,10 +84,8 @@ pub(super) fn vita49(
     let send_to = destinations(&table.send_to, problems);
     let interface = table.multicast_interface.text()?.parse();
     if interface.is_err() {
-        problems.refuse(
-            &table.multicast_interface,
-            "must be an address, such as \"192.168.1.10\"",
-        );
+        let rule = "must be an address, such as \"192.168.1.10\"";
+        problems.refuse(&table.multicast_interface, rule);
     }
     Some(Vita49Spec {
         send_to: send_to?,
@@ -127,10 +110,8 @@ fn destinations(
         .map(|word| word.trim().parse())
         .collect();
     if parsed.is_err() {
-        problems.refuse(
-            send_to,
-            "must be addresses and ports with commas between them, such as \"127.0.0.1:4991, 239.1.2.3:4991\"",
-        );
+        let rule = "must be addresses and ports with commas between them, such as \"127.0.0.1:4991, 239.1.2.3:4991\"";
+        problems.refuse(send_to, rule);
     }
     parsed.ok()
 }
@@ -196,10 +177,8 @@ pub(super) fn wav(
     if let Some(arrays) = &arrays {
         let channels = source.elements(arrays);
         if channels > MAX_WAV_CHANNELS {
-            problems.refuse(
-                &table.arrays,
-                format!("{channels} elements; a WAV takes {MAX_WAV_CHANNELS}"),
-            );
+            let rule = format!("{channels} elements; a WAV takes {MAX_WAV_CHANNELS}");
+            problems.refuse(&table.arrays, rule);
         }
     }
     let rate_hz = match table.rate_khz.given {

@@ -3,9 +3,9 @@
 use glam::DVec3;
 
 use super::super::spec::*;
-use super::{MIB, needed_with, only_with};
+use super::MIB;
 use crate::keys;
-use crate::raw::{Field, Problems};
+use crate::raw::{Entry, Field, Problems};
 use echotank_core::arrays::Pattern;
 use echotank_core::pulse::PulseKind;
 
@@ -33,10 +33,7 @@ pub(super) struct Rig<'a> {
 
 pub(super) fn scene(table: &keys::Scene, rig: &Rig, problems: &mut Problems) -> Option<SceneSpec> {
     let seabed_table = table.seabed.as_ref();
-    let incidence = match table.incidence.text()? {
-        "flat" => IncidenceSpec::Flat,
-        _ => IncidenceSpec::Normal,
-    };
+    let incidence = table.incidence.named()?;
     let seabed = seabed_table.and_then(|t| seabed(t, rig, incidence, problems));
     let gridded = match seabed_table {
         Some(t) => t.shape.text().map(is_survey),
@@ -44,22 +41,18 @@ pub(super) fn scene(table: &keys::Scene, rig: &Rig, problems: &mut Problems) -> 
     };
     let condition = "a seabed of shape \"file\" or \"esri-ascii\"";
     if table.extend.text() == Some("mirror") {
-        only_with(&[&table.extend], gridded, condition, problems);
+        problems.only_with(&[&table.extend], gridded, condition);
     }
     if table.anchor.text() == Some("file") {
-        only_with(&[&table.anchor], gridded, condition, problems);
+        problems.only_with(&[&table.anchor], gridded, condition);
     }
     // A file of shapes may give depths; its reader reports a missing seabed.
     let shapes = table
         .targets
         .get()
         .is_some_and(|path| path.extension().is_some_and(|e| e == "toml"));
-    only_with(
-        &[&table.targets],
-        Some(table.seabed.given || shapes),
-        "a seabed, on which they lie",
-        problems,
-    );
+    let carried = Some(table.seabed.given || shapes);
+    problems.only_with(&[&table.targets], carried, "a seabed, on which they lie");
     let memory_limit_bytes: u64 = table.memory_mib.to()?;
     if let Some(density) = seabed.as_ref().map(|s| s.density) {
         let scatterers = rig.scatterers_in_beams(&density);
@@ -69,22 +62,16 @@ pub(super) fn scene(table: &keys::Scene, rig: &Rig, problems: &mut Problems) -> 
                 Density::PerM2(n) => format!("density_per_m2 = {n}"),
                 Density::Auto { .. } => "density = \"auto\"".to_owned(),
             };
-            problems.refuse(
-                &table.memory_mib,
-                format!(
-                    "must be at least {needed_mib}, to hold the {scatterers:.3e} scatterers in the beams within {} m ({density})",
-                    rig.longest_range_m
-                ),
+            let rule = format!(
+                "must be at least {needed_mib}, to hold the {scatterers:.3e} scatterers in the beams within {} m ({density})",
+                rig.longest_range_m
             );
+            problems.refuse(&table.memory_mib, rule);
         }
     }
     Some(SceneSpec {
         seed: table.seed.to()?,
-        anchor: match table.anchor.text()? {
-            "first-fix" => AnchorSpec::FirstFix,
-            "file" => AnchorSpec::File,
-            _ => AnchorSpec::Origin,
-        },
+        anchor: table.anchor.named()?,
         mirror: table.extend.text()? == "mirror",
         seabed: match table.seabed.given {
             true => Some(seabed?),
@@ -92,11 +79,7 @@ pub(super) fn scene(table: &keys::Scene, rig: &Rig, problems: &mut Problems) -> 
         },
         points: table.points.if_given()?,
         targets: table.targets.if_given()?,
-        occlusion: match table.occlusion.text()? {
-            "none" => OcclusionSpec::None,
-            "paper" => OcclusionSpec::Paper,
-            _ => OcclusionSpec::Horizon,
-        },
+        occlusion: table.occlusion.named()?,
         memory_limit_bytes,
         simplify: simplify(table.simplify.as_ref()?, problems)?,
     })
@@ -106,20 +89,16 @@ pub(super) fn scene(table: &keys::Scene, rig: &Rig, problems: &mut Problems) -> 
 fn simplify(table: &keys::Simplify, problems: &mut Problems) -> Option<Option<SimplifySpec>> {
     let name = table.method.text()?;
     let some = Some(name != "none");
-    only_with(
-        &[
-            &table.keep,
-            &table.weight_curvature,
-            &table.weight_scattering,
-            &table.weight_axis,
-            &table.weight_echo,
-        ],
-        some,
-        "a method",
-        problems,
-    );
-    needed_with(&table.keep, some, "a method", problems);
-    let Some(method) = SimplifyMethod::ALL.into_iter().find(|m| m.name() == name) else {
+    let of_methods: [&Entry; 5] = [
+        &table.keep,
+        &table.weight_curvature,
+        &table.weight_scattering,
+        &table.weight_axis,
+        &table.weight_echo,
+    ];
+    problems.only_with(&of_methods, some, "a method");
+    problems.needed_with(&table.keep, some, "a method");
+    let Some(method) = table.method.named() else {
         return Some(None);
     };
     let default = EnergyWeights::default_of(method);
@@ -145,56 +124,21 @@ fn seabed(
     incidence: IncidenceSpec,
     problems: &mut Problems,
 ) -> Option<SeabedSpec> {
-    let shape = table.shape.text();
-    let is = |wanted: &str| shape.map(|s| s == wanted);
-    only_with(
-        &[&table.depth_m, &table.slope_north, &table.slope_east],
-        is("plane"),
-        "shape = \"plane\"",
-        problems,
-    );
-    needed_with(&table.depth_m, is("plane"), "shape = \"plane\"", problems);
-    let is_file = shape.map(is_survey);
-    let condition = "shape = \"file\" or \"esri-ascii\"";
-    only_with(
-        &[
-            &table.path,
-            &table.values,
-            &table.offset_north_m,
-            &table.offset_east_m,
-            &table.crs,
-            &table.first_row,
-            &table.nodata,
-        ],
-        is_file,
-        condition,
-        problems,
-    );
-    needed_with(&table.path, is_file, condition, problems);
-    only_with(
-        &[&table.format, &table.cell_m, &table.max_edge_m],
-        is("file"),
-        "shape = \"file\"",
-        problems,
-    );
     let bottom = bottom(table, problems);
     let mosaic = mosaic(table, problems)?;
-    if table.density.given {
-        refuse_beside_auto(table, problems);
-    }
+    let constant = Some(!table.density.given);
+    problems.only_with(&[&table.density_per_m2], constant, "no density = \"auto\"");
     let density = match table.density.given {
         true => rig.auto_density()?,
         false => Density::PerM2(table.density_per_m2.get()?),
     };
-    let shape = match shape? {
+    let shape = match table.shape.text()? {
         "plane" => SeabedShape::Plane {
             depth_m: table.depth_m.get()?,
             slope_north: table.slope_north.get()?,
             slope_east: table.slope_east.get()?,
         },
-        name if name.starts_with("paper-") => {
-            SeabedShape::Paper(PaperShape::ALL.into_iter().find(|s| s.name() == name)?)
-        }
+        name if name.starts_with("paper-") => SeabedShape::Paper(table.shape.named()?),
         shape => SeabedShape::File {
             file: file(table, shape, problems)?,
             offset_north_m: table.offset_north_m.get()?,
@@ -218,32 +162,16 @@ fn is_survey(shape: &str) -> bool {
 
 fn file(table: &keys::Seabed, shape: &str, problems: &mut Problems) -> Option<SeabedFileSpec> {
     let crs = crs(&table.crs, problems)?;
-    let format = match shape {
-        "esri-ascii" => "esri-ascii",
-        _ => table.format.text()?,
-    };
+    // The words that name none stand for "auto".
     Some(SeabedFileSpec {
         path: table.path.get()?,
-        format: match format {
+        format: match shape {
             "esri-ascii" => Some(SeabedFormat::EsriAscii),
-            "geotiff" => Some(SeabedFormat::GeoTiff),
-            "bag" => Some(SeabedFormat::Bag),
-            "xyz" => Some(SeabedFormat::Xyz),
-            "las" => Some(SeabedFormat::Las),
-            "ply" => Some(SeabedFormat::Ply),
-            _ => None,
+            _ => table.format.named(),
         },
         crs,
-        values: match table.values.text()? {
-            "elevation" => Some(HeightSign::Elevation),
-            "depth" => Some(HeightSign::Depth),
-            _ => None,
-        },
-        first_row: match table.first_row.text()? {
-            "north" => Some(FirstRow::North),
-            "south" => Some(FirstRow::South),
-            _ => None,
-        },
+        values: table.values.named(),
+        first_row: table.first_row.named(),
         nodata: table.nodata.get(),
         cell_m: table.cell_m.get(),
         max_edge_m: table.max_edge_m.get(),
@@ -264,23 +192,10 @@ fn crs(key: &Field<String>, problems: &mut Problems) -> Option<Option<CrsSpec>> 
 
 fn bottom(table: &keys::Seabed, problems: &mut Problems) -> Option<BottomSpec> {
     let name = table.bottom.text();
-    let sediment = Sediment::ALL.into_iter().find(|s| Some(s.name()) == name);
+    let sediment = table.bottom.named();
     let condition = "bottom = \"lambert\", \"bistatic-lambert\" or \"three-term\"";
     let free = name.map(|_| sediment.is_none());
-    only_with(&[&table.lambert_db], free, condition, problems);
-    let three = name.map(|n| n == "three-term");
-    only_with(
-        &[
-            &table.lambert_exponent,
-            &table.specular_db,
-            &table.specular_width_deg,
-            &table.intermediate_db,
-            &table.intermediate_width_deg,
-        ],
-        three,
-        "bottom = \"three-term\"",
-        problems,
-    );
+    problems.only_with(&[&table.lambert_db], free, condition);
     if let Some(sediment) = sediment {
         return Some(BottomSpec::Sediment(sediment));
     }
@@ -302,29 +217,20 @@ fn bottom(table: &keys::Seabed, problems: &mut Problems) -> Option<BottomSpec> {
 /// `Some(None)` if no mosaic is given; none after a problem.
 fn mosaic(table: &keys::Seabed, problems: &mut Problems) -> Option<Option<MosaicSpec>> {
     let given = table.mosaic.given;
-    only_with(
-        &[
-            &table.mosaic_crs,
-            &table.mosaic_values,
-            &table.mosaic_incidence_deg,
-            &table.mosaic_offset_north_m,
-            &table.mosaic_offset_east_m,
-        ],
-        Some(given),
-        "a mosaic",
-        problems,
-    );
+    let of_mosaics: [&Entry; 5] = [
+        &table.mosaic_crs,
+        &table.mosaic_values,
+        &table.mosaic_incidence_deg,
+        &table.mosaic_offset_north_m,
+        &table.mosaic_offset_east_m,
+    ];
+    problems.only_with(&of_mosaics, Some(given), "a mosaic");
     if !given {
         return Some(None);
     }
     let absolute = table.mosaic_values.text()? == "absolute";
     let condition = "mosaic_values = \"absolute\"";
-    only_with(
-        &[&table.mosaic_incidence_deg],
-        Some(absolute),
-        condition,
-        problems,
-    );
+    problems.only_with(&[&table.mosaic_incidence_deg], Some(absolute), condition);
     Some(Some(MosaicSpec {
         path: table.mosaic.get()?,
         crs: crs(&table.mosaic_crs, problems)?,
@@ -337,15 +243,6 @@ fn mosaic(table: &keys::Seabed, problems: &mut Problems) -> Option<Option<Mosaic
         offset_north_m: table.mosaic_offset_north_m.get()?,
         offset_east_m: table.mosaic_offset_east_m.get()?,
     }))
-}
-
-fn refuse_beside_auto(table: &keys::Seabed, problems: &mut Problems) {
-    only_with(
-        &[&table.density_per_m2],
-        Some(false),
-        "no density = \"auto\"",
-        problems,
-    );
 }
 
 impl Rig<'_> {

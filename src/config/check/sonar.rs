@@ -11,7 +11,7 @@ use super::families;
 use super::picture::picture;
 use super::samples::{self, Source};
 use super::trigger;
-use super::{Listener, all, index_of, listen, needed_with, only_with, unique_names};
+use super::{Listener, all, index_of, listen, unique_names};
 use crate::keys;
 use crate::raw::{Entry, Field, Problems};
 use echotank_core::arrays::{
@@ -61,7 +61,7 @@ pub(crate) fn sonar<'t>(
     listeners: &mut Vec<Listener<'t>>,
     problems: &mut Problems,
 ) -> Option<SonarSpec> {
-    let pulse = table.pulse.as_ref().and_then(|t| pulse(t, problems));
+    let pulse = table.pulse.and_then(|t| pulse(t, problems));
     let settings = settings(table, problems);
     let limits = limits(table, problems);
 
@@ -108,7 +108,7 @@ pub(crate) fn sonar<'t>(
         .model
         .as_ref()
         .and_then(|t| model(t, filter, problems));
-    let synthesis = table.model.as_ref().and_then(|t| synthesis(t, problems));
+    let synthesis = table.model.and_then(synthesis);
     let sums_pulses = model.is_none_or(|m| {
         let one_by_one = [
             Synthesis::Direct,
@@ -135,7 +135,7 @@ pub(crate) fn sonar<'t>(
         .beams
         .as_ref()
         .and_then(|t| beams(t, &arrays, problems));
-    let picture = table.picture.as_ref().and_then(|t| picture(t, problems));
+    let picture = table.picture.and_then(|t| picture(t, problems));
     let has_lines = table
         .beams
         .as_ref()
@@ -190,28 +190,16 @@ fn owned(names: &[Option<&str>]) -> Option<Vec<String>> {
 // ---------------------------------------------------------------- pulse and settings
 
 fn pulse(table: &keys::Pulse, problems: &mut Problems) -> Option<Pulse> {
-    let kind = table.kind.text();
-    let is_lfm = kind.map(|k| k == "lfm");
-    let condition = "kind = \"lfm\"";
-    only_with(
-        &[&table.sweep, &table.bandwidth_khz],
-        is_lfm,
-        condition,
-        problems,
-    );
-    needed_with(&table.bandwidth_khz, is_lfm, condition, problems);
     let center_frequency_hz = table.center_frequency_khz.get();
     let bandwidth_hz = table.bandwidth_khz.get();
-    if let (Some(true), Some(center_hz), Some(band_hz)) =
-        (is_lfm, center_frequency_hz, bandwidth_hz)
+    if let (Some("lfm"), Some(center_hz), Some(band_hz)) =
+        (table.kind.text(), center_frequency_hz, bandwidth_hz)
         && band_hz >= 2.0 * center_hz
     {
-        problems.refuse(
-            &table.bandwidth_khz,
-            "must be below twice center_frequency_khz: the sweep stays above 0 Hz",
-        );
+        let rule = "must be below twice center_frequency_khz: the sweep stays above 0 Hz";
+        problems.refuse(&table.bandwidth_khz, rule);
     }
-    let kind = match (kind?, table.sweep.text()?) {
+    let kind = match (table.kind.text()?, table.sweep.text()?) {
         ("cw", _) => PulseKind::Cw,
         (_, "down") => PulseKind::LfmDown,
         _ => PulseKind::LfmUp,
@@ -240,10 +228,8 @@ fn more_pulse(
     let center_frequency_hz = table.center_frequency_khz.if_given()?;
     let center_frequency_hz = center_frequency_hz.unwrap_or(own.center_frequency_hz);
     if bandwidth_hz > own.bandwidth_hz {
-        problems.refuse(
-            &table.bandwidth_khz,
-            "must be at most the pulse's own: the receiver filter is made for that",
-        );
+        let rule = "must be at most the pulse's own: the receiver filter is made for that";
+        problems.refuse(&table.bandwidth_khz, rule);
     }
     let kind = match (own.kind, table.sweep.text()?) {
         (PulseKind::Cw, _) => PulseKind::Cw,
@@ -252,18 +238,13 @@ fn more_pulse(
     };
     let apart_hz = (center_frequency_hz - own.center_frequency_hz).abs();
     if kind == own.kind && apart_hz < own.bandwidth_hz {
-        problems.refuse(
-            &table.sweep,
-            "must be the other one, or center_frequency_khz a bandwidth away: nothing else tells the pulses apart",
-        );
+        let rule = "must be the other one, or center_frequency_khz a bandwidth away: nothing else tells the pulses apart";
+        problems.refuse(&table.sweep, rule);
     }
-    let transmit = match table.transmit.given {
-        true => Some(table.transmit.text().and_then(|name| {
-            let entry = &table.transmit;
-            index_of(name, entry, transmit_names, "transmit array", problems)
-        })?),
-        false => None,
-    };
+    let transmit = table.transmit.given_and_then(|name| {
+        let entry = &table.transmit;
+        index_of(name, entry, transmit_names, "transmit array", problems)
+    })?;
     Some(MorePulseSpec {
         pulse: Pulse {
             kind,
@@ -316,10 +297,8 @@ fn limits(sonar: &keys::Sonar, problems: &mut Problems) -> Option<LimitsSpec> {
             } else if let (Some(setting_key), Some(setting)) = (setting_key, setting)
                 && !(low..=high).contains(&setting)
             {
-                problems.refuse(
-                    setting_key,
-                    format!("must lie within limits.{} = {}", key.key(), key.text),
-                );
+                let rule = format!("must lie within limits.{} = {}", key.key(), key.text);
+                problems.refuse(setting_key, rule);
             }
         }
         match key.given {
@@ -370,15 +349,7 @@ fn pattern(
     baffled: &Field<bool>,
     problems: &mut Problems,
 ) -> Option<Pattern> {
-    let is_rectangle = name.is("rectangle");
-    let condition = format!("{} = \"rectangle\"", name.key());
-    only_with(
-        &[length, width, baffled],
-        is_rectangle,
-        &condition,
-        problems,
-    );
-    if !is_rectangle? {
+    if !name.is("rectangle")? {
         return Some(Pattern::Omnidirectional);
     }
     let (length_m, width_m) = (length.get()?, width.get()?);
@@ -411,7 +382,7 @@ fn receive(
 ) -> Option<ArrayGeometry> {
     let elements = table.elements.to();
     let several = elements.map(|e| e > 1);
-    needed_with(&table.spacing_m, several, "more than one element", problems);
+    problems.needed_with(&table.spacing_m, several, "more than one element");
     let spacing_m = match table.spacing_m.given {
         true => table.spacing_m.get(),
         false => Some(0.0),
@@ -424,10 +395,8 @@ fn receive(
         && length_m > spacing_m
         && spacing_m > 0.0
     {
-        problems.refuse(
-            &table.element_length_m,
-            format!("must be at most spacing_m = {spacing_m}: elements do not overlap"),
-        );
+        let rule = format!("must be at most spacing_m = {spacing_m}: elements do not overlap");
+        problems.refuse(&table.element_length_m, rule);
     }
     let transmit = match table.transmit.given {
         true => table.transmit.text().and_then(|name| {
@@ -436,10 +405,8 @@ fn receive(
         }),
         false if transmit_names.len() <= 1 => Some(0),
         false => {
-            problems.refuse(
-                &table.transmit,
-                "missing: needed where there are several transmit arrays",
-            );
+            let rule = "missing: needed where there are several transmit arrays";
+            problems.refuse(&table.transmit, rule);
             None
         }
     };
@@ -465,7 +432,7 @@ fn receiver(
         (Some(law), _) => Some(law != "none"),
         (None, rows) => rows.map(|_| false),
     };
-    only_with(&[&table.tvg_max_db], is_law, "a tvg law", problems);
+    problems.only_with(&[&table.tvg_max_db], is_law, "a tvg law");
     let tvg = match (law, table.tvg.other()) {
         (Some("none"), _) => Some(TimeVaryingGain::None),
         (Some(law), _) => table.tvg_max_db.get().map(|max_db| {
@@ -483,18 +450,12 @@ fn receiver(
         (None, Some(rows)) => {
             let increasing = rows.windows(2).all(|w| w[0].0 < w[1].0);
             if !increasing || rows[0].0 < 0.0 {
-                problems.refuse(
-                    &table.tvg,
-                    "must have ranges from 0 on, each beyond the one before",
-                );
+                let rule = "must have ranges from 0 on, each beyond the one before";
+                problems.refuse(&table.tvg, rule);
             }
             Some(TimeVaryingGain::Table(rows.to_vec()))
         }
         (None, None) => None,
-    };
-    let adc_bits = match table.adc_bits.given {
-        true => Some(table.adc_bits.to()?),
-        false => None,
     };
     Some(Receiver {
         sample_rate_hz: table.sample_rate_khz.get()?,
@@ -504,7 +465,7 @@ fn receiver(
         },
         tvg: tvg?,
         noise_db: table.noise_db.if_given()?,
-        adc_bits,
+        adc_bits: table.adc_bits.given_and_then(|&n| n.try_into().ok())?,
         full_scale_v: table.full_scale_v.get()?,
         seed: table.seed.to()?,
     })
@@ -657,19 +618,13 @@ fn model(
             Synthesis::Gridded1d | Synthesis::Gridded2d => "which places every echo where it is",
             _ => "which lays one pulse under every echo",
         };
-        problems.refuse(
-            &table.doppler,
-            format!(
-                "must be {known} with synthesis = \"{}\", {why}",
-                synthesis.name()
-            ),
-        );
+        let name = synthesis.name();
+        let rule = format!("must be {known} with synthesis = \"{name}\", {why}");
+        problems.refuse(&table.doppler, rule);
     }
     if (synthesis, filter) == (Some(Synthesis::Gridded2d), Some(ReceiverFilter::None)) {
-        problems.refuse(
-            &table.synthesis,
-            "needs receiver.rx_filter = \"fir\": a band that ends",
-        );
+        let rule = "needs receiver.rx_filter = \"fir\": a band that ends";
+        problems.refuse(&table.synthesis, rule);
     }
     let path = match table.path.text()? {
         // Without steps, so that every synthesis accepts it.
@@ -677,10 +632,8 @@ fn model(
         named => named,
     };
     if (synthesis, path) == (Some(Synthesis::Gridded2d), "polyline") {
-        problems.refuse(
-            &table.path,
-            "must be another with synthesis = \"gridded-2d\": the polyline's steps of attitude tear a line apart; \"k-segment\" has none",
-        );
+        let rule = "must be another with synthesis = \"gridded-2d\": the polyline's steps of attitude tear a line apart; \"k-segment\" has none";
+        problems.refuse(&table.path, rule);
     }
     Some(ModelChoice {
         path: PathModel::ALL.into_iter().find(|p| p.name() == path)?,
@@ -732,27 +685,7 @@ fn default_synthesis(doppler: DopplerModel, filter: ReceiverFilter) -> Synthesis
     }
 }
 
-fn synthesis(table: &keys::Model, problems: &mut Problems) -> Option<SynthesisSpec> {
-    let spectral = match table.synthesis.given {
-        true => table.synthesis.is("spectral"),
-        false => Some(false),
-    };
-    only_with(
-        &[&table.frequency_step_hz],
-        spectral,
-        "synthesis = \"spectral\"",
-        problems,
-    );
-    let line = match table.synthesis.given {
-        true => table.synthesis.is("gridded-2d"),
-        false => Some(false),
-    };
-    only_with(
-        &[&table.nearest_m],
-        line,
-        "synthesis = \"gridded-2d\"",
-        problems,
-    );
+fn synthesis(table: &keys::Model) -> Option<SynthesisSpec> {
     Some(SynthesisSpec {
         tolerance: table.tolerance.get()?,
         error_check: table.error_check.get()?,
@@ -764,11 +697,7 @@ fn synthesis(table: &keys::Model, problems: &mut Problems) -> Option<SynthesisSp
         engine_tolerance: None,
         auto: auto_model(table),
         image_cells: table.tolerance_image.if_given()?,
-        output: match table.output.text()? {
-            "beams" => MadeOutput::Beams,
-            AUTO => MadeOutput::Auto,
-            _ => MadeOutput::Elements,
-        },
+        output: table.output.named()?,
         elements_for: None,
     })
 }
@@ -787,28 +716,17 @@ fn beams(table: &keys::Beams, arrays: &Arrays<'_>, problems: &mut Problems) -> O
             .and_then(|a| arrays.body_from_array(a))
             .map(|r| sign * (r * DVec3::Z).y);
         if looks_across.is_some_and(|y| y < -SIDE_MARGIN) {
-            problems.refuse(
-                key,
-                "that array looks to the other side (roll_deg is positive to port)",
-            );
+            let rule = "that array looks to the other side (roll_deg is positive to port)";
+            problems.refuse(key, rule);
         }
         lines.push(array.map(|array| LineSpec { side, array }));
     }
-    let fan = table.fan.as_ref().and_then(|t| fan(t, arrays, problems));
-    let synthetic_aperture = table
-        .synthetic_aperture
-        .as_ref()
-        .and_then(|t| synthetic_aperture(t, arrays, problems));
-    let focused = table.line_former.is("dynamic-focus");
-    only_with(
-        &[&table.line_f_number, &table.line_shading],
-        focused,
-        "line_former = \"dynamic-focus\"",
-        problems,
-    );
+    let fan = table.fan.given_and_then(|t| fan(t, arrays, problems));
+    let synthetic_aperture =
+        (table.synthetic_aperture).given_and_then(|t| synthetic_aperture(t, arrays, problems));
     Some(BeamsSpec {
         lines: all(lines)?,
-        focused_lines: focused?,
+        focused_lines: table.line_former.is("dynamic-focus")?,
         line_f_number: table.line_f_number.if_given()?,
         line_shading: shading(&table.line_shading, table.line_side_lobe_db.get()?, 0.0)?,
         weighting: shading(
@@ -816,14 +734,8 @@ fn beams(table: &keys::Beams, arrays: &Arrays<'_>, problems: &mut Problems) -> O
             table.weighting_side_lobe_db.get()?,
             table.weighting_beta.get()?,
         )?,
-        synthetic_aperture: match table.synthetic_aperture.given {
-            true => Some(synthetic_aperture?),
-            false => None,
-        },
-        fan: match table.fan.given {
-            true => Some(fan?),
-            false => None,
-        },
+        synthetic_aperture: synthetic_aperture?,
+        fan: fan?,
     })
 }
 
@@ -855,10 +767,8 @@ fn synthetic_aperture(
     };
     let (columns, rows) = spec.size();
     if columns as f64 * rows as f64 > MAX_SYNTHETIC_PIXELS {
-        problems.refuse(
-            &table.cell_m,
-            format!("{columns} x {rows} pixels; at most {MAX_SYNTHETIC_PIXELS}"),
-        );
+        let rule = format!("{columns} x {rows} pixels; at most {MAX_SYNTHETIC_PIXELS}");
+        problems.refuse(&table.cell_m, rule);
         return None;
     }
     Some(spec)
@@ -872,49 +782,28 @@ fn fan(table: &keys::Fan, arrays: &Arrays<'_>, problems: &mut Problems) -> Optio
     }
     let line = spec.map(|s| s.mounting.body_from_array * DVec3::X);
     if line.is_some_and(|x| x.y < MIN_ACROSS && x.x < MIN_ALONG) {
-        problems.refuse(
-            &table.array,
-            "must be an array across the track whose +x end points to starboard (yaw_deg = 90), or one that lies fore and aft (yaw_deg = 0)",
-        );
+        let rule = "must be an array across the track whose +x end points to starboard (yaw_deg = 90), or one that lies fore and aft (yaw_deg = 0)";
+        problems.refuse(&table.array, rule);
     }
     let center_rad = table.center_deg.get();
     if let (Some(center), Some(sector)) = (center_rad, table.sector_deg.get())
         && center.abs() + 0.5 * sector > FRAC_PI_2 + 1e-9
     {
-        problems.refuse(
-            &table.center_deg,
-            "must keep the sector within 90 degrees of the boresight",
-        );
+        let rule = "must keep the sector within 90 degrees of the boresight";
+        problems.refuse(&table.center_deg, rule);
     }
     let roll_stabilised = table.roll_stabilised.get()?;
     if roll_stabilised && line.is_some_and(|x| x.y < MIN_ACROSS) {
         problems.refuse(&table.roll_stabilised, "needs an array across the track");
     }
-    let former = match table.former.text()? {
-        "fft" => Former::Fft,
-        "conventional" => Former::TimeDelay,
-        "phase" => Former::Phase,
-        "dynamic-focus" => Former::DynamicFocus,
-        _ => Former::Exact,
-    };
-    only_with(
-        &[&table.f_number, &table.focus_error_deg],
-        Some(former == Former::DynamicFocus),
-        "former = \"dynamic-focus\"",
-        problems,
-    );
     Some(FanSpec {
         array: array?,
         beams: table.beams.to()?,
         sector_rad: table.sector_deg.get()?,
         shading: shading(&table.shading, table.shading_side_lobe_db.get()?, 0.0)?,
         form: FanForm {
-            former,
-            spacing: match table.spacing.text()? {
-                "equi-distant" => BeamSpacing::EquiDistant,
-                "equi-sine" => BeamSpacing::EquiSine,
-                _ => BeamSpacing::EquiAngle,
-            },
+            former: table.former.named()?,
+            spacing: table.spacing.named()?,
             center_rad: center_rad?,
             roll_stabilised,
             f_number: table.f_number.if_given()?,
@@ -959,85 +848,57 @@ fn outputs<'t>(
         more_pulses,
         beams,
     } = context;
-    let mut outputs = Vec::new();
-    if table.sevenk.given {
-        let spec = table
-            .sevenk
-            .as_ref()
-            .and_then(|t| sevenk(t, arrays, largest, listeners, problems));
-        outputs.push(spec.map(OutputSpec::SevenK));
-    }
     let sonar = families::Sonar {
         arrays,
         samples: largest.samples(),
         has_lines,
         more_pulses,
     };
-    if table.jsf.given {
-        let spec = table
-            .jsf
-            .as_ref()
-            .and_then(|t| families::jsf(t, &sonar, listeners, problems));
-        outputs.push(spec.map(OutputSpec::Jsf));
-    }
-    if table.xtf.given {
-        let spec = table
-            .xtf
-            .as_ref()
-            .and_then(|t| families::xtf(t, &sonar, problems));
-        outputs.push(spec.map(OutputSpec::Xtf));
-    }
-    if table.imagenex872.given {
-        let spec = table
-            .imagenex872
-            .as_ref()
-            .and_then(|t| families::imagenex872(t, &sonar, listeners, problems));
-        outputs.push(spec.map(OutputSpec::Imagenex872));
-    }
-    if table.ping.given {
-        let spec = table
-            .ping
-            .as_ref()
-            .and_then(|t| devices::ping(t, beams, listeners, problems));
-        outputs.push(spec.map(OutputSpec::Ping));
-    }
-    if table.wbms.given {
-        let spec = table
-            .wbms
-            .as_ref()
-            .and_then(|t| devices::wbms(t, listeners, problems));
-        outputs.push(spec.map(OutputSpec::Wbms));
-    }
     let source = Source { arrays, pulse };
-    if table.vita49.given {
-        let spec = table
-            .vita49
-            .as_ref()
-            .and_then(|t| samples::vita49(t, source, problems));
-        outputs.push(spec.map(OutputSpec::Vita49));
-    }
-    if table.elements.given {
-        let spec = table
-            .elements
-            .as_ref()
-            .and_then(|t| samples::elements(t, source, listeners, problems));
-        outputs.push(spec.map(OutputSpec::Elements));
-    }
-    if table.sigmf.given {
-        let spec = table
-            .sigmf
-            .as_ref()
-            .and_then(|t| samples::sigmf(t, source, problems));
-        outputs.push(spec.map(OutputSpec::Sigmf));
-    }
-    if table.wav.given {
-        let spec = table
-            .wav
-            .as_ref()
-            .and_then(|t| samples::wav(t, source, problems));
-        outputs.push(spec.map(OutputSpec::Wav));
-    }
-    all(outputs)
+    // Of two outputs with one port the later is refused.
+    let outputs = [
+        output(&table.sevenk, OutputSpec::SevenK, |t| {
+            sevenk(t, arrays, largest, listeners, problems)
+        }),
+        output(&table.jsf, OutputSpec::Jsf, |t| {
+            families::jsf(t, &sonar, listeners, problems)
+        }),
+        output(&table.xtf, OutputSpec::Xtf, |t| {
+            families::xtf(t, &sonar, problems)
+        }),
+        output(&table.imagenex872, OutputSpec::Imagenex872, |t| {
+            families::imagenex872(t, &sonar, listeners, problems)
+        }),
+        output(&table.ping, OutputSpec::Ping, |t| {
+            devices::ping(t, beams, listeners, problems)
+        }),
+        output(&table.wbms, OutputSpec::Wbms, |t| {
+            devices::wbms(t, listeners, problems)
+        }),
+        output(&table.vita49, OutputSpec::Vita49, |t| {
+            samples::vita49(t, source, problems)
+        }),
+        output(&table.elements, OutputSpec::Elements, |t| {
+            samples::elements(t, source, listeners, problems)
+        }),
+        output(&table.sigmf, OutputSpec::Sigmf, |t| {
+            samples::sigmf(t, source, problems)
+        }),
+        output(&table.wav, OutputSpec::Wav, |t| {
+            samples::wav(t, source, problems)
+        }),
+    ];
+    let outputs = all(outputs.into())?;
+    Some(outputs.into_iter().flatten().collect())
+}
+
+/// `Some(None)` if the table is not given.
+fn output<'t, T, S>(
+    key: &'t Field<T>,
+    make: fn(S) -> OutputSpec,
+    read: impl FnOnce(&'t T) -> Option<S>,
+) -> Option<Option<OutputSpec>> {
+    key.given_and_then(|table| read(table).map(make))
 }
 
 fn sevenk<'t>(
@@ -1057,25 +918,17 @@ fn sevenk<'t>(
             .map(|a| a.elements)
             .sum();
         if elements > MAX_7K_ELEMENTS {
-            problems.refuse(
-                &table.arrays,
-                format!("{elements} elements; a 7k record counts to {MAX_7K_ELEMENTS}"),
-            );
+            let rule = format!("{elements} elements; a 7k record counts to {MAX_7K_ELEMENTS}");
+            problems.refuse(&table.arrays, rule);
         }
         let record_bytes = elements as f64 * samples * BYTES_PER_7038_SAMPLE;
         if record_bytes > f64::from(u32::MAX) {
-            problems.refuse(
-                &table.arrays,
-                format!("{record_bytes} bytes in one 7038; a 7k record counts to 2^32 - 1"),
-            );
+            let rule = format!("{record_bytes} bytes in one 7038; a 7k record counts to 2^32 - 1");
+            problems.refuse(&table.arrays, rule);
         } else if client_queue_bytes.is_some_and(|queue| (queue as f64) < record_bytes) {
-            problems.refuse(
-                &table.client_queue_mib,
-                format!(
-                    "must hold a ping's element samples: at least {}",
-                    (record_bytes / f64::from(1 << 20)).ceil() + 1.0
-                ),
-            );
+            let mib = (record_bytes / f64::from(1 << 20)).ceil() + 1.0;
+            let rule = format!("must hold a ping's element samples: at least {mib}");
+            problems.refuse(&table.client_queue_mib, rule);
         }
     }
     Some(SevenKSpec {

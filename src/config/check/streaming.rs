@@ -1,7 +1,6 @@
 //! Streaming delivery.
 
 use super::super::spec::*;
-use super::only_with;
 use crate::keys;
 use crate::raw::Problems;
 use echotank_core::model::{DopplerModel, Synthesis};
@@ -9,20 +8,8 @@ use echotank_core::model::{DopplerModel, Synthesis};
 /// Default of `ahead_ms` with streaming, seconds.
 const AHEAD_S: f64 = 0.1;
 
-pub(super) fn delivery(table: &keys::Run, problems: &mut Problems) -> Option<DeliverySpec> {
-    let streaming = table.delivery.is("streaming");
-    let condition = "delivery = \"streaming\"";
-    only_with(
-        &[
-            &table.stream_block_ms,
-            &table.stream_latency_ms,
-            &table.stream_tiles,
-        ],
-        streaming,
-        condition,
-        problems,
-    );
-    Some(match streaming? {
+pub(super) fn delivery(table: &keys::Run) -> Option<DeliverySpec> {
+    Some(match table.delivery.is("streaming")? {
         false => DeliverySpec::PingEnd,
         true => DeliverySpec::Streaming {
             block_s: table.stream_block_ms.get()?,

@@ -1,7 +1,7 @@
 //! `[sonar.trigger]` and `[sonar.trigger_out]`.
 
 use super::super::spec::*;
-use super::{Listener, address, index_of, listen, needed_with, only_with};
+use super::{Listener, address, index_of, listen};
 use crate::keys;
 use crate::raw::{Entry, Problems};
 
@@ -14,26 +14,9 @@ pub(super) fn trigger<'t>(
     problems: &mut Problems,
 ) -> Option<TriggerSpec> {
     let source = table.source.text();
-    let is = |wanted: &[&str]| source.map(|s| wanted.contains(&s));
-    let by_address: &[&Entry] = &[&table.listen];
-    for (keys, sources) in [
-        (by_address, &["udp", "tcp"][..]),
-        (&[&table.port, &table.edge], &["serial-cts", "serial-dcd"]),
-        (&[&table.follow, &table.delay_ms], &["sonar"]),
-    ] {
-        let quoted: Vec<_> = sources.iter().map(|s| format!("\"{s}\"")).collect();
-        let condition = format!("source = {}", quoted.join(" or "));
-        only_with(keys, is(sources), &condition, problems);
-        needed_with(keys[0], is(sources), &condition, problems);
-    }
     let triggered = source.map(|s| s != "internal");
-    let condition = "a source other than \"internal\"";
-    only_with(
-        &[&table.early, &table.min_interval_ms, &table.watchdog_ms],
-        triggered,
-        condition,
-        problems,
-    );
+    let of_triggers: [&Entry; 3] = [&table.early, &table.min_interval_ms, &table.watchdog_ms];
+    problems.only_with(&of_triggers, triggered, "a source other than \"internal\"");
     let from = match source? {
         "udp" => TriggerFrom::Udp {
             listen: listen(&table.listen, "UDP", listeners, problems)?,
@@ -60,10 +43,7 @@ pub(super) fn trigger<'t>(
     };
     Some(TriggerSpec {
         from,
-        early: match table.early.text()? {
-            "queue" => EarlyTrigger::Queue,
-            _ => EarlyTrigger::Refuse,
-        },
+        early: table.early.named()?,
         min_interval_s: table.min_interval_ms.get()?,
         watchdog_s: table.watchdog_ms.if_given()?,
     })
@@ -81,23 +61,14 @@ pub(super) fn trigger_out(
     table: &keys::trigger::TriggerOut,
     problems: &mut Problems,
 ) -> Option<TriggerOutSpec> {
-    let has_port = Some(table.port.given);
-    only_with(&[&table.line, &table.pulse_ms], has_port, "port", problems);
-    let to = match table.to.given {
-        true => Some(address(&table.to, problems)?),
-        false => None,
-    };
-    let serial = match table.port.given {
-        true => Some(TriggerLineSpec {
-            port: table.port.text()?.to_owned(),
-            line: match table.line.text()? {
-                "dtr" => OutLine::DataTerminalReady,
-                _ => OutLine::RequestToSend,
-            },
+    let to = table.to.given_and_then(|_| address(&table.to, problems))?;
+    let serial = table.port.given_and_then(|port| {
+        Some(TriggerLineSpec {
+            port: port.clone(),
+            line: table.line.named()?,
             pulse_s: table.pulse_ms.get()?,
-        }),
-        false => None,
-    };
+        })
+    })?;
     Some(TriggerOutSpec { to, serial })
 }
 

@@ -10,7 +10,7 @@ table! {
     device: Choice("omniscan450", "surveyor240"), Required("\"omniscan450\"");
 
     /// The side-scan line that an omniscan450 sends.
-    side: Choice("port", "starboard"), Shown("\"port\"");
+    side: Choice("port", "starboard"), Shown("\"port\""), needed with device = "omniscan450";
 
     /// Only this computer by default: the protocol has no password.
     listen: Text, Default("\"127.0.0.1:51200\"");

@@ -23,7 +23,7 @@ table! {
     channels: Choice("sides", "staves"), Default("\"sides\"");
 
     /// Receive arrays whose elements are the channels, in this order. Default: all. Only with channels = "staves".
-    arrays: Names, Shown("[\"rx\"]");
+    arrays: Names, Shown("[\"rx\"]"), only with channels = "staves";
 
     /// Data format 0 (envelope), 1 (real and imaginary, after the matched filter) or 9 (before it). With channels = "sides", 1 and 9 are the mean
     /// of the elements.

@@ -22,10 +22,10 @@ table! {
     vertical: Choice("waterline", "gnss", "depth"), Default("\"waterline\"");
 
     /// Depth of the reference point, positive down. Only with vertical = "waterline".
-    reference_depth_m: Number(METRES), Default("0.0");
+    reference_depth_m: Number(METRES), Default("0.0"), only with vertical = "waterline";
 
     /// Added to the depth. Only with vertical = "gnss".
-    datum_offset_m: Number(METRES), Default("0.0");
+    datum_offset_m: Number(METRES), Default("0.0"), only with vertical = "gnss";
 
     /// UTC of the records: from the navigation ("log") or from this computer ("host").
     stamp: Choice("log", "host"), Default("\"log\"");
@@ -47,16 +47,16 @@ table! {
     failover_s: Number(above(0.0, 3600.0)), Optional("2.0");
 
     /// The better source becomes active again after it has delivered for this time. Only with failover_s.
-    hold_off_s: Number(from(0.0, 3600.0)), Default("5.0");
+    hold_off_s: Number(from(0.0, 3600.0)), Default("5.0"), only with failover_s;
 
     /// Reject samples that are farther from the previous one than the platform can have moved, until five in a row agree.
     jump_gate: Bool, Default("false");
 
     /// Speed limit of the jump gate. Only with jump_gate.
-    max_speed_m_per_s: Number(above(0.0, 150.0)), Default("50.0");
+    max_speed_m_per_s: Number(above(0.0, 150.0)), Default("50.0"), only with jump_gate = true;
 
     /// Limit of the rates of heading, roll and pitch. Only with jump_gate.
-    max_turn_rate_deg_per_s: Degrees(above(0.0, 1.0e4)), Default("60.0");
+    max_turn_rate_deg_per_s: Degrees(above(0.0, 1.0e4)), Default("60.0"), only with jump_gate = true;
 
     /// The status shows a source as stale after this time without data. It shows it as on hold after three missed intervals.
     stale_s: Number(above(0.0, 3600.0)), Default("2.0");
@@ -95,19 +95,19 @@ table! {
     kind: Choice("udp", "tcp", "serial"), Required("\"udp\"");
 
     /// Address and port of a host, a broadcast address or a multicast group. Only with kind = "udp".
-    to: Text, Shown("\"127.0.0.1:10120\"");
+    to: Text, Shown("\"127.0.0.1:10120\""), needed with kind = "udp";
 
     /// Address and port. Only with kind = "tcp".
-    listen: Text, Optional("\"127.0.0.1:10121\"");
+    listen: Text, Optional("\"127.0.0.1:10121\""), needed with kind = "tcp";
 
     /// Only with kind = "serial".
-    port: Text, Optional("\"/dev/ttyUSB1\"");
+    port: Text, Optional("\"/dev/ttyUSB1\""), needed with kind = "serial";
 
     /// Only with kind = "serial".
-    baud: Integer(110, 4_000_000), Optional("9600");
+    baud: Integer(110, 4_000_000), Optional("9600"), needed with kind = "serial";
 
     /// Data bits, parity and stop bits. Only with kind = "serial".
-    line: ChoiceOf(SERIAL_LINES), Default("\"8N1\"");
+    line: ChoiceOf(SERIAL_LINES), Default("\"8N1\""), only with kind = "serial";
 
     /// GGA holds the position of the platform's reference point. ZDA is sent on whole seconds only, the others at every tick.
     sentences: Choices("ZDA", "GGA", "HDT"), Default("[\"ZDA\", \"GGA\", \"HDT\"]");
@@ -148,28 +148,28 @@ table! {
     kind: Choice("log", "csv", "udp", "serial", "tcp"), Required("\"udp\"");
 
     /// Relative to the folder of this file. Only with kind = "log" or "csv".
-    path: File, Optional("\"data/survey.log\"");
+    path: File, Optional("\"data/survey.log\""), needed with kind = "log" or "csv";
 
     /// Sentences per second of a log without any time. Only with kind = "log".
-    plain_rate_hz: Number(from(0.001, 1.0e5)), Default("10.0");
+    plain_rate_hz: Number(from(0.001, 1.0e5)), Default("10.0"), only with kind = "log";
 
     /// Address and port. Only with kind = "udp" or "tcp".
-    listen: Text, Shown("\"127.0.0.1:10110\"");
+    listen: Text, Shown("\"127.0.0.1:10110\""), only with kind = "udp" or "tcp";
 
     /// Host and port of a server. Only with kind = "tcp".
-    connect: Text, Optional("\"192.168.1.20:10110\"");
+    connect: Text, Optional("\"192.168.1.20:10110\""), only with kind = "tcp";
 
     /// Group to join on the interface with the address in `listen`. Only with kind = "udp".
-    multicast: Text, Optional("\"239.192.0.1\"");
+    multicast: Text, Optional("\"239.192.0.1\""), only with kind = "udp";
 
     /// Only with kind = "serial".
-    port: Text, Optional("\"/dev/ttyUSB0\"");
+    port: Text, Optional("\"/dev/ttyUSB0\""), needed with kind = "serial";
 
     /// Only with kind = "serial".
-    baud: Integer(110, 4_000_000), Optional("115200");
+    baud: Integer(110, 4_000_000), Optional("115200"), needed with kind = "serial";
 
     /// Data bits, parity and stop bits. Only with kind = "serial".
-    line: ChoiceOf(SERIAL_LINES), Default("\"8N1\"");
+    line: ChoiceOf(SERIAL_LINES), Default("\"8N1\""), only with kind = "serial";
 
     /// Time of validity of a measurement. "message": the time in the message. "burst": the time of the last dated message in the same burst, for
     /// messages without a time. "arrival": the arrival time minus latency_ms.

@@ -16,7 +16,7 @@ table! {
     samples: Choice("baseband", "passband"), Default("\"baseband\"");
 
     /// Above twice the highest frequency of the band. Only with samples = "passband".
-    passband_rate_khz: Khz(from(1.0, 100_000.0)), Shown("1000.0");
+    passband_rate_khz: Khz(from(1.0, 100_000.0)), Shown("1000.0"), needed with samples = "passband";
 
     /// One stream per element, or one stream whose samples are vectors of all elements.
     streams: Choice("elements", "vector"), Default("\"elements\"");

@@ -77,44 +77,44 @@ table! {
     shape: Choice("plane", "file", "esri-ascii", "paper-curves", "paper-relief", "paper-lake"), Required("\"plane\"");
 
     /// Depth below the scene's origin. Only with shape = "plane".
-    depth_m: Number(METRES), Shown("40.0");
+    depth_m: Number(METRES), Shown("40.0"), needed with shape = "plane";
 
     /// Metres of depth per metre northward. Only with shape = "plane".
-    slope_north: Number(from(-10.0, 10.0)), Default("0.0");
+    slope_north: Number(from(-10.0, 10.0)), Default("0.0"), only with shape = "plane";
 
     /// Metres of depth per metre eastward. Only with shape = "plane".
-    slope_east: Number(from(-10.0, 10.0)), Default("0.0");
+    slope_east: Number(from(-10.0, 10.0)), Default("0.0"), only with shape = "plane";
 
     /// The centre of the survey lies at the scene's origin. Only with shape = "file" or "esri-ascii".
-    path: File, Optional("\"data/seabed.asc\"");
+    path: File, Optional("\"data/seabed.asc\""), needed with shape = "file" or "esri-ascii";
 
     /// Elevations (up positive) or depths. "auto": detected. Only with shape = "file" or "esri-ascii".
-    values: Choice("auto", "elevation", "depth"), Default("\"auto\"");
+    values: Choice("auto", "elevation", "depth"), Default("\"auto\""), only with shape = "file" or "esri-ascii";
 
     /// Moves the survey northward. Only with shape = "file" or "esri-ascii".
-    offset_north_m: Number(METRES), Default("0.0");
+    offset_north_m: Number(METRES), Default("0.0"), only with shape = "file" or "esri-ascii";
 
     /// Moves the survey eastward. Only with shape = "file" or "esri-ascii".
-    offset_east_m: Number(METRES), Default("0.0");
+    offset_east_m: Number(METRES), Default("0.0"), only with shape = "file" or "esri-ascii";
 
     /// "auto": from the first bytes or the file name. Only with shape = "file".
-    format: Choice("auto", "esri-ascii", "geotiff", "bag", "xyz", "las", "ply"), Default("\"auto\"");
+    format: Choice("auto", "esri-ascii", "geotiff", "bag", "xyz", "las", "ply"), Default("\"auto\""), only with shape = "file";
 
     /// Coordinate system, if the file names none or a wrong one: local, geographic, projected, utm-31n, EPSG:32631. Only with shape = "file" or
     /// "esri-ascii".
-    crs: Text, Optional("\"utm-31n\"");
+    crs: Text, Optional("\"utm-31n\""), only with shape = "file" or "esri-ascii";
 
     /// Position of a grid's first row. "auto": as the format defines. Only with shape = "file" or "esri-ascii".
-    first_row: Choice("auto", "north", "south"), Default("\"auto\"");
+    first_row: Choice("auto", "north", "south"), Default("\"auto\""), only with shape = "file" or "esri-ascii";
 
     /// Value of a hole, besides the one that the file names. Only with shape = "file" or "esri-ascii".
-    nodata: Number(from(-1.0e39, 1.0e39)), Optional("-32768.0");
+    nodata: Number(from(-1.0e39, 1.0e39)), Optional("-32768.0"), only with shape = "file" or "esri-ascii";
 
     /// Grid cell for soundings. Default: their mean distance. Only with shape = "file".
-    cell_m: Number(above(0.0, 1.0e6)), Optional("5.0");
+    cell_m: Number(above(0.0, 1.0e6)), Optional("5.0"), only with shape = "file";
 
     /// Triangles of soundings with a longer edge are holes. Only with shape = "file".
-    max_edge_m: Number(above(0.0, 1.0e6)), Optional("50.0");
+    max_edge_m: Number(above(0.0, 1.0e6)), Optional("50.0"), only with shape = "file";
 
     /// At least five scatterers in every resolution cell of the finest sonar: c/(2 B) times beam width times range. The density falls with range.
     density: Choice("auto"), Optional("\"auto\"");
@@ -130,19 +130,19 @@ table! {
     lambert_db: Number(from(-100.0, 20.0)), Default("-27.0");
 
     /// Exponent of the cosine. Only with bottom = "three-term".
-    lambert_exponent: Number(from(0.0, 10.0)), Default("2.0");
+    lambert_exponent: Number(from(0.0, 10.0)), Default("2.0"), only with bottom = "three-term";
 
     /// Strength of the specular lobe at normal incidence. Only with bottom = "three-term".
-    specular_db: Number(from(-100.0, 30.0)), Default("-5.0");
+    specular_db: Number(from(-100.0, 30.0)), Default("-5.0"), only with bottom = "three-term";
 
     /// Standard deviation of the specular lobe. Only with bottom = "three-term".
-    specular_width_deg: Degrees(from(2.0, 60.0)), Default("6.0");
+    specular_width_deg: Degrees(from(2.0, 60.0)), Default("6.0"), only with bottom = "three-term";
 
     /// Strength of the intermediate lobe at normal incidence. Only with bottom = "three-term".
-    intermediate_db: Number(from(-100.0, 30.0)), Default("-23.0");
+    intermediate_db: Number(from(-100.0, 30.0)), Default("-23.0"), only with bottom = "three-term";
 
     /// Standard deviation of the intermediate lobe. Only with bottom = "three-term".
-    intermediate_width_deg: Degrees(from(2.0, 80.0)), Default("18.0");
+    intermediate_width_deg: Degrees(from(2.0, 80.0)), Default("18.0"), only with bottom = "three-term";
 
     /// File of backscattering strengths in dB, in any format of `path` (GeoTIFF, ESRI ASCII grid and so on). Holes and the area outside keep the
     /// bottom's own strength. Over a seabed from a file it lies at its coordinates, which must use the same system. Otherwise its centre lies at

@@ -36,11 +36,11 @@ table! {
     kind: Choice("lfm", "cw"; later "samples"), Required("\"lfm\"");
 
     /// Only with kind = "lfm".
-    sweep: Choice("up", "down"), Default("\"up\"");
+    sweep: Choice("up", "down"), Default("\"up\""), only with kind = "lfm";
     center_frequency_khz: Khz(from(0.01, 10_000.0)), Required("200.0");
 
     /// Width of the sweep. Only with kind = "lfm".
-    bandwidth_khz: Khz(above(0.0, 10_000.0)), Shown("20.0");
+    bandwidth_khz: Khz(above(0.0, 10_000.0)), Shown("20.0"), needed with kind = "lfm";
     duration_ms: Ms(PULSE_MS), Required("2.0");
 
     /// Tukey taper: the share of the pulse under its two cosine flanks.
@@ -86,13 +86,13 @@ table! {
     pattern: Choice("omnidirectional", "rectangle"; later "circle", "table"), Default("\"omnidirectional\"");
 
     /// Along the array's x. 0: no directivity in that direction. Only with pattern = "rectangle".
-    length_m: Number(SIDE_M), Default("0.0");
+    length_m: Number(SIDE_M), Default("0.0"), only with pattern = "rectangle";
 
     /// Along the array's y. Only with pattern = "rectangle".
-    width_m: Number(SIDE_M), Default("0.0");
+    width_m: Number(SIDE_M), Default("0.0"), only with pattern = "rectangle";
 
     /// No transmission to the back. Only with pattern = "rectangle".
-    baffled: Bool, Default("true");
+    baffled: Bool, Default("true"), only with pattern = "rectangle";
 
     /// Added to ping.source_level_db.
     level_offset_db: Number(GAIN_DB), Default("0.0");
@@ -117,13 +117,13 @@ table! {
     element_pattern: Choice("omnidirectional", "rectangle"; later "circle", "table"), Default("\"omnidirectional\"");
 
     /// Along the line, at most the spacing. Only with element_pattern = "rectangle".
-    element_length_m: Number(SIDE_M), Default("0.0");
+    element_length_m: Number(SIDE_M), Default("0.0"), only with element_pattern = "rectangle";
 
     /// Across the line. Only with element_pattern = "rectangle".
-    element_width_m: Number(SIDE_M), Default("0.0");
+    element_width_m: Number(SIDE_M), Default("0.0"), only with element_pattern = "rectangle";
 
     /// No reception from the back. Only with element_pattern = "rectangle".
-    baffled: Bool, Default("true");
+    baffled: Bool, Default("true"), only with element_pattern = "rectangle";
 
     /// dB re 1 V/uPa. With 0 the volts are micropascals.
     sensitivity_db: Number(from(-400.0, 200.0)), Default("-190.0");
@@ -217,10 +217,10 @@ table! {
     output: Choice("elements", "beams", "auto"), Default("\"elements\"");
 
     /// Range of the nearest scatterer that "gridded-2d" is designed for. Pings with nearer scatterers are counted. Default: 5.
-    nearest_m: Number(above(0.0, 20_000.0)), Optional("5.0");
+    nearest_m: Number(above(0.0, 20_000.0)), Optional("5.0"), only with synthesis = "gridded-2d";
 
     /// Frequency step of "spectral". Default: one over the record length, or finer. With a coarser step late echoes wrap around onto early ones.
-    frequency_step_hz: Number(from(0.01, 1e6)), Optional("5.0");
+    frequency_step_hz: Number(from(0.01, 1e6)), Optional("5.0"), only with synthesis = "spectral";
 
     /// Recompute random samples with the reference and print the error. Above 1.3 times the tolerance in two consecutive pings it is a fault.
     error_check: Bool, Default("false");
@@ -248,10 +248,10 @@ table! {
     line_former: Choice("aperture", "dynamic-focus"), Default("\"aperture\"");
 
     /// Dynamic aperture: range / line_f_number, at most the whole array. Default: the whole array. Only with line_former = "dynamic-focus".
-    line_f_number: Number(above(0.0, 10_000.0)), Optional("50.0");
+    line_f_number: Number(above(0.0, 10_000.0)), Optional("50.0"), only with line_former = "dynamic-focus";
 
     /// Shading along the array. Only with line_former = "dynamic-focus".
-    line_shading: Choice("uniform", "hann", "taylor", "chebyshev"), Default("\"uniform\"");
+    line_shading: Choice("uniform", "hann", "taylor", "chebyshev"), Default("\"uniform\""), only with line_former = "dynamic-focus";
 
     /// Side-lobe level of "taylor" and "chebyshev", below the main lobe.
     line_side_lobe_db: Number(from(15.0, 80.0)), Default("30.0");
@@ -368,10 +368,10 @@ table! {
     bottom_detection: Bool, Default("false");
 
     /// Dynamic aperture: range / f_number, at most the whole array. Default: the whole array. Only with former = "dynamic-focus".
-    f_number: Number(above(0.0, 10_000.0)), Optional("50.0");
+    f_number: Number(above(0.0, 10_000.0)), Optional("50.0"), only with former = "dynamic-focus";
 
     /// Maximum carrier phase error at the ends of a focal zone. Only with former = "dynamic-focus".
-    focus_error_deg: Degrees(from(0.1, 90.0)), Default("5.0");
+    focus_error_deg: Degrees(from(0.1, 90.0)), Default("5.0"), only with former = "dynamic-focus";
 }
 
 table! {

@@ -13,19 +13,19 @@ table! {
     source: Choice("internal", "udp", "tcp", "serial-cts", "serial-dcd", "protocol", "sonar"), Default("\"internal\"");
 
     /// Address and port. Only with source = "udp" or "tcp".
-    listen: Text, Optional("\"127.0.0.1:10125\"");
+    listen: Text, Optional("\"127.0.0.1:10125\""), needed with source = "udp" or "tcp";
 
     /// Only with source = "serial-cts" or "serial-dcd".
-    port: Text, Optional("\"/dev/ttyUSB0\"");
+    port: Text, Optional("\"/dev/ttyUSB0\""), needed with source = "serial-cts" or "serial-dcd";
 
     /// Only with source = "serial-cts" or "serial-dcd".
-    edge: Choice("rising", "falling"), Default("\"rising\"");
+    edge: Choice("rising", "falling"), Default("\"rising\""), only with source = "serial-cts" or "serial-dcd";
 
     /// The sonar whose pulses trigger this one. Only with source = "sonar".
-    follow: Name, Optional("\"main\"");
+    follow: Name, Optional("\"main\""), needed with source = "sonar";
 
     /// Delay after the other sonar's pulse. 0: simultaneous pings. Only with source = "sonar".
-    delay_ms: Ms(from(0.0, 60_000.0)), Default("0.0");
+    delay_ms: Ms(from(0.0, 60_000.0)), Default("0.0"), only with source = "sonar";
 
     /// A trigger during the listening window of the previous ping. "refuse": it is refused and counted. "queue": the first one waits until the
     /// window ends, and the others are refused. Only with a source other than "internal".
@@ -50,8 +50,8 @@ table! {
     port: Text, Optional("\"/dev/ttyUSB0\"");
 
     /// Only with port.
-    line: Choice("rts", "dtr"), Default("\"rts\"");
+    line: Choice("rts", "dtr"), Default("\"rts\""), only with port;
 
     /// Time for which the line stays raised. Only with port.
-    pulse_ms: Ms(from(0.1, 1000.0)), Default("1.0");
+    pulse_ms: Ms(from(0.1, 1000.0)), Default("1.0"), only with port;
 }

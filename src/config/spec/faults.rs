@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::NavChannel;
+use super::words::Words;
 
 /// A request for a fault, from a configuration's `[[fault]]` or live.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -492,27 +493,19 @@ impl FaultRequest {
 }
 
 impl FaultRequest {
-    /// Names of `quantity`.
-    pub const QUANTITIES: &'static [(&'static str, NavChannel)] = &[
-        ("position", NavChannel::Position),
-        ("course-speed", NavChannel::CourseSpeed),
-        ("heading", NavChannel::Heading),
-        ("roll-pitch", NavChannel::RollPitch),
-        ("heave", NavChannel::Heave),
-        ("depth", NavChannel::Depth),
-    ];
-
     fn channel(&self) -> Result<Option<NavChannel>, FaultRefused> {
         let Some(wanted) = &self.quantity else {
             return Ok(None);
         };
-        match Self::QUANTITIES.iter().find(|(name, _)| name == wanted) {
-            Some((_, channel)) => Ok(Some(*channel)),
-            None => {
-                let names: Vec<_> = Self::QUANTITIES.iter().map(|(name, _)| *name).collect();
-                refused("quantity", format!("must be one of {}", names.join(", ")))
+        let channel = NavChannel::from_word(wanted);
+        channel.map(Some).ok_or_else(|| {
+            let names: Vec<_> = NavChannel::WORDS.iter().map(|(_, name)| *name).collect();
+            let rule = format!("must be one of {}", names.join(", "));
+            FaultRefused {
+                key: "quantity",
+                rule,
             }
-        }
+        })
     }
 }
 

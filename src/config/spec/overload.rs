@@ -1,6 +1,7 @@
 //! Action for pings that cannot be ready in time.
 
 use super::SonarSpec;
+use super::words::Words;
 
 /// Factor between successive tolerances.
 const COARSER: f64 = 10.0;
@@ -21,11 +22,7 @@ pub enum OverloadSpec {
 impl OverloadSpec {
     /// Value of the key `run.overload`.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Skip => "skip",
-            Self::Degrade => "degrade",
-            Self::Stretch => "stretch",
-        }
+        self.word()
     }
 }
 

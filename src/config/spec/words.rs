@@ -1,0 +1,57 @@
+//! The words that stand for a choice in a configuration, and in the program's texts.
+
+use super::*;
+
+/// A choice without parameters.
+pub(crate) trait Words: Copy + PartialEq + 'static {
+    const WORDS: &'static [(Self, &'static str)];
+
+    fn word(self) -> &'static str {
+        let own = Self::WORDS.iter().find(|(choice, _)| *choice == self);
+        own.expect("every choice has its word").1
+    }
+
+    fn from_word(word: &str) -> Option<Self> {
+        let found = Self::WORDS.iter().find(|(_, own)| *own == word);
+        found.map(|(choice, _)| *choice)
+    }
+}
+
+macro_rules! words {
+    ($($choices:ident: $($choice:ident = $word:literal),+;)+) => {
+        $(impl Words for $choices {
+            const WORDS: &'static [(Self, &'static str)] = &[$((Self::$choice, $word)),+];
+        })+
+    };
+}
+
+words! {
+    AnchorSpec: Origin = "origin", FirstFix = "first-fix", File = "file";
+    BeamSpacing: EquiAngle = "equi-angle", EquiDistant = "equi-distant", EquiSine = "equi-sine";
+    ChecksumPolicy: Require = "require", AcceptMissing = "accept-missing", Ignore = "ignore";
+    ColourMap: Grey = "grey", Copper = "copper", Blue = "blue", Rainbow = "rainbow";
+    EarlyTrigger: Refuse = "refuse", Queue = "queue";
+    FirstRow: North = "north", South = "south";
+    Former: Exact = "exact", Fft = "fft", TimeDelay = "conventional", Phase = "phase", DynamicFocus = "dynamic-focus";
+    HeightSign: Elevation = "elevation", Depth = "depth";
+    IncidenceSpec: Normal = "normal", Flat = "flat";
+    JsfChannels: Sides = "sides", Staves = "staves";
+    JsfFormat: Envelope = "envelope", Analytic = "analytic", Unfiltered = "unfiltered";
+    MadeOutput: Elements = "elements", Beams = "beams", Auto = "auto";
+    NavChannel: Position = "position", CourseSpeed = "course-speed", Heading = "heading", RollPitch = "roll-pitch", Heave = "heave", Depth = "depth";
+    NavFormat: Nmea = "nmea", Tss1 = "tss1", Em3000 = "em3000", Seapath26 = "seapath26", Kmb = "kmb";
+    NavSentence: Zda = "ZDA", Gga = "GGA", Hdt = "HDT";
+    OcclusionSpec: None = "none", Horizon = "horizon", Paper = "paper";
+    OnLost: Skip = "skip", Hold = "hold";
+    OutLine: RequestToSend = "rts", DataTerminalReady = "dtr";
+    OverloadSpec: Skip = "skip", Degrade = "degrade", Stretch = "stretch";
+    Overlap: Mean = "mean", Last = "last", Nearest = "nearest";
+    PaperShape: Curves = "paper-curves", Relief = "paper-relief", Lake = "paper-lake";
+    PictureRange: Slant = "slant", Ground = "ground", GroundFirstReturn = "ground-first-return";
+    PulseSpec: None = "none", Rts = "rts", Dtr = "dtr", Byte = "byte";
+    SeabedFormat: EsriAscii = "esri-ascii", GeoTiff = "geotiff", Bag = "bag", Xyz = "xyz", Las = "las", Ply = "ply";
+    Sediment: Mud = "mud", Silt = "silt", Sand = "sand", Gravel = "gravel", Rock = "rock";
+    Side: Port = "port", Starboard = "starboard";
+    SimplifyMethod: Acoustic = "acoustic", Paper = "paper", Unbiased = "acoustic-unbiased";
+    StampSpec: Log = "log", Host = "host";
+}
