@@ -147,26 +147,24 @@ impl<'a> Frame<'a> {
         let u64_at = |at: usize| u64::from(u32_at(at)) | u64::from(u32_at(at + 4)) << 32;
         let f64_at = |at: usize| f64::from_bits(u64_at(at));
         if head[..4] != MAGIC {
-            return Err(WireError::Mark {
-                what: WHAT,
-                expected: u64::from(u32::from_le_bytes(MAGIC)),
-                got: u64::from(u32_at(0)),
-            });
+            return Err(WireError::mark(WHAT, u32::from_le_bytes(MAGIC), u32_at(0)));
         }
-        let unsupported = |what, got| Err(WireError::Unsupported { what, got });
         if u16_at(4) != VERSION || usize::from(u16_at(6)) != HEADER_BYTES {
-            return unsupported("element frame of version", u64::from(u16_at(4)));
+            return Err(WireError::unsupported(
+                "element frame of version",
+                u16_at(4),
+            ));
         }
         let sample_type = match u16_at(34) {
             1 => SampleType::I16,
             2 => SampleType::F32,
-            other => return unsupported("sample type", u64::from(other)),
+            other => return Err(WireError::unsupported("sample type", other)),
         };
         let (elements, moments) = (u16_at(32), u32_at(24));
         let sample_bytes = sample_type.bytes() as u64 * u64::from(elements) * u64::from(moments);
         let size = u64::from(u32_at(8));
         if size != HEADER_BYTES as u64 + sample_bytes || size > MAX_FRAME_BYTES as u64 {
-            return unsupported("size of an element frame", size);
+            return Err(WireError::unsupported("size of an element frame", size));
         }
         Ok(Self {
             head: FrameHead {
@@ -207,21 +205,17 @@ impl Framing for ElementFraming {
 
     fn look(&self, bytes: &[u8]) -> Look {
         if bytes.iter().zip(MAGIC).any(|(&byte, mark)| byte != mark) {
-            return Look::Wrong(WireError::Mark {
-                what: WHAT,
-                expected: u64::from(u32::from_le_bytes(MAGIC)),
-                got: bytes[0].into(),
-            });
+            return Look::Wrong(WireError::mark(WHAT, u32::from_le_bytes(MAGIC), bytes[0]));
         }
         if bytes.len() < HEADER_BYTES {
             return Look::More;
         }
         let size = u32::from_le_bytes([bytes[8], bytes[9], bytes[10], bytes[11]]) as usize;
         if !(HEADER_BYTES..=MAX_FRAME_BYTES).contains(&size) {
-            return Look::Wrong(WireError::Unsupported {
-                what: "size of an element frame",
-                got: size as u64,
-            });
+            return Look::Wrong(WireError::unsupported(
+                "size of an element frame",
+                size as u64,
+            ));
         }
         match bytes.get(..size).map(Frame::parse) {
             None => Look::More,

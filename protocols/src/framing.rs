@@ -99,11 +99,7 @@ impl<F: Framing> Splitter<F> {
                 Look::More if !self.ended && held.len() <= self.framing.max_message_bytes() => {
                     return None;
                 }
-                Look::More => WireError::Truncated {
-                    what: "message",
-                    need_bytes: held.len() as u64 + 1,
-                    got_bytes: held.len() as u64,
-                },
+                Look::More => WireError::truncated("message", held.len() as u64 + 1, held.len()),
                 Look::Wrong(error) => error,
             };
             self.head += 1;

@@ -58,6 +58,50 @@ pub enum WireError {
     },
 }
 
+impl WireError {
+    pub(crate) fn truncated(what: &'static str, need: impl Into<u64>, got: usize) -> Self {
+        let (need_bytes, got_bytes) = (need.into(), got as u64);
+        Self::Truncated {
+            what,
+            need_bytes,
+            got_bytes,
+        }
+    }
+
+    pub(crate) fn unsupported(what: &'static str, got: impl Into<u64>) -> Self {
+        let got = got.into();
+        Self::Unsupported { what, got }
+    }
+
+    pub(crate) fn oversized(what: &'static str, got_bytes: u32, limit_bytes: u32) -> Self {
+        Self::Oversized {
+            what,
+            got_bytes: got_bytes.into(),
+            limit_bytes: limit_bytes.into(),
+        }
+    }
+
+    pub(crate) fn mark(what: &'static str, expected: impl Into<u64>, got: impl Into<u64>) -> Self {
+        Self::Mark {
+            what,
+            expected: expected.into(),
+            got: got.into(),
+        }
+    }
+
+    pub(crate) fn checksum(
+        what: &'static str,
+        stored: impl Into<u64>,
+        computed: impl Into<u64>,
+    ) -> Self {
+        Self::Checksum {
+            what,
+            stored: stored.into(),
+            computed: computed.into(),
+        }
+    }
+}
+
 /// A fixed-length layout with a fixed byte order.
 pub(crate) trait Layout:
     for<'a> BinRead<Args<'a> = ()> + for<'a> BinWrite<Args<'a> = ()>
@@ -69,11 +113,7 @@ pub(crate) trait Layout:
 
 /// Reads a layout from the front of `bytes`; further bytes are ignored.
 pub(crate) fn read_layout<T: Layout>(bytes: &[u8]) -> Result<T, WireError> {
-    let truncated = WireError::Truncated {
-        what: T::NAME,
-        need_bytes: T::SIZE_BYTES as u64,
-        got_bytes: bytes.len() as u64,
-    };
+    let truncated = WireError::truncated(T::NAME, T::SIZE_BYTES as u64, bytes.len());
     let front = bytes.get(..T::SIZE_BYTES).ok_or(truncated)?;
     // After the length check, a layout of plain numbers cannot fail.
     T::read_options(&mut Cursor::new(front), T::ENDIAN, ()).map_err(|_| truncated)
@@ -135,11 +175,8 @@ pub(crate) fn data_at<'a>(
     let data = bytes.get(at..).unwrap_or_default();
     // A length from the wire may exceed usize on a 32-bit machine, so it is compared as u64 before conversion.
     if (data.len() as u64) < len {
-        return Err(WireError::Truncated {
-            what,
-            need_bytes: (at as u64).saturating_add(len),
-            got_bytes: bytes.len() as u64,
-        });
+        let need_bytes = (at as u64).saturating_add(len);
+        return Err(WireError::truncated(what, need_bytes, bytes.len()));
     }
     Ok(&data[..len as usize])
 }

@@ -58,26 +58,19 @@ impl SwitchCommand {
         const WHAT: &str = "Imagenex switch command";
         let bytes = data_at(bytes, 0, SWITCH_BYTES as u64, WHAT)?;
         if bytes[..2] != BEGIN || bytes[SWITCH_BYTES - 1] != END {
-            return Err(WireError::Mark {
-                what: WHAT,
-                expected: 0xFE_44_FD,
-                got: u64::from(bytes[0]) << 16 | u64::from(bytes[1]) << 8 | u64::from(bytes[26]),
-            });
+            let got = u32::from_be_bytes([0, bytes[0], bytes[1], bytes[26]]);
+            return Err(WireError::mark(WHAT, 0xFE_44_FDu32, got));
         }
-        let refuse = |what, got: u8| WireError::Unsupported {
-            what,
-            got: got.into(),
-        };
         if !RANGES_M.contains(&bytes[3]) {
-            return Err(refuse("Imagenex range", bytes[3]));
+            return Err(WireError::unsupported("Imagenex range", bytes[3]));
         }
         if usize::from(bytes[7]) >= FREQUENCIES_KHZ.len() {
-            return Err(refuse("Imagenex frequency index", bytes[7]));
+            return Err(WireError::unsupported("Imagenex frequency index", bytes[7]));
         }
         let side = match bytes[18] {
             0 => Side::Port,
             2 => Side::Starboard,
-            other => return Err(refuse("Imagenex side", other)),
+            other => return Err(WireError::unsupported("Imagenex side", other)),
         };
         Ok(Self {
             range_m: bytes[3],
@@ -122,11 +115,7 @@ pub fn parse_answer(bytes: &[u8]) -> Result<&[u8; ECHO_BYTES], WireError> {
     const WHAT: &str = "Imagenex answer";
     let bytes = data_at(bytes, 0, ANSWER_BYTES as u64, WHAT)?;
     if bytes[..3] != ANSWER_MARK || bytes[ANSWER_BYTES - 1] != ANSWER_END {
-        return Err(WireError::Mark {
-            what: WHAT,
-            expected: ANSWER_END.into(),
-            got: bytes[ANSWER_BYTES - 1].into(),
-        });
+        return Err(WireError::mark(WHAT, ANSWER_END, bytes[ANSWER_BYTES - 1]));
     }
     let echo = bytes[ANSWER_HEADER_BYTES..].first_chunk();
     Ok(echo.expect("the answer has the echo's length"))
@@ -142,11 +131,7 @@ impl Framing for AnswerFraming {
     }
 
     fn look(&self, bytes: &[u8]) -> Look {
-        let wrong = Look::Wrong(WireError::Mark {
-            what: "Imagenex answer",
-            expected: ANSWER_MARK[0].into(),
-            got: bytes[0].into(),
-        });
+        let wrong = Look::Wrong(WireError::mark("Imagenex answer", ANSWER_MARK[0], bytes[0]));
         if bytes
             .iter()
             .zip(ANSWER_MARK)
@@ -175,11 +160,7 @@ impl Framing for SwitchFraming {
     }
 
     fn look(&self, bytes: &[u8]) -> Look {
-        let wrong = Look::Wrong(WireError::Mark {
-            what: "Imagenex switch command",
-            expected: 0xFE,
-            got: bytes[0].into(),
-        });
+        let wrong = Look::Wrong(WireError::mark("Imagenex switch command", 0xFEu8, bytes[0]));
         if bytes.iter().zip(BEGIN).any(|(&byte, mark)| byte != mark) {
             return wrong;
         }
@@ -208,11 +189,7 @@ impl Framing for EitherFraming {
         match bytes.get(ANSWER_BYTES - 1) {
             None => Look::More,
             Some(&ANSWER_END) => Look::Whole(ANSWER_BYTES),
-            Some(&other) => Look::Wrong(WireError::Mark {
-                what: "Imagenex answer",
-                expected: ANSWER_END.into(),
-                got: other.into(),
-            }),
+            Some(&other) => Look::Wrong(WireError::mark("Imagenex answer", ANSWER_END, other)),
         }
     }
 }

@@ -133,10 +133,7 @@ impl Control {
         let value = match (header.command_type, header.message_type) {
             (command_type::ERROR, _) => Value::Error(i32_at(body, 0)?),
             (_, kind) if !is_command(kind) => {
-                return Err(WireError::Unsupported {
-                    what: "JSF command",
-                    got: kind.into(),
-                });
+                return Err(WireError::unsupported("JSF command", kind));
             }
             (command_type::GET, _) => Value::None,
             (command_type::SET | command_type::REPLY, kind) => match kind {
@@ -155,12 +152,7 @@ impl Control {
                 }
                 _ => Value::Number(i32_at(body, 0)?),
             },
-            (other, _) => {
-                return Err(WireError::Unsupported {
-                    what: "JSF command type",
-                    got: other.into(),
-                });
-            }
+            (other, _) => return Err(WireError::unsupported("JSF command type", other)),
         };
         Ok(Self {
             message_type: header.message_type,

@@ -182,18 +182,14 @@ impl MessageHeader {
     /// Checks the mark and the body size.
     pub fn check(&self, max_body_bytes: u32) -> Result<(), WireError> {
         if self.mark != MARK {
-            return Err(WireError::Mark {
-                what: "JSF mark",
-                expected: MARK.into(),
-                got: self.mark.into(),
-            });
+            return Err(WireError::mark("JSF mark", MARK, self.mark));
         }
         if self.body_bytes > max_body_bytes {
-            return Err(WireError::Oversized {
-                what: "JSF body",
-                got_bytes: self.body_bytes.into(),
-                limit_bytes: max_body_bytes.into(),
-            });
+            return Err(WireError::oversized(
+                "JSF body",
+                self.body_bytes,
+                max_body_bytes,
+            ));
         }
         Ok(())
     }

@@ -68,11 +68,7 @@ impl<'a> Nmea2002<'a> {
 
     /// Parses the body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
-        let truncated = WireError::Truncated {
-            what: "JSF 2002",
-            need_bytes: Self::HEAD_BYTES as u64,
-            got_bytes: body.len() as u64,
-        };
+        let truncated = WireError::truncated("JSF 2002", Self::HEAD_BYTES as u64, body.len());
         let (head, sentence) = body.split_at_checked(Self::HEAD_BYTES).ok_or(truncated)?;
         Ok(Self {
             time: SensorTime::parse(head)?,

@@ -50,10 +50,7 @@ impl DataFormat {
             1 => Ok(Self::Analytic),
             2 => Ok(Self::Real),
             9 => Ok(Self::AnalyticUnfiltered),
-            _ => Err(WireError::Unsupported {
-                what: "JSF data format",
-                got: u64::from(code as u16),
-            }),
+            _ => Err(WireError::unsupported("JSF data format", code as u16)),
         }
     }
 

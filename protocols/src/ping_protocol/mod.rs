@@ -114,11 +114,8 @@ impl<'a> Frame<'a> {
         const WHAT: &str = "Ping frame";
         let head = data_at(bytes, 0, HEADER_BYTES as u64, WHAT)?;
         if head[..2] != MARK {
-            return Err(WireError::Mark {
-                what: "Ping mark",
-                expected: u16::from_be_bytes(MARK).into(),
-                got: u16::from_be_bytes([head[0], head[1]]).into(),
-            });
+            let got = u16::from_be_bytes([head[0], head[1]]);
+            return Err(WireError::mark("Ping mark", u16::from_be_bytes(MARK), got));
         }
         let payload_bytes = u16::from_le_bytes([head[2], head[3]]);
         let payload = data_at(bytes, HEADER_BYTES, payload_bytes.into(), WHAT)?;
@@ -129,11 +126,7 @@ impl<'a> Frame<'a> {
             checksum(&bytes[..end]),
         );
         if stored != computed {
-            return Err(WireError::Checksum {
-                what: WHAT,
-                stored: stored.into(),
-                computed: computed.into(),
-            });
+            return Err(WireError::checksum(WHAT, stored, computed));
         }
         Ok(Self {
             message_id: u16::from_le_bytes([head[4], head[5]]),
@@ -180,11 +173,11 @@ impl Framing for PingFraming {
 
     fn look(&self, bytes: &[u8]) -> Look {
         if bytes.iter().zip(MARK).any(|(&byte, mark)| byte != mark) {
-            return Look::Wrong(WireError::Mark {
-                what: "Ping mark",
-                expected: u16::from_be_bytes(MARK).into(),
-                got: bytes[0].into(),
-            });
+            return Look::Wrong(WireError::mark(
+                "Ping mark",
+                u16::from_be_bytes(MARK),
+                bytes[0],
+            ));
         }
         match Frame::parse(bytes) {
             Ok(frame) => Look::Whole(HEADER_BYTES + frame.payload.len() + CHECKSUM_BYTES),

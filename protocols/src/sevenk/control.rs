@@ -14,7 +14,7 @@ use std::ops::Range;
 
 use binrw::{BinRead, BinWrite};
 
-use super::frame::{Fixed, OpenRecord, RecordStamp, read_fixed, write_fixed};
+use super::frame::{Layout, OpenRecord, RecordStamp, read_fixed, write_layout};
 use super::record_id;
 use super::records::{rth, rth_record};
 
@@ -726,7 +726,7 @@ impl ControlRequest {
     /// Appends the 7500 record.
     pub fn emit(&self, buf: &mut Vec<u8>, stamp: &RecordStamp) -> Range<usize> {
         let open = OpenRecord::begin(buf, record_id::REMOTE_CONTROL, stamp);
-        write_fixed(&self.header(), buf);
+        write_layout(&self.header(), buf);
         self.command.emit_arguments(buf);
         open.finish(buf)
     }

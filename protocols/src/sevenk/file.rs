@@ -21,8 +21,8 @@ use std::ops::Range;
 use binrw::{BinRead, BinWrite};
 
 use super::frame::{
-    DataRecordFrame, Fixed, MIN_RECORD_BYTES, OpenRecord, Record, RecordStamp, SYNC_PATTERN,
-    read_fixed, write_fixed,
+    DataRecordFrame, Layout, MIN_RECORD_BYTES, OpenRecord, Record, RecordStamp, SYNC_PATTERN,
+    read_fixed, write_layout,
 };
 use super::records::{data_at, rth, text_field, text_of};
 use super::{SevenKTime, WireError, record_id};
@@ -138,12 +138,12 @@ impl FileHeader7200 {
             user_defined_name: text_field(&self.user_defined_name),
             notes: text_field(&self.notes),
         };
-        write_fixed(&rth, buf);
+        write_layout(&rth, buf);
         self.devices
             .iter()
-            .for_each(|device| write_fixed(device, buf));
+            .for_each(|device| write_layout(device, buf));
         open.optional_data(buf, record_id::FILE_CATALOGUE);
-        write_fixed(&catalogue, buf);
+        write_layout(&catalogue, buf);
         open.finish(buf)
     }
 }
@@ -199,10 +199,7 @@ impl<'a> Catalogue7300<'a> {
         let rth: Rth7300 = read_fixed(body)?;
         // The RTH states its size, so that a longer one of a later version can be skipped.
         if (rth.size_bytes as usize) < Rth7300::RTH_BYTES {
-            return Err(WireError::Unsupported {
-                what: "7300 header size",
-                got: u64::from(rth.size_bytes),
-            });
+            return Err(WireError::unsupported("7300 header size", rth.size_bytes));
         }
         let len = u64::from(rth.records) * CatalogueRow::SIZE_BYTES as u64;
         Ok(Self {
@@ -223,7 +220,7 @@ impl<'a> Catalogue7300<'a> {
 pub fn emit_7300(buf: &mut Vec<u8>, stamp: &RecordStamp, rows: &[CatalogueRow]) -> Range<usize> {
     let open = OpenRecord::begin(buf, record_id::FILE_CATALOGUE, stamp);
     buf.reserve(Rth7300::SIZE_BYTES + rows.len() * CatalogueRow::SIZE_BYTES + 4);
-    write_fixed(
+    write_layout(
         &Rth7300 {
             size_bytes: Rth7300::SIZE_BYTES as u32,
             version: 1,
@@ -231,7 +228,7 @@ pub fn emit_7300(buf: &mut Vec<u8>, stamp: &RecordStamp, rows: &[CatalogueRow]) 
         },
         buf,
     );
-    rows.iter().for_each(|row| write_fixed(row, buf));
+    rows.iter().for_each(|row| write_layout(row, buf));
     open.finish(buf)
 }
 
@@ -448,11 +445,8 @@ impl<'a> Iterator for FileReader<'a> {
             let frame =
                 DataRecordFrame::parse(rest).and_then(|frame| frame.check().map(|()| frame));
             let outcome = frame.and_then(|frame| {
-                let truncated = WireError::Truncated {
-                    what: "record in the file",
-                    need_bytes: u64::from(frame.size_bytes),
-                    got_bytes: rest.len() as u64,
-                };
+                let truncated =
+                    WireError::truncated("record in the file", frame.size_bytes, rest.len());
                 Record::parse(rest.get(..frame.size_bytes as usize).ok_or(truncated)?)
             });
             let error = match outcome {

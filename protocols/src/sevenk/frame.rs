@@ -9,11 +9,12 @@
 //! 64. The RTH is at byte 64 in both cases, and both values are accepted.
 
 use std::fmt;
-use std::io::Cursor;
 use std::ops::Range;
 
-use binrw::io::NoSeek;
-use binrw::{BinRead, BinWrite, Endian};
+use binrw::{BinRead, BinWrite};
+
+pub(crate) use crate::layout::{Layout, write_layout};
+use crate::layout::{layout_of, read_layout};
 
 use super::{PROTOCOL_VERSION, SevenKTime, WireError};
 
@@ -44,32 +45,10 @@ const SIZE_AT: usize = 8;
 const OPTIONAL_DATA_OFFSET_AT: usize = 12;
 const OPTIONAL_DATA_ID_AT: usize = 16;
 
-/// A layout of fixed length, little endian.
-pub(crate) trait Fixed:
-    for<'a> BinRead<Args<'a> = ()> + for<'a> BinWrite<Args<'a> = ()>
-{
-    const SIZE_BYTES: usize;
-    const NAME: &'static str;
-}
-
 /// Parses a fixed layout at the front of `bytes`.
-pub(crate) fn read_fixed<T: Fixed>(bytes: &[u8]) -> Result<T, WireError> {
-    let truncated = WireError::Truncated {
-        what: T::NAME,
-        need_bytes: T::SIZE_BYTES as u64,
-        got_bytes: bytes.len() as u64,
-    };
-    let front = bytes.get(..T::SIZE_BYTES).ok_or(truncated)?;
-    // After the length check, a layout of plain numbers cannot fail.
-    T::read_options(&mut Cursor::new(front), Endian::Little, ()).map_err(|_| truncated)
-}
-
-pub(crate) fn write_fixed<T: Fixed>(value: &T, buf: &mut Vec<u8>) {
-    let start = buf.len();
-    value
-        .write_options(&mut NoSeek::new(&mut *buf), Endian::Little, ())
-        .expect("writing to a Vec cannot fail");
-    debug_assert_eq!(buf.len() - start, T::SIZE_BYTES, "{}", T::NAME);
+pub(crate) fn read_fixed<T: Layout>(bytes: &[u8]) -> Result<T, WireError> {
+    let truncated = WireError::truncated(T::NAME, T::SIZE_BYTES as u64, bytes.len());
+    read_layout(bytes).map_err(|_| truncated)
 }
 
 /// Appends numbers as bytes in blocks that stay in cache. This avoids zeroing `buf` and growing it number by number.
@@ -137,10 +116,7 @@ pub struct NetworkFrame {
     pub source_device_id: u32,
 }
 
-impl Fixed for NetworkFrame {
-    const SIZE_BYTES: usize = NETWORK_FRAME_BYTES;
-    const NAME: &'static str = "network frame";
-}
+layout_of!(NetworkFrame, NETWORK_FRAME_BYTES, "network frame", Little);
 
 impl NetworkFrame {
     /// Parses the fields; [`NetworkFrame::check`] validates them.
@@ -150,7 +126,7 @@ impl NetworkFrame {
 
     /// Appends the frame.
     pub fn emit(&self, buf: &mut Vec<u8>) {
-        write_fixed(self, buf);
+        write_layout(self, buf);
     }
 
     /// Size of the data after this header; 0 if the packet size is invalid.
@@ -283,10 +259,12 @@ pub struct DataRecordFrame {
     pub fragment_number: u32,
 }
 
-impl Fixed for DataRecordFrame {
-    const SIZE_BYTES: usize = DATA_RECORD_FRAME_BYTES;
-    const NAME: &'static str = "data record frame";
-}
+layout_of!(
+    DataRecordFrame,
+    DATA_RECORD_FRAME_BYTES,
+    "data record frame",
+    Little
+);
 
 impl DataRecordFrame {
     /// Parses the fields; [`DataRecordFrame::check`] validates them.
@@ -296,7 +274,7 @@ impl DataRecordFrame {
 
     /// Appends the frame.
     pub fn emit(&self, buf: &mut Vec<u8>) {
-        write_fixed(self, buf);
+        write_layout(self, buf);
     }
 
     /// Validates version, sync pattern, offset, and a size that includes frame and checksum.

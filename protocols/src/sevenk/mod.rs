@@ -255,6 +255,20 @@ pub enum WireError {
 }
 
 impl WireError {
+    pub(crate) fn truncated(what: &'static str, need: impl Into<u64>, got: usize) -> Self {
+        let (need_bytes, got_bytes) = (need.into(), got as u64);
+        Self::Truncated {
+            what,
+            need_bytes,
+            got_bytes,
+        }
+    }
+
+    pub(crate) fn unsupported(what: &'static str, got: impl Into<u64>) -> Self {
+        let got = got.into();
+        Self::Unsupported { what, got }
+    }
+
     /// Error code of the answer to a malformed command.
     pub fn nack_code(&self) -> ErrorCode {
         match self {

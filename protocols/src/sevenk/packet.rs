@@ -265,11 +265,11 @@ impl Reassembler {
         frame.check(self.max_record_bytes)?;
         let fragment_bytes = frame.fragment_bytes()?;
         if frame.packet_size_bytes as usize != datagram.len() {
-            return Err(WireError::Truncated {
-                what: "datagram",
-                need_bytes: u64::from(frame.packet_size_bytes),
-                got_bytes: datagram.len() as u64,
-            });
+            return Err(WireError::truncated(
+                "datagram",
+                frame.packet_size_bytes,
+                datagram.len(),
+            ));
         }
         if frame.total_packets == 1 {
             return Ok(Placed::Alone);

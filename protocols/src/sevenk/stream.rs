@@ -245,13 +245,9 @@ impl StreamDecoder {
                     need_bytes,
                     believable,
                 } => {
-                    let got_bytes = (self.buf.len() - self.head) as u64;
+                    let got_bytes = self.buf.len() - self.head;
                     (
-                        WireError::Truncated {
-                            what: "record on the stream",
-                            need_bytes,
-                            got_bytes,
-                        },
+                        WireError::truncated("record on the stream", need_bytes, got_bytes),
                         believable,
                     )
                 }

@@ -14,8 +14,9 @@ use std::fmt;
 
 use binrw::{BinRead, BinWrite};
 
-use super::frame::{Fixed, read_fixed, write_fixed};
+use super::frame::{Layout, read_fixed, write_layout};
 use super::{ErrorCode, WireError};
+use crate::layout::layout_of;
 
 /// Largest difference between a UTC time and its timestamp: the whole last f32 step below 60 s (other values round to half a step).
 pub const TIME_RESOLUTION_NS: i64 = 3_815;
@@ -42,10 +43,7 @@ pub struct SevenKTime {
     pub minutes: u8,
 }
 
-impl Fixed for SevenKTime {
-    const SIZE_BYTES: usize = 10;
-    const NAME: &'static str = "7KTIME";
-}
+layout_of!(SevenKTime, 10, "7KTIME", Little);
 
 /// Why a time has no 7KTIME, or a 7KTIME is no time.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -75,7 +73,7 @@ impl TimeError {
 
 impl SevenKTime {
     /// Size of a timestamp.
-    pub const SIZE_BYTES: usize = <Self as Fixed>::SIZE_BYTES;
+    pub const SIZE_BYTES: usize = <Self as Layout>::SIZE_BYTES;
 
     /// Timestamp of a UTC time in nanoseconds since 1970-01-01, rounded to the nearest f32 seconds but never up to 60.0.
     pub fn from_utc_ns(utc_ns: i64) -> Result<Self, TimeError> {
@@ -142,7 +140,7 @@ impl SevenKTime {
 
     /// Appends the timestamp.
     pub fn emit(&self, buf: &mut Vec<u8>) {
-        write_fixed(self, buf);
+        write_layout(self, buf);
     }
 }
 

@@ -43,17 +43,16 @@ impl PayloadFormat {
     }
 
     fn from_words(words: u64) -> Result<Self, WireError> {
-        let unsupported = |what, got| WireError::Unsupported { what, got };
         let first = words >> 32;
         let (kind, format) = (first >> 29 & 3, first >> 24 & 0x1F);
         let (field_bits, bits) = ((first >> 6 & 0x3F) + 1, (first & 0x3F) + 1);
         if kind > 1 {
-            return Err(unsupported("VRT sample type", kind));
+            return Err(WireError::unsupported("VRT sample type", kind));
         }
         let kind_of_number = match format {
             0 if bits == field_bits => SampleKind::Fixed { bits: bits as u8 },
             0b01110 if bits == 32 && field_bits == 32 => SampleKind::Float,
-            _ => return Err(unsupported("VRT payload format", first)),
+            _ => return Err(WireError::unsupported("VRT payload format", first)),
         };
         Ok(Self {
             is_complex: kind == 1,
@@ -126,10 +125,10 @@ impl Context {
         let indicators = word_at(payload, 0, WHAT)?;
         // Bits 9 to 0: lists, texts and further indicator fields.
         if indicators & 0x3FF != 0 {
-            return Err(WireError::Unsupported {
-                what: "VRT context fields",
-                got: (indicators & 0x3FF).into(),
-            });
+            return Err(WireError::unsupported(
+                "VRT context fields",
+                indicators & 0x3FF,
+            ));
         }
         let hz =
             |word| two_words_at(payload, word, WHAT).map(|value| value as i64 as f64 / RADIX_20);

@@ -179,12 +179,7 @@ impl<'a> Packet<'a> {
         let packet_type = match head >> 28 {
             1 => PacketType::SignalData,
             4 => PacketType::Context,
-            other => {
-                return Err(WireError::Unsupported {
-                    what: "VRT packet type",
-                    got: other.into(),
-                });
-            }
+            other => return Err(WireError::unsupported("VRT packet type", other)),
         };
         let size_bytes = 4 * (head & 0xFFFF) as usize;
         let packet = data_at(bytes, 0, size_bytes as u64, WHAT)?;
@@ -214,11 +209,11 @@ impl<'a> Packet<'a> {
         let end = (packet.len() / 4)
             .checked_sub(usize::from(has_trailer))
             .filter(|&end| end >= word)
-            .ok_or(WireError::Truncated {
-                what: WHAT,
-                need_bytes: 4 * (word + usize::from(has_trailer)) as u64,
-                got_bytes: packet.len() as u64,
-            })?;
+            .ok_or(WireError::truncated(
+                WHAT,
+                4 * (word + usize::from(has_trailer)) as u64,
+                packet.len(),
+            ))?;
         let trailer = if has_trailer {
             Some(Trailer::from_word(word_at(packet, end, WHAT)?))
         } else {

@@ -153,19 +153,16 @@ impl WavHeader {
             b"RIFF" => false,
             b"RF64" => true,
             other => {
-                return Err(WireError::Mark {
-                    what: "WAV mark",
-                    expected: u32::from_be_bytes(*b"RIFF").into(),
-                    got: number(other).swap_bytes() >> 32,
-                });
+                return Err(WireError::mark(
+                    "WAV mark",
+                    u32::from_be_bytes(*b"RIFF"),
+                    number(other).swap_bytes() >> 32,
+                ));
             }
         };
         let wave = data_at(bytes, 8, 4, "WAV")?;
         if wave != b"WAVE" {
-            return Err(WireError::Unsupported {
-                what: "RIFF form",
-                got: number(wave),
-            });
+            return Err(WireError::unsupported("RIFF form", number(wave)));
         }
         let (mut at, mut format, mut long_data) = (12, None, None);
         for _ in 0..MAX_CHUNKS {
@@ -174,10 +171,8 @@ impl WavHeader {
             at += 8;
             match name {
                 b"data" => {
-                    let format = format.ok_or(WireError::Unsupported {
-                        what: "WAV data before the format chunk, at byte",
-                        got: at as u64,
-                    })?;
+                    let early = "WAV data before the format chunk, at byte";
+                    let format = format.ok_or(WireError::unsupported(early, at as u64))?;
                     let data_bytes = match long_data {
                         Some(bytes) if size == u64::from(IN_DS64) => bytes,
                         _ => size,
@@ -196,10 +191,7 @@ impl WavHeader {
             data_at(bytes, at, size, "WAV chunk")?;
             at += (size + size % 2) as usize;
         }
-        Err(WireError::Unsupported {
-            what: "WAV chunk count",
-            got: MAX_CHUNKS as u64,
-        })
+        Err(WireError::unsupported("WAV chunk count", MAX_CHUNKS as u64))
     }
 }
 
@@ -222,19 +214,11 @@ fn parse_format(chunk: &[u8]) -> Result<WavFormat, WireError> {
         (1, 16) => WavSample::I16,
         (1, 32) => WavSample::I32,
         (3, 32) => WavSample::F32,
-        _ => {
-            return Err(WireError::Unsupported {
-                what: "WAV bits per sample",
-                got: bits,
-            });
-        }
+        _ => return Err(WireError::unsupported("WAV bits per sample", bits)),
     };
     let channels = field(2, 2)? as u16;
     if channels == 0 {
-        return Err(WireError::Unsupported {
-            what: "WAV channel count",
-            got: 0,
-        });
+        return Err(WireError::unsupported("WAV channel count", 0u8));
     }
     Ok(WavFormat {
         channels,

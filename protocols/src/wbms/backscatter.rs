@@ -61,10 +61,7 @@ impl DataKind {
             .iter()
             .find(|&&(known, _)| known == code)
             .map(|&(_, kind)| kind)
-            .ok_or(WireError::Unsupported {
-                what: "WBMS data type",
-                got: code.into(),
-            })
+            .ok_or(WireError::unsupported("WBMS data type", code))
     }
 
     /// Size of a sample.
@@ -263,12 +260,7 @@ impl<'a> Backscatter<'a> {
             packet_type::WATER_COLUMN => (true, false),
             packet_type::SNIPPETS => (true, true),
             packet_type::SIDE_SCAN => (false, false),
-            other => {
-                return Err(WireError::Unsupported {
-                    what: "WBMS packet type",
-                    got: other.into(),
-                });
-            }
+            other => return Err(WireError::unsupported("WBMS packet type", other)),
         };
         let head = BackscatterHead::parse(packet.payload)?;
         let kind = DataKind::from_code(head.data_type)?;

@@ -96,10 +96,10 @@ impl<'a> Bathymetry<'a> {
     /// Parses the payload of a packet.
     pub fn parse(packet: &Packet<'a>) -> Result<Self, WireError> {
         if packet.header.packet_type != packet_type::BATHYMETRY {
-            return Err(WireError::Unsupported {
-                what: "WBMS packet type",
-                got: packet.header.packet_type.into(),
-            });
+            return Err(WireError::unsupported(
+                "WBMS packet type",
+                packet.header.packet_type,
+            ));
         }
         let head = BathymetryHead::parse(packet.payload)?;
         let len = Detection::SIZE_BYTES as u64 * u64::from(head.detections);

@@ -81,25 +81,21 @@ layout!(PacketHeader, 24, "WBMS header", Little);
 impl PacketHeader {
     fn check(&self) -> Result<(), WireError> {
         if self.mark != MARK {
-            return Err(WireError::Mark {
-                what: "WBMS mark",
-                expected: MARK.into(),
-                got: self.mark.into(),
-            });
+            return Err(WireError::mark("WBMS mark", MARK, self.mark));
         }
         if self.size_bytes < Self::SIZE_BYTES as u32 {
-            return Err(WireError::Truncated {
-                what: "WBMS packet",
-                need_bytes: Self::SIZE_BYTES as u64,
-                got_bytes: self.size_bytes.into(),
-            });
+            return Err(WireError::truncated(
+                "WBMS packet",
+                Self::SIZE_BYTES as u64,
+                self.size_bytes as usize,
+            ));
         }
         if self.size_bytes > MAX_PACKET_BYTES {
-            return Err(WireError::Oversized {
-                what: "WBMS packet",
-                got_bytes: self.size_bytes.into(),
-                limit_bytes: MAX_PACKET_BYTES.into(),
-            });
+            return Err(WireError::oversized(
+                "WBMS packet",
+                self.size_bytes,
+                MAX_PACKET_BYTES,
+            ));
         }
         Ok(())
     }
@@ -123,17 +119,10 @@ impl<'a> Packet<'a> {
         let payload = &packet[PacketHeader::SIZE_BYTES..];
         let computed = crc32(payload);
         if header.crc != computed {
-            return Err(WireError::Checksum {
-                what: "WBMS packet",
-                stored: header.crc.into(),
-                computed: computed.into(),
-            });
+            return Err(WireError::checksum("WBMS packet", header.crc, computed));
         }
         if header.version != VERSION {
-            return Err(WireError::Unsupported {
-                what: "WBMS version",
-                got: header.version.into(),
-            });
+            return Err(WireError::unsupported("WBMS version", header.version));
         }
         Ok(Self { header, payload })
     }
@@ -197,11 +186,7 @@ impl Framing for WbmsFraming {
     fn look(&self, bytes: &[u8]) -> Look {
         let mark = MARK.to_le_bytes();
         if bytes.iter().zip(mark).any(|(&byte, mark)| byte != mark) {
-            return Look::Wrong(WireError::Mark {
-                what: "WBMS mark",
-                expected: MARK.into(),
-                got: bytes[0].into(),
-            });
+            return Look::Wrong(WireError::mark("WBMS mark", MARK, bytes[0]));
         }
         match PacketHeader::parse(bytes).map(|header| (header, header.check())) {
             Err(_) => Look::More,

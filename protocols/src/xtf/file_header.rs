@@ -175,28 +175,23 @@ impl FileHeader {
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let raw: RawHeader = read_layout(bytes)?;
         if raw.file_format != FILE_FORMAT {
-            return Err(WireError::Mark {
-                what: "XTF file format",
-                expected: FILE_FORMAT.into(),
-                got: raw.file_format.into(),
-            });
+            return Err(WireError::mark(
+                "XTF file format",
+                FILE_FORMAT,
+                raw.file_format,
+            ));
         }
         let sonar_channels = usize::from(raw.sonar_channels);
         if sonar_channels > MAX_CHANNELS {
-            return Err(WireError::Unsupported {
-                what: "XTF channel count",
-                got: raw.sonar_channels.into(),
-            });
+            return Err(WireError::unsupported(
+                "XTF channel count",
+                raw.sonar_channels,
+            ));
         }
         let nav_units = match raw.nav_units {
             0 => NavUnits::Metres,
             3 => NavUnits::LatitudeLongitude,
-            other => {
-                return Err(WireError::Unsupported {
-                    what: "XTF navigation units",
-                    got: other.into(),
-                });
-            }
+            other => return Err(WireError::unsupported("XTF navigation units", other)),
         };
         let channels = raw.channels[..sonar_channels]
             .iter()
@@ -264,12 +259,7 @@ impl ChannelInfo {
             1 => ChannelKind::Port,
             2 => ChannelKind::Starboard,
             3 => ChannelKind::Bathymetry,
-            other => {
-                return Err(WireError::Unsupported {
-                    what: "XTF channel type",
-                    got: other.into(),
-                });
-            }
+            other => return Err(WireError::unsupported("XTF channel type", other)),
         };
         // Files from before Rev. X41 state the sample size only.
         let format = match (raw.sample_format, raw.bytes_per_sample) {
@@ -278,10 +268,8 @@ impl ChannelInfo {
             (2, _) | (0, 4) => SampleFormat::U32,
             (5, _) => SampleFormat::F32,
             (code, width) => {
-                return Err(WireError::Unsupported {
-                    what: "XTF sample format",
-                    got: u64::from(if code == 0 { width } else { code.into() }),
-                });
+                let got = if code == 0 { width } else { code.into() };
+                return Err(WireError::unsupported("XTF sample format", got));
             }
         };
         Ok(Self {

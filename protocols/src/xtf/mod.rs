@@ -62,25 +62,21 @@ layout!(PacketStart, 14, "XTF packet start", Little);
 impl PacketStart {
     fn check(&self, max_packet_bytes: u32) -> Result<(), WireError> {
         if self.mark != MARK {
-            return Err(WireError::Mark {
-                what: "XTF mark",
-                expected: MARK.into(),
-                got: self.mark.into(),
-            });
+            return Err(WireError::mark("XTF mark", MARK, self.mark));
         }
         if self.packet_bytes < Self::SIZE_BYTES as u32 {
-            return Err(WireError::Truncated {
-                what: "XTF packet",
-                need_bytes: Self::SIZE_BYTES as u64,
-                got_bytes: self.packet_bytes.into(),
-            });
+            return Err(WireError::truncated(
+                "XTF packet",
+                Self::SIZE_BYTES as u64,
+                self.packet_bytes as usize,
+            ));
         }
         if self.packet_bytes > max_packet_bytes {
-            return Err(WireError::Oversized {
-                what: "XTF packet",
-                got_bytes: self.packet_bytes.into(),
-                limit_bytes: max_packet_bytes.into(),
-            });
+            return Err(WireError::oversized(
+                "XTF packet",
+                self.packet_bytes,
+                max_packet_bytes,
+            ));
         }
         Ok(())
     }
@@ -91,10 +87,7 @@ fn packet_of(bytes: &[u8], packet_type: u8) -> Result<(PacketStart, &[u8]), Wire
     let start = PacketStart::parse(bytes)?;
     start.check(MAX_PACKET_BYTES)?;
     if start.packet_type != packet_type {
-        return Err(WireError::Unsupported {
-            what: "XTF packet type",
-            got: start.packet_type.into(),
-        });
+        return Err(WireError::unsupported("XTF packet type", start.packet_type));
     }
     data_at(bytes, 0, start.packet_bytes.into(), "XTF packet").map(|packet| (start, packet))
 }
@@ -125,11 +118,7 @@ impl Framing for XtfFraming {
             return if bytes.iter().zip(mark).all(|(&byte, mark)| byte == mark) {
                 Look::More
             } else {
-                Look::Wrong(WireError::Mark {
-                    what: "XTF mark",
-                    expected: MARK.into(),
-                    got: bytes[0].into(),
-                })
+                Look::Wrong(WireError::mark("XTF mark", MARK, bytes[0]))
             };
         };
         match start.check(self.max_packet_bytes) {

@@ -306,10 +306,10 @@ impl<'a> Ping<'a> {
         let (start, packet) = packet_of(bytes, packet_type::SONAR)?;
         let header = PingHeader::parse(packet)?;
         let count = usize::from(start.channels_to_follow);
-        let infos = file.channels.get(..count).ok_or(WireError::Unsupported {
-            what: "XTF channels in a ping",
-            got: start.channels_to_follow.into(),
-        })?;
+        let infos = file.channels.get(..count).ok_or(WireError::unsupported(
+            "XTF channels in a ping",
+            start.channels_to_follow,
+        ))?;
         let mut at = PingHeader::SIZE_BYTES;
         let mut channels = Vec::with_capacity(count);
         for info in infos {

@@ -11,7 +11,7 @@ use std::ops::Range;
 use binrw::{BinRead, BinWrite};
 
 use super::{data_at, rth};
-use crate::sevenk::frame::{Fixed, OpenRecord, RecordStamp, read_fixed, write_fixed};
+use crate::sevenk::frame::{Layout, OpenRecord, RecordStamp, read_fixed, write_layout};
 use crate::sevenk::{WireError, record_id};
 
 /// One reading of 1016.
@@ -66,7 +66,7 @@ pub fn emit_1016(buf: &mut Vec<u8>, stamp: &RecordStamp, sets: &[AttitudeSet]) -
     let count = u8::try_from(sets.len()).expect("1016 holds at most 255 readings");
     let open = OpenRecord::begin(buf, record_id::ATTITUDE, stamp);
     buf.push(count);
-    sets.iter().for_each(|set| write_fixed(set, buf));
+    sets.iter().for_each(|set| write_layout(set, buf));
     open.finish(buf)
 }
 

@@ -12,7 +12,7 @@ use binrw::{BinRead, BinWrite};
 
 use super::{data_at, rth};
 use crate::sevenk::frame::{
-    Fixed, OpenRecord, RecordStamp, extend_encoded, read_fixed, u16_at, write_fixed,
+    Layout, OpenRecord, RecordStamp, extend_encoded, read_fixed, u16_at, write_layout,
 };
 use crate::sevenk::{WireError, record_id};
 
@@ -118,7 +118,7 @@ pub fn emit_7018(
     );
     let open = OpenRecord::begin(buf, record_id::BEAMFORMED, stamp);
     buf.reserve(Rth7018::SIZE_BYTES + expected * BeamSample::BYTES + 4);
-    write_fixed(rth, buf);
+    write_layout(rth, buf);
     extend_encoded(buf, samples_sample_major, BeamSample::to_le_bytes);
     open.finish(buf)
 }

@@ -12,7 +12,7 @@ use binrw::{BinRead, BinWrite};
 
 use super::{data_at, rth};
 use crate::sevenk::frame::{
-    Fixed, OpenRecord, RecordStamp, extend_encoded, read_fixed, write_fixed,
+    Layout, OpenRecord, RecordStamp, extend_encoded, read_fixed, write_layout,
 };
 use crate::sevenk::{WireError, record_id};
 
@@ -69,10 +69,10 @@ impl<'a> CalibratedSideScan7057<'a> {
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7057 = read_fixed(body)?;
         if !matches!(rth.bytes_per_sample, 4 | 8) {
-            return Err(WireError::Unsupported {
-                what: "7057 bytes per sample",
-                got: u64::from(rth.bytes_per_sample),
-            });
+            return Err(WireError::unsupported(
+                "7057 bytes per sample",
+                rth.bytes_per_sample,
+            ));
         }
         let count = u64::from(rth.samples_per_side);
         let side = count * u64::from(rth.bytes_per_sample);
@@ -141,7 +141,7 @@ pub fn emit_7057(
     );
     let open = OpenRecord::begin(buf, record_id::CALIBRATED_SIDE_SCAN, stamp);
     buf.reserve(Rth7057::SIZE_BYTES + 12 * count + 4);
-    write_fixed(
+    write_layout(
         &Rth7057 {
             samples_per_side: count as u32,
             beams_per_side: 1,
@@ -200,10 +200,10 @@ impl<'a> SingleBeamIq10038<'a> {
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth10038 = read_fixed(body)?;
         if rth.bits_per_sample != 64 {
-            return Err(WireError::Unsupported {
-                what: "10038 bits per sample",
-                got: u64::from(rth.bits_per_sample),
-            });
+            return Err(WireError::unsupported(
+                "10038 bits per sample",
+                rth.bits_per_sample,
+            ));
         }
         let len = 8 * u64::from(rth.samples);
         let data = data_at(body, Rth10038::RTH_BYTES, len, "10038 samples")?;
@@ -229,7 +229,7 @@ pub fn emit_10038(
     iq: &[[f32; 2]],
 ) -> Range<usize> {
     let open = OpenRecord::begin(buf, record_id::SINGLE_BEAM_IQ, stamp);
-    write_fixed(
+    write_layout(
         &Rth10038 {
             bits_per_sample: 64,
             samples: iq.len() as u32,

@@ -14,7 +14,8 @@ use std::ops::Range;
 use binrw::{BinRead, BinWrite};
 
 use super::{data_at, rth};
-use crate::sevenk::frame::{Fixed, OpenRecord, RecordStamp, read_fixed, write_fixed};
+use crate::layout::layout_of;
+use crate::sevenk::frame::{Layout, OpenRecord, RecordStamp, read_fixed, write_layout};
 use crate::sevenk::{WireError, record_id};
 
 #[derive(Debug, Clone, Copy, BinRead, BinWrite)]
@@ -34,10 +35,7 @@ struct ModuleHead {
 
 rth!(Rth7001, 12, "7001 configuration");
 
-impl Fixed for ModuleHead {
-    const SIZE_BYTES: usize = 80;
-    const NAME: &'static str = "7001 module";
-}
+layout_of!(ModuleHead, 80, "7001 module", Little);
 
 /// 7001: modules of a sonar.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -115,7 +113,7 @@ pub fn emit_7001(
     modules: &[Module],
 ) -> Range<usize> {
     let open = OpenRecord::begin(buf, record_id::CONFIGURATION, stamp);
-    write_fixed(
+    write_layout(
         &Rth7001 {
             sonar_id,
             modules: modules.len() as u32,
@@ -131,7 +129,7 @@ pub fn emit_7001(
             serial_number: module.serial_number,
             info_length: info.len() as u32 + 1,
         };
-        write_fixed(&head, buf);
+        write_layout(&head, buf);
         buf.extend_from_slice(info.as_bytes());
         buf.push(0);
     }

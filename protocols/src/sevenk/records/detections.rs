@@ -11,7 +11,7 @@ use std::ops::Range;
 use binrw::{BinRead, BinWrite};
 
 use super::{data_at, rth};
-use crate::sevenk::frame::{Fixed, OpenRecord, RecordStamp, read_fixed, write_fixed};
+use crate::sevenk::frame::{Layout, OpenRecord, RecordStamp, read_fixed, write_layout};
 use crate::sevenk::{WireError, record_id};
 
 /// The RTH of 7027.
@@ -80,10 +80,10 @@ impl<'a> RawDetections7027<'a> {
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7027 = read_fixed(body)?;
         if rth.data_field_size < Detection7027::SIZE_BYTES as u32 {
-            return Err(WireError::Unsupported {
-                what: "7027 data field size",
-                got: u64::from(rth.data_field_size),
-            });
+            return Err(WireError::unsupported(
+                "7027 data field size",
+                rth.data_field_size,
+            ));
         }
         // Below 2^64: a product of two 32-bit numbers.
         let len = u64::from(rth.detections) * u64::from(rth.data_field_size);
@@ -108,7 +108,7 @@ pub fn emit_7027(
 ) -> Range<usize> {
     let open = OpenRecord::begin(buf, record_id::RAW_DETECTIONS, stamp);
     buf.reserve(Rth7027::SIZE_BYTES + detections.len() * Detection7027::SIZE_BYTES + 4);
-    write_fixed(
+    write_layout(
         &Rth7027 {
             detections: detections.len() as u32,
             data_field_size: Detection7027::SIZE_BYTES as u32,
@@ -118,7 +118,7 @@ pub fn emit_7027(
     );
     detections
         .iter()
-        .for_each(|detection| write_fixed(detection, buf));
+        .for_each(|detection| write_layout(detection, buf));
     open.finish(buf)
 }
 

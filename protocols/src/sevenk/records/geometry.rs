@@ -12,7 +12,7 @@ use binrw::{BinRead, BinWrite};
 
 use super::{data_at, rth};
 use crate::sevenk::frame::{
-    OpenRecord, RecordStamp, extend_encoded, read_fixed, u32_at, write_fixed,
+    OpenRecord, RecordStamp, extend_encoded, read_fixed, u32_at, write_layout,
 };
 use crate::sevenk::{WireError, record_id};
 
@@ -113,7 +113,7 @@ pub fn emit_7004(
     ];
     let beams = blocks[0].len();
     let open = OpenRecord::begin(buf, record_id::BEAM_GEOMETRY, stamp);
-    write_fixed(
+    write_layout(
         &Rth7004 {
             sonar_id,
             beams: beams as u32,

@@ -48,10 +48,7 @@ use super::WireError;
 /// Implements parsing, emission and constants for a record without data after its RTH.
 macro_rules! rth_record {
     ($record:ty, $id:expr, $size:expr, $name:literal) => {
-        impl crate::sevenk::frame::Fixed for $record {
-            const SIZE_BYTES: usize = $size;
-            const NAME: &'static str = $name;
-        }
+        crate::layout::layout_of!($record, $size, $name, Little);
 
         impl $record {
             /// Record type.
@@ -71,7 +68,7 @@ macro_rules! rth_record {
                 stamp: &crate::sevenk::RecordStamp,
             ) -> std::ops::Range<usize> {
                 let open = crate::sevenk::OpenRecord::begin(buf, $id, stamp);
-                crate::sevenk::frame::write_fixed(self, buf);
+                crate::layout::write_layout(self, buf);
                 open.finish(buf)
             }
         }
@@ -82,10 +79,7 @@ pub(crate) use rth_record;
 /// Implements length and name for the RTH of a record with data.
 macro_rules! rth {
     ($rth:ty, $size:expr, $name:literal) => {
-        impl crate::sevenk::frame::Fixed for $rth {
-            const SIZE_BYTES: usize = $size;
-            const NAME: &'static str = $name;
-        }
+        crate::layout::layout_of!($rth, $size, $name, Little);
 
         impl $rth {
             /// Size of the RTH.
@@ -106,11 +100,7 @@ pub(crate) fn data_at<'a>(
     let data = body.get(at..).unwrap_or_default();
     // A length from the wire may exceed usize on a 32-bit machine, so it is compared as u64 before conversion.
     if (data.len() as u64) < len {
-        return Err(WireError::Truncated {
-            what,
-            need_bytes: at as u64 + len,
-            got_bytes: body.len() as u64,
-        });
+        return Err(WireError::truncated(what, at as u64 + len, body.len()));
     }
     Ok(&data[..len as usize])
 }

@@ -14,7 +14,7 @@ use binrw::{BinRead, BinWrite};
 
 use super::{data_at, rth};
 use crate::sevenk::frame::{
-    Fixed, OpenRecord, RecordStamp, extend_encoded, read_fixed, u16_at, write_fixed,
+    Layout, OpenRecord, RecordStamp, extend_encoded, read_fixed, u16_at, write_layout,
 };
 use crate::sevenk::{WireError, record_id};
 
@@ -69,10 +69,7 @@ impl<'a> RawIq7038<'a> {
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7038 = read_fixed(body)?;
         if rth.sample_type != SAMPLE_TYPE_I16 {
-            return Err(WireError::Unsupported {
-                what: "7038 sample type",
-                got: u64::from(rth.sample_type),
-            });
+            return Err(WireError::unsupported("7038 sample type", rth.sample_type));
         }
         let element_numbers = data_at(
             body,
@@ -210,7 +207,7 @@ fn begin_7038(
     );
     let open = OpenRecord::begin(buf, record_id::RAW_IQ, stamp);
     buf.reserve(Rth7038::SIZE_BYTES + 2 * element_numbers.len() + pairs * SAMPLE_BYTES + 4);
-    write_fixed(rth, buf);
+    write_layout(rth, buf);
     extend_encoded(buf, element_numbers, u16::to_le_bytes);
     open
 }

@@ -12,7 +12,7 @@ use binrw::{BinRead, BinWrite};
 
 use super::{data_at, rth};
 use crate::sevenk::frame::{
-    Fixed, OpenRecord, RecordStamp, extend_encoded, read_fixed, write_fixed,
+    Layout, OpenRecord, RecordStamp, extend_encoded, read_fixed, write_layout,
 };
 use crate::sevenk::{WireError, record_id};
 
@@ -86,10 +86,10 @@ impl<'a> SideScan7007<'a> {
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7007 = read_fixed(body)?;
         if !matches!(rth.bytes_per_sample, 1 | 2 | 4) {
-            return Err(WireError::Unsupported {
-                what: "7007 bytes per sample",
-                got: u64::from(rth.bytes_per_sample),
-            });
+            return Err(WireError::unsupported(
+                "7007 bytes per sample",
+                rth.bytes_per_sample,
+            ));
         }
         let side_bytes = u64::from(rth.samples_per_side) * u64::from(rth.bytes_per_sample);
         let data = data_at(body, Rth7007::RTH_BYTES, 2 * side_bytes, "7007 samples")?;
@@ -143,7 +143,7 @@ pub fn emit_7007(
     );
     let open = OpenRecord::begin(buf, record_id::SIDE_SCAN, stamp);
     buf.reserve(Rth7007::SIZE_BYTES + 2 * port_len * usize::from(bytes_per_sample));
-    write_fixed(
+    write_layout(
         &Rth7007 {
             samples_per_side: port_len as u32,
             bytes_per_sample,

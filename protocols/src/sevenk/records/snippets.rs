@@ -15,7 +15,7 @@ use binrw::{BinRead, BinWrite};
 
 use super::{data_at, rth};
 use crate::sevenk::frame::{
-    Fixed, OpenRecord, RecordStamp, extend_encoded, read_fixed, write_fixed,
+    Layout, OpenRecord, RecordStamp, extend_encoded, read_fixed, write_layout,
 };
 use crate::sevenk::{WireError, record_id};
 
@@ -215,7 +215,7 @@ pub fn emit_7028(
         SnippetSamples::U32(samples) => (samples.len(), SAMPLES_OF_32_BITS),
     };
     let open = OpenRecord::begin(buf, record_id::SNIPPETS, stamp);
-    write_fixed(
+    write_layout(
         &Rth7028 {
             detections: count_of(descriptors, count, "7028"),
             flags: rth.flags & !SAMPLES_OF_32_BITS | width_flag,
@@ -223,7 +223,7 @@ pub fn emit_7028(
         },
         buf,
     );
-    descriptors.iter().for_each(|d| write_fixed(d, buf));
+    descriptors.iter().for_each(|d| write_layout(d, buf));
     match samples {
         SnippetSamples::U16(samples) => extend_encoded(buf, samples, u16::to_le_bytes),
         SnippetSamples::U32(samples) => extend_encoded(buf, samples, u32::to_le_bytes),
@@ -312,7 +312,7 @@ pub fn emit_7058(
         }
     };
     let open = OpenRecord::begin(buf, record_id::SNIPPET_STRENGTHS, stamp);
-    write_fixed(
+    write_layout(
         &Rth7058 {
             detections,
             control_flags: rth.control_flags & !HAS_FOOTPRINTS | footprint_flag,
@@ -320,7 +320,7 @@ pub fn emit_7058(
         },
         buf,
     );
-    descriptors.iter().for_each(|d| write_fixed(d, buf));
+    descriptors.iter().for_each(|d| write_layout(d, buf));
     extend_encoded(buf, strengths_db, f32::to_le_bytes);
     if let Some(footprints) = footprints_m2 {
         extend_encoded(buf, footprints, f32::to_le_bytes);

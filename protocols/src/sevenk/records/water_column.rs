@@ -12,7 +12,7 @@ use std::ops::Range;
 use binrw::{BinRead, BinWrite};
 
 use super::{data_at, rth};
-use crate::sevenk::frame::{OpenRecord, RecordStamp, read_fixed, u32_at, write_fixed};
+use crate::sevenk::frame::{OpenRecord, RecordStamp, read_fixed, u32_at, write_layout};
 use crate::sevenk::{WireError, record_id};
 
 /// Bits of [`Rth7042::flags`].
@@ -72,10 +72,8 @@ fn widths(flags: u32) -> Result<(usize, usize), WireError> {
         (false, true) => (1, 1),
         (true, false) => (4, 1),
         (true, true) => {
-            return Err(WireError::Unsupported {
-                what: "7042 with both 8-bit and 32-bit samples, flags",
-                got: flags.into(),
-            });
+            let what = "7042 with both 8-bit and 32-bit samples, flags";
+            return Err(WireError::unsupported(what, flags));
         }
     };
     Ok((magnitude, if is(MAGNITUDE_ONLY) { 0 } else { phase }))
@@ -198,7 +196,7 @@ pub fn emit_7042(
     let (magnitude_bytes, phase_bytes) = widths(rth.flags).expect("flags of 7042");
     let longest = beams.iter().map(|beam| beam.magnitudes.len()).max();
     let open = OpenRecord::begin(buf, record_id::COMPRESSED_WATER_COLUMN, stamp);
-    write_fixed(
+    write_layout(
         &Rth7042 {
             beams: u16::try_from(beams.len()).expect("at most 65535 beams"),
             compressed_samples: longest.unwrap_or_default() as u32,
