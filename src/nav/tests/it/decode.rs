@@ -8,7 +8,7 @@ use echotank_nav::stamp::split_line;
 use echotank_nav::{NavCounters, NavDecoder};
 use proptest::prelude::*;
 
-use crate::{ALL, log_source};
+use crate::{ALL, log_source, sum_of_classes};
 
 const SEAPATH: &[u8] = include_bytes!("../../../../tests/data/nav/seapath330_90s.rvdas");
 const GYRO: &[u8] = include_bytes!("../../../../tests/data/nav/gyro_90s.rvdas");
@@ -26,13 +26,7 @@ fn source(time: TimePolicy, checksum: ChecksumPolicy, provides: &[NavChannel]) -
 }
 
 fn check_sum(c: &NavCounters) {
-    let classes = c.used
-        + c.refused_checksum
-        + c.malformed
-        + c.unsupported
-        + c.empty_fields
-        + c.not_taken
-        + c.time_jumps;
+    let classes = sum_of_classes(c);
     assert_eq!(
         classes, c.sentences,
         "every sentence is in one class: {c:?}"

@@ -2,19 +2,13 @@
 
 use std::f64::consts::TAU;
 
-use echotank_config::spec::{
-    ChecksumPolicy, NavChannel, NavInputSpec, NavMode, NavSourceSpec, NavSpec, OnLost, OriginSpec,
-    StampSpec, VerticalSpec,
-};
+use echotank_config::spec::{ChecksumPolicy, NavChannel, NavInputSpec, NavMode, VerticalSpec};
 use echotank_core::frames::{Trajectory, angles_from_rotation, rotation_from_angles};
-use echotank_core::navigation::{FixQuality, NavQuantity, NavSample, NavState};
-use echotank_core::time::{NS_PER_S, UtcNs};
+use echotank_core::navigation::{FixQuality, NavQuantity, NavState};
 use echotank_nav::{Coverage, LocalTangentPlane, NavGap, NavHistory};
 use glam::DVec3;
 
-use crate::log_source;
-
-const T0: UtcNs = UtcNs(1_406_851_200 * NS_PER_S);
+use crate::{T0, log_source, nav_spec, sample};
 
 const FULL: [NavChannel; 4] = [
     NavChannel::Position,
@@ -23,38 +17,6 @@ const FULL: [NavChannel; 4] = [
     NavChannel::Heave,
 ];
 
-fn nav_spec(sources: Vec<NavSourceSpec>) -> NavSpec {
-    NavSpec {
-        origin: OriginSpec::FirstFix,
-        mode: NavMode::Settle,
-        vertical: VerticalSpec::Waterline {
-            reference_down_m: 2.0,
-        },
-        stamp: StampSpec::Log,
-        loop_log: false,
-        max_extrapolation_s: 0.25,
-        history_s: 30.0,
-        fallback_heading_from_course: false,
-        failover: None,
-        jump_gate: None,
-        stale_s: 2.0,
-        lost_s: 10.0,
-        on_lost: OnLost::Skip,
-        tow: None,
-        outputs: Vec::new(),
-        sources,
-    }
-}
-
-fn sample(source: u16, time_s: f64, quantity: NavQuantity) -> NavSample {
-    let utc = T0.plus_s(time_s);
-    NavSample {
-        source,
-        valid_utc: utc,
-        arrival_utc: utc,
-        quantity,
-    }
-}
 fn local(north_m: f64, east_m: f64, down_m: f64) -> NavQuantity {
     NavQuantity::LocalPosition {
         north_m,

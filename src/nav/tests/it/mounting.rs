@@ -3,18 +3,15 @@
 use std::f64::consts::TAU;
 
 use echotank_config::spec::{
-    ChecksumPolicy, NavChannel, NavMode, NavSourceSpec, NavSpec, OnLost, OriginSpec, StampSpec,
-    TowSpec, VerticalSpec,
+    ChecksumPolicy, NavChannel, NavMode, NavSourceSpec, NavSpec, OnLost, TowSpec, VerticalSpec,
 };
 use echotank_core::frames::{Trajectory, angles_from_rotation, rotation_from_angles};
-use echotank_core::navigation::{FixQuality, NavInvalid, NavQuantity, NavSample, NavState};
-use echotank_core::time::{NS_PER_S, UtcNs};
+use echotank_core::navigation::{FixQuality, NavInvalid, NavQuantity, NavState};
 use echotank_nav::{Coverage, NavDecoder, NavGap, NavHistory};
 use glam::DVec3;
 
-use crate::log_source;
+use crate::{T0, log_source, nav_spec, sample};
 
-const T0: UtcNs = UtcNs(1_406_851_200 * NS_PER_S);
 use NavChannel::{Depth, Heading, Heave, Position, RollPitch};
 
 fn source(provides: &[NavChannel]) -> NavSourceSpec {
@@ -26,22 +23,9 @@ fn source(provides: &[NavChannel]) -> NavSourceSpec {
 
 fn spec(vertical: VerticalSpec, sources: Vec<NavSourceSpec>) -> NavSpec {
     NavSpec {
-        origin: OriginSpec::FirstFix,
-        mode: NavMode::Settle,
         vertical,
-        stamp: StampSpec::Log,
-        loop_log: false,
-        max_extrapolation_s: 0.25,
-        history_s: 30.0,
-        fallback_heading_from_course: false,
-        failover: None,
-        jump_gate: None,
-        stale_s: 2.0,
-        lost_s: 10.0,
         on_lost: OnLost::Hold,
-        tow: None,
-        outputs: Vec::new(),
-        sources,
+        ..nav_spec(sources)
     }
 }
 
@@ -50,13 +34,7 @@ const WATERLINE: VerticalSpec = VerticalSpec::Waterline {
 };
 
 fn put(history: &mut NavHistory, source: u16, time_s: f64, quantity: NavQuantity) {
-    let utc = T0.plus_s(time_s);
-    history.insert(&NavSample {
-        source,
-        valid_utc: utc,
-        arrival_utc: utc,
-        quantity,
-    });
+    history.insert(&sample(source, time_s, quantity));
 }
 
 fn local(at: DVec3) -> NavQuantity {
