@@ -3,9 +3,9 @@
 
 use std::ops::Range;
 
-use crate::support::{STAMP, assert_same, record_of, table};
+use crate::support::{STAMP, assert_same, le, record_of, table};
 use echotank_protocols::sevenk::records::*;
-use echotank_protocols::sevenk::{BodyError, Record, RecordBody, WireError, describe};
+use echotank_protocols::sevenk::{Record, RecordBody, WireError, describe};
 use proptest::prelude::*;
 
 /// The body of an emitted record, parsed as its type.
@@ -22,12 +22,8 @@ fn check(id: u32, golden: &[u8], emit: impl FnOnce(&mut Vec<u8>) -> Range<usize>
     assert!(!describe(record.bytes()).to_string().contains("wrong"));
 }
 
-fn le(values: &[u32]) -> Vec<u8> {
-    values.iter().flat_map(|v| v.to_le_bytes()).collect()
-}
-
 fn le_f32(values: &[f32]) -> Vec<u8> {
-    values.iter().flat_map(|v| v.to_le_bytes()).collect()
+    le(values)
 }
 
 /// Sonar 77, ping 7, no multi-ping: the common start of these records.
@@ -488,7 +484,7 @@ fn calibrated_side_scan_7057_and_raw_iq_10038_match_their_tables() {
     );
 }
 
-const TYPES: [(u32, usize); 8] = [
+pub(crate) const TYPES: [(u32, usize); 8] = [
     (1015, 41),
     (1016, 1),
     (7027, 99),
@@ -500,15 +496,7 @@ const TYPES: [(u32, usize); 8] = [
 ];
 
 #[test]
-fn a_body_one_byte_short_or_with_wild_counts_is_refused() {
-    for (id, bytes) in TYPES {
-        let record = record_of(id, &vec![0; bytes - 1]);
-        let error = RecordBody::parse(&Record::parse(&record).unwrap()).unwrap_err();
-        assert!(
-            matches!(error, BodyError::Wire(WireError::Truncated { .. })),
-            "{id}: {error}"
-        );
-    }
+fn wild_counts_are_refused() {
     let truncated = |result: Result<(), WireError>| {
         assert!(
             matches!(result, Err(WireError::Truncated { .. })),

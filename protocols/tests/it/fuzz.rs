@@ -6,15 +6,6 @@ use cases::{Random, decoders};
 use echotank_protocols::words::{Format, Words};
 
 #[test]
-fn every_seed_parses_as_its_format() {
-    for decoder in decoders() {
-        for (n, seed) in decoder.seeds().iter().enumerate() {
-            assert!(decoder.decode(seed) > 0, "{} seed {n}", decoder.name);
-        }
-    }
-}
-
-#[test]
 fn twenty_thousand_corrupted_messages_per_decoder_do_not_panic() {
     for decoder in decoders() {
         let seeds = decoder.seeds();
@@ -111,6 +102,7 @@ fn golden_files_are_recognised_and_every_message_is_described() {
 fn valid_messages_of_every_decoder_are_described_without_errors() {
     for decoder in decoders() {
         for (n, seed) in decoder.seeds().iter().enumerate() {
+            assert!(decoder.decode(seed) > 0, "{} seed {n}", decoder.name);
             decoder.each_line(seed, &mut |line| {
                 let complaint = COMPLAINTS.iter().find(|c| line.contains(**c));
                 assert_eq!(complaint, None, "{} seed {n}: {line}", decoder.name);

@@ -1,6 +1,6 @@
 //! Compares JSF with its published tables and with a file that third-party readers accept, and parses random bytes.
 
-use crate::support::{assert_same, bytes_of, feed_to_end, table};
+use crate::support::{assert_same, bytes_of, feed_to_end, le, table};
 use echotank_protocols::WireError;
 use echotank_protocols::jsf::control::{Control, Value, error_code, is_command};
 use echotank_protocols::jsf::sensors::SensorTime;
@@ -43,12 +43,7 @@ fn ping() -> SonarDataHeader {
 
 #[test]
 fn message_80_matches_tables_2_1_to_2_9() {
-    let i16s = |values: &[i16]| {
-        values
-            .iter()
-            .flat_map(|v| v.to_le_bytes())
-            .collect::<Vec<_>>()
-    };
+    let i16s = |values: &[i16]| le(values);
     let valid: u16 = 1 << 13 | 1 | 2 | 4 | 8 | 32 | 64 | 512 | 1 << 14;
     let golden = table(
         240,
@@ -63,14 +58,11 @@ fn message_80_matches_tables_2_1_to_2_9() {
             (28, &i16s(&[1])),
             (30, &valid.to_le_bytes()),
             (34, &i16s(&[9])),
-            (80, &(-73_080_000_i32).to_le_bytes()),
-            (84, &(-22_080_000_i32).to_le_bytes()),
+            (80, &le(&[-73_080_000_i32, -22_080_000])),
             (88, &i16s(&[2])),
             (114, &0x1170_u16.to_le_bytes()),
             (116, &29_000_u32.to_le_bytes()),
-            (126, &42_000_u16.to_le_bytes()),
-            (128, &0x4FF0_u16.to_le_bytes()),
-            (130, &12_u16.to_le_bytes()),
+            (126, &le(&[42_000_u16, 0x4FF0, 12])),
             (136, &3_250_i32.to_le_bytes()),
             (140, &34_483_u16.to_le_bytes()),
             (144, &20_500_i32.to_le_bytes()),
@@ -160,15 +152,7 @@ fn sensor_messages_match_their_tables() {
         &[
             (0, &s),
             (4, &ms),
-            (12, &1_i16.to_le_bytes()),
-            (14, &(-2_i16).to_le_bytes()),
-            (16, &3_i16.to_le_bytes()),
-            (18, &(-4_i16).to_le_bytes()),
-            (20, &5_i16.to_le_bytes()),
-            (22, &(-6_i16).to_le_bytes()),
-            (24, &546_i16.to_le_bytes()),
-            (26, &(-910_i16).to_le_bytes()),
-            (28, &123_i16.to_le_bytes()),
+            (12, &le(&[1_i16, -2, 3, -4, 5, -6, 546, -910, 123])),
             (30, &0xBEEF_u16.to_le_bytes()),
             (32, &(-250_i16).to_le_bytes()),
             (34, &35_990_u16.to_le_bytes()),
@@ -194,13 +178,10 @@ fn sensor_messages_match_their_tables() {
         &[
             (0, &s),
             (4, &ms),
-            (12, &14_696_i32.to_le_bytes()),
-            (16, &12_345_i32.to_le_bytes()),
-            (20, &35_000_i32.to_le_bytes()),
-            (24, &0x3F_i32.to_le_bytes()),
-            (28, &42_000_i32.to_le_bytes()),
-            (32, &1_500_123_i32.to_le_bytes()),
-            (36, &17_i32.to_le_bytes()),
+            (
+                12,
+                &le(&[14_696_i32, 12_345, 35_000, 0x3F, 42_000, 1_500_123, 17]),
+            ),
         ],
     );
     assert_same(&bytes_of(|b| pressure.emit(b)), &golden, "2060");
@@ -226,23 +207,12 @@ fn sensor_messages_match_their_tables() {
             (0, &s),
             (4, &ms),
             (12, &0x1FFF_u32.to_le_bytes()),
-            (16, &2000_i32.to_le_bytes()),
-            (20, &2001_i32.to_le_bytes()),
-            (24, &2002_i32.to_le_bytes()),
-            (28, &2003_i32.to_le_bytes()),
-            (32, &(-100_i16).to_le_bytes()),
-            (34, &1500_i16.to_le_bytes()),
-            (36, &20_i16.to_le_bytes()),
-            (38, &(-101_i16).to_le_bytes()),
-            (40, &1501_i16.to_le_bytes()),
-            (42, &21_i16.to_le_bytes()),
+            (16, &le(&[2000_i32, 2001, 2002, 2003])),
+            (32, &le(&[-100_i16, 1500, 20, -101, 1501, 21])),
             (44, &33_u16.to_le_bytes()),
-            (46, &300_i16.to_le_bytes()),
-            (48, &(-500_i16).to_le_bytes()),
-            (50, &35_990_u16.to_le_bytes()),
-            (52, &35_u16.to_le_bytes()),
-            (54, &1234_i16.to_le_bytes()),
-            (56, &1500_i16.to_le_bytes()),
+            (46, &le(&[300_i16, -500])),
+            (50, &le(&[35_990_u16, 35])),
+            (54, &le(&[1234_i16, 1500])),
         ],
     );
     assert_same(&bytes_of(|b| dvl.emit(b)), &golden, "2080");
@@ -275,19 +245,13 @@ fn sensor_messages_match_their_tables() {
             (12, &0x1FFF_u32.to_le_bytes()),
             (16, &[1]),
             (20, &17_500_000_001_230_000_u64.to_le_bytes()),
-            (28, &(-36.8_f64).to_le_bytes()),
-            (36, &(-121.8_f64).to_le_bytes()),
-            (44, &3.25_f32.to_le_bytes()),
-            (48, &20.5_f32.to_le_bytes()),
-            (52, &(-0.25_f32).to_le_bytes()),
-            (56, &1.5_f32.to_le_bytes()),
-            (60, &(-0.1_f32).to_le_bytes()),
-            (64, &0.02_f32.to_le_bytes()),
-            (68, &3_f32.to_le_bytes()),
-            (72, &5_f32.to_le_bytes()),
-            (76, &359.9_f32.to_le_bytes()),
-            (80, &1500_f32.to_le_bytes()),
-            (84, &12.34_f32.to_le_bytes()),
+            (28, &le(&[-36.8_f64, -121.8])),
+            (
+                44,
+                &le(&[
+                    3.25_f32, 20.5, -0.25, 1.5, -0.1, 0.02, 3.0, 5.0, 359.9, 1500.0, 12.34,
+                ]),
+            ),
         ],
     );
     assert_same(&bytes_of(|b| situation.emit(b)), &golden, "2091");
@@ -358,8 +322,7 @@ fn commands_of_a_public_client_parse_and_have_the_expected_answers() {
             (0, &[0x01, 0x16, 13]),
             (4, &128_u16.to_le_bytes()),
             (6, &[0, 21, 0, 0]),
-            (12, &4_i32.to_le_bytes()),
-            (16, &50_000_i32.to_le_bytes()),
+            (12, &le(&[4_i32, 50_000])),
         ],
     );
     let control = Control::parse(&Message::parse(&set_range).unwrap()).unwrap();
@@ -389,8 +352,7 @@ fn commands_of_a_public_client_parse_and_have_the_expected_answers() {
                 (0, &[0x01, 0x16, 13]),
                 (4, &128_u16.to_le_bytes()),
                 (6, &[2, 21, 0, 5]),
-                (12, &4_i32.to_le_bytes()),
-                (16, &50_000_i32.to_le_bytes()),
+                (12, &le(&[4_i32, 50_000])),
             ],
         );
         assert_same(&answer, &golden, "reply to 128");

@@ -1,6 +1,8 @@
 //! Compares the Ping protocol with its makers' published definitions, and parses random bytes.
 
-use crate::support::{assert_same, feed_to_end, table};
+use std::ops::Range;
+
+use crate::support::{assert_same, feed_to_end, le, table};
 use echotank_protocols::WireError;
 use echotank_protocols::ping_protocol::common::*;
 use echotank_protocols::ping_protocol::omniscan450::*;
@@ -10,8 +12,8 @@ use echotank_protocols::ping_protocol::{
 };
 use proptest::prelude::*;
 
-/// Payload of an emitted frame.
-fn payload_of(emit: impl FnOnce(&mut Vec<u8>) -> std::ops::Range<usize>, id: u16) -> Vec<u8> {
+/// Compares the payload of an emitted frame with its table.
+fn check(id: u16, golden: &[u8], emit: impl FnOnce(&mut Vec<u8>) -> Range<usize>) {
     let mut buf = vec![9];
     let range = emit(&mut buf);
     let frame = Frame::parse(&buf[range]).unwrap();
@@ -19,7 +21,7 @@ fn payload_of(emit: impl FnOnce(&mut Vec<u8>) -> std::ops::Range<usize>, id: u16
         (frame.message_id, frame.source, frame.destination),
         (id, 1, 2)
     );
-    frame.payload.to_vec()
+    assert_same(frame.payload, golden, &id.to_string());
 }
 
 #[test]
@@ -59,18 +61,14 @@ fn omniscan_450_matches_its_definition() {
     let golden = table(
         36,
         &[
-            (0, &1000_u32.to_le_bytes()),
-            (4, &50_000_u32.to_le_bytes()),
-            (8, &20_u32.to_le_bytes()),
-            (20, &0.002_f32.to_le_bytes()),
-            (24, &0.0015_f32.to_le_bytes()),
+            (0, &le(&[1000_u32, 50_000, 20])),
+            (20, &le(&[0.002_f32, 0.0015])),
             (28, &(-1_i16).to_le_bytes()),
             (30, &1200_u16.to_le_bytes()),
             (32, &[1]),
         ],
     );
-    let got = payload_of(|buf| params.emit_frame(buf, 1, 2), 2197);
-    assert_same(&got, &golden, "2197");
+    check(2197, &golden, |buf| params.emit_frame(buf, 1, 2));
     assert_eq!(OsPingParams::parse(&golden), Ok(params));
 
     let head = OsMonoProfileHead {
@@ -94,27 +92,15 @@ fn omniscan_450_matches_its_definition() {
         58,
         &[
             (0, &7_u32.to_le_bytes()),
-            (8, &50_000_u32.to_le_bytes()),
-            (12, &123_456_u32.to_le_bytes()),
-            (16, &450_000_u32.to_le_bytes()),
-            (20, &3_u16.to_le_bytes()),
-            (22, &3_u16.to_le_bytes()),
-            (24, &15_000_u16.to_le_bytes()),
+            (8, &le(&[50_000_u32, 123_456, 450_000])),
+            (20, &le(&[3_u16, 3, 15_000])),
             (26, &[1, 0]),
-            (28, &1e-4_f32.to_le_bytes()),
-            (32, &20_f32.to_le_bytes()),
-            (36, &90_f32.to_le_bytes()),
-            (40, &10_f32.to_le_bytes()),
-            (44, &269.9_f32.to_le_bytes()),
-            (48, &359.9_f32.to_le_bytes()),
-            (52, &0_u16.to_le_bytes()),
-            (54, &65_535_u16.to_le_bytes()),
-            (56, &32_768_u16.to_le_bytes()),
+            (28, &le(&[1e-4_f32, 20.0, 90.0, 10.0, 269.9, 359.9])),
+            (52, &le(&[0_u16, 65_535, 32_768])),
         ],
     );
     let results = [10.0, 90.0, 50.0].map(|db| quantise_db(db, 10.0, 90.0));
-    let got = payload_of(|buf| emit_2198(buf, 1, 2, &head, &results), 2198);
-    assert_same(&got, &golden, "2198");
+    check(2198, &golden, |buf| emit_2198(buf, 1, 2, &head, &results));
     let profile = OsMonoProfile::parse(&golden).unwrap();
     assert_eq!(profile.results().collect::<Vec<_>>(), results);
     for (got, want) in profile.results_db().zip([10.0, 90.0, 50.0]) {
@@ -128,17 +114,14 @@ fn omniscan_450_matches_its_definition() {
     let sos = SetSpeedOfSound {
         speed_of_sound_mm_per_s: 1_500_000,
     };
-    let got = payload_of(|buf| sos.emit_frame(buf, 1, 2), 116);
-    assert_same(&got, &1_500_000_u32.to_le_bytes(), "116");
+    check(116, &1_500_000_u32.to_le_bytes(), |buf| {
+        sos.emit_frame(buf, 1, 2)
+    });
     let sync = SyncChannel {
         channel_number: 1,
         number_of_channels: 2,
     };
-    assert_same(
-        &payload_of(|buf| sync.emit_frame(buf, 1, 2), 169),
-        &[1, 2],
-        "169",
-    );
+    check(169, &[1, 2], |buf| sync.emit_frame(buf, 1, 2));
 }
 
 #[test]
@@ -162,22 +145,16 @@ fn surveyor_240_matches_its_definition() {
     let golden = table(
         36,
         &[
-            (0, &500_i32.to_le_bytes()),
-            (4, &30_000_i32.to_le_bytes()),
+            (0, &le(&[500_i32, 30_000])),
             (8, &1500_f32.to_le_bytes()),
-            (12, &(-1_i16).to_le_bytes()),
-            (14, &100_i16.to_le_bytes()),
+            (12, &le(&[-1_i16, 100])),
             (19, &[1, 0, 0, 1, 1]),
             (24, &240_000_i32.to_le_bytes()),
             (28, &400_u16.to_le_bytes()),
             (32, &1.5_f32.to_le_bytes()),
         ],
     );
-    assert_same(
-        &payload_of(|buf| params.emit_frame(buf, 1, 2), 3023),
-        &golden,
-        "3023",
-    );
+    check(3023, &golden, |buf| params.emit_frame(buf, 1, 2));
     assert_eq!(SetPingParameters::parse(&golden), Ok(params));
 
     let head = AtofHead {
@@ -200,23 +177,15 @@ fn surveyor_240_matches_its_definition() {
         &[
             (0, &5_u32.to_le_bytes()),
             (4, &1_750_000_000_123_u64.to_le_bytes()),
-            (12, &0.04_f32.to_le_bytes()),
-            (16, &1500_f32.to_le_bytes()),
-            (20, &7_u32.to_le_bytes()),
-            (24, &240_000_u32.to_le_bytes()),
+            (12, &le(&[0.04_f32, 1500.0])),
+            (20, &le(&[7_u32, 240_000])),
             (28, &1e-4_f32.to_le_bytes()),
             (36, &2_u16.to_le_bytes()),
-            (40, &(-0.5_f32).to_le_bytes()),
-            (44, &0.02_f32.to_le_bytes()),
-            (56, &0.5_f32.to_le_bytes()),
-            (60, &0.025_f32.to_le_bytes()),
+            (40, &le(&[-0.5_f32, 0.02])),
+            (56, &le(&[0.5_f32, 0.025])),
         ],
     );
-    assert_same(
-        &payload_of(|buf| emit_3012(buf, 1, 2, &head, &points), 3012),
-        &golden,
-        "3012",
-    );
+    check(3012, &golden, |buf| emit_3012(buf, 1, 2, &head, &points));
     assert_eq!(
         AtofPointData::parse(&golden)
             .unwrap()
@@ -240,26 +209,17 @@ fn surveyor_240_matches_its_definition() {
     let golden = table(
         108,
         &[
-            (0, &5_u32.to_le_bytes()),
-            (4, &7_u32.to_le_bytes()),
-            (8, &1500_f32.to_le_bytes()),
-            (12, &0.1_f32.to_le_bytes()),
-            (16, &0.2_f32.to_le_bytes()),
-            (20, &0.9_f32.to_le_bytes()),
-            (76, &12.5_f32.to_le_bytes()),
-            (80, &(-1000_f32).to_le_bytes()),
-            (88, &0.5_f32.to_le_bytes()),
-            (92, &30_f32.to_le_bytes()),
+            (0, &le(&[5_u32, 7])),
+            (8, &le(&[1500.0_f32, 0.1, 0.2, 0.9])),
+            (76, &le(&[12.5_f32, -1000.0])),
+            (88, &le(&[0.5_f32, 30.0])),
             (98, &1_u16.to_le_bytes()),
-            (100, &(-3_f32).to_le_bytes()),
-            (104, &(-20_f32).to_le_bytes()),
+            (100, &le(&[-3.0_f32, -20.0])),
         ],
     );
-    assert_same(
-        &payload_of(|buf| emit_3011(buf, 1, 2, &head, &[[-3.0, -20.0]]), 3011),
-        &golden,
-        "3011",
-    );
+    check(3011, &golden, |buf| {
+        emit_3011(buf, 1, 2, &head, &[[-3.0, -20.0]])
+    });
     assert_eq!(
         YzPointData::parse(&golden)
             .unwrap()
@@ -277,9 +237,7 @@ fn surveyor_240_matches_its_definition() {
     let golden = table(
         36,
         &[
-            (0, &0.052_335_957_f32.to_le_bytes()),
-            (4, &0.087_036_3_f32.to_le_bytes()),
-            (8, &0.994_829_4_f32.to_le_bytes()),
+            (0, &le(&[0.052_335_957_f32, 0.087_036_3, 0.994_829_4])),
             (24, &1_750_000_000_123_u64.to_le_bytes()),
             (32, &5_u32.to_le_bytes()),
         ],
@@ -295,7 +253,7 @@ fn surveyor_240_matches_its_definition() {
         },
         read
     );
-    assert_eq!(payload_of(|buf| read.emit_frame(buf, 1, 2), 504), golden);
+    check(504, &golden, |buf| read.emit_frame(buf, 1, 2));
     let utc = UtcResponse {
         utc_msec: 1_750_000_000_123,
         accuracy_msec: 4,
@@ -305,21 +263,13 @@ fn surveyor_240_matches_its_definition() {
         &4_u32.to_le_bytes(),
     ]
     .concat();
-    assert_same(
-        &payload_of(|buf| utc.emit_frame(buf, 1, 2), 15),
-        &golden,
-        "15",
-    );
+    check(15, &golden, |buf| utc.emit_frame(buf, 1, 2));
     let water = WaterStats {
         temperature_c: 12.5,
         pressure_bar: 1.25,
     };
     let golden = [12.5_f32.to_le_bytes(), 1.25_f32.to_le_bytes()].concat();
-    assert_same(
-        &payload_of(|buf| water.emit_frame(buf, 1, 2), 118),
-        &golden,
-        "118",
-    );
+    check(118, &golden, |buf| water.emit_frame(buf, 1, 2));
 }
 
 #[test]

@@ -29,6 +29,28 @@ pub(crate) fn table(len: usize, fields: &[(usize, &[u8])]) -> Vec<u8> {
     bytes
 }
 
+/// A number of a published table.
+pub(crate) trait Number {
+    fn put(&self, bytes: &mut Vec<u8>);
+}
+
+macro_rules! numbers {
+    ($($type:ty),*) => {
+        $(impl Number for $type {
+            fn put(&self, bytes: &mut Vec<u8>) {
+                bytes.extend(self.to_le_bytes());
+            }
+        })*
+    };
+}
+
+numbers!(u16, i16, u32, i32, f32, u64, f64);
+
+/// Consecutive fields of one type, little endian.
+pub(crate) fn le<T: Number>(values: &[T]) -> Vec<u8> {
+    bytes_of(|bytes| values.iter().for_each(|value| value.put(bytes)))
+}
+
 /// Asserts equality and names the first difference.
 pub(crate) fn assert_same(got: &[u8], want: &[u8], what: &str) {
     for (at, (g, w)) in got.iter().zip(want).enumerate() {

@@ -1,6 +1,6 @@
 //! Compares XTF with its published tables and with a file that pyxtf accepts, and parses random bytes.
 
-use crate::support::{assert_same, feed_to_end, table};
+use crate::support::{assert_same, feed_to_end, le, table};
 use echotank_protocols::WireError;
 use echotank_protocols::xtf::{
     Attitude, ChannelHeader, ChannelInfo, ChannelKind, FileHeader, NavUnits, Ping, PingHeader,
@@ -115,7 +115,6 @@ fn ping_header() -> PingHeader {
 #[test]
 fn a_ping_matches_tables_h_and_i() {
     let f = |value: f32| value.to_le_bytes();
-    let d = |value: f64| value.to_le_bytes();
     // 15:06:40.12 rounded; the tags are milliseconds of the day of the rounded time (5 ms added, then truncated).
     let ms = 54_400_128_u32.to_le_bytes();
     let golden = table(
@@ -127,34 +126,22 @@ fn a_ping_matches_tables_h_and_i() {
             (14, &2025_u16.to_le_bytes()),
             (16, &[6, 15, 15, 6, 40, 12]),
             (22, &166_u16.to_le_bytes()),
-            (24, &3_u32.to_le_bytes()),
-            (28, &41_u32.to_le_bytes()),
+            (24, &le(&[3_u32, 41])),
             (32, &f(750.0)),
-            (120, &f(3.5)),
-            (124, &f(359.9)),
-            (128, &d(-36.8)),
-            (136, &d(-121.8)),
+            (120, &le(&[3.5_f32, 359.9])),
+            (128, &le(&[-36.8_f64, -121.8])),
             (148, &[15, 6, 40, 12]),
             (152, &f(3.25)),
-            (160, &d(-36.75)),
-            (168, &d(-121.75)),
-            (192, &f(3.25)),
-            (196, &f(20.5)),
-            (204, &f(3.0)),
-            (208, &f(5.0)),
-            (212, &f(359.5)),
-            (216, &f(-0.25)),
-            (220, &f(0.5)),
+            (160, &le(&[-36.75_f64, -121.75])),
+            (192, &le(&[3.25_f32, 20.5])),
+            (204, &le(&[3.0_f32, 5.0, 359.5, -0.25, 0.5])),
             (224, &ms),
             (232, &ms),
             // First channel.
             (256, &0_u16.to_le_bytes()),
             (260, &f(75.0)),
-            (268, &f(0.001)),
-            (272, &f(0.1)),
-            (276, &f(0.2)),
-            (280, &4_u16.to_le_bytes()),
-            (282, &430_u16.to_le_bytes()),
+            (268, &le(&[0.001_f32, 0.1, 0.2])),
+            (280, &le(&[4_u16, 430])),
             (284, &[1, 0, 2, 0, 3, 0]),
             (298, &3_u32.to_le_bytes()),
             (302, &5000_u16.to_le_bytes()),
@@ -211,11 +198,8 @@ fn attitude_matches_table_e() {
         &[
             (0, &[0xCE, 0xFA, 3, 0]),
             (10, &64_u32.to_le_bytes()),
-            (22, &123_456_u32.to_le_bytes()),
-            (26, &1_750_000_000_u32.to_le_bytes()),
-            (30, &3_f32.to_le_bytes()),
-            (34, &5_f32.to_le_bytes()),
-            (38, &(-0.25_f32).to_le_bytes()),
+            (22, &le(&[123_456_u32, 1_750_000_000])),
+            (30, &le(&[3.0_f32, 5.0, -0.25])),
             (46, &54_400_123_u32.to_le_bytes()),
             (50, &359.9_f32.to_le_bytes()),
             (54, &2025_u16.to_le_bytes()),
