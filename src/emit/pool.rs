@@ -24,8 +24,8 @@ impl DatagramPool {
         }
     }
 
-    /// Returns a record whose bytes `fill` writes into an empty buffer.
-    pub fn write(&mut self, fill: impl FnOnce(&mut Vec<u8>)) -> Arc<Datagram> {
+    /// Returns a record whose bytes `fill` writes into an empty buffer. The result of `fill` is not used.
+    pub fn write<R>(&mut self, fill: impl FnOnce(&mut Vec<u8>) -> R) -> Arc<Datagram> {
         if let Some(slot) = self
             .slots
             .iter_mut()

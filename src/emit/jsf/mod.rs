@@ -316,18 +316,18 @@ impl JsfEmitter {
         header.adc_largest = scaled.largest;
         header.set_samples(self.shorts.len() / format.shorts_per_sample());
         push(into, message_type::SONAR_DATA, subsystem, channel, |buf| {
-            emit_80(buf, subsystem, channel, &header, &self.shorts);
+            emit_80(buf, subsystem, channel, &header, &self.shorts)
         });
         scaled.not_finite as u64
     }
 }
 
-fn push(
+fn push<R>(
     into: &mut Vec<Arc<Datagram>>,
     kind: u16,
     subsystem: u8,
     channel: u8,
-    fill: impl FnOnce(&mut Vec<u8>),
+    fill: impl FnOnce(&mut Vec<u8>) -> R,
 ) {
     let mut bytes = Vec::new();
     fill(&mut bytes);

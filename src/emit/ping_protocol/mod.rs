@@ -222,9 +222,7 @@ impl PingEmitter {
             vehicle_heading_deg: heading_deg.rem_euclid(360.0) as f32,
         };
         let results = &self.results;
-        self.pools[0].write(|buf| {
-            emit_2198(buf, requested.device_id, 0, &head, results);
-        })
+        self.pools[0].write(|buf| emit_2198(buf, requested.device_id, 0, &head, results))
     }
 
     /// Message 504.
@@ -234,9 +232,7 @@ impl PingEmitter {
             utc_msec: utc_ms(plan),
             pwr_up_msec: self.device.uptime_ms(plan.transmit_utc),
         };
-        self.pools[1].write(|buf| {
-            report.emit_frame(buf, requested.device_id, 0);
-        })
+        self.pools[1].write(|buf| report.emit_frame(buf, requested.device_id, 0))
     }
 
     /// Message 3012.
@@ -265,9 +261,7 @@ impl PingEmitter {
             num_points: 0,
         };
         let points = &self.points;
-        self.pools[2].write(|buf| {
-            emit_3012(buf, requested.device_id, 0, &head, points);
-        })
+        self.pools[2].write(|buf| emit_3012(buf, requested.device_id, 0, &head, points))
     }
 
     /// Message 3011.
@@ -298,9 +292,7 @@ impl PingEmitter {
             num_points: 0,
         };
         let points = &self.yz;
-        self.pools[3].write(|buf| {
-            emit_3011(buf, requested.device_id, 0, &head, points);
-        })
+        self.pools[3].write(|buf| emit_3011(buf, requested.device_id, 0, &head, points))
     }
 }
 

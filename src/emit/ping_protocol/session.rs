@@ -95,7 +95,7 @@ impl Session for Client {
         if self.device.spec.device == PingDevice::Surveyor240 {
             let id = self.device.requested().device_id;
             out.push(reply(message_id::UTC_REQUEST, |buf| {
-                emit_utc_request(buf, id, 0);
+                emit_utc_request(buf, id, 0)
             }));
         }
     }
@@ -165,7 +165,7 @@ impl Client {
                 self.counts.commands += 1;
                 self.counts.nacks += 1;
                 out.push(reply(message_id::NACK, |buf| {
-                    emit_nack(buf, from, to, id, &words);
+                    emit_nack(buf, from, to, id, &words)
                 }));
             }
         }
@@ -237,21 +237,17 @@ impl Client {
                     device_revision: 1,
                     firmware: FIRMWARE,
                 };
-                out.push(reply(id, |buf| {
-                    information.emit_frame(buf, from, to);
-                }));
+                out.push(reply(id, |buf| information.emit_frame(buf, from, to)));
             }
             message_id::PROTOCOL_VERSION => {
                 let version = ProtocolVersion {
                     version: PROTOCOL_VERSION,
                 };
-                out.push(reply(id, |buf| {
-                    version.emit_frame(buf, from, to);
-                }));
+                out.push(reply(id, |buf| version.emit_frame(buf, from, to)));
             }
-            message_id::SYNC_CHANNEL if is_omniscan => out.push(reply(id, |buf| {
-                requested.sync.emit_frame(buf, from, to);
-            })),
+            message_id::SYNC_CHANNEL if is_omniscan => {
+                out.push(reply(id, |buf| requested.sync.emit_frame(buf, from, to)))
+            }
             // Sent with every ping.
             message_id::OS_MONO_PROFILE if is_omniscan => {}
             message_id::ATTITUDE_REPORT if !is_omniscan => {}
@@ -413,7 +409,7 @@ fn start_or_stop(enable: bool) -> SettingChange {
     }
 }
 
-fn reply(id: u16, write: impl FnOnce(&mut Vec<u8>)) -> Outgoing {
+fn reply<R>(id: u16, write: impl FnOnce(&mut Vec<u8>) -> R) -> Outgoing {
     let mut bytes = Vec::new();
     write(&mut bytes);
     Outgoing::Reply(Datagram {

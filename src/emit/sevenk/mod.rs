@@ -269,9 +269,7 @@ impl SevenKEmitter {
         let mut settings = sheet.settings_7000(plan.ping_number, &view, width_rad);
         self.kept.report_7000(&mut settings);
         settings.multi_ping_sequence = sequence;
-        let record = self.pools[place].write(|buf| {
-            settings.emit(buf, &stamp);
-        });
+        let record = self.pools[place].write(|buf| settings.emit(buf, &stamp));
         Some((record, 0))
     }
 
@@ -304,9 +302,7 @@ impl SevenKEmitter {
             port: &self.port,
             starboard: &self.starboard,
         };
-        let record = self.pools[place].write(|buf| {
-            emit_7007(buf, stamp, &rth, &sides);
-        });
+        let record = self.pools[place].write(|buf| emit_7007(buf, stamp, &rth, &sides));
         Some((record, saturated))
     }
 
@@ -340,16 +336,12 @@ impl SevenKEmitter {
                 let mut settings = sheet.settings_7000(plan.ping_number, &view, beam_width_rad);
                 self.kept.report_7000(&mut settings);
                 settings.multi_ping_sequence = own_sequence(output);
-                exact(pool.write(|buf| {
-                    settings.emit(buf, &ping_stamp);
-                }))
+                exact(pool.write(|buf| settings.emit(buf, &ping_stamp)))
             }
             7503 => {
                 let mut settings = sheet.settings_7503(plan.ping_number, &view);
                 self.kept.report_7503(&mut settings);
-                exact(pool.write(|buf| {
-                    settings.emit(buf, &ping_stamp);
-                }))
+                exact(pool.write(|buf| settings.emit(buf, &ping_stamp)))
             }
             7004 => {
                 let fan = output.beams.first()?;
@@ -361,17 +353,14 @@ impl SevenKEmitter {
                     width_y_rad: width_y,
                     width_x_rad: width_x,
                 };
-                exact(pool.write(|buf| {
-                    emit_7004(buf, &ping_stamp, sheet.sonar_id(), &angles);
-                }))
+                exact(pool.write(|buf| emit_7004(buf, &ping_stamp, sheet.sonar_id(), &angles)))
             }
             7027 => exact(pool.write(|buf| bottom::detections(work, &source, buf))),
             7028 => {
                 let fan = output.beams.first()?;
                 let mut saturated = 0;
-                let record = pool.write(|buf| {
-                    saturated = bottom::snippets_7028(work, &source, fan, buf);
-                });
+                let record =
+                    pool.write(|buf| saturated = bottom::snippets_7028(work, &source, fan, buf));
                 Some((record, saturated))
             }
             7058 => {
@@ -379,15 +368,14 @@ impl SevenKEmitter {
                 let array = sheet.sonar().beams.fan.as_ref()?.array;
                 let width_rad = sheet.along_track_width_rad(&view);
                 exact(pool.write(|buf| {
-                    bottom::strengths_7058(work, &source, (fan, array), width_rad, buf);
+                    bottom::strengths_7058(work, &source, (fan, array), width_rad, buf)
                 }))
             }
             7042 => {
                 let fan = output.beams.first()?;
                 let mut saturated = 0;
-                let record = pool.write(|buf| {
-                    saturated = bottom::water_column_7042(work, &source, fan, buf);
-                });
+                let record = pool
+                    .write(|buf| saturated = bottom::water_column_7042(work, &source, fan, buf));
                 Some((record, saturated))
             }
             7057 => {
@@ -407,9 +395,11 @@ impl SevenKEmitter {
                     ping_number: plan.ping_number,
                     ..Rth7057::default()
                 };
-                exact(pool.write(|buf| {
-                    emit_7057(buf, &ping_stamp, &rth, side(port), side(starboard));
-                }))
+                exact(
+                    pool.write(|buf| {
+                        emit_7057(buf, &ping_stamp, &rth, side(port), side(starboard))
+                    }),
+                )
             }
             10_038 => {
                 let &array = sheet.wire_arrays().first()?;
@@ -429,9 +419,7 @@ impl SevenKEmitter {
                     full_scale: sheet.full_scale_v() as f32,
                     ..Rth10038::default()
                 };
-                exact(pool.write(|buf| {
-                    emit_10038(buf, &ping_stamp, &rth, &self.single);
-                }))
+                exact(pool.write(|buf| emit_10038(buf, &ping_stamp, &rth, &self.single)))
             }
             7007 => self.side_scan(
                 place,
@@ -451,9 +439,7 @@ impl SevenKEmitter {
                     beams: fan.beams as u16,
                     samples: (before + fan.samples) as u32,
                 };
-                let record = pool.write(|buf| {
-                    emit_7018(buf, &ping_stamp, &rth, &self.beams);
-                });
+                let record = pool.write(|buf| emit_7018(buf, &ping_stamp, &rth, &self.beams));
                 Some((record, saturated))
             }
             7038 => {
@@ -497,42 +483,30 @@ impl SevenKEmitter {
             }
             7610 => {
                 let sound = records::sound_velocity_7610(plan.sound_speed_m_per_s);
-                exact(pool.write(|buf| {
-                    sound.emit(buf, &ping_stamp);
-                }))
+                exact(pool.write(|buf| sound.emit(buf, &ping_stamp)))
             }
             1003 => {
                 let position = records::position_1003(&plan.nav);
-                exact(pool.write(|buf| {
-                    position.emit(buf, &nav_stamp);
-                }))
+                exact(pool.write(|buf| position.emit(buf, &nav_stamp)))
             }
             // Sensor records have no validity flag: they are omitted if the sensor's values are invalid.
             1012 if plan.nav.invalid.roll_pitch || plan.nav.invalid.vertical => None,
             1013 if plan.nav.invalid.heading => None,
             1012 => {
                 let attitude = records::roll_pitch_heave_1012(&plan.nav);
-                exact(pool.write(|buf| {
-                    attitude.emit(buf, &nav_stamp);
-                }))
+                exact(pool.write(|buf| attitude.emit(buf, &nav_stamp)))
             }
             1013 => {
                 let heading = records::heading_1013(&plan.nav);
-                exact(pool.write(|buf| {
-                    heading.emit(buf, &nav_stamp);
-                }))
+                exact(pool.write(|buf| heading.emit(buf, &nav_stamp)))
             }
             1015 => {
                 let navigation = records::navigation_1015(&plan.nav);
-                exact(pool.write(|buf| {
-                    navigation.emit(buf, &nav_stamp);
-                }))
+                exact(pool.write(|buf| navigation.emit(buf, &nav_stamp)))
             }
             1016 => {
                 let sets = [records::attitude_1016(&plan.nav)];
-                exact(pool.write(|buf| {
-                    emit_1016(buf, &nav_stamp, &sets);
-                }))
+                exact(pool.write(|buf| emit_1016(buf, &nav_stamp, &sets)))
             }
             other => unreachable!("{other} is not a ping record"),
         }

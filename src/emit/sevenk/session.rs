@@ -214,11 +214,11 @@ impl Client {
             Ok(answer) => {
                 let stamp = context.sheet.stamp(context.now);
                 out.push(Outgoing::Reply(datagram(ACK, |buf| {
-                    header.ack().emit(buf, &stamp);
+                    header.ack().emit(buf, &stamp)
                 })));
                 out.extend(answer);
                 out.push(Outgoing::Echo(datagram(REMOTE_CONTROL, |buf| {
-                    request.emit(buf, &stamp);
+                    request.emit(buf, &stamp)
                 })));
             }
         }
@@ -385,7 +385,7 @@ impl Client {
         self.counts.nacks += 1;
         let stamp = context.sheet.stamp(context.now);
         out.push(Outgoing::Reply(datagram(NACK, |buf| {
-            header.nack(code).emit(buf, &stamp);
+            header.nack(code).emit(buf, &stamp)
         })));
     }
 }
@@ -457,7 +457,7 @@ fn command_header(record: &[u8]) -> Option<ControlHeader> {
     }
 }
 
-fn datagram(record_type: u32, fill: impl FnOnce(&mut Vec<u8>)) -> Datagram {
+fn datagram<R>(record_type: u32, fill: impl FnOnce(&mut Vec<u8>) -> R) -> Datagram {
     let mut bytes = Vec::new();
     fill(&mut bytes);
     Datagram { record_type, bytes }

@@ -237,9 +237,7 @@ impl WbmsEmitter {
             gate_tilt_rad: 0.0,
         };
         let detections = &self.detections;
-        self.pools[0].write(|buf| {
-            emit_bathymetry(buf, &head, detections);
-        })
+        self.pools[0].write(|buf| emit_bathymetry(buf, &head, detections))
     }
 
     /// Header fields common to types 2, 4 and 5.
@@ -322,9 +320,7 @@ impl WbmsEmitter {
         }
         let head = self.head(plan, 0);
         let samples = &self.samples;
-        self.pools[2].write(|buf| {
-            emit_backscatter(buf, &head, samples, Tail::SideScan);
-        })
+        self.pools[2].write(|buf| emit_backscatter(buf, &head, samples, Tail::SideScan))
     }
 
     /// Packet type 4: an equal number of samples around every detection.
@@ -368,9 +364,7 @@ impl WbmsEmitter {
             detection_samples: &self.centres,
         };
         let samples = &self.samples;
-        self.pools[2].write(|buf| {
-            emit_backscatter(buf, &head, samples, tail);
-        })
+        self.pools[2].write(|buf| emit_backscatter(buf, &head, samples, tail))
     }
 }
 

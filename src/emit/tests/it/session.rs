@@ -534,18 +534,6 @@ fn a_single_record_request_is_served_once_and_refused_while_the_sonar_is_idle() 
 }
 
 #[test]
-fn the_64_of_mbaris_client_is_read_like_the_60_of_the_format() {
-    let mut rig = Rig::tcp();
-    let mut record = command_record(Command::Range { range_m: 44.0 }, 9, 7125, 0);
-    record[2] = 64;
-    let end = record.len() - 4;
-    let sum = echotank_protocols::sevenk::checksum(&record[..end]);
-    record[end..].copy_from_slice(&sum.to_le_bytes());
-    assert_eq!(answer(&rig.send(&packet(&record)), 9), Ok(()));
-    assert_eq!(rig.store.snapshot().0.range_m, 44.0);
-}
-
-#[test]
 fn a_wrong_checksum_is_refused_with_the_ticket_and_the_next_command_obeyed() {
     for session in [Session::stream(), Session::datagrams()] {
         let mut rig = Rig::over(session);
@@ -581,35 +569,6 @@ fn a_wrong_checksum_of_something_else_is_only_counted() {
     let counts = rig.session.counts();
     assert_eq!((counts.framing_errors, counts.other_records), (1, 1));
     assert_eq!(counts.commands, 0);
-}
-
-#[test]
-fn frames_that_are_wrong_are_counted_and_the_command_behind_them_found() {
-    let good = command(Command::Range { range_m: 70.0 }, 1);
-    let spoiled = |at: usize, value: u8| {
-        let mut bytes = command(Command::Gain { gain_db: 1.0 }, 2);
-        bytes[at] = value;
-        bytes
-    };
-    for (name, rubbish) in [
-        ("network version", spoiled(0, 9)),
-        ("network offset", spoiled(2, 35)),
-        ("oversized", spoiled(19, 0x7F)),
-        ("packet size", spoiled(12, 1)),
-        ("sync pattern", spoiled(36 + 4, 0xFE)),
-        ("data version", spoiled(36, 4)),
-        ("record size", spoiled(36 + 8, 3)),
-        ("not 7k", b"GET / HTTP/1.1\r\n\r\n".to_vec()),
-    ] {
-        let mut rig = Rig::tcp();
-        let mut bytes = rubbish;
-        bytes.extend_from_slice(&good);
-        let out = rig.send(&bytes);
-        assert_eq!(answer(&out, 1), Ok(()), "{name}");
-        assert!(rig.session.counts().framing_errors >= 1, "{name}");
-        assert_eq!(rig.store.snapshot().0.range_m, 70.0, "{name}");
-        assert_eq!(rig.store.version(), 1, "{name}: only the good one");
-    }
 }
 
 #[test]
