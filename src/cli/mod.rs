@@ -19,10 +19,11 @@ pub(crate) mod score;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand};
 
 use self::logging::LogFormat;
-use echotank_config::spec::RigSpec;
+use echotank_config::spec::{RigSpec, Words};
 
 /// Feed a real sonar topside, DSP or acquisition board as though it were in the water.
 ///
@@ -83,6 +84,12 @@ pub(crate) struct ConfigArgs {
     /// Change a value before checking, e.g. --set 'sonar.model.synthesis="reference"' (every [[sonar]]) or --set sonar.0.ping.range_m=75
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub(crate) set: Vec<String>,
+}
+
+/// Reads one of the words that a configuration has for a choice.
+pub(crate) fn choice<T: Words + Send + Sync>() -> impl TypedValueParser<Value = T> {
+    PossibleValuesParser::new(T::WORDS.iter().map(|(_, word)| *word))
+        .map(|word| T::from_word(&word).expect("one of the words"))
 }
 
 pub(crate) fn main() -> ExitCode {

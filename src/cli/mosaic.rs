@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use glam::DVec3;
 
-use super::Failure;
+use super::{Failure, choice};
 use echotank_config::spec::{ColourMap, Contrast, Overlap};
 use echotank_core::geodesy::LocalTangentPlane;
 use echotank_imaging::image::line::first_return_m;
@@ -55,29 +55,14 @@ pub(crate) struct MosaicArgs {
     #[arg(long, value_name = "METRES")]
     pub(crate) altitude: Option<f64>,
     /// How a pixel combines several passes
-    #[arg(long, value_enum, default_value = "nearest")]
-    pub(crate) overlap: OverlapArg,
+    #[arg(long, value_parser = choice::<Overlap>(), default_value = "nearest")]
+    pub(crate) overlap: Overlap,
     /// Colours of the PNG
-    #[arg(long, value_enum, default_value = "copper")]
-    pub(crate) colours: ColoursArg,
+    #[arg(long, value_parser = choice::<ColourMap>(), default_value = "copper")]
+    pub(crate) colours: ColourMap,
     /// Percentiles of the pixels shown darkest and brightest, e.g. 2,99.8
     #[arg(long, value_name = "LOW,HIGH", value_parser = percentiles, default_value = "2,99.8")]
     pub(crate) percentiles: (f64, f64),
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum OverlapArg {
-    Nearest,
-    Mean,
-    Last,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum ColoursArg {
-    Copper,
-    Grey,
-    Blue,
-    Rainbow,
 }
 
 fn percentiles(text: &str) -> Result<(f64, f64), String> {
@@ -159,11 +144,7 @@ pub(crate) fn main(args: &MosaicArgs) -> Result<(), Failure> {
         .fold(0.0, f64::max);
     let spec = MosaicSpec {
         metres_per_pixel: args.pixel,
-        overlap: match args.overlap {
-            OverlapArg::Nearest => Overlap::Nearest,
-            OverlapArg::Mean => Overlap::Mean,
-            OverlapArg::Last => Overlap::Last,
-        },
+        overlap: args.overlap,
         range_m: args.range.unwrap_or(longest_m),
         nadir_rad: args.nadir.to_radians(),
         layback_m: args.layback,
@@ -183,15 +164,9 @@ pub(crate) fn main(args: &MosaicArgs) -> Result<(), Failure> {
         low: low / 100.0,
         high: high / 100.0,
     };
-    let colours = match args.colours {
-        ColoursArg::Copper => ColourMap::Copper,
-        ColoursArg::Grey => ColourMap::Grey,
-        ColoursArg::Blue => ColourMap::Blue,
-        ColoursArg::Rainbow => ColourMap::Rainbow,
-    };
     let png = args.out.with_extension("png");
     let written =
-        write_mosaic(&args.out, &png, &mosaic, colours, contrast).map_err(Failure::running)?;
+        write_mosaic(&args.out, &png, &mosaic, args.colours, contrast).map_err(Failure::running)?;
     if !written {
         return Err(Failure::Running(format!(
             "{}: no samples beyond the nadir limit and the first return; the mosaic would be empty",

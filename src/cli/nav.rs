@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use super::Failure;
+use super::{Failure, choice};
 use echotank_config::spec::{
     ChecksumPolicy, NavDialect, NavFormat, NavInputSpec, NavSourceSpec, Reversed, SensorMounting,
     TimePolicy,
@@ -39,11 +39,11 @@ pub(crate) struct NavArgs {
     #[arg(long)]
     pub(crate) json: bool,
     /// Format, if the file does not identify it
-    #[arg(long, value_enum, default_value = "nmea")]
-    pub(crate) format: Format,
+    #[arg(long, value_parser = choice::<NavFormat>(), default_value = "nmea")]
+    pub(crate) format: NavFormat,
     /// Treatment of checksums
-    #[arg(long, value_enum, default_value = "require")]
-    pub(crate) checksum: Checksum,
+    #[arg(long, value_parser = choice::<ChecksumPolicy>(), default_value = "require")]
+    pub(crate) checksum: ChecksumPolicy,
     /// Sentences whose checksum is ignored, e.g. PTNTHPR or HDT
     #[arg(long, value_name = "NAME")]
     pub(crate) ignore_checksum_for: Vec<String>,
@@ -68,22 +68,6 @@ pub(crate) struct NavArgs {
     /// Sentences per second, if neither lines nor messages carry a time
     #[arg(long, default_value_t = 10.0)]
     pub(crate) plain_rate_hz: f64,
-}
-
-#[derive(ValueEnum, Clone, Copy, Debug)]
-pub(crate) enum Format {
-    Nmea,
-    Tss1,
-    Em3000,
-    Seapath26,
-    Kmb,
-}
-
-#[derive(ValueEnum, Clone, Copy, Debug)]
-pub(crate) enum Checksum {
-    Require,
-    AcceptMissing,
-    Ignore,
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug)]
@@ -146,21 +130,11 @@ fn spec(args: &NavArgs) -> NavSourceSpec {
                 latency_s: args.latency_ms / 1000.0,
             },
         },
-        checksum: match args.checksum {
-            Checksum::Require => ChecksumPolicy::Require,
-            Checksum::AcceptMissing => ChecksumPolicy::AcceptMissing,
-            Checksum::Ignore => ChecksumPolicy::Ignore,
-        },
+        checksum: args.checksum,
         lever_arm_m: DVec3::ZERO,
         mounting: SensorMounting::default(),
         dialect: NavDialect {
-            format: match args.format {
-                Format::Nmea => NavFormat::Nmea,
-                Format::Tss1 => NavFormat::Tss1,
-                Format::Em3000 => NavFormat::Em3000,
-                Format::Seapath26 => NavFormat::Seapath26,
-                Format::Kmb => NavFormat::Kmb,
-            },
+            format: args.format,
             ignore_checksum_for: args.ignore_checksum_for.clone(),
             pashr_heave_up: args.pashr_heave_up,
             depth_is_own: args.own_depth,

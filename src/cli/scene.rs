@@ -9,8 +9,8 @@ use clap::{Args, Subcommand, ValueEnum};
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use super::Failure;
-use echotank_config::spec::{CrsSpec, FirstRow, HeightSign, SeabedFileSpec, SeabedFormat};
+use super::{Failure, choice};
+use echotank_config::spec::{CrsSpec, FirstRow, HeightSign, SeabedFileSpec, SeabedFormat, Words};
 use echotank_runtime::io::files::FileSystem;
 use echotank_scene::read::mesh::{self, MeshAxes};
 use echotank_scene::read::relief;
@@ -54,17 +54,17 @@ pub(crate) struct InfoArgs {
     #[arg(long, value_name = "Y,X", value_parser = parse_place, allow_hyphen_values = true)]
     pub(crate) at: Vec<(f64, f64)>,
     /// File format [default: detected]
-    #[arg(long, value_enum)]
-    pub(crate) format: Option<Format>,
+    #[arg(long, value_parser = choice::<SeabedFormat>())]
+    pub(crate) format: Option<SeabedFormat>,
     /// Coordinate system [default: from the file]: local, geographic, projected, utm-31n, EPSG:32631
     #[arg(long)]
     pub(crate) crs: Option<CrsSpec>,
     /// Sign of heights [default: from the file]
-    #[arg(long, value_enum)]
-    pub(crate) values: Option<Values>,
+    #[arg(long, value_parser = choice::<HeightSign>())]
+    pub(crate) values: Option<HeightSign>,
     /// Position of a grid's first row [default: from the file]
-    #[arg(long, value_enum)]
-    pub(crate) first_row: Option<Row>,
+    #[arg(long, value_parser = choice::<FirstRow>())]
+    pub(crate) first_row: Option<FirstRow>,
     /// Value that marks holes, in addition to the file's own
     #[arg(long, value_name = "VALUE", allow_hyphen_values = true)]
     pub(crate) nodata: Option<f64>,
@@ -77,28 +77,6 @@ pub(crate) struct InfoArgs {
     /// Models: directions of x, y and z
     #[arg(long, value_enum, default_value = "east-north-up")]
     pub(crate) axes: Axes,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum Format {
-    EsriAscii,
-    Geotiff,
-    Bag,
-    Xyz,
-    Las,
-    Ply,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum Values {
-    Elevation,
-    Depth,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum Row {
-    North,
-    South,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -128,23 +106,10 @@ impl InfoArgs {
     fn asked(&self) -> SeabedFileSpec {
         SeabedFileSpec {
             path: self.file.clone(),
-            format: self.format.map(|f| match f {
-                Format::EsriAscii => SeabedFormat::EsriAscii,
-                Format::Geotiff => SeabedFormat::GeoTiff,
-                Format::Bag => SeabedFormat::Bag,
-                Format::Xyz => SeabedFormat::Xyz,
-                Format::Las => SeabedFormat::Las,
-                Format::Ply => SeabedFormat::Ply,
-            }),
+            format: self.format,
             crs: self.crs,
-            values: self.values.map(|v| match v {
-                Values::Elevation => HeightSign::Elevation,
-                Values::Depth => HeightSign::Depth,
-            }),
-            first_row: self.first_row.map(|r| match r {
-                Row::North => FirstRow::North,
-                Row::South => FirstRow::South,
-            }),
+            values: self.values,
+            first_row: self.first_row,
             nodata: self.nodata,
             cell_m: self.cell_m,
             max_edge_m: self.max_edge_m,
@@ -242,10 +207,7 @@ fn as_text(file: &Path, survey: &Survey, at: &[(f64, f64)]) -> String {
                     short(*x_step)
                 ),
             ));
-            let row = match first_row {
-                FirstRow::North => "north",
-                FirstRow::South => "south",
-            };
+            let row = first_row.word();
             lines.push(("first row", format!("{row}  [{first_row_source}]")));
             let given = if *from_corners { "corners" } else { "centres" };
             lines.push((
@@ -363,7 +325,7 @@ fn as_json(file: &Path, survey: &Survey, at: &[(f64, f64)]) -> Value {
             "columns": cols,
             "x_step": x_step,
             "y_step": y_step,
-            "first_row": match first_row { FirstRow::North => "north", FirstRow::South => "south" },
+            "first_row": first_row.word(),
             "first_row_source": first_row_source.to_string(),
             "given_by": if *from_corners { "corners" } else { "centres" },
         }),
@@ -410,7 +372,7 @@ fn as_json(file: &Path, survey: &Survey, at: &[(f64, f64)]) -> Value {
         "bytes": survey.bytes,
         "system": survey.crs.to_string(),
         "system_source": survey.crs_source.to_string(),
-        "heights": match survey.sign { HeightSign::Elevation => "elevation", HeightSign::Depth => "depth" },
+        "heights": survey.sign.word(),
         "heights_source": survey.sign_source.to_string(),
         "layout": layout,
         "covers": { "west": survey.covers[0], "south": survey.covers[1], "east": survey.covers[2], "north": survey.covers[3] },

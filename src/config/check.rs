@@ -90,10 +90,8 @@ fn unique_names<'t>(
             let name = field.text()?;
             if let Some(other) = seen.insert(name, &field.path) {
                 let other = other.trim_end_matches(".name");
-                problems.refuse(
-                    field,
-                    format!("must be a name of its own; {other} has it too"),
-                );
+                let rule = format!("must be a name of its own; {other} has it too");
+                problems.refuse(field, rule);
             }
             Some(name)
         })
@@ -120,10 +118,8 @@ fn index_of(
 fn address(key: &Field<String>, problems: &mut Problems) -> Option<SocketAddr> {
     let parsed = key.text()?.parse();
     if parsed.is_err() {
-        problems.refuse(
-            key,
-            "must be an address and a port, such as \"127.0.0.1:7000\"",
-        );
+        let rule = "must be an address and a port, such as \"127.0.0.1:7000\"";
+        problems.refuse(key, rule);
     }
     parsed.ok()
 }
@@ -172,13 +168,11 @@ fn refuse_port_clashes(listeners: &[Listener<'_>], problems: &mut Problems) {
                 && !(one.multicast && other.multicast)
         });
         if let Some(other) = clash {
-            problems.refuse(
-                one.entry,
-                format!(
-                    "{} port taken already by {}",
-                    one.protocol, other.entry.path
-                ),
+            let rule = format!(
+                "{} port taken already by {}",
+                one.protocol, other.entry.path
             );
+            problems.refuse(one.entry, rule);
         }
     }
 }
@@ -549,22 +543,16 @@ fn refuse_unfit_track(
     };
     let (is_csv, is_depth) = (kind == "csv", vertical == VerticalSpec::Depth);
     if is_csv && !is_depth {
-        problems.refuse(
-            &table.vertical,
-            "must be \"depth\" where the position comes from a CSV track",
-        );
+        let rule = "must be \"depth\" where the position comes from a CSV track";
+        problems.refuse(&table.vertical, rule);
     }
     if is_depth && !is_csv && self::owner(tables, "depth").is_none() {
-        problems.refuse(
-            &table.vertical,
-            "needs a position from a CSV track, or a source that provides \"depth\"",
-        );
+        let rule = "needs a position from a CSV track, or a source that provides \"depth\"";
+        problems.refuse(&table.vertical, rule);
     }
     if is_csv && table.origin.text().is_some() {
-        problems.refuse(
-            &table.origin,
-            "a CSV track has no latitude: must be { latitude_deg, longitude_deg }",
-        );
+        let rule = "a CSV track has no latitude: must be { latitude_deg, longitude_deg }";
+        problems.refuse(&table.origin, rule);
     }
 }
 
@@ -649,19 +637,15 @@ fn nav_input<'t>(
             let multicast = table.multicast.text().map(|text| {
                 let group = text.parse().ok().filter(Ipv4Addr::is_multicast);
                 if group.is_none() {
-                    problems.refuse(
-                        &table.multicast,
-                        "must be an IPv4 multicast group, 224.0.0.0 to 239.255.255.255",
-                    );
+                    let rule = "must be an IPv4 multicast group, 224.0.0.0 to 239.255.255.255";
+                    problems.refuse(&table.multicast, rule);
                 }
                 group
             });
             let listen = address(&table.listen, problems)?;
             if multicast.is_some() && !matches!(listen.ip(), IpAddr::V4(_)) {
-                problems.refuse(
-                    &table.listen,
-                    "must be an IPv4 address where there is a multicast group",
-                );
+                let rule = "must be an IPv4 address where there is a multicast group";
+                problems.refuse(&table.listen, rule);
             }
             listeners.push(Listener {
                 entry: &table.listen,

@@ -100,96 +100,65 @@ fn value(out: &mut String, key: &Key, commented_out: bool) {
 /// JSON Schema (draft 2020-12) of a configuration. It does not cover rules between keys.
 pub fn schema() -> String {
     let mut root = table_schema(&Rig::TABLE);
-    root.insert(
-        "$schema".to_owned(),
-        json!("https://json-schema.org/draft/2020-12/schema"),
-    );
-    root.insert("title".to_owned(), json!("echotank configuration"));
-    serde_json::to_string_pretty(&Value::Object(root)).expect("text and finite numbers")
+    root["$schema"] = json!("https://json-schema.org/draft/2020-12/schema");
+    root["title"] = json!("echotank configuration");
+    serde_json::to_string_pretty(&root).expect("text and finite numbers")
 }
 
-fn table_schema(declared: &Table) -> Map<String, Value> {
+fn table_schema(declared: &Table) -> Value {
     let mut properties = Map::new();
     let mut required = Vec::new();
     for key in declared.keys {
         let mut schema = kind_schema(&key.kind);
         if !key.doc.is_empty() {
-            schema.insert("description".to_owned(), json!(key.doc.trim()));
+            schema["description"] = json!(key.doc.trim());
         }
         match key.presence {
             Presence::Required(_) => required.push(key.name),
             Presence::Default(text) | Presence::Set(text, _) => {
-                schema.insert("default".to_owned(), default_value(text));
+                schema["default"] = default_value(text);
             }
             _ => {}
         }
-        properties.insert(key.name.to_owned(), Value::Object(schema));
+        properties.insert(key.name.to_owned(), schema);
     }
-    object(json!({
+    json!({
         "type": "object",
         "description": declared.doc.trim(),
         "properties": properties,
         "required": required,
         "additionalProperties": false,
-    }))
+    })
 }
 
-fn kind_schema(kind: &Kind) -> Map<String, Value> {
-    let array_of = |count: usize, items: Value| {
-        object(json!({ "type": "array", "items": items, "minItems": count, "maxItems": count }))
-    };
+fn kind_schema(kind: &Kind) -> Value {
+    let array_of = |count: usize, items: Value| json!({ "type": "array", "items": items, "minItems": count, "maxItems": count });
+    let some_of = |items: Value| json!({ "type": "array", "minItems": 1, "items": items });
     match kind {
-        Kind::Bool => object(json!({ "type": "boolean" })),
+        Kind::Bool => json!({ "type": "boolean" }),
         Kind::Number(range, _) => range_schema(range),
-        Kind::Integer(min, max, _) => {
-            object(json!({ "type": "integer", "minimum": min, "maximum": max }))
-        }
-        Kind::Name => object(json!({ "type": "string", "pattern": "^[A-Za-z0-9_-]{1,32}$" })),
-        Kind::Text | Kind::File | Kind::Folder => {
-            object(json!({ "type": "string", "minLength": 1 }))
-        }
-        Kind::Choice(built, _) => object(json!({ "enum": built })),
-        Kind::Numbers(count, range, _) => array_of(*count, Value::Object(range_schema(range))),
-        Kind::Rows => object(json!({
-            "type": "array",
-            "minItems": 1,
-            "items": array_of(2, json!({ "type": "number" })),
-        })),
-        Kind::Names => object(json!({
-            "type": "array",
-            "minItems": 1,
-            "items": kind_schema(&Kind::Name),
-        })),
-        Kind::Choices(built) => object(json!({
-            "type": "array",
-            "minItems": 1,
-            "items": { "enum": built },
-        })),
+        Kind::Integer(min, max, _) => json!({ "type": "integer", "minimum": min, "maximum": max }),
+        Kind::Name => json!({ "type": "string", "pattern": "^[A-Za-z0-9_-]{1,32}$" }),
+        Kind::Text | Kind::File | Kind::Folder => json!({ "type": "string", "minLength": 1 }),
+        Kind::Choice(built, _) => json!({ "enum": built }),
+        Kind::Numbers(count, range, _) => array_of(*count, range_schema(range)),
+        Kind::Rows => some_of(array_of(2, json!({ "type": "number" }))),
+        Kind::Names => some_of(kind_schema(&Kind::Name)),
+        Kind::Choices(built) => some_of(json!({ "enum": built })),
         Kind::Table(inner) => table_schema(inner),
-        Kind::Tables(inner) => object(json!({
-            "type": "array",
-            "minItems": 1,
-            "items": table_schema(inner),
-        })),
+        Kind::Tables(inner) => some_of(table_schema(inner)),
         Kind::Either(first, second) => {
-            object(json!({ "anyOf": [kind_schema(first), kind_schema(second)] }))
+            json!({ "anyOf": [kind_schema(first), kind_schema(second)] })
         }
     }
 }
 
-fn range_schema(range: &Range) -> Map<String, Value> {
+fn range_schema(range: &Range) -> Value {
     let least = match range.min_included {
         true => "minimum",
         false => "exclusiveMinimum",
     };
-    object(json!({ "type": "number", least: range.min, "maximum": range.max }))
-}
-
-fn object(value: Value) -> Map<String, Value> {
-    match value {
-        Value::Object(map) => map,
-        _ => Map::new(),
-    }
+    json!({ "type": "number", least: range.min, "maximum": range.max })
 }
 
 /// The default's TOML text as JSON.

@@ -596,10 +596,8 @@ impl Walk<'_> {
                     if built.contains(&text.as_ref()) {
                         Some(RawValue::Text(text.to_string()))
                     } else if later.contains(&text.as_ref()) {
-                        problems.refuse(
-                            entry,
-                            format!("known, not yet built; must be {}", rule(kind)),
-                        );
+                        let rule = format!("known, not yet built; must be {}", rule(kind));
+                        problems.refuse(entry, rule);
                         return None;
                     } else {
                         let must = format!("must be {}", rule(kind));

@@ -24,11 +24,10 @@ use glam::DVec3;
 
 use echotank_core::arrays::{ArrayGeometry, Receiver, TransmitArray};
 use echotank_core::model::ModelChoice;
+use echotank_core::navigation::NavQuantity;
 use echotank_core::ping::Side;
 use echotank_core::pulse::Pulse;
 use echotank_core::settings::SonarSettings;
-
-use words::Words;
 
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
 pub use methods::AutoModel;
@@ -38,6 +37,7 @@ pub use samples::{ElementStreamSpec, SigmfSpec, Vita49Spec, WavSpec};
 pub use trigger::{
     EarlyTrigger, ModemLine, OutLine, TriggerFrom, TriggerLineSpec, TriggerOutSpec, TriggerSpec,
 };
+pub use words::Words;
 
 /// One rig, as a configuration file describes it.
 #[derive(Clone, Debug)]
@@ -537,6 +537,18 @@ pub enum NavChannel {
 }
 
 impl NavChannel {
+    /// The channel of a measured quantity.
+    pub fn of(quantity: &NavQuantity) -> Self {
+        match quantity {
+            NavQuantity::Position { .. } | NavQuantity::LocalPosition { .. } => Self::Position,
+            NavQuantity::CourseSpeed { .. } => Self::CourseSpeed,
+            NavQuantity::Heading { .. } => Self::Heading,
+            NavQuantity::RollPitch { .. } => Self::RollPitch,
+            NavQuantity::Heave { .. } => Self::Heave,
+            NavQuantity::Depth { .. } => Self::Depth,
+        }
+    }
+
     /// As `provides` has it.
     pub fn name(self) -> &'static str {
         self.word()

@@ -15,7 +15,6 @@ use super::spec::*;
 use echotank_core::arrays::{ArrayGeometry, Pattern, Receiver, ReceiverFilter, TimeVaryingGain};
 use echotank_core::frames::rotation_from_angles;
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
-use echotank_core::ping::Side;
 use echotank_core::pulse::PulseKind;
 
 /// Tilt of the platform in the sign test.
@@ -390,10 +389,7 @@ fn write_signs(out: &mut String, sonar: &SonarSpec) -> fmt::Result {
 
 fn write_beams(out: &mut String, sonar: &SonarSpec) -> fmt::Result {
     for line_spec in &sonar.beams.lines {
-        let side = match line_spec.side {
-            Side::Port => "port",
-            Side::Starboard => "starboard",
-        };
+        let side = line_spec.side.word();
         let name = &sonar.receive_names[line_spec.array];
         line(out, "  line", &format!("{side} from {name}"))?;
     }

@@ -31,9 +31,7 @@ pub(super) fn note_element_needs(
     if let (MadeOutput::Beams, Some(why)) = (sonar.synthesis.output, sonar.synthesis.elements_for)
         && let Some(model) = table.model.as_ref()
     {
-        problems.refuse(
-            &model.output,
-            format!("must be \"elements\" or \"auto\": {why}"),
-        );
+        let rule = format!("must be \"elements\" or \"auto\": {why}");
+        problems.refuse(&model.output, rule);
     }
 }

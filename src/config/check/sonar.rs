@@ -118,17 +118,13 @@ pub(crate) fn sonar<'t>(
         one_by_one.contains(&m.synthesis)
     });
     if !more_pulses.is_empty() && !sums_pulses {
-        problems.refuse(
-            &table.more_pulse,
-            "needs synthesis = \"direct\", \"gridded-1d\" or \"reference\"",
-        );
+        let rule = "needs synthesis = \"direct\", \"gridded-1d\" or \"reference\"";
+        problems.refuse(&table.more_pulse, rule);
     }
     if model.is_some_and(|m| m.synthesis == Synthesis::Gridded2d) {
         for t in receive_tables.iter().filter(|t| t.elements.to() == Some(1)) {
-            problems.refuse(
-                &t.elements,
-                "must be at least 2 with synthesis = \"gridded-2d\", which wants lines",
-            );
+            let rule = "must be at least 2 with synthesis = \"gridded-2d\", which wants lines";
+            problems.refuse(&t.elements, rule);
         }
     }
     let beams = table
@@ -510,15 +506,13 @@ fn refuse_slow_sampling(
     if rate_hz < min_hz {
         // Rounded up, so that the number in the message is sufficient.
         let min_khz = (min_hz / 10.0).ceil() / 100.0;
-        problems.refuse(
-            &table.sample_rate_khz,
-            format!(
-                "must be at least {min_khz}: 1.25 (max(B, 4/T) + 2 f_d) with B = {} kHz, T = {} ms (the shortest allowed) and f_d = {:.2} kHz at {MAX_PLATFORM_SPEED_M_PER_S} m/s",
-                pulse.bandwidth_hz / 1e3,
-                shortest_s * 1e3,
-                max_doppler_hz(pulse, c) / 1e3,
-            ),
+        let rule = format!(
+            "must be at least {min_khz}: 1.25 (max(B, 4/T) + 2 f_d) with B = {} kHz, T = {} ms (the shortest allowed) and f_d = {:.2} kHz at {MAX_PLATFORM_SPEED_M_PER_S} m/s",
+            pulse.bandwidth_hz / 1e3,
+            shortest_s * 1e3,
+            max_doppler_hz(pulse, c) / 1e3,
         );
+        problems.refuse(&table.sample_rate_khz, rule);
     }
 }
 
@@ -539,13 +533,11 @@ fn refuse_bands_beyond_sampling(
     };
     let min_hz = OVERSAMPLING * more.iter().flatten().map(reach_hz).fold(0.0, f64::max);
     if rate_hz < min_hz {
-        problems.refuse(
-            &sonar.more_pulse,
-            format!(
-                "needs receiver.sample_rate_khz of at least {}: all pulses are sampled about the first one's centre",
-                (min_hz / 10.0).ceil() / 100.0
-            ),
+        let rule = format!(
+            "needs receiver.sample_rate_khz of at least {}: all pulses are sampled about the first one's centre",
+            (min_hz / 10.0).ceil() / 100.0
         );
+        problems.refuse(&sonar.more_pulse, rule);
     }
 }
 
@@ -577,14 +569,12 @@ fn refuse_huge_ping(
     let elements: usize = arrays.specs.iter().flatten().map(|a| a.elements).sum();
     let bytes = elements as f64 * samples * BYTES_PER_COMPLEX_F64;
     if bytes > MAX_PING_BYTES {
-        problems.refuse(
-            &table.receive,
-            format!(
-                "{elements} elements of {samples} samples are {:.1} GiB in one ping; at most {} GiB",
-                bytes / (1u64 << 30) as f64,
-                MAX_PING_BYTES / (1u64 << 30) as f64,
-            ),
+        let rule = format!(
+            "{elements} elements of {samples} samples are {:.1} GiB in one ping; at most {} GiB",
+            bytes / (1u64 << 30) as f64,
+            MAX_PING_BYTES / (1u64 << 30) as f64,
         );
+        problems.refuse(&table.receive, rule);
     }
 }
 

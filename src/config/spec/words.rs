@@ -3,14 +3,17 @@
 use super::*;
 
 /// A choice without parameters.
-pub(crate) trait Words: Copy + PartialEq + 'static {
+pub trait Words: Copy + PartialEq + 'static {
+    /// Every choice with its word.
     const WORDS: &'static [(Self, &'static str)];
 
+    /// The word of the choice.
     fn word(self) -> &'static str {
         let own = Self::WORDS.iter().find(|(choice, _)| *choice == self);
         own.expect("every choice has its word").1
     }
 
+    /// The choice that has this word.
     fn from_word(word: &str) -> Option<Self> {
         let found = Self::WORDS.iter().find(|(_, own)| *own == word);
         found.map(|(choice, _)| *choice)
@@ -29,7 +32,7 @@ words! {
     AnchorSpec: Origin = "origin", FirstFix = "first-fix", File = "file";
     BeamSpacing: EquiAngle = "equi-angle", EquiDistant = "equi-distant", EquiSine = "equi-sine";
     ChecksumPolicy: Require = "require", AcceptMissing = "accept-missing", Ignore = "ignore";
-    ColourMap: Grey = "grey", Copper = "copper", Blue = "blue", Rainbow = "rainbow";
+    ColourMap: Copper = "copper", Grey = "grey", Blue = "blue", Rainbow = "rainbow";
     EarlyTrigger: Refuse = "refuse", Queue = "queue";
     FirstRow: North = "north", South = "south";
     Former: Exact = "exact", Fft = "fft", TimeDelay = "conventional", Phase = "phase", DynamicFocus = "dynamic-focus";
@@ -45,7 +48,7 @@ words! {
     OnLost: Skip = "skip", Hold = "hold";
     OutLine: RequestToSend = "rts", DataTerminalReady = "dtr";
     OverloadSpec: Skip = "skip", Degrade = "degrade", Stretch = "stretch";
-    Overlap: Mean = "mean", Last = "last", Nearest = "nearest";
+    Overlap: Nearest = "nearest", Mean = "mean", Last = "last";
     PaperShape: Curves = "paper-curves", Relief = "paper-relief", Lake = "paper-lake";
     PictureRange: Slant = "slant", Ground = "ground", GroundFirstReturn = "ground-first-return";
     PulseSpec: None = "none", Rts = "rts", Dtr = "dtr", Byte = "byte";
