@@ -18,7 +18,7 @@ const WEEK_S: i64 = 604_800;
 pub(crate) fn decode(f: &Fields, dialect: &NavDialect) -> Decoded {
     match (f.text(0), f.text(1)) {
         ("PASHR", "ATT" | "AT2") => pashr_att(f),
-        ("PASHR", "HPR") => pashr_hpr(f),
+        ("PASHR", "HPR") => hpr(Kind::PashrAshtech, f),
         ("PASHR", "POS") => pashr_pos(f),
         ("PASHR", first) if first.starts_with(|c: char| c.is_ascii_alphabetic()) => {
             Err(Unsupported)
@@ -28,7 +28,8 @@ pub(crate) fn decode(f: &Fields, dialect: &NavDialect) -> Decoded {
         // Sentence 10 has units that the instrument sets and the sentence does not state.
         ("PSXN", "10" | "22" | "24") => Ok(Reading::information()),
         ("PSXN", "23") => psxn_23(f),
-        ("PRDID", _) => prdid(f),
+        // Pitch first.
+        ("PRDID", _) => attitude(Kind::Prdid, f, 4, [3, 2, 1]),
         ("PHTRO", _) => phtro(f),
         ("PHLIN", _) => heave_up(Kind::Phlin, f, 3),
         ("PHOCT", _) => phoct(f),
@@ -50,7 +51,7 @@ pub(crate) fn decode(f: &Fields, dialect: &NavDialect) -> Decoded {
         ("PTNL", "VHD") => Ok(Reading::information()),
         ("PTNL", "GGK") => ggk(f),
         ("PTNTHPR", _) => ptnthpr(f),
-        ("PSAT", "HPR") => psat_hpr(f),
+        ("PSAT", "HPR") => hpr(Kind::Psat, f),
         ("PSBGA", _) => psbg(f, 1, None),
         ("PSBGB", _) => psbg(f, 2, Some(12)),
         _ => Err(Unsupported),
@@ -73,24 +74,18 @@ fn pashr(f: &Fields, dialect: &NavDialect) -> Decoded {
 
 /// `ATT,GPS seconds of week,heading,pitch,roll,...`: pitch before roll.
 fn pashr_att(f: &Fields) -> Decoded {
-    let mut r = Reading::new(Kind::PashrAshtech);
-    ensure(f.count >= 6)?;
+    let mut r = attitude(Kind::PashrAshtech, f, 6, [3, 5, 4])?;
     if let Some(seconds) = f.number(2)? {
         ensure((0.0..WEEK_S as f64).contains(&seconds))?;
         r.when = Some(When::GpsOfWeek(seconds_ns(seconds)));
     }
-    r.set_heading(f.number(3)?)?;
-    r.set_roll_pitch(f.number(5)?, f.number(4)?)?;
     Ok(r)
 }
 
 /// `HPR,hhmmss.ss,heading,pitch,roll,...`: pitch before roll.
-fn pashr_hpr(f: &Fields) -> Decoded {
-    let mut r = Reading::new(Kind::PashrAshtech);
-    ensure(f.count >= 6)?;
+fn hpr(kind: Kind, f: &Fields) -> Decoded {
+    let mut r = attitude(kind, f, 6, [3, 5, 4])?;
     r.set_time(f.time_of_day(2)?, None);
-    r.set_heading(f.number(3)?)?;
-    r.set_roll_pitch(f.number(5)?, f.number(4)?)?;
     Ok(r)
 }
 
@@ -132,20 +127,17 @@ fn psxn_20(f: &Fields) -> Decoded {
 
 /// `23,roll,pitch,heading,heave`: heave positive down.
 fn psxn_23(f: &Fields) -> Decoded {
-    let mut r = Reading::new(Kind::Psxn23);
-    ensure(f.count >= 6)?;
-    r.set_heading(f.number(4)?)?;
-    r.set_roll_pitch(f.number(2)?, f.number(3)?)?;
+    let mut r = attitude(Kind::Psxn23, f, 6, [4, 2, 3])?;
     r.set_heave_down(f.number(5)?)?;
     Ok(r)
 }
 
-/// `pitch,roll,heading`: pitch first.
-fn prdid(f: &Fields) -> Decoded {
-    let mut r = Reading::new(Kind::Prdid);
-    ensure(f.count >= 4)?;
-    r.set_heading(f.number(3)?)?;
-    r.set_roll_pitch(f.number(2)?, f.number(1)?)?;
+/// A sentence of at least `count` fields with heading, roll and pitch in these.
+fn attitude(kind: Kind, f: &Fields, count: usize, [heading, roll, pitch]: [usize; 3]) -> Decoded {
+    let mut r = Reading::new(kind);
+    ensure(f.count >= count)?;
+    r.set_heading(f.number(heading)?)?;
+    r.set_roll_pitch(f.number(roll)?, f.number(pitch)?)?;
     Ok(r)
 }
 
@@ -285,16 +277,6 @@ fn ptnthpr(f: &Fields) -> Decoded {
     };
     r.set_heading(normal(1)?)?;
     r.set_roll_pitch(normal(5)?, normal(3)?)?;
-    Ok(r)
-}
-
-/// `HPR,hhmmss.ss,heading,pitch,roll,N/G`.
-fn psat_hpr(f: &Fields) -> Decoded {
-    let mut r = Reading::new(Kind::Psat);
-    ensure(f.count >= 6)?;
-    r.set_time(f.time_of_day(2)?, None);
-    r.set_heading(f.number(3)?)?;
-    r.set_roll_pitch(f.number(5)?, f.number(4)?)?;
     Ok(r)
 }
 

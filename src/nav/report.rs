@@ -197,19 +197,8 @@ fn spread(mut values: Vec<f64>) -> Option<Spread> {
     })
 }
 
-fn channel_of(q: &NavQuantity) -> NavChannel {
-    match q {
-        NavQuantity::Position { .. } | NavQuantity::LocalPosition { .. } => NavChannel::Position,
-        NavQuantity::CourseSpeed { .. } => NavChannel::CourseSpeed,
-        NavQuantity::Heading { .. } => NavChannel::Heading,
-        NavQuantity::RollPitch { .. } => NavChannel::RollPitch,
-        NavQuantity::Heave { .. } => NavChannel::Heave,
-        NavQuantity::Depth { .. } => NavChannel::Depth,
-    }
-}
-
 fn channel_report(channel: NavChannel, samples: &[NavSample]) -> ChannelReport {
-    let of = |s: &&NavSample| channel_of(&s.quantity) == channel;
+    let of = |s: &&NavSample| NavChannel::of(&s.quantity) == channel;
     let mut sorted: Vec<&NavSample> = samples.iter().filter(of).collect();
     let backward = sorted
         .windows(2)

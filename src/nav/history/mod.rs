@@ -362,7 +362,7 @@ impl NavHistory {
 
     /// Inserts a sample into the ring of its channel, or drops and counts it.
     pub fn insert(&mut self, sample: &NavSample) {
-        let channel = channel_of(&sample.quantity);
+        let channel = NavChannel::of(&sample.quantity);
         if let Some(health) = self.health.get_mut(usize::from(sample.source)) {
             health.sample_arrived(sample.arrival_utc);
         }
@@ -624,15 +624,4 @@ impl Sensor {
 
 fn index(channel: NavChannel) -> usize {
     channel as usize
-}
-
-fn channel_of(quantity: &NavQuantity) -> NavChannel {
-    match quantity {
-        NavQuantity::Position { .. } | NavQuantity::LocalPosition { .. } => NavChannel::Position,
-        NavQuantity::CourseSpeed { .. } => NavChannel::CourseSpeed,
-        NavQuantity::Heading { .. } => NavChannel::Heading,
-        NavQuantity::RollPitch { .. } => NavChannel::RollPitch,
-        NavQuantity::Heave { .. } => NavChannel::Heave,
-        NavQuantity::Depth { .. } => NavChannel::Depth,
-    }
 }

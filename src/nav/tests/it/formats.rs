@@ -628,7 +628,7 @@ fn a_known_motion_comes_back_within_half_a_step_of_every_format() {
         for channel in ALL {
             let of: Vec<&NavSample> = samples
                 .iter()
-                .filter(|s| channel_of(&s.quantity) == channel)
+                .filter(|s| NavChannel::of(&s.quantity) == channel)
                 .collect();
             let wanted = f.channels.contains(&channel);
             assert_eq!(
@@ -659,17 +659,6 @@ fn a_known_motion_comes_back_within_half_a_step_of_every_format() {
             "{}: passes north {turns} times",
             f.name
         );
-    }
-}
-
-fn channel_of(q: &NavQuantity) -> NavChannel {
-    match q {
-        NavQuantity::Position { .. } | NavQuantity::LocalPosition { .. } => NavChannel::Position,
-        NavQuantity::CourseSpeed { .. } => NavChannel::CourseSpeed,
-        NavQuantity::Heading { .. } => NavChannel::Heading,
-        NavQuantity::RollPitch { .. } => NavChannel::RollPitch,
-        NavQuantity::Heave { .. } => NavChannel::Heave,
-        NavQuantity::Depth { .. } => NavChannel::Depth,
     }
 }
 
@@ -931,7 +920,7 @@ fn a_sentence_repeated_in_a_burst_is_valid_at_its_arrival() {
     }
     let attitude = samples
         .iter()
-        .filter(|s| channel_of(&s.quantity) == NavChannel::RollPitch);
+        .filter(|s| NavChannel::of(&s.quantity) == NavChannel::RollPitch);
     let borrowed = attitude.filter(|s| s.valid_utc != s.arrival_utc).count();
     assert_eq!(borrowed, 1, "only the very first, before it was known");
     assert_eq!(decoder.counters().undated, 79);
