@@ -450,13 +450,13 @@ fn nav<'t>(
         max_extrapolation_s: table.max_extrapolation_ms.get()?,
         history_s: table.history_s.get()?,
         fallback_heading_from_course: table.heading_from_course.get()?,
-        failover: table.failover_s.given_and_then(|&after_s| {
+        failover: table.failover_s.and_then(|&after_s| {
             let hold_off_s = table.hold_off_s.get()?;
             Some(FailoverSpec {
                 after_s,
                 hold_off_s,
             })
-        })?,
+        }),
         jump_gate: match table.jump_gate.get()? {
             true => Some(JumpGateSpec {
                 max_speed_m_per_s: table.max_speed_m_per_s.get()?,
@@ -467,7 +467,7 @@ fn nav<'t>(
         stale_s: table.stale_s.get()?,
         lost_s: table.lost_s.get()?,
         on_lost: table.on_lost.named()?,
-        tow: table.tow.given_and_then(nav::tow)?,
+        tow: table.tow.and_then(nav::tow),
         outputs: outputs?,
         sources: all(sources).filter(|s| !s.is_empty())?,
     })
