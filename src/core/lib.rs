@@ -16,6 +16,7 @@ pub mod pulse;
 pub mod records;
 pub mod scene;
 pub mod settings;
+pub mod simd;
 #[doc(hidden)]
 pub mod testing;
 pub mod time;

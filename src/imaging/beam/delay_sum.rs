@@ -31,13 +31,14 @@ use num_complex::Complex64;
 use rayon::prelude::*;
 
 use super::RowLimits;
-use super::kernel::{BLOCK, MAX_SAMPLES, STEP, SimdLevel, Sums, Taps, add_rows};
+use super::kernel::{BLOCK, MAX_SAMPLES, STEP, Sums, Taps, add_rows};
 use super::steered::SteeredArray;
 use super::weights::Taper;
 use echotank_config::spec::{FanSpec, Former, Shading};
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
 use echotank_core::pulse::Pulse;
+use echotank_core::simd::{Kind, SimdLevel};
 
 /// Number of interpolated rows per sample.
 pub(crate) const FRACTIONS: usize = 16;
@@ -364,16 +365,14 @@ impl DelaySumFormer {
                         &self.zone_weights[(first_zone + z) * elements..][block..block_end];
                     let row = grid_row(self.margin);
                     let origin = self.margin + from - tile;
+                    let layout = GridLayout { row, origin };
+                    let x_m = &self.x_m[block..block_end];
                     let focus = &worker.focus[z * sines.len()..];
                     let mut taps = Taps::NONE;
                     for (focus, total) in focus.iter().zip(&mut worker.tile[..sines.len()]) {
-                        steering.steer(
-                            self.simd_level,
-                            focus,
-                            &self.x_m[block..block_end],
-                            weights,
-                            GridLayout { row, origin },
-                            &mut taps,
+                        self.simd_level.run(
+                            #[inline(always)]
+                            || steering.steer(focus, x_m, weights, layout, &mut taps),
                         );
                         let (grid, count) = (&worker.grid, to - from);
                         add_rows(self.simd_level, grid, row, &taps, from - tile, count, total);
@@ -440,28 +439,16 @@ fn convolve(
     assert!(to.len() >= (2 * FRACTIONS - 1) * row);
     // Beyond its margin a row is zero.
     let filled = row.min((from.len() + 1).saturating_sub(TAPS));
-    match simd_level {
-        SimdLevel::Plain => convolve_plain(filters, from, row, filled, to),
+    match simd_level.kind() {
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: `SimdLevel::best` checked that the processor has the features.
-        SimdLevel::Avx2 => unsafe { convolve_avx2(filters, from, row, filled, to) },
-        #[cfg(target_arch = "x86_64")]
-        // SAFETY: as above. `filled` samples plus the filters' length lie in `from`, and every fraction's row lies in `to`.
-        SimdLevel::Avx512 => unsafe { convolve_avx512(filters, from, row, filled, to) },
+        // SAFETY: a `SimdLevel` proves that the processor has the features. `filled` samples plus the filters' length lie in `from`, and
+        // every fraction's row lies in `to`.
+        Kind::Avx512 => unsafe { convolve_avx512(filters, from, row, filled, to) },
+        _ => simd_level.run(
+            #[inline(always)]
+            || convolve_plain(filters, from, row, filled, to),
+        ),
     }
-}
-
-/// The same arithmetic, compiled for wider registers.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn convolve_avx2(
-    filters: &[[f32; TAPS]; FRACTIONS],
-    from: &[f32],
-    row: usize,
-    filled: usize,
-    to: &mut [f32],
-) {
-    convolve_plain(filters, from, row, filled, to);
 }
 
 /// Processes sixteen samples of all fractions at once; the inputs stay in registers.
@@ -611,41 +598,8 @@ impl Steering {
     }
 
     /// Rows and weights of some elements.
-    fn steer(
-        &self,
-        simd_level: SimdLevel,
-        focus: &Focus,
-        x_m: &[f32],
-        weights: &[f32],
-        layout: GridLayout,
-        taps: &mut Taps,
-    ) {
-        match simd_level {
-            SimdLevel::Plain => self.steer_plain(focus, x_m, weights, layout, taps),
-            #[cfg(target_arch = "x86_64")]
-            // SAFETY: `SimdLevel::best` checked that the processor has the features.
-            SimdLevel::Avx2 => unsafe { self.steer_avx2(focus, x_m, weights, layout, taps) },
-            #[cfg(target_arch = "x86_64")]
-            // SAFETY: as above.
-            SimdLevel::Avx512 => unsafe { self.steer_avx512(focus, x_m, weights, layout, taps) },
-        }
-    }
-
-    /// The same arithmetic, compiled for wider registers.
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
-    fn steer_avx2(&self, f: &Focus, x_m: &[f32], w: &[f32], layout: GridLayout, taps: &mut Taps) {
-        self.steer_plain(f, x_m, w, layout, taps);
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx512f,avx512vl")]
-    fn steer_avx512(&self, f: &Focus, x_m: &[f32], w: &[f32], layout: GridLayout, taps: &mut Taps) {
-        self.steer_plain(f, x_m, w, layout, taps);
-    }
-
     #[inline(always)]
-    fn steer_plain(&self, f: &Focus, x_m: &[f32], w: &[f32], layout: GridLayout, taps: &mut Taps) {
+    fn steer(&self, f: &Focus, x_m: &[f32], w: &[f32], layout: GridLayout, taps: &mut Taps) {
         let cycles_per_m = (self.carrier_hz / self.c) as f32;
         let steps_per_m = match self.former {
             Former::Phase => 0.0,

@@ -26,13 +26,13 @@ use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
 
 use super::RowLimits;
-use super::kernel::SimdLevel;
 use super::steered::SteeredArray;
 use super::weights;
 use echotank_config::spec::{FanSpec, Shading};
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
 use echotank_core::pulse::Pulse;
+use echotank_core::simd::SimdLevel;
 
 /// Width of the interpolation kernel in steps of the direction grid. With a grid oversampled by two, its error is 1e-7.
 const TAPS: usize = 8;
@@ -247,15 +247,10 @@ impl FastFan {
             alternates: elements.is_multiple_of(2),
         };
         let steering = (&band, &self.steered.directions.sine[..]);
-        let (kernel, out) = (&self.kernel[..], &mut tile[at..]);
-        let indices = &mut worker.indices[..];
-        interpolate(
-            self.simd_level,
-            kernel,
-            &worker.grid,
-            steering,
-            indices,
-            out,
+        let Worker { grid, indices, .. } = worker;
+        self.simd_level.run(
+            #[inline(always)]
+            || interpolate(&self.kernel, grid, steering, indices, &mut tile[at..]),
         );
     }
 
@@ -324,52 +319,8 @@ impl Band {
 }
 
 /// Writes the value of beam b to `out[b TILE]`. `indices` is a buffer.
-fn interpolate(
-    simd_level: SimdLevel,
-    kernel: &[[f32; TAPS]],
-    grid: &Grid,
-    steering: (&Band, &[f64]),
-    indices: &mut [GridIndex],
-    out: &mut [Complex32],
-) {
-    match simd_level {
-        SimdLevel::Plain => interpolate_plain(kernel, grid, steering, indices, out),
-        #[cfg(target_arch = "x86_64")]
-        // SAFETY: `SimdLevel::best` checked that the processor has the features.
-        SimdLevel::Avx2 => unsafe { interpolate_avx2(kernel, grid, steering, indices, out) },
-        #[cfg(target_arch = "x86_64")]
-        // SAFETY: as above.
-        SimdLevel::Avx512 => unsafe { interpolate_avx512(kernel, grid, steering, indices, out) },
-    }
-}
-
-/// The same arithmetic, compiled for wider registers.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn interpolate_avx2(
-    kernel: &[[f32; TAPS]],
-    grid: &Grid,
-    steering: (&Band, &[f64]),
-    indices: &mut [GridIndex],
-    out: &mut [Complex32],
-) {
-    interpolate_plain(kernel, grid, steering, indices, out);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512vl")]
-fn interpolate_avx512(
-    kernel: &[[f32; TAPS]],
-    grid: &Grid,
-    steering: (&Band, &[f64]),
-    indices: &mut [GridIndex],
-    out: &mut [Complex32],
-) {
-    interpolate_plain(kernel, grid, steering, indices, out);
-}
-
 #[inline(always)]
-fn interpolate_plain(
+fn interpolate(
     kernel: &[[f32; TAPS]],
     grid: &Grid,
     (band, sines): (&Band, &[f64]),

@@ -4,6 +4,8 @@
 //! [`MAX_SAMPLES`] samples of one such row per element, each multiplied by its complex weight. The sums stay in registers over a block of
 //! elements. AVX-512 and AVX2 are detected at run time; the scalar version is the fall-back and the reference of the tests.
 
+use echotank_core::simd::{Kind, SimdLevel};
+
 /// Maximum number of samples per call.
 pub(super) const MAX_SAMPLES: usize = 128;
 /// Maximum number of elements per call; their interpolated tile fits the second-level cache.
@@ -47,31 +49,6 @@ impl Sums {
     };
 }
 
-/// Widest instruction set of this processor for which a kernel exists.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum SimdLevel {
-    Plain,
-    #[cfg(target_arch = "x86_64")]
-    Avx2,
-    #[cfg(target_arch = "x86_64")]
-    Avx512,
-}
-
-impl SimdLevel {
-    pub(super) fn best() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        {
-            if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512vl") {
-                return Self::Avx512;
-            }
-            if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-                return Self::Avx2;
-            }
-        }
-        Self::Plain
-    }
-}
-
 /// Adds the sum of all taps' rows to `sums`, for `samples` samples from offset `at`. `imaginary` is the length of a row.
 ///
 /// Panics if a tap's row, rounded up to whole steps, lies outside the grid.
@@ -93,14 +70,14 @@ pub(super) fn add_rows(
     );
     let re = &mut sums.re[at..at + samples];
     let im = &mut sums.im[at..at + samples];
-    match simd_level {
-        SimdLevel::Plain => add_plain(grid, imaginary, taps, re, im),
+    match simd_level.kind() {
+        Kind::Portable => add_plain(grid, imaginary, taps, re, im),
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: `SimdLevel::best` or the test checked that the processor has the features; the rows are checked above.
-        SimdLevel::Avx2 => unsafe { add_avx2(grid, imaginary, taps, re, im) },
+        // SAFETY: a `SimdLevel` proves that the processor has the features; the rows are checked above.
+        Kind::Avx2 => unsafe { add_avx2(grid, imaginary, taps, re, im) },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
-        SimdLevel::Avx512 => unsafe {
+        Kind::Avx512 => unsafe {
             match steps {
                 0 => {}
                 1 => add_avx512::<1>(grid, imaginary, taps, re, im),
@@ -113,6 +90,8 @@ pub(super) fn add_rows(
                 _ => add_avx512::<8>(grid, imaginary, taps, re, im),
             }
         },
+        #[cfg(not(target_arch = "x86_64"))]
+        _ => add_plain(grid, imaginary, taps, re, im),
     }
 }
 
@@ -256,12 +235,7 @@ mod tests {
             taps.re[e] = draw();
             taps.im[e] = draw();
         }
-        let mut simd_levels = vec![SimdLevel::best()];
-        #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-            simd_levels.push(SimdLevel::Avx2);
-        }
-        for simd_level in simd_levels {
+        for simd_level in SimdLevel::available() {
             for (at, samples) in [
                 (0, 0),
                 (3, 1),
@@ -275,7 +249,15 @@ mod tests {
                 let (mut want, mut got) = (Sums::ZERO, Sums::ZERO);
                 got.re.fill(0.25);
                 want.re.fill(0.25);
-                add_rows(SimdLevel::Plain, &grid, row, &taps, at, samples, &mut want);
+                add_rows(
+                    SimdLevel::PORTABLE,
+                    &grid,
+                    row,
+                    &taps,
+                    at,
+                    samples,
+                    &mut want,
+                );
                 add_rows(simd_level, &grid, row, &taps, at, samples, &mut got);
                 for k in 0..MAX_SAMPLES {
                     let off = (got.re[k] - want.re[k])

@@ -26,6 +26,7 @@ use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::frames::Pose;
 use echotank_core::model::{DopplerModel, PathModel};
 use echotank_core::ping::PingPlan;
+use echotank_core::simd::widest;
 
 /// Margin on the bounds that skip whole segments, metres: far above the rounding of ranges and far
 /// below any range.
@@ -665,64 +666,6 @@ fn solve_leg<const ALONE: bool>(
     placed
 }
 
-/// The AVX2 and AVX-512 builds of [`solve_leg`]: the same arithmetic in the same order, so the same bits.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn solve_leg_avx2<const ALONE: bool>(
-    leg: &Leg,
-    c: f64,
-    batch: Batch,
-    rays: &mut Rays,
-    at: usize,
-    odd: &mut RootCounts,
-) -> u64 {
-    solve_leg::<ALONE>(leg, c, batch, rays, at, odd)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-fn solve_leg_avx512<const ALONE: bool>(
-    leg: &Leg,
-    c: f64,
-    batch: Batch,
-    rays: &mut Rays,
-    at: usize,
-    odd: &mut RootCounts,
-) -> u64 {
-    solve_leg::<ALONE>(leg, c, batch, rays, at, odd)
-}
-
-/// [`solve_leg`] with the widest vector registers of the processor.
-fn solve_widest<const ALONE: bool>(
-    leg: &Leg,
-    c: f64,
-    batch: Batch,
-    rays: &mut Rays,
-    at: usize,
-    odd: &mut RootCounts,
-) -> u64 {
-    #[cfg(target_arch = "x86_64")]
-    {
-        if has_avx512() {
-            // SAFETY: the line above checks the CPU feature, the only precondition.
-            return unsafe { solve_leg_avx512::<ALONE>(leg, c, batch, rays, at, odd) };
-        }
-        if is_x86_feature_detected!("avx2") {
-            // SAFETY: the line above checks the CPU feature, the only precondition.
-            return unsafe { solve_leg_avx2::<ALONE>(leg, c, batch, rays, at, odd) };
-        }
-    }
-    solve_leg::<ALONE>(leg, c, batch, rays, at, odd)
-}
-
-/// Whether the processor has AVX-512 F, DQ and VL.
-#[cfg(target_arch = "x86_64")]
-pub(crate) fn has_avx512() -> bool {
-    is_x86_feature_detected!("avx512f")
-        && is_x86_feature_detected!("avx512dq")
-        && is_x86_feature_detected!("avx512vl")
-}
-
 /// Scatterers that select their legs together where a batch spans many legs; neighbouring
 /// scatterers span few.
 pub const PART: usize = 32;
@@ -737,7 +680,10 @@ pub(crate) fn solve(track: &ElementTrack, c: f64, batch: Batch, rays: &mut Rays)
     if let [leg] = &track.legs[..]
         && leg.start_s == 0.0
     {
-        solve_widest::<true>(leg, c, batch, rays, 0, &mut odd);
+        widest(
+            #[inline(always)]
+            || solve_leg::<true>(leg, c, batch, rays, 0, &mut odd),
+        );
         return odd;
     }
     rays.begin();
@@ -773,7 +719,10 @@ fn solve_legs(
         if placed == n && leg.begun_m > 2.0 * batch.max_range_m {
             break;
         }
-        placed += solve_widest::<false>(leg, c, batch, rays, at, odd);
+        placed += widest(
+            #[inline(always)]
+            || solve_leg::<false>(leg, c, batch, rays, at, odd),
+        );
     }
     debug_assert_eq!(placed, n, "the last leg has no end");
 }
@@ -825,15 +774,13 @@ pub(crate) fn refine(
     }
 }
 
-#[cfg(all(test, target_arch = "x86_64"))]
+#[cfg(test)]
 mod tests {
     use super::*;
+    use echotank_core::simd::SimdLevel;
 
     #[test]
-    fn the_avx2_build_gives_the_same_bits() {
-        if !is_x86_feature_detected!("avx2") {
-            return;
-        }
+    fn every_build_gives_the_same_bits() {
         let turn = DQuat::from_rotation_x(0.3) * DQuat::from_rotation_z(1.1);
         let leg = Leg {
             start_s: 0.04,
@@ -867,40 +814,38 @@ mod tests {
             min_range_m: 0.0,
             max_range_m: 300.0,
         };
-        type Build = unsafe fn(&Leg, f64, Batch, &mut Rays, usize, &mut RootCounts) -> u64;
-        let run = |leg: &Leg, build: Build| {
+        fn run<const ALONE: bool>(
+            level: SimdLevel,
+            leg: &Leg,
+            batch: Batch,
+        ) -> (u64, RootCounts, [[u64; CHUNK]; 4]) {
             let mut rays = Rays::default();
             rays.begin();
             let mut odd = RootCounts::default();
-            // SAFETY: the CPU feature is checked before any build that needs it runs.
-            let placed = unsafe { build(leg, 1500.0, batch, &mut rays, 0, &mut odd) };
+            let placed = level.run(
+                #[inline(always)]
+                || solve_leg::<ALONE>(leg, 1500.0, batch, &mut rays, 0, &mut odd),
+            );
             assert!(placed > 20, "{placed}");
-            let bits = |a: &[f64; CHUNK]| a.map(f64::to_bits);
-            (
-                placed,
-                odd,
-                [
-                    bits(&rays.delay_s),
-                    bits(&rays.z_m),
-                    bits(&rays.array_x_m),
-                    bits(&rays.closing_m2_per_s),
-                ],
-            )
-        };
-        let want = run(&leg, solve_leg::<false>);
-        assert!(run(&leg, solve_leg_avx2::<false>) == want);
+            let solved = [
+                rays.delay_s,
+                rays.z_m,
+                rays.array_x_m,
+                rays.closing_m2_per_s,
+            ];
+            (placed, odd, solved.map(|a| a.map(f64::to_bits)))
+        }
         // A single leg gives the same result as that leg among others, up to the sign of zero.
         let alone = Leg {
             start_s: 0.0,
             end_s: f64::INFINITY,
             ..leg
         };
-        let want_alone = run(&alone, solve_leg::<false>);
-        assert!(run(&alone, solve_leg::<true>) == want_alone);
-        assert!(run(&alone, solve_leg_avx2::<true>) == want_alone);
-        if has_avx512() {
-            assert!(run(&leg, solve_leg_avx512::<false>) == want);
-            assert!(run(&alone, solve_leg_avx512::<true>) == want_alone);
+        let want = run::<false>(SimdLevel::PORTABLE, &leg, batch);
+        let want_alone = run::<false>(SimdLevel::PORTABLE, &alone, batch);
+        for level in SimdLevel::available() {
+            assert!(run::<false>(level, &leg, batch) == want);
+            assert!(run::<true>(level, &alone, batch) == want_alone);
         }
     }
 }

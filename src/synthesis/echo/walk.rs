@@ -27,10 +27,9 @@ use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::model::{DopplerModel, PathModel};
 use echotank_core::ping::{EchoCounts, PingPlan};
 use echotank_core::scene::{LawCurve, ScatterLaw, Scatterers};
+use echotank_core::simd::widest;
 
 use super::levels::{Directivity, OneWay, amplitude_from_db};
-#[cfg(target_arch = "x86_64")]
-use super::paths::has_avx512;
 use super::paths::{Batch, ElementTrack, Motion, Rays, Transmit, refine, solve};
 use super::stretch::{Leg, about_mid_pulse, paper_eq21_delay_s};
 
@@ -288,54 +287,8 @@ impl Default for TransmitBatch {
 }
 
 /// Computes the transmit leg of `n` scatterers from `first` on; `n` is at most [`CHUNK`].
-fn compute_transmit_leg(
-    leg: &TransmitLegTerms,
-    scatterers: &Scatterers,
-    first: usize,
-    n: usize,
-    out: &mut TransmitBatch,
-) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        if has_avx512() {
-            // SAFETY: the line above checks the CPU feature, the only precondition.
-            return unsafe { compute_transmit_leg_avx512(leg, scatterers, first, n, out) };
-        }
-        if is_x86_feature_detected!("avx2") {
-            // SAFETY: the line above checks the CPU feature, the only precondition.
-            return unsafe { compute_transmit_leg_avx2(leg, scatterers, first, n, out) };
-        }
-    }
-    compute_transmit_leg_plain(leg, scatterers, first, n, out);
-}
-
-/// The AVX2 and AVX-512 builds of [`compute_transmit_leg_plain`]: the same arithmetic in the same order, so the same bits.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn compute_transmit_leg_avx2(
-    leg: &TransmitLegTerms,
-    scatterers: &Scatterers,
-    first: usize,
-    n: usize,
-    out: &mut TransmitBatch,
-) {
-    compute_transmit_leg_plain(leg, scatterers, first, n, out);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-fn compute_transmit_leg_avx512(
-    leg: &TransmitLegTerms,
-    scatterers: &Scatterers,
-    first: usize,
-    n: usize,
-    out: &mut TransmitBatch,
-) {
-    compute_transmit_leg_plain(leg, scatterers, first, n, out);
-}
-
 #[inline(always)]
-fn compute_transmit_leg_plain(
+fn compute_transmit_leg(
     leg: &TransmitLegTerms,
     scatterers: &Scatterers,
     first: usize,
@@ -597,74 +550,30 @@ fn receive_gains(
     received: &mut ReceivedBatch,
 ) {
     let curved = transmit_leg.curved[span.clone()].contains(&true);
-    match (curved, receive.pattern.is_omnidirectional()) {
-        (false, false) => {
-            receive_gains_as::<false, false>(receive, transmit_leg, span, rays, received)
-        }
-        (false, true) => {
-            receive_gains_as::<false, true>(receive, transmit_leg, span, rays, received)
-        }
-        (true, false) => {
-            receive_gains_as::<true, false>(receive, transmit_leg, span, rays, received)
-        }
-        (true, true) => receive_gains_as::<true, true>(receive, transmit_leg, span, rays, received),
-    }
+    let omni = receive.pattern.is_omnidirectional();
+    widest(
+        #[inline(always)]
+        || match (curved, omni) {
+            (false, false) => {
+                receive_gains_as::<false, false>(receive, transmit_leg, span, rays, received)
+            }
+            (false, true) => {
+                receive_gains_as::<false, true>(receive, transmit_leg, span, rays, received)
+            }
+            (true, false) => {
+                receive_gains_as::<true, false>(receive, transmit_leg, span, rays, received)
+            }
+            (true, true) => {
+                receive_gains_as::<true, true>(receive, transmit_leg, span, rays, received)
+            }
+        },
+    );
 }
 
 /// `CURVED`: some scatterers of the batch follow the curve. `OMNI`: the element pattern is
 /// omnidirectional.
-fn receive_gains_as<const CURVED: bool, const OMNI: bool>(
-    receive: &ReceiveLeg,
-    transmit_leg: &TransmitLeg,
-    span: std::ops::Range<usize>,
-    rays: &Rays,
-    received: &mut ReceivedBatch,
-) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        if has_avx512() {
-            // SAFETY: the line above checks the CPU feature, the only precondition.
-            return unsafe {
-                receive_gains_avx512::<CURVED, OMNI>(receive, transmit_leg, span, rays, received)
-            };
-        }
-        if is_x86_feature_detected!("avx2") {
-            // SAFETY: the line above checks the CPU feature, the only precondition.
-            return unsafe {
-                receive_gains_avx2::<CURVED, OMNI>(receive, transmit_leg, span, rays, received)
-            };
-        }
-    }
-    receive_gains_plain::<CURVED, OMNI>(receive, transmit_leg, span, rays, received);
-}
-
-/// The AVX2 and AVX-512 builds of [`receive_gains_plain`]: the same arithmetic in the same order, so the same bits.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn receive_gains_avx2<const CURVED: bool, const OMNI: bool>(
-    receive: &ReceiveLeg,
-    transmit_leg: &TransmitLeg,
-    span: std::ops::Range<usize>,
-    rays: &Rays,
-    received: &mut ReceivedBatch,
-) {
-    receive_gains_plain::<CURVED, OMNI>(receive, transmit_leg, span, rays, received);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-fn receive_gains_avx512<const CURVED: bool, const OMNI: bool>(
-    receive: &ReceiveLeg,
-    transmit_leg: &TransmitLeg,
-    span: std::ops::Range<usize>,
-    rays: &Rays,
-    received: &mut ReceivedBatch,
-) {
-    receive_gains_plain::<CURVED, OMNI>(receive, transmit_leg, span, rays, received);
-}
-
 #[inline(always)]
-fn receive_gains_plain<const CURVED: bool, const OMNI: bool>(
+fn receive_gains_as<const CURVED: bool, const OMNI: bool>(
     receive: &ReceiveLeg,
     transmit_leg: &TransmitLeg,
     span: std::ops::Range<usize>,
@@ -727,18 +636,10 @@ fn expand_mid_pulse(
         half_s: 0.5 * plan.pulse.duration_s,
         transmit: transmit_leg.transmit.motion,
     };
-    #[cfg(target_arch = "x86_64")]
-    {
-        if has_avx512() {
-            // SAFETY: the line above checks the CPU feature, the only precondition.
-            return unsafe { expand_avx512(middle, batch, rays, received) };
-        }
-        if is_x86_feature_detected!("avx2") {
-            // SAFETY: the line above checks the CPU feature, the only precondition.
-            return unsafe { expand_avx2(middle, batch, rays, received) };
-        }
-    }
-    expand_plain(middle, batch, rays, received);
+    widest(
+        #[inline(always)]
+        || expand(middle, batch, rays, received),
+    );
 }
 
 /// Terms that all echoes of a batch share.
@@ -749,21 +650,8 @@ struct Middle {
     transmit: Motion,
 }
 
-/// The AVX2 and AVX-512 builds of [`expand_plain`]: the same arithmetic in the same order, so the same bits.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn expand_avx2(middle: Middle, batch: Batch, rays: &mut Rays, received: &mut ReceivedBatch) {
-    expand_plain(middle, batch, rays, received);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-fn expand_avx512(middle: Middle, batch: Batch, rays: &mut Rays, received: &mut ReceivedBatch) {
-    expand_plain(middle, batch, rays, received);
-}
-
 #[inline(always)]
-fn expand_plain(middle: Middle, batch: Batch, rays: &mut Rays, received: &mut ReceivedBatch) {
+fn expand(middle: Middle, batch: Batch, rays: &mut Rays, received: &mut ReceivedBatch) {
     let Middle {
         c,
         half_s,
@@ -810,16 +698,14 @@ fn apply_paper_eq21(
     }
 }
 
-#[cfg(all(test, target_arch = "x86_64"))]
+#[cfg(test)]
 mod tests {
     use super::*;
     use echotank_core::arrays::Pattern;
+    use echotank_core::simd::SimdLevel;
 
     #[test]
-    fn the_avx2_build_gives_the_same_bits() {
-        if !is_x86_feature_detected!("avx2") {
-            return;
-        }
+    fn every_build_of_the_second_leg_gives_the_same_bits() {
         let place = |step: f64| -> Vec<f64> {
             (0..CHUNK)
                 .map(|k| (k as f64 * step).fract() - 0.5)
@@ -859,30 +745,15 @@ mod tests {
             sensitivity: 1e-9,
         };
         fn run<const CURVED: bool>(
-            wide: bool,
+            level: SimdLevel,
             (receive, transmit_leg, rays): (&ReceiveLeg, &TransmitLeg, &Rays),
         ) -> [[u64; CHUNK]; 4] {
             let mut received = ReceivedBatch::default();
-            if wide {
-                // SAFETY: the CPU feature is checked above.
-                unsafe {
-                    receive_gains_avx2::<CURVED, false>(
-                        receive,
-                        transmit_leg,
-                        0..CHUNK,
-                        rays,
-                        &mut received,
-                    )
-                };
-            } else {
-                receive_gains_plain::<CURVED, false>(
-                    receive,
-                    transmit_leg,
-                    0..CHUNK,
-                    rays,
-                    &mut received,
-                );
-            }
+            let to = &mut received;
+            level.run(
+                #[inline(always)]
+                || receive_gains_as::<CURVED, false>(receive, transmit_leg, 0..CHUNK, rays, to),
+            );
             [
                 received.doppler,
                 received.gain,
@@ -892,38 +763,17 @@ mod tests {
             .map(|v| v.map(f64::to_bits))
         }
         let all = (&receive, &transmit_leg, &rays);
-        let (plain, curved) = (run::<false>(false, all), run::<true>(false, all));
-        assert!(run::<false>(true, all) == plain && run::<true>(true, all) == curved);
+        let portable = SimdLevel::PORTABLE;
+        let (plain, curved) = (run::<false>(portable, all), run::<true>(portable, all));
+        for level in SimdLevel::available() {
+            assert!(run::<false>(level, all) == plain && run::<true>(level, all) == curved);
+        }
         assert!(plain[1].iter().filter(|&&g| g != 0).count() > 50);
         assert!(plain[1] != curved[1]);
-        if has_avx512() {
-            let mut received = ReceivedBatch::default();
-            // SAFETY: the CPU feature is checked above.
-            unsafe {
-                receive_gains_avx512::<true, false>(
-                    &receive,
-                    &transmit_leg,
-                    0..CHUNK,
-                    &rays,
-                    &mut received,
-                )
-            };
-            let wide = [
-                received.doppler,
-                received.gain,
-                received.level,
-                received.range_m,
-            ]
-            .map(|v| v.map(f64::to_bits));
-            assert!(wide == curved);
-        }
     }
 
     #[test]
     fn every_build_of_the_second_order_gives_the_same_bits() {
-        if !has_avx512() {
-            return;
-        }
         let place = |k: usize, step: f64| (k as f64 * step).fract() - 0.5;
         let at = |step: f64| -> Vec<f64> { (0..CHUNK).map(|k| 90.0 * place(k, step)).collect() };
         let (x_m, y_m, z_m) = (at(0.618), at(0.755), at(0.57));
@@ -945,7 +795,7 @@ mod tests {
                 acceleration_m_per_s2: DVec3::new(0.1, 0.0, 0.4),
             },
         };
-        let run = |expand: &dyn Fn(&mut Rays, &mut ReceivedBatch)| {
+        let run = |level: SimdLevel| {
             let (mut rays, mut received) = (Rays::default(), ReceivedBatch::default());
             for k in 0..CHUNK {
                 (rays.x_m[k], rays.y_m[k], rays.z_m[k]) = (x_m[k] - 0.3, y_m[k], z_m[k] + 0.1);
@@ -955,13 +805,14 @@ mod tests {
                     moving[k] = 5.0 * place(k + axis, 0.41);
                 }
             }
-            expand(&mut rays, &mut received);
+            level.run(
+                #[inline(always)]
+                || expand(middle, batch, &mut rays, &mut received),
+            );
             [rays.delay_s, received.doppler, received.curvature_per_s].map(|v| v.map(f64::to_bits))
         };
-        let want = run(&|rays, received| expand_plain(middle, batch, rays, received));
-        // SAFETY (twice): AVX-512 is checked above, and implies AVX2.
-        assert!(run(&|r, h| unsafe { expand_avx2(middle, batch, r, h) }) == want);
-        assert!(run(&|r, h| unsafe { expand_avx512(middle, batch, r, h) }) == want);
+        let want = run(SimdLevel::PORTABLE);
+        assert!(SimdLevel::available().all(|level| run(level) == want));
         assert!(want[2].iter().filter(|&&q| q != 0).count() > CHUNK / 2);
     }
 
@@ -981,21 +832,17 @@ mod tests {
             one_way: OneWay::new(0.00375, 0.096),
             source: 3.0,
         };
-        let bits = |a: &TransmitBatch| {
-            let all = [a.x_m, a.range_m, a.facing, a.amplitude, a.level];
+        let run = |level: SimdLevel| {
+            let mut out = TransmitBatch::default();
+            level.run(
+                #[inline(always)]
+                || compute_transmit_leg(&leg, &scatterers, 0, CHUNK, &mut out),
+            );
+            assert!(out.amplitude.iter().all(|a| *a > 0.0));
+            let all = [out.x_m, out.range_m, out.facing, out.amplitude, out.level];
             all.map(|v| v.map(f64::to_bits))
         };
-        let mut want = TransmitBatch::default();
-        compute_transmit_leg_plain(&leg, &scatterers, 0, CHUNK, &mut want);
-        assert!(want.amplitude.iter().all(|a| *a > 0.0));
-        for wide in [compute_transmit_leg_avx2, compute_transmit_leg_avx512] {
-            if !has_avx512() {
-                return;
-            }
-            let mut got = TransmitBatch::default();
-            // SAFETY: AVX-512 is checked above, and implies AVX2.
-            unsafe { wide(&leg, &scatterers, 0, CHUNK, &mut got) };
-            assert!(bits(&got) == bits(&want));
-        }
+        let want = run(SimdLevel::PORTABLE);
+        assert!(SimdLevel::available().all(|level| run(level) == want));
     }
 }

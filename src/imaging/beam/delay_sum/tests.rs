@@ -474,7 +474,7 @@ fn scalar_and_simd_beams_agree_to_f32() {
         former.form(&rig.plan(DVec3::X), &frame, &mut out);
         out
     };
-    let (plain, best) = (with(SimdLevel::Plain), with(SimdLevel::best()));
+    let (plain, best) = (with(SimdLevel::PORTABLE), with(SimdLevel::best()));
     let worst = plain
         .iq
         .iter()

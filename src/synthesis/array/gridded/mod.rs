@@ -27,7 +27,6 @@ pub mod moments;
 pub mod one_dimensional;
 mod prepare;
 pub mod pulse_spectrum;
-pub mod simd_level;
 mod single_echo;
 pub mod transform;
 
@@ -35,3 +34,8 @@ pub use cost_estimate::CostEstimate;
 pub use doppler::DopplerSpan;
 pub use one_dimensional::{Gridded1d, Gridded1dWork, GriddedError};
 pub use simd_level::SimdLevel;
+
+/// Vector instruction sets of the inner loops, detected once per plan.
+pub mod simd_level {
+    pub use echotank_core::simd::{Kind, SimdLevel};
+}

@@ -168,7 +168,10 @@ impl Insonifier<'_> {
         let end = first + slots.x_m.len();
         for first in (first..end).step_by(CHUNK) {
             let n = CHUNK.min(end - first);
-            compute_transmit_leg(&self.leg, self.scatterers, first, n, &mut batch);
+            widest(
+                #[inline(always)]
+                || compute_transmit_leg(&self.leg, self.scatterers, first, n, &mut batch),
+            );
             for j in 0..n {
                 kept += usize::from(self.store(first + j, j, &batch, kept, slots, &mut counts));
             }

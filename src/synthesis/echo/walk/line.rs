@@ -30,6 +30,7 @@ use crate::arrivals::{CHUNK, LineChunk, LineSink, LineSource, LineStretch};
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::model::{DopplerModel, PathModel};
 use echotank_core::ping::{EchoCounts, PingPlan};
+use echotank_core::simd::widest;
 
 use super::{
     Batch, Complex64, Rays, ReceiveLeg, ReceivedBatch, TransmitLeg, pattern_floor, receive_gains,
@@ -633,31 +634,10 @@ struct Derivation<'a> {
 impl Derivation<'_> {
     /// Slope, bend, twist and swing of every echo of the batch, as if all arrived on this leg.
     fn run(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
-        #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx512f") {
-            // SAFETY: the line above checks AVX-512 F, the function's only precondition.
-            return unsafe { self.run_avx512(doppler, chunk) };
-        }
-        #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2") {
-            // SAFETY: the line above checks AVX2, the function's only precondition.
-            return unsafe { self.run_avx2(doppler, chunk) };
-        }
-        self.run_plain(doppler, chunk);
-    }
-
-    /// The AVX-512 build of [`Self::run_plain`]: the same arithmetic in the same order, so the same bits.
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx512f")]
-    fn run_avx512(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
-        self.run_plain(doppler, chunk);
-    }
-
-    /// The AVX2 build of [`Self::run_plain`].
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn run_avx2(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
-        self.run_plain(doppler, chunk);
+        widest(
+            #[inline(always)]
+            || self.run_plain(doppler, chunk),
+        );
     }
 
     #[inline(always)]

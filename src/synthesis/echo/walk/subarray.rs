@@ -21,10 +21,9 @@ use num_complex::Complex64;
 use crate::arrivals::CHUNK;
 use echotank_core::arrays::{ArrayGeometry, Pattern};
 use echotank_core::ping::PingPlan;
+use echotank_core::simd::widest;
 
 use super::super::elementary::cis;
-#[cfg(target_arch = "x86_64")]
-use super::super::paths::has_avx512;
 use super::super::paths::{ElementTrack, Rays};
 
 /// The elements of each subarray of a line.
@@ -121,36 +120,15 @@ impl SubarrayElements {
         }
         out.re[..n].fill(0.0);
         out.im[..n].fill(0.0);
-        #[cfg(target_arch = "x86_64")]
-        {
-            if has_avx512() {
-                // SAFETY: the line above checks the CPU feature, the only precondition.
-                return unsafe { sum_avx512(self, v.x, out) };
-            }
-            if is_x86_feature_detected!("avx2") {
-                // SAFETY: the line above checks the CPU feature, the only precondition.
-                return unsafe { sum_avx2(self, v.x, out) };
-            }
-        }
-        sum_plain(self, v.x, out);
+        widest(
+            #[inline(always)]
+            || sum(self, v.x, out),
+        );
     }
 }
 
-/// The AVX2 and AVX-512 builds of [`sum_plain`]: the same arithmetic in the same order, so the same bits.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn sum_avx2(part: &SubarrayElements, along_m_per_s: f64, out: &mut ArrayFactor) {
-    sum_plain(part, along_m_per_s, out);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
-fn sum_avx512(part: &SubarrayElements, along_m_per_s: f64, out: &mut ArrayFactor) {
-    sum_plain(part, along_m_per_s, out);
-}
-
 #[inline(always)]
-fn sum_plain(part: &SubarrayElements, along_m_per_s: f64, out: &mut ArrayFactor) {
+fn sum(part: &SubarrayElements, along_m_per_s: f64, out: &mut ArrayFactor) {
     let n = out.len.min(CHUNK);
     let c = part.c;
     for j in 0..part.count {
@@ -181,6 +159,7 @@ fn sum_plain(part: &SubarrayElements, along_m_per_s: f64, out: &mut ArrayFactor)
 #[cfg(test)]
 mod tests {
     use super::*;
+    use echotank_core::simd::SimdLevel;
     use std::f64::consts::TAU;
 
     fn place(k: usize, step: f64) -> f64 {
@@ -227,7 +206,7 @@ mod tests {
         for count in [2, 5, 8] {
             let part = part(count);
             let (places, mut out) = batch(v);
-            sum_plain(&part, v.x, &mut out);
+            sum(&part, v.x, &mut out);
             let mut worst = 0.0f64;
             for (d, got) in places.iter().zip(out.of_each()) {
                 let mut want = Complex64::ZERO;
@@ -250,28 +229,23 @@ mod tests {
     #[test]
     fn a_single_element_has_array_factor_one() {
         let (_, mut out) = batch(DVec3::ZERO);
-        sum_plain(&part(1), 0.0, &mut out);
+        sum(&part(1), 0.0, &mut out);
         assert!(out.of_each().all(|g| g == Complex64::ONE));
     }
 
-    #[cfg(target_arch = "x86_64")]
     #[test]
     fn every_build_gives_the_same_bits() {
         let v = DVec3::new(5.0, 0.3, -1.0);
-        let run = |sum: &dyn Fn(&SubarrayElements, &mut ArrayFactor)| {
-            let (_, mut out) = batch(v);
-            sum(&part(7), &mut out);
+        let run = |level: SimdLevel| {
+            let (part, (_, mut out)) = (part(7), batch(v));
+            level.run(
+                #[inline(always)]
+                || sum(&part, v.x, &mut out),
+            );
             [out.re, out.im].map(|x| x.map(f64::to_bits))
         };
-        let want = run(&|part, out| sum_plain(part, v.x, out));
+        let want = run(SimdLevel::PORTABLE);
         assert!(want[1].iter().filter(|&&x| x != 0).count() > CHUNK / 2);
-        if is_x86_feature_detected!("avx2") {
-            // SAFETY: the CPU feature is checked above.
-            assert!(run(&|part, out| unsafe { sum_avx2(part, v.x, out) }) == want);
-        }
-        if has_avx512() {
-            // SAFETY: the CPU feature is checked above.
-            assert!(run(&|part, out| unsafe { sum_avx512(part, v.x, out) }) == want);
-        }
+        assert!(SimdLevel::available().all(|level| run(level) == want));
     }
 }

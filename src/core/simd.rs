@@ -1,4 +1,4 @@
-//! Vector instruction sets of the inner loops, detected once per plan.
+//! Vector instruction sets of the inner loops.
 
 /// Proof that the processor supports a [`Kind`]; only the functions here create it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,6 +36,40 @@ impl SimdLevel {
     pub fn kind(self) -> Kind {
         self.0
     }
+
+    /// Runs `work` compiled for this level: the same arithmetic in the same order, so the same bits.
+    ///
+    /// The build is a wider one only if `work` is inlined: a closure marked `#[inline(always)]` that calls functions with the same mark.
+    #[inline]
+    pub fn run<R>(self, work: impl FnOnce() -> R) -> R {
+        #[cfg(target_arch = "x86_64")]
+        match self.0 {
+            Kind::Portable => {}
+            // SAFETY: a `SimdLevel` proves that the processor has the features.
+            Kind::Avx2 => return unsafe { avx2(work) },
+            // SAFETY: as above.
+            Kind::Avx512 => return unsafe { avx512(work) },
+        }
+        work()
+    }
+}
+
+/// Runs `work` compiled for the widest level of this processor; see [`SimdLevel::run`].
+#[inline]
+pub fn widest<R>(work: impl FnOnce() -> R) -> R {
+    SimdLevel::best().run(work)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn avx2<R>(work: impl FnOnce() -> R) -> R {
+    work()
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
+fn avx512<R>(work: impl FnOnce() -> R) -> R {
+    work()
 }
 
 impl Kind {
