@@ -111,6 +111,30 @@ impl TransmitLeg {
         self.range_m.is_empty()
     }
 
+    /// Sets the number of scatterers.
+    fn resize(&mut self, len: usize) {
+        for values in [
+            &mut self.x_m,
+            &mut self.y_m,
+            &mut self.z_m,
+            &mut self.range_m,
+            &mut self.level,
+            &mut self.closing_m_per_s,
+        ] {
+            values.resize(len, 0.0);
+        }
+        for values in [
+            &mut self.bias,
+            &mut self.normal_x,
+            &mut self.normal_y,
+            &mut self.normal_z,
+        ] {
+            values.resize(len, 0.0);
+        }
+        self.amplitude.resize(len, Complex64::ZERO);
+        self.curved.resize(len, false);
+    }
+
     /// Narrows the window to synthesise to `window`, which lies within the insonified one.
     pub fn set_window(&mut self, window: Window) {
         if self.window.is_some() {
