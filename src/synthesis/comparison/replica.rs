@@ -54,7 +54,7 @@ impl Replica {
     }
 
     /// Adds the replica to `out`, its sample at time zero on `out[start]`, which may lie off either end.
-    pub(super) fn add(&self, start: i64, factor: Complex64, out: &mut [Complex64]) {
+    fn add(&self, start: i64, factor: Complex64, out: &mut [Complex64]) {
         let from = start.saturating_sub(self.before as i64);
         let skip = usize::try_from(from.saturating_neg()).unwrap_or(0);
         let at = usize::try_from(from).unwrap_or(0);
@@ -67,9 +67,50 @@ impl Replica {
     }
 }
 
-/// Amplitude with the carrier's phase after `delay_s`.
-pub(super) fn with_carrier(amplitude: Complex64, carrier_hz: f64, delay_s: f64) -> Complex64 {
-    let cycles = carrier_hz * delay_s;
-    let (cos, sin) = cis(cycles.round_ties_even() - cycles);
-    amplitude * Complex64::new(cos, sin)
+/// Lays replicas down on the samples of one element.
+pub struct Laid<'a, const INTERPOLATED: bool> {
+    replica: &'a Replica,
+    carrier_hz: f64,
+    rate_hz: f64,
+    first_sample_s: f64,
+    out: &'a mut [Complex64],
+}
+
+impl<'a, const INTERPOLATED: bool> Laid<'a, INTERPOLATED> {
+    /// Sample k of `out` lies `first_sample_s + k / rate_hz` after the start of the pulse. Echoes are added to what `out` holds.
+    pub fn new(
+        plan: &PingPlan,
+        replica: &'a Replica,
+        rate_hz: f64,
+        first_sample_s: f64,
+        out: &'a mut [Complex64],
+    ) -> Self {
+        Self {
+            replica,
+            carrier_hz: plan.pulse.center_frequency_hz,
+            rate_hz,
+            first_sample_s,
+            out,
+        }
+    }
+}
+
+impl<const INTERPOLATED: bool> ArrivalSink for Laid<'_, INTERPOLATED> {
+    fn accept(&mut self, chunk: &ArrivalChunk) {
+        for (delay_s, amplitude) in chunk.delay_s.iter().zip(&chunk.amplitude).take(chunk.len) {
+            let at = (delay_s - self.first_sample_s) * self.rate_hz;
+            let cycles = self.carrier_hz * delay_s;
+            let (cos, sin) = cis(cycles.round_ties_even() - cycles);
+            let factor = amplitude * Complex64::new(cos, sin);
+            if !INTERPOLATED {
+                let start = at.round_ties_even() as i64;
+                self.replica.add(start, factor, self.out);
+                continue;
+            }
+            let (start, after) = (at.floor() as i64, at - at.floor());
+            self.replica.add(start, factor * (1.0 - after), self.out);
+            self.replica
+                .add(start.saturating_add(1), factor * after, self.out);
+        }
+    }
 }
