@@ -23,12 +23,8 @@ use std::f64::consts::{PI, TAU};
 use num_complex::Complex64;
 use rayon::prelude::*;
 
-use super::RowLimits;
 use super::steered::{Band, SteeredArray};
-use echotank_config::spec::{FanSpec, Shading};
-use echotank_core::arrays::ArrayGeometry;
 use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
-use echotank_core::pulse::Pulse;
 
 /// Number of frequencies processed together in the inner loop: their sums and phasors fit sixteen 128-bit registers.
 const TILE: usize = 4;
@@ -54,28 +50,17 @@ struct Worker {
 }
 
 impl FanFormer {
-    /// `array` is the receive array that `fan` names. Work is shared among the threads of the current pool.
-    ///
-    /// Panics on a fan without beams, an array without elements or a pulse beyond `limits`; a checked configuration prevents these.
-    pub fn new(
-        array: &ArrayGeometry,
-        fan: &FanSpec,
-        limits: RowLimits,
-        pulse: &Pulse,
-        weighting: Shading,
-        sound_speed_m_per_s: f64,
-    ) -> Self {
-        let c = sound_speed_m_per_s;
-        let silence = SteeredArray::far_field_silence(array, &limits, c);
-        let steered = SteeredArray::new(array, fan, (limits, silence), pulse, weighting, c);
+    /// Work is shared among the threads of the current pool.
+    pub(super) fn new(steered: SteeredArray) -> Self {
         let length = steered.correlator.length();
-        let workers = rayon::current_num_threads().clamp(1, fan.beams);
+        let (elements, beams) = (steered.elements(), steered.beams());
+        let workers = rayon::current_num_threads().clamp(1, beams);
         Self {
-            spectra: vec![Complex64::ZERO; length * array.elements],
+            spectra: vec![Complex64::ZERO; length * elements],
             workers: (0..workers)
                 .map(|_| Worker {
-                    beams: vec![Complex64::ZERO; length * GROUP.min(fan.beams)],
-                    tile: vec![[[0.0; TILE]; 2]; array.elements],
+                    beams: vec![Complex64::ZERO; length * GROUP.min(beams)],
+                    tile: vec![[[0.0; TILE]; 2]; elements],
                     scratch: steered.correlator.make_scratch(),
                 })
                 .collect(),
@@ -252,8 +237,9 @@ pub fn line_array_response(elements: usize, spacing_wavelengths: f64, sine: f64)
 mod tests {
     use super::*;
     use crate::beam::test_rig::{self, C, array, elements_of_plane_wave, limits, on_threads, tone};
-    use echotank_config::spec::Former;
-    use echotank_core::pulse::PulseKind;
+    use echotank_config::spec::{FanSpec, Former, Shading};
+    use echotank_core::arrays::ArrayGeometry;
+    use echotank_core::pulse::{Pulse, PulseKind};
     use echotank_core::testing::plan_at_rest as plan;
 
     fn pulse(kind: PulseKind, center_hz: f64, bandwidth_hz: f64, duration_s: f64) -> Pulse {
@@ -277,7 +263,9 @@ mod tests {
     impl Rig {
         fn former(&self, fan: &FanSpec) -> FanFormer {
             let limits = limits(self.rate_hz, self.samples, self.pulse.duration_s);
-            FanFormer::new(&self.array, fan, limits, &self.pulse, Shading::Uniform, C)
+            let (array, weighting) = (&self.array, Shading::Uniform);
+            let steered = SteeredArray::far_field(array, fan, limits, &self.pulse, weighting, C);
+            FanFormer::new(steered)
         }
         fn beams(&self, fan: &FanSpec, frame: &ElementFrame) -> BeamFrame {
             let mut out = BeamFrame::default();

@@ -4,6 +4,7 @@ use super::RowLimits;
 use super::conventional::FanFormer;
 use super::delay_sum::DelaySumFormer;
 use super::fast::FastFan;
+use super::steered::SteeredArray;
 use echotank_config::spec::{FanSpec, Former, Shading};
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
@@ -31,15 +32,10 @@ impl Fan {
         sound_speed_m_per_s: f64,
     ) -> Self {
         let c = sound_speed_m_per_s;
+        let far_field = || SteeredArray::far_field(array, fan, limits, pulse, weighting, c);
         match fan.form.former {
-            Former::Exact => {
-                let former = FanFormer::new(array, fan, limits, pulse, weighting, c);
-                Self::Exact(Box::new(former))
-            }
-            Former::Fft => {
-                let former = FastFan::new(array, fan, limits, pulse, weighting, c);
-                Self::Fast(Box::new(former))
-            }
+            Former::Exact => Self::Exact(Box::new(FanFormer::new(far_field()))),
+            Former::Fft => Self::Fast(Box::new(FastFan::new(far_field()))),
             Former::TimeDelay | Former::Phase | Former::DynamicFocus => {
                 let former = DelaySumFormer::new(array, transmit, fan, limits, pulse, weighting, c);
                 Self::DelaySum(Box::new(former))

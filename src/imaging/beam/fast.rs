@@ -25,13 +25,9 @@ use echotank_fft::{Fft, Planned};
 use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
 
-use super::RowLimits;
 use super::steered::SteeredArray;
 use super::weights;
-use echotank_config::spec::{FanSpec, Shading};
-use echotank_core::arrays::ArrayGeometry;
 use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
-use echotank_core::pulse::Pulse;
 use echotank_core::simd::SimdLevel;
 
 /// Width of the interpolation kernel in steps of the direction grid. With a grid oversampled by two, its error is 1e-7.
@@ -93,18 +89,9 @@ struct GridIndex {
 }
 
 impl FastFan {
-    /// Parameters and panics as [`FanFormer::new`](super::conventional::FanFormer::new).
-    pub fn new(
-        array: &ArrayGeometry,
-        fan: &FanSpec,
-        limits: RowLimits,
-        pulse: &Pulse,
-        weighting: Shading,
-        sound_speed_m_per_s: f64,
-    ) -> Self {
-        let (elements, c) = (array.elements, sound_speed_m_per_s);
-        let silence = SteeredArray::far_field_silence(array, &limits, c);
-        let steered = SteeredArray::new(array, fan, (limits, silence), pulse, weighting, c);
+    /// Work is shared among the threads of the current pool.
+    pub(super) fn new(steered: SteeredArray) -> Self {
+        let elements = steered.elements();
         let correlator = &steered.correlator;
         let length = correlator.length();
         let grid = (2 * elements).next_power_of_two().max(2 * TAPS);
@@ -127,7 +114,7 @@ impl FastFan {
                 re: vec![0.0; grid + TAPS + 1],
                 im: vec![0.0; grid + TAPS + 1],
             },
-            indices: vec![GridIndex::default(); fan.beams],
+            indices: vec![GridIndex::default(); steered.beams()],
         };
         let half_step = (0..grid + TAPS + 1).map(|i| {
             let k = i as f64 - (grid / 2 + TAPS / 2) as f64;
@@ -140,7 +127,7 @@ impl FastFan {
             kernel: kernel.table(),
             spectra: vec![zero; (length + TILE) * elements],
             stride: length + TILE,
-            mixed: vec![zero; length * fan.beams],
+            mixed: vec![zero; length * steered.beams()],
             simd_level: SimdLevel::best(),
             workers: (0..rayon::current_num_threads().max(1))
                 .map(|_| worker())

@@ -59,15 +59,21 @@ impl SteeredArray {
         steered
     }
 
-    /// Number of zeros that delays in the frequency domain need, so that samples shifted past one end of a row do not wrap to the other.
-    pub(super) fn far_field_silence(
+    /// As [`SteeredArray::new`], with the zeros that delays in the frequency domain need: samples shifted past one end of a row do not wrap
+    /// to the other.
+    pub(super) fn far_field(
         array: &ArrayGeometry,
-        limits: &RowLimits,
+        fan: &FanSpec,
+        limits: RowLimits,
+        pulse: &Pulse,
+        weighting: Shading,
         sound_speed_m_per_s: f64,
-    ) -> usize {
+    ) -> Self {
+        let c = sound_speed_m_per_s;
         let length_m = array.spacing_m * (array.elements - 1) as f64;
-        let travel = (length_m / sound_speed_m_per_s * limits.sample_rate_hz).ceil() as usize;
-        2 * travel + GUARD_SAMPLES
+        let travel = (length_m / c * limits.sample_rate_hz).ceil() as usize;
+        let silence = 2 * travel + GUARD_SAMPLES;
+        Self::new(array, fan, (limits, silence), pulse, weighting, c)
     }
 
     /// Uses these elements only. Delays still refer to the whole line's centre.

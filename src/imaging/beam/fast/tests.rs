@@ -3,10 +3,12 @@
 use glam::DVec3;
 
 use super::*;
+use crate::beam::RowLimits;
 use crate::beam::conventional::FanFormer;
 use crate::beam::test_rig::{self, C, array};
-use echotank_config::spec::{BeamSpacing, Former};
-use echotank_core::pulse::PulseKind;
+use echotank_config::spec::{BeamSpacing, FanSpec, Former, Shading};
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::pulse::{Pulse, PulseKind};
 use echotank_core::testing::plan_at_rest;
 
 const RATE_HZ: f64 = 160e3;
@@ -42,6 +44,10 @@ fn fan(beams: usize, sector_rad: f64, spacing: BeamSpacing) -> FanSpec {
     fan
 }
 
+fn steered(array: &ArrayGeometry, spec: &FanSpec) -> SteeredArray {
+    SteeredArray::far_field(array, spec, limits(), &pulse(), Shading::Uniform, C)
+}
+
 /// rms of the differences relative to the rms, and largest difference relative to the largest value.
 fn error(got: &BeamFrame, want: &BeamFrame) -> (f64, f64) {
     let (mut off, mut all, mut worst, mut most) = (0.0, 0.0, 0.0_f64, 0.0_f64);
@@ -74,9 +80,9 @@ fn equals_the_exact_fan_to_2e_minus_6_for_any_line_and_any_directions() {
         let plan = plan_at_rest(&pulse(), SAMPLES, C);
         let (mut got, mut want) = (BeamFrame::default(), BeamFrame::default());
         let weighting = Shading::Hamming;
-        FastFan::new(&array, &spec, limits(), &pulse(), weighting, C).form(&plan, &frame, &mut got);
-        FanFormer::new(&array, &spec, limits(), &pulse(), weighting, C)
-            .form(&plan, &frame, &mut want);
+        let steered = || SteeredArray::far_field(&array, &spec, limits(), &pulse(), weighting, C);
+        FastFan::new(steered()).form(&plan, &frame, &mut got);
+        FanFormer::new(steered()).form(&plan, &frame, &mut want);
         assert_eq!(got.angle_rad, want.angle_rad);
         assert_eq!(got.width_rad, want.width_rad);
         let (rms, worst) = error(&got, &want);
@@ -95,8 +101,8 @@ fn roll_shorter_rows_and_other_pulses_are_handled() {
     let array = array(16, 0.004, 90.0);
     let mut spec = fan(9, 1.0, BeamSpacing::EquiAngle);
     spec.form.roll_stabilised = true;
-    let mut fast = FastFan::new(&array, &spec, limits(), &pulse(), Shading::Uniform, C);
-    let mut exact = FanFormer::new(&array, &spec, limits(), &pulse(), Shading::Uniform, C);
+    let mut fast = FastFan::new(steered(&array, &spec));
+    let mut exact = FanFormer::new(steered(&array, &spec));
     let other = Pulse {
         kind: PulseKind::LfmDown,
         duration_s: 0.7e-3,
@@ -134,11 +140,8 @@ fn beams_are_bit_identical_on_one_thread_and_on_five() {
     let on = |threads: usize| {
         test_rig::on_threads(threads, || {
             let mut out = BeamFrame::default();
-            FastFan::new(&array, &spec, limits(), &pulse(), Shading::Uniform, C).form(
-                &plan_at_rest(&pulse(), SAMPLES, C),
-                &frame,
-                &mut out,
-            );
+            let plan = plan_at_rest(&pulse(), SAMPLES, C);
+            FastFan::new(steered(&array, &spec)).form(&plan, &frame, &mut out);
             out
         })
     };
@@ -151,7 +154,7 @@ fn scalar_and_simd_beams_agree_to_f32() {
     let spec = fan(33, 2.0, BeamSpacing::EquiAngle);
     let frame = noise(32, SAMPLES);
     let with = |simd_level| {
-        let mut former = FastFan::new(&array, &spec, limits(), &pulse(), Shading::Uniform, C);
+        let mut former = FastFan::new(steered(&array, &spec));
         former.simd_level = simd_level;
         let mut out = BeamFrame::default();
         former.form(&plan_at_rest(&pulse(), SAMPLES, C), &frame, &mut out);
