@@ -27,7 +27,7 @@ const MAX_WAITING: usize = 65_536;
 const TAG: [u8; 8] = *b"faultrun";
 
 /// One injected fault. A line of `faults-*.jsonl`.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Injection {
     /// Number of the fault in the log.
     pub fault: u32,
@@ -201,26 +201,9 @@ impl Faults {
     pub fn add(&self, request: &FaultRequest) -> Result<u32, FaultRefused> {
         let spec = request.checked()?;
         let refused = |key, rule: String| Err(FaultRefused { key, rule });
-        let sonar = match &spec.sonar {
-            None => None,
-            Some(name) => match self.heads.iter().position(|head| *head.name == **name) {
-                Some(at) => Some(at),
-                None => {
-                    let names: Vec<_> = self.heads.iter().map(|h| &*h.name).collect();
-                    return refused("sonar", format!("must be one of {}", names.join(", ")));
-                }
-            },
-        };
-        let source = match &spec.source {
-            None => None,
-            Some(name) => match self.sources.iter().position(|source| **source == **name) {
-                Some(at) => Some(at),
-                None => {
-                    let names = self.sources.join(", ");
-                    return refused("source", format!("must be one of {names}"));
-                }
-            },
-        };
+        let sonars: Vec<_> = self.heads.iter().map(|head| head.name.clone()).collect();
+        let sonar = index_of("sonar", spec.sonar.as_deref(), &sonars)?;
+        let source = index_of("source", spec.source.as_deref(), &self.sources)?;
         if let FaultKind::NavBytes(_) = spec.kind {
             let live = self.live_sources.iter().enumerate();
             let mut meant = live.filter(|(k, _)| source.is_none_or(|source| source == *k));
@@ -401,17 +384,10 @@ impl Faults {
         Injection {
             fault: standing.id,
             kind: standing.spec.name,
-            sonar: None,
             ping_number: self.last_ping.load(Ordering::Relaxed),
             utc_ns: moment.utc.0,
-            source: None,
-            quantity: None,
-            line: None,
-            record_type: None,
-            place: Place::default(),
-            array: None,
-            element: None,
             strength,
+            ..Injection::default()
         }
     }
 
@@ -508,6 +484,22 @@ impl Moment {
             key: 0,
         }
     }
+}
+
+/// Index of the named one, if one is named.
+fn index_of(
+    key: &'static str,
+    name: Option<&str>,
+    names: &[Arc<str>],
+) -> Result<Option<usize>, FaultRefused> {
+    let Some(name) = name else {
+        return Ok(None);
+    };
+    let at = names.iter().position(|known| **known == *name);
+    at.map(Some).ok_or_else(|| FaultRefused {
+        key,
+        rule: format!("must be one of {}", names.join(", ")),
+    })
 }
 
 fn is_live(input: &NavInputSpec) -> bool {
