@@ -5,8 +5,7 @@ use num_complex::Complex64;
 use super::RowLimits;
 use super::delay_sum::DelaySumFormer;
 use super::matched::MatchedFilter;
-use echotank_config::spec::{BeamsSpec, FanForm, FanSpec, Former, LineSpec, Shading, SonarSpec};
-use echotank_core::arrays::{ArrayGeometry, TransmitArray};
+use echotank_config::spec::{FanForm, FanSpec, Former, LineSpec, Shading, SonarSpec};
 use echotank_core::ping::{BeamFrame, ElementFrame, Line, PingPlan, Side};
 use echotank_core::pulse::Pulse;
 
@@ -34,7 +33,7 @@ impl LineFormer {
         Self::weighted(line, limits, pulse, Shading::Uniform)
     }
 
-    /// The line as `spec` configures it: focused or not, with its weighting.
+    /// The line as `spec` configures it, with its weighting: with dynamic focus, which includes the motion of the receiver, or without.
     ///
     /// # Panics
     /// As [`LineFormer::new`].
@@ -50,41 +49,6 @@ impl LineFormer {
         }
         let array = &spec.receive[line.array];
         let transmit = &spec.transmit[array.transmit];
-        Self::focused(
-            line,
-            array,
-            transmit,
-            limits,
-            pulse,
-            beams,
-            sound_speed_m_per_s,
-        )
-    }
-
-    /// With a weighting along the pulse.
-    /// `weighting` is applied along the pulse. Panics as [`LineFormer::new`].
-    pub fn weighted(line: &LineSpec, limits: RowLimits, pulse: &Pulse, weighting: Shading) -> Self {
-        Self {
-            side: line.side,
-            array: line.array,
-            limits,
-            filter: MatchedFilter::new(pulse, limits, weighting),
-            sum: vec![Complex64::ZERO; limits.samples],
-            focus: None,
-        }
-    }
-
-    /// Forms the line with dynamic focus, including the receiver's motion. `array` is the line's receive array, `transmit` its transmitter.
-    pub fn focused(
-        line: &LineSpec,
-        array: &ArrayGeometry,
-        transmit: &TransmitArray,
-        limits: RowLimits,
-        pulse: &Pulse,
-        beams: &BeamsSpec,
-        sound_speed_m_per_s: f64,
-    ) -> Self {
-        let weighting = beams.weighting;
         let broadside = FanSpec {
             array: line.array,
             beams: 1,
@@ -96,7 +60,7 @@ impl LineFormer {
                 ..FanForm::default()
             },
         };
-        let c = sound_speed_m_per_s;
+        let (c, weighting) = (sound_speed_m_per_s, beams.weighting);
         let former = DelaySumFormer::new(array, transmit, &broadside, limits, pulse, weighting, c);
         Self {
             focus: Some(Focused {
@@ -104,6 +68,18 @@ impl LineFormer {
                 beam: BeamFrame::default(),
             }),
             ..Self::weighted(line, limits, pulse, weighting)
+        }
+    }
+
+    /// `weighting` is applied along the pulse.
+    fn weighted(line: &LineSpec, limits: RowLimits, pulse: &Pulse, weighting: Shading) -> Self {
+        Self {
+            side: line.side,
+            array: line.array,
+            limits,
+            filter: MatchedFilter::new(pulse, limits, weighting),
+            sum: vec![Complex64::ZERO; limits.samples],
+            focus: None,
         }
     }
 
