@@ -300,7 +300,7 @@ mod tests {
     /// Long tones from many directions, compared with the closed form sin(Nx)/(N sin x).
     #[test]
     fn beam_pattern_is_the_dirichlet_kernel_to_0p2_percent() {
-        for (elements, beam_deg) in [(8, 0.0), (32, 0.0), (32, 35.0), (33, -50.0)] {
+        for (elements, beam_deg) in [(8, 0.0), (32, 0.0), (32, 35.0), (33, -50.0), (256, 0.0)] {
             let rig = narrow(elements);
             let spec = fan(3, 2.0 * f64::to_radians(beam_deg), Shading::Uniform);
             let beam_sine = f64::to_radians(beam_deg).sin();
@@ -319,29 +319,6 @@ mod tests {
             assert!(
                 worst < 2e-3,
                 "{elements} elements, beam at {beam_deg} deg: {worst:.2e}"
-            );
-        }
-    }
-
-    #[test]
-    fn first_side_lobe_is_minus_12p80_db_at_8_elements_and_tends_to_minus_13p26() {
-        for (elements, want_db) in [(8, -12.80), (256, -13.26)] {
-            let rig = narrow(elements);
-            let mut former = rig.former(&fan(1, 0.0, Shading::Uniform));
-            let mut out = BeamFrame::default();
-            // The lobe lies near 1.43 times the first null at 2/N.
-            let mut lobe = 0.0_f64;
-            for i in 0..60 {
-                let sine = (1.2 + i as f64 * 0.01) * 2.0 / elements as f64;
-                let frame = rig.tone(sine);
-                former.form(&plan(&rig.pulse, rig.samples, C), &frame, &mut out);
-                lobe = lobe.max(out.beam(0)[400].norm());
-            }
-            let lobe_db = 20.0 * lobe.log10();
-            println!("{elements} elements: first side lobe {lobe_db:.3} dB (want {want_db})");
-            assert!(
-                (lobe_db - want_db).abs() < 0.02,
-                "{lobe_db:.3} dB, want {want_db}"
             );
         }
     }
@@ -391,27 +368,6 @@ mod tests {
             .fold(0.0, f64::max);
         println!("compressed pulse at 60 deg against broadside: {worst:.2e}");
         assert!(worst < 0.01, "{worst:.2e}");
-
-        // The same sum with phases at the centre frequency only, for comparison.
-        let frame = rig.echo(f64::to_radians(60.0).sin(), edge_s);
-        let n = (rig.pulse.duration_s * rig.rate_hz) as usize + 1;
-        let phase_only: Complex64 = (0..rig.array.elements)
-            .map(|e| {
-                let cycles = rig.pulse.center_frequency_hz
-                    * rig.array.element_x_m(e)
-                    * f64::to_radians(60.0).sin()
-                    / C;
-                (0..n)
-                    .map(|i| {
-                        frame.element(e)[edge + i]
-                            * rig.pulse.envelope(i as f64 / rig.rate_hz).conj()
-                    })
-                    .sum::<Complex64>()
-                    * Complex64::from_polar(1.0 / (n * rig.array.elements) as f64, -TAU * cycles)
-            })
-            .sum();
-        println!("phase steering alone would give {:.2}", phase_only.norm());
-        assert!(phase_only.norm() < 0.5);
     }
 
     #[test]

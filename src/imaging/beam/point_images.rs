@@ -12,7 +12,9 @@ use num_complex::Complex64;
 
 use super::conventional::line_array_response;
 use super::delay_sum::DelaySumFormer;
-use super::test_rig::{self, C, array, elements_of_plane_wave, limits, plan_moving, transmitter};
+use super::test_rig::{
+    self, C, array, elements_of_plane_wave, half_power, limits, plan_moving, transmitter,
+};
 use echotank_config::spec::{FanSpec, Former, Shading};
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
@@ -155,19 +157,11 @@ impl Rig {
     }
 }
 
-/// Full -3 dB width of a curve sampled at `at`, interpolated linearly.
+/// Full -3 dB width of a curve sampled at `at`, in equal steps.
 fn width(at: &[f64], level: &[f64]) -> f64 {
     let peak = (0..level.len()).fold(0, |b, k| if level[k] > level[b] { k } else { b });
-    let half = level[peak] * 0.5_f64.sqrt();
-    let crossing = |step: isize| {
-        let mut k = peak;
-        while level[k] > half {
-            k = k.strict_add_signed(step);
-        }
-        let inner = k.strict_add_signed(-step);
-        at[inner] + (at[k] - at[inner]) * (level[inner] - half) / (level[inner] - level[k])
-    };
-    crossing(1) - crossing(-1)
+    let steps = half_power(level, peak, 1) + half_power(level, peak, -1);
+    steps * (at[1] - at[0])
 }
 
 /// Positions along the track about the beam, in steps of a fortieth of the smallest possible width.

@@ -8,8 +8,8 @@ use num_complex::Complex64;
 use super::*;
 use crate::beam::conventional::line_array_response;
 use crate::beam::test_rig::{
-    C, array, elements_of_plane_wave, fan, limits, on_threads, plan_moving, pulse, tone,
-    transmitter,
+    C, array, elements_of_plane_wave, fan, half_power, limits, on_threads, plan_moving, pulse,
+    tone, transmitter,
 };
 use crate::beam::weights;
 use echotank_config::spec::BeamSpacing;
@@ -419,16 +419,8 @@ fn a_dynamic_aperture_keeps_the_width_until_the_whole_line_is_in_use() {
         spec.sector_rad = 4.0 * LAMBDA_M / used_m;
         let out = rig.beams(&spec, &frame);
         let level: Vec<f64> = (0..161).map(|b| out.beam(b)[sample].norm()).collect();
-        let crossing = |mut b: usize, step: isize| {
-            while level[b] > level[80] * 0.5_f64.sqrt() {
-                b = b.strict_add_signed(step);
-            }
-            let inner = b.strict_add_signed(-step);
-            let part = (level[inner] - level[80] * 0.5_f64.sqrt()) / (level[inner] - level[b]);
-            let sine = |b: usize| out.angle_rad[b].sin();
-            sine(inner) + (sine(b) - sine(inner)) * part
-        };
-        let width_m = range_m * (crossing(80, 1) - crossing(80, -1));
+        let steps = half_power(&level, 80, 1) + half_power(&level, 80, -1);
+        let width_m = range_m * steps * spec.sector_rad / 160.0;
         let want_m = 0.886 * LAMBDA_M * range_m / used_m;
         println!(
             "{range_m} m: {:.1} mm, closed form {:.1} mm",
