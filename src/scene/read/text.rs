@@ -72,6 +72,16 @@ pub(crate) fn without_mark(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)
 }
 
+/// The text of a file, without its byte order mark.
+pub(crate) fn utf8(bytes: &[u8]) -> Result<&str, TextError> {
+    let bytes = without_mark(bytes);
+    std::str::from_utf8(bytes).map_err(|e| {
+        let before = &bytes[..e.valid_up_to()];
+        let line = before.iter().filter(|b| **b == b'\n').count() + 1;
+        TextError::new(line, "", "must be UTF-8 text")
+    })
+}
+
 /// Parses a number in a range. The error is the rule that it breaks.
 pub(crate) fn number(text: &str, allowed: RangeInclusive<f64>) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| "must be a number".to_owned())?;
@@ -143,13 +153,7 @@ pub(crate) fn read_table(
     columns: &[Column],
     mut take: impl FnMut(&Row) -> Result<(), TextError>,
 ) -> Result<(), TextError> {
-    let text = std::str::from_utf8(without_mark(bytes)).map_err(|e| {
-        let line = bytes[..e.valid_up_to()]
-            .iter()
-            .filter(|b| **b == b'\n')
-            .count();
-        TextError::new(line + 1, "", "must be UTF-8 text")
-    })?;
+    let text = utf8(bytes)?;
     let mut header: Option<(usize, Vec<Option<usize>>)> = None;
     let mut fields: Vec<&str> = Vec::new();
     let mut lines = 0;

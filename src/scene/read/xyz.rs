@@ -39,13 +39,7 @@ struct Columns {
 }
 
 fn parse(bytes: &[u8], spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
-    let text = std::str::from_utf8(text::without_mark(bytes)).map_err(|e| {
-        let line = bytes[..e.valid_up_to()]
-            .iter()
-            .filter(|b| **b == b'\n')
-            .count();
-        TextError::new(line + 1, "", "must be UTF-8 text")
-    })?;
+    let text = text::utf8(bytes)?;
     let mut facts = Facts::default();
     let mut columns = None;
     let mut points = Vec::new();

@@ -75,14 +75,7 @@ pub(super) fn parse(
     folder: MeshFolder,
     seabed: SeabedDown,
 ) -> Result<Vec<ParsedTarget>, TextError> {
-    let text = std::str::from_utf8(text::without_mark(bytes)).map_err(|e| {
-        let line = bytes[..e.valid_up_to()]
-            .iter()
-            .filter(|b| **b == b'\n')
-            .count()
-            + 1;
-        TextError::new(line, "", "must be UTF-8 text")
-    })?;
+    let text = text::utf8(bytes)?;
     let root = DeTable::parse(text).map_err(|e| {
         let at = e.span().map_or(0, |span| span.start);
         TextError::new(line_of(text, at), "", e.message())
