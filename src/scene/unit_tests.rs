@@ -3,7 +3,7 @@
 use std::f64::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use num_complex::Complex64;
 use proptest::prelude::*;
 
@@ -61,14 +61,28 @@ fn spec(seabed: Option<SeabedSpec>, tiles: u64) -> SceneSpec {
     }
 }
 
+/// The recipe of a seabed's own surface.
+fn recipe(seabed: &SeabedSpec, seed: u64) -> Recipe {
+    let surface = Surface::open(&Disk, &seabed.shape, false, 1.0).unwrap();
+    Recipe::new(surface, seabed, seed)
+}
+
+/// What a scene gathers in one footprint, and its counts.
+fn gathered(spec: &SceneSpec, footprint: Footprint) -> (Scatterers, SceneCounts) {
+    let mut out = Scatterers::default();
+    let counts = Scene::open(&Disk, spec)
+        .unwrap()
+        .gather(&[footprint], &mut out);
+    (out, counts)
+}
+
 fn plane_recipe(slope_north: f64, slope_east: f64, density_per_m2: f64, speckle: bool) -> Recipe {
     let shape = SeabedShape::Plane {
         depth_m: 50.0,
         slope_north,
         slope_east,
     };
-    let surface = Surface::open(&Disk, &shape, false, 1.0).unwrap();
-    Recipe::new(surface, &seabed(shape, density_per_m2, speckle), 42)
+    recipe(&seabed(shape, density_per_m2, speckle), 42)
 }
 
 fn id((row, col): (i64, i64)) -> TileId {
@@ -290,16 +304,27 @@ fn a_full_pool_returns_the_right_tiles() {
 
 #[test]
 fn seeds_give_different_tiles() {
-    let shape = FLAT;
-    let with = |seed, id| {
-        let surface = Surface::open(&Disk, &shape, false, 1.0).unwrap();
-        tile_bits(&make(
-            &Recipe::new(surface, &seabed(shape.clone(), 4.0, true), seed),
-            id,
-        ))
-    };
+    let with = |seed, id| tile_bits(&make(&recipe(&seabed(FLAT, 4.0, true), seed), id));
     assert_ne!(with(1, (0, 0)), with(2, (0, 0)));
     assert_eq!(with(1, (0, 0)), with(1, (0, 0)));
+}
+
+/// Scatterers of 10 x 10 tiles.
+fn places_of_level(recipe: &Recipe, level: u32) -> Vec<DVec3> {
+    (0..10)
+        .flat_map(|row| (0..10).map(move |col| TileId { level, row, col }))
+        .map(|id| make_id(recipe, id))
+        .flat_map(|t| (0..t.len()).map(|i| t.position_m(i)).collect::<Vec<_>>())
+        .collect()
+}
+
+/// Structure factor |sum exp(i k.x)|^2 / N at k = 2 pi (p, q) / cell.
+fn structure_db(places: &[DVec3], cell_m: DVec2, p: f64, q: f64) -> f64 {
+    let sum: Complex64 = places
+        .iter()
+        .map(|at| Complex64::cis(TAU * (p * at.x / cell_m.x + q * at.y / cell_m.y)))
+        .sum();
+    10.0 * (sum.norm_sqr() / places.len() as f64).log10()
 }
 
 #[test]
@@ -308,33 +333,15 @@ fn the_pattern_has_no_bragg_lines_where_a_half_jittered_lattice_has() {
     // jittered over half its cell has N sinc^2(1/2), here 46 dB.
     const LIMIT_DB: f64 = 10.0;
     let recipe = plane_recipe(0.0, 0.0, 4.0, true);
-    let (cell_m, mut north, mut east) = (0.5, Vec::new(), Vec::new());
-    for row in 0..10 {
-        for col in 0..10 {
-            let tile = make(&recipe, (row, col));
-            for i in 0..tile.len() {
-                north.push(tile.position_m(i).x);
-                east.push(tile.position_m(i).y);
-            }
-        }
-    }
-    let jitter = |x: &[f64]| -> Vec<f64> {
-        let pulled_in = |x: &f64| {
-            let cell = (x / cell_m).floor();
-            (cell + 0.5 * (x / cell_m - cell)) * cell_m
-        };
-        x.iter().map(pulled_in).collect()
-    };
-    let factor_db = |north: &[f64], east: &[f64], p: f64, q: f64| {
-        let k = TAU / cell_m;
-        let sum: Complex64 = north
-            .iter()
-            .zip(east)
-            .map(|(n, e)| Complex64::cis(k * (p * n + q * e)))
-            .sum();
-        10.0 * (sum.norm_sqr() / north.len() as f64).log10()
-    };
-    let (half_north, half_east) = (jitter(&north), jitter(&east));
+    let cell_m = DVec2::splat(0.5);
+    let places = places_of_level(&recipe, 0);
+    let half_jittered: Vec<DVec3> = places
+        .iter()
+        .map(|at| {
+            let cell = (at / cell_m.x).floor();
+            (cell + 0.5 * (at / cell_m.x - cell)) * cell_m.x
+        })
+        .collect();
     for (p, q) in [
         (1.0, 0.0),
         (0.0, 1.0),
@@ -348,11 +355,11 @@ fn the_pattern_has_no_bragg_lines_where_a_half_jittered_lattice_has() {
         (0.0, 1.0 / 32.0),
         (3.0 / 32.0, 2.0 / 32.0),
     ] {
-        let got_db = factor_db(&north, &east, p, q);
+        let got_db = structure_db(&places, cell_m, p, q);
         println!("k = ({p}, {q}) / cell: {got_db:.1} dB");
         assert!(got_db < LIMIT_DB, "a line of {got_db:.1} dB at ({p}, {q})");
     }
-    let control_db = factor_db(&half_north, &half_east, 1.0, 0.0);
+    let control_db = structure_db(&half_jittered, cell_m, 1.0, 0.0);
     assert!(
         control_db > 40.0,
         "the half jittered lattice shows only {control_db:.1} dB"
@@ -386,11 +393,10 @@ fn every_tile_of_a_plane_holds_its_area_times_the_density_and_scatterers_stay_in
 
 #[test]
 fn a_footprints_count_is_density_times_its_area() {
-    let mut scene = Scene::open(&Disk, &spec(Some(seabed(FLAT, 4.0, true)), 400)).unwrap();
-    let mut out = Scatterers::default();
     // A slant range of 120 m over 50 m of water is a circle. Only the cells on its rim are uncertain (standard deviation below 1/2 each).
     let radius_m = (120.0_f64.powi(2) - 50.0_f64.powi(2)).sqrt();
-    let counts = scene.gather(&[all_round(DVec3::new(3.0, -7.0, 0.0), 120.0)], &mut out);
+    let footprint = all_round(DVec3::new(3.0, -7.0, 0.0), 120.0);
+    let (out, counts) = gathered(&spec(Some(seabed(FLAT, 4.0, true)), 400), footprint);
     let want = 4.0 * PI * radius_m * radius_m;
     let rim_cells = 2.0 * 4.0 * radius_m / 0.5;
     let sigma = 0.5 * rim_cells.sqrt();
@@ -403,6 +409,16 @@ fn a_footprints_count_is_density_times_its_area() {
     assert_eq!(counts.scatterers, out.len() as u64);
 }
 
+/// Sum of |strength|^2 over a square of tiles, and the number of scatterers.
+fn intensity(recipe: &Recipe, level: u32, tiles: i64) -> (f64, usize) {
+    let ids = (0..tiles).flat_map(|row| (0..tiles).map(move |col| TileId { level, row, col }));
+    let made = ids.map(|id| make_id(recipe, id));
+    made.fold((0.0, 0), |(sum, count), tile| {
+        let own: f64 = strengths(&tile).map(|s| s.norm_sqr()).sum();
+        (sum + own, count + tile.len())
+    })
+}
+
 #[test]
 fn the_mean_intensity_does_not_depend_on_the_density() {
     // Sum |strength|^2 over a slope of 20 degrees against mu times its true area. Each |r|^2 is exponential with mean 1, so the relative standard
@@ -411,14 +427,7 @@ fn the_mean_intensity_does_not_depend_on_the_density() {
     let mu = 10.0_f64.powf(MU / 10.0);
     for (density, tiles) in [(0.25, 2), (4.0, 8), (64.0, 32)] {
         let recipe = plane_recipe(slope, 0.0, density, true);
-        let (mut sum, mut count) = (0.0, 0);
-        for row in 0..tiles {
-            for col in 0..tiles {
-                let tile = make(&recipe, (row, col));
-                count += tile.len();
-                sum += strengths(&tile).map(|s| s.norm_sqr()).sum::<f64>();
-            }
-        }
+        let (sum, count) = intensity(&recipe, 0, tiles);
         let side_m = tiles as f64 * side_m(density);
         let want = mu * side_m * side_m / 20.0_f64.to_radians().cos();
         let (error, allowed) = (sum / want - 1.0, 4.0 / (count as f64).sqrt());
@@ -874,12 +883,11 @@ fn auto_recipe(slope_north: f64) -> Recipe {
         slope_north,
         slope_east: 0.0,
     };
-    let surface = Surface::open(&Disk, &shape, false, 1.0).unwrap();
     let spec = SeabedSpec {
         density: AUTO,
         ..seabed(shape, 1.0, true)
     };
-    Recipe::new(surface, &spec, 42)
+    recipe(&spec, 42)
 }
 
 #[test]
@@ -937,14 +945,7 @@ fn the_mean_intensity_is_the_same_at_every_level() {
     let mu = 10.0_f64.powf(MU / 10.0);
     let recipe = auto_recipe(0.0);
     for level in 0..7 {
-        let (mut sum, mut count) = (0.0, 0);
-        for row in 0..4 {
-            for col in 0..4 {
-                let tile = make_id(&recipe, TileId { level, row, col });
-                count += tile.len();
-                sum += strengths(&tile).map(|s| s.norm_sqr()).sum::<f64>();
-            }
-        }
+        let (sum, count) = intensity(&recipe, level, 4);
         let tile_m = recipe.levels().tile_m(level);
         let (want, allowed) = (16.0 * mu * tile_m.x * tile_m.y, 4.0 / (count as f64).sqrt());
         let error = sum / want - 1.0;
@@ -962,11 +963,7 @@ fn coarse_levels_have_no_bragg_lines_either() {
     let recipe = auto_recipe(0.0);
     for level in [1, 2, 5] {
         let cell_m = recipe.levels().cell_m(level);
-        let places: Vec<DVec3> = (0..10)
-            .flat_map(|row| (0..10).map(move |col| TileId { level, row, col }))
-            .map(|id| make_id(&recipe, id))
-            .flat_map(|t| (0..t.len()).map(|i| t.position_m(i)).collect::<Vec<_>>())
-            .collect();
+        let places = places_of_level(&recipe, level);
         // Lattice lines of the level's cells, of their halves, and of the tiles.
         for (p, q) in [
             (1.0, 0.0),
@@ -976,11 +973,7 @@ fn coarse_levels_have_no_bragg_lines_either() {
             (1.0, 1.0),
             (1.0 / 32.0, 0.0),
         ] {
-            let sum: Complex64 = places
-                .iter()
-                .map(|at| Complex64::cis(TAU * (p * at.x / cell_m.x + q * at.y / cell_m.y)))
-                .sum();
-            let db = 10.0 * (sum.norm_sqr() / places.len() as f64).log10();
+            let db = structure_db(&places, cell_m, p, q);
             assert!(db < 10.0, "level {level}: {db:.1} dB at ({p}, {q})");
         }
     }
@@ -996,20 +989,11 @@ fn an_automatic_seabed_covers_every_range_once_and_threads_do_not_matter() {
         ..spec(None, 4000)
     };
     let footprint = all_round(DVec3::new(3.0, -4.0, 0.0), 120.0);
-    let gathered = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .unwrap();
-        pool.install(|| {
-            let mut scene = Scene::open(&Disk, &spec).unwrap();
-            let mut out = Scatterers::default();
-            let counts = scene.gather(&[footprint], &mut out);
-            (bits(&out), counts, out)
-        })
-    };
-    let (one, counts, out) = gathered(1);
-    let (two, ..) = gathered(2);
+    let [(one, ..), (two, counts, out)] = [1, 2].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+        let (out, counts) = pool.build().unwrap().install(|| gathered(&spec, footprint));
+        (bits(&out), counts, out)
+    });
     assert_eq!(one, two, "threads");
     println!("{counts:?}");
     assert_eq!(counts.made, counts.culled + counts.scatterers);
@@ -1057,8 +1041,7 @@ fn flat_incidence_turns_the_normals_up_and_changes_nothing_else() {
             incidence,
             ..seabed(shape.clone(), 2.0, true)
         };
-        let surface = Surface::open(&Disk, &shape, false, 1.0).unwrap();
-        make(&Recipe::new(surface, &spec, 42), (0, 0))
+        make(&recipe(&spec, 42), (0, 0))
     };
     let (own, flat) = (made(IncidenceSpec::Normal), made(IncidenceSpec::Flat));
     assert_eq!(tile_bits(&own), tile_bits(&flat));
@@ -1108,19 +1091,16 @@ fn a_mosaic_sets_the_strength_at_its_incidence_and_holes_keep_the_bottoms_own() 
             mosaic: Some(mosaic),
             ..seabed(FLAT, 4.0, false)
         };
-        let gathered = |seabed: &SeabedSpec| {
+        let of = |seabed: &SeabedSpec| {
             let spec = SceneSpec {
                 anchor: AnchorSpec::Origin,
                 ..spec(Some(seabed.clone()), 100)
             };
-            let mut scene = Scene::open(&Disk, &spec).unwrap();
-            let mut out = Scatterers::default();
-            scene.gather(&[all_round(DVec3::ZERO, 51.0)], &mut out);
-            out
+            gathered(&spec, all_round(DVec3::ZERO, 51.0)).0
         };
-        let with = gathered(&seabed);
+        let with = of(&seabed);
         seabed.mosaic = None;
-        let without = gathered(&seabed);
+        let without = of(&seabed);
         assert_eq!(with.law, without.law);
         let own = super::bottoms::Bottom::new(&bottom);
         let own_db = 10.0 * own.strength(incidence_rad).log10();

@@ -12,6 +12,12 @@ fn meshes_in(path: &Path) -> MeshFolder<'_> {
     MeshFolder { files: &Disk, path }
 }
 
+/// Targets of a table on a level seabed, with meshes from `folder`.
+fn parsed(text: &str, folder: &Path, seed: u64) -> Result<Targets, crate::read::text::TextError> {
+    let meshes = Some(meshes_in(folder));
+    Targets::parse(text.as_bytes(), meshes, seed, |_, _| Some(30.0))
+}
+
 const HEAD: &str = "name,north_m,east_m,height_above_seabed_m,target_strength_db\n";
 
 #[test]
@@ -154,25 +160,14 @@ fn mesh_of(vertices_m: Vec<DVec3>, triangles: Vec<[u32; 3]>) -> Option<Mesh> {
 }
 
 fn cube_mesh(center_m: DVec3, axes: glam::DMat3, half_m: DVec3) -> Mesh {
-    let corner = |k: usize| {
-        let sign = |bit: usize| if k & bit > 0 { 1.0 } else { -1.0 };
-        center_m + axes * (DVec3::new(sign(1), sign(2), sign(4)) * half_m)
-    };
-    let vertices: Vec<DVec3> = (0..8).map(corner).collect();
-    // Anticlockwise from outside, in a right-handed frame.
-    let faces = [
-        [0, 4, 6, 2],
-        [1, 3, 7, 5],
-        [0, 1, 5, 4],
-        [2, 6, 7, 3],
-        [0, 2, 3, 1],
-        [4, 5, 7, 6],
-    ];
-    let triangles: Vec<[u32; 3]> = faces
-        .iter()
-        .flat_map(|f| [[f[0], f[1], f[2]], [f[0], f[2], f[3]]])
-        .collect();
-    mesh_of(vertices, triangles).unwrap()
+    let (corners, triangles) = cube();
+    let place = |corner: [f64; 3]| center_m + axes * ((DVec3::from(corner) - 6.0) * half_m);
+    let triangles = triangles.into_iter().map(|t| t.map(|k| k as u32));
+    mesh_of(
+        corners.into_iter().map(place).collect(),
+        triangles.collect(),
+    )
+    .unwrap()
 }
 
 fn unit(a: f64, b: f64) -> DVec3 {
@@ -341,13 +336,7 @@ fn incoherent(s: &Scatterers, to_sonar: DVec3) -> f64 {
 }
 
 fn one(text: &str, seed: u64) -> Targets {
-    Targets::parse(
-        text.as_bytes(),
-        Some(meshes_in(Path::new("."))),
-        seed,
-        |_, _| Some(30.0),
-    )
-    .unwrap()
+    parsed(text, Path::new("."), seed).unwrap()
 }
 
 #[test]
@@ -637,16 +626,8 @@ fn a_mesh_of_a_file_stands_where_the_same_box_would() {
             "[[target]]\nname = \"mesh\"\nshape = \"mesh\"\nfile = \"{file}\"\nscale = 0.5\n{common}[[target]]\nname = \"box\"\nshape = \"box\"\nsize_m = [1.0, 1.0, 1.0]\n{common}"
         )
     };
-    let parsed = |text: &str| {
-        Targets::parse(
-            text.as_bytes(),
-            Some(meshes_in(folder.path())),
-            1,
-            |_, _| Some(30.0),
-        )
-    };
     for (name, _) in &files {
-        let targets = parsed(&table(name)).unwrap();
+        let targets = parsed(&table(name), folder.path(), 1).unwrap();
         let (mesh, cube) = (&targets.named()[0], &targets.named()[1]);
         assert!(mesh.position_m.distance(cube.position_m) < 1e-12, "{name}");
         assert!((mesh.position_m - DVec3::new(3.0, -4.0, 29.5)).length() < 1e-12);
@@ -698,15 +679,7 @@ fn files_that_are_not_meshes_are_rejected_with_line_and_reason() {
         std::fs::write(folder.path().join(name), bytes).unwrap();
     }
     let table = "[[target]]\nname = \"mesh\"\nshape = \"mesh\"\nfile = \"cube.obj\"\nscale = 0.5\nnorth_m = 3.0\neast_m = -4.0\nlambert_db = -10.0\n";
-    let parsed = |text: &str| {
-        Targets::parse(
-            text.as_bytes(),
-            Some(meshes_in(folder.path())),
-            1,
-            |_, _| Some(30.0),
-        )
-    };
-    assert!(parsed(table).is_ok());
+    assert!(parsed(table, folder.path(), 1).is_ok());
     for (from, to, want) in [
         ("cube.obj", "none.obj", "none.obj: cannot be read"),
         ("cube.obj", "cube.txt", "must end in .obj, .stl or .ply"),
@@ -733,7 +706,8 @@ fn files_that_are_not_meshes_are_rejected_with_line_and_reason() {
             "needs lambert_db or target_strength_db",
         ),
     ] {
-        let message = parsed(&table.replace(from, to)).unwrap_err().to_string();
+        let error = parsed(&table.replace(from, to), folder.path(), 1).unwrap_err();
+        let message = error.to_string();
         assert!(message.contains(want), "{to}: {message}");
         assert!(message.starts_with("line "), "{message}");
     }
@@ -773,13 +747,7 @@ fn a_mesh_of_a_sphere_is_the_sphere_to_the_depth_of_its_facets() {
         let table = format!(
             "[[target]]\nname = \"mesh\"\nshape = \"mesh\"\nfile = \"globe.obj\"\n{common}[[target]]\nname = \"ball\"\nshape = \"sphere\"\nradius_m = {RADIUS}\n{common}"
         );
-        let targets = Targets::parse(
-            table.as_bytes(),
-            Some(meshes_in(folder.path())),
-            1,
-            |_, _| None,
-        )
-        .unwrap();
+        let targets = parsed(&table, folder.path(), 1).unwrap();
         let [mesh, ball] = [0, 1].map(|k| targets.solid(k).unwrap());
         let depth_m = RADIUS * (std::f64::consts::PI / n as f64).powi(2) / 4.0;
         let shortfall = 1.0 - mesh.area_m2() / ball.area_m2();
