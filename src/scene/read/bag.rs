@@ -8,6 +8,7 @@
 use hdf5_reader::{Hdf5File, OpenOptions};
 use roxmltree::{Document, Node};
 
+use super::format_error::{At, refuse};
 use super::{
     Crs, Facts, FormatError, MAX_CELLS, Raw, RawGrid, RawShape, Reader, checked_size, south_first,
 };
@@ -45,8 +46,7 @@ impl Reader for Bag {
             .with_chunk_cache_bytes(0)
             .with_max_chunk_bytes(MAX_CHUNK_BYTES)
             .with_max_read_bytes(MAX_CELLS * size_of::<f32>());
-        let file = Hdf5File::from_vec_with_options(bytes, options)
-            .map_err(|e| FormatError::decoder("HDF5", e))?;
+        let file = Hdf5File::from_vec_with_options(bytes, options).at("HDF5")?;
         let metadata = Metadata::read(&file)?;
         let (rows, cols, values) = layer(&file, ELEVATION)?;
         for (what, announced, got) in [
@@ -56,7 +56,7 @@ impl Reader for Bag {
             if announced.size.is_some_and(|size| size != got as u64) {
                 let rule = format!("differs from the number of {what}s in {ELEVATION}, {got}");
                 let message = announced.size.unwrap_or_default().to_string();
-                return Err(FormatError::new(METADATA, &message, rule));
+                return refuse(METADATA, &message, rule);
             }
         }
         let [west, south, east, north] = metadata.corners;
@@ -70,7 +70,7 @@ impl Reader for Bag {
                 let rule = format!(
                     "is not the distance of the corners of {count} {what}s of {step}: the cell size or the corners are wrong"
                 );
-                return Err(FormatError::new(METADATA, &extent.to_string(), rule));
+                return refuse(METADATA, extent, rule);
             }
         }
         let mut notes = metadata.notes;
@@ -107,24 +107,16 @@ impl Reader for Bag {
 
 /// Rows, columns and values of a layer.
 fn layer(file: &Hdf5File, path: &str) -> Result<(usize, usize, Vec<f32>), FormatError> {
-    let dataset = file
-        .dataset(path)
-        .map_err(|e| FormatError::decoder(path, e))?;
+    let dataset = file.dataset(path).at(path)?;
     let &[rows, cols] = dataset.shape() else {
         let rule = format!("must have 2 dimensions, not {}", dataset.shape().len());
-        return Err(FormatError::new(path, "", rule));
+        return refuse(path, "", rule);
     };
     let (rows, cols) = checked_size(rows, cols, path)?;
-    let values = dataset
-        .read_array::<f32>()
-        .map_err(|e| FormatError::decoder(path, e))?;
+    let values = dataset.read_array::<f32>().at(path)?;
     let (values, offset) = values.into_raw_vec_and_offset();
     if values.len() != rows * cols || offset.unwrap_or(0) != 0 {
-        return Err(FormatError::new(
-            path,
-            "",
-            "damaged: does not hold what its shape announces",
-        ));
+        return refuse(path, "", "damaged: does not hold what its shape announces");
     }
     Ok((rows, cols, values))
 }
@@ -165,20 +157,12 @@ struct Metadata {
 
 impl Metadata {
     fn read(file: &Hdf5File) -> Result<Self, FormatError> {
-        let dataset = file
-            .dataset(METADATA)
-            .map_err(|e| FormatError::decoder(METADATA, e))?;
-        if dataset
-            .num_elements()
-            .map_err(|e| FormatError::decoder(METADATA, e))?
-            > MAX_METADATA_BYTES
-        {
+        let dataset = file.dataset(METADATA).at(METADATA)?;
+        if dataset.num_elements().at(METADATA)? > MAX_METADATA_BYTES {
             let rule = format!("may have {MAX_METADATA_BYTES} bytes at most");
-            return Err(FormatError::new(METADATA, "", rule));
+            return refuse(METADATA, "", rule);
         }
-        let bytes = dataset
-            .read_raw_bytes()
-            .map_err(|e| FormatError::decoder(METADATA, e))?;
+        let bytes = dataset.read_raw_bytes().at(METADATA)?;
         let text = std::str::from_utf8(&bytes)
             .map_err(|_| FormatError::new(METADATA, "", "must be UTF-8 text"))?
             .trim_start_matches(['\u{feff}', ' ', '\n', '\r']);
@@ -188,7 +172,7 @@ impl Metadata {
     }
 
     fn parse(text: &str) -> Result<Self, FormatError> {
-        let document = Document::parse(text).map_err(|e| FormatError::decoder(METADATA, e))?;
+        let document = Document::parse(text).at(METADATA)?;
         let root = document.root_element();
         let missing = |what: &str| {
             FormatError::new(
@@ -228,7 +212,7 @@ impl Metadata {
             .collect();
         let Ok(corners) = <[f64; 4]>::try_from(numbers) else {
             let rule = "must be the coordinates of two corners";
-            return Err(FormatError::new(METADATA, &corners, rule));
+            return refuse(METADATA, &corners, rule);
         };
         let mut notes = Vec::new();
         if let Some(vertical) = descendants_named(root, "verticalDatum")
@@ -279,18 +263,10 @@ fn system(root: Node) -> Result<Option<Crs>, FormatError> {
         }
         let zone = value("zone").unwrap_or_default();
         let Ok(number) = zone.parse::<i8>() else {
-            return Err(FormatError::new(
-                PLACE,
-                &zone,
-                "must be the number of a UTM zone",
-            ));
+            return refuse(PLACE, &zone, "must be the number of a UTM zone");
         };
         if !(1..=60).contains(&number.unsigned_abs()) {
-            return Err(FormatError::new(
-                PLACE,
-                &zone,
-                "must be a UTM zone, 1 to 60",
-            ));
+            return refuse(PLACE, &zone, "must be a UTM zone, 1 to 60");
         }
         let false_northing: f64 = value("falseNorthing")
             .and_then(|v| v.parse().ok())

@@ -6,6 +6,7 @@
 use std::fmt;
 
 use super::FormatError;
+use super::format_error::refuse;
 use echotank_config::spec::CrsSpec;
 use echotank_core::utm;
 
@@ -108,21 +109,21 @@ impl Crs {
             28348..=28358 => utm(code - 28300, false),
             7846..=7859 => utm(code - 7800, false),
             3857 | 900_913 | 3395 => {
-                return Err(FormatError::new(
+                return refuse(
                     place,
                     &name,
                     "is a Mercator projection, whose metres are not metres on the ground: project the file to UTM first",
-                ));
+                );
             }
             4326 => Self::Geographic("EPSG:4326, WGS 84".to_owned()),
             4001..=4977 | 4979..=4999 | 6318..=6326 | 7844 => Self::Geographic(name),
             1024..=32_766 => Self::Projected(name),
             _ => {
-                return Err(FormatError::new(
+                return refuse(
                     place,
                     &name,
                     "must be a projected or geographic system of the EPSG register (1024 to 32766)",
-                ));
+                );
             }
         })
     }
@@ -142,11 +143,7 @@ impl Crs {
                 let inner = ["PROJCS[", "PROJCRS[", "GEOGCS[", "GEOGCRS["];
                 match inner.iter().filter_map(|k| text.find(k)).min() {
                     Some(at) => Self::from_wkt(&text[at..], place),
-                    None => Err(FormatError::new(
-                        place,
-                        &name,
-                        "must hold a horizontal system",
-                    )),
+                    None => refuse(place, &name, "must hold a horizontal system"),
                 }
             }
             "GEOGCS" | "GEOGCRS" | "GEODCRS" => Ok(Self::Geographic(name)),
@@ -157,24 +154,24 @@ impl Crs {
                     let rule = format!(
                         "has a unit of {metres} m: only metres are read; project the file first"
                     );
-                    return Err(FormatError::new(place, &name, rule));
+                    return refuse(place, &name, rule);
                 }
                 if name.to_ascii_lowercase().contains("mercator")
                     && !name.to_ascii_lowercase().contains("transverse")
                 {
                     let rule = "is a Mercator projection, whose metres are not metres on the ground: project the file to UTM first";
-                    return Err(FormatError::new(place, &name, rule));
+                    return refuse(place, &name, rule);
                 }
                 Ok(match utm_in_name(&name) {
                     Some((zone, north)) => Self::Utm { zone, north, name },
                     None => Self::Projected(name),
                 })
             }
-            _ => Err(FormatError::new(
+            _ => refuse(
                 place,
-                &text.chars().take(40).collect::<String>(),
+                text.chars().take(40).collect::<String>(),
                 "must be well-known text of a projected or geographic system",
-            )),
+            ),
         }
     }
 }

@@ -1,5 +1,7 @@
 //! Errors in the content of a file.
 
+use std::fmt::Display;
+
 use super::text::TextError;
 
 /// Greatest number of characters of a value in an error.
@@ -18,7 +20,8 @@ pub struct FormatError {
 
 impl FormatError {
     /// An error at a place of a file. The value is shortened.
-    pub fn new(place: impl Into<String>, value: &str, rule: impl Into<String>) -> Self {
+    pub fn new(place: impl Into<String>, value: impl Display, rule: impl Into<String>) -> Self {
+        let value = value.to_string();
         let shown = value
             .chars()
             .map(|c| if c.is_control() { ' ' } else { c })
@@ -31,21 +34,35 @@ impl FormatError {
     }
 
     /// An error that a decoding library reported.
-    pub fn decoder(place: impl Into<String>, error: impl std::fmt::Display) -> Self {
+    pub fn decoder(place: impl Into<String>, error: impl Display) -> Self {
         let message = error.to_string();
         let line: String = message.split_whitespace().collect::<Vec<_>>().join(" ");
-        Self::new(
-            place,
-            "",
-            format!(
-                "damaged or cut short: {}",
-                line.chars().take(200).collect::<String>()
-            ),
-        )
+        let line: String = line.chars().take(200).collect();
+        Self::new(place, "", format!("damaged or cut short: {line}"))
     }
 }
 
-impl std::fmt::Display for FormatError {
+/// Refuses a value at a place of a file.
+pub(super) fn refuse<T>(
+    place: impl Into<String>,
+    value: impl Display,
+    rule: impl Into<String>,
+) -> Result<T, FormatError> {
+    Err(FormatError::new(place, value, rule))
+}
+
+/// Names the place of an error that a decoding library reported.
+pub(super) trait At<T> {
+    fn at(self, place: impl Into<String>) -> Result<T, FormatError>;
+}
+
+impl<T, E: Display> At<T> for Result<T, E> {
+    fn at(self, place: impl Into<String>) -> Result<T, FormatError> {
+        self.map_err(|error| FormatError::decoder(place, error))
+    }
+}
+
+impl Display for FormatError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self.value.is_empty() {
             true => write!(f, "{}: {}", self.place, self.rule),

@@ -9,6 +9,7 @@ use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::Tag;
 
+use super::format_error::{At, refuse};
 use super::{
     Crs, Facts, FormatError, MAX_CELLS, Raw, RawGrid, RawShape, Reader, checked_size, south_first,
 };
@@ -57,52 +58,32 @@ impl Reader for GeoTiff {
         limits.intermediate_buffer_size = MAX_CHUNK_BYTES;
         limits.ifd_value_size = MAX_TAG_BYTES;
         let mut tiff = Decoder::new(Cursor::new(bytes))
-            .map_err(|e| FormatError::decoder("TIFF header", e))?
+            .at("TIFF header")?
             .with_limits(limits);
-        let (width, height) = tiff
-            .dimensions()
-            .map_err(|e| FormatError::decoder("tag ImageWidth", e))?;
+        let (width, height) = tiff.dimensions().at("tag ImageWidth")?;
         let (rows, cols) = checked_size(height.into(), width.into(), "tag ImageWidth")?;
-        match tiff.colortype() {
-            Ok(ColorType::Gray(8..=64)) => {}
-            Ok(other) => {
-                let rule = "must be one band of heights, of 8 to 64 bits";
-                return Err(FormatError::new(
-                    "tag SamplesPerPixel",
-                    &format!("{other:?}"),
-                    rule,
-                ));
-            }
-            Err(e) => return Err(FormatError::decoder("tag SamplesPerPixel", e)),
+        let place = "tag SamplesPerPixel";
+        let kind = tiff.colortype().at(place)?;
+        if !matches!(kind, ColorType::Gray(8..=64)) {
+            let rule = "must be one band of heights, of 8 to 64 bits";
+            return refuse(place, format!("{kind:?}"), rule);
         }
         let keys = GeoKeys::read(&mut tiff)?;
         let place = Georeference::read(&mut tiff, &keys)?;
         let nodata = match tiff.find_tag(Tag::GdalNodata) {
             Ok(Some(value)) => {
-                let text = value
-                    .into_string()
-                    .map_err(|e| FormatError::decoder("tag GDAL_NODATA", e))?;
-                let text = text.trim_matches(['\0', ' ']).to_owned();
-                match text.parse::<f64>() {
-                    Ok(v) => Some(v as f32),
-                    Err(_) => {
-                        return Err(FormatError::new(
-                            "tag GDAL_NODATA",
-                            &text,
-                            "must be a number",
-                        ));
-                    }
-                }
+                let place = "tag GDAL_NODATA";
+                let text = value.into_string().at(place)?;
+                let text = text.trim_matches(['\0', ' ']);
+                let value = text.parse::<f64>();
+                Some(value.map_err(|_| FormatError::new(place, text, "must be a number"))? as f32)
             }
             _ => None,
         };
-        let values = band(
-            tiff.read_image()
-                .map_err(|e| FormatError::decoder("image", e))?,
-        );
+        let values = band(tiff.read_image().at("image")?);
         if values.len() != rows * cols {
             let rule = format!("holds {} cells, not {rows} x {cols}", values.len());
-            return Err(FormatError::new("image", "", rule));
+            return refuse("image", "", rule);
         }
         let first_row = spec.first_row.unwrap_or(place.first_row);
         let also = spec.nodata.map(|v| v as f32);
@@ -157,14 +138,10 @@ fn band(image: DecodingResult) -> Vec<f32> {
 type Tiff = Decoder<Cursor<Vec<u8>>>;
 
 fn numbers(tiff: &mut Tiff, tag: Tag, place: &str) -> Result<Option<Vec<f64>>, FormatError> {
-    match tiff.find_tag(tag) {
-        Ok(None) => Ok(None),
-        Ok(Some(value)) => value
-            .into_f64_vec()
-            .map(Some)
-            .map_err(|e| FormatError::decoder(place, e)),
-        Err(e) => Err(FormatError::decoder(place, e)),
-    }
+    let value = tiff.find_tag(tag).at(place)?;
+    value
+        .map(|value| value.into_f64_vec().at(place))
+        .transpose()
 }
 
 pub(super) struct Georeference {
@@ -185,46 +162,34 @@ impl Georeference {
         let (x0, y0, dx, dy);
         if let Some(scale) = numbers(tiff, Tag::ModelPixelScaleTag, SCALE)? {
             let [sx, sy, ..] = scale[..] else {
-                return Err(FormatError::new(
-                    SCALE,
-                    &format!("{scale:?}"),
-                    "must be 3 numbers",
-                ));
+                return refuse(SCALE, format!("{scale:?}"), "must be 3 numbers");
             };
             let tie = numbers(tiff, Tag::ModelTiepointTag, TIEPOINT)?.unwrap_or_default();
             let [i, j, _, x, y, _] = tie[..] else {
                 let rule = "must be one tie point of 6 numbers";
-                return Err(FormatError::new(TIEPOINT, &format!("{tie:?}"), rule));
+                return refuse(TIEPOINT, format!("{tie:?}"), rule);
             };
             // With positive scales, columns run east and rows run south.
             (dx, dy) = (sx, -sy);
             (x0, y0) = (x - i * dx, y - j * dy);
         } else if let Some(m) = numbers(tiff, Tag::ModelTransformationTag, TRANSFORMATION)? {
             let [a, b, _, x, c, d, _, y, ..] = m[..] else {
-                return Err(FormatError::new(
-                    TRANSFORMATION,
-                    &format!("{m:?}"),
-                    "must be 16 numbers",
-                ));
+                return refuse(TRANSFORMATION, format!("{m:?}"), "must be 16 numbers");
             };
             if b != 0.0 || c != 0.0 {
                 let rule = "rotates the grid: resample it north-up first";
-                return Err(FormatError::new(TRANSFORMATION, &format!("{b}, {c}"), rule));
+                return refuse(TRANSFORMATION, format!("{b}, {c}"), rule);
             }
             (dx, dy, x0, y0) = (a, d, x, y);
         } else {
             let rule =
                 "is missing: an image without georeference is not a seabed (a GeoTIFF has it)";
-            return Err(FormatError::new(SCALE, "", rule));
+            return refuse(SCALE, "", rule);
         }
         let sound = [x0, y0, dx, dy].iter().all(|v| v.is_finite()) && dx > 0.0 && dy != 0.0;
         if !sound {
             let rule = "must be finite, and the columns must run east";
-            return Err(FormatError::new(
-                SCALE,
-                &format!("{dx}, {dy} from {x0}, {y0}"),
-                rule,
-            ));
+            return refuse(SCALE, format!("{dx}, {dy} from {x0}, {y0}"), rule);
         }
         let from_corners = keys.short(RASTER_TYPE) != Some(RASTER_PIXEL_IS_POINT);
         let half = if from_corners { 0.5 } else { 0.0 };
@@ -254,12 +219,9 @@ impl GeoKeys {
         const PLACE: &str = "tag GeoKeyDirectory";
         let mut shorts = Vec::new();
         let mut citation = None;
-        let directory = match tiff.find_tag(Tag::GeoKeyDirectoryTag) {
-            Ok(None) => Vec::new(),
-            Ok(Some(value)) => value
-                .into_u16_vec()
-                .map_err(|e| FormatError::decoder(PLACE, e))?,
-            Err(e) => return Err(FormatError::decoder(PLACE, e)),
+        let directory = match tiff.find_tag(Tag::GeoKeyDirectoryTag).at(PLACE)? {
+            None => Vec::new(),
+            Some(value) => value.into_u16_vec().at(PLACE)?,
         };
         let text = match tiff.find_tag(Tag::GeoAsciiParamsTag) {
             Ok(Some(value)) => value.into_string().unwrap_or_default(),
@@ -290,11 +252,7 @@ impl GeoKeys {
 
     fn crs(&self) -> Result<Option<Crs>, FormatError> {
         let must = |key: u16, wanted: u16, rule: &str| match self.short(key) {
-            Some(v) if v != wanted && v != 0 => Err(FormatError::new(
-                format!("GeoKey {key}"),
-                &v.to_string(),
-                rule,
-            )),
+            Some(v) if v != wanted && v != 0 => refuse(format!("GeoKey {key}"), v, rule),
             _ => Ok(()),
         };
         must(
@@ -314,11 +272,11 @@ impl GeoKeys {
             named(PROJECTED_CRS),
             named(GEODETIC_CRS),
         ) {
-            (Some(3), _, _) => Err(FormatError::new(
+            (Some(3), _, _) => refuse(
                 "GeoKey 1024",
                 "3",
                 "is earth-centred: only projected (1) and geographic (2) grids are read",
-            )),
+            ),
             (Some(2), _, Some(code)) if code != USER_DEFINED => {
                 Crs::from_epsg(code.into(), "GeoKey 2048").map(Some)
             }

@@ -5,6 +5,7 @@ use std::io::Cursor;
 use glam::DVec3;
 use las::{PointDataBuilder, Reader as LasReader};
 
+use super::format_error::{At, refuse};
 use super::{Crs, Facts, FormatError, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
 use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 
@@ -28,19 +29,18 @@ impl Reader for Las {
 
     fn read(&self, bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
         let length = bytes.len() as u64;
-        let mut reader = LasReader::new(Cursor::new(bytes))
-            .map_err(|e| FormatError::decoder("LAS header", e))?;
+        let mut reader = LasReader::new(Cursor::new(bytes)).at("LAS header")?;
         let header = reader.header();
         let total = header.number_of_points();
         let record = u64::from(header.point_format().len());
         if total > MAX_POINTS as u64 {
             let rule = format!("at most {MAX_POINTS} points are read: thin or grid them first");
-            return Err(FormatError::new("LAS header", &total.to_string(), rule));
+            return refuse("LAS header", total, rule);
         }
         if record == 0 || total.saturating_mul(record) > length {
             let rule =
                 format!("points were announced, more than the file's {length} bytes can hold");
-            return Err(FormatError::new("LAS header", &total.to_string(), rule));
+            return refuse("LAS header", total, rule);
         }
         let mut facts = Facts {
             crs: system(&reader, spec)?,
@@ -54,10 +54,10 @@ impl Reader for Las {
             let place = || format!("points from {read}");
             let count = reader
                 .fill_points(BATCH.min(total - read), &mut batch)
-                .map_err(|e| FormatError::decoder(place(), e))?;
+                .at(place())?;
             if count == 0 {
                 let rule = format!("the file ends; {total} points were announced");
-                return Err(FormatError::new(place(), "", rule));
+                return refuse(place(), "", rule);
             }
             let classes = batch.classification();
             for (((x, y), z), class) in batch.x().zip(batch.y()).zip(batch.z()).zip(classes) {

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
+use super::format_error::{At, refuse};
 use super::text::{self, MAX_HORIZONTAL_M};
 use super::{Files, FormatError, MAX_POINTS, TriangleMesh, ply};
 use crate::SceneError;
@@ -59,27 +60,19 @@ pub fn parse(bytes: Vec<u8>, extension: &str, axes: MeshAxes) -> Result<Triangle
         "stl" => stl(&bytes)?,
         "ply" => ply::parse(&bytes)?,
         other => {
-            return Err(FormatError::new(
-                "file name",
-                other,
-                "must end in .obj, .stl or .ply",
-            ));
+            return refuse("file name", other, "must end in .obj, .stl or .ply");
         }
     };
     for (k, v) in vertices_m.iter_mut().enumerate() {
         if !v.is_finite() || v.abs().max_element() > MAX_HORIZONTAL_M {
             let rule = format!("must be finite, and no more than {MAX_HORIZONTAL_M} m from zero");
-            return Err(FormatError::new(
-                format!("vertex {k}"),
-                &v.to_string(),
-                rule,
-            ));
+            return refuse(format!("vertex {k}"), v, rule);
         }
         *v = axes.north_east_down(*v);
     }
     check_triangles(&triangles, vertices_m.len())?;
     if triangles.is_empty() {
-        return Err(FormatError::new("mesh", "", "has no triangles"));
+        return refuse("mesh", "", "has no triangles");
     }
     Ok(TriangleMesh {
         vertices_m,
@@ -91,16 +84,12 @@ pub fn parse(bytes: Vec<u8>, extension: &str, axes: MeshAxes) -> Result<Triangle
 pub(super) fn check_triangles(triangles: &[[u32; 3]], vertices: usize) -> Result<(), FormatError> {
     if triangles.len() > MAX_TRIANGLES {
         let rule = format!("at most {MAX_TRIANGLES} triangles are read");
-        return Err(FormatError::new("mesh", &triangles.len().to_string(), rule));
+        return refuse("mesh", triangles.len(), rule);
     }
     for (k, triangle) in triangles.iter().enumerate() {
         if triangle.iter().any(|i| *i as usize >= vertices) {
             let rule = format!("refers to a missing vertex: the mesh has {vertices}");
-            return Err(FormatError::new(
-                format!("triangle {k}"),
-                &format!("{triangle:?}"),
-                rule,
-            ));
+            return refuse(format!("triangle {k}"), format!("{triangle:?}"), rule);
         }
     }
     Ok(())
@@ -116,8 +105,7 @@ fn obj(bytes: &[u8]) -> Result<Parts, FormatError> {
         ..tobj::LoadOptions::default()
     };
     let no_materials = |_: &Path| Ok((Vec::new(), Default::default()));
-    let (models, _) = tobj::load_obj_buf(&mut &bytes[..], &options, no_materials)
-        .map_err(|e| FormatError::decoder("OBJ", e))?;
+    let (models, _) = tobj::load_obj_buf(&mut &bytes[..], &options, no_materials).at("OBJ")?;
     let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
     for model in models {
         // Each object has its own vertices. Their number is below the number of bytes and so fits in u32.
@@ -155,17 +143,12 @@ fn stl(bytes: &[u8]) -> Result<Parts, FormatError> {
             "triangles are announced, more than the file's {} bytes can hold",
             bytes.len()
         );
-        return Err(FormatError::new("STL header", &count.to_string(), rule));
+        return refuse("STL header", count, rule);
     }
-    let mesh = stl_io::read_stl(&mut std::io::Cursor::new(bytes))
-        .map_err(|e| FormatError::decoder("STL", e))?;
+    let mesh = stl_io::read_stl(&mut std::io::Cursor::new(bytes)).at("STL")?;
     if mesh.vertices.len() > 3 * MAX_POINTS {
         let rule = format!("at most {} vertices are read", 3 * MAX_POINTS);
-        return Err(FormatError::new(
-            "STL",
-            &mesh.vertices.len().to_string(),
-            rule,
-        ));
+        return refuse("STL", mesh.vertices.len(), rule);
     }
     let vertices = mesh
         .vertices

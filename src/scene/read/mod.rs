@@ -37,6 +37,7 @@ pub use survey::{Georeference, Survey};
 use glam::DVec3;
 
 use echotank_config::spec::{FirstRow, HeightSign, SeabedFileSpec, SeabedFormat};
+use format_error::refuse;
 
 /// Greatest number of cells: 256 MiB of f32.
 pub(crate) const MAX_CELLS: usize = 1 << 26;
@@ -115,16 +116,12 @@ pub(crate) struct Facts {
 fn checked_size(rows: u64, cols: u64, place: &str) -> Result<(usize, usize), FormatError> {
     let size = format!("{rows} x {cols}");
     if rows < 2 || cols < 2 {
-        return Err(FormatError::new(
-            place,
-            &size,
-            "must have at least 2 rows and 2 columns",
-        ));
+        return refuse(place, &size, "must have at least 2 rows and 2 columns");
     }
     let cells = rows.checked_mul(cols);
     if cells.is_none_or(|cells| cells > MAX_CELLS as u64) {
         let rule = format!("may have {MAX_CELLS} cells at most");
-        return Err(FormatError::new(place, &size, rule));
+        return refuse(place, &size, rule);
     }
     Ok((rows as usize, cols as usize))
 }
@@ -146,11 +143,7 @@ fn south_first(
                 "must be a height in metres, {} at most, or the value of a hole (nodata)",
                 text::MAX_VERTICAL_M
             );
-            return Err(FormatError::new(
-                format!("{place}, row {row}, column {col}"),
-                &value.to_string(),
-                rule,
-            ));
+            return refuse(format!("{place}, row {row}, column {col}"), value, rule);
         }
     }
     if first_row == FirstRow::North {

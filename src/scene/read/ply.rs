@@ -4,6 +4,7 @@ use glam::DVec3;
 use ply_rs_bw::parser::{Parser, Reader as PlyReader};
 use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
 
+use super::format_error::{At, refuse};
 use super::{Facts, FormatError, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
 use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 
@@ -39,24 +40,16 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<DVec3>, Vec<[u32; 3]>), FormatE
     let mut reader = PlyReader::new(bytes);
     let header = Parser::<Skipped>::new()
         .read_header(&mut reader)
-        .map_err(|e| FormatError::decoder("PLY header", e))?;
+        .at("PLY header")?;
     for (name, element) in &header.elements {
         if element.count > MAX_POINTS * 4 {
             let rule = format!("at most {} {name} elements are read", MAX_POINTS * 4);
-            return Err(FormatError::new(
-                "PLY header",
-                &element.count.to_string(),
-                rule,
-            ));
+            return refuse("PLY header", element.count, rule);
         }
         // Every element with properties takes at least one byte.
         if element.count > bytes.len() || element.properties.is_empty() {
             let rule = format!("{name} elements are announced, more than the file can hold");
-            return Err(FormatError::new(
-                "PLY header",
-                &element.count.to_string(),
-                rule,
-            ));
+            return refuse("PLY header", element.count, rule);
         }
     }
     let (mut points, mut triangles) = (Vec::new(), Vec::new());
@@ -66,30 +59,22 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<DVec3>, Vec<[u32; 3]>), FormatE
             "vertex" => {
                 if element.count > MAX_POINTS {
                     let rule = format!("at most {MAX_POINTS} vertices are read");
-                    return Err(FormatError::new(
-                        "PLY header",
-                        &element.count.to_string(),
-                        rule,
-                    ));
+                    return refuse("PLY header", element.count, rule);
                 }
                 for axis in ["x", "y", "z"] {
                     if !element.properties.contains_key(axis) {
-                        return Err(FormatError::new(
-                            "PLY header",
-                            axis,
-                            "is missing in element vertex",
-                        ));
+                        return refuse("PLY header", axis, "is missing in element vertex");
                     }
                 }
                 let vertices = Parser::<Vertex>::new()
                     .read_payload_for_element(&mut reader, element, &header)
-                    .map_err(|e| FormatError::decoder(place(), e))?;
+                    .at(place())?;
                 points = vertices.into_iter().map(|v| v.0).collect();
             }
             "face" => {
                 let faces = Parser::<Face>::new()
                     .read_payload_for_element(&mut reader, element, &header)
-                    .map_err(|e| FormatError::decoder(place(), e))?;
+                    .at(place())?;
                 for face in &faces {
                     for pair in face.0.get(1..).unwrap_or(&[]).windows(2) {
                         triangles.push([face.0[0], pair[0], pair[1]]);
@@ -99,7 +84,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<DVec3>, Vec<[u32; 3]>), FormatE
             _ => {
                 Parser::<Skipped>::new()
                     .read_payload_for_element(&mut reader, element, &header)
-                    .map_err(|e| FormatError::decoder(place(), e))?;
+                    .at(place())?;
             }
         }
     }

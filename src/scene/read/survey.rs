@@ -8,6 +8,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
+use super::format_error::refuse;
 use super::text::{self, MAX_HORIZONTAL_M};
 use super::triangulate::{Tin, merge_duplicates};
 use super::{
@@ -162,11 +163,7 @@ impl Georeference {
                 "must equal that of the seabed's file, {} (mosaic_crs overrides the file)",
                 self.crs
             );
-            return Err(FormatError::new(
-                "coordinate system",
-                &other.crs.to_string(),
-                rule,
-            ));
+            return refuse("coordinate system", &other.crs, rule);
         }
         Ok(local_m(&self.crs, self.zero, other.zero[0], other.zero[1]))
     }
@@ -246,7 +243,7 @@ impl Survey {
             RawShape::Points(points) => from_points(points, sign, plane.as_ref(), zero, spec)?,
         };
         if field.down_m.iter().all(|d| d.is_nan()) {
-            return Err(FormatError::new("heights", "", "are all holes"));
+            return refuse("heights", "", "are all holes");
         }
         let dry = field.down_m.iter().all(|d| d.is_nan() || *d <= 0.0);
         if dry && numbers == Quantity::Heights {
@@ -342,7 +339,7 @@ fn reader_of(bytes: &[u8], spec: &SeabedFileSpec) -> Result<&'static dyn Reader,
         );
         FormatError::new(
             "file",
-            &String::from_utf8_lossy(&head[..head.len().min(16)]),
+            String::from_utf8_lossy(&head[..head.len().min(16)]),
             rule,
         )
     })
@@ -360,11 +357,11 @@ fn covered(shape: &RawShape) -> Result<[f64; 4], FormatError> {
         RawShape::Points(p) => {
             if p.points.len() < 3 {
                 let rule = "soundings: at least three are required";
-                return Err(FormatError::new("file", &p.points.len().to_string(), rule));
+                return refuse("file", p.points.len(), rule);
             }
             if p.points.len() > MAX_POINTS {
                 let rule = format!("at most {MAX_POINTS} soundings are read");
-                return Err(FormatError::new("file", &p.points.len().to_string(), rule));
+                return refuse("file", p.points.len(), rule);
             }
             let start = DVec3::splat(f64::INFINITY);
             let low = p.points.iter().fold(start, |m, v| m.min(*v));
@@ -375,7 +372,7 @@ fn covered(shape: &RawShape) -> Result<[f64; 4], FormatError> {
                         "must be finite, and its height {} m at most",
                         text::MAX_VERTICAL_M
                     );
-                    return Err(FormatError::new(format!("point {k}"), &v.to_string(), rule));
+                    return refuse(format!("point {k}"), v, rule);
                 }
             }
             Ok([low.x, low.y, high.x, high.y])
@@ -470,13 +467,7 @@ fn sign(shape: &RawShape, facts: &Facts, spec: &SeabedFileSpec) -> (HeightSign, 
 fn check_place(crs: &Crs, covers: &[f64; 4]) -> Result<(), FormatError> {
     let [west, south, east, north] = *covers;
     let shown = format!("{west} .. {east}, {south} .. {north}");
-    let wrong = |rule: &str| {
-        Err(FormatError::new(
-            format!("coordinates as {crs}"),
-            &shown,
-            rule,
-        ))
-    };
+    let wrong = |rule: &str| refuse(format!("coordinates as {crs}"), &shown, rule);
     match crs {
         Crs::Geographic(_) => {
             if west < -180.0 || east > 360.0 || south < -90.0 || north > 90.0 {
@@ -522,11 +513,7 @@ fn check_cover(crs: &Crs, zero: [f64; 2], box_deg: [f64; 4]) -> Result<(), Forma
     let rule = format!(
         "puts its middle at latitude {lat:.3}, longitude {lon:.3}, outside the {south} .. {north}, {west} .. {east} of its metadata: one of them is wrong (seabed.crs overrides)"
     );
-    Err(FormatError::new(
-        "coordinate system",
-        &crs.to_string(),
-        rule,
-    ))
+    refuse("coordinate system", crs, rule)
 }
 
 fn plane_at(zero: [f64; 2]) -> LocalTangentPlane {
@@ -543,7 +530,7 @@ fn check_extent(extent_m: f64) -> Result<(), FormatError> {
         "m are covered: a local plane is valid within {} km of its middle; crop the file",
         MAX_HORIZONTAL_M / 1e3
     );
-    Err(FormatError::new("coordinates", &extent_m.to_string(), rule))
+    refuse("coordinates", extent_m, rule)
 }
 
 fn from_grid(
@@ -579,7 +566,7 @@ fn from_grid(
                     CELL_SIZES_M.start(),
                     CELL_SIZES_M.end()
                 );
-                return Err(FormatError::new("cell size", &step.to_string(), rule));
+                return refuse("cell size", step, rule);
             }
         }
         let field = HeightField {
@@ -616,11 +603,11 @@ fn resampled(
     let cell_east_m = local(x + half_x, y).1 - local(x - half_x, y).1;
     if !(cell_north_m > 0.0 && cell_east_m > 0.0) {
         let rule = "cannot be resampled to a local plane at this latitude";
-        return Err(FormatError::new(
+        return refuse(
             "cell size",
-            &format!("{} x {}", grid.x_step, grid.y_step),
+            format!("{} x {}", grid.x_step, grid.y_step),
             rule,
-        ));
+        );
     }
     let (rows, cols) = (grid.rows, grid.cols);
     let extents_m = [

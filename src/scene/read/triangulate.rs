@@ -3,6 +3,7 @@
 use delaunator::{Point, triangulate};
 use glam::{DVec2, DVec3};
 
+use super::format_error::refuse;
 use super::{FormatError, HeightField, MAX_CELLS};
 
 /// A triangulated surface over the horizontal plane, linear on each triangle.
@@ -74,7 +75,7 @@ impl Tin {
         if self.triangles.is_empty() {
             let count = self.points_m.len();
             let rule = "soundings span no surface: at least three must not be collinear";
-            return Err(FormatError::new("soundings", &count.to_string(), rule));
+            return refuse("soundings", count, rule);
         }
         if let Some(longest) = max_edge_m {
             let points = &self.points_m;
@@ -84,7 +85,7 @@ impl Tin {
             });
             if self.triangles.is_empty() {
                 let rule = "leaves no triangle of the soundings: they lie farther apart";
-                return Err(FormatError::new("max_edge_m", &longest.to_string(), rule));
+                return refuse("max_edge_m", longest, rule);
             }
         }
         Ok(self)
@@ -124,7 +125,7 @@ impl Tin {
                 "makes {rows} rows and {cols} columns over {:.1} x {:.1} m: at least 2 of each, and {MAX_CELLS} cells at most",
                 extent.x, extent.y
             );
-            return Err(FormatError::new("cell_m", &cell_m.to_string(), rule));
+            return refuse("cell_m", cell_m, rule);
         }
         let (rows, cols) = (rows as usize, cols as usize);
         let spare = extent - DVec2::new((rows - 1) as f64, (cols - 1) as f64) * cell_m;

@@ -146,7 +146,7 @@ impl Surface {
         if !laid.overlaps(ground) {
             return Err(refused(FormatError::new(
                 "coordinates",
-                &format!(
+                format!(
                     "{:.0} m north, {:.0} m east of the scene's zero",
                     zero_m.x, zero_m.y
                 ),
