@@ -137,19 +137,9 @@ pub fn fill(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::schedule::tests::settings;
     use echotank_core::frames::rotation_from_angles;
     use glam::DVec3;
-
-    fn settings() -> SonarSettings {
-        SonarSettings {
-            pinging: true,
-            range_m: 75.0,
-            max_ping_rate_hz: 5.0,
-            source_level_db: 0.0,
-            gain_db: 0.0,
-            pulse_duration_s: 2e-3,
-        }
-    }
 
     #[test]
     fn a_window_of_a_whole_number_of_samples_gains_none() {

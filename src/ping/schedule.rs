@@ -128,10 +128,11 @@ impl Schedule {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
-    fn settings() -> SonarSettings {
+    /// A window of 102 ms: 75 m and a pulse of 2 ms.
+    pub(crate) fn settings() -> SonarSettings {
         SonarSettings {
             pinging: true,
             range_m: 75.0,

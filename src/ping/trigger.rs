@@ -127,22 +127,11 @@ impl Numbers {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::schedule::tests::settings;
     use echotank_core::time::NS_PER_S;
     use proptest::prelude::*;
 
     const MS: i64 = NS_PER_S / 1000;
-
-    /// A window of 102 ms: 75 m and a pulse of 2 ms.
-    fn settings() -> SonarSettings {
-        SonarSettings {
-            pinging: true,
-            range_m: 75.0,
-            max_ping_rate_hz: 1.0,
-            source_level_db: 0.0,
-            gain_db: 0.0,
-            pulse_duration_s: 2e-3,
-        }
-    }
 
     const REFUSE: Early = Early {
         rule: EarlyTrigger::Refuse,

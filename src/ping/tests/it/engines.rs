@@ -11,6 +11,7 @@ use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_core::settings::SonarSettings;
 use echotank_ping::element_synthesis::engine_error_models;
 use echotank_ping::pipeline::{PipelineError, SonarPipeline};
+use echotank_ping::threads::pool;
 use echotank_runtime::config_files::{load, parse};
 use echotank_testing::pings::{LoggedPings, plan_on};
 use glam::DVec3;
@@ -75,27 +76,29 @@ const FILTER: &str = "rx_filter = \"fir\"";
 
 /// Points in all directions, 4 to 34 m away, and one target.
 fn scene(count: usize) -> Scatterers {
+    let mut scatterers = ring(count, [4.0, 30.0], 3.0);
+    let target_m = DVec3::new(3.0, 15.0, 3.0);
+    let strength = Complex64::new(20.0, 0.0);
+    scatterers.push(target_m, [0.0; 3], strength, ScatterLaw::Point);
+    scatterers
+}
+
+/// Points in all directions, from `near_m` on.
+pub(crate) fn ring(count: usize, [near_m, width_m]: [f64; 2], down_m: f64) -> Scatterers {
     let mut scatterers = Scatterers::default();
     for k in 0..count {
         let part = |step: f64| (0.5 + k as f64 * step).fract();
         let (r, a) = (
-            4.0 + 30.0 * part(0.754_877_666_246_693),
+            near_m + width_m * part(0.754_877_666_246_693),
             std::f64::consts::TAU * part(0.569_840_290_998_053),
         );
         scatterers.push(
-            DVec3::new(r * a.cos(), r * a.sin(), 3.0),
+            DVec3::new(r * a.cos(), r * a.sin(), down_m),
             [0.0; 3],
             Complex64::from_polar(1.0, std::f64::consts::TAU * part(0.618_033_988_749_895)),
             ScatterLaw::Point,
         );
     }
-    let target = Complex64::new(20.0, 0.0);
-    scatterers.push(
-        DVec3::new(3.0, 15.0, 3.0),
-        [0.0; 3],
-        target,
-        ScatterLaw::Point,
-    );
     scatterers
 }
 
@@ -427,11 +430,8 @@ fn the_bits_are_the_same_for_any_number_of_threads() {
     let scatterers = scene(2000);
     let rig = rig("path = \"k-segment\"", FILTER, 0.1);
     let with = |threads: usize| {
-        rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .expect("a pool")
-            .install(|| once(&rig, &plan(&rig, 1, |_| {}), &scatterers))
+        let pool = pool(threads).expect("a pool");
+        pool.install(|| once(&rig, &plan(&rig, 1, |_| {}), &scatterers))
     };
     let one = with(1);
     for threads in [2, 3] {
@@ -527,10 +527,7 @@ fn whole_line_arrays_give_the_same_bits_for_any_threads_and_history() {
         0.1,
     );
     let with = |threads: usize, past: &[(f64, f64)]| {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .expect("a pool");
+        let pool = pool(threads).expect("a pool");
         pool.install(|| {
             let mut pipeline = SonarPipeline::new(&rig.sonars[0], &rig.medium).expect("fits");
             let mut output = pipeline.blank_output();

@@ -3,12 +3,15 @@
 use echotank_config::spec::RigSpec;
 use echotank_core::frames::{Trajectory, rotation_from_angles};
 use echotank_core::ping::{ErrorCheck, PingPlan};
-use echotank_core::scene::{ScatterLaw, Scatterers};
+use echotank_core::scene::Scatterers;
 use echotank_ping::error_check::{FAULT, KEPT, LEAST};
 use echotank_ping::pipeline::SonarPipeline;
+use echotank_ping::threads::pool;
 use echotank_testing::pings::{plan_on, small_rig};
 use glam::DVec3;
 use num_complex::Complex64;
+
+use crate::engines::ring;
 
 /// `model`: lines of `[sonar.model]`; `receiver`: additional lines of `[sonar.receiver]`.
 fn rig(model: &str, receiver: &str) -> RigSpec {
@@ -17,21 +20,7 @@ fn rig(model: &str, receiver: &str) -> RigSpec {
 
 /// Points on a ring 10 to 28 m away, the same for every ping.
 fn scene(count: usize) -> Scatterers {
-    let mut scatterers = Scatterers::default();
-    for k in 0..count {
-        let part = |step: f64| (0.5 + k as f64 * step).fract();
-        let (r, a) = (
-            10.0 + 18.0 * part(0.754_877_666),
-            std::f64::consts::TAU * part(0.569_840_291),
-        );
-        scatterers.push(
-            DVec3::new(r * a.cos(), r * a.sin(), 8.0),
-            [0.0; 3],
-            Complex64::from_polar(1.0, std::f64::consts::TAU * part(0.618_033_989)),
-            ScatterLaw::Point,
-        );
-    }
-    scatterers
+    ring(count, [10.0, 18.0], 8.0)
 }
 
 fn plan(rig: &RigSpec, number: u32) -> PingPlan {
@@ -179,11 +168,8 @@ fn an_error_check_is_the_same_for_any_number_of_threads() {
     let scatterers = scene(150);
     let rig = rig("error_check = true", QUIET);
     let with = |threads: usize| {
-        rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .expect("a pool")
-            .install(|| run(&rig, &scatterers, 400).0)
+        let pool = pool(threads).expect("a pool");
+        pool.install(|| run(&rig, &scatterers, 400).0)
     };
     let one = with(1);
     assert_eq!(one, with(3));
