@@ -70,8 +70,10 @@ fn one_point(at_m: DVec3) -> Setup {
     )
 }
 
+type Sum = (Vec<Complex64>, EchoCounts);
+
 /// A sum at one element, with the weighting of the pulse's edges.
-type Method = fn(&PingPlan, &Setup, usize, Grid, Edges) -> (Vec<Complex64>, EchoCounts);
+type Method = fn(&PingPlan, &Setup, usize, Grid, Edges) -> Sum;
 
 fn direct_with(
     plan: &PingPlan,
@@ -79,7 +81,7 @@ fn direct_with(
     element: usize,
     grid: Grid,
     edges: Edges,
-) -> (Vec<Complex64>, EchoCounts) {
+) -> Sum {
     let mut out = vec![Complex64::ZERO; grid.count];
     let window = Window::of_samples(grid.first_s, grid.rate_hz, grid.count);
     let mut sink = Direct::new(plan, grid.rate_hz, grid.first_s, &mut out).with_edges(edges);
@@ -93,7 +95,7 @@ fn truth_with(
     element: usize,
     grid: Grid,
     edges: Edges,
-) -> (Vec<Complex64>, EchoCounts) {
+) -> Sum {
     let mut out = vec![Complex64::ZERO; grid.count];
     let (rate_hz, first_s) = (grid.rate_hz, grid.first_s);
     let counts = reference_with(
@@ -102,21 +104,11 @@ fn truth_with(
     (out, counts)
 }
 
-fn direct(
-    plan: &PingPlan,
-    setup: &Setup,
-    element: usize,
-    grid: Grid,
-) -> (Vec<Complex64>, EchoCounts) {
+fn direct(plan: &PingPlan, setup: &Setup, element: usize, grid: Grid) -> Sum {
     direct_with(plan, setup, element, grid, Edges::Sampled)
 }
 
-fn truth(
-    plan: &PingPlan,
-    setup: &Setup,
-    element: usize,
-    grid: Grid,
-) -> (Vec<Complex64>, EchoCounts) {
+fn truth(plan: &PingPlan, setup: &Setup, element: usize, grid: Grid) -> Sum {
     truth_with(plan, setup, element, grid, Edges::Sampled)
 }
 
@@ -673,6 +665,8 @@ fn continuous_with_the_quadratic_term_is_the_reference_on_a_restless_platform() 
 struct Shared {
     plan: PingPlan,
     filter: Decimator,
+    setup: Setup,
+    element: usize,
     first_s: f64,
     count: usize,
 }
@@ -684,30 +678,40 @@ impl Shared {
         Self {
             filter: Decimator::new(&plan.pulse, 40e3, 300.0, 24).expect("40 kHz is enough"),
             plan,
+            setup: busy(),
+            element: 3,
             first_s: 0.0401,
             count: 2500,
         }
     }
-    fn window(&self) -> Window {
-        Window::of_samples(
-            self.filter.dense_first_s(self.first_s),
-            self.filter.dense_rate_hz(),
-            self.filter.dense_len(self.count),
-        )
-    }
     fn walk(&self, sink: &mut impl ArrivalSink) {
-        let (tx, rx, scatterers) = busy();
-        walk(&self.plan, &tx, &rx, 3, self.window(), &scatterers, sink);
+        let grid = Grid::behind(&self.filter, self.first_s, self.count);
+        let window = Window::of_samples(grid.first_s, grid.rate_hz, grid.count);
+        let (tx, rx, scatterers) = &self.setup;
+        walk(&self.plan, tx, rx, self.element, window, scatterers, sink);
     }
     fn direct(&self) -> Vec<Complex64> {
-        let mut dense = vec![Complex64::ZERO; self.filter.dense_len(self.count)];
-        let first_s = self.filter.dense_first_s(self.first_s);
-        let rate_hz = self.filter.dense_rate_hz();
-        let mut sink =
-            Direct::new(&self.plan, rate_hz, first_s, &mut dense).with_edges(Edges::Weighted);
-        self.walk(&mut sink);
+        let grid = Grid::behind(&self.filter, self.first_s, self.count);
+        let edges = Edges::Weighted;
+        let (dense, _) = direct_with(&self.plan, &self.setup, self.element, grid, edges);
         let mut out = vec![Complex64::ZERO; self.count];
         self.filter.apply(&dense, &mut out);
+        out
+    }
+    /// At the nearest sample, and interpolated.
+    fn laid_down(&self) -> [Vec<Complex64>; 2] {
+        let mut replica = Replica::default();
+        replica.prepare(&self.plan, 40e3, Some(&self.filter));
+        let mut out = [(); 2].map(|()| vec![Complex64::ZERO; self.count]);
+        let (plan, first_s) = (&self.plan, self.first_s);
+        self.walk(&mut Nearest::new(
+            plan,
+            &replica,
+            40e3,
+            first_s,
+            &mut out[0],
+        ));
+        self.walk(&mut Linear::new(plan, &replica, 40e3, first_s, &mut out[1]));
         out
     }
     fn spectral(&self, step_hz: Option<f64>) -> (Vec<Complex64>, f64) {
@@ -806,24 +810,7 @@ fn a_frequency_step_that_is_too_coarse_wraps_late_echoes_around() {
 fn nearest_and_linear_have_their_predicted_errors() {
     let shared = Shared::new();
     let want = shared.direct();
-    let mut replica = Replica::default();
-    replica.prepare(&shared.plan, 40e3, Some(&shared.filter));
-    let mut nearest = vec![Complex64::ZERO; shared.count];
-    shared.walk(&mut Nearest::new(
-        &shared.plan,
-        &replica,
-        40e3,
-        shared.first_s,
-        &mut nearest,
-    ));
-    let mut linear = vec![Complex64::ZERO; shared.count];
-    shared.walk(&mut Linear::new(
-        &shared.plan,
-        &replica,
-        40e3,
-        shared.first_s,
-        &mut linear,
-    ));
+    let [nearest, linear] = shared.laid_down();
     let errors = (relative_l2(&nearest, &want), relative_l2(&linear, &want));
     println!("nearest {:.2e}, linear {:.2e}", errors.0, errors.1);
     // Closed forms for a pulse with a flat band: 0.393 and 0.198 for 30 kHz at 40 kHz.
@@ -861,35 +848,15 @@ fn nearest_and_linear_have_their_predicted_errors() {
     }
     // An echo that begins on a sample is whole in both.
     let at_m = DVec3::Y * (0.5 * C * (shared.first_s + 500.0 / 40e3));
-    let (tx, rx) = (transmitter(DVec3::ZERO), element(DVec3::ZERO));
-    let run = |sink: &mut dyn FnMut(&mut Collected)| {
-        let (mut collected, _) =
-            collect(&shared.plan, &tx, &rx, 0, shared.window(), &points([at_m]));
-        sink(&mut collected);
+    let one = Shared {
+        setup: one_point(at_m),
+        element: 0,
+        ..shared
     };
-    run(&mut |collected| {
-        let mut chunk = ArrivalChunk::new();
-        chunk.len = 1;
-        chunk.delay_s[0] = collected.arrivals[0].delay_s;
-        chunk.amplitude[0] = collected.arrivals[0].amplitude;
-        let mut dense = vec![Complex64::ZERO; shared.filter.dense_len(shared.count)];
-        Direct::new(
-            &shared.plan,
-            shared.filter.dense_rate_hz(),
-            shared.filter.dense_first_s(shared.first_s),
-            &mut dense,
-        )
-        .with_edges(Edges::Weighted)
-        .accept(&chunk);
-        let mut want = vec![Complex64::ZERO; shared.count];
-        shared.filter.apply(&dense, &mut want);
-        let mut got = vec![Complex64::ZERO; shared.count];
-        Nearest::new(&shared.plan, &replica, 40e3, shared.first_s, &mut got).accept(&chunk);
+    let want = one.direct();
+    for got in one.laid_down() {
         assert!(relative_l2(&got, &want) < 1e-6);
-        got.fill(Complex64::ZERO);
-        Linear::new(&shared.plan, &replica, 40e3, shared.first_s, &mut got).accept(&chunk);
-        assert!(relative_l2(&got, &want) < 1e-6);
-    });
+    }
 }
 
 #[test]
