@@ -36,7 +36,7 @@ const FLAT: SeabedShape = SeabedShape::Plane {
 /// dB.
 const MU: f64 = -27.0;
 
-fn seabed(shape: SeabedShape, density_per_m2: f64, speckle: bool) -> SeabedSpec {
+pub(crate) fn seabed(shape: SeabedShape, density_per_m2: f64, speckle: bool) -> SeabedSpec {
     SeabedSpec {
         shape,
         density: Density::PerM2(density_per_m2),
@@ -47,7 +47,7 @@ fn seabed(shape: SeabedShape, density_per_m2: f64, speckle: bool) -> SeabedSpec 
     }
 }
 
-fn spec(seabed: Option<SeabedSpec>, tiles: u64) -> SceneSpec {
+pub(crate) fn spec(seabed: Option<SeabedSpec>, tiles: u64) -> SceneSpec {
     SceneSpec {
         seed: 42,
         anchor: AnchorSpec::FirstFix,
@@ -157,7 +157,7 @@ fn grid(rows: usize, cols: usize, heights: &[f64]) -> HeightField {
 }
 
 /// A seabed from a file with its middle at the scene's origin.
-fn surveyed(path: PathBuf) -> SeabedShape {
+pub(crate) fn surveyed(path: PathBuf) -> SeabedShape {
     SeabedShape::File {
         file: SeabedFileSpec::of(path),
         offset_north_m: 0.0,
@@ -706,7 +706,7 @@ proptest! {
     }
 }
 
-fn written(name: &str, text: &str) -> (tempfile::TempDir, PathBuf) {
+pub(crate) fn written(name: &str, text: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
     std::fs::write(&path, text).unwrap();

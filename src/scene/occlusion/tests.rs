@@ -9,11 +9,8 @@ use rayon::prelude::*;
 use crate::Scene;
 use crate::read::Survey;
 use crate::seabed::Surface;
-use crate::unit_tests::Disk;
-use echotank_config::spec::{
-    AnchorSpec, BottomSpec, Density, IncidenceSpec, OcclusionSpec, SceneSpec, SeabedFileSpec,
-    SeabedShape, SeabedSpec,
-};
+use crate::unit_tests::{self, Disk, seabed, surveyed};
+use echotank_config::spec::{OcclusionSpec, SceneSpec, SeabedFileSpec, SeabedShape};
 use echotank_core::scene::{Footprint, Scatterers};
 
 const ROWS: usize = 61;
@@ -34,34 +31,15 @@ fn written(depth_m: impl Fn(f64, f64) -> f64) -> (tempfile::TempDir, PathBuf) {
             text += &format!("{:.6} ", depth_m(n, e));
         }
     }
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("ground.asc");
-    std::fs::write(&path, text).unwrap();
-    (folder, path)
+    unit_tests::written("ground.asc", &text)
 }
 
 fn spec(path: PathBuf, occlusion: OcclusionSpec) -> SceneSpec {
     SceneSpec {
         seed: 7,
-        anchor: AnchorSpec::FirstFix,
-        mirror: false,
-        seabed: Some(SeabedSpec {
-            shape: SeabedShape::File {
-                file: SeabedFileSpec::of(path),
-                offset_north_m: 0.0,
-                offset_east_m: 0.0,
-            },
-            density: Density::PerM2(DENSITY),
-            bottom: BottomSpec::BistaticLambert { mu_db: -27.0 },
-            incidence: IncidenceSpec::Normal,
-            mosaic: None,
-            speckle: false,
-        }),
-        points: None,
-        targets: None,
         occlusion,
         memory_limit_bytes: 1 << 26,
-        simplify: None,
+        ..unit_tests::spec(Some(seabed(surveyed(path), DENSITY, false)), 0)
     }
 }
 
@@ -252,10 +230,8 @@ fn the_papers_rule_ignores_an_obstacle_where_the_ground_behind_it_rises() {
 #[test]
 fn a_sphere_in_the_water_casts_its_geometric_shadow() {
     let (_keep, path) = written(|_, _| 20.0);
-    let folder = tempfile::tempdir().unwrap();
-    let targets = folder.path().join("ball.toml");
     let ball = "[[target]]\nname = \"ball\"\nshape = \"sphere\"\nnorth_m = 5.0\neast_m = 12.0\ndown_m = 15.0\nradius_m = 1.5\n";
-    std::fs::write(&targets, ball).unwrap();
+    let (_keep_targets, targets) = unit_tests::written("ball.toml", ball);
     let (center_m, radius_m) = (DVec3::new(5.0, 12.0, 15.0), 1.5);
     let (apex_m, receiver_m) = (DVec3::new(0.0, 0.0, 5.0), DVec3::new(0.5, 0.3, 5.2));
     let footprint = Footprint {
@@ -290,45 +266,4 @@ fn a_sphere_in_the_water_casts_its_geometric_shadow() {
         }
         assert!(dark > 50, "{shape}: {dark} in the shadow");
     }
-}
-
-/// The insonified ground is the same, scatterer by scatterer, as with a box at the same position.
-#[test]
-fn a_mesh_of_a_box_casts_the_shadow_of_the_box() {
-    let (_keep, path) = written(|n, e| 20.0 + 0.02 * n - 0.03 * e);
-    let folder = tempfile::tempdir().unwrap();
-    let corners = (0..8).map(|k| [0, 1, 2].map(|bit| if k >> bit & 1 == 1 { 1.0 } else { -1.0 }));
-    let corners = corners.map(|[x, y, z]: [f64; 3]| format!("v {} {} {}\n", x, 1.5 * y, 0.75 * z));
-    let faces = "f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6\n";
-    let obj = corners.collect::<String>() + faces;
-    std::fs::write(folder.path().join("box.obj"), obj).unwrap();
-    let place =
-        "north_m = 5.0\neast_m = 12.0\ndown_m = 15.0\nheading_deg = 20.0\nlambert_db = -15.0\n";
-    let footprint = Footprint {
-        receiver_m: DVec3::new(0.5, 0.3, 5.2),
-        ..Footprint::all_round(DVec3::new(0.0, 0.0, 5.0), RANGE)
-    };
-    // The mesh's y axis is north, along its heading.
-    let [mesh, solid] = [
-        "shape = \"mesh\"\nfile = \"box.obj\"\n",
-        "shape = \"box\"\nsize_m = [3.0, 2.0, 1.5]\n",
-    ]
-    .map(|shape| {
-        let targets = folder.path().join("targets.toml");
-        std::fs::write(
-            &targets,
-            format!("[[target]]\nname = \"it\"\n{shape}{place}"),
-        )
-        .unwrap();
-        let mut spec = spec(path.clone(), OcclusionSpec::Horizon);
-        spec.targets = Some(targets);
-        let (seen, shadowed) = gathered(&spec, &[footprint]);
-        let ground = seen.into_iter().filter(|at| at.z > 17.0);
-        (ground.map(key).collect::<HashSet<_>>(), shadowed)
-    });
-    let open = gathered(&spec(path.clone(), OcclusionSpec::None), &[footprint]);
-    let dark = open.0.len() - mesh.0.len();
-    println!("{dark} of {} in the shadow", open.0.len());
-    assert!(dark > 50, "{dark}");
-    assert!(mesh.0 == solid.0);
 }
