@@ -256,19 +256,21 @@ mod tests {
     use super::*;
     use echotank_core::arrays::{Mounting, Pattern};
 
-    /// A floor above the axis drops everything, and a very low floor drops nothing. Between, the
-    /// share of each window is that of its ring.
-    #[test]
-    fn windows_drop_the_shares_of_their_rings_and_everything_above_the_axis() {
+    /// A rectangular transmitter, and an omnidirectional element at its position.
+    fn line_and_element(
+        body_from_array: DQuat,
+        length_m: f64,
+        width_m: f64,
+    ) -> (TransmitArray, ArrayGeometry) {
         let mounting = Mounting {
             position_m: DVec3::ZERO,
-            body_from_array: DQuat::from_rotation_x(f64::to_radians(-45.0)),
+            body_from_array,
         };
         let transmit = TransmitArray {
             mounting,
             pattern: Pattern::Rectangle {
-                length_m: 0.1,
-                width_m: 0.01,
+                length_m,
+                width_m,
                 baffled: false,
             },
             level_offset_db: 0.0,
@@ -281,6 +283,15 @@ mod tests {
             sensitivity_db: 0.0,
             transmit: 0,
         };
+        (transmit, array)
+    }
+
+    /// A floor above the axis drops everything, and a very low floor drops nothing. Between, the
+    /// share of each window is that of its ring.
+    #[test]
+    fn windows_drop_the_shares_of_their_rings_and_everything_above_the_axis() {
+        let turn = DQuat::from_rotation_x(f64::to_radians(-45.0));
+        let (transmit, array) = line_and_element(turn, 0.1, 0.01);
         const WINDOW_M: f64 = 0.5;
         let ground = Ground {
             world_from_body: DQuat::IDENTITY,
@@ -330,36 +341,9 @@ mod tests {
         // An omnidirectional element and a line of 17 wavelengths, 45 degrees off the vertical:
         // sinc^2 with everything, or below the floor.
         const WAVELENGTH_M: f64 = 0.00375;
-        let mounting = Mounting {
-            position_m: DVec3::ZERO,
-            body_from_array: glam::DQuat::IDENTITY,
-        };
-        let transmit = TransmitArray {
-            mounting,
-            pattern: Pattern::Rectangle {
-                length_m: 17.0 * WAVELENGTH_M,
-                width_m: 0.0,
-                baffled: false,
-            },
-            level_offset_db: 0.0,
-        };
-        let array = ArrayGeometry {
-            mounting,
-            elements: 1,
-            spacing_m: 0.0,
-            element_pattern: Pattern::Omnidirectional,
-            sensitivity_db: 0.0,
-            transmit: 0,
-        };
-        let share = |db: f64| {
-            left_out_share(
-                &transmit,
-                &array,
-                WAVELENGTH_M,
-                db,
-                std::f64::consts::FRAC_PI_4,
-            )
-        };
+        let (transmit, array) = line_and_element(DQuat::IDENTITY, 17.0 * WAVELENGTH_M, 0.0);
+        let off_rad = std::f64::consts::FRAC_PI_4;
+        let share = |db| left_out_share(&transmit, &array, WAVELENGTH_M, db, off_rad);
         // The integral of sinc^2 is 1 and that of its main lobe 0.9028 (Harris 1978). -13.2 dB lies
         // just above the first side lobe. The part of the main lobe below the floor contributes
         // about 0.003.

@@ -17,7 +17,7 @@ use echotank_synthesis::error_model::Conditions;
 use crate::paths::restless;
 use echotank_testing::echo::*;
 
-fn conditions(plan: &PingPlan, range_m: (f64, f64)) -> Conditions {
+pub(crate) fn conditions(plan: &PingPlan, range_m: (f64, f64)) -> Conditions {
     Conditions {
         pulse: plan.pulse,
         sound_speed_m_per_s: C,

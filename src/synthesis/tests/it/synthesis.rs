@@ -24,6 +24,7 @@ use echotank_synthesis::echo::reference::reference_with;
 use echotank_synthesis::edges::Edges;
 use echotank_synthesis::error_model::Conditions;
 
+use crate::error_models::conditions;
 use crate::paths::restless;
 use echotank_testing::echo::*;
 
@@ -815,19 +816,9 @@ fn nearest_and_linear_have_their_predicted_errors() {
     println!("nearest {:.2e}, linear {:.2e}", errors.0, errors.1);
     // Closed forms for a pulse with a flat band: 0.393 and 0.198 for 30 kHz at 40 kHz.
     let conditions = Conditions {
-        pulse: shared.plan.pulse,
-        sound_speed_m_per_s: C,
         sample_rate_hz: 40e3,
         filter: ReceiverFilter::Fir,
-        speed_m_per_s: 0.0,
-        acceleration_m_per_s2: 0.0,
-        turning_m_per_s: 0.0,
-        range_m: (1.0, 100.0),
-        segment_s: 1.0,
-        scatterers: 1,
-        elements: 1,
-        tolerance: 1e-3,
-        heard: None,
+        ..conditions(&shared.plan, (1.0, 100.0))
     };
     // Their squares' means over the band and all places between two samples; the error models have the unluckiest place, in the middle: half a
     // sample's phase against its mean, sqrt(3) for nearest, and y (1 - y) there against its mean, sqrt(30/16) for linear, at low frequencies.
