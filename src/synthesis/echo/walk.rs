@@ -17,6 +17,7 @@
 //! transmit pattern alone lies below the floor. No element pattern exceeds 1, so this never drops a
 //! pair that the pair test would keep.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -109,6 +110,21 @@ impl TransmitLeg {
     /// Whether no scatterer is insonified.
     pub fn is_empty(&self) -> bool {
         self.range_m.is_empty()
+    }
+
+    /// The scatterers of one batch of [`CHUNK`], and their numbers.
+    fn batch(&self, b: usize) -> (Range<usize>, Batch<'_>) {
+        let span = b * CHUNK..((b + 1) * CHUNK).min(self.len());
+        let (min_range_m, max_range_m) = self.batch_range_m[b];
+        let batch = Batch {
+            x_m: &self.x_m[span.clone()],
+            y_m: &self.y_m[span.clone()],
+            z_m: &self.z_m[span.clone()],
+            range_m: &self.range_m[span.clone()],
+            min_range_m,
+            max_range_m,
+        };
+        (span, batch)
     }
 
     /// Sets the number of scatterers.
@@ -418,12 +434,7 @@ pub fn arrivals_of_slab(
     let Slab { window, own_s } = slab;
     let is_own = |delay_s: f64| (own_s.0 <= delay_s) & (delay_s < own_s.1);
     let c = plan.sound_speed_m_per_s;
-    let receive = ReceiveLeg {
-        c,
-        pattern: Directivity::new(&array.element_pattern, wavelength_m(plan)),
-        one_way: OneWay::new(wavelength_m(plan), plan.absorption_db_per_m),
-        sensitivity: amplitude_from_db(array.sensitivity_db),
-    };
+    let receive = ReceiveLeg::new(plan, array);
     let floor = pattern_floor(plan);
     let duration_s = plan.pulse.duration_s;
     let Workspace {
@@ -450,7 +461,7 @@ pub fn arrivals_of_slab(
     chunk.len = 0;
 
     for (b, &(min_range_m, max_range_m)) in transmit_leg.batch_range_m.iter().enumerate() {
-        let span = b * CHUNK..((b + 1) * CHUNK).min(transmit_leg.len());
+        let (span, batch) = transmit_leg.batch(b);
         let [is_late, is_early] = [
             min_range_m > farthest_m * (1.0 + 1e-12),
             max_range_m < nearest_m * (1.0 - 1e-12),
@@ -464,14 +475,6 @@ pub fn arrivals_of_slab(
             counts.outside_window += u64::from(ends_here) * span.len() as u64;
             continue;
         }
-        let batch = Batch {
-            x_m: &transmit_leg.x_m[span.clone()],
-            y_m: &transmit_leg.y_m[span.clone()],
-            z_m: &transmit_leg.z_m[span.clone()],
-            range_m: &transmit_leg.range_m[span.clone()],
-            min_range_m,
-            max_range_m,
-        };
         let root_counts = solve(track, c, batch, rays);
         if is_own(rays.delay_s[0]) {
             counts.no_root += root_counts.no_root;
@@ -565,11 +568,22 @@ struct ReceiveLeg {
     sensitivity: f64,
 }
 
+impl ReceiveLeg {
+    fn new(plan: &PingPlan, array: &ArrayGeometry) -> Self {
+        Self {
+            c: plan.sound_speed_m_per_s,
+            pattern: Directivity::new(&array.element_pattern, wavelength_m(plan)),
+            one_way: OneWay::new(wavelength_m(plan), plan.absorption_db_per_m),
+            sensitivity: amplitude_from_db(array.sensitivity_db),
+        }
+    }
+}
+
 /// Computes gain, pattern level and Doppler of the receive leg of a batch.
 fn receive_gains(
     receive: &ReceiveLeg,
     transmit_leg: &TransmitLeg,
-    span: std::ops::Range<usize>,
+    span: Range<usize>,
     rays: &Rays,
     received: &mut ReceivedBatch,
 ) {
@@ -600,7 +614,7 @@ fn receive_gains(
 fn receive_gains_as<const CURVED: bool, const OMNI: bool>(
     receive: &ReceiveLeg,
     transmit_leg: &TransmitLeg,
-    span: std::ops::Range<usize>,
+    span: Range<usize>,
     rays: &Rays,
     received: &mut ReceivedBatch,
 ) {
@@ -708,7 +722,7 @@ fn expand(middle: Middle, batch: Batch, rays: &mut Rays, received: &mut Received
 fn apply_paper_eq21(
     c: f64,
     transmit_leg: &TransmitLeg,
-    span: std::ops::Range<usize>,
+    span: Range<usize>,
     rays: &mut Rays,
     received: &mut ReceivedBatch,
 ) {

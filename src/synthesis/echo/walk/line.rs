@@ -36,7 +36,7 @@ use super::{
     Batch, Complex64, Rays, ReceiveLeg, ReceivedBatch, TransmitLeg, pattern_floor, receive_gains,
     refine, solve,
 };
-use super::{Directivity, ElementTrack, Motion, OneWay, amplitude_from_db, wavelength_m};
+use super::{ElementTrack, Motion};
 
 /// Corners of a box.
 const CORNERS: usize = 8;
@@ -287,12 +287,7 @@ fn walk_batches(
         return counts;
     }
     let c = plan.sound_speed_m_per_s;
-    let receive = ReceiveLeg {
-        c,
-        pattern: Directivity::new(&array.element_pattern, wavelength_m(plan)),
-        one_way: OneWay::new(wavelength_m(plan), plan.absorption_db_per_m),
-        sensitivity: amplitude_from_db(array.sensitivity_db),
-    };
+    let receive = ReceiveLeg::new(plan, array);
     let floor = pattern_floor(plan);
     let (nearest_m, farthest_m) = lay(plan, array, stretch, transmit_leg, &mut work.track);
     let LineWorkspace {
@@ -313,15 +308,7 @@ fn walk_batches(
         if min_range_m > farthest_m || max_range_m < nearest_m {
             continue;
         }
-        let span = b * CHUNK..((b + 1) * CHUNK).min(transmit_leg.len());
-        let batch = Batch {
-            x_m: &transmit_leg.x_m[span.clone()],
-            y_m: &transmit_leg.y_m[span.clone()],
-            z_m: &transmit_leg.z_m[span.clone()],
-            range_m: &transmit_leg.range_m[span.clone()],
-            min_range_m,
-            max_range_m,
-        };
+        let (span, batch) = transmit_leg.batch(b);
         let odd = solve(&track.middle, c, batch, rays);
         if plan.model.path == PathModel::Continuous {
             refine(plan, &transmit_leg.transmit, &track.middle, batch, rays);
