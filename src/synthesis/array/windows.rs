@@ -23,10 +23,8 @@ use echotank_core::pulse::MIN_WINDOW;
 use super::Direct;
 use super::error_models::synthesis_error_model;
 use super::filter::{Decimator, FilterError, oversample};
-use crate::comparison::linear::Linear;
-use crate::comparison::nearest::Nearest;
-use crate::comparison::replica::Replica;
-use crate::comparison::spectral::{Bins, Spectral, Spectrum};
+use crate::comparison::Comparison;
+use crate::comparison::spectral::Bins;
 
 /// Echo positions between two samples: on a sample, halfway, and some that repeat on no dense grid.
 const PLACES: [f64; 6] = [0.0, 0.5, 0.118, 0.236, 0.618, 0.854];
@@ -64,19 +62,12 @@ pub fn window_error_model(
     Ok(error_model)
 }
 
-/// The method under test, prepared once for all positions.
-enum Sum {
-    Direct,
-    Spectral(Spectrum),
-    Nearest(Replica),
-    Linear(Replica),
-}
-
 /// A single echo in its own record.
 struct SingleEcho<'a> {
     plan: &'a PingPlan,
     rate_hz: f64,
-    sum: Sum,
+    /// The method under test, prepared once for all positions; none is the direct sum.
+    method: Option<Comparison>,
     own: Option<Decimator>,
     exact: Option<Decimator>,
     /// Samples of a window, and samples of silence on either side of the echo: a window plus the
@@ -107,26 +98,15 @@ impl<'a> SingleEcho<'a> {
         let reach = own.as_ref().map_or(0.0, |f| (f.half_s() * rate_hz).ceil());
         let silence = window + reach as usize + 2;
         let samples = sounding as usize + 2 * silence;
-        let replica = || {
-            let mut replica = Replica::default();
-            replica.prepare(plan, rate_hz, own.as_ref());
-            replica
-        };
-        let sum = match synthesis {
-            Synthesis::Spectral => {
-                let record_s = samples as f64 / rate_hz;
-                let mut spectrum = Spectrum::new(rate_hz, record_s, None, own.as_ref());
-                spectrum.prepare(plan);
-                Sum::Spectral(spectrum)
-            }
-            Synthesis::Nearest => Sum::Nearest(replica()),
-            Synthesis::Linear => Sum::Linear(replica()),
-            _ => Sum::Direct,
-        };
+        let record_s = samples as f64 / rate_hz;
+        let mut method = Comparison::new(synthesis, rate_hz, record_s, None, own.as_ref());
+        if let Some(method) = &mut method {
+            method.prepare(plan, rate_hz, own.as_ref());
+        }
         Ok(Self {
             plan,
             rate_hz,
-            sum,
+            method,
             own,
             exact,
             window,
@@ -139,8 +119,8 @@ impl<'a> SingleEcho<'a> {
     /// Doppler.
     fn worst(&self, conditions: &Conditions, noise_below_db: f64) -> f64 {
         let fastest = 2.0 * conditions.speed_m_per_s / conditions.sound_speed_m_per_s;
-        let dopplers = match self.sum {
-            Sum::Direct if fastest > 0.0 => &[0.0, fastest, -fastest][..],
+        let dopplers = match self.method {
+            None if fastest > 0.0 => &[0.0, fastest, -fastest][..],
             _ => &[0.0],
         };
         let places = dopplers
@@ -201,22 +181,14 @@ impl<'a> SingleEcho<'a> {
 
     fn summed(&self, place: f64, doppler: f64) -> Vec<Complex64> {
         let echo = self.echo(place, doppler);
+        let Some(method) = &self.method else {
+            return self.direct(self.own.as_ref(), &echo);
+        };
         let mut out = vec![Complex64::ZERO; self.samples];
-        match &self.sum {
-            Sum::Direct => return self.direct(self.own.as_ref(), &echo),
-            Sum::Spectral(spectrum) => {
-                let mut bins = Bins::default();
-                let mut sink = Spectral::new(self.plan, spectrum, 0.0, &mut bins);
-                sink.accept(&echo);
-                sink.finish(&mut out);
-            }
-            Sum::Nearest(replica) => {
-                Nearest::new(self.plan, replica, self.rate_hz, 0.0, &mut out).accept(&echo);
-            }
-            Sum::Linear(replica) => {
-                Linear::new(self.plan, replica, self.rate_hz, 0.0, &mut out).accept(&echo);
-            }
-        }
+        let (plan, rate_hz) = (self.plan, self.rate_hz);
+        method.sum(plan, rate_hz, 0.0, &mut Bins::default(), &mut out, |sink| {
+            sink.accept(&echo)
+        });
         out
     }
 }

@@ -15,6 +15,7 @@ use echotank_core::model::Synthesis;
 use echotank_core::ping::{EchoCounts, PingPlan};
 
 use crate::array::filter::Decimator;
+use crate::arrivals::ArrivalSink;
 use crate::echo::walk::{TransmitLeg, Workspace, arrivals};
 use linear::Linear;
 use nearest::Nearest;
@@ -80,23 +81,35 @@ impl Comparison {
         bins: &mut Bins,
         iq: &mut [Complex64],
     ) -> EchoCounts {
-        let first_s = plan.first_sample_s;
+        self.sum(plan, rate_hz, plan.first_sample_s, bins, iq, |sink| {
+            arrivals(plan, array, element, transmit_leg, walk, sink)
+        })
+    }
+
+    /// Overwrites `iq` with the echoes that `pass` gives to the sink, behind the receiver filter.
+    pub(crate) fn sum<R>(
+        &self,
+        plan: &PingPlan,
+        rate_hz: f64,
+        first_s: f64,
+        bins: &mut Bins,
+        iq: &mut [Complex64],
+        pass: impl FnOnce(&mut dyn ArrivalSink) -> R,
+    ) -> R {
         match self {
             Self::Spectral(spectrum) => {
                 let mut sink = Spectral::new(plan, spectrum, first_s, bins);
-                let counts = arrivals(plan, array, element, transmit_leg, walk, &mut sink);
+                let passed = pass(&mut sink);
                 sink.finish(iq);
-                counts
+                passed
             }
             Self::Nearest(replica) => {
                 iq.fill(Complex64::ZERO);
-                let mut sink = Nearest::new(plan, replica, rate_hz, first_s, iq);
-                arrivals(plan, array, element, transmit_leg, walk, &mut sink)
+                pass(&mut Nearest::new(plan, replica, rate_hz, first_s, iq))
             }
             Self::Linear(replica) => {
                 iq.fill(Complex64::ZERO);
-                let mut sink = Linear::new(plan, replica, rate_hz, first_s, iq);
-                arrivals(plan, array, element, transmit_leg, walk, &mut sink)
+                pass(&mut Linear::new(plan, replica, rate_hz, first_s, iq))
             }
         }
     }

@@ -397,7 +397,7 @@ pub fn arrivals(
     element: usize,
     transmit_leg: &TransmitLeg,
     work: &mut Workspace,
-    sink: &mut impl ArrivalSink,
+    sink: &mut (impl ArrivalSink + ?Sized),
 ) -> EchoCounts {
     let Some(window) = transmit_leg.window else {
         return EchoCounts::default(); // nothing is insonified yet
@@ -428,7 +428,7 @@ pub fn arrivals_of_slab(
     transmit_leg: &TransmitLeg,
     slab: Slab,
     work: &mut Workspace,
-    sink: &mut impl ArrivalSink,
+    sink: &mut (impl ArrivalSink + ?Sized),
 ) -> EchoCounts {
     let mut counts = EchoCounts::default();
     let Slab { window, own_s } = slab;
