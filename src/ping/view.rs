@@ -6,6 +6,7 @@ use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::Pattern;
 use echotank_core::ping::PingPlan;
 use echotank_scene::simplify::energy::{Beam, View};
+use echotank_synthesis::echo::levels::Directivity;
 
 /// Transmit and receive arrays rotated by less than this against each other share their axes. Otherwise the view uses the transmitter's
 /// pattern alone, which omits fewer scatterers.
@@ -16,20 +17,7 @@ const PARALLEL_RAD: f64 = 1e-3;
 pub fn view(spec: &SonarSpec, plan: &PingPlan, view: &mut View) {
     let pose = plan.trajectory.pose_at(0.0);
     let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
-    let face = |pattern: &Pattern| match *pattern {
-        Pattern::Omnidirectional => (0.0, 0.0, false),
-        Pattern::Rectangle {
-            length_m,
-            width_m,
-            baffled,
-        }
-        | Pattern::Part {
-            length_m,
-            width_m,
-            baffled,
-            ..
-        } => (length_m / wavelength_m, width_m / wavelength_m, baffled),
-    };
+    let face = |pattern: &Pattern| Directivity::new(pattern, wavelength_m).face();
     view.apex_m = pose.position_m;
     view.beams.clear();
     view.beams.extend(spec.receive.iter().map(|array| {

@@ -50,6 +50,11 @@ impl Directivity {
         }
     }
 
+    /// Length and width of the face, wavelengths, and whether it has a baffle; an omnidirectional face is (0, 0, false).
+    pub fn face(&self) -> (f64, f64, bool) {
+        (self.length, self.width, self.baffle_z == 0.0)
+    }
+
     /// Whether the response is 1 in every direction.
     pub(crate) fn is_omnidirectional(&self) -> bool {
         self.length == 0.0 && self.width == 0.0 && self.baffle_z == f64::NEG_INFINITY
