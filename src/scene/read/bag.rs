@@ -28,81 +28,74 @@ const MAX_METADATA_BYTES: u64 = 16 << 20;
 /// Producers put the north-eastern corner at the last centre or a cell beyond it.
 const CORNER_TOLERANCE_CELLS: f64 = 1.5;
 
-pub(super) struct Bag;
+pub(super) const READER: Reader = Reader {
+    format: SeabedFormat::Bag,
+    name: "BAG",
+    recognises: |head, _| head.starts_with(b"\x89HDF\r\n\x1a\n"),
+    read,
+};
 
-impl Reader for Bag {
-    fn format(&self) -> SeabedFormat {
-        SeabedFormat::Bag
-    }
-    fn name(&self) -> &'static str {
-        "BAG"
-    }
-    fn recognises(&self, head: &[u8], _extension: &str) -> bool {
-        head.starts_with(b"\x89HDF\r\n\x1a\n")
-    }
-
-    fn read(&self, bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
-        let options = OpenOptions::default()
-            .with_chunk_cache_bytes(0)
-            .with_max_chunk_bytes(MAX_CHUNK_BYTES)
-            .with_max_read_bytes(MAX_CELLS * size_of::<f32>());
-        let file = Hdf5File::from_vec_with_options(bytes, options).at("HDF5")?;
-        let metadata = Metadata::read(&file)?;
-        let (rows, cols, values) = layer(&file, ELEVATION)?;
-        for (what, announced, got) in [
-            ("row", metadata.rows, rows),
-            ("column", metadata.cols, cols),
-        ] {
-            if announced.size.is_some_and(|size| size != got as u64) {
-                let rule = format!("differs from the number of {what}s in {ELEVATION}, {got}");
-                let message = announced.size.unwrap_or_default().to_string();
-                return refuse(METADATA, &message, rule);
-            }
+fn read(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
+    let options = OpenOptions::default()
+        .with_chunk_cache_bytes(0)
+        .with_max_chunk_bytes(MAX_CHUNK_BYTES)
+        .with_max_read_bytes(MAX_CELLS * size_of::<f32>());
+    let file = Hdf5File::from_vec_with_options(bytes, options).at("HDF5")?;
+    let metadata = Metadata::read(&file)?;
+    let (rows, cols, values) = layer(&file, ELEVATION)?;
+    for (what, announced, got) in [
+        ("row", metadata.rows, rows),
+        ("column", metadata.cols, cols),
+    ] {
+        if announced.size.is_some_and(|size| size != got as u64) {
+            let rule = format!("differs from the number of {what}s in {ELEVATION}, {got}");
+            let message = announced.size.unwrap_or_default().to_string();
+            return refuse(METADATA, &message, rule);
         }
-        let [west, south, east, north] = metadata.corners;
-        let steps = [
-            ("column", metadata.cols.step, east - west, cols),
-            ("row", metadata.rows.step, north - south, rows),
-        ];
-        for (what, step, extent, count) in steps {
-            let off_cells = extent / step - (count - 1) as f64;
-            if off_cells.abs() > CORNER_TOLERANCE_CELLS {
-                let rule = format!(
-                    "is not the distance of the corners of {count} {what}s of {step}: the cell size or the corners are wrong"
-                );
-                return refuse(METADATA, extent, rule);
-            }
-        }
-        let mut notes = metadata.notes;
-        if let Ok((_, _, uncertainty)) = layer(&file, UNCERTAINTY) {
-            notes.push(spread_of(&uncertainty));
-        }
-        if file.dataset(REFINEMENTS).is_ok() {
-            notes.push("variable resolution: read at its base resolution only".to_owned());
-        }
-        let first_row = spec.first_row.unwrap_or(FirstRow::South);
-        let also = spec.nodata.map(|v| v as f32);
-        let is_hole = |v: f32| v == NULL || Some(v) == also;
-        Ok(Raw {
-            shape: RawShape::Grid(RawGrid {
-                rows,
-                cols,
-                x_west: west,
-                y_south: south,
-                x_step: metadata.cols.step,
-                y_step: metadata.rows.step,
-                values: south_first(values, cols, first_row, is_hole, ELEVATION)?,
-                first_row,
-                from_corners: false,
-            }),
-            facts: Facts {
-                crs: metadata.crs,
-                values: Some((HeightSign::Elevation, "BAG holds elevations")),
-                notes,
-                covers_deg: metadata.covers_deg,
-            },
-        })
     }
+    let [west, south, east, north] = metadata.corners;
+    let steps = [
+        ("column", metadata.cols.step, east - west, cols),
+        ("row", metadata.rows.step, north - south, rows),
+    ];
+    for (what, step, extent, count) in steps {
+        let off_cells = extent / step - (count - 1) as f64;
+        if off_cells.abs() > CORNER_TOLERANCE_CELLS {
+            let rule = format!(
+                "is not the distance of the corners of {count} {what}s of {step}: the cell size or the corners are wrong"
+            );
+            return refuse(METADATA, extent, rule);
+        }
+    }
+    let mut notes = metadata.notes;
+    if let Ok((_, _, uncertainty)) = layer(&file, UNCERTAINTY) {
+        notes.push(spread_of(&uncertainty));
+    }
+    if file.dataset(REFINEMENTS).is_ok() {
+        notes.push("variable resolution: read at its base resolution only".to_owned());
+    }
+    let first_row = spec.first_row.unwrap_or(FirstRow::South);
+    let also = spec.nodata.map(|v| v as f32);
+    let is_hole = |v: f32| v == NULL || Some(v) == also;
+    Ok(Raw {
+        shape: RawShape::Grid(RawGrid {
+            rows,
+            cols,
+            x_west: west,
+            y_south: south,
+            x_step: metadata.cols.step,
+            y_step: metadata.rows.step,
+            values: south_first(values, cols, first_row, is_hole, ELEVATION)?,
+            first_row,
+            from_corners: false,
+        }),
+        facts: Facts {
+            crs: metadata.crs,
+            values: Some((HeightSign::Elevation, "BAG holds elevations")),
+            notes,
+            covers_deg: metadata.covers_deg,
+        },
+    })
 }
 
 /// Rows, columns and values of a layer.

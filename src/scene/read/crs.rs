@@ -214,38 +214,17 @@ mod tests {
     #[test]
     fn epsg_codes_are_recognised_by_their_ranges() {
         let of = |code| Crs::from_epsg(code, "here").unwrap();
-        assert!(matches!(
-            of(32602),
-            Crs::Utm {
-                zone: 2,
-                north: true,
-                ..
-            }
-        ));
-        assert!(matches!(
-            of(32760),
-            Crs::Utm {
-                zone: 60,
-                north: false,
-                ..
-            }
-        ));
-        assert!(matches!(
-            of(26920),
-            Crs::Utm {
-                zone: 20,
-                north: true,
-                ..
-            }
-        ));
-        assert!(matches!(
-            of(7856),
-            Crs::Utm {
-                zone: 56,
-                north: false,
-                ..
-            }
-        ));
+        for (code, want) in [
+            (32602, (2, true)),
+            (32760, (60, false)),
+            (26920, (20, true)),
+            (7856, (56, false)),
+        ] {
+            let Crs::Utm { zone, north, .. } = of(code) else {
+                panic!("{code} is a UTM zone");
+            };
+            assert_eq!((zone, north), want, "{code}");
+        }
         assert!(matches!(of(4326), Crs::Geographic(_)));
         assert_eq!(of(32161), Crs::Projected("EPSG:32161".to_owned()));
         let message = Crs::from_epsg(3857, "GeoKey 3072").unwrap_err().to_string();

@@ -15,41 +15,39 @@ const CORNERS: std::ops::RangeInclusive<f64> = -1e9..=1e9;
 /// Hole value if the header states none (ESRI's default).
 const DEFAULT_NODATA: f64 = -9999.0;
 
-pub(super) struct EsriAscii;
+pub(super) const READER: Reader = Reader {
+    format: SeabedFormat::EsriAscii,
+    name: "ESRI ASCII grid",
+    recognises,
+    read,
+};
 
-impl Reader for EsriAscii {
-    fn format(&self) -> SeabedFormat {
-        SeabedFormat::EsriAscii
-    }
-    fn name(&self) -> &'static str {
-        "ESRI ASCII grid"
-    }
-    fn recognises(&self, head: &[u8], _extension: &str) -> bool {
-        let mut tokens = Tokens {
-            rest: text::without_mark(head),
-            line: 1,
-        };
-        const KEYS: [&str; 9] = [
-            "ncols",
-            "nrows",
-            "xllcorner",
-            "xllcenter",
-            "yllcorner",
-            "yllcenter",
-            "cellsize",
-            "dx",
-            "nodata_value",
-        ];
-        tokens
-            .peek()
-            .is_some_and(|word| KEYS.contains(&word.to_ascii_lowercase().as_str()))
-    }
-    fn read(&self, bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
-        Ok(Raw {
-            shape: RawShape::Grid(parse(&bytes, spec)?),
-            facts: Facts::default(),
-        })
-    }
+fn recognises(head: &[u8], _extension: &str) -> bool {
+    let mut tokens = Tokens {
+        rest: text::without_mark(head),
+        line: 1,
+    };
+    const KEYS: [&str; 9] = [
+        "ncols",
+        "nrows",
+        "xllcorner",
+        "xllcenter",
+        "yllcorner",
+        "yllcenter",
+        "cellsize",
+        "dx",
+        "nodata_value",
+    ];
+    tokens
+        .peek()
+        .is_some_and(|word| KEYS.contains(&word.to_ascii_lowercase().as_str()))
+}
+
+fn read(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
+    Ok(Raw {
+        shape: RawShape::Grid(parse(&bytes, spec)?),
+        facts: Facts::default(),
+    })
 }
 
 fn parse(bytes: &[u8], spec: &SeabedFileSpec) -> Result<RawGrid, FormatError> {

@@ -37,82 +37,77 @@ const RASTER_PIXEL_IS_POINT: u16 = 2;
 /// The parameters are in the file instead of the EPSG register.
 const USER_DEFINED: u16 = 32_767;
 
-pub(super) struct GeoTiff;
-
-impl Reader for GeoTiff {
-    fn format(&self) -> SeabedFormat {
-        SeabedFormat::GeoTiff
-    }
-    fn name(&self) -> &'static str {
-        "GeoTIFF"
-    }
-    fn recognises(&self, head: &[u8], _extension: &str) -> bool {
+pub(super) const READER: Reader = Reader {
+    format: SeabedFormat::GeoTiff,
+    name: "GeoTIFF",
+    recognises: |head, _| {
         [&b"II*\0"[..], b"MM\0*", b"II+\0", b"MM\0+"]
             .iter()
             .any(|magic| head.starts_with(magic))
-    }
+    },
+    read,
+};
 
-    fn read(&self, bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
-        let mut limits = Limits::default();
-        limits.decoding_buffer_size = MAX_CELLS * size_of::<f64>();
-        limits.intermediate_buffer_size = MAX_CHUNK_BYTES;
-        limits.ifd_value_size = MAX_TAG_BYTES;
-        let mut tiff = Decoder::new(Cursor::new(bytes))
-            .at("TIFF header")?
-            .with_limits(limits);
-        let (width, height) = tiff.dimensions().at("tag ImageWidth")?;
-        let (rows, cols) = checked_size(height.into(), width.into(), "tag ImageWidth")?;
-        let place = "tag SamplesPerPixel";
-        let kind = tiff.colortype().at(place)?;
-        if !matches!(kind, ColorType::Gray(8..=64)) {
-            let rule = "must be one band of heights, of 8 to 64 bits";
-            return refuse(place, format!("{kind:?}"), rule);
-        }
-        let keys = GeoKeys::read(&mut tiff)?;
-        let place = Georeference::read(&mut tiff, &keys)?;
-        let nodata = match tiff.find_tag(Tag::GdalNodata) {
-            Ok(Some(value)) => {
-                let place = "tag GDAL_NODATA";
-                let text = value.into_string().at(place)?;
-                let text = text.trim_matches(['\0', ' ']);
-                let value = text.parse::<f64>();
-                Some(value.map_err(|_| FormatError::new(place, text, "must be a number"))? as f32)
-            }
-            _ => None,
-        };
-        let values = band(tiff.read_image().at("image")?);
-        if values.len() != rows * cols {
-            let rule = format!("holds {} cells, not {rows} x {cols}", values.len());
-            return refuse("image", "", rule);
-        }
-        let first_row = spec.first_row.unwrap_or(place.first_row);
-        let also = spec.nodata.map(|v| v as f32);
-        let is_hole = |v: f32| Some(v) == nodata || Some(v) == also;
-        // The tie point refers to the file's first pixel. If the first row is the northern one, the south-western pixel lies one grid extent south.
-        let y_south = match place.first_row {
-            FirstRow::North => place.first_y - (rows - 1) as f64 * place.y_step,
-            FirstRow::South => place.first_y,
-        };
-        Ok(Raw {
-            shape: RawShape::Grid(RawGrid {
-                rows,
-                cols,
-                x_west: place.first_x,
-                y_south,
-                x_step: place.x_step,
-                y_step: place.y_step,
-                values: south_first(values, cols, first_row, is_hole, "image")?,
-                first_row,
-                from_corners: place.from_corners,
-            }),
-            facts: Facts {
-                crs: keys.crs()?,
-                values: None,
-                notes: keys.citation.into_iter().collect(),
-                covers_deg: None,
-            },
-        })
+fn read(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
+    let mut limits = Limits::default();
+    limits.decoding_buffer_size = MAX_CELLS * size_of::<f64>();
+    limits.intermediate_buffer_size = MAX_CHUNK_BYTES;
+    limits.ifd_value_size = MAX_TAG_BYTES;
+    let mut tiff = Decoder::new(Cursor::new(bytes))
+        .at("TIFF header")?
+        .with_limits(limits);
+    let (width, height) = tiff.dimensions().at("tag ImageWidth")?;
+    let (rows, cols) = checked_size(height.into(), width.into(), "tag ImageWidth")?;
+    let place = "tag SamplesPerPixel";
+    let kind = tiff.colortype().at(place)?;
+    if !matches!(kind, ColorType::Gray(8..=64)) {
+        let rule = "must be one band of heights, of 8 to 64 bits";
+        return refuse(place, format!("{kind:?}"), rule);
     }
+    let keys = GeoKeys::read(&mut tiff)?;
+    let place = Georeference::read(&mut tiff, &keys)?;
+    let nodata = match tiff.find_tag(Tag::GdalNodata) {
+        Ok(Some(value)) => {
+            let place = "tag GDAL_NODATA";
+            let text = value.into_string().at(place)?;
+            let text = text.trim_matches(['\0', ' ']);
+            let value = text.parse::<f64>();
+            Some(value.map_err(|_| FormatError::new(place, text, "must be a number"))? as f32)
+        }
+        _ => None,
+    };
+    let values = band(tiff.read_image().at("image")?);
+    if values.len() != rows * cols {
+        let rule = format!("holds {} cells, not {rows} x {cols}", values.len());
+        return refuse("image", "", rule);
+    }
+    let first_row = spec.first_row.unwrap_or(place.first_row);
+    let also = spec.nodata.map(|v| v as f32);
+    let is_hole = |v: f32| Some(v) == nodata || Some(v) == also;
+    // The tie point refers to the file's first pixel. If the first row is the northern one, the south-western pixel lies one grid extent south.
+    let y_south = match place.first_row {
+        FirstRow::North => place.first_y - (rows - 1) as f64 * place.y_step,
+        FirstRow::South => place.first_y,
+    };
+    Ok(Raw {
+        shape: RawShape::Grid(RawGrid {
+            rows,
+            cols,
+            x_west: place.first_x,
+            y_south,
+            x_step: place.x_step,
+            y_step: place.y_step,
+            values: south_first(values, cols, first_row, is_hole, "image")?,
+            first_row,
+            from_corners: place.from_corners,
+        }),
+        facts: Facts {
+            crs: keys.crs()?,
+            values: None,
+            notes: keys.citation.into_iter().collect(),
+            covers_deg: None,
+        },
+    })
 }
 
 /// Converts heights to f32. Integers of more than 24 bits are no heights and are rejected later by their size.

@@ -14,74 +14,66 @@ const BATCH: u64 = 1 << 16;
 /// ASPRS LAS 1.4 R15, table 17: low and high noise.
 const NOISE: [u8; 2] = [7, 18];
 
-pub(super) struct Las;
+pub(super) const READER: Reader = Reader {
+    format: SeabedFormat::Las,
+    name: "LAS points",
+    recognises: |head, _| head.starts_with(b"LASF"),
+    read,
+};
 
-impl Reader for Las {
-    fn format(&self) -> SeabedFormat {
-        SeabedFormat::Las
+fn read(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
+    let length = bytes.len() as u64;
+    let mut reader = LasReader::new(Cursor::new(bytes)).at("LAS header")?;
+    let header = reader.header();
+    let total = header.number_of_points();
+    let record = u64::from(header.point_format().len());
+    if total > MAX_POINTS as u64 {
+        let rule = format!("at most {MAX_POINTS} points are read: thin or grid them first");
+        return refuse("LAS header", total, rule);
     }
-    fn name(&self) -> &'static str {
-        "LAS points"
+    if record == 0 || total.saturating_mul(record) > length {
+        let rule = format!("points were announced, more than the file's {length} bytes can hold");
+        return refuse("LAS header", total, rule);
     }
-    fn recognises(&self, head: &[u8], _extension: &str) -> bool {
-        head.starts_with(b"LASF")
-    }
-
-    fn read(&self, bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
-        let length = bytes.len() as u64;
-        let mut reader = LasReader::new(Cursor::new(bytes)).at("LAS header")?;
-        let header = reader.header();
-        let total = header.number_of_points();
-        let record = u64::from(header.point_format().len());
-        if total > MAX_POINTS as u64 {
-            let rule = format!("at most {MAX_POINTS} points are read: thin or grid them first");
-            return refuse("LAS header", total, rule);
+    let mut facts = Facts {
+        crs: system(&reader, spec)?,
+        values: Some((HeightSign::Elevation, "z is up in LAS")),
+        ..Facts::default()
+    };
+    let mut points = Vec::with_capacity(total as usize);
+    let mut batch = PointDataBuilder::new().for_header(reader.header()).build();
+    let (mut noise, mut read) = (0_u64, 0_u64);
+    while read < total {
+        let place = || format!("points from {read}");
+        let count = reader
+            .fill_points(BATCH.min(total - read), &mut batch)
+            .at(place())?;
+        if count == 0 {
+            let rule = format!("the file ends; {total} points were announced");
+            return refuse(place(), "", rule);
         }
-        if record == 0 || total.saturating_mul(record) > length {
-            let rule =
-                format!("points were announced, more than the file's {length} bytes can hold");
-            return refuse("LAS header", total, rule);
-        }
-        let mut facts = Facts {
-            crs: system(&reader, spec)?,
-            values: Some((HeightSign::Elevation, "z is up in LAS")),
-            ..Facts::default()
-        };
-        let mut points = Vec::with_capacity(total as usize);
-        let mut batch = PointDataBuilder::new().for_header(reader.header()).build();
-        let (mut noise, mut read) = (0_u64, 0_u64);
-        while read < total {
-            let place = || format!("points from {read}");
-            let count = reader
-                .fill_points(BATCH.min(total - read), &mut batch)
-                .at(place())?;
-            if count == 0 {
-                let rule = format!("the file ends; {total} points were announced");
-                return refuse(place(), "", rule);
+        let classes = batch.classification();
+        for (((x, y), z), class) in batch.x().zip(batch.y()).zip(batch.z()).zip(classes) {
+            if NOISE.contains(&class) {
+                noise += 1;
+            } else {
+                points.push(DVec3::new(x, y, z));
             }
-            let classes = batch.classification();
-            for (((x, y), z), class) in batch.x().zip(batch.y()).zip(batch.z()).zip(classes) {
-                if NOISE.contains(&class) {
-                    noise += 1;
-                } else {
-                    points.push(DVec3::new(x, y, z));
-                }
-            }
-            read += count;
         }
-        if noise > 0 {
-            facts
-                .notes
-                .push(format!("{noise} points classed as noise were left out"));
-        }
-        Ok(Raw {
-            shape: RawShape::Points(RawPoints {
-                points,
-                triangles: None,
-            }),
-            facts,
-        })
+        read += count;
     }
+    if noise > 0 {
+        facts
+            .notes
+            .push(format!("{noise} points classed as noise were left out"));
+    }
+    Ok(Raw {
+        shape: RawShape::Points(RawPoints {
+            points,
+            triangles: None,
+        }),
+        facts,
+    })
 }
 
 fn system(reader: &LasReader, spec: &SeabedFileSpec) -> Result<Option<Crs>, FormatError> {

@@ -45,23 +45,23 @@ pub(crate) const MAX_CELLS: usize = 1 << 26;
 pub(crate) const MAX_POINTS: usize = 1 << 22;
 
 /// Reader of one format of seabed files.
-pub(crate) trait Reader: Sync {
-    fn format(&self) -> SeabedFormat;
-    fn name(&self) -> &'static str;
+pub(crate) struct Reader {
+    pub(crate) format: SeabedFormat,
+    pub(crate) name: &'static str,
     /// Whether a file with these first bytes, or with this extension in lower case, has this format.
-    fn recognises(&self, head: &[u8], extension: &str) -> bool;
-    /// Reads a file in its own coordinates. Of `spec` it uses `nodata`, `first_row` and `crs` only.
-    fn read(&self, bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError>;
+    pub(crate) recognises: fn(&[u8], &str) -> bool,
+    /// Reads a file in its own coordinates. Of the specification it uses `nodata`, `first_row` and `crs` only.
+    pub(crate) read: fn(Vec<u8>, &SeabedFileSpec) -> Result<Raw, FormatError>,
 }
 
 /// All readers in the order in which they are tried: formats with a signature first, text last.
-pub(crate) static READERS: [&dyn Reader; 6] = [
-    &geotiff::GeoTiff,
-    &bag::Bag,
-    &las::Las,
-    &ply::Ply,
-    &esri_ascii::EsriAscii,
-    &xyz::Xyz,
+pub(crate) static READERS: [Reader; 6] = [
+    geotiff::READER,
+    bag::READER,
+    las::READER,
+    ply::READER,
+    esri_ascii::READER,
+    xyz::READER,
 ];
 
 /// Result of a reader.

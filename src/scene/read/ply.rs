@@ -8,31 +8,25 @@ use super::format_error::{At, refuse};
 use super::{Facts, FormatError, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
 use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 
-pub(super) struct Ply;
+pub(super) const READER: Reader = Reader {
+    format: SeabedFormat::Ply,
+    name: "PLY",
+    recognises: |head, _| head.starts_with(b"ply\n") || head.starts_with(b"ply\r"),
+    read,
+};
 
-impl Reader for Ply {
-    fn format(&self) -> SeabedFormat {
-        SeabedFormat::Ply
-    }
-    fn name(&self) -> &'static str {
-        "PLY"
-    }
-    fn recognises(&self, head: &[u8], _extension: &str) -> bool {
-        head.starts_with(b"ply\n") || head.starts_with(b"ply\r")
-    }
-    fn read(&self, bytes: Vec<u8>, _asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
-        let (points, triangles) = parse(&bytes)?;
-        Ok(Raw {
-            shape: RawShape::Points(RawPoints {
-                points,
-                triangles: (!triangles.is_empty()).then_some(triangles),
-            }),
-            facts: Facts {
-                values: Some((HeightSign::Elevation, "z is up in PLY by convention")),
-                ..Facts::default()
-            },
-        })
-    }
+fn read(bytes: Vec<u8>, _asked: &SeabedFileSpec) -> Result<Raw, FormatError> {
+    let (points, triangles) = parse(&bytes)?;
+    Ok(Raw {
+        shape: RawShape::Points(RawPoints {
+            points,
+            triangles: (!triangles.is_empty()).then_some(triangles),
+        }),
+        facts: Facts {
+            values: Some((HeightSign::Elevation, "z is up in PLY by convention")),
+            ..Facts::default()
+        },
+    })
 }
 
 /// Vertices in the axes of the file, and its polygons as triangle fans.

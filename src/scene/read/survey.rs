@@ -222,7 +222,7 @@ impl Survey {
     ) -> Result<Self, FormatError> {
         let reader = reader_of(&bytes, spec)?;
         let length = bytes.len() as u64;
-        let Raw { shape, mut facts } = reader.read(bytes, spec)?;
+        let Raw { shape, mut facts } = (reader.read)(bytes, spec)?;
         let (crs, crs_source) = system(&shape, &mut facts, spec, numbers)?;
         let (sign, sign_source) = sign(&shape, &facts, spec);
         let mut notes = std::mem::take(&mut facts.notes);
@@ -250,7 +250,7 @@ impl Survey {
             notes.push("all heights lie above zero: values = \"depth\" may be required".to_owned());
         }
         Ok(Self {
-            format: reader.name(),
+            format: reader.name,
             bytes: length,
             crs,
             crs_source,
@@ -319,7 +319,7 @@ impl Survey {
     }
 }
 
-fn reader_of(bytes: &[u8], spec: &SeabedFileSpec) -> Result<&'static dyn Reader, FormatError> {
+fn reader_of(bytes: &[u8], spec: &SeabedFileSpec) -> Result<&'static Reader, FormatError> {
     let head = &bytes[..bytes.len().min(HEAD_BYTES)];
     let extension = spec
         .path
@@ -327,12 +327,12 @@ fn reader_of(bytes: &[u8], spec: &SeabedFileSpec) -> Result<&'static dyn Reader,
         .and_then(|e| e.to_str())
         .unwrap_or("")
         .to_ascii_lowercase();
-    let found = READERS.iter().copied().find(|r| match spec.format {
-        Some(format) => r.format() == format,
-        None => r.recognises(head, &extension),
+    let found = READERS.iter().find(|r| match spec.format {
+        Some(format) => r.format == format,
+        None => (r.recognises)(head, &extension),
     });
     found.ok_or_else(|| {
-        let names: Vec<&str> = READERS.iter().map(|r| r.name()).collect();
+        let names: Vec<&str> = READERS.iter().map(|r| r.name).collect();
         let rule = format!(
             "has no supported format ({}), by its first bytes or its extension",
             names.join(", ")
@@ -441,26 +441,16 @@ fn sign(shape: &RawShape, facts: &Facts, spec: &SeabedFileSpec) -> (HeightSign, 
         return (sign, Source::Configured);
     }
     let (_, _, looks) = heights(shape);
-    match (facts.values, looks) {
+    use HeightSign::{Depth, Elevation};
+    let (sign, why) = match (facts.values, looks) {
         // A column named depth whose numbers are negative holds elevations.
-        (Some((HeightSign::Depth, _)), Some(HeightSign::Elevation)) => (
-            HeightSign::Elevation,
-            Source::Guessed("named depths, but negative"),
-        ),
-        (Some((sign, why)), _) => (sign, Source::Stated(why)),
-        (None, Some(HeightSign::Elevation)) => (
-            HeightSign::Elevation,
-            Source::Guessed("most numbers are negative"),
-        ),
-        (None, Some(HeightSign::Depth)) => (
-            HeightSign::Depth,
-            Source::Guessed("most numbers are positive"),
-        ),
-        (None, None) => (
-            HeightSign::Elevation,
-            Source::Guessed("both signs occur, as over land and sea"),
-        ),
-    }
+        (Some((Depth, _)), Some(Elevation)) => (Elevation, "named depths, but negative"),
+        (Some((sign, why)), _) => return (sign, Source::Stated(why)),
+        (None, Some(Elevation)) => (Elevation, "most numbers are negative"),
+        (None, Some(Depth)) => (Depth, "most numbers are positive"),
+        (None, None) => (Elevation, "both signs occur, as over land and sea"),
+    };
+    (sign, Source::Guessed(why))
 }
 
 /// Rejects coordinates that are impossible in a system.

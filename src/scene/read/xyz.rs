@@ -13,22 +13,12 @@ use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 const COORDINATES: std::ops::RangeInclusive<f64> = -1e9..=1e9;
 const HEIGHTS: std::ops::RangeInclusive<f64> = -MAX_VERTICAL_M..=MAX_VERTICAL_M;
 
-pub(super) struct Xyz;
-
-impl Reader for Xyz {
-    fn format(&self) -> SeabedFormat {
-        SeabedFormat::Xyz
-    }
-    fn name(&self) -> &'static str {
-        "XYZ soundings"
-    }
-    fn recognises(&self, _head: &[u8], extension: &str) -> bool {
-        matches!(extension, "xyz" | "csv" | "txt" | "tsv" | "dat" | "pts")
-    }
-    fn read(&self, bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
-        parse(&bytes, spec)
-    }
-}
+pub(super) const READER: Reader = Reader {
+    format: SeabedFormat::Xyz,
+    name: "XYZ soundings",
+    recognises: |_, extension| matches!(extension, "xyz" | "csv" | "txt" | "tsv" | "dat" | "pts"),
+    read: |bytes, spec| parse(&bytes, spec),
+};
 
 /// Positions of the three numbers in a line.
 #[derive(Clone, Copy)]
