@@ -640,6 +640,8 @@ fn a_mesh_of_a_file_stands_where_the_same_box_would() {
             let to = DVec3::new(3.0, -4.0, 29.5)
                 + DVec3::new(share(0.569_840_291), share(0.32), share(0.91)) * 1.6;
             let along = (to - from).normalize();
+            let [mesh_hides, cube_hides] = [0, 1].map(|k| targets.hits(&[k], from, along, 40.0));
+            assert_eq!(mesh_hides, cube_hides, "{name}");
             match (mesh.first_hit_m(from, along), cube.first_hit_m(from, along)) {
                 (Some(a), Some(b)) => {
                     met += 1;
