@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use echotank_config as config;
+use echotank_runtime::config_files;
 use proptest::prelude::*;
 
 fn broken_dir() -> PathBuf {
@@ -21,10 +22,19 @@ fn broken_files() -> Vec<PathBuf> {
     files
 }
 
-/// `NN-name.txt` holds the expected message for `NN-name.toml`. ECHOTANK_BLESS=1 in the environment rewrites it for review.
+/// What tells `got` from the text of a file. ECHOTANK_BLESS=1 in the environment rewrites the file for review.
+pub(crate) fn difference(file: &Path, got: &str) -> Option<String> {
+    if std::env::var_os("ECHOTANK_BLESS").is_some() {
+        fs::write(file, got).expect("writable");
+    }
+    let want = fs::read_to_string(file).unwrap_or_default();
+    let text = || format!("{}\n--- want\n{want}--- got\n{got}", file.display());
+    (got != want).then(text)
+}
+
+/// `NN-name.txt` holds the expected message for `NN-name.toml`.
 #[test]
 fn each_broken_configuration_prints_its_whole_list_of_problems() {
-    let bless = std::env::var_os("ECHOTANK_BLESS").is_some();
     let files = broken_files();
     assert!(
         files.len() >= 20,
@@ -34,21 +44,11 @@ fn each_broken_configuration_prints_its_whole_list_of_problems() {
     let mut differences = Vec::new();
     for file in files {
         let text = fs::read_to_string(&file).expect("readable");
-        let got = match echotank_runtime::config_files::parse(&text, &broken_dir()) {
+        let got = match config_files::parse(&text, &broken_dir()) {
             Ok(_) => "accepted\n".to_owned(),
             Err(errors) => format!("{errors}\n"),
         };
-        let expected_file = file.with_extension("txt");
-        if bless {
-            fs::write(&expected_file, &got).expect("writable");
-        }
-        let want = fs::read_to_string(&expected_file).unwrap_or_default();
-        if got != want {
-            differences.push(format!(
-                "{}\n--- want\n{want}--- got\n{got}",
-                file.display()
-            ));
-        }
+        differences.extend(difference(&file.with_extension("txt"), &got));
     }
     assert!(differences.is_empty(), "{}", differences.join("\n"));
 }
@@ -57,7 +57,7 @@ fn each_broken_configuration_prints_its_whole_list_of_problems() {
 fn no_broken_configuration_is_accepted_and_each_problem_is_one_line() {
     for file in broken_files() {
         let text = fs::read_to_string(&file).expect("readable");
-        let errors = echotank_runtime::config_files::parse(&text, &broken_dir())
+        let errors = config_files::parse(&text, &broken_dir())
             .err()
             .unwrap_or_else(|| panic!("{} was accepted", file.display()));
         for problem in &errors.problems {
@@ -75,7 +75,7 @@ fn no_broken_configuration_is_accepted_and_each_problem_is_one_line() {
 fn a_file_that_cannot_be_read_is_named_with_the_reason() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let missing = folder.path().join("missing.toml");
-    let said = echotank_runtime::config_files::load(&missing)
+    let said = config_files::load(&missing)
         .expect_err("missing")
         .to_string();
     let want = format!(
@@ -86,7 +86,7 @@ fn a_file_that_cannot_be_read_is_named_with_the_reason() {
 
     let latin = folder.path().join("latin.toml");
     fs::write(&latin, b"# caf\xe9\n").expect("writable");
-    let said = echotank_runtime::config_files::load(&latin)
+    let said = config_files::load(&latin)
         .expect_err("not UTF-8")
         .to_string();
     assert!(
@@ -126,7 +126,7 @@ proptest! {
         changes in prop::collection::vec((any::<usize>(), any::<u8>(), any::<u8>()), 1..20)
     ) {
         let text = mutated(&changes);
-        if let Ok(spec) = echotank_runtime::config_files::parse(&text, Path::new("/nonexistent")) {
+        if let Ok(spec) = config_files::parse(&text, Path::new("/nonexistent")) {
             config::summary(&spec);
         }
     }
@@ -152,7 +152,7 @@ proptest! {
                 _ => format!("{l}\n"),
             })
             .collect();
-        if let Ok(spec) = echotank_runtime::config_files::parse(&text, Path::new("/nonexistent")) {
+        if let Ok(spec) = config_files::parse(&text, Path::new("/nonexistent")) {
             config::summary(&spec);
         }
     }
