@@ -267,33 +267,6 @@ kind = "udp"
 listen = "127.0.0.1:0"
 provides = ["position", "heading"]
 {outputs}
-[[sonar]]
-name = "live"
-[sonar.pulse]
-kind = "cw"
-center_frequency_khz = 100.0
-duration_ms = 1.0
-[[sonar.transmit]]
-name = "tx"
-pattern = "omnidirectional"
-[[sonar.receive]]
-name = "rx"
-transmit = "tx"
-elements = 1
-spacing_m = 0.0075
-[sonar.receiver]
-sample_rate_khz = 20.0
-rx_filter = "none"
-full_scale_v = 1.0
-[sonar.ping]
-range_m = 20.0
-rate_hz = 2.0
-source_level_db = 200.0
-gain_db = 0.0
-[sonar.output.sevenk]
-id = 103
-arrays = ["rx"]
-listen = "127.0.0.1:0"
 """
 NAV_OUTPUT = """
 [[nav.output]]
@@ -393,6 +366,8 @@ class NavigationOut(unittest.TestCase):
         path = os.path.join(folder, "nav.toml")
         with open(path, "w", encoding="utf-8") as file:
             file.write(NAV_RIG.format(outputs=outputs))
+            with open(os.path.join(ROOT, "tests", "data", "live_sonar.toml"), encoding="utf-8") as sonar:
+                file.write(sonar.read())
         return path
 
     def test_every_way_out_names_the_seconds_of_the_pings_own_clock(self):

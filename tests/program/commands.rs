@@ -1,42 +1,35 @@
 //! Commands that print and end: `check`, `nav`, `scene info`.
 
-use std::process::Command;
+use std::path::Path;
+use std::process::Stdio;
 
 use echotank_testing::seeds::{self, data};
+
+use crate::{command, run, run_well};
 
 /// `echotank check rig.toml | head -1`
 #[test]
 fn commands_end_quietly_when_their_output_is_closed() {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().to_str().expect("text");
-    for arguments in [
-        &["check", "hil-configs/points.toml"][..],
-        &[
+    for (name, arguments) in [
+        ("check", "hil-configs/points.toml"),
+        (
             "replay",
-            "hil-configs/points.toml",
-            "--pings",
-            "1..1",
-            "--quiet",
-            "--out",
-            out,
-        ],
-        &[
-            "scene",
-            "info",
-            "hil-configs/data/jd211_crop_400x400_2m.asc",
-        ],
+            &format!("hil-configs/points.toml --pings 1..1 --quiet --out {out}"),
+        ),
+        ("scene", "info hil-configs/data/jd211_crop_400x400_2m.asc"),
     ] {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_echotank"))
-            .args(arguments)
-            .current_dir(echotank_testing::repository())
-            .stdout(std::process::Stdio::piped())
-            .stderr(std::process::Stdio::piped())
+        let mut child = command(name)
+            .args(arguments.split(' '))
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
             .spawn()
             .expect("started");
-        drop(command.stdout.take());
-        let ended = command.wait_with_output().expect("ended");
+        drop(child.stdout.take());
+        let ended = child.wait_with_output().expect("ended");
         let said = String::from_utf8_lossy(&ended.stderr);
-        assert!(said.is_empty(), "{arguments:?}: {said}");
+        assert!(said.is_empty(), "{name}: {said}");
     }
 }
 
@@ -45,23 +38,21 @@ fn commands_end_quietly_when_their_output_is_closed() {
 fn pipes_and_devices_are_refused_as_input_files() {
     let folder = tempfile::tempdir().expect("a folder");
     let pipe = folder.path().join("pipe");
-    let made = Command::new("mkfifo").arg(&pipe).status();
+    let made = std::process::Command::new("mkfifo").arg(&pipe).status();
     assert!(made.expect("mkfifo runs").success());
     let pipe = pipe.to_str().expect("text");
-    for arguments in [
-        &["check", pipe][..],
-        &["check", "/dev/zero"],
-        &["check", pipe, "--set", "run.threads=1"],
-        &["scene", "info", pipe],
+    for (name, arguments) in [
+        ("check", &[pipe][..]),
+        ("check", &["/dev/zero"]),
+        ("check", &[pipe, "--set", "run.threads=1"]),
+        ("scene", &["info", pipe]),
     ] {
-        let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
-            .args(arguments)
-            .output();
-        let done = done.expect("echotank runs");
-        let said = String::from_utf8_lossy(&done.stderr);
+        let done = run(name, arguments);
+        assert_ne!(done.code, Some(0), "{name} {arguments:?}");
         assert!(
-            !done.status.success() && said.contains("not a"),
-            "{arguments:?}: {said}"
+            done.err.contains("not a"),
+            "{name} {arguments:?}: {}",
+            done.err
         );
     }
 }
@@ -71,17 +62,9 @@ fn the_report_is_printed_as_text_and_json_and_drawn() {
     let folder = tempfile::tempdir().expect("a folder");
     let png = folder.path().join("plot.png");
     let log = echotank_testing::repository().join("tests/data/nav/seapath330_90s.rvdas");
-    let run = |more: &[&str]| {
-        let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
-            .arg("nav")
-            .arg(&log)
-            .args(more)
-            .output()
-            .expect("echotank runs");
-        assert!(done.status.success());
-        String::from_utf8(done.stdout).expect("text")
-    };
-    let text = run(&["--png", png.to_str().expect("text")]);
+    let log = log.to_str().expect("text");
+    let nav = |more: &[&str]| run_well("nav", [&[log], more].concat());
+    let text = nav(&["--png", png.to_str().expect("text")]);
     for words in [
         "720: 452 used, 268 not taken",
         "roll-pitch    90 samples, every 1.000 s",
@@ -90,16 +73,11 @@ fn the_report_is_printed_as_text_and_json_and_drawn() {
     ] {
         assert!(text.contains(words), "no `{words}`:\n{text}");
     }
-    let json: serde_json::Value = serde_json::from_str(&run(&["--json"])).expect("JSON");
+    let json: serde_json::Value = serde_json::from_str(&nav(&["--json"])).expect("JSON");
     assert_eq!(json["counters"]["used"], 452);
     assert_eq!(json["quantities"]["roll-pitch"]["samples"], 90);
     // A picture with ink in it: a track and four curves.
-    let decoder = png::Decoder::new(std::io::BufReader::new(
-        std::fs::File::open(&png).expect("drawn"),
-    ));
-    let mut reader = decoder.read_info().expect("a PNG");
-    let mut pixels = vec![0; reader.output_buffer_size().expect("small")];
-    let info = reader.next_frame(&mut pixels).expect("whole");
+    let (info, pixels) = picture(&png);
     assert!(info.width > 1000 && info.height > 500);
     let channels = info.color_type.samples();
     let inked = pixels
@@ -108,18 +86,17 @@ fn the_report_is_printed_as_text_and_json_and_drawn() {
     assert!(inked.count() > 2000, "blue curves");
 }
 
+fn picture(path: &Path) -> (png::OutputInfo, Vec<u8>) {
+    let file = std::io::BufReader::new(std::fs::File::open(path).expect("drawn"));
+    let mut reader = png::Decoder::new(file).read_info().expect("a PNG");
+    let mut pixels = vec![0; reader.output_buffer_size().expect("small")];
+    let info = reader.next_frame(&mut pixels).expect("whole");
+    (info, pixels)
+}
+
 fn scene_info(args: &[&str]) -> (i32, String, String) {
-    let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
-        .args(["scene", "info"])
-        .args(args)
-        .output()
-        .expect("echotank runs");
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("text");
-    (
-        done.status.code().unwrap_or(-1),
-        text(done.stdout),
-        text(done.stderr),
-    )
+    let done = run("scene", [&["info"], args].concat());
+    (done.code.unwrap_or(-1), done.out, done.err)
 }
 
 #[test]
@@ -142,10 +119,7 @@ fn scene_info_prints_text_and_json_and_draws_relief() {
     ] {
         assert!(out.contains(part), "{part} is not in\n{out}");
     }
-    let file = std::io::BufReader::new(std::fs::File::open(png).expect("picture"));
-    let mut reader = png::Decoder::new(file).read_info().expect("PNG");
-    let mut pixels = vec![0; reader.output_buffer_size().expect("size")];
-    reader.next_frame(&mut pixels).expect("pixels");
+    let (_, pixels) = picture(Path::new(png));
     assert!(
         pixels.chunks(3).any(|p| p[2] > 120 && p[0] < 60),
         "deep blue"

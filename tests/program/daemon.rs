@@ -16,8 +16,11 @@ mod streaming;
 mod triggers;
 mod waiting;
 
+use std::ffi::OsStr;
+use std::fmt::Display;
 use std::io::{BufRead, BufReader, Read};
 use std::net::{SocketAddr, UdpSocket};
+use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -29,8 +32,22 @@ use echotank_protocols::sevenk::{Command as Request, RecordBody};
 use echotank_runtime::io::sonar::client::SevenKClient;
 use echotank_runtime::io::sonar::verify::{Verifier, ping_number};
 
+use crate::{command, ended, files_in, sets};
+
 /// Time limit of a test, far beyond what a loaded machine needs.
 const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Waits for what `look` finds; without it `look` says what there is.
+fn eventually<T, E: Display>(mut look: impl FnMut() -> Result<T, E>) -> T {
+    let until = Instant::now() + PATIENCE;
+    loop {
+        match look() {
+            Ok(found) => return found,
+            Err(why) => assert!(Instant::now() < until, "{why}"),
+        }
+        thread::sleep(Duration::from_millis(5));
+    }
+}
 
 /// A running daemon, killed when dropped.
 struct Daemon {
@@ -40,11 +57,16 @@ struct Daemon {
 }
 
 impl Daemon {
-    fn start(arguments: &[&str]) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_echotank"))
-            .arg("run")
-            .args(arguments)
-            .current_dir(echotank_testing::repository())
+    /// Runs a configuration with these settings.
+    fn start<S: AsRef<str>>(
+        config: impl AsRef<OsStr>,
+        settings: impl IntoIterator<Item = S>,
+    ) -> Self {
+        Self::spawn(command("run").arg(config).args(sets(settings)))
+    }
+
+    fn spawn(command: &mut Command) -> Self {
+        let mut child = command
             .stdout(Stdio::piped())
             .spawn()
             .expect("echotank runs");
@@ -54,6 +76,14 @@ impl Daemon {
             stdout,
             printed: String::new(),
         }
+    }
+
+    /// Sends the process a signal.
+    fn signal(&self, name: &str) {
+        let told = Command::new("kill")
+            .args([name, &self.child.id().to_string()])
+            .status();
+        assert!(told.expect("kill").success());
     }
 
     /// The word after `before` in the first line that begins with `line`.
@@ -68,33 +98,27 @@ impl Daemon {
             );
             self.printed += &text;
             if text.starts_with(line) {
-                let mut words = text.split_whitespace().skip_while(|word| *word != before);
-                return words
-                    .nth(1)
-                    .and_then(|word| word.parse().ok())
-                    .expect("an address");
+                return address(&text, before).expect("an address");
             }
         }
     }
 
     /// The same from the start of the output.
     fn address_of(&mut self, line: &str, before: &str) -> SocketAddr {
-        let address = |text: &str| {
-            let mut words = text.split_whitespace().skip_while(|word| *word != before);
-            words.nth(1).and_then(|word| word.parse().ok())
-        };
         let mut said = self.printed.lines();
-        let found = said.find(|text| text.starts_with(line)).and_then(address);
+        let found = said.find(|text| text.starts_with(line));
+        let found = found.and_then(|text| address(text, before));
         found.unwrap_or_else(|| self.announced(line, before))
     }
 
     /// Stops the daemon and returns everything it printed.
-    fn terminate(mut self) -> String {
-        let told = Command::new("kill")
-            .args(["-TERM", &self.child.id().to_string()])
-            .status()
-            .expect("kill");
-        assert!(told.success());
+    fn terminate(self) -> String {
+        self.signal("-TERM");
+        self.ended()
+    }
+
+    /// Waits for the end of the daemon and returns everything it printed.
+    fn ended(mut self) -> String {
         let mut printed = std::mem::take(&mut self.printed);
         self.stdout.read_to_string(&mut printed).expect("readable");
         let status = self.child.wait().expect("ended");
@@ -108,6 +132,12 @@ impl Drop for Daemon {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// The address after the word `before`.
+fn address(text: &str, before: &str) -> Option<SocketAddr> {
+    let mut words = text.split_whitespace().skip_while(|word| *word != before);
+    words.nth(1).and_then(|word| word.parse().ok())
 }
 
 /// The settings record of the next ping.
@@ -134,14 +164,11 @@ fn quickstart_pings_obeys_and_ends_with_its_record_closed() {
     let folder = tempfile::tempdir().expect("folder");
     let record = format!("record.directory={:?}", folder.path());
     // A seabed of low density: real-time capacity is measured by benchmarks.
-    let mut daemon = Daemon::start(&[
-        "--set",
+    let mut daemon = Daemon::spawn(command("run").args(sets([
         "sonar.output.sevenk.listen=127.0.0.1:0",
-        "--set",
         "scene.seabed.density_per_m2=0.2",
-        "--set",
         &record,
-    ]);
+    ])));
     let address = daemon.announced("7k hull", "tcp");
     let mut client = SevenKClient::connect(address).expect("listening");
     let mut verifier = Verifier::default();
@@ -176,10 +203,7 @@ fn quickstart_pings_obeys_and_ends_with_its_record_closed() {
     );
     assert!(printed.contains("1 refused commands"), "{printed}");
 
-    let files: Vec<_> = std::fs::read_dir(folder.path())
-        .expect("folder")
-        .map(|e| e.expect("entry").path())
-        .collect();
+    let files: Vec<_> = files_in(folder.path()).collect();
     assert_eq!(files.len(), 1, "{files:?}");
     let bytes = std::fs::read(&files[0]).expect("record");
     let records: Vec<_> = FileReader::new(&bytes)
@@ -202,7 +226,10 @@ fn quickstart_pings_obeys_and_ends_with_its_record_closed() {
     );
 }
 
-/// A small rig with UDP navigation and prediction.
+/// Small sonar of the rigs with live navigation.
+const LIVE_SONAR: &str = include_str!("../data/live_sonar.toml");
+
+/// A rig with UDP navigation and prediction, without its sonar.
 const LIVE: &str = r#"
 [medium]
 sound_speed_m_per_s = 1500.0
@@ -225,33 +252,6 @@ depth_m = 20.0
 density_per_m2 = 0.05
 [run]
 latency_ms = 50.0
-[[sonar]]
-name = "live"
-[sonar.pulse]
-kind = "cw"
-center_frequency_khz = 100.0
-duration_ms = 1.0
-[[sonar.transmit]]
-name = "tx"
-pattern = "omnidirectional"
-[[sonar.receive]]
-name = "rx"
-transmit = "tx"
-elements = 4
-spacing_m = 0.0075
-[sonar.receiver]
-sample_rate_khz = 20.0
-rx_filter = "none"
-full_scale_v = 1.0
-[sonar.ping]
-range_m = 50.0
-rate_hz = 5.0
-source_level_db = 200.0
-gain_db = 0.0
-[sonar.output.sevenk]
-id = 103
-arrays = ["rx"]
-listen = "127.0.0.1:0"
 "#;
 
 fn sentence(body: &str) -> String {
@@ -259,26 +259,37 @@ fn sentence(body: &str) -> String {
     format!("${body}*{sum:02X}\r\n")
 }
 
-/// GGA, HDT and PSXN,23 of a turning platform, twenty times a second, until stopped.
+/// The live rig in a folder.
+fn live(folder: &Path) -> std::path::PathBuf {
+    let path = folder.join("live.toml");
+    std::fs::write(&path, format!("{LIVE}{LIVE_SONAR}")).expect("written");
+    path
+}
+
+/// ZDA, GGA and HDT of the current time, `ahead_s` ahead in its date; `minutes` of latitude north of 54 degrees.
+fn gnss(minutes: f64, ahead_s: u64) -> String {
+    let now = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .expect("after 1970");
+    let date =
+        chrono::DateTime::from_timestamp((now.as_secs() + ahead_s) as i64, 0).expect("a date");
+    let time = format!("{}.{:03}", date.format("%H%M%S"), now.subsec_millis());
+    sentence(&format!("GPZDA,{time},{},00,00", date.format("%d,%m,%Y")))
+        + &sentence(&format!(
+            "GPGGA,{time},54{minutes:08.5},N,01000.00000,E,1,9,0.9,1.0,M,0.0,M,,"
+        ))
+        + &sentence("GPHDT,123.45,T")
+}
+
+/// Attitude of a platform that rests.
+const MRU: &str = "PSXN,23,1.50,-2.50,123.45,0.20";
+
+/// GNSS and attitude twenty times a second, until stopped.
 fn bridge(to: SocketAddr, stop: Arc<AtomicBool>) -> thread::JoinHandle<()> {
     thread::spawn(move || {
         let socket = UdpSocket::bind("127.0.0.1:0").expect("socket");
         while !stop.load(Ordering::Acquire) {
-            let now = SystemTime::now()
-                .duration_since(UNIX_EPOCH)
-                .expect("after 1970");
-            let of_day = now.as_secs() % 86_400;
-            let (h, m, s) = (of_day / 3600, of_day / 60 % 60, of_day % 60);
-            let date = chrono::DateTime::from_timestamp(now.as_secs() as i64, 0)
-                .expect("date")
-                .format("%d,%m,%Y");
-            let time = format!("{h:02}{m:02}{s:02}.{:02}", now.subsec_millis() / 10);
-            let text = sentence(&format!("GPZDA,{time},{date},00,00"))
-                + &sentence(&format!(
-                    "GPGGA,{time},5400.000000,N,01000.000000,E,1,9,0.9,1.0,M,0.0,M,,"
-                ))
-                + &sentence("GPHDT,123.45,T")
-                + &sentence("PSXN,23,1.50,-2.50,123.45,0.20");
+            let text = gnss(0.0, 0) + &sentence(MRU);
             let _ = socket.send_to(text.as_bytes(), to);
             thread::sleep(Duration::from_millis(50));
         }
@@ -288,9 +299,7 @@ fn bridge(to: SocketAddr, stop: Arc<AtomicBool>) -> thread::JoinHandle<()> {
 #[test]
 fn live_udp_navigation_reaches_the_records() {
     let folder = tempfile::tempdir().expect("folder");
-    let path = folder.path().join("live.toml");
-    std::fs::write(&path, LIVE).expect("written");
-    let mut daemon = Daemon::start(&[path.to_str().expect("text")]);
+    let mut daemon = Daemon::start(live(folder.path()), [""; 0]);
     let nav = daemon.announced("nav bridge", "udp");
     let address = daemon.announced("7k live", "tcp");
     let stop = Arc::new(AtomicBool::new(false));
@@ -322,50 +331,42 @@ fn live_udp_navigation_reaches_the_records() {
         heading.expect("1013"),
         position.expect("1003"),
     );
-    let near = |got: f64, want: f64, what: &str| {
-        assert!((got - want).abs() < 1e-4, "{what}: got {got} want {want}")
-    };
-    near(f64::from(attitude.roll_rad).to_degrees(), 1.5, "roll");
-    near(f64::from(attitude.pitch_rad).to_degrees(), -2.5, "pitch");
-    near(
-        f64::from(attitude.heave_up_m),
-        -0.2,
-        "heave, up on the wire and down on the bridge",
-    );
-    near(
-        f64::from(heading.heading_rad).to_degrees(),
-        123.45,
-        "heading",
-    );
-    near(
-        position.latitude_rad_or_northing_m.to_degrees(),
-        54.0,
-        "latitude",
-    );
-    near(
-        position.longitude_rad_or_easting_m.to_degrees(),
-        10.0,
-        "longitude",
-    );
+    for (what, got, want) in [
+        ("roll", f64::from(attitude.roll_rad).to_degrees(), 1.5),
+        ("pitch", f64::from(attitude.pitch_rad).to_degrees(), -2.5),
+        // Up on the wire and down on the bridge.
+        ("heave", attitude.heave_up_m.into(), -0.2),
+        (
+            "heading",
+            f64::from(heading.heading_rad).to_degrees(),
+            123.45,
+        ),
+        (
+            "latitude",
+            position.latitude_rad_or_northing_m.to_degrees(),
+            54.0,
+        ),
+        (
+            "longitude",
+            position.longitude_rad_or_easting_m.to_degrees(),
+            10.0,
+        ),
+    ] {
+        assert!((got - want).abs() < 1e-4, "{what}: got {got} want {want}");
+    }
     assert!(printed.contains("nav bridge"), "{printed}");
 }
 
 #[test]
 fn a_log_that_is_not_looped_ends_the_daemon() {
-    let mut daemon = Daemon::start(&[
+    let printed = Daemon::start(
         "hil-configs/points.toml",
-        "--set",
-        "sonar.output.sevenk.listen=127.0.0.1:0",
-        "--set",
-        "sonar.model.synthesis=direct",
-    ]);
-    let mut printed = String::new();
-    daemon
-        .stdout
-        .read_to_string(&mut printed)
-        .expect("readable");
-    let status = daemon.child.wait().expect("ended");
-    assert!(status.success(), "{status}\n{printed}");
+        [
+            "sonar.output.sevenk.listen=127.0.0.1:0",
+            "sonar.model.synthesis=direct",
+        ],
+    )
+    .ended();
     // The last ping's window ends beyond the track.
     assert!(
         printed.contains("pings 10 made") || printed.contains("pings 9 made"),
@@ -375,28 +376,19 @@ fn a_log_that_is_not_looped_ends_the_daemon() {
 
 #[test]
 fn a_bad_configuration_does_not_start_and_reports_every_problem() {
-    let path = echotank_testing::repository().join("hil-configs/points.toml");
-    let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
-        .arg("run")
-        .arg(path)
-        .args([
-            "--set",
-            "sonar.ping.range_m=-5",
-            "--set",
-            "sonar.pulse.durration_ms=3",
-            "--set",
-            "medium.sound_speed_m_per_s=9",
-        ])
-        .output()
-        .expect("echotank runs");
-    assert_eq!(done.status.code(), Some(2));
-    let said = String::from_utf8_lossy(&done.stderr);
+    let settings = sets([
+        "sonar.ping.range_m=-5",
+        "sonar.pulse.durration_ms=3",
+        "medium.sound_speed_m_per_s=9",
+    ]);
+    let done = ended(command("run").arg("hil-configs/points.toml").args(settings));
+    assert_eq!(done.code, Some(2));
     for word in [
         "range_m",
         "durration_ms",
         "duration_ms",
         "sound_speed_m_per_s",
     ] {
-        assert!(said.contains(word), "{word}:\n{said}");
+        assert!(done.err.contains(word), "{word}:\n{}", done.err);
     }
 }

@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use serde_json::Value;
+
+use crate::{files_in, replay_into};
 
 mod pictures;
 
@@ -22,33 +23,16 @@ fn replay(arguments: &[&str], name: &str) -> tempfile::TempDir {
 
 fn replay_file(arguments: &[&str], config: &Path) -> tempfile::TempDir {
     let out = tempfile::tempdir().expect("a folder");
-    let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
-        .arg("replay")
-        .arg(config)
-        .args(["--quiet", "--out"])
-        .arg(out.path())
-        .args(arguments)
-        .output()
-        .expect("echotank runs");
-    assert!(
-        done.status.success(),
-        "{}",
-        String::from_utf8_lossy(&done.stderr)
-    );
+    replay_into(out.path(), config, arguments);
     out
 }
 
 fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    fs::read_dir(folder)
-        .expect("folder")
-        .map(|entry| {
-            let entry = entry.expect("entry");
-            (
-                entry.file_name().to_string_lossy().into_owned(),
-                fs::read(entry.path()).expect("file"),
-            )
-        })
-        .collect()
+    let bytes_of = |path: PathBuf| {
+        let name = path.file_name().expect("a name").to_string_lossy();
+        (name.into_owned(), fs::read(&path).expect("file"))
+    };
+    files_in(folder).map(bytes_of).collect()
 }
 
 fn assert_equal(a: &BTreeMap<String, Vec<u8>>, b: &BTreeMap<String, Vec<u8>>) {

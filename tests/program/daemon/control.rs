@@ -1,46 +1,33 @@
 //! `/control`, `/status`, `/metrics`, `/healthz` and `echotank ctl`.
 
-use std::process::Command;
+use std::path::Path;
 
 use echotank_runtime::io::control::client;
 use serde_json::json;
 
 use super::Daemon;
-use super::modes::{status, tell, wait_delivered};
+use super::modes::{rig, status, tell, wait_delivered};
+use crate::run;
 
-fn quick(more: &[&str]) -> Daemon {
-    let mut arguments = vec!["hil-configs/points.toml"];
-    let common = [
+fn quick(folder: &Path, more: &[&str]) -> Daemon {
+    let limits = [
         "nav.loop=true",
-        "sonar.output.sevenk.listen=127.0.0.1:0",
-        "control.listen=127.0.0.1:0",
-        "sonar.model.synthesis=direct",
-        "sonar.ping.range_m=50",
-        "sonar.ping.rate_hz=10",
         "sonar.limits.range_m=[10.0, 60.0]",
         "sonar.limits.gain_db=[0.0, 10.0]",
         "sonar.limits.source_level_db=[0.0, 10.0]",
     ];
-    for set in common.iter().chain(more) {
-        arguments.extend(["--set", set]);
-    }
-    Daemon::start(&arguments)
+    rig(folder, &[&limits, more].concat())
 }
 
 fn ctl(arguments: &[&str]) -> (bool, String) {
-    let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
-        .arg("ctl")
-        .args(arguments)
-        .output()
-        .expect("echotank runs");
-    let said = [done.stdout, done.stderr].concat();
-    let said = String::from_utf8_lossy(&said).into_owned();
-    (done.status.success(), said)
+    let done = run("ctl", arguments);
+    (done.code == Some(0), done.out + &done.err)
 }
 
 #[test]
 fn settings_are_applied_refused_and_reported_over_http_and_ctl() {
-    let mut daemon = quick(&[]);
+    let folder = tempfile::tempdir().expect("folder");
+    let mut daemon = quick(folder.path(), &[]);
     let at = daemon.announced("control http", "http");
     let (code, answer) = tell(at, &json!({ "do": "set", "range_m": 40.0, "gain_db": 3.0 }));
     assert_eq!(code, 200, "{answer}");
@@ -98,7 +85,8 @@ fn settings_are_applied_refused_and_reported_over_http_and_ctl() {
 
 #[test]
 fn requests_without_the_token_are_refused() {
-    let mut daemon = quick(&["control.token=open-sesame"]);
+    let folder = tempfile::tempdir().expect("folder");
+    let mut daemon = quick(folder.path(), &["control.token=open-sesame"]);
     let at = daemon.announced("control http", "http");
     for path in ["/status", "/metrics"] {
         let code = |token| client::get(at, path, token).expect("answers").0;

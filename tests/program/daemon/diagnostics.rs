@@ -1,29 +1,25 @@
 //! What the daemon writes to standard error: `--log` and `RUST_LOG`.
 
-use std::process::Command;
-
 use serde_json::Value;
+
+use crate::{Ended, command, ended, sets};
 
 /// Standard output and standard error of a short run.
 fn printed(log: &str, rust_log: Option<&str>) -> (String, String) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_echotank"));
-    command.args(["run", "hil-configs/points.toml", "--log", log]);
-    for set in [
+    let settings = [
         "sonar.output.sevenk.listen=127.0.0.1:0",
         "sonar.model.synthesis=direct",
         "run.clock=fast",
-    ] {
-        command.args(["--set", set]);
-    }
-    command
-        .env_remove("RUST_LOG")
-        .env_remove("JOURNAL_STREAM")
-        .envs(rust_log.map(|filter| ("RUST_LOG", filter)))
-        .current_dir(echotank_testing::repository());
-    let done = command.output().expect("echotank runs");
-    let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
-    let (out, err) = (text(done.stdout), text(done.stderr));
-    assert!(done.status.success(), "{out}\n{err}");
+    ];
+    let Ended { code, out, err } = ended(
+        command("run")
+            .args(["hil-configs/points.toml", "--log", log])
+            .args(sets(settings))
+            .env_remove("RUST_LOG")
+            .env_remove("JOURNAL_STREAM")
+            .envs(rust_log.map(|filter| ("RUST_LOG", filter))),
+    );
+    assert_eq!(code, Some(0), "{out}\n{err}");
     assert!(out.lines().any(|line| line.starts_with("7k ")), "{out}");
     assert!(!out.contains("INFO"), "{out}");
     (out, err)

@@ -12,6 +12,7 @@ use echotank_protocols::wbms::{self, Bathymetry, WbmsFraming, WbmsStream};
 use echotank_runtime::io::control::client;
 
 use super::{Daemon, PATIENCE};
+use crate::files_in;
 
 /// Two-way time of a range, seconds, in the rig's water.
 fn twtt_s(range_m: f64) -> f64 {
@@ -59,23 +60,18 @@ fn ping_wbms_and_vita_report_the_same_pings_and_settings() {
         board.local_addr().expect("address")
     );
     let record = tempfile::tempdir().expect("folder");
-    let mut daemon = Daemon::start(&[
+    let mut daemon = Daemon::start(
         "hil-configs/surveyor240.toml",
-        "--set",
-        "sonar.output.ping.listen=127.0.0.1:0",
-        "--set",
-        "sonar.output.wbms.listen=\"127.0.0.1:0\"",
-        "--set",
-        &send_to,
-        "--set",
-        "sonar.output.sigmf={}",
-        "--set",
-        "control.listen=127.0.0.1:0",
-        "--set",
-        "scene.seabed.density_per_m2=2.0",
-        "--set",
-        &format!("record.directory={:?}", record.path()),
-    ]);
+        [
+            "sonar.output.ping.listen=127.0.0.1:0",
+            "sonar.output.wbms.listen=\"127.0.0.1:0\"",
+            &send_to,
+            "sonar.output.sigmf={}",
+            "control.listen=127.0.0.1:0",
+            "scene.seabed.density_per_m2=2.0",
+            &format!("record.directory={:?}", record.path()),
+        ],
+    );
     let ping = daemon.announced("ping surveyor", "tcp");
     let control = daemon.announced("wbms surveyor control", "tcp");
     let bathymetry = daemon.announced("wbms surveyor bathymetry", "tcp");
@@ -210,20 +206,11 @@ fn ping_wbms_and_vita_report_the_same_pings_and_settings() {
 
     let printed = daemon.terminate();
     assert!(printed.contains("vita49 surveyor:"), "{printed}");
-    let mut names: Vec<String> = std::fs::read_dir(record.path())
-        .expect("folder")
-        .map(|entry| {
-            entry
-                .expect("entry")
-                .file_name()
-                .to_string_lossy()
-                .into_owned()
-        })
-        .collect();
-    names.sort();
-    let ends: Vec<_> = names.iter().filter_map(|n| n.rsplit('.').next()).collect();
-    assert_eq!(ends, ["sigmf-data", "sigmf-meta", "svlog"], "{names:?}");
-    let log = std::fs::read(record.path().join(&names[2])).expect("log");
+    let mut files: Vec<_> = files_in(record.path()).collect();
+    files.sort();
+    let ends: Vec<_> = files.iter().filter_map(|f| f.extension()).collect();
+    assert_eq!(ends, ["sigmf-data", "sigmf-meta", "svlog"], "{files:?}");
+    let log = std::fs::read(&files[2]).expect("log");
     let mut profiles = 0;
     let mut stream = PingStream::new(PingFraming);
     stream.feed(&log, |item| {
@@ -241,15 +228,14 @@ fn a_client_on_a_serial_line_is_answered_and_gets_every_ping() {
     let (mut ours, theirs) = serialport::TTYPort::pair().expect("a pseudo-terminal");
     ours.set_timeout(PATIENCE).expect("set");
     let name = theirs.name().expect("a name");
-    let mut daemon = Daemon::start(&[
+    let mut daemon = Daemon::start(
         "hil-configs/surveyor240.toml",
-        "--set",
-        "sonar.output.ping.listen=127.0.0.1:0",
-        "--set",
-        &format!("sonar.output.ping.serial_port={name:?}"),
-        "--set",
-        "scene.seabed.density_per_m2=2.0",
-    ]);
+        [
+            "sonar.output.ping.listen=127.0.0.1:0",
+            &format!("sonar.output.ping.serial_port={name:?}"),
+            "scene.seabed.density_per_m2=2.0",
+        ],
+    );
     daemon.announced("ping surveyor", "tcp");
     let mut bytes = Vec::new();
     echotank_protocols::ping_protocol::common::GeneralRequest { requested_id: 4 }

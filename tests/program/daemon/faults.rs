@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 use std::path::Path;
-use std::process::Command;
 use std::time::{Duration, Instant};
 
 use echotank_runtime::io::sonar::client::SevenKClient;
@@ -11,22 +10,22 @@ use echotank_runtime::io::sonar::verify::{PingTally, Verifier, ping_number};
 use serde_json::{Value, json};
 
 use super::PATIENCE;
-use super::modes::{pings_of, rig, tell, wait_delivered};
+use super::modes::{pings_of, replayed, rig, step, tell, told};
 use super::scored::track;
 use super::triggers::records;
+use crate::{Ended, files_in, run};
 
 const RECORDS: [u32; 3] = [7000, 7007, 7038];
 /// Each fault has probability one half: with three records per ping about a hundred faults.
 const PINGS: u64 = 70;
 
 fn log_of(folder: &Path) -> Vec<Value> {
-    let files = std::fs::read_dir(folder).expect("folder");
-    let mut lines = Vec::new();
-    for file in files.map(|e| e.expect("entry").path()) {
-        let text = std::fs::read_to_string(file).expect("readable");
-        lines.extend(text.lines().map(|l| serde_json::from_str(l).expect("JSON")));
-    }
+    let texts = files_in(folder).map(|file| std::fs::read_to_string(file).expect("readable"));
+    let text: String = texts.collect();
+    let lines = text.lines();
     lines
+        .map(|line| serde_json::from_str(line).expect("JSON"))
+        .collect()
 }
 
 struct Bench {
@@ -39,9 +38,7 @@ struct Bench {
 
 impl Bench {
     fn step(&mut self, pings: u64) {
-        let (code, answer) = tell(self.control, &json!({ "do": "step", "pings": pings }));
-        assert_eq!(code, 200, "{answer}");
-        self.delivered = wait_delivered(self.control, self.delivered + pings);
+        step(self.control, &mut self.delivered, pings);
     }
 
     /// Reads until the last record of ping `until` has arrived.
@@ -142,10 +139,9 @@ fn a_topside_finds_exactly_the_link_faults_in_the_log() {
         if kind == "delay" {
             fault["value"] = json!(250.0);
         }
-        let (code, answer) = tell(control, &fault);
-        assert_eq!(code, 200, "{answer}");
+        told(control, &fault);
         bench.step(PINGS);
-        let (_, answer) = tell(control, &json!({ "do": "clear-faults" }));
+        let answer = told(control, &json!({ "do": "clear-faults" }));
         assert_eq!(answer["now"]["cleared"], 1, "{answer}");
         bench.step(5);
         let last = first + PINGS as u32 + 5;
@@ -191,33 +187,10 @@ fn a_scenario_changes_the_same_samples_live_and_in_replay() {
     let live = tempfile::tempdir().expect("folder");
     let plain = tempfile::tempdir().expect("folder");
     let offline = tempfile::tempdir().expect("folder");
-    let mut daemon = rig(live.path(), &["run.clock=fast", scenario]);
-    assert!(daemon.child.wait().expect("ended").success());
-    let mut daemon = rig(plain.path(), &["run.clock=fast"]);
-    assert!(daemon.child.wait().expect("ended").success());
-    let mut command = Command::new(env!("CARGO_BIN_EXE_echotank"));
-    command.args(["replay", "hil-configs/points.toml", "--quiet"]);
-    for set in [
-        "sonar.model.synthesis=direct",
-        "sonar.ping.range_m=50",
-        "sonar.ping.rate_hz=10",
-        scenario,
-    ] {
-        command.args(["--set", set]);
-    }
-    let done = command
-        .args(["--formats", "s7k", "--out"])
-        .arg(offline.path())
-        .current_dir(echotank_testing::repository())
-        .output()
-        .expect("echotank runs");
-    let said = String::from_utf8_lossy(&done.stderr);
-    assert!(done.status.success(), "{said}");
-    let (live, plain, offline) = (
-        pings_of(live.path()),
-        pings_of(plain.path()),
-        pings_of(offline.path()),
-    );
+    rig(live.path(), &["run.clock=fast", scenario]).ended();
+    rig(plain.path(), &["run.clock=fast"]).ended();
+    let offline = replayed(offline.path(), &[scenario]);
+    let (live, plain) = (pings_of(live.path()), pings_of(plain.path()));
     assert!(live == offline, "live and replay differ");
     let of = |pings: &super::modes::Pings, kind| pings.keys().filter(|k| k.0 == kind).count();
     // A quarter of a second at ten pings a second: pulses at 2.0, 2.1 and 2.2 s.
@@ -252,15 +225,10 @@ fn impossible_faults_are_refused_live_and_before_the_start() {
         );
     }
     daemon.terminate();
-    let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
-        .args(["run", "hil-configs/points.toml", "--set"])
-        .arg(r#"fault=[{kind="gain"}, {kind="drop", element=3}]"#)
-        .current_dir(echotank_testing::repository())
-        .output()
-        .expect("echotank runs");
-    assert_eq!(done.status.code(), Some(2));
-    let said = String::from_utf8_lossy(&done.stderr);
-    assert!(said.contains("value") && said.contains("element"), "{said}");
+    let faults = r#"fault=[{kind="gain"}, {kind="drop", element=3}]"#;
+    let Ended { code, err, .. } = run("run", ["hil-configs/points.toml", "--set", faults]);
+    assert_eq!(code, Some(2));
+    assert!(err.contains("value") && err.contains("element"), "{err}");
 }
 
 #[test]
@@ -270,14 +238,12 @@ fn a_wrong_second_moves_the_stamps_and_a_double_trigger_makes_a_second_pulse() {
     let log = format!("run.fault_directory={:?}", folders[0].path().join("log"));
     // A pulse 40 ms later is received after the window of the previous ping.
     let common = ["run.clock=fast", "sonar.ping.range_m=15"];
-    let mut faulty = rig(
+    let faulty = rig(
         folders[0].path(),
         &[common[0], common[1], scenario, log.as_str()],
     );
-    let mut plain = rig(folders[1].path(), &common);
-    for daemon in [&mut faulty, &mut plain] {
-        assert!(daemon.child.wait().expect("ended").success());
-    }
+    rig(folders[1].path(), &common).ended();
+    faulty.ended();
     let [(got, _), (plain, _)] = [0, 1].map(|k| records(folders[k].path(), "points"));
     let (mut want, mut wrong, mut double) = (Vec::new(), Vec::new(), Vec::new());
     for (_, at_s) in &plain {

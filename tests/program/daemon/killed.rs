@@ -2,13 +2,13 @@
 
 use std::io::BufReader;
 use std::os::fd::OwnedFd;
-use std::process::{ChildStdout, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::process::{ChildStdout, Command};
 
 use echotank_protocols::sevenk::file::{CataloguePointer, FileReader};
 
 use super::modes::{pings_in, pings_of, rig, status, wait_delivered};
-use super::{Daemon, PATIENCE};
+use super::{Daemon, eventually};
+use crate::{file_of, files_in, run_well, sets};
 
 #[test]
 fn a_killed_daemon_loses_no_sent_ping_and_the_next_recovers_its_recording() {
@@ -25,10 +25,7 @@ fn a_killed_daemon_loses_no_sent_ping_and_the_next_recovers_its_recording() {
     assert!(printed.contains("had been cut off: recovered"), "{printed}");
 
     // The second run begins a new recording; in the same second it may have the same name with another suffix.
-    let mut files: Vec<_> = std::fs::read_dir(folder.path())
-        .expect("folder")
-        .map(|e| e.expect("entry").path())
-        .collect();
+    let mut files: Vec<_> = files_in(folder.path()).collect();
     files.sort();
     let mended = &files[0];
     let bytes = std::fs::read(mended).expect("readable");
@@ -41,13 +38,8 @@ fn a_killed_daemon_loses_no_sent_ping_and_the_next_recovers_its_recording() {
     }
     let pings = pings_in(&pings_of(folder.path())) as u64;
     assert!(pings >= delivered, "{pings} of {delivered} pings");
-    let done = Command::new(env!("CARGO_BIN_EXE_echotank"))
-        .arg("recover")
-        .arg(mended)
-        .output()
-        .expect("echotank runs");
-    let said = String::from_utf8_lossy(&done.stdout);
-    assert!(done.status.success() && said.contains("is whole"), "{said}");
+    let said = run_well("recover", [mended]);
+    assert!(said.contains("is whole"), "{said}");
 }
 
 #[test]
@@ -58,19 +50,10 @@ fn a_daemon_that_loses_its_terminal_closes_its_recording() {
     wait_delivered(at, 2);
     let nothing = std::fs::File::open("/dev/null").expect("opens");
     daemon.stdout = BufReader::new(ChildStdout::from(OwnedFd::from(nothing)));
-    let sent = Command::new("kill")
-        .args(["-HUP", &daemon.child.id().to_string()])
-        .status();
-    assert!(sent.expect("kill").success());
+    daemon.signal("-HUP");
     let ended = daemon.child.wait().expect("ended");
     assert!(ended.success(), "{ended}");
-    let mut recovery = Command::new(env!("CARGO_BIN_EXE_echotank"));
-    let files = std::fs::read_dir(folder.path()).expect("folder");
-    let done = recovery
-        .arg("recover")
-        .args(files.map(|e| e.expect("entry").path()))
-        .output();
-    let said = String::from_utf8(done.expect("echotank runs").stdout).expect("text");
+    let said = run_well("recover", files_in(folder.path()));
     assert!(said.contains("is whole"), "{said}");
 }
 
@@ -99,45 +82,27 @@ fn a_full_disk_stops_recordings_counts_them_and_pings_continue() {
     command.args(["-c", limited, env!("CARGO_BIN_EXE_echotank"), "run"]);
     command.arg("hil-configs/points.toml");
     let record = format!("record.directory={:?}", folder.path());
-    for set in EVERY_KIND.iter().chain([&record.as_str()]) {
-        command.args(["--set", set]);
-    }
-    command.current_dir(echotank_testing::repository());
-    let mut child = command.stdout(Stdio::piped()).spawn().expect("runs");
-    let stdout = BufReader::new(child.stdout.take().expect("piped"));
-    let mut daemon = Daemon {
-        child,
-        stdout,
-        printed: String::new(),
-    };
+    command
+        .args(sets([&EVERY_KIND[..], &[&record]].concat()))
+        .current_dir(echotank_testing::repository());
+    let mut daemon = Daemon::spawn(&mut command);
     let at = daemon.announced("control http", "http");
-    let until = Instant::now() + PATIENCE;
-    loop {
+    eventually(|| {
         let stopped = &status(at)["sonars"][0]["counters"]["recordings_stopped"];
-        if *stopped == 6 {
-            break;
-        }
-        assert!(Instant::now() < until, "{stopped} of 6 recordings stopped");
-        std::thread::sleep(Duration::from_millis(20));
-    }
+        let all = (*stopped == 6).then_some(());
+        all.ok_or(format!("{stopped} of 6 recordings stopped"))
+    });
     let then = status(at)["pings_delivered"].as_u64().expect("a count");
     wait_delivered(at, then + 5);
     daemon.child.kill().expect("killed");
     daemon.child.wait().expect("gone");
     // The files are whole or recovered.
-    let files = std::fs::read_dir(folder.path()).expect("folder");
-    let files: Vec<_> = files.map(|e| e.expect("entry").path()).collect();
     let kinds = ["s7k", "jsf", "xtf", "svlog", "sigmf-meta", "wav"];
     for kind in kinds {
-        let file = files
-            .iter()
-            .find(|f| f.extension().is_some_and(|e| e == kind));
-        let file = file.unwrap_or_else(|| panic!("a .{kind} among {files:?}"));
+        let file = file_of(folder.path(), "", &format!(".{kind}"));
         for want in ["", "is whole"] {
-            let done = Command::new(env!("CARGO_BIN_EXE_echotank"));
-            let done = { done }.arg("recover").arg(file).output().expect("runs");
-            let said = String::from_utf8_lossy(&done.stdout);
-            assert!(done.status.success() && said.contains(want), "{said}");
+            let said = run_well("recover", [&file]);
+            assert!(said.contains(want), "{said}");
         }
     }
 }

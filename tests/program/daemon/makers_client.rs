@@ -198,15 +198,14 @@ async fn omniscan(device: &omniscan450::Device) {
 
 #[test]
 fn an_omniscan_serves_the_manufacturers_rust_client_over_tcp_and_udp() {
-    let mut daemon = Daemon::start(&[
+    let mut daemon = Daemon::start(
         "hil-configs/omniscan450.toml",
-        "--set",
-        "sonar.0.output.ping.listen=127.0.0.1:0",
-        "--set",
-        "sonar.1.output.ping.listen=127.0.0.1:0",
-        "--set",
-        "scene.seabed.density_per_m2=3.0",
-    ]);
+        [
+            "sonar.0.output.ping.listen=127.0.0.1:0",
+            "sonar.1.output.ping.listen=127.0.0.1:0",
+            "scene.seabed.density_per_m2=3.0",
+        ],
+    );
     let at = daemon.announced("ping port", "tcp");
     run(async {
         let stream = TcpStream::connect(at).await.expect("listening");
@@ -285,13 +284,13 @@ async fn surveyor(device: &omniscan450::Device) {
 
 #[test]
 fn a_surveyor_serves_the_manufacturers_rust_client_over_tcp_and_udp() {
-    let mut daemon = Daemon::start(&[
+    let mut daemon = Daemon::start(
         "hil-configs/surveyor240.toml",
-        "--set",
-        "sonar.output.ping.listen=127.0.0.1:0",
-        "--set",
-        "scene.seabed.density_per_m2=1.0",
-    ]);
+        [
+            "sonar.output.ping.listen=127.0.0.1:0",
+            "scene.seabed.density_per_m2=1.0",
+        ],
+    );
     let at = daemon.announced("ping surveyor", "tcp");
     run(async {
         let stream = TcpStream::connect(at).await.expect("listening");

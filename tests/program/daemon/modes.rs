@@ -5,42 +5,39 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::process::Command;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
+use echotank_protocols::sevenk::Record;
 use echotank_protocols::sevenk::file::FileReader;
 use echotank_runtime::io::control::client;
 use serde_json::{Value, json};
 
 use super::triggers::{records, three};
-use super::{Daemon, PATIENCE};
+use super::{Daemon, eventually};
+use crate::{file_of, replay_into, sets};
 
 /// Records of pings by type and timestamp; records that hold the start time of a file are left out.
 pub(crate) type Pings = BTreeMap<(u32, Vec<u8>), Vec<u8>>;
 
 /// Offset of year, day, seconds, hours and minutes in a record's frame.
-const TIME: std::ops::Range<usize> = 20..30;
+pub(crate) const TIME: std::ops::Range<usize> = 20..30;
+
+/// The records of the first 7k file of a folder, each with the bytes of its whole frame.
+pub(crate) fn records_of(folder: &Path, start: &str, mut each: impl FnMut(&Record<'_>)) {
+    let bytes = std::fs::read(file_of(folder, start, ".s7k")).expect("readable");
+    FileReader::new(&bytes).for_each(|read| each(&read.expect("sound").record));
+}
 
 pub(crate) fn pings_of(folder: &Path) -> Pings {
-    let files = std::fs::read_dir(folder).expect("folder");
-    let paths = files.map(|e| e.expect("entry").path());
-    let path = paths
-        .into_iter()
-        .find(|path| path.extension().is_some_and(|e| e == "s7k"))
-        .expect("a record");
-    let bytes = std::fs::read(path).expect("readable");
-    let mut at = 0;
     let mut pings = Pings::new();
-    for read in FileReader::new(&bytes) {
-        let record = read.expect("sound").record;
-        let size = record.frame.size_bytes as usize;
-        let whole = &bytes[at..at + size];
-        at += size;
+    records_of(folder, "", |record| {
         let kind = record.frame.record_type_id;
         if !matches!(kind, 7200 | 7300 | 7001) {
-            let other = pings.insert((kind, whole[TIME].to_vec()), whole.to_vec());
+            let whole = record.bytes().to_vec();
+            let other = pings.insert((kind, whole[TIME].to_vec()), whole);
             assert!(other.is_none(), "two records {kind} of one instant");
         }
-    }
+    });
     pings
 }
 
@@ -67,22 +64,31 @@ fn assert_same(got: &Pings, want: &Pings, what: &str) -> usize {
     compared
 }
 
-/// A small, fast rig: points in still water, ten pings per second.
+/// Points in still water, ten pings per second.
+const QUICK: [&str; 3] = [
+    "sonar.model.synthesis=direct",
+    "sonar.ping.range_m=50",
+    "sonar.ping.rate_hz=10",
+];
+
+/// A small, fast rig that records into a folder.
 pub(crate) fn rig(folder: &Path, more: &[&str]) -> Daemon {
     let record = format!("record.directory={folder:?}");
-    let mut arguments = vec!["hil-configs/points.toml"];
     let common = [
         record.as_str(),
         "sonar.output.sevenk.listen=127.0.0.1:0",
         "control.listen=127.0.0.1:0",
-        "sonar.model.synthesis=direct",
-        "sonar.ping.range_m=50",
-        "sonar.ping.rate_hz=10",
     ];
-    for set in common.iter().chain(more) {
-        arguments.extend(["--set", set]);
-    }
-    Daemon::start(&arguments)
+    let settings = [&common, &QUICK, more].concat();
+    Daemon::start("hil-configs/points.toml", settings)
+}
+
+/// The same rig replayed into a folder.
+pub(crate) fn replayed(folder: &Path, more: &[&str]) -> Pings {
+    let settings = sets([&QUICK, more].concat());
+    let arguments = [vec!["--formats".to_owned(), "s7k".to_owned()], settings];
+    replay_into(folder, "hil-configs/points.toml", &arguments.concat());
+    pings_of(folder)
 }
 
 pub(crate) fn status(control: SocketAddr) -> Value {
@@ -96,26 +102,29 @@ pub(crate) fn tell(control: SocketAddr, command: &Value) -> (u16, Value) {
     (code, serde_json::from_str(&body).expect("JSON"))
 }
 
+/// A command that the daemon accepts: its answer.
+pub(crate) fn told(control: SocketAddr, command: &Value) -> Value {
+    let (code, answer) = tell(control, command);
+    let accepted = (code, &answer["accepted"]);
+    assert_eq!(accepted, (200, &json!(true)), "{command}: {answer}");
+    answer
+}
+
 /// Waits until this many pings have been sent.
 pub(crate) fn wait_delivered(control: SocketAddr, pings: u64) -> u64 {
-    let until = Instant::now() + PATIENCE;
-    loop {
+    eventually(|| {
         let now = status(control)["pings_delivered"]
             .as_u64()
             .expect("a count");
-        if now >= pings {
-            return now;
-        }
-        assert!(Instant::now() < until, "{now} of {pings} pings");
-        thread::sleep(Duration::from_millis(5));
-    }
+        let enough = (now >= pings).then_some(now);
+        enough.ok_or(format!("{now} of {pings} pings"))
+    })
 }
 
-fn signal(daemon: &Daemon, name: &str) {
-    let told = Command::new("kill")
-        .args([name, &daemon.child.id().to_string()])
-        .status();
-    assert!(told.expect("kill").success());
+/// Steps pings and waits for them.
+pub(crate) fn step(control: SocketAddr, delivered: &mut u64, pings: u64) {
+    told(control, &json!({ "do": "step", "pings": pings }));
+    *delivered = wait_delivered(control, *delivered + pings);
 }
 
 #[test]
@@ -123,42 +132,24 @@ fn the_same_pings_are_sent_in_every_clock_mode_and_after_a_pause() {
     let folders: Vec<_> = (0..6)
         .map(|_| tempfile::tempdir().expect("folder"))
         .collect();
-    let replayed = Command::new(env!("CARGO_BIN_EXE_echotank"))
-        .args(["replay", "hil-configs/points.toml", "--quiet"])
-        .args(["--formats", "s7k", "--set", "sonar.model.synthesis=direct"])
-        .args([
-            "--set",
-            "sonar.ping.range_m=50",
-            "--set",
-            "sonar.ping.rate_hz=10",
-        ])
-        .arg("--out")
-        .arg(folders[5].path())
-        .current_dir(echotank_testing::repository())
-        .output()
-        .expect("echotank runs");
-    let said = String::from_utf8_lossy(&replayed.stderr);
-    assert!(replayed.status.success(), "{said}");
-    let want = pings_of(folders[5].path());
+    let want = replayed(folders[5].path(), &[]);
     assert!(pings_in(&want) > 20, "{} pings", pings_in(&want));
 
     // All at once: they wait most of the time.
     let mut realtime = rig(folders[0].path(), &["run.clock=realtime"]);
     let mut stopped = rig(folders[1].path(), &["run.clock=realtime"]);
-    let mut scaled = rig(
+    let scaled = rig(
         folders[2].path(),
         &["run.clock=scaled", "run.clock_rate=10"],
     );
-    let mut fast = rig(folders[3].path(), &["run.clock=fast"]);
+    let fast = rig(folders[3].path(), &["run.clock=fast"]);
     let mut lockstep = rig(folders[4].path(), &["run.clock=lockstep"]);
 
     let at = stopped.announced("control http", "http");
     wait_delivered(at, 3);
-    signal(&stopped, "-STOP");
+    stopped.signal("-STOP");
     let at = lockstep.announced("control http", "http");
-    let (code, answer) = tell(at, &json!({ "do": "step", "pings": 4 }));
-    assert_eq!((code, &answer["accepted"]), (200, &json!(true)), "{answer}");
-    assert_eq!(wait_delivered(at, 4), 4);
+    step(at, &mut 0, 4);
     // Without a step request time stands still.
     let before = status(at)["rig_utc_ns"].clone();
     thread::sleep(Duration::from_millis(300));
@@ -166,12 +157,11 @@ fn the_same_pings_are_sent_in_every_clock_mode_and_after_a_pause() {
     assert_eq!(status(at)["rig_utc_ns"], before);
     tell(at, &json!({ "do": "step" }));
     assert_eq!(wait_delivered(at, 5), 5);
-    signal(&stopped, "-CONT");
+    stopped.signal("-CONT");
 
     // Two of them run to the end of the log by themselves.
-    for daemon in [&mut scaled, &mut fast] {
-        let status = daemon.child.wait().expect("ended");
-        assert!(status.success(), "{status}");
+    for daemon in [scaled, fast] {
+        daemon.ended();
     }
     let at = realtime.announced("control http", "http");
     wait_delivered(at, 8);
@@ -248,50 +238,35 @@ fn selected_methods_faults_and_triggers_are_the_same_in_every_clock_mode() {
     let (first, others) = text.split_once("name = \"bow\"").expect("three sonars");
     let engine = others.replacen("synthesis = \"auto\"", "synthesis = \"gridded-1d\"", 1);
     std::fs::write(&config, format!("{first}name = \"bow\"{engine}")).expect("written");
-    let config = config.to_str().expect("text");
     let at = |name: &str| folder.path().join(name);
     let start = |name: &str, clock: &[&str]| {
         let record = format!("record.directory={:?}", at(name));
-        let mut arguments = vec![config];
-        for set in clock
-            .iter()
-            .chain(&[record.as_str(), "control.listen=127.0.0.1:0"])
-        {
-            arguments.extend(["--set", set]);
-        }
-        Daemon::start(&arguments)
+        let common = [record.as_str(), "control.listen=127.0.0.1:0"];
+        Daemon::start(&config, [clock, &common].concat())
     };
     // Modes without a deadline come first: making engines takes seconds, and a running clock skips late pings.
-    let mut fast = start("fast", &["run.clock=fast"]);
+    let fast = start("fast", &["run.clock=fast"]);
     let mut lockstep = start("lockstep", &["run.clock=lockstep"]);
     let control = lockstep.announced("control http", "http");
-    let (code, answer) = tell(control, &json!({ "do": "step", "pings": 70 }));
-    assert_eq!(code, 200, "{answer}");
+    told(control, &json!({ "do": "step", "pings": 70 }));
     // Missed pulses make no pings.
     wait_delivered(control, 60);
     lockstep.terminate();
-    let ended = fast.child.wait().expect("ended");
-    assert!(ended.success(), "{ended}");
-    let replayed = Command::new(env!("CARGO_BIN_EXE_echotank"))
-        .args(["replay", config, "--quiet", "--formats", "s7k", "--out"])
-        .arg(at("replay"))
-        .output()
-        .expect("echotank runs");
-    assert!(replayed.status.success(), "{replayed:?}");
+    fast.ended();
+    replay_into(&at("replay"), &config, &["--formats", "s7k"]);
     let mut stopped = start("stopped", &["run.clock=realtime"]);
     let control = stopped.announced("control http", "http");
     wait_delivered(control, 3);
-    signal(&stopped, "-STOP");
+    stopped.signal("-STOP");
     thread::sleep(Duration::from_millis(700));
-    signal(&stopped, "-CONT");
+    stopped.signal("-CONT");
     // To the end of the log.
-    for mut daemon in [
+    for daemon in [
         stopped,
         start("scaled", &["run.clock=scaled", "run.clock_rate=2"]),
         start("realtime", &["run.clock=realtime"]),
     ] {
-        let ended = daemon.child.wait().expect("ended");
-        assert!(ended.success(), "{ended}");
+        daemon.ended();
     }
     for sonar in ["points", "bow", "stern"] {
         let (pulses, want) = records(&at("fast"), sonar);
@@ -336,14 +311,14 @@ fn debug(daemon: &Daemon) -> bool {
 #[test]
 fn a_stop_in_a_debugger_changes_no_ping() {
     let folders = [0, 1].map(|_| tempfile::tempdir().expect("folder"));
-    let mut fast = rig(folders[0].path(), &["run.clock=fast"]);
+    let fast = rig(folders[0].path(), &["run.clock=fast"]);
     let mut stopped = rig(folders[1].path(), &["run.clock=realtime"]);
     let at = stopped.announced("control http", "http");
     wait_delivered(at, 3);
     println!("stopped in a debugger: {}", debug(&stopped));
-    assert!(fast.child.wait().expect("ended").success());
+    fast.ended();
     // To the end of the log.
-    assert!(stopped.child.wait().expect("ended").success());
+    stopped.ended();
     let want = pings_of(folders[0].path());
     let got = pings_of(folders[1].path());
     assert_same(&got, &want, "in a debugger");
@@ -356,8 +331,7 @@ fn a_pause_stops_time_and_a_step_sends_one_ping() {
     let mut daemon = rig(folder.path(), &["nav.loop=true"]);
     let at = daemon.announced("control http", "http");
     wait_delivered(at, 2);
-    let (code, answer) = tell(at, &json!({ "do": "pause" }));
-    assert_eq!((code, &answer["accepted"]), (200, &json!(true)), "{answer}");
+    told(at, &json!({ "do": "pause" }));
     let paused = status(at);
     thread::sleep(Duration::from_millis(300));
     let later = status(at);

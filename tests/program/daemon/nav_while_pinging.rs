@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::sync::{Arc, Mutex};
 use std::thread;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use echotank_config as config;
 use echotank_config::spec::NavDialect;
@@ -21,10 +21,11 @@ use echotank_runtime::daemon::Daemon;
 use echotank_runtime::io::sonar::client::SevenKClient;
 use serialport::{SerialPort, TTYPort};
 
-/// Time limit of a wait.
-const PATIENCE: Duration = Duration::from_secs(60);
+use super::{LIVE_SONAR, MRU, eventually, gnss, sentence};
+
+/// As in the live sonar.
 const PING_S: f64 = 0.1;
-const YEAR_DAYS: u64 = 365;
+const YEAR_S: u64 = 365 * 86_400;
 
 /// What the instruments currently send.
 #[derive(Default)]
@@ -78,58 +79,10 @@ pulse = "byte"
 latency_ms = 500.0
 queue_pings = 24
 status_interval_s = 0.1
-[[sonar]]
-name = "live"
-[sonar.pulse]
-kind = "cw"
-center_frequency_khz = 100.0
-duration_ms = 1.0
-[[sonar.transmit]]
-name = "tx"
-pattern = "omnidirectional"
-[[sonar.receive]]
-name = "rx"
-transmit = "tx"
-elements = 1
-spacing_m = 0.0075
-[sonar.receiver]
-sample_rate_khz = 20.0
-rx_filter = "none"
-full_scale_v = 1.0
-[sonar.ping]
-range_m = 20.0
-rate_hz = {rate}
-source_level_db = 200.0
-gain_db = 0.0
-[sonar.output.sevenk]
-id = 103
-arrays = ["rx"]
-listen = "127.0.0.1:0"
-"#,
+{LIVE_SONAR}"#,
         mru = mru.display(),
-        rate = 1.0 / PING_S,
     );
     echotank_runtime::config_files::parse(&text, folder).unwrap_or_else(|errors| panic!("{errors}"))
-}
-
-fn sentence(body: &str) -> String {
-    let sum = body.bytes().fold(0, |a, b| a ^ b);
-    format!("${body}*{sum:02X}\r\n")
-}
-
-/// ZDA, GGA and HDT of the current time; `north_deg` minutes of latitude north of 54 degrees.
-fn gnss(minutes: f64, date_jumps: bool) -> String {
-    let now = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .expect("after 1970");
-    let jump = if date_jumps { YEAR_DAYS * 86_400 } else { 0 };
-    let date = chrono::DateTime::from_timestamp((now.as_secs() + jump) as i64, 0).expect("a date");
-    let time = format!("{}.{:03}", date.format("%H%M%S"), now.subsec_millis());
-    sentence(&format!("GPZDA,{time},{},00,00", date.format("%d,%m,%Y")))
-        + &sentence(&format!(
-            "GPGGA,{time},54{minutes:08.5},N,01000.00000,E,1,9,0.9,1.0,M,0.0,M,,"
-        ))
-        + &sentence("GPHDT,123.45,T")
 }
 
 /// A pseudo-terminal with a stable name; dropping it disconnects the line.
@@ -152,11 +105,12 @@ fn instruments(
         while !faults.stop.load(SeqCst) {
             if k.is_multiple_of(5) {
                 if !faults.first_silent.load(SeqCst) {
-                    let text = gnss(0.0, faults.date_jumps.load(SeqCst));
+                    let jumps = faults.date_jumps.load(SeqCst);
+                    let text = gnss(0.0, if jumps { YEAR_S } else { 0 });
                     let _ = socket.send_to(text.as_bytes(), first);
                 }
                 // Contradicts the first source by one minute, 1.85 km.
-                let _ = socket.send_to(gnss(1.0, false).as_bytes(), second);
+                let _ = socket.send_to(gnss(1.0, 0).as_bytes(), second);
             }
             if let Some((line, _)) = &mut *mru.lock().expect("unspoiled") {
                 let _ = if faults.mru_garbage.load(SeqCst) {
@@ -167,7 +121,7 @@ fn instruments(
                 } else if faults.mru_silent.load(SeqCst) {
                     Ok(0)
                 } else {
-                    line.write(sentence("PSXN,23,1.50,-2.50,123.45,0.20").as_bytes())
+                    line.write(sentence(MRU).as_bytes())
                 };
             }
             k += 1;
@@ -279,18 +233,16 @@ fn pings_keep_their_rate_under_navigation_faults_and_flag_invalid_channels() {
     let topside = listen(sonar, pings.clone(), faults.clone());
 
     let until = |what: &str, holds: &dyn Fn(&str, &Got) -> bool| {
-        let begun = Instant::now();
-        loop {
+        eventually(|| {
             let text = status.lock().expect("unspoiled").clone();
             let all = pings.lock().expect("unspoiled").clone();
             // The last but one is whole.
             let last = all.len().checked_sub(2).map(|i| all[i]);
-            if last.is_some_and(|ping| holds(&text, &ping)) {
-                return;
-            }
-            assert!(begun.elapsed() < PATIENCE, "{what}: {last:?}\n{text}");
-            thread::sleep(Duration::from_millis(10));
-        }
+            let is_so = last.is_some_and(|ping| holds(&text, &ping));
+            is_so
+                .then_some(())
+                .ok_or(format!("{what}: {last:?}\n{text}"))
+        });
     };
     let well = |text: &str, p: &Got| {
         text.contains("nav mru: ok")

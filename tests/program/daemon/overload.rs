@@ -4,17 +4,17 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use echotank_protocols::sevenk::RecordBody;
-use echotank_protocols::sevenk::file::FileReader;
+use echotank_runtime::io::control::client;
 use serde_json::Value;
 
-use super::Daemon;
-use super::modes::{Pings, pings_in, pings_of, rig, status};
+use super::modes::{Pings, TIME, pings_in, pings_of, records_of, rig, status};
+use crate::file_of;
 
-/// Offset of year, day, seconds, hours and minutes in a record's frame.
+/// Year, day, seconds, hours and minutes in a record's frame.
 type Instant = Vec<u8>;
 
 /// Five seconds of 20 pings per second, each of which takes 75 ms with 50 ms available.
-fn overloaded(folder: &Path, overload: &str, more: &[&str]) -> (Daemon, Value) {
+fn overloaded(folder: &Path, overload: &str, more: &[&str]) -> (String, Value) {
     let overload = format!("run.overload={overload}");
     let log = format!("run.fault_directory={folder:?}");
     let mut sets = vec![
@@ -28,16 +28,12 @@ fn overloaded(folder: &Path, overload: &str, more: &[&str]) -> (Daemon, Value) {
     let mut last = Value::Null;
     // Runs until the log and with it the daemon ends.
     while daemon.child.try_wait().expect("a child").is_none() {
-        if let Ok((200, body)) =
-            echotank_runtime::io::control::client::get(control, "/status", None)
-        {
+        if let Ok((200, body)) = client::get(control, "/status", None) {
             last = serde_json::from_str(&body).expect("JSON");
         }
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
-    let ended = daemon.child.wait().expect("ended");
-    assert!(ended.success(), "{ended}");
-    (daemon, last)
+    (daemon.ended(), last)
 }
 
 const QUICK: [&str; 3] = [
@@ -46,31 +42,17 @@ const QUICK: [&str; 3] = [
     "run.status_interval_s=1000",
 ];
 
-/// Its last status line.
-fn said(mut daemon: Daemon) -> String {
-    let mut text = String::new();
-    std::io::Read::read_to_string(&mut daemon.stdout, &mut text).expect("readable");
-    text
-}
-
 /// The same rig without a deadline.
 fn at_leisure(folder: &Path, more: &[&str]) -> Pings {
     let mut sets = vec!["run.clock=fast"];
     sets.extend(QUICK.iter().chain(more));
-    let mut daemon = rig(folder, &sets);
-    assert!(daemon.child.wait().expect("ended").success());
+    rig(folder, &sets).ended();
     pings_of(folder)
 }
 
 /// Entries of the overload log by ping.
 fn log_of(folder: &Path) -> Vec<Value> {
-    let files = std::fs::read_dir(folder).expect("folder");
-    let paths = files.map(|e| e.expect("entry").path());
-    let log = paths.into_iter().find(|path| {
-        let name = path.file_name().map(|name| name.to_string_lossy());
-        name.is_some_and(|name| name.starts_with("overload-"))
-    });
-    let text = std::fs::read_to_string(log.expect("a log")).expect("readable");
+    let text = std::fs::read_to_string(file_of(folder, "overload-", "")).expect("readable");
     let lines = text.lines();
     lines
         .map(|line| serde_json::from_str(line).expect("JSON"))
@@ -86,25 +68,14 @@ fn numbers(log: &[Value], what: &str) -> Vec<u64> {
 
 /// Ping numbers and periods by the timestamps of records.
 fn settings_of(folder: &Path) -> BTreeMap<Instant, (u64, f32)> {
-    let files = std::fs::read_dir(folder).expect("folder");
-    let paths = files.map(|e| e.expect("entry").path());
-    let path = paths
-        .into_iter()
-        .find(|path| path.extension().is_some_and(|e| e == "s7k"));
-    let bytes = std::fs::read(path.expect("a record")).expect("readable");
-    let mut at = 0;
     let mut all = BTreeMap::new();
-    for read in FileReader::new(&bytes) {
-        let record = read.expect("sound").record;
-        let stamp = bytes[at + 20..at + 30].to_vec();
-        at += record.frame.size_bytes as usize;
-        if let Ok(RecordBody::SonarSettings(settings)) = RecordBody::parse(&record) {
-            all.insert(
-                stamp,
-                (u64::from(settings.ping_number), settings.ping_period_s),
-            );
+    records_of(folder, "", |record| {
+        if let Ok(RecordBody::SonarSettings(settings)) = RecordBody::parse(record) {
+            let number = u64::from(settings.ping_number);
+            let stamp = record.bytes()[TIME].to_vec();
+            all.insert(stamp, (number, settings.ping_period_s));
         }
-    }
+    });
     all
 }
 
@@ -117,7 +88,7 @@ fn counter(status: &Value, name: &str) -> u64 {
 fn skipped_pings_are_counted_and_logged_and_the_others_are_unchanged() {
     let folders = [0, 1].map(|_| tempfile::tempdir().expect("folder"));
     let want = at_leisure(folders[0].path(), &[]);
-    let (daemon, last) = overloaded(folders[1].path(), "skip", &[]);
+    let (said, last) = overloaded(folders[1].path(), "skip", &[]);
     let got = pings_of(folders[1].path());
     let log = log_of(folders[1].path());
     let skipped = numbers(&log, "skipped");
@@ -142,7 +113,6 @@ fn skipped_pings_are_counted_and_logged_and_the_others_are_unchanged() {
         ),
         (0, 0)
     );
-    let said = said(daemon);
     assert!(said.contains(&format!("late {}", skipped.len())), "{said}");
 }
 
@@ -157,7 +127,7 @@ fn degraded_pings_are_flagged_meet_the_looser_tolerance_and_recover() {
     let folders = [0, 1, 2].map(|_| tempfile::tempdir().expect("folder"));
     let fine = at_leisure(folders[0].path(), &sets);
     let coarse = at_leisure(folders[1].path(), &looser);
-    let (daemon, last) = overloaded(folders[2].path(), "degrade", &sets);
+    let (said, last) = overloaded(folders[2].path(), "degrade", &sets);
     let got = pings_of(folders[2].path());
     let log = log_of(folders[2].path());
     let of_tolerance = |tolerance: f64| -> Vec<u64> {
@@ -188,7 +158,6 @@ fn degraded_pings_are_flagged_meet_the_looser_tolerance_and_recover() {
     assert!(fine_again > 0, "{all:?}");
     assert_eq!(last["sonars"][0]["overload"], "degrade");
     assert!(counter(&last, "pings_degraded") > 0);
-    let said = said(daemon);
     assert!(
         said.contains(&format!("OVERLOAD: {} made looser", all.len())),
         "{said}"
@@ -198,7 +167,7 @@ fn degraded_pings_are_flagged_meet_the_looser_tolerance_and_recover() {
 #[test]
 fn stretched_periods_match_the_compute_time_and_are_reported() {
     let folder = tempfile::tempdir().expect("folder");
-    let (daemon, last) = overloaded(folder.path(), "stretch", &[]);
+    let (said, last) = overloaded(folder.path(), "stretch", &[]);
     let log = log_of(folder.path());
     let (stretched, skipped) = (numbers(&log, "stretched"), numbers(&log, "skipped"));
     let mut made: Vec<_> = settings_of(folder.path()).into_values().collect();
@@ -220,7 +189,6 @@ fn stretched_periods_match_the_compute_time_and_are_reported() {
     let mean_s = last_ones.iter().map(|(_, s)| f64::from(*s)).sum::<f64>() / last_ones.len() as f64;
     assert!(mean_s > 0.065, "{mean_s} s: {made:?}");
     assert_eq!(last["sonars"][0]["overload"], "stretch");
-    let said = said(daemon);
     assert!(
         said.contains(&format!("OVERLOAD: {} pulses put off", stretched.len())),
         "{said}"

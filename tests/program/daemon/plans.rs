@@ -8,7 +8,7 @@ use echotank_runtime::io::control::client;
 use serde_json::json;
 
 use super::Daemon;
-use super::modes::{status, tell, wait_delivered};
+use super::modes::{status, step};
 use echotank_testing::track::{ALONG_TRACK, COLUMNS};
 
 /// Points abeam: while they are abeam the range rate is zero, and methods that ignore motion suffice. Nothing in the sonar's own motion
@@ -103,14 +103,10 @@ fn a_failed_error_check_is_a_counted_fault_and_selects_costlier_methods() {
     std::fs::write(folder.path().join("track.csv"), track).expect("written");
     let path = folder.path().join("drift.toml");
     std::fs::write(&path, format!("{ALONG_TRACK}{RIG}")).expect("written");
-    let mut daemon = Daemon::start(&[path.to_str().expect("text")]);
+    let mut daemon = Daemon::start(path, [""; 0]);
     let control = daemon.announced("control", "http");
-    let step = |pings: u64, before: u64| {
-        let (code, answer) = tell(control, &json!({ "do": "step", "pings": pings }));
-        assert_eq!(code, 200, "{answer}");
-        wait_delivered(control, before + pings)
-    };
-    let mut delivered = step(1, 0);
+    let mut delivered = 0;
+    step(control, &mut delivered, 1);
     let said = status(control);
     let plan = said["sonars"][0]["methods"]["plan"].clone();
     assert_eq!(plan, 1, "made ahead of the first ping: {said}");
@@ -120,7 +116,7 @@ fn a_failed_error_check_is_a_counted_fault_and_selects_costlier_methods() {
     assert!(first_promise <= 2e-2, "{first_promise}");
 
     while metric(control, "plans_given_up") == Some(0.0) && delivered < PATIENCE_PINGS {
-        delivered = step(2, delivered);
+        step(control, &mut delivered, 2);
     }
     let error = metric(control, "checked_error").expect("checked");
     println!("given up at ping {delivered}: {error:.1e} measured, {first_promise:.1e} promised");
@@ -133,7 +129,7 @@ fn a_failed_error_check_is_a_counted_fault_and_selects_costlier_methods() {
     assert_eq!((&said["plan"], &said["given_up"]), (&json!(1), &json!(1)));
     assert!(said["margin"].as_f64().is_some_and(|m| m < 1.0), "{said}");
 
-    delivered = step(LEAD_PINGS + FLUSH_PINGS, delivered);
+    step(control, &mut delivered, LEAD_PINGS + FLUSH_PINGS);
     let (plan, error) = (metric(control, "plan"), metric(control, "checked_error"));
     println!("at ping {delivered}: plan {plan:?}, {error:?} measured");
     assert!(plan >= Some(2.0), "{plan:?}");

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use echotank_runtime::io::control::client;
 use echotank_runtime::io::sonar::elements::ElementClient;
@@ -15,10 +15,12 @@ use echotank_runtime::io::sonar::verification::decode::Family;
 use echotank_runtime::io::sonar::verification::listener::{Listener, ListenerSpec};
 use echotank_runtime::io::sonar::verification::report::Report;
 use echotank_runtime::score::{LoggedFault, Score, log_of, score};
+use echotank_testing::track::COLUMNS;
 use serde_json::{Value, json};
 
-use super::modes::{rig, tell, wait_delivered};
-use super::{Daemon, PATIENCE};
+use super::eventually;
+use super::modes::{rig, tell, told};
+use crate::files_in;
 
 const RECORDS: [u32; 3] = [7000, 7007, 7038];
 /// Probability of each fault.
@@ -106,7 +108,7 @@ impl Listeners {
 /// Writes a track into the folder that is long enough not to loop, which would skip pings; returns the setting that selects it.
 pub(crate) fn track(folder: &Path) -> String {
     let track = folder.join("track.csv");
-    let mut text = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n".to_owned();
+    let mut text = COLUMNS.to_owned();
     for quarter in 0..300 {
         let time_s = 1_793_611_200.0 + 0.25 * f64::from(quarter);
         text += &format!("{time_s:.2},0,0,5,3,-2,35\n");
@@ -115,33 +117,25 @@ pub(crate) fn track(folder: &Path) -> String {
     format!("nav.source.path={track:?}")
 }
 
-/// Steps pings, a few at a time: a socket buffer of default size holds them.
+/// Steps pings one at a time: a socket buffer of default size holds what they send.
 fn step(control: SocketAddr, delivered: &mut u64, pings: u64) {
-    for _ in 0..pings {
-        let (code, answer) = tell(control, &json!({ "do": "step", "pings": 1 }));
-        assert_eq!(code, 200, "{answer}");
-        *delivered = wait_delivered(control, *delivered + 1);
-    }
+    (0..pings).for_each(|_| super::modes::step(control, delivered, 1));
 }
 
 /// Waits until each of these outputs has a client with a request: `OUTPUT: N clients now, M ever`.
 fn wait_clients(control: SocketAddr, wanted: &[(&str, &str)]) {
-    let until = Instant::now() + PATIENCE;
-    loop {
+    eventually(|| {
         let (_, status) = client::get(control, "/status", None).expect("answers");
         let said = |(output, count): &(&str, &str)| status.contains(&format!("{output}: {count}"));
-        if wanted.iter().all(said) {
-            // A client is listed slightly before its first request.
-            return thread::sleep(Duration::from_millis(100));
-        }
-        assert!(Instant::now() < until, "{wanted:?}: {status}");
-        thread::sleep(Duration::from_millis(5));
-    }
+        let all = wanted.iter().all(said).then_some(());
+        all.ok_or(format!("{wanted:?}: {status}"))
+    });
+    // A client is listed slightly before its first request.
+    thread::sleep(Duration::from_millis(100));
 }
 
 fn logged(folder: &Path) -> Vec<LoggedFault> {
-    let files = std::fs::read_dir(folder).expect("folder");
-    let texts = files.map(|e| std::fs::read_to_string(e.expect("entry").path()).expect("text"));
+    let texts = files_in(folder).map(|file| std::fs::read_to_string(file).expect("text"));
     log_of(&texts.collect::<String>()).expect("a log")
 }
 
@@ -172,8 +166,7 @@ fn run(clean: Option<&AllHeard>) -> (AllHeard, Vec<LoggedFault>) {
             &format!("run.fault_directory={:?}", folders[1].path()),
         ],
     );
-    let mut servers = Vec::new();
-    for (name, family, line) in [
+    let servers = [
         ("7k", Family::SevenK, "7k points"),
         ("jsf", Family::Jsf, "jsf-data points"),
         ("elements", Family::Elements, "elements points"),
@@ -181,25 +174,13 @@ fn run(clean: Option<&AllHeard>) -> (AllHeard, Vec<LoggedFault>) {
         ("wbms", Family::Wbms, "wbms points bathymetry"),
         ("wbms fan", Family::Wbms, "wbms points water column"),
         ("wbms sides", Family::Wbms, "wbms points side-scan"),
-    ] {
-        servers.push((name, family, daemon.address_of(line, "tcp")));
-    }
-    let control = daemon.address_of("control http", "http");
-    for (name, family, address) in servers {
+    ];
+    for (name, family, line) in servers {
+        let address = daemon.address_of(line, "tcp");
         listeners.listen(family, name, address, clean, None);
     }
-    wait_clients(
-        control,
-        &[
-            ("7k points", "1 clients"),
-            ("jsf-data points", "1 clients"),
-            ("elements points", "1 clients"),
-            ("ping points", "1 clients"),
-            ("wbms points bathymetry", "1 clients"),
-            ("wbms points water column", "1 clients"),
-            ("wbms points side-scan", "1 clients"),
-        ],
-    );
+    let control = daemon.address_of("control http", "http");
+    wait_clients(control, &servers.map(|(.., line)| (line, "1 clients")));
     let mut delivered = 0;
     step(control, &mut delivered, CLEAN);
     for (seed, kind) in KINDS.into_iter().enumerate() {
@@ -210,8 +191,7 @@ fn run(clean: Option<&AllHeard>) -> (AllHeard, Vec<LoggedFault>) {
                 // Three pings.
                 fault["value"] = json!(250.0);
             }
-            let (code, answer) = tell(control, &fault);
-            assert_eq!(code, 200, "{answer}");
+            told(control, &fault);
         }
         step(control, &mut delivered, STRUCK);
         tell(control, &json!({ "do": "clear-faults" }));
@@ -258,7 +238,7 @@ const ROUNDS: u64 = 2;
 /// Families of which only the connection is tested, in unhurried steps.
 fn connections(kind: &str, value: &Value, pings: u64) -> (Score, Score) {
     let folders = [(); 2].map(|()| tempfile::tempdir().expect("folder"));
-    let mut daemon: Daemon = rig(
+    let mut daemon = rig(
         folders[0].path(),
         &[
             "run.clock=lockstep",
@@ -350,11 +330,10 @@ fn a_dead_element_injected_live_is_dead_only_in_the_logged_pings() {
     wait_clients(control, &[("elements points", "1 clients")]);
     let mut delivered = 0;
     step(control, &mut delivered, 2);
-    let (code, answer) = tell(
+    told(
         control,
         &json!({ "do": "fault", "kind": "dead", "array": 1, "element": 3, "for_s": 0.25 }),
     );
-    assert_eq!(code, 200, "{answer}");
     step(control, &mut delivered, 6);
     daemon.terminate();
     // Array 1 follows the eight elements of array 0.

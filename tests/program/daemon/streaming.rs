@@ -8,6 +8,7 @@ use echotank_protocols::vita49::{Packet, PacketType};
 use echotank_runtime::io::sonar::elements::ElementClient;
 
 use super::{Daemon, PATIENCE};
+use crate::file_of;
 
 const RANGE_M: f64 = 150.0;
 /// Receive window of a ping: 2 x 150 m at 1500 m/s, plus its pulse.
@@ -51,7 +52,6 @@ fn listen(more: &[&str]) -> Heard {
         board.local_addr().expect("bound")
     );
     let range = format!("sonar.ping.range_m={RANGE_M}");
-    let mut arguments = vec!["hil-configs/points.toml"];
     let common = [
         "sonar.output.sevenk.listen=127.0.0.1:0",
         "sonar.output.elements.listen=127.0.0.1:0",
@@ -69,10 +69,7 @@ fn listen(more: &[&str]) -> Heard {
         "run.queue_pings=8",
         "nav.loop=true",
     ];
-    for set in common.iter().chain(more) {
-        arguments.extend(["--set", set]);
-    }
-    let mut daemon = Daemon::start(&arguments);
+    let mut daemon = Daemon::start("hil-configs/points.toml", [&common, more].concat());
     let address = daemon.announced("elements", "tcp");
     let mut client = ElementClient::connect(address).expect("listening");
     let mut heard = Heard {
@@ -187,8 +184,7 @@ fn triggered(latency_s: f64, more: &[&str]) {
     let folder = tempfile::tempdir().expect("folder");
     let record = format!("record.directory={:?}", folder.path());
     let latency = format!("run.stream_latency_ms={}", latency_s * 1e3);
-    let mut arguments = vec!["hil-configs/points.toml"];
-    for set in [
+    let common = [
         record.as_str(),
         latency.as_str(),
         "sonar.output.sevenk.listen=127.0.0.1:0",
@@ -204,13 +200,8 @@ fn triggered(latency_s: f64, more: &[&str]) {
         "nav.loop=true",
         "run.delivery=streaming",
         "run.ahead_ms=0",
-    ]
-    .iter()
-    .chain(more)
-    {
-        arguments.extend(["--set", set]);
-    }
-    let mut daemon = Daemon::start(&arguments);
+    ];
+    let mut daemon = Daemon::start("hil-configs/points.toml", [&common, more].concat());
     let address = daemon.announced("elements", "tcp");
     let listener = daemon.announced("trigger points", "udp");
     let mut client = ElementClient::connect(address).expect("listening");
@@ -247,12 +238,7 @@ fn triggered(latency_s: f64, more: &[&str]) {
     // The files hold each ping at its end.
     std::thread::sleep(Duration::from_millis(500));
     daemon.terminate();
-    let files = std::fs::read_dir(folder.path()).expect("folder");
-    let paths = files.map(|e| e.expect("entry").path());
-    let data = paths
-        .into_iter()
-        .find(|path| path.extension().is_some_and(|e| e == "sigmf-data"));
-    let recorded = std::fs::read(data.expect("a recording")).expect("readable");
+    let recorded = std::fs::read(file_of(folder.path(), "", ".sigmf-data")).expect("readable");
     for (number, samples) in streamed.iter().enumerate() {
         assert!(samples.iter().any(|&b| b != 0));
         let same = recorded

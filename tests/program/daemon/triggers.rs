@@ -4,18 +4,17 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::net::{SocketAddr, TcpStream, UdpSocket};
 use std::path::Path;
-use std::process::Command;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use echotank_core::time::UtcNs;
-use echotank_protocols::sevenk::file::FileReader;
 use echotank_runtime::io::sonar::verify::ping_number;
 use echotank_runtime::io::trigger::sentence;
 use serde_json::{Value, json};
 
-use super::modes::{rig, status, tell, wait_delivered};
-use super::{Daemon, PATIENCE};
+use super::modes::{records_of, rig, status, tell, wait_delivered};
+use super::{Daemon, PATIENCE, eventually};
+use crate::replay_into;
 
 /// A socket that receives trigger outputs, and the setting that sends them there.
 fn ear() -> (UdpSocket, String) {
@@ -47,16 +46,12 @@ fn counters(control: SocketAddr) -> Value {
 
 /// Waits until a counter has reached a value.
 fn wait_counted(control: SocketAddr, name: &str, least: u64) {
-    let until = Instant::now() + PATIENCE;
-    loop {
+    eventually(|| {
         let counters = counters(control);
         let now = counters[name].as_u64().expect("a count");
-        if now >= least {
-            return;
-        }
-        assert!(Instant::now() < until, "{name} {now}: {counters}");
-        thread::sleep(Duration::from_millis(5));
-    }
+        let enough = (now >= least).then_some(());
+        enough.ok_or(format!("{name} {now}: {counters}"))
+    });
 }
 
 #[test]
@@ -178,20 +173,11 @@ pub(crate) type Bodies = BTreeMap<(u32, u32), Vec<u8>>;
 
 /// Ping number and timestamp (of the record's frame) of every 7000 of a sonar, and all its ping records.
 pub(crate) fn records(folder: &Path, sonar: &str) -> (Vec<(u32, f64)>, Bodies) {
-    let files = std::fs::read_dir(folder).expect("folder");
-    let mut paths = files.map(|e| e.expect("entry").path());
-    let its = |path: &std::path::PathBuf| {
-        let name = path.file_name().and_then(|n| n.to_str()).expect("text");
-        name.starts_with(sonar) && name.ends_with("s7k")
-    };
-    let path = paths.find(its).expect("a record");
-    let bytes = std::fs::read(path).expect("readable");
     let (mut pings, mut all) = (Vec::new(), BTreeMap::new());
-    for read in FileReader::new(&bytes) {
-        let record = read.expect("sound").record;
+    records_of(folder, sonar, |record| {
         let kind = record.frame.record_type_id;
         let Some(number) = ping_number(kind, record.body()) else {
-            continue;
+            return;
         };
         let time = record.frame.time;
         let seconds = f64::from(time.seconds)
@@ -201,7 +187,7 @@ pub(crate) fn records(folder: &Path, sonar: &str) -> (Vec<(u32, f64)>, Bodies) {
             pings.push((number, seconds));
         }
         all.insert((kind, number), record.body().to_vec());
-    }
+    });
     (pings, all)
 }
 
@@ -209,8 +195,7 @@ pub(crate) fn records(folder: &Path, sonar: &str) -> (Vec<(u32, f64)>, Bodies) {
 fn every_pulse_is_announced_with_the_number_and_the_time_of_its_records() {
     let folder = tempfile::tempdir().expect("folder");
     let (ear, to) = ear();
-    let mut daemon = rig(folder.path(), &["run.clock=fast", &to]);
-    assert!(daemon.child.wait().expect("ended").success());
+    rig(folder.path(), &["run.clock=fast", &to]).ended();
     let (pings, _) = records(folder.path(), "points");
     assert!(pings.len() > 20, "{}", pings.len());
     const DAY_NS: i64 = 86_400_000_000_000;
@@ -254,30 +239,23 @@ fn sonars_of_one_daemon_ping_together_or_in_turn_each_on_its_own_port() {
     let folder = tempfile::tempdir().expect("folder");
     let [live, stepped, offline] = ["live", "stepped", "offline"].map(|n| folder.path().join(n));
     let config = three(folder.path(), "synthesis = \"direct\"", "");
-    let config = config.to_str().expect("text");
     let [live_at, stepped_at] =
         [&live, &stepped].map(|folder| format!("record.directory={folder:?}"));
     let control = "control.listen=127.0.0.1:0";
-    let started =
-        |clock, at| Daemon::start(&[config, "--set", clock, "--set", at, "--set", control]);
-    let mut realtime = started("run.clock=realtime", &live_at);
-    let mut fast = started("run.clock=fast", &stepped_at);
+    let started = |clock, at| Daemon::start(&config, [clock, at, control]);
+    let mut realtime = started("run.clock=realtime", live_at.as_str());
+    let fast = started("run.clock=fast", stepped_at.as_str());
     let ports = ["points", "bow", "stern"]
         .map(|name| realtime.announced(&format!("7k {name}"), "tcp").port());
     assert!(ports[0] != ports[1] && ports[1] != ports[2] && ports[0] != ports[2]);
     let at = realtime.announced("control http", "http");
-    assert!(fast.child.wait().expect("ended").success());
+    fast.ended();
     wait_delivered(at, 9);
     let sonars = status(at)["sonars"].clone();
     let names: Vec<_> = (0..3).map(|k| sonars[k]["name"].clone()).collect();
     assert_eq!(names, ["points", "bow", "stern"]);
     realtime.terminate();
-    let replayed = Command::new(env!("CARGO_BIN_EXE_echotank"))
-        .args(["replay", config, "--quiet", "--formats", "s7k", "--out"])
-        .arg(&offline)
-        .output()
-        .expect("echotank runs");
-    assert!(replayed.status.success(), "{replayed:?}");
+    replay_into(&offline, &config, &["--formats", "s7k"]);
     let (leader, _) = records(&stepped, "points");
     assert!(leader.len() > 20, "{}", leader.len());
     for (name, delay_s) in [("points", 0.0), ("bow", 0.0), ("stern", 0.04)] {

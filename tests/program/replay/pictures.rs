@@ -4,9 +4,11 @@
 use std::fs;
 use std::path::Path;
 
+use echotank_testing::track::COLUMNS;
 use serde_json::Value;
 
 use super::{files, replay_file};
+use crate::run;
 
 // The long form uses the rest of it.
 mod fan_masks;
@@ -101,7 +103,7 @@ mosaic_m_per_pixel = 0.25
 "#;
 
 fn rig(folder: &Path) -> std::path::PathBuf {
-    let mut track = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n".to_owned();
+    let mut track = COLUMNS.to_owned();
     for k in 0..13 {
         let north_m = f64::from(k - 6) * SPEED_M_PER_S;
         track += &format!("{},{north_m},0,0,0,0,0\n", 1_793_611_200 + k);
@@ -490,13 +492,6 @@ fn lines_and_mosaic_of_a_second_pulse_come_from_s7k_and_npz_alike() {
 }
 
 fn mosaic(arguments: &[&Path]) -> (bool, String) {
-    let done = std::process::Command::new(env!("CARGO_BIN_EXE_echotank"))
-        .arg("mosaic")
-        .args(arguments)
-        .output()
-        .expect("echotank runs");
-    (
-        done.status.success(),
-        String::from_utf8_lossy(&done.stderr).into_owned(),
-    )
+    let done = run("mosaic", arguments);
+    (done.code == Some(0), done.err)
 }
