@@ -2,8 +2,6 @@
 
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
-use std::sync::Arc;
-use std::time::{Duration, Instant};
 
 use echotank_config::spec::*;
 use echotank_core::frames::Trajectory;
@@ -11,10 +9,11 @@ use echotank_core::navigation::{FixQuality, NavQuantity, NavSample, NavState};
 use echotank_core::time::UtcNs;
 use echotank_nav::health::State;
 use echotank_nav::{NavGap, NavHistory};
-use echotank_runtime::clock::SystemClock;
 use echotank_runtime::io::nav::NavInputs;
 use echotank_testing::nav::{nav, sentence, source, udp};
 use glam::DVec3;
+
+use super::eventually;
 
 fn spec(sources: Vec<NavSourceSpec>) -> NavSpec {
     NavSpec {
@@ -39,6 +38,8 @@ fn insert(history: &mut NavHistory, source: u16, t: f64, quantity: NavQuantity) 
         quantity,
     });
 }
+
+const NORTHWARD: NavQuantity = NavQuantity::Heading { heading_rad: 0.0 };
 
 /// Metres north of the origin: the meridian's radius at 0.9 rad is 6,374,674 m.
 fn position(north_m: f64) -> NavQuantity {
@@ -69,20 +70,10 @@ fn failover_from_a_silent_gnss_uses_the_new_lever_arm_without_interpolation() {
         // Northward at 2 m/s, heading north: the antennas are 10 m ahead and 20 m astern of the reference point.
         if !(10.0..20.0).contains(&t) {
             insert(&mut history, 0, t, position(2.0 * t + 10.0));
-            insert(
-                &mut history,
-                0,
-                t,
-                NavQuantity::Heading { heading_rad: 0.0 },
-            );
+            insert(&mut history, 0, t, NORTHWARD);
         }
         insert(&mut history, 1, t, position(2.0 * t - 20.0));
-        insert(
-            &mut history,
-            2,
-            t,
-            NavQuantity::Heading { heading_rad: 0.0 },
-        );
+        insert(&mut history, 2, t, NORTHWARD);
         let north =
             |history: &mut NavHistory, t: f64| motion(history, t).map(|s| s.pose.position_m.x);
         if i == 80 {
@@ -123,12 +114,7 @@ fn a_jump_is_rejected_and_a_lasting_one_becomes_a_reset() {
             _ => 0.0,
         };
         insert(&mut history, 0, t, position(2.0 * t + jump_m));
-        insert(
-            &mut history,
-            0,
-            t,
-            NavQuantity::Heading { heading_rad: 0.0 },
-        );
+        insert(&mut history, 0, t, NORTHWARD);
     }
     let counts = *history.counts();
     assert_eq!(
@@ -170,26 +156,14 @@ fn hdt(degrees: f64) -> Vec<u8> {
 }
 
 fn wait(inputs: &mut NavInputs, history: &mut NavHistory, samples: u64) {
-    let end = Instant::now() + Duration::from_secs(20);
-    loop {
+    eventually("samples", || {
         inputs.pull(UtcNs(i64::MAX), history);
-        let got = inputs.counters()[0].decoder.samples;
-        if got >= samples {
-            return;
-        }
-        assert!(
-            Instant::now() < end,
-            "{got} of {samples} samples: {:?}",
-            inputs.counters()
-        );
-        std::thread::sleep(Duration::from_millis(10));
-    }
+        inputs.counters()[0].decoder.samples >= samples
+    });
 }
 
 fn opened(input: NavInputSpec) -> (NavInputs, NavHistory) {
-    let spec = spec(vec![source("tcp", input, &[NavChannel::Heading])]);
-    let inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
-    (inputs, NavHistory::new(&spec))
+    super::nav_inputs::opened(&spec(vec![source("tcp", input, &[NavChannel::Heading])]))
 }
 
 #[test]

@@ -9,7 +9,7 @@ use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicI64, Ordering::SeqCst};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use echotank_config::spec::{
     NavChannel, NavInputSpec, NavMode, NavSourceSpec, NavSpec, TimePolicy, VerticalSpec,
@@ -25,11 +25,10 @@ use echotank_testing::nav::{nav, udp};
 use glam::DVec3;
 use serialport::{SerialPort, TTYPort};
 
+use super::{PATIENCE, eventually};
+
 /// 2014-08-01.
 const DAY: UtcNs = UtcNs(1_406_851_200 * NS_PER_S);
-/// Time limit for bytes to pass the kernel.
-const PATIENCE: Duration = Duration::from_secs(20);
-
 fn data(name: &str) -> PathBuf {
     echotank_testing::repository()
         .join("tests/data/nav")
@@ -58,6 +57,14 @@ fn log(path: PathBuf) -> NavInputSpec {
     }
 }
 
+fn serial(port: String, baud: u32) -> NavInputSpec {
+    NavInputSpec::Serial {
+        port,
+        baud,
+        line: Default::default(),
+    }
+}
+
 fn nav_spec(sources: Vec<NavSourceSpec>) -> NavSpec {
     NavSpec {
         vertical: VerticalSpec::Waterline {
@@ -65,6 +72,26 @@ fn nav_spec(sources: Vec<NavSourceSpec>) -> NavSpec {
         },
         history_s: 200.0,
         ..nav(sources)
+    }
+}
+
+pub(crate) fn opened(spec: &NavSpec) -> (NavInputs, NavHistory) {
+    let inputs = NavInputs::open(spec, Arc::new(SystemClock::new())).expect("opens");
+    (inputs, NavHistory::new(spec))
+}
+
+fn received(inputs: &mut NavInputs, source: usize) -> u64 {
+    inputs.counters()[source].live.received
+}
+
+/// Sends datagrams to a source, each after the one before has been received.
+fn send<'a>(inputs: &mut NavInputs, source: usize, datagrams: impl IntoIterator<Item = &'a [u8]>) {
+    let (_, address) = inputs.listening()[0];
+    let sender = UdpSocket::bind("127.0.0.1:0").expect("a port");
+    for datagram in datagrams {
+        let before = received(inputs, source);
+        sender.send_to(datagram, address).expect("sent");
+        eventually("received", || received(inputs, source) > before);
     }
 }
 
@@ -104,8 +131,7 @@ fn states(history: &mut NavHistory) -> Vec<NavState> {
 
 fn from_file() -> Vec<NavState> {
     let spec = nav_spec(vec![source("s330", log(data("seapath330_90s.rvdas")))]);
-    let mut inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
-    let mut history = NavHistory::new(&spec);
+    let (mut inputs, mut history) = opened(&spec);
     while inputs.pull_next(&mut history) {}
     assert!(inputs.finished());
     states(&mut history)
@@ -113,18 +139,11 @@ fn from_file() -> Vec<NavState> {
 
 /// Reads until the last ping is covered.
 fn pull_all(inputs: &mut NavInputs, history: &mut NavHistory, what: &str) {
-    let begun = Instant::now();
     let last = ping_times().last().expect("some pings");
-    while history.coverage(last, last.plus_s(0.5)) != Coverage::Ready {
-        assert!(
-            begun.elapsed() < PATIENCE,
-            "{what}: {:?} {:?}",
-            inputs.counters(),
-            history.counts()
-        );
+    eventually(what, || {
         inputs.pull(UtcNs(0), history);
-        std::thread::sleep(Duration::from_millis(2));
-    }
+        history.coverage(last, last.plus_s(0.5)) == Coverage::Ready
+    });
 }
 
 /// Times of validity come from the messages, so different arrivals do not change the states.
@@ -150,26 +169,15 @@ fn same(got: &[NavState], want: &[NavState]) {
 #[test]
 fn udp_gives_the_states_of_the_file() {
     let spec = nav_spec(vec![source("s330", udp())]);
-    let mut inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
-    let (name, address) = inputs.listening()[0].clone();
-    assert_eq!(name, "s330");
-    let mut history = NavHistory::new(&spec);
-    let sender = UdpSocket::bind("127.0.0.1:0").expect("a port");
+    let (mut inputs, mut history) = opened(&spec);
+    assert_eq!(inputs.listening()[0].0, "s330");
     let stream = sentences().concat();
     // A gateway that splits sentences anywhere.
-    let mut sent = 0;
-    for (i, datagram) in stream.chunks(301).enumerate() {
-        sender.send_to(datagram, address).expect("sent");
-        sent = i as u64 + 1;
-        let begun = Instant::now();
-        while inputs.counters()[0].live.received < sent && begun.elapsed() < PATIENCE {
-            std::thread::yield_now();
-        }
-    }
+    send(&mut inputs, 0, stream.chunks(301));
     pull_all(&mut inputs, &mut history, "udp");
     same(&states(&mut history), &from_file());
     let counters = inputs.counters()[0].clone();
-    assert_eq!(counters.live.received, sent);
+    assert_eq!(counters.live.received as usize, stream.chunks(301).len());
     assert_eq!(
         (counters.live.dropped_full, counters.decoder.bad_checksum),
         (0, 0)
@@ -190,14 +198,9 @@ fn a_serial_port_gives_the_states_of_the_file() {
     let (mut instrument, port) = pseudo_terminal();
     let spec = nav_spec(vec![source(
         "s330",
-        NavInputSpec::Serial {
-            port: port.name().expect("a name"),
-            baud: 115_200,
-            line: Default::default(),
-        },
+        serial(port.name().expect("a name"), 115_200),
     )]);
-    let mut inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
-    let mut history = NavHistory::new(&spec);
+    let (mut inputs, mut history) = opened(&spec);
     let writer = std::thread::spawn(move || {
         for piece in sentences().concat().chunks(97) {
             let mut left = piece;
@@ -213,11 +216,10 @@ fn a_serial_port_gives_the_states_of_the_file() {
     pull_all(&mut inputs, &mut history, "serial");
     let instrument = writer.join().expect("wrote all");
     // The last ping was covered before the last sentence; data written meanwhile are still in transit.
-    let begun = Instant::now();
-    while inputs.counters()[0].decoder.sentences < 720 && begun.elapsed() < PATIENCE {
+    eventually("720 sentences", || {
         inputs.pull(UtcNs(0), &mut history);
-        std::thread::sleep(Duration::from_millis(2));
-    }
+        inputs.counters()[0].decoder.sentences >= 720
+    });
     same(&states(&mut history), &from_file());
     let counters = inputs.counters()[0].clone();
     assert_eq!(
@@ -241,23 +243,11 @@ fn a_vanished_serial_port_is_looked_for_and_found_again() {
     let first = plug_in();
     let spec = nav_spec(vec![source(
         "mru",
-        NavInputSpec::Serial {
-            port: path.display().to_string(),
-            baud: 9600,
-            line: Default::default(),
-        },
+        serial(path.display().to_string(), 9600),
     )]);
-    let mut inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
+    let (mut inputs, _) = opened(&spec);
     let mut wait_for = |what: &str, holds: &dyn Fn(&LiveCounters) -> bool| {
-        let begun = Instant::now();
-        while !holds(&inputs.counters()[0].live) {
-            assert!(
-                begun.elapsed() < PATIENCE,
-                "{what}: {:?}",
-                inputs.counters()
-            );
-            std::thread::sleep(Duration::from_millis(5));
-        }
+        eventually(what, || holds(&inputs.counters()[0].live));
         assert!(!inputs.finished());
     };
     drop(first);
@@ -275,17 +265,8 @@ fn beside_a_recorded_source_rig_time_is_given_from_outside() {
     let mut gyro = source("gyro", log(data("gyro_90s.rvdas")));
     gyro.provides = vec![NavChannel::Heading];
     let spec = nav_spec(vec![gyro, source("gps", udp())]);
-    let mut inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
-    let mut history = NavHistory::new(&spec);
-    let address = inputs.listening()[0].1;
-    let sender = UdpSocket::bind("127.0.0.1:0").expect("a port");
-    sender
-        .send_to(&sentences()[..2].concat(), address)
-        .expect("sent");
-    let begun = Instant::now();
-    while inputs.counters()[1].live.received == 0 && begun.elapsed() < PATIENCE {
-        std::thread::sleep(Duration::from_millis(2));
-    }
+    let (mut inputs, mut history) = opened(&spec);
+    send(&mut inputs, 1, [&sentences()[..2].concat()[..]]);
     inputs.pull(UtcNs(0), &mut history);
     assert_eq!((inputs.timeline(), history.counts().inserted), (None, 0));
     let given = Timeline::through(MonoNs(0), DAY);
@@ -320,14 +301,7 @@ fn timeline_after(clock: Arc<Still>, time: TimePolicy, bytes: &[u8]) -> Option<T
     let spec = nav_spec(vec![source]);
     let mut inputs = NavInputs::open(&spec, clock).expect("opens");
     let mut history = NavHistory::new(&spec);
-    let address = inputs.listening()[0].1;
-    let sender = UdpSocket::bind("127.0.0.1:0").expect("a port");
-    sender.send_to(bytes, address).expect("sent");
-    let begun = Instant::now();
-    while inputs.counters()[0].live.received == 0 {
-        assert!(begun.elapsed() < PATIENCE);
-        std::thread::sleep(Duration::from_millis(2));
-    }
+    send(&mut inputs, 0, [bytes]);
     inputs.pull(UtcNs(0), &mut history);
     inputs.timeline()
 }
@@ -376,21 +350,16 @@ fn data_before_rig_time_is_known_are_kept() {
     let spec = nav_spec(vec![source("gps", udp())]);
     let mut inputs = NavInputs::open(&spec, clock).expect("opens");
     let mut history = NavHistory::new(&spec);
-    let address = inputs.listening()[0].1;
-    let sender = UdpSocket::bind("127.0.0.1:0").expect("a port");
-    let send = |bytes: &[u8], count: u64, inputs: &mut NavInputs| {
-        sender.send_to(bytes, address).expect("sent");
-        let begun = Instant::now();
-        while inputs.counters()[0].live.received < count && begun.elapsed() < PATIENCE {
-            std::thread::sleep(Duration::from_millis(2));
-        }
-    };
     // A fix of the same day, without a date.
     let gga = b"$INGGA,000001.16,2200.113054,S,01756.360985,W,1,12,0.7,-3.05,M,4.67,M,,*69\r\n";
-    send(gga, 1, &mut inputs);
+    send(&mut inputs, 0, [&gga[..]]);
     inputs.pull(UtcNs(0), &mut history);
     assert_eq!((history.counts().inserted, inputs.timeline()), (0, None));
-    send(b"$INZDA,000001.17,01,08,2014,,*7F\r\n", 2, &mut inputs);
+    send(
+        &mut inputs,
+        0,
+        [&b"$INZDA,000001.17,01,08,2014,,*7F\r\n"[..]],
+    );
     inputs.pull(UtcNs(0), &mut history);
     assert_eq!(history.counts().inserted, 1);
     let fix = DAY.plus_ns(1_160_000_000);
@@ -419,10 +388,9 @@ fn recorded_sources_are_merged_by_arrival_and_pulled_up_to_a_time() {
     let seapath = source("s330", log(data("seapath330_90s.rvdas")));
     // The gyro has priority, so heading comes from it.
     let spec = nav_spec(vec![gyro, seapath]);
-    let mut inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
+    let (mut inputs, mut history) = opened(&spec);
     let start = inputs.recorded_start().expect("recorded");
     assert_eq!(start, DAY.plus_ns(183_000_000));
-    let mut history = NavHistory::new(&spec);
     inputs.pull(DAY.plus_s(10.0), &mut history);
     let mut trajectory = Trajectory::default();
     let utc = DAY.plus_s(7.9);
@@ -469,8 +437,7 @@ fn a_looped_log_continues_with_short_gaps() {
     spec.loop_log = true;
     spec.vertical = VerticalSpec::Depth;
     spec.history_s = 5.0;
-    let mut inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
-    let mut history = NavHistory::new(&spec);
+    let (mut inputs, mut history) = opened(&spec);
     let mut trajectory = Trajectory::default();
     let (mut good, mut seams) = (0, 0);
     for k in 0..1000 {
@@ -533,14 +500,7 @@ fn errors_name_the_source_the_place_and_the_reason() {
     let (message, error) = open(buoy);
     assert!(matches!(error, NavOpenError::NothingUsable { .. }));
     assert!(message.contains("168 with a wrong checksum"), "{message}");
-    let (message, _) = open(source(
-        "d",
-        NavInputSpec::Serial {
-            port: "/no/tty".into(),
-            baud: 9600,
-            line: Default::default(),
-        },
-    ));
+    let (message, _) = open(source("d", serial("/no/tty".into(), 9600)));
     assert!(
         message.starts_with("nav source `d`: cannot open serial port /no/tty at 9600 baud: "),
         "{message}"

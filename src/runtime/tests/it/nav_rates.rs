@@ -17,13 +17,12 @@ use echotank_testing::nav::{nav, sentence, source, udp};
 use serialport::SerialPort;
 
 use super::nav_inputs::pseudo_terminal;
+use super::{PATIENCE, eventually};
 
 /// 921600 Bd carries 92 kB/s; this traffic is 46 kB/s.
 const BAUD: u32 = 921_600;
 const STEP: Duration = Duration::from_millis(1);
 const PING: Duration = Duration::from_millis(20);
-/// How long the last bytes may take.
-const PATIENCE: Duration = Duration::from_secs(20);
 
 fn seconds() -> u64 {
     let asked = std::env::var("ECHOTANK_NAV_RATE_S").ok();
@@ -92,11 +91,10 @@ fn check(
         }
     }
     let sent = sender.join().expect("sent");
-    let begun = Instant::now();
-    while inputs.counters()[0].decoder.sentences < sent && begun.elapsed() < PATIENCE {
+    eventually("every sentence", || {
         inputs.pull(UtcNs(i64::MAX), &mut history);
-        std::thread::sleep(Duration::from_millis(2));
-    }
+        inputs.counters()[0].decoder.sentences >= sent
+    });
     let counters = inputs.counters()[0].clone();
     ages_ms.sort_by(f64::total_cmp);
     let at = |share: f64| ages_ms[((ages_ms.len() - 1) as f64 * share) as usize];

@@ -3,7 +3,7 @@
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpStream, UdpSocket};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use echotank_config::spec::SevenKSpec;
 use echotank_core::records::Datagram;
@@ -18,8 +18,15 @@ use echotank_runtime::io::sonar::{
 use echotank_runtime::settings::SettingsStore;
 use echotank_testing::wire::*;
 
-/// Time limit of a wait.
-const PATIENCE: Duration = Duration::from_secs(20);
+use super::{PATIENCE, eventually};
+
+/// Times of a server that soon gives up waiting for the rest of a command.
+fn impatient() -> ServerTimes {
+    ServerTimes {
+        stall: Duration::from_millis(50),
+        ..ServerTimes::default()
+    }
+}
 
 struct Rig {
     server: SonarServer,
@@ -100,12 +107,14 @@ impl Rig {
     }
 }
 
-fn eventually(what: &str, mut holds: impl FnMut() -> bool) {
-    let deadline = Instant::now() + PATIENCE;
-    while !holds() {
-        assert!(Instant::now() < deadline, "never came: {what}");
-        std::thread::sleep(Duration::from_millis(2));
+fn subscribe(record_type_ids: &[u32]) -> Command {
+    Command::Subscribe {
+        record_type_ids: record_type_ids.to_vec(),
     }
+}
+
+fn once(record_type_id: u32) -> Command {
+    Command::SingleRecord { record_type_id }
 }
 
 fn next(client: &mut SevenKClient) -> OwnedRecord {
@@ -128,10 +137,8 @@ fn three_clients_get_their_own_records_and_one_that_never_reads_only_loses_its_o
     idle.set_recv_buffer_size(64 << 10).expect("a buffer");
     idle.connect(&rig.address().into()).expect("connects");
     let mut idle = TcpStream::from(idle);
-    let subscribe = Command::Subscribe {
-        record_type_ids: vec![7038],
-    };
-    idle.write_all(&command(subscribe, 1)).expect("sent");
+    idle.write_all(&command(subscribe(&[7038]), 1))
+        .expect("sent");
     let idle_peer = idle.local_addr().expect("an address");
     eventually("the idle client's subscription", || {
         rig.report_of(idle_peer)
@@ -222,10 +229,9 @@ fn a_client_that_vanishes_during_a_record_does_not_affect_others() {
     let mut rig = Rig::new(|_| {});
     let mut steady = rig.client(&[7007]);
     let mut fleeting = TcpStream::connect(rig.address()).expect("connects");
-    let subscribe = Command::Subscribe {
-        record_type_ids: vec![7038],
-    };
-    fleeting.write_all(&command(subscribe, 1)).expect("sent");
+    fleeting
+        .write_all(&command(subscribe(&[7038]), 1))
+        .expect("sent");
     eventually("the subscription", || rig.wanted().contains(7038));
     rig.ping(1, 100_000); // 2 MB
     let mut part = vec![0; 50_000];
@@ -246,11 +252,7 @@ fn a_client_that_vanishes_during_a_record_does_not_affect_others() {
 
 #[test]
 fn garbage_is_counted_at_its_sender_and_does_not_affect_others() {
-    let times = ServerTimes {
-        stall: Duration::from_millis(50),
-        ..ServerTimes::default()
-    };
-    let mut rig = Rig::with_times(|_| {}, times);
+    let mut rig = Rig::with_times(|_| {}, impatient());
     let mut steady = rig.client(&[7000]);
     let mut noisy = TcpStream::connect(rig.address()).expect("connects");
     let peer = noisy.local_addr().expect("an address");
@@ -346,11 +348,7 @@ fn records_can_be_asked_for_one_at_a_time() {
     let settings = client.request(7503).expect("at once");
     assert_eq!(u32_at(settings.body(), 8), 0, "ping number: settings now");
     assert_eq!(client.request(7001).expect("at once").record_type(), 7001);
-    client
-        .command(Command::SingleRecord {
-            record_type_id: 7018,
-        })
-        .expect("promised");
+    client.command(once(7018)).expect("promised");
     eventually("wanted", || rig.wanted() == RecordSet::of(&[7018]));
     rig.ping(1, 10);
     let beams = next(&mut client);
@@ -375,18 +373,9 @@ fn clients_beyond_the_limit_are_refused_until_one_leaves() {
 
 #[test]
 fn a_stalled_command_does_not_swallow_the_one_behind_it_for_ever() {
-    let times = ServerTimes {
-        stall: Duration::from_millis(50),
-        ..ServerTimes::default()
-    };
-    let rig = Rig::with_times(|_| {}, times);
+    let rig = Rig::with_times(|_| {}, impatient());
     let mut socket = TcpStream::connect(rig.address()).expect("connects");
-    let long = command(
-        Command::Subscribe {
-            record_type_ids: vec![7000; 2000],
-        },
-        1,
-    );
+    let long = command(subscribe(&[7000; 2000]), 1);
     socket.write_all(&long[..300]).expect("sent");
     let good = Command::Range { range_m: 42.0 };
     socket.write_all(&command(good, 2)).expect("sent");
@@ -400,13 +389,7 @@ fn a_client_that_floods_commands_and_never_reads_is_not_read_from() {
     let mut rig = Rig::new(|_| {});
     let mut steady = rig.client(&[7000]);
     let mut flood = TcpStream::connect(rig.address()).expect("connects");
-    let ask = command(
-        Command::SingleRecord {
-            record_type_id: 7001,
-        },
-        1,
-    );
-    let burst = ask.repeat(100);
+    let burst = command(once(7001), 1).repeat(100);
     flood.set_nonblocking(true).expect("a socket");
     let (mut written, mut stuck) = (0_usize, 0);
     while stuck < 100 {
@@ -434,10 +417,7 @@ fn a_client_that_floods_commands_and_never_reads_is_not_read_from() {
 fn a_client_that_closes_its_sending_side_still_gets_its_answers() {
     let rig = Rig::new(|_| {});
     let mut socket = TcpStream::connect(rig.address()).expect("connects");
-    let ask = Command::SingleRecord {
-        record_type_id: 7001,
-    };
-    socket.write_all(&command(ask, 1)).expect("sent");
+    socket.write_all(&command(once(7001), 1)).expect("sent");
     socket.shutdown(Shutdown::Write).expect("closed");
     socket.set_read_timeout(Some(PATIENCE)).expect("a socket");
     let mut bytes = Vec::new();
@@ -483,10 +463,8 @@ fn packets_are_as_long_as_the_listener_says() {
     for (max_packet, whole) in [(1000, false), (10_000_000, true)] {
         let mut rig = Rig::new(|spec| spec.max_packet = max_packet);
         let mut socket = TcpStream::connect(rig.address()).expect("connects");
-        let subscribe = Command::Subscribe {
-            record_type_ids: vec![7038],
-        };
-        socket.write_all(&command(subscribe, 1)).expect("sent");
+        let ask = command(subscribe(&[7038]), 1);
+        socket.write_all(&ask).expect("sent");
         eventually("the subscription", || rig.wanted().contains(7038));
         let records = rig.ping(1, 5000);
         let mut ack = vec![0; 36 + 64 + 20 + 4];
@@ -572,12 +550,7 @@ impl UdpClient {
 fn udp_subscribes_receives_records_in_datagrams_and_unsubscribes() {
     let mut rig = Rig::new(|spec| spec.max_packet = 1000);
     let mut client = UdpClient::to(rig.address());
-    client.send(
-        Command::Subscribe {
-            record_type_ids: vec![7000, 7007],
-        },
-        1,
-    );
+    client.send(subscribe(&[7000, 7007]), 1);
     assert_eq!(client.next().0, 7501);
     eventually("wanted", || rig.wanted() == RecordSet::of(&[7000, 7007]));
     for number in 1..=10 {
@@ -620,12 +593,7 @@ fn stray_udp_datagrams_are_counted_and_open_no_session() {
         socket.send_to(garbage, rig.address()).expect("sent");
     }
     let mut client = UdpClient::to(rig.address());
-    client.send(
-        Command::SingleRecord {
-            record_type_id: 7001,
-        },
-        1,
-    );
+    client.send(once(7001), 1);
     assert_eq!(client.next().0, 7501);
     assert_eq!(client.next().0, 7001);
     let report = rig.server.report();
@@ -654,17 +622,14 @@ fn silent_udp_clients_are_dropped() {
         rig.server.report().clients.is_empty()
     });
     let mut subscriber = UdpClient::to(rig.address());
-    let subscribe = Command::Subscribe {
-        record_type_ids: vec![7000],
-    };
-    subscriber.send(subscribe.clone(), 1);
+    subscriber.send(subscribe(&[7000]), 1);
     assert_eq!(subscriber.next().0, 7501);
     eventually("the silent one gone", || {
         let report = rig.server.report();
         report.clients.is_empty() && report.admitted == 2 && rig.wanted().is_empty()
     });
     // It may reconnect.
-    subscriber.send(subscribe, 2);
+    subscriber.send(subscribe(&[7000]), 2);
     assert_eq!(subscriber.next().0, 7501);
     assert_eq!(rig.wanted(), RecordSet::of(&[7000]));
 }

@@ -1,31 +1,28 @@
 //! Broadcast and multicast datagrams; serial lines with unusual rates.
 
 use std::net::{Ipv4Addr, SocketAddr};
-use std::sync::Arc;
-use std::time::{Duration, Instant};
 
 use echotank_config::spec::{NavChannel, NavInputSpec, ParitySpec, SerialLine, TimePolicy};
 use echotank_core::time::UtcNs;
 use echotank_nav::NavHistory;
-use echotank_runtime::clock::SystemClock;
 use echotank_runtime::io::nav::NavInputs;
 use serialport::SerialPort;
 use socket2::{Domain, Protocol, Socket, Type};
 
-use super::{PATIENCE, nav_spec, pseudo_terminal, source};
+use super::{eventually, nav_spec, opened, pseudo_terminal, source};
 
 const HDT: &[u8] = b"$HEHDT,218.53,T*12\r\n";
 
-fn opened(inputs: Vec<NavInputSpec>) -> (NavInputs, NavHistory) {
+fn gyros(inputs: Vec<NavInputSpec>) -> (NavInputs, NavHistory) {
     let gyro = |(i, input)| {
         let mut gyro = source(&format!("gyro{i}"), input);
         gyro.provides = vec![NavChannel::Heading];
         gyro.time = TimePolicy::Arrival { latency_s: 0.0 };
         gyro
     };
-    let spec = nav_spec(inputs.into_iter().enumerate().map(gyro).collect());
-    let inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
-    (inputs, NavHistory::new(&spec))
+    opened(&nav_spec(
+        inputs.into_iter().enumerate().map(gyro).collect(),
+    ))
 }
 
 fn samples(inputs: &mut NavInputs, source: usize) -> u64 {
@@ -33,16 +30,10 @@ fn samples(inputs: &mut NavInputs, source: usize) -> u64 {
 }
 
 fn wait(inputs: &mut NavInputs, history: &mut NavHistory, what: &str, want: u64) {
-    let begun = Instant::now();
-    while samples(inputs, 0) < want {
-        assert!(
-            begun.elapsed() < PATIENCE,
-            "{what}: {:?}",
-            inputs.counters()
-        );
+    eventually(what, || {
         inputs.pull(UtcNs(i64::MAX), history);
-        std::thread::sleep(Duration::from_millis(2));
-    }
+        samples(inputs, 0) >= want
+    });
 }
 
 fn sender() -> Socket {
@@ -63,10 +54,10 @@ fn a_broadcast_reaches_every_source_that_listens_on_its_port() {
         listen: (Ipv4Addr::UNSPECIFIED, port).into(),
         multicast: None,
     };
-    let (mut inputs, mut history) = opened(vec![listen(0)]);
+    let (mut inputs, mut history) = gyros(vec![listen(0)]);
     let port = inputs.listening()[0].1.port();
     // Another program on the same machine.
-    let (mut others, mut other_history) = opened(vec![listen(port)]);
+    let (mut others, mut other_history) = gyros(vec![listen(port)]);
     let socket = sender();
     socket.set_broadcast(true).expect("allowed");
     for _ in 0..3 {
@@ -83,9 +74,9 @@ fn a_source_receives_its_own_multicast_group_at_its_interface() {
         listen: (Ipv4Addr::LOCALHOST, port).into(),
         multicast: Some(group),
     };
-    let (mut inputs, mut history) = opened(vec![member(own, 0)]);
+    let (mut inputs, mut history) = gyros(vec![member(own, 0)]);
     let port = inputs.listening()[0].1.port();
-    let (mut others, mut other_history) = opened(vec![member(foreign, port)]);
+    let (mut others, mut other_history) = gyros(vec![member(foreign, port)]);
     let socket = sender();
     socket
         .set_multicast_if_v4(&Ipv4Addr::LOCALHOST)
@@ -126,7 +117,7 @@ fn a_line_of_any_rate_is_opened_at_it() {
         ),
     ] {
         let (mut instrument, port) = pseudo_terminal();
-        let (mut inputs, mut history) = opened(vec![NavInputSpec::Serial {
+        let (mut inputs, mut history) = gyros(vec![NavInputSpec::Serial {
             port: port.name().expect("a name"),
             baud,
             line,

@@ -1,44 +1,29 @@
 //! Faults injected into live navigation bytes: the decoder counts exactly their effects.
 
-use std::net::UdpSocket;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use echotank_config::spec::FaultRequest;
 use echotank_core::time::UtcNs;
-use echotank_nav::NavHistory;
 use echotank_nav::decoder::NavCounters;
 use echotank_ping::faults::Faults;
-use echotank_runtime::clock::SystemClock;
 use echotank_runtime::faults::nav::NavFaults;
-use echotank_runtime::io::nav::NavInputs;
 
-use super::{PATIENCE, nav_spec, sentences, source, udp};
+use super::{PATIENCE, nav_spec, opened, send, sentences, source, udp};
 
 /// Sends all sentences of the log over UDP, split anywhere, through a fault: returns the decoder's counts and the number of injected
 /// sentences.
 fn heard(fault: Option<&str>) -> (NavCounters, u64) {
     let spec = nav_spec(vec![source("s330", udp())]);
-    let mut inputs = NavInputs::open(&spec, Arc::new(SystemClock::new())).expect("opens");
+    let (mut inputs, mut history) = opened(&spec);
     let faults = Arc::new(Faults::new(&[], &spec.sources));
     if let Some(json) = fault {
         let request: FaultRequest = serde_json::from_str(json).expect("JSON");
         faults.add(&request).expect("sound");
     }
     inputs.spoil_with(Box::new(NavFaults::new(faults.clone(), &spec.sources)));
-    let (_, address) = inputs.listening()[0].clone();
-    let mut history = NavHistory::new(&spec);
-    let sender = UdpSocket::bind("127.0.0.1:0").expect("a port");
-    let stream = sentences().concat();
+    send(&mut inputs, 0, sentences().concat().chunks(301));
     let begun = Instant::now();
-    let mut sent = 0;
-    for datagram in stream.chunks(301) {
-        sender.send_to(datagram, address).expect("sent");
-        sent += 1;
-        while inputs.counters()[0].live.received < sent && begun.elapsed() < PATIENCE {
-            std::thread::yield_now();
-        }
-    }
     let (mut before, mut same) = (0, 0);
     while same < 5 && begun.elapsed() < PATIENCE {
         inputs.pull(UtcNs(0), &mut history);
