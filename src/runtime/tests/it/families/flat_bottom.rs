@@ -1,26 +1,19 @@
 //! A flat bottom, written by every family and read back: depths and slant ranges to one sample.
 
-use std::f64::consts::PI;
 use std::sync::Arc;
 
 use echotank_config::spec::{JsfChannels, JsfFormat};
 use echotank_core::ping::{Detection, PingOutput, PingPlan, Sounding};
 use echotank_core::settings::{Asked, KeptKey, KeptValue, SettingsPort};
-use echotank_emit::imagenex872::emit_ping as emit_imagenex;
-use echotank_emit::session::Wants;
 use echotank_emit::sevenk::kept::Kept;
 use echotank_emit::sevenk::records::DeviceSheet;
 use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
-use echotank_protocols::imagenex872::{Side, SwitchCommand, parse_answer};
 use echotank_protocols::jsf::{SonarData80, message_type};
 use echotank_protocols::sevenk::Record;
-use echotank_protocols::sevenk::records::{
-    Beamformed7018, CalibratedSideScan7057, RawDetections7027, SideScan7007, SingleBeamIq10038,
-    SnippetStrengths7058, Snippets7028, WaterColumn7042,
-};
-use echotank_protocols::xtf::{FileHeader, Ping};
+use echotank_protocols::sevenk::records::{RawDetections7027, WaterColumn7042};
 use num_complex::Complex64;
 
+use super::pipeline::{Bottom, peak};
 use super::rig::*;
 use echotank_testing::wire::*;
 
@@ -69,24 +62,11 @@ fn flat() -> (PingPlan, PingOutput) {
     (plan, output)
 }
 
-fn on_the_bottom(family: &str, range_m: f64, angle_rad: f64) {
-    let depth_m = range_m * angle_rad.cos();
-    assert!(
-        (depth_m - DEPTH_M).abs() <= STEP_M,
-        "{family} at {:.1} degrees: {depth_m} m deep, want {DEPTH_M} to {STEP_M}",
-        angle_rad * 180.0 / PI
-    );
-}
-
-/// Index of the largest value.
-fn peak(values: impl Iterator<Item = f64>) -> usize {
-    let (at, value) = values
-        .enumerate()
-        .max_by(|a, b| a.1.total_cmp(&b.1))
-        .expect("values");
-    assert!(value.is_finite());
-    at
-}
+/// The bottom of [`flat`].
+const FLAT: Bottom = Bottom {
+    range_of: |angle_rad| DEPTH_M / angle_rad.cos(),
+    step_m: STEP_M,
+};
 
 /// State of the emitter after the command 7042.
 fn told_7042(flags: u32) -> Kept {
@@ -116,72 +96,14 @@ fn sevenk_puts_a_flat_bottom_at_its_depth_in_every_record() {
     let mut emitter = SevenKEmitter::new(sheet_that_detects(), 1);
     let mut records = Vec::new();
     emitter.emit_ping(&plan, &output, RecordSet::ALL, &mut records);
-    let body = |id: u32| {
-        let found = records.iter().find(|r| r.record_type == id);
-        let bytes = &found.unwrap_or_else(|| panic!("no {id}")).bytes;
-        Record::parse(bytes).expect("whole").body()
-    };
-    let angles = &output.beams[0].angle_rad;
-
-    let detections = RawDetections7027::parse(body(7027)).expect("7027");
-    assert_eq!(detections.detections().count(), 4);
-    for d in detections.detections() {
-        let rate = f64::from(detections.rth.sampling_rate_hz);
-        let range_m = 0.5 * SOUND_M_PER_S * f64::from(d.detection_sample) / rate;
-        on_the_bottom("7027", range_m, d.rx_angle_rad.into());
-        assert_eq!(d.flags & 3, 2, "by phase");
-    }
-
-    let beams = Beamformed7018::parse(body(7018)).expect("7018");
-    for (beam, &angle) in angles.iter().enumerate() {
-        let row = (0..beams.rth.samples)
-            .map(|k| f64::from(beams.sample(k, beam as u16).expect("there").amplitude));
-        on_the_bottom("7018", peak(row) as f64 * STEP_M, angle);
-    }
-
-    let column = WaterColumn7042::parse(body(7042)).expect("7042");
-    assert_eq!(column.beams().count(), 4);
-    for beam in column.beams() {
-        let at = peak(beam.samples().map(|(magnitude, _)| magnitude.into()));
-        let sample = at + column.rth.first_sample as usize;
-        on_the_bottom(
-            "7042",
-            sample as f64 * STEP_M,
-            angles[usize::from(beam.beam)],
-        );
-    }
-
-    let snippets = Snippets7028::parse(body(7028)).expect("7028");
-    assert_eq!(snippets.snippets().count(), 4);
-    for (d, samples) in snippets.snippets() {
-        let sample = d.start_sample as usize + peak(samples.map(f64::from));
-        assert!(sample.abs_diff(d.detection_sample as usize) <= 1);
-        on_the_bottom("7028", sample as f64 * STEP_M, angles[usize::from(d.beam)]);
-    }
-    let strengths = SnippetStrengths7058::parse(body(7058)).expect("7058");
-    for (d, samples) in strengths.strengths_db() {
-        let sample = d.start_sample as usize + peak(samples.map(f64::from));
-        on_the_bottom("7058", sample as f64 * STEP_M, angles[usize::from(d.beam)]);
-    }
-
-    let lines = SideScan7007::parse(body(7007)).expect("7007");
-    on_the_bottom(
-        "7007",
-        peak(lines.port().map(f64::from)) as f64 * STEP_M,
-        0.0,
+    FLAT.sevenk(&records, &output);
+    let found = records.iter().find(|r| r.record_type == 7027);
+    let record = Record::parse(&found.expect("7027").bytes).expect("whole");
+    let detections = RawDetections7027::parse(record.body()).expect("7027");
+    assert!(
+        detections.detections().all(|d| d.flags & 3 == 2),
+        "by phase"
     );
-    let lines = CalibratedSideScan7057::parse(body(7057)).expect("7057");
-    for side in [
-        lines.port().map(|s| s.0).collect::<Vec<_>>(),
-        lines.starboard().map(|s| s.0).collect(),
-    ] {
-        on_the_bottom("7057", peak(side.into_iter()) as f64 * STEP_M, 0.0);
-    }
-    let single = SingleBeamIq10038::parse(body(10_038)).expect("10038");
-    let at = peak(single.iq().map(|[i, q]| f64::from(i * i + q * q)));
-    let after_s = f64::from(single.rth.start_sample_delay_s)
-        + at as f64 / f64::from(single.rth.sample_rate_hz);
-    on_the_bottom("10038", 0.5 * SOUND_M_PER_S * after_s, 0.0);
 }
 
 #[test]
@@ -258,7 +180,7 @@ fn jsf_puts_a_flat_bottom_at_its_slant_range_in_every_format_and_channel() {
                 let at = peak(power) + data.header.starting_depth_samples as usize;
                 let interval_s = f64::from(data.header.sample_interval_ns) * 1e-9;
                 let c = f64::from(data.header.sound_speed_m_per_s);
-                on_the_bottom(&what, 0.5 * c * at as f64 * interval_s, 0.0);
+                FLAT.holds(&what, 0.5 * c * at as f64 * interval_s, 0.0, STEP_M);
                 // A line is an envelope already; the others show whether the doubling filter was applied.
                 let largest = values.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
                 let want = match (channels, format) {
@@ -279,39 +201,6 @@ fn jsf_puts_a_flat_bottom_at_its_slant_range_in_every_format_and_channel() {
 #[test]
 fn xtf_and_imagenex_put_a_flat_bottom_at_its_slant_range() {
     let (plan, output) = flat();
-    let mut emitter = xtf_emitter(&sonar());
-    let file = FileHeader::parse(&emitter.file_head()).expect("a header");
-    let mut packets = Vec::new();
-    emitter.emit_ping(&plan, &output, &mut packets);
-    let ping = Ping::parse(&packets[64..], &file).expect("a ping");
-    for channel in &ping.channels {
-        let step_m = f64::from(channel.header.slant_range_m) / f64::from(channel.header.samples);
-        on_the_bottom("xtf", peak(channel.values()) as f64 * step_m, 0.0);
-    }
-
-    let store = store();
-    let (head, mut session) = imagenex(&store);
-    let command = SwitchCommand {
-        range_m: 60,
-        frequency_index: 0,
-        data_gain: 50,
-        balance_gain: 0,
-        side: Side::Starboard,
-    };
-    let mut bytes = Vec::new();
-    command.emit(&mut bytes);
-    session.receive(&bytes, plan.stamp_utc.plus_ns(-1), &mut Vec::new());
-    let wanted = session.take_requested();
-    let mut answers = Vec::new();
-    let scale = (SAMPLE_RATE_HZ, FULL_SCALE_V);
-    emit_imagenex(&head, &plan, &output, scale, wanted, &mut answers);
-    let [answer] = &answers[..] else {
-        panic!("{} answers", answers.len())
-    };
-    let echo = parse_answer(&answer.bytes).expect("an answer");
-    let at = peak(echo.iter().map(|&b| b.into()));
-    on_the_bottom("imagenex", at as f64 * 0.06, 0.0);
-    answers.clear();
-    emit_imagenex(&head, &plan, &output, scale, Wants::NONE, &mut answers);
-    assert!(answers.is_empty(), "no request");
+    FLAT.xtf(xtf_emitter(&sonar()), &plan, &output);
+    FLAT.imagenex((SAMPLE_RATE_HZ, FULL_SCALE_V), &plan, &output);
 }

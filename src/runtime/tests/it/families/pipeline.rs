@@ -7,15 +7,16 @@ use std::path::Path;
 use std::sync::Arc;
 
 use echotank_config::spec::{
-    JsfChannels, JsfFormat, JsfSpec, NavMode, PingDevice, PingProtocolSpec, RigSpec, SonarSpec,
-    Vita49Spec, XtfSpec,
+    JsfChannels, JsfFormat, NavMode, PingDevice, PingProtocolSpec, RigSpec, SonarSpec, Vita49Spec,
+    XtfSpec,
 };
 use echotank_core::ping::{PingOutput, PingPlan, Side, Sounding};
-use echotank_emit::imagenex872::{Head, ImagenexProtocol, emit_ping as emit_imagenex};
+use echotank_core::records::Datagram;
+use echotank_emit::imagenex872::emit_ping as emit_imagenex;
 use echotank_emit::jsf::{JsfEmitter, JsfSheet};
 use echotank_emit::packets::Packets;
 use echotank_emit::ping_protocol::{Device as PingDeviceState, PingEmitter};
-use echotank_emit::session::{Protocol, Transport};
+use echotank_emit::session::Wants;
 use echotank_emit::sevenk::records::DeviceSheet;
 use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_emit::vita49::Vita49Emitter;
@@ -35,7 +36,8 @@ use echotank_protocols::wbms::{Backscatter, Bathymetry, Packet as WbmsPacket, pa
 use echotank_protocols::xtf::{FileHeader, Ping};
 use echotank_runtime::recorded::RecordedRig;
 
-use echotank_testing::wire::output_spec;
+use super::rig::{imagenex, jsf_spec};
+use echotank_testing::wire::{output_spec, store};
 
 const SOUND_M_PER_S: f64 = 1500.0;
 const RATE_HZ: f64 = 40e3;
@@ -172,17 +174,144 @@ fn made(folder: &Path) -> (RigSpec, PingPlan, PingOutput) {
     (spec, plan, output)
 }
 
+/// Where the bottom lies in a ping.
+#[derive(Clone, Copy)]
+pub(crate) struct Bottom {
+    /// Slant range at an angle from the vertical, metres; starboard positive.
+    pub(crate) range_of: fn(f64) -> f64,
+    /// One sample of range.
+    pub(crate) step_m: f64,
+}
+
+const SHELVING: Bottom = Bottom {
+    range_of,
+    step_m: STEP_M,
+};
+
+impl Bottom {
+    pub(crate) fn holds(self, family: &str, range_m: f64, angle_rad: f64, step_m: f64) {
+        let off_m = range_m - (self.range_of)(angle_rad);
+        assert!(
+            off_m.abs() <= step_m,
+            "{family} at {:.1} degrees: {range_m} m, off by {off_m} m, a step is {step_m} m",
+            angle_rad.to_degrees()
+        );
+    }
+
+    /// In the records that know where their first sample lies.
+    pub(crate) fn sevenk(self, records: &[Arc<Datagram>], output: &PingOutput) {
+        let body = |id: u32| body(records, id);
+        let angles = &output.beams[0].angle_rad;
+        let at = |family: &str, sample: usize, angle_rad: f64| {
+            self.holds(family, sample as f64 * self.step_m, angle_rad, self.step_m);
+        };
+        let detections = RawDetections7027::parse(body(7027)).expect("7027");
+        assert_eq!(detections.detections().count(), angles.len());
+        for d in detections.detections() {
+            let range_m = 0.5 * SOUND_M_PER_S * f64::from(d.detection_sample)
+                / f64::from(detections.rth.sampling_rate_hz);
+            as_found(
+                "7k 7027",
+                output,
+                range_m,
+                d.rx_angle_rad.into(),
+                self.step_m,
+            );
+        }
+        let beams = Beamformed7018::parse(body(7018)).expect("7018");
+        for (beam, &angle) in angles.iter().enumerate() {
+            let row = (0..beams.rth.samples)
+                .map(|k| f64::from(beams.sample(k, beam as u16).expect("there").amplitude));
+            at("7k 7018", peak(row), angle);
+        }
+        let column = WaterColumn7042::parse(body(7042)).expect("7042");
+        assert_eq!(column.beams().count(), angles.len());
+        for beam in column.beams() {
+            let sample =
+                peak(beam.samples().map(|(m, _)| m.into())) + column.rth.first_sample as usize;
+            at("7k 7042", sample, angles[usize::from(beam.beam)]);
+        }
+        let snippets = Snippets7028::parse(body(7028)).expect("7028");
+        assert_eq!(snippets.snippets().count(), angles.len());
+        for (d, samples) in snippets.snippets() {
+            let sample = d.start_sample as usize + peak(samples.map(f64::from));
+            at("7k 7028", sample, angles[usize::from(d.beam)]);
+        }
+        let strengths = SnippetStrengths7058::parse(body(7058)).expect("7058");
+        for (d, samples) in strengths.strengths_db() {
+            let sample = d.start_sample as usize + peak(samples.map(f64::from));
+            at("7k 7058", sample, angles[usize::from(d.beam)]);
+        }
+        let lines = SideScan7007::parse(body(7007)).expect("7007");
+        at("7k 7007", peak(lines.port().map(f64::from)), 0.0);
+        at("7k 7007", peak(lines.starboard().map(f64::from)), 0.0);
+        let lines = CalibratedSideScan7057::parse(body(7057)).expect("7057");
+        at("7k 7057", peak(lines.port().map(|s| s.0)), 0.0);
+        at("7k 7057", peak(lines.starboard().map(|s| s.0)), 0.0);
+        let single = SingleBeamIq10038::parse(body(10_038)).expect("10038");
+        let onset = onset(single.iq().map(|[i, q]| f64::from(i).hypot(f64::from(q))));
+        let after_s = f64::from(single.rth.start_sample_delay_s)
+            + onset as f64 / f64::from(single.rth.sample_rate_hz);
+        self.holds("7k 10038", 0.5 * SOUND_M_PER_S * after_s, 0.0, self.step_m);
+    }
+
+    pub(crate) fn xtf(self, mut emitter: XtfEmitter, plan: &PingPlan, output: &PingOutput) {
+        let file = FileHeader::parse(&emitter.file_head()).expect("a header");
+        let mut packets = Vec::new();
+        emitter.emit_ping(plan, output, &mut packets);
+        let ping = Ping::parse(&packets[64..], &file).expect("a ping");
+        assert_eq!(ping.channels.len(), 2);
+        for channel in &ping.channels {
+            let step_m =
+                f64::from(channel.header.slant_range_m) / f64::from(channel.header.samples);
+            assert!((step_m / self.step_m - 1.0).abs() < 1e-3);
+            let at = peak(channel.values()) as f64;
+            self.holds("xtf", at * step_m, 0.0, self.step_m);
+        }
+    }
+
+    /// In the answer to a switch command to the starboard head. `scale`: sample rate, Hz, and full scale, V.
+    pub(crate) fn imagenex(self, scale: (f64, f64), plan: &PingPlan, output: &PingOutput) {
+        const RANGE_M: u8 = 60;
+        let (head, mut session) = imagenex(&store());
+        let mut bytes = Vec::new();
+        SwitchCommand {
+            range_m: RANGE_M,
+            frequency_index: 0,
+            data_gain: 100,
+            balance_gain: 0,
+            side: HeadSide::Starboard,
+        }
+        .emit(&mut bytes);
+        session.receive(&bytes, plan.stamp_utc.plus_ns(-1), &mut Vec::new());
+        let wanted = session.take_requested();
+        let mut answers = Vec::new();
+        emit_imagenex(&head, plan, output, scale, wanted, &mut answers);
+        assert_eq!(answers.len(), 1);
+        let echo = parse_answer(&answers[0].bytes).expect("an answer");
+        // 1000 points over the range: larger than a sample.
+        let step_m = f64::from(RANGE_M) / 1000.0;
+        let at = peak(echo.iter().map(|&b| b.into())) as f64 + 0.5;
+        self.holds("imagenex", at * step_m, 0.0, self.step_m.max(step_m));
+        answers.clear();
+        emit_imagenex(&head, plan, output, scale, Wants::NONE, &mut answers);
+        assert!(answers.is_empty(), "no request");
+    }
+}
+
+/// The body of the only record of a type.
+fn body(records: &[Arc<Datagram>], id: u32) -> &[u8] {
+    let found = records.iter().find(|r| r.record_type == id);
+    let bytes = &found.unwrap_or_else(|| panic!("no {id}")).bytes;
+    Record::parse(bytes).expect("whole").body()
+}
+
 fn on_the_bottom(family: &str, range_m: f64, angle_rad: f64, step_m: f64) {
-    let off_m = range_m - range_of(angle_rad);
-    assert!(
-        off_m.abs() <= step_m,
-        "{family} at {:.1} degrees: {range_m} m, off by {off_m} m, a step is {step_m} m",
-        angle_rad.to_degrees()
-    );
+    SHELVING.holds(family, range_m, angle_rad, step_m);
 }
 
 /// A detection: the pipeline's in that beam, to a sample.
-fn as_found(family: &str, output: &PingOutput, range_m: f64, angle_rad: f64) {
+fn as_found(family: &str, output: &PingOutput, range_m: f64, angle_rad: f64, step_m: f64) {
     let off = |s: &&Sounding| (s.angle_rad - angle_rad).abs();
     let sounding = output
         .soundings
@@ -191,10 +320,10 @@ fn as_found(family: &str, output: &PingOutput, range_m: f64, angle_rad: f64) {
     let sounding = sounding.expect("soundings");
     assert!(off(&sounding) < 1e-5, "{family}: no beam at {angle_rad}");
     let off_m = range_m - 0.5 * SOUND_M_PER_S * sounding.twtt_s;
-    assert!(off_m.abs() <= STEP_M, "{family}: off by {off_m} m");
+    assert!(off_m.abs() <= step_m, "{family}: off by {off_m} m");
 }
 
-fn peak(values: impl Iterator<Item = f64>) -> usize {
+pub(crate) fn peak(values: impl Iterator<Item = f64>) -> usize {
     let (at, _) = values
         .enumerate()
         .max_by(|a, b| a.1.total_cmp(&b.1))
@@ -218,69 +347,15 @@ fn sevenk(sonar: &SonarSpec, plan: &PingPlan, output: &PingOutput) {
     let mut emitter = SevenKEmitter::new(sheet, 1);
     let mut records = Vec::new();
     emitter.emit_ping(plan, output, RecordSet::ALL, &mut records);
-    let body = |id: u32| {
-        let found = records.iter().find(|r| r.record_type == id);
-        let bytes = &found.unwrap_or_else(|| panic!("no {id}")).bytes;
-        Record::parse(bytes).expect("whole").body()
-    };
-    let angles = &output.beams[0].angle_rad;
-    let metres = |samples: f64| samples * STEP_M;
-
-    let detections = RawDetections7027::parse(body(7027)).expect("7027");
-    assert_eq!(detections.detections().count(), angles.len());
-    for d in detections.detections() {
-        let range_m = 0.5 * SOUND_M_PER_S * f64::from(d.detection_sample)
-            / f64::from(detections.rth.sampling_rate_hz);
-        as_found("7k 7027", output, range_m, d.rx_angle_rad.into());
-    }
-    let beams = Beamformed7018::parse(body(7018)).expect("7018");
-    for (beam, &angle) in angles.iter().enumerate() {
-        let row = (0..beams.rth.samples)
-            .map(|k| f64::from(beams.sample(k, beam as u16).expect("there").amplitude));
-        on_the_bottom("7k 7018", metres(peak(row) as f64), angle, STEP_M);
-    }
-    let column = WaterColumn7042::parse(body(7042)).expect("7042");
-    for beam in column.beams() {
-        let at = peak(beam.samples().map(|(m, _)| m.into())) + column.rth.first_sample as usize;
-        let angle = angles[usize::from(beam.beam)];
-        on_the_bottom("7k 7042", metres(at as f64), angle, STEP_M);
-    }
-    let snippets = Snippets7028::parse(body(7028)).expect("7028");
-    for (d, samples) in snippets.snippets() {
-        let at = d.start_sample as usize + peak(samples.map(f64::from));
-        let angle = angles[usize::from(d.beam)];
-        on_the_bottom("7k 7028", metres(at as f64), angle, STEP_M);
-    }
-    let strengths = SnippetStrengths7058::parse(body(7058)).expect("7058");
-    for (d, samples) in strengths.strengths_db() {
-        let at = d.start_sample as usize + peak(samples.map(f64::from));
-        let angle = angles[usize::from(d.beam)];
-        on_the_bottom("7k 7058", metres(at as f64), angle, STEP_M);
-    }
-    let lines = SideScan7007::parse(body(7007)).expect("7007");
-    let at = [
-        peak(lines.port().map(f64::from)),
-        peak(lines.starboard().map(f64::from)),
-    ];
-    for at in at {
-        on_the_bottom("7k 7007", metres(at as f64), 0.0, STEP_M);
-    }
-    let lines = CalibratedSideScan7057::parse(body(7057)).expect("7057");
-    let at = peak(lines.port().map(|(amplitude, _)| amplitude));
-    on_the_bottom("7k 7057", metres(at as f64), 0.0, STEP_M);
-    let raw = RawIq7038::parse(body(7038)).expect("7038");
+    SHELVING.sevenk(&records, output);
+    let raw = RawIq7038::parse(body(&records, 7038)).expect("7038");
     for element in 0..2 {
         let volts = (0..plan.sample_count as u32).map(|k| {
             let [i, q] = raw.iq(k, element).expect("there");
             f64::from(i).hypot(f64::from(q)) / 32_767.0 * FULL_SCALE_V
         });
-        on_the_bottom("7k 7038", metres(onset(volts) as f64), 0.0, STEP_M);
+        on_the_bottom("7k 7038", onset(volts) as f64 * STEP_M, 0.0, STEP_M);
     }
-    let single = SingleBeamIq10038::parse(body(10_038)).expect("10038");
-    let at = onset(single.iq().map(|[i, q]| f64::from(i).hypot(f64::from(q))));
-    let after_s = f64::from(single.rth.start_sample_delay_s)
-        + at as f64 / f64::from(single.rth.sample_rate_hz);
-    on_the_bottom("7k 10038", 0.5 * SOUND_M_PER_S * after_s, 0.0, STEP_M);
 }
 
 fn jsf(sonar: &SonarSpec, plan: &PingPlan, output: &PingOutput) {
@@ -288,21 +363,8 @@ fn jsf(sonar: &SonarSpec, plan: &PingPlan, output: &PingOutput) {
         (JsfChannels::Sides, JsfFormat::Envelope),
         (JsfChannels::Staves, JsfFormat::Unfiltered),
     ] {
-        let listen = "127.0.0.1:0".parse().expect("an address");
-        let spec = JsfSpec {
-            listen,
-            listen_data: listen,
-            subsystem: 20,
-            silent_subsystems: Vec::new(),
-            channels,
-            arrays: vec![0, 1],
-            format,
-            record: false,
-            client_queue_bytes: 0,
-            max_clients: 0,
-        };
         let sheet = JsfSheet {
-            output: spec,
+            output: jsf_spec(channels, format),
             sonar: sonar.clone(),
         };
         let mut emitter = JsfEmitter::new(Arc::new(sheet), Box::new(|_, _| {}));
@@ -343,54 +405,6 @@ fn jsf(sonar: &SonarSpec, plan: &PingPlan, output: &PingOutput) {
     }
 }
 
-fn xtf(sonar: &SonarSpec, plan: &PingPlan, output: &PingOutput) {
-    for is_float in [false, true] {
-        let mut emitter = XtfEmitter::new(&XtfSpec { is_float }, sonar, SOUND_M_PER_S);
-        let file = FileHeader::parse(&emitter.file_head()).expect("a header");
-        let mut packets = Vec::new();
-        emitter.emit_ping(plan, output, &mut packets);
-        let ping = Ping::parse(&packets[64..], &file).expect("a ping");
-        assert_eq!(ping.channels.len(), 2);
-        for channel in &ping.channels {
-            let step_m =
-                f64::from(channel.header.slant_range_m) / f64::from(channel.header.samples);
-            assert!((step_m / STEP_M - 1.0).abs() < 1e-3);
-            let at = peak(channel.values()) as f64;
-            on_the_bottom("xtf", at * step_m, 0.0, STEP_M);
-        }
-    }
-}
-
-fn imagenex(plan: &PingPlan, output: &PingOutput) {
-    let settings = echotank_testing::wire::store();
-    let head = Arc::new(Head::default());
-    let protocol = ImagenexProtocol {
-        settings,
-        head: head.clone(),
-    };
-    let peer = "127.0.0.1:4711".parse().expect("an address");
-    let mut session = protocol.connect(Transport::Tcp, peer);
-    let mut bytes = Vec::new();
-    SwitchCommand {
-        range_m: 40,
-        frequency_index: 0,
-        data_gain: 100,
-        balance_gain: 0,
-        side: HeadSide::Starboard,
-    }
-    .emit(&mut bytes);
-    session.receive(&bytes, plan.stamp_utc.plus_ns(-1), &mut Vec::new());
-    let wanted = session.take_requested();
-    let mut answers = Vec::new();
-    let scale = (RATE_HZ, FULL_SCALE_V);
-    emit_imagenex(&head, plan, output, scale, wanted, &mut answers);
-    assert_eq!(answers.len(), 1);
-    let echo = parse_answer(&answers[0].bytes).expect("an answer");
-    // 1000 points over the range: larger than a sample.
-    let at = peak(echo.iter().map(|&b| b.into())) as f64 + 0.5;
-    on_the_bottom("imagenex", at * 0.04, 0.0, 0.04);
-}
-
 fn ping_protocol(sonar: &SonarSpec, plan: &PingPlan, output: &PingOutput) {
     for device in [
         PingDevice::Omniscan450 { side: Side::Port },
@@ -427,7 +441,7 @@ fn ping_protocol(sonar: &SonarSpec, plan: &PingPlan, output: &PingOutput) {
                         let range_m = 0.5 * c * f64::from(point.two_way_time_s);
                         // Positive to port.
                         let angle = -f64::from(point.angle_rad);
-                        as_found("ping 3012", output, range_m, angle);
+                        as_found("ping 3012", output, range_m, angle, STEP_M);
                         seen += 1;
                     }
                 }
@@ -461,7 +475,7 @@ fn wbms(sonar: &SonarSpec, plan: &PingPlan, output: &PingOutput) {
             let c = f64::from(head.sound_velocity_m_per_s);
             for d in bathymetry.detections() {
                 let range_m = 0.5 * c * f64::from(d.sample_number) / f64::from(head.sample_rate_hz);
-                as_found("wbms 2210", output, range_m, d.angle_rad.into());
+                as_found("wbms 2210", output, range_m, d.angle_rad.into(), STEP_M);
                 seen[0] += 1;
             }
             continue;
@@ -534,8 +548,11 @@ fn every_family_puts_the_bottom_of_a_whole_ping_within_one_sample_of_its_depth()
     }
     sevenk(sonar, &plan, &output);
     jsf(sonar, &plan, &output);
-    xtf(sonar, &plan, &output);
-    imagenex(&plan, &output);
+    for is_float in [false, true] {
+        let emitter = XtfEmitter::new(&XtfSpec { is_float }, sonar, SOUND_M_PER_S);
+        SHELVING.xtf(emitter, &plan, &output);
+    }
+    SHELVING.imagenex((RATE_HZ, FULL_SCALE_V), &plan, &output);
     ping_protocol(sonar, &plan, &output);
     wbms(sonar, &plan, &output);
     vita49(sonar, &plan, &output);
