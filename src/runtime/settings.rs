@@ -377,6 +377,7 @@ fn within(key: &'static str, value: f64, (min, max): (f64, f64)) -> Result<f64, 
 
 #[cfg(test)]
 mod tests {
+    use super::SettingChange::*;
     use super::*;
     use crate::clock::VirtualClock;
     use echotank_core::time::UtcNs;
@@ -399,11 +400,20 @@ mod tests {
     };
     const NOW: UtcNs = UtcNs(1_700_000_000_000_000_000);
 
+    fn store() -> SettingsStore {
+        SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()))
+    }
+
+    fn counts(store: &SettingsStore) -> (u64, u64) {
+        let counts = store.counts();
+        (counts.applied, counts.refused)
+    }
+
     #[test]
     fn an_accepted_change_is_in_the_next_snapshot_under_a_new_version() {
-        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        let store = store();
         assert_eq!(store.snapshot(), (START, 0));
-        let applied = store.apply(SettingChange::RangeM(75.5), NOW).unwrap();
+        let applied = store.apply(RangeM(75.5), NOW).unwrap();
         let want = SonarSettings {
             range_m: 75.5,
             ..START
@@ -415,38 +425,29 @@ mod tests {
 
     #[test]
     fn a_refusal_names_key_value_and_rule_and_changes_nothing() {
-        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        let store = store();
         for (change, words) in [
+            (RangeM(4.9), "range_m = 4.9: must be from 5 to 200"),
+            (RangeM(f64::NAN), "range_m = NaN: must be a finite number"),
             (
-                SettingChange::RangeM(4.9),
-                "range_m = 4.9: must be from 5 to 200",
-            ),
-            (
-                SettingChange::RangeM(f64::NAN),
-                "range_m = NaN: must be a finite number",
-            ),
-            (
-                SettingChange::MaxPingRateHz(-1.0),
+                MaxPingRateHz(-1.0),
                 "max_ping_rate_hz = -1: must be 0 or from 0.1 to 20",
             ),
             (
-                SettingChange::MaxPingRateHz(21.0),
+                MaxPingRateHz(21.0),
                 "max_ping_rate_hz = 21: must be 0 or from 0.1 to 20",
             ),
             (
-                SettingChange::SourceLevelDb(221.0),
+                SourceLevelDb(221.0),
                 "source_level_db = 221: must be from 160 to 220",
             ),
             (
-                SettingChange::GainDb(f64::INFINITY),
+                GainDb(f64::INFINITY),
                 "gain_db = inf: must be a finite number",
             ),
+            (GainDb(-0.1), "gain_db = -0.1: must be from 0 to 60"),
             (
-                SettingChange::GainDb(-0.1),
-                "gain_db = -0.1: must be from 0 to 60",
-            ),
-            (
-                SettingChange::PulseDurationS(0.0),
+                PulseDurationS(0.0),
                 "pulse_duration_s = 0: must be from 0.0001 to 0.01",
             ),
         ] {
@@ -454,110 +455,85 @@ mod tests {
             assert_eq!(refused.to_string(), words);
             assert_eq!(store.snapshot(), (START, 0), "{change:?}");
         }
-        assert_eq!(
-            store.counts(),
-            SettingCounts {
-                applied: 0,
-                refused: 8
-            }
-        );
+        assert_eq!(counts(&store), (0, 8));
     }
 
     #[test]
     fn limits_sent_as_f32_are_accepted_and_clamped() {
-        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        let store = store();
         for value in [f64::from(1e-4_f32), f64::from(1e-2_f32)] {
-            let applied = store
-                .apply(SettingChange::PulseDurationS(value), NOW)
-                .unwrap();
+            let applied = store.apply(PulseDurationS(value), NOW).unwrap();
             let got = applied.settings.pulse_duration_s;
             assert!(
                 (LIMITS.pulse_duration_s.0..=LIMITS.pulse_duration_s.1).contains(&got),
                 "{got}"
             );
         }
-        assert!(
-            store
-                .apply(SettingChange::PulseDurationS(0.999e-4), NOW)
-                .is_err()
-        );
+        assert!(store.apply(PulseDurationS(0.999e-4), NOW).is_err());
     }
 
     #[test]
     fn a_rate_of_zero_stops_pinging_until_a_positive_rate() {
-        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
-        let held = store.apply(SettingChange::MaxPingRateHz(0.0), NOW).unwrap();
+        let store = store();
+        let held = store.apply(MaxPingRateHz(0.0), NOW).unwrap();
         assert!(!held.settings.pinging && held.settings.max_ping_rate_hz == 0.0);
-        let started = store.apply(SettingChange::Start, NOW).unwrap();
+        let started = store.apply(Start, NOW).unwrap();
         assert!(
             !started.settings.pinging,
             "a rate of 0 stops pinging from starting"
         );
-        let going = store.apply(SettingChange::MaxPingRateHz(4.0), NOW).unwrap();
+        let going = store.apply(MaxPingRateHz(4.0), NOW).unwrap();
         assert!(going.settings.pinging && going.settings.max_ping_rate_hz == 4.0);
-        store.apply(SettingChange::Stop, NOW).unwrap();
-        let stopped = store.apply(SettingChange::MaxPingRateHz(5.0), NOW).unwrap();
+        store.apply(Stop, NOW).unwrap();
+        let stopped = store.apply(MaxPingRateHz(5.0), NOW).unwrap();
         assert!(!stopped.settings.pinging, "a rate does not cancel a stop");
     }
 
     #[test]
     fn recent_changes_are_bounded_and_the_newest_are_kept() {
-        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        let store = store();
         for k in 0..(RECENT_CHANGES + 10) {
-            let _ = store.apply(SettingChange::GainDb(k as f64), NOW.plus_ns(k as i64));
+            let _ = store.apply(GainDb(k as f64), NOW.plus_ns(k as i64));
         }
         let recent = store.recent();
         assert_eq!(recent.len(), RECENT_CHANGES);
-        assert_eq!(recent[0].change, SettingChange::GainDb(10.0));
+        assert_eq!(recent[0].change, GainDb(10.0));
         assert_eq!(recent[0].outcome, Ok(11));
         let last = recent.last().unwrap();
         assert_eq!(last.asked.utc, NOW.plus_ns(RECENT_CHANGES as i64 + 9));
         assert!(last.outcome.is_err(), "73 dB is over the limit");
-        assert_eq!(
-            store.counts(),
-            SettingCounts {
-                applied: 61,
-                refused: 13
-            }
-        );
+        assert_eq!(counts(&store), (61, 13));
     }
 
     #[test]
     fn changes_from_many_threads_are_each_counted_once() {
-        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        let store = store();
         std::thread::scope(|scope| {
             for _ in 0..4 {
                 scope.spawn(|| {
                     for k in 0..500 {
-                        let _ = store.apply(SettingChange::RangeM(f64::from(k)), NOW);
+                        let _ = store.apply(RangeM(f64::from(k)), NOW);
                     }
                 });
             }
         });
-        let counts = store.counts();
-        assert_eq!(
-            counts,
-            SettingCounts {
-                applied: 4 * 196,
-                refused: 4 * 304
-            }
-        );
-        assert_eq!(store.version(), counts.applied);
+        assert_eq!(counts(&store), (4 * 196, 4 * 304));
+        assert_eq!(store.version(), 4 * 196);
     }
 
     proptest! {
         #[test]
         fn settings_stay_within_their_limits_after_any_change(values in proptest::collection::vec((0..7_u8, any::<f64>()), 1..50)) {
-            let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+            let store = store();
             for (kind, value) in values {
                 let change = match kind {
-                    0 => SettingChange::RangeM(value),
-                    1 => SettingChange::MaxPingRateHz(value),
-                    2 => SettingChange::SourceLevelDb(value),
-                    3 => SettingChange::GainDb(value),
-                    4 => SettingChange::PulseDurationS(value),
-                    5 => SettingChange::Start,
-                    _ => SettingChange::Stop,
+                    0 => RangeM(value),
+                    1 => MaxPingRateHz(value),
+                    2 => SourceLevelDb(value),
+                    3 => GainDb(value),
+                    4 => PulseDurationS(value),
+                    5 => Start,
+                    _ => Stop,
                 };
                 let _ = store.apply(change, NOW);
                 let (s, _) = store.snapshot();
@@ -574,7 +550,7 @@ mod tests {
     fn a_request_for_a_number_of_pings_ends_after_the_last_and_a_start_cancels_it() {
         let clock = Arc::new(VirtualClock::default());
         let store = SettingsStore::new(START, LIMITS, clock.clone());
-        store.apply(SettingChange::PingTimes(2), NOW).unwrap();
+        store.apply(PingTimes(2), NOW).unwrap();
         let at = |k: i64| MonoNs(k * 1_000_000_000);
         assert!(store.at(at(1)).pinging);
         store.pinged(at(1));
@@ -583,11 +559,11 @@ mod tests {
         assert!(!store.at(at(3)).pinging, "two were asked for");
         assert!(!store.snapshot().0.pinging);
         assert_eq!(store.version(), 2, "the end is a change too");
-        store.apply(SettingChange::PingTimes(1), NOW).unwrap();
-        store.apply(SettingChange::Start, NOW).unwrap();
+        store.apply(PingTimes(1), NOW).unwrap();
+        store.apply(Start, NOW).unwrap();
         store.pinged(at(4));
         assert!(store.snapshot().0.pinging, "started, not counted");
-        let refused = store.apply(SettingChange::PingTimes(0), NOW).unwrap_err();
+        let refused = store.apply(PingTimes(0), NOW).unwrap_err();
         assert_eq!(
             refused.to_string(),
             "ping_times = 0: must be from 1 to 4294967295"
@@ -596,19 +572,19 @@ mod tests {
 
     #[test]
     fn an_external_trigger_stops_the_schedule_but_not_a_request_for_pings() {
-        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
-        let external = SettingChange::Trigger(TriggerSource::External);
+        let store = store();
+        let external = Trigger(TriggerSource::External);
         assert!(!store.apply(external, NOW).unwrap().settings.pinging);
-        let once = store.apply(SettingChange::PingTimes(1), NOW).unwrap();
+        let once = store.apply(PingTimes(1), NOW).unwrap();
         assert!(once.settings.pinging);
-        let internal = SettingChange::Trigger(TriggerSource::Internal);
-        store.apply(SettingChange::Start, NOW).unwrap();
+        let internal = Trigger(TriggerSource::Internal);
+        store.apply(Start, NOW).unwrap();
         assert!(store.apply(internal, NOW).unwrap().settings.pinging);
     }
 
     #[test]
     fn settings_that_the_model_does_not_use_are_kept_journaled_and_bounded() {
-        let store = SettingsStore::new(START, LIMITS, Arc::new(VirtualClock::default()));
+        let store = store();
         let key = |place| KeptKey {
             via: "jsf",
             name: "adc_gain",
@@ -644,9 +620,7 @@ mod tests {
         let acknowledged = MonoNs(5_000_000_000);
         clock.sleep_until(acknowledged);
         let range_m = LIMITS.range_m.0;
-        store
-            .apply(SettingChange::RangeM(range_m), UtcNs(0))
-            .unwrap();
+        store.apply(RangeM(range_m), UtcNs(0)).unwrap();
         // The order of an earlier ping may be written after the change.
         assert_eq!(store.at(acknowledged.plus_ns(-1)).range_m, START.range_m);
         assert_eq!(store.at(acknowledged).range_m, START.range_m);
