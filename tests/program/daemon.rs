@@ -364,6 +364,7 @@ fn a_log_that_is_not_looped_ends_the_daemon() {
         [
             "sonar.output.sevenk.listen=127.0.0.1:0",
             "sonar.model.synthesis=direct",
+            "run.clock=fast",
         ],
     )
     .ended();

@@ -50,10 +50,10 @@ fn assert_equal(a: &BTreeMap<String, Vec<u8>>, b: &BTreeMap<String, Vec<u8>>) {
 }
 
 #[test]
-fn replay_gives_the_same_bytes_twice_and_for_one_and_two_threads() {
+fn replay_gives_the_same_bytes_again_with_another_number_of_threads() {
     for (name, extra) in [
-        ("points.toml", vec!["--f64", "--pings", "1..3"]),
-        ("quickstart.toml", vec!["--pings", "1..4"]),
+        ("points.toml", vec!["--f64", "--pings", "1..2"]),
+        ("quickstart.toml", vec!["--pings", "1..3"]),
     ] {
         let arguments = |threads: &'static str| {
             let mut all = vec!["--formats", "s7k,npz,png", "--threads", threads];
@@ -61,12 +61,10 @@ fn replay_gives_the_same_bytes_twice_and_for_one_and_two_threads() {
             all
         };
         let one = replay(&arguments("1"), name);
-        let again = replay(&arguments("1"), name);
         let two = replay(&arguments("2"), name);
         let first = files(one.path());
         assert_eq!(first.len(), 4, "{name}: {:?}", first.keys());
         assert!(first.values().all(|bytes| bytes.len() > 1000));
-        assert_equal(&first, &files(again.path()));
         assert_equal(&first, &files(two.path()));
     }
 }
@@ -133,7 +131,7 @@ fn two_sonars_on_one_platform_each_ping_at_their_own_rate() {
     std::os::unix::fs::symlink(config("data"), folder.path().join("data")).expect("link");
     let two = folder.path().join("two.toml");
     fs::write(&two, format!("{rig}{sonar}\n{second}")).expect("written");
-    let out = replay_file(&["--formats", "s7k,npz", "--pings", "1..5"], &two);
+    let out = replay_file(&["--formats", "s7k,npz", "--pings", "1..4"], &two);
     let truth = fs::read_to_string(out.path().join("truth.jsonl")).expect("truth");
     let mut pings: BTreeMap<String, Vec<(u64, i64)>> = BTreeMap::new();
     for line in truth.lines() {
@@ -147,7 +145,7 @@ fn two_sonars_on_one_platform_each_ping_at_their_own_rate() {
         let made = &pings[name];
         assert_eq!(
             made.iter().map(|p| p.0).collect::<Vec<_>>(),
-            [1, 2, 3, 4, 5],
+            [1, 2, 3, 4],
             "{name}"
         );
         assert!(
@@ -203,7 +201,7 @@ fn waterfall_shows_the_targets_at_their_predicted_places_within_one_pixel() {
             "--pings",
             &format!("{first}..{last}"),
             "--set",
-            "scene.seabed.density_per_m2=0.5",
+            "scene.seabed.density_per_m2=0.1",
         ],
         "quickstart.toml",
     );
@@ -284,7 +282,7 @@ fn waterfall_shows_the_targets_at_their_predicted_places_within_one_pixel() {
 fn every_rig_that_imitates_a_device_pings() {
     for rig in ["seabat", "wbms", "surveyor240", "omniscan450", "board"] {
         let out = replay(
-            &["--pings", "1..2", "--formats", "npz"],
+            &["--pings", "1..1", "--formats", "npz"],
             &format!("{rig}.toml"),
         );
         let truth = fs::read_dir(out.path()).expect("folder");
@@ -295,7 +293,7 @@ fn every_rig_that_imitates_a_device_pings() {
             .map(|line| serde_json::from_str(line).expect("JSON"))
             .collect();
         let heads = if rig == "omniscan450" { 2 } else { 1 };
-        assert_eq!(pings.len(), 2 * heads, "{rig}");
+        assert_eq!(pings.len(), heads, "{rig}");
         for ping in &pings {
             let heard = ping["scene"]["used"].as_u64().unwrap_or(0);
             assert!(heard > 100, "{rig}: {heard} scatterers\n{ping}");

@@ -477,7 +477,7 @@ fn lines(model: &str, taper: f64) -> RigSpec {
 
 #[test]
 fn whole_line_arrays_are_the_direct_sum_within_the_tolerance() {
-    let scatterers = scene(300);
+    let scatterers = scene(200);
     for path in PathModel::ALL {
         for doppler in DopplerModel::ALL {
             if !Synthesis::Gridded2d.takes(doppler) || path == PathModel::Polyline {
@@ -512,7 +512,7 @@ fn whole_line_arrays_are_the_direct_sum_within_the_tolerance() {
                     error < tolerance && silent < tolerance,
                     "{path:?} {doppler:?}: {error:e}, {silent:e} of {tolerance:e}"
                 );
-                assert!(got.counts.used > 10_000);
+                assert!(got.counts.used > 6000);
                 assert_eq!(got.counts.beyond_engine, 0);
             }
         }

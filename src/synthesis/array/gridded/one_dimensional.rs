@@ -877,9 +877,17 @@ mod tests {
     }
 
     fn gridded(spec: &Spec, span: DopplerSpan, chunks: &[ArrivalChunk]) -> (Vec<Complex64>, f64) {
-        let begun = std::time::Instant::now();
         let engine = Gridded1d::new(spec).expect("within reach");
-        println!("    made in {:.1} ms", begun.elapsed().as_secs_f64() * 1e3);
+        println!("    {:?}", engine.error_model());
+        let out = synthesised(&engine, span, chunks);
+        (out, engine.error_model().error)
+    }
+
+    fn synthesised(
+        engine: &Gridded1d,
+        span: DopplerSpan,
+        chunks: &[ArrivalChunk],
+    ) -> Vec<Complex64> {
         let mut work = engine.work();
         let mut out = vec![Complex64::ONE; SAMPLES];
         // Twice, since the first element must not affect the second.
@@ -888,8 +896,7 @@ mod tests {
             chunks.iter().for_each(|chunk| work.accept(chunk));
             assert_eq!(work.finish(&mut out).outside_span, 0);
         }
-        println!("    {:?}", engine.error_model());
-        (out, engine.error_model().error)
+        out
     }
 
     /// Largest relative error over windows of one pulse length, with half overlap.
@@ -937,7 +944,12 @@ mod tests {
             let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
             let chunks = arrivals(700, SIDESCAN);
             let want = direct(&pulse, Some(&filter), &chunks);
-            for tolerance in [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8] {
+            // Every decade for one sweep; the designs of the others differ in their bands only.
+            let tolerances: &[f64] = match kind {
+                PulseKind::LfmUp => &[1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8],
+                _ => &[1e-1, 1e-3, 1e-5, 1e-8],
+            };
+            for &tolerance in tolerances {
                 let spec = Spec {
                     tolerance,
                     ..spec(&pulse, Some(&filter), SIDESCAN)
@@ -961,6 +973,7 @@ mod tests {
             tolerance,
             ..spec(&pulse, Some(&filter), SIDESCAN)
         };
+        let engine = Gridded1d::new(&spec).expect("within reach");
         let mut worst: f64 = 0.0;
         for d in [SIDESCAN.least, 0.3e-3, 1.37e-3, SIDESCAN.greatest] {
             let mut chunk = ArrivalChunk::new();
@@ -968,13 +981,9 @@ mod tests {
             (chunk.delay_s[0], chunk.doppler[0]) = (FIRST_S + 0.020_003_1, d);
             chunk.curvature_per_s[0] = curvature_per_s;
             chunk.amplitude[0] = Complex64::ONE;
-            let want = direct(&pulse, Some(&filter), &[chunk]);
-            let mut chunk = ArrivalChunk::new();
-            chunk.len = 1;
-            (chunk.delay_s[0], chunk.doppler[0]) = (FIRST_S + 0.020_003_1, d);
-            chunk.curvature_per_s[0] = curvature_per_s;
-            chunk.amplitude[0] = Complex64::ONE;
-            let (got, _) = gridded(&spec, SIDESCAN, &[chunk]);
+            let chunks = [chunk];
+            let want = direct(&pulse, Some(&filter), &chunks);
+            let got = synthesised(&engine, SIDESCAN, &chunks);
             let length = (pulse.duration_s * RATE_HZ) as usize;
             let energy =
                 |at: usize| -> f64 { want[at..at + length].iter().map(|w| w.norm_sqr()).sum() };
@@ -988,12 +997,7 @@ mod tests {
                 .map(|at| (off(at) / energy(at).max(noise)).sqrt())
                 .fold(worst, f64::max);
         }
-        let why = Gridded1d::new(&spec)
-            .expect("within reach")
-            .error_model()
-            .why
-            .clone();
-        (worst, why)
+        (worst, engine.error_model().why.clone())
     }
 
     #[test]
@@ -1139,7 +1143,11 @@ mod tests {
             }
             let want = direct(&pulse, Some(&filter), &chunks);
             // The parabolas of the direct sum itself are off by about 1e-8 for distorted sweeps.
-            for tolerance in [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6] {
+            let tolerances: &[f64] = match kind {
+                PulseKind::LfmUp => &[1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6],
+                _ => &[1e-1, 1e-3, 1e-6],
+            };
+            for &tolerance in tolerances {
                 let spec = Spec {
                     doppler: DopplerModel::StretchQuadratic,
                     curvature_per_s: greatest,

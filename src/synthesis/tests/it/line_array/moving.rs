@@ -23,6 +23,8 @@ fn in_motion_the_engine_meets_the_direct_sum() {
         let scene = draw(Draw {
             sector_deg,
             velocity_m_per_s,
+            scatterers: 190,
+            far_m: 60.0,
             ..SIDE_SCAN
         });
         let (got, reports) = error::<f64>(&scene, FINE, false);
@@ -44,15 +46,11 @@ fn in_motion_the_quadratic_engine_meets_the_reference_and_the_linear_does_not() 
         motion: PulseMotion::Quadratic,
         ..FINE
     };
-    for velocity_m_per_s in [
-        DVec3::new(5.0, 0.0, 0.0),
-        DVec3::new(10.0, 0.0, 0.0),
-        DVec3::new(5.0, 0.3, 0.5),
-    ] {
+    for velocity_m_per_s in [DVec3::new(10.0, 0.0, 0.0), DVec3::new(5.0, 0.3, 0.5)] {
         let scene = draw(Draw {
             velocity_m_per_s,
-            scatterers: 60,
-            far_m: 48.0,
+            scatterers: 40,
+            far_m: 44.0,
             ..SIDE_SCAN
         });
         let [got, linear] = [quadratic, FINE].map(|resolution| {
