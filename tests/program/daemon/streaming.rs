@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::net::UdpSocket;
 use std::time::{Duration, Instant};
 
+use echotank_protocols::elements::Frame;
 use echotank_protocols::vita49::{Packet, PacketType};
 use echotank_runtime::io::sonar::elements::ElementClient;
 
@@ -20,6 +21,28 @@ const PORT: usize = 8;
 
 /// Samples of whole pings, by ping number.
 type Pings = BTreeMap<u32, Vec<u8>>;
+
+/// The frames of a ping until it is whole.
+#[derive(Default)]
+struct Part {
+    moments: u32,
+    samples: Vec<u8>,
+}
+
+impl Part {
+    /// The samples of the whole ping, with its last frame.
+    fn push(&mut self, frame: &Frame<'_>) -> Option<Vec<u8>> {
+        if frame.head.first_moment == 0 {
+            *self = Self::default();
+        }
+        if self.moments == frame.head.first_moment {
+            self.moments += frame.moments;
+            self.samples.extend_from_slice(frame.samples);
+        }
+        let is_whole = self.moments == frame.head.ping_moments;
+        is_whole.then(|| std::mem::take(&mut self.samples))
+    }
+}
 
 struct Heard {
     pings: Pings,
@@ -77,7 +100,7 @@ fn listen(more: &[&str]) -> Heard {
         first_sample_s: Vec::new(),
         vita: Vec::new(),
     };
-    let mut part = (0, Vec::new());
+    let mut part = Part::default();
     let mut packet = vec![0; 65_536];
     let until = Instant::now() + PATIENCE;
     while heard.pings.len() < PINGS {
@@ -85,19 +108,12 @@ fn listen(more: &[&str]) -> Heard {
         let open = client.read(Duration::from_millis(5), |frame, now| {
             let head = &frame.head;
             if head.first_moment == 0 {
-                part = (0, Vec::new());
                 heard
                     .first_sample_s
                     .push((now.0 - head.pulse_utc_ns) as f64 / 1e9);
             }
-            if part.0 == head.first_moment {
-                part.0 += frame.moments;
-                part.1.extend_from_slice(frame.samples);
-            }
-            if part.0 == head.ping_moments {
-                heard
-                    .pings
-                    .insert(head.ping_number, std::mem::take(&mut part.1));
+            if let Some(samples) = part.push(frame) {
+                heard.pings.insert(head.ping_number, samples);
             }
         });
         assert!(open.expect("connected"), "the daemon goes on");
@@ -206,32 +222,21 @@ fn triggered(latency_s: f64, more: &[&str]) {
     let listener = daemon.announced("trigger points", "udp");
     let mut client = ElementClient::connect(address).expect("listening");
     let trigger = UdpSocket::bind("127.0.0.1:0").expect("a socket");
-    let mut streamed = Vec::new();
-    let (mut pings, mut min_s, mut part) = (0, f64::MAX, (0, Vec::new()));
+    let (mut streamed, mut part, mut min_s) = (Vec::new(), Part::default(), f64::MAX);
     let until = Instant::now() + PATIENCE;
     let mut next = Instant::now();
-    while pings < 3 {
-        assert!(Instant::now() < until, "{pings} pings");
+    while streamed.len() < 3 {
+        assert!(Instant::now() < until, "{} pings", streamed.len());
         if Instant::now() >= next {
             trigger.send_to(b"ping!", listener).expect("sent");
             next = Instant::now() + Duration::from_millis(600);
         }
         let open = client.read(Duration::from_millis(5), |frame, now| {
             let head = &frame.head;
-            if head.first_moment == 0 {
-                part = (0, Vec::new());
-            }
             let end_s = f64::from(head.first_moment + frame.moments) / head.moments_per_s;
             let since_s = (now.0 - head.pulse_utc_ns) as f64 / 1e9;
             min_s = min_s.min(since_s - end_s);
-            if part.0 == head.first_moment {
-                part.0 += frame.moments;
-                part.1.extend_from_slice(frame.samples);
-            }
-            if part.0 == head.ping_moments {
-                pings += 1;
-                streamed.push(std::mem::take(&mut part.1));
-            }
+            streamed.extend(part.push(frame));
         });
         assert!(open.expect("connected"), "the daemon goes on");
     }
