@@ -19,7 +19,8 @@ import time
 import warnings
 
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
-from peers_bench import load
+import peers_bench
+from peers_bench import Ours, load
 import numpy as np
 
 
@@ -54,13 +55,8 @@ class Data:
 
 
 def best(runs, work):
-    """Minimum processor time in seconds, and the result; wall time is unreliable on a shared machine."""
-    took = []
-    for _ in range(runs):
-        start = time.process_time()
-        result = work()
-        took.append(time.process_time() - start)
-    return min(took), result
+    """In processor time: wall time is unreliable on a shared machine."""
+    return peers_bench.best(runs, work, time.process_time)
 
 
 def say(name, data, terms, seconds, error, note=""):
@@ -146,17 +142,6 @@ def jax_sum(data, runs):
     return say(name, data, data.terms(), seconds, data.error(np.asarray(got, complex)))
 
 
-class Ours:
-    def __init__(self, bench):
-        self.process = subprocess.Popen([bench, "beams-serve"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-
-    def run(self, former):
-        self.process.stdin.write(former + "\n")
-        self.process.stdin.flush()
-        _, core_ms, error = self.process.stdout.readline().split()
-        return float(core_ms) * 1e-3, float(error)
-
-
 def main():
     arguments = argparse.ArgumentParser()
     arguments.add_argument("bench")
@@ -180,10 +165,10 @@ def main():
             rates.append(work())
         except Exception as problem:
             print(f"    {name} does not run here: {type(problem).__name__}: {problem}")
-    ours = Ours(given.bench)
+    ours = Ours(given.bench, "beams-serve")
     for former in ("dynamic-focus", "fft"):
         took = [ours.run(former) for _ in range(runs + 2)]
-        seconds, error = min(t[0] for t in took), took[0][1]
+        seconds, error = min(t[1] for t in took) * 1e-3, took[0][2]
         rate = say(f"ours, {former}", data, points * data.elements, seconds, error, " (matched filter and steering included)")
         if rates:
             print(f"        {rate / max(rates):.1f} times the fastest of them")

@@ -3,6 +3,7 @@
 import json
 import os
 import subprocess
+import time
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
@@ -26,22 +27,29 @@ class Points:
 
 
 class Ours:
-    """`bench transform-serve` in a separate process; `run` returns (milliseconds, error) of one transform."""
+    """`bench transform-serve DIRECTORY` or `bench beams-serve` in a separate process; `run` returns the numbers of one answer."""
 
-    def __init__(self, bench, directory):
-        self.process = subprocess.Popen(
-            [bench, "transform-serve", directory], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+    def __init__(self, bench, *command):
+        self.process = subprocess.Popen([bench, *command], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def run(self, request):
         self.process.stdin.write(request + "\n")
         self.process.stdin.flush()
-        milliseconds, error = self.process.stdout.readline().split()
-        return float(milliseconds), float(error)
+        return tuple(map(float, self.process.stdout.readline().split()))
 
     def close(self):
         self.process.stdin.close()
         self.process.wait()
+
+
+def best(runs, work, clock=time.perf_counter):
+    """Minimum time of several runs in seconds, and the last result."""
+    took = []
+    for _ in range(runs):
+        start = clock()
+        result = work()
+        took.append(clock() - start)
+    return min(took), result
 
 
 def load():

@@ -42,7 +42,7 @@ def main():
     arguments.add_argument("--rounds", type=int, default=20)
     given = arguments.parse_args()
     points = Points(given.directory)
-    ours = Ours(given.bench, given.directory)
+    ours = Ours(given.bench, "transform-serve", given.directory)
     print(f"FINUFFT {finufft.__version__}, {given.build} build; {len(points.delay_s)} unsorted points, {BINS} bins, one thread, {load()}")
     for goal, requests, settings in PAIRS:
         theirs = [(f"finufft {d} eps {e:.0e} upsampling {u}", Theirs(points, d, e, u)) for d, e, u in settings]

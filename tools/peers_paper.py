@@ -31,7 +31,7 @@ def main():
     print(f"the paper's Eq. 18, {len(points.delay_s)} scatterers, {BINS} frequencies, one element, one thread, {load()}")
     print(f"    NumPy {np.__version__:37} error {points.error(got):.1e}  {paper_ms:8.2f} ms")
     keep("Eq. 18 in NumPy", len(points.delay_s), 1, paper_ms, points.error(got))
-    ours = Ours(sys.argv[1], sys.argv[2])
+    ours = Ours(sys.argv[1], "transform-serve", sys.argv[2])
     for request in ["f32 6 1.25 best", "f32 7 2.0 best", "f64 13 2.0 best"]:
         runs = [ours.run(request) for _ in range(20)]
         ms = min(run[0] for run in runs)

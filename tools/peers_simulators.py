@@ -9,10 +9,9 @@ direct sum. One thread each. Scene: 64 elements half a wavelength apart, 400 kHz
 import argparse
 import importlib.metadata
 import os
-import time
 import warnings
 
-from peers_bench import BINS, PERIOD_S, Ours, keep, load
+from peers_bench import BINS, PERIOD_S, Ours, best, keep, load
 import numpy as np
 
 SOUND_SPEED_M_PER_S = 1500.0
@@ -48,15 +47,6 @@ class Scene:
             legs = self.leg * np.exp(2j * np.pi * f / SOUND_SPEED_M_PER_S * self.distance_m)
             out[row] = g * ((self.strength * legs[:, TRANSMITTER]) @ legs)
         return out
-
-
-def best(runs, work):
-    took = []
-    for _ in range(runs):
-        start = time.perf_counter()
-        result = work()
-        took.append(time.perf_counter() - start)
-    return min(took), result
 
 
 def say(name, scene, frequencies, seconds, error, of_what):
@@ -120,7 +110,7 @@ def ours(scene, bench, directory):
     direct = np.exp(-2j * np.pi * np.outer(bins, delay_s / PERIOD_S)) @ amplitude
     for name, values in (("delay_s.f64", delay_s), ("amplitude.c128", amplitude), ("direct.c128", direct)):
         np.ascontiguousarray(values).tofile(f"{directory}/{name}")
-    server = Ours(bench, directory)
+    server = Ours(bench, "transform-serve", directory)
     for request in ("f32 6 1.25 best", "f64 13 2.0 best"):
         runs = [server.run(request) for _ in range(20)]
         seconds = min(run[0] for run in runs) * 1e-3 * ELEMENTS
