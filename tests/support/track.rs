@@ -14,3 +14,15 @@ provides = ["position", "heading", "roll-pitch"]
 
 /// Header of that file.
 pub const COLUMNS: &str = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n";
+
+/// That file: `steps` rows from 1 November 2026 on, one every `step_s`, of what `at` says of its seconds.
+pub fn rows(steps: usize, step_s: f64, at: impl Fn(f64) -> [f64; 6]) -> String {
+    let mut text = COLUMNS.to_owned();
+    for k in 0..steps {
+        let t_s = k as f64 * step_s;
+        text += &format!("{:.2}", 1_793_611_200.0 + t_s);
+        text.extend(at(t_s).map(|value| format!(",{value:.9}")));
+        text.push('\n');
+    }
+    text
+}

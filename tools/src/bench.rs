@@ -1,12 +1,9 @@
 //! Measures the echo engine: errors and run times, one line each. See `tools/bench --help`.
 
 mod beams;
-mod echo;
 mod forward_looking;
-pub(crate) mod machine;
 mod nav;
 mod ping;
-mod report;
 pub(crate) mod scene;
 mod stages;
 mod transform;
@@ -17,7 +14,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-use report::Report;
+use crate::report::{Common, Report};
 
 #[derive(Args)]
 #[command(about = "Measure errors and run times of the emulator's parts")]
@@ -26,38 +23,10 @@ pub(crate) struct Arguments {
     what: What,
 }
 
-#[derive(Args)]
-struct Common {
-    /// Fewer scenes and runs; takes less than a minute on an idle machine.
-    #[arg(long)]
-    quick: bool,
-    /// Also write the table as JSON.
-    #[arg(long)]
-    json: Option<PathBuf>,
-}
-
 #[derive(Subcommand)]
 enum What {
-    /// Synthesis methods: the sum alone, whole pings, a forward-looking ping.
-    Echo {
-        #[command(flatten)]
-        common: Common,
-        /// Only whole pings whose name, elements, scatterers, sector, velocity and tolerance contain this ("line 256 1000000 15 5 0.3").
-        /// Default: all, and the other tables.
-        #[arg(long)]
-        only: Option<String>,
-        /// Only this method for whole pings: direct, spectral, gridded-1d, gridded-2d.
-        #[arg(long)]
-        method: Option<String>,
-        /// SIMD level: best, portable, avx2, avx512.
-        #[arg(long, value_delimiter = ',', default_value = "best")]
-        simd_levels: Vec<String>,
-        #[arg(long, value_delimiter = ',', default_values_t = [1, 2])]
-        threads: Vec<usize>,
-        /// Print the time of gridded-2d stage by stage.
-        #[arg(long)]
-        stages: bool,
-    },
+    /// Synthesis methods: whole pings, a forward-looking ping.
+    Echo(whole::Selection),
     /// Fans of 128 elements, 256 beams and 8000 samples with every beamformer, and focused beams concurrent with echo synthesis.
     Beams {
         #[command(flatten)]
@@ -81,13 +50,10 @@ enum What {
         #[arg(long)]
         python: Option<PathBuf>,
     },
-    /// Records per second of each protocol family, and the load of several topsides.
+    /// Records per second of each protocol family.
     Wire {
         #[command(flatten)]
         common: Common,
-        /// Deliver in real time for this many seconds.
-        #[arg(long)]
-        load: Option<u32>,
     },
     /// Write points and their direct sum for `transform-serve` and for peers.
     TransformDump {
@@ -109,43 +75,18 @@ enum What {
     BeamsServe,
 }
 
-fn echo(common: &Common, selection: &whole::Selection) -> Result<(), String> {
+fn echo(selection: &whole::Selection) -> Result<(), String> {
     let mut report = Report::new();
-    let only = (!selection.only.is_empty()).then_some(selection.only);
-    if only.is_none() {
-        echo::run(common.quick, &mut report);
-    }
-    if only.is_none() || only == Some("forward-looking") {
-        forward_looking::run(selection.threads, &mut report)?;
+    if matches!(selection.only.as_deref(), None | Some("forward-looking")) {
+        forward_looking::run(&selection.threads, &mut report)?;
     }
     whole::run(selection, &mut report)?;
-    report.keep(common.json.as_deref())
+    report.finish(selection.common.json.as_deref())
 }
 
 pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let done = match given.what {
-        What::Echo {
-            common,
-            only,
-            method,
-            simd_levels,
-            threads,
-            stages,
-        } => {
-            let selection = whole::Selection {
-                only: only.as_deref().unwrap_or(""),
-                method: method.as_deref(),
-                simd_levels: &simd_levels,
-                threads: &threads,
-                stages,
-                effort: if common.quick {
-                    whole::QUICK
-                } else {
-                    whole::FULL
-                },
-            };
-            echo(&common, &selection)
-        }
+        What::Echo(selection) => echo(&selection),
         What::Beams { common } => beams::run(common.quick, common.json.as_deref()),
         What::BeamsDump { directory } => beams::dump(&directory),
         What::BeamsServe => beams::serve(),
@@ -160,7 +101,7 @@ pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
             common.quick,
             common.json.as_deref(),
         ),
-        What::Wire { common, load } => wire::run(common.quick, load, common.json.as_deref()),
+        What::Wire { common } => wire::run(common.quick, common.json.as_deref()),
         What::TransformDump {
             directory,
             scatterers,

@@ -29,3 +29,36 @@ impl Chance {
         of[((self.uniform() * of.len() as f64) as usize).min(of.len() - 1)]
     }
 }
+
+/// Uniform random numbers: splitmix64 (Steele, Lea and Flood 2014).
+pub(crate) struct SplitMix(u64);
+
+impl SplitMix {
+    pub(crate) fn new(seed: u64) -> Self {
+        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x5851_f42d_4c95_7f2d)
+    }
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+    /// From 0 to 1.
+    pub(crate) fn even(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+    }
+    pub(crate) fn between(&mut self, from: f64, to: f64) -> f64 {
+        from + (to - from) * self.even()
+    }
+    /// Uniform in the logarithm.
+    pub(crate) fn decades(&mut self, from: f64, to: f64) -> f64 {
+        (self.between(from.ln(), to.ln())).exp()
+    }
+    pub(crate) fn one_in(&mut self, n: u64) -> bool {
+        self.next().is_multiple_of(n)
+    }
+    pub(crate) fn of(&mut self, n: usize) -> usize {
+        (self.next() % n as u64) as usize
+    }
+}

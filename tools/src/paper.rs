@@ -2,27 +2,33 @@
 
 mod beams;
 mod footprint;
+pub(crate) mod ladder;
 mod lake;
-mod picture;
 mod pings;
 mod single;
+mod strip;
 
 use std::path::PathBuf;
 
 use clap::Args;
 
 #[derive(Args)]
-#[command(about = "The figures of Meng et al. 2023 from hil-configs/paper, as PNG and numbers")]
+#[command(
+    about = "The figures of Meng et al. 2023 from hil-configs/paper, as PNG and numbers",
+    after_help = ladder::ABOUT
+)]
 pub(crate) struct Arguments {
     /// 6: footprints of stop-and-hop and polyline, and the propagation distance; 7: incidence and direction of arrival in the polyline's
     /// footprint; 10: single-beam side-scan at 3 and 10 knots, with its gaps; 11: five subarrays at 10 knots, conventional beams and dynamic
-    /// focus; 17: the lake with its bridge piers; 18: the same with a deviation of the motion; all: all of these. The script tools/paper
-    /// also makes 12 to 16, the simplified seabeds, by the short form of tools/ladder
-    #[arg(value_parser = ["6", "7", "10", "11", "17", "18", "all"])]
+    /// focus; 12 to 16: the simplified seabeds, one measurement; 17: the lake with its bridge piers; 18: the same with a deviation of the
+    /// motion; all: all but 12 to 16
+    #[arg(value_parser = ["6", "7", "10", "11", "12", "13", "14", "15", "16", "17", "18", "all"])]
     figure: String,
     /// Folder for PNG and JSON
     #[arg(long, default_value = "out/paper")]
     out: PathBuf,
+    #[command(flatten)]
+    seabeds: ladder::Options,
 }
 
 pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
@@ -39,7 +45,8 @@ pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
             "10" => single::figure_10(out),
             "11" => beams::figure_11(out),
             "17" => lake::figure_17(out),
-            _ => lake::figure_18(out),
+            "18" => lake::figure_18(out),
+            _ => ladder::figure(&given.seabeds, &out.join(format!("fig{name}.png"))),
         };
         let numbers = done.map_err(|error| format!("figure {name}: {error}"))?;
         let file = out.join(format!("fig{name}.json"));

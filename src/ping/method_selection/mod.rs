@@ -53,7 +53,7 @@ const ENGINE_MARGIN: f64 = 3.0;
 /// ... but of its tolerance `gridded-1d` leaves no more than this: three tenths were measured at most in 151 pings of 200 random rigs in which its error
 /// was the greater part, with a receiver filter and without.
 const KEPT_BY_ONE: f64 = 0.4;
-/// And `gridded-2d` all of it: it keeps its tolerance in noise, to 0.8 in the worst of 112 answers of `tools/sweep` but one.
+/// And `gridded-2d` all of it: it keeps its tolerance in noise, to 0.8 in the worst of 112 answers of `tools/accuracy sweep` but one.
 const KEPT_BY_LINES: f64 = 1.0;
 /// What `gridded-2d` foresees knows nothing of the series that carry Doppler: 1.4 to 3.9 times as much was measured with it, with lines of 8 and 96
 /// elements at tolerances of 8e-3 to 2e-3. Nor does it know how long slabs are and how few elements share a stretch: pings took 0.1 to 8 times as long as

@@ -28,8 +28,8 @@ use echotank_ping::threads::pool;
 use glam::DVec3;
 use num_complex::Complex64;
 
-use super::report::Report;
 use crate::draw::Chance;
+use crate::report::Report;
 use echotank_testing::echo as rig;
 
 const C: f64 = rig::C;
@@ -331,7 +331,7 @@ pub(crate) fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
     ] {
         together(synthesis, scatterers, tolerance, pings, &mut report)?;
     }
-    report.keep(json)
+    report.finish(json)
 }
 
 /// Synthesises echoes on one core and forms focused beams on another, ping after ping.

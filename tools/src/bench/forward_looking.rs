@@ -17,8 +17,8 @@ use echotank_synthesis::array::gridded::transform::{Transform1d, Workspace};
 use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
 
-use super::report::Report;
 use crate::draw::Chance;
+use crate::report::Report;
 
 const BEAMS: usize = 512;
 const RAYS: usize = 114;

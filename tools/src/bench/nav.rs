@@ -14,7 +14,7 @@ use echotank_nav::NavDecoder;
 use echotank_nav::stamp::split_line;
 use glam::DVec3;
 
-use super::report::Report;
+use crate::report::Report;
 
 /// Rounds; the fastest and the median are printed.
 const ROUNDS: usize = 7;
@@ -119,7 +119,7 @@ pub(crate) fn run(
             ours.median_per_s / theirs.median_per_s
         );
     }
-    report.keep(json)
+    report.finish(json)
 }
 
 struct Rounds {

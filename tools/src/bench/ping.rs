@@ -10,7 +10,7 @@ use echotank_config as config;
 use echotank_ping::threads::pool;
 use echotank_testing::pings::LoggedPings;
 
-use super::report::Report;
+use crate::report::Report;
 
 /// Untimed first pings, in which buffers grow and tiles are generated.
 const WARM_UP: usize = 5;
@@ -51,7 +51,7 @@ pub(crate) fn run(file: &Path, quick: bool, json: Option<&Path>) -> Result<(), S
         });
         report.row(&line, kept);
     }
-    report.keep(json)
+    report.finish(json)
 }
 
 struct Pinged {

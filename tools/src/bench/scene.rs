@@ -73,13 +73,6 @@ impl Scene {
         }
     }
 
-    /// Arrivals at each element.
-    pub(crate) fn chunks(&self, elements: usize) -> Vec<Vec<ArrivalChunk>> {
-        (0..elements)
-            .map(|element| self.chunks_at(elements, element))
-            .collect()
-    }
-
     /// Arrivals at one of `elements`.
     pub(crate) fn chunks_at(&self, elements: usize, element: usize) -> Vec<ArrivalChunk> {
         let mut transmit_leg = TransmitLeg::new();

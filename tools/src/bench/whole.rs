@@ -8,6 +8,7 @@
 use std::sync::Mutex;
 use std::time::Instant;
 
+use clap::Args;
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::model::{DopplerModel, Synthesis};
 use echotank_core::ping::PingPlan;
@@ -18,11 +19,9 @@ use echotank_synthesis::array::{Decimator, Direct};
 use echotank_synthesis::comparison::spectral::Bins;
 use echotank_synthesis::comparison::spectral::Spectral;
 use echotank_synthesis::comparison::spectral::Spectrum;
-use echotank_synthesis::echo::probe::{self, echoes_at, receivable, receivable_ranges_m};
 use echotank_synthesis::echo::{
     LineEchoes, LineWorkspace, TransmitLeg, Window, Workspace, arrivals, doppler_span, insonify,
 };
-use echotank_synthesis::edges::Edges;
 use echotank_synthesis::slabs::{PingElement, SlabDesign};
 use glam::DVec3;
 use num_complex::Complex64;
@@ -30,10 +29,11 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 
-use super::report::Report;
 use super::scene::{ECHOES_S, SOUND_SPEED_M_PER_S, Scene, Shape, WINDOW_S};
 use super::stages::Profile;
 use super::transform::simd_level_named;
+use crate::reference::{Probe, values};
+use crate::report::{Common, Report};
 
 /// Pass band for 30 kHz and the Doppler of 10 m/s over +-60 degrees.
 const RATE_HZ: f64 = 52e3;
@@ -45,7 +45,7 @@ const SAMPLES: usize = 8;
 const MANY: usize = 1_500_000;
 /// Time limits.
 #[derive(Clone, Copy)]
-pub(crate) struct Effort {
+struct Effort {
     /// Methods whose ping takes longer are skipped, core seconds.
     patience_s: f64,
     /// Runs end after this total time, seconds.
@@ -53,13 +53,13 @@ pub(crate) struct Effort {
     max_scatterers: usize,
 }
 
-pub(crate) const FULL: Effort = Effort {
+const FULL: Effort = Effort {
     patience_s: 12.0,
     runs_s: 3.0,
     max_scatterers: usize::MAX,
 };
 
-pub(crate) const QUICK: Effort = Effort {
+const QUICK: Effort = Effort {
     patience_s: 1.0,
     runs_s: 0.2,
     max_scatterers: 50_000,
@@ -268,7 +268,6 @@ impl Ready {
         let mut below = |n: usize| (draws.next_u64() % n as u64) as usize;
         let many = scatterers.len() > MANY;
         let (windows, samples) = if many { (4, 4) } else { (WINDOWS, SAMPLES) };
-        let half_span_s = 0.5 * self.filter.dense_len(1) as f64 / self.filter.dense_rate_hz();
         let mut looked: Vec<Looked> = (0..windows)
             .map(|k| {
                 let start = match k {
@@ -284,40 +283,17 @@ impl Ready {
                 }
             })
             .collect();
-        let probes: Vec<probe::Instant> = looked
+        let of = |looked: &Looked, sample: usize| Probe {
+            transmit,
+            array: &self.array,
+            element: looked.element,
+            sample,
+        };
+        let probes: Vec<Probe> = looked
             .iter()
-            .flat_map(|l| l.samples.iter().map(|s| (l.element, s.0)))
-            .map(|(element, sample)| probe::Instant {
-                element,
-                time_s: plan.first_sample_s + sample as f64 / RATE_HZ,
-                half_span_s,
-            })
+            .flat_map(|l| l.samples.iter().map(move |s| of(l, s.0)))
             .collect();
-        let ranges: Vec<_> = probes
-            .iter()
-            .map(|at| receivable_ranges_m(plan, transmit, &self.array, *at))
-            .collect();
-        let mut candidates = Vec::new();
-        receivable(plan, scatterers, &ranges, &mut candidates);
-        let values: Vec<Complex64> = probes
-            .par_iter()
-            .enumerate()
-            .map(|(k, &at)| {
-                let mut dense = vec![Complex64::ZERO; self.filter.dense_len(1)];
-                let first_s = self.filter.dense_first_s(at.time_s);
-                let mut sink = Direct::new(plan, self.filter.dense_rate_hz(), first_s, &mut dense)
-                    .with_edges(Edges::Weighted);
-                let indices = candidates
-                    .iter()
-                    .filter(|(_, mask)| mask >> k & 1 == 1)
-                    .map(|(i, _)| *i as usize);
-                let Self { array, .. } = self;
-                echoes_at(plan, transmit, array, at, scatterers, indices, &mut sink);
-                let mut want = [Complex64::ZERO];
-                self.filter.apply(&dense, &mut want);
-                want[0]
-            })
-            .collect();
+        let values = values(plan, scatterers, Some(&self.filter), RATE_HZ, &probes);
         let all = looked.iter_mut().flat_map(|l| &mut l.samples);
         all.zip(values).for_each(|(sample, value)| sample.1 = value);
         looked
@@ -410,31 +386,40 @@ fn direct(ready: &mut Ready) -> Outcome {
     let greatest = 2.0 * ready.ping.velocity_m_per_s.length() / SOUND_SPEED_M_PER_S;
     let doppler_hz = greatest * plan.pulse.center_frequency_hz;
     let filter = Decimator::new(&plan.pulse, RATE_HZ, doppler_hz, own).expect("as above");
+    let took = timed_elements(ready, &plan, |this, transmit_leg, element, out| {
+        let mut dense = vec![Complex64::ZERO; filter.dense_len(plan.sample_count)];
+        let first_s = filter.dense_first_s(0.0);
+        let mut sink = Direct::new(&plan, filter.dense_rate_hz(), first_s, &mut dense);
+        let mut work = Workspace::new();
+        arrivals(
+            &plan,
+            &this.array,
+            element,
+            transmit_leg,
+            &mut work,
+            &mut sink,
+        );
+        filter.apply(&dense, out);
+    });
+    Ok((took, plan.model.doppler.name().into()))
+}
+
+/// Times whole pings, element by element.
+fn timed_elements(
+    ready: &mut Ready,
+    plan: &PingPlan,
+    element: impl Fn(&Ready, &TransmitLeg, usize, &mut [Complex64]) + Sync,
+) -> Took {
     let mut transmit_leg = TransmitLeg::new();
     let mut iq = std::mem::take(&mut ready.iq);
     let this = &*ready;
     let took = timed(this.effort, || {
-        this.light(&plan, &mut transmit_leg);
-        iq.par_chunks_mut(plan.sample_count)
-            .enumerate()
-            .for_each(|(element, out)| {
-                let mut dense = vec![Complex64::ZERO; filter.dense_len(plan.sample_count)];
-                let first_s = filter.dense_first_s(0.0);
-                let mut sink = Direct::new(&plan, filter.dense_rate_hz(), first_s, &mut dense);
-                let mut work = Workspace::new();
-                arrivals(
-                    &plan,
-                    &this.array,
-                    element,
-                    &transmit_leg,
-                    &mut work,
-                    &mut sink,
-                );
-                filter.apply(&dense, out);
-            });
+        this.light(plan, &mut transmit_leg);
+        let elements = iq.par_chunks_mut(plan.sample_count).enumerate();
+        elements.for_each(|(k, out)| element(this, &transmit_leg, k, out));
     });
     ready.iq = iq;
-    Ok((took, plan.model.doppler.name().into()))
+    took
 }
 
 /// The paper's sum on its frequency grid; valid only for a sonar at rest.
@@ -451,29 +436,20 @@ fn spectral(ready: &mut Ready) -> Outcome {
     let record_s = WINDOW_S + plan.pulse.duration_s + tails_s;
     let mut spectrum = Spectrum::new(RATE_HZ, record_s, None, Some(&ready.filter));
     spectrum.prepare(&plan);
-    let mut transmit_leg = TransmitLeg::new();
-    let mut iq = std::mem::take(&mut ready.iq);
-    let this = &*ready;
-    let took = timed(this.effort, || {
-        this.light(&plan, &mut transmit_leg);
-        iq.par_chunks_mut(plan.sample_count)
-            .enumerate()
-            .for_each(|(element, out)| {
-                let mut bins = Bins::default();
-                let mut sink = Spectral::new(&plan, &spectrum, plan.first_sample_s, &mut bins);
-                let mut work = Workspace::new();
-                arrivals(
-                    &plan,
-                    &this.array,
-                    element,
-                    &transmit_leg,
-                    &mut work,
-                    &mut sink,
-                );
-                sink.finish(out);
-            });
+    let took = timed_elements(ready, &plan, |this, transmit_leg, element, out| {
+        let mut bins = Bins::default();
+        let mut sink = Spectral::new(&plan, &spectrum, plan.first_sample_s, &mut bins);
+        let mut work = Workspace::new();
+        arrivals(
+            &plan,
+            &this.array,
+            element,
+            transmit_leg,
+            &mut work,
+            &mut sink,
+        );
+        sink.finish(out);
     });
-    ready.iq = iq;
     Ok((took, plan.model.doppler.name().into()))
 }
 
@@ -604,20 +580,31 @@ fn gridded_2d(ready: &mut Ready, simd_level: SimdLevel, stages: bool) -> Outcome
     ))
 }
 
-/// What to run: SIMD levels by name, numbers of threads, part of a ping's label.
-pub(crate) struct Selection<'a> {
-    pub(crate) only: &'a str,
-    /// None: all methods.
-    pub(crate) method: Option<&'a str>,
-    pub(crate) simd_levels: &'a [String],
-    pub(crate) threads: &'a [usize],
-    pub(crate) effort: Effort,
-    /// Print the stage times of `gridded-2d`.
-    pub(crate) stages: bool,
+/// What to run.
+#[derive(Args)]
+pub(crate) struct Selection {
+    #[command(flatten)]
+    pub(crate) common: Common,
+    /// Only whole pings whose name, elements, scatterers, sector, velocity and tolerance contain this ("line 256 1000000 15 5 0.3").
+    /// Default: all, and the other tables.
+    #[arg(long)]
+    pub(crate) only: Option<String>,
+    /// Only this method for whole pings: direct, spectral, gridded-1d, gridded-2d.
+    #[arg(long)]
+    method: Option<String>,
+    /// SIMD level: best, portable, avx2, avx512.
+    #[arg(long, value_delimiter = ',', default_value = "best")]
+    simd_levels: Vec<String>,
+    #[arg(long, value_delimiter = ',', default_values_t = [1, 2])]
+    pub(crate) threads: Vec<usize>,
+    /// Print the time of gridded-2d stage by stage.
+    #[arg(long)]
+    stages: bool,
 }
 
 /// Prints and records one line per ping, method, SIMD level and number of threads.
 pub(crate) fn run(selection: &Selection, report: &mut Report) -> Result<(), String> {
+    let effort = if selection.common.quick { QUICK } else { FULL };
     println!(
         "whole pings: 400 kHz, 30 kHz, 5 ms, 36..150 m, {:.0} kHz samples; transmit leg, sonar equation, Doppler, templates, filter, samples",
         RATE_HZ * 1e-3
@@ -640,12 +627,12 @@ pub(crate) fn run(selection: &Selection, report: &mut Report) -> Result<(), Stri
         "M/s"
     );
     for ping in PINGS {
-        let label = ping.label();
-        if !label.contains(selection.only) || ping.scatterers > selection.effort.max_scatterers {
+        let only = selection.only.as_deref().unwrap_or("");
+        if !ping.label().contains(only) || ping.scatterers > effort.max_scatterers {
             continue;
         }
-        let mut ready = Ready::new(ping, selection.effort);
-        for &threads in selection.threads {
+        let mut ready = Ready::new(ping, effort);
+        for &threads in &selection.threads {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
             pool.map_err(|e| e.to_string())?
                 .install(|| one(&mut ready, threads, selection, report))?;
@@ -661,7 +648,12 @@ fn one(
     report: &mut Report,
 ) -> Result<(), String> {
     let ping = ready.ping;
-    let wanted = |method: &str| selection.method.is_none_or(|name| name == method);
+    let wanted = |method: &str| {
+        selection
+            .method
+            .as_deref()
+            .is_none_or(|name| name == method)
+    };
     for (k, name) in selection.simd_levels.iter().enumerate() {
         let simd_level = simd_level_named(name)?;
         let mut methods: Vec<(&str, Outcome, Error)> = Vec::new();

@@ -1,15 +1,12 @@
-//! Records per second: encoding rate of each protocol family, and a load of two fast topsides and a slow one.
+//! Records per second: encoding rate of each protocol family. `tools/soak --load` delivers to several topsides.
 //!
 //! Timed: from frames to whole records in their buffers, one thread. Error: the worst of the samples read back, over full scale (7k, XTF)
-//! or over the largest of the message (JSF). The load is 256 elements and beams of 2000 samples at 20 pings/s: 7038 and 7018, 82 MB/s to
-//! each of two readers, while a third reads one byte per second.
+//! or over the largest of the message (JSF).
 
-use std::io::{Read, Write};
-use std::net::{Ipv4Addr, TcpStream};
+use std::net::Ipv4Addr;
 use std::path::Path;
 use std::sync::Arc;
-use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use echotank_config::spec::{
     JsfChannels, JsfFormat, JsfSpec, PingDevice, PingProtocolSpec, SonarSpec, Vita49Spec, XtfSpec,
@@ -26,22 +23,18 @@ use echotank_emit::vita49::Vita49Emitter;
 use echotank_emit::wbms::{Device as WbmsDevice, Wanted, WbmsEmitter};
 use echotank_emit::xtf::XtfEmitter;
 use echotank_protocols::jsf::{Message, SonarData80, message_type};
+use echotank_protocols::sevenk::Record;
 use echotank_protocols::sevenk::records::RawIq7038;
-use echotank_protocols::sevenk::{Command, Record};
 use echotank_protocols::vita49::{Packet, PacketType, complex_samples};
-use echotank_runtime::io::sonar::client::SevenKClient;
-use echotank_runtime::io::sonar::start_sevenk;
-use echotank_runtime::io::sonar::verify::Verifier;
 
-use super::report::Report;
+use crate::report::Report;
 use echotank_testing::wire::{
-    ABSORPTION_DB_PER_M, FULL_SCALE_V, SOUND_M_PER_S, TRANSMIT_UTC, command, large_output,
-    large_sonar, output_spec, plan, store,
+    ABSORPTION_DB_PER_M, FULL_SCALE_V, SOUND_M_PER_S, TRANSMIT_UTC, large_output, large_sonar,
+    output_spec, plan,
 };
 
 const ELEMENTS: usize = 256;
 const SAMPLES: usize = 2000;
-const PINGS_PER_S: u32 = 20;
 
 fn large() -> SonarSpec {
     large_sonar(ELEMENTS)
@@ -84,8 +77,8 @@ fn gb_per_s(while_s: f64, mut encode: impl FnMut() -> usize) -> f64 {
     best
 }
 
-/// Prints and records a line per family, and one for the load if requested.
-pub(crate) fn run(quick: bool, load_s: Option<u32>, json: Option<&Path>) -> Result<(), String> {
+/// Prints and records a line per family.
+pub(crate) fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
     let mut report = Report::new();
     let while_s = if quick { 0.3 } else { 2.0 };
     let (plan, output) = (plan(1, SAMPLES), frames());
@@ -153,10 +146,7 @@ pub(crate) fn run(quick: bool, load_s: Option<u32>, json: Option<&Path>) -> Resu
     tell("xtf u16", 0.5 / 65_535.0, speed, packets.len());
     devices(while_s, &plan, &output, &mut tell)?;
 
-    if let Some(seconds) = load_s {
-        load(seconds, &output, &mut report)?;
-    }
-    report.keep(json)
+    report.finish(json)
 }
 
 /// VITA 49, WBMS, the Ping protocol, Imagenex 872.
@@ -322,122 +312,4 @@ fn error_80(bytes: &[u8], output: &PingOutput, format: JsfFormat) -> Result<f64,
         .zip(&want)
         .map(|(got, want)| (got - want).abs());
     Ok(off.fold(0.0, f64::max) / largest)
-}
-
-/// Result of one run.
-struct Run {
-    /// Lateness of every delivery, milliseconds, sorted.
-    late_ms: Vec<f64>,
-    /// Records that the two fast readers did not get.
-    lost: u64,
-    /// Whole records that the slow reader missed.
-    dropped: u64,
-}
-
-impl Run {
-    fn at(&self, share: f64) -> f64 {
-        self.late_ms[((self.late_ms.len() - 1) as f64 * share) as usize]
-    }
-    fn figures(&self) -> [f64; 4] {
-        [0.5, 0.99, 0.999, 1.0].map(|share| self.at(share))
-    }
-}
-
-/// Delivers in real time without clients and with three; reports the lateness of deliveries and the records received.
-fn load(seconds: u32, output: &PingOutput, report: &mut Report) -> Result<(), String> {
-    let pings = seconds * PINGS_PER_S;
-    let runs = [
-        deliver(pings, output, false)?,
-        deliver(pings, output, true)?,
-    ];
-    let words = runs.each_ref().map(|run| {
-        let [p50, p99, p999, most] = run.figures();
-        format!("{p50:.3} / {p99:.3} / {p999:.3} / {most:.3}")
-    });
-    let loaded = &runs[1];
-    report.row(
-        &format!(
-            "load: {pings} pings of 7038 and 7018; deliveries late by p50 / p99 / p99.9 / worst, ms: {} without clients, {} with two readers and a third that reads a byte a second; {} records lost by the two; the third missed {} whole records",
-            words[0], words[1], loaded.lost, loaded.dropped
-        ),
-        serde_json::json!({
-            "load_pings": pings, "lost": loaded.lost, "third_missed": loaded.dropped,
-            "late_ms_without": runs[0].figures(), "late_ms_with": runs[1].figures(),
-        }),
-    );
-    Ok(())
-}
-
-fn deliver(pings: u32, output: &PingOutput, has_clients: bool) -> Result<Run, String> {
-    let mut spec = output_spec();
-    spec.arrays = vec![0];
-    spec.client_queue_bytes = 64 << 20;
-    let sheet = sevenk_sheet();
-    let server = start_sevenk(&spec, sheet.clone(), store(), Arc::new(|| TRANSMIT_UTC))
-        .map_err(|e| e.to_string())?;
-    let mut peer = None;
-    let mut readers = Vec::new();
-    if has_clients {
-        let mut third = TcpStream::connect(server.local_addr()).map_err(|e| e.to_string())?;
-        let elements = Command::Subscribe {
-            record_type_ids: vec![7038],
-        };
-        third
-            .write_all(&command(elements, 1))
-            .map_err(|e| e.to_string())?;
-        peer = Some(third.local_addr().map_err(|e| e.to_string())?);
-        thread::spawn(move || {
-            // The thread ends with the program.
-            let mut byte = [0; 1];
-            while matches!(third.read(&mut byte), Ok(1)) {
-                thread::sleep(Duration::from_secs(1));
-            }
-        });
-        for _ in 0..2 {
-            let mut client =
-                SevenKClient::connect(server.local_addr()).map_err(|e| e.to_string())?;
-            client.subscribe(&[7038, 7018]).map_err(|e| e.to_string())?;
-            readers.push(thread::spawn(move || {
-                let mut verifier = Verifier::default();
-                while verifier.tally(7038).received < u64::from(pings) {
-                    match client.next_record(Duration::from_secs(5)) {
-                        Ok(Some(record)) => verifier.note(record.record_type(), record.body()),
-                        _ => break,
-                    };
-                }
-                verifier
-            }));
-        }
-    }
-    let mut emitter = SevenKEmitter::new(sheet, 32);
-    let mut records = Vec::new();
-    let mut late_ms = Vec::new();
-    // Records are encoded in both runs.
-    let wanted = RecordSet::of(&[7018, 7038]);
-    let began = Instant::now();
-    for ping in 1..=pings {
-        records.clear();
-        emitter.emit_ping(&plan(ping, SAMPLES), output, wanted, &mut records);
-        let due = began + Duration::from_secs(1) / PINGS_PER_S * ping;
-        thread::sleep(due.saturating_duration_since(Instant::now()));
-        late_ms.push(due.elapsed().as_secs_f64() * 1e3);
-        server.deliver(&records);
-    }
-    let mut received = Vec::new();
-    for reader in readers {
-        let verifier = reader.join().map_err(|_| "a reader panicked")?;
-        received.extend([7018, 7038].map(|kind| verifier.tally(kind)));
-    }
-    late_ms.sort_by(f64::total_cmp);
-    let clients = server.report().clients;
-    let third = clients.iter().find(|c| Some(c.peer) == peer);
-    let lost = received
-        .iter()
-        .map(|t| u64::from(pings) - (t.received - t.duplicate))
-        .sum();
-    Ok(Run {
-        late_ms,
-        lost,
-        dropped: third.map_or(0, |c| c.counts.records_dropped),
-    })
 }

@@ -10,12 +10,10 @@ use echotank_ping::pipeline::SonarPipeline;
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use super::picture::{self, Grid, Look};
 use super::pings::{self, Heard};
+use super::strip::{CELL_M, Strip};
+use crate::picture::{self, Grid, Look};
 
-const CELL_M: f64 = 0.06;
-const RANGE_M: (f64, f64) = (29.0, 75.0);
-const TRACK_M: (f64, f64) = (0.0, 36.0);
 /// Ranges of the points whose images are measured.
 const POINTS_M: [f64; 6] = [5.0, 10.0, 20.0, 35.0, 50.0, 75.0];
 
@@ -30,7 +28,7 @@ pub(crate) fn figure_11(out: &Path) -> Result<Value, String> {
     }
     let look = Look::of_shares(&[&grids[1]], ColourMap::Copper, 0.05, 0.995);
     let panels: Vec<_> = grids.iter().map(|g| (g, look)).collect();
-    picture::write(&out.join("fig11.png"), &panels)?;
+    picture::write(&out.join("fig11.png"), &[panels])?;
     Ok(json!({
         "figure": "11", "panels": "conventional, dynamic focus; slant range to the right, north up",
         "loss_db": "peak of the beams against the same point's under perfect focus (all subarrays in phase)",
@@ -53,10 +51,7 @@ fn along_m(spec: &RigSpec, heard: &Heard, sine: f64, range_m: f64) -> f64 {
 
 /// Each cell takes the beam that passes nearest.
 fn lay(spec: &RigSpec, heard: &[Heard]) -> Grid {
-    let width = ((RANGE_M.1 - RANGE_M.0) / CELL_M) as usize;
-    let height = ((TRACK_M.1 - TRACK_M.0) / CELL_M) as usize;
-    let mut grid = Grid::new(width, height);
-    let mut nearest = vec![f64::INFINITY; width * height];
+    let mut strip = Strip::new();
     let rate_hz = spec.sonars[0].receiver.sample_rate_hz;
     for ping in heard {
         let fan = &ping.output.beams[0];
@@ -65,8 +60,8 @@ fn lay(spec: &RigSpec, heard: &[Heard]) -> Grid {
         let sample = |range_m: f64| {
             ((2.0 * range_m / c - ping.plan.first_sample_s) * rate_hz).max(0.0) as usize
         };
-        for x in 0..width {
-            let range_m = RANGE_M.0 + (x as f64 + 0.5) * CELL_M;
+        for x in 0..strip.grid.width {
+            let range_m = Strip::range_m(x);
             let samples = sample(range_m - 0.5 * CELL_M)..sample(range_m + 0.5 * CELL_M);
             for (b, angle) in fan.angle_rad.iter().enumerate() {
                 let Some(inside) = fan.beam(b).get(samples.clone()).filter(|s| !s.is_empty())
@@ -76,22 +71,11 @@ fn lay(spec: &RigSpec, heard: &[Heard]) -> Grid {
                 let power = inside.iter().map(|y| y.norm_sqr()).sum::<f64>() / inside.len() as f64;
                 let at_m = along_m(spec, ping, angle.sin(), range_m);
                 let reach_m = (0.75 * step * range_m).max(CELL_M);
-                let top = ((TRACK_M.1 - at_m - reach_m) / CELL_M).max(0.0) as usize;
-                for y in top..height {
-                    let north_m = TRACK_M.1 - (y as f64 + 0.5) * CELL_M;
-                    if north_m < at_m - reach_m {
-                        break;
-                    }
-                    let off_m = (north_m - at_m).abs();
-                    if off_m <= reach_m && off_m < nearest[y * width + x] {
-                        nearest[y * width + x] = off_m;
-                        grid.set(x, y, 10.0 * power.log10() as f32);
-                    }
-                }
+                strip.lay(x, at_m, reach_m, 10.0 * power.log10() as f32);
             }
         }
     }
-    grid
+    strip.grid
 }
 
 /// Images of single points on the boresight plane: peak loss, width, and the strongest false echo.

@@ -8,8 +8,8 @@ use echotank_scene::paper;
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use super::picture::{self, Grid, Look};
 use super::pings;
+use crate::picture::{self, Grid, Look};
 
 const CELL_M: f64 = 0.05;
 const NORTH_M: (f64, f64) = (-6.0, 6.0);
@@ -129,7 +129,7 @@ pub(crate) fn figure_6(out: &Path) -> Result<Value, String> {
     };
     picture::write(
         &out.join("fig6.png"),
-        &[
+        &[vec![
             (
                 &bottom,
                 Look::of_shares(&[&bottom], ColourMap::Rainbow, 0.0, 1.0),
@@ -140,7 +140,7 @@ pub(crate) fn figure_6(out: &Path) -> Result<Value, String> {
                 &path,
                 Look::of_shares(&[&path], ColourMap::Rainbow, 0.0, 1.0),
             ),
-        ],
+        ]],
     )?;
     let rows: Vec<Value> = [20.0, 30.0, 45.0, 60.0, 74.0]
         .into_iter()
@@ -169,7 +169,7 @@ pub(crate) fn figure_7(out: &Path) -> Result<Value, String> {
     let arrival = rig.panel(|s| within(s).then_some(s.arrival_rad.to_degrees()));
     picture::write(
         &out.join("fig7.png"),
-        &[
+        &[vec![
             (
                 &incidence,
                 Look::of_shares(&[&incidence], ColourMap::Rainbow, 0.0, 1.0),
@@ -178,7 +178,7 @@ pub(crate) fn figure_7(out: &Path) -> Result<Value, String> {
                 &arrival,
                 Look::of_shares(&[&arrival], ColourMap::Rainbow, 0.0, 1.0),
             ),
-        ],
+        ]],
     )?;
     let span = |grid: &Grid| {
         grid.level

@@ -7,8 +7,8 @@ use echotank_core::scene::Target;
 use echotank_imaging::image::line::{RangeAxis, mean_intensity};
 use serde_json::{Value, json};
 
-use super::picture::{self, Grid, Look};
 use super::pings::{self, Heard};
+use crate::picture::{self, Grid, Look};
 
 const CELL_M: f64 = 0.1;
 const RANGE_M: f64 = 85.0;
@@ -24,7 +24,7 @@ pub(crate) fn figure_17(out: &Path) -> Result<Value, String> {
     );
     let grid = waterfall(&heard, axis);
     let look = Look::of_shares(&[&grid], ColourMap::Copper, 0.05, 0.998);
-    picture::write(&out.join("fig17.png"), &[(&grid, look)])?;
+    picture::write(&out.join("fig17.png"), &[vec![(&grid, look)]])?;
     Ok(json!({
         "figure": "17", "picture": "slant range to the right, north up", "pings": heard.len(),
         "piers": piers(&heard, axis, &targets).iter().map(|p| json!({
@@ -62,7 +62,7 @@ pub(crate) fn figure_18(out: &Path) -> Result<Value, String> {
     };
     picture::write(
         &out.join("fig18.png"),
-        &[(&curve, black_and_white), (&grid, look)],
+        &[vec![(&curve, black_and_white), (&grid, look)]],
     )?;
     // Displacement of each pier if the image is read as from a straight track.
     let before = piers(&straight, axis, &targets);

@@ -9,13 +9,10 @@ use echotank_ping::pipeline::SonarPipeline;
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use super::picture::{self, Grid, Look};
 use super::pings::{self, Heard};
+use super::strip::{CELL_M, RANGE_M, Strip};
+use crate::picture::{self, Grid, Look};
 
-/// Cell size along the track and in slant range, metres.
-const CELL_M: f64 = 0.06;
-const RANGE_M: (f64, f64) = (29.0, 75.0);
-const TRACK_M: (f64, f64) = (0.0, 36.0);
 /// Ranges searched for the echo between pings.
 const STEPS: usize = 92;
 
@@ -47,7 +44,7 @@ pub(crate) fn figure_10(out: &Path) -> Result<Value, String> {
     let look = Look::of_shares(&[&grids[0]], ColourMap::Copper, 0.05, 0.995);
     picture::write(
         &out.join("fig10.png"),
-        &[(&grids[0], look), (&grids[1], look)],
+        &[vec![(&grids[0], look), (&grids[1], look)]],
     )?;
     Ok(
         json!({ "figure": "10", "panels": "3 knots, 10 knots; slant range to the right, north up", "rows": numbers }),
@@ -56,37 +53,22 @@ pub(crate) fn figure_10(out: &Path) -> Result<Value, String> {
 
 /// Each ping fills its own -3 dB footprint, centred between its transmit and receive positions.
 fn lay(heard: &[Heard], axis: RangeAxis, theta_rad: f64, c: f64) -> Grid {
-    let width = ((RANGE_M.1 - RANGE_M.0) / CELL_M) as usize;
-    let height = ((TRACK_M.1 - TRACK_M.0) / CELL_M) as usize;
-    let mut grid = Grid::new(width, height);
-    let mut nearest = vec![f64::INFINITY; width * height];
+    let mut strip = Strip::new();
     for ping in heard {
         let pose = &ping.plan.nav.pose;
         let line = &ping.output.lines[0].amplitude;
-        for x in 0..width {
-            let range_m = RANGE_M.0 + (x as f64 + 0.5) * CELL_M;
+        for x in 0..strip.grid.width {
+            let range_m = Strip::range_m(x);
             let samples = axis.sample(range_m - 0.5 * CELL_M)..axis.sample(range_m + 0.5 * CELL_M);
             let Some(inside) = line.get(samples).filter(|s| !s.is_empty()) else {
                 continue;
             };
             let power = inside.iter().map(|a| a * a).sum::<f32>() / inside.len() as f32;
             let middle_m = pose.position_m.x + pose.velocity_m_per_s.x * range_m / c;
-            let half_m = 0.5 * theta_rad * range_m;
-            let first = ((TRACK_M.1 - middle_m - half_m) / CELL_M).max(0.0) as usize;
-            for y in first..height {
-                let north_m = TRACK_M.1 - (y as f64 + 0.5) * CELL_M;
-                let off_m = (north_m - middle_m).abs();
-                if north_m < middle_m - half_m {
-                    break;
-                }
-                if off_m <= half_m && off_m < nearest[y * width + x] {
-                    nearest[y * width + x] = off_m;
-                    grid.set(x, y, 10.0 * power.log10());
-                }
-            }
+            strip.lay(x, middle_m, 0.5 * theta_rad * range_m, 10.0 * power.log10());
         }
     }
-    grid
+    strip.grid
 }
 
 /// Range up to which the image has gaps: the farthest column with more than one empty cell in a hundred (rows at the ends excluded).

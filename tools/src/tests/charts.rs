@@ -2,7 +2,7 @@
 
 use echotank_runtime::chart::{ChartOptions, measure};
 
-use crate::rigs::case;
+use crate::accuracy::rigs::case;
 
 #[test]
 fn a_chart_has_one_selected_method_and_a_pareto_front() {

@@ -3,7 +3,6 @@
 mod parts;
 
 use std::f64::consts::TAU;
-use std::fmt::Write;
 use std::path::Path;
 
 use echotank_config::spec::{Density, RigSpec};
@@ -20,9 +19,11 @@ use echotank_runtime::recorded::RecordedRig;
 use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
-use crate::rigs::case;
-use crate::rigs::measure::measure;
-use echotank_testing::track::{ALONG_TRACK, COLUMNS};
+use crate::accuracy::rigs::case;
+use crate::accuracy::rigs::measure::measure;
+use echotank_ping::PingOrder;
+use echotank_ping::rig::PingSlot;
+use echotank_testing::track::{ALONG_TRACK, rows};
 
 const C: f64 = 1500.0;
 const CARRIER_HZ: f64 = 400e3;
@@ -41,11 +42,7 @@ fn rig(folder: &Path, angle_deg: f64, focused: bool, model: &str) -> RigSpec {
         RANGE_M * sin
     );
     std::fs::write(folder.join("points.csv"), point).expect("write");
-    let mut track = String::from(COLUMNS);
-    for k in 0..20 {
-        let _ = writeln!(track, "{:.1},0,0,5,0,0,0", 1_793_611_200.0 + 0.1 * k as f64);
-    }
-    std::fs::write(folder.join("track.csv"), track).expect("write");
+    at_speed(folder, |_| 0.0);
     let pattern = |prefix: &str| match focused {
         true => format!(
             "{prefix}pattern = \"rectangle\"\n{prefix}length_m = {APERTURE_M}\n{prefix}width_m = 0.0\n"
@@ -260,7 +257,7 @@ fn slow_or_tolerant_sonars_get_cheap_models_and_ten_knots_at_1e_4_does_not() {
     );
 }
 
-/// `tools/rigs` is the long form.
+/// `tools/accuracy rigs` is the long form.
 #[test]
 fn on_small_random_rigs_the_predicted_error_is_an_upper_bound() {
     let costs = Costs::committed();
@@ -352,38 +349,45 @@ fn every_configurations_selection_meets_its_tolerance() {
     });
 }
 
+/// Writes a track of 28 s: the position along it, metres, of its seconds.
+fn at_speed(folder: &Path, north_m: impl Fn(f64) -> f64) {
+    let track = rows(280, 0.1, |t_s| [north_m(t_s), 0.0, 5.0, 0.0, 0.0, 0.0]);
+    std::fs::write(folder.join("track.csv"), track).expect("write");
+}
+
+/// Makes the first pings of the first sonar, and passes each on.
+fn each_ping(
+    recorded: &mut RecordedRig,
+    spec: &RigSpec,
+    pings: u32,
+    mut then: impl FnMut(&mut RecordedRig, &PingOrder, &PingSlot),
+) {
+    let mut slot = recorded.rig.slot(0);
+    while let Some((sonar, order)) = recorded.next_order(pings) {
+        assert!(recorded.settle(sonar, &order), "the track is long enough");
+        let (rig, mode) = (&mut recorded.rig, spec.nav.mode);
+        echotank_ping::make_ping(rig, sonar, &order, mode, UtcNs(0), &mut slot).expect("no gap");
+        then(recorded, &order, &slot);
+    }
+}
+
 /// At rest, and moving from 4 s on: (ping number, selection) of every ping, and a checksum of its samples.
 fn voyage(threads: usize) -> Vec<(u32, u32, u64)> {
     let folder = tempfile::tempdir().expect("folder");
     let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\ntolerance = 1e-2";
     let spec = rig(folder.path(), 60.0, false, model);
-    let mut track = String::from(COLUMNS);
-    for k in 0..280 {
-        let t_s = 0.1 * k as f64;
-        let _ = writeln!(
-            track,
-            "{:.1},{:.6},0,5,0,0,0",
-            1_793_611_200.0 + t_s,
-            0.5 * (t_s - 4.0f64).max(0.0)
-        );
-    }
-    std::fs::write(folder.path().join("track.csv"), track).expect("write");
+    at_speed(folder.path(), |t_s| 0.5 * (t_s - 4.0).max(0.0));
     pool(threads).expect("threads").install(|| {
         let mut recorded = RecordedRig::open(&spec).expect("opens");
-        let mut slot = recorded.rig.slot(0);
         let mut seen = Vec::new();
-        while let Some((sonar, order)) = recorded.next_order(45) {
-            assert!(recorded.settle(sonar, &order), "the track is long enough");
-            let mode = spec.nav.mode;
-            echotank_ping::make_ping(&mut recorded.rig, sonar, &order, mode, UtcNs(0), &mut slot)
-                .expect("no gap");
+        each_ping(&mut recorded, &spec, 45, |_, order, slot| {
             let plan = slot.output.methods.expect("a plan").plan;
             let bits = slot.output.elements[0].iq.iter().fold(0u64, |sum, x| {
                 sum.wrapping_mul(31)
                     .wrapping_add(x.re.to_bits() ^ x.im.to_bits().rotate_left(7))
             });
             seen.push((order.ping_number, plan, bits));
-        }
+        });
         seen
     })
 }
@@ -406,33 +410,11 @@ fn a_failed_error_check_selects_costlier_methods() {
     let folder = tempfile::tempdir().expect("folder");
     let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\ntolerance = 1e-2";
     let spec = rig(folder.path(), 60.0, false, model);
-    let mut track = String::from(COLUMNS);
-    for k in 0..200 {
-        let t_s = 0.1 * k as f64;
-        let _ = writeln!(
-            track,
-            "{:.1},{:.6},0,5,0,0,0",
-            1_793_611_200.0 + t_s,
-            0.5 * t_s
-        );
-    }
-    std::fs::write(folder.path().join("track.csv"), track).expect("write");
+    at_speed(folder.path(), |t_s| 0.5 * t_s);
     let marks: Vec<_> = pool(1).expect("threads").install(|| {
         let mut recorded = RecordedRig::open(&spec).expect("opens");
-        let mut slot = recorded.rig.slot(0);
         let mut marks = Vec::new();
-        while let Some((sonar, order)) = recorded.next_order(16) {
-            assert!(recorded.settle(sonar, &order), "the track is long enough");
-            let mode = spec.nav.mode;
-            let made = echotank_ping::make_ping(
-                &mut recorded.rig,
-                sonar,
-                &order,
-                mode,
-                UtcNs(0),
-                &mut slot,
-            );
-            made.expect("no gap");
+        each_ping(&mut recorded, &spec, 16, |recorded, order, slot| {
             marks.push(slot.output.methods.expect("a plan"));
             if order.ping_number == 3 {
                 let scatterers = recorded.rig.scatterers().clone();
@@ -448,7 +430,7 @@ fn a_failed_error_check_selects_costlier_methods() {
                 planner.after(&slot.plan, &scatterers, Some(&failed));
                 assert_eq!(planner.counts.given_up, 1);
             }
-        }
+        });
         marks
     });
     // 2 Hz and 4 s: ping 11.

@@ -1,9 +1,6 @@
 //! Limits of the methods, tested on both sides: no NaN, no panic, no error above its prediction, no selection inside a failing region. A
-//! short pulse and two elements; `tools/atlas` is the long form.
+//! short pulse and two elements; `tools/accuracy atlas` is the long form.
 
-use std::f64::consts::TAU;
-
-use echotank_core::geodesy::LocalTangentPlane;
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_ping::threads::pool;
@@ -12,9 +9,10 @@ use echotank_scene::simplify::{Method, Selection, Settings, Weights};
 use glam::DVec3;
 use num_complex::Complex64;
 
-use crate::atlas::measure::{Bench, Column, DOPPLERS, Outcome, SUMS};
-use crate::atlas::regimes::{ALL, Regime};
-use crate::atlas::spot::{Base, Size};
+use crate::accuracy::atlas::measure::{Bench, Column, DOPPLERS, Outcome, SUMS};
+use crate::accuracy::atlas::regimes::{ALL, Regime};
+use crate::accuracy::atlas::small::place_error_m;
+use crate::accuracy::atlas::spot::{Base, Size};
 
 /// All columns of the tests of one regime, by their values.
 struct Swept(&'static Regime, Vec<(f64, Column)>);
@@ -212,16 +210,8 @@ fn no_sonar_gives_an_undetected_error() {
 fn places_come_back_over_poles_and_antimeridian() {
     for latitude_deg in [0.0, 60.0, 89.9999, 90.0, -90.0] {
         for longitude_deg in [0.0f64, 179.99999, -180.0] {
-            let plane =
-                LocalTangentPlane::new(f64::to_radians(latitude_deg), longitude_deg.to_radians());
-            for k in 0..8 {
-                let (sin, cos) = (TAU * f64::from(k) / 8.0).sin_cos();
-                let (want_n, want_e) = (1000.0 * cos, 1000.0 * sin);
-                let (latitude, longitude) = plane.geodetic_rad(want_n, want_e);
-                let (got_n, got_e) = plane.local_m(latitude, longitude);
-                let off_m = (got_n - want_n).hypot(got_e - want_e);
-                assert!(off_m < 1e-6, "{latitude_deg} {longitude_deg}: {off_m} m");
-            }
+            let off_m = place_error_m(latitude_deg, longitude_deg);
+            assert!(off_m < 1e-6, "{latitude_deg} {longitude_deg}: {off_m} m");
         }
     }
 }

@@ -1,8 +1,8 @@
-//! The paper's simplification levels in short; `tools/ladder` is the long form.
+//! The paper's simplification levels in short; `tools/paper 12` is the long form.
 
-use crate::ladder::measure::{Figures, Ladder, Once, POINT_COUNTS, Simplifier};
+use crate::paper::ladder::measure::{Figures, Ladder, Once, POINT_COUNTS, Simplifier};
 
-/// 4 pings and 2 seeds; `tools/ladder` has 48 and 64.
+/// 4 pings and 2 seeds; `tools/paper 12` has 48 and 64.
 #[test]
 fn simplification_levels_match_the_paper_in_short() {
     let rows = Ladder::new(4).measure(2);

@@ -1,7 +1,7 @@
-//! Bottom detection through the whole pipeline: navigation, scene, echoes, elements, beams. `tools/soundings` is the long form, with a
+//! Bottom detection through the whole pipeline: navigation, scene, echoes, elements, beams. `tools/accuracy soundings` is the long form, with a
 //! slope, a survey and a swell.
 
-use crate::soundings::measure::{Case, Soundings, agreement, measure, spec};
+use crate::accuracy::soundings::measure::{Case, Soundings, agreement, measure, spec};
 
 /// A short line: beams of 2.4 degrees instead of 0.8.
 const ELEMENTS: usize = 48;

@@ -1,30 +1,30 @@
 //! Stored tables of errors, computed again: pass or fail, and two digits.
 
-use crate::errors::table::{Case, METHODS, measure, row};
-use crate::errors::{images, table};
+use crate::accuracy::errors::table::{Case, METHODS, measure};
+use crate::accuracy::errors::{images, table};
 
-fn kept(name: &str) -> String {
-    std::fs::read_to_string(crate::kept(name)).expect("tools/errors --keep writes it")
-}
-
-/// Every fourth row; `tools/errors --keep` makes the whole table.
-#[test]
-fn the_kept_table_of_errors_still_holds() {
-    let kept = kept("errors.txt");
-    assert!(kept.contains(&table::heading()));
-    let rows: Vec<&str> = kept
-        .lines()
-        .filter(|l| l.contains("ass") || l.contains("fail"))
-        .collect();
-    let rows = &rows[rows.len() - table::cases().len()..];
+/// Compares every fourth of the last rows of a kept table; `tools/accuracy errors --keep` makes all.
+fn holds<C>(name: &str, heading: &str, cases: Vec<C>, row: impl Fn(C) -> String) {
+    let kept = std::fs::read_to_string(crate::report::kept(name)).expect("a kept table");
+    assert!(kept.contains(heading));
+    let rows: Vec<&str> = kept.lines().collect();
+    let rows = &rows[rows.len() - cases.len()..];
     let mut different = Vec::new();
-    for (case, kept) in table::cases().into_iter().zip(rows).step_by(4) {
+    for (case, kept) in cases.into_iter().zip(rows).step_by(4) {
         let got = row(case);
         if got != *kept {
             different.push(format!("kept {kept}\ngot  {got}"));
         }
     }
     assert!(different.is_empty(), "{}", different.join("\n"));
+}
+
+#[test]
+fn the_kept_tables_of_errors_still_hold() {
+    let samples = |case| table::row(case, &METHODS.each_ref().map(|m| measure(m, case)));
+    holds("errors.txt", &table::heading(), table::cases(), samples);
+    let pictures = |case: (f64, f64)| images::row(case, &images::measure(case.0, case.1));
+    holds("images.txt", &images::heading(), images::cases(), pictures);
 }
 
 /// The design's own figures: 5.144 m/s (10 knots), 250 m, 60 degrees from the track, closing.
@@ -50,24 +50,6 @@ fn eq_21_is_worse_than_no_motion_and_only_stretch_follows_the_samples() {
     // Only a stretched pulse correlates with the samples.
     assert!(errors[..3].iter().all(|e| e.1.1 > 1.0), "{errors:?}");
     assert!(errors[3].1.1 < 3e-3 && errors[4].1.1 < 1e-5, "{errors:?}");
-}
-
-/// Every fourth row.
-#[test]
-fn the_kept_table_of_pictures_still_holds() {
-    let kept = kept("images.txt");
-    assert!(kept.contains(&images::heading()));
-    let cases = images::cases();
-    let rows: Vec<&str> = kept.lines().collect();
-    let rows = &rows[rows.len() - cases.len()..];
-    let mut different = Vec::new();
-    for (case, kept) in cases.into_iter().zip(rows).step_by(4) {
-        let got = images::row(case);
-        if got != *kept {
-            different.push(format!("kept {kept}\ngot  {got}"));
-        }
-    }
-    assert!(different.is_empty(), "{}", different.join("\n"));
 }
 
 /// 2.572 m/s (5 knots), 75 m: two tolerances, two numbers.

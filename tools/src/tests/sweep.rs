@@ -1,10 +1,11 @@
 //! Tolerances in short: every method that answers meets the requested tolerance in every window, with noise 55 dB below the strongest.
-//! `tools/sweep` is the long form.
+//! `tools/accuracy sweep` is the long form.
 
-use crate::sweep::case::{self, MOTIONS, SCENES};
-use crate::sweep::measure::{self, worst_window};
-use crate::sweep::methods::{Method, Reason};
-use crate::sweep::table::{Row, TOLERANCES};
+use crate::accuracy::sweep::case::{self, Case, MOTIONS, SCENES};
+use crate::accuracy::sweep::measure::{self, Truth, worst_window};
+use crate::accuracy::sweep::methods::{Method, Reason};
+use crate::accuracy::sweep::table::{Row, TOLERANCES};
+use echotank_core::model::Synthesis;
 use num_complex::Complex64;
 
 /// Echoes of a case: a few per window, so that it takes seconds.
@@ -56,6 +57,22 @@ fn a_moving_line_meets_its_tolerance() {
     assert!(answers >= 4 + 1 + 3, "{answers}");
 }
 
+/// Checks every answer of a method, in noise and beside its echoes; returns their number.
+fn held(method: Method, case: &Case, truth: &Truth, tolerances: &[f64]) -> usize {
+    let cells = Row::of(method, case, truth, tolerances).cells;
+    for cell in &cells {
+        assert!(
+            cell.holds(|e| e.in_noise) && cell.holds(|e| e.beside),
+            "{}: {:?} asked for {:e}: {}",
+            method.name(),
+            cell.outcome,
+            cell.tolerance,
+            case::describe(case)
+        );
+    }
+    cells.iter().filter(|cell| cell.outcome.is_ok()).count()
+}
+
 /// Random pulse, filter, arrays, ranges and motion. The seeds include past failures: short tapers behind `direct`'s filter (2, 25); a pure
 /// tone without a filter, with a model's phase error at the ends of echoes (9); tones on samples (16); edges that cross the end of the
 /// filter (12); two echoes that begin or end together and almost cancel in a window without others (48, 103, 120); echoes near the null of
@@ -71,20 +88,7 @@ fn random_scenes_meet_their_tolerance_with_noise_floor() {
         };
         let truth = measure::truth(&case);
         for method in Method::of(&case) {
-            for cell in Row::of(method, &case, &truth, &TOLERANCES[..5]).cells {
-                let said = format!(
-                    "{}: {:?} asked for {:e}: {}",
-                    method.name(),
-                    cell.outcome,
-                    cell.tolerance,
-                    case::describe(&case)
-                );
-                answers += usize::from(cell.outcome.is_ok());
-                assert!(
-                    cell.holds(|e| e.in_noise) && cell.holds(|e| e.beside),
-                    "{said}"
-                );
-            }
+            answers += held(method, &case, &truth, &TOLERANCES[..5]);
         }
     }
     println!("{answers} answers");
@@ -100,7 +104,7 @@ fn random_ends_of_echoes_meet_their_tolerance() {
         let case = case::random(seed);
         let (truth, doubt) = measure::truth_within(&case, 2e-7);
         assert!(doubt.in_noise <= 2e-7, "{doubt:?}");
-        for cell in Row::of(Method::Gridded1d, &case, &truth, &[tolerance]).cells {
+        for cell in Row::of(Method(Synthesis::Gridded1d), &case, &truth, &[tolerance]).cells {
             answers += usize::from(cell.outcome.is_ok());
             assert!(
                 cell.holds(|e| e.in_noise),
@@ -127,16 +131,8 @@ fn random_lines_meet_their_tolerance_with_noise_floor() {
             case.looked_at.truncate(1);
         }
         let truth = measure::truth(&case);
-        for cell in Row::of(Method::Gridded2d, &case, &truth, &TOLERANCES[..4]).cells {
-            answers += usize::from(cell.outcome.is_ok());
-            assert!(
-                cell.holds(|e| e.in_noise) && cell.holds(|e| e.beside),
-                "{:?} asked for {:e}: {}",
-                cell.outcome,
-                cell.tolerance,
-                case::describe(&case)
-            );
-        }
+        let method = Method(Synthesis::Gridded2d);
+        answers += held(method, &case, &truth, &TOLERANCES[..4]);
     }
     println!("{answers} answers");
     assert!(answers >= 20, "{answers}");
@@ -152,14 +148,14 @@ fn unreachable_tolerances_are_refused_with_their_cause() {
             Err(refused) => refused,
         }
     };
-    let model = refused(2, Method::Linear, 1e-3);
+    let model = refused(2, Method(Synthesis::Linear), 1e-3);
     assert_eq!(model.by, Reason::Model);
     assert!(
         model.message.contains("none is off by"),
         "{}",
         model.message
     );
-    let sum = refused(0, Method::Direct, 1e-4);
+    let sum = refused(0, Method(Synthesis::Direct), 1e-4);
     assert_eq!(sum.by, Reason::Sum);
     assert!(sum.message.contains("direct is off by"), "{}", sum.message);
 }

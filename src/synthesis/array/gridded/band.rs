@@ -76,7 +76,7 @@ static FADING: LazyLock<Vec<f64>> = LazyLock::new(|| {
 
 /// From this tolerance on, the check stops at twice the sample rate to either side. Beyond that,
 /// the stop band of a receiver filter passes 4e-6 of a window in noise for a sharp tone (random
-/// scene 61 of `tools/sweep`).
+/// scene 61 of `tools/accuracy sweep`).
 const NEAR_TOLERANCE: f64 = 3e-5;
 
 /// Multiples of the sample rate allowed for the band, and the reach of the check to either side of

@@ -8,7 +8,6 @@ use echotank_config::spec::{MadeOutput, RigSpec, SonarSpec};
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::{PingOutput, PingPlan};
 use echotank_core::scene::{ScatterLaw, Scatterers};
-use echotank_core::time::UtcNs;
 use echotank_ping::conditions::conditions;
 use echotank_ping::error_check::worst_window;
 use echotank_ping::method_selection::costs::Costs;
@@ -24,7 +23,8 @@ use echotank_runtime::replay::{Formats, Replay, ReplayOptions};
 use glam::DVec3;
 use num_complex::Complex64;
 
-use echotank_testing::track::{ALONG_TRACK, COLUMNS};
+use super::each_ping;
+use echotank_testing::track::{ALONG_TRACK, rows};
 
 /// A side-scan with a line on either side, moving at 2 m/s, rolling and yawing.
 #[derive(Clone, Copy)]
@@ -147,20 +147,18 @@ starboard = "starboard"
 
     fn open(&self) -> (tempfile::TempDir, RigSpec) {
         let folder = tempfile::tempdir().expect("folder");
-        let mut track = String::from(COLUMNS);
-        for k in 0..200 {
-            let t_s = 0.1 * f64::from(k);
-            let _ = writeln!(
-                track,
-                "{:.1},{:.6},{:.6},3,{:.6},{:.6},{:.6}",
-                1_793_611_200.0 + t_s,
+        let track = rows(200, 0.1, |t_s| {
+            let wave = |rate: f64| (rate * t_s).sin();
+            let pitch = 1.5 * (0.9 * t_s).cos();
+            [
                 2.0 * t_s,
-                0.1 * (0.7 * t_s).sin(),
-                6.0 * (1.1 * t_s).sin(),
-                1.5 * (0.9 * t_s).cos(),
-                2.0 * (0.8 * t_s).sin(),
-            );
-        }
+                0.1 * wave(0.7),
+                3.0,
+                6.0 * wave(1.1),
+                pitch,
+                2.0 * wave(0.8),
+            ]
+        });
         std::fs::write(folder.path().join("track.csv"), track).expect("written");
         let mut points = String::from("north_m,east_m,down_m,amplitude\n");
         for (along_m, east_m, amplitude) in POINTS {
@@ -624,19 +622,8 @@ fn voyage(threads: usize, error_check: &str) -> (Vec<(u32, usize, u64)>, Option<
             let pipeline = &mut recorded.rig.sonars[0].pipeline;
             pipeline.allow_error_checks(f64::INFINITY);
         }
-        let mut slot = recorded.rig.slot(0);
         let (mut seen, mut error) = (Vec::new(), None);
-        while let Some((sonar, order)) = recorded.next_order(4) {
-            assert!(recorded.settle(sonar, &order), "the track is long enough");
-            let made = echotank_ping::make_ping(
-                &mut recorded.rig,
-                sonar,
-                &order,
-                spec.nav.mode,
-                UtcNs(0),
-                &mut slot,
-            );
-            made.expect("no gap");
+        each_ping(&mut recorded, &spec, 4, |_, _, slot| {
             let mark = slot.output.methods.expect("a plan");
             let amplitudes = slot.output.lines.iter().flat_map(|line| &line.amplitude);
             let bits = amplitudes.fold(0u64, |sum, a| {
@@ -644,7 +631,7 @@ fn voyage(threads: usize, error_check: &str) -> (Vec<(u32, usize, u64)>, Option<
             });
             seen.push((mark.plan, mark.part_elements, bits));
             error = slot.output.error_check.map(|c| c.error).or(error);
-        }
+        });
         (seen, error)
     })
 }

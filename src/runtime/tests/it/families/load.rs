@@ -1,4 +1,4 @@
-//! The load of a large multibeam: two topsides that read and one that does not. `tools/bench wire --load` is the long form.
+//! The load of a large multibeam: two topsides that read and one that does not. `tools/soak --load` is the long form.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;

@@ -1,0 +1,262 @@
+//! Reference solutions of pings: the direct sum on the exact trajectory with second-order Doppler, sampled as densely behind the receiver
+//! filter as the reference; where needed, the reference's own equation sample by sample.
+
+use num_complex::Complex64;
+
+use echotank_config::spec::{MediumSpec, SonarSpec};
+use echotank_core::arrays::{ArrayGeometry, ReceiverFilter};
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::ping::{PingOutput, PingPlan};
+use echotank_core::pulse::Pulse;
+use echotank_core::scene::Scatterers;
+use echotank_ping::element_synthesis::FASTEST_PLATFORM_M_PER_S;
+use echotank_ping::pipeline::PipelineError;
+use echotank_synthesis::array::filter::{self, Decimator};
+use echotank_synthesis::array::{Direct, receive};
+use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
+
+use crate::draw::SplitMix as Chance;
+use crate::reference::{Probe, received, values};
+
+/// Windows are a pulse long, but at least this many samples.
+const MIN_WINDOW: usize = 32;
+/// Number of randomly chosen samples per ping.
+const LOOKED_AT: usize = 128;
+/// Number of worst windows computed again by the reference, and of samples in each, evenly spaced.
+const WORST: usize = 4;
+const OF_EACH: usize = 256;
+
+pub(crate) struct Ping<'a> {
+    pub(crate) spec: &'a SonarSpec,
+    pub(crate) medium: &'a MediumSpec,
+    pub(crate) plan: &'a PingPlan,
+    /// Scatterers without culling.
+    pub(crate) everything: &'a Scatterers,
+}
+
+/// Index of a sample of an element.
+#[derive(Clone, Copy)]
+struct Pick {
+    array: usize,
+    element: usize,
+    sample: usize,
+}
+
+/// A window of an element, with its error.
+struct Off {
+    square: f64,
+    array: usize,
+    element: usize,
+    first: usize,
+    /// Energy per sample that the error refers to.
+    against: f64,
+}
+
+pub(crate) struct ReferenceSolution<'a> {
+    ping: &'a Ping<'a>,
+    plan: PingPlan,
+    decimator: Option<Decimator>,
+    /// Samples by array and element.
+    records: Vec<Vec<Vec<Complex64>>>,
+    window: usize,
+}
+
+impl<'a> ReferenceSolution<'a> {
+    pub(crate) fn new(ping: &'a Ping<'a>) -> Result<Self, PipelineError> {
+        let spec = ping.spec;
+        let rate_hz = spec.receiver.sample_rate_hz;
+        let c = ping.medium.sound_speed_m_per_s;
+        let doppler_hz = 2.0 * FASTEST_PLATFORM_M_PER_S / c * spec.pulse.center_frequency_hz;
+        let shortest = Pulse {
+            duration_s: spec.limits.pulse_duration_s.0,
+            ..spec.pulse
+        };
+        let decimator = match spec.receiver.filter {
+            ReceiverFilter::None => None,
+            ReceiverFilter::Fir => {
+                let dense = filter::oversample(&shortest, rate_hz, Synthesis::Reference);
+                Some(Decimator::new(&shortest, rate_hz, doppler_hz, dense)?)
+            }
+        };
+        let mut plan = ping.plan.clone();
+        plan.model.path = PathModel::Continuous;
+        plan.model.doppler = DopplerModel::StretchQuadratic;
+        plan.model.synthesis = Synthesis::Direct;
+        plan.model.cull_db = None;
+        let window = (plan.pulse.duration_s * rate_hz).ceil() as usize;
+        let mut reference = Self {
+            ping,
+            plan,
+            decimator,
+            records: Vec::new(),
+            window: window.max(MIN_WINDOW),
+        };
+        reference.records = reference.sum();
+        Ok(reference)
+    }
+
+    fn sum(&self) -> Vec<Vec<Vec<Complex64>>> {
+        let (plan, spec) = (&self.plan, self.ping.spec);
+        let filter = self.decimator.as_ref();
+        let of_window = (spec.receiver.sample_rate_hz, plan.first_sample_s);
+        let (mut transmit_leg, mut walk) = (TransmitLeg::default(), Workspace::default());
+        let mut record = |index: usize, array: &ArrayGeometry, element: usize| {
+            let mut record = vec![Complex64::ZERO; plan.sample_count];
+            received(
+                filter,
+                of_window,
+                &mut record,
+                |edges, rate_hz, first_s, out| {
+                    if element == 0 {
+                        let tx = &spec.transmit[array.transmit];
+                        let heard = Window::of_samples(first_s, rate_hz, out.len());
+                        insonify(plan, tx, heard, self.ping.everything, &mut transmit_leg);
+                    }
+                    let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
+                    arrivals(plan, array, element, &transmit_leg, &mut walk, &mut sink);
+                },
+            );
+            receive(plan, &spec.receiver, array, index, element, &mut record);
+            record
+        };
+        let arrays = spec.receive.iter().enumerate();
+        arrays
+            .map(|(k, array)| (0..array.elements).map(|e| record(k, array, e)).collect())
+            .collect()
+    }
+
+    pub(crate) fn is_silent(&self) -> bool {
+        let mut samples = self.records.iter().flatten().flatten();
+        samples.all(|x| x.norm_sqr() == 0.0)
+    }
+
+    /// Values of these samples by the reference's equation.
+    fn by_reference(&self, picks: &[Pick]) -> Vec<Complex64> {
+        let (plan, spec) = (&self.plan, self.ping.spec);
+        let probe = |pick: &Pick| {
+            let array = &spec.receive[pick.array];
+            Probe {
+                transmit: &spec.transmit[array.transmit],
+                array,
+                element: pick.element,
+                sample: pick.sample,
+            }
+        };
+        let probes: Vec<Probe> = picks.iter().map(probe).collect();
+        let (filter, rate_hz) = (self.decimator.as_ref(), spec.receiver.sample_rate_hz);
+        let mut values = values(plan, self.ping.everything, filter, rate_hz, &probes);
+        for (pick, value) in picks.iter().zip(&mut values) {
+            let array = &spec.receive[pick.array];
+            let value = std::slice::from_mut(value);
+            receive(plan, &spec.receiver, array, pick.array, pick.element, value);
+        }
+        values
+    }
+
+    /// Energy per sample that a window's error refers to: its own or the ping's mean, whichever is stronger.
+    fn against(&self, array: usize, element: usize, first: usize) -> f64 {
+        let record = &self.records[array][element];
+        let whole: f64 = record.iter().map(|x| x.norm_sqr()).sum();
+        let window = &record[first..(first + self.window).min(record.len())];
+        let loud: f64 = window.iter().map(|x| x.norm_sqr()).sum();
+        loud.max(whole / record.len() as f64 * window.len() as f64)
+    }
+
+    /// Every window of every element, worst first.
+    fn offs(&self, got: &PingOutput) -> Vec<Off> {
+        let mut offs = Vec::new();
+        for (array, (frame, records)) in got.elements.iter().zip(&self.records).enumerate() {
+            for (element, want) in records.iter().enumerate() {
+                let got = frame.element(element).chunks(self.window);
+                let windows = got.zip(want.chunks(self.window)).enumerate();
+                for (k, (got, want)) in windows {
+                    let off = got.iter().zip(want).map(|(g, w)| (g - w).norm_sqr());
+                    let off: f64 = off.sum();
+                    let first = k * self.window;
+                    let against = self.against(array, element, first);
+                    if against > 0.0 {
+                        offs.push(Off {
+                            square: off / against,
+                            array,
+                            element,
+                            first,
+                            against,
+                        });
+                    }
+                }
+            }
+        }
+        // Among equals the stronger window comes first.
+        let louder = |a: &Off, b: &Off| b.against.total_cmp(&a.against);
+        offs.sort_by(|a, b| b.square.total_cmp(&a.square).then(louder(a, b)));
+        offs
+    }
+
+    /// Error of the worst window of any element, by this reference solution.
+    pub(crate) fn worst(&self, got: &PingOutput) -> f64 {
+        self.offs(got).first().map_or(0.0, |off| off.square.sqrt())
+    }
+
+    /// The same by the reference's equation, for the worst windows found here and for random samples.
+    pub(crate) fn worst_by_reference(&self, got: &PingOutput) -> f64 {
+        let mut worst = self.error_check(got);
+        for off in self.offs(got).iter().take(WORST) {
+            let end = (off.first + self.window).min(self.plan.sample_count);
+            let stride = (end - off.first).div_ceil(OF_EACH);
+            let picks: Vec<Pick> = (off.first..end)
+                .step_by(stride)
+                .map(|sample| Pick {
+                    array: off.array,
+                    element: off.element,
+                    sample,
+                })
+                .collect();
+            let record = got.elements[off.array].element(off.element);
+            let want = self.by_reference(&picks);
+            let squares = picks.iter().zip(&want);
+            let sum: f64 = squares
+                .map(|(pick, want)| (record[pick.sample] - want).norm_sqr())
+                .sum();
+            let mean = sum / picks.len() as f64;
+            worst = worst.max((mean * (end - off.first) as f64 / off.against).sqrt());
+        }
+        worst
+    }
+
+    /// Error at random samples, root mean square, of the values that `of` returns, by the reference's equation.
+    fn by_chance(&self, of: impl Fn(&Pick) -> Complex64) -> f64 {
+        let mut chance = Chance::new(u64::from(self.plan.ping_number));
+        let arrays = &self.ping.spec.receive;
+        let picks: Vec<Pick> = (0..LOOKED_AT)
+            .map(|_| {
+                let array = chance.of(arrays.len());
+                Pick {
+                    array,
+                    element: chance.of(arrays[array].elements),
+                    sample: chance.of(self.plan.sample_count),
+                }
+            })
+            .collect();
+        let want = self.by_reference(&picks);
+        let squares = picks.iter().zip(&want).map(|(pick, want)| {
+            let first = pick.sample.saturating_sub(self.window / 2);
+            let length = self.window.min(self.plan.sample_count - first);
+            let against = self.against(pick.array, pick.element, first) / length as f64;
+            match against > 0.0 {
+                true => (of(pick) - want).norm_sqr() / against,
+                false => 0.0,
+            }
+        });
+        (squares.sum::<f64>() / LOOKED_AT as f64).sqrt()
+    }
+
+    /// Error of this reference solution itself.
+    pub(crate) fn own_error(&self) -> f64 {
+        self.by_chance(|pick| self.records[pick.array][pick.element][pick.sample])
+    }
+
+    /// Error of a ping at the same samples.
+    pub(crate) fn error_check(&self, got: &PingOutput) -> f64 {
+        self.by_chance(|pick| got.elements[pick.array].element(pick.element)[pick.sample])
+    }
+}

@@ -1,0 +1,58 @@
+//! The images of one scene side by side, as in Fig. 16.
+
+use std::path::Path;
+
+use echotank_config::spec::ColourMap;
+
+use super::measure::{Ladder, Once, POINT_COUNTS, Pass, Simplifier};
+use crate::picture::{self, Grid, Look};
+
+/// Range samples per pixel, and pixel rows per ping.
+const SAMPLES_PER_PIXEL: usize = 6;
+const ROWS_PER_PING: usize = 3;
+/// Dynamic range of the image, dB.
+const RANGE_DB: f32 = 40.0;
+
+/// Original on top; below it a row per level with columns conventional, acoustic and acoustic-unbiased.
+pub(crate) fn draw(ladder: &Ladder, file: &Path) -> Result<(), String> {
+    let columns = [
+        (Once::Pass, Simplifier::Conventional),
+        (Once::EachPing, Simplifier::Acoustic),
+        (Once::EachPing, Simplifier::Unbiased),
+    ];
+    let original = panel(&ladder.original());
+    let passes = columns.map(|(once, simplifier)| ladder.passes(once, simplifier));
+    let panels: Vec<Vec<Grid>> = (0..POINT_COUNTS.len())
+        .map(|size| passes.iter().map(|pass| panel(&pass[size].0)).collect())
+        .collect();
+    // White is exceeded by 1 % of the original's pixels; the same for all panels.
+    let white = Look::of_shares(&[&original], ColourMap::Grey, 0.0, 0.99);
+    let look = Look {
+        low: white.high - RANGE_DB,
+        ..white
+    };
+    let mut rows = vec![vec![(&original, look)]];
+    rows.extend(
+        panels
+            .iter()
+            .map(|row| row.iter().map(|p| (p, look)).collect()),
+    );
+    picture::write(file, &rows)
+}
+
+/// Mean energy of each pixel, dB; range increases to the right, pings downwards.
+fn panel(pass: &Pass) -> Grid {
+    let (width, height) = (
+        pass.energy[0].len() / SAMPLES_PER_PIXEL,
+        pass.energy.len() * ROWS_PER_PING,
+    );
+    let mut grid = Grid::new(width, height);
+    for y in 0..height {
+        let line = pass.energy[y / ROWS_PER_PING].chunks_exact(SAMPLES_PER_PIXEL);
+        for (x, cells) in line.enumerate() {
+            let mean = cells.iter().sum::<f64>() / cells.len() as f64;
+            grid.set(x, y, 10.0 * mean.max(1e-30).log10() as f32);
+        }
+    }
+    grid
+}

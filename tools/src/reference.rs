@@ -1,0 +1,80 @@
+//! Samples by the reference's equation, through the receiver filter.
+
+use echotank_core::arrays::{ArrayGeometry, TransmitArray};
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::Scatterers;
+use echotank_synthesis::array::{Decimator, Direct};
+use echotank_synthesis::echo::probe::{Instant, echoes_at, receivable, receivable_ranges_m};
+use echotank_synthesis::edges::Edges;
+use num_complex::Complex64;
+use rayon::prelude::*;
+
+/// Instants per search for scatterers, a bit each.
+const AT_ONCE: usize = 64;
+
+/// Samples from `first_s` on of what `sum` adds up. With a filter: sampled as densely as it asks, with weighted edges. `sum` gets edges, rate,
+/// first instant and where to add.
+pub(crate) fn received(
+    filter: Option<&Decimator>,
+    (rate_hz, first_s): (f64, f64),
+    out: &mut [Complex64],
+    sum: impl FnOnce(Edges, f64, f64, &mut [Complex64]),
+) {
+    let Some(filter) = filter else {
+        return sum(Edges::Sampled, rate_hz, first_s, out);
+    };
+    let mut dense = vec![Complex64::ZERO; filter.dense_len(out.len())];
+    let first_s = filter.dense_first_s(first_s);
+    sum(Edges::Weighted, filter.dense_rate_hz(), first_s, &mut dense);
+    filter.apply(&dense, out);
+}
+
+/// A sample of an element.
+pub(crate) struct Probe<'a> {
+    pub(crate) transmit: &'a TransmitArray,
+    pub(crate) array: &'a ArrayGeometry,
+    pub(crate) element: usize,
+    pub(crate) sample: usize,
+}
+
+/// Values of these samples, before the receiver's gain.
+pub(crate) fn values(
+    plan: &PingPlan,
+    scatterers: &Scatterers,
+    filter: Option<&Decimator>,
+    rate_hz: f64,
+    probes: &[Probe],
+) -> Vec<Complex64> {
+    let instant = |probe: &Probe| Instant {
+        element: probe.element,
+        time_s: plan.first_sample_s + probe.sample as f64 / rate_hz,
+        half_span_s: filter.map_or(0.5 / rate_hz, Decimator::half_s),
+    };
+    let mut found = Vec::new();
+    let mut values = Vec::new();
+    for probes in probes.chunks(AT_ONCE) {
+        let range = |p: &Probe| receivable_ranges_m(plan, p.transmit, p.array, instant(p));
+        let ranges: Vec<_> = probes.iter().map(range).collect();
+        receivable(plan, scatterers, &ranges, &mut found);
+        values.par_extend(probes.par_iter().enumerate().map(|(k, probe)| {
+            let at = instant(probe);
+            let of_this = found.iter().filter(|(_, mask)| mask >> k & 1 == 1);
+            let indices = of_this.map(|(i, _)| *i as usize);
+            let mut value = [Complex64::ZERO];
+            received(
+                filter,
+                (rate_hz, at.time_s),
+                &mut value,
+                |edges, rate_hz, first_s, out| {
+                    let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
+                    let Probe {
+                        transmit, array, ..
+                    } = probe;
+                    echoes_at(plan, transmit, array, at, scatterers, indices, &mut sink);
+                },
+            );
+            value[0]
+        }));
+    }
+    values
+}
