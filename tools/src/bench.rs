@@ -27,7 +27,7 @@ pub(crate) struct Arguments {
 enum What {
     /// Synthesis methods: whole pings, a forward-looking ping.
     Echo(whole::Selection),
-    /// Fans of 128 elements, 256 beams and 8000 samples with every beamformer, and focused beams concurrent with echo synthesis.
+    /// Fans of 128 elements, 256 beams and 8000 samples with every beamformer.
     Beams {
         #[command(flatten)]
         common: Common,

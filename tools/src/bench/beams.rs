@@ -10,20 +10,15 @@
 use std::f64::consts::{PI, TAU};
 use std::io::{BufRead, Write};
 use std::path::Path;
-use std::sync::mpsc::sync_channel;
 use std::time::Instant;
 
-use echotank_config as config;
-use echotank_config::spec::{FanForm, FanSpec, Former, Shading, SonarSpec};
+use echotank_config::spec::{FanForm, FanSpec, Former, Shading};
 use echotank_core::arrays::ArrayGeometry;
-use echotank_core::model::{PathModel, Synthesis};
-use echotank_core::ping::{BeamFrame, ElementFrame, PingOutput, PingPlan};
+use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
 use echotank_core::pulse::Pulse;
-use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_imaging::beam::RowLimits;
 use echotank_imaging::beam::fan::Fan;
 use echotank_imaging::beam::matched::MatchedFilter;
-use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::threads::pool;
 use glam::DVec3;
 use num_complex::Complex64;
@@ -290,7 +285,7 @@ const FORMERS: [Former; 5] = [
 /// Products of elements and points, or of beams and samples, of a ping.
 const TERMS: f64 = (ELEMENTS * BEAMS * SAMPLES) as f64;
 
-/// Times every beamformer alone, then the focused fan while another core synthesises echoes.
+/// Times every beamformer.
 pub(crate) fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
     let mut report = Report::new();
     let frame = elements();
@@ -319,172 +314,7 @@ pub(crate) fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
             serde_json::json!({ "former": former.name(), "error": error, "ms_best": best, "ms_median": median, "ms_core": core, "points_per_s": rate * 1e9 }),
         );
     }
-    let pings = if quick { 10 } else { 40 };
-    for (synthesis, scatterers, tolerance) in [
-        (Synthesis::Direct, 2500, 1e-3),
-        (Synthesis::Direct, 5000, 1e-3),
-        (Synthesis::Gridded1d, 5000, 1e-3),
-        (Synthesis::Gridded1d, 5000, 1e-2),
-        (Synthesis::Gridded2d, 5000, 1e-3),
-        (Synthesis::Gridded2d, 100_000, 1e-3),
-        (Synthesis::Gridded2d, 100_000, 1e-2),
-    ] {
-        together(synthesis, scatterers, tolerance, pings, &mut report)?;
-    }
     report.finish(json)
-}
-
-/// Synthesises echoes on one core and forms focused beams on another, ping after ping.
-fn together(
-    synthesis: Synthesis,
-    count: usize,
-    tolerance: f64,
-    pings: usize,
-    report: &mut Report,
-) -> Result<(), String> {
-    let (mut spec, medium) = sonar(synthesis)?;
-    spec.synthesis.tolerance = tolerance;
-    let mut plan = plan();
-    plan.model = spec.model;
-    plan.settings = spec.settings;
-    plan.absorption_db_per_m = 0.05;
-    let velocity = DVec3::X * 2.572;
-    plan.segments[0].velocity_m_per_s = velocity;
-    plan.trajectory =
-        echotank_core::frames::Trajectory::uniform(DVec3::ZERO, velocity, glam::DQuat::IDENTITY);
-    let scatterers = bottom(count);
-    let (synthesiser, former) = (
-        pool(1).map_err(|e| e.to_string())?,
-        pool(1).map_err(|e| e.to_string())?,
-    );
-    // Two frames circulate, so that neither side waits for a buffer.
-    let (filled, take) = sync_channel::<PingOutput>(1);
-    let (back, empty) = sync_channel::<PingOutput>(2);
-    let mut pipeline = synthesiser
-        .install(|| SonarPipeline::new(&spec, &medium))
-        .map_err(|e| e.to_string())?;
-    for _ in 0..2 {
-        back.send(pipeline.blank_output())
-            .map_err(|e| e.to_string())?;
-    }
-    let (mut echo_ms, mut beam_ms) = (Vec::new(), Vec::new());
-    let mut ended = Vec::new();
-    std::thread::scope(|scope| {
-        let plan = &plan;
-        let echo_ms = &mut echo_ms;
-        scope.spawn(move || {
-            synthesiser.install(move || {
-                for _ in 0..pings {
-                    let Ok(mut output) = empty.recv() else { return };
-                    echo_ms.push(timed(|| {
-                        pipeline.compute_ping(plan, &scatterers, &mut output)
-                    }));
-                    if filled.send(output).is_err() {
-                        return;
-                    }
-                }
-            });
-        });
-        let (beam_ms, ended) = (&mut beam_ms, &mut ended);
-        scope.spawn(move || {
-            former.install(move || {
-                let mut fan = make(Former::DynamicFocus);
-                let mut out = BeamFrame::default();
-                while let Ok(output) = take.recv() {
-                    beam_ms.push(timed(|| fan.form(plan, &output.elements[0], &mut out)));
-                    ended.push(Instant::now());
-                    let _ = back.send(output);
-                }
-            });
-        });
-    });
-    let said = |took: &[Took]| {
-        let (_, wall) = least_and_median(took[2..].iter().map(|t| t.wall));
-        let (_, core) = least_and_median(took[2..].iter().map(|t| t.core));
-        (wall, core)
-    };
-    let ((echo, echo_core), (beam, beam_core)) = (said(&echo_ms), said(&beam_ms));
-    let per_s = (ended.len() - 3) as f64 / (ended[ended.len() - 1] - ended[2]).as_secs_f64();
-    let echo_error = checked(spec, &medium, &plan, &bottom(count))?;
-    let line = format!(
-        "{ELEMENTS} x {BEAMS} x {SAMPLES} dynamic-focus on one core, echoes of {count} scatterers ({} for {tolerance:e}, error {echo_error:.1e}) on the other: ms median (of these on a core) beams {beam:.1} ({beam_core:.1}), echoes {echo:.1} ({echo_core:.1}); {per_s:.1} pings/s",
-        synthesis.name(),
-    );
-    report.row(
-        &line,
-        serde_json::json!({ "beams_ms_median": beam, "beams_ms_core": beam_core, "echo_ms_median": echo, "echo_ms_core": echo_core, "echo_error": echo_error, "synthesis": synthesis.name(), "tolerance": tolerance, "scatterers": count, "pings_per_s": per_s }),
-    );
-    Ok(())
-}
-
-/// Error of the element samples by the pipeline's error check: rms at random samples against the reference.
-fn checked(
-    mut spec: SonarSpec,
-    medium: &config::spec::MediumSpec,
-    plan: &PingPlan,
-    scatterers: &Scatterers,
-) -> Result<f64, String> {
-    const PINGS: u32 = 40;
-    spec.synthesis.error_check = true;
-    let mut pipeline = SonarPipeline::new(&spec, medium).map_err(|e| e.to_string())?;
-    pipeline.allow_error_checks(f64::INFINITY);
-    let mut output = pipeline.blank_output();
-    let mut plan = plan.clone();
-    for ping_number in 1..=PINGS {
-        plan.ping_number = ping_number;
-        pipeline.compute_ping(&plan, scatterers, &mut output);
-        if let Some(error_check) = output.error_check {
-            return Ok(error_check.error);
-        }
-    }
-    Err(format!("no error check in {PINGS} pings"))
-}
-
-/// The fan's array as a configuration: multibeam.toml, found from the repository root, with this pulse and window.
-fn sonar(synthesis: Synthesis) -> Result<(SonarSpec, config::spec::MediumSpec), String> {
-    let file = Path::new("hil-configs/multibeam.toml");
-    let rig = echotank_runtime::config_files::load(file)
-        .map_err(|e| format!("{}: {e:?}", file.display()))?;
-    let mut spec = rig.sonars[0].clone();
-    spec.pulse = pulse();
-    spec.transmit = vec![rig::transmitter(DVec3::X * transmit_x_m())];
-    spec.receive = vec![ArrayGeometry {
-        sensitivity_db: -180.0,
-        ..array()
-    }];
-    spec.receiver.sample_rate_hz = RATE_HZ;
-    let range_m = (SAMPLES as f64 / RATE_HZ - pulse().duration_s) * C / 2.0;
-    spec.settings.range_m = range_m;
-    spec.settings.pulse_duration_s = pulse().duration_s;
-    spec.limits.range_m = (range_m, range_m);
-    spec.limits.pulse_duration_s = (pulse().duration_s, pulse().duration_s);
-    // The line engine does not support polyline; for straight motion its segments are the same.
-    spec.model.path = match synthesis {
-        Synthesis::Gridded2d => PathModel::KSegment,
-        _ => PathModel::Polyline,
-    };
-    spec.model.synthesis = synthesis;
-    spec.model.segment_s = 1.0;
-    spec.model.cull_db = None;
-    spec.beams.fan = None;
-    let mut medium = rig.medium.clone();
-    medium.sound_speed_m_per_s = C;
-    Ok((spec, medium))
-}
-
-/// A flat bottom at 30 m depth, 36 to 145 m away in slant range.
-fn bottom(count: usize) -> Scatterers {
-    let mut chance = Chance::new(3);
-    let mut scatterers = Scatterers::default();
-    for _ in 0..count {
-        let slant_m = 36.0 + 109.0 * chance.uniform();
-        let ground_m = (slant_m * slant_m - 900.0_f64).sqrt();
-        let azimuth = 2.0 * (chance.uniform() - 0.5);
-        let at_m = DVec3::new(ground_m * azimuth.sin(), ground_m * azimuth.cos(), 30.0);
-        let strength = Complex64::new(chance.normal(), chance.normal());
-        scatterers.push(at_m, [0.0, 0.0, -1.0], strength, ScatterLaw::Lambert);
-    }
-    scatterers
 }
 
 /// Beams whose samples peers form, spread over the sector.
