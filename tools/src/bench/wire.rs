@@ -62,9 +62,9 @@ fn sevenk_sheet() -> Arc<DeviceSheet> {
     ))
 }
 
-/// Runs `encode`, which returns the number of bytes, for a fixed time; GB/s of the best of three.
-fn gb_per_s(while_s: f64, mut encode: impl FnMut() -> usize) -> f64 {
-    encode();
+/// Runs `encode`, which returns the number of bytes, for a fixed time; GB/s of the best of three, and the bytes.
+fn rate(while_s: f64, mut encode: impl FnMut() -> usize) -> (f64, usize) {
+    let once = encode();
     let mut best = 0.0_f64;
     for _ in 0..3 {
         let began = Instant::now();
@@ -74,7 +74,7 @@ fn gb_per_s(while_s: f64, mut encode: impl FnMut() -> usize) -> f64 {
         }
         best = best.max(bytes as f64 / began.elapsed().as_secs_f64() / 1e9);
     }
-    best
+    (best, once)
 }
 
 /// Prints and records a line per family.
@@ -82,7 +82,7 @@ pub(crate) fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
     let mut report = Report::new();
     let while_s = if quick { 0.3 } else { 2.0 };
     let (plan, output) = (plan(1, SAMPLES), frames());
-    let mut tell = |name: &str, error: f64, speed: f64, bytes: usize| {
+    let mut tell = |name: &str, error: f64, (speed, bytes): (f64, usize)| {
         report.row(
             &format!("{name}: error {error:.1e}, {speed:.2} GB/s, {bytes} B"),
             serde_json::json!({ "family": name, "error": error, "gb_per_s": speed, "bytes": bytes }),
@@ -92,19 +92,17 @@ pub(crate) fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
     let mut emitter = SevenKEmitter::new(sevenk_sheet(), 1);
     for id in [7038, 7018, 7042, 7007] {
         let mut records = Vec::new();
-        let mut encode = || {
+        let measured = rate(while_s, || {
             records.clear();
             emitter.emit_ping(&plan, &output, RecordSet::of(&[id]), &mut records);
             records[0].bytes.len()
-        };
-        let bytes = encode();
-        let speed = gb_per_s(while_s, encode);
+        });
         let error = match id {
             7038 => error_7038(&records[0].bytes, &output)?,
             // Half a count of 65535: rounding to nearest.
             _ => 0.5 / 65_535.0,
         };
-        tell(&format!("7k {id}"), error, speed, bytes);
+        tell(&format!("7k {id}"), error, measured);
     }
 
     for (name, channels, format) in [
@@ -125,25 +123,23 @@ pub(crate) fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
         };
         let mut emitter = JsfEmitter::new(Arc::new(sheet), Box::new(|_, _| {}));
         let mut messages = Vec::new();
-        let mut encode = || {
+        let measured = rate(while_s, || {
             messages.clear();
             emitter.emit_ping(&plan, &output, |_, _| true, &mut messages);
             messages.iter().map(|m| m.bytes.len()).sum()
-        };
-        let bytes = encode();
-        let speed = gb_per_s(while_s, encode);
+        });
         let error = error_80(&messages.last().ok_or("no message")?.bytes, &output, format)?;
-        tell(name, error, speed, bytes);
+        tell(name, error, measured);
     }
 
     let mut emitter = XtfEmitter::new(&XtfSpec { is_float: false }, &large(), SOUND_M_PER_S);
     let mut packets = Vec::new();
-    let speed = gb_per_s(while_s, || {
+    let measured = rate(while_s, || {
         packets.clear();
         emitter.emit_ping(&plan, &output, &mut packets);
         packets.len()
     });
-    tell("xtf u16", 0.5 / 65_535.0, speed, packets.len());
+    tell("xtf u16", 0.5 / 65_535.0, measured);
     devices(while_s, &plan, &output, &mut tell)?;
 
     report.finish(json)
@@ -154,7 +150,7 @@ fn devices(
     while_s: f64,
     plan: &PingPlan,
     output: &PingOutput,
-    tell: &mut impl FnMut(&str, f64, f64, usize),
+    tell: &mut impl FnMut(&str, f64, (f64, usize)),
 ) -> Result<(), String> {
     let sonar = large();
     let boards = Vita49Spec {
@@ -170,17 +166,12 @@ fn devices(
     };
     let mut emitter = Vita49Emitter::new(&boards, &sonar);
     let mut packets = Packets::default();
-    let speed = gb_per_s(while_s, || {
+    let measured = rate(while_s, || {
         emitter.emit_ping(plan, output, false, &mut packets);
         packets.len_bytes()
     });
     let error = error_vita49(&packets, output)?;
-    tell(
-        "vita49, a stream an element",
-        error,
-        speed,
-        packets.len_bytes(),
-    );
+    tell("vita49, a stream an element", error, measured);
 
     let mut emitter = WbmsEmitter::new(Arc::new(WbmsDevice::new(&sonar, SOUND_M_PER_S)), 1);
     let wanted = Wanted {
@@ -189,15 +180,13 @@ fn devices(
         side_scan: false,
     };
     let mut sent = Vec::new();
-    let mut encode = || {
+    let measured = rate(while_s, || {
         sent.clear();
         emitter.emit_ping(plan, output, wanted, &mut sent);
         sent[0].bytes.len()
-    };
-    let bytes = encode();
-    let speed = gb_per_s(while_s, encode);
+    });
     // Half a count of 32767.
-    tell("wbms water column", 0.5 / 32_767.0, speed, bytes);
+    tell("wbms water column", 0.5 / 32_767.0, measured);
 
     let spec = PingProtocolSpec {
         device: PingDevice::Omniscan450 { side: Side::Port },
@@ -210,26 +199,22 @@ fn devices(
     let device = PingDeviceState::new(&spec, &sonar, SOUND_M_PER_S, TRANSMIT_UTC);
     let mut emitter = PingEmitter::new(Arc::new(device), 1);
     let mut sent = Vec::new();
-    let mut encode = || {
+    let measured = rate(while_s, || {
         sent.clear();
         emitter.emit_ping(plan, output, &mut sent);
         sent[0].bytes.len()
-    };
-    let bytes = encode();
-    let speed = gb_per_s(while_s, encode);
+    });
     // Relative to the span in dB.
-    tell("ping 2198", 0.5 / 65_535.0, speed, bytes);
+    tell("ping 2198", 0.5 / 65_535.0, measured);
 
     let head = Head::default();
     let (mut sent, scale) = (Vec::new(), (sonar.receiver.sample_rate_hz, FULL_SCALE_V));
-    let mut encode = || {
+    let measured = rate(while_s, || {
         sent.clear();
         emit_imagenex(&head, plan, output, scale, Wants::ALL, &mut sent);
         sent.iter().map(|answer| answer.bytes.len()).sum()
-    };
-    let bytes = encode();
-    let speed = gb_per_s(while_s, encode);
-    tell("imagenex 872, two sides", 0.5 / 255.0, speed, bytes);
+    });
+    tell("imagenex 872, two sides", 0.5 / 255.0, measured);
     Ok(())
 }
 
