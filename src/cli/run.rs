@@ -134,7 +134,5 @@ pub(crate) fn main(args: &RunArgs) -> Result<(), Failure> {
             stop.store(true, Ordering::Release);
         });
     }
-    daemon
-        .run(|status| print_line(&status.to_string()))
-        .map_err(Failure::running)
+    daemon.run(print_line).map_err(Failure::running)
 }

@@ -387,9 +387,12 @@ fn open_udp(listen: SocketAddr, multicast: Option<Ipv4Addr>) -> std::io::Result<
         (Some(_), IpAddr::V6(_)) => (any_at(listen.port()), Ipv4Addr::UNSPECIFIED),
     };
     let socket = Socket::new(Domain::for_address(bound), Type::DGRAM, Some(Protocol::UDP))?;
-    // Other programs on this machine may join the same group. A unicast address is not shared, since the kernel would deliver to the last program
-    // that binds it.
-    socket.set_reuse_address(multicast.is_some())?;
+    // Any program may join the same group, and programs of the same user may listen to the same broadcasts. The address of one interface is not
+    // shared, because the kernel would deliver to the last program that binds it.
+    match multicast {
+        Some(_) => socket.set_reuse_address(true)?,
+        None => socket.set_reuse_port(listen.ip().is_unspecified())?,
+    }
     // The kernel counts datagrams that a smaller buffer loses.
     let _ = socket.set_recv_buffer_size(SOCKET_BUFFER_BYTES);
     socket.set_read_timeout(Some(READ_TIMEOUT))?;
