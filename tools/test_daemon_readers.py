@@ -232,7 +232,9 @@ class Recordings(unittest.TestCase):
             pings = recording.get_annotations()
             self.assertGreater(len(pings), 4)
             self.assertEqual(recording.get_global_field("core:num_channels"), 8)
-            self.assertEqual([p["core:label"] for p in pings], ["ping %d" % (n + 1) for n in range(len(pings))])
+            # A busy machine may skip a ping.
+            numbers = [int(p["core:label"].removeprefix("ping ")) for p in pings]
+            self.assertEqual(numbers, sorted(set(numbers)))
             wav, = glob.glob(os.path.join(folder, "*.wav"))
             about = soundfile.info(wav)
             self.assertEqual((about.samplerate, about.channels, about.subtype), (384000, 8, "PCM_16"))
