@@ -14,8 +14,9 @@ use echotank_core::model::{DopplerModel, Synthesis};
 use echotank_core::ping::PingPlan;
 use echotank_core::pulse::Pulse;
 use echotank_core::settings::SonarSettings;
+use echotank_core::simd::SimdLevel;
 use echotank_synthesis::array::filter::{self, Decimator, FilterError};
-use echotank_synthesis::array::gridded::{DopplerSpan, GriddedError, SimdLevel, one_dimensional};
+use echotank_synthesis::array::gridded::{DopplerSpan, GriddedError, one_dimensional};
 use echotank_synthesis::error_model::ErrorModel;
 use echotank_synthesis::slabs::{SlabDesign, SlabEngine};
 

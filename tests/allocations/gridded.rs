@@ -2,11 +2,10 @@
 
 use echotank_core::model::DopplerModel;
 use echotank_core::pulse::{Pulse, PulseKind};
+use echotank_core::simd::SimdLevel;
 use echotank_synthesis::array::Decimator;
 use echotank_synthesis::array::gridded::transform::Transform1d;
-use echotank_synthesis::array::gridded::{
-    DopplerSpan, Gridded1d, SimdLevel, one_dimensional::Spec,
-};
+use echotank_synthesis::array::gridded::{DopplerSpan, Gridded1d, one_dimensional::Spec};
 use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink, CHUNK};
 use echotank_testing::allocations;
 use num_complex::{Complex32, Complex64};

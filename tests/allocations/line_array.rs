@@ -3,7 +3,7 @@
 use echotank_testing::allocations;
 use std::sync::Mutex;
 
-use echotank_synthesis::array::gridded::simd_level::SimdLevel;
+use echotank_core::simd::SimdLevel;
 use echotank_synthesis::array::gridded2d::{Filter, LineEngine, PulseMotion, Resolution};
 use echotank_synthesis::echo::{LineWorkspace, TransmitLeg, insonify};
 use glam::DVec3;

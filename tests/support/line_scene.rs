@@ -5,7 +5,7 @@ use std::sync::Mutex;
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::ping::{EchoCounts, PingPlan};
 use echotank_core::scene::{ScatterLaw, Scatterers};
-use echotank_synthesis::array::gridded::simd_level::SimdLevel;
+use echotank_core::simd::SimdLevel;
 use echotank_synthesis::array::gridded2d::{
     Bounds, Filter, LineEngine, Resolution, Sample, Spec, TaskReport,
 };

@@ -12,7 +12,7 @@ fn first_line(path: &str, key: &str) -> Option<String> {
 pub(crate) fn describe() -> String {
     let processor = first_line("/proc/cpuinfo", "model name").unwrap_or_else(|| "unknown".into());
     let cores = std::thread::available_parallelism().map_or(0, std::num::NonZero::get);
-    let simd_level = echotank_synthesis::array::gridded::SimdLevel::best();
+    let simd_level = echotank_core::simd::SimdLevel::best();
     format!(
         "{processor}, {cores} cores, {:?}, load {}",
         simd_level.kind(),

@@ -1,4 +1,4 @@
-//! What the cases share: scatter and motion as exactly known trajectories.
+//! Knots of exactly known motions, which the cases share.
 
 use echotank_core::frames::AttitudeKnot;
 use glam::DQuat;

@@ -11,8 +11,8 @@
 use std::f64::consts::TAU;
 use std::time::Instant;
 
+use echotank_core::simd::SimdLevel;
 use echotank_fft::Planned;
-use echotank_synthesis::array::gridded::SimdLevel;
 use echotank_synthesis::array::gridded::transform::{Transform1d, Workspace};
 use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;

@@ -5,8 +5,8 @@ use std::io::{BufRead, Write};
 use std::path::Path;
 use std::time::Instant;
 
+use echotank_core::simd::{Kind, SimdLevel};
 use echotank_synthesis::array::gridded::moments::Real;
-use echotank_synthesis::array::gridded::simd_level::{Kind, SimdLevel};
 use echotank_synthesis::array::gridded::transform::Transform1d;
 use num_complex::{Complex, Complex64};
 

@@ -12,6 +12,8 @@ use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 use tracing::warn;
 
+use crate::io::icmp;
+
 use super::{ClientSlot, Shared, Transport, Wants, stopping, tcp, udp};
 
 /// Time limit of a TCP connection attempt.
@@ -57,13 +59,7 @@ async fn attend(dial: Dial, slot: ClientSlot, mut stopped: watch::Receiver<bool>
     match dial.transport {
         Transport::Udp => {
             let from = SocketAddr::new(slot.shared.local_addr.ip(), 0);
-            let connected = async {
-                let socket = UdpSocket::bind(from).await?;
-                // A connected socket reports that the peer's port is closed.
-                socket.connect(dial.peer).await?;
-                Ok::<_, std::io::Error>(socket)
-            };
-            let socket = match connected.await {
+            let socket = match UdpSocket::bind(from).await {
                 Ok(socket) => socket,
                 Err(error) => {
                     slot.shared.span.in_scope(
@@ -72,6 +68,7 @@ async fn attend(dial: Dial, slot: ClientSlot, mut stopped: watch::Receiver<bool>
                     return;
                 }
             };
+            icmp::enable(&socket, from);
             begin(&slot);
             udp::write_datagrams(Arc::new(socket), dial.peer, slot, stopped).await;
         }

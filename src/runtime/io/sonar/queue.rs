@@ -144,6 +144,13 @@ impl Client {
         self.received_ms.store(self.now_ms(), Ordering::Relaxed);
     }
 
+    /// Notes that nothing waited until now.
+    fn note_empty(&self, queue: &Queue) {
+        if queue.reply_bytes + queue.record_bytes == 0 {
+            self.written_ms.store(self.now_ms(), Ordering::Relaxed);
+        }
+    }
+
     /// How long the client has been idle, if a full server may disconnect it.
     pub(super) fn idle(&self, times: &ServerTimes) -> Option<Duration> {
         let since = |ms: &AtomicU64| {
@@ -170,9 +177,7 @@ impl Client {
             return;
         }
         let mut queue = self.lock();
-        if queue.reply_bytes + queue.record_bytes == 0 {
-            self.written_ms.store(self.now_ms(), Ordering::Relaxed);
-        }
+        self.note_empty(&queue);
         let mut queued = false;
         for offer in offers.iter().filter(|offer| wants.meets(offer.class)) {
             let len = offer.datagram.bytes.len();
@@ -212,6 +217,7 @@ impl Client {
             self.records_dropped.fetch_add(1, Ordering::Relaxed);
             return;
         }
+        self.note_empty(&queue);
         queue.reply_bytes += datagram.bytes.len();
         queue.replies.push_back(datagram);
         drop(queue);

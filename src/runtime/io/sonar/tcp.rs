@@ -62,6 +62,7 @@ async fn attend(stream: TcpStream, slot: ClientSlot, mut stopped: watch::Receive
     let _ = stream.set_nodelay(true);
     let socket = SockRef::from(&stream);
     let _ = socket.set_tcp_keepalive(&KEEP_ALIVE);
+    #[cfg(target_os = "linux")]
     let _ = socket.set_tcp_user_timeout(Some(slot.shared.times.tcp_unacknowledged));
     let (read_half, write_half) = stream.into_split();
     let (shared, client) = (&slot.shared, &slot.client);

@@ -18,7 +18,7 @@ use num_complex::Complex;
 use super::kernel::MAX_WIDTH;
 use super::lanes::{Lanes, Pair};
 use super::moments::{Across, FlushWeights, MAX_TAPS, Points, Real};
-use super::simd_level::{Kind, SimdLevel};
+use echotank_core::simd::{Kind, SimdLevel};
 
 #[cfg(target_arch = "x86_64")]
 use std::arch::x86_64::*;

@@ -57,7 +57,7 @@ use super::kernel::Kernel;
 use super::least_squares::Matrix;
 use super::moments::MAX_TAPS;
 use super::pulse_spectrum::PulseSpectrum;
-use super::simd_level::{Kind, SimdLevel};
+use echotank_core::simd::{Kind, SimdLevel};
 
 /// Fitted Dopplers per cell of the grid, and per cycle that the ends of the pulse turn over the
 /// whole span; lower bounds.

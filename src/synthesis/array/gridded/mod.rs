@@ -33,9 +33,3 @@ pub mod transform;
 pub use cost_estimate::CostEstimate;
 pub use doppler::DopplerSpan;
 pub use one_dimensional::{Gridded1d, Gridded1dWork, GriddedError};
-pub use simd_level::SimdLevel;
-
-/// Vector instruction sets of the inner loops, detected once per plan.
-pub mod simd_level {
-    pub use echotank_core::simd::{Kind, SimdLevel};
-}

@@ -18,7 +18,7 @@ use num_complex::{Complex, Complex32, Complex64};
 use super::batched_fft::{BatchedFft, Job};
 use super::kernel::{Kernel, MAX_WIDTH};
 use super::prepare::{Sharing, share_plain};
-use super::simd_level::{Kind, SimdLevel};
+use echotank_core::simd::{Kind, SimdLevel};
 
 /// Number of points processed together.
 pub const BLOCK: usize = 256;

@@ -40,7 +40,7 @@ use super::doppler::DopplerSpan;
 use super::kernel::MAX_WIDTH;
 use super::moments::{Across, Axis, FlushWeights, Located, Points, Real, locate};
 use super::prepare::{Columns, Frame, Prepared};
-use super::simd_level::{Kind, SimdLevel};
+use echotank_core::simd::{Kind, SimdLevel};
 
 /// Below this tolerance moments are f64, since f32 rounds amplitudes, positions and sums to about
 /// 1e-7 of an echo.

@@ -18,7 +18,7 @@ use crate::arrivals::{ArrivalChunk, CHUNK};
 
 use super::doppler::{Bent, DopplerGrid, DopplerSpan, POWERS, Polynomials, derivative, value_of};
 use super::moments::{BLOCK, MAX_TAPS, ROUND, Real, Shared};
-use super::simd_level::{Kind, SimdLevel};
+use echotank_core::simd::{Kind, SimdLevel};
 
 const _: () = assert!(CHUNK == BLOCK, "a chunk is a block of points");
 

@@ -20,8 +20,8 @@ use num_complex::Complex64;
 use echotank_core::pulse::Pulse;
 
 use super::kernel::Kernel;
-use super::simd_level::SimdLevel;
 use super::transform::{Transform1d, grid_size};
+use echotank_core::simd::SimdLevel;
 
 const WIDTH: usize = 14;
 const OVERSAMPLING: f64 = 2.0;

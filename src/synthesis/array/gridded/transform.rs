@@ -19,7 +19,7 @@ use num_complex::{Complex, Complex64};
 
 use super::kernel::Kernel;
 use super::moments::{Axis, BLOCK, FlushWeights, Located, Points, Real, locate};
-use super::simd_level::SimdLevel;
+use echotank_core::simd::SimdLevel;
 
 /// Smallest grid of at least `least` points with a fast Fourier transform: 2^a, 3 2^a, 5 2^a, 9 2^a
 /// or 15 2^a.

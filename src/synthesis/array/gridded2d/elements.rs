@@ -2,8 +2,8 @@
 
 use num_complex::Complex;
 
-use crate::array::gridded::simd_level::Kind;
 use crate::array::phasor::{LANES, cis, cis_lanes};
+use echotank_core::simd::Kind;
 
 use super::engine::Work;
 use super::lanes::{BLOCK, Lanes};

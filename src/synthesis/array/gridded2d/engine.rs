@@ -6,11 +6,11 @@ use echotank_fft::Fft;
 use num_complex::{Complex, Complex64};
 
 use crate::array::gridded::kernel::Kernel;
-use crate::array::gridded::simd_level::SimdLevel;
 use crate::array::gridded::transform::grid_size;
 use crate::arrivals::{LineSource, LineStretch};
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::ping::{EchoCounts, PingPlan};
+use echotank_core::simd::SimdLevel;
 
 use super::columns::Entry;
 use super::elements::PairSums;

@@ -22,7 +22,7 @@ use super::sample::Sample;
 ///
 /// ```
 /// use echotank_synthesis::array::Decimator;
-/// use echotank_synthesis::array::gridded::SimdLevel;
+/// use echotank_core::simd::SimdLevel;
 /// use echotank_synthesis::array::gridded2d::{Bounds, Gridded2d, Spec};
 /// # use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern};
 /// # use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};

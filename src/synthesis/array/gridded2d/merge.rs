@@ -6,7 +6,7 @@
 //! echoes finds a basis: each step adds the echo with the largest residual. Products are weighted
 //! by the largest value of their templates, so the largest residual bounds the error.
 
-use crate::array::gridded::simd_level::{Kind as Processor, SimdLevel};
+use echotank_core::simd::{Kind as Processor, SimdLevel};
 
 /// Maximum number of echoes in the process; a larger set is thinned evenly.
 const MAX_LOOKED: usize = 4096;

@@ -10,11 +10,11 @@ use std::f64::consts::{PI, TAU};
 use crate::array::filter::Decimator;
 use crate::array::gridded::CostEstimate;
 use crate::array::gridded::kernel::Kernel;
-use crate::array::gridded::simd_level::SimdLevel;
 use crate::error_model::ErrorModel;
 use echotank_core::arrays::{ArrayGeometry, Pattern};
 use echotank_core::model::{DopplerModel, ModelChoice, PathModel};
 use echotank_core::pulse::Pulse;
+use echotank_core::simd::SimdLevel;
 
 use num_complex::Complex64;
 

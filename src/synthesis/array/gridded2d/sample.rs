@@ -2,7 +2,7 @@
 
 use echotank_fft::Planned;
 
-use crate::array::gridded::simd_level::{Kind, SimdLevel};
+use echotank_core::simd::{Kind, SimdLevel};
 
 use super::elements::Columns;
 use super::pulse::Reading;

@@ -5,9 +5,9 @@ use std::time::Duration;
 use num_complex::Complex64;
 
 use crate::array::gridded::kernel::MAX_WIDTH;
-use crate::array::gridded::simd_level::Kind as Processor;
 use crate::array::phasor::cis;
 use crate::arrivals::{CHUNK, LineChunk, LineSink};
+use echotank_core::simd::Kind as Processor;
 
 use super::engine::{Orders, Ping, PulseMotion, Work};
 use super::merge::Merge;

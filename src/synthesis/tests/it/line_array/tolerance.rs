@@ -1,6 +1,6 @@
 //! The requested tolerance is met in every window.
 
-use echotank_synthesis::array::gridded::simd_level::SimdLevel;
+use echotank_core::simd::SimdLevel;
 use echotank_synthesis::array::gridded2d::{
     Bounds, Choice, Precision, Refusal, Resolution, choose,
 };
@@ -24,21 +24,17 @@ fn the_error_by_window_keeps_every_tolerance() {
     let mut cells = 0;
     for velocity_m_per_s in [
         DVec3::ZERO,
+        DVec3::new(5.0, 0.0, 0.0),
         DVec3::new(10.0, 0.0, 0.0),
         DVec3::new(5.0, 0.3, 0.3),
     ] {
-        // A wide sector is harder than a narrow one; both where the orders of the motion differ.
-        let sectors_deg: &[f64] = match velocity_m_per_s.x {
-            10.0 => &[60.0],
-            _ => &[15.0, 60.0],
-        };
-        for &sector_deg in sectors_deg {
+        for sector_deg in [15.0, 60.0] {
             let drawn = Draw {
                 elements: 64,
-                scatterers: 120,
+                scatterers: 200,
                 velocity_m_per_s,
                 sector_deg,
-                far_m: 50.0,
+                far_m: 60.0,
                 ..SIDE_SCAN
             };
             let scene = draw(drawn);
@@ -75,7 +71,7 @@ fn the_error_by_window_keeps_every_tolerance() {
             }
         }
     }
-    assert!(cells >= 22, "only {cells} cells were computed");
+    assert!(cells >= 36, "only {cells} cells were computed");
 }
 
 #[test]
