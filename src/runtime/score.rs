@@ -63,6 +63,8 @@ struct Effects {
     consequences: &'static [&'static str],
     /// Pings after the fault within which they follow.
     within_pings: u32,
+    /// Pings before the fault whose records can be in transit, so that it affects them too.
+    in_transit_pings: u32,
 }
 
 fn effects(kind: &str) -> Effects {
@@ -87,6 +89,7 @@ fn effects(kind: &str) -> Effects {
         shown_as,
         consequences,
         within_pings,
+        in_transit_pings: u32::from(matches!(kind, "reset" | "half-open")),
     }
 }
 
@@ -327,7 +330,8 @@ fn pings_of(finding: &Finding) -> Option<(u32, u32)> {
     Some((from, finding.to_ping.unwrap_or(from)))
 }
 
-/// Whether the finding's position does not contradict the case's. The finding may lie up to `later` pings after the case.
+/// Whether the finding's position does not contradict the case's. The finding may lie up to `later` pings after the case, or concern records in
+/// transit.
 fn agree(case: &Case, finding: &Finding, later: u32) -> bool {
     let logged = case.logged;
     fn same<T: PartialEq>(a: &Option<T>, b: &Option<T>) -> bool {
@@ -337,7 +341,9 @@ fn agree(case: &Case, finding: &Finding, later: u32) -> bool {
         }
     }
     let in_pings = pings_of(finding).is_none_or(|(from, to)| {
-        logged.ping_number <= to && case.to_ping.saturating_add(later) >= from
+        let before = effects(&logged.kind).in_transit_pings;
+        logged.ping_number.saturating_sub(before) <= to
+            && case.to_ping.saturating_add(later) >= from
     });
     let in_time = match (finding.from_utc_ns, finding.to_utc_ns, logged.packet_utc_ns) {
         (Some(from), Some(to), Some(at)) => (from..=to).contains(&at),
@@ -495,6 +501,31 @@ mod tests {
         );
         assert_eq!(score.kinds["truncate"].found, 1);
         assert_eq!((score.consequences, score.invented.len()), (1, 1));
+    }
+
+    #[test]
+    fn a_connection_fault_affects_the_records_in_transit_of_the_ping_before() {
+        let log = log(&[r#"{"fault":1,"kind":"reset","line":"7k","ping_number":5}"#]);
+        let score = score(
+            &log,
+            &report(&[
+                r#"{"kind":"lost","ping_number":3,"record_type":7000}"#,
+                r#"{"kind":"lost","ping_number":4,"record_type":7000}"#,
+                r#"{"kind":"reset","ping_number":5}"#,
+            ]),
+        );
+        assert_eq!(score.kinds["reset"].found, 1);
+        assert_eq!((score.consequences, score.invented.len()), (1, 1));
+        assert_eq!(score.invented[0].ping_number, Some(3));
+        let log = log_of(r#"{"fault":1,"kind":"half-open","line":"7k","ping_number":10}"#);
+        let silent = |from: u32| {
+            let to = from + 1;
+            format!(r#"{{"kind":"silent","ping_number":{from},"to_ping":{to}}}"#)
+        };
+        for (from, found) in [(8, 1), (7, 0)] {
+            let score = super::score(log.as_ref().expect("a log"), &report(&[&silent(from)]));
+            assert_eq!(score.kinds["half-open"].found, found, "from {from}");
+        }
     }
 
     #[test]
