@@ -8,10 +8,12 @@ use clap::Args;
 
 use super::{Failure, load};
 use echotank_config as config;
-use echotank_config::spec::{DeliverySpec, MediumSpec, RunSpec, SonarSpec};
+use echotank_config::spec::{DeliverySpec, MediumSpec, RigSpec, RunSpec, SeabedShape, SonarSpec};
 use echotank_core::model::Synthesis;
 use echotank_ping::element_synthesis::engine_error_models;
 use echotank_ping::pipeline::PipelineError;
+use echotank_runtime::io::files::FileSystem;
+use echotank_scene::read::survey::Survey;
 use echotank_synthesis::echo::culling::left_out_share;
 use echotank_synthesis::error_model::ErrorModel;
 
@@ -88,11 +90,39 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
             print!("{}", culling(sonar, &spec.medium));
         }
         if !args.quick {
+            print!("{}", guesses(&spec)?);
             print!("{}", selection::text(&spec, args.all)?);
         }
         println!("{}: ok", path.display());
     }
     Ok(())
+}
+
+/// Warnings of what the seabed's file does not state, with its extent and depths; empty if it states everything.
+fn guesses(spec: &RigSpec) -> Result<String, Failure> {
+    let Some(SeabedShape::File { file, .. }) = spec.scene.seabed.as_ref().map(|s| &s.shape) else {
+        return Ok(String::new());
+    };
+    let survey =
+        Survey::open(&FileSystem, file).map_err(|e| Failure::Configuration(e.to_string()))?;
+    if survey.guesses.is_empty() {
+        return Ok(String::new());
+    }
+    let lines = survey.guesses.iter();
+    let mut text: String = lines
+        .map(|guess| format!("warning      seabed, guessed: {guess}\n"))
+        .collect();
+    let field = &survey.field;
+    let depths = field.percentiles_m(&[0.0, 1.0]);
+    text += &format!(
+        "warning      seabed as read: {:.1} m north x {:.1} m east, depths {:.2} to {:.2} m; compare with `scene info {}`\n",
+        field.extent_north_m(),
+        field.extent_east_m(),
+        depths[0],
+        depths[1],
+        file.path.display()
+    );
+    Ok(text)
 }
 
 /// Refuses a streaming configuration whose cost estimate exceeds the time available.

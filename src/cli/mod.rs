@@ -155,99 +155,12 @@ impl Failure {
 
 /// Reads a configuration, applies `--set` overrides and checks it.
 pub(crate) fn load(path: &Path, set: &[String]) -> Result<RigSpec, Failure> {
-    let refuse = |text: String| Failure::Configuration(text);
-    if set.is_empty() {
-        return echotank_runtime::config_files::load(path).map_err(|e| refuse(e.to_string()));
-    }
-    let text = echotank_runtime::config_files::read_text(path)
-        .map_err(|why| refuse(format!("{}: {why}", path.display())))?;
-    let mut table: toml::Table = text
-        .parse()
-        .map_err(|e| refuse(format!("{}: {e}", path.display())))?;
-    for change in set {
-        apply(&mut table, change).map_err(|why| refuse(format!("--set {change}: {why}")))?;
-    }
-    let text = toml::to_string(&table).map_err(|e| refuse(e.to_string()))?;
-    let folder = path.parent().unwrap_or(Path::new("."));
-    echotank_runtime::config_files::parse(&text, folder)
-        .map_err(|e| refuse(format!("{} (with --set)\n{e}", path.display())))
-}
-
-/// Applies `a.b.c=VALUE`. In an array of tables every entry is changed, or only the one whose index the key gives; absent tables are created.
-fn apply(table: &mut toml::Table, change: &str) -> Result<(), String> {
-    let (key, value) = change.split_once('=').ok_or("expected KEY=VALUE")?;
-    let value = parse_value(value.trim());
-    let path: Vec<&str> = key.trim().split('.').collect();
-    if path.iter().any(|part| part.is_empty()) {
-        return Err("the key has an empty part".into());
-    }
-    set_in(table, &path, &value)
-}
-
-/// Parses a TOML value; other text becomes a string, so that simple words need no quotes.
-fn parse_value(text: &str) -> toml::Value {
-    match format!("v = {text}").parse::<toml::Table>() {
-        Ok(mut table) => table
-            .remove("v")
-            .unwrap_or_else(|| toml::Value::String(text.into())),
-        Err(_) => toml::Value::String(text.into()),
-    }
-}
-
-fn set_in(table: &mut toml::Table, path: &[&str], value: &toml::Value) -> Result<(), String> {
-    let (first, rest) = path.split_first().ok_or("empty key")?;
-    if rest.is_empty() {
-        table.insert((*first).to_string(), value.clone());
-        return Ok(());
-    }
-    let next = table
-        .entry((*first).to_string())
-        .or_insert_with(|| toml::Value::Table(toml::Table::new()));
-    match next {
-        toml::Value::Table(inner) => set_in(inner, rest, value),
-        toml::Value::Array(entries) => {
-            let (one, below) = match rest[0].parse::<usize>() {
-                Ok(index) => (Some(index), &rest[1..]),
-                Err(_) => (None, rest),
-            };
-            if one.is_some_and(|index| index >= entries.len()) {
-                return Err(format!("{first} has {} entries", entries.len()));
-            }
-            for (index, entry) in entries.iter_mut().enumerate() {
-                if one.is_none_or(|wanted| wanted == index) {
-                    let inner = entry
-                        .as_table_mut()
-                        .ok_or_else(|| format!("{first} is not a list of tables"))?;
-                    set_in(inner, below, value)?;
-                }
-            }
-            Ok(())
-        }
-        _ => Err(format!("{first} is a value, not a table")),
-    }
+    echotank_runtime::config_files::load_with(path, set).map_err(Failure::Configuration)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn set_changes_every_sonar_or_the_indexed_one() {
-        let mut table: toml::Table = "[[sonar]]\nname = 'a'\n[[sonar]]\nname = 'b'\n"
-            .parse()
-            .unwrap();
-        apply(&mut table, "sonar.ping.range_m=75").unwrap();
-        apply(&mut table, "sonar.1.name=c").unwrap();
-        let text = toml::to_string(&table).unwrap();
-        assert_eq!(text.matches("range_m = 75").count(), 2, "{text}");
-        assert!(
-            text.contains("name = \"a\"") && text.contains("name = \"c\""),
-            "{text}"
-        );
-        assert!(apply(&mut table, "sonar.7.name=c").is_err());
-        assert!(apply(&mut table, "sonar").is_err());
-        assert!(apply(&mut table, "sonar..name=1").is_err());
-    }
 
     #[test]
     fn command_line_is_well_formed() {

@@ -16,7 +16,10 @@ use echotank_config::spec::{
 use echotank_core::time::UtcNs;
 use echotank_nav::decoder::Outcome;
 use echotank_nav::log::LogKind;
+use echotank_nav::passes::{Pass, PassKind};
 use echotank_nav::report::{CHANNEL_COUNT, CHANNELS, LogReport, SentenceReport, Spread, report};
+use echotank_runtime::config_files::read_bounded;
+use echotank_runtime::io::nav::MAX_LOG_BYTES;
 
 /// Names of the quantities in the output.
 fn channel_names() -> impl Iterator<Item = &'static str> {
@@ -25,8 +28,6 @@ fn channel_names() -> impl Iterator<Item = &'static str> {
 
 /// Printed gaps and jumps per quantity.
 const SHOWN: usize = 5;
-/// Largest file read, bytes; the same limit as for navigation sources.
-const MAX_BYTES: u64 = 256 << 20;
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct NavArgs {
@@ -90,20 +91,18 @@ pub(crate) fn main(args: &NavArgs) -> Result<(), Failure> {
         let text = "--plain-rate-hz must be finite and above 0, and --latency-ms finite";
         return Err(Failure::Configuration(text.to_owned()));
     }
-    let failed = |e: std::io::Error| Failure::running(format!("{}: {e}", args.log.display()));
-    let size = std::fs::metadata(&args.log).map_err(failed)?.len();
-    if size > MAX_BYTES {
-        let text = format!(
-            "{}: {size} bytes; the limit is {MAX_BYTES}",
-            args.log.display()
-        );
-        return Err(Failure::running(text));
-    }
-    let bytes = std::fs::read(&args.log).map_err(failed)?;
+    let bytes = read_bounded(&args.log, MAX_LOG_BYTES)
+        .map_err(|why| Failure::running(format!("{}: {why}", args.log.display())))?;
+    let refused = |why: &str| Failure::Configuration(format!("{} {why}", args.log.display()));
     if let Some(why) = echotank_nav::log::refusal(&bytes) {
-        return Err(Failure::running(format!("{} {why}", args.log.display())));
+        return Err(refused(why));
     }
     let report = report(&bytes, &spec(args), args.plain_rate_hz);
+    if report.counters.used == 0
+        && let Some(why) = echotank_nav::log::unknown_binary(&bytes, report.log.kind)
+    {
+        return Err(refused(&why));
+    }
     if args.json {
         println!("{:#}", json_of(args, &report));
     } else {
@@ -165,6 +164,10 @@ fn outcome_name(outcome: Outcome) -> &'static str {
         Outcome::NotTaken => "not_taken",
         Outcome::TimeJump => "time_jump",
     }
+}
+
+fn shift_s(pass: &Pass) -> f64 {
+    pass.shift_ns as f64 / 1e9
 }
 
 /// Which quantities a sentence supplied, and why the others were not used.
@@ -241,6 +244,20 @@ fn text_of(args: &NavArgs, r: &LogReport) -> String {
         "{:9} {kind}: {}, {} with a stamp, {} with a stamp earlier than the previous, {} without a sentence ({} of them JSON, which is not read), {} packets skipped",
         "log", log.lines, log.stamped, log.backward, log.no_sentence, log.json, log.passed_over
     );
+    for (pass, number) in log.passes.iter().zip(1..) {
+        let how = match pass.kind {
+            PassKind::Own => "by its own times".to_owned(),
+            PassKind::Shifted => format!("after the pass before: {:+.3} s", shift_s(pass)),
+            PassKind::WrongClock => format!("time jumped, corrected by {:+.3} s", shift_s(pass)),
+        };
+        let _ = writeln!(
+            out,
+            "pass {number:<4} from line {}, {} .. {}, played {how}",
+            pass.line,
+            iso(pass.first),
+            iso(pass.last)
+        );
+    }
     if let Some((first, last)) = r.span {
         let seconds = last.seconds_since(first);
         let _ = writeln!(
@@ -391,6 +408,12 @@ fn json_of(args: &NavArgs, r: &LogReport) -> Value {
         "lines_without_a_sentence": r.log.no_sentence,
         "lines_of_json": r.log.json,
         "packets_passed_over": r.log.passed_over,
+        "passes": r.log.passes.iter().map(|pass| json!({
+            "line": pass.line,
+            "first": iso(pass.first),
+            "last": iso(pass.last),
+            "shift_s": shift_s(pass),
+        })).collect::<Value>(),
         "first_arrival": r.span.map(|s| iso(s.0)),
         "last_arrival": r.span.map(|s| iso(s.1)),
         "midnights": r.midnights,

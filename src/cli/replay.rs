@@ -7,7 +7,10 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{ConfigArgs, Failure, load};
 use echotank_config::spec::{NavInputSpec, RigSpec, SonarSpec};
-use echotank_runtime::replay::{Formats, Replay, ReplayOptions};
+use echotank_runtime::io::nav::NavOpenError;
+use echotank_runtime::recorded::RecordedError;
+use echotank_runtime::replay::{Formats, Replay, ReplayError, ReplayOptions};
+use echotank_runtime::rig::OpenError;
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct ReplayArgs {
@@ -118,7 +121,12 @@ pub(crate) fn main(args: &ReplayArgs) -> Result<(), Failure> {
         pings: args.pings,
         threads: args.threads.unwrap_or(spec.run.threads),
     };
-    let replay = Replay::open(spec, options).map_err(Failure::running)?;
+    let replay = Replay::open(spec, options).map_err(|error| match &error {
+        ReplayError::Recorded(RecordedError::Rig(OpenError::Nav(NavOpenError::Unreadable {
+            ..
+        }))) => Failure::Configuration(error.to_string()),
+        _ => Failure::running(error),
+    })?;
     let bar = match (args.quiet, replay.pings_expected()) {
         (true, _) => ProgressBar::hidden(),
         (false, Some(pings)) => ProgressBar::new(pings),

@@ -262,6 +262,9 @@ fn as_text(file: &Path, survey: &Survey, at: &[(f64, f64)]) -> String {
         .map(|(share, d)| format!("{:.0}%: {d:.3}", 100.0 * share))
         .collect();
     lines.push(("depth m", words.join("  ")));
+    for guess in &survey.guesses {
+        lines.push(("guessed", guess.clone()));
+    }
     for note in &survey.notes {
         lines.push(("note", note.clone()));
     }
@@ -388,6 +391,7 @@ fn as_json(file: &Path, survey: &Survey, at: &[(f64, f64)]) -> Value {
         },
         "hole_share": field.hole_share(),
         "depth_percentiles": percentiles,
+        "guesses": survey.guesses,
         "notes": survey.notes,
         "at": places,
     })

@@ -336,6 +336,9 @@ fn refuse_scaled_clock_with_live_sources(nav: &NavSpec, run: &keys::Run, problem
     }
 }
 
+/// Shorter tokens could be guessed.
+const MIN_REMOTE_TOKEN_BYTES: usize = 12;
+
 fn control<'t>(
     table: &'t keys::Control,
     listeners: &mut Vec<Listener<'t>>,
@@ -356,6 +359,15 @@ fn control<'t>(
         let is_remote = !address.ip().is_loopback();
         let condition = "a `listen` that is not this machine alone";
         problems.needed_with(&table.token, Some(is_remote), condition);
+        let is_short = token
+            .as_ref()
+            .is_some_and(|token| token.len() < MIN_REMOTE_TOKEN_BYTES);
+        if is_remote && is_short {
+            let rule = format!(
+                "must have at least {MIN_REMOTE_TOKEN_BYTES} characters, because other computers can reach `listen`"
+            );
+            problems.refuse(&table.token, rule);
+        }
     }
     Some(ControlSpec {
         listen,
@@ -435,6 +447,11 @@ fn nav<'t>(
     }
     let vertical = vertical(table);
     refuse_unfit_track(table, tables, vertical, problems);
+    let has_reference = vertical.map(|v| !matches!(v, VerticalSpec::Gnss { .. }));
+    let condition = "vertical = \"waterline\" or \"depth\"";
+    problems.only_with(&[&table.reference_depth_m], has_reference, condition);
+    let of_track = owner(tables, "depth").is_none().then_some(0.0);
+    let reference_depth_m = table.reference_depth_m.get().or(of_track);
     if table.tow.as_ref().is_some() && matches!(vertical, Some(VerticalSpec::Gnss { .. })) {
         let rule = "must not be \"gnss\" where the sonar is towed: the antenna is the ship's";
         problems.refuse(&table.vertical, rule);
@@ -445,6 +462,7 @@ fn nav<'t>(
         origin: origin(table)?,
         mode,
         vertical: vertical?,
+        heave_from_depth_m: reference_depth_m.filter(|_| vertical == Some(VerticalSpec::Depth)),
         stamp: table.stamp.named()?,
         loop_log: table.r#loop.get()?,
         max_extrapolation_s: table.max_extrapolation_ms.get()?,
@@ -486,7 +504,7 @@ fn origin(table: &keys::Nav) -> Option<OriginSpec> {
 fn vertical(table: &keys::Nav) -> Option<VerticalSpec> {
     Some(match table.vertical.text()? {
         "waterline" => VerticalSpec::Waterline {
-            reference_down_m: table.reference_depth_m.get()?,
+            reference_down_m: table.reference_depth_m.if_given()?.unwrap_or(0.0),
         },
         "gnss" => VerticalSpec::Gnss {
             datum_offset_m: table.datum_offset_m.get()?,

@@ -17,7 +17,7 @@ pub use faults::{
     NavFault, TransportFault,
 };
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 
 use glam::DVec3;
@@ -109,6 +109,8 @@ pub struct NavSpec {
     pub mode: NavMode,
     /// Source of the platform's depth.
     pub vertical: VerticalSpec,
+    /// With [`VerticalSpec::Depth`]: depth of the reference point from which the records count heave, metres. None: the records tell no heave.
+    pub heave_from_depth_m: Option<f64>,
     /// Source of the records' UTC.
     pub stamp: StampSpec,
     /// Recorded sources start again at their end, time shifted by whole loops.
@@ -286,6 +288,15 @@ pub enum ParitySpec {
 }
 
 impl NavSpec {
+    /// Depth of the reference point without heave, metres; none if it is not constant.
+    pub fn still_depth_m(&self) -> Option<f64> {
+        match self.vertical {
+            VerticalSpec::Waterline { reference_down_m } => Some(reference_down_m),
+            VerticalSpec::Gnss { .. } => None,
+            VerticalSpec::Depth => self.heave_from_depth_m,
+        }
+    }
+
     /// Every source is recorded: the motion does not depend on the machine's time.
     pub fn is_recorded(&self) -> bool {
         self.sources.iter().all(NavSourceSpec::is_recorded)
@@ -331,6 +342,13 @@ pub enum NavMode {
     Predict,
     /// Wait until the window is covered by samples on both sides (replay default).
     Settle,
+}
+
+impl NavSpec {
+    /// True if the records tell the depth of the reference point beside its heave: it is not at the waterline, or a depth sensor gives it.
+    pub fn tells_depth(&self) -> bool {
+        !matches!(self.vertical, VerticalSpec::Gnss { .. }) && self.still_depth_m() != Some(0.0)
+    }
 }
 
 /// Source of the reference point's down coordinate.
@@ -1502,12 +1520,16 @@ pub struct SevenKSpec {
     pub enumerator: u16,
     /// Indices of the receive arrays of record 7038, in this order.
     pub arrays: Vec<usize>,
+    /// Files leave out records that common readers do not know.
+    pub has_common_files: bool,
     /// Packet length with network frame, bytes.
     pub max_packet: usize,
     /// Queue of one client; further records are dropped.
     pub client_queue_bytes: usize,
     /// A client with a full queue is disconnected instead of missing records.
     pub disconnect_when_full: bool,
+    /// Addresses, besides a client's own, to which a client may have records sent.
+    pub third_parties: Vec<IpAddr>,
     /// Connections at the same time.
     pub max_clients: usize,
 }

@@ -120,6 +120,8 @@ pub struct NavState {
     pub extrapolated: bool,
     /// Quantities that are out of date.
     pub invalid: NavInvalid,
+    /// The clock of an active source jumped shortly before, or its times are corrected.
+    pub time_jumped: bool,
 }
 
 /// Flags of quantities that are too old; their last known values are held.

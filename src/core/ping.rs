@@ -55,6 +55,8 @@ pub struct PingPlan {
     pub model: ModelChoice,
     /// State of the platform for output records.
     pub nav: NavState,
+    /// Place of the sonar for output records.
+    pub sensor: SensorState,
     /// Motion of the platform over the listening window.
     pub trajectory: Trajectory,
     /// Polyline over the listening window; at least one segment.
@@ -66,6 +68,22 @@ impl PingPlan {
     pub fn window_s(&self, sample_rate_hz: f64) -> f64 {
         self.first_sample_s + self.sample_count as f64 / sample_rate_hz
     }
+}
+
+/// Place of the sonar at the start of the pulse, for output records: the mean of its receive arrays' positions.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SensorState {
+    /// WGS84 latitude, radians.
+    pub latitude_rad: f64,
+    /// WGS84 longitude, radians.
+    pub longitude_rad: f64,
+    /// Depth below the world's vertical origin, metres; includes heave.
+    pub depth_m: f64,
+    /// Height above the seabed of the scene straight below, metres; none without a seabed there.
+    pub altitude_m: Option<f64>,
+    /// Depth of the platform's reference point without the heave of the records, metres; none if the records leave it to the client (a
+    /// reference point at the waterline, or a GNSS height).
+    pub still_depth_m: Option<f64>,
 }
 
 /// Counts of one collection of scatterers.

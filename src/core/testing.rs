@@ -6,7 +6,7 @@ use glam::DVec3;
 use crate::frames::Trajectory;
 use crate::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
 use crate::navigation::{FixQuality, NavState};
-use crate::ping::PingPlan;
+use crate::ping::{PingPlan, SensorState};
 use crate::pulse::Pulse;
 use crate::settings::SonarSettings;
 use crate::time::UtcNs;
@@ -56,7 +56,9 @@ pub fn plan_at_rest(pulse: &Pulse, sample_count: usize, sound_speed_m_per_s: f64
             attitude_age_s: 0.0,
             extrapolated: false,
             invalid: Default::default(),
+            time_jumped: false,
         },
+        sensor: SensorState::default(),
         trajectory,
         segments: Vec::new(),
     }

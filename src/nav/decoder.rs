@@ -2,6 +2,7 @@
 //! quantity.
 
 use super::framing::{Checksum, Framing, RawSentence};
+pub use super::message_time::ClockState;
 use super::message_time::{MessageClock, Stamp};
 use super::reading::{DecodeError, Decoded, Invalid, Reading};
 use super::records::{Record, Records};
@@ -17,6 +18,9 @@ const SILENCE_NS: i64 = 5 * NS_PER_S;
 
 /// Maximum number of untimed sentence names per source that take the time of a burst; about fifteen untimed sentences exist.
 const MAX_UNTIMED: usize = 32;
+
+/// Maximum number of clock events between two calls of [`NavDecoder::take_clock_events`].
+pub const MAX_CLOCK_EVENTS: usize = 1000;
 
 /// Counters of one source. Every sentence counts in exactly one of `used`, `refused_checksum`, `malformed`, `unsupported`,
 /// `empty_fields`, `not_taken` and `time_jumps`. `bad_checksum` and `missing_checksum` count sentences whether refused or not.
@@ -44,6 +48,10 @@ pub struct NavCounters {
     pub week_rollovers: u64,
     /// Sentences rejected because their time jumps.
     pub time_jumps: u64,
+    /// Times that the clock of the source jumped, was corrected or returned.
+    pub clock_changes: u64,
+    /// Present correction of the times of the source, seconds.
+    pub corrected_by_s: i64,
     /// Sentences with a wrong checksum.
     pub bad_checksum: u64,
     /// Sentences without a checksum.
@@ -54,6 +62,15 @@ pub struct NavCounters {
     pub undated: u64,
     /// Samples produced.
     pub samples: u64,
+}
+
+/// From an arrival on, the clock of a source is in this state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ClockEvent {
+    /// Arrival of the sentence that shows it.
+    pub arrival: UtcNs,
+    /// The new state.
+    pub state: ClockState,
 }
 
 /// Result for one sentence; named like the counters of [`NavCounters`].
@@ -137,6 +154,9 @@ struct Reader {
     clock: MessageClock,
     active: [Option<ActiveSentence>; CHANNEL_COUNT],
     untimed: Vec<UntimedSentence>,
+    /// Changes of the clock that nobody has taken yet.
+    clock_events: Vec<ClockEvent>,
+    clock_state: ClockState,
     /// Flags of the last PSXN,20.
     invalid: Invalid,
     scratch: String,
@@ -164,6 +184,8 @@ impl NavDecoder {
                 clock: MessageClock::default(),
                 active: [None; CHANNEL_COUNT],
                 untimed: Vec::with_capacity(MAX_UNTIMED),
+                clock_events: Vec::new(),
+                clock_state: ClockState::Right,
                 invalid: Invalid::default(),
                 scratch: String::new(),
                 counters: NavCounters::default(),
@@ -251,6 +273,11 @@ impl NavDecoder {
         self.reader.counters.resync_bytes += resync_bytes;
     }
 
+    /// Later arrivals count from another time: they have moved by `by_ns` (a log without stamps, whose clock stepped).
+    pub(crate) fn arrivals_moved(&mut self, by_ns: i64) {
+        self.reader.clock.arrivals_moved(by_ns);
+    }
+
     /// Takes dates as they come, because the arrivals are not clock time (a log without stamps).
     pub(crate) fn ignore_arrival_dates(&mut self) {
         self.reader.clock.ignore_arrival_dates();
@@ -259,6 +286,11 @@ impl NavDecoder {
     /// Counters since construction.
     pub fn counters(&self) -> &NavCounters {
         &self.reader.counters
+    }
+
+    /// Takes the changes of the source's clock since the last call, at most [`MAX_CLOCK_EVENTS`] of them.
+    pub fn take_clock_events(&mut self) -> Vec<ClockEvent> {
+        std::mem::take(&mut self.reader.clock_events)
     }
 
     /// The last accepted message time and its arrival.
@@ -355,6 +387,7 @@ impl Reader {
             return watch(&event);
         }
         let stamp = self.clock.stamp(&reading, arrival);
+        self.note_clock(arrival);
         self.counters.week_rollovers = self.clock.week_rollovers();
         if let Stamp::At(utc) = stamp {
             event.message_utc = Some(utc);
@@ -375,6 +408,24 @@ impl Reader {
         };
         self.count(event.outcome);
         watch(&event);
+    }
+
+    /// Notes a change of the state of the source's clock.
+    fn note_clock(&mut self, arrival: UtcNs) {
+        let state = self.clock.state();
+        if state == self.clock_state {
+            return;
+        }
+        self.clock_state = state;
+        self.counters.clock_changes += 1;
+        self.counters.corrected_by_s = match state {
+            ClockState::Corrected { by_s } => by_s,
+            ClockState::Right | ClockState::Jumping => 0,
+        };
+        if self.clock_events.len() == MAX_CLOCK_EVENTS {
+            self.clock_events.pop();
+        }
+        self.clock_events.push(ClockEvent { arrival, state });
     }
 
     fn count(&mut self, outcome: Outcome) {

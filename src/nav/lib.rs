@@ -21,6 +21,7 @@ pub mod history;
 pub mod log;
 pub mod mavlink;
 pub(crate) mod message_time;
+pub mod passes;
 mod proprietary;
 pub mod reading;
 pub mod records;

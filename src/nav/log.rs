@@ -8,15 +8,17 @@
 //! - If the recorder's clock differs from the message times by more than `RECORDER_TOLERANCE_NS`, all stamps are shifted. The
 //!   shift is a multiple of a quarter of an hour (time zone or missing date), or else aligns with the first dated message. For a
 //!   source timed by arrival, only a missing date is corrected.
+//! - A file whose clock steps back holds several passes ([`super::passes`]).
 //! - A plain log (no stamps) arrives as its message times advance. Without message times it arrives at a given rate, from 1970
 //!   on. Untimed sentences that repeat between two message times are spread evenly over the interval.
 
 use std::ops::Range;
 
 use super::capture;
-use super::decoder::{NavCounters, NavDecoder, SentenceEvent, ignore_events};
+use super::decoder::{ClockEvent, NavCounters, NavDecoder, SentenceEvent, ignore_events};
 use super::mavlink;
-use super::message_time::nearest_day;
+use super::message_time::{JUMP_NS, nearest_day};
+use super::passes::{Cut, Pass, place};
 use super::stamp::{LineStamp, split_line};
 use echotank_config::spec::{NavFormat, NavSourceSpec, TimePolicy};
 use echotank_core::navigation::NavSample;
@@ -44,8 +46,8 @@ pub enum LogKind {
     Tlog,
 }
 
-/// Counts of a log's lines, datagrams or messages.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// Counts of a log's lines, datagrams or messages, and what its times are.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LogCounts {
     /// Format of the file.
     pub kind: LogKind,
@@ -61,6 +63,10 @@ pub struct LogCounts {
     pub json: u64,
     /// Packets of a capture that are not complete UDP datagrams: TCP, fragments, truncated packets.
     pub passed_over: u64,
+    /// The passes in the order in which they are played; empty if the clock does not step back.
+    pub passes: Vec<Pass>,
+    /// Changes of the clock of the source, by arrival.
+    pub clock_events: Vec<ClockEvent>,
 }
 
 /// Format of a file from its first bytes; `format` decides for a file without a signature.
@@ -91,6 +97,42 @@ pub fn refusal(bytes: &[u8]) -> Option<&'static str> {
         }
         _ => None,
     }
+}
+
+/// First bytes of binary formats that are not read, their position, and their names.
+const UNREAD: [(usize, &[u8], &str); 14] = [
+    (0, b"\x7f\x7f", "Teledyne PD0"),
+    (0, b"\xff\x5a", "SBG ecom"),
+    (0, b"$GRP", "Applanix"),
+    (0, b"IX\x02", "iXblue STDBIN"),
+    (0, b"IX\x03", "iXblue STDBIN"),
+    (0, b"IX\x04", "iXblue STDBIN"),
+    (0, b"IX\x05", "iXblue STDBIN"),
+    (0, b"\xb5\x62", "u-blox UBX"),
+    (0, b"\xaa\x44\x12", "NovAtel"),
+    (0, b"#ROSBAG", "a ROS bag"),
+    (0, b"\x89MCAP", "MCAP"),
+    (0, b"SQLite format 3", "an SQLite database"),
+    (0, b"\x89HDF", "HDF5"),
+    (4, b"#", "Kongsberg KMALL"),
+];
+/// Bytes at the beginning of a file that show whether it is text.
+const HEAD_BYTES: usize = 4096;
+
+/// Why a file without any usable sentence is no text; none if it may be text.
+pub fn unknown_binary(bytes: &[u8], kind: LogKind) -> Option<String> {
+    let head = &bytes[..bytes.len().min(HEAD_BYTES)];
+    let is_control = |b: &u8| *b < 0x20 && !matches!(b, b'\t' | b'\n' | b'\r' | 0x1B);
+    if kind != LogKind::Text || !head.iter().any(is_control) {
+        return None;
+    }
+    let name = UNREAD
+        .iter()
+        .find(|(at, magic, _)| head.get(*at..).is_some_and(|rest| rest.starts_with(magic)));
+    let what = name.map_or("of an unknown format", |(_, _, name)| name);
+    Some(format!(
+        "is a binary file ({what}) without sentences: only pcap, pcapng, MAVLink tlog and the records that `format` names are read"
+    ))
 }
 
 /// Strips the byte order mark of UTF-8.
@@ -187,6 +229,8 @@ pub(crate) fn read_log_watched(
     let step_ns = NS_PER_S as f64 / plain_rate_hz;
     let mut untimed = Untimed::default();
     let spreads = !start.stamped && start.first_message.is_some();
+    let mut cuts = vec![Cut { sample: 0, line: 1 }];
+    let mut last_message: Option<UtcNs> = None;
     for (stamp, sentence) in pieces(bytes, kind) {
         counts.lines += 1;
         counts.no_sentence += u64::from(kind == LogKind::Text && sentence.is_empty());
@@ -194,6 +238,13 @@ pub(crate) fn read_log_watched(
             let now = advance(raw, stamp);
             counts.stamped += 1;
             counts.backward += u64::from(raw.is_some_and(|before| now < before));
+            let step_ns = raw.map_or(0, |before| now.0.saturating_sub(before.0));
+            if step_ns.saturating_abs() > JUMP_NS {
+                cuts.push(Cut {
+                    sample: samples.len(),
+                    line: counts.lines,
+                });
+            }
             raw = Some(now);
         }
         let arrival = match raw {
@@ -215,8 +266,21 @@ pub(crate) fn read_log_watched(
             continue;
         }
         if let (Some(_), Some((message, _))) = (start.first_message, decoder.last_message_time()) {
-            let forward_ns = message.0.saturating_sub(plain_now.0).max(0);
-            if forward_ns > 0 {
+            let step_ns = message.0.saturating_sub(last_message.unwrap_or(message).0);
+            let forward_ns = if step_ns.saturating_abs() > JUMP_NS {
+                cuts.push(Cut {
+                    sample: first_new,
+                    line: counts.lines,
+                });
+                untimed.spread(first_new, untimed.last_step_ns, &mut samples);
+                let moved_ns = message.0.saturating_sub(plain_now.0);
+                decoder.arrivals_moved(moved_ns);
+                moved_ns
+            } else {
+                message.0.saturating_sub(plain_now.0).max(0)
+            };
+            last_message = Some(message);
+            if forward_ns > 0 && step_ns <= JUMP_NS {
                 untimed.spread(first_new, forward_ns, &mut samples);
             }
             plain_now = plain_now.plus_ns(forward_ns);
@@ -234,6 +298,11 @@ pub(crate) fn read_log_watched(
     decoder.flush_watched(&mut samples, watch);
     // The length of the last interval is unknown; the one before stands for it.
     untimed.spread(samples.len(), untimed.last_step_ns, &mut samples);
+    counts.clock_events = decoder.take_clock_events();
+    if cuts.len() > 1 {
+        // Stamps that only lie in the wrong order are right.
+        counts.passes = place(&mut samples, &cuts, start.stamped, &mut counts.clock_events);
+    }
     (samples, *decoder.counters(), counts)
 }
 
@@ -302,6 +371,7 @@ fn read_tlog(
         decoder.push_record(&message.name, &message.record, &mut samples, watch);
     }
     decoder.count_bytes(bytes.len() as u64, messages.resync_bytes());
+    counts.clock_events = decoder.take_clock_events();
     (samples, *decoder.counters(), counts)
 }
 
@@ -385,6 +455,17 @@ mod tests {
         let lines: Vec<&[u8]> = Lines(b"a\nb\r\nc\rd\r\r\n\n\re").collect();
         let want: [&[u8]; 7] = [b"a\n", b"b\r\n", b"c\r", b"d\r\r\n", b"\n", b"\r", b"e"];
         assert_eq!(lines, want);
+    }
+
+    #[test]
+    fn binary_files_without_sentences_are_named() {
+        let of = |bytes: &[u8]| unknown_binary(bytes, LogKind::Text);
+        let pd0 = of(b"\x7f\x7f\x00\x01\x02").expect("binary");
+        assert!(pd0.contains("Teledyne PD0"), "{pd0}");
+        assert!(of(b"\x01\x02").is_some_and(|why| why.contains("unknown format")));
+        assert_eq!(of(b"$GPGGA,1*00\r\n\x1b[0m"), None);
+        assert_eq!(of("# Überschrift\n".as_bytes()), None);
+        assert_eq!(unknown_binary(b"\x01", LogKind::Binary), None);
     }
 
     #[test]

@@ -14,7 +14,7 @@ const DAY_NS: i64 = 86_400 * NS_PER_S;
 /// between bursts. Logs replayed at four lines a second pause 0.26 s.
 const BURST_GAP_NS: i64 = NS_PER_S * 2 / 5;
 /// A message time that differs more than this from the expected one is doubtful.
-const JUMP_NS: i64 = 10 * NS_PER_S;
+pub(crate) const JUMP_NS: i64 = 10 * NS_PER_S;
 /// Consistent doubtful messages after which the new time is accepted; dated ones that agree with the arrival need one fewer.
 const JUMP_CONFIRMATIONS: u32 = 3;
 
@@ -43,6 +43,21 @@ pub(crate) fn utc_of_gps(gps_ns: i64) -> i64 {
         .find(|(from_s, leap_s)| gps_ns >= (from_s + leap_s) * NS_PER_S)
         .map_or(13, |(_, leap_s)| *leap_s);
     gps_ns.saturating_sub(leap_s * NS_PER_S)
+}
+
+/// Whether the times of a source can be trusted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ClockState {
+    /// They continue, or agree with the arrivals.
+    #[default]
+    Right,
+    /// They jump, and the sentences are set aside.
+    Jumping,
+    /// They jumped and are corrected.
+    Corrected {
+        /// Added to the times, whole seconds.
+        by_s: i64,
+    },
 }
 
 /// Result for the time of a message.
@@ -101,6 +116,25 @@ impl MessageClock {
         self.week_rollovers
     }
 
+    /// The arrivals that follow count from another time: they have moved by `by_ns`.
+    pub(crate) fn arrivals_moved(&mut self, by_ns: i64) {
+        if let Some((_, arrival)) = &mut self.last {
+            *arrival = arrival.plus_ns(by_ns);
+        }
+        self.last_sentence = self.last_sentence.map(|utc| utc.plus_ns(by_ns));
+    }
+
+    pub(crate) fn state(&self) -> ClockState {
+        if self.shift_ns != 0 {
+            let by_s = self.shift_ns / NS_PER_S;
+            ClockState::Corrected { by_s }
+        } else if self.doubts.iter().any(Option::is_some) {
+            ClockState::Jumping
+        } else {
+            ClockState::Right
+        }
+    }
+
     pub(crate) fn ignore_arrival_dates(&mut self) {
         self.ignores_arrival_dates = true;
     }
@@ -128,6 +162,12 @@ impl MessageClock {
         } else {
             message
         };
+        // Without a date, times that differ by whole periods are equal: a clock that is 12 hours wrong would else lie now before, now behind.
+        let period_ns = match when {
+            When::TimeOfDay(_) => Some(DAY_NS),
+            When::GpsOfWeek(_) => Some(WEEK_NS),
+            When::Dated { .. } | When::Instant(_) => None,
+        };
         let first_date = dated && !self.dated;
         if first_date {
             self.shift_ns = 0;
@@ -138,27 +178,36 @@ impl MessageClock {
             When::GpsOfWeek(ns) => nearest_week(ns, expected),
             When::Dated { .. } | When::Instant(_) => message,
         };
+        let own_by_arrival = match when {
+            When::TimeOfDay(ns) => nearest_day(ns, arrival),
+            When::GpsOfWeek(ns) => nearest_week(ns, arrival),
+            When::Dated { .. } | When::Instant(_) => message,
+        };
         let mut message = message.plus_ns(self.shift_ns);
         if self.last.is_some() && !first_date {
             let is_likely =
                 dated && !self.ignores_arrival_dates && distance(own, arrival) <= JUMP_NS;
             let confirmations = JUMP_CONFIRMATIONS - u32::from(is_likely);
-            if self.is_doubtful(message, expected, arrival, dated, confirmations) {
+            if self.is_doubtful(message, expected, arrival, period_ns, confirmations) {
                 return Stamp::Jumped;
             }
         }
         let off_ns = expected.0.saturating_sub(message.0);
         let is_step = self.last.is_some() && !first_date && off_ns.saturating_abs() > JUMP_NS;
         if is_step && !self.ignores_arrival_dates {
-            let is_right_again = match dated {
-                true => distance(own, arrival) <= distance(expected, arrival),
-                false => distance(own, expected) <= JUMP_NS,
+            let right = if dated {
+                (distance(own, arrival) <= distance(expected, arrival)).then_some(own)
+            } else if distance(own, expected) <= JUMP_NS {
+                Some(own)
+            } else {
+                // The clock was wrong from the first message on.
+                (distance(own_by_arrival, arrival) <= JUMP_NS).then_some(own_by_arrival)
             };
             // The correction is in whole seconds: a fraction would add only the latencies.
             let step_ns = (off_ns as f64 / NS_PER_S as f64).round() as i64 * NS_PER_S;
-            (self.shift_ns, message) = match is_right_again {
-                true => (0, own),
-                false => (
+            (self.shift_ns, message) = match right {
+                Some(right) => (0, right),
+                None => (
                     self.shift_ns.saturating_add(step_ns),
                     message.plus_ns(step_ns),
                 ),
@@ -187,9 +236,10 @@ impl MessageClock {
         message: UtcNs,
         expected: UtcNs,
         arrival: UtcNs,
-        dated: bool,
+        period_ns: Option<i64>,
         confirmations: u32,
     ) -> bool {
+        let dated = period_ns.is_none();
         if distance(message, expected) <= JUMP_NS {
             self.doubts[0] = None;
             if dated {
@@ -200,9 +250,7 @@ impl MessageClock {
         let offset = message.0.saturating_sub(arrival.0);
         let doubt = &mut self.doubts[usize::from(dated)];
         let seen = match *doubt {
-            Some((before, seen)) if offset.saturating_sub(before).saturating_abs() <= JUMP_NS => {
-                seen + 1
-            }
+            Some((before, seen)) if is_near(offset.saturating_sub(before), period_ns) => seen + 1,
             _ => 1,
         };
         *doubt = Some((offset, seen));
@@ -211,6 +259,17 @@ impl MessageClock {
         }
         seen < confirmations
     }
+}
+
+/// Whether a difference of two offsets is within the limit, apart from whole periods.
+fn is_near(difference_ns: i64, period_ns: Option<i64>) -> bool {
+    let rest_ns = match period_ns {
+        Some(period_ns) => {
+            (difference_ns.saturating_add(period_ns / 2)).rem_euclid(period_ns) - period_ns / 2
+        }
+        None => difference_ns,
+    };
+    rest_ns.saturating_abs() <= JUMP_NS
 }
 
 fn distance(a: UtcNs, b: UtcNs) -> i64 {
@@ -337,11 +396,19 @@ mod tests {
     #[test]
     fn a_clock_that_was_wrong_for_seconds_is_followed_again_within_a_second() {
         let days = |n: f64| (n * 86_400.0) as i64;
-        let wrong_s = [-days(12_600.0), days(24_000.0), -51 * 3600, 20 * 3600];
-        for (off_s, began_s) in wrong_s
-            .into_iter()
-            .flat_map(|off| [(off, 0.0), (off, 30.0)])
-        {
+        let wrong_s = [
+            -days(12_600.0),
+            days(24_000.0),
+            -51 * 3600,
+            20 * 3600,
+            12 * 3600,
+            -12 * 3600,
+        ];
+        let cases = wrong_s.into_iter().flat_map(|off| {
+            let starts = [0.0, 30.0];
+            starts.map(|start| [true, false].map(|has_dates| (off, start, has_dates)))
+        });
+        for (off_s, began_s, has_dates) in cases.flatten() {
             let mut clock = MessageClock::default();
             for step in 0..600 {
                 let truth_s = f64::from(step) / 10.0;
@@ -349,12 +416,16 @@ mod tests {
                 let shown = UtcNs(D).plus_s(truth_s + if is_wrong { off_s as f64 } else { 0.0 });
                 let utc = chrono::DateTime::from_timestamp_nanos(shown.0);
                 let (time, date) = (utc.format("%H%M%S%.3f"), utc.format("%d%m%y"));
+                let jitter_s = f64::from(step % 7) * 1e-3;
                 for text in [
                     format!("INRMC,{time},A,2200.1,S,01756.3,W,9.1,215.11,{date},24.7,W,A"),
                     format!("INGGA,{time},2200.1,S,01756.3,W,1,12,0.7,-2.76,M,4.67,M,,"),
                     format!("PASHR,{time},218.0,T,1.0,2.0,0.1,0.1,0.1,0.1,1,0"),
                 ] {
-                    let arrival = UtcNs(D).plus_s(truth_s + 0.04);
+                    if text.starts_with("INRMC") && !has_dates {
+                        continue;
+                    }
+                    let arrival = UtcNs(D).plus_s(truth_s + 0.04 + jitter_s);
                     let stamp = clock.stamp(&reading(&text), arrival);
                     if !is_wrong && !(began_s..began_s + 4.0).contains(&truth_s) {
                         let Stamp::At(found) = stamp else {
@@ -365,6 +436,7 @@ mod tests {
                             error_ns < 2_000_000,
                             "{off_s} s from {began_s} s: {error_ns} ns"
                         );
+                        assert_eq!(clock.state(), ClockState::Right);
                     }
                 }
             }

@@ -21,6 +21,9 @@ const COLUMNS: [&str; 7] = [
     "heading_deg",
 ];
 
+/// Maximum number of points: 29 hours at 20 Hz. Their samples take some 500 MB.
+const MAX_POINTS: usize = 1 << 21;
+
 /// Reason why a track is refused, with file and line.
 #[derive(Debug, Error, PartialEq, Eq)]
 pub enum TrackError {
@@ -57,6 +60,14 @@ pub enum TrackError {
         line: usize,
         /// Number of columns.
         found: usize,
+    },
+    /// The track has too many points.
+    #[error("{file}:{line}: at most {MAX_POINTS} points are read: cut or thin the track")]
+    TooLong {
+        /// Name of the file.
+        file: String,
+        /// Line number, from 1.
+        line: usize,
     },
     /// The track has fewer than two points.
     #[error("{file}: a track needs at least two points, found {found}")]
@@ -104,6 +115,12 @@ pub fn read_track(
             });
         }
         before = Some(time);
+        if points == MAX_POINTS {
+            return Err(TrackError::TooLong {
+                file: file.to_string(),
+                line,
+            });
+        }
         points += 1;
         push_row(time, &row, source, provides, &mut samples);
     }
@@ -252,6 +269,20 @@ mod tests {
             panic!("a heading")
         };
         assert!((heading_rad.to_degrees() - 270.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_track_with_too_many_points_is_refused_with_its_line() {
+        let rows = (0..=MAX_POINTS).map(|k| format!("{k},0,0,0,0,0,0\n"));
+        let text: String = std::iter::once(format!("{HEADER}\n")).chain(rows).collect();
+        let error = read_track(&text, "t.csv", 0, &[])
+            .expect_err("refused")
+            .to_string();
+        let want = format!(
+            "t.csv:{}: at most {MAX_POINTS} points are read: cut or thin the track",
+            MAX_POINTS + 2
+        );
+        assert_eq!(error, want);
     }
 
     #[test]

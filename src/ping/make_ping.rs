@@ -5,9 +5,11 @@
 //! element and by beam, and no floating-point sum crosses threads, so the samples are the same bits for any number of threads.
 
 use echotank_config::spec::{NavMode, StampSpec};
-use echotank_core::ping::OverloadState;
+use echotank_core::navigation::NavState;
+use echotank_core::ping::{OverloadState, SensorState};
 use echotank_core::time::UtcNs;
 use echotank_nav::NavGap;
+use glam::DVec3;
 
 use crate::faults::PingMark;
 use crate::plan;
@@ -73,9 +75,10 @@ pub fn motion(
     rig.place_scene();
     let window_s = rig.window_s(sonar, order);
     let trajectory = &mut slot.plan.trajectory;
-    let nav = rig
+    let mut nav = rig
         .history
         .motion(order.transmit_utc, window_s, mode, trajectory)?;
+    let sensor = sensor_state(rig, sonar, &mut nav);
     let stamp_utc = match rig.spec.nav.stamp {
         StampSpec::Log => order.transmit_utc,
         StampSpec::Host => host_utc,
@@ -88,8 +91,36 @@ pub fn motion(
         slot.plan.model = unit.pipeline.model();
     }
     rig.faults.elements(mark, unit.pipeline.faults_mut());
+    slot.plan.sensor = sensor;
     plan::fill(&mut slot.plan, &unit.spec, order, nav, stamp_utc);
     Ok(())
+}
+
+/// Place of the sonar. Sets the heave of `nav` where it is the displacement from a configured depth.
+fn sensor_state(rig: &Rig, sonar: usize, nav: &mut NavState) -> SensorState {
+    let spec = &rig.spec.nav;
+    if let Some(still_depth_m) = spec.heave_from_depth_m {
+        nav.heave_down_m = -nav.height_m - still_depth_m;
+    }
+    let arrays = &rig.sonars[sonar].spec.receive;
+    let arms: DVec3 = arrays.iter().map(|array| array.mounting.position_m).sum();
+    let at_m = nav.pose.point_m(arms / arrays.len().max(1) as f64);
+    let (latitude_rad, longitude_rad) = match rig.history.origin() {
+        Some(plane) => plane.geodetic_rad(at_m.x, at_m.y),
+        None => (nav.latitude_rad, nav.longitude_rad),
+    };
+    let altitude_m = rig.scene.seabed_down_m(at_m.x, at_m.y);
+    SensorState {
+        latitude_rad,
+        longitude_rad,
+        depth_m: at_m.z,
+        altitude_m: altitude_m
+            .map(|down_m| down_m - at_m.z)
+            .filter(|a| *a > 0.0),
+        still_depth_m: spec
+            .tells_depth()
+            .then_some(-nav.height_m - nav.heave_down_m),
+    }
 }
 
 /// The scatterers within the footprints of the ping's arrays.

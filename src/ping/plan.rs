@@ -5,7 +5,7 @@
 use echotank_config::spec::{MediumSpec, SonarSpec};
 use echotank_core::frames::Trajectory;
 use echotank_core::navigation::NavState;
-use echotank_core::ping::{PingPlan, Segment};
+use echotank_core::ping::{PingPlan, Segment, SensorState};
 use echotank_core::pulse::Pulse;
 use echotank_core::settings::SonarSettings;
 use echotank_core::time::{NS_PER_S, UtcNs};
@@ -102,6 +102,7 @@ pub fn blank(
         first_sample_s: 0.0,
         model: spec.model,
         nav: NavState::default(),
+        sensor: SensorState::default(),
         trajectory: Trajectory::default(),
         segments: Vec::with_capacity(max_segments(spec, medium.sound_speed_m_per_s)),
     }

@@ -1,10 +1,13 @@
 //! Configurations from the file system.
 
-use std::io;
+use std::io::{self, Read};
 use std::path::Path;
 
 use echotank_config::spec::RigSpec;
 use echotank_config::{ConfigErrors, Files};
+
+/// Largest configuration and largest table that one names, bytes.
+const MAX_CONFIGURATION_BYTES: u64 = 16 << 20;
 
 /// This computer's file system.
 #[derive(Clone, Copy, Debug)]
@@ -12,8 +15,7 @@ pub struct FileSystem;
 
 impl Files for FileSystem {
     fn read(&self, path: &Path) -> Result<Vec<u8>, String> {
-        regular(path)?;
-        std::fs::read(path).map_err(|error| reason(&error))
+        read_bounded(path, MAX_CONFIGURATION_BYTES)
     }
 
     fn check_readable(&self, path: &Path) -> Result<(), String> {
@@ -27,6 +29,21 @@ impl Files for FileSystem {
     fn is_folder_or_free(&self, path: &Path) -> bool {
         path.is_dir() || !path.exists()
     }
+}
+
+/// Reads a regular file of at most `max_bytes`. The error does not name the path.
+pub fn read_bounded(path: &Path, max_bytes: u64) -> Result<Vec<u8>, String> {
+    regular(path)?;
+    let mut bytes = Vec::new();
+    // One byte more than the limit shows that a file is too large or grows.
+    std::fs::File::open(path)
+        .and_then(|file| file.take(max_bytes + 1).read_to_end(&mut bytes))
+        .map_err(|error| reason(&error))?;
+    if bytes.len() as u64 > max_bytes {
+        let len = std::fs::metadata(path).map_or(bytes.len() as u64, |m| m.len());
+        return Err(format!("{len} bytes; at most {max_bytes} are read"));
+    }
+    Ok(bytes)
 }
 
 /// Refuses folders, pipes and devices, which can be endless.
@@ -60,4 +77,96 @@ pub fn load(path: &Path) -> Result<RigSpec, ConfigErrors> {
 /// Checks a configuration's text; relative file names in it count from `folder`.
 pub fn parse(text: &str, folder: &Path) -> Result<RigSpec, ConfigErrors> {
     echotank_config::parse(text, folder, &FileSystem)
+}
+
+/// As [`load`], after `overrides` such as `sonar.ping.range_m=75`. In an array of tables every entry is changed, or only the one whose index the
+/// key gives; absent tables are created. Text that is no TOML value is a string.
+pub fn load_with(path: &Path, overrides: &[String]) -> Result<RigSpec, String> {
+    if overrides.is_empty() {
+        return load(path).map_err(|e| e.to_string());
+    }
+    let name = path.display();
+    let text = read_text(path).map_err(|why| format!("{name}: {why}"))?;
+    let mut table: toml::Table = text.parse().map_err(|e| format!("{name}: {e}"))?;
+    for change in overrides {
+        apply(&mut table, change).map_err(|why| format!("--set {change}: {why}"))?;
+    }
+    let text = toml::to_string(&table).map_err(|e| e.to_string())?;
+    let folder = path.parent().unwrap_or(Path::new("."));
+    parse(&text, folder).map_err(|e| format!("{name} (with --set)\n{e}"))
+}
+
+fn apply(table: &mut toml::Table, change: &str) -> Result<(), String> {
+    let (key, value) = change.split_once('=').ok_or("expected KEY=VALUE")?;
+    let value = parse_value(value.trim());
+    let path: Vec<&str> = key.trim().split('.').collect();
+    if path.iter().any(|part| part.is_empty()) {
+        return Err("the key has an empty part".into());
+    }
+    set_in(table, &path, &value)
+}
+
+fn parse_value(text: &str) -> toml::Value {
+    match format!("v = {text}").parse::<toml::Table>() {
+        Ok(mut table) => table
+            .remove("v")
+            .unwrap_or_else(|| toml::Value::String(text.into())),
+        Err(_) => toml::Value::String(text.into()),
+    }
+}
+
+fn set_in(table: &mut toml::Table, path: &[&str], value: &toml::Value) -> Result<(), String> {
+    let (first, rest) = path.split_first().ok_or("empty key")?;
+    if rest.is_empty() {
+        table.insert((*first).to_string(), value.clone());
+        return Ok(());
+    }
+    let next = table
+        .entry((*first).to_string())
+        .or_insert_with(|| toml::Value::Table(toml::Table::new()));
+    match next {
+        toml::Value::Table(inner) => set_in(inner, rest, value),
+        toml::Value::Array(entries) => {
+            let (one, below) = match rest[0].parse::<usize>() {
+                Ok(index) => (Some(index), &rest[1..]),
+                Err(_) => (None, rest),
+            };
+            if one.is_some_and(|index| index >= entries.len()) {
+                return Err(format!("{first} has {} entries", entries.len()));
+            }
+            for (index, entry) in entries.iter_mut().enumerate() {
+                if one.is_none_or(|wanted| wanted == index) {
+                    let inner = entry
+                        .as_table_mut()
+                        .ok_or_else(|| format!("{first} is not a list of tables"))?;
+                    set_in(inner, below, value)?;
+                }
+            }
+            Ok(())
+        }
+        _ => Err(format!("{first} is a value, not a table")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_override_changes_every_sonar_or_the_indexed_one() {
+        let mut table: toml::Table = "[[sonar]]\nname = 'a'\n[[sonar]]\nname = 'b'\n"
+            .parse()
+            .unwrap();
+        apply(&mut table, "sonar.ping.range_m=75").unwrap();
+        apply(&mut table, "sonar.1.name=c").unwrap();
+        let text = toml::to_string(&table).unwrap();
+        assert_eq!(text.matches("range_m = 75").count(), 2, "{text}");
+        assert!(
+            text.contains("name = \"a\"") && text.contains("name = \"c\""),
+            "{text}"
+        );
+        assert!(apply(&mut table, "sonar.7.name=c").is_err());
+        assert!(apply(&mut table, "sonar").is_err());
+        assert!(apply(&mut table, "sonar..name=1").is_err());
+    }
 }

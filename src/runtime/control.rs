@@ -144,6 +144,15 @@ impl RunControl {
         *lock(&self.nav_sources) = sources;
     }
 
+    /// Why the daemon should be started anew; `None` while the pipeline advances.
+    pub(crate) fn pipeline_problem(&self) -> Option<String> {
+        let beat = MonoNs(self.beat_ns.load(Ordering::Relaxed));
+        let silent_s = self.machine.mono().seconds_since(beat);
+        // A paused pipeline may stand still.
+        (silent_s > MAX_ITERATION_S && !self.gate.is_paused())
+            .then(|| format!("the pipeline has not advanced for {silent_s:.0} s"))
+    }
+
     /// The navigation sources' states, in the configuration's order.
     pub(crate) fn nav_states(&self) -> Vec<State> {
         let sources = lock(&self.nav_sources);
@@ -486,11 +495,9 @@ impl ControlPort for RunControl {
     }
 
     fn health_problem(&self) -> Option<String> {
-        let beat = MonoNs(self.beat_ns.load(Ordering::Relaxed));
-        let silent_s = self.machine.mono().seconds_since(beat);
-        // A paused pipeline may stand still.
-        (silent_s > MAX_ITERATION_S && !self.gate.is_paused())
-            .then(|| format!("the pipeline has not advanced for {silent_s:.0} s"))
+        let stopped = self.sonars.iter().flat_map(|s| s.reports.stopped().lines());
+        let all: Vec<_> = self.pipeline_problem().into_iter().chain(stopped).collect();
+        (!all.is_empty()).then(|| all.join("; "))
     }
 
     /// Prometheus text, version 0.0.4.

@@ -56,6 +56,7 @@ ping_counters! {
         pub(crate) samples_saturated = "samples_saturated", "Samples clipped by the converter";
         pub arrivals = "arrivals", "Echo paths summed";
         pub extrapolated = "pings_extrapolated", "Pings whose navigation was extrapolated";
+        pub time_jumped = "pings_time_jumped", "Pings while the clock of a navigation source jumped or was corrected";
         pub checked = "pings_checked", "Pings with an error check";
         pub error_check_faults = "error_check_faults", "Pings whose error check, like the one before, exceeded 1.3 tolerances";
         pub plan = "plan", "Number of the newest ping's method plan; 0 without a plan";
@@ -160,6 +161,10 @@ impl PingCounters {
     /// Text of the status line on seabed, engine, plan, overload and error checks.
     fn model_text(&self) -> String {
         let mut text = String::new();
+        match read(&self.time_jumped) {
+            0 => {}
+            n => text += &format!(", {n} with a time jump of the navigation"),
+        }
         let per_ping = |sum: &AtomicU64| read(sum) / read(&self.made).max(1);
         if read(&self.seabed_used) > 0 {
             text += &format!(
@@ -258,6 +263,7 @@ impl PingCounters {
             .store((age_s * 1e3) as u64, Ordering::Relaxed);
         add(&self.extrapolated, u64::from(state.extrapolated));
         add(&self.invalid_nav, u64::from(state.invalid.any()));
+        add(&self.time_jumped, u64::from(state.time_jumped));
     }
 
     /// Status line of `replay`, which has no clock.

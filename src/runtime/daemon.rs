@@ -40,7 +40,7 @@ use crate::counters::PingCounters;
 use crate::faults::nav::NavFaults;
 use crate::histograms::Histograms;
 use crate::io::control::feed::Feed;
-use crate::io::control::{ControlPort, ControlServer, OpenError as ControlOpenError};
+use crate::io::control::{ControlServer, OpenError as ControlOpenError};
 use crate::io::nav::NavInputs;
 use crate::io::nav::output::{ClockFaults, NavOutputError, NavOutputs};
 use crate::io::notify::Notify;
@@ -293,10 +293,16 @@ impl Daemon {
         let faults = rig.faults.clone();
         let said = rig.spec.run.fault_directory.clone();
         let beside = rig.spec.record.as_ref().map(|r| r.directory.clone());
-        let mut fault_log = EventLog::new("faults", said.clone().or(beside.clone()));
+        let stopped = control
+            .sonars()
+            .first()
+            .map(|s| s.reports.stopped().clone());
+        let stopped = stopped.unwrap_or_default();
+        let directory = said.clone().or(beside.clone());
+        let mut fault_log = EventLog::new("faults", directory, &stopped);
         // A ping that is skipped misses its number in the records themselves.
         let beside = beside.filter(|_| rig.spec.run.overload != OverloadSpec::Skip);
-        let mut overload_log = EventLog::new("overload", said.or(beside));
+        let mut overload_log = EventLog::new("overload", said.or(beside), &stopped);
         let latency_s = rig.spec.run.latency_s;
         let status_interval_ns = (rig.spec.run.status_interval_s * NS_PER_S as f64) as i64;
         let own_time = rig.spec.run.clock.is_own();
@@ -365,7 +371,8 @@ impl Daemon {
             fault_log.write(&faults.take_injections(), control.sonars());
             overload_log.write(&control.overload_states().take(), control.sonars());
             nav_states.report(&control);
-            match control.health_problem() {
+            // Stopped recordings go on by themselves: a restart would not help them.
+            match control.pipeline_problem() {
                 None => {
                     notify.alive();
                     is_well = true;

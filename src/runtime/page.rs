@@ -228,9 +228,11 @@ pub fn nav_source((state, source): &(State, SourceCounters)) -> Value {
         "malformed": d.malformed,
         "unsupported": d.unsupported,
         "time_jumps": d.time_jumps,
+        "clock_changes": d.clock_changes,
+        "corrected_by_s": d.corrected_by_s,
         "samples": d.samples,
         "received": l.received,
-        "dropped": l.dropped_full,
+        "dropped": l.dropped_full + l.dropped_flood,
         "read_errors": l.read_errors,
         "reopened": l.reopened,
     })

@@ -17,6 +17,9 @@ use echotank_ping::beats::{Beats, InForce};
 use echotank_ping::faults::PingMark;
 use echotank_ping::rig::Rig;
 
+/// Pings closer to the ends of a long gap are ordered one by one, seconds.
+const GAP_MARGIN_S: f64 = 60.0;
+
 /// Why a recorded rig cannot be opened.
 #[derive(Debug, Error)]
 pub enum RecordedError {
@@ -46,6 +49,8 @@ pub struct RecordedRig {
     pub first: UtcNs,
     /// Per sonar: whether another sonar triggers it. A sonar with an external trigger uses its own schedule.
     follows: Vec<bool>,
+    /// Per sonar: pings in long gaps of the navigation, which have no number.
+    pub(crate) passed_over: Vec<u64>,
 }
 
 impl RecordedRig {
@@ -83,6 +88,7 @@ impl RecordedRig {
             beats: Beats::starting_at(first, sound_speed_m_per_s, triggers.clone()),
             first,
             follows: triggers.map(follows).collect(),
+            passed_over: vec![0; spec.sonars.len()],
             rig,
             inputs,
         })
@@ -95,6 +101,11 @@ impl RecordedRig {
             let wanted = |sonar: usize| beats.schedule(sonar).next_number() <= last;
             let leads = |sonar: usize| wanted(sonar) && !follows[sonar];
             let now = beats.next_utc(leads)?;
+            if self.pass_over_gap(now) {
+                continue;
+            }
+            let (beats, follows) = (&self.beats, &self.follows);
+            let wanted = |sonar: usize| beats.schedule(sonar).next_number() <= last;
             let sonars = &self.rig.sonars;
             let done: Vec<_> = (0..follows.len()).map(|sonar| !wanted(sonar)).collect();
             let in_force = |sonar: usize, _| InForce {
@@ -112,6 +123,34 @@ impl RecordedRig {
                 return Some((sonar, order));
             }
         }
+    }
+
+    /// Passes over a long gap of the navigation that contains the next ping. Adds the pings of each sonar that fall into it to `skipped`.
+    fn pass_over_gap(&mut self, now: UtcNs) -> bool {
+        let Some(end) = self.inputs.gap_end(now, GAP_MARGIN_S) else {
+            return false;
+        };
+        let sonars = 0..self.rig.sonars.len();
+        if sonars
+            .into_iter()
+            .all(|s| self.beats.schedule(s).next_utc() >= end)
+        {
+            // A trigger that a ping before the gap has made.
+            return false;
+        }
+        let sound_speed_m_per_s = self.rig.medium().sound_speed_m_per_s;
+        for (sonar, unit) in self.rig.sonars.iter().enumerate() {
+            let from = self.beats.schedule(sonar).next_utc();
+            let leader = match unit.spec.trigger.from {
+                TriggerFrom::Sonar { sonar, .. } => &self.rig.sonars[sonar],
+                _ => unit,
+            };
+            let period_ns = echotank_ping::period_ns(&leader.spec.settings, sound_speed_m_per_s);
+            let missed = end.0.saturating_sub(from.0).max(0) / period_ns.max(1);
+            self.passed_over[sonar] += missed as u64;
+            self.beats.put_off(sonar, end);
+        }
+        true
     }
 
     /// Records that the order's pulse was transmitted. An injected double-trigger fault schedules a second pulse.

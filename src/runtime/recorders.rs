@@ -26,8 +26,8 @@ use echotank_core::records::Datagram;
 use echotank_core::scene::Target;
 use echotank_core::time::UtcNs;
 use echotank_emit::jsf::{JsfEmitter, JsfSheet, file_time};
+use echotank_emit::sevenk::SevenKEmitter;
 use echotank_emit::sevenk::records::DeviceSheet;
-use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_emit::xtf::XtfEmitter;
 use echotank_ping::rig::{PingSlot, Rig, SonarUnit};
 
@@ -101,6 +101,9 @@ pub(crate) fn begin_s7k(
     };
     let mut recorder = S7kRecorder::create(path, header, stamp)?;
     recorder.write(&sheet.configuration_7001(utc).bytes)?;
+    for record in sheet.descriptions(utc) {
+        recorder.write(&record.bytes)?;
+    }
     Ok(recorder)
 }
 
@@ -114,14 +117,15 @@ fn text_of(text: &str, bytes: usize) -> String {
 }
 
 impl S7k {
-    fn new(folder: &Path, unit: &SonarUnit, medium: &MediumSpec) -> Self {
+    fn new(folder: &Path, unit: &SonarUnit, rig: &RigSpec) -> Self {
         let sonar = &unit.spec;
         let sheet = DeviceSheet::new(
             &sevenk_output(sonar),
             sonar,
-            medium.sound_speed_m_per_s,
+            rig.medium.sound_speed_m_per_s,
             unit.absorption_db_per_m,
-        );
+        )
+        .with_navigation(&rig.nav);
         Self {
             path: folder.join(format!("{}.s7k", sonar.name)),
             emitter: SevenKEmitter::new(Arc::new(sheet), 1),
@@ -136,8 +140,9 @@ impl S7k {
             Some(recorder) => recorder,
             none => none.insert(begin_s7k(&self.path, self.emitter.sheet(), plan.stamp_utc)?),
         };
+        let wanted = self.emitter.sheet().file_records();
         self.emitter
-            .emit_ping(plan, output, RecordSet::ALL, &mut self.records);
+            .emit_ping(plan, output, wanted, &mut self.records);
         for record in self.records.drain(..) {
             recorder.write(&record.bytes)?;
         }
@@ -206,17 +211,17 @@ impl Xtf {
 impl SonarFiles {
     fn create(
         unit: &SonarUnit,
-        medium: &MediumSpec,
+        rig: &RigSpec,
         folder: PathBuf,
         options: &ReplayOptions,
     ) -> Result<Self, RecordError> {
         make_folder(&folder)?;
-        let sonar = &unit.spec;
+        let (sonar, medium) = (&unit.spec, &rig.medium);
         let formats = options.formats;
         // XTF holds side-scan lines only.
         let has_xtf = formats.xtf && !sonar.beams.lines.is_empty();
         Ok(Self {
-            s7k: formats.s7k.then(|| S7k::new(&folder, unit, medium)),
+            s7k: formats.s7k.then(|| S7k::new(&folder, unit, rig)),
             jsf: formats.jsf.then(|| Jsf::new(&folder, sonar, medium)),
             xtf: has_xtf.then(|| Xtf::new(&folder, sonar, medium)),
             npz: match formats.npz {
@@ -309,7 +314,7 @@ impl Recorders {
                 1 => options.out.clone(),
                 _ => options.out.join(&unit.spec.name),
             };
-            sonars.push(SonarFiles::create(unit, &spec.medium, folder, options)?);
+            sonars.push(SonarFiles::create(unit, spec, folder, options)?);
         }
         Ok(Self {
             truth: TruthRecorder::create(&options.out)?,
@@ -370,6 +375,7 @@ macro_rules! configured {
 fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
     let configured = configured!(spec, SevenK);
     configured.cloned().unwrap_or_else(|| SevenKSpec {
+        has_common_files: false,
         listen: (std::net::Ipv4Addr::LOCALHOST, 0).into(),
         device_id: GENERIC_SIDE_SCAN,
         enumerator: 0,
@@ -377,6 +383,7 @@ fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
         max_packet: 0,
         client_queue_bytes: 0,
         disconnect_when_full: false,
+        third_parties: Vec::new(),
         max_clients: 0,
     })
 }

@@ -4,6 +4,7 @@
 
 use std::fmt;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 
 use thiserror::Error;
 
@@ -38,6 +39,9 @@ pub enum ReplayError {
         /// The file format, by its extension.
         format: &'static str,
     },
+    /// Every ping lies outside of the navigation, or `--pings` behind its end.
+    #[error("no ping was made: {0}")]
+    NoPing(String),
     /// The compute thread pool.
     #[error("threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
@@ -189,6 +193,7 @@ impl Replay {
                     .sum();
                 counters.ping(&slot.output.counts, saturated, 0);
                 counters.scene(&slot.output.scene);
+                counters.nav(&slot.plan.nav);
                 counters.error_check(slot.output.error_check.as_ref());
                 if let Some(planner) = &self.recorded.rig.sonars[sonar].planner {
                     counters.plan(slot.output.methods.as_ref(), &planner.counts);
@@ -202,6 +207,16 @@ impl Replay {
 
     fn finish(self) -> Result<Summary, ReplayError> {
         let files = self.recorders.finish(self.recorded.rig.targets())?;
+        for (counters, passed_over) in self.counters.iter().zip(&self.recorded.passed_over) {
+            add(&counters.skipped_nav, *passed_over);
+        }
+        let made_none =
+            |c: &PingCounters| c.made.load(Relaxed) + c.triggers_missed.load(Relaxed) == 0;
+        if self.counters.iter().all(made_none) {
+            let lines = self.counters.iter().map(PingCounters::replay_line);
+            let counts = lines.collect::<Vec<_>>().join("; ");
+            return Err(ReplayError::NoPing(counts));
+        }
         let mut text = String::new();
         for (unit, counters) in self.recorded.rig.sonars.iter().zip(&self.counters) {
             text += &format!("{}: {}\n", unit.spec.name, counters.replay_line());

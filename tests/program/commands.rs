@@ -46,6 +46,9 @@ fn pipes_and_devices_are_refused_as_input_files() {
         ("check", &["/dev/zero"]),
         ("check", &[pipe, "--set", "run.threads=1"]),
         ("scene", &["info", pipe]),
+        ("nav", &[pipe]),
+        ("nav", &["/dev/zero"]),
+        ("nav", &["/"]),
     ] {
         let done = run(name, arguments);
         assert_ne!(done.code, Some(0), "{name} {arguments:?}");
@@ -84,6 +87,34 @@ fn the_report_is_printed_as_text_and_json_and_drawn() {
         .chunks(channels)
         .filter(|p| p[0] < 100 && p[channels.min(3) - 1] > 120);
     assert!(inked.count() > 2000, "blue curves");
+}
+
+#[test]
+fn binary_logs_are_named_and_refused_with_status_2() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("dvl.bin");
+    std::fs::write(&log, [0x7F, 0x7F, 0, 1, 2, 3].repeat(100)).expect("written");
+    let done = run("nav", [&log]);
+    assert_eq!(done.code, Some(2), "{}", done.out);
+    assert!(
+        done.err.contains("binary file (Teledyne PD0)"),
+        "{}",
+        done.err
+    );
+    let quickstart = echotank_testing::repository().join("hil-configs/quickstart.toml");
+    let out = folder.path().join("out");
+    let done = run(
+        "replay",
+        [
+            quickstart.as_os_str(),
+            "--nav".as_ref(),
+            log.as_os_str(),
+            "--out".as_ref(),
+            out.as_os_str(),
+        ],
+    );
+    assert_eq!(done.code, Some(2), "{}", done.out);
+    assert!(done.err.contains("Teledyne PD0"), "{}", done.err);
 }
 
 fn picture(path: &Path) -> (png::OutputInfo, Vec<u8>) {

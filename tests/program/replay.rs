@@ -9,6 +9,7 @@ use serde_json::Value;
 use crate::{files_in, replay_into};
 
 mod pictures;
+mod times;
 
 fn config(name: &str) -> PathBuf {
     echotank_testing::repository()
@@ -79,6 +80,18 @@ fn without_history(line: &str) -> String {
         assert!(scene.remove(made).is_some());
     }
     ping.to_string()
+}
+
+#[test]
+fn a_7k_file_describes_the_rig_and_its_water_before_the_first_ping() {
+    let out = replay(&["--formats", "s7k", "--pings", "1..2"], "quickstart.toml");
+    let bytes = fs::read(out.path().join("hull.s7k")).expect("s7k");
+    let ids: Vec<u32> = echotank_protocols::sevenk::file::FileReader::new(&bytes)
+        .map(|found| found.expect("a record").record.frame.record_type_id)
+        .collect();
+    assert_eq!(ids[..6], [7200, 7001, 7030, 1009, 7610, 7000]);
+    let count = |id: u32| ids.iter().filter(|&&i| i == id).count();
+    assert_eq!([7001, 7030, 1009, 7610, 7000].map(count), [1, 1, 1, 2, 2]);
 }
 
 #[test]
@@ -304,7 +317,8 @@ fn every_rig_that_imitates_a_device_pings() {
 /// Sample playback files and their metadata, from a rig whose configuration names neither.
 #[test]
 fn sigmf_and_wav_hold_the_same_pings() {
-    let out = replay(&["--pings", "1..2", "--formats", "sigmf,wav"], "board.toml");
+    let board = echotank_testing::repository().join("tests/data/rigs/board.toml");
+    let out = replay_file(&["--pings", "1..2", "--formats", "sigmf,wav"], &board);
     let meta = fs::read_to_string(out.path().join("board.sigmf-meta")).expect("words");
     let words = echotank_protocols::sigmf::Recording::parse(&meta).expect("SigMF");
     assert_eq!(

@@ -36,6 +36,7 @@ pub fn nav(sources: Vec<NavSourceSpec>) -> NavSpec {
         vertical: VerticalSpec::Waterline {
             reference_down_m: 0.0,
         },
+        heave_from_depth_m: None,
         stamp: StampSpec::Log,
         loop_log: false,
         max_extrapolation_s: 0.25,

@@ -258,7 +258,23 @@ pub fn stl() -> Vec<u8> {
 
 /// 200 points, of which every twentieth is noise at z = 500.
 pub fn las() -> Vec<u8> {
+    las_with(&[])
+}
+
+/// As [`las()`], with a directory of these GeoKeys, whose values are shorts.
+pub fn las_with(keys: &[(u16, u16)]) -> Vec<u8> {
     let mut builder = las::Builder::from((1, 2));
+    if !keys.is_empty() {
+        builder.vlrs.push(las::Vlr {
+            user_id: "LASF_Projection".to_owned(),
+            record_id: 34735,
+            data: geo_keys(keys)
+                .iter()
+                .flat_map(|k| k.to_le_bytes())
+                .collect(),
+            ..las::Vlr::default()
+        });
+    }
     let transform = |offset| las::Transform {
         scale: 0.001,
         offset,
@@ -287,6 +303,12 @@ pub fn las() -> Vec<u8> {
     writer.into_inner().expect("LAS bytes").into_inner()
 }
 
+fn geo_keys(keys: &[(u16, u16)]) -> Vec<u16> {
+    let head = [1_u16, 1, 0, keys.len() as u16];
+    let entries = keys.iter().flat_map(|(key, value)| [*key, 0, 1, *value]);
+    head.into_iter().chain(entries).collect()
+}
+
 /// Kind, count and bytes of a tag's value.
 type Value = (u16, u32, Vec<u8>);
 
@@ -299,7 +321,10 @@ pub struct Tiff {
     pub transformation: Option<[f64; 16]>,
     /// Key and value of GeoKeys whose value is a short.
     pub keys: Vec<(u16, u16)>,
+    /// GDAL's metadata.
+    pub metadata: Option<&'static str>,
     pub nodata: Option<&'static str>,
+    pub compression: u16,
     pub cells: Vec<f32>,
 }
 
@@ -313,7 +338,9 @@ impl Default for Tiff {
             tie: [0.0, 0.0, 0.0, 500_000.0, 6_000_000.0, 0.0],
             transformation: None,
             keys: vec![(1024, 1), (1025, 1), (3072, 32632)],
+            metadata: None,
             nodata: None,
+            compression: 1,
             cells: (1..=12).map(|k| -(k as f32)).collect(),
         }
     }
@@ -336,7 +363,7 @@ impl Tiff {
             (256, long(self.width)),
             (257, long(self.height)),
             (258, short(32)),
-            (259, short(1)),
+            (259, short(self.compression)),
             (262, short(1)),
             (273, long(8)),
             (277, short(1)),
@@ -352,16 +379,15 @@ impl Tiff {
             tags.push((34264, doubles(m)));
         }
         if !self.keys.is_empty() {
-            let mut keys = vec![1_u16, 1, 0, self.keys.len() as u16];
-            for (key, value) in &self.keys {
-                keys.extend([*key, 0, 1, *value]);
-            }
+            let keys = geo_keys(&self.keys);
             let bytes: Vec<u8> = keys.iter().flat_map(|k| k.to_le_bytes()).collect();
             tags.push((34735, (SHORT, keys.len() as u32, bytes)));
         }
-        if let Some(text) = self.nodata {
-            let bytes = [text.as_bytes(), b"\0"].concat();
-            tags.push((42113, (ASCII, bytes.len() as u32, bytes)));
+        for (tag, text) in [(42112, self.metadata), (42113, self.nodata)] {
+            if let Some(text) = text {
+                let bytes = [text.as_bytes(), b"\0"].concat();
+                tags.push((tag, (ASCII, bytes.len() as u32, bytes)));
+            }
         }
         let directory = 8 + strip.len();
         let mut tail = directory + 2 + 12 * tags.len() + 4;

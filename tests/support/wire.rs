@@ -196,6 +196,7 @@ pub fn large_output(elements: usize, samples: usize) -> PingOutput {
 /// Starboard's elements before port's; the fan's are not sent.
 pub fn output_spec() -> SevenKSpec {
     SevenKSpec {
+        has_common_files: false,
         listen: "127.0.0.1:0".parse().expect("an address"),
         device_id: DEVICE,
         enumerator: ENUMERATOR,
@@ -203,6 +204,7 @@ pub fn output_spec() -> SevenKSpec {
         max_packet: 60_000,
         client_queue_bytes: 1 << 20,
         disconnect_when_full: false,
+        third_parties: Vec::new(),
         max_clients: 8,
     }
 }

@@ -66,6 +66,10 @@ pub mod device_id {
 pub mod record_id {
     /// Position.
     pub const POSITION: u32 = 1003;
+    /// Depth.
+    pub const DEPTH: u32 = 1008;
+    /// Sound velocity over depth.
+    pub const SOUND_VELOCITY_PROFILE: u32 = 1009;
     /// Roll, pitch and heave.
     pub const ROLL_PITCH_HEAVE: u32 = 1012;
     /// Heading.
@@ -88,6 +92,8 @@ pub mod record_id {
     pub const RAW_DETECTIONS: u32 = 7027;
     /// Samples around detections.
     pub const SNIPPETS: u32 = 7028;
+    /// Mounting of arrays and sensors.
+    pub const INSTALLATION: u32 = 7030;
     /// I and Q of the receive elements.
     pub const RAW_IQ: u32 = 7038;
     /// Compressed water column.
@@ -133,10 +139,11 @@ pub mod control_flags {
     }
 }
 
-/// Order of the records of one ping. Readers group a file by the records between two 7000 records, so 7000 comes first.
-pub const PING_RECORD_ORDER: [u32; 29] = [
-    7000, 7503, 1750, 7002, 7004, 7017, 7006, 7027, 7007, 7008, 7010, 7011, 7012, 7013, 7018, 7019,
-    7028, 7029, 7037, 7038, 7039, 7041, 7042, 7048, 7049, 7057, 7058, 7068, 7070,
+/// Order of the records of one ping. Readers group a file by the records between two 7000 records, so 7000 comes first, behind the sound
+/// velocity (7610) that readers need before the first detections.
+pub const PING_RECORD_ORDER: [u32; 30] = [
+    7610, 7000, 7503, 1750, 7002, 7004, 7017, 7006, 7027, 7007, 7008, 7010, 7011, 7012, 7013, 7018,
+    7019, 7028, 7029, 7037, 7038, 7039, 7041, 7042, 7048, 7049, 7057, 7058, 7068, 7070,
 ];
 
 /// Sort key of a record within its ping; records without a ping (navigation, answers) come last.

@@ -53,6 +53,8 @@ macro_rules! record_bodies {
 record_bodies! {
     plain {
         POSITION => Position(Position1003),
+        DEPTH => Depth(Depth1008),
+        SOUND_VELOCITY_PROFILE => SoundVelocityProfile(SoundVelocityProfile1009<'a>),
         ROLL_PITCH_HEAVE => RollPitchHeave(RollPitchHeave1012),
         HEADING => Heading(Heading1013),
         CONFIGURATION => Configuration(Configuration7001),
@@ -76,6 +78,7 @@ record_bodies! {
     }
     boxed {
         SONAR_SETTINGS => SonarSettings(SonarSettings7000),
+        INSTALLATION => Installation(Installation7030),
         FILE_HEADER => FileHeader(FileHeader7200),
         REMOTE_CONTROL_SETTINGS => RemoteSettings(RemoteSettings7503),
     }

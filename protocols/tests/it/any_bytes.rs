@@ -14,8 +14,9 @@ use echotank_protocols::sevenk::{
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-const OUR_TYPES: [u32; 16] = [
-    1003, 1012, 1013, 7000, 7001, 7004, 7007, 7018, 7038, 7200, 7300, 7500, 7501, 7502, 7503, 7610,
+const OUR_TYPES: [u32; 19] = [
+    1003, 1008, 1009, 7030, 1012, 1013, 7000, 7001, 7004, 7007, 7018, 7038, 7200, 7300, 7500, 7501,
+    7502, 7503, 7610,
 ];
 
 fn with_zeros(bytes: &[u8], reserved: &[Range<usize>]) -> Vec<u8> {
@@ -30,6 +31,9 @@ fn with_zeros(bytes: &[u8], reserved: &[Range<usize>]) -> Vec<u8> {
 fn a_record_one_byte_short_is_reported_as_truncated() {
     for (record_type_id, rth_bytes) in [
         (1003, 37),
+        (1008, 8),
+        (1009, 24),
+        (7030, 616),
         (1012, 12),
         (1013, 4),
         (7000, 156),

@@ -275,6 +275,89 @@ fn platform_records_are_at_their_offsets() {
     let bytes = golden!("7610.hex");
     assert_eq!(SoundVelocity7610::parse(&bytes), Ok(sound));
     assert_eq!(emitted_body(|buf| sound.emit(buf, &STAMP)), bytes);
+
+    let depth = Depth1008 {
+        descriptor: 1,
+        correction: 2,
+        depth_m: 1.5,
+    };
+    let bytes = hex("01 02 00 00  00 00 c0 3f");
+    assert_eq!(Depth1008::parse(&bytes), Ok(depth));
+    assert_eq!(emitted_body(|buf| depth.emit(buf, &STAMP)), bytes);
+}
+
+#[test]
+fn sound_velocity_profile_1009_is_at_its_offsets() {
+    let bytes = hex("
+        01 00 00 00               # 0 u8 position flag = 1, reserved
+        00 00 00 00 00 00 f8 3f   # 4 f64 latitude = 1.5
+        00 00 00 00 00 00 04 40   # 12 f64 longitude = 2.5
+        02 00 00 00               # 20 u32 samples = 2
+        00 00 c0 3f  00 00 20 40  # depth 1.5, velocity 2.5
+        00 00 60 40  00 00 90 40  # depth 3.5, velocity 4.5
+    ");
+    let profile = SoundVelocityProfile1009::parse(&bytes).expect("1009");
+    let rth = Rth1009 {
+        position_flag: 1,
+        latitude_rad: 1.5,
+        longitude_rad: 2.5,
+        samples: 2,
+    };
+    assert_eq!(profile.rth, rth);
+    let samples: Vec<_> = profile.samples().collect();
+    let said: Vec<_> = samples
+        .iter()
+        .map(|s| (s.depth_m, s.sound_velocity_m_per_s))
+        .collect();
+    assert_eq!(said, [(1.5, 2.5), (3.5, 4.5)]);
+    let got = emitted_body(|buf| emit_1009(buf, &STAMP, &Rth1009 { samples: 0, ..rth }, &samples));
+    assert_eq!(got, bytes);
+}
+
+#[test]
+fn installation_7030_is_at_its_offsets() {
+    // From table 79: a frequency, four texts with their lengths, 12 numbers of two arrays, six of a sensor, a delay, three numbers of
+    // another, a delay, and the waterline.
+    let mut bytes = 1.5_f32.to_le_bytes().to_vec();
+    for text in ["a", "bc", "def", "ghij"] {
+        bytes.extend((text.len() as u16).to_le_bytes());
+        let mut field = [0; 128];
+        field[..text.len()].copy_from_slice(text.as_bytes());
+        bytes.extend(field);
+    }
+    let numbers =
+        |from: u16, count: u16| (from..from + count).flat_map(|n| f32::from(n).to_le_bytes());
+    bytes.extend(numbers(1, 18));
+    bytes.extend(700_u16.to_le_bytes());
+    bytes.extend(numbers(19, 3));
+    bytes.extend(800_u16.to_le_bytes());
+    bytes.extend(numbers(22, 1));
+    assert_eq!(bytes.len(), Installation7030::RTH_BYTES);
+    let offset = |first: f32| MountingOffset {
+        x_m: first,
+        y_m: first + 1.0,
+        z_m: first + 2.0,
+        roll_rad: first + 3.0,
+        pitch_rad: first + 4.0,
+        heading_rad: first + 5.0,
+    };
+    let installation = Installation7030 {
+        frequency_hz: 1.5,
+        firmware: Version::new("a"),
+        software: Version::new("bc"),
+        sevenk_software: Version::new("def"),
+        record_protocol: Version::new("ghij"),
+        transmit: offset(1.0),
+        receive: offset(7.0),
+        motion_sensor: offset(13.0),
+        motion_delay_ms: 700,
+        position_sensor_m: [19.0, 20.0, 21.0],
+        position_delay_ms: 800,
+        waterline_m: 22.0,
+    };
+    assert_eq!(Installation7030::parse(&bytes), Ok(installation));
+    assert_eq!(installation.record_protocol.text(), "ghij");
+    assert_eq!(emitted_body(|buf| installation.emit(buf, &STAMP)), bytes);
 }
 
 const SONAR_ID: u64 = (1 << 40) + 8;

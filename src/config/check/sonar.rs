@@ -1,6 +1,7 @@
 //! One `[[sonar]]`.
 
 use std::f64::consts::FRAC_PI_2;
+use std::net::IpAddr;
 
 use glam::DVec3;
 
@@ -891,6 +892,24 @@ fn output<'t, T, S>(
     key.given_and_then(|table| read(table).map(make))
 }
 
+/// Addresses of hosts, separated by commas.
+fn third_parties(key: &Field<String>, problems: &mut Problems) -> Option<Vec<IpAddr>> {
+    let Some(text) = key.text().filter(|text| !text.trim().is_empty()) else {
+        return Some(Vec::new());
+    };
+    let parsed: Result<Vec<IpAddr>, _> = text.split(',').map(|ip| ip.trim().parse()).collect();
+    match parsed {
+        Ok(addresses) => Some(addresses),
+        Err(_) => {
+            problems.refuse(
+                key,
+                "must be IP addresses without ports, separated by commas",
+            );
+            None
+        }
+    }
+}
+
 fn sevenk<'t>(
     table: &'t keys::Sevenk,
     arrays: &Arrays<'_>,
@@ -926,9 +945,11 @@ fn sevenk<'t>(
         device_id: table.id.to()?,
         enumerator: table.enumerator.to()?,
         arrays: chosen?,
+        has_common_files: table.file_records.text()? == "common",
         max_packet: table.max_packet_bytes.to()?,
         client_queue_bytes: client_queue_bytes?,
         disconnect_when_full: table.when_full.text()? == "disconnect",
+        third_parties: third_parties(&table.third_parties, problems)?,
         max_clients: table.max_clients.to()?,
     })
 }

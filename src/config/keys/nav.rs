@@ -21,8 +21,9 @@ table! {
     /// depth of a CSV track or of a depth sensor (provides "depth"). Heave is added only with "waterline".
     vertical: Choice("waterline", "gnss", "depth"), Default("\"waterline\"");
 
-    /// Depth of the reference point, positive down. Only with vertical = "waterline".
-    reference_depth_m: Number(METRES), Default("0.0"), only with vertical = "waterline";
+    /// Depth of the reference point without heave, positive down. With vertical = "depth", the records tell the displacement from it as heave.
+    /// Default: 0, but none with a depth sensor, whose records tell the depth and no heave. Not with vertical = "gnss".
+    reference_depth_m: Number(METRES), Optional("30.0");
 
     /// Added to the depth. Only with vertical = "gnss".
     datum_offset_m: Number(METRES), Default("0.0"), only with vertical = "gnss";

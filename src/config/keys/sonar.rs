@@ -405,6 +405,9 @@ table! {
     /// Only this computer by default: the protocol has no password.
     listen: Text, Default("\"127.0.0.1:7000\"");
 
+    /// Records of .s7k files. "common" leaves out those that common readers do not know: 7038, 7042, 7057 and 10038.
+    file_records: Choice("all", "common"), Default("\"all\"");
+
     /// Longer records are split into packets of this length.
     max_packet_bytes: Integer(1024, 1 << 30), Default("60000");
 
@@ -413,5 +416,8 @@ table! {
 
     /// A client whose queue is full misses whole records, or is disconnected.
     when_full: Choice("skip", "disconnect"), Default("\"skip\"");
+
+    /// Addresses, separated by commas, to which a client may have records sent by command 1053, besides its own address.
+    third_parties: Text, Optional("\"192.168.1.20\"");
     max_clients: Integer(1, 1000), Default("8");
 }

@@ -65,6 +65,12 @@ pub(crate) fn write_rest(out: &mut String, nav: &NavSpec) -> fmt::Result {
         }
         VerticalSpec::Depth => "the track's own; heave is not added".to_owned(),
     };
+    let down = match nav.heave_from_depth_m {
+        Some(depth_m) => {
+            format!("{down}; the records tell its displacement from {depth_m} m as heave")
+        }
+        None => down,
+    };
     line(out, "depth", &format!("of the reference point: {down}"))?;
     if let Some(tow) = &nav.tow {
         let straight_m = tow.cable_out_m * tow.cable_scope;

@@ -5,9 +5,10 @@
 //! - [`session`]: commands in, answers out
 //!
 //! A message 80 carries one channel: a side (0 port, 1 starboard) or an element. Its samples are block floating point: none saturates, and
-//! the error is at most 2^-15 of the largest sample of the message. Times are those of the start of the pulse. Each of several pulses in a
-//! ping is a subsystem, numbered upwards from the sonar's own, as the maker's frequencies are. Not modelled: pulse files, the sonar's own
-//! clock, coupled subsystems.
+//! the error is at most 2^-15 of the largest sample of the message. Times are those of the start of the pulse. Depth and altitude are those of
+//! the sonar ([`SensorState`](echotank_core::ping::SensorState)): the altitude is the scene's, not one detected in the echo. Each of several
+//! pulses in a ping is a subsystem, numbered upwards from the sonar's own, as the maker's frequencies are. Not modelled: pulse files, the
+//! sonar's own clock, coupled subsystems.
 
 pub mod session;
 
@@ -17,6 +18,7 @@ use std::sync::Arc;
 
 use num_complex::Complex64;
 
+use echotank_protocols::calendar::Moment;
 use echotank_protocols::jsf::block_float;
 use echotank_protocols::jsf::control::system_type;
 use echotank_protocols::jsf::sensors::SensorTime;
@@ -31,7 +33,7 @@ use echotank_core::navigation::NavState;
 use echotank_core::ping::{Line, PingOutput, PingPlan, Side};
 use echotank_core::pulse::{Pulse, PulseKind};
 use echotank_core::records::Datagram;
-use echotank_core::time::UtcNs;
+use echotank_core::time::{NS_PER_S, UtcNs};
 
 /// Pressure of a metre of sea water in thousandths of a pound per square inch: 1025 kg/m^3 x 9.81 m/s^2 over 6.894757 Pa.
 const MPSI_PER_M: f64 = 1025.0 * 9.81 / 6.894_757;
@@ -141,6 +143,8 @@ pub struct JsfEmitter {
     sheet: Arc<JsfSheet>,
     /// Matched filter for the formats that carry filtered samples.
     filter: RowFilter,
+    /// UTC second of the last ping.
+    second: Option<i64>,
     row: Vec<Complex64>,
     floats: Vec<f32>,
     shorts: Vec<i16>,
@@ -152,6 +156,7 @@ impl JsfEmitter {
         Self {
             sheet,
             filter,
+            second: None,
             row: Vec::new(),
             floats: Vec::new(),
             shorts: Vec::new(),
@@ -172,10 +177,13 @@ impl JsfEmitter {
         active: impl Fn(u8, u8) -> bool,
         into: &mut Vec<Arc<Datagram>>,
     ) -> u64 {
-        sensors(plan, output, into);
+        let second = plan.stamp_utc.0.div_euclid(NS_PER_S);
+        let is_new_second = self.second != Some(second);
+        self.second = Some(second);
+        sensors(plan, is_new_second, into);
         let sheet = Arc::clone(&self.sheet);
         let own = sheet.output.subsystem;
-        let header = header(&sheet, plan, &plan.pulse, 0.0, output);
+        let header = header(&sheet, plan, &plan.pulse, 0.0);
         let mut not_finite = 0;
         let mut channel: usize = 0;
         match sheet.output.channels {
@@ -193,7 +201,7 @@ impl JsfEmitter {
                         duration_s: plan.pulse.duration_s,
                         ..more.pulse
                     };
-                    let header = self::header(&sheet, plan, &pulse, made.delay_s, output);
+                    let header = self::header(&sheet, plan, &pulse, made.delay_s);
                     for line in &made.lines {
                         let channel = channel_of(line.side);
                         if active(subsystem, channel) {
@@ -337,15 +345,6 @@ fn push<R>(
     }));
 }
 
-/// Altitude above the bottom from the shallowest sounding, metres; none without soundings.
-pub fn altitude_m(output: &PingOutput, sound_speed_m_per_s: f64) -> Option<f64> {
-    output
-        .soundings
-        .iter()
-        .map(|s| 0.5 * s.twtt_s * sound_speed_m_per_s * s.angle_rad.cos())
-        .min_by(f64::total_cmp)
-}
-
 fn channel_of(side: Side) -> u8 {
     match side {
         Side::Port => 0,
@@ -354,13 +353,7 @@ fn channel_of(side: Side) -> u8 {
 }
 
 /// Header for a pulse that starts `late_s` after the sonar's own.
-fn header(
-    sheet: &JsfSheet,
-    plan: &PingPlan,
-    pulse: &Pulse,
-    late_s: f64,
-    output: &PingOutput,
-) -> SonarDataHeader {
+fn header(sheet: &JsfSheet, plan: &PingPlan, pulse: &Pulse, late_s: f64) -> SonarDataHeader {
     let rate_hz = sheet.sonar.receiver.sample_rate_hz;
     let nav = &plan.nav;
     let mut h = SonarDataHeader {
@@ -395,38 +388,36 @@ fn header(
     h.set_heading_rad(nav.heading_rad);
     h.set_pitch_roll_rad(nav.pitch_rad, nav.roll_rad);
     h.set_sound_speed_m_per_s(plan.sound_speed_m_per_s as f32);
-    h.set_depth_m(depth_m(nav));
+    h.set_depth_m(plan.sensor.depth_m.max(0.0));
     let velocity = nav.pose.velocity_m_per_s;
-    h.set_course_rad(velocity.y.atan2(velocity.x).rem_euclid(2.0 * PI));
+    h.set_course_rad(course_rad(nav));
     h.set_speed_m_per_s(velocity.truncate().length());
-    if let Some(altitude_m) = altitude_m(output, plan.sound_speed_m_per_s) {
+    if let Some(altitude_m) = plan.sensor.altitude_m {
         h.set_altitude_m(altitude_m);
     }
     h
 }
 
-/// Depth below the world's vertical origin, metres; 0 above it.
-fn depth_m(nav: &NavState) -> f64 {
-    (-nav.height_m).max(0.0)
-}
-
-/// Messages 2002, 2020, 2060, 2080 and 2091 of one ping, from the ping's navigation.
-fn sensors(plan: &PingPlan, output: &PingOutput, into: &mut Vec<Arc<Datagram>>) {
+/// Messages 2020, 2060, 2080 and 2091 of one ping, from the ping's navigation and the sonar's depth and altitude; 2002 before the first ping
+/// of every second.
+fn sensors(plan: &PingPlan, is_new_second: bool, into: &mut Vec<Arc<Datagram>>) {
     const RAW: u8 = echotank_protocols::jsf::subsystem::RAW_SERIAL;
     const PARSED: u8 = echotank_protocols::jsf::subsystem::PARSED_SERIAL;
     let nav = &plan.nav;
     let after_transmit_ns = nav.utc.0.saturating_sub(plan.transmit_utc.0);
     let utc = plan.stamp_utc.plus_ns(after_transmit_ns);
     let time = SensorTime::from_utc_ns(utc.0);
-    let sentence = position_sentence(nav, utc);
-    push(into, message_type::NMEA, RAW, 0, |buf| {
-        Nmea2002 {
-            time,
-            source: 1,
-            sentence: sentence.as_bytes(),
-        }
-        .emit_message(buf, 0);
-    });
+    if is_new_second {
+        let sentence = position_sentence(nav, utc);
+        push(into, message_type::NMEA, RAW, 0, |buf| {
+            Nmea2002 {
+                time,
+                source: 1,
+                sentence: sentence.as_bytes(),
+            }
+            .emit_message(buf, 0);
+        });
+    }
     let body_from_world = nav.pose.world_from_body.inverse();
     let rate = body_from_world * nav.pose.angular_velocity_rad_per_s;
     let counts = |value: f64| value.round().clamp(-32_767.0, 32_767.0) as i16;
@@ -448,7 +439,7 @@ fn sensors(plan: &PingPlan, output: &PingOutput, into: &mut Vec<Arc<Datagram>>) 
         }
         .emit_message(buf, 0);
     });
-    let depth = depth_m(nav);
+    let depth = plan.sensor.depth_m.max(0.0);
     push(into, message_type::PRESSURE, PARSED, 0, |buf| {
         Pressure2060 {
             time,
@@ -461,7 +452,7 @@ fn sensors(plan: &PingPlan, output: &PingOutput, into: &mut Vec<Arc<Datagram>>) 
         }
         .emit_message(buf, 0);
     });
-    let altitude = altitude_m(output, plan.sound_speed_m_per_s);
+    let altitude = plan.sensor.altitude_m;
     let v = nav.pose.velocity_m_per_s;
     let v_body = body_from_world * v;
     push(into, message_type::DVL, PARSED, 0, |buf| {
@@ -507,12 +498,9 @@ fn sensors(plan: &PingPlan, output: &PingOutput, into: &mut Vec<Arc<Datagram>>) 
     });
 }
 
-/// Latitude and longitude as a GLL sentence, with a resolution of 1e-5 minutes of arc (2 cm).
+/// Position, speed and course as an RMC sentence, with a resolution of 1e-5 minutes of arc (2 cm).
 fn position_sentence(nav: &NavState, utc: UtcNs) -> String {
-    let (minutes_of_day, ns) = {
-        let ns_of_day = utc.0.rem_euclid(86_400_000_000_000);
-        (ns_of_day / 60_000_000_000, ns_of_day % 60_000_000_000)
-    };
+    let moment = Moment::from_utc_ns(utc.0);
     let parts = |rad: f64| {
         let hundred_thousandths = (rad.to_degrees().abs() * 60.0 * 1e5).round() as u64;
         (
@@ -522,18 +510,32 @@ fn position_sentence(nav: &NavState, utc: UtcNs) -> String {
     };
     let (lat_deg, lat_min) = parts(nav.latitude_rad);
     let (lon_deg, lon_min) = parts(nav.longitude_rad);
+    let velocity = nav.pose.velocity_m_per_s;
     let mut text = format!(
-        "GPGLL,{lat_deg:02}{lat_min:08.5},{},{lon_deg:03}{lon_min:08.5},{},{:02}{:02}{:05.2},A",
+        "GPRMC,{:02}{:02}{:02}.{:02},{},{lat_deg:02}{lat_min:08.5},{},{lon_deg:03}{lon_min:08.5},{},{:.2},{:.2},{:02}{:02}{:02},,,A",
+        moment.hour,
+        moment.minute,
+        moment.second,
+        // Truncated, so that 59.999 s does not round to the next minute.
+        moment.nanosecond / 10_000_000,
+        if nav.invalid.position { 'V' } else { 'A' },
         if nav.latitude_rad < 0.0 { 'S' } else { 'N' },
         if nav.longitude_rad < 0.0 { 'W' } else { 'E' },
-        minutes_of_day / 60,
-        minutes_of_day % 60,
-        // Truncated, so that 59.999 s does not round to the next minute.
-        (ns / 10_000_000) as f64 / 100.0,
+        velocity.truncate().length() * 3600.0 / 1852.0,
+        course_rad(nav).to_degrees(),
+        moment.day,
+        moment.month,
+        moment.year.rem_euclid(100),
     );
     let checksum = text.bytes().fold(0, |sum, byte| sum ^ byte);
     text.insert(0, '$');
     // Writing to a String cannot fail.
     let _ = write!(text, "*{checksum:02X}");
     text
+}
+
+/// Course over ground, radians, 0 to 2 pi.
+fn course_rad(nav: &NavState) -> f64 {
+    let velocity = nav.pose.velocity_m_per_s;
+    velocity.y.atan2(velocity.x).rem_euclid(2.0 * PI)
 }

@@ -37,13 +37,16 @@ use kept::Kept;
 use records::{DeviceSheet, View};
 
 /// Every record type that a simulated sonar can send. The records of a ping are sent in this order, because readers group by what follows a
-/// 7000.
-pub const RECORDS: [u32; 20] = [
-    7000, 7503, 7004, 7027, 7007, 7018, 7028, 7038, 7042, 7057, 7058, 10_038, 7610, 1003, 1012,
-    1013, 1015, 1016, 7500, 7001,
+/// 7000. 7610 precedes it, so that the sound velocity is known before the first detections.
+pub const RECORDS: [u32; 23] = [
+    7610, 7000, 7503, 7004, 7027, 7007, 7018, 7028, 7038, 7042, 7057, 7058, 10_038, 1003, 1008,
+    1012, 1013, 1015, 1016, 7500, 7001, 7030, 1009,
 ];
-/// Number of leading [`RECORDS`] that belong to a ping. 7500 is an echo, and 7001 is only sent on request.
-const PING_RECORDS: usize = 18;
+/// Number of leading [`RECORDS`] that belong to a ping. 7500 is an echo, 7001 is only sent on request, and 7030 and 1009 on request or once
+/// to a client that subscribes.
+const PING_RECORDS: usize = 19;
+/// Records that common readers of files do not know: MB-System 5.8 skips them with a warning and fails at 7057.
+const UNCOMMON_RECORDS: [u32; 4] = [7038, 7042, 7057, 10_038];
 
 /// A set of [`RECORDS`], small enough for an atomic.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -490,8 +493,13 @@ impl SevenKEmitter {
                 exact(pool.write(|buf| position.emit(buf, &nav_stamp)))
             }
             // Sensor records have no validity flag: they are omitted if the sensor's values are invalid.
+            1008 if plan.nav.invalid.vertical => None,
             1012 if plan.nav.invalid.roll_pitch || plan.nav.invalid.vertical => None,
             1013 if plan.nav.invalid.heading => None,
+            1008 => {
+                let depth = records::depth_1008(plan.sensor.still_depth_m?);
+                exact(pool.write(|buf| depth.emit(buf, &nav_stamp)))
+            }
             1012 => {
                 let attitude = records::roll_pitch_heave_1012(&plan.nav);
                 exact(pool.write(|buf| attitude.emit(buf, &nav_stamp)))

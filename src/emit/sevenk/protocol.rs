@@ -22,6 +22,8 @@ pub struct SevenKProtocol {
     settings: Arc<dyn SettingsPort>,
     /// Maximum size of a TCP packet including the network frame, bytes.
     max_packet_bytes: u32,
+    /// Whether an address is one of the server's own.
+    is_own: fn(SocketAddr) -> bool,
 }
 
 impl SevenKProtocol {
@@ -36,7 +38,14 @@ impl SevenKProtocol {
             sheet,
             settings,
             max_packet_bytes,
+            is_own: |_| false,
         })
+    }
+
+    /// Sends nothing to addresses that are the server's own.
+    #[must_use]
+    pub fn refusing(self, is_own: fn(SocketAddr) -> bool) -> Self {
+        Self { is_own, ..self }
     }
 }
 
@@ -65,6 +74,7 @@ impl Protocol for SevenKProtocol {
             },
             sheet: Arc::clone(&self.sheet),
             settings: Arc::clone(&self.settings),
+            is_own: self.is_own,
             by: Asker {
                 via: VIA,
                 peer: Some(peer),
@@ -161,6 +171,7 @@ struct Client {
     inner: Inner,
     sheet: Arc<DeviceSheet>,
     settings: Arc<dyn SettingsPort>,
+    is_own: fn(SocketAddr) -> bool,
     by: Asker,
 }
 
@@ -170,6 +181,7 @@ impl Client {
             sheet: &self.sheet,
             settings: self.settings.as_ref(),
             now,
+            is_own: self.is_own,
             by: self.by,
         };
         step(&mut self.inner, &context);

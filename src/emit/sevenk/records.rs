@@ -4,20 +4,22 @@
 //! model are 0. Source: DFD 3.12 (2020).
 
 use std::fmt::Write;
+use std::net::IpAddr;
 
 use glam::DVec3;
 
 use echotank_protocols::sevenk::control::PulseType;
 use echotank_protocols::sevenk::records::{
-    AttitudeSet, Heading1013, Module, Navigation1015, Position1003, RemoteSettings7503,
-    RollPitchHeave1012, SonarSettings7000, SoundVelocity7610, emit_7001,
+    AttitudeSet, Depth1008, Heading1013, Installation7030, Module, MountingOffset, Navigation1015,
+    Position1003, RemoteSettings7503, RollPitchHeave1012, Rth1009, SonarSettings7000,
+    SoundVelocity7610, VelocityAtDepth, Version, emit_1009, emit_7001,
 };
 use echotank_protocols::sevenk::{ErrorCode, RecordStamp, SevenKTime, control_flags, device_id};
 
-use super::RecordSet;
 use super::kept::Kept;
-use echotank_config::spec::{SevenKSpec, SonarSpec};
-use echotank_core::arrays::{Pattern, TimeVaryingGain};
+use super::{RecordSet, UNCOMMON_RECORDS};
+use echotank_config::spec::{NavSpec, SevenKSpec, SonarSpec};
+use echotank_core::arrays::{Mounting, Pattern, TimeVaryingGain};
 use echotank_core::navigation::{FixQuality, NavState};
 use echotank_core::ping::{BeamFrame, PingPlan};
 use echotank_core::pulse::{Pulse, PulseKind};
@@ -28,6 +30,9 @@ use echotank_core::time::UtcNs;
 /// Argument u at which sinc(pi u) is -3 dB (1/sqrt 2). Half the beam width of a line source is asin(HALF_POWER lambda / length). The usual
 /// 0.886 lambda / length is twice this for small angles.
 const HALF_POWER: f64 = 0.442_946_47;
+
+/// Depth of the second sample of the sound velocity profile, metres: below all oceans.
+const DEEPEST_M: f32 = 12_000.0;
 
 /// Accepted device identifiers besides the sonar's own: 0 (unspecified), the 7k Center, and the two that MBARI's client sends to any sonar.
 const ACCEPTED_DEVICES: [u32; 4] = [
@@ -44,6 +49,9 @@ pub struct DeviceSheet {
     sonar: SonarSpec,
     sound_speed_m_per_s: f64,
     absorption_db_per_m: f64,
+    /// Depth of the reference point without heave, metres.
+    still_depth_m: f64,
+    tells_depth: bool,
     info_xml: String,
 }
 
@@ -78,6 +86,11 @@ impl View {
 }
 
 impl DeviceSheet {
+    /// Addresses, besides a client's own, to which a client may have records sent.
+    pub(crate) fn third_parties(&self) -> &[IpAddr] {
+        &self.output.third_parties
+    }
+
     /// `sound_speed_m_per_s` and `absorption_db_per_m` (one way) describe the medium for settings requested before the first ping.
     pub fn new(
         output: &SevenKSpec,
@@ -91,6 +104,24 @@ impl DeviceSheet {
             sonar: sonar.clone(),
             sound_speed_m_per_s,
             absorption_db_per_m,
+            still_depth_m: 0.0,
+            tells_depth: false,
+        }
+    }
+
+    /// Takes the depth of the platform's reference point from the navigation. By default it is at the waterline.
+    #[must_use]
+    pub fn with_navigation(mut self, nav: &NavSpec) -> Self {
+        self.still_depth_m = nav.still_depth_m().unwrap_or(0.0);
+        self.tells_depth = nav.tells_depth();
+        self
+    }
+
+    /// Records that a file takes.
+    pub fn file_records(&self) -> RecordSet {
+        match self.output.has_common_files {
+            true => RecordSet::ALL.without(RecordSet::of(&UNCOMMON_RECORDS)),
+            false => RecordSet::ALL,
         }
     }
 
@@ -139,6 +170,9 @@ impl DeviceSheet {
     /// Records that this sonar sends while it pings.
     pub(crate) fn ping_records(&self) -> RecordSet {
         let mut set = RecordSet::of(&[7000, 7503, 7610, 1003, 1012, 1013, 1015, 1016]);
+        if self.tells_depth {
+            set.insert(1008);
+        }
         if self.sonar.beams.fan.is_some() {
             set = set.union(RecordSet::of(&[7004, 7018, 7042]));
         }
@@ -250,7 +284,8 @@ impl DeviceSheet {
         let (along_rad, across_rad) = self.transmit_widths_rad(view);
         let mounting = self.sonar.transmit.first().map(|t| t.mounting);
         let offset = mounting.map_or(DVec3::ZERO, |m| m.position_m);
-        let boresight = mounting.map_or(DVec3::Z, |m| m.body_from_array * DVec3::Z);
+        let (roll_rad, pitch_rad) =
+            tilts_rad(mounting.map_or(DVec3::Z, |m| m.body_from_array * DVec3::Z));
         RemoteSettings7503 {
             sonar_id: self.sonar.serial,
             ping_number,
@@ -284,8 +319,8 @@ impl DeviceSheet {
             tx_array_offset_y_m: offset.x as f32,
             tx_array_offset_z_m: -offset.z as f32,
             // Right-handed rotations about X starboard (bow up) and Y forward (starboard down).
-            head_tilt_x_rad: boresight.x.clamp(-1.0, 1.0).asin() as f32,
-            head_tilt_y_rad: (-boresight.y).atan2(boresight.z) as f32,
+            head_tilt_x_rad: pitch_rad as f32,
+            head_tilt_y_rad: roll_rad as f32,
             ping_state: if view.settings.pinging {
                 RemoteSettings7503::PING_ENABLED
             } else {
@@ -330,7 +365,8 @@ impl DeviceSheet {
     pub fn configuration_7001(&self, now: UtcNs) -> Datagram {
         let module = Module {
             identifier: self.output.device_id,
-            description: self.sonar.name.clone(),
+            // Readers take the serial number from the description, as the devices write it: "SN" and digits.
+            description: format!("SN{} {}", self.sonar.serial, self.sonar.name),
             alphadata_card: 0,
             serial_number: self.sonar.serial,
             info_xml: self.info_xml.clone(),
@@ -339,6 +375,52 @@ impl DeviceSheet {
         emit_7001(&mut bytes, &self.stamp(now), self.sonar.serial, &[module]);
         Datagram {
             record_type: 7001,
+            bytes,
+        }
+    }
+
+    /// Records 7030 and 1009, which describe the rig and its water before the first ping.
+    pub fn descriptions(&self, now: UtcNs) -> [Datagram; 2] {
+        [self.installation_7030(now), self.profile_1009(now)]
+    }
+
+    /// Record 7030: the first transmit and the first receive array. Positions and motion are those of the reference point, so that the
+    /// sensors have no offsets.
+    fn installation_7030(&self, now: UtcNs) -> Datagram {
+        let mut bytes = Vec::new();
+        let transmit = self.sonar.transmit.first();
+        let receive = self.sonar.receive.first();
+        let offset =
+            |mounting: Option<&Mounting>| mounting.map(mounting_offset).unwrap_or_default();
+        let version = Version::new(concat!("echotank ", env!("CARGO_PKG_VERSION")));
+        let record = Installation7030 {
+            frequency_hz: self.sonar.pulse.center_frequency_hz as f32,
+            firmware: version,
+            software: version,
+            sevenk_software: version,
+            record_protocol: Version::new("DFD 3.12"),
+            transmit: offset(transmit.map(|t| &t.mounting)),
+            receive: offset(receive.map(|r| &r.mounting)),
+            waterline_m: self.still_depth_m as f32,
+            ..Installation7030::default()
+        };
+        record.emit(&mut bytes, &self.stamp(now));
+        Datagram {
+            record_type: 7030,
+            bytes,
+        }
+    }
+
+    /// Record 1009: the sound velocity of the water, equal at all depths.
+    fn profile_1009(&self, now: UtcNs) -> Datagram {
+        let mut bytes = Vec::new();
+        let samples = [0.0, DEEPEST_M].map(|depth_m| VelocityAtDepth {
+            depth_m,
+            sound_velocity_m_per_s: self.sound_speed_m_per_s as f32,
+        });
+        emit_1009(&mut bytes, &self.stamp(now), &Rth1009::default(), &samples);
+        Datagram {
+            record_type: 1009,
             bytes,
         }
     }
@@ -447,6 +529,38 @@ pub(crate) fn position_1003(nav: &NavState) -> Position1003 {
         },
         satellites: 0,
     }
+}
+
+/// Record 1008: depth of the reference point relative to the mean sea level.
+pub(crate) fn depth_1008(still_depth_m: f64) -> Depth1008 {
+    Depth1008 {
+        descriptor: 0,
+        correction: 1,
+        depth_m: still_depth_m as f32,
+    }
+}
+
+/// Offset of an array. Its axis closest to the bow gives the heading.
+fn mounting_offset(mounting: &Mounting) -> MountingOffset {
+    let rotation = mounting.body_from_array;
+    let (roll_rad, pitch_rad) = tilts_rad(rotation * DVec3::Z);
+    let axes = [DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y].map(|axis| rotation * axis);
+    let forward = axes.into_iter().max_by(|a, b| a.x.total_cmp(&b.x));
+    let forward = forward.unwrap_or(DVec3::X);
+    MountingOffset {
+        x_m: mounting.position_m.y as f32,
+        y_m: mounting.position_m.x as f32,
+        z_m: -mounting.position_m.z as f32,
+        roll_rad: roll_rad as f32,
+        pitch_rad: pitch_rad as f32,
+        heading_rad: forward.y.atan2(forward.x) as f32,
+    }
+}
+
+/// Roll (port up) and pitch (bow up) of a face with this boresight in the body.
+fn tilts_rad(boresight: DVec3) -> (f64, f64) {
+    let roll_rad = (-boresight.y).atan2(boresight.z);
+    (roll_rad, boresight.x.clamp(-1.0, 1.0).asin())
 }
 
 /// Record 1012. Roll is positive port up and pitch bow up, as in Echotank; heave is positive up.

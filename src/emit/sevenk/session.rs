@@ -3,12 +3,15 @@
 //! Behaviour that the DFD (3.12) leaves open:
 //! - 1051 and 1055 add to the subscription, 1056 removes from it, 1052 ends it. Record types that this sonar does not send are ignored,
 //!   because clients request all types they know. A list without any available type is refused (0x7002).
-//! - 1050 for 7001 or 7503 is answered at once. For a ping record, the next ping's record is sent once; while the sonar is not pinging, the
+//! - 7030 and 1009 are sent once to a client that subscribes to them.
+//! - 1050 for 7001, 7503, 7030 or 1009 is answered at once. For a ping record, the next ping's record is sent once; while the sonar is not pinging, the
 //!   request is refused (0x7002). 7500 is available by subscription only (0x700A).
 //! - Settings of a SeaBat that the model does not use are stored and reported in 7503 ([`super::kept`]). Values that the configuration
 //!   fixes (pulse type, frequency, band) are accepted if they match and refused (0x7006) otherwise.
 //! - 1114 stops the internal trigger; 1100 and 1101 stop it as well. 1107 and 1121 stop continuous pinging.
 //! - The four bytes of an address in 1053 and 1054 are in the order a.b.c.d; the DFD does not define it.
+//! - 1053 may name an address of the client itself or one that the configuration permits, and no port of the server's own: otherwise any client
+//!   could send records to anybody, or commands of the server to itself. Other addresses are refused (0x700C).
 //! - Commands to device 0, to the Center (7000), to 7125 or to 50 are accepted, because widely used clients send these to any sonar. Other
 //!   devices, and enumerators other than 0 and the sonar's own, are refused (0x7009).
 //! - A command with a wrong checksum in an otherwise valid frame is refused (0x7054). Other malformed bytes are counted and get no answer,
@@ -52,6 +55,8 @@ pub struct SessionContext<'a> {
     pub settings: &'a dyn SettingsPort,
     /// Rig time; the answers are stamped with it.
     pub now: UtcNs,
+    /// Whether an address is one of the server's own.
+    pub is_own: fn(SocketAddr) -> bool,
     /// Origin of the commands, recorded with setting changes.
     pub by: Asker,
 }
@@ -209,6 +214,7 @@ impl Client {
         if !context.sheet.accepts(device, enumerator) {
             return self.refuse(&header, ErrorCode::InvalidDeviceId, context, out);
         }
+        let before = self.subscribed;
         match self.execute(&request.command, context) {
             Err(code) => self.refuse(&header, code, context, out),
             Ok(answer) => {
@@ -217,6 +223,13 @@ impl Client {
                     header.ack().emit(buf, &stamp)
                 })));
                 out.extend(answer);
+                let new = self.subscribed.without(before);
+                let described = context.sheet.descriptions(context.now).into_iter();
+                out.extend(
+                    described
+                        .filter(|record| new.contains(record.record_type))
+                        .map(Outgoing::Reply),
+                );
                 out.push(Outgoing::Echo(datagram(REMOTE_CONTROL, |buf| {
                     request.emit(buf, &stamp)
                 })));
@@ -287,6 +300,7 @@ impl Client {
             } => {
                 let ours = Self::available(RecordSet::of(record_type_ids), context)?;
                 let (peer, transport) = address(party);
+                check_third_party(peer, context)?;
                 return Ok(Some(Outgoing::Dial {
                     peer,
                     transport,
@@ -336,7 +350,7 @@ impl Client {
         let sent = context
             .sheet
             .ping_records()
-            .union(RecordSet::of(&[REMOTE_CONTROL]));
+            .union(RecordSet::of(&[REMOTE_CONTROL, 7030, 1009]));
         let ours = asked.intersection(sent);
         if ours.is_empty() {
             return Err(ErrorCode::RecordNotAvailable);
@@ -365,6 +379,11 @@ impl Client {
             7503 => {
                 let record = sheet.current_settings_7503(context.settings, now);
                 Ok(Some(Outgoing::Reply(record)))
+            }
+            7030 | 1009 => {
+                let mut described = sheet.descriptions(now).into_iter();
+                let record = described.find(|record| record.record_type == id);
+                Ok(record.map(Outgoing::Reply))
             }
             REMOTE_CONTROL => Err(ErrorCode::RecordIsSubscriptionOnly),
             id if context.sheet.ping_records().contains(id) && settings.pinging => {
@@ -434,6 +453,18 @@ fn check_kept(command: &Command) -> Result<(), ErrorCode> {
         _ => true,
     };
     is_right.then_some(()).ok_or(ErrorCode::ParameterOutOfRange)
+}
+
+/// Checks whether records may be sent to a third party.
+fn check_third_party(peer: SocketAddr, context: &SessionContext<'_>) -> Result<(), ErrorCode> {
+    let client = context.by.peer.map(|client| client.ip().to_canonical());
+    let is_permitted =
+        client == Some(peer.ip()) || context.sheet.third_parties().contains(&peer.ip());
+    let is_refused = peer.port() == 0 || (context.is_own)(peer);
+    match is_permitted && !is_refused {
+        true => Ok(()),
+        false => Err(ErrorCode::RemoteCommandDenied),
+    }
 }
 
 fn address(party: &ThirdParty) -> (SocketAddr, Transport) {

@@ -11,7 +11,6 @@ use echotank_protocols::xtf::{
     SampleFormat, Samples, emit_ping,
 };
 
-use super::jsf::altitude_m;
 use super::sevenk::quantise;
 use echotank_config::spec::{LineSpec, SonarSpec, XtfSpec};
 use echotank_core::arrays::Pattern;
@@ -26,7 +25,16 @@ pub struct XtfEmitter {
     output: XtfSpec,
     sonar: SonarSpec,
     header: FileHeader,
-    counts: Vec<Vec<u16>>,
+    /// By channel.
+    scaled: Vec<Scaled>,
+}
+
+/// Integer samples of a channel.
+#[derive(Clone, Debug, Default)]
+struct Scaled {
+    counts: Vec<u16>,
+    /// Full scale of this ping; 0 if it is that of the file header.
+    millivolts: u16,
 }
 
 impl XtfEmitter {
@@ -60,7 +68,7 @@ impl XtfEmitter {
             channels: channels.collect(),
         };
         Self {
-            counts: vec![Vec::new(); header.channels.len()],
+            scaled: vec![Scaled::default(); header.channels.len()],
             output: *output,
             sonar: sonar.clone(),
             header,
@@ -102,18 +110,22 @@ impl XtfEmitter {
         .emit(buf);
         let rate_hz = self.sonar.receiver.sample_rate_hz;
         let mut saturated = 0;
-        for (counts, line) in self.counts.iter_mut().zip(&found) {
-            counts.clear();
+        let full_scale_v = self.sonar.receiver.full_scale_v;
+        for (scaled, line) in self.scaled.iter_mut().zip(&found) {
+            scaled.counts.clear();
+            scaled.millivolts = 0;
             if !self.output.is_float {
-                let full_scale_v = self.sonar.receiver.full_scale_v;
-                saturated += quantise::line(&line.amplitude, full_scale_v, counts);
+                let full_scale_mv = full_scale_millivolts(&line.amplitude, full_scale_v);
+                scaled.millivolts = full_scale_mv.unwrap_or(0);
+                let scale_v = full_scale_mv.map_or(full_scale_v, |mv| f64::from(mv) / 1e3);
+                saturated += quantise::line(&line.amplitude, scale_v, &mut scaled.counts);
             }
         }
         let channels: Vec<_> = found
             .iter()
-            .zip(&self.counts)
+            .zip(&self.scaled)
             .enumerate()
-            .map(|(index, (line, counts))| {
+            .map(|(index, (line, scaled))| {
                 let pulse = match (index / specs.len()).checked_sub(1) {
                     None => &plan.pulse,
                     Some(more) => &self.sonar.more_pulses[more].pulse,
@@ -126,19 +138,34 @@ impl XtfEmitter {
                     seconds_per_ping: (1.0 / plan.ping_rate_hz) as f32,
                     frequency_khz: (pulse.center_frequency_hz / 1e3).round() as u16,
                     bandwidth_khz: (pulse.bandwidth_hz / 1e3).round() as u16,
+                    millivolt_scale: scaled.millivolts,
                     ..ChannelHeader::default()
                 };
                 let samples = if self.output.is_float {
                     Samples::F32(&line.amplitude)
                 } else {
-                    Samples::U16(counts)
+                    Samples::U16(&scaled.counts)
                 };
                 (header, samples)
             })
             .collect();
-        emit_ping(buf, &self.header, &ping_header(plan, output), &channels);
+        emit_ping(buf, &self.header, &ping_header(plan), &channels);
         saturated
     }
+}
+
+/// Full scale of a line that exceeds `full_scale_v`, millivolts: the first of its doubles that holds the line, or the largest that the field
+/// holds. None if the line fits or no double does.
+fn full_scale_millivolts(line: &[f32], full_scale_v: f64) -> Option<u16> {
+    let max_mv = f64::from(u16::MAX);
+    let largest_mv = 1e3 * f64::from(line.iter().fold(0.0_f32, |largest, &v| largest.max(v)));
+    let own_mv = 1e3 * full_scale_v;
+    let mut double_mv = own_mv;
+    while double_mv < largest_mv && 2.0 * double_mv <= max_mv {
+        double_mv *= 2.0;
+    }
+    let is_larger = double_mv > own_mv;
+    is_larger.then_some(double_mv.ceil() as u16)
 }
 
 /// Number of pulses per ping whose lines fit into the channels of a file.
@@ -199,8 +226,8 @@ fn channel(
     }
 }
 
-fn ping_header(plan: &PingPlan, output: &PingOutput) -> PingHeader {
-    let nav = &plan.nav;
+fn ping_header(plan: &PingPlan) -> PingHeader {
+    let (nav, sensor) = (&plan.nav, &plan.sensor);
     let speed_kn = nav.pose.velocity_m_per_s.truncate().length() * KNOTS_PER_M_PER_S;
     let (y_deg, x_deg) = (
         nav.latitude_rad.to_degrees(),
@@ -217,10 +244,10 @@ fn ping_header(plan: &PingPlan, output: &PingOutput) -> PingHeader {
         sensor_heading_deg: nav.heading_rad.to_degrees() as f32,
         ship_y: y_deg,
         ship_x: x_deg,
-        sensor_y: y_deg,
-        sensor_x: x_deg,
-        sensor_depth_m: (-nav.height_m).max(0.0) as f32,
-        sensor_altitude_m: altitude_m(output, plan.sound_speed_m_per_s).unwrap_or(0.0) as f32,
+        sensor_y: sensor.latitude_rad.to_degrees(),
+        sensor_x: sensor.longitude_rad.to_degrees(),
+        sensor_depth_m: sensor.depth_m.max(0.0) as f32,
+        sensor_altitude_m: sensor.altitude_m.unwrap_or(0.0) as f32,
         sensor_pitch_deg: nav.pitch_rad.to_degrees() as f32,
         sensor_roll_deg: nav.roll_rad.to_degrees() as f32,
         heave_up_m: -nav.heave_down_m as f32,

@@ -326,7 +326,7 @@ impl MosaicBuilder {
     }
 
     /// Passes the points of one ping's strip to `put`, half way to its neighbours, in steps of half a pixel: position, intensity, range and
-    /// mask.
+    /// mask. Between pings more than a pixel apart, the intensity is interpolated: a constant one would show an echo anywhere in the strip.
     fn project_ping(&self, i: usize, mut put: impl FnMut(DVec2, f32, f32, Option<&Mask>)) {
         let ping = &self.pings[i];
         let step_m = 0.5 * self.spec.metres_per_pixel;
@@ -362,9 +362,13 @@ impl MosaicBuilder {
                         false => DVec2::ZERO,
                     };
                     let steps = (way.length() / step_m).ceil().max(1.0) as usize;
+                    let next = other.and_then(|other| other.sides[side].get(k));
+                    let next = next.filter(|next| steps > 1 && !next.is_nan());
+                    let slope = 0.5 * (next.unwrap_or(value) - value);
                     for s in 0..steps {
-                        let at = here + way * ((s as f64 + 0.5) / steps as f64);
-                        put(at, *value, range_m, mask);
+                        let part = (s as f64 + 0.5) / steps as f64;
+                        let at = here + way * part;
+                        put(at, value + slope * part as f32, range_m, mask);
                     }
                 }
             }
@@ -585,6 +589,48 @@ mod tests {
                 x.abs_diff(want.0) <= 1 && y.abs_diff(want.1) <= 1,
                 "layback {layback_m}, {ways:?}: {x} {y}, want {want:?}"
             );
+        }
+    }
+
+    /// Pings five pixels apart, of which one passes abeam of the target.
+    #[test]
+    fn a_target_lies_within_a_pixel_where_pings_are_far_apart() {
+        let plane = LocalTangentPlane::new(0.6, -1.2);
+        let (altitude_m, across_m): (f64, f64) = (12.0, 30.3);
+        for overlap in [Overlap::Nearest, Overlap::Mean] {
+            for hit in [11, 12] {
+                let spec = MosaicSpec {
+                    range_m: 60.0,
+                    overlap,
+                    ..MosaicSpec::default()
+                };
+                let spacing_m = 5.2 * spec.metres_per_pixel;
+                let mut builder = MosaicBuilder::new(spec);
+                for ping in 0..24 {
+                    let (latitude_rad, longitude_rad) =
+                        plane.geodetic_rad(spacing_m * f64::from(ping), 0.0);
+                    let mut amplitude = vec![0.1f32; 4000];
+                    if ping == hit {
+                        amplitude[AXIS.sample(across_m.hypot(altitude_m))] = 30.0;
+                    }
+                    let line = Line {
+                        side: Side::Starboard,
+                        amplitude,
+                    };
+                    let pose = SonarPose::level(latitude_rad, longitude_rad, 0.0, altitude_m);
+                    builder.push(&pose, AXIS, &[line]);
+                }
+                let (latitude, longitude) =
+                    plane.geodetic_rad(spacing_m * f64::from(hit), across_m);
+                let mosaic = builder.finish().expect("a map");
+                let (east, north) = mosaic.zone.project_m(latitude, longitude);
+                let want = mosaic.pixel(east, north).expect("inside");
+                let (x, y) = brightest(&mosaic);
+                assert!(
+                    x.abs_diff(want.0) <= 1 && y.abs_diff(want.1) <= 1,
+                    "{overlap:?}, ping {hit}: {x} {y}, want {want:?}"
+                );
+            }
         }
     }
 

@@ -42,6 +42,8 @@ const MIN_COURSE_SPEED_M_PER_S: f64 = 0.2;
 const FUTURE_S: f64 = 600.0;
 /// Maximum number of stored seams.
 const MAX_SEAMS: usize = 16;
+/// Maximum number of stored jumps of clocks.
+const MAX_CLOCK_JUMPS: usize = 16;
 
 /// Reason why no state exists at a time.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
@@ -137,6 +139,14 @@ struct Owner {
     sparse: bool,
 }
 
+/// A time in which the clock of a source cannot be trusted.
+#[derive(Clone, Copy, Debug)]
+struct ClockJump {
+    source: u16,
+    from: UtcNs,
+    until: Option<UtcNs>,
+}
+
 /// Position and mounting of the sensors of a source in the body.
 #[derive(Clone, Copy, Debug)]
 struct Sensor {
@@ -172,6 +182,7 @@ pub struct NavHistory {
     first_fix_m: Option<DVec3>,
     /// Time and channel of each seam; `None` stands for every channel.
     seams: Vec<(UtcNs, Option<usize>)>,
+    clock_jumps: Vec<ClockJump>,
     last_ping: UtcNs,
     counts: HistoryCounts,
     /// Buffer for unwrapped headings in `value.x`, radians.
@@ -246,6 +257,7 @@ impl NavHistory {
             },
             first_fix_m: None,
             seams: Vec::new(),
+            clock_jumps: Vec::new(),
             last_ping: UtcNs(i64::MIN),
             counts: HistoryCounts::default(),
             heading: Vec::new(),
@@ -350,6 +362,38 @@ impl NavHistory {
     /// Starts a seam in every channel: later samples belong to another run of a repeated log.
     pub fn seam(&mut self, at: UtcNs) {
         self.seam_in(None, at);
+    }
+
+    /// From `at` on, the clock of a source is right, or not to be trusted.
+    pub fn clock_changed(&mut self, source: u16, at: UtcNs, is_right: bool) {
+        let mut jumps = self.clock_jumps.iter_mut();
+        let open = jumps.find(|j| j.source == source && j.until.is_none());
+        match (open, is_right) {
+            (Some(jump), true) => jump.until = Some(at),
+            (None, false) => {
+                if self.clock_jumps.len() == MAX_CLOCK_JUMPS {
+                    self.clock_jumps.remove(0);
+                }
+                self.clock_jumps.push(ClockJump {
+                    source,
+                    from: at,
+                    until: None,
+                });
+            }
+            _ => {}
+        }
+    }
+
+    /// Whether the clock of a source that is active at `zero` could not be trusted in `from..=to`.
+    fn time_jumped(&self, zero: UtcNs, from: UtcNs, to: UtcNs) -> bool {
+        let is_active = |source: u16| {
+            let mut channels = ALL_CHANNELS.into_iter();
+            channels.any(|channel| self.active_source_at(channel, zero) == Some(source))
+        };
+        self.clock_jumps.iter().any(|jump| {
+            let meets = jump.from <= to && jump.until.is_none_or(|until| until >= from);
+            meets && is_active(jump.source)
+        })
     }
 
     /// Starts a seam in one channel, or in every one.

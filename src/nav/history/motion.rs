@@ -479,6 +479,7 @@ impl NavHistory {
             position_age_s: -position_s,
             attitude_age_s: -attitude_s,
             invalid,
+            time_jumped: self.time_jumped(utc, utc.plus_s(-LOOKBACK_S), utc.plus_s(window_s)),
             extrapolated: position_s.min(attitude_s).min(heading_s).min(heave_s) < window_s,
         }
     }

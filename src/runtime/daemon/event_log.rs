@@ -1,39 +1,48 @@
 //! The logs of single events: injected faults and signs of overload, JSON lines.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
-use chrono::DateTime;
 use serde::Serialize;
 
-use super::DaemonError;
 use crate::clock::{Clock, SystemClock};
 use crate::control::SonarControl;
 use crate::counters::add;
+use crate::io::record::RecordError;
 use crate::io::record::faults::FaultLog;
-use crate::io::record::{claim_name, make_folder};
+use crate::outputs::recording::{Place, Recording, StoppedRecordings};
 
 /// A log of what befell single pings, JSON lines; begun with the first of them.
 pub(super) struct EventLog {
     stem: &'static str,
-    directory: Option<PathBuf>,
-    log: Option<FaultLog>,
+    recording: Option<Recording<FaultLog>>,
 }
 
 impl EventLog {
-    pub(super) fn new(stem: &'static str, directory: Option<PathBuf>) -> Self {
-        Self {
-            stem,
-            directory,
-            log: None,
-        }
+    pub(super) fn new(
+        stem: &'static str,
+        directory: Option<PathBuf>,
+        stopped: &Arc<StoppedRecordings>,
+    ) -> Self {
+        let recording = directory.map(|directory| {
+            let place = Place {
+                directory,
+                name: stem.to_owned(),
+                extension: "jsonl",
+                time: Arc::new(|| SystemClock::new().host_utc()),
+            };
+            let begin = |path: &std::path::Path, _| FaultLog::create(path);
+            Recording::later(place, Box::new(begin), Arc::clone(stopped))
+        });
+        Self { stem, recording }
     }
 
-    /// Writes what happened since the last time. An error is told once, ends the log, and counts as a recording that stopped.
+    /// Writes what happened since the last time. An error is told once, and counts as a recording that stopped.
     pub(super) fn write<T: Serialize>(&mut self, events: &[T], sonars: &[SonarControl]) {
         for event in events {
             tracing::debug!(log = self.stem, event = %AsJson(event), "ping event");
         }
-        if events.is_empty() || self.directory.is_none() {
+        if events.is_empty() {
             return;
         }
         if let Err(error) = self.append(events) {
@@ -41,24 +50,14 @@ impl EventLog {
             if let Some(first) = sonars.first() {
                 add(&first.counters.recordings_stopped, 1);
             }
-            (self.directory, self.log) = (None, None);
         }
     }
 
-    fn append<T: Serialize>(&mut self, events: &[T]) -> Result<(), DaemonError> {
-        let Some(directory) = &self.directory else {
-            return Ok(());
-        };
-        let log = match &mut self.log {
-            Some(log) => log,
-            none => {
-                make_folder(directory)?;
-                let now = DateTime::from_timestamp_nanos(SystemClock::new().host_utc().0);
-                let stem = format!("{}-{}", self.stem, now.format("%Y%m%dT%H%M%S"));
-                none.insert(FaultLog::create(&claim_name(directory, &stem, "jsonl")?)?)
-            }
-        };
-        Ok(log.write(events)?)
+    fn append<T: Serialize>(&mut self, events: &[T]) -> Result<(), RecordError> {
+        if let Some(recording) = &mut self.recording {
+            recording.write(|log| log.write(events))?;
+        }
+        Ok(())
     }
 }
 

@@ -172,7 +172,10 @@ impl Pacer {
                 None if self.inputs.finished() => return Ok(()),
                 None => now.plus_ns(50 * POLL_NS),
             };
-            let wait_until = wait_until.min(self.nav_out.next_publish());
+            let mut wait_until = wait_until.min(self.nav_out.next_publish());
+            if self.inputs.is_behind() {
+                wait_until = wait_until.min(now.plus_ns(POLL_NS));
+            }
             self.has_rested = true;
             self.clock.wait_until(wait_until, &coming.wake_up);
         }

@@ -5,6 +5,7 @@ pub mod datagrams;
 pub mod files;
 mod icmp;
 pub mod link;
+mod listening;
 pub mod nav;
 pub(crate) mod notify;
 pub mod pace;
@@ -14,6 +15,7 @@ pub mod serial_line;
 pub mod signals;
 pub mod sonar;
 mod stamp;
+mod tcp;
 pub mod trigger;
 
 /// Reads a text file.

@@ -1,21 +1,17 @@
 //! SigMF and WAV recordings of element samples. A ping is written when it is encoded, before its deadline.
 
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use super::recording::Recording;
 use super::{Output, OutputContext, OutputError, Report};
 use crate::io::record::RecordError;
 use crate::io::record::sigmf::SigmfRecorder;
 use crate::io::record::wav::WavRecorder;
-use echotank_config::spec::{SigmfSpec, SonarSpec, WavSpec};
+use echotank_config::spec::{SigmfSpec, WavSpec};
+use echotank_core::time::UtcNs;
 use echotank_ping::rig::PingSlot;
-
-/// The path of a new recording. The configuration check ensures that the folder is set.
-fn path(context: &OutputContext, extension: &str) -> Result<PathBuf, RecordError> {
-    let path = context.recording((context.rig_time)(), extension)?;
-    Ok(path.expect("a folder of recordings"))
-}
 
 /// A SigMF or WAV recorder.
 trait Recorder: Send {
@@ -43,12 +39,10 @@ impl Recorder for WavRecorder {
 }
 
 /// A recording of one sonar's element samples.
-pub(super) struct Recording {
+pub(super) struct SampleFile {
     name: String,
     kind: &'static str,
-    path: PathBuf,
-    /// `None` after an error. The file is then closed and kept.
-    recorder: Option<Box<dyn Recorder>>,
+    recording: Recording<Box<dyn Recorder>>,
     outcome: Result<(), RecordError>,
     counts: Arc<Counts>,
 }
@@ -59,66 +53,70 @@ struct Counts {
     saturated: AtomicU64,
 }
 
-impl Recording {
-    fn of(
+impl SampleFile {
+    fn open(
         kind: &'static str,
-        sonar: &SonarSpec,
-        path: PathBuf,
-        recorder: Box<dyn Recorder>,
-    ) -> Self {
-        Self {
-            name: sonar.name.clone(),
+        extension: &'static str,
+        context: &OutputContext,
+        begin: impl FnMut(&Path, UtcNs) -> Result<Box<dyn Recorder>, RecordError> + Send + 'static,
+    ) -> Result<Self, OutputError> {
+        let recording = context.recording(extension, begin)?;
+        Ok(Self {
+            name: context.unit.spec.name.clone(),
             kind,
-            path,
-            recorder: Some(recorder),
+            // The configuration check ensures that the folder is set.
+            recording: recording.expect("a folder of recordings"),
             outcome: Ok(()),
             counts: Arc::default(),
-        }
+        })
     }
 
     fn push(&mut self, slot: &PingSlot) {
-        let Some(recorder) = &mut self.recorder else {
-            return;
-        };
-        match recorder.push(slot) {
-            Ok(saturated) => {
+        match self.recording.write(|recorder| recorder.push(slot)) {
+            Ok(None) => {}
+            Ok(Some(saturated)) => {
                 self.counts.pings.fetch_add(1, Ordering::Relaxed);
                 self.counts
                     .saturated
                     .fetch_add(saturated, Ordering::Relaxed);
             }
-            Err(error) => {
-                self.recorder = None;
-                self.outcome = Err(error);
-            }
+            Err(error) => self.outcome = Err(error),
         }
     }
 }
 
 /// Opens the SigMF recording of a sonar.
-pub(super) fn sigmf(output: &SigmfSpec, context: &OutputContext) -> Result<Recording, OutputError> {
-    let sonar = &context.unit.spec;
-    // The recorder adds the extensions of its files.
-    let stem = path(context, "sigmf-data")?.with_extension("");
-    let recorder = SigmfRecorder::create(&stem, &output.arrays, sonar)?;
-    Ok(Recording::of("sigmf", sonar, stem, Box::new(recorder)))
+pub(super) fn sigmf(
+    output: &SigmfSpec,
+    context: &OutputContext,
+) -> Result<SampleFile, OutputError> {
+    let (sonar, arrays) = (context.unit.spec.clone(), output.arrays.clone());
+    SampleFile::open("sigmf", "sigmf-data", context, move |path, _| {
+        // The recorder adds the extensions of its files.
+        let recorder = SigmfRecorder::create(&path.with_extension(""), &arrays, &sonar)?;
+        Ok(Box::new(recorder))
+    })
 }
 
 /// Opens the WAV recording of a sonar.
-pub(super) fn wav(output: &WavSpec, context: &OutputContext) -> Result<Recording, OutputError> {
-    let sonar = &context.unit.spec;
-    let path = path(context, "wav")?;
-    let recorder = WavRecorder::create(&path, output, sonar)?;
-    Ok(Recording::of("wav", sonar, path, Box::new(recorder)))
+pub(super) fn wav(output: &WavSpec, context: &OutputContext) -> Result<SampleFile, OutputError> {
+    let (sonar, output) = (context.unit.spec.clone(), output.clone());
+    SampleFile::open("wav", "wav", context, move |path, _| {
+        Ok(Box::new(WavRecorder::create(path, &output, &sonar)?))
+    })
 }
 
-impl Output for Recording {
+impl Output for SampleFile {
     fn addresses(&self) -> Vec<String> {
+        let path = match self.kind {
+            "sigmf" => self.recording.path().with_extension(""),
+            _ => self.recording.path().to_owned(),
+        };
         vec![format!(
             "{} {} file {}",
             self.kind,
             self.name,
-            self.path.display()
+            path.display()
         )]
     }
 
@@ -139,7 +137,7 @@ impl Output for Recording {
     }
 
     fn close(self: Box<Self>) -> Result<(), OutputError> {
-        Ok(self.recorder.map_or(Ok(()), |recorder| recorder.close())?)
+        Ok(self.recording.close(|recorder| recorder.close())?)
     }
 }
 

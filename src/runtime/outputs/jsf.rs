@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::recording::Recording;
 use super::server_counts::ServersReport;
 use super::{Output, OutputContext, OutputError, Report, Spread, record};
 use crate::faults::link::RecordLayout;
@@ -23,7 +24,7 @@ pub(super) struct Jsf {
     commands: Arc<SonarServer>,
     data: Arc<SonarServer>,
     settings: Arc<SettingsStore>,
-    recorder: Option<StreamRecorder>,
+    recorder: Option<Recording<StreamRecorder>>,
     rig_time: RigTime,
     /// Messages of the encoded ping, sent at its deadline.
     pending: Vec<Arc<Datagram>>,
@@ -73,14 +74,13 @@ impl Jsf {
         };
         let data = serve(Arc::new(data), output.listen_data)?;
         context.configure(&data, RecordLayout::JSF);
-        let now = rig_time();
         let recorder = match output.record {
-            true => context.recording(now, "jsf")?,
+            true => context.recording("jsf", {
+                let sheet = Arc::clone(&sheet);
+                move |path, utc| StreamRecorder::create(path, &sheet.file_head(utc))
+            })?,
             false => None,
         };
-        let recorder = recorder
-            .map(|path| StreamRecorder::create(&path, &sheet.file_head(now)))
-            .transpose()?;
         Ok(Self {
             name: unit.spec.name.clone(),
             emitter: JsfEmitter::new(sheet, row_filter(&unit.spec, &spec.medium)),
@@ -135,6 +135,6 @@ impl Output for Jsf {
         let tail = file_time((self.rig_time)());
         Ok(self
             .recorder
-            .map_or(Ok(()), |recorder| recorder.close(&tail))?)
+            .map_or(Ok(()), |r| r.close(|recorder| recorder.close(&tail)))?)
     }
 }

@@ -6,6 +6,7 @@ mod imagenex872;
 mod jsf;
 mod page;
 mod ping_protocol;
+pub(crate) mod recording;
 mod server_counts;
 mod sevenk;
 mod vita49;
@@ -14,10 +15,9 @@ mod xtf;
 
 use std::net::SocketAddr;
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::Arc;
 
-use chrono::DateTime;
 use thiserror::Error;
 
 use crate::clock::Clock;
@@ -26,7 +26,7 @@ use crate::histograms::Histograms;
 use crate::io::datagrams::Leaving;
 use crate::io::link::Link as OutputLink;
 use crate::io::pace::Sending;
-use crate::io::record::{RecordError, claim_name, make_folder};
+use crate::io::record::RecordError;
 use crate::io::sonar::{OpenError, RigTime, ServerSpec, ServerTimes, SonarServer, WhenFull};
 use crate::settings::SettingsStore;
 use echotank_config::spec::{ClockSpec, DeliverySpec, OutputSpec, RigSpec, RunSpec};
@@ -37,6 +37,7 @@ use echotank_ping::rig::{PingSlot, SonarUnit};
 
 use page::Page;
 pub use page::PageContext;
+use recording::{Place, Recording, StoppedRecordings};
 
 pub(super) use jsf::row_filter;
 
@@ -110,16 +111,15 @@ pub trait Report: Send + Sync {
     }
 }
 
-/// Writes with the recorder, if there is one. After an error the recorder is closed and its file is kept.
+/// Writes with the recording, if there is one.
 fn record<R>(
-    recorder: &mut Option<R>,
+    recording: &mut Option<Recording<R>>,
     write: impl FnOnce(&mut R) -> Result<(), RecordError>,
 ) -> Result<(), OutputError> {
-    let outcome = recorder.as_mut().map_or(Ok(()), write);
-    if outcome.is_err() {
-        *recorder = None;
+    if let Some(recording) = recording {
+        recording.write(write)?;
     }
-    Ok(outcome?)
+    Ok(())
 }
 
 /// The counters of one client or datagram receiver.
@@ -151,6 +151,7 @@ struct OutputContext<'a> {
     sending: Sending,
     spread: Spread,
     mark: Arc<LinkMark>,
+    stopped: &'a Arc<StoppedRecordings>,
 }
 
 /// How a ping's datagrams are spread over time.
@@ -274,22 +275,29 @@ impl OutputContext<'_> {
         server.set_paces_tcp(self.spec.run.pace_tcp);
     }
 
-    /// The path of a new, empty recording `NAME-20140801T000010.EXTENSION` in its folder, which is made; `None` if the configuration names no
-    /// folder. No other recording has the path.
-    fn recording(&self, utc: UtcNs, extension: &str) -> Result<Option<PathBuf>, RecordError> {
+    /// A recording in the folder of recordings, with its first file; `None` if the configuration names no folder.
+    fn recording<R>(
+        &self,
+        extension: &'static str,
+        begin: impl FnMut(&Path, UtcNs) -> Result<R, RecordError> + Send + 'static,
+    ) -> Result<Option<Recording<R>>, RecordError> {
         let Some(record) = &self.spec.record else {
             return Ok(None);
         };
-        make_folder(&record.directory)?;
-        let stamp = DateTime::from_timestamp_nanos(utc.0).format("%Y%m%dT%H%M%S");
-        let stem = format!("{}-{stamp}", self.unit.spec.name);
-        claim_name(&record.directory, &stem, extension).map(Some)
+        let place = Place {
+            directory: record.directory.clone(),
+            name: self.unit.spec.name.clone(),
+            extension,
+            time: Arc::clone(self.rig_time),
+        };
+        Recording::open(place, Box::new(begin), Arc::clone(self.stopped)).map(Some)
     }
 }
 
 /// The outputs of one sonar.
 pub(crate) struct Outputs {
     all: Vec<MarkedOutput>,
+    stopped: Arc<StoppedRecordings>,
 }
 
 /// An output and its current ping, which its link faults refer to.
@@ -301,6 +309,7 @@ struct MarkedOutput {
 /// Reads the outputs' counters from another thread.
 pub struct OutputReports {
     all: Vec<Arc<dyn Report>>,
+    stopped: Arc<StoppedRecordings>,
 }
 
 impl Outputs {
@@ -323,6 +332,7 @@ impl Outputs {
             priority: spec.run.priority,
             lateness: Some(Arc::new(lateness)),
         };
+        let stopped = Arc::<StoppedRecordings>::default();
         let mut all = unit
             .spec
             .outputs
@@ -337,6 +347,7 @@ impl Outputs {
                     sending: sending.clone(),
                     spread: Spread::of(&spec.run),
                     mark: Arc::default(),
+                    stopped: &stopped,
                 };
                 Ok(MarkedOutput {
                     output: context.output(output)?,
@@ -349,7 +360,7 @@ impl Outputs {
             output: Box::new(Page::new(&unit.spec, page)),
             mark: Arc::default(),
         }));
-        Ok(Self { all })
+        Ok(Self { all, stopped })
     }
 
     /// The addresses each output listens on or sends to.
@@ -363,13 +374,19 @@ impl Outputs {
     pub(crate) fn reports(&self) -> OutputReports {
         OutputReports {
             all: self.all.iter().map(|out| out.output.report()).collect(),
+            stopped: Arc::clone(&self.stopped),
         }
     }
 
     /// Splits into outputs sent at the end of a ping and streaming outputs.
     pub(crate) fn split(self) -> (Self, Self) {
         let (streams, rest) = self.all.into_iter().partition(|out| out.output.is_stream());
-        (Self { all: rest }, Self { all: streams })
+        let stopped = Arc::clone(&self.stopped);
+        let of = |all| Self {
+            all,
+            stopped: Arc::clone(&stopped),
+        };
+        (of(rest), of(streams))
     }
 
     pub(crate) fn is_empty(&self) -> bool {
@@ -413,9 +430,15 @@ impl Outputs {
 }
 
 impl OutputReports {
-    /// One line per output and per client.
+    /// One line per output, per client and per recording that has stopped.
     pub fn lines(&self) -> Vec<String> {
-        self.all.iter().flat_map(|report| report.lines()).collect()
+        let reports = self.all.iter().flat_map(|report| report.lines());
+        reports.chain(self.stopped.lines()).collect()
+    }
+
+    /// The recordings that have stopped.
+    pub(crate) fn stopped(&self) -> &Arc<StoppedRecordings> {
+        &self.stopped
     }
 
     /// The counters of every client of every output.

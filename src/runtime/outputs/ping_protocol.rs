@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
+use super::recording::Recording;
 use super::server_counts::{server_lines, server_streams};
 use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts, record};
 use crate::faults::link::RecordLayout;
@@ -23,7 +24,7 @@ pub(super) struct PingProtocol {
     emitter: PingEmitter,
     server: Arc<SonarServer>,
     line: Option<SerialLine>,
-    recorder: Option<StreamRecorder>,
+    recorder: Option<Recording<StreamRecorder>>,
     /// Frames of the encoded ping, sent at its deadline.
     pending: Vec<Arc<Datagram>>,
     spread: Spread,
@@ -72,10 +73,10 @@ impl PingProtocol {
             }
         };
         let url = format!("tcp://{}", server.local_addr());
-        let recorder = context.recording(now, "svlog")?;
-        let recorder = recorder
-            .map(|path| svlog::create(&path, output.device, &url, now))
-            .transpose()?;
+        let kind = output.device;
+        let recorder = context.recording("svlog", move |path, utc| {
+            svlog::create(path, kind, &url, utc)
+        })?;
         Ok(Self {
             name,
             spec: output.clone(),
@@ -137,7 +138,7 @@ impl Output for PingProtocol {
     fn close(self: Box<Self>) -> Result<(), OutputError> {
         Ok(self
             .recorder
-            .map_or(Ok(()), |recorder| recorder.close(&[]))?)
+            .map_or(Ok(()), |r| r.close(|recorder| recorder.close(&[])))?)
     }
 }
 

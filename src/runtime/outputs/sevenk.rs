@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::recording::Recording;
 use super::server_counts::{server_lines, server_streams};
 use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts, record};
 use crate::faults::link::RecordLayout;
@@ -21,7 +22,7 @@ pub(super) struct SevenK {
     name: String,
     emitter: SevenKEmitter,
     server: Arc<SonarServer>,
-    recorder: Option<S7kRecorder>,
+    recorder: Option<Recording<S7kRecorder>>,
     settings: Arc<SettingsStore>,
     /// Version of the settings that the emitter reports.
     kept_version: Option<u64>,
@@ -41,21 +42,21 @@ impl SevenK {
             rig_time,
             ..
         } = context;
-        let sheet = Arc::new(DeviceSheet::new(
+        let sheet = DeviceSheet::new(
             output,
             &unit.spec,
             spec.medium.sound_speed_m_per_s,
             unit.absorption_db_per_m,
-        ));
+        );
+        let sheet = Arc::new(sheet.with_navigation(&spec.nav));
         let port: Arc<dyn SettingsPort> = Arc::clone(settings) as _;
         let server = start_sevenk(output, sheet.clone(), port, Arc::clone(rig_time))
             .map_err(|source| context.server_error(source))?;
         context.configure(&server, RecordLayout::SEVENK);
-        let now = rig_time();
-        let recorder = context.recording(now, "s7k")?;
-        let recorder = recorder
-            .map(|path| begin_s7k(&path, &sheet, now))
-            .transpose()?;
+        let recorder = context.recording("s7k", {
+            let sheet = Arc::clone(&sheet);
+            move |path, utc| begin_s7k(path, &sheet, utc)
+        })?;
         Ok(Self {
             name: unit.spec.name.clone(),
             emitter: SevenKEmitter::new(sheet, spec.run.queue_pings),
@@ -86,7 +87,7 @@ impl Output for SevenK {
 
     fn encode(&mut self, slot: &PingSlot) {
         let recorded = if self.recorder.is_some() {
-            RecordSet::ALL
+            self.emitter.sheet().file_records()
         } else {
             RecordSet::EMPTY
         };
@@ -106,14 +107,16 @@ impl Output for SevenK {
 
     fn deliver(&mut self) -> Result<(), OutputError> {
         self.server.deliver_over(&self.pending, self.over_s);
-        let mut pending = self.pending.drain(..);
+        let in_files = self.emitter.sheet().file_records();
+        let mut pending = (self.pending.drain(..)).filter(|r| in_files.contains(r.record_type));
         record(&mut self.recorder, |recorder| {
             pending.try_for_each(|record| recorder.write(&record.bytes))
         })
     }
 
     fn close(self: Box<Self>) -> Result<(), OutputError> {
-        Ok(self.recorder.map_or(Ok(()), S7kRecorder::close)?)
+        let recorder = self.recorder;
+        Ok(recorder.map_or(Ok(()), |recorder| recorder.close(S7kRecorder::close))?)
     }
 }
 

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use super::recording::Recording;
 use super::{Output, OutputContext, OutputError, Report, record};
 use crate::io::record::stream::StreamRecorder;
 use echotank_config::spec::XtfSpec;
@@ -11,7 +12,7 @@ use echotank_ping::rig::PingSlot;
 
 pub(super) struct Xtf {
     emitter: XtfEmitter,
-    recorder: Option<StreamRecorder>,
+    recorder: Option<Recording<StreamRecorder>>,
     /// Packets of the encoded ping, written at its deadline.
     pending: Vec<u8>,
     report: Arc<XtfReport>,
@@ -22,10 +23,9 @@ impl Xtf {
         let c = context.spec.medium.sound_speed_m_per_s;
         let emitter = XtfEmitter::new(output, &context.unit.spec, c);
         // The configuration check ensures that the folder is set.
-        let recorder = context.recording((context.rig_time)(), "xtf")?;
-        let recorder = recorder
-            .map(|path| StreamRecorder::create(&path, &emitter.file_head()))
-            .transpose()?;
+        let head = emitter.file_head();
+        let recorder =
+            context.recording("xtf", move |path, _| StreamRecorder::create(path, &head))?;
         Ok(Self {
             emitter,
             recorder,
@@ -74,7 +74,7 @@ impl Output for Xtf {
     fn close(self: Box<Self>) -> Result<(), OutputError> {
         Ok(self
             .recorder
-            .map_or(Ok(()), |recorder| recorder.close(&[]))?)
+            .map_or(Ok(()), |r| r.close(|recorder| recorder.close(&[])))?)
     }
 }
 

@@ -9,6 +9,7 @@ use hdf5_reader::{Hdf5File, OpenOptions};
 use roxmltree::{Document, Node};
 
 use super::format_error::{At, refuse};
+use super::units::Units;
 use super::{
     Crs, Facts, FormatError, MAX_CELLS, Raw, RawGrid, RawShape, Reader, checked_size, south_first,
 };
@@ -41,6 +42,10 @@ fn read(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
         .with_max_chunk_bytes(MAX_CHUNK_BYTES)
         .with_max_read_bytes(MAX_CELLS * size_of::<f32>());
     let file = Hdf5File::from_vec_with_options(bytes, options).at("HDF5")?;
+    if file.dataset(METADATA).is_err() && file.dataset(ELEVATION).is_err() {
+        let rule = "not supported: HDF5 without /BAG_root, such as netCDF; convert it to GeoTIFF";
+        return refuse("file", "", rule);
+    }
     let metadata = Metadata::read(&file)?;
     let (rows, cols, values) = layer(&file, ELEVATION)?;
     for (what, announced, got) in [
@@ -54,17 +59,19 @@ fn read(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
         }
     }
     let [west, south, east, north] = metadata.corners;
+    let mut guesses = Vec::new();
     let steps = [
         ("column", metadata.cols.step, east - west, cols),
         ("row", metadata.rows.step, north - south, rows),
     ];
     for (what, step, extent, count) in steps {
+        // Samples of the format's own authors have such corners.
         let off_cells = extent / step - (count - 1) as f64;
         if off_cells.abs() > CORNER_TOLERANCE_CELLS {
-            let rule = format!(
-                "is not the distance of the corners of {count} {what}s of {step}: the cell size or the corners are wrong"
-            );
-            return refuse(METADATA, extent, rule);
+            guesses.push(format!(
+                "the corners are {extent} apart, but {count} {what}s of {step} span {}: the south-western corner and the cell size are used",
+                (count - 1) as f64 * step
+            ));
         }
     }
     let mut notes = metadata.notes;
@@ -92,6 +99,8 @@ fn read(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
         facts: Facts {
             crs: metadata.crs,
             values: Some((HeightSign::Elevation, "BAG holds elevations")),
+            units: metadata.units,
+            guesses,
             notes,
             covers_deg: metadata.covers_deg,
         },
@@ -144,6 +153,7 @@ struct Metadata {
     /// West, south, east, north in the file's coordinates.
     corners: [f64; 4],
     crs: Option<Crs>,
+    units: Units,
     covers_deg: Option<[f64; 4]>,
     notes: Vec<String>,
 }
@@ -214,19 +224,21 @@ impl Metadata {
         {
             notes.push(format!("vertical datum: {vertical}"));
         }
+        let (crs, units) = system(root)?.unzip();
         Ok(Self {
             rows,
             cols,
             corners,
-            crs: system(root)?,
+            crs,
+            units: units.unwrap_or_default(),
             covers_deg: covered_deg(root),
             notes,
         })
     }
 }
 
-/// The horizontal coordinate system: well-known text, or projection and zone of the older schema.
-fn system(root: Node) -> Result<Option<Crs>, FormatError> {
+/// The horizontal coordinate system: well-known text, a code of the EPSG register, or projection and zone of the older schema.
+fn system(root: Node) -> Result<Option<(Crs, Units)>, FormatError> {
     const PLACE: &str = "/BAG_root/metadata, referenceSystemInfo";
     for info in descendants_named(root, "referenceSystemInfo") {
         let text = info.descendants().filter_map(|n| n.text()).map(str::trim);
@@ -236,23 +248,38 @@ fn system(root: Node) -> Result<Option<Crs>, FormatError> {
                 .iter()
                 .any(|k| head.starts_with(k))
             {
-                return Crs::from_wkt(text, PLACE).map(Some);
+                let (crs, units) = Crs::from_wkt(text, PLACE)?;
+                // The layers are in metres by the specification.
+                let vertical_m = None;
+                return Ok(Some((
+                    crs,
+                    Units {
+                        vertical_m,
+                        ..units
+                    },
+                )));
             }
         }
+        let metric = |crs| Ok(Some((crs, Units::default())));
         let value = |name: &str| {
             descendants_named(info, name)
                 .map(element_text)
                 .find(|w| !w.is_empty())
         };
+        if value("codeSpace").is_some_and(|space| space.eq_ignore_ascii_case("EPSG"))
+            && let Some(code) = value("code").and_then(|code| code.parse().ok())
+        {
+            return metric(Crs::from_epsg(code, PLACE)?);
+        }
         let Some(projection) = value("projection") else {
             continue;
         };
         let upper = projection.to_ascii_uppercase();
         if upper.contains("GEOGRAPHIC") || upper.contains("GEODETIC") {
-            return Ok(Some(Crs::Geographic(projection)));
+            return metric(Crs::Geographic(projection));
         }
         if !upper.contains("UTM") {
-            return Ok(Some(Crs::Projected(projection)));
+            return metric(Crs::Projected(projection));
         }
         let zone = value("zone").unwrap_or_default();
         let Ok(number) = zone.parse::<i8>() else {
@@ -265,11 +292,11 @@ fn system(root: Node) -> Result<Option<Crs>, FormatError> {
             .and_then(|v| v.parse().ok())
             .unwrap_or(0.0);
         let datum = value("datum").unwrap_or_else(|| "datum not stated".to_owned());
-        return Ok(Some(Crs::Utm {
+        return metric(Crs::Utm {
             zone: number.unsigned_abs(),
             north: number > 0 && false_northing == 0.0,
             name: datum,
-        }));
+        });
     }
     Ok(None)
 }
@@ -282,7 +309,9 @@ fn covered_deg(root: Node) -> Option<[f64; 4]> {
         side("eastBoundLongitude")?,
         side("northBoundLatitude")?,
     ];
-    sides.iter().all(|v| v.is_finite()).then_some(sides)
+    // Producers leave a box of zeros.
+    let is_box = sides.iter().all(|v| v.is_finite()) && sides[0] != sides[2];
+    is_box.then_some(sides)
 }
 
 /// Descendants with a local name.

@@ -7,6 +7,7 @@ use std::fmt;
 
 use super::FormatError;
 use super::format_error::refuse;
+use super::units::{self, Units};
 use echotank_config::spec::CrsSpec;
 use echotank_core::utm;
 
@@ -108,6 +109,8 @@ impl Crs {
             25828..=25838 => utm(code - 25800, true),
             28348..=28358 => utm(code - 28300, false),
             7846..=7859 => utm(code - 7800, false),
+            // NAD83(2011).
+            6330..=6348 => utm(code - 6329, true),
             3857 | 900_913 | 3395 => {
                 return refuse(
                     place,
@@ -128,8 +131,8 @@ impl Crs {
         })
     }
 
-    /// The system of a well-known text (OGC 01-009, OGC 18-010). Name, EPSG code and unit are read.
-    pub(crate) fn from_wkt(text: &str, place: &str) -> Result<Self, FormatError> {
+    /// The system of a well-known text (OGC 01-009, OGC 18-010) and its units of length. Name and units are read.
+    pub(crate) fn from_wkt(text: &str, place: &str) -> Result<(Self, Units), FormatError> {
         let text = text.trim().trim_end_matches('\0').trim();
         let keyword: String = text
             .chars()
@@ -141,31 +144,32 @@ impl Crs {
             "COMPD_CS" | "COMPOUNDCRS" => {
                 // The horizontal part comes first.
                 let inner = ["PROJCS[", "PROJCRS[", "GEOGCS[", "GEOGCRS["];
-                match inner.iter().filter_map(|k| text.find(k)).min() {
-                    Some(at) => Self::from_wkt(&text[at..], place),
-                    None => refuse(place, &name, "must hold a horizontal system"),
-                }
+                let Some(at) = inner.iter().filter_map(|k| text.find(k)).min() else {
+                    return refuse(place, &name, "must hold a horizontal system");
+                };
+                let (crs, mut units) = Self::from_wkt(&text[at..], place)?;
+                let vertical = ["VERT_CS[", "VERTCRS[", "VERTICALCRS["];
+                let vertical = vertical.iter().filter_map(|k| text.find(k)).min();
+                units.vertical_m = vertical.and_then(|at| linear_unit_m(bracketed(&text[at..])));
+                Ok((crs, units))
             }
-            "GEOGCS" | "GEOGCRS" | "GEODCRS" => Ok(Self::Geographic(name)),
+            "GEOGCS" | "GEOGCRS" | "GEODCRS" => Ok((Self::Geographic(name), Units::default())),
             "PROJCS" | "PROJCRS" => {
-                if let Some(metres) = linear_unit_m(text)
-                    && metres != 1.0
-                {
-                    let rule = format!(
-                        "has a unit of {metres} m: only metres are read; project the file first"
-                    );
-                    return refuse(place, &name, rule);
-                }
+                let units = Units {
+                    horizontal_m: linear_unit_m(bracketed(text)),
+                    vertical_m: None,
+                };
                 if name.to_ascii_lowercase().contains("mercator")
                     && !name.to_ascii_lowercase().contains("transverse")
                 {
                     let rule = "is a Mercator projection, whose metres are not metres on the ground: project the file to UTM first";
                     return refuse(place, &name, rule);
                 }
-                Ok(match utm_in_name(&name) {
+                let crs = match utm_in_name(&name) {
                     Some((zone, north)) => Self::Utm { zone, north, name },
                     None => Self::Projected(name),
-                })
+                };
+                Ok((crs, units))
             }
             _ => refuse(
                 place,
@@ -174,6 +178,40 @@ impl Crs {
             ),
         }
     }
+}
+
+/// The unit of a projected system whose code alone is given: the State Plane systems of NAD83 in feet (EPSG 2222 to 2289).
+pub(crate) fn unit_of_epsg_system(code: u32) -> Option<f64> {
+    match code {
+        2222..=2224 | 2251..=2253 | 2256 | 2265 | 2266 | 2269 | 2270 | 2273 | 2280..=2282 => {
+            Some(units::FOOT_M)
+        }
+        2225..=2289 => Some(units::SURVEY_FOOT_M),
+        _ => match Crs::from_epsg(code, "") {
+            Ok(Crs::Utm { .. }) => Some(1.0),
+            _ => None,
+        },
+    }
+}
+
+/// The beginning of a text up to the bracket that closes its first one.
+fn bracketed(text: &str) -> &str {
+    let mut depth = 0_usize;
+    let mut quoted = false;
+    for (at, c) in text.char_indices() {
+        match c {
+            '"' => quoted = !quoted,
+            '[' if !quoted => depth += 1,
+            ']' if !quoted => {
+                depth = depth.saturating_sub(1);
+                if depth == 0 {
+                    return &text[..=at];
+                }
+            }
+            _ => {}
+        }
+    }
+    text
 }
 
 /// Zone and hemisphere in a name such as "WGS 84 / UTM zone 20N" or "NAD_1983_UTM_Zone_20S".
@@ -194,7 +232,7 @@ fn utm_in_name(name: &str) -> Option<(u8, bool)> {
     }
 }
 
-/// Size of the linear unit of a projected system, metres: that of its last UNIT or LENGTHUNIT.
+/// Size of the linear unit of a projected or vertical system, metres: that of its last UNIT or LENGTHUNIT.
 fn linear_unit_m(text: &str) -> Option<f64> {
     let at = text.rfind("LENGTHUNIT[").or_else(|| text.rfind("UNIT["))?;
     let number: String = text[at..]
@@ -239,31 +277,28 @@ mod tests {
     fn well_known_text_gives_zone_and_unit() {
         let utm = r#"PROJCS["NAD83 / UTM zone 19N",GEOGCS["NAD83",DATUM["North_American_Datum_1983",SPHEROID["GRS 1980",6378137,298.257222101]],UNIT["degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],UNIT["metre",1,AUTHORITY["EPSG","9001"]]]"#;
         assert!(matches!(
-            Crs::from_wkt(utm, "metadata").unwrap(),
+            Crs::from_wkt(utm, "metadata").unwrap().0,
             Crs::Utm {
                 zone: 19,
                 north: true,
                 ..
             }
         ));
-        let compound = format!(r#"COMPD_CS["both",{utm},VERT_CS["MLLW"]]"#);
-        assert!(matches!(
-            Crs::from_wkt(&compound, "").unwrap(),
-            Crs::Utm { zone: 19, .. }
-        ));
+        let foot = r#"UNIT["US survey foot",0.304800609601219]"#;
+        let compound = format!(r#"COMPD_CS["both",{utm},VERT_CS["MLLW",{foot}]]"#);
+        let (crs, units) = Crs::from_wkt(&compound, "").unwrap();
+        assert!(matches!(crs, Crs::Utm { zone: 19, .. }));
+        assert_eq!(units.horizontal_m, Some(1.0));
+        assert_eq!(units.vertical_m, Some(0.304800609601219));
         let feet = utm.replace(
             r#"UNIT["metre",1"#,
             r#"UNIT["US survey foot",0.304800609601219"#,
         );
-        let message = Crs::from_wkt(&feet, "metadata").unwrap_err().to_string();
-        assert!(
-            message.contains("0.304800609601219 m: only metres are read"),
-            "{message}"
-        );
-        assert_eq!(
-            Crs::from_wkt(r#"GEOGCS["WGS 84",UNIT["degree",0.01745]]"#, "").unwrap(),
-            Crs::Geographic("WGS 84".to_owned())
-        );
+        let (_, units) = Crs::from_wkt(&feet, "metadata").unwrap();
+        assert_eq!(units.horizontal_m, Some(0.304800609601219));
+        let (crs, units) = Crs::from_wkt(r#"GEOGCS["WGS 84",UNIT["degree",0.01745]]"#, "").unwrap();
+        assert_eq!(crs, Crs::Geographic("WGS 84".to_owned()));
+        assert_eq!(units, Units::default());
         for text in ["", "nonsense", "PROJCS", "PROJCS[", "COMPD_CS[\"a\""] {
             let _ = Crs::from_wkt(text, "");
         }

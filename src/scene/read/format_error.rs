@@ -38,7 +38,13 @@ impl FormatError {
         let message = error.to_string();
         let line: String = message.split_whitespace().collect::<Vec<_>>().join(" ");
         let line: String = line.chars().take(200).collect();
-        Self::new(place, "", format!("damaged or cut short: {line}"))
+        let lower = line.to_ascii_lowercase();
+        let unsupported = ["unsupported", "not supported", "unimplemented"];
+        let what = match unsupported.iter().any(|word| lower.contains(word)) {
+            true => "not supported",
+            false => "damaged or cut short",
+        };
+        Self::new(place, "", format!("{what}: {line}"))
     }
 }
 

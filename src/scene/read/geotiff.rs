@@ -1,7 +1,8 @@
 //! GeoTIFF: one band of heights in tiles or strips, uncompressed, deflate or LZW, any predictor, with GeoKeys.
 //!
 //! Source: Adobe, TIFF revision 6.0 and Technical Note 3 (predictor 3); OGC 19-008r4 (GeoTIFF 1.1): tags ModelPixelScale, ModelTiepoint,
-//! GeoKeyDirectory. GDAL's tag 42113 states the hole value. Rotated grids, several bands and feet are rejected.
+//! GeoKeyDirectory. GDAL's tags 42112 and 42113 (GDAL documentation, GTiff driver) state scale, offset and unit of the values, and the hole value.
+//! Rotated grids and several bands are rejected.
 
 use std::io::Cursor;
 
@@ -10,8 +11,10 @@ use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::Tag;
 
 use super::format_error::{At, refuse};
+use super::units::{self, Units};
 use super::{
-    Crs, Facts, FormatError, MAX_CELLS, Raw, RawGrid, RawShape, Reader, checked_size, south_first,
+    Crs, Facts, FormatError, MAX_CELLS, Raw, RawGrid, RawShape, Reader, checked_size, crs,
+    south_first,
 };
 use echotank_config::spec::{FirstRow, SeabedFileSpec, SeabedFormat};
 
@@ -31,7 +34,20 @@ const PROJECTED_CITATION: u16 = 3073;
 const LINEAR_UNIT: u16 = 3076;
 const VERTICAL_UNIT: u16 = 4099;
 
-const METRE: u16 = 9001;
+/// GDAL's metadata, XML.
+const GDAL_METADATA: u16 = 42112;
+/// Compressions of TIFF that are known and not read (libtiff, tiff.h).
+const UNREAD_COMPRESSIONS: [(u16, &str); 8] = [
+    (6, "JPEG"),
+    (7, "JPEG"),
+    (34_712, "JPEG 2000"),
+    (34_887, "LERC"),
+    (34_925, "LZMA"),
+    (50_000, "ZSTD"),
+    (50_001, "WebP"),
+    (50_002, "JPEG XL"),
+];
+
 const DEGREE: u16 = 9102;
 const RASTER_PIXEL_IS_POINT: u16 = 2;
 /// The parameters are in the file instead of the EPSG register.
@@ -64,7 +80,15 @@ fn read(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
         let rule = "must be one band of heights, of 8 to 64 bits";
         return refuse(place, format!("{kind:?}"), rule);
     }
+    if let Ok(Some(value)) = tiff.find_tag(Tag::Compression)
+        && let Ok(code) = value.into_u16()
+        && let Some((_, name)) = UNREAD_COMPRESSIONS.iter().find(|(c, _)| *c == code)
+    {
+        let rule = format!("not supported: {name}; rewrite the file with deflate or LZW");
+        return refuse("tag Compression", code, rule);
+    }
     let keys = GeoKeys::read(&mut tiff)?;
+    let band_is = BandMetadata::read(&mut tiff)?;
     let place = Georeference::read(&mut tiff, &keys)?;
     let nodata = match tiff.find_tag(Tag::GdalNodata) {
         Ok(Some(value)) => {
@@ -76,14 +100,20 @@ fn read(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
         }
         _ => None,
     };
-    let values = band(tiff.read_image().at("image")?);
+    let mut values = band(tiff.read_image().at("image")?);
     if values.len() != rows * cols {
         let rule = format!("holds {} cells, not {rows} x {cols}", values.len());
         return refuse("image", "", rule);
     }
     let first_row = spec.first_row.unwrap_or(place.first_row);
     let also = spec.nodata.map(|v| v as f32);
-    let is_hole = |v: f32| Some(v) == nodata || Some(v) == also;
+    // Holes are marked in the stored numbers.
+    for value in &mut values {
+        *value = match Some(*value) == nodata || Some(*value) == also {
+            true => f32::NAN,
+            false => (f64::from(*value) * band_is.scale + band_is.offset) as f32,
+        };
+    }
     // The tie point refers to the file's first pixel. If the first row is the northern one, the south-western pixel lies one grid extent south.
     let y_south = match place.first_row {
         FirstRow::North => place.first_y - (rows - 1) as f64 * place.y_step,
@@ -97,17 +127,79 @@ fn read(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
             y_south,
             x_step: place.x_step,
             y_step: place.y_step,
-            values: south_first(values, cols, first_row, is_hole, "image")?,
+            values: south_first(values, cols, first_row, |_| false, "image")?,
             first_row,
             from_corners: place.from_corners,
         }),
         facts: Facts {
             crs: keys.crs()?,
-            values: None,
-            notes: keys.citation.into_iter().collect(),
-            covers_deg: None,
+            units: Units {
+                vertical_m: band_is.unit_m.or(keys.units()?.vertical_m),
+                ..keys.units()?
+            },
+            notes: keys.citation.into_iter().chain(band_is.note()).collect(),
+            ..Facts::default()
         },
     })
+}
+
+/// What GDAL's metadata state of the band.
+struct BandMetadata {
+    scale: f64,
+    offset: f64,
+    unit_m: Option<f64>,
+}
+
+impl BandMetadata {
+    fn read(tiff: &mut Tiff) -> Result<Self, FormatError> {
+        const PLACE: &str = "tag GDAL_METADATA";
+        let mut found = Self {
+            scale: 1.0,
+            offset: 0.0,
+            unit_m: None,
+        };
+        let Ok(Some(value)) = tiff.find_tag(Tag::Unknown(GDAL_METADATA)) else {
+            return Ok(found);
+        };
+        let text = value.into_string().at(PLACE)?;
+        let document =
+            roxmltree::Document::parse(text.trim_matches(['\0', ' ', '\n'])).at(PLACE)?;
+        for item in document.descendants().filter(|n| n.has_tag_name("Item")) {
+            // Items without a sample are of the file.
+            if item.attribute("sample") != Some("0") {
+                continue;
+            }
+            let text = item.text().unwrap_or("").trim();
+            let number = |rule: &str| {
+                let value = text.parse::<f64>().ok().filter(|v| v.is_finite());
+                value.ok_or_else(|| FormatError::new(PLACE, text, rule))
+            };
+            match item.attribute("role") {
+                Some("scale") => found.scale = number("must be a finite scale")?,
+                Some("offset") => found.offset = number("must be a finite offset")?,
+                Some("unittype") => {
+                    found.unit_m = units::of_word(text);
+                    if found.unit_m.is_none() && !text.is_empty() {
+                        return refuse(PLACE, text, "is no unit of length that is read");
+                    }
+                }
+                _ => {}
+            }
+        }
+        if found.scale == 0.0 {
+            return refuse(PLACE, found.scale, "must be a scale other than 0");
+        }
+        Ok(found)
+    }
+
+    fn note(&self) -> Option<String> {
+        (self.scale != 1.0 || self.offset != 0.0).then(|| {
+            format!(
+                "heights are the stored numbers times {} plus {}, as the file says",
+                self.scale, self.offset
+            )
+        })
+    }
 }
 
 /// Converts heights to f32. Integers of more than 24 bits are no heights and are rejected later by their size.
@@ -245,18 +337,31 @@ impl GeoKeys {
         self.shorts.iter().find(|(k, _)| *k == key).map(|(_, v)| *v)
     }
 
+    fn units(&self) -> Result<Units, FormatError> {
+        let unit = |key: u16| match self.short(key) {
+            None | Some(0 | USER_DEFINED) => Ok(None),
+            Some(code) => match units::of_epsg(code.into()) {
+                Some(unit_m) => Ok(Some(unit_m)),
+                None => refuse(
+                    format!("GeoKey {key}"),
+                    code,
+                    "is no unit of length that is read",
+                ),
+            },
+        };
+        let code = self.short(PROJECTED_CRS).map(u32::from);
+        Ok(Units {
+            horizontal_m: unit(LINEAR_UNIT)?.or_else(|| crs::unit_of_epsg_system(code?)),
+            vertical_m: unit(VERTICAL_UNIT)?,
+        })
+    }
+
     fn crs(&self) -> Result<Option<Crs>, FormatError> {
         let must = |key: u16, wanted: u16, rule: &str| match self.short(key) {
             Some(v) if v != wanted && v != 0 => refuse(format!("GeoKey {key}"), v, rule),
             _ => Ok(()),
         };
-        must(
-            LINEAR_UNIT,
-            METRE,
-            "must be 9001, metre: project the file first",
-        )?;
         must(ANGULAR_UNIT, DEGREE, "must be 9102, degree")?;
-        must(VERTICAL_UNIT, METRE, "must be 9001, metre")?;
         let named = |key: u16| self.short(key).filter(|v| *v != 0);
         let unregistered = || {
             let message = self.citation.clone();

@@ -3,16 +3,25 @@
 use std::io::Cursor;
 
 use glam::DVec3;
+use las::crs::GeoTiffData;
 use las::{PointDataBuilder, Reader as LasReader};
 
 use super::format_error::{At, refuse};
-use super::{Crs, Facts, FormatError, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
+use super::units::{self, Units};
+use super::{Crs, Facts, FormatError, MAX_POINTS, Raw, RawPoints, RawShape, Reader, crs};
 use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 
 /// Number of points decoded at a time.
 const BATCH: u64 = 1 << 16;
 /// ASPRS LAS 1.4 R15, table 17: low and high noise.
 const NOISE: [u8; 2] = [7, 18];
+
+/// Offset of the point format in the header; LAZ sets its highest bit.
+const POINT_FORMAT_AT: usize = 104;
+
+/// GeoKeys (OGC 19-008r4, annex B).
+const LINEAR_UNIT: u16 = 3076;
+const VERTICAL_UNIT: u16 = 4099;
 
 pub(super) const READER: Reader = Reader {
     format: SeabedFormat::Las,
@@ -23,6 +32,13 @@ pub(super) const READER: Reader = Reader {
 
 fn read(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
     let length = bytes.len() as u64;
+    if bytes
+        .get(POINT_FORMAT_AT)
+        .is_some_and(|format| format & 0x80 != 0)
+    {
+        let rule = "not supported: LAZ, compressed LAS; decompress it to LAS";
+        return refuse("LAS header", "", rule);
+    }
     let mut reader = LasReader::new(Cursor::new(bytes)).at("LAS header")?;
     let header = reader.header();
     let total = header.number_of_points();
@@ -35,8 +51,10 @@ fn read(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
         let rule = format!("points were announced, more than the file's {length} bytes can hold");
         return refuse("LAS header", total, rule);
     }
+    let (crs, units) = system(&reader)?;
     let mut facts = Facts {
-        crs: system(&reader, spec)?,
+        crs: crs.filter(|_| spec.crs.is_none()),
+        units,
         values: Some((HeightSign::Elevation, "z is up in LAS")),
         ..Facts::default()
     };
@@ -76,24 +94,45 @@ fn read(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
     })
 }
 
-fn system(reader: &LasReader, spec: &SeabedFileSpec) -> Result<Option<Crs>, FormatError> {
-    if spec.crs.is_some() {
-        return Ok(None);
-    }
+fn system(reader: &LasReader) -> Result<(Option<Crs>, Units), FormatError> {
     let header = reader.header();
     if let Some(wkt) = header.get_wkt_crs_bytes() {
-        return Crs::from_wkt(&String::from_utf8_lossy(wkt), "LASF_Projection 2112").map(Some);
+        let (crs, units) = Crs::from_wkt(&String::from_utf8_lossy(wkt), "LASF_Projection 2112")?;
+        return Ok((Some(crs), units));
     }
     let Ok(Some(keys)) = header.get_geotiff_crs() else {
-        return Ok(None);
+        return Ok((None, Units::default()));
     };
     let place = "LASF_Projection 34735";
-    match (
-        keys.get_projected_crs_geo_key_value(),
-        keys.get_geodetic_crs_geo_key_value(),
-    ) {
-        (Some(code), _) if code != 0 => Crs::from_epsg(code.into(), place).map(Some),
-        (_, Some(code)) if code != 0 => Crs::from_epsg(code.into(), place).map(Some),
-        _ => Ok(None),
-    }
+    let short = |wanted: u16| {
+        let entry = keys.entries.iter().find(|e| e.id == wanted)?;
+        match entry.data {
+            GeoTiffData::U16(value) => Some(value),
+            _ => None,
+        }
+    };
+    let unit = |key: u16| match short(key) {
+        None | Some(0) => Ok(None),
+        Some(code) => match units::of_epsg(code.into()) {
+            Some(unit_m) => Ok(Some(unit_m)),
+            None => refuse(
+                place,
+                code,
+                "is no unit of length that is read (GeoKeys 3076 and 4099)",
+            ),
+        },
+    };
+    let projected = keys
+        .get_projected_crs_geo_key_value()
+        .filter(|code| *code != 0);
+    let geodetic = keys
+        .get_geodetic_crs_geo_key_value()
+        .filter(|code| *code != 0);
+    let code = projected.or(geodetic).map(u32::from);
+    let units = Units {
+        horizontal_m: unit(LINEAR_UNIT)?.or_else(|| crs::unit_of_epsg_system(projected?.into())),
+        vertical_m: unit(VERTICAL_UNIT)?,
+    };
+    let crs = code.map(|code| Crs::from_epsg(code, place)).transpose()?;
+    Ok((crs, units))
 }

@@ -26,6 +26,7 @@ mod shapes;
 pub mod survey;
 pub(crate) mod text;
 mod triangulate;
+mod units;
 mod xyz;
 
 pub use crs::Crs;
@@ -106,6 +107,10 @@ pub(crate) struct Facts {
     pub crs: Option<Crs>,
     /// Sign convention of the heights, and the reason.
     pub values: Option<(HeightSign, &'static str)>,
+    /// Units of length. Coordinates and heights are those of the file.
+    pub(crate) units: units::Units,
+    /// What the reader had to assume, one sentence each.
+    pub(crate) guesses: Vec<String>,
     /// Further findings, one sentence each.
     pub notes: Vec<String>,
     /// Area that the metadata state, degrees: west, south, east, north.

@@ -2,8 +2,10 @@
 //!
 //! - Projected and local grids are used as they are. Geographic grids are resampled (bilinear) to metres of the tangent plane at their middle, with the file's cell size there. Soundings are converted to metres, triangulated, and sampled at the cells of a grid.
 //! - The origin is the middle of the area covered.
+//! - Lengths in other units are converted to metres; all coordinates below are metres or degrees.
 //! - Properties that the file does not state are guessed. Coordinates are degrees if they fit longitudes and latitudes and the heights vary more than the coordinates; as metres, the whole survey would be steeper than 45 degrees. Otherwise they are metres. If 19 in 20 numbers are negative they are elevations, if positive they are depths.
 
+use std::io::Read;
 use std::path::Path;
 
 use glam::DVec3;
@@ -11,6 +13,7 @@ use glam::DVec3;
 use super::format_error::refuse;
 use super::text::{self, MAX_HORIZONTAL_M};
 use super::triangulate::{Tin, merge_duplicates};
+use super::units;
 use super::{
     Crs, Facts, Files, FormatError, HeightField, MAX_POINTS, READERS, Raw, RawGrid, RawPoints,
     RawShape, Reader, mesh,
@@ -113,6 +116,8 @@ pub struct Survey {
     pub zero: [f64; 2],
     /// Area covered, in the file's coordinates: west, south, east, north of the outer cell centres.
     pub covers: [f64; 4],
+    /// What the file does not state and the reader assumed, one sentence each.
+    pub guesses: Vec<String>,
     /// Further findings, one sentence each.
     pub notes: Vec<String>,
     /// Depths in metres about the origin.
@@ -183,7 +188,8 @@ impl Survey {
     /// Returns the path with the error of the file system or the rule that the file breaks.
     pub fn open(files: &dyn Files, spec: &SeabedFileSpec) -> Result<Self, SceneError> {
         let bytes = text::read_file(files, &spec.path)?;
-        Self::parse(bytes, spec).map_err(|error| SceneError::Format {
+        let system = system_beside(files, &spec.path);
+        Self::parse_as(bytes, spec, Quantity::Heights, system).map_err(|error| SceneError::Format {
             path: spec.path.clone(),
             error,
         })
@@ -201,7 +207,8 @@ impl Survey {
             ..SeabedFileSpec::of(path.to_owned())
         };
         let bytes = text::read_file(files, path)?;
-        Self::parse_as(bytes, &spec, Quantity::Other).map_err(|error| SceneError::Format {
+        let system = system_beside(files, path);
+        Self::parse_as(bytes, &spec, Quantity::Other, system).map_err(|error| SceneError::Format {
             path: path.to_owned(),
             error,
         })
@@ -212,19 +219,47 @@ impl Survey {
     /// # Errors
     /// Returns the location, the value and the rule it breaks.
     pub fn parse(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Self, FormatError> {
-        Self::parse_as(bytes, spec, Quantity::Heights)
+        Self::parse_as(bytes, spec, Quantity::Heights, None)
     }
 
     fn parse_as(
         bytes: Vec<u8>,
         spec: &SeabedFileSpec,
         numbers: Quantity,
+        beside: Option<String>,
     ) -> Result<Self, FormatError> {
         let reader = reader_of(&bytes, spec)?;
         let length = bytes.len() as u64;
-        let Raw { shape, mut facts } = (reader.read)(bytes, spec)?;
-        let (crs, crs_source) = system(&shape, &mut facts, spec, numbers)?;
+        let Raw {
+            mut shape,
+            mut facts,
+        } = (reader.read)(bytes, spec)?;
+        let mut stated = "in the file";
+        if facts.crs.is_none()
+            && let Some(text) = beside
+        {
+            let (crs, units) = Crs::from_wkt(&text, "file .prj beside it")?;
+            facts.crs = Some(crs).filter(|_| spec.crs.is_none());
+            facts.units.horizontal_m = facts.units.horizontal_m.or(units.horizontal_m);
+            facts.units.vertical_m = facts.units.vertical_m.or(units.vertical_m);
+            stated = "in the file .prj beside it";
+        }
+        let (crs, crs_source) = system(&shape, &mut facts, spec, numbers, stated)?;
+        in_metres(&mut shape, &mut facts, &crs, numbers);
         let (sign, sign_source) = sign(&shape, &facts, spec);
+        let mut guesses = std::mem::take(&mut facts.guesses);
+        if let Source::Guessed(why) = &crs_source {
+            guesses.push(format!("coordinates are {crs}: {why}"));
+        }
+        if let Source::Guessed(why) = &sign_source
+            && numbers == Quantity::Heights
+        {
+            let sign = match sign {
+                HeightSign::Elevation => "elevations, positive up",
+                HeightSign::Depth => "depths, positive down",
+            };
+            guesses.push(format!("heights are {sign}: {why}"));
+        }
         let mut notes = std::mem::take(&mut facts.notes);
         let covers = covered(&shape)?;
         check_place(&crs, &covers)?;
@@ -259,6 +294,7 @@ impl Survey {
             layout,
             zero,
             covers,
+            guesses,
             notes,
             field,
             original,
@@ -319,6 +355,73 @@ impl Survey {
     }
 }
 
+/// Largest `.prj` file, bytes.
+const MAX_SYSTEM_BYTES: u64 = 1 << 16;
+
+/// Text of the file with the extension `.prj` beside a seabed, if there is one: its coordinate system as well-known text.
+fn system_beside(files: &dyn Files, path: &Path) -> Option<String> {
+    let mut found = ["prj", "PRJ"].into_iter().filter_map(|extension| {
+        let beside = path.with_extension(extension);
+        let file = (beside != path)
+            .then(|| files.open(&beside).ok())
+            .flatten()?;
+        let mut text = String::new();
+        file.take(MAX_SYSTEM_BYTES).read_to_string(&mut text).ok()?;
+        Some(text)
+    });
+    found.next()
+}
+
+/// Converts the coordinates and heights of a file to metres.
+fn in_metres(shape: &mut RawShape, facts: &mut Facts, crs: &Crs, numbers: Quantity) {
+    let horizontal_m = match crs {
+        Crs::Geographic(_) => 1.0,
+        _ => facts.units.horizontal_m.unwrap_or(1.0),
+    };
+    let vertical_m = match (numbers, facts.units.vertical_m) {
+        (Quantity::Other, _) => 1.0,
+        (Quantity::Heights, Some(vertical_m)) => vertical_m,
+        (Quantity::Heights, None) => {
+            if horizontal_m != 1.0 {
+                facts.guesses.push(format!(
+                    "heights are {}, like the coordinates: the file does not state their unit",
+                    units::name(horizontal_m)
+                ));
+            }
+            horizontal_m
+        }
+    };
+    if (horizontal_m, vertical_m) == (1.0, 1.0) {
+        return;
+    }
+    facts.notes.push(format!(
+        "converted to metres: coordinates from {}, heights from {}",
+        units::name(horizontal_m),
+        units::name(vertical_m)
+    ));
+    match shape {
+        RawShape::Grid(grid) => {
+            for length in [
+                &mut grid.x_west,
+                &mut grid.y_south,
+                &mut grid.x_step,
+                &mut grid.y_step,
+            ] {
+                *length *= horizontal_m;
+            }
+            for value in &mut grid.values {
+                *value = (f64::from(*value) * vertical_m) as f32;
+            }
+        }
+        RawShape::Points(points) => {
+            let metres = DVec3::new(horizontal_m, horizontal_m, vertical_m);
+            for point in &mut points.points {
+                *point *= metres;
+            }
+        }
+    }
+}
+
 fn reader_of(bytes: &[u8], spec: &SeabedFileSpec) -> Result<&'static Reader, FormatError> {
     let head = &bytes[..bytes.len().min(HEAD_BYTES)];
     let extension = spec
@@ -331,6 +434,9 @@ fn reader_of(bytes: &[u8], spec: &SeabedFileSpec) -> Result<&'static Reader, For
         Some(format) => r.format == format,
         None => (r.recognises)(head, &extension),
     });
+    if spec.format.is_none() && head.starts_with(b"CDF") {
+        return refuse("file", "", "not supported: netCDF; convert it to GeoTIFF");
+    }
     found.ok_or_else(|| {
         let names: Vec<&str> = READERS.iter().map(|r| r.name).collect();
         let rule = format!(
@@ -410,12 +516,13 @@ fn system(
     facts: &mut Facts,
     spec: &SeabedFileSpec,
     numbers: Quantity,
+    stated: &'static str,
 ) -> Result<(Crs, Source), FormatError> {
     if let Some(crs) = spec.crs {
         return Ok((crs.into(), Source::Configured));
     }
     if let Some(crs) = facts.crs.take() {
-        return Ok((crs, Source::Stated("in the file")));
+        return Ok((crs, Source::Stated(stated)));
     }
     let [west, south, east, north] = covered(shape)?;
     let (low, high, _) = heights(shape);

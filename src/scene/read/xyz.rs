@@ -1,11 +1,13 @@
 //! Soundings as text: one line each with x, y and height or depth, separated by commas, semicolons or blanks.
 //!
 //! `#` begins a comment and `>` a segment (GMT). A first line of names identifies the columns (`lon lat depth`, `easting, northing, elevation`).
-//! Without names the first three columns are x, y and z. A file that was cut between two lines cannot be told from a complete one.
+//! A comment directly before the soundings may hold the names. Names may end in a unit (`depth_ft`, `x (m)`).
+//! Without names the first three columns are taken for x, y and z, which is a guess. A file that was cut between two lines cannot be told from a complete one.
 
 use glam::DVec3;
 
 use super::text::{self, MAX_VERTICAL_M, TextError};
+use super::units::{self, Units};
 use super::{Crs, Facts, FormatError, MAX_POINTS, Raw, RawPoints, RawShape, Reader};
 use echotank_config::spec::{HeightSign, SeabedFileSpec, SeabedFormat};
 
@@ -35,10 +37,14 @@ fn parse(bytes: &[u8], spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
     let mut points = Vec::new();
     let mut holes = 0_u64;
     let mut fields: Vec<&str> = Vec::new();
+    let mut comment = "";
     for (index, content) in text.lines().enumerate() {
         let line = index + 1;
         let content = content.trim();
         if content.is_empty() || content.starts_with(['#', '>']) {
+            if columns.is_none() {
+                comment = content.trim_start_matches(['#', '>', ' ']);
+            }
             continue;
         }
         fields.clear();
@@ -46,14 +52,8 @@ fn parse(bytes: &[u8], spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
         let columns = match columns {
             Some(columns) => columns,
             None if fields[0].parse::<f64>().is_ok() => {
-                if fields.len() > 3 {
-                    let note = format!(
-                        "{} columns without names: the first three are used",
-                        fields.len()
-                    );
-                    facts.notes.push(note);
-                }
-                *columns.insert(Columns { x: 0, y: 1, z: 2 })
+                let found = unnamed(line, comment, &fields, &mut facts);
+                *columns.insert(found)
             }
             None => {
                 columns = Some(named(line, &fields, &mut facts)?);
@@ -110,6 +110,39 @@ fn split<'a>(line: &'a str, fields: &mut Vec<&'a str>) {
     }
 }
 
+/// Columns of a file whose first line is numbers: by the names in the comment before it, or else the first three.
+fn unnamed(line: usize, comment: &str, fields: &[&str], facts: &mut Facts) -> Columns {
+    let mut names = Vec::new();
+    split(comment, &mut names);
+    let mut stated = Facts::default();
+    if names.len() == fields.len()
+        && let Ok(columns) = named(line, &names, &mut stated)
+    {
+        *facts = stated;
+        facts
+            .notes
+            .push(format!("the columns are those of the comment `{comment}`"));
+        return columns;
+    }
+    if fields.len() > 3 {
+        let note = format!(
+            "{} columns without names: the first three are used",
+            fields.len()
+        );
+        facts.notes.push(note);
+    }
+    facts.guesses.push(
+        "columns without names are taken for x (east), y (north) and z; a first line of names, such as `north east depth`, states them".to_owned(),
+    );
+    Columns { x: 0, y: 1, z: 2 }
+}
+
+/// The unit at the end of a column's name, metres: `depth_ft`, `depth (m)`, `depth[US_ft]`.
+fn unit_of(name: &str) -> Option<f64> {
+    let (_, unit) = name.split_once(['_', ' ', '(', '['])?;
+    units::of_word(unit)
+}
+
 /// Columns that a line of names identifies. Stores what the names state about coordinates and heights in `facts`.
 fn named(line: usize, fields: &[&str], facts: &mut Facts) -> Result<Columns, TextError> {
     let names: Vec<String> = fields.iter().map(|f| f.to_ascii_lowercase()).collect();
@@ -127,10 +160,12 @@ fn named(line: usize, fields: &[&str], facts: &mut Facts) -> Result<Columns, Tex
         place(&["x", "e", "east", "easting"]),
         place(&["y", "n", "north", "northing"]),
     );
-    let depth = place(&["depth", "down"]);
+    let depth = place(&["depth", "down", "d"]);
     let height = place(&["z", "elevation", "elev", "height", "altitude"]);
+    let mut is_metric = true;
     let (x, y) = match (degrees, metres) {
         ((Some(x), Some(y)), _) => {
+            is_metric = false;
             facts.crs = Some(Crs::Geographic("by the header".to_owned()));
             (x, y)
         }
@@ -143,6 +178,15 @@ fn named(line: usize, fields: &[&str], facts: &mut Facts) -> Result<Columns, Tex
     let Some(z) = depth.or(height) else {
         let rule = "must name a column depth, elevation or z";
         return Err(TextError::new(line, &fields.join(" "), rule));
+    };
+    let horizontal = [x, y].map(|column| unit_of(&names[column]));
+    if is_metric && horizontal[0] != horizontal[1] {
+        let rule = "must give x and y in one unit";
+        return Err(TextError::new(line, &fields.join(" "), rule));
+    }
+    facts.units = Units {
+        horizontal_m: horizontal[0].filter(|_| is_metric),
+        vertical_m: unit_of(&names[z]),
     };
     if depth.is_some() {
         facts.values = Some((HeightSign::Depth, "by the name of the column"));
@@ -185,6 +229,35 @@ mod tests {
         assert!(matches!(facts.crs, Some(Crs::Geographic(_))));
         assert_eq!(facts.values.unwrap().0, HeightSign::Depth);
         assert_eq!(facts.notes, ["1 soundings without a depth were left out"]);
+    }
+
+    #[test]
+    fn columns_and_units_are_those_of_the_names() {
+        let want = [DVec3::new(2.0, 1.0, 3.0), DVec3::new(5.0, 4.0, 6.0)];
+        for text in [
+            "N,E,D\n1,2,3\n4,5,6\n",
+            "# N E D\n1 2 3\n4 5 6\n",
+            "# a survey\n#north_m,east_m,down_m\n1,2,3\n4,5,6\n",
+        ] {
+            let (points, facts) = read(text).unwrap();
+            assert_eq!(points, want, "{text}");
+            assert_eq!(facts.values.map(|(sign, _)| sign), Some(HeightSign::Depth));
+            assert!(facts.guesses.is_empty(), "{:?}", facts.guesses);
+        }
+        let (points, facts) = read("# by J. Doe\n1 2 3\n4 5 6\n").unwrap();
+        assert_eq!(points[0], DVec3::new(1.0, 2.0, 3.0));
+        assert!(facts.guesses[0].starts_with("columns without names"));
+        let units = |text: &str| read(text).map(|(_, facts)| facts.units);
+        let feet = Some(units::FOOT_M);
+        assert_eq!(
+            units("x_ft,y_ft,depth (ft)\n1,2,3\n"),
+            Ok(Units {
+                horizontal_m: feet,
+                vertical_m: feet
+            })
+        );
+        assert_eq!(units("lon,lat,depth_ft\n1,2,3\n").unwrap().vertical_m, feet);
+        assert!(units("x_ft,y_m,z\n1,2,3\n").is_err());
     }
 
     #[test]

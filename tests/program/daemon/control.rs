@@ -1,12 +1,13 @@
 //! `/control`, `/status`, `/metrics`, `/healthz` and `echotank ctl`.
 
+use std::io::Write;
 use std::path::Path;
 
 use echotank_runtime::io::control::client;
 use serde_json::json;
 
-use super::Daemon;
 use super::modes::{rig, status, tell, wait_delivered};
+use super::{Daemon, eventually};
 use crate::run;
 
 fn quick(folder: &Path, more: &[&str]) -> Daemon {
@@ -99,6 +100,65 @@ fn requests_without_the_token_are_refused() {
     assert_eq!(client::command(at, &pause, None).expect("answers").0, 401);
     assert_eq!(client::get(at, "/healthz", None).expect("answers").0, 200);
     assert_eq!(status_paused(at), json!(false));
+    daemon.terminate();
+}
+
+/// While too many guesses were wrong, no token is looked at.
+#[test]
+fn guesses_of_the_token_are_limited() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut daemon = quick(folder.path(), &["control.token=open-sesame"]);
+    let at = daemon.announced("control http", "http");
+    let code = |token| client::get(at, "/status", token).expect("answers").0;
+    assert_eq!(code(Some("open-sesame")), 200);
+    let begun = std::time::Instant::now();
+    let answers: Vec<_> = (0..40).map(|_| code(Some("open"))).collect();
+    let read = answers.iter().filter(|&&code| code == 401).count();
+    // Ten at once, and one more every six seconds.
+    let most = 11 + begun.elapsed().as_secs() / 6;
+    assert!(read >= 10 && read as u64 <= most, "{answers:?}");
+    assert_eq!(
+        answers.iter().filter(|&&code| code == 429).count(),
+        40 - read
+    );
+    assert_eq!(code(None), 401, "gives no token");
+    eventually(|| match code(Some("open-sesame")) {
+        200 => Ok(()),
+        code => Err(code),
+    });
+    assert_eq!(client::get(at, "/healthz", None).expect("answers").0, 200);
+    daemon.terminate();
+}
+
+/// Connections that send half a header take neither all descriptors nor the place of others for long.
+#[test]
+fn slow_connections_are_few_and_end() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut daemon = quick(folder.path(), &[]);
+    let at = daemon.announced("control http", "http");
+    let descriptors = format!("/proc/{}/fd", daemon.child.id());
+    let open = || std::fs::read_dir(&descriptors).expect("Linux").count();
+    let before = open();
+    let slow: Vec<_> = (0..200)
+        .map(|_| {
+            let mut stream = std::net::TcpStream::connect(at).expect("the kernel accepts");
+            // The server may have closed it already.
+            let _ = stream.write_all(b"GET /status HTTP/1.1\r\nHost: 127.0");
+            stream
+        })
+        .collect();
+    std::thread::sleep(std::time::Duration::from_millis(500));
+    let during = open();
+    assert!(
+        during <= before + 120,
+        "{before} descriptors, then {during}"
+    );
+    let code = eventually(|| match client::get(at, "/healthz", None) {
+        Ok((code, _)) => Ok(code),
+        Err(why) => Err(why.to_string()),
+    });
+    assert_eq!(code, 200);
+    drop(slow);
     daemon.terminate();
 }
 

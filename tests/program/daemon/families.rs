@@ -61,7 +61,7 @@ fn ping_wbms_and_vita_report_the_same_pings_and_settings() {
     );
     let record = tempfile::tempdir().expect("folder");
     let mut daemon = Daemon::start(
-        "hil-configs/surveyor240.toml",
+        "tests/data/rigs/surveyor240.toml",
         [
             "sonar.output.ping.listen=127.0.0.1:0",
             "sonar.output.wbms.listen=\"127.0.0.1:0\"",
@@ -229,7 +229,7 @@ fn a_client_on_a_serial_line_is_answered_and_gets_every_ping() {
     ours.set_timeout(PATIENCE).expect("set");
     let name = theirs.name().expect("a name");
     let mut daemon = Daemon::start(
-        "hil-configs/surveyor240.toml",
+        "tests/data/rigs/surveyor240.toml",
         [
             "sonar.output.ping.listen=127.0.0.1:0",
             &format!("sonar.output.ping.serial_port={name:?}"),

@@ -199,7 +199,7 @@ async fn omniscan(device: &omniscan450::Device) {
 #[test]
 fn an_omniscan_serves_the_manufacturers_rust_client_over_tcp_and_udp() {
     let mut daemon = Daemon::start(
-        "hil-configs/omniscan450.toml",
+        "tests/data/rigs/omniscan450.toml",
         [
             "sonar.0.output.ping.listen=127.0.0.1:0",
             "sonar.1.output.ping.listen=127.0.0.1:0",
@@ -285,7 +285,7 @@ async fn surveyor(device: &omniscan450::Device) {
 #[test]
 fn a_surveyor_serves_the_manufacturers_rust_client_over_tcp_and_udp() {
     let mut daemon = Daemon::start(
-        "hil-configs/surveyor240.toml",
+        "tests/data/rigs/surveyor240.toml",
         [
             "sonar.output.ping.listen=127.0.0.1:0",
             "scene.seabed.density_per_m2=1.0",

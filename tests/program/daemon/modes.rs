@@ -32,7 +32,8 @@ pub(crate) fn pings_of(folder: &Path) -> Pings {
     let mut pings = Pings::new();
     records_of(folder, "", |record| {
         let kind = record.frame.record_type_id;
-        if !matches!(kind, 7200 | 7300 | 7001) {
+        // Those stamped with the opening of the file tell of the rig, not of a ping.
+        if !matches!(kind, 7200 | 7300 | 7001 | 7030 | 1009) {
             let whole = record.bytes().to_vec();
             let other = pings.insert((kind, whole[TIME].to_vec()), whole);
             assert!(other.is_none(), "two records {kind} of one instant");

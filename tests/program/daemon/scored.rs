@@ -328,6 +328,30 @@ fn a_dead_element_injected_live_is_dead_only_in_the_logged_pings() {
     let control = daemon.address_of("control http", "http");
     let mut client = ElementClient::connect(elements).expect("listening");
     wait_clients(control, &[("elements points", "1 clients")]);
+    // Array 1 follows the eight elements of array 0.
+    let (dead_one, its_neighbour) = (8 + 3, 8 + 4);
+    // Reads while the pings are made: what a client has not read when the daemon ends is lost.
+    let reader = std::thread::spawn(move || {
+        // Whether a ping's frames contain any signal of it.
+        let mut pings: BTreeMap<u32, bool> = BTreeMap::new();
+        let mut neighbours: BTreeMap<u32, bool> = BTreeMap::new();
+        loop {
+            let open = client.read(Duration::from_secs(5), |frame, _| {
+                assert_eq!(usize::from(frame.head.elements), ELEMENTS);
+                let heard = |element: usize| {
+                    let mut moments = frame.samples.chunks_exact(4 * ELEMENTS);
+                    moments.any(|m| m[4 * element..4 * element + 4] != [0; 4])
+                };
+                let number = frame.head.ping_number;
+                *pings.entry(number).or_default() |= heard(dead_one);
+                *neighbours.entry(number).or_default() |= heard(its_neighbour);
+            });
+            if !open.expect("to the end") {
+                break;
+            }
+        }
+        (pings, neighbours)
+    });
     let mut delivered = 0;
     step(control, &mut delivered, 2);
     told(
@@ -336,26 +360,7 @@ fn a_dead_element_injected_live_is_dead_only_in_the_logged_pings() {
     );
     step(control, &mut delivered, 6);
     daemon.terminate();
-    // Array 1 follows the eight elements of array 0.
-    let (dead_one, its_neighbour) = (8 + 3, 8 + 4);
-    // Whether a ping's frames contain any signal of it.
-    let mut pings: BTreeMap<u32, bool> = BTreeMap::new();
-    let mut neighbours: BTreeMap<u32, bool> = BTreeMap::new();
-    loop {
-        let open = client.read(Duration::from_secs(5), |frame, _| {
-            assert_eq!(usize::from(frame.head.elements), ELEMENTS);
-            let heard = |element: usize| {
-                let mut moments = frame.samples.chunks_exact(4 * ELEMENTS);
-                moments.any(|m| m[4 * element..4 * element + 4] != [0; 4])
-            };
-            let number = frame.head.ping_number;
-            *pings.entry(number).or_default() |= heard(dead_one);
-            *neighbours.entry(number).or_default() |= heard(its_neighbour);
-        });
-        if !open.expect("to the end") {
-            break;
-        }
-    }
+    let (pings, neighbours) = reader.join().expect("every frame was read");
     assert_eq!(pings.len(), 8);
     assert!(neighbours.values().all(|heard| *heard), "{neighbours:?}");
     let dead: Vec<u32> = pings

@@ -11,7 +11,9 @@ mod calibrated;
 mod configuration;
 mod detections;
 mod geometry;
+mod installation;
 mod platform;
+mod profile;
 mod raw_iq;
 mod settings;
 mod side_scan;
@@ -29,9 +31,11 @@ pub use calibrated::{
 pub use configuration::{Configuration7001, Module, emit_7001};
 pub use detections::{Detection7027, RawDetections7027, Rth7027, emit_7027};
 pub use geometry::{BeamAngles, BeamGeometry7004, emit_7004};
+pub use installation::{Installation7030, MountingOffset, Version};
 pub use platform::{
-    Heading1013, Navigation1015, Position1003, RollPitchHeave1012, SoundVelocity7610,
+    Depth1008, Heading1013, Navigation1015, Position1003, RollPitchHeave1012, SoundVelocity7610,
 };
+pub use profile::{Rth1009, SoundVelocityProfile1009, VelocityAtDepth, emit_1009};
 pub use raw_iq::{RawIq7038, Rth7038, SAMPLE_TYPE_I16, emit_7038, emit_7038_element_major};
 pub use settings::{RemoteSettings7503, SonarSettings7000};
 pub use side_scan::{Rth7007, SideSamples, SideScan7007, emit_7007};

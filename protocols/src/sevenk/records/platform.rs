@@ -1,4 +1,4 @@
-//! Navigation of the platform: 1003 position, 1012 roll, pitch and heave, 1013 heading, 1015 navigation, 7610 sound velocity. Source: DFD
+//! Navigation of the platform: 1003 position, 1008 depth, 1012 roll, pitch and heave, 1013 heading, 1015 navigation, 7610 sound velocity. Source: DFD
 //! 3.12.
 //!
 //! Signs: roll port up, pitch bow up, heave up. Some readers require 7610 for bathymetry, so that a server must send it.
@@ -40,6 +40,18 @@ impl Position1003 {
     pub const GEOGRAPHIC: u8 = 0;
     /// Northing and easting.
     pub const GRID: u8 = 1;
+}
+
+/// 1008: depth of the platform or of the water.
+#[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
+pub struct Depth1008 {
+    /// 0 depth of the sensor, 1 depth of the water.
+    pub descriptor: u8,
+    /// 0 as measured, 1 relative to the mean sea level.
+    #[brw(pad_after = 2)]
+    pub correction: u8,
+    /// Positive down.
+    pub depth_m: f32,
 }
 
 /// 1012: attitude and heave.
@@ -95,6 +107,7 @@ pub struct SoundVelocity7610 {
 }
 
 rth_record!(Position1003, record_id::POSITION, 37, "1003 position");
+rth_record!(Depth1008, record_id::DEPTH, 8, "1008 depth");
 rth_record!(
     RollPitchHeave1012,
     record_id::ROLL_PITCH_HEAVE,
@@ -135,6 +148,17 @@ impl fmt::Display for Position1003 {
             ", height {:.3} m, latency {:.3} s, method {}, {} satellites",
             self.height_m, self.latency_s, self.positioning_method, self.satellites
         )
+    }
+}
+
+impl fmt::Display for Depth1008 {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let of = if self.descriptor == 1 {
+            "the water"
+        } else {
+            "the sensor"
+        };
+        write!(f, "depth of {of}: {:.3} m", self.depth_m)
     }
 }
 

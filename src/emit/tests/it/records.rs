@@ -2,15 +2,20 @@
 
 use std::sync::Arc;
 
+use echotank_config::spec::{SevenKSpec, VerticalSpec};
+use echotank_core::frames::rotation_from_angles;
 use echotank_core::ping::{PingOutput, PingPlan, Side};
 use echotank_core::records::Datagram;
+use echotank_emit::sevenk::records::DeviceSheet;
 use echotank_emit::sevenk::{RECORDS, RecordSet, SevenKEmitter};
 use echotank_protocols::sevenk::records::{
-    BeamGeometry7004, Beamformed7018, Configuration7001, Position1003, RawIq7038,
-    RemoteSettings7503, RollPitchHeave1012, SideScan7007, SonarSettings7000,
+    BeamGeometry7004, Beamformed7018, Configuration7001, Installation7030, MountingOffset,
+    Position1003, RawIq7038, RemoteSettings7503, RollPitchHeave1012, SideScan7007,
+    SonarSettings7000, SoundVelocityProfile1009,
 };
 use echotank_protocols::sevenk::{Record, ping_order_rank};
 use echotank_testing::wire::*;
+use glam::DVec3;
 
 /// Where the RTH begins in a record.
 const RTH: usize = 64;
@@ -53,13 +58,13 @@ fn customary(width_rad: f32) {
 }
 
 #[test]
-fn a_ping_comes_in_the_order_of_the_format_with_7000_first() {
+fn a_ping_comes_in_the_order_of_the_format_with_the_sound_velocity_before_7000() {
     let (records, _) = emitted(&plan(9, 6), &output(6), RecordSet::ALL);
     let ids: Vec<u32> = records.iter().map(|r| r.record_type).collect();
     assert_eq!(
         ids,
         [
-            7000, 7503, 7004, 7007, 7018, 7038, 7042, 7057, 10_038, 7610, 1003, 1012, 1013, 1015,
+            7610, 7000, 7503, 7004, 7007, 7018, 7038, 7042, 7057, 10_038, 1003, 1012, 1013, 1015,
             1016
         ]
     );
@@ -79,10 +84,10 @@ fn only_subscribed_and_available_records_are_emitted() {
     let bare = PingOutput::default();
     let (records, _) = emitted(&plan(1, 0), &bare, RecordSet::ALL);
     let ids: Vec<u32> = records.iter().map(|r| r.record_type).collect();
-    assert_eq!(ids, [7000, 7503, 7610, 1003, 1012, 1013, 1015, 1016]);
-    for &id in &RECORDS[..18] {
-        // This fan has no bottom detection.
-        if ![7027, 7028, 7058].contains(&id) {
+    assert_eq!(ids, [7610, 7000, 7503, 1003, 1012, 1013, 1015, 1016]);
+    for &id in &RECORDS[..19] {
+        // This fan has no bottom detection, and the reference point is at the waterline.
+        if ![7027, 7028, 7058, 1008].contains(&id) {
             one(id);
         }
     }
@@ -96,11 +101,12 @@ fn ping_records_carry_the_end_of_the_transmission_and_navigation_its_own_time() 
     // Stamped with host time one hour ahead; the state is valid 0.25 s after the start of the pulse.
     plan.stamp_utc = plan.transmit_utc.plus_s(3600.0);
     plan.nav.utc = plan.transmit_utc.plus_s(0.25);
+    plan.sensor.still_depth_m = Some(30.0);
     let (records, _) = emitted(&plan, &output(6), RecordSet::ALL);
     for record in &records {
         let time = Record::parse(&record.bytes).expect("a record").frame.time;
         let after_stamp = match record.record_type {
-            1003 | 1012 | 1013 | 1015 | 1016 => 0.25,
+            1003 | 1008 | 1012 | 1013 | 1015 | 1016 => 0.25,
             _ => PULSE_S,
         };
         let got = time.to_utc_ns().expect("a time");
@@ -338,11 +344,89 @@ fn navigation_has_the_signs_of_the_format() {
 }
 
 #[test]
+fn depth_1008_is_that_without_heave_and_only_where_the_plan_tells_it() {
+    let mut plan = plan(1, 6);
+    let wanted = RecordSet::of(&[1008]);
+    assert!(emitted(&plan, &output(6), wanted).0.is_empty());
+    plan.sensor.still_depth_m = Some(11.75);
+    let (records, _) = emitted(&plan, &output(6), wanted);
+    let b = &records[0].bytes[RTH..];
+    assert_eq!(
+        (b[0], b[1], f32_at(b, 4), b.len()),
+        (0, 1, 11.75, 8 + 4),
+        "depth of the sensor, relative to the mean sea level"
+    );
+    plan.nav.invalid.vertical = true;
+    assert!(emitted(&plan, &output(6), wanted).0.is_empty());
+}
+
+#[test]
+fn descriptions_hold_the_mounting_and_a_profile_of_one_sound_velocity() {
+    let mut nav = echotank_testing::nav::nav(Vec::new());
+    nav.vertical = VerticalSpec::Waterline {
+        reference_down_m: 0.5,
+    };
+    let mut sonar = sonar();
+    let rolled = rotation_from_angles(-0.3, 0.0, 0.0);
+    sonar.transmit[0].mounting.position_m = DVec3::new(0.1, -0.2, 0.8);
+    sonar.transmit[0].mounting.body_from_array = rolled;
+    // A line across the track, with +x to starboard.
+    sonar.receive[0].mounting.body_from_array = rotation_from_angles(0.0, 0.2, 0.0)
+        * rotation_from_angles(0.0, 0.0, std::f64::consts::FRAC_PI_2);
+    let sheet = DeviceSheet::new(&output_spec(), &sonar, SOUND_M_PER_S, 0.0);
+    let [installation, profile] = sheet.with_navigation(&nav).descriptions(TRANSMIT_UTC);
+    assert_eq!(
+        (installation.record_type, profile.record_type),
+        (7030, 1009)
+    );
+
+    let i = Installation7030::parse(body(&installation.bytes)).expect("7030");
+    assert_eq!(f64::from(i.frequency_hz), sonar.pulse.center_frequency_hz);
+    assert!(i.software.text().starts_with("echotank "));
+    let t = i.transmit;
+    assert_eq!((t.x_m, t.y_m, t.z_m), (-0.2, 0.1, -0.8));
+    close(f64::from(t.roll_rad), -0.3, "roll of the transmitter");
+    assert_eq!((t.pitch_rad, t.heading_rad), (0.0, 0.0));
+    close(f64::from(i.receive.pitch_rad), 0.2, "pitch of the receiver");
+    assert!(i.receive.heading_rad.abs() < 1e-6 && i.receive.roll_rad.abs() < 1e-6);
+    assert_eq!(
+        (i.waterline_m, i.motion_sensor),
+        (0.5, MountingOffset::default())
+    );
+
+    let p = SoundVelocityProfile1009::parse(body(&profile.bytes)).expect("1009");
+    assert_eq!(p.rth.position_flag, 0, "no position");
+    let samples: Vec<_> = p.samples().collect();
+    assert_eq!((samples.len(), samples[0].depth_m), (2, 0.0));
+    assert!(samples[1].depth_m > 11_000.0, "below all oceans");
+    for sample in samples {
+        assert_eq!(f64::from(sample.sound_velocity_m_per_s), SOUND_M_PER_S);
+    }
+}
+
+#[test]
+fn files_of_common_records_leave_out_what_common_readers_do_not_know() {
+    let mut output = output_spec();
+    let of =
+        |output: &SevenKSpec| DeviceSheet::new(output, &sonar(), SOUND_M_PER_S, 0.0).file_records();
+    assert_eq!(of(&output), RecordSet::ALL);
+    output.has_common_files = true;
+    let left_out = RecordSet::ALL.without(of(&output));
+    let left_out: Vec<u32> = left_out.iter().collect();
+    assert_eq!(left_out, [7038, 7042, 7057, 10_038]);
+}
+
+#[test]
 fn configuration_7001_describes_the_sonar_in_xml_closed_by_one_counted_nul() {
     let datagram = sheet().configuration_7001(TRANSMIT_UTC);
     let bytes = &datagram.bytes;
     let c = Configuration7001::parse(body(bytes)).expect("7001");
     assert_eq!((c.modules.len(), c.modules[0].identifier), (1, DEVICE));
+    // Readers take the serial number from the digits behind "SN" (NOAA's Kluster).
+    let description = &c.modules[0].description;
+    let digits = description.strip_prefix("SN").expect("as devices write it");
+    let digits = digits.split(' ').next().expect("digits");
+    assert_eq!(digits.parse::<u64>(), Ok(sonar().serial), "{description}");
     let b = &bytes[RTH..];
     let len = u32_at(b, 88) as usize;
     let xml = &b[92..92 + len];

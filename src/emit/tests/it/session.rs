@@ -3,9 +3,10 @@
 mod ping;
 mod wbms;
 
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 
-use echotank_core::settings::Asked;
+use echotank_core::settings::{Asked, Asker};
 use echotank_core::time::UtcNs;
 use echotank_emit::sevenk::RecordSet;
 use echotank_emit::sevenk::records::DeviceSheet;
@@ -22,6 +23,10 @@ use echotank_testing::wire::*;
 use proptest::prelude::*;
 
 const NOW: UtcNs = UtcNs(1_750_000_000_000_000_000);
+
+const CLIENT: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 4001);
+/// Of the server.
+const OWN_PORT: u16 = 7000;
 
 struct Rig {
     sheet: Arc<DeviceSheet>,
@@ -50,7 +55,11 @@ impl Rig {
             sheet: &self.sheet,
             settings: self.store.as_ref(),
             now: NOW,
-            by: Asked::from(NOW).by,
+            is_own: |address| address.port() == OWN_PORT,
+            by: Asker {
+                peer: Some(CLIENT),
+                ..Asked::from(NOW).by
+            },
         };
         step(&mut self.session, &context, &mut out);
         out
@@ -424,6 +433,43 @@ fn a_third_party_is_dialled_and_hung_up() {
     assert_eq!(out[1], Outgoing::HangUp { peer, transport });
 }
 
+/// Otherwise a client could have the server command itself, or flood any address.
+#[test]
+fn records_go_to_no_third_party_but_the_client_and_configured_addresses() {
+    let mut output = output_spec();
+    output.third_parties = vec!["192.0.2.7".parse().expect("an address")];
+    let denied = Err(ErrorCode::RemoteCommandDenied);
+    for (address, port, want) in [
+        ([127, 0, 0, 1], 4000, Ok(())),
+        ([192, 0, 2, 7], 4000, Ok(())),
+        ([127, 0, 0, 1], OWN_PORT, denied),
+        ([192, 0, 2, 7], OWN_PORT, denied),
+        ([127, 0, 0, 1], 0, denied),
+        ([127, 0, 0, 3], 4000, denied),
+        ([192, 0, 2, 8], 4000, denied),
+        ([255, 255, 255, 255], 4000, denied),
+        ([0, 0, 0, 0], 4000, denied),
+    ] {
+        let mut rig = Rig::tcp();
+        rig.sheet = Arc::new(DeviceSheet::new(&output, &sonar(), 1500.0, 0.0));
+        let party = ThirdParty {
+            ipv4: u32::from_le_bytes(address),
+            port,
+            transport: Transport::Udp,
+        };
+        let out = rig.send(&command(
+            Command::ConnectThirdParty {
+                party,
+                record_type_ids: vec![7000],
+            },
+            1,
+        ));
+        assert_eq!(answer(&out, 1), want, "{party}");
+        let dials = out.iter().filter(|o| matches!(o, Outgoing::Dial { .. }));
+        assert_eq!(dials.count(), usize::from(want.is_ok()), "{party}");
+    }
+}
+
 #[test]
 fn commands_are_taken_when_addressed_to_us_or_to_any_sonar() {
     for (device, enumerator, accepted) in [
@@ -486,8 +532,24 @@ fn subscriptions_add_up_and_come_off_one_by_one_or_all_at_once() {
     assert_eq!(rig.ask(range, 4), Ok(()));
     assert_eq!(
         rig.session.subscribed(),
-        RecordSet::of(&[1003, 1012, 1013, 1015, 1016, 7000, 7004])
+        RecordSet::of(&[1003, 1009, 1012, 1013, 1015, 1016, 7000, 7004])
     );
+}
+
+#[test]
+fn mounting_and_profile_are_sent_once_to_a_client_that_subscribes_and_on_request() {
+    let mut rig = Rig::tcp();
+    let out = rig.send(&command(subscribe(&[7030, 7000, 1009]), 1));
+    assert_eq!(record_types(&out), [7501, 7030, 1009, 7500]);
+    let out = rig.send(&command(subscribe(&[7030, 7018]), 2));
+    assert_eq!(record_types(&out), [7501, 7500]);
+    for id in [7030, 1009] {
+        let out = rig.send(&command(single(id), 3));
+        assert_eq!(record_types(&out), [7501, id, 7500]);
+    }
+    rig.ask(Command::EndSubscriptions, 4).expect("obeyed");
+    let out = rig.send(&command(subscribe(&[1009]), 5));
+    assert_eq!(record_types(&out), [7501, 1009, 7500]);
 }
 
 #[test]

@@ -425,3 +425,50 @@ fn lines_of_json_and_ais_are_counted_and_skipped() {
         (2, 1, 1)
     );
 }
+
+/// RMC, GGA and PASHR at 10 Hz in a log without stamps; the clock is wrong for three seconds.
+#[test]
+fn a_plain_log_with_a_wrong_clock_continues_and_notes_the_jump() {
+    let start_s = 1_406_887_200;
+    for off_s in [-1_088_640_000, 1_036_800_000, -183_600, 72_000] {
+        let mut log = Vec::new();
+        for k in 0..250 {
+            let off_s = if (100..130).contains(&k) { off_s } else { 0 };
+            let shown = chrono::DateTime::from_timestamp_millis((start_s + off_s) * 1000 + k * 100);
+            let shown = shown.expect("a time");
+            let (time, date) = (shown.format("%H%M%S%.3f"), shown.format("%d%m%y"));
+            for body in [
+                format!("GPRMC,{time},A,5418.0,N,01006.0,E,4.0,000.0,{date},,,A"),
+                format!("GPGGA,{time},5418.0,N,01006.0,E,4,12,0.7,1.0,M,40.0,M,,"),
+                format!("PASHR,{time},000.00,T,+1.00,+2.00,+0.10,0.1,0.1,0.1,2,1"),
+            ] {
+                log.extend(echotank_testing::nav::sentence(&body));
+            }
+        }
+        let spec = spec(ChecksumPolicy::Require, TimePolicy::Burst);
+        let report = report(&log, &spec, 10.0);
+        let times = report.samples.iter().map(|s| s.valid_utc.0);
+        let (first, last) = (times.clone().min(), times.max());
+        let start = UtcNs(start_s * 1_000_000_000);
+        assert_eq!(first, Some(start.0), "{off_s}");
+        assert_eq!(last, Some(start.plus_s(24.9).0), "{off_s}");
+        // Sentences whose time jumps are set aside until three agree, twice, by time and by date.
+        assert!(
+            report.counters.time_jumps <= 24,
+            "{}",
+            report.counters.time_jumps
+        );
+        let gaps = report.channels[0].gaps.iter().map(|(_, s)| *s);
+        assert!(
+            gaps.fold(0.0, f64::max) < 1.0,
+            "{off_s}: {:?}",
+            report.channels[0].gaps
+        );
+        assert!(
+            (2..=5).contains(&report.log.passes.len()),
+            "{:?}",
+            report.log.passes
+        );
+        assert!(!report.log.clock_events.is_empty());
+    }
+}

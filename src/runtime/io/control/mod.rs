@@ -6,7 +6,9 @@
 //! It also serves the operator's page: [`assets`] holds the files, [`socket`] the WebSocket, [`feed`] the data of the pings.
 
 mod assets;
+mod attempts;
 pub mod client;
+mod connections;
 pub mod feed;
 pub mod frame;
 mod router;
@@ -26,6 +28,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use tokio::sync::watch;
 
+use crate::io::listening::Listening;
 use echotank_config::spec::FaultRequest;
 use echotank_core::settings::{Asker, SettingChange, TriggerSource};
 use feed::Feed;
@@ -271,6 +274,7 @@ pub(crate) struct ControlServer {
     local_addr: SocketAddr,
     stop: watch::Sender<bool>,
     thread: Option<JoinHandle<()>>,
+    _listening: Listening,
 }
 
 impl ControlServer {
@@ -294,6 +298,7 @@ impl ControlServer {
             .enable_all()
             .build()
             .map_err(OpenError::Thread)?;
+        let listening = Listening::at("control", local_addr);
         let (stop, stopped) = watch::channel(false);
         let shared = Shared {
             port,
@@ -308,6 +313,7 @@ impl ControlServer {
             local_addr,
             stop,
             thread: Some(thread),
+            _listening: listening,
         })
     }
 
@@ -339,10 +345,12 @@ async fn serve(
         let _ = stopped.wait_for(|&stop| stop).await;
     };
     let (pages, port) = (Arc::clone(&shared.pages), Arc::clone(&shared.port));
-    let routes = router::router(shared, token).into_make_service_with_connect_info::<SocketAddr>();
-    let server = axum::serve(listener, routes).with_graceful_shutdown(wait(stopped.clone()));
+    let served = connections::serve(listener, router::router(shared, token), stopped.clone());
     tokio::select! {
-        _ = server => {}
+        () = async {
+            served.await;
+            pages.closed().await;
+        } => {}
         () = pages.renew(port.as_ref()) => {}
         () = async { wait(stopped).await; tokio::time::sleep(DRAIN).await } => {}
     }

@@ -10,10 +10,11 @@
 //! | GET /page/socket | its WebSocket, see [`super::socket`]; the token is the subprotocol `token.` followed by its bytes in hexadecimal |
 //!
 //! Against pages of other sites in the operator's browser: commands must be `application/json`, which a form cannot send. An `Origin` must be the
-//! server's own. Without a token the `Host` must be an IP address or localhost, which defeats DNS rebinding.
+//! server's own and stand alone. Without a token the `Host` must be an IP address or localhost, which defeats DNS rebinding.
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use axum::Json;
 use axum::Router;
@@ -26,11 +27,14 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use tracing::warn;
 
+use super::attempts::Attempts;
 use super::{Command, ControlPort, Shared, assets, refusal, socket};
 use echotank_core::settings::Asker;
 
 /// Longest command, bytes.
 const MAX_BODY_BYTES: usize = 64 * 1024;
+/// Limit for a request to arrive and be answered; commands do not wait.
+const REQUEST_PATIENCE: Duration = Duration::from_secs(10);
 
 type Port = State<Arc<dyn ControlPort>>;
 
@@ -40,12 +44,16 @@ pub(super) fn router(shared: Shared, token: Option<String>) -> Router {
         .route("/status", get(status))
         .route("/metrics", get(metrics))
         .route("/page/socket", get(socket::open))
-        .layer(middleware::from_fn_with_state(Arc::new(token), guard));
+        .layer(middleware::from_fn_with_state(
+            Arc::new(Access::new(token)),
+            guard,
+        ));
     Router::new()
         .route("/healthz", get(health))
         .merge(assets::routes())
         .merge(guarded)
         .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
+        .layer(middleware::from_fn(limit_time))
         .with_state(shared)
 }
 
@@ -86,14 +94,86 @@ async fn health(State(port): Port) -> impl IntoResponse {
     }
 }
 
-async fn guard(State(token): State<Arc<Option<String>>>, request: Request, next: Next) -> Response {
-    match objection(request.headers(), token.as_deref()) {
+/// Answers a request whose body does not arrive in time.
+async fn limit_time(request: Request, next: Next) -> Response {
+    let response = tokio::time::timeout(REQUEST_PATIENCE, next.run(request)).await;
+    response.unwrap_or_else(|_| {
+        refusal(
+            StatusCode::REQUEST_TIMEOUT,
+            "the request did not arrive in time",
+        )
+    })
+}
+
+/// Who may send requests.
+struct Access {
+    token: Option<String>,
+    attempts: Attempts,
+}
+
+impl Access {
+    fn new(token: Option<String>) -> Self {
+        Self {
+            token,
+            attempts: Attempts::default(),
+        }
+    }
+}
+
+async fn guard(
+    State(access): State<Arc<Access>>,
+    ConnectInfo(peer): ConnectInfo<SocketAddr>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let (headers, now) = (request.headers(), Instant::now());
+    let gives_token = access.token.is_some() && !given_tokens(headers).is_empty();
+    if gives_token && access.attempts.are_exhausted(peer.ip(), now) {
+        return refusal(
+            StatusCode::TOO_MANY_REQUESTS,
+            "too many wrong tokens from this address: wait some seconds",
+        );
+    }
+    match objection(headers, access.token.as_deref()) {
         None => next.run(request).await,
         Some((status, why)) => {
-            let peer = request.extensions().get::<ConnectInfo<SocketAddr>>();
-            let client = peer.map(|ConnectInfo(peer)| peer.to_string());
-            warn!(client, path = request.uri().path(), why, "request refused");
+            let path = request.uri().path();
+            warn!(client = %peer, path, why, "request refused");
+            let is_wrong = gives_token && status == StatusCode::UNAUTHORIZED;
+            if is_wrong && access.attempts.note(peer.ip(), now) {
+                warn!(client = %peer, "too many wrong tokens: further ones are refused unread and not logged");
+            }
             refusal(status, why)
+        }
+    }
+}
+
+/// The tokens of a request, as text and in hexadecimal.
+fn given_tokens(headers: &HeaderMap) -> Vec<GivenToken<'_>> {
+    let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
+    let plain = text(header::AUTHORIZATION).and_then(|v| v.strip_prefix("Bearer "));
+    // A browser cannot add a header to a WebSocket request.
+    let protocols = text(header::SEC_WEBSOCKET_PROTOCOL).unwrap_or_default();
+    let in_hex = protocols
+        .split(',')
+        .find_map(|protocol| protocol.trim().strip_prefix("token."));
+    let given = plain.map(GivenToken::Plain);
+    given
+        .into_iter()
+        .chain(in_hex.map(GivenToken::Hex))
+        .collect()
+}
+
+enum GivenToken<'a> {
+    Plain(&'a str),
+    Hex(&'a str),
+}
+
+impl GivenToken<'_> {
+    fn is(&self, token: &str) -> bool {
+        match self {
+            Self::Plain(given) => same(given.as_bytes(), token.as_bytes()),
+            Self::Hex(given) => same(given.as_bytes(), hex(token).as_bytes()),
         }
     }
 }
@@ -101,6 +181,15 @@ async fn guard(State(token): State<Arc<Option<String>>>, request: Request, next:
 /// Reason to refuse a request.
 fn objection(headers: &HeaderMap, token: Option<&str>) -> Option<(StatusCode, &'static str)> {
     let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
+    // Which of two values counts would differ between programs.
+    for name in [header::HOST, header::ORIGIN, header::AUTHORIZATION] {
+        if headers.get_all(name).iter().count() > 1 {
+            return Some((
+                StatusCode::BAD_REQUEST,
+                "Host, Origin and Authorization may be given once",
+            ));
+        }
+    }
     let host = text(header::HOST).unwrap_or_default();
     let own_origin = |origin: &str| {
         let site = origin.strip_prefix("http://");
@@ -114,14 +203,7 @@ fn objection(headers: &HeaderMap, token: Option<&str>) -> Option<(StatusCode, &'
     }
     match token {
         Some(token) => {
-            let given = text(header::AUTHORIZATION).and_then(|v| v.strip_prefix("Bearer "));
-            // A browser cannot add a header to a WebSocket request.
-            let protocols = text(header::SEC_WEBSOCKET_PROTOCOL).unwrap_or_default();
-            let in_hex = protocols
-                .split(',')
-                .find_map(|protocol| protocol.trim().strip_prefix("token."));
-            let known = given.is_some_and(|given| same(given.as_bytes(), token.as_bytes()))
-                || in_hex.is_some_and(|given| same(given.as_bytes(), hex(token).as_bytes()));
+            let known = given_tokens(headers).iter().any(|given| given.is(token));
             (!known).then_some((
                 StatusCode::UNAUTHORIZED,
                 "a token is required: Authorization: Bearer TOKEN",
@@ -161,7 +243,7 @@ mod tests {
     fn asked(pairs: &[(&'static str, &str)], token: Option<&str>) -> Option<u16> {
         let mut headers = HeaderMap::new();
         for (name, value) in pairs {
-            headers.insert(*name, value.parse().expect("a header"));
+            headers.append(*name, value.parse().expect("a header"));
         }
         objection(&headers, token).map(|(status, _)| status.as_u16())
     }
@@ -191,6 +273,18 @@ mod tests {
             (
                 vec![("host", "127.0.0.1:7780"), ("origin", "null")],
                 Some(403),
+            ),
+            (
+                vec![
+                    ("host", "127.0.0.1:7780"),
+                    ("origin", "http://127.0.0.1:7780"),
+                    ("origin", "http://evil.example"),
+                ],
+                Some(400),
+            ),
+            (
+                vec![("host", "127.0.0.1:7780"), ("host", "evil.example")],
+                Some(400),
             ),
         ] {
             assert_eq!(asked(&pairs, None), want, "{pairs:?}");

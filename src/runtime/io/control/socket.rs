@@ -89,6 +89,11 @@ impl Pages {
         }
     }
 
+    /// Returns when no page is open.
+    pub(super) async fn closed(&self) {
+        let _ = self.slots.acquire_many(MAX_PAGES as u32).await;
+    }
+
     /// Renews the state while pages are open; never returns.
     pub(super) async fn renew(&self, port: &dyn ControlPort) {
         let mut look = interval(LOOK);

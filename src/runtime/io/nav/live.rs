@@ -8,15 +8,16 @@ mod tcp;
 
 pub(super) use serial::{Port, open as open_serial};
 
+use std::cell::Cell;
 use std::collections::VecDeque;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::Arc;
 use std::sync::atomic::{
-    AtomicBool, AtomicU64,
+    AtomicBool, AtomicU64, AtomicUsize,
     Ordering::{Acquire, Relaxed, Release},
 };
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 use socket2::{Domain, Protocol, Socket, Type};
@@ -24,6 +25,7 @@ use tracing::warn;
 
 use super::{Feed, LiveCounters, NavOpenError, SourceCounters};
 use crate::clock::Clock;
+use crate::io::listening::Listening;
 use crate::io::stamp;
 use echotank_config::spec::{NavInputSpec, NavSourceSpec, NavSpec, TimePolicy};
 use echotank_core::navigation::NavSample;
@@ -33,10 +35,21 @@ use echotank_nav::decoder::ignore_events;
 
 /// Datagrams or reads that may wait for decoding: 40 s of a 100 Hz sensor.
 const QUEUE: usize = 4096;
+/// Bytes of these: what ends a pause of the pipeline must not take long to decode, nor much memory.
+const QUEUE_BYTES: usize = 8 << 20;
+/// Bytes that one source may send per second, and at once after a pause: a hundred times what instruments send. Streams beyond it are read later;
+/// of datagrams, those that exceed it are lost, while shorter ones of an honest sender still fit.
+const SOURCE_BYTES_PER_S: f64 = 4.0 * 1024.0 * 1024.0;
+const SOURCE_BURST_BYTES: f64 = 1024.0 * 1024.0;
+/// What one turn of the thread that makes pings decodes at most; the rest waits for the next turn.
+const TURN_BYTES: usize = 256 * 1024;
+const TURN_NS: i64 = 2_000_000;
 /// Socket buffer requested from the kernel, bytes: a second of navigation at any rate. The kernel may grant less.
 const SOCKET_BUFFER_BYTES: usize = 1 << 20;
 /// Read timeout; the threads check the stop flag this often.
 const READ_TIMEOUT: Duration = Duration::from_millis(100);
+/// Pause of a stream that sends more than it may.
+const LIMIT_PAUSE: Duration = Duration::from_millis(5);
 /// Pause before a lost serial port or connection is tried again.
 const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
 /// Navigation time within this of the host's clock uses the host's timeline.
@@ -58,6 +71,7 @@ struct Chunk {
 struct Stats {
     received: AtomicU64,
     dropped_full: AtomicU64,
+    dropped_flood: AtomicU64,
     read_errors: AtomicU64,
     reopened: AtomicU64,
 }
@@ -74,6 +88,7 @@ struct LiveSource {
     /// A byte stream; otherwise datagrams.
     stream: bool,
     address: Option<SocketAddr>,
+    _listening: Option<Listening>,
     stats: Arc<Stats>,
 }
 
@@ -86,6 +101,8 @@ pub(super) struct Live {
     /// The timeline is set from outside.
     foreign: bool,
     kept: VecDeque<Chunk>,
+    /// Of the chunks in `chunks` and `kept`.
+    waiting_bytes: Arc<AtomicUsize>,
     samples: Vec<NavSample>,
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
@@ -108,6 +125,7 @@ impl Live {
             timeline: None,
             foreign,
             kept: VecDeque::new(),
+            waiting_bytes: Arc::default(),
             samples: Vec::new(),
             stop: Arc::new(AtomicBool::new(false)),
             threads: Vec::new(),
@@ -139,6 +157,7 @@ impl Live {
             byte_ns: 0,
             stream: false,
             address: None,
+            _listening: None,
             stats: stats.clone(),
         };
         let outlet = Outlet {
@@ -147,6 +166,8 @@ impl Live {
             sender: sender.clone(),
             clock: self.clock.clone(),
             stats,
+            waiting_bytes: self.waiting_bytes.clone(),
+            inflow: Cell::new((SOURCE_BURST_BYTES, Instant::now())),
             stop: self.stop.clone(),
         };
         let thread = std::thread::Builder::new().name(format!("nav {}", spec.name));
@@ -190,6 +211,9 @@ impl Live {
         };
         let handle = started.map_err(failed("cannot start its thread".into()))?;
         self.threads.push(handle);
+        source._listening = source
+            .address
+            .map(|address| Listening::at("navigation", address));
         self.sources.push(source);
         Ok(())
     }
@@ -212,6 +236,7 @@ impl Live {
             let Stats {
                 received,
                 dropped_full,
+                dropped_flood,
                 read_errors,
                 reopened,
             } = &*source.stats;
@@ -219,13 +244,19 @@ impl Live {
             counters[source.index].live = LiveCounters {
                 received: received.load(Acquire),
                 dropped_full: dropped_full.load(Relaxed),
+                dropped_flood: dropped_flood.load(Relaxed),
                 read_errors: read_errors.load(Relaxed),
                 reopened: reopened.load(Relaxed),
             };
         }
     }
 
-    /// Decodes received bytes, or keeps them while rig time is unknown.
+    /// Whether received bytes wait for another turn.
+    pub(super) fn is_behind(&self) -> bool {
+        self.timeline.is_some() && !(self.kept.is_empty() && self.chunks.is_empty())
+    }
+
+    /// Decodes received bytes, within the limits of a turn, or keeps them while rig time is unknown.
     pub(super) fn pull(&mut self, feed: &mut Feed) {
         if self.timeline.is_none() {
             self.keep();
@@ -233,11 +264,17 @@ impl Live {
         let Some(timeline) = self.timeline else {
             return;
         };
-        while let Some(mut chunk) = self
-            .kept
-            .pop_front()
-            .or_else(|| self.chunks.try_recv().ok())
-        {
+        let (begun, mut left_bytes) = (self.clock.mono(), TURN_BYTES);
+        while left_bytes > 0 && self.clock.mono().0 - begun.0 < TURN_NS {
+            let Some(mut chunk) = self
+                .kept
+                .pop_front()
+                .or_else(|| self.chunks.try_recv().ok())
+            else {
+                return;
+            };
+            left_bytes = left_bytes.saturating_sub(chunk.bytes.len());
+            self.waiting_bytes.fetch_sub(chunk.bytes.len(), Relaxed);
             let source = &mut self.sources[chunk.source];
             let samples = &mut self.samples;
             if let Some(spoiler) = &mut feed.spoiler {
@@ -245,6 +282,10 @@ impl Live {
             }
             let pace = (source.stream, source.byte_ns);
             decode(&mut source.decoder, &chunk, pace, timeline, samples);
+            let id = u16::try_from(source.index).unwrap_or(u16::MAX);
+            for event in source.decoder.take_clock_events() {
+                feed.clock_changed(id, event.arrival, event.state);
+            }
             for sample in samples.drain(..) {
                 feed.insert(&sample);
             }
@@ -266,6 +307,8 @@ impl Live {
             }
             if self.kept.len() == QUEUE {
                 let oldest = self.kept.pop_front();
+                let bytes = oldest.as_ref().map_or(0, |c| c.bytes.len());
+                self.waiting_bytes.fetch_sub(bytes, Relaxed);
                 let source = oldest.map_or(chunk.source, |c| c.source);
                 self.sources[source]
                     .stats
@@ -334,6 +377,9 @@ struct Outlet {
     sender: Sender<Chunk>,
     clock: Arc<dyn Clock>,
     stats: Arc<Stats>,
+    waiting_bytes: Arc<AtomicUsize>,
+    /// Bytes that the source may send at this instant.
+    inflow: Cell<(f64, Instant)>,
     stop: Arc<AtomicBool>,
 }
 
@@ -342,13 +388,33 @@ impl Outlet {
         self.stop.load(Relaxed)
     }
 
-    /// Queues bytes, the last of which arrived now.
+    /// Takes bytes from what the source may send; false if they exceed it.
+    fn is_within_limit(&self, bytes: usize) -> bool {
+        let (left, at) = self.inflow.get();
+        let now = Instant::now();
+        let come = SOURCE_BYTES_PER_S * now.duration_since(at).as_secs_f64();
+        let left = (left + come).min(SOURCE_BURST_BYTES);
+        let fits = bytes as f64 <= left;
+        let taken = if fits { bytes as f64 } else { 0.0 };
+        self.inflow.set((left - taken, now));
+        fits
+    }
+
+    /// Queues bytes of a stream, the last of which arrived now. Waits while they exceed what the source may send.
     fn send(&self, bytes: &[u8], byte_ns: i64) {
+        while !self.is_within_limit(bytes.len()) && !self.stopped() {
+            std::thread::sleep(LIMIT_PAUSE);
+        }
         self.send_old(bytes, byte_ns, 0);
     }
 
     /// Queues bytes, the last of which arrived `age_ns` ago.
     fn send_old(&self, bytes: &[u8], byte_ns: i64, age_ns: i64) {
+        if self.waiting_bytes.load(Relaxed) > QUEUE_BYTES {
+            self.stats.dropped_full.fetch_add(1, Relaxed);
+            self.stats.received.fetch_add(1, Release);
+            return;
+        }
         let since_first_ns = age_ns + byte_ns * bytes.len() as i64;
         let mono = self.clock.mono().plus_ns(-since_first_ns);
         let chunk = Chunk {
@@ -356,7 +422,10 @@ impl Outlet {
             mono,
             bytes: bytes.to_vec(),
         };
+        // Counted first: a turn may take the chunk at once.
+        self.waiting_bytes.fetch_add(bytes.len(), Relaxed);
         if self.sender.try_send(chunk).is_err() {
+            self.waiting_bytes.fetch_sub(bytes.len(), Relaxed);
             self.stats.dropped_full.fetch_add(1, Relaxed);
         }
         // Counted after queueing, so a reader of the counter finds the bytes.
@@ -365,8 +434,8 @@ impl Outlet {
 
     /// Waits in short steps, so that stopping is not delayed.
     fn pause(&self, time: Duration) {
-        let end = std::time::Instant::now() + time;
-        while !self.stopped() && std::time::Instant::now() < end {
+        let end = Instant::now() + time;
+        while !self.stopped() && Instant::now() < end {
             std::thread::sleep(READ_TIMEOUT);
         }
     }
@@ -418,6 +487,11 @@ fn read_udp(socket: &UdpSocket, outlet: &Outlet) {
         match stamp::receive(socket, &mut buffer) {
             Ok((len, age_ns)) => {
                 failing = false;
+                if !outlet.is_within_limit(len) {
+                    outlet.stats.dropped_flood.fetch_add(1, Relaxed);
+                    outlet.stats.received.fetch_add(1, Release);
+                    continue;
+                }
                 outlet.send_old(&buffer[..len], 0, age_ns);
             }
             Err(error) if is_timeout(&error) => {}

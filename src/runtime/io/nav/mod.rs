@@ -10,17 +10,20 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use thiserror::Error;
+use tracing::{info, warn};
 
 use crate::clock::Clock;
 use echotank_config::spec::NavSpec;
 use echotank_core::navigation::NavSample;
 use echotank_core::time::{Timeline, UtcNs};
+use echotank_nav::decoder::ClockState;
 use echotank_nav::fault::NavFaultFilter;
 use echotank_nav::health::State;
 use echotank_nav::log::LogCounts;
 use echotank_nav::{NavCounters, NavHistory};
 
 use live::Live;
+pub use recorded::MAX_LOG_BYTES;
 use recorded::Recorded;
 
 /// Why the navigation cannot start.
@@ -32,6 +35,14 @@ pub enum NavOpenError {
         /// The source's configured name.
         name: String,
         /// What is not available, and why.
+        problem: String,
+    },
+    /// A file has a format that is not read.
+    #[error("nav source `{name}`: {problem}")]
+    Unreadable {
+        /// The source's configured name.
+        name: String,
+        /// The file and its format.
         problem: String,
     },
     /// A file was read and holds nothing that the source provides.
@@ -87,6 +98,8 @@ pub struct LiveCounters {
     pub received: u64,
     /// Datagrams or reads dropped because the queue was full.
     pub dropped_full: u64,
+    /// Datagrams dropped because their source sent too much.
+    pub dropped_flood: u64,
     /// Failed reads.
     pub read_errors: u64,
     /// Serial ports reopened or TCP connections made.
@@ -102,12 +115,57 @@ pub struct NavInputs {
     /// State of each source at the last pull, in the configuration's order.
     states: Vec<State>,
     spoiler: Option<Box<dyn NavFaultFilter>>,
+    clock_log: ClockLog,
 }
 
 /// Inserts samples into a history and applies navigation faults.
 pub struct Feed<'a> {
     history: &'a mut NavHistory,
+    /// By source.
+    names: &'a [SourceCounters],
+    clock_log: &'a mut ClockLog,
     spoiler: Option<&'a mut (dyn NavFaultFilter + 'static)>,
+}
+
+/// Logs changes of the clocks of sources.
+#[derive(Default)]
+struct ClockLog {
+    /// Time of the last entry, and changes since that had none.
+    last: Option<(UtcNs, u64)>,
+}
+
+impl ClockLog {
+    /// A clock that changes with every sentence must not fill the log.
+    const MIN_INTERVAL_S: f64 = 0.5;
+
+    fn note(&mut self, source: &str, at: UtcNs, state: ClockState) {
+        let unlogged = match &mut self.last {
+            Some((last, unlogged))
+                if at.seconds_since(*last).abs() < Self::MIN_INTERVAL_S
+                    && !matches!(state, ClockState::Corrected { .. }) =>
+            {
+                *unlogged += 1;
+                return;
+            }
+            last => last.map_or(0, |(_, unlogged)| unlogged),
+        };
+        self.last = Some((at, 0));
+        match state {
+            ClockState::Jumping => {
+                warn!(
+                    source,
+                    unlogged, "time jumped: the sentences are set aside until they agree"
+                )
+            }
+            ClockState::Corrected { by_s } => {
+                warn!(
+                    source,
+                    by_s, unlogged, "time jumped: the times are corrected"
+                )
+            }
+            ClockState::Right => info!(source, unlogged, "time jumped back and is right again"),
+        }
+    }
 }
 
 impl Feed<'_> {
@@ -128,6 +186,16 @@ impl Feed<'_> {
 
     fn seam(&mut self, at: UtcNs) {
         self.history.seam(at);
+    }
+
+    fn clock_changed(&mut self, source: u16, at: UtcNs, state: ClockState) {
+        self.history
+            .clock_changed(source, at, state == ClockState::Right);
+        let name = self
+            .names
+            .get(usize::from(source))
+            .map_or("", |s| s.name.as_str());
+        self.clock_log.note(name, at, state);
     }
 
     /// Inserts delayed samples that are due by `until`.
@@ -166,6 +234,7 @@ impl NavInputs {
             live,
             states: vec![State::Silent; counters.len()],
             spoiler: None,
+            clock_log: ClockLog::default(),
             counters,
         })
     }
@@ -184,6 +253,8 @@ impl NavInputs {
     pub fn pull(&mut self, until: UtcNs, history: &mut NavHistory) {
         let mut feed = Feed {
             history,
+            names: &self.counters,
+            clock_log: &mut self.clock_log,
             spoiler: self.spoiler.as_deref_mut(),
         };
         if let Some(recorded) = &mut self.recorded {
@@ -206,6 +277,11 @@ impl NavInputs {
         }
     }
 
+    /// Whether live samples that have come wait for another pull: one pull takes a limited time.
+    pub(crate) fn is_behind(&self) -> bool {
+        self.live.as_ref().is_some_and(Live::is_behind)
+    }
+
     /// State of each source at the last pull, in the configuration's order.
     pub fn states(&self) -> &[State] {
         &self.states
@@ -217,12 +293,26 @@ impl NavInputs {
             Some(recorded) if recorded.next_arrival().is_some() => {
                 recorded.take(&mut Feed {
                     history,
+                    names: &self.counters,
+                    clock_log: &mut self.clock_log,
                     spoiler: self.spoiler.as_deref_mut(),
                 });
                 true
             }
             _ => false,
         }
+    }
+
+    /// End of a long gap in the recorded sources that contains `utc` and `margin_s` on both sides of it.
+    pub(crate) fn gap_end(&self, utc: UtcNs, margin_s: f64) -> Option<UtcNs> {
+        self.recorded
+            .as_ref()
+            .and_then(|r| r.gap_end(utc, margin_s))
+    }
+
+    /// Number of recorded samples, in one loop.
+    pub(crate) fn recorded_samples(&self) -> usize {
+        self.recorded.as_ref().map_or(0, Recorded::count)
     }
 
     /// Whether every recorded sample has been inserted at least once.
@@ -285,11 +375,20 @@ impl NavInputs {
                 d.time_jumps,
                 d.samples
             );
+            if d.clock_changes > 0 {
+                text += &format!(", time jumped {} times", d.clock_changes);
+            }
+            if d.corrected_by_s != 0 {
+                text += &format!(", times corrected by {:+} s", d.corrected_by_s);
+            }
+            if s.log.passes.len() > 1 {
+                text += &format!(", {} passes", s.log.passes.len());
+            }
             let l = &s.live;
             if *l != LiveCounters::default() {
                 text += &format!(
-                    ", {} received, {} dropped, {} read errors, {} reopened",
-                    l.received, l.dropped_full, l.read_errors, l.reopened
+                    ", {} received, {} dropped, {} over the limit, {} read errors, {} reopened",
+                    l.received, l.dropped_full, l.dropped_flood, l.read_errors, l.reopened
                 );
             }
             text

@@ -1,24 +1,42 @@
 //! Recorded sources: read completely, decoded once, merged by arrival time, and repeated on request.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
 use super::{Feed, NavOpenError, SourceCounters};
+use crate::config_files::read_bounded;
 use echotank_config::spec::{NavChannel, NavInputSpec, NavSourceSpec, NavSpec};
 use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::UtcNs;
 use echotank_nav::NavCounters;
-use echotank_nav::log::{read_log, refusal};
+use echotank_nav::decoder::{ClockEvent, ClockState};
+use echotank_nav::log::{read_log, refusal, unknown_binary};
+use echotank_nav::passes::PassKind;
 use echotank_nav::track::read_track;
 
 /// Largest file read, bytes. An hour of 100 Hz attitude is 30 MB; a day, 700 MB, should be cut.
-const MAX_FILE_BYTES: u64 = 256 << 20;
+pub const MAX_LOG_BYTES: u64 = 256 << 20;
+
+/// A silence of all sources that is longer, seconds, is passed over by a replay: it counts its pings without ordering each.
+const LONG_GAP_S: f64 = 3600.0;
+
+/// Something that happens between samples.
+#[derive(Clone, Copy)]
+enum Event {
+    /// A pass of a log begins.
+    Seam,
+    /// The clock of a source changes.
+    Clock(u16, ClockState),
+}
 
 pub(super) struct Recorded {
     /// Sorted by arrival.
     samples: Vec<NavSample>,
     next: usize,
+    /// Sorted by time.
+    events: Vec<(UtcNs, Event)>,
+    next_event: usize,
+    /// Long gaps: from the last arrival before to the first after, in the first loop's time.
+    gaps: Vec<(UtcNs, UtcNs)>,
     /// Offset of all times in the current loop.
     shift_ns: i64,
     repeat: Option<Repeat>,
@@ -38,10 +56,24 @@ impl Recorded {
         counters: &mut [SourceCounters],
     ) -> Result<Option<Self>, NavOpenError> {
         let mut samples = Vec::new();
+        let mut events = Vec::new();
+        let recorded = spec.sources.iter().filter(|s| s.is_recorded()).count();
         for (i, source) in spec.sources.iter().enumerate() {
             // Source indices fit in 16 bits.
             let index = u16::try_from(i).unwrap_or(u16::MAX);
             samples.append(&mut read_source(index, source, &mut counters[i])?);
+            let log = &counters[i].log;
+            let shifted = log.passes.iter().find(|p| p.kind == PassKind::Shifted);
+            if let Some(pass) = shifted.filter(|_| recorded > 1) {
+                let problem = format!(
+                    "its clock steps back at line {}: the passes are played one after the other, and another recorded source cannot follow; give each pass a file of its own",
+                    pass.line
+                );
+                return Err(NavOpenError::source(&source.name, problem));
+            }
+            events.extend(log.passes.iter().skip(1).map(|p| (p.start(), Event::Seam)));
+            let clock = |e: &ClockEvent| (e.arrival, Event::Clock(index, e.state));
+            events.extend(log.clock_events.iter().map(clock));
         }
         if samples.is_empty() {
             return Ok(None);
@@ -52,9 +84,17 @@ impl Recorded {
             None
         };
         samples.sort_by_key(|s| s.arrival_utc);
+        events.sort_by_key(|(at, _)| *at);
+        let long = |w: &[NavSample]| {
+            let (from, to) = (w[0].arrival_utc, w[1].arrival_utc);
+            (to.seconds_since(from) > LONG_GAP_S).then_some((from, to))
+        };
         Ok(Some(Self {
+            gaps: samples.windows(2).filter_map(long).collect(),
             samples,
             next: 0,
+            events,
+            next_event: 0,
             shift_ns: 0,
             repeat,
         }))
@@ -66,6 +106,26 @@ impl Recorded {
 
     pub(super) fn end(&self) -> UtcNs {
         self.samples[self.samples.len() - 1].arrival_utc
+    }
+
+    /// Number of samples in one loop.
+    pub(super) fn count(&self) -> usize {
+        self.samples.len()
+    }
+
+    /// End of the long gap that contains `utc`, apart from `margin_s` at both ends; none outside of gaps.
+    pub(super) fn gap_end(&self, utc: UtcNs, margin_s: f64) -> Option<UtcNs> {
+        let loops = self.repeat.map_or(0, |repeat| {
+            let since_ns = utc.0.saturating_sub(self.start().0);
+            since_ns.div_euclid(repeat.period_ns) * repeat.period_ns
+        });
+        let in_first = utc.plus_ns(-loops);
+        let ends = self
+            .gaps
+            .iter()
+            .map(|(from, to)| (from.plus_s(margin_s), to.plus_s(-margin_s)));
+        let mut inside = ends.filter(|(from, to)| *from < in_first && in_first < *to);
+        inside.next().map(|(_, to)| to.plus_ns(loops))
     }
 
     pub(crate) fn next_arrival(&self) -> Option<UtcNs> {
@@ -83,12 +143,22 @@ impl Recorded {
         {
             feed.seam(repeat.seam.plus_ns(self.shift_ns));
             self.shift_ns += repeat.period_ns;
-            self.next = 0;
+            (self.next, self.next_event) = (0, 0);
         }
         let Some(sample) = self.samples.get(self.next) else {
             return;
         };
         self.next += 1;
+        while let Some((at, event)) = self.events.get(self.next_event)
+            && *at <= sample.arrival_utc
+        {
+            self.next_event += 1;
+            let at = at.plus_ns(self.shift_ns);
+            match event {
+                Event::Seam => feed.seam(at),
+                Event::Clock(source, state) => feed.clock_changed(*source, at, *state),
+            }
+        }
         feed.insert(&NavSample {
             valid_utc: sample.valid_utc.plus_ns(self.shift_ns),
             arrival_utc: sample.arrival_utc.plus_ns(self.shift_ns),
@@ -108,11 +178,19 @@ fn read_source(
             plain_rate_hz,
         } => {
             let bytes = read_file(&source.name, path)?;
+            let refused = |why: String| NavOpenError::Unreadable {
+                name: source.name.clone(),
+                problem: format!("{} {why}", path.display()),
+            };
             if let Some(why) = refusal(&bytes) {
-                let problem = format!("{} {why}", path.display());
-                return Err(NavOpenError::source(&source.name, problem));
+                return Err(refused(why.to_owned()));
             }
             let (samples, decoder, log) = read_log(&bytes, index, source, *plain_rate_hz);
+            if samples.is_empty()
+                && let Some(why) = unknown_binary(&bytes, log.kind)
+            {
+                return Err(refused(why));
+            }
             (counters.decoder, counters.log) = (decoder, log);
             (samples, path)
         }
@@ -146,21 +224,8 @@ fn read_source(
 }
 
 fn read_file(name: &str, path: &Path) -> Result<Vec<u8>, NavOpenError> {
-    let file = path.display();
-    let refused = |reason: std::io::Error| {
-        NavOpenError::source(name, format!("cannot read {file}: {reason}"))
-    };
-    let mut bytes = Vec::new();
-    // Reading one byte more than the limit bounds pipes and growing files too.
-    File::open(path)
-        .and_then(|file| file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes))
-        .map_err(refused)?;
-    if bytes.len() as u64 > MAX_FILE_BYTES {
-        let len = std::fs::metadata(path).map_or(bytes.len() as u64, |m| m.len());
-        let problem = format!("{file} has {len} bytes; at most {MAX_FILE_BYTES} are read");
-        return Err(NavOpenError::source(name, problem));
-    }
-    Ok(bytes)
+    read_bounded(path, MAX_LOG_BYTES)
+        .map_err(|why| NavOpenError::source(name, format!("cannot read {}: {why}", path.display())))
 }
 
 /// Cuts the samples to the period that all channels cover. A loop repeats after one further median interval of the positions (of all samples without

@@ -112,6 +112,11 @@ pub enum RecordError {
 }
 
 impl RecordError {
+    /// A file that is no longer in its folder.
+    pub(crate) fn missing(path: &Path, source: io::Error) -> Self {
+        Self::io(path, "find")(source)
+    }
+
     fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::Io {
             path: path.to_owned(),

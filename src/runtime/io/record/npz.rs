@@ -5,7 +5,7 @@
 //! | `iq_by_element` | pings, elements, samples | complex64 (complex128 on request), envelope in V rms; elements of all receive arrays in order |
 //! | `element_array` | elements | i32, index of the receive array |
 //! | `beams` | pings, beams, samples | as `iq_by_element`; zero beams without a fan |
-//! | `beam_angle_rad` | beams | f64, from boresight, starboard positive |
+//! | `beam_angle_rad` | beams, or pings, beams if they change | f64, from boresight, starboard positive |
 //! | `lines` | pings, lines, line samples | f32, sample 0 at the start of the pulse |
 //! | `line_side` | lines | i32, -1 port, +1 starboard |
 //! | `sample_rate_hz`, `first_sample_s`, `center_frequency_hz`, `sound_speed_m_per_s` | scalar | f64; sample k lies at first_sample_s + k / sample_rate_hz from the start of the pulse |
@@ -50,6 +50,8 @@ pub(crate) struct NpzRecorder {
     sonar: SonarSpec,
     double: bool,
     first: Option<First>,
+    /// A ping has other beam angles than the first.
+    angles_change: bool,
     pings: usize,
     stopped: bool,
     bytes: Vec<u8>,
@@ -71,6 +73,7 @@ struct First {
 struct PerPing {
     iq_by_element: PartialFile,
     beams: PartialFile,
+    beam_angle_rad: PartialFile,
     lines: PartialFile,
     more_lines: PartialFile,
     ping_number: PartialFile,
@@ -96,6 +99,7 @@ impl NpzRecorder {
             arrays: PerPing {
                 iq_by_element: grow("iq_by_element")?,
                 beams: grow("beams")?,
+                beam_angle_rad: grow("beam_angle_rad")?,
                 lines: grow("lines")?,
                 more_lines: grow("more_lines")?,
                 ping_number: grow("ping_number")?,
@@ -115,6 +119,7 @@ impl NpzRecorder {
             sonar: sonar.clone(),
             double,
             first: None,
+            angles_change: false,
             pings: 0,
             stopped: false,
             bytes: Vec::with_capacity(BLOCK * 16),
@@ -193,6 +198,10 @@ impl NpzRecorder {
         }
         for fan in &output.beams {
             write_samples(&mut to.beams, bytes, &fan.iq, self.double)?;
+            let angles = fan.angle_rad.iter().flat_map(|angle| angle.to_le_bytes());
+            to.beam_angle_rad.write(&angles.collect::<Vec<_>>())?;
+            let first = self.first.as_ref().map(|first| &first.beam_angle_rad);
+            self.angles_change |= first.is_some_and(|first| *first != fan.angle_rad);
         }
         for line in &output.lines {
             write_items(&mut to.lines, bytes, &line.amplitude, |a, out| {
@@ -285,12 +294,14 @@ impl NpzRecorder {
             .collect();
         archive.small("element_array", "<i4", &[elements], &element_array)?;
         archive.streamed("beams", complex, &[pings, beams, samples], grown.beams)?;
-        let angles: Vec<u8> = first
-            .beam_angle_rad
-            .iter()
-            .flat_map(|a| a.to_le_bytes())
-            .collect();
-        archive.small("beam_angle_rad", "<f8", &[beams], &angles)?;
+        if self.angles_change {
+            let shape = [pings, beams];
+            archive.streamed("beam_angle_rad", "<f8", &shape, grown.beam_angle_rad)?;
+        } else {
+            let angles = first.beam_angle_rad.iter();
+            let angles: Vec<u8> = angles.flat_map(|angle| angle.to_le_bytes()).collect();
+            archive.small("beam_angle_rad", "<f8", &[beams], &angles)?;
+        }
         archive.streamed(
             "lines",
             "<f4",
@@ -673,6 +684,24 @@ mod tests {
             a["lines"].numbers(f32::from_le_bytes)[20..40],
             output(4).lines[1].amplitude
         );
+    }
+
+    #[test]
+    fn beam_angles_are_stored_for_every_ping_where_they_change() {
+        let dir = tempfile::tempdir().expect("dir");
+        let mut npz = NpzRecorder::create(dir.path(), &sonar(), false).expect("create");
+        let mut want = Vec::new();
+        for ping in [4, 5, 7] {
+            let mut output = output(ping);
+            for angle_rad in &mut output.beams[0].angle_rad {
+                *angle_rad += 0.01 * f64::from(ping);
+            }
+            want.extend(output.beams[0].angle_rad.iter().copied());
+            npz.push(&plan(ping), &output).expect("push");
+        }
+        let a = load(&npz.finish().expect("finish").expect("pings"));
+        assert_eq!(a["beam_angle_rad"].shape, [3, 3]);
+        assert_eq!(a["beam_angle_rad"].f64(), want);
     }
 
     #[test]

@@ -51,10 +51,6 @@ impl StreamRecorder {
         Ok(())
     }
 
-    pub(crate) fn path(&self) -> &Path {
-        &self.path
-    }
-
     /// Appends `tail` and flushes the file to disk.
     pub(crate) fn close(mut self, tail: &[u8]) -> Result<(), RecordError> {
         self.write(tail)?;

@@ -5,6 +5,7 @@
 //! | `sonar`, `ping_number` | as in the records |
 //! | `utc`, `utc_ns`, `stamp_utc_ns` | start of the pulse; time stamp of the records |
 //! | `pose` | reference point at the start of the pulse: `position_m` (north, east, down), `roll_deg`, `pitch_deg`, `heading_deg`, `heave_down_m`, `latitude_deg`, `longitude_deg`, `height_m` |
+//! | `nav_flags` | if any: `invalid-position`, `invalid-heading`, `invalid-roll-pitch`, `invalid-vertical` (too old, held); `time-jumped` (the clock of a source jumped, or its times are corrected) |
 //! | `velocity_m_per_s` | north, east, down |
 //! | `plan` | settings, pulse, window and models of the ping |
 //! | `segments` | trajectory samples on which its echoes were computed |
@@ -31,6 +32,7 @@ use serde_json::Value;
 use super::{RecordError, plan_text};
 use echotank_config::spec::SonarSpec;
 use echotank_core::frames::{Pose, angles_from_rotation};
+use echotank_core::navigation::NavState;
 use echotank_core::ping::{
     Detection, ErrorCheck, MethodMark, PingOutput, PingPlan, SceneCounts, Side, Sounding,
 };
@@ -44,6 +46,8 @@ struct PingTruth<'a> {
     utc_ns: i64,
     stamp_utc_ns: i64,
     pose: PoseTruth,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    nav_flags: Vec<&'static str>,
     velocity_m_per_s: [f64; 3],
     plan: Value,
     segments: Value,
@@ -263,6 +267,7 @@ fn ping_truth<'a>(sonar: &'a SonarSpec, plan: &PingPlan, targets: &'a [Target]) 
             longitude_deg: plan.nav.longitude_rad.to_degrees(),
             height_m: plan.nav.height_m,
         },
+        nav_flags: nav_flags(&plan.nav),
         velocity_m_per_s: pose.velocity_m_per_s.to_array(),
         plan: plan_text::plan_summary(plan),
         segments: plan_text::segments(&plan.segments),
@@ -275,6 +280,19 @@ fn ping_truth<'a>(sonar: &'a SonarSpec, plan: &PingPlan, targets: &'a [Target]) 
             .map(|target| target_truth(sonar, plan, &pose, heading_rad, target))
             .collect(),
     }
+}
+
+fn nav_flags(nav: &NavState) -> Vec<&'static str> {
+    let invalid = nav.invalid;
+    let flags = [
+        (invalid.position, "invalid-position"),
+        (invalid.heading, "invalid-heading"),
+        (invalid.roll_pitch, "invalid-roll-pitch"),
+        (invalid.vertical, "invalid-vertical"),
+        (nav.time_jumped, "time-jumped"),
+    ];
+    let set = flags.into_iter().filter(|(is_set, _)| *is_set);
+    set.map(|(_, name)| name).collect()
 }
 
 fn target_truth<'a>(

@@ -70,7 +70,16 @@ async fn attend(dial: Dial, slot: ClientSlot, mut stopped: watch::Receiver<bool>
             };
             icmp::enable(&socket, from);
             begin(&slot);
-            udp::write_datagrams(Arc::new(socket), dial.peer, slot, stopped).await;
+            let (client, unrenewed) = (Arc::clone(&slot.client), slot.shared.times.dial_udp);
+            let end = async {
+                sleep(unrenewed).await;
+                client.leave();
+                std::future::pending().await
+            };
+            tokio::select! {
+                () = udp::write_datagrams(Arc::new(socket), dial.peer, slot, stopped) => {}
+                () = end => {}
+            }
         }
         Transport::Tcp => {
             let connect = timeout(CONNECT_TIMEOUT, TcpStream::connect(dial.peer));
@@ -87,7 +96,7 @@ async fn attend(dial: Dial, slot: ClientSlot, mut stopped: watch::Receiver<bool>
                     return;
                 }
             };
-            let _ = stream.set_nodelay(true);
+            tcp::prepare(&stream, &slot.shared);
             begin(&slot);
             let (mut read_half, write_half) = stream.into_split();
             let closed = async {

@@ -10,7 +10,8 @@
 //!
 //! A UDP client ends after [`ServerTimes::udp_idle`] without subscriptions or commands, after [`ServerTimes::udp_silence`] without commands, or when
 //! its port is reported closed. A TCP client whose host no longer answers ends by keep-alive probes or [`ServerTimes::tcp_unacknowledged`]. A full
-//! server disconnects its idlest client for a new one, see [`ServerTimes::seat_idle`]. Sessions can also dial addresses that receive records until they fail or are hung up. One thread sends to all UDP
+//! server disconnects its idlest client for a new one, see [`ServerTimes::seat_idle`]. Sessions can also dial
+//! addresses that receive records until they fail or are hung up, and over UDP for [`ServerTimes::dial_udp`]. One thread sends to all UDP
 //! clients, each at the rate that [`SonarServer::deliver_over`] sets (`paced`).
 
 pub mod client;
@@ -36,6 +37,7 @@ use tokio::time::interval;
 use tracing::{Span, info, info_span, warn};
 
 use crate::io::link::{Connection, Link};
+use crate::io::listening::Listening;
 use crate::io::pace::Sending;
 use crate::io::priority::first_in_first_out_of;
 use echotank_core::records::Datagram;
@@ -127,6 +129,8 @@ pub struct ServerTimes {
     pub udp_silence: Duration,
     /// TCP: limit for the client's host to acknowledge what was sent.
     pub tcp_unacknowledged: Duration,
+    /// UDP: limit of sending to a third party that nobody has dialled again.
+    pub dial_udp: Duration,
     /// A full server may disconnect a client that for this long has sent nothing and subscribes to nothing, or has taken none of the records that
     /// wait for it.
     pub seat_idle: Duration,
@@ -144,6 +148,7 @@ impl Default for ServerTimes {
             udp_silence: Duration::from_secs(3600),
             // A client that does not read for less than this, in a debugger for example, stays.
             tcp_unacknowledged: Duration::from_secs(120),
+            dial_udp: Duration::from_secs(600),
             seat_idle: Duration::from_secs(10),
             seat_udp_silence: Duration::from_secs(60),
             drain: Duration::from_secs(1),
@@ -227,6 +232,7 @@ pub struct SonarServer {
     stop: watch::Sender<bool>,
     thread: Option<JoinHandle<()>>,
     link: Mutex<Option<Box<dyn Link>>>,
+    _listening: Listening,
 }
 
 impl SonarServer {
@@ -263,6 +269,7 @@ impl SonarServer {
             .enable_all()
             .build()
             .map_err(OpenError::Thread)?;
+        let listening = Listening::at(shared.protocol.name(), local_addr);
         let (stop, stopped) = watch::channel(false);
         let thread = std::thread::Builder::new()
             .name(format!("{} {}", shared.protocol.name(), local_addr.port()))
@@ -277,6 +284,7 @@ impl SonarServer {
             stop,
             thread: Some(thread),
             link: Mutex::default(),
+            _listening: listening,
         })
     }
 

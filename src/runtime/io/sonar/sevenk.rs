@@ -5,6 +5,7 @@ use std::sync::Arc;
 use echotank_protocols::sevenk::packet::MIN_MAX_PACKET_BYTES;
 
 use super::{OpenError, RigTime, ServerSpec, ServerTimes, SonarServer, WhenFull};
+use crate::io::listening::is_own;
 use echotank_config::spec::SevenKSpec;
 use echotank_core::settings::SettingsPort;
 use echotank_emit::sevenk::protocol::SevenKProtocol;
@@ -34,7 +35,9 @@ pub fn start_sevenk_with(
         max: u32::MAX as usize,
     };
     let max_packet_bytes = u32::try_from(spec.max_packet).map_err(|_| refused())?;
-    let protocol = SevenKProtocol::new(sheet, settings, max_packet_bytes).map_err(|_| refused())?;
+    let protocol = SevenKProtocol::new(sheet, settings, max_packet_bytes)
+        .map_err(|_| refused())?
+        .refusing(is_own);
     let server = ServerSpec {
         listen: spec.listen,
         tcp: true,

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use socket2::{SockRef, TcpKeepalive};
+use socket2::SockRef;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{TcpListener, TcpStream};
@@ -16,14 +16,9 @@ use tracing::warn;
 use super::queue::Client;
 use super::{ClientSlot, Shared, Transport, stopping};
 use crate::io::pace::stream::set_pace;
+use crate::io::tcp;
 
 const READ_BYTES: usize = 16 * 1024;
-
-/// A host that no longer answers is noticed within 25 s.
-const KEEP_ALIVE: TcpKeepalive = TcpKeepalive::new()
-    .with_time(Duration::from_secs(10))
-    .with_interval(Duration::from_secs(5))
-    .with_retries(3);
 
 /// Pause after a failed accept: without free file descriptors the next one fails at once.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
@@ -57,13 +52,15 @@ pub(super) async fn serve(
     while clients.join_next().await.is_some() {}
 }
 
-async fn attend(stream: TcpStream, slot: ClientSlot, mut stopped: watch::Receiver<bool>) {
-    // Without these options the connection still works.
+/// Sets the options of a client's connection, which works without them.
+pub(super) fn prepare(stream: &TcpStream, shared: &Shared) {
     let _ = stream.set_nodelay(true);
-    let socket = SockRef::from(&stream);
-    let _ = socket.set_tcp_keepalive(&KEEP_ALIVE);
-    #[cfg(target_os = "linux")]
-    let _ = socket.set_tcp_user_timeout(Some(slot.shared.times.tcp_unacknowledged));
+    tcp::end_if_dead(stream, shared.times.tcp_unacknowledged);
+    tcp::limit_unsent(stream);
+}
+
+async fn attend(stream: TcpStream, slot: ClientSlot, mut stopped: watch::Receiver<bool>) {
+    prepare(&stream, &slot.shared);
     let (read_half, write_half) = stream.into_split();
     let (shared, client) = (&slot.shared, &slot.client);
     let drain = shared.times.drain;

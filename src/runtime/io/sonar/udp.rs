@@ -16,6 +16,7 @@ use super::paced::Burst;
 use super::queue::Client;
 use super::{ClientSlot, Shared, Transport, stopping};
 use crate::io::icmp;
+use crate::io::listening::is_own;
 use echotank_emit::session::Session;
 
 /// Longest interval between searches for silent clients.
@@ -96,7 +97,8 @@ fn listen(shared: &Shared, peer: &mut Peer, datagram: &[u8]) {
 
 /// Admits a sender that speaks the protocol; other datagrams are only counted.
 fn welcome(shared: &Arc<Shared>, from: SocketAddr, datagram: &[u8]) -> Option<(Peer, ClientSlot)> {
-    if !shared.protocol.welcomes(datagram) {
+    // A forged source; its answers would come back as commands.
+    if is_own(from) || !shared.protocol.welcomes(datagram) {
         shared.lock().gone.framing_errors += 1;
         return None;
     }

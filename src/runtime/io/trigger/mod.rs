@@ -15,8 +15,10 @@ use std::time::Duration;
 
 use thiserror::Error;
 
+use crate::io::listening::Listening;
 use crate::io::priority::first_in_first_out_of;
 use crate::io::stamp;
+use crate::io::tcp::end_if_dead;
 use echotank_config::spec::{ModemLine, TriggerFrom};
 use sentence::{MAX_BYTES, TriggerSentence};
 use serial::{Edges, InputLevel, LOOK, PortLine};
@@ -27,6 +29,8 @@ const READ_TIMEOUT: Duration = Duration::from_millis(100);
 const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
 /// Limit of clients of a TCP input.
 const MAX_CLIENTS: u64 = 16;
+/// Limit for a TCP client to acknowledge a probe.
+const UNACKNOWLEDGED: Duration = Duration::from_secs(30);
 
 /// One received trigger.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -64,6 +68,7 @@ pub struct ListenerError {
 /// An open trigger input; closes when dropped.
 pub(crate) struct TriggerListener {
     address: Option<(&'static str, SocketAddr)>,
+    _listening: Option<Listening>,
     counts: Arc<TriggerListenerCounts>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -87,6 +92,7 @@ impl TriggerListener {
         };
         let mut opened = Self {
             address: None,
+            _listening: None,
             counts: reader.counts.clone(),
             stop: reader.stop.clone(),
             thread: None,
@@ -125,6 +131,9 @@ impl TriggerListener {
                 return Ok(None);
             }
         };
+        opened._listening = opened
+            .address
+            .map(|(_, address)| Listening::at("trigger", address));
         let thread = thread::Builder::new().name("trigger".into()).spawn(serve);
         opened.thread = Some(thread.map_err(refused("its thread".to_owned()))?);
         Ok(Some(opened))
@@ -226,6 +235,7 @@ impl Reader {
 
     /// Reads lines; each is a trigger, stamped when its end arrives.
     fn client(&self, mut stream: TcpStream) {
+        end_if_dead(&stream, UNACKNOWLEDGED);
         let ready = stream.set_nonblocking(false);
         let ready = ready.and_then(|()| stream.set_read_timeout(Some(READ_TIMEOUT)));
         if ready.is_err() {

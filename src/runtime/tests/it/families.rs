@@ -9,3 +9,4 @@ mod pulses;
 mod rig;
 mod spread;
 mod together;
+mod vertical;

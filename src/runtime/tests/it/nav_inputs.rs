@@ -479,7 +479,7 @@ fn errors_name_the_source_the_place_and_the_reason() {
     let (message, _) = open(source("a", log("/no/such.log".into())));
     assert_eq!(
         message,
-        "nav source `a`: cannot read /no/such.log: No such file or directory (os error 2)"
+        "nav source `a`: cannot read /no/such.log: not found"
     );
     let path = write(
         directory.path(),

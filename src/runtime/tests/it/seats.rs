@@ -4,9 +4,14 @@ use std::net::{SocketAddr, TcpStream, UdpSocket};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use echotank_protocols::sevenk::Command;
-use echotank_runtime::io::sonar::client::SevenKClient;
-use echotank_runtime::io::sonar::{ServerTimes, SonarServer, start_sevenk_with};
+use echotank_core::records::Datagram;
+use echotank_emit::element_stream::ElementsProtocol;
+use echotank_protocols::sevenk::control::{ThirdParty, Transport as PartyTransport};
+use echotank_protocols::sevenk::{Command, ErrorCode};
+use echotank_runtime::io::sonar::client::{ClientError, SevenKClient};
+use echotank_runtime::io::sonar::{
+    ServerSpec, ServerTimes, SonarServer, WhenFull, start_sevenk_with,
+};
 use echotank_testing::wire::*;
 
 /// Time limit of a wait.
@@ -105,4 +110,104 @@ fn a_udp_client_whose_port_is_closed_leaves_and_the_others_lose_nothing() {
     });
     let counts = server.report().clients[0].counts;
     assert_eq!(counts.records_dropped, 0, "{counts:?} of {sent} pings");
+}
+
+/// On a data port nobody sends commands, and the kernel takes what a client does not read: its records are small.
+#[test]
+fn clients_that_read_nothing_of_a_slow_stream_give_their_seats() {
+    const CLIENTS: usize = 3;
+    const RECORD_BYTES: usize = 8 * 1024;
+    const RECORDS: usize = 64;
+    let times = ServerTimes {
+        seat_idle: Duration::from_millis(300),
+        ..ServerTimes::default()
+    };
+    let spec = ServerSpec {
+        listen: "127.0.0.1:0".parse().expect("an address"),
+        tcp: true,
+        udp: false,
+        client_queue_bytes: 1 << 20,
+        when_full: WhenFull::Skip,
+        max_clients: CLIENTS,
+    };
+    let server = SonarServer::start(
+        &spec,
+        Arc::new(ElementsProtocol),
+        Arc::new(|| TRANSMIT_UTC),
+        times,
+    );
+    let server = server.expect("loopback is free");
+    let connect = || TcpStream::connect(server.local_addr()).expect("connects");
+    let mut reader = connect();
+    let silent: Vec<_> = (1..CLIENTS).map(|_| connect()).collect();
+    eventually("admitted", || peers(&server).len() == CLIENTS);
+    let record = Arc::new(Datagram {
+        record_type: 0,
+        bytes: vec![0; RECORD_BYTES],
+    });
+    // The kernel alone would take all of this for a client that does not read.
+    for _ in 0..RECORDS {
+        server.deliver(std::slice::from_ref(&record));
+        let mut bytes = [0; RECORD_BYTES];
+        std::io::Read::read_exact(&mut reader, &mut bytes).expect("connected");
+    }
+    std::thread::sleep(2 * times.seat_idle);
+    let new = connect();
+    let address = new.local_addr().expect("an address");
+    eventually("a seat for a new client", || {
+        peers(&server).contains(&address)
+    });
+    let left = peers(&server);
+    let has = |stream: &TcpStream| left.contains(&stream.local_addr().expect("an address"));
+    assert!(has(&reader), "{left:?}");
+    let gone = silent.iter().filter(|stream| !has(stream)).count();
+    assert_eq!(gone, 1, "{left:?}");
+}
+
+/// A client asks for its records to be sent to the server itself, whose echoes of commands would be commands again.
+#[test]
+fn a_server_sends_nothing_to_its_own_port() {
+    let server = server(8, ServerTimes::default());
+    let mut client = SevenKClient::connect(server.local_addr()).expect("connects");
+    let party = |port| Command::ConnectThirdParty {
+        party: ThirdParty {
+            ipv4: u32::from_le_bytes([127, 0, 0, 1]),
+            port,
+            transport: PartyTransport::Udp,
+        },
+        record_type_ids: vec![7500, 7000],
+    };
+    let own = server.local_addr().port();
+    let answer = client.command(party(own));
+    assert!(
+        matches!(
+            answer,
+            Err(ClientError::Refused(ErrorCode::RemoteCommandDenied))
+        ),
+        "{answer:?}"
+    );
+    assert_eq!(server.report().clients.len(), 1);
+}
+
+#[test]
+fn an_unrenewed_stream_to_a_third_party_ends() {
+    let times = ServerTimes {
+        dial_udp: Duration::from_millis(200),
+        ..ServerTimes::default()
+    };
+    let server = server(8, times);
+    let mut client = SevenKClient::connect(server.local_addr()).expect("connects");
+    let socket = UdpSocket::bind("127.0.0.1:0").expect("loopback is free");
+    let port = socket.local_addr().expect("bound").port();
+    let dial = Command::ConnectThirdParty {
+        party: ThirdParty {
+            ipv4: u32::from_le_bytes([127, 0, 0, 1]),
+            port,
+            transport: PartyTransport::Udp,
+        },
+        record_type_ids: vec![7000],
+    };
+    client.command(dial).expect("accepted");
+    eventually("dialled", || server.report().admitted == 2);
+    eventually("ended", || server.report().clients.len() == 1);
 }

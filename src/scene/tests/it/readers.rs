@@ -413,7 +413,141 @@ fn the_configuration_overrides_what_a_file_says() {
     assert!(coarse.field.hole_share() > whole.field.hole_share());
 }
 
+// ---------------------------------------------------------------- units
+
+#[test]
+fn scale_offset_and_unit_of_a_geotiff_are_applied_but_not_to_holes() {
+    let of = |metadata, keys: &[(u16, u16)]| {
+        let tiff = Tiff {
+            metadata: Some(metadata),
+            nodata: Some("-1"),
+            keys: keys.to_vec(),
+            ..Tiff::default()
+        };
+        survey("a.tif", tiff.bytes()).unwrap_or_else(|e| panic!("{e}"))
+    };
+    let metadata = "<GDALMetadata>\n<Item name=\"A\">7</Item>\n\
+        <Item name=\"OFFSET\" sample=\"0\" role=\"offset\">-0.5</Item>\n\
+        <Item name=\"SCALE\" sample=\"0\" role=\"scale\">0.01</Item>\n</GDALMetadata>\n";
+    let scaled = of(metadata, &Tiff::default().keys);
+    // The southern row is -9 -10 -11 -12; the north-western number is the hole.
+    let at = |s: &Survey, row: usize| f64::from(s.field.down_m[row * s.field.cols]);
+    assert!(
+        (at(&scaled, 0) - (0.09 + 0.5)).abs() < 1e-6,
+        "{}",
+        at(&scaled, 0)
+    );
+    assert!(at(&scaled, 2).is_nan());
+    let feet = "<GDALMetadata><Item name=\"UNITTYPE\" sample=\"0\" role=\"unittype\">ft</Item></GDALMetadata>";
+    let feet = of(feet, &Tiff::default().keys);
+    assert!((at(&feet, 0) - 9.0 * 0.3048).abs() < 1e-5);
+    assert_eq!(feet.field.cell_east_m, 10.0);
+    let keys = [(1024, 1), (3072, 2263), (3076, 9003), (4099, 9001)];
+    let mixed = of("<GDALMetadata/>", &keys);
+    assert!((mixed.field.cell_east_m - 12_000.0 / 3937.0).abs() < 1e-9);
+    assert!((at(&mixed, 0) - 9.0).abs() < 1e-6);
+    assert!(mixed.notes.iter().any(|n| n.contains("US survey feet")));
+}
+
+#[test]
+fn las_in_feet_becomes_metres_by_its_geokeys_or_its_code() {
+    let depth = |keys: &[(u16, u16)]| {
+        let las = survey("a.las", seeds::las_with(keys)).unwrap_or_else(|e| panic!("{e}"));
+        let [low] = las.field.percentiles_m(&[0.0])[..] else {
+            panic!("a depth");
+        };
+        (low, las.covers[2] - las.covers[0], las.guesses)
+    };
+    let (metres, extent_m, guesses) = depth(&[(1024, 1), (3072, 32632)]);
+    assert!(
+        (metres - 25.0).abs() < 1e-6 && guesses.is_empty(),
+        "{guesses:?}"
+    );
+    let foot = 1200.0 / 3937.0;
+    let stated = [(1024, 1), (3072, 2263), (3076, 9003), (4099, 9003)];
+    for (keys, is_guess) in [(&stated[..], false), (&stated[..2], true)] {
+        let (feet, extent_ft, guesses) = depth(keys);
+        assert!((feet - 25.0 * foot).abs() < 1e-5, "{feet}");
+        assert!((extent_ft - extent_m * foot).abs() < 1e-6);
+        assert_eq!(
+            guesses
+                .iter()
+                .any(|g| g.contains("do not state") || g.contains("does not state")),
+            is_guess,
+            "{guesses:?}"
+        );
+    }
+    let (vertical, extent, _) = depth(&[(1024, 1), (3072, 32632), (4099, 9002)]);
+    assert!((vertical - 25.0 * 0.3048).abs() < 1e-5);
+    assert!((extent - extent_m).abs() < 1e-9);
+}
+
+#[test]
+fn the_system_beside_a_file_is_read() {
+    struct Two(Vec<u8>, &'static str);
+    impl echotank_scene::Files for Two {
+        fn open(&self, path: &std::path::Path) -> std::io::Result<Box<dyn std::io::Read>> {
+            let bytes = match path.extension().and_then(|e| e.to_str()) {
+                Some("prj") => self.1.as_bytes().to_vec(),
+                Some("xyz") => self.0.clone(),
+                _ => return Err(std::io::ErrorKind::NotFound.into()),
+            };
+            Ok(Box::new(std::io::Cursor::new(bytes)))
+        }
+    }
+    let soundings = "x y depth\n500000 6000000 10\n500090 6000000 20\n500000 6000090 30\n";
+    let open = |system| {
+        let files = Two(soundings.into(), system);
+        Survey::open(&files, &SeabedFileSpec::of("a.xyz".into()))
+    };
+    let utm = r#"PROJCS["WGS_1984_UTM_Zone_32N",GEOGCS["GCS_WGS_1984",UNIT["Degree",0.017]],UNIT["Meter",1.0]]"#;
+    let survey = open(utm).unwrap_or_else(|e| panic!("{e}"));
+    assert!(survey.zero_geodetic_rad().is_some());
+    assert!(survey.guesses.is_empty(), "{:?}", survey.guesses);
+    let feet = utm
+        .replace("UTM_Zone_32N", "state")
+        .replace("\"Meter\",1.0", "\"Foot\",0.3048");
+    let survey = open(feet.leak()).unwrap_or_else(|e| panic!("{e}"));
+    assert!((survey.covers[2] - survey.covers[0] - 90.0 * 0.3048).abs() < 1e-6);
+    assert!(open("nonsense").is_err_and(|e| e.to_string().contains(".prj beside it")));
+}
+
 // ---------------------------------------------------------------- refusals
+
+#[test]
+fn formats_that_are_not_supported_are_named() {
+    let zstd = Tiff {
+        compression: 50_000,
+        ..Tiff::default()
+    };
+    let lerc = Tiff {
+        compression: 34_887,
+        ..Tiff::default()
+    };
+    let mut laz = seeds::las();
+    laz[104] |= 0x80;
+    for (name, bytes, want) in [
+        (
+            "a.tif",
+            zstd.bytes(),
+            "tag Compression: `50000`: not supported: ZSTD",
+        ),
+        (
+            "a.tif",
+            lerc.bytes(),
+            "tag Compression: `34887`: not supported: LERC",
+        ),
+        ("a.laz", laz, "LAS header: not supported: LAZ"),
+        (
+            "a.nc",
+            b"CDF\x01abc".to_vec(),
+            "file: not supported: netCDF",
+        ),
+    ] {
+        let said = refusal(name, bytes);
+        assert!(said.starts_with(want), "{said}");
+    }
+}
 
 #[test]
 fn a_wrong_coordinate_system_is_refused_with_the_reason() {
@@ -436,8 +570,8 @@ fn a_wrong_coordinate_system_is_refused_with_the_reason() {
         "GeoKey 3072: `EPSG:3857`: is a Mercator projection, whose metres are not metres on the ground: project the file to UTM first"
     );
     assert_eq!(
-        keys(&[(1024, 1), (3072, 32632), (3076, 9003)]),
-        "GeoKey 3076: `9003`: must be 9001, metre: project the file first"
+        keys(&[(1024, 1), (3072, 32632), (3076, 9040)]),
+        "GeoKey 3076: `9040`: is no unit of length that is read"
     );
     assert!(keys(&[(1024, 3)]).starts_with("GeoKey 1024: `3`: is earth-centred"));
     let far = Tiff {

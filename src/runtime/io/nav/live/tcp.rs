@@ -7,8 +7,12 @@ use std::time::Duration;
 
 use tracing::{info, warn};
 
+use crate::io::tcp::end_if_dead;
+
 use super::{Outlet, READ_TIMEOUT, REOPEN_INTERVAL, is_timeout};
 
+/// Limit for the other end to acknowledge a probe.
+const UNACKNOWLEDGED: Duration = Duration::from_secs(30);
 /// Time limit of a connection attempt.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(1);
 
@@ -81,6 +85,8 @@ fn read(mut stream: TcpStream, outlet: &Outlet, mut relieved: impl FnMut() -> bo
     if stream.set_read_timeout(Some(READ_TIMEOUT)).is_err() {
         return;
     }
+    // A server that is gone without a word must be dialled again.
+    end_if_dead(&stream, UNACKNOWLEDGED);
     let mut buffer = vec![0; 65_536];
     while !outlet.stopped() && !relieved() {
         match stream.read(&mut buffer) {

@@ -6,6 +6,8 @@ use std::time::{Duration, Instant};
 
 use socket2::{Domain, Protocol, Socket, Type};
 
+use crate::io::tcp::end_if_dead;
+
 use super::super::live::{Port, open_serial};
 use echotank_config::spec::{NavTargetSpec, PulseSpec, SerialLine};
 
@@ -15,6 +17,8 @@ pub(crate) const PULSE_BYTE: u8 = 0x07;
 const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
 /// Limit of clients of one output.
 const MAX_CLIENTS: usize = 64;
+/// Limit for a TCP client to acknowledge what was sent.
+const UNACKNOWLEDGED: Duration = Duration::from_secs(30);
 
 pub(super) trait Transport: Send {
     /// Begins (`high`) or ends the pulse of a whole second.
@@ -135,6 +139,7 @@ impl Transport for Tcp {
     }
     fn clients(&mut self) -> u64 {
         while let Ok((stream, _)) = self.listener.accept() {
+            end_if_dead(&stream, UNACKNOWLEDGED);
             let ready = stream.set_nonblocking(true).is_ok() && stream.set_nodelay(true).is_ok();
             if ready && self.clients.len() < MAX_CLIENTS {
                 self.clients.push(stream);

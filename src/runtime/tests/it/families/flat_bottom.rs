@@ -11,6 +11,7 @@ use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_protocols::jsf::{SonarData80, message_type};
 use echotank_protocols::sevenk::Record;
 use echotank_protocols::sevenk::records::{RawDetections7027, WaterColumn7042};
+use echotank_protocols::xtf::{FileHeader, Ping};
 use num_complex::Complex64;
 
 use super::pipeline::{Bottom, peak};
@@ -32,6 +33,7 @@ fn sample_of(range_m: f64) -> usize {
 fn flat() -> (PingPlan, PingOutput) {
     let mut plan = plan(5, SAMPLES);
     plan.first_sample_s = SILENT as f64 / SAMPLE_RATE_HZ;
+    plan.sensor.altitude_m = Some(DEPTH_M);
     let mut output = output(SAMPLES);
     let zero = Complex64::ZERO;
     let fan = &mut output.beams[0];
@@ -203,4 +205,35 @@ fn xtf_and_imagenex_put_a_flat_bottom_at_its_slant_range() {
     let (plan, output) = flat();
     FLAT.xtf(xtf_emitter(&sonar()), &plan, &output);
     FLAT.imagenex((SAMPLE_RATE_HZ, FULL_SCALE_V), &plan, &output);
+}
+
+#[test]
+fn xtf_doubles_the_full_scale_of_a_line_that_exceeds_it() {
+    let (plan, mut output) = flat();
+    let mut emitter = xtf_emitter(&sonar());
+    let file = FileHeader::parse(&emitter.file_head()).expect("a header");
+    let at = sample_of(DEPTH_M);
+    let level_v = 4.7 * FULL_SCALE_V as f32;
+    output.lines[0].amplitude[at] = level_v;
+    let mut packets = Vec::new();
+    assert_eq!(
+        emitter.emit_ping(&plan, &output, &mut packets),
+        0,
+        "clipped"
+    );
+    let ping = Ping::parse(&packets[64..], &file).expect("a ping");
+    let [louder, other] = &ping.channels[..] else {
+        panic!("two channels");
+    };
+    assert_eq!(other.header.millivolt_scale, 0, "that of the file header");
+    let scale_v = f64::from(louder.header.millivolt_scale) / 1e3;
+    assert_eq!(scale_v, 8.0 * FULL_SCALE_V);
+    let value_v = louder.values().nth(at).expect("a sample") / 65_535.0 * scale_v;
+    assert!(
+        (value_v / f64::from(level_v) - 1.0).abs() < 1e-4,
+        "{value_v}"
+    );
+    // Beyond the largest scale of the field (65.535 V), the sample is clipped and counted.
+    output.lines[0].amplitude[at] = 1e3;
+    assert_eq!(emitter.emit_ping(&plan, &output, &mut Vec::new()), 1);
 }

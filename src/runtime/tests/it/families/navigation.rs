@@ -1,10 +1,12 @@
 //! One platform state, read back from every family within its resolution and with its sign.
 
 use echotank_config::spec::{JsfChannels, JsfFormat};
-use echotank_core::ping::PingPlan;
+use echotank_core::ping::{PingPlan, SensorState};
+use echotank_core::time::UtcNs;
+use echotank_emit::jsf::JsfEmitter;
 use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_protocols::jsf::{
-    PitchRoll2020, Situation2091, SonarData80, message_type as jsf_type,
+    Dvl2080, PitchRoll2020, Situation2091, SonarData80, message_type as jsf_type,
 };
 use echotank_protocols::sevenk::Record;
 use echotank_protocols::sevenk::records::{
@@ -42,6 +44,13 @@ fn state(latitude_deg: f64, longitude_deg: f64, tilt: f64) -> PingPlan {
     nav.latitude_rad = latitude_deg.to_radians();
     nav.longitude_rad = longitude_deg.to_radians();
     nav.pose.velocity_m_per_s = DVec3::new(2.0, -1.0, 0.0);
+    plan.sensor = SensorState {
+        latitude_rad: nav.latitude_rad,
+        longitude_rad: nav.longitude_rad,
+        depth_m: 13.25,
+        altitude_m: Some(17.5),
+        still_depth_m: None,
+    };
     plan
 }
 
@@ -130,7 +139,7 @@ fn jsf(plan: &PingPlan) -> Vec<Said> {
     let counts = |v: i16| Some(f64::from(v) * 180.0 / 32_768.0);
     let text = of(jsf_type::NMEA);
     let sentence = String::from_utf8(text[12..].to_vec()).expect("text");
-    assert!(sentence.starts_with("$GPGLL,"), "{sentence}");
+    assert!(sentence.starts_with("$GPRMC,"), "{sentence}");
     let fields: Vec<&str> = sentence.split(',').collect();
     let angle = |text: &str, degrees: usize, hemisphere: &str| {
         let value = text[..degrees].parse::<f64>().expect("degrees")
@@ -155,8 +164,8 @@ fn jsf(plan: &PingPlan) -> Vec<Said> {
         },
         Said {
             family: "jsf 2002",
-            latitude: angle(fields[1], 2, fields[2]),
-            longitude: angle(fields[3], 3, fields[4]),
+            latitude: angle(fields[3], 2, fields[4]),
+            longitude: angle(fields[5], 3, fields[6]),
             roll: None,
             pitch: None,
             heading: None,
@@ -254,4 +263,80 @@ fn every_family_carries_the_platforms_state_within_its_resolution_and_sign() {
         }
     }
     assert_eq!(seen, 4 * 40, "statements looked at");
+}
+
+#[test]
+fn depth_and_altitude_are_those_of_the_sensor() {
+    let mut plan = state(54.4, 10.3, 1.0);
+    // The ship's reference point lies 0.4 m deep, 10 m from the sensor.
+    plan.nav.height_m = -0.4;
+    plan.sensor.latitude_rad += 10.0 / 6_371_000.0;
+    for altitude_m in [Some(17.5), None] {
+        plan.sensor.altitude_m = altitude_m;
+        let messages = jsf_ping(JsfChannels::Sides, JsfFormat::Envelope, &plan, &output(6));
+        let of = |kind: u16| {
+            let kind = u32::from(kind);
+            let found = messages.iter().find(|m| m.record_type & 0xFFFF == kind);
+            jsf_message(found.expect("sent")).body
+        };
+        let header = SonarData80::parse(of(jsf_type::SONAR_DATA))
+            .expect("80")
+            .header;
+        assert_eq!(
+            (header.depth_m(), header.altitude_m()),
+            (Some(13.25), altitude_m)
+        );
+        let all = Situation2091::parse(of(jsf_type::SITUATION)).expect("2091");
+        let altitude = altitude_m.unwrap_or(0.0);
+        assert_eq!((all.depth_m, f64::from(all.altitude_m)), (13.25, altitude));
+        assert_eq!(all.validity >> 4 & 1, u32::from(altitude_m.is_some()));
+        let dvl = Dvl2080::parse(of(jsf_type::DVL)).expect("2080");
+        assert_eq!(dvl.depth_dm, 133);
+        assert_eq!(dvl.distance_cm, [(altitude * 100.0) as i32; 4]);
+
+        let mut emitter = xtf_emitter(&sonar());
+        let file = FileHeader::parse(&emitter.file_head()).expect("a header");
+        let mut packets = Vec::new();
+        emitter.emit_ping(&plan, &output(6), &mut packets);
+        let h = Ping::parse(&packets[64..], &file).expect("a ping").header;
+        assert_eq!(
+            (h.sensor_depth_m, f64::from(h.sensor_altitude_m)),
+            (13.25, altitude)
+        );
+        assert_eq!(
+            (h.ship_y, h.sensor_y),
+            (54.4, plan.sensor.latitude_rad.to_degrees())
+        );
+    }
+}
+
+#[test]
+fn jsf_sends_the_position_sentence_once_a_second() {
+    let filter = Box::new(|_: &PingPlan, _: &mut [num_complex::Complex64]| {});
+    let sheet = jsf_sheet(JsfChannels::Sides, JsfFormat::Envelope);
+    let mut emitter = JsfEmitter::new(sheet, filter);
+    let mut plan = state(54.4, 10.3, 1.0);
+    let start = UtcNs(plan.stamp_utc.0.div_euclid(1_000_000_000) * 1_000_000_000);
+    // Ten seconds with four pings each: a reader that takes every sentence for a fix finds ten.
+    let mut sentences = 0;
+    for ping in 0..40 {
+        plan.stamp_utc = start.plus_s(0.25 * f64::from(ping));
+        let mut messages = Vec::new();
+        emitter.emit_ping(&plan, &output(6), |_, _| true, &mut messages);
+        let of = |kind: u16| {
+            let kind = u32::from(kind);
+            messages
+                .iter()
+                .filter(|m| m.record_type & 0xFFFF == kind)
+                .count()
+        };
+        assert_eq!((of(jsf_type::SONAR_DATA), of(jsf_type::PITCH_ROLL)), (2, 1));
+        assert_eq!(
+            of(jsf_type::NMEA),
+            usize::from(ping % 4 == 0),
+            "ping {ping}"
+        );
+        sentences += of(jsf_type::NMEA);
+    }
+    assert_eq!(sentences, 10);
 }

@@ -133,3 +133,37 @@ fn a_line_of_any_rate_is_opened_at_it() {
         wait(&mut inputs, &mut history, &line.name(), 1);
     }
 }
+
+/// 64 KiB datagrams of sentences, faster than the limit, beside a gyro that sends as gyros do: the flood is dropped, one turn takes a limited
+/// number of sentences, and the gyro is still heard.
+#[test]
+fn a_flood_is_dropped_and_an_instrument_beside_it_is_heard() {
+    const TURN_BYTES: usize = 256 * 1024;
+    const DATAGRAM_BYTES: usize = 64_000;
+    let (mut inputs, mut history) = gyros(vec![NavInputSpec::Udp {
+        listen: (Ipv4Addr::LOCALHOST, 0).into(),
+        multicast: None,
+    }]);
+    let port = inputs.listening()[0].1.port();
+    let socket = sender();
+    // Of a kind that is counted and not used.
+    let flood = b"$GPXTE,A,A,0.67,L,N*6F\r\n".repeat(DATAGRAM_BYTES / 24);
+    let (mut sent, mut most) = (0, 0);
+    eventually("the flood is dropped and the gyro is heard", || {
+        for _ in 0..20 {
+            // A full socket loses the datagram.
+            let to: SocketAddr = (Ipv4Addr::LOCALHOST, port).into();
+            let _ = socket.send_to(&flood, &to.into());
+        }
+        send(&socket, HDT, (Ipv4Addr::LOCALHOST, port));
+        sent += 1;
+        let before = inputs.counters()[0].decoder.sentences;
+        inputs.pull(UtcNs(i64::MAX), &mut history);
+        most = most.max(inputs.counters()[0].decoder.sentences - before);
+        let counters = &inputs.counters()[0];
+        counters.live.dropped_flood > 100 && counters.decoder.samples > 10
+    });
+    let limit = (TURN_BYTES + DATAGRAM_BYTES) / 24;
+    assert!(most <= limit as u64, "{most} sentences in one turn");
+    println!("{sent} turns, at most {most} sentences in one");
+}
