@@ -10,6 +10,7 @@ import functools
 import glob
 import io
 import os
+import pathlib
 import re
 import select
 import shutil
@@ -44,10 +45,10 @@ def program():
 
 
 class Daemon:
-    """A running daemon and what it announced."""
+    """A running daemon of a light rig, and what it announced."""
 
     def __init__(self, rig, *settings):
-        command = [program(), "run", os.path.join(ROOT, "hil-configs", rig)]
+        command = [program(), "run", os.path.join(ROOT, "tests/data/rigs", rig)]
         for setting in settings:
             command += ["--set", setting]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT)
@@ -419,23 +420,32 @@ class NavigationOut(unittest.TestCase):
 class Svlog(unittest.TestCase):
     """pingverter, on what a daemon records of an Omniscan pair."""
 
+    @staticmethod
+    def profiles(wanted):
+        """The first four fields of each complete profile in the files that match, which may still be written."""
+        raw = b"".join(pathlib.Path(path).read_bytes() for path in glob.glob(wanted))
+        found, at = [], 0
+        while at + 24 <= len(raw):
+            length, kind = struct.unpack_from("<HH", raw, at + 2)
+            if kind == 2198 and at + 10 + length <= len(raw):
+                found.append(struct.unpack_from("<IIII", raw, at + 8))
+            at += 10 + length
+        return found
+
     def test_every_profile_of_the_log_is_read_with_its_range_and_number(self):
         from pingverter.cerulean_class import cerul
         with tempfile.TemporaryDirectory() as folder:
             daemon = Daemon("omniscan450.toml", "record.directory=%s" % folder, "sonar.0.output.ping.listen=127.0.0.1:0", "sonar.1.output.ping.listen=127.0.0.1:0")
             daemon.address("ping port tcp")
-            time.sleep(4.0)
+            paths = [os.path.join(folder, side + "-*.svlog") for side in ("port", "starboard")]
+            patience = time.monotonic() + 60.0
+            while time.monotonic() < patience and any(len(self.profiles(path)) < 10 for path in paths):
+                time.sleep(0.5)
             daemon.stop()
-            for side, channel in (("port", 0), ("starboard", 1)):
-                path, = glob.glob(os.path.join(folder, side + "-*.svlog"))
-                with open(path, "rb") as file:
-                    raw, profiles, at = file.read(), [], 0
-                while at < len(raw):
-                    length, kind = struct.unpack_from("<HH", raw, at + 2)
-                    if kind == 2198:
-                        profiles.append(struct.unpack_from("<IIII", raw, at + 8))
-                    at += 10 + length
-                self.assertGreater(len(profiles), 5)
+            for wanted in paths:
+                path, = glob.glob(wanted)
+                profiles = self.profiles(path)
+                self.assertGreaterEqual(len(profiles), 10)
                 log = cerul(path)
                 # Its own caller sets these two.
                 log.metaDir, log.tempC = folder, 1.2

@@ -93,7 +93,8 @@ class Daemon(unittest.TestCase):
             self.assertEqual(trace.ping_time, self.utc_ns[ping] // 10**9)
             self.assertEqual(trace.sampling_interval, round(1e9 / self.rate_hz))
         counts = {kind: sum(m[0].message_type == kind for m in messages) for kind in (2002, 2020, 2060)}
-        self.assertEqual(counts, {2002: 3, 2020: 3, 2060: 3})
+        # Navigation strings come once a second; the three pings last less.
+        self.assertEqual(counts, {2002: 1, 2020: 3, 2060: 3})
         # pyjsf passes over what it has no layout for: these are counted by their headers.
         with open(os.path.join(self.folder, "hull.jsf"), "rb") as file:
             rest, kinds = file.read(), []

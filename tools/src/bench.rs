@@ -4,6 +4,7 @@ mod beams;
 mod forward_looking;
 mod nav;
 mod ping;
+mod rates;
 pub(crate) mod scene;
 mod stages;
 mod transform;
@@ -39,6 +40,8 @@ enum What {
         #[arg(long, default_value = "hil-configs/quickstart.toml")]
         config: PathBuf,
     },
+    /// The rigs of tools/rates.toml at the rates of their devices: milliseconds by stage, headroom, cost estimate, errors of sampled windows.
+    Rates(rates::Selection),
     /// Navigation sentences per second, compared with the nmea crate and, with --python, pynmea2 on the same lines.
     Nav {
         #[command(flatten)]
@@ -91,6 +94,7 @@ pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
         What::BeamsDump { directory } => beams::dump(&directory),
         What::BeamsServe => beams::serve(),
         What::Ping { common, config } => ping::run(&config, common.quick, common.json.as_deref()),
+        What::Rates(selection) => rates::run(&selection),
         What::Nav {
             common,
             log,

@@ -1,8 +1,13 @@
 //! Samples by the reference's equation, through the receiver filter.
 
-use echotank_core::arrays::{ArrayGeometry, TransmitArray};
+use echotank_config::spec::{MediumSpec, SonarSpec};
+use echotank_core::arrays::{ArrayGeometry, ReceiverFilter, TransmitArray};
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::PingPlan;
+use echotank_core::pulse::Pulse;
 use echotank_core::scene::Scatterers;
+use echotank_ping::element_synthesis::FASTEST_PLATFORM_M_PER_S;
+use echotank_synthesis::array::filter::{self, FilterError};
 use echotank_synthesis::array::{Decimator, Direct};
 use echotank_synthesis::echo::probe::{Instant, echoes_at, receivable, receivable_ranges_m};
 use echotank_synthesis::edges::Edges;
@@ -27,6 +32,45 @@ pub(crate) fn received(
     let first_s = filter.dense_first_s(first_s);
     sum(Edges::Weighted, filter.dense_rate_hz(), first_s, &mut dense);
     filter.apply(&dense, out);
+}
+
+/// Windows are a pulse long, but at least this many samples.
+const MIN_WINDOW: usize = 32;
+
+/// Samples of a window of the accuracy contract.
+pub(crate) fn window_samples(pulse_s: f64, rate_hz: f64) -> usize {
+    ((pulse_s * rate_hz).ceil() as usize).max(MIN_WINDOW)
+}
+
+/// The sonar's receiver filter, as densely sampled as the reference asks; none where the sonar has none.
+pub(crate) fn reference_filter(
+    spec: &SonarSpec,
+    medium: &MediumSpec,
+) -> Result<Option<Decimator>, FilterError> {
+    let shortest = Pulse {
+        duration_s: spec.limits.pulse_duration_s.0,
+        ..spec.pulse
+    };
+    let rate_hz = spec.receiver.sample_rate_hz;
+    let c = medium.sound_speed_m_per_s;
+    let doppler_hz = 2.0 * FASTEST_PLATFORM_M_PER_S / c * spec.pulse.center_frequency_hz;
+    match spec.receiver.filter {
+        ReceiverFilter::None => Ok(None),
+        ReceiverFilter::Fir => {
+            let dense = filter::oversample(&shortest, rate_hz, Synthesis::Reference);
+            Decimator::new(&shortest, rate_hz, doppler_hz, dense).map(Some)
+        }
+    }
+}
+
+/// The plan of a ping with the exact motion, second-order Doppler and every scatterer.
+pub(crate) fn reference_plan(plan: &PingPlan) -> PingPlan {
+    let mut plan = plan.clone();
+    plan.model.path = PathModel::Continuous;
+    plan.model.doppler = DopplerModel::StretchQuadratic;
+    plan.model.synthesis = Synthesis::Direct;
+    plan.model.cull_db = None;
+    plan
 }
 
 /// A sample of an element.

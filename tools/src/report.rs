@@ -54,6 +54,15 @@ impl Report {
         self.rows.push(kept);
     }
 
+    /// Other rows for the JSON.
+    pub(crate) fn rows_anew(&mut self, rows: &[impl serde::Serialize]) -> Result<(), String> {
+        let values = rows.iter().map(serde_json::to_value);
+        self.rows = values
+            .collect::<Result<_, _>>()
+            .map_err(|e| e.to_string())?;
+        Ok(())
+    }
+
     /// Writes the rows, if a file was asked for, with the command, the machine and the day.
     pub(crate) fn finish(&self, json: Option<&Path>) -> Result<(), String> {
         let Some(path) = json else {

@@ -281,7 +281,7 @@ fn on_small_random_rigs_the_predicted_error_is_an_upper_bound() {
 #[test]
 fn the_error_of_a_fixed_floor_is_bounded_within_ten_times() {
     let costs = Costs::committed();
-    let folder = crate::repository().join("hil-configs");
+    let folder = crate::repository().join("tests/data/rigs");
     for (file, floor_db) in [("omniscan450", -40.0), ("board", -30.0)] {
         let mut spec = echotank_runtime::config_files::load(&folder.join(format!("{file}.toml")))
             .expect("good");

@@ -4,22 +4,16 @@
 use num_complex::Complex64;
 
 use echotank_config::spec::{MediumSpec, SonarSpec};
-use echotank_core::arrays::{ArrayGeometry, ReceiverFilter};
-use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::arrays::ArrayGeometry;
 use echotank_core::ping::{PingOutput, PingPlan};
-use echotank_core::pulse::Pulse;
 use echotank_core::scene::Scatterers;
-use echotank_ping::element_synthesis::FASTEST_PLATFORM_M_PER_S;
 use echotank_ping::pipeline::PipelineError;
-use echotank_synthesis::array::filter::{self, Decimator};
-use echotank_synthesis::array::{Direct, receive};
+use echotank_synthesis::array::{Decimator, Direct, receive};
 use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
 
 use crate::draw::SplitMix as Chance;
-use crate::reference::{Probe, received, values};
+use crate::reference::{Probe, received, reference_filter, reference_plan, values, window_samples};
 
-/// Windows are a pulse long, but at least this many samples.
-const MIN_WINDOW: usize = 32;
 /// Number of randomly chosen samples per ping.
 const LOOKED_AT: usize = 128;
 /// Number of worst windows computed again by the reference, and of samples in each, evenly spaced.
@@ -64,32 +58,15 @@ pub(crate) struct ReferenceSolution<'a> {
 impl<'a> ReferenceSolution<'a> {
     pub(crate) fn new(ping: &'a Ping<'a>) -> Result<Self, PipelineError> {
         let spec = ping.spec;
-        let rate_hz = spec.receiver.sample_rate_hz;
-        let c = ping.medium.sound_speed_m_per_s;
-        let doppler_hz = 2.0 * FASTEST_PLATFORM_M_PER_S / c * spec.pulse.center_frequency_hz;
-        let shortest = Pulse {
-            duration_s: spec.limits.pulse_duration_s.0,
-            ..spec.pulse
-        };
-        let decimator = match spec.receiver.filter {
-            ReceiverFilter::None => None,
-            ReceiverFilter::Fir => {
-                let dense = filter::oversample(&shortest, rate_hz, Synthesis::Reference);
-                Some(Decimator::new(&shortest, rate_hz, doppler_hz, dense)?)
-            }
-        };
-        let mut plan = ping.plan.clone();
-        plan.model.path = PathModel::Continuous;
-        plan.model.doppler = DopplerModel::StretchQuadratic;
-        plan.model.synthesis = Synthesis::Direct;
-        plan.model.cull_db = None;
-        let window = (plan.pulse.duration_s * rate_hz).ceil() as usize;
+        let plan = reference_plan(ping.plan);
+        let window = window_samples(plan.pulse.duration_s, spec.receiver.sample_rate_hz);
+        let decimator = reference_filter(spec, ping.medium)?;
         let mut reference = Self {
             ping,
             plan,
             decimator,
             records: Vec::new(),
-            window: window.max(MIN_WINDOW),
+            window,
         };
         reference.records = reference.sum();
         Ok(reference)

@@ -1,0 +1,487 @@
+//! Rigs at the rates of their devices: what a ping costs, stage by stage, and how far it is from the reference.
+//!
+//! Timed: everything from the order of a ping to the records that a client of each output would get. Not timed: delivery and the operator's
+//! page, which `tools/soak --rates` adds. Pings follow each other without pacing, on recorded navigation.
+
+mod error;
+mod picture;
+mod records;
+
+use std::path::Path;
+use std::time::Instant;
+
+use clap::Args;
+use echotank_config::spec::RigSpec;
+use echotank_ping::rig::{PingSlot, Rig};
+use echotank_ping::threads::pool;
+use echotank_ping::{PingOrder, finish_ping, period_ns};
+use echotank_runtime::recorded::RecordedRig;
+use serde::{Deserialize, Serialize};
+
+use crate::report::{Common, Report, kept};
+use records::Encoders;
+
+/// Untimed first pings of each sonar, in which buffers grow and tiles are generated.
+const WARM_UP: u32 = 2;
+/// Pings of each sonar that are timed, at least and at most, and how long it may take.
+const MIN_PINGS: usize = 3;
+const MAX_PINGS: u32 = 24;
+const MAX_TIME_S: f64 = 2.5;
+/// Headroom that counts as real time: the rest is delivery, page and system.
+const REAL_TIME: f64 = 1.25;
+
+#[derive(Args)]
+pub(crate) struct Selection {
+    #[command(flatten)]
+    common: Common,
+    /// Only these rigs
+    #[arg(long)]
+    rig: Vec<String>,
+    /// Only ranges of this index, from 0
+    #[arg(long)]
+    range: Option<usize>,
+    /// Computing threads
+    #[arg(long, default_value_t = 2)]
+    threads: usize,
+    /// Leave out the comparison with the reference
+    #[arg(long)]
+    no_error: bool,
+    /// Further overrides of every configuration
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Write the rows to tools/kept/rates.json, in place of those of the same rigs and ranges, and draw hil-configs/rates.png
+    #[arg(long)]
+    keep: bool,
+}
+
+/// The file `tools/rates.toml`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Rates {
+    rig: Vec<RigRates>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RigRates {
+    name: String,
+    #[serde(default)]
+    set: Vec<String>,
+    range: Vec<RangeRate>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RangeRate {
+    range_m: f64,
+    rate_hz: f64,
+    #[serde(default)]
+    set: Vec<String>,
+}
+
+impl Rates {
+    fn read() -> Result<Self, String> {
+        let path = crate::repository().join("tools/rates.toml");
+        let told = |why: String| format!("{}: {why}", path.display());
+        let text = std::fs::read_to_string(&path).map_err(|e| told(e.to_string()))?;
+        toml::from_str(&text).map_err(|e| told(e.to_string()))
+    }
+}
+
+impl RigRates {
+    /// The configuration at one of the ranges. Buffers are sized for that range alone.
+    fn spec(&self, at: &RangeRate, more: &[String]) -> Result<RigSpec, String> {
+        let path = crate::repository().join(format!("tools/rates/{}.toml", self.name));
+        let RangeRate {
+            range_m, rate_hz, ..
+        } = at;
+        let mut set = vec![
+            format!("sonar.ping.range_m={range_m}"),
+            format!("sonar.ping.rate_hz={rate_hz}"),
+            format!("sonar.limits.range_m=[1.0, {range_m}]"),
+            format!("sonar.limits.ping_rate_hz=[0.1, {rate_hz}]"),
+        ];
+        for further in [&self.set, &at.set, more] {
+            set.extend(further.iter().cloned());
+        }
+        echotank_runtime::config_files::load_with(&path, &set)
+    }
+}
+
+/// Parts of a ping that are timed apart.
+const STAGES: [&str; 3] = ["gather", "echoes and beams", "records"];
+
+/// What the pings of one sonar took.
+struct Timed {
+    period_ms: f64,
+    /// Of each ping, by stage.
+    ms: Vec<[f64; STAGES.len()]>,
+    scatterers: usize,
+    record_bytes: usize,
+    /// Cost estimate of the selected methods, milliseconds of one core.
+    estimate_ms: Option<f64>,
+}
+
+impl Timed {
+    /// Median and 95 % of whole pings, milliseconds.
+    fn whole(&self) -> (f64, f64) {
+        let mut whole: Vec<f64> = self.ms.iter().map(|ms| ms.iter().sum()).collect();
+        whole.sort_by(f64::total_cmp);
+        let at = |share: f64| whole[((whole.len() - 1) as f64 * share).round() as usize];
+        (at(0.5), at(0.95))
+    }
+
+    fn stage_median(&self, stage: usize) -> f64 {
+        let mut of: Vec<f64> = self.ms.iter().map(|ms| ms[stage]).collect();
+        of.sort_by(f64::total_cmp);
+        of[(of.len() - 1) / 2]
+    }
+}
+
+/// Makes a ping that its navigation covers, with the time of each stage; `None` in a gap of the navigation.
+fn timed_ping(
+    rig: &mut Rig,
+    sonar: usize,
+    order: &PingOrder,
+    slot: &mut PingSlot,
+    encoders: &mut Encoders,
+) -> Option<([f64; STAGES.len()], usize)> {
+    let mode = rig.spec.nav.mode;
+    let start = Instant::now();
+    rig.prepare(sonar, order, mode, order.transmit_utc, slot)
+        .ok()?;
+    let gathered = start.elapsed();
+    finish_ping(rig, sonar, slot);
+    let made = start.elapsed();
+    let bytes = encoders.encode(slot);
+    let encoded = start.elapsed();
+    let ms = [gathered, made - gathered, encoded - made].map(|took| took.as_secs_f64() * 1e3);
+    Some((ms, bytes))
+}
+
+/// Times pings of every sonar. Call inside the pool.
+fn time(spec: &RigSpec, quick: bool) -> Result<Vec<Timed>, String> {
+    let mut recorded = RecordedRig::open(spec).map_err(|e| e.to_string())?;
+    let c = spec.medium.sound_speed_m_per_s;
+    let mut sonars = Vec::new();
+    for sonar in 0..spec.sonars.len() {
+        let unit = &recorded.rig.sonars[sonar];
+        let slot = recorded.rig.slot(sonar);
+        let encoders = Encoders::new(spec, &unit.spec, unit.absorption_db_per_m);
+        let timed = Timed {
+            period_ms: period_ns(&unit.spec.settings, c) as f64 * 1e-6,
+            ms: Vec::new(),
+            scatterers: 0,
+            record_bytes: 0,
+            estimate_ms: None,
+        };
+        sonars.push((slot, encoders, timed));
+    }
+    let pings = if quick { MIN_PINGS as u32 } else { MAX_PINGS };
+    let start = Instant::now();
+    while let Some((sonar, order)) = recorded.next_order(WARM_UP + pings) {
+        let enough = sonars
+            .iter()
+            .all(|(_, _, timed)| timed.ms.len() >= MIN_PINGS);
+        if enough && start.elapsed().as_secs_f64() > MAX_TIME_S {
+            break;
+        }
+        recorded.record_pulse(sonar, &order);
+        if !recorded.settle(sonar, &order) {
+            break;
+        }
+        let (slot, encoders, timed) = &mut sonars[sonar];
+        let Some((ms, bytes)) = timed_ping(&mut recorded.rig, sonar, &order, slot, encoders) else {
+            continue;
+        };
+        if order.ping_number > WARM_UP {
+            timed.ms.push(ms);
+        }
+        timed.scatterers = recorded.rig.scatterers().len();
+        timed.record_bytes = bytes;
+        let estimate = slot.output.methods.map(|mark| mark.predicted_ms);
+        timed.estimate_ms = estimate.filter(|ms| ms.is_finite());
+    }
+    let timed: Vec<Timed> = sonars.into_iter().map(|(_, _, timed)| timed).collect();
+    match timed.iter().any(|timed| timed.ms.is_empty()) {
+        true => Err("the navigation log ends before the pings do".into()),
+        false => Ok(timed),
+    }
+}
+
+/// A part of a ping and its time.
+#[derive(Serialize, Deserialize)]
+struct Stage {
+    name: String,
+    ms: f64,
+}
+
+/// A rig at one range.
+#[derive(Serialize, Deserialize)]
+struct Row {
+    rig: String,
+    range_m: f64,
+    threads: usize,
+    elements: usize,
+    beams: usize,
+    scatterers: usize,
+    /// Of the first sonar.
+    period_ms: f64,
+    /// Medians, of all sonars in one period of the first, as all times here.
+    stages: Vec<Stage>,
+    ms: f64,
+    ms_95: f64,
+    headroom: f64,
+    record_bytes: usize,
+    /// Cost estimate of the selected methods on these threads.
+    estimate_ms: Option<f64>,
+    /// Largest of the windows looked at, in this norm of docs/accuracy.md.
+    error: Option<f64>,
+    norm: String,
+    tolerance: f64,
+}
+
+impl Row {
+    fn new(
+        rig: &RigRates,
+        at: &RangeRate,
+        spec: &RigSpec,
+        threads: usize,
+        timed: &[Timed],
+    ) -> Self {
+        let period_ms = timed[0].period_ms;
+        // In one period of the first sonar.
+        let share = |timed: &Timed| period_ms / timed.period_ms;
+        let sum = |of: &dyn Fn(&Timed) -> f64| timed.iter().map(|t| share(t) * of(t)).sum::<f64>();
+        let ms = sum(&|t| t.whole().0);
+        let estimates = timed
+            .iter()
+            .map(|t| Some(share(t) * t.estimate_ms? / threads as f64));
+        let stage = |(stage, name): (usize, &&str)| Stage {
+            name: (*name).to_owned(),
+            ms: sum(&|t| t.stage_median(stage)),
+        };
+        Self {
+            rig: rig.name.clone(),
+            range_m: at.range_m,
+            threads,
+            elements: spec
+                .sonars
+                .iter()
+                .flat_map(|s| &s.receive)
+                .map(|array| array.elements)
+                .sum(),
+            beams: spec
+                .sonars
+                .iter()
+                .map(|s| s.beams.lines.len() + s.beams.fan.as_ref().map_or(0, |fan| fan.beams))
+                .sum(),
+            scatterers: timed.iter().map(|t| t.scatterers).sum(),
+            period_ms,
+            stages: STAGES.iter().enumerate().map(stage).collect(),
+            ms,
+            ms_95: sum(&|t| t.whole().1),
+            headroom: period_ms / ms,
+            record_bytes: timed.iter().map(|t| t.record_bytes).sum(),
+            estimate_ms: estimates.sum(),
+            error: None,
+            norm: "M".to_owned(),
+            tolerance: spec
+                .sonars
+                .iter()
+                .map(|s| s.synthesis.tolerance)
+                .fold(f64::INFINITY, f64::min),
+        }
+    }
+
+    fn line(&self) -> String {
+        let estimate = self.estimate_ms;
+        let told = |value: Option<f64>, form: fn(f64) -> String| value.map_or("-".into(), form);
+        let stages: Vec<String> = self
+            .stages
+            .iter()
+            .map(|stage| format!("{:>9.2}", stage.ms))
+            .collect();
+        format!(
+            "{:<12} {:>5} {:>5} {:>5} {:>9} {} | {:>7.1} {:>7.1} {:>7.1} {:>6.2} | {:>7} {:>5} | {:>7} {:>7.0e}",
+            self.rig,
+            self.range_m,
+            self.elements,
+            self.beams,
+            self.scatterers,
+            stages.join(" "),
+            self.ms,
+            self.ms_95,
+            self.period_ms,
+            self.headroom,
+            told(estimate, |ms| format!("{ms:.1}")),
+            told(estimate.map(|ms| self.ms / ms), |ratio| format!(
+                "{ratio:.1}"
+            )),
+            told(self.error, |error| format!("{error:.1e}")),
+            self.tolerance,
+        )
+    }
+}
+
+fn head() -> String {
+    let stages: Vec<String> = STAGES
+        .iter()
+        .map(|name| format!("{:>9}", name.split(' ').next().unwrap_or(name)))
+        .collect();
+    format!(
+        "{:<12} {:>5} {:>5} {:>5} {:>9} {} | {:>7} {:>7} {:>7} {:>6} | {:>7} {:>5} | {:>7} {:>7}",
+        "rig",
+        "m",
+        "el.",
+        "beams",
+        "scatt.",
+        stages.join(" "),
+        "ms",
+        "95 %",
+        "period",
+        "head.",
+        "est. ms",
+        "ratio",
+        "error M",
+        "toler."
+    )
+}
+
+/// Prints and records one line per rig and range.
+pub(crate) fn run(selection: &Selection) -> Result<(), String> {
+    let rates = Rates::read()?;
+    if let Some(unknown) = selection
+        .rig
+        .iter()
+        .find(|name| !rates.rig.iter().any(|rig| rig.name == **name))
+    {
+        let known: Vec<&str> = rates.rig.iter().map(|rig| rig.name.as_str()).collect();
+        return Err(format!(
+            "--rig {unknown}: must be one of {}",
+            known.join(", ")
+        ));
+    }
+    let quick = selection.common.quick;
+    let mut report = Report::new();
+    println!(
+        "ms of one period of each rig, medians, {} threads; \"echoes\": from the transmit leg to soundings; \"est.\": of `echotank check`",
+        selection.threads
+    );
+    println!("{}", head());
+    let pool = pool(selection.threads).map_err(|e| e.to_string())?;
+    let mut rows = Vec::new();
+    for rig in &rates.rig {
+        if !selection.rig.is_empty() && !selection.rig.contains(&rig.name) {
+            continue;
+        }
+        for (index, at) in rig.range.iter().enumerate() {
+            // The short form keeps the command working.
+            if selection.range.unwrap_or(if quick { 0 } else { index }) != index {
+                continue;
+            }
+            let told = |why: String| format!("{} at {} m: {why}", rig.name, at.range_m);
+            let spec = rig.spec(at, &selection.set).map_err(told)?;
+            let row = pool.install(|| -> Result<Row, String> {
+                let timed = time(&spec, quick)?;
+                let mut row = Row::new(rig, at, &spec, selection.threads, &timed);
+                if !selection.no_error {
+                    row.error = error::largest(&spec, if quick { 1 } else { 3 })?;
+                }
+                Ok(row)
+            });
+            let row = row.map_err(told)?;
+            let kept = serde_json::to_value(&row).map_err(|e| e.to_string())?;
+            report.row(&row.line(), kept);
+            rows.push(row);
+        }
+    }
+    summarise(&rows);
+    report.finish(selection.common.json.as_deref())?;
+    match selection.keep {
+        true => keep(rows, &rates, &mut report),
+        false => Ok(()),
+    }
+}
+
+/// Puts the rows in place of the kept ones of the same rigs and ranges, in the order of the file, and draws all.
+fn keep(rows: Vec<Row>, rates: &Rates, report: &mut Report) -> Result<(), String> {
+    #[derive(Deserialize)]
+    struct Kept {
+        rows: Vec<Row>,
+    }
+    let path = kept("rates.json");
+    let mut all = match std::fs::read_to_string(&path) {
+        Ok(text) => {
+            let before: Kept = serde_json::from_str(&text)
+                .map_err(|e| format!("{}: {e}; remove it", path.display()))?;
+            before.rows
+        }
+        Err(_) => Vec::new(),
+    };
+    let place = |row: &Row| {
+        let rig = rates.rig.iter().position(|rig| rig.name == row.rig)?;
+        let of = &rates.rig[rig].range;
+        Some((rig, of.iter().position(|at| at.range_m == row.range_m)?))
+    };
+    all.retain(|old| rows.iter().all(|new| place(new) != place(old)));
+    all.extend(rows);
+    // What the file no longer names goes.
+    all.retain(|row| place(row).is_some());
+    all.sort_by_key(place);
+    report.rows_anew(&all)?;
+    report.finish(Some(&path))?;
+    draw(&all, &crate::repository().join("hil-configs/rates.png"))
+}
+
+fn summarise(rows: &[Row]) {
+    let count = |of: &dyn Fn(&&Row) -> bool| rows.iter().filter(of).count();
+    let near = |row: &&Row| {
+        let ratio = row.estimate_ms.map(|ms| row.ms / ms);
+        ratio.is_some_and(|ratio| (1.0 / 1.5..=1.5).contains(&ratio))
+    };
+    let within = |row: &&Row| row.error.is_some_and(|error| error <= row.tolerance);
+    println!(
+        "headroom {REAL_TIME} or more: {} of {}; time within 1.5 times the estimate: {}; error within the tolerance: {}",
+        count(&|row| row.headroom >= REAL_TIME),
+        rows.len(),
+        count(&near),
+        count(&within)
+    );
+}
+
+fn draw(rows: &[Row], path: &Path) -> Result<(), String> {
+    let png = echotank_drawing::png(&picture::svg(rows)).map_err(|e| e.to_string())?;
+    std::fs::write(path, png).map_err(|e| format!("{}: {e}", path.display()))?;
+    println!("{}", path.display());
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A sonar rests for a twentieth of the period, in which no echo is under way.
+    const SOUND_SHARE: f64 = 0.95;
+
+    #[test]
+    fn every_rate_is_kept_and_leaves_the_sound_its_time() {
+        for rig in &Rates::read().expect("readable").rig {
+            assert_eq!(rig.range.len(), 3, "{}", rig.name);
+            for at in &rig.range {
+                let spec = rig.spec(at, &[]).expect("a good configuration");
+                let c = spec.medium.sound_speed_m_per_s;
+                let limit_hz = SOUND_SHARE * c / (2.0 * at.range_m);
+                let told = format!("{} at {} m: {} pings/s", rig.name, at.range_m, at.rate_hz);
+                assert!(at.rate_hz <= limit_hz, "{told}, at most {limit_hz:.2}");
+                for sonar in &spec.sonars {
+                    let kept_hz = 1e9 / period_ns(&sonar.settings, c) as f64;
+                    assert!(
+                        (kept_hz / at.rate_hz - 1.0).abs() < 1e-6,
+                        "{told}, {kept_hz:.2} kept"
+                    );
+                }
+            }
+        }
+    }
+}
