@@ -203,12 +203,16 @@ pub(crate) fn main(args: &ListenArgs) -> Result<(), Failure> {
             Err(error) => break Some(error),
         }
     };
+    let counters = client.counters();
     println!(
-        "{bytes} bytes in {:.1} s; {} transmission errors: {:?}",
+        "{} records, {bytes} bytes in {:.1} s; {} transmission errors",
+        counters.records,
         began.elapsed().as_secs_f64(),
-        client.counters().errors(),
-        client.counters()
+        counters.errors()
     );
+    if counters.errors() > 0 {
+        println!("{counters:?}");
+    }
     match closed {
         // A server that closes is an error only before --seconds have passed.
         Some(error) if end.is_some() => Err(Failure::running(error)),

@@ -21,8 +21,8 @@ table! {
     /// depth of a CSV track or of a depth sensor (provides "depth"). Heave is added only with "waterline".
     vertical: Choice("waterline", "gnss", "depth"), Default("\"waterline\"");
 
-    /// Depth of the reference point without heave, positive down. With vertical = "depth", the records tell the displacement from it as heave.
-    /// Default: 0, but none with a depth sensor, whose records tell the depth and no heave. Not with vertical = "gnss".
+    /// Depth of the reference point without heave, positive down. With vertical = "depth", the records state the displacement from it as heave.
+    /// Default: 0, but none with a depth sensor, whose records state the depth and no heave. Not with vertical = "gnss".
     reference_depth_m: Number(METRES), Optional("30.0");
 
     /// Added to the depth. Only with vertical = "gnss".

@@ -67,7 +67,7 @@ pub(crate) fn write_rest(out: &mut String, nav: &NavSpec) -> fmt::Result {
     };
     let down = match nav.heave_from_depth_m {
         Some(depth_m) => {
-            format!("{down}; the records tell its displacement from {depth_m} m as heave")
+            format!("{down}; the records state its displacement from {depth_m} m as heave")
         }
         None => down,
     };

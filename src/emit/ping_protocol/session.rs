@@ -32,7 +32,19 @@ use echotank_core::time::UtcNs;
 pub(crate) const VIA: &str = "ping";
 
 /// Version of this program, reported as the firmware's.
-const FIRMWARE: [u8; 3] = [0, 1, 0];
+const FIRMWARE: [u8; 3] = [
+    part(env!("CARGO_PKG_VERSION_MAJOR")),
+    part(env!("CARGO_PKG_VERSION_MINOR")),
+    part(env!("CARGO_PKG_VERSION_PATCH")),
+];
+
+const fn part(text: &str) -> u8 {
+    match u8::from_str_radix(text, 10) {
+        Ok(part) => part,
+        Err(_) => panic!("a part of the version is a number below 256"),
+    }
+}
+
 const PROTOCOL_VERSION: [u8; 3] = [1, 0, 0];
 
 /// One device on one port.
