@@ -1,5 +1,4 @@
 //! A small sonar, its ping and its clients' bytes, for the protocol tests.
-#![allow(dead_code)] // every test file uses its part
 
 use std::f64::consts::FRAC_PI_3;
 use std::sync::Arc;

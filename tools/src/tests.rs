@@ -1,5 +1,6 @@
 //! Short forms of the commands: stored tables that still hold, tolerances that are kept.
 
+mod bench;
 mod charts;
 mod plan;
 mod regimes;

@@ -10,20 +10,17 @@ use echotank_testing::line_scene::*;
 fn in_motion_the_engine_meets_the_direct_sum() {
     // Along the array; heave and sway; all at once; and far across it. The remainder are third orders of the motion.
     for (velocity_m_per_s, sector_deg, limit) in [
-        (DVec3::new(5.0, 0.0, 0.0), 15.0, 4e-6),
         (DVec3::new(5.0, 0.0, 0.0), 60.0, 5e-6),
         (DVec3::new(10.0, 0.0, 0.0), 15.0, 8e-6),
-        (DVec3::new(0.0, 0.0, 0.5), 15.0, 4e-6),
         (DVec3::new(0.0, 0.0, 0.5), 60.0, 4e-6),
         (DVec3::new(0.0, 0.5, 0.0), 15.0, 4e-6),
-        (DVec3::new(5.0, 0.3, 0.5), 15.0, 4e-6),
         (DVec3::new(5.0, 0.3, 0.5), 60.0, 5e-6),
         (DVec3::new(0.0, 5.0, 0.0), 15.0, 5e-5),
     ] {
         let scene = draw(Draw {
             sector_deg,
             velocity_m_per_s,
-            scatterers: 190,
+            scatterers: 120,
             far_m: 60.0,
             ..SIDE_SCAN
         });

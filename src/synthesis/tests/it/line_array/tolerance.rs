@@ -24,14 +24,13 @@ fn the_error_by_window_keeps_every_tolerance() {
     let mut cells = 0;
     for velocity_m_per_s in [
         DVec3::ZERO,
-        DVec3::new(5.0, 0.0, 0.0),
         DVec3::new(10.0, 0.0, 0.0),
         DVec3::new(5.0, 0.3, 0.3),
     ] {
         for sector_deg in [15.0, 60.0] {
             let drawn = Draw {
                 elements: 64,
-                scatterers: 200,
+                scatterers: 120,
                 velocity_m_per_s,
                 sector_deg,
                 far_m: 60.0,
@@ -71,7 +70,7 @@ fn the_error_by_window_keeps_every_tolerance() {
             }
         }
     }
-    assert!(cells >= 36, "only {cells} cells were computed");
+    assert!(cells >= 27, "only {cells} cells were computed");
 }
 
 #[test]
