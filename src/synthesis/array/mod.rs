@@ -13,6 +13,7 @@ pub mod faults;
 pub mod filter;
 pub mod gridded;
 pub mod gridded2d;
+pub mod lines;
 pub(crate) mod phasor;
 pub mod receiver;
 pub mod windows;

@@ -36,10 +36,12 @@ use super::stretch::{Leg, about_mid_pulse, paper_eq21_delay_s};
 
 mod insonifier;
 mod line;
+mod nodes;
 mod subarray;
 
 use insonifier::Insonifier;
 pub use line::{LineEchoes, LineWorkspace, line_arrivals};
+pub use nodes::{GAIN_NODES, MAX_NODES, NodeBatch, NodeTracks, NodeWorkspace};
 use subarray::{ArrayFactor, SubarrayElements};
 
 /// The time span to synthesise, filter margins included.

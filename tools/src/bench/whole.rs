@@ -16,6 +16,7 @@ use echotank_core::scene::Scatterers;
 use echotank_core::simd::SimdLevel;
 use echotank_synthesis::array::gridded::{DopplerSpan, one_dimensional};
 use echotank_synthesis::array::gridded2d::{self, Bounds, Gridded2d};
+use echotank_synthesis::array::lines::{self, GriddedLines};
 use echotank_synthesis::array::{Decimator, Direct};
 use echotank_synthesis::comparison::spectral::Bins;
 use echotank_synthesis::comparison::spectral::Spectral;
@@ -581,6 +582,41 @@ fn gridded_2d(ready: &mut Ready, simd_level: SimdLevel, stages: bool) -> Outcome
     ))
 }
 
+fn gridded_lines(ready: &mut Ready, simd_level: SimdLevel) -> Outcome {
+    let plan = ready.plan(|_| true);
+    let mut engine = GriddedLines::new(&lines::Spec {
+        array: &ready.array,
+        pulse: &plan.pulse,
+        sound_speed_m_per_s: SOUND_SPEED_M_PER_S,
+        sample_rate_hz: RATE_HZ,
+        filter: Some(&ready.filter),
+        doppler: plan.model.doppler,
+        nearest_m: 35.0,
+        fastest_m_per_s: ready.ping.velocity_m_per_s.length().max(1.0),
+        tolerance: ready.ping.tolerance,
+        samples: plan.sample_count,
+        scatterers: ready.ping.scatterers,
+        simd_level,
+    })
+    .map_err(|e| e.to_string())?;
+    let mut transmit_leg = TransmitLeg::new();
+    let mut iq = std::mem::take(&mut ready.iq);
+    let this = &*ready;
+    let took = timed(this.effort, || {
+        this.light(&plan, &mut transmit_leg);
+        engine.synthesise(&plan, &transmit_leg, &mut iq);
+    });
+    ready.iq = iq;
+    Ok((
+        took,
+        format!(
+            "{}; {}",
+            plan.model.doppler.name(),
+            engine.error_model().why
+        ),
+    ))
+}
+
 /// What to run.
 #[derive(Args)]
 pub(crate) struct Selection {
@@ -590,7 +626,7 @@ pub(crate) struct Selection {
     /// Default: all, and the other tables.
     #[arg(long)]
     pub(crate) only: Option<String>,
-    /// Only this method for whole pings: direct, spectral, gridded-1d, gridded-2d.
+    /// Only this method for whole pings: direct, spectral, gridded-1d, gridded-2d, gridded-lines.
     #[arg(long)]
     method: Option<String>,
     /// SIMD level: best, portable, avx2, avx512.
@@ -664,6 +700,10 @@ fn one(
         if wanted("gridded-1d") {
             let outcome = gridded_1d(ready, simd_level);
             add("gridded-1d", ready, outcome);
+        }
+        if ping.elements >= MIN_LINE && wanted("gridded-lines") {
+            let outcome = gridded_lines(ready, simd_level);
+            add("gridded-lines", ready, outcome);
         }
         if ping.elements >= MIN_LINE && wanted("gridded-2d") {
             let outcome = gridded_2d(ready, simd_level, selection.stages);

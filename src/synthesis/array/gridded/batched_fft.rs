@@ -173,6 +173,29 @@ impl<T: Real> BatchedFft<T> {
         );
     }
 
+    /// The first pass: the long transform of every `short`-th row.
+    ///
+    /// SAFETY: `size` rows must exist in the table and `long` rows in the scratch; the processor must have V.
+    #[inline(always)]
+    unsafe fn long_pass<V: Lanes<Number = T>>(&self, table: Columns<T>, scratch: Columns<T>) {
+        let (long, short) = (self.long.size, self.short.size);
+        if long == 1 {
+            return;
+        }
+        for j in 0..short {
+            // SAFETY: the caller guarantees it.
+            unsafe {
+                let rows = Columns {
+                    re: table.re.add(j * table.step),
+                    step: table.step * short,
+                    ..table
+                };
+                let turns = self.turns.get_unchecked(j * long..(j + 1) * long);
+                self.long.run_turned::<V>(rows, scratch, turns);
+            }
+        }
+    }
+
     /// Processes the columns from lane `first` on, as many as V has lanes.
     ///
     /// SAFETY: the processor must have V; `job` is as [`Self::check`] requires, and `first` + V's
@@ -181,10 +204,9 @@ impl<T: Real> BatchedFft<T> {
     unsafe fn group<V: Lanes<Number = T>>(&self, job: &mut Job<T>, first: usize) {
         // SAFETY: rows up to size exist in the table, `long` rows of 2 V in the scratch, a row of templates for every place.
         unsafe {
-            let width = 2 * job.lanes;
             let table = Columns::<T> {
                 re: job.table.as_mut_ptr().add(first),
-                step: width,
+                step: 2 * job.lanes,
                 apart: job.lanes,
             };
             let scratch = Columns::<T> {
@@ -192,16 +214,8 @@ impl<T: Real> BatchedFft<T> {
                 step: 2 * V::COUNT,
                 apart: V::COUNT,
             };
-            let (long, short) = (self.long.size, self.short.size);
-            for j in 0..short {
-                let rows = Columns {
-                    re: table.re.add(j * width),
-                    step: width * short,
-                    ..table
-                };
-                let turns = self.turns.get_unchecked(j * long..(j + 1) * long);
-                self.long.run_turned::<V>(rows, scratch, turns);
-            }
+            self.long_pass::<V>(table, scratch);
+            let short = self.short.size;
             let templates = job
                 .templates
                 .as_ptr()
@@ -225,6 +239,73 @@ impl<T: Real> BatchedFft<T> {
                 for row in 0..short {
                     rows.put::<V>(row, zero);
                 }
+            }
+        }
+    }
+}
+
+/// Columns of a table that are transformed in place: `[row][stride]` numbers, of which `lanes` real parts begin at `first`, followed by as many
+/// imaginary parts.
+pub(crate) struct LaneTable<'a> {
+    pub table: &'a mut [f32],
+    pub stride: usize,
+    pub first: usize,
+    pub lanes: usize,
+    pub scratch: &'a mut [f32],
+}
+
+/// Transforms every column of `job`. Row r then holds frequency [`BatchedFft::frequencies`]\[r].
+pub(crate) fn transform_lanes(simd_level: SimdLevel, fft: &BatchedFft<f32>, mut job: LaneTable) {
+    assert!(
+        job.lanes > 0 && job.lanes.is_multiple_of(2 * LANES),
+        "{} lanes",
+        job.lanes
+    );
+    assert!(job.first + 2 * job.lanes <= job.stride, "stride");
+    assert!(job.table.len() >= fft.size * job.stride, "rows");
+    assert!(job.scratch.len() >= fft.scratch_len(), "scratch");
+    match simd_level.kind() {
+        // SAFETY (of the three): a `SimdLevel` of this kind exists only on processors with the features; shapes checked above.
+        #[cfg(target_arch = "x86_64")]
+        Kind::Avx512 => unsafe { lanes_avx512(fft, &mut job) },
+        #[cfg(target_arch = "x86_64")]
+        Kind::Avx2 => unsafe { lanes_avx2(fft, &mut job) },
+        _ => unsafe { all_lanes::<[f32; 8]>(fft, &mut job) },
+    }
+}
+
+// SAFETY (of both): the processor must have the features; shapes as [`transform_lanes`] checks them.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+unsafe fn lanes_avx2(fft: &BatchedFft<f32>, job: &mut LaneTable) {
+    unsafe { all_lanes::<__m256>(fft, job) }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
+unsafe fn lanes_avx512(fft: &BatchedFft<f32>, job: &mut LaneTable) {
+    unsafe { all_lanes::<__m512>(fft, job) }
+}
+
+/// SAFETY: the processor must have V; shapes as [`transform_lanes`] checks them.
+#[inline(always)]
+unsafe fn all_lanes<V: Lanes<Number = f32>>(fft: &BatchedFft<f32>, job: &mut LaneTable) {
+    for first in (0..job.lanes).step_by(V::COUNT) {
+        // SAFETY: the caller guarantees it.
+        unsafe {
+            let table = Columns::<f32> {
+                re: job.table.as_mut_ptr().add(job.first + first),
+                step: job.stride,
+                apart: job.lanes,
+            };
+            let scratch = Columns::<f32> {
+                re: job.scratch.as_mut_ptr(),
+                step: 2 * V::COUNT,
+                apart: V::COUNT,
+            };
+            fft.long_pass::<V>(table, scratch);
+            for block in (0..fft.size).step_by(fft.short.size) {
+                fft.short.run::<V>(table.from(block));
             }
         }
     }

@@ -14,7 +14,7 @@ mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
 mod band;
-mod batched_fft;
+pub(crate) mod batched_fft;
 mod choose;
 pub mod cost_estimate;
 mod design;

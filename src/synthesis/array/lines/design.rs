@@ -1,0 +1,347 @@
+//! Sizes of the engine from a tolerance, with the predicted error and cost.
+//!
+//! The error of an echo has three parts: images of the spreading kernel, the weights on columns of Doppler, and the interpolation along the line.
+//! Each is an rms over the echo, or a bound. In windows in which many echoes overlap they add like noise; the worst of thousands of windows, where
+//! echoes nearly cancel or only begin, is larger by a factor (measured).
+
+use std::f64::consts::{PI, TAU};
+
+use crate::array::filter::Decimator;
+use crate::array::gridded::CostEstimate;
+use crate::array::gridded::pulse_spectrum::PulseSpectrum;
+use crate::array::gridded::transform::grid_size;
+use crate::error_model::ErrorModel;
+use echotank_core::arrays::{ArrayGeometry, Pattern};
+use echotank_core::model::DopplerModel;
+use echotank_core::pulse::Pulse;
+use echotank_core::simd::SimdLevel;
+
+use super::dopplers::{Columns, MAX_TAPS};
+use super::kernel::{Content, Kernel};
+use super::nodes::interpolation_error_m;
+use super::spread::LANES;
+
+/// Largest error of any window of a ping over the rms error of an echo, for kernels and for columns: windows with the onset of the first echo
+/// alone are the worst (measured).
+const WORST_OF_KERNEL: f64 = 20.0;
+const WORST_OF_COLUMNS: f64 = 10.0;
+/// Shares of the tolerance, in squares: kernel, columns, interpolation.
+const SHARES: [f64; 3] = [0.45, 0.45, 0.1];
+/// Smallest supported tolerance: at 3e-4, onsets of single echoes were measured 1.3 times above it.
+pub(crate) const MIN_TOLERANCE: f64 = 1e-3;
+/// Kernels and grids to try: rows, and rows per sample as a fraction.
+const WIDTHS: std::ops::RangeInclusive<usize> = 3..=8;
+const DENSITIES: [(usize, usize); 4] = [(1, 1), (5, 4), (3, 2), (2, 1)];
+/// Frequencies at which the pulse's spectrum weighs the images.
+const CONTENTS: usize = 48;
+/// Samples of a slab's transform.
+const MIN_SLAB: usize = 192;
+const MAX_SLAB: usize = 8192;
+/// Costs, nanoseconds of one core (AVX-512, measured): per echo; per echo and node; per echo and block; per row of it; per tap of a row.
+const ECHO_NS: f64 = 30.0;
+const NODE_NS: f64 = 18.0;
+const BLOCK_NS: f64 = 15.0;
+const ROW_NS: f64 = 1.9;
+const TAP_NS: f64 = 0.9;
+/// Per row of a column's transform and log2 of the rows; per sample and element of the output.
+const TRANSFORM_NS: f64 = 1.6;
+const SAMPLE_NS: f64 = 6.0;
+/// Speed that echoes typically differ by, m/s, for the number of columns in the cost.
+const TYPICAL_M_PER_S: f64 = 1.5;
+
+/// Requirements on the engine.
+#[derive(Clone, Copy)]
+pub struct Spec<'a> {
+    /// The line array.
+    pub array: &'a ArrayGeometry,
+    /// Transmitted pulse.
+    pub pulse: &'a Pulse,
+    /// Sound speed, m/s.
+    pub sound_speed_m_per_s: f64,
+    /// Sample rate of the output, Hz.
+    pub sample_rate_hz: f64,
+    /// Receiver filter. It is required, because the method needs a limited band.
+    pub filter: Option<&'a Decimator>,
+    /// Doppler model.
+    pub doppler: DopplerModel,
+    /// Smallest range of a scatterer, metres.
+    pub nearest_m: f64,
+    /// Fastest platform, m/s.
+    pub fastest_m_per_s: f64,
+    /// Largest relative error in any window of one pulse length.
+    pub tolerance: f64,
+    /// Approximate number of samples of one element, for the cost only.
+    pub samples: usize,
+    /// Approximate number of echoes, for the cost only.
+    pub scatterers: usize,
+    /// Instruction set of the inner loops.
+    pub simd_level: SimdLevel,
+}
+
+/// Requirements that the engine does not meet.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// The tolerance is below the smallest supported one.
+    #[error("tolerance {tolerance:e} is below its minimum of {least:e}")]
+    TooFine {
+        /// Requested tolerance.
+        tolerance: f64,
+        /// Smallest tolerance with this pulse and sample rate.
+        least: f64,
+    },
+    /// There is no receiver filter.
+    #[error("the receiver filter is required: without it the band of the pulse is unlimited")]
+    NoFilter,
+    /// The Doppler model is not supported.
+    #[error("doppler model `{}` is not supported: expected `none`, `stretch` or `stretch-quadratic`", .0.name())]
+    Doppler(DopplerModel),
+    /// The array is a single element.
+    #[error("an array of one element is not a line: use gridded-1d")]
+    OneElement,
+    /// An element of the array stands for several.
+    #[error("an element that stands for several is not supported: use gridded-1d")]
+    Part,
+    /// The pulse is too long for the longest slab.
+    #[error(
+        "a pulse of {duration_s} s is too long: a slab has {MAX_SLAB} samples of {rate_hz} Hz at most"
+    )]
+    PulseTooLong {
+        /// Length of the pulse, seconds.
+        duration_s: f64,
+        /// Sample rate, Hz.
+        rate_hz: f64,
+    },
+}
+
+/// The chosen sizes.
+#[derive(Clone, Debug)]
+pub struct Design {
+    pub(super) kernel: Kernel,
+    pub(super) columns: Columns,
+    /// Stretch between neighbouring columns; 0 with one column.
+    pub(super) step: f64,
+    /// Columns to either side of zero Doppler.
+    pub(super) reach: usize,
+    /// Samples and grid rows of a slab's transform.
+    pub(super) slab_samples: usize,
+    pub(super) slab_rows: usize,
+    /// Samples between slabs.
+    pub(super) payload: usize,
+    /// Samples from the middle of an echo at the line's centre to its end at any element, with the filter; and the margin of the kernel.
+    pub(super) extent: usize,
+    pub(super) guard: usize,
+    /// Largest error of a path length along the line, metres.
+    pub(super) path_m: f64,
+    error_model: ErrorModel,
+    cost: CostEstimate,
+}
+
+/// Slab sizes for an echo that reaches `extent` samples from its middle.
+fn slabs(
+    extent: usize,
+    guard: usize,
+    samples: usize,
+    density: (usize, usize),
+) -> Option<(usize, usize)> {
+    let spent = 2 * (extent + guard);
+    let sizes = (MIN_SLAB..=MAX_SLAB).filter(|&size| {
+        let rows = size * density.0 / density.1;
+        size % (8 * density.1) == 0
+            && grid_size(size) == size
+            && grid_size(rows) == rows
+            && size > spent + spent / 4
+    });
+    let cost = |&size: &usize| {
+        let payload = size - spent;
+        let count = (samples + 2 * extent).div_ceil(payload);
+        // A fixed part for every slab, as many samples.
+        (count * (size + 64)) as f64 * (size as f64).log2()
+    };
+    sizes
+        .min_by(|a, b| cost(a).total_cmp(&cost(b)))
+        .map(|size| (size, size - spent))
+}
+
+impl Design {
+    /// Selects the cheapest sizes that keep the tolerance.
+    ///
+    /// Returns a [`Refusal`] if there are none.
+    pub fn new(spec: &Spec) -> Result<Self, Refusal> {
+        let Spec {
+            array,
+            pulse,
+            sound_speed_m_per_s: c,
+            sample_rate_hz: rate_hz,
+            tolerance,
+            ..
+        } = *spec;
+        let Some(filter) = spec.filter else {
+            return Err(Refusal::NoFilter);
+        };
+        if spec.doppler == DopplerModel::PaperEq21 {
+            return Err(Refusal::Doppler(spec.doppler));
+        }
+        if array.elements < 2 {
+            return Err(Refusal::OneElement);
+        }
+        if matches!(array.element_pattern, Pattern::Part { .. }) {
+            return Err(Refusal::Part);
+        }
+        if !(MIN_TOLERANCE..).contains(&tolerance) {
+            return Err(Refusal::TooFine {
+                tolerance,
+                least: MIN_TOLERANCE,
+            });
+        }
+        let share = |part: usize| tolerance * SHARES[part].sqrt();
+        let carrier_hz = pulse.center_frequency_hz;
+        let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
+        let extent_s = 0.55 * pulse.duration_s + filter.half_s() + 1.1 * half_m / c;
+        let extent = (extent_s * rate_hz).ceil() as usize + 1;
+        let blocks = array.elements.div_ceil(LANES) as f64;
+        let (echoes, samples) = (spec.scatterers as f64, spec.samples);
+
+        let moving = spec.doppler != DopplerModel::None;
+        let turn_per_stretch = PI * carrier_hz * pulse.duration_s;
+        let stretch = |m_per_s: f64| 2.0 * m_per_s / (c - m_per_s);
+        let candidates: Vec<Columns> = match moving {
+            false => vec![Columns::one()],
+            true => (2..=MAX_TAPS)
+                .map(|taps| Columns::fit(taps, share(1) / WORST_OF_COLUMNS))
+                .collect(),
+        };
+        let content = content(spec, filter);
+        let mut finest = f64::INFINITY;
+        let mut best: Option<Self> = None;
+        for density in DENSITIES {
+            let per_sample = density.0 as f64 / density.1 as f64;
+            let in_rows: Vec<Content> = content
+                .iter()
+                .map(|c| Content {
+                    nu: c.nu / per_sample,
+                    energy: c.energy,
+                })
+                .collect();
+            for width in WIDTHS {
+                let (kernel, kernel_error) = Kernel::fit(width, &in_rows);
+                finest = finest.min(WORST_OF_KERNEL * kernel_error / SHARES[0].sqrt());
+                if WORST_OF_KERNEL * kernel_error > share(0) {
+                    continue;
+                }
+                let guard = (0.5 * width as f64 / per_sample).ceil() as usize + 2;
+                let Some((slab_samples, payload)) = slabs(extent, guard, samples, density) else {
+                    return Err(Refusal::PulseTooLong {
+                        duration_s: pulse.duration_s,
+                        rate_hz,
+                    });
+                };
+                let slab_rows = slab_samples * density.0 / density.1;
+                for columns in &candidates {
+                    let step = match moving {
+                        false => 0.0,
+                        true => columns.turn_rad / turn_per_stretch,
+                    };
+                    let reach = match moving {
+                        false => 0,
+                        true => {
+                            (stretch(spec.fastest_m_per_s) / step).ceil() as usize + columns.taps
+                        }
+                    };
+                    let typical = match moving {
+                        false => 1.0,
+                        true => columns.taps as f64 + stretch(TYPICAL_M_PER_S) / step,
+                    };
+                    let row_ns = ROW_NS + TAP_NS * columns.taps as f64;
+                    let of_block = BLOCK_NS + (width as f64 + 0.5) * row_ns;
+                    let cost = CostEstimate {
+                        echoes_ns: echoes * (ECHO_NS + 5.0 * NODE_NS + blocks * of_block),
+                        grids_ns: {
+                            let count = (samples + 2 * extent).div_ceil(payload) as f64;
+                            let transform = |n: usize| TRANSFORM_NS * n as f64 * (n as f64).log2();
+                            let of_slab = typical * transform(slab_rows) + transform(slab_samples);
+                            blocks * count * of_slab
+                                + SAMPLE_NS * array.elements as f64 * samples as f64
+                        },
+                    };
+                    if best
+                        .as_ref()
+                        .is_some_and(|best| best.cost.ms() <= cost.ms())
+                    {
+                        continue;
+                    }
+                    let path_m = share(2) * c / (TAU * carrier_hz);
+                    let error = (WORST_OF_KERNEL * kernel_error)
+                        .hypot(WORST_OF_COLUMNS * columns.error)
+                        .hypot(share(2));
+                    best = Some(Self {
+                        kernel,
+                        columns: *columns,
+                        step,
+                        reach,
+                        slab_samples,
+                        slab_rows,
+                        payload,
+                        extent,
+                        guard,
+                        path_m,
+                        error_model: ErrorModel {
+                            name: "gridded-lines",
+                            error,
+                            cost_ms: cost.ms(),
+                            why: format!(
+                                "slabs of {slab_samples} samples, {slab_rows} rows; kernel of {width} rows; {} Doppler taps every {:.2e}",
+                                columns.taps, step
+                            ),
+                        },
+                        cost,
+                    });
+                }
+            }
+        }
+        best.ok_or(Refusal::TooFine {
+            tolerance,
+            least: finest,
+        })
+    }
+
+    /// Predicted windowed error, and cost in milliseconds of one core per ping.
+    pub fn error_model(&self) -> &ErrorModel {
+        &self.error_model
+    }
+
+    /// Parts of the predicted cost.
+    pub fn cost(&self) -> CostEstimate {
+        self.cost
+    }
+
+    /// Nodes along a line of `half_m` to either side for scatterers at `nearest_m` and beyond; none if no number is enough.
+    pub(super) fn nodes(&self, half_m: f64, spacing_m: f64, nearest_m: f64) -> Option<usize> {
+        let block_m = (LANES as f64 * spacing_m).min(2.0 * half_m);
+        let fits = |nodes: &usize| {
+            interpolation_error_m(*nodes, half_m, block_m, nearest_m) <= self.path_m
+        };
+        [3, 5, 7, 9].into_iter().find(fits)
+    }
+}
+
+/// The spectrum of the received pulse: cycles per sample.
+fn content(spec: &Spec, filter: &Decimator) -> Vec<Content> {
+    let rate_hz = spec.sample_rate_hz;
+    let shift_hz = match spec.doppler {
+        DopplerModel::None => 0.0,
+        _ => 2.0 * spec.fastest_m_per_s / spec.sound_speed_m_per_s * spec.pulse.center_frequency_hz,
+    };
+    let spectrum = PulseSpectrum::new(spec.pulse, 0.5 * rate_hz + shift_hz + 1.0);
+    (0..CONTENTS)
+        .map(|k| {
+            let nu = (k as f64 + 0.5) / CONTENTS as f64 - 0.5;
+            let at = |shift_hz: f64| spectrum.at(nu * rate_hz + shift_hz).norm_sqr();
+            let energy = 0.5 * at(0.0) + 0.25 * (at(-shift_hz) + at(shift_hz));
+            Content {
+                nu,
+                energy: energy * filter.gain(nu * rate_hz).powi(2),
+            }
+        })
+        .filter(|content| content.energy > 0.0)
+        .collect()
+}

@@ -1,0 +1,166 @@
+//! Columns of the grid: echoes of any Doppler as weighted sums of echoes of a few.
+//!
+//! About mid-pulse, an echo with a stretch x steps from that of a column is the column's echo times exp(j x turn 2w/T), |w| < T/2. The
+//! weights on the nearest columns are the least-squares solution over the pulse.
+
+/// Maximum number of columns of one echo.
+pub(super) const MAX_TAPS: usize = 4;
+/// Coefficients of a weight as a polynomial of the place between columns; error 1e-6.
+pub(super) const WEIGHT_TERMS: usize = 6;
+
+/// Columns a step apart, and the weights of an echo on `taps` of them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Columns {
+    pub taps: usize,
+    /// Phase at the ends of the pulse between neighbouring columns, radians.
+    pub turn_rad: f64,
+    /// rms error of echoes at all places between columns.
+    pub error: f64,
+    /// `[tap][power]` of the distance from the middle of the taps, -1/2..1/2.
+    pub weights: [[f64; WEIGHT_TERMS]; MAX_TAPS],
+}
+
+/// Mean of exp(j phase 2w/T) over the pulse.
+fn mean(phase_rad: f64) -> f64 {
+    if phase_rad.abs() < 1e-6 {
+        return 1.0;
+    }
+    libm::sin(phase_rad) / phase_rad
+}
+
+/// Least-squares weights of an echo at `x` from the middle of the taps, and the energy that they leave out.
+fn fit(taps: usize, turn_rad: f64, x: f64) -> ([f64; MAX_TAPS], f64) {
+    let at = |k: usize| k as f64 - 0.5 * (taps as f64 - 1.0);
+    let mut matrix = [[0.0; MAX_TAPS]; MAX_TAPS];
+    let mut right = [0.0; MAX_TAPS];
+    for i in 0..taps {
+        right[i] = mean((x - at(i)) * turn_rad);
+        for (k, cell) in matrix[i][..taps].iter_mut().enumerate() {
+            *cell = mean((at(i) - at(k)) * turn_rad);
+        }
+        matrix[i][i] += 1e-12;
+    }
+    let wanted = right;
+    for i in 0..taps {
+        let pivot = matrix[i];
+        for row in i + 1..taps {
+            let factor = matrix[row][i] / pivot[i];
+            for (cell, p) in matrix[row].iter_mut().zip(pivot) {
+                *cell -= factor * p;
+            }
+            right[row] -= factor * right[i];
+        }
+    }
+    let mut weights = [0.0; MAX_TAPS];
+    for i in (0..taps).rev() {
+        let known: f64 = (i + 1..taps).map(|k| matrix[i][k] * weights[k]).sum();
+        weights[i] = (right[i] - known) / matrix[i][i];
+    }
+    let kept: f64 = weights.iter().zip(&wanted).map(|(a, b)| a * b).sum();
+    (weights, (1.0 - kept).max(0.0))
+}
+
+/// rms error over all places.
+fn error(taps: usize, turn_rad: f64) -> f64 {
+    const PLACES: usize = 16;
+    let places = (0..PLACES).map(|k| (k as f64 + 0.5) / PLACES as f64 - 0.5);
+    let sum: f64 = places.map(|x| fit(taps, turn_rad, x).1).sum();
+    (sum / PLACES as f64).sqrt()
+}
+
+impl Columns {
+    /// A single column, for echoes without Doppler.
+    pub(super) fn one() -> Self {
+        let mut weights = [[0.0; WEIGHT_TERMS]; MAX_TAPS];
+        weights[0][0] = 1.0;
+        Self {
+            taps: 1,
+            turn_rad: 0.0,
+            error: 0.0,
+            weights,
+        }
+    }
+
+    /// The widest step with `taps` taps whose rms error is at most `tolerance`.
+    pub(super) fn fit(taps: usize, tolerance: f64) -> Self {
+        let (mut low, mut high) = (1e-4, 3.0);
+        for _ in 0..40 {
+            let middle = 0.5 * (low + high);
+            if error(taps, middle) <= tolerance {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        let turn_rad = low;
+        // A polynomial through Chebyshev nodes.
+        let node = |k: usize| {
+            let angle = std::f64::consts::PI * (k as f64 + 0.5) / WEIGHT_TERMS as f64;
+            0.5 * libm::cos(angle)
+        };
+        let values: [_; WEIGHT_TERMS] = std::array::from_fn(|k| fit(taps, turn_rad, node(k)).0);
+        let mut weights = [[0.0; WEIGHT_TERMS]; MAX_TAPS];
+        for (k, values) in values.iter().enumerate() {
+            // The Lagrange polynomial of node k, by powers.
+            let mut powers = [0.0; WEIGHT_TERMS];
+            powers[0] = 1.0;
+            for other in (0..WEIGHT_TERMS).filter(|&other| other != k) {
+                let per = 1.0 / (node(k) - node(other));
+                for power in (0..WEIGHT_TERMS).rev() {
+                    let below = if power > 0 { powers[power - 1] } else { 0.0 };
+                    powers[power] = (below - node(other) * powers[power]) * per;
+                }
+            }
+            for (weight, value) in weights[..taps].iter_mut().zip(values) {
+                for (weight, power) in weight.iter_mut().zip(powers) {
+                    *weight += value * power;
+                }
+            }
+        }
+        Self {
+            taps,
+            turn_rad,
+            error: error(taps, turn_rad),
+            weights,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weighted_columns_are_the_echo_within_the_tolerance() {
+        for taps in 1..=MAX_TAPS {
+            for tolerance in [1e-2, 1e-3, 1e-4] {
+                let columns = Columns::fit(taps, tolerance);
+                let (mut off, mut count) = (0.0, 0.0);
+                for place in 0..40 {
+                    let x = f64::from(place) / 39.0 - 0.5;
+                    for w in 0..200 {
+                        let w = (f64::from(w) + 0.5) / 100.0 - 1.0;
+                        let (mut re, mut im) = (0.0, 0.0);
+                        for (k, weights) in columns.weights[..taps].iter().enumerate() {
+                            let weight = weights.iter().rev().fold(0.0, |sum, c| sum * x + c);
+                            let at = k as f64 - 0.5 * (taps as f64 - 1.0);
+                            let phase = at * columns.turn_rad * w;
+                            re += weight * phase.cos();
+                            im += weight * phase.sin();
+                        }
+                        let phase = x * columns.turn_rad * w;
+                        off += (re - phase.cos()).powi(2) + (im - phase.sin()).powi(2);
+                        count += 1.0;
+                    }
+                }
+                let measured = f64::sqrt(off / count);
+                println!(
+                    "{taps} taps, {tolerance:e}: {:.3} rad, {measured:.2e}",
+                    columns.turn_rad
+                );
+                assert!(measured < 1.15 * tolerance, "{taps}: {measured:e}");
+                assert!(measured > 0.5 * tolerance, "{taps}: {measured:e}");
+            }
+        }
+    }
+}

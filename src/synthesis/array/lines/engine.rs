@@ -1,0 +1,685 @@
+//! One ping: geometry, order, spreading, transforms.
+//!
+//! Slabs of delay lie at fixed samples of the record. Each echo belongs to the slab of its arrival at the middle of the line. A task is one slab
+//! of one block of elements; no sum crosses tasks but the addition of overlapping slabs, in order. The samples are therefore the same bits for any
+//! number of threads.
+
+use std::sync::{Mutex, PoisonError};
+
+use num_complex::{Complex, Complex64};
+use rayon::prelude::*;
+
+use crate::array::filter::Decimator;
+use crate::array::gridded::batched_fft::{BatchedFft, LaneTable, transform_lanes};
+use crate::array::gridded::pulse_spectrum::PulseSpectrum;
+use crate::arrivals::CHUNK;
+use crate::echo::walk::{GAIN_NODES, MAX_NODES, NodeBatch, NodeTracks, NodeWorkspace, TransmitLeg};
+use crate::error_model::ErrorModel;
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::model::DopplerModel;
+use echotank_core::ping::{EchoCounts, PingPlan};
+use echotank_core::simd::SimdLevel;
+
+use super::design::{Design, Refusal, Spec};
+use super::nodes::{BlockWeights, block_weights, places};
+use super::spread::{CELL, EchoChunk, LANES, Located, Shape, add};
+
+/// Echoes are ordered by arrival in steps of this many rows.
+const BUCKET_ROWS: usize = 8;
+/// Share of the energy in a bucket that echoes with a Doppler beyond the columns may have, relative to the squared tolerance.
+const BESIDE_SHARE: f64 = 0.02;
+/// Marks echoes that no slab takes.
+const NOWHERE: u32 = u32::MAX;
+
+/// The engine for one line array and one pulse.
+pub struct GriddedLines {
+    design: Design,
+    simd_level: SimdLevel,
+    array: ArrayGeometry,
+    sample_rate_hz: f64,
+    pulse_s: f64,
+    tolerance: f64,
+    forward: BatchedFft<f32>,
+    inverse: BatchedFft<f32>,
+    /// Row of the grid and row of the spectrum of every used bin.
+    bins: Vec<(u32, u32)>,
+    /// `[column][bin]`
+    templates: Vec<Vec<Complex<f32>>>,
+    /// Row of the transformed spectrum that holds each sample.
+    row_of_sample: Vec<u32>,
+    state: State,
+}
+
+/// Buffers, reused from ping to ping.
+#[derive(Default)]
+struct State {
+    tracks: NodeTracks,
+    blocks: Vec<BlockWeights>,
+    batches: Vec<Batch>,
+    /// Echoes in order: batch and index.
+    order: Vec<u32>,
+    /// First echo of every bucket in `order`.
+    firsts: Vec<u32>,
+    chunks: Vec<EchoChunk>,
+    slabs: Vec<SlabPlan>,
+    /// Energy by bucket and column.
+    energy: Vec<f32>,
+    outputs: Vec<Vec<f32>>,
+    geometry: Vec<Mutex<(NodeWorkspace, Box<NodeBatch>)>>,
+    work: Vec<Mutex<Work>>,
+}
+
+/// Buffers of one thread.
+#[derive(Default)]
+struct Work {
+    located: Box<Located>,
+    grid: Vec<f32>,
+    scratch: Vec<f32>,
+}
+
+/// Stored geometry of [`CHUNK`] scatterers.
+struct Batch {
+    chunk: EchoChunk,
+    bucket: [u32; CHUNK],
+    counts: EchoCounts,
+}
+
+/// One slab of a ping.
+#[derive(Clone, Default)]
+struct SlabPlan {
+    /// First sample of its transform, relative to the record.
+    origin: isize,
+    /// Chunks of its echoes.
+    chunks: std::ops::Range<usize>,
+    first_column: i32,
+    columns: usize,
+}
+
+impl GriddedLines {
+    /// Designs and builds the engine. Build it inside the thread pool that runs it.
+    ///
+    /// Returns a [`Refusal`] if no sizes keep the tolerance.
+    pub fn new(spec: &Spec) -> Result<Self, Refusal> {
+        let design = Design::new(spec)?;
+        let filter = spec.filter.ok_or(Refusal::NoFilter)?;
+        let forward = BatchedFft::new(design.slab_rows);
+        let inverse = BatchedFft::new(design.slab_samples);
+        let (rows, samples) = (design.slab_rows, design.slab_samples);
+        let mut row_of_bin = vec![0u32; rows];
+        for (row, frequency) in forward.frequencies().enumerate() {
+            row_of_bin[frequency] = row as u32;
+        }
+        let mut row_of_sample = vec![0u32; samples];
+        for (row, sample) in inverse.frequencies().enumerate() {
+            row_of_sample[sample] = row as u32;
+        }
+        let half = samples.min(rows) as isize / 2;
+        let numbers: Vec<isize> = (1 - half..half).collect();
+        let bins = numbers
+            .iter()
+            .map(|&k| {
+                let row = row_of_bin[k.rem_euclid(rows as isize) as usize];
+                (row, k.rem_euclid(samples as isize) as u32)
+            })
+            .collect();
+        let templates = templates(spec, &design, filter, &numbers);
+        let threads = rayon::current_num_threads();
+        let fft_scratch = forward.scratch_len().max(inverse.scratch_len());
+        let state = State {
+            geometry: (0..threads).map(|_| Mutex::default()).collect(),
+            work: (0..threads)
+                .map(|_| {
+                    Mutex::new(Work {
+                        scratch: vec![0.0; fft_scratch],
+                        ..Work::default()
+                    })
+                })
+                .collect(),
+            ..State::default()
+        };
+        Ok(Self {
+            simd_level: spec.simd_level,
+            array: spec.array.clone(),
+            sample_rate_hz: spec.sample_rate_hz,
+            pulse_s: spec.pulse.duration_s,
+            tolerance: spec.tolerance,
+            forward,
+            inverse,
+            bins,
+            templates,
+            row_of_sample,
+            design,
+            state,
+        })
+    }
+
+    /// Predicted windowed error, and cost in milliseconds of one core per ping.
+    pub fn error_model(&self) -> &ErrorModel {
+        self.design.error_model()
+    }
+
+    /// Length of the pulse that the engine is made for, seconds.
+    pub fn pulse_s(&self) -> f64 {
+        self.pulse_s
+    }
+
+    /// Synthesises one ping. Overwrites `iq`, element-major as in [`echotank_core::ping::ElementFrame`]. The samples are the same bits for any
+    /// number of threads. It allocates nothing after the largest ping.
+    ///
+    /// Where scatterers are nearer than any number of nodes allows, or faster than the columns, their echoes are counted as beyond the engine.
+    pub fn synthesise(
+        &mut self,
+        plan: &PingPlan,
+        transmit_leg: &TransmitLeg,
+        iq: &mut [Complex64],
+    ) -> EchoCounts {
+        assert_eq!(
+            iq.len(),
+            self.array.elements * plan.sample_count,
+            "element-major samples"
+        );
+        let mut counts = self.solve(plan, transmit_leg);
+        let all = transmit_leg.len() as u64 * self.array.elements as u64;
+        self.sort(plan, &mut counts);
+        counts.outside_window = all.saturating_sub(counts.used + counts.culled);
+        self.run_tasks(plan);
+        self.assemble(plan, iq);
+        counts
+    }
+
+    /// Half the length of the line, metres.
+    fn half_m(&self) -> f64 {
+        0.5 * (self.array.elements - 1) as f64 * self.array.spacing_m
+    }
+
+    /// Time of a slab's first row after the start of the pulse, seconds.
+    fn slab_start_s(&self, plan: &PingPlan, origin: isize) -> f64 {
+        plan.first_sample_s + origin as f64 / self.sample_rate_hz
+    }
+
+    fn rows_per_s(&self) -> f64 {
+        self.sample_rate_hz * self.design.slab_rows as f64 / self.design.slab_samples as f64
+    }
+
+    /// Number of slabs of a ping.
+    fn slab_count(&self, plan: &PingPlan) -> usize {
+        let Design {
+            payload, extent, ..
+        } = self.design;
+        (plan.sample_count + 2 * extent) / payload + 1
+    }
+
+    /// First sample of slab `s`.
+    fn slab_origin(&self, s: usize) -> isize {
+        let Design {
+            payload,
+            extent,
+            guard,
+            ..
+        } = self.design;
+        (s * payload) as isize - (2 * extent + guard) as isize
+    }
+
+    /// The echoes at the nodes, batch by batch.
+    fn solve(&mut self, plan: &PingPlan, transmit_leg: &TransmitLeg) -> EchoCounts {
+        let (half_m, spacing_m) = (self.half_m(), self.array.spacing_m);
+        let nearest_m = NodeTracks::nearest_m(transmit_leg);
+        let enough = self.design.nodes(half_m, spacing_m, nearest_m);
+        let nodes = places(enough.unwrap_or(MAX_NODES));
+        let (per_s, slabs) = (self.rows_per_s(), self.slab_count(plan));
+        let Design {
+            payload,
+            extent,
+            step,
+            reach,
+            ..
+        } = self.design;
+        let per_step = if step > 0.0 { 1.0 / step } else { 0.0 };
+        let buckets_per_s = per_s / BUCKET_ROWS as f64;
+        let (first_s, rate_hz) = (plan.first_sample_s, self.sample_rate_hz);
+        let first_middle_s = first_s - extent as f64 / rate_hz;
+        let per_payload = rate_hz / payload as f64;
+        let buckets = (payload as f64 * buckets_per_s / rate_hz).ceil() as u32 + 1;
+        let array = &self.array;
+        let state = &mut self.state;
+        let along_m: Vec<f64> = nodes.iter().map(|place| place * half_m).collect();
+        state.tracks.lay(plan, array, transmit_leg, &along_m);
+        let per_element = spacing_m / half_m;
+        state.blocks.clear();
+        state
+            .blocks
+            .extend((0..array.elements.div_ceil(LANES)).map(|block| {
+                let middle = (block * LANES) as f64 + 0.5 * (LANES as f64 - 1.0);
+                let middle = middle - 0.5 * (array.elements - 1) as f64;
+                block_weights(&nodes, middle * per_element, per_element)
+            }));
+        let batches = NodeTracks::batches(transmit_leg);
+        if state.batches.len() < batches {
+            state.batches.resize_with(batches, || Batch {
+                chunk: EchoChunk::default(),
+                bucket: [NOWHERE; CHUNK],
+                counts: EchoCounts::default(),
+            });
+        }
+        let (tracks, geometry) = (&state.tracks, &state.geometry);
+        let count = nodes.len();
+        state.batches[..batches]
+            .par_iter_mut()
+            .enumerate()
+            .for_each(|(b, batch)| {
+                let thread = rayon::current_thread_index().unwrap_or(0);
+                // A panic in another ping leaves the buffers as good as any: every use overwrites them.
+                let mut work = geometry[thread]
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner);
+                let (work, solved) = &mut *work;
+                batch.counts = tracks.batch(plan, array, transmit_leg, b, work, solved);
+                let chunk = &mut batch.chunk;
+                chunk.len = solved.len;
+                for node in 0..count {
+                    chunk.middle[node * CHUNK..][..CHUNK].copy_from_slice(&solved.middle_s[node]);
+                }
+                for k in 0..GAIN_NODES {
+                    for i in 0..CHUNK {
+                        chunk.gain[k][i] = solved.gain[k][i] as f32;
+                        chunk.doppler[k][i] = (solved.doppler[k][i] * per_step) as f32;
+                    }
+                }
+                for i in 0..CHUNK {
+                    chunk.re[i] = solved.amplitude[i].re as f32;
+                    chunk.im[i] = solved.amplitude[i].im as f32;
+                }
+                let middles = &solved.middle_s[count / 2];
+                let most = (reach + 1) as f32;
+                let mut beyond = 0;
+                for i in 0..CHUNK {
+                    let after_s = middles[i] - first_middle_s;
+                    let slab = (after_s * per_payload).floor();
+                    let inside = solved.keep[i] && slab >= 0.0 && slab < slabs as f64;
+                    batch.bucket[i] = match inside && i < solved.len {
+                        true => {
+                            let rest_s = after_s - slab / per_payload;
+                            let bucket = (rest_s * buckets_per_s).max(0.0) as u32;
+                            slab as u32 * buckets + bucket.min(buckets - 1)
+                        }
+                        false => NOWHERE,
+                    };
+                    let fast = chunk.doppler[1][i].abs() > most;
+                    beyond += u64::from(inside && i < solved.len && (fast || enough.is_none()));
+                }
+                batch.counts.beyond_engine = beyond * array.elements as u64;
+            });
+        let mut counts = EchoCounts::default();
+        for batch in &state.batches[..batches] {
+            counts += batch.counts;
+        }
+        // What lies past the last batch is of an earlier ping.
+        for batch in &mut state.batches[batches..] {
+            batch.chunk.len = 0;
+            batch.bucket = [NOWHERE; CHUNK];
+        }
+        state.firsts.clear();
+        state.firsts.resize(slabs * buckets as usize + 1, 0);
+        state.slabs.clear();
+        state.slabs.resize(slabs, SlabPlan::default());
+        counts
+    }
+
+    /// Orders the echoes by slab and arrival, selects the columns of each slab, and gathers the echoes into chunks of one slab.
+    fn sort(&mut self, plan: &PingPlan, counts: &mut EchoCounts) {
+        let per_s = self.rows_per_s();
+        let origins: Vec<isize> = (0..self.state.slabs.len())
+            .map(|s| self.slab_origin(s))
+            .collect();
+        let starts: Vec<f64> = origins
+            .iter()
+            .map(|&origin| self.slab_start_s(plan, origin))
+            .collect();
+        let Design { columns, reach, .. } = self.design;
+        let beside = (BESIDE_SHARE * self.tolerance * self.tolerance) as f32;
+        let state = &mut self.state;
+        let buckets = state.firsts.len() - 1;
+        let width = 2 * reach + 1;
+        let moving = reach > 0;
+        if moving {
+            state.energy.clear();
+            state.energy.resize(buckets * width, 0.0);
+        }
+        for batch in &state.batches {
+            for (i, &bucket) in batch.bucket[..batch.chunk.len].iter().enumerate() {
+                if bucket == NOWHERE {
+                    continue;
+                }
+                state.firsts[bucket as usize + 1] += 1;
+                if moving {
+                    let chunk = &batch.chunk;
+                    let gain = chunk.gain[1][i];
+                    let power =
+                        gain * gain * (chunk.re[i] * chunk.re[i] + chunk.im[i] * chunk.im[i]);
+                    let column = chunk.doppler[1][i].round() + reach as f32;
+                    let column = (column.max(0.0) as usize).min(width - 1);
+                    state.energy[bucket as usize * width + column] += power;
+                }
+            }
+        }
+        for k in 0..buckets {
+            state.firsts[k + 1] += state.firsts[k];
+        }
+        let total = state.firsts[buckets] as usize;
+        counts.used = total as u64 * self.array.elements as u64;
+        state.order.clear();
+        state.order.resize(total, 0);
+        let mut next = std::mem::take(&mut state.firsts);
+        for (b, batch) in state.batches.iter().enumerate() {
+            for (i, &bucket) in batch.bucket[..batch.chunk.len].iter().enumerate() {
+                if bucket != NOWHERE {
+                    let at = &mut next[bucket as usize];
+                    state.order[*at as usize] = (b * CHUNK + i) as u32;
+                    *at += 1;
+                }
+            }
+        }
+        // `next` now holds the ends of the buckets.
+        let slabs = state.slabs.len();
+        let per_slab = buckets / slabs.max(1);
+        let mut chunks = 0;
+        let mut spans = Vec::with_capacity(slabs);
+        for (s, slab) in state.slabs.iter_mut().enumerate() {
+            let begin = match s {
+                0 => 0,
+                _ => next[s * per_slab - 1] as usize,
+            };
+            let end = next[(s + 1) * per_slab - 1] as usize;
+            let of_slab = (end - begin).div_ceil(CHUNK);
+            slab.origin = origins[s];
+            slab.chunks = chunks..chunks + of_slab;
+            chunks += of_slab;
+            spans.push(begin..end);
+            (slab.first_column, slab.columns) = match moving {
+                false => (0, 1),
+                true => {
+                    let energy = &state.energy[s * per_slab * width..(s + 1) * per_slab * width];
+                    let (first, last) = used_columns(energy, width, beside);
+                    // The taps of echoes at either end.
+                    let before = (columns.taps / 2) as i32;
+                    let first_column = first as i32 - reach as i32 - before;
+                    let count = last - first + 1 + 2 * (columns.taps / 2);
+                    (first_column, count.max(columns.taps))
+                }
+            };
+        }
+        state.firsts = next;
+        if state.chunks.len() < chunks {
+            state.chunks.resize_with(chunks, EchoChunk::default);
+        }
+        let nodes = state.tracks.count();
+        let (batches, order, slabs) = (&state.batches, &state.order, &state.slabs);
+        state.chunks[..chunks]
+            .par_iter_mut()
+            .enumerate()
+            .for_each(|(number, chunk)| {
+                let slab = slabs.partition_point(|slab| slab.chunks.end <= number);
+                let begin = spans[slab].start + (number - slabs[slab].chunks.start) * CHUNK;
+                let ids = &order[begin..spans[slab].end.min(begin + CHUNK)];
+                chunk.len = ids.len();
+                let start_s = starts[slab];
+                for (i, &id) in ids.iter().enumerate() {
+                    let (from, k) = (&batches[id as usize / CHUNK].chunk, id as usize % CHUNK);
+                    for node in 0..nodes {
+                        let at = node * CHUNK;
+                        chunk.middle[at + i] = (from.middle[at + k] - start_s) * per_s;
+                    }
+                    for g in 0..GAIN_NODES {
+                        chunk.gain[g][i] = from.gain[g][k];
+                        chunk.doppler[g][i] = from.doppler[g][k];
+                    }
+                    chunk.re[i] = from.re[k];
+                    chunk.im[i] = from.im[k];
+                }
+            });
+    }
+
+    fn shape(&self, plan: &PingPlan, slab: &SlabPlan) -> Shape {
+        let Design {
+            kernel, columns, ..
+        } = &self.design;
+        let carrier_hz = plan.pulse.center_frequency_hz;
+        let start_s = self.slab_start_s(plan, slab.origin);
+        let narrow = |values: &[f64]| -> Vec<f32> { values.iter().map(|v| *v as f32).collect() };
+        let mut weights = [[0.0; _]; _];
+        for (to, from) in weights.iter_mut().zip(&columns.weights) {
+            for (to, from) in std::iter::zip::<&mut [f32; _], _>(to, narrow(from)) {
+                *to = from;
+            }
+        }
+        Shape {
+            nodes: self.state.tracks.count(),
+            rows: self.design.slab_rows,
+            columns: slab.columns,
+            first_column: slab.first_column,
+            taps: columns.taps,
+            weights,
+            width: kernel.width as f32,
+            terms: kernel.terms.map(|term| term as f32),
+            turns_per_row: carrier_hz / self.rows_per_s(),
+            turns: carrier_hz * (start_s - 0.5 * plan.pulse.duration_s),
+        }
+    }
+
+    /// Spreads and transforms every slab of every block.
+    fn run_tasks(&mut self, plan: &PingPlan) {
+        let blocks = self.state.blocks.len();
+        let tasks = blocks * self.state.slabs.len();
+        let mut outputs = std::mem::take(&mut self.state.outputs);
+        if outputs.len() < tasks {
+            outputs.resize_with(tasks, Vec::new);
+        }
+        let this = &*self;
+        outputs[..tasks]
+            .par_iter_mut()
+            .with_max_len(1)
+            .enumerate()
+            .for_each(|(task, output)| {
+                let slab = &this.state.slabs[task / blocks];
+                output.clear();
+                if slab.chunks.is_empty() {
+                    return;
+                }
+                let thread = rayon::current_thread_index().unwrap_or(0);
+                // As above.
+                let mut work = this.state.work[thread]
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner);
+                this.run_task(
+                    plan,
+                    slab,
+                    &this.state.blocks[task % blocks],
+                    &mut work,
+                    output,
+                );
+            });
+        self.state.outputs = outputs;
+    }
+
+    /// One slab of one block: `output` gets `slab_samples * CELL` numbers, in the order of the inverse transform.
+    fn run_task(
+        &self,
+        plan: &PingPlan,
+        slab: &SlabPlan,
+        block: &BlockWeights,
+        work: &mut Work,
+        output: &mut Vec<f32>,
+    ) {
+        let Work {
+            located,
+            grid,
+            scratch,
+        } = work;
+        let shape = self.shape(plan, slab);
+        grid.clear();
+        grid.resize(shape.rows * shape.columns * CELL, 0.0);
+        for chunk in &self.state.chunks[slab.chunks.clone()] {
+            add(self.simd_level, &shape, block, chunk, located, grid);
+        }
+        let stride = shape.columns * CELL;
+        for column in 0..shape.columns {
+            let table = LaneTable {
+                table: grid,
+                stride,
+                first: column * CELL,
+                lanes: LANES,
+                scratch,
+            };
+            transform_lanes(self.simd_level, &self.forward, table);
+        }
+        output.resize(self.design.slab_samples * CELL, 0.0);
+        let middle = self.design.reach as i32;
+        let last = self.templates.len() as i32 - 1;
+        let templates: Vec<&[Complex<f32>]> = (0..shape.columns as i32)
+            .map(|k| &self.templates[(shape.first_column + k + middle).clamp(0, last) as usize][..])
+            .collect();
+        self.simd_level.run(
+            #[inline(always)]
+            || apply_templates(&self.bins, &templates, grid, output),
+        );
+        let table = LaneTable {
+            table: output,
+            stride: CELL,
+            first: 0,
+            lanes: LANES,
+            scratch,
+        };
+        transform_lanes(self.simd_level, &self.inverse, table);
+    }
+
+    /// Adds the slabs of each element, in order.
+    fn assemble(&self, plan: &PingPlan, iq: &mut [Complex64]) {
+        let count = plan.sample_count;
+        if count == 0 {
+            return;
+        }
+        let State {
+            slabs,
+            blocks,
+            outputs,
+            ..
+        } = &self.state;
+        let blocks = blocks.len();
+        iq.par_chunks_mut(count * LANES)
+            .enumerate()
+            .for_each(|(block, iq)| {
+                iq.fill(Complex64::ZERO);
+                let elements = iq.len() / count;
+                for (s, slab) in slabs.iter().enumerate() {
+                    let output = &outputs[s * blocks + block];
+                    if output.is_empty() {
+                        continue;
+                    }
+                    let begin = slab.origin.max(0);
+                    let end = (slab.origin + self.design.slab_samples as isize).min(count as isize);
+                    for k in begin..end {
+                        let row = self.row_of_sample[(k - slab.origin) as usize] as usize;
+                        let cell = &output[row * CELL..][..CELL];
+                        for lane in 0..elements {
+                            // Real and imaginary parts are exchanged, which makes the transform an inverse one.
+                            let value =
+                                Complex64::new(cell[LANES + lane].into(), cell[lane].into());
+                            iq[lane * count + k as usize] += value;
+                        }
+                    }
+                }
+            });
+    }
+}
+
+/// First and last column, of `width`, that hold all but a share `beside` of the energy of every bucket.
+fn used_columns(energy: &[f32], width: usize, beside: f32) -> (usize, usize) {
+    let (mut first, mut last) = (width, 0);
+    for bucket in energy.chunks_exact(width) {
+        let room = beside * bucket.iter().sum::<f32>();
+        let skipped = |of: &mut dyn Iterator<Item = &f32>| {
+            let mut sum = 0.0;
+            let beyond = |power: &&f32| {
+                sum += **power;
+                sum <= room
+            };
+            of.take_while(beyond).count()
+        };
+        let before = skipped(&mut bucket.iter());
+        if before == width {
+            continue;
+        }
+        let after = skipped(&mut bucket.iter().rev());
+        first = first.min(before);
+        last = last.max(width - 1 - after);
+    }
+    match first <= last {
+        true => (first, last),
+        false => (width / 2, width / 2),
+    }
+}
+
+/// Sums the columns, each times its template, into the rows of the spectrum, with real and imaginary parts exchanged.
+#[inline(always)]
+fn apply_templates(
+    bins: &[(u32, u32)],
+    templates: &[&[Complex<f32>]],
+    grid: &[f32],
+    output: &mut [f32],
+) {
+    let stride = templates.len() * CELL;
+    for (bin, &(from, to)) in bins.iter().enumerate() {
+        let row = &grid[from as usize * stride..][..stride];
+        let (mut re, mut im) = ([0.0f32; LANES], [0.0f32; LANES]);
+        for (template, cell) in templates.iter().zip(row.as_chunks::<CELL>().0) {
+            let Complex { re: a, im: b } = template[bin];
+            for lane in 0..LANES {
+                let (x, y) = (cell[lane], cell[LANES + lane]);
+                re[lane] += a * x - b * y;
+                im[lane] += a * y + b * x;
+            }
+        }
+        let cell = &mut output[to as usize * CELL..][..CELL];
+        cell[..LANES].copy_from_slice(&im);
+        cell[LANES..].copy_from_slice(&re);
+    }
+}
+
+/// Spectrum of the pulse as each column stretches it, behind the receiver filter, with the correction of the kernel: `[column][bin]`.
+fn templates(
+    spec: &Spec,
+    design: &Design,
+    filter: &Decimator,
+    bins: &[isize],
+) -> Vec<Vec<Complex<f32>>> {
+    let bin_hz = spec.sample_rate_hz / design.slab_samples as f64;
+    let carrier_hz = spec.pulse.center_frequency_hz;
+    let reach = match spec.doppler {
+        DopplerModel::None => 0,
+        _ => design.reach as isize,
+    };
+    let greatest = design.step * reach as f64;
+    let highest_hz = (0.5 * spec.sample_rate_hz + carrier_hz * greatest) / (1.0 - greatest);
+    let spectrum = PulseSpectrum::new(spec.pulse, highest_hz + bin_hz);
+    let common: Vec<f64> = bins
+        .iter()
+        .map(|&k| {
+            let per_row = k as f64 / design.slab_rows as f64;
+            bin_hz * filter.gain(k as f64 * bin_hz) / design.kernel.gain(per_row)
+        })
+        .collect();
+    (-reach..=reach)
+        .map(|column| {
+            let stretch = design.step * column as f64;
+            let per = 1.0 / (1.0 + stretch);
+            bins.iter()
+                .zip(&common)
+                .map(|(&k, common)| {
+                    let at_hz = (k as f64 * bin_hz - carrier_hz * stretch) * per;
+                    let value = spectrum.at(at_hz) * (common * per);
+                    Complex::new(value.re as f32, value.im as f32)
+                })
+                .collect()
+        })
+        .collect()
+}

@@ -1,0 +1,203 @@
+//! The walk for whole line arrays: the middle of every echo at a few points along the line, between which engines interpolate.
+//!
+//! Delays, motion and amplitudes are smooth along a line. Delays are solved at all nodes as [`super::arrivals`] solves them for an element;
+//! stretch and gain are computed at three nodes, the first, the middle and the last.
+
+use crate::arrivals::CHUNK;
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::model::{DopplerModel, PathModel};
+use echotank_core::ping::{EchoCounts, PingPlan};
+
+use super::{
+    Complex64, ElementTrack, Rays, ReceiveLeg, ReceivedBatch, TransmitLeg, expand_mid_pulse,
+    pattern_floor, receive_gains, refine, solve,
+};
+
+/// Maximum number of nodes along a line.
+pub const MAX_NODES: usize = 9;
+/// Nodes with stretch and gain.
+pub const GAIN_NODES: usize = 3;
+
+/// Tracks of the nodes through one ping, shared by all threads.
+#[derive(Debug, Default)]
+pub struct NodeTracks {
+    tracks: Vec<ElementTrack>,
+    /// Weights of the three gain nodes at every node.
+    shares: [[f64; GAIN_NODES]; MAX_NODES],
+    nodes: usize,
+}
+
+/// Per-thread buffers of [`NodeTracks::batch`].
+#[derive(Default)]
+pub struct NodeWorkspace {
+    rays: Rays,
+    received: ReceivedBatch,
+}
+
+/// Echoes of up to [`CHUNK`] scatterers at all nodes.
+pub struct NodeBatch {
+    /// Number of scatterers.
+    pub len: usize,
+    /// Arrival of the middle of the pulse at each node, seconds after the start of the pulse.
+    pub middle_s: [[f64; CHUNK]; MAX_NODES],
+    /// Stretch minus one, at mid-pulse.
+    pub doppler: [[f64; CHUNK]; GAIN_NODES],
+    /// Gain of the receive leg, volts per uPa at 1 m.
+    pub gain: [[f64; CHUNK]; GAIN_NODES],
+    /// Amplitude of the transmit leg, uPa at 1 m from the scatterer.
+    pub amplitude: [Complex64; CHUNK],
+    /// Whether the echo is above the floor of culling.
+    pub keep: [bool; CHUNK],
+}
+
+impl Default for NodeBatch {
+    fn default() -> Self {
+        let zero = [0.0; CHUNK];
+        Self {
+            len: 0,
+            middle_s: [zero; MAX_NODES],
+            doppler: [zero; GAIN_NODES],
+            gain: [zero; GAIN_NODES],
+            amplitude: [Complex64::ZERO; CHUNK],
+            keep: [false; CHUNK],
+        }
+    }
+}
+
+/// Index of the node of gain node `k` among `nodes`.
+fn gain_node(k: usize, nodes: usize) -> usize {
+    k * (nodes - 1) / 2
+}
+
+impl NodeTracks {
+    /// Tracks with room for polylines of `segments` segments, so that no ping allocates.
+    pub fn with_room_for(segments: usize) -> Self {
+        Self {
+            tracks: (0..MAX_NODES)
+                .map(|_| ElementTrack::with_room_for(segments))
+                .collect(),
+            ..Self::default()
+        }
+    }
+
+    /// Lays the tracks of the points `along_m` from the centre of `array`: an odd number of them, three at least and [`MAX_NODES`] at most.
+    pub fn lay(
+        &mut self,
+        plan: &PingPlan,
+        array: &ArrayGeometry,
+        transmit_leg: &TransmitLeg,
+        along_m: &[f64],
+    ) {
+        let nodes = along_m.len();
+        assert!(
+            nodes % 2 == 1 && (GAIN_NODES..=MAX_NODES).contains(&nodes),
+            "{nodes} nodes"
+        );
+        self.nodes = nodes;
+        if self.tracks.len() < nodes {
+            self.tracks.resize_with(nodes, ElementTrack::default);
+        }
+        for (track, &along_m) in self.tracks.iter_mut().zip(along_m) {
+            track.lay_at(plan, &transmit_leg.transmit, array, along_m);
+        }
+        let at: [f64; GAIN_NODES] = std::array::from_fn(|k| along_m[gain_node(k, nodes)]);
+        for (shares, &x) in self.shares.iter_mut().zip(along_m) {
+            *shares = std::array::from_fn(|k| {
+                let others = (0..GAIN_NODES).filter(|&other| other != k);
+                others
+                    .map(|other| (x - at[other]) / (at[k] - at[other]))
+                    .product()
+            });
+        }
+    }
+
+    /// Number of batches of [`CHUNK`] scatterers.
+    pub fn batches(transmit_leg: &TransmitLeg) -> usize {
+        transmit_leg.batch_range_m.len()
+    }
+
+    /// Smallest range from the transmitter to a scatterer, metres; infinite without scatterers.
+    pub fn nearest_m(transmit_leg: &TransmitLeg) -> f64 {
+        let nearest_m = transmit_leg.batch_range_m.iter().map(|range_m| range_m.0);
+        nearest_m.fold(f64::INFINITY, f64::min)
+    }
+
+    /// The echoes of batch `b`. Counts are of scatterer-element pairs and leave `used` to the caller.
+    pub fn batch(
+        &self,
+        plan: &PingPlan,
+        array: &ArrayGeometry,
+        transmit_leg: &TransmitLeg,
+        b: usize,
+        work: &mut NodeWorkspace,
+        out: &mut NodeBatch,
+    ) -> EchoCounts {
+        let NodeWorkspace { rays, received } = work;
+        let c = plan.sound_speed_m_per_s;
+        let receive = ReceiveLeg::new(plan, array);
+        let floor = pattern_floor(plan);
+        let half_s = 0.5 * plan.pulse.duration_s;
+        let elements = array.elements as u64;
+        let mut counts = EchoCounts::default();
+        let (span, batch) = transmit_leg.batch(b);
+        let n = span.len();
+        out.len = n;
+        let middle = self.nodes / 2;
+        // From the leading edge to the arrival of mid-pulse, at the gain nodes.
+        let mut after_s = [[0.0; CHUNK]; GAIN_NODES];
+        for (node, track) in self.tracks[..self.nodes].iter().enumerate() {
+            let odd = solve(track, c, batch, rays);
+            if plan.model.path == PathModel::Continuous {
+                refine(plan, &transmit_leg.transmit, track, batch, rays);
+            }
+            out.middle_s[node][..n].copy_from_slice(&rays.delay_s[..n]);
+            let Some(k) = (0..GAIN_NODES).find(|&k| gain_node(k, self.nodes) == node) else {
+                continue;
+            };
+            receive_gains(&receive, transmit_leg, span.clone(), rays, received);
+            if plan.model.doppler == DopplerModel::StretchQuadratic {
+                expand_mid_pulse(plan, transmit_leg, track, batch, rays, received);
+            } else {
+                received.curvature_per_s[..n].fill(0.0);
+            }
+            for i in 0..n {
+                // (1 + doppler) s + curvature s^2 = T/2, without cancellation.
+                let rate = 1.0 + received.doppler[i];
+                let curvature = received.curvature_per_s[i];
+                let root = (rate * rate + 4.0 * curvature * half_s).max(0.0).sqrt();
+                let s = 2.0 * half_s / (rate + root);
+                after_s[k][i] = rays.delay_s[i] - out.middle_s[node][i] + s;
+                out.doppler[k][i] = received.doppler[i] + 2.0 * curvature * s;
+            }
+            out.gain[k][..n].copy_from_slice(&received.gain[..n]);
+            if node == middle {
+                counts.no_root += odd.no_root * elements;
+                counts.two_roots += odd.two_roots * elements;
+                for (i, amplitude) in transmit_leg.amplitude[span.clone()].iter().enumerate() {
+                    out.amplitude[i] = *amplitude;
+                    let keep = received.level[i] >= floor && *amplitude != Complex64::ZERO;
+                    out.keep[i] = keep;
+                    counts.culled += u64::from(!keep) * elements;
+                    let near = received.range_m[i] < receive.one_way.wavelength_m;
+                    counts.too_close += u64::from(keep & near) * elements;
+                    let beyond = rays.delay_s[i] >= track.end_s();
+                    counts.beyond_track += u64::from(keep & beyond) * elements;
+                }
+            }
+        }
+        for (middle_s, shares) in out.middle_s[..self.nodes].iter_mut().zip(&self.shares) {
+            for i in 0..n {
+                let later = shares[0] * after_s[0][i]
+                    + shares[1] * after_s[1][i]
+                    + shares[2] * after_s[2][i];
+                middle_s[i] += later;
+            }
+        }
+        counts
+    }
+
+    /// Number of nodes.
+    pub fn count(&self) -> usize {
+        self.nodes
+    }
+}

@@ -1,0 +1,155 @@
+//! The engine for whole line arrays compared with the direct sum.
+
+use echotank_core::simd::SimdLevel;
+use echotank_synthesis::array::lines::{GriddedLines, Refusal, Spec};
+use glam::DVec3;
+use num_complex::Complex64;
+
+use echotank_testing::line_scene::*;
+
+const SCENE: Draw = Draw {
+    elements: 40,
+    scatterers: 1200,
+    sector_deg: 50.0,
+    far_m: 50.0,
+    ..SIDE_SCAN
+};
+
+/// A scene with a short pulse, which line arrays of multibeams send, instead of the side-scan's chirp of 5 ms.
+fn short(drawn: Draw, duration_s: f64, bandwidth_hz: f64) -> Scene {
+    let mut scene = draw(drawn);
+    let pulse = &mut scene.plan.pulse;
+    pulse.duration_s = duration_s;
+    pulse.bandwidth_hz = bandwidth_hz;
+    let speed = drawn.velocity_m_per_s.length().max(1.0);
+    let doppler_hz = 2.1 * speed / echotank_testing::echo::C * echotank_testing::echo::CARRIER_HZ;
+    scene.decimator =
+        echotank_synthesis::array::Decimator::new(pulse, RATE_HZ, doppler_hz, 32).expect("fits");
+    scene
+}
+
+fn made(scene: &Scene, tolerance: f64, simd_level: SimdLevel) -> Result<GriddedLines, Refusal> {
+    GriddedLines::new(&Spec {
+        array: &scene.rx,
+        pulse: &scene.plan.pulse,
+        sound_speed_m_per_s: echotank_testing::echo::C,
+        sample_rate_hz: RATE_HZ,
+        filter: Some(&scene.decimator),
+        doppler: scene.plan.model.doppler,
+        nearest_m: 10.0,
+        fastest_m_per_s: 10.0,
+        tolerance,
+        samples: scene.plan.sample_count,
+        scatterers: scene.scatterers.len(),
+        simd_level,
+    })
+}
+
+fn samples(scene: &Scene, engine: &mut GriddedLines) -> Vec<Complex64> {
+    let (leg, _) = scene.transmit_leg();
+    let mut iq = vec![Complex64::ONE; scene.rx.elements * scene.plan.sample_count];
+    let counts = engine.synthesise(&scene.plan, &leg, &mut iq);
+    let pairs = (scene.scatterers.len() * scene.rx.elements) as u64;
+    assert_eq!(counts.used + counts.outside_window + counts.culled, pairs);
+    assert!(counts.used > pairs / 2, "{counts:?}");
+    assert_eq!(counts.beyond_engine, 0);
+    iq
+}
+
+/// Largest error of any window of one pulse length, relative to the larger of its level and a noise 55 dB below the strongest.
+fn worst(got: &[Complex64], want: &[Complex64], pulse_s: f64) -> f64 {
+    let length = ((pulse_s * RATE_HZ) as usize).max(32);
+    let energy = |x: &mut dyn Iterator<Item = Complex64>| x.map(|v| v.norm_sqr()).sum::<f64>();
+    let windows = want.windows(length).zip(got.windows(length)).step_by(3);
+    let parts: Vec<(f64, f64)> = windows
+        .map(|(want, got)| {
+            (
+                energy(&mut want.iter().copied()),
+                energy(&mut want.iter().zip(got).map(|(a, b)| a - b)),
+            )
+        })
+        .collect();
+    let strongest = parts.iter().map(|part| part.0).fold(0.0, f64::max);
+    let floor = strongest * 10f64.powf(-5.5);
+    let ratio = |&(level, error): &(f64, f64)| (error / level.max(floor)).sqrt();
+    parts.iter().map(ratio).fold(0.0, f64::max)
+}
+
+#[test]
+fn every_window_keeps_its_tolerance() {
+    for (velocity_m_per_s, duration_s, bandwidth_hz) in [
+        (DVec3::ZERO, 0.4e-3, 0.0),
+        (DVec3::new(0.3, 5.0, 0.3), 0.4e-3, 0.0),
+        (DVec3::new(5.0, 0.3, 0.3), 0.3e-3, 0.0),
+        (DVec3::new(5.0, 0.3, -0.3), 1e-3, 30e3),
+        (DVec3::new(2.0, 0.3, -0.3), 5e-3, 30e3),
+    ] {
+        let drawn = Draw {
+            velocity_m_per_s,
+            ..SCENE
+        };
+        let scene = short(drawn, duration_s, bandwidth_hz);
+        let elements = [0, 13, 39];
+        let truths = elements.map(|element| truth(&scene, element, false));
+        for tolerance in [1e-1, 1e-2, 1e-3] {
+            let mut engine = made(&scene, tolerance, SimdLevel::best()).expect("within reach");
+            let iq = samples(&scene, &mut engine);
+            let errors = elements.iter().zip(&truths).map(|(&element, want)| {
+                let count = scene.plan.sample_count;
+                worst(&iq[element * count..][..count], want, duration_s)
+            });
+            let error = errors.fold(0.0, f64::max);
+            println!(
+                "{velocity_m_per_s} m/s, {duration_s} s: asked {tolerance:.0e}, delivered {error:.1e}; {}",
+                engine.error_model().why
+            );
+            assert!(error <= tolerance, "{error:e} of {tolerance:e}");
+        }
+    }
+}
+
+#[test]
+fn threads_do_not_change_a_bit_and_simd_levels_little() {
+    let drawn = Draw {
+        velocity_m_per_s: DVec3::new(3.0, 0.3, 0.3),
+        ..SCENE
+    };
+    let scene = short(drawn, 0.4e-3, 0.0);
+    let by = |threads: usize, simd_level: SimdLevel| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.expect("threads").install(|| {
+            let mut engine = made(&scene, 1e-3, simd_level).expect("within reach");
+            let first = samples(&scene, &mut engine);
+            assert!(
+                first == samples(&scene, &mut engine),
+                "the second ping differs"
+            );
+            first
+        })
+    };
+    let one = by(1, SimdLevel::best());
+    for threads in [2, 8] {
+        assert!(by(threads, SimdLevel::best()) == one, "{threads} threads");
+    }
+    let scale = one.iter().map(|v| v.norm()).fold(0.0, f64::max);
+    for simd_level in SimdLevel::available() {
+        let other = by(1, simd_level);
+        let off = one.iter().zip(&other).map(|(a, b)| (a - b).norm());
+        let off = off.fold(0.0, f64::max) / scale;
+        println!("{simd_level:?}: {off:.1e}");
+        assert!(off < 1e-5, "{simd_level:?}: {off:e}");
+    }
+}
+
+#[test]
+fn what_the_engine_cannot_keep_is_refused() {
+    let scene = short(SCENE, 0.4e-3, 0.0);
+    let refused = |scene: &Scene, tolerance| made(scene, tolerance, SimdLevel::best()).err();
+    assert!(matches!(
+        refused(&scene, 1e-4),
+        Some(Refusal::TooFine { .. })
+    ));
+    let mut one = short(SCENE, 0.4e-3, 0.0);
+    one.rx.elements = 1;
+    assert_eq!(refused(&one, 1e-2), Some(Refusal::OneElement));
+}
