@@ -3,7 +3,8 @@
 //! In: [`ArrivalChunk`](crate::arrivals::ArrivalChunk)s of one element. Out: samples of its complex envelope in volts.
 //! [`direct`] sums the echoes, [`filter`] takes a densely made sum down to the sample rate, [`receiver`] adds what the electronics do,
 //! [`faults`] what they should not do.
-//! [`gridded`] sums them on a grid within a tolerance, [`gridded2d`] all elements of a line array at once.
+//! [`gridded`] sums them on a grid within a tolerance, [`gridded2d`] and [`lines`] all elements of a line array at once. No configuration selects
+//! [`lines`] yet.
 //!
 //! Not modelled: transmit leakage.
 

@@ -18,6 +18,8 @@ pub(crate) trait Lanes: Copy {
     unsafe fn mul(self, other: Self) -> Self;
     /// self times `factor`, plus `more`.
     unsafe fn mul_add(self, factor: Self, more: Self) -> Self;
+    /// The larger of the two.
+    unsafe fn max(self, other: Self) -> Self;
     /// self times `factor`, minus `less`.
     unsafe fn mul_sub(self, factor: Self, less: Self) -> Self;
     /// Sum over all lanes of `re` and of `im`.
@@ -184,6 +186,10 @@ macro_rules! plain {
                 std::array::from_fn(|i| self[i] * factor[i] + more[i])
             }
             #[inline(always)]
+            unsafe fn max(self, other: Self) -> Self {
+                std::array::from_fn(|i| self[i].max(other[i]))
+            }
+            #[inline(always)]
             unsafe fn mul_sub(self, factor: Self, less: Self) -> Self {
                 std::array::from_fn(|i| self[i] * factor[i] - less[i])
             }
@@ -205,7 +211,7 @@ mod x86 {
     use std::arch::x86_64::*;
 
     macro_rules! vector {
-        ($vector:ty, $number:ty, $count:literal, $load:ident, $store:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident, $mul_add:ident, $mul_sub:ident, $sums:ident) => {
+        ($vector:ty, $number:ty, $count:literal, $load:ident, $store:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident, $mul_add:ident, $mul_sub:ident, $max:ident, $sums:ident) => {
             impl Lanes for $vector {
                 type Number = $number;
                 const COUNT: usize = $count;
@@ -242,6 +248,10 @@ mod x86 {
                 #[inline(always)]
                 unsafe fn mul_sub(self, factor: Self, less: Self) -> Self {
                     unsafe { $mul_sub(self, factor, less) }
+                }
+                #[inline(always)]
+                unsafe fn max(self, other: Self) -> Self {
+                    unsafe { $max(self, other) }
                 }
                 #[inline(always)]
                 unsafe fn sums(re: Self, im: Self) -> Complex<$number> {
@@ -308,6 +318,7 @@ mod x86 {
         _mm512_mul_ps,
         _mm512_fmadd_ps,
         _mm512_fmsub_ps,
+        _mm512_max_ps,
         sums_512
     );
     vector!(
@@ -322,6 +333,7 @@ mod x86 {
         _mm256_mul_ps,
         _mm256_fmadd_ps,
         _mm256_fmsub_ps,
+        _mm256_max_ps,
         sums_256
     );
     vector!(
@@ -336,6 +348,7 @@ mod x86 {
         _mm512_mul_pd,
         _mm512_fmadd_pd,
         _mm512_fmsub_pd,
+        _mm512_max_pd,
         sums_512d
     );
     vector!(
@@ -350,6 +363,7 @@ mod x86 {
         _mm256_mul_pd,
         _mm256_fmadd_pd,
         _mm256_fmsub_pd,
+        _mm256_max_pd,
         sums_256d
     );
 }

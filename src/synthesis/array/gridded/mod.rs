@@ -21,7 +21,7 @@ mod design;
 pub mod doppler;
 mod evenly;
 pub mod kernel;
-mod lanes;
+pub(crate) mod lanes;
 mod least_squares;
 pub mod moments;
 pub mod one_dimensional;

@@ -292,8 +292,8 @@ impl GriddedLines {
                 let middles = &solved.middle_s[count / 2];
                 let most = (reach + 1) as f32;
                 let mut beyond = 0;
-                for i in 0..CHUNK {
-                    let after_s = middles[i] - first_middle_s;
+                for (i, middle_s) in middles.iter().enumerate() {
+                    let after_s = middle_s - first_middle_s;
                     let slab = (after_s * per_payload).floor();
                     let inside = solved.keep[i] && slab >= 0.0 && slab < slabs as f64;
                     batch.bucket[i] = match inside && i < solved.len {

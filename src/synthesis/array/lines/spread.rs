@@ -5,9 +5,13 @@
 
 use std::f32::consts::TAU;
 
+use crate::array::gridded::lanes::Lanes;
 use crate::arrivals::CHUNK;
 use crate::echo::walk::{GAIN_NODES, MAX_NODES};
 use echotank_core::simd::{Kind, SimdLevel};
+
+#[cfg(target_arch = "x86_64")]
+use std::arch::x86_64::{__m256, __m512};
 
 use super::dopplers::{MAX_TAPS, WEIGHT_TERMS};
 use super::kernel::TERMS;
@@ -122,17 +126,59 @@ pub(super) fn add(
         shape.taps,
         shape.columns
     );
-    if simd_level.kind() == Kind::Portable {
-        locate::<false>(shape, block, chunk, located);
-        spread::<false>(shape, chunk.len, located, grid);
-    } else {
-        simd_level.run(
-            #[inline(always)]
-            || {
-                locate::<true>(shape, block, chunk, located);
-                spread::<true>(shape, chunk.len, located, grid);
-            },
-        );
+    match simd_level.kind() {
+        // SAFETY (of the three): a `SimdLevel` of this kind exists only on processors with the features; `locate` keeps all rows in the grid.
+        #[cfg(target_arch = "x86_64")]
+        Kind::Avx512 => unsafe { add_avx512(shape, block, chunk, located, grid) },
+        #[cfg(target_arch = "x86_64")]
+        Kind::Avx2 => unsafe { add_avx2(shape, block, chunk, located, grid) },
+        _ => unsafe { add_on::<[f32; 8], false>(shape, block, chunk, located, grid) },
+    }
+}
+
+// SAFETY (of both): the processor must have the features; as `add_on`.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
+unsafe fn add_avx512(
+    shape: &Shape,
+    block: &BlockWeights,
+    chunk: &EchoChunk,
+    located: &mut Located,
+    grid: &mut [f32],
+) {
+    unsafe { add_on::<__m512, true>(shape, block, chunk, located, grid) }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+unsafe fn add_avx2(
+    shape: &Shape,
+    block: &BlockWeights,
+    chunk: &EchoChunk,
+    located: &mut Located,
+    grid: &mut [f32],
+) {
+    unsafe { add_on::<__m256, true>(shape, block, chunk, located, grid) }
+}
+
+/// SAFETY: the processor must have V, and fused multiplication and addition if `FUSED`.
+#[inline(always)]
+unsafe fn add_on<V: Lanes<Number = f32>, const FUSED: bool>(
+    shape: &Shape,
+    block: &BlockWeights,
+    chunk: &EchoChunk,
+    located: &mut Located,
+    grid: &mut [f32],
+) {
+    locate::<FUSED>(shape, block, chunk, located);
+    // SAFETY: the caller guarantees V.
+    unsafe {
+        match shape.taps {
+            1 => spread::<V, 1, FUSED>(shape, chunk.len, located, grid),
+            2 => spread::<V, 2, FUSED>(shape, chunk.len, located, grid),
+            3 => spread::<V, 3, FUSED>(shape, chunk.len, located, grid),
+            _ => spread::<V, MAX_TAPS, FUSED>(shape, chunk.len, located, grid),
+        }
     }
 }
 
@@ -199,11 +245,11 @@ fn locate<const FUSED: bool>(
     }
     let middle = 0.5 * (shape.taps as f32 - 1.0);
     let greatest = (shape.columns - shape.taps) as f32;
-    for i in 0..CHUNK {
-        let place = at[i] - shape.first_column as f32 - middle;
+    for (at, to) in at.iter_mut().zip(&mut out.column) {
+        let place = *at - shape.first_column as f32 - middle;
         let column = (place + 0.5).floor().max(0.0).min(greatest);
-        out.column[i] = column as u32;
-        at[i] = (place - column).max(-0.5).min(0.5);
+        *to = column as u32;
+        *at = (place - column).clamp(-0.5, 0.5);
     }
     let weights = out.weight.iter_mut().zip(&mut out.weight_slope);
     for ((weight, change), terms) in weights.zip(&shape.weights).take(shape.taps) {
@@ -217,16 +263,6 @@ fn locate<const FUSED: bool>(
             weight[i] = sum;
             change[i] = slope * at_slope[i];
         }
-    }
-}
-
-#[inline(always)]
-fn spread<const FUSED: bool>(shape: &Shape, len: usize, located: &Located, grid: &mut [f32]) {
-    match shape.taps {
-        1 => spread_on::<1, FUSED>(shape, len, located, grid),
-        2 => spread_on::<2, FUSED>(shape, len, located, grid),
-        3 => spread_on::<3, FUSED>(shape, len, located, grid),
-        _ => spread_on::<MAX_TAPS, FUSED>(shape, len, located, grid),
     }
 }
 
@@ -255,8 +291,9 @@ fn turn<const FUSED: bool>(x: &[f32; LANES], cosine: &mut [f32; LANES], sine: &m
     }
 }
 
+/// SAFETY: the processor must have V.
 #[inline(always)]
-fn spread_on<const TAPS: usize, const FUSED: bool>(
+unsafe fn spread<V: Lanes<Number = f32>, const TAPS: usize, const FUSED: bool>(
     shape: &Shape,
     len: usize,
     located: &Located,
@@ -265,7 +302,6 @@ fn spread_on<const TAPS: usize, const FUSED: bool>(
     let stride = shape.columns * CELL;
     let per_half = 2.0 / shape.width;
     let turns_per_row = shape.turns_per_row as f32;
-    let [a, b, c, d] = shape.terms;
     let mut lanes = [0.0f32; LANES];
     for (lane, place) in lanes.iter_mut().enumerate() {
         *place = lane as f32 - MIDDLE;
@@ -288,34 +324,40 @@ fn spread_on<const TAPS: usize, const FUSED: bool>(
             re[lane] = mul_add::<FUSED>(u, cosine, -(v * sine));
             im[lane] = mul_add::<FUSED>(v, cosine, u * sine);
         }
-        let mut weights = [[0.0f32; LANES]; TAPS];
-        for (tap, weights) in weights.iter_mut().enumerate() {
-            let (weight, change) = (located.weight[tap][i], located.weight_slope[tap][i]);
-            for lane in 0..LANES {
-                weights[lane] = mul_add::<FUSED>(change, lanes[lane], weight);
-            }
+        let (rows, first) = (located.rows[i] as usize, located.row[i] as usize);
+        if rows == 0 {
+            continue;
         }
-        let first = located.row[i] as usize * stride + located.column[i] as usize * CELL;
-        for row in 0..located.rows[i] as usize {
-            let at = first + row * stride;
-            let cells = &mut grid[at..at + TAPS * CELL];
-            let step = row as f32 * per_half;
-            let (mut along_re, mut along_im) = ([0.0f32; LANES], [0.0f32; LANES]);
-            for lane in 0..LANES {
-                let z = x[lane] - step;
-                let t = mul_add::<FUSED>(-z, z, 1.0).max(0.0);
-                let k = mul_add::<FUSED>(t, mul_add::<FUSED>(t, d, c), b);
-                let k = mul_add::<FUSED>(t, k, a) * (t * t);
-                along_re[lane] = k * re[lane];
-                along_im[lane] = k * im[lane];
-            }
-            for (tap, weight) in weights.iter().enumerate() {
-                let (to_re, to_im) = cells[tap * CELL..][..CELL].split_at_mut(LANES);
-                for lane in 0..LANES {
-                    to_re[lane] = mul_add::<FUSED>(weight[lane], along_re[lane], to_re[lane]);
-                }
-                for lane in 0..LANES {
-                    to_im[lane] = mul_add::<FUSED>(weight[lane], along_im[lane], to_im[lane]);
+        // Checks once what the rows below write.
+        let begin = first * stride + located.column[i] as usize * CELL;
+        let cells = &mut grid[begin..begin + (rows - 1) * stride + TAPS * CELL];
+        for part in (0..LANES).step_by(V::COUNT) {
+            // SAFETY: the caller guarantees V; `part` + V's lanes <= LANES; rows and taps lie within `cells`.
+            unsafe {
+                let x = V::load(x.as_ptr().add(part));
+                let (re, im) = (
+                    V::load(re.as_ptr().add(part)),
+                    V::load(im.as_ptr().add(part)),
+                );
+                let place = V::load(lanes.as_ptr().add(part));
+                let weights: [V; TAPS] = std::array::from_fn(|tap| {
+                    let change = V::splat(located.weight_slope[tap][i]);
+                    change.mul_add(place, V::splat(located.weight[tap][i]))
+                });
+                let [a, b, c, d] = shape.terms.map(|term| V::splat(term));
+                let (one, zero) = (V::splat(1.0), V::splat(0.0));
+                let mut to = cells.as_mut_ptr().add(part);
+                for row in 0..rows {
+                    let z = x.sub(V::splat(row as f32 * per_half));
+                    let t = one.sub(z.mul(z)).max(zero);
+                    let k = t.mul_add(t.mul_add(t.mul_add(d, c), b), a).mul(t.mul(t));
+                    let (along_re, along_im) = (k.mul(re), k.mul(im));
+                    for (tap, weight) in weights.iter().enumerate() {
+                        let (at_re, at_im) = (to.add(tap * CELL), to.add(tap * CELL + LANES));
+                        weight.mul_add(along_re, V::load(at_re)).store(at_re);
+                        weight.mul_add(along_im, V::load(at_im)).store(at_im);
+                    }
+                    to = to.wrapping_add(stride);
                 }
             }
         }

@@ -160,13 +160,13 @@ impl NodeTracks {
             } else {
                 received.curvature_per_s[..n].fill(0.0);
             }
-            for i in 0..n {
+            for (i, after_s) in after_s[k][..n].iter_mut().enumerate() {
                 // (1 + doppler) s + curvature s^2 = T/2, without cancellation.
                 let rate = 1.0 + received.doppler[i];
                 let curvature = received.curvature_per_s[i];
                 let root = (rate * rate + 4.0 * curvature * half_s).max(0.0).sqrt();
                 let s = 2.0 * half_s / (rate + root);
-                after_s[k][i] = rays.delay_s[i] - out.middle_s[node][i] + s;
+                *after_s = rays.delay_s[i] - out.middle_s[node][i] + s;
                 out.doppler[k][i] = received.doppler[i] + 2.0 * curvature * s;
             }
             out.gain[k][..n].copy_from_slice(&received.gain[..n]);
