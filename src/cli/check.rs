@@ -13,6 +13,7 @@ use echotank_core::model::Synthesis;
 use echotank_ping::element_synthesis::engine_error_models;
 use echotank_ping::pipeline::PipelineError;
 use echotank_runtime::io::files::FileSystem;
+use echotank_runtime::io::nav::ReadNav;
 use echotank_scene::read::survey::Survey;
 use echotank_synthesis::echo::culling::left_out_share;
 use echotank_synthesis::error_model::ErrorModel;
@@ -63,7 +64,14 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
             print!("{}", selection::json(&spec)?);
             return Ok(());
         }
+        let warnings = match args.quick || !spec.nav.sources.iter().any(|s| s.is_recorded()) {
+            true => Vec::new(),
+            false => read_logs(&mut spec)?,
+        };
         print!("{}", config::summary(&spec));
+        for warning in warnings {
+            println!("warning      navigation: {warning}");
+        }
         for sonar in &spec.sonars {
             let refuse_text = |why: String| {
                 Failure::Configuration(format!("{}: sonar {}: {why}", path.display(), sonar.name))
@@ -96,6 +104,13 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
         println!("{}: ok", path.display());
     }
     Ok(())
+}
+
+/// Reads the recorded navigation. `spec` then tells what each log gives; returns what is missing, left out or replaced.
+fn read_logs(spec: &mut RigSpec) -> Result<Vec<String>, Failure> {
+    let read = ReadNav::read(&spec.nav).map_err(|e| Failure::Configuration(e.to_string()))?;
+    spec.nav = read.spec;
+    Ok(read.warnings)
 }
 
 /// Warnings of what the seabed's file does not state, with its extent and depths; empty if it states everything.

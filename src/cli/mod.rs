@@ -24,6 +24,8 @@ use clap::{Args, Parser, Subcommand};
 
 use self::logging::LogFormat;
 use echotank_config::spec::{RigSpec, Words};
+use echotank_runtime::io::nav::NavOpenError;
+use echotank_runtime::rig::OpenError;
 
 /// Feed a real sonar topside, DSP or acquisition board as though it were in the water.
 ///
@@ -150,6 +152,18 @@ pub(crate) enum Failure {
 impl Failure {
     pub(crate) fn running(error: impl std::fmt::Display) -> Self {
         Self::Running(error.to_string())
+    }
+
+    /// A rig that cannot be opened. A navigation file of a format that is not read, or without a quantity that pings need, is a
+    /// matter of the configuration.
+    pub(crate) fn opening(error: &OpenError) -> Self {
+        let text = error.to_string();
+        match error {
+            OpenError::Nav(NavOpenError::Unreadable { .. } | NavOpenError::Missing(_)) => {
+                Self::Configuration(text)
+            }
+            _ => Self::Running(text),
+        }
     }
 }
 

@@ -10,20 +10,20 @@ use serde_json::{Value, json};
 
 use super::{Failure, choice};
 use echotank_config::spec::{
-    ChecksumPolicy, NavDialect, NavFormat, NavInputSpec, NavSourceSpec, Reversed, SensorMounting,
-    TimePolicy,
+    ChecksumPolicy, NavChannel, NavDialect, NavFormat, NavInputSpec, NavSourceSpec, Reversed,
+    SensorMounting, TimePolicy,
 };
 use echotank_core::time::UtcNs;
 use echotank_nav::decoder::Outcome;
 use echotank_nav::log::LogKind;
 use echotank_nav::passes::{Pass, PassKind};
-use echotank_nav::report::{CHANNEL_COUNT, CHANNELS, LogReport, SentenceReport, Spread, report};
+use echotank_nav::report::{CHANNEL_COUNT, LogReport, SentenceReport, Spread, report};
 use echotank_runtime::config_files::read_bounded;
 use echotank_runtime::io::nav::MAX_LOG_BYTES;
 
 /// Names of the quantities in the output.
 fn channel_names() -> impl Iterator<Item = &'static str> {
-    CHANNELS.iter().map(|channel| channel.name())
+    NavChannel::ALL.into_iter().map(NavChannel::name)
 }
 
 /// Printed gaps and jumps per quantity.
@@ -144,7 +144,8 @@ fn spec(args: &NavArgs) -> NavSourceSpec {
             },
             magnetic_variation_rad: args.magnetic_variation_deg.map(f64::to_radians),
         },
-        provides: CHANNELS.to_vec(),
+        provides: NavChannel::ALL.to_vec(),
+        detect: false,
     }
 }
 

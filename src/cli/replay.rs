@@ -6,17 +6,15 @@ use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{ConfigArgs, Failure, load};
-use echotank_config::spec::{NavInputSpec, RigSpec, SonarSpec};
-use echotank_runtime::io::nav::NavOpenError;
+use echotank_config::spec::{NavChannel, NavInputSpec, RigSpec, SonarSpec};
 use echotank_runtime::recorded::RecordedError;
 use echotank_runtime::replay::{Formats, Replay, ReplayError, ReplayOptions};
-use echotank_runtime::rig::OpenError;
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct ReplayArgs {
     #[command(flatten)]
     pub(crate) config: ConfigArgs,
-    /// Recorded navigation to use instead of the first source's file
+    /// Recorded navigation to use instead of the first source's file; the quantities that it holds are used
     #[arg(long, value_name = "LOG")]
     pub(crate) nav: Option<PathBuf>,
     /// Folder for the results; created if absent
@@ -75,11 +73,15 @@ fn parse_range(text: &str) -> Result<(u32, u32), String> {
     Ok((a, b))
 }
 
-/// Replaces the file of the first recorded navigation source.
+/// Replaces the file of the first recorded navigation source. The source provides what its new log holds.
 fn replace_log(spec: &mut RigSpec, log: &std::path::Path) -> Result<(), Failure> {
     for source in &mut spec.nav.sources {
         if let NavInputSpec::Log { path, .. } | NavInputSpec::Csv { path } = &mut source.input {
             *path = log.to_path_buf();
+            if let NavInputSpec::Log { .. } = source.input {
+                source.provides = NavChannel::ALL.to_vec();
+                source.detect = true;
+            }
             return Ok(());
         }
     }
@@ -122,9 +124,7 @@ pub(crate) fn main(args: &ReplayArgs) -> Result<(), Failure> {
         threads: args.threads.unwrap_or(spec.run.threads),
     };
     let replay = Replay::open(spec, options).map_err(|error| match &error {
-        ReplayError::Recorded(RecordedError::Rig(OpenError::Nav(NavOpenError::Unreadable {
-            ..
-        }))) => Failure::Configuration(error.to_string()),
+        ReplayError::Recorded(RecordedError::Rig(error)) => Failure::opening(error),
         _ => Failure::running(error),
     })?;
     let bar = match (args.quiet, replay.pings_expected()) {

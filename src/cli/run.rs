@@ -11,7 +11,7 @@ use clap::Args;
 
 use super::{Failure, load};
 use echotank_config::spec::{NavInputSpec, RigSpec, SeabedShape};
-use echotank_runtime::daemon::Daemon;
+use echotank_runtime::daemon::{Daemon, DaemonError};
 use echotank_runtime::io::signals;
 
 /// Default configuration: a real navigation log over a real seabed, both in the repository.
@@ -106,7 +106,10 @@ pub(crate) fn main(args: &RunArgs) -> Result<(), Failure> {
     let stop = Arc::new(AtomicBool::new(false));
     signals::stop_on_signals(&stop).map_err(Failure::running)?;
     let threads = args.threads.unwrap_or(spec.run.threads);
-    let daemon = Daemon::open(&spec, threads, stop.clone()).map_err(Failure::running)?;
+    let daemon = Daemon::open(&spec, threads, stop.clone()).map_err(|error| match &error {
+        DaemonError::Rig(error) => Failure::opening(error),
+        _ => Failure::running(error),
+    })?;
     print_line(&format!(
         "echotank {}: {}",
         env!("CARGO_PKG_VERSION"),

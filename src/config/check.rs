@@ -450,7 +450,7 @@ fn nav<'t>(
     let has_reference = vertical.map(|v| !matches!(v, VerticalSpec::Gnss { .. }));
     let condition = "vertical = \"waterline\" or \"depth\"";
     problems.only_with(&[&table.reference_depth_m], has_reference, condition);
-    let of_track = owner(tables, "depth").is_none().then_some(0.0);
+    let of_track = owner(tables, NavChannel::Depth).is_none().then_some(0.0);
     let reference_depth_m = table.reference_depth_m.get().or(of_track);
     if table.tow.as_ref().is_some() && matches!(vertical, Some(VerticalSpec::Gnss { .. })) {
         let rule = "must not be \"gnss\" where the sonar is towed: the antenna is the ship's";
@@ -467,7 +467,7 @@ fn nav<'t>(
         loop_log: table.r#loop.get()?,
         max_extrapolation_s: table.max_extrapolation_ms.get()?,
         history_s: table.history_s.get()?,
-        fallback_heading_from_course: table.heading_from_course.get()?,
+        heading_from_course: table.heading_from_course.if_given()?,
         failover: table.failover_s.and_then(|&after_s| {
             let hold_off_s = table.hold_off_s.get()?;
             Some(FailoverSpec {
@@ -513,32 +513,51 @@ fn vertical(table: &keys::Nav) -> Option<VerticalSpec> {
     })
 }
 
-/// The first source that provides `channel`.
-fn owner<'t>(tables: &'t [keys::NavSource], channel: &str) -> Option<&'t keys::NavSource> {
-    tables.iter().find(|t| {
-        t.provides
-            .as_ref()
-            .is_some_and(|p| p.iter().any(|c| c == channel))
-    })
+/// Quantities of a CSV track.
+const OF_TRACK: [NavChannel; 3] = [
+    NavChannel::Position,
+    NavChannel::Heading,
+    NavChannel::RollPitch,
+];
+
+/// What a source provides as configured; without `provides`, what it may provide.
+fn provides(table: &keys::NavSource) -> Option<Vec<NavChannel>> {
+    match (table.provides.given, table.kind.text()) {
+        (true, _) => table.provides.all_named(),
+        (false, Some("csv")) => Some(OF_TRACK.to_vec()),
+        (false, _) => Some(NavChannel::ALL.to_vec()),
+    }
+}
+
+/// The first source that provides `channel`, or that may provide it.
+fn owner(tables: &[keys::NavSource], channel: NavChannel) -> Option<&keys::NavSource> {
+    let gives = |t: &&keys::NavSource| provides(t).is_some_and(|p| p.contains(&channel));
+    tables.iter().find(gives)
+}
+
+/// Whether the configuration leaves open what the source provides.
+fn detects(table: &keys::NavSource) -> bool {
+    !table.provides.given && table.kind.is("csv") == Some(false)
 }
 
 fn refuse_missing_channels(table: &keys::Nav, tables: &[keys::NavSource], problems: &mut Problems) {
-    if tables.is_empty() || tables.iter().any(|t| t.provides.as_ref().is_none()) {
+    // What logs hold is known when they are read.
+    if tables.is_empty() || tables.iter().any(|t| provides(t).is_none() || detects(t)) {
         return;
     }
     let sources = &table.source;
-    if owner(tables, "position").is_none() {
+    if owner(tables, NavChannel::Position).is_none() {
         problems.refuse(sources, "one source must provide \"position\"");
     }
-    if owner(tables, "heading").is_some() {
+    if owner(tables, NavChannel::Heading).is_some() {
         return;
     }
-    match table.heading_from_course.get() {
-        Some(false) => problems.refuse(
+    match table.heading_from_course.if_given() {
+        Some(None | Some(false)) => problems.refuse(
             sources,
             "one source must provide \"heading\", or heading_from_course must be true",
         ),
-        Some(true) if owner(tables, "course-speed").is_none() => problems.refuse(
+        Some(Some(true)) if owner(tables, NavChannel::CourseSpeed).is_none() => problems.refuse(
             sources,
             "heading_from_course needs a source that provides \"course-speed\"",
         ),
@@ -553,7 +572,7 @@ fn refuse_unfit_track(
     vertical: Option<VerticalSpec>,
     problems: &mut Problems,
 ) {
-    let (Some(vertical), Some(owner)) = (vertical, owner(tables, "position")) else {
+    let (Some(vertical), Some(owner)) = (vertical, owner(tables, NavChannel::Position)) else {
         return;
     };
     let Some(kind) = owner.kind.text() else {
@@ -564,7 +583,7 @@ fn refuse_unfit_track(
         let rule = "must be \"depth\" where the position comes from a CSV track";
         problems.refuse(&table.vertical, rule);
     }
-    if is_depth && !is_csv && self::owner(tables, "depth").is_none() {
+    if is_depth && !is_csv && self::owner(tables, NavChannel::Depth).is_none() {
         let rule = "needs a position from a CSV track, or a source that provides \"depth\"";
         problems.refuse(&table.vertical, rule);
     }
@@ -618,7 +637,8 @@ fn nav_source<'t>(
             angles_rad: table.mounting_deg.get()?,
         },
         dialect: dialect(table)?,
-        provides: table.provides.all_named()?,
+        provides: provides(table)?,
+        detect: detects(table),
     })
 }
 

@@ -17,6 +17,11 @@ pub(crate) struct Key {
     pub doc: &'static str,
 }
 
+/// Longest list of names.
+pub(crate) const MAX_NAMES: usize = 256;
+/// Longest list of pairs of numbers.
+pub(crate) const MAX_ROWS: usize = 10_000;
+
 /// The values that a key takes.
 pub(crate) enum Kind {
     Bool,
@@ -36,15 +41,15 @@ pub(crate) enum Kind {
     Choice(&'static [&'static str], &'static [&'static str]),
     /// An array of this many numbers.
     Numbers(usize, Range, Unit),
-    /// Pairs of numbers.
+    /// Pairs of numbers, at most [`MAX_ROWS`].
     Rows,
-    /// At least one name.
+    /// At least one name, at most [`MAX_NAMES`].
     Names,
-    /// At least one of the choices.
+    /// At least one of the choices, at most [`MAX_NAMES`].
     Choices(&'static [&'static str]),
     Table(&'static Table),
-    /// One or more tables.
-    Tables(&'static Table),
+    /// One or more tables, at most this many.
+    Tables(&'static Table, usize),
     /// The first kind whose TOML type fits.
     Either(&'static Kind, &'static Kind),
 }

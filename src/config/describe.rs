@@ -6,7 +6,7 @@ use serde_json::{Map, Value, json};
 
 use super::declaration::{Key, Kind, Presence, Range, Table};
 use super::keys::Rig;
-use super::raw::{Declared, rule};
+use super::raw::{Declared, max_items, rule};
 
 /// Columns of the template's lines.
 const COLUMNS: usize = 110;
@@ -52,7 +52,7 @@ fn comment(out: &mut String, text: &str) {
 
 /// The keys of a table: values before tables, as TOML requires.
 fn table(out: &mut String, declared: &Table, path: &str, commented_out: bool) {
-    let is_table = |key: &&Key| matches!(key.kind, Kind::Table(_) | Kind::Tables(_));
+    let is_table = |key: &&Key| matches!(key.kind, Kind::Table(_) | Kind::Tables(..));
     for key in declared.keys.iter().filter(|k| !is_table(k)) {
         value(out, key, commented_out);
     }
@@ -63,7 +63,7 @@ fn table(out: &mut String, declared: &Table, path: &str, commented_out: bool) {
         };
         let (inner, header) = match &key.kind {
             Kind::Table(inner) => (inner, format!("[{path}]")),
-            Kind::Tables(inner) => (inner, format!("[[{path}]]")),
+            Kind::Tables(inner, _) => (inner, format!("[[{path}]]")),
             _ => continue,
         };
         let commented_out = commented_out || matches!(key.presence, Presence::Optional(_));
@@ -133,7 +133,7 @@ fn table_schema(declared: &Table) -> Value {
 
 fn kind_schema(kind: &Kind) -> Value {
     let array_of = |count: usize, items: Value| json!({ "type": "array", "items": items, "minItems": count, "maxItems": count });
-    let some_of = |items: Value| json!({ "type": "array", "minItems": 1, "items": items });
+    let some_of = |items: Value| json!({ "type": "array", "minItems": 1, "maxItems": max_items(kind), "items": items });
     match kind {
         Kind::Bool => json!({ "type": "boolean" }),
         Kind::Number(range, _) => range_schema(range),
@@ -146,7 +146,7 @@ fn kind_schema(kind: &Kind) -> Value {
         Kind::Names => some_of(kind_schema(&Kind::Name)),
         Kind::Choices(built) => some_of(json!({ "enum": built })),
         Kind::Table(inner) => table_schema(inner),
-        Kind::Tables(inner) => some_of(table_schema(inner)),
+        Kind::Tables(inner, _) => some_of(table_schema(inner)),
         Kind::Either(first, second) => {
             json!({ "anyOf": [kind_schema(first), kind_schema(second)] })
         }

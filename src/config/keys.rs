@@ -39,7 +39,7 @@ macro_rules! kind {
     (ChoiceOrTable($table:ident: $($choice:tt)*)) => { Kind::Either(&kind!(Choice($($choice)*)), &kind!(Table($table))) };
     (Choices($($name:literal),+)) => { Kind::Choices(&[$($name),+]) };
     (Table($table:path)) => { Kind::Table(&<$table as Declared>::TABLE) };
-    (Tables($table:path)) => { Kind::Tables(&<$table as Declared>::TABLE) };
+    (Tables($table:path, $max:expr)) => { Kind::Tables(&<$table as Declared>::TABLE, $max) };
     ($($plain:tt)+) => { Kind::$($plain)+ };
 }
 
@@ -63,7 +63,7 @@ macro_rules! value {
     (ChoiceOrRows($($choice:tt)*)) => { ChoiceOr<Vec<(f64, f64)>> };
     (ChoiceOrTable($table:ident: $($choice:tt)*)) => { ChoiceOr<$table> };
     (Table($table:path)) => { $table };
-    (Tables($table:path)) => { Vec<$table> };
+    (Tables($table:path, $max:expr)) => { Vec<$table> };
     ($number:ident($range:expr)) => { f64 };
 }
 
@@ -139,8 +139,8 @@ table! {
     run: Table(Run), Default("{}");
     record: Table(Record), Optional("");
     control: Table(Control), Default("{}");
-    sonar: Tables(Sonar), Required("");
-    fault: Tables(faults::Fault), Optional("");
+    sonar: Tables(Sonar, 32), Required("");
+    fault: Tables(faults::Fault, 1000), Optional("");
 }
 
 table! {

@@ -11,13 +11,15 @@ use glam::DVec3;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::declaration::{Key, Kind, Presence, Range, Table, Unit, With};
+use super::declaration::{Key, Kind, MAX_NAMES, MAX_ROWS, Presence, Range, Table, Unit, With};
 use super::files::Files;
 use super::problem::Problem;
 use super::spec::words::Words;
 
 /// Minimum similarity (1: equal) of a name that is offered as a correction.
 const LIKENESS: f64 = 0.5;
+/// Maximum number of unknown keys of a table that are listed.
+const MAX_UNKNOWN_KEYS: usize = 20;
 /// Maximum number of listed syntax errors: later ones follow from the first.
 const MAX_SYNTAX_ERRORS: usize = 20;
 /// Maximum number of quoted characters of a value.
@@ -367,8 +369,12 @@ pub(crate) fn read<T: Declared>(
     problems: &mut Problems,
 ) -> Option<T> {
     let (document, errors) = DeTable::parse_recoverable(text);
+    let line_starts: Vec<usize> = std::iter::once(0)
+        .chain(text.match_indices('\n').map(|(at, _)| at + 1))
+        .collect();
     let walk = Walk {
         text,
+        line_starts: &line_starts,
         base_dir,
         files,
     };
@@ -412,6 +418,8 @@ impl With {
 
 struct Walk<'t> {
     text: &'t str,
+    /// Offset of the first byte of each line.
+    line_starts: &'t [usize],
     base_dir: &'t Path,
     files: &'t dyn Files,
 }
@@ -426,8 +434,7 @@ fn joined(path: &str, key: &str) -> String {
 
 impl Walk<'_> {
     fn line(&self, offset: usize) -> usize {
-        let before = &self.text.as_bytes()[..offset.min(self.text.len())];
-        1 + before.iter().filter(|&&b| b == b'\n').count()
+        self.line_starts.partition_point(|&start| start <= offset)
     }
 
     /// The value as written, on one line, shortened.
@@ -454,11 +461,19 @@ impl Walk<'_> {
         line: Option<usize>,
         problems: &mut Problems,
     ) -> RawTable {
-        for (name, value) in table.iter() {
-            let known = |k: &Key| k.name == name.get_ref().as_ref();
-            if !declared.keys.iter().any(known) {
-                problems.0.push(self.unknown(declared, name, value, path));
-            }
+        let is_unknown = |name: &str| !declared.keys.iter().any(|k| k.name == name);
+        let mut unknown = table.iter().filter(|(name, _)| is_unknown(name.get_ref()));
+        for (name, value) in unknown.by_ref().take(MAX_UNKNOWN_KEYS) {
+            problems.0.push(self.unknown(declared, name, value, path));
+        }
+        let more = unknown.count();
+        if more > 0 {
+            problems.0.push(Problem {
+                path: path.to_owned(),
+                line,
+                rule: format!("{more} more unknown keys"),
+                ..Problem::default()
+            });
         }
         let entries: HashMap<_, _> = declared
             .keys
@@ -531,7 +546,7 @@ impl Walk<'_> {
                 let place = entry.path.replace("[0]", "");
                 let rule = match key.kind {
                     Kind::Table(_) => format!("missing: the table [{place}]"),
-                    Kind::Tables(_) => format!("missing: at least one [[{place}]]"),
+                    Kind::Tables(..) => format!("missing: at least one [[{place}]]"),
                     _ => format!("missing: {}", rule(&key.kind)),
                 };
                 problems.refuse(entry, rule);
@@ -563,12 +578,20 @@ impl Walk<'_> {
         entry: &Entry,
         problems: &mut Problems,
     ) -> Option<RawValue> {
+        let found = value.get_ref().as_array().map_or(0, |items| items.len());
+        if max_items(kind).is_some_and(|max| found > max) {
+            problems.refuse(
+                entry,
+                format!("has {found} entries; must be {}", rule(kind)),
+            );
+            return None;
+        }
         let read =
             match (kind, value.get_ref()) {
                 (Kind::Table(declared), DeValue::Table(table)) => Some(RawValue::Table(
                     self.table(declared, table, &entry.path, entry.line, problems),
                 )),
-                (Kind::Tables(declared), DeValue::Array(items)) if !items.is_empty() => {
+                (Kind::Tables(declared, _), DeValue::Array(items)) if !items.is_empty() => {
                     let mut tables = Vec::with_capacity(items.len());
                     for (i, item) in items.iter().enumerate() {
                         let DeValue::Table(table) = item.get_ref() else {
@@ -689,6 +712,16 @@ const ROW_CELL: Range = Range {
     max: 1.0e5,
 };
 
+/// Longest list of a kind.
+pub(crate) fn max_items(kind: &Kind) -> Option<usize> {
+    match kind {
+        Kind::Rows => Some(MAX_ROWS),
+        Kind::Names | Kind::Choices(_) => Some(MAX_NAMES),
+        Kind::Tables(_, max) => Some(*max),
+        _ => None,
+    }
+}
+
 fn type_fits(kind: &Kind, value: &DeValue<'_>) -> bool {
     match kind {
         Kind::Choice(..) => value.is_str(),
@@ -753,11 +786,11 @@ pub(crate) fn rule(kind: &Kind) -> String {
             format!("two numbers [lowest, highest] {}", between(range))
         }
         Kind::Numbers(count, range, _) => format!("{count} numbers in brackets {}", between(range)),
-        Kind::Rows => "pairs of numbers [[range_m, db], ...]".to_owned(),
-        Kind::Names => "at least one name in brackets".to_owned(),
+        Kind::Rows => format!("1 to {MAX_ROWS} pairs of numbers [[range_m, db], ...]"),
+        Kind::Names => format!("1 to {MAX_NAMES} names in brackets"),
         Kind::Choices(built) => format!("in brackets some of {}", quoted(built, "and")),
         Kind::Table(table) => format!("a table of {}", key_names(table)),
-        Kind::Tables(_) => "one or more tables, each under its own [[...]]".to_owned(),
+        Kind::Tables(_, max) => format!("1 to {max} tables, each under its own [[...]]"),
         Kind::Either(first, second) => format!("{}, or {}", rule(first), rule(second)),
     }
 }

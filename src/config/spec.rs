@@ -120,7 +120,9 @@ pub struct NavSpec {
     /// Depth of the history ring, seconds.
     pub history_s: f64,
     /// The course over ground is the heading if no source provides one.
-    pub fallback_heading_from_course: bool,
+    ///
+    /// None: not configured; a log without heading then decides.
+    pub heading_from_course: Option<bool>,
     /// None: the first source that provides a quantity owns it.
     pub failover: Option<FailoverSpec>,
     /// None: no sample is rejected.
@@ -396,6 +398,9 @@ pub struct NavSourceSpec {
     pub dialect: NavDialect,
     /// Quantities used from this source; the first source in the file that provides a quantity is used.
     pub provides: Vec<NavChannel>,
+    /// The configuration does not say what the source provides: `provides` holds what it may provide, and a quantity counts once
+    /// it has come. False for a log that has been read: `provides` then holds what the log gives.
+    pub detect: bool,
 }
 
 impl NavSourceSpec {
@@ -555,6 +560,16 @@ pub enum NavChannel {
 }
 
 impl NavChannel {
+    /// All quantities, in the order of their numbers.
+    pub const ALL: [Self; 6] = [
+        Self::Position,
+        Self::CourseSpeed,
+        Self::Heading,
+        Self::RollPitch,
+        Self::Heave,
+        Self::Depth,
+    ];
+
     /// The channel of a measured quantity.
     pub fn of(quantity: &NavQuantity) -> Self {
         match quantity {

@@ -60,7 +60,14 @@ fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
             NavInputSpec::TcpConnect { address } => format!("TCP server {address}"),
             NavInputSpec::TcpListen { listen } => format!("TCP clients on {listen}"),
         };
-        line(out, "", &format!("{}: {input}", source.name))?;
+        let names: Vec<_> = source.provides.iter().map(|c| c.name()).collect();
+        let gives = match (source.detect, names.is_empty()) {
+            (true, _) if source.is_recorded() => "gives what it holds".to_owned(),
+            (true, _) => "gives what it sends".to_owned(),
+            (false, true) => "gives nothing".to_owned(),
+            (false, false) => format!("gives {}", names.join(", ")),
+        };
+        line(out, "", &format!("{}: {input}; {gives}", source.name))?;
         if source.lever_arm_m != DVec3::ZERO {
             let what = match source.provides.contains(&NavChannel::Position) {
                 true => "antenna",

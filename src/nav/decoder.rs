@@ -11,8 +11,6 @@ use echotank_config::spec::{ChecksumPolicy, NavChannel, NavDialect, NavSourceSpe
 use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::{NS_PER_S, UtcNs};
 
-/// Number of [`NavChannel`] values.
-const CHANNEL_COUNT: usize = 6;
 /// A lower-ranked sentence provides a quantity only after the higher-ranked one has been absent for this long.
 const SILENCE_NS: i64 = 5 * NS_PER_S;
 
@@ -152,7 +150,7 @@ struct Reader {
     dialect: NavDialect,
     provides: Vec<NavChannel>,
     clock: MessageClock,
-    active: [Option<ActiveSentence>; CHANNEL_COUNT],
+    active: [Option<ActiveSentence>; NavChannel::ALL.len()],
     untimed: Vec<UntimedSentence>,
     /// Changes of the clock that nobody has taken yet.
     clock_events: Vec<ClockEvent>,
@@ -182,7 +180,7 @@ impl NavDecoder {
                 dialect: spec.dialect.clone(),
                 provides: spec.provides.clone(),
                 clock: MessageClock::default(),
-                active: [None; CHANNEL_COUNT],
+                active: [None; NavChannel::ALL.len()],
                 untimed: Vec::with_capacity(MAX_UNTIMED),
                 clock_events: Vec::new(),
                 clock_state: ClockState::Right,

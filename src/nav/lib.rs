@@ -12,6 +12,7 @@
 
 pub mod capture;
 pub mod decoder;
+pub mod detection;
 pub mod encode;
 pub mod fault;
 mod fields;

@@ -12,17 +12,8 @@ use echotank_core::geodesy::LocalTangentPlane;
 use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::{NS_PER_S, UtcNs};
 
-/// Number of quantities.
-pub const CHANNEL_COUNT: usize = 6;
-/// Quantities in the order of all per-channel arrays.
-pub const CHANNELS: [NavChannel; CHANNEL_COUNT] = [
-    NavChannel::Position,
-    NavChannel::CourseSpeed,
-    NavChannel::Heading,
-    NavChannel::RollPitch,
-    NavChannel::Heave,
-    NavChannel::Depth,
-];
+/// Number of quantities; arrays by channel have the order of [`NavChannel::ALL`].
+pub const CHANNEL_COUNT: usize = NavChannel::ALL.len();
 const DAY_NS: i64 = 86_400 * NS_PER_S;
 /// Maximum number of sentence names; further names, mostly noise, are combined.
 const MAX_NAMES: usize = 200;
@@ -103,7 +94,7 @@ pub struct LogReport {
     pub counters: NavCounters,
     /// Statistics by sentence, sorted by name.
     pub sentences: Vec<SentenceReport>,
-    /// Statistics by quantity, in the order of [`CHANNELS`].
+    /// Statistics by quantity, in the order of [`NavChannel::ALL`].
     pub channels: [ChannelReport; CHANNEL_COUNT],
     /// Samples in file order.
     pub samples: Vec<NavSample>,
@@ -146,7 +137,7 @@ pub fn report(bytes: &[u8], spec: &NavSourceSpec, plain_rate_hz: f64) -> LogRepo
         log,
         counters,
         sentences,
-        channels: CHANNELS.map(|channel| channel_report(channel, &samples)),
+        channels: NavChannel::ALL.map(|channel| channel_report(channel, &samples)),
         samples,
         span,
         midnights,
@@ -163,7 +154,7 @@ impl SentenceReport {
         if let Some(utc) = event.message_utc {
             self.latencies.push(event.arrival.seconds_since(utc));
         }
-        for i in 0..CHANNELS.len() {
+        for i in 0..CHANNEL_COUNT {
             let set = |mask: u8| u64::from(mask >> i & 1);
             self.gave[i] += set(event.taken);
             self.outranked[i] += set(event.outranked);

@@ -21,7 +21,7 @@ use crate::overload::OverloadLog;
 use crate::page::{PageSource, ReliefCache, changes, nav_source, settings_json, trigger_name};
 use crate::settings::SettingsStore;
 use crate::triggers::TriggerCounts;
-use echotank_config::spec::ClockSpec;
+use echotank_config::spec::{ClockSpec, NavChannel};
 use echotank_core::settings::{Asked, Asker, SettingChange, SettingsPort};
 use echotank_core::time::{MonoNs, UtcNs};
 use echotank_nav::health::State;
@@ -29,6 +29,9 @@ use echotank_ping::faults::Faults;
 
 /// Most steps per command; it guards against typing errors.
 const MAX_STEPS: u64 = 1_000_000;
+
+/// By quantity, the index of its active source.
+pub(crate) type NavOwners = [Option<u16>; NavChannel::ALL.len()];
 
 /// The pipeline counts as stuck after this time without an iteration, s; no ping takes as long.
 const MAX_ITERATION_S: f64 = 15.0;
@@ -75,6 +78,7 @@ pub struct RunControl {
     /// Status lines of the navigation, renewed by the pipeline.
     nav_lines: Mutex<Vec<String>>,
     nav_sources: Mutex<Vec<(State, SourceCounters)>>,
+    nav_owners: Mutex<NavOwners>,
     page: PageSource,
     relief: ReliefCache,
     /// Commands other than settings, the newest last.
@@ -109,6 +113,7 @@ impl RunControl {
             overload_states: OverloadLog::default(),
             nav_lines: Mutex::default(),
             nav_sources: Mutex::default(),
+            nav_owners: Mutex::default(),
             page,
             relief: ReliefCache::default(),
             recent_commands: Mutex::default(),
@@ -139,9 +144,27 @@ impl RunControl {
         self.beat_ns.store(self.machine.mono().0, Ordering::Relaxed);
     }
 
-    pub(crate) fn set_nav(&self, lines: Vec<String>, sources: Vec<(State, SourceCounters)>) {
+    /// `owners`: by quantity, the index of its source.
+    pub(crate) fn set_nav(
+        &self,
+        lines: Vec<String>,
+        sources: Vec<(State, SourceCounters)>,
+        owners: NavOwners,
+    ) {
         *lock(&self.nav_lines) = lines;
         *lock(&self.nav_sources) = sources;
+        *lock(&self.nav_owners) = owners;
+    }
+
+    /// By quantity, the name of its source.
+    fn nav_owners(&self) -> Value {
+        let owners = *lock(&self.nav_owners);
+        let all = NavChannel::ALL.into_iter().zip(owners);
+        let named = all.filter_map(|(channel, owner)| {
+            let name = self.nav_name(usize::from(owner?))?;
+            Some((channel.name().to_owned(), Value::from(name)))
+        });
+        Value::Object(named.collect())
     }
 
     /// Why the daemon should be started anew; `None` while the pipeline advances.
@@ -463,6 +486,7 @@ impl ControlPort for RunControl {
             "faults": self.faults.list(),
             "faults_injected": self.faults.injected(),
             "nav": lock(&self.nav_sources).iter().map(nav_source).collect::<Value>(),
+            "nav_owners": self.nav_owners(),
             "nav_lines": self.nav_lines(),
             "commands": lock(&self.recent_commands).iter().collect::<Vec<_>>(),
             "feed": self.page.feed.counts(),
@@ -490,6 +514,7 @@ impl ControlPort for RunControl {
             },
             "overload_unlogged": self.overload_states.unwritten(),
             "nav": self.nav_lines(),
+            "nav_owners": self.nav_owners(),
             "page": self.page.feed.counts(),
         })
     }

@@ -41,8 +41,8 @@ use crate::faults::nav::NavFaults;
 use crate::histograms::Histograms;
 use crate::io::control::feed::Feed;
 use crate::io::control::{ControlServer, OpenError as ControlOpenError};
-use crate::io::nav::NavInputs;
 use crate::io::nav::output::{ClockFaults, NavOutputError, NavOutputs};
+use crate::io::nav::{NavInputs, ReadNav};
 use crate::io::notify::Notify;
 use crate::io::record::RecordError;
 use crate::io::record::recover::recover_folder;
@@ -139,6 +139,15 @@ impl Daemon {
                 None => tracing::debug!("{remark}"),
             }
         }
+        let nav = ReadNav::read(&spec.nav).map_err(OpenError::Nav)?;
+        for warning in &nav.warnings {
+            tracing::warn!("navigation: {warning}");
+        }
+        remarks.extend(nav.warnings.iter().map(|w| format!("warning: {w}")));
+        let spec = &RigSpec {
+            nav: nav.spec.clone(),
+            ..spec.clone()
+        };
         let pool = pool_of(threads, spec.run.compute_nice)?;
         let rig = pool.install(|| {
             let mut rig = crate::rig::open(spec)?;
@@ -147,7 +156,7 @@ impl Daemon {
             }
             Ok::<_, OpenError>(rig)
         })?;
-        let mut inputs = NavInputs::open(&spec.nav, clock.clone()).map_err(OpenError::Nav)?;
+        let mut inputs = NavInputs::start(nav, clock.clone()).map_err(OpenError::Nav)?;
         let nav_faults = NavFaults::new(rig.faults.clone(), &spec.nav.sources);
         inputs.spoil_with(Box::new(nav_faults));
         let settings: Vec<_> = spec

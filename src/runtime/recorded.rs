@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use crate::clock::VirtualClock;
 use crate::faults::nav::NavFaults;
-use crate::io::nav::NavInputs;
+use crate::io::nav::{NavInputs, ReadNav};
 use crate::rig::OpenError;
 use crate::waiting::missing_quantities;
 use echotank_config::spec::{RigSpec, TriggerFrom, TriggerSpec};
@@ -51,19 +51,27 @@ pub struct RecordedRig {
     follows: Vec<bool>,
     /// Per sonar: pings in long gaps of the navigation, which have no number.
     pub(crate) passed_over: Vec<u64>,
+    /// What of the navigation is missing, left out or replaced, a line each.
+    pub nav_warnings: Vec<String>,
 }
 
 impl RecordedRig {
     /// Opens the rig and reads navigation up to the first usable ping. Call it inside the thread pool that computes the rig's pings.
     pub fn open(spec: &RigSpec) -> Result<Self, RecordedError> {
-        let mut rig = crate::rig::open(spec)?;
-        let mut inputs = NavInputs::open(&spec.nav, Arc::new(VirtualClock::default()))
-            .map_err(OpenError::Nav)?;
-        let nav_faults = NavFaults::new(rig.faults.clone(), &spec.nav.sources);
-        inputs.spoil_with(Box::new(nav_faults));
-        if inputs.recorded_start().is_none() {
+        let nav = ReadNav::read(&spec.nav).map_err(OpenError::Nav)?;
+        if !nav.has_recorded() {
             return Err(RecordedError::NoLog);
         }
+        let spec = &RigSpec {
+            nav: nav.spec.clone(),
+            ..spec.clone()
+        };
+        let nav_warnings = nav.warnings.clone();
+        let mut rig = crate::rig::open(spec)?;
+        let mut inputs =
+            NavInputs::start(nav, Arc::new(VirtualClock::default())).map_err(OpenError::Nav)?;
+        let nav_faults = NavFaults::new(rig.faults.clone(), &spec.nav.sources);
+        inputs.spoil_with(Box::new(nav_faults));
         let first = loop {
             if let Some(first) = rig.history.first_usable_utc() {
                 break first;
@@ -89,6 +97,7 @@ impl RecordedRig {
             first,
             follows: triggers.map(follows).collect(),
             passed_over: vec![0; spec.sonars.len()],
+            nav_warnings,
             rig,
             inputs,
         })

@@ -94,6 +94,9 @@ impl Replay {
         keep_elements(&mut spec, &options.formats)?;
         let pool = pool(options.threads)?;
         let recorded = pool.install(|| RecordedRig::open(&spec))?;
+        for warning in &recorded.nav_warnings {
+            tracing::warn!("navigation: {warning}");
+        }
         let recorders = Recorders::create(&spec, &options, &recorded.rig)?;
         Ok(Self {
             pool: Arc::new(pool),

@@ -17,6 +17,7 @@ pub fn source(name: &str, input: NavInputSpec, provides: &[NavChannel]) -> NavSo
         mounting: Default::default(),
         dialect: Default::default(),
         provides: provides.to_vec(),
+        detect: false,
     }
 }
 
@@ -41,7 +42,7 @@ pub fn nav(sources: Vec<NavSourceSpec>) -> NavSpec {
         loop_log: false,
         max_extrapolation_s: 0.25,
         history_s: 60.0,
-        fallback_heading_from_course: false,
+        heading_from_course: None,
         failover: None,
         jump_gate: None,
         stale_s: 2.0,

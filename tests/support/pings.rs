@@ -13,7 +13,7 @@ use echotank_nav::Coverage;
 use echotank_ping::rig::{PingSlot, Rig};
 use echotank_ping::{self as ping, PingOrder, Schedule};
 use echotank_runtime::clock::VirtualClock;
-use echotank_runtime::io::nav::NavInputs;
+use echotank_runtime::io::nav::{NavInputs, ReadNav};
 
 /// A rig with its navigation, which makes the first sonar's pings one after the other.
 pub struct LoggedPings {
@@ -29,9 +29,14 @@ pub struct LoggedPings {
 impl LoggedPings {
     /// None if the navigation has no position. Call inside a thread pool.
     pub fn open(spec: &RigSpec) -> Result<Option<Self>, String> {
+        let nav = ReadNav::read(&spec.nav).map_err(|e| e.to_string())?;
+        let spec = &RigSpec {
+            nav: nav.spec.clone(),
+            ..spec.clone()
+        };
         let mut rig = echotank_runtime::rig::open(spec).map_err(|e| e.to_string())?;
         let clock = Arc::new(VirtualClock::default());
-        let mut inputs = NavInputs::open(&spec.nav, clock).map_err(|e| e.to_string())?;
+        let mut inputs = NavInputs::start(nav, clock).map_err(|e| e.to_string())?;
         let first_utc = loop {
             match rig.history.first_usable_utc() {
                 Some(first_utc) => break first_utc,

@@ -40,8 +40,9 @@ table! {
     /// Time for which measurements are kept.
     history_s: Number(from(1.0, 3600.0)), Default("10.0");
 
-    /// Use the course over ground as heading if no source provides a heading.
-    heading_from_course: Bool, Default("false");
+    /// Use the course over ground as heading if no source provides a heading. Default: true, with a warning, if all sources are files, none
+    /// holds a heading and one has no `provides`; else false.
+    heading_from_course: Bool, Optional("true");
 
     /// If several sources provide a quantity, the next one in the file takes over after the active source is silent for this time. Default: only
     /// the first is used.
@@ -69,8 +70,8 @@ table! {
     /// invalid. "skip": leave the ping out. Only with mode = "predict".
     on_lost: Choice("hold", "skip"), Default("\"hold\"");
     tow: Table(NavTow), Optional("");
-    source: Tables(NavSource), Required("");
-    output: Tables(NavOutput), Optional("");
+    source: Tables(NavSource, 32), Required("");
+    output: Tables(NavOutput, 32), Optional("");
 }
 
 table! {
@@ -139,7 +140,7 @@ table! {
 }
 
 table! {
-    /// One navigation source. The first source in the file that provides a quantity is used for it.
+    /// One navigation source. The first source in the configuration that provides a quantity is used for it.
     NavSource;
     name: Name, Required("\"gnss\"");
 
@@ -205,7 +206,7 @@ table! {
     /// Roll, pitch and yaw that the motion sensor or compass reports on a level platform heading north. They are subtracted.
     mounting_deg: VectorDegrees(ANGLE_DEG), Default("[0.0, 0.0, 0.0]");
 
-    /// Quantities used from this source. "depth" is the depth of the platform (PIXSE,DEPIN_, PIPS, relative altitude of MAVLink, and with
-    /// variants = ["own-depth"] DPT, DBT, DBS and DBK).
-    provides: Choices("position", "course-speed", "heading", "roll-pitch", "heave", "depth"), Default("[\"position\", \"course-speed\", \"heading\", \"roll-pitch\", \"heave\"]");
+    /// Quantities used from this source; a ping needs each of them. "depth" is the depth of the platform (PIXSE,DEPIN_, PIPS, relative
+    /// altitude of MAVLink, and with variants = ["own-depth"] DPT, DBT, DBS and DBK). Default: what a file holds, or what a live source sends.
+    provides: Choices("position", "course-speed", "heading", "roll-pitch", "heave", "depth"), Optional("[\"position\", \"heading\"]");
 }

@@ -15,9 +15,9 @@ table! {
     name: Name, Required("\"main\"");
     serial: Integer(0, MAX_INTEGER), Default("1");
     pulse: Table(Pulse), Required("");
-    more_pulse: Tables(MorePulse), Optional("");
-    transmit: Tables(Transmit), Required("");
-    receive: Tables(Receive), Required("");
+    more_pulse: Tables(MorePulse, 32), Optional("");
+    transmit: Tables(Transmit, 32), Required("");
+    receive: Tables(Receive, 256), Required("");
     receiver: Table(Receiver), Required("");
     ping: Table(Ping), Required("");
     limits: Table(Limits), Default("{}");

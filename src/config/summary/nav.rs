@@ -50,9 +50,16 @@ pub(crate) fn write_mounting(out: &mut String, source: &NavSourceSpec) -> fmt::R
 /// Depth, towing, failover and output sentences.
 pub(crate) fn write_rest(out: &mut String, nav: &NavSpec) -> fmt::Result {
     let given = |channel| nav.sources.iter().any(|s| s.provides.contains(&channel));
+    let given_for_sure = |channel| {
+        let mut sources = nav.sources.iter();
+        sources.any(|s| s.provides.contains(&channel) && !s.detect)
+    };
     let down = match nav.vertical {
-        VerticalSpec::Waterline { reference_down_m } if given(NavChannel::Heave) => {
+        VerticalSpec::Waterline { reference_down_m } if given_for_sure(NavChannel::Heave) => {
             format!("{reference_down_m} m below the waterline, plus heave")
+        }
+        VerticalSpec::Waterline { reference_down_m } if given(NavChannel::Heave) => {
+            format!("{reference_down_m} m below the waterline, plus heave where a source gives it")
         }
         VerticalSpec::Waterline { reference_down_m } => {
             format!("{reference_down_m} m below the waterline")

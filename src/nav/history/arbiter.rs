@@ -3,6 +3,8 @@
 //! Sources rank in the order of the configuration file. The best source that is not silent is active. A worse one takes over
 //! after a configured silence of the better ones. A better one takes back after it has arrived without such a silence for a
 //! configured time. Without failover only the first source is used.
+//!
+//! A source that only may provide the quantity ranks from its first sample on.
 
 use echotank_config::spec::FailoverSpec;
 use echotank_core::time::{NS_PER_S, UtcNs};
@@ -12,6 +14,8 @@ use echotank_core::time::{NS_PER_S, UtcNs};
 pub(crate) enum Verdict {
     /// The source is active.
     Active,
+    /// The source is active, and no source was before.
+    First,
     /// The source becomes active: its samples do not continue those of the previous source.
     TakesOver,
     /// The source is not active.
@@ -21,6 +25,8 @@ pub(crate) enum Verdict {
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
     source: u16,
+    /// The source only may provide the quantity, and has not yet.
+    is_open: bool,
     last: Option<UtcNs>,
     /// Start of its arrivals without a silence.
     since: UtcNs,
@@ -36,9 +42,11 @@ pub(crate) struct Arbiter {
 }
 
 impl Arbiter {
-    pub(super) fn new(sources: impl Iterator<Item = u16>) -> Self {
-        let candidate = |source| Candidate {
+    /// Sources, and whether they only may provide the quantity.
+    pub(super) fn new(sources: impl Iterator<Item = (u16, bool)>) -> Self {
+        let candidate = |(source, is_open)| Candidate {
             source,
+            is_open,
             last: None,
             since: UtcNs(0),
         };
@@ -49,11 +57,11 @@ impl Arbiter {
         }
     }
 
-    /// The active source; before the first sample, the best one.
+    /// The active source; before the first sample, the best one that provides the quantity.
     pub(super) fn source(&self) -> Option<u16> {
-        self.candidates
-            .get(self.active.unwrap_or(0))
-            .map(|c| c.source)
+        let active = self.active.and_then(|active| self.candidates.get(active));
+        let first = || self.candidates.iter().find(|c| !c.is_open);
+        active.or_else(first).map(|c| c.source)
     }
 
     pub(super) fn receive(
@@ -65,11 +73,11 @@ impl Arbiter {
         let Some(who) = self.candidates.iter().position(|c| c.source == source) else {
             return Verdict::Inactive;
         };
+        self.candidates[who].is_open = false;
         let Some(rule) = rule else {
-            return if who == 0 {
-                Verdict::Active
-            } else {
-                Verdict::Inactive
+            return match self.candidates[..who].iter().all(|c| c.is_open) {
+                true => self.activate(who),
+                false => Verdict::Inactive,
             };
         };
         let silence_ns = (rule.after_s * NS_PER_S as f64) as i64;
@@ -82,7 +90,8 @@ impl Arbiter {
         }
         candidate.last = Some(candidate.last.map_or(arrival, |last| last.max(arrival)));
         let steady_ns = since(candidate.since);
-        let silent = |c: &Candidate| since(c.last.unwrap_or(first_arrival)) > silence_ns;
+        let silent =
+            |c: &Candidate| c.is_open || since(c.last.unwrap_or(first_arrival)) > silence_ns;
         let takes_over = match self.active {
             Some(active) if who == active => return Verdict::Active,
             Some(active) if who < active => {
@@ -90,14 +99,17 @@ impl Arbiter {
             }
             _ => self.candidates[..who].iter().all(silent),
         };
-        if !takes_over {
-            return Verdict::Inactive;
+        match takes_over {
+            true => self.activate(who),
+            false => Verdict::Inactive,
         }
-        let first = self.active.replace(who).is_none();
-        if first {
-            Verdict::Active
-        } else {
-            Verdict::TakesOver
+    }
+
+    fn activate(&mut self, who: usize) -> Verdict {
+        match self.active.replace(who) {
+            None => Verdict::First,
+            Some(before) if before == who => Verdict::Active,
+            Some(_) => Verdict::TakesOver,
         }
     }
 }
@@ -113,7 +125,7 @@ mod tests {
 
     /// Changes of the active source at steps of 0.1 s, where `comes(source, t)` says which source sends.
     fn changes_of_source(comes: fn(u16, f64) -> bool, until: i32) -> Vec<(f64, u16)> {
-        let mut arbiter = Arbiter::new([3, 7].into_iter());
+        let mut arbiter = Arbiter::new([(3, false), (7, false)].into_iter());
         let mut changes = Vec::new();
         for i in 0..until {
             let t = f64::from(i) / 10.0;
@@ -152,12 +164,25 @@ mod tests {
 
     #[test]
     fn without_failover_only_the_first_source_is_active() {
-        let mut arbiter = Arbiter::new([3, 7].into_iter());
-        assert_eq!(arbiter.receive(7, UtcNs(0), None), Verdict::Inactive);
-        assert_eq!(
-            arbiter.receive(3, UtcNs(0).plus_s(99.0), None),
-            Verdict::Active
-        );
+        let mut arbiter = Arbiter::new([(3, false), (7, true)].into_iter());
+        let mut receive = |source, t| arbiter.receive(source, UtcNs(0).plus_s(t), None);
+        assert_eq!(receive(7, 0.0), Verdict::Inactive);
+        assert_eq!(receive(3, 99.0), Verdict::First);
+        assert_eq!(receive(3, 99.1), Verdict::Active);
         assert_eq!(arbiter.receive(5, UtcNs(0), RULE), Verdict::Inactive);
+    }
+
+    #[test]
+    fn a_source_that_only_may_provide_ranks_from_its_first_sample_on() {
+        let mut arbiter = Arbiter::new([(3, true), (7, true)].into_iter());
+        assert_eq!(arbiter.source(), None);
+        let mut receive = |source, t| arbiter.receive(source, UtcNs(0).plus_s(t), None);
+        assert_eq!(receive(7, 0.0), Verdict::First);
+        assert_eq!(receive(3, 1.0), Verdict::TakesOver);
+        assert_eq!(receive(7, 60.0), Verdict::Inactive);
+        assert_eq!(arbiter.source(), Some(3));
+        let mut arbiter = Arbiter::new([(3, true), (7, false)].into_iter());
+        assert_eq!(arbiter.source(), Some(7));
+        assert_eq!(arbiter.receive(7, UtcNs(0), RULE), Verdict::First);
     }
 }

@@ -2,6 +2,8 @@
 //!
 //! - The first configured source of a channel is active; with failover, the best source that is not silent (`arbiter`). Other
 //!   samples are dropped. A change of source is a seam.
+//! - A source without configured channels provides what it sends: a channel counts, and pings need it, from its first sample on.
+//!   `DETECTION_S` after the first sample the channels are taken for known; until then no instant is usable.
 //! - With a jump gate, samples that imply impossible motion are set aside (`gate`).
 //! - Positions, heaves and depths are reduced from the antenna or sensor to the reference point of the body, each at its own
 //!   time. The antenna sways with the roll between two fixes; the reference point does not. Therefore
@@ -18,6 +20,8 @@
 mod arbiter;
 mod gate;
 mod motion;
+
+pub(crate) use self::motion::MAX_GAP_S;
 
 use glam::DVec3;
 use thiserror::Error;
@@ -40,6 +44,8 @@ const MIN_COURSE_SPEED_M_PER_S: f64 = 0.2;
 /// Maximum lead of the time of validity over the arrival, seconds. A sample beyond it uses another clock and would displace all
 /// knots. A log replayed faster than recorded stays below it.
 const FUTURE_S: f64 = 600.0;
+/// Time in which a source without configured channels shows what it sends, seconds: two sentences of a source at 1 Hz.
+const DETECTION_S: f64 = 2.0;
 /// Maximum number of stored seams.
 const MAX_SEAMS: usize = 16;
 /// Maximum number of stored jumps of clocks.
@@ -133,10 +139,11 @@ enum HeadingFrom {
     None,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Owner {
-    /// The source is a track file: its points are joined at any distance.
-    sparse: bool,
+/// The first sample of a source without configured channels, and the last one.
+#[derive(Clone, Copy, Debug, Default)]
+struct Detection {
+    first: Option<UtcNs>,
+    last: Option<UtcNs>,
 }
 
 /// A time in which the clock of a source cannot be trusted.
@@ -153,12 +160,18 @@ struct Sensor {
     /// Position of the antenna or depth sensor in the body, metres.
     arm_m: DVec3,
     mounting: SensorMounting,
+    /// The source is a track file: its points are joined at any distance.
+    sparse: bool,
+    /// The configuration does not say what the source provides.
+    detect: bool,
 }
 
 /// Recent navigation of all sources, and the state and trajectory derived from it.
 pub struct NavHistory {
     vertical: VerticalSpec,
-    heading_from: HeadingFrom,
+    heading_from_course: bool,
+    /// Of sources without configured channels, if there are any.
+    detection: Option<Detection>,
     max_extrapolation_s: f64,
     depth_ns: i64,
     failover: Option<FailoverSpec>,
@@ -170,7 +183,6 @@ pub struct NavHistory {
     sensors: Vec<Sensor>,
     /// By channel: active sources and the times from which they hold; ascending, and not empty if a source provides the channel.
     source_changes: [Vec<(UtcNs, u16)>; CHANNELS],
-    owners: [Option<Owner>; CHANNELS],
     arbiters: [Arbiter; CHANNELS],
     gates: [Gate; CHANNELS],
     /// By channel: samples before this time are dropped, because another source was active.
@@ -192,35 +204,18 @@ pub struct NavHistory {
 impl NavHistory {
     /// Empty history as `spec` configures.
     pub fn new(spec: &NavSpec) -> Self {
-        let owners = ALL_CHANNELS.map(|channel| {
-            let i = spec
-                .sources
-                .iter()
-                .position(|s| s.provides.contains(&channel))?;
-            Some(Owner {
-                sparse: matches!(spec.sources[i].input, NavInputSpec::Csv { .. }),
-            })
-        });
-        let owns = |channel: NavChannel| owners[index(channel)].is_some();
-        let heading_from = if owns(NavChannel::Heading) {
-            HeadingFrom::Sensor
-        } else if !spec.fallback_heading_from_course {
-            HeadingFrom::None
-        } else if owns(NavChannel::CourseSpeed) {
-            HeadingFrom::Course
-        } else {
-            HeadingFrom::Track
-        };
-        let arbiters = ALL_CHANNELS.map(|channel| {
+        let arbiters = NavChannel::ALL.map(|channel| {
             let provides = |(_, s): &(usize, &NavSourceSpec)| s.provides.contains(&channel);
             let sources = spec.sources.iter().enumerate().filter(provides);
-            Arbiter::new(sources.filter_map(|(i, _)| u16::try_from(i).ok()))
+            Arbiter::new(sources.filter_map(|(i, s)| Some((u16::try_from(i).ok()?, s.detect))))
         });
         let sensor = |s: &NavSourceSpec| Sensor {
             arm_m: s.lever_arm_m,
             mounting: s.mounting,
+            sparse: matches!(s.input, NavInputSpec::Csv { .. }),
+            detect: s.detect,
         };
-        let source_changes = ALL_CHANNELS.map(|channel| {
+        let source_changes = NavChannel::ALL.map(|channel| {
             let first = arbiters[index(channel)].source();
             let mut source_changes = Vec::with_capacity(MAX_SEAMS + 2);
             source_changes.extend(first.map(|source| (UtcNs(i64::MIN), source)));
@@ -232,7 +227,12 @@ impl NavHistory {
         };
         Self {
             vertical: spec.vertical,
-            heading_from,
+            heading_from_course: spec.heading_from_course == Some(true),
+            detection: spec
+                .sources
+                .iter()
+                .any(|s| s.detect)
+                .then(Detection::default),
             max_extrapolation_s: spec.max_extrapolation_s,
             depth_ns: (spec.history_s * NS_PER_S as f64) as i64,
             failover: spec.failover,
@@ -242,7 +242,6 @@ impl NavHistory {
             tow: spec.tow,
             sensors: spec.sources.iter().map(sensor).collect(),
             source_changes,
-            owners,
             arbiters,
             gates: Default::default(),
             accepted_from: [UtcNs(i64::MIN); CHANNELS],
@@ -275,9 +274,24 @@ impl NavHistory {
         self.first_fix_m
     }
 
-    /// First instant at which every channel that a ping needs has a sample; `None` while one has none.
+    /// First instant at which every channel that a ping needs has a sample; `None` while one has none, or while it is not known
+    /// what the sources send.
     pub fn first_usable_utc(&self) -> Option<UtcNs> {
-        self.first_usable_utc_of(|_| true)
+        match self.is_detecting() {
+            true => None,
+            false => self.first_usable_utc_of(|_| true),
+        }
+    }
+
+    /// Whether sources without configured channels have had too little time to show what they send.
+    pub fn is_detecting(&self) -> bool {
+        let shown = |d: Detection| {
+            d.last?
+                .seconds_since(d.first?)
+                .ge(&DETECTION_S)
+                .then_some(())
+        };
+        self.detection.is_some_and(|d| shown(d).is_none())
     }
 
     /// Like [`Self::first_usable_utc`], for the needed channels that `counts` selects; `None` if it selects none of them.
@@ -320,7 +334,7 @@ impl NavHistory {
             .map_or(State::Silent, |h| h.at(now))
     }
 
-    /// Active source of a channel; before the first sample, the best one.
+    /// Active source of a channel; before the first sample, the best one that is configured to provide it.
     pub fn active_source(&self, channel: NavChannel) -> Option<u16> {
         self.arbiters[index(channel)].source()
     }
@@ -329,6 +343,10 @@ impl NavHistory {
     fn is_from_active_source(&mut self, channel: usize, sample: &NavSample) -> bool {
         let verdict =
             self.arbiters[channel].receive(sample.source, sample.arrival_utc, self.failover);
+        if verdict == Verdict::First {
+            self.source_changes[channel].clear();
+            self.source_changes[channel].push((UtcNs(i64::MIN), sample.source));
+        }
         if verdict == Verdict::TakesOver {
             // The new source starts after all samples of the previous one.
             let newest = self.rings[channel].newest();
@@ -387,7 +405,7 @@ impl NavHistory {
     /// Whether the clock of a source that is active at `zero` could not be trusted in `from..=to`.
     fn time_jumped(&self, zero: UtcNs, from: UtcNs, to: UtcNs) -> bool {
         let is_active = |source: u16| {
-            let mut channels = ALL_CHANNELS.into_iter();
+            let mut channels = NavChannel::ALL.into_iter();
             channels.any(|channel| self.active_source_at(channel, zero) == Some(source))
         };
         self.clock_jumps.iter().any(|jump| {
@@ -409,6 +427,13 @@ impl NavHistory {
         let channel = NavChannel::of(&sample.quantity);
         if let Some(health) = self.health.get_mut(usize::from(sample.source)) {
             health.sample_arrived(sample.arrival_utc);
+        }
+        let sensor = self.sensors.get(usize::from(sample.source));
+        if let Some(detection) = &mut self.detection
+            && sensor.is_some_and(|s| s.detect)
+        {
+            detection.first.get_or_insert(sample.arrival_utc);
+            detection.last = detection.last.max(Some(sample.arrival_utc));
         }
         if sample.valid_utc > sample.arrival_utc.plus_s(FUTURE_S) {
             self.counts.from_the_future += 1;
@@ -526,7 +551,26 @@ impl NavHistory {
     }
 
     fn owns(&self, channel: NavChannel) -> bool {
-        self.owners[index(channel)].is_some()
+        self.active_source(channel).is_some()
+    }
+
+    /// Whether the points of a channel are joined at any distance.
+    fn is_sparse(&self, channel: NavChannel) -> bool {
+        let source = self.active_source(channel);
+        let sensor = source.and_then(|source| self.sensors.get(usize::from(source)));
+        sensor.is_some_and(|s| s.sparse)
+    }
+
+    fn heading_from(&self) -> HeadingFrom {
+        if self.owns(NavChannel::Heading) {
+            HeadingFrom::Sensor
+        } else if !self.heading_from_course {
+            HeadingFrom::None
+        } else if self.owns(NavChannel::CourseSpeed) {
+            HeadingFrom::Course
+        } else {
+            HeadingFrom::Track
+        }
     }
 
     fn uses_heave(&self) -> bool {
@@ -574,7 +618,7 @@ impl NavHistory {
 
     /// Channel that gives the heading, and the number of knots at or after a time that determine the heading there.
     fn heading_channel(&self) -> (NavChannel, usize) {
-        match self.heading_from {
+        match self.heading_from() {
             HeadingFrom::Sensor | HeadingFrom::None => (NavChannel::Heading, 2),
             HeadingFrom::Course => (NavChannel::CourseSpeed, 2),
             // A course is a rate of positions, which needs one knot more.
@@ -646,15 +690,7 @@ impl NavHistory {
     }
 }
 
-const CHANNELS: usize = 6;
-const ALL_CHANNELS: [NavChannel; CHANNELS] = [
-    NavChannel::Position,
-    NavChannel::CourseSpeed,
-    NavChannel::Heading,
-    NavChannel::RollPitch,
-    NavChannel::Heave,
-    NavChannel::Depth,
-];
+const CHANNELS: usize = NavChannel::ALL.len();
 
 impl Sensor {
     /// Position of the sensor of a vertical channel in the body, metres.

@@ -16,7 +16,7 @@ use echotank_core::time::UtcNs;
 const LOOKBACK_S: f64 = 1.0;
 /// Samples of a sensor farther apart than this, seconds, are not interpolated: swell can reverse in between. Track files may be
 /// sparser.
-const MAX_GAP_S: f64 = 5.0;
+pub(crate) const MAX_GAP_S: f64 = 5.0;
 /// Bounds of a stretch without a seam.
 const NO_SEAM_BEFORE: UtcNs = UtcNs(i64::MIN);
 const NO_SEAM_AFTER: UtcNs = UtcNs(i64::MAX);
@@ -270,7 +270,7 @@ impl NavHistory {
             }
             _ => {}
         }
-        if self.owners[index(channel)].is_some_and(|o| o.sparse) {
+        if self.is_sparse(channel) {
             return Ok(());
         }
         let mut before = None;
@@ -375,7 +375,7 @@ impl NavHistory {
         out: &mut Vec<VectorKnot>,
     ) -> Result<(), NavGap> {
         let (channel, ahead) = self.heading_channel();
-        if self.heading_from == HeadingFrom::None {
+        if self.heading_from() == HeadingFrom::None {
             return Err(NavGap::NoData(channel));
         }
         self.check(channel, needed)?;
@@ -383,7 +383,7 @@ impl NavHistory {
         let stretch = self.stretch(channel, needed)?;
         let range = ring.around(wide.from, wide.end, ahead, stretch);
         ring.fill(range, wide.zero, out);
-        if self.heading_from == HeadingFrom::Track {
+        if self.heading_from() == HeadingFrom::Track {
             set_rates(out);
             courses_from_rates(out);
         }
@@ -402,7 +402,7 @@ impl NavHistory {
             sensor.map_or(DVec3::ZERO, |p| p.mounting.angles_rad)
         };
         let (heading, _) = self.heading_channel();
-        let compass_rad = match self.heading_from {
+        let compass_rad = match self.heading_from() {
             HeadingFrom::Sensor => angles(heading).z,
             // A course is independent of any mounting.
             _ => 0.0,
@@ -413,7 +413,7 @@ impl NavHistory {
         };
         Mounting {
             aligned: motion == DVec3::ZERO && compass_rad == 0.0,
-            same_sensor: self.heading_from == HeadingFrom::Sensor
+            same_sensor: self.heading_from() == HeadingFrom::Sensor
                 && self.owns(NavChannel::RollPitch)
                 && self.active_source_at(heading, utc)
                     == self.active_source_at(NavChannel::RollPitch, utc),

@@ -8,9 +8,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use crossbeam_channel::{Receiver, TrySendError, bounded};
-use echotank_config::spec::{DeliverySpec, NavMode, NavSourceSpec};
+use echotank_config::spec::{DeliverySpec, NavChannel, NavMode, NavSourceSpec};
 use echotank_core::ping::OverloadState;
 use echotank_core::time::{MonoNs, NS_PER_S, Timeline, UtcNs};
+use echotank_nav::detection::owners_text;
 use echotank_nav::{Coverage, NavGap};
 use echotank_ping::rig::{PingSlot, Rig};
 use echotank_ping::{PingOrder, finish_ping, make_degraded_ping, make_ping};
@@ -201,8 +202,16 @@ impl Pacer {
     /// When the recorded logs first hold what a ping needs of them (the rest is live); none where the daemon is stopped.
     pub(super) fn first_recorded(&mut self) -> Result<Option<UtcNs>, DaemonError> {
         let sources = self.rig.spec.nav.sources.clone();
+        let is_recorded = |channel| {
+            let gives = |s: &NavSourceSpec| s.provides.contains(&channel) && s.is_recorded();
+            sources.iter().any(gives)
+        };
+        // A live source that only may send a quantity stands behind a file that holds it.
         let is_live = |channel| {
-            let gives = |s: &NavSourceSpec| s.provides.contains(&channel) && !s.is_recorded();
+            let gives = |s: &NavSourceSpec| {
+                let certain = !s.detect || !is_recorded(channel);
+                s.provides.contains(&channel) && !s.is_recorded() && certain
+            };
             sources.iter().any(gives)
         };
         if self.rig.history.silent().into_iter().all(is_live) {
@@ -305,8 +314,19 @@ impl Pacer {
         let now = self.machine.mono();
         if now >= self.next_nav_lines {
             self.next_nav_lines = now.plus_ns(NAV_LINES_EVERY_NS);
-            let lines = [first(self), self.inputs.lines(), self.nav_out.lines()].concat();
-            self.control.set_nav(lines, self.inputs.sources());
+            let history = &self.rig.history;
+            let active = |channel| history.active_source(channel);
+            let owners = owners_text(&self.rig.spec.nav, active);
+            let owners = vec![format!("nav quantities: {owners}")];
+            let of_channels = NavChannel::ALL.map(active);
+            let lines = [
+                first(self),
+                owners,
+                self.inputs.lines(),
+                self.nav_out.lines(),
+            ];
+            self.control
+                .set_nav(lines.concat(), self.inputs.sources(), of_channels);
         }
     }
 

@@ -5,7 +5,7 @@ use std::net::UdpSocket;
 use echotank_runtime::io::control::client;
 
 use super::modes::status;
-use super::{Daemon, MRU, eventually, live, sentence};
+use super::{Daemon, MRU, eventually, gnss, live, sentence};
 use crate::{Ended, run, sets};
 
 #[test]
@@ -56,6 +56,36 @@ fn the_status_names_what_the_first_ping_waits_for() {
 }
 
 #[test]
+fn a_live_source_without_provides_owns_what_it_sends() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut daemon = Daemon::start(live(folder.path()), ["control.listen=127.0.0.1:0"]);
+    let nav = daemon.announced("nav bridge", "udp");
+    let at = daemon.announced("control http", "http");
+    let socket = UdpSocket::bind("127.0.0.1:0").expect("socket");
+    let until = |more: &str, pings: u64, want: serde_json::Value| {
+        eventually(|| {
+            let text = gnss(0.0, 0) + more;
+            let _ = socket.send_to(text.as_bytes(), nav);
+            std::thread::sleep(std::time::Duration::from_millis(50));
+            let status = status(at);
+            let made = status["pings_delivered"].as_u64().unwrap_or(0);
+            match made >= pings && status["nav_owners"] == want {
+                true => Ok(()),
+                false => Err(status.to_string()),
+            }
+        });
+    };
+    // No attitude: the daemon pings all the same.
+    let gnss_alone = serde_json::json!({ "position": "bridge", "heading": "bridge" });
+    until("", 3, gnss_alone);
+    let whole = serde_json::json!({
+        "position": "bridge", "heading": "bridge", "roll-pitch": "bridge", "heave": "bridge",
+    });
+    until(&sentence(MRU), 6, whole);
+    daemon.terminate();
+}
+
+#[test]
 fn a_log_without_required_navigation_ends_the_daemon_with_a_message() {
     // Also with `loop`.
     let log = echotank_testing::repository().join("tests/data/nav/gyro_90s.rvdas");
@@ -66,8 +96,8 @@ fn a_log_without_required_navigation_ends_the_daemon_with_a_message() {
             &format!("run.clock=\"{clock}\""),
         ]);
         let Ended { code, err, .. } = run("run", settings);
-        assert_ne!(code, Some(0), "{clock}: {err}");
-        assert!(err.contains("no position from"), "{clock}: {err}");
-        assert!(err.contains("`provides`"), "{clock}: {err}");
+        assert_eq!(code, Some(2), "{clock}: {err}");
+        let missing = "no source gives a position: seapath gives heading";
+        assert!(err.contains(missing), "{clock}: {err}");
     }
 }

@@ -344,7 +344,7 @@ fn a_settled_state_does_not_change_when_more_samples_come() {
             }),
         ]);
         spec.sources[0].lever_arm_m = DVec3::new(1.0, 2.0, -10.0);
-        spec.fallback_heading_from_course = true;
+        spec.heading_from_course = Some(true);
         let mut samples = Vec::new();
         for k in 0..400 {
             let t = f64::from(k) * 0.05;
@@ -573,7 +573,7 @@ fn heading_comes_from_the_course_or_the_track_where_no_source_gives_it() {
         let mut spec = nav_spec(vec![log_source(&provides)]);
         let nowhere = settle(&mut NavHistory::new(&spec), 1.0, 0.1);
         assert!(nowhere.is_err());
-        spec.fallback_heading_from_course = true;
+        spec.heading_from_course = Some(true);
         let mut history = NavHistory::new(&spec);
         for k in 0..20 {
             let t = f64::from(k);
@@ -709,6 +709,37 @@ fn a_track_of_two_points_is_a_straight_line_however_long() {
     let state = settle(&mut history, 1000.0, 1.0).expect("settled");
     assert!((state.pose.position_m - DVec3::new(1500.0, 0.0, 7.0)).length() < 1e-9);
     assert_eq!(history.origin().map(|p| p.origin_rad()), Some((0.0, 0.0)));
+}
+
+#[test]
+fn a_source_without_configured_channels_provides_what_it_sends() {
+    let open = || {
+        let mut source = log_source(&NavChannel::ALL);
+        source.detect = true;
+        source
+    };
+    let mut first = open();
+    first.lever_arm_m = DVec3::new(10.0, 0.0, 0.0);
+    let mut history = NavHistory::new(&nav_spec(vec![first, open()]));
+    assert!(history.is_detecting() && history.first_usable_utc().is_none());
+    for k in 0..=20 {
+        let t = 0.1 * f64::from(k);
+        assert!(history.first_usable_utc().is_none(), "{t}");
+        history.insert(&sample(1, t, local(2.0 * t, 0.0, 0.0)));
+        history.insert(&sample(1, t, heading(0.0)));
+    }
+    // Two seconds show what a source sends.
+    assert_eq!(history.first_usable_utc(), Some(T0));
+    assert_eq!(history.active_source(NavChannel::Heading), Some(1));
+    assert_eq!(history.active_source(NavChannel::RollPitch), None);
+    let state = settle(&mut history, 1.0, 0.2).expect("level without attitude");
+    // The arm of the first source, which sends nothing, plays no part.
+    assert!((state.pose.position_m.x - 2.0).abs() < 1e-9);
+
+    // From its first sample on, a quantity counts and is needed.
+    history.insert(&sample(0, 2.1, roll_pitch(3.0, 0.0)));
+    assert_eq!(history.active_source(NavChannel::RollPitch), Some(0));
+    assert!(settle(&mut history, 1.5, 0.2).is_err());
 }
 
 #[test]

@@ -9,7 +9,7 @@ use echotank_core::navigation::NavQuantity;
 use echotank_core::time::UtcNs;
 use echotank_nav::decoder::Outcome;
 use echotank_nav::log::LogKind;
-use echotank_nav::report::{CHANNELS, LogReport, report};
+use echotank_nav::report::{LogReport, report};
 
 use crate::{log_source, sum_of_classes};
 
@@ -26,7 +26,7 @@ fn spec(checksum: ChecksumPolicy, time: TimePolicy) -> NavSourceSpec {
     NavSourceSpec {
         time,
         checksum,
-        ..log_source(&CHANNELS)
+        ..log_source(&NavChannel::ALL)
     }
 }
 
@@ -170,7 +170,7 @@ fn a_tlog_s_messages_all_pass_their_checksum() {
 }
 
 fn gave(r: &LogReport, name: &str, channel: NavChannel) -> u64 {
-    let i = CHANNELS
+    let i = NavChannel::ALL
         .iter()
         .position(|c| *c == channel)
         .expect("a channel");

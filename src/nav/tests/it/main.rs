@@ -1,6 +1,7 @@
 //! Navigation from bytes to motion: sentences, formats, recorded logs, history.
 
 mod decode;
+mod detection;
 mod formats;
 mod history;
 mod logs;

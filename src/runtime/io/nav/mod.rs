@@ -17,6 +17,7 @@ use echotank_config::spec::NavSpec;
 use echotank_core::navigation::NavSample;
 use echotank_core::time::{Timeline, UtcNs};
 use echotank_nav::decoder::ClockState;
+use echotank_nav::detection::MissingQuantity;
 use echotank_nav::fault::NavFaultFilter;
 use echotank_nav::health::State;
 use echotank_nav::log::LogCounts;
@@ -62,6 +63,9 @@ pub enum NavOpenError {
         /// Lines of JSON.
         json: u64,
     },
+    /// The logs lack what every ping needs.
+    #[error(transparent)]
+    Missing(#[from] MissingQuantity),
     /// `loop` is set and no period is covered by every channel.
     #[error(
         "nav: the recorded sources have no time in common to repeat (`loop`): the last channel starts when the first has ended"
@@ -104,6 +108,43 @@ pub struct LiveCounters {
     pub read_errors: u64,
     /// Serial ports reopened or TCP connections made.
     pub reopened: u64,
+}
+
+/// The recorded sources of a rig, read and decoded.
+pub struct ReadNav {
+    /// The navigation as configured, with what the logs give in the place of `provides` that the configuration leaves open.
+    pub spec: NavSpec,
+    /// What of the navigation is missing, left out or replaced, a line each.
+    pub warnings: Vec<String>,
+    recorded: Option<Recorded>,
+    counters: Vec<SourceCounters>,
+}
+
+impl ReadNav {
+    /// Reads and decodes all recorded files. An error if they lack what every ping needs.
+    pub fn read(spec: &NavSpec) -> Result<Self, NavOpenError> {
+        let mut counters: Vec<SourceCounters> = spec
+            .sources
+            .iter()
+            .map(|s| SourceCounters {
+                name: s.name.clone(),
+                ..Default::default()
+            })
+            .collect();
+        let mut spec = spec.clone();
+        let (recorded, warnings) = Recorded::open(&mut spec, &mut counters)?;
+        Ok(Self {
+            spec,
+            warnings,
+            recorded,
+            counters,
+        })
+    }
+
+    /// Whether any source is a file.
+    pub fn has_recorded(&self) -> bool {
+        self.recorded.is_some()
+    }
 }
 
 /// The navigation inputs of a rig.
@@ -212,22 +253,22 @@ impl NavInputs {
         self.spoiler = Some(spoiler);
     }
 
-    /// Opens every source: reads and decodes recorded files, and starts the threads of live sources, which run until the value is dropped.
+    /// Opens every source: [`ReadNav::read`] and [`NavInputs::start`].
     pub fn open(spec: &NavSpec, clock: Arc<dyn Clock>) -> Result<Self, NavOpenError> {
-        let mut counters: Vec<SourceCounters> = spec
-            .sources
-            .iter()
-            .map(|s| SourceCounters {
-                name: s.name.clone(),
-                ..Default::default()
-            })
-            .collect();
-        let recorded = Recorded::open(spec, &mut counters)?;
-        let has_live = !spec.is_recorded();
-        let live = if has_live {
-            Some(Live::open(spec, clock, recorded.is_some())?)
-        } else {
-            None
+        Self::start(ReadNav::read(spec)?, clock)
+    }
+
+    /// Starts the threads of the live sources, which run until the value is dropped.
+    pub fn start(read: ReadNav, clock: Arc<dyn Clock>) -> Result<Self, NavOpenError> {
+        let ReadNav {
+            spec,
+            recorded,
+            counters,
+            ..
+        } = read;
+        let live = match spec.is_recorded() {
+            true => None,
+            false => Some(Live::open(&spec, clock, recorded.is_some())?),
         };
         Ok(Self {
             recorded,

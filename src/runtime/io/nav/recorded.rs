@@ -5,16 +5,20 @@ use std::path::Path;
 use super::{Feed, NavOpenError, SourceCounters};
 use crate::config_files::read_bounded;
 use echotank_config::spec::{NavChannel, NavInputSpec, NavSourceSpec, NavSpec};
-use echotank_core::navigation::{NavQuantity, NavSample};
+use echotank_core::navigation::NavSample;
 use echotank_core::time::UtcNs;
 use echotank_nav::NavCounters;
 use echotank_nav::decoder::{ClockEvent, ClockState};
+use echotank_nav::detection::detect;
 use echotank_nav::log::{read_log, refusal, unknown_binary};
 use echotank_nav::passes::PassKind;
 use echotank_nav::track::read_track;
 
 /// Largest file read, bytes. An hour of 100 Hz attitude is 30 MB; a day, 700 MB, should be cut.
 pub const MAX_LOG_BYTES: u64 = 256 << 20;
+
+/// A warning tells of refused checksums if more than one sentence in this many is refused.
+const MAX_REFUSED_ONE_IN: u64 = 20;
 
 /// A silence of all sources that is longer, seconds, is passed over by a replay: it counts its pings without ordering each.
 const LONG_GAP_S: f64 = 3600.0;
@@ -50,18 +54,19 @@ struct Repeat {
 }
 
 impl Recorded {
-    /// `None` without recorded sources.
+    /// `None` without recorded sources. Replaces `provides` of logs that leave it open by what they give, and returns the warnings
+    /// of it.
     pub(super) fn open(
-        spec: &NavSpec,
+        spec: &mut NavSpec,
         counters: &mut [SourceCounters],
-    ) -> Result<Option<Self>, NavOpenError> {
-        let mut samples = Vec::new();
+    ) -> Result<(Option<Self>, Vec<String>), NavOpenError> {
+        let mut by_source = Vec::new();
         let mut events = Vec::new();
         let recorded = spec.sources.iter().filter(|s| s.is_recorded()).count();
         for (i, source) in spec.sources.iter().enumerate() {
             // Source indices fit in 16 bits.
             let index = u16::try_from(i).unwrap_or(u16::MAX);
-            samples.append(&mut read_source(index, source, &mut counters[i])?);
+            by_source.push(read_source(index, source, &mut counters[i])?);
             let log = &counters[i].log;
             let shifted = log.passes.iter().find(|p| p.kind == PassKind::Shifted);
             if let Some(pass) = shifted.filter(|_| recorded > 1) {
@@ -75,8 +80,22 @@ impl Recorded {
             let clock = |e: &ClockEvent| (e.arrival, Event::Clock(index, e.state));
             events.extend(log.clock_events.iter().map(clock));
         }
+        let mut warnings = detect(spec, &by_source)?;
+        for s in counters.iter() {
+            let (refused, all) = (s.decoder.refused_checksum, s.decoder.sentences);
+            if refused * MAX_REFUSED_ONE_IN > all {
+                warnings.push(format!(
+                    "{}: {refused} of {all} sentences are refused for their checksum (checksum, ignore_checksum_for)",
+                    s.name
+                ));
+            }
+        }
+        for (samples, source) in by_source.iter_mut().zip(&spec.sources) {
+            samples.retain(|s| source.provides.contains(&NavChannel::of(&s.quantity)));
+        }
+        let mut samples: Vec<_> = by_source.into_iter().flatten().collect();
         if samples.is_empty() {
-            return Ok(None);
+            return Ok((None, warnings));
         }
         let repeat = if spec.loop_log {
             Some(prepare_to_repeat(&mut samples)?)
@@ -89,7 +108,7 @@ impl Recorded {
             let (from, to) = (w[0].arrival_utc, w[1].arrival_utc);
             (to.seconds_since(from) > LONG_GAP_S).then_some((from, to))
         };
-        Ok(Some(Self {
+        let recorded = Self {
             gaps: samples.windows(2).filter_map(long).collect(),
             samples,
             next: 0,
@@ -97,7 +116,8 @@ impl Recorded {
             next_event: 0,
             shift_ns: 0,
             repeat,
-        }))
+        };
+        Ok((Some(recorded), warnings))
     }
 
     pub(super) fn start(&self) -> UtcNs {
@@ -233,7 +253,7 @@ fn read_file(name: &str, path: &Path) -> Result<Vec<u8>, NavOpenError> {
 fn prepare_to_repeat(samples: &mut Vec<NavSample>) -> Result<Repeat, NavOpenError> {
     let mut spans: Vec<(Channel, UtcNs, UtcNs)> = Vec::new();
     for s in samples.iter() {
-        let channel = (s.source, channel(s));
+        let channel = (s.source, NavChannel::of(&s.quantity));
         match spans.iter_mut().find(|(c, ..)| *c == channel) {
             Some((_, first, last)) => {
                 *first = (*first).min(s.valid_utc);
@@ -260,21 +280,10 @@ fn prepare_to_repeat(samples: &mut Vec<NavSample>) -> Result<Repeat, NavOpenErro
 
 type Channel = (u16, NavChannel);
 
-fn channel(sample: &NavSample) -> NavChannel {
-    match sample.quantity {
-        NavQuantity::Position { .. } | NavQuantity::LocalPosition { .. } => NavChannel::Position,
-        NavQuantity::CourseSpeed { .. } => NavChannel::CourseSpeed,
-        NavQuantity::Heading { .. } => NavChannel::Heading,
-        NavQuantity::RollPitch { .. } => NavChannel::RollPitch,
-        NavQuantity::Heave { .. } => NavChannel::Heave,
-        NavQuantity::Depth { .. } => NavChannel::Depth,
-    }
-}
-
 fn median_interval_ns(samples: &[NavSample]) -> i64 {
     let positions = samples
         .iter()
-        .filter(|s| channel(s) == NavChannel::Position);
+        .filter(|s| NavChannel::of(&s.quantity) == NavChannel::Position);
     let mut times: Vec<UtcNs> = positions.map(|s| s.valid_utc).collect();
     if times.len() < 2 {
         times = samples.iter().map(|s| s.valid_utc).collect();

@@ -72,6 +72,70 @@ fn no_broken_configuration_is_accepted_and_each_problem_is_one_line() {
 }
 
 #[test]
+fn lists_have_a_longest_length_and_a_long_one_is_refused_at_once() {
+    let minimal = echotank_testing::repository().join("tests/data/config/minimal.toml");
+    let minimal = fs::read_to_string(minimal).expect("readable");
+    let (head, sonar) = minimal.split_at(minimal.find("[[sonar]]").expect("a sonar"));
+    let names = vec!["\"rx\""; 100_000].join(", ");
+    let rows = vec!["[1, 2]"; 100_000].join(", ");
+    let unknown: String = (0..100_000).map(|k| format!("k{k} = 1\n")).collect();
+    let source = "[[nav.source]]\nname = \"gnss\"\nkind = \"udp\"\nlisten = \"127.0.0.1:0\"\n";
+    for (what, text, want) in [
+        (
+            "sonars",
+            head.to_owned() + &sonar.repeat(20_000),
+            "sonar: has 20000 entries; must be 1 to 32 tables, each under its own [[...]]",
+        ),
+        (
+            "sources",
+            minimal.replace("[scene.seabed]", &(source.repeat(5000) + "[scene.seabed]")),
+            "nav.source: has 5001 entries; must be 1 to 32 tables",
+        ),
+        (
+            "arrays",
+            minimal.clone() + &"[[sonar.receive]]\nname = \"x\"\n".repeat(5000),
+            "sonar[0].receive: has",
+        ),
+        (
+            "pulses",
+            minimal.clone() + &"[[sonar.more_pulse]]\n".repeat(5000),
+            "sonar[0].more_pulse: has 5000 entries; must be 1 to 32 tables",
+        ),
+        (
+            "faults",
+            minimal.clone() + &"[[fault]]\n".repeat(5000),
+            "fault: has 5000 entries; must be 1 to 1000 tables",
+        ),
+        (
+            "names",
+            format!("{minimal}[sonar.output.elements]\narrays = [{names}]\n"),
+            "has 100000 entries; must be 1 to 256 names in brackets",
+        ),
+        (
+            "rows",
+            minimal.replace("rate_hz = 5.0", &format!("rate_hz = 5.0\ntvg = [{rows}]")),
+            "pairs of numbers",
+        ),
+        (
+            "unknown keys",
+            unknown + &minimal,
+            "99980 more unknown keys",
+        ),
+    ] {
+        let started = std::time::Instant::now();
+        let errors = config_files::parse(&text, Path::new(".")).expect_err(what);
+        let seconds = started.elapsed().as_secs_f64();
+        assert!(errors.to_string().contains(want), "{what}: {errors}");
+        assert!(seconds < 20.0, "{what}: {seconds} s");
+        assert!(
+            errors.problems.len() < 30,
+            "{what}: {}",
+            errors.problems.len()
+        );
+    }
+}
+
+#[test]
 fn a_file_that_cannot_be_read_is_named_with_the_reason() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let missing = folder.path().join("missing.toml");

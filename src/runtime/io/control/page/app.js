@@ -110,7 +110,7 @@ function refresh() {
   const s = state.sonars[sonar];
   controls.show(state);
   elements.standing(state.faults.map(ofElements), hello.sonars[sonar].name);
-  motion.sources(state.nav);
+  motion.sources(state.nav, state.nav_owners);
   health.show(state, sonar);
   const c = s.counters;
   if (state.health_problem) pill("bad", state.health_problem);

@@ -23,10 +23,12 @@ export class Motion {
     this.paint();
   }
 
-  sources(nav) {
-    const heads = ["Source", "State", "Read", "Used", "Bad sum", "Bad form", "Jumps", "Lost"];
+  sources(nav, owners) {
+    const owned = (source) => Object.entries(owners).filter(([, name]) => name === source).map(([quantity]) => quantity).join(", ");
+    const heads = ["Source", "Gives", "State", "Read", "Used", "Bad sum", "Bad form", "Jumps", "Lost"];
     const rows = nav.map((s) => make("tr", {},
       make("th", { scope: "row", text: s.name }),
+      make("td", { text: owned(s.name) || "nothing" }),
       make("td", { is: WELL[s.state] ?? "bad", text: s.state }),
       ...[s.sentences, s.used, s.bad_checksum, s.malformed, s.time_jumps, s.dropped].map((n, k) => make("td", { text: String(n), is: k >= 2 && n > 0 ? "warn" : null }))));
     const last = this.lines.at(-1)?.nav;
@@ -34,7 +36,7 @@ export class Motion {
     if (last) {
       const bad = Object.entries(last.invalid).filter(([, is]) => is).map(([name]) => name.replace("_", " and "));
       const quality = bad.length ? `not to be relied on: ${bad.join(", ")}` : last.extrapolated ? "extrapolated" : "measured on both sides";
-      foot.push(make("tr", {}, make("th", { scope: "row", text: "Last ping" }), make("td", { colspan: 7, is: bad.length ? "bad" : last.extrapolated ? "warn" : "good", text: `${quality}; position ${age(last.position_age)}, attitude ${age(last.attitude_age)}, fix ${last.fix}` })));
+      foot.push(make("tr", {}, make("th", { scope: "row", text: "Last ping" }), make("td", { colspan: 8, is: bad.length ? "bad" : last.extrapolated ? "warn" : "good", text: `${quality}; position ${age(last.position_age)}, attitude ${age(last.attitude_age)}, fix ${last.fix}` })));
     }
     byId("nav-sources").replaceChildren(
       make("caption", { text: "Sources" }),

@@ -1,0 +1,184 @@
+//! What logs give whose `provides` is not configured: the quantities of their samples, with the owner of each.
+//!
+//! A log gives a quantity that it holds for at least [`MIN_SHARE`] of the time with positions. A quantity of a shorter time would
+//! leave pings without navigation; it is left out with a warning, unless every ping needs it and nothing can stand for it.
+
+use crate::history::MAX_GAP_S;
+use echotank_config::spec::{NavChannel, NavInputSpec, NavSpec, VerticalSpec};
+use echotank_core::navigation::NavSample;
+use echotank_core::time::UtcNs;
+use thiserror::Error;
+
+/// Smallest share of the time with positions for which a log must hold a quantity.
+const MIN_SHARE: f64 = 0.5;
+
+/// A quantity that every ping needs and no log gives.
+#[derive(Debug, Error, PartialEq, Eq)]
+#[error("no source gives a {what}: {held}; {remedy}")]
+pub struct MissingQuantity {
+    what: &'static str,
+    /// What the logs hold.
+    held: String,
+    remedy: &'static str,
+}
+
+/// Time of which samples tell the motion, seconds: steps between them that pings are interpolated over.
+fn covered_s(samples: &[NavSample], channel: NavChannel) -> f64 {
+    let of = samples
+        .iter()
+        .filter(|s| NavChannel::of(&s.quantity) == channel);
+    let mut times: Vec<UtcNs> = of.map(|s| s.valid_utc).collect();
+    times.sort();
+    let steps = times.windows(2).map(|w| w[1].seconds_since(w[0]));
+    steps.filter(|step_s| *step_s <= MAX_GAP_S).sum()
+}
+
+/// Replaces `provides` of the logs that leave it open by what their samples give. `samples` holds those of each source.
+///
+/// Returns a warning for each quantity that is left out, replaced or missing. An error if all sources are files and one lacks what
+/// every ping needs.
+pub fn detect(
+    spec: &mut NavSpec,
+    samples: &[Vec<NavSample>],
+) -> Result<Vec<String>, MissingQuantity> {
+    let is_open = |spec: &NavSpec, i: usize| {
+        let source = &spec.sources[i];
+        source.detect && source.is_recorded()
+    };
+    if !(0..spec.sources.len()).any(|i| is_open(spec, i)) {
+        return Ok(Vec::new());
+    }
+    let covered: Vec<_> = samples
+        .iter()
+        .map(|samples| NavChannel::ALL.map(|channel| covered_s(samples, channel)))
+        .collect();
+    let longest_s = |channel: NavChannel| {
+        let seconds = covered.iter().map(|s| s[channel as usize]);
+        seconds.fold(0.0, f64::max)
+    };
+    let whole_s = match longest_s(NavChannel::Position) {
+        0.0 => NavChannel::ALL
+            .map(longest_s)
+            .into_iter()
+            .fold(0.0, f64::max),
+        whole_s => whole_s,
+    };
+    let needs_heading = !spec.is_recorded() || spec.heading_from_course == Some(false);
+    let holds = |i: usize, channel: NavChannel| {
+        let mut samples = samples[i].iter();
+        samples.any(|s| NavChannel::of(&s.quantity) == channel)
+    };
+    let gives = |i: usize, channel: NavChannel| {
+        let seconds = covered[i][channel as usize];
+        let is_needed = match channel {
+            NavChannel::Position => true,
+            NavChannel::Heading => needs_heading,
+            _ => false,
+        };
+        let is_best = is_needed && seconds >= longest_s(channel);
+        holds(i, channel) && (is_best || seconds >= MIN_SHARE * whole_s)
+    };
+    let mut warnings = Vec::new();
+    for i in 0..spec.sources.len() {
+        if !is_open(spec, i) {
+            continue;
+        }
+        let source = &mut spec.sources[i];
+        source.detect = false;
+        source.provides = NavChannel::ALL.to_vec();
+        source.provides.retain(|&channel| gives(i, channel));
+        for channel in NavChannel::ALL {
+            if holds(i, channel) && !source.provides.contains(&channel) {
+                warnings.push(format!(
+                    "{} gives {} for {:.0} s of {whole_s:.0} s: not used; `provides` would select it",
+                    source.name,
+                    channel.name(),
+                    covered[i][channel as usize]
+                ));
+            }
+        }
+        if source.provides.is_empty() {
+            warnings.push(format!("{} gives nothing that is used", source.name));
+        }
+    }
+    if spec.is_recorded() {
+        refuse_or_replace_missing(spec, &mut warnings)?;
+    }
+    Ok(warnings)
+}
+
+/// What the pings of files lack altogether.
+fn refuse_or_replace_missing(
+    spec: &mut NavSpec,
+    warnings: &mut Vec<String>,
+) -> Result<(), MissingQuantity> {
+    let held = holdings(spec);
+    let missing = |what, remedy| Err(MissingQuantity { what, held, remedy });
+    let Some(positions) = owner(spec, NavChannel::Position) else {
+        return missing("position", "add a source that does");
+    };
+    let is_track = matches!(spec.sources[positions].input, NavInputSpec::Csv { .. });
+    if spec.vertical == VerticalSpec::Depth && owner(spec, NavChannel::Depth).is_none() {
+        if !is_track {
+            let remedy = "add a source that does, or set nav.vertical";
+            return missing("depth, which nav.vertical = \"depth\" needs", remedy);
+        }
+        // A track's heave is its displacement from depth 0.
+        spec.heave_from_depth_m = spec.heave_from_depth_m.or(Some(0.0));
+    }
+    if owner(spec, NavChannel::Heading).is_none() {
+        if spec.heading_from_course == Some(false) {
+            let remedy = "add a source that does, or set nav.heading_from_course = true";
+            return missing("heading", remedy);
+        }
+        if spec.heading_from_course.is_none() {
+            warnings.push(
+                "no source gives a heading: the course over ground is used, which is random at rest (nav.heading_from_course)"
+                    .to_owned(),
+            );
+        }
+        spec.heading_from_course = Some(true);
+    }
+    let lacks = |channel| owner(spec, channel).is_none();
+    if lacks(NavChannel::RollPitch) {
+        warnings.push("no source gives roll and pitch: the platform stays level".to_owned());
+    }
+    if lacks(NavChannel::Heave) && matches!(spec.vertical, VerticalSpec::Waterline { .. }) {
+        warnings.push("no source gives heave: the platform does not heave".to_owned());
+    }
+    Ok(())
+}
+
+/// The first source that provides a quantity.
+fn owner(spec: &NavSpec, channel: NavChannel) -> Option<usize> {
+    let mut sources = spec.sources.iter();
+    sources.position(|s| s.provides.contains(&channel))
+}
+
+/// What each source provides, in words.
+fn holdings(spec: &NavSpec) -> String {
+    let of = |s: &echotank_config::spec::NavSourceSpec| {
+        let names: Vec<_> = s.provides.iter().map(|c| c.name()).collect();
+        match names.is_empty() {
+            true => format!("{} gives nothing", s.name),
+            false => format!("{} gives {}", s.name, names.join(", ")),
+        }
+    };
+    let all: Vec<_> = spec.sources.iter().map(of).collect();
+    all.join("; ")
+}
+
+/// The source of each quantity in words: `position from gnss, heading from gyro`.
+///
+/// `active` gives the index of the source of a quantity.
+pub fn owners_text(spec: &NavSpec, active: impl Fn(NavChannel) -> Option<u16>) -> String {
+    let from = |channel: NavChannel| {
+        let source = spec.sources.get(usize::from(active(channel)?))?;
+        Some(format!("{} from {}", channel.name(), source.name))
+    };
+    let all: Vec<_> = NavChannel::ALL.into_iter().filter_map(from).collect();
+    match all.is_empty() {
+        true => "none".to_owned(),
+        false => all.join(", "),
+    }
+}
