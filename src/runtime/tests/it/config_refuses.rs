@@ -113,8 +113,8 @@ fn lists_have_a_longest_length_and_a_long_one_is_refused_at_once() {
         ),
         (
             "rows",
-            minimal.replace("rate_hz = 5.0", &format!("rate_hz = 5.0\ntvg = [{rows}]")),
-            "pairs of numbers",
+            minimal.replace("[sonar.ping]", &format!("tvg = [{rows}]\n[sonar.ping]")),
+            "1 to 10000 pairs of numbers",
         ),
         (
             "unknown keys",

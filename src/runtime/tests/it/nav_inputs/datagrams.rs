@@ -68,6 +68,19 @@ fn a_broadcast_reaches_every_source_that_listens_on_its_port() {
 }
 
 #[test]
+fn no_other_socket_takes_the_datagrams_of_an_address() {
+    let (inputs, _) = gyros(vec![NavInputSpec::Udp {
+        listen: (Ipv4Addr::LOCALHOST, 0).into(),
+        multicast: None,
+    }]);
+    let taken = inputs.listening()[0].1;
+    let other = Socket::new(Domain::IPV4, Type::DGRAM, None).expect("socket");
+    other.set_reuse_address(true).expect("option");
+    other.set_reuse_port(true).expect("option");
+    assert!(other.bind(&taken.into()).is_err());
+}
+
+#[test]
 fn a_source_receives_its_own_multicast_group_at_its_interface() {
     let [own, foreign] = [1, 2].map(|last| Ipv4Addr::new(239, 192, 0, last));
     let member = |group, port| NavInputSpec::Udp {
