@@ -79,7 +79,7 @@ pub fn detect(
         holds(i, channel) && (is_best || seconds >= MIN_SHARE * whole_s)
     };
     let mut warnings = Vec::new();
-    for i in 0..spec.sources.len() {
+    for (i, seconds) in covered.iter().enumerate() {
         if !is_open(spec, i) {
             continue;
         }
@@ -93,7 +93,7 @@ pub fn detect(
                     "{} gives {} for {:.0} s of {whole_s:.0} s: not used; `provides` would select it",
                     source.name,
                     channel.name(),
-                    covered[i][channel as usize]
+                    seconds[channel as usize]
                 ));
             }
         }

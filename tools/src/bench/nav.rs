@@ -66,6 +66,7 @@ pub(crate) fn run(
             NavChannel::RollPitch,
             NavChannel::Heave,
         ],
+        detect: false,
     };
     let mut samples = Vec::with_capacity(count);
     let ours = rounds(count, || {

@@ -100,7 +100,7 @@ fn a_quantity_of_a_short_time_is_left_out_unless_nothing_can_stand_for_it() {
     ]
     .concat();
     let mut spec = open_logs(&["log"]);
-    let warnings = detect(&mut spec, &[log.clone()]).expect("complete");
+    let warnings = detect(&mut spec, std::slice::from_ref(&log)).expect("complete");
     assert_eq!(
         owners(&spec),
         "position from log, course-speed from log, roll-pitch from log"
