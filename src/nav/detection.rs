@@ -30,7 +30,9 @@ fn covered_s(samples: &[NavSample], channel: NavChannel) -> f64 {
     let mut times: Vec<UtcNs> = of.map(|s| s.valid_utc).collect();
     times.sort();
     let steps = times.windows(2).map(|w| w[1].seconds_since(w[0]));
-    steps.filter(|step_s| *step_s <= MAX_GAP_S).sum()
+    steps
+        .filter(|step_s| *step_s <= MAX_GAP_S)
+        .fold(0.0, |sum, step_s| sum + step_s)
 }
 
 /// Replaces `provides` of the logs that leave it open by what their samples give. `samples` holds those of each source.

@@ -115,6 +115,49 @@ fn binary_logs_are_named_and_refused_with_status_2() {
     );
     assert_eq!(done.code, Some(2), "{}", done.out);
     assert!(done.err.contains("Teledyne PD0"), "{}", done.err);
+    for command in ["run", "check"] {
+        let path = format!("nav.source.0.path=\"{}\"", log.display());
+        let done = run(
+            command,
+            [quickstart.as_os_str(), "--set".as_ref(), path.as_ref()],
+        );
+        assert_eq!(done.code, Some(2), "{command}: {}", done.out);
+        assert!(done.err.contains("Teledyne PD0"), "{command}: {}", done.err);
+    }
+}
+
+#[test]
+fn a_log_needs_no_list_of_its_quantities() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = echotank_testing::repository().join("tests/data");
+    let text = std::fs::read_to_string(data.join("config/minimal.toml")).expect("readable");
+    let log = data.join("navlogs/zeus_1200.log");
+    let source = format!("kind = \"log\"\npath = \"{}\"", log.display());
+    let text = text.replace("kind = \"udp\"\nlisten = \"127.0.0.1:10110\"", &source);
+    let config = folder.path().join("log.toml");
+    std::fs::write(&config, text).expect("written");
+    let done = run("check", [&config]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    assert!(
+        done.out.contains("gives position, course-speed, heading\n"),
+        "{}",
+        done.out
+    );
+    assert!(
+        done.out.contains("no source gives roll and pitch"),
+        "{}",
+        done.out
+    );
+    let out = folder.path().join("out");
+    let pings = [
+        "--out".as_ref(),
+        out.as_os_str(),
+        "--pings".as_ref(),
+        "1..3".as_ref(),
+    ];
+    let done = run("replay", [&[config.as_os_str()], &pings[..]].concat());
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    assert!(done.out.contains("3 pings made"), "{}", done.out);
 }
 
 fn picture(path: &Path) -> (png::OutputInfo, Vec<u8>) {
