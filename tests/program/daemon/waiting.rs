@@ -22,7 +22,10 @@ fn the_status_names_what_the_first_ping_waits_for() {
     let at = daemon.announced("control http", "http");
     let until = |what: &str, says: &mut dyn FnMut()| {
         eventually(|| {
-            let line = status(at)["nav"][0].as_str().unwrap_or("").to_owned();
+            let status = status(at);
+            let lines = status["nav"].as_array().into_iter().flatten();
+            let lines: Vec<&str> = lines.filter_map(|line| line.as_str()).collect();
+            let line = lines.join("\n");
             if line.contains(what) {
                 return Ok(line);
             }
