@@ -27,8 +27,9 @@ pub enum Pattern {
         /// No response behind the face (u_z < 0).
         baffled: bool,
     },
-    /// Mean of several equal elements along x, represented by one element at their centre. The walk applies the array factor of
-    /// the elements, which depends on the direction of the echo. Levels and culling use one element.
+    /// Several equal elements along x, represented by one element at their centre. The response is the mean of the responses of the
+    /// elements. The walk applies the array factor of the elements, which depends on the direction of the echo. Levels and culling
+    /// use the pattern of one element.
     Part {
         /// Number of elements.
         elements: usize,
@@ -83,7 +84,7 @@ impl ArrayGeometry {
     }
 }
 
-/// Anti-aliasing filter of the receiver.
+/// Low-pass filter of the receiver before sampling.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReceiverFilter {
     /// No filter: the sum is sampled directly.
@@ -97,7 +98,7 @@ pub enum ReceiverFilter {
 pub enum TimeVaryingGain {
     /// No gain.
     None,
-    /// spreading log10(r) + 2 absorption r, limited to 0..=max.
+    /// Gain of spreading log10(r) + 2 absorption r, in dB, limited to 0..=max.
     Law {
         /// Spreading coefficient: 20, 30 or 40.
         spreading: f64,
@@ -106,7 +107,7 @@ pub enum TimeVaryingGain {
         /// Maximum gain, dB.
         max_db: f64,
     },
-    /// Points of range (metres) and gain (dB): linear between them, constant outside.
+    /// Points of range (metres) and gain (dB). The gain is linear between the points and constant outside them.
     Table(Vec<(f64, f64)>),
 }
 
@@ -123,7 +124,7 @@ pub struct Receiver {
     pub noise_db: Option<f64>,
     /// Resolution of the converter, bits; `None` does not quantise.
     pub adc_bits: Option<u32>,
-    /// Full scale of the converter and of integer records, volts (rms of the envelope).
+    /// Full scale of the converter and of integer records, volts (rms of the complex envelope).
     pub full_scale_v: f64,
     /// Seed of the noise.
     pub seed: u64,

@@ -19,7 +19,7 @@ pub fn rotation_from_angles(roll_rad: f64, pitch_rad: f64, heading_rad: f64) -> 
 /// roll and heading are not separable and roll is zero.
 pub fn angles_from_rotation(world_from_body: DQuat) -> (f64, f64, f64) {
     let m = DMat3::from_quat(world_from_body);
-    // Rows and columns: m.x_axis is the body's forward axis in the world.
+    // `m.x_axis` is the forward axis of the body in world axes; the other columns likewise.
     let sin_pitch = (-m.x_axis.z).clamp(-1.0, 1.0);
     let pitch = sin_pitch.asin();
     let (roll, heading) = if sin_pitch.abs() > 1.0 - 1e-12 {
@@ -33,13 +33,13 @@ pub fn angles_from_rotation(world_from_body: DQuat) -> (f64, f64, f64) {
 /// Position, velocity and attitude of the platform's reference point at one instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pose {
-    /// World, metres.
+    /// Position in world axes, metres.
     pub position_m: DVec3,
-    /// World, metres per second.
+    /// Velocity in world axes, metres per second.
     pub velocity_m_per_s: DVec3,
     /// Rotation from body to world axes.
     pub world_from_body: DQuat,
-    /// World axes, radians per second.
+    /// Angular velocity in world axes, radians per second.
     pub angular_velocity_rad_per_s: DVec3,
 }
 
@@ -79,19 +79,20 @@ pub struct AttitudeKnot {
     pub body_rate_rad_per_s: DVec3,
 }
 
-/// Motion of the platform around one ping, with its interpolation rule, which all models share.
+/// Motion of the platform around one ping. All models interpolate the motion by the rule of this type.
 ///
-/// Position and heave: C1 cubic Hermite interpolation between knots. Attitude: C1 cumulative cubic Bezier curve on rotations
-/// (Kim, Kim and Shin 1995, Eq. 11) through the rotations and rates of the knots. Outside the knots the motion continues at the
-/// rate of the end knot. `position` is the track of the navigation reference (an antenna at `lever_arm_m`); `heave` adds to its
-/// down component.
+/// Position and heave are C1 cubic Hermite interpolants between knots. Attitude is a C1 cumulative cubic Bezier curve on rotations
+/// through the rotations and rates of the knots (Kim, Kim and Shin 1995, Eq. 11). Outside the knots the motion continues at the
+/// rate of the end knot. `position` is the track of the navigation reference (an antenna at `lever_arm_m`). `heave` adds to the
+/// down component of `position`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Trajectory {
-    /// World, metres: north, east, down without heave. At least one knot, strictly increasing times.
+    /// Position of the navigation reference in world axes, metres: north, east, down without heave. At least one knot; times
+    /// increase strictly.
     pub position: Vec<VectorKnot>,
     /// Heave in `value.z`, positive down, metres. Empty without heave.
     pub heave: Vec<VectorKnot>,
-    /// At least one knot, strictly increasing times.
+    /// Rotations and body rates. At least one knot; times increase strictly.
     pub attitude: Vec<AttitudeKnot>,
     /// Position of the navigation reference in the body, metres.
     pub lever_arm_m: DVec3,
@@ -106,7 +107,7 @@ fn interval(times: impl Fn(usize) -> f64, len: usize, time_s: f64) -> usize {
     i
 }
 
-/// Value and rate of a vector channel at `time_s`: cubic Hermite inside, linear outside.
+/// Value and rate of a vector channel at `time_s`: cubic Hermite between the knots, linear outside them.
 pub fn hermite(knots: &[VectorKnot], time_s: f64) -> (DVec3, DVec3) {
     hermite_from(knots, DVec3::ZERO, time_s)
 }
@@ -133,7 +134,7 @@ fn hermite_from(knots: &[VectorKnot], origin: DVec3, time_s: f64) -> (DVec3, DVe
     let h = b.time_s - a.time_s;
     let s = (time_s - a.time_s) / h;
     let (s2, s3) = (s * s, s * s * s);
-    // Relative to the first knot, to keep precision far from the origin.
+    // A step from the first knot keeps the precision far from the origin.
     let step = b.value - a.value;
     let value = (a.value - origin)
         + step * (3.0 * s2 - 2.0 * s3)
@@ -171,7 +172,7 @@ pub fn attitude_at(knots: &[AttitudeKnot], time_s: f64) -> (DQuat, DVec3) {
     let inner_b = b.world_from_body * DQuat::from_scaled_axis(-last_step);
     let mut between = inner_a.inverse() * inner_b;
     if between.w < 0.0 {
-        between = -between; // the short way round
+        between = -between; // along the shorter arc
     }
     let middle_step = between.to_scaled_axis();
     // Cumulative Bernstein weights of degree 3 and their derivatives.
@@ -211,7 +212,7 @@ impl Trajectory {
         }
     }
 
-    /// Uniform straight motion without rotation; `position_m` and `velocity_m_per_s` at time zero, world axes.
+    /// Uniform straight motion without rotation. `position_m` and `velocity_m_per_s` hold at time zero, in world axes.
     pub fn uniform(position_m: DVec3, velocity_m_per_s: DVec3, world_from_body: DQuat) -> Self {
         Self {
             position: vec![VectorKnot {
@@ -267,7 +268,8 @@ mod tests {
         assert!(rotation_from_angles(r, p, h).angle_between(steep) < 1e-6);
     }
 
-    /// Eq. 4 of Meng et al. 2023 is Rx(eta) Ry(beta) Rz(alpha) if its third column has cos beta instead of the printed cos alpha.
+    /// Eq. 4 of Meng et al. 2023 is Rx(eta) Ry(beta) Rz(alpha) only if the third column has cos beta instead of the printed cos
+    /// alpha.
     #[test]
     fn equation_4_is_a_rotation_only_as_corrected() {
         let (alpha, beta, eta) = (0.3_f64, -0.4_f64, 0.7_f64);

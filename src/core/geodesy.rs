@@ -1,11 +1,12 @@
 //! Latitude and longitude to metres north and east of an origin, and back.
 //!
-//! The plane is tangent to the WGS84 ellipsoid at the origin. North and east of a point are those of its projection on the
-//! ellipsoid, in earth-centred coordinates. Its depth is separate: the down coordinate of the world. The sea surface is therefore
-//! flat. At 10 km the plane is 7.8 m above the ellipsoid, which the model ignores, and horizontal distances are short by 4e-7.
+//! The plane is tangent to the WGS84 ellipsoid at the origin. A point is projected on the ellipsoid, and its north and east are
+//! taken there in earth-centred coordinates. Depth is the separate down coordinate of the world, so the sea surface is flat. At 10
+//! km from the origin the plane is 7.8 m above the ellipsoid. The model ignores this height; horizontal distances are short by
+//! 4e-7.
 //!
-//! The crate `map_3d` agrees with the forward conversion (see the tests), but its inverse needs the height above the plane, which
-//! is unknown here.
+//! The crate `map_3d` agrees with the forward conversion (see the tests). Its inverse needs the height above the plane, which is
+//! unknown here.
 
 /// WGS84 semi-major axis, metres (NIMA TR8350.2).
 const A_M: f64 = 6_378_137.0;
@@ -21,7 +22,7 @@ pub struct LocalTangentPlane {
     longitude_rad: f64,
     sin_latitude: f64,
     cos_latitude: f64,
-    /// Origin in the meridian plane: distance from the polar axis and along it, metres.
+    /// Origin in the meridian plane: distance from the polar axis, and coordinate along the axis, metres.
     axis_m: f64,
     polar_m: f64,
 }
@@ -56,9 +57,10 @@ impl LocalTangentPlane {
         (north_m, east_m)
     }
 
-    /// Latitude and longitude (-pi..pi) of a point, radians: its projection on the ellipsoid along the up axis of the plane.
+    /// Latitude and longitude (-pi..pi) of a point of the plane, radians. The point is projected on the ellipsoid along the up axis
+    /// of the plane.
     pub fn geodetic_rad(&self, north_m: f64, east_m: f64) -> (f64, f64) {
-        // Moves from the plane along its up axis by t to the ellipsoid: a quadratic equation in t.
+        // A shift by t along the up axis of the plane reaches the ellipsoid. t solves a quadratic equation.
         let (up_axis, up_polar) = (self.cos_latitude, self.sin_latitude);
         let axis_m = self.axis_m - north_m * self.sin_latitude;
         let polar_m = self.polar_m + north_m * self.cos_latitude;
@@ -77,7 +79,7 @@ impl LocalTangentPlane {
     }
 }
 
-/// Point of the ellipsoid: distance from the polar axis and along it, metres.
+/// Point of the ellipsoid in the meridian plane: distance from the polar axis, and coordinate along the axis, metres.
 fn meridian_point(latitude_rad: f64) -> (f64, f64) {
     let (sin, cos) = latitude_rad.sin_cos();
     let normal_m = A_M / (1.0 - E2 * sin * sin).sqrt();
@@ -98,7 +100,7 @@ fn wrap_pi(angle_rad: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Origins: that of the test log, the poles and their surroundings, both sides of the antimeridian, the equator.
+    /// Origins: the test log, the poles and points near them, both sides of the antimeridian, and the equator.
     const ORIGINS_DEG: [(f64, f64); 9] = [
         (-22.0, -17.9),
         (53.2, 5.4),
@@ -151,7 +153,7 @@ mod tests {
             }
         }
         println!("against map_3d: {worst_m:.2e} m");
-        // Earth-centred coordinates in f64 resolve 1e-9 m; a few sums of them stay below this.
+        // Earth-centred coordinates in f64 resolve 1e-9 m. A sum of a few coordinates stays below the limit.
         assert!(worst_m < 2e-8, "{worst_m} m");
     }
 

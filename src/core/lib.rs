@@ -1,6 +1,6 @@
 //! Domain types shared by all other crates: time, frames of reference, geodesy, and the data passed between the stages of a ping.
 //!
-//! The crate depends on no stage, opens no file and reads no clock.
+//! The crate depends on no other stage, opens no file and reads no clock.
 
 #![warn(missing_docs)]
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]

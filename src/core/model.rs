@@ -1,17 +1,17 @@
-//! The methods with which a ping is modelled.
+//! Models of motion and Doppler, and the synthesis methods, of a ping.
 
 /// Model of the platform motion during the listening window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PathModel {
     /// The platform is at rest during the window.
     StopAndHop,
-    /// The platform moves along the segments of the plan: constant velocity and attitude on each, with a step of the attitude
-    /// between them.
+    /// The platform moves along the segments of the plan. Velocity and attitude are constant on each segment; the attitude steps
+    /// between segments.
     Polyline,
-    /// Each element moves along its own chords between the vertices of the plan, without steps. Chords include the rotation of an
-    /// element on a lever arm.
+    /// Each element moves along straight chords between the vertices of the plan, without steps. The chords include the rotation of
+    /// an element on a lever arm.
     KSegment,
-    /// Exact position and attitude at the time of reception.
+    /// The trajectory gives position and attitude at each time of reception, without approximation.
     Continuous,
 }
 
@@ -22,32 +22,32 @@ pub enum DopplerModel {
     None,
     /// Each echo is stretched uniformly about its leading edge.
     Stretch,
-    /// Each echo is stretched about the middle of the pulse, with the change of the stretch during the pulse.
+    /// Each echo is stretched about the middle of the pulse. The stretch changes linearly during the pulse.
     StretchQuadratic,
-    /// Eq. 21 of Meng et al. 2023 as printed: delays stretched, pulse not. For comparison.
+    /// Eq. 21 of Meng et al. 2023 as printed: delays are stretched and the pulse is not. For comparison only.
     PaperEq21,
 }
 
-/// Method that sums echoes to element samples.
+/// Method that adds echoes into element samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Synthesis {
-    /// Retarded time of every sample on the continuous trajectory: the slow reference solution.
+    /// Sum at the retarded time of every sample on the continuous trajectory: the slow reference solution.
     Reference,
     /// Linearised sum with the selected path and Doppler models.
     Direct,
     /// Eqs. 18 and 21 of Meng et al. 2023 on their frequency grid.
     Spectral,
-    /// Replica of each echo, placed at the nearest sample.
+    /// Sum of replicas of the pulse, each placed at the nearest sample.
     Nearest,
-    /// Replica of each echo, interpolated linearly between samples.
+    /// Sum of replicas of the pulse, each interpolated linearly between samples.
     Linear,
-    /// Echoes gridded and transformed per element, within a tolerance.
+    /// Echoes are spread on a delay grid and transformed per element, within a tolerance.
     Gridded1d,
-    /// Echoes gridded over delay and slope and transformed for a whole line array, within a tolerance.
+    /// Echoes are spread on a grid of delay and slope and transformed for a whole line array, within a tolerance.
     Gridded2d,
 }
 
-/// Selected models and method of a ping.
+/// Motion model, Doppler model and synthesis method of a ping.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ModelChoice {
     /// Motion model.
@@ -99,7 +99,7 @@ impl DopplerModel {
             Self::PaperEq21 => "paper-eq21",
         }
     }
-    /// Whether the pulse is unchanged, so that one spectrum or replica serves every echo.
+    /// Whether the model leaves the pulse unchanged, so that one spectrum or replica serves every echo.
     pub fn keeps_pulse(self) -> bool {
         matches!(self, Self::None | Self::PaperEq21)
     }
@@ -128,11 +128,11 @@ impl Synthesis {
             Self::Gridded2d => "gridded-2d",
         }
     }
-    /// Whether all echoes share one pulse; such methods need a model that [`DopplerModel::keeps_pulse`].
+    /// Whether all echoes share one pulse. Such methods need a model with [`DopplerModel::keeps_pulse`].
     pub fn shares_pulse(self) -> bool {
         matches!(self, Self::Spectral | Self::Nearest | Self::Linear)
     }
-    /// Whether the method is built for a tolerance and meets it.
+    /// Whether the method is designed for a tolerance and meets it.
     pub fn keeps_tolerance(self) -> bool {
         matches!(self, Self::Gridded1d | Self::Gridded2d)
     }

@@ -6,18 +6,18 @@ use crate::time::UtcNs;
 /// One decoded measurement of a navigation source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NavSample {
-    /// Index of the source in `NavSpec::sources`.
+    /// Index of the source in the list of navigation sources of the configuration.
     pub source: u16,
     /// Time of validity, rig time.
     pub valid_utc: UtcNs,
-    /// Arrival of the first byte, rig time; for a recorded log the stamp of the recorder.
+    /// Arrival time of the first byte, rig time. For a recorded log it is the time stamp of the recorder.
     pub arrival_utc: UtcNs,
     /// Measured values.
     pub quantity: NavQuantity,
 }
 
-/// Measured values of one sample. Angles in radians: roll positive starboard down, pitch positive bow up, heading clockwise from
-/// true north. Heave is positive down.
+/// Measured values of one sample. Angles are in radians: roll positive starboard down, pitch positive bow up, heading clockwise
+/// from true north. Heave is positive down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum NavQuantity {
     /// Antenna position on WGS84.
@@ -26,7 +26,7 @@ pub enum NavQuantity {
         latitude_rad: f64,
         /// Longitude, positive east.
         longitude_rad: f64,
-        /// Height above the datum of the source (mean sea level for GGA), if given.
+        /// Height above the datum of the source (mean sea level for GGA), metres; `None` if the source gives no height.
         height_m: Option<f64>,
         /// Quality of the position.
         fix: FixQuality,
@@ -40,7 +40,7 @@ pub enum NavQuantity {
         /// World down, metres.
         down_m: f64,
     },
-    /// Motion over ground.
+    /// Course and speed over ground.
     CourseSpeed {
         /// Course, clockwise from true north.
         course_rad: f64,
@@ -89,7 +89,8 @@ pub enum FixQuality {
     DeadReckoning,
 }
 
-/// State of the platform at one instant, for output records; the echo model uses [`PingPlan::trajectory`](crate::ping::PingPlan::trajectory).
+/// State of the platform at one instant, for output records. The echo model uses
+/// [`PingPlan::trajectory`](crate::ping::PingPlan::trajectory) instead.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NavState {
     /// Rig time.
@@ -112,19 +113,19 @@ pub struct NavState {
     pub height_m: f64,
     /// Quality of the newest position.
     pub fix: FixQuality,
-    /// Age of the newest position used, seconds; negative if a later sample is known (interpolation).
+    /// Age of the newest position used, seconds. Negative if the position is interpolated to a later sample.
     pub position_age_s: f64,
-    /// Age of the newest attitude used, seconds; negative if a later sample is known.
+    /// Age of the newest attitude used, seconds. Negative if the attitude is interpolated to a later sample.
     pub attitude_age_s: f64,
-    /// Some quantity is extrapolated.
+    /// True if at least one quantity is extrapolated.
     pub extrapolated: bool,
     /// Quantities that are out of date.
     pub invalid: NavInvalid,
-    /// The clock of an active source jumped shortly before, or its times are corrected.
+    /// True if the clock of an active source jumped shortly before, or its times are corrected.
     pub time_jumped: bool,
 }
 
-/// Flags of quantities that are too old; their last known values are held.
+/// Flags of quantities that are too old. The last known value of a flagged quantity is held.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct NavInvalid {
     /// Horizontal position.

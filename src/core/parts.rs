@@ -1,4 +1,4 @@
-//! Line arrays in parts: adjacent elements combined to one element at their centre.
+//! Line arrays in parts. A part combines adjacent elements into one element at their centre.
 
 use crate::arrays::{ArrayGeometry, Pattern};
 use crate::ping::MethodMark;
@@ -14,7 +14,8 @@ impl Pattern {
 }
 
 impl ArrayGeometry {
-    /// The line with every `of` elements combined to one; `None` if they do not divide evenly or the line is already in parts.
+    /// The line array with every `of` elements combined into one. `None` if `of` does not divide the number of elements or the line
+    /// is already in parts.
     pub fn in_parts(&self, of: usize) -> Option<Self> {
         let (length_m, width_m, baffled) = match self.element_pattern {
             Pattern::Omnidirectional => (0.0, 0.0, false),
@@ -42,7 +43,7 @@ impl ArrayGeometry {
         })
     }
 
-    /// The line of elements that a line in parts represents; any other line unchanged.
+    /// The line array of single elements behind a line in parts. Any other line is returned unchanged.
     pub fn whole(&self) -> Self {
         let Pattern::Part {
             elements,

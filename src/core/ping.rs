@@ -11,7 +11,7 @@ use crate::pulse::Pulse;
 use crate::settings::SonarSettings;
 use crate::time::UtcNs;
 
-/// One segment of the polyline: constant velocity and attitude of the reference point from `start_s` on.
+/// One segment of the polyline. Velocity and attitude of the reference point are constant from `start_s` on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Segment {
     /// Start, seconds after the start of the pulse; 0 for the first segment.
@@ -24,12 +24,12 @@ pub struct Segment {
     pub world_from_body: DQuat,
 }
 
-/// Complete description of one ping of one sonar; later stages need nothing else.
+/// Complete description of one ping of one sonar. Later stages need no other input.
 #[derive(Clone, Debug)]
 pub struct PingPlan {
     /// Index of the sonar.
     pub sonar: usize,
-    /// Sequential number, from 1; a skipped ping keeps its number.
+    /// Sequential number, from 1. A skipped ping also has a number.
     pub ping_number: u32,
     /// Start of the pulse, rig time.
     pub transmit_utc: UtcNs,
@@ -39,7 +39,7 @@ pub struct PingPlan {
     pub ping_period_s: f64,
     /// Settings of this ping.
     pub settings: SonarSettings,
-    /// Actual ping rate, hertz; below the maximum if the range requires it.
+    /// Actual ping rate, hertz. Below the maximum if the range requires a longer period.
     pub ping_rate_hz: f64,
     /// Transmitted pulse.
     pub pulse: Pulse,
@@ -49,13 +49,13 @@ pub struct PingPlan {
     pub absorption_db_per_m: f64,
     /// Samples per element; sample k lies at `first_sample_s + k / receiver.sample_rate_hz`.
     pub sample_count: usize,
-    /// Time of sample 0, seconds.
+    /// Time of sample 0, seconds after the start of the pulse.
     pub first_sample_s: f64,
     /// Selected models and method.
     pub model: ModelChoice,
     /// State of the platform for output records.
     pub nav: NavState,
-    /// Place of the sonar for output records.
+    /// Position of the sonar for output records.
     pub sensor: SensorState,
     /// Motion of the platform over the listening window.
     pub trajectory: Trajectory,
@@ -70,7 +70,7 @@ impl PingPlan {
     }
 }
 
-/// Place of the sonar at the start of the pulse, for output records: the mean of its receive arrays' positions.
+/// Position of the sonar at the start of the pulse, for output records: the mean position of its receive arrays.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SensorState {
     /// WGS84 latitude, radians.
@@ -79,19 +79,19 @@ pub struct SensorState {
     pub longitude_rad: f64,
     /// Depth below the world's vertical origin, metres; includes heave.
     pub depth_m: f64,
-    /// Height above the seabed of the scene straight below, metres; none without a seabed there.
+    /// Height above the seabed straight below, metres; `None` if the scene has no seabed there.
     pub altitude_m: Option<f64>,
-    /// Depth of the platform's reference point without the heave of the records, metres; none if the records leave it to the client (a
-    /// reference point at the waterline, or a GNSS height).
+    /// Depth of the platform's reference point without the heave of the records, metres. `None` if the records leave this depth to
+    /// the client: the reference point is at the waterline, or the height comes from GNSS.
     pub still_depth_m: Option<f64>,
 }
 
-/// Counts of one collection of scatterers.
+/// Counts of tiles and scatterers when the scene is collected for one ping.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SceneCounts {
     /// Tiles in reach of a footprint.
     pub tiles_used: u64,
-    /// Of those: tiles that had to be generated.
+    /// Tiles in reach that had to be generated.
     pub tiles_made: u64,
     /// Seabed regions (one or more tiles) that are out of reach or empty.
     pub culled_tiles: u64,
@@ -103,31 +103,31 @@ pub struct SceneCounts {
     pub shadowed: u64,
     /// Scatterers passed on, including explicit points and scatterers of targets.
     pub scatterers: u64,
-    /// Explicit points passed on.
+    /// Explicit points passed on; included in `scatterers`.
     pub points: u64,
     /// Targets passed on.
     pub targets: u64,
 }
 
-/// Counts of one walk over the scatterers.
+/// Counts of one pass over the scatterers, in pairs of scatterer and element.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EchoCounts {
-    /// Scatterer-element pairs passed on.
+    /// Pairs passed on to the synthesis.
     pub used: u64,
-    /// Culled by the patterns ([`ModelChoice::cull_db`]).
+    /// Pairs culled by the patterns ([`ModelChoice::cull_db`]).
     pub culled: u64,
-    /// Outside the listening window.
+    /// Pairs outside the listening window.
     pub outside_window: u64,
-    /// Closer than a wavelength, where the far-field amplitude is invalid; clamped at one wavelength.
+    /// Pairs closer than a wavelength, where the far-field amplitude is invalid. The distance is clamped at one wavelength.
     pub too_close: u64,
-    /// Polyline: in the gap of an element's step at a vertex; placed at the vertex time.
+    /// Pairs without a root on the polyline: the echo falls in the step of an element at a vertex. The vertex time is used.
     pub no_root: u64,
-    /// Polyline: two segments have a root; the first is used.
+    /// Pairs with a root on two segments of the polyline. The first root is used.
     pub two_roots: u64,
-    /// After the last segment of the polyline; extrapolated along it.
+    /// Pairs after the last segment of the polyline. The last segment is extrapolated.
     pub beyond_track: u64,
-    /// Beyond the range of the engine. `gridded-1d`: clamped at its maximum Doppler. `gridded-2d`: all echoes of a ping that is
-    /// nearer or faster than its tolerance allows.
+    /// Pairs beyond the range of the engine. `gridded-1d` clamps them at its maximum Doppler. `gridded-2d` counts all pairs of a
+    /// ping that is nearer or faster than its tolerance allows.
     pub beyond_engine: u64,
 }
 
@@ -236,10 +236,10 @@ pub struct Line {
     pub amplitude: Vec<f32>,
 }
 
-/// Side-scan lines of one further pulse of a ping.
+/// Side-scan lines of one later pulse of a ping.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PulseLines {
-    /// Delay of the pulse after the first pulse, seconds. Its lines start at its own start.
+    /// Delay of the pulse after the first pulse, seconds. Sample 0 of its lines lies at the start of this pulse.
     pub delay_s: f64,
     /// Lines of this pulse.
     pub lines: Vec<Line>,
@@ -250,7 +250,7 @@ pub struct PulseLines {
 pub struct LineTruth {
     /// Side of the platform.
     pub side: Side,
-    /// Target with the strongest echo in each sample: 1 is the first of the scene, 0 is none.
+    /// Index of the target with the strongest echo in each sample: 1 is the first target of the scene, 0 is none.
     pub target: Vec<u16>,
     /// Echo energy of that target, arbitrary unit.
     pub target_energy: Vec<f32>,
@@ -263,7 +263,7 @@ pub struct LineTruth {
 }
 
 impl LineTruth {
-    /// Adds echo energy of target `label` to sample `k`, which gets the label of its strongest target.
+    /// Adds echo energy of target `label` to sample `k`. The sample gets the label of its strongest target.
     pub fn claim(&mut self, k: usize, label: u16, energy: f32) {
         if energy > self.target_energy[k] {
             self.other_energy[k] += self.target_energy[k];
@@ -286,8 +286,9 @@ pub enum GroundSeen {
     Hidden,
 }
 
-/// Error of element samples against the reference solution, at random samples before noise, gain and converter. It is the rms of
-/// the differences, each relative to the rms of the surrounding samples or of the whole ping of the element, whichever is larger.
+/// Error of element samples against the reference solution, at random samples before noise, gain and converter. The error is the
+/// rms of relative differences. Each difference is relative to the rms of the surrounding samples or of the whole ping of the
+/// element, whichever is larger.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ErrorCheck {
     /// Number of compared samples.

@@ -3,7 +3,7 @@
 use num_complex::Complex64;
 
 /// The transmitted pulse: sqrt(2) Re{ a(t) exp(j 2pi f_c t) }, 0 <= t <= T.
-/// LFM: a(t) = taper(t) exp(+-j pi (B/T) (t - T/2)^2), plus for an up sweep. CW: a(t) = taper(t).
+/// LFM: a(t) = taper(t) exp(+-j pi (B/T) (t - T/2)^2), with the plus sign for an upward sweep. CW: a(t) = taper(t).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pulse {
     /// Modulation.
@@ -48,9 +48,9 @@ impl Pulse {
         Complex64::new(level * cos, level * sin)
     }
 
-    /// Lower bound of the rms of a pulse-length window relative to the rms of the overlapping echoes in it; one window in ten
-    /// thousand is weaker. With many degrees of freedom (bandwidth times window) no window is much weaker than its echoes; with a
-    /// pure tone some are.
+    /// Lower bound of the rms of a window of one pulse length, relative to the rms of the echoes that overlap in the window. One
+    /// window in ten thousand is weaker. A window with many degrees of freedom (bandwidth times window length) is never much weaker
+    /// than its echoes. A window of a pure tone can be much weaker.
     ///
     /// The energy of a window follows a gamma distribution, whose lower tail is a power law. Taper flanks reduce the degrees of
     /// freedom of a chirp to those of a rectangular pulse with the same ratio of mean to mean square: a squared raised cosine has
@@ -69,7 +69,7 @@ impl Pulse {
 /// Minimum length of the windows over which errors are measured, samples.
 pub const MIN_WINDOW: f64 = 32.0;
 
-/// Share of windows that may be weaker than [`Pulse::weakest_window`]: a ping has some thousands.
+/// Fraction of windows that may be weaker than [`Pulse::weakest_window`]. A ping has some thousands of windows.
 const WEAKEST_WINDOWS: f64 = 1e-4;
 
 /// Modulation of a pulse.

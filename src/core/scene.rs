@@ -7,8 +7,8 @@ use num_complex::Complex64;
 
 // ---------------------------------------------------------------- the scene
 
-/// Dependence of a scatterer's pressure on the angles between its normal and the two rays. Scatterers do not radiate behind their
-/// normal.
+/// Dependence of a scatterer's pressure on the angles i (incident) and s (scattered) between its normal and the two rays. A
+/// scatterer does not radiate behind its normal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ScatterLaw {
     /// Independent of direction.
@@ -21,7 +21,7 @@ pub enum ScatterLaw {
     Curve,
 }
 
-/// Backscattering strength over the angle of incidence, tabulated as the pressure factor of one leg; the factors of both legs
+/// Backscattering strength over the angle of incidence, tabulated as the pressure factor of one leg. The factors of both legs
 /// multiply.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LawCurve {
@@ -68,9 +68,10 @@ pub struct Scatterers {
     pub strength: Vec<Complex64>,
     /// Directional law.
     pub law: Vec<ScatterLaw>,
-    /// Factor, 1 or more, by which the pattern floor ([`ModelChoice::cull_db`](crate::model::ModelChoice::cull_db)) is lower for a scatterer louder than the ground.
+    /// Factor, 1 or more, that lowers the pattern floor ([`ModelChoice::cull_db`](crate::model::ModelChoice::cull_db)) for a
+    /// scatterer stronger than the seabed.
     pub loud: Vec<f32>,
-    /// Curve of scatterers with [`ScatterLaw::Curve`]; without it they are silent.
+    /// Curve of scatterers with [`ScatterLaw::Curve`]. Without a curve their pressure is zero.
     pub curve: Option<Arc<LawCurve>>,
 }
 
@@ -139,8 +140,9 @@ impl Scatterers {
     }
 }
 
-/// Region of the scene that a pair of transmitter and receive array can receive: a sphere, without directions in which the
-/// two-way pattern is below the floor, and without the region behind a baffle. A footprint with a non-finite value is empty.
+/// Region of the scene from which a pair of transmitter and receive array can receive echoes. The region is a sphere without the
+/// directions in which the two-way pattern is below the floor, and without the region behind a baffle. A footprint with a
+/// non-finite value is empty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Footprint {
     /// Transmitter, world, metres.
@@ -151,23 +153,23 @@ pub struct Footprint {
     pub max_range_m: f64,
     /// Bounds of the pattern: length and width of transmitter and element.
     pub sides: [PatternSide; Self::SIDES],
-    /// Ratio of the maximum of the product of the sides to its floor; infinite keeps all directions.
+    /// Ratio of the maximum of the product of the sides to its floor; infinity keeps all directions.
     pub depth: f64,
     /// Faces of transmitter and element.
     pub faces: [BaffledFace; 2],
 }
 
-/// Bound on the pattern of one side of a rectangular radiator: it stays below 1 / (u / knee), with u the sine of the angle from
-/// broadside.
+/// Bound on the pattern along one side of a rectangular radiator. The pattern stays below 1 / (u / knee), with u the sine of the
+/// angle from broadside.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PatternSide {
     /// Direction of the side, world, unit vector.
     pub axis: DVec3,
-    /// Sine from which the bound is less than 1: lambda / (pi L); infinite for a side without length.
+    /// Sine above which the bound is less than 1: lambda / (pi L); infinite for a side of length zero.
     pub knee: f64,
     /// Error of the sine from the rotation of the platform.
     pub turn: f64,
-    /// Error of the sine times range from the distance of the radiator to the apex, metres.
+    /// Error of the product of sine and range from the distance between the radiator and the apex, metres.
     pub shift_m: f64,
 }
 
@@ -178,7 +180,7 @@ pub struct BaffledFace {
     pub normal: DVec3,
     /// Error of the sine from the rotation of the platform, as in [`PatternSide`].
     pub turn: f64,
-    /// Error from the distance of the face to the apex, metres, as in [`PatternSide`].
+    /// Error from the distance between the face and the apex, metres, as in [`PatternSide`].
     pub shift_m: f64,
 }
 
@@ -191,7 +193,7 @@ impl PatternSide {
         shift_m: 0.0,
     };
 
-    /// Factor by which the pattern is at least below 1 for a point at `range_m` whose component along the axis is `along_m`.
+    /// Factor by which the pattern is at least below 1, for a point at `range_m` with the component `along_m` along the axis.
     #[inline(always)]
     pub fn below(&self, along_m: f64, range_m: f64) -> f64 {
         let sine = (along_m.abs() - self.shift_m) / range_m - self.turn;
@@ -207,7 +209,7 @@ impl BaffledFace {
         shift_m: 0.0,
     };
 
-    /// Whether a point at `range_m`, `ahead_m` along the normal, may be in front of the face.
+    /// Whether a point at `range_m` with the component `ahead_m` along the normal can be in front of the face.
     #[inline(always)]
     pub fn may_face(&self, ahead_m: f64, range_m: f64) -> bool {
         ahead_m >= -(self.turn * range_m + self.shift_m)
@@ -242,7 +244,7 @@ impl Footprint {
         footprint
     }
 
-    /// Whether a position (world, metres) is inside.
+    /// Whether a position (world, metres) is inside the footprint.
     pub fn contains(&self, position_m: DVec3) -> bool {
         let d = position_m - self.apex_m;
         let range_squared = d.length_squared();

@@ -6,10 +6,10 @@ use crate::time::UtcNs;
 
 // ---------------------------------------------------------------- the ping
 
-/// Settings that an operator or a topside can change while the sonar runs.
+/// Settings that an operator or a topside unit can change while the sonar runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SonarSettings {
-    /// The sonar pings.
+    /// True while the sonar pings.
     pub pinging: bool,
     /// Maximum slant range, metres.
     pub range_m: f64,
@@ -23,7 +23,7 @@ pub struct SonarSettings {
     pub pulse_duration_s: f64,
 }
 
-/// Inclusive limits of the settings; the maxima determine buffer sizes.
+/// Inclusive limits of the settings. The maxima determine buffer sizes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SettingLimits {
     /// Slant range, metres.
@@ -44,7 +44,7 @@ pub enum TriggerSource {
     /// The sonar's own ping rate.
     #[default]
     Internal,
-    /// External pulses; the sonar itself starts only pings requested by number.
+    /// External pulses. The sonar itself starts only pings requested by number.
     External,
 }
 
@@ -65,20 +65,20 @@ pub enum SettingChange {
     Start,
     /// Stop pinging.
     Stop,
-    /// Transmit this number of pings at the ping rate, then stop; ends a [`Self::Start`].
+    /// Transmit this number of pings at the ping rate, then stop. This request ends a [`Self::Start`].
     PingTimes(u32),
     /// Change the trigger source.
     Trigger(TriggerSource),
 }
 
-/// Key of a device setting that the model stores but does not use.
+/// Key of a device setting that the program stores for the client but the model does not use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct KeptKey {
     /// Protocol of the setting.
     pub via: &'static str,
     /// Name of the setting in the protocol.
     pub name: &'static str,
-    /// Index of the channel or subsystem; 0 if there is one.
+    /// Index of the channel or subsystem; 0 if the device has only one.
     pub place: u32,
 }
 
@@ -93,26 +93,26 @@ pub enum KeptValue {
     Text(String),
 }
 
-/// Origin of a change.
+/// Requester of a change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Asker {
-    /// Protocol, page or command.
+    /// Name of the protocol, page or command that requests the change.
     pub via: &'static str,
     /// Network address of the client, if there is one.
     pub peer: Option<SocketAddr>,
 }
 
-/// Time and origin of a change.
+/// Time and requester of a change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Asked {
     /// Rig time.
     pub utc: UtcNs,
-    /// Origin.
+    /// Requester.
     pub by: Asker,
 }
 
 impl From<UtcNs> for Asked {
-    /// A change by the program itself.
+    /// Origin of a change by the program itself.
     fn from(utc: UtcNs) -> Self {
         let by = Asker {
             via: "echotank",
@@ -197,18 +197,18 @@ pub enum SettingRule {
 pub trait SettingsPort: Send + Sync {
     /// Settings of the next ping.
     fn settings(&self) -> SonarSettings;
-    /// Present trigger source.
+    /// Current trigger source.
     fn trigger(&self) -> TriggerSource;
     /// Limits of the settings.
     fn limits(&self) -> SettingLimits;
     /// Version of the settings; increases with every change, including stored settings.
     fn version(&self) -> u64;
-    /// Applies a change, or refuses it with the violated rule.
+    /// Applies a change. Returns the violated rule if the change is refused.
     fn apply(&self, change: SettingChange, asked: Asked) -> Result<SettingApplied, SettingRefused>;
-    /// Stores a setting that the model does not use; refused only if too many are stored.
+    /// Stores a setting that the model does not use. Refused only if too many settings are stored.
     fn keep(&self, key: KeptKey, value: KeptValue, asked: Asked) -> Result<(), SettingRefused>;
     /// Value of a stored setting.
     fn kept(&self, key: KeptKey) -> Option<KeptValue>;
-    /// Changes after `version`, oldest first; old entries may be dropped.
+    /// Changes after `version`, oldest first. Old entries may be absent.
     fn changes_since(&self, version: u64) -> Vec<JournalEntry>;
 }

@@ -1,6 +1,6 @@
 //! Vector instruction sets of the inner loops.
 
-/// Proof that the processor supports a [`Kind`]; only the functions here create it.
+/// Proof that the processor supports a [`Kind`]. Only the functions of this module create one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SimdLevel(Kind);
 
@@ -37,9 +37,11 @@ impl SimdLevel {
         self.0
     }
 
-    /// Runs `work` compiled for this level: the same arithmetic in the same order, so the same bits.
+    /// Runs `work` compiled for this level. The arithmetic and its order are the same at every level, so the results are the same
+    /// bits.
     ///
-    /// The build is a wider one only if `work` is inlined: a closure marked `#[inline(always)]` that calls functions with the same mark.
+    /// A wider build requires that `work` is inlined: a closure marked `#[inline(always)]` that calls only functions with the same
+    /// mark.
     #[inline]
     pub fn run<R>(self, work: impl FnOnce() -> R) -> R {
         #[cfg(target_arch = "x86_64")]

@@ -1,4 +1,4 @@
-//! Values for the tests of any crate.
+//! Test values for all crates.
 
 use glam::DQuat;
 use glam::DVec3;
@@ -11,7 +11,7 @@ use crate::pulse::Pulse;
 use crate::settings::SonarSettings;
 use crate::time::UtcNs;
 
-/// Plan of a ping of a platform at rest at the origin.
+/// Plan of a ping from a platform at rest at the origin.
 pub fn plan_at_rest(pulse: &Pulse, sample_count: usize, sound_speed_m_per_s: f64) -> PingPlan {
     let trajectory = Trajectory::uniform(DVec3::ZERO, DVec3::ZERO, DQuat::IDENTITY);
     PingPlan {

@@ -1,7 +1,7 @@
 //! Instants on the two time axes, and the conversion between them.
 //!
 //! Mono time is the monotonic clock of the machine; pacing uses it. Rig time is UTC on the timeline of the navigation: with a log
-//! recorded in 2014, pings are in 2014. Every [`UtcNs`] is rig time. [`Timeline`] converts between the axes.
+//! of 2014, pings are in 2014. Every [`UtcNs`] is rig time. [`Timeline`] converts between the axes.
 
 /// Nanoseconds per second.
 pub const NS_PER_S: i64 = 1_000_000_000;

@@ -4,9 +4,9 @@
 //! meridian. Source: Karney, C. F. F. (2011), "Transverse Mercator with an accuracy of a few nanometers", J. Geodesy 85, 475-485,
 //! equations 7 to 20 and 35, 36.
 //!
-//! The module is not replaced by a crate: `utm` uses a series in the longitude difference that holds only near its zone,
-//! `geographiclib-rs` has no transverse Mercator projection, and `proj4rs` and `geodesy` are general projection engines
-//! configured by strings.
+//! This module replaces three crates. `utm` uses a series in the longitude difference, which is accurate only near its zone.
+//! `geographiclib-rs` has no transverse Mercator projection. `proj4rs` and `geodesy` are general projection engines configured by
+//! strings.
 
 const A_M: f64 = 6_378_137.0;
 const F: f64 = 1.0 / 298.257_223_563;
@@ -31,7 +31,7 @@ const BETA: [f64; 4] = [
     4397.0 / 161_280.0 * N * N * N * N,
 ];
 
-/// Newton steps for the latitude; two reach machine precision (Karney 2011, section 2).
+/// Maximum number of Newton steps for the latitude. Two steps reach machine precision (Karney 2011, section 2).
 const LATITUDE_STEPS: usize = 4;
 
 fn eccentricity() -> f64 {
