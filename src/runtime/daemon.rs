@@ -6,12 +6,12 @@
 //!        ^------------- free slots ------------'
 //! ```
 //!
-//! The life of a ping: ordered at its instant `t_tx` with the settings then in force; computed when the navigation covers its window (or
-//! by prediction); delivered at `t_tx + window + latency`. What comes later than that is a deadline miss; what cannot come at all is
-//! skipped, with a reason and a counter, and keeps its number.
+//! A ping is ordered at its transmit instant `t_tx` with the settings then active. It is computed when the navigation covers its window, or
+//! from predicted navigation. It is delivered at `t_tx + window + latency`. A later delivery is a deadline miss. A ping that cannot be
+//! delivered is skipped: a counter records the reason, and its number is not reused.
 //!
-//! So it is where time is the machine's (`realtime`, `scaled`). In `fast` and `lockstep` the pipeline moves time itself from pulse to pulse
-//! (`stepped`): nothing is late there and nothing skipped for it. The samples are the same bits in all.
+//! This timing applies to the clocks `realtime` and `scaled`. With `fast` and `lockstep` the pipeline advances time from pulse to pulse
+//! (`stepped`), so no ping is late or skipped for lateness. The samples are the same bits with every clock.
 
 mod beat;
 mod delivery;
@@ -115,12 +115,16 @@ pub struct Daemon {
     stop: Arc<AtomicBool>,
     control: Arc<RunControl>,
     server: Option<ControlServer>,
-    /// What was recovered of earlier records, and how punctual it can be, a line each.
+    /// One line each on repaired records and on the scheduling that the system allowed.
     remarks: Vec<String>,
 }
 
 impl Daemon {
-    /// Opens the scene, the navigation and the outputs. `stop` ends [`Daemon::run`] when it becomes true.
+    /// Opens the scene, the navigation and the outputs. [`Daemon::run`] ends when `stop` becomes true. `threads` is the number of threads that
+    /// compute pings.
+    ///
+    /// # Errors
+    /// A file, socket, serial port or thread cannot be opened; see [`DaemonError`].
     pub fn open(
         spec: &RigSpec,
         threads: usize,
@@ -247,17 +251,17 @@ impl Daemon {
         })
     }
 
-    /// Where the operator's page is served, if it is.
+    /// Address of the operator's page, if one is served.
     pub fn page(&self) -> Option<SocketAddr> {
         Some(self.server.as_ref()?.local_addr())
     }
 
-    /// How it is paused, stepped and told.
+    /// Handle that pauses, steps and observes the run.
     pub fn control(&self) -> Arc<RunControl> {
         self.control.clone()
     }
 
-    /// What it listens to and where to connect, a line each.
+    /// Listening addresses and links, one line each.
     pub fn describe(&self) -> Vec<String> {
         let sources = &self.rig.spec.nav.sources;
         let transport = |name: &str| {
@@ -293,8 +297,11 @@ impl Daemon {
         lines
     }
 
-    /// Pings until `stop`, or until every recorded source has ended. `status` gets the counters, a few lines of text, every
+    /// Pings until `stop` is set or every recorded source has ended. `status` receives the counters as lines of text, every
     /// `run.status_interval_s` and once at the end.
+    ///
+    /// # Errors
+    /// A recorder fails, recorded navigation lacks a required quantity, or a thread cannot start or panics.
     pub fn run(self, mut status: impl FnMut(&str)) -> Result<(), DaemonError> {
         let (rig, control, stop, pool) = (self.rig, self.control, self.stop, self.pool);
         let notify = Notify::from_environment();
@@ -309,7 +316,7 @@ impl Daemon {
         let stopped = stopped.unwrap_or_default();
         let directory = said.clone().or(beside.clone());
         let mut fault_log = EventLog::new("faults", directory, &stopped);
-        // A ping that is skipped misses its number in the records themselves.
+        // With `overload = "skip"`, missing ping numbers in the records already show the skipped pings.
         let beside = beside.filter(|_| rig.spec.run.overload != OverloadSpec::Skip);
         let mut overload_log = EventLog::new("overload", said.or(beside), &stopped);
         let latency_s = rig.spec.run.latency_s;
@@ -360,14 +367,14 @@ impl Daemon {
         let pipeline = thread::Builder::new()
             .name("pipeline".into())
             .spawn(move || {
-                // The loop runs inside the pool, so that a ping's parallel parts never pass through the pool's front door.
+                // The loop runs inside the pool, so that parallel work of a ping starts without a hand-over to the pool's queue.
                 pool.install(move || match own_time {
                     true => pacer.run_stepped(),
                     false => pacer.run(),
                 })
             })
             .map_err(DaemonError::Thread)?;
-        // Whoever looks lives in the machine's time, whatever the rig's does.
+        // Status and watchdog use real time, whatever the clock of the rig.
         let machine = SystemClock::new();
         let (mut nav_states, mut is_well) = (NavStates::default(), true);
         tracing::info!(sonars = control.sonars().len(), "pinging");
@@ -380,7 +387,7 @@ impl Daemon {
             fault_log.write(&faults.take_injections(), control.sonars());
             overload_log.write(&control.overload_states().take(), control.sonars());
             nav_states.report(&control);
-            // Stopped recordings go on by themselves: a restart would not help them.
+            // A stopped recorder does not make the daemon unhealthy, because a restart would not repair it.
             match control.pipeline_problem() {
                 None => {
                     notify.alive();

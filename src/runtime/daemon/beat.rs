@@ -1,7 +1,7 @@
-//! The beat: turns the passing of time, and triggers, into orders.
+//! The beat: issues ping orders from the schedules and from external triggers.
 //!
-//! Where time is the machine's it has a thread of its own, so that a pulse is on time, and told to whoever is to be triggered, however busy the
-//! pipeline is. Where time is the pipeline's, the pipeline asks.
+//! With a real-time or scaled clock the beat runs in its own thread, so that pulses and trigger outputs stay on time while the pipeline is busy.
+//! With a `fast` or `lockstep` clock the pipeline calls it.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -24,10 +24,10 @@ use echotank_ping::faults::{Faults, PingMark};
 use echotank_ping::trigger::Numbers;
 use echotank_ping::{self as ping, PingOrder, Refusal, Triggered};
 
-/// The thread looks this often whether it should end, at least.
+/// Maximum interval between checks of the stop flag.
 const LOOK_NS: i64 = NS_PER_S / 10;
 
-/// A pulse that waits for the pipeline waits so long, at least: the thread is not to wake for less.
+/// Minimum delay of a pulse that is put off, which limits the wake-ups of the thread.
 const MIN_PUT_OFF_NS: i64 = NS_PER_S / 2000;
 
 pub(super) struct Beat {
@@ -40,39 +40,39 @@ pub(super) struct Beat {
     clock: Arc<dyn Clock>,
     own_time: bool,
     triggers: Triggers,
-    /// The oldest trigger from outside that has not been looked at.
+    /// Oldest external trigger that has not been processed.
     came: Option<Came>,
     numbers: Vec<Numbers>,
-    /// Of each sonar with a watchdog: its time, and since when it waits.
+    /// Watchdog of each sonar that has one.
     watches: Vec<Option<Watch>>,
-    /// How long before its pulse a ping is ordered, nanoseconds.
+    /// Lead of an order before its pulse, nanoseconds.
     ahead_ns: i64,
-    /// Pulses that are ordered and lie ahead, to be told at their instants; earliest first.
+    /// Ordered pulses whose trigger outputs are still to be sent, earliest first.
     untold: VecDeque<PulseNotice>,
     coming: Arc<Coming>,
     backlog: Arc<Backlog>,
     stretch: Option<Stretch>,
 }
 
-/// An order on its way to the pipeline.
+/// An order on its way from the beat to the pipeline.
 #[derive(Clone, Copy)]
 pub(super) struct Ordered {
     pub sonar: usize,
     pub order: PingOrder,
-    /// How much later its pulse is than the beat had it.
+    /// Delay of the pulse behind the regular schedule.
     pub put_off_s: f64,
 }
 
-/// `run.overload = "stretch"`.
+/// State of `run.overload = "stretch"`.
 struct Stretch {
     backlog: Arc<Backlog>,
     run: RunSpec,
     sound_speed_m_per_s: f64,
-    /// Of each sonar's next pulse.
+    /// Per sonar: accumulated delay of the next pulse.
     put_off_ns: Vec<i64>,
 }
 
-/// A pulse as it is told to others.
+/// A pulse as sent on a trigger output.
 #[derive(Clone, Copy)]
 struct PulseNotice {
     at: MonoNs,
@@ -81,15 +81,15 @@ struct PulseNotice {
     utc: UtcNs,
 }
 
-/// What the pipeline knows of the beat between two orders.
+/// Lower bound on the next order, shared with the pipeline.
 pub(super) struct Coming {
-    /// Rung when there is an order.
+    /// Notified when an order is queued.
     pub wake_up: WakeUp,
     next_utc_ns: AtomicI64,
 }
 
 impl Coming {
-    /// No order is still to come for a pulse before this instant, unless it is triggered from outside.
+    /// Instant before which no further order has its pulse, except by external trigger.
     pub(super) fn next(&self) -> UtcNs {
         UtcNs(self.next_utc_ns.load(Ordering::Acquire))
     }
@@ -101,7 +101,7 @@ struct Watch {
     since: UtcNs,
 }
 
-/// What the beat shares with the pipeline.
+/// Shared state that the beat works with.
 pub(super) struct BeatContext {
     pub settings: Vec<Arc<SettingsStore>>,
     pub control: Arc<RunControl>,
@@ -156,13 +156,13 @@ impl Beat {
         self.coming.clone()
     }
 
-    /// When a pulse is next due of a sonar that pings; none while nobody does.
+    /// Instant of the next scheduled pulse of any sonar that pings. `None` if no sonar pings.
     pub(crate) fn next_pulse(&self) -> Option<UtcNs> {
         let pings = |sonar: usize| self.settings[sonar].snapshot().0.pinging;
         self.beats.next_utc(pings)
     }
 
-    /// The next pulse that has gone out by `now`, in order of time.
+    /// Next order with a pulse at or before `now`, in order of time.
     pub(super) fn next(&mut self, now: UtcNs) -> Option<(usize, PingOrder)> {
         loop {
             self.came = self.came.or_else(|| self.triggers.came.try_recv().ok());
@@ -190,7 +190,7 @@ impl Beat {
         }
     }
 
-    /// Puts off the pulses up to `until` whose pings could not be ready in time.
+    /// Delays the pulses up to `until` whose pings could not be ready in time.
     fn stretch_until(&mut self, until: UtcNs) {
         let Some(stretch) = self.stretch.as_mut().filter(|_| !self.own_time) else {
             return;
@@ -218,13 +218,13 @@ impl Beat {
         }
     }
 
-    /// How much later the pulse that has just been ordered is than the beat had it.
+    /// Takes the delay of the pulse that was just ordered behind the regular schedule, seconds.
     fn put_off_s(&mut self, sonar: usize) -> f64 {
         let put_off = self.stretch.as_mut().map(|s| &mut s.put_off_ns[sonar]);
         put_off.map_or(0.0, |ns| std::mem::take(ns) as f64 / NS_PER_S as f64)
     }
 
-    /// What becomes of a trigger from outside.
+    /// Outcome of an external trigger.
     fn obey(&mut self, came: Came) -> Triggered {
         let at = self.timeline.utc(came.at);
         let known = came
@@ -243,7 +243,7 @@ impl Beat {
         self.beats.trigger(came.sonar, at, in_force)
     }
 
-    /// Counts what happened; the order, where it is one and its pulse goes out.
+    /// Counts an event. Returns its order if the event is one and no fault suppresses the pulse.
     fn note(&mut self, sonar: usize, event: &Event) -> Option<PingOrder> {
         let counts = &self.control.sonars()[sonar].triggers;
         if let Event::Trigger(triggered) = event {
@@ -259,7 +259,7 @@ impl Beat {
             return None;
         }
         let again_s = match self.beats.is_second(sonar) {
-            // Twice, not three times.
+            // An injected double trigger is not repeated again.
             true => None,
             false => self.faults.trigger_double_s(PingMark::of(sonar, &order)),
         };
@@ -284,7 +284,7 @@ impl Beat {
         Some(order)
     }
 
-    /// Tells others of the pulses whose instant has come.
+    /// Sends the trigger outputs that are due.
     fn tell(&mut self) {
         while let Some(told) = self.untold.front().copied() {
             let late_ns = self.clock.mono().0 - told.at.0;
@@ -307,7 +307,7 @@ impl Beat {
         }
     }
 
-    /// Counts triggers that should have come.
+    /// Counts the external triggers that are overdue.
     fn watch(&mut self, now: UtcNs) {
         for (sonar, watch) in self.watches.iter_mut().enumerate() {
             let Some(watch) = watch else { continue };
@@ -323,7 +323,7 @@ impl Beat {
         }
     }
 
-    /// The thread: hands every order on at its instant.
+    /// Body of the thread: passes every order to the pipeline at its instant.
     fn run(mut self, orders: &Sender<Ordered>, stop: &AtomicBool) {
         while !stop.load(Ordering::Acquire) {
             let now = self.clock.mono();
@@ -355,7 +355,7 @@ impl Beat {
         }
     }
 
-    /// Gives it a thread, which ends when what is returned is dropped. `priority`: SCHED_FIFO; 0: ordinary.
+    /// Starts the thread, which ends when the returned value is dropped. `priority` is the SCHED_FIFO priority; 0 means ordinary scheduling.
     pub(super) fn start(
         self,
         orders: Sender<Ordered>,
@@ -367,7 +367,7 @@ impl Beat {
             let stop = stop.clone();
             move || {
                 if priority > 0 {
-                    // What is not allowed was said when the daemon started.
+                    // The daemon reports a refused priority at its start.
                     let _ = priority::first_in_first_out(priority);
                 }
                 self.run(&orders, &stop);
@@ -394,7 +394,7 @@ impl Drop for BeatThread {
         self.stop.store(true, Ordering::Release);
         self.wake_up.notify(&*self.clock);
         if let Some(thread) = self.thread.take() {
-            // A panic in it was printed where it happened.
+            // The panic message was printed when the panic occurred.
             let _ = thread.join();
         }
     }

@@ -1,7 +1,7 @@
-//! The way of a ping from the pacer to its outputs: one lane and one or two threads per sonar.
+//! Delivery of pings from the pacer to the outputs: one lane and one or two threads per sonar.
 //!
-//! A ping that waits for its deadline holds up no other sonar's. Where samples stream, a thread of their own sends them ahead of the delivery
-//! thread, which waits for the end of the ping before.
+//! A ping that waits for its deadline does not delay other sonars. If samples stream, a second thread sends them, because the delivery thread
+//! waits for the end of the previous ping.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -20,56 +20,55 @@ use crate::histograms::Histograms;
 use crate::io::priority;
 use crate::outputs::{OutputError, Outputs};
 
-/// Later than this is a miss, microseconds: what an ordinary kernel's timers may be late under load (p99 measured 3.2 ms) without
-/// anything being wrong with the ping.
+/// Lateness above which a delivery counts as a deadline miss, microseconds. Timers of an ordinary kernel under load can be late by almost
+/// this much (p99 measured 3.2 ms) without a fault of the ping.
 const DEADLINE_TOLERANCE_US: u64 = 5_000;
 
-/// Tiles of a sonar's pings that may be on their context at a time.
+/// Maximum number of tiles of a sonar in delivery at a time.
 const TILE_SLOTS: usize = 4;
 
-/// A ping on its context out.
+/// A ping or tile in delivery.
 pub(super) struct Delivery {
     pub(super) slot: Box<PingSlot>,
-    /// None where time is the pipeline's own: at once.
+    /// `None` with a `fast` or `lockstep` clock: deliver at once.
     pub(super) due: Option<Due>,
-    /// Its samples that stream; those before have left already.
+    /// Samples to stream; earlier samples were already sent.
     pub(super) samples: Range<usize>,
-    /// There is more of the ping to come: when these samples have left the slot goes back.
+    /// Whether more of the ping follows. If so, the slot is returned once these samples are sent.
     pub(super) is_tile: bool,
 }
 
-/// When what a ping makes is due.
+/// Instants at which the parts of a ping are due.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Due {
-    /// The start of its pulse.
+    /// Start of the pulse.
     pub(super) pulse: MonoNs,
-    /// The last instant at which it is of use: the first block's where samples stream, else the deadline.
+    /// Latest useful instant of readiness: that of the first block if samples stream, else the deadline.
     pub(super) ready_by: MonoNs,
-    /// All that leaves at the end of the ping.
+    /// Delivery of the records that belong to the whole ping.
     pub(super) deadline: MonoNs,
 }
 
-/// What a delivery thread works with besides its outputs.
+/// State shared with a delivery thread, besides its outputs.
 #[derive(Clone)]
 pub(super) struct DeliveryContext {
-    /// The sonar's name.
+    /// Name of the sonar.
     pub(super) sonar: String,
     pub(super) clock: Arc<dyn Clock>,
     pub(super) counters: Arc<PingCounters>,
     pub(super) histograms: Arc<Histograms>,
     pub(super) gate: Arc<Gate>,
-    /// SCHED_FIFO; 0: ordinary.
+    /// SCHED_FIFO priority; 0 means ordinary scheduling.
     pub(super) priority: u8,
 }
 
-/// The pipeline's end of one sonar's context out. Each sonar has its own, with its own thread: a ping that waits for its deadline holds up no
-/// other sonar's.
+/// The pacer's side of the delivery of one sonar.
 pub(super) struct Lane {
     pub(super) free: Receiver<Box<PingSlot>>,
-    /// A slot whose ping was skipped.
+    /// Slot of a ping that was skipped.
     pub(super) spare: Option<Box<PingSlot>>,
     pub(super) to_delivery: Sender<Delivery>,
-    /// For tiles of pings that stream.
+    /// Free slots for tiles of streamed pings.
     pub(super) tiles: Receiver<Box<PingSlot>>,
     pub(super) spare_tile: Option<Box<PingSlot>>,
 }
@@ -86,10 +85,10 @@ impl Lane {
     }
 }
 
-/// A thread that owns outputs, and what became of their recorders.
+/// A thread that owns outputs. It returns the first error of the recorders.
 pub(super) type OutputThread = JoinHandle<Result<(), OutputError>>;
 
-/// Makes the slots of a sonar and starts its delivery thread, which ends when the lane is dropped.
+/// Allocates the slots of a sonar and starts its delivery thread, which ends when the lane is dropped.
 pub(super) fn open_lane(
     rig: &Rig,
     sonar: usize,
@@ -109,7 +108,7 @@ pub(super) fn open_lane(
         let _ = to_tiles.try_send(Box::new(rig.slot(sonar)));
     }
     if !streams.is_empty() {
-        // Ahead of the delivery thread, which waits for the end of the ping before.
+        // This thread precedes the delivery thread, which waits for the end of the previous ping.
         let (to_streams, pings) = bounded::<Delivery>(slots + tile_slots);
         let on = std::mem::replace(&mut to_delivery, to_streams);
         let context = context.clone();
@@ -121,7 +120,7 @@ pub(super) fn open_lane(
     }
     let (to_free, free) = bounded::<Box<PingSlot>>(slots);
     for _ in 0..slots {
-        // Cannot fail: the channel holds exactly this many.
+        // Cannot fail: the channel has exactly this capacity.
         let _ = to_free.try_send(Box::new(rig.slot(sonar)));
     }
     let thread = thread::Builder::new()
@@ -139,7 +138,7 @@ pub(super) fn open_lane(
     Ok((lane, threads))
 }
 
-/// Lets the samples of each ping leave as they would be heard, and hands it on at once; a tile goes back.
+/// Sends the samples of each ping at the instants at which they are received, then passes the ping on. Slots of tiles are returned.
 fn stream(
     mut outputs: Outputs,
     pings: &Receiver<Delivery>,
@@ -147,18 +146,18 @@ fn stream(
     context: &DeliveryContext,
 ) -> Result<(), OutputError> {
     if context.priority > 0 {
-        // What is not allowed was said when the daemon started.
+        // The daemon reports a refused priority at its start.
         let _ = priority::first_in_first_out(context.priority);
     }
     for ping in pings {
         let pulse = ping.due.map(|due| due.pulse);
         outputs.stream(&ping.slot, ping.samples.clone(), pulse);
         if ping.is_tile {
-            // Its place in the channel is free: it came from there.
+            // Cannot be full: the slot came from this channel.
             let _ = back.try_send(ping.slot);
             continue;
         }
-        // It holds as many as there are slots. Nobody there: the daemon ends.
+        // The channel holds all slots, so this never blocks. An error means that the daemon is stopping.
         if on.send(ping).is_err() {
             break;
         }
@@ -166,7 +165,7 @@ fn stream(
     outputs.close()
 }
 
-/// Encodes each ping while it waits, and hands its records over at the deadline.
+/// Encodes each ping while it waits, and delivers its records at the deadline.
 fn deliver(
     mut outputs: Outputs,
     deliveries: &Receiver<Delivery>,
@@ -174,14 +173,14 @@ fn deliver(
     context: &DeliveryContext,
 ) -> Result<(), OutputError> {
     if context.priority > 0 {
-        // What is not allowed was said when the daemon started.
+        // The daemon reports a refused priority at its start.
         let _ = priority::first_in_first_out(context.priority);
     }
     let mut first_error = None;
     for Delivery { slot, due, .. } in deliveries {
         let deadline = due.map(|due| due.deadline);
         outputs.encode(&slot);
-        // Its place in the channel is free: it came from there.
+        // Cannot be full: the slot came from this channel.
         let _ = free.try_send(slot);
         if let Some(deadline) = deadline {
             context.clock.sleep_until(deadline);
@@ -193,7 +192,7 @@ fn deliver(
                 add(&context.counters.deadline_misses, 1);
             }
         }
-        // A recorder that fails (a full disk) is reported once; the topsides go on.
+        // A failed recorder (for example a full disk) is reported once; the other outputs continue.
         outputs.deliver(|error| {
             tracing::error!(sonar = context.sonar, %error, "recorder stopped");
             add(&context.counters.recordings_stopped, 1);

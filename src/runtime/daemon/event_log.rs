@@ -1,4 +1,4 @@
-//! The logs of single events: injected faults and signs of overload, JSON lines.
+//! Logs of single events in JSON lines: injected faults and signs of overload.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use crate::io::record::RecordError;
 use crate::io::record::faults::FaultLog;
 use crate::outputs::recording::{Place, Recording, StoppedRecordings};
 
-/// A log of what befell single pings, JSON lines; begun with the first of them.
+/// A log of events in JSON lines. The file is created with the first event.
 pub(super) struct EventLog {
     stem: &'static str,
     recording: Option<Recording<FaultLog>>,
@@ -37,7 +37,7 @@ impl EventLog {
         Self { stem, recording }
     }
 
-    /// Writes what happened since the last time. An error is told once, and counts as a recording that stopped.
+    /// Appends new events. A failure is logged once and counted as a stopped recording.
     pub(super) fn write<T: Serialize>(&mut self, events: &[T], sonars: &[SonarControl]) {
         for event in events {
             tracing::debug!(log = self.stem, event = %AsJson(event), "ping event");
@@ -61,7 +61,7 @@ impl EventLog {
     }
 }
 
-/// Writes a value as JSON.
+/// Display adapter that prints a value as JSON.
 struct AsJson<'a, T>(&'a T);
 
 impl<T: Serialize> std::fmt::Display for AsJson<'_, T> {

@@ -1,4 +1,4 @@
-//! What the daemon asks of the machine: clocks, scheduling priority, locked memory.
+//! System resources of the daemon: clocks, scheduling priority, locked memory.
 
 use std::sync::{Arc, OnceLock};
 use std::thread;
@@ -11,13 +11,13 @@ use crate::gate::Gate;
 use crate::io::priority;
 use crate::io::sonar::RigTime;
 
-/// Locks memory and tries a priority, and says what came of it.
+/// Locks memory and tries a real-time priority. Returns the outcome as a remark.
 pub(super) fn punctuality(priority: u8) -> String {
     if priority == 0 {
         return "ordinary scheduling (run.priority = 0)".to_owned();
     }
     let locked = priority::lock_memory();
-    // On a thread of its own: this one stays ordinary.
+    // A separate thread: the calling thread keeps its ordinary scheduling.
     let tried = thread::spawn(move || priority::first_in_first_out(priority)).join();
     let real_time = tried.unwrap_or_else(|_| Err(std::io::ErrorKind::Other.into()));
     match (real_time, locked) {
@@ -40,12 +40,12 @@ pub(super) fn punctuality(priority: u8) -> String {
     }
 }
 
-/// Tries the nice value of the threads that compute, where one is asked for, and says what came of it.
+/// Tries the nice value of the computing threads, unless it is 0. Returns the outcome as a remark.
 pub(super) fn preference(nice: i8) -> Option<String> {
     if nice == 0 {
         return None;
     }
-    // On a thread of its own: this one stays ordinary.
+    // A separate thread: the calling thread keeps its nice value.
     let tried = thread::spawn(move || priority::nice(nice)).join();
     Some(match tried {
         Ok(Ok(())) => format!("pings are computed at nice {nice}"),
@@ -56,7 +56,7 @@ pub(super) fn preference(nice: i8) -> Option<String> {
     })
 }
 
-/// The clock of a mode, and the gate that stops it.
+/// Clock of a mode, and the gate that pauses it.
 pub(super) fn clock_of(mode: ClockSpec) -> (Arc<dyn Clock>, Arc<Gate>) {
     let rate = match mode {
         ClockSpec::RealTime => 1.0,
@@ -71,7 +71,7 @@ pub(super) fn clock_of(mode: ClockSpec) -> (Arc<dyn Clock>, Arc<Gate>) {
     (clock.clone(), Arc::new(Gate::new(Some(clock), false)))
 }
 
-/// What answers are stamped with: the same clock as the pings.
+/// Source of the time stamps in answers: the same clock as the pings.
 pub(super) fn wire_time(
     stamp: StampSpec,
     clock: &Arc<dyn Clock>,

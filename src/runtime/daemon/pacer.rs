@@ -1,6 +1,6 @@
-//! The pacer: turns the passing of time into orders, and orders into pings that leave on time.
+//! The pacer: the loop that takes ping orders, computes the pings and passes them to the delivery threads on time.
 //!
-//! Each order is *decided* (make, skip or wait), *made*, *accounted* for and *handed over* to the delivery thread of its sonar.
+//! Each order passes through four steps: decide (make, skip or wait), make, account, and hand over to the delivery thread of its sonar.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -31,97 +31,96 @@ use crate::settings::SettingsStore;
 use crate::tiles::tile_ends;
 use crate::waiting;
 
-/// Longest the pipeline sleeps when it waits for something that no clock announces (a live sample, a free slot).
+/// Longest sleep of the pipeline while it waits for an event without a known time (a live sample, a free slot), nanoseconds.
 pub(super) const POLL_NS: i64 = 2_000_000;
 
-/// With recorded navigation the first ping is due this long after the start: time to open the doors and to compute it.
+/// Delay from the start to the first ping with recorded navigation: time to open the listeners and to compute the ping.
 pub(super) const FIRST_PING_AFTER_NS: i64 = 500_000_000;
 
-/// How often the navigation's counters and states are written down for whoever prints.
+/// Interval at which the counters and states of the navigation are published to the status.
 pub(super) const NAV_LINES_EVERY_NS: i64 = NS_PER_S / 4;
 
-/// Orders that may wait for their navigation: 50 pings/s over 20 s of latency.
+/// Maximum number of orders that wait for their navigation: 50 pings/s over 20 s of latency.
 pub(super) const MAX_ORDERS: usize = 1000;
 
-/// What of a ping has left before it was whole.
+/// Blocks of a streamed ping that were sent before the ping was complete.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Streamed {
-    /// The first of them that have not.
+    /// Number of samples sent, which is the index of the first unsent sample.
     pub(super) samples: usize,
-    /// Whole blocks that have.
+    /// Number of whole blocks sent.
     pub(super) blocks: u32,
-    /// Something can be heard in what has.
+    /// Whether a block that can contain echoes was begun.
     pub(super) is_heard: bool,
-    /// When the first tile was made.
+    /// When the first tile was ready.
     pub(super) first_ready: Option<MonoNs>,
 }
 
-/// How a ping is made where time is the machine's.
+/// Timing of a ping under a clock that runs by itself (`realtime`, `scaled`).
 #[derive(Clone, Copy)]
 pub(super) struct Paced {
     pub(super) due: Due,
-    /// How loose it is.
+    /// Degradation level; 0 is the full method.
     pub(super) level: usize,
     pub(super) put_off_s: f64,
-    /// It counts as made no earlier than this (`run.simulated_compute_ms`).
+    /// Earliest instant at which the ping counts as computed (`run.simulated_compute_ms`).
     pub(super) not_before: MonoNs,
 }
 
-/// An order with its sonar and when its ping is due.
+/// An order that waits for its ping, with the instants at which the ping is due.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Waiting {
     pub(super) sonar: usize,
     pub(super) order: PingOrder,
-    /// How much later its pulse is than the beat had it.
+    /// Delay of the pulse behind the regular schedule.
     pub(super) put_off_s: f64,
     pub(super) window_s: f64,
     pub(super) due: Due,
 }
 
-/// Turns the passing of time into orders, and orders into pings.
+/// State of the pipeline thread.
 pub(super) struct Pacer {
     pub(super) rig: Rig,
-    /// What pings cost and how loose they are, one per sonar.
+    /// Cost estimates and degradation levels of the pings, one per sonar.
     pub(super) levels: Vec<DegradationLevels>,
-    /// What the beat is told of that.
+    /// Load of the pipeline, shared with the beat thread.
     pub(super) backlog: Arc<Backlog>,
-    /// It has had nothing to do since the last ping: no ping before it is to blame for what is late now.
+    /// Whether the pipeline has been idle since the last ping. If so, no earlier ping delayed the current one.
     pub(super) has_rested: bool,
-    /// Of each sonar: its last ping was skipped before its time.
+    /// Per sonar: whether its last ping was skipped because of lateness.
     pub(super) skipped: Vec<bool>,
-    /// Of a ping that was made tile by tile: when the first was.
+    /// When the first tile of the current streamed ping was ready.
     pub(super) first_ready: Option<MonoNs>,
     pub(super) inputs: NavInputs,
     pub(super) nav_out: NavOutputs,
     pub(super) settings: Vec<Arc<SettingsStore>>,
-    /// Versions of the settings that the pipelines have been told of.
+    /// Per sonar: version of the settings for which the pipeline last prepared.
     pub(super) expected: Vec<u64>,
     pub(super) control: Arc<RunControl>,
     pub(super) clock: Arc<dyn Clock>,
-    /// Tells how long computing took.
+    /// Real clock, which measures computing times.
     pub(super) machine: SystemClock,
     pub(super) stop: Arc<AtomicBool>,
-    /// Of the first ping, once it is known.
+    /// Instant of the first ping, once known.
     pub(super) first: Option<UtcNs>,
-    /// Until the beat has them.
+    /// Trigger inputs and outputs, until the beat takes them.
     pub(super) triggers: Option<Triggers>,
-    /// In order of `t_tx`.
+    /// Orders sorted by transmit time.
     pub(super) waiting: VecDeque<Waiting>,
-    /// One per sonar.
     pub(super) lanes: Vec<Lane>,
-    /// Read by whoever stamps answers.
+    /// Read also by the servers, to stamp their answers.
     pub(super) timeline: Arc<OnceLock<Timeline>>,
-    /// When the navigation's counters are next renewed for whoever looks, in the machine's time.
+    /// Next publication of the navigation's counters, real time.
     pub(super) next_nav_lines: MonoNs,
 }
 
-/// What is done with the order at the front of the queue.
+/// What happens to the order at the front of the queue.
 pub(super) enum Decision {
-    /// Make it now, in this slot.
+    /// Make the ping now, in this slot.
     Make(Paced, Box<PingSlot>),
-    /// It is skipped, and counted.
+    /// Skip the ping and count it.
     Skip,
-    /// Something must come first: look again at this instant at the latest.
+    /// Decide again at this instant at the latest.
     Wait(MonoNs),
 }
 
@@ -130,7 +129,7 @@ impl Pacer {
         let Some(timeline) = self.start()? else {
             return Ok(());
         };
-        // Set once, here; whoever asked before got the host's time.
+        // Set only here. Answers stamped before this point carry the host's time.
         let timeline = *self.timeline.get_or_init(|| timeline);
         self.inputs.set_timeline(timeline);
         let Some(beat) = self.beat(timeline) else {
@@ -150,7 +149,7 @@ impl Pacer {
         while !self.stop.load(Ordering::Acquire) {
             let now = self.clock.mono();
             let utc = timeline.utc(now);
-            // Read first: an order that is not among those taken now is not before it.
+            // Read `coming` before taking the orders: every order not taken below then has a pulse at `next` or later.
             let next = coming.next();
             self.take_orders(&orders, &timeline);
             let known = self.known_until(utc, next);
@@ -188,8 +187,8 @@ impl Pacer {
         self.rig.spec.run.ahead_ns()
     }
 
-    /// How far recorded navigation may be read: what was not known yet when a ping had to be expected must not be known to it, however late it
-    /// is computed. `next`: the next pulse that may still be ordered.
+    /// Instant up to which recorded navigation may be read. In prediction mode a ping must not use samples from after its order, however late
+    /// it is computed. `next` is the next pulse that can still be ordered.
     fn known_until(&self, utc: UtcNs, next: UtcNs) -> UtcNs {
         if self.rig.spec.nav.mode == NavMode::Settle {
             return utc;
@@ -199,14 +198,15 @@ impl Pacer {
         first.map_or(utc, |at| utc.min(at.plus_ns(-self.ahead_ns())))
     }
 
-    /// When the recorded logs first hold what a ping needs of them (the rest is live); none where the daemon is stopped.
+    /// Instant at which the recorded logs first hold the quantities that every ping needs and no live source provides. `None` if the daemon was
+    /// stopped.
     pub(super) fn first_recorded(&mut self) -> Result<Option<UtcNs>, DaemonError> {
         let sources = self.rig.spec.nav.sources.clone();
         let is_recorded = |channel| {
             let gives = |s: &NavSourceSpec| s.provides.contains(&channel) && s.is_recorded();
             sources.iter().any(gives)
         };
-        // A live source that only may send a quantity stands behind a file that holds it.
+        // A live source that was only detected as a possible sender of a quantity ranks behind a file that holds the quantity.
         let is_live = |channel| {
             let gives = |s: &NavSourceSpec| {
                 let certain = !s.detect || !is_recorded(channel);
@@ -234,14 +234,14 @@ impl Pacer {
     }
 
     pub(super) fn begin_schedules(&mut self, first: UtcNs) -> UtcNs {
-        // Known for long enough to foresee it.
+        // Prediction needs navigation over the whole order lead before the first pulse.
         let first = first.plus_ns(self.ahead_ns());
         self.first = Some(first);
         self.rig.faults.begin(first);
         first
     }
 
-    /// To be asked once, after [`Self::begin_schedules`].
+    /// Creates the beat. Call once, after [`Self::begin_schedules`]; later calls return `None`.
     pub(super) fn beat(&mut self, timeline: Timeline) -> Option<Beat> {
         let context = BeatContext {
             settings: self.settings.clone(),
@@ -255,18 +255,17 @@ impl Pacer {
         Some(Beat::new(spec, self.first?, timeline, context, triggers))
     }
 
-    /// Waits for the first navigation and lays rig time over the clock. None: stopped before there was any.
+    /// Waits for the first navigation and aligns rig time with the clock. `None` if stopped before any navigation arrived.
     fn start(&mut self) -> Result<Option<Timeline>, DaemonError> {
         if self.inputs.recorded_start().is_some() {
-            // A recorded log: as though the daemon had been listening for as long as a ping takes to be delivered, so that the first one
-            // leaves at once.
+            // Recorded log: start the timeline where the first ping is already complete, so that it is delivered at once.
             let Some(first) = self.first_recorded()? else {
                 return Ok(None);
             };
             let first = self.begin_schedules(first);
             plan_all(&mut self.rig, &mut self.inputs, first);
             if let DeliverySpec::Streaming { .. } = self.rig.spec.run.delivery {
-                // Nothing of it may leave before its pulse, which is expected before that.
+                // Streamed samples leave no earlier than their pulse, and the order precedes the pulse.
                 let ordered = self.clock.mono().plus_ns(FIRST_PING_AFTER_NS);
                 let first = first.plus_ns(-self.ahead_ns());
                 return Ok(Some(Timeline::through(ordered, first)));
@@ -330,7 +329,7 @@ impl Pacer {
         }
     }
 
-    /// Tells the pipelines of settings that a topside has changed: what they need is made before the first ping that obeys them.
+    /// Prepares the pipelines for changed settings, before the first ping that uses them.
     pub(super) fn expect_new_settings(&mut self) {
         for (sonar, settings) in self.settings.iter().enumerate() {
             if settings.version() != self.expected[sonar] {
@@ -341,7 +340,7 @@ impl Pacer {
         }
     }
 
-    /// Puts down every ping whose instant has come.
+    /// Moves all waiting orders from the beat to the queue, sorted by transmit time.
     fn take_orders(&mut self, orders: &Receiver<Ordered>, timeline: &Timeline) {
         let ended = match self.inputs.finished() {
             true => self.inputs.recorded_end(),
@@ -353,7 +352,7 @@ impl Pacer {
                 order,
                 put_off_s,
             } = ordered;
-            // A log that has ended makes no more pings; the beat may have gone on a little.
+            // The beat can order a few pings past the end of the log; they are dropped.
             if ended.is_some_and(|end| order.transmit_utc >= end) {
                 self.backlog.done(sonar);
                 continue;
@@ -386,7 +385,7 @@ impl Pacer {
         }
     }
 
-    /// Makes a ping that is due, and notes what it cost.
+    /// Makes a ping that is due and records its cost.
     fn ping_in_time(
         &mut self,
         front: &Waiting,
@@ -406,7 +405,7 @@ impl Pacer {
         self.backlog.costs(sonar, levels.now_ns());
     }
 
-    /// Makes a ping, accounts for it and hands it over; false where it cannot be made or is too late, which is counted.
+    /// Makes a ping, accounts for it and hands it over. Returns false, and counts the ping, if it cannot be made or is too late.
     pub(super) fn ping(
         &mut self,
         sonar: usize,
@@ -425,7 +424,7 @@ impl Pacer {
         true
     }
 
-    /// Whether the ping at the front is made now, and how loosely: it needs its navigation, a free slot and enough time before its deadline.
+    /// Decides whether the ping at the front is made now, and at which degradation level. A ping needs its navigation, a free slot and enough time.
     fn decide(&mut self, front: &Waiting, now: MonoNs) -> Decision {
         let Waiting {
             sonar,
@@ -456,7 +455,7 @@ impl Pacer {
         let Some(slot) = self.lanes[sonar].slot() else {
             return again;
         };
-        // Never two in a row: with several sonars each would find the pipeline busy with another's, and one of them be skipped for ever.
+        // After a skip, the sonar's next ping is not blamed for a busy pipeline. With several sonars one of them could otherwise be skipped for ever.
         let waited = !self.has_rested && !std::mem::take(&mut self.skipped[sonar]);
         let Some(level) = self.levels[sonar].choose(deadline.0 - now.0, waited) else {
             self.skip_late(sonar, &order);
@@ -474,7 +473,7 @@ impl Pacer {
         Decision::Make(paced, slot)
     }
 
-    /// Makes the ping in `slot`: tile by tile where it streams so, else at once. Returns what of it has left already.
+    /// Makes the ping in `slot`: tile by tile if its samples stream in tiles, else in one call. Returns the part that was already sent.
     fn make(
         &mut self,
         sonar: usize,
@@ -510,7 +509,7 @@ impl Pacer {
         made.map(|()| streamed)
     }
 
-    /// Counts the ping and notes every sign of overload. Returns its samples that have yet to leave; none where the ping is skipped.
+    /// Counts the ping and logs every sign of overload. Returns the samples still to be sent, or `None` if the ping is skipped.
     fn account(
         &self,
         sonar: usize,
@@ -526,7 +525,7 @@ impl Pacer {
         };
         if let Some(put_off_s) = paced.map(|paced| paced.put_off_s).filter(|s| *s > 0.0) {
             slot.output.overload_state.put_off_s = put_off_s;
-            // The rate actually kept.
+            // The interval to the previous pulse grew, so the ping rate is lower.
             slot.plan.ping_rate_hz = 1.0 / (1.0 / slot.plan.ping_rate_hz + put_off_s);
         }
         let due = paced.map(|paced| paced.due);
@@ -546,7 +545,7 @@ impl Pacer {
         Some(samples)
     }
 
-    /// The samples that may still leave: all but those that have, none behind a break in the stream. None at all where the first are too late.
+    /// Range of samples still to be sent: empty after a gap in the stream, `None` if the first samples are too late.
     fn samples_left(
         &self,
         sonar: usize,
@@ -566,14 +565,14 @@ impl Pacer {
                 return Some(total..total);
             }
         } else if is_stream && self.clock.mono() > due.ready_by {
-            // With its first samples late the latency would not be constant.
+            // Late first samples would break the constant latency of the stream.
             self.skip_late(sonar, order);
             return None;
         }
         Some(streamed.samples..total)
     }
 
-    /// Counters and histograms of a ping that was made.
+    /// Updates the counters and histograms for a ping that was made.
     fn count(
         &self,
         sonar: usize,
@@ -605,7 +604,7 @@ impl Pacer {
         }
     }
 
-    /// Gives the ping to the sonar's delivery thread.
+    /// Passes the ping to the delivery thread of its sonar.
     fn hand_over(
         &mut self,
         sonar: usize,
@@ -619,21 +618,21 @@ impl Pacer {
             samples,
             is_tile: false,
         };
-        // The queue holds as many as there are slots, so it is never full; a delivery thread that is gone ends the daemon.
+        // The queue holds all slots, so it is never full. If the delivery thread has ended, the daemon stops.
         if let Err(TrySendError::Disconnected(_)) = self.lanes[sonar].to_delivery.try_send(delivery)
         {
             self.stop.store(true, Ordering::Release);
         }
     }
 
-    /// When the block that begins with a sample leaves.
+    /// Instant at which the block that begins with `sample` is due.
     fn block_due(&self, sonar: usize, due: Due, sample: usize) -> MonoNs {
         let rate_hz = self.rig.sonars[sonar].spec.receiver.sample_rate_hz;
         due.ready_by.plus_s(sample as f64 / rate_hz)
     }
 
-    /// Makes tiles of a ping and lets them leave, as long as they are in time and there is room: those in which nothing can be heard (`quiet`), of a
-    /// ping that is planned; the others of one that is prepared.
+    /// Makes tiles of a ping and sends them while they are in time and slots are free. `quiet` selects the tiles before the first possible echo,
+    /// which need only the plan of the ping. The other tiles need the gathered scatterers.
     fn send_tiles(
         &mut self,
         sonar: usize,
@@ -670,19 +669,19 @@ impl Pacer {
                 samples: streamed.samples..end,
                 is_tile: true,
             };
-            // The queue has room for every slot there is.
+            // The queue has room for every slot.
             let _ = self.lanes[sonar].to_delivery.try_send(delivery);
             (streamed.samples, streamed.blocks) = (end, blocks);
         }
     }
 
-    /// Counts a ping that comes too late and notes it as a sign of overload.
+    /// Counts a ping that is too late and logs it as a sign of overload.
     fn skip_late(&self, sonar: usize, order: &PingOrder) {
         add(&self.counters(sonar).skipped_late, 1);
         self.note_overload("skipped", sonar, order, OverloadState::NONE);
     }
 
-    /// Writes a line of the overload log.
+    /// Adds a record to the overload log.
     fn note_overload(
         &self,
         what: &'static str,

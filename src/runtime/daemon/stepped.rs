@@ -1,4 +1,4 @@
-//! `fast` and `lockstep`: time goes from pulse to pulse, as `replay` has it, with the outputs and the topsides live.
+//! Clocks `fast` and `lockstep`: time advances from pulse to pulse, as in `replay`, with live outputs and clients.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -10,11 +10,11 @@ use crate::clock::Clock;
 use echotank_core::time::Timeline;
 use echotank_ping::rig::PingSlot;
 
-/// Waiting for a slot, the pipeline looks this often whether the daemon stops.
+/// Interval between checks of the stop flag while the pipeline waits for a slot.
 const LOOK: Duration = Duration::from_millis(50);
 
 impl Lane {
-    /// Waits for a slot; none when the delivery thread has ended.
+    /// Waits for a free slot. `None` if `stopped` returns true or the delivery thread has ended.
     fn next_slot(&mut self, stopped: impl Fn() -> bool) -> Option<Box<PingSlot>> {
         if let Some(spare) = self.spare.take() {
             return Some(spare);
@@ -38,7 +38,7 @@ impl Pacer {
         };
         let first = self.begin_schedules(first);
         crate::rig::plan_all(&mut self.rig, &mut self.inputs, first);
-        // What is told before the first pulse is earlier than it.
+        // The clock starts before the first pulse, so answers before the first pulse carry an earlier time.
         let first_mono = self.clock.mono().plus_ns(FIRST_PING_AFTER_NS);
         let timeline = *self
             .timeline
@@ -56,7 +56,7 @@ impl Pacer {
             }
             self.expect_new_settings();
             let Some(at) = beat.next_pulse() else {
-                // Nobody pings: time stands until somebody is told to.
+                // No sonar pings: time does not advance until a client changes the settings.
                 self.machine
                     .sleep_until(self.machine.mono().plus_ns(POLL_NS));
                 continue;
@@ -74,7 +74,7 @@ impl Pacer {
             };
             if self.ping(sonar, &order, None, slot, &timeline) {
                 handed_over += 1;
-                // A step is over when its ping has left: whoever asked for it may change settings for the next.
+                // A step ends when its ping is delivered. Clients can then change the settings for the next ping.
                 if gate.is_paused() && !gate.wait_delivered(handed_over) {
                     return Ok(());
                 }

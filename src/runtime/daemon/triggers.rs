@@ -1,4 +1,4 @@
-//! The doors by which triggers come, and the lines on which they go out, of all sonars.
+//! Trigger inputs and trigger outputs of all sonars.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -17,10 +17,10 @@ use echotank_core::time::MonoNs;
 use echotank_ping::Triggered;
 use echotank_ping::trigger::Numbers;
 
-/// Triggers that may wait to be looked at.
+/// Maximum number of external triggers that wait to be processed.
 const MAX_WAITING: usize = 1024;
 
-/// A trigger from outside.
+/// An external trigger.
 #[derive(Clone, Copy)]
 pub(super) struct Came {
     pub sonar: usize,
@@ -29,19 +29,19 @@ pub(super) struct Came {
 }
 
 pub(super) struct Triggers {
-    /// Shut when dropped.
+    /// Inputs, one per sonar; they close when dropped.
     pub listeners: Vec<Option<TriggerListener>>,
     pub(crate) outs: Vec<Option<TriggerOut>>,
     pub came: Receiver<Came>,
-    /// Rung when one has come.
+    /// Notified when a trigger arrives.
     pub wake_up: Arc<WakeUp>,
 }
 
-/// What starts a sonar's pings at first.
+/// Initial trigger source of a sonar.
 pub(super) fn at_first(from: &TriggerFrom, clock: ClockSpec) -> TriggerSource {
     match from {
         TriggerFrom::Internal => TriggerSource::Internal,
-        // Where time is nobody's a trigger from outside is a step of the beat.
+        // With a `fast` or `lockstep` clock an external trigger steps the internal schedule.
         from if from.is_wired() && clock.is_own() => TriggerSource::Internal,
         _ => TriggerSource::External,
     }
@@ -92,7 +92,7 @@ impl Triggers {
         })
     }
 
-    /// Where triggers may come, a line each.
+    /// Addresses of the trigger inputs, one line each.
     pub(super) fn addresses(&self, spec: &RigSpec) -> Vec<String> {
         let named = spec.sonars.iter().zip(&self.listeners);
         named
@@ -104,7 +104,7 @@ impl Triggers {
     }
 }
 
-/// `lockstep`: every trigger is a step.
+/// Sink for a `lockstep` or `fast` clock: each accepted trigger is one step.
 fn stepping(gate: Arc<Gate>, counts: Arc<TriggerCounts>) -> Sink {
     let numbers = Mutex::new(Numbers::default());
     Arc::new(move |Trigger { number, .. }| {
