@@ -81,7 +81,7 @@ struct PulseNotice {
     utc: UtcNs,
 }
 
-/// Lower bound on the next order, shared with the pipeline.
+/// Instant of the next scheduled pulse and wake-up of the pipeline, shared by the beat and the pipeline.
 pub(super) struct Coming {
     /// Notified when an order is queued.
     pub wake_up: WakeUp,

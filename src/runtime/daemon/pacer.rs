@@ -52,7 +52,7 @@ pub(super) struct Streamed {
     pub(super) blocks: u32,
     /// Whether a block that can contain echoes was begun.
     pub(super) is_heard: bool,
-    /// When the first tile was ready.
+    /// Instant at which the first tile was ready.
     pub(super) first_ready: Option<MonoNs>,
 }
 
@@ -89,7 +89,7 @@ pub(super) struct Pacer {
     pub(super) has_rested: bool,
     /// Per sonar: whether its last ping was skipped because of lateness.
     pub(super) skipped: Vec<bool>,
-    /// When the first tile of the current streamed ping was ready.
+    /// Instant at which the first tile of the current streamed ping was ready.
     pub(super) first_ready: Option<MonoNs>,
     pub(super) inputs: NavInputs,
     pub(super) nav_out: NavOutputs,
@@ -455,7 +455,7 @@ impl Pacer {
         let Some(slot) = self.lanes[sonar].slot() else {
             return again;
         };
-        // After a skip, the sonar's next ping is not blamed for a busy pipeline. With several sonars one of them could otherwise be skipped for ever.
+        // A sonar is not skipped twice in a row because of a busy pipeline. Otherwise, with several sonars, one could be skipped for ever.
         let waited = !self.has_rested && !std::mem::take(&mut self.skipped[sonar]);
         let Some(level) = self.levels[sonar].choose(deadline.0 - now.0, waited) else {
             self.skip_late(sonar, &order);

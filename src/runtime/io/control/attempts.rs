@@ -5,11 +5,11 @@ use std::net::IpAddr;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Wrong tokens that a client may give at once.
+/// Number of wrong tokens that a client may send in a burst.
 const MAX_WRONG: f64 = 10.0;
-/// Time after which it may give one more.
+/// Time after which one more wrong token is allowed.
 const FORGIVEN_AFTER: Duration = Duration::from_secs(6);
-/// Limit of clients remembered.
+/// Maximum number of clients remembered.
 const MAX_CLIENTS: usize = 1024;
 
 /// Wrong tokens of each client address.
@@ -18,7 +18,7 @@ pub(super) struct Attempts(Mutex<HashMap<IpAddr, Wrong>>);
 
 #[derive(Clone, Copy)]
 struct Wrong {
-    /// Those not forgiven at `at`.
+    /// Wrong tokens not yet forgiven at `at`.
     count: f64,
     at: Instant,
 }
@@ -31,14 +31,14 @@ impl Wrong {
 }
 
 impl Attempts {
-    /// Whether the client has given so many wrong tokens that no token of it is looked at.
+    /// Whether the client has exceeded its limit of wrong tokens, so that none of its tokens is checked.
     pub(super) fn are_exhausted(&self, client: IpAddr, now: Instant) -> bool {
         let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let wrong = all.get(&client.to_canonical());
         wrong.is_some_and(|wrong| wrong.count(now) > MAX_WRONG - 1.0)
     }
 
-    /// Counts a wrong token; true if it is the client's last one for some time.
+    /// Counts a wrong token. Returns true if this token exhausts the client's limit.
     pub(super) fn note(&self, client: IpAddr, now: Instant) -> bool {
         let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if all.len() >= MAX_CLIENTS {

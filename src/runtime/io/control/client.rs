@@ -11,15 +11,21 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// Longest response read, bytes.
 const MAX_BYTES: u64 = 16 << 20;
 
-/// HTTP status and body.
+/// HTTP status and body of a response.
 pub type Reply = (u16, String);
 
-/// Sends a GET request.
+/// Sends a GET request and returns the response.
+///
+/// # Errors
+/// The connection fails, or connecting, reading or writing exceeds 10 s.
 pub fn get(address: SocketAddr, path: &str, token: Option<&str>) -> io::Result<Reply> {
     exchange(address, &format!("GET {path} HTTP/1.1\r\n"), token, "")
 }
 
-/// Sends a command as POST /control.
+/// Sends a command as POST /control and returns the response.
+///
+/// # Errors
+/// As [`get`].
 pub fn command(address: SocketAddr, body: &Value, token: Option<&str>) -> io::Result<Reply> {
     let body = body.to_string();
     let head = format!(

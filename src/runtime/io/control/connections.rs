@@ -1,5 +1,4 @@
-//! The connections of the control server: their number and their times are limited, so that no client keeps others or the sonar protocols from
-//! sockets.
+//! Connections of the control server. Limits on their number and duration keep sockets available for other clients and the sonar protocols.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -18,16 +17,16 @@ use tracing::{debug, warn};
 
 use crate::io::tcp::end_if_dead;
 
-/// Limit of connections besides those of open pages, which [`super::socket`] limits.
+/// Maximum number of connections, apart from those of open pages, which [`super::socket`] limits.
 const MAX_CONNECTIONS: usize = 64;
-/// Limit for the header of a request to arrive, and of silence between two requests.
+/// Time limit for the header of a request, and for the pause between two requests.
 const HEADER_PATIENCE: Duration = Duration::from_secs(5);
-/// Limit for the other end to take a response.
+/// Time limit for the client to acknowledge a response.
 const UNACKNOWLEDGED: Duration = Duration::from_secs(30);
 /// Pause after a failed accept: without free file descriptors the next one fails at once.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
-/// Serves connections until the server stops, and then waits for the requests that have begun.
+/// Serves connections until the server stops, then waits until the current requests are complete.
 pub(super) async fn serve(
     listener: TcpListener,
     routes: Router,

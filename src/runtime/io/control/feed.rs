@@ -1,4 +1,4 @@
-//! Distributes frames from the pings to the open pages, through bounded queues, with a short history for pages opened later.
+//! Distributes frames from the pings to the open pages, through bounded queues. A short history serves pages opened later.
 //!
 //! Delivery threads publish [`Frame`]s and never wait. A page that does not read, such as a hidden window, misses the oldest frames, which are
 //! counted. [`super::frame`] defines the content of a frame.
@@ -15,9 +15,9 @@ use super::frame::Kind;
 
 /// Side-scan lines kept for each sonar, for scrolling back and for new pages: 2.5 minutes at 4 pings/s, about 2 MB.
 pub(crate) const HISTORY_LINES: usize = 600;
-/// Frames that may wait for the slowest page: a few seconds of a sonar with a fan.
+/// Maximum number of frames queued for the slowest page: a few seconds of a sonar with a fan.
 const QUEUE_FRAMES: usize = 64;
-/// Different rows of samples that all pages together get from one ping.
+/// Maximum number of different rows of samples taken from one ping for all pages together.
 pub(crate) const MAX_SCOPES: usize = 8;
 
 /// A row of samples that a page displays.
@@ -49,7 +49,7 @@ pub enum ScopeOf {
     Line,
 }
 
-/// What one page displays.
+/// Data that one page displays.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Want {
@@ -77,7 +77,7 @@ impl Want {
     }
 }
 
-/// What all pages together need from one sonar's next ping.
+/// Data that all pages together need from the next ping of one sonar.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Wanted {
     /// The fan of beams.
@@ -92,20 +92,20 @@ pub struct Wanted {
 pub struct Frame {
     /// Index of the sonar in the configuration.
     pub sonar: u16,
-    /// What it holds.
+    /// Content of the frame.
     pub kind: Kind,
-    /// The row, for a frame of samples.
+    /// Row of samples, for a frame of samples.
     pub scope: Option<Scope>,
-    /// As sent, see [`super::frame`].
+    /// Encoded frame, see [`super::frame`].
     pub bytes: Bytes,
 }
 
 /// The channel from the pings to the pages.
 pub struct Feed {
     frames: broadcast::Sender<Arc<Frame>>,
-    /// By sonar, oldest first.
+    /// Frames of lines per sonar, oldest first.
     history: Mutex<Vec<VecDeque<Arc<Frame>>>>,
-    /// By page; `None` until the page has chosen.
+    /// Selection of each page by page number; `None` until the page has chosen.
     wants: Mutex<BTreeMap<u64, Option<Want>>>,
     next_page: AtomicU64,
     /// Number of `wants`; 0 avoids the lock.
@@ -152,7 +152,7 @@ impl Feed {
         self.pages.load(Ordering::Acquire) > 0
     }
 
-    /// What the pages need from the next ping of a sonar.
+    /// Returns the data that the pages need from the next ping of a sonar.
     pub fn wanted(&self, sonar: u16) -> Wanted {
         let mut wanted = Wanted::default();
         if !self.is_watched() {
@@ -228,7 +228,7 @@ pub struct Page {
     frames: broadcast::Receiver<Arc<Frame>>,
 }
 
-/// What a page receives next.
+/// Next event for a page.
 pub enum Next {
     /// A frame to send.
     Frame(Arc<Frame>),

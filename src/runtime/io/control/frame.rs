@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | 0 | u8 | kind, see [`Kind`] |
 //! | 1 | u8 | [`VERSION`] |
-//! | 2 | u16 | sonar, in the configuration's order |
+//! | 2 | u16 | index of the sonar in the configuration |
 //! | 4 | u32 | ping number |
 //! | 8 | u32 | length of the text, bytes, a multiple of 4 (padded with spaces) |
 //! | 12 | u32 | length of the arrays, bytes |
@@ -23,7 +23,7 @@ pub const HEAD_BYTES: usize = 16;
 
 /// Step of a level, dB: a frame spans 127 dB.
 pub(crate) const STEP_DB: f32 = 0.5;
-/// Largest level.
+/// Number of level steps above `low_db`.
 const STEPS: f32 = 254.0;
 
 /// Content of a frame.
@@ -42,7 +42,7 @@ pub enum Kind {
     Relief = 5,
 }
 
-/// Encodes a frame.
+/// Encodes a frame. `text` is padded with spaces to a multiple of 4 bytes; `arrays` is appended unchanged.
 pub fn frame(kind: Kind, sonar: u16, ping_number: u32, text: &Value, arrays: &[u8]) -> Bytes {
     let mut text = text.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');

@@ -1,9 +1,9 @@
-//! Control over HTTP: JSON commands and replies. [`router`] holds the routes; [`ControlPort`] carries out the commands.
+//! Control over HTTP: JSON commands and replies. [`router`] holds the routes; [`ControlPort`] executes the commands.
 //!
-//! One thread with its own tokio runtime serves it, apart from pings and protocols. It listens on the loopback interface by default, and requires a
-//! token elsewhere. [`router`] describes the protection against pages of other sites.
+//! One thread with its own tokio runtime runs the server, separate from pings and protocols. The server listens on the loopback interface by
+//! default, and requires a token elsewhere. [`router`] describes the protection against pages of other sites.
 //!
-//! It also serves the operator's page: [`assets`] holds the files, [`socket`] the WebSocket, [`feed`] the data of the pings.
+//! The server also provides the operator's page: [`assets`] holds the files, [`socket`] the WebSocket, [`feed`] the data of the pings.
 
 mod assets;
 mod attempts;
@@ -34,7 +34,7 @@ use echotank_core::settings::{Asker, SettingChange, TriggerSource};
 use feed::Feed;
 use socket::{Pages, ReliefTile};
 
-/// Time for replies to leave when the server stops.
+/// Time limit for sending replies when the server stops.
 const DRAIN: Duration = Duration::from_millis(500);
 
 /// A command, such as `{"do": "step", "pings": 3}`.
@@ -74,7 +74,7 @@ pub enum Command {
     Clock {
         /// The new mode.
         mode: ClockMode,
-        /// Of `scaled`: rig time per machine time.
+        /// Rig time per machine time, for `scaled`.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         rate: Option<f64>,
     },
@@ -133,7 +133,7 @@ pub struct Settings {
     /// Whether the sonar pings.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pinging: Option<bool>,
-    /// What starts its pings.
+    /// Trigger source of its pings.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trigger: Option<TriggerName>,
 }
@@ -169,7 +169,7 @@ impl Settings {
 /// Reply to a command.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
-    /// Whether it was carried out.
+    /// Whether the command was accepted.
     pub accepted: bool,
     /// The command as parsed.
     pub asked: Value,
@@ -216,25 +216,25 @@ pub trait ControlPort: Send + Sync {
     fn status(&self) -> Value;
     /// Prometheus text, version 0.0.4.
     fn metrics(&self) -> String;
-    /// Why the daemon is unhealthy; `None` if it is healthy.
+    /// Reason why the daemon is unhealthy; `None` if it is healthy.
     fn health_problem(&self) -> Option<String> {
         None
     }
     /// Frames of the pings for the page.
     fn feed(&self) -> &Arc<Feed>;
-    /// For the page: the rig, which does not change while the daemon runs.
+    /// Description of the rig, which does not change while the daemon runs, for the page.
     fn hello(&self) -> Value;
-    /// For the page: the state that belongs to no ping.
+    /// State that belongs to no ping, for the page.
     fn page_state(&self) -> Value;
-    /// Changes whenever settings or commands change the state.
+    /// Number that changes whenever settings or commands change the state.
     fn revision(&self) -> u64;
-    /// For the page: the targets, once their positions are known.
+    /// Targets, once their positions are known, for the page.
     fn world(&self) -> Value;
     /// A frame of seabed depths; `None` without a seabed, or before the tile is available.
     fn relief(&self, tile: ReliefTile) -> Option<Bytes>;
 }
 
-/// Why the control server could not start.
+/// Errors of starting the control server.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// The address could not be bound.
@@ -255,7 +255,7 @@ pub enum OpenError {
 struct Shared {
     port: Arc<dyn ControlPort>,
     pages: Arc<Pages>,
-    /// True when the server stops.
+    /// Becomes true when the server stops.
     stopped: watch::Receiver<bool>,
 }
 
@@ -278,7 +278,7 @@ pub(crate) struct ControlServer {
 }
 
 impl ControlServer {
-    /// `token`: required from clients. `or_any_port`: use any free port if the port is in use.
+    /// Starts the server. `token` is required from clients. `or_any_port` allows any free port if the port of `address` is in use.
     pub(crate) fn start(
         address: SocketAddr,
         or_any_port: bool,

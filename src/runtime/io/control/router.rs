@@ -9,8 +9,8 @@
 //! | GET /, /page/... | the operator's page; needs no token |
 //! | GET /page/socket | its WebSocket, see [`super::socket`]; the token is the subprotocol `token.` followed by its bytes in hexadecimal |
 //!
-//! Against pages of other sites in the operator's browser: commands must be `application/json`, which a form cannot send. An `Origin` must be the
-//! server's own and stand alone. Without a token the `Host` must be an IP address or localhost, which defeats DNS rebinding.
+//! Three rules protect against pages of other sites in the operator's browser. Commands must be `application/json`, which a form cannot send. An
+//! `Origin` must be the server's own and occur once. Without a token the `Host` must be an IP address or localhost, which prevents DNS rebinding.
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
@@ -33,7 +33,7 @@ use echotank_core::settings::Asker;
 
 /// Longest command, bytes.
 const MAX_BODY_BYTES: usize = 64 * 1024;
-/// Limit for a request to arrive and be answered; commands do not wait.
+/// Time limit for receiving and answering a request; commands do not wait.
 const REQUEST_PATIENCE: Duration = Duration::from_secs(10);
 
 type Port = State<Arc<dyn ControlPort>>;
@@ -105,7 +105,7 @@ async fn limit_time(request: Request, next: Next) -> Response {
     })
 }
 
-/// Who may send requests.
+/// Access rules of the routes that need a token.
 struct Access {
     token: Option<String>,
     attempts: Attempts,
@@ -178,10 +178,10 @@ impl GivenToken<'_> {
     }
 }
 
-/// Reason to refuse a request.
+/// Reason to refuse a request, if any.
 fn objection(headers: &HeaderMap, token: Option<&str>) -> Option<(StatusCode, &'static str)> {
     let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
-    // Which of two values counts would differ between programs.
+    // Programs differ in which of two values they use.
     for name in [header::HOST, header::ORIGIN, header::AUTHORIZATION] {
         if headers.get_all(name).iter().count() > 1 {
             return Some((
@@ -220,7 +220,7 @@ fn hex(token: &str) -> String {
     token.bytes().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Compares in a time that does not depend on the content.
+/// Compares two byte strings in a time that does not depend on their content.
 fn same(a: &[u8], b: &[u8]) -> bool {
     let differing = a.iter().zip(b).fold(0, |sum, (a, b)| sum | (a ^ b));
     a.len() == b.len() && differing == 0

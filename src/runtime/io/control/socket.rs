@@ -17,7 +17,7 @@
 //! | `{"relief": ..}` | a [`ReliefTile`] of the seabed |
 //! | `{"world": {}}` | the targets |
 //!
-//! Every page has its own task on the control thread; a page that does not read delays no other.
+//! Every page has its own task on the control thread. A page that does not read does not delay the others.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -37,11 +37,11 @@ use super::feed::{Next, Page, Want};
 use super::{Command, ControlPort, Shared, refusal};
 use echotank_core::settings::Asker;
 
-/// Limit of open pages.
+/// Maximum number of open pages.
 pub(crate) const MAX_PAGES: usize = 64;
 /// Longest message from a page, bytes.
 const MAX_MESSAGE_BYTES: usize = 16 * 1024;
-/// Time limit for sending one message; then the page is closed.
+/// Time limit for sending one message. A page that exceeds the limit is closed.
 const SEND_PATIENCE: Duration = Duration::from_secs(30);
 /// Interval of WebSocket pings; a page silent for [`SILENCE`] is closed.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
@@ -49,18 +49,18 @@ const SILENCE: Duration = Duration::from_secs(60);
 /// Interval between checks for changes of the state, and longest interval between states.
 const LOOK: Duration = Duration::from_millis(100);
 const STATE_EVERY: Duration = Duration::from_millis(500);
-/// Pause after each seabed tile, for all pages together; it bounds the processor time.
+/// Pause after each seabed tile, shared by all pages. The pause limits the processor time.
 const RELIEF_REST: Duration = Duration::from_millis(8);
 
-/// A square tile of the seabed: 128 cells of 2^level m to a side, and one more cell on every side.
+/// A square tile of the seabed: 128 cells of 2^level m along each side, plus a border of one cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReliefTile {
     /// Cells are 2^level m wide.
     pub level: u8,
-    /// Northward index in tiles of this level from the world's origin.
+    /// Northward index in tiles of this level from the origin of the world.
     pub row: i32,
-    /// Eastward index.
+    /// Eastward index in tiles of this level from the origin of the world.
     pub col: i32,
 }
 
@@ -94,7 +94,7 @@ impl Pages {
         let _ = self.slots.acquire_many(MAX_PAGES as u32).await;
     }
 
-    /// Renews the state while pages are open; never returns.
+    /// Renews the state while pages are open. Never returns.
     pub(super) async fn renew(&self, port: &dyn ControlPort) {
         let mut look = interval(LOOK);
         look.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -136,7 +136,7 @@ pub(super) async fn open(
         })
 }
 
-/// The page has disconnected or must be closed.
+/// Marks a page that has disconnected or must be closed.
 struct Disconnected;
 
 struct Session {
@@ -161,7 +161,7 @@ async fn serve(socket: WebSocket, shared: Shared, peer: SocketAddr) {
         _ = session.run() => {}
         _ = stopped.wait_for(|&stop| stop) => {}
     }
-    // Tells a waiting page to reconnect when a daemon runs again.
+    // The close code AWAY makes the page reconnect later, when a daemon runs again.
     let goodbye = CloseFrame {
         code: close_code::AWAY,
         reason: "the daemon stops".into(),

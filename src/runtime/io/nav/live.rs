@@ -1,7 +1,7 @@
 //! Live sources: a blocking thread per UDP socket, TCP connection or serial port, a bounded queue, and rig time.
 //!
-//! The threads queue raw bytes with the monotonic arrival of the first byte (of a datagram: the kernel's time stamp). [`Live::pull`] decodes them. Until
-//! rig time is known they are kept as bytes, so that every sample is decoded on the right timeline.
+//! The threads queue raw bytes with the monotonic arrival time of the first byte. For datagrams this is the time stamp of the kernel.
+//! [`Live::pull`] decodes the bytes. Until rig time is known the bytes are kept, so that every sample is decoded on the right timeline.
 
 mod serial;
 mod tcp;
@@ -33,28 +33,28 @@ use echotank_core::time::{MonoNs, NS_PER_S, Timeline};
 use echotank_nav::NavDecoder;
 use echotank_nav::decoder::ignore_events;
 
-/// Datagrams or reads that may wait for decoding: 40 s of a 100 Hz sensor.
+/// Maximum number of datagrams or reads that wait for decoding: 40 s of a 100 Hz sensor.
 const QUEUE: usize = 4096;
-/// Bytes of these: what ends a pause of the pipeline must not take long to decode, nor much memory.
+/// Maximum size of the waiting data, bytes. The limit bounds memory and the decoding time after a pause of the pipeline.
 const QUEUE_BYTES: usize = 8 << 20;
-/// Bytes that one source may send per second, and at once after a pause: a hundred times what instruments send. Streams beyond it are read later;
-/// of datagrams, those that exceed it are lost, while shorter ones of an honest sender still fit.
+/// Limit of a source's data rate, bytes/s, and of a burst, bytes: a hundred times the rate of instruments. A stream beyond the limit is read
+/// later. Datagrams beyond the limit are lost; shorter ones of the same source can still fit.
 const SOURCE_BYTES_PER_S: f64 = 4.0 * 1024.0 * 1024.0;
 const SOURCE_BURST_BYTES: f64 = 1024.0 * 1024.0;
-/// What one turn of the thread that makes pings decodes at most; the rest waits for the next turn.
+/// Limits of the decoding in one turn of the pacer. The remaining data waits for the next turn.
 const TURN_BYTES: usize = 256 * 1024;
 const TURN_NS: i64 = 2_000_000;
 /// Socket buffer requested from the kernel, bytes: a second of navigation at any rate. The kernel may grant less.
 const SOCKET_BUFFER_BYTES: usize = 1 << 20;
 /// Read timeout; the threads check the stop flag this often.
 const READ_TIMEOUT: Duration = Duration::from_millis(100);
-/// Pause of a stream that sends more than it may.
+/// Pause in reading a stream whose data rate exceeds the limit.
 const LIMIT_PAUSE: Duration = Duration::from_millis(5);
 /// Pause before a lost serial port or connection is tried again.
 const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
 /// Navigation time within this of the host's clock uses the host's timeline.
 const HOST_TOLERANCE_NS: i64 = 2 * NS_PER_S;
-/// After this time of bytes without a dated message, the host's clock is rig time.
+/// Time of received bytes without a dated message after which the host's clock becomes rig time.
 const PATIENCE_NS: i64 = 5 * NS_PER_S;
 
 /// Received bytes.
@@ -81,7 +81,7 @@ struct LiveSource {
     index: usize,
     name: String,
     decoder: NavDecoder,
-    /// Finds the first dated message while there is no timeline; `None` for sources timed by arrival.
+    /// Decoder that searches for the first dated message before there is a timeline. `None` for sources timed by arrival.
     scout: Option<NavDecoder>,
     /// Duration of a byte on a serial line; 0 elsewhere.
     byte_ns: i64,
@@ -98,10 +98,10 @@ pub(super) struct Live {
     clock: Arc<dyn Clock>,
     host: Timeline,
     timeline: Option<Timeline>,
-    /// The timeline is set from outside.
+    /// Whether the timeline is set by [`NavInputs::set_timeline`](super::NavInputs::set_timeline).
     foreign: bool,
     kept: VecDeque<Chunk>,
-    /// Of the chunks in `chunks` and `kept`.
+    /// Total size of the chunks in `chunks` and `kept`, bytes.
     waiting_bytes: Arc<AtomicUsize>,
     samples: Vec<NavSample>,
     stop: Arc<AtomicBool>,
@@ -109,7 +109,7 @@ pub(super) struct Live {
 }
 
 impl Live {
-    /// `foreign`: rig time comes from `set_timeline`.
+    /// Opens the live sources. With `foreign`, rig time is set by `set_timeline`.
     pub(super) fn open(
         spec: &NavSpec,
         clock: Arc<dyn Clock>,
@@ -369,7 +369,7 @@ fn decode(
     decoder.push_paced(&chunk.bytes, arrival, byte_ns, out, &mut ignore_events);
 }
 
-/// A source thread's end of the queue.
+/// Sending side of the queue, one per source thread.
 struct Outlet {
     source: usize,
     /// The source's name, for diagnostics.
@@ -378,7 +378,7 @@ struct Outlet {
     clock: Arc<dyn Clock>,
     stats: Arc<Stats>,
     waiting_bytes: Arc<AtomicUsize>,
-    /// Bytes that the source may send at this instant.
+    /// Remaining burst allowance of the source, bytes, and the instant of its last update.
     inflow: Cell<(f64, Instant)>,
     stop: Arc<AtomicBool>,
 }
@@ -388,7 +388,7 @@ impl Outlet {
         self.stop.load(Relaxed)
     }
 
-    /// Takes bytes from what the source may send; false if they exceed it.
+    /// Takes bytes from the source's rate allowance. Returns false if the bytes exceed the allowance.
     fn is_within_limit(&self, bytes: usize) -> bool {
         let (left, at) = self.inflow.get();
         let now = Instant::now();
@@ -400,7 +400,7 @@ impl Outlet {
         fits
     }
 
-    /// Queues bytes of a stream, the last of which arrived now. Waits while they exceed what the source may send.
+    /// Queues bytes of a stream, the last of which has just arrived. Waits while the bytes exceed the rate allowance.
     fn send(&self, bytes: &[u8], byte_ns: i64) {
         while !self.is_within_limit(bytes.len()) && !self.stopped() {
             std::thread::sleep(LIMIT_PAUSE);
@@ -422,7 +422,7 @@ impl Outlet {
             mono,
             bytes: bytes.to_vec(),
         };
-        // Counted first: a turn may take the chunk at once.
+        // Counted first, because the pacer can take the chunk at once.
         self.waiting_bytes.fetch_add(bytes.len(), Relaxed);
         if self.sender.try_send(chunk).is_err() {
             self.waiting_bytes.fetch_sub(bytes.len(), Relaxed);
@@ -449,15 +449,15 @@ fn is_timeout(error: &std::io::Error) -> bool {
 // ---------------------------------------------------------------- UDP
 
 fn open_udp(listen: SocketAddr, multicast: Option<Ipv4Addr>) -> std::io::Result<UdpSocket> {
-    // Multicast is addressed to no interface: `listen` chooses the interface, and the socket binds to all.
+    // Multicast datagrams are addressed to no interface: `listen` selects the interface, and the socket binds to all addresses.
     let (bound, interface) = match (multicast, listen.ip()) {
         (None, _) => (listen, Ipv4Addr::UNSPECIFIED),
         (Some(_), IpAddr::V4(interface)) => (any_at(listen.port()), interface),
         (Some(_), IpAddr::V6(_)) => (any_at(listen.port()), Ipv4Addr::UNSPECIFIED),
     };
     let socket = Socket::new(Domain::for_address(bound), Type::DGRAM, Some(Protocol::UDP))?;
-    // Any program may join the same group, and programs of the same user may listen to the same broadcasts. The address of one interface is not
-    // shared, because the kernel would deliver to the last program that binds it.
+    // Several programs may join one group, and programs of one user may listen to the same broadcasts. The address of one interface is not
+    // shared, because the kernel would deliver only to the last program that binds the address.
     match multicast {
         Some(_) => socket.set_reuse_address(true)?,
         None => socket.set_reuse_port(listen.ip().is_unspecified())?,

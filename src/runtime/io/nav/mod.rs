@@ -1,7 +1,7 @@
 //! Navigation inputs: recorded logs, CSV tracks, UDP, TCP and serial ports, decoded into a [`NavHistory`].
 //!
-//! Recorded sources are read completely when opened and merged by arrival time. Each live source has a blocking thread; [`NavInputs::pull`] decodes
-//! its bytes. A rig may have both. [`output`] sends navigation.
+//! Recorded sources are read completely when opened and merged by arrival time. Each live source has a blocking thread; [`NavInputs::pull`]
+//! decodes its bytes. A rig can have both kinds. [`output`] sends navigation.
 mod live;
 pub mod output;
 mod recorded;
@@ -27,7 +27,7 @@ use live::Live;
 pub use recorded::MAX_LOG_BYTES;
 use recorded::Recorded;
 
-/// Why the navigation cannot start.
+/// Errors of opening the navigation.
 #[derive(Debug, Error)]
 pub enum NavOpenError {
     /// The file, socket, port or thread of a source is not available, or its file cannot be used.
@@ -35,10 +35,10 @@ pub enum NavOpenError {
     Source {
         /// The source's configured name.
         name: String,
-        /// What is not available, and why.
+        /// Missing resource and the reason.
         problem: String,
     },
-    /// A file has a format that is not read.
+    /// The format of a file is not supported.
     #[error("nav source `{name}`: {problem}")]
     Unreadable {
         /// The source's configured name.
@@ -46,7 +46,7 @@ pub enum NavOpenError {
         /// The file and its format.
         problem: String,
     },
-    /// A file was read and holds nothing that the source provides.
+    /// A file contains nothing that the source provides.
     #[error(
         "nav source `{name}`: nothing usable in {path}: {} sentences, of which {} with a wrong checksum, {} without one, {} refused for it, \
          {} of unknown kinds, {} malformed, {} empty, {} that give nothing of what the source provides; {json} lines of JSON, which is not read",
@@ -58,15 +58,15 @@ pub enum NavOpenError {
         name: String,
         /// The file.
         path: String,
-        /// What its decoder counted.
+        /// Counters of the decoder.
         counters: Box<NavCounters>,
         /// Lines of JSON.
         json: u64,
     },
-    /// The logs lack what every ping needs.
+    /// The logs lack a quantity that every ping needs.
     #[error(transparent)]
     Missing(#[from] MissingQuantity),
-    /// `loop` is set and no period is covered by every channel.
+    /// `loop` is set, but no period is covered by all channels.
     #[error(
         "nav: the recorded sources have no time in common to repeat (`loop`): the last channel starts when the first has ended"
     )]
@@ -112,16 +112,19 @@ pub struct LiveCounters {
 
 /// The recorded sources of a rig, read and decoded.
 pub struct ReadNav {
-    /// The navigation as configured, with what the logs give in the place of `provides` that the configuration leaves open.
+    /// The navigation as configured. A `provides` that the configuration leaves open is filled with the quantities found in the logs.
     pub spec: NavSpec,
-    /// What of the navigation is missing, left out or replaced, a line each.
+    /// Missing, ignored or replaced parts of the navigation, one line each.
     pub warnings: Vec<String>,
     recorded: Option<Recorded>,
     counters: Vec<SourceCounters>,
 }
 
 impl ReadNav {
-    /// Reads and decodes all recorded files. An error if they lack what every ping needs.
+    /// Reads and decodes all recorded files.
+    ///
+    /// # Errors
+    /// A file cannot be read or used, or the files lack a quantity that every ping needs.
     pub fn read(spec: &NavSpec) -> Result<Self, NavOpenError> {
         let mut counters: Vec<SourceCounters> = spec
             .sources
@@ -151,7 +154,7 @@ impl ReadNav {
 pub struct NavInputs {
     recorded: Option<Recorded>,
     live: Option<Live>,
-    /// One per configured source, in the configuration's order.
+    /// One entry per configured source, in the configuration's order.
     counters: Vec<SourceCounters>,
     /// State of each source at the last pull, in the configuration's order.
     states: Vec<State>,
@@ -162,7 +165,7 @@ pub struct NavInputs {
 /// Inserts samples into a history and applies navigation faults.
 pub struct Feed<'a> {
     history: &'a mut NavHistory,
-    /// By source.
+    /// Names of the sources, by source index.
     names: &'a [SourceCounters],
     clock_log: &'a mut ClockLog,
     spoiler: Option<&'a mut (dyn NavFaultFilter + 'static)>,
@@ -176,7 +179,7 @@ struct ClockLog {
 }
 
 impl ClockLog {
-    /// A clock that changes with every sentence must not fill the log.
+    /// Minimum interval between entries, s: a clock that changes with every sentence must not fill the log.
     const MIN_INTERVAL_S: f64 = 0.5;
 
     fn note(&mut self, source: &str, at: UtcNs, state: ClockState) {
@@ -248,17 +251,23 @@ impl Feed<'_> {
 }
 
 impl NavInputs {
-    /// Applies `spoiler` to all further samples.
+    /// Applies the fault filter `spoiler` to all further samples.
     pub fn spoil_with(&mut self, spoiler: Box<dyn NavFaultFilter>) {
         self.spoiler = Some(spoiler);
     }
 
-    /// Opens every source: [`ReadNav::read`] and [`NavInputs::start`].
+    /// Opens every source: [`ReadNav::read`] followed by [`NavInputs::start`].
+    ///
+    /// # Errors
+    /// A file, socket, port or thread is not available, or the recorded files cannot be used.
     pub fn open(spec: &NavSpec, clock: Arc<dyn Clock>) -> Result<Self, NavOpenError> {
         Self::start(ReadNav::read(spec)?, clock)
     }
 
     /// Starts the threads of the live sources, which run until the value is dropped.
+    ///
+    /// # Errors
+    /// A socket, port or thread of a live source is not available.
     pub fn start(read: ReadNav, clock: Arc<dyn Clock>) -> Result<Self, NavOpenError> {
         let ReadNav {
             spec,
@@ -290,7 +299,7 @@ impl NavInputs {
         self.recorded.as_ref().map(Recorded::end)
     }
 
-    /// Inserts recorded samples that arrived by `until`, and all live ones received.
+    /// Inserts the recorded samples that arrived by `until`, and the received live samples within the time limit of one call.
     pub fn pull(&mut self, until: UtcNs, history: &mut NavHistory) {
         let mut feed = Feed {
             history,
@@ -318,7 +327,7 @@ impl NavInputs {
         }
     }
 
-    /// Whether live samples that have come wait for another pull: one pull takes a limited time.
+    /// Whether received live samples wait for another [`NavInputs::pull`], which is limited in time.
     pub(crate) fn is_behind(&self) -> bool {
         self.live.as_ref().is_some_and(Live::is_behind)
     }
@@ -328,7 +337,7 @@ impl NavInputs {
         &self.states
     }
 
-    /// Inserts one more recorded sample; false when none is left.
+    /// Inserts the next recorded sample. Returns false if none is left.
     pub fn pull_next(&mut self, history: &mut NavHistory) -> bool {
         match &mut self.recorded {
             Some(recorded) if recorded.next_arrival().is_some() => {
@@ -344,7 +353,7 @@ impl NavInputs {
         }
     }
 
-    /// End of a long gap in the recorded sources that contains `utc` and `margin_s` on both sides of it.
+    /// End of the long gap in the recorded sources that contains `utc`, with `margin_s` (s) on both sides.
     pub(crate) fn gap_end(&self, utc: UtcNs, margin_s: f64) -> Option<UtcNs> {
         self.recorded
             .as_ref()
@@ -363,7 +372,7 @@ impl NavInputs {
             .is_none_or(|r| r.next_arrival().is_none_or(|next| next > r.end()))
     }
 
-    /// Whether no further sample will come.
+    /// Whether the sources can give no further sample.
     pub fn finished(&self) -> bool {
         let recorded_ended = self
             .recorded
@@ -372,13 +381,13 @@ impl NavInputs {
         self.live.is_none() && recorded_ended
     }
 
-    /// Rig time of live sources, once known: that of the first dated message if it differs from the host's clock by more than 2 s, otherwise the host's.
-    /// With recorded sources, [`NavInputs::set_timeline`] sets it. `None` without live sources.
+    /// Rig time of the live sources, once known. A first dated message that differs from the host's clock by more than 2 s defines rig time;
+    /// otherwise the host's clock does. With recorded sources, [`NavInputs::set_timeline`] sets it. `None` without live sources.
     pub fn timeline(&self) -> Option<Timeline> {
         self.live.as_ref().and_then(Live::timeline)
     }
 
-    /// Sets the rig time of live sources that have none; bytes received before are decoded with it.
+    /// Sets the rig time of live sources that have none. Bytes received earlier are decoded with this rig time.
     pub fn set_timeline(&mut self, timeline: Timeline) {
         if let Some(live) = &mut self.live {
             live.set_timeline(timeline);
@@ -399,7 +408,7 @@ impl NavInputs {
             .collect()
     }
 
-    /// A status line per source.
+    /// Status text, one line per source.
     pub fn lines(&mut self) -> Vec<String> {
         let states = self.states.clone();
         let line = |(s, state): (&SourceCounters, &State)| {

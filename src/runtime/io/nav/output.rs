@@ -1,11 +1,11 @@
-//! Navigation outputs: ZDA, GGA and HDT sentences on the pings' clock, so that a device under test shares it.
+//! Navigation outputs: ZDA, GGA and HDT sentences on the clock of the pings, so that a device under test shares this clock.
 //!
 //! ```text
 //! pipeline thread: predicted motion -> shared state -> a thread per output: tick -> pulse, ZDA, GGA, HDT -> UDP, TCP, serial
 //! ```
-//! At every whole second the pulse is sent, then the ZDA that names it. GGA and HDT may follow after `latency_ms`, as with real receivers. GGA holds
-//! the reference point. Its quality is the source's while the position may be extrapolated, 6 (estimated) until it is stale, then 0 with empty fields.
-//! HDT is empty once the heading is stale.
+//! At every whole second the output sends the pulse and then the ZDA with the time of the pulse. GGA and HDT can follow after `latency_ms`, as with
+//! real receivers. GGA holds the reference point. Its quality is that of the source while the position may be extrapolated. The quality is then 6
+//! (estimated) until the position is stale, and 0 with empty fields afterwards. HDT is empty once the heading is stale.
 
 mod transports;
 
@@ -26,27 +26,27 @@ use echotank_core::time::{MonoNs, NS_PER_S, UtcNs};
 use echotank_nav::encode::{self, Fix};
 use echotank_nav::{LocalTangentPlane, NavHistory};
 
-/// Interval at which the motion is published.
+/// Interval at which the motion is published, ns.
 const PUBLISH_EVERY_NS: i64 = 10_000_000;
-/// Length of a pulse.
+/// Length of a pulse, ns.
 const PULSE_NS: i64 = 100_000_000;
-/// The threads check the stop flag this often.
+/// Interval between checks of the stop flag, ns.
 const LOOK_NS: i64 = 100_000_000;
-/// Ticks later than this are skipped, because their sentences are useless as a clock.
+/// Lateness beyond which a tick is skipped, ns, because its sentences are useless as a clock.
 const TOO_LATE_NS: i64 = NS_PER_S / 2;
 
-/// Reads the time of outgoing sentences: the pings' clock.
+/// Reads the clock of the pings, which is the time in outgoing sentences.
 pub type OutputTime = Arc<dyn Fn() -> UtcNs + Send + Sync>;
 
 /// Faults of the outgoing clock.
 pub trait ClockFaults: Send + Sync {
     /// Whether the pulse of this second is suppressed.
     fn pulse_is_lost(&self, second: UtcNs) -> bool;
-    /// Offset of the time in the ZDA of this second, s.
+    /// Offset of the time in the ZDA sentence of this second, s.
     fn zda_is_off_s(&self, second: UtcNs) -> f64;
 }
 
-/// A navigation output that cannot be opened.
+/// Error of opening a navigation output.
 #[derive(Debug, Error)]
 #[error("nav output `{name}`: cannot open {target}: {reason}")]
 pub struct NavOutputError {
@@ -54,18 +54,18 @@ pub struct NavOutputError {
     pub name: String,
     /// Configured target.
     pub target: String,
-    /// Why it cannot be opened.
+    /// Cause.
     pub reason: String,
 }
 
-/// The predicted motion.
+/// Predicted motion of the rig.
 struct Prediction {
     zero: MonoNs,
     trajectory: Trajectory,
     state: NavState,
     heading_age_s: f64,
     plane: Option<LocalTangentPlane>,
-    /// Ages up to which a value is extrapolated, and beyond which it is stale, s.
+    /// Age up to which a value is extrapolated, s, and age beyond which the value is stale, s.
     carried_s: f64,
     stale_s: f64,
     /// Whether any motion is known.
@@ -90,7 +90,7 @@ struct Running {
     counts: Arc<Counts>,
 }
 
-/// The navigation outputs of a rig. Their threads run until the value is dropped and send nothing before the first `publish`.
+/// Navigation outputs of a rig. Their threads run until the value is dropped and send nothing before the first `publish`.
 pub struct NavOutputs {
     shared: SharedPrediction,
     /// Scratch, swapped with the shared prediction.
@@ -103,6 +103,9 @@ pub struct NavOutputs {
 
 impl NavOutputs {
     /// Opens the outputs without faults.
+    ///
+    /// # Errors
+    /// A socket, serial port or thread is not available.
     pub fn open(
         specs: &[NavOutputSpec],
         clock: &Arc<dyn Clock>,
@@ -111,7 +114,10 @@ impl NavOutputs {
         Self::open_with(specs, clock, time, None)
     }
 
-    /// As [`NavOutputs::open`], with faults of the clock.
+    /// Like [`NavOutputs::open`], with faults of the outgoing clock.
+    ///
+    /// # Errors
+    /// A socket, serial port or thread is not available.
     pub fn open_with(
         specs: &[NavOutputSpec],
         clock: &Arc<dyn Clock>,
@@ -166,7 +172,7 @@ impl NavOutputs {
         self.running.is_empty()
     }
 
-    /// `nav out NAME TRANSPORT ADDRESS`, a line each.
+    /// Addresses as `nav out NAME TRANSPORT ADDRESS`, one line each.
     pub fn addresses(&self) -> Vec<String> {
         let line = |r: &Running| match r.address {
             Some(address) => format!("nav out {} {} {address}", r.name, r.transport),
@@ -175,7 +181,7 @@ impl NavOutputs {
         self.running.iter().map(line).collect()
     }
 
-    /// A status line per output.
+    /// Status text, one line per output.
     pub fn lines(&self) -> Vec<String> {
         let line = |r: &Running| {
             let c = &r.counts;
@@ -192,7 +198,7 @@ impl NavOutputs {
         self.running.iter().map(line).collect()
     }
 
-    /// When the motion should next be published.
+    /// Instant of the next publication.
     pub(crate) fn next_publish(&self) -> MonoNs {
         match self.is_empty() {
             true => MonoNs(i64::MAX),
@@ -200,7 +206,7 @@ impl NavOutputs {
         }
     }
 
-    /// Publishes the motion around the present time, if it is due.
+    /// Publishes the predicted motion around `utc` if publication is due at `now`.
     pub fn publish(&mut self, history: &mut NavHistory, now: MonoNs, utc: UtcNs) {
         if self.is_empty() || now < self.next {
             return;
@@ -275,7 +281,7 @@ impl Prediction {
         Some(angles_from_rotation(pose.world_from_body).2)
     }
 
-    /// Bounded by the age up to which a value is extrapolated; the trajectory itself holds older values constant.
+    /// Limits a prediction to the age up to which a value is extrapolated. The trajectory itself holds older values constant.
     fn within(&self, ahead_s: f64, age_s: f64) -> f64 {
         match age_s > self.carried_s {
             true => ahead_s,
@@ -297,7 +303,7 @@ struct Sender {
     text: Vec<u8>,
 }
 
-/// The time that a tick names, and when it is due.
+/// Time in the sentences of a tick, and the instant at which they are due.
 #[derive(Clone, Copy)]
 struct Tick {
     utc: UtcNs,
@@ -368,10 +374,10 @@ impl Sender {
             .is_some()
     }
 
-    /// The next tick after `last`. The clock may be reset at any time; a tick far ahead is then discarded.
+    /// Next tick after `last`. The clock can be set back at any time; a `last` far ahead is then ignored.
     fn next_tick(&self, now: MonoNs, last: UtcNs) -> Tick {
         let utc_now = (self.time)();
-        // After the clock was set back, `last` may lie more than a tick ahead.
+        // If the clock was set back, `last` can be more than a tick ahead.
         let period_ns = (NS_PER_S as f64 / self.spec.rate_hz) as i64;
         let ahead = last.0.saturating_sub(utc_now.0) > period_ns;
         let from = if ahead { utc_now } else { last };
@@ -391,7 +397,7 @@ impl Sender {
         };
     }
 
-    /// Sends the configured sentences among `which` together.
+    /// Sends those of the sentences `which` that are configured, in one write.
     fn say(&mut self, tick: &Tick, which: &[NavSentence]) {
         let (fix, heading_rad) = {
             let shared = self.shared.lock().unwrap_or_else(PoisonError::into_inner);

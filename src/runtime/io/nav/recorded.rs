@@ -14,16 +14,16 @@ use echotank_nav::log::{read_log, refusal, unknown_binary};
 use echotank_nav::passes::PassKind;
 use echotank_nav::track::read_track;
 
-/// Largest file read, bytes. An hour of 100 Hz attitude is 30 MB; a day, 700 MB, should be cut.
+/// Maximum size of a file, bytes. An hour of 100 Hz attitude is 30 MB; longer logs must be cut.
 pub const MAX_LOG_BYTES: u64 = 256 << 20;
 
-/// A warning tells of refused checksums if more than one sentence in this many is refused.
+/// Refused checksums cause a warning if more than one sentence in this many is refused.
 const MAX_REFUSED_ONE_IN: u64 = 20;
 
-/// A silence of all sources that is longer, seconds, is passed over by a replay: it counts its pings without ordering each.
+/// Silence of all sources beyond which a replay skips the gap, s. The skipped pings are counted without being ordered.
 const LONG_GAP_S: f64 = 3600.0;
 
-/// Something that happens between samples.
+/// Event between samples.
 #[derive(Clone, Copy)]
 enum Event {
     /// A pass of a log begins.
@@ -39,7 +39,7 @@ pub(super) struct Recorded {
     /// Sorted by time.
     events: Vec<(UtcNs, Event)>,
     next_event: usize,
-    /// Long gaps: from the last arrival before to the first after, in the first loop's time.
+    /// Long gaps, from the last arrival before to the first arrival after, in the time of the first loop.
     gaps: Vec<(UtcNs, UtcNs)>,
     /// Offset of all times in the current loop.
     shift_ns: i64,
@@ -49,13 +49,13 @@ pub(super) struct Recorded {
 #[derive(Clone, Copy)]
 struct Repeat {
     period_ns: i64,
-    /// From the last validity time of a loop to the first of the next, in the first loop's time.
+    /// Instant between the last validity time of a loop and the first of the next, in the time of the first loop.
     seam: UtcNs,
 }
 
 impl Recorded {
-    /// `None` without recorded sources. Replaces `provides` of logs that leave it open by what they give, and returns the warnings
-    /// of it.
+    /// Opens the recorded sources; `None` if there are none. Fills each `provides` that the configuration leaves open with the quantities found in
+    /// the log. Returns the warnings about the logs.
     pub(super) fn open(
         spec: &mut NavSpec,
         counters: &mut [SourceCounters],
@@ -133,7 +133,7 @@ impl Recorded {
         self.samples.len()
     }
 
-    /// End of the long gap that contains `utc`, apart from `margin_s` at both ends; none outside of gaps.
+    /// End of the long gap that contains `utc`, reduced by `margin_s` at both ends. `None` outside of gaps.
     pub(super) fn gap_end(&self, utc: UtcNs, margin_s: f64) -> Option<UtcNs> {
         let loops = self.repeat.map_or(0, |repeat| {
             let since_ns = utc.0.saturating_sub(self.start().0);
@@ -156,7 +156,7 @@ impl Recorded {
         Some(self.start().plus_ns(self.shift_ns + repeat.period_ns))
     }
 
-    /// Inserts the next sample into the history, if there is one.
+    /// Inserts the next sample, if any, into the history.
     pub(super) fn take(&mut self, feed: &mut Feed) {
         if self.next == self.samples.len()
             && let Some(repeat) = self.repeat
@@ -248,8 +248,8 @@ fn read_file(name: &str, path: &Path) -> Result<Vec<u8>, NavOpenError> {
         .map_err(|why| NavOpenError::source(name, format!("cannot read {}: {why}", path.display())))
 }
 
-/// Cuts the samples to the period that all channels cover. A loop repeats after one further median interval of the positions (of all samples without
-/// positions).
+/// Cuts the samples to the period that all channels cover. A loop repeats after one further median interval of the positions, or of all samples
+/// if there are no positions.
 fn prepare_to_repeat(samples: &mut Vec<NavSample>) -> Result<Repeat, NavOpenError> {
     let mut spans: Vec<(Channel, UtcNs, UtcNs)> = Vec::new();
     for s in samples.iter() {

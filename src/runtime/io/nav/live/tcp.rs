@@ -11,7 +11,7 @@ use crate::io::tcp::end_if_dead;
 
 use super::{Outlet, READ_TIMEOUT, REOPEN_INTERVAL, is_timeout};
 
-/// Limit for the other end to acknowledge a probe.
+/// Time limit for the other end to acknowledge a probe.
 const UNACKNOWLEDGED: Duration = Duration::from_secs(30);
 /// Time limit of a connection attempt.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(1);
@@ -80,12 +80,12 @@ fn accept(listener: &TcpListener) -> Option<(TcpStream, SocketAddr)> {
     Some((stream, client))
 }
 
-/// Reads until the other end closes or `relieved`, called between reads, returns true.
+/// Reads until the other end closes the connection or `relieved` returns true. `relieved` is called between reads.
 fn read(mut stream: TcpStream, outlet: &Outlet, mut relieved: impl FnMut() -> bool) {
     if stream.set_read_timeout(Some(READ_TIMEOUT)).is_err() {
         return;
     }
-    // A server that is gone without a word must be dialled again.
+    // Keep-alive probes detect a server that vanished, so that the client reconnects.
     end_if_dead(&stream, UNACKNOWLEDGED);
     let mut buffer = vec![0; 65_536];
     while !outlet.stopped() && !relieved() {

@@ -11,20 +11,20 @@ use crate::io::tcp::end_if_dead;
 use super::super::live::{Port, open_serial};
 use echotank_config::spec::{NavTargetSpec, PulseSpec, SerialLine};
 
-/// Byte sent in place of a pulse where there is no line for it: BEL.
+/// Byte sent as a pulse on transports without a modem line: BEL.
 pub(crate) const PULSE_BYTE: u8 = 0x07;
 /// Pause before a lost serial port is reopened.
 const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
-/// Limit of clients of one output.
+/// Maximum number of clients of one output.
 const MAX_CLIENTS: usize = 64;
-/// Limit for a TCP client to acknowledge what was sent.
+/// Time limit for a TCP client to acknowledge sent data.
 const UNACKNOWLEDGED: Duration = Duration::from_secs(30);
 
 pub(super) trait Transport: Send {
     /// Begins (`high`) or ends the pulse of a whole second.
     fn pulse(&mut self, high: bool) -> io::Result<()>;
     fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
-    /// Connected clients; 0 where unknown.
+    /// Number of connected clients; 0 if unknown.
     fn clients(&mut self) -> u64 {
         0
     }
@@ -48,7 +48,7 @@ pub(super) fn transport(target: &NavTargetSpec) -> &'static str {
     }
 }
 
-/// Opens a transport; returns it with the address that it listens at or sends to.
+/// Opens a transport. Returns the transport and the address that it listens on or sends to.
 pub(super) fn open(
     target: &NavTargetSpec,
     pulse: PulseSpec,
@@ -130,7 +130,7 @@ impl Transport for Tcp {
             false => Ok(()),
         }
     }
-    /// A client that does not accept all bytes at once is dropped, so it delays no other.
+    /// A client that does not accept all bytes at once is disconnected, so that no client delays the others.
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.clients();
         self.clients
@@ -161,7 +161,7 @@ struct Serial {
 impl Serial {
     fn connect(&self) -> io::Result<Port> {
         let mut port = open_serial(&self.path, self.baud, self.line)?;
-        // Opening raises both lines; a pseudo-terminal has neither.
+        // Opening the port raises both modem lines. A pseudo-terminal has neither.
         match self.pulse {
             PulseSpec::Rts => drop(port.write_request_to_send(false)),
             PulseSpec::Dtr => drop(port.write_data_terminal_ready(false)),
@@ -170,7 +170,7 @@ impl Serial {
         Ok(port)
     }
 
-    /// Uses the port; a failed port is reopened at most once a second.
+    /// Calls `does` with the open port. A failed port is reopened at most once per second.
     fn with(&mut self, does: impl FnOnce(&mut Port) -> io::Result<()>) -> io::Result<()> {
         if self.port.is_none() && self.tried.is_none_or(|t| t.elapsed() > REOPEN_INTERVAL) {
             self.tried = Some(Instant::now());
@@ -189,7 +189,7 @@ impl Transport for Serial {
     fn pulse(&mut self, high: bool) -> io::Result<()> {
         match self.pulse {
             PulseSpec::None => Ok(()),
-            // A port without this line still carries the sentences.
+            // A port without this line still transmits the sentences.
             PulseSpec::Rts => match &mut self.port {
                 Some(port) => Ok(port.write_request_to_send(high)?),
                 None => Ok(()),
