@@ -1,8 +1,9 @@
-//! Packet captures (pcap, pcapng): each packet's arrival with its UDP payload or its TCP segment.
+//! Reads packet captures (pcap, pcapng): the arrival time of each packet, and its UDP payload or TCP segment.
 //!
-//! `pcap-parser` reads the files; the link, IP, UDP and TCP headers are read here. Link layers: Ethernet (with VLAN tags), Linux cooked, loopback and
-//! raw IP. Network layers: IPv4 and IPv6. IP fragments are not reassembled. A file cut in the middle of a packet ends before that packet; a damaged
-//! pcapng block is skipped by its length. Sources: tcpdump's `pcap-savefile(5)`, IETF draft-tuexen-opsawg-pcapng.
+//! The crate `pcap-parser` reads the files. This module reads the link, IP, UDP and TCP headers. Link layers: Ethernet (with VLAN
+//! tags), Linux cooked, loopback and raw IP. Network layers: IPv4 and IPv6. IP fragments are not reassembled. A truncated last
+//! packet is ignored. A damaged pcapng block is skipped by its length. Sources: tcpdump's `pcap-savefile(5)`, IETF
+//! draft-tuexen-opsawg-pcapng.
 
 use echotank_core::time::UtcNs;
 use pcap_parser::nom::{Err as ParseError, IResult};
@@ -12,14 +13,14 @@ use pcap_parser::{
     parse_pcap_header,
 };
 
-/// Longest packet that is read, bytes; a longer one marks a damaged file.
+/// Maximum length of a packet, bytes. A longer packet indicates a damaged file.
 const MAX_PACKET: usize = 256 * 1024;
 const ETHERNET: u32 = 1;
 const NULL_LOOPBACK: u32 = 0;
 const RAW_IP: [u32; 3] = [12, 14, 101];
 const LINUX_COOKED: u32 = 113;
 const LINUX_COOKED_2: u32 = 276;
-/// Block type of a pcapng section header; the same in both byte orders.
+/// Block type of a pcapng section header. The value is the same in both byte orders.
 const SECTION_HEADER: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
 
 /// One captured packet.
@@ -27,18 +28,18 @@ const SECTION_HEADER: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
 pub struct Packet<'a> {
     /// Capture time.
     pub arrival: UtcNs,
-    /// UDP destination port; 0 without a datagram.
+    /// UDP destination port; 0 if the packet holds no UDP datagram.
     pub port: u16,
-    /// Payload of a whole UDP datagram.
+    /// Payload of a complete UDP datagram.
     pub payload: Option<&'a [u8]>,
     /// TCP segment.
     pub segment: Option<Segment<'a>>,
 }
 
-/// A TCP segment, one direction of a connection.
+/// TCP segment of one direction of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Segment<'a> {
-    /// Source and destination address, as in the IP header.
+    /// Source and destination IP address, concatenated as in the IP header.
     pub addresses: &'a [u8],
     /// Source port.
     pub from_port: u16,
@@ -46,7 +47,7 @@ pub struct Segment<'a> {
     pub to_port: u16,
     /// Sequence number of the payload's first byte.
     pub sequence: u32,
-    /// The SYN flag: the connection's first byte has the number after `sequence`.
+    /// True if the SYN flag is set: the first byte of the connection then has the number after `sequence`.
     pub is_start: bool,
     /// Bytes after the TCP header.
     pub payload: &'a [u8],
@@ -65,7 +66,7 @@ fn is_pcapng(bytes: &[u8]) -> bool {
         )
 }
 
-/// The packets of a whole capture file, in the file's order; none where it is no capture.
+/// The packets of a whole capture file, in file order. Empty if `bytes` is not a capture.
 pub fn packets(bytes: &[u8]) -> Packets<'_> {
     if let Ok((rest, header)) = parse_pcap_header(bytes) {
         let interface = Interface {
@@ -111,7 +112,7 @@ enum Format {
     },
     PcapNg {
         is_big_endian: bool,
-        /// Of the section being read.
+        /// Interfaces of the current section.
         interfaces: Vec<Interface>,
     },
 }
@@ -150,7 +151,7 @@ impl<'a> Iterator for Packets<'a> {
     }
 }
 
-/// Takes the next pcapng block from `rest`; `Some(None)` for a damaged block of known length.
+/// Removes the next pcapng block from `rest`. `Some(None)` for a damaged block of known length.
 fn next_block<'a>(rest: &mut &'a [u8], is_big_endian: &mut bool) -> Option<Option<Block<'a>>> {
     let bytes = *rest;
     if bytes.starts_with(&SECTION_HEADER) {
@@ -181,7 +182,7 @@ fn next_block<'a>(rest: &mut &'a [u8], is_big_endian: &mut bool) -> Option<Optio
     }
 }
 
-/// The packet of an Enhanced Packet Block; other blocks update `interfaces` or hold nothing that is used.
+/// The packet of an Enhanced Packet Block. Interface and section blocks update `interfaces`; other blocks are ignored.
 fn packet_of<'a>(block: Block<'a>, interfaces: &mut Vec<Interface>) -> Option<Packet<'a>> {
     match block {
         Block::SectionHeader(_) => interfaces.clear(),
@@ -200,7 +201,8 @@ fn packet_of<'a>(block: Block<'a>, interfaces: &mut Vec<Interface>) -> Option<Pa
     None
 }
 
-/// Ticks per second of option `if_tsresol`: a power of 10, or of 2 with the upper bit set. `pcap-parser` refuses powers of 2.
+/// Ticks per second of option `if_tsresol`: a power of 10, or a power of 2 if the upper bit is set. `pcap-parser` refuses powers of
+/// 2.
 fn ticks_per_s(resolution: u8) -> u64 {
     let base: u64 = if resolution & 0x80 == 0 { 10 } else { 2 };
     let power = u32::from(resolution & 0x7F);
@@ -276,7 +278,7 @@ fn tcp(ip: &[u8]) -> Option<Segment<'_>> {
     })
 }
 
-/// Payload of an unfragmented IP packet of the wanted protocol, without the padding of short Ethernet frames.
+/// Payload of an unfragmented IP packet of protocol `wanted`, without the padding of short Ethernet frames.
 fn inside(ip: &[u8], wanted: u8) -> Option<&[u8]> {
     let (protocol, header, total) = match ip.first()? >> 4 {
         4 => {
@@ -367,7 +369,7 @@ mod tests {
     fn a_damaged_block_is_skipped_and_powers_of_two_are_resolutions() {
         let frame = frame(b"$HEHDT,1,T\r\n", false);
         let whole = pcapng(&frame);
-        // The packet block twice; the trailing length of the first one is wrong.
+        // The packet block occurs twice; the trailing length of the first copy is wrong.
         let at = whole.len() - (frame.len().next_multiple_of(4) + 32);
         let mut twice = [&whole[..], &whole[at..]].concat();
         twice[whole.len() - 1] ^= 4;

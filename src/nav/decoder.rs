@@ -1,5 +1,5 @@
-//! Decodes the bytes of one source to samples: framing, checksum policy, time policy, and the choice of sentence for each
-//! quantity.
+//! Decodes the bytes of one source to samples. The stages are framing, checksum policy, time policy, and the choice of a sentence
+//! for each quantity.
 
 use super::framing::{Checksum, Framing, RawSentence};
 pub use super::message_time::ClockState;
@@ -11,17 +11,17 @@ use echotank_config::spec::{ChecksumPolicy, NavChannel, NavDialect, NavSourceSpe
 use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::{NS_PER_S, UtcNs};
 
-/// A lower-ranked sentence provides a quantity only after the higher-ranked one has been absent for this long.
+/// Time without a higher-ranked sentence after which a lower-ranked sentence provides its quantity.
 const SILENCE_NS: i64 = 5 * NS_PER_S;
 
-/// Maximum number of untimed sentence names per source that take the time of a burst; about fifteen untimed sentences exist.
+/// Maximum number of untimed sentence names per source that take the time of a burst. About fifteen untimed sentences exist.
 const MAX_UNTIMED: usize = 32;
 
 /// Maximum number of clock events between two calls of [`NavDecoder::take_clock_events`].
 pub const MAX_CLOCK_EVENTS: usize = 1000;
 
 /// Counters of one source. Every sentence counts in exactly one of `used`, `refused_checksum`, `malformed`, `unsupported`,
-/// `empty_fields`, `not_taken` and `time_jumps`. `bad_checksum` and `missing_checksum` count sentences whether refused or not.
+/// `empty_fields`, `not_taken` and `time_jumps`. `bad_checksum` and `missing_checksum` also count accepted sentences.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct NavCounters {
     /// Bytes received.
@@ -36,7 +36,7 @@ pub struct NavCounters {
     pub malformed: u64,
     /// Sentences that have no decoder.
     pub unsupported: u64,
-    /// Known sentences without values: no fix, or empty fields.
+    /// Known sentences without values: the receiver has no fix, or the fields are empty.
     pub empty_fields: u64,
     /// Valid sentences whose quantities are not wanted from this source or come from a higher-ranked sentence.
     pub not_taken: u64,
@@ -44,56 +44,56 @@ pub struct NavCounters {
     pub flagged_invalid: u64,
     /// Message times corrected by a multiple of 1024 GPS weeks to match the arrival date.
     pub week_rollovers: u64,
-    /// Sentences rejected because their time jumps.
+    /// Sentences rejected because of a jump of their time.
     pub time_jumps: u64,
-    /// Times that the clock of the source jumped, was corrected or returned.
+    /// Changes of the state of the source's clock: jumps, corrections and returns to the arrival time.
     pub clock_changes: u64,
-    /// Present correction of the times of the source, seconds.
+    /// Current correction of the message times of the source, seconds.
     pub corrected_by_s: i64,
     /// Sentences with a wrong checksum.
     pub bad_checksum: u64,
     /// Sentences without a checksum.
     pub missing_checksum: u64,
-    /// Bytes outside any sentence or record.
+    /// Bytes outside any sentence and record.
     pub resync_bytes: u64,
-    /// Untimed sentences without a burst, which are valid at their arrival.
+    /// Untimed sentences without a burst. Their time of validity is the arrival.
     pub undated: u64,
     /// Samples produced.
     pub samples: u64,
 }
 
-/// From an arrival on, the clock of a source is in this state.
+/// Change of the state of a source's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClockEvent {
-    /// Arrival of the sentence that shows it.
+    /// Arrival of the sentence that shows the change.
     pub arrival: UtcNs,
     /// The new state.
     pub state: ClockState,
 }
 
-/// Result for one sentence; named like the counters of [`NavCounters`].
+/// Result of decoding one sentence, named like the counters of [`NavCounters`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Outcome {
-    /// It gave a sample, a time or a quality.
+    /// The sentence gave a sample, a time or a quality.
     Used,
-    /// The checksum policy refuses it.
+    /// The checksum policy refuses the sentence.
     RefusedChecksum,
     /// A field is invalid.
     Malformed,
-    /// It has no decoder.
+    /// The sentence has no decoder.
     Unsupported,
-    /// It holds no values.
+    /// The sentence holds no values.
     EmptyFields,
-    /// Its quantities are not wanted or come from a higher-ranked sentence.
+    /// The configuration does not select the quantities, or a higher-ranked sentence provides them.
     NotTaken,
-    /// Its time jumps.
+    /// The time of the sentence jumps.
     TimeJump,
 }
 
 /// One sentence or record and its result, for reports.
 #[derive(Clone, Copy, Debug)]
 pub struct SentenceEvent<'a> {
-    /// Address, and for proprietary sentences the word after it: `INGGA`, `PSXN,23`.
+    /// Address of the sentence, followed by the next field for proprietary sentences: `INGGA`, `PSXN,23`.
     pub name: &'a str,
     /// Result of decoding.
     pub outcome: Outcome,
@@ -101,13 +101,13 @@ pub struct SentenceEvent<'a> {
     pub checksum: Checksum,
     /// Arrival of the first byte.
     pub arrival: UtcNs,
-    /// Time in the message.
+    /// Message time.
     pub(crate) message_utc: Option<UtcNs>,
-    /// Quantities taken: one bit per [`NavChannel`].
+    /// Quantities taken from the sentence, one bit per [`NavChannel`].
     pub taken: u8,
-    /// Quantities that a higher-ranked sentence of this source provides; one bit per [`NavChannel`].
+    /// Quantities that a higher-ranked sentence of this source provides, one bit per [`NavChannel`].
     pub outranked: u8,
-    /// Quantities that the configuration does not want from this source; one bit per [`NavChannel`].
+    /// Quantities that the configuration does not select from this source, one bit per [`NavChannel`].
     pub(crate) unwanted: u8,
     /// Decoded values, if the sentence decodes and its time is accepted.
     pub reading: Option<&'a Reading>,
@@ -117,7 +117,7 @@ pub struct SentenceEvent<'a> {
 #[derive(Clone, Copy, Debug)]
 struct ActiveSentence {
     rank: u8,
-    /// Hash of the sentence's name: sentences of two talkers are not mixed.
+    /// Hash of the sentence name. The name includes the talker, so sentences of two talkers are not mixed.
     name: u64,
     arrival: UtcNs,
 }
@@ -127,7 +127,7 @@ struct ActiveSentence {
 struct UntimedSentence {
     name: u64,
     burst: UtcNs,
-    /// It came twice in one burst, so its rate is independent of the bursts.
+    /// True after the sentence occurred twice in one burst: its rate is independent of the bursts.
     independent: bool,
 }
 
@@ -152,10 +152,10 @@ struct Reader {
     clock: MessageClock,
     active: [Option<ActiveSentence>; NavChannel::ALL.len()],
     untimed: Vec<UntimedSentence>,
-    /// Changes of the clock that nobody has taken yet.
+    /// Changes of the clock since the last call of [`NavDecoder::take_clock_events`].
     clock_events: Vec<ClockEvent>,
     clock_state: ClockState,
-    /// Flags of the last PSXN,20.
+    /// Quality flags of the last PSXN,20.
     invalid: Invalid,
     scratch: String,
     counters: NavCounters,
@@ -165,7 +165,7 @@ struct Reader {
 pub fn ignore_events(_: &SentenceEvent) {}
 
 impl NavDecoder {
-    /// Decoder for `spec`; `source` is its index in `NavSpec::sources`.
+    /// Decoder of the source that `spec` describes; `source` is the index of the source in the configuration.
     pub fn new(source: u16, spec: &NavSourceSpec) -> Self {
         let finder = match Records::new(spec.dialect.format) {
             Some(records) => Finder::Records(records),
@@ -196,7 +196,7 @@ impl NavDecoder {
         self.push_paced(bytes, arrival, 0, out, &mut ignore_events);
     }
 
-    /// Like [`Self::push`], with `byte_ns` between bytes on the wire, so that each sentence has the arrival of its own first
+    /// Like [`Self::push`], with `byte_ns` nanoseconds between bytes on the link. The arrival of a sentence is that of its first
     /// byte. Calls `watch` for every sentence.
     pub fn push_paced(
         &mut self,
@@ -230,7 +230,7 @@ impl NavDecoder {
         }
     }
 
-    /// Ends a datagram or file: a sentence still open is complete.
+    /// Ends a datagram or file. An open sentence counts as complete.
     pub fn flush(&mut self, out: &mut Vec<NavSample>) {
         self.flush_watched(out, &mut ignore_events);
     }
@@ -254,7 +254,7 @@ impl NavDecoder {
         }
     }
 
-    /// Takes a message that another module has framed and decoded (MAVLink).
+    /// Accepts a message that another module has framed and decoded (MAVLink).
     pub(crate) fn push_record(
         &mut self,
         name: &str,
@@ -265,28 +265,29 @@ impl NavDecoder {
         self.reader.take_record(name, record, out, watch);
     }
 
-    /// Counts bytes that another module has framed.
+    /// Adds bytes that another module has framed to the counters.
     pub(crate) fn count_bytes(&mut self, bytes: u64, resync_bytes: u64) {
         self.reader.counters.bytes += bytes;
         self.reader.counters.resync_bytes += resync_bytes;
     }
 
-    /// Later arrivals count from another time: they have moved by `by_ns` (a log without stamps, whose clock stepped).
+    /// Shifts the stored arrivals by `by_ns`, because later arrivals have moved by as much (a log without stamps whose clock
+    /// steps).
     pub(crate) fn arrivals_moved(&mut self, by_ns: i64) {
         self.reader.clock.arrivals_moved(by_ns);
     }
 
-    /// Takes dates as they come, because the arrivals are not clock time (a log without stamps).
+    /// Accepts dates without comparison to the arrivals, for a log whose arrivals are not clock time (no stamps).
     pub(crate) fn ignore_arrival_dates(&mut self) {
         self.reader.clock.ignore_arrival_dates();
     }
 
-    /// Counters since construction.
+    /// Counters since the construction of the decoder.
     pub fn counters(&self) -> &NavCounters {
         &self.reader.counters
     }
 
-    /// Takes the changes of the source's clock since the last call, at most [`MAX_CLOCK_EVENTS`] of them.
+    /// Removes and returns the changes of the source's clock since the last call, at most [`MAX_CLOCK_EVENTS`].
     pub fn take_clock_events(&mut self) -> Vec<ClockEvent> {
         std::mem::take(&mut self.reader.clock_events)
     }
@@ -296,7 +297,7 @@ impl NavDecoder {
         self.reader.clock.last()
     }
 
-    /// Whether a full date (ZDA, RMC) has been received. Before that, dates follow the arrival.
+    /// Whether a full date (ZDA, RMC) has been received. Without a date, the date of the arrival is used.
     pub fn is_dated(&self) -> bool {
         self.reader.clock.is_dated()
     }
@@ -408,7 +409,7 @@ impl Reader {
         watch(&event);
     }
 
-    /// Notes a change of the state of the source's clock.
+    /// Records a change of the state of the source's clock.
     fn note_clock(&mut self, arrival: UtcNs) {
         let state = self.clock.state();
         if state == self.clock_state {
@@ -439,7 +440,7 @@ impl Reader {
         } += 1;
     }
 
-    /// Stores the flags of PSXN,20, drops values flagged invalid, and reverses the signs that the configuration reverses.
+    /// Stores the flags of PSXN,20, drops values flagged as invalid, and reverses the configured signs.
     fn apply_flags_and_signs(&mut self, r: &mut Reading) {
         if let Some(invalid) = r.invalid {
             self.invalid = invalid;
@@ -477,7 +478,8 @@ impl Reader {
         }
     }
 
-    /// Whether the configuration ignores the checksum of this sentence, by its address or by its last three letters.
+    /// Whether the configuration ignores the checksum of this sentence. The sentence matches by its address or by its last three
+    /// letters.
     fn ignores(&self, body: &str) -> bool {
         let address = body.split(',').next().unwrap_or("");
         let mut names = self.dialect.ignore_checksum_for.iter();
@@ -569,8 +571,8 @@ impl Reader {
         arrival
     }
 
-    /// Whether an untimed sentence takes the time of `burst`. One that comes twice in a burst has an independent rate and never
-    /// takes a burst time again.
+    /// Whether an untimed sentence takes the time of `burst`. A sentence that occurs twice in one burst has an independent rate and
+    /// never takes a burst time again.
     fn belongs_to_burst(&mut self, name: u64, burst: UtcNs) -> bool {
         if let Some(sentence) = self.untimed.iter_mut().find(|s| s.name == name) {
             sentence.independent |= sentence.burst == burst;
@@ -588,8 +590,8 @@ impl Reader {
         room
     }
 
-    /// Whether this sentence provides the channel. Two sentences with the same quantity may hold at different times, and mixing
-    /// them would distort the track. The higher rank wins, and among equal ranks the first.
+    /// Whether this sentence provides the channel. Two sentences with the same quantity can have different times of validity, and a
+    /// mix of both would distort the track. The higher rank wins; among equal ranks the first sentence wins.
     fn is_active(&mut self, channel: usize, rank: u8, name: u64, arrival: UtcNs) -> bool {
         let active = &mut self.active[channel];
         let outranked = active.is_some_and(|s| {
@@ -623,7 +625,7 @@ impl<'a> SentenceEvent<'a> {
     }
 }
 
-/// Address, followed by the next word where several sentences share an address.
+/// Address of a sentence, followed by the next field if several sentences share the address.
 fn name_of(body: &str) -> &str {
     let mut commas = body.match_indices(',').map(|(at, _)| at);
     let first = commas.next().unwrap_or(body.len());
@@ -641,7 +643,7 @@ fn name_of(body: &str) -> &str {
     }
 }
 
-/// Fowler, Noll and Vo's hash (1a), 64 bits.
+/// 64-bit FNV-1a hash (Fowler, Noll and Vo).
 fn fnv(text: &str) -> u64 {
     text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3)

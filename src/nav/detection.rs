@@ -1,7 +1,7 @@
-//! What logs give whose `provides` is not configured: the quantities of their samples, with the owner of each.
+//! Detects the quantities of recorded logs without a configured `provides`, and names the source of each quantity.
 //!
-//! A log gives a quantity that it holds for at least [`MIN_SHARE`] of the time with positions. A quantity of a shorter time would
-//! leave pings without navigation; it is left out with a warning, unless every ping needs it and nothing can stand for it.
+//! A log provides a quantity if its samples cover at least [`MIN_SHARE`] of the time with positions. A quantity with less coverage
+//! would leave pings without navigation, so it is excluded with a warning. A quantity that every ping needs is not excluded.
 
 use crate::history::MAX_GAP_S;
 use echotank_config::spec::{NavChannel, NavInputSpec, NavSpec, VerticalSpec};
@@ -9,20 +9,20 @@ use echotank_core::navigation::NavSample;
 use echotank_core::time::UtcNs;
 use thiserror::Error;
 
-/// Smallest share of the time with positions for which a log must hold a quantity.
+/// Minimum fraction of the time with positions that the samples of a quantity must cover.
 const MIN_SHARE: f64 = 0.5;
 
-/// A quantity that every ping needs and no log gives.
+/// Error: every ping needs a quantity that no log provides.
 #[derive(Debug, Error, PartialEq, Eq)]
 #[error("no source gives a {what}: {held}; {remedy}")]
 pub struct MissingQuantity {
     what: &'static str,
-    /// What the logs hold.
+    /// Text that lists the quantities of the logs.
     held: String,
     remedy: &'static str,
 }
 
-/// Time of which samples tell the motion, seconds: steps between them that pings are interpolated over.
+/// Time covered by the samples of a channel, seconds: the sum of the steps that are short enough for interpolation.
 fn covered_s(samples: &[NavSample], channel: NavChannel) -> f64 {
     let of = samples
         .iter()
@@ -35,10 +35,10 @@ fn covered_s(samples: &[NavSample], channel: NavChannel) -> f64 {
         .fold(0.0, |sum, step_s| sum + step_s)
 }
 
-/// Replaces `provides` of the logs that leave it open by what their samples give. `samples` holds those of each source.
+/// Sets `provides` of the recorded logs that leave it open, from the samples of each source in `samples`.
 ///
-/// Returns a warning for each quantity that is left out, replaced or missing. An error if all sources are files and one lacks what
-/// every ping needs.
+/// Returns a warning for each quantity that is excluded, replaced or missing. Returns an error if all sources are files and no
+/// source provides a quantity that every ping needs.
 pub fn detect(
     spec: &mut NavSpec,
     samples: &[Vec<NavSample>],
@@ -109,7 +109,7 @@ pub fn detect(
     Ok(warnings)
 }
 
-/// What the pings of files lack altogether.
+/// Replaces a quantity that no file provides, or refuses the configuration if there is no replacement.
 fn refuse_or_replace_missing(
     spec: &mut NavSpec,
     warnings: &mut Vec<String>,
@@ -125,7 +125,7 @@ fn refuse_or_replace_missing(
             let remedy = "add a source that does, or set nav.vertical";
             return missing("depth, which nav.vertical = \"depth\" needs", remedy);
         }
-        // A track's heave is its displacement from depth 0.
+        // The heave of a track is its displacement from depth 0.
         spec.heave_from_depth_m = spec.heave_from_depth_m.or(Some(0.0));
     }
     if owner(spec, NavChannel::Heading).is_none() {
@@ -157,7 +157,7 @@ fn owner(spec: &NavSpec, channel: NavChannel) -> Option<usize> {
     sources.position(|s| s.provides.contains(&channel))
 }
 
-/// What each source provides, in words.
+/// Text with the quantities of each source.
 fn holdings(spec: &NavSpec) -> String {
     let of = |s: &echotank_config::spec::NavSourceSpec| {
         let names: Vec<_> = s.provides.iter().map(|c| c.name()).collect();
@@ -170,7 +170,7 @@ fn holdings(spec: &NavSpec) -> String {
     all.join("; ")
 }
 
-/// The source of each quantity in words: `position from gnss, heading from gyro`.
+/// Text with the source of each quantity: `position from gnss, heading from gyro`.
 ///
 /// `active` gives the index of the source of a quantity.
 pub fn owners_text(spec: &NavSpec, active: impl Fn(NavChannel) -> Option<u16>) -> String {

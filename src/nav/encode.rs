@@ -1,6 +1,6 @@
 //! Encodes ZDA, GGA and HDT sentences with checksum and line end.
 //!
-//! Unknown values are empty fields, as receivers send them: GGA has quality 0, HDT an empty heading. The number of satellites,
+//! Unknown values are empty fields, as receivers send them: GGA has quality 0, HDT has an empty heading. The number of satellites,
 //! the dilution of precision and the geoid separation are always empty. Layouts: NMEA 0183.
 
 use std::io::Write;
@@ -9,10 +9,10 @@ use super::framing::checksum_of;
 use echotank_core::navigation::FixQuality;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
-/// Steps per minute of arc: 0.2 mm each.
+/// Resolution of a coordinate, steps per minute of arc; one step is 0.2 mm.
 const MINUTE_STEPS: i64 = 10_000_000;
 
-/// Position for GGA.
+/// Position, height and quality of a GGA sentence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fix {
     /// Geodetic latitude, radians, positive north.
@@ -73,7 +73,7 @@ fn quality(fix: FixQuality) -> u8 {
     }
 }
 
-/// hhmmss with hundredths of a second, or with milliseconds where the instant needs them.
+/// Time of day as hhmmss with hundredths of a second, or with milliseconds if the instant is not a whole hundredth.
 fn clock(utc: UtcNs) -> String {
     let ms = (utc.0 + 500_000).div_euclid(1_000_000);
     let of_day = ms.rem_euclid(86_400_000);
@@ -84,7 +84,7 @@ fn clock(utc: UtcNs) -> String {
     }
 }
 
-/// Degrees with `digits` digits and minutes. Rounding to whole steps keeps minutes below 60.
+/// Angle as degrees with `digits` digits, followed by minutes. Rounding to whole steps keeps the minutes below 60.
 fn arc(angle_rad: f64, digits: usize, letters: [char; 2]) -> String {
     let steps = (angle_rad.to_degrees().abs() * 60.0 * MINUTE_STEPS as f64).round() as i64;
     let (degrees, rest) = (steps / (60 * MINUTE_STEPS), steps % (60 * MINUTE_STEPS));
@@ -101,8 +101,8 @@ fn sentence(out: &mut Vec<u8>, body: &str) {
     let _ = write!(out, "${body}*{:02X}\r\n", checksum_of(body));
 }
 
-/// First tick after `utc` at a rate that is a whole number or the reciprocal of one. Ticks include every whole second, or every
-/// multiple of a longer period.
+/// First tick after `utc`. The rate is a whole number of hertz or the reciprocal of a whole number. Ticks include every whole
+/// second, or every multiple of a longer period.
 pub fn next_tick(utc: UtcNs, rate_hz: f64) -> UtcNs {
     if rate_hz < 1.0 {
         let period_ns = (1.0 / rate_hz).round() as i64 * NS_PER_S;
@@ -110,7 +110,7 @@ pub fn next_tick(utc: UtcNs, rate_hz: f64) -> UtcNs {
     }
     let per_s = rate_hz.round().max(1.0) as i64;
     let (second, rest) = (utc.0.div_euclid(NS_PER_S), utc.0.rem_euclid(NS_PER_S));
-    // Rounding to the nanosecond may find the tick at `rest` itself; the loop then takes the next one.
+    // Rounding to the nanosecond may give the tick at `rest` itself. The loop then takes the next tick.
     let at = |k: i64| (k * NS_PER_S + per_s / 2) / per_s;
     let mut k = rest * per_s / NS_PER_S;
     while at(k) <= rest {
@@ -198,7 +198,7 @@ mod tests {
                     ),
                     1 => {
                         let (latitude, longitude) = r.position_rad.expect(line);
-                        // Half a step of 1e-7 minutes, and rounding.
+                        // Tolerance: half a step of 1e-7 minutes, plus rounding.
                         let most = 2e-11;
                         assert!((latitude - fix.latitude_rad).abs() < most, "{line}");
                         assert!((longitude - fix.longitude_rad).abs() < most, "{line}");

@@ -3,14 +3,14 @@
 use echotank_core::navigation::NavSample;
 use echotank_core::time::UtcNs;
 
-/// A fault injector: every sample passes through it, and so do the bytes of live sources.
+/// Injector of faults into navigation samples and into the received bytes of live sources.
 pub trait NavFaultFilter: Send {
-    /// Modifies bytes that a live source received, before they are decoded. `source` is the index of the source.
+    /// Modifies the bytes that a live source received, before they are decoded. `source` is the index of the source.
     fn modify_bytes(&mut self, source: usize, arrival: UtcNs, bytes: &mut Vec<u8>) {
         let _ = (source, arrival, bytes);
     }
 
-    /// Replaces, keeps, drops or delays a sample; `None` drops or delays it.
+    /// Returns the sample, modified or not. `None` drops or delays the sample.
     fn modify_sample(&mut self, sample: NavSample) -> Option<NavSample>;
 
     /// Returns the next delayed sample that is due by `until`, or `None`.

@@ -3,7 +3,7 @@
 use super::reading::DecodeError::{self, Malformed};
 use echotank_core::time::NS_PER_S;
 
-/// Maximum number of fields read; the sentences decoded here have at most 16.
+/// Maximum number of fields read. The supported sentences have at most 16.
 const MAX_FIELDS: usize = 32;
 
 /// The comma-separated fields of a sentence; field 0 is the address. Absent fields read as empty.
@@ -40,7 +40,7 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// An unsigned number whose next field is the letter of its sign.
+    /// An unsigned number in field `i` with its sign given by the letter in the next field.
     pub(crate) fn signed_by(
         &self,
         i: usize,
@@ -63,7 +63,7 @@ impl<'a> Fields<'a> {
         time_of_day_ns(self.text(i)).map(Some).ok_or(Malformed)
     }
 
-    /// The position in four fields from `i`: ddmm.mmm, N or S, dddmm.mmm, E or W; in degrees.
+    /// Position in degrees from four fields starting at `i`: ddmm.mmm, N or S, dddmm.mmm, E or W.
     pub(crate) fn position(&self, i: usize) -> Result<Option<(f64, f64)>, DecodeError> {
         if self.text(i).is_empty() || self.text(i + 2).is_empty() {
             return Ok(None);
@@ -90,12 +90,12 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// ddmm.mmm or dddmm.mmm, with or without leading zeros, as degrees.
+/// Degrees of ddmm.mmm or dddmm.mmm, with or without leading zeros.
 fn degrees_of_arc(text: &str) -> Option<f64> {
     if !text.bytes().all(|b| b.is_ascii_digit() || b == b'.') {
         return None;
     }
-    // Splitting the text keeps every digit of the minutes.
+    // Degrees and minutes are split as text, so no digit of the minutes is lost.
     let point = text.find('.').unwrap_or(text.len());
     let (degrees, minutes) = text.split_at(point.saturating_sub(2));
     let degrees = match degrees {
@@ -106,7 +106,7 @@ fn degrees_of_arc(text: &str) -> Option<f64> {
     (minutes < 60.0).then_some(degrees + minutes / 60.0)
 }
 
-/// Nanoseconds since midnight of hhmmss[.fraction], exact to nine decimals. Second 60 is accepted.
+/// Nanoseconds since midnight of hhmmss[.fraction], exact to nine decimals. Second 60 (a leap second) is accepted.
 pub(crate) fn time_of_day_ns(text: &str) -> Option<i64> {
     let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
     let digits = |t: &str| t.bytes().all(|b| b.is_ascii_digit());
@@ -122,7 +122,7 @@ pub(crate) fn time_of_day_ns(text: &str) -> Option<i64> {
     Some(((hour * 60 + minute) * 60 + second) * NS_PER_S + nanos)
 }
 
-/// Nanoseconds of the decimal digits after a point; digits beyond the ninth are cut.
+/// Nanoseconds of the decimal digits after a point. Digits beyond the ninth are ignored.
 pub(crate) fn fraction_ns(digits: &str) -> i64 {
     let padded = digits
         .bytes()

@@ -1,8 +1,8 @@
 //! Finds NMEA 0183 sentences in a byte stream and verifies their checksums.
 //!
-//! NMEA 0183 is a line protocol, but logs and gateways lose line ends. A sentence therefore ends at its checksum, at a line end,
-//! or where the next one begins. TAG blocks (NMEA 4.0) and the `UdPbC` header of IEC 61162-450 are skipped. `MAX_SENTENCE`
-//! bounds the memory.
+//! NMEA 0183 separates sentences by line ends, but logs and gateways lose line ends. A sentence therefore ends at its checksum, at
+//! a line end, or at the start of the next sentence. TAG blocks (NMEA 4.0) and the `UdPbC` header of IEC 61162-450 are skipped.
+//! `MAX_SENTENCE` limits the memory.
 
 use echotank_core::time::UtcNs;
 
@@ -23,7 +23,7 @@ pub enum Checksum {
     Missing,
 }
 
-/// One sentence without its start, checksum and line end.
+/// Sentence without its start character, checksum and line end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RawSentence<'a> {
     /// Printable ASCII.
@@ -37,7 +37,7 @@ pub struct RawSentence<'a> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Outside,
-    /// In a TAG block; number of its bytes so far.
+    /// Inside a TAG block, with the number of its bytes so far.
     Tag(usize),
     Body,
     FirstDigit,
@@ -53,7 +53,7 @@ enum Step {
     EndedBefore(Checksum),
 }
 
-/// Incremental sentence finder.
+/// Incremental detector of sentences in a byte stream.
 #[derive(Debug)]
 pub struct Framing {
     state: State,
@@ -65,7 +65,7 @@ pub struct Framing {
 }
 
 impl Framing {
-    /// Finder outside any sentence.
+    /// Detector in the state outside any sentence.
     pub fn new() -> Self {
         Self {
             state: State::Outside,
@@ -82,7 +82,7 @@ impl Framing {
         self.resync_bytes
     }
 
-    /// Consumes `bytes` from the front until a sentence is complete. `arrival` is the arrival of the first byte; `byte_ns` is the
+    /// Consumes `bytes` from the front until a sentence is complete. `arrival` is the arrival of the first byte. `byte_ns` is the
     /// time between bytes.
     pub fn next(
         &mut self,
@@ -104,7 +104,7 @@ impl Framing {
         None
     }
 
-    /// Ends a datagram or file: a sentence still open is complete.
+    /// Ends a datagram or file. An open sentence counts as complete.
     pub fn flush(&mut self) -> Option<RawSentence<'_>> {
         self.header = 0;
         let checksum = match self.state {

@@ -1,20 +1,20 @@
 //! State of a source: OK, HOLD, STALE or LOST, from the arrival times of its samples.
 //!
-//! A source is on HOLD when it misses a few of its usual intervals. It is STALE and LOST after configured times. From STALE and
-//! LOST it recovers only after several samples in a row, so that one stray sentence does not count as recovery.
+//! A source is on HOLD when it misses a few of its usual intervals. It becomes STALE and LOST after configured times. It recovers
+//! from STALE and LOST only after several consecutive samples, so one stray sentence is not a recovery.
 
 use echotank_core::time::UtcNs;
 
-/// A source is on hold after this many usual intervals without a sample.
+/// Number of usual intervals without a sample after which a source is on hold.
 const HOLD_INTERVALS: f64 = 3.0;
-/// Minimum age of a source on hold, seconds: sensors at 100 Hz jitter by more than three intervals.
+/// Minimum age of a source on hold, seconds. The jitter of a sensor at 100 Hz exceeds three intervals.
 const MIN_HOLD_S: f64 = 0.2;
-/// Consecutive samples that end STALE and LOST.
+/// Number of consecutive samples that end STALE and LOST.
 const RECOVERY_SAMPLES: u32 = 3;
 /// Weight of the newest interval in the smoothed interval.
 const NEWEST_WEIGHT: f64 = 0.1;
 
-/// Health of a source, from best to worst after `Silent`.
+/// Health of a source. After `Silent`, the variants go from best to worst.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum State {
     /// No sample has arrived yet.
@@ -43,7 +43,7 @@ impl State {
     }
 }
 
-/// Ages of the newest sample that change the state; `lost_s` is not below `stale_s`.
+/// Ages of the newest sample at which the state changes; `lost_s` is at least `stale_s`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Maximum age before a source is stale, seconds.
@@ -74,7 +74,7 @@ impl Health {
         }
     }
 
-    /// Counts a sample. Samples with the same arrival (one sentence) count once.
+    /// Updates the state with a sample. Samples with the same arrival come from one sentence and count once.
     pub(crate) fn sample_arrived(&mut self, arrival: UtcNs) {
         self.at(arrival);
         let Some(last) = self.last else {
@@ -105,7 +105,7 @@ impl Health {
         self.state = State::Ok;
     }
 
-    /// Updates and returns the state at `now`. A time before the last sample leaves it unchanged.
+    /// Updates and returns the state at `now`. A time before the last sample leaves the state unchanged.
     pub(crate) fn at(&mut self, now: UtcNs) -> State {
         let Some(last) = self.last else {
             return self.state;
@@ -154,7 +154,7 @@ mod tests {
             health.sample_arrived(at(f64::from(i) * 0.1));
             assert_eq!(health.at(at(f64::from(i) * 0.1 + 0.05)), State::Ok);
         }
-        // Last at 4.9; three intervals are 0.3 s.
+        // The last sample arrived at 4.9 s; three intervals are 0.3 s.
         assert_eq!(health.at(at(5.19)), State::Ok);
         assert_eq!(health.at(at(5.25)), State::Hold);
         health.sample_arrived(at(5.3));

@@ -4,9 +4,9 @@
 //! bytes -> framing -> sentence -> message_time -> decoder -> NavSample -> history (rings) -> Trajectory, NavState
 //! ```
 //!
-//! Fixed-length records (`records`) and MAVLink (`mavlink`) become the same [`reading::Reading`]s as sentences. [`log`] and
-//! [`track`] decode recorded files in memory; [`capture`] finds the datagrams in a packet capture. [`encode`] writes sentences
-//! for output. Doppler logs are not supported.
+//! Fixed-length records (`records`) and MAVLink messages (`mavlink`) are decoded to the same [`reading::Reading`]s as sentences.
+//! [`log`] and [`track`] decode recorded files in memory. [`capture`] extracts the datagrams of a packet capture. [`encode`] writes
+//! sentences for output. Speed measurements of Doppler logs are not supported.
 #![warn(missing_docs)]
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 

@@ -1,16 +1,16 @@
 //! Decodes recorded logs to samples, with the recorder's stamps as arrivals.
 //!
-//! A file holds lines of text, a packet capture, a MAVLink telemetry log, or proprietary records back to back ([`LogKind`]).
-//! Loggers write a time before the sentence in different formats. The text before the first `$` or `!` of a line is searched for
-//! a date and `HH:MM:SS[.fraction]`, for the clock time alone, or for seconds since 1970. A line without a stamp arrives with the
-//! line before it.
+//! A file holds lines of text, a packet capture, a MAVLink telemetry log, or consecutive proprietary records ([`LogKind`]). Loggers
+//! write a time stamp before the sentence in different formats. The stamp is the text before the first `$` or `!` of a line. It
+//! holds a date and `HH:MM:SS[.fraction]`, a time of day alone, or seconds since 1970. A line without a stamp has the arrival of
+//! the line before it.
 //!
-//! - If the recorder's clock differs from the message times by more than `RECORDER_TOLERANCE_NS`, all stamps are shifted. The
-//!   shift is a multiple of a quarter of an hour (time zone or missing date), or else aligns with the first dated message. For a
-//!   source timed by arrival, only a missing date is corrected.
+//! - If the recorder's clock differs from the message times by more than `RECORDER_TOLERANCE_NS`, all stamps are shifted. The shift
+//!   is a multiple of a quarter of an hour (time zone or missing date). Otherwise the shift aligns the stamps with the first dated
+//!   message. For a source timed by arrival, only a missing date is corrected.
 //! - A file whose clock steps back holds several passes ([`super::passes`]).
-//! - A plain log (no stamps) arrives as its message times advance. Without message times it arrives at a given rate, from 1970
-//!   on. Untimed sentences that repeat between two message times are spread evenly over the interval.
+//! - In a plain log (no stamps), arrivals advance with the message times. Without message times, lines arrive at a given rate, from
+//!   1970 on. Untimed sentences that repeat between two message times are spread evenly over the interval.
 
 use std::ops::Range;
 
@@ -29,16 +29,16 @@ const DAY_NS: i64 = 86_400 * NS_PER_S;
 const QUARTER_HOUR_NS: i64 = 900 * NS_PER_S;
 /// Length of the shortest record (EM3000), bytes.
 const MIN_RECORD_BYTES: usize = 10;
-/// Maximum difference between the recorder's clock and the message times; serial latency stays below it.
+/// Maximum difference between the recorder's clock and the message times. Serial latency stays below this limit.
 pub(crate) const RECORDER_TOLERANCE_NS: i64 = 2 * NS_PER_S;
 
-/// Format of a log file, found from its first bytes.
+/// Format of a log file, detected from its first bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LogKind {
     /// Lines of text, with or without a stamp before the sentence.
     #[default]
     Text,
-    /// Proprietary records back to back.
+    /// Consecutive proprietary records.
     Binary,
     /// UDP datagrams in a packet capture.
     Capture,
@@ -46,7 +46,7 @@ pub enum LogKind {
     Tlog,
 }
 
-/// Counts of a log's lines, datagrams or messages, and what its times are.
+/// Counts of the lines, datagrams or messages of a log, and the origin of its times.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LogCounts {
     /// Format of the file.
@@ -55,21 +55,21 @@ pub struct LogCounts {
     pub lines: u64,
     /// Lines with a stamp.
     pub stamped: u64,
-    /// Lines whose stamp precedes the one before.
+    /// Lines with a stamp earlier than the stamp before.
     pub backward: u64,
-    /// Lines without the start of a sentence.
+    /// Lines that do not contain the start of a sentence.
     pub no_sentence: u64,
     /// Lines of JSON (gpsd, SignalK, OpenRVDAS), which is not decoded.
     pub json: u64,
-    /// Packets of a capture that are not complete UDP datagrams: TCP, fragments, truncated packets.
+    /// Packets of a capture that are not complete UDP datagrams: TCP, fragments and truncated packets.
     pub passed_over: u64,
-    /// The passes in the order in which they are played; empty if the clock does not step back.
+    /// Passes in playing order; empty if the clock does not step back.
     pub passes: Vec<Pass>,
     /// Changes of the clock of the source, by arrival.
     pub clock_events: Vec<ClockEvent>,
 }
 
-/// Format of a file from its first bytes; `format` decides for a file without a signature.
+/// Format of a file from its first bytes. `format` decides for a file without a signature.
 pub fn kind_of(bytes: &[u8], format: NavFormat) -> LogKind {
     if capture::is_capture(bytes) {
         LogKind::Capture
@@ -99,7 +99,7 @@ pub fn refusal(bytes: &[u8]) -> Option<&'static str> {
     }
 }
 
-/// First bytes of binary formats that are not read, their position, and their names.
+/// Unsupported binary formats: position and value of the first bytes, and name.
 const UNREAD: [(usize, &[u8], &str); 14] = [
     (0, b"\x7f\x7f", "Teledyne PD0"),
     (0, b"\xff\x5a", "SBG ecom"),
@@ -116,10 +116,10 @@ const UNREAD: [(usize, &[u8], &str); 14] = [
     (0, b"\x89HDF", "HDF5"),
     (4, b"#", "Kongsberg KMALL"),
 ];
-/// Bytes at the beginning of a file that show whether it is text.
+/// Number of bytes at the beginning of a file that are tested for text.
 const HEAD_BYTES: usize = 4096;
 
-/// Why a file without any usable sentence is no text; none if it may be text.
+/// Reason why a file without any usable sentence is not text; `None` if it may be text.
 pub fn unknown_binary(bytes: &[u8], kind: LogKind) -> Option<String> {
     let head = &bytes[..bytes.len().min(HEAD_BYTES)];
     let is_control = |b: &u8| *b < 0x20 && !matches!(b, b'\t' | b'\n' | b'\r' | 0x1B);
@@ -135,12 +135,12 @@ pub fn unknown_binary(bytes: &[u8], kind: LogKind) -> Option<String> {
     ))
 }
 
-/// Strips the byte order mark of UTF-8.
+/// Removes the byte order mark of UTF-8.
 fn without_mark(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes)
 }
 
-/// Lines including their ends: LF, CR LF, or CR alone.
+/// Iterator over lines including their line ends: LF, CR LF, or CR alone.
 struct Lines<'a>(&'a [u8]);
 
 impl<'a> Iterator for Lines<'a> {
@@ -168,10 +168,10 @@ fn is_json(line: &[u8]) -> bool {
     text.starts_with(b"{") && text.ends_with(b"}")
 }
 
-/// Stamp and bytes that arrived together.
+/// Stamp, and bytes that arrived together.
 type Piece<'a> = (Option<LineStamp>, &'a [u8]);
 
-/// Splits a log into lines, datagrams, or byte runs short enough to hold at most one record.
+/// Splits a log into lines, datagrams, or runs of bytes short enough to hold at most one record.
 fn pieces(bytes: &[u8], kind: LogKind) -> Box<dyn Iterator<Item = Piece<'_>> + '_> {
     match kind {
         LogKind::Text => Box::new(Lines(without_mark(bytes)).map(split_line)),
@@ -184,8 +184,8 @@ fn pieces(bytes: &[u8], kind: LogKind) -> Box<dyn Iterator<Item = Piece<'_>> + '
     }
 }
 
-/// Decodes a whole log to samples in file order. `source` is the index of `spec` in `NavSpec::sources`; `plain_rate_hz` is the
-/// sentence rate of a log without any times.
+/// Decodes a whole log to samples in file order. `source` is the index of `spec` among the navigation sources. `plain_rate_hz` is
+/// the sentence rate, hertz, of a log without any times.
 pub fn read_log(
     bytes: &[u8],
     source: u16,
@@ -296,11 +296,11 @@ pub(crate) fn read_log_watched(
         }
     }
     decoder.flush_watched(&mut samples, watch);
-    // The length of the last interval is unknown; the one before stands for it.
+    // The length of the last interval is unknown; the length of the previous interval is used.
     untimed.spread(samples.len(), untimed.last_step_ns, &mut samples);
     counts.clock_events = decoder.take_clock_events();
     if cuts.len() > 1 {
-        // Stamps that only lie in the wrong order are right.
+        // In a stamped log only the order of the lines may be wrong; the stamps are right.
         counts.passes = place(&mut samples, &cuts, start.stamped, &mut counts.clock_events);
     }
     (samples, *decoder.counters(), counts)
@@ -330,7 +330,8 @@ impl Untimed {
         }
     }
 
-    /// Spreads the untimed sentences before the sample `first_new` evenly over `step_ns`; the first of each name is not delayed.
+    /// Spreads the untimed sentences before the sample `first_new` evenly over `step_ns`. The first sentence of each name is not
+    /// delayed.
     fn spread(&mut self, first_new: usize, step_ns: i64, samples: &mut [NavSample]) {
         self.last_step_ns = step_ns;
         for (_, ranges) in &mut self.given {
@@ -346,8 +347,8 @@ impl Untimed {
     }
 }
 
-/// Decodes a tlog. Its stamps are UTC of the ground station. Its messages count from the start of the vehicle, which
-/// `SYSTEM_TIME` relates to UTC.
+/// Decodes a MAVLink telemetry log. Its stamps are UTC of the ground station. Its message times count from the start of the
+/// vehicle; `SYSTEM_TIME` relates them to UTC.
 fn read_tlog(
     bytes: &[u8],
     source: u16,
@@ -376,9 +377,9 @@ fn read_tlog(
 }
 
 struct Survey {
-    /// At least one line has a stamp.
+    /// True if at least one line has a stamp.
     stamped: bool,
-    /// The stamps carry a date.
+    /// True if the stamps have a date.
     dated_stamps: bool,
     /// Correction to add to the stamps, nanoseconds.
     shift_ns: i64,
@@ -386,7 +387,7 @@ struct Survey {
     first_message: Option<UtcNs>,
 }
 
-/// Reads up to the first dated message to find the error of the recorder's clock and the start of a plain log.
+/// Reads up to the first dated message, to find the error of the recorder's clock and the start time of a plain log.
 fn survey(bytes: &[u8], kind: LogKind, source: u16, spec: &NavSourceSpec) -> Survey {
     let first_stamp = pieces(bytes, kind).find_map(|(stamp, _)| stamp);
     let dated_stamps = matches!(first_stamp, Some(LineStamp::Utc(_)));
@@ -435,7 +436,7 @@ fn survey(bytes: &[u8], kind: LogKind, source: u16, spec: &NavSourceSpec) -> Sur
     }
 }
 
-/// Time of the recorder after a stamp. Without a date it starts on 1970-01-01 and wraps at midnight.
+/// Recorder time after a stamp. A stamp without a date is on the day nearest to the time before, or on 1970-01-01 if it is the first.
 fn advance(before: Option<UtcNs>, stamp: LineStamp) -> UtcNs {
     match stamp {
         LineStamp::Utc(utc) => utc,

@@ -1,9 +1,10 @@
 //! Reads MAVLink telemetry logs (`.tlog`): eight bytes of ground-station UTC, big-endian microseconds, before every message.
 //!
 //! Frame versions 1 and 2 are read. ATTITUDE, GLOBAL_POSITION_INT, GPS_RAW_INT and SYSTEM_TIME are decoded; all others count as
-//! unsupported. Messages count milliseconds from the start of the vehicle, and SYSTEM_TIME of the same component gives the UTC of
-//! that start. For a vehicle without a date, the message with the least delay relates its clock to the ground station. Signs
-//! match ours: roll positive right side down, pitch positive nose up. Source: MAVLink `common.xml` and its serialisation guide.
+//! unsupported. Message times are milliseconds from the start of the vehicle. SYSTEM_TIME of the same component gives the UTC of
+//! that start. For a vehicle without a date, the message with the least delay relates its clock to the ground station. Signs agree
+//! with this crate: roll positive right side down, pitch positive nose up. Source: MAVLink `common.xml` and its serialisation
+//! guide.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -18,7 +19,7 @@ use echotank_core::time::UtcNs;
 const STAMP_BYTES: usize = 8;
 /// Accepted stamps lie between 2001 and 2100.
 const PLAUSIBLE_US: std::ops::Range<u64> = 978_307_200_000_000..4_102_444_800_000_000;
-/// Consecutive frames at the start that identify a tlog.
+/// Number of consecutive frames at the start that identify a telemetry log.
 const MIN_FRAMES: usize = 3;
 
 /// Message number, name, and the extra byte of its checksum (CRC_EXTRA).
@@ -30,7 +31,7 @@ const KNOWN: [(u32, &str, u8); 5] = [
     (33, "GLOBAL_POSITION_INT", 104),
 ];
 
-/// One message of a tlog.
+/// One message of a telemetry log.
 pub struct Message {
     /// MAVLink name, or `MAVLINK_` and the number.
     pub name: Cow<'static, str>,
@@ -108,7 +109,7 @@ pub(crate) fn is_tlog(bytes: &[u8]) -> bool {
     true
 }
 
-/// Iterator over the messages of a tlog in file order. Bytes between messages are counted.
+/// Iterator over the messages of a telemetry log in file order. Bytes between messages are counted.
 pub(crate) struct Messages<'a> {
     rest: &'a [u8],
     /// UTC of the start of each sender, microseconds.
@@ -123,7 +124,7 @@ impl<'a> Messages<'a> {
             boots_us: HashMap::new(),
             resync_bytes: 0,
         };
-        // Messages before a sender's first SYSTEM_TIME use the same clock.
+        // Start by the sender's own clock; used if the sender has no SYSTEM_TIME. Messages before the first SYSTEM_TIME use the first one.
         let mut earliest_start_us: HashMap<(u8, u8), i64> = HashMap::new();
         while let Some(frame) = messages.next_frame() {
             if let Some(boot_us) = boot_us(&frame) {

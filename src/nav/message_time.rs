@@ -1,26 +1,28 @@
 //! Determines the UTC of a reading from its time fields and its arrival, and the time of a burst for untimed sentences.
 //!
-//! Only ZDA and RMC carry a date. The others carry a time of day that wraps at midnight. The day is the one nearest to the
-//! expected message time; before any date it is the one nearest to the arrival.
+//! Only ZDA and RMC carry a date. Other messages carry a time of day that wraps at midnight. The day is the one nearest to the
+//! expected message time. Before any date, it is the one nearest to the arrival.
 //!
-//! If the clock of a source is set during operation, its times continue without a step: they are corrected by whole seconds, until
-//! its own times agree with the arrivals again. In a log without stamps a step and a pause look the same; both count as a pause.
+//! If the clock of a source is set during operation, its times continue without a step. They are corrected by whole seconds until
+//! the source's own times agree with the arrivals again. A log without stamps cannot distinguish a step from a pause, and both
+//! count as a pause.
 
 use super::reading::{Reading, When};
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 const DAY_NS: i64 = 86_400 * NS_PER_S;
-/// A pause between arrivals longer than this ends a burst. A Seapath at 1 Hz pauses up to 0.13 s inside a burst and 0.76 s
-/// between bursts. Logs replayed at four lines a second pause 0.26 s.
+/// Pause between arrivals that ends a burst. A Seapath at 1 Hz pauses up to 0.13 s inside a burst and 0.76 s between bursts. Logs
+/// replayed at four lines a second pause 0.26 s.
 const BURST_GAP_NS: i64 = NS_PER_S * 2 / 5;
-/// A message time that differs more than this from the expected one is doubtful.
+/// Difference from the expected message time above which a message time is doubtful.
 pub(crate) const JUMP_NS: i64 = 10 * NS_PER_S;
-/// Consistent doubtful messages after which the new time is accepted; dated ones that agree with the arrival need one fewer.
+/// Number of consistent doubtful messages after which the new time is accepted. Dated messages that agree with the arrival need one
+/// message fewer.
 const JUMP_CONFIRMATIONS: u32 = 3;
 
-/// The GPS week number wraps after 1024 weeks; a receiver without the epoch is wrong by a multiple of that.
+/// Period of the GPS week number: 1024 weeks. A receiver with a wrong epoch is wrong by a multiple of the period.
 const ROLLOVER_NS: i64 = 1024 * 7 * DAY_NS;
-/// A date within this distance of a multiple of the rollover counts as a rollover.
+/// Maximum distance of a date error from a multiple of the rollover for which it counts as a rollover.
 const ROLLOVER_TOLERANCE_NS: i64 = 2 * DAY_NS;
 const WEEK_NS: i64 = 7 * DAY_NS;
 /// 1980-01-06T00:00:00Z.
@@ -45,17 +47,17 @@ pub(crate) fn utc_of_gps(gps_ns: i64) -> i64 {
     gps_ns.saturating_sub(leap_s * NS_PER_S)
 }
 
-/// Whether the times of a source can be trusted.
+/// Reliability of the times of a source.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ClockState {
-    /// They continue, or agree with the arrivals.
+    /// The times continue, or agree with the arrivals.
     #[default]
     Right,
-    /// They jump, and the sentences are set aside.
+    /// The times jump, and the sentences are rejected.
     Jumping,
-    /// They jumped and are corrected.
+    /// The times have jumped and are corrected.
     Corrected {
-        /// Added to the times, whole seconds.
+        /// Correction added to the times, whole seconds.
         by_s: i64,
     },
 }
@@ -66,7 +68,7 @@ pub(crate) enum Stamp {
     /// The message has no time.
     None,
     At(UtcNs),
-    /// The time jumps; the message must not be used.
+    /// The time jumps. The message must not be used.
     Jumped,
 }
 
@@ -76,17 +78,17 @@ pub(crate) struct MessageClock {
     last: Option<(UtcNs, UtcNs)>,
     last_sentence: Option<UtcNs>,
     burst: Option<UtcNs>,
-    /// Offset from the arrival and number of consistent doubtful messages: without and with a date. A wrong date leaves the time of day right, so
-    /// that only dated messages can confirm a date.
+    /// Offset from the arrival and number of consistent doubtful messages, first for messages without a date, then with a date. A
+    /// wrong date does not change the time of day, so only dated messages can confirm a date.
     doubts: [Option<(i64, u32)>; 2],
-    /// Correction of message times since the clock of the source was set: whole seconds, in nanoseconds.
+    /// Correction of message times since the clock of the source was set, nanoseconds. A multiple of one second.
     shift_ns: i64,
     ignores_arrival_dates: bool,
     week_rollovers: u64,
 }
 
 impl MessageClock {
-    /// Records the arrival of any sentence, decoded or not: a pause ends the burst.
+    /// Records the arrival of a sentence, decoded or not. A pause before the sentence ends the burst.
     pub(crate) fn arrived(&mut self, arrival: UtcNs) {
         if let Some(before) = self.last_sentence
             && arrival.0.saturating_sub(before.0) > BURST_GAP_NS
@@ -96,7 +98,7 @@ impl MessageClock {
         self.last_sentence = Some(arrival);
     }
 
-    /// Message time of the last timed sentence in the current burst.
+    /// Message time of the last timed sentence of the current burst.
     pub(crate) fn burst(&self) -> Option<UtcNs> {
         self.burst
     }
@@ -116,7 +118,7 @@ impl MessageClock {
         self.week_rollovers
     }
 
-    /// The arrivals that follow count from another time: they have moved by `by_ns`.
+    /// Shifts the stored arrivals by `by_ns`, because later arrivals have moved by as much.
     pub(crate) fn arrivals_moved(&mut self, by_ns: i64) {
         if let Some((_, arrival)) = &mut self.last {
             *arrival = arrival.plus_ns(by_ns);
@@ -162,7 +164,8 @@ impl MessageClock {
         } else {
             message
         };
-        // Without a date, times that differ by whole periods are equal: a clock that is 12 hours wrong would else lie now before, now behind.
+        // Without a date, times that differ by whole periods are equal. Otherwise a clock that is 12 hours wrong would alternate
+        // between too early and too late.
         let period_ns = match when {
             When::TimeOfDay(_) => Some(DAY_NS),
             When::GpsOfWeek(_) => Some(WEEK_NS),
@@ -172,7 +175,7 @@ impl MessageClock {
         if first_date {
             self.shift_ns = 0;
         }
-        // The time by the source's own clock.
+        // Time by the uncorrected clock of the source.
         let own = match when {
             When::TimeOfDay(ns) => nearest_day(ns, expected),
             When::GpsOfWeek(ns) => nearest_week(ns, expected),
@@ -203,7 +206,7 @@ impl MessageClock {
                 // The clock was wrong from the first message on.
                 (distance(own_by_arrival, arrival) <= JUMP_NS).then_some(own_by_arrival)
             };
-            // The correction is in whole seconds: a fraction would add only the latencies.
+            // The correction is in whole seconds. A fraction would only add the latencies.
             let step_ns = (off_ns as f64 / NS_PER_S as f64).round() as i64 * NS_PER_S;
             (self.shift_ns, message) = match right {
                 Some(right) => (0, right),
@@ -261,7 +264,7 @@ impl MessageClock {
     }
 }
 
-/// Whether a difference of two offsets is within the limit, apart from whole periods.
+/// Whether a difference of two offsets, modulo `period_ns`, is within the limit.
 fn is_near(difference_ns: i64, period_ns: Option<i64>) -> bool {
     let rest_ns = match period_ns {
         Some(period_ns) => {
@@ -381,7 +384,7 @@ mod tests {
         assert_eq!(clock.stamp(&zda(2014, 8), at(8.1)), Stamp::Jumped);
         assert_eq!(clock.stamp(&zda(2014, 9), at(9.1)), Stamp::At(at(9.0)));
         assert_eq!(clock.stamp(&zda(2014, 10), at(10.1)), Stamp::At(at(10.0)));
-        // Without stamps the step is a pause, and the next day is accepted.
+        // Without stamps, the step is a pause, and the next day is accepted.
         let mut plain = MessageClock::default();
         plain.ignore_arrival_dates();
         let day = 86_400.0;
@@ -392,7 +395,7 @@ mod tests {
         assert_eq!(plain.stamp(&next(4), at(0.0)), Stamp::At(at(4.0 + day)));
     }
 
-    /// Dated and undated sentences alternate at 10 Hz; for 3 s the source's clock is wrong, from its first sentence or later.
+    /// Dated and undated sentences alternate at 10 Hz. The source's clock is wrong for 3 s, from its first sentence or later.
     #[test]
     fn a_clock_that_was_wrong_for_seconds_is_followed_again_within_a_second() {
         let days = |n: f64| (n * 86_400.0) as i64;

@@ -1,57 +1,58 @@
-//! Passes of a log: stretches between the places where its clock steps.
+//! Passes of a log: the parts between backward steps of its clock.
 //!
-//! A file can hold several runs one after the other, or a source whose clock was wrong for a time. The passes are played in the order of the file,
-//! none of them twice and none mixed with another:
+//! A file can hold several runs in sequence, or a source whose clock was wrong for a time. The passes are played in file order,
+//! each once:
 //!
-//! - A pass keeps its times if they follow those of the pass before. Time that lies between is a gap.
-//! - Passes between two that continue one another come from a clock that was wrong for that time. They fill the gap.
-//! - Any other pass follows the one before after one step, with its times shifted.
+//! - A pass keeps its times if they follow those of the previous pass. The time between both passes is a gap.
+//! - If a later pass continues the current pass, the clock was wrong in the passes between them. Those passes are shifted into the
+//!   gap.
+//! - Any other pass starts one step after the previous pass, with its times shifted.
 //!
-//! Passes of a stamped log that do not overlap keep their stamps: a log whose parts lie in the wrong order is played by its stamps.
+//! Passes of a stamped log that do not overlap keep their stamps. A log with parts in the wrong order is thus played by its stamps.
 
 use super::decoder::{ClockEvent, ClockState};
 use echotank_core::navigation::NavSample;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
-/// A clock that was wrong for a time may lose this much of it, besides the length of the wrong passes.
+/// Maximum time that a clock may lose in a wrong period, besides the length of the wrong passes.
 const RETURN_TOLERANCE_NS: i64 = 10 * NS_PER_S;
-/// A longer step forward in a shifted pass begins another pass.
+/// Maximum step forward in a shifted pass. A longer step begins another pass.
 const MAX_GAP_NS: i64 = 600 * NS_PER_S;
-/// Step between two passes where the log does not show one.
+/// Step between two passes if the log shows none.
 const DEFAULT_STEP_NS: i64 = NS_PER_S;
 
 /// The start of a pass in a file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Cut {
-    /// Index of its first sample.
+    /// Index of the first sample of the pass.
     pub(crate) sample: usize,
-    /// Its line, from 1.
+    /// Line at which the pass begins, from 1.
     pub(crate) line: u64,
 }
 
-/// How a pass is played.
+/// Time base with which a pass is played.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PassKind {
-    /// By its own times.
+    /// The pass has its own times.
     Own,
-    /// Its times are shifted: it follows the pass before.
+    /// The times are shifted so that the pass follows the previous pass.
     Shifted,
-    /// The clock was wrong: its times are shifted into the gap between two passes.
+    /// The clock was wrong, and the times are shifted into the gap between two passes.
     WrongClock,
 }
 
-/// A pass of a log.
+/// Part of a log between two backward steps of its clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pass {
-    /// Line of the file with which it begins, from 1.
+    /// Line of the file at which the pass begins, from 1.
     pub line: u64,
     /// First time of validity in the file.
     pub first: UtcNs,
     /// Last time of validity in the file.
     pub last: UtcNs,
-    /// Added to its times, nanoseconds.
+    /// Shift added to the times, nanoseconds.
     pub shift_ns: i64,
-    /// How it is played.
+    /// Time base with which the pass is played.
     pub kind: PassKind,
 }
 
@@ -70,9 +71,11 @@ impl Pass {
     }
 }
 
-/// Shifts the samples of every pass to where it is played, and returns the passes; none if all keep the times and the order that they have.
+/// Shifts the samples of every pass to the time at which it is played, and returns the passes. Empty if all passes keep their times
+/// and order.
 ///
-/// `samples` are in the order of the file; `stamped`: their arrivals are stamps of a recorder. Notes passes with a wrong clock in `events`.
+/// `samples` are in file order. `stamped` is true if the arrivals are stamps of a recorder; otherwise the clock changes in `events`
+/// are replaced by those of the passes.
 pub(crate) fn place(
     samples: &mut [NavSample],
     cuts: &[Cut],
@@ -107,7 +110,7 @@ pub(crate) fn place(
         let next = returns(&passes, placed).unwrap_or(placed + 1);
         let step_ns = last_step_ns(&samples[ranges[placed].1.clone()]);
         if next > placed + 1 {
-            // The wrong passes share what they leave of the gap.
+            // The wrong passes are spaced evenly in the gap.
             let wrong = placed + 1..next;
             let length_ns: i64 = passes[wrong.clone()].iter().map(Pass::length_ns).sum();
             let room_ns = passes[next].first.0 - passes[placed].last.0 - length_ns;
@@ -132,7 +135,7 @@ pub(crate) fn place(
         }
     }
     if !stamped {
-        // The decoder saw the steps at the times of the file.
+        // The events of the decoder refer to the times of the file. They are replaced by events at the shifted times.
         events.clear();
         let mut before = ClockState::Right;
         for pass in &passes {
@@ -152,19 +155,19 @@ pub(crate) fn place(
     passes
 }
 
-/// Pass `next` continues pass `placed`.
+/// Pass `next` continues pass `placed` and has the same shift.
 fn keep_shift(passes: &mut [Pass], placed: usize, next: usize) {
     (passes[next].shift_ns, passes[next].kind) = (passes[placed].shift_ns, passes[placed].kind);
 }
 
-/// Places pass `k` one step behind the one before.
+/// Places pass `k` one step after the previous pass.
 fn follow(passes: &mut [Pass], k: usize, step_ns: i64, kind: PassKind) {
     let start = passes[k - 1].end().plus_ns(step_ns);
     passes[k].shift_ns = start.0.saturating_sub(passes[k].first.0);
     passes[k].kind = kind;
 }
 
-/// The first later pass that continues pass `k` as if those between them had taken the time that lies between.
+/// The first later pass that continues pass `k`: the gap between them has the length of the passes between, within the tolerance.
 fn returns(passes: &[Pass], k: usize) -> Option<usize> {
     let end = passes[k].last;
     let mut between_ns = 0_i64;
@@ -185,7 +188,7 @@ fn overlap(passes: &[Pass]) -> bool {
     spans.windows(2).any(|w| w[1].0 <= w[0].1)
 }
 
-/// The last step between two times of validity.
+/// Step between the last two different times of validity.
 fn last_step_ns(samples: &[NavSample]) -> i64 {
     let last = samples.iter().map(|s| s.valid_utc).max();
     let before = samples
@@ -202,7 +205,7 @@ mod tests {
     use super::*;
     use echotank_core::navigation::NavQuantity;
 
-    /// A sample every second from each start, for `lengths` seconds.
+    /// A sample every second from each start, for the corresponding entry of `lengths_s`.
     fn passes(starts_s: &[i64], lengths_s: &[i64], stamped: bool) -> (Vec<i64>, Vec<PassKind>) {
         let (mut samples, mut cuts) = (Vec::new(), Vec::new());
         for (start_s, length_s) in starts_s.iter().zip(lengths_s) {

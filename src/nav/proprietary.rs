@@ -1,8 +1,8 @@
-//! Decoders of proprietary sentences, mostly of attitude; each has its own field order and signs.
+//! Decoders of proprietary sentences, most of them for attitude. Each sentence has its own field order and signs.
 //!
 //! Sources: SBG Systems, sbgECom `doc/nmeaMessages.md` (PASHR, PRDID, PHTRO, PHLIN, PHOCT, PHINF, PSBGA, PSBGB, GGK); Kongsberg
 //! Seapath (PSXN); Ashtech (ATT, AT2, HPR, POS); iXblue (PIXSE); Valeport (PIPS); Trimble (AVR, VHD, GGK); VectorNav (VNYMR,
-//! VNINS); Hemisphere (PSAT). Where a status is T, E or I, only values with T are used.
+//! VNINS); Hemisphere (PSAT). If a status is T, E or I, only values with T are used.
 
 use super::fields::Fields;
 use super::reading::DecodeError::{self, Malformed, Unsupported};
@@ -25,10 +25,10 @@ pub(crate) fn decode(f: &Fields, dialect: &NavDialect) -> Decoded {
         }
         ("PASHR", _) => pashr(f, dialect),
         ("PSXN", "20") => psxn_20(f),
-        // Sentence 10 has units that the instrument sets and the sentence does not state.
+        // The units of sentence 10 are a setting of the instrument, and the sentence does not state them.
         ("PSXN", "10" | "22" | "24") => Ok(Reading::information()),
         ("PSXN", "23") => psxn_23(f),
-        // Pitch first.
+        // PRDID has pitch before roll.
         ("PRDID", _) => attitude(Kind::Prdid, f, 4, [3, 2, 1]),
         ("PHTRO", _) => phtro(f),
         ("PHLIN", _) => heave_up(Kind::Phlin, f, 3),
@@ -109,7 +109,7 @@ fn pashr_pos(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// `20,horizontal,height,heading,roll and pitch`: 0 normal, 1 reduced, 2 invalid.
+/// `20,horizontal,height,heading,roll and pitch`, each 0 normal, 1 reduced or 2 invalid.
 fn psxn_20(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Psxn20);
     let bad = |i: usize| match f.text(i) {
@@ -132,7 +132,7 @@ fn psxn_23(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// A sentence of at least `count` fields with heading, roll and pitch in these.
+/// Reading of a sentence with at least `count` fields. The array gives the fields of heading, roll and pitch.
 fn attitude(kind: Kind, f: &Fields, count: usize, [heading, roll, pitch]: [usize; 3]) -> Decoded {
     let mut r = Reading::new(kind);
     ensure(f.count >= count)?;
@@ -141,7 +141,7 @@ fn attitude(kind: Kind, f: &Fields, count: usize, [heading, roll, pitch]: [usize
     Ok(r)
 }
 
-/// `pitch,M/P,roll,B/T`, unsigned: M bow up, P bow down, B port down, T port up.
+/// `pitch,M/P,roll,B/T`. Values are unsigned: M is bow up, P bow down, B port down, T port up.
 fn phtro(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Phtro);
     let pitch = f.signed_by(1, "M", "P")?;
@@ -192,13 +192,13 @@ fn pixse_position(f: &Fields) -> Decoded {
     ensure(f.count >= 5)?;
     r.fix = FixQuality::Autonomous;
     r.height_m = f.number(4)?;
-    // Longitudes may run to 360 degrees east.
+    // Longitudes may extend to 360 degrees east.
     let longitude = f.number(3)?.map(|l| if l > 180.0 { l - 360.0 } else { l });
     r.set_position(f.number(2)?.zip(longitude))?;
     Ok(r)
 }
 
-/// `DEPIN_,depth,hhmmss.ssss`: depth sensor of the unit, metres, and its time.
+/// `DEPIN_,depth,hhmmss.ssss`: depth from the depth sensor of the unit, metres, and time of the depth.
 fn pixse_depth(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::OwnDepth);
     ensure(f.count >= 3)?;
@@ -207,7 +207,7 @@ fn pixse_depth(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// `depth,M`. Other units are ignored because they may be pressures.
+/// `depth,M`. Other units are ignored because they can be pressures.
 fn pips(f: &Fields) -> Decoded {
     if f.text(2) != "M" {
         return Ok(Reading::information());
@@ -217,8 +217,8 @@ fn pips(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// `AVR,hhmmss.ss,yaw,Yaw,tilt,Tilt,roll,Roll,range,quality,...`: tilt positive bow up. An antenna pair gives tilt or roll, not
-/// both.
+/// `AVR,hhmmss.ss,yaw,Yaw,tilt,Tilt,roll,Roll,range,quality,...`: tilt is positive bow up. An antenna pair gives either tilt or
+/// roll.
 fn avr(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Avr);
     r.set_time(f.time_of_day(2)?, None);
@@ -231,7 +231,7 @@ fn avr(f: &Fields) -> Decoded {
             _ => {}
         }
     }
-    // Quality 0: no fix.
+    // Quality 0 means no fix.
     if f.text(10) == "0" {
         angles = [None; 3];
     }
@@ -266,8 +266,8 @@ fn ggk(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// `heading,s,pitch,s,roll,s`. Status N is normal; L, H, C, M, P and O are outside the instrument's range. A magnetic heading
-/// from an instrument without a variation cannot be recognised.
+/// `heading,s,pitch,s,roll,s`. Status N is normal; L, H, C, M, P and O are outside the range of the instrument. The sentence does
+/// not tell whether the heading is magnetic or true.
 fn ptnthpr(f: &Fields) -> Decoded {
     let mut r = Reading::new(Kind::Ptnthpr);
     ensure(f.count >= 7)?;
@@ -280,7 +280,7 @@ fn ptnthpr(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// PSBGA `time,s,roll,pitch,heading,...,i/v`; PSBGB `version,time,s,roll,pitch,heading,...,heave`: heave positive down.
+/// PSBGA `time,s,roll,pitch,heading,...,i/v`; PSBGB `version,time,s,roll,pitch,heading,...,heave`. Heave is positive down.
 fn psbg(f: &Fields, time: usize, heave: Option<usize>) -> Decoded {
     let mut r = Reading::new(Kind::Psbg);
     ensure(f.count >= time + 5)?;

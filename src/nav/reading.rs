@@ -1,4 +1,4 @@
-//! Values of one message of any format, in SI units with our signs, and the range checks for all decoders.
+//! Values of one message of any format, in SI units and the sign convention of this crate, and the range checks of all decoders.
 
 use chrono::{NaiveDate, NaiveTime};
 
@@ -6,13 +6,13 @@ use echotank_core::navigation::FixQuality;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 const KNOT_M_PER_S: f64 = 1852.0 / 3600.0;
-/// Largest heave that a format can express, metres; the tallest ocean wave recorded is 30 m.
+/// Maximum accepted heave, metres: the largest that a format can express. The tallest ocean wave recorded is 30 m.
 const MAX_HEAVE_M: f64 = 99.99;
-/// Largest accepted height, metres.
+/// Maximum accepted height, metres.
 const MAX_HEIGHT_M: f64 = 100_000.0;
-/// Largest accepted depth, metres.
+/// Maximum accepted depth, metres.
 const MAX_DEPTH_M: f64 = 12_000.0;
-/// Largest accepted speed over ground, metres per second.
+/// Maximum accepted speed over ground, metres per second.
 const MAX_SPEED_M_PER_S: f64 = 1000.0;
 
 /// Type of a message. Variants are named after the sentence or record.
@@ -38,7 +38,7 @@ pub enum Kind {
     Depth,
     /// Depth of the platform: PIPS; PIXSE,DEPIN_; and [`Self::Depth`] sentences if so configured.
     OwnDepth,
-    /// Known, without values for the motion: GST, ROT, PSXN 10, 22 and 24, PHINF, speeds of PIXSE.
+    /// Known message without values for the motion: GST, ROT, PSXN 10, 22 and 24, PHINF, speeds of PIXSE.
     Information,
     /// PASHR of SBG, OxTS and WASSP: heading, roll, pitch and heave.
     Pashr,
@@ -97,8 +97,8 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Priority among messages of one source with the same quantity; the higher rank wins. Own time ranks above burst time and
-    /// true above magnetic. GGA ranks above RMC because it has height and quality.
+    /// Priority among messages of one source with the same quantity; the higher rank wins. A message with its own time ranks above
+    /// one with a burst time, and a true heading above a magnetic one. GGA ranks above RMC because GGA has height and quality.
     pub fn rank(self) -> u8 {
         use Kind::*;
         match self {
@@ -111,13 +111,13 @@ impl Kind {
         }
     }
 
-    /// Whether the message is used for time or quality although it gives no quantity.
+    /// Whether the message is used for time or quality, although it gives no quantity.
     pub(crate) fn is_auxiliary(self) -> bool {
         matches!(self, Kind::Zda | Kind::Psxn20 | Kind::MavTime)
     }
 }
 
-/// Time of validity in a message.
+/// Time of validity that a message states.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum When {
     /// UTC since midnight, nanoseconds. A leap second counts as the first second of the next day.
@@ -146,16 +146,16 @@ pub struct Invalid {
     pub roll_pitch: bool,
 }
 
-/// Values of one message; empty fields are `None`.
+/// Values of one message. A field is `None` if the message does not have it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
     /// Type of the message.
     pub kind: Kind,
     /// Time of validity.
     pub when: Option<When>,
-    /// Latitude (positive north) and longitude (positive east), radians; only from a valid fix.
+    /// Latitude (positive north) and longitude (positive east), radians. Present only with a valid fix.
     pub position_rad: Option<(f64, f64)>,
-    /// Height, metres, above mean sea level; above the ellipsoid in Seapath 26, KMB, GGK and VNINS.
+    /// Height, metres, above mean sea level. Above the ellipsoid for Seapath 26, KMB, GGK and VNINS.
     pub height_m: Option<f64>,
     /// Quality of the position.
     pub fix: FixQuality,
@@ -175,7 +175,7 @@ pub struct Reading {
     pub(crate) own_depth_m: Option<f64>,
     /// Flags of PSXN,20.
     pub invalid: Option<Invalid>,
-    /// The message holds values, but none that has a field here.
+    /// True if the message holds values, but none with a field in this type.
     pub has_other_values: bool,
 }
 
@@ -200,7 +200,7 @@ impl Reading {
         }
     }
 
-    /// Reading of a known message whose values have no field here.
+    /// Reading of a known message without a value that this type has a field for.
     pub fn information() -> Self {
         Self {
             has_other_values: true,
@@ -254,7 +254,7 @@ impl Reading {
         });
     }
 
-    /// Stores a position in degrees if there is a fix.
+    /// Stores a position in degrees, unless there is no fix.
     pub(super) fn set_position(&mut self, position_deg: Option<(f64, f64)>) -> Checked {
         let position = position_deg.filter(|_| self.fix != FixQuality::None);
         let Some((latitude, longitude)) = position else {
@@ -299,7 +299,7 @@ impl Reading {
         ensure(roll.is_none_or(|r| r.abs() <= 180.0) && pitch.is_none_or(|p| p.abs() <= 90.0))
     }
 
-    /// Stores the depth of the platform, metres. A sensor at the surface may be slightly negative.
+    /// Stores the depth of the platform, metres. The depth of a sensor at the surface may be slightly negative.
     pub(super) fn set_own_depth(&mut self, depth_m: Option<f64>) -> Checked {
         self.own_depth_m = depth_m;
         ensure(depth_m.is_none_or(|d| (-MAX_HEAVE_M..MAX_DEPTH_M).contains(&d)))
@@ -323,7 +323,7 @@ pub enum DecodeError {
 pub(crate) type Decoded = Result<Reading, DecodeError>;
 pub(super) type Checked = Result<(), DecodeError>;
 
-/// `Malformed` unless `valid`.
+/// `Err(Malformed)` unless `valid` is true.
 pub(super) fn ensure(valid: bool) -> Checked {
     valid.then_some(()).ok_or(DecodeError::Malformed)
 }
@@ -344,7 +344,7 @@ pub(super) fn midnight_ns(date: NaiveDate) -> Option<i64> {
         .timestamp_nanos_opt()
 }
 
-/// UTC midnight of a date, nanoseconds since 1970. A year below 100 lies in 1983..2082, as in the crate `nmea`.
+/// UTC midnight of a date, nanoseconds since 1970. A two-digit year is in 1983..2082, as in the crate `nmea`.
 pub(super) fn date_ns(day: u32, month: u32, year: i32) -> Result<i64, DecodeError> {
     let year = match year {
         0..=82 => year + 2000,

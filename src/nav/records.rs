@@ -1,7 +1,7 @@
-//! Decodes records of fixed length: EM1000/EM3000, Seapath binary 26, #KMB and TSS1, from a stream that carries nothing else.
+//! Decodes records of fixed length: EM1000/EM3000, Seapath binary 26, #KMB and TSS1. The stream must not carry other data.
 //!
-//! Only the Seapath record has a checksum. The others are found by their fixed bytes. EM3000 has two fixed bytes, so several
-//! records in a row are needed. Source: SBG Systems, sbgECom `doc/thirdPartyMessages.md`, also for the signs.
+//! Only the Seapath record has a checksum. The other records are found by their fixed bytes. EM3000 has only two fixed bytes, so
+//! several consecutive records are required. Source of layouts and signs: SBG Systems, sbgECom `doc/thirdPartyMessages.md`.
 
 use super::framing::Checksum;
 use super::reading::DecodeError::Malformed;
@@ -14,25 +14,25 @@ const EM3000_BYTES: usize = 10;
 const SEAPATH_BYTES: usize = 52;
 const KMB_BYTES: usize = 132;
 const TSS1_BYTES: usize = 27;
-/// EM3000 records in a row that are accepted. Random bytes find like one with probability 33/2^16.
+/// Number of consecutive EM3000 records that are required. Random bytes match one record with probability 33/2^16.
 const EM3000_ROW: usize = 3;
 
-/// Result for the front of the buffer.
+/// Result of matching the front of the buffer with a record.
 enum Match {
     /// More bytes are needed.
     Incomplete,
-    /// No record; this many bytes can be discarded.
+    /// No record; this many bytes are discarded.
     NoRecord(usize),
     /// A record with a wrong checksum.
     BadChecksum,
-    /// A record of this length, bytes.
+    /// Valid record of this length, bytes.
     Record(usize),
 }
 
-/// One record.
+/// Decoded record of fixed length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Record {
-    /// Decoded values, or why there are none.
+    /// Decoded values, or the reason why there are none.
     pub reading: Decoded,
     /// Result of the checksum test; `Missing` for formats without one.
     pub checksum: Checksum,
@@ -40,7 +40,7 @@ pub struct Record {
     pub arrival: UtcNs,
 }
 
-/// Incremental finder of the records of one format.
+/// Incremental detector of the records of one format.
 #[derive(Debug)]
 pub struct Records {
     find: fn(&[u8], bool) -> Match,
@@ -48,13 +48,13 @@ pub struct Records {
     checksum: Checksum,
     buffer: Vec<u8>,
     arrivals: Vec<UtcNs>,
-    /// The last record ended at the start of the buffer.
+    /// True if the last record ended at the start of the buffer.
     locked: bool,
     resync_bytes: u64,
 }
 
 impl Records {
-    /// Finder for a format; `None` if the format is text.
+    /// Detector for a format; `None` if the format is text.
     pub fn new(format: NavFormat) -> Option<Self> {
         type Parts = (fn(&[u8], bool) -> Match, fn(&[u8]) -> Decoded, Checksum);
         let (find, decode, checksum): Parts = match format {
@@ -80,7 +80,7 @@ impl Records {
         self.resync_bytes
     }
 
-    /// Consumes `bytes` from the front until a record is complete. `arrival` is the arrival of the first byte; `byte_ns` is the
+    /// Consumes `bytes` from the front until a record is complete. `arrival` is the arrival of the first byte. `byte_ns` is the
     /// time between bytes.
     pub fn next(&mut self, bytes: &mut &[u8], arrival: UtcNs, byte_ns: i64) -> Option<Record> {
         let mut at = arrival;
@@ -96,7 +96,7 @@ impl Records {
                 Match::NoRecord(n) => self.skip(n),
                 Match::BadChecksum => {
                     let arrival = self.arrivals[0];
-                    // Skips only the first byte: a valid record may begin inside.
+                    // Only the first byte is skipped, because a valid record may begin in the rest.
                     self.skip(1);
                     return Some(Record {
                         reading: Err(Malformed),
@@ -118,7 +118,7 @@ impl Records {
         }
     }
 
-    /// Ends the stream: the remaining bytes are no record.
+    /// Ends the stream. The remaining bytes are counted as resync bytes.
     pub fn flush(&mut self) {
         self.skip(self.buffer.len());
     }
@@ -180,10 +180,10 @@ fn find_em3000(b: &[u8], locked: bool) -> Match {
 }
 
 /// Status, 0x90, roll and pitch (0.01 degrees, positive port up and bow up), heave (cm, positive up), heading (0.01 degrees),
-/// little-endian. A value outside its range is unavailable.
+/// little-endian. A value outside its range means that the quantity is unavailable.
 fn em3000(b: &[u8]) -> Decoded {
     let mut r = Reading::new(Kind::Em3000);
-    // 0x00 (EM1000) and 0x90 are full accuracy, 0x91 is reduced accuracy; other states are alignment or errors.
+    // 0x00 (EM1000) and 0x90 mean full accuracy, 0x91 reduced accuracy. Other states are alignment or errors.
     if !matches!(b[0], 0x00 | 0x90 | 0x91) {
         return Ok(r);
     }
@@ -316,7 +316,7 @@ fn find_tss1(b: &[u8], _: bool) -> Match {
     Match::Record(TSS1_BYTES)
 }
 
-/// Heave in cm, positive up; roll (positive port up) and pitch (positive bow up) in 0.01 degrees. Heave is valid once the filter
+/// Heave in cm, positive up; roll (positive port up) and pitch (positive bow up) in 0.01 degrees. Heave is valid when the filter
 /// has settled (capital letter).
 fn tss1(b: &[u8]) -> Decoded {
     let mut r = Reading::new(Kind::Tss1);

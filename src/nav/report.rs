@@ -1,5 +1,4 @@
-//! Reports the content of a recorded log: per sentence its count, rate, gaps, latency and result; per quantity its interval, gaps
-//! and jumps.
+//! Report on a recorded log. For each sentence: count, rate, gaps, latency and result. For each quantity: interval, gaps and jumps.
 
 use std::collections::BTreeMap;
 
@@ -15,20 +14,20 @@ use echotank_core::time::{NS_PER_S, UtcNs};
 /// Number of quantities; arrays by channel have the order of [`NavChannel::ALL`].
 pub const CHANNEL_COUNT: usize = NavChannel::ALL.len();
 const DAY_NS: i64 = 86_400 * NS_PER_S;
-/// Maximum number of sentence names; further names, mostly noise, are combined.
+/// Maximum number of sentence names. Further names are mostly noise and are combined.
 const MAX_NAMES: usize = 200;
 const OTHERS: &str = "(others)";
-/// A gap is longer than this many median intervals and than `MIN_GAP_S`.
+/// Number of median intervals above which a pause is a gap; a gap is also longer than `MIN_GAP_S`.
 const GAP_INTERVALS: f64 = 3.0;
 const MIN_GAP_S: f64 = 0.5;
 
-/// Limits of a step, `offset + rate * dt`: metres and metres per second, or degrees and degrees per second. Survey platforms stay
-/// below them. The offset tolerates samples that are close in time.
+/// Limits of a step, `offset + rate * dt`, in metres and metres per second, or degrees and degrees per second. Survey platforms
+/// stay below these limits. The offset allows for samples that are close in time.
 const POSITION_GATE: (f64, f64) = (5.0, 50.0);
 const ANGLE_GATE: (f64, f64) = (2.0, 60.0);
 const HEAVE_GATE: (f64, f64) = (0.5, 10.0);
 
-/// Minimum, median and maximum.
+/// Minimum, median and maximum of a set of values.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spread {
     /// Minimum.
@@ -44,7 +43,7 @@ pub struct Spread {
 pub struct SentenceReport {
     /// Sentence name as in [`SentenceEvent`].
     pub name: String,
-    /// Sentences.
+    /// Number of sentences.
     pub count: u64,
     /// Sentences with a wrong checksum.
     pub bad_checksum: u64,
@@ -52,7 +51,7 @@ pub struct SentenceReport {
     pub missing_checksum: u64,
     /// Sentences by result.
     pub outcomes: BTreeMap<Outcome, u64>,
-    /// Time between arrivals, seconds; `None` below two sentences.
+    /// Time between arrivals, seconds; `None` with fewer than two sentences.
     pub interval_s: Option<Spread>,
     /// Arrival minus message time, seconds; `None` without message times.
     pub latency_s: Option<Spread>,
@@ -60,7 +59,7 @@ pub struct SentenceReport {
     pub gave: [u64; CHANNEL_COUNT],
     /// Quantities that a higher-ranked sentence provides, by channel.
     pub outranked: [u64; CHANNEL_COUNT],
-    /// Quantities that the configuration does not want from this source, by channel.
+    /// Quantities that the configuration does not select from this source, by channel.
     pub(crate) unwanted: [u64; CHANNEL_COUNT],
     /// Magnetic headings without a variation.
     pub magnetic: u64,
@@ -73,7 +72,7 @@ pub struct SentenceReport {
 /// Statistics of one quantity.
 #[derive(Clone, Debug, Default)]
 pub struct ChannelReport {
-    /// Samples.
+    /// Number of samples.
     pub samples: u64,
     /// Time between times of validity, seconds.
     pub interval_s: Option<Spread>,
@@ -81,7 +80,7 @@ pub struct ChannelReport {
     pub gaps: Vec<(UtcNs, f64)>,
     /// Times of steps beyond the limits.
     pub jumps: Vec<UtcNs>,
-    /// Samples valid at or before the previous sample.
+    /// Samples with a validity at or before that of the previous sample.
     pub backward: u64,
 }
 
@@ -104,7 +103,8 @@ pub struct LogReport {
     pub midnights: u64,
 }
 
-/// Decodes a log as `spec` configures and reports its content; `plain_rate_hz` is the sentence rate of a log without any times.
+/// Decodes a log with the settings of `spec` and reports its content. `plain_rate_hz` is the sentence rate, hertz, of a log without
+/// any times.
 pub fn report(bytes: &[u8], spec: &NavSourceSpec, plain_rate_hz: f64) -> LogReport {
     let mut sentences: BTreeMap<String, SentenceReport> = BTreeMap::new();
     let mut span: Option<(UtcNs, UtcNs)> = None;
@@ -195,7 +195,7 @@ fn channel_report(channel: NavChannel, samples: &[NavSample]) -> ChannelReport {
         .windows(2)
         .filter(|w| w[1].valid_utc <= w[0].valid_utc)
         .count() as u64;
-    // As in the history: sorted, the first sample of each time.
+    // As in the history, samples are sorted, and the first sample of each time is kept.
     sorted.sort_by_key(|s| s.valid_utc);
     sorted.dedup_by_key(|s| s.valid_utc);
     let step_s = |w: &[&NavSample]| w[1].valid_utc.seconds_since(w[0].valid_utc);

@@ -9,10 +9,10 @@ use echotank_core::frames::{AttitudeKnot, VectorKnot};
 use echotank_core::navigation::FixQuality;
 use echotank_core::time::UtcNs;
 
-/// Maximum number of knots of a ring, whatever the configured depth: 160 s at 100 Hz, 1 MiB.
+/// Maximum number of knots of a ring at any configured depth: 160 s at 100 Hz, 1 MiB.
 pub(crate) const MAX_KNOTS: usize = 16_384;
-/// Minimum distance of the knots for the rate at the newest knot, seconds. That rate drives extrapolation. Between neighbours at
-/// 100 Hz, a resolution step of 0.01 deg would count as 1 deg/s.
+/// Minimum distance in time of the knots that give the rate at the newest knot, seconds. Extrapolation uses this rate. Between
+/// neighbouring knots at 100 Hz, one resolution step of 0.01 deg would give a rate of 1 deg/s.
 const END_BASELINE_S: f64 = 0.05;
 
 /// Value of a channel at one time.
@@ -37,7 +37,7 @@ pub enum Inserted {
     Duplicate,
 }
 
-/// A time interval without a seam: `start <= t < end`.
+/// Time interval without a seam: `start <= t < end`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stretch {
     /// First instant.
@@ -53,7 +53,7 @@ pub struct Ring {
 }
 
 impl Ring {
-    /// Inserts a knot and drops knots older than `depth_ns` before the newest.
+    /// Inserts a knot and drops knots more than `depth_ns` older than the newest knot.
     pub fn insert(&mut self, knot: Knot, depth_ns: i64) -> Inserted {
         let at = self.first_at_or_after(knot.utc);
         if self.knots.get(at).is_some_and(|k| k.utc == knot.utc) {
@@ -100,7 +100,7 @@ impl Ring {
     }
 
     fn first_at_or_after(&self, utc: UtcNs) -> usize {
-        // Nearly every knot is the newest.
+        // Most knots are newer than all others.
         if self.knots.back().is_none_or(|k| k.utc < utc) {
             return self.knots.len();
         }
@@ -112,8 +112,8 @@ impl Ring {
         self.first_at_or_after(stretch.start)..self.first_at_or_after(stretch.end)
     }
 
-    /// Index range of the knots of `stretch` around `from..=to`: up to two at or before `from` and up to `ahead` at or after
-    /// `to`.
+    /// Index range of the knots of `stretch` around `from..=to`. It has up to two knots at or before `from` and up to `ahead` knots
+    /// at or after `to`.
     pub fn around(&self, from: UtcNs, to: UtcNs, ahead: usize, stretch: Stretch) -> Range<usize> {
         let all = self.within(stretch);
         let after_from = self.knots.partition_point(|k| k.utc <= from);
@@ -138,7 +138,7 @@ impl Ring {
     }
 }
 
-/// Sets the rates of vector knots from their values.
+/// Sets the rates of vector knots from their values and times.
 pub(crate) fn set_rates(knots: &mut [VectorKnot]) {
     for i in 0..knots.len() {
         let rate = three_point_rate(
@@ -151,7 +151,7 @@ pub(crate) fn set_rates(knots: &mut [VectorKnot]) {
     }
 }
 
-/// Sets the body rates of attitude knots from the rotation vectors between them.
+/// Sets the body rates of attitude knots from the rotation vectors between knots.
 pub(crate) fn set_body_rates(knots: &mut [AttitudeKnot]) {
     for i in 0..knots.len() {
         let rate = three_point_rate(
@@ -174,8 +174,8 @@ fn turn(a: DQuat, b: DQuat) -> DVec3 {
     short.to_scaled_axis()
 }
 
-/// Derivative at knot `i` of the parabola through three knots with unequal steps; of the line through two knots; zero for one.
-/// `slope(a, b)` is the mean rate from knot a to knot b > a.
+/// Derivative at knot `i` of the parabola through three knots with unequal steps. With two knots, the slope of the line; with one
+/// knot, zero. `slope(a, b)` is the mean rate from knot a to knot b > a.
 fn three_point_rate(
     i: usize,
     len: usize,
@@ -185,7 +185,7 @@ fn three_point_rate(
     if len < 2 {
         return DVec3::ZERO;
     }
-    // The last knot at least the baseline before `k`, or the first one.
+    // The last knot that is at least the baseline before `k`, or the first knot.
     let back = |k: usize| {
         let neighbour = k.checked_sub(1)?;
         let far = (0..=neighbour)

@@ -1,14 +1,16 @@
 //! Decodes a framed NMEA 0183 sentence into a [`Reading`] in SI units.
 //!
-//! Each sentence type has one decoder. The crate `nmea` 0.8 decodes VTG and HDT. Its `f32` values resolve angles to 1.5e-5 degrees and
-//! speeds to 1e-6 of their value, finer than either sentence prints them. Functions of this module decode the rest, because the crate:
+//! Each sentence type has one decoder. The crate `nmea` 0.8 decodes VTG and HDT. Its `f32` values resolve angles to 1.5e-5 degrees
+//! and speeds to a relative 1e-6, which is finer than the text of either sentence. Functions of this module decode the other
+//! sentences, because the crate:
 //! - refuses leap seconds (GGA, RMC, ZDA), GGA quality 9, two-digit years (ZDA) and GLL without a mode;
-//! - misreads longitudes without leading zeros, since it always takes three digits of degrees (GGA, RMC, GLL);
+//! - misreads longitudes without leading zeros, because it always takes three digits of degrees (GGA, RMC, GLL);
 //! - rounds GGA heights and RMC courses and speeds to `f32`;
-//! - lacks HDG, HDM, THS, DBT and the proprietary sentences.
+//! - has no decoders of HDG, HDM, THS, DBT and the proprietary sentences.
 //!
-//! Signs: roll is positive port up (starboard down), pitch bow up, heading clockwise from true north, heave down. Each decoder converts its
-//! sentence's signs to these. The flags at the end of PASHR differ between manufacturers and are ignored.
+//! Signs: roll is positive port up (starboard down), pitch bow up, heading clockwise from true north, heave down. Each decoder
+//! converts the signs of its sentence to this convention. The flags at the end of PASHR differ between manufacturers and are
+//! ignored.
 
 use nmea::sentences::{parse_hdt, parse_vtg};
 use nmea::{NmeaSentence, SentenceType};
@@ -23,7 +25,7 @@ use echotank_core::navigation::FixQuality;
 const FATHOM_M: f64 = 1.8288;
 const FOOT_M: f64 = 0.3048;
 
-/// Decodes the body of a sentence: without `$` and `*hh`. `scratch` is overwritten.
+/// Decodes the body of a sentence, without `$` and `*hh`. `scratch` is overwritten.
 pub fn decode(body: &str, dialect: &NavDialect, scratch: &mut String) -> Decoded {
     let f = Fields::split(body);
     if f.text(0).starts_with('P') {
@@ -57,7 +59,8 @@ fn sentence_type<'a>(fields: &Fields<'a>) -> Option<&'a str> {
     standard.then(|| &address[2..])
 }
 
-/// Writes fields 1 to `count` to `out`, absent ones empty: the crate `nmea` insists on their number.
+/// Writes fields 1 to `count` to `out`. Absent fields are written empty, because the crate `nmea` requires a fixed number of
+/// fields.
 fn join_fields(f: &Fields, count: usize, out: &mut String) {
     out.clear();
     for i in 1..=count {
@@ -68,7 +71,7 @@ fn join_fields(f: &Fields, count: usize, out: &mut String) {
     }
 }
 
-/// A sentence as the crate `nmea` parses it. The framing has already verified the checksum.
+/// Sentence in the form of the crate `nmea`. The framing has already verified the checksum.
 fn crate_sentence(message_id: SentenceType, data: &str) -> NmeaSentence<'_> {
     NmeaSentence {
         talker_id: "",
@@ -153,7 +156,7 @@ fn zda(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// `heading,T`; the crate insists on the `T`, which some senders omit.
+/// `heading,T`. The crate requires the `T`, which some senders omit.
 fn hdt(f: &Fields, scratch: &mut String) -> Decoded {
     let mut r = Reading::new(Kind::Hdt);
     join_fields(f, 2, scratch);
@@ -173,7 +176,7 @@ fn ths(f: &Fields) -> Decoded {
     Ok(r)
 }
 
-/// `heading,deviation,E/W,variation,E/W`: true = magnetic + deviation + variation, east plus.
+/// `heading,deviation,E/W,variation,E/W`. True heading = magnetic + deviation + variation, with east positive.
 fn hdg(f: &Fields, dialect: &NavDialect) -> Decoded {
     let east = |value: usize| -> Result<Option<f64>, DecodeError> {
         match (f.number(value)?, f.text(value + 1)) {

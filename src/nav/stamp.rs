@@ -1,4 +1,4 @@
-//! Finds the time stamp that a logger wrote before a sentence.
+//! Parses the time stamp that a logger wrote before a sentence.
 
 use super::fields::{fraction_ns, time_of_day_ns};
 use echotank_core::time::{NS_PER_S, UtcNs};
@@ -12,7 +12,8 @@ pub enum LineStamp {
     TimeOfDay(i64),
 }
 
-/// Splits a line into its stamp, if any, and the rest from the start of the sentence on. The rest is empty without a sentence.
+/// Splits a line into its stamp, if any, and the rest from the start of the sentence. The rest is empty if the line has no
+/// sentence.
 pub fn split_line(line: &[u8]) -> (Option<LineStamp>, &[u8]) {
     let start = line
         .iter()
@@ -24,7 +25,7 @@ pub fn split_line(line: &[u8]) -> (Option<LineStamp>, &[u8]) {
 }
 
 fn find_stamp(prefix: &[u8]) -> Option<LineStamp> {
-    // Stamps of loggers are ASCII near the start of the line.
+    // Stamps are ASCII text near the start of the line.
     let text = std::str::from_utf8(prefix).ok()?;
     if !text.is_ascii() {
         return None;
@@ -44,7 +45,7 @@ fn find_stamp(prefix: &[u8]) -> Option<LineStamp> {
     Some(LineStamp::Utc(UtcNs(utc_ns)))
 }
 
-/// Position and time of the first HH:MM:SS that is not the end of a longer number. A clock after a date is preferred
+/// Position and value of the first HH:MM:SS that is not the end of a longer number. A time of day after a date is preferred
 /// (`2014-08-01:00:00:01`).
 fn find_clock(text: &str) -> Option<(usize, i64)> {
     let clocks = || {
@@ -86,7 +87,7 @@ fn compact(text: &str) -> Option<i64> {
     })
 }
 
-/// Offset from UTC of a zone such as `+02:00` or `-0730` after the clock, nanoseconds; zero without a zone.
+/// Offset of a time zone after the time of day, such as `+02:00` or `-0730`, nanoseconds. Zero without a zone.
 fn zone_ns(after_clock: &str) -> i64 {
     let fraction = after_clock.strip_prefix(['.', ',']).unwrap_or(after_clock);
     let zone = fraction.trim_start_matches(|c: char| c.is_ascii_digit());
@@ -112,7 +113,8 @@ fn zone_ns(after_clock: &str) -> i64 {
     }
 }
 
-/// The date one character before the clock: `YYYY-MM-DD`, `YYYY/MM/DD`, `MM/DD/YYYY` (SCS), `DD.MM.YYYY` or `YYYY:DDD` (RVDAS).
+/// The date that ends one character before the time of day: `YYYY-MM-DD`, `YYYY/MM/DD`, `MM/DD/YYYY` (SCS), `DD.MM.YYYY` or
+/// `YYYY:DDD` (RVDAS).
 fn date_before(text: &str) -> Option<chrono::NaiveDate> {
     let tail = |len: usize| {
         text.len()
@@ -133,8 +135,8 @@ fn date_before(text: &str) -> Option<chrono::NaiveDate> {
     None
 }
 
-/// Seconds since 1970, alone or in a TAG block (`c:`). The number of digits distinguishes milliseconds, microseconds and
-/// nanoseconds.
+/// Seconds since 1970, alone or in a TAG block (`c:`). The number of digits tells seconds, milliseconds, microseconds and
+/// nanoseconds apart.
 fn seconds_stamp(text: &str) -> Option<LineStamp> {
     let tag = text.split_once("c:").map(|(_, rest)| rest);
     let number = match tag {
@@ -157,7 +159,7 @@ fn seconds_stamp(text: &str) -> Option<LineStamp> {
         _ => return None,
     };
     let ns = whole.parse::<i64>().ok()?.checked_mul(unit_ns)?;
-    // Only seconds have a significant fraction.
+    // Only a stamp in seconds can have a fraction.
     let fraction = if unit_ns == NS_PER_S { fraction } else { "" };
     Some(LineStamp::Utc(UtcNs(ns + fraction_ns(fraction))))
 }

@@ -1,7 +1,7 @@
 //! Reads CSV tracks with the header `HEADER` to local positions, attitudes and headings.
 //!
-//! `time_s` is UTC, seconds since 1970 in plain decimals, converted digit by digit to nanoseconds. Times increase strictly. Empty
-//! lines and lines that start with `#` are skipped.
+//! `time_s` is UTC in seconds since 1970, in plain decimals. The decimal digits are converted to nanoseconds without rounding.
+//! Times increase strictly. Empty lines and lines that start with `#` are skipped.
 
 use thiserror::Error;
 
@@ -21,7 +21,7 @@ const COLUMNS: [&str; 7] = [
     "heading_deg",
 ];
 
-/// Maximum number of points: 29 hours at 20 Hz. Their samples take some 500 MB.
+/// Maximum number of points: 29 hours at 20 Hz. The samples of so many points take about 500 MB.
 const MAX_POINTS: usize = 1 << 21;
 
 /// Reason why a track is refused, with file and line.
@@ -79,8 +79,8 @@ pub enum TrackError {
     },
 }
 
-/// Samples of a track: position, attitude and heading per line, as far as `provides` lists them. Arrival equals validity. `file`
-/// names the file in errors.
+/// Samples of a track. Each line gives position, attitude and heading, as far as `provides` lists them. The arrival is equal to the
+/// time of validity. `file` names the file in errors.
 pub fn read_track(
     text: &str,
     file: &str,
@@ -226,7 +226,7 @@ fn out_of_range(column: usize, number: f64) -> Option<&'static str> {
     (number.abs() > limit).then_some(rule)
 }
 
-/// Nanoseconds of plain decimal seconds, converted digit by digit; digits beyond the ninth decimal are cut.
+/// Nanoseconds of plain decimal seconds. The digits are converted without rounding; digits beyond the ninth decimal are ignored.
 fn seconds_to_ns(text: &str) -> Option<UtcNs> {
     let (negative, digits) = match text.strip_prefix('-') {
         Some(rest) => (true, rest),

@@ -1,10 +1,10 @@
 //! Selects the active source of a quantity from the arrivals of all candidates.
 //!
-//! Sources rank in the order of the configuration file. The best source that is not silent is active. A worse one takes over
-//! after a configured silence of the better ones. A better one takes back after it has arrived without such a silence for a
-//! configured time. Without failover only the first source is used.
+//! Sources rank in the order of the configuration file. The best source that is not silent is active. A lower-ranked source takes
+//! over after a configured silence of all better sources. A better source takes back after it has delivered without such a silence
+//! for a configured time. Without failover only the first source is used.
 //!
-//! A source that only may provide the quantity ranks from its first sample on.
+//! An open source is a source that may provide the quantity but is not configured to. It ranks from its first sample on.
 
 use echotank_config::spec::FailoverSpec;
 use echotank_core::time::{NS_PER_S, UtcNs};
@@ -14,9 +14,9 @@ use echotank_core::time::{NS_PER_S, UtcNs};
 pub(crate) enum Verdict {
     /// The source is active.
     Active,
-    /// The source is active, and no source was before.
+    /// The source is active, and no source was active before.
     First,
-    /// The source becomes active: its samples do not continue those of the previous source.
+    /// The source becomes active. Its samples do not continue those of the previous source.
     TakesOver,
     /// The source is not active.
     Inactive,
@@ -25,16 +25,16 @@ pub(crate) enum Verdict {
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
     source: u16,
-    /// The source only may provide the quantity, and has not yet.
+    /// True for an open source until its first sample.
     is_open: bool,
     last: Option<UtcNs>,
-    /// Start of its arrivals without a silence.
+    /// Arrival from which the source has delivered without a silence.
     since: UtcNs,
 }
 
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Arbiter {
-    /// Best first.
+    /// Candidates by rank, best first.
     candidates: Vec<Candidate>,
     active: Option<usize>,
     /// Arrival of the first sample of any candidate.
@@ -42,7 +42,7 @@ pub(crate) struct Arbiter {
 }
 
 impl Arbiter {
-    /// Sources, and whether they only may provide the quantity.
+    /// `sources` gives the index of each source, and whether the source is open.
     pub(super) fn new(sources: impl Iterator<Item = (u16, bool)>) -> Self {
         let candidate = |(source, is_open)| Candidate {
             source,
@@ -57,7 +57,7 @@ impl Arbiter {
         }
     }
 
-    /// The active source; before the first sample, the best one that provides the quantity.
+    /// The active source. Before the first sample: the best source that is not open.
     pub(super) fn source(&self) -> Option<u16> {
         let active = self.active.and_then(|active| self.candidates.get(active));
         let first = || self.candidates.iter().find(|c| !c.is_open);
@@ -123,7 +123,7 @@ mod tests {
         hold_off_s: 5.0,
     });
 
-    /// Changes of the active source at steps of 0.1 s, where `comes(source, t)` says which source sends.
+    /// Changes of the active source at steps of 0.1 s. `comes(source, t)` tells whether the source sends at `t`.
     fn changes_of_source(comes: fn(u16, f64) -> bool, until: i32) -> Vec<(f64, u16)> {
         let mut arbiter = Arbiter::new([(3, false), (7, false)].into_iter());
         let mut changes = Vec::new();
@@ -151,7 +151,7 @@ mod tests {
 
     #[test]
     fn an_intermittent_first_source_does_not_take_back() {
-        // Alternates every three seconds from 10 s on.
+        // The source alternates every three seconds from 10 s on.
         let flaps = |source: u16, t: f64| source == 7 || t < 10.0 || (t as i64 / 3) % 2 == 0;
         let changes = changes_of_source(flaps, 600);
         assert_eq!(changes.len(), 2, "{changes:?}");

@@ -1,7 +1,7 @@
 //! Rejects samples that imply impossible motion.
 //!
-//! A sample too far from the last accepted one is set aside. Several consecutive samples that agree with one another are accepted
-//! as a new position, which does not continue the old one.
+//! A sample too far from the last accepted sample is rejected. Several consecutive rejected samples that agree with one another are
+//! accepted as a new position. The new position does not continue the old track.
 
 use std::f64::consts::TAU;
 
@@ -10,9 +10,9 @@ use glam::DVec3;
 use echotank_config::spec::{JumpGateSpec, NavChannel};
 use echotank_core::time::UtcNs;
 
-/// Consecutive agreeing samples after which a new position is accepted.
+/// Number of consecutive agreeing samples after which a new position is accepted.
 const CONFIRMATIONS: u32 = 5;
-/// Steps below these limits are accepted at any time difference: metres, radians (2 degrees), metres of heave.
+/// Steps below these limits are accepted at any time difference: metres, radians (2 degrees), and metres of heave.
 const POSITION_SLACK_M: f64 = 5.0;
 const ANGLE_SLACK_RAD: f64 = 0.035;
 const HEAVE_SLACK_M: f64 = 0.5;
@@ -24,9 +24,9 @@ const HEAVE_RATE_M_PER_S: f64 = 10.0;
 pub(super) enum GateResult {
     /// The sample continues the track.
     Accepted,
-    /// The sample is set aside.
+    /// The sample is rejected.
     Rejected,
-    /// The sample is accepted after several that agree; it starts a new track.
+    /// The sample is accepted after several samples that agree. It starts a new track.
     Reset,
 }
 
@@ -38,7 +38,7 @@ pub(super) struct Gate {
 }
 
 impl Gate {
-    /// Clears the state: the next sample of the new source is no jump.
+    /// Clears the state, so that the first sample of a new source is not a jump.
     pub(super) fn forget(&mut self) {
         *self = Self::default();
     }
@@ -53,7 +53,7 @@ impl Gate {
         let near = |(before_utc, before): (UtcNs, DVec3)| {
             let dt_s = utc.seconds_since(before_utc).abs();
             let (step, slack, rate) = match channel {
-                // Only the horizontal step counts: receivers differ too much in height.
+                // Only the horizontal step counts, because the heights of receivers differ too much.
                 NavChannel::Position => (
                     (value.x - before.x).hypot(value.y - before.y),
                     POSITION_SLACK_M,
@@ -74,7 +74,7 @@ impl Gate {
                     HEAVE_SLACK_M,
                     HEAVE_RATE_M_PER_S,
                 ),
-                // The course is arbitrary at low speed.
+                // The course is undefined at low speed.
                 NavChannel::CourseSpeed => (0.0, 0.0, 0.0),
             };
             step <= slack + rate * dt_s

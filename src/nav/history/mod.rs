@@ -1,20 +1,20 @@
-//! Converts samples to motion: rings of knots per channel, and the state and trajectory of the platform at a ping.
+//! History of the navigation samples: rings of knots per channel, and the state and trajectory of the platform at a ping.
 //!
-//! - The first configured source of a channel is active; with failover, the best source that is not silent (`arbiter`). Other
-//!   samples are dropped. A change of source is a seam.
-//! - A source without configured channels provides what it sends: a channel counts, and pings need it, from its first sample on.
-//!   `DETECTION_S` after the first sample the channels are taken for known; until then no instant is usable.
-//! - With a jump gate, samples that imply impossible motion are set aside (`gate`).
-//! - Positions, heaves and depths are reduced from the antenna or sensor to the reference point of the body, each at its own
-//!   time. The antenna sways with the roll between two fixes; the reference point does not. Therefore
+//! - The first configured source of a channel is active. With failover, the best source that is not silent is active (`arbiter`).
+//!   Samples of other sources are dropped. A change of source is a seam.
+//! - A source without configured channels may provide any channel. Such a channel counts, and pings need it, from its first sample
+//!   on. `DETECTION_S` after the first sample the set of channels is final. Until then no instant is usable.
+//! - With a jump gate, samples that imply impossible motion are rejected (`gate`).
+//! - Positions, heaves and depths are reduced from the antenna or sensor to the reference point of the body, each at its own time.
+//!   Roll moves the antenna between two fixes, but not the reference point. Therefore
 //!   [`echotank_core::frames::Trajectory::lever_arm_m`] is zero in the output. A static list counts as induced heave, although no
 //!   heave sensor measures it.
 //! - Angles of a motion sensor are converted to the body by its mounting (`motion::Mounting`).
-//! - A towed body lies behind the ship on the heading, at the distance that cable and depth give.
-//! - Attitude knots lie at the roll-pitch samples, with the heading interpolated along the shorter arc. Without roll and pitch
-//!   they lie at the heading samples.
-//! - A seam is a gap: nothing is interpolated across it. In every channel, seams separate the loops of a log. In one channel,
-//!   they separate sources that replace one another and positions on both sides of a jump.
+//! - A towed body is behind the ship, opposite to the heading, at the horizontal distance given by cable and depth.
+//! - Attitude knots are at the times of the roll-pitch samples; the heading is interpolated along the shorter arc. Without roll and
+//!   pitch, attitude knots are at the times of the heading samples.
+//! - A seam is a gap without interpolation. A seam in all channels separates the loops of a log. A seam in one channel separates
+//!   sources that replace one another, or positions on both sides of a jump.
 //! - Smoothing is not modelled.
 
 mod arbiter;
@@ -39,12 +39,13 @@ use echotank_core::geodesy::LocalTangentPlane;
 use echotank_core::navigation::{FixQuality, NavQuantity, NavSample};
 use echotank_core::time::{NS_PER_S, UtcNs};
 
-/// Below this speed, metres per second, the course is noise and the previous course is kept.
+/// Below this speed, metres per second, the course is noise, and the previous course is kept.
 const MIN_COURSE_SPEED_M_PER_S: f64 = 0.2;
-/// Maximum lead of the time of validity over the arrival, seconds. A sample beyond it uses another clock and would displace all
-/// knots. A log replayed faster than recorded stays below it.
+/// Maximum lead of the time of validity over the arrival, seconds. A sample with a larger lead uses another clock and would remove
+/// all older knots. A log replayed faster than recorded stays below the limit.
 const FUTURE_S: f64 = 600.0;
-/// Time in which a source without configured channels shows what it sends, seconds: two sentences of a source at 1 Hz.
+/// Time after its first sample in which the channels of a source without configured channels are detected, seconds: two sentences
+/// at 1 Hz.
 const DETECTION_S: f64 = 2.0;
 /// Maximum number of stored seams.
 const MAX_SEAMS: usize = 16;
@@ -91,7 +92,7 @@ pub enum Coverage {
     Ready,
     /// More samples are needed.
     Waiting,
-    /// The channel has no sample at or before the start of the window; further samples cannot change that.
+    /// The channel has no sample at or before the start of the window. Later samples cannot change this.
     Missing(NavChannel),
 }
 
@@ -100,23 +101,23 @@ pub enum Coverage {
 pub struct HistoryCounts {
     /// Samples inserted.
     pub inserted: u64,
-    /// Of those: samples that precede an existing sample.
+    /// Inserted samples that precede an existing sample.
     pub out_of_order: u64,
-    /// Of those: samples that precede the last ping.
+    /// Inserted samples that precede the last ping.
     pub late: u64,
-    /// Dropped: the channel has a sample at this time.
+    /// Samples dropped because the channel already has a sample at this time.
     pub duplicates: u64,
-    /// Dropped: valid later than its arrival; the source uses another clock.
+    /// Samples dropped because their validity is later than their arrival: the source uses another clock.
     pub(crate) from_the_future: u64,
-    /// Dropped: another source is active.
+    /// Samples dropped because another source is active.
     pub not_owned: u64,
     /// Changes of the active source.
     pub switches: u64,
-    /// Dropped: rejected by the jump gate.
+    /// Samples dropped by the jump gate.
     pub quarantined: u64,
-    /// Jumps accepted because several samples agreed.
+    /// Jumps accepted by the jump gate because several samples agreed.
     pub resets: u64,
-    /// Dropped: a position without the height that `nav.vertical` needs.
+    /// Positions dropped because they lack the height that `nav.vertical` needs.
     pub no_vertical: u64,
     /// States refused because a channel has no sample.
     pub no_data: u64,
@@ -139,14 +140,14 @@ enum HeadingFrom {
     None,
 }
 
-/// The first sample of a source without configured channels, and the last one.
+/// Arrivals of the first and the last sample of sources without configured channels.
 #[derive(Clone, Copy, Debug, Default)]
 struct Detection {
     first: Option<UtcNs>,
     last: Option<UtcNs>,
 }
 
-/// A time in which the clock of a source cannot be trusted.
+/// Interval in which the clock of a source is not reliable.
 #[derive(Clone, Copy, Debug)]
 struct ClockJump {
     source: u16,
@@ -160,9 +161,9 @@ struct Sensor {
     /// Position of the antenna or depth sensor in the body, metres.
     arm_m: DVec3,
     mounting: SensorMounting,
-    /// The source is a track file: its points are joined at any distance.
+    /// True for a track file: its points are joined at any distance.
     sparse: bool,
-    /// The configuration does not say what the source provides.
+    /// True if the configuration does not list the channels of the source.
     detect: bool,
 }
 
@@ -170,7 +171,7 @@ struct Sensor {
 pub struct NavHistory {
     vertical: VerticalSpec,
     heading_from_course: bool,
-    /// Of sources without configured channels, if there are any.
+    /// Detection of the channels of sources without configured channels; `None` if all sources have configured channels.
     detection: Option<Detection>,
     max_extrapolation_s: f64,
     depth_ns: i64,
@@ -179,20 +180,21 @@ pub struct NavHistory {
     on_lost: OnLost,
     stale_s: f64,
     tow: Option<TowSpec>,
-    /// By source.
+    /// Sensors by source index.
     sensors: Vec<Sensor>,
-    /// By channel: active sources and the times from which they hold; ascending, and not empty if a source provides the channel.
+    /// For each channel, the active sources and the times from which each is active, ascending. Not empty if a source provides the
+    /// channel.
     source_changes: [Vec<(UtcNs, u16)>; CHANNELS],
     arbiters: [Arbiter; CHANNELS],
     gates: [Gate; CHANNELS],
-    /// By channel: samples before this time are dropped, because another source was active.
+    /// For each channel, samples before this time are dropped, because another source was active.
     accepted_from: [UtcNs; CHANNELS],
-    /// By source.
+    /// Health by source index.
     health: Vec<Health>,
     rings: [Ring; CHANNELS],
     plane: Option<LocalTangentPlane>,
     first_fix_m: Option<DVec3>,
-    /// Time and channel of each seam; `None` stands for every channel.
+    /// Time and channel of each seam. `None` means all channels.
     seams: Vec<(UtcNs, Option<usize>)>,
     clock_jumps: Vec<ClockJump>,
     last_ping: UtcNs,
@@ -202,7 +204,7 @@ pub struct NavHistory {
 }
 
 impl NavHistory {
-    /// Empty history as `spec` configures.
+    /// Empty history with the settings of `spec`.
     pub fn new(spec: &NavSpec) -> Self {
         let arbiters = NavChannel::ALL.map(|channel| {
             let provides = |(_, s): &(usize, &NavSourceSpec)| s.provides.contains(&channel);
@@ -263,8 +265,8 @@ impl NavHistory {
         }
     }
 
-    /// Local tangent plane of the world: configured, or set by the first position. A local track without an origin lies at
-    /// latitude 0, longitude 0.
+    /// Local tangent plane of the world: configured, or set by the first position. A local track without a configured origin is
+    /// placed at latitude 0, longitude 0.
     pub fn origin(&self) -> Option<LocalTangentPlane> {
         self.plane
     }
@@ -274,8 +276,8 @@ impl NavHistory {
         self.first_fix_m
     }
 
-    /// First instant at which every channel that a ping needs has a sample; `None` while one has none, or while it is not known
-    /// what the sources send.
+    /// First instant at which every channel that a ping needs has a sample. `None` while a channel has no sample or the detection
+    /// of channels is not finished.
     pub fn first_usable_utc(&self) -> Option<UtcNs> {
         match self.is_detecting() {
             true => None,
@@ -283,7 +285,7 @@ impl NavHistory {
         }
     }
 
-    /// Whether sources without configured channels have had too little time to show what they send.
+    /// Whether the detection of channels is not finished.
     pub fn is_detecting(&self) -> bool {
         let shown = |d: Detection| {
             d.last?
@@ -294,7 +296,8 @@ impl NavHistory {
         self.detection.is_some_and(|d| shown(d).is_none())
     }
 
-    /// Like [`Self::first_usable_utc`], for the needed channels that `counts` selects; `None` if it selects none of them.
+    /// Like [`Self::first_usable_utc`], but only for the needed channels for which `counts` is true. `None` if there is no such
+    /// channel.
     pub fn first_usable_utc_of(&self, counts: impl Fn(NavChannel) -> bool) -> Option<UtcNs> {
         let mut first = None;
         for channel in self.needed().filter(|&channel| counts(channel)) {
@@ -303,7 +306,7 @@ impl NavHistory {
         first
     }
 
-    /// Channels that a ping needs and that have no sample yet.
+    /// Channels that a ping needs and that have no sample so far.
     pub fn silent(&self) -> Vec<NavChannel> {
         self.needed()
             .filter(|&channel| self.ring(channel).oldest().is_none())
@@ -322,19 +325,19 @@ impl NavHistory {
             .chain(used.map(|(channel, _)| channel))
     }
 
-    /// Counters since construction.
+    /// Counters since the construction of the history.
     pub fn counts(&self) -> &HistoryCounts {
         &self.counts
     }
 
-    /// State of the source with this index at `now`, from the arrivals of its samples.
+    /// State of the source with index `source` at `now`, from the arrivals of its samples.
     pub fn source_state(&mut self, source: usize, now: UtcNs) -> State {
         self.health
             .get_mut(source)
             .map_or(State::Silent, |h| h.at(now))
     }
 
-    /// Active source of a channel; before the first sample, the best one that is configured to provide it.
+    /// Active source of a channel. Before the first sample: the best source that is configured to provide the channel.
     pub fn active_source(&self, channel: NavChannel) -> Option<u16> {
         self.arbiters[index(channel)].source()
     }
@@ -348,7 +351,7 @@ impl NavHistory {
             self.source_changes[channel].push((UtcNs(i64::MIN), sample.source));
         }
         if verdict == Verdict::TakesOver {
-            // The new source starts after all samples of the previous one.
+            // The new source starts after the last sample of the previous source.
             let newest = self.rings[channel].newest();
             let from = newest.map_or(sample.valid_utc, |n| sample.valid_utc.max(n.plus_ns(1)));
             self.counts.switches += 1;
@@ -377,12 +380,12 @@ impl NavHistory {
             .get(usize::from(self.active_source_at(channel, utc)?))
     }
 
-    /// Starts a seam in every channel: later samples belong to another run of a repeated log.
+    /// Starts a seam in every channel. Later samples belong to another loop of a repeated log.
     pub fn seam(&mut self, at: UtcNs) {
         self.seam_in(None, at);
     }
 
-    /// From `at` on, the clock of a source is right, or not to be trusted.
+    /// Records that the clock of a source is reliable, or not reliable, from `at` on.
     pub fn clock_changed(&mut self, source: u16, at: UtcNs, is_right: bool) {
         let mut jumps = self.clock_jumps.iter_mut();
         let open = jumps.find(|j| j.source == source && j.until.is_none());
@@ -402,7 +405,7 @@ impl NavHistory {
         }
     }
 
-    /// Whether the clock of a source that is active at `zero` could not be trusted in `from..=to`.
+    /// Whether a source that is active at `zero` had an unreliable clock in `from..=to`.
     fn time_jumped(&self, zero: UtcNs, from: UtcNs, to: UtcNs) -> bool {
         let is_active = |source: u16| {
             let mut channels = NavChannel::ALL.into_iter();
@@ -414,7 +417,7 @@ impl NavHistory {
         })
     }
 
-    /// Starts a seam in one channel, or in every one.
+    /// Starts a seam in one channel, or in all channels.
     fn seam_in(&mut self, channel: Option<usize>, at: UtcNs) {
         if self.seams.len() == MAX_SEAMS {
             self.seams.remove(0);
@@ -525,7 +528,8 @@ impl NavHistory {
         self.counts.late += u64::from(sample.valid_utc < self.last_ping);
     }
 
-    /// World down of a position sample, metres (of the antenna, except with a waterline); `None` if the sample lacks it.
+    /// Down coordinate of a position sample in the world, metres; `None` if the sample has no height. It refers to the antenna,
+    /// except with a waterline.
     fn down_m(&self, height_m: Option<f64>, local_down_m: Option<f64>) -> Option<f64> {
         match self.vertical {
             VerticalSpec::Waterline { reference_down_m } => Some(reference_down_m),
@@ -533,7 +537,7 @@ impl NavHistory {
                 .map(|h| -h)
                 .or(local_down_m)
                 .map(|down| down + datum_offset_m),
-            // The depth channel adds it.
+            // The depth channel is added later.
             VerticalSpec::Depth if self.uses_depth() => Some(0.0),
             VerticalSpec::Depth => local_down_m,
         }

@@ -1,4 +1,4 @@
-//! Computes the trajectory and the state at one ping from the rings.
+//! Trajectory and state of the platform at one ping, computed from the rings.
 
 use glam::{DQuat, DVec2, DVec3};
 
@@ -12,25 +12,23 @@ use echotank_core::frames::{
 use echotank_core::navigation::{FixQuality, NavInvalid, NavState};
 use echotank_core::time::UtcNs;
 
-/// Trajectories start this long before the pulse, seconds, so that the rates at its start come from measured knots.
+/// Lead of a trajectory before the pulse, seconds. With this lead the rates at the start of the pulse come from measured knots.
 const LOOKBACK_S: f64 = 1.0;
-/// Samples of a sensor farther apart than this, seconds, are not interpolated: swell can reverse in between. Track files may be
-/// sparser.
+/// Maximum distance in time of sensor samples for interpolation, seconds. Swell can reverse within a longer time. Track files may
+/// be sparser.
 pub(crate) const MAX_GAP_S: f64 = 5.0;
-/// Bounds of a stretch without a seam.
+/// Bounds of an interval without a seam.
 const NO_SEAM_BEFORE: UtcNs = UtcNs(i64::MIN);
 const NO_SEAM_AFTER: UtcNs = UtcNs(i64::MAX);
-/// Minimum time to come to rest, seconds; it keeps knot times distinct.
+/// Minimum time to come to rest, seconds. It keeps knot times distinct.
 const MIN_REST_S: f64 = 1e-3;
-/// Largest accepted platform speed, metres per second: a tenth of the speed of sound in water, beyond which the echo model does
-/// not hold.
+/// Maximum accepted platform speed, metres per second: a tenth of the speed of sound in water. The echo model is invalid above it.
 const MAX_SPEED_M_PER_S: f64 = 150.0;
 
 impl NavHistory {
     /// State at `transmit_utc`, and the motion from a second before it to `window_s` after it. Times in `trajectory` are relative
-    /// to `transmit_utc`; its buffers are reused. Mode `settle` does not extrapolate. Mode `predict` extrapolates up to
-    /// `max_extrapolation_s` at the end of the window. With `on_lost = "hold"`, older motion comes to rest and is flagged
-    /// invalid.
+    /// to `transmit_utc`; its buffers are reused. Mode `settle` does not extrapolate. Mode `predict` extrapolates by at most
+    /// `max_extrapolation_s` at the end of the window. With `on_lost = "hold"`, older motion comes to rest and is flagged invalid.
     pub fn motion(
         &mut self,
         transmit_utc: UtcNs,
@@ -65,8 +63,8 @@ impl NavHistory {
         }
     }
 
-    /// Predicted state and motion at `utc` from the present samples: extrapolated for `max_extrapolation_s`, then held and
-    /// flagged invalid. Does not count refusals.
+    /// Predicted state and motion at `utc` from the samples so far. The motion is extrapolated for `max_extrapolation_s`, then held
+    /// and flagged invalid. Refusals are not counted.
     pub fn predict(&mut self, utc: UtcNs, trajectory: &mut Trajectory) -> Result<NavState, NavGap> {
         let beyond = Beyond::Held {
             after_s: self.max_extrapolation_s,
@@ -75,7 +73,7 @@ impl NavHistory {
         Ok(self.state(utc, 0.0, invalid, trajectory))
     }
 
-    /// Age at `utc` of the newest sample that gives the heading, seconds; infinite without one.
+    /// Age at `utc` of the newest sample that gives the heading, seconds; infinite without such a sample.
     pub fn heading_age_s(&self, utc: UtcNs) -> f64 {
         let newest = self.ring(self.heading_channel().0).newest();
         newest.map_or(f64::INFINITY, |newest| utc.seconds_since(newest))
@@ -132,12 +130,12 @@ impl NavHistory {
         }
         self.attitude_knots(&window, &wide, &mut trajectory.attitude)?;
 
-        // The knots of a stretch come from one source.
+        // All knots between two seams come from one source.
         let end_of = |knots: &[VectorKnot]| knots.last().map_or(zero, |k| zero.plus_s(k.time_s));
         if let Some(channel) = vertical.filter(|_| self.vertical_has_arm()) {
             let sensor = self.sensor_at(channel, end_of(&trajectory.heave));
             let arm_m = sensor.map_or(DVec3::ZERO, |p| p.vertical_arm_m(channel));
-            // A heave sensor measures zero at rest, a depth sensor its own depth.
+            // At rest, a heave sensor measures zero and a depth sensor measures its own depth.
             let at_rest_m = if channel == NavChannel::Heave {
                 arm_m.z
             } else {
@@ -175,8 +173,8 @@ impl NavHistory {
         Ok(self.bring_to_rest(&window, trajectory))
     }
 
-    /// Time for which a channel is extrapolated before it comes to rest, seconds; `None` if it does not come to rest in this
-    /// window.
+    /// Time for which a channel is extrapolated before it comes to rest, seconds. `None` if the channel does not come to rest in
+    /// this window.
     fn resting(&self, channel: NavChannel, w: &Window) -> Option<f64> {
         let Beyond::Held { after_s } = w.beyond else {
             return None;
@@ -205,7 +203,7 @@ impl NavHistory {
         }
     }
 
-    /// The stretch between seams that contains the window. If samples may be absent, it is the last stretch that has begun.
+    /// The interval between seams that contains the window. If samples may be absent, it is the last interval that has a sample.
     fn stretch(&self, channel: NavChannel, w: &Window) -> Result<Stretch, NavGap> {
         let own = |(at, of): &(UtcNs, Option<usize>)| {
             of.is_none_or(|of| of == index(channel)).then_some(*at)
@@ -239,7 +237,7 @@ impl NavHistory {
         Ok(Stretch { start, end })
     }
 
-    /// Newest knot of a stretch.
+    /// Newest knot of an interval.
     fn newest_of(&self, channel: NavChannel, stretch: Stretch) -> Option<&Knot> {
         let ring = self.ring(channel);
         ring.iter(ring.within(stretch)).next_back()
@@ -309,7 +307,7 @@ impl NavHistory {
         result
     }
 
-    /// Attitude knots over `wide`. Only `needed` must be covered.
+    /// Attitude knots over `wide`. The samples must cover only `needed`.
     fn attitude_knots_with(
         &self,
         needed: &Window,
@@ -343,7 +341,7 @@ impl NavHistory {
                 self.resting(NavChannel::RollPitch, needed),
                 self.newest_of(NavChannel::RollPitch, stretch),
             ) {
-                // Roll and pitch keep their last values; the heading continues.
+                // Roll and pitch keep their last values, and the heading continues at its rate.
                 let last_s = last.utc.seconds_since(wide.zero);
                 let mut rested_s = last_s + 2.0 * after_s;
                 let mut hold = |time_s: f64| {
@@ -367,7 +365,7 @@ impl NavHistory {
         Ok(())
     }
 
-    /// Unwrapped heading knots with rates over `wide`. Only `needed` must be covered.
+    /// Unwrapped heading knots with rates over `wide`. The samples must cover only `needed`.
     fn heading_knots(
         &self,
         needed: &Window,
@@ -404,7 +402,7 @@ impl NavHistory {
         let (heading, _) = self.heading_channel();
         let compass_rad = match self.heading_from() {
             HeadingFrom::Sensor => angles(heading).z,
-            // A course is independent of any mounting.
+            // The course does not depend on a mounting.
             _ => 0.0,
         };
         let motion = match self.owns(NavChannel::RollPitch) {
@@ -485,7 +483,8 @@ impl NavHistory {
     }
 }
 
-/// Rotation at a time: exactly that of a knot at this time, independent of later knots; otherwise interpolated.
+/// Rotation at a time. If a knot has this time, the result is exactly its rotation, independent of later knots. Otherwise the
+/// rotation is interpolated.
 fn rotation_at(knots: &[AttitudeKnot], time_s: f64) -> DQuat {
     match knots.iter().find(|k| k.time_s == time_s) {
         Some(knot) => knot.world_from_body,
@@ -493,8 +492,8 @@ fn rotation_at(knots: &[AttitudeKnot], time_s: f64) -> DQuat {
     }
 }
 
-/// Time of the newest knot that affects the motion up to `window_s`, seconds: the second at or after it, or the last. Infinite
-/// without knots.
+/// Time of the newest knot that affects the motion up to `window_s`, seconds: the second knot at or after it, or the last knot.
+/// Infinite without knots.
 fn newest_used(times_s: impl Iterator<Item = f64>, window_s: f64) -> f64 {
     let mut newest_s = f64::INFINITY;
     let mut behind = 0;
@@ -511,17 +510,17 @@ fn newest_used(times_s: impl Iterator<Item = f64>, window_s: f64) -> f64 {
 /// Policy for a window that extends beyond the last measurement.
 #[derive(Clone, Copy)]
 enum Beyond {
-    /// The window is refused if it ends later than this after the last measurement, seconds.
+    /// The window is refused if it ends more than `after_s` seconds after the last measurement.
     Refused { after_s: f64 },
-    /// Motion is extrapolated for this time, seconds, and then comes to rest.
+    /// Motion is extrapolated for `after_s` seconds and then comes to rest.
     Held { after_s: f64 },
 }
 
 /// Orientation of motion sensor and compass in the body.
 struct Mounting {
-    /// Both sensors are aligned with the body.
+    /// True if both sensors are aligned with the body.
     aligned: bool,
-    /// One sensor gives roll, pitch and heading.
+    /// True if one sensor gives roll, pitch and heading.
     same_sensor: bool,
     sensor_from_body: DQuat,
     compass_rad: f64,
@@ -542,7 +541,7 @@ impl Mounting {
     }
 }
 
-/// Horizontal offset from a towed body to the antenna of the ship, north and east, metres. Both have the heading of the body.
+/// Horizontal offset from a towed body to the antenna of the ship, north and east, metres. Body and ship have the same heading.
 fn ship_offset_m(tow: &TowSpec, antenna_m: DVec3, world_from_body: DQuat, down_m: f64) -> DVec3 {
     let (_, _, heading_rad) = angles_from_rotation(world_from_body);
     let cable_m = tow.cable_out_m * tow.cable_scope;
@@ -553,7 +552,7 @@ fn ship_offset_m(tow: &TowSpec, antenna_m: DVec3, world_from_body: DQuat, down_m
     DQuat::from_rotation_z(heading_rad) * DVec3::new(ahead_m, starboard_m, 0.0)
 }
 
-/// Appends two knots: uniform motion for `after_s`, then uniform deceleration to rest over the same time.
+/// Appends two knots: uniform motion for `after_s` seconds, then uniform deceleration to rest over the same time.
 fn rest(knots: &mut Vec<VectorKnot>, after_s: f64) {
     let Some(last) = knots.last().copied() else {
         return;
@@ -607,8 +606,7 @@ fn check_speed(position: &[VectorKnot]) -> Result<(), NavGap> {
     Ok(())
 }
 
-/// Replaces each value by the direction of its rate in `value.x`, radians. A knot at rest keeps the direction of the previous
-/// one.
+/// Replaces each value by the direction of its rate in `value.x`, radians. A knot at rest keeps the direction of the previous knot.
 fn courses_from_rates(knots: &mut [VectorKnot]) {
     let moving = |k: &VectorKnot| {
         let v = k.rate_per_s;

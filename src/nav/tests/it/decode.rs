@@ -1,4 +1,4 @@
-//! Decoding: real logs, epochs, signs, policies, and random bytes.
+//! Tests of decoding: recorded logs, epochs, signs, policies, and random bytes.
 
 use echotank_config::spec::{ChecksumPolicy, NavChannel, NavSourceSpec, TimePolicy};
 use echotank_core::navigation::{NavQuantity, NavSample};
@@ -43,7 +43,7 @@ fn seapath_counts_equal_an_independent_count() {
     assert_eq!((log.stamped, log.backward), (720, 0));
     assert_eq!(counters.sentences, count("$"));
     assert_eq!(counters.unsupported, 0);
-    // VTG and HDT are active until RMC and PSXN arrive; PSXN,22 holds nothing of use, PSXN,20 quality flags.
+    // VTG and HDT are active until RMC and PSXN arrive. PSXN,22 has no used value; PSXN,20 has quality flags.
     assert_eq!(
         counters.not_taken,
         count("HDT") - 1 + count("VTG") - 1 + count("PSXN,22")
@@ -74,7 +74,7 @@ fn seapath_counts_equal_an_independent_count() {
     check_sum(&counters);
 }
 
-/// PSXN,23 carries no time and is logged 0.36 s after the GGA epoch it belongs to.
+/// PSXN,23 has no time and is logged 0.36 s after the GGA of its epoch.
 #[test]
 fn psxn_23_gets_the_epoch_of_the_gga_of_its_burst() {
     let spec = source(TimePolicy::Burst, ChecksumPolicy::Require, &ALL);
@@ -109,7 +109,7 @@ fn psxn_23_gets_the_epoch_of_the_gga_of_its_burst() {
     );
 }
 
-/// An independent decoding of the log's fields: split at commas, parse, convert.
+/// Independent decoder of the fields of the log: it splits at commas, parses and converts.
 fn split_by_hand(sentence: &str) -> Vec<(&'static str, Vec<f64>)> {
     let body = sentence.trim().split('*').next().unwrap_or("");
     let f: Vec<&str> = body.split(',').collect();
@@ -176,7 +176,7 @@ fn as_degrees(sample: &NavSample) -> Vec<(&'static str, Vec<f64>)> {
 
 #[test]
 fn samples_agree_with_an_independent_field_split() {
-    // The crate's course, speed, heading and height are f32: 2e-5 degrees at 360.
+    // Course, speed, heading and height of the crate are f32: 2e-5 degrees at 360 degrees.
     let tolerance = |what: &str| match what {
         "position" => 1e-12,
         "course" | "heading" => 3e-5,
@@ -186,7 +186,7 @@ fn samples_agree_with_an_independent_field_split() {
     let mut compared = 0;
     for log in [SEAPATH, GYRO] {
         for line in String::from_utf8_lossy(log).lines() {
-            // A fresh decoder per sentence, so that each is active.
+            // Each sentence has its own decoder, so each sentence is active.
             let spec = source(TimePolicy::Message, ChecksumPolicy::Require, &ALL);
             let mut decoder = NavDecoder::new(0, &spec);
             let mut out = Vec::new();
@@ -228,7 +228,7 @@ fn lower_case_checksums_of_the_gyro_are_good() {
 #[test]
 fn hydroball_wrong_checksums_follow_the_policy_and_its_date_is_found() {
     let lines = String::from_utf8_lossy(HYDROBALL);
-    // Every checksum is 00; by chance a few are right.
+    // Every checksum is 00; a few are correct by chance.
     let sum = |line: &str| {
         let body = line.split(['$', '*']).nth(1).unwrap_or("");
         body.bytes().fold(0, |sum, byte| sum ^ byte)
@@ -249,7 +249,7 @@ fn hydroball_wrong_checksums_follow_the_policy_and_its_date_is_found() {
         assert!(counters.missing_checksum > 20, "{counters:?}");
         assert!(log.backward > 10, "{log:?}");
         check_sum(&counters);
-        // 2017-12-11 18:58:40, a date that no line before the first RMC holds.
+        // 2017-12-11 18:58:40; no line before the first RMC has this date.
         let is_fix = |s: &&NavSample| matches!(s.quantity, NavQuantity::Position { .. });
         let first = samples.iter().find(is_fix).expect("a fix");
         assert_eq!(first.valid_utc, UtcNs(1_513_018_720 * NS_PER_S));
@@ -291,7 +291,7 @@ fn a_plain_log_arrives_as_its_messages_advance() {
     assert_eq!(plain.len(), stamped.len());
     for (a, b) in plain.iter().zip(&stamped) {
         assert_eq!((a.valid_utc, a.quantity), (b.valid_utc, b.quantity));
-        // ZDA rounds up by 10 ms.
+        // ZDA is rounded up by 10 ms.
         let late_s = a.arrival_utc.seconds_since(a.valid_utc);
         assert!((0.0..0.011).contains(&late_s), "{late_s}");
     }

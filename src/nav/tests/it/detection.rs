@@ -1,4 +1,4 @@
-//! What logs give whose `provides` is not configured.
+//! Tests of the detection of quantities in logs without a configured `provides`.
 
 use echotank_config::spec::{NavChannel, NavInputSpec, NavSpec, VerticalSpec};
 use echotank_core::navigation::{FixQuality, NavQuantity, NavSample};
@@ -9,7 +9,7 @@ use echotank_testing::nav::{nav, source};
 
 use crate::log_source;
 
-/// Logs that leave open what they provide.
+/// Logs without a configured `provides`.
 fn open_logs(names: &[&str]) -> NavSpec {
     let of = |name: &&str| {
         let input = NavInputSpec::Log {
@@ -28,7 +28,7 @@ fn bytes(name: &str) -> Vec<u8> {
     std::fs::read(logs.join(name)).expect("test data")
 }
 
-/// A sample of a quantity every second.
+/// One sample of a quantity per second.
 fn samples(channel: NavChannel, seconds: std::ops::Range<i64>) -> Vec<NavSample> {
     let quantity = match channel {
         NavChannel::Position => NavQuantity::Position {

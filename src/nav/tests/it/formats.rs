@@ -1,5 +1,5 @@
-//! A known motion, encoded in every supported format, is decoded unchanged; signs; corrupted bytes; our decoders compared with the nmea
-//! crate.
+//! Tests of all formats: a known motion is encoded and decoded unchanged; signs; corrupted bytes; comparison of the decoders with
+//! the crate `nmea`.
 
 use std::f64::consts::TAU;
 
@@ -19,7 +19,7 @@ use crate::{ALL, log_source, sum_of_classes};
 
 /// 2014-08-01T00:00:00Z; GPS week 1803, 432016 s.
 const DAY_S: i64 = 1_406_851_200;
-/// Time base of a Seapath's attitude on a serial line.
+/// Delay of the attitude of a Seapath on a serial link, seconds.
 const LATENCY_S: f64 = 0.36;
 
 fn source(dialect: NavDialect, time: TimePolicy) -> NavSourceSpec {
@@ -32,7 +32,7 @@ fn source(dialect: NavDialect, time: TimePolicy) -> NavSourceSpec {
 
 // ---------------------------------------------------------------- the known motion
 
-/// Degrees and metres, our sign conventions, at `t` seconds past midnight.
+/// Attitude in degrees, heave in metres, in our sign convention, at `t` seconds past midnight.
 #[derive(Clone, Copy)]
 struct Motion {
     t: f64,
@@ -47,7 +47,7 @@ struct Motion {
     east_m_s: f64,
 }
 
-/// Sines of different rates, and a heading that swings through north.
+/// Sines of different periods, and a heading that passes through north.
 fn motion(t: f64) -> Motion {
     Motion {
         t,
@@ -245,7 +245,7 @@ fn psat(m: &Motion) -> Vec<u8> {
         m.roll
     ))
 }
-/// -180 to 180 degrees.
+/// Heading in -180 to 180 degrees.
 fn signed_heading(m: &Motion) -> f64 {
     (m.heading + 180.0).rem_euclid(360.0) - 180.0
 }
@@ -351,7 +351,7 @@ fn kmb(m: &Motion) -> Vec<u8> {
 }
 
 fn x25(bytes: &[u8]) -> u16 {
-    // Without a table, unlike the library: bit by bit on the reflected message polynomial.
+    // Bitwise computation on the reflected message polynomial; the library uses a table.
     let mut crc: u16 = 0xFFFF;
     for byte in bytes {
         let tmp = byte ^ (crc as u8);
@@ -397,17 +397,17 @@ fn tlog(m: &Motion, version: u8) -> Vec<u8> {
     .concat()
 }
 
-/// Half a step of the format's numbers: (roll and pitch deg, heading deg, heave m, latitude and longitude deg, height m).
+/// Half a resolution step of a format: (roll and pitch deg, heading deg, heave m, latitude and longitude deg, height m).
 type Steps = (f64, f64, f64, f64, f64);
 
-/// Values that a format must return.
+/// A format under test, with the quantities that its decoder must return.
 struct Format {
     name: &'static str,
     format: NavFormat,
     encode: fn(&Motion) -> Vec<u8>,
     steps: Steps,
     channels: &'static [NavChannel],
-    /// The message carries its own time.
+    /// True if the message has its own time.
     timed: bool,
 }
 
@@ -518,19 +518,19 @@ fn formats() -> Vec<Format> {
             NavFormat::Kmb,
             kmb,
             &ALL,
-            // f32 near 359 degrees.
+            // Resolution of f32 near 359 degrees.
             (1e-6, 2e-5, 2e-7, 1e-13, 2e-7),
             true,
         ),
     ]
 }
 
-/// Checks one sample against the motion at its validity.
+/// Compares one sample with the motion at its time of validity.
 fn check(name: &str, sample: &NavSample, steps: &Steps) {
     let t = sample.valid_utc.seconds_since(UtcNs(DAY_S * NS_PER_S));
     let want = motion(t);
     let near = |what: &str, got: f64, want: f64, step: f64| {
-        // Half steps are exact bounds; a millionth more allows for rounding.
+        // Half steps are exact bounds. A millionth more allows for rounding.
         let error = (got - want).abs();
         assert!(
             error <= step * (1.0 + 1e-6) + 1e-9,
@@ -572,7 +572,7 @@ fn check(name: &str, sample: &NavSample, steps: &Steps) {
                 steps.3,
             );
             if let Some(height_m) = height_m {
-                // The crate reads GGA's height as f32.
+                // The crate reads the height of GGA as f32.
                 near("height", height_m, want.height, steps.4 + 3e-7);
             }
         }
@@ -606,7 +606,7 @@ fn a_known_motion_comes_back_within_half_a_step_of_every_format() {
         };
         let mut decoder = NavDecoder::new(0, &source(dialect, time));
         let mut samples = Vec::new();
-        // Two records more than compared: EM3000 accepts records in threes.
+        // EM3000 records are accepted in threes, so two more records than compared are needed.
         for i in 0..602 {
             let t = f64::from(i) * 0.1;
             let arrival = UtcNs(DAY_S * NS_PER_S).plus_s(t + LATENCY_S);
@@ -679,7 +679,7 @@ fn a_tlog_of_either_version_gives_the_motion_at_the_vehicle_s_own_time() {
             (log.lines, counters.used, counters.resync_bytes),
             (300, 300, 9)
         );
-        // Position, course, heading, attitude; f32 radians are 1e-7 of the angle.
+        // Four quantities: position, course, heading and attitude. f32 radians have a relative error of 1e-7.
         assert_eq!(samples.len(), 400);
         for s in &samples {
             check("tlog", s, &(2e-5, 2e-5, 0.0, 0.5e-7, 0.0005));
@@ -696,7 +696,7 @@ fn a_tlog_of_either_version_gives_the_motion_at_the_vehicle_s_own_time() {
 
 // ---------------------------------------------------------------- signs, by hand
 
-/// Sentences from manuals and logs, with the platform's motion.
+/// Sentences from manuals and logs, with the motion of the platform that they describe.
 #[test]
 fn the_sign_table() {
     // (name, format, bytes without checksum, roll, pitch, heave down)
@@ -885,7 +885,7 @@ fn two_talkers_of_the_same_quantity_are_not_mixed() {
     let mut samples = Vec::new();
     for i in 0..20 {
         let at = UtcNs(DAY_S * NS_PER_S).plus_s(f64::from(i));
-        // The first talker stops for good after ten seconds.
+        // The first talker stops permanently after ten seconds.
         if i < 10 {
             decoder.push(&nmea("HEHDT,10.0,T".into()), at, &mut samples);
         }
@@ -905,7 +905,8 @@ fn two_talkers_of_the_same_quantity_are_not_mixed() {
     );
 }
 
-/// Attitude at 8 Hz between fixes at 1 Hz, without a pause: it does not belong to the fix's time, which is up to a second old.
+/// Attitude at 8 Hz between fixes at 1 Hz, without a pause. The time of a fix is up to a second old and is not the time of the
+/// attitude.
 #[test]
 fn a_sentence_repeated_in_a_burst_is_valid_at_its_arrival() {
     let mut decoder = NavDecoder::new(0, &source(NavDialect::default(), TimePolicy::Burst));
@@ -928,7 +929,7 @@ fn a_sentence_repeated_in_a_burst_is_valid_at_its_arrival() {
 
 #[test]
 fn paced_bytes_give_every_sentence_the_arrival_of_its_own_first_byte() {
-    // 4800 Bd: 10 bits per byte.
+    // Byte time at 4800 Bd with 10 bits per byte.
     let byte_ns = NS_PER_S * 10 / 4800;
     for f in formats().iter().filter(|f| !f.timed) {
         let dialect = NavDialect {
@@ -1012,7 +1013,7 @@ const FORMATS: [NavFormat; 5] = [
 ];
 
 fn sentence_body() -> impl Strategy<Value = String> {
-    // Sentences that both decode, some with a corrupted field.
+    // Sentences that both decoders support, some with a corrupted field.
     let list: [fn(&Motion) -> Vec<u8>; 4] = [gga, rmc, hdt, gll];
     let spoil = (any::<u8>(), "[0-9.,A-Z-]{0,8}");
     (0..list.len() + 2, 0.0..86_000.0_f64, spoil, 0u8..3).prop_map(
@@ -1090,7 +1091,7 @@ proptest! {
                 let theirs_ns = (time - midnight).num_nanoseconds().expect("a day");
                 prop_assert!((ns - theirs_ns).abs() <= 1, "{:?} {:?}", ours, time);
             }
-            // The crate takes three digits of degrees even where the longitude has fewer.
+            // The crate takes three digits of degrees even if the longitude has fewer.
             let digits = |i: usize| body.split(',').nth(i).and_then(|t| t.find('.'));
             let first = if body.contains("GGA") { 2 } else { 3 };
             let padded = digits(first) == Some(4) && digits(first + 2) == Some(5);
@@ -1098,7 +1099,7 @@ proptest! {
                 prop_assert!(close(lat, lat_deg.to_radians(), 1e-15), "{:?} {}", ours, lat_deg);
                 prop_assert!(close(lon, lon_deg.to_radians(), 1e-15), "{:?} {}", ours, lon_deg);
             }
-            // The crate's heights are f32.
+            // Heights of the crate are f32.
             if let (Some(ours_m), Some(theirs_m)) = (ours.height_m, height_m) {
                 prop_assert!(close(ours_m, f64::from(theirs_m), 1e-6), "{:?} {}", ours, theirs_m);
             }

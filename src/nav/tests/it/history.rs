@@ -1,4 +1,4 @@
-//! From samples to motion: compared with analytic motions, across wraps, gaps and loops of a log.
+//! Tests of the history: samples to motion, compared with analytic motions, across wraps, gaps and loops of a log.
 
 use std::f64::consts::TAU;
 
@@ -73,7 +73,7 @@ fn settle(history: &mut NavHistory, time_s: f64, window_s: f64) -> Result<NavSta
     )
 }
 
-/// Swell: heave 1 m in 6 s, roll 8 deg in 7 s, pitch 5 deg in 6 s, yawing 3 deg in 11 s about 10 deg.
+/// Swell: heave 1 m with period 6 s, roll 8 deg with 7 s, pitch 5 deg with 6 s, yaw 3 deg with 11 s about heading 10 deg.
 fn swell(t: f64) -> [NavQuantity; 4] {
     let wave = |amplitude: f64, period_s: f64| amplitude * (TAU * t / period_s).sin();
     [
@@ -146,7 +146,8 @@ fn swell_errors(rate_hz: f64) -> [f64; 5] {
     worst
 }
 
-/// Bounds about twice the observed errors; interpolation is cubic, so a tenth of the rate costs about a thousand times the accuracy.
+/// The bounds are about twice the observed errors. Interpolation is cubic, so a tenth of the rate increases the errors about a
+/// thousandfold.
 #[test]
 fn swell_at_10_hz_is_interpolated_to_0p1_mm_and_0p001_deg() {
     for (rate_hz, limit) in [
@@ -182,7 +183,7 @@ fn heading_goes_through_north_the_short_way() {
     }
 }
 
-/// PSXN,23 and PASHR define port up as positive; a starboard transducer must then go down.
+/// PSXN,23 and PASHR define port up as positive. With positive roll, a starboard transducer goes down.
 #[test]
 fn roll_to_starboard_puts_the_starboard_side_deeper_and_heave_down_sinks() {
     use echotank_nav::NavDecoder;
@@ -243,7 +244,7 @@ fn an_antennas_lever_arm_is_applied_at_its_own_time() {
             history.insert(&sample(0, t, roll_pitch(roll, pitch)));
             history.insert(&sample(0, t, heading(0.5_f64.to_degrees())));
             history.insert(&sample(0, t, heave(0.0)));
-            // Fixes come once a second, while the antenna sways by metres.
+            // Fixes arrive once a second, while roll moves the antenna by metres.
             if k % 20 == 0 {
                 let antenna = truth(t) + rotation(t) * arm;
                 history.insert(&sample(0, t, local(antenna.x, antenna.y, antenna.z)));
@@ -328,8 +329,8 @@ fn vertical_comes_from_waterline_and_heave_or_the_height_or_the_depth() {
 
 #[test]
 fn a_settled_state_does_not_change_when_more_samples_come() {
-    // Heading from another source at another rate, from the track, or with everything else in one sentence; an antenna on a lever arm:
-    // every channel depends on another.
+    // Heading from another source at another rate, from the track, or with everything else in one sentence. The antenna is on a
+    // lever arm, so every channel depends on another.
     for (course_only, together) in [(false, false), (true, false), (false, true), (true, true)] {
         let mut spec = nav_spec(vec![
             log_source(&[
@@ -452,7 +453,7 @@ fn prediction_extrapolates_the_last_rates_up_to_its_limit() {
     assert_eq!(history.counts().stale, 1);
 }
 
-/// A roll sinusoid with the resolution of a real sensor: the end slope must not amplify the last digit to degrees.
+/// A roll sinusoid with the resolution of a real sensor. The slope at the end must not amplify the last digit to degrees.
 #[test]
 fn prediction_at_100_hz_is_not_shaken_by_the_sensor_s_resolution() {
     let roll_deg = |t: f64| 6.0 * (TAU * t / 8.0).sin();
@@ -563,7 +564,7 @@ fn nothing_is_interpolated_across_the_loop_of_a_log() {
 
 #[test]
 fn heading_comes_from_the_course_or_the_track_where_no_source_gives_it() {
-    // A circle of 50 m, once in 100 s, clockwise from heading north.
+    // Circle with a radius of 50 m, once in 100 s, clockwise from heading north.
     let angle = |t: f64| TAU * t / 100.0;
     for with_course in [true, false] {
         let mut provides = vec![NavChannel::Position, NavChannel::RollPitch];
@@ -616,7 +617,7 @@ fn without_roll_and_pitch_the_platform_is_level() {
     assert_eq!(state.heave_down_m, 0.0);
 }
 
-/// Straight on at 5 m/s, over the antimeridian and 3 m beside either pole: longitudes jump arbitrarily, the track does not.
+/// Straight motion at 5 m/s over the antimeridian, and 3 m beside either pole. Longitudes jump, but the track does not.
 #[test]
 fn a_track_over_the_dateline_and_by_the_poles_is_straight() {
     for (latitude_deg, longitude_deg) in [
@@ -655,7 +656,7 @@ fn a_track_over_the_dateline_and_by_the_poles_is_straight() {
             let state = settle(&mut history, t, 0.1).expect("settled");
             let way = (state.pose.position_m - start.pose.position_m).length();
             let speed = state.pose.velocity_m_per_s.length();
-            // The plane of the first fix is 25 m from that at the edge: 4e-6 rad.
+            // The origin is the first fix, 25 m from the plane at the edge: 4e-6 rad.
             assert!(
                 (way - 5.0 * (t - 1.0)).abs() < 1e-5 && (speed - 5.0).abs() < 1e-5,
                 "({latitude_deg}, {longitude_deg}) at {t}: {way} m, {speed} m/s"
@@ -728,12 +729,12 @@ fn a_source_without_configured_channels_provides_what_it_sends() {
         history.insert(&sample(1, t, local(2.0 * t, 0.0, 0.0)));
         history.insert(&sample(1, t, heading(0.0)));
     }
-    // Two seconds show what a source sends.
+    // After two seconds the channels of a source are known.
     assert_eq!(history.first_usable_utc(), Some(T0));
     assert_eq!(history.active_source(NavChannel::Heading), Some(1));
     assert_eq!(history.active_source(NavChannel::RollPitch), None);
     let state = settle(&mut history, 1.0, 0.2).expect("level without attitude");
-    // The arm of the first source, which sends nothing, plays no part.
+    // The lever arm of the first source, which sends no sample, has no effect.
     assert!((state.pose.position_m.x - 2.0).abs() < 1e-9);
 
     // From its first sample on, a quantity counts and is needed.

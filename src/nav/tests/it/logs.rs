@@ -1,4 +1,4 @@
-//! Recorded logs of every kind: counters equal to those of `tests/data/navlogs/count.py`, and the content of the report.
+//! Tests on recorded logs of every kind: counters equal those of `tests/data/navlogs/count.py`, and the content of the report.
 
 mod wrappers;
 
@@ -157,7 +157,7 @@ fn a_tlog_s_messages_all_pass_their_checksum() {
         (interval.median - 0.05).abs() < 1e-3,
         "20 Hz by the vehicle's clock: {interval:?}"
     );
-    // The vehicle lies on the bench.
+    // The vehicle is at rest on the bench.
     for s in &r.samples {
         if let NavQuantity::RollPitch {
             roll_rad,
@@ -186,7 +186,7 @@ fn the_report_names_active_sources_and_why_others_are_unused() {
     assert_eq!(gave(&r, "PASHR", Heave), 100);
     assert_eq!(gave(&r, "PASHR", Heading), 100);
     assert_eq!(gave(&r, "GPGGA", Position), 40);
-    // The first RMC came before any GGA.
+    // The first RMC precedes any GGA.
     assert_eq!(
         (gave(&r, "GPRMC", Position), gave(&r, "GPHDT", Heading)),
         (1, 0)
@@ -194,7 +194,7 @@ fn the_report_names_active_sources_and_why_others_are_unused() {
     let pashr = r.channels[3].interval_s.expect("several");
     assert!((pashr.median - 0.04).abs() < 1e-9, "25 Hz");
 
-    // Contradictory headings: the true one is active; the magnetic ones have no variation.
+    // The headings contradict. The true heading is active, and the magnetic headings have no variation.
     let r = read("navlogs/mayara_udp10110.pcap");
     assert_eq!(gave(&r, "BMHDT", Heading), 64);
     let magnetic = r
@@ -203,16 +203,16 @@ fn the_report_names_active_sources_and_why_others_are_unused() {
         .find(|s| s.name == "BKHDM")
         .expect("BKHDM");
     assert_eq!(magnetic.magnetic, 129);
-    // Positions of two talkers: one is used.
+    // Positions of two talkers; one talker is used.
     let places = ["BMGLL", "BOGLL", "CHGLL"].map(|name| gave(&r, name, Position));
     assert_eq!(places.iter().filter(|n| **n > 0).count(), 1, "{places:?}");
 
-    // Depths are decoded but not part of the motion.
+    // Depths are decoded but are not part of the motion.
     let r = read("navlogs/em122depth_300.rvdas");
     assert_eq!((r.counters.not_taken, r.samples.len()), (300, 0));
     assert_eq!(r.sentences[0].depths, 300);
 
-    // A compass at 10 Hz between fixes at 1 Hz, in a log without stamps: its headings are interpolated in time.
+    // A compass at 10 Hz between fixes at 1 Hz, in a log without stamps. Its headings are interpolated in time.
     let r = read("navlogs/zeus_1200.log");
     let heading = &r.channels[2];
     let interval = heading.interval_s.expect("several");
@@ -224,7 +224,7 @@ fn the_report_names_active_sources_and_why_others_are_unused() {
     );
     assert!((0.05..0.2).contains(&interval.median), "{interval:?}");
 
-    // Empty headings.
+    // The headings are empty.
     let r = read("navlogs/bluerov_udp.txt");
     let hdt = r
         .sentences
@@ -233,7 +233,7 @@ fn the_report_names_active_sources_and_why_others_are_unused() {
         .expect("GPHDT");
     assert_eq!(hdt.outcomes.get(&Outcome::EmptyFields), Some(&129));
 
-    // The buoy's attitude has a constant wrong checksum and gives nothing until checksums are ignored.
+    // The attitude of the buoy has a constant wrong checksum and gives no sample until checksums are ignored.
     let mut ignoring = spec(ChecksumPolicy::AcceptMissing, TimePolicy::Burst);
     let log = bytes("nav/hydroball_22s.txt");
     let strict = report(&log, &ignoring, 10.0);
@@ -279,7 +279,7 @@ fn latencies_of_the_seapath_are_those_measured_by_hand() {
     }
 }
 
-/// Pitch stamped on arrival is the pitch of 0.36 s before: wrong by that times the pitch rate.
+/// Pitch stamped on arrival is the pitch 0.36 s earlier. The error is 0.36 s times the pitch rate.
 #[test]
 fn stamping_the_seapath_on_arrival_costs_its_pitch_rate_times_0p36_s() {
     let log = bytes("nav/seapath330_90s.rvdas");
@@ -309,7 +309,7 @@ fn stamping_the_seapath_on_arrival_costs_its_pitch_rate_times_0p36_s() {
         let lag = arrival[0].0 - burst[0].0;
         assert!((0.355..0.370).contains(&lag), "{lag}");
         fastest = fastest.max((w[1].1 - w[0].1).abs() / (w[1].0 - w[0].0));
-        // In the middle of the interval both lie on the same straight line, `lag` apart.
+        // In the middle of the interval, both pitches lie on the same straight line, `lag` apart.
         let t = w[0].0 + 0.5 * (w[1].0 - w[0].0) + lag / 2.0;
         worst = worst.max((at(&burst, t) - at(&arrival, t)).abs());
     }
@@ -321,8 +321,8 @@ fn stamping_the_seapath_on_arrival_costs_its_pitch_rate_times_0p36_s() {
     assert!(worst > 0.5, "it matters: {worst} deg");
 }
 
-/// One second ahead at 1 Hz, at the same times: holding, linear extrapolation, and the mean of both neighbours. Values from `python3` on
-/// the same 90 s; over 625 s of the same ship they are 1.39, 1.15 and 0.57 degrees.
+/// Prediction by one second at 1 Hz, at the same times: hold, linear extrapolation, and the mean of both neighbours. An independent
+/// Python computation on the same 90 s gave the expected values. Over 625 s of the same ship they are 1.39, 1.15 and 0.57 degrees.
 #[test]
 fn the_error_of_one_second_of_extrapolation_matches_an_independent_computation() {
     let r = read("nav/seapath330_90s.rvdas");
@@ -353,7 +353,7 @@ fn the_error_of_one_second_of_extrapolation_matches_an_independent_computation()
     }
 }
 
-/// As OpenRVDAS writes it with an older time format, from a log of 2014 replayed in 2017 at four lines a second, with CR line ends and a
+/// OpenRVDAS format with an older time format. A log of 2014 is replayed in 2017 at four lines a second, with CR line ends and a
 /// byte order mark at the start.
 #[test]
 fn a_log_replayed_slowly_in_another_year_keeps_its_bursts_and_dates() {
@@ -385,7 +385,7 @@ fn a_log_replayed_slowly_in_another_year_keeps_its_bursts_and_dates() {
         (100, 100, 0)
     );
     let c = &r.counters;
-    // The heading comes from PSXN, so HDT is not used.
+    // PSXN gives the heading, so HDT is not used.
     assert_eq!((c.used + c.not_taken, c.undated, c.time_jumps), (100, 0, 0));
     let (first, second) = (1_407_369_600.16, 1_407_369_601.16);
     for (channel, count) in [(NavChannel::Position, 20), (NavChannel::RollPitch, 20)] {
@@ -426,7 +426,7 @@ fn lines_of_json_and_ais_are_counted_and_skipped() {
     );
 }
 
-/// RMC, GGA and PASHR at 10 Hz in a log without stamps; the clock is wrong for three seconds.
+/// RMC, GGA and PASHR at 10 Hz in a log without stamps. The clock is wrong for three seconds.
 #[test]
 fn a_plain_log_with_a_wrong_clock_continues_and_notes_the_jump() {
     let start_s = 1_406_887_200;
@@ -452,7 +452,7 @@ fn a_plain_log_with_a_wrong_clock_continues_and_notes_the_jump() {
         let start = UtcNs(start_s * 1_000_000_000);
         assert_eq!(first, Some(start.0), "{off_s}");
         assert_eq!(last, Some(start.plus_s(24.9).0), "{off_s}");
-        // Sentences whose time jumps are set aside until three agree, twice, by time and by date.
+        // Sentences whose time jumps are rejected until three agree. This happens twice, by time and by date.
         assert!(
             report.counters.time_jumps <= 24,
             "{}",

@@ -1,4 +1,4 @@
-//! Navigation from bytes to motion: sentences, formats, recorded logs, history.
+//! Tests of the navigation from bytes to motion: sentences, formats, recorded logs, history.
 
 mod decode;
 mod detection;
@@ -26,7 +26,7 @@ const ALL: [NavChannel; 5] = [
     NavChannel::Heave,
 ];
 
-/// A recorded log at the vessel's reference point that must have checksums and is timed by its messages.
+/// A recorded log at the reference point of the vessel, with required checksums and message times.
 fn log_source(provides: &[NavChannel]) -> NavSourceSpec {
     let input = NavInputSpec::Log {
         path: "test.log".into(),
@@ -38,7 +38,7 @@ fn log_source(provides: &[NavChannel]) -> NavSourceSpec {
     }
 }
 
-/// Settled navigation 2 m below the waterline, with 30 s of history.
+/// Navigation in mode `settle` 2 m below the waterline, with 30 s of history.
 fn nav_spec(sources: Vec<NavSourceSpec>) -> NavSpec {
     NavSpec {
         vertical: VerticalSpec::Waterline {
@@ -51,7 +51,7 @@ fn nav_spec(sources: Vec<NavSourceSpec>) -> NavSpec {
 
 const T0: UtcNs = UtcNs(1_406_851_200 * NS_PER_S);
 
-/// A sample valid and received `time_s` after [`T0`].
+/// A sample that is valid and received `time_s` seconds after [`T0`].
 fn sample(source: u16, time_s: f64, quantity: NavQuantity) -> NavSample {
     let utc = T0.plus_s(time_s);
     NavSample {
@@ -62,7 +62,7 @@ fn sample(source: u16, time_s: f64, quantity: NavQuantity) -> NavSample {
     }
 }
 
-/// The sentences by class; every sentence is in one class.
+/// Sum of the sentences of all classes. Every sentence is in one class.
 fn sum_of_classes(c: &NavCounters) -> u64 {
     let refused = c.refused_checksum + c.malformed + c.unsupported + c.empty_fields;
     c.used + refused + c.not_taken + c.time_jumps

@@ -1,4 +1,4 @@
-//! Arms, mounting angles, depth sensors, towing and silence: against closed forms.
+//! Tests of lever arms, mounting angles, depth sensors, towing and silent sources against closed forms.
 
 use std::f64::consts::TAU;
 
@@ -65,7 +65,8 @@ fn predict(history: &mut NavHistory, time_s: f64) -> Result<NavState, NavGap> {
     history.motion(T0.plus_s(time_s), 0.1, NavMode::Predict, &mut trajectory)
 }
 
-/// A heave sensor 12 m ahead and 3 m to port of the reference point shows the pitch as heave; so does one 20 m up the mast, a little.
+/// A heave sensor 12 m ahead and 3 m to port of the reference point measures pitch as heave. A sensor 20 m up the mast measures a
+/// small induced heave.
 #[test]
 fn heave_induced_by_a_lever_arm_is_removed() {
     for arm in [
@@ -81,7 +82,7 @@ fn heave_induced_by_a_lever_arm_is_removed() {
         for k in 0..=400 {
             let t = f64::from(k) * 0.02;
             let (roll_rad, pitch_rad, heading_rad) = angles(t);
-            // By hand: what roll and pitch lift, Rz Ry Rx.
+            // Heave induced by roll and pitch, from Rz Ry Rx.
             let induced = -arm.x * pitch_rad.sin()
                 + pitch_rad.cos() * (arm.y * roll_rad.sin() + arm.z * roll_rad.cos())
                 - arm.z;
@@ -113,7 +114,7 @@ fn heave_induced_by_a_lever_arm_is_removed() {
     }
 }
 
-/// One instrument, askew, says the angles of its own axes; a compass of its own says the heading plus its own error.
+/// A misaligned instrument gives the angles of its own axes. A separate compass gives the heading plus its mounting error.
 #[test]
 fn mounting_angles_of_motion_sensor_and_compass_are_removed() {
     let askew = DVec3::new(2.0, -3.0, 30.0).map(f64::to_radians);
@@ -196,7 +197,7 @@ fn a_depth_sensor_on_an_arm_gives_the_depth_and_heave_is_not_counted_twice() {
                 pitch_rad,
             },
         );
-        // What a heave sensor beside it says is in the depth already.
+        // The depth already contains the heave of a heave sensor beside it.
         put(
             &mut history,
             0,
@@ -266,7 +267,7 @@ fn depth_comes_from_the_configured_sentences() {
     }
 }
 
-/// A fish on 50 m of cable, 30 m below the point where it leaves the ship, is 40 m behind that point; the antenna stands 10 m ahead of it.
+/// The towfish is on 50 m of cable, 30 m below the tow point and 40 m behind it. The antenna is 10 m ahead of the tow point.
 #[test]
 fn a_towfish_is_astern_by_its_layback_from_cable_and_depth() {
     let heading = 30.0_f64.to_radians();
@@ -292,7 +293,7 @@ fn a_towfish_is_astern_by_its_layback_from_cable_and_depth() {
             cable_scope: 0.8,
         });
         let mut history = NavHistory::new(&spec);
-        // The cable is the same; from 28 to 48 m the fish comes nearer: 40 m to 0 behind.
+        // The cable length is constant. From 28 to 48 m depth the layback decreases from 40 m to 0.
         let depth = |t: f64| if by_sensor { 28.0 + t } else { 28.0 };
         for k in 0..=200 {
             let t = f64::from(k) * 0.1;
@@ -322,7 +323,7 @@ fn a_towfish_is_astern_by_its_layback_from_cable_and_depth() {
     }
 }
 
-/// Attitude and position at 10 Hz until `until_s[0]` and `until_s[1]`, heading for ever.
+/// Attitude and position at 10 Hz until `until_s[0]` and `until_s[1]`; the heading does not end.
 fn silenced(on_lost: OnLost, until_s: [f64; 2]) -> NavHistory {
     let sources = vec![
         source(&[Position]),
@@ -355,7 +356,7 @@ fn silenced(on_lost: OnLost, until_s: [f64; 2]) -> NavHistory {
             );
         }
         if k == 0 {
-            // A first fix, long before.
+            // An early first fix.
             history
                 .motion(T0, 0.0, NavMode::Settle, &mut Trajectory::default())
                 .ok();
@@ -391,7 +392,7 @@ fn during_silence_pings_continue_at_rest_and_flag_invalid_channels() {
         "{}",
         lost.attitude_age_s
     );
-    // Carried on for a quarter of a second, and half as far again while it comes to rest.
+    // The motion is extrapolated for 0.25 s. Half of that distance is added while it comes to rest.
     let north = 15.0 + 3.0 * 0.25 * 1.5;
     let at = lost.pose.position_m;
     assert!(

@@ -1,4 +1,4 @@
-//! One log as other recorders would have written it, and as files suffer: the same samples at the same moments.
+//! Tests of one log in the formats of other recorders and with common file damage. Samples and times must be the same.
 
 use chrono::{DateTime, TimeDelta, Utc};
 use echotank_config::spec::{ChecksumPolicy, TimePolicy};
@@ -9,7 +9,7 @@ use echotank_nav::stamp::split_line;
 
 use super::{bytes, spec};
 
-/// Sentences of the log with the moments at which they came.
+/// Sentences of the log with their arrival times.
 fn rows() -> Vec<(DateTime<Utc>, String)> {
     let text = String::from_utf8(bytes("nav/seapath330_90s.rvdas")).expect("ASCII");
     let row = |line: &str| {
@@ -35,7 +35,7 @@ fn written(end: &str, line: impl Fn(&DateTime<Utc>, &str) -> String) -> Vec<u8> 
     lines.into_bytes()
 }
 
-/// As `chrono` writes the stamp, and what stands between it and the sentence.
+/// Log in which each sentence follows a stamp in the given `chrono` format and the text `between`.
 fn stamped(format: &str, between: &str) -> Vec<u8> {
     written("\n", |at, sentence| {
         format!("{}{between}{sentence}", at.format(format))
@@ -136,7 +136,7 @@ fn without_stamps_the_samples_are_the_same_whatever_ends_the_lines() {
             );
         }
     }
-    // Stamped by TAG blocks.
+    // Stamps in TAG blocks.
     let tagged = written("\r\n", |at, s| {
         let tag = format!("s:IN0001,c:{}", at.timestamp());
         let sum = tag.bytes().fold(0, |a, b| a ^ b);
@@ -152,7 +152,7 @@ fn truncation_of_a_log_loses_only_the_truncated_sentences() {
     });
     let want = samples(&whole);
     let torn = samples(&whole[37..whole.len() - 21]);
-    // The first is the day's only ZDA of its burst, the last an attitude: roll and pitch, heave.
+    // The first sentence is the only ZDA of its burst. The last sentence is an attitude and gives roll, pitch and heave.
     assert!(
         (want.len() - 5..want.len()).contains(&torn.len()),
         "{} of {}",
