@@ -20,10 +20,10 @@ const MAX_RECORD_BYTES: u32 = 256 << 20;
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 const READ_BYTES: usize = 256 * 1024;
 
-/// Why a client call failed.
+/// Errors of a client call.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
-    /// No connection to the address.
+    /// The connection to the address failed.
     #[error("cannot connect: {0}")]
     Connect(std::io::Error),
     /// Reading or writing failed.
@@ -40,7 +40,7 @@ pub enum ClientError {
     NoAnswer,
 }
 
-/// A received record with a valid checksum.
+/// A received record with a valid checksum, in its own buffer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OwnedRecord {
     /// The record's data record frame.
@@ -74,12 +74,15 @@ pub struct SevenKClient {
     packetiser: Packetiser,
     ticket: u32,
     buffer: Vec<u8>,
-    /// Records received while an answer was awaited.
+    /// Records received while the client waited for an answer.
     waiting: VecDeque<OwnedRecord>,
 }
 
 impl SevenKClient {
     /// Connects over TCP.
+    ///
+    /// # Errors
+    /// [`ClientError::Connect`] or [`ClientError::Io`].
     pub fn connect(address: impl ToSocketAddrs) -> Result<Self, ClientError> {
         let stream = TcpStream::connect(address).map_err(ClientError::Connect)?;
         stream.set_nodelay(true)?;
@@ -102,7 +105,7 @@ impl SevenKClient {
         Ok(self.stream.local_addr()?)
     }
 
-    /// Counters of the decoder; an undamaged connection counts `records` alone.
+    /// Counters of the decoder. On an undamaged connection only `records` is not zero.
     pub fn counters(&self) -> StreamCounters {
         self.decoder.counters()
     }
@@ -114,7 +117,10 @@ impl SevenKClient {
         })
     }
 
-    /// Requests one record and waits for it; a ping's record comes with the next ping.
+    /// Requests one record and waits for it. A record of a ping arrives with the next ping.
+    ///
+    /// # Errors
+    /// The connection fails, the server refuses, or no record arrives within 5 s.
     pub fn request(&mut self, record_type: u32) -> Result<OwnedRecord, ClientError> {
         self.command(Command::SingleRecord {
             record_type_id: record_type,
@@ -122,7 +128,10 @@ impl SevenKClient {
         self.until(|record| (record.record_type() == record_type).then(|| record.clone()))
     }
 
-    /// Sends a command and waits for its answer. Records that arrive first are kept for [`SevenKClient::next_record`].
+    /// Sends a command and waits for the answer. Records that arrive first are kept for [`SevenKClient::next_record`].
+    ///
+    /// # Errors
+    /// The connection fails, the server refuses, or no answer arrives within 5 s.
     pub fn command(&mut self, command: Command) -> Result<(), ClientError> {
         self.ticket = self.ticket.wrapping_add(1);
         let ticket = self.ticket;
@@ -145,7 +154,7 @@ impl SevenKClient {
             .map_err(ClientError::Refused)
     }
 
-    /// The next record; `None` after `timeout`.
+    /// Returns the next record; `None` after `timeout`.
     pub fn next_record(&mut self, timeout: Duration) -> Result<Option<OwnedRecord>, ClientError> {
         if let Some(record) = self.waiting.pop_front() {
             return Ok(Some(record));
@@ -153,7 +162,7 @@ impl SevenKClient {
         self.read_record(Instant::now() + timeout)
     }
 
-    /// Reads until `pick` returns something; other records are kept.
+    /// Reads until `pick` returns a value. The other records are kept.
     fn until<T>(
         &mut self,
         mut pick: impl FnMut(&OwnedRecord) -> Option<T>,
@@ -208,7 +217,7 @@ impl SevenKClient {
     }
 }
 
-/// The answer to the command with this ticket, if the record is one.
+/// Answer to the command with this ticket, if the record is one.
 fn answer(record: &OwnedRecord, ticket: u32) -> Option<Result<(), ErrorCode>> {
     match record.record_type() {
         Ack7501::RECORD_TYPE_ID => {

@@ -1,4 +1,4 @@
-//! Outgoing connections: clients that the server contacts on request of a session.
+//! Outgoing connections: clients that the server contacts at the request of a session.
 
 use std::io::ErrorKind;
 use std::net::SocketAddr;
@@ -36,7 +36,7 @@ pub(super) async fn serve(
             () = stopping(&mut stopped) => break,
             dial = dials.recv() => match dial {
                 Some(dial) => {
-                    // A repeated dial replaces the choice of records.
+                    // A repeated request replaces the selection of records.
                     shared.hang_up(dial.peer, dial.transport);
                     if let Some(slot) = shared.admit(dial.peer, dial.transport, true) {
                         clients.spawn(attend(dial, slot, stopped.clone()));

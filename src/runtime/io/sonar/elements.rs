@@ -1,4 +1,4 @@
-//! A small blocking client of the element stream that accounts for frames and their lateness.
+//! A small blocking client of the element stream, with a tally of received, lost and late frames.
 
 use std::io::{ErrorKind, Read};
 use std::net::{TcpStream, ToSocketAddrs};
@@ -30,7 +30,7 @@ impl ElementClient {
         })
     }
 
-    /// Waits for bytes and passes on each whole frame, with the host time of its last byte. Returns false once the server has closed.
+    /// Waits for bytes and calls `each` for every complete frame, with the host time of its last byte. Returns false once the server has closed.
     pub fn read(
         &mut self,
         timeout: Duration,
@@ -51,7 +51,7 @@ impl ElementClient {
         };
         let now = self.clock.host_utc();
         self.frames.feed(&self.buffer[..len], |item| {
-            // Undecodable bytes are counted.
+            // `frames` counts undecodable bytes.
             if let Some(frame) = item.ok().and_then(|bytes| Frame::parse(bytes).ok()) {
                 each(&frame, now);
             }
@@ -74,14 +74,14 @@ pub struct FrameTally {
     pub lost_frames: u64,
     /// Pings received, incomplete ones included.
     pub pings: u64,
-    /// Pings followed by another before their last frame.
+    /// Pings without their last frame before the next ping began.
     pub incomplete_pings: u64,
     next: Option<u32>,
     ping: Option<(u32, u32)>,
 }
 
 impl FrameTally {
-    /// Counts a frame; true for the first frame of its ping.
+    /// Counts a frame. Returns true for the first frame of a ping.
     pub fn note(&mut self, frame: &Frame<'_>) -> bool {
         let head = &frame.head;
         self.frames += 1;
@@ -97,7 +97,7 @@ impl FrameTally {
                 self.ping = Some((number, had));
             }
             other => {
-                // Whole pings end with `None`.
+                // `self.ping` is `None` after a complete ping.
                 self.incomplete_pings += u64::from(other.is_some());
                 self.pings += 1;
                 self.ping = Some((head.ping_number, if is_first { frame.moments } else { 0 }));

@@ -1,18 +1,19 @@
-//! Servers of the sonar protocols: one thread per server, none of which paces a ping.
+//! Servers of the sonar protocols: one thread per server. No server thread paces a ping.
 //!
 //! A server takes whole records from the delivery thread ([`SonarServer::deliver`]) and commands from clients over TCP and UDP on one port. A
-//! [`Protocol`] encodes and decodes; the server owns sockets, queues, counters and timeouts. Its thread runs a current-thread tokio runtime. The
+//! [`Protocol`] encodes and decodes. The server owns sockets, queues, counters and timeouts. Its thread runs a current-thread tokio runtime. The
 //! delivery thread only appends to queues and never waits for a socket.
 //!
-//! Each client has a bounded queue. A record that does not fit is dropped for that client and counted, or the client is disconnected
-//! ([`WhenFull`]). A record that finds the queue empty always fits. A record is sent whole unless the connection ends. Replies to commands precede
-//! queued records. A TCP client that does not read its replies is not read from; a UDP client loses replies, which are counted.
+//! Each client has a bounded queue. If a record does not fit, it is dropped for this client and counted, or the client is disconnected
+//! ([`WhenFull`]). An empty queue accepts any record. A record is sent completely unless the connection ends. Replies to commands precede queued
+//! records. A TCP client that does not read its replies is not read from; a UDP client loses replies, which are counted.
 //!
 //! A UDP client ends after [`ServerTimes::udp_idle`] without subscriptions or commands, after [`ServerTimes::udp_silence`] without commands, or when
 //! its port is reported closed. A TCP client whose host no longer answers ends by keep-alive probes or [`ServerTimes::tcp_unacknowledged`]. A full
-//! server disconnects its idlest client for a new one, see [`ServerTimes::seat_idle`]. Sessions can also dial
-//! addresses that receive records until they fail or are hung up, and over UDP for [`ServerTimes::dial_udp`]. One thread sends to all UDP
-//! clients, each at the rate that [`SonarServer::deliver_over`] sets (`paced`).
+//! server disconnects its idlest client for a new one, see [`ServerTimes::seat_idle`].
+//!
+//! Sessions can also connect to third-party addresses, which receive records until they fail or are disconnected, and over UDP for
+//! [`ServerTimes::dial_udp`]. One thread sends to all UDP clients, each at the rate that [`SonarServer::deliver_over`] sets (`paced`).
 
 pub mod client;
 mod dial;
@@ -48,13 +49,13 @@ use paced::PacedSender;
 use queue::{Client, Offer};
 pub use sevenk::{start_sevenk, start_sevenk_with};
 
-/// Reads rig time, which stamps replies.
+/// Reads rig time, which is the time stamp of replies.
 pub type RigTime = Arc<dyn Fn() -> UtcNs + Send + Sync>;
 
-/// Attempts to find a port that is free for both TCP and UDP when `listen` has port 0.
+/// Number of attempts to find a port that is free for both TCP and UDP if `listen` has port 0.
 const PORT_ATTEMPTS: usize = 16;
 
-/// Why a server could not start.
+/// Errors of starting a server.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// The address could not be bound.
@@ -82,10 +83,10 @@ pub enum OpenError {
     Thread(std::io::Error),
 }
 
-/// Interval at which settings changed by others are looked for.
+/// Interval between checks for settings that other clients changed.
 const NOTICE_INTERVAL: Duration = Duration::from_millis(20);
 
-/// What happens when a client's queue is full.
+/// Behaviour when a client's queue is full.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WhenFull {
     /// The client misses whole records.
@@ -104,39 +105,39 @@ struct QueueLimit {
 /// Configuration of a server.
 #[derive(Clone, Debug)]
 pub struct ServerSpec {
-    /// Address; port 0 picks a port that is free for every transport.
+    /// Address; with port 0 the server picks a port that is free for every transport.
     pub listen: SocketAddr,
-    /// Accept TCP connections.
+    /// Whether TCP connections are accepted.
     pub tcp: bool,
-    /// Accept UDP datagrams.
+    /// Whether UDP datagrams are accepted.
     pub udp: bool,
     /// Limit of a client's queue, bytes.
     pub client_queue_bytes: usize,
-    /// What happens beyond that limit.
+    /// Behaviour beyond that limit.
     pub when_full: WhenFull,
-    /// Limit of simultaneous clients.
+    /// Maximum number of simultaneous clients.
     pub max_clients: usize,
 }
 
 /// Timeouts of a server.
 #[derive(Clone, Copy, Debug)]
 pub struct ServerTimes {
-    /// TCP: limit for the rest of an incomplete command; then decoding resumes after its first byte.
+    /// TCP: time limit for the rest of an incomplete command. After the limit, decoding resumes after the first byte of the command.
     pub stall: Duration,
-    /// UDP: limit of silence of a client without subscriptions.
+    /// UDP: time limit of silence of a client without subscriptions.
     pub udp_idle: Duration,
-    /// UDP: limit of silence of a client with subscriptions.
+    /// UDP: time limit of silence of a client with subscriptions.
     pub udp_silence: Duration,
-    /// TCP: limit for the client's host to acknowledge what was sent.
+    /// TCP: time limit for the client's host to acknowledge sent data.
     pub tcp_unacknowledged: Duration,
-    /// UDP: limit of sending to a third party that nobody has dialled again.
+    /// UDP: time limit of sending to a third party without a renewed request.
     pub dial_udp: Duration,
-    /// A full server may disconnect a client that for this long has sent nothing and subscribes to nothing, or has taken none of the records that
-    /// wait for it.
+    /// Idle time after which a full server may disconnect a client. A client without subscriptions is idle if it sends nothing. A client with queued
+    /// records is idle if it reads none.
     pub seat_idle: Duration,
-    /// A full server may disconnect a UDP client that has sent nothing for this long.
+    /// Silence after which a full server may disconnect a UDP client.
     pub seat_udp_silence: Duration,
-    /// Limit for writing queued records when the server stops or a client closes.
+    /// Time limit for writing queued records when the server stops or a client closes.
     pub drain: Duration,
 }
 
@@ -146,7 +147,7 @@ impl Default for ServerTimes {
             stall: Duration::from_secs(2),
             udp_idle: Duration::from_secs(10),
             udp_silence: Duration::from_secs(3600),
-            // A client that does not read for less than this, in a debugger for example, stays.
+            // A client that pauses reading for less than this, in a debugger for example, stays connected.
             tcp_unacknowledged: Duration::from_secs(120),
             dial_udp: Duration::from_secs(600),
             seat_idle: Duration::from_secs(10),
@@ -163,9 +164,9 @@ pub struct ClientCounts {
     pub bytes_sent: u64,
     /// Records and replies written.
     pub records_sent: u64,
-    /// Records that did not fit the queue or that the socket refused.
+    /// Records that did not fit in the queue or that the socket refused.
     pub records_dropped: u64,
-    /// Records still queued when the client left.
+    /// Records in the queue when the client left.
     pub records_unsent: u64,
     /// Commands received, refused ones included.
     pub commands: u64,
@@ -196,9 +197,9 @@ pub struct ClientReport {
     pub transport: Transport,
     /// Record classes subscribed to.
     pub subscribed: Wants,
-    /// Bytes that wait in its queue.
+    /// Bytes in the queue of the client.
     pub queued_bytes: usize,
-    /// Its traffic.
+    /// Traffic of the client.
     pub counts: ClientCounts,
 }
 
@@ -207,7 +208,7 @@ pub struct ClientReport {
 pub struct ServerReport {
     /// Connected clients.
     pub clients: Vec<ClientReport>,
-    /// Sum over clients that left.
+    /// Sum over the clients that left.
     pub gone: ClientCounts,
     /// Clients accepted so far.
     pub admitted: u64,
@@ -237,6 +238,9 @@ pub struct SonarServer {
 
 impl SonarServer {
     /// Binds the sockets and starts the server's thread.
+    ///
+    /// # Errors
+    /// An address cannot be bound, or the thread or its runtime cannot start.
     pub fn start(
         spec: &ServerSpec,
         protocol: Arc<dyn Protocol>,
@@ -288,42 +292,43 @@ impl SonarServer {
         })
     }
 
-    /// The address bound.
+    /// Bound address.
     pub fn local_addr(&self) -> SocketAddr {
         self.local_addr
     }
 
-    /// Record classes that clients want from the next ping: one atomic read.
+    /// Record classes that clients want from the next ping. The call is one atomic read.
     pub fn wanted(&self) -> Wants {
         Wants(self.shared.wanted.load(Ordering::Acquire))
     }
 
-    /// How datagrams are sent; call it before the first one.
+    /// Sets how datagrams are sent. Call before the first datagram; later calls have no effect.
     pub(crate) fn set_sending(&self, sending: Sending) {
-        // Ignored once the sending thread has started.
+        // The call fails, and is ignored, once the sending thread has started.
         let _ = self.shared.sending.set(sending);
     }
 
-    /// Runs the server's thread under SCHED_FIFO with this priority where permitted; 0 changes nothing. For streams, whose commands are urgent too.
+    /// Runs the server's thread under SCHED_FIFO with this priority if the system permits; 0 changes nothing. Streams need this, because their
+    /// commands are urgent too.
     pub(crate) fn hurry(&self, priority: u8) {
         if let Some(thread) = self.thread.as_ref().filter(|_| priority > 0) {
-            // A refusal was reported when the daemon started.
+            // The daemon reports a refused priority at its start.
             let _ = first_in_first_out_of(thread, priority);
         }
     }
 
-    /// Whether TCP clients are paced as UDP clients are.
+    /// Sets whether TCP clients are paced like UDP clients.
     pub fn set_paces_tcp(&self, paces_tcp: bool) {
         self.shared.paces_tcp.store(paces_tcp, Ordering::Relaxed);
     }
 
-    /// Queues records for each client that wants them; never waits for a client.
+    /// Queues records for each client that wants them. Never waits for a client.
     pub fn deliver(&self, records: &[Arc<Datagram>]) {
         self.deliver_over(records, 0.0);
     }
 
-    /// As [`Self::deliver`], with each UDP client's queue spread evenly over the next `over_s` seconds; 0: at once. TCP clients are paced where
-    /// [`Self::set_paces_tcp`] says so.
+    /// Like [`Self::deliver`], but spreads each UDP client's queue evenly over the next `over_s` seconds; 0 sends at once. TCP clients are paced if
+    /// [`Self::set_paces_tcp`] enables this.
     pub fn deliver_over(&self, records: &[Arc<Datagram>], over_s: f64) {
         let mut link = self.link.lock().unwrap_or_else(PoisonError::into_inner);
         let records = match &mut *link {
@@ -341,7 +346,7 @@ impl SonarServer {
         *self.link.lock().unwrap_or_else(PoisonError::into_inner) = Some(link);
     }
 
-    /// Sets the state of the connections.
+    /// Sets the state of the connections of all clients.
     pub fn connect(&self, connection: Connection) {
         self.shared.connect(connection);
     }
@@ -351,7 +356,7 @@ impl SonarServer {
         self.shared.report()
     }
 
-    /// Stops accepting, writes queued records for at most [`ServerTimes::drain`], and closes.
+    /// Stops accepting clients, writes queued records for at most [`ServerTimes::drain`], and closes the connections. Returns the final report.
     pub fn stop(mut self) -> ServerReport {
         self.shut();
         self.shared.report()
@@ -372,7 +377,7 @@ impl Drop for SonarServer {
     }
 }
 
-/// The bound sockets.
+/// Bound sockets of a server.
 struct ListeningSockets {
     tcp: Option<std::net::TcpListener>,
     udp: Option<std::net::UdpSocket>,
@@ -442,7 +447,7 @@ async fn serve(
     );
 }
 
-/// Sends clients the changes that others made to the settings.
+/// Notifies clients of settings that other clients changed.
 async fn notices(shared: Arc<Shared>, mut stopped: watch::Receiver<bool>) {
     let protocol = &shared.protocol;
     let mut version = protocol.version();
@@ -476,11 +481,11 @@ struct Shared {
     rig_time: RigTime,
     times: ServerTimes,
     sending: OnceLock<Sending>,
-    /// True: TCP connections stay open, but nothing is read or written.
+    /// If true, TCP connections stay open, but nothing is read or written.
     mute: watch::Sender<bool>,
     /// Whether TCP clients are paced.
     paces_tcp: AtomicBool,
-    /// Started by the first datagram; `None` where the thread could not start.
+    /// Sending thread, started by the first datagram; `None` if the thread could not start.
     paced: OnceLock<Option<PacedSender>>,
     queue: QueueLimit,
     max_clients: usize,
@@ -500,7 +505,7 @@ struct ClientTable {
 }
 
 impl ClientTable {
-    /// The client that has been idle for longest among those that a full server may disconnect.
+    /// Client that has been idle for the longest time, among those that a full server may disconnect.
     fn idlest(&self, times: &ServerTimes) -> Option<Arc<Client>> {
         let idle = |client: &Arc<Client>| Some((client.idle(times)?, Arc::clone(client)));
         let idle = self.clients.iter().filter_map(idle);
@@ -509,12 +514,12 @@ impl ClientTable {
 }
 
 impl Shared {
-    /// A panic under the lock leaves complete clients in the table.
+    /// A panic under the lock leaves only complete clients in the table.
     fn lock(&self) -> MutexGuard<'_, ClientTable> {
         self.table.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds a client; `None` when the server is full.
+    /// Adds a client; `None` if the server is full.
     fn admit(
         self: &Arc<Self>,
         peer: SocketAddr,
@@ -540,7 +545,7 @@ impl Shared {
         table.admitted += 1;
         let client = Arc::new(Client::new(peer, transport, dialled));
         table.clients.push(Arc::clone(&client));
-        // The delivery thread waits for this lock, and standard error may block.
+        // Log after the unlock: the delivery thread waits for this lock, and standard error can block.
         drop(table);
         self.span.in_scope(|| {
             if let Some(idlest) = idlest {
@@ -568,7 +573,7 @@ impl Shared {
         }
     }
 
-    /// Returns when reading and writing are permitted.
+    /// Waits until reading and writing are permitted.
     async fn unmuted(&self) {
         // An error means that the server was dropped.
         let _ = self.mute.subscribe().wait_for(|mute| !mute).await;
@@ -591,7 +596,7 @@ impl Shared {
         self.paced.get_or_init(start).as_ref()
     }
 
-    /// `over_s`: see [`SonarServer::deliver_over`]; `None` keeps the pace.
+    /// Queues records for all clients. `over_s` is as in [`SonarServer::deliver_over`]; `None` keeps the current pace.
     fn offer_all(&self, records: impl Iterator<Item = Arc<Datagram>>, over_s: Option<f64>) {
         let offers: Vec<_> = records
             .map(|datagram| Offer {
@@ -615,7 +620,7 @@ impl Shared {
         });
     }
 
-    /// Disconnects clients that were dialled at this address.
+    /// Disconnects the clients that the server contacted at this address.
     fn hang_up(&self, peer: SocketAddr, transport: Transport) {
         for client in &self.lock().clients {
             if client.dialled && client.peer == peer && client.transport == transport {
@@ -633,7 +638,7 @@ impl Shared {
         session
     }
 
-    /// Runs one step of a session and carries out its decisions.
+    /// Runs one step of a session and executes its requests.
     fn converse(
         &self,
         client: &Client,
@@ -643,7 +648,7 @@ impl Shared {
         let mut outgoing = Vec::new();
         step(session, (self.rig_time)(), &mut outgoing);
         client.note(session.counts());
-        // The reply is queued before the first record that it announces.
+        // A reply is queued before the first record that the reply announces.
         let mut echoes = Vec::new();
         for item in outgoing {
             match item {

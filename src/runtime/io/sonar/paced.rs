@@ -1,7 +1,7 @@
-//! The thread that sends a server's datagrams: each client at its own rate, several clients interleaved.
+//! Thread that sends the datagrams of a server: each client at its own rate, several clients interleaved.
 //!
-//! A record enters as packets with its client's token bucket and returns when its last packet is sent or one fails. tokio's timers resolve 1 ms,
-//! which is too coarse; the thread sleeps until absolute instants.
+//! A record enters the queue as packets, with the token bucket of its client. The record returns when its last packet is sent or one packet fails.
+//! The timers of tokio have a resolution of 1 ms, which is too coarse. The thread therefore sleeps until absolute instants.
 
 use std::io::{self, ErrorKind};
 use std::net::SocketAddr;
@@ -20,7 +20,7 @@ use crate::io::pace::batch::send_batch;
 use crate::io::pace::bucket::Bucket;
 use echotank_core::time::MonoNs;
 
-/// One record on its way to one client. Its buffers are reused.
+/// One record to be sent to one client. The buffers are reused.
 pub(super) struct Burst {
     pub socket: Arc<UdpSocket>,
     pub to: SockAddr,
@@ -30,9 +30,9 @@ pub(super) struct Burst {
     pub packets: Vec<Range<usize>>,
     /// `None` for the client's first record.
     pub(crate) bucket: Option<Bucket>,
-    /// Infinite: at once.
+    /// Infinity sends at once.
     pub bytes_per_s: f64,
-    /// The error that ended it before its last packet.
+    /// Error that ended the burst before its last packet.
     pub error: Option<io::Error>,
 }
 
@@ -51,7 +51,7 @@ impl Burst {
     }
 }
 
-/// Sending end of the queue; the thread ends when it is dropped.
+/// Sending side of the queue. The thread ends when this value is dropped.
 pub(super) struct PacedSender {
     jobs: Sender<Job>,
 }
@@ -71,7 +71,7 @@ impl PacedSender {
         Ok(Self { jobs })
     }
 
-    /// Sends a record; `None` when the thread has ended.
+    /// Sends a record and waits until it is sent; `None` if the thread has ended.
     pub(super) async fn send(&self, burst: Burst) -> Option<Burst> {
         let (done, sent) = oneshot::channel();
         self.jobs.send(Job { burst, done }).ok()?;
@@ -79,7 +79,7 @@ impl PacedSender {
     }
 }
 
-/// A record being sent; `next` is its first unsent packet.
+/// A record in transmission; `next` is the index of its first unsent packet.
 struct InFlight {
     job: Job,
     bucket: Bucket,
@@ -110,7 +110,7 @@ impl InFlight {
         flying
     }
 
-    /// Chooses the next group of packets and its due time.
+    /// Chooses the next group of packets and the instant at which it is due.
     fn plan(&mut self, now: MonoNs) {
         let rest = &self.job.burst.packets[self.next..];
         (self.count, self.bytes) = self.bucket.group(rest.iter().map(ExactSizeIterator::len));
@@ -130,7 +130,7 @@ impl InFlight {
             let (sent, result) = send_batch(&*burst.socket, &burst.to, unsent);
             unsent = &unsent[sent..];
             match result {
-                // A socket that serves several clients reports another client's closed port.
+                // A socket that serves several clients also reports the closed ports of other clients.
                 Err(error) if burst.is_shared && error.kind() == ErrorKind::ConnectionRefused => {}
                 result => break result.err(),
             }

@@ -1,4 +1,4 @@
-//! State of one client, shared by the threads: subscriptions, queue and counters.
+//! State of one client, shared between threads: subscriptions, queue and counters.
 
 use std::collections::VecDeque;
 use std::net::SocketAddr;
@@ -12,34 +12,34 @@ use super::{ClientCounts, ClientReport, QueueLimit, ServerTimes, Transport, When
 use echotank_core::records::Datagram;
 use echotank_emit::session::{SessionCounts, Wants};
 
-/// Reply bytes queued beyond which a TCP client is not read from and a UDP client loses replies: a few dozen configurations.
+/// Size of queued replies, bytes, beyond which a TCP client is not read from and a UDP client loses replies: a few dozen configurations.
 const REPLY_BYTES: usize = 256 * 1024;
 
 /// A client of a server. Counters use relaxed ordering.
 pub(super) struct Client {
     pub peer: SocketAddr,
     pub transport: Transport,
-    /// Whether the server contacted this client on request of a session.
+    /// Whether the server contacted this client at the request of a session.
     pub dialled: bool,
     subscribed: AtomicU64,
-    /// Classes requested once, from the next ping.
+    /// Record classes requested once, from the next ping.
     requested: AtomicU64,
     queue: Mutex<Queue>,
     admitted: Instant,
-    /// When bytes last came from it, ms after `admitted`.
+    /// Time of the last received bytes, ms after `admitted`.
     received_ms: AtomicU64,
-    /// When a datagram was last written or none waited, ms after `admitted`.
+    /// Time of the last written datagram or of the last empty queue, ms after `admitted`.
     written_ms: AtomicU64,
-    /// Notified when something is queued or the client leaves.
+    /// Notified when a datagram is queued or the client leaves.
     wake: Notify,
     /// Notified when replies are written.
     room: Notify,
     leaving: AtomicBool,
-    /// Leaves at once and discards its queue.
+    /// Whether the client leaves at once and its queue is discarded.
     dropped: AtomicBool,
-    /// The connection is closed with a TCP reset.
+    /// Whether the connection is closed with a TCP reset.
     reset: AtomicBool,
-    /// Bits of an f64.
+    /// Bits of an f64: rate of the records, bytes/s.
     pace_bytes_per_s: AtomicU64,
     bytes_sent: AtomicU64,
     records_sent: AtomicU64,
@@ -60,7 +60,7 @@ pub(super) struct Offer {
 struct Queue {
     replies: VecDeque<Arc<Datagram>>,
     records: VecDeque<Offer>,
-    /// Queued or being written.
+    /// Bytes queued or being written.
     reply_bytes: usize,
     record_bytes: usize,
 }
@@ -139,19 +139,19 @@ impl Client {
         self.admitted.elapsed().as_millis() as u64
     }
 
-    /// Notes that bytes came from the client.
+    /// Records the arrival of bytes from the client.
     pub(super) fn note_received(&self) {
         self.received_ms.store(self.now_ms(), Ordering::Relaxed);
     }
 
-    /// Notes that nothing waited until now.
+    /// Records that the queue is empty at this instant.
     fn note_empty(&self, queue: &Queue) {
         if queue.reply_bytes + queue.record_bytes == 0 {
             self.written_ms.store(self.now_ms(), Ordering::Relaxed);
         }
     }
 
-    /// How long the client has been idle, if a full server may disconnect it.
+    /// Idle time of the client, if a full server may disconnect it.
     pub(super) fn idle(&self, times: &ServerTimes) -> Option<Duration> {
         let since = |ms: &AtomicU64| {
             Duration::from_millis(self.now_ms().saturating_sub(ms.load(Ordering::Relaxed)))
@@ -170,7 +170,7 @@ impl Client {
 
     // ------------------------------------------------------------ queue in
 
-    /// Queues the wanted `offers` that fit. `over_s`: time over which the queue then leaves evenly; 0: at once; `None` keeps the pace.
+    /// Queues those of the wanted `offers` that fit. The queue is sent evenly over `over_s` seconds; 0 sends at once, `None` keeps the pace.
     pub(crate) fn offer(&self, offers: &[Offer], limit: QueueLimit, over_s: Option<f64>) {
         let wants = self.wants();
         if wants.is_empty() {
@@ -224,7 +224,7 @@ impl Client {
         self.wake.notify_one();
     }
 
-    /// Pace of a datagram; replies are sent at once.
+    /// Pace of a datagram, bytes/s; replies are sent at once.
     pub(super) fn pace_bytes_per_s(&self, taken: &Taken) -> f64 {
         match taken.is_reply {
             true => f64::INFINITY,
@@ -232,7 +232,7 @@ impl Client {
         }
     }
 
-    /// Returns when few enough replies wait for another command to be read.
+    /// Waits until the queued replies leave room for another command.
     pub(crate) async fn room_for_replies(&self) {
         while self.lock().reply_bytes > REPLY_BYTES {
             self.room.notified().await;
@@ -273,7 +273,7 @@ impl Client {
                 self.records_dropped.fetch_add(1, Ordering::Relaxed);
             }
         }
-        // Returns the buffer to its pool before the queue shows room.
+        // The buffer returns to its pool before the queue shows room.
         let len = taken.datagram.bytes.len();
         drop(taken.datagram);
         let mut queue = self.lock();
@@ -290,7 +290,7 @@ impl Client {
 
     // ------------------------------------------------------------ leaving
 
-    /// The client leaves after its queue is written.
+    /// Makes the client leave after its queue is written.
     pub(super) fn leave(&self) {
         self.subscribed.store(0, Ordering::Release);
         self.requested.store(0, Ordering::Release);
@@ -298,13 +298,13 @@ impl Client {
         self.wake.notify_one();
     }
 
-    /// The client leaves at once, and its queue is discarded.
+    /// Makes the client leave at once and discards its queue.
     pub(super) fn disconnect(&self) {
         self.dropped.store(true, Ordering::Release);
         self.leave();
     }
 
-    /// Resets the connection.
+    /// Disconnects the client with a TCP reset.
     pub(super) fn reset(&self) {
         self.reset.store(true, Ordering::Release);
         self.disconnect();
@@ -318,14 +318,14 @@ impl Client {
         self.leaving.load(Ordering::Acquire)
     }
 
-    /// Resolves when nothing more may be written, not even the rest of a record.
+    /// Waits until nothing more may be written, not even the rest of a record.
     pub(super) async fn gone(&self) {
         while !self.dropped.load(Ordering::Acquire) {
             self.woken().await;
         }
     }
 
-    /// Empties the queue; returns the final counts with the queued records as unsent.
+    /// Empties the queue. Returns the final counts with the queued records as unsent.
     pub(super) fn close(&self) -> ClientCounts {
         let mut queue = self.lock();
         let unsent = queue.replies.len() + queue.records.len();

@@ -11,7 +11,10 @@ use echotank_core::settings::SettingsPort;
 use echotank_emit::sevenk::protocol::SevenKProtocol;
 use echotank_emit::sevenk::records::DeviceSheet;
 
-/// Starts a 7k server on TCP and UDP at `spec.listen`; port 0 picks one that is free for both.
+/// Starts a 7k server on TCP and UDP at `spec.listen`; port 0 picks a port that is free for both.
+///
+/// # Errors
+/// The packet size is out of range, an address cannot be bound, or the thread cannot start.
 pub fn start_sevenk(
     spec: &SevenKSpec,
     sheet: Arc<DeviceSheet>,
@@ -21,7 +24,10 @@ pub fn start_sevenk(
     start_sevenk_with(spec, sheet, settings, rig_time, ServerTimes::default())
 }
 
-/// As [`start_sevenk`], with the timeouts given.
+/// Like [`start_sevenk`], with the given timeouts.
+///
+/// # Errors
+/// As [`start_sevenk`].
 pub fn start_sevenk_with(
     spec: &SevenKSpec,
     sheet: Arc<DeviceSheet>,

@@ -44,7 +44,7 @@ pub(super) async fn serve(
                     sleep(ACCEPT_PAUSE).await;
                 }
             },
-            // Removes finished tasks. A task that panicked has dropped its slot.
+            // Removes finished tasks. A task that panicked has already dropped its slot.
             Some(_) = clients.join_next() => {}
         }
     }
@@ -52,7 +52,7 @@ pub(super) async fn serve(
     while clients.join_next().await.is_some() {}
 }
 
-/// Sets the options of a client's connection, which works without them.
+/// Sets the socket options of a client's connection. Failures are ignored, because the connection works without the options.
 pub(super) fn prepare(stream: &TcpStream, shared: &Shared) {
     let _ = stream.set_nodelay(true);
     tcp::end_if_dead(stream, shared.times.tcp_unacknowledged);
@@ -75,11 +75,11 @@ async fn attend(stream: TcpStream, slot: ClientSlot, mut stopped: watch::Receive
     }
 }
 
-/// Returns when the client has closed.
+/// Reads commands until the client closes the connection.
 async fn read_commands(mut stream: OwnedReadHalf, shared: &Shared, client: &Client) {
     let mut session = shared.welcome(client);
     let mut buffer = vec![0; READ_BYTES];
-    // When the incomplete command began, or a command was last decoded.
+    // Start of the incomplete command, or instant of the last decoded command.
     let mut since = Instant::now();
     loop {
         if session.is_over() {
@@ -120,7 +120,7 @@ async fn read_commands(mut stream: OwnedReadHalf, shared: &Shared, client: &Clie
     }
 }
 
-/// Returns when the socket fails, or when everything is written and the client leaves.
+/// Writes records until the socket fails, or the client leaves and everything is written.
 pub(super) async fn write_records(
     mut stream: OwnedWriteHalf,
     shared: &Shared,
@@ -129,7 +129,7 @@ pub(super) async fn write_records(
 ) {
     write_all(&mut stream, shared, client, stopped).await;
     if client.is_reset() {
-        // Closes with a reset and discards unsent data.
+        // Closing then resets the connection and discards unsent data.
         let _ = SockRef::from(stream.as_ref()).set_linger(Some(Duration::ZERO));
         stream.forget();
     }

@@ -1,4 +1,4 @@
-//! UDP clients: one socket for all, and one writing task per client.
+//! UDP clients: one shared socket, and one writing task per client.
 
 use std::collections::HashMap;
 use std::io::ErrorKind;
@@ -19,9 +19,9 @@ use crate::io::icmp;
 use crate::io::listening::is_own;
 use echotank_emit::session::Session;
 
-/// Longest interval between searches for silent clients.
+/// Maximum interval between searches for silent clients.
 const SWEEP: Duration = Duration::from_millis(500);
-/// Pause after a failed receive; a broken socket would otherwise loop without pause.
+/// Pause after a failed receive; with a broken socket the loop would otherwise not pause.
 const RECEIVE_PAUSE: Duration = Duration::from_millis(10);
 /// Longest UDP datagram, bytes.
 const RECEIVE_BYTES: usize = 65_536;
@@ -95,9 +95,9 @@ fn listen(shared: &Shared, peer: &mut Peer, datagram: &[u8]) {
     });
 }
 
-/// Admits a sender that speaks the protocol; other datagrams are only counted.
+/// Admits a sender whose datagram belongs to the protocol; other datagrams are only counted.
 fn welcome(shared: &Arc<Shared>, from: SocketAddr, datagram: &[u8]) -> Option<(Peer, ClientSlot)> {
-    // A forged source; its answers would come back as commands.
+    // The source address is forged: answers would come back as commands.
     if is_own(from) || !shared.protocol.welcomes(datagram) {
         shared.lock().gone.framing_errors += 1;
         return None;
@@ -111,7 +111,7 @@ fn welcome(shared: &Arc<Shared>, from: SocketAddr, datagram: &[u8]) -> Option<(P
     Some((peer, slot))
 }
 
-/// Disconnects a client that was silent for too long.
+/// Whether a client was silent for too long; such a client is disconnected.
 fn is_over(shared: &Shared, peer: &Peer) -> bool {
     let allowed = if peer.client.wants().is_empty() {
         shared.times.udp_idle
@@ -125,7 +125,7 @@ fn is_over(shared: &Shared, peer: &Peer) -> bool {
     is_over
 }
 
-/// Returns when the client's port is closed or everything is written and the client leaves.
+/// Writes records until the client's port is closed, or the client leaves and everything is written.
 pub(super) async fn write_datagrams(
     socket: Arc<UdpSocket>,
     to: SocketAddr,

@@ -1,16 +1,16 @@
-//! Accounts for received records by ping number: sent, lost, duplicate, late.
+//! Tally of received records by ping number: sent, lost, duplicate, late.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Offset of the ping number in the record type headers of 7000, 7503, 7007, 7018 and 7038, bytes.
 const PING_NUMBER_AT: usize = 8;
-/// Offset of the multi-ping sequence in those of 7000 and 7007, bytes.
+/// Offset of the multi-ping sequence in the record type headers of 7000 and 7007, bytes.
 const SEQUENCE_AT: usize = 12;
 
-/// Missing ping numbers remembered per record type; beyond these the lowest count as lost for good.
+/// Maximum number of missing ping numbers kept per record type; beyond the limit the lowest numbers count as lost permanently.
 const MISSING_LIMIT: usize = 100_000;
 
-/// The ping number of a record body. `None` for records without one, for the reply to a request (7503 with 0), and for further pulses of a ping
+/// Ping number of a record body. `None` for a record without one, for the reply to a request (7503 with 0), and for further pulses of a ping
 /// (multi-ping sequence 2 and on).
 pub fn ping_number(record_type: u32, body: &[u8]) -> Option<u32> {
     if !matches!(record_type, 7000 | 7503 | 7007 | 7018 | 7038) {
@@ -26,7 +26,7 @@ pub fn ping_number(record_type: u32, body: &[u8]) -> Option<u32> {
     Some(u32::from_le_bytes(*bytes)).filter(|&number| number != 0)
 }
 
-/// Counts of one record type. Skipped pings have numbers too, so they count as lost.
+/// Tally of one record type. Skipped pings have numbers too, so they count as lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PingTally {
     /// Numbers from the lowest to the highest received.
@@ -35,9 +35,9 @@ pub struct PingTally {
     pub received: u64,
     /// Numbers never received.
     pub lost: u64,
-    /// Records received again.
+    /// Records received more than once.
     pub duplicate: u64,
-    /// Records received after a higher number; not lost.
+    /// Records received after a higher number; they do not count as lost.
     pub late: u64,
 }
 
@@ -47,7 +47,7 @@ pub struct Verifier {
     streams: BTreeMap<u32, NumberTracker>,
 }
 
-/// How a number relates to those received before.
+/// Relation of a number to those received before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Arrival {
     /// Higher than all before.
@@ -58,19 +58,19 @@ pub enum Arrival {
     Late,
 }
 
-/// Tracks the numbers of one sequence.
+/// Tracks the received and missing numbers of one sequence.
 #[derive(Clone, Debug)]
 pub struct NumberTracker {
     lowest: u32,
     highest: u32,
     missing: BTreeSet<u32>,
-    /// Missing numbers that are no longer remembered.
+    /// Missing numbers beyond the limit, which are only counted.
     forgotten: u64,
     tally: PingTally,
 }
 
 impl Verifier {
-    /// Counts a record; false if it has no ping number.
+    /// Counts a record. Returns false if the record has no ping number.
     pub fn note(&mut self, record_type: u32, body: &[u8]) -> bool {
         let Some(number) = ping_number(record_type, body) else {
             return false;
@@ -84,7 +84,7 @@ impl Verifier {
         true
     }
 
-    /// Tally of each record type, lowest first.
+    /// Tally of each record type, lowest type first.
     pub fn tallies(&self) -> impl Iterator<Item = (u32, PingTally)> + '_ {
         self.streams
             .iter()
@@ -116,7 +116,7 @@ impl From<u32> for NumberTracker {
 }
 
 impl NumberTracker {
-    /// Counts a number.
+    /// Counts a number and returns its relation to the earlier ones.
     pub fn note(&mut self, number: u32) -> Arrival {
         self.tally.received += 1;
         if number > self.highest {
@@ -140,7 +140,7 @@ impl NumberTracker {
         (self.lowest, self.highest)
     }
 
-    /// Numbers between them not received, lowest first; the highest ones only where there are very many.
+    /// Missing numbers between the lowest and the highest, in ascending order; beyond 100 000 only the highest.
     pub fn missing(&self) -> impl Iterator<Item = u32> + '_ {
         self.missing.iter().copied()
     }

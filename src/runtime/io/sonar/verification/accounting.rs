@@ -6,12 +6,12 @@ use super::decode::{Family, ReceivedRecord, Sequence};
 use super::report::{Finding, Report, ReportHead};
 use crate::io::sonar::verify::{Arrival, NumberTracker, PingTally};
 
-/// Checksums of records by sequence and [`ReceivedRecord::key`], from a run without faults.
+/// Checksums of records of a run without faults, by sequence and [`ReceivedRecord::key`].
 pub type Checksums = HashMap<(Sequence, u64), u64>;
 
-/// Missing numbers of one gap whose bounds are kept.
+/// Maximum number of missing numbers in one gap whose bounds are kept.
 const MAX_PLACES: usize = 100_000;
-/// Findings kept; further ones are counted only.
+/// Maximum number of findings kept; further findings are only counted.
 const MAX_FINDINGS: usize = 1_000_000;
 
 /// 64-bit FNV-1a hash (Fowler, Noll, Vo).
@@ -21,7 +21,7 @@ fn checksum(bytes: &[u8]) -> u64 {
     })
 }
 
-/// The records of one listener over all its connections.
+/// Tally and findings of the records that one listener received over all its connections.
 pub struct Accounting {
     family: Family,
     sequences: BTreeMap<Sequence, NumberTracker>,
@@ -30,7 +30,7 @@ pub struct Accounting {
     /// Time or ping number of the newest record of a sequence.
     newest: BTreeMap<Sequence, i64>,
     damaged: BTreeSet<(Sequence, u32)>,
-    /// Reference checksums to compare with.
+    /// Reference checksums for the comparison.
     against: Option<Checksums>,
     /// Checksums of this run.
     checksums: Checksums,
@@ -45,7 +45,7 @@ pub struct Accounting {
 }
 
 impl Accounting {
-    /// `against`: checksums of a run without faults. `keeps_checksums`: fill [`Accounting::checksums`].
+    /// `against` holds the checksums of a run without faults. `keeps_checksums` enables [`Accounting::checksums`].
     pub fn new(family: Family, against: Option<Checksums>, keeps_checksums: bool) -> Self {
         Self {
             family,
@@ -65,7 +65,7 @@ impl Accounting {
         }
     }
 
-    /// Checksums of this run; empty unless they are kept.
+    /// Checksums of this run; empty unless enabled.
     pub fn checksums(&self) -> &Checksums {
         &self.checksums
     }
@@ -75,7 +75,7 @@ impl Accounting {
         self.last_ping
     }
 
-    /// Findings beyond the limit.
+    /// Number of findings beyond the limit.
     pub fn unkept(&self) -> u64 {
         self.unkept
     }
@@ -88,7 +88,7 @@ impl Accounting {
         }
     }
 
-    /// Adds a finding of the listener itself, such as a reset, from ping `from` to ping `to`.
+    /// Adds a finding of the listener itself, such as a reset, between the pings `from` and `to`.
     pub fn found(&mut self, kind: &str, from: Option<u32>, to: Option<u32>) {
         self.find(Finding {
             kind: kind.into(),
@@ -98,13 +98,13 @@ impl Accounting {
         });
     }
 
-    /// As [`Accounting::found`], from the last ping received to the next one.
+    /// Like [`Accounting::found`], from the last ping received to the next one.
     pub(crate) fn found_until_next(&mut self, kind: &str) {
         self.found(kind, self.last_ping, None);
         self.open.push(self.findings.len() - 1);
     }
 
-    /// Accounts for one received record.
+    /// Counts one received record and adds its findings.
     pub fn note(&mut self, record: &ReceivedRecord) {
         if let Some(ping) = record.ping_number.filter(|_| !record.is_damaged) {
             for at in self.open.drain(..) {
@@ -126,7 +126,7 @@ impl Accounting {
             if self.damaged.insert((sequence, number)) {
                 self.find(finding("damaged", record));
             }
-            // The count of a damaged datagram is used, or the datagram would count as lost too.
+            // The count of a damaged datagram is used; otherwise the datagram would count as lost too.
             if self.family != Family::Vita49 {
                 return;
             }
@@ -183,7 +183,7 @@ impl Accounting {
         sequences.map(|(sequence, numbers)| (*sequence, numbers.tally()))
     }
 
-    /// All findings, with one for each number that never came.
+    /// All findings, with one finding for each lost number.
     pub fn report(&self) -> Report {
         let mut findings = self.findings.clone();
         for (sequence, numbers) in &self.sequences {
@@ -268,7 +268,7 @@ fn finding(kind: &str, record: &ReceivedRecord) -> Finding {
     }
 }
 
-/// Checksums as text, a line each: `KIND A B KEY SUM`.
+/// Formats checksums as text, one line each: `KIND A B KEY SUM`.
 pub fn checksums_text(sums: &Checksums) -> String {
     let mut lines: Vec<String> = sums
         .iter()
@@ -286,7 +286,10 @@ pub fn checksums_text(sums: &Checksums) -> String {
     lines.concat()
 }
 
-/// Parses [`checksums_text`]; the error is the number of the first malformed line, from 1.
+/// Parses the text of [`checksums_text`].
+///
+/// # Errors
+/// Number of the first malformed line, from 1.
 pub fn parse_checksums(text: &str) -> Result<Checksums, usize> {
     let lines = text.lines().enumerate();
     lines

@@ -1,4 +1,4 @@
-//! Decodes the bytes of each live family into records and reads what orders them: a ping number, a packet count or a frame number.
+//! Decodes the bytes of each live family into records and reads their order: a ping number, a packet count or a frame number.
 
 use std::collections::HashMap;
 
@@ -60,7 +60,7 @@ impl Family {
         }
     }
 
-    /// Link faults that the records reveal; `compared`: their content is compared with a run without faults.
+    /// Link faults that the records reveal. `compared` states whether their content is compared with a run without faults.
     pub fn detectable_faults(self, compared: bool) -> Vec<&'static str> {
         // A lost answer is sent again at the next ping, and answers have no numbers.
         let mut kinds = match self {
@@ -98,13 +98,13 @@ impl Family {
 /// A numbered sequence of records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Sequence {
-    /// Ping numbers of one record type, as the fault log names it: a 7k record, a JSF message with subsystem and channel, a WBMS packet, a Ping message.
+    /// Ping numbers of one record type, as in the fault log: a 7k record, a JSF message with subsystem and channel, a WBMS packet, a Ping message.
     Records(u32),
-    /// Packets of a VITA 49 stream, data and context apart; the 4-bit counts are extended.
+    /// Packets of a VITA 49 stream, with data and context separate. The 4-bit counts are extended.
     Packets {
         /// The stream identifier.
         stream: u32,
-        /// Context packets; data packets otherwise.
+        /// Whether these are context packets; otherwise data packets.
         context: bool,
     },
     /// Frame numbers of an element stream.
@@ -116,19 +116,19 @@ pub enum Sequence {
 /// One received record.
 #[derive(Clone, Copy, Debug)]
 pub struct ReceivedRecord<'a> {
-    /// The sequence that numbers it.
+    /// Sequence that numbers the record.
     pub sequence: Sequence,
     /// Number within the sequence.
     pub number: Option<u32>,
-    /// Ping number, where the record has one.
+    /// Ping number, if the record has one.
     pub ping_number: Option<u32>,
     /// VITA 49: time of the first sample, ns since 1970 UTC.
     pub utc_ns: Option<i64>,
-    /// A checksum or a length shows that the record was altered.
+    /// Whether a checksum or a length shows that the record was altered.
     pub(crate) is_damaged: bool,
-    /// Identifies the record in every run of the same rig, however many came before.
+    /// Identifies the record in every run of the same rig, independent of the records before it.
     pub key: u64,
-    /// The bytes without such numbers.
+    /// Bytes that are equal in every run, without running numbers.
     pub content: &'a [u8],
 }
 
@@ -163,7 +163,7 @@ enum FamilyDecoder {
     Elements(ElementStream),
 }
 
-/// The newest packet of a stream.
+/// Newest packet of a stream.
 #[derive(Clone, Copy)]
 struct LastPacket {
     number: u32,
@@ -189,12 +189,12 @@ impl RecordDecoder {
         }
     }
 
-    /// Undecodable stretches of bytes and damaged records.
+    /// Number of undecodable byte ranges and damaged records.
     pub fn errors(&self) -> u64 {
         self.errors
     }
 
-    /// Undamaged records without a number.
+    /// Number of undamaged records without a number.
     pub fn unnumbered(&self) -> u64 {
         self.unnumbered
     }
@@ -204,12 +204,12 @@ impl RecordDecoder {
         if let FamilyDecoder::Imagenex872(stream) = &mut self.inner {
             stream.finish();
             stream.feed(&[], |item| self.errors += u64::from(item.is_err()));
-            // A new stream does not count the same truncated answer twice.
+            // A new decoder avoids counting the same truncated answer twice.
             *stream = AnswerStream::new(AnswerFraming);
         }
     }
 
-    /// Decodes bytes of a connection, split anywhere, or one whole datagram.
+    /// Decodes a part of a connection, split anywhere, or one whole datagram. Calls `each` for every record.
     pub fn decode(&mut self, bytes: &[u8], each: &mut dyn FnMut(&ReceivedRecord)) {
         let (errors, unnumbered) = (&mut self.errors, &mut self.unnumbered);
         let mut found = |record: Option<ReceivedRecord>| match record {
@@ -297,7 +297,7 @@ fn decode_sevenk(
     }
 }
 
-/// A refused record whose frames are valid and that has a ping number.
+/// Decodes a refused 7k record whose frames are valid and that has a ping number.
 fn damaged_sevenk(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
     let record = bytes.get(NETWORK_FRAME_BYTES..)?;
     let frame = DataRecordFrame::parse(record).ok()?;
@@ -328,7 +328,7 @@ fn of_jsf(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
 
 fn of_wbms(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
     let header = PacketHeader::parse(bytes).ok()?;
-    // Snippets and side-scan share a port; the fault log names both side-scan.
+    // Snippets and side-scan share a port; the fault log labels both as side-scan.
     let (record_type, at) = match header.packet_type {
         packet_type::BATHYMETRY => (packet_type::BATHYMETRY, 36),
         packet_type::WATER_COLUMN => (packet_type::WATER_COLUMN, 108),
@@ -338,7 +338,7 @@ fn of_wbms(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
     Some(ReceivedRecord::ping(record_type, u32_at(bytes, at)?, bytes))
 }
 
-/// The content leaves out times since power-on, which differ between runs.
+/// The content omits times since power-on, which differ between runs.
 fn of_ping(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
     let frame = Frame::parse(bytes).ok()?;
     let (number, content_at) = match Message::parse(&frame).ok()? {
@@ -406,7 +406,7 @@ pub(crate) fn position_of(bytes: &[u8]) -> Option<PacketPosition> {
     })
 }
 
-/// Extends the 4-bit counts. The packet times tell newer from late packets, so up to 15 losses in a row are found.
+/// Extends the 4-bit counts. The packet times distinguish newer from late packets, so up to 15 consecutive losses are found.
 fn of_vita49<'a>(
     bytes: &'a [u8],
     counted: &mut HashMap<(u32, bool), LastPacket>,

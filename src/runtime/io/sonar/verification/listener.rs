@@ -13,20 +13,20 @@ use super::accounting::{Accounting, Checksums};
 use super::decode::{Family, RecordDecoder};
 use crate::clock::{Clock, SystemClock};
 
-/// Read timeout; the stop flag is checked this often.
+/// Read timeout, and interval between checks of the stop flag.
 const LOOK: Duration = Duration::from_millis(50);
 /// Interval and time limit of reconnection after a reset.
 const AGAIN: Duration = Duration::from_millis(10);
 const PATIENCE: Duration = Duration::from_secs(2);
-/// An unanswered switch command is sent again after this time.
+/// Time after which an unanswered switch command is repeated.
 const ASK_AGAIN: Duration = Duration::from_millis(500);
-/// Wait after an answer; a second answer to the same ping would otherwise count as the next one's.
+/// Pause after an answer. A second answer to the same ping would otherwise count as the next answer.
 const SETTLE: Duration = Duration::from_millis(10);
 /// Receive buffer requested from the kernel, bytes.
 const SOCKET_BUFFER_BYTES: usize = 8 << 20;
 const READ_BYTES: usize = 256 * 1024;
 
-/// What to listen to.
+/// Server and records that a listener receives.
 #[derive(Clone, Debug)]
 pub struct ListenerSpec {
     /// Protocol family.
@@ -37,18 +37,18 @@ pub struct ListenerSpec {
     pub record_types: Vec<u32>,
     /// Imagenex 872: range setting, m; must be one of the device's ranges.
     pub range_m: u8,
-    /// A gap between reads longer than this is reported as silence; `None`: no report.
+    /// Pause between reads beyond which silence is reported; `None` disables the report.
     pub silence: Option<Duration>,
 }
 
-/// How a connection ended.
+/// Reason for the end of a connection.
 enum End {
     Stopped,
     Closed,
     Reset,
 }
 
-/// A client that verifies what a sonar sends.
+/// A client that verifies the records of a sonar.
 pub struct Listener {
     what: ListenerSpec,
     link: Link,
@@ -59,7 +59,7 @@ pub struct Listener {
     pub bytes: u64,
     /// Connections reset by the server.
     pub resets: u64,
-    /// Silences longer than [`ListenerSpec::silence`].
+    /// Number of pauses longer than [`ListenerSpec::silence`].
     pub silences: u64,
     /// Imagenex 872: switch commands sent.
     pub asked: u64,
@@ -72,7 +72,7 @@ enum Link {
     Udp(UdpSocket),
 }
 
-/// Decoder of the current connection and sums over the earlier ones.
+/// Decoder of the current connection, and sums over the earlier connections.
 struct Decoders {
     decoder: RecordDecoder,
     errors_before: u64,
@@ -80,7 +80,10 @@ struct Decoders {
 }
 
 impl Listener {
-    /// Connects and subscribes. `against`, `keeps_checksums`: see [`Accounting::new`].
+    /// Connects and subscribes. `against` and `keeps_checksums` are as in [`Accounting::new`].
+    ///
+    /// # Errors
+    /// The connection or the socket cannot be opened.
     pub fn open(
         what: ListenerSpec,
         against: Option<Checksums>,
@@ -121,17 +124,20 @@ impl Listener {
         }
     }
 
-    /// Undecodable stretches of bytes and damaged records.
+    /// Number of undecodable byte ranges and damaged records.
     pub fn errors(&self) -> u64 {
         self.heard.errors_before + self.heard.decoder.errors()
     }
 
-    /// Undamaged records without a number.
+    /// Number of undamaged records without a number.
     pub fn unnumbered(&self) -> u64 {
         self.heard.unnumbered_before + self.heard.decoder.unnumbered()
     }
 
-    /// Receives until `stop` returns true or the server closes.
+    /// Receives until `stop` returns true or the server closes the connection.
+    ///
+    /// # Errors
+    /// The socket fails other than by a reset.
     pub fn run(&mut self, stop: &mut dyn FnMut() -> bool) -> std::io::Result<()> {
         loop {
             match self.listen(stop)? {
@@ -222,7 +228,7 @@ impl Listener {
             if asks {
                 self.damaged_since(errors);
                 self.answers += came;
-                // Each command has one answer; further ones are duplicates.
+                // Each command has one answer; further answers are duplicates.
                 for _ in self.asked..self.answers {
                     self.accounting.found("duplicate", None, None);
                     self.asked += 1;
@@ -250,7 +256,7 @@ impl Listener {
         }
     }
 
-    /// Ends an incomplete answer as truncated.
+    /// Counts an incomplete answer as truncated.
     fn give_up(&mut self) {
         let errors = self.heard.decoder.errors();
         self.heard.decoder.give_up();

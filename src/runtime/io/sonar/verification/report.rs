@@ -1,4 +1,4 @@
-//! Findings of a listener or of any other device, as JSON lines. `echotank score` compares them with the fault log.
+//! Findings of a listener or another device, as JSON lines. `echotank score` compares the findings with the fault log.
 //!
 //! ```text
 //! {"report": "my topside", "line": "7k", "covers": [7000, 7038], "tells": ["drop", "duplicate"], "first_ping": 1, "last_ping": 900}
@@ -7,8 +7,8 @@
 //! {"kind": "dead", "ping_number": 100, "to_ping": 180, "array": 0, "element": 3}
 //! ```
 //!
-//! A line with `report` is a head; without one the report covers everything. Every other line is a finding. A report claims only what it
-//! lists; unknown keys are ignored.
+//! A line with `report` is a head; without a head the report covers everything. Every other line is a finding. A report claims only the listed
+//! faults; unknown keys are ignored.
 
 use serde::{Deserialize, Serialize};
 
@@ -27,7 +27,7 @@ pub struct ReportHead {
     /// Record types covered; `None`: all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub covers: Option<Vec<u32>>,
-    /// Kinds of faults that the reporter can detect; `None`: all.
+    /// Kinds of faults that the reporter can detect; `None` means all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tells: Option<Vec<String>>,
     /// First ping received.
@@ -100,18 +100,21 @@ pub struct Report {
     pub findings: Vec<Finding>,
 }
 
-/// A line that is no head and no finding.
+/// A line that is neither a head nor a finding.
 #[derive(Debug, thiserror::Error)]
 #[error("line {line}: {why}")]
 pub struct ReportError {
     /// Line number, from 1.
     pub line: usize,
-    /// What is wrong.
+    /// Error of the line.
     pub why: String,
 }
 
 impl Report {
     /// Parses JSON lines; empty lines are skipped.
+    ///
+    /// # Errors
+    /// [`ReportError`] for the first malformed line.
     pub fn parse(text: &str) -> Result<Self, ReportError> {
         let mut report = Self::default();
         for (at, line) in text.lines().enumerate() {
@@ -134,7 +137,7 @@ impl Report {
         Ok(report)
     }
 
-    /// The report as JSON lines.
+    /// Formats the report as JSON lines.
     pub fn text(&self) -> String {
         let mut text = serde_json::json!(self.head).to_string() + "\n";
         for finding in &self.findings {
