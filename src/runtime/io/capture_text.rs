@@ -1,7 +1,7 @@
 //! Describes packet captures as text for `tools/wiredump`.
 //!
 //! Datagrams are decoded by destination port or by their first bytes. Each direction of a TCP connection is reassembled and decoded by either port.
-//! Repeated segments are skipped and early ones wait. After a lost segment decoding resynchronises behind the gap.
+//! Repeated segments are skipped, and early segments are kept until the gap is filled. After a lost segment decoding resynchronises behind the gap.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -9,7 +9,7 @@ use echotank_protocols::words::{Datagrams, Format, Words};
 
 use echotank_nav::capture::{self, Segment};
 
-/// Early segments that may wait in one direction before the missing one counts as lost.
+/// Maximum number of early segments kept in one direction before the missing segment counts as lost.
 const MAX_WAITING: usize = 64;
 
 /// One direction of a TCP connection.
@@ -19,13 +19,13 @@ struct StreamDirection {
     words: Option<Words>,
     /// Sequence number of the next byte; `None` before the first segment.
     next: Option<u32>,
-    /// By offset from the first sequence number, which orders them across wrap-around.
+    /// Early segments by offset from the first sequence number, which orders them across wrap-around.
     waiting: BTreeMap<u32, Vec<u8>>,
     begun: u32,
 }
 
 impl StreamDirection {
-    /// Adds a segment and passes on the bytes that are now in order.
+    /// Adds a segment and passes the bytes that are now in order to `each`.
     fn push(&mut self, segment: &Segment<'_>, mut each: impl FnMut(&[u8])) {
         if segment.is_start {
             *self = Self {
@@ -55,7 +55,7 @@ impl StreamDirection {
             let Some((place, bytes)) = self.waiting.pop_first() else {
                 break;
             };
-            // Skips bytes that were passed on before.
+            // Skips bytes that `each` has already received.
             let known = at.saturating_sub(place) as usize;
             if let Some(new) = bytes.get(known..).filter(|new| !new.is_empty()) {
                 each(new);
@@ -66,7 +66,7 @@ impl StreamDirection {
     }
 }
 
-/// Describes each message of a pcap or pcapng file in a line, until `each` returns false. `format` overrides detection.
+/// Describes each message of a pcap or pcapng file in one line, passed to `each` until it returns false. `format` overrides the detection.
 pub fn describe_capture(
     bytes: &[u8],
     format: Option<Format>,
@@ -205,7 +205,7 @@ mod tests {
     #[test]
     fn a_segment_that_never_comes_is_a_gap_and_no_end() {
         let mut segments = vec![(0, true, &b""[..]), (1, false, &b"set_rate 4\r\n"[..])];
-        // One segment is lost; many follow.
+        // One segment is lost; many segments follow.
         let lost = 13 + 12;
         segments.extend(
             (0..=MAX_WAITING as u32).map(|k| (lost + 12 * k, false, &b"set_rate 5\r\n"[..])),

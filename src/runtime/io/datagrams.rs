@@ -1,7 +1,7 @@
-//! Unsolicited datagrams, sent by a thread of their own at a limited rate.
+//! Sender of unsolicited datagrams, with its own thread and a limited rate.
 //!
-//! The packets of a ping go to every address in groups, at the rate of a token bucket per address, and those of a block not before it is due. A ping
-//! that finds the queue full is dropped and counted. Packets to an unreachable address are counted as failed.
+//! The packets of a ping are sent to every address in groups, at the rate of a token bucket per address. Packets of a block are not sent before the
+//! block is due. If the queue is full, the ping is dropped and counted. Packets to an unreachable address are counted as failed.
 
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -24,7 +24,7 @@ use echotank_emit::pool::DatagramPool;
 /// Send buffer requested for each socket, bytes; it must hold a group.
 const SEND_BUFFER_BYTES: usize = 1 << 20;
 
-/// Buffers in use by a server's clients before new ones are allocated.
+/// Maximum number of buffers kept for the clients of a server before new buffers are allocated.
 const MAX_KEPT_BUFFERS: usize = 256;
 
 /// Destinations and limits of a sender.
@@ -33,29 +33,29 @@ pub(crate) struct Route {
     pub send_to: Vec<SocketAddr>,
     pub multicast_interface: Ipv4Addr,
     pub multicast_ttl: u32,
-    /// Limit of the rate to each address, bytes/s, whatever the spread of a ping.
+    /// Maximum rate to each address, bytes/s, independent of the spread of a ping.
     pub pace_bytes_per_s: f64,
-    /// Limit of queued pings.
+    /// Maximum number of queued pings.
     pub queue: usize,
 }
 
-/// When the packets of a ping leave.
+/// Send times of the packets of a ping.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Leaving {
-    /// Evenly over this time from now, s; 0: as fast as the pace allows.
+    /// Evenly over this time from now, s; 0 sends as fast as the pace allows.
     Over(f64),
-    /// Each block this long after its last sample. `pulse`: start of the pulse on the rig's clock.
+    /// Each block `latency_s` after its last sample. `pulse` is the start of the pulse on the rig's clock.
     AsHeard { pulse: MonoNs, latency_s: f64 },
 }
 
 /// Counters of a sender.
 #[derive(Debug, Default)]
 pub(crate) struct DatagramCounts {
-    /// One for each address, in the order of [`Route::send_to`]; none where a server's clients get the packets.
+    /// One entry per address, in the order of [`Route::send_to`]; empty if a server distributes the packets.
     pub(crate) receivers: Vec<ReceiverCounts>,
-    /// Packets passed to a server, which keeps counts for each client.
+    /// Packets passed to a server, which counts per client.
     pub(crate) to_clients: AtomicU64,
-    /// Pings that found the queue full.
+    /// Pings dropped because the queue was full.
     pub(crate) dropped_pings: AtomicU64,
 }
 
@@ -84,19 +84,19 @@ impl DatagramCounts {
     }
 }
 
-/// The sending thread's queue. When dropped, it sends what is queued and stops.
+/// Queue of the sending thread. On drop, the queued pings are sent and the thread ends.
 pub(crate) struct DatagramSender {
     full: Option<Sender<(Packets, Leaving)>>,
     empty: Receiver<Packets>,
     counts: Arc<DatagramCounts>,
     thread: Option<JoinHandle<()>>,
     faulty: Mutex<Option<Box<dyn OutputLink>>>,
-    /// Server whose clients get the packets.
+    /// Server that distributes the packets to its clients.
     server: Option<Arc<SonarServer>>,
 }
 
 impl DatagramSender {
-    /// `clock`: the rig's clock, on which blocks are due.
+    /// Opens a sender to fixed addresses. Blocks are due on `clock`, the rig's clock.
     pub(crate) fn open(
         route: Route,
         clock: Arc<dyn Clock>,
@@ -127,7 +127,7 @@ impl DatagramSender {
         )
     }
 
-    /// Sends to the clients of a server, which limits the rate itself; blocks are passed on when they are due.
+    /// Opens a sender to the clients of a server, which limits the rate itself. Blocks are passed to the server when they are due.
     pub(crate) fn serve(
         server: Arc<SonarServer>,
         queue: usize,
@@ -170,7 +170,7 @@ impl DatagramSender {
                 line.sending.begin();
                 for (ping, leaving) in pings {
                     line.send(&ping, leaving);
-                    // Full only if more buffers exist than the queue holds; this one is then freed.
+                    // Full only if more buffers exist than the queue holds. The buffer is then freed.
                     let _ = give_back.try_send(ping);
                 }
             })?;
@@ -184,7 +184,7 @@ impl DatagramSender {
         })
     }
 
-    /// Sends all further pings through `line`.
+    /// Sends all further pings through the faulty link `line`.
     pub(crate) fn set_line(&self, line: Box<dyn OutputLink>) {
         *self.faulty.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
     }
@@ -193,12 +193,12 @@ impl DatagramSender {
         &self.counts
     }
 
-    /// A buffer for the next ping, reused if possible.
+    /// Returns a buffer for the next ping, reused if possible.
     pub(crate) fn buffer(&self) -> Packets {
         self.empty.try_recv().unwrap_or_default()
     }
 
-    /// Queues a ping; false if the queue is full.
+    /// Queues a ping. Returns false if the queue is full.
     pub(crate) fn send(&self, mut ping: Packets, leaving: Leaving) -> bool {
         let mut faulty = self.faulty.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(line) = &mut *faulty {
@@ -261,7 +261,7 @@ struct Transmission {
     bucket: Bucket,
     pace_bytes_per_s: f64,
     clock: Arc<dyn Clock>,
-    /// The rate limit protects real links and boards, so it applies to machine time.
+    /// Clock of the rate limit. The limit protects real links and boards, so it applies to machine time.
     machine: SystemClock,
     counts: Arc<DatagramCounts>,
     sending: Sending,
@@ -327,7 +327,7 @@ impl ReceiverCounts {
         self.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
     }
 
-    /// Sends to each destination; a failure affects no other.
+    /// Sends a group to one destination. A failure does not affect the other destinations.
     fn send(&self, socket: &UdpSocket, to: &SockAddr, group: &[&[u8]]) {
         let mut rest = group;
         while !rest.is_empty() {

@@ -1,16 +1,16 @@
-//! Peers of an unconnected UDP socket whose port is closed, from ICMP.
+//! Closed ports of the peers of an unconnected UDP socket, from ICMP.
 //!
-//! Linux keeps ICMP errors with the datagram's destination in the socket's error queue (`IP_RECVERR`, ip(7)). Elsewhere none are reported.
+//! Linux keeps ICMP errors with the datagram's destination in the socket's error queue (`IP_RECVERR`, ip(7)). Other systems report no closed ports.
 
 use std::net::SocketAddr;
 use std::os::fd::AsFd;
 
-/// Requests that errors be kept. The socket's calls then also fail with [`std::io::ErrorKind::ConnectionRefused`], once for each error.
+/// Enables the error queue. Calls on the socket then also fail with [`std::io::ErrorKind::ConnectionRefused`], once per error.
 pub(super) fn enable(socket: &impl AsFd, local: SocketAddr) {
     system::enable(socket, local);
 }
 
-/// The next peer that has refused a datagram; `None` if there is no further one.
+/// Next peer that refused a datagram; `None` if there is no further peer.
 pub(super) fn next_refused(socket: &impl AsFd) -> Option<SocketAddr> {
     system::next_refused(socket)
 }
@@ -36,7 +36,7 @@ mod system {
 
     use super::*;
 
-    /// Room for the error's control message, which takes 48 bytes with the address of the sender; aligned to 8 bytes.
+    /// Buffer for the control message of an error, which takes 48 bytes with the address of the sender; aligned to 8 bytes.
     type Control = [u64; 32];
 
     pub(super) fn enable(socket: &impl AsFd, local: SocketAddr) {
@@ -69,7 +69,7 @@ mod system {
         }
     }
 
-    /// The error number and the destination of the datagram that caused it.
+    /// Next error number, and the destination of the datagram that caused the error.
     fn next_error(socket: &impl AsFd) -> io::Result<(libc::c_int, Option<SocketAddr>)> {
         let mut control: Control = [0; 32];
         // SAFETY: all bytes zero is a valid msghdr: null pointers with lengths 0.

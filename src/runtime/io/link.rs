@@ -17,11 +17,11 @@ pub enum Connection {
     Reset,
 }
 
-/// Applies link faults to a ping's records or packets.
+/// Link faults that act on the records or packets of a ping.
 pub trait Link: Send {
     /// State of the connections at this ping.
     fn connection(&mut self) -> Connection;
-    /// The records that leave when `records` are sent.
+    /// Returns the records to send in place of `records`.
     fn records<'a>(&'a mut self, records: &'a [Arc<Datagram>]) -> &'a [Arc<Datagram>];
     /// Applies the faults to packets in place.
     fn packets(&mut self, packets: &mut Packets);

@@ -1,11 +1,11 @@
-//! The ports that this process listens on. No client may have records sent to them, and those that other computers can reach are named at start.
+//! Ports on which this process listens. No client may direct records to these ports. Ports that other computers can reach are logged at start.
 
 use std::net::{IpAddr, SocketAddr, UdpSocket};
 use std::sync::{Mutex, PoisonError};
 
 use tracing::warn;
 
-/// A vector of plain data is whole after a panic.
+/// Own ports. A poisoned lock is usable, because a vector of plain data stays consistent after a panic.
 static OWN: Mutex<Vec<SocketAddr>> = Mutex::new(Vec::new());
 
 /// A port in [`OWN`]; dropping it removes the port.
@@ -13,7 +13,7 @@ static OWN: Mutex<Vec<SocketAddr>> = Mutex::new(Vec::new());
 pub(crate) struct Listening(SocketAddr);
 
 impl Listening {
-    /// Notes a bound address. `what`: its service, for the warning that other computers can reach it.
+    /// Registers a bound address. `what` names the service in the warning that other computers can reach it.
     pub(crate) fn at(what: &str, address: SocketAddr) -> Self {
         if !address.ip().is_loopback() {
             warn!(what, %address, "other computers can connect; use it in a trusted network only");
@@ -36,7 +36,7 @@ fn own() -> std::sync::MutexGuard<'static, Vec<SocketAddr>> {
     OWN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Whether a datagram or connection to this address comes to a port of this process.
+/// Whether a datagram or connection to this address reaches a port of this process.
 pub(crate) fn is_own(address: SocketAddr) -> bool {
     let ip = address.ip().to_canonical();
     let same_port: Vec<_> = own()
@@ -49,7 +49,7 @@ pub(crate) fn is_own(address: SocketAddr) -> bool {
         || same_port.iter().any(IpAddr::is_unspecified) && is_of_this_computer(ip)
 }
 
-/// Only a computer's own addresses can be bound.
+/// Whether `ip` is an address of this computer: only such addresses can be bound.
 fn is_of_this_computer(ip: IpAddr) -> bool {
     UdpSocket::bind((ip, 0)).is_ok()
 }

@@ -19,11 +19,17 @@ mod tcp;
 pub mod trigger;
 
 /// Reads a text file.
+///
+/// # Errors
+/// The file cannot be read or is not UTF-8.
 pub fn text_of(path: &std::path::Path) -> std::io::Result<String> {
     std::fs::read_to_string(path)
 }
 
 /// Writes a text file, replacing an existing one.
+///
+/// # Errors
+/// The file cannot be written.
 pub fn write_text(path: &std::path::Path, text: &str) -> std::io::Result<()> {
     std::fs::write(path, text)
 }

@@ -1,20 +1,20 @@
-//! Reports the service's state to systemd (sd_notify(3)): ready, alive, status, stopping.
+//! Reports the state of the service to systemd (sd_notify(3)): ready, alive, status, stopping.
 
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 
-/// Sends to the service manager, if there is one.
+/// Connection to the service manager, if there is one.
 pub(crate) struct Notify {
     way: Option<(UnixDatagram, SocketAddr)>,
 }
 
 impl Notify {
-    /// Uses the socket that systemd names in the environment.
+    /// Uses the socket that the environment variable `NOTIFY_SOCKET` names.
     pub(crate) fn from_environment() -> Self {
         Self::to(std::env::var("NOTIFY_SOCKET").ok().as_deref())
     }
 
-    /// Sends to a socket path, or to an abstract name after `@`.
+    /// Uses a socket path, or an abstract name after `@`.
     fn to(name: Option<&str>) -> Self {
         let way = name.and_then(|name| {
             let address = match name.strip_prefix('@') {
@@ -26,12 +26,12 @@ impl Notify {
         Self { way }
     }
 
-    /// The service is ready.
+    /// Reports that the service is ready.
     pub(crate) fn ready(&self) {
         self.tell("READY=1");
     }
 
-    /// Resets the watchdog; due more often than WatchdogSec.
+    /// Resets the watchdog. Call more often than WatchdogSec.
     pub(crate) fn alive(&self) {
         self.tell("WATCHDOG=1");
     }
@@ -40,14 +40,14 @@ impl Notify {
         self.tell("STOPPING=1");
     }
 
-    /// One line for `systemctl status`.
+    /// Sets the line that `systemctl status` shows.
     pub(crate) fn status(&self, line: &str) {
         self.tell(&format!("STATUS={line}"));
     }
 
     fn tell(&self, text: &str) {
         if let Some((socket, address)) = &self.way {
-            // A lost message is harmless: the watchdog notices.
+            // A lost message is harmless, because the watchdog notices a failure.
             let _ = socket.send_to_addr(text.as_bytes(), address);
         }
     }

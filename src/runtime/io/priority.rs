@@ -29,7 +29,10 @@ pub(crate) fn first_in_first_out_of<T>(thread: &JoinHandle<T>, priority: u8) -> 
     }
 }
 
-/// Sets the calling thread's nice value, -20 to 19. Threads that it starts inherit it. A negative value requires CAP_SYS_NICE or a limit on nice.
+/// Sets the nice value of the calling thread, -20 to 19. Threads that it starts inherit the value.
+///
+/// # Errors
+/// A negative value is refused without CAP_SYS_NICE or a limit on nice.
 pub fn nice(value: i8) -> io::Result<()> {
     // SAFETY: takes no pointers; on Linux 0 is the calling thread.
     outcome(unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, i32::from(value)) })
@@ -54,7 +57,8 @@ pub(crate) fn scheduling() -> (i32, i32) {
     (policy, parameters.sched_priority)
 }
 
-/// Locks every page in memory once it has been touched. Refused unless locked memory is unlimited: under a limit a later allocation would fail.
+/// Locks every page in memory once the page is touched. Refused unless locked memory is unlimited, because under a limit a later allocation would
+/// fail.
 pub(crate) fn lock_memory() -> io::Result<()> {
     if limit(Limit::LockedMemory) != u64::MAX && !is_root() {
         let why = "the limit on locked memory is not \"unlimited\"";
@@ -83,7 +87,7 @@ pub fn is_root() -> bool {
 pub enum Limit {
     /// Highest real-time priority.
     RealTimePriority,
-    /// 20 less the lowest nice value.
+    /// 20 minus the lowest nice value.
     Nice,
     /// Locked memory, bytes.
     LockedMemory,
@@ -91,7 +95,7 @@ pub enum Limit {
     OpenFiles,
 }
 
-/// The soft limit of this process; `u64::MAX`: unlimited.
+/// Soft limit of this process; `u64::MAX` means unlimited.
 pub fn limit(which: Limit) -> u64 {
     let resource = match which {
         Limit::RealTimePriority => libc::RLIMIT_RTPRIO,
@@ -112,7 +116,7 @@ pub fn limit(which: Limit) -> u64 {
     }
 }
 
-/// Whether the kernel considers the host's clock synchronised (NTP, PTP), and its error estimate, us.
+/// Whether the kernel considers the host's clock synchronised (NTP, PTP), and the kernel's estimate of the clock error, us.
 pub fn clock_discipline() -> (bool, i64) {
     // SAFETY: all zero is a valid timex, which asks and changes nothing.
     let mut timex: libc::timex = unsafe { std::mem::zeroed() };
@@ -152,7 +156,7 @@ mod tests {
         drop(tell);
         let (before, after) = other.join().expect("the thread");
         match granted {
-            // The thread may have started only afterwards.
+            // The thread may have started only after the first reading.
             Ok(()) => assert_eq!(after, (libc::SCHED_FIFO, 7)),
             Err(_) => assert_eq!(before, after),
         }

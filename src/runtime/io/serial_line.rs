@@ -1,7 +1,7 @@
-//! A session with one client on a serial line: received bytes go to the session; replies and records are sent, replies first.
+//! A session with one client on a serial line. Received bytes go to the session; replies precede records.
 //!
-//! Records are dropped whole and counted when the queue is full; a fast sonar loses most of them at 115200 bit/s. A failed line, such as an unplugged
-//! adapter, is reopened.
+//! Records are dropped whole and counted if the queue is full. A fast sonar loses most of its records at 115200 bit/s. A failed line, such as an
+//! unplugged adapter, is reopened.
 
 use std::io::{ErrorKind, Read};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -16,11 +16,11 @@ use crate::io::sonar::RigTime;
 use echotank_core::records::Datagram;
 use echotank_emit::session::{Outgoing, Session};
 
-/// Limit of records that wait for the line.
+/// Maximum number of records queued for the line.
 const MAX_WAITING: usize = 4;
-/// Read timeout; a reply may wait this long.
+/// Read timeout, which is the maximum delay of a reply.
 const LOOK: Duration = Duration::from_millis(20);
-/// Read timeouts after which an incomplete command is discarded.
+/// Number of read timeouts after which an incomplete command is discarded.
 const STALLED_LOOKS: u32 = 100;
 /// Pause before a failed line is reopened.
 const AGAIN: Duration = Duration::from_secs(1);
@@ -30,7 +30,7 @@ const AGAIN: Duration = Duration::from_secs(1);
 pub struct LineCounts {
     /// Bytes written.
     pub bytes_sent: AtomicU64,
-    /// Records that did not fit the queue.
+    /// Records that did not fit in the queue.
     pub records_dropped: AtomicU64,
     /// Commands received.
     pub commands: AtomicU64,
@@ -50,7 +50,10 @@ pub struct SerialLine {
 }
 
 impl SerialLine {
-    /// Opens the line. `connect` makes a session, again after each failure.
+    /// Opens the line and starts its thread. `connect` creates a session, also after each failure of the line.
+    ///
+    /// # Errors
+    /// The port or the thread cannot be opened.
     pub fn open(
         port: &str,
         baud: u32,
@@ -91,12 +94,12 @@ impl SerialLine {
         &self.counts
     }
 
-    /// Sends all further records through `line`; replies bypass it.
+    /// Sends all further records through the faulty link `line`. Replies bypass it.
     pub(crate) fn set_line(&self, line: Box<dyn Link>) {
         *self.faulty.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
     }
 
-    /// Queues records; never waits for the line.
+    /// Queues records. Never waits for the line.
     pub fn deliver(&self, records: &[Arc<Datagram>]) {
         let mut faulty = self.faulty.lock().unwrap_or_else(PoisonError::into_inner);
         let records = match &mut *faulty {
@@ -124,7 +127,7 @@ fn open(name: &str, baud: u32) -> std::io::Result<Box<dyn serialport::SerialPort
     Ok(serialport::new(name, baud).timeout(LOOK).open()?)
 }
 
-/// Returns when the line fails or the server stops.
+/// Serves one session until the line fails or the server stops.
 fn serve(
     mut line: Box<dyn serialport::SerialPort>,
     session: &mut dyn Session,
@@ -178,7 +181,7 @@ fn is_silence(error: &std::io::Error) -> bool {
     )
 }
 
-/// Writes all of `bytes`, however long it takes, unless the server stops.
+/// Writes all of `bytes` unless the server stops. The duration is not limited.
 fn write(
     line: &mut dyn serialport::SerialPort,
     mut bytes: &[u8],

@@ -8,11 +8,14 @@ use std::time::{Duration, Instant};
 
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
-/// A second signal within this time is ignored: a shell signals the process group, and a wrapper may signal its child again.
+/// Time within which a second signal is ignored. A shell signals the process group, and a wrapper can signal its child again.
 const SAME_WISH: Duration = Duration::from_secs(1);
 
-/// Sets `stop` at the first SIGINT, SIGTERM or SIGHUP; a SIGHUP that the parent process ignores (`nohup`) stays ignored. A further one after [`SAME_WISH`] ends the process at once with status 128 + signal; recorded files
-/// stay readable.
+/// Sets `stop` at the first SIGINT, SIGTERM or SIGHUP. A SIGHUP that the parent process ignores (`nohup`) stays ignored. A further signal more than 1
+/// s later ends the process at once with status 128 + signal; recorded files stay readable.
+///
+/// # Errors
+/// The signal handlers or their thread cannot be installed.
 pub fn stop_on_signals(stop: &Arc<AtomicBool>) -> io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
@@ -54,7 +57,7 @@ pub fn stop_on_signals(stop: &Arc<AtomicBool>) -> io::Result<()> {
     Ok(())
 }
 
-/// Waits for a signal; for ever without a handler.
+/// Waits for a signal. Never returns if the signal has no handler.
 async fn receive(signal: &mut Option<Signal>) {
     match signal {
         Some(signal) => {

@@ -1,16 +1,16 @@
-//! Age of a received datagram from the kernel's time stamp, so that a late read does not delay navigation or triggers.
+//! Age of a received datagram from the kernel's time stamp. The age corrects the delay of a late read for navigation and triggers.
 //!
-//! Linux stamps datagrams on request (`SO_TIMESTAMPNS`, socket(7)). Elsewhere, or if it refuses, the age is 0.
+//! Linux stamps datagrams on request (`SO_TIMESTAMPNS`, socket(7)). On other systems, or if Linux refuses, the age is 0.
 
 use std::io;
 use std::net::UdpSocket;
 
-/// Requests time stamps; false where they are unavailable.
+/// Requests time stamps. Returns false if they are unavailable.
 pub(super) fn enable(socket: &UdpSocket) -> bool {
     system::enable(socket)
 }
 
-/// Receives one datagram; returns its length and its age, ns (0 if unknown).
+/// Receives one datagram. Returns its length, bytes, and its age, ns (0 if unknown).
 pub(super) fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> io::Result<(usize, i64)> {
     system::receive(socket, buffer)
 }
@@ -36,9 +36,9 @@ mod system {
 
     use super::*;
 
-    /// A greater age means that the host's clock was set meanwhile, ns.
+    /// Maximum age. A greater age means that the host's clock was set after the reception.
     const OLDEST: Duration = Duration::from_secs(10);
-    /// Room for the time stamp's control message, which takes 32 bytes; aligned to 8 bytes.
+    /// Buffer for the control message of the time stamp, which takes 32 bytes; aligned to 8 bytes.
     type Control = [u64; 16];
 
     pub(super) fn enable(socket: &UdpSocket) -> bool {
@@ -76,7 +76,7 @@ mod system {
         Ok((len, stamp(&message).map_or(0, age_ns)))
     }
 
-    /// Kernel time of reception, since 1970.
+    /// Reception time from the kernel, since 1970.
     fn stamp(message: &libc::msghdr) -> Option<Duration> {
         // SAFETY: `message` has been filled by recvmsg, its control buffer is alive: the macros walk within msg_controllen, and end in null.
         unsafe {
@@ -99,7 +99,7 @@ mod system {
         None
     }
 
-    /// The age in ns; 0 for an impossible time stamp.
+    /// Age in ns; 0 for an impossible time stamp.
     fn age_ns(stamp: Duration) -> i64 {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).ok();
         let age = now.and_then(|now| now.checked_sub(stamp));

@@ -5,13 +5,13 @@ use std::os::fd::{AsFd, AsRawFd};
 
 use socket2::{SockAddr, SockRef};
 
-/// Most datagrams per call. A 1 ms group at 41 MB/s in Ethernet frames has 28.
+/// Maximum number of datagrams per call. A 1 ms group at 41 MB/s in Ethernet frames has 28 datagrams.
 #[cfg(target_os = "linux")]
 const MOST: usize = 64;
-/// Longest wait for a full send buffer, ms; then the datagram fails.
+/// Maximum wait for room in a full send buffer, ms. After this time the datagram fails.
 const PATIENCE_MS: libc::c_int = 200;
 
-/// Sends in order until all are sent or one fails; returns the number sent. Waits for a full buffer on non-blocking sockets too.
+/// Sends in order until all datagrams are sent or one fails. Returns the number sent. Waits for room in a full buffer on non-blocking sockets too.
 pub(crate) fn send_batch(
     socket: &impl AsFd,
     to: &SockAddr,
@@ -54,7 +54,7 @@ fn wait_for_room(socket: &impl AsFd) {
     unsafe { libc::poll(&mut poll, 1, PATIENCE_MS) };
 }
 
-/// Sends one datagram; returns the number sent.
+/// Sends one datagram. Returns the number sent.
 #[cfg_attr(all(target_os = "linux", not(test)), allow(dead_code))]
 fn send_one(socket: &impl AsFd, to: &SockAddr, packets: &[&[u8]]) -> io::Result<usize> {
     match packets.first() {
@@ -68,7 +68,7 @@ fn send_some(socket: &impl AsFd, to: &SockAddr, packets: &[&[u8]]) -> io::Result
     send_one(socket, to, packets)
 }
 
-/// Sends at most [`MOST`] datagrams; returns the number sent, or the error of the first one.
+/// Sends at most [`MOST`] datagrams. Returns the number sent, or the error of the first datagram.
 #[cfg(target_os = "linux")]
 fn send_some(socket: &impl AsFd, to: &SockAddr, packets: &[&[u8]]) -> io::Result<usize> {
     let count = packets.len().min(MOST);
@@ -129,7 +129,7 @@ mod tests {
         let (outbox, inbox, to) = pair();
         let packets: Vec<Vec<u8>> = (0..150_u8).map(|k| vec![k; usize::from(k)]).collect();
         let slices: Vec<&[u8]> = packets.iter().map(Vec::as_slice).collect();
-        // Fewer than fill a default socket buffer.
+        // Few enough for a default socket buffer.
         for part in slices.chunks(75) {
             let (gone, result) = send_batch(&outbox, &to, part);
             assert_eq!((gone, result.is_ok()), (part.len(), true));

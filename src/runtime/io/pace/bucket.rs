@@ -1,13 +1,13 @@
 //! A token bucket on absolute time: a burst limit and a rate.
 //!
-//! Tokens accrue with the clock, so a late wake-up catches up, by at most the bucket's size. A group larger than the bucket, such as one long datagram,
-//! waits for a full bucket and leaves a negative balance.
+//! Tokens accrue with the clock. A late wake-up therefore catches up, by at most the size of the bucket. A group larger than the bucket, such as one
+//! long datagram, waits for a full bucket and leaves a negative balance.
 
 use echotank_core::time::{MonoNs, NS_PER_S};
 
-/// Bucket size, bytes: an eighth of a default socket buffer, which also holds the kernel's overhead of each datagram.
+/// Size of the bucket, bytes: an eighth of a default socket buffer, which also holds the kernel's overhead per datagram.
 pub(crate) const DEPTH_BYTES: usize = 32 * 1024;
-/// Duration of a group of datagrams: the thread wakes 1000 times a second rather than for each datagram.
+/// Duration of a group of datagrams, ns: the thread wakes 1000 times a second, not for each datagram.
 const GROUP_NS: f64 = 1e6;
 
 /// The bucket of one stream.
@@ -20,7 +20,7 @@ pub(crate) struct Bucket {
 }
 
 impl Bucket {
-    /// A full bucket. An infinite rate never waits.
+    /// Creates a full bucket. An infinite rate never waits.
     pub(crate) fn new(bytes_per_s: f64, now: MonoNs) -> Self {
         Self {
             bytes_per_s,
@@ -46,7 +46,7 @@ impl Bucket {
         self.at = self.at.max(now);
     }
 
-    /// Number and total bytes of the next datagrams, of these lengths, that form a group.
+    /// Number and total bytes of the next datagrams that form a group, from the lengths of the datagrams.
     pub(crate) fn group(&self, lengths: impl Iterator<Item = usize>) -> (usize, usize) {
         let full = (self.bytes_per_s * GROUP_NS / NS_PER_S as f64).clamp(1.0, DEPTH_BYTES as f64);
         let (mut count, mut bytes) = (0, 0);
@@ -60,7 +60,7 @@ impl Bucket {
         (count, bytes)
     }
 
-    /// Earliest time for a group of this many bytes.
+    /// Earliest send time of a group of this many bytes.
     pub(crate) fn due(&mut self, bytes: usize, now: MonoNs) -> MonoNs {
         self.fill(now);
         let short = bytes.min(DEPTH_BYTES) as f64 - self.level;
@@ -70,7 +70,7 @@ impl Bucket {
         }
     }
 
-    /// Takes the bytes of a group that was sent.
+    /// Removes the bytes of a sent group from the balance.
     pub(crate) fn take(&mut self, bytes: usize, now: MonoNs) {
         self.fill(now);
         self.level -= bytes as f64;
@@ -85,7 +85,7 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// Time, ms, and bytes of each group when wake-ups are never late.
+    /// Send time, ms, and bytes of each group if wake-ups are never late.
     fn departures(rate: f64, lengths: &[usize]) -> Vec<(f64, usize)> {
         let mut now = MonoNs(5);
         let mut bucket = Bucket::new(rate, now);
@@ -145,7 +145,7 @@ mod tests {
     }
 
     proptest! {
-        /// Over any interval the bytes are at most a bucketful, one datagram's debt and the rate's share.
+        /// In any interval the bytes are at most a full bucket, the debt of one datagram and the rate times the interval.
         #[test]
         fn never_more_than_the_rate_and_a_bucketful(rate in 1e4..1e8_f64, lengths in proptest::collection::vec(1..65_000_usize, 1..200)) {
             let gone = departures(rate, &lengths);

@@ -3,7 +3,7 @@
 use std::io;
 use std::os::fd::{AsFd, AsRawFd};
 
-/// Limits the rate of a connection, bytes/s; infinite or at least 4 GB/s: unlimited.
+/// Limits the rate of a connection, bytes/s. Infinity, or at least 4 GB/s, means unlimited.
 #[cfg(target_os = "linux")]
 pub(crate) fn set_pace(socket: &impl AsFd, bytes_per_s: f64) -> io::Result<()> {
     // The conversion saturates at the largest value, which means unlimited.
@@ -60,10 +60,10 @@ mod tests {
 
     #[test]
     fn a_paced_stream_lasts_as_long_as_its_bytes_at_that_rate() {
-        // 0.1 s, less a short initial burst. A loaded machine may be slower but never faster.
+        // 0.1 s, less a short initial burst. A loaded machine can be slower but never faster.
         let lasted_s = lasts_s(20e6);
         assert!(lasted_s > 0.07, "{lasted_s} s");
-        // Unlimited accepts any rate, and is accepted.
+        // An unlimited rate is accepted.
         lasts_s(f64::INFINITY);
     }
 }

@@ -1,4 +1,4 @@
-//! `faults-*.jsonl`: every injected fault, one JSON object per line, for comparison with a device's report.
+//! `faults-*.jsonl`: every injected fault, one JSON object per line, for comparison with the report of a device.
 //!
 //! | key | content |
 //! |---|---|
@@ -9,7 +9,7 @@
 //! | `frame_number` | element streams: frame number |
 //! | `stream`, `context`, `packet_utc_ns` | VITA 49: stream, whether it is a context packet, packet time |
 //! | `source`, `quantity` | navigation faults: source and quantity |
-//! | `array`, `element` | element faults: location; absent: all |
+//! | `array`, `element` | element faults: location; if absent, all |
 //! | `strength` | growth of the fault, 0 to 1 |
 
 use std::fs::File;
@@ -20,7 +20,7 @@ use serde::Serialize;
 
 use super::RecordError;
 
-/// A log that grows by whole lines and stays readable wherever it is cut off.
+/// A log in JSON lines. An interrupted log stays readable up to its last whole line.
 pub(crate) struct FaultLog {
     path: PathBuf,
     file: File,
@@ -32,7 +32,7 @@ impl FaultLog {
     /// Creates the file, replacing an existing one.
     pub(crate) fn create(path: &Path) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(RecordError::io(path, "create"))?;
-        // The lock makes `recover` leave the file alone.
+        // The lock prevents `recover` from changing the file.
         let _ = file.try_lock();
         Ok(Self {
             path: path.to_owned(),

@@ -6,7 +6,7 @@
 //! - `.npz`: `lines`, `line_side`, `line_position_m`, `position_m`, `attitude_deg`, `geodetic_deg`, `velocity_m_per_s` and the scalars. Members must
 //!   be stored, little-endian, in C order.
 //!
-//! Of a multi-pulse ping one pulse is read: 7000 and 7007 by their multi-ping sequence, `more_lines` of an `.npz`.
+//! Of a multi-pulse ping only one pulse is read: from 7000 and 7007 by their multi-ping sequence, from an `.npz` by `more_lines`.
 
 use std::collections::HashMap;
 use std::io::Read;
@@ -22,7 +22,7 @@ use glam::DVec3;
 use echotank_core::ping::{Line, Side};
 use echotank_imaging::image::line::RangeAxis;
 
-/// The side-scan lines of one recorded ping.
+/// Side-scan lines of one recorded ping.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedPing {
     /// Ping number.
@@ -47,7 +47,7 @@ pub struct RecordedPing {
     pub utc_ns: i64,
 }
 
-/// Why a file yields no lines.
+/// Errors of reading side-scan lines.
 #[derive(Debug, thiserror::Error)]
 pub enum LinesError {
     /// The file cannot be read.
@@ -58,17 +58,20 @@ pub enum LinesError {
         /// The cause.
         source: std::io::Error,
     },
-    /// The content is not as this program writes it.
+    /// The content differs from the format that this program writes.
     #[error("{}: {why}", path.display())]
     Unfit {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// Cause.
         why: String,
     },
 }
 
-/// Pings that have a position and lines of `pulse` (1 is the first), in file order.
+/// Reads the pings that have a position and lines of `pulse` (1 is the first), in file order.
+///
+/// # Errors
+/// The file cannot be read or has not been written by this program.
 pub fn read(path: &Path, pulse: u16) -> Result<Vec<RecordedPing>, LinesError> {
     let bytes = std::fs::read(path).map_err(|source| LinesError::Unreadable {
         path: path.to_owned(),
@@ -86,11 +89,11 @@ pub fn read(path: &Path, pulse: u16) -> Result<Vec<RecordedPing>, LinesError> {
 
 // ---------------------------------------------------------------- .s7k
 
-/// A quantity measured at increasing times.
+/// Samples of a quantity at increasing times, ns.
 #[derive(Default)]
 struct Track<const N: usize> {
     points: Vec<(i64, [f64; N])>,
-    /// Components that are angles are interpolated the shorter way round.
+    /// Whether components are angles, which are interpolated along the shorter arc.
     angles: bool,
 }
 
@@ -120,7 +123,7 @@ impl<const N: usize> Track<N> {
     }
 }
 
-/// A ping with a single pulse has sequence 0.
+/// Whether a multi-ping sequence belongs to `pulse`. A ping with a single pulse has sequence 0.
 fn is_of(pulse: u16, multi_ping_sequence: u16) -> bool {
     multi_ping_sequence.max(1) == pulse
 }
@@ -209,7 +212,7 @@ fn of_s7k(bytes: &[u8], pulse: u16) -> Result<Vec<RecordedPing>, String> {
         let Some(set) = settings.get(&number) else {
             continue;
         };
-        // Ping records are stamped with the end of transmission.
+        // The time stamp of ping records is the end of transmission.
         let utc_ns = utc_ns - (f64::from(set.tx_pulse_width_s) * 1e9) as i64;
         let (Some(place), Some(heading)) = (places.at(utc_ns), headings.at(utc_ns)) else {
             return Err(
@@ -263,10 +266,10 @@ fn utc_ns(record: &Record<'_>) -> Result<i64, ()> {
 
 // ---------------------------------------------------------------- .npz
 
-/// Longest header of a member, bytes.
+/// Maximum length of a member's header, bytes.
 const HEADER_BYTES: usize = 65_536;
 
-/// An array of numbers.
+/// A parsed array of numbers.
 struct Array {
     shape: Vec<usize>,
     numbers: Vec<f64>,
@@ -341,7 +344,7 @@ fn of_npz(bytes: Vec<u8>, pulse: u16) -> Result<Vec<RecordedPing>, String> {
             let mut made = Vec::new();
             for (s, side) in side.iter().enumerate() {
                 let starboard = *side > 0.0;
-                // The arrays move until this pulse is transmitted.
+                // The arrays move between the start of the ping and the transmission of this pulse.
                 let ahead_m = delay_s * triple(&velocity, p);
                 arms_m[usize::from(starboard)] =
                     triple(&places, p * sides + s) - triple(&reference, p) + ahead_m;

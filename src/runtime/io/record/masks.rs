@@ -2,7 +2,7 @@
 //!
 //! | array | shape | type and content |
 //! |---|---|---|
-//! | `target` | pings, lines, samples | u2, 1 is the scene's first target, 0 none: the target whose echoes hold more energy than all else |
+//! | `target` | pings, lines, samples | u2, 1 is the scene's first target, 0 none; the target whose echoes hold more energy than all others |
 //! | `shadow` | pings, lines, samples | u1, 1 where the ground on the beam axis exists but is not insonified, and no target is labelled |
 //! | `depth_m` | pings, lines, samples | f4, m below the world's origin, of the ground on the beam axis; NaN where absent |
 //! | `line_side` | lines | i4, -1 port, +1 starboard |
@@ -22,7 +22,7 @@ pub(crate) struct MaskRecorder {
     shadow: PartialFile,
     depth_m: PartialFile,
     ping_number: PartialFile,
-    /// `None` for beams.
+    /// Side of each line; `None` for beams.
     sides: Option<Vec<Side>>,
     rows: usize,
     samples: usize,
@@ -31,12 +31,12 @@ pub(crate) struct MaskRecorder {
 }
 
 impl MaskRecorder {
-    /// Records `dir/masks.npz`; the folder must exist.
+    /// Creates `dir/masks.npz`; the folder must exist.
     pub(crate) fn of_lines(dir: &Path) -> Result<Self, RecordError> {
         Self::create(dir, "masks.npz", Some(Vec::new()))
     }
 
-    /// Records `dir/fan_masks.npz`; the folder must exist.
+    /// Creates `dir/fan_masks.npz`; the folder must exist.
     pub(crate) fn of_beams(dir: &Path) -> Result<Self, RecordError> {
         Self::create(dir, "fan_masks.npz", None)
     }
@@ -81,7 +81,7 @@ impl MaskRecorder {
         }
         let bytes = &mut self.bytes;
         for truth in truths {
-            // The rule for picture pixels applies.
+            // Picture pixels use the same rule.
             let own: Vec<u16> = (0..self.samples)
                 .map(|k| match truth.target_energy[k] > truth.other_energy[k] {
                     true => truth.target[k],
@@ -105,7 +105,7 @@ impl MaskRecorder {
         Ok(())
     }
 
-    /// Assembles the file; `None` without pings.
+    /// Assembles the file and returns its path; `None` without pings.
     pub(crate) fn finish(self) -> Result<Option<PathBuf>, RecordError> {
         if self.pings == 0 {
             return Ok(None);

@@ -14,9 +14,10 @@
 //! - [`svlog`]: frames of the Ping protocol.
 //! - [`truth`]: ground truth, one JSON line per ping.
 //!
-//! Recorders run outside the ping path. They neither panic nor print: a missing folder or a full disk is a [`RecordError`] that names the file.
-//! Pictures and `.npz` files appear complete or not at all. `.s7k`, `.jsf`, `.xtf` and `truth.jsonl` grow in place and are readable up to the last
-//! whole record or line wherever they are cut off. `.svlog`, SigMF and WAV files are so once repaired ([`recover`]).
+//! Recorders run outside the ping path. They neither panic nor print. A missing folder or a full disk gives a [`RecordError`] that names the file.
+//!
+//! Pictures and `.npz` files appear complete or not at all. `.s7k`, `.jsf`, `.xtf` and `truth.jsonl` grow in place. If interrupted, they are readable
+//! up to the last whole record or line. Interrupted `.svlog`, SigMF and WAV files are readable after a repair ([`recover`]).
 pub mod faults;
 pub mod lines;
 pub mod masks;
@@ -45,8 +46,8 @@ pub(crate) fn make_folder(path: &Path) -> Result<(), RecordError> {
     std::fs::create_dir_all(path).map_err(RecordError::io(path, "create"))
 }
 
-/// Creates an empty file `STEM.EXTENSION` for a recording, or `STEM-2.EXTENSION` and so on if that exists: two programs may record into one folder
-/// in the same second. Returns its path.
+/// Creates an empty file `STEM.EXTENSION` for a recording and returns its path. If the name exists, a suffix is added, as in `STEM-2.EXTENSION`,
+/// because two programs can record into one folder in the same second.
 pub(crate) fn claim_name(
     folder: &Path,
     stem: &str,
@@ -65,10 +66,10 @@ pub(crate) fn claim_name(
     Ok(path)
 }
 
-/// Why a ping or record was not written.
+/// Errors of recording a ping or record.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
-    /// The file system refused an action; the recorder has stopped.
+    /// A file system operation failed; the recorder has stopped.
     #[error("{}: cannot {action}: {source}", path.display())]
     Io {
         /// The file or folder.
@@ -78,7 +79,7 @@ pub enum RecordError {
         /// The cause.
         source: io::Error,
     },
-    /// The ping has another shape than the first one and is left out; the file stays valid.
+    /// The ping has another shape than the first ping and is omitted; the file stays valid.
     #[error(
         "{}: ping {ping_number} has {got} {what}, the first had {want}: an .npz file holds pings of one shape; keep range and pulse fixed",
         path.display()
@@ -86,7 +87,7 @@ pub enum RecordError {
     ShapeChanged {
         /// The file.
         path: PathBuf,
-        /// The ping that is left out.
+        /// Number of the omitted ping.
         ping_number: u32,
         /// The counted items that differ, a plural noun.
         what: &'static str,
@@ -95,7 +96,7 @@ pub enum RecordError {
         /// Their count in the first ping.
         want: usize,
     },
-    /// The format cannot hold the record, which is left out; the file stays valid.
+    /// The format cannot hold the record, which is omitted; the file stays valid.
     #[error("{}: record left out: {source}", path.display())]
     Refused {
         /// The file.
@@ -112,7 +113,7 @@ pub enum RecordError {
 }
 
 impl RecordError {
-    /// A file that is no longer in its folder.
+    /// Error for a file that is no longer in its folder.
     pub(crate) fn missing(path: &Path, source: io::Error) -> Self {
         Self::io(path, "find")(source)
     }
@@ -126,7 +127,7 @@ impl RecordError {
     }
 }
 
-/// A file named `NAME.partial` that is removed unless it is kept.
+/// A file named `NAME.partial` that is removed on drop unless [`PartialFile::keep`] was called.
 struct PartialFile {
     partial: PathBuf,
     file: BufWriter<File>,
@@ -139,7 +140,7 @@ impl PartialFile {
         let mut partial = path.as_os_str().to_owned();
         partial.push(".partial");
         let partial = PathBuf::from(partial);
-        // Readable, because streamed data is read back when an archive is assembled.
+        // Read access is needed, because streamed data is read back when an archive is assembled.
         let file = File::options()
             .read(true)
             .write(true)
@@ -174,7 +175,7 @@ impl PartialFile {
 impl Drop for PartialFile {
     fn drop(&mut self) {
         if !self.kept {
-            // Best effort: the suffix marks a file that remains.
+            // Errors are ignored: the suffix marks a file that remains.
             let _ = std::fs::remove_file(&self.partial);
         }
     }

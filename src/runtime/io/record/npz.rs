@@ -23,8 +23,8 @@
 //! | `plan` | scalar | JSON text: the sonar and the plan of the first ping |
 //!
 //! All pings have one shape; a ping with another number of samples is refused. Each array grows in a `.partial` file beside the target, so memory
-//! stays small. [`NpzRecorder::finish`] assembles them uncompressed with fixed dates, so equal pings give equal bytes. Layout: NumPy Enhancement
-//! Proposal 1 (`.npy` version 1.0) in a ZIP archive.
+//! stays small. [`NpzRecorder::finish`] assembles the arrays without compression and with fixed dates, so equal pings give equal bytes. Layout: NumPy
+//! Enhancement Proposal 1 (`.npy` version 1.0) in a ZIP archive.
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
@@ -41,16 +41,16 @@ use echotank_core::ping::{Detection, PingOutput, PingPlan, Side};
 
 /// Items converted to bytes at a time.
 const BLOCK: usize = 8192;
-/// Members of at least this size get 64-bit sizes, bytes; the format's own limit is slightly higher.
+/// Size from which members get 64-bit sizes, bytes; the limit of the format is slightly higher.
 const LARGE_BYTES: u64 = 0xFFFF_0000;
 
-/// Records the pings of one sonar to `pings.npz`.
+/// Recorder of `pings.npz` for one sonar.
 pub(crate) struct NpzRecorder {
     path: PathBuf,
     sonar: SonarSpec,
     double: bool,
     first: Option<First>,
-    /// A ping has other beam angles than the first.
+    /// Whether a ping has other beam angles than the first.
     angles_change: bool,
     pings: usize,
     stopped: bool,
@@ -58,7 +58,7 @@ pub(crate) struct NpzRecorder {
     arrays: PerPing,
 }
 
-/// Properties that the first ping fixes.
+/// Properties fixed by the first ping.
 struct First {
     samples: usize,
     line_samples: usize,
@@ -91,7 +91,7 @@ struct PerPing {
 }
 
 impl NpzRecorder {
-    /// Records `dir/pings.npz`; the folder must exist. `double`: complex128 samples. Several sonars need a folder each.
+    /// Creates `dir/pings.npz`; the folder must exist. `double` selects complex128 samples. Each sonar needs its own folder.
     pub(crate) fn create(dir: &Path, sonar: &SonarSpec, double: bool) -> Result<Self, RecordError> {
         let path = dir.join("pings.npz");
         let grow = |name: &str| PartialFile::create(&dir.join(format!("pings.npz.{name}")));
@@ -126,7 +126,7 @@ impl NpzRecorder {
         })
     }
 
-    /// Adds a ping. After [`RecordError::ShapeChanged`] recording continues; after any other error it has stopped.
+    /// Adds a ping. Recording continues after [`RecordError::ShapeChanged`] and stops after any other error.
     pub(crate) fn push(&mut self, plan: &PingPlan, output: &PingOutput) -> Result<(), RecordError> {
         if self.stopped {
             return Err(RecordError::Stopped {
@@ -208,7 +208,7 @@ impl NpzRecorder {
                 out.extend(a.to_le_bytes())
             })?;
         }
-        // Zeros fill the lines of a later pulse, which are shorter.
+        // The lines of a later pulse are shorter and are padded with zeros.
         let line_samples = self.first.as_ref().map_or(0, |f| f.line_samples);
         for line in output.more_lines.iter().flat_map(|more| &more.lines) {
             let samples = (0..line_samples).map(|k| line.amplitude.get(k).copied().unwrap_or(0.0));
@@ -366,7 +366,7 @@ impl NpzRecorder {
             archive.streamed("sounding_error_s", "<f8", &shape, grown.sounding_error_s)?;
             archive.streamed("sounding_method", "|u1", &shape, grown.sounding_method)?;
         }
-        // NumPy text has four bytes per character, and its type holds the length.
+        // NumPy text has four bytes per character. The type descriptor holds the length.
         let text: Vec<u8> = first
             .plan_json
             .chars()
@@ -426,7 +426,7 @@ pub(super) fn write_items<T>(
 /// An `.npz` file being assembled.
 pub(super) struct Archive {
     path: PathBuf,
-    /// Removes the file unless it is finished.
+    /// Target file, removed unless the archive is finished.
     target: PartialFile,
     zip: ZipWriter<BufWriter<File>>,
 }
@@ -522,7 +522,7 @@ impl Archive {
     }
 }
 
-/// A `.npy` 1.0 header: magic, version, length and a Python literal, padded so that the data begins at a multiple of 64 bytes.
+/// Formats a `.npy` 1.0 header: magic, version, length and a Python literal, padded so that the data begins at a multiple of 64 bytes.
 fn npy_header(descr: &str, shape: &[usize]) -> Vec<u8> {
     const PREFIX: usize = 10;
     let shape = match shape {
@@ -827,7 +827,7 @@ mod tests {
         let full = dir.path().join("pings.npz.lines.partial");
         std::os::unix::fs::symlink("/dev/full", &full).expect("link");
         let mut npz = NpzRecorder::create(dir.path(), &sonar(), false).expect("create");
-        // Small writes stay in the buffer; a later ping reaches the disk.
+        // Small writes stay in the buffer, so only a later ping reaches the disk.
         let failed = (1..10_000).find_map(|ping| npz.push(&plan(ping), &output(ping)).err());
         let text = failed.expect("full disk").to_string();
         assert!(text.contains("lines.partial: cannot write"), "{text}");

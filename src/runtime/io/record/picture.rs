@@ -11,7 +11,7 @@ use echotank_imaging::image::masks::Mask;
 use echotank_imaging::image::mosaic::{Mosaic, MosaicError};
 use echotank_imaging::image::water_column::Picture;
 
-/// Values of a depth mask; 0 means no depth.
+/// Number of values of a depth mask; 0 means no depth.
 const DEPTH_COUNTS: f64 = 65_534.0;
 /// Finest step of a depth mask, m.
 const FINEST_DEPTH_M: f64 = 1e-3;
@@ -47,7 +47,10 @@ pub(crate) fn write_picture(path: &Path, picture: &Picture) -> Result<(), Record
     write_png(path, size, (ColorType::Rgb, BitDepth::Eight), &picture.rgb)
 }
 
-/// Writes `NAME.tif` and `NAME.png` of a mosaic. Returns false and writes nothing for an empty mosaic.
+/// Writes `NAME.tif` and `NAME.png` of a mosaic. Returns false and writes nothing if the mosaic is empty.
+///
+/// # Errors
+/// A file cannot be written.
 pub fn write_mosaic(
     tiff: &Path,
     png: &Path,
@@ -73,8 +76,8 @@ pub fn write_mosaic(
     Ok(true)
 }
 
-/// Writes the masks of `STEM.png`, pixel for pixel: `STEM_target.png` (16 bits, 0 none), `STEM_shadow.png` (8 bits, 255 shadow), `STEM_depth.png`
-/// (16 bits, 0 none), and `STEM_masks.json`, which explains them. `names`: of the targets, from 1.
+/// Writes the masks of `STEM.png`, pixel for pixel, and `STEM_masks.json`, which describes them. The masks are `STEM_target.png` (16 bits, 0 none),
+/// `STEM_shadow.png` (8 bits, 255 shadow) and `STEM_depth.png` (16 bits, 0 none). `names` are the names of the targets, from 1.
 pub(crate) fn write_masks<M: Iterator<Item = Mask> + Clone>(
     folder: &Path,
     stem: &str,

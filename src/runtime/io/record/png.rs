@@ -8,7 +8,7 @@ use std::io::Write;
 use super::{PartialFile, RecordError};
 use echotank_imaging::image::waterfall::Waterfall;
 
-/// Writes the complete picture under its name. Returns false and writes nothing without pings.
+/// Writes the complete picture. Returns false and writes nothing if there are no pings.
 pub(crate) fn write_waterfall(path: &Path, waterfall: &Waterfall) -> Result<bool, RecordError> {
     if waterfall.pings() == 0 {
         return Ok(false);

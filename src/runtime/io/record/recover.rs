@@ -1,7 +1,7 @@
-//! Repairs records that were cut off. For `.s7k` files, data after the last whole record is removed, the catalogue is written, and the header points to
+//! Repairs interrupted recordings. For `.s7k` files, data after the last whole record is removed, the catalogue is written, and the header points to
 //! it. [`repair`] handles the other kinds.
 //!
-//! A recorder locks its file; a locked file is left alone.
+//! A recorder locks its file. A locked file is not changed.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -17,12 +17,15 @@ use super::repair::{KINDS, open_for_repair};
 pub use super::repair::{RecoverError, Recovered};
 use super::{RecordError, repair};
 
-/// Leading bytes that hold a record's length.
+/// Number of leading bytes that contain the length of a record.
 const FRAME_BYTES: usize = 64;
-/// Longest record that this program writes, bytes.
+/// Maximum length of a record that this program writes, bytes.
 const MAX_RECORD_BYTES: u32 = 1 << 30;
 
-/// Repairs one file in place.
+/// Repairs one file in place and returns the outcome.
+///
+/// # Errors
+/// See [`RecoverError`].
 pub fn recover(path: &Path) -> Result<Recovered, RecoverError> {
     let name = path.file_name().and_then(|name| name.to_str());
     let extension = name.and_then(|name| name.rsplit_once('.'));
@@ -73,7 +76,7 @@ fn recover_s7k(path: &Path) -> Result<Recovered, RecoverError> {
     let mut again = Vec::new();
     let mut builder = FileBuilder::begin(header, stamp, &mut again);
     debug_assert_eq!(again.len(), bytes.len());
-    // The file was cut off before the first record that is incomplete or misplaced, including a catalogue without a pointer.
+    // The first incomplete or misplaced record marks the interruption. This includes a catalogue without a pointer.
     loop {
         next_record(&mut file, &mut bytes).map_err(io("read"))?;
         if Record::parse(&bytes).is_err() || builder.append(&bytes).is_err() {
@@ -99,7 +102,7 @@ fn recover_s7k(path: &Path) -> Result<Recovered, RecoverError> {
     })
 }
 
-/// Repairs the records of a folder and returns a line for each repair or failure; none without the folder.
+/// Repairs the records of a folder. Returns one line for each repair or failure; none if the folder does not exist.
 pub(crate) fn recover_folder(folder: &Path) -> Vec<String> {
     let Ok(entries) = std::fs::read_dir(folder) else {
         return Vec::new();
@@ -121,7 +124,7 @@ pub(crate) fn recover_folder(folder: &Path) -> Vec<String> {
     paths.iter().filter_map(mend).collect()
 }
 
-/// Reads the next record; shorter than its stated length where the file was cut off.
+/// Reads the next record, which is shorter than its stated length at an interruption.
 fn next_record(file: &mut File, bytes: &mut Vec<u8>) -> io::Result<()> {
     bytes.clear();
     file.take(FRAME_BYTES as u64).read_to_end(bytes)?;
@@ -180,7 +183,7 @@ mod tests {
         let path = dir.path().join("cut.s7k");
         let (whole, ends) = closed(&path);
         assert_eq!(recover(&path).expect("fine"), Recovered::Whole);
-        // The state after a kill: no catalogue and no pointer.
+        // State after a kill: no catalogue and no pointer.
         let mut open = Vec::new();
         FileBuilder::begin(header(), stamp(), &mut open);
         let last = *ends.last().expect("records");

@@ -1,6 +1,6 @@
-//! What a repair reports, and the repair of records other than `.s7k`: framed streams, lines, WAV and SigMF.
+//! Outcome of a repair, and the repair of framed streams, JSON lines, WAV and SigMF. [`recover`](super::recover) repairs `.s7k`.
 //!
-//! No repair loses a complete ping: only the incomplete end is removed. A file that this program's recorders cannot have left is not changed.
+//! A repair removes only the incomplete end, so no complete ping is lost. A file that the recorders of this program cannot have left is not changed.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -24,11 +24,11 @@ pub enum Recovered {
     Whole,
     /// A recorder has locked the file.
     InUse,
-    /// The file was cut off and is now valid.
+    /// The file was interrupted and is now valid.
     Repaired {
         /// Number of records (the file header included), pings, lines or metadata entries in the file.
         records: u64,
-        /// What `records` counts.
+        /// Unit of `records`.
         what: &'static str,
         /// Length of the incomplete record that was removed, bytes.
         cut_bytes: u64,
@@ -52,7 +52,7 @@ impl std::fmt::Display for Recovered {
     }
 }
 
-/// Why a file was not repaired.
+/// Errors of a repair.
 #[derive(Debug, thiserror::Error)]
 pub enum RecoverError {
     /// A file system error.
@@ -66,14 +66,14 @@ pub enum RecoverError {
         /// What is wrong with it.
         why: WireError,
     },
-    /// The content is not this program's; the file is unchanged.
+    /// Another program wrote the content; the file is unchanged.
     #[error("{}: at byte {at}: {why}: not written by this program; left unchanged", path.display())]
     Strange {
         /// The file.
         path: PathBuf,
-        /// Where, bytes from the start of the file.
+        /// Offset of the problem from the start of the file, bytes.
         at: u64,
-        /// What is wrong there.
+        /// Cause.
         why: String,
     },
     /// The kind of file is unknown.
@@ -84,7 +84,7 @@ pub enum RecoverError {
     },
 }
 
-/// Name endings of the kinds that are repaired. The files of a SigMF recording are repaired together.
+/// File name endings that a repair supports. The files of a SigMF recording are repaired together.
 pub(super) const KINDS: [&str; 7] = [
     ".s7k",
     ".jsf",
@@ -115,7 +115,7 @@ fn strange(path: &Path, at: u64, why: impl ToString) -> RecoverError {
     }
 }
 
-/// Truncates the file to `end`; reports it as whole if it ends there already.
+/// Truncates the file to `end`. Reports the file as whole if it already ends there.
 fn cut(
     path: &Path,
     file: &File,
@@ -139,7 +139,7 @@ fn cut(
     })
 }
 
-/// Removes an incomplete last frame behind a header of this length. An incomplete header is removed as well.
+/// Removes an incomplete last frame behind a header of `head_bytes`. An incomplete header is removed as well.
 pub(super) fn frames(
     path: &Path,
     head_bytes: usize,
@@ -207,7 +207,7 @@ pub(super) fn lines(path: &Path) -> Result<Recovered, RecoverError> {
     }
 }
 
-/// The header is updated after every ping; data beyond the length it states is removed.
+/// Removes data beyond the length in the header, which the recorder updates after every ping.
 pub(super) fn wav(path: &Path) -> Result<Recovered, RecoverError> {
     let Some(file) = open_for_repair(path)? else {
         return Ok(Recovered::InUse);
@@ -235,7 +235,7 @@ pub(super) fn wav(path: &Path) -> Result<Recovered, RecoverError> {
     cut(path, &file, end, header.moments(), "moments")
 }
 
-/// Completes the metadata from the journal, and removes samples that neither describes.
+/// Completes the metadata from the journal, and removes samples that neither of them describes.
 pub(super) fn sigmf(path: &Path) -> Result<Recovered, RecoverError> {
     let paths = Paths::of(&path.with_extension(""));
     let Some(data) = open_for_repair(&paths.data)? else {
@@ -259,7 +259,7 @@ pub(super) fn sigmf(path: &Path) -> Result<Recovered, RecoverError> {
     let has_journal = paths.journal.exists();
     if has_journal {
         for (capture, annotation) in journal_of(&read(&paths.journal)?) {
-            // Skips annotations that are in both, and those of a ping whose samples are incomplete.
+            // Skips entries that the metadata already contains, and those of a ping whose samples are incomplete.
             let known = words.annotations.last();
             let next = known.map_or(0, |last| last.sample_start + last.sample_count);
             let end = (annotation.sample_start + annotation.sample_count) * moment_bytes;
@@ -426,7 +426,7 @@ mod tests {
         wav.close().expect("closes");
         let two = std::fs::read(&path).expect("there");
         let copy = dir.path().join("cut.wav");
-        // The second ping's samples are partly written, and the header does not count them.
+        // The samples of the second ping are partly written, and the header does not count them.
         for cut in [
             one.len(),
             one.len() + 1,
@@ -453,7 +453,7 @@ mod tests {
                 .push(&testing::plan(number), &testing::output(number))
                 .expect("writes");
         }
-        // The state after a kill, with the next ping's samples truncated.
+        // State after a kill, with the samples of the next ping truncated.
         let killed = tempfile::tempdir().expect("folder");
         let copy = Paths::of(&killed.path().join("killed"));
         for (from, to) in [

@@ -1,6 +1,6 @@
 //! `.s7k` files: 7k records as sent to clients, between a file header (7200) and a catalogue (7300).
 //!
-//! The file has its final name from the start and grows by whole records. A file that was cut off lacks the catalogue and its pointer but is readable.
+//! The file has its final name from the start and grows by whole records. An interrupted file lacks the catalogue and its pointer but is readable.
 //! Closing writes both.
 
 use std::fs::File;
@@ -12,24 +12,24 @@ use echotank_protocols::sevenk::file::{FileBuilder, FileHeader7200};
 
 use super::RecordError;
 
-/// Records one `.s7k` file. Dropping it closes the file as far as possible.
+/// Recorder of one `.s7k` file. Drop closes the file if possible.
 #[derive(Debug)]
 pub(crate) struct S7kRecorder {
     path: PathBuf,
     file: File,
-    /// `None` once closed or stopped by a file system error.
+    /// `None` after closing or after a file system error.
     builder: Option<FileBuilder>,
 }
 
 impl S7kRecorder {
-    /// Creates the file, replacing an existing one. `stamp`: time and device of the header and the catalogue.
+    /// Creates the file, replacing an existing one. `stamp` is the time and device of the header and the catalogue.
     pub(crate) fn create(
         path: &Path,
         header: FileHeader7200,
         stamp: RecordStamp,
     ) -> Result<Self, RecordError> {
         let mut file = File::create(path).map_err(RecordError::io(path, "create"))?;
-        // The lock makes `recover` leave the file alone. On a file system without locks no other program may repair it.
+        // The lock prevents `recover` from changing the file. On a file system without locks no other program may repair the file.
         let _ = file.try_lock();
         let mut bytes = Vec::new();
         let builder = FileBuilder::begin(header, stamp, &mut bytes);
@@ -42,8 +42,8 @@ impl S7kRecorder {
         })
     }
 
-    /// Appends a whole record, from data record frame to checksum. A record that the format cannot hold is [`RecordError::Refused`] and left out. After a
-    /// file system error the file is truncated to its last whole record and takes no more.
+    /// Appends a whole record, from data record frame to checksum. A record that the format cannot hold is omitted with [`RecordError::Refused`]. A
+    /// file system error truncates the file to its last whole record and stops the recorder.
     pub(crate) fn write(&mut self, record: &[u8]) -> Result<(), RecordError> {
         let Some(builder) = &mut self.builder else {
             return Err(RecordError::Stopped {
@@ -71,7 +71,7 @@ impl S7kRecorder {
         self.builder.as_ref().map_or(0, FileBuilder::position_bytes)
     }
 
-    /// Writes the catalogue and its pointer. After an error the file is as one that was cut off.
+    /// Writes the catalogue and its pointer. After an error the file is in the state of an interrupted file.
     pub(crate) fn close(mut self) -> Result<(), RecordError> {
         if self.builder.is_none() {
             return Err(RecordError::Stopped {
@@ -90,7 +90,7 @@ impl S7kRecorder {
         let written = self
             .file
             .write_all(&end.catalogue)
-            // The pointer is written after the catalogue exists.
+            // The pointer is written only after the catalogue is on the disk.
             .and_then(|()| self.file.sync_data())
             .and_then(|()| self.file.seek(SeekFrom::Start(0)))
             .and_then(|_| self.file.write_all(&end.header));
@@ -103,7 +103,7 @@ impl S7kRecorder {
 
 impl Drop for S7kRecorder {
     fn drop(&mut self) {
-        // A drop cannot report an error; `close` does.
+        // A drop cannot report an error, unlike `close`.
         let _ = self.end();
     }
 }
@@ -170,7 +170,7 @@ mod tests {
         let mut s7k = S7kRecorder::create(&path, header(), stamp()).expect("create");
         s7k.write(&record(7000, &[1; 40])).expect("write");
         s7k.write(&record(7007, &[2; 400])).expect("write");
-        // The state after a kill, read while the recorder is open.
+        // State after a kill, read while the recorder is open.
         let bytes = std::fs::read(&path).expect("read");
         assert_eq!(types(&bytes), [7200, 7000, 7007]);
         assert_eq!(bytes.len() as u64, s7k.length_bytes());

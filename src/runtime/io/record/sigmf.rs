@@ -1,8 +1,8 @@
 //! SigMF recordings: 16-bit I and Q samples of the elements, with a capture and an annotation for every ping.
 //!
 //! `NAME.sigmf-data` grows ping by ping. `NAME.sigmf-meta` is rewritten after 1, 2, 4, ... pings, at least every [`MAX_PINGS_UNSAID`] pings, and at
-//! the end. `NAME.sigmf-journal` holds the metadata of later pings, a line each, and is removed at the end. `recover` merges it into the metadata
-//! of a recording that was cut off.
+//! the end. `NAME.sigmf-journal` holds the metadata of later pings, one line each, and is removed at the end. `recover` merges the journal into the
+//! metadata of an interrupted recording.
 
 use std::fs::File;
 use std::io::{Seek, Write};
@@ -17,7 +17,7 @@ use echotank_core::ping::{OverloadState, PingOutput, PingPlan};
 use echotank_core::pulse::PulseKind;
 use echotank_emit::elements::interleave_iq;
 
-/// Most pings whose metadata is in the journal alone.
+/// Maximum number of pings whose metadata is only in the journal.
 const MAX_PINGS_UNSAID: usize = 1024;
 
 /// Paths of one recording.
@@ -29,7 +29,7 @@ pub(super) struct Paths {
 }
 
 impl Paths {
-    /// `stem`: path without the extensions.
+    /// Paths for `stem`, the path without the extensions.
     pub(super) fn of(stem: &Path) -> Self {
         let named = |extension| {
             let mut path = stem.as_os_str().to_owned();
@@ -43,7 +43,7 @@ impl Paths {
         }
     }
 
-    /// Written under a temporary name, so that the metadata file is always complete.
+    /// Writes the metadata under a temporary name and renames the file, so that the metadata file is always complete.
     pub(crate) fn write_words(&self, text: &str) -> Result<(), RecordError> {
         let mut partial = self.meta.as_os_str().to_owned();
         partial.push(".partial");
@@ -58,7 +58,7 @@ fn journal_line(capture: &Capture, annotation: &Annotation) -> String {
     format!("{}\n", json!([capture, annotation]))
 }
 
-/// Entries of the complete journal lines.
+/// Parses the complete lines of a journal.
 pub(super) fn journal_of(text: &str) -> impl Iterator<Item = (Capture, Annotation)> {
     text.lines().map_while(|line| {
         let both: Value = serde_json::from_str(line).ok()?;
@@ -67,7 +67,7 @@ pub(super) fn journal_of(text: &str) -> impl Iterator<Item = (Capture, Annotatio
     })
 }
 
-/// Records one pair of files. Dropping it closes them as far as possible.
+/// Recorder of one SigMF recording. Drop closes the files if possible.
 pub(crate) struct SigmfRecorder {
     paths: Paths,
     data: File,
@@ -75,18 +75,18 @@ pub(crate) struct SigmfRecorder {
     arrays: Vec<usize>,
     sonar: SonarSpec,
     words: Recording,
-    /// Sample times written.
+    /// Number of sample times written.
     samples: u64,
-    /// Pings in the metadata file.
+    /// Number of pings in the metadata file.
     said: usize,
     iq: Vec<[i16; 2]>,
     bytes: Vec<u8>,
-    /// The metadata file is complete, or can no longer be written.
+    /// Whether the metadata file is complete or can no longer be written.
     closed: bool,
 }
 
 impl SigmfRecorder {
-    /// `stem`: path without `.sigmf-data` and `.sigmf-meta`; existing files are replaced.
+    /// Creates the files of `stem`, the path without `.sigmf-data` and `.sigmf-meta`. Existing files are replaced.
     pub(crate) fn create(
         stem: &Path,
         arrays: &[usize],
@@ -95,7 +95,7 @@ impl SigmfRecorder {
         let paths = Paths::of(stem);
         let create = |path| File::create(path).map_err(RecordError::io(path, "create"));
         let (data, journal) = (create(&paths.data)?, create(&paths.journal)?);
-        // The lock makes `recover` leave the files alone.
+        // The lock prevents `recover` from changing the files.
         let _ = data.try_lock();
         let elements: usize = arrays.iter().map(|&a| sonar.receive[a].elements).sum();
         let receiver = &sonar.receiver;
@@ -138,7 +138,7 @@ impl SigmfRecorder {
         [&self.paths.data, &self.paths.meta]
     }
 
-    /// Appends a ping; returns the number of clipped values.
+    /// Appends a ping. Returns the number of clipped values.
     pub(crate) fn push(
         &mut self,
         plan: &PingPlan,
@@ -159,7 +159,7 @@ impl SigmfRecorder {
             return Err(self.stop(source));
         }
         let (capture, annotation) = words_of(plan, output.overload_state, self.samples, saturated);
-        // Samples are written before their journal entry, so no entry lacks its samples.
+        // Samples are written before their journal entry, so that no entry lacks its samples.
         let line = journal_line(&capture, &annotation);
         if let Err(source) = self.journal.write_all(line.as_bytes()) {
             return Err(self.stop(source));
@@ -185,7 +185,7 @@ impl SigmfRecorder {
     fn say(&mut self) -> Result<(), RecordError> {
         self.paths.write_words(&self.words.to_json())?;
         self.said = self.words.captures.len();
-        // Duplicate entries are skipped on recovery, so an interruption between these two steps loses nothing.
+        // Recovery skips duplicate entries, so an interruption between these two steps loses nothing.
         let emptied = self.journal.set_len(0);
         emptied
             .and_then(|()| self.journal.rewind())
@@ -201,7 +201,7 @@ impl SigmfRecorder {
         if self.said < self.words.captures.len() {
             self.say()?;
         }
-        // A closed recording has no journal; a remaining one is harmless.
+        // A closed recording has no journal. A remaining journal is harmless.
         let _ = std::fs::remove_file(&self.paths.journal);
         Ok(())
     }
@@ -288,7 +288,7 @@ mod tests {
                 }
             }
         }
-        // The state of a recording that is cut off here.
+        // State of a recording that is interrupted here.
         let meta = || std::fs::read_to_string(dir.path().join("rec.sigmf-meta")).expect("there");
         let early = Recording::parse(&meta()).expect("whole");
         assert_eq!(early.captures.len(), 2);

@@ -1,6 +1,6 @@
 //! Files of concatenated records: `.jsf`, `.xtf` and `.svlog`.
 //!
-//! The file has its final name from the start and grows by whole records, so it stays readable wherever it is cut off.
+//! The file has its final name from the start and grows by whole records. An interrupted file stays readable.
 
 use std::fs::File;
 use std::io::Write;
@@ -8,21 +8,21 @@ use std::path::{Path, PathBuf};
 
 use super::RecordError;
 
-/// Records one file.
+/// Recorder of one file of concatenated records.
 #[derive(Debug)]
 pub(crate) struct StreamRecorder {
     path: PathBuf,
     file: File,
     length_bytes: u64,
-    /// A file system error has stopped the recorder.
+    /// Whether a file system error has stopped the recorder.
     stopped: bool,
 }
 
 impl StreamRecorder {
-    /// Creates the file, replacing an existing one. `head`: bytes before the records.
+    /// Creates the file, replacing an existing one. `head` holds the bytes before the records.
     pub(crate) fn create(path: &Path, head: &[u8]) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(RecordError::io(path, "create"))?;
-        // The lock makes `recover` leave the file alone.
+        // The lock prevents `recover` from changing the file.
         let _ = file.try_lock();
         let mut recorder = Self {
             path: path.to_owned(),
@@ -34,7 +34,7 @@ impl StreamRecorder {
         Ok(recorder)
     }
 
-    /// Appends whole records. After a file system error the file is truncated to its last whole record and takes no more.
+    /// Appends whole records. A file system error truncates the file to its last whole record and stops the recorder.
     pub(crate) fn write(&mut self, records: &[u8]) -> Result<(), RecordError> {
         if self.stopped {
             return Err(RecordError::Stopped {

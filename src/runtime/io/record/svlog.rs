@@ -1,4 +1,4 @@
-//! `.svlog` files: Ping protocol frames as sent to clients, after a JSON frame (message 10) that names the recorder.
+//! `.svlog` files: Ping protocol frames as sent to clients, after a JSON frame (message 10) with the name of the recorder.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use super::stream::StreamRecorder;
 use echotank_config::spec::PingDevice;
 use echotank_core::time::UtcNs;
 
-/// Creates the file, replacing an existing one, with the frame that names the recorder. `url`: the device's address; `utc`: start of the
+/// Creates the file, replacing an existing one, with the frame that names the recorder. `url` is the address of the device; `utc` is the start of the
 /// recording.
 pub(crate) fn create(
     path: &Path,
@@ -25,7 +25,7 @@ pub(crate) fn create(
     let timestamp = chrono::DateTime::from_timestamp_nanos(utc.0).to_rfc3339();
     let words = json!({
         "session_id": 1,
-        // Frames count milliseconds from `timestamp`, and readers subtract these uptimes.
+        // Frames count milliseconds from `timestamp`. Readers subtract these uptimes.
         "os_uptime": 0.0,
         "process_uptime": 0.0,
         "session_uptime": 0.0,

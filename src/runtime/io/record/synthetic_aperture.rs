@@ -11,7 +11,7 @@ use super::{PartialFile, RecordError};
 use echotank_config::spec::ColourMap;
 use echotank_imaging::image::colour::rgb;
 
-/// Level of black below the peak, dB.
+/// Level shown as black, dB below the peak.
 const FLOOR_DB: f64 = 40.0;
 
 /// An image of a patch of the world, rows north to south, columns west to east.
@@ -28,11 +28,11 @@ pub(crate) struct Patch {
     pub down_m: f64,
     /// Edge of a cell, m.
     pub cell_m: f64,
-    /// Pings in the image.
+    /// Number of pings in the image.
     pub pings: u64,
-    /// Track length from the first ping to the last.
+    /// Length of the track from the first ping to the last, m.
     pub(crate) track_m: f64,
-    /// Row by row.
+    /// Complex image, row by row.
     pub image: Vec<Complex64>,
 }
 
@@ -45,7 +45,7 @@ impl Patch {
         )
     }
 
-    /// Full -3 dB width through the peak, m; `None` where the patch ends within it.
+    /// Full -3 dB width through the peak, m; `None` if the patch ends within the main lobe.
     fn width_m(&self, at: usize, step: usize, inside: impl Fn(usize) -> bool) -> Option<f64> {
         let half = self.image[at].norm() * 0.5_f64.sqrt();
         let reach = |forward: bool| {
@@ -112,7 +112,7 @@ impl Patch {
         encoder.write_header()?.write_image_data(&pixels)
     }
 
-    /// NumPy format 1.0.
+    /// Encodes the image in NumPy format 1.0.
     fn npy(&self) -> Vec<u8> {
         let mut header = format!(
             "{{'descr': '<c8', 'fortran_order': False, 'shape': ({}, {}), }}",

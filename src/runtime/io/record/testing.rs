@@ -148,7 +148,7 @@ pub fn output(ping_number: u32) -> PingOutput {
     }
 }
 
-/// Stamp of records in the tests' `.s7k` files.
+/// Time stamp of records in the `.s7k` files of the tests.
 pub(crate) fn s7k_stamp() -> RecordStamp {
     RecordStamp {
         time: SevenKTime::from_utc_ns_clamped(1_400_000_000_123_000_000),

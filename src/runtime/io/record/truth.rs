@@ -8,11 +8,11 @@
 //! | `nav_flags` | if any: `invalid-position`, `invalid-heading`, `invalid-roll-pitch`, `invalid-vertical` (too old, held); `time-jumped` (the clock of a source jumped, or its times are corrected) |
 //! | `velocity_m_per_s` | north, east, down |
 //! | `plan` | settings, pulse, window and models of the ping |
-//! | `segments` | trajectory samples on which its echoes were computed |
+//! | `segments` | trajectory samples used to compute the echoes |
 //! | `scene` | seabed scatterers: `made` for this ping, `culled` (tested, outside every footprint), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made` |
 //! | `error_check` | if configured and enough samples exist: `error`, `low`, `high`, `samples`, `tolerance`, `fault` |
 //! | `methods` | if the method selection applies: `plan` (its number), `predicted_error`, `predicted_ms`, `tolerance`, `output` (`elements`, or `beams` where only lines are computed) with `part_elements` (elements of a line computed as one), and, with an error check, `margin` (tolerance over measured error) |
-//! | `soundings` | of each beam with a detected bottom: `beam`, `angle_deg`, `twtt_s`, `error_s` (predicted), `by` (`amplitude`, `phase`), `level_v` |
+//! | `soundings` | for each beam with a detected bottom: `beam`, `angle_deg`, `twtt_s`, `error_s` (predicted), `by` (`amplitude`, `phase`), `level_v` |
 //! | `targets` | every named target, see below |
 //!
 //! Keys of a target: `name`, `target_strength_db`, `position_m`; `range_m` from the first transmit array at the start of the pulse, `ranges_m` from
@@ -207,7 +207,7 @@ impl TruthRecorder {
 
     fn at(path: PathBuf) -> Result<Self, RecordError> {
         let file = File::create(&path).map_err(RecordError::io(&path, "create"))?;
-        // The lock makes `recover` leave the file alone.
+        // The lock prevents `recover` from changing the file.
         let _ = file.try_lock();
         Ok(Self {
             path,
@@ -216,7 +216,7 @@ impl TruthRecorder {
         })
     }
 
-    /// Appends a ping of `sonar`; the whole line is handed to the operating system before this returns.
+    /// Appends a ping of `sonar`. The operating system has accepted the whole line before this returns.
     pub(crate) fn push(
         &mut self,
         sonar: &SonarSpec,

@@ -1,7 +1,7 @@
-//! Multichannel WAV of the signals at the elements, for playback on a bench: real samples at the converters' rate, one channel per element.
+//! Multichannel WAV of the signals at the elements, for playback on a bench: real samples at the rate of the converters, one channel per element.
 //!
-//! Sample k lies k sample times after the start of the first ping's pulse. Every ping is placed at its own time, to the nearest sample, with silence
-//! between pings (a hole where the file system supports holes). The header is correct after every ping.
+//! Sample k lies k sample times after the start of the first ping's pulse. Every ping is placed at its own time, to the nearest sample. Silence
+//! between pings is a hole if the file system supports holes. The header is correct after every ping.
 
 use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
@@ -16,7 +16,7 @@ use echotank_core::time::UtcNs;
 use echotank_emit::elements::{counts, elements_of};
 use echotank_emit::passband::Passband;
 
-/// Records one file.
+/// Recorder of one WAV file.
 pub(crate) struct WavRecorder {
     path: PathBuf,
     file: File,
@@ -27,7 +27,7 @@ pub(crate) struct WavRecorder {
     passband: Passband,
     /// Start of the first ping's pulse.
     origin: Option<UtcNs>,
-    /// Sample times written or skipped.
+    /// Number of sample times written or skipped.
     moments: u64,
     bytes: Vec<u8>,
     stopped: bool,
@@ -41,7 +41,7 @@ impl WavRecorder {
         sonar: &SonarSpec,
     ) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(RecordError::io(path, "create"))?;
-        // The lock makes `recover` leave the file alone.
+        // The lock prevents `recover` from changing the file.
         let _ = file.try_lock();
         let channels: usize = output
             .arrays
@@ -85,7 +85,7 @@ impl WavRecorder {
         &self.path
     }
 
-    /// Writes a ping at its time; returns the number of clipped values.
+    /// Writes a ping at its time. Returns the number of clipped values.
     pub(crate) fn push(
         &mut self,
         plan: &PingPlan,
@@ -123,7 +123,7 @@ impl WavRecorder {
             .and_then(|()| self.write_header())
             .map_err(|source| {
                 self.stopped = true;
-                // Restores whole pings. If this fails too, readers rely on the header.
+                // Restores whole pings. If this fails too, readers use the length in the header.
                 let frame_bytes = self.format.frame_bytes();
                 let end = echotank_protocols::wav::HEADER_BYTES as u64 + before * frame_bytes;
                 let _ = self.file.set_len(end);

@@ -1,6 +1,6 @@
 //! Trigger inputs: UDP datagrams, TCP lines or edges on a serial line, passed on with their age. [`out`] sends triggers.
 //!
-//! One thread per input. Invalid sentences are counted. A lost serial port is reopened.
+//! Each input has one thread. Invalid sentences are counted. A lost serial port is reopened.
 
 pub mod out;
 pub mod sentence;
@@ -23,13 +23,13 @@ use echotank_config::spec::{ModemLine, TriggerFrom};
 use sentence::{MAX_BYTES, TriggerSentence};
 use serial::{Edges, InputLevel, LOOK, PortLine};
 
-/// Read timeout; the threads check the stop flag this often.
+/// Read timeout, and interval between checks of the stop flag.
 const READ_TIMEOUT: Duration = Duration::from_millis(100);
 /// Pause before a lost serial port is reopened.
 const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
-/// Limit of clients of a TCP input.
+/// Maximum number of clients of a TCP input.
 const MAX_CLIENTS: u64 = 16;
-/// Limit for a TCP client to acknowledge a probe.
+/// Time limit for a TCP client to acknowledge a probe.
 const UNACKNOWLEDGED: Duration = Duration::from_secs(30);
 
 /// One received trigger.
@@ -37,11 +37,11 @@ const UNACKNOWLEDGED: Duration = Duration::from_secs(30);
 pub struct Trigger {
     /// Time since reception on the machine's clock, ns.
     pub(crate) age_ns: i64,
-    /// Number of the pulse, where the sentence holds one.
+    /// Number of the pulse, if the sentence holds one.
     pub number: Option<u32>,
 }
 
-/// Receives triggers; called by an input's thread, must not block.
+/// Callback for received triggers. The input's thread calls it, so it must not block.
 pub(crate) type Sink = Arc<dyn Fn(Trigger) + Send + Sync>;
 
 /// Counters of a trigger input.
@@ -49,7 +49,7 @@ pub(crate) type Sink = Arc<dyn Fn(Trigger) + Send + Sync>;
 pub struct TriggerListenerCounts {
     /// Triggers received.
     pub received: AtomicU64,
-    /// Incomplete trigger sentences and lines that are too long.
+    /// Incomplete trigger sentences and overlong lines.
     pub spoiled: AtomicU64,
     /// Failures of the socket or port.
     pub errors: AtomicU64,
@@ -57,7 +57,7 @@ pub struct TriggerListenerCounts {
     pub clients: AtomicU64,
 }
 
-/// A trigger input that cannot be opened.
+/// Error of opening a trigger input.
 #[derive(Debug, Error)]
 #[error("trigger: cannot open {what}: {why}")]
 pub struct ListenerError {
@@ -83,7 +83,7 @@ struct Reader {
 }
 
 impl TriggerListener {
-    /// `None` where no trigger comes from outside.
+    /// Opens the input; `None` if the sonar has no external trigger.
     pub(crate) fn open(from: &TriggerFrom, sink: Sink) -> Result<Option<Self>, ListenerError> {
         let reader = Reader {
             sink,
@@ -139,10 +139,10 @@ impl TriggerListener {
         Ok(Some(opened))
     }
 
-    /// Runs the input's threads under SCHED_FIFO where permitted, those of later clients too; 0 changes nothing.
+    /// Runs the input's threads under SCHED_FIFO if the system permits, including those of later clients; 0 changes nothing.
     pub(crate) fn hurry(&self, priority: u8) {
         if let Some(thread) = self.thread.as_ref().filter(|_| priority > 0) {
-            // A refusal was reported when the daemon started.
+            // The daemon reports a refused priority at its start.
             let _ = first_in_first_out_of(thread, priority);
         }
     }
@@ -233,7 +233,7 @@ impl Reader {
         }
     }
 
-    /// Reads lines; each is a trigger, stamped when its end arrives.
+    /// Reads lines of a client. Each line is a trigger at the instant at which its end arrives.
     fn client(&self, mut stream: TcpStream) {
         end_if_dead(&stream, UNACKNOWLEDGED);
         let ready = stream.set_nonblocking(false);
@@ -259,7 +259,7 @@ impl Reader {
                 } else if line.len() < MAX_BYTES {
                     line.push(byte);
                 } else {
-                    // A sender of endless lines sends no triggers.
+                    // An overlong line contains no trigger.
                     self.counts.spoiled.fetch_add(1, Relaxed);
                     return;
                 }
@@ -364,13 +364,13 @@ mod tests {
         }
         first.write_all(&[b'x'; 2 * MAX_BYTES]).expect("written");
         first.set_read_timeout(Some(PATIENCE)).expect("set");
-        // The server closed it: end of file, or a reset if bytes were unread.
+        // The server closed the connection: end of file, or a reset if bytes were unread.
         assert!(!matches!(first.read(&mut [0; 1]), Ok(1)));
         assert_eq!(listener.counts().spoiled.load(Relaxed), 1);
         assert!(triggers.try_recv().is_err());
     }
 
-    /// High at every third sample; fails once.
+    /// Input that is high at every third sample and fails once.
     struct Fake(mpsc::Sender<()>, u32);
 
     impl InputLevel for Fake {

@@ -1,6 +1,6 @@
-//! Trigger outputs: a datagram and a raised line at the start of every pulse.
+//! Trigger outputs: a datagram and a raised serial line at the start of every pulse.
 //!
-//! The caller sends the datagram without waiting. A thread raises and lowers the line; pulses that arrive meanwhile count as failed.
+//! The caller sends the datagram without waiting. A thread raises and lowers the line. Pulses during this time count as failed.
 
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
@@ -16,7 +16,7 @@ use super::sentence;
 use echotank_config::spec::{OutLine, TriggerOutSpec};
 use echotank_core::time::UtcNs;
 
-/// A trigger output that cannot be opened.
+/// Error of opening a trigger output.
 #[derive(Debug, Error)]
 #[error("trigger_out: cannot open {what}: {why}")]
 pub struct OutError {
@@ -62,7 +62,10 @@ pub struct TriggerOut {
 }
 
 impl TriggerOut {
-    /// Opens the configured outputs of a sonar; `None` where none is configured.
+    /// Opens the configured trigger outputs of a sonar; `None` if no output is configured.
+    ///
+    /// # Errors
+    /// The socket, the serial port or the thread cannot be opened.
     pub fn open(spec: &TriggerOutSpec, sonar: &str) -> Result<Option<Self>, OutError> {
         if *spec == TriggerOutSpec::default() {
             return Ok(None);
@@ -85,7 +88,7 @@ impl TriggerOut {
                     port,
                     line: line.line,
                 };
-                // Opening raises both lines; a pseudo-terminal has neither.
+                // Opening the port raises both modem lines. A pseudo-terminal has neither.
                 let _ = port.raise(false);
                 let length = Duration::from_secs_f64(line.pulse_s);
                 let pulser = Pulser::start(port, length, counts.clone());
@@ -105,7 +108,7 @@ impl TriggerOut {
         &self.counts
     }
 
-    /// Reports the pulse of this number, which begins now; `utc`: its time stamp.
+    /// Reports the pulse `number`, which begins now. `utc` is its time stamp.
     pub fn pulse(&self, number: u32, utc: UtcNs) {
         if let Some(line) = &self.line
             && line.pulses.try_send(()).is_err()
@@ -134,7 +137,7 @@ fn socket(to: SocketAddr) -> io::Result<UdpSocket> {
     Ok(socket)
 }
 
-/// Thread that raises a line for a fixed time.
+/// Thread that raises a line for a fixed duration.
 struct Pulser {
     pulses: Sender<()>,
     thread: Option<JoinHandle<()>>,
@@ -146,7 +149,7 @@ impl Pulser {
         length: Duration,
         counts: Arc<OutCounts>,
     ) -> io::Result<Self> {
-        // Unbuffered: a pulse that waited while the line is raised would be late.
+        // Unbuffered, because a pulse that waited for the end of another would be late.
         let (pulses, wanted) = bounded(0);
         let thread = thread::Builder::new()
             .name("trigger out".into())

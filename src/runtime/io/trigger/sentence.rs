@@ -1,20 +1,20 @@
 //! The trigger datagram `$PETKT,NUMBER,SECONDS,SONAR*SUM`, a proprietary NMEA 0183 sentence.
 //!
-//! NUMBER counts the sender's pulses. SECONDS is the pulse's UTC since 1970 with nine decimals. SUM is the exclusive or of the characters between `$`
-//! and `*`, as two hexadecimal digits. Any other content is a trigger without a number.
+//! NUMBER is the sender's pulse number. SECONDS is the pulse's UTC since 1970 with nine decimals. SUM is the exclusive or of the characters between
+//! `$` and `*`, as two hexadecimal digits. Any other content is a trigger without a number.
 
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 const TAG: &[u8] = b"$PETKT";
-/// Longest sentence, bytes, with its line end.
+/// Maximum length of a sentence with its line end, bytes.
 pub const MAX_BYTES: usize = 256;
 
 /// A received trigger sentence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TriggerSentence {
-    /// Any other content.
+    /// Content that is not a `$PETKT` sentence: a trigger without a number.
     Plain,
-    /// A ping number to use.
+    /// Valid sentence with its pulse number.
     Numbered(u32),
     /// An incomplete or damaged `$PETKT` sentence.
     Invalid,
@@ -24,7 +24,7 @@ fn sum(body: &[u8]) -> u8 {
     body.iter().fold(0, |a, b| a ^ b)
 }
 
-/// Formats a sentence. Sonar names contain neither commas nor asterisks.
+/// Formats a sentence. `sonar` must contain neither commas nor asterisks.
 pub fn write(number: u32, utc: UtcNs, sonar: &str) -> String {
     let seconds = utc.0.div_euclid(NS_PER_S);
     let ns = utc.0.rem_euclid(NS_PER_S);

@@ -1,6 +1,7 @@
-//! Triggers on a modem line of a serial port, found by polling.
+//! Triggers on a modem line of a serial port, detected by polling.
 //!
-//! [`Edges`] detects edges; [`InputLevel`] abstracts the port. The polling interval of 0.5 ms bounds the delay of an edge and the shortest pulse found.
+//! [`Edges`] detects edges; [`InputLevel`] abstracts the port. The polling interval of 0.5 ms limits the delay of an edge and the shortest detectable
+//! pulse.
 
 use std::io;
 use std::time::Duration;
@@ -22,7 +23,7 @@ pub(crate) struct PortLine {
 }
 
 impl PortLine {
-    /// The baud rate is arbitrary: no data is transferred.
+    /// Opens the port. The baud rate is arbitrary, because no data is transferred.
     pub(crate) fn open(port: &str, line: ModemLine) -> io::Result<Self> {
         let port = serialport::new(port, 9600).open()?;
         Ok(Self { port, line })
@@ -46,12 +47,12 @@ pub struct Edges {
 }
 
 impl Edges {
-    /// Detects rising or falling edges.
+    /// Creates a detector of rising or falling edges.
     pub fn new(rising: bool) -> Self {
         Self { rising, high: None }
     }
 
-    /// Takes a sample; true at an edge of the wanted direction.
+    /// Evaluates a sample. Returns true at an edge of the selected direction.
     pub fn look(&mut self, high: bool) -> bool {
         let before = self.high.replace(high);
         before == Some(!self.rising) && high == self.rising
