@@ -1,7 +1,7 @@
-//! Tables to checked specifications: every rule that needs more than one key.
+//! Converts tables to checked specifications and enforces the rules that involve more than one key.
 //!
-//! Each function reads one table and returns its part of the specification, or none if the table has a problem.
-//! Checks of a missing value are skipped and all others are made, so that one run lists every problem.
+//! Each function reads one table and returns its part of the specification, or `None` if the table has a problem. A check with a
+//! missing value is skipped and all other checks are made, so one run lists every problem.
 
 mod arrays;
 mod culling;
@@ -30,7 +30,7 @@ use super::spec::*;
 
 const MIB: u64 = 1 << 20;
 
-/// Reads and checks a configuration file, and checks that the files it names can be read.
+/// Reads and checks a configuration file. Also checks that the files named in it can be read.
 pub fn load(path: &Path, files: &dyn Files) -> Result<RigSpec, ConfigErrors> {
     let unreadable = |why: String| ConfigErrors {
         file: Some(path.to_owned()),
@@ -51,17 +51,17 @@ pub fn load(path: &Path, files: &dyn Files) -> Result<RigSpec, ConfigErrors> {
     })
 }
 
-/// Checks a configuration's text; relative file names in it count from `base_dir`.
+/// Checks the text of a configuration. Relative file names in it are relative to `base_dir`.
 pub fn parse(text: &str, base_dir: &Path, files: &dyn Files) -> Result<RigSpec, ConfigErrors> {
     let mut problems = Problems::default();
     let checked = raw::read(text, base_dir, files, &mut problems)
         .and_then(|table| rig(&table, text, &mut problems));
     let mut problems = problems.0;
-    // Problems without a line concern the whole file and come first.
+    // Problems without a line concern the whole file and are listed first.
     problems.sort_by(|a, b| (a.line, &a.path).cmp(&(b.line, &b.path)));
     problems.dedup();
     if checked.is_none() && problems.is_empty() {
-        // A programming error, found by tests; the operator gets a message and no panic.
+        // This is a programming error, which tests find. The operator gets a message instead of a panic.
         debug_assert!(false, "a part is missing and no problem says why");
         problems.push(Problem {
             rule: "refused without a reason: please report this file".to_owned(),
@@ -79,7 +79,7 @@ pub fn parse(text: &str, base_dir: &Path, files: &dyn Files) -> Result<RigSpec, 
 
 // ---------------------------------------------------------------- what the rules share
 
-/// The names of an array of tables; refuses repeated ones.
+/// The names of an array of tables. Repeated names are refused.
 fn unique_names<'t>(
     names: impl Iterator<Item = &'t Field<String>>,
     problems: &mut Problems,
@@ -107,7 +107,7 @@ fn index_of(
     problems: &mut Problems,
 ) -> Option<usize> {
     let found = names.iter().position(|n| *n == Some(name));
-    // It may be one of the names that could not be read.
+    // A name that could not be read may be the one that is searched for.
     if found.is_none() && names.iter().all(Option::is_some) {
         let rule = format!("must be the name of a {what}");
         problems.refuse_name(entry, rule, name, names.iter().flatten().copied());
@@ -124,7 +124,7 @@ fn address(key: &Field<String>, problems: &mut Problems) -> Option<SocketAddr> {
     parsed.ok()
 }
 
-/// The address under `key`, noted as a port that this program opens.
+/// The address under `key`. The address is recorded as a port that this program opens.
 fn listen<'t>(
     key: &'t Field<String>,
     protocol: &'static str,
@@ -141,7 +141,7 @@ fn listen<'t>(
     Some(address)
 }
 
-/// All of `parts`; none if one is missing.
+/// All of `parts`; `None` if one is missing.
 fn all<T>(parts: Vec<Option<T>>) -> Option<Vec<T>> {
     parts.into_iter().collect()
 }
@@ -154,7 +154,7 @@ pub(super) struct Listener<'t> {
     multicast: bool,
 }
 
-/// Refuses a port that is used twice. Port 0 means any free port; members of multicast groups share a port.
+/// Refuses a port that is used twice. Port 0 means any free port, and members of multicast groups share a port.
 fn refuse_port_clashes(listeners: &[Listener<'_>], problems: &mut Problems) {
     for (i, one) in listeners.iter().enumerate() {
         let clash = listeners[..i].iter().find(|other| {
@@ -267,7 +267,7 @@ fn rig(table: &keys::Rig, text: &str, problems: &mut Problems) -> Option<RigSpec
     })
 }
 
-/// Refuses recorded outputs without a record table.
+/// Refuses recorded outputs if the configuration has no record table.
 fn refuse_recordings_without_folder(table: &keys::Rig, problems: &mut Problems) {
     if table.record.given {
         return;
@@ -322,7 +322,7 @@ fn medium(table: &keys::Medium) -> Option<MediumSpec> {
     })
 }
 
-/// Refuses live sources with a scaled clock: their measurements carry the computer's time.
+/// Refuses live sources with a scaled clock, because live measurements carry the computer's time.
 fn refuse_scaled_clock_with_live_sources(nav: &NavSpec, run: &keys::Run, problems: &mut Problems) {
     let own_time = run.clock.text().is_some_and(|clock| clock != "realtime");
     if own_time && !nav.is_recorded() {
@@ -336,7 +336,7 @@ fn refuse_scaled_clock_with_live_sources(nav: &NavSpec, run: &keys::Run, problem
     }
 }
 
-/// Shorter tokens could be guessed.
+/// Minimum length of a token. A shorter token could be guessed.
 const MIN_REMOTE_TOKEN_BYTES: usize = 12;
 
 fn control<'t>(
@@ -520,7 +520,7 @@ const OF_TRACK: [NavChannel; 3] = [
     NavChannel::RollPitch,
 ];
 
-/// What a source provides as configured; without `provides`, what it may provide.
+/// Quantities that a source provides. Without the key `provides`, quantities that the source may provide.
 fn provides(table: &keys::NavSource) -> Option<Vec<NavChannel>> {
     match (table.provides.given, table.kind.text()) {
         (true, _) => table.provides.all_named(),
@@ -529,19 +529,19 @@ fn provides(table: &keys::NavSource) -> Option<Vec<NavChannel>> {
     }
 }
 
-/// The first source that provides `channel`, or that may provide it.
+/// The first source that provides `channel` or may provide it.
 fn owner(tables: &[keys::NavSource], channel: NavChannel) -> Option<&keys::NavSource> {
     let gives = |t: &&keys::NavSource| provides(t).is_some_and(|p| p.contains(&channel));
     tables.iter().find(gives)
 }
 
-/// Whether the configuration leaves open what the source provides.
+/// Whether the configuration does not list the quantities of the source.
 fn detects(table: &keys::NavSource) -> bool {
     !table.provides.given && table.kind.is("csv") == Some(false)
 }
 
 fn refuse_missing_channels(table: &keys::Nav, tables: &[keys::NavSource], problems: &mut Problems) {
-    // What logs hold is known when they are read.
+    // The quantities of a log are known only after the log is read.
     if tables.is_empty() || tables.iter().any(|t| provides(t).is_none() || detects(t)) {
         return;
     }
@@ -565,7 +565,7 @@ fn refuse_missing_channels(table: &keys::Nav, tables: &[keys::NavSource], proble
     }
 }
 
-/// Refuses settings that do not fit a CSV track, which has its own depth and no latitude.
+/// Refuses settings that do not apply to a CSV track, which has its own depth and no latitude.
 fn refuse_unfit_track(
     table: &keys::Nav,
     tables: &[keys::NavSource],

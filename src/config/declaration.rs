@@ -1,14 +1,14 @@
-//! What a declared key consists of: its kind, unit, range and default.
+//! Declaration of a key: kind, unit, range and default.
 
-/// A TOML table.
+/// Declaration of a TOML table.
 pub(crate) struct Table {
     pub doc: &'static str,
     pub keys: &'static [Key],
-    /// Names that the design knows and this version does not build: refused with those words.
+    /// Names of planned keys. They are refused with a message that the version does not support them.
     pub later: &'static [&'static str],
 }
 
-/// One key of a table.
+/// Declaration of one key of a table.
 pub(crate) struct Key {
     pub name: &'static str,
     pub kind: Kind,
@@ -17,75 +17,75 @@ pub(crate) struct Key {
     pub doc: &'static str,
 }
 
-/// Longest list of names.
+/// Maximum length of a list of names.
 pub(crate) const MAX_NAMES: usize = 256;
-/// Longest list of pairs of numbers.
+/// Maximum length of a list of pairs of numbers.
 pub(crate) const MAX_ROWS: usize = 10_000;
 
-/// The values that a key takes.
+/// Kind of the values of a key.
 pub(crate) enum Kind {
     Bool,
-    /// A finite number, and its way to SI.
+    /// A finite number, and its conversion to SI.
     Number(Range, Unit),
-    /// A whole number, both ends included; then what it is multiplied by.
+    /// A whole number: minimum, maximum (both inclusive) and factor.
     Integer(i64, i64, i64),
-    /// 1 to 32 letters, digits, '-' or '_': fit for file names.
+    /// 1 to 32 letters, digits, '-' or '_', valid in file names.
     Name,
-    /// Text that is not empty.
+    /// Non-empty text.
     Text,
-    /// The name of a file that must exist, relative to the configuration's folder.
+    /// Name of an existing file, relative to the folder of the configuration.
     File,
-    /// The name of a folder that is there or can be made, relative to the configuration's folder.
+    /// Name of a folder that exists or can be created, relative to the folder of the configuration.
     Folder,
-    /// One of the names; then the names that the design knows and this version does not build.
+    /// One of the first names. The second list has planned names, which are refused with a message.
     Choice(&'static [&'static str], &'static [&'static str]),
-    /// An array of this many numbers.
+    /// Array of this many numbers.
     Numbers(usize, Range, Unit),
     /// Pairs of numbers, at most [`MAX_ROWS`].
     Rows,
-    /// At least one name, at most [`MAX_NAMES`].
+    /// One to [`MAX_NAMES`] names.
     Names,
-    /// At least one of the choices, at most [`MAX_NAMES`].
+    /// One to [`MAX_NAMES`] of the choices.
     Choices(&'static [&'static str]),
     Table(&'static Table),
-    /// One or more tables, at most this many.
+    /// One or more tables; the number is the maximum.
     Tables(&'static Table, usize),
-    /// The first kind whose TOML type fits.
+    /// The first of two kinds with a matching TOML type.
     Either(&'static Kind, &'static Kind),
 }
 
-/// How a number in the file becomes one in SI units.
+/// Conversion of a number in the file to SI units.
 #[derive(Clone, Copy)]
 pub(crate) enum Unit {
-    /// Times ten to this power.
+    /// Multiplication by ten to this power.
     Power(i32),
     Degrees,
 }
 
-/// Whether a key may be left out.
+/// Whether a key may be absent.
 pub(crate) enum Presence {
-    /// Must be there. With an example for the template (tables have none).
+    /// The key is required. The text is an example for the template (tables have none).
     Required(&'static str),
-    /// May be left out: this TOML text then stands in its place.
+    /// The key is optional. The TOML text is the default.
     Default(&'static str),
-    /// May be left out, and then does nothing. Commented out in the template.
+    /// The key is optional and has no effect if absent. The template has it as a comment with this text.
     Optional(&'static str),
-    /// As `Default`; the template has the second text in its place.
+    /// As `Default`, but the template has the second text as the value.
     Set(&'static str, &'static str),
-    /// Whether it must be there depends on other keys; the template has it.
+    /// Other keys determine whether the key is required. The template has the key with this text.
     Shown(&'static str),
 }
 
-/// Refuses a key unless a key of the same table is given, or has one of the values.
+/// Condition on another key of the same table. The key is refused unless the other key is given, or has one of the values.
 pub(crate) struct With {
-    /// The key must then be there.
+    /// True if the key is required when the condition holds.
     pub(crate) needed: bool,
     pub(crate) key: &'static str,
-    /// As TOML. None of them: any value.
+    /// Accepted values of the other key as TOML. Empty: any value.
     pub(crate) values: &'static [&'static str],
 }
 
-/// Numbers from `min` (itself only if `min_included`) to `max`.
+/// Range of numbers from `min` to `max`. `min` belongs to the range only if `min_included`.
 #[derive(Clone, Copy)]
 pub(crate) struct Range {
     pub min: f64,

@@ -1,4 +1,4 @@
-//! The template and the JSON Schema, both written from `keys`.
+//! The template of a configuration, and its JSON Schema. Both are written from `keys`.
 
 use std::sync::OnceLock;
 
@@ -8,12 +8,12 @@ use super::declaration::{Key, Kind, Presence, Range, Table};
 use super::keys::Rig;
 use super::raw::{Declared, max_items, rule};
 
-/// Columns of the template's lines.
+/// Maximum number of columns of a line of the template.
 const COLUMNS: usize = 110;
-/// Column of a rule beside its key.
+/// Column of the rule that follows a key.
 const RULE_COLUMN: usize = 34;
 
-/// A commented configuration with every key: required keys with an example, the others commented out with their defaults.
+/// A commented configuration with every key. Required keys have an example. The other keys are comments with their defaults.
 pub fn template() -> &'static str {
     static TEXT: OnceLock<String> = OnceLock::new();
     TEXT.get_or_init(|| {
@@ -29,7 +29,7 @@ pub fn template() -> &'static str {
     })
 }
 
-/// `text` wrapped into comment lines.
+/// Writes `text` wrapped into comment lines.
 fn comment(out: &mut String, text: &str) {
     let mut column = 0;
     for word in text.split_whitespace() {
@@ -50,7 +50,7 @@ fn comment(out: &mut String, text: &str) {
     }
 }
 
-/// The keys of a table: values before tables, as TOML requires.
+/// Writes the keys of a table: values before tables, as TOML requires.
 fn table(out: &mut String, declared: &Table, path: &str, commented_out: bool) {
     let is_table = |key: &&Key| matches!(key.kind, Kind::Table(_) | Kind::Tables(..));
     for key in declared.keys.iter().filter(|k| !is_table(k)) {
@@ -97,7 +97,7 @@ fn value(out: &mut String, key: &Key, commented_out: bool) {
     out.push('\n');
 }
 
-/// JSON Schema (draft 2020-12) of a configuration. It does not cover rules between keys.
+/// JSON Schema (draft 2020-12) of a configuration. The schema does not cover rules between keys.
 pub fn schema() -> String {
     let mut root = table_schema(&Rig::TABLE);
     root["$schema"] = json!("https://json-schema.org/draft/2020-12/schema");
@@ -161,7 +161,7 @@ fn range_schema(range: &Range) -> Value {
     json!({ "type": "number", least: range.min, "maximum": range.max })
 }
 
-/// The default's TOML text as JSON.
+/// Converts the TOML text of a default to JSON.
 fn default_value(text: &str) -> Value {
     let parsed: Option<toml::Table> = format!("v = {text}").parse().ok();
     let value = parsed.and_then(|mut table| table.remove("v"));

@@ -1,22 +1,22 @@
-//! The file system, as far as a configuration needs it. This crate opens no file itself.
+//! Access of the configuration to the file system. This crate opens no file itself.
 
 use std::path::Path;
 
-/// Answers what a configuration asks of the file system.
+/// File system queries of a configuration.
 ///
-/// Errors are words that fit after "cannot be read:", the same on every system, such as "not found".
+/// An error is a text that follows "cannot be read:", such as "not found", and is the same on every system.
 pub trait Files {
-    /// The whole content of a file.
+    /// The content of a file.
     fn read(&self, path: &Path) -> Result<Vec<u8>, String>;
 
-    /// Whether `path` is a file that can be opened for reading.
+    /// Checks that `path` is a file that can be opened for reading.
     fn check_readable(&self, path: &Path) -> Result<(), String>;
 
-    /// Whether `path` is a folder, or free for a folder to be made there.
+    /// Whether `path` is a folder, or does not exist and can be created as a folder.
     fn is_folder_or_free(&self, path: &Path) -> bool;
 }
 
-/// Accepts every path and reads nothing, to check a text where its files are not at hand.
+/// A file system that accepts every path and has no content. It is used to check a text without its files.
 #[derive(Clone, Copy, Debug)]
 pub struct AnyFiles;
 

@@ -1,8 +1,8 @@
 //! Every key of a configuration file, declared once: name, kind, unit, rule, default, meaning.
 //!
-//! [`table!`] makes two things of a declaration: the struct that a table is read into, with one [`Field`] for each key, and the
-//! [`Table`] that the reader (`raw`), the template and the JSON Schema (`describe`) walk. Rules between keys live in `check`, which names
-//! keys as fields: a misspelt key does not compile.
+//! [`table!`] generates two items from a declaration: the struct that a table is read into, with one [`Field`] for each key, and
+//! the [`Table`] that the reader (`raw`), the template and the JSON Schema (`describe`) use. Rules between keys are in `check`. It
+//! names keys as fields, so a misspelt key does not compile.
 
 use glam::DVec3;
 
@@ -19,7 +19,7 @@ const fn key_name(field: &'static str) -> &'static str {
     }
 }
 
-/// The [`Kind`] that a declaration names.
+/// The [`Kind`] of a declaration.
 macro_rules! kind {
     (Integer($min:expr, $max:expr)) => { Kind::Integer($min, $max, 1) };
     (Mib($min:expr, $max:expr)) => { Kind::Integer($min, $max, 1 << 20) };
@@ -43,7 +43,7 @@ macro_rules! kind {
     ($($plain:tt)+) => { Kind::$($plain)+ };
 }
 
-/// The type that a value of a kind is read into.
+/// The Rust type of the values of a kind.
 macro_rules! value {
     (Bool) => { bool };
     (Integer($($range:tt)*)) => { i64 };
@@ -67,15 +67,15 @@ macro_rules! value {
     ($number:ident($range:expr)) => { f64 };
 }
 
-/// The [`With`] of a declaration, if it has one: `only` with another key, or `needed` there too.
+/// The [`With`] of a declaration, if it has one: `only` with another key, or `needed` with it.
 macro_rules! with {
     () => { None };
     (only $key:ident $($value:literal)*) => { Some(With { needed: false, key: stringify!($key), values: &[$(stringify!($value)),*] }) };
     (needed $key:ident $($value:literal)*) => { Some(With { needed: true, key: stringify!($key), values: &[$(stringify!($value)),*] }) };
 }
 
-/// Declares a table: its meaning, its name, and of each key the meaning, the name, the kind, whether it may be left out, and the key that it
-/// belongs to.
+/// Declares a table: its description, its name, and its keys. Each key has a description, name, kind, `Presence` and the key that
+/// it depends on, if any.
 macro_rules! table {
     (
         $(#[doc = $about:literal])+
@@ -124,7 +124,7 @@ pub(crate) use nav::*;
 pub(crate) use scene::*;
 pub(crate) use sonar::*;
 
-// The ranges are those outside of which a value is surely a slip (a wrong unit, a lost digit), not those of good taste.
+// The ranges exclude only values that must be an error, such as a wrong unit or a lost digit.
 const METRES: Range = from(-1.0e6, 1.0e6);
 const ARM_M: Range = from(-1000.0, 1000.0);
 const ANGLE_DEG: Range = from(-360.0, 360.0);

@@ -1,8 +1,9 @@
-//! TOML to checked specifications.
+//! Conversion of TOML text to checked specifications.
 //!
-//! In: the text of a configuration. Out: a [`spec::RigSpec`], or every problem of the text at once ([`ConfigErrors`]). `keys` declares
-//! each key once; `raw` reads the text into the structs of `keys`; `check` tests the rules between keys and makes the specification. The
-//! template and the JSON Schema are written from `keys`. The crate opens no file: it asks [`Files`].
+//! The input is the text of a configuration. The result is a [`spec::RigSpec`], or the list of all problems of the text
+//! ([`ConfigErrors`]). `keys` declares each key once. `raw` reads the text into the structs of `keys`. `check` tests the rules
+//! between keys and builds the specification. The template and the JSON Schema are written from `keys`. The crate opens no file; it
+//! uses the [`Files`] of the caller.
 
 #![warn(missing_docs)]
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]

@@ -1,20 +1,20 @@
-//! The problems of a configuration.
+//! Problems of a configuration.
 
 use std::fmt;
 use std::path::PathBuf;
 
-/// One problem; prints as one line.
+/// One problem of a configuration. It prints as one line.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Problem {
-    /// The key, such as `sonar[0].pulse.duration_ms`; empty for a file that is not TOML or cannot be read.
+    /// Path of the key, such as `sonar[0].pulse.duration_ms`. Empty for a file that is not TOML or cannot be read.
     pub path: String,
-    /// Line in the file, from 1; none without a place in the file.
+    /// Line in the file, from 1; `None` if the problem has no line.
     pub line: Option<usize>,
-    /// The value as written in the file, shortened; empty without a value.
+    /// Value as written in the file, shortened; empty without a value.
     pub value: String,
-    /// The rule that does not hold.
+    /// The violated rule.
     pub rule: String,
-    /// A correction.
+    /// Proposed correction.
     pub hint: Option<String>,
 }
 
@@ -39,12 +39,12 @@ impl fmt::Display for Problem {
     }
 }
 
-/// All problems of one configuration; prints one problem per line.
+/// All problems of one configuration. They print as one line each.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ConfigErrors {
     /// The configuration file, printed first.
     pub file: Option<PathBuf>,
-    /// In the order of their lines.
+    /// Problems in the order of their lines.
     pub problems: Vec<Problem>,
 }
 

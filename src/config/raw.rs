@@ -1,7 +1,7 @@
-//! Text to tables: reads the TOML against the declarations in [`keys`] and lists every problem.
+//! Reads TOML text against the declarations in [`keys`] and lists every problem.
 //!
-//! In: the text. Out: a [`Declared`] struct with a [`Field`] for every key, and a problem for each key that is unknown, missing, of the wrong
-//! type or outside its range. A field without a value is either absent or already on the list, so `check` skips it.
+//! The result is a [`Declared`] struct with a [`Field`] for every key. A key that is unknown, missing, of the wrong type or outside
+//! its range is listed as a problem. A field without a value is either absent or already listed, so `check` skips it.
 
 use std::collections::HashMap;
 use std::ops::Deref;
@@ -16,41 +16,41 @@ use super::files::Files;
 use super::problem::Problem;
 use super::spec::words::Words;
 
-/// Minimum similarity (1: equal) of a name that is offered as a correction.
+/// Minimum similarity of a name that is proposed as a correction; 1 means equal.
 const LIKENESS: f64 = 0.5;
-/// Maximum number of unknown keys of a table that are listed.
+/// Maximum number of listed unknown keys of a table.
 const MAX_UNKNOWN_KEYS: usize = 20;
-/// Maximum number of listed syntax errors: later ones follow from the first.
+/// Maximum number of listed syntax errors. Later errors are consequences of the first.
 const MAX_SYNTAX_ERRORS: usize = 20;
-/// Maximum number of quoted characters of a value.
+/// Maximum number of characters of a quoted value.
 const QUOTED_CHARACTERS: usize = 60;
 
-/// A table before its conversion to a [`Declared`] struct.
+/// Table before its conversion to a [`Declared`] struct.
 #[derive(Debug)]
 pub(crate) struct RawTable(HashMap<&'static str, (Entry, Option<RawValue>)>);
 
-/// The place of a key in the file.
+/// Position of a key in the file.
 #[derive(Debug)]
 pub(crate) struct Entry {
-    /// `sonar[0].pulse.kind`.
+    /// Path of the key, for example `sonar[0].pulse.kind`.
     pub path: String,
     pub line: Option<usize>,
-    /// As written, shortened.
+    /// Value as written in the file, shortened.
     pub text: String,
-    /// The key is in the file; false for a default.
+    /// True if the key is in the file, false for a default.
     pub given: bool,
-    /// The value satisfies the key's own rule.
+    /// True if the value satisfies the rule of the key.
     pub sound: bool,
 }
 
-/// A key and its value. Without a value the key is absent or already on the list of problems.
+/// A key and its value. A key without a value is absent or already listed as a problem.
 #[derive(Debug)]
 pub(crate) struct Field<T> {
     entry: Entry,
     value: Option<T>,
 }
 
-/// A struct with a [`Field`] for every key of a table; the macro `table!` makes them.
+/// A struct with a [`Field`] for every key of a table. The macro `table!` generates such structs.
 pub(crate) trait Declared: Sized {
     const TABLE: Table;
 
@@ -68,12 +68,12 @@ pub(crate) enum ChoiceOr<T> {
 pub(crate) enum RawValue {
     Bool(bool),
     Integer(i64),
-    /// In SI units.
+    /// Number in SI units.
     Number(f64),
     Text(String),
-    /// A file or folder, joined to the configuration's folder.
+    /// File or folder, joined to the folder of the configuration.
     Path(PathBuf),
-    /// In SI units.
+    /// Numbers in SI units.
     Numbers(Vec<f64>),
     Rows(Vec<(f64, f64)>),
     Texts(Vec<String>),
@@ -81,9 +81,9 @@ pub(crate) enum RawValue {
     Tables(Vec<RawTable>),
 }
 
-/// What a [`Field`] holds.
+/// Type of the value of a [`Field`].
 pub(crate) trait Value: Sized {
-    /// None if the value has another type, which the declaration excludes.
+    /// Converts a value. `None` if the value has another type, which the declaration excludes.
     fn from_raw(value: RawValue) -> Option<Self>;
 }
 
@@ -156,7 +156,7 @@ impl<T: Value> Value for ChoiceOr<T> {
 }
 
 impl RawTable {
-    /// The field of a declared key.
+    /// Removes and returns the field of a declared key.
     pub(crate) fn take<T: Value>(&mut self, key: &str) -> Field<T> {
         let (entry, value) = self.0.remove(key).expect("every declared key is walked");
         Field {
@@ -167,13 +167,13 @@ impl RawTable {
 }
 
 impl Entry {
-    /// The key's own name.
+    /// Name of the key without the path of its table.
     pub(crate) fn key(&self) -> &str {
         self.path.rsplit('.').next().unwrap_or_default()
     }
 }
 
-/// A field of any type serves as its entry.
+/// A field of any type dereferences to its entry.
 impl<T> Deref for Field<T> {
     type Target = Entry;
 
@@ -187,12 +187,12 @@ impl<T> Field<T> {
         self.value.as_ref()
     }
 
-    /// What `read` makes of the value; none without one.
+    /// Result of `read` for the value; `None` without a value.
     pub(crate) fn and_then<'t, R>(&'t self, read: impl FnOnce(&'t T) -> Option<R>) -> Option<R> {
         self.value.as_ref().and_then(read)
     }
 
-    /// As [`Field::and_then`]; `Some(None)` if the key is not given.
+    /// As [`Field::and_then`], with `Some(None)` if the key is absent.
     pub(crate) fn given_and_then<'t, R>(
         &'t self,
         read: impl FnOnce(&'t T) -> Option<R>,
@@ -209,38 +209,38 @@ impl<T: Clone> Field<T> {
         self.value.clone()
     }
 
-    /// `Some(None)` if the key is not given; none if its value is refused.
+    /// `Some(None)` if the key is absent; `None` if its value is refused.
     pub(crate) fn if_given(&self) -> Option<Option<T>> {
         self.given_and_then(|value| Some(value.clone()))
     }
 }
 
 impl Field<i64> {
-    /// The number in another integer type, which must hold the declared range.
+    /// The number in another integer type, which must cover the declared range.
     pub(crate) fn to<T: TryFrom<i64>>(&self) -> Option<T> {
         T::try_from(self.value?).ok()
     }
 }
 
 impl Field<String> {
-    /// A choice, a name or a text.
+    /// The value of a choice, a name or a text.
     pub(crate) fn text(&self) -> Option<&str> {
         self.value.as_deref()
     }
 
-    /// What the value is the word for.
+    /// The choice that the value names.
     pub(crate) fn named<T: Words>(&self) -> Option<T> {
         T::from_word(self.text()?)
     }
 
-    /// Whether the value is `text`; none without a value.
+    /// Whether the value is `text`; `None` without a value.
     pub(crate) fn is(&self, text: &str) -> Option<bool> {
         self.text().map(|own| own == text)
     }
 }
 
 impl Field<Vec<String>> {
-    /// What the values are the words for.
+    /// The choices that the values name.
     pub(crate) fn all_named<T: Words>(&self) -> Option<Vec<T>> {
         self.as_ref()?
             .iter()
@@ -250,14 +250,14 @@ impl Field<Vec<String>> {
 }
 
 impl<T> Field<Vec<T>> {
-    /// The values; none of them without a value.
+    /// The values; empty if the field has no value.
     pub(crate) fn all(&self) -> &[T] {
         self.value.as_deref().unwrap_or_default()
     }
 }
 
 impl<T> Field<ChoiceOr<T>> {
-    /// The name, if it is one.
+    /// The name, if the value is a name.
     pub(crate) fn text(&self) -> Option<&str> {
         match self.as_ref()? {
             ChoiceOr::Choice(text) => Some(text),
@@ -265,7 +265,7 @@ impl<T> Field<ChoiceOr<T>> {
         }
     }
 
-    /// The value, if it is no name.
+    /// The value, if the value is not a name.
     pub(crate) fn other(&self) -> Option<&T> {
         match self.as_ref()? {
             ChoiceOr::Choice(_) => None,
@@ -274,12 +274,12 @@ impl<T> Field<ChoiceOr<T>> {
     }
 }
 
-/// The list of problems.
+/// List of problems.
 #[derive(Debug, Default)]
 pub(crate) struct Problems(pub Vec<Problem>);
 
 impl Problems {
-    /// Adds the problem that `rule` does not hold at `entry`.
+    /// Adds a problem: `entry` violates `rule`.
     pub(crate) fn refuse(&mut self, entry: &Entry, rule: impl Into<String>) {
         self.0.push(Problem {
             path: entry.path.clone(),
@@ -290,9 +290,9 @@ impl Problems {
         });
     }
 
-    /// Refuses `keys` that are given although `holds` is false.
+    /// Refuses `keys` that are given if `holds` is false.
     pub(crate) fn only_with(&mut self, keys: &[&Entry], holds: Option<bool>, condition: &str) {
-        // A key without a sound value is on the list already.
+        // A key without a valid value is already listed.
         let misplaced = |e: &&&Entry| holds == Some(false) && e.given && e.sound;
         for entry in keys.iter().filter(misplaced) {
             self.refuse(entry, format!("only with {condition}"));
@@ -321,14 +321,14 @@ impl Problems {
     }
 }
 
-/// Keys that had another name in an earlier version, old and new.
+/// Keys renamed since an earlier version: old name and new name.
 const RENAMED: &[(&str, &str)] = &[
     ("certificate", "error_check"),
     ("rehearse_ms", "simulated_compute_ms"),
     ("straightness", "cable_scope"),
 ];
 
-/// `did you mean "…"?` with the most similar of `names`, if it is similar enough.
+/// `did you mean "…"?` with the most similar of `names`, if the similarity is sufficient.
 fn did_you_mean<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> Option<String> {
     names
         .map(|n| (strsim::normalized_damerau_levenshtein(name, n), n))
@@ -337,7 +337,7 @@ fn did_you_mean<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> Option<
         .map(|(_, n)| format!("did you mean \"{n}\"?"))
 }
 
-/// `text` times 10^`power`, rounded once, as if it had been written in the other unit.
+/// Value of `text` times 10^`power`, rounded once, as if the number were written in the other unit.
 fn scaled(text: &str, power: i32) -> f64 {
     let (mantissa, exponent) = text.split_once(['e', 'E']).unwrap_or((text, "0"));
     exponent
@@ -352,7 +352,7 @@ fn scaled(text: &str, power: i32) -> f64 {
 }
 
 impl Unit {
-    /// The written number in SI units, rounded once.
+    /// Value of the digits in SI units, rounded once.
     fn si(self, digits: &str) -> f64 {
         match self {
             Unit::Power(power) => scaled(digits, power),
@@ -361,7 +361,7 @@ impl Unit {
     }
 }
 
-/// Reads the text as a declared table and lists its problems. None if the text is not TOML.
+/// Reads the text as a declared table and lists its problems. `None` if the text is not TOML.
 pub(crate) fn read<T: Declared>(
     text: &str,
     base_dir: &Path,
@@ -379,7 +379,7 @@ pub(crate) fn read<T: Declared>(
         files,
     };
     if !errors.is_empty() {
-        // The recovered part of a broken text would cause false problems.
+        // The recovered part of an invalid text would cause false problems, so only syntax errors are listed.
         let listed = errors.iter().take(MAX_SYNTAX_ERRORS);
         problems.0.extend(listed.map(|e| Problem {
             line: e.span().map(|span| walk.line(span.start)),
@@ -393,7 +393,7 @@ pub(crate) fn read<T: Declared>(
 }
 
 impl With {
-    /// Refuses a key without the `other` one that it belongs to, and its absence beside it.
+    /// Refuses a key without the `other` key of its condition, and the absence of a required key.
     fn check(&self, own: &Entry, other: &(Entry, Option<RawValue>), problems: &mut Problems) {
         let holds = match other {
             (entry, _) if self.values.is_empty() => entry.given,
@@ -401,7 +401,7 @@ impl With {
                 self.values.iter().any(|v| v.trim_matches('"') == text)
             }
             (_, Some(RawValue::Bool(value))) => self.values.contains(&value.to_string().as_str()),
-            // Absent, or on the list already.
+            // The key is absent or already listed.
             (entry, _) if problems.0.iter().any(|p| p.path == entry.path) => return,
             _ => false,
         };
@@ -418,7 +418,7 @@ impl With {
 
 struct Walk<'t> {
     text: &'t str,
-    /// Offset of the first byte of each line.
+    /// Byte offset of each line.
     line_starts: &'t [usize],
     base_dir: &'t Path,
     files: &'t dyn Files,
@@ -439,7 +439,7 @@ impl Walk<'_> {
 
     /// The value as written, on one line, shortened.
     fn quote(&self, value: &Spanned<DeValue<'_>>) -> String {
-        // A table spans many lines; its path is enough.
+        // The path of a table is sufficient, because a table spans many lines.
         let is_table = |value: &Spanned<DeValue<'_>>| value.get_ref().is_table();
         let items = value.get_ref().as_array();
         if is_table(value) || items.is_some_and(|a| a.iter().any(is_table)) {
@@ -539,7 +539,7 @@ impl Walk<'_> {
         }
     }
 
-    /// The default of a key that is not there.
+    /// The default of an absent key.
     fn absent(&self, key: &Key, entry: &Entry, problems: &mut Problems) -> Option<RawValue> {
         match key.presence {
             Presence::Required(_) => {
@@ -570,7 +570,7 @@ impl Walk<'_> {
         }
     }
 
-    /// The value of a key; none, with a problem, if it breaks the declaration.
+    /// The value of a key. `None`, with a problem, if the value violates the declaration.
     fn value(
         &self,
         kind: &Kind,
@@ -666,7 +666,7 @@ impl Walk<'_> {
     }
 }
 
-/// A value that needs no context; none if it is not of the kind.
+/// A value of a kind without context. `None` if the value is not of the kind.
 fn simple(kind: &Kind, value: &DeValue<'_>) -> Option<RawValue> {
     match (kind, value) {
         (Kind::Bool, DeValue::Boolean(b)) => Some(RawValue::Bool(*b)),
@@ -705,14 +705,14 @@ fn simple(kind: &Kind, value: &DeValue<'_>) -> Option<RawValue> {
     }
 }
 
-/// Range of the metres and decibels in a table.
+/// Range of metres and decibels in a table of pairs.
 const ROW_CELL: Range = Range {
     min: -1.0e5,
     min_included: true,
     max: 1.0e5,
 };
 
-/// Longest list of a kind.
+/// Maximum length of a list of this kind.
 pub(crate) fn max_items(kind: &Kind) -> Option<usize> {
     match kind {
         Kind::Rows => Some(MAX_ROWS),
@@ -736,14 +736,14 @@ fn integer(value: &DeValue<'_>) -> Option<i64> {
     i64::from_str_radix(integer.as_str(), integer.radix()).ok()
 }
 
-/// The digits of a number within `range`.
+/// Digits of a number within `range`.
 fn number(value: &DeValue<'_>, range: &Range) -> Option<String> {
     let digits = match value {
         DeValue::Float(float) => float.as_str().to_owned(),
         value => integer(value)?.to_string(),
     };
     let number: f64 = digits.parse().ok()?;
-    // NaN fails every comparison, and infinity exceeds the finite ends.
+    // NaN fails every comparison, and infinity exceeds the finite limits.
     let above = number > range.min || (range.min_included && number == range.min);
     (above && number <= range.max).then_some(digits)
 }
@@ -763,7 +763,7 @@ fn is_name(text: &str) -> bool {
             .all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_')
 }
 
-/// The rule of a kind in words that follow "must be".
+/// The rule of a kind as text that follows "must be".
 pub(crate) fn rule(kind: &Kind) -> String {
     let quoted = |choices: &[&str], last: &str| {
         let all: Vec<_> = choices.iter().map(|c| format!("\"{c}\"")).collect();

@@ -1,6 +1,6 @@
 //! Checked specifications, in SI units and radians. Only [`parse`](crate::parse) and [`load`](crate::load) make them.
 //!
-//! A value here has been validated; no stage checks it again.
+//! A specification has been validated. Later stages do not check its values again.
 
 mod devices;
 mod families;
@@ -42,43 +42,43 @@ pub use words::Words;
 /// One rig, as a configuration file describes it.
 #[derive(Clone, Debug)]
 pub struct RigSpec {
-    /// The file's own text, for records that carry it.
+    /// Text of the configuration file, for records that include it.
     pub source_text: String,
-    /// Sound speed and absorption.
+    /// Sound speed and absorption of the water.
     pub medium: MediumSpec,
-    /// Navigation sources and their evaluation.
+    /// Navigation sources and the processing of their samples.
     pub nav: NavSpec,
     /// Seabed, points and targets.
     pub scene: SceneSpec,
     /// Timing, threads and delivery.
     pub run: RunSpec,
-    /// None: nothing is recorded.
+    /// Recording; `None` records nothing.
     pub record: Option<RecordSpec>,
     /// Control over HTTP.
     pub control: ControlSpec,
     /// Scheduled faults.
     pub faults: Vec<FaultRequest>,
-    /// At least one.
+    /// Sonars, at least one.
     pub sonars: Vec<SonarSpec>,
 }
 
-/// The water.
+/// Acoustic properties of the water.
 #[derive(Clone, Debug)]
 pub struct MediumSpec {
-    /// One value everywhere.
+    /// Sound speed, the same everywhere.
     pub sound_speed_m_per_s: f64,
     /// Absorption law or value.
     pub absorption: AbsorptionSpec,
 }
 
-/// How absorption is found.
+/// Absorption law.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum AbsorptionSpec {
     /// No absorption.
     None,
-    /// dB per metre, one way.
+    /// Fixed absorption.
     Fixed {
-        /// One way.
+        /// One-way absorption, dB per metre.
         db_per_m: f64,
     },
     /// Francois and Garrison 1982.
@@ -87,111 +87,112 @@ pub enum AbsorptionSpec {
     AinslieMcColm(Water),
 }
 
-/// Properties of the water that the absorption formulas use.
+/// Properties of the water in the absorption formulas.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Water {
-    /// Degrees Celsius.
+    /// Temperature, degrees Celsius.
     pub temperature_c: f64,
-    /// Practical salinity (g/kg within the formulas' accuracy).
+    /// Practical salinity. It equals g/kg within the accuracy of the formulas.
     pub salinity: f64,
-    /// Metres.
+    /// Depth, metres.
     pub depth_m: f64,
     /// pH value.
     pub ph: f64,
 }
 
-/// Navigation sources and their evaluation.
+/// Navigation sources and the processing of their samples.
 #[derive(Clone, Debug)]
 pub struct NavSpec {
-    /// The point north = east = 0.
+    /// World origin: the point north = east = 0.
     pub origin: OriginSpec,
-    /// Interpolation or extrapolation.
+    /// Interpolation or extrapolation of the samples.
     pub mode: NavMode,
     /// Source of the platform's depth.
     pub vertical: VerticalSpec,
-    /// With [`VerticalSpec::Depth`]: depth of the reference point from which the records count heave, metres. None: the records tell no heave.
+    /// With [`VerticalSpec::Depth`]: depth of the reference point at which the heave of the records is zero, metres. `None`: the
+    /// records have no heave.
     pub heave_from_depth_m: Option<f64>,
-    /// Source of the records' UTC.
+    /// Clock of the UTC in the records.
     pub stamp: StampSpec,
-    /// Recorded sources start again at their end, time shifted by whole loops.
+    /// True if recorded sources restart at their end. Each repetition shifts the times by the length of the log.
     pub loop_log: bool,
-    /// In `predict`: longest extrapolation, seconds.
+    /// Maximum extrapolation in mode `predict`, seconds.
     pub max_extrapolation_s: f64,
-    /// Depth of the history ring, seconds.
+    /// Length of the history of samples, seconds.
     pub history_s: f64,
-    /// The course over ground is the heading if no source provides one.
+    /// True if the course over ground is the heading when no source provides a heading.
     ///
-    /// None: not configured; a log without heading then decides.
+    /// `None` if not configured. A log without heading then enables this rule.
     pub heading_from_course: Option<bool>,
-    /// None: the first source that provides a quantity owns it.
+    /// Failover between sources. `None`: the first source that provides a quantity is always used.
     pub failover: Option<FailoverSpec>,
-    /// None: no sample is rejected.
+    /// Rejection of jumps. `None`: no sample is rejected.
     pub jump_gate: Option<JumpGateSpec>,
-    /// A source is stale after this time without data, seconds.
+    /// Time without data after which a source is stale, seconds.
     pub stale_s: f64,
-    /// A source is lost after this time without data, seconds.
+    /// Time without data after which a source is lost, seconds.
     pub lost_s: f64,
-    /// In `predict`: action for a ping that needs data older than `max_extrapolation_s`.
+    /// In mode `predict`: action for a ping that needs data older than `max_extrapolation_s`.
     pub on_lost: OnLost,
-    /// The platform is towed, and positions are those of the ship.
+    /// Towing. If present, the platform is towed, and positions are those of the ship.
     pub tow: Option<TowSpec>,
-    /// At least one.
+    /// Navigation sources, at least one.
     pub sources: Vec<NavSourceSpec>,
-    /// Navigation sent out.
+    /// Outputs of navigation sentences.
     pub outputs: Vec<NavOutputSpec>,
 }
 
-/// What happens to a ping without current navigation.
+/// Action for a ping without current navigation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum OnLost {
-    /// It is skipped.
+    /// The ping is skipped.
     #[default]
     Skip,
-    /// It is made with the last known motion, brought to rest, and flagged invalid.
+    /// The ping uses the last known motion, brought to rest, and is flagged invalid.
     Hold,
 }
 
 /// A towed body that follows the tow point along the ship's heading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TowSpec {
-    /// The tow point: forward and starboard of the ship's reference point, down from the waterline; metres.
+    /// Tow point, metres: forward and starboard of the ship's reference point, down from the waterline.
     pub point_m: DVec3,
-    /// Metres.
+    /// Length of the deployed cable, metres.
     pub cable_out_m: f64,
-    /// Straight distance over cable length: 1 for a straight cable.
+    /// Ratio of the straight distance to the cable length: 1 for a straight cable.
     pub cable_scope: f64,
 }
 
-/// One navigation output.
+/// Output of navigation sentences to one device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NavOutputSpec {
-    /// Unique among the outputs.
+    /// Name, unique among the outputs.
     pub name: String,
-    /// Link to the device.
+    /// Connection to the device.
     pub target: NavTargetSpec,
-    /// Sentences that are sent, in this order.
+    /// Sentences in the order of transmission.
     pub sentences: Vec<NavSentence>,
-    /// Two capital letters.
+    /// Talker identifier: two capital letters.
     pub talker: String,
-    /// Ticks per second.
+    /// Output rate, hertz.
     pub rate_hz: f64,
-    /// Delay of GGA and HDT after their time of validity, seconds.
+    /// Delay of GGA and HDT after the time of validity, seconds.
     pub latency_s: f64,
-    /// Pulse at the whole second.
+    /// Pulse that marks the whole second.
     pub pulse: PulseSpec,
 }
 
-/// Link of a navigation output.
+/// Connection of a navigation output.
 #[derive(Clone, Debug, PartialEq)]
 pub enum NavTargetSpec {
-    /// A host, a broadcast address or a multicast group.
+    /// Datagrams to a host, a broadcast address or a multicast group.
     Udp {
         /// Host, broadcast address or multicast group.
         to: SocketAddr,
     },
-    /// A server for any number of clients.
+    /// TCP server for any number of clients.
     TcpListen {
-        /// Address of the server socket.
+        /// Address of the server.
         listen: SocketAddr,
     },
     /// A serial port.
@@ -205,7 +206,7 @@ pub enum NavTargetSpec {
     },
 }
 
-/// NMEA 0183 sentence of a navigation output.
+/// NMEA 0183 sentence type of a navigation output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NavSentence {
     /// Date and time.
@@ -217,23 +218,23 @@ pub enum NavSentence {
 }
 
 impl NavSentence {
-    /// Three-letter formatter.
+    /// Three-letter sentence formatter.
     pub fn name(self) -> &'static str {
         self.word()
     }
 }
 
-/// Pulse at the whole second, before its ZDA.
+/// Pulse that marks the whole second, before the ZDA of that second.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PulseSpec {
     /// No pulse.
     #[default]
     None,
-    /// The serial port's RTS, or DTR, for 100 ms.
+    /// Active RTS line of the serial port for 100 ms.
     Rts,
-    /// DTR of the serial port.
+    /// Active DTR line of the serial port for 100 ms.
     Dtr,
-    /// One byte, 0x07; over UDP in its own datagram.
+    /// Byte 0x07; over UDP in a separate datagram.
     Byte,
 }
 
@@ -242,9 +243,9 @@ pub enum PulseSpec {
 pub struct SerialLine {
     /// Parity bit.
     pub parity: ParitySpec,
-    /// 5 to 8.
+    /// Number of data bits, 5 to 8.
     pub data_bits: u8,
-    /// 1 or 2.
+    /// Number of stop bits, 1 or 2.
     pub stop_bits: u8,
 }
 
@@ -259,14 +260,14 @@ impl Default for SerialLine {
 }
 
 impl SerialLine {
-    /// On the wire: start bit, data, parity and stop bits.
+    /// Bits of one byte on the link: start bit, data, parity and stop bits.
     pub fn bits_per_byte(&self) -> i64 {
         1 + i64::from(self.data_bits)
             + i64::from(self.parity != ParitySpec::None)
             + i64::from(self.stop_bits)
     }
 
-    /// As `8N1`.
+    /// Name in the notation `8N1`.
     pub fn name(&self) -> String {
         let parity = match self.parity {
             ParitySpec::None => 'N',
@@ -290,7 +291,7 @@ pub enum ParitySpec {
 }
 
 impl NavSpec {
-    /// Depth of the reference point without heave, metres; none if it is not constant.
+    /// Depth of the reference point without heave, metres; `None` if not constant.
     pub fn still_depth_m(&self) -> Option<f64> {
         match self.vertical {
             VerticalSpec::Waterline { reference_down_m } => Some(reference_down_m),
@@ -299,81 +300,82 @@ impl NavSpec {
         }
     }
 
-    /// Every source is recorded: the motion does not depend on the machine's time.
+    /// Whether every source is recorded. The motion then does not depend on the computer's time.
     pub fn is_recorded(&self) -> bool {
         self.sources.iter().all(NavSourceSpec::is_recorded)
     }
 }
 
-/// Failover between sources of a quantity.
+/// Parameters of the failover between sources of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FailoverSpec {
-    /// The next source takes over after this silence, seconds.
+    /// Silence of the active source after which the next source takes over, seconds.
     pub after_s: f64,
-    /// The better source becomes active again after it has delivered for this time, seconds.
+    /// Time for which the better source must deliver before it becomes active again, seconds.
     pub hold_off_s: f64,
 }
 
-/// Limits above which a sample is a jump.
+/// Limits of the jump gate. Samples above a limit are jumps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JumpGateSpec {
-    /// Faster samples are rejected.
+    /// Maximum speed between positions, metres per second.
     pub max_speed_m_per_s: f64,
-    /// Of heading, roll and pitch.
+    /// Maximum rate of heading, roll and pitch, radians per second.
     pub max_rate_rad_per_s: f64,
 }
 
-/// The point north = east = 0.
+/// Origin of the world coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OriginSpec {
-    /// The first position of the first source that has one.
+    /// First position of the first source that has positions.
     FirstFix,
-    /// A fixed point, WGS84.
+    /// Fixed point on WGS84.
     Geodetic {
-        /// North positive.
+        /// Latitude, radians, positive north.
         latitude_rad: f64,
-        /// East positive.
+        /// Longitude, radians, positive east.
         longitude_rad: f64,
     },
 }
 
-/// Interpolation or extrapolation of navigation.
+/// Processing of navigation samples at the time of a ping.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NavMode {
-    /// Extrapolate with rates to the ping (live default).
+    /// Extrapolation with rates to the ping (default of live sources).
     Predict,
-    /// Wait until the window is covered by samples on both sides (replay default).
+    /// Interpolation. The ping waits for samples after its window (default of recorded sources).
     Settle,
 }
 
 impl NavSpec {
-    /// True if the records tell the depth of the reference point beside its heave: it is not at the waterline, or a depth sensor gives it.
+    /// Whether the records have the depth of the reference point besides its heave. True if the reference point is not at the
+    /// waterline, or a depth sensor is used.
     pub fn tells_depth(&self) -> bool {
         !matches!(self.vertical, VerticalSpec::Gnss { .. }) && self.still_depth_m() != Some(0.0)
     }
 }
 
-/// Source of the reference point's down coordinate.
+/// Source of the down coordinate of the reference point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum VerticalSpec {
-    /// The waterline is z = 0; reference point at `reference_down_m` below it, plus heave.
+    /// Constant depth `reference_down_m` below the waterline z = 0, plus heave.
     Waterline {
-        /// Depth of the reference point, positive down.
+        /// Depth of the reference point, metres, positive down.
         reference_down_m: f64,
     },
-    /// Minus the GNSS height (which already holds heave; heave is then not added), plus `datum_offset_m`.
+    /// Negative GNSS height plus `datum_offset_m`. The height already includes heave, so heave is not added.
     Gnss {
-        /// Added to the depth.
+        /// Offset added to the depth, metres.
         datum_offset_m: f64,
     },
-    /// Given by a CSV track itself, or by a depth sensor; heave is not added.
+    /// Depth from a CSV track or a depth sensor. Heave is not added.
     Depth,
 }
 
-/// Source of the records' UTC.
+/// Clock of the UTC in the records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StampSpec {
-    /// Time of the navigation.
+    /// Time of the navigation samples.
     Log,
     /// Time of this computer.
     Host,
@@ -382,24 +384,24 @@ pub enum StampSpec {
 /// One navigation source.
 #[derive(Clone, Debug)]
 pub struct NavSourceSpec {
-    /// Unique among the sources.
+    /// Name, unique among the sources.
     pub name: String,
-    /// File or link.
+    /// File or connection.
     pub input: NavInputSpec,
-    /// Time of validity of a measurement.
+    /// Rule for the time of validity of a measurement.
     pub time: TimePolicy,
-    /// Treatment of NMEA checksums.
+    /// Rule for NMEA checksums.
     pub checksum: ChecksumPolicy,
-    /// Antenna, or depth sensor, in the body, metres; used with this source's positions and depths.
+    /// Position of the antenna or depth sensor in the body, metres. Used with the positions and depths of this source.
     pub lever_arm_m: DVec3,
-    /// How its motion sensor sits in the body.
+    /// Mounting of the motion sensor in the body.
     pub mounting: SensorMounting,
-    /// Format and its variants.
+    /// Format of the bytes, and its variants.
     pub dialect: NavDialect,
-    /// Quantities used from this source; the first source in the file that provides a quantity is used.
+    /// Quantities used from this source. If several sources provide a quantity, the first source in the file is used.
     pub provides: Vec<NavChannel>,
-    /// The configuration does not say what the source provides: `provides` holds what it may provide, and a quantity counts once
-    /// it has come. False for a log that has been read: `provides` then holds what the log gives.
+    /// True if the configuration does not list the quantities. `provides` then has the quantities that the source may provide, and
+    /// a quantity counts after its first sample. False for a log that has been read: `provides` then has the quantities of the log.
     pub detect: bool,
 }
 
@@ -413,29 +415,29 @@ impl NavSourceSpec {
     }
 }
 
-/// A motion sensor's place and attitude in the body; by default at the reference point, along its axes.
+/// Position and orientation of a motion sensor in the body. The default is at the reference point, aligned with the body.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SensorMounting {
-    /// Where the heave that it says is that of, metres.
+    /// Position of the point whose heave the sensor measures, metres.
     pub heave_arm_m: DVec3,
-    /// Roll, pitch and yaw of the sensor's axes in the body: what it would say on a level platform heading north.
+    /// Roll, pitch and yaw of the sensor axes in the body, radians: the measurement on a level platform heading north.
     pub angles_rad: DVec3,
 }
 
-/// Format of a source and its deviations from the standard.
+/// Format of a navigation source, and its deviations from the standard.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NavDialect {
     /// Format of the bytes.
     pub format: NavFormat,
-    /// Sentences, by address or its last three letters, whose checksum is not looked at.
+    /// Sentences with ignored checksums, by address or by the last three letters of the address.
     pub ignore_checksum_for: Vec<String>,
-    /// PASHR carries heave + up, against the documented + down.
+    /// True if PASHR has heave positive up. The documented sign is positive down.
     pub pashr_heave_up: bool,
-    /// DPT, DBT, DBS and DBK say how deep the platform itself is.
+    /// True if DPT, DBT, DBS and DBK measure the depth of the platform.
     pub depth_is_own: bool,
     /// Quantities with the opposite sign.
     pub reversed: Reversed,
-    /// East positive; makes magnetic headings true where the sentence does not say it.
+    /// Magnetic variation, radians, positive east. It converts magnetic headings to true headings if the sentence has no variation.
     pub magnetic_variation_rad: Option<f64>,
 }
 
@@ -450,7 +452,7 @@ pub struct Reversed {
     pub heave: bool,
 }
 
-/// Format of a source's bytes.
+/// Format of the bytes of a source.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum NavFormat {
     /// NMEA 0183 sentences.
@@ -458,7 +460,7 @@ pub enum NavFormat {
     Nmea,
     /// TSS1 motion sensor strings.
     Tss1,
-    /// EM1000 too.
+    /// Records of EM1000 and EM3000 motion sensors.
     Em3000,
     /// Kongsberg Seapath binary format 26.
     Seapath26,
@@ -467,33 +469,33 @@ pub enum NavFormat {
 }
 
 impl NavFormat {
-    /// As the configuration has it.
+    /// Name in the configuration.
     pub fn name(self) -> &'static str {
         self.word()
     }
 }
 
-/// File or link of a navigation source.
+/// File or connection of a navigation source.
 #[derive(Clone, Debug, PartialEq)]
 pub enum NavInputSpec {
-    /// A recorded log: lines with a time prefix, or plain NMEA. Where neither the lines nor the messages tell the time, sentences come at
+    /// Recorded log: lines with a time stamp, or plain NMEA. If neither lines nor messages have a time, sentences arrive at
     /// `plain_rate_hz`.
     Log {
-        /// The log.
+        /// Path of the log.
         path: PathBuf,
-        /// Sentences per second of a log without any time.
+        /// Rate of the sentences of a log without any time, hertz.
         plain_rate_hz: f64,
     },
     /// CSV track: time, north, east, down, roll, pitch, heading.
     Csv {
-        /// The track.
+        /// Path of the track.
         path: PathBuf,
     },
-    /// Datagrams.
+    /// UDP datagrams.
     Udp {
         /// Local address.
         listen: SocketAddr,
-        /// Group to join.
+        /// Multicast group to join.
         multicast: Option<std::net::Ipv4Addr>,
     },
     /// A serial port.
@@ -505,33 +507,33 @@ pub enum NavInputSpec {
         /// Frame format.
         line: SerialLine,
     },
-    /// A connection to a server.
+    /// TCP connection to a server.
     TcpConnect {
-        /// Host and port.
+        /// Host and port of the server.
         address: String,
     },
-    /// A server; its newest client speaks.
+    /// TCP server. Only the newest client is read.
     TcpListen {
         /// Local address.
         listen: SocketAddr,
     },
 }
 
-/// Where a sample's validity time comes from.
+/// Rule for the time of validity of a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TimePolicy {
-    /// From the message; a message without a time takes its arrival.
+    /// Time of the message. A message without a time uses its arrival.
     Message,
-    /// From the message; a message without a time takes the time of the last dated one of its burst.
+    /// Time of the message. A message without a time uses the time of the last timed message of its burst.
     Burst,
-    /// Arrival minus this many seconds (0: arrival).
+    /// Arrival minus `latency_s`.
     Arrival {
-        /// Subtracted from the arrival time.
+        /// Latency subtracted from the arrival, seconds.
         latency_s: f64,
     },
 }
 
-/// Treatment of NMEA checksums.
+/// Rule for NMEA checksums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ChecksumPolicy {
     /// Sentences without a valid checksum are rejected.
@@ -542,7 +544,7 @@ pub enum ChecksumPolicy {
     Ignore,
 }
 
-/// Quantity of a navigation source.
+/// Quantity measured by a navigation source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum NavChannel {
     /// Latitude and longitude, or north and east.
@@ -553,14 +555,14 @@ pub enum NavChannel {
     Heading,
     /// Roll and pitch.
     RollPitch,
-    /// Vertical motion about the mean.
+    /// Heave.
     Heave,
-    /// How deep the platform is.
+    /// Depth of the platform.
     Depth,
 }
 
 impl NavChannel {
-    /// All quantities, in the order of their numbers.
+    /// All quantities, in the order of their indices.
     pub const ALL: [Self; 6] = [
         Self::Position,
         Self::CourseSpeed,
@@ -570,7 +572,7 @@ impl NavChannel {
         Self::Depth,
     ];
 
-    /// The channel of a measured quantity.
+    /// The quantity of a measured value.
     pub fn of(quantity: &NavQuantity) -> Self {
         match quantity {
             NavQuantity::Position { .. } | NavQuantity::LocalPosition { .. } => Self::Position,
@@ -582,43 +584,43 @@ impl NavChannel {
         }
     }
 
-    /// As `provides` has it.
+    /// Name in the key `provides`.
     pub fn name(self) -> &'static str {
         self.word()
     }
 }
 
-/// Contents of the water.
+/// Seabed, points and targets in the water.
 #[derive(Clone, Debug)]
 pub struct SceneSpec {
-    /// Seed of the speckle.
+    /// Seed of the random reflectivities.
     pub seed: u64,
-    /// Position of the scene's origin.
+    /// Position of the scene's origin in the world.
     pub anchor: AnchorSpec,
-    /// A gridded seabed continues as mirror images beyond its edge.
+    /// True if a gridded seabed continues as mirror images beyond its edge.
     pub mirror: bool,
-    /// None: no seabed.
+    /// Seabed; `None` for a scene without seabed.
     pub seabed: Option<SeabedSpec>,
-    /// Explicit scatterers, CSV.
+    /// CSV file of explicit scatterers.
     pub points: Option<PathBuf>,
-    /// Named targets: points over the seabed (CSV) or shapes (`.toml`).
+    /// File of named targets: points over the seabed (CSV) or shapes (`.toml`).
     pub targets: Option<PathBuf>,
     /// Shadow model.
     pub occlusion: OcclusionSpec,
-    /// Memory for tiles, bytes.
+    /// Maximum memory of the tiles, bytes.
     pub memory_limit_bytes: u64,
-    /// None: every scatterer is used.
+    /// Simplification; `None` uses every scatterer.
     pub simplify: Option<SimplifySpec>,
 }
 
-/// Position of the scene's origin.
+/// Position of the scene's origin in the world.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AnchorSpec {
-    /// At the world's origin.
+    /// The world's origin.
     Origin,
-    /// Under the first position received.
+    /// The horizontal position of the first fix.
     FirstFix,
-    /// At the coordinates in the seabed file.
+    /// The coordinates in the seabed file.
     File,
 }
 
@@ -627,45 +629,45 @@ pub enum AnchorSpec {
 pub enum OcclusionSpec {
     /// No shadows.
     None,
-    /// Seabed and solids cast shadows.
+    /// Shadows of the seabed and of solids.
     Horizon,
-    /// The seabed casts shadows by Eq. 27 of Meng et al. 2023, as printed.
+    /// Shadows of the seabed by Eq. 27 of Meng et al. 2023, as printed.
     Paper,
 }
 
-/// The seabed, as scatterers on a surface.
+/// Seabed, modelled as scatterers on a surface.
 #[derive(Clone, Debug)]
 pub struct SeabedSpec {
-    /// Depth of the surface.
+    /// Shape of the surface.
     pub shape: SeabedShape,
-    /// Scatterers per area.
+    /// Number of scatterers per area.
     pub density: Density,
     /// Scattering law.
     pub bottom: BottomSpec,
-    /// Reference of the angles on the seabed.
+    /// Reference direction of the angle of incidence.
     pub incidence: IncidenceSpec,
-    /// Backscattering strengths from a file.
+    /// Map of backscattering strengths from a file.
     pub mosaic: Option<MosaicSpec>,
-    /// Circular Gaussian reflectivity per scatterer (true) or 1.
+    /// True for a circular Gaussian reflectivity of each scatterer, false for the constant 1.
     pub speckle: bool,
 }
 
-/// Scattering law of the seabed; strengths in dB per square metre.
+/// Scattering law of the seabed. Strengths are in dB per square metre.
 #[derive(Clone, Debug, PartialEq)]
 pub enum BottomSpec {
-    /// mu cos i cos s.
+    /// Strength mu cos i cos s (bistatic Lambert).
     BistaticLambert {
-        /// Lambert parameter.
+        /// Lambert parameter mu, dB.
         mu_db: f64,
     },
-    /// mu cos^2 i of the incoming ray.
+    /// Strength mu cos^2 i of the incident ray.
     Lambert {
-        /// Lambert parameter.
+        /// Lambert parameter mu, dB.
         mu_db: f64,
     },
-    /// Specular lobe, intermediate lobe and Lambert.
+    /// Sum of a specular lobe, an intermediate lobe and a Lambert term.
     ThreeTerm(ThreeTerm),
-    /// Specular, intermediate and Lambert terms.
+    /// The same sum, with the parameters of a sediment.
     Sediment(Sediment),
 }
 
@@ -685,7 +687,7 @@ pub enum Sediment {
 }
 
 impl Sediment {
-    /// Every sediment.
+    /// All sediments.
     pub const ALL: [Self; 5] = [Self::Mud, Self::Silt, Self::Sand, Self::Gravel, Self::Rock];
     /// Name in the configuration.
     pub fn name(self) -> &'static str {
@@ -693,111 +695,111 @@ impl Sediment {
     }
 }
 
-/// A exp(-i^2 / 2 B^2) + C cos^D i + E exp(-i^2 / 2 F^2).
+/// Parameters of the strength A exp(-i^2 / 2 B^2) + C cos^D i + E exp(-i^2 / 2 F^2).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ThreeTerm {
-    /// A and B.
+    /// A, dB.
     pub specular_db: f64,
-    /// Standard deviation of the specular lobe.
+    /// B: standard deviation of the specular lobe, radians.
     pub specular_rad: f64,
-    /// C and D.
+    /// C, dB.
     pub lambert_db: f64,
-    /// Exponent of the cosine.
+    /// D: exponent of the cosine.
     pub lambert_exponent: f64,
-    /// E and F.
+    /// E, dB.
     pub intermediate_db: f64,
-    /// Standard deviation of the intermediate lobe.
+    /// F: standard deviation of the intermediate lobe, radians.
     pub intermediate_rad: f64,
 }
 
-/// Reference of the angle of incidence.
+/// Reference direction of the angle of incidence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum IncidenceSpec {
-    /// The surface normal.
+    /// Normal of the surface.
     Normal,
-    /// The vertical (Meng et al. 2023, Eq. 9): correct on flat bottoms only.
+    /// Vertical (Meng et al. 2023, Eq. 9). Correct only on flat seabeds.
     Flat,
 }
 
-/// Grid of backscattering strengths in dB, in the formats and coordinates of the seabed.
+/// Grid of backscattering strengths in dB, in the formats and coordinate systems of the seabed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MosaicSpec {
-    /// File of backscattering strengths.
+    /// Path of the grid.
     pub path: PathBuf,
-    /// Coordinate system, if the file names none or a wrong one.
+    /// Coordinate system, if the file has none or a wrong one.
     pub crs: Option<CrsSpec>,
     /// Meaning of the values.
     pub values: MosaicValues,
-    /// Moves the mosaic northward.
+    /// Northward shift of the mosaic, metres.
     pub offset_north_m: f64,
-    /// Moves the mosaic eastward.
+    /// Eastward shift of the mosaic, metres.
     pub offset_east_m: f64,
 }
 
 /// Meaning of a mosaic's values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MosaicValues {
-    /// Strengths at this incidence, to which the scattering law is scaled.
+    /// Strengths at one angle of incidence. The scattering law is scaled to them.
     Absolute {
-        /// Incidence angle of the strengths.
+        /// Angle of incidence of the strengths, radians.
         incidence_rad: f64,
     },
-    /// Values added to the scattering law.
+    /// Differences to the scattering law.
     Relative,
 }
 
 /// Number of scatterers per area of seabed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Density {
-    /// Constant, per horizontal square metre.
+    /// Constant number per horizontal square metre.
     PerM2(f64),
-    /// At slant range r at least `per_cell` in every r `beam_rad` x `range_m`, the finest resolution cell of any sonar: fewer per square metre the
-    /// farther away, out to `longest_range_m`.
+    /// Density that decreases with slant range r out to `longest_range_m`. Every cell of r `beam_rad` x `range_m`, the finest
+    /// resolution cell of any sonar, has at least `per_cell` scatterers.
     Auto {
         /// Scatterers in the finest resolution cell.
         per_cell: f64,
-        /// Range resolution.
+        /// Range resolution, metres.
         range_m: f64,
-        /// Beam width.
+        /// Beam width, radians.
         beam_rad: f64,
-        /// Longest range of any sonar.
+        /// Maximum range of any sonar, metres.
         longest_range_m: f64,
     },
 }
 
-/// Depth of the seabed.
+/// Shape of the seabed.
 #[derive(Clone, Debug)]
 pub enum SeabedShape {
-    /// z = depth + slope_north x + slope_east y.
+    /// Plane: z = depth + slope_north x + slope_east y.
     Plane {
-        /// Below the scene's origin.
+        /// Depth below the scene's origin, metres.
         depth_m: f64,
-        /// Metres of depth per metre northward.
+        /// Change of depth per metre northward.
         slope_north: f64,
-        /// Metres of depth per metre eastward.
+        /// Change of depth per metre eastward.
         slope_east: f64,
     },
-    /// A surveyed seabed. Its centre lies at the scene's origin plus the offset.
+    /// Surveyed seabed. Its centre is at the scene's origin plus the offset.
     File {
-        /// The survey.
+        /// File of the survey.
         file: SeabedFileSpec,
-        /// Moves the survey northward.
+        /// Northward shift of the survey, metres.
         offset_north_m: f64,
-        /// Moves the survey eastward.
+        /// Eastward shift of the survey, metres.
         offset_east_m: f64,
     },
-    /// A seabed of Meng et al. 2023.
+    /// Analytic seabed of Meng et al. 2023.
     Paper(PaperShape),
 }
 
-/// The bottoms of Meng et al. 2023.
+/// Analytic seabeds of Meng et al. 2023.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PaperShape {
-    /// Fig. 6.
+    /// Seabed of Fig. 6.
     Curves,
-    /// Fig. 12.
+    /// Seabed of Fig. 12.
     Relief,
-    /// Fig. 17, without its piers.
+    /// Seabed of Fig. 17, without its piers.
     Lake,
 }
 
@@ -808,36 +810,36 @@ impl PaperShape {
     }
 }
 
-/// Thinning of each ping's scatterers.
+/// Selection of a subset of the scatterers of each ping.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimplifySpec {
-    /// Choice of scatterers.
+    /// Method of selection.
     pub method: SimplifyMethod,
-    /// Scatterers of the seabed to keep in a ping.
+    /// Number of seabed scatterers to keep in a ping.
     pub keep: usize,
     /// Weights of the energy terms.
     pub weights: EnergyWeights,
-    /// The choice is renewed after the sonar has moved this far.
+    /// Distance that the sonar moves before a new selection, metres.
     pub hold_m: f64,
-    /// The choice is renewed after the sonar has turned this much.
+    /// Angle that the sonar turns before a new selection, radians.
     pub hold_rad: f64,
-    /// Find shadows among the scatterers before the choice.
+    /// True if shadows are found among the scatterers before the selection.
     pub shadows: bool,
 }
 
-/// Choice of scatterers.
+/// Method of selecting scatterers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SimplifyMethod {
     /// Eqs. 26-29 of Meng et al. 2023, corrected.
     Acoustic,
-    /// The same as printed.
+    /// Eqs. 26-29 of Meng et al. 2023, as printed.
     Paper,
-    /// Random, with compensated amplitudes.
+    /// Random selection with compensated amplitudes.
     Unbiased,
 }
 
 impl SimplifyMethod {
-    /// Every method.
+    /// All methods.
     pub const ALL: [Self; 3] = [Self::Acoustic, Self::Paper, Self::Unbiased];
     /// Name in the configuration and on the command line.
     pub fn name(self) -> &'static str {
@@ -845,21 +847,21 @@ impl SimplifyMethod {
     }
 }
 
-/// Weights of the parts of a scatterer's energy.
+/// Weights of the terms of a scatterer's energy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EnergyWeights {
-    /// Gaussian curvature.
+    /// Weight of the Gaussian curvature.
     pub curvature: f64,
-    /// Scattered energy.
+    /// Weight of the scattered energy.
     pub scattering: f64,
-    /// Two-way pattern.
+    /// Weight of the two-way pattern.
     pub axis: f64,
-    /// Of the product of scattering and axis.
+    /// Weight of the product of scattered energy and two-way pattern.
     pub echo: f64,
 }
 
 impl EnergyWeights {
-    /// Equal weights: the paper names three weights and gives no values.
+    /// Equal weights. Meng et al. 2023 name three weights and give no values.
     pub const PAPER: Self = Self {
         curvature: 1.0,
         scattering: 1.0,
@@ -882,29 +884,29 @@ impl EnergyWeights {
     }
 }
 
-/// A seabed file and its interpretation. None: as the file says, or detected from its values.
+/// Seabed file and the interpretation of its values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeabedFileSpec {
-    /// The survey.
+    /// Path of the survey.
     pub path: PathBuf,
-    /// None: detected.
+    /// Format; `None` detects the format.
     pub format: Option<SeabedFormat>,
-    /// None: as the file says.
+    /// Coordinate system; `None` uses that of the file.
     pub crs: Option<CrsSpec>,
-    /// None: as the file says, or by the sign of most values.
+    /// Sign of the heights; `None` uses that of the file, or the sign of most values.
     pub values: Option<HeightSign>,
-    /// Position of a grid's first row.
+    /// Position of the first row of a grid; `None` uses that of the file.
     pub first_row: Option<FirstRow>,
-    /// Value of a hole, besides the one that the file names.
+    /// Value of a hole, in addition to the value that the file declares.
     pub nodata: Option<f64>,
-    /// Grid cell for soundings, metres.
+    /// Cell size of the grid for soundings, metres.
     pub cell_m: Option<f64>,
-    /// Triangles of soundings with a longer edge are holes, metres.
+    /// Maximum edge length of a triangle of soundings, metres. Larger triangles are holes.
     pub max_edge_m: Option<f64>,
 }
 
 impl SeabedFileSpec {
-    /// The file as it presents itself.
+    /// Specification that interprets the file only by its own content.
     pub fn of(path: PathBuf) -> Self {
         Self {
             path,
@@ -928,7 +930,7 @@ pub enum SeabedFormat {
     GeoTiff,
     /// Bathymetric Attributed Grid (HDF5).
     Bag,
-    /// Text of three columns.
+    /// Text with three columns.
     Xyz,
     /// LAS point cloud.
     Las,
@@ -936,20 +938,20 @@ pub enum SeabedFormat {
     Ply,
 }
 
-/// Coordinate system of a file.
+/// Coordinate system of a seabed file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CrsSpec {
-    /// Metres about an origin without geographic position.
+    /// Metres about an origin without a geographic position.
     Local,
     /// Longitude and latitude in degrees, WGS84.
     Geographic,
-    /// Metres of a projection that is not converted to latitude and longitude.
+    /// Metres in a projection that is not converted to latitude and longitude.
     Projected,
     /// Universal transverse Mercator on WGS84.
     Utm {
-        /// 1 to 60.
+        /// Zone number, 1 to 60.
         zone: u8,
-        /// Northern hemisphere.
+        /// True for the northern hemisphere.
         north: bool,
     },
 }
@@ -957,7 +959,7 @@ pub enum CrsSpec {
 impl std::str::FromStr for CrsSpec {
     type Err = &'static str;
 
-    /// `local`, `geographic`, `projected`, `utm-31n`, `EPSG:4326`, `EPSG:32631`; in any case.
+    /// Parses `local`, `geographic`, `projected`, `utm-31n`, `EPSG:4326` or `EPSG:32631`, in upper or lower case.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         const RULE: &str = "must be \"local\", \"geographic\", \"projected\", a zone like \"utm-31n\" or \"utm-19s\", or its number, \"EPSG:32631\"";
         let small = text.trim().to_ascii_lowercase();
@@ -986,16 +988,16 @@ impl std::str::FromStr for CrsSpec {
     }
 }
 
-/// Meaning of a survey's heights.
+/// Sign of the heights of a survey.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HeightSign {
-    /// Positive up.
+    /// Heights are positive up.
     Elevation,
-    /// Positive down.
+    /// Heights are positive down.
     Depth,
 }
 
-/// Position of a grid's first row.
+/// Position of the first row of a grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FirstRow {
     /// At the northern edge.
@@ -1004,50 +1006,51 @@ pub enum FirstRow {
     South,
 }
 
-/// Timing, threads and delivery.
+/// Timing, threads and delivery of pings.
 #[derive(Clone, Debug)]
 pub struct RunSpec {
-    /// 0: one per core.
+    /// Number of computing threads; 0 means one per core.
     pub threads: usize,
-    /// Delivery after the end of the window, seconds.
+    /// Delay of the delivery after the end of the listening window, seconds.
     pub latency_s: f64,
     /// Interval between printed status lines, seconds.
     pub status_interval_s: f64,
-    /// Pings that may wait for delivery.
+    /// Maximum number of pings that wait for delivery.
     pub queue_pings: usize,
-    /// Clock of the rig.
+    /// Speed of rig time.
     pub clock: ClockSpec,
-    /// SCHED_FIFO, 1 to 99; 0: ordinary scheduling, and memory is not locked.
+    /// SCHED_FIFO priority, 1 to 99. With 0, scheduling is normal and memory is not locked.
     pub priority: u8,
-    /// Of the threads that compute pings, -20 to 0.
+    /// Nice value of the computing threads, -20 to 0.
     pub compute_nice: i8,
-    /// Folder of the fault log; none: the folder of the records.
+    /// Folder of the fault log; `None` uses the folder of the records.
     pub fault_directory: Option<PathBuf>,
-    /// Share of the time to the next ping over which a ping's datagrams leave; none: all at once.
+    /// Fraction of the time to the next ping over which the datagrams of a ping are sent. `None` sends all at once.
     pub spread_share: Option<f64>,
-    /// Records over TCP are spread as well.
+    /// True if records over TCP are also spread in time.
     pub pace_tcp: bool,
-    /// When records leave.
+    /// Time at which element samples are sent.
     pub delivery: DeliverySpec,
-    /// A streamed ping is computed in tiles, and its first blocks leave meanwhile.
+    /// True if a streamed ping is computed in tiles, and its first blocks are sent before the last tile is computed.
     pub stream_tiles: bool,
-    /// What happens when a ping cannot be ready in time.
+    /// Action if a ping cannot be ready in time.
     pub overload: OverloadSpec,
-    /// Minimum computing time of a ping, halved at each looser tolerance, seconds; for testing overload.
+    /// Minimum computing time of a ping, seconds, for tests of overload. It is halved at each larger tolerance.
     pub simulated_compute_s: f64,
-    /// A ping is computed this long before its pulse, from the predicted motion, seconds. Above 0 only in `predict`.
+    /// Lead of the computation of a ping before its pulse, seconds, with the predicted motion. Above 0 only in mode `predict`.
     pub ahead_s: f64,
-    /// Cost table of the methods on this machine; none: the built-in table.
+    /// File of the cost table of this machine; `None` uses the built-in table.
     pub costs: Option<PathBuf>,
 }
 
 impl RunSpec {
-    /// [`RunSpec::ahead_s`] in whole nanoseconds, so that every caller gets the same instant.
+    /// [`RunSpec::ahead_s`] in whole nanoseconds, so every caller computes the same instant.
     pub fn ahead_ns(&self) -> i64 {
         (self.ahead_s * 1e9).round() as i64
     }
 
-    /// The last instant after a pulse at which its samples are of use: the first block's where they stream, else the ping's delivery. Seconds.
+    /// Time after a pulse at which its samples must be ready, seconds. In streaming delivery this is the delivery of the first
+    /// block, otherwise of the ping.
     pub fn ready_after_s(&self, window_s: f64) -> f64 {
         match self.delivery {
             DeliverySpec::PingEnd => window_s + self.latency_s,
@@ -1056,7 +1059,7 @@ impl RunSpec {
     }
 }
 
-/// When element samples leave.
+/// Time at which element samples are sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum DeliverySpec {
     /// At the end of the ping, with its other records.
@@ -1070,12 +1073,12 @@ pub enum DeliverySpec {
     },
 }
 
-/// Speed of rig time. The samples do not depend on it.
+/// Speed of rig time. The samples do not depend on the speed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ClockSpec {
     /// The computer's time.
     RealTime,
-    /// This many times as fast as real time.
+    /// Real time multiplied by this factor.
     Scaled(f64),
     /// As fast as pings can be computed.
     Fast,
@@ -1084,34 +1087,34 @@ pub enum ClockSpec {
 }
 
 impl ClockSpec {
-    /// Whether rig time advances from pulse to pulse, so that nothing is late.
+    /// Whether rig time advances from pulse to pulse. No ping is then late.
     pub fn is_own(self) -> bool {
         matches!(self, Self::Fast | Self::Lockstep)
     }
 }
 
-/// Where records are stored.
+/// Recording of the output records.
 #[derive(Clone, Debug)]
 pub struct RecordSpec {
-    /// Created if it does not exist.
+    /// Folder of the records. It is created if it does not exist.
     pub directory: PathBuf,
 }
 
 /// Control over HTTP.
 #[derive(Clone, Debug, Default)]
 pub struct ControlSpec {
-    /// None: no control.
+    /// Address of the server; `None` disables control.
     pub listen: Option<SocketAddr>,
-    /// Always present unless `listen` is a loopback address.
+    /// Password of the clients. Always present unless `listen` is a loopback address.
     pub token: Option<String>,
-    /// If the port of `listen` is taken, any free port is used.
+    /// True if any free port is used when the port of `listen` is in use.
     pub or_any_port: bool,
 }
 
-/// One sonar head.
+/// Specification of one sonar.
 #[derive(Clone, Debug)]
 pub struct SonarSpec {
-    /// Unique among the sonars.
+    /// Name, unique among the sonars.
     pub name: String,
     /// Serial number in the records.
     pub serial: u64,
@@ -1121,85 +1124,85 @@ pub struct SonarSpec {
     pub more_pulses: Vec<MorePulseSpec>,
     /// Transmit arrays.
     pub transmit: Vec<TransmitArray>,
-    /// Names, in the order of `transmit`.
+    /// Names of the transmit arrays, in the order of `transmit`.
     pub transmit_names: Vec<String>,
     /// Receive arrays.
     pub receive: Vec<ArrayGeometry>,
-    /// Names, in the order of `receive`.
+    /// Names of the receive arrays, in the order of `receive`.
     pub receive_names: Vec<String>,
-    /// From element voltages to samples.
+    /// Receiver chain after the elements.
     pub receiver: Receiver,
-    /// Settings at start.
+    /// Initial settings.
     pub settings: SonarSettings,
-    /// Range of each setting.
+    /// Limits of the settings.
     pub limits: LimitsSpec,
-    /// Source of pings.
+    /// Origin of the ping triggers.
     pub trigger: TriggerSpec,
-    /// Signals at each pulse.
+    /// Output signals at each pulse.
     pub trigger_out: TriggerOutSpec,
-    /// Path, Doppler and synthesis methods.
+    /// Path model, Doppler model and synthesis method.
     pub model: ModelChoice,
     /// Tolerance and error check.
     pub synthesis: SynthesisSpec,
-    /// Side-scan lines and fan.
+    /// Side-scan lines and fan of beams.
     pub beams: BeamsSpec,
-    /// Look of replay pictures.
+    /// Appearance of replay pictures.
     pub picture: PictureSpec,
-    /// Protocols.
+    /// Protocol outputs.
     pub outputs: Vec<OutputSpec>,
 }
 
-/// A further pulse.
+/// Further pulse of a ping.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MorePulseSpec {
-    /// Duration and taper equal those of the sonar's own pulse.
+    /// Transmitted pulse. Duration and taper equal those of the sonar's own pulse.
     pub pulse: Pulse,
-    /// Delay after the sonar's own pulse.
+    /// Delay after the sonar's own pulse, seconds.
     pub delay_s: f64,
-    /// Index of the transmit array that sends it, to all receive arrays; none: each receive array's own sends it.
+    /// Index of the transmit array of the pulse for all receive arrays. `None`: each receive array has its own transmit array.
     pub transmit: Option<usize>,
 }
 
-/// Look of replay pictures.
+/// Appearance of replay pictures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PictureSpec {
     /// Across-track axis of the waterfall.
     pub range: PictureRange,
-    /// The receiver's time-varying gain is removed.
+    /// True if the receiver's time-varying gain is removed.
     pub raw: bool,
     /// Colour map of waterfall and mosaic.
     pub colours: ColourMap,
     /// Limits of the colour scale.
     pub contrast: Contrast,
-    /// The mean level at each range is removed.
+    /// True if the mean level at each range is removed.
     pub flatten: bool,
-    /// Pixel size across the waterfall; none: 600 pixels per side.
+    /// Pixel size across the waterfall, metres; `None` gives 600 pixels per side.
     pub metres_per_pixel: Option<f64>,
-    /// Interval between pictures of the fan, pings.
+    /// Number of pings between pictures of the fan.
     pub fan_every_pings: u32,
-    /// Look of the mosaic.
+    /// Appearance of the mosaic.
     pub mosaic: MosaicLook,
 }
 
-/// Look of a mosaic.
+/// Appearance of a mosaic.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MosaicLook {
-    /// Pixel size.
+    /// Pixel size, metres.
     pub metres_per_pixel: f64,
-    /// Value of a pixel that several passes cover.
+    /// Value of a pixel that several pings cover.
     pub overlap: Overlap,
-    /// Directions closer to the vertical are left out.
+    /// Minimum angle from the vertical, radians. Samples below this angle are excluded.
     pub nadir_rad: f64,
 }
 
 /// Value of a pixel that several pings cover.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Overlap {
-    /// The mean intensity.
+    /// Mean intensity of all pings.
     Mean,
-    /// The last ping.
+    /// Intensity of the last ping.
     Last,
-    /// The mean over the pings of the nearest pass.
+    /// Mean intensity of the pings of the nearest pass.
     Nearest,
 }
 
@@ -1208,23 +1211,23 @@ pub enum Overlap {
 pub enum PictureRange {
     /// Slant range.
     Slant,
-    /// Ground range with a flat bottom at the true depth under the sonar.
+    /// Ground range, for a flat seabed at the true depth under the sonar.
     Ground,
-    /// Ground range with a flat bottom at the range of the first bottom echo.
+    /// Ground range, for a flat seabed at the range of the first bottom echo.
     GroundFirstReturn,
 }
 
 /// Limits of the colour scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Contrast {
-    /// Shares (0 to 1) of the picture's own pixels that lie below darkest and below brightest.
+    /// Quantiles of the pixel values of each picture.
     Percentiles {
-        /// Share of the darkest pixels, 0 to 1.
+        /// Fraction of the pixels below the darkest colour, 0 to 1.
         low: f64,
-        /// Share of the pixels below the brightest, 0 to 1.
+        /// Fraction of the pixels below the brightest colour, 0 to 1.
         high: f64,
     },
-    /// dB re 1 V; over the mean at that range where the picture is flattened.
+    /// Fixed levels, dB re 1 V. In a flattened picture they are relative to the mean level at the range.
     Fixed {
         /// Level of the darkest colour, dB re 1 V.
         low_db: f64,
@@ -1233,16 +1236,16 @@ pub enum Contrast {
     },
 }
 
-/// Colours from dark to bright.
+/// Colour map from dark to bright.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColourMap {
     /// Black to white.
     Grey,
-    /// Black, brown, gold, pale yellow: side-scan paper.
+    /// Black, brown, gold, pale yellow, like side-scan paper.
     Copper,
-    /// Dark blue to white through cyan: water columns.
+    /// Dark blue to white through cyan, for water columns.
     Blue,
-    /// Blue, green, yellow, red: echo strength, and depth turned round.
+    /// Blue, green, yellow, red, for echo strength and, reversed, for depth.
     Rainbow,
 }
 
@@ -1252,7 +1255,8 @@ impl Default for PictureSpec {
             range: PictureRange::Slant,
             raw: false,
             colours: ColourMap::Copper,
-            // The water column, about a third of a picture, is dark; the seabed fills the middle, and little is brightest.
+            // The water column, about a third of a picture, is dark. The seabed has medium levels, and few pixels have the
+            // brightest colour.
             contrast: Contrast::Percentiles {
                 low: 0.28,
                 high: 0.99997,
@@ -1272,29 +1276,29 @@ impl Default for PictureSpec {
 /// Tolerance, error check and options of the synthesis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SynthesisSpec {
-    /// Relative error of element samples in any window of a pulse's length, before noise and converter: what engines are made for, and what a
-    /// error check is held to.
+    /// Tolerance of the relative error of element samples, before noise and converter, in any window of a pulse length. Engines are
+    /// designed for it, and the error check tests it.
     pub tolerance: f64,
-    /// Recompute random samples with the reference.
+    /// True if random samples are recomputed with the reference solution.
     pub error_check: bool,
-    /// Step of `spectral`'s frequency grid; none: one over the longest record, or finer.
+    /// Frequency step of `spectral`, hertz. `None` is the reciprocal of the longest record, or a finer step.
     pub frequency_step_hz: Option<f64>,
-    /// Range of the nearest scatterer that `gridded-2d` is designed for.
+    /// Minimum range of scatterers for which `gridded-2d` is designed, metres.
     pub nearest_m: f64,
-    /// Tolerance of the engine, where models need the rest of `tolerance`; none: all of it.
+    /// Tolerance of the engine if models use the rest of `tolerance`. `None`: the engine has all of `tolerance`.
     pub engine_tolerance: Option<f64>,
-    /// Methods that are chosen automatically.
+    /// Methods that are selected automatically.
     pub auto: AutoModel,
-    /// Range cells by which echoes may be displaced if only pictures are used; none: the sample tolerance applies.
+    /// Maximum displacement of echoes in range cells, if only pictures are used. `None`: the tolerance of samples applies.
     pub image_cells: Option<f64>,
-    /// Element samples or side-scan lines.
+    /// Result of the synthesis: element samples or side-scan lines.
     pub output: MadeOutput,
-    /// Why elements are required; none: only side-scan lines are.
+    /// Reason why elements are required; `None` if only side-scan lines are required.
     pub elements_for: Option<&'static str>,
 }
 
 impl SynthesisSpec {
-    /// The tolerance that the engine is built for.
+    /// Tolerance for which the engine is designed.
     pub fn made_for(&self) -> f64 {
         self.engine_tolerance.unwrap_or(self.tolerance)
     }
@@ -1324,60 +1328,60 @@ pub use families::{ImagenexSpec, JsfChannels, JsfFormat, JsfSpec, XtfSpec};
 pub struct BeamsSpec {
     /// Side-scan lines and their receive arrays.
     pub lines: Vec<LineSpec>,
-    /// Side-scan lines are focused along range.
+    /// True if side-scan lines are focused along range.
     pub focused_lines: bool,
-    /// Range over the used array length, for focused lines; none: the whole array.
+    /// Ratio of range to used array length for focused lines; `None` uses the whole array.
     pub line_f_number: Option<f64>,
-    /// Shading along the array, for focused lines.
+    /// Shading along the array for focused lines.
     pub line_shading: Shading,
-    /// None: no fan.
+    /// Fan of beams; `None` for a sonar without fan.
     pub fan: Option<FanSpec>,
-    /// Window of every matched filter.
+    /// Window of all matched filters.
     pub weighting: Shading,
-    /// None: no synthetic aperture.
+    /// Synthetic aperture image; `None` computes no image.
     pub synthetic_aperture: Option<SyntheticApertureSpec>,
 }
 
-/// Horizontal area onto which a replay's pings are back-projected.
+/// Horizontal area on which a replay back-projects its pings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SyntheticApertureSpec {
-    /// Indices of the receive arrays that are used.
+    /// Indices of the receive arrays in use.
     pub arrays: Vec<usize>,
-    /// Southern and northern edge.
+    /// Southern and northern edge, world, metres.
     pub north_m: (f64, f64),
-    /// Western and eastern edge.
+    /// Western and eastern edge, world, metres.
     pub east_m: (f64, f64),
-    /// Depth of all pixels.
+    /// Depth of all pixels, world, metres.
     pub down_m: f64,
-    /// Pixel size.
+    /// Pixel size, metres.
     pub cell_m: f64,
 }
 
 impl SyntheticApertureSpec {
-    /// Columns (west to east) and rows.
+    /// Number of columns (west to east) and of rows.
     pub fn size(&self) -> (usize, usize) {
         let cells = |(from, to): (f64, f64)| ((to - from) / self.cell_m - 1e-9).ceil() as usize;
         (cells(self.east_m).max(1), cells(self.north_m).max(1))
     }
 }
 
-/// A side-scan line.
+/// Side-scan line of one receive array.
 #[derive(Clone, Debug)]
 pub struct LineSpec {
-    /// Side that the array looks to.
+    /// Side of the platform to which the array points.
     pub side: Side,
     /// Index of the receive array.
     pub array: usize,
 }
 
-/// A fan of beams.
+/// Fan of beams of one receive array.
 #[derive(Clone, Debug)]
 pub struct FanSpec {
     /// Index of the receive array.
     pub array: usize,
     /// Number of beams.
     pub beams: usize,
-    /// From port-most to starboard-most, radians.
+    /// Angle from the most port to the most starboard beam, radians.
     pub sector_rad: f64,
     /// Shading along the array.
     pub shading: Shading,
@@ -1385,22 +1389,22 @@ pub struct FanSpec {
     pub form: FanForm,
 }
 
-/// Distribution and forming of a fan's beams.
+/// Beamforming method of a fan, and distribution of its beams.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FanForm {
     /// Beamforming method.
     pub former: Former,
     /// Distribution of the beams over the sector.
     pub spacing: BeamSpacing,
-    /// Middle of the sector, from the boresight.
+    /// Angle of the middle of the sector from the boresight, radians.
     pub center_rad: f64,
-    /// Beam angles count from the vertical.
+    /// True if beam angles are relative to the vertical.
     pub roll_stabilised: bool,
-    /// Range over the used array length with `dynamic-focus`; none: the whole array.
+    /// Ratio of range to used array length with `dynamic-focus`; `None` uses the whole array.
     pub f_number: Option<f64>,
-    /// Maximum carrier phase error at the ends of a focal zone with `dynamic-focus`.
+    /// Maximum carrier phase error at the ends of a focal zone with `dynamic-focus`, radians.
     pub focus_error_rad: f64,
-    /// Detect the bottom in every beam.
+    /// True if the bottom is detected in every beam.
     pub bottom_detection: bool,
 }
 
@@ -1421,15 +1425,15 @@ impl Default for FanForm {
 /// Beamforming method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Former {
-    /// Far field, true time delays at every frequency, f64.
+    /// Far field, true time delays at all frequencies, computed in f64.
     Exact,
-    /// The same with FFTs over time and array, f32.
+    /// The same as `Exact`, computed with FFTs over time and array in f32.
     Fft,
-    /// Far field, true time delays to a fraction of a sample, f32.
+    /// Far field, true time delays to a fraction of a sample, computed in f32.
     TimeDelay,
     /// Far field, carrier phases only.
     Phase,
-    /// Near field, refocused along range, with the receiver's motion.
+    /// Near field, refocused along range, with the motion of the receiver.
     DynamicFocus,
 }
 
@@ -1445,9 +1449,9 @@ impl Former {
 pub enum BeamSpacing {
     /// Equal steps of angle.
     EquiAngle,
-    /// Equal steps of distance on a flat bottom.
+    /// Equal distances on a flat seabed.
     EquiDistant,
-    /// Equal steps of sine, as from an FFT over the array.
+    /// Equal steps of the sine, as given by an FFT over the array.
     EquiSine,
 }
 
@@ -1458,7 +1462,7 @@ impl BeamSpacing {
     }
 }
 
-/// Weights along an aperture or a pulse; side lobes are positive, dB under the main lobe.
+/// Weights along an aperture or a pulse. Side lobe levels are positive, dB below the main lobe.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Shading {
     /// No shading.
@@ -1470,12 +1474,12 @@ pub enum Shading {
     Hamming,
     /// Taylor window.
     Taylor {
-        /// Below the main lobe.
+        /// Side lobe level, dB below the main lobe.
         side_lobe_db: f64,
     },
-    /// Chebyshev window; along a pulse the Taylor window of the same side lobes.
+    /// Chebyshev window. Along a pulse, the Taylor window with the same side lobe level is used.
     Chebyshev {
-        /// Below the main lobe.
+        /// Side lobe level, dB below the main lobe.
         side_lobe_db: f64,
     },
     /// Kaiser window.
@@ -1499,7 +1503,7 @@ impl Shading {
     }
 }
 
-/// A protocol and its parameters.
+/// Output protocol and its parameters.
 #[derive(Clone, Debug)]
 pub enum OutputSpec {
     /// Teledyne RESON 7k.
@@ -1531,20 +1535,20 @@ pub struct SevenKSpec {
     pub listen: SocketAddr,
     /// 7k device identifier.
     pub device_id: u32,
-    /// Distinguishes heads with the same device identifier.
+    /// Number that distinguishes sonar heads with the same device identifier.
     pub enumerator: u16,
     /// Indices of the receive arrays of record 7038, in this order.
     pub arrays: Vec<usize>,
-    /// Files leave out records that common readers do not know.
+    /// True if files have only the records that common readers know.
     pub has_common_files: bool,
-    /// Packet length with network frame, bytes.
+    /// Maximum packet length with network frame, bytes.
     pub max_packet: usize,
-    /// Queue of one client; further records are dropped.
+    /// Size of the queue of one client, bytes. Records beyond it are dropped.
     pub client_queue_bytes: usize,
-    /// A client with a full queue is disconnected instead of missing records.
+    /// True if a client with a full queue is disconnected instead of missing records.
     pub disconnect_when_full: bool,
-    /// Addresses, besides a client's own, to which a client may have records sent.
+    /// Addresses, besides its own, to which a client may direct records.
     pub third_parties: Vec<IpAddr>,
-    /// Connections at the same time.
+    /// Maximum number of simultaneous connections.
     pub max_clients: usize,
 }

@@ -1,4 +1,4 @@
-//! The derived quantities of a rig, as text.
+//! Summary of the derived quantities of a rig, as text.
 
 mod families;
 mod nav;
@@ -17,17 +17,17 @@ use echotank_core::frames::rotation_from_angles;
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::pulse::PulseKind;
 
-/// Tilt of the platform in the sign test.
+/// Tilt of the platform in the sign test, degrees.
 const SIGN_TEST_DEG: f64 = 10.0;
 
-/// -3 dB width of a uniform line, in wavelengths over its length: sinc^2(0.443) = 1/2.
+/// -3 dB beam width of a uniform line, in units of wavelength over length: sinc^2(0.443) = 1/2.
 const BEAMWIDTH: f64 = 0.886;
-/// Quiet time between listening window and next pulse: `ping::TURNAROUND_S`, which may not be imported here.
+/// Pause between listening window and next pulse, seconds. Equal to `ping::TURNAROUND_S`, which this crate cannot import.
 const TURNAROUND_S: f64 = 1e-3;
-/// Names line up in a column this wide.
+/// Width of the column of names.
 const LABEL: usize = 12;
 
-/// The derived quantities of a rig, one per line, and notes on unusual settings.
+/// Derived quantities of a rig, one per line, with notes on unusual settings.
 pub fn summary(rig: &RigSpec) -> String {
     let mut text = String::new();
     write_rig(&mut text, rig).expect("a String takes everything");
@@ -184,12 +184,12 @@ fn scene(scene: &SceneSpec) -> String {
     }
 }
 
-/// The rates, lengths and sizes of one sonar at its starting settings.
+/// Rates, lengths and sizes of one sonar at its initial settings.
 struct Derived {
     wavelength_m: f64,
     window_s: f64,
     samples: f64,
-    /// The set rate, or the highest that the range allows.
+    /// The set ping rate, or the maximum that the range allows if that is lower.
     ping_rate_hz: f64,
     longest_rate_hz: f64,
 }
@@ -302,7 +302,7 @@ fn gain(receiver: &Receiver, range_m: f64) -> String {
     }
 }
 
-/// -3 dB beam width of an aperture of this length, degrees; 180 if it is too short to have one.
+/// -3 dB beam width of an aperture of this length, degrees; 180 if the aperture is too short for a beam.
 fn beamwidth_deg(wavelength_m: f64, length_m: f64) -> f64 {
     let sine = BEAMWIDTH * wavelength_m / length_m;
     if sine.is_finite() && sine < 2.0 {
@@ -352,7 +352,7 @@ fn write_arrays(out: &mut String, sonar: &SonarSpec, wavelength_m: f64) -> fmt::
     write_signs(out, sonar)
 }
 
-/// Displacement of a body point when the platform tilts.
+/// Displacement of a body point when the platform rolls and pitches.
 fn tilted(at: DVec3) -> String {
     let tilt_rad = SIGN_TEST_DEG.to_radians();
     let moves = |roll_rad: f64, pitch_rad: f64| {
@@ -373,7 +373,7 @@ fn tilted(at: DVec3) -> String {
     )
 }
 
-/// Effect of roll and pitch on each array, which shows a wrong sign or a swapped axis.
+/// Effect of roll and pitch on each array. It reveals a wrong sign or an exchanged axis.
 fn write_signs(out: &mut String, sonar: &SonarSpec) -> fmt::Result {
     let transmit = sonar.transmit_names.iter().zip(&sonar.transmit);
     let receive = sonar.receive_names.iter().zip(&sonar.receive);
@@ -499,7 +499,7 @@ fn note_surprises(sonar: &SonarSpec, d: &Derived, c: f64, notes: &mut Vec<String
     }
     if let Some(fan) = &sonar.beams.fan {
         let array = &sonar.receive[fan.array];
-        // d (1 + sin of the outermost beam) < lambda keeps the first grating lobe out of sight.
+        // d (1 + sin of the outermost beam) < lambda keeps the first grating lobe outside the visible region.
         let reach = 1.0 + (fan.sector_rad / 2.0).sin();
         if array.spacing_m * reach > d.wavelength_m {
             notes.push(format!(

@@ -1,4 +1,4 @@
-//! The receive arrays of a sonar, as its beams and outputs name them.
+//! The receive arrays of a sonar, by the names that beams and outputs use.
 
 use std::collections::HashSet;
 
@@ -8,19 +8,19 @@ use glam::DQuat;
 use super::{all, index_of};
 use crate::raw::{Field, Problems};
 
-/// The receive arrays that beams and outputs refer to; none: an array with a problem.
+/// Receive arrays that beams and outputs refer to. An entry is `None` if the array has a problem.
 pub(crate) struct Arrays<'a> {
     pub names: &'a [Option<&'a str>],
     pub specs: &'a [Option<ArrayGeometry>],
 }
 
 impl Arrays<'_> {
-    /// The array that `key` names.
+    /// Index of the array that `key` names.
     pub(crate) fn named(&self, key: &Field<String>, problems: &mut Problems) -> Option<usize> {
         index_of(key.text()?, key, self.names, "receive array", problems)
     }
 
-    /// Indices of the arrays named under `arrays`, or of all arrays if it is not given.
+    /// Indices of the arrays listed under `arrays`, or of all arrays if the key is absent.
     pub(crate) fn chosen(
         &self,
         arrays: &Field<Vec<String>>,

@@ -1,24 +1,25 @@
 //! Default of the culling level.
 //!
-//! Over a seabed, the energy that a ring of ground returns from directions below a floor of the two-way pattern is a known share of all that it
-//! returns, and the root of the share is the relative error of that window's samples. The floor is the highest that costs
-//! [`SHARE_OF_TOLERANCE`] of the tolerance at any of [`INCIDENCES_DEG`] and any array, on a level platform over flat, evenly scattering ground.
+//! A ring is the seabed at one angle of incidence. Directions below a floor of the two-way pattern return a known fraction of the
+//! ring's energy. The square root of the fraction is the relative error of the samples of that window. The default is the highest
+//! floor with an error of at most [`SHARE_OF_TOLERANCE`] of the tolerance. It holds at all [`INCIDENCES_DEG`] and for all arrays,
+//! on a level platform over a flat, uniform seabed.
 
 use glam::DVec3;
 
 use super::super::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, Pattern, TransmitArray};
 
-/// The rest is left to the errors of engines and models.
+/// Fraction of the tolerance for culling. Engines and models may use the rest.
 const SHARE_OF_TOLERANCE: f64 = 0.5;
-/// From near the first bottom return to grazing.
+/// Angles of incidence, degrees: from near the first bottom return to near grazing.
 const INCIDENCES_DEG: [f64; 4] = [20.0, 45.0, 70.0, 85.0];
-/// Directions on a ring.
+/// Number of directions on a ring.
 const AZIMUTHS: usize = 7200;
-/// Lower floors are not used, dB: they leave out almost nothing.
+/// Minimum floor, dB. A lower floor culls almost nothing.
 const MIN_DB: f64 = -120.0;
 
-/// The default of [`ModelChoice::cull_db`](echotank_core::model::ModelChoice); none if culling has no use.
+/// The default of [`ModelChoice::cull_db`](echotank_core::model::ModelChoice). `None` if culling has no effect.
 pub(super) fn floor_db(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Option<f64> {
     let wavelength_m = sound_speed_m_per_s / sonar.pulse.center_frequency_hz;
     let share = (SHARE_OF_TOLERANCE * sonar.synthesis.tolerance).powi(2);
@@ -27,12 +28,12 @@ pub(super) fn floor_db(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Option<f6
         INCIDENCES_DEG.map(|deg| floor(transmit, array, wavelength_m, deg.to_radians(), share))
     });
     let least = floors.fold(f64::INFINITY, f64::min);
-    // Rounded down to a tenth, so that the number in the records is exact.
+    // The floor is rounded down to a tenth, so the number in the records is exact.
     let db = (200.0 * libm::log10(least)).floor() / 10.0;
     (MIN_DB..0.0).contains(&db).then_some(db)
 }
 
-/// The highest level below which lies no more than a share of a ring's energy.
+/// The highest level for which directions below it return at most the fraction `share` of a ring's energy.
 fn floor(
     transmit: &TransmitArray,
     array: &ArrayGeometry,
@@ -58,12 +59,12 @@ fn floor(
         below += **l * **l;
         below > share * all
     });
-    // Silent all round: nothing to keep or to leave out.
+    // Without energy in any direction, there is nothing to cull.
     first_kept.copied().unwrap_or(1.0)
 }
 
-/// As [`Pattern`] has it, towards a unit vector in array axes. (`echo::levels::Directivity` is the same for the ping path; `src/ping/tests/it/culling.rs`
-/// holds what this chooses against that.)
+/// Response of [`Pattern`] towards a unit vector in array axes. The ping path uses `echo::levels::Directivity`;
+/// `src/ping/tests/it/culling.rs` tests the default against it.
 fn response(pattern: &Pattern, wavelength_m: f64, u: DVec3) -> f64 {
     let sinc = |x: f64| match x == 0.0 {
         true => 1.0,

@@ -1,11 +1,11 @@
-//! Outputs that imitate one maker's device.
+//! Checks outputs that emulate the device of one manufacturer.
 
 use super::super::spec::*;
 use super::{Listener, address};
 use crate::keys;
 use crate::raw::Problems;
 
-/// Consecutive ports of WBMS.
+/// Number of consecutive ports of WBMS.
 const WBMS_PORTS: u16 = 4;
 
 pub(super) fn ping<'t>(

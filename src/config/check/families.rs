@@ -1,4 +1,4 @@
-//! Side-scan families: JSF, XTF, Imagenex 872.
+//! Checks the side-scan formats JSF, XTF and Imagenex 872.
 
 use super::super::spec::*;
 use super::arrays::Arrays;
@@ -6,18 +6,18 @@ use super::{Listener, listen};
 use crate::keys;
 use crate::raw::{Entry, Problems};
 
-/// JSF counts channels in 8 bits.
+/// Maximum number of JSF channels: the channel field has 8 bits.
 const MAX_JSF_CHANNELS: usize = 256;
-/// JSF counts samples in 20 bits.
+/// Maximum number of JSF samples: the sample count has 20 bits.
 const MAX_JSF_SAMPLES: f64 = ((1 << 20) - 1) as f64;
 
-/// Properties of the sonar that a side-scan output depends on.
+/// Properties of the sonar that side-scan outputs depend on.
 pub(super) struct Sonar<'a> {
     pub arrays: &'a Arrays<'a>,
-    /// Samples of the longest ping.
+    /// Number of samples of the longest ping.
     pub samples: Option<f64>,
     pub has_lines: bool,
-    /// Further pulses in the water together with the first.
+    /// Number of further pulses in the water together with the first.
     pub more_pulses: usize,
 }
 

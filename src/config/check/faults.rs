@@ -1,16 +1,16 @@
-//! `[[fault]]` to checked requests.
+//! Converts `[[fault]]` tables to checked requests.
 
 use super::Problems;
 use crate::keys;
 use crate::raw::Entry;
 use crate::spec::FaultRequest;
 
-/// Checked against the catalogue here, and against the sonars when the rig is opened.
+/// Requests checked against the catalogue. The sonars are checked when the rig is opened.
 pub(super) fn faults(tables: &[keys::faults::Fault], problems: &mut Problems) -> Vec<FaultRequest> {
     let mut requests = Vec::new();
     for table in tables {
         let Some(kind) = table.kind.text() else {
-            continue; // on the list already
+            continue; // the problem is already listed
         };
         let request = FaultRequest {
             kind: kind.to_owned(),

@@ -1,4 +1,4 @@
-//! Towing and navigation outputs.
+//! Checks towing and navigation outputs.
 
 use super::{Listener, address, all, listen, unique_names};
 use crate::keys;
@@ -84,7 +84,7 @@ fn target<'t>(
     }
 }
 
-/// A serial frame format such as `8N1`.
+/// Parses a serial frame format such as `8N1`.
 pub(super) fn serial_line(line: &Field<String>) -> Option<SerialLine> {
     let text = line.text()?.as_bytes();
     let digit = |at: usize| text.get(at).map(|b| b.wrapping_sub(b'0'));

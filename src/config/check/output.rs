@@ -1,10 +1,10 @@
-//! Whether a sonar's pings can be made without elements.
+//! Checks whether pings of a sonar can be computed without element samples.
 
 use super::Problems;
 use crate::keys;
 use crate::spec::{ControlSpec, FaultKind, FaultRequest, MadeOutput, SonarSpec};
 
-/// Notes why elements are required, and refuses model.output = "beams" in that case.
+/// Records why elements are required, and refuses model.output = "beams" in that case.
 pub(super) fn note_element_needs(
     sonar: &mut SonarSpec,
     table: &keys::Sonar,

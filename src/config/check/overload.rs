@@ -1,10 +1,10 @@
-//! `run.overload`.
+//! Checks `run.overload`.
 
 use super::super::spec::*;
 use crate::keys;
 use crate::raw::Problems;
 
-/// `degrade` needs a tolerance that can be loosened, `stretch` an internal trigger.
+/// Refuses `degrade` without a tolerance that can be increased, and `stretch` without an internal trigger.
 pub(crate) fn refuse_overload_conflicts(
     run: &keys::Run,
     sonars: &[&SonarSpec],

@@ -1,4 +1,4 @@
-//! `[sonar.picture]`.
+//! Checks `[sonar.picture]`.
 
 use super::super::spec::*;
 use crate::keys;

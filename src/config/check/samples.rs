@@ -1,4 +1,4 @@
-//! Outputs of samples.
+//! Checks outputs of samples.
 
 use super::super::spec::*;
 use super::arrays::Arrays;
@@ -8,14 +8,14 @@ use crate::raw::{Field, Problems};
 use echotank_core::pulse::Pulse;
 use echotank_protocols::elements::{HEADER_BYTES, SampleType};
 
-/// Header and trailer of a VITA 49 packet.
+/// Length of header and trailer of a VITA 49 packet, bytes.
 const VRT_AROUND_BYTES: usize = 24;
-/// WAV counts channels in 16 bits, and bytes of a moment too.
+/// Maximum number of WAV channels: WAV has 16-bit fields for the number of channels and for the bytes of a frame.
 const MAX_WAV_CHANNELS: usize = 16_383;
-/// VITA 49 counts a vector's elements in 16 bits.
+/// Maximum number of elements of a VITA 49 vector: the field has 16 bits.
 const MAX_VECTOR: usize = 65_536;
 
-/// Arrays and pulse behind the samples.
+/// Arrays and pulse of the samples.
 #[derive(Clone, Copy)]
 pub(super) struct Source<'a> {
     pub arrays: &'a Arrays<'a>,
@@ -36,7 +36,7 @@ impl Source<'_> {
             .map(|pulse| pulse.center_frequency_hz + 0.5 * pulse.bandwidth_hz)
     }
 
-    /// The passband sample rate, Hz; refused at or below twice the highest frequency.
+    /// The passband sample rate, Hz. A rate at or below twice the highest frequency is refused.
     fn passband_rate_hz(&self, key: &Field<f64>, problems: &mut Problems) -> Option<f64> {
         let rate_hz = key.get()?;
         if let Some(highest_hz) = self.highest_hz()
@@ -70,7 +70,7 @@ pub(super) fn vita49(
             true => source.elements(arrays),
             false => 1,
         };
-        // Two moments of 2-byte samples fill the same words as one moment of I and Q.
+        // Two frames of 2-byte samples take as many words as one frame of I and Q.
         let needed = VRT_AROUND_BYTES + 4 * side_by_side;
         if max_packet < needed || side_by_side > MAX_VECTOR {
             let rule = format!("must hold a moment of {side_by_side} elements: at least {needed}");

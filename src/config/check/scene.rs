@@ -1,4 +1,4 @@
-//! The scene, and the density of seabed scatterers that the sonars require.
+//! Checks the scene, and computes the density of seabed scatterers that the sonars require.
 
 use glam::DVec3;
 
@@ -9,19 +9,20 @@ use crate::raw::{Entry, Field, Problems};
 use echotank_core::arrays::Pattern;
 use echotank_core::pulse::PulseKind;
 
-/// Storage of one scatterer in a tile, bytes: three coordinates, a normal, a strength, a mark.
+/// Memory of one scatterer in a tile, bytes: three coordinates, a normal, a strength and a mark.
 const BYTES_PER_SCATTERER: f64 = 34.0;
-/// Tiles extend beyond the insonified area by about this factor.
+/// Approximate ratio of the area of the tiles to the insonified area.
 const TILE_EDGES: f64 = 1.3;
-/// The density is a power of two: on average 1.4 times the required one, at most twice.
+/// Maximum ratio of the density to the required density. The density is a power of two; the mean ratio is 1.4.
 const LEVEL_STEPS: f64 = 2.0;
-/// Scatterers in the finest resolution cell where the density is automatic: enough for a Rayleigh envelope (model.md 11).
+/// Number of scatterers in the finest resolution cell with automatic density. The number is sufficient for a Rayleigh envelope
+/// (model.md 11).
 const SCATTERERS_PER_CELL: f64 = 5.0;
-/// -3 dB width of a line of length L, in wavelengths over L (Meng et al. 2023, Eq. 1).
+/// -3 dB beam width of a line of length L, in units of wavelength over L (Meng et al. 2023, Eq. 1).
 const BEAM_WIDTH: f64 = 0.886;
-/// Arrays with a larger cosine between their axes narrow the same beam.
+/// Cosine between the axes of two arrays above which both arrays narrow the same beam.
 const ALONG: f64 = 0.5;
-/// Arrays with a larger cosine count as parallel: 2.6 degrees.
+/// Cosine between the axes of two arrays above which the arrays count as parallel: 2.6 degrees.
 const PARALLEL: f64 = 0.999;
 
 /// Properties of the rig that the scene depends on.
@@ -46,7 +47,7 @@ pub(super) fn scene(table: &keys::Scene, rig: &Rig, problems: &mut Problems) -> 
     if table.anchor.text() == Some("file") {
         problems.only_with(&[&table.anchor], gridded, condition);
     }
-    // A file of shapes may give depths; its reader reports a missing seabed.
+    // A file of shapes may give depths. The reader of that file reports a missing seabed.
     let shapes = table
         .targets
         .get()
@@ -85,7 +86,7 @@ pub(super) fn scene(table: &keys::Scene, rig: &Rig, problems: &mut Problems) -> 
     })
 }
 
-/// `Some(None)` without a method; none after a problem.
+/// Simplification of the scatterers. `Some(None)` without a method; `None` after a problem.
 fn simplify(table: &keys::Simplify, problems: &mut Problems) -> Option<Option<SimplifySpec>> {
     let name = table.method.text()?;
     let some = Some(name != "none");
@@ -155,14 +156,14 @@ fn seabed(
     })
 }
 
-/// Shapes that come from a file.
+/// Whether a shape is read from a file.
 fn is_survey(shape: &str) -> bool {
     matches!(shape, "file" | "esri-ascii")
 }
 
 fn file(table: &keys::Seabed, shape: &str, problems: &mut Problems) -> Option<SeabedFileSpec> {
     let crs = crs(&table.crs, problems)?;
-    // The words that name none stand for "auto".
+    // Values that name no format or sign, such as "auto", become `None`.
     Some(SeabedFileSpec {
         path: table.path.get()?,
         format: match shape {
@@ -178,7 +179,7 @@ fn file(table: &keys::Seabed, shape: &str, problems: &mut Problems) -> Option<Se
     })
 }
 
-/// `Some(None)` if the key is not given; none after a problem.
+/// Coordinate system of a file. `Some(None)` if the key is absent; `None` after a problem.
 fn crs(key: &Field<String>, problems: &mut Problems) -> Option<Option<CrsSpec>> {
     match key.text().map(str::parse) {
         None => Some(None),
@@ -214,7 +215,7 @@ fn bottom(table: &keys::Seabed, problems: &mut Problems) -> Option<BottomSpec> {
     })
 }
 
-/// `Some(None)` if no mosaic is given; none after a problem.
+/// Mosaic of the seabed. `Some(None)` if no mosaic is given; `None` after a problem.
 fn mosaic(table: &keys::Seabed, problems: &mut Problems) -> Option<Option<MosaicSpec>> {
     let given = table.mosaic.given;
     let of_mosaics: [&Entry; 5] = [
@@ -246,7 +247,7 @@ fn mosaic(table: &keys::Seabed, problems: &mut Problems) -> Option<Option<Mosaic
 }
 
 impl Rig<'_> {
-    /// Enough scatterers for the finest resolution cell of any sonar.
+    /// Density with enough scatterers for the finest resolution cell of every sonar.
     fn auto_density(&self) -> Option<Density> {
         let c = self.sound_speed_m_per_s?;
         let (range_m, beam_rad) = self
@@ -265,7 +266,7 @@ impl Rig<'_> {
         })
     }
 
-    /// About how many scatterers lie in the tiles that one ping needs, on a flat seabed.
+    /// Approximate number of scatterers in the tiles that one ping needs, on a flat seabed.
     fn scatterers_in_beams(&self, density: &Density) -> f64 {
         let range_m = self.longest_range_m;
         let full_circle = match *density {
@@ -282,7 +283,7 @@ impl Rig<'_> {
         full_circle * self.widest_share() * TILE_EDGES
     }
 
-    /// Share of the full circle that the widest pair of transmitter and element covers above the culling level.
+    /// Fraction of the full circle in which the widest pair of transmitter and element is above the culling level.
     fn widest_share(&self) -> f64 {
         let Some(c) = self.sound_speed_m_per_s else {
             return 0.0;
@@ -309,7 +310,8 @@ impl Rig<'_> {
     }
 }
 
-/// Sine off broadside beyond which a radiator's pattern stays below knee / sine; infinite for one without length.
+/// Sine of the angle from broadside, `knee`, such that the pattern of a radiator stays below knee / sine. Infinite for a radiator
+/// without length.
 fn knee(pattern: &Pattern, wavelength_m: f64) -> f64 {
     match pattern {
         Pattern::Rectangle { length_m, .. } | Pattern::Part { length_m, .. } => {
@@ -319,7 +321,7 @@ fn knee(pattern: &Pattern, wavelength_m: f64) -> f64 {
     }
 }
 
-/// Sine at which the product of two such patterns, each at most 1, falls to 1 / depth.
+/// Sine at which the product of two bounds, each at most 1, falls to 1 / depth.
 fn two_way_sine(a: f64, b: f64, depth: f64) -> f64 {
     let (narrow, wide) = (a.min(b), a.max(b));
     match narrow * depth > wide {
@@ -334,7 +336,7 @@ fn along(a: &echotank_core::arrays::Mounting, b: &echotank_core::arrays::Mountin
     axis(a).dot(axis(b)).abs()
 }
 
-/// c/(2B), with the shortest pulse allowed.
+/// Range resolution c/(2B), metres, with the shortest pulse that the limits allow.
 fn range_resolution_m(sonar: &SonarSpec, c: f64) -> f64 {
     let shortest_hz = 1.0 / sonar.limits.pulse_duration_s.0;
     let bandwidth_hz = match sonar.pulse.kind {
@@ -344,7 +346,7 @@ fn range_resolution_m(sonar: &SonarSpec, c: f64) -> f64 {
     c / (2.0 * bandwidth_hz)
 }
 
-/// Two-way beam width of each receive array with its transmitter, radians.
+/// Two-way beam width of each receive array and its transmitter, radians.
 fn beams_rad(sonar: &SonarSpec, c: f64) -> impl Iterator<Item = f64> {
     let wavelength_m = c / sonar.pulse.center_frequency_hz;
     sonar.receive.iter().map(move |array| {

@@ -1,4 +1,4 @@
-//! One `[[sonar]]`.
+//! Checks one `[[sonar]]` table.
 
 use std::f64::consts::FRAC_PI_2;
 use std::net::IpAddr;
@@ -24,27 +24,27 @@ use echotank_core::ping::Side;
 use echotank_core::pulse::{Pulse, PulseKind};
 use echotank_core::settings::SonarSettings;
 
-/// Platform speed that the sample rate must allow for, m/s.
+/// Maximum platform speed for which the sample rate must be sufficient, m/s.
 pub(crate) const MAX_PLATFORM_SPEED_M_PER_S: f64 = 10.0;
-/// Minimum sample rate over signal bandwidth: a margin at the band edges for matched filter and interpolation.
+/// Minimum ratio of sample rate to signal bandwidth. The margin at the band edges is for the matched filter and interpolation.
 const OVERSAMPLING: f64 = 1.25;
-/// Maximum size of the element samples of one ping, bytes: a wrong unit must not exhaust the memory.
+/// Maximum size of the element samples of one ping, bytes. The limit keeps a wrong unit from exhausting the memory.
 const MAX_PING_BYTES: f64 = 8.0 * (1u64 << 30) as f64;
 const BYTES_PER_COMPLEX_F64: f64 = 16.0;
-/// Record 7038 holds 16-bit I and Q.
+/// Bytes of one sample of record 7038: 16-bit I and Q.
 pub(crate) const BYTES_PER_7038_SAMPLE: f64 = 4.0;
-/// Every ping visits every pixel.
+/// Maximum number of pixels of a synthetic aperture image. Every ping visits every pixel.
 const MAX_SYNTHETIC_PIXELS: f64 = 4e6;
-/// 7k counts elements in 16 bits.
+/// Maximum number of elements in a 7k record: the field has 16 bits.
 const MAX_7K_ELEMENTS: usize = 65_535;
-/// A boresight points to a side if its starboard component exceeds this; half a degree is not an error of sign.
+/// Minimum starboard component of a boresight that points to a side. A tilt of half a degree is not an error of sign.
 const SIDE_MARGIN: f64 = 0.01;
-/// Minimum starboard component of the axis of a fan's array across the track.
+/// Minimum starboard component of the axis of an across-track array of a fan.
 const MIN_ACROSS: f64 = 0.5;
-/// Minimum forward component of the axis of a fan's array along the track.
+/// Minimum forward component of the axis of an along-track array of a fan.
 const MIN_ALONG: f64 = 0.5;
 
-/// The longest range that the limits allow, else the set range.
+/// Maximum range in the limits. Without limits, the set range.
 pub(crate) fn longest_range_m(table: &keys::Sonar) -> Option<f64> {
     let limit = table
         .limits
@@ -54,7 +54,7 @@ pub(crate) fn longest_range_m(table: &keys::Sonar) -> Option<f64> {
     limit.or_else(|| table.ping.as_ref()?.range_m.get())
 }
 
-/// `among`: its index among the sonars, and all their names.
+/// Checks one sonar. `among` has its index among the sonars, and the names of all sonars.
 pub(crate) fn sonar<'t>(
     table: &'t keys::Sonar,
     among: (usize, &[Option<&str>]),
@@ -213,7 +213,7 @@ fn pulse(table: &keys::Pulse, problems: &mut Problems) -> Option<Pulse> {
     })
 }
 
-/// `own` is the sonar's own pulse.
+/// Checks a further pulse. `own` is the sonar's own pulse.
 fn more_pulse(
     table: &keys::MorePulse,
     own: Option<&Pulse>,
@@ -254,7 +254,7 @@ fn more_pulse(
     })
 }
 
-/// Pings per second: given as such, or as a period.
+/// Ping rate, hertz, from the key for the rate or for the period.
 fn ping_rate_hz(ping: &keys::Ping) -> Option<f64> {
     match ping.rate_hz.given {
         true => ping.rate_hz.get(),
@@ -281,7 +281,7 @@ fn settings(sonar: &keys::Sonar, problems: &mut Problems) -> Option<SonarSetting
     })
 }
 
-/// The limits; a limit that is not given holds the setting alone. Refuses settings outside.
+/// Limits of the settings. A setting without limits has its own value as both limits. Settings outside their limits are refused.
 fn limits(sonar: &keys::Sonar, problems: &mut Problems) -> Option<LimitsSpec> {
     let table = sonar.limits.as_ref()?;
     let ping = sonar.ping.as_ref();
@@ -339,7 +339,7 @@ fn mounting(position_m: &Field<DVec3>, [roll, pitch, yaw]: [&Field<f64>; 3]) -> 
     })
 }
 
-/// The pattern called `name`; its sides lie along the array's x and y.
+/// The pattern called `name`. Its sides are parallel to the x and y axes of the array.
 fn pattern(
     name: &Field<String>,
     [length, width]: [&Field<f64>; 2],
@@ -468,7 +468,7 @@ fn receiver(
     })
 }
 
-/// Absorption given in the configuration. The rig inserts the value of a formula later.
+/// Absorption given in the configuration, dB per metre; 0 for a formula. The rig later inserts the value of a formula.
 fn known_absorption_db_per_m(medium: Option<&MediumSpec>) -> f64 {
     match medium.map(|m| m.absorption) {
         Some(AbsorptionSpec::Fixed { db_per_m }) => db_per_m,
@@ -476,14 +476,14 @@ fn known_absorption_db_per_m(medium: Option<&MediumSpec>) -> f64 {
     }
 }
 
-/// 1.25 (max(B, 4/T) + 2 f_d) for the shortest pulse allowed and the highest frequency of the sweep.
+/// Minimum sample rate, 1.25 (max(B, 4/T) + 2 f_d), for the shortest pulse and the highest frequency of the sweep.
 pub(crate) fn min_sample_rate_hz(pulse: &Pulse, shortest_s: f64, sound_speed_m_per_s: f64) -> f64 {
     OVERSAMPLING
         * (pulse.bandwidth_hz.max(4.0 / shortest_s)
             + 2.0 * max_doppler_hz(pulse, sound_speed_m_per_s))
 }
 
-/// Doppler shift of an echo from straight ahead at the fastest speed.
+/// Doppler shift of an echo from straight ahead at the maximum platform speed.
 pub(crate) fn max_doppler_hz(pulse: &Pulse, sound_speed_m_per_s: f64) -> f64 {
     let highest_hz = pulse.center_frequency_hz + pulse.bandwidth_hz / 2.0;
     2.0 * MAX_PLATFORM_SPEED_M_PER_S / sound_speed_m_per_s * highest_hz
@@ -505,7 +505,7 @@ fn refuse_slow_sampling(
     let c = medium.sound_speed_m_per_s;
     let min_hz = min_sample_rate_hz(pulse, shortest_s, c);
     if rate_hz < min_hz {
-        // Rounded up, so that the number in the message is sufficient.
+        // The rate is rounded up, so the number in the message is sufficient.
         let min_khz = (min_hz / 10.0).ceil() / 100.0;
         let rule = format!(
             "must be at least {min_khz}: 1.25 (max(B, 4/T) + 2 f_d) with B = {} kHz, T = {} ms (the shortest allowed) and f_d = {:.2} kHz at {MAX_PLATFORM_SPEED_M_PER_S} m/s",
@@ -517,7 +517,7 @@ fn refuse_slow_sampling(
     }
 }
 
-/// Refuses pulses with bands outside the sampled band.
+/// Refuses further pulses with a band outside the sampled band.
 fn refuse_bands_beyond_sampling(
     sonar: &keys::Sonar,
     receiver: &keys::Receiver,
@@ -542,7 +542,7 @@ fn refuse_bands_beyond_sampling(
     }
 }
 
-/// Quantities that bound the number of samples of a ping.
+/// Quantities that limit the number of samples of a ping.
 struct LargestPing {
     range_m: Option<f64>,
     pulse_duration_s: Option<f64>,
@@ -551,7 +551,7 @@ struct LargestPing {
 }
 
 impl LargestPing {
-    /// Samples of one element: two-way time to the longest range plus the longest pulse.
+    /// Number of samples of one element: two-way travel time to the longest range plus the longest pulse.
     fn samples(&self) -> Option<f64> {
         let window_s = 2.0 * self.range_m? / self.sound_speed_m_per_s? + self.pulse_duration_s?;
         Some((window_s * self.sample_rate_hz?).ceil())
@@ -618,7 +618,7 @@ fn model(
         problems.refuse(&table.synthesis, rule);
     }
     let path = match table.path.text()? {
-        // Without steps, so that every synthesis accepts it.
+        // K-segment paths have no steps, so every synthesis method accepts them.
         AUTO => PathModel::KSegment.name(),
         named => named,
     };
@@ -638,10 +638,10 @@ fn model(
     })
 }
 
-/// Value of a method that is chosen automatically.
+/// Value of a key whose method is selected automatically.
 const AUTO: &str = "auto";
 
-/// Segment of an automatic path before the method selection, seconds: short enough for any motion.
+/// Segment length of an automatic path before the method selection, seconds. The length suits any motion.
 const START_SEGMENT_S: f64 = 0.001;
 
 fn auto_model(table: &keys::Model) -> AutoModel {
@@ -655,7 +655,7 @@ fn auto_model(table: &keys::Model) -> AutoModel {
     }
 }
 
-/// An automatic Doppler model before the method selection: the most accurate that the synthesis accepts.
+/// Doppler model before an automatic selection: the most accurate model that the synthesis accepts.
 fn start_doppler(table: &keys::Model) -> DopplerModel {
     let named = table.synthesis.text().and_then(synthesis_named);
     match table.synthesis.given && named.is_some_and(Synthesis::shares_pulse) {
@@ -668,7 +668,8 @@ fn synthesis_named(name: &str) -> Option<Synthesis> {
     Synthesis::ALL.into_iter().find(|s| s.name() == name)
 }
 
-/// The gridded engine if it surely reaches its tolerance. Without the receiver filter that depends on the pulse's spectrum.
+/// The gridded engine if it certainly meets its tolerance. Without the receiver filter, this depends on the spectrum of the pulse,
+/// and the direct sum is used.
 fn default_synthesis(doppler: DopplerModel, filter: ReceiverFilter) -> Synthesis {
     match filter {
         ReceiverFilter::Fir if Synthesis::Gridded1d.takes(doppler) => Synthesis::Gridded1d,
@@ -846,7 +847,7 @@ fn outputs<'t>(
         more_pulses,
     };
     let source = Source { arrays, pulse };
-    // Of two outputs with one port the later is refused.
+    // Of two outputs with the same port, the later one is refused.
     let outputs = [
         output(&table.sevenk, OutputSpec::SevenK, |t| {
             sevenk(t, arrays, largest, listeners, problems)
@@ -883,7 +884,7 @@ fn outputs<'t>(
     Some(outputs.into_iter().flatten().collect())
 }
 
-/// `Some(None)` if the table is not given.
+/// Checks an optional output table. `Some(None)` if the table is absent.
 fn output<'t, T, S>(
     key: &'t Field<T>,
     make: fn(S) -> OutputSpec,
@@ -892,7 +893,7 @@ fn output<'t, T, S>(
     key.given_and_then(|table| read(table).map(make))
 }
 
-/// Addresses of hosts, separated by commas.
+/// Addresses of hosts in a comma-separated list.
 fn third_parties(key: &Field<String>, problems: &mut Problems) -> Option<Vec<IpAddr>> {
     let Some(text) = key.text().filter(|text| !text.trim().is_empty()) else {
         return Some(Vec::new());

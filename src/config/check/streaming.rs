@@ -1,4 +1,4 @@
-//! Streaming delivery.
+//! Checks streaming delivery.
 
 use super::super::spec::*;
 use crate::keys;
@@ -26,7 +26,7 @@ pub(super) fn ahead_s(table: &keys::Run) -> Option<f64> {
     }
 }
 
-/// Refuses tiles with methods that need the whole ping.
+/// Refuses tiles with methods that need samples of the whole ping.
 pub(crate) fn refuse_tile_conflicts(
     run: &keys::Run,
     sonars: &[&SonarSpec],
@@ -37,7 +37,7 @@ pub(crate) fn refuse_tile_conflicts(
     }
     for sonar in sonars {
         let model = &sonar.model;
-        // The replicas of "nearest" and "linear" begin up to a sample before their echoes, outside the tile.
+        // The replicas of "nearest" and "linear" begin up to a sample before their echoes and thus outside the tile.
         let one_by_one = [Synthesis::Reference, Synthesis::Direct];
         let is_passband = |output: &OutputSpec| matches!(output, OutputSpec::Vita49(output) if output.passband_rate_hz.is_some());
         let why = if sonar.synthesis.auto.any() || !one_by_one.contains(&model.synthesis) {
@@ -57,7 +57,7 @@ pub(crate) fn refuse_tile_conflicts(
     }
 }
 
-/// Refuses computing ahead of the pulse without prediction.
+/// Refuses computation before the pulse without prediction of the motion.
 pub(crate) fn refuse_ahead_without_prediction(
     nav: &NavSpec,
     run: &keys::Run,
@@ -74,7 +74,7 @@ pub(crate) fn refuse_ahead_without_prediction(
     }
 }
 
-/// Refuses a prediction time beyond the longest extrapolation: every ping would be skipped.
+/// Refuses a prediction time beyond the maximum extrapolation, because every ping would be skipped.
 pub(crate) fn refuse_long_prediction(
     nav: &NavSpec,
     run: &keys::Run,

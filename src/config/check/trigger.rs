@@ -1,11 +1,11 @@
-//! `[sonar.trigger]` and `[sonar.trigger_out]`.
+//! Checks `[sonar.trigger]` and `[sonar.trigger_out]`.
 
 use super::super::spec::*;
 use super::{Listener, address, index_of, listen};
 use crate::keys;
 use crate::raw::{Entry, Problems};
 
-/// `sonar`: the index of this table's sonar; `names`: the names of all sonars.
+/// Checks the trigger of the sonar with index `sonar`. `names` has the names of all sonars.
 pub(super) fn trigger<'t>(
     table: &'t keys::trigger::Trigger,
     sonar: usize,
@@ -72,7 +72,7 @@ pub(super) fn trigger_out(
     Some(TriggerOutSpec { to, serial })
 }
 
-/// Refuses chains of following sonars, and external triggers with the fast clock.
+/// Refuses chains of sonars that follow one another, and external triggers with the fast clock.
 pub(crate) fn refuse_trigger_conflicts(
     tables: &[keys::Sonar],
     sonars: &[Option<SonarSpec>],

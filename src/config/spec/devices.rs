@@ -1,18 +1,18 @@
-//! Outputs that imitate one maker's device.
+//! Outputs that emulate the device of one manufacturer.
 
 use std::net::SocketAddr;
 
 use echotank_core::ping::Side;
 
-/// Device of the Ping protocol.
+/// Emulated device of the Ping protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PingDevice {
-    /// Side-scan: one line, of this side.
+    /// Side-scan sonar. It sends one line of this side.
     Omniscan450 {
-        /// The side-scan line that is sent.
+        /// Side of the line.
         side: Side,
     },
-    /// Multibeam: the soundings of the fan.
+    /// Multibeam echo sounder. It sends the soundings of the fan.
     Surveyor240,
 }
 
@@ -31,31 +31,31 @@ impl PingDevice {
 pub struct PingProtocolSpec {
     /// Device that is emulated.
     pub device: PingDevice,
-    /// TCP and UDP.
+    /// TCP and UDP address.
     pub listen: SocketAddr,
     /// Name and bits per second of a serial port.
     pub serial: Option<(String, u32)>,
-    /// Number of this device and number of synchronised devices.
+    /// Number of this device, and number of synchronised devices.
     pub channel: (u8, u8),
-    /// Queue of one client.
+    /// Size of the queue of one client, bytes.
     pub client_queue_bytes: usize,
-    /// Connections at the same time.
+    /// Maximum number of simultaneous connections.
     pub max_clients: usize,
 }
 
-/// Four TCP servers: control, bathymetry, water column, side-scan or snippets.
+/// NORBIT WBMS output: four TCP servers for control, bathymetry, water column, and side-scan or snippets.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WbmsSpec {
-    /// Control port; the others follow it. Port 0 takes any four.
+    /// Control port. The other servers use the next three ports. Port 0 means four free ports.
     pub listen: SocketAddr,
-    /// Queue of one client.
+    /// Size of the queue of one client, bytes.
     pub client_queue_bytes: usize,
-    /// Connections at the same time.
+    /// Maximum number of simultaneous connections.
     pub max_clients: usize,
 }
 
 impl WbmsSpec {
-    /// Address of server `number`, from 0.
+    /// Address of the server with index `number`, from 0.
     pub fn address(&self, number: u16) -> SocketAddr {
         let mut address = self.listen;
         if address.port() != 0 {

@@ -1,4 +1,4 @@
-//! Side-scan families: JSF, XTF, Imagenex 872.
+//! Outputs in the side-scan formats JSF, XTF and Imagenex 872.
 
 use std::net::SocketAddr;
 
@@ -14,43 +14,43 @@ pub enum JsfChannels {
 /// Data format of JSF sonar records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JsfFormat {
-    /// Format 0.
+    /// Envelope: data format 0.
     Envelope,
-    /// After the matched filter.
+    /// Analytic signal after the matched filter.
     Analytic,
-    /// Before the matched filter.
+    /// Analytic signal before the matched filter.
     Unfiltered,
 }
 
 /// EdgeTech JSF output.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JsfSpec {
-    /// Command port.
+    /// Address of the command port.
     pub listen: SocketAddr,
-    /// Data port.
+    /// Address of the data port.
     pub listen_data: SocketAddr,
     /// Subsystem number of the first pulse.
     pub subsystem: u8,
-    /// Further subsystems that only accept and report commands.
+    /// Further subsystems. They accept and report commands but have no data.
     pub silent_subsystems: Vec<u8>,
     /// Meaning of a channel.
     pub channels: JsfChannels,
-    /// Indices of the receive arrays with staves.
+    /// Indices of the receive arrays in use, with [`JsfChannels::Staves`].
     pub arrays: Vec<usize>,
     /// Data format.
     pub format: JsfFormat,
-    /// Also write a file.
+    /// True if a file is also written.
     pub record: bool,
-    /// Queue of one client; further records are dropped.
+    /// Size of the queue of one client, bytes. Records beyond it are dropped.
     pub client_queue_bytes: usize,
-    /// Connections at the same time.
+    /// Maximum number of simultaneous connections.
     pub max_clients: usize,
 }
 
 /// Triton XTF output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct XtfSpec {
-    /// Volts instead of counts.
+    /// True for samples in volts, false for counts.
     pub is_float: bool,
 }
 
@@ -59,8 +59,8 @@ pub struct XtfSpec {
 pub struct ImagenexSpec {
     /// TCP address.
     pub listen: SocketAddr,
-    /// Queue of one client.
+    /// Size of the queue of one client, bytes.
     pub client_queue_bytes: usize,
-    /// Connections at the same time.
+    /// Maximum number of simultaneous connections.
     pub max_clients: usize,
 }

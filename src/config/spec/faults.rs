@@ -1,129 +1,129 @@
-//! Faults and their requests. The catalogue is [`FaultRequest::KINDS`].
+//! Faults and fault requests. The catalogue is [`FaultRequest::KINDS`].
 
 use serde::{Deserialize, Serialize};
 
 use super::NavChannel;
 use super::words::Words;
 
-/// A request for a fault, from a configuration's `[[fault]]` or live.
+/// Request for a fault, from a `[[fault]]` table or while the rig runs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FaultRequest {
     /// Name in [`FaultRequest::KINDS`].
     pub kind: String,
-    /// None: every sonar.
+    /// Name of the sonar; `None` means every sonar.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sonar: Option<String>,
-    /// Index of a receive array; none: every one.
+    /// Index of a receive array; `None` means every array.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub array: Option<usize>,
-    /// None: every element.
+    /// Index of an element; `None` means every element.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub element: Option<usize>,
-    /// The other element of two.
+    /// Index of the other element of a fault with two elements.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub other: Option<usize>,
-    /// A navigation source; none: every one.
+    /// Name of a navigation source; `None` means every source.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
-    /// Quantity of the source; none: every one.
+    /// Quantity of the source; `None` means every quantity.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quantity: Option<String>,
-    /// In the unit of the kind.
+    /// Size of the fault, in the unit of the kind.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub value: Option<f64>,
-    /// Start after the first ping, rig time; none: now.
+    /// Start after the first ping, seconds of rig time; `None` means now.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub at_s: Option<f64>,
-    /// Duration; none: unlimited.
+    /// Duration, seconds; `None` means unlimited.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub for_s: Option<f64>,
-    /// Time in which it grows to its full size.
+    /// Time in which the fault grows to its full size, seconds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ramp_s: Option<f64>,
     /// Probability of injection per ping or record.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub probability: Option<f64>,
-    /// Consecutive pings that one injection lasts.
+    /// Number of consecutive pings that one injection lasts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub burst: Option<u32>,
-    /// Seed of the random draws; none: 0.
+    /// Seed of the random draws; `None` means 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
 }
 
-/// A checked fault.
+/// Fault request that has been checked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaultSpec {
-    /// The fault and its size.
+    /// Type and size of the fault.
     pub kind: FaultKind,
     /// Name in [`FaultRequest::KINDS`].
     pub name: &'static str,
-    /// None: every sonar.
+    /// Name of the sonar; `None` means every sonar.
     pub sonar: Option<String>,
-    /// None: every navigation source.
+    /// Name of a navigation source; `None` means every source.
     pub source: Option<String>,
-    /// Start after the first ping, rig time; none: now.
+    /// Start after the first ping, seconds of rig time; `None` means now.
     pub at_s: Option<f64>,
-    /// Duration.
+    /// Duration, seconds.
     pub for_s: f64,
-    /// Time in which it grows to its full size.
+    /// Time in which the fault grows to its full size, seconds.
     pub ramp_s: f64,
     /// Probability of injection per ping or record.
     pub probability: f64,
-    /// Consecutive pings that one injection lasts.
+    /// Number of consecutive pings that one injection lasts.
     pub burst: u32,
     /// Seed of the random draws.
     pub seed: u64,
 }
 
-/// A fault and its size.
+/// Type and size of a fault.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FaultKind {
-    /// Of receive channels.
+    /// Fault of receive channels.
     Element {
-        /// The fault.
+        /// Type and size of the fault.
         fault: ElementFault,
-        /// Index of a receive array; none: every one.
+        /// Index of a receive array; `None` means every array.
         array: Option<usize>,
-        /// Index of an element; none: every one.
+        /// Index of an element; `None` means every element.
         element: Option<usize>,
     },
-    /// Of the link to the clients.
+    /// Fault of the link to the clients.
     Transport(TransportFault),
-    /// Of the clients' TCP connections.
+    /// Fault of the TCP connections of the clients.
     Connection(ConnectionFault),
-    /// Of the samples of navigation sources.
+    /// Fault of the samples of navigation sources.
     Nav {
-        /// The fault.
+        /// Type and size of the fault.
         fault: NavFault,
-        /// None: every quantity.
+        /// Quantity; `None` means every quantity.
         quantity: Option<NavChannel>,
     },
-    /// Of the bytes of live navigation sources.
+    /// Fault of the received bytes of live navigation sources.
     NavBytes(NavByteFault),
-    /// A pulse is not sent; its number is used.
+    /// A pulse is not transmitted. Its ping number is used up.
     TriggerMissed,
     /// The sonar is triggered a second time.
     TriggerDouble {
-        /// Delay of the second trigger.
+        /// Delay of the second trigger, seconds.
         s: f64,
     },
     /// The pulse that marks a whole second in outgoing navigation is not sent.
     PulseLost,
-    /// The ZDA of an output names a later second.
+    /// The ZDA sentence of an output states a later second.
     WrongZda {
-        /// Shift of the named second.
+        /// Shift of the second, seconds.
         s: f64,
     },
     /// The time stamps of the records are late.
     WrongSecond {
-        /// Shift of the time stamp.
+        /// Shift of the time stamp, seconds.
         s: f64,
     },
 }
 
-/// Fault of one receive channel. Amplitudes are volts at the converter's input.
+/// Fault of one receive channel. Amplitudes are volts at the input of the converter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ElementFault {
     /// The samples are zero.
@@ -142,12 +142,12 @@ pub enum ElementFault {
     },
     /// The level changes.
     Gain {
-        /// Change of the level.
+        /// Change of the level, dB.
         db: f64,
     },
     /// The phase changes.
     Phase {
-        /// Change of the phase.
+        /// Change of the phase, radians.
         rad: f64,
     },
     /// I and Q are limited.
@@ -162,67 +162,67 @@ pub enum ElementFault {
     },
     /// Circular Gaussian noise is added.
     NoiseBurst {
-        /// Root mean square.
+        /// Root mean square of the noise, volts.
         volts: f64,
     },
-    /// A 50 Hz tone on I and Q, continuous from ping to ping.
+    /// A 50 Hz tone is added to I and Q, with continuous phase from ping to ping.
     MainsHum {
-        /// Root mean square of I and of Q.
+        /// Root mean square of the tone in I and in Q, volts.
         volts: f64,
     },
     /// A bit of the two's complement codes of I and Q is stuck.
     AdcBitStuck {
-        /// 0 is the least significant bit.
+        /// Index of the bit; 0 is the least significant bit.
         bit: u32,
-        /// Stuck at 1, else at 0.
+        /// True if the bit is stuck at 1, false at 0.
         high: bool,
     },
-    /// Another element's signal is added.
+    /// The signal of another element is added.
     Crosstalk {
         /// Index of the other element.
         from: usize,
-        /// Level of the added signal.
+        /// Level of the added signal, dB.
         db: f64,
     },
     /// The sample clock is too fast: the echo at t appears at t (1 + ppm 1e-6).
     ClockDrift {
-        /// Rate error.
+        /// Rate error, parts per million.
         ppm: f64,
     },
-    /// The samples are delayed; the first are 0.
+    /// The samples are delayed. The first samples are 0.
     SampleSlip {
         /// Delay in samples.
         samples: usize,
     },
 }
 
-/// Fault of the link to the clients, per record. Recordings are not affected.
+/// Fault of the link to the clients, applied per record. Recordings are not affected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TransportFault {
     /// The record is not sent.
     Drop,
     /// The record is sent twice.
     Duplicate,
-    /// The record is exchanged with that of the next ping.
+    /// The record is exchanged with the record of the next ping.
     Reorder,
     /// One byte of the body changes.
     Corrupt {
-        /// The checksum is corrected.
+        /// True if the checksum is recomputed for the changed byte.
         mended: bool,
     },
-    /// The second half is missing.
+    /// The second half of the record is missing.
     Truncate,
-    /// Delayed until the first delivery after this time.
+    /// The record is delayed until the first delivery after this time.
     Delay {
-        /// Delay, rig time.
+        /// Delay, seconds of rig time.
         s: f64,
     },
-    /// Delayed as by `Delay`, by a random time per record.
+    /// The record is delayed as by `Delay`, by a random time per record.
     Jitter {
-        /// Maximum delay, rig time.
+        /// Maximum delay, seconds of rig time.
         s: f64,
     },
-    /// Every record of the ping is lost.
+    /// All records of the ping are lost.
     LinkDown,
 }
 
@@ -231,42 +231,42 @@ pub enum TransportFault {
 pub enum ConnectionFault {
     /// Every TCP client is reset.
     Reset,
-    /// They stay connected; nothing is sent or received.
+    /// The clients stay connected, but nothing is sent or received.
     HalfOpen,
 }
 
 /// Fault of a navigation source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum NavFault {
-    /// The source is silent.
+    /// The source sends nothing.
     Off,
-    /// It repeats its last sample.
+    /// The source repeats its last sample.
     Stuck,
-    /// Random values in the range of the quantity.
+    /// The values are random in the range of the quantity.
     Garbage,
-    /// An offset; positions move to the north.
+    /// The values have an offset. Positions move to the north.
     Wrong {
-        /// Metres, metres per second or radians.
+        /// Offset in metres, metres per second or radians.
         by: f64,
     },
-    /// Only one sample in this many is kept.
+    /// Only one of several samples is kept.
     Slow {
-        /// Samples per sample that is kept.
+        /// Number of samples per kept sample.
         one_in: u32,
     },
-    /// Samples arrive late.
+    /// The samples arrive late.
     Delayed {
-        /// Delay.
+        /// Delay, seconds.
         s: f64,
     },
-    /// Silent and active by turns.
+    /// The source is silent and active in turn.
     Intermittent {
-        /// Length of each silent and each active interval.
+        /// Length of each silent and of each active interval, seconds.
         s: f64,
     },
 }
 
-/// Fault of a received sentence.
+/// Fault of the bytes of a received sentence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NavByteFault {
     /// The checksum is wrong.
@@ -280,13 +280,13 @@ pub enum NavByteFault {
     },
 }
 
-/// Why a fault request is refused.
+/// Refusal of a fault request.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{key}: {rule}")]
 pub struct FaultRefused {
-    /// Key of the request that breaks a rule.
+    /// Key of the request that violates a rule.
     pub key: &'static str,
-    /// The rule.
+    /// The violated rule.
     pub rule: String,
 }
 
@@ -296,7 +296,7 @@ fn refused<T>(key: &'static str, rule: impl Into<String>) -> Result<T, FaultRefu
 }
 
 impl FaultRequest {
-    /// Kind, unit of its `value`, minimum and maximum; an empty unit means that it takes no value.
+    /// Kind, unit of `value`, minimum and maximum. An empty unit means that the kind has no value.
     pub const KINDS: &'static [(&'static str, &'static str, f64, f64)] = &[
         ("dead", "", 0.0, 0.0),
         ("stuck", "volts", -1e6, 1e6),
@@ -341,7 +341,7 @@ impl FaultRequest {
         ("wrong-second", "s", -1e6, 1e6),
     ];
 
-    /// The checked fault, or the rule that the request breaks.
+    /// Checks the request. Returns the fault, or the violated rule.
     pub fn checked(&self) -> Result<FaultSpec, FaultRefused> {
         let known = Self::KINDS.iter().find(|(name, ..)| *name == self.kind);
         let Some(&(name, unit, min, max)) = known else {
@@ -509,7 +509,7 @@ impl FaultRequest {
     }
 }
 
-/// Longest burst: every ping looks back this far.
+/// Maximum length of a burst. Every ping looks back over as many pings.
 const MAX_BURST: u32 = 10_000;
 
 #[cfg(test)]

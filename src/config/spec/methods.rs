@@ -1,18 +1,18 @@
-//! Value of a method that is chosen automatically.
+//! Methods of a sonar's model that are selected automatically.
 
-/// Parts of a sonar's model that the method selection chooses. Their values in
-/// [`ModelChoice`](echotank_core::model::ModelChoice) is where a sonar starts whose motion is not known yet.
+/// Flags of the methods that the method selection chooses. The values of these methods in
+/// [`ModelChoice`](echotank_core::model::ModelChoice) apply until the motion of the sonar is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AutoModel {
     /// The path model.
     pub path: bool,
-    /// Segment length of the path; follows `path`.
+    /// The segment length of the path; selected if `path` is.
     pub segment: bool,
     /// The Doppler model.
     pub doppler: bool,
     /// The synthesis method.
     pub synthesis: bool,
-    /// The culling level; follows `synthesis`.
+    /// The culling level; selected if `synthesis` is.
     pub cull: bool,
 }
 

@@ -1,4 +1,4 @@
-//! Whether element samples are required, and why.
+//! Result of the synthesis: element samples or side-scan lines.
 
 use super::{OutputSpec, SonarSpec, SynthesisSpec};
 use echotank_core::model::{PathModel, Synthesis};
@@ -6,24 +6,24 @@ use echotank_core::model::{PathModel, Synthesis};
 /// Result of a sonar's synthesis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MadeOutput {
-    /// Every element of every array.
+    /// Samples of every element of every array.
     #[default]
     Elements,
-    /// Side-scan lines only, from groups of elements that the method selection chooses.
+    /// Only side-scan lines, from groups of elements that the method selection chooses.
     Beams,
-    /// Whichever is cheaper within the tolerance.
+    /// The cheaper result that meets the tolerance.
     Auto,
 }
 
 impl SynthesisSpec {
-    /// Whether any method is chosen automatically.
+    /// Whether the method selection chooses any method.
     pub fn is_planned(&self) -> bool {
         self.auto.any() || self.output != MadeOutput::Elements
     }
 }
 
 impl SonarSpec {
-    /// Whether an output carries element samples, or can on request.
+    /// Outputs that have element samples, always or on request.
     pub fn element_readers(&self) -> Vec<&'static str> {
         let of = |output: &OutputSpec| match output {
             OutputSpec::SevenK(sevenk) => (!sevenk.arrays.is_empty()).then_some("7k (7038)"),
@@ -40,7 +40,7 @@ impl SonarSpec {
         self.outputs.iter().filter_map(of).collect()
     }
 
-    /// Why the sonar requires elements; none: only side-scan lines with fixed weights are used.
+    /// Reason why the sonar requires elements. `None` if only side-scan lines with fixed weights are used.
     pub(crate) fn needs_elements(&self) -> Option<&'static str> {
         let beams = &self.beams;
         let lines = |array: usize| beams.lines.iter().any(|line| line.array == array);

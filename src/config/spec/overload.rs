@@ -5,29 +5,30 @@ use super::words::Words;
 
 /// Factor between successive tolerances.
 const COARSER: f64 = 10.0;
-/// The loosest tolerance.
+/// Maximum tolerance.
 const LOOSEST: f64 = 0.1;
 
 /// Action for pings that cannot be ready in time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OverloadSpec {
-    /// They are left out.
+    /// The pings are skipped.
     Skip,
-    /// They are computed with a looser tolerance.
+    /// The pings are computed with a larger tolerance.
     Degrade,
-    /// Pulses are delayed.
+    /// The pulses are delayed.
     Stretch,
 }
 
 impl OverloadSpec {
-    /// Value of the key `run.overload`.
+    /// Name in the configuration (`run.overload`).
     pub fn name(self) -> &'static str {
         self.word()
     }
 }
 
 impl SonarSpec {
-    /// Tolerances looser than the sonar's own, in rising order; empty if its synthesis has no tolerance or the loosest.
+    /// Tolerances above the sonar's own tolerance, in increasing order. Empty if the synthesis has no tolerance or the maximum
+    /// tolerance.
     pub fn looser_tolerances(&self) -> Vec<f64> {
         let keeps = self.model.synthesis.keeps_tolerance() || self.synthesis.auto.synthesis;
         let next =

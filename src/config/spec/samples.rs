@@ -9,19 +9,19 @@ pub struct Vita49Spec {
     pub send_to: Vec<SocketAddr>,
     /// Indices of the receive arrays, in the order of the samples.
     pub arrays: Vec<usize>,
-    /// Rate of real passband samples; none: I and Q at the receiver's rate.
+    /// Rate of real passband samples, hertz. `None`: I and Q at the rate of the receiver.
     pub passband_rate_hz: Option<f64>,
-    /// One stream whose samples are vectors of all elements.
+    /// True for one stream of vectors with the samples of all elements.
     pub is_vector: bool,
     /// Identifier of the first stream.
     pub first_stream: u32,
-    /// Packet length, bytes.
+    /// Maximum packet length, bytes.
     pub max_packet: usize,
-    /// Maximum data rate.
+    /// Maximum data rate, bytes per second.
     pub pace_bytes_per_s: f64,
-    /// Address of the interface that sends to multicast groups.
+    /// Address of the interface for multicast groups.
     pub multicast_interface: Ipv4Addr,
-    /// Hops of multicast packets.
+    /// Maximum number of hops of multicast packets.
     pub multicast_ttl: u32,
 }
 
@@ -34,15 +34,15 @@ pub struct ElementStreamSpec {
     pub send_to: Vec<SocketAddr>,
     /// Indices of the receive arrays, in the order of the samples.
     pub arrays: Vec<usize>,
-    /// 32-bit floats instead of 16-bit integers.
+    /// True for 32-bit floats, false for 16-bit integers.
     pub is_float: bool,
-    /// Datagram length, bytes.
+    /// Maximum datagram length, bytes.
     pub max_packet: usize,
-    /// Maximum data rate over UDP.
+    /// Maximum data rate over UDP, bytes per second.
     pub pace_bytes_per_s: f64,
-    /// Queue of one TCP client.
+    /// Size of the queue of one TCP client, bytes.
     pub client_queue_bytes: usize,
-    /// TCP connections at the same time.
+    /// Maximum number of simultaneous TCP connections.
     pub max_clients: usize,
 }
 
@@ -58,20 +58,20 @@ pub struct SigmfSpec {
 pub struct WavSpec {
     /// Indices of the receive arrays, in the order of the channels.
     pub arrays: Vec<usize>,
-    /// Whole Hz.
+    /// Sample rate, a whole number of hertz.
     pub rate_hz: u32,
-    /// 32-bit floats instead of 16-bit integers.
+    /// True for 32-bit floats, false for 16-bit integers.
     pub is_float: bool,
 }
 
 impl WavSpec {
-    /// Usual rates of bench converters, Hz.
+    /// Usual sample rates of laboratory converters, Hz.
     const USUAL_RATES_HZ: [u32; 12] = [
         48_000, 96_000, 192_000, 384_000, 500_000, 768_000, 1_000_000, 2_000_000, 2_500_000,
         5_000_000, 10_000_000, 20_000_000,
     ];
 
-    /// The lowest usual rate that is 2.5 times the highest frequency.
+    /// Lowest usual rate that is at least 2.5 times the highest frequency.
     pub fn usual_rate_hz(highest_hz: f64) -> u32 {
         let wanted_hz = 2.5 * highest_hz;
         Self::USUAL_RATES_HZ

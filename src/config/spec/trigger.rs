@@ -1,58 +1,58 @@
-//! Triggers of a sonar, and signals at its pulses.
+//! Trigger inputs of a sonar, and its output signals at each pulse.
 
 use std::net::SocketAddr;
 
-/// Trigger of a sonar.
+/// Trigger of a sonar, and rules for early and missing triggers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriggerSpec {
-    /// Source of pings.
+    /// Origin of the triggers.
     pub from: TriggerFrom,
     /// Treatment of a trigger during a listening window.
     pub early: EarlyTrigger,
-    /// Minimum interval between pulses, besides that of the range; seconds.
+    /// Minimum interval between pulses, seconds, in addition to the limit from the range.
     pub min_interval_s: f64,
-    /// A trigger is counted as missing after this time, seconds.
+    /// Time without a trigger after which a trigger is counted as missing, seconds.
     pub watchdog_s: Option<f64>,
 }
 
-/// Source of pings.
+/// Origin of the triggers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum TriggerFrom {
     /// The internal ping rate.
     #[default]
     Internal,
-    /// Every datagram.
+    /// Each received datagram is a trigger.
     Udp {
         /// Local address.
         listen: SocketAddr,
     },
-    /// Every line of every client.
+    /// Each received line of any client is a trigger.
     Tcp {
         /// Local address.
         listen: SocketAddr,
     },
-    /// Every edge of a modem line.
+    /// Each edge of a modem line is a trigger.
     Serial {
         /// Name of the serial port.
         port: String,
         /// Input line.
         line: ModemLine,
-        /// The rising edge triggers, else the falling one.
+        /// True for the rising edge, false for the falling edge.
         rising: bool,
     },
-    /// Pings that a topside requests by number, over any protocol or `echotank ctl trigger`.
+    /// Requests for pings by number, over any protocol or `echotank ctl trigger`.
     Protocol,
-    /// Every pulse of another sonar of `RigSpec::sonars`.
+    /// Each pulse of another sonar of `RigSpec::sonars` is a trigger.
     Sonar {
-        /// Index of the sonar that is followed.
+        /// Index of the other sonar.
         sonar: usize,
-        /// Delay after its pulse.
+        /// Delay after the pulse of the other sonar, seconds.
         delay_s: f64,
     },
 }
 
 impl TriggerFrom {
-    /// Whether the trigger arrives over a socket or serial port of its own.
+    /// Whether the trigger arrives over its own socket or serial port.
     pub fn is_wired(&self) -> bool {
         matches!(
             self,
@@ -64,9 +64,9 @@ impl TriggerFrom {
 /// Modem input line of a serial port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModemLine {
-    /// CTS.
+    /// Clear to send (CTS).
     ClearToSend,
-    /// DCD.
+    /// Data carrier detect (DCD).
     CarrierDetect,
 }
 
@@ -76,35 +76,35 @@ pub enum EarlyTrigger {
     /// The trigger is refused and counted.
     #[default]
     Refuse,
-    /// One trigger waits until the window ends.
+    /// The trigger waits until the window ends. At most one trigger waits.
     Queue,
 }
 
-/// Signals at each pulse.
+/// Output signals at each pulse.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriggerOutSpec {
-    /// A datagram for every pulse.
+    /// Destination of a datagram for every pulse.
     pub to: Option<SocketAddr>,
-    /// Serial line that is raised; none: no line.
+    /// Serial line that is active at every pulse; `None` uses no line.
     pub serial: Option<TriggerLineSpec>,
 }
 
-/// A serial port's line that is raised for every pulse.
+/// Serial line that is active for a time at every pulse.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TriggerLineSpec {
     /// Name of the serial port.
     pub port: String,
     /// Output line.
     pub line: OutLine,
-    /// Time for which the line stays raised.
+    /// Time for which the line is active, seconds.
     pub pulse_s: f64,
 }
 
 /// Modem output line of a serial port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OutLine {
-    /// RTS.
+    /// Request to send (RTS).
     RequestToSend,
-    /// DTR.
+    /// Data terminal ready (DTR).
     DataTerminalReady,
 }

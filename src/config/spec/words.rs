@@ -1,19 +1,19 @@
-//! The words that stand for a choice in a configuration, and in the program's texts.
+//! Text names of choices, in the configuration and in the texts of the program.
 
 use super::*;
 
-/// A choice without parameters.
+/// Choice without parameters that has a text name.
 pub trait Words: Copy + PartialEq + 'static {
-    /// Every choice with its word.
+    /// All choices with their text names.
     const WORDS: &'static [(Self, &'static str)];
 
-    /// The word of the choice.
+    /// Text name of the choice.
     fn word(self) -> &'static str {
         let own = Self::WORDS.iter().find(|(choice, _)| *choice == self);
         own.expect("every choice has its word").1
     }
 
-    /// The choice that has this word.
+    /// The choice with this text name.
     fn from_word(word: &str) -> Option<Self> {
         let found = Self::WORDS.iter().find(|(_, own)| *own == word);
         found.map(|(choice, _)| *choice)

@@ -1,4 +1,4 @@
-//! Side-scan families: JSF, XTF, Imagenex 872.
+//! Summary of the side-scan formats JSF, XTF and Imagenex 872.
 
 use std::fmt;
 
@@ -56,7 +56,7 @@ pub(super) fn write(
             "  imagenex",
             &format!("TCP {}, 1000 points per side and command", output.listen),
         ),
-        // Written elsewhere.
+        // Other functions write the other outputs.
         _ => Ok(()),
     }
 }

@@ -10,7 +10,7 @@ use crate::spec::{
 };
 use echotank_core::frames::{angles_from_rotation, rotation_from_angles};
 
-/// Mounting of a motion sensor and its readings when the platform tilts, which shows a wrong sign.
+/// Mounting of a motion sensor, and its measurements when the platform tilts. These reveal a wrong sign.
 pub(crate) fn write_mounting(out: &mut String, source: &NavSourceSpec) -> fmt::Result {
     let sensor = &source.mounting;
     if sensor.heave_arm_m != DVec3::ZERO {
@@ -47,7 +47,7 @@ pub(crate) fn write_mounting(out: &mut String, source: &NavSourceSpec) -> fmt::R
     line(out, "  signs", &text)
 }
 
-/// Depth, towing, failover and output sentences.
+/// Summary of depth, towing, failover and output sentences.
 pub(crate) fn write_rest(out: &mut String, nav: &NavSpec) -> fmt::Result {
     let given = |channel| nav.sources.iter().any(|s| s.provides.contains(&channel));
     let given_for_sure = |channel| {

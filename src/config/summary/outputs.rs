@@ -1,17 +1,17 @@
-//! Outputs and their data rates.
+//! Summary of the outputs and their data rates.
 
 use std::fmt;
 
 use super::super::spec::*;
 use super::{Derived, line};
 
-/// Bytes of I and Q, and of a real sample.
+/// Bytes of one 16-bit complex sample (I and Q), and of one 16-bit real sample.
 const IQ_BYTES: f64 = 4.0;
 const REAL_BYTES: f64 = 2.0;
-/// Of WBMS.
+/// Bytes per detection of WBMS.
 const BYTES_PER_DETECTION: f64 = 20.0;
 
-/// A line for an output of these; the others have their own.
+/// Writes the line of an output of these kinds. Other functions write the other outputs.
 pub(super) fn write(
     out: &mut String,
     sonar: &SonarSpec,
