@@ -31,41 +31,41 @@ const MAX_TOTAL: Duration = Duration::from_secs(130);
 const MAX_CONFIGURED: Duration = Duration::from_secs(50);
 /// Time spent on one method. The minimum counts, because disturbances only lengthen a run.
 const PER_METHOD: Duration = Duration::from_millis(150);
-/// Most runs of one method.
+/// Maximum number of runs of one method.
 const MAX_RUNS: usize = 30;
-/// Methods with a higher estimated cost are skipped, ms.
+/// Estimated cost above which a method is skipped, ms.
 const MAX_COST_MS: f64 = 800.0;
-/// Shorter measured times are not used in the fit, ms.
+/// Minimum measured time for use in the fit, ms.
 const MIN_TIME_MS: f64 = 0.03;
 /// Weight of the penalty on changes of the table, relative to one method.
 const PRIOR_WEIGHT: f64 = 1e-3;
 /// Rounds of the search.
 const ROUNDS: usize = 400;
 
-/// Why a calibration fails.
+/// Errors of a calibration.
 #[derive(Debug, Error)]
 pub enum CalibrateError {
     /// A first ping cannot be planned.
     #[error(transparent)]
     First(#[from] FirstPingError),
-    /// The compute thread pool.
+    /// The threads for computing cannot be started.
     #[error("threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
 /// A fitted cost table with the measurements behind it.
 pub struct Calibration {
-    /// The fitted cost table.
+    /// Fitted cost table.
     pub costs: Costs,
     /// Per method: description, time predicted by the new table, measured time, both ms.
     pub methods: Vec<(String, f64, f64)>,
-    /// exp of the rms of log(predicted / measured) with the previous table.
+    /// Root-mean-square of log(predicted / measured) with the previous table, as exp of that value.
     pub before: f64,
-    /// The same with the fitted table.
+    /// The same measure with the fitted table.
     pub after: f64,
 }
 
-/// The work and measured time of one method.
+/// Work and measured time of one method.
 struct Timed {
     name: String,
     work: Work,
@@ -73,6 +73,9 @@ struct Timed {
 }
 
 /// Times methods on this machine and fits the cost table, starting from `before`. `machine` describes the machine in the table.
+///
+/// # Errors
+/// A first ping cannot be planned, or the threads cannot be started.
 pub fn calibrate(
     spec: &RigSpec,
     before: &Costs,
@@ -169,7 +172,7 @@ fn configured(spec: &RigSpec, costs: &Costs, until: Instant) -> Result<Vec<Timed
     Ok(timed)
 }
 
-/// One ping on which methods are timed.
+/// A ping on which methods are timed.
 struct TimingCase<'a> {
     name: &'a str,
     spec: &'a SonarSpec,

@@ -10,7 +10,7 @@ pub trait Clock: Send + Sync {
     fn mono(&self) -> MonoNs;
     /// UTC as the host's clock shows it.
     fn host_utc(&self) -> UtcNs;
-    /// Returns at or after `deadline`. The deadline is an absolute instant, so repeated waits do not drift.
+    /// Sleeps until `deadline`. The deadline is an absolute instant, so repeated waits do not drift.
     fn sleep_until(&self, deadline: MonoNs);
     /// Waits as [`Clock::sleep_until`] does, but returns early once `wake_up` is notified.
     fn wait_until(&self, deadline: MonoNs, _wake_up: &WakeUp) {
@@ -78,7 +78,7 @@ impl Clock for SystemClock {
     }
 }
 
-/// A clock that advances only when a thread sleeps on it: for `replay` and tests.
+/// A clock for `replay` and tests that advances only when a thread sleeps on it.
 #[derive(Default)]
 pub struct VirtualClock {
     mono_ns: std::sync::atomic::AtomicI64,

@@ -1,4 +1,4 @@
-//! Configurations from the file system.
+//! Configurations in the file system.
 
 use std::io::{self, Read};
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use echotank_config::spec::RigSpec;
 use echotank_config::{ConfigErrors, Files};
 
-/// Largest configuration and largest table that one names, bytes.
+/// Maximum size of a configuration and of each table that the configuration names, bytes.
 const MAX_CONFIGURATION_BYTES: u64 = 16 << 20;
 
 /// This computer's file system.
@@ -31,7 +31,10 @@ impl Files for FileSystem {
     }
 }
 
-/// Reads a regular file of at most `max_bytes`. The error does not name the path.
+/// Reads a regular file of at most `max_bytes`.
+///
+/// # Errors
+/// The reason, without the path.
 pub fn read_bounded(path: &Path, max_bytes: u64) -> Result<Vec<u8>, String> {
     regular(path)?;
     let mut bytes = Vec::new();
@@ -46,7 +49,7 @@ pub fn read_bounded(path: &Path, max_bytes: u64) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// Refuses folders, pipes and devices, which can be endless.
+/// Refuses folders, pipes and devices; pipes and devices can be endless.
 fn regular(path: &Path) -> Result<(), String> {
     let metadata = std::fs::metadata(path).map_err(|error| reason(&error))?;
     match metadata.is_file() {
@@ -55,7 +58,7 @@ fn regular(path: &Path) -> Result<(), String> {
     }
 }
 
-/// The error in words that are the same on every system.
+/// Describes an error with the same words on every system.
 fn reason(error: &io::Error) -> String {
     match error.kind() {
         io::ErrorKind::NotFound => "not found".to_owned(),
@@ -65,22 +68,34 @@ fn reason(error: &io::Error) -> String {
 }
 
 /// Reads the text of a configuration file.
+///
+/// # Errors
+/// The reason, without the path.
 pub fn read_text(path: &Path) -> Result<String, String> {
     String::from_utf8(FileSystem.read(path)?).map_err(|error| error.to_string())
 }
 
 /// Reads and checks a configuration file, and checks that the files it names can be read.
+///
+/// # Errors
+/// All violations of the configuration's rules.
 pub fn load(path: &Path) -> Result<RigSpec, ConfigErrors> {
     echotank_config::load(path, &FileSystem)
 }
 
-/// Checks a configuration's text; relative file names in it count from `folder`.
+/// Checks the text of a configuration. Relative file names are resolved against `folder`.
+///
+/// # Errors
+/// All violations of the configuration's rules.
 pub fn parse(text: &str, folder: &Path) -> Result<RigSpec, ConfigErrors> {
     echotank_config::parse(text, folder, &FileSystem)
 }
 
-/// As [`load`], after `overrides` such as `sonar.ping.range_m=75`. In an array of tables every entry is changed, or only the one whose index the
-/// key gives; absent tables are created. Text that is no TOML value is a string.
+/// Like [`load`], after `overrides` such as `sonar.ping.range_m=75`. In an array of tables an override changes every entry, or only the entry with
+/// the index in the key. Absent tables are created. A value that is not TOML is taken as a string.
+///
+/// # Errors
+/// The text names the file or the override, and the reason.
 pub fn load_with(path: &Path, overrides: &[String]) -> Result<RigSpec, String> {
     if overrides.is_empty() {
         return load(path).map_err(|e| e.to_string());

@@ -27,26 +27,26 @@ use echotank_core::time::{MonoNs, UtcNs};
 use echotank_nav::health::State;
 use echotank_ping::faults::Faults;
 
-/// Most steps per command; it guards against typing errors.
+/// Maximum number of steps per command, which guards against typing errors.
 const MAX_STEPS: u64 = 1_000_000;
 
-/// By quantity, the index of its active source.
+/// Index of the active source, by quantity.
 pub(crate) type NavOwners = [Option<u16>; NavChannel::ALL.len()];
 
-/// The pipeline counts as stuck after this time without an iteration, s; no ping takes as long.
+/// Time without an iteration after which the pipeline counts as stuck, s; no ping takes as long.
 const MAX_ITERATION_S: f64 = 15.0;
 
 /// Limits of `run.clock_rate`, as in the configuration.
 const CLOCK_RATES: std::ops::RangeInclusive<f64> = 0.1..=1000.0;
 
-/// Commands other than settings kept for the page.
+/// Number of commands other than settings kept for the page.
 const MAX_RECENT_COMMANDS: usize = 64;
 
 /// Control and state of one sonar.
 pub struct SonarControl {
     /// Name in the configuration.
     pub name: String,
-    /// Settings in force.
+    /// Current settings.
     pub settings: Arc<SettingsStore>,
     /// Counters of its pings.
     pub counters: Arc<PingCounters>,
@@ -59,7 +59,7 @@ pub struct SonarControl {
 }
 
 impl SonarControl {
-    /// Metric name, help text and value.
+    /// Metric name, help text and value of each counter.
     fn all_counters(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> + '_ {
         self.counters.all().chain(self.triggers.all())
     }
@@ -92,7 +92,7 @@ pub struct RunControl {
 }
 
 impl RunControl {
-    /// Control of a daemon that is being opened.
+    /// Creates the control of a daemon that is being opened.
     pub fn new(
         clock: ClockSpec,
         gate: Arc<Gate>,
@@ -139,12 +139,12 @@ impl RunControl {
         &self.gate
     }
 
-    /// Notes an iteration of the pipeline.
+    /// Records an iteration of the pipeline.
     pub fn beat(&self) {
         self.beat_ns.store(self.machine.mono().0, Ordering::Relaxed);
     }
 
-    /// `owners`: by quantity, the index of its source.
+    /// Sets the status of the navigation. `owners` is the index of the active source, by quantity.
     pub(crate) fn set_nav(
         &self,
         lines: Vec<String>,
@@ -156,7 +156,7 @@ impl RunControl {
         *lock(&self.nav_owners) = owners;
     }
 
-    /// By quantity, the name of its source.
+    /// Name of the active source, by quantity.
     fn nav_owners(&self) -> Value {
         let owners = *lock(&self.nav_owners);
         let all = NavChannel::ALL.into_iter().zip(owners);
@@ -167,16 +167,16 @@ impl RunControl {
         Value::Object(named.collect())
     }
 
-    /// Why the daemon should be started anew; `None` while the pipeline advances.
+    /// Reason to restart the daemon; `None` while the pipeline advances.
     pub(crate) fn pipeline_problem(&self) -> Option<String> {
         let beat = MonoNs(self.beat_ns.load(Ordering::Relaxed));
         let silent_s = self.machine.mono().seconds_since(beat);
-        // A paused pipeline may stand still.
+        // A paused pipeline is not stuck.
         (silent_s > MAX_ITERATION_S && !self.gate.is_paused())
             .then(|| format!("the pipeline has not advanced for {silent_s:.0} s"))
     }
 
-    /// The navigation sources' states, in the configuration's order.
+    /// States of the navigation sources, in the configuration's order.
     pub(crate) fn nav_states(&self) -> Vec<State> {
         let sources = lock(&self.nav_sources);
         sources.iter().map(|(state, _)| *state).collect()
@@ -205,7 +205,7 @@ impl RunControl {
         lines
     }
 
-    /// The sonar of that name, or the only one if no name is given.
+    /// Sonar with this name, or the only sonar if no name is given.
     fn sonar(&self, name: Option<&str>) -> Result<&SonarControl, String> {
         let names = || {
             let names: Vec<_> = self.sonars.iter().map(|s| s.name.as_str()).collect();
@@ -279,7 +279,7 @@ impl RunControl {
         }
     }
 
-    /// Machine time may run at any rate; simulated time runs freely or by steps. Changing between the two requires a restart.
+    /// Changes the clock. Machine time can run at any rate; simulated time runs freely or by steps. A change between the two requires a restart.
     fn set_clock(&self, mode: ClockMode, rate: Option<f64>) -> Result<Value, String> {
         self.refuse_without_own_nav()?;
         let rate = match (mode, rate) {
@@ -315,7 +315,7 @@ impl RunControl {
         Ok(json!({ "clock": clock_name(wanted), "rate": rate }))
     }
 
-    /// Live navigation prevents pausing rig time.
+    /// Refuses to pause rig time if live navigation is used.
     fn refuse_without_own_nav(&self) -> Result<(), String> {
         match self.recorded {
             true => Ok(()),
@@ -326,7 +326,7 @@ impl RunControl {
         }
     }
 
-    /// Keeps a command for the page and logs it. Settings have a journal and log entries of their own.
+    /// Stores a command for the page and logs it. Settings have their own journal and log entries.
     fn note(&self, command: &Command, answer: &Answer, by: Asker) {
         let is_setting = matches!(command, Command::Set(_) | Command::Trigger { .. });
         // A request refused before the journal has no entry there.
@@ -363,7 +363,7 @@ impl RunControl {
         }
     }
 
-    /// Applies changes in order; those before a refusal remain.
+    /// Applies changes in order. Changes before a refusal remain.
     fn set(
         &self,
         sonar: &SonarControl,
@@ -450,7 +450,7 @@ impl ControlPort for RunControl {
     }
 
     fn revision(&self) -> u64 {
-        // Settings and commands only increase it; the gate toggles its last bit.
+        // Settings and commands only increase the number; the gate toggles its last bit.
         let settings = self.sonars.iter().map(|sonar| {
             let counts = sonar.settings.counts();
             sonar.settings.version() + counts.applied + counts.refused

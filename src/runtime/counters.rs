@@ -7,7 +7,7 @@ use echotank_core::navigation::NavState;
 use echotank_core::ping::{EchoCounts, ErrorCheck, MethodMark, OverloadState, SceneCounts};
 use echotank_ping::method_selection::live::PlanCounts;
 
-/// The counters, and `all` of those with a metric: its name and help text, which documents the field too.
+/// Declares the counters. `all` lists those with a metric: the name and the help text, which also documents the field.
 macro_rules! ping_counters {
     (
         metrics { $($vis:vis $field:ident = $metric:literal, $help:literal;)* }
@@ -68,9 +68,9 @@ ping_counters! {
         pub culled: AtomicU64,
         /// Pings whose navigation is flagged invalid.
         pub(crate) invalid_nav: AtomicU64,
-        /// Predicted error and tolerance of that plan, as bits of f64.
+        /// Predicted error and tolerance of the method plan, as bits of f64.
         pub(crate) plan_promise: [AtomicU64; 2],
-        /// Elements of a line that the plan computes as one.
+        /// Number of elements of a line that the plan computes as one element.
         pub(crate) plan_part_elements: AtomicU64,
         /// Echoes outside the engine's range of distance or speed.
         pub beyond_engine: AtomicU64,
@@ -102,7 +102,7 @@ fn read(counter: &AtomicU64) -> u64 {
 }
 
 impl PingCounters {
-    /// Counts a computed ping; `compute_us`: its computing time, us.
+    /// Counts a computed ping with its computing time `compute_us`, us.
     pub fn ping(&self, counts: &EchoCounts, saturated: u64, compute_us: u64) {
         add(&self.made, 1);
         add(&self.arrivals, counts.used);
@@ -121,7 +121,7 @@ impl PingCounters {
         add(&self.seabed_used, counts.scatterers);
     }
 
-    /// Counts the overload measures of a ping; `level`: its degradation level.
+    /// Counts the overload measures of a ping with degradation level `level`.
     pub fn overload_state(&self, level: usize, overload_state: &OverloadState) {
         add(&self.degraded, u64::from(level > 0));
         self.looser.store(level as u64, Ordering::Relaxed);
@@ -158,7 +158,7 @@ impl PingCounters {
         self.plans_failed.store(counts.failed, Ordering::Relaxed);
     }
 
-    /// Text of the status line on seabed, engine, plan, overload and error checks.
+    /// Part of the status line on seabed, engine, plan, overload and error checks.
     fn model_text(&self) -> String {
         let mut text = String::new();
         match read(&self.time_jumped) {
@@ -234,7 +234,7 @@ impl PingCounters {
         text
     }
 
-    /// The newest method plan with its error check, as JSON; null without a plan.
+    /// Newest method plan with its error check, as JSON; null without a plan.
     pub(crate) fn methods_json(&self) -> serde_json::Value {
         if read(&self.plan) == 0 {
             return serde_json::Value::Null;
@@ -277,7 +277,7 @@ impl PingCounters {
         )
     }
 
-    /// Advice where every ping is skipped.
+    /// Advice if every ping is skipped.
     pub fn advice(&self, latency_s: f64) -> Option<String> {
         (read(&self.made) == 0 && read(&self.skipped_nav) > 0).then(|| {
             format!(
@@ -287,7 +287,7 @@ impl PingCounters {
         })
     }
 
-    /// As [`Self::all`], for the newest ping's plan and error check; `None` without a value.
+    /// Like [`Self::all`], for the newest ping's plan and error check; `None` without a value.
     pub fn errors(&self) -> [(&'static str, &'static str, Option<f64>); 4] {
         let of = |bits: &AtomicU64| f64::from_bits(read(bits));
         let planned = read(&self.plan) > 0;
@@ -319,7 +319,7 @@ impl PingCounters {
         ]
     }
 
-    /// Pings skipped for any reason.
+    /// Number of pings skipped for any reason.
     pub fn skipped(&self) -> u64 {
         read(&self.skipped_nav) + read(&self.skipped_late) + read(&self.skipped_queue)
     }

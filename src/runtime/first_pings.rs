@@ -1,7 +1,7 @@
 //! Plans each sonar's first ping without computing it, for `echotank check` and for tools.
 //!
-//! For each sonar, this gives the plan, its scatterers and the [`Ranking`] of methods on them. Without recorded navigation, it assumes a
-//! motion.
+//! For each sonar, the result contains the plan, its scatterers and the [`Ranking`] of the methods. Without recorded navigation, a uniform motion is
+//! assumed.
 
 use glam::{DQuat, DVec3};
 use thiserror::Error;
@@ -24,16 +24,16 @@ use echotank_ping::{self as ping, PingOrder};
 
 /// Speed assumed without recorded navigation: 5 knots, straight ahead and level.
 const ASSUMED_M_PER_S: f64 = 2.572;
-/// Pings tried if the first has a gap in its navigation.
+/// Number of pings tried if the first has a gap in its navigation.
 const TRIES: u32 = 50;
 
-/// Why a first ping cannot be planned.
+/// Errors of planning a first ping.
 #[derive(Debug, Error)]
 pub enum FirstPingError {
-    /// The rig or its recorded navigation.
+    /// The rig or its recorded navigation cannot be opened.
     #[error(transparent)]
     Recorded(#[from] RecordedError),
-    /// The rig.
+    /// The rig cannot be opened.
     #[error(transparent)]
     Rig(#[from] OpenError),
     /// The navigation has a gap at each of the first pings of the named sonar.
@@ -41,19 +41,22 @@ pub enum FirstPingError {
     Gaps(String),
 }
 
-/// The first ping of one sonar.
+/// First ping of one sonar.
 pub struct FirstPing {
-    /// The plan of the ping.
+    /// Plan of the ping.
     pub plan: PingPlan,
-    /// The scatterers in its footprint.
+    /// Scatterers in the footprint of the ping.
     pub scatterers: Scatterers,
-    /// The candidate methods; `None` if no method applies.
+    /// Candidate methods; `None` if no method applies.
     pub ranking: Option<Ranking>,
-    /// The motion is assumed, because the navigation is not recorded.
+    /// Whether the motion is assumed, because the navigation is not recorded.
     pub is_supposed: bool,
 }
 
-/// Plans the first ping of each sonar and ranks the methods. Call it inside the thread pool that would run the rig.
+/// Plans the first ping of each sonar and ranks the methods. Call inside the thread pool that would run the rig.
+///
+/// # Errors
+/// The rig cannot be opened, or the navigation covers none of the first 50 pings of a sonar.
 pub fn first(spec: &RigSpec, costs: &Costs) -> Result<Vec<FirstPing>, FirstPingError> {
     let pings = pings(spec)?;
     let is_supposed = !spec.nav.is_recorded();
@@ -79,7 +82,10 @@ pub fn first(spec: &RigSpec, costs: &Costs) -> Result<Vec<FirstPing>, FirstPingE
         .collect())
 }
 
-/// The first plan of each sonar with the scatterers in its footprint, culled at the configured level.
+/// First plan of each sonar with the scatterers in its footprint, culled at the configured level.
+///
+/// # Errors
+/// As [`first`].
 pub fn pings(spec: &RigSpec) -> Result<Vec<(PingPlan, Scatterers)>, FirstPingError> {
     match RecordedRig::open(&bare(spec)) {
         Ok(recorded) => recorded_pings(recorded),
@@ -88,7 +94,7 @@ pub fn pings(spec: &RigSpec) -> Result<Vec<(PingPlan, Scatterers)>, FirstPingErr
     }
 }
 
-/// The same footprints with pipelines that are cheap to build.
+/// Specification with the same footprints and with pipelines that are cheap to build.
 fn bare(spec: &RigSpec) -> RigSpec {
     let mut spec = spec.clone();
     for sonar in &mut spec.sonars {

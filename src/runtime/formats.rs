@@ -1,8 +1,8 @@
-//! What a replay writes: file formats and options.
+//! File formats and options of a replay.
 
 use std::path::PathBuf;
 
-/// The file formats that a replay writes.
+/// File formats that a replay writes.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Formats {
     /// Teledyne RESON 7k records.
@@ -30,7 +30,7 @@ pub struct Formats {
 }
 
 impl Formats {
-    /// The name of the first requested format that needs element samples.
+    /// Name of the first requested format that needs element samples.
     pub(crate) fn of_elements(&self) -> Option<&'static str> {
         let all = [
             (self.s7k, "s7k"),
@@ -46,17 +46,17 @@ impl Formats {
     }
 }
 
-/// What a replay computes and writes.
+/// Options of a replay.
 #[derive(Clone, Debug)]
 pub struct ReplayOptions {
-    /// The folder of the output files.
+    /// Folder of the output files.
     pub out: PathBuf,
-    /// The file formats to write.
+    /// File formats to write.
     pub formats: Formats,
-    /// Writes `.npz` samples as complex128 instead of complex64.
+    /// Whether `.npz` samples are complex128 instead of complex64.
     pub f64: bool,
     /// First and last ping number, both included. `None` replays the whole log once, even if the configuration loops it.
     pub pings: Option<(u32, u32)>,
-    /// Compute threads; 0 means one per core.
+    /// Number of compute threads; 0 means one per core.
     pub threads: usize,
 }

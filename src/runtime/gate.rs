@@ -1,7 +1,7 @@
 //! Pause and step control: decides whether the next ping may be sent.
 //!
-//! With a `realtime` or `scaled` clock, pausing stops the clock ([`PacedClock::stop`]). With a `fast` or `lockstep` clock, pausing orders
-//! no more pings. A step allows one more ping and pauses again. `lockstep` starts paused.
+//! With a `realtime` or `scaled` clock, a pause stops the clock ([`PacedClock::stop`]). With a `fast` or `lockstep` clock, a pause stops the ordering
+//! of pings. A step allows one more ping and pauses again. `lockstep` starts paused.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -11,9 +11,9 @@ use crate::clock::PacedClock;
 /// Interval at which waiting threads check whether the daemon stops.
 const POLL: Duration = Duration::from_millis(50);
 
-/// The pause state of a rig, shared by the pacing, delivery and control threads.
+/// Pause state of a rig, shared by the pacing, delivery and control threads.
 pub struct Gate {
-    /// The pausable clock; `None` with a `fast` or `lockstep` clock.
+    /// Pausable clock; `None` with a `fast` or `lockstep` clock.
     clock: Option<Arc<PacedClock>>,
     state: Mutex<State>,
     changed: Condvar,
@@ -22,11 +22,11 @@ pub struct Gate {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct State {
     paused: bool,
-    /// Pings still allowed while paused.
+    /// Number of pings still allowed while paused.
     steps: u64,
-    /// Pings sent so far.
+    /// Number of pings sent so far.
     delivered: u64,
-    /// The daemon is stopping; no thread waits any more.
+    /// Whether the daemon is stopping and no thread waits any more.
     closed: bool,
 }
 
@@ -37,7 +37,7 @@ impl State {
 }
 
 impl Gate {
-    /// A gate that stops `clock` while paused. Pass `None` with a `fast` or `lockstep` clock.
+    /// Creates a gate that stops `clock` while paused. Pass `None` with a `fast` or `lockstep` clock.
     pub fn new(clock: Option<Arc<PacedClock>>, paused: bool) -> Self {
         let gate = Self {
             clock,
@@ -95,7 +95,7 @@ impl Gate {
         self.clock.as_ref().map(|clock| clock.rate())
     }
 
-    /// Changes the clock's rate. Returns false with a `fast` or `lockstep` clock.
+    /// Changes the rate of the clock. Returns false with a `fast` or `lockstep` clock.
     pub fn set_rate(&self, rate: f64) -> bool {
         match &self.clock {
             Some(clock) => clock.set_rate(rate),
@@ -108,7 +108,7 @@ impl Gate {
         self.lock().paused
     }
 
-    /// Pings sent to the outputs so far.
+    /// Number of pings sent to the outputs so far.
     pub fn pings_delivered(&self) -> u64 {
         self.lock().delivered
     }

@@ -4,9 +4,9 @@ use std::sync::{Mutex, PoisonError};
 
 use hdrhistogram::Histogram;
 
-/// Largest recorded value, microseconds (ten minutes). Larger values count as this.
+/// Largest recorded value, microseconds (ten minutes). Larger values count as this value.
 const MAX_US: u64 = 600_000_000;
-/// Significant decimal digits: percentiles are within 1 %.
+/// Significant decimal digits, so that percentiles are within 1 %.
 const DIGITS: u8 = 2;
 
 /// End of the first logarithmic bin, microseconds.
@@ -14,7 +14,7 @@ const FIRST_BIN_US: u64 = 16;
 /// Width of each logarithmic bin relative to the one before.
 const BIN_GROWTH: f64 = 2.0;
 
-/// The latency histograms of one sonar. They allocate only when created.
+/// Latency histograms of one sonar. Memory is allocated only at creation.
 #[derive(Default)]
 pub struct Histograms {
     start_error: LatencyHistogram,
@@ -34,7 +34,7 @@ impl Default for LatencyHistogram {
 }
 
 impl LatencyHistogram {
-    /// An empty histogram with all its memory allocated.
+    /// Creates an empty histogram with all its memory allocated.
     pub fn new() -> Self {
         let histogram = Histogram::new_with_bounds(1, MAX_US, DIGITS);
         Self(Mutex::new(
@@ -84,7 +84,7 @@ impl LatencyHistogram {
 /// Count, extremes and percentiles of a histogram, microseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Figures {
-    /// Recorded durations.
+    /// Number of recorded durations.
     pub count: u64,
     /// Minimum.
     pub(crate) min_us: u64,
@@ -100,33 +100,33 @@ pub struct Figures {
     pub p999_us: u64,
     /// Maximum.
     pub max_us: u64,
-    /// Of all values, to the histogram's resolution.
+    /// Sum of all values, within the resolution of the histogram.
     #[serde(skip)]
     pub(crate) sum_us: u64,
 }
 
 impl Histograms {
-    /// Records the delay of a ping's delivery start after its deadline.
+    /// Records the delay of a ping's delivery start after its deadline, us.
     pub(crate) fn start_error_us(&self, us: u64) {
         self.start_error.note(us);
     }
 
-    /// Records the time from a ping's completion to its deadline; a late ping counts as 0.
+    /// Records the time from the completion of a ping to its deadline, ns; a late ping counts as 0.
     pub(crate) fn margin_us(&self, ns: i64) {
         self.margin.note((ns.max(0) / 1000) as u64);
     }
 
-    /// Records the time from the pulse to the ping's completion. The pulse is the instant of the newest motion used.
+    /// Records the time from the pulse to the completion of the ping, ns. The pulse is the instant of the newest motion used.
     pub(crate) fn nav_to_samples_us(&self, ns: i64) {
         self.nav_to_samples.note((ns.max(0) / 1000) as u64);
     }
 
-    /// Records the delay of a ping's complete delivery after its deadline.
+    /// Records the delay of a ping's complete delivery after its deadline, ns.
     pub(crate) fn handed_over_us(&self, ns: i64) {
         self.hand_over.note((ns.max(0) / 1000) as u64);
     }
 
-    /// Records the delay of a group of datagrams after its scheduled instant.
+    /// Records the delay of a group of datagrams after its scheduled instant, ns.
     pub(crate) fn pacing_us(&self, ns: i64) {
         self.pacing.note((ns.max(0) / 1000) as u64);
     }

@@ -1,6 +1,6 @@
 //! A rig in real time or in replay: files, clocks, sockets, pacing, servers, outputs, the operator's page and the recorders.
 //!
-//! The only crate that opens files and sockets and reads clocks. Tests, tools and the program depend on it.
+//! No other crate opens files or sockets or reads clocks. Tests, tools and the program depend on this crate.
 
 #![warn(missing_docs)]
 

@@ -12,7 +12,7 @@ pub(crate) enum Kind {
     Gauge,
 }
 
-/// Values of a sample's labels, by name.
+/// Names and values of a sample's labels.
 pub(crate) type Labels<'a> = &'a [(&'static str, &'a str)];
 
 /// One metric with a sample for each set of labels.
@@ -30,7 +30,7 @@ impl Family {
         )
     }
 
-    /// A family of quantiles.
+    /// Creates a family of quantiles.
     pub(crate) fn summary(name: &str, help: &str) -> Self {
         Self::of(name, help, MetricType::SUMMARY)
     }
@@ -60,7 +60,7 @@ impl Family {
         self.0.mut_metric().push(metric);
     }
 
-    /// `quantiles`: pairs of quantile and value. `sum`: of all observations.
+    /// Adds a summary. `quantiles` holds pairs of quantile and value; `sum` is the sum of all observations.
     pub(crate) fn push_summary(
         &mut self,
         labels: Labels<'_>,
@@ -94,14 +94,14 @@ fn metric(labels: Labels<'_>) -> Metric {
     Metric::from_label(labels.iter().map(pair).collect())
 }
 
-/// The exposition; families without samples are left out.
+/// Formats the exposition. Families without samples are omitted.
 pub(crate) fn text(families: Vec<Family>) -> String {
     let families: Vec<_> = families
         .into_iter()
         .map(|Family(family)| family)
         .filter(|family| !family.get_metric().is_empty())
         .collect();
-    // Every family has a name and a sample, so the encoder has nothing to refuse.
+    // The encoder cannot fail, because every family has a name and a sample.
     TextEncoder::new()
         .encode_to_string(&families)
         .unwrap_or_default()

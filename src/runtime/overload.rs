@@ -16,31 +16,31 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
 
-/// Pings in the median of the cost estimate. Two slow pings in a row do not change the median; three of five do.
+/// Number of pings in the median of the cost estimate. Two slow pings in a row do not change the median; three of five do.
 const MEDIAN_PINGS: usize = 5;
 /// Factor on the cost estimate of a finer level that is rejected without a trial. The estimate falls until the level is tried again.
 const ESTIMATE_DECAY: f64 = 0.8;
 /// Assumed cost of an untried looser level, relative to the next finer one.
 const CHEAPER: f64 = 0.6;
-/// Consecutive pings in time before a finer level is tried.
+/// Number of consecutive pings in time before a finer level is tried.
 const GOOD_PINGS: u32 = 20;
-/// Upper bound of the same after repeated failures: a minute at 20 pings a second.
+/// Upper bound of [`GOOD_PINGS`] after repeated failures: a minute at 20 pings a second.
 const MAX_GOOD_PINGS: u32 = 1280;
-/// Pings on a finer level after which the trial counts as a success.
+/// Number of pings on a finer level after which the trial counts as a success.
 const TRIAL_PINGS: u32 = 100;
-/// Margin for trying a finer level: time left over estimated cost.
+/// Minimum ratio of the remaining time to the estimated cost for trying a finer level.
 const TRIAL_MARGIN: f64 = 1.5;
 /// Margin on the estimated cost of the backlog, because costs vary.
 const BACKLOG_MARGIN: f64 = 1.25;
-/// Most log records waiting to be written; further records are only counted.
+/// Maximum number of log records waiting to be written; further records are only counted.
 const MAX_LINES: usize = 4096;
 
-/// The recent compute times of a sonar's pings, nanoseconds of rig time.
+/// Recent compute times of the pings of one sonar, nanoseconds of rig time.
 #[derive(Clone, Debug, Default)]
 pub struct Cost {
     took_ns: [i64; MEDIAN_PINGS],
     count: usize,
-    /// The first ping, which fills buffers, has been left out.
+    /// Whether the first ping, which allocates buffers, has been excluded.
     is_warm: bool,
 }
 
@@ -78,12 +78,12 @@ pub(crate) struct DegradationLevels {
     level: usize,
     good: u32,
     wanted_good: u32,
-    /// Pings since the last step to a finer level, until the trial succeeds.
+    /// Number of pings since the last step to a finer level, until the trial succeeds.
     tried: Option<u32>,
 }
 
 impl DegradationLevels {
-    /// `levels`: number of levels; level 0 is the finest.
+    /// Creates `levels` levels; level 0 is the finest.
     pub(crate) fn new(levels: usize) -> Self {
         Self {
             costs: vec![Cost::default(); levels.max(1)],
@@ -94,7 +94,7 @@ impl DegradationLevels {
         }
     }
 
-    /// The estimated compute time of a ping on a level, nanoseconds; 0 while unknown.
+    /// Estimated compute time of a ping on a level, nanoseconds; 0 while unknown.
     fn cost_ns(&self, level: usize) -> i64 {
         let known = self.costs[..=level].iter().enumerate().rev();
         let mut known = known.filter_map(|(at, cost)| Some((at, cost.ns()?)));
@@ -103,7 +103,7 @@ impl DegradationLevels {
         })
     }
 
-    /// The level of a ping that must be ready within `left_ns`. `None` skips a ping that `waited` for another and fits on no level.
+    /// Level of a ping that must be ready within `left_ns`. `None` skips a ping that `waited` for another ping and fits on no level.
     pub(crate) fn choose(&mut self, left_ns: i64, waited: bool) -> Option<usize> {
         self.consider_finer(left_ns);
         let loosest = self.costs.len() - 1;
@@ -130,12 +130,12 @@ impl DegradationLevels {
         if self.cost_ns(finer) as f64 * TRIAL_MARGIN <= left_ns as f64 {
             (self.level, self.tried) = (finer, Some(0));
         } else {
-            // The estimate stems from another load.
+            // The estimate was measured under another load.
             self.costs[finer].decay();
         }
     }
 
-    /// Adds the compute time of a ping on the chosen level, and whether it met its deadline.
+    /// Adds the compute time of a ping on the chosen level, and whether the ping met its deadline.
     pub(crate) fn note(&mut self, took_ns: i64, in_time: bool) {
         self.costs[self.level].note(took_ns);
         self.good = match in_time {
@@ -148,13 +148,13 @@ impl DegradationLevels {
         }
     }
 
-    /// The estimated compute time of the next ping, nanoseconds.
+    /// Estimated compute time of the next ping, nanoseconds.
     pub(crate) fn now_ns(&self) -> i64 {
         self.cost_ns(self.level)
     }
 }
 
-/// The pings ordered from the pipeline and not yet computed, with their estimated costs. One per rig.
+/// Pings that are ordered and not yet computed, with their estimated costs. One per rig.
 #[derive(Debug, Default)]
 pub(crate) struct Backlog {
     sonars: Vec<PendingWork>,
@@ -162,10 +162,10 @@ pub(crate) struct Backlog {
     began_ns: AtomicI64,
 }
 
-/// The pending pings of one sonar.
+/// Pending pings of one sonar.
 #[derive(Debug, Default)]
 struct PendingWork {
-    /// Pings ordered and neither computed nor skipped.
+    /// Number of pings ordered and neither computed nor skipped.
     ordered: AtomicU64,
     cost_ns: AtomicI64,
 }
@@ -198,7 +198,7 @@ impl Backlog {
         self.sonars[sonar].cost_ns.store(ns, Relaxed);
     }
 
-    /// The delay of this sonar's pulse that lets its ping meet its deadline, nanoseconds.
+    /// Delay of this sonar's pulse that lets its ping meet its deadline, nanoseconds.
     ///
     /// `ready_by_ns` is the deadline without a delay. The delay never extends beyond the end of the backlog.
     pub(crate) fn put_off_ns(&self, sonar: usize, now_ns: i64, ready_by_ns: i64) -> i64 {
@@ -223,7 +223,7 @@ impl Backlog {
 pub(crate) struct OverloadRecord {
     /// `skipped`, `degraded`, `stretched`, `truncated` (only the first samples were streamed) or `late` (delivered after its deadline).
     pub what: &'static str,
-    /// The configured name of the sonar.
+    /// Configured name of the sonar.
     pub sonar: String,
     /// Number of the ping, from 1.
     pub ping_number: u32,
@@ -237,7 +237,7 @@ pub(crate) struct OverloadRecord {
     pub(crate) put_off_ms: Option<f64>,
 }
 
-/// The records waiting to be written to the overload log.
+/// Records waiting to be written to the overload log.
 #[derive(Debug, Default)]
 pub(crate) struct OverloadLog {
     waiting: Mutex<Vec<OverloadRecord>>,

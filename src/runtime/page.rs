@@ -1,4 +1,4 @@
-//! JSON for the operator's page besides ping frames: the rig, its settings and changes, targets, seabed relief and navigation status.
+//! JSON for the operator's page, apart from ping frames: the rig, settings and changes, targets, seabed relief and navigation status.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -18,35 +18,35 @@ use echotank_core::settings::{
 use echotank_nav::health::State;
 use echotank_ping::world::SharedSceneSummary;
 
-/// Cells per side of a relief tile.
+/// Number of cells per side of a relief tile.
 const RELIEF_CELLS: i64 = 128;
-/// Cells per side with the border of one cell.
+/// Number of cells per side with the border of one cell.
 const WITH_BORDER: i64 = RELIEF_CELLS + 2;
 /// Coarsest level: tiles of 256 km per side.
 const MAX_LEVEL: u8 = 11;
-/// Most cached tiles: 9 MB.
+/// Maximum number of cached tiles: 9 MB.
 const MAX_TILES: usize = 128;
-/// Most targets sent to the page.
+/// Maximum number of targets sent to the page.
 const MAX_TARGETS: usize = 2000;
-/// Longest displayed text of a stored setting, characters.
+/// Maximum length of the displayed text of a stored setting, characters.
 const MAX_TEXT: usize = 200;
 
-/// The data behind the operator's page.
+/// Data shown on the operator's page.
 pub struct PageSource {
     /// Distributes ping frames to the open pages.
     pub feed: Arc<Feed>,
-    /// The checked configuration.
+    /// Checked configuration.
     pub spec: RigSpec,
-    /// The targets and terrain, once they are placed.
+    /// Targets and terrain, once they are placed.
     pub world: SharedSceneSummary,
 }
 
-/// A cache of relief tiles, the newest last.
+/// Cache of relief tiles, the newest last.
 #[derive(Default)]
 pub struct ReliefCache(Mutex<VecDeque<(ReliefTile, Bytes)>>);
 
 impl PageSource {
-    /// The first message to a page: the sonars, the fault kinds and the navigation sources. `run` identifies this run of the daemon.
+    /// First message to a page: the sonars, the fault kinds and the navigation sources. `run` identifies this run of the daemon.
     pub fn hello(&self, run: i64) -> Value {
         let faults = FaultRequest::KINDS.iter().map(
             |(kind, unit, min, max)| json!({ "kind": kind, "unit": unit, "min": min, "max": max }),
@@ -64,7 +64,7 @@ impl PageSource {
         })
     }
 
-    /// The targets, as rows of name, north, east, down (m) and strength (dB); null until the scene is placed.
+    /// Targets as rows of name, north, east, down (m) and strength (dB); null until the scene is placed.
     pub fn world(&self) -> Value {
         let Some(world) = self.world.get() else {
             return Value::Null;
@@ -77,7 +77,7 @@ impl PageSource {
         json!({ "targets": targets.collect::<Value>(), "relief": world.ground.is_some() })
     }
 
-    /// The seabed depths of a tile as a relief frame. `None` without a seabed or beyond the coarsest level.
+    /// Seabed depths of a tile as a relief frame. `None` without a seabed or beyond the coarsest level.
     ///
     /// Depths are f32, metres down, row by row from the south-west, with a border of one cell; NaN without data.
     pub fn relief(&self, tile: ReliefTile, cache: &ReliefCache) -> Option<Bytes> {
@@ -153,7 +153,7 @@ pub(crate) fn settings_json(settings: &SonarSettings) -> Value {
     })
 }
 
-/// The name of a trigger source in the page's JSON.
+/// Name of a trigger source in the page's JSON.
 pub fn trigger_name(trigger: TriggerSource) -> &'static str {
     match trigger {
         TriggerSource::Internal => "internal",
@@ -161,7 +161,7 @@ pub fn trigger_name(trigger: TriggerSource) -> &'static str {
     }
 }
 
-/// The recent setting changes of a sonar, oldest first: requester, setting, value and outcome.
+/// Recent setting changes of a sonar, oldest first: requester, setting, value and outcome.
 pub fn changes(settings: &SettingsStore) -> Value {
     let kept = settings.changes_since(0);
     let kept = kept.iter().filter_map(kept_change);
@@ -200,7 +200,7 @@ fn change(recent: &RecentChange) -> Value {
     row
 }
 
-/// A stored setting without effect on the model. The other settings are among the recent changes.
+/// Row of a stored setting without effect on the model. The other settings are among the recent changes.
 fn kept_change(entry: &JournalEntry) -> Option<Value> {
     let Changed::Kept(key, value) = &entry.changed else {
         return None;
@@ -216,7 +216,7 @@ fn kept_change(entry: &JournalEntry) -> Option<Value> {
     Some(row)
 }
 
-/// The state and counters of one navigation source.
+/// State and counters of one navigation source.
 pub fn nav_source((state, source): &(State, SourceCounters)) -> Value {
     let (d, l) = (&source.decoder, &source.live);
     json!({

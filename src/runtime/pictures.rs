@@ -1,4 +1,4 @@
-//! The pictures of a replay and their masks, as configured in `[sonar.picture]`.
+//! Pictures of a replay and their masks, as configured in `[sonar.picture]`.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -25,13 +25,13 @@ use echotank_ping::line_truth::line_truths;
 use echotank_ping::rig::{PingSlot, Rig};
 use echotank_synthesis::array::receiver::amplify;
 
-/// Default columns per side of a waterfall; both sides fit a screen.
+/// Default number of columns per side of a waterfall; both sides fit a screen.
 const WATERFALL_COLUMNS: f64 = 600.0;
 
 /// Largest low and smallest high percentile of a mosaic's contrast, as fractions.
 const MAP_SHARES: (f64, f64) = (0.02, 0.999);
 
-/// The pictures of one sonar.
+/// Pictures of one sonar.
 pub(crate) struct Pictures {
     spec: SonarSpec,
     folder: PathBuf,
@@ -77,7 +77,7 @@ impl Pictures {
         })
     }
 
-    /// Adds the ping that `rig` has just computed.
+    /// Adds the ping in `slot`, which `rig` has just computed.
     pub(crate) fn push(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
         self.fan(slot, rig)?;
         let Formats {
@@ -177,7 +177,7 @@ impl Pictures {
         Ok(())
     }
 
-    /// The side-scan lines without the time-varying gain, taken at the middle of the pulse.
+    /// Side-scan lines without the time-varying gain, at the middle of the pulse.
     fn raw(&mut self, plan: &PingPlan, lines: &[Line]) -> Vec<Line> {
         let rate_hz = self.spec.receiver.sample_rate_hz;
         let half_pulse = (0.5 * plan.pulse.duration_s * rate_hz).round() as usize;
@@ -219,7 +219,7 @@ impl Pictures {
         }
     }
 
-    /// World positions of the lines' transmit arrays at the start of the pulse.
+    /// World positions of the transmit arrays of the side-scan lines at the start of the pulse.
     fn arms(&self, plan: &PingPlan) -> Arms {
         let pose = plan.trajectory.pose_at(0.0);
         let mut sides = [None; 2];
@@ -356,7 +356,7 @@ fn target_names(targets: &[Target]) -> Vec<String> {
 /// World positions of the transmit arrays, metres.
 struct Arms {
     middle_m: DVec3,
-    /// Port, starboard.
+    /// Positions for port and starboard.
     sides_m: [DVec3; 2],
 }
 

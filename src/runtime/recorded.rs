@@ -17,13 +17,13 @@ use echotank_ping::beats::{Beats, InForce};
 use echotank_ping::faults::PingMark;
 use echotank_ping::rig::Rig;
 
-/// Pings closer to the ends of a long gap are ordered one by one, seconds.
+/// Distance from the ends of a long gap within which pings are ordered one by one, seconds.
 const GAP_MARGIN_S: f64 = 60.0;
 
-/// Why a recorded rig cannot be opened.
+/// Errors of opening a recorded rig.
 #[derive(Debug, Error)]
 pub enum RecordedError {
-    /// The rig or a navigation file.
+    /// The rig or a navigation file cannot be opened.
     #[error(transparent)]
     Rig(#[from] OpenError),
     /// The configuration has no source of kind `log` or `csv`.
@@ -40,9 +40,9 @@ pub enum RecordedError {
 
 /// A rig, its recorded navigation and its ping schedule.
 pub struct RecordedRig {
-    /// The rig under replay.
+    /// Rig under replay.
     pub rig: Rig,
-    /// The recorded sources, read as far as the pings so far need.
+    /// Recorded sources, read as far as the pings so far need.
     pub inputs: NavInputs,
     beats: Beats,
     /// UTC of the first ping.
@@ -51,12 +51,15 @@ pub struct RecordedRig {
     follows: Vec<bool>,
     /// Per sonar: pings in long gaps of the navigation, which have no number.
     pub(crate) passed_over: Vec<u64>,
-    /// What of the navigation is missing, left out or replaced, a line each.
+    /// Missing, ignored or replaced parts of the navigation, one line each.
     pub nav_warnings: Vec<String>,
 }
 
 impl RecordedRig {
-    /// Opens the rig and reads navigation up to the first usable ping. Call it inside the thread pool that computes the rig's pings.
+    /// Opens the rig and reads navigation up to the first usable ping. Call inside the thread pool that computes the pings of the rig.
+    ///
+    /// # Errors
+    /// See [`RecordedError`].
     pub fn open(spec: &RigSpec) -> Result<Self, RecordedError> {
         let nav = ReadNav::read(&spec.nav).map_err(OpenError::Nav)?;
         if !nav.has_recorded() {
@@ -103,7 +106,7 @@ impl RecordedRig {
         })
     }
 
-    /// The sonar index and order of the next ping in time, or `None` once every sonar has reached ping number `last`.
+    /// Sonar index and order of the next ping in time. `None` once every sonar has reached ping number `last`.
     pub fn next_order(&mut self, last: u32) -> Option<(usize, PingOrder)> {
         loop {
             let (beats, follows) = (&self.beats, &self.follows);
@@ -119,7 +122,7 @@ impl RecordedRig {
             let done: Vec<_> = (0..follows.len()).map(|sonar| !wanted(sonar)).collect();
             let in_force = |sonar: usize, _| InForce {
                 settings: SonarSettings {
-                    // A replay has no client that sends "start".
+                    // A replay has no client that starts the sonar.
                     pinging: !follows[sonar] && !done[sonar],
                     ..sonars[sonar].spec.settings
                 },
@@ -134,7 +137,7 @@ impl RecordedRig {
         }
     }
 
-    /// Passes over a long gap of the navigation that contains the next ping. Adds the pings of each sonar that fall into it to `skipped`.
+    /// Skips a long gap of the navigation that contains the next ping. Counts the pings of each sonar in the gap. Returns whether a gap was skipped.
     fn pass_over_gap(&mut self, now: UtcNs) -> bool {
         let Some(end) = self.inputs.gap_end(now, GAP_MARGIN_S) else {
             return false;
@@ -144,7 +147,7 @@ impl RecordedRig {
             .into_iter()
             .all(|s| self.beats.schedule(s).next_utc() >= end)
         {
-            // A trigger that a ping before the gap has made.
+            // Every schedule already continues after the gap. Only pings triggered before the gap remain.
             return false;
         }
         let sound_speed_m_per_s = self.rig.medium().sound_speed_m_per_s;
@@ -172,7 +175,7 @@ impl RecordedRig {
         self.beats.pulsed(sonar, order.transmit_utc);
     }
 
-    /// Reads on until the navigation covers the ping. Returns false if the log ends first.
+    /// Reads navigation until it covers the ping. Returns false if the log ends first.
     pub fn settle(&mut self, sonar: usize, order: &PingOrder) -> bool {
         crate::rig::read_navigation_for(&mut self.rig, &mut self.inputs, sonar, order)
     }

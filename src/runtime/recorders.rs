@@ -1,4 +1,4 @@
-//! The files of a replay: always `truth.jsonl`, and the requested formats.
+//! Files of a replay: always `truth.jsonl`, and the requested formats.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -36,7 +36,7 @@ const MAX_JSF_CHANNELS: usize = 256;
 /// 7k device identifier of a generic side-scan.
 const GENERIC_SIDE_SCAN: u32 = 104;
 
-/// The files of one sonar.
+/// Files of one sonar.
 struct SonarFiles {
     spec: SonarSpec,
     folder: PathBuf,
@@ -72,9 +72,9 @@ struct Xtf {
     packets: Vec<u8>,
 }
 
-/// Creates a `.s7k` file with its header and configuration record, stamped with `utc`.
+/// Creates a `.s7k` file with its header and configuration record at the time `utc`.
 ///
-/// The contents depend on neither the host's clock nor a random source, so the same pings make the same file.
+/// The contents depend on neither the host's clock nor a random source, so equal pings give an equal file.
 pub(crate) fn begin_s7k(
     path: &Path,
     sheet: &DeviceSheet,
@@ -107,7 +107,7 @@ pub(crate) fn begin_s7k(
     Ok(recorder)
 }
 
-/// The longest prefix of `text` that fits into `bytes` bytes of UTF-8.
+/// Longest prefix of `text` that fits into `bytes` bytes of UTF-8.
 fn text_of(text: &str, bytes: usize) -> String {
     let end = (0..=bytes.min(text.len()))
         .rev()
@@ -246,7 +246,7 @@ impl SonarFiles {
         })
     }
 
-    /// Closes the files and adds the paths of those with contents to `written`.
+    /// Closes the files and adds the paths of files with contents to `written`.
     fn finish(self, targets: &[Target], written: &mut Vec<PathBuf>) -> Result<(), RecordError> {
         if let Some(S7k {
             path,
@@ -309,7 +309,7 @@ impl Recorders {
     ) -> Result<Self, RecordError> {
         let mut sonars = Vec::new();
         for unit in &rig.sonars {
-            // With several sonars, each has a folder.
+            // If there are several sonars, each has a folder.
             let folder = match rig.sonars.len() {
                 1 => options.out.clone(),
                 _ => options.out.join(&unit.spec.name),
@@ -322,7 +322,7 @@ impl Recorders {
         })
     }
 
-    /// Writes the ping that `rig` has just computed.
+    /// Writes the ping in `slot`, which `rig` has just computed.
     pub(crate) fn record(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
         let PingSlot { plan, output } = slot;
         let files = &mut self.sonars[plan.sonar];
@@ -351,7 +351,7 @@ impl Recorders {
         files.pictures.push(slot, rig)
     }
 
-    /// Closes every file and returns the paths of those with contents.
+    /// Closes every file and returns the paths of files with contents.
     pub(crate) fn finish(self, targets: &[Target]) -> Result<Vec<PathBuf>, RecordError> {
         let mut written = vec![self.truth.path().to_path_buf()];
         for files in self.sonars {
@@ -361,7 +361,7 @@ impl Recorders {
     }
 }
 
-/// The first configured output of a kind.
+/// First configured output of a kind.
 macro_rules! configured {
     ($spec:expr, $kind:ident) => {
         $spec.outputs.iter().find_map(|output| match output {
@@ -371,7 +371,7 @@ macro_rules! configured {
     };
 }
 
-/// The configured 7k output. Without one, all arrays on a generic side-scan.
+/// Configured 7k output. The default is a generic side-scan with all arrays.
 fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
     let configured = configured!(spec, SevenK);
     configured.cloned().unwrap_or_else(|| SevenKSpec {
@@ -388,7 +388,7 @@ fn sevenk_output(spec: &SonarSpec) -> SevenKSpec {
     })
 }
 
-/// The configured JSF output. Without one, the side-scan lines as envelopes, or the elements if the sonar has no side-scan lines.
+/// Configured JSF output. The default has the side-scan lines as envelopes, or the elements if the sonar has no side-scan lines.
 fn jsf_output(spec: &SonarSpec) -> JsfSpec {
     let configured = configured!(spec, Jsf);
     let has_lines = !spec.beams.lines.is_empty();
@@ -418,7 +418,7 @@ fn jsf_output(spec: &SonarSpec) -> JsfSpec {
     })
 }
 
-/// The first arrays, as many as fit into the JSF channels.
+/// Indices of the first arrays whose elements fit into the JSF channels.
 fn first_channels(spec: &SonarSpec) -> Vec<usize> {
     let mut elements = 0;
     let arrays = spec.receive.iter().take_while(|array| {
@@ -433,14 +433,14 @@ fn xtf_output(spec: &SonarSpec) -> XtfSpec {
     configured.copied().unwrap_or(XtfSpec { is_float: false })
 }
 
-/// Records the arrays of the configured output. Without one, all arrays.
+/// Starts a SigMF recording with the arrays of the configured output, or with all arrays.
 fn begin_sigmf(folder: &Path, spec: &SonarSpec) -> Result<SigmfRecorder, RecordError> {
     let configured = configured!(spec, Sigmf).map(|sigmf| sigmf.arrays.clone());
     let arrays = configured.unwrap_or_else(|| (0..spec.receive.len()).collect());
     SigmfRecorder::create(&folder.join(&spec.name), &arrays, spec)
 }
 
-/// Records with the arrays and rate of the configured output. Without one, all arrays at the default rate.
+/// Starts a WAV recording with the arrays and rate of the configured output, or with all arrays at the default rate.
 fn begin_wav(folder: &Path, spec: &SonarSpec) -> Result<WavRecorder, RecordError> {
     let configured = configured!(spec, Wav);
     let output = configured.cloned().unwrap_or_else(|| WavSpec {

@@ -1,6 +1,6 @@
 //! Offline replay: recorded navigation in, files out.
 //!
-//! The output bytes depend on neither the run nor the number of threads.
+//! The output bytes are the same for every run and every number of threads.
 
 use std::fmt;
 use std::sync::Arc;
@@ -20,13 +20,13 @@ use echotank_ping::faults::PingMark;
 use echotank_ping::rig::PingSlot;
 use echotank_ping::threads::pool;
 
-/// Why a replay cannot start or continue.
+/// Errors of a replay.
 #[derive(Debug, Error)]
 pub enum ReplayError {
-    /// The rig or its recorded navigation.
+    /// The rig or its recorded navigation cannot be opened.
     #[error(transparent)]
     Recorded(#[from] RecordedError),
-    /// An output file.
+    /// An output file cannot be written.
     #[error(transparent)]
     Record(#[from] RecordError),
     /// A requested format needs element samples, but the sonar synthesises beams directly.
@@ -39,10 +39,10 @@ pub enum ReplayError {
         /// The file format, by its extension.
         format: &'static str,
     },
-    /// Every ping lies outside of the navigation, or `--pings` behind its end.
+    /// No ping lies within the navigation and the range of `--pings`.
     #[error("no ping was made: {0}")]
     NoPing(String),
-    /// The compute thread pool.
+    /// The threads for computing cannot be started.
     #[error("threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
@@ -65,7 +65,7 @@ fn keep_elements(spec: &mut RigSpec, formats: &Formats) -> Result<(), ReplayErro
     Ok(())
 }
 
-/// A replay that is open and has not run yet.
+/// An open replay that has not run yet.
 pub struct Replay {
     pool: Arc<rayon::ThreadPool>,
     recorded: RecordedRig,
@@ -75,7 +75,7 @@ pub struct Replay {
     counters: Vec<PingCounters>,
 }
 
-/// The result of a replay. Displays one line of counters per sonar and one line per file.
+/// Result of a replay. Displays one line of counters per sonar and one line per file.
 pub struct Summary {
     text: String,
 }
@@ -88,6 +88,9 @@ impl fmt::Display for Summary {
 
 impl Replay {
     /// Opens the rig, its recorded navigation and the output files.
+    ///
+    /// # Errors
+    /// See [`ReplayError`].
     pub fn open(mut spec: RigSpec, options: ReplayOptions) -> Result<Self, ReplayError> {
         // A looped log never ends, so it needs an explicit last ping.
         spec.nav.loop_log &= options.pings.is_some();
@@ -113,7 +116,7 @@ impl Replay {
         })
     }
 
-    /// The expected number of pings over all sonars. `None` if the end of the log is unknown.
+    /// Expected number of pings over all sonars. `None` if the end of the log is unknown.
     pub fn pings_expected(&self) -> Option<u64> {
         let (first, last) = self.pings;
         if last < u32::MAX {
@@ -141,6 +144,9 @@ impl Replay {
     }
 
     /// Computes and writes all pings. Calls `progress` with the number of every ping made or skipped.
+    ///
+    /// # Errors
+    /// A file cannot be written, or no ping was made.
     pub fn run(mut self, mut progress: impl FnMut(u32) + Send) -> Result<Summary, ReplayError> {
         let pool = self.pool.clone();
         pool.install(move || {

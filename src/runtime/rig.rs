@@ -15,13 +15,13 @@ use crate::io::files::FileSystem;
 use crate::io::nav::{NavInputs, NavOpenError};
 use crate::io::{priority, text_of};
 
-/// Why a rig cannot be opened.
+/// Errors of opening a rig.
 #[derive(Debug, Error)]
 pub enum OpenError {
-    /// The rig itself: scene, sonars or method selection.
+    /// The scene, a sonar or the method selection is invalid.
     #[error(transparent)]
     Rig(#[from] RigError),
-    /// A navigation source.
+    /// A navigation source cannot be opened.
     #[error("navigation: {0}")]
     Nav(#[from] NavOpenError),
     /// The file of `run.costs` cannot be read.
@@ -37,7 +37,10 @@ pub enum OpenError {
     Costs(#[from] CostsError),
 }
 
-/// Opens the rig of `spec`. Call it inside the thread pool that computes the rig's pings.
+/// Opens the rig of `spec`. Call inside the thread pool that computes the pings of the rig.
+///
+/// # Errors
+/// See [`OpenError`].
 pub fn open(spec: &RigSpec) -> Result<Rig, OpenError> {
     Ok(Rig::open(
         spec,
@@ -47,6 +50,9 @@ pub fn open(spec: &RigSpec) -> Result<Rig, OpenError> {
 }
 
 /// Reads the cost table of method selection from `path`. Without a path, returns the built-in table.
+///
+/// # Errors
+/// The file cannot be read or is not a cost table.
 pub fn costs_of(path: Option<&Path>) -> Result<Costs, OpenError> {
     let Some(path) = path else {
         return Ok(Costs::committed());
@@ -78,11 +84,11 @@ pub(crate) fn read_navigation_for(
             !inputs.finished()
         }
         NavMode::Settle => {
-            // A repeated log has no end: what two loops do not give never comes.
+            // A repeated log has no end. A quantity that two loops do not contain never arrives.
             let mut left = 2 * inputs.recorded_samples();
             loop {
                 match rig.history.coverage(from, to) {
-                    // In a gap; a ping that cannot be made is counted as such.
+                    // The ping lies in a gap; the caller counts it as skipped.
                     Coverage::Ready | Coverage::Missing(_) => return true,
                     Coverage::Waiting => {}
                 }
@@ -95,7 +101,7 @@ pub(crate) fn read_navigation_for(
     }
 }
 
-/// Calls [`Rig::plan_first`] for every sonar with a planner, for a ping at `first`. Reads the recorded navigation that this needs.
+/// Calls [`Rig::plan_first`] for every sonar with a planner, for a ping at `first`. Reads the recorded navigation that the plan needs.
 pub(crate) fn plan_all(rig: &mut Rig, inputs: &mut NavInputs, first: UtcNs) {
     for sonar in 0..rig.sonars.len() {
         let order = PingOrder {

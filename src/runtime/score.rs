@@ -1,8 +1,8 @@
-//! Compares a device's report with the log of injected faults: faults found, faults missed, and findings without a fault.
+//! Compares the report of a device with the log of injected faults: faults found, faults missed, and findings without a fault.
 //!
-//! A finding matches a fault on two conditions. Its kind is an observable effect of the fault ([`effects`]) or the fault's own name, and no
-//! stated position contradicts the fault's. A consequence of a fault, such as the record lost behind a truncated one, is not a false
-//! finding. A finding without a position counts for the first fault that it can match, and is counted separately.
+//! A finding matches a fault on two conditions. Its kind is an observable effect of the fault ([`effects`]) or the name of the fault, and its
+//! position, if stated, agrees with the fault. A consequence of a fault, such as the record lost behind a truncated record, is not a false finding. A
+//! finding without a position counts for the first fault that it can match, and is counted separately.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -18,7 +18,7 @@ pub struct LoggedFault {
     pub fault: u32,
     /// Kind of the fault, for example `drop`.
     pub kind: String,
-    /// The configured name of the affected sonar.
+    /// Configured name of the affected sonar.
     pub sonar: Option<String>,
     /// Protocol family of the affected link, for example `7k`.
     pub line: Option<String>,
@@ -26,9 +26,9 @@ pub struct LoggedFault {
     pub ping_number: u32,
     /// UTC of the injection, rig time.
     pub utc_ns: i64,
-    /// The affected navigation source.
+    /// Affected navigation source.
     pub source: Option<String>,
-    /// The affected navigation quantity.
+    /// Affected navigation quantity.
     pub quantity: Option<String>,
     /// Type of the affected record, or number of the packet within its ping.
     pub record_type: Option<u32>,
@@ -46,7 +46,10 @@ pub struct LoggedFault {
     pub packet_utc_ns: Option<i64>,
 }
 
-/// Parses a fault log. On an error, returns the number of the first invalid line, from 1, and the reason.
+/// Parses a fault log.
+///
+/// # Errors
+/// Number of the first invalid line, from 1, and the reason.
 pub fn log_of(text: &str) -> Result<Vec<LoggedFault>, (usize, String)> {
     let lines = text.lines().enumerate();
     let lines = lines.filter(|(_, line)| !line.trim().is_empty());
@@ -55,15 +58,15 @@ pub fn log_of(text: &str) -> Result<Vec<LoggedFault>, (usize, String)> {
         .collect()
 }
 
-/// How a client observes a kind of fault.
+/// Effects of a kind of fault that a client observes.
 struct Effects {
     /// Kinds of findings that show the fault.
     shown_as: &'static [&'static str],
-    /// Kinds of findings that may follow from it.
+    /// Kinds of findings that can follow from the fault.
     consequences: &'static [&'static str],
-    /// Pings after the fault within which they follow.
+    /// Number of pings after the fault within which the consequences follow.
     within_pings: u32,
-    /// Pings before the fault whose records can be in transit, so that it affects them too.
+    /// Number of pings before the fault whose records can be in transit and are affected too.
     in_transit_pings: u32,
 }
 
@@ -74,7 +77,7 @@ fn effects(kind: &str) -> Effects {
         "reorder" | "delay" | "jitter" => (&["late", "lost"], &[], 0),
         "corrupt" => (&["damaged", "different", "lost"], &[], 0),
         "corrupt-mended" => (&["different"], &[], 0),
-        // The client takes the start of the next record for the end of the truncated one.
+        // The client parses the start of the next record as the end of the truncated record.
         "truncate" => (
             &["damaged", "different", "lost"],
             &["damaged", "different", "lost"],
@@ -102,21 +105,21 @@ fn shows(kind: &str, finding: &str) -> bool {
 pub struct Tally {
     /// Logged injections that the report covers. Consecutive pings of one half-open connection count once.
     pub injected: u64,
-    /// Matched by a finding with a position.
+    /// Injections matched by a finding with a position.
     pub found: u64,
-    /// Matched by a finding without a position.
+    /// Injections matched by a finding without a position.
     pub found_by_count: u64,
-    /// Unobservable: the next record was delayed or lost too, so the order did not change.
+    /// Unobservable injections: the next record was delayed or lost too, so the order did not change.
     pub masked: u64,
-    /// Matched by no finding.
+    /// Injections without a matching finding.
     pub missed: u64,
-    /// Of a kind that the reporting device cannot detect, by its own statement.
+    /// Injections of a kind that the reporting device declares as undetectable.
     pub untold: u64,
-    /// In records, pings or links that the report does not cover.
+    /// Injections in records, pings or links that the report does not cover.
     pub not_covered: u64,
 }
 
-/// The comparison of a report with a fault log.
+/// Comparison of a report with a fault log.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Score {
     /// Counts by kind of fault.
@@ -136,13 +139,13 @@ impl Score {
     }
 }
 
-/// One injection to be found, or the consecutive pings of one half-open connection.
+/// An injection to be found, or the consecutive pings of one half-open connection.
 struct Case<'a> {
     logged: &'a LoggedFault,
     to_ping: u32,
     found: bool,
     by_count: bool,
-    /// Outside the report's coverage or abilities. Its consequences may still be in the report.
+    /// Whether the case is outside the coverage or abilities of the report. Its consequences may still be in the report.
     is_aside: bool,
 }
 
@@ -172,7 +175,7 @@ pub fn score(log: &[LoggedFault], report: &Report) -> Score {
     score
 }
 
-/// The injections relevant to the report. Counts those that it does not cover or cannot detect.
+/// Injections that the report should contain. Counts the injections that the report does not cover or cannot detect.
 fn cases<'a>(log: &'a [LoggedFault], report: &Report, score: &mut Score) -> Vec<Case<'a>> {
     let mut cases = Vec::new();
     let mut seen_connections = BTreeSet::new();
@@ -246,7 +249,7 @@ fn match_unplaced(report: &Report, log: &[LoggedFault], cases: &mut [Case], scor
 /// Joins the consecutive pings of one half-open connection into one case.
 fn join_silences(cases: &mut Vec<Case>) {
     let mut kept: Vec<Case> = Vec::with_capacity(cases.len());
-    // Index in `kept` of each fault's newest silence.
+    // Index in `kept` of the newest silence of each fault.
     let mut newest: HashMap<u32, usize> = HashMap::new();
     for case in cases.drain(..) {
         if case.logged.kind == "half-open" && !case.is_aside {
@@ -294,10 +297,10 @@ fn is_placed(finding: &Finding) -> bool {
         || finding.from_utc_ns.is_some()
 }
 
-/// Cases by ping, so that a finding is compared with nearby cases only.
+/// Cases by ping, so that a finding is compared only with nearby cases.
 struct Index(BTreeMap<u32, Vec<usize>>);
 
-/// Largest distance of a consequence from its fault, pings.
+/// Maximum distance of a consequence from its fault, pings.
 const MAX_FOLLOWS: u32 = 3;
 
 impl Index {
@@ -330,8 +333,8 @@ fn pings_of(finding: &Finding) -> Option<(u32, u32)> {
     Some((from, finding.to_ping.unwrap_or(from)))
 }
 
-/// Whether the finding's position does not contradict the case's. The finding may lie up to `later` pings after the case, or concern records in
-/// transit.
+/// Whether the position of the finding agrees with the position of the case. The finding may lie up to `later` pings after the case, or concern
+/// records in transit.
 fn agree(case: &Case, finding: &Finding, later: u32) -> bool {
     let logged = case.logged;
     fn same<T: PartialEq>(a: &Option<T>, b: &Option<T>) -> bool {
@@ -365,7 +368,7 @@ fn agree(case: &Case, finding: &Finding, later: u32) -> bool {
         && same(&finding.quantity, &logged.quantity)
 }
 
-/// Whether the finding may be a consequence of the case, which may be in any record of the link.
+/// Whether the finding can be a consequence of the case in any record of the link.
 fn follows_from(case: &Case, finding: &Finding, pings: u32) -> bool {
     let anywhere = Finding {
         record_type: None,
@@ -375,7 +378,7 @@ fn follows_from(case: &Case, finding: &Finding, pings: u32) -> bool {
     agree(case, &anywhere, pings)
 }
 
-/// Whether a finding without a position may stem from a fault that the device cannot identify.
+/// Whether a finding without a position can stem from a fault that the device cannot identify.
 fn could_be_untold(report: &Report, log: &[LoggedFault], finding: &Finding) -> bool {
     let Some(tells) = &report.head.tells else {
         return false;
@@ -393,7 +396,7 @@ fn could_be_untold(report: &Report, log: &[LoggedFault], finding: &Finding) -> b
     })
 }
 
-/// The pings with a delayed, lost or corrupted record, by sonar, link and record type.
+/// Pings with a delayed, lost or corrupted record, by sonar, link and record type.
 type Held = HashMap<(Option<String>, Option<String>, Option<u32>), BTreeSet<u32>>;
 
 fn held_pings(log: &[LoggedFault]) -> Held {
@@ -416,7 +419,7 @@ fn held_pings(log: &[LoggedFault]) -> Held {
     held
 }
 
-/// Whether a delayed record still arrives in order because the next of its type was delayed or lost too.
+/// Whether a delayed record still arrives in order because the next record of its type was delayed or lost too.
 fn is_masked(logged: &LoggedFault, held: &Held) -> bool {
     let key = (
         logged.sonar.clone(),

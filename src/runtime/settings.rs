@@ -1,11 +1,11 @@
-//! The settings of a sonar. Every change passes through this module.
+//! Settings of a sonar. Every change passes through this module.
 //!
 //! A [`SettingChange`] comes from a protocol, the page or a command. The store applies it to the next scheduled ping, or refuses it. A
 //! refusal names key, value and rule, and changes nothing.
 //!
-//! The store applies a change before its acknowledgement is written. A ping whose settings are read after the acknowledgement obeys the
-//! change. Device settings that the model does not use are stored and reported. A journal lists every change with its requester; the
-//! other protocols report changes from it. The settling time of the hardware is not modelled.
+//! The store applies a change before its acknowledgement is written. A ping whose settings are read after the acknowledgement uses the change. Device
+//! settings that the model does not use are stored and reported. A journal lists every change with its requester. The other protocols report changes
+//! from the journal. The settling time of the hardware is not modelled.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -20,13 +20,13 @@ use echotank_core::settings::{
 use echotank_core::time::MonoNs;
 use echotank_ping::beats::InForce;
 
-/// Changes kept for the operator and the other protocols; older ones are only counted.
+/// Number of changes kept for the operator and the other protocols; older changes are only counted.
 pub(crate) const RECENT_CHANGES: usize = 64;
 
-/// Most settings stored without effect on the model. Devices have far fewer; the bound keeps a client from exhausting memory.
+/// Maximum number of settings stored without effect on the model. Devices have far fewer. The limit prevents a client from exhausting memory.
 pub const MAX_KEPT: usize = 4096;
 
-/// Most pings in one request for a number of pings.
+/// Maximum number of pings in one request.
 const MAX_PINGS_ASKED: f64 = u32::MAX as f64;
 
 /// Relative tolerance of the limits. A limit of 0.1 ms becomes smaller by 2.5e-8 of its value when sent as f32.
@@ -34,10 +34,10 @@ const MAX_PINGS_ASKED: f64 = u32::MAX as f64;
 /// A value outside a limit by no more than the precision of an f32 counts as the limit.
 const WIRE_PRECISION: f64 = f32::EPSILON as f64;
 
-/// The settings of one sonar, shared by all threads that read or change them.
+/// Settings of one sonar, shared by all threads that read or change them.
 pub struct SettingsStore {
     limits: LimitsSpec,
-    /// Dates the changes.
+    /// Clock that gives the time of changes.
     clock: Arc<dyn Clock>,
     /// Version of `state`, readable without the lock.
     version: AtomicU64,
@@ -54,13 +54,13 @@ struct State {
     past: VecDeque<(MonoNs, InForce)>,
 }
 
-/// The requested settings, before the rules of [`RequestedSettings::effective`].
+/// Requested settings, before the rules of [`RequestedSettings::effective`].
 #[derive(Clone, Copy)]
 struct RequestedSettings {
-    /// `pinging` is the last start or stop request, regardless of rate and trigger.
+    /// Here `pinging` is the last start or stop request, independent of rate and trigger.
     settings: SonarSettings,
     trigger: TriggerSource,
-    /// Pings left of a request for a number of pings.
+    /// Remaining pings of a request for a number of pings.
     pings_left: u32,
 }
 
@@ -73,7 +73,7 @@ impl RequestedSettings {
         }
     }
 
-    /// The settings that pings obey. A rate of 0 or an external trigger stops the internal schedule of a started sonar.
+    /// Settings that apply to pings. A rate of 0 or an external trigger stops the internal schedule of a started sonar.
     fn effective(&self) -> SonarSettings {
         let beats = self.settings.pinging && self.trigger == TriggerSource::Internal;
         SonarSettings {
@@ -86,7 +86,7 @@ impl RequestedSettings {
 /// Counts of setting changes since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SettingCounts {
-    /// Changes obeyed, including settings stored without effect.
+    /// Changes accepted, including settings stored without effect.
     pub applied: u64,
     /// Changes refused.
     pub refused: u64,
@@ -95,16 +95,16 @@ pub struct SettingCounts {
 /// One entry of the list of recent changes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RecentChange {
-    /// When the change was requested, and by whom.
+    /// Time and requester of the change.
     pub asked: Asked,
-    /// The requested change.
+    /// Requested change.
     pub change: SettingChange,
-    /// The first version that contains the change, or the reason for the refusal.
+    /// First version that contains the change, or the reason for the refusal.
     pub outcome: Result<u64, SettingRefused>,
 }
 
 impl SettingsStore {
-    /// A store with an internal trigger. `start` must come from the checked configuration and lie within `limits`.
+    /// Creates a store with an internal trigger. `start` must come from the checked configuration and lie within `limits`.
     pub fn new(start: SonarSettings, limits: LimitsSpec, clock: Arc<dyn Clock>) -> Self {
         Self::triggered(start, TriggerSource::Internal, limits, clock)
     }
@@ -138,7 +138,7 @@ impl SettingsStore {
         }
     }
 
-    /// The settings of a ping scheduled now, and their version. Where `pinging` is true, `max_ping_rate_hz` is above 0.
+    /// Settings of a ping scheduled now, and their version. If `pinging` is true, `max_ping_rate_hz` is above 0.
     pub fn snapshot(&self) -> (SonarSettings, u64) {
         let state = self.lock();
         (
@@ -147,14 +147,14 @@ impl SettingsStore {
         )
     }
 
-    /// The settings at an instant, for a ping whose order is written shortly after its pulse.
+    /// Settings at an instant, for a ping whose order is written shortly after its pulse.
     ///
     /// A change applies only to pulses after its acknowledgement.
     pub fn at(&self, instant: MonoNs) -> SonarSettings {
         self.in_force(instant).settings
     }
 
-    /// Like [`SettingsStore::at`], with whether external triggers were obeyed at that instant.
+    /// Like [`SettingsStore::at`], with whether external triggers were accepted at that instant.
     pub fn in_force(&self, instant: MonoNs) -> InForce {
         let state = self.lock();
         let held = state
@@ -181,17 +181,20 @@ impl SettingsStore {
         }
     }
 
-    /// A number that increases with every change. A ping plan made from an older version is out of date.
+    /// Number that increases with every change. A ping plan made from an older version is out of date.
     pub fn version(&self) -> u64 {
         self.version.load(Ordering::Acquire)
     }
 
-    /// The configured limits of the settings.
+    /// Configured limits of the settings.
     pub fn limits(&self) -> &LimitsSpec {
         &self.limits
     }
 
-    /// Applies or refuses one change, and counts it. `asked` goes into the journal and the list of recent changes.
+    /// Applies or refuses one change, and counts it. `asked` is stored in the journal and the list of recent changes.
+    ///
+    /// # Errors
+    /// The change violates a rule; the settings stay unchanged.
     pub fn apply(
         &self,
         change: SettingChange,
@@ -235,7 +238,7 @@ impl SettingsStore {
         outcome
     }
 
-    /// Applied and refused changes so far.
+    /// Number of applied and refused changes so far.
     pub fn counts(&self) -> SettingCounts {
         self.lock().counts
     }
@@ -245,7 +248,7 @@ impl SettingsStore {
         self.lock().recent.iter().copied().collect()
     }
 
-    /// Increments the version. Call it with `state` locked.
+    /// Increments the version and returns it. Call with `state` locked.
     fn next_version(&self) -> u64 {
         let version = self.version.load(Ordering::Acquire) + 1;
         self.version.store(version, Ordering::Release);
@@ -621,7 +624,7 @@ mod tests {
         clock.sleep_until(acknowledged);
         let range_m = LIMITS.range_m.0;
         store.apply(RangeM(range_m), UtcNs(0)).unwrap();
-        // The order of an earlier ping may be written after the change.
+        // The order of an earlier ping can be written after the change.
         assert_eq!(store.at(acknowledged.plus_ns(-1)).range_m, START.range_m);
         assert_eq!(store.at(acknowledged).range_m, START.range_m);
         assert_eq!(store.at(acknowledged.plus_ns(1)).range_m, range_m);

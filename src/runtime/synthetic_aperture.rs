@@ -12,7 +12,7 @@ use echotank_imaging::beam::RowLimits;
 use echotank_imaging::beam::backproject::BackProjection;
 use echotank_ping::plan;
 
-/// The synthetic-aperture image of one sonar.
+/// Synthetic-aperture image of one sonar.
 pub(crate) struct SyntheticAperture {
     spec: SyntheticApertureSpec,
     projection: BackProjection,
@@ -22,7 +22,7 @@ pub(crate) struct SyntheticAperture {
 }
 
 impl SyntheticAperture {
-    /// `None` if the sonar has no synthetic aperture configured.
+    /// Creates the image; `None` if the sonar has no synthetic aperture configured.
     pub(crate) fn new(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Option<Self> {
         let spec = sonar.beams.synthetic_aperture.clone()?;
         let limits = RowLimits {
@@ -64,7 +64,7 @@ impl SyntheticAperture {
         self.pings += 1;
     }
 
-    /// The image with its extent and track; `None` without pings.
+    /// Image with its extent and track; `None` without pings.
     pub(crate) fn finish(self) -> Option<Patch> {
         let (first_m, last_m) = self.ends_m?;
         let (columns, rows) = self.spec.size();

@@ -4,15 +4,15 @@
 //! sample does not depend on later echoes, so a tile equals the beginning of the whole ping bit for bit. All tiles together cost less than
 //! three pings. If a ping takes at most a quarter of its window to compute, each tile is ready before its samples are due.
 //!
-//! The first tiles precede the earliest possible echo. They need the ping plan but no scatterers, so the first is sent as soon as a trigger
-//! is known. The scene is gathered meanwhile. The following tiles start again with one block.
+//! The first tiles precede the earliest possible echo. They need the ping plan but no scatterers, so the first tile is sent as soon as a trigger
+//! arrives. The scene is gathered meanwhile. The following tiles start again with one block.
 //!
-//! Tiles need methods that sum echo by echo (`reference`, `direct`). Element faults may depend on the whole ping, so a ping with element
-//! faults is one tile.
+//! Tiles need methods that sum echo by echo (`reference`, `direct`). Element faults can depend on the whole ping, so a ping with element faults is
+//! one tile.
 
 use echotank_emit::blocks::end_of_block;
 
-/// The ends of the tiles after the first `after` blocks, as (blocks, samples). The last tile, the whole ping, is not included.
+/// Ends of the tiles after the first `after` blocks, as (blocks, samples). The last tile, which is the whole ping, is not included.
 pub(crate) fn tile_ends(
     after: u32,
     samples: usize,

@@ -7,7 +7,7 @@ use crate::io::trigger::TriggerListenerCounts;
 use crate::io::trigger::out::OutCounts;
 use echotank_ping::{Refusal, Triggered};
 
-/// The trigger counters of one sonar.
+/// Trigger counters of one sonar.
 #[derive(Debug, Default)]
 pub struct TriggerCounts {
     /// Triggers that started a ping.
@@ -20,17 +20,17 @@ pub struct TriggerCounts {
     pub stale: AtomicU64,
     /// Triggers refused because their number had been received before.
     pub duplicate: AtomicU64,
-    /// Triggers refused because the sonar obeyed no external trigger.
+    /// Triggers refused because the sonar does not accept external triggers.
     pub held: AtomicU64,
-    /// Triggers that found the queue full.
+    /// Triggers dropped because the queue was full.
     pub dropped: AtomicU64,
-    /// Triggers missing at the end of the watchdog's time.
+    /// Triggers missing when the watchdog's time expired.
     pub absent: AtomicU64,
     /// Largest delay of a pulse after its scheduled instant, microseconds.
     pub(crate) worst_pulse_us: AtomicU64,
-    /// The counters of the sonar's trigger input, if it has one.
+    /// Counters of the sonar's trigger input, if it has one.
     pub listener: OnceLock<Arc<TriggerListenerCounts>>,
-    /// The counters of the sonar's trigger output, if it has one.
+    /// Counters of the sonar's trigger output, if it has one.
     pub out: OnceLock<Arc<OutCounts>>,
 }
 
@@ -136,7 +136,7 @@ impl TriggerCounts {
         .map(|(name, doc, counter)| (name, doc, counter.map_or(0, |c| c.load(Relaxed))))
     }
 
-    /// The non-zero counters as a status line; `None` for a sonar without triggers.
+    /// Non-zero counters as a status line; `None` for a sonar without triggers.
     pub fn line(&self, sonar: &str) -> Option<String> {
         let configured = self.listener.get().is_some() || self.out.get().is_some();
         let any = configured || self.obeyed.load(Relaxed) > 0;

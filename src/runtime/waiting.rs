@@ -4,7 +4,7 @@ use crate::io::nav::NavInputs;
 use echotank_config::spec::{NavChannel, NavSourceSpec, NavSpec};
 use echotank_nav::NavHistory;
 
-/// The quantities that every ping needs and no source has sent, with the sources that should send them.
+/// Quantities that every ping needs and no source has sent, with the sources that should send them.
 pub(crate) fn missing_quantities(spec: &NavSpec, history: &NavHistory) -> String {
     let from = |channel: NavChannel| {
         let gives = |s: &&NavSourceSpec| s.provides.contains(&channel);
@@ -19,7 +19,7 @@ pub(crate) fn missing_quantities(spec: &NavSpec, history: &NavHistory) -> String
     all.join(", ")
 }
 
-/// Why a daemon on live navigation has not made its first ping yet.
+/// Reason why a daemon with live navigation has not made its first ping yet.
 pub fn reason(spec: &NavSpec, inputs: &mut NavInputs, history: &NavHistory) -> String {
     let received: u64 = inputs.counters().iter().map(|s| s.live.received).sum();
     let why = if received == 0 {

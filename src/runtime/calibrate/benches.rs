@@ -22,7 +22,7 @@ pub(super) struct Bench {
     pub scatterers: Scatterers,
 }
 
-/// The parameters of a benchmark. All arrays lie along the track, 12 m above a flat bottom, at 3 m/s, with omnidirectional transmitters.
+/// Parameters of a benchmark. All arrays lie along the track, 12 m above a flat bottom, at 3 m/s, with omnidirectional transmitters.
 struct BenchParameters {
     elements: usize,
     patterned: bool,

@@ -1,4 +1,4 @@
-//! The methods and settings that a chart compares.
+//! Methods and settings that a chart compares.
 
 use std::fmt;
 
@@ -9,21 +9,21 @@ use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
 /// One choice of path, Doppler and synthesis, with settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Method {
-    /// The path model.
+    /// Path model.
     pub path: PathModel,
     /// Longest segment of a segmented path, seconds; 0 for other paths.
     pub segment_s: f64,
-    /// The Doppler model.
+    /// Doppler model.
     pub doppler: DopplerModel,
-    /// The synthesis engine.
+    /// Synthesis engine.
     pub synthesis: Synthesis,
-    /// Relative tolerance of engines that keep one; 0 for other engines.
+    /// Relative tolerance of engines with a tolerance; 0 for other engines.
     pub tolerance: f64,
     /// Scatterers with a two-way beam pattern below this level are omitted, dB; `None` keeps all.
     pub cull_db: Option<f64>,
 }
 
-/// The method of the reference solution.
+/// Method of the reference solution.
 pub fn reference() -> Method {
     Method::new(
         PathModel::Continuous,
@@ -42,7 +42,7 @@ const LONG_S: f64 = 0.05;
 const MIDDLE_S: f64 = 0.01;
 const SHORT_S: f64 = 0.002;
 
-/// All methods for this sonar, the configured one first. `quick` omits some.
+/// All methods for this sonar, the configured method first. `quick` omits some methods.
 pub fn all(sonar: &SonarSpec, quick: bool) -> Vec<Method> {
     use DopplerModel::{None, PaperEq21, Stretch, StretchQuadratic};
     use PathModel::{Continuous, KSegment, Polyline, StopAndHop};
@@ -107,7 +107,7 @@ pub fn all(sonar: &SonarSpec, quick: bool) -> Vec<Method> {
 }
 
 impl Method {
-    /// A method without culling.
+    /// Creates a method without culling.
     pub fn new(
         path: PathModel,
         segment_s: f64,
@@ -129,7 +129,7 @@ impl Method {
         Self { cull_db, ..self }
     }
 
-    /// The configured method of a sonar.
+    /// Configured method of a sonar.
     pub fn of(sonar: &SonarSpec) -> Self {
         let ModelChoice {
             path,
@@ -152,7 +152,7 @@ impl Method {
         }
     }
 
-    /// The same method with its engine built for another tolerance.
+    /// The same method with another engine tolerance.
     pub(super) fn with_tolerance(self, tolerance: f64) -> Self {
         Self {
             tolerance: match self.synthesis.keeps_tolerance() {
@@ -163,7 +163,7 @@ impl Method {
         }
     }
 
-    /// The sonar with this method; everything else is unchanged.
+    /// Specification of the sonar with this method; everything else is unchanged.
     pub fn on(&self, sonar: &SonarSpec) -> SonarSpec {
         let mut spec = sonar.clone();
         spec.model.path = self.path;
@@ -179,7 +179,10 @@ impl Method {
         spec
     }
 
-    /// Whether this sonar can use the method; the error says why not.
+    /// Whether this sonar can use the method.
+    ///
+    /// # Errors
+    /// The reason why it cannot.
     pub fn applies(&self, sonar: &SonarSpec) -> Result<(), String> {
         if !self.synthesis.takes(self.doppler) {
             return Err(format!("does not support Doppler {}", self.doppler.name()));
@@ -194,7 +197,7 @@ impl Method {
         }
     }
 
-    /// The path and Doppler models as text.
+    /// Path and Doppler models as text.
     pub fn motion(&self) -> String {
         let path = match self.segment_s > 0.0 {
             true => format!("{} {} ms", self.path.name(), self.segment_s * 1e3),

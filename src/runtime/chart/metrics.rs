@@ -1,14 +1,14 @@
-//! Error measures of a method's pings against the reference solution.
+//! Error measures of the pings of a method against the reference solution.
 
 use num_complex::Complex64;
 
 use echotank_core::ping::PingOutput;
 
-/// Samples per picture pixel; a pixel sums their energies.
+/// Number of samples per picture pixel; a pixel sums their energies.
 const PIXEL_SAMPLES: usize = 16;
-/// Pixel differences are clipped at this level, because larger ones look the same, dB.
+/// Level at which pixel differences are clipped, because larger differences look the same, dB.
 const MAX_DB: f64 = 20.0;
-/// Pixels below this level relative to a line's maximum count as dark, dB.
+/// Level below a line's maximum at which pixels count as dark, dB.
 const DARK_DB: f64 = -60.0;
 
 /// Errors against the reference solution.
@@ -47,7 +47,7 @@ impl Sums {
     }
 }
 
-/// The errors over all pings together. Both slices must hold the same pings in the same order.
+/// Errors over all pings together. Both slices must hold the same pings in the same order.
 pub fn errors(got: &[PingOutput], want: &[PingOutput]) -> Errors {
     let (mut elements, mut lines) = (Sums::default(), Sums::default());
     let (mut energy, mut reference_energy) = (0.0, 0.0);
@@ -114,7 +114,7 @@ fn real_sums(got: &[f32], want: &[f32]) -> Sums {
     sums
 }
 
-/// The number of pixels of a row, and the sum of their squared differences, dB squared.
+/// Number of pixels of a row, and sum of their squared differences, dB squared.
 fn pixels_off_db2(got: &[f32], want: &[f32]) -> (usize, f64) {
     let energies = |row: &[f32]| -> Vec<f64> {
         row.chunks(PIXEL_SAMPLES)

@@ -1,7 +1,7 @@
 //! Measures accuracy and speed of every method and setting on the configured scene, sonar and motion.
 //!
-//! The configuration needs recorded navigation. The chart lists, for every method, the errors of element samples, side-scan lines, picture
-//! and mean level, and the compute time of a ping; or why the method does not apply. Receiver noise and quantisation are off.
+//! The configuration needs recorded navigation. For every method, the chart lists the errors of element samples, side-scan lines, picture and mean
+//! level, and the compute time of a ping. If a method does not apply, the chart states the reason. Receiver noise and quantisation are off.
 //!
 //! The reference solution is the direct sum of all scatterers on the continuous trajectory with second-order Doppler. Its own error is
 //! measured at random samples with the equation of the `reference` method. Errors close to that value are upper bounds only.
@@ -30,16 +30,16 @@ use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::threads::pool;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
 
-/// Why a chart cannot be measured.
+/// Errors of measuring a chart.
 #[derive(Debug, Error)]
 pub enum ChartError {
-    /// The rig or its recorded navigation.
+    /// The rig or its recorded navigation cannot be opened.
     #[error(transparent)]
     Recorded(#[from] RecordedError),
-    /// The compute thread pool.
+    /// The threads for computing cannot be started.
     #[error("threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
-    /// The rig or its cost table.
+    /// The rig or its cost table cannot be opened.
     #[error(transparent)]
     Rig(#[from] OpenError),
     /// The navigation does not cover a ping.
@@ -66,28 +66,28 @@ pub enum ChartError {
     },
 }
 
-/// What a chart measures.
+/// Options of a chart.
 #[derive(Clone, Debug)]
 pub struct ChartOptions {
     /// Number of pings, spread evenly over `span_pings`.
     pub pings: u32,
     /// Number of the last ping of the span.
     pub span_pings: u32,
-    /// Timed runs of each ping and method.
+    /// Number of timed runs of each ping and method.
     pub repeats: usize,
-    /// Compute threads; 0 means one per core.
+    /// Number of compute threads; 0 means one per core.
     pub threads: usize,
     /// Index of the sonar in the configuration.
     pub sonar: usize,
-    /// Measures fewer methods.
+    /// Whether fewer methods are measured.
     pub quick: bool,
 }
 
-/// The input of one ping, the same for every method.
+/// Input of one ping, the same for every method.
 pub struct Scene {
-    /// The plan of the ping.
+    /// Plan of the ping.
     pub plan: PingPlan,
-    /// The scatterers in its footprint.
+    /// Scatterers in the footprint of the ping.
     pub scatterers: Scatterers,
 }
 
@@ -113,35 +113,35 @@ pub struct Measured {
     pub setup_ms: f64,
 }
 
-/// The predicted and measured performance of one method.
+/// Predicted and measured performance of one method.
 pub struct Row {
-    /// The method and its settings.
+    /// Method and its settings.
     pub method: Method,
     /// Relative error predicted by the error models of path, Doppler and synthesis. Culling has no error model.
     pub predicted_error: f64,
-    /// The measurement, or why the method does not apply.
+    /// Measurement, or the reason why the method does not apply.
     pub outcome: Result<Measured, String>,
-    /// On the Pareto front: no measured method is faster with smaller element error.
+    /// Whether the method is on the Pareto front: no measured method is faster with a smaller element error.
     pub pareto: bool,
-    /// Whether the configuration asks for this method.
+    /// Whether the configuration selects this method.
     pub configured: bool,
-    /// For the automatically selected method: its predicted cost, milliseconds on one core.
+    /// Predicted cost of the automatically selected method, milliseconds on one core.
     pub planned_ms: Option<f64>,
 }
 
-/// The measured methods of one sonar.
+/// Measured methods of one sonar.
 pub struct Chart {
     /// The configured name of the sonar.
     pub sonar: String,
-    /// Scatterers in the first ping.
+    /// Number of scatterers in the first ping.
     pub scatterers: usize,
-    /// Receive elements of all arrays.
+    /// Number of receive elements of all arrays.
     pub elements: usize,
-    /// Pings measured.
+    /// Number of pings measured.
     pub pings: usize,
-    /// Compute threads.
+    /// Number of compute threads.
     pub threads: usize,
-    /// The configured tolerance, relative.
+    /// Configured relative tolerance.
     pub tolerance: f64,
     /// Relative l2 error of the reference solution against the `reference` method, and the number of random samples compared.
     pub reference_error: Option<(f64, u32)>,
@@ -151,7 +151,7 @@ pub struct Chart {
     pub rows: Vec<Row>,
 }
 
-/// The sonar without receiver noise, quantisation and error checks, with element outputs.
+/// Specification of the sonar without receiver noise, quantisation and error checks, with element outputs.
 pub fn bare(spec: &SonarSpec) -> SonarSpec {
     let mut spec = spec.clone();
     spec.receiver.noise_db = None;
@@ -161,7 +161,10 @@ pub fn bare(spec: &SonarSpec) -> SonarSpec {
     spec
 }
 
-/// The sampled pings, and the mean time to gather their scatterers, milliseconds.
+/// Sampled pings, and the mean time to gather their scatterers, milliseconds.
+///
+/// # Errors
+/// The rig cannot be opened, or the navigation does not cover the pings.
 pub fn scenes(spec: &RigSpec, options: &ChartOptions) -> Result<(Vec<Scene>, f64), ChartError> {
     // The rig computes no ping here. The direct method builds no tables.
     let mut spec = spec.clone();
@@ -209,7 +212,7 @@ pub fn scenes(spec: &RigSpec, options: &ChartOptions) -> Result<(Vec<Scene>, f64
     Ok((scenes, gather_ms))
 }
 
-/// The scene's plan with the methods of `spec`.
+/// Plan of the scene with the methods of `spec`.
 fn plan_with(scene: &Scene, spec: &SonarSpec) -> PingPlan {
     let mut plan = scene.plan.clone();
     plan.model = spec.model;
@@ -334,14 +337,14 @@ pub fn measure(
     })
 }
 
-/// The selected methods of a sonar with their predicted error and cost.
+/// Selected methods of a sonar with their predicted error and cost.
 struct Selected {
     spec: SonarSpec,
     error: f64,
     cost_ms: f64,
 }
 
-/// Selects the methods as the configuration asks. If it fixes them, selects all of them automatically.
+/// Selects the methods as the configuration requests. If the configuration fixes them, all methods are selected automatically.
 fn select(
     sonar: &SonarSpec,
     medium: &MediumSpec,
@@ -381,7 +384,7 @@ fn select(
     })
 }
 
-/// The summed predicted errors of path, Doppler and synthesis. Culling has no error model.
+/// Sum of the predicted errors of path, Doppler and synthesis. Culling has no error model.
 fn predicted(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> f64 {
     let conditions = conditions(spec, plan, scatterers);
     let model = &spec.model;
@@ -397,7 +400,7 @@ fn predicted(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> f64 
     }
 }
 
-/// The outputs of the reference solution, with its error and the number of random samples compared.
+/// Outputs of the reference solution, with its error and the number of random samples compared.
 #[allow(clippy::type_complexity)]
 fn reference(
     sonar: &SonarSpec,

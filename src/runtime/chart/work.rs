@@ -10,7 +10,7 @@ use echotank_ping as ping;
 /// Fractions of the configured amount.
 const SHARES: [f64; 4] = [0.125, 0.25, 0.5, 1.0];
 
-/// The quantity that is varied.
+/// Quantity that is varied.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Work {
     /// Number of scatterers.
@@ -42,13 +42,13 @@ impl Work {
     }
 }
 
-/// The compute time of one method as a function of one quantity.
+/// Compute time of one method as a function of one quantity.
 pub struct Curve {
-    /// The method and its settings.
+    /// Method and its settings.
     pub method: Method,
-    /// The varied quantity.
+    /// Varied quantity.
     pub work: Work,
-    /// (amount, median milliseconds per ping).
+    /// Amount and median milliseconds per ping.
     pub points: Vec<(f64, f64)>,
     /// Exponent p of ms = a amount^p, fitted by least squares in logarithms; `None` with fewer than two points.
     pub exponent: Option<f64>,
@@ -83,7 +83,7 @@ pub fn curve(
     }
 }
 
-/// The sonar and its scene with a fraction of one quantity, and the resulting amount.
+/// Specification and scene with a fraction of one quantity, and the resulting amount.
 fn reduced(spec: &SonarSpec, scene: &Scene, work: Work, share: f64) -> (SonarSpec, Scene, f64) {
     let mut spec = spec.clone();
     let mut plan = scene.plan.clone();

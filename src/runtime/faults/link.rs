@@ -1,6 +1,6 @@
 //! Faults of the link between an output and its clients: records and packets are lost, duplicated, delayed or corrupted.
 //!
-//! One implementation serves all protocol families. They differ in the bytes that may be corrupted so that a record is still found
+//! One implementation serves all protocol families. The families differ in the bytes that may be corrupted so that a record is still recognised
 //! ([`RecordLayout`]). Recordings are not affected.
 
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,16 +16,16 @@ use echotank_core::time::UtcNs;
 use echotank_emit::packets::Packets;
 use echotank_ping::faults::{Faults, PingMark, Place, unit};
 
-/// The bytes of a record that stay intact under corruption, and its checksum.
+/// Bytes of a record that stay intact under corruption, and its checksum.
 #[derive(Clone, Copy, Debug)]
 pub struct RecordLayout {
     /// Name of the family in the log.
     name: &'static str,
     /// Reads a packet's stream, frame number and time for the log.
     place: fn(&[u8]) -> Place,
-    /// Bytes intact at the start: the header, and a ping number in the body.
+    /// Number of bytes intact at the start: the header, and a ping number in the body.
     kept_bytes: usize,
-    /// Shortest length after truncation.
+    /// Minimum length after truncation.
     min_bytes: usize,
     /// Length of the checksum after the body.
     tail_bytes: usize,
@@ -35,7 +35,7 @@ pub struct RecordLayout {
 
 fn no_checksum(_: &mut [u8]) {}
 
-/// For families whose records are identified by type and ping number.
+/// Location of records that are identified by type and ping number.
 fn no_place(_: &[u8]) -> Place {
     Place::default()
 }
@@ -140,7 +140,7 @@ impl RecordLayout {
         }
     }
 
-    /// The length of a record of `bytes` bytes without its second half.
+    /// Length of a record of `bytes` bytes after its second half is removed.
     fn cut_bytes(&self, bytes: usize) -> usize {
         let half = self.kept_bytes.max(bytes / 2);
         half.min(bytes.saturating_sub(1))
@@ -201,7 +201,7 @@ fn record(
     });
 }
 
-/// The ping whose records an output currently sends, shared with all its links.
+/// Ping whose records an output currently sends, shared with all links of the output.
 #[derive(Debug)]
 pub struct LinkMark(Mutex<PingMark>);
 
@@ -231,7 +231,7 @@ impl LinkMark {
     }
 }
 
-/// The link of one server or sender, with fault injection.
+/// Link of one server or sender, with fault injection.
 pub struct FaultyLink {
     faults: Arc<Faults>,
     layout: RecordLayout,
@@ -241,12 +241,12 @@ pub struct FaultyLink {
     out: Vec<Arc<Datagram>>,
     held_packets: Vec<(UtcNs, Vec<u8>)>,
     packets: Packets,
-    /// The newest ping with a drawn connection state, and that state.
+    /// Newest ping with a drawn connection state, and that state.
     connected: Option<(u32, Connection)>,
 }
 
 impl FaultyLink {
-    /// A link for records of `layout` that injects `faults` into the ping of `mark`.
+    /// Creates a link for records of `layout` that injects `faults` into the ping of `mark`.
     pub fn new(faults: Arc<Faults>, layout: RecordLayout, mark: Arc<LinkMark>) -> Self {
         Self {
             faults,
@@ -260,7 +260,7 @@ impl FaultyLink {
         }
     }
 
-    /// Draws the faults of one record: the number of copies, their release time, and corruptions, which are passed to `corrupt`.
+    /// Draws the faults of one record. Returns the number of copies and their release time. Corruptions are passed to `corrupt`.
     fn draw(
         &self,
         ping: PingMark,
@@ -276,7 +276,7 @@ impl FaultyLink {
         let apply = |fault, part: f64| match fault {
             TransportFault::Drop | TransportFault::LinkDown => delivery.copies = 0,
             TransportFault::Duplicate => delivery.copies *= 2,
-            // The next ping's delivery is later, so it releases the record.
+            // The delivery of the next ping is later and therefore releases the record.
             TransportFault::Reorder => delivery.until = Some(ping.utc.plus_ns(1)),
             TransportFault::Delay { s } => delivery.until = Some(ping.utc.plus_s(s)),
             TransportFault::Jitter { s } => {
@@ -324,7 +324,7 @@ impl FaultyLink {
         }
     }
 
-    /// `number`: number of the packet within its ping, from 1.
+    /// Applies the faults to a packet. `number` is the number of the packet within its ping, from 1.
     fn packet(&mut self, ping: PingMark, number: u32, packet: &[u8]) {
         let mut bytes = packet.to_vec();
         let layout = self.layout;
@@ -340,7 +340,7 @@ impl FaultyLink {
     }
 }
 
-/// How often and when a record is delivered.
+/// Number of copies and release time of a record.
 struct Delivery {
     copies: u32,
     /// Release time of a delayed record.
@@ -348,7 +348,7 @@ struct Delivery {
 }
 
 enum Corruption {
-    /// A changed byte; `mended`: with a valid checksum.
+    /// A changed byte; `mended` states whether the checksum is valid.
     Change {
         mended: bool,
     },

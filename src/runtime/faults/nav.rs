@@ -1,7 +1,7 @@
 //! Faults of navigation samples: missing, stuck, wrong or late samples.
 //!
-//! They alter decoded samples, as from a faulty sensor with correct sentences. [`super::nav_bytes`] alters the sentences. Each source and
-//! quantity counts its own samples while any fault is active. Random draws depend on that count alone.
+//! The faults alter decoded samples, as from a faulty sensor with correct sentences. [`super::nav_bytes`] alters the sentences. Each source and
+//! quantity counts its own samples while any fault is active. Random draws depend only on that count.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -18,7 +18,7 @@ use echotank_ping::faults::{Faults, Moment, Standing};
 
 /// Mean radius of the earth, for offsets of latitude.
 const MEAN_RADIUS_M: f64 = 6_371_000.0;
-/// Most delayed samples; further samples are lost, as in a device with a full buffer.
+/// Maximum number of delayed samples; further samples are lost, as in a device with a full buffer.
 const MAX_HELD: usize = 100_000;
 /// Separates this random stream from all others.
 const TAG: [u8; 8] = *b"faultnav";
@@ -26,7 +26,7 @@ const TAG: [u8; 8] = *b"faultnav";
 /// Injects the navigation faults of all sources.
 pub struct NavFaults {
     faults: Arc<Faults>,
-    /// Per source: samples are valid at their arrival.
+    /// Per source: whether samples are valid at their arrival.
     by_arrival: Vec<bool>,
     channels: Vec<ChannelState>,
     /// Delayed samples with their new arrival, earliest first.
@@ -34,17 +34,17 @@ pub struct NavFaults {
     bytes: NavByteFaults,
 }
 
-/// The state of one quantity of one source.
+/// State of one quantity of one source.
 struct ChannelState {
     source: u16,
     channel: NavChannel,
     samples: u32,
-    /// The value repeated by a stuck channel.
+    /// Value repeated by a stuck channel.
     stuck: Option<NavQuantity>,
 }
 
 impl NavFaults {
-    /// An injector of `faults` for `sources`, in the order of their indices.
+    /// Creates an injector of `faults` for `sources`, in the order of their indices.
     pub fn new(faults: Arc<Faults>, sources: &[NavSourceSpec]) -> Self {
         let by_arrival = |s: &NavSourceSpec| matches!(s.time, TimePolicy::Arrival { .. });
         Self {
@@ -85,7 +85,7 @@ impl NavFaults {
     }
 }
 
-/// The channel of a quantity, and its name in the log.
+/// Channel of a quantity, and its name in the log.
 fn channel_of(quantity: &NavQuantity) -> (NavChannel, &'static str) {
     match quantity {
         NavQuantity::Position { .. } | NavQuantity::LocalPosition { .. } => {
@@ -193,7 +193,7 @@ fn offset(quantity: NavQuantity, by: f64) -> NavQuantity {
     offset
 }
 
-/// A uniform random value in the range of the quantity.
+/// Uniform random value in the range of the quantity.
 fn garbage(quantity: NavQuantity, standing: &Standing, moment: Moment) -> NavQuantity {
     use std::f64::consts::{FRAC_PI_2, PI, TAU};
     let mut key = [0; 32];
@@ -246,8 +246,8 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// Sends a hundred headings of the first source, 10 ms apart; heading k is k degrees. Returns the arrival (ms) and value (degrees) of those
-    /// that pass.
+    /// Sends a hundred headings of the first source, 10 ms apart; heading k is k degrees. Returns the arrival (ms) and value (degrees) of the
+    /// headings that pass.
     fn passed(json: &str) -> Vec<(i64, f64)> {
         let faults = Arc::new(super::super::testing::faults());
         faults.begin(UtcNs(0));

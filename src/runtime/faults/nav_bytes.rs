@@ -1,7 +1,7 @@
 //! Faults in the bytes of live navigation, before decoding: wrong checksums, sentences cut in two, and noise.
 //!
-//! Each source counts its sentences from the first fault on. Random draws depend on that count alone, so they do not depend on how the
-//! transport splits the bytes. A sentence begins with `$` or `!`.
+//! Each source counts its sentences from the first fault on. Random draws depend only on that count, and not on the split of the bytes by the
+//! transport. A sentence begins with `$` or `!`.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use echotank_config::spec::{FaultKind, NavByteFault};
 use echotank_core::time::UtcNs;
 use echotank_ping::faults::{Faults, Moment, Standing, unit};
 
-/// Length of a cut sentence, bytes including the start: it ends in the middle of its first field.
+/// Length of a cut sentence with its start, bytes: the sentence ends in the middle of its first field.
 const CUT_AFTER: usize = 9;
 /// Separates the random stream of the noise from all others.
 const NOISE_TAG: [u8; 8] = *b"navnoise";
@@ -22,11 +22,11 @@ pub(crate) struct NavByteFaults {
     out: Vec<u8>,
 }
 
-/// The current sentence of one source.
+/// Current sentence of one source.
 #[derive(Clone, Copy, Default)]
 struct Sentence {
     number: u32,
-    /// Bytes of the sentence so far.
+    /// Number of bytes of the sentence so far.
     bytes: usize,
     cut: bool,
     wrong_sum: bool,
@@ -130,7 +130,7 @@ mod tests {
         format!("${body}*{sum:02X}\r\n")
     }
 
-    /// A hundred headings, split every `every` bytes, after fault injection, and the number of injections.
+    /// Injects faults into a hundred headings, split every `every` bytes. Returns the resulting bytes and the number of injections.
     fn received(json: &str, every: usize) -> (String, usize) {
         let faults = Arc::new(super::super::testing::faults());
         faults.begin(UtcNs(0));

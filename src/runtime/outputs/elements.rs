@@ -16,7 +16,7 @@ use echotank_emit::element_stream::{ElementStreamEmitter, ElementsProtocol};
 use echotank_emit::packets::Packets;
 use echotank_ping::rig::PingSlot;
 
-/// Longest TCP frame, bytes. It bounds a client's receive buffer.
+/// Maximum length of a TCP frame, bytes. The length limits the receive buffer of a client.
 const TCP_FRAME_BYTES: usize = 256 * 1024;
 
 pub(super) struct Elements {
@@ -33,7 +33,7 @@ struct Transport {
     emitter: ElementStreamEmitter,
     sender: DatagramSender,
     is_tcp: bool,
-    /// The packets of the encoded ping, and the seconds over which they are sent after the deadline.
+    /// Packets of the encoded ping, and the seconds over which they are sent after the deadline.
     pending: Option<(Packets, f64)>,
 }
 
@@ -53,7 +53,7 @@ impl Elements {
             output.max_clients,
         )?;
         if spread.streaming.is_some() {
-            // One below the delivery threads that feed the server.
+            // One below the priority of the delivery threads that feed the server.
             server.hurry(context.sending.priority.saturating_sub(1));
         }
         let server = Arc::new(server);

@@ -33,7 +33,7 @@ pub(super) struct Jsf {
     over_s: f64,
 }
 
-/// The matched filter applied to the samples of JSF data formats 0 and 1.
+/// Matched filter for the samples of JSF data formats 0 and 1.
 pub(crate) fn row_filter(sonar: &SonarSpec, medium: &MediumSpec) -> RowFilter {
     let limits = RowLimits {
         sample_rate_hz: sonar.receiver.sample_rate_hz,

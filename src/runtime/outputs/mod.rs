@@ -1,4 +1,4 @@
-//! The live outputs of one sonar: one module per protocol family, all fed with the same pings.
+//! Live outputs of one sonar: one module per protocol family. All outputs receive the same pings.
 
 mod elements;
 mod files;
@@ -41,7 +41,7 @@ use recording::{Place, Recording, StoppedRecordings};
 
 pub(super) use jsf::row_filter;
 
-/// Why an output cannot be opened, or its recorder has stopped.
+/// Errors of opening an output or of its recorder.
 #[derive(Debug, Error)]
 pub enum OutputError {
     /// A server cannot listen.
@@ -75,13 +75,13 @@ pub enum OutputError {
     Record(#[from] RecordError),
 }
 
-/// One configured output, owned by its sonar's delivery thread. Slow clients never block that thread.
+/// A configured output, owned by the delivery thread of its sonar. Slow clients never block that thread.
 trait Output: Send {
-    /// The addresses it listens on or sends to, one line each: `FAMILY NAME TRANSPORT ADDRESS`.
+    /// Addresses of the output, one line each: `FAMILY NAME TRANSPORT ADDRESS`.
     fn addresses(&self) -> Vec<String>;
-    /// Its counters, readable from another thread.
+    /// Counters of the output, readable from another thread.
     fn report(&self) -> Arc<dyn Report>;
-    /// Makes the records of a ping that a client or recorder wants, before the ping's deadline.
+    /// Makes the records of a ping that a client or recorder wants, before the deadline of the ping.
     fn encode(&mut self, slot: &PingSlot);
     /// Sends the records of [`Self::encode`] at the deadline. Clients receive them even if the recorder fails.
     fn deliver(&mut self) -> Result<(), OutputError>;
@@ -89,29 +89,29 @@ trait Output: Send {
     fn is_stream(&self) -> bool {
         false
     }
-    /// Makes the packets of a range of a ping's samples and schedules each at its time.
+    /// Makes the packets of a range of a ping's samples and schedules each packet at its time.
     ///
     /// `pulse` is the start of the pulse on the rig's clock; `None` sends all packets at once.
     fn stream(&mut self, slot: &PingSlot, samples: Range<usize>, pulse: Option<MonoNs>) {
         let _ = (slot, samples, pulse);
     }
-    /// Closes its recorder. A server closes when its last handle is dropped.
+    /// Closes the recorder of the output. A server closes when its last handle is dropped.
     fn close(self: Box<Self>) -> Result<(), OutputError> {
         Ok(())
     }
 }
 
-/// The counters of one output.
+/// Counters of one output.
 pub trait Report: Send + Sync {
     /// Text: one line for the output and one per client.
     fn lines(&self) -> Vec<String>;
-    /// The counters of every client.
+    /// Counters of every client.
     fn streams(&self) -> Vec<StreamCounts> {
         Vec::new()
     }
 }
 
-/// Writes with the recording, if there is one.
+/// Writes to the recording, if there is one.
 fn record<R>(
     recording: &mut Option<Recording<R>>,
     write: impl FnOnce(&mut R) -> Result<(), RecordError>,
@@ -122,7 +122,7 @@ fn record<R>(
     Ok(())
 }
 
-/// The counters of one client or datagram receiver.
+/// Counters of one client or datagram receiver.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct StreamCounts {
     /// The protocol family, for example `7k` or `jsf-data`.
@@ -141,7 +141,7 @@ pub struct StreamCounts {
     pub queued_bytes: u64,
 }
 
-/// The context in which an output is opened.
+/// Context in which an output is opened.
 struct OutputContext<'a> {
     spec: &'a RigSpec,
     unit: &'a SonarUnit,
@@ -154,7 +154,7 @@ struct OutputContext<'a> {
     stopped: &'a Arc<StoppedRecordings>,
 }
 
-/// How a ping's datagrams are spread over time.
+/// Spread of the datagrams of a ping over time.
 #[derive(Clone, Copy)]
 struct Spread {
     /// System time per ping period over which datagrams are spread, as a fraction of the rig's period; 0 sends at once.
@@ -184,7 +184,7 @@ impl Spread {
         self.streaming.map(|(block_s, _)| block_s)
     }
 
-    /// When the blocks of a ping with this pulse start are sent.
+    /// Send times of the blocks of a ping whose pulse starts at `pulse`.
     fn leaving(self, pulse: Option<MonoNs>) -> Leaving {
         match (self.streaming, pulse) {
             (Some((_, latency_s)), Some(pulse)) => Leaving::AsHeard { pulse, latency_s },
@@ -201,7 +201,7 @@ impl Spread {
     }
 }
 
-/// Most tiles of a ping in the send queue. Each tile is twice as long as the one before.
+/// Maximum number of tiles of a ping in the send queue. Each tile is twice as long as the one before.
 const MAX_TILES: usize = 16;
 
 impl OutputContext<'_> {
@@ -233,13 +233,13 @@ impl OutputContext<'_> {
         tiles * self.spec.run.queue_pings
     }
 
-    /// The link on which faults are injected into this output's records.
+    /// Link that injects faults into the records of this output.
     fn line(&self, layout: RecordLayout) -> Box<dyn OutputLink> {
         let faults = Arc::clone(&self.unit.faults);
         Box::new(FaultyLink::new(faults, layout, Arc::clone(&self.mark)))
     }
 
-    /// Starts a server for `protocol` on TCP, and on UDP if `udp`. A client whose queue of `client_queue_bytes` is full misses records.
+    /// Starts a server for `protocol` on TCP, and on UDP if `udp`. A client misses records if its queue of `client_queue_bytes` is full.
     fn serve(
         &self,
         protocol: Arc<dyn Protocol>,
@@ -275,7 +275,7 @@ impl OutputContext<'_> {
         server.set_paces_tcp(self.spec.run.pace_tcp);
     }
 
-    /// A recording in the folder of recordings, with its first file; `None` if the configuration names no folder.
+    /// Opens a recording in the folder of recordings, with its first file; `None` if the configuration names no folder.
     fn recording<R>(
         &self,
         extension: &'static str,
@@ -294,13 +294,13 @@ impl OutputContext<'_> {
     }
 }
 
-/// The outputs of one sonar.
+/// Outputs of one sonar.
 pub(crate) struct Outputs {
     all: Vec<MarkedOutput>,
     stopped: Arc<StoppedRecordings>,
 }
 
-/// An output and its current ping, which its link faults refer to.
+/// An output and the ping to which its link faults refer.
 struct MarkedOutput {
     output: Box<dyn Output>,
     mark: Arc<LinkMark>,
@@ -313,7 +313,7 @@ pub struct OutputReports {
 }
 
 impl Outputs {
-    /// Opens every configured output of `unit`, and the page's if there is one.
+    /// Opens every configured output of `unit`, and the output to the operator's page if `page` is given.
     pub(crate) fn open(
         spec: &RigSpec,
         unit: &SonarUnit,
@@ -355,7 +355,7 @@ impl Outputs {
                 })
             })
             .collect::<Result<Vec<_>, _>>()?;
-        // The page is last: it must not delay the sonar's clients. It has no link faults.
+        // The page is last, so that it does not delay the sonar's clients. It has no link faults.
         all.extend(page.map(|page| MarkedOutput {
             output: Box::new(Page::new(&unit.spec, page)),
             mark: Arc::default(),
@@ -363,7 +363,7 @@ impl Outputs {
         Ok(Self { all, stopped })
     }
 
-    /// The addresses each output listens on or sends to.
+    /// Addresses that the outputs listen on or send to.
     pub(crate) fn addresses(&self) -> Vec<String> {
         self.all
             .iter()
@@ -436,12 +436,12 @@ impl OutputReports {
         reports.chain(self.stopped.lines()).collect()
     }
 
-    /// The recordings that have stopped.
+    /// Recordings that have stopped.
     pub(crate) fn stopped(&self) -> &Arc<StoppedRecordings> {
         &self.stopped
     }
 
-    /// The counters of every client of every output.
+    /// Counters of every client of every output.
     pub fn streams(&self) -> Vec<StreamCounts> {
         let reports = self.all.iter();
         reports.flat_map(|report| report.streams()).collect()

@@ -1,7 +1,7 @@
-//! The operator's page: decimated copies of each ping's outputs, for [`Feed`].
+//! Output to the operator's page: decimated copies of the data of each ping, for [`Feed`].
 //!
-//! Frames are made before the ping's deadline and published after all other outputs. Without an open page, each ping makes only one line
-//! frame, for the history.
+//! Frames are made before the deadline of the ping and published after all other outputs. Without an open page, each ping makes only one line frame,
+//! for the history.
 
 use std::sync::Arc;
 
@@ -18,30 +18,30 @@ use echotank_core::ping::{Detection, PingOutput, PingPlan, Side};
 use echotank_ping::rig::PingSlot;
 use echotank_ping::world::SharedSceneSummary;
 
-/// Most pixels per side of a waterfall line; more than a screen shows.
+/// Maximum number of pixels per side of a waterfall line; more than a screen shows.
 const MAX_PIXELS: usize = 1000;
-/// Most beams in a fan frame.
+/// Maximum number of beams in a fan frame.
 const MAX_BEAMS: usize = 256;
-/// Most range bins per beam in a fan frame.
+/// Maximum number of range bins per beam in a fan frame.
 const MAX_BINS: usize = 500;
-/// Most samples in a scope frame: the page computes spectra of up to 16384 points.
+/// Maximum number of samples in a scope frame: the page computes spectra of up to 16384 points.
 const MAX_SAMPLES: usize = 16_384;
-/// Most expected targets in a line frame. The targets nearest to broadside are kept.
+/// Maximum number of expected targets in a line frame. The targets nearest to broadside are kept.
 const MAX_EXPECTED: usize = 24;
-/// Largest angle from broadside of an expected target, radians.
+/// Maximum angle from broadside of an expected target, radians.
 const MAX_OFF_BROADSIDE_RAD: f64 = 0.35;
 
-/// The context of one sonar's page output.
+/// Context of the page output of one sonar.
 pub struct PageContext {
     /// Receives the frames of all sonars.
     pub feed: Arc<Feed>,
     /// Index of the sonar in the configuration.
     pub sonar: u16,
-    /// The targets and terrain, once they are placed.
+    /// Targets and terrain, once they are placed.
     pub world: SharedSceneSummary,
 }
 
-/// The page output of one sonar.
+/// Page output of one sonar.
 pub(super) struct Page {
     spec: SonarSpec,
     feed: Arc<Feed>,
@@ -138,10 +138,10 @@ impl Page {
         })
     }
 
-    /// The targets near broadside within the window, as rows of the following five values:
+    /// Targets near broadside within the window, as rows of five values:
     ///
-    /// name, side (0 port, 1 starboard), two-way time of the leading edge from the start of the pulse (s), angle from broadside (degrees,
-    /// positive ahead), target strength (dB).
+    /// name, side (0 port, 1 starboard), two-way time of the leading edge from the start of the pulse (s), angle from broadside (degrees, positive
+    /// ahead), target strength (dB).
     fn expected(&self, plan: &PingPlan) -> Value {
         let Some(world) = self.world.get() else {
             return json!([]);
@@ -160,9 +160,9 @@ impl Page {
             let mounting = &self.spec.receive[array].mounting;
             let from_m = body_m - mounting.position_m;
             let broadside = mounting.body_from_array * DVec3::X;
-            // Ahead is positive, whichever way the array's axis points.
+            // Ahead is positive for either direction of the array's axis.
             let sign = if broadside.x < 0.0 { -1.0 } else { 1.0 };
-            // A fan lies across the ship, so its expected targets are those abeam.
+            // A fan lies across the ship, so its expected targets are abeam.
             let along = match broadside.x.abs() > broadside.y.abs() {
                 true => sign * from_m.dot(broadside),
                 false => from_m.x,
@@ -194,7 +194,7 @@ impl Page {
         rows.collect()
     }
 
-    /// The side of a point in body axes, and the index of the receive array of that side.
+    /// Side of a point in body axes, and index of the receive array of that side.
     fn array_of(&self, body_m: DVec3) -> (Side, usize) {
         let side = match body_m.y < 0.0 {
             true => Side::Port,
@@ -323,14 +323,14 @@ impl Page {
 /// Upper bound of the distance from the reference point to an array, metres.
 const MAX_LEVER_ARM_M: f64 = 500.0;
 
-/// The data from which the waterfall lines are made.
+/// Data source of the waterfall lines.
 #[derive(Clone, Copy)]
 enum LineSource {
     /// Side-scan lines.
     Lines,
-    /// Without side-scan lines: the maximum over the beams of each side.
+    /// Maximum over the beams of each side, without side-scan lines.
     Fan,
-    /// Without beams: the maximum over the elements of the first array, shown to starboard.
+    /// Maximum over the elements of the first array, shown to starboard, without beams.
     Elements,
 }
 
@@ -385,7 +385,7 @@ fn powers(row: &Samples) -> impl ExactSizeIterator<Item = f32> + '_ {
     row.iter().map(|x| x.norm_sqr() as f32)
 }
 
-/// The maximum power over several rows, per pixel.
+/// Maximum power over several rows, per pixel.
 fn max_power<'a>(
     rows: impl Iterator<Item = &'a Samples>,
     samples: usize,
@@ -403,7 +403,7 @@ fn max_power<'a>(
     (samples, pixels)
 }
 
-/// The selected methods of the ping and the size of its scene.
+/// Selected methods of the ping and size of its scene.
 fn model(plan: &PingPlan, output: &PingOutput) -> Value {
     let error_check = output.error_check.map(|c| {
         json!({ "error": c.error, "low": c.low, "high": c.high, "tolerance": c.tolerance, "fault": c.fault })
@@ -455,7 +455,7 @@ impl Output for Page {
     }
 }
 
-/// Empty: the feed counts the frames of all sonars together.
+/// Empty report, because the feed counts the frames of all sonars together.
 struct PageReport;
 
 impl Report for PageReport {
@@ -607,7 +607,7 @@ mod tests {
     fn a_target_is_expected_on_its_side_at_its_two_way_time() {
         let slot = slot(1);
         let pose = slot.plan.trajectory.pose_at(0.0);
-        // Within the few samples of the test's ping: 0.37 m at 40 kHz.
+        // Within the few samples of the test ping: 0.37 m at 40 kHz.
         let abeam = |across_m| Target {
             name: format!("{across_m}"),
             position_m: pose.point_m(DVec3::new(0.5, across_m, 0.8)),

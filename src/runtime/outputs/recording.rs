@@ -1,4 +1,4 @@
-//! Recordings that go on in a new file after an error, such as a full disk or a deleted folder.
+//! Recordings that continue in a new file after an error, such as a full disk or a deleted folder.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,22 +12,22 @@ use crate::io::record::{RecordError, claim_name, make_folder};
 use crate::io::sonar::RigTime;
 use echotank_core::time::UtcNs;
 
-/// Interval at which a recording that has stopped tries a new file.
+/// Interval at which a stopped recording tries to open a new file.
 const RETRY_INTERVAL: Duration = Duration::from_secs(5);
-/// Interval at which the file is looked for.
+/// Interval at which the existence of the file is checked.
 const LOOK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Why recordings have stopped, by name and extension of their files.
+/// Reasons of stopped recordings, by name and extension of their files.
 #[derive(Debug, Default)]
 pub(crate) struct StoppedRecordings(Mutex<BTreeMap<String, String>>);
 
 impl StoppedRecordings {
-    /// Every statement under the lock leaves a whole map.
+    /// Every statement under the lock leaves a consistent map.
     fn lock(&self) -> MutexGuard<'_, BTreeMap<String, String>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// One line each.
+    /// One line per stopped recording.
     pub(crate) fn lines(&self) -> Vec<String> {
         let all = self.lock();
         let line = |(name, why): (&String, &String)| format!("recording {name} stopped: {why}");
@@ -35,21 +35,21 @@ impl StoppedRecordings {
     }
 }
 
-/// Opens a recorder on an empty file, stamped with a time.
+/// Opens a recorder on an empty file, with the time of its start.
 pub(crate) type Begin<R> = Box<dyn FnMut(&Path, UtcNs) -> Result<R, RecordError> + Send>;
 
-/// Where a recording is.
+/// Folder, name and clock of a recording.
 pub(crate) struct Place {
     pub directory: PathBuf,
     /// Files are `NAME-20140801T000010.EXTENSION`.
     pub name: String,
     pub extension: &'static str,
-    /// Names and stamps the files.
+    /// Clock that gives the time in file names and headers.
     pub time: RigTime,
 }
 
 impl Place {
-    /// Claims an empty file, which no other recording has.
+    /// Creates an empty file that no other recording uses.
     fn claim(&self, utc: UtcNs) -> Result<PathBuf, RecordError> {
         make_folder(&self.directory)?;
         let stamp = DateTime::from_timestamp_nanos(utc.0).format("%Y%m%dT%H%M%S");
@@ -58,12 +58,12 @@ impl Place {
     }
 }
 
-/// A recording of one kind. After an error it closes its file, which is kept, and goes on in a new one.
+/// A recording of one kind. After an error it closes and keeps its file, and continues in a new file.
 pub(crate) struct Recording<R> {
     place: Place,
     begin: Begin<R>,
     open: Option<Open<R>>,
-    /// Of the newest file.
+    /// Path of the newest file.
     path: PathBuf,
     next_try: Instant,
     stopped: Arc<StoppedRecordings>,
@@ -71,13 +71,13 @@ pub(crate) struct Recording<R> {
 
 struct Open<R> {
     recorder: R,
-    /// Something besides its head has been written.
+    /// Whether the file holds more than its head.
     has_contents: bool,
     looked: Instant,
 }
 
 impl<R> Recording<R> {
-    /// A recording whose first file is made when there is something to write.
+    /// Creates a recording whose first file is opened by the first write.
     pub(crate) fn later(place: Place, begin: Begin<R>, stopped: Arc<StoppedRecordings>) -> Self {
         Self {
             path: place.directory.clone(),
@@ -89,7 +89,7 @@ impl<R> Recording<R> {
         }
     }
 
-    /// A recording with its first file.
+    /// Creates a recording and opens its first file.
     pub(crate) fn open(
         place: Place,
         begin: Begin<R>,
@@ -100,7 +100,7 @@ impl<R> Recording<R> {
         Ok(recording)
     }
 
-    /// The newest file.
+    /// Path of the newest file.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
@@ -109,7 +109,7 @@ impl<R> Recording<R> {
         format!("{}.{}", self.place.name, self.place.extension)
     }
 
-    /// Makes a new file. One that cannot be begun is removed.
+    /// Opens a new file. A file on which the recorder cannot start is removed.
     fn begin(&mut self) -> Result<(), RecordError> {
         let utc = (self.place.time)();
         let path = self.place.claim(utc)?;
@@ -123,7 +123,7 @@ impl<R> Recording<R> {
         Ok(())
     }
 
-    /// Begins again when it is time; returns whether a file is open. Only the first failure of several is an error.
+    /// Opens a new file once the retry interval has passed. Returns whether a file is open. Of several failures in a row, only the first is an error.
     fn resume(&mut self) -> Result<bool, RecordError> {
         if self.open.is_some() {
             return Ok(true);
@@ -142,20 +142,20 @@ impl<R> Recording<R> {
         }
     }
 
-    /// Notes why nothing is recorded; true if something was recorded before.
+    /// Notes the reason why recording stopped. Returns true if the recording was running before.
     fn note(&self, error: &RecordError) -> bool {
         let why = error.to_string();
         self.stopped.lock().insert(self.name(), why).is_none()
     }
 
-    /// Notes that something was recorded.
+    /// Notes that the recording is running.
     fn note_success(&self) {
         if self.stopped.lock().remove(&self.name()).is_some() {
             info!(file = %self.path.display(), "recording goes on in a new file");
         }
     }
 
-    /// Stops when the file is no longer in its folder.
+    /// Stops the recording if the file is no longer in its folder.
     fn look(&mut self) -> Result<(), RecordError> {
         let now = Instant::now();
         let Some(open) = &mut self.open else {
@@ -175,7 +175,7 @@ impl<R> Recording<R> {
         Err(error)
     }
 
-    /// Writes with the recorder, or tries a new file; `None` while nothing can be recorded. Each stop is one error.
+    /// Writes to the recorder, or tries a new file. `None` while nothing can be recorded. Each interruption gives one error.
     pub(crate) fn write<T>(
         &mut self,
         write: impl FnOnce(&mut R) -> Result<T, RecordError>,
@@ -217,9 +217,9 @@ impl<R> Recording<R> {
     }
 }
 
-/// Removes a file without contents, and those that belong to it.
+/// Removes a file without contents, and its companion files.
 fn remove(path: &Path) {
-    // What cannot be removed stays, and `recover` repairs it.
+    // A file that cannot be removed remains, and `recover` repairs it.
     let _ = std::fs::remove_file(path);
     if path.extension().is_some_and(|e| e == "sigmf-data") {
         for extension in ["sigmf-meta", "sigmf-journal"] {
@@ -269,9 +269,9 @@ mod tests {
         let refused = recording.write(|_| Err::<(), _>(full()));
         assert!(refused.is_err());
         assert_eq!(stopped.lines().len(), 1, "{:?}", stopped.lines());
-        // Not before its time.
+        // Not before the retry interval has passed.
         assert_eq!(recording.write(put).expect("waits"), None);
-        // Still full: not told again, and no empty file is left.
+        // The disk is still full: no second error, and no empty file remains.
         recording.next_try = Instant::now();
         let refused = recording.write(|_| Err::<(), _>(full()));
         assert_eq!(refused.expect("told before"), None);

@@ -1,11 +1,11 @@
-//! A server's counters, as text and in numbers.
+//! Counters of a server, as text and as numbers.
 
 use std::sync::Arc;
 
 use super::{Report, StreamCounts};
 use crate::io::sonar::{ServerReport, SonarServer};
 
-/// The counters of an output that only serves clients: family, name and server of each of its ports.
+/// Counters of an output that only serves clients: family, name and server of each of its ports.
 pub(super) struct ServersReport(pub(super) Vec<(&'static str, String, Arc<SonarServer>)>);
 
 impl Report for ServersReport {
@@ -24,7 +24,7 @@ impl Report for ServersReport {
     }
 }
 
-/// One line of a server's totals, including departed clients, and one line per client.
+/// One line with the totals of a server, including departed clients, and one line per client.
 pub(crate) fn server_lines(family: &str, name: &str, report: &ServerReport) -> Vec<String> {
     let totals = report.totals();
     let mut lines = vec![format!(
@@ -51,7 +51,7 @@ pub(crate) fn server_lines(family: &str, name: &str, report: &ServerReport) -> V
     lines
 }
 
-/// The counters of each client of a server.
+/// Counters of each client of a server.
 pub(crate) fn server_streams(family: &'static str, report: &ServerReport) -> Vec<StreamCounts> {
     let clients = report.clients.iter();
     let counts = clients.map(|client| StreamCounts {

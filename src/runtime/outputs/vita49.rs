@@ -20,9 +20,9 @@ pub(super) struct Vita49 {
     sender: DatagramSender,
     saturated: Arc<AtomicU64>,
     spread: Spread,
-    /// The packets of the encoded ping, and the seconds over which they are sent after the deadline.
+    /// Packets of the encoded ping, and the seconds over which they are sent after the deadline.
     pending: Option<(Packets, f64)>,
-    /// The previous ping was dropped.
+    /// Whether the previous ping was dropped.
     lost: bool,
 }
 
