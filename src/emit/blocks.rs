@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-/// Number of samples received by the end of block number `blocks`, at `samples_per_s` samples per second. Block lengths are `block_s`
+/// Number of samples received by the end of block number `blocks`, at `samples_per_s` samples per second. A block lasts `block_s`
 /// seconds.
 pub fn end_of_block(blocks: u32, samples_per_s: f64, block_s: f64) -> usize {
     (f64::from(blocks) * block_s * samples_per_s).ceil() as usize
@@ -16,7 +16,7 @@ pub fn blocks(
     block_s: Option<f64>,
 ) -> impl Iterator<Item = (Range<usize>, Option<f64>)> {
     let mut first = 0;
-    // Computed from the start of the ping each time, so that rounding errors do not accumulate.
+    // Each end is computed from the start of the ping, so rounding errors do not accumulate.
     let ends = (1..).map(move |k| match block_s {
         None => (samples, None),
         Some(block_s) => {

@@ -1,10 +1,10 @@
-//! Applies several setting changes as one transaction: all of them, or none. Some protocols send them in one command.
+//! Applies several setting changes as one transaction: all of them, or none. Some protocols send several changes in one command.
 
 use echotank_core::settings::{
     Asked, SettingChange, SettingLimits, SettingRefused, SettingRule, SettingsPort,
 };
 
-/// A value that exceeds a limit by no more than the precision of an f32 counts as the limit.
+/// Relative precision of an f32. A value that exceeds a limit by no more than this counts as the limit.
 const WIRE_PRECISION: f64 = f32::EPSILON as f64;
 
 /// Applies `changes` in order. If any of them would be refused, nothing changes and the refusal is returned.

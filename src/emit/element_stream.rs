@@ -14,7 +14,7 @@ use echotank_config::spec::{ElementStreamSpec, SonarSpec};
 use echotank_core::ping::{PingOutput, PingPlan};
 use echotank_core::time::UtcNs;
 
-/// Converts pings into element frames. Owns its buffers and the frame counter; for use by one thread.
+/// Converter of pings into element frames. It owns its buffers and the frame counter, and serves one thread.
 pub struct ElementStreamEmitter {
     arrays: Vec<usize>,
     sample_type: SampleType,
@@ -59,8 +59,8 @@ impl ElementStreamEmitter {
         self.emit_rows(plan, output, 0..plan.sample_count, into)
     }
 
-    /// Does the same for the sample range `rows`, which starts and ends at block boundaries. `output` must hold the samples up to
-    /// `rows.end`.
+    /// Like [`Self::emit_ping`], for the sample range `rows`, which starts and ends at block boundaries. `output` must hold the
+    /// samples up to `rows.end`.
     pub fn emit_rows(
         &mut self,
         plan: &PingPlan,

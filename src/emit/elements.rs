@@ -19,7 +19,7 @@ pub fn elements_of<'a>(
 /// Quantises a value relative to full scale (real, I or Q) to counts. The flag is true if the value was clipped.
 pub fn counts(value: f64) -> (i16, bool) {
     let rounded = (value * IQ_FULL_SCALE).round();
-    let held = rounded.clamp(-IQ_FULL_SCALE, IQ_FULL_SCALE); // NaN stays NaN; the cast makes it 0
+    let held = rounded.clamp(-IQ_FULL_SCALE, IQ_FULL_SCALE); // NaN stays NaN, and the cast makes it 0
     let fits = rounded.abs() <= IQ_FULL_SCALE; // false for NaN
     (held as i16, !fits)
 }

@@ -1,7 +1,7 @@
 //! Converts computed pings into records of sonar protocols, one module per sonar family. Sans I/O.
 //!
-//! Input: the plan and output of one ping, and the records that clients subscribe to. Output: complete, time-stamped records in pooled
-//! buffers.
+//! The input is the plan and the output of one ping, and the record types that clients subscribe to. The output is complete,
+//! time-stamped records in pooled buffers.
 
 #![warn(missing_docs)]
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]

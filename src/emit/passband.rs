@@ -1,10 +1,10 @@
-//! Computes the real passband samples that a converter at the element would take, from the complex envelope at the receiver's rate.
+//! Computes real passband samples, as a converter at the element takes them, from the complex envelope at the receiver's rate.
 //!
-//! For the envelope x (volts rms) at carrier frequency f_c, the voltage is sqrt(2) Re{ x(t) exp(j 2 pi f_c t) }, with t from the start of
-//! the pulse. x is interpolated with a sinc under a Kaiser window (Kaiser 1974) of [`TAPS`] samples. The interpolation reproduces the
-//! envelope's own samples. Between them, the error of a tone within 0.8 of the band is below 2e-5 of its amplitude.
-//! `receiver.sample_rate_khz` must leave the signal and its Doppler shift within that part of the band. The envelope is zero outside its
-//! record.
+//! For the envelope x (volts rms) at carrier frequency f_c, the voltage is sqrt(2) Re{ x(t) exp(j 2 pi f_c t) }, with t from the
+//! start of the pulse. x is interpolated with a sinc under a Kaiser window (Kaiser 1974) of [`TAPS`] samples. The interpolation
+//! reproduces the samples of the envelope. Between the samples, the error of a tone within 0.8 of the band is below 2e-5 of its
+//! amplitude. The signal and its Doppler shift must be within that part of the band (`receiver.sample_rate_khz`). The envelope is
+//! zero outside its record.
 
 use std::f64::consts::{PI, TAU};
 
@@ -12,19 +12,20 @@ use num_complex::Complex64;
 
 /// Number of input samples that contribute to one interpolated sample.
 pub const TAPS: usize = 40;
-/// Tabulated kernel positions between two samples. Linear interpolation between them adds an error of pi^2 0.8^2 / 8 / PHASES^2 = 5e-8.
+/// Number of tabulated kernel positions between two samples. Linear interpolation between positions adds an error of pi^2 0.8^2 / 8
+/// / PHASES^2 = 5e-8.
 const PHASES: usize = 4096;
-/// Kaiser's shape parameter for 100 dB: 0.1102 (100 - 8.7).
+/// Shape parameter of the Kaiser window for 100 dB: 0.1102 (100 - 8.7).
 const BETA: f64 = 10.06;
 
-/// Interpolator and mixer. One instance serves all elements of a sonar; for use by one thread.
+/// Interpolator and mixer. One instance serves all elements of a sonar and one thread.
 pub struct Passband {
     in_rate_hz: f64,
     out_rate_hz: f64,
     center_hz: f64,
-    /// `PHASES + 1` rows of taps.
+    /// Kernel taps in `PHASES + 1` rows, one per position.
     kernel: Vec<[f64; TAPS]>,
-    /// cos and sin of the carrier at the output samples of the current ping.
+    /// cos and sin of the carrier phase at the output samples of the current ping.
     carrier: Vec<[f64; 2]>,
     /// I and Q of the current element, padded with zeros for the kernel at both ends.
     i: Vec<f64>,
@@ -35,7 +36,8 @@ pub struct Passband {
 }
 
 impl Passband {
-    /// `in_rate_hz` is the rate of the envelope, `out_rate_hz` that of the real samples, `center_hz` the carrier frequency.
+    /// `in_rate_hz` is the sample rate of the envelope. `out_rate_hz` is the sample rate of the output. `center_hz` is the carrier
+    /// frequency.
     pub fn new(in_rate_hz: f64, out_rate_hz: f64, center_hz: f64) -> Self {
         let kernel = (0..=PHASES)
             .map(|phase| {
@@ -66,8 +68,8 @@ impl Passband {
         self.carrier.len()
     }
 
-    /// Starts a ping of `samples` output samples from `start_s` on. The first envelope sample lies at `first_in_s`. Both times are seconds
-    /// from the start of the pulse.
+    /// Starts a ping of `samples` output samples from `start_s` on. The first envelope sample is at `first_in_s`. Both times are
+    /// seconds from the start of the pulse.
     pub fn begin(&mut self, start_s: f64, samples: usize, first_in_s: f64) {
         self.start_s = start_s;
         self.first_in_s = first_in_s;
@@ -80,7 +82,7 @@ impl Passband {
         }));
     }
 
-    /// Passes the output samples of one element to `each`, in order. They are scaled by 1/sqrt(2): an envelope of 1 V rms gives values
+    /// Passes the output samples of one element to `each`, in order. The scale is 1/sqrt(2): an envelope of 1 V rms gives values
     /// between -1 and 1.
     pub fn element(&mut self, envelope: &[Complex64], mut each: impl FnMut(f64)) {
         for (row, part) in [(&mut self.i, 0), (&mut self.q, 1)] {
@@ -117,7 +119,7 @@ impl Passband {
     }
 }
 
-/// Dot product in four partial sums, so that the compiler vectorises it.
+/// Dot product in four partial sums, which the compiler can vectorise.
 fn dot(weights: &[f64; TAPS], samples: &[f64]) -> f64 {
     let mut sums = [0.0; 4];
     for (w, x) in weights.chunks_exact(4).zip(samples.chunks_exact(4)) {
@@ -206,7 +208,7 @@ mod tests {
         let envelope: Vec<_> = (0..100)
             .map(|k| Complex64::new((k as f64 * 1.7).sin(), (k as f64 * 0.3).cos()))
             .collect();
-        // 25 output samples per input sample; the carrier makes whole turns at each input sample.
+        // There are 25 output samples per input sample. The carrier makes a whole number of cycles per input sample.
         let mut passband = Passband::new(40e3, 1e6, 400e3);
         passband.begin(0.0, 2500, 0.0);
         let mut out = Vec::new();

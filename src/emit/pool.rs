@@ -1,10 +1,11 @@
-//! Reuses record buffers once every client and recorder has dropped them.
+//! Pools of record buffers. A buffer is reused after all clients and recorders have dropped it.
 
 use std::sync::Arc;
 
 use echotank_core::records::Datagram;
 
-/// Pool of at most `capacity` buffers for one record type. If all are in use, a record gets a new buffer and `misses` counts it.
+/// Pool of at most `capacity` buffers for one record type. If all buffers are in use, a record gets a new buffer, and `misses`
+/// counts it.
 #[derive(Debug)]
 pub struct DatagramPool {
     record_type: u32,

@@ -1,7 +1,8 @@
-//! Interface between a sonar protocol and the servers: received bytes in, answers out, and the records each client subscribes to. Sans I/O.
+//! Interface between the sonar protocols and the servers: received bytes, answers, and the records that each client subscribes to.
+//! Sans I/O.
 //!
-//! A family implements [`Protocol`] for each port it serves and [`Session`] for one client of that port. The server in the runtime crate
-//! handles sockets, queues, counters and times.
+//! The module of a sonar family implements [`Protocol`] for each of its ports and [`Session`] for one client of a port. The server
+//! in the runtime crate handles sockets, queues, counters and times.
 
 use std::net::SocketAddr;
 use std::ops::Range;
@@ -91,7 +92,7 @@ pub struct SessionCounts {
     pub commands: u64,
     /// Commands refused.
     pub nacks: u64,
-    /// Number of times that bytes were no record or a record was malformed.
+    /// Number of invalid byte sequences and malformed records.
     pub framing_errors: u64,
     /// Complete records that are not commands.
     pub other_records: u64,
@@ -105,21 +106,21 @@ pub trait Session: Send {
     }
     /// Processes bytes from the client (over UDP: one datagram) and appends the answers to `out` in order. `now` is rig time.
     fn receive(&mut self, bytes: &[u8], now: UtcNs, out: &mut Vec<Outgoing>);
-    /// True if part of a command has arrived and the rest is missing.
+    /// True if only a part of a command has arrived.
     fn is_waiting(&self) -> bool {
         false
     }
-    /// Ends the wait for an incomplete command, because the client closed or stalled.
+    /// Ends the wait for the rest of a command, because the client closed the connection or stalled.
     fn give_up_waiting(&mut self, now: UtcNs, out: &mut Vec<Outgoing>) {
         let _ = (now, out);
     }
-    /// True if the client asked to disconnect. The server sends the waiting records and closes the connection.
+    /// True if the client requested to disconnect. The server sends the waiting records and closes the connection.
     fn is_over(&self) -> bool {
         false
     }
     /// Classes of records that the client receives from every ping.
     fn wants(&self) -> Wants;
-    /// Takes the classes of records requested, since the last call, from the next ping only.
+    /// Removes and returns the record classes requested since the last call. These records are sent once, from the next ping.
     fn take_requested(&mut self) -> Wants {
         Wants::NONE
     }

@@ -1,12 +1,12 @@
-//! Imagenex 872 YellowFin: the head answers every switch command with one side of one ping. Sans I/O.
+//! Imagenex 872 YellowFin protocol. The sonar head answers every switch command with one side of one ping. Sans I/O.
 //!
-//! Behaviour that the protocol description leaves open:
-//! - The first ping transmitted after a command answers it. A stopped sonar transmits one ping for the command.
-//! - The protocol has no refusal. A range or gain beyond the limits leaves the sonar unchanged. The echo then covers the requested range,
-//!   with zeros where the sonar did not receive. Bytes that are not a command get no answer.
-//! - Data gain 0 to 100 covers the receiver's gain limits. Balance gain and frequency are stored without effect.
-//! - A point is the largest sample within it, on a linear scale with the receiver's full scale as 255. Larger values are clipped and
-//!   counted.
+//! The protocol description leaves some behaviour open:
+//! - The first ping transmitted after a command is its answer. A stopped sonar transmits one ping for the command.
+//! - The protocol has no refusal. A range or gain beyond the limits leaves the sonar unchanged. The answer then covers the
+//!   requested range, with zeros where the sonar did not receive. Bytes that are not a command get no answer.
+//! - Data gain 0 to 100 covers the gain limits of the receiver. Balance gain and frequency are stored without effect.
+//! - A point is the largest sample of its interval, on a linear scale with the receiver's full scale as 255. Larger values are
+//!   clipped and counted.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -25,7 +25,7 @@ use echotank_core::time::UtcNs;
 /// Name under which this protocol changes settings.
 pub(crate) const VIA: &str = "imagenex872";
 
-/// [`Datagram::record_type`] of a side's answer: the number that the command uses for the side.
+/// [`Datagram::record_type`] of the answer for a side: the number of the side in the command.
 fn record_type(side: Side) -> u32 {
     match side {
         Side::Port => 0,
@@ -102,7 +102,7 @@ pub fn emit_ping(
     saturated
 }
 
-/// The head's protocol on one port.
+/// Protocol of the sonar head on one port.
 pub struct ImagenexProtocol {
     /// Settings that commands change.
     pub settings: Arc<dyn SettingsPort>,
@@ -136,7 +136,7 @@ impl Protocol for ImagenexProtocol {
 }
 
 struct Client {
-    /// Taken out while it passes commands on.
+    /// `None` while the stream passes commands on.
     stream: Option<SwitchStream>,
     link: Link,
     held: usize,
@@ -212,7 +212,7 @@ impl Link {
         let gain_db = min_db + (max_db - min_db) * f64::from(command.data_gain) / 100.0;
         let is = self.settings.settings();
         let range_m = f64::from(command.range_m);
-        // Only differences are applied. Every ping has its command, and other protocols would otherwise be notified of each.
+        // Only differences are applied. Every ping has its command, and other protocols would be notified of each one.
         let mut changes = Vec::new();
         changes.extend((is.range_m != range_m).then_some(SettingChange::RangeM(range_m)));
         changes.extend((is.gain_db != gain_db).then_some(SettingChange::GainDb(gain_db)));
@@ -232,7 +232,7 @@ impl Link {
             };
             let value = KeptValue::Integer(value.into());
             if self.settings.kept(key).as_ref() != Some(&value) {
-                // Refused only if thousands of values are stored, which the head cannot report.
+                // Storing fails only if thousands of values are stored, and the protocol cannot report a failure.
                 let _ = self.settings.keep(key, value, asked);
             }
         }

@@ -4,11 +4,11 @@
 //! - [`JsfSheet`]: properties of the sonar for JSF clients
 //! - [`session`]: commands in, answers out
 //!
-//! A message 80 carries one channel: a side (0 port, 1 starboard) or an element. Its samples are block floating point: none saturates, and
-//! the error is at most 2^-15 of the largest sample of the message. Times are those of the start of the pulse. Depth and altitude are those of
-//! the sonar ([`SensorState`](echotank_core::ping::SensorState)): the altitude is the scene's, not one detected in the echo. Each of several
-//! pulses in a ping is a subsystem, numbered upwards from the sonar's own, as the maker's frequencies are. Not modelled: pulse files, the
-//! sonar's own clock, coupled subsystems.
+//! A message 80 carries one channel: a side (0 port, 1 starboard) or an element. Its samples are block floating point, so none is
+//! clipped. The error is at most 2^-15 of the largest sample of the message. Times are those of the start of the pulse. Depth and
+//! altitude are those of the sonar ([`SensorState`](echotank_core::ping::SensorState)). The altitude comes from the scene and is
+//! not detected in the echo. If a ping has several pulses, each pulse is a subsystem. Subsystem numbers increase from that of the
+//! sonar's own pulse, as for EdgeTech's frequencies. Not modelled: pulse files, the clock of the sonar, coupled subsystems.
 
 pub mod session;
 
@@ -88,7 +88,7 @@ impl JsfSheet {
         (0..=further).map(move |pulse| own.wrapping_add(pulse as u8))
     }
 
-    /// JSF number of the kind of sonar.
+    /// JSF code of the sonar type.
     pub fn system_type(&self) -> i32 {
         match self.output.channels {
             JsfChannels::Sides if self.subsystems().nth(1).is_some() => {
@@ -138,10 +138,10 @@ pub fn file_time(now: UtcNs) -> Vec<u8> {
     bytes
 }
 
-/// Converts pings into JSF messages. Owns its buffers; for use by one thread.
+/// Converter of pings into JSF messages. It owns its buffers and serves one thread.
 pub struct JsfEmitter {
     sheet: Arc<JsfSheet>,
-    /// Matched filter for the formats that carry filtered samples.
+    /// Matched filter of the formats with filtered samples.
     filter: RowFilter,
     /// UTC second of the last ping.
     second: Option<i64>,
@@ -231,7 +231,7 @@ impl JsfEmitter {
         not_finite
     }
 
-    #[allow(clippy::too_many_arguments)] // one call, above
+    #[allow(clippy::too_many_arguments)] // called once, above
     fn side(
         &mut self,
         plan: &PingPlan,
@@ -249,7 +249,7 @@ impl JsfEmitter {
             let subsystem = self.sheet.output.subsystem;
             return self.line(line, (subsystem, number), header, into);
         }
-        // The whole face is one hydrophone: the mean of its elements.
+        // The whole array is one hydrophone: the mean of its elements.
         let Some(frame) = output.elements.iter().find(|frame| frame.array == array) else {
             return 0;
         };
@@ -398,8 +398,8 @@ fn header(sheet: &JsfSheet, plan: &PingPlan, pulse: &Pulse, late_s: f64) -> Sona
     h
 }
 
-/// Messages 2020, 2060, 2080 and 2091 of one ping, from the ping's navigation and the sonar's depth and altitude; 2002 before the first ping
-/// of every second.
+/// Messages 2020, 2060, 2080 and 2091 of one ping, from the navigation of the ping and the depth and altitude of the sonar. Message
+/// 2002 precedes the first ping of every second.
 fn sensors(plan: &PingPlan, is_new_second: bool, into: &mut Vec<Arc<Datagram>>) {
     const RAW: u8 = echotank_protocols::jsf::subsystem::RAW_SERIAL;
     const PARSED: u8 = echotank_protocols::jsf::subsystem::PARSED_SERIAL;
@@ -433,7 +433,7 @@ fn sensors(plan: &PingPlan, is_new_second: bool, into: &mut Vec<Arc<Datagram>>) 
             roll: tilt(nav.roll_rad),
             heave_down_mm: counts(nav.heave_down_m * 1e3),
             heading_cdeg,
-            // Valid: rates, pitch, roll, heave, heading.
+            // Valid fields: rates, pitch, roll, heave, heading.
             validity: 0b11_1111_1000,
             ..PitchRoll2020::default()
         }
@@ -446,7 +446,7 @@ fn sensors(plan: &PingPlan, is_new_second: bool, into: &mut Vec<Arc<Datagram>>) 
             pressure_mpsi: (SURFACE_MPSI + depth * MPSI_PER_M).round() as i32,
             sound_velocity_mm_per_s: (plan.sound_speed_m_per_s * 1e3).round() as i32,
             depth_m: depth.round() as i32,
-            // Valid: pressure, sound velocity, depth.
+            // Valid fields: pressure, sound velocity, depth.
             validity: 0b11_0001,
             ..Pressure2060::default()
         }
@@ -460,14 +460,14 @@ fn sensors(plan: &PingPlan, is_new_second: bool, into: &mut Vec<Arc<Datagram>>) 
         Dvl2080 {
             time,
             distance_cm: [distance_cm; 4],
-            // Axes: starboard, forward, up.
+            // Axes in this order: starboard, forward, up.
             velocity_mm_per_s: [v_body.y, v_body.x, -v_body.z].map(|v| counts(v * 1e3)),
             depth_dm: (depth * 10.0).round().min(65_535.0) as u16,
             pitch_cdeg: counts(nav.pitch_rad.to_degrees() * 100.0),
             roll_cdeg: counts(nav.roll_rad.to_degrees() * 100.0),
             heading_cdeg,
             sound_velocity_m_per_s: counts(plan.sound_speed_m_per_s),
-            // Valid: velocities in the ship's axes, heading, pitch, roll, depth, sound velocity; the altitude if it is known.
+            // Valid fields: velocities in ship axes, heading, pitch, roll, depth, sound velocity, and the altitude if known.
             validity: 0b1_0101_1100_0111 | u32::from(altitude.is_some()) << 5,
             ..Dvl2080::default()
         }
@@ -476,7 +476,7 @@ fn sensors(plan: &PingPlan, is_new_second: bool, into: &mut Vec<Arc<Datagram>>) 
     push(into, message_type::SITUATION, PARSED, 0, |buf| {
         Situation2091 {
             time,
-            // Valid: all but the water temperature; the altitude if it is known.
+            // Valid fields: all except the water temperature; the altitude only if known.
             validity: 0b1111_1110_1111 | u32::from(altitude.is_some()) << 4,
             velocity_axes: 0,
             source_time_100ns: (utc.0 / 100).max(0) as u64,
@@ -516,7 +516,7 @@ fn position_sentence(nav: &NavState, utc: UtcNs) -> String {
         moment.hour,
         moment.minute,
         moment.second,
-        // Truncated, so that 59.999 s does not round to the next minute.
+        // Seconds are truncated, so 59.999 s does not round to the next minute.
         moment.nanosecond / 10_000_000,
         if nav.invalid.position { 'V' } else { 'A' },
         if nav.latitude_rad < 0.0 { 'S' } else { 'N' },

@@ -1,15 +1,15 @@
-//! Sessions of a JSF client's two connections: commands and answers on one, data on the other. Sans I/O.
+//! Sessions for the two connections of a JSF client: commands and answers, and data. Sans I/O.
 //!
-//! Behaviour that no manual defines:
+//! No manual defines the following behaviour:
 //! - A successful SET has no answer, a GET has a REPLY, and every failure has an ERROR. Message 41 is always echoed.
-//! - Settings, including 83, belong to the sonar and not to a connection: a client that reconnects finds the stored values. Data are active
-//!   by default.
-//! - 121 is the transmit amplitude relative to its maximum, times 1000: 20 log10 of the ratio is added to the upper limit of the source
-//!   level. 140 is the receiver gain as a factor, times 1000.
+//! - Settings, including 83, belong to the sonar and not to a connection. A client that reconnects finds the stored values. Data
+//!   are active by default.
+//! - Message 121 is the transmit amplitude relative to its maximum, times 1000. The upper limit of the source level plus 20 log10
+//!   of the ratio gives the source level. Message 140 is the receiver gain as a factor, times 1000.
 //! - Subsystems in `silent_subsystems` do not exist in the sonar. They store and report all settings without effect.
 //! - The subsystems of further pulses in the same ping share the sonar's settings. Only 83 is set per channel.
-//! - 25 stops pinging, because a widely used client sends it when it disconnects. The program continues.
-//! - 22 is refused: the time comes from the navigation.
+//! - Message 25 stops pinging, because a widely used client sends it before it disconnects. The program continues.
+//! - Message 22 is refused, because the time comes from the navigation.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -56,7 +56,7 @@ fn key(message_type: u16, subsystem: u8, channel: u8) -> KeptKey {
     }
 }
 
-/// True if data of a channel are active (83). They are active unless a client switches them off.
+/// True if data of a channel are active (83). Data are active until a client disables them.
 pub fn is_active(settings: &dyn SettingsPort, subsystem: u8, channel: u8) -> bool {
     let kept = settings.kept(key(message_type::DATA_ACTIVE, subsystem, channel));
     kept != Some(KeptValue::Integer(0))
@@ -268,7 +268,7 @@ impl Client {
             .map_err(|_| error_code::FAILED)
     }
 
-    /// Applies a setting if the model has it; otherwise it is only stored.
+    /// Applies a setting that the model has. Any other setting is only stored.
     fn execute(&self, message_type: u16, number: i64, asked: Asked) -> Result<(), i32> {
         let value = number as f64;
         let changes: &[SettingChange] = match message_type {
@@ -286,7 +286,7 @@ impl Client {
             },
             message_type::SHUTDOWN if number != 0 => &[SettingChange::Stop],
             message_type::PING_TRIGGER => match i32::try_from(number) {
-                // A subsystem without pings of its own is coupled: the sonar keeps its internal trigger.
+                // A subsystem without its own pings is coupled. The sonar keeps its internal trigger.
                 Ok(trigger::INTERNAL | trigger::COUPLED) => {
                     &[SettingChange::Trigger(TriggerSource::Internal)]
                 }

@@ -4,12 +4,12 @@
 //! - [`PingEmitter`]: converts a ping into frames
 //! - [`session`]: processes commands
 //!
-//! Behaviour that the protocol definitions leave open:
-//! - Gain indices cover the sonar's gain limits in equal steps.
-//! - `timestamp_ms` counts from when the output was opened.
-//! - Results are dB re 1 uV (rms) at the receiver, each the mean power of its range interval. They are scaled between the largest of the
-//!   ping and [`RANGE_OF_RESULTS_DB`] below it.
-//! - Angles of points are positive to port, as the device's axes are.
+//! The protocol definitions leave some behaviour open:
+//! - Gain indices cover the gain limits of the sonar in equal steps.
+//! - `timestamp_ms` counts from the opening of the output.
+//! - Results are dB re 1 uV (rms) at the receiver. Each result is the mean power of its range interval. Results are scaled between
+//!   the maximum of the ping and [`RANGE_OF_RESULTS_DB`] below it.
+//! - Angles of points are positive to port, as in the axes of the device.
 
 pub mod session;
 
@@ -30,17 +30,17 @@ use echotank_core::ping::{Line, PingOutput, PingPlan, Side};
 use echotank_core::records::Datagram;
 use echotank_core::time::UtcNs;
 
-/// Largest span of the 16-bit results, dB.
+/// Maximum span of the 16-bit results, dB.
 const RANGE_OF_RESULTS_DB: f64 = 100.0;
 /// 1 V in dB re 1 uV.
 const VOLT_IN_MICROVOLT_DB: f64 = 120.0;
-/// Highest gain index of the Omniscan; the Surveyor's is in percent.
+/// Maximum gain index of the Omniscan. The gain of the Surveyor is in percent.
 const GAIN_STEPS: f64 = 7.0;
 const GAIN_PERCENT: f64 = 100.0;
-/// Device identifier at start; every frame carries the identifier as its source.
+/// Initial device identifier. Every frame carries the identifier of its source.
 const FIRST_DEVICE_ID: u8 = 1;
 
-/// A simulated device as its clients see it.
+/// Simulated device with its requested settings, shared by the emitter and the sessions.
 pub struct Device {
     /// Configuration of the output.
     pub spec: PingProtocolSpec,
@@ -48,12 +48,12 @@ pub struct Device {
     pub sonar: SonarSpec,
     /// Sound speed for the conversion of time to range.
     pub sound_speed_m_per_s: f64,
-    /// Power-up in rig time.
+    /// Time of power-up, rig time.
     power_up: UtcNs,
     requested: Mutex<RequestedSettings>,
 }
 
-/// Settings requested by clients that the sonar's own settings do not include.
+/// Client settings that are not part of the settings of the sonar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RequestedSettings {
     /// Slant range of the first result, metres.
@@ -62,9 +62,9 @@ pub struct RequestedSettings {
     pub num_results: u16,
     /// Synchronisation channel of the device and the number of channels.
     pub sync: SyncChannel,
-    /// Send angles and times of flight (3012) with each ping.
+    /// True if angles and times of flight (3012) are sent with each ping.
     pub wants_atof: bool,
-    /// Send points in the vertical plane (3011) with each ping.
+    /// True if points in the vertical plane (3011) are sent with each ping.
     pub wants_yz: bool,
     /// Identifier in the source field of frames.
     pub device_id: u8,
@@ -111,12 +111,12 @@ impl Device {
     }
 
     fn uptime_ms(&self, utc: UtcNs) -> u32 {
-        // Wraps after 49 days, as the field does.
+        // The value wraps after 49 days, as the field does.
         ((utc.0 - self.power_up.0) / 1_000_000) as u32
     }
 }
 
-/// Converts pings into the frames of one device; for use by one thread.
+/// Converter of pings into the frames of one device. It serves one thread.
 pub struct PingEmitter {
     device: Arc<Device>,
     pools: [DatagramPool; 4],
@@ -173,7 +173,7 @@ impl PingEmitter {
         }
     }
 
-    /// Message 2198.
+    /// Message 2198 (mono profile) of one side-scan line.
     fn profile(&mut self, plan: &PingPlan, line: &Line, side: Side) -> Arc<Datagram> {
         let device = Arc::clone(&self.device);
         let requested = device.requested();
@@ -225,7 +225,7 @@ impl PingEmitter {
         self.pools[0].write(|buf| emit_2198(buf, requested.device_id, 0, &head, results))
     }
 
-    /// Message 504.
+    /// Message 504 (attitude report).
     fn attitude(&mut self, plan: &PingPlan, requested: &RequestedSettings) -> Arc<Datagram> {
         let report = AttitudeReport {
             up: up(plan),
@@ -235,7 +235,7 @@ impl PingEmitter {
         self.pools[1].write(|buf| report.emit_frame(buf, requested.device_id, 0))
     }
 
-    /// Message 3012.
+    /// Message 3012 (angles and times of flight of the soundings).
     fn atof(
         &mut self,
         plan: &PingPlan,
@@ -264,7 +264,7 @@ impl PingEmitter {
         self.pools[2].write(|buf| emit_3012(buf, requested.device_id, 0, &head, points))
     }
 
-    /// Message 3011.
+    /// Message 3011 (points in the vertical plane).
     fn yz(
         &mut self,
         plan: &PingPlan,
@@ -283,7 +283,7 @@ impl PingEmitter {
             ping_number: plan.ping_number,
             sos_mps: c as f32,
             up: up(plan),
-            // The device has no such sensors.
+            // The device has no sensor for these quantities.
             water_c: -1000.0,
             water_bar: -1000.0,
             heave_m: -plan.nav.heave_down_m as f32,
@@ -301,13 +301,13 @@ fn utc_ms(plan: &PingPlan) -> u64 {
     (plan.stamp_utc.0.max(0) / 1_000_000) as u64
 }
 
-/// The up vector. Roll here is positive starboard down, which is port up.
+/// The up vector in body axes. Roll here is positive starboard down, that is, port up.
 fn up(plan: &PingPlan) -> [f32; 3] {
     AttitudeReport::up_from(plan.nav.roll_rad, plan.nav.pitch_rad)
 }
 
-/// Mean power of `count` intervals of a line in dB re 1 uV. Each interval is `width` samples long; the first begins at sample `first`. An
-/// interval that contains no sample is interpolated. Samples beyond the end of the line are zero.
+/// Mean power in `count` intervals of a line, dB re 1 uV. Each interval is `width` samples long; the first begins at sample
+/// `first`. An interval without a sample is interpolated. Samples beyond the end of the line are zero.
 fn mean_levels_db(line: &[f32], first: f64, width: f64, count: usize, into: &mut Vec<f64>) {
     let power_at = |sample: usize| line.get(sample).map_or(0.0, |&v| f64::from(v).powi(2));
     into.clear();
@@ -327,7 +327,8 @@ fn mean_levels_db(line: &[f32], first: f64, width: f64, count: usize, into: &mut
     }));
 }
 
-/// Levels for 0 and 65535: the smallest finite level, at most [`RANGE_OF_RESULTS_DB`] below the largest, and the largest.
+/// Levels for 0 and 65535. The upper level is the maximum. The lower level is the smallest finite level, at most
+/// [`RANGE_OF_RESULTS_DB`] below the maximum.
 fn scale(results_db: &[f64]) -> (f32, f32) {
     let finite = || results_db.iter().copied().filter(|db| db.is_finite());
     let max = finite().fold(f64::NEG_INFINITY, f64::max);

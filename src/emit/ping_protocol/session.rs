@@ -1,12 +1,13 @@
-//! Client sessions of the Ping protocol: received commands in, answers out.
+//! Client sessions of the Ping protocol: commands and answers.
 //!
-//! - A request for messages 4, 5 or 169 is answered at once. Requested ping messages come with the next ping. A message that the device
-//!   does not have is refused (2) with a reason.
-//! - A command is acknowledged (1), or refused (2) with a reason and without effect. The ping rate is a maximum: values above the sonar's
-//!   limit are clamped. The pulse length follows from the range and is clamped likewise. All other values must lie within the limits.
-//! - Automatic gain (-1) and automatic range (0) are not modelled and leave the sonar's values unchanged. Speed of sound, filter, frequency
-//!   and network settings are stored without effect.
-//! - A client receives all messages once it connects, or over UDP once it sends a valid frame.
+//! - A request for messages 4, 5 or 169 is answered at once. Requested ping messages are sent with the next ping. A message that
+//!   the device does not have is refused (2) with a reason.
+//! - A command is acknowledged (1), or refused (2) with a reason and without effect. The ping rate is a maximum, so values above
+//!   the limit of the sonar are clamped. The pulse length follows from the range and is also clamped. All other values must be
+//!   within the limits.
+//! - Automatic gain (-1) and automatic range (0) are not modelled and leave the values of the sonar unchanged. Speed of sound,
+//!   filter, frequency and network settings are stored without effect.
+//! - A client receives all messages after it connects, or over UDP after it sends a valid frame.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -31,7 +32,7 @@ use echotank_core::time::UtcNs;
 /// Name under which this protocol changes settings.
 pub(crate) const VIA: &str = "ping";
 
-/// Version of this program, reported as the firmware's.
+/// Version of this program, reported as the firmware version.
 const FIRMWARE: [u8; 3] = [
     part(env!("CARGO_PKG_VERSION_MAJOR")),
     part(env!("CARGO_PKG_VERSION_MINOR")),
@@ -54,7 +55,7 @@ pub struct PingPort {
 }
 
 impl PingPort {
-    /// The port changes `settings` and the requested settings of `device`.
+    /// Port that changes `settings` and the requested settings of `device`.
     pub fn new(device: Arc<Device>, settings: Arc<dyn SettingsPort>) -> Self {
         Self { device, settings }
     }
@@ -224,7 +225,7 @@ impl Client {
                 let value = KeptValue::Numbers(numbers.map(f64::from).into());
                 self.keep("net_info", value, asked)?;
             }
-            // The device uses rig time.
+            // The device uses rig time instead of the time of the client.
             Message::UtcResponse(_)
             | Message::Ack(_)
             | Message::Nack { .. }
@@ -244,7 +245,7 @@ impl Client {
         match id {
             message_id::DEVICE_INFORMATION => {
                 let information = DeviceInformation {
-                    // The makers publish no number for either field.
+                    // The manufacturers publish no number for either field.
                     device_type: 0,
                     device_revision: 1,
                     firmware: FIRMWARE,
@@ -260,7 +261,7 @@ impl Client {
             message_id::SYNC_CHANNEL if is_omniscan => {
                 out.push(reply(id, |buf| requested.sync.emit_frame(buf, from, to)))
             }
-            // Sent with every ping.
+            // The message is sent with every ping anyway.
             message_id::OS_MONO_PROFILE if is_omniscan => {}
             message_id::ATTITUDE_REPORT if !is_omniscan => {}
             message_id::ATOF_POINT_DATA if !is_omniscan => self.device.lock().wants_atof = true,
@@ -270,7 +271,7 @@ impl Client {
         Ok(Outcome::Answered)
     }
 
-    /// Message 2197.
+    /// Applies message 2197 (Omniscan ping parameters).
     fn os_ping_params(&mut self, params: &OsPingParams, asked: Asked) -> Result<(), Refusal> {
         let (start_m, length_m) = (
             f64::from(params.start_mm) / 1e3,
@@ -306,7 +307,7 @@ impl Client {
         Ok(())
     }
 
-    /// Message 3023.
+    /// Applies message 3023 (Surveyor ping parameters).
     fn set_ping_parameters(
         &mut self,
         params: &SetPingParameters,
@@ -352,7 +353,7 @@ impl Client {
         let frequency = KeptValue::Integer(params.target_ping_hz.into());
         self.keep("target_ping_hz", frequency, asked)?;
         let mut requested = self.device.lock();
-        // The device starts at 5 % of the range or more; automatic range starts at 0.
+        // The device starts at 5 % of the range or more. Automatic range starts at 0.
         requested.start_m = match params.end_mm {
             0 => 0.0,
             _ => (f64::from(params.start_mm) / 1e3).max(0.05 * end_m),
@@ -375,15 +376,15 @@ impl Client {
     }
 }
 
-/// Outcome of a message that was not refused.
+/// Outcome of an accepted message.
 enum Outcome {
-    /// A command to acknowledge.
+    /// A command, which is acknowledged.
     Command,
     Answered,
     NoCommand,
 }
 
-/// Maximum ping rate; a period of 0 or less selects the highest rate.
+/// Maximum ping rate. A period of 0 or less selects the maximum rate of the sonar.
 fn rate(msec_per_ping: i64, limits: &SettingLimits) -> SettingChange {
     let (_, max_hz) = limits.ping_rate_hz;
     SettingChange::MaxPingRateHz(match msec_per_ping {
@@ -392,7 +393,7 @@ fn rate(msec_per_ping: i64, limits: &SettingLimits) -> SettingChange {
     })
 }
 
-/// Gain of an index. Automatic gain (-1) changes nothing.
+/// Gain of an index. Automatic gain (-1) leaves the gain unchanged.
 fn gain(index: i16, steps: f64, limits: &SettingLimits) -> Result<Option<SettingChange>, Refusal> {
     match f64::from(index) {
         -1.0 => Ok(None),

@@ -11,7 +11,7 @@ fn an_interval_has_the_mean_power_of_its_samples_or_an_interpolated_power() {
             "{level}"
         );
     }
-    // Around 0.5: half of 1 and half of 9.
+    // The interval around 0.5 has half the power of 1 and half that of 9.
     mean_levels_db(&line, 0.25, 0.5, 1, &mut levels);
     assert!(
         (levels[0] - (10.0 * 5.0_f64.log10() + 120.0)).abs() < 1e-9,

@@ -1,8 +1,8 @@
-//! Bottom and calibrated-sample records: 7027, 7028, 7058, 7042, 7057.
+//! Records of bottom detections and calibrated samples: 7027, 7028, 7058, 7042, 7057.
 //!
-//! Levels in the water follow from volts by removing sensitivity, gain and time-varying gain. Scattering strength is echo level minus
-//! source level and footprint plus twice the transmission loss (20 log r + absorption). The transmit pattern is not removed; the record's
-//! flags state this.
+//! Levels in the water are volts without sensitivity, gain and time-varying gain. Scattering strength is the echo level, minus
+//! source level and footprint, plus twice the transmission loss (20 log r + absorption). The transmit pattern is not removed, and
+//! the flags of the record state this.
 
 use std::f64::consts::PI;
 
@@ -21,11 +21,11 @@ use echotank_core::arrays::TimeVaryingGain;
 use echotank_core::ping::{BeamFrame, Detection, PingOutput, PingPlan, Sounding};
 use echotank_core::pulse::PulseKind;
 
-/// Both quality tests passed (brightness and colinearity): every detection has passed the equivalent tests here.
+/// Brightness and colinearity tests passed. Every detection has passed equivalent tests.
 const QUALITY_PASSED: u32 = 0b11;
 /// Detection flag: the quality is of type 1.
 const QUALITY_TYPE_1: u32 = 1 << 2;
-/// Detection algorithm that takes amplitude or phase, whichever is better.
+/// Detection algorithm: amplitude or phase, whichever is more accurate.
 const ALGORITHM_G2: u8 = 2;
 /// Samples added to a snippet on each side of the footprint.
 const SNIPPET_MARGIN: f64 = 8.0;
@@ -53,13 +53,13 @@ pub(super) struct Workspace {
     phases: Vec<i16>,
 }
 
-/// One ping with the position of its samples.
+/// One ping, and the position of its samples.
 pub(super) struct Source<'a> {
     pub plan: &'a PingPlan,
     pub output: &'a PingOutput,
     pub sonar: &'a SonarSpec,
     pub kept: &'a Kept,
-    /// Samples between the start of the pulse and the first computed sample.
+    /// Number of samples between the start of the pulse and the first computed sample.
     pub silent: usize,
     pub stamp: RecordStamp,
 }
@@ -111,7 +111,7 @@ fn tvg_db(tvg: &TimeVaryingGain, range_m: f64) -> f64 {
     }
 }
 
-/// Record 7027.
+/// Record 7027 (bottom detections).
 pub(super) fn detections(work: &mut Workspace, source: &Source<'_>, buf: &mut Vec<u8>) {
     let (plan, rate_hz) = (source.plan, source.rate_hz());
     let end = (source.silent + plan.sample_count) as f32;
@@ -143,13 +143,13 @@ pub(super) fn detections(work: &mut Workspace, source: &Source<'_>, buf: &mut Ve
     emit_7027(buf, &source.stamp, &rth, &work.detections);
 }
 
-/// Half the time that the beam of a sounding covers a flat bottom, in samples.
+/// Half the time for which the beam of a sounding covers a flat seabed, in samples.
 fn half_footprint_samples(sounding: &Sounding, fan: &BeamFrame, rate_hz: f64) -> f64 {
     let width_rad = fan.width_rad.get(sounding.beam).copied().unwrap_or(0.0);
     0.5 * width_rad * sounding.angle_rad.abs().min(1.45).tan() * sounding.twtt_s * rate_hz
 }
 
-/// Computes the sample ranges of a ping's snippets, counted from range 0.
+/// Computes the sample ranges of the snippets of a ping, counted from range 0.
 fn snippets(work: &mut Workspace, source: &Source<'_>, fan: &BeamFrame) {
     let window = source.kept.snippets;
     let last = (source.silent + fan.samples).saturating_sub(1) as u32;
@@ -189,7 +189,7 @@ fn samples_of<'a>(
     &beam[from.min(beam.len())..to.min(beam.len())]
 }
 
-/// Record 7028. Returns the number of clipped intensities.
+/// Record 7028 (snippets). Returns the number of clipped intensities.
 pub(crate) fn snippets_7028(
     work: &mut Workspace,
     source: &Source<'_>,
@@ -219,7 +219,7 @@ pub(crate) fn snippets_7028(
     saturated
 }
 
-/// Record 7058: the snippets as scattering strengths, with their footprints.
+/// Record 7058 (calibrated snippets): scattering strengths with their footprints.
 pub(crate) fn strengths_7058(
     work: &mut Workspace,
     source: &Source<'_>,
@@ -241,7 +241,7 @@ pub(crate) fn strengths_7058(
         for (k, v) in volts.iter().enumerate() {
             let sample = f64::from(descriptor.start_sample) + k as f64;
             let range_m = (sample * source.metres_per_sample()).max(source.metres_per_sample());
-            // Across-track extent: the pulse on the bottom, or the beam on the bottom if that is shorter.
+            // The across-track extent is that of the pulse or of the beam on the seabed, whichever is shorter.
             let beam_m = range_m * fan.width_rad[beam] / angle_rad.cos().max(1e-3);
             let pulse_m = cell_m / angle_rad.sin().max(1e-6);
             let footprint_m2 = range_m * along_track_width_rad.min(PI) * beam_m.min(pulse_m);
@@ -257,7 +257,7 @@ pub(crate) fn strengths_7058(
     let rth = Rth7058 {
         sonar_id: source.sonar.serial,
         ping_number: plan.ping_number,
-        // Bit 8: one absorption for all samples.
+        // Bit 8: one absorption value for all samples.
         control_flags: 1 << 8,
         absorption_db_per_km: (plan.absorption_db_per_m * 1e3) as f32,
         ..Rth7058::default()
@@ -272,7 +272,7 @@ pub(crate) fn strengths_7058(
     );
 }
 
-/// Record 7042 according to its set-up. Returns the number of clipped magnitudes.
+/// Record 7042 (compressed water column) with the flags of its set-up. Returns the number of clipped magnitudes.
 pub(crate) fn water_column_7042(
     work: &mut Workspace,
     source: &Source<'_>,
@@ -347,7 +347,7 @@ pub(crate) fn water_column_7042(
     saturated
 }
 
-/// Magnitude of a window. `kind` 0: its middle sample, 1: its largest sample, 2: its mean.
+/// Magnitude of a window of samples. `kind` 0 selects the middle sample, 1 the largest sample, 2 the mean.
 fn window_magnitude(window: &[Complex64], kind: u32) -> f64 {
     match kind {
         1 => window.iter().map(|v| v.norm()).fold(0.0, f64::max),

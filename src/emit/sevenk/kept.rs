@@ -1,5 +1,5 @@
-//! Settings of a SeaBat that the model does not use. They are stored and reported in 7503 as the client set them. 7000 describes the ping,
-//! so it reports only those for which the model has no value.
+//! Settings of a SeaBat that the model does not use. They are stored and reported in 7503 as the client set them. Record 7000
+//! describes the ping, so it reports only stored settings for which the model has no value.
 
 use echotank_protocols::sevenk::Command;
 use echotank_protocols::sevenk::control::{GainType, PulseEnvelope};
@@ -28,7 +28,7 @@ mod name {
     pub(super) const SOUND_VELOCITY: &str = "sound velocity";
 }
 
-/// Key under which the settings store keeps the value `name`.
+/// Key of the stored setting `name`.
 pub(crate) fn key(name: &'static str) -> KeptKey {
     KeptKey {
         via: VIA,
@@ -37,7 +37,7 @@ pub(crate) fn key(name: &'static str) -> KeptKey {
     }
 }
 
-/// Name and values of the setting that a command stores; none for commands with an effect.
+/// Name and values of the setting that a command stores; `None` for commands with an effect.
 pub(crate) fn stored_setting(command: &Command) -> Option<(&'static str, Vec<f64>)> {
     Some(match *command {
         Command::BottomDetectionMask { flags } => (name::DETECTION_MASK, vec![flags.into()]),
@@ -70,7 +70,7 @@ pub(crate) fn stored_setting(command: &Command) -> Option<(&'static str, Vec<f64
             name::PULSE_ENVELOPE,
             vec![
                 match envelope {
-                    // Values as in 7503.
+                    // Values of the field in 7503.
                     PulseEnvelope::Rectangle => 4.0,
                     PulseEnvelope::Tukey => 1.0,
                 },
@@ -147,7 +147,7 @@ pub struct SnippetWindow {
 }
 
 impl Default for SnippetWindow {
-    /// Length according to the beam's footprint. The maximum keeps a record of a thousand beams below a megabyte.
+    /// Length from the footprint of the beam. The maximum keeps a record of a thousand beams below a megabyte.
     fn default() -> Self {
         Self {
             flags: 1,
@@ -157,7 +157,7 @@ impl Default for SnippetWindow {
     }
 }
 
-/// Stored settings as the records need them.
+/// Stored settings that the records contain.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Kept {
     /// Limits on the length of snippets.
@@ -172,7 +172,7 @@ pub struct Kept {
     coverage: Option<[f64; 2]>,
     trigger_out: Option<[f64; 3]>,
     sound_velocity: Option<[f64; 3]>,
-    /// An external trigger starts the pings.
+    /// True if external triggers start the pings.
     pub(crate) foreign_trigger: bool,
 }
 

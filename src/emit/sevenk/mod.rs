@@ -6,11 +6,12 @@
 //! - [`session`]: commands and subscriptions of one client; bytes in, records out
 //! - [`protocol`]: the server interface to both
 //!
-//! Each of several pulses in a ping ([`echotank_core::ping::PulseLines`]) has its own 7000 and 7007. They carry the ping's number and the
-//! multi-ping sequence 1, 2, ...; those of the further pulses come last. All other records describe the sonar's own pulse.
+//! If a ping has several pulses ([`echotank_core::ping::PulseLines`]), each pulse has its own 7000 and 7007. These records have the
+//! ping number and the multi-ping sequence 1, 2, ... The records of the further pulses are sent last. All other records describe
+//! the sonar's own pulse.
 //!
-//! Ping records carry the end of the transmission (the ping's timestamp plus the pulse duration), as the DFD specifies. Navigation records
-//! carry the time for which the state holds, the start of the pulse.
+//! The timestamp of ping records is the end of the transmission (the timestamp of the ping plus the pulse duration), as the DFD
+//! specifies. The timestamp of navigation records is the time of their state, which is the start of the pulse.
 
 mod bottom;
 pub mod kept;
@@ -36,19 +37,19 @@ use echotank_core::records::Datagram;
 use kept::Kept;
 use records::{DeviceSheet, View};
 
-/// Every record type that a simulated sonar can send. The records of a ping are sent in this order, because readers group by what follows a
-/// 7000. 7610 precedes it, so that the sound velocity is known before the first detections.
+/// Record types of a simulated sonar. The records of a ping are sent in this order, because readers assign records to the preceding
+/// 7000. 7610 precedes 7000, so that the sound velocity is known before the first detections.
 pub const RECORDS: [u32; 23] = [
     7610, 7000, 7503, 7004, 7027, 7007, 7018, 7028, 7038, 7042, 7057, 7058, 10_038, 1003, 1008,
     1012, 1013, 1015, 1016, 7500, 7001, 7030, 1009,
 ];
-/// Number of leading [`RECORDS`] that belong to a ping. 7500 is an echo, 7001 is only sent on request, and 7030 and 1009 on request or once
-/// to a client that subscribes.
+/// Number of leading [`RECORDS`] that belong to a ping. Of the others, 7500 is an echo of a command. 7001 is sent only on request.
+/// 7030 and 1009 are sent on request, or once to a client that subscribes.
 const PING_RECORDS: usize = 19;
-/// Records that common readers of files do not know: MB-System 5.8 skips them with a warning and fails at 7057.
+/// Records that common readers of files do not support. MB-System 5.8 skips them with a warning and fails at 7057.
 const UNCOMMON_RECORDS: [u32; 4] = [7038, 7042, 7057, 10_038];
 
-/// A set of [`RECORDS`], small enough for an atomic.
+/// Set of [`RECORDS`] in an integer, small enough for an atomic.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct RecordSet(u32);
 
@@ -137,7 +138,7 @@ impl std::ops::AddAssign for EmitCounts {
     }
 }
 
-/// Converts pings into 7k records. Owns its buffers; for use by one thread.
+/// Converter of pings into 7k records. It owns its buffers and serves one thread.
 pub struct SevenKEmitter {
     sheet: Arc<DeviceSheet>,
     /// One pool per ping record, in the order of [`RECORDS`].
@@ -148,7 +149,7 @@ pub struct SevenKEmitter {
     port: Vec<u16>,
     starboard: Vec<u16>,
     angles: [Vec<f32>; 4],
-    /// Port and starboard.
+    /// Pressures of port and starboard.
     pressures: [Vec<f32>; 2],
     beam_numbers: Vec<u16>,
     single: Vec<[f32; 2]>,
@@ -158,7 +159,7 @@ pub struct SevenKEmitter {
 }
 
 impl SevenKEmitter {
-    /// `waiting_pings` is the number of pings whose records clients and recorders may hold at the same time without a new buffer.
+    /// `waiting_pings` is the number of pings with records in the queues of clients and recorders for which buffers are reused.
     pub fn new(sheet: Arc<DeviceSheet>, waiting_pings: usize) -> Self {
         let elements = u16::try_from(sheet.wire_elements())
             .expect("the configuration limits 7038 to 65535 elements");
@@ -208,8 +209,8 @@ impl SevenKEmitter {
         self.pools.iter().map(DatagramPool::misses).sum()
     }
 
-    /// Appends the wanted records that this ping can fill, in the order of [`RECORDS`]. Once the buffers fit the longest ping, only 7042
-    /// allocates (a list of beams), unless consumers hold more than `waiting_pings` pings.
+    /// Appends the wanted records that this ping has data for, in the order of [`RECORDS`]. After the longest ping, only 7042
+    /// allocates (a list of beams), unless the queues hold more than `waiting_pings` pings.
     pub fn emit_ping(
         &mut self,
         plan: &PingPlan,
@@ -309,7 +310,7 @@ impl SevenKEmitter {
         Some((record, saturated))
     }
 
-    /// One record and its number of clipped values; none if this ping has no data for it.
+    /// One record and its number of clipped values; `None` if this ping has no data for the record.
     fn record(
         &mut self,
         place: usize,
@@ -492,7 +493,7 @@ impl SevenKEmitter {
                 let position = records::position_1003(&plan.nav);
                 exact(pool.write(|buf| position.emit(buf, &nav_stamp)))
             }
-            // Sensor records have no validity flag: they are omitted if the sensor's values are invalid.
+            // Sensor records have no validity flag. They are omitted if the values of the sensor are invalid.
             1008 if plan.nav.invalid.vertical => None,
             1012 if plan.nav.invalid.roll_pitch || plan.nav.invalid.vertical => None,
             1013 if plan.nav.invalid.heading => None,
@@ -521,12 +522,12 @@ impl SevenKEmitter {
     }
 }
 
-/// Multi-ping sequence of the sonar's own pulse: 0 if it is the only pulse.
+/// Multi-ping sequence number of the sonar's own pulse; 0 for a single pulse.
 fn own_sequence(output: &PingOutput) -> u16 {
     u16::from(!output.more_lines.is_empty())
 }
 
-/// Samples between the start of the pulse and the first computed sample, because the record counts from range 0.
+/// Number of samples between the start of the pulse and the first computed sample. Records count samples from range 0.
 fn silent_samples(plan: &PingPlan, sample_rate_hz: f64) -> usize {
     (plan.first_sample_s * sample_rate_hz).round().max(0.0) as usize
 }
@@ -553,7 +554,7 @@ fn fill_side(counts: &mut Vec<u16>, lines: &[Line], side: Side, full_scale_v: f6
         })
 }
 
-/// Both sides as sound pressure at the array, uPa (rms), with sensitivity and all gains removed. A missing side is filled with zeros.
+/// Writes both sides as sound pressure at the array, uPa (rms), without sensitivity and gains. A missing side is filled with zeros.
 fn fill_pressures(sides: &mut [Vec<f32>; 2], source: &Source<'_>) {
     let metres_per_sample =
         0.5 * source.plan.sound_speed_m_per_s / source.sonar.receiver.sample_rate_hz;
@@ -590,7 +591,7 @@ fn fill_beams(
         .sum()
 }
 
-/// All frames of a ping must have `samples` samples.
+/// Writes the elements of 7038. All frames of a ping must have `samples` samples.
 fn fill_elements(
     counts: &mut Vec<[i16; 2]>,
     frame: &ElementFrame,

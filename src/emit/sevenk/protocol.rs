@@ -1,4 +1,4 @@
-//! Server interface of 7k: sessions, packets, and echoes of setting changes from other protocols.
+//! Server interface of 7k: sessions, packets, and notices of setting changes by other protocols.
 
 use std::net::SocketAddr;
 use std::ops::Range;
@@ -22,7 +22,7 @@ pub struct SevenKProtocol {
     settings: Arc<dyn SettingsPort>,
     /// Maximum size of a TCP packet including the network frame, bytes.
     max_packet_bytes: u32,
-    /// Whether an address is one of the server's own.
+    /// True for an address of the server itself.
     is_own: fn(SocketAddr) -> bool,
 }
 
@@ -42,7 +42,7 @@ impl SevenKProtocol {
         })
     }
 
-    /// Sends nothing to addresses that are the server's own.
+    /// Refuses to send records to addresses for which `is_own` is true: those of the server itself.
     #[must_use]
     pub fn refusing(self, is_own: fn(SocketAddr) -> bool) -> Self {
         Self { is_own, ..self }
@@ -94,7 +94,7 @@ impl Protocol for SevenKProtocol {
         RecordSet::of(&[record_type]).into()
     }
 
-    /// A first command in several datagrams cannot start a session.
+    /// A first command that is split over several datagrams cannot start a session.
     fn welcomes(&self, datagram: &[u8]) -> bool {
         matches!(
             Reassembler::new(MAX_COMMAND_BYTES).push_datagram(datagram),
@@ -106,7 +106,7 @@ impl Protocol for SevenKProtocol {
         self.settings.version()
     }
 
-    /// Returns the command equivalent to the change, for clients that receive echoes, and the current settings.
+    /// Returns the 7k command equivalent to each change, for clients that subscribe to echoes, and the current settings.
     fn notices(&self, version: u64, now: UtcNs) -> Vec<Datagram> {
         let stamp = self.sheet.stamp(now);
         let changes = self.settings.changes_since(version);
@@ -135,7 +135,7 @@ impl Protocol for SevenKProtocol {
     }
 }
 
-/// The 7k command equivalent to a change; none if 7k has no such command.
+/// The 7k command equivalent to a change; `None` if 7k has no such command.
 fn command_for(changed: &Changed) -> Option<Command> {
     let Changed::Setting(change) = changed else {
         return None;

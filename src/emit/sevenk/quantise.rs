@@ -16,7 +16,7 @@ pub(crate) const MAGNITUDE_FULL_SCALE: f64 = u16::MAX as f64;
 fn signed(value: f64) -> (i16, bool) {
     let rounded = value.round();
     let fits = rounded.abs() <= IQ_FULL_SCALE;
-    let held = rounded.clamp(-IQ_FULL_SCALE, IQ_FULL_SCALE); // NaN stays NaN; the cast makes it 0
+    let held = rounded.clamp(-IQ_FULL_SCALE, IQ_FULL_SCALE); // NaN stays NaN, and the cast makes it 0
     (held as i16, !fits)
 }
 

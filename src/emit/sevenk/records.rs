@@ -27,14 +27,15 @@ use echotank_core::records::Datagram;
 use echotank_core::settings::{SettingsPort, SonarSettings};
 use echotank_core::time::UtcNs;
 
-/// Argument u at which sinc(pi u) is -3 dB (1/sqrt 2). Half the beam width of a line source is asin(HALF_POWER lambda / length). The usual
-/// 0.886 lambda / length is twice this for small angles.
+/// Argument u at which sinc(pi u) is -3 dB (1/sqrt 2). Half the beam width of a line source is asin(HALF_POWER lambda / length).
+/// For small angles, the full width is the usual 0.886 lambda / length.
 const HALF_POWER: f64 = 0.442_946_47;
 
-/// Depth of the second sample of the sound velocity profile, metres: below all oceans.
+/// Depth of the second sample of the sound velocity profile, metres. It is below all oceans.
 const DEEPEST_M: f32 = 12_000.0;
 
-/// Accepted device identifiers besides the sonar's own: 0 (unspecified), the 7k Center, and the two that MBARI's client sends to any sonar.
+/// Accepted device identifiers besides the sonar's own: 0 (unspecified), the 7k Center, and two that the client of MBARI sends to
+/// any sonar.
 const ACCEPTED_DEVICES: [u32; 4] = [
     0,
     device_id::SONAR_SOURCE,
@@ -42,7 +43,7 @@ const ACCEPTED_DEVICES: [u32; 4] = [
     device_id::SEABAT_T50,
 ];
 
-/// Properties of one sonar for 7k clients. Constant during a run and shared by the emitter and the sessions.
+/// Properties of one sonar for 7k clients. They are constant during a run and shared by the emitter and the sessions.
 #[derive(Clone, Debug)]
 pub struct DeviceSheet {
     output: SevenKSpec,
@@ -55,18 +56,18 @@ pub struct DeviceSheet {
     info_xml: String,
 }
 
-/// Values in the settings records that change from ping to ping.
+/// Values of the settings records that change from ping to ping.
 #[derive(Clone, Copy, Debug)]
 pub struct View {
-    /// Settings in force.
+    /// Current settings.
     pub settings: SonarSettings,
     /// Transmitted pulse.
     pub pulse: Pulse,
     /// Time between pings, seconds.
     pub ping_period_s: f64,
-    /// Sound speed of the medium.
+    /// Sound speed of the medium, metres per second.
     pub sound_speed_m_per_s: f64,
-    /// One-way absorption of the medium.
+    /// One-way absorption of the medium, dB per metre.
     pub absorption_db_per_m: f64,
 }
 
@@ -86,12 +87,13 @@ impl View {
 }
 
 impl DeviceSheet {
-    /// Addresses, besides a client's own, to which a client may have records sent.
+    /// Addresses, besides its own, to which a client may direct records.
     pub(crate) fn third_parties(&self) -> &[IpAddr] {
         &self.output.third_parties
     }
 
-    /// `sound_speed_m_per_s` and `absorption_db_per_m` (one way) describe the medium for settings requested before the first ping.
+    /// Sheet for one output and sonar. `sound_speed_m_per_s` and `absorption_db_per_m` (one way) apply to settings requested before
+    /// the first ping.
     pub fn new(
         output: &SevenKSpec,
         sonar: &SonarSpec,
@@ -109,7 +111,8 @@ impl DeviceSheet {
         }
     }
 
-    /// Takes the depth of the platform's reference point from the navigation. By default it is at the waterline.
+    /// Sets the depth of the platform's reference point from the navigation. Without this call the reference point is at the
+    /// waterline.
     #[must_use]
     pub fn with_navigation(mut self, nav: &NavSpec) -> Self {
         self.still_depth_m = nav.still_depth_m().unwrap_or(0.0);
@@ -117,7 +120,7 @@ impl DeviceSheet {
         self
     }
 
-    /// Records that a file takes.
+    /// Record types that are written to files.
     pub fn file_records(&self) -> RecordSet {
         match self.output.has_common_files {
             true => RecordSet::ALL.without(RecordSet::of(&UNCOMMON_RECORDS)),
@@ -142,15 +145,15 @@ impl DeviceSheet {
     pub fn sonar_id(&self) -> u64 {
         self.sonar.serial
     }
-    /// Sample rate of the receiver.
+    /// Sample rate of the receiver, hertz.
     pub fn sample_rate_hz(&self) -> f64 {
         self.sonar.receiver.sample_rate_hz
     }
-    /// Full-scale voltage of the receiver.
+    /// Full scale of the receiver, volts (rms).
     pub fn full_scale_v(&self) -> f64 {
         self.sonar.receiver.full_scale_v
     }
-    /// Indices of the receive arrays whose elements 7038 contains, in this order.
+    /// Indices of the receive arrays of 7038, in this order.
     pub(crate) fn wire_arrays(&self) -> &[usize] {
         &self.output.arrays
     }
@@ -188,8 +191,8 @@ impl DeviceSheet {
         set
     }
 
-    /// True if a command to this device addresses this sonar. Enumerator 0 addresses all heads; commands to the Center or to device 0 have
-    /// none.
+    /// True if a command to this device addresses this sonar. Enumerator 0 addresses all heads. Commands to the Center or to device
+    /// 0 have no enumerator.
     pub fn accepts(&self, device: u32, enumerator: u16) -> bool {
         let ours = device == self.output.device_id;
         let known = ours || ACCEPTED_DEVICES.contains(&device);
@@ -202,7 +205,7 @@ impl DeviceSheet {
 
     // ------------------------------------------------------------ what the configuration fixes
 
-    /// Returns an error unless the configured pulse has this type; clients cannot change it.
+    /// Returns an error unless the configured pulse has this type. Clients cannot change the type.
     pub(crate) fn confirms_pulse(&self, kind: PulseType) -> Result<(), ErrorCode> {
         let is_cw = self.sonar.pulse.kind == PulseKind::Cw;
         (is_cw == (kind == PulseType::ContinuousWave))
@@ -210,8 +213,8 @@ impl DeviceSheet {
             .ok_or(ErrorCode::FeatureNotAvailable)
     }
 
-    /// Returns an error unless the pulse has this centre frequency and bandwidth, to the precision of an f32. A bandwidth of 0 is not
-    /// checked.
+    /// Returns an error unless the pulse has this centre frequency and bandwidth, to the precision of an f32. A bandwidth of 0 is
+    /// not compared.
     pub(crate) fn confirms_band(&self, center_hz: f32, width_hz: f32) -> Result<(), ErrorCode> {
         let pulse = &self.sonar.pulse;
         let alike =
@@ -223,7 +226,7 @@ impl DeviceSheet {
 
     // ------------------------------------------------------------ stamps
 
-    /// Timestamp of a record; times before 1970, which 7k cannot represent, become 1970.
+    /// Timestamp of a record. 7k cannot represent times before 1970, so these become 1970.
     pub fn stamp(&self, utc: UtcNs) -> RecordStamp {
         RecordStamp {
             time: SevenKTime::from_utc_ns_clamped(utc.0),
@@ -235,7 +238,7 @@ impl DeviceSheet {
     pub(crate) fn ping_stamp(&self, plan: &PingPlan) -> RecordStamp {
         self.stamp(plan.stamp_utc.plus_s(plan.pulse.duration_s))
     }
-    /// Timestamp of navigation records: the time for which the state holds, on the time axis of the ping's timestamp.
+    /// Timestamp of navigation records: the time of the state, on the time axis of the ping's timestamp.
     pub(crate) fn nav_stamp(&self, plan: &PingPlan) -> RecordStamp {
         let after_transmit_ns = plan.nav.utc.0.saturating_sub(plan.transmit_utc.0);
         self.stamp(plan.stamp_utc.plus_ns(after_transmit_ns))
@@ -243,7 +246,7 @@ impl DeviceSheet {
 
     // ------------------------------------------------------------ settings
 
-    /// Record 7000 of one ping.
+    /// Record 7000 (sonar settings) of one ping.
     pub(crate) fn settings_7000(
         &self,
         ping_number: u32,
@@ -279,7 +282,7 @@ impl DeviceSheet {
         }
     }
 
-    /// Record 7503 of one ping; ping number 0 means the current settings.
+    /// Record 7503 (remote control settings) of one ping. Ping number 0 means the current settings.
     pub(crate) fn settings_7503(&self, ping_number: u32, view: &View) -> RemoteSettings7503 {
         let (along_rad, across_rad) = self.transmit_widths_rad(view);
         let mounting = self.sonar.transmit.first().map(|t| t.mounting);
@@ -291,7 +294,7 @@ impl DeviceSheet {
             ping_number,
             frequency_hz: view.pulse.center_frequency_hz as f32,
             sample_rate_hz: self.sample_rate_hz() as f32,
-            // The bandwidth of complex samples equals their rate.
+            // The bandwidth of complex samples is equal to their rate.
             receiver_bandwidth_hz: self.sample_rate_hz() as f32,
             tx_pulse_width_s: view.pulse.duration_s as f32,
             tx_pulse_type: match view.pulse.kind {
@@ -318,7 +321,7 @@ impl DeviceSheet {
             tx_array_offset_x_m: offset.y as f32,
             tx_array_offset_y_m: offset.x as f32,
             tx_array_offset_z_m: -offset.z as f32,
-            // Right-handed rotations about X starboard (bow up) and Y forward (starboard down).
+            // Rotations are right-handed about X starboard (bow up) and Y forward (starboard down).
             head_tilt_x_rad: pitch_rad as f32,
             head_tilt_y_rad: roll_rad as f32,
             ping_state: if view.settings.pinging {
@@ -338,7 +341,7 @@ impl DeviceSheet {
         }
     }
 
-    /// Answer to a single-record request for 7503: the settings for the next ping, with ping number 0.
+    /// Answer to a request for a single 7503: the settings of the next ping, with ping number 0.
     pub(crate) fn current_settings_7503(&self, port: &dyn SettingsPort, now: UtcNs) -> Datagram {
         let settings = port.settings();
         let view = View {
@@ -361,11 +364,11 @@ impl DeviceSheet {
         }
     }
 
-    /// Record 7001 with an XML description of the sonar.
+    /// Record 7001 (configuration) with an XML description of the sonar.
     pub fn configuration_7001(&self, now: UtcNs) -> Datagram {
         let module = Module {
             identifier: self.output.device_id,
-            // Readers take the serial number from the description, as the devices write it: "SN" and digits.
+            // Readers take the serial number from the description. Devices write it as "SN" and digits.
             description: format!("SN{} {}", self.sonar.serial, self.sonar.name),
             alphadata_card: 0,
             serial_number: self.sonar.serial,
@@ -384,8 +387,8 @@ impl DeviceSheet {
         [self.installation_7030(now), self.profile_1009(now)]
     }
 
-    /// Record 7030: the first transmit and the first receive array. Positions and motion are those of the reference point, so that the
-    /// sensors have no offsets.
+    /// Record 7030 (sonar installation parameters): the first transmit and the first receive array. Positions and motion are those
+    /// of the reference point, so the sensors have no offsets.
     fn installation_7030(&self, now: UtcNs) -> Datagram {
         let mut bytes = Vec::new();
         let transmit = self.sonar.transmit.first();
@@ -411,7 +414,7 @@ impl DeviceSheet {
         }
     }
 
-    /// Record 1009: the sound velocity of the water, equal at all depths.
+    /// Record 1009 (sound velocity profile): the sound velocity of the water, equal at all depths.
     fn profile_1009(&self, now: UtcNs) -> Datagram {
         let mut bytes = Vec::new();
         let samples = [0.0, DEEPEST_M].map(|depth_m| VelocityAtDepth {
@@ -443,7 +446,7 @@ impl DeviceSheet {
 
     // ------------------------------------------------------------ beams
 
-    /// -3 dB widths of the first transmit array, along and across track.
+    /// -3 dB beam widths of the first transmit array, along and across track, radians.
     fn transmit_widths_rad(&self, view: &View) -> (f64, f64) {
         let Some(transmit) = self.sonar.transmit.first() else {
             return (std::f64::consts::TAU, std::f64::consts::TAU);
@@ -468,7 +471,7 @@ impl DeviceSheet {
                 )
             }
         };
-        // The array axis closer to the bow is the along-track axis.
+        // The array axis that is closer to the bow is the along-track axis.
         let rotation = transmit.mounting.body_from_array;
         let (x, y) = (rotation * DVec3::X, rotation * DVec3::Y);
         if x.x.abs() >= y.x.abs() {
@@ -482,7 +485,8 @@ impl DeviceSheet {
         self.transmit_widths_rad(view).0
     }
 
-    /// -3 dB width of the receive beam: a fan's middle beam across track, otherwise the array of the first line.
+    /// -3 dB width of the receive beam, radians. For a fan, the across-track width of the middle beam; otherwise, the width of the
+    /// array of the first line.
     pub fn receive_beam_width_rad(&self, plan: &PingPlan, fan: Option<&BeamFrame>) -> f64 {
         if let Some(width_rad) = fan.and_then(|fan| fan.width_rad.get(fan.beams / 2)) {
             return *width_rad;
@@ -495,7 +499,8 @@ impl DeviceSheet {
     }
 }
 
-/// -3 dB width of a uniform line source. For a length of 0, or one too short for the formula, the angle that the baffle leaves.
+/// -3 dB beam width of a uniform line source, radians. A length of 0 or below the validity of the formula gives the full or half
+/// circle, depending on the baffle.
 fn line_width_rad(length_m: f64, wavelength_m: f64, baffled: bool) -> f64 {
     let sine = HALF_POWER * wavelength_m / length_m;
     if length_m > 0.0 && sine < 1.0 {
@@ -509,7 +514,7 @@ fn line_width_rad(length_m: f64, wavelength_m: f64, baffled: bool) -> f64 {
 
 // ---------------------------------------------------------------- navigation
 
-/// Record 1003: position of the platform's reference point.
+/// Record 1003 (position) of the platform's reference point.
 pub(crate) fn position_1003(nav: &NavState) -> Position1003 {
     Position1003 {
         datum_id: 0,
@@ -519,7 +524,7 @@ pub(crate) fn position_1003(nav: &NavState) -> Position1003 {
         height_m: nav.height_m,
         position_type: Position1003::GEOGRAPHIC,
         utm_zone: 0,
-        // 1: dead reckoning, the only quality flag of 7k navigation records.
+        // 1 means dead reckoning, the only quality flag of 7k navigation records.
         quality_flag: u8::from(nav.invalid.position || nav.fix == FixQuality::DeadReckoning),
         positioning_method: match nav.fix {
             FixQuality::None | FixQuality::Autonomous | FixQuality::DeadReckoning => 0,
@@ -531,7 +536,7 @@ pub(crate) fn position_1003(nav: &NavState) -> Position1003 {
     }
 }
 
-/// Record 1008: depth of the reference point relative to the mean sea level.
+/// Record 1008 (depth) of the reference point relative to the mean sea level.
 pub(crate) fn depth_1008(still_depth_m: f64) -> Depth1008 {
     Depth1008 {
         descriptor: 0,
@@ -540,7 +545,7 @@ pub(crate) fn depth_1008(still_depth_m: f64) -> Depth1008 {
     }
 }
 
-/// Offset of an array. Its axis closest to the bow gives the heading.
+/// Offset of an array. The array axis closest to the bow gives the heading.
 fn mounting_offset(mounting: &Mounting) -> MountingOffset {
     let rotation = mounting.body_from_array;
     let (roll_rad, pitch_rad) = tilts_rad(rotation * DVec3::Z);
@@ -557,13 +562,13 @@ fn mounting_offset(mounting: &Mounting) -> MountingOffset {
     }
 }
 
-/// Roll (port up) and pitch (bow up) of a face with this boresight in the body.
+/// Roll (port up) and pitch (bow up) of an array face with this boresight in the body.
 fn tilts_rad(boresight: DVec3) -> (f64, f64) {
     let roll_rad = (-boresight.y).atan2(boresight.z);
     (roll_rad, boresight.x.clamp(-1.0, 1.0).asin())
 }
 
-/// Record 1012. Roll is positive port up and pitch bow up, as in Echotank; heave is positive up.
+/// Record 1012 (roll, pitch, heave). Roll is positive port up and pitch bow up, as in Echotank. Heave is positive up.
 pub(crate) fn roll_pitch_heave_1012(nav: &NavState) -> RollPitchHeave1012 {
     RollPitchHeave1012 {
         roll_rad: nav.roll_rad as f32,
@@ -572,14 +577,14 @@ pub(crate) fn roll_pitch_heave_1012(nav: &NavState) -> RollPitchHeave1012 {
     }
 }
 
-/// Record 1013.
+/// Record 1013 (heading).
 pub(crate) fn heading_1013(nav: &NavState) -> Heading1013 {
     Heading1013 {
         heading_rad: nav.heading_rad as f32,
     }
 }
 
-/// Record 1015. Accuracies are 0 (unknown). Heights are above the geoid, as in the positions.
+/// Record 1015 (navigation). Accuracies are 0 (unknown). Heights are above the geoid, as in 1003.
 pub(crate) fn navigation_1015(nav: &NavState) -> Navigation1015 {
     let velocity = nav.pose.velocity_m_per_s;
     Navigation1015 {
@@ -598,7 +603,7 @@ pub(crate) fn navigation_1015(nav: &NavState) -> Navigation1015 {
     }
 }
 
-/// Record 1016: one reading at the record's own time.
+/// Record 1016 (attitude) with one measurement at the time of the record.
 pub(crate) fn attitude_1016(nav: &NavState) -> AttitudeSet {
     AttitudeSet {
         after_ms: 0,
@@ -609,7 +614,7 @@ pub(crate) fn attitude_1016(nav: &NavState) -> AttitudeSet {
     }
 }
 
-/// Record 7610. Temperature and pressure are 0 (unknown).
+/// Record 7610 (sound velocity). Temperature and pressure are 0 (unknown).
 pub(crate) fn sound_velocity_7610(sound_speed_m_per_s: f64) -> SoundVelocity7610 {
     SoundVelocity7610 {
         sound_velocity_m_per_s: sound_speed_m_per_s as f32,
@@ -619,7 +624,7 @@ pub(crate) fn sound_velocity_7610(sound_speed_m_per_s: f64) -> SoundVelocity7610
 
 // ---------------------------------------------------------------- 7001
 
-/// Description of the sonar in XML: SI units, body axes x forward, y starboard, z down.
+/// XML description of the sonar in SI units and body axes: x forward, y starboard, z down.
 fn describe(output: &SevenKSpec, sonar: &SonarSpec) -> String {
     let mut xml = String::from("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n");
     let pulse = &sonar.pulse;
@@ -691,7 +696,7 @@ fn placed(mounting: &echotank_core::arrays::Mounting) -> String {
     )
 }
 
-/// Escapes text for an attribute; control characters, which XML cannot contain, become blanks.
+/// Escapes text for an attribute. XML cannot contain control characters, so these become blanks.
 fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {

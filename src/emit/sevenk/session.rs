@@ -1,21 +1,22 @@
-//! 7k session of one client: received bytes in, answers out, and subscriptions. Sans I/O.
+//! 7k session of one client: commands, answers and subscriptions. Sans I/O.
 //!
-//! Behaviour that the DFD (3.12) leaves open:
-//! - 1051 and 1055 add to the subscription, 1056 removes from it, 1052 ends it. Record types that this sonar does not send are ignored,
-//!   because clients request all types they know. A list without any available type is refused (0x7002).
+//! The DFD (3.12) leaves some behaviour open:
+//! - 1051 and 1055 add to the subscription, 1056 removes from it, 1052 ends it. Record types that this sonar does not send are
+//!   ignored, because clients request all types that they support. A list without any available type is refused (0x7002).
 //! - 7030 and 1009 are sent once to a client that subscribes to them.
-//! - 1050 for 7001, 7503, 7030 or 1009 is answered at once. For a ping record, the next ping's record is sent once; while the sonar is not pinging, the
-//!   request is refused (0x7002). 7500 is available by subscription only (0x700A).
-//! - Settings of a SeaBat that the model does not use are stored and reported in 7503 ([`super::kept`]). Values that the configuration
-//!   fixes (pulse type, frequency, band) are accepted if they match and refused (0x7006) otherwise.
-//! - 1114 stops the internal trigger; 1100 and 1101 stop it as well. 1107 and 1121 stop continuous pinging.
-//! - The four bytes of an address in 1053 and 1054 are in the order a.b.c.d; the DFD does not define it.
-//! - 1053 may name an address of the client itself or one that the configuration permits, and no port of the server's own: otherwise any client
-//!   could send records to anybody, or commands of the server to itself. Other addresses are refused (0x700C).
-//! - Commands to device 0, to the Center (7000), to 7125 or to 50 are accepted, because widely used clients send these to any sonar. Other
-//!   devices, and enumerators other than 0 and the sonar's own, are refused (0x7009).
-//! - A command with a wrong checksum in an otherwise valid frame is refused (0x7054). Other malformed bytes are counted and get no answer,
-//!   because they carry no ticket.
+//! - 1050 for 7001, 7503, 7030 or 1009 is answered at once. For a ping record, the record of the next ping is sent once. While the
+//!   sonar is not pinging, the request is refused (0x7002). 7500 is available by subscription only (0x700A).
+//! - Settings of a SeaBat that the model does not use are stored and reported in 7503 ([`super::kept`]). Values that the
+//!   configuration fixes (pulse type, frequency, band) are accepted if they match and refused (0x7006) otherwise.
+//! - 1114, 1100 and 1101 stop the internal trigger. 1107 and 1121 stop continuous pinging.
+//! - The four bytes of an address in 1053 and 1054 are in the order a.b.c.d.
+//! - The address in 1053 must be that of the client or one that the configuration permits, and not a port of the server. Otherwise
+//!   a client could send records to any address, or commands to the server in the name of the server. Other addresses are refused
+//!   (0x700C).
+//! - Commands to device 0, to the Center (7000), to 7125 or to 50 are accepted, because widely used clients send these to any
+//!   sonar. Other devices, and enumerators other than 0 and the sonar's own, are refused (0x7009).
+//! - A command with a wrong checksum in an otherwise valid frame is refused (0x7054). Other malformed bytes are counted and get no
+//!   answer, because they have no ticket.
 //! - Records other than 7500 are counted and get no answer.
 
 use std::net::{Ipv4Addr, SocketAddr};
@@ -39,23 +40,23 @@ use echotank_core::settings::{
 };
 use echotank_core::time::UtcNs;
 
-/// Maximum size of a record from a client: a command with some thousands of record types.
+/// Maximum size of a record from a client, bytes. A command with some thousands of record types has this size.
 pub(crate) const MAX_COMMAND_BYTES: u32 = 64 * 1024;
 
 const REMOTE_CONTROL: u32 = 7500;
 const ACK: u32 = 7501;
 const NACK: u32 = 7502;
 
-/// State outside the session that its answers depend on.
+/// State outside the session that the answers depend on.
 #[derive(Clone, Copy)]
 pub struct SessionContext<'a> {
     /// Properties of the sonar.
     pub sheet: &'a DeviceSheet,
     /// Settings that commands change.
     pub settings: &'a dyn SettingsPort,
-    /// Rig time; the answers are stamped with it.
+    /// Rig time of the answers.
     pub now: UtcNs,
-    /// Whether an address is one of the server's own.
+    /// True for an address of the server itself.
     pub is_own: fn(SocketAddr) -> bool,
     /// Origin of the commands, recorded with setting changes.
     pub by: Asker,
@@ -81,7 +82,7 @@ struct Client {
 }
 
 impl Session {
-    /// Session over TCP.
+    /// Session of a client over TCP.
     pub fn stream() -> Self {
         Self {
             input: Input::Stream(StreamDecoder::new(MAX_COMMAND_BYTES)),
@@ -89,7 +90,7 @@ impl Session {
         }
     }
 
-    /// Session over UDP.
+    /// Session of a client over UDP.
     pub fn datagrams() -> Self {
         Self {
             input: Input::Datagrams(Reassembler::new(MAX_COMMAND_BYTES)),
@@ -107,12 +108,12 @@ impl Session {
         self.client.subscribed
     }
 
-    /// Takes the ping records requested once since the last call.
+    /// Removes and returns the ping records requested once since the last call.
     pub fn take_requested(&mut self) -> RecordSet {
         std::mem::take(&mut self.client.requested)
     }
 
-    /// True if part of a record has arrived and the rest is missing.
+    /// True if only a part of a record has arrived.
     pub fn is_waiting(&self) -> bool {
         match &self.input {
             Input::Stream(decoder) => decoder.held_bytes() > 0,
@@ -145,7 +146,8 @@ impl Session {
         }
     }
 
-    /// Ends the wait for an incomplete record, because the client closed or stalled. Records behind its first byte are then processed.
+    /// Ends the wait for the rest of a record, because the client closed the connection or stalled. Records after the first byte of
+    /// the incomplete record are then processed.
     pub fn give_up_waiting(&mut self, context: &SessionContext<'_>, out: &mut Vec<Outgoing>) {
         if let Input::Stream(decoder) = &mut self.input {
             decoder.finish();
@@ -175,7 +177,7 @@ impl Client {
         }
     }
 
-    /// `record` is the data at the start of the malformed record, behind its network frame.
+    /// `record` is the data at the start of the malformed record, after its network frame.
     fn framing_error(
         &mut self,
         error: &WireError,
@@ -237,7 +239,7 @@ impl Client {
         }
     }
 
-    /// Executes a command. Returns what remains to be sent or done: a record that is available at once, or a third party to send to.
+    /// Executes a command. Returns the remaining action: a record that is available at once, or a third party as a destination.
     fn execute(
         &mut self,
         command: &Command,
@@ -339,13 +341,13 @@ impl Client {
                 return Ok(None);
             }
             Command::Unknown(_) => return Err(ErrorCode::RemoteCommandNotFound),
-            // Stored above.
+            // The setting is stored above.
             _ => return Err(ErrorCode::FeatureNotAvailable),
         };
         apply(change)
     }
 
-    /// The requested records that this sonar sends; an error if there is none.
+    /// The requested records that this sonar sends. An error if there is none.
     fn available(asked: RecordSet, context: &SessionContext<'_>) -> Result<RecordSet, ErrorCode> {
         let sent = context
             .sheet
@@ -409,7 +411,7 @@ impl Client {
     }
 }
 
-/// Checks a stored setting: its values must be within bounds, and the model must support a set-up of 7042.
+/// Checks a stored setting. Its values must be within bounds, and the model must support a set-up of 7042.
 fn check_kept(command: &Command) -> Result<(), ErrorCode> {
     use std::f32::consts::{FRAC_PI_2, PI};
     let is_right = match *command {
@@ -455,7 +457,7 @@ fn check_kept(command: &Command) -> Result<(), ErrorCode> {
     is_right.then_some(()).ok_or(ErrorCode::ParameterOutOfRange)
 }
 
-/// Checks whether records may be sent to a third party.
+/// Checks whether the configuration permits records to a third party.
 fn check_third_party(peer: SocketAddr, context: &SessionContext<'_>) -> Result<(), ErrorCode> {
     let client = context.by.peer.map(|client| client.ip().to_canonical());
     let is_permitted =
@@ -476,7 +478,7 @@ fn address(party: &ThirdParty) -> (SocketAddr, Transport) {
     (peer, transport)
 }
 
-/// Header of a 7500 at the start of `record`, if it is one.
+/// Header of the 7500 at the start of `record`; `None` if the record is not a 7500.
 fn command_header(record: &[u8]) -> Option<ControlHeader> {
     let frame = DataRecordFrame::parse(record).ok()?;
     if frame.check().is_err() || frame.record_type_id != REMOTE_CONTROL {

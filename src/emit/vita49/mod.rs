@@ -15,7 +15,7 @@ use super::sevenk::EmitCounts;
 use echotank_config::spec::{SonarSpec, Vita49Spec};
 use echotank_core::ping::{PingOutput, PingPlan};
 
-/// Converts pings into packets. Owns its buffers and the packet counters of the streams; for use by one thread.
+/// Converter of pings into packets. It owns its buffers and the packet counters of the streams, and serves one thread.
 pub struct Vita49Emitter {
     arrays: Vec<usize>,
     full_scale_v: f64,
@@ -27,7 +27,7 @@ pub struct Vita49Emitter {
     last_context: Option<Context>,
     iq: Vec<[i16; 2]>,
     real: Vec<i16>,
-    /// Samples of one packet, cut out of the above.
+    /// Samples of one packet, copied from the buffers above.
     cut_iq: Vec<[i16; 2]>,
     cut_real: Vec<i16>,
     packet: Vec<u8>,
@@ -35,7 +35,7 @@ pub struct Vita49Emitter {
 }
 
 impl Vita49Emitter {
-    /// One stream per element, or one vector stream for all elements of the output's arrays.
+    /// Emitter with one stream per element, or one vector stream for all elements of the output's arrays.
     pub fn new(output: &Vita49Spec, sonar: &SonarSpec) -> Self {
         let elements: usize = output
             .arrays
@@ -99,8 +99,8 @@ impl Vita49Emitter {
         self.emit_rows(plan, output, 0..plan.sample_count, lost, into)
     }
 
-    /// Does the same for the sample range `rows`, which starts and ends at block boundaries. `output` must hold the samples up to
-    /// `rows.end`. Passband output requires all samples.
+    /// Like [`Self::emit_ping`], for the sample range `rows`, which starts and ends at block boundaries. `output` must hold the
+    /// samples up to `rows.end`. Passband output requires all samples.
     pub fn emit_rows(
         &mut self,
         plan: &PingPlan,
@@ -146,7 +146,7 @@ impl Vita49Emitter {
             valid_data: Some(true),
             over_range: Some(saturated > 0 || output.elements.iter().any(|f| f.saturated > 0)),
             sample_loss: Some(lost),
-            // Omitted without degradation, so that the bits equal those of a machine that keeps up.
+            // The indicator is absent without degradation, so the bits equal those of a machine without overload.
             degraded: output.overload_state.tolerance.map(|_| true),
         };
         self.emit_samples(
@@ -158,7 +158,7 @@ impl Vita49Emitter {
         );
         let saturated = match rows.end == plan.sample_count {
             true => saturated,
-            // Counted with the whole ping.
+            // The block is counted with the whole ping.
             false => 0,
         };
         let counts = EmitCounts {
@@ -195,7 +195,7 @@ impl Vita49Emitter {
         }
     }
 
-    /// Emits sample packets from a sample on; the packets of all streams for one time follow each other.
+    /// Emits sample packets from a sample on. The packets of all streams for the same time are consecutive.
     fn emit_samples(
         &mut self,
         first_sample_s: f64,
@@ -213,14 +213,14 @@ impl Vita49Emitter {
         } / elements;
         let per_packet = self.streams[0].moments_per_packet();
         let rate_hz = self.streams[0].sample_rate_hz;
-        // Real samples fill words of two: the odd last one of a block leaves with the next.
+        // Two real samples fill a word. An odd last sample of a block is sent with the next block.
         let whole = |row: usize| if is_complex { row } else { row / 2 * 2 };
         let all = blocks(samples, rate_hz, self.block_s);
         for (block, end_s) in all.filter(|(block, _)| block.start >= from) {
             let block = whole(block.start)..whole(block.end);
             for first in block.clone().step_by(per_packet) {
                 let rows = first..(first + per_packet).min(block.end);
-                // Computed from the start of the ping each time, so that rounding errors do not accumulate.
+                // Each time is computed from the start of the ping, so rounding errors do not accumulate.
                 let time = start.plus_ps((first as f64 / rate_hz * 1e12).round() as u128);
                 for (s, stream) in self.streams.iter_mut().enumerate() {
                     let columns = s * side_by_side..(s + 1) * side_by_side;
@@ -246,7 +246,7 @@ impl Vita49Emitter {
     }
 }
 
-/// Copies a block of columns of some rows, row by row.
+/// Copies a range of columns of several rows, row by row.
 fn take<T: Copy>(
     all: &[T],
     width: usize,

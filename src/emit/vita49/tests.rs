@@ -21,7 +21,7 @@ const PULSE: Pulse = Pulse {
 const RATE_HZ: f64 = 40e3;
 const SAMPLES: usize = 1001;
 
-/// Two arrays, of three elements and of one.
+/// Sonar with an array of three elements and an array of one element.
 fn sonar() -> SonarSpec {
     let text = include_str!("../../../hil-configs/points.toml");
     let folder = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../hil-configs"));
@@ -239,7 +239,7 @@ fn blocks_of_an_odd_number_of_passband_samples_carry_every_sample_once() {
         }
         all
     };
-    // 501 samples each, and one sample each.
+    // Blocks of 501 samples, and blocks of one sample.
     for block_s in [501.0 / 1.2e6, 1.0 / 1.2e6] {
         assert_eq!(samples(Some(block_s)), samples(None));
     }

@@ -1,9 +1,11 @@
-//! Text control protocol, and the three data ports, which only send.
+//! Text control protocol of WBMS, and the three data ports, which only send.
 //!
-//! Each line is a command. An unterminated line is a command if it parses as one, or if no more bytes arrive: a widely used client sends no
-//! line ends. Every answer repeats the command with the values now in force; after a refusal, the reason follows `#`. These commands change
-//! the sonar: ping rate, end of the range, gain, pulse amplitude (0 to 15, in equal steps over the source-level limits), pulse length,
-//! power and trigger. The snippet and water-column rates set how often these packets are sent. All other values are stored without effect.
+//! Each line is a command. An unterminated line is a command if it parses as one, or if no more bytes arrive, because a widely used
+//! client sends no line ends. Every answer repeats the command with the current values. After a refusal, the reason follows `#`.
+//!
+//! These commands change the sonar: ping rate, end of the range, gain, pulse amplitude, pulse length, power and trigger. The pulse
+//! amplitude is 0 to 15, in equal steps over the limits of the source level. The snippet and water-column rates set how often these
+//! packets are sent. All other values are stored without effect.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -21,18 +23,18 @@ use echotank_core::time::UtcNs;
 
 /// Name under which this protocol changes settings.
 pub(crate) const VIA: &str = "wbms";
-/// Largest pulse amplitude.
+/// Maximum pulse amplitude.
 const MAX_AMPLITUDE: f64 = 15.0;
-/// An unterminated line longer than this is rejected.
+/// Maximum length of an unterminated line. A longer line is rejected.
 const MAX_HELD_BYTES: usize = echotank_protocols::wbms::control::MAX_LINE_BYTES;
 const READY: &str = "# Echotank, simulated WBMS, ready\r\n";
 
-/// Pulse amplitude of the device for a source level.
+/// Pulse amplitude setting for a source level.
 pub(crate) fn amplitude_of(limits: &SettingLimits, source_level_db: f64) -> u8 {
     (part_of(limits.source_level_db, source_level_db) * MAX_AMPLITUDE).round() as u8
 }
 
-/// One of the three data ports: every client receives all its packets.
+/// One of the three data ports. Every client receives all its packets.
 pub struct DataPort {
     /// Name for threads and counters.
     pub name: &'static str,
@@ -74,7 +76,7 @@ pub struct ControlPort {
 }
 
 impl ControlPort {
-    /// The port changes `settings` and the requested settings of `device`.
+    /// Port that changes `settings` and the requested settings of `device`.
     pub fn new(device: Arc<Device>, settings: Arc<dyn SettingsPort>) -> Self {
         Self { device, settings }
     }
@@ -106,7 +108,7 @@ struct Client {
     device: Arc<Device>,
     settings: Arc<dyn SettingsPort>,
     by: Asker,
-    /// A line whose end has not arrived.
+    /// Start of a line whose end has not arrived.
     held: String,
     is_over: bool,
     counts: SessionCounts,
@@ -177,7 +179,7 @@ impl Client {
             "" => String::new(),
             why => format!("refused: {why}"),
         };
-        // An unknown word is cut before it is repeated.
+        // An unknown command word is shortened before it is repeated.
         let word: String = word
             .chars()
             .filter(char::is_ascii_graphic)
@@ -285,7 +287,7 @@ impl Client {
             .map_err(|refused| refused.to_string())
     }
 
-    /// The command with the values now in force.
+    /// The command with the current values.
     fn answer(&self, word: &str, comment: &str) -> String {
         let settings = self.settings.settings();
         let requested = self.device.requested();
@@ -300,7 +302,7 @@ impl Client {
                 pulse.center_frequency_hz / 1e3,
                 pulse.bandwidth_hz / 1e3,
                 f64::from(amplitude_of(&limits, settings.source_level_db)),
-                // Rounded to a nanosecond, which removes digits that only the conversion of units adds.
+                // The value is rounded to a nanosecond, which removes digits that come only from the conversion of units.
                 (settings.pulse_duration_s * 1e9).round() / 1e3,
             ],
             "set_power" => vec![f64::from(u8::from(settings.pinging))],
@@ -356,7 +358,7 @@ impl Client {
     }
 }
 
-/// Commands with values, all or some, that are only stored.
+/// Commands whose values, all or some, are only stored.
 const KEPT: [&str; 18] = [
     "set_mode",
     "set_flip",

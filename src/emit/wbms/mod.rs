@@ -4,9 +4,9 @@
 //! - [`WbmsEmitter`]: converts a ping into packets
 //! - [`control`]: processes text commands
 //!
-//! Angles are positive to starboard; beam 0 is the most port beam. Samples are i16 on a fixed scale (`receiver.full_scale_v` is 32767), and
-//! the gain in the header is 1. Sample numbers count from the start of the pulse at the receiver's rate. Not modelled: gates (reported as
-//! the range), the transmitter voltage.
+//! Angles are positive to starboard; beam 0 is the most port beam. Samples are i16 on a fixed scale (`receiver.full_scale_v` is
+//! 32767), and the gain in the header is 1. Sample numbers count from the start of the pulse at the rate of the receiver. Not
+//! modelled: gates (reported as the range) and the transmitter voltage.
 
 pub mod control;
 
@@ -25,33 +25,33 @@ use echotank_core::ping::{BeamFrame, Detection, Line, PingOutput, PingPlan, Side
 use echotank_core::records::Datagram;
 use echotank_core::time::UtcNs;
 
-/// Samples of a snippet on each side of its detection.
+/// Number of snippet samples on each side of a detection.
 const SNIPPET_HALF: usize = 16;
 const SNIPPET_SAMPLES: usize = 2 * SNIPPET_HALF + 1;
 
-/// A simulated sonar as its clients see it.
+/// Simulated sonar with its requested settings, shared by the emitter and the control sessions.
 pub struct Device {
     /// Sonar that the device simulates.
     pub sonar: SonarSpec,
-    /// Sound speed in force.
+    /// Current sound speed, metres per second.
     pub sound_speed_m_per_s: f64,
     requested: Mutex<RequestedSettings>,
 }
 
-/// Settings requested by clients that the sonar's own settings do not include.
+/// Client settings that are not part of the settings of the sonar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RequestedSettings {
     /// Start of the range gate, metres of slant range.
     pub start_m: f64,
     /// Content of the fourth port: side-scan if not 0, otherwise snippets.
     pub(crate) sidescan_mode: u8,
-    /// Highest rate of snippets: -1 with every ping, 0 never.
+    /// Maximum rate of snippets, hertz: -1 with every ping, 0 never.
     pub(crate) snippet_rate_hz: f64,
     pub(crate) water_column_rate_hz: f64,
 }
 
 impl Device {
-    /// A sonar with the settings it has at start.
+    /// Sonar with its initial settings.
     pub fn new(sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Self {
         let requested = RequestedSettings::of(sonar);
         Self {
@@ -75,7 +75,7 @@ impl Device {
 }
 
 impl RequestedSettings {
-    /// Settings at the start of the sonar.
+    /// Initial requested settings.
     fn of(sonar: &SonarSpec) -> Self {
         Self {
             start_m: 0.0,
@@ -97,7 +97,7 @@ pub struct Wanted {
     pub side_scan: bool,
 }
 
-/// Converts pings into packets; for use by one thread.
+/// Converter of pings into packets. It serves one thread.
 pub struct WbmsEmitter {
     device: Arc<Device>,
     pools: [DatagramPool; 3],
@@ -112,7 +112,7 @@ pub struct WbmsEmitter {
 }
 
 impl WbmsEmitter {
-    /// `waiting_pings` is the number of pings whose packets may wait in queues without a new buffer.
+    /// `waiting_pings` is the number of pings with packets in queues for which buffers are reused.
     pub fn new(device: Arc<Device>, waiting_pings: usize) -> Self {
         let pool = |record_type| DatagramPool::new(record_type, waiting_pings + 1);
         Self {
@@ -138,8 +138,8 @@ impl WbmsEmitter {
         self.saturated
     }
 
-    /// Appends the packets of one ping that are wanted and that the ping can fill. [`Datagram::record_type`] is 1 for bathymetry and 2 for
-    /// the water column. It is 5 for both side-scan and snippets, which share a port.
+    /// Appends the wanted packets that this ping has data for. [`Datagram::record_type`] is 1 for bathymetry and 2 for the water
+    /// column. It is 5 for both side-scan and snippets, which share a port.
     pub fn emit_ping(
         &mut self,
         plan: &PingPlan,
@@ -173,7 +173,7 @@ impl WbmsEmitter {
         }
     }
 
-    /// Packet type 1.
+    /// Packet type 1 (bathymetry).
     fn bathymetry(
         &mut self,
         plan: &PingPlan,
@@ -201,7 +201,7 @@ impl WbmsEmitter {
                     Detection::Amplitude => 1,
                     Detection::Phase => 2,
                 },
-                // Signal-to-noise ratio and colinearity.
+                // Signal-to-noise ratio and colinearity are good.
                 quality_flags: 3,
                 quality: 3,
             }));
@@ -277,7 +277,7 @@ impl WbmsEmitter {
         (plan.first_sample_s * self.device.sonar.receiver.sample_rate_hz).round() as i32
     }
 
-    /// Packet type 2.
+    /// Packet type 2 (water column).
     fn water_column(&mut self, plan: &PingPlan, fan: &BeamFrame) -> Arc<Datagram> {
         let full_scale_v = self.device.sonar.receiver.full_scale_v;
         self.samples.clear();
@@ -300,7 +300,7 @@ impl WbmsEmitter {
         })
     }
 
-    /// Packet type 5. A missing side is filled with zeros.
+    /// Packet type 5 (side-scan). A missing side is filled with zeros.
     fn side_scan(&mut self, plan: &PingPlan, lines: &[Line]) -> Arc<Datagram> {
         let full_scale_v = self.device.sonar.receiver.full_scale_v;
         let len = lines.iter().map(|line| line.amplitude.len()).max();
@@ -323,7 +323,7 @@ impl WbmsEmitter {
         self.pools[2].write(|buf| emit_backscatter(buf, &head, samples, Tail::SideScan))
     }
 
-    /// Packet type 4: an equal number of samples around every detection.
+    /// Packet type 4 (snippets), with the same number of samples around every detection.
     fn snippets(
         &mut self,
         plan: &PingPlan,
@@ -346,7 +346,7 @@ impl WbmsEmitter {
             let centre = (sounding.twtt_s * rate_hz).round().max(0.0) as usize;
             let start = centre.saturating_sub(SNIPPET_HALF);
             for m in 0..SNIPPET_SAMPLES {
-                // Samples before the first and after the last stay zero.
+                // Samples outside the record stay zero.
                 let sample = (start + m).checked_sub(first);
                 if let Some(v) = sample.and_then(|k| fan.beam(sounding.beam).get(k)) {
                     self.samples[m * count + n] = magnitude(*v, full_scale_v, &mut saturated);
@@ -368,7 +368,7 @@ impl WbmsEmitter {
     }
 }
 
-/// True if a packet of this ping is due at the given rate: -1 with every ping, 0 never.
+/// True if a packet is due with this ping at the given rate, hertz: -1 with every ping, 0 never.
 fn is_time(plan: &PingPlan, rate_hz: f64, last: &mut Option<UtcNs>) -> bool {
     let is_time = match *last {
         _ if rate_hz == 0.0 => false,

@@ -1,9 +1,9 @@
-//! XTF packets of a ping: side-scan lines with navigation in their header, and attitude. Files only.
+//! XTF packets of a ping: side-scan lines with navigation in their header, and attitude. XTF is written to files only.
 //!
-//! A sample is the envelope of a line. It is a u16 with the receiver's full scale as 65535 and clipped values counted, or an f32 in volts.
-//! Sample 0 is the start of the pulse. Each of several pulses in a ping has its own channels ("port 2", ...), like a sonar with two
-//! frequencies. A file has six channels, so that pulses beyond the third (with two sides) are omitted. Not modelled: a towed sensor apart
-//! from its ship (both have one position), notes, bathymetry.
+//! A sample is the envelope of a line. It is a u16 with the receiver's full scale as 65535 and clipped values counted, or an f32 in
+//! volts. Sample 0 is the start of the pulse. If a ping has several pulses, each has its own channels ("port 2", ...), like a sonar
+//! with two frequencies. A file has six channels, so pulses beyond the third (with two sides) are omitted. Not modelled: notes,
+//! bathymetry, and a towed sensor apart from its ship (both have one position).
 
 use echotank_protocols::xtf::file_header::MAX_CHANNELS;
 use echotank_protocols::xtf::{
@@ -20,12 +20,12 @@ use echotank_core::pulse::Pulse;
 
 const KNOTS_PER_M_PER_S: f64 = 3600.0 / 1852.0;
 
-/// Converts pings into XTF packets. Owns its buffers; for use by one thread.
+/// Converter of pings into XTF packets. It owns its buffers and serves one thread.
 pub struct XtfEmitter {
     output: XtfSpec,
     sonar: SonarSpec,
     header: FileHeader,
-    /// By channel.
+    /// Integer samples by channel.
     scaled: Vec<Scaled>,
 }
 
@@ -33,12 +33,13 @@ pub struct XtfEmitter {
 #[derive(Clone, Debug, Default)]
 struct Scaled {
     counts: Vec<u16>,
-    /// Full scale of this ping; 0 if it is that of the file header.
+    /// Full scale of this ping, millivolts; 0 if it is that of the file header.
     millivolts: u16,
 }
 
 impl XtfEmitter {
-    /// `sonar` has one or two side-scan lines (the configuration checks it). `sound_speed_m_per_s` sets the stated beam widths.
+    /// Emitter of a sonar with one or two side-scan lines (the configuration checks this). `sound_speed_m_per_s` determines the
+    /// beam widths in the header.
     pub fn new(output: &XtfSpec, sonar: &SonarSpec, sound_speed_m_per_s: f64) -> Self {
         let format = if output.is_float {
             SampleFormat::F32
@@ -154,8 +155,8 @@ impl XtfEmitter {
     }
 }
 
-/// Full scale of a line that exceeds `full_scale_v`, millivolts: the first of its doubles that holds the line, or the largest that the field
-/// holds. None if the line fits or no double does.
+/// Full scale of a line that exceeds `full_scale_v`, millivolts. The scale is doubled until it holds the line or reaches the
+/// maximum of the field. `None` if the line does not exceed the scale or no doubled scale fits the field.
 fn full_scale_millivolts(line: &[f32], full_scale_v: f64) -> Option<u16> {
     let max_mv = f64::from(u16::MAX);
     let largest_mv = 1e3 * f64::from(line.iter().fold(0.0_f32, |largest, &v| largest.max(v)));
@@ -213,7 +214,7 @@ fn channel(
         },
         frequency_khz: (pulse.center_frequency_hz / 1e3) as f32,
         horizontal_beam_deg: width_deg(length_m),
-        // Positive down from the horizontal.
+        // Tilt is positive down from the horizontal.
         tilt_deg: boresight.z.clamp(-1.0, 1.0).asin().to_degrees() as f32,
         beam_width_deg: width_deg(across_m),
         volt_scale: sonar.receiver.full_scale_v as f32,

@@ -1,4 +1,4 @@
-//! Emitting a ping does not allocate once every buffer has been used.
+//! Test that emitting a ping does not allocate after every buffer has been used.
 
 use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_testing::allocations;
@@ -9,7 +9,7 @@ fn the_second_ping_allocates_nothing() {
     let mut emitter = SevenKEmitter::new(sheet(), 2);
     let (plan, output) = (plan(1, 500), output(500));
     let mut records = Vec::new();
-    // 7042 makes a list of its beams.
+    // 7042 allocates a list of its beams.
     let wanted = RecordSet::ALL.without(RecordSet::of(&[7042]));
     let before = allocations::on_this_thread();
     emitter.emit_ping(&plan, &output, wanted, &mut records);

@@ -1,4 +1,4 @@
-//! Records and client sessions of real protocols, without sockets.
+//! Tests of the records and client sessions of all protocols, without sockets.
 
 mod buffers;
 mod records;

@@ -1,4 +1,5 @@
-//! The records of a ping, field by field: parsed with the protocols crate, and by offset from the tables of the data format definition.
+//! Tests of the records of a ping, field by field. Records are parsed with the protocols crate, and by offset from the tables of
+//! the data format definition.
 
 use std::sync::Arc;
 
@@ -17,7 +18,7 @@ use echotank_protocols::sevenk::{Record, ping_order_rank};
 use echotank_testing::wire::*;
 use glam::DVec3;
 
-/// Where the RTH begins in a record.
+/// Offset of the record type header in a record.
 const RTH: usize = 64;
 
 fn emitted(plan: &PingPlan, output: &PingOutput, wanted: RecordSet) -> (Vec<Arc<Datagram>>, u64) {
@@ -42,7 +43,7 @@ fn body(bytes: &[u8]) -> &[u8] {
 }
 
 fn close(got: f64, want: f64, what: &str) {
-    // f32 on the wire.
+    // The field is an f32.
     let tolerance = 1e-6 * want.abs();
     assert!(
         (got - want).abs() <= tolerance,
@@ -51,7 +52,7 @@ fn close(got: f64, want: f64, what: &str) {
     );
 }
 
-/// The width along track against the customary 0.886 lambda / L, whose last digit is 0.1 %.
+/// Compares the along-track width with the usual 0.886 lambda / L, which is accurate to 0.1 %.
 fn customary(width_rad: f32) {
     let ratio = f64::from(width_rad) / (0.886 * 0.015 / 0.5);
     assert!((ratio - 1.0).abs() < 1e-3, "got {ratio} of 0.886 lambda/L");
@@ -98,7 +99,7 @@ fn only_subscribed_and_available_records_are_emitted() {
 #[test]
 fn ping_records_carry_the_end_of_the_transmission_and_navigation_its_own_time() {
     let mut plan = plan(9, 6);
-    // Stamped with host time one hour ahead; the state is valid 0.25 s after the start of the pulse.
+    // The time stamps are one hour ahead. The state is 0.25 s after the start of the pulse.
     plan.stamp_utc = plan.transmit_utc.plus_s(3600.0);
     plan.nav.utc = plan.transmit_utc.plus_s(0.25);
     plan.sensor.still_depth_m = Some(30.0);
@@ -116,7 +117,7 @@ fn ping_records_carry_the_end_of_the_transmission_and_navigation_its_own_time() 
             "{}: got {got}, want {want}",
             record.record_type
         );
-        // By offset: day 166 of 2025, 16:06:40.
+        // Date and time by offset: day 166 of 2025, 16:06:40.
         let b = &record.bytes;
         assert_eq!(
             (u16_at(b, 20), u16_at(b, 22), b[28], b[29]),
@@ -146,7 +147,7 @@ fn settings_7000_hold_what_the_ping_was_made_with() {
         (58, 210.0, "power"),
         (62, 20.0, "gain"),
         (74, 0.0, "steering"),
-        // lambda is 0.015 m; 0.886 lambda / L, and the arc sine matters for the short side.
+        // lambda is 0.015 m. The width is 0.886 lambda / L; for the short side, the arc sine matters.
         (82, 2.0 * (0.442_946_47_f64 * 0.015 / 0.5).asin(), "along"),
         (86, 2.0 * (0.442_946_47_f64 * 0.015 / 0.02).asin(), "across"),
         (122, 0.31, "receive width"),
@@ -308,7 +309,7 @@ fn values_out_of_range_are_clipped_and_counted() {
     let mut output = output(6);
     output.elements[0].iq[0].re = 2.0 * FULL_SCALE_V;
     output.elements[1].iq[1].im = -2.0 * FULL_SCALE_V;
-    output.elements[2].iq[0].re = 9.0 * FULL_SCALE_V; // not on the wire
+    output.elements[2].iq[0].re = 9.0 * FULL_SCALE_V; // not part of the record
     output.beams[0].iq[0] *= 100.0;
     output.lines[0].amplitude[3] = 2.5;
     for (id, want) in [(7038, 2), (7018, 1), (7007, 1), (7000, 0)] {
@@ -422,7 +423,7 @@ fn configuration_7001_describes_the_sonar_in_xml_closed_by_one_counted_nul() {
     let bytes = &datagram.bytes;
     let c = Configuration7001::parse(body(bytes)).expect("7001");
     assert_eq!((c.modules.len(), c.modules[0].identifier), (1, DEVICE));
-    // Readers take the serial number from the digits behind "SN" (NOAA's Kluster).
+    // Readers take the serial number from the digits after "SN" (NOAA's Kluster).
     let description = &c.modules[0].description;
     let digits = description.strip_prefix("SN").expect("as devices write it");
     let digits = digits.split(' ').next().expect("digits");

@@ -1,4 +1,4 @@
-//! One client's session over bytes in memory: settings, subscriptions, refusals, and garbage.
+//! Tests of the session of one client over bytes in memory: settings, subscriptions, refusals and random bytes.
 
 mod ping;
 mod wbms;
@@ -25,7 +25,7 @@ use proptest::prelude::*;
 const NOW: UtcNs = UtcNs(1_750_000_000_000_000_000);
 
 const CLIENT: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 4001);
-/// Of the server.
+/// Port of the server.
 const OWN_PORT: u16 = 7000;
 
 struct Rig {
@@ -73,14 +73,14 @@ impl Rig {
         self.work(Session::give_up_waiting)
     }
 
-    /// The current settings, as a client that requests them receives them.
+    /// The current settings, requested as a client does.
     fn settings_7503(&mut self) -> RemoteSettings7503 {
         let out = self.send(&command(single(7503), 99));
         let record = Record::parse(reply(&out, 1)).expect("a 7503");
         RemoteSettings7503::parse(record.body()).expect("settings")
     }
 
-    /// The reply to a command: none, or the code of the refusal. Checks ticket and tracking number.
+    /// Sends a command and returns the reply: success, or the code of the refusal. Checks ticket and tracking number.
     fn ask(&mut self, command: Command, ticket: u32) -> Result<(), ErrorCode> {
         let bytes = echotank_testing::wire::command(command, ticket);
         answer(&self.send(&bytes), ticket)
@@ -119,7 +119,7 @@ fn reply(out: &[Outgoing], at: usize) -> &[u8] {
 
 fn answer(out: &[Outgoing], ticket: u32) -> Result<(), ErrorCode> {
     let bytes = reply(out, 0);
-    // By offset: ticket and tracking number have the same positions in 7501 and 7502.
+    // Ticket and tracking number have the same offsets in 7501 and 7502.
     assert_eq!(u32_at(bytes, 64), ticket);
     assert_eq!(
         (u64_at(bytes, 68), u64_at(bytes, 76)),
@@ -251,7 +251,7 @@ fn every_refusal_has_its_code_and_changes_nothing() {
             },
             0x7001,
         ),
-        // A compression factor, and 8 and 32 bits at once.
+        // A compression factor, and 8 and 32 bits at the same time.
         (Command::CompressedWaterColumn { flags: 1 << 13 }, 0x7006),
         (
             Command::CompressedWaterColumn {
@@ -329,7 +329,7 @@ fn unused_settings_are_acknowledged_and_reported_in_7503() {
             max_window_samples: 80,
         },
         Command::CompressedWaterColumn { flags: 1 << 2 },
-        // The configuration's own settings.
+        // The settings of the configuration.
         Command::PulseType(PulseType::LinearChirp),
         Command::CenterFrequency { frequency_hz: 1e5 },
         Command::ChirpBand {
@@ -433,7 +433,7 @@ fn a_third_party_is_dialled_and_hung_up() {
     assert_eq!(out[1], Outgoing::HangUp { peer, transport });
 }
 
-/// Otherwise a client could have the server command itself, or flood any address.
+/// Otherwise a client could make the server send commands to itself, or flood any address.
 #[test]
 fn records_go_to_no_third_party_but_the_client_and_configured_addresses() {
     let mut output = output_spec();
@@ -623,7 +623,7 @@ fn a_wrong_checksum_of_something_else_is_only_counted() {
     record[32..36].copy_from_slice(&7610_u32.to_le_bytes());
     assert_eq!(rig.send(&packet(&record)), []);
     assert_eq!(rig.session.counts().framing_errors, 1);
-    // Repaired, it is a whole record that is no command.
+    // With its checksum corrected, this is a complete record that is not a command.
     let end = record.len() - 4;
     let sum = echotank_protocols::sevenk::checksum(&record[..end]);
     record[end..].copy_from_slice(&sum.to_le_bytes());
@@ -636,7 +636,7 @@ fn a_wrong_checksum_of_something_else_is_only_counted() {
 #[test]
 fn records_behind_a_truncated_one_are_found_after_the_timeout() {
     let mut rig = Rig::tcp();
-    // Declares a longer record than follows.
+    // The record declares a longer length than the data.
     let long = command(subscribe(&[7000; 1000]), 1);
     assert_eq!(rig.send(&long[..200]), []);
     assert_eq!(rig.send(&command(Command::Range { range_m: 71.0 }, 2)), []);
@@ -665,7 +665,7 @@ fn a_command_cut_into_packets_is_put_together_again() {
     assert_eq!(answer(&out, 3), Ok(()));
 }
 
-/// Garbage, commands, and commands corrupted in one place.
+/// Random bytes, commands, and commands with one corrupted part.
 fn anything() -> impl Strategy<Value = Vec<u8>> {
     let commands = (
         any::<u32>(),
@@ -696,7 +696,7 @@ proptest! {
             let mut rig = Rig::over(session);
             for piece in &pieces {
                 let out = rig.send(piece);
-                record_types(&out); // all whole and right
+                record_types(&out); // all are complete and correct
             }
             let limits = sonar().limits;
             let s = rig.store.snapshot().0;

@@ -1,4 +1,4 @@
-//! The Ping protocol: requests, replies, and the content of the next ping.
+//! Tests of the Ping protocol: requests, replies, and the content of the next ping.
 
 use std::net::SocketAddr;
 use std::ops::Range;
@@ -26,7 +26,7 @@ use proptest::prelude::*;
 
 use echotank_testing::wire as wire_rig;
 
-/// When the device was switched on.
+/// Time of power-up of the device.
 const NOW: UtcNs = wire_rig::TRANSMIT_UTC;
 
 fn spec(device: PingDevice) -> PingProtocolSpec {
@@ -42,12 +42,12 @@ fn spec(device: PingDevice) -> PingProtocolSpec {
 
 const OMNISCAN: PingDevice = PingDevice::Omniscan450 { side: Side::Port };
 
-/// A ping of the wire's small sonar: 200 samples at 1 kHz.
+/// A ping of the small test sonar: 200 samples at 1 kHz.
 fn ping() -> (PingPlan, PingOutput) {
     (wire_rig::plan(1, 200), wire_rig::output(200))
 }
 
-/// A client of a device, and the settings of its session.
+/// Client of a device, with the settings of its session.
 struct Bench {
     device: Arc<Device>,
     settings: Arc<SettingsStore>,
@@ -80,7 +80,7 @@ impl Bench {
             .collect()
     }
 
-    /// The answer to a command.
+    /// Sends a command and returns the answer.
     fn ask(&mut self, emit: impl FnOnce(&mut Vec<u8>) -> Range<usize>) -> Answer {
         answer(&self.say(&bytes_of(emit)))
     }
@@ -154,7 +154,7 @@ fn each_control_of_the_omniscan_is_acknowledged_and_in_the_settings() {
     assert_eq!(bench.os(|p| p.length_mm = 60_000), Answer::Ack);
     let settings = bench.settings.settings();
     assert_eq!((settings.range_m, settings.max_ping_rate_hz), (60.0, 5.0));
-    // A tenth of 2 x 60 m / 1500 m/s.
+    // One tenth of 2 x 60 m / 1500 m/s.
     assert!((settings.pulse_duration_s - 8e-3).abs() < 1e-9);
     assert_eq!(
         settings.gain_db, start.gain_db,
@@ -167,7 +167,7 @@ fn each_control_of_the_omniscan_is_acknowledged_and_in_the_settings() {
     assert_eq!(bench.settings.settings().gain_db, limits.gain_db.1);
     assert_eq!(bench.os(|p| p.msec_per_ping = 500), Answer::Ack);
     assert_eq!(bench.settings.settings().max_ping_rate_hz, 2.0);
-    // As fast as possible, and faster than that.
+    // A period of 0 and a negative period select the maximum rate.
     for msec in [0, 1] {
         assert_eq!(bench.os(|p| p.msec_per_ping = msec), Answer::Ack);
         let rate_hz = bench.settings.settings().max_ping_rate_hz;
@@ -201,7 +201,7 @@ fn a_command_with_one_wrong_value_is_refused_with_a_reason_and_no_effect() {
         ("the pulse length", |p| p.pulse_len_percent = f32::NAN),
     ];
     for (words, change) in wrong {
-        // The values before the wrong one are valid, so accepting them would show.
+        // The values before the wrong value are valid, so a partial acceptance would be visible.
         let got = bench.os(|p| {
             (p.start_mm, p.msec_per_ping, p.enable) = (0, 333, 0);
             change(p);
@@ -227,14 +227,14 @@ fn settings_without_a_model_are_stored_and_unsupported_ones_refused() {
     let set = SetSpeedOfSound {
         speed_of_sound_mm_per_s,
     };
-    // 169 reads and 170 sets.
+    // 169 reads the setting and 170 sets it.
     let set_sync = |buf: &mut Vec<u8>, n: u8| {
         emit_frame(buf, message_id::SET_SYNC_CHANNEL, 0, 1, |buf| {
             buf.extend([n, 2])
         })
     };
     assert_eq!(bench.ask(|buf| set.emit_frame(buf, 0, 1)), Answer::Ack);
-    // The number used by clients of earlier definitions is acknowledged as such.
+    // The message number of earlier definitions is acknowledged under that number.
     let id = message_id::SET_SPEED_OF_SOUND_EARLIER;
     let answered = bench.say(&bytes_of(|buf| {
         emit_frame(buf, id, 0, 1, |buf| {
@@ -262,7 +262,7 @@ fn settings_without_a_model_are_stored_and_unsupported_ones_refused() {
     assert!(matches!(refused, Answer::Nack(_)));
     let id = SetDeviceId { device_id: 9 };
     assert_eq!(bench.ask(|buf| id.emit_frame(buf, 0, 1)), Answer::Ack);
-    // From now on it identifies itself as 9.
+    // The device now identifies itself as 9.
     let mut bytes = Vec::new();
     GeneralRequest { requested_id: 4 }.emit_frame(&mut bytes, 5, 9);
     let [information] = &bench.say(&bytes)[..] else {
@@ -273,7 +273,7 @@ fn settings_without_a_model_are_stored_and_unsupported_ones_refused() {
         (frame.message_id, frame.source, frame.destination),
         (4, 9, 5)
     );
-    // The multibeam's command, and a message that this device lacks.
+    // The command of the multibeam sonar, and a message that this device does not have.
     for (id, payload) in [
         (message_id::SET_PING_PARAMETERS, 36),
         (message_id::GENERAL_REQUEST, 2),
@@ -294,7 +294,7 @@ fn each_control_of_the_surveyor_is_acknowledged_and_in_the_settings() {
     assert_eq!(bench.surveyor(|p| p.end_mm = 60_000), Answer::Ack);
     let settings = bench.settings.settings();
     assert_eq!((settings.range_m, settings.max_ping_rate_hz), (60.0, 5.0));
-    // 5 % of the range at least.
+    // The start is at least 5 % of the range.
     assert!((bench.device.requested().start_m - 3.0).abs() < 1e-12);
     assert_eq!(bench.surveyor(|p| p.gain_index = 100), Answer::Ack);
     assert_eq!(bench.settings.settings().gain_db, limits.gain_db.1);
@@ -357,7 +357,7 @@ fn over_udp_every_datagram_is_independent() {
     assert_eq!(bench.say(&bytes).len(), 1, "what came before is forgotten");
 }
 
-/// The frames of a ping of the device.
+/// The frames of one ping of the device.
 fn frames(device: &Arc<Device>, plan: &PingPlan, output: &PingOutput) -> Vec<Arc<Datagram>> {
     let mut into = Vec::new();
     PingEmitter::new(Arc::clone(device), 1).emit_ping(plan, output, &mut into);
@@ -392,7 +392,7 @@ fn a_profile_is_the_line_in_db_over_the_range_that_was_asked_for() {
     assert!((head.vehicle_heading_deg - 359.9).abs() < 1e-4);
     assert!((head.transducer_heading_deg - 269.9).abs() < 1e-4);
     let results: Vec<f64> = profile.results_db().collect();
-    // Re 1 uV: 60 dB, and 100 dB at the target; a result is 50 mm, a sample 0.75 m.
+    // The levels are 60 dB and, at the target, 100 dB re 1 uV. A result is 50 mm long, a sample 0.75 m.
     let loudest = (0..1200).max_by(|&a, &b| results[a].total_cmp(&results[b]));
     let loudest_m = 20.0 + (loudest.expect("some") as f64 + 0.5) * 0.05;
     assert!((loudest_m - 67.0 * 0.75).abs() <= 0.05, "{loudest_m}");
@@ -422,7 +422,7 @@ fn points_attitude_and_sides_are_in_the_devices_axes() {
             detection: Detection::Amplitude,
             level_v: 1.0,
         };
-        // A flat bottom 20 m below: starboard is to the right.
+        // A flat seabed 20 m below. Starboard is to the right.
         let angles_deg = [-60.0_f64, -10.0, 0.0, 45.0];
         output.soundings = angles_deg
             .map(|a| sounding(a, 20.0 / a.to_radians().cos()))
@@ -438,7 +438,7 @@ fn points_attitude_and_sides_are_in_the_devices_axes() {
             };
             match Message::parse(&frame).expect("a message") {
                 Message::AttitudeReport(report) => {
-                    // Up has a part to port when starboard is down, and forward when the bow is up.
+                    // The up vector has a component to port when starboard is down, and forward when the bow is up.
                     near(report.up[0], plan.nav.pitch_rad.sin());
                     near(
                         report.up[1],

@@ -1,4 +1,4 @@
-//! WBMS: requests, replies, and the content of the next ping.
+//! Tests of WBMS: requests, replies, and the content of the next ping.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -43,7 +43,7 @@ impl Bench {
         texts(out)
     }
 
-    /// The command is answered with the values it set.
+    /// Sends a command and checks that the answer has the values of the command.
     fn set(&mut self, command: &str) {
         let line = format!("{command}\r\n");
         assert_eq!(self.say(&line), line);
@@ -72,7 +72,7 @@ fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
         "set_rate 20\r\n",
         "as fast as it goes"
     );
-    // 160 to 220 dB in 15 steps of 4 dB.
+    // The amplitude covers 160 to 220 dB in 15 steps of 4 dB.
     bench.set("set_tx 100 0.5 10 500");
     let settings = bench.settings.settings();
     assert_eq!(
@@ -92,7 +92,7 @@ fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
     bench.set("set_gain 12.5");
     assert_eq!(bench.settings.settings().gain_db, 12.5);
     bench.set("set_tp_rate 5");
-    // Settings that are only stored.
+    // These settings are only stored.
     for command in [
         "set_mode 2",
         "set_flip 1",
@@ -260,7 +260,7 @@ fn packets(bench: &Bench, plan: &PingPlan, output: &PingOutput) -> Vec<Arc<Datag
     into
 }
 
-/// A flat bottom `depth_m` below, in the fan's four beams.
+/// Soundings of a flat seabed `depth_m` below, in the four beams of the fan.
 fn soundings(depth_m: f64) -> Vec<Sounding> {
     [-0.75_f64, -0.25, 0.25, 0.75]
         .iter()
@@ -340,7 +340,7 @@ fn water_column_and_side_scan_are_the_beams_and_the_lines_on_the_fixed_scale() {
                 (2, 200, 0)
             );
             for (n, got) in values.iter().enumerate() {
-                // Port, then starboard.
+                // Sides alternate: port, then starboard.
                 let volts = f64::from(output.lines[n % 2].amplitude[n / 2]);
                 assert_eq!(
                     *got,
@@ -369,7 +369,7 @@ fn snippets_lie_around_their_detections() {
         let want = (output.soundings[n].twtt_s * 1000.0).round();
         assert_eq!((f64::from(centre), start + 16), (want, centre));
         for m in 0..33 {
-            // The first sample of a beam is number 10.
+            // The first sample of a beam has the number 10.
             let volts = output.beams[0].beam(n)[usize::from(start) + m - 10].norm();
             let want = (volts / wire_rig::FULL_SCALE_V * 32767.0).round();
             assert_eq!(values[m * 4 + n], want, "{n}, {m}");
