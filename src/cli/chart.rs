@@ -15,7 +15,7 @@ use super::{ConfigArgs, Failure, load};
 use echotank_runtime::chart::work::{self, Work};
 use echotank_runtime::chart::{self, ChartOptions};
 
-/// Timed runs of each ping and method, and of each point of the cost chart.
+/// Number of timed runs of each ping and method, and of each point of the cost chart.
 const REPEATS: usize = 3;
 
 #[derive(Args, Clone, Debug)]
@@ -171,7 +171,7 @@ pub(crate) fn main(args: &ChartArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The methods of the cost chart: the configured one and the fastest within the tolerance.
+/// Methods of the cost chart: the configured method and the fastest method within the tolerance.
 fn work_methods(chart: &chart::Chart) -> Vec<chart::methods::Method> {
     let mut methods: Vec<_> = chart
         .rows
@@ -192,7 +192,7 @@ fn work_methods(chart: &chart::Chart) -> Vec<chart::methods::Method> {
     methods
 }
 
-/// One-minute load average on Linux; none elsewhere.
+/// One-minute load average on Linux; `None` on other systems.
 pub(super) fn load_average() -> Option<f64> {
     let text = fs::read_to_string("/proc/loadavg").ok()?;
     text.split_whitespace().next()?.parse().ok()

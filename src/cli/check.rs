@@ -106,14 +106,15 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Reads the recorded navigation. `spec` then tells what each log gives; returns what is missing, left out or replaced.
+/// Reads the recorded navigation and completes `spec` with the quantities found in each log. Returns warnings about missing, ignored or replaced
+/// parts.
 fn read_logs(spec: &mut RigSpec) -> Result<Vec<String>, Failure> {
     let read = ReadNav::read(&spec.nav).map_err(|e| Failure::Configuration(e.to_string()))?;
     spec.nav = read.spec;
     Ok(read.warnings)
 }
 
-/// Warnings of what the seabed's file does not state, with its extent and depths; empty if it states everything.
+/// Warnings about properties that the seabed file does not state, with extent and depths; empty if it states all properties.
 fn guesses(spec: &RigSpec) -> Result<String, Failure> {
     let Some(SeabedShape::File { file, .. }) = spec.scene.seabed.as_ref().map(|s| &s.shape) else {
         return Ok(String::new());
@@ -142,7 +143,7 @@ fn guesses(spec: &RigSpec) -> Result<String, Failure> {
 
 /// Refuses a streaming configuration whose cost estimate exceeds the time available.
 ///
-/// A streamed ping is computed completely before its first block is sent. The estimate, spread over all cores, is a lower bound of that
+/// A streamed ping is computed completely before its first block is sent. The estimate, divided by the number of cores, is a lower bound of that
 /// time. Engines without a cost estimate pass.
 fn check_streaming_time(
     run: &RunSpec,
@@ -186,7 +187,7 @@ fn check_streaming_time(
     Ok(())
 }
 
-/// The unit of work that an error model's cost refers to.
+/// Unit of work to which the cost of an error model refers.
 fn cost_unit(sonar: &SonarSpec) -> &'static str {
     match sonar.model.synthesis {
         Synthesis::Gridded2d => "array and ping",
@@ -194,7 +195,7 @@ fn cost_unit(sonar: &SonarSpec) -> &'static str {
     }
 }
 
-/// Error that `cull_db` causes in each array's reverberation; empty without culling.
+/// Error of each array's reverberation due to `cull_db`; empty without culling.
 fn culling(sonar: &SonarSpec, medium: &MediumSpec) -> String {
     let Some(cull_db) = sonar.model.cull_db else {
         return String::new();

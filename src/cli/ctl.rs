@@ -125,7 +125,7 @@ pub(crate) fn main(args: &CtlArgs) -> Result<(), Failure> {
     send(args, &json!(command))
 }
 
-/// Converts `KEY=VALUE` pairs to JSON; values that parse as JSON keep their type.
+/// Converts `KEY=VALUE` pairs to JSON. A value that parses as JSON keeps its type.
 fn fault(kind: &str, keys: &[String]) -> Result<Value, Failure> {
     let mut body = json!({ "do": "fault", "kind": kind });
     for pair in keys {

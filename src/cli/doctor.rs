@@ -8,13 +8,13 @@ use clap::Args;
 use super::Failure;
 use echotank_runtime::io::priority::{self, Limit};
 
-/// Required kernel limit of socket buffers: a whole ping of 128 elements.
+/// Required kernel limit of socket buffers, bytes: a whole ping of 128 elements.
 const SOCKET_BUFFER_BYTES: u64 = 4 << 20;
-/// Required file descriptors for clients, ports and files, with margin.
+/// Required number of file descriptors for clients, ports and files, with margin.
 const OPEN_FILES: u64 = 1024;
 /// Default of `run.priority`.
 const PRIORITY: u64 = 40;
-/// A `run.compute_nice` that takes effect beside other compute-bound programs.
+/// Value of `run.compute_nice` that takes effect beside other compute-bound programs.
 const COMPUTE_NICE: i64 = -10;
 
 #[derive(Args, Clone, Debug)]
@@ -78,7 +78,7 @@ fn number(root: &Path, file: &str) -> Option<u64> {
     line(root, file)?.parse().ok()
 }
 
-/// Runs every check; `root` is the root of the file system.
+/// Runs every check. `root` is the root of the file system.
 fn findings(root: &Path) -> Vec<Finding> {
     let mut all = Vec::new();
     for (what, file) in [

@@ -22,7 +22,7 @@ use pulses::{Pulses, TriggerTo};
 /// Default subscription: every record type of a ping.
 const PING_RECORDS: [u32; 10] = [7000, 7503, 7004, 7007, 7018, 7038, 7610, 1003, 1012, 1013];
 
-/// Reads the name of a protocol family.
+/// Parser for the name of a protocol family.
 fn families() -> impl TypedValueParser<Value = Family> {
     let named = |name: String| Family::ALL.into_iter().find(|f| f.name() == name);
     PossibleValuesParser::new(Family::ALL.map(Family::name))
@@ -84,10 +84,10 @@ impl ListenArgs {
     }
 }
 
-/// Bin width of printed histograms, microseconds.
+/// Bin width of the printed histograms, microseconds.
 const BIN_US: u64 = 100;
 
-/// Prints percentiles, and counts by upper bin edge.
+/// Prints percentiles, and the counts by upper bin edge.
 fn print_spread(what: &str, spread: &LatencyHistogram) {
     let f = spread.figures();
     let ms = [f.p50_us, f.p99_us, f.p999_us, f.max_us].map(|us| us as f64 / 1e3);
@@ -101,7 +101,7 @@ fn print_spread(what: &str, spread: &LatencyHistogram) {
     println!("  no later than: {}", bins.collect::<Vec<_>>().join(", "));
 }
 
-/// Receives an element stream to its end and prints its latencies.
+/// Receives an element stream to its end and prints the latencies.
 fn elements(args: &ListenArgs) -> Result<(), Failure> {
     let mut client = ElementClient::connect(args.address.as_str()).map_err(Failure::running)?;
     let end = args
@@ -214,7 +214,7 @@ pub(crate) fn main(args: &ListenArgs) -> Result<(), Failure> {
         println!("{counters:?}");
     }
     match closed {
-        // A server that closes is an error only before --seconds have passed.
+        // A closed connection is an error only if `--seconds` have not passed.
         Some(error) if end.is_some() => Err(Failure::running(error)),
         _ => Ok(()),
     }

@@ -13,10 +13,10 @@ use tracing_subscriber::{Layer, fmt, prelude::*};
 
 use super::Failure;
 
-/// Levels without `RUST_LOG`: information from this program's crates, warnings from its dependencies.
+/// Default levels: information from the crates of this program, warnings from its dependencies.
 const DEFAULT_FILTER: &str = "warn,echotank=info";
 
-/// How diagnostics are written to standard error.
+/// Format of the diagnostics on standard error.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum LogFormat {
     /// One line per event
@@ -26,7 +26,7 @@ pub(crate) enum LogFormat {
     Json,
 }
 
-/// Installs the program's subscriber.
+/// Installs the `tracing` subscriber of the program.
 pub(crate) fn start(format: LogFormat) -> Result<(), Failure> {
     let filter = filter(std::env::var("RUST_LOG").ok().as_deref())?;
     let is_journal = is_journal(std::env::var("JOURNAL_STREAM").ok().as_deref());
@@ -34,7 +34,7 @@ pub(crate) fn start(format: LogFormat) -> Result<(), Failure> {
         && io::stderr().is_terminal()
         && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
     let layer = fmt::layer().with_writer(io::stderr).with_ansi(is_colored);
-    // A closed standard error is no reason to panic.
+    // Diagnostics are dropped if standard error is closed; the program must not panic.
     let layer = layer.log_internal_errors(false);
     let layer = match (format, is_journal) {
         (LogFormat::Text, false) => layer.boxed(),
@@ -49,10 +49,10 @@ pub(crate) fn start(format: LogFormat) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Reports why the command failed: as plain text, or as an event where standard error holds JSON.
+/// Reports the failure of a command as plain text, or as an event if standard error holds JSON.
 pub(crate) fn report_failure(format: LogFormat, text: &str) {
     match format {
-        // An invalid RUST_LOG leaves no subscriber.
+        // If RUST_LOG is invalid, no subscriber is installed.
         LogFormat::Json if tracing::dispatcher::has_been_set() => tracing::error!("{text}"),
         _ => drop(writeln!(io::stderr(), "{text}")),
     }
@@ -69,7 +69,7 @@ fn filter(rust_log: Option<&str>) -> Result<Targets, Failure> {
     })
 }
 
-/// Whether standard error is the journal's socket: systemd names its device and inode in `JOURNAL_STREAM` (systemd.exec(5)).
+/// Whether standard error is the socket of the journal. systemd gives its device and inode in `JOURNAL_STREAM` (systemd.exec(5)).
 fn is_journal(journal_stream: Option<&str>) -> bool {
     let Some((device, inode)) = journal_stream.and_then(|stream| stream.split_once(':')) else {
         return false;

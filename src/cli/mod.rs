@@ -1,6 +1,6 @@
-//! The command line: one file per subcommand.
+//! Command line: one file per subcommand.
 //!
-//! Exit status: 0 done, 1 something failed while running, 2 the configuration or the arguments are wrong.
+//! Exit status: 0 success, 1 failure while running, 2 wrong configuration or arguments.
 
 pub(crate) mod chart;
 pub(crate) mod check;
@@ -88,7 +88,7 @@ pub(crate) struct ConfigArgs {
     pub(crate) set: Vec<String>,
 }
 
-/// Reads one of the words that a configuration has for a choice.
+/// Parser for the words of a configuration choice.
 pub(crate) fn choice<T: Words + Send + Sync>() -> impl TypedValueParser<Value = T> {
     PossibleValuesParser::new(T::WORDS.iter().map(|(_, word)| *word))
         .map(|word| T::from_word(&word).expect("one of the words"))
@@ -130,8 +130,8 @@ fn execute(command: Option<Command>) -> Result<(), Failure> {
     }
 }
 
-/// Restores the default SIGPIPE action, so that `echotank check rig.toml | head` ends quietly. Sockets report a closed peer as an error in
-/// either case.
+/// Restores the default SIGPIPE action, so that `echotank check rig.toml | head` ends quietly. Sockets report a closed peer as an error with either
+/// action.
 fn restore_sigpipe() {
     #[cfg(unix)]
     // SAFETY: SIG_DFL installs no handler, so no Rust code runs in a signal context.
@@ -140,10 +140,10 @@ fn restore_sigpipe() {
     }
 }
 
-/// Why a command ended without success.
+/// Reason why a command failed.
 #[derive(Debug)]
 pub(crate) enum Failure {
-    /// Wrong configuration or arguments: every problem, one per line. Exit status 2.
+    /// Wrong configuration or arguments, one problem per line. Exit status 2.
     Configuration(String),
     /// Failure of a file, device, network or computation. Exit status 1.
     Running(String),
@@ -154,8 +154,7 @@ impl Failure {
         Self::Running(error.to_string())
     }
 
-    /// A rig that cannot be opened. A navigation file of a format that is not read, or without a quantity that pings need, is a
-    /// matter of the configuration.
+    /// Classifies the failure to open a rig. An unsupported format of a navigation file, or a missing quantity, counts as a wrong configuration.
     pub(crate) fn opening(error: &OpenError) -> Self {
         let text = error.to_string();
         match error {

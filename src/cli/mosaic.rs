@@ -1,4 +1,4 @@
-//! `echotank mosaic`: writes a recording's side-scan lines as a georeferenced image.
+//! `echotank mosaic`: writes the side-scan lines of a recording as a georeferenced image.
 
 use std::path::PathBuf;
 
@@ -13,7 +13,7 @@ use echotank_imaging::image::mosaic::{MosaicBuilder, MosaicSpec, SonarPose};
 use echotank_runtime::io::record::lines::{self, RecordedPing};
 use echotank_runtime::io::record::picture::write_mosaic;
 
-/// Altitude is the median first return over this many pings to either side, so that a single fish is not taken for the bottom.
+/// Number of pings to each side over which the median first return gives the altitude. The median rejects echoes of single fish.
 const NEIGHBOURS: usize = 7;
 
 #[derive(Args, Clone, Debug)]
@@ -75,7 +75,7 @@ fn percentiles(text: &str) -> Result<(f64, f64), String> {
     }
 }
 
-/// Reports every argument out of range at once.
+/// Reports all arguments that are out of range.
 fn refuse(args: &MosaicArgs) -> Result<(), Failure> {
     let positive = |x: f64| x > 0.0 && x.is_finite();
     let faults: Vec<String> = [
@@ -188,7 +188,7 @@ pub(crate) fn main(args: &MosaicArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Altitude of each ping, metres: the median first return of its neighbours, or the last known one where they have none.
+/// Altitude of each ping, metres: the median first return of the neighbouring pings, or the last known altitude if there is no return.
 fn first_returns(pings: &[RecordedPing]) -> Option<Vec<f64>> {
     let each: Vec<Option<f64>> = pings
         .iter()
@@ -207,7 +207,7 @@ fn first_returns(pings: &[RecordedPing]) -> Option<Vec<f64>> {
     Some(smooth.collect())
 }
 
-/// Position, attitude and forward speed of a ping's arrays.
+/// Position, attitude and forward speed of the arrays at a ping.
 fn place(pings: &[RecordedPing], k: usize, altitude_m: f64) -> SonarPose {
     let ping = &pings[k];
     let plane = LocalTangentPlane::new(ping.latitude_rad, ping.longitude_rad);

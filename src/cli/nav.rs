@@ -1,4 +1,4 @@
-//! `echotank nav`: reports what a recorded log holds, what is used, and why the rest is not.
+//! `echotank nav`: reports the contents of a recorded log, the quantities in use, and reasons for unused data.
 
 mod plot;
 
@@ -26,7 +26,7 @@ fn channel_names() -> impl Iterator<Item = &'static str> {
     NavChannel::ALL.into_iter().map(NavChannel::name)
 }
 
-/// Printed gaps and jumps per quantity.
+/// Number of printed gaps and jumps per quantity.
 const SHOWN: usize = 5;
 
 #[derive(Args, Clone, Debug)]
@@ -149,7 +149,7 @@ fn spec(args: &NavArgs) -> NavSourceSpec {
     }
 }
 
-/// ISO 8601 to the millisecond.
+/// Formats a time in ISO 8601 to the millisecond.
 fn iso(utc: UtcNs) -> String {
     let time = chrono::DateTime::from_timestamp_nanos(utc.0);
     time.format("%Y-%m-%dT%H:%M:%S%.3fZ").to_string()
@@ -171,7 +171,7 @@ fn shift_s(pass: &Pass) -> f64 {
     pass.shift_ns as f64 / 1e9
 }
 
-/// Which quantities a sentence supplied, and why the others were not used.
+/// Quantities that a sentence supplied, and reasons for the unused ones.
 fn usage(s: &SentenceReport, report: &LogReport) -> String {
     let count = |outcome| s.outcomes.get(&outcome).copied().unwrap_or(0);
     let mut parts = Vec::new();
@@ -300,7 +300,7 @@ fn text_of(args: &NavArgs, r: &LogReport) -> String {
     );
     for s in &r.sentences {
         let seconds = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.3}"));
-        // Without stamps, arrival times are derived from the messages, so latency is meaningless.
+        // Without time stamps, arrival times are derived from the messages, so latency is meaningless.
         let stamped = s.latency_s.filter(|_| log.stamped > 0);
         let latency = stamped.map_or("-".to_owned(), |l| {
             let ms = |v: f64| format!("{:.0}", v * 1e3);

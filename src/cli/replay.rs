@@ -73,7 +73,7 @@ fn parse_range(text: &str) -> Result<(u32, u32), String> {
     Ok((a, b))
 }
 
-/// Replaces the file of the first recorded navigation source. The source provides what its new log holds.
+/// Replaces the file of the first recorded navigation source. The source then provides all quantities of the new log.
 fn replace_log(spec: &mut RigSpec, log: &std::path::Path) -> Result<(), Failure> {
     for source in &mut spec.nav.sources {
         if let NavInputSpec::Log { path, .. } | NavInputSpec::Csv { path } = &mut source.input {

@@ -32,7 +32,7 @@ pub(crate) struct RunArgs {
     pub(crate) seconds: Option<f64>,
 }
 
-/// Path of the quickstart, in the working folder or in the source folder of the build.
+/// Path of the quickstart configuration, in the working folder or in the source folder of the build.
 fn quickstart() -> Result<PathBuf, Failure> {
     let built = Path::new(env!("CARGO_MANIFEST_DIR")).join(QUICKSTART);
     [PathBuf::from(QUICKSTART), built].into_iter().find(|path| path.exists()).ok_or_else(|| {
@@ -42,7 +42,7 @@ fn quickstart() -> Result<PathBuf, Failure> {
     })
 }
 
-/// Describes navigation sources, seabed and sonars, a line each.
+/// Describes navigation sources, seabed and sonars, one line each.
 fn describe(spec: &RigSpec) -> Vec<String> {
     let mut lines = Vec::new();
     for source in &spec.nav.sources {
@@ -90,7 +90,7 @@ fn describe(spec: &RigSpec) -> Vec<String> {
     lines
 }
 
-/// Prints a line. The daemon goes on where nobody reads its standard output any more.
+/// Prints a line. Errors are ignored, so that the daemon continues after its standard output is closed.
 fn print_line(line: &str) {
     let _ = writeln!(io::stdout(), "{line}");
 }
@@ -101,7 +101,7 @@ pub(crate) fn main(args: &RunArgs) -> Result<(), Failure> {
         None => quickstart()?,
     };
     let mut spec = load(&path, &args.set)?;
-    // The quickstart's control port is not a choice of the user: another one will do.
+    // The user did not choose the control port of the quickstart, so any free port is acceptable.
     spec.control.or_any_port = args.config.is_none();
     let stop = Arc::new(AtomicBool::new(false));
     signals::stop_on_signals(&stop).map_err(Failure::running)?;

@@ -16,7 +16,7 @@ use echotank_scene::read::mesh::{self, MeshAxes};
 use echotank_scene::read::relief;
 use echotank_scene::read::survey::{Layout, Lookup, Survey};
 
-/// Printed depth percentiles, as shares.
+/// Printed depth percentiles, as fractions.
 const PERCENTILES: [f64; 7] = [0.0, 0.01, 0.05, 0.5, 0.95, 0.99, 1.0];
 
 #[derive(Args, Clone, Debug)]
@@ -147,7 +147,7 @@ fn print_json(value: &Value) {
     println!("{value:#}");
 }
 
-/// Writes the shaded relief and returns its caption.
+/// Writes the shaded relief. Returns its caption.
 fn write_relief(path: &Path, survey: &Survey) -> Result<String, String> {
     let picture = relief::draw(&survey.field);
     let failed = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());

@@ -54,7 +54,7 @@ pub(crate) fn main(args: &ScoreArgs) -> Result<(), Failure> {
     }
 }
 
-/// Printed entries of each list.
+/// Maximum number of printed entries of each list.
 const MAX_LINES: usize = 20;
 
 fn print(score: &Score) {

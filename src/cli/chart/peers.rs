@@ -11,20 +11,20 @@ use super::super::Failure;
 /// Default output of `tools/peers`, relative to the working folder.
 pub(crate) const FILE: &str = "out/peers/points.json";
 
-/// One program at one setting, measured on its own scatterers.
+/// Measurement of one program at one setting on its own scatterers.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 pub(crate) struct Peer {
     pub(crate) name: String,
     pub(crate) scatterers: f64,
     pub(crate) elements: f64,
     pub(crate) milliseconds: f64,
-    /// Relative to the exact value of the sum that the program approximates.
+    /// Error relative to the exact value of the sum that the program approximates.
     pub(crate) error: f64,
     pub(crate) threads: f64,
     pub(crate) load: f64,
 }
 
-/// Reads the measurements; empty if no file is named and the default does not exist.
+/// Reads the measurements. Returns an empty list if no file is named and the default file does not exist.
 pub(crate) fn read(asked: Option<&Path>) -> Result<Vec<Peer>, Failure> {
     let path = match asked {
         Some(path) => path,
@@ -64,7 +64,7 @@ impl Peer {
         self.milliseconds * here * self.threads / (self.scatterers * self.elements)
     }
 
-    /// Tooltip and report text.
+    /// Text of the tooltip and the report.
     pub(crate) fn description(&self, chart: &Chart) -> String {
         format!(
             "{}\n{:.2} ms for {} scatterers and {} elements on {} threads, load {:.1}; scaled to this scene {:.1} ms\nerror {:.1e} of its own sum, static platform",

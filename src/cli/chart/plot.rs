@@ -1,6 +1,6 @@
-//! The plots: error against run time, and run time against work.
+//! Plots of error against run time, and of run time against work.
 //!
-//! SVG is written directly: the page needs `data-` attributes on every mark and labels placed clear of each other, which plotters lacks.
+//! SVG is written directly, because plotters supports neither `data-` attributes on marks nor labels that avoid each other.
 
 use std::fmt::Write;
 
@@ -17,7 +17,7 @@ const WIDTH: f64 = 1200.0;
 const HEIGHT: f64 = 768.0;
 const LABEL: f64 = 11.0;
 
-/// Colours that people with any colour vision tell apart (Okabe and Ito 2008).
+/// Colours that people with any colour vision can distinguish (Okabe and Ito 2008).
 fn colour(synthesis: Synthesis) -> &'static str {
     match synthesis {
         Synthesis::Reference => "#000000",
@@ -36,7 +36,7 @@ struct Axes {
     top: f64,
     width: f64,
     height: f64,
-    /// Lower and upper limit, decades.
+    /// Lower and upper limit of an axis, decades.
     x: (f64, f64),
     y: (f64, f64),
 }
@@ -140,7 +140,7 @@ fn measured(chart: &Chart) -> impl Iterator<Item = (usize, &Row, &Measured)> {
         .filter_map(|(k, row)| Some((k, row, row.outcome.as_ref().ok()?)))
 }
 
-/// Smaller errors are drawn at these limits, relative and dB.
+/// Limits at which smaller errors are drawn, relative and dB.
 const MIN_ERROR: f64 = 1e-8;
 const MIN_DB: f64 = 1e-4;
 
@@ -179,7 +179,7 @@ pub(crate) fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
         "relative error of element samples",
         12.0,
     );
-    // Errors below the reference solution's own error are not significant.
+    // Errors below the error of the reference solution are not significant.
     if let Some((error, _)) = chart.reference_error {
         let (_, y) = main.at(1.0, error);
         let bottom = main.top + main.height;
@@ -286,7 +286,7 @@ fn occupied(axes: &Axes, chart: &Chart, peers: &[Peer], period_ms: f64) -> Vec<B
     ours.chain(theirs).map(around).chain(lines).collect()
 }
 
-/// Draws other software at its time scaled to this scene.
+/// Draws the measurements of other software at their times scaled to this scene.
 fn draw_peers(svg: &mut Svg, axes: &Axes, chart: &Chart, peers: &[Peer], taken: &mut Vec<Box4>) {
     for peer in peers {
         let (x, y) = axes.at(peer.here_ms(chart), peer.error.max(MIN_ERROR));
@@ -306,7 +306,7 @@ fn front(svg: &mut Svg, axes: &Axes, chart: &Chart) {
         .map(|(_, _, m)| (m.times.median_ms, m.errors.elements.max(MIN_ERROR)))
         .collect();
     front.sort_by(|a, b| a.0.total_cmp(&b.0));
-    // The front is a step function: a smaller error is reached only at the next point's time.
+    // The front is a step function: a smaller error is reached only at the time of the next point.
     let mut steps: Vec<(f64, f64)> = Vec::new();
     for &(ms, error) in &front {
         if let Some(&(_, last)) = steps.last() {
@@ -377,7 +377,7 @@ fn points(
     }
 }
 
-/// Labels the configured and selected methods and those on the front, where there is space.
+/// Labels the configured and selected methods and the methods on the front, if space permits.
 fn labels(svg: &mut Svg, axes: &Axes, chart: &Chart, taken: &mut Vec<Box4>) {
     // The configured and the selected method are placed first.
     let chosen = |row: &Row| row.configured || row.planned_ms.is_some();
@@ -454,7 +454,7 @@ fn legend(svg: &mut Svg, chart: &Chart, peers: bool) {
     }
 }
 
-/// Colours of the methods in the cost chart, which may share a synthesis.
+/// Colours of the methods in the cost chart, which can share a synthesis.
 const CURVES: [&str; 3] = ["#0072b2", "#d55e00", "#009e73"];
 
 fn nth_colour(methods: &[Method], curve: &Curve) -> &'static str {

@@ -12,7 +12,7 @@ use super::peers::Peer;
 /// The machine and ping period of a chart.
 pub(crate) struct About {
     pub(crate) machine: String,
-    /// Load average before and after.
+    /// Load average before and after the measurement.
     pub(crate) load: (Option<f64>, Option<f64>),
     /// Ping period at the configured rate, milliseconds.
     pub(crate) period_ms: f64,
@@ -27,7 +27,7 @@ impl About {
     }
 }
 
-/// One line with the values common to all methods.
+/// One line with the values that are common to all methods.
 pub(crate) fn subtitle(chart: &Chart, about: &About) -> String {
     let reference = match chart.reference_error {
         Some((error, samples)) => {

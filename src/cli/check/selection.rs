@@ -1,4 +1,4 @@
-//! The report of selected methods that `echotank check` prints, and the calibration of costs.
+//! Report of the selected methods in `echotank check`, and calibration of costs.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -16,14 +16,14 @@ use echotank_ping::threads::pool;
 use echotank_runtime::calibrate::{self, Calibration};
 use echotank_runtime::first_pings::{FirstPing, first};
 
-/// Default displacement allowed in images, range cells, where no output carries element samples.
+/// Default displacement allowed in images, range cells, if no output carries element samples.
 const IMAGE_CELLS: f64 = 0.1;
 
-/// The selected methods of one sonar at its first ping.
+/// Selected methods of one sonar at its first ping.
 struct SonarSelection<'a> {
     sonar: &'a SonarSpec,
     first: FirstPing,
-    /// The selection under an image tolerance instead, where no output carries element samples but the tolerance is set for them.
+    /// Alternative selection with an image tolerance. Present if no output carries element samples but the tolerance refers to them.
     for_pictures: Option<Ranking>,
     period_ms: f64,
     threads: usize,
@@ -85,7 +85,7 @@ fn select_for_images(
     rank(&scene, &[])
 }
 
-/// The report as text, a few lines per sonar; `all` adds every candidate.
+/// Formats the report as text, a few lines per sonar. `all` adds every candidate.
 pub(crate) fn text(spec: &RigSpec, all: bool) -> Result<String, Failure> {
     let (costs, selections) = select_methods(spec)?;
     let mut text = String::new();
@@ -224,7 +224,7 @@ fn displaced(ranking: &Ranking, candidate: &Candidate) -> String {
     }
 }
 
-/// Which outputs carry element samples, and what a cheaper output would save.
+/// Outputs that carry element samples, and the saving of a cheaper output.
 fn output(selection: &SonarSelection) -> String {
     let sonar = selection.sonar;
     let lines = &sonar.beams.lines;
@@ -248,7 +248,7 @@ fn output(selection: &SonarSelection) -> String {
     text
 }
 
-/// The report as JSON.
+/// Formats the report as JSON.
 pub(crate) fn json(spec: &RigSpec) -> Result<String, Failure> {
     let (costs, selections) = select_methods(spec)?;
     let sonars: Vec<Value> = selections.iter().map(sonar_json).collect();

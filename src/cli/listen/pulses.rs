@@ -17,17 +17,17 @@ use echotank_runtime::clock::{Clock, SystemClock};
 use echotank_runtime::histograms::LatencyHistogram;
 use echotank_runtime::io::control::client;
 
-/// No trigger is pending.
+/// Value of `sent_ns` if no trigger is pending.
 const NONE: i64 = i64::MIN;
 
-/// How a trigger is sent.
+/// Link over which triggers are sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum TriggerLink {
     /// `[sonar.trigger] source = "udp"`.
     Udp,
     /// `[sonar.trigger] source = "tcp"`.
     Tcp,
-    /// A request over HTTP control, as `echotank ctl trigger` sends it; the ping starts at the sonar's ping period.
+    /// A request over HTTP control, like `echotank ctl trigger`. The ping starts at the ping period of the sonar.
     Control,
 }
 
@@ -57,9 +57,9 @@ impl FromStr for TriggerTo {
     }
 }
 
-/// Sends triggers at random times until dropped.
+/// Trigger generator with random intervals, active until dropped.
 pub(crate) struct Pulses {
-    /// Host time of the pending trigger, nanoseconds; `NONE` once its first sample has arrived.
+    /// Host time of the pending trigger, ns since 1970; `NONE` once the first sample has arrived.
     sent_ns: Arc<AtomicI64>,
     sent: Arc<AtomicI64>,
     stop: Arc<AtomicBool>,
@@ -68,7 +68,7 @@ pub(crate) struct Pulses {
 }
 
 impl Pulses {
-    /// Sends triggers at intervals of 0.5 to 1.5 times `every`.
+    /// Starts to send triggers at intervals of 0.5 to 1.5 times `every`.
     pub(crate) fn start(to: TriggerTo, every: Duration) -> Result<Self, Failure> {
         let mut send = sender(to).map_err(Failure::running)?;
         let stop = Arc::new(AtomicBool::new(false));
@@ -97,7 +97,7 @@ impl Pulses {
         })
     }
 
-    /// Records the arrival of a ping's first sample, host time in nanoseconds.
+    /// Records the arrival of the first sample of a ping. `now_ns` is host time, ns since 1970.
     pub(crate) fn first_sample(&self, now_ns: i64) {
         let sent_ns = self.sent_ns.swap(NONE, Ordering::AcqRel);
         if sent_ns != NONE {
@@ -122,7 +122,7 @@ impl Drop for Pulses {
     }
 }
 
-/// Opens the link; the returned closure sends one trigger.
+/// A function that sends one trigger.
 type Sender = Box<dyn FnMut() -> std::io::Result<()> + Send>;
 
 fn sender(to: TriggerTo) -> std::io::Result<Sender> {
@@ -169,7 +169,7 @@ mod tests {
         }
         let sent_ns = pulses.sent_ns.load(Ordering::Acquire);
         pulses.first_sample(sent_ns + 1_500_000);
-        // No trigger is pending for this one.
+        // No trigger is pending for this sample.
         pulses.first_sample(sent_ns + 9_000_000);
         let figures = pulses.to_first_sample.figures();
         assert_eq!(figures.count, 1);

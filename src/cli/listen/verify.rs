@@ -69,14 +69,14 @@ pub(crate) fn main(args: &ListenArgs, record_types: &[u32]) -> Result<(), Failur
     }
     ended.map_err(Failure::running)?;
     match (early, lost) {
-        // --seconds have not passed.
+        // The connection closed before `--seconds` had passed.
         (true, _) => Err(Failure::Running("the server closed the connection".into())),
         (_, 0) => Ok(()),
         (_, lost) => Err(Failure::Running(format!("{lost} records lost"))),
     }
 }
 
-/// Prints the counts; returns the number of lost records.
+/// Prints the counts. Returns the number of lost records.
 fn print(listener: &Listener, took: Duration) -> u64 {
     let mut lost = 0;
     for (sequence, tally) in listener.accounting.tallies() {

@@ -1,4 +1,4 @@
-//! `echotank listen --vita49`: latency of a ping's first sample after its pulse, and of every packet after its last sample.
+//! `echotank listen --vita49`: latency of the first sample of a ping after its pulse, and of every packet after its last sample.
 
 use std::collections::HashMap;
 use std::net::{SocketAddr, UdpSocket};
@@ -10,10 +10,10 @@ use super::{Failure, ListenArgs, print_spread};
 use echotank_runtime::clock::{Clock, SystemClock};
 use echotank_runtime::histograms::LatencyHistogram;
 
-/// Requested socket buffer: one second of 8 elements at 40 kS/s.
+/// Size of the requested socket buffer, bytes: one second of 8 elements at 40 kS/s.
 const RECEIVE_BUFFER_BYTES: usize = 2 << 20;
 const LONGEST_DATAGRAM: usize = 65_536;
-/// Packet counts of a stream wrap at this value.
+/// Modulus of the packet counts of a stream.
 const COUNT_MODULUS: u8 = 16;
 
 /// Counts of received packets.
@@ -22,12 +22,12 @@ struct Tally {
     streams: HashMap<u32, Stream>,
     pings: u64,
     packets: u64,
-    /// Gaps in the packet counts; the loss of 16 consecutive packets goes unseen.
+    /// Packets lost, from gaps in the packet counts. The loss of 16 consecutive packets is not detected.
     lost: u64,
     bytes: u64,
-    /// Packets that are neither data nor context, or have no timestamp.
+    /// Packets that are neither data nor context, or that have no time stamp.
     odd: u64,
-    /// Start of the newest ping's samples, UTC nanoseconds.
+    /// Start of the newest ping's samples, ns since 1970 UTC.
     ping_utc_ns: Option<i64>,
     first_is_due: bool,
 }
@@ -48,7 +48,7 @@ fn moment_bytes(format: PayloadFormat) -> usize {
 }
 
 impl Tally {
-    /// Counts a packet. Returns the nanoseconds since a ping's first sample, if the packet holds it, and since the packet's last sample.
+    /// Counts a packet. Returns the time since the first sample of the ping, if the packet contains it, and since the last sample of the packet, ns.
     fn note(&mut self, bytes: &[u8], now_ns: i64) -> (Option<i64>, Option<i64>) {
         self.bytes += bytes.len() as u64;
         let packet = Packet::parse(bytes).ok();
@@ -93,11 +93,11 @@ impl Tally {
     }
 }
 
-/// Receives datagrams at an address and prints their latencies.
+/// Receives datagrams at an address and prints the latencies.
 pub(crate) fn main(args: &ListenArgs) -> Result<(), Failure> {
     let address: SocketAddr = args.address.parse().map_err(Failure::running)?;
     let socket = UdpSocket::bind(address).map_err(Failure::running)?;
-    // The system may grant less.
+    // The kernel may grant less.
     let _ = socket2::SockRef::from(&socket).set_recv_buffer_size(RECEIVE_BUFFER_BYTES);
     println!(
         "listening at {}",

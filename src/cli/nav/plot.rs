@@ -1,4 +1,4 @@
-//! A plot of a navigation log: the track on the left, attitude and heave over time on the right.
+//! Plot of a navigation log: the track on the left, attitude and heave over time on the right.
 
 use std::path::Path;
 
@@ -16,9 +16,9 @@ const LINE: RGBColor = RGBColor(20, 80, 160);
 const START: RGBColor = RGBColor(0, 150, 60);
 const END: RGBColor = RGBColor(200, 40, 30);
 const GRID: RGBColor = RGBColor(228, 228, 228);
-/// Samples farther apart than this many median intervals are not joined.
+/// Distance between samples, in median intervals, beyond which they are not joined.
 const GAP_INTERVALS: f64 = 5.0;
-/// Time is divided into this many columns; each keeps its first, extreme and last samples.
+/// Number of columns on the time axis. Each column keeps its first, extreme and last samples.
 const COLUMNS: f64 = 1200.0;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
@@ -79,7 +79,7 @@ fn draw(svg: &mut String, report: &LogReport) -> Result<(), PlotError> {
     Ok(())
 }
 
-/// One quantity over seconds since the first sample. `wraps`: steps over 180 are not joined.
+/// Draws one quantity over seconds since the first sample. With `wraps`, steps over 180 are not joined.
 fn panel(
     area: &Area,
     title: &str,
@@ -117,7 +117,7 @@ fn panel(
     };
     let column = |p: &Point| (p.0 / span_s * COLUMNS) as i64;
     for run in points.chunk_by(joined) {
-        // A run of one sample has no line, so every run is marked at its start.
+        // A run of one sample has no line, so the start of every run is marked.
         chart.draw_series(run.first().map(|p| Circle::new(*p, 1, LINE.filled())))?;
         let kept = run
             .chunk_by(|a, b| column(a) == column(b))
@@ -136,7 +136,7 @@ fn extremes(points: &[Point]) -> impl Iterator<Item = Point> {
     kept.into_iter().flatten().copied()
 }
 
-/// North over east, metres, at one scale.
+/// Draws north over east, metres, with equal scales.
 fn track(area: &Area, samples: &[NavSample]) -> Result<(), PlotError> {
     let mut plane = None;
     let mut points: Vec<Point> = Vec::new();
@@ -194,7 +194,7 @@ fn track(area: &Area, samples: &[NavSample]) -> Result<(), PlotError> {
         .bold_line_style(GRID)
         .light_line_style(TRANSPARENT)
         .draw()?;
-    // Steps shorter than half a pixel are not drawn: a vessel at rest logs many.
+    // Steps shorter than half a pixel are not drawn, because a vessel at rest logs many of them.
     points.dedup_by(|b, a| (b.0 - a.0).hypot(b.1 - a.1) < metres_per_pixel / 2.0);
     chart.draw_series(LineSeries::new(points, LINE))?;
     chart.draw_series([

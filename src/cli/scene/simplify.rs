@@ -147,7 +147,7 @@ fn view(args: &SimplifyArgs, apex_m: DVec3) -> View {
     }
 }
 
-/// Applies Lambert's law for one sonar position to the amplitudes.
+/// Multiplies the amplitudes by the angle factor of Lambert's law for one sonar position.
 fn face(kept: &mut Scatterers, apex_m: DVec3) {
     for i in 0..kept.len() {
         let ray = (kept.position_m(i) - apex_m).normalize_or_zero();

@@ -13,7 +13,7 @@ use serde_json::Value;
 
 use super::config_refuses::difference;
 
-/// Configurations of tests/data/config that are accepted.
+/// Names of the accepted configurations in tests/data/config.
 const ACCEPTED: [&str; 4] = ["minimal", "everything", "towed", "streaming"];
 
 fn load(path: &Path) -> RigSpec {
@@ -28,7 +28,7 @@ fn parse(text: &str) -> RigSpec {
     parsed(text).unwrap_or_else(|errors| panic!("{errors}"))
 }
 
-/// A configuration of tests/data/config.
+/// Text of a configuration in tests/data/config.
 fn text_of(name: &str) -> String {
     let path = repository().join(format!("tests/data/config/{name}.toml"));
     fs::read_to_string(path).expect("readable")
@@ -40,7 +40,7 @@ fn minimal() -> String {
 
 // ---------------------------------------------------------------- what the keys mean
 
-/// A line of a specification without the last digits of an angle's sine, which differ between machines.
+/// Rounds the number in a line of a specification, because the last digits of an angle's sine differ between machines.
 fn rounded(line: &str) -> String {
     let (head, last) = line.rsplit_once(' ').unwrap_or(("", line));
     match last.trim_end_matches(',').parse::<f64>() {
@@ -49,7 +49,7 @@ fn rounded(line: &str) -> String {
     }
 }
 
-/// `NAME.txt` holds the whole specification of `NAME.toml`. ECHOTANK_BLESS=1 in the environment rewrites it for review.
+/// `NAME.txt` holds the whole specification of `NAME.toml`. The environment variable ECHOTANK_BLESS=1 rewrites the file for review.
 #[test]
 fn each_accepted_configuration_sets_its_whole_specification() {
     let root = format!("{}/", repository().display());
@@ -78,7 +78,7 @@ fn overload_stretches_on_request_and_degrades_to_looser_tolerances() {
 
 #[test]
 fn units_are_shifted_without_rounding_twice() {
-    // For some of these, multiplying by 1e-3 or dividing by 1e3 is one bit off.
+    // For some of these numbers, multiplying by 1e-3 or dividing by 1e3 is one bit off.
     for digits in ["0.9", "2.1", "4.9", "5.9e0", "59e-1", "1_000.7", "4"] {
         let text = minimal().replace("duration_ms = 2.0", &format!("duration_ms = {digits}"));
         let text = text.replace("sample_rate_khz = 40.0", "sample_rate_khz = 400.7");
@@ -248,13 +248,13 @@ fn a_default_in_the_template_may_be_uncommented_and_changes_nothing() {
         };
         let is_default = line.ends_with("; the default")
             || lines[i.saturating_sub(1)].ends_with("; the default]");
-        // Keys that have an effect only with another choice are refused without it.
+        // Keys that have an effect only with another choice are refused without this choice.
         let only_beside = lines[..i]
             .iter()
             .rev()
             .take_while(|l| l.starts_with("# ") && !l.contains(" = ") || l.contains("Only with"))
             .any(|l| l.contains("Only with"));
-        // The same for keys of a table that is itself commented out.
+        // The same holds for keys of a table that is itself commented out.
         let is_header = |l: &&&str| {
             let text = l.trim_start_matches("# ");
             text.starts_with('[') && text.ends_with(']') && !text.contains(' ')
@@ -393,7 +393,7 @@ fn accepted_configurations_are_valid_under_the_schema() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 600, ..ProptestConfig::default() })]
 
-    /// Replaces single values: accepted means valid, so an editor with the schema never marks a correct value.
+    /// Replaces single values. An accepted value is valid, so an editor with the schema never marks a correct value.
     #[test]
     fn a_changed_configuration_that_is_accepted_is_valid_under_the_schema(
         line in any::<usize>(),
@@ -482,7 +482,7 @@ fn every_path_doppler_and_synthesis_is_selected_by_its_name() {
     assert_eq!(spec.tolerance, 2e-5);
 }
 
-/// The fast engine where it certainly reaches its tolerance, otherwise the exact sum.
+/// The default is the fast engine if it is certain to reach its tolerance, otherwise the exact sum.
 #[test]
 fn the_default_synthesis_is_an_engine_with_the_filter_and_the_direct_sum_without() {
     let chosen = |filter: &str, doppler: &str| {

@@ -11,7 +11,7 @@ fn broken_dir() -> PathBuf {
     echotank_testing::repository().join("tests/data/config/broken")
 }
 
-/// The `NN-name.toml` of the folder, in order.
+/// Files `NN-name.toml` of the folder, in order.
 fn broken_files() -> Vec<PathBuf> {
     let mut files: Vec<_> = fs::read_dir(broken_dir())
         .expect("folder of broken configurations")
@@ -22,7 +22,7 @@ fn broken_files() -> Vec<PathBuf> {
     files
 }
 
-/// What tells `got` from the text of a file. ECHOTANK_BLESS=1 in the environment rewrites the file for review.
+/// Difference between `got` and the text of a file. The environment variable ECHOTANK_BLESS=1 rewrites the file for review.
 pub(crate) fn difference(file: &Path, got: &str) -> Option<String> {
     if std::env::var_os("ECHOTANK_BLESS").is_some() {
         fs::write(file, got).expect("writable");
@@ -159,7 +159,7 @@ fn a_file_that_cannot_be_read_is_named_with_the_reason() {
     );
 }
 
-/// A template with a few bytes inserted, removed or changed: refused or accepted, never a panic.
+/// A template with a few bytes inserted, removed or changed.
 fn mutated(seed_bytes: &[(usize, u8, u8)]) -> String {
     let mut bytes = config::template().as_bytes().to_vec();
     for &(place, action, byte) in seed_bytes {
@@ -170,7 +170,7 @@ fn mutated(seed_bytes: &[(usize, u8, u8)]) -> String {
             2 => {
                 bytes.remove(at);
             }
-            // Uncomment lines: most of the template is comments.
+            // Uncomments lines, because most of the template is comments.
             _ => {
                 let hash = bytes[at..].iter().position(|&b| b == b'#');
                 if let Some(hash) = hash {

@@ -1,4 +1,4 @@
-//! Several sources at once: the active source, motion across failover, jumps, source states; TCP in both roles.
+//! Several sources at once: the active source, motion across failover, jumps, source states, and TCP as client and server.
 
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
@@ -41,7 +41,7 @@ fn insert(history: &mut NavHistory, source: u16, t: f64, quantity: NavQuantity) 
 
 const NORTHWARD: NavQuantity = NavQuantity::Heading { heading_rad: 0.0 };
 
-/// Metres north of the origin: the meridian's radius at 0.9 rad is 6,374,674 m.
+/// Position north of the origin, metres: the radius of the meridian at 0.9 rad is 6,374,674 m.
 fn position(north_m: f64) -> NavQuantity {
     NavQuantity::Position {
         latitude_rad: 0.9 + north_m / 6_374_674.0,
@@ -88,11 +88,11 @@ fn failover_from_a_silent_gnss_uses_the_new_lever_arm_without_interpolation() {
             assert!(across.is_err(), "no source at 11.5 s: {across:?}");
         }
     }
-    // The source is back at 20 s and trusted again at 25 s.
+    // The source returns at 20 s and is trusted again at 25 s.
     assert_eq!(history.active_source(NavChannel::Position), Some(0));
     let back = motion(&mut history, 30.0).expect("first again");
     assert!((back.pose.position_m.x - 60.0).abs() < 0.1, "{back:?}");
-    // Position and heading, there and back.
+    // Position and heading, for failover and failback.
     assert_eq!(history.counts().switches, 4);
 }
 

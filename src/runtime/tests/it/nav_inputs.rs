@@ -1,4 +1,4 @@
-//! Files, sockets and serial ports: the same log through each gives the same states.
+//! Files, sockets and serial ports: the same log gives the same states through each of them.
 
 mod datagrams;
 mod spoiled;
@@ -27,7 +27,7 @@ use serialport::{SerialPort, TTYPort};
 
 use super::{PATIENCE, eventually};
 
-/// 2014-08-01.
+/// Start of 2014-08-01.
 const DAY: UtcNs = UtcNs(1_406_851_200 * NS_PER_S);
 fn data(name: &str) -> PathBuf {
     echotank_testing::repository()
@@ -84,7 +84,7 @@ fn received(inputs: &mut NavInputs, source: usize) -> u64 {
     inputs.counters()[source].live.received
 }
 
-/// Sends datagrams to a source, each after the one before has been received.
+/// Sends datagrams to a source. Each datagram is sent after the previous one was received.
 fn send<'a>(inputs: &mut NavInputs, source: usize, datagrams: impl IntoIterator<Item = &'a [u8]>) {
     let (_, address) = inputs.listening()[0];
     let sender = UdpSocket::bind("127.0.0.1:0").expect("a port");
@@ -95,14 +95,14 @@ fn send<'a>(inputs: &mut NavInputs, source: usize, datagrams: impl IntoIterator<
     }
 }
 
-/// An instrument's end and a port, created one at a time: `ptsname` has a buffer shared by threads.
+/// Opens a pseudo-terminal: the instrument's end and a port. Only one at a time, because `ptsname` has a buffer shared by threads.
 pub(crate) fn pseudo_terminal() -> (TTYPort, TTYPort) {
     static ONE: Mutex<()> = Mutex::new(());
     let _held = ONE.lock().unwrap_or_else(PoisonError::into_inner);
     TTYPort::pair().expect("a pseudo-terminal")
 }
 
-/// The log's sentences without the recorder's stamps, as an instrument sends them.
+/// Sentences of the log without the time stamps of the recorder, as an instrument sends them.
 fn sentences() -> Vec<Vec<u8>> {
     std::fs::read(data("seapath330_90s.rvdas"))
         .expect("test data")
@@ -146,7 +146,7 @@ fn pull_all(inputs: &mut NavInputs, history: &mut NavHistory, what: &str) {
     });
 }
 
-/// Times of validity come from the messages, so different arrivals do not change the states.
+/// Compares states. Times of validity come from the messages, so different arrivals do not change the states.
 fn same(got: &[NavState], want: &[NavState]) {
     assert_eq!(got.len(), want.len());
     for (g, w) in got.iter().zip(want) {
@@ -172,7 +172,7 @@ fn udp_gives_the_states_of_the_file() {
     let (mut inputs, mut history) = opened(&spec);
     assert_eq!(inputs.listening()[0].0, "s330");
     let stream = sentences().concat();
-    // A gateway that splits sentences anywhere.
+    // Datagrams from a gateway that splits sentences anywhere.
     send(&mut inputs, 0, stream.chunks(301));
     pull_all(&mut inputs, &mut history, "udp");
     same(&states(&mut history), &from_file());
@@ -215,7 +215,7 @@ fn a_serial_port_gives_the_states_of_the_file() {
     });
     pull_all(&mut inputs, &mut history, "serial");
     let instrument = writer.join().expect("wrote all");
-    // The last ping was covered before the last sentence; data written meanwhile are still in transit.
+    // The last ping was covered before the last sentence. Data written meanwhile are still in transit.
     eventually("720 sentences", || {
         inputs.pull(UtcNs(0), &mut history);
         inputs.counters()[0].decoder.sentences >= 720
@@ -320,7 +320,7 @@ fn rig_time_is_the_messages_if_they_are_far_from_the_host_and_the_hosts_otherwis
     let near = clock(message.plus_ns(1_500_000_000));
     let mono = far.mono();
     let host = |c: &Still| Some(Timeline::through(mono, c.utc));
-    // The kernel's timestamp is real: the datagram arrived slightly before the fixed clock's time.
+    // The time stamp of the kernel is real: the datagram arrived slightly before the time of the fixed clock.
     let found = timeline_after(far.clone(), TimePolicy::Burst, zda).expect("dated");
     let earlier_ns = found.utc_minus_mono_ns - Timeline::through(mono, message).utc_minus_mono_ns;
     assert!(
@@ -407,7 +407,7 @@ fn recorded_sources_are_merged_by_arrival_and_pulled_up_to_a_time() {
         history.coverage(DAY.plus_s(12.0), DAY.plus_s(12.1)),
         Coverage::Waiting
     );
-    // 48 HDT by the gyro up to 9.984 s; the Seapath's positions up to 9.16 s.
+    // 48 HDT of the gyro up to 9.984 s; positions of the Seapath up to 9.16 s.
     let age_s = trajectory.position.last().map(|k| utc.plus_s(k.time_s));
     assert_eq!(age_s, Some(DAY.plus_ns(9_160_000_000)));
 }

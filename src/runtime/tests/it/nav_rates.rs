@@ -43,7 +43,7 @@ fn spec(input: NavInputSpec) -> NavSpec {
     }
 }
 
-/// Sends by the clock, late ones at once, and says how many sentences it sent.
+/// Sends on time, late sentences at once. Returns the number of sentences sent.
 fn send(mut out: impl FnMut(&[u8]), seconds: u64) -> u64 {
     let start = Instant::now();
     let mut sent = 0;

@@ -1,4 +1,4 @@
-//! A full server, and clients that have gone without a word.
+//! A full server, and clients that vanished.
 
 use std::net::{SocketAddr, TcpStream, UdpSocket};
 use std::sync::Arc;
@@ -57,7 +57,7 @@ fn the_idlest_silent_client_gives_its_seat_to_a_new_one() {
             stream
         })
         .collect();
-    // Nobody has been idle for long enough: the new client is refused.
+    // No client has been idle for long enough, so the new client is refused.
     drop(TcpStream::connect(server.local_addr()).expect("connects"));
     eventually("refused", || server.report().refused == 1);
     std::thread::sleep(2 * times.seat_idle);
@@ -69,7 +69,7 @@ fn the_idlest_silent_client_gives_its_seat_to_a_new_one() {
     assert!(subscriber.command(Command::Range { range_m: 80.0 }).is_ok());
 }
 
-/// A topside that was killed: its subscription would otherwise last for an hour.
+/// A killed UDP client would otherwise stay subscribed for an hour.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_udp_client_whose_port_is_closed_leaves_and_the_others_lose_nothing() {
@@ -112,7 +112,7 @@ fn a_udp_client_whose_port_is_closed_leaves_and_the_others_lose_nothing() {
     assert_eq!(counts.records_dropped, 0, "{counts:?} of {sent} pings");
 }
 
-/// On a data port nobody sends commands, and the kernel takes what a client does not read: its records are small.
+/// Clients on a data port send no commands, and the kernel's buffer hides a client that does not read, because the records are small.
 #[test]
 fn clients_that_read_nothing_of_a_slow_stream_give_their_seats() {
     const CLIENTS: usize = 3;
@@ -145,7 +145,7 @@ fn clients_that_read_nothing_of_a_slow_stream_give_their_seats() {
         record_type: 0,
         bytes: vec![0; RECORD_BYTES],
     });
-    // The kernel alone would take all of this for a client that does not read.
+    // The kernel alone would accept all these records for a client that does not read.
     for _ in 0..RECORDS {
         server.deliver(std::slice::from_ref(&record));
         let mut bytes = [0; RECORD_BYTES];
@@ -164,7 +164,7 @@ fn clients_that_read_nothing_of_a_slow_stream_give_their_seats() {
     assert_eq!(gone, 1, "{left:?}");
 }
 
-/// A client asks for its records to be sent to the server itself, whose echoes of commands would be commands again.
+/// A client asks the server to send records to the server's own port. Echoes of commands would then be received as commands.
 #[test]
 fn a_server_sends_nothing_to_its_own_port() {
     let server = server(8, ServerTimes::default());

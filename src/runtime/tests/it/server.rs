@@ -1,4 +1,4 @@
-//! The server over loopback sockets: several clients, slow and vanished ones, garbage, UDP.
+//! The server over loopback sockets: several clients, slow and vanished clients, garbage, UDP.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpStream, UdpSocket};
@@ -20,7 +20,7 @@ use echotank_testing::wire::*;
 
 use super::{PATIENCE, eventually};
 
-/// Times of a server that soon gives up waiting for the rest of a command.
+/// Timeouts of a server that waits only briefly for the rest of a command.
 fn impatient() -> ServerTimes {
     ServerTimes {
         stall: Duration::from_millis(50),
@@ -88,7 +88,7 @@ impl Rig {
         records
     }
 
-    /// Waits until nothing is queued for these clients: then all sent records are counted.
+    /// Waits until nothing is queued for these clients, so that all sent records are counted.
     fn settle(&self, peers: &[SocketAddr]) {
         eventually("all counted", || {
             peers.iter().all(|&peer| {
@@ -133,7 +133,7 @@ fn three_clients_get_their_own_records_and_one_that_never_reads_only_loses_its_o
     let mut lines = rig.client(&[7007, 1012]);
     let idle = socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::STREAM, None);
     let idle = idle.expect("a socket");
-    // Otherwise a machine with large buffers would take everything.
+    // A machine with large buffers would otherwise accept everything.
     idle.set_recv_buffer_size(64 << 10).expect("a buffer");
     idle.connect(&rig.address().into()).expect("connects");
     let mut idle = TcpStream::from(idle);
@@ -190,7 +190,7 @@ fn three_clients_get_their_own_records_and_one_that_never_reads_only_loses_its_o
             assert!(client.queued_bytes <= (1 << 20), "{client:?}");
         } else {
             assert_eq!(counts.records_dropped, 0, "{counts:?}");
-            // Two per ping, and the acknowledgement.
+            // Two records per ping, and the acknowledgement.
             assert_eq!(counts.records_sent, 2 * u64::from(PINGS) + 1);
         }
     }
@@ -274,7 +274,7 @@ fn garbage_is_counted_at_its_sender_and_does_not_affect_others() {
     .into_iter()
     .enumerate()
     {
-        // The offender itself is still served: garbage without a valid record after it counts as one error, however long.
+        // The noisy client is still served. Garbage without a valid record after it counts as one error, whatever its length.
         let range_m = 20.0 + number as f32;
         noisy.write_all(&garbage).expect("sent");
         noisy
@@ -302,7 +302,7 @@ fn a_setting_over_the_wire_is_in_the_snapshot_once_acknowledged_and_echoed_to_li
     let rig = Rig::new(|_| {});
     let mut listener = rig.client(&[7500]);
     let mut operator = rig.client(&[]);
-    // The listener receives its own subscription too.
+    // The listener also receives the echo of its own subscription.
     assert_eq!(next(&mut listener).record_type(), 7500);
     for k in 1..=50 {
         let range_m = 10.0 + k as f32;

@@ -29,7 +29,7 @@ fn every_jsf_setting_that_the_model_has_is_obeyed_by_the_next_ping() {
     // Half the amplitude of the largest level, 220 dB; 20 times the amplitude.
     assert!((s.source_level_db - (220.0 + 20.0 * 0.5_f64.log10())).abs() < 1e-9);
     assert!((s.gain_db - 20.0 * 20.0_f64.log10()).abs() < 1e-9);
-    // Stop, start, once.
+    // Stop, start, and a single ping.
     assert_eq!(client.set(t::PING, 0, N(0)), None);
     assert!(!client.store.snapshot().0.pinging);
     assert_eq!(client.get(t::PING, 0), N(0));
@@ -39,7 +39,7 @@ fn every_jsf_setting_that_the_model_has_is_obeyed_by_the_next_ping() {
     assert!(!client.store.snapshot().0.pinging, "and then none");
     assert_eq!(client.set(t::PING, 0, N(1)), None);
     assert_eq!(client.get(t::PING, 0), N(1));
-    // A foreign trigger, and back.
+    // An external trigger, and back to the internal one.
     assert_eq!(client.set(t::PING_TRIGGER, 0, N(trigger::EXTERNAL)), None);
     assert_eq!(client.store.trigger(), TriggerSource::External);
     assert_eq!(client.get(t::PING_TRIGGER, 0), N(trigger::EXTERNAL));
@@ -74,7 +74,7 @@ fn jsf_settings_without_a_model_are_kept_and_reported() {
         assert_eq!(client.get(kind, channel), value, "{kind}");
     }
     assert_eq!(client.store.snapshot().0, before, "no ping knows of them");
-    // 83 switches a channel's data off and on.
+    // Message 83 switches the data of a channel off and on.
     use echotank_emit::jsf::session::is_active;
     let active = |channel| is_active(client.store.as_ref(), 20, channel);
     assert_eq!([0, 1, 2].map(active), [false, true, true]);
@@ -178,7 +178,7 @@ fn a_partial_jsf_command_waits_and_the_body_of_a_get_is_ignored() {
     assert!(client.send(&bytes[17..]).is_empty());
     assert!(!client.session.is_waiting());
     assert_eq!(client.store.snapshot().0.range_m, 60.0);
-    // A GET with a body.
+    // A GET command with a body.
     let mut bytes = Vec::new();
     control(command_type::SET, t::PING_RANGE, 20, 0, N(-1)).emit(&mut bytes);
     bytes[6] = command_type::GET;
@@ -189,7 +189,7 @@ fn a_partial_jsf_command_waits_and_the_body_of_a_get_is_ignored() {
     client.send(&rubbish);
     assert_eq!(client.store.snapshot().0.range_m, 61.0);
     assert_eq!(client.session.counts().framing_errors, 1);
-    // An unterminated command is abandoned, and the following ones are found.
+    // An unterminated command is abandoned, and the following commands are found.
     let mut hidden = bytes[..20].to_vec();
     hidden[12] = 200;
     control(command_type::SET, t::PING_RANGE, 20, 0, N(62_000)).emit(&mut hidden);
@@ -230,7 +230,7 @@ fn a_switch_command_sets_range_and_gain_and_asks_for_one_side_of_one_ping() {
     let version = store.version();
     session.receive(&switch(50, 50, Side::Port), TRANSMIT_UTC, &mut Vec::new());
     assert_eq!(store.version(), version, "told again, nothing changes");
-    // An idle sonar makes one ping for it.
+    // An idle sonar makes one ping for the request.
     use echotank_core::settings::SettingChange;
     store
         .apply(SettingChange::Stop, TRANSMIT_UTC)

@@ -1,4 +1,4 @@
-//! A flat bottom, written by every family and read back: depths and slant ranges to one sample.
+//! A flat bottom, written by every family and read back: depths and slant ranges agree to one sample.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ use super::rig::*;
 use echotank_testing::wire::*;
 
 const DEPTH_M: f64 = 31.5;
-/// Samples of a ping, and those before the first.
+/// Number of samples of a ping, and number of sample times before the first.
 const SAMPLES: usize = 200;
 const SILENT: usize = 7;
 /// One sample of range.
@@ -29,7 +29,7 @@ fn sample_of(range_m: f64) -> usize {
     (range_m / STEP_M).round() as usize
 }
 
-/// One spike at the bottom: in each beam by its angle, in lines and elements straight down.
+/// Ping with one spike at the bottom: in each beam at its angle, in lines and elements straight down.
 fn flat() -> (PingPlan, PingOutput) {
     let mut plan = plan(5, SAMPLES);
     plan.first_sample_s = SILENT as f64 / SAMPLE_RATE_HZ;
@@ -64,13 +64,13 @@ fn flat() -> (PingPlan, PingOutput) {
     (plan, output)
 }
 
-/// The bottom of [`flat`].
+/// Bottom of [`flat`].
 const FLAT: Bottom = Bottom {
     range_of: |angle_rad| DEPTH_M / angle_rad.cos(),
     step_m: STEP_M,
 };
 
-/// State of the emitter after the command 7042.
+/// State of the emitter after the command 7042 with `flags`.
 fn told_7042(flags: u32) -> Kept {
     let store = store();
     let key = KeptKey {
@@ -183,7 +183,7 @@ fn jsf_puts_a_flat_bottom_at_its_slant_range_in_every_format_and_channel() {
                 let interval_s = f64::from(data.header.sample_interval_ns) * 1e-9;
                 let c = f64::from(data.header.sound_speed_m_per_s);
                 FLAT.holds(&what, 0.5 * c * at as f64 * interval_s, 0.0, STEP_M);
-                // A line is an envelope already; the others show whether the doubling filter was applied.
+                // A line is already an envelope; the other formats show whether the doubling filter was applied.
                 let largest = values.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
                 let want = match (channels, format) {
                     (JsfChannels::Sides, JsfFormat::Envelope) => 1.0,

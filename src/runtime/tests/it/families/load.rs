@@ -58,7 +58,7 @@ fn reader(server: &SonarServer) -> std::thread::JoinHandle<Verifier> {
     })
 }
 
-/// A client with a small window that has subscribed to elements.
+/// Connects a client with a small window that subscribes to elements.
 fn slow(server: &SonarServer) -> TcpStream {
     let socket =
         socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::STREAM, None).expect("a socket");
@@ -104,7 +104,7 @@ fn load(disconnect: bool) -> (u64, bool) {
         server.deliver(&records);
         // The third client reads one byte per ping.
         is_open = is_open && matches!(third.read(&mut byte), Ok(1));
-        // A loaded machine may not sustain 41 MB/s: send no faster than the readers, so that only the third client can lose.
+        // A loaded machine may not sustain 41 MB/s. Sending is therefore limited to the rate of the readers, so that only the third client can lose.
         let waiting = || {
             let report = server.report();
             let others = report.clients.iter().filter(|c| c.peer != peer);
@@ -135,7 +135,7 @@ fn load(disconnect: bool) -> (u64, bool) {
 #[test]
 fn two_topsides_lose_nothing_of_41_mb_a_second_while_a_third_misses_whole_records() {
     let (dropped, is_there) = load(false);
-    // 2 MB each, of which 16 MiB may be queued.
+    // 2 MB per record, of which 16 MiB can be queued.
     assert!(
         is_there && (1..u64::from(PINGS)).contains(&dropped),
         "{dropped}"
@@ -145,7 +145,7 @@ fn two_topsides_lose_nothing_of_41_mb_a_second_while_a_third_misses_whole_record
 #[test]
 fn a_topside_that_does_not_read_is_disconnected_where_the_configuration_says_so() {
     let (dropped, is_there) = load(true);
-    // The record that did not fit, and the one in transit.
+    // The record that did not fit, and the record in transit.
     assert!(
         !is_there && (1..=2).contains(&dropped),
         "{dropped} dropped, there: {is_there}"

@@ -18,19 +18,19 @@ use glam::DVec3;
 use super::rig::*;
 use echotank_testing::wire::*;
 
-/// The values of a family: degrees, metres, knots; none for values that it does not carry.
+/// Values read back from a family: degrees, metres, knots; `None` for values that the family does not carry.
 struct Said {
     family: &'static str,
     latitude: Option<f64>,
     longitude: Option<f64>,
-    /// Port up.
+    /// Positive port up.
     roll: Option<f64>,
-    /// Bow up.
+    /// Positive bow up.
     pitch: Option<f64>,
     heading: Option<f64>,
-    /// Down.
+    /// Positive down.
     heave: Option<f64>,
-    /// Half of the last digit: of latitude and longitude, of angles, of heave.
+    /// Half of the last digit of latitude and longitude, of angles, and of heave.
     steps: [f64; 3],
 }
 
@@ -317,7 +317,7 @@ fn jsf_sends_the_position_sentence_once_a_second() {
     let mut emitter = JsfEmitter::new(sheet, filter);
     let mut plan = state(54.4, 10.3, 1.0);
     let start = UtcNs(plan.stamp_utc.0.div_euclid(1_000_000_000) * 1_000_000_000);
-    // Ten seconds with four pings each: a reader that takes every sentence for a fix finds ten.
+    // Ten seconds with four pings each. A reader that takes every sentence for a fix finds ten fixes.
     let mut sentences = 0;
     for ping in 0..40 {
         plan.stamp_utc = start.plus_s(0.25 * f64::from(ping));

@@ -1,6 +1,7 @@
 //! A flat bottom through the whole pipeline (navigation, echoes, elements, beams, detection), written by every family and read back.
-//! Samples lie within one sample of its depth, detections within one sample of the pipeline's. The bottom consists of points, one per beam,
-//! so that the position of every echo is known. It is deeper to starboard, so that an exchanged side or sign shows.
+//!
+//! Samples agree with the depth to one sample, detections with those of the pipeline to one sample. The bottom consists of points, one per beam, so
+//! that the position of every echo is known. It is deeper to starboard, so that an exchanged side or sign is detected.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -48,7 +49,7 @@ const DEPTH_M: f64 = 20.0034;
 /// Additional depth to starboard.
 const SHELF_M: f64 = 1.0;
 const BEAM_STEP_DEG: f64 = 6.0;
-/// Angle to each side of the vertical.
+/// Number of beams to each side of the vertical.
 const BEAMS: i32 = 8;
 /// Strength of every point except the one straight below, which is twice as strong.
 const LEVEL_V: f64 = 0.002;
@@ -133,7 +134,7 @@ fn range_of(angle_rad: f64) -> f64 {
     (DEPTH_M + deeper) / angle_rad.cos()
 }
 
-/// The platform rests, heading east; its port is to the north.
+/// Computes a ping. The platform rests with heading east, so port is to the north.
 fn made(folder: &Path) -> (RigSpec, PingPlan, PingOutput) {
     let mut points = "north_m,east_m,down_m,amplitude\n".to_owned();
     for beam in -BEAMS..=BEAMS {
@@ -174,7 +175,7 @@ fn made(folder: &Path) -> (RigSpec, PingPlan, PingOutput) {
     (spec, plan, output)
 }
 
-/// Where the bottom lies in a ping.
+/// Expected location of the bottom in a ping.
 #[derive(Clone, Copy)]
 pub(crate) struct Bottom {
     /// Slant range at an angle from the vertical, metres; starboard positive.
@@ -198,7 +199,7 @@ impl Bottom {
         );
     }
 
-    /// In the records that know where their first sample lies.
+    /// Checks the records that state the location of their first sample.
     pub(crate) fn sevenk(self, records: &[Arc<Datagram>], output: &PingOutput) {
         let body = |id: u32| body(records, id);
         let angles = &output.beams[0].angle_rad;
@@ -270,7 +271,7 @@ impl Bottom {
         }
     }
 
-    /// In the answer to a switch command to the starboard head. `scale`: sample rate, Hz, and full scale, V.
+    /// Checks the answer to a switch command to the starboard head. `scale` is the sample rate, Hz, and the full scale, V.
     pub(crate) fn imagenex(self, scale: (f64, f64), plan: &PingPlan, output: &PingOutput) {
         const RANGE_M: u8 = 60;
         let (head, mut session) = imagenex(&store());
@@ -299,7 +300,7 @@ impl Bottom {
     }
 }
 
-/// The body of the only record of a type.
+/// Body of the only record of a type.
 fn body(records: &[Arc<Datagram>], id: u32) -> &[u8] {
     let found = records.iter().find(|r| r.record_type == id);
     let bytes = &found.unwrap_or_else(|| panic!("no {id}")).bytes;
@@ -310,7 +311,7 @@ fn on_the_bottom(family: &str, range_m: f64, angle_rad: f64, step_m: f64) {
     SHELVING.holds(family, range_m, angle_rad, step_m);
 }
 
-/// A detection: the pipeline's in that beam, to a sample.
+/// Checks that a detection agrees with the detection of the pipeline in that beam to one sample.
 fn as_found(family: &str, output: &PingOutput, range_m: f64, angle_rad: f64, step_m: f64) {
     let off = |s: &&Sounding| (s.angle_rad - angle_rad).abs();
     let sounding = output
@@ -541,7 +542,7 @@ fn every_family_puts_the_bottom_of_a_whole_ping_within_one_sample_of_its_depth()
     let (spec, plan, output) = made(folder.path());
     let sonar = &spec.sonars[0];
     assert_eq!(output.soundings.len(), 17, "a sounding a beam");
-    // The flat phase of a single point has no definite zero crossing: allow half a percent of the depth.
+    // The flat phase of a single point has no definite zero crossing, so half a percent of the depth is allowed.
     for s in &output.soundings {
         let range_m = 0.5 * SOUND_M_PER_S * s.twtt_s;
         on_the_bottom("soundings", range_m, s.angle_rad, DEPTH_M / 200.0);

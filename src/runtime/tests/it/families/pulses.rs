@@ -1,4 +1,4 @@
-//! Two pulses in one ping: the second in the families that support it.
+//! Two pulses in one ping, in the families that support a second pulse.
 
 use std::sync::Arc;
 
@@ -92,7 +92,7 @@ fn each_pulse_has_settings_and_lines_of_its_own_in_7k_under_one_ping_number() {
         let got = f64::from(second) / f64::from(own);
         assert!((got - ratio).abs() < 1e-3, "{got}, want {ratio}");
     }
-    // Each carries the end of its own transmission.
+    // Each record carries the end of its own transmission.
     let times = lines
         .iter()
         .map(|r| r.frame.time.to_utc_ns().expect("a time"));
@@ -101,7 +101,7 @@ fn each_pulse_has_settings_and_lines_of_its_own_in_7k_under_one_ping_number() {
         assert!((time - want).abs() < 4000, "{time}, want {want}");
     }
 
-    // Ping counters count it once.
+    // Ping counters count the ping once.
     let mut verifier = Verifier::default();
     for record in &records {
         let body = Record::parse(&record.bytes).expect("a record");
@@ -187,7 +187,7 @@ fn each_pulse_is_a_subsystem_of_its_own_in_jsf() {
             )
         })
         .collect();
-    // A client has switched port off in the second.
+    // A client has switched port off for the second pulse.
     let places: Vec<_> = said.iter().map(|s| s.0).collect();
     assert_eq!(places, [(20, 0), (20, 1), (21, 1)]);
     assert!(said.iter().all(|s| s.1 == 9), "one ping");
@@ -199,7 +199,7 @@ fn each_pulse_is_a_subsystem_of_its_own_in_jsf() {
         (late_s - DELAY_S).abs() < 1e-3,
         "{late_s}, to a millisecond"
     );
-    // Levels as synthesised: 0.8 and 0.6 of the first, 0.2 of the second's starboard.
+    // Levels as synthesised: 0.8 and 0.6 for the first pulse, 0.2 for starboard of the second.
     let level = |k: usize| said[k].4.expect("samples");
     for (k, ratio) in [(1, 0.75), (2, 0.25)] {
         let got = level(k) / level(0);

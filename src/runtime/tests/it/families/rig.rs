@@ -1,4 +1,4 @@
-//! JSF, XTF and Imagenex of the small sonar, and messages of their clients.
+//! JSF, XTF and Imagenex outputs of the small sonar, and messages of their clients.
 
 use std::sync::Arc;
 
@@ -38,7 +38,7 @@ pub(crate) fn jsf_sheet(channels: JsfChannels, format: JsfFormat) -> Arc<JsfShee
     })
 }
 
-/// Messages of a ping; the matched filter doubles the samples, so that its use shows.
+/// Messages of a ping. The matched filter doubles the samples, so that its use is visible.
 pub(crate) fn jsf_ping(
     channels: JsfChannels,
     format: JsfFormat,
@@ -67,7 +67,7 @@ pub(crate) fn xtf_emitter(sonar: &SonarSpec) -> XtfEmitter {
     XtfEmitter::new(&XtfSpec { is_float: false }, sonar, SOUND_M_PER_S)
 }
 
-/// The command connection of one JSF client.
+/// Command connection of one JSF client.
 pub(crate) struct JsfClient {
     pub(crate) store: Arc<SettingsStore>,
     pub(crate) session: Box<dyn Session>,
@@ -92,7 +92,7 @@ impl JsfClient {
         }
     }
 
-    /// Processes bytes: returns the replies in order.
+    /// Sends bytes to the session. Returns the replies in order.
     pub(crate) fn send(&mut self, bytes: &[u8]) -> Vec<Control> {
         let mut out = Vec::new();
         self.session.receive(bytes, self.now, &mut out);
@@ -105,7 +105,7 @@ impl JsfClient {
         self.send(&bytes)
     }
 
-    /// None: accepted without a reply.
+    /// Sends a SET command. `None` if the command is accepted without a reply.
     pub(crate) fn set(&mut self, message_type: u16, channel: u8, value: Value) -> Option<Value> {
         let control = control(command_type::SET, message_type, 20, channel, value);
         let mut answers = self.command(&control);
@@ -160,7 +160,7 @@ pub(crate) fn answers(out: &[Outgoing]) -> Vec<Control> {
         .collect()
 }
 
-/// A head with its settings and one client.
+/// A head with the given settings, and one client.
 pub(crate) fn imagenex(store: &Arc<SettingsStore>) -> (Arc<Head>, Box<dyn Session>) {
     let head = Arc::new(Head::default());
     let protocol = ImagenexProtocol {

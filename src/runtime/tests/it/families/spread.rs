@@ -1,5 +1,5 @@
-//! Records received by a UDP client with a default socket buffer at 41 MB/s, sent at once and spread over the ping period; and the duration
-//! of a ping over TCP.
+//! Records received by a UDP client with a default socket buffer at 41 MB/s, if sent at once and if spread over the ping period. Also the duration of
+//! a ping over TCP.
 
 use std::io::{Read, Write};
 use std::net::{TcpStream, UdpSocket};
@@ -14,14 +14,14 @@ use super::load::{SAMPLES, frames, start};
 use echotank_testing::wire::*;
 
 const PINGS: u32 = 6;
-/// Of a record of 2 MB: 41 MB/s.
+/// Ping period: 2 MB per record give 41 MB/s.
 const PERIOD: Duration = Duration::from_millis(50);
 const PATIENCE: Duration = Duration::from_secs(60);
 const MAX_PACKET: usize = 8000;
-/// The receiver's processing time per datagram: at most 130 MB/s.
+/// Processing time of the receiver per datagram: at most 130 MB/s.
 const WORK: Duration = Duration::from_micros(60);
 
-/// Datagrams sent and received, with each ping spread over `over_s`.
+/// Number of datagrams sent and received, with each ping spread over `over_s`.
 fn sent_and_received(over_s: f64) -> (u64, u64) {
     let (server, mut emitter) = start(|spec| spec.max_packet = MAX_PACKET);
     let socket = UdpSocket::bind("127.0.0.1:0").expect("a port");
@@ -35,7 +35,7 @@ fn sent_and_received(over_s: f64) -> (u64, u64) {
         assert!(Instant::now() < patience, "subscribed");
         std::thread::sleep(Duration::from_millis(2));
     }
-    // So that it sees the end.
+    // The timeout lets the receiver detect the end.
     let end = Some(Duration::from_millis(20));
     socket.set_read_timeout(end).expect("set");
     let is_over = Arc::new(AtomicBool::new(false));
@@ -88,11 +88,11 @@ fn a_slow_udp_receiver_loses_most_of_a_burst_and_keeps_what_is_spread_over_most_
     println!("of {sent} datagrams lost: {lost} sent at once, {lost_of_spread} spread");
     assert_eq!(sent, also_sent);
     assert!(3 * lost > sent, "{lost} of {sent}: no burst");
-    // On a machine that delays the receiver for milliseconds some are still lost.
+    // A machine that delays the receiver for milliseconds still loses some datagrams.
     assert!(4 * lost_of_spread < lost, "{lost_of_spread} against {lost}");
 }
 
-/// Seconds from the first of a ping's bytes over TCP to the last, spread over `over_s`.
+/// Time from the first byte of a ping over TCP to the last, s, if the ping is spread over `over_s`.
 fn lasts_over_tcp_s(over_s: f64) -> f64 {
     let (server, mut emitter) = start(|_| {});
     server.set_paces_tcp(true);

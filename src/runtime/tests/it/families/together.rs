@@ -1,4 +1,4 @@
-//! 7k and JSF on one sonar at the same time, over sockets: each sets, and each reports what the other has changed.
+//! 7k and JSF on one sonar at the same time, over sockets: each protocol changes settings, and each reports the changes of the other.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -115,7 +115,7 @@ fn eventually(what: &str, mut holds: impl FnMut() -> bool) {
     }
 }
 
-/// The next command that is echoed to a subscriber of 7500.
+/// Next command that is echoed to a subscriber of 7500.
 fn next_echo(client: &mut SevenKClient) -> Command {
     loop {
         let record = client
@@ -134,16 +134,16 @@ fn each_protocol_reports_what_the_other_has_changed() {
     let rig = Rig::new();
     let mut topside = SevenKClient::connect(rig.sevenk.local_addr()).expect("listening");
     topside.subscribe(&[7500]).expect("subscribed");
-    // Its own subscription is echoed to it first.
+    // The first echo is the client's own subscription.
     assert!(matches!(next_echo(&mut topside), Command::Subscribe { .. }));
     let mut jsf = JsfSocket::to(&rig.commands);
-    // 7k sets, JSF reports.
+    // 7k changes a setting, JSF reports the change.
     topside
         .command(Command::Range { range_m: 42.0 })
         .expect("acknowledged");
     assert_eq!(jsf.get(message_type::PING_RANGE), Value::Number(42_000));
     assert!(matches!(next_echo(&mut topside), Command::Range { range_m } if range_m == 42.0));
-    // JSF sets; 7k echoes the equivalent command, only once.
+    // JSF changes settings; 7k echoes the equivalent command exactly once.
     for (kind, value, want) in [
         (
             message_type::PING_RANGE,
@@ -204,7 +204,7 @@ fn contradictory_commands_end_in_one_state_that_both_report() {
             Value::Number(mm),
         ));
     }
-    // Replied to after all of them.
+    // The reply follows all earlier commands.
     let _ = jsf.get(message_type::ALIVE);
     let mut topside = topside.join().expect("no panic");
     let truth = rig.store.snapshot().0.range_m;
@@ -217,7 +217,7 @@ fn contradictory_commands_end_in_one_state_that_both_report() {
     let counts = rig.store.counts();
     let refused = ROUNDS.div_ceil(3) as u64;
     assert_eq!(counts.refused, refused);
-    // Every accepted command once, and the settings that only JSF has.
+    // Every accepted command counts once, plus the settings that only JSF has.
     assert_eq!(counts.applied, ROUNDS as u64 - refused + 2 * ROUNDS as u64);
     let last = rig.store.recent().pop().expect("a change");
     assert!(["7k", "jsf"].contains(&last.asked.by.via), "{last:?}");

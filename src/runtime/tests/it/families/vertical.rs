@@ -1,4 +1,4 @@
-//! The heave, depth and altitude that a ping's records tell, against the track and the seabed of the scene.
+//! Heave, depth and altitude in the records of a ping, compared with the track and the seabed of the scene.
 
 use std::fmt::Write;
 
@@ -70,7 +70,7 @@ fn down_m(time_s: f64) -> f64 {
     30.0 + 0.12 * (std::f64::consts::TAU * time_s / 7.0).sin()
 }
 
-/// The plans of 20 pings on a track that heads north, pitched by 10 degrees.
+/// Plans of 20 pings on a track that heads north, pitched by 10 degrees.
 fn plans(vertical: &str) -> Vec<PingPlan> {
     let folder = tempfile::tempdir().expect("a folder");
     let mut track = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n".to_owned();
@@ -116,7 +116,7 @@ fn a_tracks_depth_is_told_as_heave_from_the_reference_depth() {
             let time_s =
                 plan.transmit_utc.seconds_since(start) + (start.0 % 1_000_000_000) as f64 * 1e-9;
             assert!((nav.heave_down_m - (down_m(time_s) - still_m)).abs() < 2e-3);
-            // A client that adds heave to the depth that it is told arrives at the platform's depth.
+            // A client that adds heave to the reported depth obtains the depth of the platform.
             let told_m = plan.sensor.still_depth_m.unwrap_or(0.0) + nav.heave_down_m;
             assert!((told_m + nav.height_m).abs() < 1e-9, "{told_m}");
             assert_eq!(plan.sensor.still_depth_m.is_some(), still_m != 0.0);
@@ -128,13 +128,13 @@ fn a_tracks_depth_is_told_as_heave_from_the_reference_depth() {
 fn depth_and_altitude_lie_at_the_arrays_and_add_up_to_the_bottom() {
     for plan in plans("vertical = \"depth\"\nreference_depth_m = 30.0") {
         let (sine, cosine) = 10_f64.to_radians().sin_cos();
-        // Pitched bow up: 0.5 m forward lies higher.
+        // Pitched bow up: a point 0.5 m forward is higher.
         let want_m = -plan.nav.height_m + 0.8 * cosine - 0.5 * sine;
         let sensor = plan.sensor;
         assert!((sensor.depth_m - want_m).abs() < 1e-9, "{}", sensor.depth_m);
         let altitude_m = sensor.altitude_m.expect("a bottom");
         assert!((sensor.depth_m + altitude_m - 42.0).abs() < 1e-9);
-        // The arrays lie north of the reference point: 6,367 km from the centre of curvature at most 0.6 % off.
+        // The arrays are north of the reference point. A distance of 6,367 km to the centre of curvature is at most 0.6 % off.
         let north_m = (sensor.latitude_rad - plan.nav.latitude_rad) * 6_367e3;
         let want_m = 0.5 * cosine + 0.8 * sine;
         assert!((north_m / want_m - 1.0).abs() < 1e-2, "{north_m}");

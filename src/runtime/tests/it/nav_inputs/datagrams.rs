@@ -94,7 +94,7 @@ fn a_source_receives_its_own_multicast_group_at_its_interface() {
     socket
         .set_multicast_if_v4(&Ipv4Addr::LOCALHOST)
         .expect("an interface");
-    // As IEC 61162-450 wraps them: two sentences in a datagram.
+    // IEC 61162-450 wrapping: two sentences in a datagram.
     let wrapped = [
         b"UdPbC\0\\s:HE0001,n:1*1B\\",
         HDT,
@@ -118,7 +118,7 @@ fn a_source_receives_its_own_multicast_group_at_its_interface() {
 fn a_line_of_any_rate_is_opened_at_it() {
     for (baud, line) in [
         (4800, SerialLine::default()),
-        // A rate in no table.
+        // A non-standard rate.
         (250_000, SerialLine::default()),
         (
             38_400,
@@ -135,7 +135,7 @@ fn a_line_of_any_rate_is_opened_at_it() {
             baud,
             line,
         }]);
-        // Both ends of a pseudo-terminal have one rate.
+        // Both ends of a pseudo-terminal have the same rate.
         assert_eq!(
             instrument.baud_rate().expect("known"),
             baud,
@@ -147,8 +147,8 @@ fn a_line_of_any_rate_is_opened_at_it() {
     }
 }
 
-/// 64 KiB datagrams of sentences, faster than the limit, beside a gyro that sends as gyros do: the flood is dropped, one turn takes a limited
-/// number of sentences, and the gyro is still heard.
+/// Sends 64 KiB datagrams of sentences faster than the limit, beside a gyro at its usual rate. The excess is dropped, one turn decodes a limited
+/// number of sentences, and the gyro's sentences are still received.
 #[test]
 fn a_flood_is_dropped_and_an_instrument_beside_it_is_heard() {
     const TURN_BYTES: usize = 256 * 1024;
@@ -159,7 +159,7 @@ fn a_flood_is_dropped_and_an_instrument_beside_it_is_heard() {
     }]);
     let port = inputs.listening()[0].1.port();
     let socket = sender();
-    // Of a kind that is counted and not used.
+    // A kind of sentence that is counted and not used.
     let flood = b"$GPXTE,A,A,0.67,L,N*6F\r\n".repeat(DATAGRAM_BYTES / 24);
     let (mut sent, mut most) = (0, 0);
     eventually("the flood is dropped and the gyro is heard", || {

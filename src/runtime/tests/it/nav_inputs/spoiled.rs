@@ -11,8 +11,7 @@ use echotank_runtime::faults::nav::NavFaults;
 
 use super::{PATIENCE, nav_spec, opened, send, sentences, source, udp};
 
-/// Sends all sentences of the log over UDP, split anywhere, through a fault: returns the decoder's counts and the number of injected
-/// sentences.
+/// Sends all sentences of the log over UDP, split anywhere, through a fault. Returns the decoder's counts and the number of faulty sentences.
 fn heard(fault: Option<&str>) -> (NavCounters, u64) {
     let spec = nav_spec(vec![source("s330", udp())]);
     let (mut inputs, mut history) = opened(&spec);

@@ -77,7 +77,7 @@ impl Bench {
         word.parse().unwrap_or_else(|_| panic!("{line}"))
     }
 
-    /// What the pipeline does, once.
+    /// Executes one step of the pipeline.
     fn turn(&mut self) {
         let now = self.clock.host_utc();
         let t = now.seconds_since(self.begun);
@@ -104,7 +104,7 @@ impl Bench {
         std::thread::sleep(Duration::from_millis(5));
     }
 
-    /// Received lines with the time of each, until `enough`.
+    /// Receives lines with their times until `enough` returns true.
     fn hear(
         &mut self,
         line: &mut dyn Read,
@@ -172,7 +172,7 @@ fn seconds(heard: &[Heard]) -> usize {
     kinds(heard, Kind::Zda).count()
 }
 
-/// Every sentence has this clock, this motion and this order: the pulse, the ZDA that names it, GGA, HDT.
+/// Checks the clock, the motion and the order of every sentence: the pulse, the ZDA of this pulse, GGA, HDT.
 fn check(bench: &Bench, heard: &[Heard], has_pulses: bool) {
     let mut before = None;
     for h in heard {
@@ -197,7 +197,7 @@ fn check(bench: &Bench, heard: &[Heard], has_pulses: bool) {
     for (_, r) in kinds(heard, Kind::Gga) {
         let (latitude, longitude) = r.position_rad.expect("a position");
         assert_eq!(r.fix, FixQuality::RtkFixed);
-        // Valid at the named time, whenever it arrived.
+        // The value is valid at the time in the sentence, independent of its arrival.
         let Some(When::TimeOfDay(ns)) = r.when else {
             panic!("{r:?}")
         };
@@ -220,7 +220,7 @@ fn check(bench: &Bench, heard: &[Heard], has_pulses: bool) {
         let got = r.heading_rad.expect("a heading").to_degrees();
         let want = heading_deg(at.seconds_since(bench.begun));
         let off = (got - want + 540.0).rem_euclid(360.0) - 180.0;
-        // 2 degrees per second; a busy machine may receive late.
+        // 2 degrees per second; a busy machine can receive late.
         assert!((-1.8..0.1).contains(&off), "got {got}, want {want}");
     }
 }
@@ -261,7 +261,7 @@ fn lost_pulses_and_wrong_seconds_are_exactly_those_in_the_log() {
         Some(faults.clone()),
     );
     faults.begin(bench.begun);
-    // The first whole second from now on has no pulse, the second has its own.
+    // The first whole second from now on has no pulse; the second has its own pulse.
     for json in [
         r#"{"kind": "pps-loss", "at_s": 0, "for_s": 1}"#,
         r#"{"kind": "wrong-zda", "value": -3, "at_s": 1, "for_s": 1}"#,
