@@ -2,11 +2,11 @@
 
 mod beams;
 mod footprint;
-pub(crate) mod ladder;
 mod lake;
 mod pings;
 mod single;
 mod strip;
+pub(crate) mod thinning;
 
 use std::path::PathBuf;
 
@@ -15,7 +15,7 @@ use clap::Args;
 #[derive(Args)]
 #[command(
     about = "The figures of Meng et al. 2023 from hil-configs/paper, as PNG and numbers",
-    after_help = ladder::ABOUT
+    after_help = thinning::ABOUT
 )]
 pub(crate) struct Arguments {
     /// 6: footprints of stop-and-hop and polyline, and the propagation distance; 7: incidence and direction of arrival in the polyline's
@@ -28,7 +28,7 @@ pub(crate) struct Arguments {
     #[arg(long, default_value = "out/paper")]
     out: PathBuf,
     #[command(flatten)]
-    seabeds: ladder::Options,
+    seabeds: thinning::Options,
 }
 
 pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
@@ -46,7 +46,7 @@ pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
             "11" => beams::figure_11(out),
             "17" => lake::figure_17(out),
             "18" => lake::figure_18(out),
-            _ => ladder::figure(&given.seabeds, &out.join(format!("fig{name}.png"))),
+            _ => thinning::figure(&given.seabeds, &out.join(format!("fig{name}.png"))),
         };
         let numbers = done.map_err(|error| format!("figure {name}: {error}"))?;
         let file = out.join(format!("fig{name}.json"));

@@ -1,11 +1,11 @@
 //! The paper's simplification levels in short; `tools/paper 12` is the long form.
 
-use crate::paper::ladder::measure::{Figures, Ladder, Once, POINT_COUNTS, Simplifier};
+use crate::paper::thinning::measure::{Figures, Once, POINT_COUNTS, Simplifier, Thinning};
 
 /// 4 pings and 2 seeds; `tools/paper 12` has 48 and 64.
 #[test]
 fn simplification_levels_match_the_paper_in_short() {
-    let rows = Ladder::new(4).measure(2);
+    let rows = Thinning::new(4).measure(2);
     let row = |points: usize, once: Once, simplifier: Simplifier| -> Figures {
         *rows
             .iter()

@@ -150,7 +150,7 @@ pub(crate) struct Pass {
 }
 
 /// Geometry shared by all seeds.
-pub(crate) struct Ladder {
+pub(crate) struct Thinning {
     pings: usize,
     /// Scatterers in shadow, by ping.
     hidden: Vec<Vec<bool>>,
@@ -161,7 +161,7 @@ pub(crate) struct Ladder {
 /// Seed of positions; seeds of speckle and of permanent random numbers count from 0.
 const PLACES: u64 = 1;
 
-impl Ladder {
+impl Thinning {
     pub(crate) fn new(pings: usize) -> Self {
         let cloud = cloud(0);
         let s = &cloud.scatterers;
@@ -441,11 +441,11 @@ struct Chooser {
 }
 
 impl Chooser {
-    fn new(ladder: &Ladder) -> Self {
+    fn new(thinning: &Thinning) -> Self {
         let mut energies = Energies::default();
         energies
             .curvatures
-            .clone_values(&ladder.curvatures.curvatures);
+            .clone_values(&thinning.curvatures.curvatures);
         Self {
             energies,
             selections: POINT_COUNTS.iter().map(|_| Selection::default()).collect(),

@@ -10,7 +10,7 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use crate::machine;
-use measure::{Figures, Ladder, POINT_COUNTS, Simplifier};
+use measure::{Figures, POINT_COUNTS, Simplifier, Thinning};
 
 pub(super) const ABOUT: &str = "\
 Figures 12 to 16: the paper's simplified seabeds (42,936 -> 5125 -> 3000 -> 1000 -> 176 points) with every simplifier
@@ -41,13 +41,13 @@ pub(super) fn figure(options: &Options, file: &Path) -> Result<Value, String> {
         seeds,
         times,
     } = *options;
-    let ladder = Ladder::new(pings);
+    let thinning = Thinning::new(pings);
     if times {
-        print_times(&ladder);
+        print_times(&thinning);
         return Ok(json!({ "machine": machine::describe(), "pings": pings }));
     }
-    picture::draw(&ladder, file)?;
-    let rows = ladder.measure(seeds);
+    picture::draw(&thinning, file)?;
+    let rows = thinning.measure(seeds);
     print_table(&rows);
     Ok(json!({
         "machine": machine::describe(), "pings": pings, "seeds": seeds,
@@ -75,19 +75,19 @@ fn print_table(rows: &[Figures]) {
     }
 }
 
-fn print_times(ladder: &Ladder) {
+fn print_times(thinning: &Thinning) {
     println!(
         "{:>6} {:<22} {:>12} {:>12} {:>12}",
         "points", "simplifier", "choose ms", "ping ms", "level dB"
     );
-    let (choose_ms, ping_ms, _) = ladder.time(None);
+    let (choose_ms, ping_ms, _) = thinning.time(None);
     println!(
         "{:>6} {:<22} {:>12.2} {:>12.2} {:>12}",
         "all", "-", choose_ms, ping_ms, "0"
     );
     for points in POINT_COUNTS {
         for simplifier in Simplifier::ALL {
-            let (choose_ms, ping_ms, level_db) = ladder.time(Some((simplifier, points)));
+            let (choose_ms, ping_ms, level_db) = thinning.time(Some((simplifier, points)));
             println!(
                 "{points:>6} {:<22} {choose_ms:>12.2} {ping_ms:>12.2} {level_db:>+12.2}",
                 simplifier.name()

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use echotank_config::spec::ColourMap;
 
-use super::measure::{Ladder, Once, POINT_COUNTS, Pass, Simplifier};
+use super::measure::{Once, POINT_COUNTS, Pass, Simplifier, Thinning};
 use crate::picture::{self, Grid, Look};
 
 /// Range samples per pixel, and pixel rows per ping.
@@ -14,14 +14,14 @@ const ROWS_PER_PING: usize = 3;
 const RANGE_DB: f32 = 40.0;
 
 /// Original on top; below it a row per level with columns conventional, acoustic and acoustic-unbiased.
-pub(crate) fn draw(ladder: &Ladder, file: &Path) -> Result<(), String> {
+pub(crate) fn draw(thinning: &Thinning, file: &Path) -> Result<(), String> {
     let columns = [
         (Once::Pass, Simplifier::Conventional),
         (Once::EachPing, Simplifier::Acoustic),
         (Once::EachPing, Simplifier::Unbiased),
     ];
-    let original = panel(&ladder.original());
-    let passes = columns.map(|(once, simplifier)| ladder.passes(once, simplifier));
+    let original = panel(&thinning.original());
+    let passes = columns.map(|(once, simplifier)| thinning.passes(once, simplifier));
     let panels: Vec<Vec<Grid>> = (0..POINT_COUNTS.len())
         .map(|size| passes.iter().map(|pass| panel(&pass[size].0)).collect())
         .collect();
