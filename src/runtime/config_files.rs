@@ -9,7 +9,7 @@ use echotank_config::{ConfigErrors, Files};
 /// Maximum size of a configuration and of each table that the configuration names, bytes.
 const MAX_CONFIGURATION_BYTES: u64 = 16 << 20;
 
-/// This computer's file system.
+/// File system of this computer.
 #[derive(Clone, Copy, Debug)]
 pub struct FileSystem;
 

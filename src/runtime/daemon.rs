@@ -60,7 +60,7 @@ use echotank_core::time::{MonoNs, NS_PER_S, Timeline};
 use echotank_nav::health::State as NavState;
 use echotank_ping::rig::Rig;
 
-/// Why the daemon cannot start, or why it ended.
+/// Errors of starting or running the daemon.
 #[derive(Debug, Error)]
 pub enum DaemonError {
     /// The scene, the navigation or the rig cannot be opened.

@@ -85,7 +85,7 @@ pub fn first(spec: &RigSpec, costs: &Costs) -> Result<Vec<FirstPing>, FirstPingE
 /// First plan of each sonar with the scatterers in its footprint, culled at the configured level.
 ///
 /// # Errors
-/// As [`first`].
+/// See [`first`].
 pub fn pings(spec: &RigSpec) -> Result<Vec<(PingPlan, Scatterers)>, FirstPingError> {
     match RecordedRig::open(&bare(spec)) {
         Ok(recorded) => recorded_pings(recorded),

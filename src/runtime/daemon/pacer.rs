@@ -114,7 +114,7 @@ pub(super) struct Pacer {
     pub(super) next_nav_lines: MonoNs,
 }
 
-/// What happens to the order at the front of the queue.
+/// Decision about the order at the front of the queue.
 pub(super) enum Decision {
     /// Make the ping now, in this slot.
     Make(Paced, Box<PingSlot>),
@@ -182,7 +182,7 @@ impl Pacer {
         Ok(())
     }
 
-    /// How long before its pulse a ping is ordered and computed.
+    /// Lead of the order and computation of a ping before its pulse, nanoseconds.
     pub(super) fn ahead_ns(&self) -> i64 {
         self.rig.spec.run.ahead_ns()
     }

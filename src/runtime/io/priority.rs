@@ -118,7 +118,7 @@ pub fn limit(which: Limit) -> u64 {
 
 /// Whether the kernel considers the host's clock synchronised (NTP, PTP), and the kernel's estimate of the clock error, us.
 pub fn clock_discipline() -> (bool, i64) {
-    // SAFETY: all zero is a valid timex, which asks and changes nothing.
+    // SAFETY: all zero is a valid timex, with which the call only reads.
     let mut timex: libc::timex = unsafe { std::mem::zeroed() };
     // SAFETY: the structure is live and written by the call.
     let state = unsafe { libc::adjtimex(&mut timex) };

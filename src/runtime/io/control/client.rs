@@ -25,7 +25,7 @@ pub fn get(address: SocketAddr, path: &str, token: Option<&str>) -> io::Result<R
 /// Sends a command as POST /control and returns the response.
 ///
 /// # Errors
-/// As [`get`].
+/// See [`get`].
 pub fn command(address: SocketAddr, body: &Value, token: Option<&str>) -> io::Result<Reply> {
     let body = body.to_string();
     let head = format!(

@@ -80,7 +80,7 @@ pub enum Command {
     },
 }
 
-/// As `run.clock` in the configuration.
+/// Clock mode, with the values of `run.clock` in the configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ClockMode {
@@ -88,13 +88,13 @@ pub enum ClockMode {
     RealTime,
     /// Machine time times a rate.
     Scaled,
-    /// As fast as pings are computed.
+    /// Rig time that advances as fast as pings are computed.
     Fast,
     /// Steps by command.
     Lockstep,
 }
 
-/// As [`TriggerSource`].
+/// Trigger source, with the values of [`TriggerSource`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TriggerName {

@@ -63,7 +63,7 @@ pub enum RecoverError {
     NoHeader {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Problem of the header.
         why: WireError,
     },
     /// Another program wrote the content; the file is unchanged.

@@ -27,7 +27,7 @@ pub fn start_sevenk(
 /// Like [`start_sevenk`], with the given timeouts.
 ///
 /// # Errors
-/// As [`start_sevenk`].
+/// See [`start_sevenk`].
 pub fn start_sevenk_with(
     spec: &SevenKSpec,
     sheet: Arc<DeviceSheet>,
