@@ -1,4 +1,4 @@
-//! A small SVG writer, and rendering of SVG to PNG.
+//! A small SVG writer, and a renderer from SVG to PNG.
 
 #![warn(missing_docs)]
 
@@ -8,11 +8,11 @@ use std::sync::Arc;
 use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg::{Options, Tree, fontdb};
 
-/// The embedded typeface, so that plots are the same on every machine.
+/// Embedded typeface, so that plots are the same on every machine.
 const FONT: &[u8] = epaint_default_fonts::UBUNTU_LIGHT;
-/// Name of that typeface, for `font-family`.
+/// Name of the embedded typeface, for `font-family`.
 pub const FAMILY: &str = "Ubuntu";
-/// Pixels of the PNG per unit of the SVG.
+/// PNG pixels per SVG unit.
 const ZOOM: f32 = 1.5;
 
 /// Colour of text and axes.
@@ -38,16 +38,16 @@ pub struct Svg {
 /// Horizontal alignment of a text at its position.
 #[derive(Clone, Copy)]
 pub enum Anchor {
-    /// The text starts there.
+    /// The text starts at the position.
     Start,
-    /// Its middle is there.
+    /// The middle of the text is at the position.
     Middle,
-    /// It ends there.
+    /// The text ends at the position.
     End,
 }
 
 impl Svg {
-    /// An empty document with a white ground, `width` x `height` units.
+    /// Creates an empty document with a white background, `width` x `height` units.
     pub fn new(width: f64, height: f64) -> Self {
         let text = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" font-family=\"{FAMILY}, 'Segoe UI', Helvetica, sans-serif\">\n<rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n"
@@ -55,13 +55,13 @@ impl Svg {
         Self { text }
     }
 
-    /// Appends an element as it is: the caller escapes its text.
+    /// Appends an element unchanged. The caller escapes its text.
     pub fn raw(&mut self, element: &str) {
         self.text.push_str(element);
         self.text.push('\n');
     }
 
-    /// A line from one point to another; `dash` is a `stroke-dasharray`, empty for a solid line.
+    /// Appends a line between two points. `dash` is a `stroke-dasharray`, empty for a solid line.
     pub fn line(&mut self, (x1, y1): (f64, f64), (x2, y2): (f64, f64), colour: &str, dash: &str) {
         let _ = writeln!(
             self.text,
@@ -69,7 +69,7 @@ impl Svg {
         );
     }
 
-    /// Lines through `points`, `width` units thick.
+    /// Appends lines through `points`, `width` units thick.
     pub fn polyline(&mut self, points: &[(f64, f64)], colour: &str, width: f64) {
         let points: Vec<String> = points
             .iter()
@@ -82,7 +82,7 @@ impl Svg {
         );
     }
 
-    /// A text of height `size` at a point of its base line; it is escaped.
+    /// Appends a text of height `size` at a point of its base line. The text is escaped.
     pub fn label(
         &mut self,
         (x, y): (f64, f64),
@@ -103,36 +103,36 @@ impl Svg {
         );
     }
 
-    /// The text of the document.
+    /// Returns the SVG text of the document.
     pub fn finish(mut self) -> String {
         self.text.push_str("</svg>\n");
         self.text
     }
 }
 
-/// Estimated width of a text, accurate enough to keep labels apart.
+/// Estimated width of a text of height `size`, in the same units. The estimate is accurate enough to separate labels.
 pub fn width_of(text: &str, size: f64) -> f64 {
     0.52 * size * text.chars().count() as f64
 }
 
-/// Why a document cannot become a PNG.
+/// Errors of rendering a document to PNG.
 #[derive(Debug, thiserror::Error)]
 pub enum DrawError {
     /// The document is not valid SVG.
     #[error("cannot render the SVG: {0}")]
     Svg(#[from] resvg::usvg::Error),
-    /// No memory for the pixels.
+    /// The pixels cannot be allocated.
     #[error("the image is too large to allocate")]
     Size,
-    /// The PNG writer failed; its message.
+    /// The PNG encoder failed, with its message.
     #[error("cannot encode the PNG: {0}")]
     Png(String),
 }
 
-/// Renders an SVG document to the bytes of a PNG, 1.5 pixels for each unit, with the embedded typeface.
+/// Renders an SVG document to the bytes of a PNG, with 1.5 pixels per unit and the embedded typeface.
 ///
 /// # Errors
-/// [`DrawError`].
+/// The SVG is invalid, the image is too large, or the encoder fails.
 pub fn png(svg: &str) -> Result<Vec<u8>, DrawError> {
     let mut fonts = fontdb::Database::new();
     fonts.load_font_data(FONT.to_vec());

@@ -1,7 +1,7 @@
-//! When all sonars of a rig ping, in order of time: on their own beats, on triggers from outside, and after one another.
+//! Ping times of all sonars of a rig, in order of time: from internal schedules, external triggers and other sonars.
 //!
-//! In: the time, triggers, and what is in force for a sonar at an instant. Out: [`Event`]s, earliest first. A sonar that follows another is
-//! triggered by its pulse, so long after it: at the same instant (synchronised) or in between (interleaved).
+//! Input: the time, triggers, and the settings of a sonar at an instant. Output: [`Event`]s, earliest first. A sonar that follows another sonar is
+//! triggered by the pulses of that sonar after a fixed delay. The delay is 0 for synchronised pings and longer for interleaved pings.
 
 use std::collections::VecDeque;
 
@@ -10,20 +10,20 @@ use echotank_config::spec::{TriggerFrom, TriggerSpec};
 use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 
-/// Triggers of a followed sonar that may lie ahead: more than its pulses in the longest delay there is.
+/// Maximum number of pending triggers from a followed sonar: more than its pulses within the longest possible delay.
 const MAX_AHEAD: usize = 4096;
 
-/// What holds for a sonar at an instant.
+/// Settings that apply to a sonar at an instant.
 #[derive(Clone, Copy, Debug)]
 pub struct InForce {
-    /// `pinging`: it pings on its own beat.
+    /// Settings; `pinging` states whether the internal schedule is active.
     pub settings: SonarSettings,
-    /// It obeys triggers.
+    /// Whether the sonar accepts triggers.
     pub armed: bool,
 }
 
 impl InForce {
-    /// The settings of a triggered ping.
+    /// Settings of a triggered ping; `None` if the sonar accepts no triggers.
     fn triggered(&self) -> Option<SonarSettings> {
         self.armed.then_some(SonarSettings {
             pinging: true,
@@ -32,17 +32,17 @@ impl InForce {
     }
 }
 
-/// Something that happened to a sonar.
+/// An event of a sonar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Event {
-    /// A pulse on the beat.
+    /// A pulse of the internal schedule.
     Beat(PingOrder),
-    /// A trigger, whatever came of it.
+    /// A trigger with its outcome.
     Trigger(Triggered),
 }
 
 impl Event {
-    /// The ping that the event begins, if it begins one.
+    /// Order of the ping that the event starts, if any.
     pub fn order(&self) -> Option<PingOrder> {
         match self {
             Self::Beat(order) | Self::Trigger(Triggered::Pulse(order)) => Some(*order),
@@ -55,13 +55,13 @@ impl Event {
 struct Lane {
     schedule: Schedule,
     early: Early,
-    /// Index of the sonar whose pulses trigger this one, and how long after.
+    /// Index of the followed sonar, and delay after its pulses, s.
     follows: Option<(usize, f64)>,
-    /// Triggers that the followed sonar has made, earliest first.
+    /// Pending triggers from the followed sonar, earliest first.
     ahead: VecDeque<UtcNs>,
-    /// Triggered a second time, then.
+    /// Instant of a pending second trigger.
     again: Option<UtcNs>,
-    /// What happened last was that second time.
+    /// Whether the last event was the second trigger.
     is_second: bool,
 }
 
@@ -75,14 +75,14 @@ impl Lane {
     }
 }
 
-/// The beats and triggers of all sonars of a rig, in the order of their instants.
+/// Internal schedules and triggers of all sonars of a rig.
 #[derive(Clone, Debug)]
 pub struct Beats {
     lanes: Vec<Lane>,
 }
 
 impl Beats {
-    /// Schedules whose beats start at `first_utc`, one for each item of `triggers`.
+    /// Creates one schedule for each item of `triggers`; all schedules start at `first_utc`.
     pub fn starting_at<'a>(
         first_utc: UtcNs,
         sound_speed_m_per_s: f64,
@@ -107,20 +107,20 @@ impl Beats {
         }
     }
 
-    /// The schedule of a sonar by its index.
+    /// Schedule of the sonar with this index.
     ///
     /// # Panics
-    /// If there is no such sonar.
+    /// The index is out of range.
     pub fn schedule(&self, sonar: usize) -> &Schedule {
         &self.lanes[sonar].schedule
     }
 
-    /// The sonar's next pulse on the beat comes not before `utc`.
+    /// Delays the sonar's next scheduled pulse until `utc` at the earliest.
     pub fn put_off(&mut self, sonar: usize, utc: UtcNs) {
         self.lanes[sonar].schedule.put_off(utc);
     }
 
-    /// When something is next due of the sonars that `beat` names by themselves, and of any by a trigger.
+    /// Instant of the next event: scheduled pulses of the sonars that `beats` selects, and triggers of all sonars. `None` if there is no event.
     pub fn next_utc(&self, beats: impl Fn(usize) -> bool) -> Option<UtcNs> {
         let lanes = self.lanes.iter().enumerate();
         let own = |(sonar, lane): (usize, &Lane)| {
@@ -130,7 +130,7 @@ impl Beats {
         lanes.filter_map(own).min()
     }
 
-    /// The next thing that has happened by `now`; the caller says [`Beats::pulsed`] of every order that becomes a pulse.
+    /// Next event at or before `now`. The caller reports every order that becomes a pulse with [`Beats::pulsed`].
     pub fn due(
         &mut self,
         now: UtcNs,
@@ -144,7 +144,7 @@ impl Beats {
         None
     }
 
-    /// Instant and sonar of what comes next, of equals the first sonar's.
+    /// Instant and sonar of the next event. For equal instants the sonar with the lower index comes first.
     fn earliest(&self) -> Option<(UtcNs, usize)> {
         let lanes = self.lanes.iter().enumerate();
         let next = |(sonar, lane): (usize, &Lane)| {
@@ -163,7 +163,7 @@ impl Beats {
         let lane = &mut self.lanes[sonar];
         lane.is_second = false;
         let queued = lane.schedule.queued_due(at, |at| {
-            // A second trigger of a sonar with a beat of its own waits too.
+            // A sonar with an internal schedule also accepts the queued second trigger.
             let InForce { settings, armed } = in_force(at);
             let armed = armed || settings.pinging;
             InForce { settings, armed }.triggered()
@@ -186,7 +186,7 @@ impl Beats {
         beat.map(Event::Beat)
     }
 
-    /// A trigger for `sonar` came at `at`. What was due before has been taken with [`Beats::due`].
+    /// Applies an external trigger for `sonar` at `at`. The caller first takes all earlier events with [`Beats::due`].
     pub fn trigger(&mut self, sonar: usize, at: UtcNs, in_force: InForce) -> Triggered {
         let lane = &mut self.lanes[sonar];
         match in_force.triggered() {
@@ -195,17 +195,17 @@ impl Beats {
         }
     }
 
-    /// The sonar is triggered at `at` besides, whatever triggers it.
+    /// Triggers the sonar once more at `at`, independent of its trigger source.
     pub fn again(&mut self, sonar: usize, at: UtcNs) {
         self.lanes[sonar].again = Some(at);
     }
 
-    /// Whether what happened last with this sonar was [`Beats::again`].
+    /// Whether the last event of this sonar was due to [`Beats::again`].
     pub fn is_second(&self, sonar: usize) -> bool {
         self.lanes[sonar].is_second
     }
 
-    /// The sonar's pulse went out at `at`: who follows it is triggered.
+    /// Reports that the sonar transmitted a pulse at `at`, which triggers the sonars that follow it.
     pub fn pulsed(&mut self, sonar: usize, at: UtcNs) {
         let follows = |lane: &&mut Lane| lane.follows.is_some_and(|(whom, _)| whom == sonar);
         for lane in self.lanes.iter_mut().filter(follows) {
@@ -244,7 +244,7 @@ mod tests {
         }
     }
 
-    /// Milliseconds and sonar of every ping in a second; the first sonar pings five times a second, the others follow.
+    /// Milliseconds and sonar of every ping in one second. The first sonar pings five times per second; the others follow.
     fn second(others: &[TriggerSpec], ranges_m: &[f64]) -> Vec<(i64, usize)> {
         let first = TriggerSpec::default();
         let specs = std::iter::once(&first).chain(others);
@@ -280,7 +280,7 @@ mod tests {
 
     #[test]
     fn a_follower_with_a_longer_window_keeps_its_minimum_interval() {
-        // 300 m: 403 ms from pulse to pulse.
+        // A range of 300 m needs 403 ms between pulses.
         let of = |early| second(&[following(0.0, early)], &[75.0, 300.0]);
         let its = |pings: Vec<(i64, usize)>| -> Vec<_> {
             let follower = pings.into_iter().filter(|(_, sonar)| *sonar == 1);

@@ -1,8 +1,8 @@
-//! Faults: which are wanted when, whether they strike a ping, and the log by which a device's report can be scored.
+//! Fault injection: active faults, the pings that they affect, and the log for scoring the report of a device.
 //!
-//! Whether a fault strikes depends on its seed, its number and the ping alone (for the line: the record's type too), so that the same
-//! scenario strikes the same pings in every clock mode. Faults of elements are carried out in `echotank_synthesis::array`, those of the link, of
-//! navigation and of the clock in the runtime.
+//! Whether a fault affects a ping depends only on its seed, its number and the ping. For faults of the link the type of the record counts too. The
+//! same scenario therefore affects the same pings in every clock mode. `echotank_synthesis::array` applies faults of elements. The runtime applies
+//! faults of the link, of navigation and of the clock.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
@@ -19,56 +19,56 @@ use echotank_config::spec::{
 use echotank_core::time::UtcNs;
 use echotank_synthesis::array::faults::ActiveFault;
 
-/// Faults that may stand at once.
+/// Maximum number of active faults.
 const MAX_FAULTS: usize = 256;
-/// Injections that wait to be written down; what is beyond is counted.
+/// Maximum number of injections waiting to be written; further injections are only counted.
 const MAX_WAITING: usize = 65_536;
-/// Keeps these draws apart from all others.
+/// Separates these random draws from all others.
 const TAG: [u8; 8] = *b"faultrun";
 
-/// One injected fault. A line of `faults-*.jsonl`.
+/// One injected fault: a line of `faults-*.jsonl`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Injection {
     /// Number of the fault in the log.
     pub fault: u32,
-    /// Its kind, as the configuration names it.
+    /// Kind of the fault, as in the configuration.
     pub kind: &'static str,
-    /// None of faults of navigation.
+    /// Name of the sonar; `None` for navigation faults.
     #[serde(serialize_with = "as_text", skip_serializing_if = "Option::is_none")]
     pub sonar: Option<Arc<str>>,
-    /// Of faults of navigation: the last ping ordered before, of any sonar; 0 before the first.
+    /// Number of the ping. For navigation faults, the last ping ordered before, of any sonar; 0 before the first.
     pub ping_number: u32,
-    /// Of the pulse, or of a sample's arrival, or of the second that is marked; rig time.
+    /// Start of the pulse, arrival of the sample, or affected second; rig time, ns since 1970 UTC.
     pub utc_ns: i64,
-    /// Name of the navigation source, of faults of navigation.
+    /// Navigation faults: name of the source.
     #[serde(serialize_with = "as_text", skip_serializing_if = "Option::is_none")]
     pub source: Option<Arc<str>>,
-    /// Quantity of the sample, of faults of navigation.
+    /// Navigation faults: quantity of the sample.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quantity: Option<&'static str>,
-    /// Of the line: the family.
+    /// Link faults: protocol family.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub line: Option<&'static str>,
-    /// Of the line: which record.
+    /// Link faults: record type, or number of the packet.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub record_type: Option<u32>,
-    /// Place in a stream of packets, of faults of the link.
+    /// Link faults: location in a stream of packets.
     #[serde(flatten)]
     pub place: Place,
-    /// Index of the receive array, of faults of elements.
+    /// Element faults: index of the receive array.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub array: Option<usize>,
-    /// Index of the element in its array.
+    /// Element faults: index of the element in its array.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub element: Option<usize>,
-    /// How far it has grown, 0 to 1.
+    /// Growth of the fault, 0 to 1.
     pub strength: f64,
 }
 
-/// Where a packet says that it belongs.
+/// Location of a packet, from its header.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Place {
-    /// Of an element stream.
+    /// Frame number of an element stream.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_number: Option<u32>,
     /// Stream identifier of VITA 49.
@@ -89,19 +89,19 @@ fn as_text<S: serde::Serializer>(
     serializer.serialize_str(name.as_deref().unwrap_or_default())
 }
 
-/// A ping as faults see it.
+/// Identification of a ping for fault injection.
 #[derive(Clone, Copy, Debug)]
 pub struct PingMark {
     /// Index of the sonar.
     pub sonar: usize,
     /// Number of the ping.
     pub number: u32,
-    /// Instant of its pulse.
+    /// Start of the pulse.
     pub utc: UtcNs,
 }
 
 impl PingMark {
-    /// The mark of an ordered ping of a sonar.
+    /// Identification of an ordered ping of a sonar.
     pub fn of(sonar: usize, order: &PingOrder) -> Self {
         Self {
             sonar,
@@ -113,19 +113,19 @@ impl PingMark {
 
 /// An active fault, with its counts.
 pub struct Standing {
-    /// Its number in the log.
+    /// Number of the fault in the log.
     pub id: u32,
-    /// What it does, from when, for how long.
+    /// Effect, start and duration of the fault.
     pub spec: FaultSpec,
-    /// Index of the sonar; none: every one.
+    /// Index of the sonar; `None` means all sonars.
     sonar: Option<usize>,
-    /// Index of the navigation source; none: every one.
+    /// Index of the navigation source; `None` means all sources.
     pub source: Option<usize>,
-    /// For one asked for live: from the first ping that it meets on.
+    /// Start of a fault without `at_s`: the first ping after its injection by command.
     since: OnceLock<UtcNs>,
-    /// As it was asked for.
+    /// Original request.
     request: FaultRequest,
-    /// Pings or records that it injected, and the last of those pings.
+    /// Number of pings or records with an injection, and number of the last such ping.
     injected: AtomicU64,
     last_ping: AtomicU32,
 }
@@ -135,10 +135,10 @@ pub struct Standing {
 pub struct StandingFault {
     /// Number of the fault in the log.
     pub fault: u32,
-    /// The request that injects it.
+    /// Request that added the fault.
     #[serde(flatten)]
     pub request: FaultRequest,
-    /// Rig time; none before its first ping.
+    /// Start in rig time, ns since 1970 UTC; `None` before the first affected ping.
     pub from_utc_ns: Option<i64>,
     /// Pings or records into which it was injected.
     pub injected: u64,
@@ -146,27 +146,27 @@ pub struct StandingFault {
     pub last_ping: u32,
 }
 
-/// What a sonar has, to check faults against.
+/// Properties of a sonar that limit the possible faults.
 struct Head {
     name: Arc<str>,
-    /// Elements of each receive array.
+    /// Number of elements of each receive array.
     elements: Vec<usize>,
     has_converter: bool,
 }
 
-/// All faults of a rig. Shared by every thread that carries them out.
+/// All faults of a rig, shared by every thread that applies faults.
 pub struct Faults {
     heads: Vec<Head>,
     /// Names of the navigation sources.
     pub sources: Vec<Arc<str>>,
-    /// Of those: their bytes come while the rig runs.
+    /// Per source: whether its bytes arrive while the rig runs.
     live_sources: Vec<bool>,
     /// Number of the last ping that was ordered.
     last_ping: AtomicU32,
-    /// Rig time of the first ping: what `at_s` counts from.
+    /// Rig time of the first ping, from which `at_s` counts.
     first: OnceLock<UtcNs>,
     standing: Mutex<Vec<Arc<Standing>>>,
-    /// Of `standing`: most pings have none, and ask no lock.
+    /// Length of `standing`, which avoids the lock for pings without faults.
     count: AtomicU64,
     next_id: AtomicU64,
     waiting: Mutex<VecDeque<Injection>>,
@@ -175,7 +175,7 @@ pub struct Faults {
 }
 
 impl Faults {
-    /// No faults yet. `sonars` and `sources` are those of the rig; requests are checked against them.
+    /// Creates an empty set of faults. `sonars` and `sources` are those of the rig, against which requests are checked.
     pub fn new(sonars: &[SonarSpec], sources: &[NavSourceSpec]) -> Self {
         let heads = sonars.iter().map(|sonar| Head {
             name: sonar.name.as_str().into(),
@@ -197,7 +197,10 @@ impl Faults {
         }
     }
 
-    /// Adds a fault; its number in the log.
+    /// Adds a fault and returns its number in the log.
+    ///
+    /// # Errors
+    /// The fault does not fit the rig, or too many faults are active.
     pub fn add(&self, request: &FaultRequest) -> Result<u32, FaultRefused> {
         let spec = request.checked()?;
         let refused = |key, rule: String| Err(FaultRefused { key, rule });
@@ -232,7 +235,7 @@ impl Faults {
         if standing.len() >= MAX_FAULTS {
             return refused("kind", format!("at most {MAX_FAULTS} faults at once"));
         }
-        // Far fewer than 2^32 are ever asked for.
+        // The number of requests is far below 2^32.
         let id = self.next_id.fetch_add(1, Ordering::Relaxed) as u32;
         standing.push(Arc::new(Standing {
             id,
@@ -248,7 +251,7 @@ impl Faults {
         Ok(id)
     }
 
-    /// Takes all faults away; how many there were.
+    /// Removes all faults. Returns how many were removed.
     pub fn clear(&self) -> usize {
         let mut standing = self.lock();
         let were = standing.len();
@@ -257,7 +260,7 @@ impl Faults {
         were
     }
 
-    /// Takes one fault away; whether there was one of that number.
+    /// Removes one fault. Returns whether a fault had this number.
     pub fn remove(&self, id: u32) -> bool {
         let mut standing = self.lock();
         let were = standing.len();
@@ -266,7 +269,7 @@ impl Faults {
         standing.len() < were
     }
 
-    /// Every fault that stands, begun or not, over or not.
+    /// All faults that were added and not removed, including pending and finished ones.
     pub fn list(&self) -> Vec<StandingFault> {
         let first = self.first.get();
         let standing = self.lock();
@@ -296,12 +299,12 @@ impl Faults {
         self.injected.load(Ordering::Relaxed)
     }
 
-    /// Injections that the log has no line of.
+    /// Number of injections without a line in the log.
     pub fn unwritten(&self) -> u64 {
         self.unwritten.load(Ordering::Relaxed)
     }
 
-    /// What has been injected since this was last asked.
+    /// Takes the injections since the last call.
     pub fn take_injections(&self) -> Vec<Injection> {
         let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
         waiting.drain(..).collect()
@@ -311,12 +314,12 @@ impl Faults {
         self.standing.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What `at_s` counts from; the first call holds.
+    /// Sets the instant from which `at_s` counts. Later calls have no effect.
     pub fn begin(&self, first: UtcNs) {
         self.first.get_or_init(|| first);
     }
 
-    /// Calls `strike` for every fault that is due here, with its strength.
+    /// Calls `strike` with the strength of every fault that affects this ping.
     pub fn inject(
         &self,
         ping: PingMark,
@@ -348,7 +351,7 @@ impl Faults {
         });
     }
 
-    /// Calls `strike` for every fault that strikes at a moment, with how long it has stood and its strength.
+    /// Calls `strike` for every fault that affects `moment`, with its age, s, and its strength.
     pub fn each(
         &self,
         moment: Moment,
@@ -362,7 +365,7 @@ impl Faults {
             let spec = &standing.spec;
             let from = match (spec.at_s, self.first.get()) {
                 (Some(at_s), Some(first)) => first.plus_s(at_s),
-                // Before the first ping there is nothing for a scenario to count from.
+                // Before the first ping, `at_s` has no reference instant.
                 (Some(_), None) => continue,
                 (None, _) => *standing.since.get_or_init(|| moment.utc),
             };
@@ -379,7 +382,7 @@ impl Faults {
         }
     }
 
-    /// The line of the log for a fault that is injected at `moment`. `strength` is from 0 to 1.
+    /// Log entry for a fault that is injected at `moment`. `strength` is from 0 to 1.
     pub fn injection(&self, standing: &Standing, moment: Moment, strength: f64) -> Injection {
         Injection {
             fault: standing.id,
@@ -391,7 +394,7 @@ impl Faults {
         }
     }
 
-    /// Counts and writes down what injected.
+    /// Counts an injection and adds it to the log.
     pub fn log(&self, standing: &Standing, injection: Injection) {
         standing.injected.fetch_add(1, Ordering::Relaxed);
         standing
@@ -406,7 +409,7 @@ impl Faults {
         }
     }
 
-    /// Faults of this ping's elements, into `active`.
+    /// Collects the element faults of this ping into `active`.
     pub fn elements(&self, ping: PingMark, active: &mut Vec<ActiveFault>) {
         active.clear();
         let of_elements = |kind: &FaultKind| matches!(kind, FaultKind::Element { .. });
@@ -429,7 +432,7 @@ impl Faults {
         });
     }
 
-    /// Whether the pulse that is due is missed.
+    /// Whether a fault suppresses the pulse of this ping.
     pub fn trigger_missed(&self, ping: PingMark) -> bool {
         self.last_ping.store(ping.number, Ordering::Relaxed);
         let mut missed = false;
@@ -438,7 +441,7 @@ impl Faults {
         missed
     }
 
-    /// How long after its pulse the sonar is triggered again, seconds, if it is.
+    /// Delay of an injected second trigger after the pulse, s; `None` without such a fault.
     pub fn trigger_double_s(&self, ping: PingMark) -> Option<f64> {
         let mut after_s = None;
         let of_trigger = |kind: &FaultKind| matches!(kind, FaultKind::TriggerDouble { .. });
@@ -450,7 +453,7 @@ impl Faults {
         after_s
     }
 
-    /// How much too late this ping is stamped, seconds.
+    /// Error of the time stamp of this ping, s; positive is late.
     pub(crate) fn stamp_error_s(&self, ping: PingMark) -> f64 {
         let mut error_s = 0.0;
         let of_stamp = |kind: &FaultKind| matches!(kind, FaultKind::WrongSecond { .. });
@@ -463,14 +466,14 @@ impl Faults {
     }
 }
 
-/// When, and of what, it is asked whether a fault strikes.
+/// Instant and key of a random draw.
 #[derive(Clone, Copy)]
 pub struct Moment {
     /// Rig time.
     pub utc: UtcNs,
-    /// Of the ping, the sample or the second: what bursts are counted in.
+    /// Number of the ping, sample or second. Bursts count in these numbers.
     pub number: u32,
-    /// Which of several draws of that number.
+    /// Distinguishes several draws of the same number.
     pub key: u32,
 }
 
@@ -486,7 +489,7 @@ impl Moment {
     }
 }
 
-/// Index of the named one, if one is named.
+/// Index of `name` in `names`; `None` without a name.
 fn index_of(
     key: &'static str,
     name: Option<&str>,
@@ -506,7 +509,7 @@ fn is_live(input: &NavInputSpec) -> bool {
     !matches!(input, NavInputSpec::Log { .. } | NavInputSpec::Csv { .. })
 }
 
-/// Whether a fault strikes a ping: it, or one of the pings before within a burst, drew less than the probability.
+/// Whether a fault affects a ping. The draw of this ping, or of a previous ping within a burst, is then below the probability.
 fn begins(standing: &Standing, ping_number: u32, record_type: u32) -> bool {
     let spec = &standing.spec;
     if spec.probability >= 1.0 {
@@ -527,7 +530,7 @@ fn chance(standing: &Standing, ping_number: u32, record_type: u32) -> f64 {
     )
 }
 
-/// 0 up to, not including, 1.
+/// Uniform draw in [0, 1), a function of the arguments only.
 pub fn unit(seed: u64, fault: u32, number: u32, place: u32, tag: [u8; 8]) -> f64 {
     let mut key = [0; 32];
     key[..8].copy_from_slice(&seed.to_le_bytes());
@@ -568,7 +571,7 @@ mod tests {
         serde_json::from_str(json).expect("JSON")
     }
 
-    /// Strengths of the faults that strike ping 1 to 100.
+    /// Ping number and strength of the faults in pings 1 to 100.
     fn strengths(json: &str) -> Vec<(u32, f64)> {
         let faults = faults();
         faults.begin(mark(1).utc);

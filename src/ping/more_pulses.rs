@@ -1,17 +1,16 @@
-//! Pulses that are in the water together with the sonar's own: the echoes of each are summed into the same element samples, and a matched
-//! filter of its own finds them again.
+//! Further pulses within one ping. The echoes of all pulses are summed into the same element samples. A matched filter for each pulse separates them.
 //!
-//! Pulse p leaves `delay_s` after the sonar's own as sqrt(2) Re{ a_p(t) exp(j 2pi f_p t) }, t from its own start. About the sonar's carrier f_c
-//! its echoes, synthesised about f_p on a clock that starts with it, appear times
+//! Pulse p is transmitted `delay_s` after the sonar's own pulse as sqrt(2) Re{ a_p(t) exp(j 2pi f_p t) }, where t counts from the start of pulse p.
+//! Its echoes are synthesised about f_p on a clock that starts with pulse p. About the carrier f_c of the sonar they appear multiplied by
 //!
 //! ```text
 //! exp(j 2pi (f_p - f_c) t) exp(-j 2pi f_c delay)
 //! ```
 //!
-//! and for its own formers the element samples are turned back by the same. What tells pulses apart is their sweeps (up against down: about
-//! 1/sqrt(B T) of the level leaks through) or their bands.
+//! For the beamformers of pulse p the element samples are multiplied by the conjugate. Pulses differ in their sweeps or their bands. With opposite
+//! sweeps, about 1/sqrt(B T) of the level leaks through.
 //!
-//! Not modelled: absorption and source level at the other frequency, echoes of the ping before.
+//! Not modelled: absorption and source level at the other frequency, and echoes of the previous ping.
 
 use num_complex::Complex64;
 use std::f64::consts::TAU;
@@ -27,20 +26,20 @@ use echotank_imaging::beam::sidescan::LineFormer;
 use echotank_synthesis::array::filter::Decimator;
 use echotank_synthesis::echo::walk::Workspace;
 
-/// One pulse with everything it needs.
+/// Synthesis and line formers of one further pulse.
 pub(crate) struct MorePulse {
     delay_s: f64,
     plan: PingPlan,
     synthesis: ElementSynthesis,
-    /// What turns its samples into the sonar's, one per sample of this ping.
+    /// Factor from the samples of this pulse to those of the sonar, one per sample of the ping.
     turn: Vec<Complex64>,
     lines: Vec<LineFormer>,
-    /// The elements of one array, turned back.
+    /// Elements of one array, multiplied by the conjugate of `turn`.
     frame: ElementFrame,
 }
 
 impl MorePulse {
-    /// `more` is one of `sonar`'s. To be made inside the pool that will run it.
+    /// Creates the synthesis of `more`, a further pulse of `sonar`. Call inside the pool that runs the pings.
     pub(crate) fn new(
         sonar: &SonarSpec,
         more: &MorePulseSpec,
@@ -81,12 +80,12 @@ impl MorePulse {
         }
     }
 
-    /// As [`ElementSynthesis::expect`].
+    /// See [`ElementSynthesis::expect`].
     pub(crate) fn expect(&mut self, settings: &SonarSettings) {
         self.synthesis.expect(settings);
     }
 
-    /// The transmit leg of every scatterer, and the tables that all elements share.
+    /// Computes the transmit leg of every scatterer, and the tables shared by all elements.
     pub(crate) fn insonify(
         &mut self,
         ping: &PingPlan,
@@ -97,7 +96,7 @@ impl MorePulse {
         self.synthesis.insonify(&self.plan, scatterers, walk)
     }
 
-    /// The ping on this pulse's clock, which starts `delay_s` later.
+    /// Sets the plan of this pulse, whose clock starts `delay_s` after the ping.
     fn follow(&mut self, ping: &PingPlan) {
         let (plan, delay_s) = (&mut self.plan, self.delay_s);
         plan.ping_number = ping.ping_number;
@@ -136,7 +135,7 @@ impl MorePulse {
         }));
     }
 
-    /// Adds this pulse's echoes at one element to `iq`.
+    /// Adds the echoes of this pulse at one element to `iq`. Returns their counts.
     pub(crate) fn add(
         &self,
         scatterers: &Scatterers,
@@ -157,7 +156,7 @@ impl MorePulse {
         counts
     }
 
-    /// This pulse's lines from the samples of all pulses.
+    /// Forms the lines of this pulse from the samples of all pulses.
     pub(crate) fn form(&mut self, elements: &[ElementFrame], out: &mut PulseLines) {
         for (former, line) in self.lines.iter_mut().zip(&mut out.lines) {
             let (own, given) = (&mut self.frame, &elements[former.array()]);
@@ -194,7 +193,7 @@ mod tests {
 
     const VELOCITY: DVec3 = DVec3::new(5.144, 0.0, 0.0);
 
-    /// The example's sonar, with a short window, no noise, no culling, no TVG, exact sums and rectangular weighting.
+    /// Sonar of the example with a short window, no noise, no culling, no TVG, exact sums and rectangular weighting.
     fn sonar() -> (SonarSpec, MediumSpec) {
         let text = include_str!("../../hil-configs/multipulse.toml");
         let rig =
@@ -215,7 +214,7 @@ mod tests {
         (spec, rig.medium.clone())
     }
 
-    /// A ping that begins `late_s` after the one at the world's zero.
+    /// Plan of a ping that begins `late_s` after the ping at the origin of the world.
     fn plan(spec: &SonarSpec, medium: &MediumSpec, late_s: f64) -> PingPlan {
         let mut plan = plan::blank(0, spec, medium, 0.0);
         plan.trajectory = Trajectory::uniform(VELOCITY * late_s, VELOCITY, DQuat::IDENTITY);
@@ -229,7 +228,7 @@ mod tests {
         plan
     }
 
-    /// One point to starboard, 1387 samples of 52 kHz away, there and back.
+    /// One point to starboard, at a two-way distance of 1387 samples of 52 kHz.
     fn point() -> Scatterers {
         let mut points = Scatterers::default();
         let at_m = DVec3::new(0.0, 0.8, 0.6) * (1387.0 / 52e3 * 750.0);
@@ -265,7 +264,7 @@ mod tests {
         (k, f64::from(level[k]))
     }
 
-    /// The samples are the sum of the two pulses alone, the second computed as a ping of its own, begun where the platform is by then.
+    /// The samples are the sum of both pulses computed separately. The second pulse is computed as a separate ping at the later position.
     #[test]
     fn elements_hear_the_sum_of_the_pulses_each_sent_where_the_platform_is() {
         for (delay_s, apart_hz) in [(0.0, 0.0), (10e-3, 0.0), (10e-3, 2e3)] {
@@ -303,13 +302,13 @@ mod tests {
         }
     }
 
-    /// Each pulse's lines show the point at its range. What leaks of the other is the correlation of an up and a down sweep,
+    /// The lines of each pulse show the point at its range. The leakage from the other pulse is the correlation of an up and a down sweep,
     /// |1/T integral exp(j 2pi (B/T) t^2) dt|, about 1/sqrt(2 B T).
     #[test]
     fn lines_tell_the_pulses_apart_and_leak_what_the_correlation_of_the_sweeps_says() {
         let (mut spec, medium) = sonar();
         spec.pulse.taper = 0.0;
-        // A line of two would hear the point weaker by the time of the second echo.
+        // A line of two elements would receive the second echo from the point at a lower level.
         spec.receive[0].elements = 1;
         let delay_s = 12e-3;
         spec.more_pulses = vec![more(&spec, delay_s, 0.0)];
@@ -342,12 +341,12 @@ mod tests {
                 20.0 * got.log10(),
                 20.0 * leak.norm().log10()
             );
-            // Samples lie beside the peak and the Doppler stretches both.
+            // Samples are off the peak, and the Doppler effect stretches both pulses.
             assert!(off_db.abs() < 1.0, "{off_db:.2} dB");
         }
     }
 
-    /// Bands a bandwidth and a half apart, flanks tapered: what leaks is below the sweeps' by far.
+    /// Bands with a distance of one and a half bandwidths and tapered flanks leak far less than opposite sweeps.
     #[test]
     fn separate_bands_leak_less_than_opposite_sweeps() {
         let (mut spec, medium) = sonar();
@@ -368,7 +367,7 @@ mod tests {
         assert!(second_at.abs_diff(at) <= 1, "{second_at} want {at}");
     }
 
-    /// The engine for a tolerance sums several pulses as the direct sum does.
+    /// The gridded engine sums several pulses within its tolerance of the direct sum.
     #[test]
     fn the_gridded_engine_sums_several_pulses_within_its_tolerance() {
         let (mut spec, medium) = sonar();

@@ -1,6 +1,7 @@
-//! The plan of one ping: everything that the model needs to know of it.
+//! The plan of one ping: all data of the ping that the model needs.
 //!
-//! In: settings, specifications, the platform's motion. Out: [`PingPlan`]. The plan is filled when the navigation around the pulse is known.
+//! Input: settings, specifications and the motion of the platform. Output: [`PingPlan`]. The plan is filled when the navigation around the pulse is
+//! known.
 
 use echotank_config::spec::{MediumSpec, SonarSpec};
 use echotank_core::frames::Trajectory;
@@ -12,19 +13,19 @@ use echotank_core::time::{NS_PER_S, UtcNs};
 
 use crate::schedule::{PingOrder, period_ns, window_s};
 
-/// Samples that cover [`window_s`].
+/// Number of samples that cover [`window_s`], at least 1.
 pub fn sample_count(
     settings: &SonarSettings,
     sound_speed_m_per_s: f64,
     sample_rate_hz: f64,
 ) -> usize {
-    // The subtraction keeps a window of a whole number of samples from gaining one by rounding.
+    // The subtraction prevents rounding from adding a sample to a window of a whole number of samples.
     (window_s(settings, sound_speed_m_per_s) * sample_rate_hz - 1e-6)
         .ceil()
         .max(1.0) as usize
 }
 
-/// The pulse under these settings.
+/// Pulse of the sonar with these settings.
 pub fn pulse(spec: &SonarSpec, settings: &SonarSettings) -> Pulse {
     Pulse {
         duration_s: settings.pulse_duration_s,
@@ -32,8 +33,8 @@ pub fn pulse(spec: &SonarSpec, settings: &SonarSettings) -> Pulse {
     }
 }
 
-/// Vertices of the polyline over `window_s`: at most `segment_s` apart, velocities along the chords, attitude of each segment's start
-/// (Meng et al. 2023, section 3.1: "the attitude change only occurs at the polyline intersection"). Reuses `segments`.
+/// Computes the vertices of the polyline over `window_s`. Vertices are at most `segment_s` apart. Velocities are along the chords; each segment has
+/// the attitude at its start (Meng et al. 2023, section 3.1: "the attitude change only occurs at the polyline intersection"). Reuses `segments`.
 pub fn polyline(
     trajectory: &Trajectory,
     window_s: f64,
@@ -57,7 +58,7 @@ pub fn polyline(
     }
 }
 
-/// The longest window within the sonar's limits.
+/// Settings of the longest window within the sonar's limits.
 fn longest(spec: &SonarSpec) -> SonarSettings {
     SonarSettings {
         range_m: spec.limits.range_m.1,
@@ -66,7 +67,7 @@ fn longest(spec: &SonarSpec) -> SonarSettings {
     }
 }
 
-/// Samples of the longest window within the limits, for sizing buffers.
+/// Number of samples of the longest window within the limits, for sizing buffers.
 pub fn max_samples(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
     sample_count(
         &longest(spec),
@@ -75,12 +76,12 @@ pub fn max_samples(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
     )
 }
 
-/// Longest polyline within the limits, for sizing buffers.
+/// Maximum number of segments of a polyline within the limits, for sizing buffers.
 pub fn max_segments(spec: &SonarSpec, sound_speed_m_per_s: f64) -> usize {
     (window_s(&longest(spec), sound_speed_m_per_s) / spec.model.segment_s).ceil() as usize + 1
 }
 
-/// A plan with room for every setting within the limits; [`fill`] makes it a particular ping.
+/// Creates a plan with capacity for all settings within the limits. [`fill`] sets the data of a ping.
 pub fn blank(
     sonar: usize,
     spec: &SonarSpec,
@@ -108,7 +109,7 @@ pub fn blank(
     }
 }
 
-/// Makes `plan` the plan of `order`. The caller has put the ping's motion into `plan.trajectory`.
+/// Sets `plan` to the plan of `order`. The caller has stored the motion of the ping in `plan.trajectory`.
 pub fn fill(
     plan: &mut PingPlan,
     spec: &SonarSpec,

@@ -1,4 +1,4 @@
-//! A rig assembled: navigation history, scene, and one [`SonarUnit`] per head. The daemon and `replay` differ only in who calls and when.
+//! A complete rig: navigation history, scene, and one [`SonarUnit`] per sonar. The daemon and `replay` use the same rig.
 
 use std::sync::Arc;
 
@@ -22,31 +22,31 @@ use echotank_scene::simplify::stage::{Stage, StageCounts};
 use echotank_scene::{Files, Scene, SceneError};
 use echotank_synthesis::echo::absorption::absorption_db_per_m;
 
-/// A rig that cannot be opened.
+/// Errors of opening a rig.
 #[derive(Debug, Error)]
 pub enum RigError {
     /// The scene cannot be opened.
     #[error("scene: {0}")]
     Scene(#[from] SceneError),
-    /// A sonar's pipeline cannot be made.
+    /// The pipeline of a sonar cannot be created.
     #[error("sonar {name}: {why}")]
     Sonar {
         /// Name of the sonar.
         name: String,
-        /// Why not.
+        /// Cause.
         why: PipelineError,
     },
     /// A configured fault does not fit the rig.
     #[error("fault {number}: {why}")]
     Fault {
-        /// Its place among the `[[fault]]` tables, from 1.
+        /// Number of the fault among the `[[fault]]` tables, from 0.
         number: usize,
-        /// Why not.
+        /// Cause.
         why: FaultRefused,
     },
 }
 
-/// A ping and everything it made, in buffers that are used again.
+/// A ping with its results, in reusable buffers.
 #[derive(Clone, Debug)]
 pub struct PingSlot {
     /// The plan of the ping.
@@ -57,23 +57,23 @@ pub struct PingSlot {
 
 /// One sonar of a rig.
 pub struct SonarUnit {
-    /// The configuration.
+    /// Configuration of the sonar.
     pub spec: SonarSpec,
-    /// From scatterers to beams and lines.
+    /// Pipeline from scatterers to beams and lines.
     pub pipeline: SonarPipeline,
-    /// Leaves out what a ping can do without.
+    /// Simplification of the scene, which omits scatterers that the ping does not need.
     pub(crate) simplify: Option<(Stage, View)>,
-    /// One way, at the centre frequency.
+    /// One-way absorption at the centre frequency, dB/m.
     pub absorption_db_per_m: f64,
     /// Faults of the rig.
     pub faults: Arc<Faults>,
-    /// Chooses what the configuration leaves to the plan of methods.
+    /// Selects the methods that the configuration leaves open.
     pub planner: Option<Planner>,
-    /// Under `run.overload = "degrade"`: what takes the place of pipeline and planner, the next looser first.
+    /// With `run.overload = "degrade"`: alternatives to pipeline and planner, in order of increasing tolerance.
     pub(crate) looser: Vec<DegradationLevel>,
 }
 
-/// A looser tolerance to fall back on.
+/// Pipeline and planner for a larger tolerance under overload.
 pub(crate) struct DegradationLevel {
     tolerance: f64,
     pub(crate) pipeline: SonarPipeline,
@@ -81,12 +81,12 @@ pub(crate) struct DegradationLevel {
 }
 
 impl SonarUnit {
-    /// Tolerances it can keep: its own, and looser ones.
+    /// Number of tolerance levels: the configured one and the looser ones.
     pub fn levels(&self) -> usize {
         1 + self.looser.len()
     }
 
-    /// Puts the pipeline of a level in place, or back; the tolerance, where it is a looser one.
+    /// Exchanges the pipeline and planner with those of a level; a second call exchanges them back. Returns the tolerance of a looser level.
     pub(crate) fn swap(&mut self, level: usize) -> Option<f64> {
         let looser = self.looser.get_mut(level.checked_sub(1)?)?;
         std::mem::swap(&mut self.pipeline, &mut looser.pipeline);
@@ -94,7 +94,7 @@ impl SonarUnit {
         Some(looser.tolerance)
     }
 
-    /// Pings with these settings are about to come.
+    /// Prepares the pipelines for pings with these settings.
     pub fn expect(&mut self, settings: &SonarSettings) {
         self.pipeline.expect(settings);
         for level in &mut self.looser {
@@ -103,28 +103,32 @@ impl SonarUnit {
     }
 }
 
-/// The parts that every ping passes through.
+/// State shared by all pings of a rig.
 pub struct Rig {
-    /// The configuration.
+    /// Configuration of the rig.
     pub spec: RigSpec,
     /// Navigation samples.
     pub history: NavHistory,
-    /// The virtual seabed and its targets.
+    /// Virtual seabed and its targets.
     pub scene: Scene,
-    /// The sonars, in the order of the configuration.
+    /// Sonars, in the order of the configuration.
     pub sonars: Vec<SonarUnit>,
-    /// Configured faults and those of the control API.
+    /// Configured faults and faults of the control API.
     pub faults: Arc<Faults>,
     costs: Arc<Costs>,
     placed: bool,
-    /// For threads beside the pings.
+    /// Summary of the scene for threads other than those of the pings.
     pub world: SharedSceneSummary,
     pub(crate) scatterers: Scatterers,
     pub(crate) simplify_counts: StageCounts,
 }
 
 impl Rig {
-    /// Opens the scene and sizes every buffer. `costs` is what the method selection compares; `files` opens the scene's files. To be called inside the pool that will run it.
+    /// Opens the scene and allocates every buffer. `costs` is the cost table of the method selection; `files` opens the scene's files. Call inside
+    /// the pool that runs the pings.
+    ///
+    /// # Errors
+    /// The scene or a pipeline cannot be opened, or a configured fault does not fit the rig.
     pub fn open(spec: &RigSpec, costs: Costs, files: &dyn Files) -> Result<Self, RigError> {
         let faults = Arc::new(Faults::new(&spec.sonars, &spec.nav.sources));
         for (number, request) in spec.faults.iter().enumerate() {
@@ -142,7 +146,7 @@ impl Rig {
                 ..
             } = &mut sonar.receiver.tvg
             {
-                // The law undoes the medium's own absorption, which only now is a number.
+                // The law compensates the absorption of the medium, whose value is known only here.
                 *law = absorption_db_per_m;
             }
             let pipeline = SonarPipeline::new(&sonar, &spec.medium).map_err(|why| {
@@ -181,7 +185,10 @@ impl Rig {
         })
     }
 
-    /// Makes what takes over when pings are too much. To be called inside the pool that will run it.
+    /// Creates the pipelines with looser tolerances for overload. Call inside the pool that runs the pings.
+    ///
+    /// # Errors
+    /// A pipeline cannot be created.
     pub fn make_looser(&mut self) -> Result<(), RigError> {
         for unit in &mut self.sonars {
             for tolerance in unit.spec.looser_tolerances() {
@@ -203,12 +210,12 @@ impl Rig {
         Ok(())
     }
 
-    /// The water.
+    /// Properties of the water.
     pub fn medium(&self) -> &MediumSpec {
         &self.spec.medium
     }
 
-    /// A slot with room for the largest ping of this sonar.
+    /// Allocates a slot for the largest ping of this sonar.
     pub fn slot(&self, sonar: usize) -> PingSlot {
         let unit = &self.sonars[sonar];
         PingSlot {
@@ -222,19 +229,19 @@ impl Rig {
         }
     }
 
-    /// Listening window of an order, seconds.
+    /// Receive window of an order, s.
     pub fn window_s(&self, sonar: usize, order: &PingOrder) -> f64 {
         let c = self.spec.medium.sound_speed_m_per_s;
         let rate_hz = self.sonars[sonar].spec.receiver.sample_rate_hz;
         plan::sample_count(&order.settings, c, rate_hz) as f64 / rate_hz
     }
 
-    /// What the ping made last heard.
+    /// Scatterers used by the last ping.
     pub fn scatterers(&self) -> &Scatterers {
         &self.scatterers
     }
 
-    /// Named targets in the world; empty until the scene has been placed.
+    /// Named targets in the world; empty until the scene is placed.
     pub fn targets(&self) -> &[Target] {
         if self.placed {
             self.scene.targets()
@@ -243,7 +250,7 @@ impl Rig {
         }
     }
 
-    /// The scene lies where it belongs from the first fix on.
+    /// Places the scene once the first fix is known.
     pub(crate) fn place_scene(&mut self) {
         if self.placed {
             return;
@@ -260,20 +267,20 @@ impl Rig {
         }
     }
 
-    /// The scene's zero on the world's plane, by the place on the earth that the seabed's file tells. The scene is not turned: 10 km
-    /// east of the world's origin, at latitude 45, its north is off by 0.09 degrees (meridians converge).
+    /// Position of the scene's origin on the plane of the world, from the geodetic position in the seabed's file. The scene is not rotated: 10 km
+    /// east of the world's origin, at latitude 45, its north is off by 0.09 degrees (meridian convergence).
     fn where_the_file_lies(&self) -> (f64, f64) {
         match (self.scene.geodetic_place(), self.history.origin()) {
             (Some(place), Some(plane)) => {
                 let (north_m, east_m) = plane.local_m(place.latitude_rad, place.longitude_rad);
                 (north_m - place.north_m, east_m - place.east_m)
             }
-            // The scene refuses to open without a place, and a first fix makes the plane.
+            // The scene requires a geodetic position when it is opened, and a first fix defines the plane.
             _ => (0.0, 0.0),
         }
     }
 
-    /// The first samples of a ping that is prepared, up to `end`, in `tile`; false where the ping can only be made as a whole.
+    /// Computes the first samples of a prepared ping, up to `end`, into `tile`. Returns false if the ping can only be computed as a whole.
     pub fn begin(
         &mut self,
         sonar: usize,
@@ -287,7 +294,7 @@ impl Rig {
         made
     }
 
-    /// The same of a ping that is only planned, as long as nothing is near enough to be heard; false where something may be.
+    /// Like [`Rig::begin`], for a ping that is only planned. Returns false if an echo is possible before `end`.
     pub fn begin_quiet(
         &mut self,
         sonar: usize,
@@ -297,7 +304,7 @@ impl Rig {
     ) -> bool {
         let unit = &mut self.sonars[sonar];
         if unit.simplify.is_some() {
-            // What stands for several may lie nearer than each of them.
+            // A simplified scatterer can be nearer than each of the scatterers that it represents.
             return false;
         }
         let pipeline = &mut unit.pipeline;

@@ -1,20 +1,20 @@
-//! When one sonar pings, and what every ping is ordered to be.
+//! Ping times of one sonar, and the orders of its pings.
 //!
-//! [`Schedule`] decides `t_tx` and freezes the settings at that instant ([`PingOrder`]), on a beat of its own or when it is triggered;
-//! [`crate::beats`] has those of all sonars.
+//! [`Schedule`] determines the transmit instant and the settings at that instant ([`PingOrder`]), from the internal schedule or from triggers.
+//! [`crate::beats`] combines the schedules of all sonars.
 
 use echotank_core::settings::SonarSettings;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
-/// Quiet time between the end of one listening window and the next pulse, seconds: a receiver needs some to turn around.
+/// Minimum time between the end of a receive window and the next pulse, s, as a receiver needs to turn around.
 pub const TURNAROUND_S: f64 = 1e-3;
 
-/// Time from one pulse to the next, at least, seconds.
+/// Minimum time from one pulse to the next, s.
 pub(crate) fn shortest_s(settings: &SonarSettings, sound_speed_m_per_s: f64) -> f64 {
     window_s(settings, sound_speed_m_per_s) + TURNAROUND_S
 }
 
-/// Time from one pulse to the next, nanoseconds: the rate asked for, or as fast as the range allows.
+/// Time from one pulse to the next, ns: the period of the requested rate, or the minimum time that the range allows.
 pub fn period_ns(settings: &SonarSettings, sound_speed_m_per_s: f64) -> i64 {
     let shortest_s = shortest_s(settings, sound_speed_m_per_s);
     let asked_s = if settings.max_ping_rate_hz > 0.0 {
@@ -30,40 +30,40 @@ pub fn period_ns(settings: &SonarSettings, sound_speed_m_per_s: f64) -> i64 {
     (period_s * NS_PER_S as f64).round() as i64
 }
 
-/// Listening window for these settings: two-way time to the range plus the pulse, so that an echo at full range is whole. Seconds.
+/// Receive window for these settings, s: the two-way time to the range plus the pulse, so that an echo at full range is complete.
 pub fn window_s(settings: &SonarSettings, sound_speed_m_per_s: f64) -> f64 {
     2.0 * settings.range_m / sound_speed_m_per_s + settings.pulse_duration_s
 }
 
-/// A ping that will be made: its number, its instant and the settings in force at that instant.
+/// Order of a ping: its number, its transmit instant and the settings at that instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PingOrder {
-    /// From 1.
+    /// Number of the ping, from 1.
     pub ping_number: u32,
     /// Start of the pulse.
     pub transmit_utc: UtcNs,
-    /// Settings in force at that instant.
+    /// Settings at that instant.
     pub settings: SonarSettings,
-    /// Since the previous order; 0 for the first.
+    /// Time since the previous order, s; 0 for the first.
     pub period_s: f64,
 }
 
-/// When one sonar pings: on its own beat, and when it is triggered.
+/// Internal schedule and trigger state of one sonar.
 #[derive(Clone, Debug)]
 pub struct Schedule {
-    /// Of the beat, which goes on while the sonar does not ping.
+    /// Next instant of the internal schedule, which continues while the sonar does not ping.
     pub(crate) next_utc: UtcNs,
     pub(crate) next_number: u32,
     pub(crate) last_utc: Option<UtcNs>,
-    /// The last ping's window is over.
+    /// End of the receive window of the last ping.
     pub(crate) free_utc: UtcNs,
-    /// A trigger that came too early, and is obeyed then.
+    /// Instant at which a queued early trigger starts its ping.
     pub(crate) queued_utc: Option<UtcNs>,
     pub(crate) sound_speed_m_per_s: f64,
 }
 
 impl Schedule {
-    /// First beat at `first_utc`, first ping number 1.
+    /// Creates a schedule with the first ping at `first_utc` and the first ping number 1.
     pub fn starting_at(first_utc: UtcNs, sound_speed_m_per_s: f64) -> Self {
         Self {
             next_utc: first_utc,
@@ -75,18 +75,18 @@ impl Schedule {
         }
     }
 
-    /// When the next ping may go out on the beat.
+    /// Instant of the next possible ping of the internal schedule.
     pub fn next_utc(&self) -> UtcNs {
         self.next_utc
     }
 
-    /// The number it will have.
+    /// Number of the next ping.
     pub fn next_number(&self) -> u32 {
         self.next_number
     }
 
-    /// The next ping of the beat if its instant has come. `settings_at` tells the settings that were in force at an instant: asking late
-    /// changes nothing. While pinging is off the schedule keeps its beat and gives nothing.
+    /// Next ping of the internal schedule at or before `now`. `settings_at` returns the settings at an instant, so a late call gives the same result.
+    /// While pinging is off, the schedule advances without orders.
     pub fn due(
         &mut self,
         now: UtcNs,
@@ -103,7 +103,7 @@ impl Schedule {
         None
     }
 
-    /// The beat's next pulse comes not before `utc`.
+    /// Delays the next scheduled pulse until `utc` at the earliest.
     pub fn put_off(&mut self, utc: UtcNs) {
         self.next_utc = self.next_utc.max(utc);
     }
@@ -120,7 +120,7 @@ impl Schedule {
         };
         self.last_utc = Some(transmit_utc);
         self.free_utc = transmit_utc.plus_s(shortest_s(&settings, self.sound_speed_m_per_s));
-        // After a triggered ping the beat waits for its window; its own pings are that far apart anyway.
+        // After a triggered ping the internal schedule waits for the end of the receive window. Scheduled pings always have this distance.
         self.next_utc = self.next_utc.max(self.free_utc);
         self.next_number = self.next_number.wrapping_add(1);
         order
@@ -131,7 +131,7 @@ impl Schedule {
 pub(crate) mod tests {
     use super::*;
 
-    /// A window of 102 ms: 75 m and a pulse of 2 ms.
+    /// Settings with a window of 102 ms: 75 m and a pulse of 2 ms.
     pub(crate) fn settings() -> SonarSettings {
         SonarSettings {
             pinging: true,

@@ -1,20 +1,20 @@
-//! Pulses on demand: what becomes of a trigger.
+//! Outcome of triggers.
 //!
-//! In: when a trigger came, and the settings then in force. Out: a ping at that very instant, one later, or a refusal. The rule is that of a
-//! receiver: while the last ping is listened to there is no other. How often a sonar may ping on its own beat (`max_ping_rate_hz`) does not
-//! bind who triggers it. Not modelled: a trigger's own delay within the device.
+//! Input: the instant of a trigger, and the settings at that instant. Output: a ping at the same instant, a later ping, or a refusal. A sonar starts
+//! no ping during the receive window of the previous ping. `max_ping_rate_hz` limits only the internal schedule, not triggers. The trigger latency of
+//! a device is not modelled.
 
 use super::{PingOrder, Schedule};
 use echotank_config::spec::EarlyTrigger;
 use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 
-/// What becomes of triggers that come too early.
+/// Treatment of triggers during the receive window of the previous ping.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Early {
-    /// Queue or refuse.
+    /// Whether such triggers are queued or refused.
     pub rule: EarlyTrigger,
-    /// From pulse to pulse, beside what the range needs; seconds.
+    /// Minimum time between pulses, s. The receive window limits this time as well.
     pub min_interval_s: f64,
 }
 
@@ -23,27 +23,27 @@ pub struct Early {
 pub enum Triggered {
     /// The ping begins with the trigger.
     Pulse(PingOrder),
-    /// It begins as soon as it may.
+    /// The ping begins as soon as possible.
     Queued,
-    /// It makes no ping.
+    /// The trigger starts no ping.
     Refused(Refusal),
 }
 
-/// Why a trigger makes no ping.
+/// Reason why a trigger starts no ping.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Refusal {
-    /// The ping before is still listened to.
+    /// The receive window of the previous ping has not ended.
     Early,
-    /// It is older than the last pulse.
+    /// The trigger is older than the last pulse.
     Stale,
-    /// Its number was seen before.
+    /// The number of the trigger was received before.
     Duplicate,
-    /// The sonar does not obey triggers: it stands, is held, or has its own beat.
+    /// The sonar does not accept triggers: it is stopped, paused, or on its internal schedule.
     Held,
 }
 
 impl Schedule {
-    /// A trigger came at `at`.
+    /// Applies a trigger at `at` and returns its outcome.
     pub fn trigger(&mut self, at: UtcNs, settings: SonarSettings, early: Early) -> Triggered {
         let Some(last) = self.last_utc else {
             return Triggered::Pulse(self.pulse(at, settings));
@@ -64,12 +64,12 @@ impl Schedule {
         }
     }
 
-    /// When a queued trigger is obeyed.
+    /// Instant at which the queued trigger starts its ping.
     pub(crate) fn queued_utc(&self) -> Option<UtcNs> {
         self.queued_utc
     }
 
-    /// The ping of a queued trigger whose instant has come.
+    /// Outcome of the queued trigger, once its instant has come.
     pub(crate) fn queued_due(
         &mut self,
         now: UtcNs,
@@ -84,23 +84,22 @@ impl Schedule {
     }
 }
 
-/// Numbers that came, so that one which comes twice or late makes no second ping. A number far below the last is that of a sender which has
-/// begun again.
+/// Filter for trigger numbers: a repeated or late number starts no second ping. A number far below the last means that the sender has restarted.
 #[derive(Clone, Debug, Default)]
 pub struct Numbers {
     highest: Option<u32>,
-    /// Bit k: `highest - k` was seen.
+    /// Bit k is set if `highest - k` was received.
     seen: u64,
 }
 
 impl Numbers {
-    /// How far back a number counts as late.
+    /// Number of steps below the highest within which a number counts as late.
     pub const REACH: u32 = u64::BITS;
 
-    /// Notes a trigger's number.
+    /// Registers the number of a trigger.
     ///
     /// # Errors
-    /// A number that was seen before, or that a later one has overtaken.
+    /// [`Refusal::Duplicate`] if the number was received before, [`Refusal::Stale`] if a higher number was received before.
     pub fn check(&mut self, number: u32) -> Result<(), Refusal> {
         let Some(highest) = self.highest else {
             (self.highest, self.seen) = (Some(number), 1);
@@ -142,7 +141,7 @@ mod tests {
         min_interval_s: 0.0,
     };
 
-    /// Instants of pings, milliseconds, and how many triggers were refused.
+    /// Instants of pings, milliseconds, and number of refused triggers.
     fn pings(triggers_ms: &[i64], early: Early) -> (Vec<i64>, usize) {
         let mut schedule = Schedule::starting_at(UtcNs(0), 1500.0);
         let (mut pings, mut refused) = (Vec::new(), 0);
@@ -169,7 +168,7 @@ mod tests {
 
     #[test]
     fn a_trigger_is_the_pings_time_zero_whatever_the_rate_of_the_beat() {
-        // Faster than max_ping_rate_hz and not on any beat; 103 ms apart is as near as the window allows.
+        // Faster than `max_ping_rate_hz` and off the internal schedule. The window requires at least 103 ms between pings.
         let at = [7, 110, 300, 403, 517];
         assert_eq!(pings(&at, REFUSE), (at.to_vec(), 0));
         assert_eq!(pings(&at, QUEUE), (at.to_vec(), 0));
