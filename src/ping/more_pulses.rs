@@ -1,7 +1,7 @@
-//! Further pulses within one ping. The echoes of all pulses are summed into the same element samples. A matched filter for each pulse separates them.
+//! Further pulses within one ping. The echoes of all pulses are summed into the same element samples. A matched filter per pulse separates them.
 //!
-//! Pulse p is transmitted `delay_s` after the sonar's own pulse as sqrt(2) Re{ a_p(t) exp(j 2pi f_p t) }, where t counts from the start of pulse p.
-//! Its echoes are synthesised about f_p on a clock that starts with pulse p. About the carrier f_c of the sonar they appear multiplied by
+//! Pulse p is transmitted `delay_s` after the sonar's own pulse as sqrt(2) Re{ a_p(t) exp(j 2pi f_p t) }. The time t counts from the start of pulse
+//! p. Its echoes are synthesised about f_p on a clock that starts with pulse p. About the carrier f_c of the sonar they appear multiplied by
 //!
 //! ```text
 //! exp(j 2pi (f_p - f_c) t) exp(-j 2pi f_c delay)

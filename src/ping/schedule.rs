@@ -162,7 +162,7 @@ pub(crate) mod tests {
         let first = schedule.due(UtcNs(0), |_| s).expect("due at once");
         assert_eq!((first.ping_number, first.period_s), (1, 0.0));
         assert!(schedule.due(UtcNs(199_999_999), |_| s).is_none());
-        s.range_m = 300.0; // acknowledged before the second pulse: obeyed by it
+        s.range_m = 300.0; // acknowledged before the second pulse, which uses it
         let second = schedule.due(UtcNs(200_000_000), |_| s).expect("due");
         assert_eq!(
             (second.ping_number, second.settings.range_m, second.period_s),

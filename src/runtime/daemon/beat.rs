@@ -1,7 +1,7 @@
 //! The beat: issues ping orders from the schedules and from external triggers.
 //!
-//! With a real-time or scaled clock the beat runs in its own thread, so that pulses and trigger outputs stay on time while the pipeline is busy.
-//! With a `fast` or `lockstep` clock the pipeline calls it.
+//! With a real-time or scaled clock the beat runs in its own thread. Pulses and trigger outputs therefore stay on time while the pipeline is busy.
+//! With a `fast` or `lockstep` clock the pipeline calls the beat.
 
 use std::collections::VecDeque;
 use std::sync::Arc;

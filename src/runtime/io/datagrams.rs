@@ -403,7 +403,7 @@ mod tests {
             .join_multicast_v4(&group, &Ipv4Addr::LOCALHOST)
             .is_err()
         {
-            return; // a machine whose loopback knows no groups
+            return; // the loopback of this machine has no multicast
         }
         inbox
             .set_read_timeout(Some(Duration::from_secs(10)))

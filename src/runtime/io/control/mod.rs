@@ -339,7 +339,7 @@ async fn serve(
     stopped: watch::Receiver<bool>,
 ) {
     let Ok(listener) = tokio::net::TcpListener::from_std(listener) else {
-        return; // no runtime, no server: cannot happen inside one
+        return; // fails only outside of a runtime, and this function runs inside one
     };
     let wait = |mut stopped: watch::Receiver<bool>| async move {
         let _ = stopped.wait_for(|&stop| stop).await;

@@ -203,7 +203,7 @@ impl SevenKClient {
                         rest = &rest[taken..];
                         debug_assert!(taken > 0 || rest.is_empty());
                         if taken == 0 {
-                            break; // the decoder holds its fill: never, with records within the limit
+                            break; // the decoder is full, which does not happen with records within the limit
                         }
                     }
                 }

@@ -10,8 +10,8 @@ const SEQUENCE_AT: usize = 12;
 /// Maximum number of missing ping numbers kept per record type; beyond the limit the lowest numbers count as lost permanently.
 const MISSING_LIMIT: usize = 100_000;
 
-/// Ping number of a record body. `None` for a record without one, for the reply to a request (7503 with 0), and for further pulses of a ping
-/// (multi-ping sequence 2 and on).
+/// Ping number of a record body. `None` for a record without a ping number, and for the reply to a request (7503 with 0). Also `None` for further
+/// pulses of a ping (multi-ping sequence 2 and on).
 pub fn ping_number(record_type: u32, body: &[u8]) -> Option<u32> {
     if !matches!(record_type, 7000 | 7503 | 7007 | 7018 | 7038) {
         return None;

@@ -181,7 +181,7 @@ fn three_clients_get_their_own_records_and_one_that_never_reads_only_loses_its_o
         let counts = client.counts;
         if client.peer == idle_peer {
             assert!(counts.records_dropped > 0, "{counts:?}");
-            let in_queue = 6; // 1 MiB of 200 kB, and the one being written
+            let in_queue = 6; // 1 MiB of 200 kB records, and the record being written
             let accounted = counts.records_dropped + counts.records_sent;
             assert!(
                 (u64::from(PINGS) - in_queue..=u64::from(PINGS) + 1).contains(&accounted),

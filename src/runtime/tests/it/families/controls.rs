@@ -269,7 +269,7 @@ fn an_invalid_or_truncated_switch_command_has_no_effect() {
     );
     assert_eq!(session.counts().nacks, 1);
     let mut wrong = switch(50, 50, Side::Port);
-    wrong[3] = 51; // no head has it
+    wrong[3] = 51; // not a range of the device
     session.receive(&wrong, TRANSMIT_UTC, none);
     assert_eq!(session.counts().nacks, 2);
     let bytes = switch(60, 0, Side::Port);

@@ -114,10 +114,10 @@ fn the_7042_set_up_is_obeyed_sample_by_sample() {
     let sheet = sheet_that_detects();
     for (flags, rate_hz, decimated) in [
         (0, 1000.0, SAMPLES),
-        (1 << 1, 1000.0, SAMPLES),             // magnitudes alone
+        (1 << 1, 1000.0, SAMPLES),             // magnitudes only
         (1 << 2, 1000.0, SAMPLES),             // dB in 8 bits
         (1 << 12, 1000.0, SAMPLES),            // 32 bits
-        (4 << 4 | 1 << 8, 250.0, SAMPLES / 4), // every fourth, the largest of its window
+        (4 << 4 | 1 << 8, 250.0, SAMPLES / 4), // every fourth sample, the maximum of its window
     ] {
         let mut emitter = SevenKEmitter::new(sheet.clone(), 1);
         emitter.keep(told_7042(flags));
