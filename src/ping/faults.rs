@@ -121,7 +121,7 @@ pub struct Standing {
     sonar: Option<usize>,
     /// Index of the navigation source; `None` means all sources.
     pub source: Option<usize>,
-    /// Start of a fault without `at_s`: the first ping after its injection by command.
+    /// Start of a fault without `at_s`: the first ping, sample or second that is checked after the fault was added.
     since: OnceLock<UtcNs>,
     /// Original request.
     request: FaultRequest,

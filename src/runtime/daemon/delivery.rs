@@ -85,7 +85,7 @@ impl Lane {
     }
 }
 
-/// A thread that owns outputs. It returns the first error of the recorders.
+/// A thread that owns outputs. The thread returns the error of a recorder, if any.
 pub(super) type OutputThread = JoinHandle<Result<(), OutputError>>;
 
 /// Allocates the slots of a sonar and starts its delivery thread, which ends when the lane is dropped.

@@ -161,7 +161,7 @@ async fn serve(socket: WebSocket, shared: Shared, peer: SocketAddr) {
         _ = session.run() => {}
         _ = stopped.wait_for(|&stop| stop) => {}
     }
-    // The close code AWAY makes the page reconnect later, when a daemon runs again.
+    // The page then tries to reconnect until a daemon runs again.
     let goodbye = CloseFrame {
         code: close_code::AWAY,
         reason: "the daemon stops".into(),
