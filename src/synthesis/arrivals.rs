@@ -1,4 +1,4 @@
-//! The interface between the echo model and the engines: batches of echoes at one element, or along a line of elements.
+//! Interface between the echo model and the engines: batches of echoes at one element, or along a line of elements.
 
 use num_complex::Complex64;
 
@@ -9,20 +9,20 @@ use echotank_core::ping::EchoCounts;
 /// Maximum number of scatterers in one chunk.
 pub const CHUNK: usize = 256;
 
-/// Echoes of up to [`CHUNK`] scatterers at one element, structure of arrays, small enough for L1.
+/// Echoes of up to [`CHUNK`] scatterers at one element, as a structure of arrays that fits the L1 cache.
 pub struct ArrivalChunk {
     /// Number of echoes.
     pub len: usize,
     /// Index of the element.
     pub element: usize,
-    /// Leading edge after the start of the pulse, seconds.
+    /// Delay of the leading edge after the start of the pulse, seconds.
     pub delay_s: [f64; CHUNK],
-    /// eta = dt'/dt - 1: Doppler stretch minus one, which keeps the precision of small values.
+    /// Doppler stretch minus one, eta - 1 with eta = dt'/dt. This form keeps the precision of small values.
     pub doppler: [f64; CHUNK],
-    /// Half of d2t'/dt2, per second. The sound at s seconds after the leading edge left at (1 + doppler) s + curvature s^2. Zero
-    /// except with [`DopplerModel::StretchQuadratic`](echotank_core::model::DopplerModel::StretchQuadratic).
+    /// Half of d2t'/dt2, per second. Sound received s seconds after the leading edge was transmitted at (1 + doppler) s +
+    /// curvature s^2. Zero except with [`DopplerModel::StretchQuadratic`](echotank_core::model::DopplerModel::StretchQuadratic).
     pub curvature_per_s: [f64; CHUNK],
-    /// Complex amplitude A_{m,e} at the element without carrier phase: uPa (rms), and volts after the sensitivity.
+    /// Complex amplitude A_{m,e} at the element without carrier phase: uPa (rms), or volts after the sensitivity.
     pub amplitude: [Complex64; CHUNK],
 }
 
@@ -52,9 +52,10 @@ pub trait ArrivalSink {
     fn accept(&mut self, chunk: &ArrivalChunk);
 }
 
-/// Echoes of up to [`CHUNK`] scatterers at one point of a line array, and how each changes along the line and during the pulse.
+/// Echoes of up to [`CHUNK`] scatterers at one point of a line array, with derivatives along the line and during the pulse.
 ///
-/// With u(y, w) the delay, at y metres along the line from the point, of what left w seconds into the pulse (leading edge: 0, 0).
+/// The delay u(y, w) applies y metres along the line from the point, for sound transmitted w seconds into the pulse. The leading
+/// edge is at (0, 0).
 pub struct LineChunk {
     /// Number of echoes.
     pub len: usize,
@@ -64,18 +65,18 @@ pub struct LineChunk {
     pub doppler: [f64; CHUNK],
     /// As in [`ArrivalChunk`].
     pub amplitude: [Complex64; CHUNK],
-    /// -c du/dy: sine of the angle from broadside, as the moving line receives it.
+    /// Slope -c du/dy: sine of the angle from broadside, as received by the moving line.
     pub slope: [f64; CHUNK],
-    /// c d2u/dy2.
+    /// Bend c d2u/dy2, per metre.
     pub bend_per_m: [f64; CHUNK],
-    /// c d2u/dy dw.
+    /// Twist c d2u/dy dw, per second.
     pub twist_per_s: [f64; CHUNK],
-    /// c d2u/dw2: the part that the linear stretch omits.
+    /// Swing c d2u/dw2, m/s^2: the part of the delay that the linear stretch omits.
     pub swing_m_per_s2: [f64; CHUNK],
-    /// First-order variation of the amplitude along the stretch: `amplitude` times 1 + fade y + curl y^2 at y metres from the
-    /// middle, exact at both ends. Zero if not requested.
+    /// First-order variation of the amplitude along the line section. At y metres from the middle, the amplitude is `amplitude`
+    /// times 1 + fade y + curl y^2, exact at both ends. Zero if not requested.
     pub fade_per_m: [f64; CHUNK],
-    /// Second-order variation of the amplitude along the stretch, as in `fade_per_m`.
+    /// Second-order variation of the amplitude along the line section, as in `fade_per_m`.
     pub curl_per_m2: [f64; CHUNK],
 }
 
@@ -114,20 +115,20 @@ impl Default for LineChunk {
     }
 }
 
-/// Consumer of echoes at stretches of a line array.
+/// Consumer of echoes at sections of a line array.
 pub trait LineSink {
     /// Adds the echoes of a chunk.
     fn accept(&mut self, chunk: &LineChunk);
 }
 
-/// A stretch of a line array around its middle, and the requested interval of leading edges.
+/// Section of a line array, with the requested interval of leading edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineStretch {
-    /// Middle of the stretch relative to the centre of the array, metres.
+    /// Middle of the section relative to the centre of the array, metres.
     pub middle_m: f64,
-    /// Distance from the middle to the outermost elements, metres.
+    /// Distance from the middle of the section to its outermost elements, metres.
     pub half_m: f64,
-    /// Fade and curl are requested.
+    /// True if fade and curl are requested.
     pub fades: bool,
     /// Number of elements, for the counts.
     pub elements: u64,
@@ -137,18 +138,18 @@ pub struct LineStretch {
     pub latest_s: f64,
 }
 
-/// Source of the echoes of one ping at one line array; threads use it concurrently.
+/// Source of the echoes of one ping at one line array. Threads use it concurrently.
 pub trait LineSource: Sync {
     /// Number of candidate scatterers.
     fn scatterers(&self) -> u64;
 
-    /// Lower bound of all leading edges anywhere on the line, seconds; infinite without echoes.
+    /// Lower bound of all leading edges on the line, seconds; infinite without echoes.
     fn earliest_s(&self) -> f64;
 
     /// Emits points of amplitude 0 that bound nearly all echoes of [`Self::walk`], and a sample of its echoes with fade and curl.
     fn survey(&self, stretch: LineStretch, sink: &mut impl LineSink);
 
-    /// Emits the echoes at the middle of a stretch in a fixed order, in chunks of at most [`CHUNK`]. Counts are of
-    /// scatterer-element pairs. An echo outside the requested delays is not counted, because another stretch requests it.
+    /// Emits the echoes at the middle of a section in a fixed order, in chunks of at most [`CHUNK`]. Counts are in
+    /// scatterer-element pairs. An echo outside the requested delays is not counted, because another section requests it.
     fn walk(&self, stretch: LineStretch, sink: &mut impl LineSink) -> EchoCounts;
 }

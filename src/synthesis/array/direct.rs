@@ -1,10 +1,11 @@
-//! The sum over echoes, each with its emission time expanded about its own leading edge u and otherwise exact:
+//! Direct sum of the echoes, `direct`. The emission time of each echo is expanded about its leading edge u; the sum is otherwise
+//! exact:
 //!
 //! x(t) = sum A exp(-j 2pi f_c u) a(t') exp(j 2pi f_c (t' - s)),  t' = eta s + q s^2,  s = t - u,  0 <= t' <= T.
 //!
-//! q is zero for every Doppler model but `stretch-quadratic`. Over a run of samples the phase of one echo is a quadratic (with q, but for a
-//! cubic part below 1e-6 rad), so its phasor follows from the last by two complex products. Eight lanes run side by side, each eight samples
-//! at a time, and start afresh from sines and cosines before rounding can grow.
+//! q is zero for all Doppler models except `stretch-quadratic`. Over a run of samples, the phase of one echo is a quadratic in the
+//! sample number. (With q, a cubic part below 1e-6 rad remains.) Two complex products therefore give each phasor from the previous
+//! one. Eight lanes of eight samples are computed together. They restart from sines and cosines before rounding errors grow.
 
 use num_complex::Complex64;
 
@@ -15,13 +16,13 @@ use echotank_core::pulse::Pulse;
 
 use super::phasor::{LANES, cis, cis_lanes};
 
-/// Samples between fresh starts of the recurrence. Its error grows as steps^1.5: 64 steps of eight lanes stay below 1e-13.
+/// Number of samples between restarts of the recurrence. Its error grows as steps^1.5; 64 steps of eight lanes stay below 1e-13.
 const RESTART: usize = 64 * LANES;
 
-/// Turns of phase that a run may leave out where the stretch itself changes; a run is cut shorter until it does.
+/// Maximum phase error of a run from the neglected cubic part, in turns. It limits the length of runs with a changing stretch.
 const CUBIC_TURNS: f64 = 1e-7;
 
-/// Adds echoes to the samples of one element.
+/// Sink that adds echoes to the samples of one element.
 pub struct Direct<'a> {
     pulse: Pulse,
     rate_hz: f64,
@@ -30,17 +31,18 @@ pub struct Direct<'a> {
     out: &'a mut [Complex64],
 }
 
-/// Where an echo sounds, in samples from the first of the record, which it may lie before or beyond.
+/// Extent of an echo, in samples from the first sample of the record. It may extend beyond the record.
 struct Span {
-    /// First and last sample within the pulse.
+    /// First sample within the pulse; `last` is the last one.
     first: f64,
     last: f64,
-    /// From the leading edge to the first and from the last to the trailing edge, samples.
+    /// Distances from the leading edge to the first sample, and from the last sample to the trailing edge, samples.
     inside: (f64, f64),
 }
 
 impl<'a> Direct<'a> {
-    /// Sample k of `out` lies `first_sample_s + k / rate_hz` after the start of the pulse. Echoes are added to what `out` holds.
+    /// Sink for samples at `first_sample_s + k / rate_hz` seconds after the start of the pulse. Echoes are added to the values of
+    /// `out`.
     pub fn new(
         plan: &PingPlan,
         rate_hz: f64,
@@ -56,7 +58,7 @@ impl<'a> Direct<'a> {
         }
     }
 
-    /// What happens at the ends of a rectangular pulse; a tapered one has no jumps, and is sampled.
+    /// Sets the treatment of the edges of a rectangular pulse. A tapered pulse has no steps and is always sampled.
     pub fn with_edges(mut self, edges: Edges) -> Self {
         self.edges = if self.pulse.taper > 0.0 {
             Edges::Sampled
@@ -66,7 +68,7 @@ impl<'a> Direct<'a> {
         self
     }
 
-    /// Samples on which an echo sounds: those with 0 <= t' <= T.
+    /// Range of the samples with 0 <= t' <= T.
     #[inline(always)]
     fn span(&self, delay_s: f64, eta: f64, curvature_per_s: f64) -> Span {
         let since_s = |k: f64| (self.first_sample_s + k / self.rate_hz) - delay_s;
@@ -75,7 +77,7 @@ impl<'a> Direct<'a> {
         let duration_s = self.pulse.duration_s;
         let root = (eta * eta + 4.0 * curvature_per_s * duration_s).sqrt();
         let trailing_s = 2.0 * duration_s / (eta + root);
-        // The estimates are two samples off at most; the condition itself decides.
+        // The estimates are wrong by at most two samples. The condition on t' gives the exact range.
         let mut first = edge(delay_s).floor();
         let mut last = edge(delay_s + trailing_s).ceil();
         for _ in 0..2 {
@@ -92,7 +94,7 @@ impl<'a> Direct<'a> {
         }
     }
 
-    /// `add_flat` is [`Lanes::add_flat`] or its AVX2 twin.
+    /// Adds the echoes of a chunk. `add_flat` is [`Lanes::add_flat`] or its AVX2 build.
     #[inline(always)]
     fn add(&mut self, chunk: &ArrivalChunk, add_flat: impl Fn(&mut Lanes, &mut [Block]) + Copy) {
         let pulse = self.pulse;
@@ -108,7 +110,7 @@ impl<'a> Direct<'a> {
                 doppler,
                 curvature_per_s,
             };
-            // Float to integer saturates: a negative start is 0, a negative end an empty range.
+            // The conversion to integer saturates: a negative start gives 0, a negative end an empty range.
             let end = ((span.last + 1.0).max(0.0) as usize).min(self.out.len());
             let mut first = (span.first.max(0.0) as usize).min(end);
             if self.edges == Edges::Weighted && first < end {
@@ -125,7 +127,7 @@ impl<'a> Direct<'a> {
         }
     }
 
-    /// Adds what [`edge_corrections`] say beyond weight 1 to the points next to either end.
+    /// Adds the difference between the weights of [`edge_corrections`] and 1 at the samples next to both edges.
     #[inline(always)]
     fn correct_edges(&mut self, echo: &Echo, span: &Span, amplitude: Complex64) {
         const _: () = assert!(2 * EDGE_POINTS == LANES, "both ends fill the lanes");
@@ -155,7 +157,7 @@ impl<'a> Direct<'a> {
         }
     }
 
-    /// The AVX2 build of [`Self::add`]: the same arithmetic in the same order, so the same bits.
+    /// AVX2 build of [`Self::add`], with the same arithmetic in the same order, so the same bits.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn add_avx2(&mut self, chunk: &ArrivalChunk) {
@@ -167,20 +169,20 @@ impl ArrivalSink for Direct<'_> {
     fn accept(&mut self, chunk: &ArrivalChunk) {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has AVX2, asked on the line above; the function needs nothing else.
+            // SAFETY: the line above tests that the processor has AVX2; the function has no other requirement.
             return unsafe { self.add_avx2(chunk) };
         }
         self.add(chunk, Lanes::add_flat);
     }
 }
 
-/// Neighbouring samples of the output.
+/// Consecutive samples of the output.
 type Block = [Complex64; LANES];
 
-/// One echo of unit amplitude.
+/// Echo of unit amplitude.
 struct Echo<'p> {
     pulse: &'p Pulse,
-    /// From one sample to the next.
+    /// Interval between samples, seconds.
     step_s: f64,
     delay_s: f64,
     doppler: f64,
@@ -188,46 +190,46 @@ struct Echo<'p> {
 }
 
 impl Echo<'_> {
-    /// Phase `since_s` after the leading edge, turns, without whole ones of the carrier.
+    /// Phase at `since_s` after the leading edge, in turns, without whole turns of the carrier.
     #[inline(always)]
     fn turns(&self, since_s: f64) -> f64 {
         let carrier_hz = self.pulse.center_frequency_hz;
         let emitted_s = ((1.0 + self.doppler) + self.curvature_per_s * since_s) * since_s;
         let from_middle_s = emitted_s - 0.5 * self.pulse.duration_s;
         let carrier = carrier_hz * self.delay_s;
-        // Whole turns away first: the rest keeps its digits.
+        // Whole turns are removed first, which preserves the digits of the rest.
         0.5 * self.pulse.sweep_hz_per_s() * from_middle_s * from_middle_s
             + carrier_hz * (self.doppler + self.curvature_per_s * since_s) * since_s
             - (carrier - carrier.round_ties_even())
     }
 
-    /// Samples after which the recurrence must start afresh.
+    /// Maximum number of samples between restarts of the recurrence.
     #[inline(always)]
     fn longest_run(&self) -> usize {
         if self.curvature_per_s == 0.0 {
             return RESTART;
         }
-        // See `run`: count^3/32 times the cubic's coefficient.
+        // The error is count^3/32 times the cubic coefficient; see `run`.
         let cubic = self.pulse.sweep_hz_per_s() * self.curvature_per_s * self.step_s.powi(3);
         let count = (32.0 * CUBIC_TURNS / cubic.abs()).cbrt();
         ((count as usize) / LANES * LANES).clamp(LANES, RESTART)
     }
 
-    /// The `count` samples from `since_s` after the leading edge on.
+    /// Phase coefficients of `count` samples that begin `since_s` after the leading edge.
     #[inline(always)]
     fn run(&self, since_s: f64, count: f64) -> Stretch {
         let pulse = self.pulse;
         let carrier_hz = pulse.center_frequency_hz;
         let half_sweep = 0.5 * pulse.sweep_hz_per_s();
         let bend = self.curvature_per_s;
-        // Emission time at the n-th: emitted + step n + bend n^2.
+        // Emission time of sample n: emitted + step n + bend n^2.
         let emitted_s = ((1.0 + self.doppler) + bend * since_s) * since_s;
         let step_s = ((1.0 + self.doppler) + 2.0 * bend * since_s) * self.step_s;
         let bend_s = bend * self.step_s * self.step_s;
         let from_middle_s = emitted_s - 0.5 * pulse.duration_s;
         let shift_hz = carrier_hz * (self.doppler + 2.0 * bend * since_s);
-        // Its square has a cubic part (and a quartic one far smaller); on 0..count the parabola nearest to n^3 is
-        // (3/2) count n^2 - (9/16) count^2 n + count^3/32, off by count^3/32 at most.
+        // The square has a cubic part, and a much smaller quartic part. On 0..count, the best parabola for n^3 is (3/2) count n^2 -
+        // (9/16) count^2 n + count^3/32. Its error is at most count^3/32.
         let cubic = 2.0 * half_sweep * step_s * bend_s;
         Stretch {
             p0: self.turns(since_s) + cubic * count * count * count / 32.0,
@@ -245,28 +247,28 @@ impl Echo<'_> {
     }
 }
 
-/// A run of samples of one echo: its phase in turns is p0 + p1 n + p2 n^2 at the n-th.
+/// Run of samples of one echo. The phase of sample n is p0 + p1 n + p2 n^2 turns.
 struct Stretch {
     p0: f64,
     p1: f64,
     p2: f64,
-    /// Time into the pulse: emitted + step n + bend n^2.
+    /// Emission time of sample n: emitted + step n + bend n^2.
     emitted_s: f64,
     step_s: f64,
     bend_s: f64,
     duration_s: f64,
-    /// Length of one Tukey flank.
+    /// Length of one flank of the Tukey taper, seconds.
     flank_s: f64,
 }
 
 impl Stretch {
-    /// Of `count` blocks of [`LANES`] samples, those where the pulse is flat from end to end.
+    /// Range of the blocks, of `count` blocks of [`LANES`] samples, in which the taper is 1 throughout.
     #[inline(always)]
     fn flat_blocks(&self, count: usize) -> std::ops::Range<usize> {
         if self.flank_s <= 0.0 {
             return 0..count;
         }
-        // The bend, below 1e-8 s, moves no block by a sample; where a flank meets the flat it is flat itself.
+        // The bend, below 1e-8 s, shifts a block by less than a sample. The taper is smooth where a flank meets the flat part.
         let block_at = |t_s: f64| (t_s - self.emitted_s) / (self.step_s * LANES as f64);
         let first = block_at(self.flank_s).ceil().max(0.0) as usize;
         let end = block_at(self.duration_s - self.flank_s).floor().max(0.0) as usize;
@@ -291,15 +293,15 @@ impl Stretch {
     }
 }
 
-/// Eight neighbouring samples of one echo.
+/// Eight consecutive samples of one echo.
 struct Lanes {
-    /// The echo.
+    /// Values of the echo.
     re: [f64; LANES],
     im: [f64; LANES],
-    /// What takes each lane one block on ...
+    /// Factor that advances each lane by one block.
     step_re: [f64; LANES],
     step_im: [f64; LANES],
-    /// ... and what takes that one block on.
+    /// Factor that advances `step_re` and `step_im` by one block.
     turn: (f64, f64),
 }
 
@@ -343,7 +345,7 @@ impl Lanes {
         }
     }
 
-    /// Where most of the time goes: nothing here but the sum and the recurrence.
+    /// Inner loop of the flat part: only the sum and the recurrence.
     #[inline(always)]
     fn add_flat(&mut self, blocks: &mut [Block]) {
         for samples in blocks {
@@ -355,14 +357,15 @@ impl Lanes {
         }
     }
 
-    /// [`Self::add_flat`] by hand, same arithmetic in the same order, so the same bits; half as fast again as what the compiler makes of it.
+    /// AVX2 build of [`Self::add_flat`], with the same arithmetic in the same order, so the same bits. It is one and a half times
+    /// as fast as the compiler's code.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn add_flat_avx2(&mut self, blocks: &mut [Block]) {
         use std::arch::x86_64::*;
         const HALF: usize = LANES / 2;
-        // SAFETY: every load and store below stays within one of the `LANES` = 8 element arrays of f64, or within one block of 8 complex
-        // numbers, which are pairs of f64 (num-complex: repr(C)); none needs alignment.
+        // SAFETY: every load and store stays within one of the `LANES` = 8 element arrays of f64, or within one block of 8 complex
+        // numbers. These are pairs of f64 (num-complex: repr(C)). No access needs alignment.
         let load =
             |a: &[f64; LANES], h: usize| unsafe { _mm256_loadu_pd(a.as_ptr().add(HALF * h)) };
         let mut z = [0, 1].map(|h| (load(&self.re, h), load(&self.im, h)));
@@ -371,7 +374,7 @@ impl Lanes {
         for samples in blocks {
             for h in 0..2 {
                 let ((z_re, z_im), (w_re, w_im)) = (z[h], w[h]);
-                // (re0 im0 re2 im2) and (re1 im1 re3 im3), then in the order of the samples.
+                // Order (re0 im0 re2 im2) and (re1 im1 re3 im3), then the order of the samples.
                 let even = _mm256_unpacklo_pd(z_re, z_im);
                 let odd = _mm256_unpackhi_pd(z_re, z_im);
                 let pairs = [
@@ -379,7 +382,7 @@ impl Lanes {
                     _mm256_permute2f128_pd::<0x31>(even, odd),
                 ];
                 for (k, pair) in pairs.into_iter().enumerate() {
-                    // SAFETY: as above; two complex numbers from the 4 h + 2 k th of eight.
+                    // SAFETY: as above; the access is to two complex numbers from index 4 h + 2 k of eight.
                     unsafe {
                         let at = samples.as_mut_ptr().add(HALF * h + 2 * k).cast::<f64>();
                         _mm256_storeu_pd(at, _mm256_add_pd(_mm256_loadu_pd(at), pair));
@@ -441,17 +444,17 @@ fn add_stretch(
     lanes.add_weighted(echo.taper(count * LANES), rest);
 }
 
-/// Adds `amplitude` exp(j 2pi (p0 + p1 n)) to the n-th of `out`; phases in turns.
+/// Adds `amplitude` exp(j 2pi (p0 + p1 n)) to element n of `out`; phases in turns.
 pub(crate) fn add_tone(p0: f64, p1: f64, amplitude: Complex64, out: &mut [Complex64]) {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has AVX2, asked on the line above; the function needs nothing else.
+        // SAFETY: the line above tests that the processor has AVX2; the function has no other requirement.
         return unsafe { add_tone_avx2(p0, p1, amplitude, out) };
     }
     add_tone_with(p0, p1, amplitude, out, Lanes::add_flat);
 }
 
-/// The AVX2 build of [`add_tone_with`]: the same arithmetic in the same order, so the same bits.
+/// AVX2 build of [`add_tone_with`], with the same arithmetic in the same order, so the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn add_tone_avx2(p0: f64, p1: f64, amplitude: Complex64, out: &mut [Complex64]) {
@@ -510,7 +513,7 @@ mod tests {
         }
     }
 
-    /// Sine and cosine at every sample, nothing carried from one to the next.
+    /// Sine and cosine at every sample, without a recurrence.
     fn plain(pulse: &Pulse, t_s: f64, (u, d, amplitude): (f64, f64, Complex64)) -> Complex64 {
         let turns = pulse.center_frequency_hz * (d * (t_s - u));
         let carrier = pulse.center_frequency_hz * u;
@@ -520,7 +523,7 @@ mod tests {
 
     #[test]
     fn the_recurrence_meets_plain_sines_to_1e_12() {
-        // Powers of two, so that sample times are exact and what is measured is the recurrence alone.
+        // Powers of two make sample times exact, so the test measures only the recurrence.
         let (rate_hz, first_s) = (f64::from(1 << 21), 1.0 / 32.0);
         let arrivals = [
             (0.0313, 0.0, Complex64::ONE),
@@ -616,7 +619,7 @@ mod tests {
                 out: &mut out,
             };
             if wide {
-                // SAFETY: asked above.
+                // SAFETY: the processor has AVX2, as tested above.
                 unsafe { sink.add_avx2(&chunk_of(&arrivals)) };
             } else {
                 sink.add(&chunk_of(&arrivals), Lanes::add_flat);

@@ -1,7 +1,7 @@
-//! Error models of the synthesis methods alone; path and Doppler models have their own in
+//! Error models of the synthesis methods. Path and Doppler models have their own in
 //! [`echo::error_models`](crate::echo::error_models).
 //!
-//! Errors are relative l2 against the same sum without approximation, behind the same receiver
+//! Errors are relative l2 against the same sum without approximation, after the same receiver
 //! filter. Costs are for one 3.7 GHz core.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
@@ -16,7 +16,7 @@ use super::gridded::pulse_spectrum::PulseSpectrum;
 
 /// Cost of the recurrence, ns per echo and sample.
 const SAMPLE_NS: f64 = 0.4;
-/// Cost of `gridded-2d`, ns per echo, which is spread once for a whole stretch of elements.
+/// Cost of `gridded-2d`, ns per echo. An echo is spread once for several elements.
 const LINE_NS: f64 = 1.0;
 /// Cost of `gridded-1d`, ns per echo, with Doppler columns and transforms; measured by `tools/bench
 /// echo`.
@@ -46,8 +46,8 @@ pub fn synthesis_error_model(synthesis: Synthesis, conditions: &Conditions) -> E
         ),
         Synthesis::Direct => (RECURRENCE, sampled * SAMPLE_NS, "exact".to_owned()),
         Synthesis::Spectral if filtered => {
-            // Cutting the spectrum of a sharp pulse leaves 1e-4 in the stop band of the filter,
-            // which rings into weaker windows.
+            // A truncated spectrum of a sharp pulse leaves 1e-4 in the stop band of the filter.
+            // This part rings into weaker windows.
             let cut = match pulse.taper > 0.0 {
                 true => 0.0,
                 false => 1.5e-3 * out_of_band_share(conditions).sqrt(),
@@ -103,8 +103,8 @@ const RECURRENCE: f64 = 512.0 * f64::EPSILON;
 const ONE_END: f64 = 3.0;
 const ONE_SHARP_END: f64 = 1.5;
 
-/// Error that `dense` points per sample leave at the ends of a pulse behind the filter, over
-/// windows of the pulse's length.
+/// Error at the ends of a pulse from `dense` points per sample, after the filter, over windows of
+/// one pulse length.
 ///
 /// Sharp ends: the weights of the points next to an end integrate cubics exactly. The remainder
 /// depends only on a fixed number of points within the filter width, so each end leaves the same
@@ -117,7 +117,7 @@ const ONE_SHARP_END: f64 = 1.5;
 /// filter adds 1e-5.
 fn edge_error(pulse: &Pulse, rate_hz: f64, dense: f64) -> f64 {
     if pulse.taper == 0.0 {
-        // Two ends, independent of what lies between them; 3e-4 at 200 samples.
+        // The two ends contribute independently of the pulse length: 3e-4 at 200 samples.
         return ONE_SHARP_END * 3e-4 * (200.0 / (pulse.duration_s * rate_hz)).sqrt().max(1.0);
     }
     let samples = pulse.duration_s * rate_hz;
@@ -136,13 +136,13 @@ fn out_of_band_share(conditions: &Conditions) -> f64 {
     (2.0 * tails / (4.0 * PI * PI * pulse.duration_s)).min(1.0)
 }
 
-/// Ratio of the worst to the rms error of a band-limited jump over its position between two
-/// samples. On a sample, half the jump is lost (1/4 of its square). The mean over all positions is
+/// Ratio of the worst to the rms error of a band-limited step, over its position between two
+/// samples. On a sample, half the step is lost (1/4 of its square). The mean over all positions is
 /// the spectrum beyond +-f_s/2: twice the integral of f_s/(2 pi f)^2, which is 1/pi^2.
 const WORST_JUMP: f64 = FRAC_PI_2;
 
-/// Number of bands on either side whose aliases are summed. For a 1/f^2 spectrum, one hundredth
-/// lies beyond them.
+/// Number of bands on either side whose aliases are summed. For a 1/f^2 spectrum, one hundredth of
+/// the energy lies beyond them.
 const FOLDS: f64 = 32.0;
 
 /// Rms of `error(w)`, w in radians per sample, over the spectrum of the pulse, limited to the pass
@@ -154,7 +154,8 @@ fn over_spectrum(conditions: &Conditions, error: fn(f64) -> f64) -> f64 {
         true => 0.5 * rate_hz,
         false => FOLDS * rate_hz,
     };
-    // The transition of the filter from the occupied band to half the rate, about its middle.
+    // Transition of the filter from the occupied band to half the rate, with the passband edge in
+    // its middle.
     let pass_hz = (0.5 * occupied_hz(pulse)).min(farthest_hz);
     let spectrum = PulseSpectrum::new(pulse, farthest_hz);
     // Four points per lobe of the spectrum.
@@ -181,7 +182,7 @@ fn fade(x: f64) -> f64 {
 }
 
 /// Worst case of an echo half a sample from its position: |1 - exp(-j w/2)|^2. The mean over all
-/// positions is smaller by sqrt(3), but a window may hold a single echo.
+/// positions is smaller by sqrt(3), but a window may have a single echo.
 fn nearest_error(w: f64) -> f64 {
     2.0 - 2.0 * (0.5 * w).cos()
 }

@@ -1,8 +1,8 @@
 //! Faults of receive channels, applied to the samples of an array.
 //!
-//! Input: an [`ElementFrame`] after the receiver, and the faults of this ping. Output: the same
-//! frame with the faults applied. Analogue faults pass through the converter again, if there is
-//! one. Random numbers depend only on seed, ping, array and element.
+//! The input is an [`ElementFrame`] after the receiver, and the faults of this ping. The output is
+//! the same frame with the faults applied. Analogue faults pass through the converter again, if
+//! there is one. Random numbers depend only on seed, ping, array and element.
 
 use num_complex::Complex64;
 use rand_chacha::ChaCha8Rng;
@@ -14,7 +14,7 @@ use echotank_config::spec::ElementFault;
 use echotank_core::arrays::Receiver;
 use echotank_core::ping::{ElementFrame, PingPlan};
 
-/// Separates these random numbers from the receiver noise.
+/// Tag of these random numbers, different from that of the receiver noise.
 const NOISE_TAG: [u8; 8] = *b"elementf";
 
 /// Mains frequency, Hz.
@@ -25,11 +25,11 @@ const MAINS_HZ: f64 = 50.0;
 pub struct ActiveFault {
     /// Kind of fault and its parameters.
     pub fault: ElementFault,
-    /// Index of the faulty array; None for every array and element.
+    /// Index of the faulty array; `None` for every array and element.
     pub array: Option<usize>,
-    /// Index of the faulty element; None for every element.
+    /// Index of the faulty element; `None` for every element.
     pub element: Option<usize>,
-    /// Degree of growth, 0 to 1. Kinds without degrees act in full from the start.
+    /// Fraction of the full size, 0 to 1. Kinds without a size act in full from the start.
     pub strength: f64,
     /// Seed of the random numbers.
     pub seed: u64,
@@ -155,8 +155,8 @@ fn one(
             add_noise(volts * strength, ChaCha8Rng::from_seed(key), samples);
         }
         ElementFault::MainsHum { volts } => {
-            // Subtracts whole mains periods in nanoseconds first: seconds since 1970 times 50 Hz
-            // would lose phase.
+            // Whole mains periods are subtracted first, in nanoseconds. The product of seconds
+            // since 1970 and 50 Hz would lose phase.
             let period_ns = (1e9 / MAINS_HZ) as i64;
             let first_s =
                 plan.transmit_utc.0.rem_euclid(period_ns) as f64 * 1e-9 + plan.first_sample_s;
@@ -185,7 +185,7 @@ fn one(
             let stretch = 1.0 + ppm * strength * 1e-6;
             let first = plan.first_sample_s * receiver.sample_rate_hz;
             for (k, x) in samples.iter_mut().enumerate() {
-                // Sample k is taken when t (1 + ppm) = k, with t the correct clock.
+                // Sample k is taken when t (1 + ppm) = k, with t of the correct clock.
                 *x = between(before, (first + k as f64) / stretch - first);
             }
         }

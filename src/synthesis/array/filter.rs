@@ -2,12 +2,12 @@
 //! then decimation by L.
 //!
 //! The impulse response h(t) is a fixed function of time, a Kaiser-windowed sinc (Kaiser 1974). The
-//! dense rate only sets how finely the convolution with it is summed, so a denser evaluation
-//! converges to one result. The filter delay is removed.
+//! The dense rate is only the step of the convolution sum, so a denser evaluation converges to one
+//! result. The filter delay is removed.
 //!
-//! The step at the ends of Kaiser's window is subtracted. With the step, filters of different
-//! density would end at different times, and differ by 1e-5 of an echo one filter length away from
-//! it.
+//! The step at the ends of the Kaiser window is subtracted. With the step, filters of different
+//! density would end at different times. Their difference one filter length from an echo would be
+//! 1e-5 of the echo.
 //!
 //! A pulse with sharp edges makes the convergence first order in the dense step. Weighted edge
 //! points ([`Edges::Weighted`](crate::edges::Edges)) raise it to fourth order or better.
@@ -27,18 +27,18 @@ const STOP_BAND_DB: f64 = 84.5;
 /// The tests measure the resulting error (relative l2 of a full record, 30 kHz x 5 ms at 40 kHz).
 /// Weighted sharp edges: 7e-7 (sampled: 1.2e-3). A Tukey taper of 0.1: 2e-7.
 const REFERENCE_DENSITY: f64 = 32.0;
-/// For sharp edges. Error with weighted edges 3e-4 (sampled: 4.4e-3).
+/// Density for sharp edges. The error with weighted edges is 3e-4 (sampled: 4.4e-3).
 const DIRECT_DENSITY: f64 = 8.0;
-/// For a taper of 0.1. Error 5e-6.
+/// Density for a taper of 0.1. The error is 5e-6.
 const DIRECT_DENSITY_TAPERED: f64 = 4.0;
-/// Smallest band over sample rate. The filter also passes part of the spectrum of a pulse's edges
-/// outside a narrow band, and aliases onto it must stay as small. One point per sample gave errors
-/// of 0.2 beside echoes of a rectangular CW pulse.
+/// Minimum ratio of band to sample rate. The filter also passes spectrum of the pulse's edges
+/// outside a narrow band, and its aliases must stay small. One point per sample gave errors of 0.2
+/// beside echoes of a rectangular CW pulse.
 const MIN_BAND: f64 = 0.7;
 /// Smallest Tukey taper at which a pulse counts as tapered.
 const TAPERED: f64 = 0.1;
 
-/// The receiver filter cannot be designed.
+/// Error of the filter design.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FilterError {
     #[error(
@@ -61,7 +61,7 @@ pub fn occupied_hz(pulse: &Pulse) -> f64 {
     pulse.bandwidth_hz.max(4.0 / pulse.duration_s)
 }
 
-/// Time grid on which a sum of `count` samples from `first_sample_s` is evaluated, ahead of the
+/// Time grid on which a sum of `count` samples from `first_sample_s` is evaluated, before the
 /// filter if there is one. Returns the first instant (seconds), the rate (Hz) and the number of
 /// samples.
 pub fn grid_ahead(
@@ -88,18 +88,19 @@ pub fn oversample(pulse: &Pulse, sample_rate_hz: f64, synthesis: Synthesis) -> u
     let density = match synthesis {
         Synthesis::Direct if pulse.taper >= TAPERED => DIRECT_DENSITY_TAPERED,
         Synthesis::Direct => DIRECT_DENSITY,
-        // The other methods compute one replica or spectrum per plan, so density costs little.
+        // The other methods compute one replica or spectrum per plan, so a high density costs
+        // little.
         _ => REFERENCE_DENSITY,
     };
     (density * (occupied_hz(pulse) / sample_rate_hz).max(MIN_BAND)).ceil() as usize
 }
 
-/// The filter at one sample rate and density, designed once per plan.
+/// Filter for one sample rate and density. It is designed once per plan.
 #[derive(Clone, Debug)]
 pub struct Decimator {
     oversample: usize,
     sample_rate_hz: f64,
-    /// Symmetric, odd number of taps, sum 1.
+    /// Taps of the filter: symmetric, odd number, sum 1.
     taps: Vec<f64>,
 }
 
@@ -208,7 +209,7 @@ impl Decimator {
     }
 }
 
-/// Sum of `taps[k] * x[k]` in four interleaved sums, so that it vectorises.
+/// Sum of `taps[k] * x[k]` in four interleaved sums, which the compiler can vectorise.
 fn dot(taps: &[f64], x: &[Complex64]) -> Complex64 {
     const WIDE: usize = 4;
     let x = &x[..taps.len()];
@@ -260,7 +261,7 @@ mod tests {
             for k in 0..=1000 {
                 let pass = filter.gain(15.5e3 * k as f64 / 1000.0);
                 assert!((pass - 1.0).abs() < 2e-4, "{oversample}: {pass}");
-                // Up to half the dense rate, where the dense samples themselves alias.
+                // The range ends at half the dense rate, where the dense samples themselves alias.
                 let stop_hz = 20e3 + (0.5 * filter.dense_rate_hz() - 20e3) * k as f64 / 1000.0;
                 let stop_db = 20.0 * filter.gain(stop_hz).abs().log10();
                 assert!(stop_db < -80.0, "{oversample}, {stop_hz} Hz: {stop_db} dB");
@@ -268,8 +269,8 @@ mod tests {
         }
     }
 
-    /// A pulse of 0.8 samples. With the step of Kaiser's own window, the difference at the end of
-    /// the filter is 6e-7, for 6 and 64 points per sample.
+    /// A pulse of 0.8 samples. With the step of the plain Kaiser window, the difference at the end
+    /// of the filter would be 6e-7, for 6 and 64 points per sample.
     #[test]
     fn filters_of_two_densities_end_at_the_same_time() {
         let heard = |oversample: usize| {
@@ -328,7 +329,7 @@ mod tests {
         assert_eq!(occupied_hz(&ping), 40e3);
         assert_eq!(occupied_hz(&PULSE), 30e3);
         assert_eq!(oversample(&PULSE, 40e3, Synthesis::Reference), 24);
-        // A narrow pulse in a wide receiver needs the same density as a wide one.
+        // A narrow pulse in a wide receiver needs the same density as a wide pulse.
         assert_eq!(oversample(&PULSE, 40e3, Synthesis::Direct), 6);
         assert_eq!(oversample(&ping, 1e6, Synthesis::Direct), 6);
     }

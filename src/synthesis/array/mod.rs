@@ -1,10 +1,9 @@
-//! Arrivals to element samples, and the receiver chain.
+//! Synthesis of element samples from arrivals, and the receiver chain.
 //!
-//! In: [`ArrivalChunk`](crate::arrivals::ArrivalChunk)s of one element. Out: samples of its complex envelope in volts.
-//! [`direct`] sums the echoes, [`filter`] takes a densely made sum down to the sample rate, [`receiver`] adds what the electronics do,
-//! [`faults`] what they should not do.
-//! [`gridded`] sums them on a grid within a tolerance, [`gridded2d`] and [`lines`] all elements of a line array at once. No configuration selects
-//! [`lines`] yet.
+//! The input is the [`ArrivalChunk`](crate::arrivals::ArrivalChunk)s of one element. The result is samples of its complex envelope
+//! in volts. [`direct`] sums the echoes. [`filter`] decimates a dense sum to the sample rate. [`receiver`] applies noise, gain and
+//! conversion, and [`faults`] applies faults. [`gridded`] sums the echoes of one element on a grid within a tolerance.
+//! [`gridded2d`] and [`lines`] sum the echoes of all elements of a line array together. No configuration selects [`lines`] yet.
 //!
 //! Not modelled: transmit leakage.
 

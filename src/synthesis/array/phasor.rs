@@ -1,16 +1,17 @@
-//! exp(j 2 pi x) in plain arithmetic: loops over it vectorise and give the same bits on every
+//! exp(j 2 pi x) in plain arithmetic. Loops over the function vectorise and give the same bits on every
 //! machine.
 
 use std::f64::consts::PI;
 
-/// Samples processed together: two AVX-512 or four SSE2 registers of f64.
+/// Number of samples processed together: two AVX-512 or four SSE2 registers of f64.
 pub(super) const LANES: usize = 8;
 
-/// Adding and subtracting this rounds to the nearest integer (|x| < 2^51). The low bits of the sum
-/// hold that integer.
+/// Addition and subtraction of this number round to the nearest integer (|x| < 2^51). The low bits of the
+/// sum hold that integer.
 const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
-/// Taylor coefficients of sin(pi x)/x and cos(pi x) in powers of x^2; remainders at |x| = 1/2 below 2e-17.
+/// Taylor coefficients of sin(pi x)/x and cos(pi x) in powers of x^2. The remainders at |x| = 1/2 are
+/// below 2e-17.
 const SIN_PI: [f64; 11] = taylor(PI, 1);
 const COS_PI: [f64; 11] = taylor(1.0, 0);
 
@@ -25,8 +26,7 @@ const fn taylor(first: f64, odd: usize) -> [f64; 11] {
     c
 }
 
-/// (cos, sin) of 2 pi `turns`. The absolute error is 5e-16 for |turns| < 2^50, with `turns` taken
-/// as exact.
+/// (cos, sin) of 2 pi `turns`. The absolute error is 5e-16 for |turns| < 2^50, if `turns` is exact.
 #[inline(always)]
 pub(crate) fn cis(turns: f64) -> (f64, f64) {
     let half_turns = 2.0 * turns;
@@ -38,7 +38,7 @@ pub(crate) fn cis(turns: f64) -> (f64, f64) {
         sin = sin * y + SIN_PI[k];
         cos = cos * y + COS_PI[k];
     }
-    // Half a turn changes both signs: the parity of the count becomes the sign bit.
+    // Half a turn changes both signs. The parity of the number of half turns becomes the sign bit.
     let flip = shifted.to_bits() << 63;
     (
         f64::from_bits(cos.to_bits() ^ flip),

@@ -10,19 +10,19 @@ use echotank_core::ping::PingPlan;
 
 use super::phasor::cis;
 
-/// Separates these random numbers from other uses of the same seed.
+/// Tag of the random numbers of elements, different from other uses of the same seed.
 const NOISE_TAG: [u8; 8] = *b"elementn";
-/// Separates the random numbers of subarrays from those of elements.
+/// Tag of the random numbers of subarrays.
 const PART_TAG: [u8; 8] = *b"partnois";
 
 /// Applies the receiver to the samples of one element in place. Returns the number of I or Q values
 /// that clip at the converter.
 ///
 /// The noise is circular Gaussian with variance N_0 f_s, in volts after `array.sensitivity_db`.
-/// Each (seed, sonar, ping, array, element) has its own random stream, so neither the order of
-/// computation nor the machine changes the noise. A subarray receives the mean of its elements'
-/// noise, drawn from a separate stream. Level and spectrum of the line's noise are unchanged, but
-/// its samples are not.
+/// Each (seed, sonar, ping, array, element) has its own random stream. The noise therefore depends
+/// neither on the order of computation nor on the machine. A subarray receives the mean of its
+/// elements' noise, drawn from a separate stream. Level and spectrum of the noise of the line are
+/// the same as without subarrays, but its samples are not.
 pub fn receive(
     plan: &PingPlan,
     receiver: &Receiver,
@@ -68,7 +68,7 @@ fn noise_stream(
 pub(super) fn add_noise(rms: f64, mut rng: ChaCha8Rng, samples: &mut [Complex64]) {
     const UNIT: f64 = 1.0 / (1u64 << 53) as f64;
     for sample in samples {
-        // Box and Muller (1958): the pair gives I and Q.
+        // Box and Muller (1958): a pair of uniform numbers gives I and Q.
         let chance = ((rng.next_u64() >> 11) + 1) as f64 * UNIT; // (0, 1]
         let turns = (rng.next_u64() >> 11) as f64 * UNIT;
         let radius = rms * (-libm::log(chance)).sqrt();
@@ -96,7 +96,7 @@ pub fn amplify(plan: &PingPlan, receiver: &Receiver, samples: &mut [Complex64]) 
         } => {
             for (k, sample) in samples.iter_mut().enumerate() {
                 let r = range_m(k);
-                // log10(0) is minus infinity, which the clip below turns into 0 dB.
+                // log10(0) is minus infinity, and the limit below changes it to 0 dB.
                 let law_db = spreading * libm::log10(r) + 2.0 * absorption_db_per_m * r;
                 *sample *= fixed * linear(law_db.min(*max_db).max(0.0));
             }

@@ -1,14 +1,14 @@
-//! Error models for the largest windowed error with a noise floor; [`super::error_models`] covers
-//! whole echoes.
+//! Error models for the largest windowed error with a noise floor. [`super::error_models`] has
+//! those of whole echoes.
 //!
 //! A window of one pulse length may hold only one end of an echo, or the tail of the receiver
-//! filter. The error there counts relative to that part or to the noise, whichever is larger.
+//! filter. Its error is relative to that part or to the noise, whichever is larger.
 //!
-//! The model synthesises a single echo at several positions between two samples, by the method and
-//! exactly. It then compares the two window by window.
+//! The model synthesises a single echo at several positions between two samples, once by the method
+//! and once exactly. It compares both window by window.
 //!
-//! Input: conditions, the pulse of the plan and the noise level. Output: an error model for the
-//! worst window.
+//! The inputs are the conditions, the pulse of the plan and the noise level. The result is an error
+//! model for the worst window.
 
 use num_complex::Complex64;
 
@@ -26,18 +26,19 @@ use super::filter::{Decimator, FilterError, oversample};
 use crate::comparison::Comparison;
 use crate::comparison::spectral::Bins;
 
-/// Echo positions between two samples: on a sample, halfway, and some that repeat on no dense grid.
+/// Tested echo positions between two samples: on a sample, halfway, and positions that repeat on no
+/// dense grid.
 const PLACES: [f64; 6] = [0.0, 0.5, 0.118, 0.236, 0.618, 0.854];
 
-/// Allowance for other positions and for several echoes in one window.
+/// Factor for untested positions and for several echoes in one window.
 const MORE: f64 = 1.5;
 
-/// Largest error counted: an echo of opposite sign.
+/// Maximum counted error: that of an echo with the opposite sign.
 const MOST: f64 = 2.0;
 
-/// As [`synthesis_error_model`], for the worst window; the noise lies `noise_below_db` below the
-/// strongest echo. Engines with a tolerance have their own error models. `doppler_hz`: extra pass
-/// band of the receiver filter beside the pulse's band, Hz.
+/// As [`synthesis_error_model`], for the worst window. The noise is `noise_below_db` below the
+/// strongest echo. Engines with a tolerance have their own error models. `doppler_hz` is the
+/// additional pass band of the receiver filter beside the band of the pulse, Hz.
 pub fn window_error_model(
     synthesis: Synthesis,
     conditions: &Conditions,
@@ -66,12 +67,12 @@ pub fn window_error_model(
 struct SingleEcho<'a> {
     plan: &'a PingPlan,
     rate_hz: f64,
-    /// The method under test, prepared once for all positions; none is the direct sum.
+    /// The tested method, prepared once for all positions; `None` for the direct sum.
     method: Option<Comparison>,
     own: Option<Decimator>,
     exact: Option<Decimator>,
-    /// Samples of a window, and samples of silence on either side of the echo: a window plus the
-    /// reach of the filters.
+    /// Number of samples of a window. The next field is the number of silent samples on either side
+    /// of the echo: a window plus the reach of the filters.
     window: usize,
     silence: usize,
     samples: usize,
@@ -115,8 +116,8 @@ impl<'a> SingleEcho<'a> {
         })
     }
 
-    /// Worst window over all positions, at rest and, if the method supports Doppler, at the largest
-    /// Doppler.
+    /// Error in the worst window over all positions at rest. If the method supports Doppler, also
+    /// at the largest Doppler.
     fn worst(&self, conditions: &Conditions, noise_below_db: f64) -> f64 {
         let fastest = 2.0 * conditions.speed_m_per_s / conditions.sound_speed_m_per_s;
         let dopplers = match self.method {
@@ -131,7 +132,7 @@ impl<'a> SingleEcho<'a> {
             .fold(0.0, f64::max)
     }
 
-    /// Worst window of an echo that begins `place` samples after a sample.
+    /// Error in the worst window of an echo that begins `place` samples after a sample.
     fn at(&self, place: f64, doppler: f64, noise_below_db: f64) -> f64 {
         let (want, got) = (self.exactly(place, doppler), self.summed(place, doppler));
         let energies = |samples: Vec<f64>| -> Vec<f64> {
@@ -255,7 +256,7 @@ mod tests {
                     .map(|place| alone.at(place, 0.0, 55.0))
                     .fold(0.0, f64::max);
                 println!("{synthesis:?} {filter:?} {pulse:?}: {got:.2e}, {error_model:?}");
-                // An error model states at most twice the echo.
+                // The error of an error model is at most twice the echo.
                 assert!(
                     got.min(MOST) <= error_model.error,
                     "{got:e}, {error_model:?}"
@@ -264,8 +265,8 @@ mod tests {
         }
     }
 
-    /// The flanks rise quadratically. Half a sample is therefore a large share of an echo where it
-    /// emerges from the noise.
+    /// The flanks rise quadratically. Half a sample is therefore a large fraction of an echo where
+    /// the echo exceeds the noise.
     #[test]
     fn the_worst_window_is_an_end_and_exceeds_the_error_of_the_whole_echo() {
         let pulse = pulse(0.0, 1e-3, 1.0);

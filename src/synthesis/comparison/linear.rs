@@ -1,9 +1,10 @@
-//! What somewhat better simulators do: every echo's replica interpolated linearly between its samples, its carrier phase exact.
+//! Synthesis by linear interpolation, `linear`: the replica of each echo is interpolated between its samples, with the exact
+//! carrier phase.
 //!
-//! For comparison. Interpolation rounds off the pulse's upper band; the pulse is not stretched, so Doppler models that stretch it do not go
-//! with it.
+//! Other simulators use this method; it is for comparison. Interpolation attenuates the upper band of the pulse. The pulse is not
+//! stretched, so Doppler models with stretch are not supported.
 
 use super::replica::Laid;
 
-/// Adds echoes to the samples of one element, interpolated between samples.
+/// Sink that adds echoes to the samples of one element, interpolated between samples.
 pub type Linear<'a> = Laid<'a, true>;

@@ -1,7 +1,7 @@
-//! Ways to sum echoes that other simulators use, kept to be compared with: the paper's sum over frequencies ([`spectral`]), and a sampled
-//! pulse laid down at the nearest sample ([`nearest`]) or interpolated ([`linear`]).
+//! Synthesis methods of other simulators, for comparison: the sum over frequencies of Meng et al. 2023 ([`spectral`]), and sampled
+//! replicas at the nearest sample ([`nearest`]) or interpolated ([`linear`]).
 //!
-//! [`Comparison`] is all that the pipeline knows of them.
+//! The pipeline uses them through [`Comparison`].
 
 pub mod linear;
 pub mod nearest;
@@ -22,19 +22,19 @@ use nearest::Nearest;
 use replica::Replica;
 use spectral::{Bins, Spectral, Spectrum};
 
-/// One of the methods kept for comparison, with the tables that all elements share.
+/// Synthesis method for comparison, with the tables that all elements share.
 pub enum Comparison {
-    /// The sum over frequencies of Meng et al. 2023.
+    /// Sum over frequencies of Meng et al. 2023.
     Spectral(Spectrum),
-    /// Every echo at the nearest sample.
+    /// Replicas at the nearest sample.
     Nearest(Replica),
-    /// Every echo interpolated between samples.
+    /// Replicas interpolated between samples.
     Linear(Replica),
 }
 
 impl Comparison {
-    /// The method that `synthesis` names, for records of up to `record_s` seconds, pulse and filter tails included; none for methods of the
-    /// daily work. `step_hz` is the step of the frequency grid, see [`Spectrum::new`].
+    /// The method that `synthesis` names; `None` if it is not one of these methods. Records last up to `record_s` seconds,
+    /// including pulse and filter tails. `step_hz` is the step of the frequency grid, see [`Spectrum::new`].
     pub fn new(
         synthesis: Synthesis,
         rate_hz: f64,
@@ -55,7 +55,7 @@ impl Comparison {
         }
     }
 
-    /// Computes the tables of the plan's pulse, unless they are there.
+    /// Computes the tables of the plan's pulse unless they exist.
     pub fn prepare(&mut self, plan: &PingPlan, rate_hz: f64, filter: Option<&Decimator>) {
         match self {
             Self::Spectral(spectrum) => spectrum.prepare(plan),
@@ -65,7 +65,7 @@ impl Comparison {
         }
     }
 
-    /// Overwrites `iq` with the samples of one element, behind the receiver filter.
+    /// Overwrites `iq` with the samples of one element, after the receiver filter.
     #[expect(
         clippy::too_many_arguments,
         reason = "one element of one ping, with the scratch of one thread"
@@ -86,7 +86,7 @@ impl Comparison {
         })
     }
 
-    /// Overwrites `iq` with the echoes that `pass` gives to the sink, behind the receiver filter.
+    /// Overwrites `iq` with the sum of the echoes that `pass` emits to the sink, after the receiver filter.
     pub(crate) fn sum<R>(
         &self,
         plan: &PingPlan,

@@ -1,8 +1,10 @@
-//! What simple simulators do: every echo's replica on the nearest sample, its carrier phase exact.
+//! Synthesis at the nearest sample, `nearest`: the replica of each echo is placed on the nearest sample, with the exact carrier
+//! phase.
 //!
-//! For comparison. An echo is up to half a sample out of place; the pulse is not stretched, so Doppler models that stretch it do not go with it.
+//! Simple simulators use this method; it is for comparison. An echo is displaced by up to half a sample. The pulse is not
+//! stretched, so Doppler models with stretch are not supported.
 
 use super::replica::Laid;
 
-/// Adds echoes to the samples of one element, each at the nearest sample.
+/// Sink that adds echoes to the samples of one element, each at the nearest sample.
 pub type Nearest<'a> = Laid<'a, false>;

@@ -1,4 +1,5 @@
-//! One pulse as the receiver hears it, sampled once for all echoes: what [`nearest`](super::nearest) and [`linear`](super::linear) lay down.
+//! Replica of the received pulse, sampled once for all echoes. [`nearest`](super::nearest) and [`linear`](super::linear) add copies
+//! of it.
 
 use num_complex::Complex64;
 
@@ -11,18 +12,18 @@ use crate::array::direct::Direct;
 use crate::array::filter::Decimator;
 use crate::array::phasor::cis;
 
-/// An echo of unit strength that begins at time zero, without carrier, at the sample rate and behind the receiver filter.
+/// Echo of unit amplitude that begins at time zero, without carrier, at the sample rate and after the receiver filter.
 #[derive(Clone, Debug, Default)]
 pub struct Replica {
     pulse: Option<Pulse>,
-    /// `samples[before]` is the one at time zero; the filter rings ahead of it.
+    /// Index of the sample at time zero. The response of the filter begins earlier.
     before: usize,
     samples: Vec<Complex64>,
     dense: Vec<Complex64>,
 }
 
 impl Replica {
-    /// Makes the replica of the plan's pulse, unless it is made already. Allocates only where a pulse is longer than any before it.
+    /// Computes the replica of the plan's pulse unless it exists. Allocates only if a pulse is longer than all before.
     pub fn prepare(&mut self, plan: &PingPlan, rate_hz: f64, filter: Option<&Decimator>) {
         if self.pulse == Some(plan.pulse) {
             return;
@@ -53,7 +54,7 @@ impl Replica {
         }
     }
 
-    /// Adds the replica to `out`, its sample at time zero on `out[start]`, which may lie off either end.
+    /// Adds the replica to `out`, with its sample at time zero on `out[start]`. `start` may be outside `out`.
     fn add(&self, start: i64, factor: Complex64, out: &mut [Complex64]) {
         let from = start.saturating_sub(self.before as i64);
         let skip = usize::try_from(from.saturating_neg()).unwrap_or(0);
@@ -67,7 +68,7 @@ impl Replica {
     }
 }
 
-/// Lays replicas down on the samples of one element.
+/// Sink that adds replicas to the samples of one element.
 pub struct Laid<'a, const INTERPOLATED: bool> {
     replica: &'a Replica,
     carrier_hz: f64,
@@ -77,7 +78,8 @@ pub struct Laid<'a, const INTERPOLATED: bool> {
 }
 
 impl<'a, const INTERPOLATED: bool> Laid<'a, INTERPOLATED> {
-    /// Sample k of `out` lies `first_sample_s + k / rate_hz` after the start of the pulse. Echoes are added to what `out` holds.
+    /// Sink for samples at `first_sample_s + k / rate_hz` seconds after the start of the pulse. Echoes are added to the values of
+    /// `out`.
     pub fn new(
         plan: &PingPlan,
         replica: &'a Replica,

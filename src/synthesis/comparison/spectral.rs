@@ -1,13 +1,14 @@
-//! The paper's own algorithm (Meng et al. 2023, Eqs. 18 and 21): a sum over scatterers at every frequency of a grid, and one inverse FFT.
+//! Synthesis method `spectral` of Meng et al. 2023 (Eqs. 18 and 21): a sum over scatterers at every frequency of a grid, and one
+//! inverse FFT.
 //!
 //! ```text
 //! Y(f) = sum_m A_m exp(-j 2pi f tau_m) S(f) H(f),   f = f_c + k Df,   |k Df| < f_s/2
 //! ```
 //!
-//! tau is the delay of the plan's path model (Eq. 18), or that with either leg's frequency ratio in it (Eq. 21, `doppler = "paper-eq21"`).
-//! S is the pulse's spectrum and H the receiver filter's gain. The series repeats every 1/Df: a step above 1/(record length) lays late echoes
-//! over early ones. Everything in f64. Not modelled: a stretch of the pulse, which no common S can hold; without a receiver filter the pulse
-//! is cut to the sampled band.
+//! tau is the delay of the plan's path model (Eq. 18), or that delay with the frequency ratios of both legs (Eq. 21, `doppler =
+//! "paper-eq21"`). S is the spectrum of the pulse and H the gain of the receiver filter. The series repeats every 1/Df, so a step
+//! above 1/(record length) adds late echoes to early ones. All arithmetic is in f64. Not modelled: a stretch of the pulse, because
+//! all echoes share S. Without a receiver filter the pulse is limited to the sampled band.
 
 use std::sync::Arc;
 
@@ -22,22 +23,23 @@ use echotank_core::pulse::Pulse;
 use crate::array::direct::add_tone;
 use crate::array::filter::{Decimator, occupied_hz};
 
-/// Points per period of the widest band at which S is integrated; weighted at the pulse's ends it is good to 1e-8 of its peak.
+/// Number of points per period of the widest band in the integral of S. With weights at the ends of the pulse, the error is 1e-8 of
+/// the peak of S.
 const SPECTRUM_DENSITY: f64 = 64.0;
 
-/// The frequency grid of one sonar, and S H on it.
+/// Frequency grid of one sonar, with the values of S H.
 pub struct Spectrum {
     rate_hz: f64,
     step_hz: f64,
     pulse: Option<Pulse>,
-    /// H, or 1 without a filter. Bin k lies (k - bins/2) steps from the centre frequency.
+    /// H, or 1 without a filter. Bin k is (k - bins/2) steps from the centre frequency.
     gain: Vec<f64>,
-    /// S H.
+    /// S H at each bin.
     shaped: Vec<Complex64>,
     inverse: Arc<dyn Fft<f64>>,
 }
 
-/// One thread's bins.
+/// Bins of one thread.
 #[derive(Clone, Debug, Default)]
 pub struct Bins {
     sum: Vec<Complex64>,
@@ -46,8 +48,9 @@ pub struct Bins {
 }
 
 impl Spectrum {
-    /// For records of up to `record_s`, pulse and filter tails included. `step_hz` sets the grid's own step, too coarse if one likes; none
-    /// takes the finest whose transform is quick at or below 1/`record_s`. Rounded so that the sampled band holds whole steps.
+    /// Grid for records of up to `record_s` seconds, including pulse and filter tails. `step_hz` sets the step of the grid; a step
+    /// above 1/`record_s` wraps late echoes. `None` selects the largest step of at most 1/`record_s` with a fast transform. The
+    /// step is rounded, so that the sampled band has a whole number of steps.
     pub fn new(
         rate_hz: f64,
         record_s: f64,
@@ -82,7 +85,7 @@ impl Spectrum {
         self.step_hz
     }
 
-    /// Works out S H for the plan's pulse, unless that is done already.
+    /// Computes S H of the plan's pulse unless it exists.
     pub fn prepare(&mut self, plan: &PingPlan) {
         if self.pulse == Some(plan.pulse) {
             return;
@@ -119,12 +122,12 @@ impl Spectrum {
     }
 }
 
-/// Steps of bin `k` from the centre frequency.
+/// Number of steps of bin `k` from the centre frequency.
 fn offset(k: usize, bins: usize) -> f64 {
     k as f64 - (bins / 2) as f64
 }
 
-/// Least length with no prime factor above 5 that is not below `least`.
+/// Smallest length of at least `least` without a prime factor above 5.
 fn quick_len(least: usize) -> usize {
     (least..)
         .find(|&n| {
@@ -139,7 +142,7 @@ fn quick_len(least: usize) -> usize {
         .unwrap_or(least)
 }
 
-/// Sums the echoes of one element on the grid.
+/// Sink that sums the echoes of one element on the grid.
 pub struct Spectral<'a> {
     spectrum: &'a Spectrum,
     bins: &'a mut Bins,
@@ -148,7 +151,8 @@ pub struct Spectral<'a> {
 }
 
 impl<'a> Spectral<'a> {
-    /// `first_sample_s`: of the samples that [`Self::finish`] will give. [`Spectrum::prepare`] has seen this plan's pulse.
+    /// `first_sample_s` is the time of the first sample of [`Self::finish`]. [`Spectrum::prepare`] must have been called for this
+    /// plan's pulse.
     pub fn new(
         plan: &PingPlan,
         spectrum: &'a Spectrum,
@@ -165,7 +169,7 @@ impl<'a> Spectral<'a> {
         }
     }
 
-    /// Times S H, and back to time: overwrites `out`. Samples beyond 1/Df are those of the period before.
+    /// Multiplies by S H and transforms to time. Overwrites `out`. Samples beyond 1/Df repeat the previous period.
     pub fn finish(self, out: &mut [Complex64]) {
         let Self { spectrum, bins, .. } = self;
         let count = spectrum.bins();
@@ -176,7 +180,7 @@ impl<'a> Spectral<'a> {
         } = bins;
         turned.resize(count, Complex64::ZERO);
         scratch.resize(spectrum.inverse.get_inplace_scratch_len(), Complex64::ZERO);
-        // The transform wants the centre frequency first.
+        // The transform requires the centre frequency first.
         for (k, (y, shaped)) in sum.iter().zip(&spectrum.shaped).enumerate() {
             turned[(k + count - count / 2) % count] = y * shaped * spectrum.step_hz;
         }

@@ -1,5 +1,4 @@
-//! The loops of [`super::moments`] in AVX2 with FMA. The portable versions there define the
-//! results.
+//! AVX2 and FMA versions of the loops of [`super::moments`]. The portable versions there define the results.
 
 use std::arch::x86_64::*;
 
@@ -8,7 +7,8 @@ use num_complex::{Complex32, Complex64};
 use super::moments::{BLOCK, FlushWeights, MAX_TAPS, Points, Row32, Row64, Shared};
 use super::prepare::Sharing;
 
-/// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
+/// SAFETY: the processor must have the features, and `points` must be as `Real::accumulate` checks them. Panics if a row is
+/// missing.
 #[target_feature(enable = "avx2,fma")]
 pub(crate) unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
     // SAFETY: the caller guarantees features and shapes: at most BLOCK points, all slices as long
@@ -18,7 +18,7 @@ pub(crate) unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
         let n = points.cell.len();
         let table = rows.as_mut_ptr().cast::<f32>();
         let (x, row) = (points.x.as_ptr(), points.cell.as_ptr());
-        // Computes x^2 and x^4 of all points first, eight at once; they are broadcast when read.
+        // x^2 and x^4 of all points are computed first, eight at once. They are broadcast when read.
         let (mut x2, mut x4) = ([0f32; BLOCK], [0f32; BLOCK]);
         let mut last = 0;
         for j in 0..n {
@@ -47,7 +47,8 @@ pub(crate) unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
     }
 }
 
-/// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
+/// SAFETY: the processor must have the features, and `points` must be as `Real::accumulate` checks them. Panics if a row is
+/// missing.
 #[target_feature(enable = "avx2,fma")]
 pub(crate) unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
     // SAFETY: as for `accumulate_32`; rows are 192 bytes long and aligned to 64.
@@ -74,8 +75,8 @@ pub(crate) unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
     }
 }
 
-/// A window of grid values slides over the cells in registers. Each cell adds its taps, then the
-/// first value is complete and leaves the window.
+/// A window of grid values moves over the cells in registers. Each cell adds its taps to the window. Then the first value is
+/// complete and is written.
 ///
 /// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
 #[target_feature(enable = "avx2,fma")]

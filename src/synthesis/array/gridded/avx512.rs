@@ -1,4 +1,4 @@
-//! The loops of [`super::moments`] in AVX-512. The portable versions there define the results.
+//! AVX-512 versions of the loops of [`super::moments`]. The portable versions there define the results.
 
 use std::arch::x86_64::*;
 
@@ -6,12 +6,12 @@ use num_complex::{Complex32, Complex64};
 
 use super::moments::{BLOCK, FlushWeights, Points, Row32, Row64};
 
-/// Points whose factors are computed together.
+/// Number of points whose factors are computed together.
 const GROUP: usize = 16;
 
 /// Permutation: selects which of 1, x^2, x^4, x^6 multiplies each lane of a row.
 const SPREAD_FOUR: [i32; 16] = [0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3];
-/// Eight numbers, each twice.
+/// Permutation that duplicates each of eight numbers.
 const TWICE: [i32; 16] = [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6, 7, 7];
 
 /// A row is (c, c x) times (1, x^2, x^4, x^6). The factors are computed for 16 points at once. Each
@@ -96,7 +96,8 @@ pub(crate) unsafe fn accumulate_32(points: Points<f32>, rows: &mut [Row32]) {
     }
 }
 
-/// SAFETY: the processor must have the features; `points` as `Real::accumulate` checks them. Panics where a row is missing.
+/// SAFETY: the processor must have the features, and `points` must be as `Real::accumulate` checks them. Panics if a row is
+/// missing.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 pub(crate) unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
     // SAFETY: as for `accumulate_32`; rows are 192 bytes long and aligned to 64.
@@ -132,8 +133,8 @@ pub(crate) unsafe fn accumulate_64(points: Points<f64>, rows: &mut [Row64]) {
     }
 }
 
-/// A window of grid values slides over the cells in registers. Each cell adds its taps, then the
-/// first value is complete and leaves the window.
+/// A window of grid values moves over the cells in registers. Each cell adds its taps to the window. Then the first value
+/// is complete and is written.
 ///
 /// SAFETY: the processor must have the features; shapes as `Real::flush` checks them.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]

@@ -1,8 +1,8 @@
-//! Selects the band of a received pulse that is kept.
+//! Selection of the band of a received pulse that the engine keeps.
 //!
-//! Truncation of the spectrum must cause a small error in every window. The error lies about the
-//! ends of pulses, and a sharp cut rings into times without an echo. The selection therefore
-//! synthesises an echo with and without the truncation, and compares the two window by window
+//! Truncation of the spectrum must cause a small error in every window. The error is near the ends
+//! of pulses, and a sharp truncation rings into times without an echo. The selection therefore
+//! synthesises an echo with and without the truncation. It compares both window by window
 //! ([`SingleEcho`]), as the accuracy requirement does.
 
 use std::sync::LazyLock;
@@ -13,14 +13,14 @@ use super::choose::SHARE;
 use super::one_dimensional::{GriddedError, Spec};
 use super::single_echo::SingleEcho;
 
-/// Maximum width of the band in multiples of the sample rate; half of it where a filter removes
-/// nearly everything beyond.
+/// Maximum width of the band in multiples of the sample rate. Half of it if a filter removes nearly
+/// all energy beyond.
 const MAX_BANDS: usize = 8;
 
 /// Step between the bands to try, in sample rates.
 const STEP: f64 = 0.125;
 
-/// Share of the tolerance for truncation if no band reaches [`SHARE`].
+/// Fraction of the tolerance for truncation if no band reaches [`SHARE`].
 const LAST_SHARE: f64 = 0.7;
 
 /// The kept band of the received pulse.
@@ -38,7 +38,8 @@ pub(super) struct Band {
 /// about it.
 const FADE: f64 = 0.125;
 
-/// The fade is the integral of a Kaiser window, 70 dB down beyond these 24 samples.
+/// Shape parameter of the Kaiser window whose integral is the fade: 70 dB down beyond these 24
+/// samples.
 const FADE_BETA: f64 = 9.0;
 
 impl Band {
@@ -57,7 +58,7 @@ impl Band {
     }
 }
 
-/// Integral from the outer end of the fade to its inner end.
+/// Integral of the window from the outer end of the fade to its inner end.
 static FADING: LazyLock<Vec<f64>> = LazyLock::new(|| {
     const STEPS: usize = 1024;
     let bump = |i: usize| {
@@ -94,8 +95,8 @@ pub(super) fn widest(spec: &Spec) -> f64 {
     reach(spec).1
 }
 
-/// Selects the narrowest band whose truncation error keeps its share in any window, at both ends of
-/// the span of Dopplers.
+/// Selects the narrowest band whose truncation error is within its share of the tolerance in every
+/// window. Both ends of the Doppler span are tested.
 pub(super) fn band(spec: &Spec, alone: &SingleEcho) -> Result<Band, GriddedError> {
     let (most, _) = reach(spec);
     let steps = (most as f64 / STEP) as usize;

@@ -1,11 +1,9 @@
-//! Batched FFT: points are spread over interleaved columns, which are all transformed at once.
+//! Batched FFT. Points are spread over interleaved columns, and all columns are transformed together.
 //!
-//! A table has a row for every value of the grid of delays and a column for every Doppler. A row
-//! consists of `lanes` real parts and then `lanes` imaginary parts. A vector thus holds the same
-//! value of several columns, and no operation moves data between lanes. The transform of all
-//! columns is the transform of one column with vectors in place of numbers. Bins come out in
-//! transform order ([`BatchedFft::frequencies`]), in which the templates are stored too; the sum is
-//! reordered at the end.
+//! A table has a row for every value of the delay grid and a column for every Doppler. A row consists of `lanes` real parts and
+//! then `lanes` imaginary parts. A vector thus holds the same value of several columns, and no operation moves data between lanes.
+//! The transform of all columns is the transform of one column with vectors in place of numbers. Bins are in transform order
+//! ([`BatchedFft::frequencies`]), and so are the stored templates. The sum is reordered at the end.
 //!
 //! The transform makes two passes through the table. The first transforms every `short`-th row, and
 //! the second `short` neighbouring rows at a time, which fit the innermost cache (Cooley and Tukey
@@ -23,14 +21,14 @@ use echotank_core::simd::{Kind, SimdLevel};
 #[cfg(target_arch = "x86_64")]
 use std::arch::x86_64::*;
 
-/// The number of lanes is a multiple of this.
+/// The number of lanes is a multiple of this number.
 pub(super) const LANES: usize = 8;
 
-/// Maximum number of neighbouring rows transformed together: 32 KB of 16 columns in f32.
+/// Maximum number of consecutive rows transformed together: 32 KB for 16 columns in f32.
 const SHORT: usize = 256;
 
-/// Maximum number of lanes transformed together: one full vector in f32, and a table of twenty
-/// thousand rows in the second cache.
+/// Maximum number of lanes transformed together: one full vector in f32. A table of twenty thousand rows then fits the second-level
+/// cache.
 pub(crate) const MAX_TOGETHER: usize = 16;
 
 /// Number of lanes for `columns` columns.
@@ -55,20 +53,20 @@ struct Steps<T> {
     steps: Vec<(usize, Vec<Complex<T>>)>,
 }
 
-/// A row of a transformed table that is a bin, and its index in the spectrum. Sorted by rows.
+/// Row of a transformed table that holds a bin, with the index of the bin in the spectrum. Places are sorted by row.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Place {
     pub row: u32,
     pub to: u32,
 }
 
-/// Operation on a table: transform it, multiply by templates, add up, and clear.
+/// Transform of a table. The result is multiplied by templates and summed, and the table is cleared.
 pub struct Job<'a, T> {
-    /// `[row][2 * lanes]`
+    /// Table in the layout `[row][2 * lanes]`.
     pub table: &'a mut [T],
     pub lanes: usize,
     pub places: &'a [Place],
-    /// `[place][2 * template_lanes]`; those of the table start at `first_template`.
+    /// Templates in the layout `[place][2 * template_lanes]`; those of the table start at `first_template`.
     pub templates: &'a [T],
     pub(crate) template_lanes: usize,
     pub(crate) first_template: usize,
@@ -173,7 +171,7 @@ impl<T: Real> BatchedFft<T> {
         );
     }
 
-    /// The first pass: the long transform of every `short`-th row.
+    /// First pass: the long transform of every `short`-th row.
     ///
     /// SAFETY: `size` rows must exist in the table and `long` rows in the scratch; the processor must have V.
     #[inline(always)]
@@ -196,7 +194,7 @@ impl<T: Real> BatchedFft<T> {
         }
     }
 
-    /// Processes the columns from lane `first` on, as many as V has lanes.
+    /// Processes the columns from lane `first`, as many as V has lanes.
     ///
     /// SAFETY: the processor must have V; `job` is as [`Self::check`] requires, and `first` + V's
     /// lanes <= its lanes.
@@ -244,8 +242,8 @@ impl<T: Real> BatchedFft<T> {
     }
 }
 
-/// Columns of a table that are transformed in place: `[row][stride]` numbers, of which `lanes` real parts begin at `first`, followed by as many
-/// imaginary parts.
+/// Columns of a table that are transformed in place, in the layout `[row][stride]`. The real parts are `lanes` numbers from
+/// `first`, followed by as many imaginary parts.
 pub(crate) struct LaneTable<'a> {
     pub table: &'a mut [f32],
     pub stride: usize,
@@ -265,7 +263,8 @@ pub(crate) fn transform_lanes(simd_level: SimdLevel, fft: &BatchedFft<f32>, mut 
     assert!(job.table.len() >= fft.size * job.stride, "rows");
     assert!(job.scratch.len() >= fft.scratch_len(), "scratch");
     match simd_level.kind() {
-        // SAFETY (of the three): a `SimdLevel` of this kind exists only on processors with the features; shapes checked above.
+        // SAFETY (all three calls): a `SimdLevel` of this kind exists only on processors with the features; shapes are checked
+        // above.
         #[cfg(target_arch = "x86_64")]
         Kind::Avx512 => unsafe { lanes_avx512(fft, &mut job) },
         #[cfg(target_arch = "x86_64")]
@@ -274,7 +273,7 @@ pub(crate) fn transform_lanes(simd_level: SimdLevel, fft: &BatchedFft<f32>, mut 
     }
 }
 
-// SAFETY (of both): the processor must have the features; shapes as [`transform_lanes`] checks them.
+// SAFETY (both functions): the processor must have the features, and shapes must be as [`transform_lanes`] checks them.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
 unsafe fn lanes_avx2(fft: &BatchedFft<f32>, job: &mut LaneTable) {
@@ -311,8 +310,8 @@ unsafe fn all_lanes<V: Lanes<Number = f32>>(fft: &BatchedFft<f32>, job: &mut Lan
     }
 }
 
-/// Some columns of a table: pointer to the real parts; the imaginary parts follow `apart` numbers
-/// later, and the next row `step` numbers later.
+/// Columns of a table: pointer to the real parts. The imaginary parts follow `apart` numbers later, and the next row `step` numbers
+/// later.
 #[derive(Clone, Copy)]
 struct Columns<T> {
     re: *mut T,
@@ -418,7 +417,7 @@ impl<T: Real> Steps<T> {
     }
 }
 
-/// Transform of R values.
+/// Transform of R values, with R small.
 trait Small<V: Lanes, const R: usize> {
     /// SAFETY: the processor must have V.
     unsafe fn of(values: [Pair<V>; R]) -> [Pair<V>; R];
@@ -556,8 +555,8 @@ where
     }
 }
 
-/// Checks what the vector loops rely on: every lane that a point adds to exists, and [`MAX_TAPS`]
-/// numbers from its first column on.
+/// Checks the assumptions of the vector loops: every lane that a point adds to exists, with [`MAX_TAPS`] numbers from its first
+/// column.
 fn check_spread<T: Real>(points: &Points<T>, across: &Across<T>, width: usize, table: usize) {
     let len = points.cell.len();
     assert_eq!(points.x.len(), len, "places");
@@ -570,7 +569,7 @@ fn check_spread<T: Real>(points: &Points<T>, across: &Across<T>, width: usize, t
         "column {last_column} of {}",
         across.lanes
     );
-    // One row more, for what reaches past the last imaginary part.
+    // One more row is needed for additions past the last imaginary part.
     let rows = greatest(points.cell) + width + 1;
     assert!(
         rows * 2 * across.lanes <= table && (1..=MAX_WIDTH).contains(&width),
@@ -579,7 +578,7 @@ fn check_spread<T: Real>(points: &Points<T>, across: &Across<T>, width: usize, t
     );
 }
 
-/// SAFETY: the processor must have V; shapes as [`check_spread`] wants them.
+/// SAFETY: the processor must have V, and shapes must be as [`check_spread`] requires.
 #[inline(always)]
 unsafe fn spread<V: Lanes>(
     points: Points<V::Number>,
@@ -602,7 +601,7 @@ unsafe fn spread<V: Lanes>(
     }
 }
 
-/// Loops of fixed length for kernels of width W; the largest W handles all others.
+/// Loops of fixed length for kernels of width W. The largest W handles all other widths.
 ///
 /// SAFETY: as [`spread`].
 #[inline(always)]
@@ -655,7 +654,7 @@ unsafe fn spread_of<V: Lanes, const W: usize>(
     }
 }
 
-/// Points whose row weights are computed together.
+/// Number of points whose row weights are computed together.
 const STRIP: usize = 64;
 
 /// Weights of points at `x` for tap `tap`.
@@ -749,7 +748,8 @@ macro_rules! batched_fft {
         ) {
             check_spread(&points, &across, weights.width, table.len());
             match simd_level.kind() {
-                // SAFETY (of the three): a `SimdLevel` of this kind exists only on processors with the features; shapes checked above.
+                // SAFETY (all three calls): a `SimdLevel` of this kind exists only on processors with the features; shapes are
+                // checked above.
                 #[cfg(target_arch = "x86_64")]
                 Kind::Avx512 => unsafe { $mod::spread_avx512(points, across, weights, table) },
                 #[cfg(target_arch = "x86_64")]
@@ -766,7 +766,8 @@ macro_rules! batched_fft {
         ) {
             batched_fft.check(&job);
             match simd_level.kind() {
-                // SAFETY (of the three): a `SimdLevel` of this kind exists only on processors with the features; shapes checked above.
+                // SAFETY (all three calls): a `SimdLevel` of this kind exists only on processors with the features; shapes are
+                // checked above.
                 #[cfg(target_arch = "x86_64")]
                 Kind::Avx512 => unsafe { $mod::transform_avx512(batched_fft, &mut job) },
                 #[cfg(target_arch = "x86_64")]
@@ -815,8 +816,7 @@ mod tests {
         (x >> 11) as f64 / (1u64 << 52) as f64 - 1.0
     }
 
-    /// Expected `spectrum` of columns with templates, in f64; `place.to` is the index of the
-    /// frequency among the places.
+    /// Expected `spectrum` of columns with templates, in f64. `place.to` is the index of the frequency among the places.
     fn summed(rows: usize, lanes: usize, table: &[f64], templates: &[f64]) -> Vec<(f64, f64)> {
         let number = |all: &[f64], row: usize, lane: usize| {
             let at = 2 * lanes * row + lane;
@@ -834,8 +834,8 @@ mod tests {
         (0..rows).map(bin).collect()
     }
 
-    /// Every odd part of a grid size, with full and partial vectors of lanes, against the
-    /// definition of the sum.
+    /// Compares the transform with the definition of the sum, for every odd part of a grid size and for full and partial vectors of
+    /// lanes.
     fn columns_add_up<T: Real + Into<f64>>(limit: f64) {
         for size in [8, 24, 40, 48, 72, 120, 512] {
             for lanes in [8, 16, 24] {
@@ -899,8 +899,8 @@ mod tests {
         }
     }
 
-    // Sums of up to 12,000 products of numbers below 1, rounded about ten times; in f64 the
-    // definition rounds as much as the transform.
+    // The result is a sum of up to 12,000 products of numbers below 1, rounded about ten times. In f64 the definition rounds as
+    // much as the transform.
     #[test]
     fn columns_add_up_as_defined_in_f32_to_1e_6() {
         columns_add_up::<f32>(1e-6);

@@ -1,5 +1,5 @@
-//! Selects the cheapest kernel over delay and grid of Dopplers for a tolerance; [`super::band`]
-//! selects the band.
+//! Selection of the cheapest kernel over delay and of the cheapest Doppler grid for a tolerance.
+//! [`super::band`] selects the band.
 
 use std::sync::LazyLock;
 
@@ -9,26 +9,26 @@ use super::moments::{MAX_TAPS, Real};
 use super::one_dimensional::Spec;
 use super::transform::grid_size;
 
-/// Part of [`Pulse::weakest_window`](echotank_core::pulse::Pulse::weakest_window) that the shares
-/// below allow for.
+/// Factor on [`Pulse::weakest_window`](echotank_core::pulse::Pulse::weakest_window) for which the
+/// shares below allow.
 const ROOM: f64 = 0.6;
 
-/// Factor by which overlapping echoes may cancel in a window and so reduce the level that errors
-/// are measured by; at least 1.
+/// Factor by which overlapping echoes may cancel in a window; at least 1. Errors are relative to
+/// the level that remains.
 pub(crate) fn weakening(spec: &Spec) -> f64 {
     (ROOM / spec.pulse.weakest_window(spec.sample_rate_hz)).max(1.0)
 }
 
-/// Share of the tolerance, in the worst window, for what lies outside the band.
+/// Fraction of the tolerance, in the worst window, for the truncation of the band.
 pub(super) const SHARE: f64 = 0.25;
 
-/// Rms error of the kernel over delay, as a share of the tolerance. Single echoes have three times
-/// this error at the ends of a band, where a sweep ends.
+/// Rms error of the kernel over delay, as a fraction of the tolerance. Single echoes have three
+/// times this error at the ends of a band, where a sweep ends.
 const KERNEL_SHARE: f64 = 0.1;
 
-/// Selects the kernel over delay: the smallest grid on which `widest` reaches the shares. `alone`
-/// returns the single-echo error of a kernel on a grid of a given size in the worst window,
-/// relative to the tolerance.
+/// Selects the kernel over delay: the smallest grid on which a kernel of at most
+/// `widest` values meets the shares. `alone` returns the single-echo error in the worst window, of
+/// a kernel on a grid of the given size.
 pub(crate) fn delay_kernel<M: Real>(
     spec: &Spec,
     bins: usize,
@@ -43,7 +43,7 @@ pub(crate) fn delay_kernel<M: Real>(
     [1.25, 1.5, 2.0].into_iter().find_map(|oversampling| {
         let grid = grid_size((bins as f64 * oversampling) as usize);
         let oversampling = grid as f64 / bins as f64;
-        // The search for the best window improves a kernel by at most this factor.
+        // The search for the best window parameter improves a kernel by at most this factor.
         let hopeful = |width: &usize| {
             let rough = Kernel::rough(*width, oversampling, M::MOMENTS);
             rough.error <= 3.0 * KERNEL_SHARE * tolerance
@@ -59,33 +59,33 @@ pub(crate) fn delay_kernel<M: Real>(
     })
 }
 
-// Approximate nanoseconds of one core, within a factor of two on two processors.
+// Approximate costs in nanoseconds of one core, within a factor of two on two processors.
 pub(crate) const NS_PER_ARRIVAL: f64 = 6.0;
-/// Additional cost of an arrival that goes to several columns.
+/// Additional cost of an arrival that is spread over several columns.
 pub(crate) const NS_PER_SPREAD: f64 = 14.0;
 /// Cost of a grid value of one column.
 pub(crate) const NS_PER_GRID_VALUE: f64 = 3.0;
 /// Cost of a grid value of several columns, per lane.
 pub(crate) const NS_PER_LANE_VALUE: f64 = 2.0;
 
-/// Largest error of the grid of Dopplers at any instant of an echo, as a share of the tolerance.
+/// Maximum error of the Doppler grid at any instant of an echo, as a fraction of the tolerance.
 const WORST_SHARE: f64 = 0.5;
 
-/// Typical share of the design's Dopplers in one ping: a side-looking beam, 16 degrees to either
-/// side, from a platform at full speed.
+/// Typical fraction of the designed Doppler span in one ping: a side-looking beam, 16 degrees to
+/// either side, from a platform at full speed.
 const TYPICAL_SPAN: f64 = 0.275;
 
-/// Single-echo error allowed in the worst window, as a share of the tolerance, for the grid of
-/// Dopplers and for the kernel over delay.
+/// Single-echo error allowed in the worst window, as a fraction of the tolerance, for the Doppler
+/// grid and for the kernel over delay.
 ///
-/// Two echoes that begin or end within a sample of each other interfere like two tones there,
-/// whatever their bandwidth. They may almost cancel while their errors do not. The shares therefore
-/// leave a margin of 10 to 14 dB where echoes are few.
+/// Two echoes that begin or end within one sample interfere there like two tones, whatever their
+/// bandwidth. They may almost cancel while their errors do not. The shares therefore leave a margin
+/// of 10 to 14 dB for pings with few echoes.
 const ALONE_SHARE: f64 = 0.2;
 const KERNEL_ALONE_SHARE: f64 = 0.3;
 
-/// The same where echoes are many: the errors of echoes that end together add up to less than the
-/// worst single error.
+/// As [`ALONE_SHARE`], for pings with many echoes. The errors of echoes that end together add up to
+/// less than the worst single error.
 const ALONE_AMONG_MANY_SHARE: f64 = 0.5;
 const KERNEL_ALONE_AMONG_MANY_SHARE: f64 = 0.6;
 
@@ -94,16 +94,16 @@ fn few(spec: &Spec) -> bool {
     spec.arrivals < spec.samples
 }
 
-/// Limit on halving [`WORST_SHARE`] until a grid meets the single-echo share.
+/// Maximum number of times that [`WORST_SHARE`] is halved until a grid meets the single-echo share.
 const TRIES: usize = 6;
 
-/// Error allowed for each term of the series in curvature, as a share of the tolerance.
+/// Error allowed for each term of the series in curvature, as a fraction of the tolerance.
 const TERM_SHARE: f64 = 0.1;
 
-/// Truncation error of that series allowed at the ends of a pulse, as a share of the tolerance.
+/// Truncation error of that series allowed at the ends of a pulse, as a fraction of the tolerance.
 pub(crate) const SERIES_SHARE: f64 = 0.1;
 
-/// Number of terms for the phase `bend_rad` at the ends of a pulse; None if [`MAX_ORDER`] is too
+/// Number of terms for the phase `bend_rad` at the ends of a pulse; `None` if [`MAX_ORDER`] is too
 /// few.
 pub(crate) fn series_terms(bend_rad: f64, tolerance: f64) -> Option<usize> {
     let mut rest = bend_rad;
@@ -116,38 +116,38 @@ pub(crate) fn series_terms(bend_rad: f64, tolerance: f64) -> Option<usize> {
     None
 }
 
-/// Error in the curvature that weights carry, as a share of the tolerance.
+/// Error allowed for a curvature carried by weights, as a fraction of the tolerance.
 const BENT_SHARE: f64 = 0.2;
 
-/// Whether weights may carry a curvature that turns the ends of a pulse by `bend_rad`, with p of at
+/// Whether weights may carry a curvature with the phase `bend_rad` at the ends of a pulse. p is at
 /// most `greatest_p` per second.
 pub(crate) fn weights_bend(spec: &Spec, bend_rad: f64, greatest_p: f64) -> bool {
     let pulse = spec.pulse;
     let wide = 0.5 * (spec.sample_rate_hz + pulse.bandwidth_hz) / pulse.center_frequency_hz;
-    // Weights do not depend on frequency. The error that remains after the correction at the ends
-    // of pulses (`doppler`) is of second order in the relative band.
+    // Weights do not depend on frequency. After the correction at the ends of pulses (`doppler`),
+    // the remaining error is of second order in the relative band.
     let unknown = wide * wide * bend_rad;
     let strength = greatest_p * pulse.duration_s;
     let third = bend_rad.powi(3) / 6.0;
     unknown + strength + third <= BENT_SHARE * spec.tolerance
 }
 
-/// Numbers of cells to try.
+/// Candidate numbers of cells.
 const TRIAL_CELLS: [usize; 52] = [
     1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 20, 22, 24, 26, 28, 30, 32, 34,
     35, 36, 37, 38, 39, 40, 42, 44, 46, 48, 52, 56, 60, 64, 72, 80, 88, 96, 112, 128, 144, 160,
     184, 208, 232, 256,
 ];
 
-/// Shapes of weights to try, given by the oversampling that a kernel with these taps is designed
-/// for.
+/// Candidate shapes of weights. A shape is the oversampling for which a kernel with these taps is
+/// designed.
 const TRIAL_SHAPES: [f64; 5] = [1.15, 1.3, 1.5, 2.0, 4.0];
 
-/// Additional powers of the weights beyond their taps, for the table and the derivatives.
+/// Powers of the weights beyond the number of taps, for the table and the derivatives.
 const MORE_POWERS: usize = 4;
 
-/// Kernels to try, most taps first. These need the fewest cells, so later candidates that cost more
-/// are skipped.
+/// Candidate kernels, most taps first. These need the fewest cells, so later candidates that cost
+/// more are skipped.
 static TRIAL_KERNELS: LazyLock<Vec<Kernel>> = LazyLock::new(|| {
     (MIN_WIDTH..=MAX_TAPS)
         .rev()
@@ -155,7 +155,7 @@ static TRIAL_KERNELS: LazyLock<Vec<Kernel>> = LazyLock::new(|| {
         .collect()
 });
 
-/// Inputs to the selection of grids of Dopplers.
+/// Inputs to the selection of Doppler grids.
 pub(crate) struct Trials<'a> {
     pub spec: &'a Spec<'a>,
     pub span: DopplerSpan,
@@ -164,9 +164,9 @@ pub(crate) struct Trials<'a> {
 }
 
 impl Trials<'_> {
-    /// Selects the grid for echoes without curvature, or with a curvature that turns the ends of
-    /// pulses by `bend_rad`, and returns its error. `alone` returns the single-echo error of a grid
-    /// in the worst window, without curvature.
+    /// Selects the grid for echoes without curvature, or with a curvature of phase `bend_rad` at
+    /// the ends of pulses. Returns the grid with its error. `alone` returns the single-echo error
+    /// of a grid in the worst window, without curvature.
     pub(super) fn doppler(
         &self,
         bend_rad: f64,
@@ -201,7 +201,7 @@ impl Trials<'_> {
     fn trial(&self, bend_rad: f64) -> Trial {
         let pulse = self.spec.pulse;
         let DopplerSpan { least, greatest } = self.span;
-        // The upper end of the band turns fastest.
+        // The phase at the upper end of the band changes fastest with Doppler.
         let highest_hz = pulse.center_frequency_hz + 0.5 * pulse.bandwidth_hz;
         let eta = 1.0 + least.min(0.0);
         Trial {
@@ -212,12 +212,12 @@ impl Trials<'_> {
     }
 
     fn cost(&self, grid: &DopplerGrid) -> f64 {
-        // Counts the saving for pings with a narrower span with a small weight.
+        // The saving for pings with a narrower span has a small weight.
         let lanes = grid.typical_lanes(TYPICAL_SPAN) + 0.1 * grid.columns_of(TYPICAL_SPAN) as f64;
         lanes * NS_PER_LANE_VALUE * self.grid as f64
     }
 
-    /// The cheapest grid with an error of at most `share` at any instant, and its error.
+    /// The cheapest grid with an error of at most `share` at any instant, with its error.
     fn cheapest(&self, trial: &Trial, share: f64) -> Option<(DopplerGrid, f64)> {
         let common = DopplerGrid::common(self.span);
         let alone = trial.worst(&common);

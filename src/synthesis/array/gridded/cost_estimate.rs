@@ -1,4 +1,4 @@
-//! Cost estimate of an engine, split into two parts whose speeds vary independently between
+//! Cost estimate of an engine in two parts. The speeds of the parts vary independently between
 //! machines.
 
 /// Approximate cost in nanoseconds of one core.

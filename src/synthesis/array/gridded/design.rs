@@ -1,7 +1,7 @@
-//! Design of an engine: its grids, kernel and error, selected before any table is computed. Method
-//! selection compares engines by their designs.
+//! Design of an engine: its grids, kernel and error, selected before any table is computed. The
+//! method selection compares engines by their designs.
 //!
-//! Input: a [`Spec`]. Output: a [`Design`], or the reason for refusal.
+//! The input is a [`Spec`]. The result is a [`Design`], or the reason for refusal.
 
 use std::f64::consts::TAU;
 
@@ -37,19 +37,20 @@ pub(crate) struct Design {
     spectrum: PulseSpectrum,
     band: Band,
     pub kernel: Kernel,
-    /// Length of the record, and of its spectrum, in samples.
+    /// Length of the record and of its spectrum, in samples.
     pub period: usize,
     period_s: f64,
     pub bins: usize,
     pub grid: usize,
-    /// Time from the start of the record to the first sample.
+    /// Time from the start of the record to the first sample, seconds.
     pub(crate) lead_s: f64,
     pub frame: Frame,
-    /// Terms of the series in curvature; the first is the echo without curvature.
+    /// Terms of the series in curvature. The first term is the echo without curvature.
     pub terms: Vec<DesignedTerm>,
-    /// Whether all echoes share one Doppler column.
+    /// True if all echoes share one Doppler column.
     pub(crate) has_one_column: bool,
-    /// Largest amount by which Dopplers at the middle lie outside those at leading edges.
+    /// Maximum distance of Dopplers at the middle of an echo from the span of Dopplers at leading
+    /// edges.
     pub beside: f64,
     sweep: f64,
     pub error: f64,
@@ -57,7 +58,7 @@ pub(crate) struct Design {
 
 pub(crate) struct DesignedTerm {
     pub grid: DopplerGrid,
-    /// Chunks whose largest |p|, relative to the design's, is below this skip the term.
+    /// Chunks whose largest |p|, relative to that of the design, is below this value skip the term.
     pub(crate) min_bend: f64,
 }
 
@@ -83,7 +84,7 @@ impl Design {
             DopplerModel::PaperEq21 => return Err(GriddedError::DopplerModel),
         };
         // sqrt(eta^2 + 2 q T) - eta with eta at least 0.9. For curvatures beyond this bound the
-        // series fails below. Adds the shift of a sweep's ends where weights carry the curvature.
+        // series below fails. If weights carry the curvature, the shift of a sweep's ends is added.
         let beside = greatest_q
             * (1.25 * pulse.duration_s
                 + 0.5 * (pulse.duration_s.powi(2) * pulse.sweep_hz_per_s() / carrier_hz).abs());
@@ -100,7 +101,7 @@ impl Design {
         let fastest = span.least.abs().max(span.greatest);
         let half_s = 0.5 * pulse.duration_s;
         let greatest_p = greatest_q / (1.0 - fastest).powi(3);
-        // The upper end of the band turns faster than the carrier.
+        // The phase at the upper end of the band changes faster than at the carrier.
         let highest_carrier_hz = carrier_hz + 0.5 * pulse.bandwidth_hz;
         let bend_rad = TAU * highest_carrier_hz * greatest_p * half_s * half_s;
         let needed = match greatest_q < MAX_CURVATURE_TIMES_PULSE / pulse.duration_s {
@@ -116,7 +117,7 @@ impl Design {
             ((widest(asked) + 0.25) * rate_hz + fastest * carrier_hz) / (1.0 - fastest);
         let known_hz = highest_hz + beyond_hz(pulse.duration_s, fastest) / (1.0 - fastest);
         let spectrum = PulseSpectrum::with_powers(pulse, known_hz, 2 * count);
-        // The single-echo error decides here, in every window.
+        // The single-echo error in every window determines the design.
         let alone = SingleEcho::new(asked, span, &spectrum);
         let kept = band(asked, &alone)?;
         let kept_hz = 2.0 * (kept.whole_hz + kept.fade_hz);
@@ -137,8 +138,8 @@ impl Design {
             span,
             grid: roughly,
         };
-        // Of the highest frequency. The phase at the carrier, which weights and templates use, is
-        // slightly smaller.
+        // The curvature phase is that of the highest frequency. The phase at the carrier, which
+        // weights and templates use, is slightly smaller.
         let received = |order| Received {
             spectrum: &spectrum,
             carrier_hz,
@@ -180,7 +181,7 @@ impl Design {
         let bins = bins_of(period);
         let period_s = period as f64 / rate_hz;
 
-        // Moments cost the same for any width; direct spreading does not.
+        // The cost of moments does not depend on the width; the cost of direct spreading does.
         let has_one_column = terms.iter().all(|term| term.grid.columns == 1);
         let widest = match (has_one_column, M::MOMENTS) {
             (false, 8) => 8,
@@ -267,8 +268,8 @@ impl Design {
         })
     }
 
-    /// Per bin: corrects the kernel's spectrum and the first grid value of the flush, and moves the
-    /// start of the record to 0.
+    /// Factor per bin. It corrects the spectrum of the kernel and the first grid value of the
+    /// flush, and moves the start of the record to 0.
     pub(crate) fn undo(&self) -> Vec<Complex64> {
         let undo = |f_hz: f64| {
             let nu = f_hz * self.period_s / self.grid as f64;
@@ -279,8 +280,8 @@ impl Design {
         self.frequencies().map(undo).collect()
     }
 
-    /// Curvature terms of the weights on `grid`, and the phase at the ends of the pulse that they
-    /// belong to; None if separate columns carry the curvature.
+    /// Curvature terms of the weights on `grid`, and the phase at the ends of the pulse for which
+    /// they are designed. `None` if separate columns carry the curvature.
     pub(crate) fn bent(&self, grid: &DopplerGrid) -> Option<(Bent, f64)> {
         let (carrier_hz, half_s) = (self.frame.carrier_hz, self.frame.half_pulse_s);
         self.frame.bent.then(|| {
@@ -292,7 +293,7 @@ impl Design {
         })
     }
 
-    /// Cost of an element. `words`: size of a grid value relative to f32.
+    /// Cost of one element. `words` is the size of a grid value relative to f32.
     pub(super) fn cost_estimate(
         &self,
         words: f64,

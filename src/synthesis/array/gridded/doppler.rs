@@ -12,22 +12,19 @@
 //! is an integral over -T/2..T/2 of waves exp(j 2pi w (f_c d - f)/(1 + d)). It can therefore be
 //! spread over d as a point is spread over time.
 //!
-//! Each echo goes with `taps` weights to as many columns of a grid of Dopplers. Column j has the
-//! template G_j for which sum_j weight_j(d) G_j(f) is the best least-squares fit to S_d(f). There
-//! is no expansion in d, so second-order terms and the shift of the pulse's ends are included. The
-//! columns lie at fixed Dopplers: a change of platform speed selects other columns and keeps the
-//! templates.
+//! Each echo is added with `taps` weights to as many columns of a grid of Dopplers. Column j has the template
+//! G_j for which sum_j weight_j(d) G_j(f) is the best least-squares fit to S_d(f). There is no expansion in d,
+//! so second-order terms and the shift of the pulse's ends are included. The columns have fixed Dopplers: a
+//! change of platform speed selects other columns and keeps the templates.
 //!
-//! The fit of each column is one real combination of received pulses, the same at every frequency,
-//! so a column is as short as they are. At any instant w of the pulse, the fit error is the signal
-//! of that instant times the weights' error on a wave of w's rate ([`Trial`]). Windows that hold
-//! only the end of an echo therefore keep the accuracy. (Moving the shift of a sweep into the
-//! delay, by range-Doppler coupling, would save a third of the columns but misplace the ends of
-//! pulses.)
+//! The fit of each column is one real combination of received pulses, with the same factors at every
+//! frequency. A column is therefore as short as these pulses. At instant w of the pulse, the fit error is the
+//! signal of that instant times the error of the weights for a wave at the rate of w ([`Trial`]). Windows that
+//! hold only the end of an echo therefore keep the accuracy. (Range-Doppler coupling would allow a sweep to be
+//! shifted in delay instead. It would save a third of the columns but misplace the ends of pulses.)
 //!
-//! Changing stretch: let d be the stretch at the middle and q its rate, with emission time d s + q
-//! s^2 about the middle. With p = q/eta^3 and alpha = 2pi (f + f_c), the spectrum is the integral
-//! of
+//! Changing stretch: let d be the stretch at the middle and q its rate, with emission time d s + q s^2 about
+//! the middle. With p = q/eta^3 and alpha = 2pi (f + f_c), the spectrum is the integral of
 //!
 //! ```text
 //! a(w) exp(j 2pi w (f_c d - f)/eta) exp(j alpha p w^2 - 2j alpha p^2 eta w^3) (1/eta - 2 p w + 6 p^2 eta w^2)
@@ -36,19 +33,19 @@
 //! alpha p w^2 is small (7e-3 rad at 5 m/s, 36 m, 400 kHz and 5 ms), so few terms of the series in
 //! p suffice. There are two ways to add them.
 //!
-//! By the weights ([`DopplerGrid::bent`]): d^2/dd^2 of the integrand is -(alpha w/eta^2)^2 times
-//! the integrand. The columns that fit S_d therefore fit j alpha p w^2 S_d too, with -j p
-//! eta^4/alpha times the second derivative of the weights. The weights do not know f in alpha. A
-//! sweep of K Hz/s has it near K w, and each factor w is one more derivative. At the ends of a
-//! pulse all frequencies occur, and the weights are off by 2 pi p (T/2)^2 (f - K w). This equals a
-//! delay of p (T/2)^2 and a Doppler of K p (T/2)^2/f_c, which are applied to the echo.
+//! The first way is by the weights ([`DopplerGrid::bent`]). d^2/dd^2 of the integrand is -(alpha w/eta^2)^2
+//! times the integrand. The columns that fit S_d therefore also fit j alpha p w^2 S_d, with -j p eta^4/alpha
+//! times the second derivative of the weights. The weights do not depend on f in alpha. A sweep of K Hz/s has
+//! f near K w, and each factor w is one more derivative. At the ends of a pulse all frequencies occur, and the
+//! weights are wrong by 2 pi p (T/2)^2 (f - K w). This equals a delay of p (T/2)^2 and a Doppler of K p
+//! (T/2)^2/f_c, which are applied to the echo.
 //!
-//! By separate columns, for tighter tolerances: the k-th term is an echo of amplitude (p/p_max)^k.
-//! Its grid and templates need an accuracy relative to the size of the term only
+//! The second way is by separate columns, for smaller tolerances. The k-th term is an echo of amplitude
+//! (p/p_max)^k. Its grid and templates need an accuracy relative to the size of the term only
 //! ([`Received::order`]).
 //!
-//! Input: spectra, span of d, tolerance. Output: weights of an echo, templates per column and bin,
-//! and the measured error of the fit.
+//! The inputs are spectra, span of d and tolerance. The results are the weights of an echo, templates per
+//! column and bin, and the measured error of the fit.
 
 use num_complex::Complex64;
 
@@ -59,8 +56,8 @@ use super::moments::MAX_TAPS;
 use super::pulse_spectrum::PulseSpectrum;
 use echotank_core::simd::{Kind, SimdLevel};
 
-/// Fitted Dopplers per cell of the grid, and per cycle that the ends of the pulse turn over the
-/// whole span; lower bounds.
+/// Minimum number of fitted Dopplers per cell of the grid. The next constant is the minimum per cycle by which
+/// the phase of the pulse's ends changes over the span.
 const SAMPLES_PER_CELL: usize = 6;
 const SAMPLES_PER_CYCLE: f64 = 4.0;
 
@@ -164,15 +161,15 @@ pub(crate) struct Bent {
 /// Grid of Doppler columns with interpolation weights.
 #[derive(Clone, Debug)]
 pub struct DopplerGrid {
-    /// Columns that each echo goes to.
+    /// Number of columns to which each echo is added.
     pub taps: usize,
-    /// Columns of the grid.
+    /// Number of columns of the grid.
     pub columns: usize,
     /// Conversion of d to cells: `d * per_doppler + offset`.
     pub(crate) per_doppler: f64,
     /// Offset of that conversion, cells.
     pub offset: f64,
-    /// Cells of the grid; there are `taps - 1` more columns than cells.
+    /// Number of cells of the grid. There are `taps - 1` more columns than cells.
     pub cells: usize,
     span: DopplerSpan,
     /// Polynomials of the weights across a cell. Unused taps are 0, and a single column has weight
@@ -219,7 +216,7 @@ impl DopplerGrid {
         }
     }
 
-    /// The same weights on a grid of another number of cells.
+    /// The same weights on a grid with another number of cells.
     fn with_cells(&self, cells: usize) -> Self {
         let mut other = self.clone();
         other.cells = cells;
@@ -242,14 +239,13 @@ impl DopplerGrid {
         self.span.least.abs().max(self.span.greatest.abs())
     }
 
-    /// Number of columns used by echoes whose Dopplers cover this share of the span.
+    /// Number of columns for echoes whose Dopplers cover this fraction of the span.
     pub(crate) fn columns_of(&self, share: f64) -> usize {
         let cells = (share * self.cells as f64).ceil() as usize + 1;
         cells.min(self.cells) + self.taps - 1
     }
 
-    /// Number of lanes used by echoes whose Dopplers cover this share of the span, averaged over
-    /// its position.
+    /// Number of lanes for echoes whose Dopplers cover this fraction of the span, averaged over its position.
     pub(crate) fn typical_lanes(&self, share: f64) -> f64 {
         let touched = share * self.cells as f64;
         let lanes_of = |cells: usize| lanes_for(cells.min(self.cells) + self.taps - 1) as f64;
@@ -266,14 +262,14 @@ impl DopplerGrid {
         (cell, 2.0 * (position - cell as f64) - 1.0)
     }
 
-    /// Cell, and position across it, at `share` of the span.
+    /// Cell, and position across the cell, at `share` of the span.
     fn cell_of(&self, share: f64) -> (usize, f64) {
         let position = share * self.cells as f64;
         let cell = (position as usize).min(self.cells - 1);
         (cell, 2.0 * (position - cell as f64) - 1.0)
     }
 
-    /// The Doppler at `share` of the span, the first column of such an echo, and its weights.
+    /// Doppler at `share` of the span, the first column of such an echo, and its weights.
     pub fn at(&self, share: f64) -> (f64, usize, [f64; MAX_TAPS]) {
         let (cell, x) = self.cell_of(share);
         let DopplerSpan { least, greatest } = self.span;
@@ -289,7 +285,7 @@ impl DopplerGrid {
         self.matrix(shares, &self.weights)
     }
 
-    /// The same for weights with the coefficients `polynomials`.
+    /// As [`Self::weights_at`], for weights with the coefficients `polynomials`.
     fn matrix(&self, shares: &[f64], polynomials: &Polynomials) -> Matrix {
         Matrix::from_fn(shares.len(), self.columns, |s, column| {
             let (cell, x) = self.cell_of(shares[s]);
@@ -300,11 +296,11 @@ impl DopplerGrid {
         })
     }
 
-    /// Weights for echoes with the curvature factor exp(j b (2w/T)^2): the weights of S_d plus b
+    /// Weights for echoes with the curvature factor exp(j b (2w/T)^2). They are the weights of S_d plus b
     /// `real` + b^2 `real_2` + j b `imaginary`, in powers of x.
     ///
-    /// `theta` is the phase that a pulse's end turns over half a cell. `sweep` is half the swept
-    /// band over the carrier, with its sign.
+    /// `theta` is the phase change of a pulse's end over half a cell. `sweep` is half the swept band over the
+    /// carrier, with its sign.
     pub(crate) fn bent(&self, theta: f64, sweep: f64) -> Bent {
         Bent {
             imaginary: times(-theta.powi(-2), derivative(&self.weights, 2)),
@@ -313,7 +309,7 @@ impl DopplerGrid {
         }
     }
 
-    /// Approximate phase that the end of a pulse turns over half a cell, radians.
+    /// Approximate phase change of a pulse's end over half a cell, radians.
     pub fn theta(&self, carrier_hz: f64, duration_s: f64) -> f64 {
         match self.per_doppler > 0.0 {
             true => 0.5 * std::f64::consts::PI * carrier_hz * duration_s / self.per_doppler,
@@ -321,8 +317,8 @@ impl DopplerGrid {
         }
     }
 
-    /// Number of Dopplers in a fit of such a pulse. It exceeds the number of columns, which for a
-    /// single wide cell exceeds the samples per cell.
+    /// Number of Dopplers in the fit of a pulse. It exceeds the number of columns, which can exceed the
+    /// samples per cell for a single wide cell.
     fn sample_count(&self, carrier_hz: f64, duration_s: f64) -> usize {
         let cycles = (self.span.greatest - self.span.least) * carrier_hz * duration_s;
         (SAMPLES_PER_CELL * self.cells)
@@ -331,8 +327,8 @@ impl DopplerGrid {
     }
 }
 
-/// `count` positions over a span, both ends included. They are densest at the ends, where a fit is
-/// worst.
+/// `count` positions over a span, both ends included. They are densest at the ends, where the fit error is
+/// largest.
 fn fitted_shares(count: usize) -> Vec<f64> {
     let step_rad = std::f64::consts::PI / (count - 1) as f64;
     (0..count)
@@ -340,12 +336,12 @@ fn fitted_shares(count: usize) -> Vec<f64> {
         .collect()
 }
 
-/// `count` uniform positions, both ends included, where the fit is checked.
+/// `count` uniform positions, both ends included, at which the fit is checked.
 fn even_shares(count: usize) -> Vec<f64> {
     (0..count).map(|s| s as f64 / (count - 1) as f64).collect()
 }
 
-/// The Dopplers at these shares of the span.
+/// Dopplers at the given fractions of the span.
 fn dopplers(span: DopplerSpan, shares: &[f64]) -> Vec<f64> {
     shares
         .iter()
@@ -353,22 +349,23 @@ fn dopplers(span: DopplerSpan, shares: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// Test of a grid: waves over the span of Dopplers that turn as fast as instants of the pulse, from
-/// its middle to its end.
+/// Test of a grid. Waves over the span of Dopplers have the rates of instants of the pulse, from its middle to
+/// its end.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Trial {
-    /// Turns of the pulse's end relative to its middle, over the whole span.
+    /// Phase change of the pulse's end relative to its middle over the whole span, in turns.
     pub turns: f64,
-    /// Largest curvature phase at the ends of the pulse, if the weights carry it; and half the
-    /// swept band over the carrier.
+    /// Maximum curvature phase at the ends of the pulse, if the weights carry the curvature. The next field is
+    /// half the swept band over the carrier.
     pub(crate) bend_rad: f64,
     pub sweep: f64,
 }
 
-/// Checked instants of the pulse over half its length, denser at the end, where the fit is worst.
+/// Tested instants of the pulse as fractions of half its length. They are denser at the end, where the fit
+/// error is largest.
 const INSTANTS: [f64; 8] = [0.0, 0.3, 0.55, 0.75, 0.85, 0.92, 0.97, 1.0];
 
-/// A finer grid has the error of its first cells.
+/// Maximum number of cells of a test. A finer grid has the error of its first cells.
 const MAX_TRIAL_CELLS: usize = 20;
 
 impl Trial {
@@ -381,7 +378,7 @@ impl Trial {
             };
             return fewer.worst(&grid.with_cells(MAX_TRIAL_CELLS));
         }
-        // As many Dopplers as the fit has, and twice as many to check.
+        // The fit has this number of Dopplers; the check has twice as many.
         let count = (SAMPLES_PER_CELL * grid.cells).max(3 * grid.columns);
         let fitted = fitted_shares(count);
         let fit = grid.weights_at(&fitted).pseudo_inverse();
@@ -436,15 +433,15 @@ impl Trial {
 /// Bins whose templates are computed together.
 const BINS: usize = 64;
 
-/// Columns and bins whose sums stay in registers.
+/// Number of columns and of bins whose sums stay in registers.
 const COLUMNS: usize = 4;
 const LANES: usize = 16;
 
-/// A fit applied to many bins.
+/// Fit applied to many bins.
 struct Fitting<'a> {
     received: Received<'a>,
     dopplers: Vec<f64>,
-    /// Per requested column: the factors on the pulse at each Doppler.
+    /// For each requested column, the factors on the pulse at each Doppler.
     rows: Vec<&'a [f64]>,
 }
 
@@ -488,8 +485,7 @@ pub fn templates(
 }
 
 impl Fitting<'_> {
-    /// Computes the bins from `at.0` on, of `at.1` in all. `wanted` is a buffer with one entry per
-    /// Doppler.
+    /// Computes the bins from `at.0`, of `at.1` in all. `wanted` is a buffer with one entry per Doppler.
     fn block(
         &self,
         at: (usize, usize),
@@ -499,8 +495,7 @@ impl Fitting<'_> {
         out: &mut [Complex64],
     ) {
         match SimdLevel::best().kind() {
-            // SAFETY (twice): a `SimdLevel` of this kind exists only on processors with the
-            // features.
+            // SAFETY (both calls): a `SimdLevel` of this kind exists only on processors with the features.
             #[cfg(target_arch = "x86_64")]
             Kind::Avx512 => unsafe { self.block_avx512(at, frequency_hz, gain, wanted, out) },
             #[cfg(target_arch = "x86_64")]
@@ -509,7 +504,7 @@ impl Fitting<'_> {
         }
     }
 
-    /// The AVX-512 and AVX2 builds of [`Self::block_plain`]: the same arithmetic, so the same bits.
+    /// AVX-512 and AVX2 builds of [`Self::block_plain`], with the same arithmetic, so the same bits.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
     fn block_avx512(
@@ -553,7 +548,7 @@ impl Fitting<'_> {
             }
         }
         for (group, rows) in self.rows.chunks(COLUMNS).enumerate() {
-            // Missing columns of a group repeat the last one.
+            // Missing columns of a group repeat the last column.
             let last = rows.len() - 1;
             let of: [&[f64]; COLUMNS] = std::array::from_fn(|k| rows[k.min(last)]);
             for lane in (0..frequency_hz.len()).step_by(LANES) {

@@ -1,12 +1,12 @@
-//! Templates at many uniform frequencies, fitted at a few and interpolated between.
+//! Templates at many uniform frequencies. They are fitted at a few frequencies and interpolated.
 //!
-//! A column is no longer than the longest pulse it combines, so its spectrum is band-limited over
-//! frequency. Samples at a spacing of 1/(8 half a pulse) determine it, and the bins of a record are
-//! hundreds of times closer. The interpolation kernel is a sinc tapered by exp(beta (sqrt(1 - x^2)
-//! - 1)) (Barnett, Magland and af Klinteberg 2019), with an error of about exp(-beta).
+//! A column is no longer than the longest pulse that it combines, so its spectrum is band-limited
+//! over frequency. Samples at a spacing of 1/(8 half a pulse) determine it. The bins of a record
+//! are hundreds of times closer. The interpolation kernel is a sinc tapered by exp(beta (sqrt(1 -
+//! x^2) - 1)) (Barnett, Magland and af Klinteberg 2019), with an error of about exp(-beta).
 //!
-//! Input: a grid of Dopplers and the received pulse. Output: the same as [`templates`], column
-//! beside column. Error: 2e-11 of the largest value, which is that of the table of the pulse.
+//! The inputs are a grid of Dopplers and the received pulse. The result is that of [`templates`],
+//! with adjacent columns. The error is 2e-11 of the largest value, as for the table of the pulse.
 
 use std::f64::consts::PI;
 
@@ -17,13 +17,14 @@ use super::doppler::{DopplerGrid, Received, templates};
 /// Density of the fitted frequencies relative to the sampling limit of the pulse length.
 const OVERSAMPLING: f64 = 4.0;
 
-/// Fitted frequencies per interpolated value.
+/// Number of fitted frequencies per interpolated value.
 const TAPS: usize = 24;
 
-/// The spectrum of the taper has to fit between the end of the pulse and its next image.
+/// Taper parameter. The spectrum of the taper must fit between the end of the pulse and its next
+/// image.
 const BETA: f64 = PI * TAPS as f64 * 0.5 * (1.0 - 1.0 / OVERSAMPLING);
 
-/// Half the longest pulse of the family.
+/// Half the length of the longest pulse of the family, seconds.
 fn reach_s(duration_s: f64, fastest: f64) -> f64 {
     0.5 * duration_s / (1.0 - fastest)
 }
@@ -33,13 +34,13 @@ fn step_hz(duration_s: f64, fastest: f64) -> f64 {
     0.5 / (OVERSAMPLING * reach_s(duration_s, fastest))
 }
 
-/// Margin beyond the bins over which the received spectrum must be known.
+/// Margin beyond the bins in which the received spectrum must be known, Hz.
 pub(crate) fn beyond_hz(duration_s: f64, fastest: f64) -> f64 {
     (0.5 * TAPS as f64 + 1.0) * step_hz(duration_s, fastest)
 }
 
-/// Templates of every column: `[bin * columns + column]`. Bin 0 lies at `first_hz`, the spacing is
-/// `bin_hz`, and `gain` is H at each bin.
+/// Templates of every column in the layout `[bin * columns + column]`. Bin 0 is at `first_hz`, the
+/// spacing is `bin_hz`, and `gain` is H at each bin.
 pub(super) fn evenly(
     grid: &DopplerGrid,
     received: Received,
@@ -94,8 +95,8 @@ fn batched_fft(fitted: &[Complex64], bins: usize) -> Vec<Complex64> {
 
 /// Weights of the fitted frequencies for a position `x`, 0..1, between the two in the middle.
 fn weights(x: f64) -> [f64; TAPS] {
-    // Near the ends of 0..1 the smaller distance sets the rounding error, so sin(pi x) and `away`
-    // are computed from it.
+    // Near the ends of 0..1, sin(pi x) and `away` are computed from the smaller distance, which
+    // limits the rounding error.
     let sine = libm::sin(PI * x.min(1.0 - x)) / PI;
     std::array::from_fn(|i| {
         let away = x - (i as f64 - (TAPS / 2 - 1) as f64);
@@ -119,8 +120,8 @@ mod tests {
     use crate::array::gridded::pulse_spectrum::PulseSpectrum;
     use echotank_core::pulse::{Pulse, PulseKind};
 
-    /// Bins lie about 0 Hz, which is a fitted frequency. A bin that equals a fitted frequency up to
-    /// rounding takes its value.
+    /// Bins are around 0 Hz, which is a fitted frequency. A bin that equals a fitted frequency up
+    /// to rounding has its value.
     #[test]
     fn bins_at_a_fitted_frequency_up_to_rounding_take_its_value() {
         for k in 0..60 {

@@ -15,9 +15,10 @@
 //! the window parameter with the smallest error. Each point costs one aligned addition to the
 //! moments of its cell, whatever the width.
 //!
-//! Input: width, oversampling sigma, number of moments. Output: weights of the powers x^k, D, and
-//! the computed error. Sources: Fessler and Sutton 2003 (least-squares interpolation with scaling
-//! factors); Beatty, Nishimura and Pauly 2005 (the window).
+//! The inputs are the width, the oversampling sigma and the number of moments. The results are the
+//! weights of the powers x^k, D, and the computed error. Sources: Fessler and Sutton 2003
+//! (least-squares interpolation with scaling factors); Beatty, Nishimura and Pauly 2005 (the
+//! window).
 
 use std::f64::consts::PI;
 
@@ -26,14 +27,14 @@ use super::least_squares::Matrix;
 pub(crate) const MIN_WIDTH: usize = 2;
 pub(crate) const MAX_WIDTH: usize = 16;
 
-/// A spreading kernel; its design takes milliseconds.
+/// Spreading kernel. Its design takes milliseconds.
 #[derive(Clone, Debug)]
 pub struct Kernel {
-    /// Grid values that a cell is spread onto.
+    /// Number of grid values that a cell is spread onto.
     pub width: usize,
     /// Grid points per bin of the band.
     pub oversampling: f64,
-    /// Moments kept per cell.
+    /// Number of moments per cell.
     pub moments: usize,
     /// Rms over band and cell of the error of a unit point, in exact arithmetic.
     pub error: f64,
@@ -110,7 +111,7 @@ impl Kernel {
             .collect()
     }
 
-    /// Grid positions to the right of the cell's centre, or on it, in steps.
+    /// Grid positions at the centre of the cell or to the right of it, in steps.
     fn right_half(&self) -> impl Iterator<Item = f64> + use<> {
         let width = self.width;
         (width / 2..width).map(move |i| i as f64 - 0.5 * (width - 1) as f64)
@@ -175,13 +176,13 @@ impl Kernel {
         (sum / NODES as f64).sqrt()
     }
 
-    /// First grid value of a cell, relative to the cell's index; the others follow.
+    /// First grid value of a cell relative to the index of the cell. The other grid values follow.
     pub fn first(&self) -> isize {
         -((self.width as isize - 1) / 2)
     }
 
-    /// Offset added to a position in grid steps before its integer part gives the cell. Cells of
-    /// even kernels lie between grid values, and cells of odd kernels around them.
+    /// Offset of a position in grid steps; the integer part of the sum is the cell. Cells of even
+    /// kernels lie between grid values, and cells of odd kernels around them.
     pub fn shift(&self) -> f64 {
         0.5 * (self.width % 2) as f64
     }
@@ -271,8 +272,8 @@ fn chebyshev_powers(count: usize) -> Vec<Vec<f64>> {
 mod tests {
     use super::*;
 
-    /// Computed errors, rounded up, by (moments, oversampling): one per width from 2 on. Beyond
-    /// some width the number of moments is the limit.
+    /// Computed errors, rounded up, by (moments, oversampling): one per width from 2. At large
+    /// widths the number of moments limits the error.
     const ERRORS: [(usize, f64, &[f64]); 4] = [
         (
             8,

@@ -1,9 +1,9 @@
-//! A few real numbers processed together: vectors where the processor supports them, arrays
-//! elsewhere.
+//! Several real numbers that are processed together: vectors if the processor supports them, otherwise
+//! arrays.
 
 use num_complex::Complex;
 
-/// Every function is unsafe because `Self` may be a vector type that the processor must support.
+/// Vector of real numbers. Every function is unsafe because the processor must support the vector type.
 pub(crate) trait Lanes: Copy {
     type Number: Copy;
     const COUNT: usize;
@@ -26,7 +26,7 @@ pub(crate) trait Lanes: Copy {
     unsafe fn sums(re: Self, im: Self) -> Complex<Self::Number>;
 }
 
-/// Complex numbers, real and imaginary parts apart.
+/// Complex numbers with separate real and imaginary parts.
 #[derive(Clone, Copy)]
 pub(super) struct Pair<V> {
     pub re: V,

@@ -1,8 +1,8 @@
 //! Least squares by orthogonalisation, for small dense problems solved once per plan.
 //!
-//! Input: a matrix with more rows than columns. Output: its pseudo-inverse. The method is modified
-//! Gram-Schmidt with two passes per column, followed by back substitution. Two passes give an
-//! orthogonal basis to rounding (Giraud, Langou and Rozloznik 2005).
+//! The input is a matrix with more rows than columns. The result is its pseudo-inverse. The method
+//! is modified Gram-Schmidt with two passes per column, followed by back substitution. Two passes
+//! give a basis that is orthogonal to rounding (Giraud, Langou and Rozloznik 2005).
 
 /// A dense matrix, row-major.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,7 +43,7 @@ impl Matrix {
             rows >= columns,
             "{rows} equations for {columns} unknowns are too few"
         );
-        // Columns of Q one after another, and R with Q R = A.
+        // Consecutive columns of Q, and R with Q R = A.
         let mut q: Vec<Vec<f64>> = (0..columns)
             .map(|j| (0..rows).map(|i| self.at(i, j)).collect())
             .collect();
@@ -66,7 +66,7 @@ impl Matrix {
             column.iter_mut().for_each(|a| *a /= norm);
             r[j * columns + j] = norm;
         }
-        // R P = Q^T, from the last row up.
+        // R P = Q^T is solved from the last row up.
         let mut values = vec![0.0; columns * rows];
         for k in (0..columns).rev() {
             for i in 0..rows {

@@ -1,12 +1,12 @@
 //! Fast synthesis on a grid: a nonuniform Fourier transform per element.
 //!
-//! Each echo is a point of the transform. Its complex amplitude is spread onto a few cells of a
-//! time grid, an FFT turns the grid into a spectrum, and the spectrum is multiplied by that of the
-//! pulse. Points with different Doppler are split over a few columns with interpolation weights,
-//! one transform each. Sources: Fessler and Sutton 2003; Beatty, Nishimura and Pauly 2005.
+//! Each echo is a point of the transform. Its complex amplitude is spread onto a few cells of a time
+//! grid. An FFT transforms the grid into a spectrum, which is multiplied by the spectrum of the pulse.
+//! Points with different Doppler are split over a few columns with interpolation weights, with one
+//! transform each. Sources: Fessler and Sutton 2003; Beatty, Nishimura and Pauly 2005.
 //!
-//! Suggested order: [`kernel`] (the interpolation), [`moments`] (the inner loops), [`transform`]
-//! (both combined), then [`one_dimensional`], the engine. [`doppler`], `evenly`, `batched_fft` and
+//! Reading order: [`kernel`] (the interpolation), [`moments`] (the inner loops), [`transform`] (both
+//! combined), then [`one_dimensional`], the engine. [`doppler`], `evenly`, `batched_fft` and
 //! [`pulse_spectrum`] support the engine. `design`, `choose`, `band` and `single_echo` derive its sizes
 //! from a tolerance.
 #[cfg(target_arch = "x86_64")]

@@ -1,16 +1,16 @@
 //! The two inner loops, points to moments and moments to grid values, for f32 and f64.
 //!
 //! [`Real::accumulate`] adds c x^k of every located point to one aligned row of a table of moments,
-//! whatever the width of the kernel. It needs no sorting. [`Real::flush`] applies a (width x
-//! moments) matrix per cell to obtain grid values.
+//! for any width of the kernel. It needs no sorting. [`Real::flush`] applies a (width x moments)
+//! matrix per cell to obtain grid values.
 //!
-//! In two dimensions a table of moments would exceed the caches. There [`Real::spread`] adds the
-//! few grid values of each point directly. The columns of the second dimension lie side by side, so
+//! In two dimensions a table of moments would exceed the caches. Therefore [`Real::spread`] adds
+//! the few grid values of each point directly. The columns of the second dimension are adjacent, so
 //! each tap of the first dimension costs two vector additions ([`super::batched_fft`]).
 //!
-//! Points outside the grid go to the drain, a cell at the end of a table and far past the end of a
-//! grid. Every loop exists in plain Rust here and, where the processor supports it, in
-//! [`super::avx2`] and [`super::avx512`].
+//! Points outside the grid are added to the drain: a cell at the end of a table and far past the
+//! end of a grid. Every loop has a portable version here and, if the processor supports them,
+//! versions in [`super::avx2`] and [`super::avx512`].
 
 use echotank_fft::Planned;
 use num_complex::{Complex, Complex32, Complex64};
@@ -23,11 +23,11 @@ use echotank_core::simd::{Kind, SimdLevel};
 /// Number of points processed together.
 pub const BLOCK: usize = 256;
 
-/// Maximum number of neighbouring columns of a point in the second dimension.
+/// Maximum number of adjacent columns of a point in the second dimension.
 pub(crate) const MAX_TAPS: usize = 8;
 
-/// Moments of one cell: 8 complex f32 (one cache line) or 12 complex f64 (three), interleaved re,
-/// im.
+/// Moments of one cell: 8 complex f32 (one cache line) or 12 complex f64 (three cache lines), with
+/// interleaved real and imaginary parts.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub struct Row<R, const N: usize>(pub [R; N]);
@@ -49,17 +49,17 @@ pub struct Points<'a, T> {
 /// Amplitude of a point times each tap's weight: real parts first, then imaginary parts.
 pub type Shared<T> = [T; 2 * MAX_TAPS];
 
-/// Second dimension of the same points: each goes to `taps` neighbouring columns.
+/// Second dimension of the same points. Each point is added to `taps` adjacent columns.
 #[derive(Clone, Copy, Debug)]
 pub struct Across<'a, T> {
     /// First column of each point.
     pub column: &'a [u32],
-    /// Value of each point for these columns; 0 from `taps` on.
+    /// Value of each point for these columns; 0 from tap `taps` on.
     pub value: &'a [Shared<T>],
     /// Number of columns per point.
     pub taps: usize,
-    /// Columns of a table. In row v, the real part of column q has index `2 v lanes + q`, and the
-    /// imaginary part follows `lanes` later.
+    /// Number of columns of a table. In row v, the real part of column q has index `2 v lanes + q`.
+    /// The imaginary part follows `lanes` later.
     pub lanes: usize,
 }
 
@@ -88,7 +88,7 @@ pub trait Real: Planned + Default {
     fn accumulate(simd_level: SimdLevel, points: Points<Self>, rows: &mut [Self::Row]);
 
     /// Maps all cells except the drain to the grid: `out[cell + i]` is the sum of tap i over the
-    /// cells. Overwrites `out`, whose length is cells + width - 1 without the drain.
+    /// cells. Overwrites `out`, with a length of cells + width - 1 without the drain.
     fn flush(
         simd_level: SimdLevel,
         rows: &[Self::Row],
@@ -96,9 +96,9 @@ pub trait Real: Planned + Default {
         out: &mut [Complex<Self>],
     );
 
-    /// Adds the values of every point to several grids: tap i of column q goes to row `cell + i` of
-    /// the table. It may add zeros to the next [`MAX_TAPS`] numbers, and ignores the amplitudes of
-    /// the points. Panics if the table is too short.
+    /// Adds the values of every point to several grids. Tap i of column q is added to row `cell +
+    /// i` of the table. The function may add zeros to the next [`MAX_TAPS`] numbers, and it ignores
+    /// the amplitudes of the points. Panics if the table is too short.
     fn spread(
         simd_level: SimdLevel,
         points: Points<Self>,
@@ -126,7 +126,7 @@ pub trait Real: Planned + Default {
 /// to whole vectors.
 #[derive(Clone, Debug)]
 pub struct FlushWeights<T> {
-    /// Taps of the kernel.
+    /// Number of taps of the kernel.
     pub width: usize,
     /// Weight of tap i for moment k, at `[k][2 i]` and `[k][2 i + 1]`.
     pub doubled: Vec<[T; 2 * MAX_WIDTH]>,
@@ -169,12 +169,12 @@ impl<T: Real> Default for Located<T> {
     }
 }
 
-/// Adding and subtracting this rounds to the nearest integer (|x| < 2^51). The low bits of the sum
-/// hold that integer.
+/// Addition and subtraction of this number round to the nearest integer (|x| < 2^51). The low bits
+/// of the sum hold that integer.
 pub(crate) const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
-/// Conversion of delays to cells: `per_s * delay_s + offset`. Delays outside 0..`cells` go to cell
-/// `drain`.
+/// Conversion of delays to cells: `per_s * delay_s + offset`. Delays outside 0..`cells` are mapped
+/// to cell `drain`.
 #[derive(Clone, Copy, Debug)]
 pub struct Axis {
     /// Cells per second.
@@ -188,7 +188,7 @@ pub struct Axis {
 }
 
 /// Computes cells and positions of up to [`BLOCK`] delays. Returns the number of delays in the
-/// drain, NaN included.
+/// drain, including NaN.
 #[inline(always)]
 fn locate_plain<T: Real>(axis: Axis, delay_s: &[f64], located: &mut Located<T>) -> u64 {
     let end = axis.cells as f64;
@@ -209,7 +209,7 @@ fn locate_plain<T: Real>(axis: Axis, delay_s: &[f64], located: &mut Located<T>) 
     outside
 }
 
-/// The AVX2 and AVX-512 builds of [`locate_plain`]: the same arithmetic, so the same bits.
+/// AVX2 and AVX-512 builds of [`locate_plain`], with the same arithmetic, so the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn locate_avx2<T: Real>(axis: Axis, delay_s: &[f64], located: &mut Located<T>) -> u64 {
@@ -223,7 +223,7 @@ fn locate_avx512<T: Real>(axis: Axis, delay_s: &[f64], located: &mut Located<T>)
 }
 
 /// Computes cells and positions of up to [`BLOCK`] delays. Returns the number of delays in the
-/// drain, NaN included.
+/// drain, including NaN.
 pub fn locate<T: Real>(
     simd_level: SimdLevel,
     axis: Axis,
@@ -232,7 +232,8 @@ pub fn locate<T: Real>(
 ) -> u64 {
     assert!(delay_s.len() <= BLOCK);
     match simd_level.kind() {
-        // SAFETY (twice): a `SimdLevel` of this kind exists only on processors with the features.
+        // SAFETY (both calls): a `SimdLevel` of this kind exists only on processors with the
+        // features.
         #[cfg(target_arch = "x86_64")]
         Kind::Avx512 => unsafe { locate_avx512(axis, delay_s, located) },
         #[cfg(target_arch = "x86_64")]
@@ -241,7 +242,7 @@ pub fn locate<T: Real>(
     }
 }
 
-/// Checks the slice lengths that the vector loops rely on. Each loop checks the row indices in its
+/// Checks the slice lengths that the vector loops require. Each loop checks the row indices in its
 /// own first pass.
 fn check_points<T>(points: &Points<T>) {
     let len = points.cell.len();
@@ -271,8 +272,8 @@ macro_rules! real {
             fn accumulate(simd_level: SimdLevel, points: Points<Self>, rows: &mut [$row]) {
                 check_points(&points);
                 match simd_level.kind() {
-                    // SAFETY (twice): a `SimdLevel` of this kind exists only on processors with the
-                    // features; slices are checked above.
+                    // SAFETY (both calls): a `SimdLevel` of this kind exists only on processors
+                    // with the features; slices are checked above.
                     #[cfg(target_arch = "x86_64")]
                     Kind::Avx512 => unsafe { super::avx512::$accumulate(points, rows) },
                     #[cfg(target_arch = "x86_64")]
@@ -291,8 +292,8 @@ macro_rules! real {
                 assert!(rows.len() >= 2, "a cell and the drain");
                 assert_eq!(out.len(), rows.len() - 1 + weights.width - 1, "grid values");
                 match simd_level.kind() {
-                    // SAFETY (twice): a `SimdLevel` of this kind exists only on processors with the
-                    // features; shapes are checked above.
+                    // SAFETY (both calls): a `SimdLevel` of this kind exists only on processors
+                    // with the features; shapes are checked above.
                     #[cfg(target_arch = "x86_64")]
                     Kind::Avx512 => unsafe { super::avx512::$flush(rows, weights, out) },
                     #[cfg(target_arch = "x86_64")]
@@ -315,8 +316,8 @@ macro_rules! real {
 
             fn numbers(rows: &mut [$row]) -> &mut [Self] {
                 let len = 2 * $moments * rows.len();
-                // SAFETY: a row consists of its numbers only, since its length is a multiple of its
-                // alignment.
+                // SAFETY: a row consists only of its numbers, because its length is a multiple of
+                // its alignment.
                 unsafe { std::slice::from_raw_parts_mut(rows.as_mut_ptr().cast(), len) }
             }
 
@@ -373,12 +374,12 @@ fn share_32<const BENT: bool>(
     }
 }
 
-/// Rarely used, so there is only the portable version.
+/// Values of points in f64. This case is rare, so there is only a portable version.
 fn share_64<const BENT: bool>(_: SimdLevel, points: Sharing<f64>, values: &mut [Shared<f64>]) {
     share_plain::<f64, BENT>(points, values);
 }
 
-/// Checks what the vector loop relies on: one number of each kind per value, and table entries
+/// Checks the requirements of the vector loop: one number of each kind per value, and table entries
 /// within bounds.
 fn check_sharing<T>(points: &Sharing<T>, len: usize) {
     assert_eq!(points.entry.len(), len, "entries");

@@ -1,24 +1,26 @@
-//! `gridded-1d`: synthesis of one element by a one-dimensional nonuniform Fourier transform, for
-//! any array.
+//! Engine `gridded-1d`: synthesis of one element by a one-dimensional nonuniform Fourier transform,
+//! for any array.
 //!
 //! The middle of every echo is spread with its carrier phase over a grid of delays
-//! ([`super::moments`]). If echoes differ in Doppler, it is also spread over a few Doppler columns
-//! ([`super::doppler`]). An FFT transforms each column, and its template multiplies the spectrum:
-//! the pulse stretched by the column's Doppler, the receiver filter, and the correction of the
-//! kernels. The sum is folded onto the sample rate and transformed back.
+//! ([`super::moments`]). If echoes differ in Doppler, each is also spread over a few Doppler
+//! columns ([`super::doppler`]). An FFT transforms each column, and the spectrum is multiplied by
+//! the template of the column. The template is the pulse stretched by the column's Doppler, with
+//! the receiver filter and the correction of the kernels. The sum is folded onto the sample rate
+//! and transformed back.
 //!
 //! With `stretch-quadratic` the stretch changes during the pulse, and the weights on the columns
-//! carry this curvature. Tighter tolerances need one more set of columns per term of the series in
-//! curvature. The same points are added to them with the factor (p/p_max)^k. These sets are few and
-//! coarse, since the terms are small, and chunks with little curvature skip them.
+//! carry this curvature. Smaller tolerances need one more set of columns per term of the series in
+//! curvature. The same points are added to these columns with the factor (p/p_max)^k. The sets are
+//! few and coarse, because the terms are small, and chunks with little curvature skip them.
 //!
 //! The tolerance sets the widths and oversamplings of both kernels, the band in multiples of the
 //! sample rate, and the precision of moments and transforms. f32 rounding in a transform spreads
-//! 1e-7 of the strongest echo over the whole record, whereas f32 moments err only near their echo.
-//! Between the two is a variant with f32 moments and f64 transforms.
+//! 1e-7 of the strongest echo over the whole record. f32 rounding in moments stays near its echo. A
+//! variant with f32 moments and f64 transforms serves the tolerances between.
 //!
-//! Input: arrivals of one element ([`ArrivalSink`]). Output: its samples, equal within the
-//! tolerance to [`super::super::direct`] with the receiver filter in the limit of dense sampling.
+//! The input is the arrivals of one element ([`ArrivalSink`]). The result is its samples. They
+//! equal, within the tolerance, those of [`super::super::direct`] with the receiver filter in the
+//! limit of dense sampling.
 
 use std::any::TypeId;
 use std::sync::{Arc, OnceLock};
@@ -42,8 +44,8 @@ use super::moments::{Across, Axis, FlushWeights, Located, Points, Real, locate};
 use super::prepare::{Columns, Frame, Prepared};
 use echotank_core::simd::{Kind, SimdLevel};
 
-/// Below this tolerance moments are f64, since f32 rounds amplitudes, positions and sums to about
-/// 1e-7 of an echo.
+/// Tolerance below which moments are f64. f32 rounds amplitudes, positions and sums to about 1e-7
+/// of an echo.
 pub(crate) const MIN_F32_MOMENTS: f64 = 1e-6;
 
 /// Rounding error of f32 transforms, relative to the strongest echo, over the whole record.
@@ -61,26 +63,26 @@ pub struct Spec<'a> {
     pub sample_rate_hz: f64,
     /// Maximum number of samples of one element.
     pub samples: usize,
-    /// Receiver filter; None samples the sum directly.
+    /// Receiver filter; `None` samples the sum directly.
     pub filter: Option<&'a Decimator>,
     /// Doppler model; `paper-eq21` is not supported.
     pub doppler: DopplerModel,
-    /// Widest range of Dopplers at leading edges; ignored with `DopplerModel::None`.
+    /// Widest range of Dopplers at leading edges. Ignored with `DopplerModel::None`.
     pub span: DopplerSpan,
     /// Largest |curvature|, per second; used only with `DopplerModel::StretchQuadratic`.
     pub curvature_per_s: f64,
     /// Largest relative error in any window of one pulse length.
     pub tolerance: f64,
-    /// Level of the weakest window below the strongest, dB.
+    /// Level difference between the strongest and the weakest window, dB.
     pub level_range_db: f64,
-    /// Approximate number of arrivals per element. It decides which design is fastest, and whether
+    /// Approximate number of arrivals per element. It determines the fastest design, and whether
     /// the error of a single echo matters.
     pub arrivals: usize,
     /// Instruction set of the inner loops.
     pub simd_level: SimdLevel,
 }
 
-/// Requirements that `gridded-1d` does not meet.
+/// Requirement that `gridded-1d` cannot meet.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum GriddedError {
     /// Too much energy of the pulse lies outside every available band.
@@ -130,32 +132,32 @@ pub enum GriddedError {
     },
 }
 
-/// The designed engine. The first [`Self::work`] computes its tables, which all threads share.
+/// Designed engine. The first call of [`Self::work`] computes its tables, which all threads share.
 pub struct Gridded1d {
     make: Box<dyn Fn() -> Box<dyn Element> + Send + Sync>,
     cost_estimate: Box<dyn Fn(usize, f64, f64) -> CostEstimate + Send + Sync>,
     error_model: ErrorModel,
 }
 
-/// Buffers of one thread, and the element in progress. Call [`Self::start`], pass the arrivals as
-/// to any [`ArrivalSink`], then call [`Self::finish`].
+/// Buffers of one thread, and the current element. Call [`Self::start`], pass the arrivals as to
+/// any [`ArrivalSink`], then call [`Self::finish`].
 pub struct Gridded1dWork(Box<dyn Element>);
 
 /// Echoes of one element outside the design range of the engine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OutOfRangeEchoes {
-    /// Echoes outside the record; omitted.
+    /// Echoes outside the record. They are omitted.
     pub outside_window: u64,
-    /// Echoes with a Doppler outside the span given to `start`, or a curvature beyond the design;
-    /// clamped.
+    /// Echoes with a Doppler outside the span given to `start`, or a curvature beyond the design.
+    /// They are clamped.
     pub outside_span: u64,
 }
 
 impl Gridded1d {
     /// Designs an engine for `spec`.
     ///
-    /// Fails if the Doppler span, the Doppler model, the curvature or the pulse's spectrum does not
-    /// allow the tolerance.
+    /// Returns an error if the Doppler span, the Doppler model, the curvature or the spectrum of
+    /// the pulse does not allow the tolerance.
     pub fn new(spec: &Spec) -> Result<Self, GriddedError> {
         let DopplerSpan { least, greatest } = spec.span;
         if !(-0.1 <= least && least <= greatest && greatest <= 0.1) {
@@ -232,8 +234,8 @@ impl Gridded1d {
         &self.error_model
     }
 
-    /// Cost of one element with `arrivals` echoes, whose Dopplers cover `share` of the span and
-    /// whose curvatures reach `curvature_per_s`.
+    /// Cost of one element with `arrivals` echoes. Their Dopplers cover `share` of the span, and
+    /// their curvatures reach `curvature_per_s`.
     pub fn cost_estimate(&self, arrivals: usize, share: f64, curvature_per_s: f64) -> CostEstimate {
         (self.cost_estimate)(arrivals, share, curvature_per_s)
     }
@@ -246,14 +248,15 @@ impl Gridded1d {
 }
 
 impl Gridded1dWork {
-    /// Begins an element. Sample k lies `first_sample_s + k / sample_rate_hz` after the start of
-    /// the pulse. Echo Dopplers lie in `span`, part of the designed span; a narrower span costs
-    /// less.
+    /// Begins an element. Sample k is `first_sample_s + k / sample_rate_hz` seconds after the start
+    /// of the pulse. Echo Dopplers are in `span`, a part of the designed span; a narrower span
+    /// costs less.
     pub fn start(&mut self, first_sample_s: f64, span: DopplerSpan) {
         self.0.start(first_sample_s, span);
     }
 
-    /// Overwrites `out`, whose length is at most the `samples` of the design.
+    /// Ends the element and overwrites `out` with its samples. The length of `out` is at most the
+    /// `samples` of the design.
     pub fn finish(&mut self, out: &mut [Complex64]) -> OutOfRangeEchoes {
         self.0.finish(out)
     }
@@ -279,18 +282,19 @@ struct Plan<M: Real, G: Real> {
     /// Length of the record, and of its spectrum, in samples.
     period: usize,
     grid: usize,
-    /// Grid steps per second.
+    /// Number of grid steps per second.
     scale: f64,
     shift: f64,
     /// Time from the start of the record to the first sample, seconds.
     lead_s: f64,
     flush: FlushWeights<M>,
     frame: Frame,
-    /// Terms of the series in curvature; the first is the echo without curvature.
+    /// Terms of the series in curvature. The first term is the echo without curvature.
     terms: Vec<Term<M, G>>,
-    /// None if every term has one column.
+    /// `None` if every term has one column.
     columnwise: Option<Columnwise<G>>,
-    /// Largest amount by which Dopplers at the middle lie outside those at leading edges.
+    /// Maximum distance of Dopplers at the middle of an echo from the span of Dopplers at leading
+    /// edges.
     beside: f64,
     forward: Arc<dyn Fft<G>>,
     inverse: Arc<dyn Fft<G>>,
@@ -299,7 +303,7 @@ struct Plan<M: Real, G: Real> {
 struct Term<M: Real, G: Real> {
     columns: Columns<M>,
     templates: Templates<G>,
-    /// Chunks whose largest |p|, relative to the design's, is below this skip the term.
+    /// Chunks whose largest |p|, relative to that of the design, is below this value skip the term.
     min_bend: f64,
 }
 
@@ -307,8 +311,8 @@ struct Term<M: Real, G: Real> {
 enum Templates<G> {
     /// One column: `[bin]`, lowest frequency first.
     One(Vec<Complex<G>>),
-    /// Several columns: `[place][2 * lanes]`, real parts, then imaginary parts; [`LANES`] more than
-    /// there are columns.
+    /// Several columns: `[place][2 * lanes]`, real parts, then imaginary parts. There are [`LANES`]
+    /// more lanes than columns.
     BatchedFft { lanes: usize, numbers: Vec<G> },
 }
 
@@ -327,7 +331,7 @@ impl<G: Real> Columnwise<G> {
         for (row, frequency) in transform.frequencies().enumerate() {
             let bin = (frequency + bins / 2) % grid;
             if bin < bins {
-                // Adding `bins` periods keeps the difference non-negative.
+                // The addition of `bins` periods keeps the difference non-negative.
                 let to = (bin + bins * period - bins / 2) % period;
                 places.push(Place {
                     row: row as u32,
@@ -407,12 +411,12 @@ impl<M: Real, G: Real> Plan<M, G> {
         }
     }
 
-    /// Cell of points outside the record, far enough past the values that count.
+    /// Cell of points outside the record. It is far past the values that are used.
     fn drain(&self) -> usize {
         self.grid + MAX_WIDTH
     }
 
-    /// Rows of a table of several columns, up to the reach of the drain.
+    /// Number of rows of a table of several columns, including those that the drain reaches.
     fn rows(&self) -> usize {
         self.grid + 2 * MAX_WIDTH + 2
     }
@@ -420,7 +424,7 @@ impl<M: Real, G: Real> Plan<M, G> {
 
 struct Work<M: Real, G: Real> {
     plan: Arc<Plan<M, G>>,
-    /// One for each term of the tables.
+    /// Accumulators, one for each term of the tables.
     terms: Vec<TermWork<M, G>>,
     prepared: Box<Prepared<M>>,
     located: Box<Located<M>>,
@@ -429,13 +433,13 @@ struct Work<M: Real, G: Real> {
     column: Vec<Complex<G>>,
     spectrum: Vec<Complex<G>>,
     scratch: Vec<Complex<G>>,
-    /// Several columns in transform precision, used if the moments differ in precision or the
+    /// Several columns in transform precision. Used if the moments differ in precision or the
     /// columns are many.
     wide: Vec<G::Row>,
     wide_scratch: Vec<G::Row>,
     /// Start of this element's record.
     origin_s: f64,
-    /// Doppler span at the middles of its echoes.
+    /// Doppler span at the middles of the echoes.
     span: DopplerSpan,
     misfits: OutOfRangeEchoes,
 }
@@ -451,7 +455,7 @@ struct TermWork<M: Real, G: Real> {
     templates: Vec<G::Row>,
     /// First column and lanes of `templates`.
     kept: (usize, usize),
-    /// Whether any point was added since the element began.
+    /// True if a point was added since the start of the element.
     used: bool,
 }
 
@@ -533,7 +537,7 @@ fn rows_of<T: Real>(numbers: usize) -> usize {
 }
 
 impl<M: Real, G: Real> TermWork<M, G> {
-    /// Copies the templates of the columns that the element's echoes use.
+    /// Copies the templates of the columns in use by the element's echoes.
     fn keep(&mut self, planned: &Templates<G>) {
         let Templates::BatchedFft { lanes, numbers } = planned else {
             return;
@@ -552,7 +556,7 @@ impl<M: Real, G: Real> TermWork<M, G> {
     }
 }
 
-/// Returns the same numbers as G if M is G.
+/// Returns the same numbers as type G if M is G.
 fn same<M: Real, G: Real>(numbers: &mut [M]) -> Option<&mut [G]> {
     if TypeId::of::<M>() != TypeId::of::<G>() {
         return None;
@@ -657,8 +661,8 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
                 // Cells 0..=grid. `flush` omits the last row, which is empty here.
                 let cells = &term.table[..plan.grid + 2];
                 M::flush(plan.simd_level, cells, &plan.flush, &mut self.values);
-                // The record is periodic: values past its end wrap to its beginning, where no
-                // sample is taken.
+                // The record is periodic: values past its end wrap to its beginning, which has no
+                // samples.
                 let (period, beyond) = self.values.split_at(plan.grid);
                 for (value, v) in self.column.iter_mut().zip(period) {
                     *value = widen(*v);
@@ -677,7 +681,7 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
             let width = 2 * term.lanes;
             let (table, rest) =
                 M::numbers(&mut term.table)[..width * plan.rows()].split_at_mut(width * plan.grid);
-            // Periodic, as above.
+            // The record is periodic, as above.
             for (value, beyond) in table.iter_mut().zip(&rest[..width * plan.flush.width]) {
                 *value = *value + *beyond;
             }
@@ -701,7 +705,7 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
             if direct && let Some(table) = same::<M, G>(table) {
                 transform(table, term.lanes, 0);
             } else {
-                // Transforms several lanes at a time, packed closely.
+                // Several packed lanes are transformed at a time.
                 for first in (0..term.lanes).step_by(most) {
                     let lanes = most.min(term.lanes - first);
                     let wide = &mut G::numbers(&mut self.wide)[..2 * lanes * plan.grid];
@@ -743,7 +747,8 @@ fn add_folded<G: Real>(
     template: &[Complex<G>],
 ) {
     match simd_level.kind() {
-        // SAFETY (twice): a `SimdLevel` of this kind exists only on processors with the features.
+        // SAFETY (both calls): a `SimdLevel` of this kind exists only on processors with the
+        // features.
         #[cfg(target_arch = "x86_64")]
         Kind::Avx512 => unsafe { add_folded_avx512(spectrum, column, template) },
         #[cfg(target_arch = "x86_64")]
@@ -752,7 +757,7 @@ fn add_folded<G: Real>(
     }
 }
 
-/// The AVX-512 and AVX2 builds of [`add_folded_plain`]: the same arithmetic, so the same bits.
+/// AVX-512 and AVX2 builds of [`add_folded_plain`], with the same arithmetic, so the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 fn add_folded_avx512<G: Real>(
@@ -782,10 +787,10 @@ fn add_folded_plain<G: Real>(
     let (period, bins) = (spectrum.len(), template.len());
     let mut bin = 0;
     while bin < bins {
-        // Bin b is frequency b - bins/2; computes its index in the column's transform and in the
-        // spectrum.
+        // Bin b is frequency b - bins/2. Its index in the transform of the column and in the
+        // spectrum follows.
         let at = (bin + column.len() - bins / 2) % column.len();
-        // Adding `bins` periods keeps the difference non-negative.
+        // The addition of `bins` periods keeps the difference non-negative.
         let to = (bin + bins * period - bins / 2) % period;
         let run = (bins - bin).min(column.len() - at).min(period - to);
         for ((sum, value), factor) in spectrum[to..to + run]
@@ -845,7 +850,7 @@ mod tests {
         chunks
     }
 
-    /// The direct sum, filtered if there is a filter.
+    /// Direct sum, with the filter if there is one.
     fn direct(
         pulse: &Pulse,
         filter: Option<&Decimator>,
@@ -890,7 +895,7 @@ mod tests {
     ) -> Vec<Complex64> {
         let mut work = engine.work();
         let mut out = vec![Complex64::ONE; SAMPLES];
-        // Twice, since the first element must not affect the second.
+        // The element is synthesised twice, because the first must not affect the second.
         for _ in 0..2 {
             work.start(FIRST_S, span);
             chunks.iter().for_each(|chunk| work.accept(chunk));
@@ -944,7 +949,8 @@ mod tests {
             let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
             let chunks = arrivals(700, SIDESCAN);
             let want = direct(&pulse, Some(&filter), &chunks);
-            // Every decade for one sweep; the designs of the others differ in their bands only.
+            // Every decade for one sweep. The designs of the other pulses differ only in their
+            // bands.
             let tolerances: &[f64] = match kind {
                 PulseKind::LfmUp => &[1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8],
                 _ => &[1e-1, 1e-3, 1e-5, 1e-8],
@@ -962,8 +968,8 @@ mod tests {
         }
     }
 
-    /// A single echo at the ends of the Doppler range and between: worst window, every sample,
-    /// noise 55 dB below the strongest.
+    /// Single-echo error at the ends of the Doppler range and between: worst window, every sample,
+    /// with noise 55 dB below the strongest window.
     fn alone(doppler: DopplerModel, curvature_per_s: f64, tolerance: f64) -> (f64, String) {
         let pulse = pulse(PulseKind::LfmUp, 1.0);
         let filter = Decimator::new(&pulse, RATE_HZ, 900.0, 48).expect("fits");
@@ -1014,7 +1020,8 @@ mod tests {
         }
     }
 
-    /// 2 ms, 0.013 rad at the ends: the weights suffice to a hundredth, separate columns to 1e-5.
+    /// The curvature phase of a 2 ms pulse is 0.013 rad at its ends. Weights suffice for a
+    /// tolerance of a hundredth, separate columns for 1e-5.
     #[test]
     fn weights_carry_a_curvature_as_well_as_separate_columns() {
         let carried = |tolerance| {
@@ -1025,7 +1032,7 @@ mod tests {
         assert!(carried(1e-2) && !carried(1e-5));
     }
 
-    /// The pulse of the paper has sharp edges. The direct sum at 48 samples per output sample
+    /// The pulse of the paper has sharp edges. The direct sum at 48 dense samples per output sample
     /// converges because its edge points are weighted.
     #[test]
     fn a_rectangular_pulse_meets_the_filtered_direct_sum_to_1e_3() {
@@ -1038,8 +1045,8 @@ mod tests {
         assert!(error < 1e-3, "{error:e}");
     }
 
-    /// No band contains the spectrum of a sharp CW, and a truncated spectrum rings. The ringing
-    /// must not reach an echo 55 dB weaker and 8 ms later.
+    /// No band contains the spectrum of a sharp CW pulse, and a truncated spectrum rings. The
+    /// ringing must not reach an echo 55 dB weaker and 8 ms later.
     #[test]
     fn truncation_errors_of_the_band_stay_near_the_echo() {
         let pulse = Pulse {
@@ -1123,7 +1130,8 @@ mod tests {
         }
     }
 
-    /// Curvatures of 5 m/s at 36 m, of swell, and of a scatterer close to a fast platform.
+    /// Curvatures of a platform at 5 m/s and 36 m range, of swell, and of a scatterer close to a
+    /// fast platform.
     #[test]
     fn curvature_keeps_every_tolerance_in_every_window() {
         for (kind, greatest) in [
@@ -1142,7 +1150,7 @@ mod tests {
                 }
             }
             let want = direct(&pulse, Some(&filter), &chunks);
-            // The parabolas of the direct sum itself are off by about 1e-8 for distorted sweeps.
+            // The parabolas of the direct sum have an error of about 1e-8 for distorted sweeps.
             let tolerances: &[f64] = match kind {
                 PulseKind::LfmUp => &[1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6],
                 _ => &[1e-1, 1e-3, 1e-6],

@@ -1,5 +1,5 @@
-//! Converts a chunk of arrivals to points on the grids: middle of the echo, carrier phase there,
-//! and position among the Doppler columns.
+//! Conversion of a chunk of arrivals to points on the grids. A point has the delay of the echo's
+//! middle, the carrier phase there, and a position among the Doppler columns.
 //!
 //! An echo with leading edge u and stretch eta = 1 + d has its middle at u + m, m = T/(2 eta), with
 //! the phase exp(j 2pi f_c (d m - u)).
@@ -27,46 +27,45 @@ const _: () = assert!(CHUNK == BLOCK, "a chunk is a block of points");
 pub(super) struct Frame {
     pub carrier_hz: f64,
     pub(crate) half_pulse_s: f64,
-    /// Without stretch: eta is 1.
+    /// True without stretch: eta is 1.
     pub still: bool,
     /// Largest |q| and |p|; 0 without curvature.
     pub(crate) greatest_q: f64,
     pub(crate) greatest_p: f64,
-    /// Whether weights carry the curvature.
+    /// True if weights carry the curvature.
     pub(crate) bent: bool,
     /// Sweep rate of the pulse; 0 without a sweep.
     pub sweep_hz_per_s: f64,
 }
 
-/// Assignment of echoes to the columns of a grid of Dopplers.
+/// Distribution of echoes over the columns of a Doppler grid.
 pub(super) struct Columns<T> {
     pub grid: DopplerGrid,
-    /// Whether weights carry a curvature.
+    /// True if weights carry a curvature.
     bent: bool,
     /// Table of weights across a cell, with [`ENTRIES`] entries.
     table: Vec<Entry<T>>,
 }
 
-/// Entries of a table of weights across a cell, powers of two. Each entry is the centre of a
-/// second-order Taylor series. The error is 1e-7, or 1e-11 with the finer table that the tolerances
-/// of f64 moments need.
+/// Numbers of entries of a table of weights across a cell, powers of two. Each entry is the centre of
+/// a second-order Taylor series. The error is 1e-7, or 1e-11 with the finer table. Tolerances with
+/// f64 moments need the finer table.
 const ENTRIES: [usize; 2] = [128, 2048];
 
-/// Weights at one position in a cell with their derivatives, and their curvature terms, for each
-/// tap.
+/// Weights at one position in a cell for each tap, with their derivatives and their curvature terms.
 #[derive(Clone, Copy)]
 #[repr(C)]
 pub struct Entry<T> {
-    /// The weights, their first derivative in x, and half the second.
+    /// Weights, their first derivative in x, and half the second derivative.
     pub plain: [[T; MAX_TAPS]; 3],
-    /// Factors of the curvature: imaginary part and its derivative, real part; and a real part for
-    /// its square.
+    /// Factors of the curvature: the imaginary part and its derivative. The next fields are the real
+    /// part, and the real part of the squared curvature.
     pub imaginary: [[T; MAX_TAPS]; 2],
     pub real: [T; MAX_TAPS],
     pub(crate) real_2: [T; MAX_TAPS],
 }
 
-/// Inputs to the values of a chunk's points: `beyond` is the position of each point relative to the
+/// Inputs to the values of a chunk's points. `beyond` is the position of each point relative to the
 /// centre of its table entry.
 pub struct Sharing<'a, T> {
     pub table: &'a [Entry<T>],
@@ -76,13 +75,13 @@ pub struct Sharing<'a, T> {
     pub bend: &'a [T],
 }
 
-/// Points of a chunk; `delay_s` is that of the middle.
+/// Points of a chunk. `delay_s` is that of the echo's middle.
 pub(super) struct Prepared<T> {
     pub delay_s: [f64; BLOCK],
     pub amplitude: [Complex<T>; BLOCK],
     /// Doppler at the middle.
     pub doppler: [f64; BLOCK],
-    /// p relative to its largest value; where weights carry the curvature, p eta^4 relative to the
+    /// p relative to its largest value. If weights carry the curvature, p eta^4 relative to the
     /// largest p.
     pub bend: [T; BLOCK],
     /// Largest |bend|.
@@ -107,8 +106,8 @@ impl<T: Real> Prepared<T> {
 }
 
 impl Frame {
-    /// Fills the first `chunk.len` points except their columns. Echoes with a Doppler outside
-    /// `span` (that of the middles), or with too much curvature, are clamped. Returns their number.
+    /// Writes the first `chunk.len` points except their columns. Echoes with a Doppler outside `span`
+    /// (of the middles), or with too much curvature, are clamped. Returns their number.
     pub(super) fn prepare<T: Real>(
         &self,
         simd_level: SimdLevel,
@@ -117,7 +116,8 @@ impl Frame {
         points: &mut Prepared<T>,
     ) -> u64 {
         match simd_level.kind() {
-            // SAFETY (twice): a `SimdLevel` of this kind exists only on processors with the features.
+            // SAFETY (both calls): a `SimdLevel` of this kind exists only on processors with the
+            // features.
             #[cfg(target_arch = "x86_64")]
             Kind::Avx512 => unsafe { self.prepare_avx512(chunk, span, points) },
             #[cfg(target_arch = "x86_64")]
@@ -126,7 +126,8 @@ impl Frame {
         }
     }
 
-    /// The AVX-512 and AVX2 builds of [`Self::prepare_plain`]: the same arithmetic, so the same bits.
+    /// AVX-512 and AVX2 builds of [`Self::prepare_plain`], with the same arithmetic, so the same
+    /// bits.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
     fn prepare_avx512<T: Real>(
@@ -172,7 +173,7 @@ impl Frame {
             for j in 0..n {
                 let d = chunk.doppler[j];
                 outside += u64::from(!((d >= least) & (d <= greatest)));
-                // In this order of operations NaN is clamped to an end of the span too.
+                // This order of operations also clamps NaN to an end of the span.
                 let d = d.max(least).min(greatest);
                 points.doppler[j] = d;
                 middle_s[j] = self.half_pulse_s / (1.0 + d);
@@ -191,7 +192,7 @@ impl Frame {
         }
         for j in 0..n {
             let turns = self.carrier_hz * chunk.delay_s[j];
-            // Removes whole turns first, which preserves the digits of the rest.
+            // Whole turns are removed first, which preserves the digits of the rest.
             let turns = self.carrier_hz * ahead_s[j] - (turns - turns.round_ties_even());
             points.delay_s[j] = chunk.delay_s[j] + (middle_s[j] + later_s[j]);
             (cos[j], sin[j]) = cis(turns);
@@ -206,7 +207,7 @@ impl Frame {
         outside
     }
 
-    /// Whether series suffice for the roots of curved echoes, to 1e-13 of a middle.
+    /// Whether series give the roots of curved echoes with an error of at most 1e-13 of a middle.
     fn gentle(&self) -> bool {
         const MOST: f64 = 1e-3;
         4.0 * self.half_pulse_s * self.greatest_q <= 0.8 * MOST
@@ -232,17 +233,17 @@ impl Frame {
             ),
             false => (0.0, 0.0),
         };
-        // Finds the largest |bend| by its bits, which sort the same way. Compilers vectorise the
-        // maximum of integers.
+        // The maximum of |bend| is found through its bits, which have the same order. Compilers
+        // vectorise the maximum of integers.
         let (mut outside, mut most) = (0, 0u64);
         for j in 0..n {
             let (d, q) = (chunk.doppler[j], chunk.curvature_per_s[j]);
             outside += u64::from(!((d >= least) & (d <= greatest) & (q.abs() <= self.greatest_q)));
-            // In this order of operations NaN is clamped to an end of the span too.
+            // This order of operations also clamps NaN to an end of the span.
             let d = d.max(least).min(greatest);
             let q = q.max(-self.greatest_q).min(self.greatest_q);
             let eta = 1.0 + d;
-            // eta of the middle is the root of eta^2 (1 + z).
+            // The eta of the middle is the root of eta^2 (1 + z).
             let (m, p, of_middle) = if GENTLE {
                 let per_eta = 1.0 / eta;
                 let z = 4.0 * half_s * q * per_eta * per_eta;
@@ -276,8 +277,8 @@ impl Frame {
     }
 }
 
-/// Of a chunk's echoes: emission minus reception of the middle, delay of the middle after the
-/// leading edge, and the correction of that delay.
+/// For each echo of a chunk: emission minus reception time of the middle, delay of the middle after
+/// the leading edge, and the correction of that delay.
 struct Middles<'a> {
     ahead_s: &'a mut [f64; BLOCK],
     middle_s: &'a mut [f64; BLOCK],
@@ -285,8 +286,8 @@ struct Middles<'a> {
 }
 
 impl<T: Real> Columns<T> {
-    /// With `bent`, weights carry a curvature that turns the ends of pulses by at most the given
-    /// phase.
+    /// `bent` has the curvature terms of the weights, and the phase at the ends of pulses for which
+    /// they are designed.
     pub(super) fn new(grid: DopplerGrid, bent: Option<(Bent, f64)>) -> Self {
         let entries = ENTRIES[usize::from(T::MOMENTS != 8)];
         let (b, max_rad) = match &bent {
@@ -320,8 +321,8 @@ impl<T: Real> Columns<T> {
         }
     }
 
-    /// Computes the first columns, relative to the first of `columns`, and the values there of the
-    /// first `n` points.
+    /// Computes the first columns of the first `n` points, relative to the first of `columns`, and
+    /// the values there.
     pub(super) fn place(
         &self,
         simd_level: SimdLevel,
@@ -333,7 +334,8 @@ impl<T: Real> Columns<T> {
         let mut entry = [0u32; BLOCK];
         let mut beyond = [T::zero(); BLOCK];
         match simd_level.kind() {
-            // SAFETY (twice): a `SimdLevel` of this kind exists only on processors with the features.
+            // SAFETY (both calls): a `SimdLevel` of this kind exists only on processors with the
+            // features.
             #[cfg(target_arch = "x86_64")]
             Kind::Avx512 => unsafe {
                 self.enter_avx512(n, columns, points, &mut entry, &mut beyond);
@@ -358,7 +360,7 @@ impl<T: Real> Columns<T> {
         }
     }
 
-    /// The AVX-512 and AVX2 builds of [`Self::enter`]: the same arithmetic, so the same bits.
+    /// AVX-512 and AVX2 builds of [`Self::enter`], with the same arithmetic, so the same bits.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512dq,avx512vl")]
     fn enter_avx512(
@@ -385,8 +387,8 @@ impl<T: Real> Columns<T> {
         self.enter(n, columns, points, entry, beyond)
     }
 
-    /// Computes the first columns of the points, their table entries and the positions relative to
-    /// these.
+    /// Computes the first columns of the points, their table entries, and the positions relative to
+    /// the entries.
     #[inline(always)]
     fn enter(
         &self,
@@ -409,14 +411,14 @@ impl<T: Real> Columns<T> {
             self.table.len() as u32 - 1,
         );
         for j in 0..n {
-            // Entries from the start of the span. Rounding half an entry earlier truncates, and the
-            // low bits of the sum are the index.
+            // Entries count from the start of the span. Rounding half an entry earlier truncates, and
+            // the low bits of the sum are the index.
             let position = (points.doppler[j] * per_doppler + offset - 0.5)
                 .max(-0.5)
                 .min(last + 0.499);
             let rounded = position + ROUND;
             let number = rounded.to_bits() as u32;
-            // Rounding at the end of the ping's span must not lead to a missing column.
+            // Rounding at the end of the ping's span must not select a missing column.
             let column = (number >> shift).max(first) - first;
             points.column[j] = column.min(most);
             entry[j] = number & mask;

@@ -1,16 +1,16 @@
-//! Spectrum of the transmitted pulse at any frequency, and the share of it outside a band.
+//! Spectrum of the transmitted pulse at any frequency, and its energy outside a band.
 //!
 //! ```text
 //! S(g) = integral over -T/2..T/2 of a(w + T/2) exp(-j 2pi g w) dw
 //! ```
 //!
-//! Here w counts from the middle of the pulse. Further tables hold the spectra of the pulse times
-//! powers of 2w/T, for echoes whose stretch changes.
+//! Here w counts from the middle of the pulse. Further tables have the spectra of the pulse times
+//! powers of 2w/T, for echoes with a changing stretch.
 //!
-//! Input: a pulse and the largest |g|. Gauss-Legendre quadrature on panels of a few cycles each,
-//! bounded at the flanks of the taper, gives weighted points. The nonuniform transform sums them
-//! onto a uniform table, and the same kernel interpolates between its entries. The error is 1e-11
-//! of the rms of the spectrum.
+//! The inputs are a pulse and the largest |g|. Gauss-Legendre quadrature gives weighted points. Its
+//! panels are a few cycles long and end at the flanks of the taper. The nonuniform transform sums
+//! the points onto a uniform table, and the same kernel interpolates between its entries. The error
+//! is 1e-11 of the rms of the spectrum.
 
 use std::sync::LazyLock;
 
@@ -27,14 +27,15 @@ const WIDTH: usize = 14;
 const OVERSAMPLING: f64 = 2.0;
 const MOMENTS: usize = 12;
 
-/// Nodes of a panel, and the cycles that they resolve to rounding.
+/// Number of nodes of a panel. The next constant is the number of cycles that they resolve to
+/// rounding.
 const PANEL_NODES: usize = 16;
 const PANEL_CYCLES: f64 = 1.5;
 
 /// Tables of the spectrum of one pulse.
 pub struct PulseSpectrum {
     kernel: &'static Reading,
-    /// Entry k lies at (k - middle) / period; one table for each power.
+    /// Tables, one for each power. Entry k is at (k - middle) / period.
     tables: Vec<Vec<Complex64>>,
     period_s: f64,
     energy: f64,
@@ -59,7 +60,7 @@ impl PulseSpectrum {
         Self::with_powers(pulse, highest_hz, 0)
     }
 
-    /// Also tabulates the spectra of a (2w/T)^n for n up to `highest_power`.
+    /// As [`Self::new`], with the spectra of a (2w/T)^n for n up to `highest_power`.
     pub(crate) fn with_powers(pulse: &Pulse, highest_hz: f64, highest_power: usize) -> Self {
         let kernel = &READING.kernel;
         let period_s = OVERSAMPLING * pulse.duration_s;
@@ -71,7 +72,7 @@ impl PulseSpectrum {
             let value = pulse.envelope(at_s);
             energy += length_s * value.norm_sqr();
             let from_middle_s = at_s - 0.5 * pulse.duration_s;
-            // The transform needs delays from 0; `at` accounts for the half period.
+            // The transform needs non-negative delays; `at` accounts for the half period.
             delay_s.push(from_middle_s + 0.5 * period_s);
             weight.push(value * (length_s / kernel.window_gain(from_middle_s / period_s)));
         }
@@ -150,8 +151,7 @@ fn read(entries: &[Complex64], weight: &[f64; WIDTH]) -> Complex64 {
     pairs.fold(Complex64::ZERO, |sum, (value, weight)| sum + value * weight)
 }
 
-/// Nodes and weights that integrate a over the pulse, with frequencies of up to `highest_hz` on
-/// top.
+/// Nodes and weights of the integral of a over the pulse, times waves of up to `highest_hz`.
 fn nodes(pulse: &Pulse, highest_hz: f64) -> Vec<(f64, f64)> {
     let duration_s = pulse.duration_s;
     let flank_s = 0.5 * pulse.taper * duration_s;

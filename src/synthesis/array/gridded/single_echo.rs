@@ -1,10 +1,10 @@
 //! Single-echo error in every window of a pulse length, with a noise floor, as the accuracy
 //! requirement defines it.
-//!
-//! The error of an echo extends beyond the echo. A truncated band rings, a kernel over delay errs
-//! by some grid values to either side, and the error of a fit over Dopplers is not a pulse matched
-//! to the receiver filter. A window that holds only the end of an echo, or of the filter's tail,
-//! requires a small error relative to that part. The check therefore synthesises an echo and its
+//! The error of an echo extends beyond the echo. A truncated band rings, and a kernel over delay
+//! has errors some grid values to either side. The error of a fit over Dopplers is not a pulse
+//! matched to the receiver filter. A window with only the end of an echo, or of the filter's tail,
+//! needs a small error relative to that part. The check therefore synthesises an echo and its
+//! error, and compares both window by window.
 //! error, and compares both window by window.
 
 use num_complex::Complex64;
@@ -19,28 +19,28 @@ use super::one_dimensional::Spec;
 use super::pulse_spectrum::{PulseSpectrum, energies};
 use super::transform::grid_size;
 
-/// Largest depth below the strongest window at which windows count by their own level, dB. Sharp
-/// pulses fill every band to that depth.
+/// Maximum level difference to the strongest window at which a window counts by its own level, dB.
+/// Sharp pulses fill every band down to that level.
 const DEEPEST_DB: f64 = 60.0;
 
-/// Positions across a cell at which a kernel is tested. It is symmetric, with the largest error at
+/// Tested positions across a cell of the kernel. The kernel is symmetric, with the largest error at
 /// the ends or in the middle.
 const PLACES: [f64; 3] = [0.0, 0.5, 0.95];
 
-/// Positions across a cell of Dopplers at which a fit is tested.
+/// Tested positions across a cell of the Doppler grid.
 const ACROSS: [f64; 5] = [0.0, 0.2, 0.45, 0.7, 0.95];
 
-/// Cells at the end of a grid of Dopplers that enter a test there; further cells matter little.
+/// Number of tested cells at an end of a Doppler grid. Further cells have little effect.
 const END_CELLS: usize = 12;
 
-/// Echoes at both ends of the span of Dopplers.
+/// Test echoes at both ends of the span of Dopplers.
 pub(super) struct SingleEcho {
     /// Frequency of every bin in transform order: lowest first, then the negative ones.
     frequency_hz: Vec<f64>,
     /// Gain of the receiver filter.
     gain: Vec<f64>,
     spectra: Vec<Vec<Complex64>>,
-    /// Energies in all windows, at least that of the noise.
+    /// Energies of the echoes in all windows. The energy of the noise is the minimum.
     windows: Vec<Vec<f64>>,
     length: usize,
     /// Energy of the noise in a window relative to the strongest window.
@@ -99,8 +99,8 @@ impl SingleEcho {
         self.worst(|f_hz| Complex64::from(1.0 - band.gain(f_hz)))
     }
 
-    /// Error of `kernel` in the worst window for what `band` keeps, on a grid of `grid_hz` values
-    /// per second, at the worst position.
+    /// Error of `kernel` in the worst window at the worst position, within `band`, on a grid of
+    /// `grid_hz` values per second.
     pub(super) fn kernel(&self, kernel: &Kernel, band: &Band, grid_hz: f64) -> f64 {
         let middle = 0.5 * (kernel.width - 1) as f64;
         let at = |x: f64| {
@@ -124,8 +124,8 @@ impl SingleEcho {
         PLACES.into_iter().map(at).fold(0.0, f64::max)
     }
 
-    /// Error in the worst window of a fit over the Dopplers of `grid`, for what `band` keeps. The
-    /// error is largest at the ends, so for a long grid each end is tested separately.
+    /// Error in the worst window of a fit over the Dopplers of `grid`, within `band`. The error is
+    /// largest at the ends of the grid. For a long grid, each end is tested separately.
     pub(super) fn dopplers(&self, grid: &DopplerGrid, received: Received, band: &Band) -> f64 {
         if grid.cells <= 2 * END_CELLS {
             return self.on_grid(grid, received, band);
@@ -186,7 +186,7 @@ impl SingleEcho {
     }
 }
 
-/// Energies of an echo in all windows of `length` samples, at least that of the noise.
+/// Energies of an echo in all windows of `length` samples. The energy of the noise is the minimum.
 fn sizes(spectrum: &[Complex64], length: usize, noise: f64) -> Vec<f64> {
     let mut windows = energies(spectrum.to_vec(), length);
     let strongest = windows.iter().copied().fold(0.0, f64::max);
@@ -196,7 +196,7 @@ fn sizes(spectrum: &[Complex64], length: usize, noise: f64) -> Vec<f64> {
     windows
 }
 
-/// Largest ratio of the windowed energy of a spectrum to `windows`.
+/// Largest ratio of the windowed energy of the spectrum `rest` to `windows`.
 fn worst(rest: Vec<Complex64>, windows: &[f64], length: usize) -> f64 {
     let off = energies(rest, length);
     let shares = off.iter().zip(windows).map(|(off, size)| off / size);

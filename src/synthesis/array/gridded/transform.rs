@@ -1,16 +1,16 @@
-//! Nonuniform Fourier transform of type 1: points at arbitrary delays, in any order, to uniform
-//! bins.
+//! Nonuniform Fourier transform of type 1: from points at arbitrary delays, in any order, to
+//! uniform bins.
 //!
 //! ```text
 //! out[k + F/2] = sum_m c_m exp(-j 2pi k u_m / T),  k = -F/2 ... F/2 - 1,  0 <= u_m < T
 //! ```
 //!
-//! Input: delays in f64 seconds and complex amplitudes. Output: `bins` values. The steps are
-//! moments per cell ([`super::moments`]), the flush onto a grid ([`super::kernel`]), an FFT, and
-//! division by the spectrum of the kernel. [`Transform1d::execute`] allocates nothing.
+//! The inputs are delays in f64 seconds and complex amplitudes. The result is `bins` values. The
+//! steps are moments per cell ([`super::moments`]), the flush onto a grid ([`super::kernel`]), an
+//! FFT, and division by the spectrum of the kernel. [`Transform1d::execute`] allocates nothing.
 //!
-//! f32 reaches an accuracy of about 2e-7, f64 1e-12; the rest is the rounding of f64 delays times
-//! bins.
+//! f32 has an accuracy of about 2e-7, f64 of 1e-12. The rest of the f64 error is the rounding of
+//! delays times bins.
 
 use std::sync::Arc;
 
@@ -21,8 +21,8 @@ use super::kernel::Kernel;
 use super::moments::{Axis, BLOCK, FlushWeights, Located, Points, Real, locate};
 use echotank_core::simd::SimdLevel;
 
-/// Smallest grid of at least `least` points with a fast Fourier transform: 2^a, 3 2^a, 5 2^a, 9 2^a
-/// or 15 2^a.
+/// Smallest grid size of at least `least` points with a fast Fourier transform: 2^a, 3 2^a, 5 2^a,
+/// 9 2^a or 15 2^a.
 pub fn grid_size(least: usize) -> usize {
     [1, 3, 5, 9, 15]
         .into_iter()
@@ -39,8 +39,8 @@ pub struct Transform1d<T: Real> {
     kernel: Kernel,
     simd_level: SimdLevel,
     weights: FlushWeights<T>,
-    /// Per bin: corrects the kernel's spectrum and the offset `kernel.first()` of the first grid
-    /// value.
+    /// Factor per bin. It corrects the spectrum of the kernel and the offset `kernel.first()` of
+    /// the first grid value.
     factors: Vec<Complex<T>>,
     fft: Arc<dyn Fft<T>>,
 }
@@ -109,16 +109,16 @@ impl<T: Real> Transform1d<T> {
         let zero = Complex::new(T::zero(), T::zero());
         Workspace {
             located: Located::new(),
-            // Cells 0..=grid, since odd kernels put the last half step into a cell of its own; and
-            // the drain.
+            // The table has cells 0..=grid and the drain. Odd kernels map the last half step to a
+            // separate cell.
             rows: vec![T::EMPTY; self.grid + 2],
             grid: vec![zero; self.grid + self.kernel.width],
             scratch: vec![zero; self.fft.get_inplace_scratch_len()],
         }
     }
 
-    /// Overwrites `out` with the spectrum. Points outside 0..period are omitted, and their number
-    /// is returned.
+    /// Overwrites `out` with the spectrum. Points outside 0..period are omitted. Returns their
+    /// number.
     pub fn execute(
         &self,
         work: &mut Workspace<T>,
@@ -182,7 +182,7 @@ mod tests {
     const BINS: usize = 192;
     const PERIOD_S: f64 = 6.4e-3;
 
-    /// Unsorted, both ends of the period included.
+    /// Unsorted points, including both ends of the period.
     fn points(count: usize) -> (Vec<f64>, Vec<Complex64>) {
         let delay_s = (0..count)
             .map(|m| match m {
