@@ -4,7 +4,7 @@
 /// a step between two samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Edges {
-    /// The value at the sample: the output of a receiver without a filter.
+    /// No weights: the value at the sample, as from a receiver without a filter.
     #[default]
     Sampled,
     /// Samples next to a step are weighted with [`edge_corrections`]. A convolution sum over them converges to its integral with
@@ -18,9 +18,9 @@ pub const EDGE_POINTS: usize = 4;
 /// Corrections to the weight 1 of the first samples inside an edge, outermost first. `inside` is the distance of the outermost
 /// sample from the edge in steps, 0..1.
 ///
-/// Exact for cubics. The weights are those of Gregory's formula for an edge on a sample (251, 897, 633, 739 over 720), plus the
-/// integral of the cubic through the four samples between the edge and the outermost sample. With one sample instead of four, the
-/// weight would be the covered part of its cell, `inside` + 1/2.
+/// Exact for cubics. The weights are those of Gregory's formula for an edge on a sample (251, 897, 633, 739 over 720). The
+/// integral between the edge and the outermost sample is added, for the cubic through the four samples. With one sample instead
+/// of four, the weight would be the covered part of its cell, `inside` + 1/2.
 pub fn edge_corrections(inside: f64) -> [f64; EDGE_POINTS] {
     let x = inside;
     [

@@ -1,4 +1,4 @@
-//! The error and the cost that a method predicts, and the conditions of a ping that it predicts them from.
+//! Error and cost that are predicted for a method, and the conditions of a ping that the prediction depends on.
 
 use echotank_core::arrays::ReceiverFilter;
 use echotank_core::pulse::Pulse;
@@ -17,7 +17,7 @@ pub struct ErrorModel {
 }
 
 impl ErrorModel {
-    /// The error model if its error is within `tolerance`.
+    /// Returns the error model if its error is within `tolerance`.
     pub fn within(self, tolerance: f64) -> Result<Self, MethodRefused> {
         if self.error <= tolerance {
             return Ok(self);
@@ -31,7 +31,7 @@ impl ErrorModel {
     }
 }
 
-/// A method whose error exceeds the tolerance.
+/// Refusal of a method, because its error exceeds the tolerance.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{name} is off by {error:.1e} here, and {tolerance:.1e} is asked: {why}")]
 pub struct MethodRefused {
@@ -45,7 +45,7 @@ pub struct MethodRefused {
     pub why: String,
 }
 
-/// Parameters of the error and cost models; the maxima over a ping or a run.
+/// Parameters of the error and cost models, with the maxima over a ping or a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conditions {
     /// Transmitted pulse.
@@ -70,21 +70,21 @@ pub struct Conditions {
     pub scatterers: usize,
     /// Number of elements.
     pub elements: usize,
-    /// Tolerance for methods that meet one.
+    /// Tolerance of methods that meet one.
     pub tolerance: f64,
     /// Statistics of the received echoes; `None` if echoes may come from any direction.
     pub heard: Option<Heard>,
 }
 
 /// Energy-weighted motion of the received echoes. Values are root mean squares over the echoes of a pulse-length window, for the
-/// worst window of a ping. They are relative to that window or to the whole ping, whichever is louder.
+/// worst window of a ping. They are relative to that window or to the whole ping, whichever has the higher level.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Heard {
     /// Displacement of an element along the ray between pulse and echo, metres.
     pub hop_m: f64,
     /// Closing speed along the ray, mean of transmitter and element, metres per second. A window may hold only the end of a
-    /// pulse, where the Doppler phase is largest. This value is scaled so that its root mean square represents a whole pulse and
-    /// exceeds [`Self::closing_of_echoes_m_per_s`] accordingly.
+    /// pulse, where the Doppler phase is largest. The value is scaled so that its root mean square represents a whole pulse. It
+    /// therefore exceeds [`Self::closing_of_echoes_m_per_s`].
     pub closing_m_per_s: f64,
     /// Closing speed of whole echoes, metres per second.
     pub closing_of_echoes_m_per_s: f64,
@@ -96,17 +96,17 @@ pub struct Heard {
     pub turning_m_per_s: f64,
     /// Component along the ray of the motion of an element across its array, metres per second.
     pub across_m_per_s: f64,
-    /// Ratio of the summed error of echoes with random phases in the worst window of any element to its root mean square, with an
-    /// allowance for the sampling of echoes.
+    /// Ratio of the summed error of echoes with random phases, in the worst window of any element, to its root mean square. It
+    /// includes an allowance for the sampling of echoes.
     pub spread: f64,
-    /// Maximum share of the loudest echo in the energy of a window.
+    /// Maximum fraction of the energy of a window in its strongest echo.
     pub loudest: f64,
     /// Number of echoes of all elements.
     pub echoes: f64,
 }
 
 impl Conditions {
-    /// Relative error from a phase error of `phase_rad` (rms); at most 2, that of a reversed echo.
+    /// Relative error from a phase error of `phase_rad` (rms); at most 2, the error of an echo with the opposite sign.
     pub fn error_of_phase(phase_rad: f64) -> f64 {
         phase_rad.min(2.0)
     }

@@ -1,11 +1,9 @@
-//! The `gridded-1d` engine applied to records in slabs.
+//! Engine `gridded-1d` applied to records in slabs.
 //!
-//! A long record of a few elements is cut into slabs along time. Each slab is synthesised from the
-//! echoes that overlap it.
-//! This keeps all threads busy when there are fewer elements than threads, and the grids stay in
-//! the inner caches.
-//! Arrays with many elements gain nothing, since the walk visits batches that overlap two slabs
-//! twice.
+//! A long record of a few elements is divided into slabs along time. Each slab is synthesised from
+//! the echoes that overlap it. All threads are then busy when there are fewer elements than
+//! threads, and the grids stay in the inner caches. Arrays with many elements use one slab, because
+//! the walk visits batches that overlap two slabs twice.
 //!
 //! The number of slabs depends only on the element count and on the lengths of record, pulse and
 //! filter. The output bits therefore do not depend on the thread count.
@@ -23,22 +21,21 @@ use crate::error_model::ErrorModel;
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::ping::{EchoCounts, PingPlan};
 
-/// Shortest slab, in echo lengths. Echoes that overlap a slab boundary are synthesised twice, so
-/// short slabs are wasteful.
+/// Minimum length of a slab in echo lengths. Echoes that overlap a slab boundary are synthesised
+/// twice, so short slabs are inefficient.
 const SLAB_ECHOES: f64 = 10.0;
 /// Maximum number of slabs in a record.
 const MAX_SLABS: usize = 4;
-/// Arrays with more elements than this use one slab.
+/// Maximum number of elements of an array with several slabs.
 const FEW_ELEMENTS: usize = 8;
 
-/// Design of the slab engine without its buffers, used to predict error and cost.
+/// Design of the slab engine without its buffers, for the prediction of error and cost.
 pub struct SlabDesign {
     engine: Gridded1d,
-    /// Samples of the longest slab.
-    /// Slabs in a record.
+    /// Number of samples of the longest slab. The next field is the number of slabs in a record.
     samples: usize,
     slabs: usize,
-    /// Length of an echo in samples, with both filter tails.
+    /// Length of an echo in samples, including both filter tails.
     echo_samples: f64,
     sample_rate_hz: f64,
     filter: Option<Decimator>,
@@ -48,7 +45,7 @@ impl SlabDesign {
     /// Designs slabs for arrays of `elements` elements and records of at most `spec.samples`
     /// samples.
     ///
-    /// Fails where [`Gridded1d::new`] fails.
+    /// Returns an error under the same conditions as [`Gridded1d::new`].
     pub fn new(spec: &one_dimensional::Spec, elements: usize) -> Result<Self, GriddedError> {
         let filter_s = spec.filter.map_or(0.0, |filter| 2.0 * filter.half_s());
         let echo_samples = spec.sample_rate_hz * (spec.pulse.duration_s + filter_s);
@@ -123,7 +120,7 @@ pub struct SlabEngine {
     work: Vec<Mutex<Gridded1dWork>>,
 }
 
-/// The element and ping that a slab is synthesised for.
+/// Element and ping of a slab.
 #[derive(Clone, Copy)]
 pub struct PingElement<'a> {
     /// Geometry, pulse and model of the ping.
@@ -184,8 +181,8 @@ impl SlabEngine {
             own_s: (begins_s, ends_s),
         };
         let thread = rayon::current_thread_index().unwrap_or(0);
-        // The lock may be poisoned by a panic in another ping. The buffers remain valid: `start`
-        // resets them.
+        // The lock may be poisoned by a panic in another ping. The buffers remain valid, because
+        // `start` resets them.
         let mut work = self.work[thread]
             .lock()
             .unwrap_or_else(PoisonError::into_inner);

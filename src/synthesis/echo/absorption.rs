@@ -1,14 +1,15 @@
 //! One-way absorption of sound in water.
 //!
-//! Absorption sums the relaxation of boric acid and of magnesium sulphate and the viscosity of pure
-//! water. The formulas are those of Francois and Garrison (1982) and of Ainslie and McColm (1998).
+//! Absorption is the sum of three parts: the relaxation of boric acid, the relaxation of magnesium
+//! sulphate, and the viscosity of pure water. The formulas are those of Francois and Garrison
+//! (1982) and of Ainslie and McColm (1998).
 
 use echotank_config::spec::{AbsorptionSpec, Water};
 
 /// Absorption at one frequency, dB per metre, one way.
 ///
-/// Both sea-water formulas hold from about 100 Hz to 1 MHz and agree within 10 % there. Salinity 0
-/// gives fresh water.
+/// Both sea-water formulas are valid from about 100 Hz to 1 MHz and agree within 10 % there.
+/// Salinity 0 gives the absorption of fresh water.
 pub fn absorption_db_per_m(spec: &AbsorptionSpec, frequency_hz: f64) -> f64 {
     let frequency_khz = frequency_hz / 1e3;
     let db_per_km = match spec {
@@ -40,7 +41,7 @@ fn francois_garrison(water: &Water, frequency_khz: f64) -> f64 {
         ph,
     } = *water;
     let kelvin = 273.0 + t;
-    // The sound speed of the formula itself, with which its coefficients were fitted, not that of
+    // The sound speed is that of the formula, which its coefficients were fitted with, not that of
     // the medium.
     let c = 1412.0 + 3.21 * t + 1.19 * s + 0.0167 * d;
 
@@ -115,8 +116,8 @@ mod tests {
     }
 
     /// Ainslie and McColm state agreement within 10 % for 100 Hz to 1 MHz, -6..35 C, salinity
-    /// 5..50, pH 7.7..8.3 and 0..7 km. Their claim is for co-varying (oceanic) values. This test
-    /// uses pH 8, salinity 35 and the upper kilometre.
+    /// 5..50, pH 7.7..8.3 and 0..7 km. Their statement is for co-varying (oceanic) values. This
+    /// test uses pH 8, salinity 35 and the upper kilometre.
     #[test]
     fn the_two_formulas_agree_within_their_stated_10_percent() {
         let mut worst: f64 = 0.0;

@@ -1,13 +1,13 @@
-//! Error of pattern culling (`ModelChoice::cull_db`): the share of the incoherent reverberation
-//! energy that it drops, by angle of incidence.
+//! Error of pattern culling (`ModelChoice::cull_db`): the fraction of the incoherent reverberation
+//! energy that is culled, by angle of incidence.
 //!
-//! Input: a transmit array, a receive array and the floor. Output, for a flat and evenly scattering
-//! ring at one angle of incidence: the share of two-way energy from directions where the two-way
-//! pattern lies below the floor. The relative error of samples in a reverberation window from that
-//! angle is the square root of the share.
+//! The inputs are a transmit array, a receive array and the floor. The seabed at one angle of
+//! incidence is a flat, uniformly scattering ring. The result is the fraction of two-way energy
+//! from directions in which the two-way pattern is below the floor. Its square root is the relative
+//! error of samples in a reverberation window from that angle.
 //!
-//! Scatterers stronger than the ground have a lower floor (`Scatterers::loud`) and are not part of
-//! this figure.
+//! Scatterers stronger than the seabed have a lower floor (`Scatterers::loud`). This figure does
+//! not include them.
 
 use glam::{DQuat, DVec3};
 
@@ -15,11 +15,11 @@ use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 
 use super::levels::{Directivity, amplitude_from_db};
 
-/// Directions on a ring. The lobes of the longest commercial arrays are a few hundredths of a
-/// radian wide.
+/// Number of directions on a ring. The lobes of the longest commercial arrays are a few hundredths
+/// of a radian wide.
 const AZIMUTHS: usize = 7200;
 
-/// Share of the energy that culling drops, 0 to 1, on a level platform; 0 for a ring that the
+/// Fraction of the energy that is culled on a level platform, 0 to 1. Zero for a ring that the
 /// element cannot receive. `incidence_rad` is measured from straight down.
 pub fn left_out_share(
     transmit: &TransmitArray,
@@ -53,22 +53,22 @@ pub fn left_out_share(
     if all > 0.0 { left_out / all } else { 0.0 }
 }
 
-/// Windows after the first return that are computed one by one, each from several rings, since the
-/// incidence changes fastest there.
+/// Number of windows after the first return that are computed individually. Each has several rings,
+/// because the incidence changes fastest there.
 const NEAR_WINDOWS: usize = 16;
 const PARTS: usize = 4;
-/// Rings from there to the end of the ping, evenly spaced in time. Each represents the windows
-/// about it.
+/// Number of rings from there to the end of the ping, evenly spaced in time. Each ring represents
+/// the windows around it.
 const FAR_RINGS: usize = 24;
-/// Directions on each of these rings.
+/// Number of directions on each of these rings.
 const RING_AZIMUTHS: usize = 3600;
-/// Step of the level histogram, dB. Energy in the step that a floor cuts counts as dropped.
+/// Step of the level histogram, dB. Energy in the step that contains the floor counts as culled.
 const LEVEL_STEP_DB: f64 = 0.5;
 const LEVELS: usize = 480;
 
-/// Level histograms of one ping's windows over flat ground.
+/// Level histograms of the windows of one ping over a flat seabed.
 pub struct Rings {
-    /// Each ring represents one metre of range at the range of its window.
+    /// Rings, each of one metre of range at the range of its window.
     windows: Vec<Ring>,
     mean: f64,
     window_m: f64,
@@ -79,7 +79,7 @@ pub struct Rings {
 /// Energy per metre of range, by level below that of the axis.
 #[derive(Clone)]
 struct Ring {
-    /// Energy, and the integral of its square over the ground. Their ratio gives the number of
+    /// Energy, and the integral of its square over the seabed. Their ratio gives the number of
     /// contributing scatterers.
     energy: Box<[f64; LEVELS]>,
     square: Box<[f64; LEVELS]>,
@@ -105,10 +105,10 @@ impl Ring {
     }
 }
 
-/// Geometry and scattering of flat ground under a ping.
+/// Geometry and scattering of a flat seabed under a ping.
 #[derive(Clone, Copy, Debug)]
 pub struct Ground<Law> {
-    /// Attitude of the platform; the heading has no effect.
+    /// Attitude of the platform. The heading has no effect.
     pub world_from_body: DQuat,
     /// Height of the sonar above the ground, metres.
     pub height_m: f64,
@@ -118,22 +118,22 @@ pub struct Ground<Law> {
     pub absorption_db_per_m: f64,
     /// Backscattered power over the cosine of the angle of incidence.
     pub law: Law,
-    /// Window length in metres of range: half the distance that sound travels in it.
+    /// Window length in metres of range: half the distance that sound travels during the window.
     pub window_m: f64,
 }
 
-/// Energies of one reverberation window, relative to the mean window of the ping, silent windows
-/// included.
+/// Energies of one reverberation window, relative to the mean window of the ping. The mean includes
+/// windows without energy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LeftOut {
     /// Energy without culling.
     pub all: f64,
-    /// Energy that culling drops.
+    /// Energy that is culled.
     pub left_out: f64,
-    /// Effective number of scatterers behind the energy at one scatterer per square metre: energy
-    /// squared over the sum of squares. Fluctuation of the strengths is not included.
+    /// Effective number of scatterers that contribute the energy, at one scatterer per square
+    /// metre: energy squared over the sum of squares. Fluctuation of the strengths is not included.
     pub from_all: f64,
-    /// Effective number of scatterers behind the dropped energy, as for `from_all`.
+    /// Effective number of scatterers that contribute the culled energy, as for `from_all`.
     pub from_left_out: f64,
 }
 
@@ -286,8 +286,8 @@ mod tests {
         (transmit, array)
     }
 
-    /// A floor above the axis drops everything, and a very low floor drops nothing. Between, the
-    /// share of each window is that of its ring.
+    /// A floor above the axis culls everything, and a very low floor culls nothing. For a floor
+    /// between, the fraction of each window is that of its ring.
     #[test]
     fn windows_drop_the_shares_of_their_rings_and_everything_above_the_axis() {
         let turn = DQuat::from_rotation_x(f64::to_radians(-45.0));
@@ -338,13 +338,13 @@ mod tests {
 
     #[test]
     fn the_dropped_share_of_a_line_is_that_of_its_side_lobes() {
-        // An omnidirectional element and a line of 17 wavelengths, 45 degrees off the vertical:
-        // sinc^2 with everything, or below the floor.
+        // An omnidirectional element and a line of 17 wavelengths, 45 degrees off the vertical. The
+        // line has sinc^2 in all directions, or only below the floor.
         const WAVELENGTH_M: f64 = 0.00375;
         let (transmit, array) = line_and_element(DQuat::IDENTITY, 17.0 * WAVELENGTH_M, 0.0);
         let off_rad = std::f64::consts::FRAC_PI_4;
         let share = |db| left_out_share(&transmit, &array, WAVELENGTH_M, db, off_rad);
-        // The integral of sinc^2 is 1 and that of its main lobe 0.9028 (Harris 1978). -13.2 dB lies
+        // The integral of sinc^2 is 1 and that of its main lobe 0.9028 (Harris 1978). -13.2 dB is
         // just above the first side lobe. The part of the main lobe below the floor contributes
         // about 0.003.
         let got = share(-13.2);

@@ -5,15 +5,15 @@
 
 use std::f64::consts::{LOG2_E, PI};
 
-/// Adding and subtracting this rounds to the nearest integer (|x| < 2^51). The low bits of the sum
-/// hold that integer.
+/// Addition and subtraction of this number round to the nearest integer (|x| < 2^51). The low bits
+/// of the sum hold that integer.
 const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
 /// ln 2 in two parts. The first has 33 bits, so its products with small integers are exact.
 const LN_2_HIGH: f64 = 6.931_471_803_691_238e-1;
 const LN_2_LOW: f64 = 1.908_214_929_270_587_7e-10;
 
-/// Below this exp() is 1e-304 and close to subnormal numbers.
+/// Minimum exponent. exp(-700) is 1e-304 and close to subnormal numbers.
 const MIN_EXPONENT: f64 = -700.0;
 
 /// e^x for x <= 0, relative error 4e-16. Values below -700 are clamped to -700.
@@ -42,7 +42,7 @@ pub(crate) fn exp_decay(x: f64) -> f64 {
     ] {
         sum = sum * f + 1.0 / factorial;
     }
-    // Writes 2^n into the exponent bits.
+    // The exponent bits become 2^n.
     sum * f64::from_bits(shifted.to_bits().wrapping_add(1023) << 52)
 }
 
@@ -68,7 +68,7 @@ pub(super) fn sinc(x: f64) -> f64 {
     for k in (0..10).rev() {
         sum = sum * y + SIN_PI[k];
     }
-    // sin(pi x) = (-1)^n sin(pi f): the parity of n becomes the sign bit.
+    // sin(pi x) = (-1)^n sin(pi f), and the parity of n becomes the sign bit.
     let sine = f64::from_bits((sum * f).to_bits() ^ (shifted.to_bits() << 63));
     if x == 0.0 { 1.0 } else { sine / (PI * x) }
 }
@@ -100,7 +100,7 @@ pub(super) fn cis(turns: f64) -> (f64, f64) {
     for k in (0..10).rev() {
         sine = sine * y + SIN_PI[k];
     }
-    // The parity of half turns becomes the sign bits.
+    // The parity of the number of half turns becomes the sign bits.
     let odd = shifted.to_bits() << 63;
     (
         f64::from_bits(cosine.to_bits() ^ odd),

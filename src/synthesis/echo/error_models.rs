@@ -11,22 +11,22 @@ use crate::error_model::{Conditions, ErrorModel, MethodRefused};
 use echotank_core::arrays::ReceiverFilter;
 use echotank_core::model::{DopplerModel, PathModel};
 
-/// Floor from rounding f64 delays of 0.3 s at 400 kHz, under way.
+/// Error from rounding of f64 delays of 0.3 s at 400 kHz on a moving platform.
 const F64_FLOOR: f64 = 1e-9;
-/// Cost of the closed forms, ns per scatterer-element pair and leg visited.
+/// Cost of the closed forms, ns per scatterer-element pair and per leg of the path.
 const LEG_NS: f64 = 8.0;
 /// Cost of a Newton solution on the trajectory, ns.
 const TRAJECTORY_NS: f64 = 600.0;
 /// Cost of the second-order expansion, ns.
 const QUADRATIC_NS: f64 = 60.0;
 
-/// If a whole ping is expected to have fewer edge crossings than this, none is assumed.
+/// Minimum number of expected edge crossings in a ping. A smaller number counts as none.
 const RARE: f64 = 0.02;
 
-/// Error from echo edges that cross a sample. A sampled sharp pulse begins and ends between two
-/// samples. A delay error of `shift_s` sometimes moves an edge across a sample, which then gains or
-/// loses the whole echo. The estimate takes the strongest echo of a window once, plus the mean
-/// energy of all crossings.
+/// Error from echo edges that cross a sample. A sharp pulse begins and ends between two samples. A
+/// delay error of `shift_s` can move an edge across a sample, which then gains or loses the whole
+/// echo. The estimate has the strongest echo of a window once, plus the mean energy of all
+/// crossings.
 fn edge_error(conditions: &Conditions, shift_s: f64) -> f64 {
     let pulse = &conditions.pulse;
     if conditions.filter == ReceiverFilter::Fir || pulse.taper > 0.0 {
@@ -48,8 +48,8 @@ fn edge_error(conditions: &Conditions, shift_s: f64) -> f64 {
     (loudest / echo_samples).sqrt() + (crossed / echo_samples).sqrt() * spread
 }
 
-/// Floor of all models. At rest every model is the same sum of two lengths, and a delay is rounded
-/// twice: measured 0.2 to 1 of one rounding.
+/// Minimum error of all models. On a platform at rest every model is the same sum of two lengths,
+/// and a delay is rounded twice. The measured error is 0.2 to 1 of one rounding.
 fn floor(conditions: &Conditions) -> f64 {
     if conditions.speed_m_per_s > 0.0 || conditions.acceleration_m_per_s2 > 0.0 {
         return F64_FLOOR;
@@ -61,7 +61,7 @@ fn cost_ms(conditions: &Conditions, ns: f64) -> f64 {
     conditions.scatterers as f64 * conditions.elements as f64 * ns * 1e-6
 }
 
-/// Motion terms of the closed forms, per leg: for the actual geometry, or for the worst direction.
+/// Motion terms of the closed forms, per leg, for the actual geometry or for the worst direction.
 struct Moving {
     hop_m: f64,
     closing: f64,
@@ -105,7 +105,7 @@ pub fn path_error_model(path: PathModel, conditions: &Conditions) -> ErrorModel 
         spread,
         ..
     } = moving(conditions);
-    // The middle of a chord, or the last reception on it.
+    // Time to the middle of a chord, or to the last reception on it.
     let until_s = window_s.min(0.5 * h);
     let sag_m = 0.5 * a * until_s * (h - until_s);
     let turned_m = turning * h.min(window_s);
@@ -141,8 +141,7 @@ pub fn path_error_model(path: PathModel, conditions: &Conditions) -> ErrorModel 
     }
 }
 
-/// Predicted phase error of a Doppler model within the pulse, given the velocity of this path
-/// model.
+/// Predicted phase error of a Doppler model within the pulse, with the velocity of this path model.
 pub fn doppler_error_model(
     doppler: DopplerModel,
     path: PathModel,
@@ -165,19 +164,19 @@ pub fn doppler_error_model(
     } = moving(conditions);
     let t = pulse.duration_s;
     let k = conditions.wavenumber_per_m();
-    // Two-way phases of the closing speed d s, its change q s^2 and the change of that.
+    // Two-way phases of three terms: the closing speed d s, its change q s^2, and the change of q.
     let first = k * 2.0 * closing * t / 3f64.sqrt();
     let second = k * bend * t * t / 5f64.sqrt();
-    // About mid-pulse: half a pulse cubed. The acceleration may change within it, on real tracks by
-    // a hundredth of its value.
+    // About mid-pulse, the error is that of half a pulse cubed. The acceleration may change within
+    // the pulse, by about a hundredth of its value on real tracks.
     let third = k * 3.0 * v * (v * closing / nearest_m + a) / nearest_m * (t / 2.0).powi(3)
         + 1e-2 * k * a * t * t / 5f64.sqrt();
-    // The cubic phase of a Doppler-distorted chirp, which the parabolas of the synthesis lack, over
-    // the part of the pulse that they cover.
+    // The parabolas of the synthesis lack the cubic phase of a Doppler-distorted chirp, over the
+    // part of the pulse that they cover.
     let bend_per_s = bend / c;
     let cubic_turns = pulse.sweep_hz_per_s().abs() * bend_per_s * t.powi(3) / 32.0;
     let cubic = TAU * cubic_turns.min(1e-7) / 2f64.sqrt();
-    // Error of using a segment's velocity for the instantaneous one.
+    // Error of the segment's velocity compared with the instantaneous velocity.
     let stale = match path {
         PathModel::StopAndHop => first_of(k, a * 2.0 * farthest_m / c, t),
         PathModel::Polyline => first_of(k, a * segment_s, t),
@@ -212,7 +211,7 @@ pub fn doppler_error_model(
             ),
         ),
     };
-    // Phase errors are largest at the end of the pulse, and the edge moves by the same share of a
+    // Phase errors are largest at the end of the pulse. The edge moves by the same fraction of a
     // carrier period.
     let edges = edge_error(conditions, 5f64.sqrt() * phase_rad / (k * c));
     ErrorModel {
@@ -248,8 +247,8 @@ pub fn window_error_models(
     error_models
 }
 
-/// Selects the cheapest Doppler model that reaches `tolerance` on this path model, or returns why
-/// the best one does not. It never selects Eq. 21.
+/// Selects the cheapest Doppler model that meets `tolerance` with this path model. Returns the
+/// reason if the most accurate model does not meet it. Eq. 21 is never selected.
 pub fn doppler_within(
     tolerance: f64,
     path: PathModel,
@@ -300,8 +299,8 @@ mod tests {
         }
     }
 
-    /// Unit echoes at evenly spaced positions between two samples, each late by the same number of
-    /// samples: counts what the samples gain and lose.
+    /// Counts the echoes that samples gain and lose. Unit echoes begin at evenly spaced positions
+    /// between two samples, each late by the same number of samples.
     #[test]
     fn the_error_of_crossing_edges_matches_a_count() {
         let conditions = sharp();
@@ -324,8 +323,8 @@ mod tests {
         }
     }
 
-    /// A thousand echoes at ten elements, of which about one in a million crosses; then a taper;
-    /// then a filter.
+    /// A thousand echoes at ten elements, of which about one in a million crosses a sample. The
+    /// next cases have a taper and a filter.
     #[test]
     fn edges_count_only_if_they_are_sharp_and_cross_samples() {
         let at = |conditions: &Conditions, late: f64| {

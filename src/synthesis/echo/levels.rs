@@ -16,10 +16,10 @@ pub fn amplitude_from_db(db: f64) -> f64 {
 /// A [`Pattern`] prepared for one wavelength.
 #[derive(Clone, Copy, Debug)]
 pub struct Directivity {
-    /// Sides in wavelengths; 0 is omnidirectional along that axis.
+    /// Length of the sides in wavelengths; 0 is omnidirectional along that axis.
     length: f64,
     width: f64,
-    /// The baffle blocks directions with a smaller u_z.
+    /// Minimum u_z that the baffle passes.
     baffle_z: f64,
 }
 
@@ -60,8 +60,7 @@ impl Directivity {
         self.length == 0.0 && self.width == 0.0 && self.baffle_z == f64::NEG_INFINITY
     }
 
-    /// Response towards the unit vector (x, y, z) in array axes: 1 on the boresight, and signed
-    /// side lobes.
+    /// Response towards the unit vector (x, y, z) in array axes: 1 on the boresight. Side lobes have a sign.
     #[inline(always)]
     pub fn towards(&self, x: f64, y: f64, z: f64) -> f64 {
         let open = if z < self.baffle_z { 0.0 } else { 1.0 };
@@ -72,8 +71,7 @@ impl Directivity {
 /// One-way transmission loss: spherical spreading from 1 m and absorption.
 #[derive(Clone, Copy, Debug)]
 pub struct OneWay {
-    /// Smallest range at which the far-field amplitude holds, metres. The amplitude is constant at
-    /// closer ranges.
+    /// Minimum range at which the far-field amplitude is valid, metres. The amplitude is constant at shorter ranges.
     pub wavelength_m: f64,
     /// 1 / `wavelength_m`.
     max_per_m: f64,
@@ -81,7 +79,7 @@ pub struct OneWay {
 }
 
 impl OneWay {
-    /// Takes the wavelength in metres and the one-way absorption in dB/m.
+    /// Loss at a wavelength in metres and a one-way absorption in dB/m.
     pub fn new(wavelength_m: f64, absorption_db_per_m: f64) -> Self {
         Self {
             wavelength_m,
@@ -96,7 +94,7 @@ impl OneWay {
         self.amplitude_at(range_m, 1.0 / range_m)
     }
 
-    /// As [`Self::amplitude`] with `per_m` = 1 / `range_m` given, which saves a division.
+    /// As [`Self::amplitude`], with `per_m` = 1 / `range_m` given, which avoids a division.
     #[inline(always)]
     pub(crate) fn amplitude_at(&self, range_m: f64, per_m: f64) -> f64 {
         exp_decay(-self.nepers_per_m * range_m.max(self.wavelength_m)) * per_m.min(self.max_per_m)

@@ -1,16 +1,16 @@
-//! Scatterers to arrivals: path models, Doppler and levels.
+//! Echo model: path models, Doppler and levels convert scatterers to arrivals.
 //!
-//! Input: a [`PingPlan`](echotank_core::ping::PingPlan), one transmit array, one element of a
-//! receive array, and [`Scatterers`](echotank_core::scene::Scatterers).
-//! Output: [`ArrivalChunk`](crate::arrivals::ArrivalChunk)s of delay, Doppler stretch and
-//! complex amplitude, passed to an [`ArrivalSink`](crate::arrivals::ArrivalSink).
-//! Start with [`walk`].
+//! The inputs are a [`PingPlan`](echotank_core::ping::PingPlan), one transmit array, one element of
+//! a receive array, and [`Scatterers`](echotank_core::scene::Scatterers). The results are
+//! [`ArrivalChunk`](crate::arrivals::ArrivalChunk)s of delay, Doppler stretch and complex
+//! amplitude, passed to an [`ArrivalSink`](crate::arrivals::ArrivalSink). The main module is
+//! [`walk`].
 //!
-//! [`reference()`](reference::reference) is the slow reference solution. It synthesises samples
-//! itself and shares only the sonar equation with the other methods.
+//! [`reference()`](reference::reference) is the slow reference solution. It computes samples itself
+//! and shares only the sonar equation with the other methods.
 //!
 //! Not modelled: refraction, multipath and volume reverberation. The scene resolves occlusion
-//! before it passes on the scatterers.
+//! before the echo model receives the scatterers.
 
 pub mod absorption;
 pub mod culling;

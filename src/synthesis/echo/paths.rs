@@ -5,10 +5,10 @@
 //! `k-segment` the chords of the element's own track between the same vertices. `continuous` starts
 //! from the chords and converges to the trajectory by Newton's iteration.
 //!
-//! The transmitter, at the origin, sends at t = 0, and the sound reaches the scatterer S at t1 =
-//! r_T/c. A receiver at R + v (t - t_k) on segment k then sees S at D = S - R - v (t1 - t_k). The
-//! second leg tau solves |D - v tau| = c tau, so (c^2 - v^2) tau^2 + 2 (D.v) tau - D.D = 0. The
-//! only positive root, written without cancellation, is
+//! The transmitter, at the origin, transmits at t = 0, and the sound reaches the scatterer S at t1
+//! = r_T/c. Relative to a receiver at R + v (t - t_k) on segment k, the scatterer is then at D = S
+//! - R - v (t1 - t_k). The second leg tau solves |D - v tau| = c tau, so (c^2 - v^2) tau^2 + 2
+//! (D.v) tau - D.D = 0. The only positive root, written without cancellation, is
 //!
 //! ```text
 //! q   = sqrt((D.v)^2 + (c^2 - v^2) D.D)
@@ -16,8 +16,8 @@
 //!     = (q - D.v) / (c^2 - v^2)    D.v <  0
 //! ```
 //!
-//! This is the root of Meng et al. 2023, Eqs. 5-7 (there with v in the denominator). It holds for
-//! every |v| < c, including v = 0 and D = 0.
+//! This is the root of Meng et al. 2023, Eqs. 5-7 (there with v in the denominator). It is valid
+//! for every |v| < c, including v = 0 and D = 0.
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -28,21 +28,21 @@ use echotank_core::model::{DopplerModel, PathModel};
 use echotank_core::ping::PingPlan;
 use echotank_core::simd::widest;
 
-/// Margin on the bounds that skip whole segments, metres: far above the rounding of ranges and far
-/// below any range.
+/// Margin of the bounds that skip whole segments, metres. It is far above the rounding of ranges
+/// and far below any range.
 const BOUND_GUARD_M: f64 = 1e-6;
 
-/// A Newton step below this ends the iteration, seconds. The next step would be its square times
-/// v^2/(r c): below 1e-20 s at a range of 1 mm.
+/// Newton step that ends the iteration, seconds. The next step would be its square times v^2/(r c):
+/// below 1e-20 s at a range of 1 mm.
 const SETTLED_S: f64 = 1e-11;
 
-/// Position and motion of the transmitter at the start of the pulse; the origin of all coordinates
-/// here.
+/// Position and motion of the transmitter at the start of the pulse. The position is the origin of
+/// the coordinates of this module.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Transmit {
-    /// The platform's reference point at the start of the pulse in the world, metres, and the
-    /// transmitter's lever arm from it. They are kept apart because their sum would round the arm
-    /// to the precision of world coordinates.
+    /// Reference point of the platform at the start of the pulse, world, metres, and the lever arm
+    /// of the transmitter. They are separate because their sum would round the arm to the precision
+    /// of world coordinates.
     reference_m: DVec3,
     arm_m: DVec3,
     pub array_from_world: DMat3,
@@ -60,8 +60,7 @@ pub struct Motion {
 }
 
 impl Transmit {
-    /// Takes the motion from the plan's first segment, or from the trajectory if the path model
-    /// follows it.
+    /// Motion from the plan's first segment, or from the trajectory if the path model follows it.
     pub(crate) fn new(plan: &PingPlan, tx: &TransmitArray) -> Self {
         let first = &plan.segments[0];
         let mounting = &tx.mounting;
@@ -96,9 +95,9 @@ fn array_from_world(world_from_body: DQuat, body_from_array: DQuat) -> DMat3 {
     DMat3::from_quat((world_from_body * body_from_array).inverse())
 }
 
-/// Motion of a point on a lever arm (world axes) during the platform's `k`-th segment: the
-/// segment's velocity plus the effect of rotation. The segment holds its attitude constant, so the
-/// rate of rotation comes from the trajectory.
+/// Motion of a point on a lever arm (world axes) during segment `k` of the platform: the segment's
+/// velocity plus the effect of rotation. The segment has a constant attitude, so the rate of
+/// rotation comes from the trajectory.
 fn segment_motion(plan: &PingPlan, k: usize, arm_m: DVec3) -> Motion {
     let segment = &plan.segments[k];
     let turning = plan
@@ -111,8 +110,8 @@ fn segment_motion(plan: &PingPlan, k: usize, arm_m: DVec3) -> Motion {
     }
 }
 
-/// Motion of a body-fixed point on the trajectory; `pose` is the pose at `time_s`. The acceleration
-/// is the mean over the pulse that begins there, computed only where it is used.
+/// Motion of a body-fixed point on the trajectory. `pose` is the pose at `time_s`. The acceleration
+/// is the mean over a pulse that begins there; it is computed only if used.
 fn trajectory_motion(plan: &PingPlan, body_m: DVec3, pose: &Pose, time_s: f64) -> Motion {
     let velocity_m_per_s = pose.point_velocity_m_per_s(body_m);
     let acceleration_m_per_s2 = match plan.model.doppler {
@@ -140,7 +139,7 @@ fn doppler_motion(plan: &PingPlan, motion: Motion) -> Motion {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Leg {
     pub start_s: f64,
-    /// Infinite for the last leg.
+    /// End time, seconds; infinite for the last leg.
     pub end_s: f64,
     /// Element at `start_s`, metres from the transmit position.
     pub origin_m: DVec3,
@@ -149,12 +148,12 @@ pub(crate) struct Leg {
     /// Motion in the Doppler term: velocity at `start_s` and its rate of change.
     pub doppler: Motion,
     array_from_world: DMat3,
-    /// Rate of turn of the array axes, rad/s in these axes, and the time after `start_s` at which
-    /// they have the stated attitude.
+    /// Rate of turn of the array axes, rad/s in these axes. The next field is the time after
+    /// `start_s` at which the axes have the stated attitude.
     turning_rad_per_s: DVec3,
     facing_s: f64,
-    /// Scatterers whose two-way path exceeds this arrive on a later leg; those below the other
-    /// bound arrive on an earlier one. Metres.
+    /// Bounds on the two-way path, metres. Scatterers above this bound arrive on a later leg;
+    /// scatterers below the other bound arrive on an earlier leg.
     passed_m: f64,
     begun_m: f64,
 }
@@ -174,13 +173,13 @@ impl Leg {
 #[derive(Debug, Default)]
 pub(crate) struct ElementTrack {
     legs: Vec<Leg>,
-    /// Intended end of the polyline; echoes that arrive later are counted.
+    /// Intended end of the polyline. Echoes that arrive later are counted.
     end_s: f64,
-    /// Whether neighbouring legs meet, so that every scatterer has exactly one root.
+    /// True if consecutive legs meet, so that every scatterer has exactly one root.
     seamless: bool,
     /// Largest distance of the element from its legs, metres.
     sag_m: f64,
-    /// The element in body axes, and the array's axes there.
+    /// Element in body axes; `body_from_array` has the array axes there.
     element_m: DVec3,
     body_from_array: DQuat,
 }
@@ -233,7 +232,7 @@ impl ElementTrack {
     }
 
     /// c (t - t1) - |S - r(t)| increases along a leg, so its signs at the two ends show whether the
-    /// root lies between. Two triangle inequalities decide this for all scatterers at once. The
+    /// root is between. Two triangle inequalities decide this for all scatterers together. The
     /// bounds increase from leg to leg.
     fn bound_legs(&mut self, c: f64) {
         let mut passed_m = f64::INFINITY;
@@ -247,7 +246,7 @@ impl ElementTrack {
         }
     }
 
-    /// Uses the plan's segments; `stop-and-hop` uses only the first, at rest.
+    /// Legs from the plan's segments. `stop-and-hop` uses only the first segment, at rest.
     fn lay_segments(&mut self, plan: &PingPlan, transmit: &Transmit) {
         let (segments, moving) = match plan.model.path {
             PathModel::StopAndHop => (&plan.segments[..1], 0.0),
@@ -270,8 +269,8 @@ impl ElementTrack {
         }
     }
 
-    /// Uses chords between the element's positions at the vertices of the segments. The array axes
-    /// are those of each chord's middle and turn uniformly from there. The Doppler velocity is
+    /// Legs from chords between the element's positions at the vertices of the segments. The array
+    /// axes are those of each chord's middle and turn uniformly from there. The Doppler velocity is
     /// linear between vertices.
     fn lay_chords(&mut self, plan: &PingPlan, transmit: &Transmit) {
         let pose_at = |time_s: f64| plan.trajectory.pose_from(transmit.reference_m, time_s);
@@ -291,7 +290,8 @@ impl ElementTrack {
             let chord_m = place_m(&next) - origin_m;
             let speed = here.point_velocity_m_per_s(self.element_m);
             let later = next.point_velocity_m_per_s(self.element_m);
-            // Twice the distance of the middle from the chord bounds any smooth arc.
+            // Twice the distance of the middle from the chord bounds the distance of any smooth
+            // arc.
             let off_m = (place_m(&middle) - origin_m - 0.5 * chord_m).length();
             let array_from_world = array_from_world(middle.world_from_body, self.body_from_array);
             self.sag_m = self.sag_m.max(2.0 * off_m);
@@ -351,7 +351,7 @@ impl ElementTrack {
     }
 
     /// Passes bounds on the Doppler velocities along this track to `visit`: a velocity and the
-    /// largest deviation from it, m/s.
+    /// maximum deviation from it, m/s.
     pub(crate) fn bound_velocities(&self, plan: &PingPlan, mut visit: impl FnMut(DVec3, f64)) {
         let last_s = self.legs.last().map_or(0.0, |leg| leg.start_s) + plan.model.segment_s;
         for leg in &self.legs {
@@ -363,7 +363,8 @@ impl ElementTrack {
             let last = first + acceleration_m_per_s2 * (end_s - leg.start_s);
             let beside = match plan.model.path {
                 PathModel::Continuous => {
-                    // Twice the distance of the middle from the chord bounds any smooth arc.
+                    // Twice the distance of the middle from the chord bounds the distance of any
+                    // smooth arc.
                     let middle_s = 0.5 * (leg.start_s + end_s);
                     let middle = self.motion_at(plan, middle_s).velocity_m_per_s;
                     2.0 * (middle - 0.5 * (first + last)).length()
@@ -409,8 +410,8 @@ impl ElementTrack {
         }
     }
 
-    /// Velocity of the element on the trajectory, whatever the path model, and the rotation out of
-    /// array axes.
+    /// Velocity of the element on the trajectory, for any path model, and the rotation from array
+    /// axes to world axes.
     pub(crate) fn velocity_at(&self, plan: &PingPlan, time_s: f64) -> (DVec3, DQuat) {
         let pose = plan.trajectory.pose_at(time_s);
         let velocity = pose.point_velocity_m_per_s(self.element_m);
@@ -455,7 +456,7 @@ fn min_max(values: &[f64]) -> (f64, f64) {
     )
 }
 
-/// Up to [`CHUNK`] scatterers, metres from the transmit position; `range_m` is their distance from
+/// Up to [`CHUNK`] scatterers, metres from the transmit position. `range_m` is their distance from
 /// it.
 #[derive(Clone, Copy)]
 pub(crate) struct Batch<'a> {
@@ -535,8 +536,8 @@ pub(crate) struct RootCounts {
     pub two_roots: u64,
 }
 
-/// Travel time of the second leg, seconds. The receiver sees the scatterer at `(x, y, z)` when the
-/// sound reaches it. See the module documentation for the equation.
+/// Travel time of the second leg, seconds. `(x, y, z)` is the scatterer relative to the
+/// receiver when the sound reaches the scatterer. See the module documentation for the equation.
 #[inline(always)]
 fn second_leg_s(x: f64, y: f64, z: f64, v: DVec3, c2_minus_v2: f64) -> f64 {
     let along = x * v.x + y * v.y + z * v.z;
@@ -545,7 +546,7 @@ fn second_leg_s(x: f64, y: f64, z: f64, v: DVec3, c2_minus_v2: f64) -> f64 {
     let sum = along.abs() + root;
     let ahead = along >= 0.0;
     let over = if ahead { square } else { sum };
-    // Prevents 0/0 for a receiver on the scatterer.
+    // Prevents 0/0 for a receiver at the scatterer.
     let under = if ahead {
         sum.max(f64::MIN_POSITIVE)
     } else {
@@ -554,10 +555,10 @@ fn second_leg_s(x: f64, y: f64, z: f64, v: DVec3, c2_minus_v2: f64) -> f64 {
     over / under
 }
 
-/// Solves one leg for a batch whose rays begin at index `at`, and stores the roots on this leg.
-/// Returns how many it stored.
+/// Solves one leg for a batch with rays that begin at index `at`, and stores the roots on this leg.
+/// Returns the number of stored roots.
 ///
-/// `ALONE`: the leg has neither start nor end, so every root lies on it and `rays` needs no reset.
+/// `ALONE`: the leg has neither start nor end, so every root is on it and `rays` needs no reset.
 #[inline(always)]
 fn solve_leg<const ALONE: bool>(
     leg: &Leg,
@@ -581,7 +582,7 @@ fn solve_leg<const ALONE: bool>(
         let u = m.x_axis.x * x + m.y_axis.x * y + m.z_axis.x * z;
         let v = m.x_axis.y * x + m.y_axis.y * y + m.z_axis.y * z;
         let w = m.x_axis.z * x + m.y_axis.z * y + m.z_axis.z * z;
-        // In rotating axes the ray rotates the opposite way.
+        // The ray rotates in the opposite sense to the axes.
         let turned_s = after_s - leg.facing_s;
         [
             u + turned_s * (v * turning.z - w * turning.y),
@@ -630,18 +631,18 @@ fn solve_leg<const ALONE: bool>(
         let early = root_s < leg.start_s;
         let on_time = root_s < leg.end_s;
         let take = open & on_time;
-        // Wrapping addition avoids a branch for the overflow check; the count is at most 256.
+        // Wrapping addition avoids a branch for the overflow check. The count is at most 256.
         placed = u64::wrapping_add(placed, take as u64);
         none = u64::wrapping_add(none, (open & early) as u64);
         two = u64::wrapping_add(two, (!open & !early & on_time) as u64);
 
-        // An early root means that every earlier leg found its root late. The element jumps at the
-        // vertex, so the root is the vertex.
+        // An early root means that every earlier leg found its root late. The element steps at the
+        // vertex, so the vertex time is used.
         let delay_s = root_s.max(leg.start_s);
         let after_s = delay_s - leg.start_s;
         let (x, y, z) = (x - v.x * after_s, y - v.y * after_s, z - v.z * after_s);
-        // Each scatterer is stored once, in arrays that start as zeros. Adding 0 or 1 times the
-        // value vectorises, where an `if` would put a branch around the stores.
+        // Each scatterer is stored once, in arrays that start as zeros. The addition of 0 or 1
+        // times the value vectorises; an `if` would put a branch around the stores.
         let chosen = if take { 1.0 } else { 0.0 };
         to_delay_s[i] = to_delay_s[i].min(if take { delay_s } else { f64::INFINITY });
         to_x_m[i] += chosen * x;
@@ -666,10 +667,10 @@ fn solve_leg<const ALONE: bool>(
     placed
 }
 
-/// Scatterers that select their legs together where a batch spans many legs; neighbouring
-/// scatterers span few.
+/// Number of scatterers that select their legs together if a batch spans many legs. Consecutive
+/// scatterers span few legs.
 pub const PART: usize = 32;
-/// Up to this many legs are solved by the whole batch.
+/// Maximum number of legs that are solved by the whole batch.
 const FEW_LEGS: usize = 2;
 
 /// Computes delays and receive rays of a batch. Each scatterer uses the first leg k with t_k <= u <
@@ -727,13 +728,15 @@ fn solve_legs(
     debug_assert_eq!(placed, n, "the last leg has no end");
 }
 
-/// Limit on Newton steps. Chords are off by microseconds, and each step squares the error.
+/// Maximum number of Newton steps. The error of the chords is microseconds, and each step squares
+/// it.
 const MAX_STEPS: usize = 12;
 
-/// Refines the delays and rays that [`solve`] found on the element's chords to the trajectory
-/// itself: c u = r_T + |S - r(u)|.
+/// Refines the delays and rays of [`solve`] from the element's chords to its trajectory: c u = r_T
+/// + |S - r(u)|.
 ///
-/// The residual grows at a rate of at least 0.9 c, so it brackets the root and bounds the step.
+/// The residual grows at a rate of at least 0.9 c. It therefore brackets the root and bounds the
+/// step.
 pub(crate) fn refine(
     plan: &PingPlan,
     transmit: &Transmit,
@@ -756,7 +759,7 @@ pub(crate) fn refine(
                 / leg_m.max(f64::MIN_POSITIVE);
             let step_s = -residual_m / (c + closing).max(0.9 * c);
             delay_s += step_s;
-            // The ray belongs to the position of this last step, at most millimetres away; the
+            // The ray is that of the position before this last step, at most millimetres away. The
             // delay no longer changes.
             if step_s.abs() <= SETTLED_S {
                 break;
@@ -835,7 +838,8 @@ mod tests {
             ];
             (placed, odd, solved.map(|a| a.map(f64::to_bits)))
         }
-        // A single leg gives the same result as that leg among others, up to the sign of zero.
+        // A single leg gives the same result as the same leg among others, except for the sign of
+        // zero.
         let alone = Leg {
             start_s: 0.0,
             end_s: f64::INFINITY,

@@ -1,12 +1,13 @@
-//! Echoes about one instant from the reference equation, used to check a ping at random samples.
+//! Echoes around one instant from the reference equation. The error check uses them at random
+//! samples of a ping.
 //!
-//! Input: a plan, the scatterers that may be received at the instant, and an element. Output: their
-//! echoes as [`ArrivalChunk`]s. The emission time is exact at the instant and shortly before and
-//! after it, and a parabola between. The neglected third derivative is below 1e-6 rad within half a
-//! millisecond.
+//! The inputs are a plan, the scatterers that may be received at the instant, and an element. The
+//! results are their echoes as [`ArrivalChunk`]s. The emission time is exact at the instant and
+//! shortly before and after it, with a parabola between. The neglected third derivative is below
+//! 1e-6 rad within half a millisecond.
 //!
 //! As in [`reference()`](super::reference::reference()), c (t - t') = |S - p_T(t')| + |S - r_e(t)|
-//! is solved on the continuous trajectory, without path model, Doppler model or culling.
+//! is solved on the continuous trajectory. Path model, Doppler model and culling are not used.
 
 use glam::{DQuat, DVec3};
 use num_complex::Complex64;
@@ -19,15 +20,16 @@ use echotank_core::scene::Scatterers;
 
 use super::reference::{Sonar, facing};
 
-/// Number of pieces of the transmitter's track during the pulse. Each is the Hermite cubic of the
-/// positions and velocities at its ends. Where the acceleration steps by 1 m/s^2 within a piece,
-/// the error is below 1e-10 m.
+/// Number of pieces of the transmitter's track during the pulse. Each piece is the Hermite cubic of
+/// the positions and velocities at its ends. The error is below 1e-10 m for a step in acceleration
+/// of 1 m/s^2 within a piece.
 const PIECES: usize = 64;
 
-/// Newton steps for an emission time. From a guess within 1e-6 s the second step reaches 1e-18 s.
+/// Number of Newton steps for an emission time. From a guess within 1e-6 s the second step reaches
+/// 1e-18 s.
 const STEPS: usize = 3;
 
-/// The element and time of a check.
+/// Element and time of a check.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Instant {
     /// Index of the element in the receive array.
@@ -38,7 +40,7 @@ pub struct Instant {
     pub half_span_s: f64,
 }
 
-/// Slant ranges of the scatterers that can be received at an instant: smallest and largest, metres.
+/// Slant ranges of the scatterers that can be received at an instant: minimum and maximum, metres.
 /// They are measured from the reference point at the start of the pulse.
 pub fn receivable_ranges_m(
     plan: &PingPlan,
@@ -50,7 +52,7 @@ pub fn receivable_ranges_m(
     let origin_m = plan.segments[0].position_m;
     let latest_s = at.time_s + at.half_span_s;
     let moved_m = plan.trajectory.pose_from(origin_m, latest_s).position_m;
-    // Each leg differs from the range by at most this.
+    // Each leg differs from the range by at most this distance.
     let reach_m = tx.mounting.position_m.length()
         + array.element_body_m(at.element).length()
         + moved_m.length();
@@ -58,13 +60,13 @@ pub fn receivable_ranges_m(
     (0.5 * c * earliest_s - reach_m, 0.5 * c * latest_s + reach_m)
 }
 
-/// Slant range bins of [`receivable`].
+/// Number of slant range bins of [`receivable`].
 const BINS: usize = 1024;
 
 /// Scatterers that can be received at any of up to 64 instants, in order, as (index, mask) with bit
 /// k for instant k. `ranges_m` are those of [`receivable_ranges_m`].
 ///
-/// The list may contain scatterers up to one bin outside the ranges, and misses none inside.
+/// The list may have scatterers up to one bin outside the ranges. No scatterer inside is missing.
 pub fn receivable(
     plan: &PingPlan,
     scatterers: &Scatterers,
@@ -73,7 +75,7 @@ pub fn receivable(
 ) {
     assert!(ranges_m.len() <= 64, "one bit each");
     out.clear();
-    // Reserves all at once, since the next instants may receive more.
+    // All memory is reserved at once, because the next instants may receive more scatterers.
     out.reserve(scatterers.len());
     let farthest_m = ranges_m.iter().map(|r| r.1).fold(0.0, f64::max);
     if farthest_m <= 0.0 || farthest_m.is_nan() {
@@ -149,19 +151,19 @@ struct Prober<'a> {
     plan: &'a PingPlan,
     sonar: Sonar<'a>,
     origin_m: DVec3,
-    /// Position and velocity of the transmitter at the ends of the pieces, from `-spare_s` to as
-    /// long after the end of the pulse.
+    /// Position and velocity of the transmitter at the ends of the pieces, from `-spare_s` to
+    /// `spare_s` after the end of the pulse.
     way: [(DVec3, DVec3); PIECES + 1],
     spare_s: f64,
     piece_s: f64,
     transmit_m: DVec3,
     transmit_attitude: DQuat,
-    /// The element before, at and after the instant.
+    /// Positions of the element before, at and after the instant.
     receive_m: [DVec3; 3],
     velocity_m_per_s: DVec3,
     step_s: f64,
     at: Instant,
-    /// Attitudes at the earliest and the latest leading edge that can be received now.
+    /// Attitudes at the earliest and the latest leading edge that can be received at the instant.
     attitudes: [(f64, DQuat); 2],
 }
 
@@ -177,7 +179,7 @@ impl<'a> Prober<'a> {
         let place = |pose: &Pose, body_m: DVec3| {
             (pose.point_m(body_m), pose.point_velocity_m_per_s(body_m))
         };
-        // Emission times outside the pulse but inside the filter only bend the parabola slightly,
+        // Emission times outside the pulse but inside the filter only change the parabola slightly,
         // so they need no accuracy.
         let spare_s = 2.5 * at.half_span_s + 1e-6;
         let duration_s = plan.pulse.duration_s;
@@ -234,8 +236,7 @@ impl<'a> Prober<'a> {
         )
     }
 
-    /// Emission time of the sound that the element receives from a scatterer at its `n`-th
-    /// position.
+    /// Emission time of the sound that the element receives from a scatterer at its position `n`.
     fn emitted_s(&self, at_m: DVec3, n: usize, guess_s: f64) -> f64 {
         let c = self.plan.sound_speed_m_per_s;
         let time_s = self.at.time_s + (n as f64 - 1.0) * self.step_s;
@@ -251,11 +252,12 @@ impl<'a> Prober<'a> {
         emitted_s
     }
 
-    /// The echo of scatterer `i`, or None if it lies outside the span.
+    /// The echo of scatterer `i`; `None` if it is outside the span.
     fn echo(&self, scatterers: &Scatterers, i: usize) -> Option<Echo> {
         let c = self.plan.sound_speed_m_per_s;
         let at_m = scatterers.position_m(i) - self.origin_m;
-        // The transmitter hardly moves during the pulse, so this guess is within microseconds.
+        // The transmitter hardly moves during the pulse, so the error of this guess is
+        // microseconds.
         let first_m = at_m.distance(self.transmit_m);
         let guess_s = self.at.time_s - (first_m + at_m.distance(self.receive_m[1])) / c;
         let span_s = 1.1 * self.at.half_span_s + 1e-4;

@@ -1,11 +1,11 @@
 //! Reference solution: the retarded-time sum, sample by sample, on the continuous trajectory.
 //!
-//! A sample received at t left the transmitter at t' with c (t - t') = |S - p_T(t')| + |S -
-//! r_e(t)|, and x_e(t) = sum A a(t') exp(j 2pi f_c (t' - t)). Newton's iteration solves t' for
-//! every sample and scatterer.
+//! A sample received at t was transmitted at t' with c (t - t') = |S - p_T(t')| + |S - r_e(t)|. The
+//! samples are x_e(t) = sum A a(t') exp(j 2pi f_c (t' - t)). Newton's iteration solves t' for every
+//! sample and scatterer.
 //!
-//! Transmitter and receiver follow the [`Trajectory`], rotation included, during the pulse and
-//! during the echo. A keeps its value at the leading edge. The sum uses f64 without linearisation,
+//! Transmitter and receiver follow the [`Trajectory`], including rotation, during the pulse and
+//! during the echo. A has its value at the leading edge. The sum uses f64 without linearisation,
 //! pattern culling or segments, and ignores the plan's path and Doppler models. It shares only the
 //! sonar equation with the fast walk.
 
@@ -20,7 +20,7 @@ use echotank_core::scene::{LawCurve, ScatterLaw, Scatterers};
 
 use super::levels::{Directivity, OneWay, amplitude_from_db};
 
-/// Limit on Newton steps. A step that leaves the bracket is replaced by bisection, and 60
+/// Maximum number of Newton steps. A step that leaves the bracket is replaced by bisection, and 60
 /// bisections reach the last bit of f64.
 const MAX_STEPS: usize = 80;
 
@@ -55,9 +55,9 @@ pub fn reference(
 /// Overwrites `out` with the echoes of all scatterers at one element: complex envelope, volts
 /// (rms).
 ///
-/// Sample k lies `first_sample_s + k / rate_hz` after the start of the pulse. An echo covers 0 <=
-/// t' <= T, both ends inclusive. `edges` selects the treatment of the ends of a rectangular pulse;
-/// a tapered pulse is always sampled.
+/// Sample k is `first_sample_s + k / rate_hz` seconds after the start of the pulse. An echo covers
+/// 0 <= t' <= T, both ends inclusive. `edges` selects the treatment of the ends of a rectangular
+/// pulse; a tapered pulse is always sampled.
 #[expect(
     clippy::too_many_arguments,
     reason = "the whole problem, each part a noun of its own"
@@ -105,7 +105,8 @@ pub fn reference_with(
             at_m,
             &receiver,
         );
-        // One spare sample at either end; t' decides whether it lies in the echo.
+        // The range has one spare sample at either end. The condition on t' decides whether a
+        // sample is in the echo.
         let first = ((leading_s - first_sample_s) * rate_hz).floor() - 1.0;
         let end = ((trailing_s - first_sample_s) * rate_hz).ceil() + 2.0;
         let range = (first.max(0.0) as usize)..(end.max(0.0) as usize).min(out.len());
@@ -130,10 +131,11 @@ pub fn reference_with(
             let t_s = time_s(k);
             let second_leg_m = at_m.distance(receiver_m[k]);
             // c (t - t') - |S - p_T(t')| - second leg decreases with t', so its signs at the ends
-            // of the pulse show whether t' lies within.
+            // of the pulse show whether t' is in the pulse.
             let before = c * t_s - first_leg_m - second_leg_m;
             let after = c * (t_s - duration_s) - at_m.distance(last_transmit_m) - second_leg_m;
-            // Next to an edge the weights follow the edge's time, so membership must follow it too.
+            // Next to an edge, the weights follow from the time of the edge, so membership must
+            // follow from it too.
             let weight = if weighted {
                 weights.at(k)
             } else {
@@ -163,8 +165,8 @@ pub fn reference_with(
 
 /// Quadrature weights of the samples between two edges.
 struct EdgeWeights {
-    /// First and last sample inside, counted from the first sample, and their distances from the
-    /// edges, in steps.
+    /// First and last sample inside, counted from the first sample. The next fields are their
+    /// distances from the edges, in steps.
     first: f64,
     last: f64,
     corrections: [[f64; EDGE_POINTS]; 2],
@@ -185,7 +187,7 @@ impl EdgeWeights {
         }
     }
 
-    /// Weight of sample `k`; 0 outside.
+    /// Weight of sample `k`; 0 outside the edges.
     fn at(&self, k: usize) -> f64 {
         let k = k as f64;
         if k < self.first || k > self.last {
@@ -245,8 +247,8 @@ fn receive_time_s(c: f64, travelled_m: f64, at_m: DVec3, receiver: &Mover) -> f6
     };
     let low_s = travelled_m / c;
     let leg_s = at_m.distance(receiver.at(low_s).0) / c;
-    // The receiver is slower than 0.1 c, so twice the leg is an upper bound. The margin makes the
-    // search end for any trajectory.
+    // The receiver is slower than 0.1 c, so twice the leg is an upper bound. The margin guarantees
+    // that the search ends for any trajectory.
     let mut high_s = low_s + 2.0 * leg_s + 1e-6;
     for _ in 0..60 {
         if residual(high_s).0 >= 0.0 {
@@ -257,8 +259,8 @@ fn receive_time_s(c: f64, travelled_m: f64, at_m: DVec3, receiver: &Mover) -> f6
     newton(low_s, high_s, low_s + leg_s, residual)
 }
 
-/// Root of an increasing function between `low` and `high`, to the last bits. Newton's iteration,
-/// with bisection where a step leaves the bracket.
+/// Root of an increasing function between `low` and `high`, accurate to the last bits. The method
+/// is Newton's iteration, with bisection if a step leaves the bracket.
 fn newton(mut low: f64, mut high: f64, start: f64, f: impl Fn(f64) -> (f64, f64)) -> f64 {
     let mut x = start.clamp(low, high);
     for _ in 0..MAX_STEPS {
@@ -281,7 +283,7 @@ fn newton(mut low: f64, mut high: f64, start: f64, f: impl Fn(f64) -> (f64, f64)
     x
 }
 
-/// Scattering law of a scatterer: law, normal, and the curve of a curved law.
+/// Orientation and scattering law of a scatterer: law, normal, and the curve of a curved law.
 pub(super) type Facing<'a> = (ScatterLaw, [f32; 3], Option<&'a LawCurve>);
 
 pub(super) fn facing(scatterers: &Scatterers, i: usize) -> Facing<'_> {

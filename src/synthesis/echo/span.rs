@@ -1,9 +1,10 @@
-//! Range of the Doppler stretches of a ping's echoes, bounded before any echo is computed.
+//! Bounds on the Doppler stretches of the echoes of a ping, computed before any echo.
 //!
-//! Input: the insonified scatterers and a receive array. Output: the smallest and largest eta - 1
-//! over all its elements. eta - 1 = (v_R.e_R + v_T.e_T)/(c - v_T.e_T), and v_T.e_T is known for
-//! every scatterer. v_R.e_R differs from it by at most |v_R - v_T| + |v_T| |e_R - e_T|. Two unit
-//! vectors to one point differ by at most 2 |a - b|/(|a| + |b|) (Dunkl and Williams 1964).
+//! The inputs are the insonified scatterers and a receive array. The result is the smallest and
+//! largest eta - 1 over all its elements. eta - 1 = (v_R.e_R + v_T.e_T)/(c - v_T.e_T), and v_T.e_T
+//! is known for every scatterer. v_R.e_R differs from it by at most |v_R - v_T| + |v_T| |e_R -
+//! e_T|. Two unit vectors to one point differ by at most 2 |a - b|/(|a| + |b|) (Dunkl and Williams
+//! 1964).
 
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::model::DopplerModel;
@@ -11,8 +12,8 @@ use echotank_core::ping::PingPlan;
 
 use super::walk::{TransmitLeg, Workspace};
 
-/// Smallest and largest eta - 1 that [`arrivals`](super::walk::arrivals) can pass on for any
-/// element of `array`. `work` holds temporary values.
+/// Smallest and largest eta - 1 that [`arrivals`](super::walk::arrivals) can emit for any element
+/// of `array`. `work` is a buffer for temporary values.
 pub fn doppler_span(
     plan: &PingPlan,
     array: &ArrayGeometry,
@@ -24,7 +25,7 @@ pub fn doppler_span(
     }
     let c = plan.sound_speed_m_per_s;
     let transmit_m_per_s = transmit_leg.transmit.motion.velocity_m_per_s;
-    // Positions and velocities are linear along the line, so its two ends bound the rest.
+    // Positions and velocities are linear along the line, so those of its two ends bound the rest.
     let (mut arm_m, mut speed, mut change) = (0.0f64, transmit_m_per_s.length(), 0.0f64);
     for element in [0, array.elements - 1] {
         let track = &mut work.track;
@@ -49,7 +50,7 @@ pub fn doppler_span(
         let apart_m = still_m + per_range * nearest_m;
         let turned = (2.0 * apart_m / (2.0 * nearest_m - apart_m).max(0.0)).min(2.0);
         let beside = change + transmit_speed * turned;
-        // Both are monotonic in the transmitter's part below c.
+        // Both bounds are monotonic in the transmitter's part below c.
         least = least.min((2.0 * leaving - beside) / (c - leaving));
         greatest = greatest.max((2.0 * closing + beside) / (c - closing));
     }

@@ -1,8 +1,8 @@
 //! Second-order Doppler, and Eq. 21 of Meng et al. 2023.
 //!
-//! Sound received at t left at t' with c (t - t') = R_T(t') + R_R(t), where R_T and R_R are the two
-//! legs. With a and b the closing speeds of transmitter and receiver towards the scatterer, the
-//! first two derivatives are
+//! Sound received at t was transmitted at t' with c (t - t') = R_T(t') + R_R(t), where R_T and R_R
+//! are the two legs. With a and b the closing speeds of transmitter and receiver towards the
+//! scatterer, the first two derivatives are
 //!
 //! ```text
 //! dt'/dt   = (c + b) / (c - a)
@@ -11,14 +11,14 @@
 //!
 //! The first derivative alone, at the leading edge (Meng et al. 2023, Eqs. 19-20), leaves a phase
 //! of 2 pi f v^2 sin^2 s^2 / (r c) at s seconds into the pulse, with f up to f_c + B/2. Both
-//! derivatives at mid-pulse leave the third one: about v/r T/12 of that phase.
+//! derivatives at mid-pulse leave the third-order term: about v/r T/12 of that phase.
 
 use glam::DVec3;
 
 use super::paths::Motion;
 
 /// One leg at the leading edge: the ray from the sonar to the scatterer, and the motion of the
-/// sonar's end.
+/// sonar end of the ray.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Leg {
     pub ray_m: DVec3,
@@ -45,8 +45,8 @@ impl Leg {
     }
 }
 
-/// Second-order emission time: s after `delay_s` the sample left at (1 + doppler) s + curvature
-/// s^2.
+/// Second-order emission time. The sample received s seconds after `delay_s` was transmitted at (1
+/// + doppler) s + curvature s^2.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Stretched {
     pub delay_s: f64,
@@ -54,15 +54,15 @@ pub(crate) struct Stretched {
     pub curvature_per_s: f64,
 }
 
-/// Smallest leg, in distances that either end moves during a pulse, for a Taylor series about
-/// mid-pulse.
+/// Minimum length of a leg for a Taylor series about mid-pulse, in distances that either end moves
+/// during a pulse.
 const NEAREST_LEG: f64 = 5.0;
 
 /// Expands about mid-pulse and expresses the result relative to the leading edge. `delay_s` and
 /// `doppler` are those of the leading edge, and `half_s` is T/2.
 ///
 /// A scatterer too close to the sonar keeps the stretch of its leading edge. The code has no
-/// branch, so that batches vectorise.
+/// branch, so batches vectorise.
 #[inline(always)]
 pub(crate) fn about_mid_pulse(
     c: f64,
@@ -72,7 +72,7 @@ pub(crate) fn about_mid_pulse(
     delay_s: f64,
     doppler: f64,
 ) -> Stretched {
-    // Squares, since the leg lengths are computed later.
+    // Squares are compared, because the leg lengths are computed later.
     let moved2_m2 =
         |leg: &Leg| 4.0 * half_s * half_s * leg.motion.velocity_m_per_s.length_squared();
     let nearest2_m2 = transmit
@@ -84,7 +84,7 @@ pub(crate) fn about_mid_pulse(
 
     let (transmit_m, transmit_rate, transmit_second) = transmit.at(half_s);
     // Arrival of mid-pulse: a Newton step from the stretch at the leading edge, corrected by the
-    // second derivative; error below 1e-14 s.
+    // second derivative. The error is below 1e-14 s.
     let guess_s = half_s * (1.0 - doppler * (1.0 - doppler));
     let (receive_m, rate, receive_second) = receive.at(guess_s);
     let per_closing = 1.0 / (c - rate);
@@ -97,7 +97,7 @@ pub(crate) fn about_mid_pulse(
     let middle = -(receive_rate + transmit_rate) * per_speed;
     let eta = 1.0 + middle;
     let curvature_per_s = -0.5 * (transmit_second * eta * eta + receive_second) * per_speed;
-    // Back to t' = 0: half + eta s + curvature s^2 = 0.
+    // The reference is moved back to t' = 0: half + eta s + curvature s^2 = 0.
     let root = (eta * eta - 4.0 * curvature_per_s * half_s).max(0.0).sqrt();
     let edge_s = -2.0 * half_s / (eta + root);
     let pick = |at_edge: f64, expanded: f64| if near { at_edge } else { expanded };
@@ -108,9 +108,10 @@ pub(crate) fn about_mid_pulse(
     }
 }
 
-/// Eq. 21 of Meng et al. 2023 as printed, with f_S of Eq. 20 read as f_{m,T}. The frequencies f
-/// c/(c - a) out and f (c + b)/(c - a) back multiply the delays of the two legs. The result is an
-/// unstretched pulse at this delay. `closing` holds a and b, m/s.
+/// Delay of Eq. 21 of Meng et al. 2023 as printed, with f_S of Eq. 20 read as f_{m,T}. The
+/// frequency ratio is c/(c - a) on the first leg and (c + b)/(c - a) on the second leg. Each ratio
+/// multiplies the delay of its leg. The result is an unstretched pulse at this delay. `closing` has
+/// a and b, m/s.
 pub(crate) fn paper_eq21_delay_s(
     c: f64,
     first_leg_s: f64,

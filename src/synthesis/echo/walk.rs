@@ -1,9 +1,9 @@
-//! The walk over the scatterers: once per ping and transmit array ([`insonify`]), then once per
+//! Walk over the scatterers, once per ping and transmit array ([`insonify`]) and then once per
 //! element ([`arrivals`]).
 //!
 //! [`insonify`] computes the one-way amplitude, direction and range from the transmitter to every
-//! scatterer. [`arrivals`] solves the two-way delay to one element, applies pattern, scattering law
-//! and loss of the second leg, and passes the echoes on in chunks. Delay and Doppler follow from
+//! scatterer. [`arrivals`] solves the two-way delay to one element. It applies pattern, scattering
+//! law and loss of the second leg, and emits the echoes in chunks. Delay and Doppler follow from
 //! [`paths`](super::paths) and [`stretch`](super::stretch), amplitudes from the sonar equation in
 //! [`levels`](super::levels).
 //!
@@ -11,11 +11,11 @@
 //! Coordinates are relative to the transmit position. The carrier phase therefore keeps an accuracy
 //! of 1e-10 rad at any world position.
 //!
-//! Culling (`ModelChoice::cull_db`) is exact for each pair of scatterer and element. It drops pairs
-//! whose |transmit pattern x element pattern| lies below the floor, and pairs with zero amplitude
-//! (behind a baffle, or on the far side of a patch). `insonify` already drops scatterers whose
-//! transmit pattern alone lies below the floor. No element pattern exceeds 1, so this never drops a
-//! pair that the pair test would keep.
+//! Culling (`ModelChoice::cull_db`) is exact for each pair of scatterer and element. It removes
+//! pairs whose |transmit pattern x element pattern| is below the floor. It also removes pairs with
+//! zero amplitude (behind a baffle, or on the far side of a patch). `insonify` already removes
+//! scatterers whose transmit pattern alone is below the floor. No element pattern exceeds 1, so the
+//! pair test would remove these pairs too.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -44,7 +44,7 @@ pub use line::{LineEchoes, LineWorkspace, line_arrivals};
 pub use nodes::{GAIN_NODES, MAX_NODES, NodeBatch, NodeTracks, NodeWorkspace};
 use subarray::{ArrayFactor, SubarrayElements};
 
-/// The time span to synthesise, filter margins included.
+/// Time span to synthesise, including filter margins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
     /// First sample, seconds from the start of the pulse.
@@ -63,8 +63,8 @@ impl Window {
     }
 }
 
-/// Insonified scatterers as a structure of arrays, without those that no element can receive.
-/// Reused from ping to ping.
+/// Insonified scatterers as a structure of arrays, without scatterers that no element can receive.
+/// The buffers are reused from ping to ping.
 #[derive(Debug, Default)]
 pub struct TransmitLeg {
     window: Option<Window>,
@@ -79,9 +79,9 @@ pub struct TransmitLeg {
     amplitude: Vec<Complex64>,
     /// Magnitude of the transmit pattern.
     level: Vec<f64>,
-    /// The receive half of the scattering law is sqrt(max(0, bias - normal.ray)). `bias` is 0 for
-    /// Lambert; for points it is 1 and the normal is zero. Where `curved`, the half is the value of
-    /// `curve` at that root.
+    /// Term of the receive half of the scattering law, sqrt(max(0, bias - normal.ray)). `bias` is 0
+    /// for Lambert; for points it is 1 and the normal is zero. If `curved`, the half is the value
+    /// of `curve` at that root.
     bias: Vec<f32>,
     curved: Vec<bool>,
     curve: Option<Arc<LawCurve>>,
@@ -114,7 +114,7 @@ impl TransmitLeg {
         self.range_m.is_empty()
     }
 
-    /// The scatterers of one batch of [`CHUNK`], and their numbers.
+    /// The scatterers of one batch of [`CHUNK`], with their indices.
     fn batch(&self, b: usize) -> (Range<usize>, Batch<'_>) {
         let span = b * CHUNK..((b + 1) * CHUNK).min(self.len());
         let (min_range_m, max_range_m) = self.batch_range_m[b];
@@ -153,7 +153,7 @@ impl TransmitLeg {
         self.curved.resize(len, false);
     }
 
-    /// Narrows the window to synthesise to `window`, which lies within the insonified one.
+    /// Narrows the window to synthesise to `window`, a part of the insonified window.
     pub fn set_window(&mut self, window: Window) {
         if self.window.is_some() {
             self.window = Some(window);
@@ -177,7 +177,7 @@ impl Workspace {
         Self::default()
     }
 
-    /// Buffers with room for a polyline of `segments` segments, so that no ping allocates.
+    /// Buffers with capacity for a polyline of `segments` segments, so that no ping allocates.
     pub fn with_room_for(segments: usize) -> Self {
         Self {
             track: ElementTrack::with_room_for(segments),
@@ -201,7 +201,7 @@ struct ReceivedBatch {
     moving: [[f64; CHUNK]; 6],
     /// Volts, with the strength of the scatterer.
     amplitude: [Complex64; CHUNK],
-    /// Whether the echo is passed on.
+    /// True if the echo is emitted.
     keep: [bool; CHUNK],
 }
 
@@ -232,7 +232,7 @@ fn pattern_floor(plan: &PingPlan) -> f64 {
 
 /// Computes the transmit leg of every scatterer. `window` is the span of the samples to synthesise.
 ///
-/// The counts hold each dropped scatterer once, independent of the number of elements; `used` stays
+/// The counts have each culled scatterer once, independent of the number of elements; `used` stays
 /// 0.
 pub fn insonify(
     plan: &PingPlan,
@@ -328,7 +328,7 @@ impl Default for TransmitBatch {
     }
 }
 
-/// Computes the transmit leg of `n` scatterers from `first` on; `n` is at most [`CHUNK`].
+/// Computes the transmit leg of `n` scatterers from index `first`; `n` is at most [`CHUNK`].
 #[inline(always)]
 fn compute_transmit_leg(
     leg: &TransmitLegTerms,
@@ -376,7 +376,7 @@ fn min_max(values: &[f64]) -> (f64, f64) {
         })
 }
 
-/// One leg of a curved scattering law; zero on the far side of the patch.
+/// Value of one leg of a curved scattering law; zero on the far side of the patch.
 #[inline(always)]
 fn one_leg_of_curve(curve: Option<&LawCurve>, root: f64) -> f64 {
     match curve {
@@ -385,14 +385,14 @@ fn one_leg_of_curve(curve: Option<&LawCurve>, root: f64) -> f64 {
     }
 }
 
-/// Upper bound of echo duration over pulse duration. Speeds stay below a tenth of the sound speed:
+/// Maximum ratio of echo duration to pulse duration. Speeds are below a tenth of the sound speed:
 /// (1 + 0.1)/(1 - 0.1) = 1.22.
 const LONGEST_ECHO: f64 = 1.3;
 
-/// Passes the echoes of all insonified scatterers at one element to `sink`, in chunks of at most
+/// Emits the echoes of all insonified scatterers at one element to `sink`, in chunks of at most
 /// [`CHUNK`] and in the order of the scatterers.
 ///
-/// Echoes that overlap the window in part are kept. Counts are of scatterer-element pairs.
+/// Echoes that partly overlap the window are emitted. Counts are in scatterer-element pairs.
 pub fn arrivals(
     plan: &PingPlan,
     array: &ArrayGeometry,
@@ -411,13 +411,12 @@ pub fn arrivals(
     arrivals_of_slab(plan, array, element, transmit_leg, all, work, sink)
 }
 
-/// One slab of a record, with the delays that it counts.
+/// Slab of a record, with the delays that it counts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Slab {
     /// Time span of the slab.
     pub window: Window,
-    /// The slab counts echoes whose delay lies in this half-open interval, seconds; other slabs
-    /// count the rest.
+    /// Half-open interval of delays that the slab counts, seconds. Other slabs count the rest.
     pub(crate) own_s: (f64, f64),
 }
 
@@ -448,15 +447,15 @@ pub fn arrivals_of_slab(
     } = work;
     let part = SubarrayElements::of(plan, array);
     track.lay(plan, &transmit_leg.transmit, array, element);
-    // u >= (2 r_T - reach)/c: batches wholly past the window are skipped. Eq. 21 can shorten a
-    // delay by at most the factor 3 v/c, with v below 0.1 c.
+    // u >= (2 r_T - reach)/c, so batches entirely after the window are skipped. Eq. 21 can shorten
+    // a delay by at most the factor 3 v/c, with v below 0.1 c.
     let forward = match plan.model.doppler {
         DopplerModel::PaperEq21 => 1.5,
         _ => 1.0,
     };
     let last_s = forward * window.last_s;
     let farthest_m = 0.5 * (c * last_s + track.reach_m(last_s));
-    // u <= (2 r_T + reach)/c: batches whose last echo ends before the window are skipped.
+    // u <= (2 r_T + reach)/c, so batches whose last echo ends before the window are skipped.
     let ended_s = window.first_s - LONGEST_ECHO * duration_s;
     let nearest_m = 0.5 * (c * ended_s / forward - track.reach_m(window.first_s));
     chunk.element = element;
@@ -469,7 +468,8 @@ pub fn arrivals_of_slab(
             max_range_m < nearest_m * (1.0 - 1e-12),
         ];
         if is_late || is_early {
-            // Counted only by the first or last slab, which has no neighbour on that side.
+            // Only the first or last slab counts the batch, because it has no neighbour on that
+            // side.
             let ends_here = match is_late {
                 true => own_s.1 == f64::INFINITY,
                 false => own_s.0 == f64::NEG_INFINITY,
@@ -529,7 +529,7 @@ pub fn arrivals_of_slab(
                 *amplitude *= array_factor;
             }
         }
-        // Common case: a whole batch goes into an empty chunk.
+        // Common case: a whole batch fills an empty chunk.
         if kept == n as u64 && chunk.len == 0 {
             chunk.delay_s[..n].copy_from_slice(&rays.delay_s[..n]);
             chunk.doppler[..n].copy_from_slice(&received.doppler[..n]);

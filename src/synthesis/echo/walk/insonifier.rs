@@ -1,11 +1,11 @@
-//! The transmit leg of all scatterers, computed in parallel parts.
+//! Transmit leg of all scatterers, computed in parallel parts.
 //!
-//! Each part packs the scatterers it keeps to its front. Neighbouring parts are then moved
-//! together, so the order is that of the scatterers for any thread count.
+//! Each part moves the scatterers that it keeps to its front. The parts are then joined, so the
+//! order is that of the scatterers for any number of threads.
 
 use super::*;
 
-/// Scatterers that one task processes.
+/// Number of scatterers of one task.
 const PART: usize = 32 * CHUNK;
 
 /// Output slices of one part, as long as its scatterers.
@@ -72,7 +72,7 @@ impl<'a> LegSlices<'a> {
     }
 }
 
-/// The slices before and from `at` on.
+/// The slices before `at` and from `at` on.
 fn halves<'a, T, const N: usize>(
     slices: &'a mut [&mut [T]; N],
     at: usize,
@@ -101,7 +101,8 @@ impl Insonifier<'_> {
         counts
     }
 
-    /// Processes scatterers from `first` on, as many as `slots` holds. Returns how many are kept.
+    /// Processes scatterers from index `first`, as many as `slots` has room for. Returns the number
+    /// of scatterers that are kept.
     fn part(&self, first: usize, slots: &mut LegSlices) -> (usize, EchoCounts) {
         let len = slots.curved.len();
         if len <= PART {
@@ -138,7 +139,7 @@ impl Insonifier<'_> {
         (kept, counts)
     }
 
-    /// Stores scatterer `i`, the `j`-th of its batch, in slot `to`. Returns false if it is culled.
+    /// Stores scatterer `i`, number `j` of its batch, in slot `to`. Returns false if it is culled.
     #[inline(always)]
     fn store(
         &self,

@@ -1,5 +1,5 @@
-//! The walk for stretches of a line array: echoes at one point of the line, with their derivatives
-//! along the line and during the pulse.
+//! Walk for sections of a line array: echoes at one point of the line, with their derivatives along the line
+//! and during the pulse.
 //!
 //! The derivatives follow from implicit differentiation of the two-way delay equation at the
 //! leading edge:
@@ -19,8 +19,8 @@
 //! is the velocity in the path and V the velocity in the Doppler term; they are equal, or one of
 //! them is zero. V_y is the gradient of V along the line and A denotes accelerations.
 //!
-//! Consecutive scatterers usually lie close together. The corners of a batch's bounding box
-//! therefore bound the echoes of the batch, and [`LineSource::survey`] passes these corners on.
+//! Consecutive scatterers are usually close together. The corners of a batch's bounding box therefore bound
+//! the echoes of the batch, and [`LineSource::survey`] emits these corners.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -38,14 +38,14 @@ use super::{
 };
 use super::{ElementTrack, Motion};
 
-/// Corners of a box.
+/// Number of corners of a box.
 const CORNERS: usize = 8;
-/// Largest size of a box relative to its range. A larger box is surveyed point by point.
+/// Maximum ratio of the size of a box to its range. A larger box is surveyed point by point.
 const SMALL_BOX: f64 = 0.25;
 
-/// Smallest gain in the middle of a stretch, relative to the gains at its ends.
+/// Minimum gain in the middle of a section, relative to the gains at its ends.
 const NULL: f64 = 1e-6;
-/// Approximate number of batches whose echoes a survey passes on.
+/// Approximate number of batches with echoes in a survey.
 const SAMPLED: usize = 16;
 
 /// Per-thread buffers of [`line_arrivals`].
@@ -53,12 +53,12 @@ pub struct LineWorkspace {
     track: LineTrack,
     rays: Rays,
     received: ReceivedBatch,
-    /// Rays to one end of the stretch; `end_gain` holds the gains at both ends.
+    /// Rays to one end of the section; `end_gain` has the gains at both ends.
     end_rays: Rays,
     end_received: ReceivedBatch,
     gains: Box<[[f64; CHUNK]; 2]>,
     chunk: Box<LineChunk>,
-    /// Points gathered by a survey.
+    /// Points collected by a survey.
     points: Box<SurveyPoints>,
 }
 
@@ -78,7 +78,7 @@ impl Default for LineWorkspace {
 }
 
 impl LineWorkspace {
-    /// Buffers with room for a polyline of `segments` segments, so that no ping allocates.
+    /// Buffers with capacity for a polyline of `segments` segments, so that no ping allocates.
     pub fn with_room_for(segments: usize) -> Self {
         Self {
             track: LineTrack {
@@ -114,8 +114,8 @@ impl Default for SurveyPoints {
     }
 }
 
-/// Motion of a stretch through one ping, given by its middle and a point one metre along the line.
-/// Positions and velocities on a rigid line are linear along it, so two points suffice.
+/// Motion of a section through one ping, given by its middle and a point one metre along the line. Positions
+/// and velocities on a rigid line are linear along it, so two points suffice.
 #[derive(Debug, Default)]
 struct LineTrack {
     middle: ElementTrack,
@@ -130,17 +130,16 @@ struct LineMotion {
     /// Axis at `start_s`; `turning_per_s` is its rate of change.
     axis: DVec3,
     turning_per_s: DVec3,
-    /// Quadratic term of the axis, the factor of (t - start)(end - t). On the continuous path the
-    /// line follows its attitude rather than the chord between vertices. Zero for other paths.
+    /// Quadratic term of the axis, the factor of (t - start)(end - t). On the continuous path the line follows
+    /// its attitude instead of the chord between vertices. Zero for other paths.
     arc_per_s2: DVec3,
     length_s: f64,
     /// Velocity in the path equation; `velocity_in_array_m_per_s` is the same in array axes.
     velocity_m_per_s: DVec3,
     velocity_in_array_m_per_s: DVec3,
-    /// Whether the velocity of the path equals the Doppler velocity at every instant.
+    /// True if the velocity of the path equals the Doppler velocity at every instant.
     exact: bool,
-    /// Motion in the Doppler term at `start_s`; `doppler_along_per_s` is its velocity gradient
-    /// along the line.
+    /// Motion in the Doppler term at `start_s`; `doppler_along_per_s` is its velocity gradient along the line.
     doppler: Motion,
     doppler_along_per_s: DVec3,
 }
@@ -179,7 +178,7 @@ impl LineTrack {
     }
 }
 
-/// The echoes of one ping at one line array, the input of engines that synthesise whole stretches.
+/// Echoes of one ping at one line array, the input of engines that synthesise whole sections.
 pub struct LineEchoes<'a> {
     /// Geometry, pulse and model of the ping.
     pub plan: &'a PingPlan,
@@ -187,14 +186,14 @@ pub struct LineEchoes<'a> {
     pub array: &'a ArrayGeometry,
     /// Insonified scatterers of the ping.
     pub transmit_leg: &'a TransmitLeg,
-    /// One per thread of the pool, so no lock ever waits.
+    /// One workspace per thread of the pool, so no lock is contended.
     pub work: &'a [Mutex<LineWorkspace>],
 }
 
 impl LineEchoes<'_> {
     fn with_work<R>(&self, f: impl FnOnce(&mut LineWorkspace) -> R) -> R {
         let thread = rayon::current_thread_index().unwrap_or(0);
-        // The lock may be poisoned by a panic in another ping. The buffers remain valid: every use
+        // The lock may be poisoned by a panic in another ping. The buffers remain valid, because every use
         // overwrites them.
         let mut work = self.work[thread]
             .lock()
@@ -222,7 +221,7 @@ impl LineSource for LineEchoes<'_> {
                 .middle
                 .lay_at(self.plan, &self.transmit_leg.transmit, self.array, 0.0);
             let half_m = 0.5 * (self.array.elements.max(1) - 1) as f64 * self.array.spacing_m;
-            // Motion after the delay from the transmitter's own position does not matter.
+            // The motion after the delay from the transmitter's own position has no effect.
             let reach_m = track.middle.reach_m(2.0 * nearest_m / c) + half_m;
             (2.0 * nearest_m - reach_m * (1.0 + 1e-9)) * (1.0 - 1e-9) / c
         })
@@ -255,12 +254,12 @@ impl LineSource for LineEchoes<'_> {
     }
 }
 
-/// Passes the echoes of all insonified scatterers at the middle of a stretch to `sink`, in chunks
-/// of at most [`CHUNK`] and in a fixed order.
+/// Emits the echoes of all insonified scatterers at the middle of a section to `sink`, in chunks of at most
+/// [`CHUNK`] and in a fixed order.
 ///
-/// `stretch` sets the delays, and the window given to [`insonify`](super::insonify) is ignored.
-/// Counts are of scatterer-element pairs. Echoes outside the delays of `stretch` are not counted,
-/// since another call covers them.
+/// `stretch` sets the delays, and the window given to [`insonify`](super::insonify) is ignored. Counts are in
+/// scatterer-element pairs. Echoes outside the delays of `stretch` are not counted, because another call
+/// covers them.
 pub fn line_arrivals(
     plan: &PingPlan,
     array: &ArrayGeometry,
@@ -389,8 +388,8 @@ fn walk_batches(
     counts
 }
 
-/// Rays of a batch to the point `end_m` along the line, at the instant when the echoes arrive
-/// there. That instant differs from the middle's while the line moves.
+/// Rays of a batch to the point `end_m` along the line, at the instant when the echoes arrive there. While the
+/// line moves, that instant differs from the arrival at the middle.
 fn rays_from(rays: &Rays, end_m: f64, motion: &LineMotion, slope: &[f64], c: f64, to: &mut Rays) {
     let offset_m = motion.axis * end_m;
     let (v, in_array) = (motion.velocity_m_per_s, motion.velocity_in_array_m_per_s);
@@ -405,9 +404,8 @@ fn rays_from(rays: &Rays, end_m: f64, motion: &LineMotion, slope: &[f64], c: f64
     }
 }
 
-/// First and second derivative of the gain along the line, from the gains at both ends. In a null,
-/// the middle gets 1e-6 of the end gains, so that the derivatives remain relative to a non-zero
-/// gain.
+/// First and second derivative of the gain along the line, from the gains at both ends. In a null, the middle
+/// has 1e-6 of the end gains, so that the derivatives remain relative to a non-zero gain.
 fn fade(gain: &mut [f64], ends: &[[f64; CHUNK]; 2], half_m: f64, chunk: &mut LineChunk) {
     // A single element has no extent.
     let per_m = if half_m > 0.0 { 0.5 / half_m } else { 0.0 };
@@ -424,8 +422,8 @@ fn fade(gain: &mut [f64], ends: &[[f64; CHUNK]; 2], half_m: f64, chunk: &mut Lin
     }
 }
 
-/// Computes the motion of the stretch. Returns the smallest and largest range from the transmitter
-/// at which a scatterer arrives in time, metres: 2 r_T - reach <= c u <= 2 r_T + reach.
+/// Computes the motion of the section. Returns the smallest and largest range from the transmitter at which a
+/// scatterer arrives in time, metres: 2 r_T - reach <= c u <= 2 r_T + reach.
 fn lay(
     plan: &PingPlan,
     array: &ArrayGeometry,
@@ -448,9 +446,8 @@ fn lay(
     )
 }
 
-/// Passes on points with amplitude 0 that bound the echoes of [`line_arrivals`]: the corners of
-/// small boxes and every point of large ones. Also passes on the echoes of a regular subset of the
-/// batches.
+/// Emits points with amplitude 0 that bound the echoes of [`line_arrivals`]: the corners of small boxes and
+/// every point of large ones. Also emits the echoes of a regular subset of the batches.
 pub(crate) fn line_survey(
     plan: &PingPlan,
     array: &ArrayGeometry,
@@ -523,8 +520,7 @@ impl SurveyPoints {
     }
 }
 
-/// Passes the gathered points on and clears them. Of surveyed echoes, only those within `asked` are
-/// passed on.
+/// Emits the collected points and clears them. Of surveyed echoes, only those within `asked` are emitted.
 fn survey_points(
     plan: &PingPlan,
     array: &ArrayGeometry,
@@ -604,8 +600,8 @@ fn survey_points(
     }
 }
 
-/// Smallest range at which derivatives are evaluated, metres. Closer scatterers lie on the array.
-/// Their derivatives are large but finite, and engines count them as beyond their design range.
+/// Minimum range at which derivatives are evaluated, metres. Closer scatterers are on the array. Their
+/// derivatives are large but finite, and engines count them as beyond their design range.
 const TOUCHING_M: f64 = 1e-6;
 
 /// Inputs to the derivatives of a batch's echoes.
@@ -619,7 +615,7 @@ struct Derivation<'a> {
 }
 
 impl Derivation<'_> {
-    /// Slope, bend, twist and swing of every echo of the batch, as if all arrived on this leg.
+    /// Computes slope, bend, twist and swing of every echo of the batch, as if all arrived on this leg.
     fn run(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
         widest(
             #[inline(always)]

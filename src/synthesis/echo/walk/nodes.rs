@@ -1,7 +1,7 @@
-//! The walk for whole line arrays: the middle of every echo at a few points along the line, between which engines interpolate.
+//! Walk for whole line arrays: the middle of every echo at a few points along the line. Engines interpolate between these nodes.
 //!
-//! Delays, motion and amplitudes are smooth along a line. Delays are solved at all nodes as [`super::arrivals`] solves them for an element;
-//! stretch and gain are computed at three nodes, the first, the middle and the last.
+//! Delays, motion and amplitudes are smooth along a line. Delays are solved at all nodes in the same way as in [`super::arrivals`].
+//! Stretch and gain are computed at three nodes: the first, the middle and the last.
 
 use crate::arrivals::CHUNK;
 use echotank_core::arrays::ArrayGeometry;
@@ -15,14 +15,14 @@ use super::{
 
 /// Maximum number of nodes along a line.
 pub const MAX_NODES: usize = 9;
-/// Nodes with stretch and gain.
+/// Number of nodes with stretch and gain.
 pub const GAIN_NODES: usize = 3;
 
 /// Tracks of the nodes through one ping, shared by all threads.
 #[derive(Debug, Default)]
 pub struct NodeTracks {
     tracks: Vec<ElementTrack>,
-    /// Weights of the three gain nodes at every node.
+    /// Interpolation weights of the three gain nodes at every node.
     shares: [[f64; GAIN_NODES]; MAX_NODES],
     nodes: usize,
 }
@@ -46,7 +46,7 @@ pub struct NodeBatch {
     pub gain: [[f64; CHUNK]; GAIN_NODES],
     /// Amplitude of the transmit leg, uPa at 1 m from the scatterer.
     pub amplitude: [Complex64; CHUNK],
-    /// Whether the echo is above the floor of culling.
+    /// True if the echo is above the floor of culling.
     pub keep: [bool; CHUNK],
 }
 
@@ -64,13 +64,13 @@ impl Default for NodeBatch {
     }
 }
 
-/// Index of the node of gain node `k` among `nodes`.
+/// Index of gain node `k` among `nodes` nodes.
 fn gain_node(k: usize, nodes: usize) -> usize {
     k * (nodes - 1) / 2
 }
 
 impl NodeTracks {
-    /// Tracks with room for polylines of `segments` segments, so that no ping allocates.
+    /// Tracks with capacity for polylines of `segments` segments, so that no ping allocates.
     pub fn with_room_for(segments: usize) -> Self {
         Self {
             tracks: (0..MAX_NODES)
@@ -80,7 +80,7 @@ impl NodeTracks {
         }
     }
 
-    /// Lays the tracks of the points `along_m` from the centre of `array`: an odd number of them, three at least and [`MAX_NODES`] at most.
+    /// Computes the tracks of the points `along_m` from the centre of `array`. Their number is odd, from three to [`MAX_NODES`].
     pub fn lay(
         &mut self,
         plan: &PingPlan,
@@ -122,7 +122,7 @@ impl NodeTracks {
         nearest_m.fold(f64::INFINITY, f64::min)
     }
 
-    /// The echoes of batch `b`. Counts are of scatterer-element pairs and leave `used` to the caller.
+    /// Computes the echoes of batch `b`. Counts are in scatterer-element pairs; the caller sets `used`.
     pub fn batch(
         &self,
         plan: &PingPlan,
@@ -143,7 +143,7 @@ impl NodeTracks {
         let n = span.len();
         out.len = n;
         let middle = self.nodes / 2;
-        // From the leading edge to the arrival of mid-pulse, at the gain nodes.
+        // Time from the leading edge to the arrival of mid-pulse, at the gain nodes.
         let mut after_s = [[0.0; CHUNK]; GAIN_NODES];
         for (node, track) in self.tracks[..self.nodes].iter().enumerate() {
             let odd = solve(track, c, batch, rays);

@@ -1,14 +1,14 @@
 //! Array factor of a subarray that is synthesised as one element at its middle.
 //!
 //! An element at x from the middle receives an echo later than the middle by delta(x). The mean
-//! over the subarray is then the middle's echo times the array factor G:
+//! over the subarray is then the echo at the middle times the array factor G:
 //!
 //! ```text
 //! G = 1/n sum_x exp(-j 2 pi f_c delta(x))
 //! c delta = (Q - D) / (1 + w / (Q c)),    q = d - x,   Q = |q|,   D = |d|,   w = v . q
 //! ```
 //!
-//! Here d is the scatterer relative to the middle in array axes, halfway through the echo, and v
+//! Here d is the scatterer relative to the middle in array axes, halfway through the echo, and v is
 //! the velocity of the middle. Q - D is evaluated as x (x - 2 d_x)/(Q + D) to avoid cancellation.
 //!
 //! The result is exact in the near field at the carrier. It neglects the delay of the envelope
@@ -26,7 +26,7 @@ use echotank_core::simd::widest;
 use super::super::elementary::cis;
 use super::super::paths::{ElementTrack, Rays};
 
-/// The elements of each subarray of a line.
+/// Elements of each subarray of a line array.
 pub(super) struct SubarrayElements {
     count: usize,
     spacing_m: f64,
@@ -35,11 +35,11 @@ pub(super) struct SubarrayElements {
     half_pulse_s: f64,
 }
 
-/// Array factors of a batch of echoes, with the geometry they follow from.
+/// Array factors of a batch of echoes, with the geometry of the echoes.
 pub(super) struct ArrayFactor {
     len: usize,
-    /// Scatterers relative to the middle in array axes, halfway through their echoes: the
-    /// coordinate along the line, and the squared distance from the line.
+    /// Scatterers relative to the middle in array axes, halfway through their echoes: coordinate
+    /// along the line. The next field is the squared distance from the line.
     x_m: [f64; CHUNK],
     beside_m2: [f64; CHUNK],
     range_m: [f64; CHUNK],
@@ -72,7 +72,7 @@ impl ArrayFactor {
 }
 
 impl SubarrayElements {
-    /// None unless the array's elements are subarrays.
+    /// Array factor of a line array of subarrays; `None` for any other array.
     pub(super) fn of(plan: &PingPlan, array: &ArrayGeometry) -> Option<Self> {
         let Pattern::Part {
             elements,
@@ -102,7 +102,7 @@ impl SubarrayElements {
         out: &mut ArrayFactor,
     ) {
         out.len = n;
-        // One velocity serves the whole batch. It moves a scatterer by half a pulse only, a minor
+        // One velocity serves the whole batch. It moves a scatterer only by half a pulse, a minor
         // part of the delay.
         let delay_s = rays.delay_s[..n]
             .iter()
@@ -140,8 +140,8 @@ fn sum(part: &SubarrayElements, along_m_per_s: f64, out: &mut ArrayFactor) {
             let along = x_m[i] - e;
             let q = (along * along + beside_m2[i]).sqrt();
             let closing = along_m_per_s * along + beside_m2_per_s[i];
-            // (Q - D)/(1 + w/(Q c)) as one fraction. It never becomes 0/0, even for a scatterer on
-            // an element.
+            // (Q - D)/(1 + w/(Q c)) as one fraction. The fraction is never 0/0, even for a
+            // scatterer on an element.
             let over = e * (e - 2.0 * x_m[i]) * q * c;
             let under = ((q + range_m[i]) * (q * c + closing)).max(f64::MIN_POSITIVE);
             let (cos, sin) = cis(over / under * part.cycles_per_m);
