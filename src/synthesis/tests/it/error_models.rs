@@ -1,4 +1,4 @@
-//! Predicted errors compared with measured ones.
+//! Tests that compare predicted errors with measured errors.
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -35,7 +35,7 @@ pub(crate) fn conditions(plan: &PingPlan, range_m: (f64, f64)) -> Conditions {
     }
 }
 
-/// The direct sum with the selected models against the reference, tapered so that edges do not count.
+/// Error of the direct sum with the selected models against the reference, with a taper so that edges have no effect.
 fn measured(plan: &PingPlan, tx_m: DVec3, rx_m: DVec3, at_m: &[DVec3]) -> f64 {
     let (tx, rx) = (transmitter(tx_m), element(rx_m));
     let mut worst: f64 = 0.0;
@@ -157,15 +157,15 @@ fn a_method_that_cannot_reach_what_is_asked_refuses_with_its_reason() {
             .within(1e-8)
             .is_ok()
     );
-    // Point-sampled at 1.25 B against band-limited: 5.5e-2 apart at BT = 150 over all places of the ends between samples, pi/2 times that where
-    // an end lies on a sample.
+    // The point-sampled pulse at 1.25 B differs from the band-limited pulse by 5.5e-2 at BT = 150, over all positions of the ends
+    // between samples. If an end is on a sample, the difference is pi/2 times that.
     let spectral = synthesis_error_model(Synthesis::Spectral, &c);
     let want = 5.5e-2 * std::f64::consts::FRAC_PI_2;
     assert!((spectral.error - want).abs() < 2e-3, "{spectral:?}");
     assert!(spectral.within(1e-2).is_err());
     c.filter = ReceiverFilter::Fir;
-    // An echo half a sample from its place, a spectrum even over 0.8 of the sample rate: with a = 0.4 pi, s = sin(a)/a = 0.757, nearest is
-    // off by sqrt(2 - 2 s) = 0.697, linear by sqrt(3/2 - 2 s + sin(2a)/(4a)) = 0.322.
+    // An echo half a sample from its position, with a flat spectrum over 0.8 of the sample rate. With a = 0.4 pi, s = sin(a)/a =
+    // 0.757, the error of nearest is sqrt(2 - 2 s) = 0.697. The error of linear is sqrt(3/2 - 2 s + sin(2a)/(4a)) = 0.322.
     for (synthesis, reaches, fails) in [
         (Synthesis::Reference, 1e-5, 1e-8),
         (Synthesis::Direct, 1e-3, 1e-4),

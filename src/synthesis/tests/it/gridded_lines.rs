@@ -1,4 +1,4 @@
-//! The engine for whole line arrays compared with the direct sum.
+//! Tests of the engine for whole line arrays against the direct sum.
 
 use echotank_core::simd::SimdLevel;
 use echotank_synthesis::array::lines::{GriddedLines, Refusal, Spec};
@@ -15,7 +15,7 @@ const SCENE: Draw = Draw {
     ..SIDE_SCAN
 };
 
-/// A scene with a short pulse, which line arrays of multibeams send, instead of the side-scan's chirp of 5 ms.
+/// Scene with a short pulse, as used by multibeam echo sounders, instead of the side-scan chirp of 5 ms.
 fn short(drawn: Draw, duration_s: f64, bandwidth_hz: f64) -> Scene {
     let mut scene = draw(drawn);
     let pulse = &mut scene.plan.pulse;
@@ -56,7 +56,8 @@ fn samples(scene: &Scene, engine: &mut GriddedLines) -> Vec<Complex64> {
     iq
 }
 
-/// Largest error of any window of one pulse length, relative to the larger of its level and a noise 55 dB below the strongest.
+/// Largest error of any window of one pulse length. It is relative to the level of the window or to a noise 55 dB below the
+/// strongest, whichever is larger.
 fn worst(got: &[Complex64], want: &[Complex64], pulse_s: f64) -> f64 {
     let length = ((pulse_s * RATE_HZ) as usize).max(32);
     let energy = |x: &mut dyn Iterator<Item = Complex64>| x.map(|v| v.norm_sqr()).sum::<f64>();

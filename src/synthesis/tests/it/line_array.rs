@@ -1,4 +1,4 @@
-//! The line-array engine compared with the direct sum and with the slow reference.
+//! Tests of the line-array engine against the direct sum and the slow reference.
 
 mod alone;
 mod models;

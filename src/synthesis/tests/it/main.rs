@@ -1,4 +1,5 @@
-//! The echo model compared with closed forms and with direct, slow formulas: `echo` and `array` together, through their public interfaces.
+//! Tests of the echo model against closed forms and direct, slow formulas. `echo` and `array` are tested together through their
+//! public interfaces.
 
 mod error_models;
 mod gridded_lines;

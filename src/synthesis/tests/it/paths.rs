@@ -21,7 +21,7 @@ fn one(plan: &PingPlan, tx_m: DVec3, rx_m: DVec3, at_m: DVec3) -> Arrival {
     sink.arrivals[0]
 }
 
-/// Root of an increasing function by bisection, to the last bit.
+/// Root of an increasing function by bisection, accurate to the last bit.
 fn bisect(mut low: f64, mut high: f64, f: impl Fn(f64) -> f64) -> f64 {
     for _ in 0..200 {
         let middle = 0.5 * (low + high);
@@ -34,7 +34,7 @@ fn bisect(mut low: f64, mut high: f64, f: impl Fn(f64) -> f64) -> f64 {
     0.5 * (low + high)
 }
 
-/// Collocated transmitter and receiver: dL = 2 r (beta^2 - beta cos theta) / (1 - beta^2).
+/// For a transmitter and receiver at the same position: dL = 2 r (beta^2 - beta cos theta) / (1 - beta^2).
 #[test]
 fn exact_minus_stop_and_hop_is_the_closed_form_to_1e_12_m() {
     let mut worst: f64 = 0.0;
@@ -54,7 +54,7 @@ fn exact_minus_stop_and_hop_is_the_closed_form_to_1e_12_m() {
                 let exact = one(&moving, DVec3::ZERO, DVec3::ZERO, at_m).delay_s;
                 let still = one(&hopping, DVec3::ZERO, DVec3::ZERO, at_m).delay_s;
                 let beta = v / C;
-                // With the actual r and cosine of the rounded coordinates.
+                // r and the cosine are those of the rounded coordinates.
                 let r = at_m.length();
                 let want = 2.0 * r * (beta * beta - beta * at_m.x / r) / (1.0 - beta * beta);
                 let error = (C * exact - C * still - want).abs();
@@ -105,7 +105,7 @@ fn a_world_of_utm_size_changes_no_delay_by_1e_16_s() {
     let home = uniform(DVec3::ZERO, DVec3::new(3.0, 4.0, 0.5), starboard());
     let away_m = DVec3::new(6_543_210.0, 512_345.0, -75.0);
     let away = uniform(away_m, DVec3::new(3.0, 4.0, 0.5), starboard());
-    // Coordinates on a grid of 2^-10 m, so that the motion itself causes no rounding.
+    // Coordinates on a grid of 2^-10 m, so the motion causes no rounding.
     let at_m = DVec3::new(17.25, 80.5, 30.125);
     for path in PathModel::ALL {
         let [near, far] = [(&home, at_m), (&away, at_m + away_m)].map(|(plan, at_m)| {
@@ -119,7 +119,8 @@ fn a_world_of_utm_size_changes_no_delay_by_1e_16_s() {
     }
 }
 
-/// The stretch eta - 1 is the derivative of transmission over reception time, measured here on the exact two-leg equation.
+/// The stretch eta - 1 is the derivative of transmission time over reception time. The expected value is a difference quotient of
+/// the exact two-leg equation.
 #[test]
 fn doppler_is_the_derivative_of_the_emission_time() {
     let velocity = DVec3::new(4.0, -1.5, 0.7);
@@ -163,8 +164,8 @@ fn models_without_doppler_or_motion_give_zero() {
     assert_eq!(one(&ahead(0.0), DVec3::ZERO, DVec3::X, at_m).doppler, 0.0);
 }
 
-/// Solves every leg of the polyline independently: the delay on the first leg that contains its root (or at the vertex between legs if none
-/// does), and the number of legs that contain theirs.
+/// Solves every leg of the polyline independently. Returns the delay on the first leg that contains its root (or at the vertex
+/// between legs if none does), and the number of legs that contain their root.
 fn by_hand(plan: &PingPlan, tx_m: DVec3, rx_m: DVec3, at_m: DVec3) -> (f64, usize) {
     let first = &plan.segments[0];
     let transmit_m = first.position_m + first.world_from_body * tx_m;
@@ -195,7 +196,8 @@ fn by_hand(plan: &PingPlan, tx_m: DVec3, rx_m: DVec3, at_m: DVec3) -> (f64, usiz
 #[test]
 fn on_a_polyline_the_first_leg_that_holds_its_root_is_taken_and_jumps_are_counted() {
     let (tx_m, rx_m) = (DVec3::new(0.3, 0.0, 0.0), DVec3::new(-1.0, 0.0, 0.2));
-    // A quarter of a second in eight legs; heading steps by half a degree back and forth, so that the element jumps 8.7 mm both ways.
+    // A quarter of a second in eight legs. The heading steps by half a degree back and forth, so the element steps 8.7 mm both
+    // ways.
     let mut plan = ahead(5.0);
     plan.model.segment_s = 1.0 / 32.0;
     plan.segments = (0..8)
@@ -206,7 +208,7 @@ fn on_a_polyline_the_first_leg_that_holds_its_root_is_taken_and_jumps_are_counte
             world_from_body: rotation_from_angles(0.0, 0.0, [0.0, 0.01, -0.01][k % 3]),
         })
         .collect();
-    // Random points, and a dense line to one side, whose echoes fall around every vertex.
+    // Random points, and a dense line to one side with echoes around every vertex.
     let anywhere = (0..2000).map(|k| {
         let (a, r) = (6.3 * weyl(k, 0), 1.0 + 190.0 * weyl(k, 1));
         DVec3::new(r * a.cos(), r * a.sin(), 20.0 * weyl(k, 2))
@@ -291,8 +293,8 @@ pub(crate) fn restless() -> PingPlan {
     plan
 }
 
-/// Largest delay error of a path model on the moving platform over a set of scatterers, seconds; the error of a chord depends on where in
-/// it an echo falls. `tx_m` and `rx_m` are in body coordinates.
+/// Largest delay error of a path model on the moving platform over a set of scatterers, seconds. The error of a chord depends on
+/// the position of an echo in the chord. `tx_m` and `rx_m` are in body coordinates.
 fn worst_delay_error_s(path: PathModel, (tx_m, rx_m): (DVec3, DVec3), count: usize) -> f64 {
     let mut plan = restless();
     plan.model.path = path;
@@ -313,7 +315,7 @@ fn worst_delay_error_s(path: PathModel, (tx_m, rx_m): (DVec3, DVec3), count: usi
 
 const ARM_M: DVec3 = DVec3::new(-0.5, 0.4, 0.2);
 
-/// Independent of the initial segments.
+/// The result is independent of the initial segments.
 #[test]
 fn continuous_delays_are_those_of_the_track_itself_to_2e_16_s() {
     for count in [1, 4, 64] {
@@ -324,7 +326,7 @@ fn continuous_delays_are_those_of_the_track_itself_to_2e_16_s() {
     }
 }
 
-/// Chords of the element itself: second order also on a lever arm, without jumps.
+/// Chords of the element itself have a second-order error also on a lever arm, without steps.
 #[test]
 fn k_segment_delays_converge_to_the_second_order_even_on_an_arm() {
     let ends = (DVec3::new(1.5, 0.2, 0.8), ARM_M);
@@ -347,7 +349,7 @@ fn k_segment_delays_converge_to_the_second_order_even_on_an_arm() {
         &fine,
     );
     assert_eq!((counts.no_root, counts.two_roots), (0, 0));
-    // Delays grow uniformly from scatterer to scatterer, across every vertex.
+    // Delays increase uniformly from scatterer to scatterer, across every vertex.
     let steps: Vec<f64> = sink
         .arrivals
         .windows(2)
@@ -360,7 +362,7 @@ fn k_segment_delays_converge_to_the_second_order_even_on_an_arm() {
     assert!(uneven < 1e-8, "a jump of {uneven:e} s");
 }
 
-/// The stretch eta - 1 of every model against the derivative of the true transmission time on a turning and moving platform.
+/// Compares the stretch eta - 1 of every model with the derivative of the true transmission time on a turning and moving platform.
 #[test]
 fn doppler_on_an_arm_holds_what_turning_adds() {
     let (tx_m, rx_m) = (DVec3::new(1.5, 0.2, 0.8), DVec3::new(-3.0, 0.4, 0.2));
@@ -389,7 +391,7 @@ fn doppler_on_an_arm_holds_what_turning_adds() {
     let k_segment = [4, 16, 64].map(|count| worst(PathModel::KSegment, count));
     let continuous = worst(PathModel::Continuous, 4);
     println!("polyline {polyline:.1e}, k-segment {k_segment:?}, continuous {continuous:.1e}");
-    // Turning adds 0.13 rad/s times metres over c: 3e-4. Half a 4 ms segment's acceleration is 1e-6.
+    // The turn adds 0.13 rad/s times metres over c: 3e-4. The acceleration over half a 4 ms segment adds 1e-6.
     assert!(polyline < 1e-5, "{polyline:e}");
     assert!(
         k_segment[2] < k_segment[0] / 100.0 && k_segment[2] < 1e-8,
@@ -398,9 +400,8 @@ fn doppler_on_an_arm_holds_what_turning_adds() {
     assert!(continuous < 1e-9, "{continuous:e}");
 }
 
-/// Eq. 21 evaluated directly: the ratios of Eqs. 19 and 20 times the legs. At 5.144 m/s, 250 m and 60 degrees, closing, its error exceeds
-/// that of ignoring motion.
-/// motion at all.
+/// Direct evaluation of Eq. 21: the ratios of Eqs. 19 and 20 times the legs. At 5.144 m/s, 250 m and 60 degrees, closing, its error
+/// exceeds the error of ignoring motion.
 #[test]
 fn eq_21_moves_an_echo_by_0p64_m_where_stop_and_hop_errs_by_0p43_m() {
     let (v, r, theta_deg) = (5.144, 250.0, 60.0_f64);
@@ -436,7 +437,7 @@ fn polyline_delays_converge_on_the_continuous_track() {
     let centre = [4, 16, 64].map(|count| worst_s(DVec3::ZERO, count));
     let arm = [4, 16, 64, 256].map(|count| worst_s(ARM_M, count));
     println!("reference point {centre:?} s, element on an arm {arm:?} s");
-    // Chords: second order. Constant attitude per segment: first order for elements on a lever arm.
+    // Chords have a second-order error. A constant attitude per segment has a first-order error for elements on a lever arm.
     assert!(
         centre[1] < centre[0] / 12.0 && centre[2] < centre[1] / 12.0,
         "{centre:?}"

@@ -1,4 +1,4 @@
-//! The error check's samples compared with the reference itself.
+//! Tests of the error check's samples against the reference solution.
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -14,7 +14,7 @@ use crate::paths::restless;
 use crate::synthesis::busy;
 use echotank_testing::echo::*;
 
-/// One sample: the error check's value, the reference's value, and the rms around it.
+/// One sample: value of the error check, value of the reference, and rms around the sample.
 fn both(
     plan: &PingPlan,
     filter: Option<&Decimator>,
@@ -78,12 +78,12 @@ fn a_probed_sample_is_the_references_to_1e_6_of_the_rms() {
     for taper in [0.0, 0.1] {
         let mut plan = restless();
         plan.pulse.taper = taper;
-        // The selected models must not be used here.
+        // The error check must not use the selected models.
         chords(&mut plan, 0.256, 2);
         plan.model.path = PathModel::StopAndHop;
         plan.model.doppler = DopplerModel::None;
         plan.model.cull_db = Some(-3.0);
-        // At low density: both sum the same points, and the reference is slow.
+        // At low density both sum the same points, and the slow reference is affordable.
         let filter = Decimator::new(&plan.pulse, 40e3, 300.0, 6).expect("40 kHz is enough");
         for filter in [None, Some(&filter)] {
             let pairs: Vec<_> = (0..20)
@@ -100,7 +100,7 @@ fn a_probed_sample_is_the_references_to_1e_6_of_the_rms() {
     }
 }
 
-/// Points excluded by range do not contribute: the same samples result from all scatterers.
+/// Points excluded by range do not contribute: all scatterers give the same samples.
 #[test]
 fn finding_scatterers_by_range_misses_none() {
     let mut plan = restless();
@@ -135,7 +135,7 @@ fn finding_scatterers_by_range_misses_none() {
         left_out += scatterers.len() - by_range.len();
     }
     assert!(left_out > 64 * 150, "{left_out}");
-    // Outside the world and far away.
+    // Invalid and very distant positions.
     let mut odd = points([DVec3::NAN, DVec3::splat(1e300), DVec3::ZERO]);
     odd.north_m[1] = f64::INFINITY;
     receivable(&plan, &odd, &ranges_m, &mut found);

@@ -51,10 +51,10 @@ fn noise_is_circular_gaussian_of_variance_n0_fs() {
     let count = 400_000;
     let (noise, _) = through(&ahead(0.0), &receiver, 0, &vec![Complex64::ZERO; count]);
     let mean = |f: &dyn Fn(&Complex64) -> f64| noise.iter().map(f).sum::<f64>() / count as f64;
-    // uPa^2/Hz times Hz, then volts.
+    // uPa^2/Hz times Hz, converted to volts.
     let want = 10f64.powf((37.0 - 180.0) / 10.0) * 40e3;
     let power = mean(&|n| n.norm_sqr());
-    // Standard deviations: of the mean power 1/sqrt(N), of the means of I, Q, IQ, I^2 - Q^2 alike. Five of them.
+    // Five standard deviations of the mean power, 1/sqrt(N), and equally of the means of I, Q, IQ and I^2 - Q^2.
     let slack = 5.0 / (count as f64).sqrt();
     assert!((power / want - 1.0).abs() < slack, "{power:e}, {want:e}");
     for (name, got) in [
@@ -65,14 +65,15 @@ fn noise_is_circular_gaussian_of_variance_n0_fs() {
     ] {
         assert!(got.abs() < slack, "{name}: {got:e} of {slack:e}");
     }
-    // Gaussian: the fourth moment of a circular variable is 2 variance^2, and a share exp(-x) of the power values exceeds x variances.
+    // Gaussian: the fourth moment of a circular variable is 2 variance^2. A fraction exp(-x) of the power values exceeds x
+    // variances.
     let fourth = mean(&|n| n.norm_sqr().powi(2)) / (want * want);
     assert!((fourth / 2.0 - 1.0).abs() < 5.0 * slack, "{fourth}");
     for x in [0.5, 1.0, 3.0] {
         let share = mean(&|n| f64::from(u8::from(n.norm_sqr() > x * want)));
         assert!((share - f64::exp(-x)).abs() < slack, "{x}: {share}");
     }
-    // White: adjacent samples are uncorrelated.
+    // White: consecutive samples are uncorrelated.
     let next: Complex64 = noise.windows(2).map(|w| w[0].conj() * w[1]).sum();
     assert!(next.norm() / (count as f64 * want) < slack);
 }
@@ -98,7 +99,7 @@ fn noise_repeats_exactly_and_differs_between_pings_elements_and_seeds() {
     }
 }
 
-/// Expected first draws: they must not depend on the machine, the compiler or the crate's version.
+/// Expected first draws. They must not depend on the machine, the compiler or the version of the crate.
 #[test]
 fn the_first_noise_samples_are_fixed() {
     let mut receiver = plain();

@@ -1,4 +1,4 @@
-//! The bound on a ping's Doppler compared with the actual values.
+//! Tests of the bounds on the Doppler of a ping against the actual values.
 
 use glam::{DQuat, DVec3};
 
@@ -79,7 +79,7 @@ fn held(scatterers: &Scatterers, nearest_m: f64) {
                     path.name(),
                     doppler.name()
                 );
-                // Rounding of a Doppler of zero.
+                // Tolerance for the rounding of a Doppler of zero.
                 let rounding = 1e-17;
                 assert!(
                     least <= seen.0 + rounding && seen.1 <= greatest + rounding,

@@ -28,7 +28,7 @@ use crate::error_models::conditions;
 use crate::paths::restless;
 use echotank_testing::echo::*;
 
-/// Sample k lies at `first_s + k / rate_hz`.
+/// Sample grid. Sample k is at `first_s + k / rate_hz`.
 #[derive(Clone, Copy)]
 struct Grid {
     rate_hz: f64,
@@ -37,16 +37,16 @@ struct Grid {
 }
 
 impl Grid {
-    /// From slightly before an echo of `range_m` to slightly after it.
+    /// Grid from slightly before an echo at `range_m` to slightly after it.
     fn around(range_m: f64, rate_hz: f64) -> Self {
-        // An odd start time, so that no edge falls on a sample.
+        // The start time is odd, so that no edge is on a sample.
         Self {
             rate_hz,
             first_s: 2.0 * range_m / C - 1.234_567e-3,
             count: (8e-3 * rate_hz) as usize,
         }
     }
-    /// The dense samples from which `filter` makes `count` samples.
+    /// Dense grid from which `filter` computes `count` samples.
     fn behind(filter: &Decimator, first_s: f64, count: usize) -> Self {
         Self {
             rate_hz: filter.dense_rate_hz(),
@@ -62,7 +62,7 @@ impl Grid {
 /// Transmitter, receiver and scatterers.
 type Setup = (TransmitArray, ArrayGeometry, Scatterers);
 
-/// One point before a transmitter and an element at the reference point.
+/// One point in front of a transmitter and an element at the reference point.
 fn one_point(at_m: DVec3) -> Setup {
     (
         transmitter(DVec3::ZERO),
@@ -73,7 +73,7 @@ fn one_point(at_m: DVec3) -> Setup {
 
 type Sum = (Vec<Complex64>, EchoCounts);
 
-/// A sum at one element, with the weighting of the pulse's edges.
+/// Sum at one element, with the given treatment of the pulse's edges.
 type Method = fn(&PingPlan, &Setup, usize, Grid, Edges) -> Sum;
 
 fn direct_with(
@@ -113,7 +113,8 @@ fn truth(plan: &PingPlan, setup: &Setup, element: usize, grid: Grid) -> Sum {
     truth_with(plan, setup, element, grid, Edges::Sampled)
 }
 
-/// Largest phase difference. Samples at an edge may fall on either side of it: compared where both are nonzero.
+/// Largest phase difference. A sample at an edge may be on either side of the edge, so only samples that are non-zero in both are
+/// compared.
 fn max_phase_difference_rad(a: &[Complex64], b: &[Complex64]) -> f64 {
     a.iter()
         .zip(b)
@@ -133,7 +134,7 @@ fn worst_difference(a: &[Complex64], b: &[Complex64]) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// An independent implementation that uses only the crate's types: one point, no motion.
+/// Comparison with an independent implementation that uses only the types of the crate: one point, no motion.
 #[test]
 fn one_static_point_matches_the_direct_formula_in_both_methods() {
     let mut plan = ahead(0.0);
@@ -186,7 +187,7 @@ fn one_static_point_matches_the_direct_formula_in_both_methods() {
     }
 }
 
-/// A few hundred points, two arrays with patterns, normals and both scattering laws.
+/// A few hundred points, and two arrays with patterns, normals and both scattering laws.
 pub(crate) fn busy() -> Setup {
     let mut tx = transmitter(DVec3::new(0.4, 0.0, 0.0));
     tx.pattern = Pattern::Rectangle {
@@ -237,7 +238,8 @@ fn without_motion_direct_is_the_reference_to_1e_9() {
     assert!(worst < 1e-9, "{worst:e}");
 }
 
-/// The linear form leaves exactly a phase 2 pi f v^2 sin^2(theta) s^2 / (r c) at time s into the pulse, f the frequency there.
+/// The linear form leaves a phase of exactly 2 pi f v^2 sin^2(theta) s^2 / (r c) at time s into the pulse, with f the frequency
+/// there.
 #[test]
 fn in_uniform_motion_direct_differs_from_the_reference_by_the_residual_phase() {
     for (v, r, theta_deg) in [
@@ -253,7 +255,7 @@ fn in_uniform_motion_direct_differs_from_the_reference_by_the_residual_phase() {
         let setup = one_point(at_m);
         let (got, _) = direct(&plan, &setup, 0, grid);
         let (want, _) = truth(&plan, &setup, 0, grid);
-        // f is f_c + B/2 at the end of an up sweep; with f_c alone the bound is exceeded by 1.4 to 5 %.
+        // f is f_c + B/2 at the end of an up sweep. With f_c alone, the error exceeds the bound by 1.4 to 5 %.
         let bound = TAU * (CARRIER_HZ + 15e3) * (v * sin).powi(2) * 5e-3_f64.powi(2) / (r * C);
         let error = max_phase_difference_rad(&got, &want);
         println!("v {v}, r {r}, theta {theta_deg}: {error:.3e} rad, bound {bound:.3e}");
@@ -293,13 +295,13 @@ fn near_a_tenth_of_the_speed_of_sound_delays_edges_and_amplitudes_still_agree() 
     let k = first(&want);
     assert_eq!(first(&got), k);
     assert!((got[k].norm() / want[k].norm() - 1.0).abs() < 1e-9);
-    // Within microseconds of the leading edge the linear form is still exact.
+    // Within microseconds of the leading edge, the linear form is exact.
     let phase = (got[k] / want[k]).arg().abs();
     assert!(phase < 1e-3, "{phase} rad");
     assert!(got.iter().all(|s| s.re.is_finite() && s.im.is_finite()));
 }
 
-/// Mean frequency of an echo: total phase over total time, on samples dense enough to unwrap.
+/// Mean frequency of an echo: total phase over total time, on samples that are dense enough to unwrap.
 fn mean_frequency_hz(x: &[Complex64], rate_hz: f64) -> f64 {
     let echo: Vec<_> = x.iter().filter(|s| s.norm() > 0.0).collect();
     let turned: f64 = echo.windows(2).map(|w| (w[1] / w[0]).arg()).sum();
@@ -345,7 +347,7 @@ fn a_cw_echo_has_the_doppler_shift_of_mid_pulse_within_0p1_hz() {
     }
 }
 
-/// Rotation alone moves an element on a lever arm by omega x arm, which the reference includes.
+/// Rotation alone moves an element on a lever arm by omega x arm. The reference includes this motion.
 #[test]
 fn a_turning_platform_shifts_the_echo_at_an_element_on_an_arm() {
     let mut plan = ahead(0.0);
@@ -367,7 +369,8 @@ fn a_turning_platform_shifts_the_echo_at_an_element_on_an_arm() {
     };
     let at_m = DVec3::new(0.0, 75.0, 0.0);
     let grid = Grid::around(75.0, 100e3);
-    // One metre ahead, a turn to starboard moves it towards the point by 0.2 m/s times the cosine of a tenth of 0.2 rad.
+    // One metre ahead, a turn to starboard moves the element towards the point. The speed is 0.2 m/s times the cosine of a tenth of
+    // 0.2 rad.
     let setup = (transmitter(DVec3::ZERO), element(DVec3::X), points([at_m]));
     let (got, _) = truth(&plan, &setup, 0, grid);
     let received_s = 0.1 + 2.5e-3;
@@ -396,7 +399,7 @@ fn doppler_moves_a_compressed_lfm_by_the_stated_range_within_1_percent() {
             let (sink, _) = collect(&plan, &setup.0, &setup.1, 0, ALWAYS, &setup.2);
             let arrival = sink.arrivals[0];
             let (x, _) = direct(&plan, &setup, 0, grid);
-            // Correlation with the replica that starts at `lag` seconds into the grid.
+            // Correlation with the replica that starts `lag` seconds into the grid.
             let level = |start_s: f64| {
                 let sum: Complex64 = x
                     .iter()
@@ -424,7 +427,7 @@ fn doppler_moves_a_compressed_lfm_by_the_stated_range_within_1_percent() {
 #[test]
 fn shorter_segments_reduce_the_error_on_a_moving_platform() {
     let mut plan = restless();
-    // Transmitter and element at the reference point: attitude moves neither, so only the track remains.
+    // Transmitter and element are at the reference point. Attitude moves neither, so only the track has an effect.
     let at_m = DVec3::new(20.0, 90.0, 30.0);
     let setup = one_point(at_m);
     let grid = Grid::around(at_m.length(), 100e3);
@@ -470,7 +473,7 @@ fn the_edges_of_the_record_cut_echoes_and_nothing_else() {
     assert!(peak(&silent) == 0.0 && counts.used == 0);
 }
 
-/// The sum through the receiver filter at `factor` dense samples per sample of 40 kHz.
+/// Sum after the receiver filter with `factor` dense samples per sample of 40 kHz.
 fn filtered(plan: &PingPlan, method: Method, edges: Edges, factor: usize) -> Vec<Complex64> {
     let filter = Decimator::new(&plan.pulse, 40e3, 300.0, factor).expect("40 kHz is enough");
     let count = 2500;
@@ -481,7 +484,7 @@ fn filtered(plan: &PingPlan, method: Method, edges: Edges, factor: usize) -> Vec
     out
 }
 
-/// Remaining error of the sum's finite density behind the receiver filter, against eight times that density.
+/// Remaining error from the finite density of the sum after the receiver filter, against eight times that density.
 fn density_error(taper: f64, edges: Edges, factor: usize) -> f64 {
     let mut plan = ahead(2.0);
     plan.pulse.taper = taper;
@@ -504,11 +507,11 @@ fn the_density_of_the_filtered_sum_leaves_the_documented_error() {
     };
     let dense_hz = 40e3 * oversample(&lfm(30e3, 5e-3), 40e3, Synthesis::Reference) as f64;
     assert!(dense_hz >= 32.0 * occupied_hz(&lfm(30e3, 5e-3)));
-    // Sharp edges without weights: first order in the dense step.
+    // Sharp edges without weights have a first-order error in the dense step.
     assert!(at(0.0, Synthesis::Reference, Sampled) > 5e-4);
     assert!(at(0.0, Synthesis::Reference, Weighted) < 1e-6);
     assert!(at(0.0, Synthesis::Direct, Weighted) < 4e-4);
-    // Tapers of 5 % of the pulse each: almost no error, without weights.
+    // Tapers of 5 % of the pulse each have almost no error, without weights.
     assert!(at(0.1, Synthesis::Reference, Weighted) < 1e-6);
     assert!(at(0.1, Synthesis::Direct, Weighted) < 1e-5);
     // Tapers shorter than a few steps have neither property.
@@ -516,7 +519,7 @@ fn the_density_of_the_filtered_sum_leaves_the_documented_error() {
     assert!(at(0.01, Synthesis::Reference, Weighted) < 1e-5);
 }
 
-/// Convergence: without weights the error halves with twice the density, with them it falls by more than eight.
+/// Convergence: with twice the density, the error halves without weights and decreases more than eightfold with weights.
 #[test]
 fn weighted_edges_converge_at_a_high_order_and_sampled_ones_at_the_first() {
     let errors = |edges: Edges| [6, 12, 24].map(|factor| density_error(0.0, edges, factor));
@@ -528,7 +531,7 @@ fn weighted_edges_converge_at_a_high_order_and_sampled_ones_at_the_first() {
     }
 }
 
-/// Edges on samples, whose side rounding decides, do not affect the weighted sum.
+/// Rounding decides the side of edges on samples. Such edges do not affect the weighted sum.
 #[test]
 fn an_edge_that_falls_on_a_sample_is_weighted_like_any_other() {
     let pulse = lfm(30e3, 5e-3);
@@ -545,13 +548,13 @@ fn an_edge_that_falls_on_a_sample_is_weighted_like_any_other() {
             let (dense, _) = method(&plan, &setup, 0, grid, Edges::Weighted);
             let mut out = vec![Complex64::ZERO; count];
             filter.apply(&dense, &mut out);
-            // Without the carrier, whose phase advances by a third of a turn per step.
+            // The carrier is removed, because its phase advances by a third of a cycle per step.
             let turn = Complex64::from_polar(1.0, TAU * (CARRIER_HZ * 2.0 * range_m / C).fract());
             out.iter().map(|x| x * turn).collect::<Vec<_>>()
         });
         let error = relative_l2(&pair[0], &pair[1]);
         assert!(
-            error < 1e-6, // where they disagree about the side, both are right to what the density leaves
+            error < 1e-6, // at the samples where they differ, both are correct within the error of the density
             "{shift}: direct and reference {error:e} apart"
         );
         pair[0].clone()
@@ -563,7 +566,7 @@ fn an_edge_that_falls_on_a_sample_is_weighted_like_any_other() {
     }
 }
 
-/// The production chain: both methods behind the same filter at the same density.
+/// The production chain: both methods after the same filter at the same density.
 #[test]
 fn behind_the_same_filter_direct_is_the_reference_to_1e_9_without_motion() {
     let setup = busy();
@@ -581,7 +584,8 @@ fn behind_the_same_filter_direct_is_the_reference_to_1e_9_without_motion() {
     assert!(error < 1e-9, "{error:e}");
 }
 
-/// With the second derivative, about mid-pulse, the residual phase is that of the third: v cos(theta)/r T/12 of the first-order one, and some.
+/// With the second derivative about mid-pulse, the residual phase is that of the third derivative: v cos(theta)/r T/12 of the
+/// first-order phase, and a small remainder.
 #[test]
 fn the_quadratic_term_takes_the_residual_phase_of_uniform_motion_away() {
     for (v, r, theta_deg) in [
@@ -606,7 +610,7 @@ fn the_quadratic_term_takes_the_residual_phase_of_uniform_motion_away() {
             println!(
                 "{path:?} v {v}, r {r}, theta {theta_deg}: {error:.1e} rad, linear {linear:.1e}"
             );
-            // Third derivative at T/2 from the middle, and the cubic part of the chirp that the recurrence leaves.
+            // Phase of the third derivative at T/2 from the middle, and the cubic part of the chirp that the recurrence neglects.
             let bound = linear * v / r * 5e-3 + 7e-7;
             assert!(
                 error < bound,
@@ -616,8 +620,8 @@ fn the_quadratic_term_takes_the_residual_phase_of_uniform_motion_away() {
     }
 }
 
-/// A platform that surges, heaves, rolls and yaws, with ends on long lever arms: remaining error of each path model with each Doppler
-/// model.
+/// Remaining error of each path model with each Doppler model, on a platform that surges, heaves, rolls and yaws, with arrays on
+/// long lever arms.
 #[test]
 fn continuous_with_the_quadratic_term_is_the_reference_on_a_restless_platform() {
     let scatterers = points(
@@ -654,15 +658,16 @@ fn continuous_with_the_quadratic_term_is_the_reference_on_a_restless_platform() 
     let chords = [5, 50].map(|count| error(KSegment, StretchQuadratic, count));
     let linear = error(Continuous, Stretch, 5);
     let all = error(Continuous, StretchQuadratic, 5);
-    // 50 ms chords of a rolling and heaving platform are useless for interferometry; chords of the elements are better, and converge.
+    // 50 ms chords of a rolling and heaving platform are useless for interferometry. Chords of the elements are more accurate and
+    // converge.
     assert!(polyline > 2.0 * chords[0], "{polyline}, {chords:?}");
     assert!(chords[1] < chords[0] / 50.0, "{chords:?}");
     assert!(linear < 0.05 && linear > 1e-3, "{linear}");
-    // The trajectory's acceleration steps at its knots, which two derivatives cannot follow.
+    // The acceleration of the trajectory steps at its knots, which two derivatives cannot represent.
     assert!(all < 1e-4, "{all}");
 }
 
-/// One static scene through the receiver filter by every method that preserves the pulse.
+/// One static scene after the receiver filter, by every method that preserves the pulse.
 struct Shared {
     plan: PingPlan,
     filter: Decimator,
@@ -699,7 +704,7 @@ impl Shared {
         self.filter.apply(&dense, &mut out);
         out
     }
-    /// At the nearest sample, and interpolated.
+    /// Samples of the methods `nearest` and `linear`.
     fn laid_down(&self) -> [Vec<Complex64>; 2] {
         let mut replica = Replica::default();
         replica.prepare(&self.plan, 40e3, Some(&self.filter));
@@ -728,7 +733,7 @@ impl Shared {
     }
 }
 
-/// The paper's sum by frequency gives the same result: Eq. 18 without Doppler, Eq. 21 with its Doppler.
+/// The sum by frequency of the paper gives the same result: Eq. 18 without Doppler, Eq. 21 with its Doppler.
 #[test]
 fn spectral_is_direct_behind_the_filter_to_1e_6() {
     let mut shared = Shared::new();
@@ -746,20 +751,21 @@ fn spectral_is_direct_behind_the_filter_to_1e_6() {
     }
 }
 
-/// Without a receiver filter the pulse itself is limited to the sampled band; the error is its share outside, as the error model predicts.
+/// Without a receiver filter the pulse is limited to the sampled band. The error is the out-of-band fraction of the pulse, as the
+/// error model predicts.
 #[test]
 fn spectral_without_a_filter_misses_the_pulses_out_of_band_share() {
     let mut shared = Shared::new();
     shared.first_s = 0.0401;
     let at_m = DVec3::Y * 45.0;
     let (tx, rx) = (transmitter(DVec3::ZERO), element(DVec3::ZERO));
-    // 1.25 B, where point-sampled and band-limited are 5.5e-2 apart at BT = 150.
+    // 1.25 B, where point-sampled and band-limited pulses differ by 5.5e-2 at BT = 150.
     let (rate_hz, count) = (37.5e3, 1500);
     let window = Window::of_samples(shared.first_s, rate_hz, count);
     let mut spectrum = Spectrum::new(rate_hz, count as f64 / rate_hz + 0.1, None, None);
     spectrum.prepare(&shared.plan);
     let mut bins = Bins::default();
-    // The position of edges between samples matters: rms over several positions.
+    // The position of edges between samples matters, so the rms is over several positions.
     let (mut difference, mut size) = (0.0, 0.0);
     for k in 0..16 {
         let at_m = at_m * (1.0 + 1e-4 * weyl(k, 0));
@@ -781,17 +787,18 @@ fn spectral_without_a_filter_misses_the_pulses_out_of_band_share() {
     assert!((error - 5.5e-2).abs() < 0.5e-2, "{error:e}");
 }
 
-/// "A narrow interval improves fidelity": with a step above one over the record, late echoes appear one period early.
+/// "A narrow interval improves fidelity": with a step above the reciprocal of the record length, late echoes appear one period
+/// early.
 #[test]
 fn a_frequency_step_that_is_too_coarse_wraps_late_echoes_around() {
     let shared = Shared::new();
     let (fine, _) = shared.spectral(None);
-    // 1000 samples: the record and its tails fold into a third of its length.
+    // 1000 samples: the record with its tails is folded into a third of its length.
     let (coarse, step_hz) = shared.spectral(Some(40.0));
     assert_eq!(step_hz, 40.0);
     let error = relative_l2(&coarse, &fine);
     assert!(error > 1.0, "{error}");
-    // What wraps is the sum of the periods of a record long enough for everything.
+    // The folded samples are the sum of the periods of a record that is long enough.
     let long = Shared {
         first_s: 0.0301,
         count: 5000,
@@ -806,7 +813,7 @@ fn a_frequency_step_that_is_too_coarse_wraps_late_echoes_around() {
     assert_eq!(coarse[..1000], coarse[1000..2000]);
 }
 
-/// Common practice of other simulators at the sample rate. A shift of half a sample is a large error for a band of 30 kHz.
+/// Methods of other simulators at the sample rate. For a band of 30 kHz, a shift of half a sample is a large error.
 #[test]
 fn nearest_and_linear_have_their_predicted_errors() {
     let shared = Shared::new();
@@ -820,8 +827,9 @@ fn nearest_and_linear_have_their_predicted_errors() {
         filter: ReceiverFilter::Fir,
         ..conditions(&shared.plan, (1.0, 100.0))
     };
-    // Their squares' means over the band and all places between two samples; the error models have the unluckiest place, in the middle: half a
-    // sample's phase against its mean, sqrt(3) for nearest, and y (1 - y) there against its mean, sqrt(30/16) for linear, at low frequencies.
+    // The closed forms are root mean squares over the band and all positions between two samples. The error models take the worst
+    // position, in the middle. At low frequencies, the ratio is sqrt(3) for nearest (phase of half a sample). For linear it is
+    // sqrt(30/16) (value of y (1 - y)).
     for (synthesis, got, mean, worst) in [
         (Synthesis::Nearest, errors.0, 0.393, 3f64.sqrt()),
         (Synthesis::Linear, errors.1, 0.198, (30.0f64 / 16.0).sqrt()),
@@ -837,7 +845,7 @@ fn nearest_and_linear_have_their_predicted_errors() {
             mean * worst
         );
     }
-    // An echo that begins on a sample is whole in both.
+    // An echo that begins on a sample is exact in both methods.
     let at_m = DVec3::Y * (0.5 * C * (shared.first_s + 500.0 / 40e3));
     let one = Shared {
         setup: one_point(at_m),

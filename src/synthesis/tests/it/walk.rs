@@ -56,7 +56,8 @@ fn an_amplitude_is_the_sonar_equation_by_hand() {
 
     let element_m = rx.mounting.position_m + DVec3::new(0.25 * WAVELENGTH_M, 0.0, 0.0);
     let (out, back) = (at_m - tx.mounting.position_m, at_m - element_m);
-    // Array axes of a sonar that looks 30 degrees below starboard: x ahead, y up the tilted face, z the boresight.
+    // Array axes of a sonar that points 30 degrees below starboard: x ahead, y up the tilted face, z the
+    // boresight.
     let (sin30, cos30) = 30f64.to_radians().sin_cos();
     let y_axis = DVec3::new(0.0, sin30, -cos30);
     let z_axis = DVec3::new(0.0, cos30, sin30);
@@ -79,7 +80,7 @@ fn an_amplitude_is_the_sonar_equation_by_hand() {
         * response(out, 0.01, 0.004)
         * response(back, 0.006, 0.002);
     let error = (sink.arrivals[0].amplitude / want - 1.0).norm();
-    // Normals are kept in f32.
+    // Normals are stored in f32.
     assert!(error < 2e-7, "{error:e}");
 }
 
@@ -212,7 +213,8 @@ fn a_scatterer_on_the_array_is_limited_to_one_wavelength_and_counted() {
     let first_m = (rx.element_body_m(2) - DVec3::X).length();
     let want = leg(first_m) * leg(WAVELENGTH_M);
     let got = sink.arrivals[0].amplitude.re;
-    // It has moved 3 mm by the time of reception: less than the wavelength that limits the range.
+    // The element has moved 3 mm at the time of reception. This is less than the wavelength, which is the minimum
+    // range.
     assert!((got / want - 1.0).abs() < 1e-12, "{got} {want}");
 }
 
@@ -236,7 +238,8 @@ fn chunks_are_full_but_the_last_and_keep_the_order_of_the_scatterers() {
     );
 }
 
-/// An element's pattern has the platform's attitude at reception, the transmitter's that at transmission.
+/// The pattern of an element has the platform's attitude at reception; the pattern of the transmitter has that at
+/// transmission.
 #[test]
 fn patterns_turn_with_the_platform_between_transmission_and_reception() {
     let mut plan = ahead(0.0);
@@ -255,7 +258,8 @@ fn patterns_turn_with_the_platform_between_transmission_and_reception() {
     let mut rx = element(DVec3::ZERO);
     rx.element_pattern = piston(0.4, 0.0);
     rx.mounting.body_from_array = starboard();
-    // Abeam at 120 m: transmitted on the boresight, received 160 ms later on the fourth leg, 6 mrad off it.
+    // Abeam at 120 m: transmitted on the boresight, and received 160 ms later on the fourth leg, 6 mrad off the
+    // boresight.
     let (sink, _) = collect(&plan, &tx, &rx, 0, ALWAYS, &points([DVec3::Y * 120.0]));
     let leg = 10f64.powf(-0.05 * 120.0 / 20.0) / 120.0;
     let want = leg * leg * sinc(0.4 / WAVELENGTH_M * 0.006f64.sin());
@@ -263,7 +267,7 @@ fn patterns_turn_with_the_platform_between_transmission_and_reception() {
     assert!((got / want - 1.0).abs() < 1e-9, "{got} {want}");
 }
 
-/// Constant axes per chord would be off by 4 mrad at the ends of the longer ones, first order in their length.
+/// Constant axes per chord would be wrong by 4 mrad at the ends of the longer chords, first order in their length.
 #[test]
 fn on_chords_an_element_turns_as_it_does_on_the_track_itself() {
     let tx = transmitter(DVec3::ZERO);
@@ -274,7 +278,7 @@ fn on_chords_an_element_turns_as_it_does_on_the_track_itself() {
         baffled: false,
     };
     rx.mounting.body_from_array = starboard();
-    // Off the beam axis, where the pattern is steep.
+    // The points are off the beam axis, where the pattern is steep.
     let scatterers = points((0..50).map(|k| {
         let ground_m = 60.0 + 1.6 * k as f64;
         DVec3::new(0.15 * ground_m, ground_m, 0.45 * ground_m)
@@ -299,7 +303,7 @@ fn on_chords_an_element_turns_as_it_does_on_the_track_itself() {
 
 #[test]
 fn every_scattering_law_matches_its_formula_and_is_zero_from_behind() {
-    // Transmitter and element 4 m apart, so that the two angles differ by several degrees.
+    // Transmitter and element are 4 m apart, so that the two angles differ by several degrees.
     let (tx_m, rx_m) = (DVec3::new(0.0, -2.0, 0.0), DVec3::new(0.0, 2.0, 0.0));
     let strength = |cosine: f64| 0.3 * cosine.powi(4) + 0.01;
     let curve = Arc::new(LawCurve::new(strength));

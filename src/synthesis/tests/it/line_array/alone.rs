@@ -1,4 +1,4 @@
-//! Single-echo error of the engine.
+//! Tests of the single-echo error of the line-array engine.
 
 use echotank_core::model::Synthesis;
 use echotank_core::pulse::{Pulse, PulseKind};
@@ -41,7 +41,8 @@ fn a_kernels_error_beside_an_echo_exceeds_the_mean_and_falls_with_its_width() {
         }
     }
     for alone in [sharp, soft] {
-        // The filter's stop band is 80 dB down and at most a twentieth of a pulse lies in it: with noise 55 dB down that is 2.8e-3.
+        // The stop band of the filter is 80 dB down and has at most a twentieth of a pulse. With noise 55 dB down this gives
+        // 2.8e-3.
         assert!(alone.beyond_band() < 2.8e-3, "{:e}", alone.beyond_band());
     }
 }
@@ -59,7 +60,7 @@ fn a_kernel_for_the_pulses_band_has_a_third_of_the_error() {
     let decimator = Decimator::new(&pulse, rate_hz, 2700.0, 8).expect("fits");
     let alone = SingleEcho::new(&pulse, rate_hz, &decimator, 6.7e-3, 60.0);
     let core = alone.core();
-    // The chirp's own band, its Doppler of 2.7 kHz to either side, and a margin for its ends.
+    // The band of the chirp, its Doppler of 2.7 kHz to either side, and a margin for its ends.
     assert!((0.62..0.85).contains(&core), "{core}");
     for width in [4, 5, 6] {
         let of_band = alone.kernel(&Kernel::new(width, 1.5, 8), 1.0);

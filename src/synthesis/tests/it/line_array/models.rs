@@ -1,4 +1,4 @@
-//! The engine as the pipeline calls it, with every supported path and Doppler model.
+//! Tests of the line-array engine in the pipeline, with every supported path and Doppler model.
 
 use std::sync::Mutex;
 
@@ -26,7 +26,7 @@ fn spec(scene: &Scene) -> Spec<'_> {
     scene.spec(bounds, TOLERANCE)
 }
 
-/// Samples of all elements, element-major, and the counts, computed on this many threads.
+/// Samples of all elements, element-major, with the counts, computed on this number of threads.
 fn run(scene: &Scene, threads: usize) -> (Vec<Complex64>, EchoCounts, f64) {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
@@ -56,7 +56,7 @@ fn worst(scene: &Scene, iq: &[Complex64]) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// The engine keeps the tolerance; returns its counts.
+/// Checks that the engine meets the tolerance. Returns its counts.
 fn assert_within(scene: &Scene) -> EchoCounts {
     let (iq, counts, left_out) = run(scene, 1);
     let error = worst(scene, &iq);
@@ -144,7 +144,7 @@ fn unsupported_models_are_refused() {
     };
     assert_eq!(Gridded2d::new(&unfiltered).err(), Some(Refusal::NoFilter));
 
-    // 0.1 rad/s for 0.05 s: five milliradians at each vertex.
+    // 0.1 rad/s for 0.05 s is five milliradians at each vertex.
     let mut turning = spec(&scene);
     turning.bounds.turning_rad_per_s = 0.1;
     let mut model = scene.plan.model;

@@ -1,4 +1,4 @@
-//! A moving platform: surge, sway and heave.
+//! Tests of the line-array engine on a moving platform: surge, sway and heave.
 
 use echotank_synthesis::array::gridded2d::{PulseMotion, Resolution};
 use glam::DVec3;
@@ -8,7 +8,8 @@ use echotank_testing::line_scene::*;
 
 #[test]
 fn in_motion_the_engine_meets_the_direct_sum() {
-    // Along the array; heave and sway; all at once; and far across it. The remainder are third orders of the motion.
+    // Motion along the array; heave and sway; all together; and far across the array. The remaining error is of
+    // third order in the motion.
     for (velocity_m_per_s, sector_deg, limit) in [
         (DVec3::new(5.0, 0.0, 0.0), 60.0, 5e-6),
         (DVec3::new(10.0, 0.0, 0.0), 15.0, 8e-6),

@@ -1,4 +1,4 @@
-//! A platform at rest.
+//! Tests of the line-array engine on a platform at rest.
 
 use std::sync::Mutex;
 
@@ -10,7 +10,7 @@ use glam::DVec3;
 
 use echotank_testing::line_scene::*;
 
-/// All stages at full accuracy.
+/// Resolution with full accuracy of all stages.
 pub(crate) const FINE: Resolution = Resolution {
     stretch: 16,
     slab_samples: 2048,
@@ -44,8 +44,8 @@ fn at_rest_the_engine_meets_the_direct_sum() {
 
 #[test]
 fn echoes_at_the_ends_of_a_long_section_keep_their_delays() {
-    // For echoes near endfire the line's ends receive 160 us before and after its middle; slabs of 20 ms begin and end along the whole
-    // record.
+    // Near endfire, the ends of the line receive echoes 160 us before and after its middle. Slabs of 20 ms begin and end along the
+    // whole record.
     let scene = draw(Draw {
         elements: 128,
         sector_deg: 60.0,
@@ -62,7 +62,7 @@ fn echoes_at_the_ends_of_a_long_section_keep_their_delays() {
     assert!(reports.len() > 4 && got < 3e-6, "{got:e}");
 }
 
-/// The smallest and largest delay passed on.
+/// The smallest and largest delay that the sink receives.
 struct Delays(f64, f64);
 
 impl LineSink for Delays {
@@ -113,7 +113,7 @@ fn slabs_begin_with_the_first_echo_and_share_the_rest_evenly() {
             1e-5
         };
         assert!(got < tolerance, "{got:e}");
-        // 36 m to 75 m are 52 ms, a slab at most 34 ms; two sections.
+        // 36 m to 75 m take 52 ms, and a slab at most 34 ms. There are two sections.
         assert_eq!(counts.len(), 4, "{counts:?}");
         assert!(counts.iter().all(|count| *count > 100), "{counts:?}");
     }

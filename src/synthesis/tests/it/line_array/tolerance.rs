@@ -1,4 +1,4 @@
-//! The requested tolerance is met in every window.
+//! Tests that the requested tolerance is met in every window.
 
 use echotank_core::simd::SimdLevel;
 use echotank_synthesis::array::gridded2d::{
@@ -79,7 +79,8 @@ fn unreachable_tolerances_are_refused_with_a_reason() {
     let fine = chosen(&scene, SIDE_SCAN, 1e-7).expect_err("too fine");
     assert!(matches!(fine, Refusal::TooFine { .. }), "{fine}");
     assert!(fine.to_string().contains("below its minimum"), "{fine}");
-    // A section of one element has no curvature; beside a wall no longer section meets the tolerance.
+    // A section of one element has no curvature. Close to a wall, no longer section meets the
+    // tolerance.
     let close = Draw {
         near_m: 0.5,
         ..SIDE_SCAN
@@ -114,7 +115,7 @@ fn simd_levels_agree_to_rounding_and_task_orders_bit_for_bit() {
             assert!(worst < 2e-6, "{simd_level:?}, element {e}: {worst:e}");
         }
     }
-    // Kernels over time of other widths, some of which have specialised code.
+    // Kernels over time with other widths. Some widths have specialised code.
     for time_width in [3, 4, 6, 7, 8, 9] {
         let resolution = Resolution {
             time_width,
