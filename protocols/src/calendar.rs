@@ -1,4 +1,5 @@
-//! Converts UTC nanoseconds since 1970 to date and time fields, and back. Proleptic Gregorian calendar, no leap seconds.
+//! Conversion between UTC nanoseconds since 1970 and date and time fields. Proleptic Gregorian calendar, without leap
+//! seconds.
 //!
 //! Date algorithms: H. Hinnant, "chrono-Compatible Low-Level Date Algorithms" (2013), with years that begin in March.
 
@@ -10,19 +11,19 @@ const S_PER_DAY: i64 = 86_400;
 pub struct Moment {
     /// Gregorian year.
     pub year: i32,
-    /// 1 is January.
+    /// Month; 1 is January.
     pub month: u8,
     /// Day of the month, from 1.
     pub day: u8,
-    /// 1 is the first of January.
+    /// Day of the year; 1 is the first of January.
     pub day_of_year: u16,
-    /// 0 to 23.
+    /// Hour, 0 to 23.
     pub hour: u8,
-    /// 0 to 59.
+    /// Minute, 0 to 59.
     pub minute: u8,
-    /// 0 to 59.
+    /// Second, 0 to 59.
     pub second: u8,
-    /// 0 to 999 999 999.
+    /// Nanosecond, 0 to 999 999 999.
     pub nanosecond: u32,
 }
 
@@ -88,7 +89,7 @@ mod tests {
         );
         assert_eq!((moment.hour, moment.minute, moment.second), (15, 6, 40));
         assert_eq!(moment.milliseconds_of_day(), 54_400_123);
-        // Last day of a leap year, and a moment before 1970.
+        // The last day of a leap year, and a time before 1970.
         let leap = Moment::from_utc_ns(1_735_603_200 * NS_PER_S - NS_PER_S);
         assert_eq!(
             (leap.year, leap.month, leap.day, leap.day_of_year),

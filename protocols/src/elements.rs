@@ -1,7 +1,7 @@
-//! A simple stream of element samples, Echotank's own: I and Q with a minimal header.
+//! Element stream of Echotank: I and Q samples of all elements with a minimal header.
 //!
-//! Frames follow each other over TCP; over UDP each datagram holds one frame. Little endian. Every frame is self-contained. A moment is one
-//! sample time, with a sample of each element.
+//! Frames are consecutive over TCP; over UDP each datagram holds one frame. Numbers are little endian. Every frame is
+//! self-contained. A moment is one sample time, with a sample of each element.
 //!
 //! ```text
 //!  0  4s   "ETEL"
@@ -91,7 +91,7 @@ pub struct Frame<'a> {
     pub head: FrameHead,
     /// Number of moments in this frame.
     pub moments: u32,
-    /// Samples as on the wire: by moment, by element, I then Q.
+    /// Samples as transmitted: by moment, by element, I then Q.
     pub samples: &'a [u8],
 }
 
@@ -99,7 +99,7 @@ impl FrameHead {
     /// Appends a frame. `write_samples` must append I and Q of `moments` moments.
     ///
     /// # Panics
-    /// If it appends another number of bytes, or the frame exceeds [`MAX_FRAME_BYTES`].
+    /// If `write_samples` appends another number of bytes, or the frame exceeds [`MAX_FRAME_BYTES`].
     pub fn emit(&self, buf: &mut Vec<u8>, moments: u32, write_samples: impl FnOnce(&mut Vec<u8>)) {
         let sample_bytes = self.sample_type.bytes() * usize::from(self.elements) * moments as usize;
         let size = HEADER_BYTES + sample_bytes;
@@ -195,7 +195,7 @@ impl<'a> Frame<'a> {
 #[derive(Debug, Clone, Copy)]
 pub struct ElementFraming;
 
-/// Frames from a connection.
+/// Splitter of a connection into frames.
 pub type ElementStream = Splitter<ElementFraming>;
 
 impl Framing for ElementFraming {

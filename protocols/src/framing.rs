@@ -1,18 +1,18 @@
-//! Splits the bytes of a connection or file into whole messages, for formats that state their length near the front.
+//! Division of the bytes of a connection or file into messages, for formats with a length near the front of a message.
 //!
-//! Memory is bounded by the largest permitted message. Bytes that do not start a message are skipped one by one. Each gap yields one error
-//! and increases a counter.
+//! The largest permitted message limits the memory. Bytes that do not start a message are skipped one by one. Each gap gives one
+//! error and increases a counter.
 
 use crate::WireError;
 
 /// Result of examining the front of some bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Look {
-    /// Possibly a message; more bytes are needed.
+    /// The bytes may be the start of a message; more bytes are needed.
     More,
-    /// A whole message of this many bytes (at least 1, at most those available).
+    /// The front is a complete message of this many bytes (at least 1, at most those available).
     Whole(usize),
-    /// No message begins here.
+    /// No message begins at the front.
     Wrong(WireError),
 }
 
@@ -65,7 +65,8 @@ impl<F: Framing> Splitter<F> {
         self.skipped_bytes
     }
 
-    /// Takes bytes while there is room and returns their number; at least one after [`Splitter::next_message`] returned `None`.
+    /// Copies bytes while there is room and returns their number. The number is at least one after [`Splitter::next_message`]
+    /// returned `None`.
     pub fn push(&mut self, bytes: &[u8]) -> usize {
         self.ended = false;
         self.buf.drain(..self.head);
@@ -76,12 +77,12 @@ impl<F: Framing> Splitter<F> {
         taken
     }
 
-    /// Marks the end of the input: an incomplete message becomes an error.
+    /// Marks the end of the input. An incomplete message becomes an error.
     pub fn finish(&mut self) {
         self.ended = true;
     }
 
-    /// The next whole message or error; `None` if more bytes are needed.
+    /// Returns the next complete message or error; `None` if more bytes are needed.
     pub fn next_message(&mut self) -> Option<Result<&[u8], WireError>> {
         loop {
             let held = &self.buf[self.head..];
@@ -111,7 +112,7 @@ impl<F: Framing> Splitter<F> {
         }
     }
 
-    /// Takes all of `bytes` and passes every message and error to `each`.
+    /// Splits all of `bytes` and passes every message and error to `each`.
     pub fn feed(&mut self, mut bytes: &[u8], mut each: impl FnMut(Result<&[u8], WireError>)) {
         loop {
             while let Some(item) = self.next_message() {

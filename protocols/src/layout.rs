@@ -5,7 +5,7 @@ use std::io::Cursor;
 use binrw::io::NoSeek;
 use binrw::{BinRead, BinWrite, Endian};
 
-/// Why bytes are not a valid message. Every variant names the checked item and the values that disagree.
+/// Parse error. Every variant names the checked item and the values that disagree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
     #[error("{what} needs {need_bytes} bytes, only {got_bytes} are available")]
@@ -102,7 +102,7 @@ impl WireError {
     }
 }
 
-/// A fixed-length layout with a fixed byte order.
+/// Layout of fixed length with a fixed byte order.
 pub(crate) trait Layout:
     for<'a> BinRead<Args<'a> = ()> + for<'a> BinWrite<Args<'a> = ()>
 {
@@ -165,7 +165,7 @@ macro_rules! layout {
 }
 pub(crate) use layout;
 
-/// The `len` bytes from `at`, or an error that states the missing bytes.
+/// The `len` bytes from offset `at`, or an error with the number of missing bytes.
 pub(crate) fn data_at<'a>(
     bytes: &'a [u8],
     at: usize,
@@ -173,7 +173,8 @@ pub(crate) fn data_at<'a>(
     what: &'static str,
 ) -> Result<&'a [u8], WireError> {
     let data = bytes.get(at..).unwrap_or_default();
-    // A length from the wire may exceed usize on a 32-bit machine, so it is compared as u64 before conversion.
+    // A length in a message may exceed usize on a 32-bit machine, so it is compared as u64 before the
+    // conversion.
     if (data.len() as u64) < len {
         let need_bytes = (at as u64).saturating_add(len);
         return Err(WireError::truncated(what, need_bytes, bytes.len()));
@@ -181,7 +182,7 @@ pub(crate) fn data_at<'a>(
     Ok(&data[..len as usize])
 }
 
-/// A text field up to its first NUL; bytes other than printable ASCII become `?`.
+/// Text of a field up to its first NUL. Bytes other than printable ASCII become `?`.
 pub(crate) fn text_of(field: &[u8]) -> String {
     field
         .iter()
@@ -196,7 +197,7 @@ pub(crate) fn text_of(field: &[u8]) -> String {
         .collect()
 }
 
-/// A text field of `N` bytes, padded with at least one NUL; characters other than printable ASCII become `?`.
+/// Text as a field of `N` bytes, padded with at least one NUL. Characters other than printable ASCII become `?`.
 pub(crate) fn text_field<const N: usize>(text: &str) -> [u8; N] {
     let mut field = [0; N];
     for (byte, character) in field.iter_mut().zip(text.chars()).take(N.saturating_sub(1)) {
@@ -234,7 +235,7 @@ pub(crate) fn to_u32(value: f64) -> u32 {
     rounded(value, 0.0, f64::from(u32::MAX)) as u32
 }
 
-/// An angle reduced to 0..360 degrees, in steps of 1/`per_degree`; a value that rounds to a full turn becomes 0.
+/// Angle in 0..360 degrees, in steps of 1/`per_degree`. A value that rounds to a full turn becomes 0.
 pub(crate) fn turn_counts(angle_rad: f64, per_degree: f64) -> f64 {
     let counts = (angle_rad.to_degrees().rem_euclid(360.0) * per_degree).round();
     if counts >= 360.0 * per_degree {

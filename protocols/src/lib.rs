@@ -1,10 +1,11 @@
-//! Wire formats of sonars and recordings, sans I/O.
+//! Transmission and file formats of sonars and recordings, sans I/O.
 //!
-//! Parsers take slices, and emitters append to buffers of the caller. The crate opens no socket or file, reads no clock, and does not
-//! depend on the rest of the program. Each format has one folder. Its files share an order: description and source, frame, records,
-//! lengths, parsing, emitting, printing, tests.
+//! Parsers read slices, and emitters append to buffers of the caller. The crate opens no socket or file, reads no clock, and does
+//! not depend on the rest of the program. Each format has one folder. The files of a format have the same order: description and
+//! source, frame, records, lengths, parsing, emitting, printing, tests.
 //!
-//! Two guarantees hold for every format. Parsing never panics, whatever the bytes. Emitting allocates only when the caller's buffer grows.
+//! Two guarantees are valid for every format. Parsing never panics for any bytes. Emitting allocates only when the caller's buffer
+//! grows.
 //!
 //! - [`sevenk`]: Teledyne RESON 7k (TCP and UDP port 7000, `.s7k` files).
 //! - [`jsf`]: EdgeTech JSF (TCP ports 1700 and 1701, `.jsf` files).

@@ -1,5 +1,5 @@
-//! Describes messages of any format as text, one line per message, for people and as the oracle of the fuzzers. It never fails or panics:
-//! errors in the bytes are part of the text.
+//! Description of messages of any format as text, one line per message. The text is for people and is the oracle of the fuzzers. A
+//! description never fails or panics: errors in the bytes are part of the text.
 
 use std::fmt;
 
@@ -134,7 +134,7 @@ impl fmt::Display for Format {
     }
 }
 
-/// Describes a connection or file, message by message.
+/// Incremental description of a connection or file, message by message.
 pub struct Words {
     state: State,
 }
@@ -145,9 +145,9 @@ enum State {
     Ping(Splitter<PingFraming>),
     Wbms(Splitter<WbmsFraming>),
     Imagenex(Splitter<EitherFraming>),
-    /// The front of the file until its header is complete, then the header.
+    /// Bytes of the file until its header is complete, then the header.
     Xtf(Vec<u8>, Option<FileHeader>, Splitter<XtfFraming>),
-    /// A line whose end has not arrived.
+    /// Start of a line whose end has not arrived.
     WbmsText(Vec<u8>),
     /// Formats that are parsed as a whole.
     Whole(Format, Vec<u8>),
@@ -171,7 +171,7 @@ impl Words {
         Self { state }
     }
 
-    /// Takes some bytes and passes a line for every message and every gap to `each`.
+    /// Adds bytes and passes a line for every message and every gap to `each`.
     pub fn push(&mut self, bytes: &[u8], each: &mut dyn FnMut(String)) {
         match &mut self.state {
             State::SevenK(decoder) => decoder.feed(bytes, |item| {
@@ -227,7 +227,7 @@ impl Words {
     }
 }
 
-/// Describes datagrams; 7k records in several datagrams are reassembled.
+/// Description of datagrams. 7k records in several datagrams are reassembled.
 pub struct Datagrams {
     sevenk: Reassembler,
 }
@@ -386,7 +386,7 @@ fn vita49_packet(bytes: &[u8]) -> String {
     let body = match packet.packet_type {
         PacketType::Context => or_wrong(Context::parse(packet.payload), |c| format!("{c:?}")),
         PacketType::SignalData => {
-            // The context states whether the samples are complex; the largest of either reading is printed.
+            // The context states whether the samples are complex. Here the largest value of either interpretation is printed.
             let iq = complex_samples(packet.payload).flatten();
             let real = real_samples(packet.payload);
             let largest = iq.chain(real).map(i16::unsigned_abs).max();

@@ -1,8 +1,10 @@
-//! Imagenex 872 YellowFin: side-scan heads that answer every switch command with one line. Source: the messages that LSTS DUNE's
-//! `Sensors.Imagenex872` sends and reads. It reads no bytes of the answer's header, so these are 0 except for the letters.
+//! Imagenex 872 YellowFin: side-scan heads that answer every switch command with one line.
 //!
-//! TCP port [`PORT`]. A client sends one [`SwitchCommand`] (27 bytes) per side and ping. The answer has [`ANSWER_BYTES`]: a header of 12
-//! bytes, 1000 bytes of echo, and FC.
+//! Source: the messages of LSTS DUNE's `Sensors.Imagenex872`. This client reads no bytes of the answer's header, so these are 0
+//! except for the letters.
+//!
+//! The TCP port is [`PORT`]. A client sends one [`SwitchCommand`] (27 bytes) per side and ping. The answer has [`ANSWER_BYTES`]: a
+//! header of 12 bytes, 1000 bytes of echo, and FC.
 
 use std::ops::Range;
 
@@ -40,15 +42,15 @@ pub enum Side {
 /// Settings that a client requests for one ping.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SwitchCommand {
-    /// One of [`RANGES_M`].
+    /// Range, one of [`RANGES_M`].
     pub range_m: u8,
-    /// Index into [`FREQUENCIES_KHZ`].
+    /// Frequency, an index into [`FREQUENCIES_KHZ`].
     pub frequency_index: u8,
     /// Receiver gain, 0 to 100.
     pub data_gain: u8,
     /// Balance between the sides, 0 to 60.
     pub balance_gain: u8,
-    /// Side that shall ping.
+    /// Side that pings.
     pub side: Side,
 }
 
@@ -121,7 +123,7 @@ pub fn parse_answer(bytes: &[u8]) -> Result<&[u8; ECHO_BYTES], WireError> {
     Ok(echo.expect("the answer has the echo's length"))
 }
 
-/// Splits a connection into answers, which have a constant length.
+/// Framing of answers, which have a constant length.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct AnswerFraming;
 
@@ -147,10 +149,10 @@ impl Framing for AnswerFraming {
     }
 }
 
-/// Answers from a connection.
+/// Splitter of a connection into answers.
 pub type AnswerStream = Splitter<AnswerFraming>;
 
-/// Splits a connection into commands.
+/// Framing of commands.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SwitchFraming;
 
@@ -172,7 +174,7 @@ impl Framing for SwitchFraming {
     }
 }
 
-/// Splits a connection into commands and answers.
+/// Framing of both commands and answers.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct EitherFraming;
 
@@ -194,5 +196,5 @@ impl Framing for EitherFraming {
     }
 }
 
-/// Commands from a connection.
+/// Splitter of a connection into commands.
 pub type SwitchStream = Splitter<SwitchFraming>;

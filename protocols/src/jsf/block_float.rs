@@ -1,12 +1,12 @@
-//! Block floating point: the samples of one message are i16 with a common exponent, value = sample x 2^-N.
+//! Block floating point. The samples of one message are i16 with a common exponent: value = sample x 2^-N.
 //!
-//! Source: Rev. 1.20, table 2-5 and equation 2-1. N is the largest value that the largest sample permits. The error of every sample is then
-//! at most half a step, 2^-(N+1), and at most 2^-15 of the largest (the largest uses more than 14 of the 15 bits).
+//! Source: Rev. 1.20, table 2-5 and equation 2-1. N is the largest value that the largest sample permits. The error of every sample
+//! is then at most half a step, 2^-(N+1). This is at most 2^-15 of the largest sample, which uses more than 14 of the 15 bits.
 
-/// Result of quantising: the exponent, and values that are not finite.
+/// Result of quantisation: the exponent, and the number of values that are not finite.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Scaled {
-    /// N of value = sample x 2^-N.
+    /// Exponent N of value = sample x 2^-N.
     pub weighting: i16,
     /// Number of samples that are not finite: infinities become the largest number, NaN becomes 0.
     pub not_finite: usize,
@@ -14,7 +14,7 @@ pub struct Scaled {
     pub largest: u16,
 }
 
-/// Largest magnitude of a written sample: symmetric, so that a phase rotation never overflows.
+/// Largest magnitude of a written sample. The range is symmetric, so a phase rotation never overflows.
 const FULL_SCALE: f64 = 32_767.0;
 /// Range of N for finite non-zero f32.
 const WEIGHTING_LIMITS: (i32, i32) = (-113, 163);
@@ -25,7 +25,7 @@ pub fn weighting_for(largest: f32) -> i16 {
         return 0;
     }
     let mut n = (FULL_SCALE / f64::from(largest)).log2().floor() as i32 + 1;
-    // The logarithm is off by at most one ulp, so that two steps down suffice.
+    // The error of the logarithm is at most one ulp, so two steps down suffice.
     while n > WEIGHTING_LIMITS.0 && (f64::from(largest) * power_of_two(n)).round() > FULL_SCALE {
         n -= 1;
     }

@@ -1,9 +1,9 @@
-//! Commands and their answers. Source: the messages that LSTS DUNE's `Sensors.Edgetech2205` sends and reads; for numbers that it does not
-//! use, the public file-format manual and the names in DUNE's list.
+//! JSF commands and their answers. Source: the messages of LSTS DUNE's `Sensors.Edgetech2205`. For numbers that it does not use,
+//! the sources are the public file-format manual and the names in DUNE's list.
 //!
-//! A client sends SET, which has no answer on success, or GET, which is answered by a REPLY of the same message type, subsystem, channel
-//! and sequence. A command that fails is answered by an ERROR with a code. The body of a GET is ignored: a widely used client leaves stale
-//! bytes there.
+//! A client sends SET or GET. A successful SET has no answer. The answer to GET is a REPLY with the same message type, subsystem,
+//! channel and sequence. The answer to a command that fails is an ERROR with a code. The body of a GET is ignored, because a widely
+//! used client leaves stale bytes there.
 //!
 //! Most values are one i32. Message 22 has two, 129 has three u32, 123 a text of up to 256 bytes.
 
@@ -56,27 +56,27 @@ pub const MAX_PULSE_NAME_BYTES: usize = 256;
 /// Value of a command or an answer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Value {
-    /// A GET, or a body without meaning.
+    /// No value: a GET, or a body without meaning.
     None,
-    /// One i32: alive, system type, data active, ping, gain (x 1000), rate (x 1000), trigger, range (mm), ...
+    /// One i32, for example alive, system type, data active, ping, gain (x 1000), rate (x 1000), trigger or range (mm).
     Number(i32),
-    /// 22: the sonar's clock.
+    /// Message 22: time of the sonar's clock.
     Time {
         /// Seconds since 1970.
         seconds: i32,
         /// Milliseconds within the second.
         milliseconds: i32,
     },
-    /// 129: coupling of subsystems.
+    /// Message 129: coupling of subsystems.
     Coupling {
         /// Subsystem that starts the pings.
         master_subsystem: u32,
         /// Number of the master's pings per ping.
         divisor: u32,
-        /// Delay after the master's ping.
+        /// Delay after the master's ping, microseconds.
         delay_us: u32,
     },
-    /// 123: the name of a pulse file.
+    /// Message 123: name of a pulse file.
     PulseName(String),
     /// Code of an ERROR from [`error_code`].
     Error(i32),
@@ -85,15 +85,15 @@ pub enum Value {
 /// A command or an answer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Control {
-    /// One of [`super::message_type`].
+    /// Message type, one of [`super::message_type`].
     pub message_type: u16,
-    /// One of [`super::command_type`].
+    /// Purpose of the message, one of [`super::command_type`].
     pub command_type: u8,
-    /// One of [`super::subsystem`].
+    /// Subsystem number, one of [`super::subsystem`].
     pub subsystem: u8,
     /// Channel within the subsystem.
     pub channel: u8,
-    /// Session number, uninterpreted.
+    /// Session number, not interpreted.
     pub session: u8,
     /// Sequence number; a reply repeats that of its command.
     pub sequence: u8,
@@ -126,8 +126,10 @@ pub fn is_command(message_type: u16) -> bool {
 }
 
 impl Control {
-    /// Parses a message of the command connection. An unknown type is `Unsupported` (answered by [`error_code::UNKNOWN_MESSAGE`]). A body
-    /// that is too short is `Truncated` (answered by [`error_code::WRONG_SIZE`]).
+    /// Parses a message of the command connection.
+    ///
+    /// Errors: `Unsupported` for an unknown type (answered by [`error_code::UNKNOWN_MESSAGE`]). `Truncated` for a short body
+    /// (answered by [`error_code::WRONG_SIZE`]).
     pub fn parse(message: &Message<'_>) -> Result<Self, WireError> {
         let (header, body) = (&message.header, message.body);
         let value = match (header.command_type, header.message_type) {

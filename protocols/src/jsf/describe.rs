@@ -1,4 +1,5 @@
-//! Describes any message in one line of text. It never fails: errors in a message are part of the text.
+//! Description of any message in one line of text. It never fails: errors in a message are part of the
+//! text.
 
 use super::{
     Control, Dvl2080, FileTime426, Message, Nmea2002, PitchRoll2020, Pressure2060, Situation2091,

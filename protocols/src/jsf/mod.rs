@@ -1,7 +1,7 @@
 //! EdgeTech JSF: overview, message header, and common numbers.
 //!
-//! Sources: "JSF Data File Description" 0004824 Rev. 1.20 (March 2016), public, for the header and all data messages. The command messages
-//! follow a public client of the live protocol (LSTS DUNE, `Sensors.Edgetech2205`). Little endian.
+//! Sources: "JSF Data File Description" 0004824 Rev. 1.20 (March 2016), public, for the header and all data messages. Command
+//! messages follow a public client of the live protocol (LSTS DUNE, `Sensors.Edgetech2205`). Numbers are little endian.
 //!
 //! A message is a header of 16 bytes and a body. The same messages use two TCP connections, commands on [`COMMAND_PORT`] and data on
 //! [`DATA_PORT`]. A `.jsf` file is a sequence of messages without a file header.
@@ -140,21 +140,21 @@ pub mod command_type {
 /// The header of every message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct MessageHeader {
-    /// [`MARK`].
+    /// Mark, [`MARK`].
     pub mark: u16,
     /// Revision of the layouts.
     pub protocol_version: u8,
     /// Session number.
     pub session: u8,
-    /// One of [`message_type`].
+    /// Message type, one of [`message_type`].
     pub message_type: u16,
-    /// One of [`command_type`].
+    /// Purpose of the message, one of [`command_type`].
     pub command_type: u8,
-    /// One of [`subsystem`].
+    /// Subsystem number, one of [`subsystem`].
     pub subsystem: u8,
-    /// 0 port, 1 starboard; an element; a serial port.
+    /// Channel: a side (0 port, 1 starboard), an element, or a serial port.
     pub channel: u8,
-    /// A reply repeats that of its command.
+    /// Sequence number; a reply repeats that of its command.
     #[brw(pad_after = 2)]
     pub sequence: u8,
     /// Size of the body.
@@ -224,7 +224,7 @@ impl<'a> Message<'a> {
     }
 }
 
-/// Appends a message whose body `write_body` appends, and returns its byte range.
+/// Appends a message with the body that `write_body` appends, and returns its byte range.
 pub fn emit_message(
     buf: &mut Vec<u8>,
     header: &MessageHeader,
@@ -239,7 +239,7 @@ pub fn emit_message(
     start..buf.len()
 }
 
-/// Splits a stream into messages.
+/// Framing of messages in a stream.
 #[derive(Debug, Clone, Copy)]
 pub struct JsfFraming {
     /// Maximum body size accepted.
@@ -287,5 +287,5 @@ impl Framing for JsfFraming {
     }
 }
 
-/// Messages from a connection, or from a `.jsf` file in pieces.
+/// Splitter of a connection, or of a `.jsf` file in pieces, into messages.
 pub type JsfStream = Splitter<JsfFraming>;

@@ -1,7 +1,7 @@
 //! Sensor messages: 2002, 2020, 2060, 2080, 2091. Source: Rev. 1.20, tables 2-15 to 2-18 and 2-20.
 //!
-//! Fields are those of the wire; reserved bytes are written as 0 and ignored when read. Every field except the time has a bit of
-//! `validity`.
+//! Fields have the units of the format. Reserved bytes are written as 0 and ignored when read. Every field except the time has a
+//! bit in `validity`.
 
 use std::ops::Range;
 
@@ -23,7 +23,7 @@ pub struct SensorTime {
 layout!(SensorTime, 8, "JSF sensor time", Little);
 
 impl SensorTime {
-    /// Truncated to a millisecond; valid until 2038.
+    /// Time from nanoseconds since 1970, truncated to a millisecond; valid until 2038.
     pub fn from_utc_ns(utc_ns: i64) -> Self {
         Self {
             seconds: utc_ns.div_euclid(1_000_000_000).clamp(0, i32::MAX.into()) as i32,
@@ -52,12 +52,12 @@ macro_rules! sensor_message {
     };
 }
 
-/// 2002: one NMEA sentence, without its line end.
+/// Message 2002: one NMEA sentence, without its line end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Nmea2002<'a> {
     /// Time of reception.
     pub time: SensorTime,
-    /// 1 sonar, 2 topside.
+    /// Source of the sentence: 1 sonar, 2 topside unit.
     pub source: u8,
     /// The sentence without line end.
     pub sentence: &'a [u8],
@@ -88,25 +88,25 @@ impl<'a> Nmea2002<'a> {
     }
 }
 
-/// 2020: a reading of a motion sensor.
+/// Message 2020: reading of a motion sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
 pub struct PitchRoll2020 {
     #[brw(pad_after = 4)]
     /// Time of the reading.
     pub time: SensorTime,
-    /// Offset 12: x, y, z, steps of 20 x 1.5 / 32768 g.
+    /// Offset 12: accelerations x, y, z, steps of 20 x 1.5 / 32768 g.
     pub acceleration: [i16; 3],
-    /// Offset 18: x, y, z, steps of 500 x 1.5 / 32768 deg/s.
+    /// Offset 18: angular rates x, y, z, steps of 500 x 1.5 / 32768 deg/s.
     pub rate: [i16; 3],
-    /// Offset 24: positive bow up, 180 degrees = 32768.
+    /// Offset 24: pitch, positive bow up, 180 degrees = 32768.
     pub pitch: i16,
-    /// Offset 26: positive port up, 180 degrees = 32768.
+    /// Offset 26: roll, positive port up, 180 degrees = 32768.
     pub roll: i16,
     /// Offset 28: temperature, 0.1 degrees Celsius.
     pub temperature_dc: i16,
-    /// Offset 30: uninterpreted.
+    /// Offset 30: information of the device, not interpreted.
     pub device_info: u16,
-    /// Offset 32: positive down.
+    /// Offset 32: heave, positive down.
     pub heave_down_mm: i16,
     /// Offset 34: heading, 0.01 degrees.
     pub heading_cdeg: u16,
@@ -119,13 +119,13 @@ pub struct PitchRoll2020 {
 
 sensor_message!(PitchRoll2020, 44, "JSF 2020", message_type::PITCH_ROLL);
 
-/// 2060: a reading of a pressure sensor.
+/// Message 2060: reading of a pressure sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
 pub struct Pressure2060 {
     #[brw(pad_after = 4)]
     /// Time of the reading.
     pub time: SensorTime,
-    /// Offset 12: thousandths of a pound per square inch, absolute.
+    /// Offset 12: absolute pressure, thousandths of a pound per square inch.
     pub pressure_mpsi: i32,
     /// Offset 16: water temperature, 0.001 degrees Celsius.
     pub temperature_mc: i32,
@@ -144,7 +144,7 @@ pub struct Pressure2060 {
 
 sensor_message!(Pressure2060, 76, "JSF 2060", message_type::PRESSURE);
 
-/// 2080: a reading of a Doppler velocity log.
+/// Message 2080: reading of a Doppler velocity log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
 pub struct Dvl2080 {
     #[brw(pad_after = 4)]
@@ -161,13 +161,13 @@ pub struct Dvl2080 {
     pub water_velocity_mm_per_s: [i16; 3],
     /// Offset 44: depth, 0.1 m.
     pub depth_dm: u16,
-    /// Offset 46: positive bow up.
+    /// Offset 46: pitch, 0.01 degrees, positive bow up.
     pub pitch_cdeg: i16,
-    /// Offset 48: positive port up.
+    /// Offset 48: roll, 0.01 degrees, positive port up.
     pub roll_cdeg: i16,
     /// Offset 50: heading, 0.01 degrees.
     pub heading_cdeg: u16,
-    /// Offset 52: parts per thousand.
+    /// Offset 52: salinity, parts per thousand.
     pub salinity_ppt: u16,
     /// Offset 54: water temperature, 0.01 degrees Celsius.
     pub temperature_cc: i16,
@@ -178,7 +178,7 @@ pub struct Dvl2080 {
 
 sensor_message!(Dvl2080, 72, "JSF 2080", message_type::DVL);
 
-/// 2091: combined navigation of all sensors.
+/// Message 2091: combined navigation of all sensors.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Situation2091 {
     #[brw(pad_after = 4)]
@@ -187,32 +187,32 @@ pub struct Situation2091 {
     /// Offset 12: bits 0 source's time, 1 longitude, 2 latitude, 3 depth, 4 altitude, 5 heave, 6 velocity 1 and 2, 7 velocity down, 8 pitch, 9 roll,
     /// 10 heading, 11 sound speed, 12 water temperature.
     pub validity: u32,
-    /// Offset 16: 0 north and east, 1 forward and starboard, 2 rotated by 45 degrees.
+    /// Offset 16: axes of the velocities: 0 north and east, 1 forward and starboard, 2 rotated by 45 degrees.
     #[brw(pad_after = 3)]
     pub velocity_axes: u8,
-    /// Offset 20: time in units of 1e-7 s since 1970.
+    /// Offset 20: time of the source, units of 1e-7 s since 1970.
     pub source_time_100ns: u64,
-    /// Offset 28: positive north.
+    /// Offset 28: latitude, positive north.
     pub latitude_deg: f64,
-    /// Offset 36: positive east.
+    /// Offset 36: longitude, positive east.
     pub longitude_deg: f64,
     /// Offset 44: depth below the surface.
     pub depth_m: f32,
     /// Offset 48: height above the bottom.
     pub altitude_m: f32,
-    /// Offset 52: positive down.
+    /// Offset 52: heave, positive down.
     pub heave_down_m: f32,
     /// Offset 56: first horizontal velocity in the axes of `velocity_type`.
     pub velocity_1_m_per_s: f32,
     /// Offset 60: second horizontal velocity.
     pub velocity_2_m_per_s: f32,
-    /// Offset 64: positive down.
+    /// Offset 64: vertical velocity, positive down.
     pub velocity_down_m_per_s: f32,
-    /// Offset 68: positive bow up.
+    /// Offset 68: pitch, positive bow up.
     pub pitch_deg: f32,
-    /// Offset 72: positive port up.
+    /// Offset 72: roll, positive port up.
     pub roll_deg: f32,
-    /// Offset 76: clockwise from north.
+    /// Offset 76: heading, clockwise from north.
     pub heading_deg: f32,
     /// Offset 80: sound speed.
     pub sound_speed_m_per_s: f32,

@@ -5,9 +5,9 @@
 //! data   samples x 1 or 2 i16, block floating point: value = sample x 2^-weighting
 //! ```
 //!
-//! Numbers of 20 bits (samples, start and end frequency, mark) have their upper four bits in [`SonarDataHeader::msb`]. Unknown fields are 0
-//! with their bit of `validity` cleared. The manual does not state the unit of the sampling interval's eight fraction bits. They are
-//! written as 0, and the interval is a whole number of nanoseconds.
+//! Numbers of 20 bits (samples, start and end frequency, mark) have their upper four bits in [`SonarDataHeader::msb`]. Unknown
+//! fields are 0, with their bit of `validity` cleared. The manual does not state the unit of the eight fraction bits of the
+//! sampling interval. They are written as 0, so the interval is a whole number of nanoseconds.
 
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -33,7 +33,7 @@ pub enum DataFormat {
 }
 
 impl DataFormat {
-    /// Code on the wire.
+    /// Code in the message.
     pub fn code(self) -> i16 {
         match self {
             Self::Envelope => 0,
@@ -43,7 +43,7 @@ impl DataFormat {
         }
     }
 
-    /// Format of a wire code.
+    /// Format of a code in a message.
     pub fn from_code(code: i16) -> Result<Self, WireError> {
         match code {
             0 => Ok(Self::Envelope),
@@ -104,12 +104,12 @@ const ARC_COUNTS_PER_RAD: f64 = 180.0 / PI * 60.0 * 1e4;
 const TILT_COUNTS_PER_RAD: f64 = 32_768.0 / PI;
 const MPS_PER_KNOT: f64 = 1852.0 / 3600.0;
 
-/// The 240 bytes before the samples, as on the wire.
+/// Header of message 80: the 240 bytes before the samples.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct SonarDataHeader {
     /// Offset 0: start of the ping in seconds since 1970.
     pub ping_time_s: i32,
-    /// Offset 4: samples from the ping to the first sample.
+    /// Offset 4: number of samples from the ping to the first sample.
     pub starting_depth_samples: u32,
     /// Offset 8: counter of pings.
     #[brw(pad_after = 4)]
@@ -121,49 +121,49 @@ pub struct SonarDataHeader {
     /// Offset 20: hundredths of knots (0-3), microseconds of the sweep (4-13).
     #[brw(pad_after = 6)]
     pub lsb2: u16,
-    /// Offset 28: always 1.
+    /// Offset 28: identification code; always 1.
     pub id_code: i16,
     /// Offset 30: bits of [`validity`].
     #[brw(pad_after = 2)]
     pub validity: u16,
     /// Offset 34: code of [`DataFormat`].
     pub data_format: i16,
-    /// Offset 36: from antenna to tow point, positive aft.
+    /// Offset 36: distance from antenna to tow point, positive aft.
     pub antenna_aft_cm: i16,
-    /// Offset 38: positive starboard.
+    /// Offset 38: distance from antenna to tow point, positive to starboard.
     #[brw(pad_after = 4)]
     pub antenna_starboard_cm: i16,
     /// Offset 44: distance along a pipe.
     #[brw(pad_after = 32)]
     pub kilometres_of_pipe: f32,
-    /// Offset 80: minutes of arc x 10000, or x.
+    /// Offset 80: longitude in minutes of arc x 10000, or x.
     pub longitude: i32,
-    /// Offset 84: minutes of arc x 10000, or y.
+    /// Offset 84: latitude in minutes of arc x 10000, or y.
     pub latitude: i32,
-    /// Offset 88: 1 mm, 2 latitude and longitude, 3 dm.
+    /// Offset 88: unit of the coordinates: 1 mm, 2 latitude and longitude, 3 dm.
     pub coordinate_units: i16,
-    /// Offset 90: text, padded with NUL.
+    /// Offset 90: annotation text, padded with NUL.
     pub annotation: [u8; 24],
-    /// Offset 114: lower 16 bits.
+    /// Offset 114: number of samples, lower 16 bits.
     pub samples_lsb: u16,
     /// Offset 116: time between samples.
     pub sample_interval_ns: u32,
     /// Offset 120: gain of the converter.
     pub adc_gain_factor: u16,
-    /// Offset 122: 0 to 100.
+    /// Offset 122: transmit level, 0 to 100.
     #[brw(pad_after = 2)]
     pub transmit_level_percent: i16,
-    /// Offset 126: lower 16 bits, steps of 10 Hz.
+    /// Offset 126: start frequency, lower 16 bits, steps of 10 Hz.
     pub start_frequency_dahz: u16,
-    /// Offset 128: lower 16 bits, steps of 10 Hz.
+    /// Offset 128: end frequency, lower 16 bits, steps of 10 Hz.
     pub end_frequency_dahz: u16,
-    /// Offset 130: whole milliseconds; see `lsb2`.
+    /// Offset 130: length of the sweep, whole milliseconds; see `lsb2`.
     pub sweep_length_ms: u16,
-    /// Offset 132: thousandths of a pound per square inch.
+    /// Offset 132: pressure, thousandths of a pound per square inch.
     pub pressure_mpsi: i32,
     /// Offset 136: depth of the sonar.
     pub depth_mm: i32,
-    /// Offset 140: modulo 65536; half the rate for [`DataFormat::Real`].
+    /// Offset 140: sample frequency, modulo 65536; half the rate for [`DataFormat::Real`].
     pub sample_frequency_hz: u16,
     /// Offset 142: number of the pulse file.
     pub pulse_id: u16,
@@ -183,7 +183,7 @@ pub struct SonarDataHeader {
     pub minute: i16,
     /// Offset 164: second of the ping.
     pub second: i16,
-    /// Offset 166: always 3.
+    /// Offset 166: basis of the time; always 3.
     pub time_basis: i16,
     /// Offset 168: N of value = sample x 2^-N.
     pub weighting: i16,
@@ -191,14 +191,14 @@ pub struct SonarDataHeader {
     pub pulses_in_water: i16,
     /// Offset 172: heading, 0.01 degrees.
     pub heading_cdeg: u16,
-    /// Offset 174: positive bow up, 180 degrees = 32768.
+    /// Offset 174: pitch, positive bow up, 180 degrees = 32768.
     pub pitch: i16,
-    /// Offset 176: positive port up, 180 degrees = 32768.
+    /// Offset 176: roll, positive port up, 180 degrees = 32768.
     #[brw(pad_after = 4)]
     pub roll: i16,
-    /// Offset 182: 0 internal, 1 external, 2 coupled.
+    /// Offset 182: trigger source: 0 internal, 1 external, 2 coupled.
     pub trigger_source: i16,
-    /// Offset 184: lower 16 bits; 0 is no mark.
+    /// Offset 184: mark number, lower 16 bits; 0 means no mark.
     pub mark_number: u16,
     /// Offset 186: hour of the position.
     pub fix_hour: i16,
@@ -206,26 +206,26 @@ pub struct SonarDataHeader {
     pub fix_minute: i16,
     /// Offset 190: second of the position.
     pub fix_second: i16,
-    /// Offset 192: whole degrees; hundredths in `lsb`.
+    /// Offset 192: course over ground, whole degrees; hundredths in `lsb`.
     pub course_deg: i16,
-    /// Offset 194: tenths of a knot; hundredths in `lsb2`.
+    /// Offset 194: speed over ground, tenths of a knot; hundredths in `lsb2`.
     pub speed_dkn: i16,
     /// Offset 196: day of the year of the position.
     pub fix_day_of_year: i16,
     /// Offset 198: year of the position.
     pub fix_year: i16,
-    /// Offset 200: milliseconds since midnight.
+    /// Offset 200: time of the ping, milliseconds since midnight.
     pub milliseconds_today: u32,
     /// Offset 204: largest magnitude of the converter's samples.
     #[brw(pad_after = 4)]
     pub adc_largest: u16,
-    /// Offset 210: ASCII.
+    /// Offset 210: version of the software, ASCII.
     pub software_version: [u8; 6],
-    /// Offset 216: -1 is off.
+    /// Offset 216: correction for spherical spreading, 0.01 samples; -1 is off.
     pub spherical_correction_csamples: i32,
-    /// Offset 220: always 1.
+    /// Offset 220: packet number; always 1.
     pub packet_number: u16,
-    /// Offset 222: x 100.
+    /// Offset 222: decimation of the converter, x 100.
     #[brw(pad_after = 2)]
     pub adc_decimation_percent: i16,
     /// Offset 226: water temperature, 0.1 degrees Celsius.
@@ -302,7 +302,7 @@ impl SonarDataHeader {
         )
     }
 
-    /// Resolution 10 Hz, maximum 10.5 MHz.
+    /// Sets start and end of the pulse's band, with a resolution of 10 Hz and a maximum of 10.5 MHz.
     pub fn set_frequencies_hz(&mut self, start_hz: f64, end_hz: f64) {
         let counts = |hz: f64| to_u32((hz / 10.0).min(MAX_20_BITS));
         let (start, end) = (counts(start_hz), counts(end_hz));
@@ -316,7 +316,7 @@ impl SonarDataHeader {
         f64::from(self.sweep_length_ms) * 1e-3 + f64::from(bits_of(self.lsb2, SWEEP_BITS)) * 1e-6
     }
 
-    /// Resolution one microsecond.
+    /// Sets the duration of the sweep, with a resolution of one microsecond.
     pub fn set_sweep_length_s(&mut self, seconds: f64) {
         let us = to_u32((seconds * 1e6).min(65_535_999.0));
         self.sweep_length_ms = (us / 1000) as u16;
@@ -341,7 +341,7 @@ impl SonarDataHeader {
         self.second = moment.second.into();
     }
 
-    /// Latitude and longitude, if they are valid and in these units.
+    /// Latitude and longitude in radians, if the position is valid and geographic.
     pub fn position_rad(&self) -> Option<(f64, f64)> {
         let is_there =
             self.validity & validity::POSITION != 0 && self.coordinate_units == COORDINATES_LAT_LON;
@@ -370,7 +370,7 @@ impl SonarDataHeader {
             .then(|| (f64::from(self.heading_cdeg) / 100.0).to_radians())
     }
 
-    /// Resolution 0.01 degrees.
+    /// Sets the heading, with a resolution of 0.01 degrees.
     pub fn set_heading_rad(&mut self, heading_rad: f64) {
         self.heading_cdeg = to_u16(turn_counts(heading_rad, 100.0));
         self.validity |= validity::HEADING;
@@ -386,19 +386,19 @@ impl SonarDataHeader {
         })
     }
 
-    /// Resolution 0.0055 degrees; bow up and port up are positive.
+    /// Sets pitch (positive bow up) and roll (positive port up), with a resolution of 0.0055 degrees.
     pub fn set_pitch_roll_rad(&mut self, pitch_rad: f64, roll_rad: f64) {
         self.pitch = to_i16(pitch_rad * TILT_COUNTS_PER_RAD);
         self.roll = to_i16(roll_rad * TILT_COUNTS_PER_RAD);
         self.validity |= validity::PITCH_ROLL;
     }
 
-    /// Height above the bottom.
+    /// Height above the seabed.
     pub fn altitude_m(&self) -> Option<f64> {
         (self.validity & validity::ALTITUDE != 0).then(|| f64::from(self.altitude_mm) * 1e-3)
     }
 
-    /// Resolution one millimetre.
+    /// Sets the height above the seabed, with a resolution of one millimetre.
     pub fn set_altitude_m(&mut self, altitude_m: f64) {
         self.altitude_mm = to_i32(altitude_m * 1e3);
         self.validity |= validity::ALTITUDE;
@@ -409,7 +409,7 @@ impl SonarDataHeader {
         (self.validity & validity::DEPTH != 0).then(|| f64::from(self.depth_mm) * 1e-3)
     }
 
-    /// Resolution one millimetre.
+    /// Sets the depth below the surface, with a resolution of one millimetre.
     pub fn set_depth_m(&mut self, depth_m: f64) {
         self.depth_mm = to_i32(depth_m * 1e3);
         self.validity |= validity::DEPTH;
@@ -429,7 +429,7 @@ impl SonarDataHeader {
         })
     }
 
-    /// Whole degrees and hundredths, as the manual defines; some readers take the whole degrees for tenths.
+    /// Sets the course in whole degrees and hundredths, as the manual defines. Some readers interpret the whole degrees as tenths.
     pub fn set_course_rad(&mut self, course_rad: f64) {
         let counts = to_u16(turn_counts(course_rad, 100.0));
         self.course_deg = (counts / 100) as i16;
@@ -445,7 +445,7 @@ impl SonarDataHeader {
         })
     }
 
-    /// Resolution 0.01 knots.
+    /// Sets the speed over ground, with a resolution of 0.01 knots.
     pub fn set_speed_m_per_s(&mut self, speed_m_per_s: f64) {
         let counts = to_u32((speed_m_per_s / MPS_PER_KNOT * 100.0).clamp(0.0, 327_679.0));
         self.speed_dkn = (counts / 10) as i16;
@@ -454,7 +454,7 @@ impl SonarDataHeader {
     }
 }
 
-/// A parsed message 80 that borrows its samples.
+/// Parsed message 80 that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SonarData80<'a> {
     /// Header of the message.
@@ -478,14 +478,14 @@ impl<'a> SonarData80<'a> {
         })
     }
 
-    /// The integers as on the wire; pairs of real and imaginary part in the analytic formats.
+    /// Integers of the message; pairs of real and imaginary part in the analytic formats.
     pub fn shorts(&self) -> impl ExactSizeIterator<Item = i16> + 'a {
         self.data
             .chunks_exact(2)
             .map(|bytes| i16::from_le_bytes([bytes[0], bytes[1]]))
     }
 
-    /// The integers scaled by the block's exponent.
+    /// Integers scaled by the exponent of the block.
     pub fn values(&self) -> impl ExactSizeIterator<Item = f64> + 'a {
         let weighting = self.header.weighting;
         self.shorts()
@@ -493,8 +493,8 @@ impl<'a> SonarData80<'a> {
     }
 }
 
-/// Appends message 80 for a subsystem and a channel and returns its byte range. Format, number of samples and weighting are those of the
-/// header.
+/// Appends message 80 for a subsystem and a channel and returns its byte range. Format, number of samples and weighting are those
+/// of the header.
 ///
 /// # Panics
 /// If the header's format is not supported, or the number of `shorts` differs from the header.

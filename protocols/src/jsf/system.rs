@@ -9,12 +9,12 @@ use super::{MessageHeader, emit_message, message_type};
 use crate::WireError;
 use crate::layout::layout;
 
-/// 182: the recording system. Longer messages contain parts that the manual calls reserved; their first 24 bytes are parsed.
+/// Message 182: recording system. Longer messages contain parts that the manual calls reserved; their first 24 bytes are parsed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
 pub struct SystemInformation182 {
-    /// One of [`super::control::system_type`].
+    /// Sonar type, one of [`super::control::system_type`].
     pub system_type: i32,
-    /// 0 is disabled.
+    /// Low-rate input and output; 0 is disabled.
     pub low_rate_io: i32,
     /// Version of the sonar's software.
     pub software_version: i32,
@@ -36,7 +36,7 @@ impl SystemInformation182 {
     }
 }
 
-/// 426: start or end time of a file.
+/// Message 426: start or end time of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct FileTime426 {
     /// Start or end time.

@@ -6,7 +6,7 @@ use binrw::{BinRead, BinWrite};
 
 use super::{emit_frame, message_id, ping_message};
 
-/// 1: a message was accepted.
+/// Message 1 (acknowledge): a message is accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct AckMessage {
     /// Number of the accepted message.
@@ -15,7 +15,7 @@ pub struct AckMessage {
 
 ping_message!(AckMessage, 2, "Ping 1", message_id::ACK);
 
-/// Appends 2: a message was refused, with the reason.
+/// Appends message 2 (not acknowledge): a message is refused, with the reason.
 pub fn emit_nack(
     buf: &mut Vec<u8>,
     source: u8,
@@ -29,10 +29,10 @@ pub fn emit_nack(
     })
 }
 
-/// 4: identity of a device.
+/// Message 4: identity of a device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct DeviceInformation {
-    /// 0 is unknown.
+    /// Type of the device; 0 means unknown.
     pub device_type: u8,
     /// Hardware revision.
     pub device_revision: u8,
@@ -48,17 +48,17 @@ ping_message!(
     message_id::DEVICE_INFORMATION
 );
 
-/// 5: version of the protocol.
+/// Message 5: version of the protocol.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct ProtocolVersion {
     #[brw(pad_after = 1)]
-    /// Major, minor, patch.
+    /// Version of the protocol: major, minor, patch.
     pub version: [u8; 3],
 }
 
 ping_message!(ProtocolVersion, 4, "Ping 5", message_id::PROTOCOL_VERSION);
 
-/// 6: requests a message.
+/// Message 6: requests a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct GeneralRequest {
     /// Number of the requested message.
@@ -67,10 +67,10 @@ pub struct GeneralRequest {
 
 ping_message!(GeneralRequest, 2, "Ping 6", message_id::GENERAL_REQUEST);
 
-/// 100: sets the identifier of the device.
+/// Message 100: sets the identifier of the device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct SetDeviceId {
-    /// 1 to 254.
+    /// Identifier of the device, 1 to 254.
     pub device_id: u8,
 }
 

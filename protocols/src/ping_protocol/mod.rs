@@ -1,7 +1,8 @@
 //! The Ping protocol of Blue Robotics and Cerulean: overview, frame, and messages.
 //!
-//! Source: `src/definitions/*.json` of bluerobotics/ping-protocol (MIT, public), from which the makers generate their clients. Messages 169
-//! and 170 follow the client brping 0.2.5. Little endian; TCP, UDP (port [`PORT`] in the makers' examples) or a serial line.
+//! Source: `src/definitions/*.json` of bluerobotics/ping-protocol (MIT, public), from which the manufacturers generate their
+//! clients. Messages 169 and 170 follow the client brping 0.2.5. Numbers are little endian. Transports are TCP, UDP (port [`PORT`]
+//! in the manufacturers' examples) and serial links.
 //!
 //! ```text
 //! 'B' 'R' | u16 payload length | u16 message | u8 source | u8 destination | payload | u16 sum of all bytes before
@@ -66,7 +67,7 @@ pub mod message_id {
     pub const SET_DEVICE_ID: u16 = 100;
     /// Sets the speed of sound.
     pub const SET_SPEED_OF_SOUND: u16 = 116;
-    /// The number of SET_SPEED_OF_SOUND in the definitions that some clients use (crate `bluerobotics-ping` 0.3.6).
+    /// Earlier number of SET_SPEED_OF_SOUND, in the definitions of some clients (crate `bluerobotics-ping` 0.3.6).
     pub const SET_SPEED_OF_SOUND_EARLIER: u16 = 1002;
     /// Water temperature and pressure.
     pub const WATER_STATS: u16 = 118;
@@ -137,7 +138,7 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// Appends a frame whose payload `write_payload` appends, and returns its byte range.
+/// Appends a frame with the payload that `write_payload` appends, and returns its byte range.
 ///
 /// # Panics
 /// If the payload is longer than 65535 bytes.
@@ -162,7 +163,7 @@ pub fn emit_frame(
     start..buf.len()
 }
 
-/// Splits a connection into frames; a frame with a wrong checksum is skipped.
+/// Framing of frames in a connection. A frame with a wrong checksum is skipped.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct PingFraming;
 
@@ -187,58 +188,58 @@ impl Framing for PingFraming {
     }
 }
 
-/// Frames from a connection.
+/// Splitter of a connection into frames.
 pub type PingStream = Splitter<PingFraming>;
 
-/// A parsed message of either direction.
+/// Parsed message of either direction.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Message<'a> {
-    /// 1: a message was accepted.
+    /// Message 1 (acknowledge): a message is accepted.
     Ack(AckMessage),
-    /// 2: a message was refused.
+    /// Message 2 (not acknowledge): a message is refused.
     Nack {
         /// Number of the refused message.
         refused_id: u16,
         /// Reason.
         text: String,
     },
-    /// 3: text for display.
+    /// Message 3: text for display.
     AsciiText(String),
-    /// 4: identity of a device.
+    /// Message 4: identity of a device.
     DeviceInformation(DeviceInformation),
-    /// 5: version of the protocol.
+    /// Message 5: version of the protocol.
     ProtocolVersion(ProtocolVersion),
-    /// 6: requests a message.
+    /// Message 6: requests a message.
     GeneralRequest(GeneralRequest),
-    /// 100: sets the identifier of the device.
+    /// Message 100: sets the identifier of the device.
     SetDeviceId(SetDeviceId),
-    /// 10: JSON text.
+    /// Message 10: JSON text.
     Json(&'a [u8]),
-    /// 116: sets the speed of sound.
+    /// Message 116: sets the speed of sound.
     SetSpeedOfSound(SetSpeedOfSound),
-    /// 169: synchronisation channel.
+    /// Message 169: synchronisation channel.
     SyncChannel(SyncChannel),
-    /// 170: sets the synchronisation channel.
+    /// Message 170: sets the synchronisation channel.
     SetSyncChannel(SyncChannel),
-    /// 2197: ping settings.
+    /// Message 2197: ping settings.
     OsPingParams(OsPingParams),
-    /// 2198: one line.
+    /// Message 2198: one line.
     OsMonoProfile(OsMonoProfile<'a>),
-    /// 14: the device requests the time.
+    /// Message 14 (UTC request): the device requests the time.
     UtcRequest,
-    /// 15: time from the client.
+    /// Message 15: time from the client.
     UtcResponse(UtcResponse),
-    /// 17: network settings.
+    /// Message 17: network settings.
     SetNetInfo(SetNetInfo),
-    /// 3023: ping settings.
+    /// Message 3023: ping settings.
     SetPingParameters(SetPingParameters),
-    /// 504: direction of the vertical.
+    /// Message 504: direction of the vertical.
     AttitudeReport(AttitudeReport),
-    /// 118: water temperature and pressure.
+    /// Message 118: water temperature and pressure.
     WaterStats(WaterStats),
-    /// 3012: angles and times of flight.
+    /// Message 3012: angles and times of flight.
     AtofPointData(AtofPointData<'a>),
-    /// 3011: points in the vertical plane.
+    /// Message 3011: points in the vertical plane.
     YzPointData(YzPointData<'a>),
     /// Any other message.
     Other {

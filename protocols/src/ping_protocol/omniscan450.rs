@@ -1,4 +1,5 @@
-//! Omniscan 450: side-scan, one line per ping. Source: `omniscan450.json` of bluerobotics/ping-protocol; 169 and 170 from brping 0.2.5.
+//! Messages of the Omniscan 450 side-scan sonar, with one line per ping. Source: `omniscan450.json` of bluerobotics/ping-protocol;
+//! 169 and 170 from brping 0.2.5.
 //!
 //! A port and starboard pair consists of two devices, synchronised by message 170.
 
@@ -11,7 +12,7 @@ use crate::WireError;
 use crate::layout::{data_at, layout};
 use crate::sevenk::frame::extend_encoded;
 
-/// 116: sets the speed of sound.
+/// Message 116: sets the speed of sound.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct SetSpeedOfSound {
     /// Speed of sound.
@@ -25,7 +26,7 @@ ping_message!(
     message_id::SET_SPEED_OF_SOUND
 );
 
-/// 169 and 170: position of this device among the synchronised devices.
+/// Messages 169 and 170: position of this device among the synchronised devices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct SyncChannel {
     /// Index of the device.
@@ -36,23 +37,23 @@ pub struct SyncChannel {
 
 ping_message!(SyncChannel, 2, "Ping 169", message_id::SYNC_CHANNEL);
 
-/// 2197: ping settings.
+/// Message 2197: ping settings.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct OsPingParams {
     /// Range of the first result.
     pub start_mm: u32,
     /// Range from the first to the last result.
     pub length_mm: u32,
-    /// Time between pings; 0 is as fast as possible.
+    /// Time between pings; 0 means as fast as possible.
     #[brw(pad_after = 8)]
     pub msec_per_ping: u32,
     /// Pulse length as a fraction of the ping's reception time; 0.002 is usual.
     pub pulse_len_percent: f32,
     /// Filter length as a fraction; 0.0015 is usual.
     pub filter_duration_percent: f32,
-    /// -1 is automatic, otherwise 0 to 7.
+    /// Gain index, 0 to 7; -1 is automatic.
     pub gain_index: i16,
-    /// 200 to 1200.
+    /// Number of results, 200 to 1200.
     pub num_results: u16,
     /// 1 starts pinging, 0 stops it.
     #[brw(pad_after = 3)]
@@ -61,7 +62,7 @@ pub struct OsPingParams {
 
 ping_message!(OsPingParams, 36, "Ping 2197", message_id::OS_PING_PARAMS);
 
-/// Head of 2198 before its results; their number is set when the message is emitted.
+/// Head of message 2198 (mono profile) before its results. Their number is set when the message is emitted.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct OsMonoProfileHead {
     /// Counter from power-up.
@@ -74,7 +75,7 @@ pub struct OsMonoProfileHead {
     pub timestamp_ms: u32,
     /// Centre frequency.
     pub ping_hz: u32,
-    /// 0 to 7.
+    /// Gain index, 0 to 7.
     pub gain_index: u16,
     /// Number of results.
     pub num_results: u16,
@@ -87,9 +88,9 @@ pub struct OsMonoProfileHead {
     pub pulse_duration_s: f32,
     /// Receiver gain as a factor.
     pub analog_gain: f32,
-    /// Level of 65535.
+    /// Level of the result 65535.
     pub max_pwr_db: f32,
-    /// Level of 0.
+    /// Level of the result 0.
     pub min_pwr_db: f32,
     /// Heading of the beam.
     pub transducer_heading_deg: f32,
@@ -99,7 +100,7 @@ pub struct OsMonoProfileHead {
 
 layout!(OsMonoProfileHead, 52, "Ping 2198", Little);
 
-/// A parsed 2198: one line.
+/// Parsed message 2198 (mono profile): one line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OsMonoProfile<'a> {
     /// Head of the message.
@@ -138,13 +139,13 @@ impl<'a> OsMonoProfile<'a> {
     }
 }
 
-/// Maps dB to 0 to 65535 between the ends of the scale. Values beyond the ends are clipped; NaN becomes 0.
+/// Maps dB to 0..65535 between the ends of the scale. Values beyond the ends are clipped, and NaN becomes 0.
 pub fn quantise_db(db: f32, min_pwr_db: f32, max_pwr_db: f32) -> u16 {
     let span = f64::from(max_pwr_db) - f64::from(min_pwr_db);
     ((f64::from(db) - f64::from(min_pwr_db)) / span * 65_535.0).round() as u16
 }
 
-/// Appends 2198 and returns its byte range.
+/// Appends message 2198 (mono profile) and returns its byte range.
 ///
 /// # Panics
 /// If there are more than 1200 results, the maximum of the device.

@@ -1,4 +1,5 @@
-//! Surveyor 240: multibeam, detected points. Source: `surveyor240.json` of bluerobotics/ping-protocol.
+//! Messages of the Surveyor 240 multibeam echo sounder, with detected points. Source: `surveyor240.json` of
+//! bluerobotics/ping-protocol.
 //!
 //! Device axes: x forward, y port, z up.
 
@@ -10,15 +11,15 @@ use super::{emit_frame, message_id, ping_message};
 use crate::WireError;
 use crate::layout::{data_at, layout};
 
-/// Appends 14: requests the time from the client.
+/// Appends message 14 (UTC request): requests the time from the client.
 pub fn emit_utc_request(buf: &mut Vec<u8>, source: u8, destination: u8) -> Range<usize> {
     emit_frame(buf, message_id::UTC_REQUEST, source, destination, |_| {})
 }
 
-/// 15: time from the client.
+/// Message 15: time from the client.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct UtcResponse {
-    /// Milliseconds since 1970.
+    /// Time, milliseconds since 1970.
     pub utc_msec: u64,
     /// Accuracy of the time.
     pub accuracy_msec: u32,
@@ -26,7 +27,7 @@ pub struct UtcResponse {
 
 ping_message!(UtcResponse, 12, "Ping 15", message_id::UTC_RESPONSE);
 
-/// 17: network settings.
+/// Message 17: network settings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct SetNetInfo {
     /// Address of the time server.
@@ -39,35 +40,35 @@ pub struct SetNetInfo {
 
 ping_message!(SetNetInfo, 12, "Ping 17", message_id::SET_NET_INFO);
 
-/// 3023: ping settings.
+/// Message 3023: ping settings.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct SetPingParameters {
     /// Start of the range.
     pub start_mm: i32,
-    /// End of the range; 0 is automatic (bottom tracking).
+    /// End of the range; 0 means automatic (bottom tracking).
     pub end_mm: i32,
     /// Speed of sound, m/s.
     pub sos_mps: f32,
-    /// -1 is automatic, otherwise 0 to 100.
+    /// Gain index, 0 to 100; -1 is automatic.
     pub gain_index: i16,
     #[brw(pad_after = 2)]
-    /// Time between pings; 0 is as fast as possible.
+    /// Time between pings; 0 means as fast as possible.
     pub msec_per_ping: i16,
-    /// Must be 0.
+    /// Diagnostic signal; must be 0.
     pub diagnostic_injected_signal: u8,
     /// 1 starts pinging, 0 stops it.
     pub ping_enable: u8,
     /// 1 enables channel data.
     pub enable_channel_data: u8,
-    /// Must be 0.
+    /// Reserved for raw data; must be 0.
     pub reserved_for_raw_data: u8,
-    /// 1 enables 3011.
+    /// 1 enables message 3011.
     pub enable_yz_point_data: u8,
-    /// 1 enables 3012.
+    /// 1 enables message 3012.
     pub enable_atof_data: u8,
-    /// Centre frequency; 240000.
+    /// Centre frequency; always 240000.
     pub target_ping_hz: i32,
-    /// 200 to 800.
+    /// Number of range steps, 200 to 800.
     #[brw(pad_after = 2)]
     pub n_range_steps: u16,
     /// Pulse length in range steps.
@@ -81,13 +82,13 @@ ping_message!(
     message_id::SET_PING_PARAMETERS
 );
 
-/// 504: direction of the vertical in the device's axes.
+/// Message 504: direction of the vertical in the device's axes.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct AttitudeReport {
     #[brw(pad_after = 12)]
     /// Unit vector upwards.
     pub up: [f32; 3],
-    /// Milliseconds since 1970.
+    /// Time, milliseconds since 1970.
     pub utc_msec: u64,
     /// Time since power-up.
     pub pwr_up_msec: u32,
@@ -96,19 +97,20 @@ pub struct AttitudeReport {
 ping_message!(AttitudeReport, 36, "Ping 504", message_id::ATTITUDE_REPORT);
 
 impl AttitudeReport {
-    /// Upward unit vector for a device with this roll (positive port up) and pitch (positive bow up); axes x forward, y port, z up.
+    /// Upward unit vector of a device with this roll (positive port up) and pitch (positive bow up). Axes are x forward, y port, z
+    /// up.
     pub fn up_from(roll_port_up_rad: f64, pitch_bow_up_rad: f64) -> [f32; 3] {
         let (sin_roll, cos_roll) = roll_port_up_rad.sin_cos();
         let (sin_pitch, cos_pitch) = pitch_bow_up_rad.sin_cos();
-        // The bow is above the horizon by the pitch; the remainder lies between port and the device's z axis.
+        // The bow is above the horizon by the pitch. The rest of the vector is between port and the z axis of the device.
         [sin_pitch, cos_pitch * sin_roll, cos_pitch * cos_roll].map(|value| value as f32)
     }
 }
 
-/// 118: water temperature and pressure.
+/// Message 118: water temperature and pressure.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct WaterStats {
-    /// Degrees Celsius.
+    /// Water temperature, degrees Celsius.
     pub temperature_c: f32,
     /// Absolute pressure.
     pub pressure_bar: f32,
@@ -119,7 +121,7 @@ ping_message!(WaterStats, 8, "Ping 118", message_id::WATER_STATS);
 /// One point: an angle and a two-way time.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct AtofPoint {
-    /// Positive to port.
+    /// Angle of the point, positive to port.
     pub angle_rad: f32,
     #[brw(pad_after = 8)]
     /// Two-way travel time.
@@ -128,12 +130,12 @@ pub struct AtofPoint {
 
 layout!(AtofPoint, 16, "Ping 3012 point", Little);
 
-/// Head of 3012 before its points; their number is set when the message is emitted.
+/// Head of message 3012 (angle and time-of-flight data) before its points. Their number is set when the message is emitted.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct AtofHead {
     /// Time since power-up.
     pub pwr_up_msec: u32,
-    /// Time of the ping, milliseconds since 1970; 0 is unknown.
+    /// Time of the ping, milliseconds since 1970; 0 means unknown.
     pub utc_msec: u64,
     /// Reception time of the ping.
     pub listening_s: f32,
@@ -145,7 +147,7 @@ pub struct AtofHead {
     pub ping_hz: u32,
     /// Pulse length.
     pub pulse_s: f32,
-    /// Reserved.
+    /// Reserved flags.
     pub flags: u32,
     #[brw(pad_after = 2)]
     /// Number of points.
@@ -154,7 +156,7 @@ pub struct AtofHead {
 
 layout!(AtofHead, 40, "Ping 3012", Little);
 
-/// A parsed 3012.
+/// Parsed message 3012 (angle and time-of-flight data).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AtofPointData<'a> {
     /// Head of the message.
@@ -179,7 +181,7 @@ impl<'a> AtofPointData<'a> {
     }
 }
 
-/// Appends 3012 and returns its byte range.
+/// Appends message 3012 (angle and time-of-flight data) and returns its byte range.
 ///
 /// # Panics
 /// If the points do not fit a frame (more than 4093).
@@ -206,7 +208,7 @@ pub fn emit_3012(
     )
 }
 
-/// Head of 3011 before its points; their number is set when the message is emitted.
+/// Head of message 3011 (YZ point data) before its points. Their number is set when the message is emitted.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct YzHead {
     /// Time since power-up.
@@ -222,7 +224,7 @@ pub struct YzHead {
     pub water_c: f32,
     /// Water pressure; -1000 without a sensor.
     pub water_bar: f32,
-    /// Positive up.
+    /// Heave, positive up.
     pub heave_m: f32,
     /// Start of the range.
     pub start_m: f32,
@@ -235,7 +237,7 @@ pub struct YzHead {
 
 layout!(YzHead, 100, "Ping 3011", Little);
 
-/// A parsed 3011.
+/// Parsed message 3011 (YZ point data).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct YzPointData<'a> {
     /// Head of the message.
@@ -263,7 +265,7 @@ impl<'a> YzPointData<'a> {
     }
 }
 
-/// Appends 3011 with points (port and up, metres) and returns its byte range.
+/// Appends message 3011 (YZ point data) with points (port and up, metres) and returns its byte range.
 ///
 /// # Panics
 /// If the points do not fit a frame (more than 8179).

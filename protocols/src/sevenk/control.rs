@@ -1,4 +1,4 @@
-//! Remote control: 7500 commands, and the answers 7501 (accepted) and 7502 (refused). Source: DFD 3.12.
+//! Remote control: commands (7500), and the answers 7501 (accepted) and 7502 (refused). Source: DFD 3.12.
 //!
 //! ```text
 //! 7500 RTH   0 u32 remote_control_id   4 u32 ticket   8 u64 x 2 tracking_number        24 bytes, then the arguments
@@ -6,8 +6,8 @@
 //! 7502 RTH   0 u32 ticket   4 u64 x 2 tracking_number   20 u32 error_code              24 bytes
 //! ```
 //!
-//! A command without arguments is sent with one empty byte after it, and accepted with any number of bytes. Arguments beyond the known ones
-//! are ignored. An answer repeats ticket and tracking number. Accepted commands are echoed to the clients subscribed to 7500.
+//! A command without arguments is sent with one empty byte and accepted with any number of bytes. Arguments beyond the known ones
+//! are ignored. An answer repeats ticket and tracking number. Accepted commands are echoed to the clients that subscribe to 7500.
 
 use std::fmt;
 use std::ops::Range;
@@ -31,7 +31,7 @@ pub struct ControlHeader {
 
 rth!(ControlHeader, 24, "7500 remote control");
 
-/// 7501: the command was accepted.
+/// Record 7501 (acknowledge): a command is accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
 pub struct Ack7501 {
     /// Ticket of the command.
@@ -40,7 +40,7 @@ pub struct Ack7501 {
     pub tracking_number: [u64; 2],
 }
 
-/// 7502: the command was refused.
+/// Record 7502 (not acknowledge): a command is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct Nack7502 {
     /// Ticket of the command.
@@ -49,7 +49,7 @@ pub struct Nack7502 {
     pub tracking_number: [u64; 2],
     #[br(map = |code: u32| ErrorCode::from_code(code))]
     #[bw(map = |error: &ErrorCode| error.code())]
-    /// Reason.
+    /// Reason for the refusal.
     pub error: ErrorCode,
 }
 
@@ -80,7 +80,7 @@ impl ControlHeader {
     }
 }
 
-/// Declares each error code once for both directions and for display.
+/// Declares each error code once, for both directions and for display.
 macro_rules! error_codes {
     ($($name:ident = $code:literal, $words:literal;)*) => {
         /// Reason for refusing a command.
@@ -88,7 +88,7 @@ macro_rules! error_codes {
         #[allow(missing_docs, reason = "the names are those of the DFD")]
 pub enum ErrorCode {
             $(#[doc = $words] $name,)*
-            /// A code that the DFD does not list.
+            /// A code that is not in the DFD.
             Unlisted(u32),
         }
 
@@ -96,7 +96,7 @@ pub enum ErrorCode {
             /// All listed codes.
             pub const LISTED: &'static [Self] = &[$(Self::$name),*];
 
-            /// Code on the wire.
+            /// Code in the record.
             pub const fn code(self) -> u32 {
                 match self {
                     $(Self::$name => $code,)*
@@ -144,7 +144,7 @@ error_codes! {
     DataChecksum = 0x7054, "data checksum";
 }
 
-/// Declares the values of an argument once for both directions and for display.
+/// Declares the values of an argument once, for both directions and for display.
 macro_rules! listed {
     ($(#[$doc:meta])* $name:ident($wire:ident, $argument:literal) { $($(#[$value_doc:meta])* $value:ident = $number:literal, $words:literal;)* }) => {
         $(#[$doc])*
@@ -218,7 +218,7 @@ listed! {
 /// Destination of a third-party connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ThirdParty {
-    /// Address as on the wire. The DFD does not define the byte order; not verified with a client.
+    /// Address as in the record. The DFD does not define the byte order, and no client has confirmed it.
     pub ipv4: u32,
     /// Port of the third party.
     pub port: u16,
@@ -226,8 +226,8 @@ pub struct ThirdParty {
     pub transport: Transport,
 }
 
-/// Declares each command once: its number, arguments in their order on the wire with the names that errors give them, reserved bytes
-/// after them, and words.
+/// Declares each command once. A declaration has the number, the arguments in their order in the record with their names in errors,
+/// reserved bytes after them, and a text.
 macro_rules! commands {
     ($(
         $(#[$doc:meta])*
@@ -237,11 +237,12 @@ macro_rules! commands {
         $(reserved $reserved_bytes:literal)?
         => $words:literal $(, $word:expr)?;
     )*) => {
-        /// A command with its arguments. Numbers are finite; the server decides whether the sonar supports the values.
+        /// Command with its arguments. Numbers are finite; the server determines whether the sonar supports the values.
         #[derive(Debug, Clone, PartialEq)]
         pub enum Command {
             $($(#[$doc])* $command $({ $($(#[$field_doc])* $field: $kind,)* })? $(($value_kind))?,)*
-            /// Any other remote control identifier, to be answered by [`ErrorCode::RemoteCommandNotFound`]. Its arguments are not stored.
+            /// Any other remote control identifier. The answer is [`ErrorCode::RemoteCommandNotFound`]. Its arguments are not
+            /// stored.
             Unknown(u32),
         }
 
@@ -265,7 +266,7 @@ macro_rules! commands {
                 }
             }
 
-            /// Appends the arguments, with reserved ones as 0, or one empty byte if there are none.
+            /// Appends the arguments, with reserved arguments as 0. A command without arguments has one empty byte.
             pub fn emit_arguments(&self, buf: &mut Vec<u8>) {
                 match self {
                     $(Self::$command $({ $($field),* })? $(($value))? => {
@@ -302,7 +303,7 @@ commands! {
     } => "at most {pings_per_s} pings/s";
     /// Sets the source level.
     1005 Power {
-        /// dB re 1 uPa at 1 m.
+        /// Source level, dB re 1 uPa at 1 m.
         power_db: f32 as "power",
     } => "power {power_db} dB re 1 uPa at 1 m";
     /// Sets the pulse length.
@@ -319,7 +320,7 @@ commands! {
     } => "gain {gain_db} dB";
     /// Sets the flags of the bottom detection.
     1009 BottomDetectionMask {
-        /// Bit 8 range filter, bit 9 depth filter, bits 10 to 13 adaptive gate.
+        /// Flags: bit 8 range filter, bit 9 depth filter, bits 10 to 13 adaptive gate.
         flags: u32,
     } => "bottom detection mask {flags:#x}";
     /// Sets the limits of the bottom detection.
@@ -374,9 +375,9 @@ commands! {
     } => "chirp {start_hz} to {stop_hz} Hz";
     /// Sets the motion stabilisation.
     1033 MotionCompensation {
-        /// 0 is off.
+        /// Roll stabilisation; 0 is off.
         roll: u8,
-        /// 0 is off.
+        /// Pitch stabilisation; 0 is off.
         pitch: u8,
     } reserved 10 => "motion compensation roll {roll}, pitch {pitch}";
     /// Sets the window of the matched filter.
@@ -453,7 +454,7 @@ commands! {
     } => "PPS edge {edge}";
     /// Sets the limits on snippets.
     1118 SnippetControl {
-        /// Bit 0 automatic, bit 1 minimum window, bit 2 maximum window.
+        /// Flags: bit 0 automatic, bit 1 minimum window, bit 2 maximum window.
         flags: u32,
         /// Minimum length of a snippet.
         min_window_samples: u32,
@@ -472,7 +473,7 @@ commands! {
     } => "compressed water column flags {flags:#x}";
     /// Sets the sound velocity.
     7610 SoundVelocity {
-        /// Bit 0 override, bit 1 settings only, bit 2 filter.
+        /// Flags: bit 0 override, bit 1 settings only, bit 2 filter.
         flags: u16,
         /// Sound velocity.
         sound_velocity_m_per_s: f32 as "sound velocity",
@@ -481,7 +482,7 @@ commands! {
     } reserved 3 => "sound velocity {sound_velocity_m_per_s} m/s, flags {flags:#x}, filter {filter}";
 }
 
-/// A malformed command, with the header if it is complete, so that the command can be answered.
+/// Error of a malformed command. It has the header if the header is complete, so that the command can be answered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("{kind}")]
 pub struct CommandError {
@@ -491,7 +492,7 @@ pub struct CommandError {
     pub kind: CommandErrorKind,
 }
 
-/// Why a command is malformed.
+/// Reason why a command is malformed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum CommandErrorKind {
     #[error("a command needs a header of 24 bytes, only {got_bytes} are available")]
@@ -543,7 +544,7 @@ impl CommandError {
         }
     }
 
-    /// The refusal to send; ticket and tracking number are 0 without a complete header.
+    /// Refusal of the command. Ticket and tracking number are 0 without a complete header.
     pub fn nack(&self) -> Nack7502 {
         self.header.unwrap_or_default().nack(self.nack_code())
     }
@@ -551,7 +552,7 @@ impl CommandError {
 
 // ------------------------------------------------------------------------------------------------------------------------------- parse
 
-/// Reads the arguments of one command in order.
+/// Reader of the arguments of one command, in order.
 struct Arguments<'a> {
     remote_control_id: u32,
     bytes: &'a [u8],
@@ -597,7 +598,7 @@ impl<'a> Arguments<'a> {
     }
 }
 
-/// An argument in both directions. `argument` names it in errors.
+/// Argument in both directions. `argument` is its name in errors.
 trait Argument: Sized {
     fn parse(a: &mut Arguments<'_>, argument: &'static str) -> Result<Self, CommandErrorKind>;
     fn emit(&self, buf: &mut Vec<u8>);
@@ -623,7 +624,7 @@ macro_rules! number_argument {
 
 number_argument!(u8, u16, u32, f32 finite is_finite, f64 finite is_finite);
 
-/// A last argument that older clients omit.
+/// Last argument, which older clients omit.
 impl Argument for Option<f32> {
     fn parse(a: &mut Arguments<'_>, argument: &'static str) -> Result<Self, CommandErrorKind> {
         if a.rest().len() < 4 {
@@ -637,7 +638,7 @@ impl Argument for Option<f32> {
     }
 }
 
-/// A count and this number of record types. The count is used only after the length check.
+/// List of record types after its length. The length is used only after the number of bytes is checked.
 impl Argument for Vec<u32> {
     fn parse(a: &mut Arguments<'_>, argument: &'static str) -> Result<Self, CommandErrorKind> {
         let count = u32::parse(a, argument)?;
@@ -679,7 +680,7 @@ impl fmt::Display for ThirdParty {
     }
 }
 
-/// 7500: a command and the values that its answer repeats.
+/// Record 7500 (remote control): a command, and the values that its answer repeats.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControlRequest {
     /// Number chosen by the client.
@@ -691,7 +692,7 @@ pub struct ControlRequest {
 }
 
 impl ControlRequest {
-    /// Size of the RTH.
+    /// Size of the record type header, bytes.
     pub const RTH_BYTES: usize = ControlHeader::SIZE_BYTES;
 
     /// Parses the body of a 7500 record.

@@ -1,4 +1,5 @@
-//! Describes any record in one line of text. It never fails: errors in a record are part of the text.
+//! Description of any record in one line of text. It never fails: errors in a record are part of the
+//! text.
 
 use std::fmt;
 

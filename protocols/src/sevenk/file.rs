@@ -11,8 +11,8 @@
 //! 7300 RD    per record 48 bytes, see CatalogueRow
 //! ```
 //!
-//! A file is written from front to back. When it is closed, the header is overwritten with the pointer to the catalogue. An interrupted
-//! file has no catalogue and a header without a pointer, and can still be read.
+//! A file is written from front to back. At the end, the header is overwritten with the pointer to the catalogue. An interrupted
+//! file has no catalogue and no pointer, but can be read.
 
 use std::fmt;
 use std::iter::FusedIterator;
@@ -43,20 +43,20 @@ struct Rth7200 {
 
 rth!(Rth7200, 316, "7200 file header");
 
-/// 7200: description of a file. Texts end in a NUL on the wire and are truncated to fit.
+/// Record 7200 (file header): description of a file. Texts end in a NUL on the wire and are truncated to fit.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct FileHeader7200 {
     /// Identifier of the file.
     pub file_id: [u64; 2],
     /// Identifier of the session.
     pub session_id: [u64; 2],
-    /// At most 63 bytes.
+    /// Name of the recording, at most 63 bytes.
     pub recording_name: String,
-    /// At most 15 bytes.
+    /// Version of the program, at most 15 bytes.
     pub program_version: String,
-    /// At most 63 bytes.
+    /// Name that the user chooses, at most 63 bytes.
     pub user_defined_name: String,
-    /// At most 127 bytes.
+    /// Notes, at most 127 bytes.
     pub notes: String,
     /// Devices whose records the file contains.
     pub devices: Vec<FileDevice>,
@@ -85,7 +85,7 @@ pub struct CataloguePointer {
 rth!(CataloguePointer, 12, "7200 catalogue pointer");
 
 impl CataloguePointer {
-    /// The pointer in a 7200 record; none if it has none or the file was not closed.
+    /// Catalogue pointer of a 7200 record; `None` if it has none or the file was not closed.
     pub fn of_record(record: &Record<'_>) -> Option<Self> {
         let (id, data) = record.optional_data()?;
         let pointer: Self = read_fixed(data).ok()?;
@@ -97,7 +97,7 @@ impl CataloguePointer {
 }
 
 impl FileHeader7200 {
-    /// Size of the RTH.
+    /// Size of the record type header, bytes.
     pub const RTH_BYTES: usize = Rth7200::RTH_BYTES;
 
     /// Parses the record body.
@@ -175,14 +175,14 @@ pub struct CatalogueRow {
     pub system_enumerator: u16,
     /// Timestamp of the record.
     pub time: SevenKTime,
-    /// 0.
+    /// Number of records; always 0.
     #[brw(pad_after = 16)]
     pub record_count: u32,
 }
 
 rth!(CatalogueRow, 48, "7300 row");
 
-/// A parsed 7300 that borrows its rows.
+/// Parsed record 7300 (file catalogue) that borrows its rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Catalogue7300<'a> {
     /// Number of records in the file, without the catalogue.
@@ -191,13 +191,13 @@ pub struct Catalogue7300<'a> {
 }
 
 impl<'a> Catalogue7300<'a> {
-    /// Size of the RTH.
+    /// Size of the record type header, bytes.
     pub const RTH_BYTES: usize = Rth7300::RTH_BYTES;
 
     /// Parses the record body.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7300 = read_fixed(body)?;
-        // The RTH states its size, so that a longer one of a later version can be skipped.
+        // The header states its size, so that a longer header of a later version can be skipped.
         if (rth.size_bytes as usize) < Rth7300::RTH_BYTES {
             return Err(WireError::unsupported("7300 header size", rth.size_bytes));
         }
@@ -216,7 +216,7 @@ impl<'a> Catalogue7300<'a> {
     }
 }
 
-/// Appends a 7300 record.
+/// Appends a record 7300 (file catalogue).
 pub fn emit_7300(buf: &mut Vec<u8>, stamp: &RecordStamp, rows: &[CatalogueRow]) -> Range<usize> {
     let open = OpenRecord::begin(buf, record_id::FILE_CATALOGUE, stamp);
     buf.reserve(Rth7300::SIZE_BYTES + rows.len() * CatalogueRow::SIZE_BYTES + 4);
@@ -234,11 +234,11 @@ pub fn emit_7300(buf: &mut Vec<u8>, stamp: &RecordStamp, rows: &[CatalogueRow]) 
 
 // ------------------------------------------------------------------------------------------------------------------------------- write
 
-/// Maximum number of rows in a catalogue, whose size is a u32.
+/// Maximum number of rows in a catalogue. Its size is a u32.
 pub const MAX_CATALOGUE_ROWS: usize =
     (u32::MAX as usize - MIN_RECORD_BYTES - Rth7300::RTH_BYTES) / CatalogueRow::RTH_BYTES;
 
-/// Why a record cannot be added to a file.
+/// Error of adding a record to a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum FileError {
     #[error("not a record: {0}")]
@@ -258,10 +258,10 @@ pub enum FileError {
     CatalogueFull,
 }
 
-/// Builds the catalogue of a file that the caller writes.
+/// Builder of the catalogue of a file that the caller writes.
 ///
-/// The caller writes the bytes from [`FileBuilder::begin`]. For every record it calls [`FileBuilder::append`] and writes the record. At the
-/// end it writes [`FileEnd::catalogue`] after the last record and [`FileEnd::header`] over the start of the file.
+/// The caller writes the bytes of [`FileBuilder::begin`]. For every record it calls [`FileBuilder::append`] and writes the record.
+/// At the end it writes [`FileEnd::catalogue`] after the last record and [`FileEnd::header`] over the start of the file.
 #[derive(Debug)]
 pub struct FileBuilder {
     header: FileHeader7200,
@@ -271,12 +271,12 @@ pub struct FileBuilder {
     has_configuration: bool,
 }
 
-/// Bytes that close a file.
+/// Bytes that complete a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FileEnd {
-    /// Written after the last record.
+    /// Catalogue record, to be written after the last record.
     pub catalogue: Vec<u8>,
-    /// Written over the start of the file; as long as the original header.
+    /// Header record, to be written over the start of the file. It is as long as the original header.
     pub header: Vec<u8>,
 }
 
@@ -302,7 +302,7 @@ impl FileBuilder {
         }
     }
 
-    /// Registers a whole record that the caller then writes, and returns its offset. After an error the caller omits the record.
+    /// Registers a complete record and returns its offset. The caller then writes the record, or omits it after an error.
     pub fn append(&mut self, record: &[u8]) -> Result<u64, FileError> {
         let frame = DataRecordFrame::parse(record)?;
         frame.check()?;
@@ -350,7 +350,7 @@ impl FileBuilder {
         self.rows.len()
     }
 
-    /// Catalogue, and header with the pointer to it.
+    /// Completes the file: catalogue, and header with the pointer to the catalogue.
     pub fn close(self) -> FileEnd {
         let (mut catalogue, mut header) = (Vec::new(), Vec::new());
         emit_7300(&mut catalogue, &self.stamp, &self.rows);
@@ -363,7 +363,7 @@ impl FileBuilder {
     }
 }
 
-/// Catalogue rows are narrower than frames; larger numbers are clamped to the maximum.
+/// Clamps a number to 16 bits, because catalogue rows have narrower fields than frames.
 fn row_u16(value: u32) -> u16 {
     u16::try_from(value).unwrap_or(u16::MAX)
 }
@@ -385,15 +385,15 @@ pub struct FileRecord<'a> {
 pub struct FileReadError {
     /// Offset from the start of the file.
     pub offset_bytes: u64,
-    /// Reason.
+    /// Reason for the refusal.
     pub error: WireError,
 }
 
 /// Offset of the sync pattern from the front of a record.
 const SYNC_AT_BYTES: usize = 4;
 
-/// Iterates over the records of a file, complete or interrupted. After an error it continues at the next possible record and counts the
-/// bytes between.
+/// Iterator over the records of a file, complete or interrupted. After an error it continues at the next possible record and counts
+/// the skipped bytes.
 #[derive(Debug, Clone)]
 pub struct FileReader<'a> {
     bytes: &'a [u8],
@@ -403,7 +403,7 @@ pub struct FileReader<'a> {
 }
 
 impl<'a> FileReader<'a> {
-    /// `bytes` is the whole file.
+    /// Reader of a file; `bytes` is the whole file.
     pub fn new(bytes: &'a [u8]) -> Self {
         Self {
             bytes,
@@ -413,12 +413,12 @@ impl<'a> FileReader<'a> {
         }
     }
 
-    /// Number of bytes so far that belong to no record.
+    /// Number of bytes so far that are not part of a record.
     pub fn skipped_bytes(&self) -> u64 {
         self.skipped_bytes
     }
 
-    /// Skips bytes that cannot start a record because the sync pattern is missing.
+    /// Skips bytes without a sync pattern, which cannot start a record.
     fn skip_to_sync(&mut self) {
         let rest = &self.bytes[self.at..];
         let pattern = SYNC_PATTERN.to_le_bytes();
@@ -426,7 +426,7 @@ impl<'a> FileReader<'a> {
         let next = behind_front
             .windows(pattern.len())
             .position(|window| window == pattern);
-        // Bytes too few for the pattern are skipped one by one.
+        // If there are fewer bytes than the pattern has, they are skipped one by one.
         let skipped = next.unwrap_or(behind_front.len().saturating_sub(pattern.len() - 1));
         self.at += skipped;
         self.skipped_bytes += skipped as u64;

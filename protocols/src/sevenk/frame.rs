@@ -1,12 +1,12 @@
-//! The two frames of 7k, the record between them, and the checksum. Source: DFD 3.12.
+//! Frames of 7k, the record between them, and the checksum. Source: DFD 3.12.
 //!
 //! ```text
 //! network frame (36)                                only on the network, before every packet
 //! data record frame (64) | RTH | RD | OD | checksum (u32)
 //! ```
 //!
-//! The data record frame's `offset` counts from the sync pattern (byte 4) to the RTH (byte 64), so it is 60. A widely used client writes
-//! 64. The RTH is at byte 64 in both cases, and both values are accepted.
+//! `offset` of the data record frame counts from the sync pattern (byte 4) to the record type header (byte 64), so it is 60. A
+//! widely used client writes 64. The header is at byte 64 in both cases, and both values are accepted.
 
 use std::fmt;
 use std::ops::Range;
@@ -30,7 +30,7 @@ pub const MIN_RECORD_BYTES: usize = DATA_RECORD_FRAME_BYTES + CHECKSUM_BYTES;
 pub const SYNC_PATTERN: u32 = 0x0000_FFFF;
 /// Offset from the sync pattern to the RTH.
 pub const RECORD_OFFSET: u16 = 60;
-/// Value that a widely used client (MBARI's) writes instead.
+/// Offset that a widely used client (MBARI's) writes instead.
 pub const RECORD_OFFSET_FROM_START: u16 = 64;
 
 /// Bits of [`DataRecordFrame::flags`].
@@ -51,7 +51,7 @@ pub(crate) fn read_fixed<T: Layout>(bytes: &[u8]) -> Result<T, WireError> {
     read_layout(bytes).map_err(|_| truncated)
 }
 
-/// Appends numbers as bytes in blocks that stay in cache. This avoids zeroing `buf` and growing it number by number.
+/// Appends numbers as bytes in blocks that stay in the cache. This avoids zeroing `buf` and growing it for each number.
 pub(crate) fn extend_encoded<T: Copy, const N: usize>(
     buf: &mut Vec<u8>,
     values: &[T],
@@ -70,7 +70,7 @@ pub(crate) fn extend_encoded<T: Copy, const N: usize>(
 
 /// Sum of all bytes, modulo 2^32.
 pub fn checksum(bytes: &[u8]) -> u32 {
-    // A block of 2^16 bytes cannot overflow a u32, so that the inner sum needs no wrapping.
+    // The sum of a block of 2^16 bytes cannot overflow a u32, so the inner sum needs no wrapping.
     bytes
         .chunks(1 << 16)
         .map(|block| block.iter().map(|&b| u32::from(b)).sum::<u32>())
@@ -90,23 +90,23 @@ pub(crate) fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
 /// Header of every packet on the network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct NetworkFrame {
-    /// Always 5.
+    /// Version of the protocol; always 5.
     pub protocol_version: u16,
     /// Bytes from the start of the packet to its data: 36.
     pub offset_bytes: u16,
     /// Number of packets of this record.
     pub total_packets: u32,
-    /// Always 1.
+    /// Number of records; always 1.
     pub total_records: u16,
-    /// Equal for all packets of a record; consecutive records differ.
+    /// Number of the transmission. It is equal for all packets of a record; consecutive records differ.
     pub transmission_id: u16,
     /// Size of this packet including this header.
     pub packet_size_bytes: u32,
     /// Size of the record without network frames.
     pub total_size_bytes: u32,
-    /// 0 to `total_packets` - 1.
+    /// Index of this packet, 0 to `total_packets` - 1.
     pub sequence_number: u32,
-    /// 0 is unspecified.
+    /// Device identifier of the destination; 0 means unspecified.
     pub dest_device_id: u32,
     /// Enumerator of the destination.
     pub dest_enumerator: u16,
@@ -156,7 +156,7 @@ impl NetworkFrame {
         self.fragment_bytes().map(|_| ())
     }
 
-    /// Size of the data in every packet of the record except the last. These are all equal, so that any packet gives the size and the
+    /// Size of the data in every packet of the record except the last. These sizes are equal, so any packet gives the size and the
     /// position of its data.
     pub fn fragment_bytes(&self) -> Result<u32, WireError> {
         let inconsistent = WireError::PacketSizes {
@@ -190,7 +190,7 @@ impl NetworkFrame {
             data.saturating_mul(packets - 1)
         };
         let fragment = before_last / (packets - 1);
-        // The data record frame must be whole in the first packet: no fragment is shorter than 64 bytes.
+        // The first packet must contain the whole data record frame, so a fragment has at least 64 bytes.
         let fits = before_last % (packets - 1) == 0
             && fragment >= DATA_RECORD_FRAME_BYTES as u64
             && before_last < total
@@ -226,15 +226,15 @@ impl fmt::Display for NetworkFrame {
 /// Header of every record.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct DataRecordFrame {
-    /// Always 5.
+    /// Version of the protocol; always 5.
     pub protocol_version: u16,
     /// Offset from the sync pattern to the RTH: 60 (some clients write 64 for the same position).
     pub offset_bytes: u16,
-    /// [`SYNC_PATTERN`].
+    /// Sync pattern, [`SYNC_PATTERN`].
     pub sync_pattern: u32,
     /// Size of the whole record including the checksum.
     pub size_bytes: u32,
-    /// Offset from the start of the record; 0 is none.
+    /// Offset of the optional data from the start of the record; 0 if there are none.
     pub optional_data_offset_bytes: u32,
     /// Record type that describes the optional data.
     pub optional_data_id: u32,
@@ -253,9 +253,9 @@ pub struct DataRecordFrame {
     /// Bits of [`frame_flags`].
     #[brw(pad_after = 6)]
     pub flags: u16,
-    /// Always 0.
+    /// Number of records in a fragmented set; always 0.
     pub total_records_in_fragmented_set: u32,
-    /// Always 0.
+    /// Index of the fragment; always 0.
     pub fragment_number: u32,
 }
 
@@ -321,7 +321,7 @@ impl fmt::Display for DataRecordFrame {
 
 // ------------------------------------------------------------------------------------------------------------------------------ record
 
-/// A whole record with valid frame, size and checksum.
+/// Complete record with valid frame, size and checksum.
 #[derive(Debug, Clone, Copy)]
 pub struct Record<'a> {
     /// Frame of the record.
@@ -340,7 +340,7 @@ impl<'a> Record<'a> {
         })
     }
 
-    /// Validates a whole record; returns its frame and the end of its body.
+    /// Validates a complete record. Returns its frame and the end of its body.
     pub(crate) fn dissect(bytes: &[u8]) -> Result<(DataRecordFrame, usize), WireError> {
         let frame = DataRecordFrame::parse(bytes)?;
         frame.check()?;
@@ -373,7 +373,7 @@ impl<'a> Record<'a> {
         Ok((frame, offset))
     }
 
-    /// A record from the result of [`Record::dissect`] for the same bytes.
+    /// Record from the result of [`Record::dissect`] for the same bytes.
     pub(crate) fn from_checked(frame: DataRecordFrame, bytes: &'a [u8], body_end: usize) -> Self {
         Self {
             frame,
@@ -387,12 +387,12 @@ impl<'a> Record<'a> {
         self.bytes
     }
 
-    /// RTH and RD.
+    /// Bytes of the record type header and the record data.
     pub fn body(&self) -> &'a [u8] {
         &self.bytes[DATA_RECORD_FRAME_BYTES..self.body_end]
     }
 
-    /// Record type that describes the optional data, and the data; none without optional data.
+    /// Type and bytes of the optional data; `None` without optional data.
     pub fn optional_data(&self) -> Option<(u32, &'a [u8])> {
         (self.frame.optional_data_offset_bytes != 0).then(|| {
             (
@@ -406,16 +406,16 @@ impl<'a> Record<'a> {
 /// Timestamp and origin of a record, for its frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RecordStamp {
-    /// End of the transmission for ping records.
+    /// Timestamp: the end of the transmission for ping records.
     pub time: SevenKTime,
-    /// One of [`device_id`](super::device_id).
+    /// Device identifier, one of [`device_id`](super::device_id).
     pub device_id: u32,
     /// Enumerator of the system.
     pub system_enumerator: u16,
 }
 
-/// A record under construction at the end of a buffer. Call `begin`, append RTH and RD, optionally call `optional_data` and append it, then
-/// call `finish`.
+/// Record under construction at the end of a buffer. Call `begin`, append record type header and data, optionally call
+/// `optional_data` and append these data, then call `finish`.
 #[derive(Debug)]
 #[must_use = "a record without `finish` has no size and no checksum"]
 pub struct OpenRecord {
@@ -446,7 +446,7 @@ impl OpenRecord {
         Self { start }
     }
 
-    /// Marks the bytes appended from here on as optional data, described by record type `optional_data_id`.
+    /// Marks the following bytes as optional data, described by record type `optional_data_id`.
     pub fn optional_data(&self, buf: &mut [u8], optional_data_id: u32) {
         let offset = record_bytes(buf.len() - self.start);
         self.patch(buf, OPTIONAL_DATA_OFFSET_AT, offset);

@@ -1,11 +1,12 @@
 //! Teledyne RESON 7k: overview, and common numbers.
 //!
-//! Source: "DATA FORMAT DEFINITION - 7k Data Format" v3.12, Drawing 20723, 5 May 2020, marked for public use. Record 7038 follows the MIT
-//! licensed reader pyread7k, which calls the record a draft. Little endian; angles in rad, lengths in m, times in UTC.
+//! Source: "DATA FORMAT DEFINITION - 7k Data Format" v3.12, Drawing 20723, 5 May 2020, marked for public use. Record 7038 follows
+//! the MIT licensed reader pyread7k, which calls the record a draft. Numbers are little endian. Angles are in rad, lengths in m,
+//! times in UTC.
 //!
-//! A record is a data record frame ([`DataRecordFrame`], 64 bytes), a record type header (RTH), record data (RD), sometimes optional data
-//! (OD), and a checksum. On the network each record is divided into packets, each after a [`NetworkFrame`] (36 bytes). In a file, records
-//! follow each other without network frames.
+//! A record consists of a data record frame ([`DataRecordFrame`], 64 bytes), a record type header (RTH), record data (RD), optional
+//! data (OD) and a checksum. On the network each record is divided into packets, each after a [`NetworkFrame`] (36 bytes). In a
+//! file, records are consecutive without network frames.
 //!
 //! - [`records`]: contents of records; each parses from a record's body and emits a whole record
 //! - [`control`]: commands (7500) and their answers (7501, 7502)
@@ -48,13 +49,13 @@ pub mod device_id {
     pub const GENERIC_MULTIBEAM: u32 = 103;
     /// Any side-scan sonar.
     pub const GENERIC_SIDE_SCAN: u32 = 104;
-    /// The 7k Center, which a client addresses before it knows the sonar.
+    /// The 7k Center. A client uses this address before it knows the sonar.
     pub const SONAR_SOURCE: u32 = 7000;
     /// User interface.
     pub const USER_INTERFACE: u32 = 7001;
     /// Recorder.
     pub const LOGGER: u32 = 7004;
-    /// Enumerator 0 is 200 kHz, 1 is 400 kHz.
+    /// SeaBat 7125. Enumerator 0 is 200 kHz, 1 is 400 kHz.
     pub const SEABAT_7125: u32 = 7125;
     /// NORBIT sonar, type 13003.
     pub const NORBIT_13003: u32 = 13003;
@@ -68,7 +69,7 @@ pub mod record_id {
     pub const POSITION: u32 = 1003;
     /// Depth.
     pub const DEPTH: u32 = 1008;
-    /// Sound velocity over depth.
+    /// Sound velocity profile.
     pub const SOUND_VELOCITY_PROFILE: u32 = 1009;
     /// Roll, pitch and heave.
     pub const ROLL_PITCH_HEAVE: u32 = 1012;
@@ -78,9 +79,9 @@ pub mod record_id {
     pub const NAVIGATION: u32 = 1015;
     /// Attitude.
     pub const ATTITUDE: u32 = 1016;
-    /// Settings of a ping.
+    /// Sonar settings of a ping.
     pub const SONAR_SETTINGS: u32 = 7000;
-    /// Description of the sonar.
+    /// Configuration: description of the sonar.
     pub const CONFIGURATION: u32 = 7001;
     /// Directions and widths of the beams.
     pub const BEAM_GEOMETRY: u32 = 7004;
@@ -88,19 +89,19 @@ pub mod record_id {
     pub const SIDE_SCAN: u32 = 7007;
     /// Beamformed samples.
     pub const BEAMFORMED: u32 = 7018;
-    /// Detections.
+    /// Raw detections.
     pub const RAW_DETECTIONS: u32 = 7027;
-    /// Samples around detections.
+    /// Snippets: samples around detections.
     pub const SNIPPETS: u32 = 7028;
-    /// Mounting of arrays and sensors.
+    /// Installation parameters: mounting of arrays and sensors.
     pub const INSTALLATION: u32 = 7030;
-    /// I and Q of the receive elements.
+    /// Raw I and Q of the receive elements.
     pub const RAW_IQ: u32 = 7038;
     /// Compressed water column.
     pub const COMPRESSED_WATER_COLUMN: u32 = 7042;
     /// Calibrated side-scan line.
     pub const CALIBRATED_SIDE_SCAN: u32 = 7057;
-    /// Scattering strengths around detections.
+    /// Snippet scattering strengths.
     pub const SNIPPET_STRENGTHS: u32 = 7058;
     /// Header of a file.
     pub const FILE_HEADER: u32 = 7200;
@@ -139,8 +140,8 @@ pub mod control_flags {
     }
 }
 
-/// Order of the records of one ping. Readers group a file by the records between two 7000 records, so 7000 comes first, behind the sound
-/// velocity (7610) that readers need before the first detections.
+/// Order of the records of one ping. Readers assign the records of a file to the preceding 7000. Therefore 7000 is first, after the
+/// sound velocity (7610), which readers need before the first detections.
 pub const PING_RECORD_ORDER: [u32; 30] = [
     7610, 7000, 7503, 1750, 7002, 7004, 7017, 7006, 7027, 7007, 7008, 7010, 7011, 7012, 7013, 7018,
     7019, 7028, 7029, 7037, 7038, 7039, 7041, 7042, 7048, 7049, 7057, 7058, 7068, 7070,
@@ -154,7 +155,7 @@ pub fn ping_order_rank(record_type_id: u32) -> usize {
         .unwrap_or(PING_RECORD_ORDER.len())
 }
 
-/// Why bytes are not valid 7k. Every variant names the checked item and the values that disagree.
+/// Parse error of 7k. Every variant names the checked item and the values that disagree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
     #[error("{what} needs {need_bytes} bytes, only {got_bytes} are available")]

@@ -1,8 +1,8 @@
-//! Divides records into packets, and reassembles them. Source: DFD 3.12, network frame.
+//! Division of records into packets, and reassembly. Source: DFD 3.12, network frame.
 //!
-//! A record longer than the maximum packet is divided. All packets except the last have equal length, and only the first contains the data
-//! record frame. The DFD permits 60 000 bytes per packet including the network frame. A widely used reader (MBARI's) does not reassemble
-//! packets and needs [`Packetiser::whole_records`].
+//! A record longer than the maximum packet is divided. All packets except the last have equal length, and only the first contains
+//! the data record frame. The DFD permits 60 000 bytes per packet including the network frame. A widely used reader (MBARI's) does
+//! not reassemble packets and needs [`Packetiser::whole_records`].
 //!
 //! [`Reassembler`] reassembles datagrams; [`StreamDecoder`](super::StreamDecoder) reads a TCP connection.
 
@@ -17,7 +17,7 @@ use super::{PROTOCOL_VERSION, WireError};
 
 /// Maximum packet of the DFD including the network frame.
 pub const DEFAULT_MAX_PACKET_BYTES: u32 = 60_000;
-/// Minimum packet limit: a smaller one would divide the data record frame.
+/// Minimum packet limit. A smaller limit would divide the data record frame.
 pub const MIN_MAX_PACKET_BYTES: u32 = (NETWORK_FRAME_BYTES + DATA_RECORD_FRAME_BYTES) as u32;
 /// Maximum payload of a UDP datagram over IPv4.
 pub const MAX_DATAGRAM_BYTES: u32 = 65_507;
@@ -35,7 +35,7 @@ pub struct PacketLimitError {
     pub max_packet_bytes: u32,
 }
 
-/// Divides records into packets and numbers the transmissions.
+/// Divider of records into packets. It numbers the transmissions.
 #[derive(Debug, Clone)]
 pub struct Packetiser {
     max_packet_bytes: u32,
@@ -63,7 +63,7 @@ impl Packetiser {
         })
     }
 
-    /// One packet per record of any length, for TCP readers that do not reassemble.
+    /// Packetiser with one packet per record of any length, for TCP readers that do not reassemble.
     pub fn whole_records() -> Self {
         Self {
             max_packet_bytes: u32::MAX,
@@ -119,7 +119,7 @@ impl Packetiser {
     }
 }
 
-/// Ranges of the packets of one record in the buffer, in order of sending.
+/// Byte ranges of the packets of one record in the buffer, in sending order.
 #[derive(Debug, Clone)]
 pub struct PacketRanges {
     next: usize,
@@ -157,7 +157,7 @@ impl FusedIterator for PacketRanges {}
 
 // ------------------------------------------------------------------------------------------------------------------------- reassembly
 
-/// Maximum number of records under reassembly; a further one drops the oldest.
+/// Maximum number of incomplete records. A further record drops the oldest.
 pub const PARTIAL_RECORDS: usize = 4;
 
 /// Counters of a [`Reassembler`].
@@ -167,7 +167,7 @@ pub struct ReassemblyCounters {
     pub records: u64,
     /// Packets refused, and complete records that were invalid.
     pub errors: u64,
-    /// Packets that arrived before an earlier one of their record; they were used.
+    /// Packets that arrived before an earlier packet of their record. They are used.
     pub out_of_order_packets: u64,
     /// Packets received twice.
     pub duplicate_packets: u64,
@@ -175,12 +175,12 @@ pub struct ReassemblyCounters {
     pub abandoned_records: u64,
 }
 
-/// Reassembles datagrams to records for any order of packets. It holds at most [`PARTIAL_RECORDS`] incomplete records and one complete
-/// record, each within the size limit.
+/// Reassembler of datagrams to records, for any order of packets. It holds at most [`PARTIAL_RECORDS`] incomplete records and one
+/// complete record, each within the size limit.
 #[derive(Debug)]
 pub struct Reassembler {
     max_record_bytes: u32,
-    /// Oldest first.
+    /// Incomplete records, oldest first.
     partial: Vec<PartialRecord>,
     complete: Vec<u8>,
     counters: ReassemblyCounters,
@@ -218,7 +218,7 @@ impl PartialRecord {
 }
 
 impl Reassembler {
-    /// Records longer than `max_record_bytes` are refused.
+    /// Reassembler that refuses records longer than `max_record_bytes`.
     pub fn new(max_record_bytes: u32) -> Self {
         Self {
             max_record_bytes,
@@ -233,12 +233,12 @@ impl Reassembler {
         self.counters
     }
 
-    /// Takes one datagram and returns the record if it is complete.
+    /// Adds one datagram and returns the record if it is complete.
     pub fn push_datagram<'a>(
         &'a mut self,
         datagram: &'a [u8],
     ) -> Result<Option<Record<'a>>, WireError> {
-        // Counted here so that every error path is included; the borrow of the record ends before the counters change.
+        // Errors are counted here, which covers every error path. The borrow of the record ends before the counters change.
         let whole = match self.place(datagram) {
             Ok(Placed::Waiting) => return Ok(None),
             Ok(Placed::Alone) => &datagram[NETWORK_FRAME_BYTES..],
@@ -295,7 +295,7 @@ impl Reassembler {
         Ok(Placed::Complete)
     }
 
-    /// Index of the incomplete record that a packet belongs to; created if necessary.
+    /// Index of the incomplete record of a packet. The record is created if necessary.
     fn partial_of(&mut self, frame: &NetworkFrame, fragment_bytes: u32) -> usize {
         if let Some(index) = self
             .partial
@@ -304,7 +304,7 @@ impl Reassembler {
         {
             return index;
         }
-        // The same transmission number with other sizes is a new record after the counter wrapped; the old one is dropped.
+        // After a wrap of the counter, the same transmission number with other sizes is a new record. The old record is dropped.
         let stale = self
             .partial
             .iter()

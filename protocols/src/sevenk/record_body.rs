@@ -1,4 +1,4 @@
-//! The body of any record, parsed by its type.
+//! Body of any record, parsed by record type.
 
 use std::fmt;
 
@@ -8,7 +8,8 @@ use super::frame::Record;
 use super::records::*;
 use super::{WireError, record_id};
 
-/// Declares each parsed record once, for parsing by record type and for display. Long records without data are boxed.
+/// Declares each parsed record once, for parsing by record type and for display. Large records without data are
+/// boxed.
 macro_rules! record_bodies {
     (
         plain { $($id:ident => $variant:ident($body:ty),)* }
@@ -84,7 +85,7 @@ record_bodies! {
     }
 }
 
-/// Why a record body is invalid.
+/// Error of an invalid record body.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum BodyError {
     /// The bytes do not fit the layout.

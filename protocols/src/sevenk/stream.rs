@@ -1,11 +1,12 @@
-//! Decodes the bytes of a TCP connection to records, with resynchronisation. Source: DFD 3.12, network frame.
+//! Decoder of the bytes of a TCP connection to records, with resynchronisation. Source: DFD 3.12, network frame.
 //!
-//! A record is accepted only when it is complete and valid: all of its network frames, the data record frame, the checksum. Its bytes are
-//! kept until then. After an error, the search for the next frame starts one byte further. A record after a damaged one is therefore found
-//! even if the damaged one states an excessive length.
+//! A record is accepted only when it is complete and valid: all network frames, the data record frame, and the checksum. Its bytes
+//! are kept until then. After an error, the search for the next frame starts one byte later. A record after a damaged one is
+//! therefore found, even if the damaged record states an excessive length.
 //!
-//! The packets of one record must follow each other, as TCP preserves their order. Memory stays below [`StreamDecoder::capacity_bytes`]. A
-//! peer that sends only forged frames can cause a checksum calculation for each; the record limit bounds its cost.
+//! The packets of one record must be consecutive, because TCP preserves their order. Memory stays below
+//! [`StreamDecoder::capacity_bytes`]. A peer that sends only forged frames can cause a checksum calculation for each; the record
+//! limit bounds its cost.
 
 use std::ops::Range;
 
@@ -14,10 +15,10 @@ use super::frame::{
 };
 use super::{PROTOCOL_VERSION, WireError};
 
-/// Record limit for a server, because commands are short.
+/// Maximum record size for a server. Commands are short.
 pub const DEFAULT_MAX_COMMAND_BYTES: u32 = 1 << 20;
 
-/// Buffer space beyond the longest record, so that `push` accepts bytes in large pieces.
+/// Buffer space beyond the longest record, so that `push` accepts large pieces.
 const SLACK_BYTES: usize = 4096;
 
 /// Counters of a [`StreamDecoder`]. Each error is counted once, not for every invalid byte after it.
@@ -25,7 +26,7 @@ const SLACK_BYTES: usize = 4096;
 pub struct StreamCounters {
     /// Complete, valid records.
     pub records: u64,
-    /// Bytes that belong to no record.
+    /// Bytes outside any record.
     pub skipped_bytes: u64,
     /// Number of times that a record was found after an error.
     pub resyncs: u64,
@@ -83,18 +84,18 @@ impl StreamCounters {
     }
 }
 
-/// Decodes records from a byte stream. Push bytes, then take records until there is none; [`StreamDecoder::feed`] does both.
+/// Decoder of records from a byte stream. Push bytes, then read records until there is none; [`StreamDecoder::feed`] does both.
 #[derive(Debug)]
 pub struct StreamDecoder {
     max_record_bytes: u32,
     buf: Vec<u8>,
-    /// Number of bytes at the front of `buf` that are processed.
+    /// Number of processed bytes at the front of `buf`.
     head: usize,
-    /// After an error: bytes that do not look like a frame are skipped without another error.
+    /// True after an error. Bytes that are not a frame are skipped without another error.
     searching: bool,
-    /// No further bytes will complete the data held.
+    /// True if no further bytes complete the stored data.
     ended: bool,
-    /// The last record reassembled from several packets.
+    /// Last record reassembled from several packets.
     joined: Vec<u8>,
     counters: StreamCounters,
 }
@@ -107,11 +108,11 @@ impl Default for StreamDecoder {
 
 /// Result of examining the front of the stream.
 enum Look {
-    /// More bytes are needed. `believable`: the bytes so far passed every check, so that an early end is an error.
+    /// More bytes are needed. `believable` is true if the bytes so far passed every check, so that an early end is an error.
     Wait { need_bytes: u64, believable: bool },
-    /// Not a record. `believable`: the headers look like a record.
+    /// The bytes are not a record. `believable` is true if the headers are valid.
     Bad { error: WireError, believable: bool },
-    /// A complete record with its size on the wire; reassembled if it has several packets.
+    /// Complete record with its size in the stream, reassembled from its packets.
     Good {
         wire_bytes: usize,
         frame: DataRecordFrame,
@@ -122,14 +123,14 @@ enum Look {
 
 /// Location of a complete record.
 struct Found {
-    /// Range in `buf`; none if the record is in `joined`.
+    /// Range in `buf`; `None` if the record is in `joined`.
     range: Option<Range<usize>>,
     frame: DataRecordFrame,
     body_end: usize,
 }
 
 impl StreamDecoder {
-    /// Records longer than `max_record_bytes` are refused by their header.
+    /// Decoder that refuses records longer than `max_record_bytes` by their header.
     pub fn new(max_record_bytes: u32) -> Self {
         Self {
             max_record_bytes,
@@ -158,13 +159,14 @@ impl StreamDecoder {
         self.buf.len() - self.head
     }
 
-    /// Directly after [`StreamDecoder::next_record`] returned an error: the bytes from the invalid record on. A server reads the ticket for
-    /// its refusal from these bytes.
+    /// Bytes from the invalid record on, directly after [`StreamDecoder::next_record`] returned an error. A server reads the ticket
+    /// of its refusal from these bytes.
     pub fn refused_bytes(&self) -> &[u8] {
         &self.buf[self.head.saturating_sub(1)..]
     }
 
-    /// Takes bytes while there is room and returns their number; at least one after [`StreamDecoder::next_record`] returned `None`.
+    /// Copies bytes while there is room and returns their number. The number is at least one after [`StreamDecoder::next_record`]
+    /// returned `None`.
     pub fn push(&mut self, bytes: &[u8]) -> usize {
         if bytes.is_empty() {
             return 0;
@@ -177,13 +179,13 @@ impl StreamDecoder {
         taken
     }
 
-    /// Marks the end of the input, because the peer closed or stalled. An incomplete record becomes an error, and further calls of
-    /// [`StreamDecoder::next_record`] return records that it hid. More bytes may be pushed afterwards.
+    /// Marks the end of the input, because the peer closed or stalled. An incomplete record becomes an error. Further calls of
+    /// [`StreamDecoder::next_record`] return the records after its first byte. More bytes may be pushed afterwards.
     pub fn finish(&mut self) {
         self.ended = true;
     }
 
-    /// The next record or error; `None` if more bytes are needed.
+    /// Returns the next record or error; `None` if more bytes are needed.
     pub fn next_record(&mut self) -> Option<Result<Record<'_>, WireError>> {
         match self.advance()? {
             Ok(Found {
@@ -201,7 +203,7 @@ impl StreamDecoder {
         }
     }
 
-    /// Takes all of `bytes` and passes every record and error to `each`.
+    /// Decodes all of `bytes` and passes every record and error to `each`.
     pub fn feed(&mut self, mut bytes: &[u8], mut each: impl FnMut(Result<Record<'_>, WireError>)) {
         loop {
             while let Some(item) = self.next_record() {
@@ -270,7 +272,7 @@ impl StreamDecoder {
             Ok(frame) => frame,
             Err(look) => return look,
         };
-        // From here on the bytes look like a record.
+        // From this point, the bytes are likely a record.
         let bad = |error| Look::Bad {
             error,
             believable: true,
@@ -333,7 +335,7 @@ impl StreamDecoder {
         }
     }
 
-    /// Validates the first network frame and the following data record frame as early as their bytes permit.
+    /// Validates the first network frame and the data record frame as soon as their bytes are available.
     fn look_at_headers(&self, held: &[u8]) -> Result<NetworkFrame, Look> {
         let bad = |error| Look::Bad {
             error,
@@ -343,7 +345,7 @@ impl StreamDecoder {
             need_bytes: need as u64,
             believable,
         };
-        // The version is checked from the first bytes, so that a peer with another protocol is refused before 36 bytes.
+        // The version is checked from the first bytes, so a peer with another protocol is refused before 36 bytes.
         if let Some(got) = u16_at(held, 0).filter(|&got| got != PROTOCOL_VERSION) {
             return Err(bad(WireError::NetworkVersion { got }));
         }

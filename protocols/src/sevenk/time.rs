@@ -1,4 +1,4 @@
-//! 7KTIME: the ten-byte UTC timestamp of every 7k record. Source: DFD 3.12, data record frame.
+//! 7KTIME: the ten-byte UTC timestamp of all 7k records. Source: DFD 3.12, data record frame.
 //!
 //! | off | type | field |
 //! |---:|---|---|
@@ -8,7 +8,7 @@
 //! | 8 | u8 | hours |
 //! | 9 | u8 | minutes |
 //!
-//! The seconds are an f32 with steps of 3.8 us near 60 s, so that a timestamp is accurate to 1.9 us.
+//! The seconds are an f32 with steps of 3.8 us near 60 s, so a timestamp is accurate to 1.9 us.
 
 use std::fmt;
 
@@ -18,22 +18,22 @@ use super::frame::{Layout, read_fixed, write_layout};
 use super::{ErrorCode, WireError};
 use crate::layout::layout_of;
 
-/// Largest difference between a UTC time and its timestamp: the whole last f32 step below 60 s (other values round to half a step).
+/// Maximum difference between a UTC time and its timestamp: the whole last f32 step below 60 s. Other values round to half a step.
 pub const TIME_RESOLUTION_NS: i64 = 3_815;
 
-/// The largest f32 below 60. It replaces times that would round up to 60.0, which is not a time within its minute.
+/// The largest f32 below 60. It replaces seconds that would round up to 60.0, which is not within the minute.
 const LAST_SECOND: f32 = f32::from_bits(60.0_f32.to_bits() - 1);
 
 const NS_PER_S: i64 = 1_000_000_000;
 const NS_PER_MINUTE: i64 = 60 * NS_PER_S;
 const NS_PER_DAY: i64 = 86_400 * NS_PER_S;
 
-/// A UTC time as on the wire. Fields may be invalid after parsing; [`SevenKTime::to_utc_ns`] validates them.
+/// UTC time in the fields of 7KTIME. Fields may be invalid after parsing; [`SevenKTime::to_utc_ns`] validates them.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct SevenKTime {
     /// Year.
     pub year: u16,
-    /// 1 is the first of January.
+    /// Day of the year; 1 is the first of January.
     pub day_of_year: u16,
     /// Seconds within the minute.
     pub seconds: f32,
@@ -45,13 +45,13 @@ pub struct SevenKTime {
 
 layout_of!(SevenKTime, 10, "7KTIME", Little);
 
-/// Why a time has no 7KTIME, or a 7KTIME is no time.
+/// Error of the conversion between a time and 7KTIME.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum TimeError {
     #[error("{utc_ns} ns is before 1970, the first year of 7k timestamps")]
     /// Times before 1970 are not supported.
     BeforeEpoch {
-        /// Nanoseconds since 1970.
+        /// Time, nanoseconds since 1970.
         utc_ns: i64,
     },
     #[error("7KTIME field {field} is out of range: {value}")]
@@ -75,14 +75,15 @@ impl SevenKTime {
     /// Size of a timestamp.
     pub const SIZE_BYTES: usize = <Self as Layout>::SIZE_BYTES;
 
-    /// Timestamp of a UTC time in nanoseconds since 1970-01-01, rounded to the nearest f32 seconds but never up to 60.0.
+    /// Timestamp of a UTC time in nanoseconds since 1970-01-01, rounded to the nearest f32 seconds, but never up to 60.0.
     pub fn from_utc_ns(utc_ns: i64) -> Result<Self, TimeError> {
         if utc_ns < 0 {
             return Err(TimeError::BeforeEpoch { utc_ns });
         }
         let day = utc_ns / NS_PER_DAY;
         let in_day_ns = utc_ns % NS_PER_DAY;
-        // At most one year too late within the range of an i64 (year 2262): 365-day years exceed the calendar by 73 days by then.
+        // The estimate is at most one year too late within the range of an i64 (year 2262), because 365-day years exceed the
+        // calendar by 73 days then.
         let mut year = 1970 + day / 365;
         while days_before_year(year) > day {
             year -= 1;
@@ -98,13 +99,13 @@ impl SevenKTime {
         })
     }
 
-    /// Timestamp of a UTC time; times before 1970 become 1970-01-01 00:00, for callers that must not fail.
+    /// Timestamp of a UTC time. Times before 1970 become 1970-01-01 00:00, for callers that must not fail.
     pub fn from_utc_ns_clamped(utc_ns: i64) -> Self {
         Self::from_utc_ns(utc_ns.max(0)).expect("a time from 1970 on has a stamp")
     }
 
-    /// UTC nanoseconds since 1970-01-01, to the precision of the f32 seconds. Seconds of exactly 60.0, which some writers produce by
-    /// rounding, mean the start of the next minute.
+    /// UTC nanoseconds since 1970-01-01, to the precision of the f32 seconds. Seconds of exactly 60.0 mean the start of the next
+    /// minute; some writers produce this value by rounding.
     pub fn to_utc_ns(&self) -> Result<i64, TimeError> {
         let field = |field, value: f64| Err(TimeError::Field { field, value });
         let year = i64::from(self.year);

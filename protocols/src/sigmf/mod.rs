@@ -1,8 +1,8 @@
 //! SigMF: the metadata of a sample file. Source: SigMF specification 1.2 (public), `core` namespace.
 //!
-//! A recording is two files. `NAME.sigmf-data` holds the samples of all channels, interleaved by sample time. `NAME.sigmf-meta` is JSON
-//! with the format (`global`), the start and time of each ping (`captures`) and the contents (`annotations`). Sample numbers count sample
-//! times: one includes a sample of every channel.
+//! A recording consists of two files. `NAME.sigmf-data` holds the samples of all channels, interleaved by sample time.
+//! `NAME.sigmf-meta` is JSON with the format (`global`), the start and time of each ping (`captures`) and the contents
+//! (`annotations`). Sample numbers count sample times; each has a sample of every channel.
 
 use serde_json::{Map, Value, json};
 
@@ -56,12 +56,12 @@ impl DataType {
     }
 }
 
-/// A contiguous section of samples: a ping.
+/// Contiguous section of samples: one ping.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Capture {
     /// Index of the first sample.
     pub sample_start: u64,
-    /// Frequency at the transducer of 0 Hz in the samples; `None` for real samples.
+    /// Frequency at the transducer that is 0 Hz in the samples; `None` for real samples.
     pub frequency_hz: Option<f64>,
     /// Time of the first sample, nanoseconds since 1970.
     pub utc_ns: i64,
@@ -74,9 +74,9 @@ pub struct Annotation {
     pub sample_start: u64,
     /// Number of samples.
     pub sample_count: u64,
-    /// Short label: many programs display at most 20 characters.
+    /// Short label. Many programs display at most 20 characters.
     pub label: String,
-    /// Free text.
+    /// Comment, free text.
     pub comment: String,
     /// Lower and upper edge of the pulse's band at the transducer.
     pub band_hz: Option<(f64, f64)>,
@@ -93,17 +93,17 @@ pub struct Recording {
     pub channels: u32,
     /// Equipment that recorded the samples.
     pub hardware: String,
-    /// Free text.
+    /// Description, free text.
     pub description: String,
     /// Program that wrote the file.
     pub recorder: String,
-    /// Ordered by first sample.
+    /// Captures, ordered by first sample.
     pub captures: Vec<Capture>,
-    /// Ordered by first sample.
+    /// Annotations, ordered by first sample.
     pub annotations: Vec<Annotation>,
 }
 
-/// Why text is not valid SigMF metadata.
+/// Error in SigMF metadata.
 #[derive(Debug, thiserror::Error)]
 pub enum SigmfError {
     #[error("not JSON: {0}")]

@@ -1,5 +1,5 @@
-//! Context packets: the properties of a stream's samples. Source: ANSI/VITA 49.2-2017, sections 9.1 (indicator field 0), 9.5 (frequencies
-//! and rates: 64 bits, radix point 20 bits from the right) and 9.13.3 (payload format).
+//! Context packets: properties of the samples of a stream. Source: ANSI/VITA 49.2-2017, sections 9.1 (indicator field 0), 9.5
+//! (frequencies and rates: 64 bits, radix point 20 bits from the right) and 9.13.3 (payload format).
 //!
 //! Fields follow the order of the bits of indicator field 0, from 31 down. Other fields of fixed length are skipped. Further indicator
 //! fields and fields of variable length are errors.
@@ -62,7 +62,7 @@ impl PayloadFormat {
     }
 }
 
-/// Stated properties of a stream; `None` means not stated.
+/// Properties of a stream. `None` means that the packet does not state the property.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Context {
     /// True if a field differs from the stream's last context packet.
@@ -89,7 +89,7 @@ const RF_REFERENCE: u32 = 27;
 const REFERENCE_LEVEL: u32 = 24;
 const SAMPLE_RATE: u32 = 21;
 const PAYLOAD_FORMAT: u32 = 15;
-/// Number of words of the fields of bits 30 to 10; bit 31 has none.
+/// Number of words of the fields of bits 30 to 10. Bit 31 has no field.
 const FIELD_WORDS: [(u32, usize); 21] = [
     (30, 1),
     (29, 2),

@@ -1,7 +1,7 @@
 //! ANSI/VITA 49.2 (VITA Radio Transport) over UDP: element samples and their properties, for acquisition and DSP boards.
 //!
-//! Source: ANSI/VITA 49.2-2017, sections 5.1 (header), 6.3 (signal data), 7.1 and 9 (context), as interpreted by two public decoders: the
-//! `vrt` dissector of Wireshark and the MIT/Apache crate `vita49`. Big endian, 32-bit words.
+//! Source: ANSI/VITA 49.2-2017, sections 5.1 (header), 6.3 (signal data), 7.1 and 9 (context), as interpreted by two public
+//! decoders: the `vrt` dissector of Wireshark and the MIT/Apache crate `vita49`. Numbers are big endian, in 32-bit words.
 //!
 //! ```text
 //! word 0   packet type (31-28) | class id (27) | specific (26-24) | TSI (23-22) | TSF (21-20) | count (19-16) | size in words (15-0)
@@ -38,7 +38,7 @@ const PS_PER_S: u64 = 1_000_000_000_000;
 pub struct VrtTime {
     /// Seconds since 1970.
     pub seconds: u32,
-    /// 0 to 10^12 - 1.
+    /// Picoseconds within the second, 0 to 10^12 - 1.
     pub picoseconds: u64,
 }
 
@@ -77,18 +77,19 @@ pub enum PacketType {
     Context,
 }
 
-/// State of a data packet's samples: a 32-bit trailer with enable bits 31-20 and indicators 19-8. `None` means not stated.
+/// State of the samples of a data packet: a 32-bit trailer with enable bits 31-20 and indicators 19-8. `None` means that the packet
+/// does not state the indicator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Trailer {
-    /// The timestamp is synchronised to UTC.
+    /// True if the timestamp is synchronised to UTC.
     pub calibrated_time: Option<bool>,
-    /// The samples are valid.
+    /// True if the samples are valid.
     pub valid_data: Option<bool>,
-    /// A sample saturated.
+    /// True if a sample is clipped.
     pub over_range: Option<bool>,
-    /// Samples before this packet were lost.
+    /// True if samples before this packet are lost.
     pub sample_loss: Option<bool>,
-    /// The lower user-defined indicator: the samples have reduced accuracy.
+    /// True if the samples have reduced accuracy (lower user-defined indicator).
     pub degraded: Option<bool>,
 }
 
@@ -139,9 +140,9 @@ pub struct Packet<'a> {
     pub packet_type: PacketType,
     /// Stream identifier.
     pub stream_id: u32,
-    /// Organisation, information class and packet class, uninterpreted.
+    /// Class identifier: organisation, information class and packet class, not interpreted.
     pub class_id: Option<u64>,
-    /// `None` if the packet's times are not UTC and picoseconds.
+    /// Time of the first sample; `None` if the times of the packet are not UTC and picoseconds.
     pub time: Option<VrtTime>,
     /// Packet counter, 0 to 15.
     pub count: u8,
@@ -167,7 +168,7 @@ pub(crate) fn two_words_at(
     Ok(u64::from(high) << 32 | u64::from(word_at(bytes, word + 1, what)?))
 }
 
-/// TSI of UTC, TSF of picoseconds.
+/// TSI code of UTC. The next constant is the TSF code of picoseconds.
 const TSI_UTC: u32 = 1;
 const TSF_PICOSECONDS: u32 = 2;
 
@@ -235,7 +236,7 @@ impl<'a> Packet<'a> {
     }
 }
 
-/// Appends a packet with stream identifier and time; `write_payload` must append whole words.
+/// Appends a packet with stream identifier and time. `write_payload` must append whole words.
 pub(crate) fn emit_packet(
     buf: &mut Vec<u8>,
     packet_type: PacketType,

@@ -1,7 +1,7 @@
 //! Signal data packets: the samples of a stream, divided into datagrams. Source: ANSI/VITA 49.2-2017, section 6.3.
 //!
-//! A complex sample is one word, with I in the upper and Q in the lower half. A word holds two real samples, so that a packet has an even
-//! number of them. A vector stream interleaves the elements by sample time.
+//! A complex sample is one word, with I in the upper and Q in the lower half. A word holds two real samples, so a packet has an
+//! even number of them. A vector stream interleaves the elements by sample time.
 
 use std::ops::Range;
 
@@ -10,14 +10,14 @@ use super::{Context, PacketType, PayloadFormat, SampleKind, Trailer, VrtTime, em
 /// Size of a packet without its payload: header, stream, time, trailer.
 const AROUND_PAYLOAD_BYTES: usize = 4 + 4 + 4 + 8 + 4;
 
-/// One stream of an element or of all elements. It owns the packet counters.
+/// Stream of one element or of all elements. It owns the packet counters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SignalStream {
     /// Stream identifier.
     pub stream_id: u32,
     /// True for I and Q, false for real samples.
     pub is_complex: bool,
-    /// 1, or the number of elements of a vector stream.
+    /// Number of elements of a vector stream; otherwise 1.
     pub vector_size: u32,
     /// Sample rate of an element.
     pub sample_rate_hz: f64,
@@ -75,7 +75,7 @@ impl SignalStream {
         if self.is_complex { 4 } else { 2 }
     }
 
-    /// Properties of this stream's samples; the caller adds frequency and bandwidth.
+    /// Properties of the samples of this stream. The caller adds frequency and bandwidth.
     pub fn context(&self) -> Context {
         Context {
             sample_rate_hz: Some(self.sample_rate_hz),
@@ -100,7 +100,8 @@ impl SignalStream {
         context.emit(buf, self.stream_id, count, time)
     }
 
-    /// Passes packets of complex samples to the caller one by one, in `buf`, which is overwritten. `time` is that of the first sample.
+    /// Passes packets of complex samples to the caller one by one, in `buf`, which is overwritten. `time` is the time of the first
+    /// sample.
     ///
     /// # Panics
     /// If the stream is real, or the samples are not a whole number of vectors.
@@ -126,7 +127,7 @@ impl SignalStream {
         );
     }
 
-    /// The same for real samples.
+    /// Like [`Self::emit_complex`], for real samples.
     ///
     /// # Panics
     /// If the stream is complex, the samples are not a whole number of vectors, or their number is odd.
@@ -165,7 +166,7 @@ impl SignalStream {
         let moments = self.moments_per_packet();
         for (packet, chunk) in samples.chunks(moments * vector).enumerate() {
             buf.clear();
-            // Computed from the start of the record each time, so that rounding errors do not accumulate.
+            // Each time is computed from the start of the record, so rounding errors do not accumulate.
             let after_s = (packet * moments) as f64 / self.sample_rate_hz;
             emit_packet(
                 buf,

@@ -1,8 +1,8 @@
 //! Multichannel WAV for test benches that play samples: RIFF below 4 GiB, RF64 above.
 //!
-//! Sources: Microsoft, "Multiple channel audio data and WAVE files" (WAVE_FORMAT_EXTENSIBLE); EBU Tech 3306 v1.1 (2009), RF64. In RF64, a
-//! size beyond 32 bits is 0xFFFFFFFF and its 64-bit value is in the `ds64` chunk, which is always the first. A `JUNK` chunk of the same
-//! length reserves its space, so that any file can become RF64 when it is closed. Little endian.
+//! Sources: Microsoft, "Multiple channel audio data and WAVE files" (WAVE_FORMAT_EXTENSIBLE); EBU Tech 3306 v1.1 (2009), RF64. In
+//! RF64, a size beyond 32 bits is 0xFFFFFFFF, and its 64-bit value is in the `ds64` chunk, which is always the first. A `JUNK`
+//! chunk of the same length reserves its space, so that any file can become RF64 when it is closed. Numbers are little endian.
 //!
 //! ```text
 //!  0 RIFF or RF64, size, WAVE      48 fmt , 40 bytes
@@ -20,7 +20,7 @@ const SUBFORMAT_END: [u8; 14] = [
     0x00, 0x00, 0x00, 0x00, 0x10, 0x00, 0x80, 0x00, 0x00, 0xAA, 0x00, 0x38, 0x9B, 0x71,
 ];
 const IN_DS64: u32 = u32::MAX;
-/// Maximum number of chunks before the samples; more indicates an invalid file.
+/// Maximum number of chunks before the samples. A larger number indicates an invalid file.
 const MAX_CHUNKS: usize = 64;
 
 /// Type of one sample of one channel.

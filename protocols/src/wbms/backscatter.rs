@@ -1,5 +1,5 @@
-//! Types 2 (water column), 4 (snippets) and 5 (side-scan): samples with a common head. Source: TN-180196, water column, snippet and
-//! side-scan data. Offsets count from the start of the packet.
+//! Packet types 2 (water column), 4 (snippets) and 5 (side-scan): samples with a common header. Source: TN-180196, water column,
+//! snippet and side-scan data. Offsets count from the start of the packet.
 //!
 //! ```text
 //! type 2   samples[M][N], f32 angle[N]
@@ -16,7 +16,8 @@ use crate::WireError;
 use crate::layout::{data_at, layout};
 use crate::sevenk::frame::extend_encoded;
 
-/// Number type of the samples. Emitted packets have i16, because a widely used display requires it; all real types are parsed.
+/// Number type of the samples. Emitted packets have i16, because a widely used display requires this type. All real types are
+/// parsed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DataKind {
     /// 8-bit unsigned.
@@ -55,7 +56,7 @@ impl DataKind {
         (0x17, Self::F64),
     ];
 
-    /// Type of a wire code.
+    /// Type of a code in a packet.
     pub fn from_code(code: u32) -> Result<Self, WireError> {
         Self::CODES
             .iter()
@@ -90,7 +91,7 @@ impl DataKind {
     }
 }
 
-/// Wire code of [`DataKind::I16`].
+/// Code of [`DataKind::I16`] in a packet.
 const I16_CODE: u32 = 3;
 
 /// Fields common to all samples. The numbers of beams and samples and their type are set when the packet is emitted.
@@ -102,9 +103,9 @@ pub struct BackscatterHead {
     pub sample_rate_hz: f32,
     /// Offset 32: number of beams N; 2 for side-scan.
     pub beams: u32,
-    /// Offset 36: M.
+    /// Offset 36: Number of samples M of each beam.
     pub samples: u32,
-    /// Offset 40: seconds since 1970.
+    /// Offset 40: Time of the ping, seconds since 1970.
     pub time_s: f64,
     /// Offset 48: code of [`DataKind`].
     pub data_type: u32,
@@ -151,7 +152,7 @@ pub struct BackscatterHead {
     /// Offset 152: rule for the beam directions.
     pub beam_distribution: u8,
     #[brw(pad_after = 2)]
-    /// Offset 153: 1 is bathymetry.
+    /// Offset 153: sonar mode; 1 is bathymetry.
     pub sonar_mode: u8,
     /// Offset 156: tilt of the gates.
     pub gate_tilt_rad: f32,
@@ -167,7 +168,7 @@ layout!(BackscatterHead, 168, "WBMS backscatter", Little);
 pub enum Tail<'a> {
     /// Angles of the beams of the water column.
     WaterColumn {
-        /// Positive to starboard.
+        /// Angles of the beams, positive to starboard.
         angles_rad: &'a [f32],
     },
     /// Positions of the snippets.
@@ -239,7 +240,7 @@ pub fn emit_backscatter(
 /// Parsed types 2, 4 and 5.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Backscatter<'a> {
-    /// One of [`packet_type`].
+    /// Packet type, one of [`packet_type`].
     pub packet_type: u32,
     /// Head of the packet.
     pub head: BackscatterHead,
@@ -271,7 +272,7 @@ impl<'a> Backscatter<'a> {
             at += data.len();
             Ok::<_, WireError>(data)
         };
-        // Below 2^64: the product of two 32-bit numbers, times at most 8, saturates.
+        // The product of two 32-bit numbers is below 2^64. The product with the size, at most 8, saturates.
         let samples = take(
             beams
                 .saturating_mul(head.samples.into())
@@ -291,7 +292,7 @@ impl<'a> Backscatter<'a> {
         })
     }
 
-    /// All samples in wire order: by sample, then by beam.
+    /// All samples in packet order: by sample, then by beam.
     pub fn values(&self) -> impl ExactSizeIterator<Item = f64> + 'a {
         let kind = self.kind;
         self.samples
@@ -299,7 +300,7 @@ impl<'a> Backscatter<'a> {
             .map(move |bytes| kind.value(bytes))
     }
 
-    /// Iterates over the beam angles, positive to starboard; none for side-scan.
+    /// Iterates over the beam angles, positive to starboard; empty for side-scan.
     pub fn angles_rad(&self) -> impl ExactSizeIterator<Item = f32> + 'a {
         self.angles
             .chunks_exact(4)

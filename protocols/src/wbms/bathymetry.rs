@@ -1,4 +1,5 @@
-//! Type 1: detections. Source: TN-180196, bathymetric data. Offsets count from the start of the packet.
+//! Packet type 1: detections. Source: TN-180196, bathymetric data. Offsets count from the start of the
+//! packet.
 
 use std::ops::Range;
 
@@ -25,15 +26,15 @@ pub struct BathymetryHead {
     pub time_net_s: f64,
     /// Offset 56: ping rate.
     pub ping_rate_hz: f32,
-    /// Offset 60: 0 is automatic gate.
+    /// Offset 60: Gate mode; 0 is automatic.
     pub sub_type: u16,
-    /// Offset 62: 1 is 512 equal angles, 2 is 256 equal angles, 3 is 256 equal distances.
+    /// Offset 62: beam distribution: 1 is 512 equal angles, 2 is 256 equal angles, 3 is 256 equal distances.
     pub beam_distribution: u8,
-    /// Offset 63: 1 is bathymetry.
+    /// Offset 63: sonar mode; 1 is bathymetry.
     pub sonar_mode: u8,
     /// Offset 64: uncertainty of the time.
     pub time_uncertainty_s: f32,
-    /// Offset 68: 0 outside multi-ping mode.
+    /// Offset 68: Multi-ping mode; 0 if off.
     pub multiping: u16,
     /// Offset 70: index within a multi-ping sequence.
     pub multiping_sequence: u16,
@@ -49,7 +50,7 @@ pub struct BathymetryHead {
     pub tx_length_s: f32,
     /// Offset 92: sound velocity before smoothing.
     pub sound_velocity_raw_m_per_s: f32,
-    /// Offset 96: NaN if it is not measured.
+    /// Offset 96: voltage of the transmitter; NaN if not measured.
     pub tx_voltage: f32,
     /// Offset 100: direction of the swath's centre, positive to starboard.
     pub swath_direction_rad: f32,
@@ -64,9 +65,9 @@ layout!(BathymetryHead, 88, "WBMS bathymetry", Little);
 /// One detection (20 bytes).
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Detection {
-    /// Range = sample_number x c / (2 x rate).
+    /// Sample number; the range is sample_number x c / (2 x rate).
     pub sample_number: u32,
-    /// Positive to starboard.
+    /// Angle of the beam, positive to starboard.
     pub angle_rad: f32,
     /// Start of the gate, sample number.
     pub upper_gate: u16,
@@ -74,9 +75,9 @@ pub struct Detection {
     pub lower_gate: u16,
     /// Level of the echo on the scale of `gain`.
     pub intensity: f32,
-    /// Bit 0 by magnitude, 1 by phase, 2-8 kind of quality, 9-12 priority.
+    /// Flags: bit 0 by magnitude, 1 by phase, 2-8 type of the quality, 9-12 priority.
     pub flags: u16,
-    /// Bit 0 signal-to-noise ratio, 1 colinearity; 3 is good.
+    /// Quality tests passed: bit 0 signal-to-noise ratio, bit 1 colinearity.
     pub quality_flags: u8,
     /// Quality of the detection; 3 is good.
     pub quality: u8,

@@ -1,8 +1,8 @@
-//! Text commands. Source: TN-180197 and TN-180196 (commands and their limits); revision 11 for those of gain, rates, transmit sector, time
-//! and logs.
+//! Text commands of WBMS. Source: TN-180197 and TN-180196 (commands and their limits); revision 11 for the commands of gain, rates,
+//! transmit sector, time and logs.
 //!
-//! A line is a command and its arguments, terminated by CR LF. A widely used client omits the terminator, so that the end of a TCP segment
-//! ends a command as well. A command without arguments is a query. The answer repeats the command with its values and may have a comment
+//! A line has a command and its arguments and ends with CR LF. A widely used client omits CR LF, so the end of a TCP segment also
+//! ends a command. A command without arguments is a query. The answer repeats the command with its values and may have a comment
 //! after `#`.
 
 use std::fmt::Write as _;
@@ -17,7 +17,7 @@ pub enum Command {
     Query(String),
     /// Operating mode, 0 to 7; 1 is bathymetry.
     Mode(u8),
-    /// 0 off, 1 or 9.
+    /// Side-scan mode: 0 off, 1 or 9.
     SidescanMode(u8),
     /// Reverses port and starboard.
     Flip(bool),
@@ -58,7 +58,7 @@ pub enum Command {
         /// Pulse length.
         length_us: f64,
     },
-    /// Ping rate up to 60; -1 is as fast as possible.
+    /// Ping rate up to 60; -1 means as fast as possible.
     RateHz(f64),
     /// Rate of snippets: -1 with every ping, 0 never.
     SnippetRateHz(f64),
@@ -80,11 +80,11 @@ pub enum Command {
     TimeSource(u8),
     /// Address of the NTP server.
     NtpServer(String),
-    /// 0 to 5; 4 and 5 are external.
+    /// Trigger mode, 0 to 5; 4 and 5 are external.
     TriggerMode(u8),
     /// Sound speed; `None` uses the probe.
     SoundVelocity(Option<f64>),
-    /// 0 to 3.
+    /// Preset of the automatic gate, 0 to 3.
     AutogatePreset(u8),
     /// Switches pinging on or off.
     Power(bool),
@@ -92,7 +92,7 @@ pub enum Command {
     Exit,
 }
 
-/// Why a command is refused.
+/// Reason why a command is refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CommandError {
     #[error("unknown command {0:?}")]
@@ -160,7 +160,7 @@ pub fn answer(command: &str, values: &[f64], comment: &str) -> String {
     text
 }
 
-/// Commands with arguments, and commands that may be queried.
+/// Commands with arguments, and commands that can be queried.
 const COMMANDS: [&str; 33] = [
     "set_mode",
     "set_sidescan_mode",

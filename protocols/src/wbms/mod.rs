@@ -1,7 +1,8 @@
 //! NORBIT WBMS: overview, packet header, and the common part of packets.
 //!
-//! Sources: TN-180196 "WBMS DFD External" (2018) and TN-180197 (control without a GUI), public in uri-ocean-robotics/norbit. Fields that
-//! the document calls reserved follow the MIT licensed header of magnuan/wbms_georef. Little endian, angles in rad.
+//! Sources: TN-180196 "WBMS DFD External" (2018) and TN-180197 (control without a GUI), public in uri-ocean-robotics/norbit. Fields
+//! that the document calls reserved follow the MIT licensed header of magnuan/wbms_georef. Numbers are little endian, and angles
+//! are in rad.
 //!
 //! There are four TCP servers: text control, bathymetry, water column, and side-scan or snippets. A connection is a subscription. Each
 //! packet is
@@ -60,12 +61,12 @@ pub mod packet_type {
     pub const HEARTBEAT: u32 = 7;
 }
 
-/// The first 24 bytes of every packet.
+/// Header of a packet: the first 24 bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct PacketHeader {
-    /// DEADBEEF.
+    /// Mark, DEADBEEF.
     pub mark: u32,
-    /// One of [`packet_type`].
+    /// Packet type, one of [`packet_type`].
     pub packet_type: u32,
     /// Size of the whole packet.
     pub size_bytes: u32,
@@ -128,7 +129,7 @@ impl<'a> Packet<'a> {
     }
 }
 
-/// Appends a packet whose payload `write_payload` appends, and returns its byte range.
+/// Appends a packet with the payload that `write_payload` appends, and returns its byte range.
 fn emit_packet(
     buf: &mut Vec<u8>,
     packet_type: u32,
@@ -174,7 +175,7 @@ pub fn crc32(bytes: &[u8]) -> u32 {
     })
 }
 
-/// Splits a connection into packets.
+/// Framing of packets in a connection.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct WbmsFraming;
 
@@ -197,5 +198,5 @@ impl Framing for WbmsFraming {
     }
 }
 
-/// Packets from a connection.
+/// Splitter of a connection into packets.
 pub type WbmsStream = Splitter<WbmsFraming>;

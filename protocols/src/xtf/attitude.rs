@@ -1,4 +1,4 @@
-//! One reading of a motion sensor. Source: Rev. X41, table E (XTFATTITUDEDATA).
+//! Attitude packet: one reading of a motion sensor. Source: Rev. X41, table E (XTFATTITUDEDATA).
 
 use std::ops::Range;
 
@@ -36,15 +36,15 @@ layout!(RawAttitude, 64, "XTF attitude", Little);
 /// Attitude at one time, with microsecond resolution.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Attitude {
-    /// Nanoseconds since 1970.
+    /// Time, nanoseconds since 1970.
     pub utc_ns: i64,
-    /// Positive nose up.
+    /// Pitch, positive nose up.
     pub pitch_deg: f32,
-    /// Positive to starboard (port up).
+    /// Roll, positive to starboard (port up).
     pub roll_deg: f32,
-    /// Positive up.
+    /// Heave, positive up.
     pub heave_up_m: f32,
-    /// Clockwise from north.
+    /// Heading, clockwise from north.
     pub heading_deg: f32,
 }
 

@@ -1,6 +1,7 @@
-//! Header of a file. Source: Rev. X41, tables C (XTFFILEHEADER) and D (CHANINFO).
+//! Header of an XTF file. Source: Rev. X41, tables C (XTFFILEHEADER) and D (CHANINFO).
 //!
-//! At most six channels are supported: with more, the header grows in steps of 1024 bytes, which few readers support.
+//! At most six channels are supported. With more channels the header grows in steps of 1024 bytes, which few readers
+//! support.
 
 use binrw::{BinRead, BinWrite};
 
@@ -9,7 +10,7 @@ use crate::layout::{layout_of, read_layout, text_field, text_of, write_layout};
 
 /// Maximum number of channels.
 pub const MAX_CHANNELS: usize = 6;
-/// Byte 0 of a file.
+/// Value of byte 0 of a file.
 const FILE_FORMAT: u8 = 0x7B;
 /// Value that old viewers expect in the former field for the number of samples.
 const SAMPLES_OF_OLD_VIEWERS: u32 = 1024;
@@ -76,7 +77,7 @@ pub struct ChannelInfo {
     pub kind: ChannelKind,
     /// Type of the samples.
     pub format: SampleFormat,
-    /// At most 15 ASCII characters.
+    /// Name of the channel, at most 15 ASCII characters.
     pub name: String,
     /// Centre frequency.
     pub frequency_khz: f32,
@@ -120,17 +121,17 @@ layout_of!(RawChannel, 128, "XTF channel", Little);
 /// Header of a side-scan file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FileHeader {
-    /// At most 7 ASCII characters.
+    /// Name of the recording program, at most 7 ASCII characters.
     pub program: String,
-    /// At most 7 ASCII characters.
+    /// Version of the recording program, at most 7 ASCII characters.
     pub program_version: String,
-    /// At most 15 characters.
+    /// Name of the sonar, at most 15 characters.
     pub sonar_name: String,
     /// Type of the sonar from table C; 0 is unspecified.
     pub sonar_type: u16,
-    /// At most 63 characters.
+    /// Note, at most 63 characters.
     pub note: String,
-    /// At most 63 characters.
+    /// Name of the file, at most 63 characters.
     pub file_name: String,
     /// Unit of positions.
     pub nav_units: NavUnits,
@@ -261,7 +262,7 @@ impl ChannelInfo {
             3 => ChannelKind::Bathymetry,
             other => return Err(WireError::unsupported("XTF channel type", other)),
         };
-        // Files from before Rev. X41 state the sample size only.
+        // Files from before Rev. X41 state only the size of a sample.
         let format = match (raw.sample_format, raw.bytes_per_sample) {
             (8, _) | (0, 1) => SampleFormat::U8,
             (3, _) | (0, 2) => SampleFormat::U16,
@@ -295,7 +296,7 @@ impl ChannelInfo {
                 ChannelKind::Bathymetry => 3,
             },
             index,
-            // Slant range, never negative.
+            // The range is slant range, never negative.
             correction: 1,
             unipolar: 1,
             bytes_per_sample: self.format.bytes() as u16,

@@ -1,7 +1,7 @@
 //! Triton XTF files: structure, and the common part of all packets.
 //!
-//! Source: "eXtended Triton Format (XTF)" Rev. X41 (2016), public. Little endian; angles in degrees. Positive directions are nose up, roll
-//! to starboard (port up) and sensor up. Times have a resolution of 0.01 s.
+//! Source: "eXtended Triton Format (XTF)" Rev. X41 (2016), public. Numbers are little endian, and angles are in degrees. Positive
+//! directions are nose up, roll to starboard (port up) and sensor up. Times have a resolution of 0.01 s.
 //!
 //! A file is a header of 1024 bytes ([`FileHeader`], with up to six channels) and packets. Each packet has the mark [`MARK`], its type and
 //! its length, which is a multiple of 64.
@@ -26,7 +26,7 @@ pub use ping::{ChannelHeader, ChannelSamples, Ping, PingHeader, Samples, emit_pi
 
 /// The first two bytes of every packet, CE FA.
 pub const MARK: u16 = 0xFACE;
-/// Packets are padded with zeros to a multiple of this.
+/// Length step of packets, bytes. Packets are padded with zeros to a multiple of this step.
 pub const PACKET_STEP_BYTES: usize = 64;
 /// Default maximum packet size of the parser.
 pub const MAX_PACKET_BYTES: u32 = 1 << 26;
@@ -44,9 +44,9 @@ pub mod packet_type {
 /// The first 14 bytes of every packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct PacketStart {
-    /// [`MARK`].
+    /// Mark, [`MARK`].
     pub mark: u16,
-    /// One of [`packet_type`].
+    /// Packet type, one of [`packet_type`].
     pub packet_type: u8,
     /// Sub-channel of the packet.
     pub sub_channel: u8,
@@ -82,7 +82,7 @@ impl PacketStart {
     }
 }
 
-/// The whole packet at the front of `bytes`, which must have the given type.
+/// The complete packet at the front of `bytes`, which must have the given type.
 fn packet_of(bytes: &[u8], packet_type: u8) -> Result<(PacketStart, &[u8]), WireError> {
     let start = PacketStart::parse(bytes)?;
     start.check(MAX_PACKET_BYTES)?;
@@ -92,7 +92,7 @@ fn packet_of(bytes: &[u8], packet_type: u8) -> Result<(PacketStart, &[u8]), Wire
     data_at(bytes, 0, start.packet_bytes.into(), "XTF packet").map(|packet| (start, packet))
 }
 
-/// Splits the bytes after the file header into packets.
+/// Framing of the packets after the file header.
 #[derive(Debug, Clone, Copy)]
 pub struct XtfFraming {
     /// Maximum packet size accepted.
@@ -129,5 +129,5 @@ impl Framing for XtfFraming {
     }
 }
 
-/// Packets of a file, read in pieces after its header.
+/// Splitter of a file, in pieces after its header, into packets.
 pub type XtfStream = Splitter<XtfFraming>;

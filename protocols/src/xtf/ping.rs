@@ -1,4 +1,4 @@
-//! One side-scan ping. Source: Rev. X41, tables H (XTFPINGHEADER) and I (XTFPINGCHANHEADER).
+//! Sonar packet: one side-scan ping. Source: Rev. X41, tables H (XTFPINGHEADER) and I (XTFPINGCHANHEADER).
 //!
 //! ```text
 //! ping header 256 | per channel: header 64, samples | zeros up to a multiple of 64 bytes
@@ -18,7 +18,7 @@ use crate::sevenk::frame::extend_encoded;
 
 const NS_PER_HUNDREDTH: i64 = 10_000_000;
 
-/// The 256 bytes before the channels, as on the wire. Byte and channel counts are set when the packet is emitted.
+/// Header of a ping: the 256 bytes before the channels. Byte and channel counts are set when the packet is emitted.
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
 pub struct PingHeader {
     /// Common start of a packet.
@@ -82,23 +82,23 @@ pub struct PingHeader {
     pub layback_m: f32,
     /// Offset 192: depth of the sensor.
     pub sensor_depth_m: f32,
-    /// Offset 196: above the bottom.
+    /// Offset 196: height of the sensor above the seabed.
     #[brw(pad_after = 4)]
     pub sensor_altitude_m: f32,
-    /// Offset 204: positive nose up.
+    /// Offset 204: pitch of the sensor, positive nose up.
     pub sensor_pitch_deg: f32,
-    /// Offset 208: positive to starboard (port up).
+    /// Offset 208: roll of the sensor, positive to starboard (port up).
     pub sensor_roll_deg: f32,
     /// Offset 212: heading of the sensor.
     pub sensor_heading_deg: f32,
-    /// Offset 216: positive up.
+    /// Offset 216: heave, positive up.
     pub heave_up_m: f32,
-    /// Offset 220: positive to the right.
+    /// Offset 220: yaw, positive to the right.
     pub yaw_deg: f32,
-    /// Offset 224: milliseconds, a clock shared with attitude packets.
+    /// Offset 224: time of a clock shared with attitude packets, milliseconds.
     #[brw(pad_after = 4)]
     pub attitude_time_tag_ms: u32,
-    /// Offset 232.
+    /// Offset 232: time of the position, milliseconds.
     #[brw(pad_after = 20)]
     pub nav_fix_ms: u32,
 }
@@ -152,12 +152,12 @@ impl PingHeader {
     }
 }
 
-/// The 64 bytes before a channel's samples.
+/// Header of a channel: the 64 bytes before its samples.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct ChannelHeader {
     /// Index of the channel in the file header.
     pub channel: u16,
-    /// Offset 2: largest, 4: root mean square.
+    /// Offset 2: downsampling: 2 largest value, 4 root mean square.
     pub downsample_method: u16,
     /// Offset 4: slant range.
     pub slant_range_m: f32,
@@ -169,7 +169,7 @@ pub struct ChannelHeader {
     pub time_duration_s: f32,
     /// Offset 20: period between pings.
     pub seconds_per_ping: f32,
-    /// Offset 24: 4 TVG, 8 angle and gain correction, 16 filter.
+    /// Offset 24: processing: 4 TVG, 8 angle and gain correction, 16 filter.
     pub processing_flags: u16,
     /// Offset 26: centre frequency.
     pub frequency_khz: u16,
@@ -296,7 +296,7 @@ impl<'a> ChannelSamples<'a> {
 pub struct Ping<'a> {
     /// Ping header.
     pub header: PingHeader,
-    /// As many as the packet states, at most those of the file header.
+    /// Channels of the ping, at most those of the file header.
     pub channels: Vec<ChannelSamples<'a>>,
 }
 

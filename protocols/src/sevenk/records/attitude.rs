@@ -1,4 +1,4 @@
-//! 1016: attitude, several readings of a motion sensor in one record. Source: DFD 3.12, tables 33 and 34.
+//! Record 1016 (attitude): several readings of a motion sensor. Source: DFD 3.12, tables 33 and 34.
 //!
 //! ```text
 //! RTH   0 u8 data sets N                                                                1 byte
@@ -14,31 +14,31 @@ use super::{data_at, rth};
 use crate::sevenk::frame::{Layout, OpenRecord, RecordStamp, read_fixed, write_layout};
 use crate::sevenk::{WireError, record_id};
 
-/// One reading of 1016.
+/// Reading of a record 1016 (attitude).
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct AttitudeSet {
     /// Time after the record's timestamp.
     pub after_ms: u16,
-    /// Positive port up.
+    /// Roll, positive port up.
     pub roll_rad: f32,
-    /// Positive bow up.
+    /// Pitch, positive bow up.
     pub pitch_rad: f32,
-    /// Positive up.
+    /// Heave, positive up.
     pub heave_up_m: f32,
-    /// Clockwise from true north.
+    /// Heading, clockwise from true north.
     pub heading_rad: f32,
 }
 
 rth!(AttitudeSet, 18, "1016 attitude");
 
-/// A parsed 1016 that borrows its readings.
+/// Parsed record 1016 (attitude) that borrows its readings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Attitude1016<'a> {
     sets: &'a [u8],
 }
 
 impl<'a> Attitude1016<'a> {
-    /// Size of the RTH.
+    /// Size of the record type header, bytes.
     pub const RTH_BYTES: usize = 1;
 
     /// Parses the record body.
@@ -58,7 +58,7 @@ impl<'a> Attitude1016<'a> {
     }
 }
 
-/// Appends a 1016 record.
+/// Appends a record 1016 (attitude).
 ///
 /// # Panics
 /// If there are more than 255 readings.

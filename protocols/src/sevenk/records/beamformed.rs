@@ -1,4 +1,5 @@
-//! 7018: magnitude and phase of every sample of every beam. Source: DFD 3.12.
+//! Record 7018 (beamformed data): magnitude and phase of every sample of every beam. Source: DFD
+//! 3.12.
 //!
 //! ```text
 //! RTH   52 bytes, see Rth7018
@@ -19,14 +20,14 @@ use crate::sevenk::{WireError, record_id};
 /// Counts of phase per radian.
 pub const PHASE_COUNTS_PER_RAD: f32 = 10_430.0;
 
-/// The RTH of 7018.
+/// Record type header of record 7018 (beamformed data).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
 pub struct Rth7018 {
-    /// Serial number.
+    /// Serial number of the sonar.
     pub sonar_id: u64,
-    /// Sequential from 1.
+    /// Ping number, sequential from 1.
     pub ping_number: u32,
-    /// 0 outside multi-ping mode.
+    /// Sequence number in multi-ping mode; 0 in other modes.
     pub multi_ping_sequence: u16,
     /// Number of beams.
     pub beams: u16,
@@ -55,7 +56,7 @@ impl BeamSample {
     }
 }
 
-/// A parsed 7018 that borrows its samples.
+/// Parsed record 7018 (beamformed data) that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Beamformed7018<'a> {
     /// Record type header.
@@ -74,7 +75,7 @@ impl<'a> Beamformed7018<'a> {
         })
     }
 
-    /// One sample of one beam; none outside the record.
+    /// Sample of a beam; `None` outside the record.
     pub fn sample(&self, sample: u32, beam: u16) -> Option<BeamSample> {
         if sample >= self.rth.samples || beam >= self.rth.beams {
             return None;
@@ -87,7 +88,7 @@ impl<'a> Beamformed7018<'a> {
         })
     }
 
-    /// All samples in wire order: by sample, then by beam.
+    /// All samples in record order: by sample, then by beam.
     pub fn samples(&self) -> impl ExactSizeIterator<Item = BeamSample> + 'a {
         self.data
             .chunks_exact(BeamSample::BYTES)
@@ -98,7 +99,7 @@ impl<'a> Beamformed7018<'a> {
     }
 }
 
-/// Appends a 7018 record. Samples are ordered by sample, then by beam.
+/// Appends a record 7018 (beamformed data). Samples are in order of sample, then beam.
 ///
 /// # Panics
 /// If their number is not `rth.samples * rth.beams`.

@@ -1,4 +1,4 @@
-//! 7057: calibrated side-scan, and 10038: raw I/Q of a single beam. Source: DFD 3.12, tables 99, 100, 131, 132.
+//! Records 7057 (calibrated side-scan) and 10038 (raw I and Q of a single beam). Source: DFD 3.12, tables 99, 100, 131, 132.
 //!
 //! ```text
 //! 7057   RTH 65 bytes; RD port f32[S], starboard f32[S], u16[S] beam numbers of port, u16[S] of starboard
@@ -16,14 +16,14 @@ use crate::sevenk::frame::{
 };
 use crate::sevenk::{WireError, record_id};
 
-/// The RTH of 7057.
+/// Record type header of record 7057 (calibrated side-scan).
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Rth7057 {
-    /// Serial number.
+    /// Serial number of the sonar.
     pub sonar_id: u64,
-    /// Sequential from 1.
+    /// Ping number, sequential from 1.
     pub ping_number: u32,
-    /// 0 outside multi-ping mode.
+    /// Sequence number in multi-ping mode; 0 in other modes.
     pub multi_ping_sequence: u16,
     /// Distance forward of beam 0.
     #[brw(pad_after = 4)]
@@ -31,30 +31,30 @@ pub struct Rth7057 {
     /// Number of samples per side, set from the slices.
     #[brw(pad_after = 32)]
     pub samples_per_side: u32,
-    /// Always 1 in emitted records.
+    /// Number of beams per side; 1 in emitted records.
     pub beams_per_side: u16,
     /// Index of the beam.
     pub current_beam: u16,
-    /// 4 for f32, 8 for f64; emitted records have 4.
+    /// Size of a sample: 4 for f32, 8 for f64. Emitted records have 4.
     pub bytes_per_sample: u8,
-    /// Not used.
+    /// Data types; not used.
     pub data_types: u8,
-    /// 0: valid; otherwise the samples are not calibrated.
+    /// 0 if the samples are valid. Otherwise they are not calibrated.
     pub error_flag: u8,
 }
 
 rth!(Rth7057, 65, "7057 calibrated side scan");
 
-/// One side of a line.
+/// One side of a calibrated side-scan line.
 #[derive(Debug, Clone, Copy)]
 pub struct CalibratedSide<'a> {
-    /// Samples, uPa.
+    /// Sound pressures, uPa.
     pub samples: &'a [f32],
     /// Beam that each sample was taken from.
     pub beams: &'a [u16],
 }
 
-/// A parsed 7057 that borrows its samples.
+/// Parsed record 7057 (calibrated side-scan) that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CalibratedSideScan7057<'a> {
     /// Record type header.
@@ -95,7 +95,7 @@ impl<'a> CalibratedSideScan7057<'a> {
         side(self.samples[0], self.beams[0], self.rth.bytes_per_sample)
     }
 
-    /// The same for starboard.
+    /// Iterates over the starboard samples with the beam of each; the first is range 0.
     pub fn starboard(&self) -> impl Iterator<Item = (f64, u16)> + 'a {
         side(self.samples[1], self.beams[1], self.rth.bytes_per_sample)
     }
@@ -119,7 +119,7 @@ fn side<'a>(
     samples.zip(beams)
 }
 
-/// Appends a 7057 record of f32. `samples_per_side`, `bytes_per_sample` and `beams_per_side` of `rth` are ignored.
+/// Appends a record 7057 (calibrated side-scan) of f32. `samples_per_side`, `bytes_per_sample` and `beams_per_side` of `rth` are ignored.
 ///
 /// # Panics
 /// If the sides differ in length, or samples and beams of a side differ in number.
@@ -159,16 +159,16 @@ pub fn emit_7057(
     open.finish(buf)
 }
 
-/// The RTH of 10038.
+/// Record type header of record 10038 (single-beam I and Q).
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Rth10038 {
-    /// Sequential from 1.
+    /// Ping number, sequential from 1.
     pub ping_number: u32,
-    /// 0 outside multi-ping mode.
+    /// Sequence number in multi-ping mode; 0 in other modes.
     pub multi_ping_sequence: u32,
     /// Mean sound velocity of the water column.
     pub mean_sound_velocity_m_per_s: f32,
-    /// Draught of the transducer, which the data do not include.
+    /// Draught of the transducer, not applied to the data.
     pub draft_not_applied_m: f32,
     /// Sample rate.
     pub sample_rate_hz: f32,
@@ -176,7 +176,7 @@ pub struct Rth10038 {
     pub effective_pulse_length_s: f32,
     /// Two-way time of the first sample.
     pub start_sample_delay_s: f32,
-    /// Always 64.
+    /// Number of bits of a complex sample; always 64.
     pub bits_per_sample: u32,
     /// Largest possible value.
     pub full_scale: f32,
@@ -187,7 +187,7 @@ pub struct Rth10038 {
 
 rth!(Rth10038, 120, "10038 single-beam raw I/Q");
 
-/// A parsed 10038 that borrows its samples.
+/// Parsed record 10038 (single-beam I and Q) that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SingleBeamIq10038<'a> {
     /// Record type header.
@@ -221,7 +221,7 @@ impl<'a> SingleBeamIq10038<'a> {
     }
 }
 
-/// Appends a 10038 record. `samples` and `bits_per_sample` of `rth` are ignored.
+/// Appends a record 10038 (single-beam I and Q). `samples` and `bits_per_sample` of `rth` are ignored.
 pub fn emit_10038(
     buf: &mut Vec<u8>,
     stamp: &RecordStamp,

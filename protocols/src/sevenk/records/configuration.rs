@@ -1,12 +1,12 @@
-//! 7001: description of the sonar, sent on request. Source: DFD 3.12.
+//! Record 7001 (configuration): description of the sonar, sent on request. Source: DFD 3.12.
 //!
 //! ```text
 //! RTH   0 u64 sonar_id   8 u32 modules                                                                            12 bytes
 //! RD    per module: u32 identifier, char[60] description, u32 alphadata_card, u64 serial, u32 info_length L, L bytes of XML
 //! ```
 //!
-//! Teledyne's reader drops the last byte of the XML and requires exactly one 7001 in a file. The text therefore ends in one NUL, which L
-//! includes, and a file contains one 7001.
+//! Teledyne's reader drops the last byte of the XML and requires exactly one 7001 in a file. The text therefore ends with one NUL,
+//! which L includes, and a file contains one 7001.
 
 use std::fmt;
 use std::ops::Range;
@@ -37,7 +37,7 @@ rth!(Rth7001, 12, "7001 configuration");
 
 layout_of!(ModuleHead, 80, "7001 module", Little);
 
-/// 7001: modules of a sonar.
+/// Record 7001 (configuration): modules of a sonar.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Configuration7001 {
     /// Serial number of the sonar.
@@ -49,11 +49,11 @@ pub struct Configuration7001 {
 /// One module of a sonar.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Module {
-    /// A device identifier.
+    /// Device identifier of the module.
     pub identifier: u32,
-    /// At most 59 bytes are emitted.
+    /// Description of the module; at most 59 bytes are emitted.
     pub description: String,
-    /// 0x400, 0x800 or 0x1000.
+    /// Alphadata card: 0x400, 0x800 or 0x1000.
     pub alphadata_card: u32,
     /// Serial number of the module.
     pub serial_number: u64,
@@ -62,7 +62,7 @@ pub struct Module {
 }
 
 impl Configuration7001 {
-    /// Size of the RTH.
+    /// Size of the record type header, bytes.
     pub const RTH_BYTES: usize = Rth7001::RTH_BYTES;
 
     /// Parses the record body.
@@ -105,7 +105,7 @@ impl Configuration7001 {
     }
 }
 
-/// Appends a 7001 record. Texts are truncated at their first NUL, the description also to 59 bytes.
+/// Appends a record 7001 (configuration). Texts are truncated at their first NUL, the description also to 59 bytes.
 pub fn emit_7001(
     buf: &mut Vec<u8>,
     stamp: &RecordStamp,
@@ -140,7 +140,7 @@ fn before_nul(text: &str) -> &str {
     text.split('\0').next().unwrap_or_default()
 }
 
-/// A text as a field of fixed length that always ends in a NUL; longer texts are truncated between characters.
+/// Text as a field of fixed length that ends with a NUL. Longer texts are truncated between characters.
 pub(crate) fn text_field<const N: usize>(text: &str) -> [u8; N] {
     let text = before_nul(text);
     let fitting = (0..=text.len().min(N - 1))
@@ -152,7 +152,7 @@ pub(crate) fn text_field<const N: usize>(text: &str) -> [u8; N] {
     field
 }
 
-/// Text of a field up to its first NUL; invalid UTF-8 is replaced.
+/// Text of a field up to its first NUL. Invalid UTF-8 is replaced.
 pub(crate) fn text_of(field: &[u8]) -> String {
     String::from_utf8_lossy(field.split(|&byte| byte == 0).next().unwrap_or_default()).into_owned()
 }

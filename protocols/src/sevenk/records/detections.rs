@@ -1,4 +1,4 @@
-//! 7027: raw detections of the bottom detector. Source: DFD 3.12, tables 72 to 74.
+//! Record 7027 (raw detections) of the bottom detector. Source: DFD 3.12, tables 72 to 74.
 //!
 //! ```text
 //! RTH   99 bytes, see Rth7027
@@ -14,20 +14,20 @@ use super::{data_at, rth};
 use crate::sevenk::frame::{Layout, OpenRecord, RecordStamp, read_fixed, write_layout};
 use crate::sevenk::{WireError, record_id};
 
-/// The RTH of 7027.
+/// Record type header of record 7027 (raw detections).
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Rth7027 {
-    /// Serial number.
+    /// Serial number of the sonar.
     pub sonar_id: u64,
-    /// Sequential from 1.
+    /// Ping number, sequential from 1.
     pub ping_number: u32,
-    /// 0 outside multi-ping mode.
+    /// Sequence number in multi-ping mode; 0 in other modes.
     pub multi_ping_sequence: u16,
     /// Number of detections, set from the slice.
     pub detections: u32,
     /// Size of each detection, bytes; 34 in emitted records.
     pub data_field_size: u32,
-    /// 0 G1 simple, 1 G1 blended, 2 G2, 3 G3, ...
+    /// Detection algorithm: 0 G1 simple, 1 G1 blended, 2 G2, 3 G3, ...
     pub detection_algorithm: u8,
     /// Bits 0-3 method of the uncertainty, 4 multi-detection, 6 detections have the snippet flag.
     pub flags: u32,
@@ -67,7 +67,7 @@ pub struct Detection7027 {
 
 rth!(Detection7027, 34, "7027 detection");
 
-/// A parsed 7027 that borrows its detections.
+/// Parsed record 7027 (raw detections) that borrows its detections.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RawDetections7027<'a> {
     /// Record type header.
@@ -85,7 +85,7 @@ impl<'a> RawDetections7027<'a> {
                 rth.data_field_size,
             ));
         }
-        // Below 2^64: a product of two 32-bit numbers.
+        // The product of two 32-bit numbers is below 2^64.
         let len = u64::from(rth.detections) * u64::from(rth.data_field_size);
         let data = data_at(body, Rth7027::RTH_BYTES, len, "7027 detections")?;
         Ok(Self { rth, data })
@@ -99,7 +99,7 @@ impl<'a> RawDetections7027<'a> {
     }
 }
 
-/// Appends a 7027 record. `detections` and `data_field_size` of `rth` are ignored.
+/// Appends a record 7027 (raw detections). `detections` and `data_field_size` of `rth` are ignored.
 pub fn emit_7027(
     buf: &mut Vec<u8>,
     stamp: &RecordStamp,

@@ -1,4 +1,4 @@
-//! 7004: directions and widths of the beams. Source: DFD 3.12.
+//! Record 7004 (beam geometry): directions and widths of the beams. Source: DFD 3.12.
 //!
 //! ```text
 //! RTH   0 u64 sonar_id   8 u32 beams N                                          12 bytes
@@ -37,7 +37,7 @@ pub struct BeamAngles<'a> {
     pub width_x_rad: &'a [f32],
 }
 
-/// A parsed 7004 that borrows its angles.
+/// Parsed record 7004 (beam geometry) that borrows its angles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BeamGeometry7004<'a> {
     /// Serial number of the sonar.
@@ -48,7 +48,7 @@ pub struct BeamGeometry7004<'a> {
 }
 
 impl<'a> BeamGeometry7004<'a> {
-    /// Size of the RTH.
+    /// Size of the record type header, bytes.
     pub const RTH_BYTES: usize = Rth7004::RTH_BYTES;
 
     /// Parses the record body.
@@ -95,7 +95,7 @@ impl<'a> BeamGeometry7004<'a> {
     }
 }
 
-/// Appends a 7004 record.
+/// Appends a record 7004 (beam geometry).
 ///
 /// # Panics
 /// If the slices differ in length.

@@ -1,4 +1,5 @@
-//! 7030: where the arrays and sensors are mounted. Source: DFD 3.12, table 79. Sonars do not send it; recording programs do.
+//! Record 7030 (sonar installation parameters): mounting of arrays and sensors. Source: DFD 3.12, table 79. Recording
+//! programs send it; sonars do not.
 //!
 //! Axes: X starboard, Y forward, Z up, from the vessel's reference point.
 
@@ -9,7 +10,7 @@ use binrw::{BinRead, BinWrite};
 use super::{rth_record, text_field, text_of};
 use crate::sevenk::record_id;
 
-/// A text of at most 127 bytes with its length.
+/// Text of at most 127 bytes, with its length.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct Version {
     bytes: u16,
@@ -17,7 +18,7 @@ pub struct Version {
 }
 
 impl Version {
-    /// Text up to its first NUL; longer texts are truncated between characters.
+    /// Version from a text up to its first NUL. Longer texts are truncated between characters.
     pub fn new(text: &str) -> Self {
         let text: [u8; 128] = text_field(text);
         Self {
@@ -42,32 +43,32 @@ impl Default for Version {
 /// Offset of an array or sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct MountingOffset {
-    /// Starboard.
+    /// Offset, positive to starboard.
     pub x_m: f32,
-    /// Forward.
+    /// Offset, positive forward.
     pub y_m: f32,
-    /// Up.
+    /// Offset, positive up.
     pub z_m: f32,
-    /// Positive port up.
+    /// Roll, positive port up.
     pub roll_rad: f32,
-    /// Positive bow up.
+    /// Pitch, positive bow up.
     pub pitch_rad: f32,
-    /// Clockwise.
+    /// Heading of the device in the vessel, positive clockwise.
     pub heading_rad: f32,
 }
 
-/// 7030: installation of a sonar.
+/// Record 7030 (sonar installation parameters): mounting of arrays and sensors.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Installation7030 {
     /// Centre frequency.
     pub frequency_hz: f32,
-    /// Of the sonar's firmware.
+    /// Version of the sonar's firmware.
     pub firmware: Version,
-    /// Of the sonar's software.
+    /// Version of the sonar's software.
     pub software: Version,
-    /// Of the 7k software.
+    /// Version of the 7k software.
     pub sevenk_software: Version,
-    /// Of the record protocol.
+    /// Version of the record protocol.
     pub record_protocol: Version,
     /// Transmit array.
     pub transmit: MountingOffset,

@@ -1,9 +1,10 @@
-//! Contents of 7k records: one file per family, each record a plain struct of the wire's fields. `parse` reads the body of a [`Record`](super::frame::Record)
-//! (RTH and RD) and ignores further bytes, because later versions append fields. `emit` appends a whole record including frame and
-//! checksum, and returns its byte range. Reserved bytes are written as 0 and ignored when read.
+//! Contents of 7k records, one file per family. Each record is a plain struct of its fields. `parse` reads the body of a
+//! [`Record`](super::frame::Record) (record type header and data). It ignores further bytes, because later versions append fields.
+//! `emit` appends a complete record with frame and checksum, and returns its byte range. Reserved bytes are written as 0 and
+//! ignored when read.
 //!
-//! Records with samples parse to views that borrow the body. `emit_NNNN` emits them from slices of wire numbers; the caller quantises.
-//! Inconsistent slices are programming errors and panic.
+//! Records with samples parse to views that borrow the body. `emit_NNNN` writes such a record from slices of the numbers in the
+//! record; the caller quantises. Inconsistent slices are programming errors and panic.
 
 mod attitude;
 mod beamformed;
@@ -57,7 +58,7 @@ macro_rules! rth_record {
         impl $record {
             /// Record type.
             pub const RECORD_TYPE_ID: u32 = $id;
-            /// Size of the RTH.
+            /// Size of the record type header, bytes.
             pub const RTH_BYTES: usize = $size;
 
             /// Parses a record's body.
@@ -86,7 +87,7 @@ macro_rules! rth {
         crate::layout::layout_of!($rth, $size, $name, Little);
 
         impl $rth {
-            /// Size of the RTH.
+            /// Size of the record type header, bytes.
             #[allow(unreachable_pub, reason = "some of the types are private to the crate")]
             pub const RTH_BYTES: usize = $size;
         }
@@ -94,7 +95,7 @@ macro_rules! rth {
 }
 pub(crate) use rth;
 
-/// The `len` bytes of record data from `at`, or an error that states the missing bytes.
+/// The `len` bytes of record data from offset `at`, or an error with the number of missing bytes.
 pub(crate) fn data_at<'a>(
     body: &'a [u8],
     at: usize,
@@ -102,7 +103,7 @@ pub(crate) fn data_at<'a>(
     what: &'static str,
 ) -> Result<&'a [u8], WireError> {
     let data = body.get(at..).unwrap_or_default();
-    // A length from the wire may exceed usize on a 32-bit machine, so it is compared as u64 before conversion.
+    // A length in a record may exceed usize on a 32-bit machine, so it is compared as u64 before the conversion.
     if (data.len() as u64) < len {
         return Err(WireError::truncated(what, at as u64 + len, body.len()));
     }

@@ -1,7 +1,7 @@
-//! Navigation of the platform: 1003 position, 1008 depth, 1012 roll, pitch and heave, 1013 heading, 1015 navigation, 7610 sound velocity. Source: DFD
-//! 3.12.
+//! Records of the navigation of the platform: 1003 (position), 1008 (depth), 1012 (roll, pitch and heave), 1013 (heading), 1015
+//! (navigation) and 7610 (sound velocity). Source: DFD 3.12.
 //!
-//! Signs: roll port up, pitch bow up, heave up. Some readers require 7610 for bathymetry, so that a server must send it.
+//! Signs: roll is positive port up, pitch bow up, heave up. Some readers require 7610 for bathymetry, so a server must send it.
 
 use std::fmt;
 
@@ -10,99 +10,99 @@ use binrw::{BinRead, BinWrite};
 use super::rth_record;
 use crate::sevenk::record_id;
 
-/// 1003: a geographic or grid position.
+/// Record 1003 (position): geographic or grid position.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Position1003 {
-    /// 0 is WGS84.
+    /// Geodetic datum; 0 means WGS84.
     pub datum_id: u32,
     /// Age of the position at the record's timestamp.
     pub latency_s: f32,
-    /// Radians if geographic, metres on a grid.
+    /// Latitude in radians if geographic, northing in metres on a grid.
     pub latitude_rad_or_northing_m: f64,
-    /// Radians if geographic, metres on a grid.
+    /// Longitude in radians if geographic, easting in metres on a grid.
     pub longitude_rad_or_easting_m: f64,
     /// Height above the datum.
     pub height_m: f64,
-    /// One of [`Position1003::GEOGRAPHIC`] and [`Position1003::GRID`].
+    /// Type of the position: [`Position1003::GEOGRAPHIC`] or [`Position1003::GRID`].
     pub position_type: u8,
     /// Zone of a grid position.
     pub utm_zone: u8,
-    /// 0 navigation, 1 dead reckoning.
+    /// Quality of the position: 0 navigation, 1 dead reckoning.
     pub quality_flag: u8,
-    /// 0 GPS, 1 DGPS, 15 RTK fixed, 16 RTK float.
+    /// Positioning method: 0 GPS, 1 DGPS, 15 RTK fixed, 16 RTK float.
     pub positioning_method: u8,
     /// Number of satellites in use.
     pub satellites: u8,
 }
 
 impl Position1003 {
-    /// Latitude and longitude.
+    /// Type of a position in latitude and longitude.
     pub const GEOGRAPHIC: u8 = 0;
-    /// Northing and easting.
+    /// Type of a position in northing and easting.
     pub const GRID: u8 = 1;
 }
 
-/// 1008: depth of the platform or of the water.
+/// Record 1008 (depth) of the platform or of the water.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Depth1008 {
-    /// 0 depth of the sensor, 1 depth of the water.
+    /// Measured depth: 0 of the sensor, 1 of the water.
     pub descriptor: u8,
-    /// 0 as measured, 1 relative to the mean sea level.
+    /// Reference of the depth: 0 as measured, 1 mean sea level.
     #[brw(pad_after = 2)]
     pub correction: u8,
-    /// Positive down.
+    /// Depth, positive down.
     pub depth_m: f32,
 }
 
-/// 1012: attitude and heave.
+/// Record 1012 (roll, pitch and heave): attitude and heave.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct RollPitchHeave1012 {
-    /// Positive port up.
+    /// Roll, positive port up.
     pub roll_rad: f32,
-    /// Positive bow up.
+    /// Pitch, positive bow up.
     pub pitch_rad: f32,
-    /// Positive up.
+    /// Heave, positive up.
     pub heave_up_m: f32,
 }
 
-/// 1013: true heading.
+/// Record 1013 (heading): true heading of the platform.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Heading1013 {
-    /// Clockwise from true north.
+    /// Heading, clockwise from true north.
     pub heading_rad: f32,
 }
 
-/// 1015: position, velocity and heading.
+/// Record 1015 (navigation): position, velocity and heading.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Navigation1015 {
-    /// 1 ellipsoid, 2 geoid, 3 chart datum.
+    /// Reference of the height: 1 ellipsoid, 2 geoid, 3 chart datum.
     pub vertical_reference: u8,
-    /// Positive north.
+    /// Latitude, positive north.
     pub latitude_rad: f64,
-    /// Positive east.
+    /// Longitude, positive east.
     pub longitude_rad: f64,
-    /// 0 is unknown.
+    /// Horizontal accuracy; 0 means unknown.
     pub horizontal_accuracy_m: f32,
     /// Height of the vessel's reference point.
     pub height_m: f32,
-    /// 0 is unknown.
+    /// Vertical accuracy; 0 means unknown.
     pub height_accuracy_m: f32,
     /// Horizontal speed.
     pub speed_over_ground_m_per_s: f32,
-    /// Clockwise from true north.
+    /// Course over ground, clockwise from true north.
     pub course_over_ground_rad: f32,
-    /// Clockwise from true north.
+    /// Heading, clockwise from true north.
     pub heading_rad: f32,
 }
 
-/// 7610: sound velocity at the sonar head.
+/// Record 7610 (sound velocity) at the sonar head.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct SoundVelocity7610 {
     /// Sound velocity.
     pub sound_velocity_m_per_s: f32,
-    /// 0 is unknown.
+    /// Water temperature; 0 means unknown.
     pub temperature_k: f32,
-    /// 0 is unknown.
+    /// Water pressure; 0 means unknown.
     pub pressure_pa: f32,
 }
 

@@ -1,4 +1,4 @@
-//! 1009: sound velocity over depth. Source: DFD 3.12, tables 23 and 24.
+//! Record 1009 (sound velocity profile): sound velocity over depth. Source: DFD 3.12, tables 23 and 24.
 //!
 //! ```text
 //! RTH   0 u8 position valid   1 u8, u16 reserved   4 f64 latitude   12 f64 longitude   20 u32 samples N   24 bytes
@@ -14,24 +14,24 @@ use super::{data_at, rth};
 use crate::sevenk::frame::{Layout, OpenRecord, RecordStamp, read_fixed, write_layout};
 use crate::sevenk::{WireError, record_id};
 
-/// RTH of 1009.
+/// Record type header of record 1009 (sound velocity profile).
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Rth1009 {
-    /// 1: the position is valid.
+    /// 1 if the position is valid.
     #[brw(pad_after = 3)]
     pub position_flag: u8,
-    /// WGS84, positive north.
+    /// WGS84 latitude, positive north.
     pub latitude_rad: f64,
-    /// WGS84, positive east.
+    /// WGS84 longitude, positive east.
     pub longitude_rad: f64,
-    /// Set when the record is emitted.
+    /// Number of samples, set when the record is emitted.
     pub samples: u32,
 }
 
-/// One sample of 1009.
+/// Sample of a record 1009 (sound velocity profile).
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct VelocityAtDepth {
-    /// Positive down.
+    /// Depth, positive down.
     pub depth_m: f32,
     /// Sound velocity.
     pub sound_velocity_m_per_s: f32,
@@ -41,7 +41,7 @@ rth!(Rth1009, 24, "1009 sound velocity profile");
 
 rth!(VelocityAtDepth, 8, "1009 sound velocity profile");
 
-/// A parsed 1009 that borrows its samples.
+/// Parsed record 1009 (sound velocity profile) that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SoundVelocityProfile1009<'a> {
     /// Position of the profile.
@@ -68,7 +68,7 @@ impl<'a> SoundVelocityProfile1009<'a> {
     }
 }
 
-/// Appends a 1009 record and returns its byte range.
+/// Appends a record 1009 (sound velocity profile) and returns its byte range.
 pub fn emit_1009(
     buf: &mut Vec<u8>,
     stamp: &RecordStamp,

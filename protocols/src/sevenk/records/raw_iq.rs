@@ -1,11 +1,13 @@
-//! 7038 (draft): raw I/Q of the receive elements. Source: `_DataRecord7038` of the MIT licensed pyread7k; DFD 3.12 lists the number only.
+//! Record 7038 (raw I and Q, draft) of the receive elements. Source: `_DataRecord7038` of the MIT licensed pyread7k. DFD 3.12 lists
+//! only the number.
 //!
 //! ```text
 //! RTH   60 bytes, see Rth7038
 //! RD    u16 element_number[E], then sample-major: for each sample start..=stop, for each listed element, i16 I, i16 Q
 //! ```
 //!
-//! Teledyne's reader uses an element number as a column of an array with E columns: number the elements of a record 0..E.
+//! Teledyne's reader uses an element number as a column of an array with E columns. The elements of a record must therefore be
+//! numbered 0..E.
 
 use std::fmt;
 use std::ops::Range;
@@ -18,17 +20,17 @@ use crate::sevenk::frame::{
 };
 use crate::sevenk::{WireError, record_id};
 
-/// `sample_type` of i16 I, i16 Q, the only type supported.
+/// `sample_type` of i16 I and Q, the only supported type.
 pub const SAMPLE_TYPE_I16: u16 = 16;
 
 const SAMPLE_BYTES: usize = 4;
 
-/// The RTH of 7038.
+/// Record type header of record 7038 (raw I and Q).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, BinRead, BinWrite)]
 pub struct Rth7038 {
-    /// Serial number.
+    /// Serial number of the sonar.
     pub sonar_serial: u64,
-    /// Sequential from 1.
+    /// Ping number, sequential from 1.
     #[brw(pad_after = 2)]
     pub ping_number: u32,
     /// Number of receive elements of the system.
@@ -41,7 +43,7 @@ pub struct Rth7038 {
     pub start_sample: u32,
     /// Last sample in the record, inclusive.
     pub stop_sample: u32,
-    /// [`SAMPLE_TYPE_I16`].
+    /// Number type of the samples: [`SAMPLE_TYPE_I16`].
     #[brw(pad_after = 28)]
     pub sample_type: u16,
 }
@@ -55,7 +57,7 @@ impl Rth7038 {
     }
 }
 
-/// A parsed 7038 that borrows its samples.
+/// Parsed record 7038 (raw I and Q) that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RawIq7038<'a> {
     /// Record type header.
@@ -98,7 +100,7 @@ impl<'a> RawIq7038<'a> {
             .map(|bytes| u16::from_le_bytes([bytes[0], bytes[1]]))
     }
 
-    /// I and Q of a sample, counted from `start_sample`, in a column of the record; none outside.
+    /// I and Q of a sample, counted from `start_sample`, in a column of the record; `None` outside the record.
     pub fn iq(&self, sample_from_start: u32, column: u16) -> Option<[i16; 2]> {
         if u64::from(sample_from_start) >= self.rth.samples_present() || column >= self.rth.elements
         {
@@ -110,7 +112,7 @@ impl<'a> RawIq7038<'a> {
         Some([u16_at(self.iq, at)? as i16, u16_at(self.iq, at + 2)? as i16])
     }
 
-    /// All I and Q in wire order: by sample, then by element.
+    /// All I and Q in record order: by sample, then by element.
     pub fn iq_sample_major(&self) -> impl ExactSizeIterator<Item = [i16; 2]> + 'a {
         self.iq.chunks_exact(SAMPLE_BYTES).map(|bytes| {
             [
@@ -126,7 +128,7 @@ fn iq_bytes([i, q]: [i16; 2]) -> [u8; SAMPLE_BYTES] {
     [i0, i1, q0, q1]
 }
 
-/// Appends a 7038 record from I/Q ordered by sample, then by element: the fast path.
+/// Appends a record 7038 (raw I and Q) from I/Q ordered by sample, then by element: the fast path.
 ///
 /// # Panics
 /// If `rth.elements` differs from the number of element numbers, the sample type is not [`SAMPLE_TYPE_I16`], `stop_sample` is before
@@ -143,7 +145,7 @@ pub fn emit_7038(
     open.finish(buf)
 }
 
-/// Appends a 7038 record from I/Q ordered by element, then by sample, and transposes them.
+/// Appends a record 7038 (raw I and Q) from I/Q ordered by element, then by sample, and transposes them.
 ///
 /// # Panics
 /// As [`emit_7038`].
@@ -154,7 +156,7 @@ pub fn emit_7038_element_major(
     element_numbers: &[u16],
     iq_element_major: &[[i16; 2]],
 ) -> Range<usize> {
-    /// Tile edge: 32 x 32 pairs are 4 KiB on either side and fit the first-level cache.
+    /// Edge of a tile: 32 x 32 pairs take 4 KiB on either side and fit the first-level cache.
     const TILE: usize = 32;
     let open = begin_7038(buf, stamp, rth, element_numbers, iq_element_major.len());
     let (elements, samples) = (element_numbers.len(), rth.samples_present() as usize);

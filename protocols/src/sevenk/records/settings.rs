@@ -1,6 +1,6 @@
-//! Settings of the sonar: 7000 with every ping, 7503 with more fields for remote control. Source: DFD 3.12.
+//! Records of the settings of the sonar: 7000 with every ping, 7503 with more fields for remote control. Source: DFD 3.12.
 //!
-//! A 7503 with ping number 0 describes the current settings. Bit 31 of the control flags ([`control_flags`]) declares that the data come
+//! A 7503 with ping number 0 has the current settings. Bit 31 of the control flags ([`control_flags`]) states that the data come
 //! from a simulator.
 
 use std::fmt;
@@ -10,14 +10,14 @@ use binrw::{BinRead, BinWrite};
 use super::rth_record;
 use crate::sevenk::{control_flags, record_id};
 
-/// 7000: settings of one ping, the first of the ping's records.
+/// Record 7000 (sonar settings): settings of one ping, the first of the ping's records.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct SonarSettings7000 {
-    /// Serial number.
+    /// Serial number of the sonar.
     pub sonar_id: u64,
-    /// Sequential from 1.
+    /// Ping number, sequential from 1.
     pub ping_number: u32,
-    /// 0 outside multi-ping mode.
+    /// Sequence number in multi-ping mode; 0 in other modes.
     pub multi_ping_sequence: u16,
     /// Centre frequency.
     pub frequency_hz: f32,
@@ -27,13 +27,13 @@ pub struct SonarSettings7000 {
     pub receiver_bandwidth_hz: f32,
     /// Pulse length.
     pub tx_pulse_width_s: f32,
-    /// 0 continuous wave, 1 linear chirp.
+    /// Pulse type: 0 continuous wave, 1 linear chirp.
     pub tx_pulse_type: u32,
-    /// 0 tapered rectangle, 1 Tukey, 2 Hamming, 3 Hann, 4 rectangle.
+    /// Pulse envelope: 0 tapered rectangle, 1 Tukey, 2 Hamming, 3 Hann, 4 rectangle.
     pub tx_pulse_envelope: u32,
     /// Parameter of the envelope.
     pub tx_pulse_envelope_parameter: f32,
-    /// 1 single ping, 2..=4 multi-ping.
+    /// Ping mode: 1 single ping, 2..=4 multi-ping.
     #[brw(pad_after = 2)]
     pub tx_pulse_mode: u16,
     /// Maximum ping rate.
@@ -54,13 +54,13 @@ pub struct SonarSettings7000 {
     pub projector_steer_vertical_rad: f32,
     /// Direction of the transmit beam across track.
     pub projector_steer_horizontal_rad: f32,
-    /// Along-track width, -3 dB.
+    /// Along-track width of the transmit beam, -3 dB.
     pub projector_beam_width_vertical_rad: f32,
-    /// Across-track width, -3 dB.
+    /// Across-track width of the transmit beam, -3 dB.
     pub projector_beam_width_horizontal_rad: f32,
     /// Distance of the transmit focus; 0 is infinity.
     pub projector_focal_point_m: f32,
-    /// 0 rectangular, 1 Chebychev, 2 Gauss.
+    /// Transmit weighting: 0 rectangular, 1 Chebyshev, 2 Gauss.
     pub projector_weighting_type: u32,
     /// Parameter of the transmit weighting.
     pub projector_weighting_parameter: f32,
@@ -68,7 +68,7 @@ pub struct SonarSettings7000 {
     pub transmit_flags: u32,
     /// Number of the receiver.
     pub hydrophone_id: u32,
-    /// 0 Chebychev, 1 Kaiser.
+    /// Receive weighting: 0 Chebyshev, 1 Kaiser.
     pub receive_weighting_type: u32,
     /// Parameter of the receive weighting.
     pub receive_weighting_parameter: f32,
@@ -93,12 +93,12 @@ pub struct SonarSettings7000 {
     pub spreading_db: f32,
 }
 
-/// 7503: settings for remote control.
+/// Record 7503 (remote control settings): settings of one ping or current settings.
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct RemoteSettings7503 {
-    /// Serial number.
+    /// Serial number of the sonar.
     pub sonar_id: u64,
-    /// 0 in the answer to a single-record request.
+    /// Ping number; 0 in the answer to a single-record request.
     pub ping_number: u32,
     /// Centre frequency.
     pub frequency_hz: f32,
@@ -108,13 +108,13 @@ pub struct RemoteSettings7503 {
     pub receiver_bandwidth_hz: f32,
     /// Pulse length.
     pub tx_pulse_width_s: f32,
-    /// 0 continuous wave, 1 linear chirp.
+    /// Pulse type: 0 continuous wave, 1 linear chirp.
     pub tx_pulse_type: u32,
-    /// 0 tapered rectangle, 1 Tukey, 2 Hamming, 3 Hann, 4 rectangle.
+    /// Pulse envelope: 0 tapered rectangle, 1 Tukey, 2 Hamming, 3 Hann, 4 rectangle.
     pub tx_pulse_envelope: u32,
     /// Parameter of the envelope.
     pub tx_pulse_envelope_parameter: f32,
-    /// 1 single ping, 2..=4 multi-ping.
+    /// Ping mode: 1 single ping, 2..=4 multi-ping.
     #[brw(pad_after = 2)]
     pub tx_pulse_mode: u16,
     /// Maximum ping rate.
@@ -135,13 +135,13 @@ pub struct RemoteSettings7503 {
     pub projector_steer_vertical_rad: f32,
     /// Direction of the transmit beam across track.
     pub projector_steer_horizontal_rad: f32,
-    /// Along-track width, -3 dB.
+    /// Along-track width of the transmit beam, -3 dB.
     pub projector_beam_width_vertical_rad: f32,
-    /// Across-track width, -3 dB.
+    /// Across-track width of the transmit beam, -3 dB.
     pub projector_beam_width_horizontal_rad: f32,
     /// Distance of the transmit focus; 0 is infinity.
     pub projector_focal_point_m: f32,
-    /// 0 rectangular, 1 Chebychev, 2 Gauss.
+    /// Transmit weighting: 0 rectangular, 1 Chebyshev, 2 Gauss.
     pub projector_weighting_type: u32,
     /// Parameter of the transmit weighting.
     pub projector_weighting_parameter: f32,
@@ -149,7 +149,7 @@ pub struct RemoteSettings7503 {
     pub transmit_flags: u32,
     /// Number of the receiver.
     pub hydrophone_id: u32,
-    /// 0 Chebychev, 1 Kaiser.
+    /// Receive weighting: 0 Chebyshev, 1 Kaiser.
     pub receive_weighting_type: u32,
     /// Parameter of the receive weighting.
     pub receive_weighting_parameter: f32,
@@ -173,11 +173,11 @@ pub struct RemoteSettings7503 {
     pub vernier_operation_mode: u8,
     /// Width of the automatic filter, percent of depth.
     pub automatic_filter_window_percent: u8,
-    /// Positive to the right.
+    /// Offset of the transmit array, positive to starboard.
     pub tx_array_offset_x_m: f32,
-    /// Positive forward.
+    /// Offset of the transmit array, positive forward.
     pub tx_array_offset_y_m: f32,
-    /// Positive up.
+    /// Offset of the transmit array, positive up.
     pub tx_array_offset_z_m: f32,
     /// Rotation about the starboard axis, positive bow up.
     pub head_tilt_x_rad: f32,
@@ -185,11 +185,11 @@ pub struct RemoteSettings7503 {
     pub head_tilt_y_rad: f32,
     /// Rotation about the upward axis.
     pub head_tilt_z_rad: f32,
-    /// One of [`RemoteSettings7503::PING_ENABLED`] and the constants beside it.
+    /// State of pinging: [`RemoteSettings7503::PING_ENABLED`] or one of the constants next to it.
     pub ping_state: u32,
-    /// 1 equiangle, 2 equidistant, 3 flex, 4 intermediate.
+    /// Beam spacing: 1 equiangle, 2 equidistant, 3 flex, 4 intermediate.
     pub beam_spacing_mode: u16,
-    /// 0 normal, 1 autopilot or tracker, 2 calibration (I/Q).
+    /// Sonar mode: 0 normal, 1 autopilot or tracker, 2 calibration (I/Q).
     pub sonar_mode: u16,
     /// Minimum depth of the adaptive gate.
     pub adaptive_gate_min_depth_m: f32,
@@ -215,7 +215,7 @@ pub struct RemoteSettings7503 {
     pub coverage_mode: u8,
     /// Tests of the quality filter.
     pub quality_filter_flags: u8,
-    /// Positive to starboard.
+    /// Direction of the receive sector, positive to starboard.
     pub rx_horizontal_steering_rad: f32,
     /// Width of the flex sector.
     pub flex_sector_coverage_rad: f32,

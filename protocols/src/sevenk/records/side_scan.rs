@@ -1,4 +1,4 @@
-//! 7007: one side-scan line, port and starboard. Source: DFD 3.12.
+//! Record 7007 (side-scan): one line of port and starboard. Source: DFD 3.12.
 //!
 //! ```text
 //! RTH   64 bytes, see Rth7007
@@ -16,14 +16,14 @@ use crate::sevenk::frame::{
 };
 use crate::sevenk::{WireError, record_id};
 
-/// The RTH of 7007.
+/// Record type header of record 7007 (side-scan).
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Rth7007 {
-    /// Serial number.
+    /// Serial number of the sonar.
     pub sonar_id: u64,
-    /// Sequential from 1.
+    /// Ping number, sequential from 1.
     pub ping_number: u32,
-    /// 0 outside multi-ping mode.
+    /// Sequence number in multi-ping mode; 0 in other modes.
     pub multi_ping_sequence: u16,
     /// Distance forward of beam 0.
     pub beam_position_m: f32,
@@ -34,45 +34,45 @@ pub struct Rth7007 {
     /// Depth below the sonar, one-way samples.
     #[brw(pad_after = 28)]
     pub nadir_depth_samples: u32,
-    /// Always 1 in emitted records.
+    /// Number of beams per side; 1 in emitted records.
     pub beams_per_side: u16,
     /// Index of the beam.
     pub current_beam: u16,
-    /// 1, 2 or 4, set from the slices.
+    /// Size of a sample, 1, 2 or 4 bytes, set from the slices.
     pub bytes_per_sample: u8,
-    /// Always 0.
+    /// Data types; always 0.
     pub data_types: u8,
 }
 
 rth!(Rth7007, 64, "7007 side scan");
 
-/// Both sides of a line, in the width of the wire.
+/// Both sides of a line, with the sample width of the record.
 #[derive(Debug, Clone, Copy)]
 pub enum SideSamples<'a> {
     /// 8 bits per sample.
     U8 {
-        /// Samples from range 0.
+        /// Port samples from range 0.
         port: &'a [u8],
-        /// Samples from range 0.
+        /// Starboard samples from range 0.
         starboard: &'a [u8],
     },
     /// 16 bits per sample.
     U16 {
-        /// Samples from range 0.
+        /// Port samples from range 0.
         port: &'a [u16],
-        /// Samples from range 0.
+        /// Starboard samples from range 0.
         starboard: &'a [u16],
     },
     /// 32 bits per sample.
     U32 {
-        /// Samples from range 0.
+        /// Port samples from range 0.
         port: &'a [u32],
-        /// Samples from range 0.
+        /// Starboard samples from range 0.
         starboard: &'a [u32],
     },
 }
 
-/// A parsed 7007 that borrows its samples.
+/// Parsed record 7007 (side-scan) that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SideScan7007<'a> {
     /// Record type header.
@@ -122,7 +122,8 @@ fn samples_of(bytes: &[u8], bytes_per_sample: u8) -> impl ExactSizeIterator<Item
         })
 }
 
-/// Appends a 7007 record. `samples_per_side` and `bytes_per_sample` of `rth` are ignored and follow from the slices; `beams_per_side` is 1.
+/// Appends a record 7007 (side-scan). `samples_per_side` and `bytes_per_sample` of `rth` are ignored and follow from the slices.
+/// `beams_per_side` is 1.
 ///
 /// # Panics
 /// If the sides differ in length.

@@ -1,4 +1,5 @@
-//! 7028 and 7058: samples around each detection, as intensities and as scattering strengths. Source: DFD 3.12, tables 75, 76, 101, 102.
+//! Records 7028 (snippets, as intensities) and 7058 (snippet scattering strengths): samples around each detection. Source: DFD
+//! 3.12, tables 75, 76, 101, 102.
 //!
 //! ```text
 //! RTH   46 bytes, see Rth7028; 49 bytes, see Rth7058
@@ -41,18 +42,18 @@ impl SnippetDescriptor {
     }
 }
 
-/// The RTH of 7028.
+/// Record type header of record 7028 (snippets).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, BinRead, BinWrite)]
 pub struct Rth7028 {
-    /// Serial number.
+    /// Serial number of the sonar.
     pub sonar_id: u64,
-    /// Sequential from 1.
+    /// Ping number, sequential from 1.
     pub ping_number: u32,
-    /// 0 outside multi-ping mode.
+    /// Sequence number in multi-ping mode; 0 in other modes.
     pub multi_ping_sequence: u16,
     /// Number of detections, set from the slice.
     pub detections: u16,
-    /// 0: valid; 6: bottom detection failed.
+    /// 0 if the record is valid, 6 if the bottom detection failed.
     pub error_flag: u8,
     /// Bit 0 automatic window, 1 quality filter, 2 minimum window, 3 maximum window.
     pub control_flags: u8,
@@ -63,18 +64,18 @@ pub struct Rth7028 {
 
 rth!(Rth7028, 46, "7028 snippets");
 
-/// The RTH of 7058.
+/// Record type header of record 7058 (snippet scattering strengths).
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Rth7058 {
-    /// Serial number.
+    /// Serial number of the sonar.
     pub sonar_id: u64,
-    /// Sequential from 1.
+    /// Ping number, sequential from 1.
     pub ping_number: u32,
-    /// 0 outside multi-ping mode.
+    /// Sequence number in multi-ping mode; 0 in other modes.
     pub multi_ping_sequence: u16,
     /// Number of detections, set from the slice.
     pub detections: u16,
-    /// 0: valid; otherwise the contents are not calibrated.
+    /// 0 if the record is valid. Otherwise its contents are not calibrated.
     pub error_flag: u8,
     /// Bits 0 brightness and 1 colinearity required, 6 footprints (set from the slices), 7 generic compensation, 8 one absorption.
     pub control_flags: u32,
@@ -109,7 +110,7 @@ impl<'a> Snippets<'a> {
             descriptors,
             data: &[],
         };
-        // Below 2^64: at most 2^16 snippets of 2^32 samples of 8 bytes.
+        // At most 2^16 snippets of 2^32 samples of 8 bytes are below 2^64.
         let samples: u64 = snippets.descriptors().map(|d| d.samples()).sum();
         let data = data_at(
             body,
@@ -141,7 +142,7 @@ impl<'a> Snippets<'a> {
     }
 }
 
-/// A parsed 7028 that borrows its samples.
+/// Parsed record 7028 (snippets) that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Snippets7028<'a> {
     /// Record type header.
@@ -190,7 +191,7 @@ fn sample_bytes_7028(rth: &Rth7028) -> usize {
     }
 }
 
-/// Intensities of all snippets in sequence, in the width of the wire.
+/// Intensities of all snippets in sequence, with the sample width of the record.
 #[derive(Debug, Clone, Copy)]
 pub enum SnippetSamples<'a> {
     /// 16 bits per sample.
@@ -199,7 +200,7 @@ pub enum SnippetSamples<'a> {
     U32(&'a [u32]),
 }
 
-/// Appends a 7028 record.
+/// Appends a record 7028 (snippets).
 ///
 /// # Panics
 /// If the number of samples differs from the descriptors, or there are more than 65535 snippets.
@@ -237,7 +238,7 @@ fn count_of(descriptors: &[SnippetDescriptor], samples: usize, what: &str) -> u1
     u16::try_from(descriptors.len()).expect("at most 65535 snippets")
 }
 
-/// A parsed 7058 that borrows its samples.
+/// Parsed record 7058 (snippet scattering strengths) that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SnippetStrengths7058<'a> {
     /// Record type header.
@@ -273,7 +274,7 @@ impl<'a> SnippetStrengths7058<'a> {
             .map(|(descriptor, data)| (descriptor, f32s(data)))
     }
 
-    /// Iterates over the snippets with the footprints of their samples; none if the record has none.
+    /// Iterates over the snippets with the footprints of their samples; empty if the record has none.
     pub fn footprints_m2(
         &self,
     ) -> impl Iterator<Item = (SnippetDescriptor, impl Iterator<Item = f32> + 'a)> + 'a {
@@ -291,7 +292,7 @@ fn f32s(data: &[u8]) -> impl Iterator<Item = f32> + '_ {
         .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
 }
 
-/// Appends a 7058 record. Footprints are optional, as many as strengths.
+/// Appends a record 7058 (snippet scattering strengths). Footprints are optional, as many as strengths.
 ///
 /// # Panics
 /// If the numbers of strengths or footprints differ from the descriptors, or there are more than 65535 snippets.

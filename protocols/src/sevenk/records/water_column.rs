@@ -1,4 +1,4 @@
-//! 7042: compressed water column, by beam. Source: DFD 3.12, tables 83 and 84.
+//! Record 7042 (compressed water column), by beam. Source: DFD 3.12, tables 83 and 84.
 //!
 //! ```text
 //! RTH   44 bytes, see Rth7042
@@ -35,14 +35,14 @@ pub mod flags_7042 {
     pub const FIRST_SAMPLE_IS_DELAY: u32 = 1 << 15;
 }
 
-/// The RTH of 7042.
+/// Record type header of record 7042 (compressed water column).
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Rth7042 {
-    /// Serial number.
+    /// Serial number of the sonar.
     pub sonar_id: u64,
-    /// Sequential from 1.
+    /// Ping number, sequential from 1.
     pub ping_number: u32,
-    /// 0 outside multi-ping mode.
+    /// Sequence number in multi-ping mode; 0 in other modes.
     pub multi_ping_sequence: u16,
     /// Number of beams, set from the slice.
     pub beams: u16,
@@ -84,7 +84,7 @@ fn widths(flags: u32) -> Result<(usize, usize), WireError> {
 pub struct CompressedBeam<'a> {
     /// Index of the beam.
     pub beam: u16,
-    /// 0 if the record has no segments.
+    /// Index of the segment; 0 if the record has no segments.
     pub segment: u8,
     magnitude_bytes: usize,
     phase_bytes: usize,
@@ -111,7 +111,7 @@ impl<'a> CompressedBeam<'a> {
     }
 }
 
-/// A parsed 7042 that borrows its beams.
+/// Parsed record 7042 (compressed water column) that borrows its beams.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WaterColumn7042<'a> {
     /// Record type header.
@@ -175,15 +175,15 @@ fn beam_at<'a>(
 pub struct BeamSamples<'a> {
     /// Index of the beam.
     pub beam: u16,
-    /// Emitted if the flags require it.
+    /// Index of the segment, emitted if the flags require it.
     pub segment: u8,
-    /// Values beyond the width set by the flags are clipped.
+    /// Magnitudes. Values beyond the width set by the flags are clipped.
     pub magnitudes: &'a [u32],
-    /// As many as magnitudes, or none if the flags exclude phases; with 8 bits the upper half is emitted.
+    /// Phases, as many as magnitudes, or none if the flags exclude phases. With 8 bits the upper half is emitted.
     pub phases: &'a [i16],
 }
 
-/// Appends a 7042 record. `beams` and `compressed_samples` of `rth` are ignored.
+/// Appends a record 7042 (compressed water column). `beams` and `compressed_samples` of `rth` are ignored.
 ///
 /// # Panics
 /// If the flags are contradictory, phases and magnitudes of a beam differ in number, or there are more than 65535 beams.
