@@ -1,4 +1,4 @@
-//! The fast engine does not allocate after its plans and workspaces are made.
+//! Test that the gridded engine does not allocate after its plans and workspaces exist.
 
 use echotank_core::model::DopplerModel;
 use echotank_core::pulse::{Pulse, PulseKind};
@@ -35,7 +35,7 @@ fn transforms_and_elements_allocate_nothing() {
     }
     let mut out = vec![Complex64::ZERO; 1200];
 
-    // One column and several; f32, mixed and f64.
+    // One and several Doppler columns, with f32, mixed and f64 precision.
     for doppler in [
         DopplerModel::None,
         DopplerModel::Stretch,

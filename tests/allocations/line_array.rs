@@ -1,4 +1,5 @@
-//! The line-array engine does not allocate after its buffers have processed the largest task.
+//! Test that the line-array engine does not allocate after its buffers have processed the largest
+//! task.
 
 use echotank_testing::allocations;
 use std::sync::Mutex;

@@ -1,5 +1,5 @@
-//! Code that must not allocate, or only a little. A binary of its own, because most of these tests count the allocations of the whole
-//! process.
+//! Tests of code that must not allocate, or only a little. They are a separate binary, because most of them count the allocations
+//! of the whole process.
 
 mod gridded;
 mod line_array;

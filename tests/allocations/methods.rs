@@ -1,4 +1,5 @@
-//! A ping does not allocate after buffers have processed the largest: every synthesis, with an error check.
+//! Test that a ping does not allocate after the buffers have processed the largest ping, for every synthesis method
+//! with an error check.
 
 use echotank_testing::allocations;
 use echotank_testing::pings::{plan_on, small_rig};
@@ -37,18 +38,20 @@ fn no_path_model_and_no_synthesis_allocates_after_warm_up() {
             &format!("error_check = true\n{model}"),
         );
         let sonar = &rig.sonars[0];
-        // One thread with its own pool: allocations of the pool itself do not count.
+        // The thread pool is created first, so its allocations do not count.
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(1)
             .build()
             .expect("a pool");
-        // The budget of cheap methods allows few samples; the others have enough after their warm-up.
+        // The budget of fast methods allows only a few samples. The other methods have enough samples after their
+        // warm-up.
         let cheap = model.contains("synthesis") && !model.contains("direct");
         let (warm_up, all) = if cheap { (20, 40) } else { (60, 100) };
         let mut plans: Vec<PingPlan> = (1..=all)
             .map(|number| {
                 let mut settings = sonar.settings;
-                // The pulse changes now and then, the longest first. "gridded-2d" makes new tables for another pulse.
+                // The pulse changes occasionally, the longest first. "gridded-2d" computes new tables for another
+                // pulse.
                 let shorter = number / 10 % 2 == 1 && !model.contains("gridded-2d");
                 settings.pulse_duration_s = if shorter { 1.5e-3 } else { 2e-3 };
                 let trajectory = Trajectory::uniform(

@@ -1,4 +1,4 @@
-//! The ping path does not allocate after warm-up. A separate binary, because it counts with the global allocator.
+//! Test that the ping path does not allocate after warm-up. It is a separate binary, because it counts with the global allocator.
 
 use echotank_config::spec::Density;
 use echotank_core::model::Synthesis;
@@ -6,19 +6,19 @@ use echotank_ping::threads::pool;
 use echotank_testing::allocations;
 use echotank_testing::pings::LoggedPings;
 
-/// Allocations in each of the last pings of `count`.
+/// Number of allocations in each of the last `watched` pings of `count`.
 fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize) -> Vec<u64> {
     let path = echotank_testing::repository()
         .join("hil-configs")
         .join(file);
     let mut spec = echotank_runtime::config_files::load(&path).expect("a good configuration");
-    // A moving ship needs new tiles; a static scene shows the ping alone.
+    // A moving ship needs new tiles. A static scene shows the allocations of the ping only.
     spec.scene
         .seabed
         .iter_mut()
         .for_each(|seabed| seabed.density = Density::PerM2(0.1));
     for sonar in &mut spec.sonars {
-        // Another selection is another pipeline, made beside the pings.
+        // Another selection of methods creates another pipeline during the pings.
         sonar.synthesis.auto = Default::default();
         sonar.model.synthesis = Synthesis::Direct;
         sonar.model.cull_db = Some(-24.0);
@@ -46,8 +46,8 @@ fn a_ping_allocates_nothing_after_warm_up() {
     for threads in [1, 2] {
         let points = allocations_per_ping("points.toml", threads, 8, 4);
         assert_eq!(points, [0; 4], "points, {threads} threads");
-        // Over a seabed new tiles appear as the ship moves on, and a ping may contain more scatterers than any before: both rarely grow a
-        // buffer; nothing else does.
+        // Over a seabed, new tiles appear as the ship moves, and a ping may have more scatterers than all before. Both rarely grow
+        // a buffer, and nothing else allocates.
         let seabed = allocations_per_ping("quickstart.toml", threads, 36, 20);
         let quiet = seabed.iter().filter(|&&n| n == 0).count();
         assert!(quiet >= 10, "quickstart, {threads} threads: {seabed:?}");

@@ -1,4 +1,5 @@
-//! Sizes in headers are checked before memory is allocated. A separate binary, because it counts the process's memory.
+//! Test that sizes in file headers are checked before memory is allocated. It is a separate binary, because it counts
+//! the memory of the process.
 
 use echotank_config::spec::SeabedFileSpec;
 use echotank_scene::read::Survey;

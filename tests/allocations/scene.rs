@@ -1,4 +1,4 @@
-//! Gathering does not allocate once its buffers have been full and the tile pool has reached its limit.
+//! Test that gathering scatterers does not allocate after its buffers have been full and the tile pool has reached its limit.
 
 use echotank_config::spec::{
     AnchorSpec, BottomSpec, Density, IncidenceSpec, OcclusionSpec, SceneSpec, SeabedFileSpec,
@@ -14,7 +14,7 @@ use glam::DVec3;
 #[test]
 fn a_moving_platform_gathers_without_allocating_after_warm_up() {
     let _alone = allocations::alone();
-    // In a pool, as every ping is: passing work from outside allocates.
+    // The work runs in a thread pool, as in every ping. Work from outside the pool would allocate.
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(2)
         .build()
@@ -37,7 +37,7 @@ fn a_moving_platform_gathers_without_allocating_after_warm_up() {
     assert!(shadowed > 1000, "only {shadowed} in shadow");
 }
 
-/// Hills with shadows behind them, 480 m x 480 m.
+/// Hills that cast shadows, 480 m x 480 m.
 fn ground() -> String {
     let mut text = "ncols 240 nrows 240 xllcorner 0 yllcorner 0 cellsize 2\n".to_owned();
     for row in 0..240 {
@@ -49,7 +49,7 @@ fn ground() -> String {
     text
 }
 
-/// Scatterers in shadow.
+/// Number of scatterers in shadow while the platform moves.
 fn gather_on_the_move(shape: SeabedShape) -> u64 {
     let spec = SceneSpec {
         seed: 1,
@@ -86,7 +86,7 @@ fn gather_on_the_move(shape: SeabedShape) -> u64 {
         warm_up_made > 40,
         "{warm_up_made}: the pool is not full yet"
     );
-    // The circle's count varies by a few as the platform moves; the spare capacity of a vector usually suffices, and this ensures it.
+    // The number of scatterers in the circle varies as the platform moves. The reserve ensures sufficient capacity.
     let room = out.len() / 10;
     out.north_m.reserve(room);
     out.east_m.reserve(room);

@@ -1,4 +1,4 @@
-//! Commands that print and end: `check`, `nav`, `scene info`.
+//! Tests of the commands that print and exit: `check`, `nav`, `scene info`.
 
 use std::path::Path;
 use std::process::Stdio;
@@ -33,7 +33,7 @@ fn commands_end_quietly_when_their_output_is_closed() {
     }
 }
 
-/// A pipe without a writer would never be opened, and a device may never end.
+/// A pipe without a writer would block, and a device may have no end.
 #[test]
 fn pipes_and_devices_are_refused_as_input_files() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -79,7 +79,7 @@ fn the_report_is_printed_as_text_and_json_and_drawn() {
     let json: serde_json::Value = serde_json::from_str(&nav(&["--json"])).expect("JSON");
     assert_eq!(json["counters"]["used"], 452);
     assert_eq!(json["quantities"]["roll-pitch"]["samples"], 90);
-    // A picture with ink in it: a track and four curves.
+    // The picture is not empty: it shows a track and four curves.
     let (info, pixels) = picture(&png);
     assert!(info.width > 1000 && info.height > 500);
     let channels = info.color_type.samples();

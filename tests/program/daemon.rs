@@ -1,4 +1,4 @@
-//! The daemon as its user runs it: a process, its ports, its signals.
+//! Tests of the daemon as its user runs it: a process, its ports and its signals.
 
 mod control;
 mod diagnostics;
@@ -34,10 +34,10 @@ use echotank_runtime::io::sonar::verify::{Verifier, ping_number};
 
 use crate::{command, ended, files_in, sets};
 
-/// Time limit of a test, far beyond what a loaded machine needs.
+/// Time limit of a test, far beyond the need of a loaded machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Waits for what `look` finds; without it `look` says what there is.
+/// Repeats `look` until it succeeds. After the time limit, the test fails with the last error of `look`.
 fn eventually<T, E: Display>(mut look: impl FnMut() -> Result<T, E>) -> T {
     let until = Instant::now() + PATIENCE;
     loop {
@@ -49,7 +49,7 @@ fn eventually<T, E: Display>(mut look: impl FnMut() -> Result<T, E>) -> T {
     }
 }
 
-/// A running daemon, killed when dropped.
+/// Running daemon, killed when dropped.
 struct Daemon {
     child: Child,
     stdout: BufReader<ChildStdout>,
@@ -57,7 +57,7 @@ struct Daemon {
 }
 
 impl Daemon {
-    /// Runs a configuration with these settings.
+    /// Runs a configuration with the given settings.
     fn start<S: AsRef<str>>(
         config: impl AsRef<OsStr>,
         settings: impl IntoIterator<Item = S>,
@@ -78,7 +78,7 @@ impl Daemon {
         }
     }
 
-    /// Sends the process a signal.
+    /// Sends a signal to the process.
     fn signal(&self, name: &str) {
         let told = Command::new("kill")
             .args([name, &self.child.id().to_string()])
@@ -86,7 +86,7 @@ impl Daemon {
         assert!(told.expect("kill").success());
     }
 
-    /// The word after `before` in the first line that begins with `line`.
+    /// Waits for the first line that begins with `line`, and returns the address after the word `before`.
     fn announced(&mut self, line: &str, before: &str) -> SocketAddr {
         loop {
             let mut text = String::new();
@@ -103,7 +103,7 @@ impl Daemon {
         }
     }
 
-    /// The same from the start of the output.
+    /// As [`Self::announced`], from the start of the output.
     fn address_of(&mut self, line: &str, before: &str) -> SocketAddr {
         let mut said = self.printed.lines();
         let found = said.find(|text| text.starts_with(line));
@@ -134,13 +134,13 @@ impl Drop for Daemon {
     }
 }
 
-/// The address after the word `before`.
+/// The address after the word `before` in a text.
 fn address(text: &str, before: &str) -> Option<SocketAddr> {
     let mut words = text.split_whitespace().skip_while(|word| *word != before);
     words.nth(1).and_then(|word| word.parse().ok())
 }
 
-/// The settings record of the next ping.
+/// Ping number and range of the settings record of the next ping.
 fn next_settings(client: &mut SevenKClient, verifier: &mut Verifier) -> (u32, f32) {
     let until = Instant::now() + PATIENCE;
     while Instant::now() < until {
@@ -163,7 +163,7 @@ fn next_settings(client: &mut SevenKClient, verifier: &mut Verifier) -> (u32, f3
 fn quickstart_pings_obeys_and_ends_with_its_record_closed() {
     let folder = tempfile::tempdir().expect("folder");
     let record = format!("record.directory={:?}", folder.path());
-    // A seabed of low density: real-time capacity is measured by benchmarks.
+    // A seabed of low density suffices; benchmarks measure the real-time capacity.
     let mut daemon = Daemon::spawn(command("run").args(sets([
         "sonar.output.sevenk.listen=127.0.0.1:0",
         "scene.seabed.density_per_m2=0.2",
@@ -182,7 +182,7 @@ fn quickstart_pings_obeys_and_ends_with_its_record_closed() {
         client.command(Request::Range { range_m: 1e6 }).is_err(),
         "refused"
     );
-    // Pings under way keep the old range; the new range follows without a gap.
+    // Pings in progress keep the old range. The new range follows without a gap.
     let mut last = first;
     loop {
         let (number, range_m) = next_settings(&mut client, &mut verifier);
@@ -226,10 +226,10 @@ fn quickstart_pings_obeys_and_ends_with_its_record_closed() {
     );
 }
 
-/// Small sonar of the rigs with live navigation.
+/// Small sonar of the test rigs with live navigation.
 const LIVE_SONAR: &str = include_str!("../data/live_sonar.toml");
 
-/// A rig with UDP navigation and prediction, without its sonar.
+/// Rig with UDP navigation and prediction, without its sonar.
 const LIVE: &str = r#"
 [medium]
 sound_speed_m_per_s = 1500.0
@@ -259,14 +259,15 @@ fn sentence(body: &str) -> String {
     format!("${body}*{sum:02X}\r\n")
 }
 
-/// The live rig in a folder.
+/// Path of the live rig in a folder.
 fn live(folder: &Path) -> std::path::PathBuf {
     let path = folder.join("live.toml");
     std::fs::write(&path, format!("{LIVE}{LIVE_SONAR}")).expect("written");
     path
 }
 
-/// ZDA, GGA and HDT of the current time, `ahead_s` ahead in its date; `minutes` of latitude north of 54 degrees.
+/// ZDA, GGA and HDT of the current time. The date is `ahead_s` seconds ahead, and the latitude `minutes` north
+/// of 54 degrees.
 fn gnss(minutes: f64, ahead_s: u64) -> String {
     let now = SystemTime::now()
         .duration_since(UNIX_EPOCH)
@@ -281,10 +282,10 @@ fn gnss(minutes: f64, ahead_s: u64) -> String {
         + &sentence("GPHDT,123.45,T")
 }
 
-/// Attitude of a platform that rests.
+/// Attitude of a platform at rest.
 const MRU: &str = "PSXN,23,1.50,-2.50,123.45,0.20";
 
-/// GNSS and attitude twenty times a second, until stopped.
+/// Sends GNSS and attitude sentences twenty times a second until stopped.
 fn bridge(to: SocketAddr, stop: Arc<AtomicBool>) -> thread::JoinHandle<()> {
     thread::spawn(move || {
         let socket = UdpSocket::bind("127.0.0.1:0").expect("socket");
@@ -334,7 +335,7 @@ fn live_udp_navigation_reaches_the_records() {
     for (what, got, want) in [
         ("roll", f64::from(attitude.roll_rad).to_degrees(), 1.5),
         ("pitch", f64::from(attitude.pitch_rad).to_degrees(), -2.5),
-        // Up on the wire and down on the bridge.
+        // Heave is positive up in the record and positive down in the sentence.
         ("heave", attitude.heave_up_m.into(), -0.2),
         (
             "heading",
@@ -368,7 +369,7 @@ fn a_log_that_is_not_looped_ends_the_daemon() {
         ],
     )
     .ended();
-    // The last ping's window ends beyond the track.
+    // The window of the last ping ends beyond the track.
     assert!(
         printed.contains("pings 10 made") || printed.contains("pings 9 made"),
         "{printed}"

@@ -1,4 +1,4 @@
-//! The program as its user runs it: its commands, the daemon, the replay.
+//! Tests of the program as its user runs it: commands, daemon and replay.
 
 mod commands;
 mod daemon;
@@ -8,7 +8,7 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// `echotank SUBCOMMAND`, in the repository's folder.
+/// `echotank SUBCOMMAND` in the folder of the repository.
 fn command(subcommand: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_echotank"));
     command
@@ -17,7 +17,7 @@ fn command(subcommand: &str) -> Command {
     command
 }
 
-/// A command that has ended: its exit code and what it printed.
+/// Result of a command: its exit code and its output.
 struct Ended {
     code: Option<i32>,
     out: String,
@@ -39,7 +39,7 @@ fn run<A: AsRef<OsStr>>(subcommand: &str, arguments: impl IntoIterator<Item = A>
     ended(command(subcommand).args(arguments))
 }
 
-/// As [`run`], for a command that must succeed: what it printed to standard output.
+/// As [`run`], for a command that must succeed. Returns the standard output.
 fn run_well<A: AsRef<OsStr>>(subcommand: &str, arguments: impl IntoIterator<Item = A>) -> String {
     let done = run(subcommand, arguments);
     assert_eq!(done.code, Some(0), "{}\n{}", done.out, done.err);
@@ -65,7 +65,7 @@ fn files_in(folder: &Path) -> impl Iterator<Item = PathBuf> {
     entries.map(|entry| entry.expect("entry").path())
 }
 
-/// The file of a folder whose name begins and ends so.
+/// The file in a folder with a name that begins with `start` and ends with `end`.
 fn file_of(folder: &Path, start: &str, end: &str) -> PathBuf {
     let found = files_in(folder).find(|path| {
         let name = path.file_name().expect("a name").to_string_lossy();

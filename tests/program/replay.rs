@@ -1,4 +1,4 @@
-//! `echotank replay` as a command: reproducible bytes for any number of threads, and correct target positions.
+//! Tests of the command `echotank replay`: the same bytes for any number of threads, and correct target positions.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -70,7 +70,8 @@ fn replay_gives_the_same_bytes_again_with_another_number_of_threads() {
     }
 }
 
-/// The error check also uses samples of earlier pings, and the scene reports newly generated tiles: these depend on where a replay began.
+/// Removes values that depend on the first ping of a replay. The error check also uses samples of earlier pings, and the scene
+/// reports newly generated tiles.
 fn without_history(line: &str) -> String {
     let mut ping: serde_json::Value = serde_json::from_str(line).expect("JSON");
     let fields = ping.as_object_mut().expect("an object");
@@ -173,7 +174,7 @@ fn two_sonars_on_one_platform_each_ping_at_their_own_rate() {
     }
 }
 
-/// RGB picture.
+/// Picture in RGB.
 struct Picture {
     width: usize,
     rgb: Vec<u8>,
@@ -202,8 +203,8 @@ impl Picture {
     }
 }
 
-/// Targets lie in the waterfall where the truth file says: in the row of the ping with the target closest to broadside, at its slant range.
-/// The brightest pixel nearby must be within one pixel across and within the rows of the beam's dwell.
+/// The waterfall shows targets where the truth file states: in the row of the ping with the target closest to broadside, at its
+/// slant range. The brightest pixel nearby must be within one pixel across, and within the rows of the beam's dwell.
 #[test]
 fn waterfall_shows_the_targets_at_their_predicted_places_within_one_pixel() {
     let (first, last) = (1_u32, 140_u32);
@@ -253,7 +254,7 @@ fn waterfall_shows_the_targets_at_their_predicted_places_within_one_pixel() {
             .expect("c");
         let slant_m = 0.5 * sound_speed_m_per_s * delay_s;
         if nearest < margin || nearest + margin >= truth.len() || slant_m > range_m - 5.0 {
-            continue; // not passed in these pings
+            continue; // outside the beam in these pings
         }
         seen += 1;
         let offset = (slant_m / metres_per_pixel).floor() as i64;
@@ -263,7 +264,7 @@ fn waterfall_shows_the_targets_at_their_predicted_places_within_one_pixel() {
         } else {
             half - 1 - offset
         };
-        // Newest ping on top.
+        // The newest ping is on top.
         let row_of = |ping: usize| (truth.len() - 1 - ping) * rows_per_ping + rows_per_ping / 2;
         let y = row_of(nearest);
         let found = (x - 12..=x + 12)
@@ -290,7 +291,8 @@ fn waterfall_shows_the_targets_at_their_predicted_places_within_one_pixel() {
     assert!(seen >= 3, "{seen} targets were passed");
 }
 
-/// The rigs that imitate devices: each pings offline and receives the flat bottom at 12 m. Their file headers state what else they show.
+/// Rigs that emulate devices. Each rig pings offline and receives the flat bottom at 12 m. Their file headers describe further
+/// properties.
 #[test]
 fn every_rig_that_imitates_a_device_pings() {
     for rig in ["seabat", "wbms", "surveyor240", "omniscan450", "board"] {
@@ -314,7 +316,7 @@ fn every_rig_that_imitates_a_device_pings() {
     }
 }
 
-/// Sample playback files and their metadata, from a rig whose configuration names neither.
+/// Sample files and their metadata, from a rig with a configuration of neither.
 #[test]
 fn sigmf_and_wav_hold_the_same_pings() {
     let board = echotank_testing::repository().join("tests/data/rigs/board.toml");
@@ -334,12 +336,12 @@ fn sigmf_and_wav_hold_the_same_pings() {
     assert_eq!(data.len(), (last.sample_start + last.sample_count) * 8 * 4);
     let wav = fs::read(out.path().join("board.wav")).expect("a WAV");
     let header = echotank_protocols::wav::WavHeader::parse(&wav).expect("a WAV");
-    // 2.5 times 105 kHz, at the next usual rate.
+    // 2.5 times 105 kHz, rounded up to the next usual rate.
     assert_eq!(
         (header.format.channels, header.format.sample_rate_hz),
         (8, 384_000)
     );
-    // The second ping begins a quarter of a second after the first and lasts 2 x 40 m / 1480 m/s plus a pulse.
+    // The second ping begins a quarter of a second after the first. It lasts 2 x 40 m / 1480 m/s plus a pulse.
     let lasts_s = header.moments() as f64 / 384e3;
     assert!(
         (lasts_s - (0.25 + 80.0 / 1480.0 + 2e-3)).abs() < 1e-3,

@@ -1,4 +1,4 @@
-//! A global allocator that counts, for tests of code that must not allocate, or only a little.
+//! Global allocator with counters, for tests of code that must not allocate, or only a little.
 //!
 //! A test binary installs it: `#[global_allocator] static COUNTING: Counting = Counting;`.
 
@@ -14,12 +14,12 @@ thread_local! {
     static THIS_THREAD: Cell<u64> = const { Cell::new(0) };
 }
 
-/// The system's allocator, with counters.
+/// System allocator with counters.
 pub struct Counting;
 
 fn take(bytes: usize) {
     ALL_THREADS.fetch_add(1, Ordering::Relaxed);
-    // A thread that is ending has no counter any more.
+    // The counter does not exist in a thread that is ending.
     let _ = THIS_THREAD.try_with(|n| n.set(n.get() + 1));
     let now = IN_USE.fetch_add(bytes, Ordering::Relaxed) + bytes;
     HIGHEST.fetch_max(now, Ordering::Relaxed);
@@ -50,33 +50,33 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// Keeps the other tests of a binary that call this from allocating meanwhile.
+/// Prevents other tests of the binary that call this function from allocating at the same time.
 pub fn alone() -> MutexGuard<'static, ()> {
     static ONE: Mutex<()> = Mutex::new(());
     ONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Allocations of the calling thread so far.
+/// Number of allocations of the calling thread so far.
 pub fn on_this_thread() -> u64 {
     THIS_THREAD.get()
 }
 
-/// Allocations of the whole process so far.
+/// Number of allocations of the whole process so far.
 pub fn in_all_threads() -> u64 {
     ALL_THREADS.load(Ordering::Relaxed)
 }
 
-/// Bytes in use by the whole process.
+/// Number of bytes in use by the whole process.
 pub fn in_use() -> usize {
     IN_USE.load(Ordering::Relaxed)
 }
 
-/// Peak of the bytes in use since [`reset`].
+/// Peak number of bytes in use since [`reset`].
 pub fn highest() -> usize {
     HIGHEST.load(Ordering::Relaxed)
 }
 
-/// Starts a new peak.
+/// Starts the measurement of a new peak.
 pub fn reset() {
     HIGHEST.store(in_use(), Ordering::Relaxed);
 }

@@ -1,4 +1,4 @@
-//! A sonar, a plan and a sink for the tests of the echo model.
+//! Sonar, plan and sink for the tests of the echo model.
 
 use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, TransmitArray};
 use echotank_core::frames::{Trajectory, rotation_from_angles};
@@ -35,7 +35,7 @@ pub fn cw(duration_s: f64) -> Pulse {
     }
 }
 
-/// A plan in uniform motion, polyline and stretch, one segment, absorption 0.05 dB/m, unit source level.
+/// Plan in uniform motion: polyline with one segment, stretch, absorption 0.05 dB/m, unit source level.
 pub fn uniform(position_m: DVec3, velocity_m_per_s: DVec3, world_from_body: DQuat) -> PingPlan {
     let trajectory = Trajectory::uniform(position_m, velocity_m_per_s, world_from_body);
     let pose = trajectory.pose_at(0.0);
@@ -66,7 +66,7 @@ pub fn uniform(position_m: DVec3, velocity_m_per_s: DVec3, world_from_body: DQua
     }
 }
 
-/// Along x (north) at `speed_m_per_s`, level, from the world's origin.
+/// Plan of a level platform from the world's origin along x (north) at `speed_m_per_s`.
 pub fn ahead(speed_m_per_s: f64) -> PingPlan {
     uniform(DVec3::ZERO, DVec3::X * speed_m_per_s, DQuat::IDENTITY)
 }
@@ -120,7 +120,7 @@ pub fn line(position_m: DVec3, elements: usize) -> ArrayGeometry {
     }
 }
 
-/// Directed to starboard, 30 degrees below the horizon.
+/// Orientation to starboard, 30 degrees below the horizon.
 pub fn starboard() -> DQuat {
     rotation_from_angles(-60f64.to_radians(), 0.0, 0.0)
 }
@@ -141,7 +141,7 @@ pub struct Arrival {
     pub amplitude: Complex64,
 }
 
-/// Collects every echo.
+/// Sink that collects every echo.
 #[derive(Default)]
 pub struct Collected {
     pub arrivals: Vec<Arrival>,
@@ -162,7 +162,7 @@ impl ArrivalSink for Collected {
     }
 }
 
-/// Unlimited receive window.
+/// Unlimited listening window.
 pub const ALWAYS: Window = Window {
     first_s: 0.0,
     last_s: 1e3,
@@ -214,7 +214,7 @@ pub fn weyl(k: usize, which: usize) -> f64 {
     (0.5 + k as f64 * STEPS[which]).fract()
 }
 
-/// |got - want| / |want| over whole records.
+/// Relative l2 error |got - want| / |want| over whole records.
 pub fn relative_l2(got: &[Complex64], want: &[Complex64]) -> f64 {
     let difference: f64 = got.iter().zip(want).map(|(a, b)| (a - b).norm_sqr()).sum();
     let size: f64 = want.iter().map(|b| b.norm_sqr()).sum();

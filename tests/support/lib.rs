@@ -1,4 +1,4 @@
-//! What the tests of several crates and the developers' tools share.
+//! Support code of the tests of several crates and of the developers' tools.
 
 pub mod allocations;
 #[cfg(feature = "echo")]
@@ -16,7 +16,7 @@ pub mod wire;
 
 use std::path::PathBuf;
 
-/// The root of the repository.
+/// Root folder of the repository.
 pub fn repository() -> PathBuf {
     PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
 }

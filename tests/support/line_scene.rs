@@ -1,4 +1,4 @@
-//! Scenes, the engine's driver and the error measure.
+//! Scenes for line arrays, the driver of the engine, and the error measure.
 
 use std::sync::Mutex;
 
@@ -81,7 +81,7 @@ pub struct Draw {
     pub scatterers: usize,
     /// Sector to either side of broadside, degrees.
     pub sector_deg: f64,
-    /// Surge (along the array), sway, heave.
+    /// Surge (along the array), sway and heave, metres per second.
     pub velocity_m_per_s: DVec3,
     pub near_m: f64,
     pub far_m: f64,
@@ -105,7 +105,7 @@ pub const SIDE_SCAN: Draw = Draw {
 
 const DEPTH_M: f64 = 30.0;
 
-/// A bottom 30 m below a line array along the track, on the starboard side.
+/// Scene with a bottom 30 m below a line array along the track, on the starboard side.
 pub fn draw(d: Draw) -> Scene {
     let mut plan = uniform(DVec3::ZERO, d.velocity_m_per_s, DQuat::IDENTITY);
     plan.pulse.taper = d.taper;
@@ -151,7 +151,7 @@ pub fn engine<T: Sample>(
     engine_in::<T>(scene, resolution, SimdLevel::best(), false)
 }
 
-/// The same at a given SIMD level, tasks in reverse order if `backward`.
+/// As [`engine`], at a given SIMD level, with tasks in reverse order if `backward`.
 pub fn engine_in<T: Sample>(
     scene: &Scene,
     resolution: Resolution,
@@ -193,7 +193,7 @@ pub fn engine_in<T: Sample>(
     (records, reports)
 }
 
-/// One element by the direct sum and the receiver filter, or by the reference.
+/// Samples of one element by the direct sum and the receiver filter, or by the reference.
 pub fn truth(scene: &Scene, element: usize, slow: bool) -> Vec<Complex64> {
     let Scene {
         plan,
@@ -221,8 +221,8 @@ pub fn truth(scene: &Scene, element: usize, slow: bool) -> Vec<Complex64> {
     record
 }
 
-/// Largest |got - want| over |want| in windows of one pulse, a quarter of a window apart. Windows below a millionth of the record's rms are
-/// compared with that level.
+/// Largest |got - want| over |want| in windows of one pulse, a quarter of a window apart. Windows below a millionth of the rms of
+/// the record are compared with that level.
 pub fn worst_window(got: &[Complex64], want: &[Complex64], pulse_s: f64) -> f64 {
     let length = ((pulse_s * RATE_HZ) as usize).max(32).min(want.len());
     let energy = |x: &[Complex64]| x.iter().map(|v| v.norm_sqr()).sum::<f64>();
@@ -240,11 +240,11 @@ pub fn worst_window(got: &[Complex64], want: &[Complex64], pulse_s: f64) -> f64 
     worst
 }
 
-/// The true samples of a few elements: the ends of the array and one between.
+/// True samples of three elements: the ends of the array and one between.
 pub struct Truth(Vec<(usize, Vec<Complex64>)>);
 
 impl Truth {
-    /// By the slow reference, or by the direct sum.
+    /// True samples by the slow reference, or by the direct sum.
     pub fn of(scene: &Scene, slow: bool) -> Self {
         let last = scene.rx.elements - 1;
         Self(

@@ -1,4 +1,4 @@
-//! Navigation specifications; a test sets what it is about.
+//! Navigation specifications with defaults. A test sets the fields that it examines.
 
 use echotank_config::spec::{
     ChecksumPolicy, NavChannel, NavInputSpec, NavMode, NavSourceSpec, NavSpec, OnLost, OriginSpec,
@@ -6,7 +6,7 @@ use echotank_config::spec::{
 };
 use glam::DVec3;
 
-/// A source that is timed by arrival, at the reference point.
+/// Source at the reference point, timed by arrival.
 pub fn source(name: &str, input: NavInputSpec, provides: &[NavChannel]) -> NavSourceSpec {
     NavSourceSpec {
         name: name.into(),
@@ -29,7 +29,8 @@ pub fn udp() -> NavInputSpec {
     }
 }
 
-/// Settled navigation of a surface vessel whose reference point is at the waterline, with 60 s of history.
+/// Navigation in mode `settle` of a surface vessel, with the reference point at the waterline and 60 s of
+/// history.
 pub fn nav(sources: Vec<NavSourceSpec>) -> NavSpec {
     NavSpec {
         origin: OriginSpec::FirstFix,
@@ -54,7 +55,7 @@ pub fn nav(sources: Vec<NavSourceSpec>) -> NavSpec {
     }
 }
 
-/// An NMEA 0183 sentence: `body` between `$` and the checksum, with its line end.
+/// NMEA 0183 sentence: `body` between `$` and the checksum, with its line end.
 pub fn sentence(body: &str) -> Vec<u8> {
     let sum = body.bytes().fold(0, |s, b| s ^ b);
     format!("${body}*{sum:02X}\r\n").into_bytes()

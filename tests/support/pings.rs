@@ -1,4 +1,4 @@
-//! Pings of a rig's first sonar, on the virtual time of its navigation or on a given trajectory.
+//! Pings of the first sonar of a rig, on the virtual time of its navigation or on a given trajectory.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -15,11 +15,11 @@ use echotank_ping::{self as ping, PingOrder, Schedule};
 use echotank_runtime::clock::VirtualClock;
 use echotank_runtime::io::nav::{NavInputs, ReadNav};
 
-/// A rig with its navigation, which makes the first sonar's pings one after the other.
+/// Rig with its navigation. It computes the pings of the first sonar in order.
 pub struct LoggedPings {
     pub rig: Rig,
     pub slot: PingSlot,
-    /// Of the first position.
+    /// Time of the first position.
     pub first_utc: UtcNs,
     inputs: NavInputs,
     schedule: Schedule,
@@ -27,7 +27,7 @@ pub struct LoggedPings {
 }
 
 impl LoggedPings {
-    /// None if the navigation has no position. Call inside a thread pool.
+    /// Opens a rig. `None` if the navigation has no position. Call inside a thread pool.
     pub fn open(spec: &RigSpec) -> Result<Option<Self>, String> {
         let nav = ReadNav::read(&spec.nav).map_err(|e| e.to_string())?;
         let spec = &RigSpec {
@@ -54,7 +54,7 @@ impl LoggedPings {
         }))
     }
 
-    /// The order of the next ping by the schedule.
+    /// Order of the next ping of the schedule.
     pub fn next_order(&mut self) -> Result<PingOrder, String> {
         let settings = self.settings;
         self.schedule
@@ -62,7 +62,7 @@ impl LoggedPings {
             .ok_or_else(|| "the sonar does not ping".into())
     }
 
-    /// Reads the navigation of `order`; false if it ends before.
+    /// Reads the navigation of `order`. Returns false if the navigation ends before.
     pub fn cover(&mut self, order: &PingOrder) -> bool {
         let end = order.transmit_utc.plus_s(self.rig.window_s(0, order));
         while self.rig.history.coverage(order.transmit_utc, end) != Coverage::Ready {
@@ -73,7 +73,7 @@ impl LoggedPings {
         true
     }
 
-    /// Makes a covered ping in the slot.
+    /// Computes a covered ping into the slot.
     pub fn make(&mut self, order: &PingOrder) -> Result<(), String> {
         let (rig, slot) = (&mut self.rig, &mut self.slot);
         ping::make_ping(rig, 0, order, NavMode::Settle, order.transmit_utc, slot)
@@ -90,7 +90,7 @@ impl LoggedPings {
     }
 }
 
-/// Order of a ping at the epoch, five a second.
+/// Order of a ping at the epoch, at five pings a second.
 pub fn order(ping_number: u32, settings: SonarSettings) -> PingOrder {
     PingOrder {
         ping_number,
@@ -115,8 +115,8 @@ pub fn plan_on(
     plan
 }
 
-/// A side-scan sonar of 400 kHz over a plane, with additional lines of `[sonar.receiver]`, of tables after `[sonar.ping]`, and of
-/// `[sonar.model]`.
+/// Side-scan sonar of 400 kHz over a plane, with additional configuration lines: `receiver` of `[sonar.receiver]`, `tables` after
+/// `[sonar.ping]`, and `model` of `[sonar.model]`.
 pub fn small_rig(elements: usize, receiver: &str, tables: &str, model: &str) -> RigSpec {
     let text = format!(
         r#"

@@ -1,4 +1,4 @@
-//! A small file of every format, and ways to corrupt it. Used by the tests beside it and by `tools/fuzz`.
+//! Small files of all formats, and functions that corrupt them. Used by the tests and by `tools/fuzz`.
 
 use std::io::Cursor;
 use std::path::PathBuf;
@@ -8,7 +8,7 @@ use echotank_scene::read::Survey;
 use echotank_scene::read::mesh::{self, MeshAxes};
 
 pub struct Seed {
-    /// The extension distinguishes formats without a signature.
+    /// Name of the file. The extension distinguishes formats without a signature.
     pub name: &'static str,
     pub bytes: Vec<u8>,
 }
@@ -26,7 +26,7 @@ pub fn data(name: &str) -> PathBuf {
     crate::repository().join("tests/data/bathy").join(name)
 }
 
-/// Small ones, and the real GeoTIFF.
+/// Small files, and a real GeoTIFF.
 pub fn small() -> Vec<Seed> {
     let reef = std::fs::read(data("laparguera_hitw_bathy.tif")).expect("the GeoTIFF");
     vec![
@@ -49,7 +49,7 @@ pub fn bag() -> Seed {
     Seed::new("survey.bag", bytes)
 }
 
-/// Opens bytes in the format of the name.
+/// Opens bytes in the format of the file name.
 pub fn open(name: &str, bytes: Vec<u8>) -> Result<(), String> {
     let extension = name.rsplit('.').next().unwrap_or("");
     if ["obj", "stl"].contains(&extension) {
@@ -80,7 +80,7 @@ pub fn open(name: &str, bytes: Vec<u8>) -> Result<(), String> {
     Ok(())
 }
 
-/// Reproducible numbers (xorshift64, Marsaglia 2003).
+/// Reproducible random numbers (xorshift64, Marsaglia 2003).
 pub struct Random(pub u64);
 
 impl Random {
@@ -92,7 +92,7 @@ impl Random {
     }
 }
 
-/// Bytes removed, changed, doubled or inserted, mostly near the front, where the headers are.
+/// Copy with bytes removed, changed, duplicated or inserted, mostly near the front with the headers.
 pub fn spoiled(bytes: &[u8], random: &mut Random) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for _ in 0..1 + random.below(6) {
@@ -110,7 +110,7 @@ pub fn spoiled(bytes: &[u8], random: &mut Random) -> Vec<u8> {
             1 => bytes[at] ^= 1 << random.below(8),
             2 => bytes[at] = [0, 0xff, 0x7f, 0x80, b'0', b'9', b'-', b'e'][random.below(8)],
             3 => {
-                // An integer of four bytes made huge.
+                // A four-byte integer becomes a very large number.
                 for k in 0..4.min(bytes.len() - at) {
                     bytes[at + k] = 0xff;
                 }
@@ -149,7 +149,7 @@ pub fn ascii() -> String {
     text
 }
 
-/// 0.001 degrees about 10 east, 54 north: down = 20 + 1000 (lat - 54) - 500 (lon - 10).
+/// Grid of 0.001 degrees around 10 east, 54 north: down = 20 + 1000 (lat - 54) - 500 (lon - 10).
 pub fn degrees() -> String {
     let mut text =
         "ncols 21\nnrows 31\nxllcenter 9.99\nyllcenter 53.985\ncellsize 0.001\n".to_owned();
@@ -181,7 +181,7 @@ pub fn xyz() -> String {
         .collect()
 }
 
-/// Corners of a square pyramid; its base lies at z = -2 and its top at z = 1.
+/// Corners of a square pyramid, with its base at z = -2 and its top at z = 1.
 pub const PYRAMID: [[f64; 3]; 5] = [
     [0.0, 0.0, -2.0],
     [4.0, 0.0, -2.0],
@@ -203,7 +203,7 @@ pub fn ply_points() -> String {
     text
 }
 
-/// Binary, four sides and a four-cornered base.
+/// Binary PLY mesh with four sides and a four-cornered base.
 pub fn ply_mesh() -> Vec<u8> {
     let mut bytes = b"ply\nformat binary_little_endian 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\nelement face 5\nproperty list uchar int vertex_indices\nend_header\n".to_vec();
     for v in PYRAMID {
@@ -240,7 +240,7 @@ pub fn stl() -> Vec<u8> {
         [0, 3, 2],
         [0, 2, 1],
     ];
-    // Begins like the text form, as some writers do.
+    // The file begins like the text form, as from some programs.
     let mut bytes = b"solid by a writer of binaries".to_vec();
     bytes.resize(80, b' ');
     bytes.extend((faces.len() as u32).to_le_bytes());
@@ -256,12 +256,12 @@ pub fn stl() -> Vec<u8> {
     bytes
 }
 
-/// 200 points, of which every twentieth is noise at z = 500.
+/// LAS file of 200 points. Every twentieth point is noise at z = 500.
 pub fn las() -> Vec<u8> {
     las_with(&[])
 }
 
-/// As [`las()`], with a directory of these GeoKeys, whose values are shorts.
+/// As [`las()`], with a directory of these GeoKeys, all of short values.
 pub fn las_with(keys: &[(u16, u16)]) -> Vec<u8> {
     let mut builder = las::Builder::from((1, 2));
     if !keys.is_empty() {
@@ -309,19 +309,19 @@ fn geo_keys(keys: &[(u16, u16)]) -> Vec<u16> {
     head.into_iter().chain(entries).collect()
 }
 
-/// Kind, count and bytes of a tag's value.
+/// Type, count and bytes of the value of a tag.
 type Value = (u16, u32, Vec<u8>);
 
-/// A bare TIFF of one strip with explicit tags.
+/// Plain TIFF of one strip with explicit tags.
 pub struct Tiff {
     pub width: u32,
     pub height: u32,
     pub scale: Option<[f64; 3]>,
     pub tie: [f64; 6],
     pub transformation: Option<[f64; 16]>,
-    /// Key and value of GeoKeys whose value is a short.
+    /// Keys and values of the GeoKeys with short values.
     pub keys: Vec<(u16, u16)>,
-    /// GDAL's metadata.
+    /// Metadata of GDAL.
     pub metadata: Option<&'static str>,
     pub nodata: Option<&'static str>,
     pub compression: u16,
@@ -329,7 +329,7 @@ pub struct Tiff {
 }
 
 impl Default for Tiff {
-    /// 4 columns, 3 rows, cells of 10 m; the northern row is -1 -2 -3 -4.
+    /// 4 columns and 3 rows of 10 m cells. The northern row is -1 -2 -3 -4.
     fn default() -> Self {
         Self {
             width: 4,

@@ -1,6 +1,7 @@
 //! Rigs on a recorded track, for tests and tools.
 
-/// Navigation from `track.csv` beside the configuration, awaited before and after every ping.
+/// Navigation from `track.csv` in the folder of the configuration. Every ping waits for samples before
+/// and after its window.
 pub const ALONG_TRACK: &str = r#"[nav]
 origin = { latitude_deg = 59.0, longitude_deg = 18.0 }
 mode = "settle"
@@ -12,10 +13,11 @@ path = "track.csv"
 provides = ["position", "heading", "roll-pitch"]
 "#;
 
-/// Header of that file.
+/// Header line of `track.csv`.
 pub const COLUMNS: &str = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n";
 
-/// That file: `steps` rows from 1 November 2026 on, one every `step_s`, of what `at` says of its seconds.
+/// Text of `track.csv`: `steps` rows from 1 November 2026, one every `step_s` seconds. `at` gives the
+/// values at a time in seconds.
 pub fn rows(steps: usize, step_s: f64, at: impl Fn(f64) -> [f64; 6]) -> String {
     let mut text = COLUMNS.to_owned();
     for k in 0..steps {

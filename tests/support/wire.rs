@@ -1,4 +1,4 @@
-//! A small sonar, its ping and its clients' bytes, for the protocol tests.
+//! Small sonar, its ping, and bytes of its clients, for the protocol tests.
 
 use std::f64::consts::FRAC_PI_3;
 use std::sync::Arc;
@@ -59,7 +59,8 @@ fn array(elements: usize, roll_rad: f64, yaw_rad: f64) -> ArrayGeometry {
     }
 }
 
-/// Port and starboard side-scan arrays of 2 and 3 elements, and a fan of 4 beams from 5 elements.
+/// Sonar with port and starboard side-scan arrays of 2 and 3 elements, and a fan of 4 beams from 5
+/// elements.
 pub fn sonar() -> SonarSpec {
     SonarSpec {
         name: "rig <1> & \"co\"".into(),
@@ -151,7 +152,7 @@ pub fn sonar() -> SonarSpec {
     }
 }
 
-/// The small sonar with one array of as many elements as beams of its fan; both lines are of this array.
+/// Small sonar with one array of `elements` elements and as many beams. Both lines are of this array.
 pub fn large_sonar(elements: usize) -> SonarSpec {
     let mut sonar = sonar();
     sonar.receive = vec![sonar.receive[2].clone()];
@@ -192,7 +193,7 @@ pub fn large_output(elements: usize, samples: usize) -> PingOutput {
     }
 }
 
-/// Starboard's elements before port's; the fan's are not sent.
+/// Output with the elements of starboard before those of port, and without those of the fan.
 pub fn output_spec() -> SevenKSpec {
     SevenKSpec {
         has_common_files: false,
@@ -317,7 +318,7 @@ pub fn output(samples: usize) -> PingOutput {
 
 // ---------------------------------------------------------------- clients' bytes
 
-/// A 7500 record to a device.
+/// Record 7500 (command) to a device.
 pub fn command_record(command: Command, ticket: u32, device: u32, enumerator: u16) -> Vec<u8> {
     let stamp = RecordStamp {
         time: SevenKTime::from_utc_ns_clamped(0),
@@ -334,14 +335,14 @@ pub fn command_record(command: Command, ticket: u32, device: u32, enumerator: u1
     record
 }
 
-/// A record in one packet.
+/// Record in one packet.
 pub fn packet(record: &[u8]) -> Vec<u8> {
     let mut wire = Vec::new();
     Packetiser::whole_records().packetise(record, &mut wire);
     wire
 }
 
-/// A command to the Center, framed.
+/// Command to the Center, with network frame.
 pub fn command(command: Command, ticket: u32) -> Vec<u8> {
     packet(&command_record(command, ticket, 7000, 0))
 }

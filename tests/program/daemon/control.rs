@@ -1,4 +1,4 @@
-//! `/control`, `/status`, `/metrics`, `/healthz` and `echotank ctl`.
+//! Tests of `/control`, `/status`, `/metrics`, `/healthz` and `echotank ctl`.
 
 use std::io::Write;
 use std::path::Path;
@@ -103,7 +103,7 @@ fn requests_without_the_token_are_refused() {
     daemon.terminate();
 }
 
-/// While too many guesses were wrong, no token is looked at.
+/// After too many wrong guesses, no token is checked for a time.
 #[test]
 fn guesses_of_the_token_are_limited() {
     let folder = tempfile::tempdir().expect("folder");
@@ -114,7 +114,7 @@ fn guesses_of_the_token_are_limited() {
     let begun = std::time::Instant::now();
     let answers: Vec<_> = (0..40).map(|_| code(Some("open"))).collect();
     let read = answers.iter().filter(|&&code| code == 401).count();
-    // Ten at once, and one more every six seconds.
+    // The limit is ten guesses at once, and one more every six seconds.
     let most = 11 + begun.elapsed().as_secs() / 6;
     assert!(read >= 10 && read as u64 <= most, "{answers:?}");
     assert_eq!(
@@ -130,7 +130,7 @@ fn guesses_of_the_token_are_limited() {
     daemon.terminate();
 }
 
-/// Connections that send half a header take neither all descriptors nor the place of others for long.
+/// Connections that send half a header cannot use all descriptors, or block other clients for long.
 #[test]
 fn slow_connections_are_few_and_end() {
     let folder = tempfile::tempdir().expect("folder");
@@ -142,7 +142,7 @@ fn slow_connections_are_few_and_end() {
     let slow: Vec<_> = (0..200)
         .map(|_| {
             let mut stream = std::net::TcpStream::connect(at).expect("the kernel accepts");
-            // The server may have closed it already.
+            // The server may already have closed the connection.
             let _ = stream.write_all(b"GET /status HTTP/1.1\r\nHost: 127.0");
             stream
         })

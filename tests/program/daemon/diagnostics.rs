@@ -1,4 +1,4 @@
-//! What the daemon writes to standard error: `--log` and `RUST_LOG`.
+//! Tests of the output of the daemon to standard error: `--log` and `RUST_LOG`.
 
 use serde_json::Value;
 

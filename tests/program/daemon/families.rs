@@ -1,4 +1,5 @@
-//! Several protocols at once: driven by the same pings, and each reports settings that another has changed.
+//! Tests of several protocols together. They send the same pings, and each reports setting changes by
+//! another protocol.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpStream, UdpSocket};
@@ -14,7 +15,7 @@ use echotank_runtime::io::control::client;
 use super::{Daemon, PATIENCE};
 use crate::files_in;
 
-/// Two-way time of a range, seconds, in the rig's water.
+/// Two-way travel time of a range in the water of the rig, seconds.
 fn twtt_s(range_m: f64) -> f64 {
     2.0 * range_m / 1480.0
 }
@@ -115,7 +116,7 @@ fn ping_wbms_and_vita_report_the_same_pings_and_settings() {
     };
     let (_, points) = next(&mut topside, &mut frames, listens_for(25.0));
     assert!(points > 10, "{points} points of 80 beams");
-    // Beyond the sonar's limit: refused, and the range stays.
+    // The range exceeds the limit of the sonar: it is refused, and the range stays.
     wanted.end_mm = 61_000;
     bytes.clear();
     wanted.emit_frame(&mut bytes, 0, 1);
@@ -127,7 +128,7 @@ fn ping_wbms_and_vita_report_the_same_pings_and_settings() {
     assert_eq!(refused.0, 3023);
     assert!(refused.1.contains("range_m = 61"), "{}", refused.1);
 
-    // WBMS reports what the other client set, and sets what the other then reports.
+    // WBMS reports the setting of the other client. The other client then reports the setting of WBMS.
     let text = TcpStream::connect(control).expect("listening");
     text.set_read_timeout(Some(PATIENCE)).expect("set");
     let mut text = BufReader::new(text);
@@ -139,7 +140,7 @@ fn ping_wbms_and_vita_report_the_same_pings_and_settings() {
     assert_eq!(line(&mut text).trim(), "set_range 0 20");
     next(&mut topside, &mut frames, listens_for(20.0));
 
-    // Both report the same ping, and the board gets its samples.
+    // Both protocols report the same ping, and the VITA 49 receiver gets its samples.
     let mut depths = TcpStream::connect(bathymetry).expect("listening");
     depths.set_read_timeout(Some(PATIENCE)).expect("set");
     let mut packets = WbmsStream::new(WbmsFraming);
@@ -163,7 +164,7 @@ fn ping_wbms_and_vita_report_the_same_pings_and_settings() {
         Message::AtofPointData(data) if data.head.ping_number > number => Some(Vec::new()),
         _ => None,
     });
-    // The ping read first may already have left the other's socket; otherwise they agree.
+    // The ping that was read first may have left the other socket already. Otherwise both pings are equal.
     assert!(
         points.is_empty() || points == angles,
         "{points:?}, {angles:?}"
@@ -183,7 +184,7 @@ fn ping_wbms_and_vita_report_the_same_pings_and_settings() {
         (Some(34e3), Some(240e3))
     );
 
-    // Counts by client: the board without a request, like the clients.
+    // Client counts include the VITA 49 receiver, which sends no request.
     let (_, metrics) = client::get(http, "/metrics", None).expect("answers");
     let to = board.local_addr().expect("address");
     for (family, peer) in [
@@ -220,7 +221,7 @@ fn ping_wbms_and_vita_report_the_same_pings_and_settings() {
     assert!(profiles > 2, "{profiles} pings in the log");
 }
 
-/// A serial line whose other end is the test's.
+/// Client on a serial link whose other end is in the test.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_client_on_a_serial_line_is_answered_and_gets_every_ping() {
@@ -248,7 +249,7 @@ fn a_client_on_a_serial_line_is_answered_and_gets_every_ping() {
     while (!answered || pings < 3) && Instant::now() < until {
         let len = ours.read(&mut buffer).expect("the line is there");
         frames.feed(&buffer[..len], |item| {
-            // The line may have begun in the middle of a frame.
+            // Reception may have begun in the middle of a frame.
             if let Ok(frame) = item.and_then(Frame::parse) {
                 answered |= frame.message_id == 4;
                 pings += u32::from(frame.message_id == 3012);

@@ -1,4 +1,4 @@
-//! A scored run: a topside finds exactly the faults that the log lists as injected, record by record.
+//! Test of injected faults. A topside client finds exactly the faults that the log lists, record by record.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
@@ -16,7 +16,8 @@ use super::triggers::records;
 use crate::{Ended, files_in, run};
 
 const RECORDS: [u32; 3] = [7000, 7007, 7038];
-/// Each fault has probability one half: with three records per ping about a hundred faults.
+/// Number of pings. Each fault has probability one half, so three records per ping give about a hundred
+/// faults.
 const PINGS: u64 = 70;
 
 fn log_of(folder: &Path) -> Vec<Value> {
@@ -41,7 +42,7 @@ impl Bench {
         step(self.control, &mut self.delivered, pings);
     }
 
-    /// Reads until the last record of ping `until` has arrived.
+    /// Reads until the last record of ping `until` is received.
     fn read(&mut self, until: u32, verifier: &mut Verifier) {
         let patience = Instant::now() + PATIENCE;
         while Instant::now() < patience {
@@ -60,7 +61,7 @@ impl Bench {
     }
 }
 
-/// Expected counts of one record type for known injected pings: an independent account, ping by ping.
+/// Expected counts of one record type for known injected pings, computed independently, ping by ping.
 fn expected(kind: &str, struck: &BTreeSet<u32>, first: u32, last: u32) -> PingTally {
     let mut arrivals = Vec::new();
     let mut held: Vec<(u32, u32)> = Vec::new();
@@ -69,7 +70,7 @@ fn expected(kind: &str, struck: &BTreeSet<u32>, first: u32, last: u32) -> PingTa
             ("drop" | "link-down" | "corrupt" | "truncate", true) => {}
             ("duplicate", true) => arrivals.extend([ping, ping]),
             ("reorder", true) => held.push((ping + 1, ping)),
-            // 250 ms at ten pings per second: arrives with the third ping after.
+            // A delay of 250 ms at ten pings per second: the record arrives with the third ping after.
             ("delay", true) => held.push((ping + 3, ping)),
             _ => arrivals.push(ping),
         }
@@ -131,7 +132,8 @@ fn a_topside_finds_exactly_the_link_faults_in_the_log() {
     for (seed, kind) in kinds.into_iter().enumerate() {
         let mut verifier = Verifier::default();
         let errors_before = bench.client.counters().errors();
-        // A clean ping before, and five after, so that no loss goes unseen and delayed records have arrived.
+        // A clean ping precedes the faults, so that no loss is missed. Five clean pings follow, so that
+        // delayed records arrive.
         bench.step(1);
         let first = bench.last + 1;
         bench.read(first, &mut verifier);
@@ -157,7 +159,7 @@ fn a_topside_finds_exactly_the_link_faults_in_the_log() {
         let mut faults = 0;
         for line in log.iter().filter(|line| line["kind"] == kind) {
             let number = |key: &str| line[key].as_u64().expect("a number") as u32;
-            // Faults are also injected into records without subscribers.
+            // Faults are also injected into records that no client receives.
             if RECORDS.contains(&number("record_type")) {
                 struck
                     .entry(number("record_type"))
@@ -174,7 +176,8 @@ fn a_topside_finds_exactly_the_link_faults_in_the_log() {
         }
         match kind {
             "corrupt" => assert_eq!(errors, faults, "{kind}"),
-            // A truncated record also swallows the search for the next: several in a row are one error.
+            // After a truncated record, the search for the next record may skip it. Several truncated
+            // records in a row are one error.
             "truncate" => assert!((1..=faults).contains(&errors), "{errors} {faults}"),
             _ => assert_eq!(errors, 0, "{kind}"),
         }
@@ -193,7 +196,7 @@ fn a_scenario_changes_the_same_samples_live_and_in_replay() {
     let (live, plain) = (pings_of(live.path()), pings_of(plain.path()));
     assert!(live == offline, "live and replay differ");
     let of = |pings: &super::modes::Pings, kind| pings.keys().filter(|k| k.0 == kind).count();
-    // A quarter of a second at ten pings a second: pulses at 2.0, 2.1 and 2.2 s.
+    // A quarter of a second at ten pings a second: the pulses at 2.0, 2.1 and 2.2 s.
     assert_eq!(of(&plain, 7038) - of(&live, 7038), 3);
     let changed = live.iter().filter(|(key, bytes)| plain[*key] != **bytes);
     let changed = changed.filter(|(key, _)| key.0 == 7038).count();
@@ -236,7 +239,7 @@ fn a_wrong_second_moves_the_stamps_and_a_double_trigger_makes_a_second_pulse() {
     let folders = [(); 2].map(|()| tempfile::tempdir().expect("folder"));
     let scenario = r#"fault=[{kind="wrong-second", value=3600, at_s=1.0, for_s=0.45}, {kind="trigger-double", value=40, at_s=2.0, for_s=0.25}]"#;
     let log = format!("run.fault_directory={:?}", folders[0].path().join("log"));
-    // A pulse 40 ms later is received after the window of the previous ping.
+    // The echo of a pulse 40 ms later is received after the window of the previous ping.
     let common = ["run.clock=fast", "sonar.ping.range_m=15"];
     let faulty = rig(
         folders[0].path(),

@@ -1,4 +1,4 @@
-//! After a kill at any time, recordings hold every sent ping, and the next start recovers them.
+//! Tests that recordings hold every sent ping after a kill at any time, and that the next start recovers them.
 
 use std::io::BufReader;
 use std::os::fd::OwnedFd;
@@ -25,7 +25,8 @@ fn a_killed_daemon_loses_no_sent_ping_and_the_next_recovers_its_recording() {
     let printed = next.terminate();
     assert!(printed.contains("had been cut off: recovered"), "{printed}");
 
-    // The second run begins a new recording; in the same second it may have the same name with another suffix.
+    // The second run begins a new recording. In the same second, it may have the same name with another
+    // suffix.
     let mut files: Vec<_> = files_in(folder.path()).collect();
     files.sort();
     let mended = &files[0];
@@ -58,7 +59,7 @@ fn a_daemon_that_loses_its_terminal_closes_its_recording() {
     assert!(said.contains("is whole"), "{said}");
 }
 
-/// Every record format at once.
+/// All record formats together.
 const EVERY_KIND: [&str; 12] = [
     "run.queue_pings=30",
     "sonar.output.sevenk.listen=127.0.0.1:0",
@@ -77,7 +78,7 @@ const EVERY_KIND: [&str; 12] = [
 #[test]
 fn a_full_disk_stops_recordings_and_they_go_on_when_there_is_room() {
     let folder = tempfile::tempdir().expect("folder");
-    // Some tens of kilobytes per file, with SIGXFSZ ignored: a write fails as on a full disk.
+    // The limit is some tens of kilobytes per file. SIGXFSZ is ignored, so a write fails as on a full disk.
     let limited = "trap '' XFSZ; ulimit -S -f 40; exec \"$0\" \"$@\"";
     let mut command = Command::new("sh");
     command.args(["-c", limited, env!("CARGO_BIN_EXE_echotank"), "run"]);
@@ -96,7 +97,7 @@ fn a_full_disk_stops_recordings_and_they_go_on_when_there_is_room() {
     let then = status(at)["pings_delivered"].as_u64().expect("a count");
     wait_delivered(at, then + 5);
     let health = || client::get(at, "/healthz", None).expect("answers");
-    // Short pings fit into the next file, which then is full in turn.
+    // Short pings fit into the next file, which is then full in turn.
     for kind in ["s7k", "jsf", "xtf", "svlog", "sigmf-data", "wav"] {
         eventually(|| match health() {
             (503, why) if why.contains(&format!("points.{kind} stopped")) => Ok(()),
@@ -115,7 +116,7 @@ fn a_full_disk_stops_recordings_and_they_go_on_when_there_is_room() {
     wait_delivered(at, then + 10);
     daemon.child.kill().expect("killed");
     daemon.child.wait().expect("gone");
-    // The files are whole or recovered.
+    // The files are complete or recovered.
     let kinds = ["s7k", "jsf", "xtf", "svlog", "sigmf-meta", "wav"];
     for kind in kinds {
         let file = file_of(folder.path(), "", &format!(".{kind}"));

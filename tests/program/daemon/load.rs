@@ -1,5 +1,6 @@
-//! The running daemon with a large multibeam's records, two topsides that read and one that does not. `tools/soak --load` is the long form,
-//! with one that reads a byte per second, and compares the timing without clients.
+//! Tests of the daemon with the records of a large multibeam sonar, two topside clients that read and one that does not.
+//! `tools/soak --load` is the long form. It has a client that reads a byte per second, and compares the timing with that without
+//! clients.
 
 use echotank_runtime::io::sonar::client::SevenKClient;
 use echotank_runtime::io::sonar::verify::Verifier;
@@ -7,7 +8,8 @@ use echotank_runtime::io::sonar::verify::Verifier;
 use super::modes::status;
 use super::{Daemon, PATIENCE, eventually};
 
-/// 256 elements and beams of 2000 samples: 2 MB a record, of which four may wait for a client, and some more in its socket.
+/// Multibeam sonar with 256 elements, and beams of 2000 samples. A record has 2 MB; four records may wait for a client, and more in
+/// its socket.
 const LARGE: [&str; 10] = [
     "sonar.receive=[{name=\"rx\", elements=256, spacing_m=0.00375, position_m=[0.6, 0.0, 0.9], yaw_deg=90.0, sensitivity_db=0.0}]",
     "sonar.beams={fan={array=\"rx\", beams=256, sector_deg=120.0, shading=\"uniform\", former=\"fft\"}}",

@@ -1,8 +1,8 @@
-//! Blue Robotics' own Rust client of the Ping protocol (crate `bluerobotics-ping`) against the daemon: its requests take effect in the next
-//! pings.
+//! Tests of the daemon with the Rust client of Blue Robotics for the Ping protocol (crate `bluerobotics-ping`). Its requests take
+//! effect in the next pings.
 //!
-//! Its commands, framing and checksums are its own. It treats the results of an Omniscan profile as text (its definitions name no width for
-//! them) and lacks the Surveyor's messages: those payloads are decoded and encoded here.
+//! The crate implements commands, framing and checksums. It interprets the results of an Omniscan profile as text, because its
+//! definitions have no width for them. It also lacks the messages of the Surveyor. The test decodes and encodes these payloads.
 
 use std::future::Future;
 use std::io;
@@ -26,11 +26,11 @@ const PROFILE: u16 = 2198;
 const POINTS: u16 = 3012;
 const ATTITUDE: u16 = 504;
 
-/// Adapts datagrams to the stream that the client expects: keeps whole datagrams, however little it reads at a time.
+/// Adapter from datagrams to the stream that the client requires. It keeps the rest of a datagram for the next read.
 struct Datagrams {
     socket: UdpSocket,
     datagram: Box<[u8]>,
-    /// The rest of a datagram, not yet read.
+    /// Unread part of the current datagram.
     left: Range<usize>,
 }
 
@@ -69,7 +69,7 @@ impl AsyncWrite for Datagrams {
     }
 }
 
-/// Runs to the end within a time limit. The client's own threads are leaked: one that finds its connection closed never ends.
+/// Runs a future within a time limit. The threads of the client are leaked, because a thread with a closed connection never ends.
 fn run(future: impl Future<Output = ()>) {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
@@ -91,7 +91,7 @@ async fn datagrams(to: SocketAddr) -> Datagrams {
     }
 }
 
-/// The payload of the next message of this kind that matches.
+/// The payload of the next message of a type that satisfies a condition.
 async fn next(
     heard: &mut Receiver<ProtocolMessage>,
     id: u16,
@@ -155,7 +155,7 @@ async fn omniscan(device: &omniscan450::Device) {
         for _ in 0..3 {
             let profile = next(&mut heard, PROFILE, |_| true).await;
             assert_eq!(profile.len(), 52 + 2 * usize::from(results));
-            // A busy machine skips pings; those keep their numbers.
+            // A loaded machine skips pings, which keep their numbers.
             let pings = u32_at(&profile, 0) - u32_at(&before, 0);
             let step_ms = u32_at(&profile, 12) - u32_at(&before, 12);
             assert!(
@@ -164,7 +164,7 @@ async fn omniscan(device: &omniscan450::Device) {
             );
             before = profile;
         }
-        // No echo from the water, then a strong bottom 11.4 m below the head.
+        // No echo from the water, then a strong bottom echo 11.4 m below the sonar head.
         let (most, least) = (f32_at(&before, 36), f32_at(&before, 40));
         let db = |at_m: f32| {
             let index = (at_m / length_m as f32 * f32::from(results)) as usize;
@@ -183,14 +183,14 @@ async fn omniscan(device: &omniscan450::Device) {
             "{water} dB in the water, {sand} on the sand"
         );
     }
-    // Beyond the limits: refused with a reason and without effect.
+    // Values beyond the limits are refused with a reason and without effect.
     let mut heard = device.subscribe();
     ask(81, 100, 1, 600).await.expect("sent");
     let refused = next(&mut heard, NACK, |p| u16_at(p, 0) == 2197).await;
     let words = String::from_utf8_lossy(&refused[2..]).into_owned();
     assert!(words.contains("range_m = 81"), "{words}");
     next(&mut heard, PROFILE, |p| u32_at(p, 8) == 20_000).await;
-    // Its definitions number this command differently from brping's.
+    // The definitions of the crate number this command differently from brping.
     let mut heard = device.subscribe();
     device.set_speed_of_sound(1_480_000).await.expect("sent");
     next(&mut heard, ACK, |p| u16_at(p, 0) == 1002).await;
@@ -215,7 +215,8 @@ fn an_omniscan_serves_the_manufacturers_rust_client_over_tcp_and_udp() {
     daemon.terminate();
 }
 
-/// 3023: the crate lacks the Surveyor's messages, so the payload is made here; frame and checksum are the client's.
+/// Message 3023. The crate lacks the messages of the Surveyor, so the test encodes the payload. Frame and checksum are the
+/// client's.
 fn ping_parameters(end_m: i32, msec: i16) -> ProtocolMessage {
     let mut payload = Vec::new();
     payload.extend(0_i32.to_le_bytes());
@@ -237,7 +238,7 @@ fn ping_parameters(end_m: i32, msec: i16) -> ProtocolMessage {
     message
 }
 
-/// Any device that the crate supports.
+/// Checks the Surveyor. The client object is that of the Omniscan, because the crate has none for the Surveyor.
 async fn surveyor(device: &omniscan450::Device) {
     device.device_information().await.expect("answers");
     let ask = |end_m, msec| {
@@ -269,7 +270,7 @@ async fn surveyor(device: &omniscan450::Device) {
                 .collect();
             depths.sort_by(f32::total_cmp);
             let median = depths[count / 2];
-            // 12 m minus the head's 0.8 m; heave and roll of the launch move single points.
+            // 12 m minus 0.8 m of the sonar head. Heave and roll of the launch move single points.
             assert!((median - 11.2).abs() < 0.5, "{median} m");
             before = points;
         }

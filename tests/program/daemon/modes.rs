@@ -1,4 +1,5 @@
-//! All clock modes send the same pings: `realtime`, `scaled`, `fast`, `lockstep`, `replay`, and after a pause.
+//! Tests that all clock modes send the same pings: `realtime`, `scaled`, `fast`, `lockstep`, `replay`, and after a
+//! pause.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -16,13 +17,13 @@ use super::triggers::{records, three};
 use super::{Daemon, eventually};
 use crate::{file_of, replay_into, sets};
 
-/// Records of pings by type and timestamp; records that hold the start time of a file are left out.
+/// Ping records by type and timestamp. Records with the start time of a file are excluded.
 pub(crate) type Pings = BTreeMap<(u32, Vec<u8>), Vec<u8>>;
 
 /// Offset of year, day, seconds, hours and minutes in a record's frame.
 pub(crate) const TIME: std::ops::Range<usize> = 20..30;
 
-/// The records of the first 7k file of a folder, each with the bytes of its whole frame.
+/// Passes the records of the first 7k file of a folder to `each`.
 pub(crate) fn records_of(folder: &Path, start: &str, mut each: impl FnMut(&Record<'_>)) {
     let bytes = std::fs::read(file_of(folder, start, ".s7k")).expect("readable");
     FileReader::new(&bytes).for_each(|read| each(&read.expect("sound").record));
@@ -32,7 +33,7 @@ pub(crate) fn pings_of(folder: &Path) -> Pings {
     let mut pings = Pings::new();
     records_of(folder, "", |record| {
         let kind = record.frame.record_type_id;
-        // Those stamped with the opening of the file tell of the rig, not of a ping.
+        // Records with the time of the file opening describe the rig, not a ping.
         if !matches!(kind, 7200 | 7300 | 7001 | 7030 | 1009) {
             let whole = record.bytes().to_vec();
             let other = pings.insert((kind, whole[TIME].to_vec()), whole);
@@ -46,7 +47,7 @@ pub(crate) fn pings_in(pings: &Pings) -> usize {
     pings.keys().filter(|(kind, _)| *kind == 7000).count()
 }
 
-/// Compares the records that both have; returns their number.
+/// Compares the records that are in both; returns their number.
 fn assert_same(got: &Pings, want: &Pings, what: &str) -> usize {
     let mut compared = 0;
     for (key, bytes) in got {
@@ -65,14 +66,14 @@ fn assert_same(got: &Pings, want: &Pings, what: &str) -> usize {
     compared
 }
 
-/// Points in still water, ten pings per second.
+/// Settings for points in still water, with ten pings per second.
 const QUICK: [&str; 3] = [
     "sonar.model.synthesis=direct",
     "sonar.ping.range_m=50",
     "sonar.ping.rate_hz=10",
 ];
 
-/// A small, fast rig that records into a folder.
+/// Small, fast rig that records into a folder.
 pub(crate) fn rig(folder: &Path, more: &[&str]) -> Daemon {
     let record = format!("record.directory={folder:?}");
     let common = [
@@ -84,7 +85,7 @@ pub(crate) fn rig(folder: &Path, more: &[&str]) -> Daemon {
     Daemon::start("hil-configs/points.toml", settings)
 }
 
-/// The same rig replayed into a folder.
+/// Records of the same rig, replayed into a folder.
 pub(crate) fn replayed(folder: &Path, more: &[&str]) -> Pings {
     let settings = sets([&QUICK, more].concat());
     let arguments = [vec!["--formats".to_owned(), "s7k".to_owned()], settings];
@@ -103,7 +104,7 @@ pub(crate) fn tell(control: SocketAddr, command: &Value) -> (u16, Value) {
     (code, serde_json::from_str(&body).expect("JSON"))
 }
 
-/// A command that the daemon accepts: its answer.
+/// Sends a command that the daemon accepts. Returns the answer.
 pub(crate) fn told(control: SocketAddr, command: &Value) -> Value {
     let (code, answer) = tell(control, command);
     let accepted = (code, &answer["accepted"]);
@@ -122,7 +123,7 @@ pub(crate) fn wait_delivered(control: SocketAddr, pings: u64) -> u64 {
     })
 }
 
-/// Steps pings and waits for them.
+/// Requests steps of pings and waits for the pings.
 pub(crate) fn step(control: SocketAddr, delivered: &mut u64, pings: u64) {
     told(control, &json!({ "do": "step", "pings": pings }));
     *delivered = wait_delivered(control, *delivered + pings);
@@ -136,7 +137,7 @@ fn the_same_pings_are_sent_in_every_clock_mode_and_after_a_pause() {
     let want = replayed(folders[5].path(), &[]);
     assert!(pings_in(&want) > 20, "{} pings", pings_in(&want));
 
-    // All at once: they wait most of the time.
+    // The daemons run together, because they wait most of the time.
     let mut realtime = rig(folders[0].path(), &["run.clock=realtime"]);
     let mut stopped = rig(folders[1].path(), &["run.clock=realtime"]);
     let scaled = rig(
@@ -151,7 +152,7 @@ fn the_same_pings_are_sent_in_every_clock_mode_and_after_a_pause() {
     stopped.signal("-STOP");
     let at = lockstep.announced("control http", "http");
     step(at, &mut 0, 4);
-    // Without a step request time stands still.
+    // Without a step request, rig time does not advance.
     let before = status(at)["rig_utc_ns"].clone();
     thread::sleep(Duration::from_millis(300));
     assert_eq!(status(at)["pings_delivered"], 4);
@@ -160,7 +161,7 @@ fn the_same_pings_are_sent_in_every_clock_mode_and_after_a_pause() {
     assert_eq!(wait_delivered(at, 5), 5);
     stopped.signal("-CONT");
 
-    // Two of them run to the end of the log by themselves.
+    // Two of the daemons run to the end of the log on their own.
     for daemon in [scaled, fast] {
         daemon.ended();
     }
@@ -234,7 +235,7 @@ fn selected_methods_faults_and_triggers_are_the_same_in_every_clock_mode() {
     let text = text
         .replace("rx_filter = \"none\"", "rx_filter = \"fir\"")
         .replace("taper = 0.0", "taper = 0.2")
-        // Headings at 2 Hz settle later than the track's own.
+        // Headings at 2 Hz are interpolated later than those of the track.
         .replace("latency_ms = 600.0", "latency_ms = 1500.0");
     let (first, others) = text.split_once("name = \"bow\"").expect("three sonars");
     let engine = others.replacen("synthesis = \"auto\"", "synthesis = \"gridded-1d\"", 1);
@@ -245,12 +246,12 @@ fn selected_methods_faults_and_triggers_are_the_same_in_every_clock_mode() {
         let common = [record.as_str(), "control.listen=127.0.0.1:0"];
         Daemon::start(&config, [clock, &common].concat())
     };
-    // Modes without a deadline come first: making engines takes seconds, and a running clock skips late pings.
+    // Modes without a deadline are first. The design of engines takes seconds, and a running clock skips late pings.
     let fast = start("fast", &["run.clock=fast"]);
     let mut lockstep = start("lockstep", &["run.clock=lockstep"]);
     let control = lockstep.announced("control http", "http");
     told(control, &json!({ "do": "step", "pings": 70 }));
-    // Missed pulses make no pings.
+    // A missed pulse has no ping.
     wait_delivered(control, 60);
     lockstep.terminate();
     fast.ended();
@@ -261,7 +262,7 @@ fn selected_methods_faults_and_triggers_are_the_same_in_every_clock_mode() {
     stopped.signal("-STOP");
     thread::sleep(Duration::from_millis(700));
     stopped.signal("-CONT");
-    // To the end of the log.
+    // The daemons run to the end of the log.
     for daemon in [
         stopped,
         start("scaled", &["run.clock=scaled", "run.clock_rate=2"]),
@@ -280,7 +281,7 @@ fn selected_methods_faults_and_triggers_are_the_same_in_every_clock_mode() {
             ("scaled", 5),
         ] {
             let folder = match name {
-                // A folder for each sonar.
+                // Each sonar has its own folder.
                 "replay" => at(name).join(sonar),
                 _ => at(name),
             };
@@ -299,7 +300,7 @@ fn selected_methods_faults_and_triggers_are_the_same_in_every_clock_mode() {
     }
 }
 
-/// Stops every thread in a debugger for a while; without a debugger or permission this does nothing.
+/// Stops every thread with a debugger for a time. Without a debugger or permission, this does nothing.
 fn debug(daemon: &Daemon) -> bool {
     let done = Command::new("gdb")
         .args(["--batch", "--nx", "--readnever"])
@@ -318,7 +319,7 @@ fn a_stop_in_a_debugger_changes_no_ping() {
     wait_delivered(at, 3);
     println!("stopped in a debugger: {}", debug(&stopped));
     fast.ended();
-    // To the end of the log.
+    // The daemon runs to the end of the log.
     stopped.ended();
     let want = pings_of(folders[0].path());
     let got = pings_of(folders[1].path());
@@ -337,7 +338,7 @@ fn a_pause_stops_time_and_a_step_sends_one_ping() {
     thread::sleep(Duration::from_millis(300));
     let later = status(at);
     assert_eq!(later["rig_utc_ns"], paused["rig_utc_ns"], "time stands");
-    // A ping being delivered may have been sent since.
+    // A ping in delivery may have been sent since.
     let before = later["pings_delivered"].as_u64().expect("a count");
     tell(at, &json!({ "do": "step", "pings": 2 }));
     assert_eq!(wait_delivered(at, before + 2), before + 2);
@@ -345,7 +346,7 @@ fn a_pause_stops_time_and_a_step_sends_one_ping() {
     assert_eq!(status(at)["pings_delivered"], before + 2);
     tell(at, &json!({ "do": "resume" }));
     wait_delivered(at, before + 4);
-    // A daemon told to stop while its clock stands still ends.
+    // A daemon that is terminated while its clock is paused exits.
     tell(at, &json!({ "do": "pause" }));
     daemon.terminate();
 }

@@ -1,5 +1,5 @@
-//! Live navigation faults while pinging: disconnection, garbage, silence, contradiction, jumping dates. Also navigation output meanwhile,
-//! read back by our own decoder.
+//! Tests of live navigation faults while pinging: disconnection, invalid bytes, silence, contradiction and date jumps. At the same
+//! time, navigation output is received and decoded.
 
 use std::io::Write;
 use std::net::{SocketAddr, UdpSocket};
@@ -23,18 +23,18 @@ use serialport::{SerialPort, TTYPort};
 
 use super::{LIVE_SONAR, MRU, eventually, gnss, sentence};
 
-/// As in the live sonar.
+/// Ping period of the live sonar, seconds.
 const PING_S: f64 = 0.1;
 const YEAR_S: u64 = 365 * 86_400;
 
-/// What the instruments currently send.
+/// Faults of the current instrument data.
 #[derive(Default)]
 struct Faults {
     stop: AtomicBool,
     mru_silent: AtomicBool,
     mru_garbage: AtomicBool,
     first_silent: AtomicBool,
-    /// ZDA and RMC a year ahead.
+    /// True if ZDA and RMC are a year ahead.
     date_jumps: AtomicBool,
 }
 
@@ -85,7 +85,7 @@ status_interval_s = 0.1
     echotank_runtime::config_files::parse(&text, folder).unwrap_or_else(|errors| panic!("{errors}"))
 }
 
-/// A pseudo-terminal with a stable name; dropping it disconnects the line.
+/// Pseudo-terminal with a stable name. Dropping it disconnects the serial link.
 fn plug_in(name: &Path) -> (TTYPort, TTYPort) {
     let (instrument, port) = TTYPort::pair().expect("a pseudo-terminal");
     let _ = std::fs::remove_file(name);
@@ -109,7 +109,7 @@ fn instruments(
                     let text = gnss(0.0, if jumps { YEAR_S } else { 0 });
                     let _ = socket.send_to(text.as_bytes(), first);
                 }
-                // Contradicts the first source by one minute, 1.85 km.
+                // The second source contradicts the first by one minute, 1.85 km.
                 let _ = socket.send_to(gnss(1.0, 0).as_bytes(), second);
             }
             if let Some((line, _)) = &mut *mru.lock().expect("unspoiled") {
@@ -130,7 +130,7 @@ fn instruments(
     })
 }
 
-/// What a topside received of one ping.
+/// Records of one ping that a topside client received.
 #[derive(Clone, Copy, Debug, Default)]
 struct Got {
     number: u32,
@@ -185,7 +185,7 @@ fn listen(
     })
 }
 
-/// What the device under test receives: datagrams with their pulses.
+/// Datagrams and pulses that the receiving device gets.
 fn hear(socket: UdpSocket, faults: Arc<Faults>) -> thread::JoinHandle<Vec<Vec<u8>>> {
     thread::spawn(move || {
         socket
@@ -236,7 +236,7 @@ fn pings_keep_their_rate_under_navigation_faults_and_flag_invalid_channels() {
         eventually(|| {
             let text = status.lock().expect("unspoiled").clone();
             let all = pings.lock().expect("unspoiled").clone();
-            // The last but one is whole.
+            // The last but one sentence is complete.
             let last = all.len().checked_sub(2).map(|i| all[i]);
             let is_so = last.is_some_and(|ping| holds(&text, &ping));
             is_so
@@ -285,7 +285,7 @@ fn pings_keep_their_rate_under_navigation_faults_and_flag_invalid_channels() {
     faults.first_silent.store(false, SeqCst);
     until("both are back", &well);
 
-    // A few wild dates are ignored. Persistent ones are accepted, and then hold for other times than the pings.
+    // A few wrong dates are ignored. Persistent wrong dates are accepted, and the navigation is then outside the time of the pings.
     faults.date_jumps.store(true, SeqCst);
     let jumps = |text: &str| {
         let line = text.lines().find(|l| l.starts_with("nav first:"));
@@ -310,7 +310,7 @@ fn pings_keep_their_rate_under_navigation_faults_and_flag_invalid_channels() {
         "{} pings, {invalid} without a valid attitude\n{printed}",
         pings.len()
     );
-    // Navigation causes no skipped ping; on a busy machine late pings may be skipped, and keep their numbers.
+    // Navigation causes no skipped ping. On a loaded machine late pings may be skipped; they keep their numbers.
     let count = |before: &str| -> u32 {
         let (_, rest) = printed
             .split_once(before)
@@ -325,7 +325,7 @@ fn pings_keep_their_rate_under_navigation_faults_and_flag_invalid_channels() {
     for pair in pings.windows(2) {
         let steps = pair[1].number - pair[0].number;
         let step_s = (pair[1].utc_ns - pair[0].utc_ns) as f64 / 1e9;
-        // 7k writes seconds as f32: 4 us steps.
+        // 7k writes seconds as f32, in steps of 4 us.
         let off_s = step_s - PING_S * f64::from(steps);
         assert!(off_s.abs() < 1e-5, "{step_s} s at ping {}", pair[1].number);
         missing += steps - 1;
@@ -334,7 +334,8 @@ fn pings_keep_their_rate_under_navigation_faults_and_flag_invalid_channels() {
     what_went_out(&device.join().expect("heard"), pings[0].utc_ns);
 }
 
-/// The device shares the pings' clock: a pulse, then the ZDA that names it, then GGA and HDT of the same times.
+/// Checks the output: the device shares the clock of the pings. It receives a pulse, then the ZDA of that second, then GGA and HDT
+/// of the same times.
 fn what_went_out(datagrams: &[Vec<u8>], first_ping_ns: i64) {
     let mut last_second = None;
     let (mut pulses, mut fixes, mut headings) = (0, 0, 0);

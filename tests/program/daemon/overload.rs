@@ -1,4 +1,5 @@
-//! Handling of pings that take longer than the available time: skipped, degraded or delayed; counted, logged, and otherwise unchanged.
+//! Tests of pings that take longer than the available time. They are skipped, degraded or delayed, counted and logged, and
+//! otherwise unchanged.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -13,7 +14,7 @@ use crate::file_of;
 /// Year, day, seconds, hours and minutes in a record's frame.
 type Instant = Vec<u8>;
 
-/// Five seconds of 20 pings per second, each of which takes 75 ms with 50 ms available.
+/// Five seconds of 20 pings per second. A ping takes 75 ms, and 50 ms are available.
 fn overloaded(folder: &Path, overload: &str, more: &[&str]) -> (String, Value) {
     let overload = format!("run.overload={overload}");
     let log = format!("run.fault_directory={folder:?}");
@@ -26,7 +27,7 @@ fn overloaded(folder: &Path, overload: &str, more: &[&str]) -> (String, Value) {
     let mut daemon = rig(folder, &sets);
     let control = daemon.announced("control http", "http");
     let mut last = Value::Null;
-    // Runs until the log and with it the daemon ends.
+    // The daemon runs to the end of the log.
     while daemon.child.try_wait().expect("a child").is_none() {
         if let Ok((200, body)) = client::get(control, "/status", None) {
             last = serde_json::from_str(&body).expect("JSON");
@@ -93,7 +94,7 @@ fn skipped_pings_are_counted_and_logged_and_the_others_are_unchanged() {
     let log = log_of(folders[1].path());
     let skipped = numbers(&log, "skipped");
     assert_eq!(last["sonars"][0]["overload"], "skip");
-    // Five seconds allow 67 of 100 pings, and those queued.
+    // In five seconds there is time for 67 of 100 pings, and for the queued pings.
     assert!(skipped.len() >= 10, "{} skipped: {log:?}", skipped.len());
     assert!(
         pings_in(&got) >= 20 && pings_in(&got) < pings_in(&want),
@@ -152,7 +153,7 @@ fn degraded_pings_are_flagged_meet_the_looser_tolerance_and_recover() {
         compared[which] += 1;
     }
     assert!(compared.iter().all(|&n| n >= 20), "{compared:?}");
-    // Restored when there is time again.
+    // The tolerance is restored when there is time again.
     let after = numbers_of.values().map(|(number, _)| *number);
     let fine_again = after.filter(|n| *n > first[0] && !all.contains(n)).count();
     assert!(fine_again > 0, "{all:?}");
@@ -174,7 +175,7 @@ fn stretched_periods_match_the_compute_time_and_are_reported() {
     made.sort_by_key(|(number, _)| *number);
     assert!(stretched.len() >= 10, "{log:?}");
     assert!(4 * skipped.len() <= made.len(), "{log:?}");
-    // The record holds the actual period.
+    // The record has the actual period.
     for (number, period_s) in &made[1..] {
         match stretched.contains(number) {
             true => assert!(*period_s > 0.05, "ping {number}: {period_s} s"),
@@ -184,7 +185,7 @@ fn stretched_periods_match_the_compute_time_and_are_reported() {
             ),
         }
     }
-    // From the first delayed ping on the period is 75 ms, except for pings still queued.
+    // From the first delayed ping on, the period is 75 ms, except for queued pings.
     let last_ones = &made[made.len() / 2..];
     let mean_s = last_ones.iter().map(|(_, s)| f64::from(*s)).sum::<f64>() / last_ones.len() as f64;
     assert!(mean_s > 0.065, "{mean_s} s: {made:?}");
@@ -193,7 +194,7 @@ fn stretched_periods_match_the_compute_time_and_are_reported() {
         said.contains(&format!("OVERLOAD: {} pulses put off", stretched.len())),
         "{said}"
     );
-    // A machine that keeps up shows none of this.
+    // A machine without overload has none of these effects.
     let folder = tempfile::tempdir().expect("folder");
     let mut daemon = rig(folder.path(), &["run.overload=stretch", "nav.loop=true"]);
     let control = daemon.announced("control http", "http");

@@ -1,5 +1,5 @@
-//! Method selection in the daemon: the error check detects a selection that misses its tolerance; it is counted and replaced by a costlier
-//! one.
+//! Test of method selection in the daemon. The error check detects a selection that misses its tolerance. The fault is counted, and
+//! a costlier selection replaces it.
 
 use std::fmt::Write;
 use std::net::SocketAddr;
@@ -11,13 +11,14 @@ use super::Daemon;
 use super::modes::{status, step};
 use echotank_testing::track::{ALONG_TRACK, COLUMNS};
 
-/// Points abeam: while they are abeam the range rate is zero, and methods that ignore motion suffice. Nothing in the sonar's own motion
-/// shows when that ends; only the error check does.
+/// Number of points abeam. While they are abeam, the range rate is zero, and methods that ignore motion suffice. The motion of the
+/// sonar does not show the end of this phase; only the error check does.
 const POINTS: usize = 300;
 const SPEED_M_PER_S: f64 = 0.05;
-/// Three percent of such a ping are two samples; 64 samples take half of the budget.
+/// Number of pings until detection. Three percent of a ping's computing time allow two samples, and 64 samples take half of the
+/// budget.
 const PATIENCE_PINGS: u64 = 80;
-/// Pings until a new selection takes effect, plus 128 samples of which none belongs to the old one.
+/// Number of pings until a new selection takes effect, and until 128 samples are all from the new selection.
 const LEAD_PINGS: u64 = 8;
 const FLUSH_PINGS: u64 = 80;
 
@@ -66,7 +67,7 @@ tolerance = 2e-2
 error_check = true
 "#;
 
-/// One metric of /metrics.
+/// Value of one metric of /metrics.
 fn metric(control: SocketAddr, name: &str) -> Option<f64> {
     let (code, text) = client::get(control, "/metrics", None).expect("answers");
     assert_eq!(code, 200, "{text}");
@@ -80,7 +81,7 @@ fn a_failed_error_check_is_a_counted_fault_and_selects_costlier_methods() {
     let folder = tempfile::tempdir().expect("folder");
     let mut points = String::from("north_m,east_m,down_m,amplitude\n");
     for k in 0..POINTS {
-        // 3 to 9 m, one centimetre to either side.
+        // Ranges of 3 to 9 m, one centimetre to either side.
         let part = |step: f64| (k as f64 * step).fract();
         let _ = writeln!(
             points,

@@ -1,4 +1,4 @@
-//! Link faults, scored in every live family: a listener finds exactly the faults in the log.
+//! Tests of link faults in every live protocol. A receiver finds exactly the faults in the log.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -36,12 +36,12 @@ const KINDS: [&str; 9] = [
     "jitter",
     "link-down",
 ];
-/// Pings under a kind of fault, and clean pings after it.
+/// Number of pings with a kind of fault. The next constant is the number of clean pings after it.
 const STRUCK: u64 = 6;
-/// Time after which records delayed by a quarter of a second have arrived.
+/// Number of pings after which records delayed by a quarter of a second have arrived.
 const CLEAN: u64 = 3;
 
-/// Result of one listener.
+/// Result of one receiver.
 struct Heard {
     report: Report,
     sums: Checksums,
@@ -63,7 +63,7 @@ impl Listeners {
         }
     }
 
-    /// Starts a listener; returns its address.
+    /// Starts a receiver. Returns its address.
     fn listen(
         &mut self,
         family: Family,
@@ -97,7 +97,7 @@ impl Listeners {
     }
 
     fn end(self) -> AllHeard {
-        // Datagrams have no end of stream: everything sent is already on this machine.
+        // Datagrams have no end of stream. All sent datagrams are already on this machine.
         thread::sleep(Duration::from_millis(200));
         self.stop.store(true, Ordering::Release);
         let threads = self.threads.into_iter();
@@ -105,7 +105,7 @@ impl Listeners {
     }
 }
 
-/// Writes a track into the folder that is long enough not to loop, which would skip pings; returns the setting that selects it.
+/// Writes a track that is long enough not to loop, because a loop would skip pings. Returns the setting that selects the track.
 pub(crate) fn track(folder: &Path) -> String {
     let track = folder.join("track.csv");
     let mut text = COLUMNS.to_owned();
@@ -117,12 +117,12 @@ pub(crate) fn track(folder: &Path) -> String {
     format!("nav.source.path={track:?}")
 }
 
-/// Steps pings one at a time: a socket buffer of default size holds what they send.
+/// Requests steps of one ping at a time, so that a socket buffer of default size holds all datagrams.
 fn step(control: SocketAddr, delivered: &mut u64, pings: u64) {
     (0..pings).for_each(|_| super::modes::step(control, delivered, 1));
 }
 
-/// Waits until each of these outputs has a client with a request: `OUTPUT: N clients now, M ever`.
+/// Waits until each of these outputs has a client that sent a request: `OUTPUT: N clients now, M ever`.
 fn wait_clients(control: SocketAddr, wanted: &[(&str, &str)]) {
     eventually(|| {
         let (_, status) = client::get(control, "/status", None).expect("answers");
@@ -130,7 +130,7 @@ fn wait_clients(control: SocketAddr, wanted: &[(&str, &str)]) {
         let all = wanted.iter().all(said).then_some(());
         all.ok_or(format!("{wanted:?}: {status}"))
     });
-    // A client is listed slightly before its first request.
+    // A client is listed shortly before its first request.
     thread::sleep(Duration::from_millis(100));
 }
 
@@ -139,7 +139,7 @@ fn logged(folder: &Path) -> Vec<LoggedFault> {
     log_of(&texts.collect::<String>()).expect("a log")
 }
 
-/// One run of all families together; with `clean`, the results of a run without faults, faults are injected.
+/// One run of all protocols together. `clean` is the result of a run without faults; if given, faults are injected.
 fn run(clean: Option<&AllHeard>) -> (AllHeard, Vec<LoggedFault>) {
     let folders = [(); 2].map(|()| tempfile::tempdir().expect("folder"));
     let mut listeners = Listeners::new();
@@ -188,7 +188,7 @@ fn run(clean: Option<&AllHeard>) -> (AllHeard, Vec<LoggedFault>) {
             let mut fault =
                 json!({ "do": "fault", "kind": kind, "probability": PROBABILITY, "seed": seed });
             if matches!(kind, "delay" | "jitter") {
-                // Three pings.
+                // The delay is three pings.
                 fault["value"] = json!(250.0);
             }
             told(control, &fault);
@@ -221,7 +221,7 @@ fn every_live_family_finds_exactly_the_logged_faults() {
         );
         for kind in KINDS {
             let tally = score.kinds[kind];
-            // At least one record per ping: six draws.
+            // There is at least one record per ping: six draws.
             assert!(tally.injected > 0, "{name} {kind}: {tally:?}");
             assert_eq!(tally.untold, 0, "{name} {kind}");
             let held = matches!(kind, "reorder" | "delay" | "jitter");
@@ -235,7 +235,7 @@ fn every_live_family_finds_exactly_the_logged_faults() {
 
 const ROUNDS: u64 = 2;
 
-/// Families of which only the connection is tested, in unhurried steps.
+/// Scores of the protocols for which only the connection is tested, in slow steps.
 fn connections(kind: &str, value: &Value, pings: u64) -> (Score, Score) {
     let folders = [(); 2].map(|()| tempfile::tempdir().expect("folder"));
     let mut daemon = rig(
@@ -252,7 +252,7 @@ fn connections(kind: &str, value: &Value, pings: u64) -> (Score, Score) {
     let elements = daemon.address_of("elements points", "tcp");
     let control = daemon.address_of("control http", "http");
     let mut listeners = Listeners::new();
-    // Steps follow each other much faster, so the silence is longer.
+    // Steps follow each other much faster here, so the silence is longer.
     let silence = Some(Duration::from_millis(300));
     listeners.listen(Family::SevenK, "7k", sevenk, None, silence);
     listeners.listen(Family::Elements, "elements", elements, None, silence);
@@ -274,7 +274,7 @@ fn connections(kind: &str, value: &Value, pings: u64) -> (Score, Score) {
         step(control, &mut delivered, pings);
         match kind {
             "reset" => both(1 + round),
-            // No records arrive meanwhile.
+            // No records arrive during this time.
             _ => thread::sleep(Duration::from_millis(500)),
         }
         step(control, &mut delivered, 2);
@@ -317,7 +317,7 @@ fn a_dead_element_injected_live_is_dead_only_in_the_logged_pings() {
         folders[0].path(),
         &[
             "run.clock=lockstep",
-            // Far enough away for echoes.
+            // The range is long enough for echoes.
             "sonar.ping.range_m=50",
             "sonar.output.elements.listen=127.0.0.1:0",
             &track(folders[0].path()),
@@ -330,9 +330,9 @@ fn a_dead_element_injected_live_is_dead_only_in_the_logged_pings() {
     wait_clients(control, &[("elements points", "1 clients")]);
     // Array 1 follows the eight elements of array 0.
     let (dead_one, its_neighbour) = (8 + 3, 8 + 4);
-    // Reads while the pings are made: what a client has not read when the daemon ends is lost.
+    // The client reads during the pings. Data that a client has not read when the daemon ends are lost.
     let reader = std::thread::spawn(move || {
-        // Whether a ping's frames contain any signal of it.
+        // Whether the frames of a ping contain any signal of the dead element.
         let mut pings: BTreeMap<u32, bool> = BTreeMap::new();
         let mut neighbours: BTreeMap<u32, bool> = BTreeMap::new();
         loop {

@@ -1,4 +1,4 @@
-//! Samples streamed during the ping equal those sent at its end, bit for bit.
+//! Tests that samples streamed during the ping equal those sent at its end, bit for bit.
 
 use std::collections::BTreeMap;
 use std::net::UdpSocket;
@@ -12,17 +12,17 @@ use super::{Daemon, PATIENCE};
 use crate::file_of;
 
 const RANGE_M: f64 = 150.0;
-/// Receive window of a ping: 2 x 150 m at 1500 m/s, plus its pulse.
+/// Listening window of a ping, seconds: 2 x 150 m at 1500 m/s, plus the pulse.
 const WINDOW_S: f64 = 0.2;
 const PINGS: usize = 6;
-/// Elements of all arrays, and of the first.
+/// Number of elements of all arrays. The next constant is the number of the first array.
 const ELEMENTS: usize = 32;
 const PORT: usize = 8;
 
 /// Samples of whole pings, by ping number.
 type Pings = BTreeMap<u32, Vec<u8>>;
 
-/// The frames of a ping until it is whole.
+/// Frames of a ping until it is complete.
 #[derive(Default)]
 struct Part {
     moments: u32,
@@ -30,7 +30,7 @@ struct Part {
 }
 
 impl Part {
-    /// The samples of the whole ping, with its last frame.
+    /// Adds a frame. Returns the samples of the whole ping with its last frame.
     fn push(&mut self, frame: &Frame<'_>) -> Option<Vec<u8>> {
         if frame.head.first_moment == 0 {
             *self = Self::default();
@@ -48,14 +48,15 @@ struct Heard {
     pings: Pings,
     /// Time from each pulse to its first frame, seconds.
     first_sample_s: Vec<f64>,
-    /// Payloads between context packets.
+    /// Payloads of the packets between context packets.
     vita: Vec<Vec<u8>>,
 }
 
 impl Heard {
-    /// Pings whose packets carry the same samples as some ping's frames. The last may be incomplete.
+    /// Number of pings whose packets have the same samples as the frames of a ping. The last ping may be
+    /// incomplete.
     fn vita_pings_among_the_others(&self) -> usize {
-        // Elements of the first array, sample by sample, big endian.
+        // Elements of the first array, sample by sample, in big endian.
         let port = |frames: &[u8]| -> Vec<u8> {
             let moments = frames.chunks_exact(4 * ELEMENTS);
             let values = moments.flat_map(|moment| moment[..4 * PORT].chunks_exact(2));
@@ -87,7 +88,7 @@ fn listen(more: &[&str]) -> Heard {
         "nav.stamp=host",
         "run.ahead_ms=400",
         "sonar.output.vita49.arrays=[\"port\"]",
-        // One packet per block: a socket buffer holds many.
+        // There is one packet per block, so a socket buffer holds many blocks.
         "sonar.output.vita49.streams=vector",
         "run.queue_pings=8",
         "nav.loop=true",
@@ -120,7 +121,7 @@ fn listen(more: &[&str]) -> Heard {
         while let Ok(len) = board.recv(&mut packet) {
             let read = Packet::parse(&packet[..len]).expect("a packet");
             match read.packet_type {
-                // A new ping begins.
+                // A context packet begins a new ping.
                 PacketType::Context => heard.vita.push(Vec::new()),
                 PacketType::SignalData => {
                     if let Some(samples) = heard.vita.last_mut() {
@@ -171,7 +172,7 @@ fn streamed_samples_equal_those_sent_at_the_end_and_are_sent_during_reception() 
     println!(
         "first sample {of_stream:.4} s after its pulse streaming, {of_whole:.4} s at the ping's end"
     );
-    // The delay is never below a block of 1 ms plus 0.5 ms of latency, and always ends before the ping does.
+    // The delay is at least a block of 1 ms plus 0.5 ms of latency. It always ends before the ping does.
     let least = streamed
         .first_sample_s
         .iter()
@@ -184,7 +185,7 @@ fn streamed_samples_equal_those_sent_at_the_end_and_are_sent_during_reception() 
     );
 }
 
-/// External pulses are known only on arrival: the latency allows the whole ping to be computed.
+/// External pulses are known only on arrival, so the latency covers the computation of the whole ping.
 #[test]
 fn triggered_pings_stream_with_the_stated_latency_and_equal_the_recording() {
     triggered(0.3, &[]);
@@ -192,7 +193,7 @@ fn triggered_pings_stream_with_the_stated_latency_and_equal_the_recording() {
 
 #[test]
 fn pings_computed_tile_by_tile_stream_with_the_stated_latency() {
-    // Margin for a loaded machine and an unoptimised build: late samples are truncated.
+    // The margin is for a loaded machine and an unoptimised build. Late samples are truncated.
     triggered(2.0, &["run.stream_tiles=true"]);
 }
 
@@ -240,7 +241,7 @@ fn triggered(latency_s: f64, more: &[&str]) {
         });
         assert!(open.expect("connected"), "the daemon goes on");
     }
-    // The files hold each ping at its end.
+    // A file receives each ping at its end.
     std::thread::sleep(Duration::from_millis(500));
     daemon.terminate();
     let recorded = std::fs::read(file_of(folder.path(), "", ".sigmf-data")).expect("readable");
@@ -251,6 +252,6 @@ fn triggered(latency_s: f64, more: &[&str]) {
             .any(|ping| ping == samples.as_slice());
         assert!(same, "ping {number} is not in the recording");
     }
-    // No frame arrives before its block's end plus the latency; host time may be read slightly later.
+    // No frame arrives before the end of its block plus the latency. Host time may be read slightly later.
     assert!(min_s > latency_s - 1e-3, "{min_s} s");
 }

@@ -1,4 +1,5 @@
-//! External pulses: trigger inputs by UDP and TCP, trigger outputs, a step of `lockstep`, one sonar after another.
+//! Tests of external pulses: trigger inputs over UDP and TCP, trigger outputs, steps of `lockstep`, and sonars that follow one
+//! another.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -16,7 +17,7 @@ use super::modes::{records_of, rig, status, tell, wait_delivered};
 use super::{Daemon, PATIENCE, eventually};
 use crate::replay_into;
 
-/// A socket that receives trigger outputs, and the setting that sends them there.
+/// Socket that receives trigger outputs, and the setting that sends them there.
 fn ear() -> (UdpSocket, String) {
     let socket = UdpSocket::bind("127.0.0.1:0").expect("socket");
     socket.set_read_timeout(Some(PATIENCE)).expect("set");
@@ -24,7 +25,7 @@ fn ear() -> (UdpSocket, String) {
     (socket, format!("sonar.trigger_out.to={to}"))
 }
 
-/// Number and nanoseconds of the next announced pulse.
+/// Number and time (nanoseconds) of the next received pulse.
 fn heard(ear: &UdpSocket) -> (u32, i64) {
     let mut buffer = [0; 256];
     let len = ear.recv(&mut buffer).expect("a pulse");
@@ -81,24 +82,24 @@ fn a_ping_begins_with_its_trigger_and_early_repeated_or_paused_triggers_are_igno
         let (got, ns) = heard(&ear);
         assert_eq!(got, number);
         utc.push(ns);
-        // Far longer than the receive window of 69 ms.
+        // The pause is much longer than the listening window of 69 ms.
         thread::sleep(Duration::from_millis(400));
     }
-    // The own period would be 100 ms; half of the sleep leaves a margin for a late machine.
+    // The internal period would be 100 ms. Half of the pause is a margin for a late machine.
     assert!(utc.windows(2).all(|w| w[1] - w[0] > 200_000_000), "{utc:?}");
-    // A repeated number, an old one, and malformed text: no ping.
+    // A repeated number, an old number, and malformed text give no ping.
     send(&sentence::write(43, UtcNs(0), "master"));
     wait_counted(control, "triggers_duplicate", 1);
     send(&sentence::write(40, UtcNs(0), "master"));
     wait_counted(control, "triggers_stale", 1);
     send("$PETKT,44,1.0,master*00");
     wait_counted(control, "triggers_spoiled", 1);
-    // Plain text also triggers; two in a row are one too many.
+    // Plain text also triggers. Of two in a row, one is too many.
     send("ping!");
     send("ping!");
     assert_eq!(heard(&ear).0, 4);
     wait_counted(control, "triggers_early", 1);
-    // While time stands still triggers are ignored; a sonar with its own period ignores them too.
+    // While rig time is paused, triggers are ignored. A sonar with its own period ignores them too.
     tell(control, &json!({ "do": "pause" }));
     thread::sleep(Duration::from_millis(100));
     send("ping!");
@@ -137,7 +138,7 @@ fn queued_triggers_ping_as_fast_as_the_window_allows() {
     client.write_all(b"go\ngo\ngo\n").expect("written");
     let (first, second) = (heard(&ear), heard(&ear));
     assert_eq!((first.0, second.0), (1, 2));
-    // 2 x 50 m at 1500 m/s, a pulse of 2 ms, 1 ms of turnaround.
+    // 2 x 50 m at 1500 m/s, a pulse of 2 ms, and 1 ms of turnaround.
     assert_eq!(second.1 - first.1, 69_666_667);
     wait_counted(control, "triggers_early", 1);
     assert_eq!(counters(control)["triggers_queued"], 1);
@@ -203,14 +204,14 @@ fn every_pulse_is_announced_with_the_number_and_the_time_of_its_records() {
     for (number, seconds) in pings {
         let (told, ns) = heard(&ear);
         assert_eq!(told, number);
-        // 7k stamps the end of the pulse in single precision: within a minute the resolution is 4 microseconds.
+        // The 7k time stamp is the end of the pulse in single precision. Within a minute the resolution is 4 microseconds.
         let off_s = (ns % DAY_NS) as f64 / 1e9 + PULSE_S - seconds;
         assert!(off_s.abs() < 1e-5, "{number}: {off_s}");
     }
 }
 
-/// The points' rig with a second and a third sonar, which follow the first at once and after 40 ms. `model`: lines of [sonar.model];
-/// `more`: tables.
+/// Rig of the points with a second and a third sonar. They follow the first at once and after 40 ms. `model` has lines of
+/// [sonar.model]; `more` has tables.
 pub(crate) fn three(folder: &Path, model: &str, more: &str) -> std::path::PathBuf {
     let root = echotank_testing::repository().join("hil-configs");
     let text = std::fs::read_to_string(root.join("points.toml")).expect("readable");

@@ -1,4 +1,4 @@
-//! A daemon that cannot ping reports what it waits for.
+//! Tests that a daemon that cannot ping reports the reason for which it waits.
 
 use std::net::UdpSocket;
 
@@ -42,7 +42,7 @@ fn the_status_names_what_the_first_ping_waits_for() {
         let text: String = bodies.iter().map(|b| sentence(b)).collect();
         let _ = socket.send_to(text.as_bytes(), nav);
     };
-    // A receiver without a date; then a date long past; then attitude.
+    // A receiver without a date, then an old date, then attitude.
     let fix = [
         "GPGGA,120000.00,5400.000000,N,01000.000000,E,1,9,0.9,1.0,M,0.0,M,,",
         "GPHDT,123.45,T",
@@ -78,7 +78,7 @@ fn a_live_source_without_provides_owns_what_it_sends() {
             }
         });
     };
-    // No attitude: the daemon pings all the same.
+    // The daemon pings without attitude.
     let gnss_alone = serde_json::json!({ "position": "bridge", "heading": "bridge" });
     until("", 3, gnss_alone);
     let whole = serde_json::json!({
@@ -90,7 +90,7 @@ fn a_live_source_without_provides_owns_what_it_sends() {
 
 #[test]
 fn a_log_without_required_navigation_ends_the_daemon_with_a_message() {
-    // Also with `loop`.
+    // The same is true with `loop`.
     let log = echotank_testing::repository().join("tests/data/nav/gyro_90s.rvdas");
     for clock in ["realtime", "fast"] {
         let settings = sets([

@@ -1,5 +1,5 @@
-//! Masks, ground range, fans and mosaics of a replay compared with independent geometry: a box on a flat bottom, a level sonar on a
-//! straight track.
+//! Tests of masks, ground range, fans and mosaics of a replay against independent geometry. The scene has a box on a flat bottom,
+//! and a level sonar on a straight track.
 
 use std::fs;
 use std::path::Path;
@@ -10,10 +10,11 @@ use serde_json::Value;
 use super::{files, replay_file};
 use crate::run;
 
-// The long form uses the rest of it.
+// The long form uses the rest of the module.
 mod fan_masks;
 
-/// The sonar 20 m over a flat bottom, due north; the box 2 m wide across and 4 m along, 2 m high, its middle 30 m to starboard.
+/// Altitude of the sonar over a flat bottom, on a track due north. The box is 2 m wide across, 4 m along and 2 m high, with its
+/// middle 30 m to starboard.
 const ALTITUDE_M: f64 = 20.0;
 const BOX_EAST_M: f64 = 30.0;
 const BOX_HALF_ACROSS_M: f64 = 1.0;
@@ -22,7 +23,7 @@ const BOX_HEIGHT_M: f64 = 2.0;
 const RANGE_M: f64 = 60.0;
 const SPEED_M_PER_S: f64 = 2.0;
 const RATE_HZ: f64 = 2.0;
-/// -3 dB width of one way, radians: 0.886 lambda / L.
+/// One-way -3 dB beam width, radians: 0.886 lambda / L.
 const BEAM_RAD: f64 = 0.886 * 0.00375 / 0.34;
 
 const RIG: &str = r#"
@@ -120,7 +121,7 @@ fn rig(folder: &Path) -> std::path::PathBuf {
     rig
 }
 
-/// A grey picture of 8 or 16 bits.
+/// Grey picture with 8 or 16 bits.
 struct Grey {
     width: usize,
     height: usize,
@@ -202,7 +203,7 @@ fn near(what: &str, got: f64, want: f64, within: f64) {
 /// Extent of the box in the ping abeam of it, in slant or ground range.
 fn holds_the_box(masks: &Masks, abeam: usize, across: impl Fn(f64) -> f64, water_ends_m: f64) {
     const PIXEL_M: f64 = 0.1;
-    // A sample is 3 cm, a resolution cell 9 cm, and an echo fills its whole pixel.
+    // A sample is 3 cm, a resolution cell is 9 cm, and an echo fills its whole pixel.
     const WITHIN_M: f64 = 0.2;
     let top_m = ALTITUDE_M - BOX_HEIGHT_M;
     let (wall_m, back_m) = (
@@ -212,7 +213,7 @@ fn holds_the_box(masks: &Masks, abeam: usize, across: impl Fn(f64) -> f64, water
     let rows_per_ping = masks.target.height / pings();
     let y = abeam * rows_per_ping;
     let (from, to) = span_m(&masks.target, y, PIXEL_M).expect("the box in its ping");
-    // Wall from its upper edge to its foot, then the roof to its far edge.
+    // The wall from its upper edge to its foot, then the roof to its far edge.
     near(
         "first of the box",
         from,
@@ -220,7 +221,7 @@ fn holds_the_box(masks: &Masks, abeam: usize, across: impl Fn(f64) -> f64, water
         WITHIN_M,
     );
     near("last of the box", to, across(back_m.hypot(top_m)), WITHIN_M);
-    // The ray over the far upper edge meets the bottom h/(H-h) x behind the wall.
+    // The ray over the far upper edge reaches the bottom h/(H-h) x behind the wall.
     let length_m = BOX_HEIGHT_M / top_m * back_m;
     let end_m = (back_m + length_m).hypot(ALTITUDE_M);
     let (from, to) = span_m(&masks.shadow, y, PIXEL_M).expect("its shadow");
@@ -231,7 +232,7 @@ fn holds_the_box(masks: &Masks, abeam: usize, across: impl Fn(f64) -> f64, water
         across(wall_m.hypot(top_m)),
         across(back_m.hypot(top_m))
     );
-    // The bottom is 20 m deep everywhere, the water column is empty, and port has no line.
+    // The bottom is 20 m deep everywhere. The water column is empty, and port has no line.
     let half = masks.depth.width / 2;
     for x in 0..masks.depth.width {
         let depth_m = masks.depth_m(x, y);
@@ -251,14 +252,14 @@ fn holds_the_box(masks: &Masks, abeam: usize, across: impl Fn(f64) -> f64, water
         if off_m < BOX_HALF_ALONG_M - 0.1 {
             assert!(shown, "{off_m} m along");
         }
-        // -12 dB two ways is 1.3 of the half-power half widths.
+        // The two-way -12 dB width is 1.3 of the half-power half width.
         if off_m > BOX_HALF_ALONG_M + BEAM_RAD * slant_m {
             assert!(!shown, "{off_m} m along");
         }
     }
 }
 
-/// Pings of the replay, and the one abeam of the box counted from the newest.
+/// Number of pings of the replay. The ping abeam of the box is counted from the newest ping.
 fn pings() -> usize {
     21
 }
@@ -268,7 +269,7 @@ const PINGS: &str = "2..22";
 fn masks_agree_with_the_geometry_of_a_box_and_its_shadow_in_slant_and_ground_range() {
     let folder = tempfile::tempdir().expect("a folder");
     let rig = rig(folder.path());
-    // Ping 1 is at -12 m; ping 13 abeam: the tenth of 2..22 from the newest.
+    // Ping 1 is at -12 m and ping 13 is abeam: the tenth of 2..22 from the newest.
     let abeam = 9;
     let arguments = ["--formats", "png,masks,mosaic", "--pings", PINGS];
     let out = replay_file(&arguments, &rig);
@@ -279,7 +280,7 @@ fn masks_agree_with_the_geometry_of_a_box_and_its_shadow_in_slant_and_ground_ran
     let names = files(out.path());
     assert!(names.contains_key("masks.npz") && names.contains_key("mosaic.tif"));
 
-    // The mosaic: as many pixels as the box's image covers, in the map's north-east.
+    // The mosaic has as many pixels as the image of the box covers, in the north-east of the map.
     let map = Masks::open(out.path(), "mosaic");
     let boxed: Vec<(usize, usize)> = (0..map.target.values.len())
         .filter(|&p| map.target.values[p] == 1)
@@ -292,7 +293,7 @@ fn masks_agree_with_the_geometry_of_a_box_and_its_shadow_in_slant_and_ground_ran
     let wide = boxed.iter().map(|p| p.0).max().expect("pixels")
         - boxed.iter().map(|p| p.0).min().expect("pixels")
         + 1;
-    // The map is turned by the convergence of the grid, and a pixel is 0.25 m.
+    // The map is rotated by the convergence of the grid, and a pixel is 0.25 m.
     near("width in the map", wide as f64 * 0.25, imaged_m, 0.75);
 
     for range in ["ground", "ground-first-return"] {
@@ -351,7 +352,7 @@ fn look_of_a_picture_is_chosen_in_the_configuration_and_raw_is_darker_far_away()
     near("gain taken out, dB", fall_db, 58.4, 1.0);
 }
 
-/// The command reads both outputs of the replay and shows the box at its position; other files are refused.
+/// The command reads both outputs of the replay and shows the box at its position. Other files are refused.
 #[test]
 fn mosaic_of_a_recording_shows_the_box_at_its_place_from_s7k_and_npz() {
     use echotank_core::geodesy::LocalTangentPlane;
@@ -360,7 +361,7 @@ fn mosaic_of_a_recording_shows_the_box_at_its_place_from_s7k_and_npz() {
     let rig = rig(folder.path());
     let out = replay_file(&["--formats", "s7k,npz", "--pings", PINGS], &rig);
     let plane = LocalTangentPlane::new(54.5f64.to_radians(), 10.2f64.to_radians());
-    // The roof's near edge, the brightest part of the box, at its flat-bottom position.
+    // The near edge of the roof, the brightest part of the box, at its flat-bottom position.
     let imaged_m = ((BOX_EAST_M - 1.0).powi(2) + 18.0f64.powi(2) - 400.0).sqrt();
     let (latitude, longitude) = plane.geodetic_rad(0.0, imaged_m + 0.5);
     let (east_m, north_m) = UtmZone::of(latitude, longitude).project_m(latitude, longitude);
@@ -396,7 +397,7 @@ fn mosaic_of_a_recording_shows_the_box_at_its_place_from_s7k_and_npz() {
             .max_by(|a, b| column(*a).total_cmp(&column(*b)))
             .expect("columns");
         println!("{name}: brightest column {brightest}, want {x}");
-        // The wall and roof fill 2 m, 4 pixels, from half a metre before to one and a half behind.
+        // Wall and roof fill 2 m (4 pixels), from half a metre before to one and a half metres behind.
         assert!(
             (x - 2..=x + 4).contains(&brightest),
             "{name}: {brightest}, want {x}"
@@ -414,7 +415,8 @@ fn mosaic_of_a_recording_shows_the_box_at_its_place_from_s7k_and_npz() {
     );
 }
 
-/// Both files hold the lines of two pulses per ping and the sonar's position at transmission; the command shows either.
+/// Both files have the lines of two pulses per ping and the position of the sonar at transmission. The command shows the lines of
+/// either pulse.
 #[test]
 fn lines_and_mosaic_of_a_second_pulse_come_from_s7k_and_npz_alike() {
     use echotank_runtime::io::record::lines::read;
@@ -437,7 +439,7 @@ fn lines_and_mosaic_of_a_second_pulse_come_from_s7k_and_npz_alike() {
     let files = ["sidescan.s7k", "pings.npz"].map(|name| out.path().join(name));
     let of = |pulse: u16| files.each_ref().map(|f| read(f, pulse).expect("lines"));
     let (first, second) = (of(1), of(2));
-    // Correlation of two lines: 1 if they are equal up to scale.
+    // Correlation of two lines: 1 if they are equal except for scale.
     let alike = |a: &[f32], b: &[f32]| {
         let product = |a: &[f32], b: &[f32]| {
             let pairs = a.iter().zip(b);

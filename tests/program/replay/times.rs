@@ -1,4 +1,4 @@
-//! Replays of logs with gaps, several passes and clocks that are wrong for a time.
+//! Tests of replays of logs with gaps, several passes, and clocks that are wrong for a time.
 
 use std::path::Path;
 use std::process::Stdio;
@@ -11,7 +11,7 @@ use crate::{Ended, command};
 
 /// 2014-08-01T10:00:00Z.
 const START_S: i64 = 1_406_887_200;
-/// A replay of some hundred pings of two elements; far above the time that it takes.
+/// Time limit of a replay of some hundred pings of two elements, far above the actual time.
 const LIMIT: Duration = Duration::from_secs(120);
 
 const RIG: &str = r#"
@@ -44,7 +44,7 @@ rate_hz = 2.0
 source_level_db = 210.0
 "#;
 
-/// RMC, GGA and PASHR ten times a second: at these seconds by the source's clock, `north_m` north of the origin.
+/// RMC, GGA and PASHR at 10 Hz, at these seconds of the source's clock and `north_m` north of the origin.
 fn sentences(shown_s: f64, north_m: f64) -> Vec<u8> {
     let utc = DateTime::<Utc>::from_timestamp(START_S, 0).expect("a time")
         + TimeDelta::milliseconds((shown_s * 1e3).round() as i64);
@@ -60,14 +60,14 @@ fn sentences(shown_s: f64, north_m: f64) -> Vec<u8> {
     .collect()
 }
 
-/// Sentences of `seconds`, whose clock shows `off_s` more.
+/// Sentences of `seconds` with a clock that is `off_s` ahead.
 fn run_of(seconds: std::ops::Range<u32>, off_s: f64) -> Vec<u8> {
     (seconds.start * 10..seconds.end * 10)
         .flat_map(|k| sentences(f64::from(k) / 10.0 + off_s, f64::from(k) * 0.2))
         .collect()
 }
 
-/// Replays a log in a time limit: the result, and the lines of `truth.jsonl`.
+/// Replays a log within a time limit. Returns the result and the lines of `truth.jsonl`.
 fn replay(log: &[u8], arguments: &[&str]) -> (Ended, Vec<Value>) {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("nav.log"), log).expect("log");
@@ -91,7 +91,7 @@ fn truth(out: &Path) -> Vec<Value> {
         .collect()
 }
 
-/// A replay that stands still fails the test instead of hanging it.
+/// A replay that hangs fails the test.
 fn in_time(command: &mut std::process::Command) -> Ended {
     let mut child = command
         .stdout(Stdio::piped())
@@ -140,11 +140,11 @@ fn a_gap_longer_than_the_history_is_counted_and_passed_over() {
         let last = pings.last().expect("a ping");
         assert!(north_m(last) > 70.0, "{}", north_m(last));
         assert!(skipped_in_gap.contains(&skipped(&ended)), "{}", ended.out);
-        // Repeated, it goes on too.
+        // A repeated log also continues.
         let repeated = ["--pings", "1..400", "--set", "nav.loop=true"];
         let (ended, pings) = replay(&log, &repeated);
         assert_eq!(ended.code, Some(0), "{}", ended.err);
-        // Of a long gap, 60 s at both ends have numbers.
+        // Of a long gap, 60 s at both ends have ping numbers.
         let numbered = if gap_s > 100.0 { 110..=125 } else { 140..=162 };
         assert!(numbered.contains(&pings.len()), "{} pings", pings.len());
     }
@@ -159,7 +159,7 @@ fn a_replay_without_a_ping_is_an_error() {
 
 #[test]
 fn passes_are_played_one_after_the_other_and_nav_tells_them() {
-    // The third pass repeats the times of the first, on another track.
+    // The third pass has the times of the first on another track.
     let log = [
         run_of(0..20, 1000.0),
         run_of(20..40, 0.0),
@@ -193,7 +193,7 @@ fn passes_do_not_mix_in_a_loop() {
     let (ended, pings) = replay(&log, &arguments);
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     assert!(pings.len() > 200, "{} pings", pings.len());
-    // A jump back only from the end of the log to its start.
+    // The only step back is from the end of the log to its start.
     let track: Vec<_> = pings.iter().map(north_m).collect();
     let back: Vec<_> = track.windows(2).filter(|w| w[1] < w[0]).collect();
     assert!((2..=3).contains(&back.len()), "{back:?}");

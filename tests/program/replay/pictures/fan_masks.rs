@@ -1,4 +1,4 @@
-//! Masks of a fan image of a box on a flat bottom, compared with the geometry of its ping abeam.
+//! Tests of the masks of a fan image against the geometry of the ping abeam of a box on a flat bottom.
 
 use std::fs;
 use std::path::Path;
@@ -8,14 +8,14 @@ use crate::replay::{files, replay_file};
 
 const ALTITUDE_M: f64 = 20.0;
 const TOP_M: f64 = 18.0;
-/// Near wall and far edge of the box, to starboard.
+/// Easting of the near wall and of the far edge of the box, to starboard.
 const EAST_M: (f64, f64) = (6.5, 9.5);
 const RANGE_M: f64 = 45.0;
 const BEAMS: usize = 81;
 const STEP_DEG: f64 = 120.0 / (BEAMS - 1) as f64;
-/// Beams are 1.6 degrees wide; 12 dB down, two ways, is not 2 degrees off their axes.
+/// Beams are 1.6 degrees wide. The two-way -12 dB points are less than 2 degrees off their axes.
 const LOBE_DEG: f64 = 2.0 + 0.5 * STEP_DEG;
-/// Image geometry: pixels from the sonar to the end of the range, and the sonar's row.
+/// Pixel size: 480 pixels from the sonar to the end of the range. The next constant is the pixel row of the sonar.
 const PIXEL_M: f64 = RANGE_M / 480.0;
 const TOP_ROW: f64 = 10.0;
 
@@ -98,7 +98,8 @@ fn a_fan_s_masks_show_the_box_its_shadow_and_the_bottom_where_they_are() {
         let angle_deg = east_m.atan2(down_m).to_degrees();
         (east_m.hypot(down_m), angle_deg)
     };
-    // The wall from its edge to its foot and the roof are seen; the shadow ends where the ray over the far edge meets the bottom.
+    // The wall from its edge to its foot and the roof are visible. The shadow ends where the ray over the far edge reaches the
+    // bottom.
     let (nearest, farthest) = (at(EAST_M.0, TOP_M), at(EAST_M.0, ALTITUDE_M));
     let (inner_deg, outer_deg) = (farthest.1, at(EAST_M.1, TOP_M).1);
     let shadow_ends_m = EAST_M.1 * ALTITUDE_M / TOP_M;
@@ -118,11 +119,11 @@ fn a_fan_s_masks_show_the_box_its_shadow_and_the_bottom_where_they_are() {
             };
             depths += 1;
             near("depth", depth_m, ALTITUDE_M, 0.01);
-            // The ground of a beam is at its pixel's range, in the stretch closest to its axis.
+            // The seabed of a beam is at the range of its pixel, in the part closest to its axis.
             let ground_deg = (ALTITUDE_M / range_m).min(1.0).acos().to_degrees();
             let off_deg = (angle_deg.abs() - ground_deg).abs();
             let pixel_deg = (PIXEL_M / range_m).to_degrees();
-            // Near nadir half a pixel of range is a large angle.
+            // Near nadir, half a pixel of range is a large angle.
             let range_deg = (2.0 * PIXEL_M / ALTITUDE_M).sqrt().to_degrees();
             assert!(
                 off_deg < STEP_DEG + pixel_deg + if ground_deg < 10.0 { range_deg } else { 0.3 },
@@ -139,7 +140,7 @@ fn a_fan_s_masks_show_the_box_its_shadow_and_the_bottom_where_they_are() {
         }
     }
     println!("{targets} pixels of the box, {shadows} of shadow, {depths} of the bottom");
-    // Within a pixel, which is the resolution of samples, pixels and scatterers.
+    // The comparison allows one pixel, the resolution of samples, pixels and scatterers.
     let around = |(range_m, angle_deg): (f64, f64), what: &dyn Fn(usize, usize) -> bool| {
         let (x, y) = pixel(range_m, angle_deg);
         (x - 1..=x + 1).any(|x| (y - 1..=y + 1).any(|y| what(x, y)))
@@ -168,7 +169,7 @@ fn a_fan_s_masks_show_the_box_its_shadow_and_the_bottom_where_they_are() {
             "bottom at {angle_deg}"
         );
     }
-    // The strongest beam at each range over all pings: between edge and foot of the wall it is the box's.
+    // The strongest beam at each range over all pings is that of the box, between edge and foot of the wall.
     let stack = Masks::open(out.path(), "water_column");
     let rows =
         (0..stack.target.height).filter(|y| stack.target.at(stack.target.width - 1, *y) == 1);
