@@ -1,4 +1,4 @@
-//! Errors of methods, of their selection and of whole pings, against references: one subcommand for each question.
+//! Errors of methods, of method selection and of whole pings against references. Each question has one subcommand.
 
 pub(crate) mod atlas;
 pub(crate) mod case;

@@ -1,4 +1,4 @@
-//! The machine and its load during a measurement.
+//! Description of the machine and its load during a measurement.
 
 use echotank_protocols::calendar::Moment;
 
@@ -29,7 +29,8 @@ pub(crate) fn today() -> String {
     format!("{:04}-{:02}-{:02}", now.year, now.month, now.day)
 }
 
-/// One-minute load average; above about 1, a single-thread measurement on two cores is disturbed.
+/// One-minute load average. Above about 1, other load affects a single-thread measurement on two
+/// cores.
 pub(crate) fn load() -> String {
     std::fs::read_to_string("/proc/loadavg")
         .ok()

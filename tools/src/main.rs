@@ -1,4 +1,5 @@
-//! The developers' commands: measurements of errors and run times, maps of failures, figures. Each has a script in `tools/`.
+//! Commands of the developers: measurements of errors and run times, maps of failures, and figures. Each has a script in
+//! `tools/`.
 
 mod accuracy;
 mod bench;
@@ -31,7 +32,7 @@ enum Tool {
     Wiredump(wiredump::Arguments),
 }
 
-/// The root of the repository.
+/// Root folder of the repository.
 pub(crate) fn repository() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .parent()

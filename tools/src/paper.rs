@@ -1,4 +1,4 @@
-//! The figures of Meng et al. 2023, each from its configuration in `hil-configs/paper`.
+//! Figures of Meng et al. 2023, each from its configuration in `hil-configs/paper`.
 
 mod beams;
 mod footprint;

@@ -1,4 +1,4 @@
-//! Grids of levels to PNG, side by side.
+//! Writer of grids of levels to PNG, side by side.
 
 use std::io::BufWriter;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use echotank_config::spec::ColourMap;
 use echotank_imaging::image::colour::rgb;
 
-/// Levels in row-major order; NaN is no data.
+/// Grid of levels in row-major order; NaN means no data.
 pub(crate) struct Grid {
     pub(crate) width: usize,
     pub(crate) height: usize,
@@ -35,7 +35,7 @@ pub(crate) struct Look {
 }
 
 impl Look {
-    /// Scale from the percentiles `low` and `high` of the levels, as shares.
+    /// Scale from the quantiles `low` and `high` of the levels, 0 to 1.
     pub(crate) fn of_shares(grids: &[&Grid], map: ColourMap, low: f64, high: f64) -> Self {
         let mut levels: Vec<f32> = grids
             .iter()
@@ -61,10 +61,10 @@ impl Look {
 const GAP: usize = 8;
 const PAPER: [u8; 3] = [255, 255, 255];
 const NOTHING: [u8; 3] = [30, 34, 60];
-/// Colours per panel: enough for speckle, at a third of the file size.
+/// Number of colours per panel. It suffices for speckle, at a third of the file size.
 const SHADES: usize = 32;
 
-/// Rows of panels side by side, each row centred; at most seven different looks.
+/// Writes rows of panels side by side, each row centred, with at most seven different scales.
 pub(crate) fn write(file: &Path, rows: &[Vec<(&Grid, Look)>]) -> Result<(), String> {
     let wide = |row: &Vec<(&Grid, Look)>| row.iter().map(|p| p.0.width + GAP).sum::<usize>() - GAP;
     let high = |row: &Vec<(&Grid, Look)>| row.iter().map(|p| p.0.height).max().unwrap_or(1);

@@ -1,4 +1,4 @@
-//! Samples by the reference's equation, through the receiver filter.
+//! Samples by the equation of the reference, through the receiver filter.
 
 use echotank_config::spec::{MediumSpec, SonarSpec};
 use echotank_core::arrays::{ArrayGeometry, ReceiverFilter, TransmitArray};
@@ -14,11 +14,11 @@ use echotank_synthesis::edges::Edges;
 use num_complex::Complex64;
 use rayon::prelude::*;
 
-/// Instants per search for scatterers, a bit each.
+/// Number of instants per search for scatterers, one bit each.
 const AT_ONCE: usize = 64;
 
-/// Samples from `first_s` on of what `sum` adds up. With a filter: sampled as densely as it asks, with weighted edges. `sum` gets edges, rate,
-/// first instant and where to add.
+/// Samples of `sum` from `first_s`, after the filter. With a filter, `sum` is sampled at the density of the filter, with weighted
+/// edges. `sum` gets edges, rate, first instant and the output.
 pub(crate) fn received(
     filter: Option<&Decimator>,
     (rate_hz, first_s): (f64, f64),
@@ -34,15 +34,15 @@ pub(crate) fn received(
     filter.apply(&dense, out);
 }
 
-/// Windows are a pulse long, but at least this many samples.
+/// Minimum length of a window in samples; a window is otherwise a pulse long.
 const MIN_WINDOW: usize = 32;
 
-/// Samples of a window of the accuracy contract.
+/// Number of samples of a window of the accuracy requirement.
 pub(crate) fn window_samples(pulse_s: f64, rate_hz: f64) -> usize {
     ((pulse_s * rate_hz).ceil() as usize).max(MIN_WINDOW)
 }
 
-/// The sonar's receiver filter, as densely sampled as the reference asks; none where the sonar has none.
+/// Receiver filter of the sonar with the density of the reference; `None` if the sonar has no filter.
 pub(crate) fn reference_filter(
     spec: &SonarSpec,
     medium: &MediumSpec,
@@ -63,7 +63,7 @@ pub(crate) fn reference_filter(
     }
 }
 
-/// The plan of a ping with the exact motion, second-order Doppler and every scatterer.
+/// Plan of a ping with the exact motion, second-order Doppler and every scatterer.
 pub(crate) fn reference_plan(plan: &PingPlan) -> PingPlan {
     let mut plan = plan.clone();
     plan.model.path = PathModel::Continuous;
@@ -73,7 +73,7 @@ pub(crate) fn reference_plan(plan: &PingPlan) -> PingPlan {
     plan
 }
 
-/// A sample of an element.
+/// Sample of an element.
 pub(crate) struct Probe<'a> {
     pub(crate) transmit: &'a TransmitArray,
     pub(crate) array: &'a ArrayGeometry,
@@ -81,7 +81,7 @@ pub(crate) struct Probe<'a> {
     pub(crate) sample: usize,
 }
 
-/// Values of these samples, before the receiver's gain.
+/// Values of the given samples, before the gain of the receiver.
 pub(crate) fn values(
     plan: &PingPlan,
     scatterers: &Scatterers,

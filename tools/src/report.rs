@@ -1,4 +1,4 @@
-//! Results of a measurement: text as it is printed, and rows that are kept as JSON.
+//! Results of a measurement: printed text, and rows for JSON.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use clap::Args;
 
 use super::machine;
 
-/// Options of every measurement.
+/// Options of all measurements.
 #[derive(Args)]
 pub(crate) struct Common {
     /// The short form, to keep the command working.
@@ -17,7 +17,7 @@ pub(crate) struct Common {
     pub(crate) json: Option<PathBuf>,
 }
 
-/// One measurement's results.
+/// Results of one measurement.
 pub(crate) struct Report {
     machine: String,
     text: String,
@@ -36,25 +36,25 @@ impl Report {
         }
     }
 
-    /// Text as it is printed and may be kept; a line ends where it says so.
+    /// Prints text, and stores it for a table. The text includes its line ends.
     pub(crate) fn print(&mut self, text: &str) {
         print!("{text}");
         self.text += text;
     }
 
-    /// A row of the JSON without a line of text.
+    /// Adds a row to the JSON without printing a line.
     pub(crate) fn keep(&mut self, row: serde_json::Value) {
         self.rows.push(row);
     }
 
-    /// A line as it is printed, and as it is kept; the load is added to that.
+    /// Prints a line, and adds a row to the JSON with the load of the machine.
     pub(crate) fn row(&mut self, line: &str, mut kept: serde_json::Value) {
         println!("{line}");
         kept["load"] = machine::load().into();
         self.rows.push(kept);
     }
 
-    /// Other rows for the JSON.
+    /// Replaces the rows of the JSON.
     pub(crate) fn rows_anew(&mut self, rows: &[impl serde::Serialize]) -> Result<(), String> {
         let values = rows.iter().map(serde_json::to_value);
         self.rows = values
@@ -63,7 +63,7 @@ impl Report {
         Ok(())
     }
 
-    /// Writes the rows, if a file was asked for, with the command, the machine and the day.
+    /// Writes the rows, if a file is given, with the command, the machine and the day.
     pub(crate) fn finish(&self, json: Option<&Path>) -> Result<(), String> {
         let Some(path) = json else {
             return Ok(());
@@ -75,7 +75,7 @@ impl Report {
             .map_err(|e| format!("{}: {e}", path.display()))
     }
 
-    /// Writes the text to a table in tools/kept, under the command, the machine and the day.
+    /// Writes the text to a table in tools/kept, below the command, the machine and the day.
     pub(crate) fn keep_text(&self, name: &str) -> Result<(), String> {
         let path = kept(name);
         let head = format!("# {}; {}; {}\n", command(), self.machine, machine::today());
@@ -83,7 +83,7 @@ impl Report {
     }
 }
 
-/// A table of results that the repository keeps and that tests compare with.
+/// Path of a table of results that the repository keeps and that tests compare with.
 pub(crate) fn kept(name: &str) -> PathBuf {
     crate::repository().join("tools/kept").join(name)
 }

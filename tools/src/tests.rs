@@ -1,4 +1,4 @@
-//! Short forms of the commands: stored tables that still hold, tolerances that are kept.
+//! Short forms of the commands: tests of the stored tables and of the tolerances.
 
 mod bench;
 mod charts;

@@ -1,4 +1,4 @@
-//! Draws the map of failures; see `tools/accuracy atlas --help`.
+//! Draws the maps of method failures; see `tools/accuracy atlas --help`.
 
 pub(crate) mod measure;
 mod page;
@@ -49,7 +49,7 @@ pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     if given.page {
         return Ok(std::fs::write(page, page::page())?);
     }
-    // Panics are recorded as cells of a map.
+    // A panic is recorded as a cell of a map.
     std::panic::set_hook(Box::new(|_| {}));
     let pool = echotank_ping::threads::pool(given.threads)?;
     let size = if given.common.quick {
@@ -173,7 +173,7 @@ fn map(regime: &Regime, columns: &[Column]) -> Map {
     }
 }
 
-/// The selected method of each column; neighbours with the same choice share a line.
+/// Text of the selected method of each column. Adjacent columns with the same choice share a line.
 fn choices(regime: &Regime, columns: &[Column]) -> Vec<String> {
     let mut runs: Vec<(String, usize, usize)> = Vec::new();
     for (k, column) in columns.iter().enumerate() {
@@ -181,7 +181,7 @@ fn choices(regime: &Regime, columns: &[Column]) -> Vec<String> {
             None => "no ping".to_owned(),
             Some(plan) => {
                 let parts: Vec<&str> = plan.text.split(", ").collect();
-                // The engine's tolerance is the same for all columns and is omitted.
+                // The tolerance of the engine is the same for all columns and is omitted.
                 let mut text = parts[..3.min(parts.len())].join(", ");
                 if let Some((name, _)) = text.rsplit_once(' ').filter(|_| text.contains("gridded"))
                 {

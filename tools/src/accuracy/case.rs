@@ -1,4 +1,4 @@
-//! Knots of exactly known motions, which the cases share.
+//! Knots of exactly known motions for all cases.
 
 use echotank_core::frames::AttitudeKnot;
 use glam::DQuat;
@@ -6,7 +6,8 @@ use glam::DQuat;
 /// Half the step of central differences, seconds.
 pub(crate) const STEP_S: f64 = 1e-4;
 
-/// Knots of a known attitude, every `every_s` from two before the pulse to two after `until_s`.
+/// Knots of a known attitude, every `every_s` seconds, from two knots before the pulse to two after
+/// `until_s`.
 pub(crate) fn attitude_knots(
     every_s: f64,
     until_s: f64,

@@ -1,4 +1,5 @@
-//! Errors of path and Doppler models against the reference: of samples over speed and angle, of images over speed and range.
+//! Errors of path and Doppler models against the reference: errors of samples over speed and angle, and of images over speed
+//! and range.
 //!
 //! `tools/accuracy errors --keep` rewrites tools/kept/errors.txt and images.txt.
 

@@ -18,7 +18,7 @@ use echotank_ping::method_selection::costs::Costs;
 use echotank_ping::threads::pool;
 use measure::{Did, Measured, measure};
 
-/// Pings faster than this are exempt from the cost limit, ms.
+/// Computing time of a ping below which the cost limit does not apply, ms.
 const MIN_MS: f64 = 1.0;
 
 #[derive(Args)]
@@ -124,7 +124,7 @@ pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     Ok(results.finish(given.common.json.as_deref())?)
 }
 
-/// The configuration unchanged except for what the selection may choose.
+/// The configuration, changed only in what the selection may choose.
 fn configuration(path: &Path) -> Result<config::spec::RigSpec, Box<dyn std::error::Error>> {
     let mut table: toml::Table = fs::read_to_string(path)?.parse()?;
     if let Some(sonars) = table.get_mut("sonar").and_then(|s| s.as_array_mut()) {
@@ -134,7 +134,7 @@ fn configuration(path: &Path) -> Result<config::spec::RigSpec, Box<dyn std::erro
                 .or_insert_with(|| toml::Table::new().into())
                 .as_table_mut()
                 .ok_or("sonar.model is no table")?;
-            // Compares every element; `tools/src/tests/plan/parts.rs` covers side-scan lines without elements.
+            // Every element is compared. `tools/src/tests/plan/parts.rs` covers side-scan lines without elements.
             model.insert("output".into(), "elements".into());
             if model.values().any(|value| value.as_str() == Some("auto")) {
                 continue;
@@ -154,7 +154,7 @@ fn configuration(path: &Path) -> Result<config::spec::RigSpec, Box<dyn std::erro
     )?)
 }
 
-/// Cost of the selected methods over the least cost of those that predict, and of those that reach, the same error.
+/// Cost of the selected methods over the minimum cost of the methods that predict, and of those that reach, the same error.
 fn ratios(of: &Measured) -> (f64, f64) {
     let least = |good: &dyn Fn(&&Did) -> bool| {
         let others = of.others.iter().filter(good);

@@ -28,7 +28,7 @@ pub(crate) struct Arguments {
     picture: Option<PathBuf>,
 }
 
-/// Cell sizes at which relief is compared.
+/// Size of the cells in which relief is compared.
 const CELL_M: f64 = 10.0;
 const LEAST: usize = 5;
 
@@ -61,7 +61,7 @@ pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     Ok(report.finish(given.common.json.as_deref())?)
 }
 
-/// Soundings above, truth below; north up, 4 pixels per cell.
+/// Draws the soundings above the true depths, with north up and 4 pixels per cell.
 fn draw(soundings: &Soundings, file: &std::path::Path) -> Result<(), String> {
     const PIXELS: i64 = 4;
     let cells = soundings.cells(CELL_M, LEAST);

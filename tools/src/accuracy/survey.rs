@@ -1,10 +1,15 @@
-//! Stress test of streaming scenes: a seabed of 10 km x 1 km with 10 scatterers per 0.02 m^2, far beyond memory, and pings 100 m apart
-//! along it.
+//! Stress test of streamed scenes. The seabed is 10 km x 1 km with 10 scatterers per 0.02 m^2, far beyond memory. Pings are 100 m
+//! apart along it.
 //!
-//! Prints for every tenth ping: scatterers generated, used and in shadow; milliseconds to gather them and to synthesise; processor time of
-//! the whole ping, which other load affects less; peak memory so far; and an error check. The error check repeats the ping, computes 64
-//! random samples by the reference, and prints the error of these and of the 64 before. Exits with code 1 if the peak exceeds 2 GiB or an
-//! error check fails.
+//! For every tenth ping, the test prints:
+//! - scatterers generated, used and in shadow;
+//! - milliseconds to gather them and to synthesise;
+//! - processor time of the whole ping, which other load affects less;
+//! - peak memory so far;
+//! - an error check.
+//!
+//! The error check repeats the ping and computes 64 random samples by the reference. It prints the error of these and of the
+//! previous 64 samples. The exit code is 1 if the peak exceeds 2 GiB or an error check fails.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -56,7 +61,7 @@ pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Peak memory in bytes, where the system reports it, and failed error checks.
+/// Returns the peak memory in bytes, if the system reports it, and the number of failed error checks.
 fn survey(
     folder: &Path,
     pings: usize,
@@ -127,7 +132,7 @@ fn survey(
         ("ms per ping", &times_ms),
         ("CPU ms per ping", &cpu_times_ms),
     ] {
-        // The first ping also makes the engine.
+        // The first ping also designs the engine.
         let steady = &times_ms[1..];
         let third = steady.len() / 3;
         println!(
@@ -160,7 +165,8 @@ fn line(
     )
 }
 
-/// Hills of a metre or two over tens of metres at 20 m depth, as an ESRI ASCII grid; at long range they shadow each other.
+/// Hills of one or two metres over tens of metres at 20 m depth, as an ESRI ASCII grid. At long range the hills cast shadows on one
+/// another.
 fn ground() -> String {
     let (rows, cols) = ((LENGTH_M / CELL_M) as usize, (WIDTH_M / CELL_M) as usize);
     let mut text = format!("ncols {cols} nrows {rows} xllcorner 0 yllcorner 0 cellsize {CELL_M}\n");
@@ -257,7 +263,7 @@ fn peak_bytes() -> Option<u64> {
 fn cpu_ms() -> f64 {
     let ticks = || -> Option<f64> {
         let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-        // Fields 3 onwards follow the name, which may contain blanks; user and system time are fields 14 and 15.
+        // Fields from 3 follow the name, which may contain blanks. User and system time are fields 14 and 15.
         let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
         Some(fields.get(11)?.parse::<f64>().ok()? + fields.get(12)?.parse::<f64>().ok()?)
     };

@@ -56,7 +56,7 @@ pub(crate) struct Arguments {
 pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let mut report = Report::new();
     report.print(&format!("{ABOUT}\n{}\n", heading()));
-    // Unordered on standard error as they finish, in order on standard output.
+    // Results are written unordered to standard error when they are ready, and in order to standard output.
     let mut broken = 0;
     let cases: Vec<Case> = SCENES
         .iter()
@@ -113,7 +113,7 @@ pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Scatterers of a fixed scene.
+/// Number of scatterers of a fixed scene.
 const SCATTERERS: usize = 40;
 
 fn asked(method: Method, given: &Arguments) -> bool {
@@ -138,12 +138,13 @@ fn reasons(row: &Row) -> String {
     row.cells.iter().map(line).collect()
 }
 
-/// Largest error, with noise floor, of the half-dense reference where 1e-6 is requested: the truth of a random scene is sampled as densely
-/// as this requires.
+/// Maximum error, with noise floor, of the half-dense reference if 1e-6 is requested. It determines the density of the reference of
+/// a random scene.
 const MAX_DOUBT: f64 = 2e-7;
 
-/// Methods over random scenes: how often each answered, its worst error over its tolerance, and where; and how many errors with noise floor
-/// exceed the tolerance by more than the half-dense reference's error.
+/// Measures methods over random scenes. The result states how often each method answered, its worst ratio of error to tolerance,
+/// and the scene. It also counts errors with noise floor that exceed the tolerance by more than the error of the half-dense
+/// reference.
 fn random(given: &Arguments, report: &mut Report) -> (String, usize) {
     let count = given.random;
     struct One {
@@ -185,7 +186,7 @@ fn random(given: &Arguments, report: &mut Report) -> (String, usize) {
     );
     let cells: Vec<(Method, &Cell)> = all.iter().map(|one| (one.method, &one.cell)).collect();
     text += &counts(&cells);
-    // The truth is not known better than the half-dense reference's error.
+    // The reference is not known better than the error of the half-dense reference.
     let misses = |method| {
         let of = move |one: &&One| one.method == method && !one.cell.holds(|e| e.in_noise);
         all.iter()

@@ -1,11 +1,13 @@
-//! Fans of one line array: run time per ping and error against direct delay-and-sum in f64, one line each; also writes the data that peers
-//! beamform.
+//! Fans of one line array: run time per ping and error against a direct delay-and-sum in f64, one line each. The module also writes
+//! the data for beamforming by peers.
 //!
-//! Scene: 128 elements spaced half a wavelength at 400 kHz, at rest. 2000 points of equal level lie in the plane of the line and its
-//! boresight, 1 to 149 m away. Pulse: 24 kHz LFM, 1 ms; 8000 samples at 40 kHz; 256 beams over 120 degrees. One element transmits, because
-//! peers support no other transmitter position. Timed on one thread: matched filter, steering, sums. The error is the rms difference at
-//! random samples of random beams over their rms. The reference delays every element's matched-filtered row by a 64-tap sinc times its
-//! carrier, for the exact focus of the sample (or its plane wave), without rounding to fractions, zones or f32.
+//! Scene: 128 elements spaced half a wavelength at 400 kHz, at rest. 2000 points of equal level are in the plane of the line and
+//! its boresight, 1 to 149 m away. Pulse: 24 kHz LFM, 1 ms; 8000 samples at 40 kHz; 256 beams over 120 degrees. One element
+//! transmits, because peers support no other transmitter position. Timed on one thread: matched filter, steering, sums.
+//!
+//! The error is the rms difference at random samples of random beams, over their rms. The reference delays every element's
+//! matched-filtered row by a 64-tap sinc times its carrier. The delay is for the exact focus of the sample (or its plane wave),
+//! without rounding to fractions, zones or f32.
 
 use std::f64::consts::{PI, TAU};
 use std::io::{BufRead, Write};
@@ -35,17 +37,17 @@ const SAMPLES: usize = 8000;
 const POINTS: usize = 2000;
 const SECTOR_RAD: f64 = 2.0 * PI / 3.0;
 const TRANSMITTING: usize = ELEMENTS / 2;
-/// Samples computed again for the error.
+/// Number of samples computed again for the error.
 const PROBES: usize = 3000;
-/// Shortest range of a compared sample; the points begin at 1 m.
+/// Minimum index of a compared sample. The points begin at 1 m.
 const FIRST_PROBE: usize = 80;
-/// Half-length of the reference's sinc, taps.
+/// Half the length of the sinc of the reference, taps.
 const REACH: i64 = 32;
 const BETA: f64 = 9.0;
 /// Beams that peers form.
 const PEER_BEAMS: usize = 8;
 
-/// Tapered so that almost no energy lies outside the sampled band, where interpolation is undefined.
+/// The pulse is tapered, so that almost no energy is outside the sampled band, where interpolation is undefined.
 fn pulse() -> Pulse {
     Pulse {
         taper: 0.5,
@@ -94,7 +96,7 @@ fn plan() -> PingPlan {
     plan
 }
 
-/// Element samples: the sum of every point's delayed pulse.
+/// Element samples: the sum of the delayed pulses of all points.
 fn elements() -> ElementFrame {
     let mut chance = Chance::new(5);
     let array = array();
@@ -138,7 +140,7 @@ fn compressed(frame: &ElementFrame) -> Vec<Complex64> {
     rows
 }
 
-/// Range along a beam of the point whose echo reaches the array's centre at `time_s`.
+/// Range along a beam of the point whose echo reaches the centre of the array at `time_s`.
 fn range_m(sine: f64, time_s: f64) -> f64 {
     let path_m = C * time_s;
     let tx = transmit_x_m();
@@ -201,7 +203,7 @@ fn kaiser(beta: f64) -> impl Fn(f64) -> f64 {
 #[derive(Clone, Copy)]
 struct Took {
     wall: f64,
-    /// Processor time; the wall time where the system does not report it.
+    /// Processor time. The wall time if the system does not report processor time.
     core: f64,
 }
 
@@ -230,7 +232,7 @@ fn least_and_median(values: impl Iterator<Item = f64>) -> (f64, f64) {
 struct Probe {
     beam: usize,
     sample: usize,
-    /// Far field, focused.
+    /// Reference values for the far field and for focused beams.
     want: [Complex64; 2],
 }
 
@@ -282,7 +284,7 @@ const FORMERS: [Former; 5] = [
     Former::DynamicFocus,
 ];
 
-/// Products of elements and points, or of beams and samples, of a ping.
+/// Number of products of elements and points, or of beams and samples, in a ping.
 const TERMS: f64 = (ELEMENTS * BEAMS * SAMPLES) as f64;
 
 /// Times every beamformer.
@@ -298,7 +300,7 @@ pub(crate) fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
             let mut took: Vec<Took> = (0..=runs)
                 .map(|_| timed(|| fan.form(&plan(), &frame, &mut out)))
                 .collect();
-            // The first run grows the buffers.
+            // The first run grows the buffers and is not counted.
             took.remove(0);
             (took, error(&probes, former == Former::DynamicFocus, &out))
         });
@@ -317,7 +319,7 @@ pub(crate) fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
     report.finish(json)
 }
 
-/// Beams whose samples peers form, spread over the sector.
+/// Index of a beam that peers form. These beams are spread over the sector.
 fn peer_beam(i: usize) -> usize {
     i * (BEAMS - 1) / (PEER_BEAMS - 1)
 }
@@ -357,8 +359,8 @@ pub(crate) fn dump(directory: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// Reads the name of a beamformer per input line. Prints `WALL CORE ERROR` (milliseconds) of one ping of all beams on one thread; the error
-/// is over the beams that peers form.
+/// Reads the name of a beamformer per input line. Prints `WALL CORE ERROR` (milliseconds) of one ping of all beams on one thread.
+/// The error is over the beams that peers form.
 pub(crate) fn serve() -> Result<(), String> {
     let frame = elements();
     let rows = compressed(&frame);

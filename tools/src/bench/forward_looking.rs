@@ -1,12 +1,17 @@
-//! A forward-looking ping of the shape that DAVE's multibeam sonar computes (Choi et al. 2021, its "full calculation"): 512 beams of 114
+//! Forward-looking ping with the parameters of DAVE's multibeam sonar (Choi et al. 2021, its "full calculation"): 512 beams of 114
 //! rays, 60 m, 29.9 kHz.
 //!
-//! Timed, from each ray's range and fixed complex reflectivity to time samples of every beam: delay and two-way spreading of the ray; each
-//! beam's spectrum of its own rays on 2392 frequencies; window; leakage between beams by their pattern (a 512 x 512 matrix that depends on
-//! the difference of sines, and is thus a convolution on uniform steps of sine); inverse transform. Not timed: casting the rays (DAVE takes
-//! them from a depth camera), drawing the reflectivities, noise, images. This is DAVE's arithmetic on this library's transform, not a ping
-//! of the pipeline. Error: all samples of four beams of the last result against the same arithmetic in f64, with every exponential and the
-//! whole matrix evaluated directly.
+//! Timed, from each ray's range and fixed complex reflectivity to time samples of every beam:
+//! - delay and two-way spreading of the ray;
+//! - spectrum of each beam from its own rays on 2392 frequencies;
+//! - window;
+//! - leakage between beams by their pattern. The 512 x 512 matrix depends on the difference of sines, so it is a convolution on
+//!   uniform steps of sine;
+//! - inverse transform.
+//!
+//! Not timed: casting the rays (DAVE takes them from a depth camera), drawing the reflectivities, noise, images. This is DAVE's
+//! arithmetic with the transform of this library, not a ping of the pipeline. Error: all samples of four beams of the last result
+//! against the same arithmetic in f64, with every exponential and the whole matrix evaluated directly.
 
 use std::f64::consts::TAU;
 use std::time::Instant;
@@ -25,15 +30,15 @@ const RAYS: usize = 114;
 const RANGE_M: f64 = 60.0;
 const BANDWIDTH_HZ: f64 = 29.9e3;
 const SOUND_SPEED_M_PER_S: f64 = 1500.0;
-/// 2392 frequencies.
+/// Number of frequencies, 2392.
 const BINS: usize = (BANDWIDTH_HZ * 2.0 * RANGE_M / SOUND_SPEED_M_PER_S) as usize;
 const PERIOD_S: f64 = BINS as f64 / BANDWIDTH_HZ;
-/// Half the fan, as a sine, and the beam width.
+/// Sine of half the fan. The next constant is the beam width.
 const SECTOR_SINE: f64 = 0.707;
 const WIDTH_RAD: f64 = 0.017_453;
 /// Number of timed pings.
 const RUNS: usize = 9;
-/// Beams of the circular convolution, padded so that none wraps around.
+/// Number of beams of the circular convolution, padded so that none wraps around.
 const PADDED: usize = 2 * BEAMS;
 
 struct Rays {
@@ -42,7 +47,7 @@ struct Rays {
 }
 
 impl Rays {
-    /// Delays and amplitudes with two-way spherical spreading.
+    /// Delays and amplitudes of the rays with two-way spherical spreading.
     fn heard(&self) -> impl Iterator<Item = (f64, Complex32)> {
         let rays = self.range_m.iter().zip(&self.reflectivity);
         rays.map(|(r, strength)| (2.0 * r / SOUND_SPEED_M_PER_S, strength / (r * r) as f32))
@@ -77,7 +82,7 @@ fn neighbour(steps: i64) -> f64 {
     if x == 0.0 { 1.0 } else { x.sin() / x }
 }
 
-/// Spectrum of beam `beam` before leakage, every exponential evaluated directly.
+/// Spectrum of beam `beam` before leakage, with direct evaluation of every exponential.
 fn plain(rays: &Rays) -> Vec<Complex64> {
     (0..BINS)
         .map(|k| {
@@ -152,7 +157,7 @@ pub(crate) fn run(threads: &[usize], report: &mut Report) -> Result<(), String> 
     Ok(())
 }
 
-/// Milliseconds of each ping, and the beams of the last.
+/// Milliseconds of each ping, and the beams of the last ping.
 fn measure(rays: &[Rays], width: usize) -> (Vec<f64>, Vec<Complex32>) {
     let plan = Transform1d::<f32>::new(BINS, PERIOD_S, width, 2.0, SimdLevel::best());
     let (forward, backward) = (f32::plan_forward(PADDED), f32::plan_inverse(PADDED));
@@ -169,7 +174,7 @@ fn measure(rays: &[Rays], width: usize) -> (Vec<f64>, Vec<Complex32>) {
     let mut spectra = vec![Complex32::ZERO; BEAMS * BINS];
     let mut turned = vec![Complex32::ZERO; BEAMS * BINS];
     let mut beams = vec![Complex32::ZERO; BEAMS * BINS];
-    // Frequencies that a thread processes together.
+    // Number of frequencies that a thread processes together.
     const TOGETHER: usize = 8;
     let mut took_ms = Vec::new();
     for _ in 0..RUNS {
@@ -189,7 +194,7 @@ fn measure(rays: &[Rays], width: usize) -> (Vec<f64>, Vec<Complex32>) {
                 plan.execute(work, delay_s, amplitude, out);
             },
         );
-        // Convolves the beams of each frequency.
+        // The beams of each frequency are convolved.
         turned
             .par_chunks_mut(TOGETHER * BEAMS)
             .enumerate()

@@ -1,6 +1,7 @@
-//! Sentences per second of framing and decoding, against the crate `nmea` and pynmea2 on the same sentences.
+//! Sentences per second of framing and decoding, compared with the crate `nmea` and pynmea2 for the same sentences.
 //!
-//! This program finds the sentences in the bytes, checks and timestamps them; the others get one sentence at a time.
+//! This program finds the sentences in the bytes, checks and timestamps them. The other programs get one sentence at
+//! a time.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -16,7 +17,7 @@ use glam::DVec3;
 
 use crate::report::Report;
 
-/// Rounds; the fastest and the median are printed.
+/// Number of rounds. The fastest and the median are printed.
 const ROUNDS: usize = 7;
 
 pub(crate) fn run(

@@ -1,7 +1,7 @@
-//! Pings of a configuration through the whole pipeline: percentiles of run time, and the result of the error check.
+//! Pings of a configuration through the whole pipeline: percentiles of the run time, and the result of the error check.
 //!
-//! Timed: from the ping request to its element samples, beams and side-scan lines (`Rig::make`). Not timed: records and delivery. Pings
-//! follow each other without pacing, on the navigation's virtual time.
+//! Timed: from the ping request to its element samples, beams and side-scan lines (`Rig::make`). Not timed: records and delivery.
+//! Pings follow each other without pacing, on the virtual time of the navigation.
 
 use std::path::Path;
 use std::time::Instant;
@@ -12,7 +12,7 @@ use echotank_testing::pings::LoggedPings;
 
 use crate::report::Report;
 
-/// Untimed first pings, in which buffers grow and tiles are generated.
+/// Number of untimed first pings, in which buffers grow and tiles are generated.
 const WARM_UP: usize = 5;
 
 /// Prints and records one line per number of threads.

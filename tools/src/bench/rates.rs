@@ -1,7 +1,7 @@
-//! Rigs at the rates of their devices: what a ping costs, stage by stage, and how far it is from the reference.
+//! Rigs at the rates of their devices: the cost of a ping by stage, and its error against the reference.
 //!
-//! Timed: everything from the order of a ping to the records that a client of each output would get. Not timed: delivery and the operator's
-//! page, which `tools/soak --rates` adds. Pings follow each other without pacing, on recorded navigation.
+//! Timed: from the order of a ping to the records for a client of each output. Not timed: delivery and the operator's page, which
+//! `tools/soak --rates` adds. Pings follow each other without pacing, on recorded navigation.
 
 mod error;
 mod picture;
@@ -21,13 +21,13 @@ use serde::{Deserialize, Serialize};
 use crate::report::{Common, Report, kept};
 use records::Encoders;
 
-/// Untimed first pings of each sonar, in which buffers grow and tiles are generated.
+/// Number of untimed first pings of each sonar, in which buffers grow and tiles are generated.
 const WARM_UP: u32 = 2;
-/// Pings of each sonar that are timed, at least and at most, and how long it may take.
+/// Minimum number of timed pings of each sonar. The next constants are the maximum, and the time limit.
 const MIN_PINGS: usize = 3;
 const MAX_PINGS: u32 = 24;
 const MAX_TIME_S: f64 = 2.5;
-/// Headroom that counts as real time: the rest is delivery, page and system.
+/// Minimum headroom of real time. Delivery, page and system use the rest.
 const REAL_TIME: f64 = 1.25;
 
 #[derive(Args)]
@@ -89,7 +89,7 @@ impl Rates {
 }
 
 impl RigRates {
-    /// The configuration at one of the ranges. Buffers are sized for that range alone.
+    /// Configuration at one of the ranges. Buffers are sized for that range only.
     fn spec(&self, at: &RangeRate, more: &[String]) -> Result<RigSpec, String> {
         let path = crate::repository().join(format!("tools/rates/{}.toml", self.name));
         let RangeRate {
@@ -108,13 +108,13 @@ impl RigRates {
     }
 }
 
-/// Parts of a ping that are timed apart.
+/// Separately timed parts of a ping.
 const STAGES: [&str; 3] = ["gather", "echoes and beams", "records"];
 
-/// What the pings of one sonar took.
+/// Times of the pings of one sonar.
 struct Timed {
     period_ms: f64,
-    /// Of each ping, by stage.
+    /// Milliseconds of each ping, by stage.
     ms: Vec<[f64; STAGES.len()]>,
     scatterers: usize,
     record_bytes: usize,
@@ -123,7 +123,7 @@ struct Timed {
 }
 
 impl Timed {
-    /// Median and 95 % of whole pings, milliseconds.
+    /// Median and 95 % quantile of whole pings, milliseconds.
     fn whole(&self) -> (f64, f64) {
         let mut whole: Vec<f64> = self.ms.iter().map(|ms| ms.iter().sum()).collect();
         whole.sort_by(f64::total_cmp);
@@ -138,7 +138,7 @@ impl Timed {
     }
 }
 
-/// Makes a ping that its navigation covers, with the time of each stage; `None` in a gap of the navigation.
+/// Computes a ping that its navigation covers, with the time of each stage. `None` in a gap of the navigation.
 fn timed_ping(
     rig: &mut Rig,
     sonar: usize,
@@ -209,14 +209,14 @@ fn time(spec: &RigSpec, quick: bool) -> Result<Vec<Timed>, String> {
     }
 }
 
-/// A part of a ping and its time.
+/// Part of a ping with its time.
 #[derive(Serialize, Deserialize)]
 struct Stage {
     name: String,
     ms: f64,
 }
 
-/// A rig at one range.
+/// Results of a rig at one range.
 #[derive(Serialize, Deserialize)]
 struct Row {
     rig: String,
@@ -225,9 +225,9 @@ struct Row {
     elements: usize,
     beams: usize,
     scatterers: usize,
-    /// Of the first sonar.
+    /// Ping period of the first sonar.
     period_ms: f64,
-    /// Medians, of all sonars in one period of the first, as all times here.
+    /// Median times of all sonars in one period of the first sonar, as all times in this type.
     stages: Vec<Stage>,
     ms: f64,
     ms_95: f64,
@@ -235,7 +235,7 @@ struct Row {
     record_bytes: usize,
     /// Cost estimate of the selected methods on these threads.
     estimate_ms: Option<f64>,
-    /// Largest of the windows looked at, in this norm of docs/accuracy.md.
+    /// Largest error of the sampled windows, in this norm of docs/accuracy.md.
     error: Option<f64>,
     norm: String,
     tolerance: f64,
@@ -250,7 +250,7 @@ impl Row {
         timed: &[Timed],
     ) -> Self {
         let period_ms = timed[0].period_ms;
-        // In one period of the first sonar.
+        // Times refer to one period of the first sonar.
         let share = |timed: &Timed| period_ms / timed.period_ms;
         let sum = |of: &dyn Fn(&Timed) -> f64| timed.iter().map(|t| share(t) * of(t)).sum::<f64>();
         let ms = sum(&|t| t.whole().0);
@@ -376,7 +376,7 @@ pub(crate) fn run(selection: &Selection) -> Result<(), String> {
             continue;
         }
         for (index, at) in rig.range.iter().enumerate() {
-            // The short form keeps the command working.
+            // The short form only tests that the command works.
             if selection.range.unwrap_or(if quick { 0 } else { index }) != index {
                 continue;
             }
@@ -404,7 +404,7 @@ pub(crate) fn run(selection: &Selection) -> Result<(), String> {
     }
 }
 
-/// Puts the rows in place of the kept ones of the same rigs and ranges, in the order of the file, and draws all.
+/// Replaces the kept rows of the same rigs and ranges, in the order of the file, and draws all rows.
 fn keep(rows: Vec<Row>, rates: &Rates, report: &mut Report) -> Result<(), String> {
     #[derive(Deserialize)]
     struct Kept {
@@ -426,7 +426,7 @@ fn keep(rows: Vec<Row>, rates: &Rates, report: &mut Report) -> Result<(), String
     };
     all.retain(|old| rows.iter().all(|new| place(new) != place(old)));
     all.extend(rows);
-    // What the file no longer names goes.
+    // Rows that the file no longer lists are removed.
     all.retain(|row| place(row).is_some());
     all.sort_by_key(place);
     report.rows_anew(&all)?;
@@ -461,7 +461,7 @@ fn draw(rows: &[Row], path: &Path) -> Result<(), String> {
 mod tests {
     use super::*;
 
-    /// A sonar rests for a twentieth of the period, in which no echo is under way.
+    /// Fraction of the period with echoes. A sonar pauses for a twentieth of the period.
     const SOUND_SHARE: f64 = 0.95;
 
     #[test]

@@ -1,4 +1,4 @@
-//! The scene on which all methods and peers are timed: a side-scan swath over a rough bottom, as the echo model passes it on.
+//! Scene with which all methods and peers are timed: a side-scan swath over a rough bottom, as arrivals of the echo model.
 //!
 //! Sonar 30 m above the bottom, slant ranges 36 to 150 m, azimuth within a sector about broadside, array along the track, uniform motion.
 
@@ -18,7 +18,7 @@ pub(crate) use echotank_testing::echo::{C as SOUND_SPEED_M_PER_S, CARRIER_HZ};
 pub(crate) const BANDWIDTH_HZ: f64 = 30e3;
 pub(crate) const DURATION_S: f64 = 5e-3;
 pub(crate) const SAMPLE_RATE_HZ: f64 = 40e3;
-/// Period and bins of the transform: bandwidth times period.
+/// Period of the transform, seconds. The number of bins is bandwidth times period.
 pub(crate) const PERIOD_S: f64 = 0.2048;
 pub(crate) const BINS: usize = 6144;
 pub(crate) const WINDOW_S: f64 = 0.21;
@@ -31,7 +31,7 @@ pub(crate) struct Shape {
     pub(crate) speed_m_per_s: f64,
     /// Azimuth limits about broadside.
     pub(crate) sector_deg: f64,
-    /// Share of the pulse under its tapers.
+    /// Fraction of the pulse under its tapers.
     pub(crate) taper: f64,
 }
 
@@ -100,7 +100,7 @@ impl Scene {
     }
 }
 
-/// Collects all arrivals.
+/// Sink that collects all arrivals.
 #[derive(Default)]
 pub(crate) struct Kept(pub(crate) Vec<ArrivalChunk>);
 

@@ -1,4 +1,4 @@
-//! Time of a line array's ping by stage: core milliseconds, and the limit by the processor's peak rates.
+//! Time of a line array's ping by stage: core milliseconds, and the limit from the peak rates of the processor.
 //!
 //! Operations and bytes follow from the sizes that the tasks report. Peak rates are measured in the same run, on one core.
 
@@ -24,7 +24,7 @@ pub(crate) struct Profile {
 }
 
 impl Profile {
-    /// An empty profile; the engine's stages are measured from now on.
+    /// Empty profile. The stages of the engine are measured from now on.
     pub(crate) fn start() -> Self {
         static START: OnceLock<Instant> = OnceLock::new();
         START.get_or_init(Instant::now);
@@ -118,7 +118,7 @@ impl Profile {
 #[derive(Default)]
 struct Work {
     flops: f64,
-    /// Bytes read or written once, assuming no caches.
+    /// Number of bytes read or written once, without caches.
     bytes: f64,
 }
 
@@ -221,7 +221,7 @@ fn fused_per_s() -> f64 {
     (2 * lanes * SUMS * ROUNDS) as f64 / start.elapsed().as_secs_f64()
 }
 
-/// Intrinsics, because the compiler turns arrays into sixteen scalar multiplications.
+/// Intrinsics are used, because the compiler turns arrays into sixteen scalar multiplications.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f")]
 fn fused_avx512() {

@@ -1,5 +1,5 @@
-//! The one-dimensional transform alone on given points: `dump` writes them, `serve` runs on request, so that peers in another process are
-//! timed alternately on the same data.
+//! One-dimensional transform of given points. `dump` writes the points, and `serve` runs on request, so peers in another process
+//! are timed alternately with the same data.
 
 use std::io::{BufRead, Write};
 use std::path::Path;
@@ -43,7 +43,7 @@ impl Points {
         points
     }
 
-    /// Phasor recurrence over the bins, restarted every 64; error below 1e-14.
+    /// Direct sum with a phasor recurrence over the bins, restarted every 64 bins; error below 1e-14.
     fn direct(&self) -> Vec<Complex64> {
         const RESTART: usize = 64;
         const LANES: usize = 8;
@@ -55,7 +55,8 @@ impl Points {
                 let turns = k * u / PERIOD_S;
                 Complex64::from_polar(1.0, -std::f64::consts::TAU * (turns - turns.round()))
             };
-            // Starting all blocks by recurrence would lose digits. Every 16th starts by sine and cosine, the others by one product.
+            // A recurrence over the starts of all blocks would lose digits. Every 16th block starts with sine and cosine, the
+            // others with one product.
             let (fine, step): (Vec<_>, _) = (
                 (0..16).map(|b| phasor((b * RESTART) as f64)).collect(),
                 phasor(LANES as f64),
@@ -189,8 +190,8 @@ impl<T: Real + Into<f64>> Runner for Prepared<T> {
     }
 }
 
-/// Reads `f32|f64 WIDTH OVERSAMPLING SIMD_LEVEL` per input line and prints `MILLISECONDS ERROR` of one transform. SIMD level: portable,
-/// avx2, avx512 or best.
+/// Reads `f32|f64 WIDTH OVERSAMPLING SIMD_LEVEL` per input line and prints `MILLISECONDS ERROR` of one transform. The SIMD level is
+/// portable, avx2, avx512 or best.
 pub(crate) fn serve(directory: &Path) -> Result<(), String> {
     let delay_s = std::rc::Rc::new(read(&directory.join("delay_s.f64"))?);
     let amplitude = complex(&read(&directory.join("amplitude.c128"))?);

@@ -1,9 +1,11 @@
 //! Whole pings: from scatterers to the time samples of every element.
 //!
-//! Timed: transmit leg, sonar equation, delays and Doppler of every element, templates for the ping's motion, receiver filter, return to
-//! time. Not timed: noise, gain, converter. Error: windows of a pulse length at random elements, including the first and last echoes of the
-//! ping. In each, some random samples of the timed ping are computed again by the reference's equation on the continuous motion. The error
-//! is the rms difference over the rms of the window: for the worst window, and over all.
+//! Timed: transmit leg, sonar equation, delays and Doppler of every element, templates for the motion of the ping, receiver filter,
+//! inverse transform to time. Not timed: noise, gain, converter.
+//!
+//! Error: windows of a pulse length at random elements, including the first and last echoes of the ping. In each window, some
+//! random samples of the timed ping are computed again by the equation of the reference on the continuous motion. The error is the
+//! rms difference over the rms of the window, for the worst window and over all windows.
 
 use std::sync::Mutex;
 use std::time::Instant;
@@ -37,20 +39,21 @@ use super::transform::simd_level_named;
 use crate::reference::{Probe, values};
 use crate::report::{Common, Report};
 
-/// Pass band for 30 kHz and the Doppler of 10 m/s over +-60 degrees.
+/// Sample rate for a band of 30 kHz and the Doppler of 10 m/s over +-60 degrees.
 const RATE_HZ: f64 = 52e3;
 const ENGINE_DENSITY: f64 = 26.0;
-/// Windows with samples computed again, and samples in each; eight estimate a window's error to a quarter.
+/// Number of windows with samples computed again. The next constant is the number of samples in each; eight estimate the error of a
+/// window to a quarter.
 const WINDOWS: usize = 8;
 const SAMPLES: usize = 8;
-/// Fewer windows for many scatterers, because each takes seconds to sum.
+/// Number of scatterers above which fewer windows are used, because each takes seconds to sum.
 const MANY: usize = 1_500_000;
 /// Time limits.
 #[derive(Clone, Copy)]
 struct Effort {
-    /// Methods whose ping takes longer are skipped, core seconds.
+    /// Maximum core time of a ping, seconds. Methods with slower pings are skipped.
     patience_s: f64,
-    /// Runs end after this total time, seconds.
+    /// Total time after which runs end, seconds.
     runs_s: f64,
     max_scatterers: usize,
 }
@@ -67,9 +70,9 @@ const QUICK: Effort = Effort {
     max_scatterers: 50_000,
 };
 
-/// Largest predicted cost of `direct` and `spectral`, per scatterer and element.
+/// Maximum predicted cost of `direct` and `spectral` per scatterer and element, seconds.
 const DIRECT_S: f64 = 8e-7;
-/// The same for `gridded-1d`.
+/// Maximum predicted cost of `gridded-1d` per scatterer and element, seconds.
 const GRIDDED_S: f64 = 1.5e-8;
 /// Maximum number of runs of each method.
 const RUNS: usize = 9;
@@ -89,11 +92,11 @@ pub(crate) struct Ping {
 
 const STILL: DVec3 = DVec3::ZERO;
 const AHEAD: DVec3 = DVec3::new(5.0, 0.0, 0.0);
-/// Surge, sway and heave.
+/// Surge, sway and heave, metres per second.
 const SEAWAY: DVec3 = DVec3::new(5.0, 0.3, 0.3);
 const FAST: DVec3 = DVec3::new(10.0, 0.3, 0.3);
 
-/// Smallest number of elements for which a line engine is made.
+/// Minimum number of elements for which a line engine is designed.
 const MIN_LINE: usize = 4;
 
 impl Ping {
@@ -132,7 +135,7 @@ const fn ping(
     }
 }
 
-/// All numbers of elements and scatterers while moving; then the effect of sector, speed and tolerance; then the real-time target.
+/// All numbers of elements and scatterers while moving, then the effect of sector, speed and tolerance, then the real-time target.
 pub(crate) const PINGS: [Ping; 30] = [
     ping("paper", 5, 42_936, 15.0, STILL, 1e-3),
     ping("paper", 5, 42_936, 15.0, SEAWAY, 1e-3),
@@ -178,7 +181,7 @@ struct Ready {
     truth: Vec<Looked>,
 }
 
-/// A window of one element, with reference values of some of its samples.
+/// Window of one element, with reference values of some of its samples.
 struct Looked {
     element: usize,
     window: std::ops::Range<usize>,
@@ -220,7 +223,7 @@ impl Ready {
         plan.segments[0].velocity_m_per_s = ping.velocity_m_per_s;
         plan.model.doppler = match ping.velocity_m_per_s {
             DVec3::ZERO => DopplerModel::None,
-            // At these speeds `stretch` alone leaves 1e-2 at 36 m.
+            // At these speeds, `stretch` leaves an error of 1e-2 at 36 m.
             _ => DopplerModel::StretchQuadratic,
         };
         let greatest = 2.0 * ping.velocity_m_per_s.length() / SOUND_SPEED_M_PER_S;
@@ -257,7 +260,7 @@ impl Ready {
         plan
     }
 
-    /// Samples of some windows by the reference's equation.
+    /// Samples of some windows by the equation of the reference.
     fn look(&self) -> Vec<Looked> {
         let Scene {
             plan,
@@ -301,7 +304,7 @@ impl Ready {
         looked
     }
 
-    /// Output of the last ping.
+    /// Error of the output of the last ping.
     fn error(&mut self) -> Error {
         if self.truth.is_empty() {
             self.truth = self.look();
@@ -349,7 +352,7 @@ fn by_tiles(scatterers: &mut Scatterers) {
     *scatterers = sorted;
 }
 
-/// Times several runs after a first that grows buffers; fewer if a run takes long.
+/// Times several runs after a first run that grows buffers. A long run reduces their number.
 fn timed(effort: Effort, mut run: impl FnMut()) -> Took {
     let started = Instant::now();
     let mut taken = Vec::new();
@@ -372,7 +375,7 @@ fn timed(effort: Effort, mut run: impl FnMut()) -> Took {
     }
 }
 
-/// Why a method is skipped, if it is.
+/// Reason why a method is skipped, or `Ok`.
 fn patient(ready: &Ready, per_pair_s: f64) -> Result<(), String> {
     let took_s = (ready.ping.scatterers * ready.ping.elements) as f64 * per_pair_s;
     if took_s > ready.effort.patience_s {
@@ -424,7 +427,7 @@ fn timed_elements(
     took
 }
 
-/// The paper's sum on its frequency grid; valid only for a sonar at rest.
+/// The sum of the paper on its frequency grid, valid only for a sonar at rest.
 fn spectral(ready: &mut Ready) -> Outcome {
     patient(ready, DIRECT_S)?;
     let plan = ready.plan(|_| true);
@@ -470,7 +473,7 @@ fn gridded_1d(ready: &mut Ready, simd_level: SimdLevel) -> Outcome {
             least: -fastest,
             greatest: fastest,
         },
-        // At 18 m, half the least slant range, for margin.
+        // The curvature is that at 18 m, half the minimum slant range, for a margin.
         curvature_per_s: ready.ping.velocity_m_per_s.length_squared()
             / (18.0 * SOUND_SPEED_M_PER_S),
         tolerance: ready.ping.tolerance,
@@ -709,7 +712,7 @@ fn one(
             let outcome = gridded_2d(ready, simd_level, selection.stages);
             add("gridded-2d", ready, outcome);
         }
-        // Columns common to all SIMD levels.
+        // Columns that all SIMD levels share.
         if k == 0 && wanted("direct") {
             let outcome = direct(ready);
             add("direct", ready, outcome);

@@ -1,7 +1,7 @@
-//! Records per second: encoding rate of each protocol family. `tools/soak --load` delivers to several topsides.
+//! Records per second: encoding rate of each protocol family. `tools/soak --load` delivers records to several clients.
 //!
-//! Timed: from frames to whole records in their buffers, one thread. Error: the worst of the samples read back, over full scale (7k, XTF)
-//! or over the largest of the message (JSF).
+//! Timed: from frames to complete records in their buffers, on one thread. Error: the worst of the samples read back, over full
+//! scale (7k, XTF) or over the largest sample of the message (JSF).
 
 use std::net::Ipv4Addr;
 use std::path::Path;
@@ -62,7 +62,7 @@ fn sevenk_sheet() -> Arc<DeviceSheet> {
     ))
 }
 
-/// Runs `encode`, which returns the number of bytes, for a fixed time; GB/s of the best of three, and the bytes.
+/// Runs `encode`, which returns the number of bytes, for a fixed time. Returns GB/s of the best of three, and the number of bytes.
 fn rate(while_s: f64, mut encode: impl FnMut() -> usize) -> (f64, usize) {
     let once = encode();
     let mut best = 0.0_f64;
@@ -99,7 +99,7 @@ pub(crate) fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
         });
         let error = match id {
             7038 => error_7038(&records[0].bytes, &output)?,
-            // Half a count of 65535: rounding to nearest.
+            // Half a count of 65535, from rounding to nearest.
             _ => 0.5 / 65_535.0,
         };
         tell(&format!("7k {id}"), error, measured);
@@ -145,7 +145,7 @@ pub(crate) fn run(quick: bool, json: Option<&Path>) -> Result<(), String> {
     report.finish(json)
 }
 
-/// VITA 49, WBMS, the Ping protocol, Imagenex 872.
+/// Lines of VITA 49, WBMS, the Ping protocol and Imagenex 872.
 fn devices(
     while_s: f64,
     plan: &PingPlan,

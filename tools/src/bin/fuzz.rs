@@ -11,7 +11,7 @@ use echotank_testing::{allocations, seeds};
 #[global_allocator]
 static COUNTING: allocations::Counting = allocations::Counting;
 
-/// Largest grid as f64 and f32, plus the memory for decoding.
+/// Limit on allocation: the largest grid as f64 and f32, plus the memory for decoding.
 const MAX_BYTES: usize = 1 << 30;
 
 #[derive(Parser)]
@@ -48,7 +48,7 @@ fn main() -> ExitCode {
     let mut most = 0;
     while Instant::now() < end {
         for file in &files {
-            // The large file takes as long as a hundred small ones.
+            // The large file takes as long as a hundred small files.
             let rounds = if file.bytes.len() > 1 << 20 { 1 } else { 100 };
             for _ in 0..rounds {
                 let bytes = seeds::spoiled(&file.bytes, &mut random);

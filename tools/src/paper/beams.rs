@@ -1,5 +1,5 @@
-//! Fig. 11: five subarrays at 10 knots. Far-field beams of `conventional` are unfocused at short range and show each curve several times;
-//! beams of `dynamic-focus` do not.
+//! Fig. 11: five subarrays at 10 knots. Far-field beams of `conventional` are unfocused at short range and show each curve several
+//! times. Beams of `dynamic-focus` do not.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use super::pings::{self, Heard};
 use super::strip::{CELL_M, Strip};
 use crate::picture::{self, Grid, Look};
 
-/// Ranges of the points whose images are measured.
+/// Ranges of the points whose images are measured, metres.
 const POINTS_M: [f64; 6] = [5.0, 10.0, 20.0, 35.0, 50.0, 75.0];
 
 pub(crate) fn figure_11(out: &Path) -> Result<Value, String> {
@@ -37,8 +37,8 @@ pub(crate) fn figure_11(out: &Path) -> Result<Value, String> {
     }))
 }
 
-/// Along-track position of a beam's sample. Focused beams refer to the array's position at the start of the pulse, far-field beams to its
-/// position at reception.
+/// Along-track position of a sample of a beam. Focused beams refer to the position of the array at the start of the pulse.
+/// Far-field beams refer to its position at reception.
 fn along_m(spec: &RigSpec, heard: &Heard, sine: f64, range_m: f64) -> f64 {
     let pose = &heard.plan.nav.pose;
     let c = heard.plan.sound_speed_m_per_s;
@@ -49,7 +49,7 @@ fn along_m(spec: &RigSpec, heard: &Heard, sine: f64, range_m: f64) -> f64 {
     pose.position_m.x + moved + range_m * sine
 }
 
-/// Each cell takes the beam that passes nearest.
+/// Image of the strip. Each cell has the level of the beam that passes nearest.
 fn lay(spec: &RigSpec, heard: &[Heard]) -> Grid {
     let mut strip = Strip::new();
     let rate_hz = spec.sonars[0].receiver.sample_rate_hz;
@@ -85,7 +85,7 @@ fn points(spec: &RigSpec, heard: &Heard) -> Result<Vec<Value>, String> {
     let Some(fan) = &mut sonar.beams.fan else {
         return Err("the configuration has no fan".into());
     };
-    // Finer and wider than the figure, and within the transmitter's first null.
+    // The fan is finer and wider than in the figure, and within the first null of the transmitter.
     fan.beams = 401;
     fan.sector_rad = 2.0_f64.to_radians();
     let (focused, array) = (fan.form.former == Former::DynamicFocus, fan.array);
@@ -116,11 +116,11 @@ fn points(spec: &RigSpec, heard: &Heard) -> Result<Vec<Value>, String> {
             fan.angle_rad[k].sin()
         };
         let width_m = range_m * (side(1) - side(-1));
-        // The point relative to the array's position at transmission or reception, as the beamformer refers to it.
+        // The point is relative to the array at transmission or reception, as the beamformer requires.
         let sine = if focused { north_m } else { -north_m } / range_m;
         let outside = (0..fan.beams)
             .filter(|&k| (fan.angle_rad[k].sin() - sine).abs() > 1.5 * lobe)
-            // Half way to the grating lobes, which the transmitter and the subarrays suppress.
+            // The search extends half way to the grating lobes, which the transmitter and the subarrays suppress.
             .filter(|&k| {
                 (fan.angle_rad[k].sin() - sine).abs() < 0.5 * wavelength_m / array.spacing_m
             })
@@ -148,7 +148,7 @@ fn single_element_level(frame: &echotank_core::ping::ElementFrame) -> f64 {
     let each = (0..frame.elements).map(|e| {
         let mut levels: Vec<f64> = frame.element(e).iter().map(|y| y.norm()).collect();
         levels.sort_by(f64::total_cmp);
-        // The echo is flat over its pulse: take the level that a hundred samples exceed.
+        // The echo is flat over its pulse. The level is that which a hundred samples exceed.
         levels[levels.len() - 100]
     });
     each.sum::<f64>() / frame.elements as f64

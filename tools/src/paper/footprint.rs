@@ -1,4 +1,5 @@
-//! Figs. 6 and 7: direction of the receive beam. In `stop-and-hop` it is fixed; in `polyline` it moves with the array until reception.
+//! Figs. 6 and 7: direction of the receive beam. The direction is fixed with `stop-and-hop`. With `polyline`, it moves with the
+//! array until reception.
 
 use std::path::Path;
 
@@ -15,7 +16,7 @@ const CELL_M: f64 = 0.05;
 const NORTH_M: (f64, f64) = (-6.0, 6.0);
 const EAST_M: (f64, f64) = (10.0, 75.0);
 
-/// Values of a bottom position for one ping.
+/// Values at a bottom position for one ping.
 struct Seen {
     /// Receive pattern, dB, with either path model.
     stop_db: f64,
@@ -48,7 +49,7 @@ impl Rig {
         let at = DVec3::new(north_m, east_m, down_m);
         let v = DVec3::X * self.speed_m_per_s;
         let out_m = at.length();
-        // Eq. 5 by iteration: each step reduces the error by v/c.
+        // Eq. 5 by iteration. Each step reduces the error by v/c.
         let mut delay_s = 2.0 * out_m / self.c;
         for _ in 0..20 {
             delay_s = (out_m + at.distance(v * delay_s)) / self.c;
@@ -73,7 +74,7 @@ impl Rig {
         })
     }
 
-    /// Panels of the bottom, east to the right, north up. They show `value` within 3 dB of the beam axis, or everywhere.
+    /// Panel of the bottom, with east to the right and north up. It shows `value` within 3 dB of the beam axis, or everywhere.
     fn panel(&self, value: impl Fn(&Seen) -> Option<f64>) -> Grid {
         let width = ((EAST_M.1 - EAST_M.0) / CELL_M / 2.0) as usize;
         let height = ((NORTH_M.1 - NORTH_M.0) / CELL_M) as usize;

@@ -12,7 +12,7 @@ use crate::picture::{self, Grid, Look};
 
 const CELL_M: f64 = 0.1;
 const RANGE_M: f64 = 85.0;
-/// Pixel rows per ping.
+/// Number of pixel rows per ping.
 const ROWS: usize = 2;
 
 pub(crate) fn figure_17(out: &Path) -> Result<Value, String> {
@@ -42,7 +42,7 @@ pub(crate) fn figure_18(out: &Path) -> Result<Value, String> {
         spec.sonars[0].receiver.sample_rate_hz,
     );
     let grid = waterfall(&heard, axis);
-    // The curve beside the image: a row per ping, sway from -15 to 15 m.
+    // The curve beside the image has a row per ping, with sway from -15 to 15 m.
     let mut curve = Grid::new(150, grid.height);
     for (k, ping) in heard.iter().rev().enumerate() {
         let x = (ping.plan.nav.pose.position_m.y * 5.0 + 75.0).clamp(0.0, 149.0) as usize;
@@ -64,7 +64,7 @@ pub(crate) fn figure_18(out: &Path) -> Result<Value, String> {
         &out.join("fig18.png"),
         &[vec![(&curve, black_and_white), (&grid, look)]],
     )?;
-    // Displacement of each pier if the image is read as from a straight track.
+    // Displacement of each pier, if the image is interpreted as from a straight track.
     let before = piers(&straight, axis, &targets);
     let shifts: Vec<Value> = piers(&heard, axis, &targets)
         .iter()
@@ -99,27 +99,29 @@ fn waterfall(heard: &[Heard], axis: RangeAxis) -> Grid {
     grid
 }
 
-/// One pier as its ping shows it.
+/// One pier in the ping abeam of it.
 struct Pier {
     name: String,
     sway_m: f64,
     true_east_m: f64,
     slant_range_m: f64,
     shown_range_m: f64,
-    /// Range of the upper edge, which gives the first echo, on a straight track at east 0.
+    /// Range of the upper edge (first echo), shown as an easting for a straight track at east 0.
     shown_east_m: f64,
 }
 
-/// Upper edge of the piers below their centre, metres, and their radius (`data/lake_piers.toml`).
+/// Depth of the upper edge of the piers relative to their centre, metres. The next constant is their
+/// radius (`data/lake_piers.toml`).
 const HALF_LENGTH_M: f64 = 9.0;
 const RADIUS_M: f64 = 1.0;
-/// Searched interval around the expected position of an echo.
+/// Half length of the searched interval around the expected position of an echo, metres.
 const LOOK_M: f64 = 3.0;
-/// The first echo ends where a stretch of this many metres falls below this share of the strongest there.
+/// Length of the interval that is averaged, metres. The first echo ends when the average falls below a
+/// fraction of the maximum.
 const STRETCH_M: f64 = 0.15;
 const FIRST_SHARE: f32 = 0.2;
 
-/// Piers that nothing occludes, by the first echo of the upper edge of their near wall.
+/// Piers without occlusion, by the first echo of the upper edge of their near wall.
 fn piers(heard: &[Heard], axis: RangeAxis, targets: &[Target]) -> Vec<Pier> {
     let hidden = |t: &Target| {
         targets.iter().any(|o| {
@@ -151,7 +153,7 @@ fn piers(heard: &[Heard], axis: RangeAxis, targets: &[Target]) -> Vec<Pier> {
         let Some(first) = power.iter().position(|p| *p > FIRST_SHARE * strongest) else {
             continue;
         };
-        // The stretch that rose contains the echo in its last part.
+        // The interval with the rise has the echo in its last part.
         let shown_range_m = axis.slant_range_m(near.start + first + stretch - 1);
         rows.push(Pier {
             name: target.name.clone(),

@@ -1,4 +1,4 @@
-//! Pings of a configuration, in order, and single echoes through its pipeline.
+//! Pings of a configuration in order, and single echoes through its pipeline.
 
 use echotank_config::spec::RigSpec;
 use echotank_core::ping::{PingOutput, PingPlan};
@@ -18,7 +18,7 @@ pub(crate) struct Heard {
     pub(crate) output: PingOutput,
 }
 
-/// Makes pings until the navigation ends; also returns the scene's targets.
+/// Computes pings until the navigation ends. Also returns the targets of the scene.
 pub(crate) fn run(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
     pool(0)
         .map_err(|e| e.to_string())?
@@ -37,7 +37,7 @@ fn run_here(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
         let slot = &pings.slot;
         heard.push(Heard {
             plan: slot.plan.clone(),
-            // Element samples are large and no figure shows them.
+            // Element samples are large, and no figure shows them.
             output: PingOutput {
                 beams: slot.output.beams.clone(),
                 lines: slot.output.lines.clone(),

@@ -1,5 +1,5 @@
-//! Fig. 10: a single beam at 3 and at 10 knots. If a ping's footprint is narrower than the advance to the next ping, the image has gaps: r
-//! theta < v T, T the time between pings (Eq. 2 with T = 2 R/c).
+//! Fig. 10: a single beam at 3 and at 10 knots. If the footprint of a ping is narrower than the advance to the next ping, the image
+//! has gaps: r theta < v T, with T the time between pings (Eq. 2 with T = 2 R/c).
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ use super::pings::{self, Heard};
 use super::strip::{CELL_M, RANGE_M, Strip};
 use crate::picture::{self, Grid, Look};
 
-/// Ranges searched for the echo between pings.
+/// Number of ranges at which the echo between pings is computed.
 const STEPS: usize = 92;
 
 pub(crate) fn figure_10(out: &Path) -> Result<Value, String> {
@@ -51,7 +51,7 @@ pub(crate) fn figure_10(out: &Path) -> Result<Value, String> {
     )
 }
 
-/// Each ping fills its own -3 dB footprint, centred between its transmit and receive positions.
+/// Image of the strip. Each ping fills its own -3 dB footprint, centred between its transmit and receive positions.
 fn lay(heard: &[Heard], axis: RangeAxis, theta_rad: f64, c: f64) -> Grid {
     let mut strip = Strip::new();
     for ping in heard {
@@ -86,7 +86,7 @@ fn fractured_to_m(grid: &Grid) -> Option<f64> {
         .map(|x| RANGE_M.0 + x as f64 * CELL_M)
 }
 
-/// Range at which the echo of a point half way between two pings is 6 dB (3 dB each way) below that of one on the beam axis.
+/// Range at which the echo of a point half way between two pings is 6 dB (3 dB each way) below that of a point on the beam axis.
 fn half_way_echo_m(
     spec: &echotank_config::spec::RigSpec,
     ping: &Heard,
@@ -98,7 +98,7 @@ fn half_way_echo_m(
     let (pose, c) = (&plan.nav.pose, plan.sound_speed_m_per_s);
     let period_s = ping.plan.ping_period_s;
     let mut level = |north_m: f64, range_m: f64| {
-        // Along the boresight, 30 degrees down to starboard.
+        // The point is along the boresight, 30 degrees down to starboard.
         let down = 30f64.to_radians();
         let at = pose.position_m + DVec3::new(north_m, range_m * down.cos(), range_m * down.sin());
         pipeline.compute_ping(plan, &pings::point(at), &mut output);

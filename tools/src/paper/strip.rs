@@ -1,4 +1,4 @@
-//! A strip of the bottom along the track: each cell shows what was received nearest to it.
+//! Image of a strip of the bottom along the track. Each cell shows the level that was received nearest to it.
 
 use crate::picture::Grid;
 
@@ -9,7 +9,7 @@ const TRACK_M: (f64, f64) = (0.0, 36.0);
 
 pub(super) struct Strip {
     pub(super) grid: Grid,
-    /// Along-track distance of what a cell shows, metres.
+    /// Along-track distance between each cell and the position of its level, metres.
     nearest_m: Vec<f64>,
 }
 
@@ -28,7 +28,8 @@ impl Strip {
         RANGE_M.0 + (x as f64 + 0.5) * CELL_M
     }
 
-    /// Shows a level in a column, up to `half_m` on both sides of `middle_m` along the track, where nothing nearer is.
+    /// Sets a level in a column, up to `half_m` on both sides of `middle_m` along the track, unless a nearer level is
+    /// present.
     pub(super) fn lay(&mut self, x: usize, middle_m: f64, half_m: f64, level: f32) {
         let first = ((TRACK_M.1 - middle_m - half_m) / CELL_M).max(0.0) as usize;
         for y in first..self.grid.height {

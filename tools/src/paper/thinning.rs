@@ -1,5 +1,5 @@
-//! Simplification levels of Meng et al. 2023, Figs. 12-16: effect of simplifying a seabed on the image, the mean level and the run time of
-//! a ping.
+//! Simplification levels of Meng et al. 2023, Figs. 12-16: effect of simplifying a seabed on the image, the mean level and the run
+//! time of a ping.
 
 pub(crate) mod measure;
 mod picture;
@@ -34,7 +34,7 @@ pub(super) struct Options {
     times: bool,
 }
 
-/// Draws the images of one scene and measures all: the original on top, then a row of simplifiers for each level.
+/// Draws the images of one scene and measures all levels. The original is on top, with a row of simplifiers for each level below.
 pub(super) fn figure(options: &Options, file: &Path) -> Result<Value, String> {
     let Options {
         pings,

@@ -1,4 +1,4 @@
-//! The benchmark of whole pings: its command, its errors and its JSON. Its times mean nothing beside other tests.
+//! Tests of the benchmark of whole pings: its command, its errors and its JSON. Other tests distort its times.
 
 use clap::Parser;
 

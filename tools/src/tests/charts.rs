@@ -1,4 +1,5 @@
-//! Measurements of `echotank chart` on a small random rig with automatic method selection.
+//! Tests of the measurements of `echotank chart` on a small random rig with automatic method
+//! selection.
 
 use echotank_runtime::chart::{ChartOptions, measure};
 

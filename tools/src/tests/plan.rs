@@ -1,4 +1,4 @@
-//! Method selection: transitions between models, predictions on random rigs, and independence of run time.
+//! Tests of method selection: transitions between models, predictions on random rigs, and independence of run time.
 
 mod parts;
 
@@ -32,7 +32,7 @@ const PULSE_S: f64 = 5e-3;
 const APERTURE_M: f64 = 0.2;
 const RANGE_M: f64 = 75.0;
 
-/// One point at 75 m, `angle_deg` from the track, before a transmitter and an element that are omnidirectional or, if `focused`, 0.2 m
+/// Rig with one point at 75 m, `angle_deg` from the track. Transmitter and element are omnidirectional or, if `focused`, 0.2 m
 /// long.
 fn rig(folder: &Path, angle_deg: f64, focused: bool, model: &str) -> RigSpec {
     let (sin, cos) = angle_deg.to_radians().sin_cos();
@@ -148,7 +148,7 @@ impl One {
     }
 }
 
-/// The limit of validity of `cheap`, by bisection in logarithms: it is valid at `holds`, and not at `fails`.
+/// Limit of validity of `cheap`, by bisection in logarithms. `cheap` is valid at `holds` and not at `fails`.
 fn crossing(holds: f64, fails: f64, cheap: impl Fn(f64) -> bool) -> f64 {
     assert!(cheap(holds) && !cheap(fails), "{holds} to {fails}");
     let (mut holds, mut fails) = (holds, fails);
@@ -188,9 +188,9 @@ fn samples_need_more_than_stop_and_hop_above_the_formulas_limit() {
     }
 }
 
-/// 2 pi f_c |d| T/sqrt(12) where an unstretched pulse lies on the middle of its echo. Here it lies on the leading edge, from which on its
-/// phase runs away: twice that. And a window may hold the last quarter of the echo alone: from a to 1 of the pulse the mean square of the phase is
-/// 1 + a + a^2 times that of all of it.
+/// 2 pi f_c |d| T/sqrt(12) if an unstretched pulse is centred on its echo. Here its leading edge is that of the echo, and the phase
+/// error grows from there, so the error is twice that. A window may hold only the last quarter of the echo. From a to 1 of the
+/// pulse, the mean square of the phase is 1 + a + a^2 times that of the whole pulse.
 #[test]
 fn samples_need_doppler_above_the_formulas_limit() {
     let model = "path = \"continuous\"\ndoppler = \"auto\"\nsynthesis = \"direct\"";
@@ -206,7 +206,7 @@ fn samples_need_doppler_above_the_formulas_limit() {
     }
 }
 
-/// v r/c of a quarter of a cell along the track; |d| f_c T/B of a tenth of a cell in range.
+/// v r/c of a quarter of a cell along the track, and |d| f_c T/B of a tenth of a cell in range.
 #[test]
 fn images_need_better_models_above_their_formulas_limits() {
     let model =
@@ -277,7 +277,7 @@ fn on_small_random_rigs_the_predicted_error_is_an_upper_bound() {
     }
 }
 
-/// Explicit floors: the prediction bounds the worst window too, and is at most ten times too high.
+/// For explicit floors, the prediction also bounds the worst window, and is at most ten times too high.
 #[test]
 fn the_error_of_a_fixed_floor_is_bounded_within_ten_times() {
     let costs = Costs::committed();
@@ -334,8 +334,8 @@ fn every_configurations_selection_meets_its_tolerance() {
                     chosen.cost_ms()
                 );
                 println!("{said}");
-                // Its line remains whole with the full tolerance, which its error checks meet: as close as 4 m no section of it is short
-                // enough for less.
+                // The line of the soak rig remains whole with the full tolerance, and its error checks meet it. At 4 m no section
+                // is short enough for a smaller tolerance.
                 let is_soak = file.ends_with("soak.toml");
                 assert!(ranking.is_within() != is_soak, "{said}");
                 if is_soak {
@@ -349,13 +349,13 @@ fn every_configurations_selection_meets_its_tolerance() {
     });
 }
 
-/// Writes a track of 28 s: the position along it, metres, of its seconds.
+/// Writes a track of 28 s. `north_m` gives the position along it, metres, at a time in seconds.
 fn at_speed(folder: &Path, north_m: impl Fn(f64) -> f64) {
     let track = rows(280, 0.1, |t_s| [north_m(t_s), 0.0, 5.0, 0.0, 0.0, 0.0]);
     std::fs::write(folder.join("track.csv"), track).expect("write");
 }
 
-/// Makes the first pings of the first sonar, and passes each on.
+/// Computes the first pings of the first sonar, and passes each on.
 fn each_ping(
     recorded: &mut RecordedRig,
     spec: &RigSpec,
@@ -371,7 +371,7 @@ fn each_ping(
     }
 }
 
-/// At rest, and moving from 4 s on: (ping number, selection) of every ping, and a checksum of its samples.
+/// (ping number, selection) of every ping of a platform that is at rest and moves from 4 s on, and a checksum of its samples.
 fn voyage(threads: usize) -> Vec<(u32, u32, u64)> {
     let folder = tempfile::tempdir().expect("folder");
     let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\ntolerance = 1e-2";
@@ -398,13 +398,13 @@ fn a_platform_that_starts_moving_changes_the_selection_at_a_reproducible_ping() 
     let plans: Vec<u32> = once.iter().map(|(_, plan, _)| *plan).collect();
     println!("{plans:?}");
     assert_eq!(plans[0], 1, "the first is made ahead of the first ping");
-    // 2 Hz: moving from ping 9 on, detected at about ping 12, in effect 4 s later.
+    // 2 Hz: the platform moves from ping 9, the motion is detected at about ping 12, and the selection takes effect 4 s later.
     let changed = plans.iter().position(|plan| *plan > 1).expect("a new plan");
     assert!((15..30).contains(&changed), "{plans:?}");
     assert_eq!(once, voyage(2));
 }
 
-/// The next costlier methods, from a later ping that depends only on the ping of the fault; counted.
+/// The next costlier methods are selected from a later ping that depends only on the ping of the fault. The fault is counted.
 #[test]
 fn a_failed_error_check_selects_costlier_methods() {
     let folder = tempfile::tempdir().expect("folder");
@@ -440,8 +440,8 @@ fn a_failed_error_check_selects_costlier_methods() {
     assert!(after.predicted_error <= 1e-2, "{marks:?}");
 }
 
-/// Without a receiver filter the engine cannot be made for the shortest of these pulses: selecting it for the present pulse would fail
-/// later.
+/// Without a receiver filter the engine cannot be designed for the shortest of these pulses. If it were selected for the current
+/// pulse, a later change would fail.
 #[test]
 fn an_engine_that_the_limits_exclude_is_never_selected() {
     let costs = Costs::committed();

@@ -1,5 +1,5 @@
-//! Limits of the methods, tested on both sides: no NaN, no panic, no error above its prediction, no selection inside a failing region. A
-//! short pulse and two elements; `tools/accuracy atlas` is the long form.
+//! Tests of the limits of the methods on both sides: no NaN, no panic, no error above its prediction, and no selection inside a
+//! failing region. They use a short pulse and two elements; `tools/accuracy atlas` is the long form.
 
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::scene::{ScatterLaw, Scatterers};
@@ -14,10 +14,10 @@ use crate::accuracy::atlas::regimes::{ALL, Regime};
 use crate::accuracy::atlas::small::place_error_m;
 use crate::accuracy::atlas::spot::{Base, Size};
 
-/// All columns of the tests of one regime, by their values.
+/// Columns of the tests of one sweep, by their values.
 struct Swept(&'static Regime, Vec<(f64, Column)>);
 
-/// Checks the conditions common to all regimes.
+/// Checks the conditions that are common to all sweeps.
 fn swept(bench: &mut Bench, name: &str) -> Swept {
     let found = ALL.iter().find(|regime| regime.name == name);
     let regime = found.unwrap_or_else(|| panic!("no regime {name}"));
@@ -65,7 +65,7 @@ impl Swept {
             .1
     }
 
-    /// No method gives a signal there.
+    /// Checks that no method gives a signal at this value.
     fn silent_at(&self, value: f64) {
         for (method, outcome) in self.at(value).named() {
             let quiet = matches!(
@@ -102,13 +102,13 @@ fn error(outcome: &Outcome) -> f64 {
     }
 }
 
-/// In one pool, with engines shared from regime to regime.
+/// Runs `work` in one thread pool, with engines shared by all sweeps.
 fn on_a_bench(whole_plans: bool, work: impl FnOnce(&mut Bench) + Send) {
     let pool = pool(1).expect("threads");
     pool.install(|| work(&mut Bench::new(whole_plans)));
 }
 
-/// Speed, range, grazing, endfire, ends of the window, grid positions, empty scenes, distant positions: one sonar.
+/// One sonar: speed, range, grazing, endfire, ends of the window, grid positions, empty scenes, distant positions.
 #[test]
 fn no_echo_position_gives_an_undetected_error() {
     on_a_bench(false, |bench| {

@@ -1,4 +1,4 @@
-//! The paper's simplification levels in short; `tools/paper 12` is the long form.
+//! Tests of the simplification levels of the paper; `tools/paper 12` is the long form.
 
 use crate::paper::thinning::measure::{Figures, Once, POINT_COUNTS, Simplifier, Thinning};
 
@@ -27,7 +27,8 @@ fn simplification_levels_match_the_paper_in_short() {
             paper.level_db < -20.0,
             "as printed it keeps the worthless: {paper:?}"
         );
-        // Selected once for the pass, the whole bottom is thinned, and without the weights the level falls.
+        // If the selection is made once for the pass, the whole bottom is thinned. Without the weights, the
+        // level falls.
         let once = row(points, Once::Pass, Simplifier::Unbiased);
         let falls = row(points, Once::Pass, Simplifier::Acoustic);
         assert!(

@@ -1,13 +1,13 @@
-//! Bottom detection through the whole pipeline: navigation, scene, echoes, elements, beams. `tools/accuracy soundings` is the long form, with a
-//! slope, a survey and a swell.
+//! Tests of bottom detection through the whole pipeline: navigation, scene, echoes, elements, beams. `tools/accuracy soundings` is
+//! the long form, with a slope, a survey and a swell.
 
 use crate::accuracy::soundings::measure::{Case, Soundings, agreement, measure, spec};
 
-/// A short line: beams of 2.4 degrees instead of 0.8.
+/// Number of elements of a short line: beams of 2.4 degrees instead of 0.8.
 const ELEMENTS: usize = 48;
 const BEAMS: usize = 41;
 
-/// Prints the soundings of a case: consecutive pings, `every_s` apart.
+/// Soundings of a case, printed: consecutive pings, `every_s` apart.
 fn soundings(case: Case, range_m: f64, pings: usize, every_s: f64) -> Soundings {
     let folder = tempfile::tempdir().expect("a folder");
     let mut spec = spec(case, folder.path(), ELEMENTS, BEAMS).expect("a rig");
@@ -17,8 +17,8 @@ fn soundings(case: Case, range_m: f64, pings: usize, every_s: f64) -> Soundings 
     found
 }
 
-/// In every 20 degrees nearly all beams detect the bottom, the mean error is at most 0.2 % of 50 m, and 95 % are within `allowed_m` of the
-/// depth.
+/// Checks the soundings. In every 20 degrees, nearly all beams detect the bottom, and the mean error is at most 0.2 % of 50 m. 95 %
+/// of the soundings are within `allowed_m` of the depth.
 fn within(found: &Soundings, allowed_m: fn(f64) -> f64) {
     let rows = found.rows(20.0);
     assert_eq!(rows.len(), 3, "0 to 60 degrees");
@@ -41,7 +41,7 @@ fn order_1a(depth_m: f64) -> f64 {
 
 #[test]
 fn soundings_lie_on_a_flat_bottom_within_one_percent_of_the_depth_at_every_angle() {
-    // 60 degrees reach the bottom, 46 m below, at 92 m.
+    // At 60 degrees, the bottom, 46 m below, is 92 m away.
     let found = soundings(Case::Flat, 95.0, 4, 2.0);
     within(&found, one_percent);
     let rows = found.rows(20.0);
@@ -52,14 +52,14 @@ fn soundings_lie_on_a_flat_bottom_within_one_percent_of_the_depth_at_every_angle
     );
 }
 
-/// The bottom slopes down to starboard by 10 degrees: the outermost beams have 25 degrees of grazing there, and 45 to port. The footprint
-/// of this short line spans more depth than on a level bottom.
+/// The bottom slopes down to starboard by 10 degrees. The outermost beams have 25 degrees of grazing there, and 45 to port. The
+/// footprint of this short line spans more depth than on a level bottom.
 #[test]
 fn soundings_lie_on_a_slope_within_order_1a_at_every_angle() {
     within(&soundings(Case::Slope, 120.0, 3, 2.0), order_1a);
 }
 
-/// The quickstart's survey, 375 m of it: soundings show its relief, which is too gentle to appear in echo strength.
+/// The survey of the quickstart, 375 m of it. Soundings show its relief, which is too gentle to appear in echo strength.
 #[test]
 fn soundings_lie_on_a_survey_and_show_its_relief() {
     let found = soundings(Case::Survey, 100.0, 6, 25.0);

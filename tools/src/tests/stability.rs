@@ -1,9 +1,9 @@
-//! Stored tables of errors, computed again: pass or fail, and two digits.
+//! Tests that recompute stored tables of errors: pass or fail, and two digits.
 
 use crate::accuracy::errors::table::{Case, METHODS, measure};
 use crate::accuracy::errors::{images, table};
 
-/// Compares every fourth of the last rows of a kept table; `tools/accuracy errors --keep` makes all.
+/// Compares every fourth of the last rows of a kept table; `tools/accuracy errors --keep` computes all rows.
 fn holds<C>(name: &str, heading: &str, cases: Vec<C>, row: impl Fn(C) -> String) {
     let kept = std::fs::read_to_string(crate::report::kept(name)).expect("a kept table");
     assert!(kept.contains(heading));
@@ -27,7 +27,7 @@ fn the_kept_tables_of_errors_still_hold() {
     holds("images.txt", &images::heading(), images::cases(), pictures);
 }
 
-/// The design's own figures: 5.144 m/s (10 knots), 250 m, 60 degrees from the track, closing.
+/// Case of the design document: 5.144 m/s (10 knots), 250 m, 60 degrees from the track, closing.
 #[test]
 fn eq_21_is_worse_than_no_motion_and_only_stretch_follows_the_samples() {
     let case = Case {
@@ -52,7 +52,7 @@ fn eq_21_is_worse_than_no_motion_and_only_stretch_follows_the_samples() {
     assert!(errors[3].1.1 < 3e-3 && errors[4].1.1 < 1e-5, "{errors:?}");
 }
 
-/// 2.572 m/s (5 knots), 75 m: two tolerances, two numbers.
+/// 2.572 m/s (5 knots), 75 m: samples and images have different tolerances and errors.
 #[test]
 fn images_tolerate_errors_that_samples_do_not_as_predicted() {
     let found = images::measure(2.572, 75.0);
@@ -65,7 +65,8 @@ fn images_tolerate_errors_that_samples_do_not_as_predicted() {
     assert!(near(none.ahead_m, 0.05), "{:?}", none.ahead_m);
     let stretched = [stretch.along_m.1, stretch.edge_m.1, stretch.ahead_m.1];
     assert!(stretched.iter().all(|m| m.abs() < 1e-3), "{stretched:?}");
-    // Without Doppler the image passes by prediction and measurement, while the samples hardly correlate with the truth.
+    // Without Doppler the image passes by prediction and measurement, while the samples hardly correlate with the
+    // reference.
     assert_eq!(none.passes(75.0), (true, true));
     assert!(none.element_error > 0.1, "{}", none.element_error);
 }

@@ -1,5 +1,5 @@
-//! Tolerances in short: every method that answers meets the requested tolerance in every window, with noise 55 dB below the strongest.
-//! `tools/accuracy sweep` is the long form.
+//! Tests of tolerances. Every method that answers meets the requested tolerance in every window, with noise 55 dB below the
+//! strongest. `tools/accuracy sweep` is the long form.
 
 use crate::accuracy::sweep::case::{self, Case, MOTIONS, SCENES};
 use crate::accuracy::sweep::measure::{self, Truth, worst_window};
@@ -8,10 +8,10 @@ use crate::accuracy::sweep::table::{Row, TOLERANCES};
 use echotank_core::model::Synthesis;
 use num_complex::Complex64;
 
-/// Echoes of a case: a few per window, so that it takes seconds.
+/// Number of echoes of a case: a few per window, so that a test takes seconds.
 const SCATTERERS: usize = 30;
 
-/// The first element of few, both ends of a line.
+/// Sweep over the first element of a few, or both ends of a line.
 fn sweep(scene: usize, motion: usize) -> (usize, Vec<String>) {
     let mut case = SCENES[scene].case(&MOTIONS[motion], SCATTERERS);
     case.looked_at = match case.rx.elements {
@@ -46,7 +46,7 @@ fn sweep(scene: usize, motion: usize) -> (usize, Vec<String>) {
 fn a_sonar_at_rest_meets_its_tolerance() {
     let (answers, broken) = sweep(1, 0);
     assert!(broken.is_empty(), "{broken:#?}");
-    // direct to 1e-4, spectral to 1e-5, gridded-1d to 1e-8.
+    // direct answers to 1e-4, spectral to 1e-5, gridded-1d to 1e-8.
     assert!(answers >= 4 + 5 + 8, "{answers}");
 }
 
@@ -57,7 +57,7 @@ fn a_moving_line_meets_its_tolerance() {
     assert!(answers >= 4 + 1 + 3, "{answers}");
 }
 
-/// Checks every answer of a method, in noise and beside its echoes; returns their number.
+/// Checks every answer of a method, in noise and beside its echoes. Returns the number of answers.
 fn held(method: Method, case: &Case, truth: &Truth, tolerances: &[f64]) -> usize {
     let cells = Row::of(method, case, truth, tolerances).cells;
     for cell in &cells {

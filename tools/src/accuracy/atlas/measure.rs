@@ -1,4 +1,4 @@
-//! Measures every method and the automatic method selection at one spot, against the retarded-time sum.
+//! Measures all methods and the automatic method selection for one case, against the retarded-time sum.
 
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -20,7 +20,7 @@ use serde::Serialize;
 
 use super::spot::Spot;
 
-/// Synthesis methods, in the order of the figures' panels.
+/// Synthesis methods, in the order of the panels of the figures.
 pub(crate) const SUMS: [Synthesis; 6] = [
     Synthesis::Direct,
     Synthesis::Gridded1d,
@@ -29,7 +29,7 @@ pub(crate) const SUMS: [Synthesis; 6] = [
     Synthesis::Nearest,
     Synthesis::Linear,
 ];
-/// Doppler models, the rows of a panel; those that every synthesis supports come first.
+/// Doppler models, in the order of the rows of a panel. Models that every synthesis supports are first.
 pub(crate) const DOPPLERS: [DopplerModel; 4] = [
     DopplerModel::None,
     DopplerModel::PaperEq21,
@@ -37,7 +37,7 @@ pub(crate) const DOPPLERS: [DopplerModel; 4] = [
     DopplerModel::StretchQuadratic,
 ];
 
-/// Result of one method at a spot.
+/// Result of one method for a case.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) enum Outcome {
     /// The synthesis does not support this Doppler model.
@@ -47,13 +47,15 @@ pub(crate) enum Outcome {
     /// No echo is expected and none was synthesised.
     Silence,
     Answer {
-        /// Largest windowed error of any element, relative to the window or the element's whole ping, whichever is stronger.
+        /// Largest windowed error of any element, relative to the level of the window or of the element's whole ping, whichever
+        /// is higher.
         error: f64,
         /// Upper bound predicted by the error models.
         said: f64,
-        /// The error models predict that the tolerance is met (for an engine made to the tolerance: that they leave it a share).
+        /// True if the error models predict that the tolerance is met. For an engine with a tolerance: that they leave a share
+        /// for the engine.
         claims: bool,
-        /// Echoes that the ping counted as outside the limits of its method.
+        /// Number of echoes that the ping counted as outside the limits of its method.
         counted: u64,
     },
     /// A sample is NaN or infinite.
@@ -62,7 +64,7 @@ pub(crate) enum Outcome {
 }
 
 impl Outcome {
-    /// Whether the error exceeds `tolerance` although the models predict otherwise and nothing was counted.
+    /// Whether the error exceeds `tolerance` although the models predict otherwise and no echo was counted.
     pub(crate) fn is_silently_wrong(&self, tolerance: f64) -> bool {
         match *self {
             Self::Answer {
@@ -85,14 +87,14 @@ impl Outcome {
     }
 }
 
-/// The automatic selection and its result.
+/// Automatic selection and its result.
 #[derive(Clone, Debug)]
 pub(crate) struct Planned {
     pub(crate) path: PathModel,
     pub(crate) doppler: DopplerModel,
     pub(crate) synthesis: Synthesis,
     pub(crate) text: String,
-    /// The selection reports that no method meets the tolerance.
+    /// True if the selection reports that no method meets the tolerance.
     pub(crate) out_of_reach: bool,
     pub(crate) outcome: Outcome,
 }
@@ -101,7 +103,7 @@ pub(crate) struct Planned {
 pub(crate) struct Column {
     /// Ordered by [`SUMS`], [`DOPPLERS`] and [`PathModel::ALL`].
     pub(crate) cells: Vec<Outcome>,
-    /// None if no ping was made or no method could be selected.
+    /// `None` if no ping was computed or no method could be selected.
     pub(crate) plan: Option<Planned>,
     pub(crate) tolerance: f64,
 }
@@ -130,9 +132,9 @@ impl Column {
     }
 }
 
-/// Pipelines, reused from spot to spot while the sonar stays the same.
+/// Pipelines of one sonar, reused for cases with the same sonar.
 pub(crate) struct Bench {
-    /// Whether the selection chooses the synthesis too. Predicting engines takes most of a column's time.
+    /// True if the selection also chooses the synthesis. The prediction of engines takes most of the time of a column.
     whole_plans: bool,
     made: HashMap<(&'static str, &'static str), (String, SonarPipeline)>,
     costs: Option<Costs>,
@@ -147,7 +149,7 @@ impl Bench {
         }
     }
 
-    /// Call inside one thread pool.
+    /// Measures one column. Call inside one thread pool.
     pub(crate) fn column(&mut self, spot: &Spot) -> Column {
         let tolerance = spot.spec.synthesis.tolerance;
         if let Some(why) = &spot.refused {
@@ -291,7 +293,7 @@ impl Bench {
         })
     }
 
-    /// The ping and the number of echoes outside its method's limits, or why no ping was made.
+    /// The ping and the number of echoes outside the limits of its method, or the reason why no ping was computed.
     fn run(
         &mut self,
         spec: &SonarSpec,
@@ -302,7 +304,7 @@ impl Bench {
         let mut plan = plan.clone();
         plan.model = spec.model;
         let key = (spec.model.synthesis.name(), spec.model.doppler.name());
-        // Path, segments and floor belong to the ping, the rest to the pipeline.
+        // Path, segments and floor are parameters of the ping. The other parameters belong to the pipeline.
         let mut common = spec.clone();
         common.model.path = PathModel::KSegment;
         common.model.cull_db = None;
@@ -362,7 +364,7 @@ fn words(panic: Box<dyn std::any::Any + Send>) -> String {
         .unwrap_or_else(|| "no words".into())
 }
 
-/// Predictions of the stages at a spot.
+/// Error models of the stages for a case.
 struct ErrorModels {
     conditions: Conditions,
     culling: f64,
@@ -371,7 +373,7 @@ struct ErrorModels {
 impl ErrorModels {
     fn of(spot: &Spot, plan: &PingPlan, scatterers: &Scatterers) -> Self {
         let conditions = conditions(&spot.spec, plan, scatterers);
-        // Error of pattern culling, as the selection predicts it for a sonar whose methods are all fixed.
+        // Error of pattern culling, as the selection predicts it for a sonar with fixed methods.
         let culling = match spot.spec.model.cull_db {
             None => 0.0,
             Some(_) => {
@@ -411,7 +413,7 @@ impl ErrorModels {
             + doppler_error_model(doppler, path, &conditions).error
             + self.culling
             + match synthesis.keeps_tolerance() {
-                // The engine is made to the tolerance and never exceeds it by itself.
+                // The engine is designed for the tolerance and does not exceed it on its own.
                 true => conditions.tolerance,
                 false => sum_error_model(synthesis, &spot.spec, plan, &conditions).error,
             }

@@ -1,4 +1,4 @@
-//! The page that shows the figures.
+//! Page that shows the figures.
 
 use std::fmt::Write;
 

@@ -4,16 +4,16 @@ use std::fmt::Write;
 
 use echotank_drawing::{Anchor, GREY, INK, Svg, escaped};
 
-/// One square of a map.
+/// One cell of a map.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Mark {
-    /// The method does not exist in this row.
+    /// The row does not have this method.
     Blank,
     Refused,
     Silence,
     /// NaN, infinity or a panic.
     Shout,
-    /// log10 of error over tolerance, and the text in the square.
+    /// log10 of the error over the tolerance, and the text of the cell.
     Ratio {
         log10: f64,
         sign: Sign,
@@ -23,9 +23,9 @@ pub(crate) enum Mark {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sign {
     None,
-    /// Wrong without any warning.
+    /// Wrong result without a warning.
     Silent,
-    /// Some echoes were counted as outside the method's limits.
+    /// Some echoes were counted as outside the limits of the method.
     Counted,
 }
 
@@ -33,7 +33,7 @@ pub(crate) struct Panel {
     pub(crate) title: String,
     /// Marks by row, then column.
     pub(crate) marks: Vec<Vec<Mark>>,
-    /// (column, row) of the selected methods.
+    /// Cells of the selected methods, (column, row).
     pub(crate) rings: Vec<(usize, usize)>,
 }
 
@@ -42,13 +42,13 @@ pub(crate) struct Map {
     pub(crate) about: String,
     pub(crate) axis: String,
     pub(crate) columns: Vec<String>,
-    /// Names of the rows, and the rows that a gap follows.
+    /// Names of the rows, and indices of the rows before a gap.
     pub(crate) rows: Vec<String>,
     pub(crate) gaps: Vec<usize>,
     /// A highlighted row.
     pub(crate) framed: Vec<(usize, usize, String)>,
     pub(crate) panels: Vec<Panel>,
-    /// Result of the selection in each column, and its choices as text.
+    /// Result of the selection in each column, with its choices as text.
     pub(crate) plan: Option<(Vec<Mark>, Vec<String>)>,
 }
 
@@ -57,14 +57,14 @@ const GAP: f64 = 6.0;
 const LEFT: f64 = 208.0;
 const TOP: f64 = 104.0;
 const PANEL_GAP: f64 = 16.0;
-/// Largest width of the columns of all panels together.
+/// Maximum total width of the columns of all panels.
 const WIDEST: f64 = 14.0;
 const PANELS_WIDTH: f64 = 1180.0;
-/// Ends of the colour scale, decades from the tolerance.
+/// Limits of the colour scale, decades from the tolerance.
 const ENDS: f64 = 4.0;
 
-/// Blue below the tolerance, orange and brown above. The shades differ for any colour vision and in greyscale, palest at the tolerance
-/// (ColorBrewer's PuOr and Blues, Brewer 2003).
+/// Colour of a ratio: blue below the tolerance, orange and brown above. The shades differ for all types of colour vision and in
+/// greyscale, and are palest at the tolerance (ColorBrewer's PuOr and Blues, Brewer 2003).
 fn colour(log10: f64) -> String {
     const WITHIN: [[f64; 3]; 3] = [
         [222.0, 235.0, 247.0],

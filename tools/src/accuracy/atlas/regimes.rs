@@ -1,4 +1,4 @@
-//! The sweeps and the text of their page.
+//! Sweeps of one quantity each, and the text of their page.
 
 use echotank_core::arrays::Pattern;
 use echotank_core::navigation::NavQuantity;
@@ -7,10 +7,10 @@ use glam::DVec3;
 
 use super::spot::{Base, DOWN_M, Said, Spot, place, scatter};
 
-/// 5 knots.
+/// Speed of 5 knots.
 const CRUISE_M_PER_S: f64 = 2.572;
 
-/// One map.
+/// One sweep, shown as one map.
 pub(crate) struct Regime {
     /// File name of the figure.
     pub(crate) name: &'static str,
@@ -22,20 +22,20 @@ pub(crate) struct Regime {
     #[cfg_attr(not(test), expect(dead_code, reason = "the columns of the short form"))]
     pub(crate) few: &'static [f64],
     pub(crate) spot: fn(&Base, f64) -> Spot,
-    /// One sentence below the figure.
+    /// Sentence below the figure.
     pub(crate) says: &'static str,
-    /// Behaviour of the paper's formula.
+    /// Behaviour of the formula of the paper.
     pub(crate) paper: &'static str,
     pub(crate) ours: &'static str,
 }
 
 impl Regime {
-    /// Whether the error lies in the navigation itself, which no method can detect.
+    /// Whether the error is in the navigation itself, which no method can detect.
     pub(crate) fn is_blind(&self) -> bool {
         self.name.starts_with("navigation")
     }
 
-    /// A column's label.
+    /// Label of a column.
     pub(crate) fn label(&self, value: f64) -> String {
         if self.name == "navigation-faults" {
             return FAULTS[value as usize].to_owned();
@@ -49,7 +49,7 @@ impl Regime {
     }
 }
 
-/// Value that stands for no culling.
+/// Value that means no culling.
 const NO_FLOOR: f64 = -999.0;
 
 const FAULTS: [&str; 9] = [
@@ -181,7 +181,7 @@ pub(crate) const ALL: [Regime; 20] = [
             let edge_s = window_s - pulses * spot.spec.pulse.duration_s;
             let far_m = 0.5 * super::spot::C * edge_s;
             spot.scatterers = scatter(&[place(30.0, 90.0, 0.0), place(far_m, 90.0, 0.0)]);
-            // The echo at the window's end has the same strength as the other.
+            // The echo at the end of the window has the same strength as the other echo.
             spot
         },
         says: "An echo at the end of the window is truncated and does not wrap around. Every method that keeps the\n\
@@ -299,7 +299,7 @@ pub(crate) const ALL: [Regime; 20] = [
             let spot = base.under_way(CRUISE_M_PER_S);
             let spoil = |k: usize, valid_s: f64, said: &mut Vec<Said>| match which as usize {
                 1 if k % 2 == 1 => said.iter_mut().for_each(|s| s.valid_s -= 0.1),
-                // Late messages, overtaken by newer ones.
+                // Late messages that arrive after newer ones.
                 2 if k % 3 == 2 => {
                     for s in said.iter_mut() {
                         s.valid_s -= 0.15;
@@ -446,7 +446,7 @@ pub(crate) const ALL: [Regime; 20] = [
             spot.spec.transmit[0].pattern = pattern;
             spot.spec.receive[0].element_pattern = pattern;
             spot.spec.model.cull_db = (floor_db != NO_FLOOR).then_some(floor_db);
-            // A swath of flat bottom, a few degrees of it inside the beam.
+            // A swath of flat bottom, a few degrees of which are inside the beam.
             let points: Vec<DVec3> = (0..48)
                 .map(|k| place(30.0 + 0.2 * f64::from(k % 12), 66.5 + f64::from(k), 12.0))
                 .collect();

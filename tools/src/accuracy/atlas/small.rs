@@ -1,4 +1,5 @@
-//! Maps of effects outside synthesis: simplification of surfaces without curvature, and positions near the limits of longitude.
+//! Maps of effects outside the synthesis: simplification of surfaces without curvature, and positions near the limits of
+//! longitude.
 
 use echotank_core::geodesy::LocalTangentPlane;
 use echotank_core::scene::{ScatterLaw, Scatterers};
@@ -15,7 +16,7 @@ const LEVEL_DB: f64 = 0.5;
 /// Allowed position error after a round trip, metres.
 const PLACE_M: f64 = 1e-3;
 
-/// Name, map and sentence of each.
+/// Name, map and sentence of each map.
 pub(crate) fn maps() -> Vec<(&'static str, Map, &'static str)> {
     vec![
         ("curvature", curvature(), CURVATURE_SAYS),
@@ -100,7 +101,7 @@ fn curvature() -> Map {
             "rough",
             patch(|n, e| 10.0 + 0.1 * (7.0 * n).sin() * (5.0 * e).cos()),
         ),
-        // The first row hides everything behind it.
+        // The first row hides all others.
         (
             "behind a wall",
             patch(|_, e| if e < -4.9 { -30.0 } else { 10.0 }),
@@ -139,7 +140,7 @@ fn curvature() -> Map {
     }
 }
 
-/// NaN energies are marked.
+/// Mark of the level error of a method. NaN energies are marked.
 fn level(ground: &Ground, method: Option<Method>) -> Mark {
     let Ground {
         scatterers,
@@ -205,7 +206,7 @@ fn level(ground: &Ground, method: Option<Method>) -> Mark {
     )
 }
 
-/// Largest error of a round trip of points 1 km away through latitude and longitude, metres; not a number if one is.
+/// Largest error of a round trip of points 1 km away through latitude and longitude, metres. NaN if an error is NaN.
 pub(crate) fn place_error_m(latitude_deg: f64, longitude_deg: f64) -> f64 {
     let plane = LocalTangentPlane::new(latitude_deg.to_radians(), longitude_deg.to_radians());
     let error_m = |k: i32| {

@@ -1,4 +1,4 @@
-//! One sonar in one motion over a few points, with the parameters that a regime changes.
+//! Case of one sonar in one motion over a few points, with the parameters that a sweep changes.
 
 use echotank_config::spec::{NavInputSpec, NavMode, RigSpec, SonarSpec};
 use echotank_core::frames::{Trajectory, VectorKnot, rotation_from_angles};
@@ -25,7 +25,7 @@ const NAV_AFTER_S: f64 = 8.0;
 /// Interval of the knots of an exactly known motion, seconds.
 const KNOT_S: f64 = 0.01;
 
-/// Base case: the paper's pulse and a short line array.
+/// Base case: the pulse of the paper and a short line array.
 #[derive(Clone)]
 pub(crate) struct Base {
     pub(crate) rig: RigSpec,
@@ -40,13 +40,13 @@ pub(crate) struct Size {
 }
 
 impl Size {
-    /// The paper's pulse: 400 kHz, 30 kHz, 5 ms.
+    /// Pulse of the paper: 400 kHz, 30 kHz, 5 ms.
     pub(crate) const PAPER: Self = Self {
         elements: 8,
         duration_ms: 5.0,
         bandwidth_khz: 30.0,
     };
-    /// For tests that run in seconds.
+    /// Size for tests that run in seconds.
     pub(crate) const SMALL: Self = Self {
         elements: 2,
         duration_ms: 0.5,
@@ -125,7 +125,7 @@ tolerance = 1e-3
         write("points.csv", "north_m,east_m,down_m,amplitude\n0,30,10,1\n");
         let mut rig = echotank_runtime::config_files::parse(&text, folder.path())
             .unwrap_or_else(|why| panic!("{why}\n{text}"));
-        // The sample rate of a motion sensor; recorded tracks may be slower.
+        // Sample rate of a motion sensor. Recorded tracks may have a lower rate.
         rig.nav.sources[0].input = NavInputSpec::Log {
             path: "sensor.log".into(),
             plain_rate_hz: 10.0,
@@ -137,7 +137,7 @@ tolerance = 1e-3
         C / self.rig.sonars[0].pulse.center_frequency_hz
     }
 
-    /// At rest at the origin, 5 m deep, with five points 30 m to 40 m to starboard.
+    /// Case at rest at the origin, 5 m deep, with five points 30 m to 40 m to starboard.
     pub(crate) fn spot(&self) -> Spot {
         let mut points = Vec::new();
         for k in 0..5 {
@@ -156,7 +156,7 @@ tolerance = 1e-3
         }
     }
 
-    /// The same, moving.
+    /// As [`Self::spot`], moving.
     pub(crate) fn under_way(&self, speed_m_per_s: f64) -> Spot {
         let mut spot = self.spot();
         spot.motion.velocity_m_per_s = DVec3::X * speed_m_per_s;
@@ -164,7 +164,7 @@ tolerance = 1e-3
     }
 }
 
-/// A position by distance, azimuth from the track and depth below the platform.
+/// Position from the distance, the azimuth from the track, and the depth below the platform.
 pub(crate) fn place(range_m: f64, azimuth_deg: f64, below_m: f64) -> DVec3 {
     let ground_m = (range_m * range_m - below_m * below_m).max(0.0).sqrt();
     let (sin, cos) = azimuth_deg.to_radians().sin_cos();
@@ -183,7 +183,7 @@ pub(crate) fn scatter(places: &[DVec3]) -> Scatterers {
     scatterers
 }
 
-/// The true motion of the platform: uniform, with swell, at a constant turn rate.
+/// True motion of the platform: uniform, with swell, at a constant turn rate.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Motion {
     pub(crate) velocity_m_per_s: DVec3,
@@ -196,7 +196,7 @@ pub(crate) struct Motion {
     pub(crate) yaw_deg_per_s: f64,
 }
 
-/// Period of the swell, seconds; the pulse leaves within it.
+/// Period of the swell, seconds. The pulse is transmitted within it.
 const SWELL_S: f64 = 6.0;
 const ROLL_S: f64 = 5.0;
 
@@ -221,7 +221,7 @@ impl Motion {
         (place_m, angles.map(f64::to_radians))
     }
 
-    /// The exact motion, as closely spaced knots.
+    /// The exact motion as closely spaced knots.
     pub(crate) fn trajectory(&self, until_s: f64) -> Trajectory {
         let turned = |t: f64| {
             let (_, [roll, pitch, heading]) = self.at(t);
@@ -249,24 +249,25 @@ pub(crate) struct Spot {
     pub(crate) spec: SonarSpec,
     rig: RigSpec,
     pub(crate) motion: Motion,
-    /// Motion derived from navigation; none if the exact motion is used.
+    /// Motion derived from navigation; `None` if the exact motion is used.
     pub(crate) heard: Option<Trajectory>,
     pub(crate) scatterers: Scatterers,
     pub(crate) first_sample_s: f64,
-    /// Position in world coordinates as the methods get it; the truth stays at the origin.
+    /// World coordinates offset that the methods get. The reference stays at the origin.
     pub(crate) offset_m: DVec3,
-    /// Why no ping is made, if none is.
+    /// Reason why no ping is computed; `None` if a ping is computed.
     pub(crate) refused: Option<String>,
 }
 
-/// One navigation message: seconds from the pulse of its validity and of its arrival, and its content.
+/// One navigation message: seconds from the pulse to its validity and to its arrival, and its content.
 pub(crate) struct Said {
     pub(crate) valid_s: f64,
     pub(crate) quantity: NavQuantity,
 }
 
 impl Spot {
-    /// Samples the motion every `interval_s`, lets `spoil` change the messages, and feeds them to the program's navigation.
+    /// Samples the motion every `interval_s`, lets `spoil` change the messages, and passes them to the navigation of the
+    /// program.
     pub(crate) fn through_navigation(
         mut self,
         interval_s: f64,
@@ -351,7 +352,7 @@ impl Spot {
         (self.plan(), self.scatterers.clone())
     }
 
-    /// The ping as the methods get it.
+    /// The ping and its scatterers that the methods get.
     pub(crate) fn asked(&self) -> (PingPlan, Scatterers) {
         let mut plan = self.plan();
         if let Some(heard) = &self.heard {

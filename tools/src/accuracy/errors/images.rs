@@ -1,10 +1,13 @@
-//! Table of the image errors of path and Doppler models, beside their sample errors: one point, side-scan lines, over speed and range.
+//! Table of the image errors of path and Doppler models and of their sample errors: one point, side-scan lines, over speed and
+//! range.
 //!
-//! Samples and images have separate tolerances. An image may be displaced by a quarter of its cell along the track and by a tenth of a cell
-//! in range. Ignoring motion displaces it along the track by v r / c; ignoring Doppler displaces it in range by |d| f_c T / B. The
-//! measurement forms lines of a sonar with equal transmit and receive apertures that passes the point. Each line is the sum of its
-//! elements, compressed with the echo of a sonar at rest. The strongest line, found with a parabola, gives the position along the track;
-//! the peak of the compressed line gives the range.
+//! Samples and images have separate tolerances. An image may be displaced by a quarter of its cell along the track and by a tenth
+//! of a cell in range. Stop-and-hop displaces the image along the track by v r / c. A model without Doppler displaces it in range
+//! by |d| f_c T / B.
+//!
+//! The measurement forms the lines of a sonar with equal transmit and receive apertures that passes the point. Each line is the sum
+//! of its elements, compressed with the echo of a sonar at rest. The strongest line, found with a parabola, gives the position
+//! along the track. The peak of the compressed line gives the range.
 
 use echotank_core::arrays::{ArrayGeometry, Pattern, TransmitArray};
 use echotank_core::model::{DopplerModel, PathModel};
@@ -22,23 +25,23 @@ use super::table::{self, C, Case, METHODS, Method, TOLERANCE};
 const APERTURE_M: f64 = 0.2;
 /// Number of receivers; the transmitter suppresses their grating lobes.
 const ELEMENTS: usize = 8;
-/// Sample rate of the lines, Hz: several samples per range cell, so that a parabola finds the peak to hundredths of a cell.
+/// Sample rate of the lines, Hz. With several samples per range cell, a parabola finds the peak to hundredths of a cell.
 const RATE_HZ: f64 = 160e3;
 /// Searched interval of a compressed line around the range of a sonar at rest, samples.
 const REACH: i64 = 260;
 const MARGIN_S: f64 = 2e-3;
-/// Lines about the point, and lines per cell.
+/// Number of lines around the point. The next constant is the number of lines per cell.
 const LINES: i64 = 6;
 const LINES_PER_CELL: f64 = 5.0;
-/// Angles from the track, degrees, where the range bias is measured: the half-power edge of the receive beam, which a side-scan sees, and a
-/// forward-squinted beam.
+/// Angles from the track at which the range bias is measured, degrees: the half-power edge of the receive beam of a side-scan
+/// sonar, and a beam squinted forward.
 const EDGE_DEG: f64 = 89.524;
 const AHEAD_DEG: f64 = 60.0;
 const BANDWIDTH_HZ: f64 = 30e3;
 const DURATION_S: f64 = 5e-3;
 const CARRIER_HZ: f64 = 400e3;
 
-/// Compared models: those of [`METHODS`] suited to images.
+/// Compared models: those of [`METHODS`] that suit images.
 pub(crate) fn methods() -> &'static [Method] {
     &METHODS[1..4]
 }
@@ -58,8 +61,8 @@ pub(crate) fn along_cell_m(range_m: f64) -> f64 {
 /// Range resolution, metres.
 pub(crate) const RANGE_CELL_M: f64 = 0.5 * C / BANDWIDTH_HZ;
 
-/// Displacements, metres, as predicted and as measured: along the track, in range at the beam's edge and ahead; and the sample error of an
-/// element at the edge.
+/// Displacements as predicted and as measured, metres: along the track, in range at the beam's edge, and in range ahead. The last
+/// value is the sample error of an element at the edge.
 #[derive(Serialize)]
 pub(crate) struct Image {
     pub(crate) along_m: (f64, f64),
@@ -99,7 +102,7 @@ fn sonar() -> (TransmitArray, ArrayGeometry) {
     (tx, rx)
 }
 
-/// Samples of one element from `first_s` on; without a `method`, the reference.
+/// Samples of one element from `first_s`. Without a `method`, the samples of the reference.
 fn record(
     method: Option<&Method>,
     plan: &PingPlan,
@@ -133,7 +136,7 @@ fn record(
     out
 }
 
-/// Vertex of the parabola through a value and its neighbours, in steps from it.
+/// Vertex of the parabola through a value and its neighbours, in steps from the value.
 fn summit(values: [f64; 3]) -> f64 {
     let [a, b, c] = values;
     0.5 * (a - c) / (a - 2.0 * b + c)
@@ -210,7 +213,7 @@ fn range_m(method: Option<&Method>, case: Case) -> f64 {
 /// Range bias of `method` at an angle, metres: predicted and measured.
 fn range_bias_m(method: &Method, case: Case) -> (f64, f64) {
     let closing_m_per_s = case.speed_m_per_s * case.angle_deg.to_radians().cos();
-    // Ignoring motion during the ping ignores its radial part; the Doppler shift of the compressed pulse adds to it.
+    // Stop-and-hop ignores the radial motion during the ping. The Doppler shift of the compressed pulse adds to its error.
     let hops = method.path == PathModel::StopAndHop;
     let hop_m = if hops {
         closing_m_per_s * case.range_m / C
@@ -227,7 +230,7 @@ fn range_bias_m(method: &Method, case: Case) -> (f64, f64) {
     )
 }
 
-/// The table's values at one speed and range, by method.
+/// Values of the table at one speed and range, by method.
 pub(crate) fn measure(speed_m_per_s: f64, range_m: f64) -> Vec<Image> {
     let at = |angle_deg| Case {
         speed_m_per_s,
@@ -269,13 +272,14 @@ pub(crate) fn heading() -> String {
     text
 }
 
-/// One line: for each method predicted and measured displacements, whether the image passes by either, and the sample error.
+/// One line of the table: for each method, predicted and measured displacements, whether the image passes by either, and the sample
+/// error.
 pub(crate) fn row((speed_m_per_s, range_m): (f64, f64), measured: &[Image]) -> String {
     let mut line = format!(
         "{range_m:>5} {speed_m_per_s:>6} {:>6.3}",
         along_cell_m(range_m)
     );
-    // Displacements below half a millimetre are shown as 0, without a sign, as the prediction has none.
+    // Displacements below half a millimetre are shown as 0 without a sign, because the prediction has none.
     let pair = |(a, b): (f64, f64)| format!("{:.3} {:.3}", a.abs(), b.abs());
     for image in measured {
         let verdict = |pass: bool| if pass { "pass" } else { "fail" };

@@ -1,4 +1,4 @@
-//! Table of the errors of path and Doppler models: one point, one element, over speed and angle.
+//! Table of the errors of path and Doppler models: one point and one element, over speed and angle.
 
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
@@ -17,10 +17,10 @@ use serde::Serialize;
 pub(crate) const C: f64 = 1500.0;
 /// Sample rate, Hz: more than twice the band, so that both a chirp and its shifted copy are sampled fully.
 const RATE_HZ: f64 = 80e3;
-/// Largest element-level error that passes.
+/// Maximum element-level error that passes.
 pub(crate) const TOLERANCE: f64 = 1e-3;
 
-/// Smaller errors are treated as equal.
+/// Error below which errors are treated as equal.
 const ROUNDING: f64 = 1e-9;
 
 pub(crate) struct Method {
@@ -29,7 +29,7 @@ pub(crate) struct Method {
     pub(crate) doppler: DopplerModel,
 }
 
-/// Compared models; the reference is the truth.
+/// Compared models, relative to the reference.
 pub(crate) const METHODS: [Method; 5] = [
     method("paper-eq21", PathModel::Polyline, DopplerModel::PaperEq21),
     method("stop-and-hop", PathModel::StopAndHop, DopplerModel::None),
@@ -87,7 +87,8 @@ pub(crate) fn heading() -> String {
     lines
 }
 
-/// One line: for each method the range error of the echo, the relative error of its samples, and whether that passes.
+/// One line of the table: for each method, the range error of the echo, the relative error of its samples, and whether it
+/// passes.
 pub(crate) fn row(case: Case, measured: &[(f64, f64)]) -> String {
     let mut line = format!(
         "{:>5} {:>6} {:>5}",
@@ -101,7 +102,7 @@ pub(crate) fn row(case: Case, measured: &[(f64, f64)]) -> String {
         } else {
             range_error_m
         };
-        // The remainder is rounding of delays.
+        // The remaining error is rounding of delays.
         let error = if error < ROUNDING {
             format!("<{ROUNDING:.0e}")
         } else {
@@ -139,7 +140,7 @@ pub(crate) fn sonar() -> (TransmitArray, ArrayGeometry) {
     (rig::transmitter(DVec3::ZERO), rig::element(DVec3::ZERO))
 }
 
-/// Keeps the leading edge of the last echo.
+/// Sink that keeps the leading edge of the last echo.
 struct LeadingEdge(f64);
 
 impl ArrivalSink for LeadingEdge {
@@ -159,7 +160,7 @@ fn leading_s(plan: &PingPlan, scatterers: &Scatterers) -> f64 {
     edge.0
 }
 
-/// 400 kHz, 30 kHz, 5 ms (the paper's pulse, with tapers of a twentieth at each end), straight ahead along x.
+/// Plan with the pulse of the paper (400 kHz, 30 kHz, 5 ms, with tapers of a twentieth at each end), straight ahead along x.
 pub(crate) fn plan(case: Case) -> PingPlan {
     let velocity_m_per_s = DVec3::X * case.speed_m_per_s;
     PingPlan {

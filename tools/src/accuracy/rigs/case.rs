@@ -1,4 +1,4 @@
-//! One random rig per seed: sonar, scene, motion and tolerance, as a configuration with its files.
+//! Random rig for a seed: sonar, scene, motion and tolerance, as a configuration with its files.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -31,7 +31,7 @@ fn write(chance: &mut Chance, folder: &Path, small: bool) -> (String, String) {
         chance.between(0.05, 0.6)
     };
     let filtered = !chance.one_in(4);
-    // 1.25 (max(B, 4/T) + 2 f_d) at the greatest platform speed, plus a margin.
+    // 1.25 (max(B, 4/T) + 2 f_d) at the maximum platform speed, plus a margin.
     let doppler_khz = 2.0 * 10.0 / c * (carrier_khz + 0.5 * bandwidth_khz);
     let band_khz = if cw { 0.0 } else { bandwidth_khz };
     let rate_khz =
@@ -46,7 +46,7 @@ fn write(chance: &mut Chance, folder: &Path, small: bool) -> (String, String) {
         true => 16 << chance.of(if small { 1 } else { 2 }),
         false => 1 + chance.of(4),
     };
-    // Across the track as in a fan sonar, or along it as in a side-scan sonar.
+    // The array is across the track as in a fan sonar, or along it as in a side-scan sonar.
     let yaw_deg = if line && chance.one_in(2) { 90.0 } else { 0.0 };
     let roll_deg = if yaw_deg > 0.0 {
         0.0

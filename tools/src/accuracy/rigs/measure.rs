@@ -1,4 +1,4 @@
-//! Measures selected and other methods on one ping, against the continuous trajectory with second-order Doppler.
+//! Measures selected and other methods for one ping, against the continuous trajectory with second-order Doppler.
 
 use std::time::Instant;
 
@@ -18,11 +18,12 @@ use echotank_runtime::first_pings::{FirstPingError, first, pings};
 
 use super::reference::{Ping, ReferenceSolution};
 
-/// Timed runs of every candidate, in turn; the minimum counts.
+/// Number of timed runs of every candidate, in turn. The minimum counts.
 const REPEATS: usize = 5;
-/// Candidates with a predicted cost above this multiple of the selection's are not timed: none was ever the cheapest.
+/// Ratio of a candidate's predicted cost to that of the selection above which the candidate is not timed. No such candidate was
+/// ever the cheapest.
 const WORTH_TIMING: f64 = 4.0;
-/// Largest error of the reference solution, as a share of the tolerance, at which the result is valid.
+/// Maximum error of the reference solution for a valid result, as a fraction of the tolerance.
 const FINE_REFERENCE: f64 = 0.1;
 /// Maximum number of other candidates.
 const OTHERS: usize = 12;
@@ -35,13 +36,13 @@ pub(crate) struct Did {
     pub(crate) parts: [f64; 5],
     pub(crate) predicted_error: f64,
     pub(crate) predicted_ms: f64,
-    /// Largest windowed error of any element, relative to the window or the element's whole ping, whichever is stronger, as in error
-    /// checks. The selection's worst windows are computed again by the reference's equation. If the reference solution is too coarse, this
-    /// is an error check over 128 random samples.
+    /// Largest windowed error of any element, relative to the level of the window or of the element's whole ping, whichever is
+    /// higher, as in error checks. The worst windows of the selection are computed again by the equation of the reference. If the
+    /// reference solution is too coarse, this is an error check over 128 random samples.
     pub(crate) error: f64,
     pub(crate) by_error_check: bool,
     pub(crate) ms: f64,
-    /// Predicted to meet the goal.
+    /// True if the candidate is predicted to meet the goal.
     pub(crate) promised: bool,
 }
 
@@ -55,12 +56,12 @@ pub(crate) struct Measured {
     pub(crate) reference: Option<f64>,
     pub(crate) plan: Did,
     pub(crate) others: Vec<Did>,
-    /// The selection itself predicts that it misses the goal.
+    /// True if the selection itself predicts that it misses the goal.
     pub(crate) out_of_reach: bool,
 }
 
 impl Measured {
-    /// The full result, a line for the selection and one per other candidate.
+    /// The full result: a line for the selection and one for each other candidate.
     pub(crate) fn said(&self) -> String {
         let did = |did: &Did| {
             format!(
@@ -105,14 +106,15 @@ pub(crate) enum MeasureError {
     Pipeline(#[from] PipelineError),
 }
 
-/// The first ping of every sonar that receives an echo. Call inside the pool. `time`: also measure other candidates.
+/// Measures the first ping of every sonar that receives an echo. Call inside the pool. If `time` is true, other candidates are also
+/// measured.
 pub(crate) fn measure(
     rig: &RigSpec,
     costs: &Costs,
     time: bool,
 ) -> Result<Vec<Measured>, MeasureError> {
     let mut all = Vec::new();
-    // The truth includes scatterers that culling leaves out.
+    // The reference includes scatterers that culling removes.
     let mut whole = rig.clone();
     for sonar in &mut whole.sonars {
         sonar.model.cull_db = None;
@@ -129,7 +131,7 @@ pub(crate) fn measure(
         let mut spec = bare(spec);
         spec.beams = Default::default();
         spec.more_pulses.clear();
-        // Errors are measured before the receiver.
+        // Errors are measured before the receiver chain.
         spec.receiver.tvg = TimeVaryingGain::None;
         let ping = Ping {
             spec: &spec,
@@ -149,7 +151,7 @@ pub(crate) fn measure(
     Ok(all)
 }
 
-/// Scatterers of one sonar's ping, down to each candidate's floor: a pipeline gathers no more.
+/// Scatterers of the ping of one sonar, down to the floor of each candidate. A pipeline gathers no more.
 struct Gathered<'a> {
     rig: &'a RigSpec,
     sonar: usize,
@@ -157,7 +159,7 @@ struct Gathered<'a> {
 }
 
 impl Gathered<'_> {
-    /// Index among the floors.
+    /// Index of the scatterers down to this floor.
     fn down_to(&mut self, cull_db: Option<f64>) -> Result<usize, FirstPingError> {
         if let Some(k) = self.by_floor.iter().position(|(db, _)| *db == cull_db) {
             return Ok(k);

@@ -1,5 +1,5 @@
-//! Reference solutions of pings: the direct sum on the exact trajectory with second-order Doppler, sampled as densely behind the receiver
-//! filter as the reference; where needed, the reference's own equation sample by sample.
+//! Reference solutions of pings: the direct sum on the exact trajectory with second-order Doppler. The sum is sampled before the
+//! receiver filter as densely as the reference. If needed, the equation of the reference is evaluated sample by sample.
 
 use num_complex::Complex64;
 
@@ -16,7 +16,8 @@ use crate::reference::{Probe, received, reference_filter, reference_plan, values
 
 /// Number of randomly chosen samples per ping.
 const LOOKED_AT: usize = 128;
-/// Number of worst windows computed again by the reference, and of samples in each, evenly spaced.
+/// Number of worst windows that are computed again by the reference. The next constant is the number of samples in each, evenly
+/// spaced.
 const WORST: usize = 4;
 const OF_EACH: usize = 256;
 
@@ -36,7 +37,7 @@ struct Pick {
     sample: usize,
 }
 
-/// A window of an element, with its error.
+/// Window of an element, with its error.
 struct Off {
     square: f64,
     array: usize,
@@ -107,7 +108,7 @@ impl<'a> ReferenceSolution<'a> {
         samples.all(|x| x.norm_sqr() == 0.0)
     }
 
-    /// Values of these samples by the reference's equation.
+    /// Values of these samples by the equation of the reference.
     fn by_reference(&self, picks: &[Pick]) -> Vec<Complex64> {
         let (plan, spec) = (&self.plan, self.ping.spec);
         let probe = |pick: &Pick| {
@@ -130,7 +131,7 @@ impl<'a> ReferenceSolution<'a> {
         values
     }
 
-    /// Energy per sample that a window's error refers to: its own or the ping's mean, whichever is stronger.
+    /// Energy per sample that the error of a window refers to: that of the window or the mean of the ping, whichever is higher.
     fn against(&self, array: usize, element: usize, first: usize) -> f64 {
         let record = &self.records[array][element];
         let whole: f64 = record.iter().map(|x| x.norm_sqr()).sum();
@@ -163,7 +164,7 @@ impl<'a> ReferenceSolution<'a> {
                 }
             }
         }
-        // Among equals the stronger window comes first.
+        // Among equal errors, the window with the higher level is first.
         let louder = |a: &Off, b: &Off| b.against.total_cmp(&a.against);
         offs.sort_by(|a, b| b.square.total_cmp(&a.square).then(louder(a, b)));
         offs
@@ -174,7 +175,7 @@ impl<'a> ReferenceSolution<'a> {
         self.offs(got).first().map_or(0.0, |off| off.square.sqrt())
     }
 
-    /// The same by the reference's equation, for the worst windows found here and for random samples.
+    /// As [`Self::worst`], by the equation of the reference, for the worst windows found here and for random samples.
     pub(crate) fn worst_by_reference(&self, got: &PingOutput) -> f64 {
         let mut worst = self.error_check(got);
         for off in self.offs(got).iter().take(WORST) {
@@ -200,7 +201,7 @@ impl<'a> ReferenceSolution<'a> {
         worst
     }
 
-    /// Error at random samples, root mean square, of the values that `of` returns, by the reference's equation.
+    /// Rms error at random samples of the values that `of` returns, by the equation of the reference.
     fn by_chance(&self, of: impl Fn(&Pick) -> Complex64) -> f64 {
         let mut chance = Chance::new(u64::from(self.plan.ping_number));
         let arrays = &self.ping.spec.receive;

@@ -15,15 +15,15 @@ use echotank_testing::track::rows;
 use glam::DVec3;
 use serde::Serialize;
 
-/// A bottom and a motion.
+/// Case of a seabed and a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Case {
     Flat,
     /// Plane that slopes down to starboard by 10 degrees.
     Slope,
-    /// The quickstart's survey, on a straight track.
+    /// The survey of the quickstart, on a straight track.
     Survey,
-    /// The same with the quickstart's swell.
+    /// The survey of the quickstart, with its swell.
     Swell,
 }
 
@@ -60,13 +60,13 @@ pub(crate) struct Soundings {
     pub(crate) found: Vec<Found>,
 }
 
-/// Beams of an interval of angle from the vertical, both sides.
+/// Beams in an interval of angle from the vertical, on both sides.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct Row {
     pub(crate) from_deg: f64,
     pub(crate) to_deg: f64,
     pub(crate) found: usize,
-    /// Number of detections.
+    /// Fraction of the beams with a detection.
     pub(crate) share: f64,
     pub(crate) by_phase: f64,
     pub(crate) mean_m: f64,
@@ -108,9 +108,9 @@ pub(crate) fn spec(
     match case {
         Case::Flat => spec.scene.seabed = Some(plane(0.0)),
         Case::Slope => {
-            // The track leads east, so starboard is south.
+            // The track is eastward, so starboard is south.
             spec.scene.seabed = Some(plane(-10f64.to_radians().tan()));
-            // At 55 degrees the sloping bottom is 107 m away.
+            // At 55 degrees, the sloping bottom is 107 m away.
             spec.sonars[0].settings.range_m = 120.0;
             if let Some(fan) = &mut spec.sonars[0].beams.fan {
                 fan.sector_rad = 110f64.to_radians();
@@ -119,7 +119,7 @@ pub(crate) fn spec(
         Case::Survey | Case::Swell => {}
     }
     if case != Case::Swell {
-        // Due east at 2.5 m/s. A survey's centre lies below the first fix, so half of it is astern.
+        // Eastward at 2.5 m/s. The centre of a survey is below the first fix, so half of it is astern.
         let track = rows(140, 2.0, |t_s| [0.0, 2.5 * t_s, 0.0, 0.0, 0.0, 90.0]);
         let path = folder.join("track.csv");
         std::fs::write(&path, track).map_err(|e| e.to_string())?;
@@ -178,8 +178,9 @@ fn run(case: Case, spec: &RigSpec, pings: usize) -> Result<Soundings, String> {
     Ok(out)
 }
 
-/// Position of a sounding: on the intersection of the plane across the transmitter, at its attitude on transmission, with the cone about
-/// the receiver's line, at its attitude on reception; measured from the midpoint between them.
+/// Position of a sounding on the intersection of a plane and a cone, from the midpoint between transmitter and receiver. The plane
+/// is across the transmitter, at its attitude at transmission. The cone is about the line of the receiver, at its attitude at
+/// reception.
 fn place(spec: &RigSpec, plan: &PingPlan, sounding: &Sounding) -> DVec3 {
     let sonar = &spec.sonars[0];
     let (sent, heard) = (

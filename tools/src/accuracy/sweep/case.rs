@@ -1,4 +1,5 @@
-//! One sonar over one scene in one motion, in three families: the paper's ping, variations of it, and fully random cases.
+//! Case of one sonar over one scene in one motion, in three families: the ping of the paper, variations of it, and random
+//! cases.
 
 use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, ReceiverFilter, TransmitArray};
 use echotank_core::frames::{Trajectory, VectorKnot, rotation_from_angles};
@@ -25,21 +26,21 @@ pub(crate) const C: f64 = 1500.0;
 pub(crate) struct Case {
     pub(crate) scene: String,
     pub(crate) motion: String,
-    /// Path and Doppler model are set by the methods.
+    /// Plan of the ping. The methods set path and Doppler model.
     pub(crate) plan: PingPlan,
     pub(crate) tx: TransmitArray,
     pub(crate) rx: ArrayGeometry,
     pub(crate) scatterers: Scatterers,
     pub(crate) rate_hz: f64,
     pub(crate) filter: ReceiverFilter,
-    /// Largest Doppler shift in the receiver filter's pass band.
+    /// Maximum Doppler shift in the pass band of the receiver filter, Hz.
     pub(crate) doppler_hz: f64,
     /// Compared elements.
     pub(crate) looked_at: Vec<usize>,
     pub(crate) conditions: Conditions,
 }
 
-/// Motion of the platform, which distinguishes the table's cells.
+/// Motion of the platform, which distinguishes the cells of the table.
 #[derive(Clone, Copy)]
 pub(crate) struct Motion {
     pub(crate) name: &'static str,
@@ -52,7 +53,7 @@ pub(crate) struct Motion {
     pub(crate) yaw_rad_per_s: f64,
 }
 
-/// At a constant velocity.
+/// Motion at a constant velocity.
 const fn calm(name: &'static str, x: f64, y: f64, z: f64) -> Motion {
     Motion {
         name,
@@ -81,7 +82,7 @@ pub(crate) const MOTIONS: [Motion; 5] = [
 /// Periods of heave, roll and pitch, seconds, and their phases at a ping's start.
 const SWELL_S: [f64; 3] = [6.0, 8.0, 5.0];
 const SWELL_PHASE_RAD: [f64; 3] = [0.9, 2.0, 0.3];
-/// Interval of the trajectory's knots, as from a fast motion sensor.
+/// Interval of the knots of the trajectory, as from a fast motion sensor, seconds.
 const KNOT_S: f64 = 0.02;
 
 impl Motion {
@@ -120,7 +121,7 @@ impl Motion {
     }
 }
 
-/// Geometry of the swath: slant ranges, sector about broadside, depth below the sonar.
+/// Geometry of the swath: slant ranges, sector about broadside, and depth below the sonar.
 #[derive(Clone, Copy)]
 struct Swath {
     near_m: f64,
@@ -178,14 +179,14 @@ fn build(
         gain_db: 0.0,
         pulse_duration_s: pulse.duration_s,
     };
-    // From well before the first echo to well past the last, so that no window is truncated.
+    // The record extends from well before the first echo to well past the last, so that no window is truncated.
     let first_sample_s = 2.0 * swath.near_m / C - 3.1e-3;
     let span_s = 2.0 * (swath.far_m - swath.near_m) / C + pulse.duration_s + 6.2e-3;
     let sample_count = (span_s * hearing.rate_hz) as usize;
     let until_s = first_sample_s + span_s;
     let trajectory = motion.trajectory(until_s);
     let mut segments = Vec::new();
-    // For uniform motion one segment is exact.
+    // In uniform motion one segment is exact.
     let segment_s = if motion.uniform() {
         10.0
     } else {
@@ -208,7 +209,7 @@ fn build(
         segments,
         ..plan_at_rest(&pulse, sample_count, C)
     };
-    // The ends and the middle; a median needs three if there are three.
+    // The compared elements are the ends and the middle. A median needs three elements.
     let mut looked_at = vec![0, (rx.elements - 1) / 2, rx.elements - 1];
     looked_at.dedup();
     let conditions = conditions(&plan, &tx, &rx, swath, hearing, scatterers.len());
@@ -293,7 +294,7 @@ impl Case {
             .sum()
     }
 
-    /// Angles and speeds of the case, for which an engine for the whole line is made.
+    /// Bounds on angles and speeds of the case, for the design of an engine for the whole line array.
     pub(crate) fn bounds(&self) -> Bounds {
         const INSTANTS: usize = 50;
         let axis_body = self.rx.mounting.body_from_array * DVec3::X;
@@ -396,7 +397,7 @@ const fn scene(
 }
 
 impl Scene {
-    /// Every window contains several of `scatterers`.
+    /// Case in which every window has several of `scatterers`.
     pub(crate) fn case(&self, motion: &Motion, scatterers: usize) -> Case {
         let swath = Swath {
             near_m: 36.0,
@@ -421,7 +422,7 @@ impl Scene {
     }
 }
 
-/// A fully random case from a seed: pulse, filter, arrays, ranges, motion.
+/// Random case for a seed: pulse, filter, arrays, ranges and motion.
 pub(crate) fn random(seed: u64) -> Case {
     let mut chance = Chance::new(1_000_003 + seed);
     let kind = chance.one_of(&[PulseKind::LfmUp, PulseKind::LfmDown, PulseKind::Cw]);

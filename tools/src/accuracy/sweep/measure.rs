@@ -1,4 +1,5 @@
-//! True element samples and error norms: error by element and window against the reference through the receiver filter.
+//! Reference element samples and error norms. Errors are computed by element and window against the reference after the receiver
+//! filter.
 
 use std::sync::Mutex;
 
@@ -14,27 +15,28 @@ use num_complex::Complex64;
 use super::case::Case;
 use crate::reference::received;
 
-/// Points of the truth over max(B, 4/T): twice the reference's own density, which leaves 4e-8 for sharp edges and 1e-9 for long tapers.
+/// Number of points of the reference over max(B, 4/T): twice the usual density of the reference. The remaining error is 4e-8 for
+/// sharp edges and 1e-9 for long tapers.
 const TRUTH_DENSITY: f64 = 64.0;
 
-/// Largest density. Points alone, without weights for edges, converge slowly on tapers of a few points.
+/// Maximum density. Without weights for edges, points converge slowly on tapers of a few points.
 const DENSEST: f64 = 512.0;
 
-/// Least points per sample for narrow pulses, whose edges are as sharp as the receiver's bandwidth allows.
+/// Minimum number of points per sample for narrow pulses. The bandwidth of the receiver limits the sharpness of their edges.
 const MIN_OVERSAMPLE: f64 = 64.0;
 
-/// Dynamic range that engines are made for, and the level of the noise floor that weak windows are compared with.
+/// Dynamic range for which engines are designed, and level of the noise floor for weak windows.
 pub(crate) const LEVEL_RANGE_DB: f64 = 55.0;
 
-/// A window is a pulse long, or this many samples.
+/// Minimum length of a window in samples; a window is otherwise a pulse long.
 const MIN_WINDOW: usize = 32;
 
 pub(crate) struct Truth {
-    /// The receiver filter, as dense as the truth.
+    /// Receiver filter with the density of the reference.
     pub(crate) filter: Option<Decimator>,
-    /// True samples of the compared elements.
+    /// Reference samples of the compared elements.
     pub(crate) records: Vec<Vec<Complex64>>,
-    /// Results of the sums without a tolerance of their own, which do not depend on the requested one.
+    /// Results of methods without a tolerance. They do not depend on the requested tolerance.
     error_models: Mutex<Vec<(Synthesis, ErrorModel)>>,
 }
 
@@ -58,7 +60,7 @@ impl Truth {
     }
 }
 
-/// The receiver filter of a case with `density` points over the occupied band.
+/// Receiver filter of a case with `density` points over the occupied band.
 pub(crate) fn filter(case: &Case, density: f64) -> Option<Decimator> {
     if case.filter == ReceiverFilter::None {
         return None;
@@ -91,7 +93,7 @@ fn truth_of(case: &Case, density: f64) -> Truth {
     }
 }
 
-/// A truth whose half-dense version differs by at most `most` with noise floor; and that difference.
+/// A reference whose half-dense version differs by at most `most` with noise floor, and that difference.
 pub(crate) fn truth_within(case: &Case, most: f64) -> (Truth, WorstWindow) {
     let mut density = TRUTH_DENSITY;
     let mut truth = truth(case);
@@ -105,8 +107,8 @@ pub(crate) fn truth_within(case: &Case, most: f64) -> (Truth, WorstWindow) {
     (truth, doubt)
 }
 
-/// Error of the half-dense reference and filter against the truth, by each measure: the uncertainty of the truth. Without a filter nothing
-/// is sampled.
+/// Uncertainty of the reference: error of the half-dense reference and filter against it, by each measure. Without a filter, no
+/// density is involved.
 pub(crate) fn doubt(case: &Case, truth: &Truth) -> WorstWindow {
     match truth.filter {
         None => WorstWindow::default(),
@@ -134,34 +136,35 @@ fn reference_record(case: &Case, filter: Option<&Decimator>, element: usize) -> 
     record
 }
 
-/// A window's error refers to its own energy, or to this share of the middle element's if that is greater.
+/// Minimum energy that the error of a window refers to, as a fraction of that of the middle element.
 const FLOOR_OF_MEDIAN: f64 = 1e-6;
 
 /// Largest |got - want| by window and element, by three measures.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct WorstWindow {
-    /// Without noise: over |want| in the same window, or over 1e-6 of that window's median over the elements. Infinite if no element
-    /// receives anything and something was synthesised. If a window contains only the end of a taper or of the filter's tail, this compares
-    /// that end with itself: even the half-dense reference misses the tolerance there.
+    /// Measure without noise: over |want| in the same window, or over 1e-6 of the median of that window over the elements. Infinite
+    /// if no element receives an echo and the method synthesises one. In a window with only the end of a taper or of the filter's
+    /// tail, that end is the reference level. Even the half-dense reference misses the tolerance there.
     pub(crate) without_noise: f64,
-    /// The measure that tolerances apply to: over |want| in the same window, or over its noise, 55 dB below the strongest window.
+    /// Measure that tolerances apply to: over |want| in the same window, or over its noise, 55 dB below the strongest window.
     pub(crate) in_noise: f64,
-    /// A looser measure without guarantee: over the strongest window that shares samples with it; if that is below the noise of `in_noise`,
-    /// over the strongest window of all. It distinguishes errors of an echo from residuals beside echoes.
+    /// Looser measure without guarantee: over the strongest window that shares samples with the window. If that is below the noise
+    /// of `in_noise`, over the strongest window of all. This measure separates errors of an echo from residuals beside echoes.
     pub(crate) beside: f64,
 }
 
-/// NaN ranks as the worst error.
+/// The larger of two errors. NaN ranks as the worst error.
 fn worse(a: f64, b: f64) -> f64 {
     if b.is_nan() { f64::INFINITY } else { a.max(b) }
 }
 
-/// No error where both are zero.
+/// Relative error; 0 if both values are zero.
 fn relative(off: f64, size: f64) -> f64 {
     if off == 0.0 { 0.0 } else { (off / size).sqrt() }
 }
 
-/// Energy of every window, sample by sample; each is summed afresh, because differences of running sums would lose weak windows.
+/// Energy of every window, sample by sample. Each window is summed anew, because differences of running sums would lose weak
+/// windows.
 fn energies(record: impl Iterator<Item = f64>, length: usize) -> Vec<f64> {
     let squares: Vec<f64> = record.collect();
     squares.windows(length).map(|w| w.iter().sum()).collect()
@@ -173,7 +176,7 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// Over all windows of `length` samples of all elements; `got` and `want` by element.
+/// Worst window over all windows of `length` samples of all elements. `got` and `want` are by element.
 pub(crate) fn worst_window(
     got: &[Vec<Complex64>],
     want: &[Vec<Complex64>],
@@ -196,7 +199,7 @@ pub(crate) fn worst_window(
         for (at, (&off, &here)) in off.iter().zip(size).enumerate() {
             worst.without_noise = worse(worst.without_noise, relative(off, here.max(floor[at])));
             worst.in_noise = worse(worst.in_noise, relative(off, here.max(noise)));
-            // Windows that begin up to a window length away, at steps of a quarter.
+            // Windows that begin up to a window length away, in steps of a quarter.
             let last = size.len() - 1;
             let around = (0..=8).map(|k| (at + k * length / 4).saturating_sub(length).min(last));
             let loudest = around.map(|k| size[k]).fold(here, f64::max);
@@ -207,7 +210,7 @@ pub(crate) fn worst_window(
     worst
 }
 
-/// Over all compared elements.
+/// Worst window over all compared elements.
 pub(crate) fn error(case: &Case, truth: &Truth, records: &[Vec<Complex64>]) -> WorstWindow {
     let length = (case.plan.pulse.duration_s * case.rate_hz).ceil() as usize;
     worst_window(records, &truth.records, length)

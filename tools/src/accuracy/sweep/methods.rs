@@ -1,4 +1,4 @@
-//! Chooses models and a synthesis method for a tolerance by their error models, or refuses.
+//! Selects models and a synthesis method for a tolerance by their error models, or refuses.
 
 use std::sync::Mutex;
 
@@ -28,26 +28,26 @@ use super::measure::{LEVEL_RANGE_DB, Truth};
 use crate::bench::scene::Kept;
 use crate::reference::received;
 
-/// Smallest number of elements for which a line engine is made.
+/// Minimum number of elements for which a line engine is designed.
 const MIN_LINE: usize = 8;
 
-/// A synthesis with the models that it takes.
+/// Synthesis method with the models that it supports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Method(pub(crate) Synthesis);
 
-/// Models and synthesis of an answer.
+/// Selected models and synthesis.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Chosen {
     pub(crate) path: PathModel,
     pub(crate) doppler: DopplerModel,
-    /// Tolerance of the synthesis alone; infinite if it has none.
+    /// Tolerance of the synthesis; infinite if it has none.
     pub(crate) tolerance: f64,
     /// Sum of the error models.
     pub(crate) predicted: f64,
     pub(crate) why: String,
 }
 
-/// The engine made for a case, for methods that have one.
+/// Engine of a case, for methods with an engine.
 pub(crate) enum Ready {
     Sum,
     Elements(Gridded),
@@ -65,7 +65,7 @@ impl Chosen {
     }
 }
 
-/// Why a method cannot meet a tolerance, with its own message.
+/// Reason why a method cannot meet a tolerance, with its own message.
 #[derive(Clone, Debug)]
 pub(crate) struct Refused {
     pub(crate) by: Reason,
@@ -114,7 +114,7 @@ impl Method {
         .collect()
     }
 
-    /// The cheapest models whose remainder lets the synthesis meet `tolerance`.
+    /// The cheapest models whose remaining error lets the synthesis meet `tolerance`.
     pub(crate) fn within(
         self,
         tolerance: f64,
@@ -161,8 +161,8 @@ impl Method {
         Err(refused.expect("every method has a model"))
     }
 
-    /// The most accurate supported models without a tolerance; an adjustable synthesis is made to 1e-3. None if the synthesis refuses even
-    /// that.
+    /// The most accurate supported models without a tolerance. A synthesis with a tolerance is designed for 1e-3. `None` if the
+    /// synthesis refuses even 1e-3.
     pub(crate) fn as_it_is(self, case: &Case, truth: &Truth) -> Option<(Chosen, Ready)> {
         let path = PathModel::Continuous;
         let doppler = self.dopplers().last().copied()?;
@@ -182,7 +182,7 @@ impl Method {
         Some((chosen, ready))
     }
 
-    /// The synthesis and its error model, if within `tolerance`.
+    /// The synthesis with its error model, if within `tolerance`.
     fn ready(
         self,
         tolerance: f64,
@@ -233,7 +233,7 @@ fn model_refusal(tolerance: f64, case: &Case, path: PathModel, doppler: DopplerM
     } else {
         doppler_error_model
     };
-    // Half of the tolerance for each, if neither needs more.
+    // Each has half of the tolerance if neither needs more.
     let refusal = worse.clone().within(tolerance).err();
     let refusal = refusal.or_else(|| worse.within(0.5 * tolerance).err());
     Refused {
@@ -242,7 +242,7 @@ fn model_refusal(tolerance: f64, case: &Case, path: PathModel, doppler: DopplerM
     }
 }
 
-/// Where a sum through `filter` is evaluated: rate, first instant, samples.
+/// Grid on which a sum through `filter` is evaluated: rate, first instant, number of samples.
 fn grid(case: &Case, filter: Option<&Decimator>) -> (f64, f64, usize) {
     let plan = &case.plan;
     match filter {
@@ -275,7 +275,7 @@ fn walk(
     );
 }
 
-/// The receiver filter as the pipeline makes it for this synthesis.
+/// Receiver filter of the pipeline for this synthesis.
 fn own_filter(case: &Case, synthesis: Synthesis) -> Option<Decimator> {
     let pulse = &case.plan.pulse;
     let factor = oversample(pulse, case.rate_hz, synthesis);
@@ -412,7 +412,7 @@ impl Gridded {
     }
 }
 
-/// Create and use inside the same thread pool.
+/// Line engine. Create and use it inside the same thread pool.
 fn gridded_2d(
     tolerance: f64,
     case: &Case,

@@ -7,7 +7,7 @@ use super::methods::{Chosen, Method, Ready, Reason, Refused};
 /// Requested tolerances.
 pub(crate) const TOLERANCES: [f64; 8] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8];
 
-/// One method at one tolerance.
+/// Result of one method at one tolerance.
 pub(crate) struct Cell {
     pub(crate) tolerance: f64,
     pub(crate) outcome: Result<Measured, Refused>,
@@ -21,7 +21,7 @@ pub(crate) struct Measured {
 }
 
 impl Cell {
-    /// Refused, or within the tolerance by this measure.
+    /// Whether the method refused, or is within the tolerance by this measure.
     pub(crate) fn holds(&self, error: Measure) -> bool {
         let good = |m: &Measured| error(&m.error) <= self.tolerance;
         self.outcome.as_ref().map_or(true, good)
@@ -65,7 +65,7 @@ pub(crate) const MEASURES: [(&str, Measure); 3] = [
     ("  no noise", |e| e.without_noise),
 ];
 
-/// One method on one case, by tolerance.
+/// Results of one method for one case, by tolerance.
 pub(crate) struct Row {
     pub(crate) method: Method,
     pub(crate) cells: Vec<Cell>,
@@ -76,7 +76,7 @@ pub(crate) struct Row {
 impl Row {
     pub(crate) fn of(method: Method, case: &Case, truth: &Truth, tolerances: &[f64]) -> Self {
         let mut known: Vec<(Chosen, WorstWindow)> = Vec::new();
-        // A synthesis without a tolerance gives the same error at all.
+        // A synthesis without a tolerance has the same error at all tolerances.
         let mut error_of = |(chosen, ready): (Chosen, Ready)| {
             let of = known.iter().find(|(c, _)| *c == chosen).map(|k| k.1);
             let error = of.unwrap_or_else(|| {
@@ -105,7 +105,7 @@ impl Row {
         }
     }
 
-    /// Number of cells above their tolerance with noise floor.
+    /// Cells above their tolerance with noise floor.
     pub(crate) fn broken(&self) -> impl Iterator<Item = &Cell> {
         self.cells.iter().filter(|cell| !cell.holds(|e| e.in_noise))
     }
@@ -143,7 +143,7 @@ impl Row {
     }
 }
 
-/// Uncertainty of the truth.
+/// Uncertainty of the reference.
 pub(crate) fn doubt(case: &Case, truth: &Truth) -> String {
     let WorstWindow {
         without_noise,

@@ -1,7 +1,7 @@
-//! Errors of sampled windows, by the reference's equation.
+//! Errors of sampled windows, by the equation of the reference.
 //!
-//! The norm is M of docs/accuracy.md: a window's error over its own level or the element's mean level in the ping, whichever is larger. A few
-//! windows of a few elements are looked at, the strongest of each among them.
+//! The norm is M of docs/accuracy.md: the error of a window over its own level or the element's mean level in the ping, whichever
+//! is higher. A few windows of a few elements are sampled, including the strongest of each.
 
 use echotank_config::spec::{RigSpec, SonarSpec};
 use echotank_core::arrays::TimeVaryingGain;
@@ -17,12 +17,13 @@ use num_complex::Complex64;
 use crate::draw::SplitMix;
 use crate::reference::{Probe, reference_filter, reference_plan, values, window_samples};
 
-/// Elements of each array that are looked at, windows of each, besides the strongest, and samples of each window.
+/// Number of sampled elements of each array. The next constants are the numbers of windows of each, besides the strongest, and of
+/// samples of each window.
 const ELEMENTS: usize = 4;
 const WINDOWS: usize = 4;
 const SAMPLES: usize = 16;
 
-/// The rig with its selected methods, ahead of noise, gain and converter.
+/// The rig with its selected methods, without noise, gain and converter.
 fn without_receiver(spec: &RigSpec) -> RigSpec {
     let mut spec = spec.clone();
     for sonar in &mut spec.sonars {
@@ -45,7 +46,7 @@ fn uncut(spec: &RigSpec) -> RigSpec {
     spec
 }
 
-/// The largest error of the windows looked at in the first pings of every sonar; `None` if nothing is heard in any of them. Call inside the pool.
+/// Largest error of the sampled windows in the first pings of every sonar. `None` if no ping has an echo. Call inside the pool.
 pub(super) fn largest(spec: &RigSpec, pings: u32) -> Result<Option<f64>, String> {
     let made_of = without_receiver(spec);
     let mut made = RecordedRig::open(&made_of).map_err(|e| e.to_string())?;
@@ -86,15 +87,15 @@ pub(super) fn largest(spec: &RigSpec, pings: u32) -> Result<Option<f64>, String>
     Ok(worst)
 }
 
-/// A ping under scrutiny.
+/// Ping whose windows are sampled.
 struct Looked<'a> {
     spec: &'a SonarSpec,
     output: &'a PingOutput,
-    /// Every one, without culling.
+    /// All scatterers, without culling.
     scatterers: &'a Scatterers,
 }
 
-/// A window of an element, and the mean square that its error refers to.
+/// Window of an element, and the mean square that its error refers to.
 struct Window {
     element: usize,
     first: usize,
@@ -156,13 +157,13 @@ impl Looked<'_> {
         Ok(worst)
     }
 
-    /// Windows to look at; none of an element that hears nothing.
+    /// Windows to sample; empty for an element without echoes.
     fn windows(&self, array: usize, window: usize, seed: u32) -> Vec<Window> {
         let frame = &self.output.elements[array];
         let mut chance = SplitMix::new(u64::from(seed) ^ (array as u64) << 32);
         let mut found = Vec::new();
         for nth in 0..ELEMENTS.min(frame.elements) {
-            // One of each part of the line.
+            // One element of each part of the line.
             let part = frame.elements / ELEMENTS.min(frame.elements);
             let element = nth * part + chance.of(part);
             let record = frame.element(element);

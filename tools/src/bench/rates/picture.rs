@@ -1,4 +1,4 @@
-//! Period against time of every rig, both on logarithmic axes.
+//! Picture of ping period against computing time of every rig, on logarithmic axes.
 
 use echotank_drawing::{Anchor, GREY, INK, PALE, Svg, width_of};
 

@@ -1,4 +1,4 @@
-//! The records of a ping for every output of a sonar, as for one client that takes everything.
+//! Records of a ping for every output of a sonar, for one client that subscribes to all records.
 
 use std::sync::Arc;
 
@@ -29,7 +29,7 @@ pub(super) struct Encoders {
 }
 
 impl Encoders {
-    /// Outputs without a client (files) are left out.
+    /// Encoders of the outputs of a sonar. Outputs without a client (files) are excluded.
     pub(super) fn new(rig: &RigSpec, sonar: &SonarSpec, absorption_db_per_m: f64) -> Self {
         let c = rig.medium.sound_speed_m_per_s;
         let encoder = |output: &OutputSpec| match output {
@@ -43,7 +43,7 @@ impl Encoders {
                     output: spec.clone(),
                     sonar: sonar.clone(),
                 };
-                // Envelopes come from lines, which have been through the matched filter.
+                // Envelopes come from lines, which are already matched filtered.
                 let filter = Box::new(|_: &_, _: &mut _| {});
                 Some(Encoder::Jsf(JsfEmitter::new(Arc::new(sheet), filter)))
             }
@@ -71,7 +71,7 @@ impl Encoders {
         }
     }
 
-    /// Encodes a ping; bytes.
+    /// Encodes a ping. Returns the number of bytes.
     pub(super) fn encode(&mut self, slot: &PingSlot) -> usize {
         let PingSlot { plan, output } = slot;
         self.records.clear();

@@ -28,37 +28,37 @@ const SOUND_SPEED_M_PER_S: f64 = 1500.0;
 const CARRIER_HZ: f64 = 400e3;
 const WAVELENGTH_M: f64 = SOUND_SPEED_M_PER_S / CARRIER_HZ;
 const SAMPLE_RATE_HZ: f64 = 40e3;
-/// 0.886 lambda / 0.56 degrees.
+/// Aperture, metres: 0.886 lambda / 0.56 degrees.
 const APERTURE_M: f64 = 0.34;
 const ABSORPTION_DB_PER_M: f64 = 0.096;
 const LAMBERT_DB: f64 = -20.0;
 const PING_SPACING_M: f64 = 0.25;
-/// 3 knots.
+/// Speed, 3 knots.
 const SPEED_M_PER_S: f64 = 1.543;
 const TRACK_MIDDLE_NORTH_M: f64 = 10.0;
 const FIRST_SAMPLE_S: f64 = 0.044;
-/// Slant range up to 82 m, plus the pulse.
+/// Number of samples, for slant ranges up to 82 m plus the pulse.
 const SAMPLES: usize = 2830;
-/// Slant ranges of the image.
+/// Slant ranges of the image, metres.
 const IMAGE_M: (f64, f64) = (34.0, 80.0);
 const BLOCK_PINGS: usize = 4;
 const BLOCK_SAMPLES: usize = 64;
 const CLIP_DB: f64 = 20.0;
-/// Blocks this far below the original's median are shadow and are not compared.
+/// Level relative to the median of the original below which a block is shadow, dB. Such blocks are not compared.
 const SHADOW_DB: f64 = -30.0;
-/// Half size of the scene and of the track; the whole scene lies within it of the track's middle.
+/// Difference between the half sizes of scene and track. The whole scene is within this distance of the middle of the track.
 const PASS_SLACK_M: f64 = 12.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Simplifier {
-    /// Quadric error; the area of removed vertices is lost.
+    /// Quadric error. The area of removed vertices is lost.
     Conventional,
-    /// Quadric error; kept vertices inherit the area of removed ones.
+    /// Quadric error. Kept vertices inherit the area of removed vertices.
     ConventionalWithArea,
     Paper,
-    /// The paper's sum of energies, corrected.
+    /// Sum of energies of the paper, corrected.
     Acoustic,
-    /// The same selection by the product of scattering and axis.
+    /// As `Acoustic`, with the product of scattering and axis.
     AcousticEcho,
     Unbiased,
 }
@@ -82,7 +82,7 @@ impl Simplifier {
             Self::Unbiased => "acoustic-unbiased",
         }
     }
-    /// None for edge collapse.
+    /// Selection method and weights; `None` for edge collapse.
     fn rule(self) -> Option<(Method, Weights)> {
         match self {
             Self::Conventional | Self::ConventionalWithArea => None,
@@ -94,7 +94,7 @@ impl Simplifier {
     }
 }
 
-/// When the selection is made.
+/// Time at which the selection is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Once {
     EachPing,
@@ -111,7 +111,7 @@ impl Once {
     }
 }
 
-/// One row of the table.
+/// Results in one row of the table.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Figures {
     pub(crate) points: usize,
@@ -149,7 +149,7 @@ pub(crate) struct Pass {
     pub(crate) energy: Vec<Vec<f64>>,
 }
 
-/// Geometry shared by all seeds.
+/// Geometry that all seeds share.
 pub(crate) struct Thinning {
     pings: usize,
     /// Scatterers in shadow, by ping.
@@ -158,7 +158,7 @@ pub(crate) struct Thinning {
     collapsed: Vec<Collapsed>,
 }
 
-/// Seed of positions; seeds of speckle and of permanent random numbers count from 0.
+/// Seed of positions. Seeds of speckle and of permanent random numbers count from 0.
 const PLACES: u64 = 1;
 
 impl Thinning {
@@ -233,7 +233,7 @@ impl Thinning {
         })
     }
 
-    /// Passes of a simplifier at every level, with the mean number kept.
+    /// Passes of a simplifier at every level, with the mean number of kept scatterers.
     pub(crate) fn passes(&self, once: Once, simplifier: Simplifier) -> Vec<(Pass, f64)> {
         let all = cloud(0).scatterers;
         self.simplified(&all, 0, once, simplifier, &mut Imager::new())
@@ -314,8 +314,8 @@ impl Thinning {
         passes
     }
 
-    /// Milliseconds to select and to compute one ping (medians over the pings, this thread), and the level, dB. Without a simplifier: the
-    /// original.
+    /// Milliseconds to select and to compute one ping (medians over the pings, this thread), and the level, dB. Without a
+    /// simplifier, those of the original.
     pub(crate) fn time(&self, which: Option<(Simplifier, usize)>) -> (f64, f64, f64) {
         let all = cloud(0).scatterers;
         let mut imager = Imager::new();
@@ -431,7 +431,7 @@ fn view(at_m: DVec3, slack_m: f64) -> View {
     }
 }
 
-/// Makes selections, and keeps the energies while position and method stay the same.
+/// Selector of scatterers. It keeps the energies while position and method stay the same.
 struct Chooser {
     energies: Energies,
     selections: Vec<Selection>,
@@ -458,7 +458,7 @@ impl Chooser {
         self.made = None;
     }
 
-    /// Selects for `ping`; none selects once, from the middle of the pass.
+    /// Selects scatterers for `ping`. `None` selects once, from the middle of the pass.
     fn choose(
         &mut self,
         all: &Scatterers,
@@ -488,7 +488,7 @@ impl Chooser {
     }
 }
 
-/// From scatterers to element samples and an image line.
+/// Converter of scatterers to element samples and an image line.
 struct Imager {
     transmit: TransmitArray,
     receive: ArrayGeometry,

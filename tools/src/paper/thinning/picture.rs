@@ -1,4 +1,4 @@
-//! The images of one scene side by side, as in Fig. 16.
+//! Images of one scene side by side, as in Fig. 16.
 
 use std::path::Path;
 
@@ -7,13 +7,14 @@ use echotank_config::spec::ColourMap;
 use super::measure::{Once, POINT_COUNTS, Pass, Simplifier, Thinning};
 use crate::picture::{self, Grid, Look};
 
-/// Range samples per pixel, and pixel rows per ping.
+/// Number of range samples per pixel. The next constant is the number of pixel rows per ping.
 const SAMPLES_PER_PIXEL: usize = 6;
 const ROWS_PER_PING: usize = 3;
 /// Dynamic range of the image, dB.
 const RANGE_DB: f32 = 40.0;
 
-/// Original on top; below it a row per level with columns conventional, acoustic and acoustic-unbiased.
+/// Draws the original on top, and below it a row per level with the columns conventional, acoustic and
+/// acoustic-unbiased.
 pub(crate) fn draw(thinning: &Thinning, file: &Path) -> Result<(), String> {
     let columns = [
         (Once::Pass, Simplifier::Conventional),
@@ -25,7 +26,7 @@ pub(crate) fn draw(thinning: &Thinning, file: &Path) -> Result<(), String> {
     let panels: Vec<Vec<Grid>> = (0..POINT_COUNTS.len())
         .map(|size| passes.iter().map(|pass| panel(&pass[size].0)).collect())
         .collect();
-    // White is exceeded by 1 % of the original's pixels; the same for all panels.
+    // 1 % of the pixels of the original exceed white. The scale is the same for all panels.
     let white = Look::of_shares(&[&original], ColourMap::Grey, 0.0, 0.99);
     let look = Look {
         low: white.high - RANGE_DB,
@@ -40,7 +41,7 @@ pub(crate) fn draw(thinning: &Thinning, file: &Path) -> Result<(), String> {
     picture::write(file, &rows)
 }
 
-/// Mean energy of each pixel, dB; range increases to the right, pings downwards.
+/// Mean energy of each pixel, dB. Range increases to the right and pings downwards.
 fn panel(pass: &Pass) -> Grid {
     let (width, height) = (
         pass.energy[0].len() / SAMPLES_PER_PIXEL,

@@ -1,5 +1,5 @@
-//! Side-scan lines from parts of their arrays, if no output carries elements: compared with lines from all elements, and when they are
-//! selected.
+//! Tests of side-scan lines from parts of their arrays, if no output has elements. The lines are compared with lines from all
+//! elements. Other tests cover the conditions of the selection.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -26,7 +26,7 @@ use num_complex::Complex64;
 use super::each_ping;
 use echotank_testing::track::{ALONG_TRACK, rows};
 
-/// A side-scan with a line on either side, moving at 2 m/s, rolling and yawing.
+/// Side-scan sonar with a line on either side, moving at 2 m/s, with roll and yaw.
 #[derive(Clone, Copy)]
 struct Rig {
     elements: usize,
@@ -34,7 +34,7 @@ struct Rig {
     duration_ms: f64,
     bandwidth_khz: f64,
     model: &'static str,
-    /// Additional keys of the receiver, of the beams, of the outputs, and at the end of the file.
+    /// Additional keys of the receiver. The next fields are those of the beams, of the outputs, and at the end of the file.
     receiver: &'static str,
     beams: &'static str,
     output: &'static str,
@@ -176,7 +176,7 @@ starboard = "starboard"
     }
 }
 
-/// Points along and across the track with strengths of about equal level in the water, near and far, in and beside the beam.
+/// Points along and across the track, near and far, in and beside the beam. Their strengths give about equal levels in the water.
 const POINTS: [(f64, f64, f64); 14] = [
     (0.45, 4.0, 0.004),
     (0.46, -5.5, 0.009),
@@ -194,7 +194,7 @@ const POINTS: [(f64, f64, f64); 14] = [
     (0.60, 54.0, 1.5),
 ];
 
-/// Lambert bottom with random phases: about 17 scatterers per metre of range, spread farther along the track with range.
+/// Lambert bottom with random phases. It has about 17 scatterers per metre of range, spread farther along the track with range.
 fn ground() -> Scatterers {
     let mut all = Scatterers::default();
     let part = |k: usize, step: f64| (k as f64 * step).fract();
@@ -288,7 +288,7 @@ fn means(output: &PingOutput) -> PingOutput {
     means
 }
 
-/// Largest windowed error of the lines' amplitudes behind the matched filter.
+/// Largest windowed error of the amplitudes of the lines after the matched filter.
 fn worst_of_lines(got: &PingOutput, truth: &PingOutput, plan: &PingPlan, rate_hz: f64) -> f64 {
     let as_elements = |output: &PingOutput| {
         let mut lines = means(output);
@@ -306,7 +306,7 @@ fn worst_of_lines(got: &PingOutput, truth: &PingOutput, plan: &PingPlan, rate_hz
     worst_window(&got, &truth, plan.pulse.duration_s, rate_hz)
 }
 
-/// Ratio of measured to predicted error for every division of the lines; all must be within the prediction.
+/// Ratio of measured to predicted error for every division of the lines. All errors must be within the prediction.
 fn held(
     ping: &Ping,
     truth: &PingOutput,
@@ -326,7 +326,7 @@ fn held(
             .error(spec.model.path, spec.model.segment_s)
             .expect("no steps");
         if predicted > 0.2 {
-            continue; // of no use to anybody
+            continue; // no method selects this division
         }
         let made = ping.run(&ping.in_parts(parting.of), scatterers);
         let measured = worst_window(&means(&made), &whole, ping.plan.pulse.duration_s, rate_hz);
@@ -341,7 +341,7 @@ fn held(
     }
 }
 
-/// The reference's elements, of points near and far.
+/// Elements of the reference, for points near and far.
 #[test]
 fn errors_of_lines_from_parts_are_bounded_over_range_length_and_pulse() {
     let mut ratios = Vec::new();
@@ -357,7 +357,7 @@ fn errors_of_lines_from_parts_are_bounded_over_range_length_and_pulse() {
             bandwidth_khz,
             ..RIG
         });
-        // The reference of 64 elements and 2 ms takes as long as all the rest.
+        // The reference of 64 elements and 2 ms takes as long as all other cases.
         if elements < 32 {
             let mut reference = ping.spec().clone();
             reference.model.synthesis = Synthesis::Reference;
@@ -365,7 +365,7 @@ fn errors_of_lines_from_parts_are_bounded_over_range_length_and_pulse() {
             let what = format!("points, {elements} x {spacing_m} m, {duration_ms} ms");
             held(&ping, &truth, &ping.points, &what, &mut ratios);
         }
-        // The same model from all elements: leaves only the error of parts.
+        // The same model from all elements leaves only the error of parts.
         let ground = ground();
         let truth = ping.run(ping.spec(), &ground);
         let what = format!("ground, {elements} x {spacing_m} m, {duration_ms} ms");
@@ -419,7 +419,7 @@ fn a_line_from_parts_has_the_noise_of_a_line_from_elements() {
         let lines = means(&ping.run(&ping.in_parts(of), &silence));
         for frame in &lines.elements {
             let square = frame.iq.iter().map(|x| x.norm_sqr()).sum::<f64>() / frame.samples as f64;
-            // 3200 samples of an exponential law: 1.8 % of its mean.
+            // 3200 samples of an exponential law scatter by 1.8 % of the mean.
             let off = square / want - 1.0;
             println!("{of} as one: {off:+.3}");
             assert!(off.abs() < 0.07, "{of}: {off}");
@@ -459,7 +459,7 @@ fn lines_alone_and_a_loose_tolerance_make_fewer_records_and_anything_else_makes_
         chosen.text(),
         elements.text()
     );
-    // Amount of work: records, and echoes in them.
+    // Amount of work: records, and their echoes.
     let of = chosen.choice.part_elements as u64;
     let few = ping.run(&with_choice(ping.spec(), &chosen.choice), &ground);
     let same = Choice {
@@ -486,7 +486,7 @@ fn lines_alone_and_a_loose_tolerance_make_fewer_records_and_anything_else_makes_
         "{}",
         fine.reason(Family::Output)
     );
-    // Fixed parts are honoured and their error reported.
+    // Fixed parts are used, and their error is reported.
     let ping = Ping::of(&Rig {
         model: AUTO_MODELS,
         ..RIG
@@ -647,7 +647,7 @@ fn lines_alone_are_the_same_bits_on_any_number_of_threads() {
     assert_eq!(once, voyage(3, "").0);
 }
 
-/// Each sample of a part against the mean of its elements by the reference's equation.
+/// Each sample of a part is compared with the mean of its elements by the equation of the reference.
 #[test]
 fn error_checks_compare_parts_with_their_elements() {
     let (seen, error) = voyage(2, "error_check = true");
