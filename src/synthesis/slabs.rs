@@ -32,8 +32,9 @@ const FEW_ELEMENTS: usize = 8;
 /// Design of the slab engine without its buffers, for the prediction of error and cost.
 pub struct SlabDesign {
     engine: Gridded1d,
-    /// Number of samples of the longest slab. The next field is the number of slabs in a record.
+    /// Number of samples of the longest slab.
     samples: usize,
+    /// Number of slabs in a record.
     slabs: usize,
     /// Length of an echo in samples, including both filter tails.
     echo_samples: f64,

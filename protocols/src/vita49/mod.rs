@@ -168,8 +168,9 @@ pub(crate) fn two_words_at(
     Ok(u64::from(high) << 32 | u64::from(word_at(bytes, word + 1, what)?))
 }
 
-/// TSI code of UTC. The next constant is the TSF code of picoseconds.
+/// TSI code of UTC.
 const TSI_UTC: u32 = 1;
+/// TSF code of picoseconds.
 const TSF_PICOSECONDS: u32 = 2;
 
 impl<'a> Packet<'a> {

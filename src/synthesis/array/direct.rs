@@ -33,8 +33,9 @@ pub struct Direct<'a> {
 
 /// Extent of an echo, in samples from the first sample of the record. It may extend beyond the record.
 struct Span {
-    /// First sample within the pulse; `last` is the last one.
+    /// First sample within the pulse.
     first: f64,
+    /// Last sample within the pulse.
     last: f64,
     /// Distances from the leading edge to the first sample, and from the last sample to the trailing edge, samples.
     inside: (f64, f64),

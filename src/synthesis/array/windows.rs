@@ -71,9 +71,9 @@ struct SingleEcho<'a> {
     method: Option<Comparison>,
     own: Option<Decimator>,
     exact: Option<Decimator>,
-    /// Number of samples of a window. The next field is the number of silent samples on either side
-    /// of the echo: a window plus the reach of the filters.
+    /// Number of samples of a window.
     window: usize,
+    /// Number of silent samples on either side of the echo: a window plus the reach of the filters.
     silence: usize,
     samples: usize,
 }

@@ -148,13 +148,13 @@ pub(crate) struct Leg {
     /// Motion in the Doppler term: velocity at `start_s` and its rate of change.
     pub doppler: Motion,
     array_from_world: DMat3,
-    /// Rate of turn of the array axes, rad/s in these axes. The next field is the time after
-    /// `start_s` at which the axes have the stated attitude.
+    /// Rate of turn of the array axes, rad/s in these axes.
     turning_rad_per_s: DVec3,
+    /// Time after `start_s` at which the axes have the stated attitude, seconds.
     facing_s: f64,
-    /// Bounds on the two-way path, metres. Scatterers above this bound arrive on a later leg;
-    /// scatterers below the other bound arrive on an earlier leg.
+    /// Two-way path above which scatterers arrive on a later leg, metres.
     passed_m: f64,
+    /// Two-way path below which scatterers arrive on an earlier leg, metres.
     begun_m: f64,
 }
 

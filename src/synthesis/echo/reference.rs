@@ -165,10 +165,11 @@ pub fn reference_with(
 
 /// Quadrature weights of the samples between two edges.
 struct EdgeWeights {
-    /// First and last sample inside, counted from the first sample. The next fields are their
-    /// distances from the edges, in steps.
+    /// Index of the first sample inside the edges.
     first: f64,
+    /// Index of the last sample inside the edges.
     last: f64,
+    /// Corrections of the weights at the leading and the trailing edge.
     corrections: [[f64; EDGE_POINTS]; 2],
 }
 

@@ -36,7 +36,7 @@ const KINDS: [&str; 9] = [
     "jitter",
     "link-down",
 ];
-/// Number of pings with a kind of fault. The next constant is the number of clean pings after it.
+/// Number of pings with a kind of fault.
 const STRUCK: u64 = 6;
 /// Number of pings after which records delayed by a quarter of a second have arrived.
 const CLEAN: u64 = 3;

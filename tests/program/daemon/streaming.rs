@@ -15,8 +15,9 @@ const RANGE_M: f64 = 150.0;
 /// Listening window of a ping, seconds: 2 x 150 m at 1500 m/s, plus the pulse.
 const WINDOW_S: f64 = 0.2;
 const PINGS: usize = 6;
-/// Number of elements of all arrays. The next constant is the number of the first array.
+/// Number of elements of all arrays.
 const ELEMENTS: usize = 32;
+/// Number of elements of the first array.
 const PORT: usize = 8;
 
 /// Samples of whole pings, by ping number.

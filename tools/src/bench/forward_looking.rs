@@ -33,8 +33,9 @@ const SOUND_SPEED_M_PER_S: f64 = 1500.0;
 /// Number of frequencies, 2392.
 const BINS: usize = (BANDWIDTH_HZ * 2.0 * RANGE_M / SOUND_SPEED_M_PER_S) as usize;
 const PERIOD_S: f64 = BINS as f64 / BANDWIDTH_HZ;
-/// Sine of half the fan. The next constant is the beam width.
+/// Sine of half the fan.
 const SECTOR_SINE: f64 = 0.707;
+/// Beam width, radians.
 const WIDTH_RAD: f64 = 0.017_453;
 /// Number of timed pings.
 const RUNS: usize = 9;

@@ -23,9 +23,11 @@ use records::Encoders;
 
 /// Number of untimed first pings of each sonar, in which buffers grow and tiles are generated.
 const WARM_UP: u32 = 2;
-/// Minimum number of timed pings of each sonar. The next constants are the maximum, and the time limit.
+/// Minimum number of timed pings of each sonar.
 const MIN_PINGS: usize = 3;
+/// Maximum number of timed pings of each sonar.
 const MAX_PINGS: u32 = 24;
+/// Time after which no further ping is timed, seconds.
 const MAX_TIME_S: f64 = 2.5;
 /// Minimum headroom of real time. Delivery, page and system use the rest.
 const REAL_TIME: f64 = 1.25;

@@ -42,9 +42,9 @@ use crate::report::{Common, Report};
 /// Sample rate for a band of 30 kHz and the Doppler of 10 m/s over +-60 degrees.
 const RATE_HZ: f64 = 52e3;
 const ENGINE_DENSITY: f64 = 26.0;
-/// Number of windows with samples computed again. The next constant is the number of samples in each; eight estimate the error of a
-/// window to a quarter.
+/// Number of windows with samples computed again.
 const WINDOWS: usize = 8;
+/// Number of samples in each window. Eight estimate the error of a window to a quarter.
 const SAMPLES: usize = 8;
 /// Number of scatterers above which fewer windows are used, because each takes seconds to sum.
 const MANY: usize = 1_500_000;

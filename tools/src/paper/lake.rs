@@ -110,9 +110,9 @@ struct Pier {
     shown_east_m: f64,
 }
 
-/// Depth of the upper edge of the piers relative to their centre, metres. The next constant is their
-/// radius (`data/lake_piers.toml`).
+/// Height of the upper edge of the piers above their centre, metres (`data/lake_piers.toml`).
 const HALF_LENGTH_M: f64 = 9.0;
+/// Radius of the piers, metres.
 const RADIUS_M: f64 = 1.0;
 /// Half length of the searched interval around the expected position of an echo, metres.
 const LOOK_M: f64 = 3.0;

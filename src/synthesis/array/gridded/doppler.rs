@@ -56,9 +56,9 @@ use super::moments::MAX_TAPS;
 use super::pulse_spectrum::PulseSpectrum;
 use echotank_core::simd::{Kind, SimdLevel};
 
-/// Minimum number of fitted Dopplers per cell of the grid. The next constant is the minimum per cycle by which
-/// the phase of the pulse's ends changes over the span.
+/// Minimum number of fitted Dopplers per cell of the grid.
 const SAMPLES_PER_CELL: usize = 6;
+/// Minimum number of fitted Dopplers per cycle of the phase at the pulse's ends over the span.
 const SAMPLES_PER_CYCLE: f64 = 4.0;
 
 /// Maximum number of powers in the polynomials of the weights.
@@ -355,9 +355,9 @@ fn dopplers(span: DopplerSpan, shares: &[f64]) -> Vec<f64> {
 pub(crate) struct Trial {
     /// Phase change of the pulse's end relative to its middle over the whole span, in turns.
     pub turns: f64,
-    /// Maximum curvature phase at the ends of the pulse, if the weights carry the curvature. The next field is
-    /// half the swept band over the carrier.
+    /// Maximum curvature phase at the ends of the pulse, if the weights carry the curvature.
     pub(crate) bend_rad: f64,
+    /// Half the swept band over the carrier, with its sign.
     pub sweep: f64,
 }
 

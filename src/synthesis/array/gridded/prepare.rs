@@ -58,10 +58,11 @@ const ENTRIES: [usize; 2] = [128, 2048];
 pub struct Entry<T> {
     /// Weights, their first derivative in x, and half the second derivative.
     pub plain: [[T; MAX_TAPS]; 3],
-    /// Factors of the curvature: the imaginary part and its derivative. The next fields are the real
-    /// part, and the real part of the squared curvature.
+    /// Imaginary part of the factors of the curvature, and its derivative.
     pub imaginary: [[T; MAX_TAPS]; 2],
+    /// Real part of the factors of the curvature.
     pub real: [T; MAX_TAPS],
+    /// Real part of the factors of the squared curvature.
     pub(crate) real_2: [T; MAX_TAPS],
 }
 

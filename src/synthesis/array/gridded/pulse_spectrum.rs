@@ -27,9 +27,9 @@ const WIDTH: usize = 14;
 const OVERSAMPLING: f64 = 2.0;
 const MOMENTS: usize = 12;
 
-/// Number of nodes of a panel. The next constant is the number of cycles that they resolve to
-/// rounding.
+/// Number of nodes of a panel.
 const PANEL_NODES: usize = 16;
+/// Number of cycles that these nodes resolve to rounding.
 const PANEL_CYCLES: f64 = 1.5;
 
 /// Tables of the spectrum of one pulse.

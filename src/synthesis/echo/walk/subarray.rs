@@ -38,9 +38,9 @@ pub(super) struct SubarrayElements {
 /// Array factors of a batch of echoes, with the geometry of the echoes.
 pub(super) struct ArrayFactor {
     len: usize,
-    /// Scatterers relative to the middle in array axes, halfway through their echoes: coordinate
-    /// along the line. The next field is the squared distance from the line.
+    /// Coordinates of the scatterers along the line, relative to the middle, halfway through the echoes.
     x_m: [f64; CHUNK],
+    /// Squared distances of the scatterers from the line.
     beside_m2: [f64; CHUNK],
     range_m: [f64; CHUNK],
     /// v . d without the component along the line.

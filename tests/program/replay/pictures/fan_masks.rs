@@ -15,8 +15,9 @@ const BEAMS: usize = 81;
 const STEP_DEG: f64 = 120.0 / (BEAMS - 1) as f64;
 /// Beams are 1.6 degrees wide. The two-way -12 dB points are less than 2 degrees off their axes.
 const LOBE_DEG: f64 = 2.0 + 0.5 * STEP_DEG;
-/// Pixel size: 480 pixels from the sonar to the end of the range. The next constant is the pixel row of the sonar.
+/// Pixel size, metres: 480 pixels from the sonar to the end of the range.
 const PIXEL_M: f64 = RANGE_M / 480.0;
+/// Pixel row of the sonar.
 const TOP_ROW: f64 = 10.0;
 
 const FAN: &str = r#"

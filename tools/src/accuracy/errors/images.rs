@@ -30,8 +30,9 @@ const RATE_HZ: f64 = 160e3;
 /// Searched interval of a compressed line around the range of a sonar at rest, samples.
 const REACH: i64 = 260;
 const MARGIN_S: f64 = 2e-3;
-/// Number of lines around the point. The next constant is the number of lines per cell.
+/// Number of lines to either side of the point.
 const LINES: i64 = 6;
+/// Number of lines per along-track cell.
 const LINES_PER_CELL: f64 = 5.0;
 /// Angles from the track at which the range bias is measured, degrees: the half-power edge of the receive beam of a side-scan
 /// sonar, and a beam squinted forward.

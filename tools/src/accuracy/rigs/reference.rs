@@ -16,9 +16,9 @@ use crate::reference::{Probe, received, reference_filter, reference_plan, values
 
 /// Number of randomly chosen samples per ping.
 const LOOKED_AT: usize = 128;
-/// Number of worst windows that are computed again by the reference. The next constant is the number of samples in each, evenly
-/// spaced.
+/// Number of worst windows that are computed again by the reference.
 const WORST: usize = 4;
+/// Number of evenly spaced samples of each of these windows.
 const OF_EACH: usize = 256;
 
 pub(crate) struct Ping<'a> {

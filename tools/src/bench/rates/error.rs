@@ -17,10 +17,11 @@ use num_complex::Complex64;
 use crate::draw::SplitMix;
 use crate::reference::{Probe, reference_filter, reference_plan, values, window_samples};
 
-/// Number of sampled elements of each array. The next constants are the numbers of windows of each, besides the strongest, and of
-/// samples of each window.
+/// Number of sampled elements of each array.
 const ELEMENTS: usize = 4;
+/// Number of sampled windows of each element, besides the strongest.
 const WINDOWS: usize = 4;
+/// Number of samples of each window.
 const SAMPLES: usize = 16;
 
 /// The rig with its selected methods, without noise, gain and converter.

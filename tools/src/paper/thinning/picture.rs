@@ -7,8 +7,9 @@ use echotank_config::spec::ColourMap;
 use super::measure::{Once, POINT_COUNTS, Pass, Simplifier, Thinning};
 use crate::picture::{self, Grid, Look};
 
-/// Number of range samples per pixel. The next constant is the number of pixel rows per ping.
+/// Number of range samples per pixel.
 const SAMPLES_PER_PIXEL: usize = 6;
+/// Number of pixel rows per ping.
 const ROWS_PER_PING: usize = 3;
 /// Dynamic range of the image, dB.
 const RANGE_DB: f32 = 40.0;

@@ -34,10 +34,13 @@ struct Rig {
     duration_ms: f64,
     bandwidth_khz: f64,
     model: &'static str,
-    /// Additional keys of the receiver. The next fields are those of the beams, of the outputs, and at the end of the file.
+    /// Additional keys of the receiver.
     receiver: &'static str,
+    /// Additional keys of the beams.
     beams: &'static str,
+    /// Additional keys of the outputs.
     output: &'static str,
+    /// Additional lines at the end of the file.
     end: &'static str,
 }
 
