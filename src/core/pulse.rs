@@ -53,8 +53,8 @@ impl Pulse {
     /// than its echoes. A window of a pure tone can be much weaker.
     ///
     /// The energy of a window follows a gamma distribution, whose lower tail is a power law. Taper flanks reduce the degrees of
-    /// freedom of a chirp to those of a rectangular pulse with the same ratio of mean to mean square: a squared raised cosine has
-    /// mean 3/8, its fourth power 35/128.
+    /// freedom of a chirp to those of a rectangular pulse with the same ratio of mean to mean square. A squared raised cosine has
+    /// mean 3/8; its fourth power has mean 35/128.
     pub fn weakest_window(&self, sample_rate_hz: f64) -> f64 {
         let window_s = self.duration_s.max(MIN_WINDOW / sample_rate_hz);
         let flat = 1.0 - self.taper;

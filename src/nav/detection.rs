@@ -1,7 +1,8 @@
 //! Detects the quantities of recorded logs without a configured `provides`, and names the source of each quantity.
 //!
 //! A log provides a quantity if its samples cover at least [`MIN_SHARE`] of the time with positions. A quantity with less coverage
-//! would leave pings without navigation, so it is excluded with a warning. A quantity that every ping needs is not excluded.
+//! would leave pings without navigation, so it is excluded with a warning. The best source of a quantity that every ping needs is
+//! not excluded.
 
 use crate::history::MAX_GAP_S;
 use echotank_config::spec::{NavChannel, NavInputSpec, NavSpec, VerticalSpec};

@@ -135,8 +135,8 @@ fn date_before(text: &str) -> Option<chrono::NaiveDate> {
     None
 }
 
-/// Seconds since 1970, alone or in a TAG block (`c:`). The number of digits tells seconds, milliseconds, microseconds and
-/// nanoseconds apart.
+/// Seconds since 1970, alone or in a TAG block (`c:`). The number of digits distinguishes seconds, milliseconds,
+/// microseconds and nanoseconds.
 fn seconds_stamp(text: &str) -> Option<LineStamp> {
     let tag = text.split_once("c:").map(|(_, rest)| rest);
     let number = match tag {

@@ -37,7 +37,7 @@ fn format_of(name: &str) -> Result<Format, String> {
     })
 }
 
-/// Prints lines up to the limit.
+/// Printer of lines up to the limit.
 struct Printer {
     left: Option<u64>,
 }
@@ -50,7 +50,7 @@ impl Printer {
             }
             *left -= 1;
         }
-        // The reader of the output may have closed it.
+        // The reader may have closed the output.
         let _ = writeln!(std::io::stdout(), "{line}");
     }
     fn is_done(&self) -> bool {
@@ -94,7 +94,7 @@ fn file(args: &Arguments, printer: &mut Printer) -> Result<(), String> {
     Ok(())
 }
 
-/// When to stop.
+/// Time at which to stop; `None` without a limit.
 fn end(args: &Arguments) -> Option<Instant> {
     (args.seconds > 0.0).then(|| Instant::now() + Duration::from_secs_f64(args.seconds.min(1e9)))
 }
@@ -168,7 +168,7 @@ fn udp(address: &str, args: &Arguments, printer: &mut Printer) -> Result<(), Str
         SocketAddr::V4(v4) if v4.ip().is_multicast() => {
             let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, v4.port())).map_err(say)?;
             for interface in [Ipv4Addr::UNSPECIFIED, Ipv4Addr::LOCALHOST] {
-                // The machine may lack one of the two.
+                // The machine may support only one of IPv4 and IPv6.
                 let _ = socket.join_multicast_v4(v4.ip(), &interface);
             }
             socket

@@ -37,8 +37,8 @@ use echotank_core::records::Datagram;
 use kept::Kept;
 use records::{DeviceSheet, View};
 
-/// Record types of a simulated sonar. The records of a ping are sent in this order, because readers assign records to the preceding
-/// 7000. 7610 precedes 7000, so that the sound velocity is known before the first detections.
+/// Record types of a simulated sonar. The records of a ping are sent in this order, because readers assign records to the
+/// preceding record 7000. Record 7610 precedes 7000, so that the sound velocity is known before the first detections.
 pub const RECORDS: [u32; 23] = [
     7610, 7000, 7503, 7004, 7027, 7007, 7018, 7028, 7038, 7042, 7057, 7058, 10_038, 1003, 1008,
     1012, 1013, 1015, 1016, 7500, 7001, 7030, 1009,

@@ -646,7 +646,7 @@ impl NavHistory {
             require.unwrap_or(to)
         };
         let position_to = require(NavChannel::Position, to, 2);
-        // Time that the next channel must reach, and the channel that needs it; `None` stands for the window.
+        // Time that the next channel must reach, and the channel that needs it; `None` means the window.
         let (mut needed_to, mut dependent) = match self.has_arm() {
             true => (position_to, Some(NavChannel::Position)),
             false => (to, None),

@@ -5,10 +5,11 @@
 //! `k-segment` the chords of the element's own track between the same vertices. `continuous` starts
 //! from the chords and converges to the trajectory by Newton's iteration.
 //!
-//! The transmitter, at the origin, transmits at t = 0, and the sound reaches the scatterer S at t1
-//! = r_T/c. Relative to a receiver at R + v (t - t_k) on segment k, the scatterer is then at D = S
-//! - R - v (t1 - t_k). The second leg tau solves |D - v tau| = c tau, so (c^2 - v^2) tau^2 + 2
-//! (D.v) tau - D.D = 0. The only positive root, written without cancellation, is
+//! The transmitter, at the origin, transmits at t = 0, and the sound reaches the scatterer S at
+//! `t1 = r_T/c`. The receiver is at `R + v (t - t_k)` on segment k. Relative to it, the scatterer is
+//! then at `D = S - R - v (t1 - t_k)`. The second leg tau solves `|D - v tau| = c tau`, so
+//! `(c^2 - v^2) tau^2 + 2 (D.v) tau - D.D = 0`. The only positive root, written without
+//! cancellation, is
 //!
 //! ```text
 //! q   = sqrt((D.v)^2 + (c^2 - v^2) D.D)
@@ -732,8 +733,8 @@ fn solve_legs(
 /// it.
 const MAX_STEPS: usize = 12;
 
-/// Refines the delays and rays of [`solve`] from the element's chords to its trajectory: c u = r_T
-/// + |S - r(u)|.
+/// Refines the delays and rays of [`solve`] from the element's chords to its trajectory:
+/// `c u = r_T + |S - r(u)|`.
 ///
 /// The residual grows at a rate of at least 0.9 c. It therefore brackets the root and bounds the
 /// step.

@@ -45,8 +45,8 @@ impl Leg {
     }
 }
 
-/// Second-order emission time. The sample received s seconds after `delay_s` was transmitted at (1
-/// + doppler) s + curvature s^2.
+/// Second-order emission time. The sample received s seconds after `delay_s` was transmitted at
+/// `(1 + doppler) s + curvature s^2`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Stretched {
     pub delay_s: f64,

@@ -73,10 +73,13 @@ fn held(method: Method, case: &Case, truth: &Truth, tolerances: &[f64]) -> usize
     cells.iter().filter(|cell| cell.outcome.is_ok()).count()
 }
 
-/// Random pulse, filter, arrays, ranges and motion. The seeds include past failures: short tapers behind `direct`'s filter (2, 25); a pure
-/// tone without a filter, with a model's phase error at the ends of echoes (9); tones on samples (16); edges that cross the end of the
-/// filter (12); two echoes that begin or end together and almost cancel in a window without others (48, 103, 120); echoes near the null of
-/// a turning element (75).
+/// Random pulse, filter, arrays, ranges and motion. The seeds include past failures:
+/// - short tapers with the filter of `direct` (2, 25);
+/// - a pure tone without a filter, with the phase error of a model at the ends of echoes (9);
+/// - tones on samples (16);
+/// - edges that cross the end of the filter (12);
+/// - two echoes that begin or end together and almost cancel in a window without others (48, 103, 120);
+/// - echoes near the null of a turning element (75).
 #[test]
 fn random_scenes_meet_their_tolerance_with_noise_floor() {
     let mut answers = 0;
@@ -95,8 +98,9 @@ fn random_scenes_meet_their_tolerance_with_noise_floor() {
     assert!(answers > 20, "{answers}");
 }
 
-/// At rest, in windows with only the end of an echo. The seeds include past failures: truncation of what the receiver filter's stop band
-/// passes of sharp edges (4.0e-6 of scene 61, 2.6e-6 of 92), and a kernel over delay that extends beyond echoes (1.5e-4 of 188).
+/// Random scenes at rest, in windows with only the end of an echo. The seeds include past failures:
+/// - truncation of the spectrum of sharp edges in the stop band of the receiver filter (4.0e-6 of scene 61, 2.6e-6 of 92);
+/// - a kernel over delay that extends beyond echoes (1.5e-4 of 188).
 #[test]
 fn random_ends_of_echoes_meet_their_tolerance() {
     let mut answers = 0;
@@ -117,16 +121,20 @@ fn random_ends_of_echoes_meet_their_tolerance() {
     assert_eq!(answers, 3);
 }
 
-/// Random line arrays: patterns, Lambert bottoms, near scatterers, weak ends of a record; motion across the line is refused. The seeds
-/// include past failures: image echoes of piecewise linear templates (2, 120, 141, 149); extrapolated dilation over a narrow span of slopes
-/// (68, 117); out-of-band energy (32); tones that cancel (172); echoes near the null of elements that then move out of it (47); a window
-/// with the onsets of three echoes that cancel (170).
+/// Random line arrays: patterns, Lambert bottoms, near scatterers, and weak ends of a record. Motion across the line is refused.
+/// The seeds include past failures:
+/// - image echoes of piecewise linear templates (2, 120, 141, 149);
+/// - extrapolated dilation over a narrow span of slopes (68, 117);
+/// - out-of-band energy (32);
+/// - tones that cancel (172);
+/// - echoes near the null of elements that then move out of the null (47);
+/// - a window with the starts of three echoes that cancel (170).
 #[test]
 fn random_lines_meet_their_tolerance_with_noise_floor() {
     let mut answers = 0;
     for seed in [18, 32, 47, 68, 106, 117, 120, 141, 142, 149, 170, 172] {
         let mut case = case::random(seed);
-        // These two failed at other elements than the first.
+        // Both seeds failed at other elements than the first.
         if ![47, 170].contains(&seed) {
             case.looked_at.truncate(1);
         }
@@ -160,7 +168,7 @@ fn unreachable_tolerances_are_refused_with_their_cause() {
     assert!(sum.message.contains("direct is off by"), "{}", sum.message);
 }
 
-/// Three elements, 400 samples: 1 everywhere but at the third element's samples from 300 on, where it is 1e-9.
+/// Three elements with 400 samples. All are 1 except those of the third element from 300 on, which are 1e-9.
 fn level() -> Vec<Vec<Complex64>> {
     let weak = |k: usize| if k < 300 { 1.0 } else { 1e-9 };
     let record = |value: &dyn Fn(usize) -> f64| (0..400).map(|k| value(k).into()).collect();
@@ -176,15 +184,15 @@ fn a_windows_error_refers_to_itself_or_a_millionth_of_its_median() {
     let error = worst_window(&got, &want, 100);
     assert!((error.without_noise / 1e-3 - 1.0).abs() < 1e-9, "{error:?}");
     assert!((error.in_noise / 1e-3 - 1.0).abs() < 1e-9, "{error:?}");
-    // The last window of the third element holds 1e-9; the median of the three is 1.
+    // The last window of the third element has 1e-9. The median of the three elements is 1.
     let mut got = want.clone();
     got[2][399] += 1e-7;
     let error = worst_window(&got, &want, 100);
     assert!((error.without_noise / 1e-2 - 1.0).abs() < 1e-6, "{error:?}");
-    // 55 dB are a factor of 562.
+    // 55 dB is a factor of 562.
     let in_noise = 1e-8 * 10f64.powf(55.0 / 20.0);
     assert!((error.in_noise / in_noise - 1.0).abs() < 1e-6, "{error:?}");
-    // Beside it are 100 loud samples.
+    // A window beside it has 100 samples of full level.
     assert!((error.beside / 1e-8 - 1.0).abs() < 1e-6, "{error:?}");
 }
 
@@ -205,8 +213,8 @@ fn a_signal_where_none_is_received_is_an_infinite_error() {
     assert!(worst_window(&got, &want, 100).beside.is_infinite());
 }
 
-/// Why no method can meet a tolerance without noise in a window with only the end of a filter tail: the same filter with another density
-/// ends elsewhere.
+/// The same filter with another density ends at another time. Therefore no method meets a tolerance without noise in a window with
+/// only the end of a filter tail.
 #[test]
 fn the_reference_meets_1e_3_in_every_window_only_with_noise_floor() {
     let mut case = SCENES[1].case(&MOTIONS[0], 6);

@@ -1,8 +1,8 @@
 //! Doppler on a fixed grid: each echo is interpolated between the templates of a few Doppler
 //! columns.
 //!
-//! An echo stretched by eta = 1 + d is a(eta (t - u)) exp(j 2pi f_c d (t - u)). About its middle, u
-//! + T/(2 eta), its spectrum is
+//! An echo stretched by eta = 1 + d is a(eta (t - u)) exp(j 2pi f_c d (t - u)). Relative to its
+//! middle at `u + T/(2 eta)`, its spectrum is
 //!
 //! ```text
 //! S_d(f) = S((f - f_c d)/(1 + d)) / (1 + d) H(f)

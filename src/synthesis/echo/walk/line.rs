@@ -14,10 +14,10 @@
 //! 1 + u_w   = 1 / (1 + doppler)
 //! ```
 //!
-//! Here u is the delay, w the emission time and y the coordinate along the line. e is the unit
-//! vector of the receive ray and R its length; a is the axis of the line and a' its rate of turn. v
-//! is the velocity in the path and V the velocity in the Doppler term; they are equal, or one of
-//! them is zero. V_y is the gradient of V along the line and A denotes accelerations.
+//! Here u is the delay, w the emission time and y the coordinate along the line. e is the unit vector of the
+//! receive ray and R its length. a is the axis of the line and a' its rate of turn. v is the velocity in the
+//! path and V the velocity in the Doppler term. They are equal, or one of them is zero. V_y is the gradient of
+//! V along the line and A denotes accelerations.
 //!
 //! Consecutive scatterers are usually close together. The corners of a batch's bounding box therefore bound
 //! the echoes of the batch, and [`LineSource::survey`] emits these corners.
