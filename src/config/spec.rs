@@ -381,7 +381,7 @@ pub enum StampSpec {
     Host,
 }
 
-/// One navigation source.
+/// Navigation source: input, format, mounting and provided quantities.
 #[derive(Clone, Debug)]
 pub struct NavSourceSpec {
     /// Name, unique among the sources.
@@ -1100,7 +1100,7 @@ pub struct RecordSpec {
     pub directory: PathBuf,
 }
 
-/// Control over HTTP.
+/// Server for control over HTTP: address and password.
 #[derive(Clone, Debug, Default)]
 pub struct ControlSpec {
     /// Address of the server; `None` disables control.
@@ -1111,7 +1111,7 @@ pub struct ControlSpec {
     pub or_any_port: bool,
 }
 
-/// Specification of one sonar.
+/// Sonar: pulse, arrays, receiver, settings, model, beams and outputs.
 #[derive(Clone, Debug)]
 pub struct SonarSpec {
     /// Name, unique among the sonars.

@@ -305,7 +305,7 @@ pub struct ErrorCheck {
     pub fault: bool,
 }
 
-/// Results of one ping.
+/// Results of one ping: samples, beams, soundings, lines and counts.
 #[derive(Clone, Debug, Default)]
 pub struct PingOutput {
     /// Error check over the newest compared samples; `None` if disabled or with too few samples.

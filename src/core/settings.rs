@@ -93,7 +93,7 @@ pub enum KeptValue {
     Text(String),
 }
 
-/// Requester of a change.
+/// Requester of a change: a protocol, page or command, and its address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Asker {
     /// Name of the protocol, page or command that requests the change.

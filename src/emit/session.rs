@@ -85,7 +85,7 @@ pub enum Outgoing {
     },
 }
 
-/// Counters of one session.
+/// Counts of the commands and bytes that a session received.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SessionCounts {
     /// Commands received, refused ones included.
@@ -98,7 +98,7 @@ pub struct SessionCounts {
     pub other_records: u64,
 }
 
-/// Session of one client.
+/// Protocol state of one client: processes commands and appends answers.
 pub trait Session: Send {
     /// Appends the messages to send when a client connects.
     fn greet(&mut self, now: UtcNs, out: &mut Vec<Outgoing>) {
@@ -146,7 +146,7 @@ impl Framer for Plain {
     }
 }
 
-/// Protocol of one port.
+/// Protocol of one port: creates sessions and framers, and classifies records.
 pub trait Protocol: Send + Sync {
     /// Name for threads and counters.
     fn name(&self) -> &'static str;

@@ -23,7 +23,7 @@ const LINUX_COOKED_2: u32 = 276;
 /// Block type of a pcapng section header. The value is the same in both byte orders.
 const SECTION_HEADER: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
 
-/// One captured packet.
+/// Packet of a capture file, with its UDP payload or TCP segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Packet<'a> {
     /// Capture time.

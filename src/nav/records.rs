@@ -75,7 +75,7 @@ impl Records {
         })
     }
 
-    /// Bytes outside any record.
+    /// Number of bytes outside any record.
     pub fn resync_bytes(&self) -> u64 {
         self.resync_bytes
     }

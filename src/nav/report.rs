@@ -69,7 +69,7 @@ pub struct SentenceReport {
     latencies: Vec<f64>,
 }
 
-/// Statistics of one quantity.
+/// Statistics of one quantity over a log: intervals, gaps and jumps.
 #[derive(Clone, Debug, Default)]
 pub struct ChannelReport {
     /// Number of samples.
@@ -84,7 +84,7 @@ pub struct ChannelReport {
     pub backward: u64,
 }
 
-/// Report of one log.
+/// Content of a recorded log: counts, and statistics by sentence and by quantity.
 #[derive(Clone, Debug, Default)]
 pub struct LogReport {
     /// Counts of lines.

@@ -66,7 +66,7 @@ pub struct Nmea2002<'a> {
 impl<'a> Nmea2002<'a> {
     const HEAD_BYTES: usize = 12;
 
-    /// Parses the body.
+    /// Parses the body of the message. Returns an error if the body is too short.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let truncated = WireError::truncated("JSF 2002", Self::HEAD_BYTES as u64, body.len());
         let (head, sentence) = body.split_at_checked(Self::HEAD_BYTES).ok_or(truncated)?;

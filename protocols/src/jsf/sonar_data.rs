@@ -465,7 +465,7 @@ pub struct SonarData80<'a> {
 }
 
 impl<'a> SonarData80<'a> {
-    /// Parses the body.
+    /// Parses the body of the message. Returns an error if the body is too short or has an unsupported value.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let header = SonarDataHeader::parse(body)?;
         let format = DataFormat::from_code(header.data_format)?;

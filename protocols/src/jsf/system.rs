@@ -44,7 +44,7 @@ pub struct FileTime426 {
 }
 
 impl FileTime426 {
-    /// Parses the body.
+    /// Parses the body of the message. Returns an error if the body is too short.
     pub fn parse(body: &[u8]) -> Result<Self, WireError> {
         SensorTime::parse(body).map(|time| Self { time })
     }

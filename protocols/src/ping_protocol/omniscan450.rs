@@ -109,7 +109,7 @@ pub struct OsMonoProfile<'a> {
 }
 
 impl<'a> OsMonoProfile<'a> {
-    /// Parses the payload.
+    /// Parses the payload of the message. Returns an error if the payload is too short.
     pub fn parse(payload: &'a [u8]) -> Result<Self, WireError> {
         let head = OsMonoProfileHead::parse(payload)?;
         let results = data_at(

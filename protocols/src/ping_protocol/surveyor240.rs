@@ -165,7 +165,7 @@ pub struct AtofPointData<'a> {
 }
 
 impl<'a> AtofPointData<'a> {
-    /// Parses the payload.
+    /// Parses the payload of the message. Returns an error if the payload is too short.
     pub fn parse(payload: &'a [u8]) -> Result<Self, WireError> {
         let head = AtofHead::parse(payload)?;
         let len = AtofPoint::SIZE_BYTES as u64 * u64::from(head.num_points);
@@ -246,7 +246,7 @@ pub struct YzPointData<'a> {
 }
 
 impl<'a> YzPointData<'a> {
-    /// Parses the payload.
+    /// Parses the payload of the message. Returns an error if the payload is too short.
     pub fn parse(payload: &'a [u8]) -> Result<Self, WireError> {
         let head = YzHead::parse(payload)?;
         let len = 8 * u64::from(head.num_points);

@@ -100,7 +100,7 @@ impl FileHeader7200 {
     /// Size of the record type header, bytes.
     pub const RTH_BYTES: usize = Rth7200::RTH_BYTES;
 
-    /// Parses the record body.
+    /// Parses the body of the record. Returns an error if the body is too short.
     pub fn parse(body: &[u8]) -> Result<Self, WireError> {
         let rth: Rth7200 = read_fixed(body)?;
         let devices_len = u64::from(rth.devices) * FileDevice::SIZE_BYTES as u64;
@@ -194,7 +194,7 @@ impl<'a> Catalogue7300<'a> {
     /// Size of the record type header, bytes.
     pub const RTH_BYTES: usize = Rth7300::RTH_BYTES;
 
-    /// Parses the record body.
+    /// Parses the body of the record. Returns an error if the body is too short or has an unsupported value.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7300 = read_fixed(body)?;
         // The header states its size, so that a longer header of a later version can be skipped.

@@ -44,7 +44,7 @@ impl WavSample {
     }
 }
 
-/// Format of the samples.
+/// Channels, sample rate and sample type of a WAV file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WavFormat {
     /// Number of channels.
@@ -55,7 +55,7 @@ pub struct WavFormat {
     pub sample: WavSample,
 }
 
-/// Kind of file.
+/// Container format of a WAV file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Container {
     /// RIFF if the sizes fit 32 bits, otherwise RF64.

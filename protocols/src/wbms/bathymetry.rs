@@ -62,7 +62,7 @@ pub struct BathymetryHead {
 
 layout!(BathymetryHead, 88, "WBMS bathymetry", Little);
 
-/// One detection (20 bytes).
+/// Detection of one beam in a packet of type 1 (20 bytes).
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Detection {
     /// Sample number; the range is sample_number x c / (2 x rate).

@@ -70,7 +70,7 @@ pub enum NavUnits {
     LatitudeLongitude,
 }
 
-/// One channel (128 bytes).
+/// Description of one channel in the file header (128 bytes).
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChannelInfo {
     /// Kind of data.

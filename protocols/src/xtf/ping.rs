@@ -265,7 +265,7 @@ pub fn emit_ping(
     start..buf.len()
 }
 
-/// A parsed channel that borrows its samples.
+/// Parsed channel of a ping that borrows its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ChannelSamples<'a> {
     /// Channel header.
@@ -291,7 +291,7 @@ impl<'a> ChannelSamples<'a> {
     }
 }
 
-/// A parsed ping.
+/// Parsed side-scan ping of all channels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ping<'a> {
     /// Ping header.

@@ -104,7 +104,7 @@ impl JsfSheet {
         self.sonar.limits.source_level_db.1
     }
 
-    /// Message 182: system information.
+    /// Message 182 (system information) of the sonar.
     pub fn information(&self) -> Datagram {
         let mut bytes = Vec::new();
         SystemInformation182 {

@@ -62,7 +62,7 @@ pub struct SessionContext<'a> {
     pub by: Asker,
 }
 
-/// Session of one client.
+/// 7k session of one client, over TCP or UDP.
 pub struct Session {
     input: Input,
     client: Client,

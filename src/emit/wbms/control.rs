@@ -69,7 +69,7 @@ impl Session for Listener {
     }
 }
 
-/// The control port.
+/// Control port of WBMS: text commands and their answers.
 pub struct ControlPort {
     device: Arc<Device>,
     settings: Arc<dyn SettingsPort>,

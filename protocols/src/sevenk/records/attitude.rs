@@ -41,7 +41,7 @@ impl<'a> Attitude1016<'a> {
     /// Size of the record type header, bytes.
     pub const RTH_BYTES: usize = 1;
 
-    /// Parses the record body.
+    /// Parses the body of the record. Returns an error if the body is too short.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let count = data_at(body, 0, 1, "1016 attitude")?[0];
         let len = u64::from(count) * AttitudeSet::SIZE_BYTES as u64;

@@ -65,7 +65,7 @@ pub struct Beamformed7018<'a> {
 }
 
 impl<'a> Beamformed7018<'a> {
-    /// Parses the record body.
+    /// Parses the body of the record. Returns an error if the body is too short.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7018 = read_fixed(body)?;
         let len = u64::from(rth.beams) * u64::from(rth.samples) * BeamSample::BYTES as u64;

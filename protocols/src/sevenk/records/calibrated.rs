@@ -65,7 +65,7 @@ pub struct CalibratedSideScan7057<'a> {
 }
 
 impl<'a> CalibratedSideScan7057<'a> {
-    /// Parses the record body.
+    /// Parses the body of the record. Returns an error if the body is too short or has an unsupported value.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7057 = read_fixed(body)?;
         if !matches!(rth.bytes_per_sample, 4 | 8) {

@@ -65,7 +65,7 @@ impl Configuration7001 {
     /// Size of the record type header, bytes.
     pub const RTH_BYTES: usize = Rth7001::RTH_BYTES;
 
-    /// Parses the record body.
+    /// Parses the body of the record. Returns an error if the body is too short.
     pub fn parse(body: &[u8]) -> Result<Self, WireError> {
         let rth: Rth7001 = read_fixed(body)?;
         let mut at = Rth7001::RTH_BYTES;

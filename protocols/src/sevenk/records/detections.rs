@@ -42,7 +42,7 @@ pub struct Rth7027 {
 
 rth!(Rth7027, 99, "7027 raw detections");
 
-/// One detection.
+/// Detection in a record 7027 (raw detections).
 #[derive(Debug, Clone, Copy, PartialEq, Default, BinRead, BinWrite)]
 pub struct Detection7027 {
     /// Index of the beam.

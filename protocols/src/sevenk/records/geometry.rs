@@ -51,7 +51,7 @@ impl<'a> BeamGeometry7004<'a> {
     /// Size of the record type header, bytes.
     pub const RTH_BYTES: usize = Rth7004::RTH_BYTES;
 
-    /// Parses the record body.
+    /// Parses the body of the record. Returns an error if the body is too short.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7004 = read_fixed(body)?;
         let data = data_at(

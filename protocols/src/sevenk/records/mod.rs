@@ -61,7 +61,7 @@ macro_rules! rth_record {
             /// Size of the record type header, bytes.
             pub const RTH_BYTES: usize = $size;
 
-            /// Parses a record's body.
+            /// Parses the body of the record. Returns an error if the body is too short.
             pub fn parse(body: &[u8]) -> Result<Self, crate::sevenk::WireError> {
                 crate::sevenk::frame::read_fixed(body)
             }

@@ -50,7 +50,7 @@ pub struct SoundVelocityProfile1009<'a> {
 }
 
 impl<'a> SoundVelocityProfile1009<'a> {
-    /// Parses the record body.
+    /// Parses the body of the record. Returns an error if the body is too short.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth1009 = read_fixed(body)?;
         let len = u64::from(rth.samples) * VelocityAtDepth::SIZE_BYTES as u64;

@@ -67,7 +67,7 @@ pub struct RawIq7038<'a> {
 }
 
 impl<'a> RawIq7038<'a> {
-    /// Parses the record body.
+    /// Parses the body of the record. Returns an error if the body is too short or has an unsupported value.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7038 = read_fixed(body)?;
         if rth.sample_type != SAMPLE_TYPE_I16 {

@@ -82,7 +82,7 @@ pub struct SideScan7007<'a> {
 }
 
 impl<'a> SideScan7007<'a> {
-    /// Parses the record body.
+    /// Parses the body of the record. Returns an error if the body is too short or has an unsupported value.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7007 = read_fixed(body)?;
         if !matches!(rth.bytes_per_sample, 1 | 2 | 4) {

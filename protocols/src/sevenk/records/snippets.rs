@@ -151,7 +151,7 @@ pub struct Snippets7028<'a> {
 }
 
 impl<'a> Snippets7028<'a> {
-    /// Parses the record body.
+    /// Parses the body of the record. Returns an error if the body is too short.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7028 = read_fixed(body)?;
         let width = sample_bytes_7028(&rth) as u64;
@@ -247,7 +247,7 @@ pub struct SnippetStrengths7058<'a> {
 }
 
 impl<'a> SnippetStrengths7058<'a> {
-    /// Parses the record body.
+    /// Parses the body of the record. Returns an error if the body is too short.
     pub fn parse(body: &'a [u8]) -> Result<Self, WireError> {
         let rth: Rth7058 = read_fixed(body)?;
         let per_sample = if rth.control_flags & HAS_FOOTPRINTS == 0 {
