@@ -59,14 +59,13 @@ pub(crate) fn main(args: &DoctorArgs) -> Result<(), Failure> {
             }
         }
     }
-    let bad = findings.iter().filter(|finding| !finding.good).count();
-    if bad > 0 && !args.json {
-        println!(
+    match findings.iter().filter(|finding| !finding.good).count() {
+        0 => Ok(()),
+        bad => Err(Failure::Running(format!(
             "{bad} of {} checks failed; the daemon runs, but may be late or lose packets",
             findings.len()
-        );
+        ))),
     }
-    Ok(())
 }
 
 fn line(root: &Path, file: &str) -> Option<String> {

@@ -48,6 +48,16 @@ pub struct ConfigErrors {
     pub problems: Vec<Problem>,
 }
 
+impl ConfigErrors {
+    /// The problems without their lines, for a text that is not the file's.
+    pub fn without_lines(mut self) -> Self {
+        for problem in &mut self.problems {
+            problem.line = None;
+        }
+        self
+    }
+}
+
 impl fmt::Display for ConfigErrors {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(file) = &self.file {

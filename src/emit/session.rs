@@ -159,6 +159,11 @@ pub trait Protocol: Send + Sync {
     }
     /// Record classes of a record, by [`Datagram::record_type`].
     fn class(&self, record_type: u32) -> Wants;
+    /// True if requests for a record outlast the delivery of one, because a later request waits for another ping.
+    fn has_more_requests(&self, record_type: u32) -> bool {
+        let _ = record_type;
+        false
+    }
     /// True if this first datagram from an unknown address starts a session. Other datagrams are only counted.
     fn welcomes(&self, datagram: &[u8]) -> bool {
         let _ = datagram;

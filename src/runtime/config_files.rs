@@ -108,7 +108,8 @@ pub fn load_with(path: &Path, overrides: &[String]) -> Result<RigSpec, String> {
     }
     let text = toml::to_string(&table).map_err(|e| e.to_string())?;
     let folder = path.parent().unwrap_or(Path::new("."));
-    parse(&text, folder).map_err(|e| format!("{name} (with --set)\n{e}"))
+    // The lines are those of the text with the overrides, which nobody sees.
+    parse(&text, folder).map_err(|e| format!("{name} (with --set)\n{}", e.without_lines()))
 }
 
 fn apply(table: &mut toml::Table, change: &str) -> Result<(), String> {
@@ -166,6 +167,14 @@ fn set_in(table: &mut toml::Table, path: &[&str], value: &toml::Value) -> Result
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn problems_with_overrides_name_keys_and_no_lines_of_another_text() {
+        let file = echotank_testing::repository().join("hil-configs/quickstart.toml");
+        let said = load_with(&file, &["sonar.ping.range_m=-1".into()]).unwrap_err();
+        assert!(said.contains("sonar[0].ping.range_m"), "{said}");
+        assert!(!said.contains("line "), "{said}");
+    }
 
     #[test]
     fn an_override_changes_every_sonar_or_the_indexed_one() {

@@ -28,7 +28,7 @@ use std::sync::{Arc, OnceLock};
 use std::thread::{self};
 
 use self::delivery::{DeliveryContext, open_lane};
-use self::event_log::EventLog;
+use self::event_log::{EventLog, SkippedPing};
 use self::machine::{clock_of, preference, punctuality, wire_time};
 use self::pacer::{MAX_ORDERS, Pacer};
 use self::triggers::{Triggers, at_first};
@@ -58,6 +58,7 @@ use crate::triggers::TriggerCounts;
 use echotank_config::spec::{NavInputSpec, NavSourceSpec, OverloadSpec, RigSpec};
 use echotank_core::time::{MonoNs, NS_PER_S, Timeline};
 use echotank_nav::health::State as NavState;
+use echotank_ping::faults::Faults;
 use echotank_ping::rig::Rig;
 
 /// Errors of starting or running the daemon.
@@ -384,8 +385,7 @@ impl Daemon {
             if stop.load(Ordering::Acquire) {
                 control.gate().close();
             }
-            fault_log.write(&faults.take_injections(), control.sonars());
-            overload_log.write(&control.overload_states().take(), control.sonars());
+            write_events(&mut fault_log, &mut overload_log, &faults, &control);
             nav_states.report(&control);
             // A stopped recorder does not make the daemon unhealthy, because a restart would not repair it.
             match control.pipeline_problem() {
@@ -414,12 +414,27 @@ impl Daemon {
             let this = thread.join().map_err(|_| DaemonError::Panic)?;
             closed = closed.and(this);
         }
-        fault_log.write(&faults.take_injections(), control.sonars());
-        overload_log.write(&control.overload_states().take(), control.sonars());
+        write_events(&mut fault_log, &mut overload_log, &faults, &control);
         status(&control.lines(latency_s).join("\n"));
         drop(self.server);
         pinged.and(closed.map_err(DaemonError::Output))
     }
+}
+
+/// Writes the injected faults, the signs of overload and, among the faults, the pings that were skipped: a device cannot tell them from lost ones.
+fn write_events(
+    fault_log: &mut EventLog,
+    overload_log: &mut EventLog,
+    faults: &Faults,
+    control: &RunControl,
+) {
+    fault_log.write(&faults.take_injections(), control.sonars());
+    let overloaded = control.overload_states().take();
+    if faults.standing() > 0 || faults.injected() > 0 {
+        let skipped: Vec<_> = overloaded.iter().filter_map(SkippedPing::of).collect();
+        fault_log.write(&skipped, control.sonars());
+    }
+    overload_log.write(&overloaded, control.sonars());
 }
 
 /// The states of the navigation sources when they were last reported.

@@ -58,6 +58,9 @@ pub fn log_of(text: &str) -> Result<Vec<LoggedFault>, (usize, String)> {
         .collect()
 }
 
+/// Kind of the log's lines about pings that the daemon skipped: no device can tell them from lost ones.
+pub(crate) const SKIPPED: &str = "skipped";
+
 /// Effects of a kind of fault that a client observes.
 struct Effects {
     /// Kinds of findings that show the fault.
@@ -86,6 +89,7 @@ fn effects(kind: &str) -> Effects {
         // Records in transit and records until the reconnection are lost.
         "reset" => (&["reset"], &["lost", "silent"], 3),
         "half-open" => (&["silent"], &["lost"], 1),
+        SKIPPED => (&[], &["lost"], 0),
         _ => (&[], &[], 0),
     };
     Effects {
@@ -182,7 +186,7 @@ fn cases<'a>(log: &'a [LoggedFault], report: &Report, score: &mut Score) -> Vec<
     for logged in log {
         let tally = score.kinds.entry(logged.kind.clone()).or_default();
         let tells = report.head.tells.as_ref();
-        let is_covered = covers(report, logged);
+        let is_covered = covers(report, logged) && logged.kind != SKIPPED;
         let is_untold = is_covered && tells.is_some_and(|tells| !tells.contains(&logged.kind));
         tally.not_covered += u64::from(!is_covered);
         tally.untold += u64::from(is_untold);
@@ -265,13 +269,13 @@ fn join_silences(cases: &mut Vec<Case>) {
     *cases = kept;
 }
 
-/// Whether the fault affects the report's link and sonar. Faults without a link belong to no protocol family.
+/// Whether the fault affects the report's link and sonar. Faults without a link belong to no protocol family; skipped pings miss in all.
 fn is_of_link(report: &Report, logged: &LoggedFault) -> bool {
     let head = &report.head;
     let same = |of_report: &Option<String>, of_log: &Option<String>| {
         of_report.is_none() || of_log.is_none() || of_report == of_log
     };
-    (head.line.is_none() || logged.line.is_some())
+    (head.line.is_none() || logged.line.is_some() || logged.kind == SKIPPED)
         && same(&head.line, &logged.line)
         && same(&head.sonar, &logged.sonar)
 }
@@ -593,6 +597,26 @@ mod tests {
         );
         let tally = score.kinds["reorder"];
         assert_eq!((tally.found, tally.masked, tally.missed), (1, 1, 0));
+    }
+
+    #[test]
+    fn records_of_a_skipped_ping_are_no_false_alarms() {
+        let log = log(&[
+            r#"{"kind":"skipped","sonar":"a","ping_number":5}"#,
+            r#"{"kind":"skipped","sonar":"b","ping_number":6}"#,
+            r#"{"fault":1,"kind":"drop","line":"7k","sonar":"a","ping_number":7,"record_type":7000}"#,
+        ]);
+        let report = report(&[
+            r#"{"report":"me","line":"7k","sonar":"a","tells":["drop"],"first_ping":1,"last_ping":9}"#,
+            r#"{"kind":"lost","ping_number":5,"record_type":7000}"#,
+            r#"{"kind":"lost","ping_number":6,"record_type":7000}"#,
+            r#"{"kind":"lost","ping_number":7,"record_type":7000}"#,
+        ]);
+        let score = score(&log, &report);
+        assert_eq!((score.consequences, score.missed.len()), (1, 0));
+        assert_eq!(score.kinds["drop"].found, 1);
+        let other: Vec<_> = score.invented.iter().map(|f| f.ping_number).collect();
+        assert_eq!(other, [Some(6)], "another sonar's");
     }
 
     #[test]

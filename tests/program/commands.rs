@@ -208,6 +208,39 @@ fn scene_info_prints_text_and_json_and_draws_relief() {
 }
 
 #[test]
+fn check_warns_of_what_a_seabed_file_does_not_state_with_extent_and_depths() {
+    let folder = tempfile::tempdir().expect("folder");
+    let east_north = (0..=12).flat_map(|east| (0..=9).map(move |north| (east, north)));
+    let soundings: String = east_north
+        .map(|(east, north)| format!("{} {} -{}\n", 10 * east, 10 * north, 10 + east))
+        .collect();
+    std::fs::write(folder.path().join("bottom.xyz"), soundings).expect("written");
+    let minimal = echotank_testing::repository().join("tests/data/config/minimal.toml");
+    let text = std::fs::read_to_string(minimal).expect("readable");
+    let text = text.replace(
+        "shape = \"plane\"\ndepth_m = 40.0",
+        "shape = \"file\"\npath = \"bottom.xyz\"\ncell_m = 5.0",
+    );
+    assert!(text.contains("bottom.xyz"), "{text}");
+    let config = folder.path().join("rig.toml");
+    std::fs::write(&config, text).expect("written");
+    let done = run("check", [&config]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    for words in [
+        "warning      seabed, guessed: ",
+        "heights are elevations",
+        "90.0 m north x 120.0 m east, depths 10.",
+    ] {
+        assert!(
+            done.out.contains(words),
+            "no `{words}`:\n{}{}",
+            done.out,
+            done.err
+        );
+    }
+}
+
+#[test]
 fn scene_info_refuses_with_status_2_and_the_files_name() {
     let folder = tempfile::tempdir().expect("folder");
     let file = |name: &str, bytes: &[u8]| {

@@ -138,8 +138,9 @@ impl PingHeader {
         })
     }
 
-    /// Sets the time of the ping, rounded to the resolution of 0.01 s, and the equal time of the position.
+    /// Sets the time of the ping and of the position, rounded to the resolution of 0.01 s, and the same time in whole milliseconds.
     pub fn set_utc_ns(&mut self, utc_ns: i64) {
+        let milliseconds = Moment::from_utc_ns(utc_ns).milliseconds_of_day();
         let moment = Moment::from_utc_ns(utc_ns.saturating_add(NS_PER_HUNDREDTH / 2));
         self.year = moment.year as u16;
         (self.month, self.day) = (moment.month, moment.day);
@@ -147,8 +148,8 @@ impl PingHeader {
         self.hundredths = (i64::from(moment.nanosecond) / NS_PER_HUNDREDTH) as u8;
         self.julian_day = moment.day_of_year;
         self.fix_time = [self.hour, self.minute, self.second, self.hundredths];
-        self.nav_fix_ms = moment.milliseconds_of_day();
-        self.attitude_time_tag_ms = moment.milliseconds_of_day();
+        self.nav_fix_ms = milliseconds;
+        self.attitude_time_tag_ms = milliseconds;
     }
 }
 

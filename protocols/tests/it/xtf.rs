@@ -115,8 +115,8 @@ fn ping_header() -> PingHeader {
 #[test]
 fn a_ping_matches_tables_h_and_i() {
     let f = |value: f32| value.to_le_bytes();
-    // 15:06:40.12 rounded; the tags are milliseconds of the day of the rounded time (5 ms added, then truncated).
-    let ms = 54_400_128_u32.to_le_bytes();
+    // 15:06:40.12 rounded; the tags are whole milliseconds of the day.
+    let ms = 54_400_123_u32.to_le_bytes();
     let golden = table(
         // 256 + 64 + 3 x 2 + 64 + 2 x 2 = 394, padded to 448.
         448,

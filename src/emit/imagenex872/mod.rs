@@ -1,16 +1,17 @@
 //! Imagenex 872 YellowFin protocol. The sonar head answers every switch command with one side of one ping. Sans I/O.
 //!
 //! The protocol description leaves some behaviour open:
-//! - The first ping transmitted after a command is its answer. A stopped sonar transmits one ping for the command.
+//! - The first ping transmitted after a command answers it and all earlier commands of its side. A stopped sonar transmits one
+//!   ping for the command.
 //! - The protocol has no refusal. A range or gain beyond the limits leaves the sonar unchanged. The answer then covers the
 //!   requested range, with zeros where the sonar did not receive. Bytes that are not a command get no answer.
 //! - Data gain 0 to 100 covers the gain limits of the receiver. Balance gain and frequency are stored without effect.
 //! - A point is the largest sample of its interval, on a linear scale with the receiver's full scale as 255. Larger values are
 //!   clipped and counted.
 
+use std::collections::VecDeque;
 use std::net::SocketAddr;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use echotank_protocols::imagenex872::{
     ECHO_BYTES, Side as WireSide, SwitchCommand, SwitchFraming, SwitchStream, emit_answer,
@@ -37,23 +38,57 @@ fn class(side: Side) -> Wants {
     Wants::class(record_type(side))
 }
 
-/// Latest command for one side; sessions write it, the emitter reads it.
-#[derive(Debug, Default)]
-struct SideRequest {
-    /// Time of the newest command, UTC nanoseconds; 0 before the first command.
-    utc_ns: AtomicI64,
-    range_m: AtomicU32,
+/// Maximum number of commands of a side that wait for their pings. A later one then takes the place of the last.
+const MAX_WAITING: usize = 64;
+
+/// A command that waits for a ping.
+#[derive(Clone, Copy, Debug)]
+struct Waiting {
+    utc: UtcNs,
+    range_m: u8,
 }
 
-/// Latest commands for both sides of the head.
+/// Commands for one side that wait for their pings, oldest first; sessions write them, the emitter reads them.
+#[derive(Debug)]
+struct SideRequests(Mutex<VecDeque<Waiting>>);
+
+impl Default for SideRequests {
+    fn default() -> Self {
+        Self(Mutex::new(VecDeque::with_capacity(MAX_WAITING)))
+    }
+}
+
+impl SideRequests {
+    /// Every statement under the lock leaves consistent commands.
+    fn lock(&self) -> MutexGuard<'_, VecDeque<Waiting>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn add(&self, command: Waiting) {
+        let mut waiting = self.lock();
+        if waiting.len() == MAX_WAITING {
+            waiting.pop_back();
+        }
+        waiting.push_back(command);
+    }
+
+    /// Takes the commands that a ping answers. Returns the last of them.
+    fn take_before(&self, pulse: UtcNs) -> Option<Waiting> {
+        let mut waiting = self.lock();
+        let answered = waiting.partition_point(|command| command.utc < pulse);
+        waiting.drain(..answered).next_back()
+    }
+}
+
+/// Commands for both sides of the head.
 #[derive(Debug, Default)]
 pub struct Head {
-    port: SideRequest,
-    starboard: SideRequest,
+    port: SideRequests,
+    starboard: SideRequests,
 }
 
 impl Head {
-    fn side(&self, side: Side) -> &SideRequest {
+    fn side(&self, side: Side) -> &SideRequests {
         match side {
             Side::Port => &self.port,
             Side::Starboard => &self.starboard,
@@ -72,12 +107,11 @@ pub fn emit_ping(
 ) -> u64 {
     let mut saturated = 0;
     for line in &output.lines {
-        let asked = head.side(line.side);
-        let is_due = plan.stamp_utc.0 > asked.utc_ns.load(Ordering::Acquire);
-        if !wanted.meets(class(line.side)) || !is_due {
+        let answered = head.side(line.side).take_before(plan.stamp_utc);
+        let Some(command) = answered.filter(|_| wanted.meets(class(line.side))) else {
             continue;
-        }
-        let range_m = f64::from(asked.range_m.load(Ordering::Acquire));
+        };
+        let range_m = f64::from(command.range_m);
         let samples_per_point =
             2.0 * range_m / plan.sound_speed_m_per_s * sample_rate_hz / ECHO_BYTES as f64;
         let mut echo = [0; ECHO_BYTES];
@@ -132,6 +166,11 @@ impl Protocol for ImagenexProtocol {
     }
     fn class(&self, record_type: u32) -> Wants {
         Wants::class(record_type)
+    }
+    fn has_more_requests(&self, record_type: u32) -> bool {
+        let mut sides = [Side::Port, Side::Starboard].into_iter();
+        let side = sides.find(|side| self::record_type(*side) == record_type);
+        side.is_some_and(|side| !self.head.side(side).lock().is_empty())
     }
 }
 
@@ -236,11 +275,10 @@ impl Link {
                 let _ = self.settings.keep(key, value, asked);
             }
         }
-        let request = self.head.side(side);
-        request
-            .range_m
-            .store(command.range_m.into(), Ordering::Release);
-        request.utc_ns.store(now.0, Ordering::Release);
+        self.head.side(side).add(Waiting {
+            utc: now,
+            range_m: command.range_m,
+        });
         self.requested = self.requested.union(class(side));
     }
 }

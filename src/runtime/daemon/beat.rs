@@ -15,7 +15,8 @@ use crate::clock::{Clock, WakeUp};
 use crate::control::RunControl;
 use crate::counters::{add, worst};
 use crate::io::priority;
-use crate::overload::Backlog;
+use crate::overload::{Backlog, OverloadRecord};
+use crate::score::SKIPPED;
 use crate::settings::SettingsStore;
 use echotank_config::spec::{OverloadSpec, RigSpec, RunSpec, StampSpec};
 use echotank_core::time::{MonoNs, NS_PER_S, Timeline, UtcNs};
@@ -337,9 +338,19 @@ impl Beat {
                     order,
                     put_off_s,
                 };
-                if orders.try_send(ordered).is_err() {
+                if let Err(refused) = orders.try_send(ordered) {
                     self.backlog.done(sonar);
-                    add(&self.control.sonars()[sonar].counters.skipped_queue, 1);
+                    let control = &self.control.sonars()[sonar];
+                    add(&control.counters.skipped_queue, 1);
+                    let order = refused.into_inner().order;
+                    self.control.overload_states().note(OverloadRecord {
+                        what: SKIPPED,
+                        sonar: control.name.clone(),
+                        ping_number: order.ping_number,
+                        utc_ns: order.transmit_utc.0,
+                        tolerance: None,
+                        put_off_ms: None,
+                    });
                 }
                 self.coming.wake_up.notify(&*self.clock);
             }

@@ -11,6 +11,8 @@ use crate::counters::add;
 use crate::io::record::RecordError;
 use crate::io::record::faults::FaultLog;
 use crate::outputs::recording::{Place, Recording, StoppedRecordings};
+use crate::overload::OverloadRecord;
+use crate::score::SKIPPED;
 
 /// A log of events in JSON lines. The file is created with the first event.
 pub(super) struct EventLog {
@@ -58,6 +60,27 @@ impl EventLog {
             recording.write(|log| log.write(events))?;
         }
         Ok(())
+    }
+}
+
+/// Line of the fault log about a ping that was skipped.
+#[derive(Serialize)]
+pub(super) struct SkippedPing<'a> {
+    kind: &'static str,
+    sonar: &'a str,
+    ping_number: u32,
+    utc_ns: i64,
+}
+
+impl<'a> SkippedPing<'a> {
+    /// None of other signs of overload.
+    pub(super) fn of(overloaded: &'a OverloadRecord) -> Option<Self> {
+        (overloaded.what == SKIPPED).then_some(Self {
+            kind: SKIPPED,
+            sonar: &overloaded.sonar,
+            ping_number: overloaded.ping_number,
+            utc_ns: overloaded.utc_ns,
+        })
     }
 }
 

@@ -27,6 +27,7 @@ use crate::io::nav::NavInputs;
 use crate::io::nav::output::NavOutputs;
 use crate::overload::{Backlog, DegradationLevels, OverloadRecord};
 use crate::rig::plan_all;
+use crate::score::SKIPPED;
 use crate::settings::SettingsStore;
 use crate::tiles::tile_ends;
 use crate::waiting;
@@ -360,6 +361,7 @@ impl Pacer {
             if self.waiting.len() >= MAX_ORDERS {
                 self.backlog.done(sonar);
                 add(&self.counters(sonar).skipped_queue, 1);
+                self.note_overload(SKIPPED, sonar, &order, OverloadState::NONE);
                 continue;
             }
             let window_s = self.rig.window_s(sonar, &order);
@@ -678,7 +680,7 @@ impl Pacer {
     /// Counts a ping that is too late and logs it as a sign of overload.
     fn skip_late(&self, sonar: usize, order: &PingOrder) {
         add(&self.counters(sonar).skipped_late, 1);
-        self.note_overload("skipped", sonar, order, OverloadState::NONE);
+        self.note_overload(SKIPPED, sonar, order, OverloadState::NONE);
     }
 
     /// Adds a record to the overload log.

@@ -2,13 +2,14 @@
 
 use std::io::Write;
 use std::path::Path;
+use std::process::Stdio;
 
 use echotank_runtime::io::control::client;
 use serde_json::json;
 
 use super::modes::{rig, status, tell, wait_delivered};
 use super::{Daemon, eventually};
-use crate::run;
+use crate::{command, run};
 
 fn quick(folder: &Path, more: &[&str]) -> Daemon {
     let limits = [
@@ -23,6 +24,31 @@ fn quick(folder: &Path, more: &[&str]) -> Daemon {
 fn ctl(arguments: &[&str]) -> (bool, String) {
     let done = run("ctl", arguments);
     (done.code == Some(0), done.out + &done.err)
+}
+
+/// `echotank listen ADDRESS | head` and the like.
+#[test]
+fn clients_end_quietly_when_their_output_is_closed() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut daemon = quick(folder.path(), &[]);
+    let sevenk = daemon.announced("7k", "tcp").to_string();
+    let at = daemon.announced("control http", "http").to_string();
+    for (name, arguments) in [
+        ("listen", vec![sevenk.as_str()]),
+        ("ctl", vec!["--address", &at, "status"]),
+        ("ctl", vec!["--address", &at, "metrics"]),
+    ] {
+        let mut child = command(name)
+            .args(&arguments)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("started");
+        drop(child.stdout.take());
+        let ended = child.wait_with_output().expect("ended");
+        let said = String::from_utf8_lossy(&ended.stderr);
+        assert!(said.is_empty(), "{name} {arguments:?}: {said}");
+    }
 }
 
 #[test]

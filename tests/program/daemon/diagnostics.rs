@@ -6,8 +6,13 @@ use crate::{Ended, command, ended, sets};
 
 /// Standard output and standard error of a short run.
 fn printed(log: &str, rust_log: Option<&str>) -> (String, String) {
+    printed_at("127.0.0.1:0", log, rust_log)
+}
+
+fn printed_at(listen: &str, log: &str, rust_log: Option<&str>) -> (String, String) {
+    let listen = format!("sonar.output.sevenk.listen={listen}");
     let settings = [
-        "sonar.output.sevenk.listen=127.0.0.1:0",
+        listen.as_str(),
         "sonar.model.synthesis=direct",
         "run.clock=fast",
     ];
@@ -53,6 +58,19 @@ fn text_diagnostics_name_their_level_and_have_no_colours_in_a_file() {
         "{err}"
     );
     assert!(!err.contains('\u{1b}'), "{err}");
+}
+
+#[test]
+fn a_port_that_other_computers_can_reach_is_named_by_a_warning() {
+    let warnings = |listen| {
+        let (_, err) = printed_at(listen, "text", None);
+        let lines = err.lines();
+        lines
+            .filter(|line| line.contains("WARN") && line.contains("other computers can connect"))
+            .count()
+    };
+    assert_eq!(warnings("127.0.0.1:0"), 0);
+    assert_eq!(warnings("0.0.0.0:0"), 1);
 }
 
 #[test]

@@ -601,6 +601,7 @@ impl Shared {
         let offers: Vec<_> = records
             .map(|datagram| Offer {
                 class: self.protocol.class(datagram.record_type),
+                keeps_requests: self.protocol.has_more_requests(datagram.record_type),
                 datagram,
             })
             .collect();

@@ -54,6 +54,8 @@ pub(super) struct Client {
 pub(super) struct Offer {
     pub class: Wants,
     pub datagram: Arc<Datagram>,
+    /// The requests for it outlast it.
+    pub keeps_requests: bool,
 }
 
 #[derive(Default)]
@@ -193,7 +195,9 @@ impl Client {
             }
             queue.record_bytes += len;
             queue.records.push_back(offer.clone());
-            self.requested.fetch_and(!offer.class.0, Ordering::AcqRel);
+            if !offer.keeps_requests {
+                self.requested.fetch_and(!offer.class.0, Ordering::AcqRel);
+            }
             queued = true;
         }
         if let Some(over_s) = over_s {

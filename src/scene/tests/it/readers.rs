@@ -612,6 +612,26 @@ fn a_wrong_coordinate_system_is_refused_with_the_reason() {
     }
 }
 
+/// As in samples of the format's authors.
+#[test]
+fn corners_that_contradict_a_bags_size_are_warned_of_and_its_cells_are_read() {
+    let bag = seeds::bag().bytes;
+    let corner = b"623567.87";
+    let at = bag.windows(corner.len()).position(|w| w == corner);
+    let at = at.expect("the metadata are plain text");
+    let mut wrong = bag.clone();
+    wrong[at..at + corner.len()].copy_from_slice(b"629567.87");
+    let of = |bytes| survey("a.bag", bytes).unwrap_or_else(|e| panic!("{e}"));
+    let (right, wrong) = (of(bag), of(wrong));
+    assert!(right.guesses.is_empty(), "{:?}", right.guesses);
+    let warned = wrong.guesses.iter();
+    let mut warned = warned.filter(|g| g.contains("the south-western corner"));
+    assert!(warned.next().is_some(), "{:?}", wrong.guesses);
+    assert_eq!(wrong.covers, right.covers);
+    let bits = |s: &Survey| -> Vec<u32> { s.field.down_m.iter().map(|v| v.to_bits()).collect() };
+    assert_eq!(bits(&wrong), bits(&right));
+}
+
 #[test]
 fn a_file_cut_short_is_refused_wherever_it_is_cut() {
     let mut files = seeds::small();

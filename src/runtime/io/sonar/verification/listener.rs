@@ -202,6 +202,7 @@ impl Listener {
                         } else if asks && heard_at.elapsed() > ASK_AGAIN {
                             heard_at = Instant::now();
                             self.give_up();
+                            self.asked += 1;
                             self.ask()?;
                         }
                         continue;

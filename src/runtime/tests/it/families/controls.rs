@@ -1,6 +1,8 @@
 //! Requests, replies, and the effect on the next ping.
 
 use echotank_core::settings::{KeptKey, SettingsPort, TriggerSource};
+use echotank_core::time::UtcNs;
+use echotank_emit::imagenex872::emit_ping;
 use echotank_emit::session::Wants;
 use echotank_protocols::imagenex872::{Side, SwitchCommand};
 use echotank_protocols::jsf::control::{error_code, system_type, trigger};
@@ -247,6 +249,38 @@ fn a_switch_command_sets_range_and_gain_and_asks_for_one_side_of_one_ping() {
     assert!(store.snapshot().0.pinging);
     store.pinged(echotank_core::time::MonoNs(1));
     assert!(!store.snapshot().0.pinging);
+}
+
+/// A client that does not wait for the answer, which takes the rig's latency.
+#[test]
+fn a_repeated_switch_command_does_not_delay_the_answer_to_the_first() {
+    let store = store();
+    let (head, mut session) = imagenex(&store);
+    let after = |ms: i64| TRANSMIT_UTC.plus_ns(ms * 1_000_000);
+    let output = output(16);
+    let answers_of = |ping: u32, pulse: UtcNs| {
+        let mut plan = plan(ping, 16);
+        plan.stamp_utc = pulse;
+        let mut answers = Vec::new();
+        let both = Wants::class(0).union(Wants::class(2));
+        emit_ping(&head, &plan, &output, (40e3, 1.0), both, &mut answers);
+        answers.len()
+    };
+    for ms in [0, 100, 200, 300] {
+        session.receive(&switch(50, 50, Side::Port), after(ms), &mut Vec::new());
+    }
+    // The ping at 150 ms is ready at 350 ms: two commands came before its pulse and two after it.
+    assert_eq!(answers_of(1, after(-50)), 0, "before the first command");
+    assert_eq!(answers_of(2, after(150)), 1);
+    assert_eq!(answers_of(3, after(400)), 1);
+    assert_eq!(answers_of(4, after(650)), 0, "all are answered");
+    // Commands without end take a bounded memory, and the first is answered all the same.
+    for ms in 1000..2000 {
+        session.receive(&switch(50, 50, Side::Port), after(ms), &mut Vec::new());
+    }
+    assert_eq!(answers_of(5, after(1001)), 1);
+    assert_eq!(answers_of(6, after(3000)), 1);
+    assert_eq!(answers_of(7, after(3250)), 0);
 }
 
 #[test]
