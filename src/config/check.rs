@@ -5,6 +5,7 @@
 
 mod arrays;
 mod culling;
+pub(crate) mod density;
 mod devices;
 mod families;
 mod faults;

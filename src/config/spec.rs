@@ -27,6 +27,7 @@ use echotank_core::model::ModelChoice;
 use echotank_core::navigation::NavQuantity;
 use echotank_core::ping::Side;
 use echotank_core::pulse::Pulse;
+use echotank_core::scene::ResolutionCell;
 use echotank_core::settings::SonarSettings;
 
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
@@ -753,17 +754,16 @@ pub enum MosaicValues {
 pub enum Density {
     /// Constant number per horizontal square metre.
     PerM2(f64),
-    /// Density that decreases with slant range r out to `longest_range_m`. Every cell of r `beam_rad` x `range_m`, the finest
-    /// resolution cell of any sonar, has at least `per_cell` scatterers.
+    /// `per_cell` in every resolution cell of an array's main lobe, and fewer in its side lobes.
     Auto {
-        /// Scatterers in the finest resolution cell.
+        /// Scatterers in a resolution cell.
         per_cell: f64,
-        /// Range resolution, metres.
-        range_m: f64,
-        /// Beam width, radians.
-        beam_rad: f64,
+        /// Finest resolution cell of any sonar with any pulse, metres and radians.
+        cell: ResolutionCell,
         /// Maximum range of any sonar, metres.
         longest_range_m: f64,
+        /// Probability that a ping keeps a scatterer of a side lobe, over its two-way pressure relative to the main lobe's.
+        lobes: f64,
     },
 }
 

@@ -6,6 +6,7 @@ mod outputs;
 
 use std::fmt::{self, Write};
 
+use super::check::density::Estimate;
 use super::check::sonar::{
     BYTES_PER_7038_SAMPLE, MAX_PLATFORM_SPEED_M_PER_S, max_doppler_hz, min_sample_rate_hz,
 };
@@ -79,7 +80,7 @@ fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
         nav::write_mounting(out, source)?;
     }
     nav::write_rest(out, &rig.nav)?;
-    line(out, "scene", &scene(&rig.scene))?;
+    line(out, "scene", &scene(rig))?;
     let threads = match rig.run.threads {
         0 => "a thread per core".to_owned(),
         n => format!("{n} threads"),
@@ -128,7 +129,8 @@ fn words(water: &Water) -> String {
     )
 }
 
-fn scene(scene: &SceneSpec) -> String {
+fn scene(rig: &RigSpec) -> String {
+    let scene = &rig.scene;
     let mut parts = Vec::new();
     if let Some(seabed) = &scene.seabed {
         let shape = match &seabed.shape {
@@ -141,15 +143,26 @@ fn scene(scene: &SceneSpec) -> String {
             Density::PerM2(n) => format!("{n} scatterers/m^2"),
             Density::Auto {
                 per_cell,
-                range_m,
-                beam_rad,
-                longest_range_m: far_m,
-            } => format!(
-                "{per_cell} scatterers or more in {:.1} cm x {:.2} degrees ({:.3}/m^2 at {far_m} m)",
-                range_m * 1e2,
-                beam_rad.to_degrees(),
-                per_cell / (range_m * beam_rad * far_m)
-            ),
+                cell,
+                lobes,
+                ..
+            } => {
+                let depth_m = match seabed.shape {
+                    SeabedShape::Plane { depth_m, .. } => Some(depth_m),
+                    _ => None,
+                };
+                let c = rig.medium.sound_speed_m_per_s;
+                let Estimate {
+                    scatterers,
+                    kurtosis: [open, shadow],
+                } = Estimate::new(&rig.sonars, c, depth_m, lobes);
+                format!(
+                    "{per_cell} scatterers in {:.1} cm x {:.2} degrees, in side lobes {lobes:.1} times their relative pressure (about {:.0},000 a ping; kurtosis {open:.2}, in a shadow {shadow:.2})",
+                    cell.range_m * 1e2,
+                    cell.beam_rad.to_degrees(),
+                    (scatterers / 1e3).max(1.0),
+                )
+            }
         };
         let bottom = match &seabed.bottom {
             BottomSpec::BistaticLambert { mu_db } => format!("Lambert {mu_db} dB"),

@@ -72,7 +72,40 @@ pub struct ArrayGeometry {
     pub transmit: usize,
 }
 
+impl Pattern {
+    /// Length and width, metres; 0 without a side.
+    pub fn sides_m(&self) -> [f64; 2] {
+        match *self {
+            Self::Omnidirectional => [0.0; 2],
+            Self::Rectangle {
+                length_m, width_m, ..
+            }
+            | Self::Part {
+                length_m, width_m, ..
+            } => [length_m, width_m],
+        }
+    }
+}
+
+/// -3 dB width of a line of length L, in wavelengths over L (Meng et al. 2023, Eq. 1).
+const BEAM_WIDTH: f64 = 0.886;
+/// Arrays with a larger cosine between their axes narrow the same beam.
+const ALONG: f64 = 0.5;
+
 impl ArrayGeometry {
+    /// Width of the beam of the whole array with a transmitter, radians, at most 1: that of the longer of the two where they are parallel, and that
+    /// of the transmitter otherwise.
+    pub fn beam_width_rad(&self, transmit: &TransmitArray, wavelength_m: f64) -> f64 {
+        let [transmit_m, _] = transmit.pattern.sides_m();
+        let axis = |mounting: &Mounting| mounting.body_from_array * DVec3::X;
+        let common = axis(&transmit.mounting).dot(axis(&self.mounting)).abs();
+        let receive_m = match common > ALONG || transmit_m == 0.0 {
+            true => self.elements as f64 * self.spacing_m,
+            false => 0.0,
+        };
+        (BEAM_WIDTH * wavelength_m / transmit_m.max(receive_m)).min(1.0)
+    }
+
     /// Position of element `e` along the array's x axis, metres.
     pub fn element_x_m(&self, e: usize) -> f64 {
         (e as f64 - (self.elements as f64 - 1.0) / 2.0) * self.spacing_m

@@ -28,6 +28,15 @@ impl Pulse {
         }
     }
 
+    /// Range resolution c / 2B at a sound speed in m/s, metres. B is at least the inverse of the pulse length.
+    pub fn range_resolution_m(&self, sound_speed_m_per_s: f64) -> f64 {
+        let bandwidth_hz = match self.kind {
+            PulseKind::Cw => 0.0,
+            PulseKind::LfmUp | PulseKind::LfmDown => self.bandwidth_hz,
+        };
+        sound_speed_m_per_s / (2.0 * bandwidth_hz.max(1.0 / self.duration_s))
+    }
+
     /// a(t) at `t_s` seconds after the start of the pulse; zero outside 0..=T, both ends inclusive.
     pub fn envelope(&self, t_s: f64) -> Complex64 {
         let duration_s = self.duration_s;

@@ -157,6 +157,17 @@ pub struct Footprint {
     pub depth: f64,
     /// Faces of transmitter and element.
     pub faces: [BaffledFace; 2],
+    /// What the array resolves; the automatic density of the seabed follows it.
+    pub cell: ResolutionCell,
+}
+
+/// Smallest region that an array resolves: `range_m` along the ray, `beam_rad` times the range across it. Zeros resolve everything.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ResolutionCell {
+    /// Range resolution, metres.
+    pub range_m: f64,
+    /// Beam width, radians.
+    pub beam_rad: f64,
 }
 
 /// Bound on the pattern along one side of a rectangular radiator. The pattern stays below 1 / (u / knee), with u the sine of the
@@ -229,6 +240,7 @@ impl Footprint {
             sides: [PatternSide::OPEN; Self::SIDES],
             depth: f64::INFINITY,
             faces: [BaffledFace::OPEN; 2],
+            cell: ResolutionCell::default(),
         }
     }
 
@@ -247,21 +259,41 @@ impl Footprint {
     /// Whether a position (world, metres) is inside the footprint.
     pub fn contains(&self, position_m: DVec3) -> bool {
         let d = position_m - self.apex_m;
-        let range_squared = d.length_squared();
+        self.may_face(d).is_some_and(|range_m| {
+            self.depth == f64::INFINITY || self.below(d, range_m) <= self.depth
+        })
+    }
+
+    /// Length of an offset from the apex, if the point is within range and in front of the faces.
+    #[inline(always)]
+    pub fn may_face(&self, offset_m: DVec3) -> Option<f64> {
+        let range_squared = offset_m.length_squared();
         if range_squared > self.max_range_m * self.max_range_m {
-            return false;
+            return None;
         }
         let range_m = range_squared.sqrt();
-        self.faces
-            .iter()
-            .all(|face| face.may_face(d.dot(face.normal), range_m))
-            && (self.depth == f64::INFINITY
-                || self
-                    .sides
-                    .iter()
-                    .map(|side| side.below(d.dot(side.axis), range_m))
-                    .product::<f64>()
-                    <= self.depth)
+        let mut faces = self.faces.iter();
+        faces
+            .all(|face| face.may_face(offset_m.dot(face.normal), range_m))
+            .then_some(range_m)
+    }
+
+    /// Maximum of the two-way pattern over its envelope, which has no nulls, towards a point at `offset_m` from the apex, `range_m` long. Motion does
+    /// not enter.
+    #[inline(always)]
+    pub fn below_maximum(&self, offset_m: DVec3, range_m: f64) -> f64 {
+        let sides = self.sides.iter();
+        let side = |side: &PatternSide| offset_m.dot(side.axis).abs() / (range_m * side.knee);
+        sides.map(|s| side(s).max(1.0)).product()
+    }
+
+    /// A lower bound of [`Self::below_maximum`] whatever the motion.
+    #[inline(always)]
+    fn below(&self, offset_m: DVec3, range_m: f64) -> f64 {
+        let sides = self.sides.iter();
+        sides
+            .map(|side| side.below(offset_m.dot(side.axis), range_m))
+            .product()
     }
 
     /// Whether all values are finite and valid.
@@ -279,6 +311,8 @@ impl Footprint {
                 .faces
                 .iter()
                 .all(|f| f.normal.is_finite() && f.turn >= 0.0 && f.shift_m >= 0.0)
+            && self.cell.range_m >= 0.0
+            && self.cell.beam_rad >= 0.0
     }
 }
 

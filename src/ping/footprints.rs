@@ -6,25 +6,30 @@ use std::f64::consts::PI;
 use glam::{DQuat, DVec3};
 
 use echotank_config::spec::SonarSpec;
-use echotank_core::arrays::{Mounting, Pattern};
+use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, TransmitArray};
 use echotank_core::frames::Pose;
 use echotank_core::ping::PingPlan;
-use echotank_core::scene::{BaffledFace, Footprint, PatternSide};
+use echotank_core::scene::{BaffledFace, Footprint, PatternSide, ResolutionCell};
 
 /// Number of times in the reception window at which the platform's motion is sampled.
 const MOTION_SAMPLES: usize = 16;
 /// Margin for motion between the samples, as a fraction of the largest rotation and displacement found.
 const MARGIN: f64 = 0.25;
 
-/// Writes the footprints of a ping to `out`, in the order of the receive arrays.
+/// Writes the footprints of a ping to `out`: those of the receive arrays in their order, then those of further pulses from other transmitters.
 pub fn footprints(spec: &SonarSpec, plan: &PingPlan, out: &mut Vec<Footprint>) {
     let window_s = plan.window_s(spec.receiver.sample_rate_hz);
     let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
     let start = plan.trajectory.pose_at(0.0);
     let (turn, moved_m) = motion(plan, &start, window_s);
-    out.clear();
-    out.extend(spec.receive.iter().map(|array| {
-        let transmit = &spec.transmit[array.transmit];
+    let durations =
+        std::iter::once(plan.pulse).chain(spec.more_pulses.iter().map(|more| more.pulse));
+    let resolution_m = durations.map(|mut pulse| {
+        pulse.duration_s = plan.pulse.duration_s;
+        pulse.range_resolution_m(plan.sound_speed_m_per_s)
+    });
+    let resolution_m = resolution_m.fold(f64::INFINITY, f64::min);
+    let footprint = |array: &ArrayGeometry, transmit: &TransmitArray| {
         let apex_m = start.point_m(transmit.mounting.position_m);
         let receiver_m = start.point_m(array.mounting.position_m);
         let half_length_m = 0.5 * array.elements as f64 * array.spacing_m;
@@ -56,8 +61,22 @@ pub fn footprints(spec: &SonarSpec, plan: &PingPlan, out: &mut Vec<Footprint>) {
                 .cull_db
                 .map_or(f64::INFINITY, |db| 10f64.powf(-db / 20.0)),
             faces: [at_start, of_element].map(|r| r.face(start.world_from_body)),
+            cell: ResolutionCell {
+                range_m: resolution_m,
+                beam_rad: array.beam_width_rad(transmit, wavelength_m),
+            },
         }
-    }));
+    };
+    out.clear();
+    let own = |array: &ArrayGeometry| footprint(array, &spec.transmit[array.transmit]);
+    out.extend(spec.receive.iter().map(own));
+    for transmit in spec.more_pulses.iter().filter_map(|more| more.transmit) {
+        let others = spec
+            .receive
+            .iter()
+            .filter(|array| array.transmit != transmit);
+        out.extend(others.map(|array| footprint(array, &spec.transmit[transmit])));
+    }
 }
 
 /// Largest range from a transmitter's position at the start of the pulse whose echo any element receives within `after_s` seconds. Elements

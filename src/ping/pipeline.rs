@@ -110,7 +110,7 @@ impl SonarPipeline {
                 .map(|_| Mutex::new(ElementScratch::with_room_for(segments, dense)))
                 .collect(),
             results: vec![ElementResult::default(); elements],
-            footprints: Vec::with_capacity(spec.receive.len()),
+            footprints: Vec::with_capacity(spec.receive.len() * (1 + spec.more_pulses.len())),
             is_quiet: false,
             error_checker: match spec.synthesis.error_check {
                 true => {

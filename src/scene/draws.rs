@@ -44,16 +44,28 @@ pub(crate) fn of_cell(seed: u64, north: i64, east: i64) -> [u32; 4] {
     philox([north as u32, east as u32, high, SEABED], key_of(seed))
 }
 
-/// A fair coin for a cell of a level: which of its two halves represents it. SplitMix64's finaliser (Steele, Lea and Flood 2014).
+/// A fair coin for a cell of a level: which of its two halves represents it.
 #[inline(always)]
 pub(crate) fn half_of(seed: u64, level: u32, north: i64, east: i64) -> i64 {
+    (mixed_cell(seed, level, north, east) >> 63) as i64
+}
+
+/// Random bits of a cell of a level. SplitMix64's finaliser (Steele, Lea and Flood 2014).
+#[inline(always)]
+fn mixed_cell(seed: u64, level: u32, north: i64, east: i64) -> u64 {
     let mut z = seed
         ^ (north as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15)
         ^ (east as u64).wrapping_mul(0xC2B2_AE3D_27D4_EB4F)
         ^ u64::from(level).wrapping_mul(0x1656_67B1_9E37_79F9);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    ((z ^ (z >> 31)) >> 63) as i64
+    z ^ (z >> 31)
+}
+
+/// Uniform in [0, 1), for the rank of a cell of level 0 among those of its level.
+#[inline(always)]
+pub(crate) fn rank(seed: u64, north: i64, east: i64) -> f64 {
+    (mixed_cell(seed, 0, north, east) >> 32) as f64 / 4_294_967_296.0
 }
 
 /// Uniform in [0, 1).

@@ -11,6 +11,7 @@ use super::occlusion::{Occluders, Occlusion};
 use super::pool::{Slot, TilePool};
 use super::seabed::Surface;
 use super::targets::Targets;
+use super::thinning::{self, Hearing};
 use super::tiles::{Recipe, Tile, TileBox, TileId};
 use echotank_core::ping::SceneCounts;
 use echotank_core::scene::{Footprint, ScatterLaw, Scatterers};
@@ -43,10 +44,20 @@ pub(crate) struct GatherContext<'a> {
     pub targets: &'a Targets,
 }
 
+/// A tile of the ping.
+#[derive(Clone, Copy, Debug)]
+struct Wanted {
+    id: TileId,
+    tile_box: TileBox,
+    /// No scatterer of the tile has a higher probability.
+    max_probability: f64,
+}
+
 /// Buffers of tile search and collection.
 #[derive(Debug, Default)]
 pub(crate) struct Gatherer {
-    wanted: Vec<(TileId, TileBox)>,
+    hearing: Vec<Hearing>,
+    wanted: Vec<Wanted>,
     places: Vec<Slot>,
     counts: Vec<TileCount>,
 }
@@ -63,16 +74,19 @@ impl Gatherer {
         counts: &mut SceneCounts,
     ) -> usize {
         counts.tiles_used = self.wanted.len() as u64;
+        let hearing = &self.hearing[..];
         let mut filled = 0;
         for batch in self.wanted.chunks(pool.capacity()) {
-            pool.slots(batch.iter().map(|(id, _)| *id), &mut self.places);
+            pool.slots(batch.iter().map(|wanted| wanted.id), &mut self.places);
             self.counts.resize(batch.len(), TileCount::default());
             self.places
                 .par_iter()
                 .zip(batch)
                 .zip(&mut self.counts)
-                .for_each(|((place, (_, tile_box)), count)| {
-                    pool.work(place, recipe, |tile| *count = keep(tile, tile_box, context));
+                .for_each(|((place, wanted), count)| {
+                    pool.work(place, recipe, |tile| {
+                        *count = keep(tile, wanted, hearing, context)
+                    });
                 });
             let batch_first = filled;
             for (place, count) in self.places.iter().zip(&mut self.counts) {
@@ -104,10 +118,10 @@ impl Gatherer {
 
     /// Bounding boxes of the selected tiles.
     pub(crate) fn boxes(&self) -> impl Iterator<Item = &TileBox> {
-        self.wanted.iter().map(|(_, tile_box)| tile_box)
+        self.wanted.iter().map(|wanted| &wanted.tile_box)
     }
 
-    /// Selects the tiles that any footprint may contain, each at the level that its nearest sonar needs.
+    /// Selects the tiles that any footprint may contain, each at the coarsest level that misses no scatterer of the ping.
     pub(crate) fn find(
         &mut self,
         recipe: &Recipe,
@@ -116,17 +130,22 @@ impl Gatherer {
         counts: &mut SceneCounts,
     ) {
         self.wanted.clear();
+        self.hearing.clear();
         let Some((low, high)) = reach(footprints, anchor_m) else {
             return;
         };
         let levels = recipe.levels();
-        let widest_m = (high - low).max_element();
-        let level = levels.no_wider_than(widest_m).max(levels.at(widest_m));
+        if let Some(thinning) = levels.thinning() {
+            let of = |footprint| Hearing::new(thinning, footprint);
+            self.hearing.extend(footprints.iter().map(of));
+        }
+        let level = levels.no_wider_than((high - low).max_element());
         let side_m = levels.tile_m(level);
         let mut search = Search {
             recipe,
             anchor_m,
             footprints,
+            hearing: &self.hearing,
             wanted: &mut self.wanted,
             culled: 0,
         };
@@ -143,32 +162,46 @@ struct Search<'a> {
     recipe: &'a Recipe,
     anchor_m: DVec3,
     footprints: &'a [Footprint],
-    wanted: &'a mut Vec<(TileId, TileBox)>,
+    hearing: &'a [Hearing],
+    wanted: &'a mut Vec<Wanted>,
     culled: u64,
 }
 
 impl Search<'_> {
     fn descend(&mut self, id: TileId) {
-        let near = self.recipe.bounds(id).and_then(|tile_box| {
-            self.footprints
-                .iter()
-                .map(|f| (f, f.apex_m - self.anchor_m))
-                .filter(|(f, apex_m)| tile_box.may_meet(f, *apex_m))
-                .map(|(_, apex_m)| tile_box.distance_m(apex_m))
-                .reduce(f64::min)
-                .map(|nearest_m| (tile_box, nearest_m))
+        let wanted = self.recipe.bounds(id).and_then(|tile_box| {
+            Some(Wanted {
+                id,
+                max_probability: self.max_probability(&tile_box)?,
+                tile_box,
+            })
         });
-        let Some((tile_box, nearest_m)) = near else {
-            self.culled += 1;
-            return;
-        };
-        if id.level > self.recipe.levels().at(nearest_m) {
-            for half in id.halves() {
-                self.descend(half);
+        match wanted {
+            None => self.culled += 1,
+            Some(wanted) if id.level <= thinning::level(wanted.max_probability) => {
+                self.wanted.push(wanted);
             }
-        } else {
-            self.wanted.push((id, tile_box));
+            Some(_) => {
+                for half in id.halves() {
+                    self.descend(half);
+                }
+            }
         }
+    }
+
+    /// An upper bound of the probabilities in a box, infinite where the density is constant; none if no footprint may contain a point of it.
+    fn max_probability(&self, tile_box: &TileBox) -> Option<f64> {
+        let (mut contained, mut most) = (false, 0.0_f64);
+        for (index, footprint) in self.footprints.iter().enumerate() {
+            let apex_m = footprint.apex_m - self.anchor_m;
+            if let Some(below) = tile_box.below(footprint, apex_m) {
+                contained |= below <= footprint.depth;
+                most = most.max(self.hearing.get(index).map_or(f64::INFINITY, |hearing| {
+                    hearing.max_probability(tile_box, apex_m, below)
+                }));
+            }
+        }
+        contained.then_some(most)
     }
 }
 
@@ -184,8 +217,17 @@ fn reach(footprints: &[Footprint], anchor_m: DVec3) -> Option<(DVec2, DVec2)> {
     (low.min_element() >= -EDGE_M && high.max_element() <= EDGE_M).then_some((low, high))
 }
 
-/// Lists the scatterers of a tile that lie in a footprint whose transmitter and receiver both see them.
-fn keep(tile: &mut Tile, tile_box: &TileBox, context: GatherContext) -> TileCount {
+/// Lists the scatterers of a tile that the ping keeps and that lie in a footprint whose transmitter and receiver both see them.
+fn keep(
+    tile: &mut Tile,
+    Wanted {
+        id,
+        tile_box,
+        max_probability,
+    }: &Wanted,
+    hearing: &[Hearing],
+    context: GatherContext,
+) -> TileCount {
     let GatherContext {
         anchor_m,
         footprints,
@@ -199,11 +241,33 @@ fn keep(tile: &mut Tile, tile_box: &TileBox, context: GatherContext) -> TileCoun
         on_ground: true,
     };
     let mut kept = std::mem::take(&mut tile.kept);
+    let mut gains = std::mem::take(&mut tile.gain);
     kept.clear();
+    gains.clear();
     let mut shadowed = 0;
+    let max_rank = thinning::max_rank(*max_probability, id.level);
     for i in 0..tile.len() {
         let own_m = tile.position_m(i);
         let position_m = own_m + anchor_m;
+        let gain = match hearing {
+            [] => 1.0,
+            _ if f64::from(tile.rank[i]) >= max_rank => 0.0,
+            _ => {
+                let of = |(footprint, hearing): (&Footprint, &Hearing)| {
+                    hearing.probability(footprint, position_m - footprint.apex_m)
+                };
+                let probability = footprints.iter().zip(hearing).filter_map(of);
+                match probability.reduce(f64::max) {
+                    Some(probability) => {
+                        thinning::gain(f64::from(tile.rank[i]), probability, id.level)
+                    }
+                    None => 0.0,
+                }
+            }
+        };
+        if gain == 0.0 {
+            continue;
+        }
         let (mut contained, mut seen) = (false, false);
         for (index, footprint) in footprints.iter().enumerate() {
             if footprint.contains(position_m) {
@@ -216,10 +280,12 @@ fn keep(tile: &mut Tile, tile_box: &TileBox, context: GatherContext) -> TileCoun
         }
         if seen {
             kept.push(i as u16);
+            gains.push(gain as f32);
         }
         shadowed += u32::from(contained && !seen);
     }
     tile.kept = kept;
+    tile.gain = gains;
     TileCount {
         tile: tile.len() as u32,
         kept: tile.kept.len() as u32,
@@ -292,13 +358,13 @@ impl<'a> Rows<'a> {
     /// Writes the kept scatterers of a tile to all rows.
     fn fill(self, tile: &Tile, anchor_m: DVec3, law: ScatterLaw) {
         let zero_m = tile.zero_m + anchor_m;
-        for (row, &i) in tile.kept.iter().enumerate() {
+        for (row, (&i, &gain)) in tile.kept.iter().zip(&tile.gain).enumerate() {
             let i = usize::from(i);
             self.north_m[row] = zero_m.x + f64::from(tile.north_m[i]);
             self.east_m[row] = zero_m.y + f64::from(tile.east_m[i]);
             self.down_m[row] = zero_m.z + f64::from(tile.down_m[i]);
             self.normal[row] = tile.normal[i];
-            let strength = tile.strength[i];
+            let strength = tile.strength[i] * gain;
             self.strength[row] = Complex64::new(strength.re.into(), strength.im.into());
         }
         self.law.fill(law);

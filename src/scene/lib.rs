@@ -20,6 +20,7 @@ pub mod read;
 mod seabed;
 pub mod simplify;
 mod targets;
+mod thinning;
 mod tiles;
 
 #[cfg(test)]

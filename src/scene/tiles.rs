@@ -20,6 +20,7 @@ use num_complex::Complex32;
 use super::bottoms::Bottom;
 use super::draws;
 use super::seabed::{Depth, Surface};
+use super::thinning::Thinning;
 use echotank_config::spec::{Density, IncidenceSpec, MosaicValues, SeabedSpec};
 use echotank_core::scene::Footprint;
 
@@ -27,13 +28,16 @@ use echotank_core::scene::Footprint;
 pub(crate) const CELLS_ON_SIDE: usize = 32;
 pub(crate) const SCATTERERS_PER_TILE: usize = CELLS_ON_SIDE * CELLS_ON_SIDE;
 
-/// Size of a full tile, bytes: position, normal, strength and index in the list of kept scatterers.
+/// Size of a full tile, bytes: position, rank, normal, strength, index and gain in the list of kept scatterers.
 pub const TILE_BYTES: u64 = (SCATTERERS_PER_TILE
-    * (3 * size_of::<f32>() + size_of::<[f32; 3]>() + size_of::<Complex32>() + size_of::<u16>()))
+    * (5 * size_of::<f32>() + size_of::<[f32; 3]>() + size_of::<Complex32>() + size_of::<u16>()))
     as u64;
 
 /// Distance below which the automatic density is constant, metres.
 pub(crate) const NEAREST_M: f64 = 2.0;
+
+/// Coarsest level.
+const MAX_LEVEL: u32 = 80;
 
 /// Index of a tile: its level, and its row (north) and column (east) in that level.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -63,15 +67,15 @@ impl TileId {
     }
 }
 
-/// Density of scatterers as a function of distance.
+/// Levels of the tiles, and the density that an array needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Levels {
     /// Side of a cell of level 0, metres.
     cell_m: f64,
-    /// Coarsest level in use.
-    top: u32,
-    /// Level k is used from 2^k times this distance on, metres.
-    near_m: f64,
+    /// Longest range of any sonar, metres.
+    longest_m: f64,
+    /// None where the density is constant.
+    thinning: Option<Thinning>,
 }
 
 impl Levels {
@@ -81,29 +85,29 @@ impl Levels {
                 debug_assert!(density_per_m2 > 0.0 && density_per_m2.is_finite());
                 Self {
                     cell_m: 1.0 / density_per_m2.sqrt(),
-                    top: 0,
-                    near_m: 1.0,
+                    longest_m: NEAREST_M,
+                    thinning: None,
                 }
             }
             Density::Auto {
                 per_cell,
-                range_m,
-                beam_rad,
+                cell,
                 longest_range_m,
+                lobes,
             } => Self {
-                cell_m: (range_m * beam_rad * NEAREST_M / per_cell).sqrt(),
-                top: (longest_range_m / NEAREST_M).log2().floor().max(0.0) as u32,
-                near_m: NEAREST_M,
+                cell_m: (cell.range_m * cell.beam_rad * NEAREST_M / per_cell).sqrt(),
+                longest_m: longest_range_m.max(NEAREST_M),
+                thinning: Some(Thinning {
+                    finest: cell,
+                    lobes,
+                }),
             },
         }
     }
 
-    /// Level used at a distance.
-    pub(crate) fn at(&self, distance_m: f64) -> u32 {
-        match self.top {
-            0 => 0,
-            top => ((distance_m / self.near_m).log2().floor().max(0.0) as u32).min(top),
-        }
+    /// How scatterers are left out; none where the density is constant.
+    pub(crate) fn thinning(&self) -> Option<&Thinning> {
+        self.thinning.as_ref()
     }
 
     /// Northward and eastward side of a cell, metres.
@@ -123,21 +127,25 @@ impl Levels {
         1.0 / (cell_m.x * cell_m.y)
     }
 
-    /// Mean spacing of scatterers at a distance, metres.
+    /// Mean spacing of scatterers in the beam of the finest sonar at a distance, metres.
     pub(crate) fn spacing_m(&self, distance_m: f64) -> f64 {
-        1.0 / self.density_per_m2(self.at(distance_m)).sqrt()
+        match self.thinning {
+            None => self.cell_m,
+            Some(_) => self.cell_m * (distance_m.max(NEAREST_M) / NEAREST_M).sqrt(),
+        }
     }
 
-    /// Coarsest level whose tiles are at most `side_m` wide, at least 0. Levels above [`Self::at`] are used only to search for tiles.
+    /// Coarsest level whose tiles are at most `side_m` wide, at least 0.
     pub(crate) fn no_wider_than(&self, side_m: f64) -> u32 {
         let doublings = (side_m / (self.cell_m * CELLS_ON_SIDE as f64)).log2();
         // Two levels double both sides; 80 levels cover any seabed on earth.
-        (2.0 * doublings).floor().clamp(0.0, 80.0) as u32
+        (2.0 * doublings).floor().clamp(0.0, f64::from(MAX_LEVEL)) as u32
     }
 
-    /// Longer tile side of the middle level, metres.
+    /// Longer side of the tiles halfway to the longest range on a scale of logarithms, metres.
     pub(crate) fn typical_side_m(&self) -> f64 {
-        let tile_m = self.tile_m(self.top / 2);
+        let octaves = (self.longest_m / NEAREST_M).log2();
+        let tile_m = self.tile_m((octaves / 2.0) as u32);
         tile_m.x.max(tile_m.y)
     }
 }
@@ -193,8 +201,11 @@ pub(crate) struct Tile {
     pub down_m: Vec<f32>,
     pub normal: Vec<[f32; 3]>,
     pub strength: Vec<Complex32>,
-    /// Indices of the scatterers that the current ping keeps.
+    /// Permanent random numbers in (0, 1], uniform within the tile's level; empty where the density is constant.
+    pub rank: Vec<f32>,
+    /// Indices of the scatterers that the current ping keeps, and the factors on their strengths.
     pub(super) kept: Vec<u16>,
+    pub(super) gain: Vec<f32>,
 }
 
 impl Tile {
@@ -207,7 +218,9 @@ impl Tile {
             down_m: Vec::with_capacity(SCATTERERS_PER_TILE),
             normal: Vec::with_capacity(SCATTERERS_PER_TILE),
             strength: Vec::with_capacity(SCATTERERS_PER_TILE),
+            rank: Vec::with_capacity(SCATTERERS_PER_TILE),
             kept: Vec::with_capacity(SCATTERERS_PER_TILE),
+            gain: Vec::with_capacity(SCATTERERS_PER_TILE),
         }
     }
 
@@ -226,6 +239,7 @@ impl Tile {
         self.down_m.clear();
         self.normal.clear();
         self.strength.clear();
+        self.rank.clear();
     }
 }
 
@@ -296,8 +310,8 @@ impl Recipe {
         let first = |index: i64| index * CELLS_ON_SIDE as i64;
         for place in 0..SCATTERERS_PER_TILE {
             let (north, east) = cell_at(place);
-            let (north, east) = (first(id.row) + north, first(id.col) + east);
-            let (north, east) = self.representative_cell(id.level, north, east);
+            let own = (first(id.row) + north, first(id.col) + east);
+            let (north, east) = self.representative_cell(id.level, own.0, own.1);
             let [a, b, c, d] = draws::of_cell(self.seed, north, east);
             let from_middle = |cell: i64, jitter: u32, middle_m: f64| {
                 ((cell as f64 + draws::fraction(jitter)) * self.levels.cell_m - middle_m) as f32
@@ -325,7 +339,31 @@ impl Recipe {
             tile.down_m.push((depth.down_m - down_m) as f32);
             tile.normal.push(self.normal(&depth));
             tile.strength.push(amplitude as f32 * reflectivity);
+            if self.levels.thinning.is_some() {
+                let fraction = draws::rank(self.seed, north, east);
+                tile.rank
+                    .push(self.rank(id.level, own.0, own.1, fraction) as f32);
+            }
         }
+    }
+
+    /// Permanent random number of the scatterer of a cell, among those of the cell's level. The scatterer is in the next level with probability 1/2.
+    /// Those in k further levels and no more have ranks in 2^-k (1/2, 1]; `fraction`, in [0, 1), gives the place in that interval.
+    fn rank(&self, level: u32, mut north: i64, mut east: i64, fraction: f64) -> f64 {
+        let mut rank = 1.0 - fraction / 2.0;
+        for level in level + 1..=MAX_LEVEL {
+            let index = match level % 2 {
+                1 => &mut north,
+                _ => &mut east,
+            };
+            let half = *index & 1;
+            *index >>= 1;
+            if draws::half_of(self.seed, level, north, east) != half {
+                break;
+            }
+            rank *= 0.5;
+        }
+        rank
     }
 
     /// Normal from which the scattering law measures angles.
@@ -377,27 +415,43 @@ impl TileBox {
         from_m.clamp(low, high).distance(from_m)
     }
 
-    /// False only if no point of the box lies in the footprint. `apex_m` is the footprint's apex in the box's coordinates.
-    pub(crate) fn may_meet(&self, footprint: &Footprint, apex_m: DVec3) -> bool {
+    /// A lower bound of [`Footprint::below_maximum`] in the box, with the margins of motion; none if no point of the box lies within range and in
+    /// front of the faces. `apex_m` is the footprint's apex in the box's coordinates.
+    pub(crate) fn below(&self, footprint: &Footprint, apex_m: DVec3) -> Option<f64> {
         let (low, high) = (self.low_m - BOX_MARGIN_M, self.high_m + BOX_MARGIN_M);
         if self.distance_m(apex_m) > footprint.max_range_m {
-            return false;
+            return None;
         }
         let center = (low + high) / 2.0 - apex_m;
         let half = (high - low) / 2.0;
         // |d| is at most that of the farthest corner. |d . axis| is at least |centre . axis| less the half width of the box along the axis. d . normal is at most centre . normal plus that half width.
         let farthest_m = (center.abs() + half).length().min(footprint.max_range_m);
-        footprint.faces.iter().all(|face| {
-            let max_m = center.dot(face.normal) + half.dot(face.normal.abs());
-            face.may_face(max_m, farthest_m)
-        }) && footprint
-            .sides
-            .iter()
-            .map(|side| {
+        let below = || {
+            let sides = footprint.sides.iter().map(|side| {
                 let min_m = center.dot(side.axis).abs() - half.dot(side.axis.abs());
                 side.below(min_m.max(0.0), farthest_m)
-            })
-            .product::<f64>()
-            <= footprint.depth
+            });
+            sides.product::<f64>()
+        };
+        let faces = footprint.faces.iter().all(|face| {
+            let max_m = center.dot(face.normal) + half.dot(face.normal.abs());
+            face.may_face(max_m, farthest_m)
+        });
+        faces.then(below)
+    }
+
+    /// Least and greatest cosine from the downward vertical of the rays from a point in the box's coordinates.
+    pub(crate) fn down_cosines(&self, from_m: DVec3) -> (f64, f64) {
+        let (low, high) = (self.low_m - BOX_MARGIN_M, self.high_m + BOX_MARGIN_M);
+        let nearest_m = self.distance_m(from_m);
+        let farthest_m = (low - from_m).abs().max((high - from_m).abs()).length();
+        let cosine = |down_m: f64, positive: f64, negative: f64| {
+            let range_m = if down_m > 0.0 { positive } else { negative };
+            (down_m / range_m.max(f64::MIN_POSITIVE)).clamp(-1.0, 1.0)
+        };
+        (
+            cosine(low.z - from_m.z, farthest_m, nearest_m),
+            cosine(high.z - from_m.z, nearest_m, farthest_m),
+        )
     }
 }

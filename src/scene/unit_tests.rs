@@ -10,6 +10,7 @@ use proptest::prelude::*;
 use super::pool::TilePool;
 use super::read::HeightField;
 use super::seabed::Surface;
+use super::thinning::{self, Hearing};
 use super::tiles::{Levels, Recipe, SCATTERERS_PER_TILE, TILE_BYTES, Tile, TileId};
 use super::{Files, Scene, SceneError};
 use echotank_config::spec::{
@@ -17,7 +18,9 @@ use echotank_config::spec::{
     OcclusionSpec, SceneSpec, SeabedFileSpec, SeabedShape, SeabedSpec, Sediment,
 };
 use echotank_core::ping::SceneCounts;
-use echotank_core::scene::{Footprint, ScatterLaw, Scatterers};
+use echotank_core::scene::{
+    BaffledFace, Footprint, PatternSide, ResolutionCell, ScatterLaw, Scatterers,
+};
 
 /// The file system, as the runtime passes it.
 pub(crate) struct Disk;
@@ -872,9 +875,12 @@ fn the_quickstart_targets_open_over_the_recorded_seabed() {
 /// A resolution cell of 5 cm x 1 degree with 5 scatterers at every range up to 200 m.
 const AUTO: Density = Density::Auto {
     per_cell: 5.0,
-    range_m: 0.05,
-    beam_rad: 0.017_453_292_519_943_295,
+    cell: ResolutionCell {
+        range_m: 0.05,
+        beam_rad: 0.017_453_292_519_943_295,
+    },
     longest_range_m: 200.0,
+    lobes: 2.0,
 };
 
 fn auto_recipe(slope_north: f64) -> Recipe {
@@ -890,18 +896,150 @@ fn auto_recipe(slope_north: f64) -> Recipe {
     recipe(&spec, 42)
 }
 
+/// An array that looks to both sides of the track, rolled and pitched, with a wide element and motion while it listens.
+fn side_looking(apex_m: DVec3, max_range_m: f64) -> Footprint {
+    let turn = glam::DQuat::from_euler(glam::EulerRot::ZYX, 0.4, 0.05, 0.3);
+    let side = |axis, knee, shift_m| PatternSide {
+        axis: turn * axis,
+        knee,
+        turn: 0.01,
+        shift_m,
+    };
+    Footprint {
+        sides: [
+            side(DVec3::X, 0.01, 0.0),
+            side(DVec3::Y, 0.4, 0.0),
+            side(DVec3::X, 0.1, 0.2),
+            PatternSide::OPEN,
+        ],
+        depth: 3e3,
+        cell: ResolutionCell {
+            range_m: 0.1,
+            beam_rad: 0.03,
+        },
+        ..all_round(apex_m, max_range_m)
+    }
+}
+
 #[test]
-fn every_range_has_five_scatterers_per_cell_and_less_than_eleven() {
-    let levels = Levels::new(&AUTO);
-    for range_m in [2.0, 3.0, 3.99, 4.0, 10.0, 63.0, 64.1, 150.0, 200.0] {
-        let cell_m2 = 0.05 * range_m * 0.017_453_292_519_943_295;
-        let got = levels.density_per_m2(levels.at(range_m)) * cell_m2;
-        println!("{range_m} m: level {}, {got:.2}", levels.at(range_m));
-        // The coarsest level is used up to the longest range, whatever remains of its octave.
+fn coarse_tiles_hold_every_scatterer_that_the_finest_would_give_and_no_other() {
+    let recipe = auto_recipe(0.1);
+    let seabed = SeabedSpec {
+        density: AUTO,
+        ..seabed(
+            SeabedShape::Plane {
+                depth_m: 10.0,
+                slope_north: 0.1,
+                slope_east: 0.0,
+            },
+            1.0,
+            true,
+        )
+    };
+    let mut scene = Scene::open(&Disk, &spec(Some(seabed), 4000)).unwrap();
+    let apex_m = DVec3::new(3.0, -4.0, 1.0);
+    let both = [
+        side_looking(apex_m, 40.0),
+        Footprint {
+            faces: [
+                BaffledFace {
+                    normal: DVec3::Y,
+                    ..BaffledFace::OPEN
+                },
+                BaffledFace::OPEN,
+            ],
+            ..side_looking(apex_m + 0.3, 35.0)
+        },
+    ];
+    let mut out = Scatterers::default();
+    let counts = scene.gather(&both, &mut out);
+    let thinning = recipe.levels().thinning().unwrap();
+    let hearing = both.map(|f| Hearing::new(thinning, &f));
+    let mut want: Vec<(DVec3, Complex64)> = Vec::new();
+    let side_m = recipe.levels().tile_m(0).x;
+    let reach = (45.0 / side_m).ceil() as i64;
+    let mut all = 0;
+    for row in -reach..=reach {
+        for col in -reach..=reach {
+            let tile = make(&recipe, (row, col));
+            for (i, strength) in strengths(&tile).enumerate() {
+                let at_m = tile.position_m(i);
+                let of = |(f, h): (&Footprint, &Hearing)| h.probability(f, at_m - f.apex_m);
+                let p = both.iter().zip(&hearing).filter_map(of).reduce(f64::max);
+                all += i32::from(p.is_some());
+                let gain = p.map_or(0.0, |p| thinning::gain(tile.rank[i].into(), p, 0));
+                if gain > 0.0 && both.iter().any(|f| f.contains(at_m)) {
+                    want.push((at_m, strength * gain));
+                }
+            }
+        }
+    }
+    println!("{} of {all} kept, {} made", want.len(), counts.made);
+    // Fades reach zero: a position rounded differently at two levels may leave out one of the weakest.
+    let strongest = want.iter().map(|w| w.1.norm()).fold(0.0, f64::max);
+    let mut got: Vec<(DVec3, Complex64)> = (0..out.len())
+        .map(|i| (out.position_m(i), out.strength[i]))
+        .collect();
+    for list in [&mut got, &mut want] {
+        list.retain(|w| w.1.norm() > 1e-3 * strongest);
+        list.sort_by(|a, b| a.0.x.total_cmp(&b.0.x));
+    }
+    assert_eq!(got.len(), want.len());
+    for (got, want) in got.iter().zip(&want) {
+        assert!(got.0.distance(want.0) < 1e-4, "{got:?}, {want:?}");
         assert!(
-            (5.0 - 1e-9..10.0 + 1e-9).contains(&got),
-            "{range_m} m: {got}"
+            (got.1 - want.1).norm() < 1e-3 * strongest,
+            "{got:?}, {want:?}"
         );
+    }
+    assert!(got.len() > 2000 && 20 * got.len() < all as usize);
+    assert!(counts.made < all as u64 / 4, "{}", counts.made);
+}
+
+#[test]
+fn weights_keep_the_mean_intensity_at_every_probability_and_level() {
+    const STEPS: u32 = 100_000;
+    for probability in [1e-6, 0.01, 0.3, 0.7, 0.9, 1.0, 1.2, 1.5, 40.0] {
+        let coarsest = thinning::level(probability);
+        for level in coarsest.saturating_sub(4)..=coarsest {
+            let power = (0..STEPS).map(|k| {
+                let rank = (f64::from(k) + 0.5) / f64::from(STEPS);
+                thinning::gain(rank, probability, level).powi(2)
+            });
+            let mean = power.sum::<f64>() / f64::from(STEPS);
+            assert!(
+                (mean - 1.0).abs() < 1e-3,
+                "{probability}, level {level}: {mean}"
+            );
+        }
+    }
+    // Far from the fade nothing is changed.
+    assert!((thinning::gain(0.99, 1.5, 0) - 1.0).abs() < 1e-12);
+    assert!(thinning::level(0.8) == 0 && thinning::level(0.399) == 1);
+}
+
+#[test]
+fn ranks_are_uniform_and_halve_with_every_level_that_a_scatterer_is_in() {
+    let recipe = auto_recipe(0.0);
+    for level in [0, 1, 4] {
+        let mut ranks = Vec::new();
+        for at in 0..16 {
+            let id = TileId {
+                level,
+                row: at / 4,
+                col: at % 4,
+            };
+            ranks.extend(make_id(&recipe, id).rank);
+        }
+        ranks.sort_by(f32::total_cmp);
+        let n = ranks.len() as f64;
+        let off = ranks
+            .iter()
+            .enumerate()
+            .map(|(i, rank)| (f64::from(*rank) - i as f64 / n).abs());
+        let worst = off.fold(0.0, f64::max) * n.sqrt();
+        // Kolmogorov and Smirnov at p = 0.01.
+        assert!(worst < 1.63, "level {level}: {worst}");
     }
 }
 
@@ -924,17 +1062,22 @@ fn two_halves_cover_a_tile_and_each_of_its_scatterers_is_one_of_theirs_or_of_the
                 make_id(&recipe, whole),
                 [a, b].map(|id| make_id(&recipe, id)),
             );
-            let places: Vec<(DVec3, Complex64)> = finer
+            let places: Vec<(DVec3, Complex64, f32)> = finer
                 .iter()
-                .flat_map(|t| strengths(t).enumerate().map(|(i, s)| (t.position_m(i), s)))
+                .flat_map(|t| {
+                    let each = strengths(t).enumerate();
+                    each.map(|(i, s)| (t.position_m(i), s, t.rank[i]))
+                })
                 .collect();
             assert_eq!((tile.len(), places.len()), (1024, 2048));
             for (i, strength) in strengths(&tile).enumerate() {
                 let at = tile.position_m(i);
-                let twin = places.iter().find(|(p, _)| p.distance(at) < 1e-5);
-                let (_, finer) = twin.expect("a scatterer of the finer level");
+                let twin = places.iter().find(|(p, ..)| p.distance(at) < 1e-5);
+                let (_, finer, finer_rank) = twin.expect("a scatterer of the finer level");
                 let ratio = strength / finer;
                 assert!((ratio - 2.0_f64.sqrt()).norm() < 1e-6, "{ratio}");
+                let ranks = tile.rank[i] / finer_rank;
+                assert!((ranks - 2.0).abs() < 1e-5, "{ranks}");
             }
         }
     }

@@ -3,25 +3,17 @@
 use glam::DVec3;
 
 use super::super::spec::*;
-use super::MIB;
+use super::{MIB, density};
 use crate::keys;
 use crate::raw::{Entry, Field, Problems};
 use echotank_core::arrays::Pattern;
-use echotank_core::pulse::PulseKind;
 
-/// Memory of one scatterer in a tile, bytes: three coordinates, a normal, a strength and a mark.
-const BYTES_PER_SCATTERER: f64 = 34.0;
+/// Memory of one scatterer in a tile, bytes: three coordinates, a normal, a strength, a rank, a mark and a gain.
+const BYTES_PER_SCATTERER: f64 = 42.0;
 /// Approximate ratio of the area of the tiles to the insonified area.
 const TILE_EDGES: f64 = 1.3;
-/// Maximum ratio of the density to the required density. The density is a power of two; the mean ratio is 1.4.
-const LEVEL_STEPS: f64 = 2.0;
-/// Number of scatterers in the finest resolution cell with automatic density. The number is sufficient for a Rayleigh envelope
-/// (model.md 11).
-const SCATTERERS_PER_CELL: f64 = 5.0;
-/// -3 dB beam width of a line of length L, in units of wavelength over L (Meng et al. 2023, Eq. 1).
-const BEAM_WIDTH: f64 = 0.886;
-/// Cosine between the axes of two arrays above which both arrays narrow the same beam.
-const ALONG: f64 = 0.5;
+/// Approximate ratio of the scatterers in the tiles of a ping to those that it keeps, with automatic density.
+const TILES_AROUND_LOBES: f64 = 6.0;
 /// Cosine between the axes of two arrays above which the arrays count as parallel: 2.6 degrees.
 const PARALLEL: f64 = 0.999;
 
@@ -130,7 +122,13 @@ fn seabed(
     let constant = Some(!table.density.given);
     problems.only_with(&[&table.density_per_m2], constant, "no density = \"auto\"");
     let density = match table.density.given {
-        true => rig.auto_density()?,
+        true => {
+            let depth_m = table
+                .depth_m
+                .get()
+                .filter(|_| table.shape.text() == Some("plane"));
+            density::auto(rig, depth_m, table.speckle.get()?)?
+        }
         false => Density::PerM2(table.density_per_m2.get()?),
     };
     let shape = match table.shape.text()? {
@@ -247,40 +245,22 @@ fn mosaic(table: &keys::Seabed, problems: &mut Problems) -> Option<Option<Mosaic
 }
 
 impl Rig<'_> {
-    /// Density with enough scatterers for the finest resolution cell of every sonar.
-    fn auto_density(&self) -> Option<Density> {
-        let c = self.sound_speed_m_per_s?;
-        let (range_m, beam_rad) = self
-            .sonars
-            .iter()
-            .flat_map(|sonar| {
-                let range_m = range_resolution_m(sonar, c);
-                beams_rad(sonar, c).map(move |beam_rad| (range_m, beam_rad))
-            })
-            .min_by(|a, b| (a.0 * a.1).total_cmp(&(b.0 * b.1)))?;
-        Some(Density::Auto {
-            per_cell: SCATTERERS_PER_CELL,
-            range_m,
-            beam_rad,
-            longest_range_m: self.longest_range_m,
-        })
-    }
-
     /// Approximate number of scatterers in the tiles that one ping needs, on a flat seabed.
     fn scatterers_in_beams(&self, density: &Density) -> f64 {
         let range_m = self.longest_range_m;
-        let full_circle = match *density {
+        match *density {
             Density::PerM2(density_per_m2) => {
-                density_per_m2 * std::f64::consts::PI * range_m * range_m
+                let full_circle = density_per_m2 * std::f64::consts::PI * range_m * range_m;
+                full_circle * self.widest_share() * TILE_EDGES
             }
-            Density::Auto {
-                per_cell,
-                range_m: cell_m,
-                beam_rad,
-                ..
-            } => LEVEL_STEPS * per_cell / (cell_m * beam_rad) * std::f64::consts::TAU * range_m,
-        };
-        full_circle * self.widest_share() * TILE_EDGES
+            Density::Auto { lobes, .. } => {
+                let c = self.sound_speed_m_per_s.unwrap_or(f64::NAN);
+                let of =
+                    |sonar: &&SonarSpec| density::scatterers_a_ping(sonar, c, None, range_m, lobes);
+                let most = self.sonars.iter().map(of).fold(0.0, f64::max);
+                most * TILES_AROUND_LOBES
+            }
+        }
     }
 
     /// Fraction of the full circle in which the widest pair of transmitter and element is above the culling level.
@@ -334,32 +314,4 @@ fn two_way_sine(a: f64, b: f64, depth: f64) -> f64 {
 fn along(a: &echotank_core::arrays::Mounting, b: &echotank_core::arrays::Mounting) -> f64 {
     let axis = |mounting: &echotank_core::arrays::Mounting| mounting.body_from_array * DVec3::X;
     axis(a).dot(axis(b)).abs()
-}
-
-/// Range resolution c/(2B), metres, with the shortest pulse that the limits allow.
-fn range_resolution_m(sonar: &SonarSpec, c: f64) -> f64 {
-    let shortest_hz = 1.0 / sonar.limits.pulse_duration_s.0;
-    let bandwidth_hz = match sonar.pulse.kind {
-        PulseKind::Cw => shortest_hz,
-        PulseKind::LfmUp | PulseKind::LfmDown => sonar.pulse.bandwidth_hz.max(shortest_hz),
-    };
-    c / (2.0 * bandwidth_hz)
-}
-
-/// Two-way beam width of each receive array and its transmitter, radians.
-fn beams_rad(sonar: &SonarSpec, c: f64) -> impl Iterator<Item = f64> {
-    let wavelength_m = c / sonar.pulse.center_frequency_hz;
-    sonar.receive.iter().map(move |array| {
-        let transmit = &sonar.transmit[array.transmit];
-        let insonified_m = match transmit.pattern {
-            Pattern::Omnidirectional => 0.0,
-            Pattern::Rectangle { length_m, .. } | Pattern::Part { length_m, .. } => length_m,
-        };
-        let common = along(&transmit.mounting, &array.mounting);
-        let heard_m = match common > ALONG || insonified_m == 0.0 {
-            true => array.elements as f64 * array.spacing_m,
-            false => 0.0,
-        };
-        (BEAM_WIDTH * wavelength_m / insonified_m.max(heard_m)).min(1.0)
-    })
 }

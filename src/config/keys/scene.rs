@@ -116,7 +116,7 @@ table! {
     /// Triangles of soundings with a longer edge are holes. Only with shape = "file".
     max_edge_m: Number(above(0.0, 1.0e6)), Optional("50.0"), only with shape = "file";
 
-    /// At least five scatterers in every resolution cell of the finest sonar: c/(2 B) times beam width times range. The density falls with range.
+    /// Five scatterers in every resolution cell, c/(2 B) times beam width times range, of the ping's own arrays; fewer in side lobes. The density falls with range.
     density: Choice("auto"), Optional("\"auto\"");
 
     /// Constant number of scatterers per horizontal square metre. Not with density = "auto". The mean level does not depend on it.

@@ -1,6 +1,7 @@
 //! Whole pings: engines against each other, error checks, culling, reverberation.
 
 mod culling;
+mod density;
 mod engines;
 mod error_check;
 mod reverberation;

@@ -7,7 +7,7 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use echotank_config::spec::*;
 use echotank_core::arrays::{Pattern, TransmitArray};
-use echotank_core::scene::{Footprint, Scatterers};
+use echotank_core::scene::{Footprint, PatternSide, ResolutionCell, Scatterers};
 use echotank_runtime::io::files::FileSystem;
 use echotank_scene::Scene;
 use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
@@ -157,12 +157,19 @@ fn samples(density: Density, pings: usize) -> (Vec<Vec<Complex64>>, u64) {
     (all, used / pings as u64)
 }
 
-const AUTO: Density = Density::Auto {
-    per_cell: 5.0,
-    range_m: CELL,
-    beam_rad: BEAM,
-    longest_range_m: 50.0,
-};
+const AUTO: Density = auto(2.0);
+
+const fn auto(lobes: f64) -> Density {
+    Density::Auto {
+        per_cell: 5.0,
+        cell: ResolutionCell {
+            range_m: CELL,
+            beam_rad: BEAM,
+        },
+        longest_range_m: 50.0,
+        lobes,
+    }
+}
 
 #[test]
 fn the_mean_level_is_the_sonar_equations_integral_within_0p2_db_at_three_densities() {
@@ -220,9 +227,12 @@ fn smirnov(mut values: Vec<f64>) -> f64 {
     n.sqrt() * distance
 }
 
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
 fn variance(values: &[f64]) -> f64 {
-    let n = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / n;
+    let (n, mean) = (values.len() as f64, mean(values));
     values.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / n
 }
 
@@ -313,4 +323,166 @@ fn two_a_cell_by_chance_placement_have_an_intensity_variance_of_1p6() {
     let want = 1.0 + 2.0 * crowding;
     println!("by chance placement: {want:.3}");
     assert!((want - 1.6).abs() < 0.05, "{want}");
+}
+
+/// What is received of the ground around a ping: the whole ring, or all but a strip of [`SHADOW`] to either side of the broadside.
+const SHADOW: f64 = 1.5;
+/// Pings of a run, and the advance between two of them that are compared.
+const RUN: usize = 240;
+const ADVANCE: f64 = APERTURE / 10.0;
+
+/// Samples of one density, with the side lobes: [element, beam][open, shadow][ping][cell]. A beam is as long as the transmitter.
+struct Runs {
+    samples: [[Vec<Vec<Complex64>>; 2]; 2],
+    scatterers: u64,
+}
+
+impl Runs {
+    /// Pings in pairs [`ADVANCE`] apart.
+    fn new(lobes: f64, shadows: std::ops::Range<usize>) -> Self {
+        let mut scene = scene(auto(lobes));
+        let range_m = FIRST + CELL * CELLS as f64;
+        let line = Pattern::Rectangle {
+            length_m: APERTURE,
+            width_m: 0.0,
+            baffled: false,
+        };
+        let tx = TransmitArray {
+            pattern: line,
+            ..transmitter(DVec3::ZERO)
+        };
+        let (mut lit, mut work) = (TransmitLeg::default(), Workspace::default());
+        let mut scatterers = Scatterers::default();
+        let mut runs = Self {
+            samples: Default::default(),
+            scatterers: 0,
+        };
+        for ping in 0..RUN {
+            let (pair, second) = (ping / 2, (ping % 2) as f64);
+            let north_m = 13.0 * (pair / 20) as f64 + ADVANCE * second;
+            let at_m = DVec3::new(north_m, 130.0 * (pair % 20) as f64, 0.0);
+            let mut plan = ahead(0.0);
+            plan.pulse = cw(2.0 * CELL / C);
+            plan.absorption_db_per_m = ABSORPTION_DB_PER_M;
+            plan.trajectory = echotank_core::frames::Trajectory::uniform(
+                at_m,
+                DVec3::ZERO,
+                glam::DQuat::IDENTITY,
+            );
+            plan.segments[0].position_m = at_m;
+            let mut footprint = Footprint::all_round(at_m, range_m);
+            footprint.sides[0] = PatternSide {
+                axis: DVec3::X,
+                knee: WAVELENGTH_M / (PI * APERTURE),
+                ..PatternSide::OPEN
+            };
+            footprint.cell = ResolutionCell {
+                range_m: CELL,
+                beam_rad: BEAM,
+            };
+            runs.scatterers += scene.gather(&[footprint], &mut scatterers).scatterers;
+            let window = Window {
+                first_s: 0.0,
+                last_s: 2.0 * (range_m + 1.0) / C,
+            };
+            for shadow in shadows.clone() {
+                for i in 0..scatterers.len() {
+                    if shadow == 1 && (scatterers.north_m[i] - at_m.x).abs() < SHADOW {
+                        scatterers.strength[i] = Complex64::ZERO;
+                    }
+                }
+                insonify(&plan, &tx, window, &scatterers, &mut lit);
+                for (beam, pattern) in [Pattern::Omnidirectional, line].into_iter().enumerate() {
+                    let mut rx = element(DVec3::ZERO);
+                    rx.element_pattern = pattern;
+                    let mut cells = Cells(vec![Complex64::ZERO; CELLS]);
+                    arrivals(&plan, &rx, 0, &lit, &mut work, &mut cells);
+                    runs.samples[beam][shadow].push(cells.0);
+                }
+            }
+        }
+        runs.scatterers /= RUN as u64;
+        runs
+    }
+
+    /// Correlation of the pings of a pair.
+    fn correlation(&self, beam: usize) -> f64 {
+        let (mut common, mut powers) = (Complex64::ZERO, [0.0; 2]);
+        for pair in self.samples[beam][0].chunks(2) {
+            for (a, b) in pair[0].iter().zip(&pair[1]) {
+                common += a * b.conj();
+                powers[0] += a.norm_sqr();
+                powers[1] += b.norm_sqr();
+            }
+        }
+        common.norm() / (powers[0] * powers[1]).sqrt()
+    }
+}
+
+/// Mean intensity of a cell over mu where the beam is the element's (power 1) or the line's (2), of the ring or of what a shadow leaves.
+fn thinned_ring(cell: usize, power: i32, shadow: bool) -> f64 {
+    const AZIMUTHS: usize = 20_000;
+    let r = FIRST + CELL * (cell as f64 + 0.5);
+    let sin = (1.0 - (HEIGHT / r).powi(2)).sqrt();
+    let loss = 10f64.powf(-ABSORPTION_DB_PER_M * r / 20.0) / r;
+    let of = |k: usize| {
+        let azimuth = (k as f64 + 0.5) / AZIMUTHS as f64 * FRAC_PI_2;
+        let u = sin * azimuth.sin();
+        match shadow && u * r < SHADOW {
+            true => 0.0,
+            false => sinc(APERTURE / WAVELENGTH_M * u).powi(2 * power),
+        }
+    };
+    let sum: f64 = (0..AZIMUTHS).map(of).sum();
+    sum * loss.powi(4) * (HEIGHT / r).powi(2) * r * CELL * 4.0 * FRAC_PI_2 / AZIMUTHS as f64
+}
+
+#[test]
+fn thinned_side_lobes_keep_level_speckle_and_correlation() {
+    // 40 cells of 240 pings, half of which are nearly alike: 4,800 independent samples a bin or more.
+    const BIN: usize = 40;
+    let (all, thinned) = (Runs::new(1e9, 0..1), Runs::new(2.0, 0..2));
+    println!("{} of {} scatterers", thinned.scatterers, all.scatterers);
+    assert!(3 * thinned.scatterers < all.scatterers);
+    for (beam, name) in ["element", "beam"].into_iter().enumerate() {
+        for (shadow, place) in ["open", "shadow"].into_iter().enumerate() {
+            let kurtosis = |runs: &Runs| {
+                let pings = &runs.samples[beam][shadow];
+                let mut normalised = Vec::new();
+                let mut worst = 0.0_f64;
+                for bin in 0..CELLS / BIN {
+                    let mut sum = 0.0;
+                    for cell in bin * BIN..(bin + 1) * BIN {
+                        let want = mu() * thinned_ring(cell, 1 + beam as i32, shadow == 1);
+                        let of = pings.iter().map(|ping| ping[cell].norm_sqr() / want);
+                        normalised.extend(of.clone());
+                        sum += of.sum::<f64>();
+                    }
+                    let off_db = 10.0 * (sum / (BIN * pings.len()) as f64).log10();
+                    worst = worst.max(off_db.abs());
+                }
+                let kurtosis = 1.0 + variance(&normalised) / mean(&normalised).powi(2);
+                let statistic = smirnov(normalised);
+                println!(
+                    "{name}, {place}: at most {worst:.3} dB off, kurtosis {kurtosis:.3}, sqrt(n) D {statistic:.2}"
+                );
+                assert!(worst < 0.2, "{name}, {place}: {worst} dB");
+                kurtosis
+            };
+            let of_thinned = kurtosis(&thinned);
+            match shadow {
+                0 => {
+                    let of_all = kurtosis(&all);
+                    assert!(
+                        (of_thinned - of_all).abs() < 0.1,
+                        "{name}: {of_thinned}, all {of_all}"
+                    );
+                }
+                _ => assert!(of_thinned < 2.5, "{name}: {of_thinned} in a shadow"),
+            }
+        }
+        let [a, b] = [&all, &thinned].map(|runs| runs.correlation(beam));
+        println!("{name}: correlation {b:.4}, of all {a:.4}");
+        assert!((a - b).abs() < 0.02, "{name}: {b} against {a}");
+    }
 }

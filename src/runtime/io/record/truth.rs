@@ -9,7 +9,7 @@
 //! | `velocity_m_per_s` | north, east, down |
 //! | `plan` | settings, pulse, window and models of the ping |
 //! | `segments` | trajectory samples used to compute the echoes |
-//! | `scene` | seabed scatterers: `made` for this ping, `culled` (tested, outside every footprint), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made` |
+//! | `scene` | seabed scatterers: `made` for this ping, `culled` (tested, outside every footprint or left out by the automatic density), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made` |
 //! | `error_check` | if configured and enough samples exist: `error`, `low`, `high`, `samples`, `tolerance`, `fault` |
 //! | `methods` | if the method selection applies: `plan` (its number), `predicted_error`, `predicted_ms`, `tolerance`, `output` (`elements`, or `beams` where only lines are computed) with `part_elements` (elements of a line computed as one), and, with an error check, `margin` (tolerance over measured error) |
 //! | `soundings` | for each beam with a detected bottom: `beam`, `angle_deg`, `twtt_s`, `error_s` (predicted), `by` (`amplitude`, `phase`), `level_v` |
