@@ -18,6 +18,8 @@ pub(crate) trait Lanes: Copy {
     unsafe fn mul(self, other: Self) -> Self;
     /// self times `factor`, plus `more`.
     unsafe fn mul_add(self, factor: Self, more: Self) -> Self;
+    /// `more` minus self times `factor`.
+    unsafe fn neg_mul_add(self, factor: Self, more: Self) -> Self;
     /// The larger of the two.
     unsafe fn max(self, other: Self) -> Self;
     /// self times `factor`, minus `less`.
@@ -186,6 +188,10 @@ macro_rules! plain {
                 std::array::from_fn(|i| self[i] * factor[i] + more[i])
             }
             #[inline(always)]
+            unsafe fn neg_mul_add(self, factor: Self, more: Self) -> Self {
+                std::array::from_fn(|i| more[i] - self[i] * factor[i])
+            }
+            #[inline(always)]
             unsafe fn max(self, other: Self) -> Self {
                 std::array::from_fn(|i| self[i].max(other[i]))
             }
@@ -211,7 +217,7 @@ mod x86 {
     use std::arch::x86_64::*;
 
     macro_rules! vector {
-        ($vector:ty, $number:ty, $count:literal, $load:ident, $store:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident, $mul_add:ident, $mul_sub:ident, $max:ident, $sums:ident) => {
+        ($vector:ty, $number:ty, $count:literal, $load:ident, $store:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident, $mul_add:ident, $mul_sub:ident, $neg_mul_add:ident, $max:ident, $sums:ident) => {
             impl Lanes for $vector {
                 type Number = $number;
                 const COUNT: usize = $count;
@@ -248,6 +254,10 @@ mod x86 {
                 #[inline(always)]
                 unsafe fn mul_sub(self, factor: Self, less: Self) -> Self {
                     unsafe { $mul_sub(self, factor, less) }
+                }
+                #[inline(always)]
+                unsafe fn neg_mul_add(self, factor: Self, more: Self) -> Self {
+                    unsafe { $neg_mul_add(self, factor, more) }
                 }
                 #[inline(always)]
                 unsafe fn max(self, other: Self) -> Self {
@@ -318,6 +328,7 @@ mod x86 {
         _mm512_mul_ps,
         _mm512_fmadd_ps,
         _mm512_fmsub_ps,
+        _mm512_fnmadd_ps,
         _mm512_max_ps,
         sums_512
     );
@@ -333,6 +344,7 @@ mod x86 {
         _mm256_mul_ps,
         _mm256_fmadd_ps,
         _mm256_fmsub_ps,
+        _mm256_fnmadd_ps,
         _mm256_max_ps,
         sums_256
     );
@@ -348,6 +360,7 @@ mod x86 {
         _mm512_mul_pd,
         _mm512_fmadd_pd,
         _mm512_fmsub_pd,
+        _mm512_fnmadd_pd,
         _mm512_max_pd,
         sums_512d
     );
@@ -363,6 +376,7 @@ mod x86 {
         _mm256_mul_pd,
         _mm256_fmadd_pd,
         _mm256_fmsub_pd,
+        _mm256_fnmadd_pd,
         _mm256_max_pd,
         sums_256d
     );

@@ -1,8 +1,7 @@
 //! Sizes of the engine from a tolerance, with the predicted error and cost.
 //!
 //! The error of an echo has three parts: images of the spreading kernel, the weights on columns of Doppler, and the interpolation along the line.
-//! Each is an rms over the echo, or a bound. In windows in which many echoes overlap they add like noise; the worst of thousands of windows, where
-//! echoes nearly cancel or only begin, is larger by a factor (measured).
+//! `windows` tells what the first two are in the worst window of a ping with that many echoes; the third is a bound.
 
 use std::f64::consts::{PI, TAU};
 
@@ -20,17 +19,18 @@ use super::dopplers::{Columns, MAX_TAPS};
 use super::kernel::{Content, Kernel};
 use super::nodes::interpolation_error_m;
 use super::spread::LANES;
+use super::windows::Alone;
 
-/// Largest error of any window of a ping over the rms error of an echo, for kernels and for columns: windows with the onset of the first echo
-/// alone are the worst (measured).
-const WORST_OF_KERNEL: f64 = 20.0;
-const WORST_OF_COLUMNS: f64 = 10.0;
-/// Shares of the tolerance, in squares: kernel, columns, interpolation.
-const SHARES: [f64; 3] = [0.45, 0.45, 0.1];
-/// Smallest supported tolerance: at 3e-4, onsets of single echoes were measured 1.3 times above it.
-pub(crate) const MIN_TOLERANCE: f64 = 1e-3;
+/// Share of the tolerance, as energy, that the interpolation along the line may use at most.
+const PATH_SHARE: f64 = 0.1;
+/// Shares of the tolerance, as energy, to try for the columns.
+const COLUMN_SHARES: [f64; 4] = [0.1, 0.3, 0.5, 0.7];
+/// Flatness of the spectrum for which kernels are fitted: exponents of the energy. A flatter one favours windows with the onset of an echo alone.
+const FLATNESS: [f64; 2] = [1.0, 0.5];
+/// Smallest supported tolerance: at 3e-4, onsets of many echoes were measured 1.1 times above it.
+pub(crate) const MIN_TOLERANCE: f64 = 5e-4;
 /// Kernels and grids to try: rows, and rows per sample as a fraction.
-const WIDTHS: std::ops::RangeInclusive<usize> = 3..=8;
+const WIDTHS: [usize; 7] = [2, 3, 4, 5, 6, 7, 8];
 const DENSITIES: [(usize, usize); 4] = [(1, 1), (5, 4), (3, 2), (2, 1)];
 /// Frequencies at which the pulse's spectrum weighs the images.
 const CONTENTS: usize = 48;
@@ -72,7 +72,7 @@ pub struct Spec<'a> {
     pub tolerance: f64,
     /// Approximate number of samples of one element, for the cost only.
     pub samples: usize,
-    /// Approximate number of echoes, for the cost only.
+    /// Approximate number of echoes, for the cost and for the number of echoes in a window.
     pub scatterers: usize,
     /// Instruction set of the inner loops.
     pub simd_level: SimdLevel,
@@ -193,7 +193,13 @@ impl Design {
                 least: MIN_TOLERANCE,
             });
         }
-        let share = |part: usize| tolerance * SHARES[part].sqrt();
+        let path_error = tolerance * PATH_SHARE.sqrt();
+        let alone = Alone::new(spec, filter);
+        // Least-squares errors of k columns are like the Legendre polynomial of degree k.
+        let of_columns = |columns: &Columns| {
+            let end = (2.0 * columns.taps as f64 + 1.0).sqrt();
+            alone.worst_of_even(columns.error, end)
+        };
         let carrier_hz = pulse.center_frequency_hz;
         let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
         let extent_s = 0.55 * pulse.duration_s + filter.half_s() + 1.1 * half_m / c;
@@ -207,95 +213,124 @@ impl Design {
         let candidates: Vec<Columns> = match moving {
             false => vec![Columns::one()],
             true => (2..=MAX_TAPS)
-                .map(|taps| Columns::fit(taps, share(1) / WORST_OF_COLUMNS))
+                .flat_map(|taps| COLUMN_SHARES.map(|share| (taps, share)))
+                .map(|(taps, share)| {
+                    let end = (2.0 * taps as f64 + 1.0).sqrt();
+                    let rms = tolerance * share.sqrt() / alone.worst_of_even(1.0, end);
+                    Columns::fit(taps, rms)
+                })
                 .collect(),
         };
-        let content = content(spec, filter);
+        // The change of the Doppler during the pulse: left out with two columns, to first order with more. The rms of q^2 less its mean is 0.3, that of
+        // half its square 0.06; both are largest at the ends of the pulse.
+        let bend_rad = match spec.doppler {
+            DopplerModel::StretchQuadratic => {
+                let per_s = spec.fastest_m_per_s.powi(2) / (spec.nearest_m * c);
+                0.5 * PI * carrier_hz * pulse.duration_s.powi(2) * per_s
+            }
+            _ => 0.0,
+        };
+        let of_bend = |columns: &Columns| match columns.taps {
+            ..3 => alone.worst_of_even(0.3 * bend_rad, 2.2),
+            _ => alone.worst_of_even(0.06 * bend_rad * bend_rad, 4.0),
+        };
+        let contents = FLATNESS.map(|flatness| content(spec, filter, flatness));
         let mut finest = f64::INFINITY;
         let mut best: Option<Self> = None;
-        for density in DENSITIES {
+        for (density, width) in DENSITIES
+            .into_iter()
+            .flat_map(|density| WIDTHS.map(move |width| (density, width)))
+        {
             let per_sample = density.0 as f64 / density.1 as f64;
-            let in_rows: Vec<Content> = content
-                .iter()
-                .map(|c| Content {
-                    nu: c.nu / per_sample,
-                    energy: c.energy,
-                })
-                .collect();
-            for width in WIDTHS {
-                let (kernel, kernel_error) = Kernel::fit(width, &in_rows);
-                finest = finest.min(WORST_OF_KERNEL * kernel_error / SHARES[0].sqrt());
-                if WORST_OF_KERNEL * kernel_error > share(0) {
+            let guard = (0.5 * width as f64 / per_sample).ceil() as usize + 2;
+            let Some((slab_samples, payload)) = slabs(extent, guard, samples, density) else {
+                return Err(Refusal::PulseTooLong {
+                    duration_s: pulse.duration_s,
+                    rate_hz,
+                });
+            };
+            let slab_rows = slab_samples * density.0 / density.1;
+            // Rows that the delays of a block spread over, for echoes from 45 degrees.
+            let block_s = 0.7 * LANES as f64 * array.spacing_m / c;
+            let rows = width as f64 + block_s * rate_hz * per_sample;
+            let step = |columns: &Columns| match moving {
+                false => 0.0,
+                true => columns.turn_rad / turn_per_stretch,
+            };
+            let cost = |columns: &Columns| {
+                let typical = match moving {
+                    false => 1.0,
+                    true => columns.taps as f64 + stretch(TYPICAL_M_PER_S) / step(columns),
+                };
+                let row_ns = ROW_NS + TAP_NS * columns.taps as f64;
+                let of_block = BLOCK_NS + rows * row_ns;
+                CostEstimate {
+                    echoes_ns: echoes * (ECHO_NS + 5.0 * NODE_NS + blocks * of_block),
+                    grids_ns: {
+                        let count = (samples + 2 * extent).div_ceil(payload) as f64;
+                        let transform = |n: usize| TRANSFORM_NS * n as f64 * (n as f64).log2();
+                        let of_slab = typical * transform(slab_rows) + transform(slab_samples);
+                        blocks * count * of_slab
+                            + SAMPLE_NS * array.elements as f64 * samples as f64
+                    },
+                }
+            };
+            let cheaper = |columns: &&Columns, best: &Option<Self>| {
+                best.as_ref()
+                    .is_none_or(|best| cost(columns).ms() < best.cost.ms())
+            };
+            if !candidates.iter().any(|columns| cheaper(&columns, &best)) {
+                continue;
+            }
+            let kernels = contents.each_ref().map(|content| {
+                let in_rows: Vec<Content> = content
+                    .iter()
+                    .map(|c| Content {
+                        nu: c.nu / per_sample,
+                        energy: c.energy,
+                    })
+                    .collect();
+                let (kernel, _) = Kernel::fit(width, &in_rows);
+                (kernel, alone.worst(alone.errors(&kernel, per_sample)))
+            });
+            let (kernel, kernel_error) = match kernels[0].1 <= kernels[1].1 {
+                true => kernels[0],
+                false => kernels[1],
+            };
+            finest = finest.min(kernel_error / (1.0 - PATH_SHARE - COLUMN_SHARES[0]).sqrt());
+            for columns in &candidates {
+                let of_doppler = of_columns(columns).hypot(of_bend(columns));
+                let error = kernel_error.hypot(of_doppler).hypot(path_error);
+                if !(error <= tolerance && cheaper(&columns, &best)) {
                     continue;
                 }
-                let guard = (0.5 * width as f64 / per_sample).ceil() as usize + 2;
-                let Some((slab_samples, payload)) = slabs(extent, guard, samples, density) else {
-                    return Err(Refusal::PulseTooLong {
-                        duration_s: pulse.duration_s,
-                        rate_hz,
-                    });
+                let (cost, step) = (cost(columns), step(columns));
+                let reach = match moving {
+                    false => 0,
+                    true => (stretch(spec.fastest_m_per_s) / step).ceil() as usize + columns.taps,
                 };
-                let slab_rows = slab_samples * density.0 / density.1;
-                for columns in &candidates {
-                    let step = match moving {
-                        false => 0.0,
-                        true => columns.turn_rad / turn_per_stretch,
-                    };
-                    let reach = match moving {
-                        false => 0,
-                        true => {
-                            (stretch(spec.fastest_m_per_s) / step).ceil() as usize + columns.taps
-                        }
-                    };
-                    let typical = match moving {
-                        false => 1.0,
-                        true => columns.taps as f64 + stretch(TYPICAL_M_PER_S) / step,
-                    };
-                    let row_ns = ROW_NS + TAP_NS * columns.taps as f64;
-                    let of_block = BLOCK_NS + (width as f64 + 0.5) * row_ns;
-                    let cost = CostEstimate {
-                        echoes_ns: echoes * (ECHO_NS + 5.0 * NODE_NS + blocks * of_block),
-                        grids_ns: {
-                            let count = (samples + 2 * extent).div_ceil(payload) as f64;
-                            let transform = |n: usize| TRANSFORM_NS * n as f64 * (n as f64).log2();
-                            let of_slab = typical * transform(slab_rows) + transform(slab_samples);
-                            blocks * count * of_slab
-                                + SAMPLE_NS * array.elements as f64 * samples as f64
-                        },
-                    };
-                    if best
-                        .as_ref()
-                        .is_some_and(|best| best.cost.ms() <= cost.ms())
-                    {
-                        continue;
-                    }
-                    let path_m = share(2) * c / (TAU * carrier_hz);
-                    let error = (WORST_OF_KERNEL * kernel_error)
-                        .hypot(WORST_OF_COLUMNS * columns.error)
-                        .hypot(share(2));
-                    best = Some(Self {
-                        kernel,
-                        columns: *columns,
-                        step,
-                        reach,
-                        slab_samples,
-                        slab_rows,
-                        payload,
-                        extent,
-                        guard,
-                        path_m,
-                        error_model: ErrorModel {
-                            name: "gridded-lines",
-                            error,
-                            cost_ms: cost.ms(),
-                            why: format!(
-                                "slabs of {slab_samples} samples, {slab_rows} rows; kernel of {width} rows; {} Doppler taps every {:.2e}",
-                                columns.taps, step
-                            ),
-                        },
-                        cost,
-                    });
-                }
+                best = Some(Self {
+                    kernel,
+                    columns: *columns,
+                    step,
+                    reach,
+                    slab_samples,
+                    slab_rows,
+                    payload,
+                    extent,
+                    guard,
+                    path_m: path_error * c / (TAU * carrier_hz),
+                    error_model: ErrorModel {
+                        name: "gridded-lines",
+                        error,
+                        cost_ms: cost.ms(),
+                        why: format!(
+                            "slabs of {slab_samples} samples, {slab_rows} rows; kernel of {width} rows; {} Doppler taps every {:.2e}",
+                            columns.taps, step
+                        ),
+                    },
+                    cost,
+                });
             }
         }
         best.ok_or(Refusal::TooFine {
@@ -325,7 +360,7 @@ impl Design {
 }
 
 /// The spectrum of the received pulse: cycles per sample.
-fn content(spec: &Spec, filter: &Decimator) -> Vec<Content> {
+fn content(spec: &Spec, filter: &Decimator, flatness: f64) -> Vec<Content> {
     let rate_hz = spec.sample_rate_hz;
     let shift_hz = match spec.doppler {
         DopplerModel::None => 0.0,
@@ -339,7 +374,7 @@ fn content(spec: &Spec, filter: &Decimator) -> Vec<Content> {
             let energy = 0.5 * at(0.0) + 0.25 * (at(-shift_hz) + at(shift_hz));
             Content {
                 nu,
-                energy: energy * filter.gain(nu * rate_hz).powi(2),
+                energy: (energy * filter.gain(nu * rate_hz).powi(2)).powf(flatness),
             }
         })
         .filter(|content| content.energy > 0.0)

@@ -2,11 +2,17 @@
 //!
 //! About mid-pulse, an echo with a stretch x steps from that of a column is the column's echo times exp(j x turn 2w/T), |w| < T/2. The
 //! weights on the nearest columns are the least-squares solution over the pulse.
+//!
+//! The change of an echo's Doppler during the pulse adds a phase in proportion to (2w/T)^2. A second set of weights, times j and that phase at the ends,
+//! is this to first order. It needs three columns.
 
 /// Maximum number of columns of one echo.
 pub(super) const MAX_TAPS: usize = 4;
 /// Coefficients of a weight as a polynomial of the place between columns; error 1e-6.
 pub(super) const WEIGHT_TERMS: usize = 6;
+
+/// Mean of (2w/T)^2 over the pulse, which the second weights leave out.
+pub(super) const MEAN_BEND: f64 = 1.0 / 3.0;
 
 /// Columns a step apart, and the weights of an echo on `taps` of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,6 +24,8 @@ pub(super) struct Columns {
     pub error: f64,
     /// `[tap][power]` of the distance from the middle of the taps, -1/2..1/2.
     pub weights: [[f64; WEIGHT_TERMS]; MAX_TAPS],
+    /// The same for the echo times (2w/T)^2 less its mean.
+    pub bends: [[f64; WEIGHT_TERMS]; MAX_TAPS],
 }
 
 /// Mean of exp(j phase 2w/T) over the pulse.
@@ -28,13 +36,36 @@ fn mean(phase_rad: f64) -> f64 {
     libm::sin(phase_rad) / phase_rad
 }
 
+/// Mean of (2w/T)^2 exp(j phase 2w/T) over the pulse.
+fn mean_bent(phase_rad: f64) -> f64 {
+    let y = phase_rad;
+    if y.abs() < 0.1 {
+        // Next term y^4 / 168.
+        return 1.0 / 3.0 - y * y / 10.0 + y.powi(4) / 168.0;
+    }
+    let (sine, cosine) = (libm::sin(y), libm::cos(y));
+    sine / y + 2.0 * cosine / (y * y) - 2.0 * sine / (y * y * y)
+}
+
 /// Least-squares weights of an echo at `x` from the middle of the taps, and the energy that they leave out.
 fn fit(taps: usize, turn_rad: f64, x: f64) -> ([f64; MAX_TAPS], f64) {
+    let (weights, wanted) = fit_to(taps, turn_rad, x, mean);
+    let kept: f64 = weights.iter().zip(&wanted).map(|(a, b)| a * b).sum();
+    (weights, (1.0 - kept).max(0.0))
+}
+
+/// Least-squares weights of a signal whose mean product with a column depends on the phase between them as `product` says, and these products.
+fn fit_to(
+    taps: usize,
+    turn_rad: f64,
+    x: f64,
+    product: impl Fn(f64) -> f64,
+) -> ([f64; MAX_TAPS], [f64; MAX_TAPS]) {
     let at = |k: usize| k as f64 - 0.5 * (taps as f64 - 1.0);
     let mut matrix = [[0.0; MAX_TAPS]; MAX_TAPS];
     let mut right = [0.0; MAX_TAPS];
     for i in 0..taps {
-        right[i] = mean((x - at(i)) * turn_rad);
+        right[i] = product((x - at(i)) * turn_rad);
         for (k, cell) in matrix[i][..taps].iter_mut().enumerate() {
             *cell = mean((at(i) - at(k)) * turn_rad);
         }
@@ -56,8 +87,37 @@ fn fit(taps: usize, turn_rad: f64, x: f64) -> ([f64; MAX_TAPS], f64) {
         let known: f64 = (i + 1..taps).map(|k| matrix[i][k] * weights[k]).sum();
         weights[i] = (right[i] - known) / matrix[i][i];
     }
-    let kept: f64 = weights.iter().zip(&wanted).map(|(a, b)| a * b).sum();
-    (weights, (1.0 - kept).max(0.0))
+    (weights, wanted)
+}
+
+/// Polynomials through the weights at Chebyshev nodes.
+fn polynomials(
+    taps: usize,
+    weights_at: impl Fn(f64) -> [f64; MAX_TAPS],
+) -> [[f64; WEIGHT_TERMS]; MAX_TAPS] {
+    let node = |k: usize| {
+        let angle = std::f64::consts::PI * (k as f64 + 0.5) / WEIGHT_TERMS as f64;
+        0.5 * libm::cos(angle)
+    };
+    let mut weights = [[0.0; WEIGHT_TERMS]; MAX_TAPS];
+    for k in 0..WEIGHT_TERMS {
+        // The Lagrange polynomial of node k, by powers.
+        let mut powers = [0.0; WEIGHT_TERMS];
+        powers[0] = 1.0;
+        for other in (0..WEIGHT_TERMS).filter(|&other| other != k) {
+            let per = 1.0 / (node(k) - node(other));
+            for power in (0..WEIGHT_TERMS).rev() {
+                let below = if power > 0 { powers[power - 1] } else { 0.0 };
+                powers[power] = (below - node(other) * powers[power]) * per;
+            }
+        }
+        for (weight, value) in weights[..taps].iter_mut().zip(weights_at(node(k))) {
+            for (weight, power) in weight.iter_mut().zip(powers) {
+                *weight += value * power;
+            }
+        }
+    }
+    weights
 }
 
 /// rms error over all places.
@@ -78,6 +138,7 @@ impl Columns {
             turn_rad: 0.0,
             error: 0.0,
             weights,
+            bends: [[0.0; WEIGHT_TERMS]; MAX_TAPS],
         }
     }
 
@@ -93,35 +154,15 @@ impl Columns {
             }
         }
         let turn_rad = low;
-        // A polynomial through Chebyshev nodes.
-        let node = |k: usize| {
-            let angle = std::f64::consts::PI * (k as f64 + 0.5) / WEIGHT_TERMS as f64;
-            0.5 * libm::cos(angle)
-        };
-        let values: [_; WEIGHT_TERMS] = std::array::from_fn(|k| fit(taps, turn_rad, node(k)).0);
-        let mut weights = [[0.0; WEIGHT_TERMS]; MAX_TAPS];
-        for (k, values) in values.iter().enumerate() {
-            // The Lagrange polynomial of node k, by powers.
-            let mut powers = [0.0; WEIGHT_TERMS];
-            powers[0] = 1.0;
-            for other in (0..WEIGHT_TERMS).filter(|&other| other != k) {
-                let per = 1.0 / (node(k) - node(other));
-                for power in (0..WEIGHT_TERMS).rev() {
-                    let below = if power > 0 { powers[power - 1] } else { 0.0 };
-                    powers[power] = (below - node(other) * powers[power]) * per;
-                }
-            }
-            for (weight, value) in weights[..taps].iter_mut().zip(values) {
-                for (weight, power) in weight.iter_mut().zip(powers) {
-                    *weight += value * power;
-                }
-            }
-        }
         Self {
             taps,
             turn_rad,
             error: error(taps, turn_rad),
-            weights,
+            weights: polynomials(taps, |x| fit(taps, turn_rad, x).0),
+            bends: polynomials(taps, |x| {
+                let product = |phase_rad| mean_bent(phase_rad) - MEAN_BEND * mean(phase_rad);
+                fit_to(taps, turn_rad, x, product).0
+            }),
         }
     }
 }

@@ -4,6 +4,7 @@
 //! of one block of elements; no sum crosses tasks but the addition of overlapping slabs, in order. The samples are therefore the same bits for any
 //! number of threads.
 
+use std::f64::consts::TAU;
 use std::sync::{Mutex, PoisonError};
 
 use num_complex::{Complex, Complex64};
@@ -18,10 +19,12 @@ use crate::error_model::ErrorModel;
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::model::DopplerModel;
 use echotank_core::ping::{EchoCounts, PingPlan};
-use echotank_core::simd::SimdLevel;
+use echotank_core::simd::{SimdLevel, widest};
 
 use super::design::{Design, Refusal, Spec};
-use super::nodes::{BlockWeights, block_weights, places};
+use super::dopplers::{MAX_TAPS, MEAN_BEND, WEIGHT_TERMS};
+use super::kernel::BAND;
+use super::nodes::{BlockWeights, block_weights, coefficients, places};
 use super::spread::{CELL, EchoChunk, LANES, Located, Shape, add};
 
 /// Echoes are ordered by arrival in steps of this many rows.
@@ -43,8 +46,12 @@ pub struct GriddedLines {
     inverse: BatchedFft<f32>,
     /// Row of the grid and row of the spectrum of every used bin.
     bins: Vec<(u32, u32)>,
-    /// `[column][bin]`
-    templates: Vec<Vec<Complex<f32>>>,
+    /// `[bin][column]`
+    templates: Vec<Complex<f32>>,
+    /// Number of columns of the templates.
+    columns: usize,
+    /// Whether the change of the Doppler during the pulse counts.
+    bends: bool,
     /// Row of the transformed spectrum that holds each sample.
     row_of_sample: Vec<u32>,
     state: State,
@@ -113,7 +120,7 @@ impl GriddedLines {
         for (row, sample) in inverse.frequencies().enumerate() {
             row_of_sample[sample] = row as u32;
         }
-        let half = samples.min(rows) as isize / 2;
+        let half = (rows.min(samples) / 2).max((BAND * rows as f64) as usize) as isize;
         let numbers: Vec<isize> = (1 - half..half).collect();
         let bins = numbers
             .iter()
@@ -146,7 +153,9 @@ impl GriddedLines {
             forward,
             inverse,
             bins,
+            columns: 2 * template_reach(&design) + 1,
             templates,
+            bends: spec.doppler == DopplerModel::StretchQuadratic && design.columns.taps > 2,
             row_of_sample,
             design,
             state,
@@ -242,6 +251,7 @@ impl GriddedLines {
         let buckets = (payload as f64 * buckets_per_s / rate_hz).ceil() as u32 + 1;
         let array = &self.array;
         let state = &mut self.state;
+        let matrix = coefficients(&nodes);
         let along_m: Vec<f64> = nodes.iter().map(|place| place * half_m).collect();
         state.tracks.lay(plan, array, transmit_leg, &along_m);
         let per_element = spacing_m / half_m;
@@ -261,6 +271,9 @@ impl GriddedLines {
                 counts: EchoCounts::default(),
             });
         }
+        let bends = self.bends;
+        let half_s = 0.5 * plan.pulse.duration_s;
+        let bend_per = TAU * plan.pulse.center_frequency_hz * half_s * half_s;
         let (tracks, geometry) = (&state.tracks, &state.geometry);
         let count = nodes.len();
         state.batches[..batches]
@@ -276,9 +289,11 @@ impl GriddedLines {
                 batch.counts = tracks.batch(plan, array, transmit_leg, b, work, solved);
                 let chunk = &mut batch.chunk;
                 chunk.len = solved.len;
-                for node in 0..count {
-                    chunk.middle[node * CHUNK..][..CHUNK].copy_from_slice(&solved.middle_s[node]);
-                }
+                let middles = &solved.middle_s[count / 2];
+                widest(
+                    #[inline(always)]
+                    || expand(&matrix, &solved.middle_s[..count], per_s, chunk),
+                );
                 for k in 0..GAIN_NODES {
                     for i in 0..CHUNK {
                         chunk.gain[k][i] = solved.gain[k][i] as f32;
@@ -289,7 +304,17 @@ impl GriddedLines {
                     chunk.re[i] = solved.amplitude[i].re as f32;
                     chunk.im[i] = solved.amplitude[i].im as f32;
                 }
-                let middles = &solved.middle_s[count / 2];
+                if bends {
+                    for i in 0..CHUNK {
+                        chunk.bend_rad[i] = (solved.curvature_per_s[i] * bend_per) as f32;
+                        // The mean over the pulse; the weights of the columns do the rest.
+                        let x = MEAN_BEND as f32 * chunk.bend_rad[i];
+                        let (sine, cosine) = (x - x * x * x / 6.0, 1.0 - 0.5 * x * x);
+                        let (re, im) = (chunk.re[i], chunk.im[i]);
+                        chunk.re[i] = re * cosine - im * sine;
+                        chunk.im[i] = re * sine + im * cosine;
+                    }
+                }
                 let most = (reach + 1) as f32;
                 let mut beyond = 0;
                 for (i, middle_s) in middles.iter().enumerate() {
@@ -339,6 +364,8 @@ impl GriddedLines {
         let beside = (BESIDE_SHARE * self.tolerance * self.tolerance) as f32;
         let state = &mut self.state;
         let buckets = state.firsts.len() - 1;
+        let slabs = state.slabs.len();
+        let per_slab = (buckets / slabs.max(1)).max(1);
         let width = 2 * reach + 1;
         let moving = reach > 0;
         if moving {
@@ -380,8 +407,6 @@ impl GriddedLines {
             }
         }
         // `next` now holds the ends of the buckets.
-        let slabs = state.slabs.len();
-        let per_slab = buckets / slabs.max(1);
         let mut chunks = 0;
         let mut spans = Vec::with_capacity(slabs);
         for (s, slab) in state.slabs.iter_mut().enumerate() {
@@ -425,14 +450,15 @@ impl GriddedLines {
                 let start_s = starts[slab];
                 for (i, &id) in ids.iter().enumerate() {
                     let (from, k) = (&batches[id as usize / CHUNK].chunk, id as usize % CHUNK);
-                    for node in 0..nodes {
-                        let at = node * CHUNK;
-                        chunk.middle[at + i] = (from.middle[at + k] - start_s) * per_s;
+                    chunk.middle[i] = (from.middle[k] - start_s) * per_s;
+                    for (to, from) in chunk.along.iter_mut().zip(&from.along[..nodes - 1]) {
+                        to[i] = from[k];
                     }
                     for g in 0..GAIN_NODES {
                         chunk.gain[g][i] = from.gain[g][k];
                         chunk.doppler[g][i] = from.doppler[g][k];
                     }
+                    chunk.bend_rad[i] = from.bend_rad[k];
                     chunk.re[i] = from.re[k];
                     chunk.im[i] = from.im[k];
                 }
@@ -445,20 +471,17 @@ impl GriddedLines {
         } = &self.design;
         let carrier_hz = plan.pulse.center_frequency_hz;
         let start_s = self.slab_start_s(plan, slab.origin);
-        let narrow = |values: &[f64]| -> Vec<f32> { values.iter().map(|v| *v as f32).collect() };
-        let mut weights = [[0.0; _]; _];
-        for (to, from) in weights.iter_mut().zip(&columns.weights) {
-            for (to, from) in std::iter::zip::<&mut [f32; _], _>(to, narrow(from)) {
-                *to = from;
-            }
-        }
+        let narrow = |weights: &[[f64; WEIGHT_TERMS]; MAX_TAPS]| {
+            weights.map(|terms| terms.map(|term| term as f32))
+        };
         Shape {
             nodes: self.state.tracks.count(),
             rows: self.design.slab_rows,
             columns: slab.columns,
             first_column: slab.first_column,
             taps: columns.taps,
-            weights,
+            weights: narrow(&columns.weights),
+            bends: self.bends.then(|| narrow(&columns.bends)),
             width: kernel.width as f32,
             terms: kernel.terms.map(|term| term as f32),
             turns_per_row: carrier_hz / self.rows_per_s(),
@@ -532,15 +555,12 @@ impl GriddedLines {
             };
             transform_lanes(self.simd_level, &self.forward, table);
         }
+        output.clear();
         output.resize(self.design.slab_samples * CELL, 0.0);
-        let middle = self.design.reach as i32;
-        let last = self.templates.len() as i32 - 1;
-        let templates: Vec<&[Complex<f32>]> = (0..shape.columns as i32)
-            .map(|k| &self.templates[(shape.first_column + k + middle).clamp(0, last) as usize][..])
-            .collect();
+        let first = (slab.first_column + template_reach(&self.design) as i32) as usize;
         self.simd_level.run(
             #[inline(always)]
-            || apply_templates(&self.bins, &templates, grid, output),
+            || self.apply_templates(first, shape.columns, grid, output),
         );
         let table = LaneTable {
             table: output,
@@ -550,6 +570,31 @@ impl GriddedLines {
             scratch,
         };
         transform_lanes(self.simd_level, &self.inverse, table);
+    }
+
+    /// Adds the columns from `first` on, each times its template, to the rows of the spectrum, with real and imaginary parts exchanged.
+    #[inline(always)]
+    fn apply_templates(&self, first: usize, columns: usize, grid: &[f32], output: &mut [f32]) {
+        let stride = columns * CELL;
+        let templates = self.templates.chunks_exact(self.columns);
+        for (templates, &(from, to)) in templates.zip(&self.bins) {
+            let row = &grid[from as usize * stride..][..stride];
+            let (mut re, mut im) = ([0.0f32; LANES], [0.0f32; LANES]);
+            let templates = &templates[first..first + columns];
+            for (template, cell) in templates.iter().zip(row.as_chunks::<CELL>().0) {
+                let Complex { re: a, im: b } = *template;
+                for lane in 0..LANES {
+                    let (x, y) = (cell[lane], cell[LANES + lane]);
+                    re[lane] += a * x - b * y;
+                    im[lane] += a * y + b * x;
+                }
+            }
+            let cell = &mut output[to as usize * CELL..][..CELL];
+            for lane in 0..LANES {
+                cell[lane] += im[lane];
+                cell[LANES + lane] += re[lane];
+            }
+        }
     }
 
     /// Adds the slabs of each element, in order.
@@ -592,6 +637,37 @@ impl GriddedLines {
     }
 }
 
+/// Coefficients of the delays along the line from those at the nodes.
+#[inline(always)]
+fn expand(
+    matrix: &[[f64; MAX_NODES]; MAX_NODES],
+    middle_s: &[[f64; CHUNK]],
+    per_s: f64,
+    chunk: &mut EchoChunk,
+) {
+    let base = &middle_s[middle_s.len() / 2];
+    for (order, row) in matrix[..middle_s.len()].iter().enumerate() {
+        let mut sum = [0.0f64; CHUNK];
+        for (weight, at_s) in row.iter().zip(middle_s) {
+            for ((sum, at_s), base) in sum.iter_mut().zip(at_s).zip(base) {
+                *sum += weight * (at_s - base);
+            }
+        }
+        match order {
+            0 => {
+                for ((middle, sum), base) in chunk.middle.iter_mut().zip(&sum).zip(base) {
+                    *middle = base + sum;
+                }
+            }
+            _ => {
+                for (along, sum) in chunk.along[order - 1].iter_mut().zip(&sum) {
+                    *along = (sum * per_s) as f32;
+                }
+            }
+        }
+    }
+}
+
 /// First and last column, of `width`, that hold all but a share `beside` of the energy of every bucket.
 fn used_columns(energy: &[f32], width: usize, beside: f32) -> (usize, usize) {
     let (mut first, mut last) = (width, 0);
@@ -619,67 +695,39 @@ fn used_columns(energy: &[f32], width: usize, beside: f32) -> (usize, usize) {
     }
 }
 
-/// Sums the columns, each times its template, into the rows of the spectrum, with real and imaginary parts exchanged.
-#[inline(always)]
-fn apply_templates(
-    bins: &[(u32, u32)],
-    templates: &[&[Complex<f32>]],
-    grid: &[f32],
-    output: &mut [f32],
-) {
-    let stride = templates.len() * CELL;
-    for (bin, &(from, to)) in bins.iter().enumerate() {
-        let row = &grid[from as usize * stride..][..stride];
-        let (mut re, mut im) = ([0.0f32; LANES], [0.0f32; LANES]);
-        for (template, cell) in templates.iter().zip(row.as_chunks::<CELL>().0) {
-            let Complex { re: a, im: b } = template[bin];
-            for lane in 0..LANES {
-                let (x, y) = (cell[lane], cell[LANES + lane]);
-                re[lane] += a * x - b * y;
-                im[lane] += a * y + b * x;
-            }
-        }
-        let cell = &mut output[to as usize * CELL..][..CELL];
-        cell[..LANES].copy_from_slice(&im);
-        cell[LANES..].copy_from_slice(&re);
+/// Columns of the templates to either side of zero Doppler: the taps of the fastest echoes, too.
+fn template_reach(design: &Design) -> usize {
+    match design.reach {
+        0 => 0,
+        reach => reach + design.columns.taps / 2,
     }
 }
 
-/// Spectrum of the pulse as each column stretches it, behind the receiver filter, with the correction of the kernel: `[column][bin]`.
+/// Spectrum of the pulse as each column stretches it, behind the receiver filter, with the correction of the kernel: `[bin][column]`.
 fn templates(
     spec: &Spec,
     design: &Design,
     filter: &Decimator,
     bins: &[isize],
-) -> Vec<Vec<Complex<f32>>> {
+) -> Vec<Complex<f32>> {
     let bin_hz = spec.sample_rate_hz / design.slab_samples as f64;
     let carrier_hz = spec.pulse.center_frequency_hz;
-    let reach = match spec.doppler {
-        DopplerModel::None => 0,
-        _ => design.reach as isize,
-    };
+    let reach = template_reach(design) as isize;
     let greatest = design.step * reach as f64;
-    let highest_hz = (0.5 * spec.sample_rate_hz + carrier_hz * greatest) / (1.0 - greatest);
+    let highest_hz =
+        (0.5 * bin_hz * design.slab_rows as f64 + carrier_hz * greatest) / (1.0 - greatest);
     let spectrum = PulseSpectrum::new(spec.pulse, highest_hz + bin_hz);
-    let common: Vec<f64> = bins
-        .iter()
-        .map(|&k| {
-            let per_row = k as f64 / design.slab_rows as f64;
-            bin_hz * filter.gain(k as f64 * bin_hz) / design.kernel.gain(per_row)
-        })
-        .collect();
-    (-reach..=reach)
-        .map(|column| {
+    let of_bin = |&k: &isize| {
+        let per_row = k as f64 / design.slab_rows as f64;
+        let common = bin_hz * filter.gain(k as f64 * bin_hz) / design.kernel.gain(per_row);
+        let spectrum = &spectrum;
+        (-reach..=reach).map(move |column| {
             let stretch = design.step * column as f64;
             let per = 1.0 / (1.0 + stretch);
-            bins.iter()
-                .zip(&common)
-                .map(|(&k, common)| {
-                    let at_hz = (k as f64 * bin_hz - carrier_hz * stretch) * per;
-                    let value = spectrum.at(at_hz) * (common * per);
-                    Complex::new(value.re as f32, value.im as f32)
-                })
-                .collect()
+            let at_hz = (k as f64 * bin_hz - carrier_hz * stretch) * per;
+            let value = spectrum.at(at_hz) * (common * per);
+            Complex::new(value.re as f32, value.im as f32)
         })
-        .collect()
+    };
+    bins.iter().flat_map(of_bin).collect()
 }

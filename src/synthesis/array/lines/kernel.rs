@@ -1,13 +1,16 @@
-//! Spreading kernels k(z) = t^2 (a + b t + c t^2 + d t^3) with t = 1 - z^2, |z| < 1: a few multiplications for any number of rows, without tables.
+//! Spreading kernels k(z) = t (a + b t + ... + f t^5) with t = 1 - z^2, |z| < 1: a few multiplications for any number of rows, without tables.
 
 use std::f64::consts::TAU;
 
 /// Number of coefficients.
-pub(super) const TERMS: usize = 4;
+pub(super) const TERMS: usize = 6;
+/// Highest frequency of a grid that is used beyond half the sample rate, cycles per row: kernels are poor above it. The receiver filter leaves little
+/// there, but it folds into windows with the onset of an echo alone.
+pub(super) const BAND: f64 = 0.36;
 /// Points of the quadrature over half the support; error 1e-8.
-const POINTS: usize = 96;
+const POINTS: usize = 128;
 /// Images of the band on either side that are summed.
-const IMAGES: i32 = 3;
+const IMAGES: i32 = 6;
 /// Steps of the fit, each with the weights of the kernel before.
 const STEPS: usize = 8;
 
@@ -28,15 +31,17 @@ pub(super) struct Content {
     pub energy: f64,
 }
 
-/// Fourier transform of t^(2 + i) at `nu` cycles per row, rows.
+/// Fourier transform of t^(1 + i) at `nu` cycles per row, rows.
 fn basis(width: usize, nu: f64) -> [f64; TERMS] {
     let half = 0.5 * width as f64;
     let step = 1.0 / POINTS as f64;
     let mut sums = [0.0; TERMS];
     for k in 0..POINTS {
-        let z = (k as f64 + 0.5) * step;
+        // The substitution makes the integrand smooth at the end of the support.
+        let u = (k as f64 + 0.5) * step;
+        let z = u * (1.5 - 0.5 * u * u);
         let t = 1.0 - z * z;
-        let mut value = 2.0 * half * step * t * t * libm::cos(TAU * nu * half * z);
+        let mut value = 3.0 * half * step * (1.0 - u * u) * t * libm::cos(TAU * nu * half * z);
         for sum in &mut sums {
             *sum += value;
             value *= t;
@@ -114,6 +119,16 @@ impl Kernel {
         (Self { width, terms }, error)
     }
 
+    /// Value at `z` half widths from the middle.
+    pub(super) fn value(&self, z: f64) -> f64 {
+        let t = (1.0 - z * z).max(0.0);
+        t * self
+            .terms
+            .iter()
+            .rev()
+            .fold(0.0, |sum, term| sum * t + term)
+    }
+
     /// Fourier transform at `nu` cycles per row, rows.
     pub(super) fn gain(&self, nu: f64) -> f64 {
         dot(&self.terms, &basis(self.width, nu))
@@ -156,16 +171,15 @@ mod tests {
     #[test]
     fn a_fit_is_the_best_kernel_of_its_family() {
         for (width, edge, optimum) in [
-            (3, 0.3, 8.598e-3),
-            (3, 0.2, 2.850e-3),
-            (4, 0.3, 1.232e-3),
-            (4, 0.2, 8.539e-4),
-            (5, 0.3, 7.221e-4),
-            (5, 0.2, 1.725e-4),
-            (6, 0.3, 2.153e-4),
-            (6, 0.2, 7.884e-5),
-            (7, 0.3, 1.393e-4),
-            (7, 0.2, 4.366e-5),
+            (2, 0.3, 5.032e-2),
+            (3, 0.3, 6.822e-3),
+            (3, 0.2, 1.951e-3),
+            (4, 0.3, 9.212e-4),
+            (4, 0.2, 2.280e-4),
+            (5, 0.3, 1.357e-4),
+            (5, 0.2, 8.081e-5),
+            (6, 0.2, 2.036e-5),
+            (7, 0.2, 6.537e-6),
         ] {
             let (_, error) = Kernel::fit(width, &flat(edge));
             println!("{width} rows, {edge}: {error:.3e}, optimum {optimum:.3e}");
@@ -178,31 +192,29 @@ mod tests {
 
     /// A sum of the kernel's samples against its images: the error that `fit` promises, by definition.
     #[test]
-    fn the_error_is_that_of_a_tone_between_rows() {
-        for nu in [0.05, 0.2, 0.3] {
-            let content = [Content { nu, energy: 1.0 }];
-            let (kernel, promised) = Kernel::fit(4, &content);
-            let mut worst: f64 = 0.0;
-            let mut mean = 0.0;
-            for k in 0..64 {
-                let x = f64::from(k) / 64.0;
-                let (mut re, mut im) = (0.0, 0.0);
-                for row in -3..=4 {
-                    let z = (f64::from(row) - x) / 2.0;
-                    let t = (1.0 - z * z).max(0.0);
-                    let [a, b, c, d] = kernel.terms;
-                    let value = t * t * (a + t * (b + t * (c + t * d)));
-                    let turn = TAU * nu * (f64::from(row) - x);
-                    re += value * turn.cos();
-                    im -= value * turn.sin();
+    fn the_error_is_that_of_tones_between_rows() {
+        for (width, edge) in [(3, 0.3), (4, 0.2), (5, 0.3)] {
+            let content = flat(edge);
+            let (kernel, promised) = Kernel::fit(width, &content);
+            let half = 0.5 * width as f64;
+            let mut sum = 0.0;
+            for Content { nu, .. } in &content {
+                for k in 0..64 {
+                    let x = f64::from(k) / 64.0;
+                    let (mut re, mut im) = (0.0, 0.0);
+                    for row in -3..=4 {
+                        let off = f64::from(row) - x;
+                        let value = kernel.value(off / half);
+                        re += value * (TAU * nu * off).cos();
+                        im -= value * (TAU * nu * off).sin();
+                    }
+                    sum += (re / kernel.gain(*nu) - 1.0).powi(2) + (im / kernel.gain(*nu)).powi(2);
                 }
-                let off = (re / kernel.gain(nu) - 1.0).hypot(im / kernel.gain(nu));
-                worst = worst.max(off);
-                mean += off * off / 64.0;
             }
-            println!("{nu}: {promised:.2e}, measured {:.2e}", mean.sqrt());
-            assert!((mean.sqrt() / promised - 1.0).abs() < 0.05 || promised < 1e-9);
-            assert!(worst < 3.0 * promised + 1e-9);
+            let measured = (sum / (64.0 * content.len() as f64)).sqrt();
+            println!("{width}, {edge}: {promised:.2e}, measured {measured:.2e}");
+            // Images beyond the sixth are not in the promise.
+            assert!((measured / promised - 1.0).abs() < 0.05);
         }
     }
 }

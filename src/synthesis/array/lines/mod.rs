@@ -15,13 +15,15 @@
 //! - `dopplers`: columns and their weights.
 //! - `nodes`: interpolation along the line. Delays are exact at the nodes.
 //! - `design`: sizes from a tolerance, with predicted error and cost.
+//! - `windows`: the error in the worst window.
 //! - `spread`: the inner loop.
 //! - `engine`: one ping. Start there.
 //!
 //! Sources: Fessler and Sutton 2003 (nonuniform FFT, least-squares kernels); Meng et al. 2023 (the echo model).
 //!
-//! Not modelled: energy beyond half the sample rate, which the receiver filter attenuates by 82 dB and more; the change of an echo's Doppler during
-//! the pulse.
+//! The change of the Doppler during the pulse adds a phase that is quadratic in time: its mean over the pulse to the amplitude, the rest to the weights.
+//!
+//! Not modelled: most of the energy beyond half the sample rate, which the receiver filter attenuates by 82 dB and more.
 
 mod design;
 mod dopplers;
@@ -29,6 +31,7 @@ mod engine;
 mod kernel;
 mod nodes;
 mod spread;
+mod windows;
 
 pub use design::{Design, Refusal, Spec};
 pub use engine::GriddedLines;

@@ -4,14 +4,14 @@ use std::f64::consts::PI;
 
 use crate::echo::walk::{GAIN_NODES, MAX_NODES};
 
-/// Weights of the nodes for one block.
+/// Weights of the Chebyshev coefficients of delays, and of the gain nodes, for one block.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct BlockWeights {
-    pub value: [f64; MAX_NODES],
+    pub value: [f32; MAX_NODES],
     /// Per element.
-    pub slope: [f64; MAX_NODES],
+    pub slope: [f32; MAX_NODES],
     /// Half the second derivative, per element squared.
-    pub bend: [f64; MAX_NODES],
+    pub bend: [f32; MAX_NODES],
     /// Weights of the gain nodes, and their change per element.
     pub gain: [f32; GAIN_NODES],
     pub gain_slope: [f32; GAIN_NODES],
@@ -24,44 +24,65 @@ pub(super) fn places(nodes: usize) -> Vec<f64> {
         .collect()
 }
 
-/// Values of the Lagrange polynomials of `nodes` at `x`, with their first and second derivatives.
-fn lagrange(nodes: &[f64], x: f64) -> [Vec<f64>; 3] {
-    let mut out = [const { Vec::new() }; 3];
+/// Values of the Lagrange polynomials of `nodes` at `x`, and their derivatives.
+fn lagrange(nodes: &[f64], x: f64) -> [Vec<f64>; 2] {
+    let mut out = [const { Vec::new() }; 2];
     for (k, node) in nodes.iter().enumerate() {
-        // Product of (x - other)/(node - other), with its derivatives.
-        let (mut value, mut first, mut second) = (1.0, 0.0, 0.0);
+        // Product of (x - other)/(node - other), with its derivative.
+        let (mut value, mut first) = (1.0, 0.0);
         for (_, other) in nodes.iter().enumerate().filter(|(other, _)| *other != k) {
             let per = 1.0 / (node - other);
             let factor = (x - other) * per;
-            second = second * factor + 2.0 * first * per;
             first = first * factor + value * per;
             value *= factor;
         }
         out[0].push(value);
         out[1].push(first);
-        out[2].push(second);
     }
     out
 }
 
+/// Matrix `[order][node]` from values at the nodes to the coefficients of Chebyshev polynomials, which fall with the order: in f32 they keep slopes
+/// and bends, which values would not.
+pub(super) fn coefficients(nodes: &[f64]) -> [[f64; MAX_NODES]; MAX_NODES] {
+    let mut matrix = [[0.0; MAX_NODES]; MAX_NODES];
+    for (order, row) in matrix[..nodes.len()].iter_mut().enumerate() {
+        let scale = if order == 0 { 1.0 } else { 2.0 } / nodes.len() as f64;
+        for (cell, node) in row.iter_mut().zip(nodes) {
+            *cell = scale * chebyshev(*node)[order][0];
+        }
+    }
+    matrix
+}
+
+/// Chebyshev polynomials at `x`, with their first and second derivatives: `[order][derivative]`.
+fn chebyshev(x: f64) -> [[f64; 3]; MAX_NODES] {
+    let mut all = [[0.0; 3]; MAX_NODES];
+    all[0] = [1.0, 0.0, 0.0];
+    all[1] = [x, 1.0, 0.0];
+    for k in 2..MAX_NODES {
+        let (one, two) = (all[k - 1], all[k - 2]);
+        all[k] = [
+            2.0 * x * one[0] - two[0],
+            2.0 * (one[0] + x * one[1]) - two[1],
+            2.0 * (2.0 * one[1] + x * one[2]) - two[2],
+        ];
+    }
+    all
+}
+
 /// Weights at `x` half lines from the centre; an element is `per_element` half lines long.
 pub(super) fn block_weights(nodes: &[f64], x: f64, per_element: f64) -> BlockWeights {
-    let [value, first, second] = lagrange(nodes, x);
+    let all = chebyshev(x);
     let gains: Vec<f64> = (0..GAIN_NODES)
         .map(|k| nodes[k * (nodes.len() - 1) / 2])
         .collect();
-    let [gain, gain_slope, _] = lagrange(&gains, x);
-    let fill = |from: &[f64], scale: f64| {
-        let mut to = [0.0; MAX_NODES];
-        for (to, from) in to.iter_mut().zip(from) {
-            *to = scale * from;
-        }
-        to
-    };
+    let [gain, gain_slope] = lagrange(&gains, x);
+    let fill = |derivative: usize, scale: f64| all.map(|at| (scale * at[derivative]) as f32);
     BlockWeights {
-        value: fill(&value, 1.0),
-        slope: fill(&first, per_element),
-        bend: fill(&second, 0.5 * per_element * per_element),
+        value: fill(0, 1.0),
+        slope: fill(1, per_element),
+        bend: fill(2, 0.5 * per_element * per_element),
         gain: std::array::from_fn(|k| gain[k] as f32),
         gain_slope: std::array::from_fn(|k| (gain_slope[k] * per_element) as f32),
     }
@@ -82,7 +103,7 @@ pub(super) fn interpolation_error_m(nodes: usize, half_m: f64, block_m: f64, ran
         let at: Vec<f64> = places.iter().map(|place| path(place * half_m)).collect();
         for k in 0..=16 {
             let x = f64::from(k) / 8.0 - 1.0;
-            let [value, _, _] = lagrange(&places, x);
+            let [value, _] = lagrange(&places, x);
             let sum: f64 = value.iter().zip(&at).map(|(a, b)| a * b).sum();
             worst = worst.max((sum - path(x * half_m)).abs());
         }
@@ -101,14 +122,19 @@ mod tests {
         for nodes in [3, 5, 9] {
             let places = places(nodes);
             let f = |x: f64| 0.3 - 1.2 * x + 0.7 * x * x;
+            let terms = coefficients(&places).map(|row| -> f64 {
+                let parts = row.iter().zip(&places);
+                parts.map(|(weight, place)| weight * f(*place)).sum()
+            });
             for x in [-1.0, -0.2, 0.0, 0.9] {
                 let weights = block_weights(&places, x, 0.01);
-                let sum = |w: &[f64; MAX_NODES]| -> f64 {
-                    w.iter().zip(&places).map(|(w, p)| w * f(*p)).sum()
+                let sum = |w: &[f32; MAX_NODES]| -> f64 {
+                    w.iter().zip(&terms).map(|(w, t)| f64::from(*w) * t).sum()
                 };
-                assert!((sum(&weights.value) - f(x)).abs() < 1e-12);
-                assert!((sum(&weights.slope) - 0.01 * (-1.2 + 1.4 * x)).abs() < 1e-12);
-                assert!((sum(&weights.bend) - 1e-4 * 0.7).abs() < 1e-12);
+                // Rounded to f32.
+                assert!((sum(&weights.value) - f(x)).abs() < 2e-7);
+                assert!((sum(&weights.slope) - 0.01 * (-1.2 + 1.4 * x)).abs() < 2e-9);
+                assert!((sum(&weights.bend) - 1e-4 * 0.7).abs() < 1e-11);
             }
         }
     }

@@ -27,11 +27,14 @@ const MIDDLE: f32 = 0.5 * (LANES as f32 - 1.0);
 /// Echoes of one slab at the nodes of the line, in order of delay.
 pub(super) struct EchoChunk {
     pub len: usize,
-    /// Arrival of mid-pulse, rows of the slab's grid: `[node * CHUNK + echo]`.
-    pub middle: Vec<f64>,
+    /// Arrival of mid-pulse, rows of the slab's grid: coefficients of Chebyshev polynomials along the line, of which the first is apart.
+    pub middle: [f64; CHUNK],
+    pub along: [[f32; CHUNK]; MAX_NODES - 1],
     /// Stretch, steps of columns.
     pub doppler: [[f32; CHUNK]; GAIN_NODES],
     pub gain: [[f32; CHUNK]; GAIN_NODES],
+    /// Phase at the ends of the pulse from the change of the Doppler, radians.
+    pub bend_rad: [f32; CHUNK],
     pub re: [f32; CHUNK],
     pub im: [f32; CHUNK],
 }
@@ -41,9 +44,11 @@ impl Default for EchoChunk {
         let zero = [0.0; CHUNK];
         Self {
             len: 0,
-            middle: vec![0.0; MAX_NODES * CHUNK],
+            middle: [0.0; CHUNK],
+            along: [zero; MAX_NODES - 1],
             doppler: [zero; GAIN_NODES],
             gain: [zero; GAIN_NODES],
+            bend_rad: zero,
             re: zero,
             im: zero,
         }
@@ -61,6 +66,8 @@ pub(super) struct Shape {
     pub first_column: i32,
     pub taps: usize,
     pub weights: [[f32; WEIGHT_TERMS]; MAX_TAPS],
+    /// Those of the change of the Doppler during the pulse, if it counts.
+    pub bends: Option<[[f32; WEIGHT_TERMS]; MAX_TAPS]>,
     /// Width of the kernel, rows, and its coefficients.
     pub width: f32,
     pub terms: [f32; TERMS],
@@ -71,6 +78,9 @@ pub(super) struct Shape {
 
 /// A chunk at one block.
 pub(super) struct Located {
+    /// Echoes by number of rows, so that the processor predicts the loop over them; those without rows are left out.
+    len: usize,
+    order: [u16; CHUNK + 1],
     /// First row and number of rows.
     row: [u32; CHUNK],
     rows: [u32; CHUNK],
@@ -88,12 +98,16 @@ pub(super) struct Located {
     weight: [[f32; CHUNK]; MAX_TAPS],
     /// Change of the weight per element, from the change of the Doppler along the block.
     weight_slope: [[f32; CHUNK]; MAX_TAPS],
+    /// Imaginary part of the weight.
+    weight_im: [[f32; CHUNK]; MAX_TAPS],
 }
 
 impl Default for Located {
     fn default() -> Self {
         let (zero, none) = ([0.0; CHUNK], [0; CHUNK]);
         Self {
+            len: 0,
+            order: [0; CHUNK + 1],
             row: none,
             rows: none,
             x: zero,
@@ -106,6 +120,7 @@ impl Default for Located {
             column: none,
             weight: [zero; MAX_TAPS],
             weight_slope: [zero; MAX_TAPS],
+            weight_im: [zero; MAX_TAPS],
         }
     }
 }
@@ -171,21 +186,53 @@ unsafe fn add_on<V: Lanes<Number = f32>, const FUSED: bool>(
     grid: &mut [f32],
 ) {
     locate::<FUSED>(shape, block, chunk, located);
+    order(chunk.len, located);
     // SAFETY: the caller guarantees V.
     unsafe {
         match shape.taps {
-            1 => spread::<V, 1, FUSED>(shape, chunk.len, located, grid),
-            2 => spread::<V, 2, FUSED>(shape, chunk.len, located, grid),
-            3 => spread::<V, 3, FUSED>(shape, chunk.len, located, grid),
-            _ => spread::<V, MAX_TAPS, FUSED>(shape, chunk.len, located, grid),
+            1 => spread::<V, 1>(shape, located, grid),
+            2 => spread::<V, 2>(shape, located, grid),
+            3 => spread::<V, 3>(shape, located, grid),
+            _ => spread::<V, MAX_TAPS>(shape, located, grid),
         }
     }
+}
+
+/// The smaller and the larger of two numbers; not `min` and `max`, whose treatment of NaN keeps the compiler from vectorising them.
+#[inline(always)]
+fn least<T: PartialOrd>(a: T, b: T) -> T {
+    if a < b { a } else { b }
+}
+
+#[inline(always)]
+fn greater<T: PartialOrd>(a: T, b: T) -> T {
+    if a > b { a } else { b }
 }
 
 /// a b + c, rounded once if `FUSED`.
 #[inline(always)]
 fn mul_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
     if FUSED { a.mul_add(b, c) } else { a * b + c }
+}
+
+/// Sorts the echoes by number of rows.
+#[inline(always)]
+fn order(len: usize, located: &mut Located) {
+    let rows = &located.rows[..len.min(CHUNK)];
+    let (mut least, mut most) = (u32::MAX, 0);
+    for &rows in rows {
+        least = least.min(rows);
+        most = most.max(rows);
+    }
+    let mut end = 0;
+    for wanted in least.max(1)..=most {
+        // Without a branch.
+        for (i, &rows) in rows.iter().enumerate() {
+            located.order[end.min(CHUNK)] = i as u16;
+            end += usize::from(rows == wanted);
+        }
+    }
+    located.len = end;
 }
 
 #[inline(always)]
@@ -197,35 +244,38 @@ fn locate<const FUSED: bool>(
 ) {
     let half_width = 0.5 * f64::from(shape.width);
     let last = shape.rows as f64 - f64::from(shape.width) - 1.0;
-    let mut sums = [[0.0f64; CHUNK]; 3];
-    for node in 0..shape.nodes.min(MAX_NODES) {
-        let middle = &chunk.middle[node * CHUNK..][..CHUNK];
-        let [value, slope, bend] = &mut sums;
-        let (a, b, c) = (block.value[node], block.slope[node], block.bend[node]);
+    let mut later = [0.0f32; CHUNK];
+    out.slope = [0.0; CHUNK];
+    out.bend = [0.0; CHUNK];
+    let along = &chunk.along[..shape.nodes.clamp(1, MAX_NODES) - 1];
+    for (order, at) in (1..).zip(along) {
+        let (a, b, c) = (block.value[order], block.slope[order], block.bend[order]);
         for i in 0..CHUNK {
-            value[i] += a * middle[i];
-            slope[i] += b * middle[i];
-            bend[i] += c * middle[i];
+            later[i] = mul_add::<FUSED>(a, at[i], later[i]);
+            out.slope[i] = mul_add::<FUSED>(b, at[i], out.slope[i]);
+            out.bend[i] = mul_add::<FUSED>(c, at[i], out.bend[i]);
         }
     }
-    let [value, slope, bend] = &sums;
-    let middle = f64::from(MIDDLE);
-    // Adding and subtracting this rounds to a whole number.
+    // Adding and subtracting these rounds to a whole number; the low bits of a sum with the third are the number.
     const ROUND: f64 = 1.5 * (1u64 << 52) as f64;
-    for i in 0..CHUNK {
-        let reach = slope[i].abs() * middle + bend[i].abs() * (middle * middle);
+    const ROUND_F32: f32 = 1.5 * (1u32 << 23) as f32;
+    const WHOLE: f64 = (1u64 << 52) as f64;
+    const WHOLE_F32: f32 = (1u32 << 23) as f32;
+    for (i, later) in later.iter().enumerate() {
+        let value = chunk.middle[i] + f64::from(*later);
+        let reach = f64::from(out.slope[i].abs() * MIDDLE + out.bend[i].abs() * (MIDDLE * MIDDLE));
         // Smallest whole number not below, largest not above.
-        let low = value[i] - reach - half_width;
-        let low = low.max(0.0).min(last);
+        let low = least(greater(value - reach - half_width, 0.0), last);
         let whole = (low + ROUND) - ROUND;
         let first = whole + if whole < low { 1.0 } else { 0.0 };
-        let high = (value[i] + reach + half_width).min(shape.rows as f64 - 1.0);
-        let cycles = -(shape.turns_per_row * value[i] + shape.turns);
-        out.row[i] = first as u32;
-        out.rows[i] = ((high - first).max(-1.0) + 1.0) as u32;
-        out.x[i] = (value[i] - first) as f32;
-        out.slope[i] = slope[i] as f32;
-        out.bend[i] = bend[i] as f32;
+        let high = least(value + reach + half_width, shape.rows as f64 - 1.0);
+        let rows = greater(high - first, -1.0) + 1.0;
+        let whole = (rows + ROUND) - ROUND;
+        let rows = whole - if whole > rows { 1.0 } else { 0.0 };
+        let cycles = -(shape.turns_per_row * value + shape.turns);
+        out.row[i] = (first + WHOLE).to_bits() as u32;
+        out.rows[i] = (rows + WHOLE).to_bits() as u32;
+        out.x[i] = (value - first) as f32;
         out.turns[i] = (cycles - ((cycles + ROUND) - ROUND)) as f32;
     }
     let (mut at, mut at_slope) = ([0.0f32; CHUNK], [0.0f32; CHUNK]);
@@ -247,9 +297,9 @@ fn locate<const FUSED: bool>(
     let greatest = (shape.columns - shape.taps) as f32;
     for (at, to) in at.iter_mut().zip(&mut out.column) {
         let place = *at - shape.first_column as f32 - middle;
-        let column = (place + 0.5).floor().max(0.0).min(greatest);
-        *to = column as u32;
-        *at = (place - column).clamp(-0.5, 0.5);
+        let column = least(greater((place + ROUND_F32) - ROUND_F32, 0.0), greatest);
+        *to = (column + WHOLE_F32).to_bits() & ((1 << 23) - 1);
+        *at = least(greater(place - column, -0.5), 0.5);
     }
     let weights = out.weight.iter_mut().zip(&mut out.weight_slope);
     for ((weight, change), terms) in weights.zip(&shape.weights).take(shape.taps) {
@@ -264,38 +314,71 @@ fn locate<const FUSED: bool>(
             change[i] = slope * at_slope[i];
         }
     }
+    let Some(bends) = &shape.bends else {
+        return;
+    };
+    for (weight, terms) in out.weight_im.iter_mut().zip(bends).take(shape.taps) {
+        for i in 0..CHUNK {
+            let mut sum = terms[WEIGHT_TERMS - 1];
+            for term in terms[..WEIGHT_TERMS - 1].iter().rev() {
+                sum = mul_add::<FUSED>(sum, at[i], *term);
+            }
+            weight[i] = sum * chunk.bend_rad[i];
+        }
+    }
 }
 
-/// Cosine and sine of `x` turns; error 4e-7 for |x| below 100.
+/// Cosine and sine of `x` turns, |x| < 2^22; error 7e-7.
+///
+/// SAFETY: the processor must have V.
 #[inline(always)]
-fn turn<const FUSED: bool>(x: &[f32; LANES], cosine: &mut [f32; LANES], sine: &mut [f32; LANES]) {
-    // 1.5 * 2^23: the low bits of the sum are the number of quarter turns.
+unsafe fn turn<V: Lanes<Number = f32>>(x: V) -> (V, V) {
+    // Adding and subtracting this rounds to a whole number.
     const ROUND: f32 = 12_582_912.0;
-    for lane in 0..LANES {
-        let quarters = mul_add::<FUSED>(x[lane], 4.0, ROUND);
-        let q = quarters.to_bits();
-        // -1/8..1/8 turns
-        let z = mul_add::<FUSED>(-(quarters - ROUND), 0.25, x[lane]);
-        let z2 = z * z;
-        // Least-squares polynomials: errors 1e-9 and 3e-8.
-        let s = mul_add::<FUSED>(z2, -75.239_84, 81.588_12);
-        let s = mul_add::<FUSED>(z2, s, -41.341_63);
-        let s = z * mul_add::<FUSED>(z2, s, TAU);
-        let c = mul_add::<FUSED>(z2, -83.592_21, 64.921_24);
-        let c = mul_add::<FUSED>(z2, c, -19.739_152);
-        let c = mul_add::<FUSED>(z2, c, 1.0);
-        let (s, c) = (s.to_bits(), c.to_bits());
-        let swap = 0u32.wrapping_sub(q & 1);
-        cosine[lane] = f32::from_bits((c & !swap | s & swap) ^ ((q.wrapping_add(1) & 2) << 30));
-        sine[lane] = f32::from_bits((s & !swap | c & swap) ^ ((q & 2) << 30));
+    // Interpolation in Chebyshev nodes of z^2 over -1/2..1/2 turns: errors 1e-8 and 2e-7.
+    const COSINE: [f32; 7] = [
+        1.0,
+        -19.739_204,
+        64.939_12,
+        -85.450_14,
+        60.167_63,
+        -25.967_6,
+        6.528_658,
+    ];
+    const SINE: [f32; 6] = [
+        TAU,
+        -41.341_59,
+        81.599_945,
+        -76.614_47,
+        41.342_88,
+        -12.471_244,
+    ];
+    // SAFETY: the caller guarantees V.
+    unsafe {
+        let whole = x.add(V::splat(ROUND)).sub(V::splat(ROUND));
+        let z = x.sub(whole);
+        let z2 = z.mul(z);
+        (horner(&COSINE, z2), horner(&SINE, z2).mul(z))
     }
 }
 
 /// SAFETY: the processor must have V.
 #[inline(always)]
-unsafe fn spread<V: Lanes<Number = f32>, const TAPS: usize, const FUSED: bool>(
+unsafe fn horner<V: Lanes<Number = f32>, const N: usize>(terms: &[f32; N], x: V) -> V {
+    // SAFETY: the caller guarantees V.
+    unsafe {
+        let mut sum = V::splat(terms[N - 1]);
+        for term in terms[..N - 1].iter().rev() {
+            sum = sum.mul_add(x, V::splat(*term));
+        }
+        sum
+    }
+}
+
+/// SAFETY: the processor must have V.
+#[inline(always)]
+unsafe fn spread<V: Lanes<Number = f32>, const TAPS: usize>(
     shape: &Shape,
-    len: usize,
     located: &Located,
     grid: &mut [f32],
 ) {
@@ -306,57 +389,50 @@ unsafe fn spread<V: Lanes<Number = f32>, const TAPS: usize, const FUSED: bool>(
     for (lane, place) in lanes.iter_mut().enumerate() {
         *place = lane as f32 - MIDDLE;
     }
-    for i in 0..len.min(CHUNK) {
-        let (x0, slope, bend) = (located.x[i], located.slope[i], located.bend[i]);
-        let (mut x, mut cycles) = ([0.0f32; LANES], [0.0f32; LANES]);
-        let (mut re, mut im) = ([0.0f32; LANES], [0.0f32; LANES]);
-        for lane in 0..LANES {
-            let off = lanes[lane] * mul_add::<FUSED>(bend, lanes[lane], slope);
-            x[lane] = (x0 + off) * per_half;
-            cycles[lane] = mul_add::<FUSED>(-off, turns_per_row, located.turns[i]);
-        }
-        let (mut cosine, mut sine) = ([0.0f32; LANES], [0.0f32; LANES]);
-        turn::<FUSED>(&cycles, &mut cosine, &mut sine);
-        let (u, v, fade) = (located.re[i], located.im[i], located.fade[i]);
-        for lane in 0..LANES {
-            let strength = mul_add::<FUSED>(fade, lanes[lane], 1.0);
-            let (cosine, sine) = (strength * cosine[lane], strength * sine[lane]);
-            re[lane] = mul_add::<FUSED>(u, cosine, -(v * sine));
-            im[lane] = mul_add::<FUSED>(v, cosine, u * sine);
-        }
+    for &i in &located.order[..located.len.min(CHUNK)] {
+        let i = i as usize % CHUNK;
         let (rows, first) = (located.rows[i] as usize, located.row[i] as usize);
-        if rows == 0 {
-            continue;
-        }
         // Checks once what the rows below write.
         let begin = first * stride + located.column[i] as usize * CELL;
         let cells = &mut grid[begin..begin + (rows - 1) * stride + TAPS * CELL];
         for part in (0..LANES).step_by(V::COUNT) {
             // SAFETY: the caller guarantees V; `part` + V's lanes <= LANES; rows and taps lie within `cells`.
             unsafe {
-                let x = V::load(x.as_ptr().add(part));
-                let (re, im) = (
-                    V::load(re.as_ptr().add(part)),
-                    V::load(im.as_ptr().add(part)),
-                );
                 let place = V::load(lanes.as_ptr().add(part));
-                let weights: [V; TAPS] = std::array::from_fn(|tap| {
-                    let change = V::splat(located.weight_slope[tap][i]);
-                    change.mul_add(place, V::splat(located.weight[tap][i]))
-                });
-                let [a, b, c, d] = shape.terms.map(|term| V::splat(term));
-                let (one, zero) = (V::splat(1.0), V::splat(0.0));
-                let mut to = cells.as_mut_ptr().add(part);
-                for row in 0..rows {
-                    let z = x.sub(V::splat(row as f32 * per_half));
-                    let t = one.sub(z.mul(z)).max(zero);
-                    let k = t.mul_add(t.mul_add(t.mul_add(d, c), b), a).mul(t.mul(t));
-                    let (along_re, along_im) = (k.mul(re), k.mul(im));
-                    for (tap, weight) in weights.iter().enumerate() {
-                        let (at_re, at_im) = (to.add(tap * CELL), to.add(tap * CELL + LANES));
-                        weight.mul_add(along_re, V::load(at_re)).store(at_re);
-                        weight.mul_add(along_im, V::load(at_im)).store(at_im);
+                let along = |slope: f32, at: f32| V::splat(slope).mul_add(place, V::splat(at));
+                let off = along(located.bend[i], located.slope[i]).mul(place);
+                let cycles = off.neg_mul_add(V::splat(turns_per_row), V::splat(located.turns[i]));
+                let (cosine, sine) = turn(cycles);
+                let strength = along(located.fade[i], 1.0);
+                let (cosine, sine) = (cosine.mul(strength), sine.mul(strength));
+                let (u, v) = (V::splat(located.re[i]), V::splat(located.im[i]));
+                let re = u.mul_sub(cosine, v.mul(sine));
+                let im = v.mul_add(cosine, u.mul(sine));
+                let parts: [(V, V); TAPS] = std::array::from_fn(|tap| {
+                    let weight = along(located.weight_slope[tap][i], located.weight[tap][i]);
+                    let (along_re, along_im) = (re.mul(weight), im.mul(weight));
+                    if shape.bends.is_none() {
+                        return (along_re, along_im);
                     }
+                    let across = V::splat(located.weight_im[tap][i]);
+                    (
+                        im.neg_mul_add(across, along_re),
+                        re.mul_add(across, along_im),
+                    )
+                });
+                let (one, zero) = (V::splat(1.0), V::splat(0.0));
+                let step = V::splat(per_half);
+                let mut z = off.add(V::splat(located.x[i])).mul(step);
+                let mut to = cells.as_mut_ptr().add(part);
+                for _ in 0..rows {
+                    let t = z.neg_mul_add(z, one).max(zero);
+                    let k = horner(&shape.terms, t).mul(t);
+                    for (tap, (re, im)) in parts.iter().enumerate() {
+                        let (at_re, at_im) = (to.add(tap * CELL), to.add(tap * CELL + LANES));
+                        re.mul_add(k, V::load(at_re)).store(at_re);
+                        im.mul_add(k, V::load(at_im)).store(at_im);
+                    }
+                    z = z.sub(step);
                     to = to.wrapping_add(stride);
                 }
             }
@@ -374,8 +450,13 @@ mod tests {
         for k in 0..2000 {
             let x: [f32; LANES] =
                 std::array::from_fn(|lane| (k * LANES + lane) as f32 * 3.7e-4 - 5.9);
-            let (mut cosine, mut sine) = ([0.0; LANES], [0.0; LANES]);
-            turn::<false>(&x, &mut cosine, &mut sine);
+            // SAFETY: every processor has arrays.
+            let (low, high) = unsafe {
+                let half = |from: usize| turn(<[f32; 8]>::load(x[from..].as_ptr()));
+                (half(0), half(8))
+            };
+            let cosine: Vec<f32> = low.0.into_iter().chain(high.0).collect();
+            let sine: Vec<f32> = low.1.into_iter().chain(high.1).collect();
             for lane in 0..LANES {
                 let phase = std::f64::consts::TAU * f64::from(x[lane]);
                 worst = worst

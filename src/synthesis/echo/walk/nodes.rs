@@ -42,6 +42,8 @@ pub struct NodeBatch {
     pub middle_s: [[f64; CHUNK]; MAX_NODES],
     /// Stretch minus one, at mid-pulse.
     pub doppler: [[f64; CHUNK]; GAIN_NODES],
+    /// Half the second derivative of the emission time at the middle node, per second.
+    pub curvature_per_s: [f64; CHUNK],
     /// Gain of the receive leg, volts per uPa at 1 m.
     pub gain: [[f64; CHUNK]; GAIN_NODES],
     /// Amplitude of the transmit leg, uPa at 1 m from the scatterer.
@@ -57,6 +59,7 @@ impl Default for NodeBatch {
             len: 0,
             middle_s: [zero; MAX_NODES],
             doppler: [zero; GAIN_NODES],
+            curvature_per_s: zero,
             gain: [zero; GAIN_NODES],
             amplitude: [Complex64::ZERO; CHUNK],
             keep: [false; CHUNK],
@@ -171,6 +174,7 @@ impl NodeTracks {
             }
             out.gain[k][..n].copy_from_slice(&received.gain[..n]);
             if node == middle {
+                out.curvature_per_s = received.curvature_per_s;
                 counts.no_root += odd.no_root * elements;
                 counts.two_roots += odd.two_roots * elements;
                 for (i, amplitude) in transmit_leg.amplitude[span.clone()].iter().enumerate() {
