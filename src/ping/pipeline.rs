@@ -26,7 +26,6 @@ use echotank_core::scene::{Footprint, Scatterers};
 use echotank_core::settings::SonarSettings;
 use echotank_imaging::beam::RowLimits;
 use echotank_imaging::beam::fan::Fan;
-use echotank_imaging::beam::halves::HalvesFormer;
 use echotank_imaging::beam::sidescan::LineFormer;
 use echotank_imaging::image::bottom::BottomDetector;
 use echotank_synthesis::array::faults::{ActiveFault, apply_fault};
@@ -60,17 +59,10 @@ pub struct SonarPipeline {
     /// Those in the water together with the sonar's own.
     more_pulses: Vec<MorePulse>,
     fan: Option<Fan>,
-    bottom: Option<Bottom>,
+    bottom: Option<BottomDetector>,
     /// Of the next ping.
     faults: Vec<ActiveFault>,
     spoiling: Vec<Complex64>,
-}
-
-/// What finds the bottom in the fan's beams.
-struct Bottom {
-    array: usize,
-    halves: HalvesFormer,
-    detector: BottomDetector,
 }
 
 impl SonarPipeline {
@@ -125,7 +117,7 @@ impl SonarPipeline {
                 .iter()
                 .map(|line| LineFormer::of_sonar(spec, line, limits, medium.sound_speed_m_per_s))
                 .collect(),
-            bottom: bottom(spec, medium, limits),
+            bottom: bottom(spec, limits),
             faults: Vec::new(),
             spoiling: Vec::new(),
             more_pulses,
@@ -267,15 +259,13 @@ impl SonarPipeline {
         }
         if let (Some(former), Some(beams)) = (&mut self.fan, output.beams.first_mut()) {
             let array = former.array();
-            former.form(plan, &output.elements[array], beams);
-        }
-        if let Some(bottom) = &mut self.bottom {
-            let halves = bottom.halves.form(plan, &output.elements[bottom.array]);
-            let min_s = plan.pulse.duration_s + NEAREST_BOTTOM_M * 2.0 / plan.sound_speed_m_per_s;
-            let soundings = &mut output.soundings;
-            bottom
-                .detector
-                .detect(halves, plan.first_sample_s, min_s, soundings);
+            let halves = former.form(plan, &output.elements[array], beams);
+            if let (Some(halves), Some(bottom)) = (halves, &mut self.bottom) {
+                let min_s =
+                    plan.pulse.duration_s + NEAREST_BOTTOM_M * 2.0 / plan.sound_speed_m_per_s;
+                let soundings = &mut output.soundings;
+                bottom.detect(halves, plan.first_sample_s, min_s, soundings);
+            }
         }
     }
 
@@ -406,22 +396,13 @@ impl SonarPipeline {
     }
 }
 
-fn bottom(spec: &SonarSpec, medium: &MediumSpec, limits: RowLimits) -> Option<Bottom> {
-    let fan = spec
-        .beams
-        .fan
-        .as_ref()
-        .filter(|f| f.form.bottom_detection)?;
-    let array = &spec.receive[fan.array];
-    let transmit = &spec.transmit[array.transmit];
-    let (weighting, c) = (spec.beams.weighting, medium.sound_speed_m_per_s);
+fn bottom(spec: &SonarSpec, limits: RowLimits) -> Option<BottomDetector> {
+    let fan = spec.beams.fan.as_ref();
+    fan.filter(|fan| fan.form.bottom_detection)?;
     let bandwidth_hz = spec
         .pulse
         .bandwidth_hz
         .max(1.0 / spec.limits.pulse_duration_s.0);
-    Some(Bottom {
-        array: fan.array,
-        halves: HalvesFormer::new(array, transmit, fan, limits, &spec.pulse, weighting, c),
-        detector: BottomDetector::new(limits.sample_rate_hz, bandwidth_hz, limits.samples),
-    })
+    let (rate_hz, samples) = (limits.sample_rate_hz, limits.samples);
+    Some(BottomDetector::new(rate_hz, bandwidth_hz, samples))
 }

@@ -1,4 +1,5 @@
-//! The fan of one receive array, formed by the method that its configuration selects.
+//! The fan of one receive array, formed by the method that its configuration selects; for bottom detection also from each half of the line.
+//! The phase between the halves gives the direction within a beam.
 
 use super::RowLimits;
 use super::conventional::FanFormer;
@@ -11,7 +12,18 @@ use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
 use echotank_core::pulse::Pulse;
 
 /// Beamformer of a fan.
-pub enum Fan {
+pub struct Fan {
+    method: Method,
+    halves: Option<Halves>,
+}
+
+struct Halves {
+    /// Where the method forms no halves.
+    former: Option<Box<DelaySumFormer>>,
+    beams: Box<[BeamFrame; 2]>,
+}
+
+enum Method {
     /// Frequency domain, f64.
     Exact(Box<FanFormer>),
     /// Frequency domain, f32.
@@ -21,7 +33,10 @@ pub enum Fan {
 }
 
 impl Fan {
-    /// Parameters and panics as [`DelaySumFormer::new`].
+    /// `array` is the receive array that `fan` names, `transmit` its transmitter. Work is shared among the threads of the current pool. For bottom detection, a fan configured as `exact` or `fft` has halves with time
+    /// delays.
+    ///
+    /// Panics on a fan without beams, an array without elements or a pulse beyond `limits`; a checked configuration prevents these.
     pub fn new(
         array: &ArrayGeometry,
         transmit: &TransmitArray,
@@ -33,31 +48,69 @@ impl Fan {
     ) -> Self {
         let c = sound_speed_m_per_s;
         let far_field = || SteeredArray::far_field(array, fan, limits, pulse, weighting, c);
-        match fan.form.former {
-            Former::Exact => Self::Exact(Box::new(FanFormer::new(far_field()))),
-            Former::Fft => Self::Fast(Box::new(FastFan::new(far_field()))),
+        let method = match fan.form.former {
+            Former::Exact => Method::Exact(Box::new(FanFormer::new(far_field()))),
+            Former::Fft => Method::Fast(Box::new(FastFan::new(far_field()))),
             Former::TimeDelay | Former::Phase | Former::DynamicFocus => {
-                let former = DelaySumFormer::new(array, transmit, fan, limits, pulse, weighting, c);
-                Self::DelaySum(Box::new(former))
+                let new = match fan.form.bottom_detection {
+                    true => DelaySumFormer::new_with_halves,
+                    false => DelaySumFormer::new,
+                };
+                let former = new(array, transmit, fan, limits, pulse, weighting, c);
+                Method::DelaySum(Box::new(former))
             }
-        }
+        };
+        let halves = fan.form.bottom_detection.then(|| {
+            let former = (!matches!(method, Method::DelaySum(_))).then(|| {
+                let mut fan = fan.clone();
+                fan.form.former = Former::TimeDelay;
+                let new = DelaySumFormer::new_with_halves;
+                Box::new(new(array, transmit, &fan, limits, pulse, weighting, c))
+            });
+            Halves {
+                former,
+                beams: Box::default(),
+            }
+        });
+        Self { method, halves }
     }
 
     /// Index of the fan's receive array.
     pub fn array(&self) -> usize {
-        match self {
-            Self::Exact(former) => former.array(),
-            Self::Fast(former) => former.array(),
-            Self::DelaySum(former) => former.array(),
+        match &self.method {
+            Method::Exact(former) => former.array(),
+            Method::Fast(former) => former.array(),
+            Method::DelaySum(former) => former.array(),
         }
     }
 
+    #[cfg(test)]
+    pub(crate) fn is_fast(&self) -> bool {
+        matches!(self.method, Method::Fast(_))
+    }
+
     /// Forms the beams of one ping. `frame` holds the samples of the fan's array; `out` grows once to its maximum size and is reused.
-    pub fn form(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut BeamFrame) {
-        match self {
-            Self::Exact(former) => former.form(plan, frame, out),
-            Self::Fast(former) => former.form(plan, frame, out),
-            Self::DelaySum(former) => former.form(plan, frame, out),
+    /// Returns, for bottom detection, the beams of the half at the array's -x end, then those of the half at its +x end. Both refer to the
+    /// whole line's centre, so that they agree in phase on the axis of every beam.
+    pub fn form(
+        &mut self,
+        plan: &PingPlan,
+        frame: &ElementFrame,
+        out: &mut BeamFrame,
+    ) -> Option<[&BeamFrame; 2]> {
+        match (&mut self.method, &mut self.halves) {
+            (Method::DelaySum(former), Some(halves)) => {
+                former.form_with_halves(plan, frame, Some(out), &mut halves.beams);
+            }
+            (Method::DelaySum(former), None) => former.form(plan, frame, out),
+            (Method::Exact(former), _) => former.form(plan, frame, out),
+            (Method::Fast(former), _) => former.form(plan, frame, out),
         }
+        let halves = self.halves.as_mut()?;
+        if let Some(former) = &mut halves.former {
+            former.form_with_halves(plan, frame, None, &mut halves.beams);
+        }
+        let [first, second] = &*halves.beams;
+        Some([first, second])
     }
 }

@@ -10,25 +10,27 @@ use echotank_core::simd::{Kind, SimdLevel};
 pub(super) const MAX_SAMPLES: usize = 128;
 /// Maximum number of elements per call; their interpolated tile fits the second-level cache.
 pub(super) const BLOCK: usize = 32;
+/// Maximum number of rows per call.
+pub(super) const MAX_TAPS: usize = 3 * BLOCK;
 /// Samples per step of the widest kernel; rows must be readable to the end of a step.
 pub(super) const STEP: usize = 16;
 
-/// Rows of the grid and weights, by element; structure of arrays.
+/// Rows of the grid and their weights; structure of arrays.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Taps {
     pub(super) len: usize,
     /// Start of the real parts; the imaginary parts follow one row length later.
-    pub(super) start: [u32; BLOCK],
-    pub(super) re: [f32; BLOCK],
-    pub(super) im: [f32; BLOCK],
+    pub(super) start: [u32; MAX_TAPS],
+    pub(super) re: [f32; MAX_TAPS],
+    pub(super) im: [f32; MAX_TAPS],
 }
 
 impl Taps {
     pub(super) const NONE: Self = Self {
         len: 0,
-        start: [0; BLOCK],
-        re: [0.0; BLOCK],
-        im: [0.0; BLOCK],
+        start: [0; MAX_TAPS],
+        re: [0.0; MAX_TAPS],
+        im: [0.0; MAX_TAPS],
     };
 
     fn iter(&self) -> impl Iterator<Item = (usize, f32, f32)> + '_ {
@@ -37,6 +39,7 @@ impl Taps {
 }
 
 /// Sums of real and imaginary parts.
+#[derive(Clone, Copy)]
 pub(super) struct Sums {
     pub(super) re: [f32; MAX_SAMPLES],
     pub(super) im: [f32; MAX_SAMPLES],
@@ -47,9 +50,14 @@ impl Sums {
         re: [0.0; MAX_SAMPLES],
         im: [0.0; MAX_SAMPLES],
     };
+
+    /// Real and imaginary parts of some samples.
+    pub(super) fn part(&mut self, samples: std::ops::Range<usize>) -> [&mut [f32]; 2] {
+        [&mut self.re[samples.clone()], &mut self.im[samples]]
+    }
 }
 
-/// Adds the sum of all taps' rows to `sums`, for `samples` samples from offset `at`. `imaginary` is the length of a row.
+/// Adds the sum of all taps' rows to the real and imaginary parts of as many samples. `imaginary` is the length of a row.
 ///
 /// Panics if a tap's row, rounded up to whole steps, lies outside the grid.
 pub(super) fn add_rows(
@@ -57,19 +65,16 @@ pub(super) fn add_rows(
     grid: &[f32],
     imaginary: usize,
     taps: &Taps,
-    at: usize,
-    samples: usize,
-    sums: &mut Sums,
+    [re, im]: [&mut [f32]; 2],
 ) {
-    assert!(at + samples <= MAX_SAMPLES && taps.len <= BLOCK);
+    let samples = re.len();
+    assert!(samples <= MAX_SAMPLES && im.len() == samples && taps.len <= MAX_TAPS);
     let steps = samples.div_ceil(STEP);
     let reach = taps.start[..taps.len].iter().max().copied().unwrap_or(0) as usize;
     assert!(
         taps.len == 0 || reach + imaginary + STEP * steps <= grid.len(),
         "row outside the grid"
     );
-    let re = &mut sums.re[at..at + samples];
-    let im = &mut sums.im[at..at + samples];
     match simd_level.kind() {
         Kind::Portable => add_plain(grid, imaginary, taps, re, im),
         #[cfg(target_arch = "x86_64")]
@@ -249,16 +254,10 @@ mod tests {
                 let (mut want, mut got) = (Sums::ZERO, Sums::ZERO);
                 got.re.fill(0.25);
                 want.re.fill(0.25);
-                add_rows(
-                    SimdLevel::PORTABLE,
-                    &grid,
-                    row,
-                    &taps,
-                    at,
-                    samples,
-                    &mut want,
-                );
-                add_rows(simd_level, &grid, row, &taps, at, samples, &mut got);
+                let range = at..at + samples;
+                let to = want.part(range.clone());
+                add_rows(SimdLevel::PORTABLE, &grid, row, &taps, to);
+                add_rows(simd_level, &grid, row, &taps, got.part(range));
                 for k in 0..MAX_SAMPLES {
                     let off = (got.re[k] - want.re[k])
                         .abs()
@@ -281,6 +280,6 @@ mod tests {
         taps.len = 1;
         taps.start[0] = 90;
         let mut sums = Sums::ZERO;
-        add_rows(SimdLevel::best(), &[0.0; 200], 100, &taps, 0, 16, &mut sums);
+        add_rows(SimdLevel::best(), &[0.0; 200], 100, &taps, sums.part(0..16));
     }
 }

@@ -13,7 +13,7 @@
 use std::sync::Arc;
 
 use echotank_fft::{Fft, Planned};
-use num_complex::Complex64;
+use num_complex::{Complex, Complex64};
 
 use super::RowLimits;
 use super::weights::Taper;
@@ -47,19 +47,19 @@ fn fft_length(min_length: usize) -> usize {
     length
 }
 
-/// Pulse spectrum and transforms that all rows of one array share.
-pub(super) struct Correlator {
+/// Pulse spectrum and transforms that all rows of one array share, in f32 or f64.
+pub(super) struct Correlator<T: Planned = f64> {
     limits: RowLimits,
     window: Shading,
     pulse: Pulse,
-    forward: Arc<dyn Fft<f64>>,
-    inverse: Arc<dyn Fft<f64>>,
+    forward: Arc<dyn Fft<T>>,
+    inverse: Arc<dyn Fft<T>>,
     /// Conjugate transform of the replica, divided by its energy and the transform length.
-    spectrum: Vec<Complex64>,
-    scratch: Vec<Complex64>,
+    spectrum: Vec<Complex<T>>,
+    scratch: Vec<Complex<T>>,
 }
 
-impl Correlator {
+impl<T: Planned> Correlator<T> {
     /// `guard` zeros follow row and pulse, for formers that shift rows.
     pub(super) fn new(pulse: &Pulse, limits: RowLimits, guard: usize, window: Shading) -> Self {
         assert!(
@@ -68,8 +68,8 @@ impl Correlator {
         );
         let longest_pulse = pulse_samples(limits.pulse_s, limits.sample_rate_hz);
         let length = fft_length(limits.samples + longest_pulse + guard);
-        let forward = f64::plan_forward(length);
-        let inverse = f64::plan_inverse(length);
+        let forward = T::plan_forward(length);
+        let inverse = T::plan_inverse(length);
         let scratch_length = forward
             .get_inplace_scratch_len()
             .max(inverse.get_inplace_scratch_len());
@@ -79,8 +79,8 @@ impl Correlator {
             pulse: *pulse,
             forward,
             inverse,
-            spectrum: vec![Complex64::ZERO; length],
-            scratch: vec![Complex64::ZERO; scratch_length],
+            spectrum: vec![zero(); length],
+            scratch: vec![zero(); scratch_length],
         };
         correlator.make_spectrum();
         correlator
@@ -102,7 +102,7 @@ impl Correlator {
             self.limits.pulse_s
         );
         let samples = pulse_samples(pulse.duration_s, rate_hz);
-        self.spectrum.fill(Complex64::ZERO);
+        self.spectrum.fill(zero());
         let taper = Taper::new(self.window);
         // Each sample represents an interval, and the weighting is even about the middle of the pulse; this keeps the group delay exact.
         let interval_s = 1.0 / rate_hz;
@@ -112,14 +112,14 @@ impl Correlator {
             let a = pulse.envelope((n as f64 / rate_hz).min(pulse.duration_s));
             let middle_s = n as f64 * interval_s - 0.5 * pulse.duration_s;
             let weight = taper.at(middle_s / (pulse.duration_s + interval_s));
-            *out = a * weight;
+            *out = rounded(a * weight);
             energy += weight * a.norm_sqr();
         }
         self.forward
             .process_with_scratch(&mut self.spectrum, &mut self.scratch);
-        let scale = 1.0 / (energy * self.spectrum.len() as f64);
+        let scale = rounded::<T>(Complex64::from(1.0 / (energy * self.spectrum.len() as f64)));
         for s in &mut self.spectrum {
-            *s = s.conj() * scale;
+            *s = s.conj() * scale.re;
         }
     }
 
@@ -133,22 +133,31 @@ impl Correlator {
         self.spectrum.len()
     }
     /// Buffer for [`Correlator::forward`] and [`Correlator::inverse`].
-    pub(super) fn make_scratch(&self) -> Vec<Complex64> {
+    pub(super) fn make_scratch(&self) -> Vec<Complex<T>> {
         self.scratch.clone()
     }
 
     /// Replaces a row followed by zeros in `buffer` by the spectrum of the correlated row.
-    pub(super) fn forward(&self, buffer: &mut [Complex64], scratch: &mut [Complex64]) {
+    pub(super) fn forward(&self, buffer: &mut [Complex<T>], scratch: &mut [Complex<T>]) {
         self.forward.process_with_scratch(buffer, scratch);
         for (x, s) in buffer.iter_mut().zip(&self.spectrum) {
-            *x *= s;
+            *x = *x * *s;
         }
     }
 
     /// Replaces a correlated spectrum by the correlated row, in the first samples of `buffer`.
-    pub(super) fn inverse(&self, buffer: &mut [Complex64], scratch: &mut [Complex64]) {
+    pub(super) fn inverse(&self, buffer: &mut [Complex<T>], scratch: &mut [Complex<T>]) {
         self.inverse.process_with_scratch(buffer, scratch);
     }
+}
+
+fn zero<T: Planned>() -> Complex<T> {
+    Complex::new(T::zero(), T::zero())
+}
+
+fn rounded<T: Planned>(x: Complex64) -> Complex<T> {
+    let part = |x: f64| T::from_f64(x).expect("f32 and f64 hold any f64");
+    Complex::new(part(x.re), part(x.im))
 }
 
 /// A matched filter with its own buffers.

@@ -6,12 +6,12 @@
 //! - [`conventional`]: a far-field fan of delay-and-sum beams, exact over the pulse's bandwidth, f64.
 //! - [`fast`]: the same fan by FFTs over time and line, f32.
 //! - [`delay_sum`]: far-field and dynamically focused beams in the time domain, f32, with SIMD.
-//! - [`fan`]: the former that a configuration selects.
-//! - [`halves`]: two fans from the halves of a line, for bottom detection. [`backproject`]: synthetic aperture over many pings.
+//! - [`fan`]: the former that a configuration selects, also of the halves of a line for bottom detection.
+//! - [`backproject`]: synthetic aperture over many pings.
 //! - [`sidescan`]: the whole aperture as one beam, one line per side, with or without focus.
 //!
-//! Every former belongs to one array, is sized once from [`RowLimits`], and does not allocate afterwards. Work is split by element and by
-//! beam, so that the samples are bit-identical for any number of threads.
+//! Every former belongs to one array, is sized once from [`RowLimits`], and does not allocate afterwards. Work is split by element,
+//! by beam and by tile of samples, so that the samples are bit-identical for any number of threads.
 //!
 //! Not modelled: rotation of the platform during the echo in the steering delays.
 pub mod backproject;
@@ -20,7 +20,6 @@ pub(crate) mod delay_sum;
 mod directions;
 pub mod fan;
 pub mod fast;
-pub mod halves;
 mod kernel;
 pub mod matched;
 #[cfg(test)]

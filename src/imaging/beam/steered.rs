@@ -1,5 +1,6 @@
 //! A line array steered to the directions of a fan: the part that all fan formers share.
 
+use echotank_fft::Planned;
 use num_complex::Complex64;
 
 use super::RowLimits;
@@ -15,8 +16,8 @@ use echotank_core::pulse::Pulse;
 /// domain.
 const GUARD_SAMPLES: usize = 32;
 
-/// Pulse, sound speed and directions of the current ping.
-pub(super) struct SteeredArray {
+/// Pulse, sound speed and directions of the current ping; `T` is the number type of the matched filter.
+pub(super) struct SteeredArray<T: Planned = f64> {
     array: usize,
     spacing_m: f64,
     /// Element weights; their sum is 1.
@@ -24,10 +25,10 @@ pub(super) struct SteeredArray {
     pub(super) directions: Directions,
     width_rad: Vec<f64>,
     pub(super) sound_speed_m_per_s: f64,
-    pub(super) correlator: Correlator,
+    pub(super) correlator: Correlator<T>,
 }
 
-impl SteeredArray {
+impl<T: Planned> SteeredArray<T> {
     /// `array` is the receive array that `fan` names. Each row is followed by `silence` zeros.
     ///
     /// Panics on a fan without beams, an array without elements or a pulse beyond `limits`; a checked configuration prevents these.
@@ -76,17 +77,6 @@ impl SteeredArray {
         Self::new(array, fan, (limits, silence), pulse, weighting, c)
     }
 
-    /// Uses these elements only. Delays still refer to the whole line's centre.
-    pub(super) fn select_elements(&mut self, part: &std::ops::Range<usize>) {
-        for (e, w) in self.weights.iter_mut().enumerate() {
-            if !part.contains(&e) {
-                *w = 0.0;
-            }
-        }
-        normalise(&mut self.weights);
-        self.measure_widths();
-    }
-
     pub(super) fn array(&self) -> usize {
         self.array
     }
@@ -131,14 +121,19 @@ impl SteeredArray {
             self.sound_speed_m_per_s = plan.sound_speed_m_per_s;
             self.measure_widths();
         }
-        let beams = self.beams();
+        self.size(frame.samples, out);
+    }
+
+    /// Sizes `out` for the fan's beams.
+    pub(super) fn size(&self, samples: usize, out: &mut BeamFrame) {
+        let (beams, max_samples) = (self.beams(), self.correlator.limits().samples);
         out.beams = beams;
-        out.samples = frame.samples;
+        out.samples = samples;
         out.angle_rad.clone_from(&self.directions.angle_rad);
         out.width_rad.clone_from(&self.width_rad);
         out.iq
             .reserve_exact((beams * max_samples).saturating_sub(out.iq.len()));
-        out.iq.resize(beams * frame.samples, Complex64::ZERO);
+        out.iq.resize(beams * samples, Complex64::ZERO);
     }
 
     fn measure_widths(&mut self) {

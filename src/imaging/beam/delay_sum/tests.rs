@@ -5,8 +5,10 @@ use std::f64::consts::{PI, TAU};
 use glam::DVec3;
 use num_complex::Complex64;
 
+use super::steering::turn;
 use super::*;
 use crate::beam::conventional::line_array_response;
+use crate::beam::matched::MatchedFilter;
 use crate::beam::test_rig::{
     C, array, elements_of_plane_wave, fan, half_power, limits, on_threads, plan_moving, pulse,
     tone, transmitter,
@@ -525,5 +527,186 @@ fn sines_and_cosines_of_many_turns_have_f32_accuracy() {
         let want = (f64::from(cycles) * 2.0 * PI).sin_cos();
         let off = (f64::from(sin) - want.0).hypot(f64::from(cos) - want.1);
         assert!(off < 1e-6, "{cycles}: {off:e}");
+    }
+}
+
+/// Matched-filtered white noise at the elements: echoes from everywhere.
+struct Reverberation {
+    rig: Rig,
+    rate_hz: f64,
+    frame: ElementFrame,
+    /// Matched-filtered rows, f64.
+    rows: Vec<Complex64>,
+}
+
+impl Reverberation {
+    fn new(rig: Rig, rate_hz: f64) -> Self {
+        let mut state = 7u64;
+        let mut draw = || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+        };
+        let count = rig.array.elements * rig.samples;
+        let mut iq: Vec<_> = (0..count).map(|_| Complex64::new(draw(), draw())).collect();
+        let limits = limits(rate_hz, rig.samples, rig.pulse.duration_s);
+        let mut filter = MatchedFilter::new(&rig.pulse, limits, Shading::Uniform);
+        // Echoes have the spectrum of the pulse.
+        for row in iq.chunks_exact_mut(rig.samples) {
+            filter.apply(row);
+        }
+        let mut rows = iq.clone();
+        for row in rows.chunks_exact_mut(rig.samples) {
+            filter.apply(row);
+        }
+        let frame = crate::beam::test_rig::frame(rig.array.elements, rig.samples, iq);
+        Self {
+            rig,
+            rate_hz,
+            frame,
+            rows,
+        }
+    }
+
+    fn former(&self, fan: &FanSpec) -> DelaySumFormer {
+        let limits = limits(self.rate_hz, self.rig.samples, self.rig.pulse.duration_s);
+        DelaySumFormer::new_with_halves(
+            &self.rig.array,
+            &transmitter(self.rig.transmit_m),
+            fan,
+            limits,
+            &self.rig.pulse,
+            Shading::Uniform,
+            C,
+        )
+    }
+
+    /// One sample of a beam of some elements in f64: every element's exact delay, a sinc of 64 samples.
+    fn exact(&self, weights: &[f64], sine: f64, sample: usize, first_s: f64) -> Complex64 {
+        let time_s = first_s + sample as f64 / self.rate_hz;
+        // The point whose echo reaches the array's centre at this time.
+        let (mut low, mut high) = (0.0, C * time_s);
+        let delay_s = |range_m: f64, x_m: f64| self.rig.delay_s(Rig::point(sine, range_m), x_m);
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if delay_s(middle, 0.0) > time_s {
+                high = middle;
+            } else {
+                low = middle;
+            }
+        }
+        let taper = Taper::Kaiser(9.0);
+        let sum = weights.iter().enumerate().filter(|(_, w)| **w != 0.0);
+        sum.map(|(e, w)| {
+            let late_s = delay_s(low, self.rig.array.element_x_m(e)) - time_s;
+            let at = sample as f64 + late_s * self.rate_hz;
+            let row = &self.rows[e * self.rig.samples..][..self.rig.samples];
+            let near = at.floor() as i64;
+            let value: Complex64 = (near - 31..=near + 32)
+                .filter_map(|k| {
+                    let (d, y) = (at - k as f64, row.get(usize::try_from(k).ok()?)?);
+                    let sinc = if d == 0.0 {
+                        1.0
+                    } else {
+                        (PI * d).sin() / (PI * d)
+                    };
+                    Some(y * (sinc * taper.at(d / 64.0)))
+                })
+                .sum();
+            let cycles = self.rig.pulse.center_frequency_hz * late_s;
+            value * Complex64::from_polar(*w, TAU * (cycles - cycles.round()))
+        })
+        .sum()
+    }
+}
+
+/// The lines of two multibeam sonars at 400 kHz: a CW pulse, and a sweep of 80 kHz. Error of random samples of the fan and of both halves,
+/// relative to their rms, by groups and element by element.
+#[test]
+fn beams_by_groups_are_within_1_percent_of_the_exact_focus_at_every_range() {
+    let cw = pulse(PulseKind::Cw, 0.0, 0.3e-3, 0.1);
+    let lfm = pulse(PulseKind::LfmUp, 80e3, 0.2e-3, 0.1);
+    let mut all_errors = Vec::new();
+    for (name, pulse, rate_hz, spacing_m, sector_deg) in [
+        ("CW", cw, 34e3, 0.0016, 140.0_f64),
+        ("LFM", lfm, 115e3, 0.00172, 130.0),
+    ] {
+        for (first_m, samples) in [(0.0, 600), (8.0, 300), (40.0, 300)] {
+            let mut rig = Rig::new(256, spacing_m, samples);
+            rig.pulse = pulse;
+            rig.velocity_m_per_s = DVec3::new(0.5, 0.0, 0.3);
+            let rev = Reverberation::new(rig, rate_hz);
+            let shading = Shading::Taylor { side_lobe_db: 35.0 };
+            let mut spec = fan(512, sector_deg.to_radians(), shading, Former::DynamicFocus);
+            spec.form.focus_error_rad = f64::to_radians(2.0);
+            let mut plan = rev.rig.plan(rev.rig.velocity_m_per_s);
+            plan.first_sample_s = 2.0 * first_m / C;
+            let mut weights = vec![0.0; 256];
+            weights::fill(shading, &mut weights);
+            let part = |range: Range<usize>| -> Vec<f64> {
+                let sum: f64 = weights[range.clone()].iter().sum();
+                let at = |e: usize| {
+                    if range.contains(&e) {
+                        weights[e] / sum
+                    } else {
+                        0.0
+                    }
+                };
+                (0..256).map(at).collect()
+            };
+            let parts = [part(0..256), part(0..128), part(128..256)];
+            let mut probes = Vec::new();
+            for n in 0..120usize {
+                let beam = (n * 197) % 512;
+                // From the range of half the line's length on, where the reference has all its samples.
+                let near = if first_m == 0.0 {
+                    0.2 * 2.0 / C * rate_hz
+                } else {
+                    60.0
+                } as usize
+                    + 20;
+                let sample = near + (n * 61) % (samples - near - 60);
+                let sine = (sector_deg.to_radians() * (beam as f64 / 511.0 - 0.5)).sin();
+                let want = |w: &Vec<f64>| rev.exact(w, sine, sample, plan.first_sample_s);
+                probes.push((beam, sample, [&parts[0], &parts[1], &parts[2]].map(want)));
+            }
+            let mut errors = Vec::new();
+            for by_groups in [true, false] {
+                let mut former = rev.former(&spec);
+                assert!(former.groups.is_some());
+                if !by_groups {
+                    former.groups = None;
+                }
+                let (mut whole, mut halves) = (BeamFrame::default(), Default::default());
+                let start = std::time::Instant::now();
+                former.form_with_halves(&plan, &rev.frame, Some(&mut whole), &mut halves);
+                let took = start.elapsed();
+                let [a, b] = &halves;
+                for (k, frame) in [&whole, a, b].into_iter().enumerate() {
+                    let (mut off, mut all) = (0.0, 0.0);
+                    for (beam, sample, want) in &probes {
+                        off += (frame.beam(*beam)[*sample] - want[k]).norm_sqr();
+                        all += want[k].norm_sqr();
+                    }
+                    errors.push(f64::sqrt(off / all));
+                }
+                println!(
+                    "{name} from {first_m} m, groups {by_groups}: {:.1e} {:.1e} {:.1e}; {took:?}, {} tiles, {} zones, {:?}",
+                    errors[errors.len() - 3],
+                    errors[errors.len() - 2],
+                    errors[errors.len() - 1],
+                    former.tiles.len(),
+                    former.zones.len(),
+                    former.directions,
+                );
+            }
+            all_errors.push((name, first_m, errors));
+        }
+    }
+    for (name, first_m, errors) in all_errors {
+        for error in errors {
+            assert!(error < 1e-2, "{name} from {first_m} m: {error:.1e}");
+        }
     }
 }

@@ -1,0 +1,334 @@
+//! Beams from groups of neighbouring elements, in two sums.
+//!
+//! A group is too short to resolve neighbouring beams. Its sum therefore varies slowly with the direction, and few directions determine all:
+//! the first sum forms each group's beams in equal steps of the sine, focused on one range of a tile with the exact delays of its elements;
+//! the second sums, for each beam of the fan and each zone of ranges, [`TAPS`] directions of every group.
+//!
+//! As a function of the sine u, the sum of a group about x_g is exp(j 2pi f_c x_g u/c) times a function with frequencies up to
+//! nu = (f_c h + X B/2)/c cycles, where h is the group's half-length, X that of the line, and B the bandwidth. Directions lie 1/(4 nu) apart,
+//! so that the function is oversampled by two. Least-squares coefficients for that band interpolate it with an rms error of
+//! 2e-3 at most. The exact phase of the group's centre belongs to the second sum. Between the range of the tile and that of a zone, the
+//! direction in which a group sees the point in focus changes; the second sum takes the direction of equal slope. What remains is the change
+//! of the curvature within a group and of the envelope's delay, which [`Groups::max_bend_per_m`] limits.
+
+use std::ops::Range;
+
+use super::steering::{Focus, Steering, turn, whole_number};
+use crate::beam::kernel::{BLOCK, MAX_SAMPLES, Taps};
+use echotank_core::pulse::{Pulse, PulseKind};
+
+/// Maximum number of groups.
+pub(super) const MAX_GROUPS: usize = 16;
+/// Directions of each group that a beam sums.
+pub(super) const TAPS: usize = 6;
+/// Directions between samples of the fastest variation of a group, times two.
+const OVERSAMPLING: f64 = 2.0;
+/// Number of coefficients of the polynomials of the interpolation kernel.
+const TERMS: usize = 8;
+/// Directions beyond those of the outermost beams, for the change of direction within a tile.
+const REACH: usize = 1;
+/// Phase error at the ends of a group by the change of its curvature within a tile.
+const MAX_CURVATURE_RAD: f64 = 0.05;
+/// Phase error of the outermost group at the rms frequency of the envelope within a tile.
+const MAX_ENVELOPE_RAD: f64 = 0.03;
+/// The nearest range in lengths of half the line: nearer, the sum of a group varies faster with the direction.
+const MIN_RANGE: f64 = 1.5;
+/// The dense sum has fewer steps for each product.
+const ADVANTAGE: f64 = 1.3;
+
+/// Bandwidth of the pulse's compressed echo.
+pub(super) fn band_hz(pulse: &Pulse) -> f64 {
+    match pulse.kind {
+        PulseKind::Cw => 1.0 / pulse.duration_s,
+        _ => pulse.bandwidth_hz + 1.0 / pulse.duration_s,
+    }
+}
+
+/// Division of a line into groups.
+pub(super) struct Groups {
+    /// Elements of each group; none crosses a section.
+    pub(super) parts: Vec<Range<usize>>,
+    /// Groups of each section.
+    pub(super) sections: Vec<Range<usize>>,
+    /// Centres along the line, metres.
+    pub(super) x_m: [f32; MAX_GROUPS],
+    /// Half the length of the longest group.
+    half_m: f64,
+    line_half_m: f64,
+    /// Room for directions.
+    pub(super) capacity: usize,
+    /// Coefficients of each tap: a polynomial of the position between the two middle directions, from -1/2 to 1/2.
+    kernel: [[f32; TERMS]; TAPS],
+}
+
+/// Directions of one ping.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Directions {
+    pub(super) first: f64,
+    pub(super) step: f64,
+    pub(super) count: usize,
+}
+
+impl Directions {
+    pub(super) fn sine(&self, j: usize) -> f64 {
+        self.first + self.step * j as f64
+    }
+}
+
+/// A beam of the fan at the range of a tile, as each group sees it.
+pub(super) struct Seen {
+    /// Index of the direction.
+    at: f32,
+    slope: [f32; MAX_GROUPS],
+    /// Change of the index for each change of the slope.
+    per_slope: [f32; MAX_GROUPS],
+}
+
+impl Groups {
+    /// The division with the fewest products, if the dense sum has more. `rows` is the number of rows for each delay.
+    pub(super) fn new(
+        sections: &[Range<usize>],
+        spacing_m: f64,
+        (sector, beams): ([f64; 2], usize),
+        (pulse, rate_hz, c): (&Pulse, f64, f64),
+        rows: usize,
+    ) -> Option<Self> {
+        let elements = sections.last()?.end;
+        let mut best: Option<(f64, Self)> = None;
+        for size in [8, 16, BLOCK] {
+            let groups = Self::of_size(size, sections, spacing_m)?;
+            if groups.parts.len() > MAX_GROUPS {
+                continue;
+            }
+            let directions = groups.directions(sector, pulse, band_hz(pulse), c);
+            let first = (elements * directions.count * rows) as f64;
+            let products = first + (beams * groups.parts.len() * TAPS) as f64;
+            if best.as_ref().is_none_or(|(least, _)| products < *least) {
+                let capacity = groups.directions(sector, pulse, rate_hz, c).count;
+                best = Some((products, Self { capacity, ..groups }));
+            }
+        }
+        let dense = (elements * beams * rows) as f64;
+        best.filter(|(products, _)| ADVANTAGE * products < dense)
+            .map(|(_, groups)| groups)
+    }
+
+    fn of_size(size: usize, sections: &[Range<usize>], spacing_m: f64) -> Option<Self> {
+        let elements = sections.last()?.end;
+        let (mut parts, mut of_section) = (Vec::new(), Vec::new());
+        for section in sections {
+            let first = parts.len();
+            let count = section.len().div_ceil(size);
+            parts.extend((0..count).map(|g| {
+                let at = |g: usize| section.start + g * section.len() / count;
+                at(g)..at(g + 1)
+            }));
+            of_section.push(first..parts.len());
+        }
+        let longest = parts.iter().map(Range::len).max()?;
+        let mut x_m = [0.0; MAX_GROUPS];
+        for (x, part) in x_m.iter_mut().zip(&parts) {
+            let middle = 0.5 * (part.start + part.end - 1) as f64;
+            *x = (spacing_m * (middle - 0.5 * (elements - 1) as f64)) as f32;
+        }
+        Some(Self {
+            parts,
+            sections: of_section,
+            x_m,
+            half_m: 0.5 * spacing_m * (longest - 1).max(1) as f64,
+            line_half_m: 0.5 * spacing_m * elements as f64,
+            capacity: 0,
+            kernel: kernel(),
+        })
+    }
+
+    /// Directions that serve the beams with sines in `sector`.
+    pub(super) fn directions(
+        &self,
+        sector: [f64; 2],
+        pulse: &Pulse,
+        band_hz: f64,
+        c: f64,
+    ) -> Directions {
+        // The compressed echo of a CW pulse has its first zeros at twice this bandwidth.
+        let edge_hz = match pulse.kind {
+            PulseKind::Cw => band_hz,
+            _ => 0.5 * band_hz,
+        };
+        let cycles = (pulse.center_frequency_hz * self.half_m + edge_hz * self.line_half_m) / c;
+        let step = 0.5 / (OVERSAMPLING * cycles);
+        let margin = (TAPS / 2 + REACH) as f64;
+        Directions {
+            first: sector[0] - margin * step,
+            step,
+            count: ((sector[1] - sector[0]) / step).ceil() as usize + 2 * (TAPS / 2 + REACH),
+        }
+    }
+
+    /// Largest change of 1/r from the range of a tile to its ends.
+    pub(super) fn max_bend_per_m(&self, pulse: &Pulse, c: f64) -> f64 {
+        let wavelength_m = c / pulse.center_frequency_hz;
+        let curvature = std::f64::consts::PI * self.half_m * self.half_m / wavelength_m;
+        let rms_rad_per_s = std::f64::consts::PI / 3f64.sqrt() * band_hz(pulse);
+        let envelope = 0.5 * self.line_half_m * self.line_half_m / c * rms_rad_per_s;
+        (MAX_CURVATURE_RAD / curvature).min(MAX_ENVELOPE_RAD / envelope)
+    }
+
+    /// Range from which the groups serve.
+    pub(super) fn min_range_m(&self) -> f64 {
+        MIN_RANGE * self.line_half_m
+    }
+
+    /// The beam of a sine, focused on the range of the tile.
+    #[inline(always)]
+    pub(super) fn seen(&self, directions: &Directions, sine: f64, focus: &Focus) -> Seen {
+        let mut seen = Seen {
+            at: ((sine - directions.first) / directions.step) as f32,
+            slope: [0.0; MAX_GROUPS],
+            per_slope: [0.0; MAX_GROUPS],
+        };
+        let per_step = (1.0 / directions.step) as f32;
+        for g in 0..MAX_GROUPS {
+            let (q, slope) = focus.leg(self.x_m[g]);
+            seen.slope[g] = slope;
+            // d slope / d sine = -(R/q) (1 - slope x/q).
+            let over = focus.radius_m * (q - slope * self.x_m[g]);
+            seen.per_slope[g] = per_step * q * q / over.max(1e-6);
+        }
+        seen
+    }
+
+    /// Rows and weights of a beam's second sums, one for each section, for a zone from sample `origin` of the tile on.
+    #[inline(always)]
+    pub(super) fn mix(
+        &self,
+        steering: &Steering,
+        directions: &Directions,
+        seen: &Seen,
+        focus: &Focus,
+        origin: usize,
+        taps: &mut [Taps],
+    ) {
+        let is_focused = steering.is_focused();
+        let cycles_per_m = steering.cycles_per_m();
+        let last = directions.count as i32 - TAPS as i32;
+        let (mut start, mut at) = ([0i32; MAX_GROUPS], [0.0f32; MAX_GROUPS]);
+        let (mut sin, mut cos) = ([0.0f32; MAX_GROUPS], [0.0f32; MAX_GROUPS]);
+        for g in 0..MAX_GROUPS {
+            let x = self.x_m[g];
+            let mut index = seen.at;
+            if is_focused {
+                index += (seen.slope[g] - focus.leg(x).1) * seen.per_slope[g];
+            }
+            let first = (whole_number(index - 0.5) - (TAPS / 2 - 1) as i32).clamp(0, last);
+            at[g] = index - first as f32 - (TAPS / 2) as f32 + 0.5;
+            start[g] = (g as i32 * directions.count as i32 + first) * (2 * MAX_SAMPLES) as i32
+                + origin as i32;
+            (sin[g], cos[g]) = turn(steering.late_m(focus, x) * cycles_per_m);
+        }
+        for (t, terms) in self.kernel.iter().enumerate() {
+            let mut w = [0.0f32; MAX_GROUPS];
+            for term in terms.iter().rev() {
+                for g in 0..MAX_GROUPS {
+                    w[g] = w[g] * at[g] + term;
+                }
+            }
+            for (section, taps) in self.sections.iter().zip(&mut *taps) {
+                let to = t * section.len();
+                for (i, g) in section.clone().enumerate() {
+                    taps.start[to + i] = (start[g] + (t * 2 * MAX_SAMPLES) as i32) as u32;
+                    taps.re[to + i] = w[g] * cos[g];
+                    taps.im[to + i] = w[g] * sin[g];
+                }
+            }
+        }
+        for (section, taps) in self.sections.iter().zip(taps) {
+            taps.len = TAPS * section.len();
+        }
+    }
+}
+
+/// Coefficients that interpolate functions of the band with least squares, as polynomials through Chebyshev nodes.
+fn kernel() -> [[f32; TERMS]; TAPS] {
+    let node = |n: usize| 0.5 * (std::f64::consts::PI * (n as f64 + 0.5) / TERMS as f64).cos();
+    let mut at_node = [[0.0; TERMS]; TAPS];
+    for n in 0..TERMS {
+        for (values, w) in at_node.iter_mut().zip(coefficients(node(n))) {
+            values[n] = w;
+        }
+    }
+    at_node.map(|values| {
+        let powers: [[f64; TERMS]; TERMS] =
+            std::array::from_fn(|n| std::array::from_fn(|k| node(n).powi(k as i32)));
+        solve(powers, values).map(|term| term as f32)
+    })
+}
+
+/// Least-squares coefficients for the position `at` from the middle between the two middle directions.
+fn coefficients(at: f64) -> [f64; TAPS] {
+    // Mean of exp(j 2pi nu x) over the band |nu| <= 1 / (2 OVERSAMPLING) cycles per step.
+    let mean = |x: f64| match std::f64::consts::PI * x / OVERSAMPLING {
+        0.0 => 1.0,
+        a => a.sin() / a,
+    };
+    let place = |t: usize| t as f64 - 0.5 * (TAPS - 1) as f64;
+    solve(
+        std::array::from_fn(|s| std::array::from_fn(|t| mean(place(s) - place(t)))),
+        std::array::from_fn(|t| mean(at - place(t))),
+    )
+}
+
+/// Solves a linear system by elimination with row pivots.
+fn solve<const N: usize>(mut a: [[f64; N]; N], mut b: [f64; N]) -> [f64; N] {
+    for i in 0..N {
+        let pivot = (i..N)
+            .max_by(|&p, &q| a[p][i].abs().total_cmp(&a[q][i].abs()))
+            .unwrap_or(i);
+        a.swap(i, pivot);
+        b.swap(i, pivot);
+        for row in i + 1..N {
+            let (pivot, factor) = (a[i], a[row][i] / a[i][i]);
+            for (to, from) in a[row].iter_mut().zip(pivot) {
+                *to -= factor * from;
+            }
+            b[row] -= factor * b[i];
+        }
+    }
+    for i in (0..N).rev() {
+        let known: f64 = (i + 1..N).map(|k| a[i][k] * b[k]).sum();
+        b[i] = (b[i] - known) / a[i][i];
+    }
+    b
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use num_complex::Complex64;
+    use std::f64::consts::TAU;
+
+    #[test]
+    fn the_kernel_interpolates_its_band_with_an_rms_error_of_2e_3() {
+        let kernel = kernel();
+        let mut worst = 0.0_f64;
+        for step in 0..=40 {
+            let at = f64::from(step) / 40.0 - 0.5;
+            let w: [f64; TAPS] = std::array::from_fn(|t| {
+                let terms = kernel[t].iter().rev();
+                terms.fold(0.0, |sum, term| sum * at + f64::from(*term))
+            });
+            let mut sum = 0.0;
+            for n in -50..=50 {
+                let cycles = f64::from(n) / 50.0 / (2.0 * OVERSAMPLING);
+                let wave = |x: f64| Complex64::from_polar(1.0, TAU * cycles * x);
+                let got: Complex64 = (0..TAPS)
+                    .map(|t| w[t] * wave(t as f64 - 0.5 * (TAPS - 1) as f64))
+                    .sum();
+                sum += (got - wave(at)).norm_sqr();
+            }
+            worst = worst.max((sum / 101.0).sqrt());
+        }
+        println!("rms error at the worst position: {worst:.2e}");
+        assert!(worst < 2e-3, "{worst:.2e}");
+    }
+}

@@ -1,0 +1,202 @@
+//! Delays and weights of the elements for the points in focus of a ping.
+
+use super::interpolation::Interpolation;
+use crate::beam::kernel::{BLOCK, Taps};
+use echotank_config::spec::Former;
+
+/// Minimum distance of a focal point, metres: keeps delays finite on the line itself.
+pub(super) const MIN_DISTANCE_M: f64 = 1e-3;
+
+/// Layout of a tap's rows in the grid.
+#[derive(Clone, Copy)]
+pub(super) struct GridLayout {
+    pub(super) row: usize,
+    /// Offset of the first sample to sum.
+    pub(super) origin: usize,
+}
+
+/// Steering of the beams of one ping; pairs are components along the line and along the boresight.
+pub(super) struct Steering {
+    pub(super) former: Former,
+    pub(super) transmit_m: [f64; 2],
+    pub(super) velocity_m_per_s: [f64; 2],
+    pub(super) c: f64,
+    pub(super) carrier_hz: f64,
+    pub(super) rate_hz: f64,
+}
+
+/// Focus of one beam: d = S - v t from the array's centre at reception.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Focus {
+    pub(super) sine: f32,
+    /// R = |S|.
+    pub(super) radius_m: f32,
+    pub(super) d_m: [f32; 2],
+    /// |d|.
+    pub(super) range_m: f32,
+}
+
+impl Focus {
+    /// Distance to an element, and the slope of its delay along the line (a sine).
+    #[inline(always)]
+    pub(super) fn leg(&self, x: f32) -> (f32, f32) {
+        let q2 = self.range_m * self.range_m + x * (x - 2.0 * self.d_m[0]);
+        let q = q2.max(1e-12).sqrt();
+        (q, (x - self.d_m[0]) / q)
+    }
+}
+
+impl Steering {
+    pub(super) fn is_focused(&self) -> bool {
+        self.former == Former::DynamicFocus
+    }
+
+    /// The point in focus of a beam at `time_s`. Beyond a sine of 1 it is the analytic continuation, for interpolation up to there.
+    pub(super) fn focus(&self, sine: f64, time_s: f64) -> Focus {
+        if !self.is_focused() {
+            return Focus {
+                sine: sine as f32,
+                ..Focus::default()
+            };
+        }
+        let toward = [sine, (1.0 - sine * sine).max(0.0).sqrt()];
+        let moved_m = self.velocity_m_per_s.map(|v| v * time_s);
+        let path_m = self.c * time_s;
+        // Distance from a point to R (sine, cosine), and its slope over R.
+        let leg = |radius_m: f64, [x, z]: [f64; 2]| {
+            let along = x * toward[0] + z * toward[1];
+            let square = radius_m * (radius_m - 2.0 * along) + x * x + z * z;
+            let length = square.max(MIN_DISTANCE_M * MIN_DISTANCE_M).sqrt();
+            (length, (radius_m - along) / length)
+        };
+        // Newton's method on |S - p_T| + |S - v t| = c t, which is nearly linear in R.
+        let mut radius_m = 0.5 * path_m;
+        for _ in 0..3 {
+            let (out_m, out_slope) = leg(radius_m, self.transmit_m);
+            let (back_m, back_slope) = leg(radius_m, moved_m);
+            let slope = (out_slope + back_slope).max(0.5);
+            radius_m = (radius_m - (out_m + back_m - path_m) / slope).max(MIN_DISTANCE_M);
+        }
+        let d = [
+            radius_m * toward[0] - moved_m[0],
+            radius_m * toward[1] - moved_m[1],
+        ];
+        Focus {
+            sine: sine as f32,
+            radius_m: radius_m as f32,
+            d_m: d.map(|x| x as f32),
+            range_m: leg(radius_m, moved_m).0 as f32,
+        }
+    }
+
+    pub(super) fn cycles_per_m(&self) -> f32 {
+        (self.carrier_hz / self.c) as f32
+    }
+
+    fn mach(&self) -> [f32; 2] {
+        self.velocity_m_per_s.map(|v| (v / self.c) as f32)
+    }
+
+    /// Delay of an element relative to the array's centre, times the sound speed.
+    #[inline(always)]
+    pub(super) fn late_m(&self, f: &Focus, x: f32) -> f32 {
+        self.late(self.is_focused(), self.mach(), f, x)
+    }
+
+    #[inline(always)]
+    fn late(&self, is_focused: bool, [vx, vz]: [f32; 2], f: &Focus, x: f32) -> f32 {
+        if !is_focused {
+            return -x * f.sine;
+        }
+        let (q, slope) = f.leg(x);
+        let difference = x * (x - 2.0 * f.d_m[0]) / (q + f.range_m);
+        difference / (1.0 + f.d_m[1] * vz / q - slope * vx)
+    }
+
+    /// Rows and weights of some elements. The carrier's phase is that of the delay beyond `reference_m`.
+    #[inline(always)]
+    pub(super) fn steer(
+        &self,
+        f: &Focus,
+        (x_m, w): (&[f32], &[f32]),
+        reference_m: f32,
+        interpolation: &Interpolation,
+        layout: GridLayout,
+        taps: &mut Taps,
+    ) {
+        let fractions = interpolation.fractions();
+        let cycles_per_m = self.cycles_per_m();
+        let steps_per_m = match self.former {
+            Former::Phase => 0.0,
+            _ => (self.rate_hz * fractions as f64 / self.c) as f32,
+        };
+        let (is_focused, mach) = (self.is_focused(), self.mach());
+        let n = x_m.len().min(w.len()).min(BLOCK);
+        let mut late_m = [0.0f32; BLOCK];
+        for (late_m, x) in late_m[..n].iter_mut().zip(x_m) {
+            *late_m = self.late(is_focused, mach, f, *x);
+        }
+        let element_rows = (fractions * 2 * layout.row) as i32;
+        let (row, origin) = (2 * layout.row as i32, layout.origin as i32);
+        let (mask, shift) = (fractions as i32 - 1, fractions.trailing_zeros());
+        let start = |i: usize, step: i32| {
+            (i as i32 * element_rows + (step & mask) * row + origin + (step >> shift)) as u32
+        };
+        if interpolation.is_linear {
+            taps.len = 2 * n;
+            let (first, second) = taps.start.split_at_mut(n);
+            let (re, re_next) = taps.re.split_at_mut(n);
+            let (im, im_next) = taps.im.split_at_mut(n);
+            for i in 0..n {
+                let (sin, cos) = turn((late_m[i] - reference_m) * cycles_per_m);
+                let at = late_m[i] * steps_per_m;
+                let step = whole_number(at - 0.5);
+                let next = w[i] * (at - step as f32);
+                let near = w[i] - next;
+                first[i] = start(i, step);
+                second[i] = start(i, step + 1);
+                (re[i], im[i]) = (near * cos, near * sin);
+                (re_next[i], im_next[i]) = (next * cos, next * sin);
+            }
+        } else {
+            taps.len = n;
+            for i in 0..n {
+                let (sin, cos) = turn((late_m[i] - reference_m) * cycles_per_m);
+                taps.start[i] = start(i, whole_number(late_m[i] * steps_per_m));
+                taps.re[i] = w[i] * cos;
+                taps.im[i] = w[i] * sin;
+            }
+        }
+    }
+}
+
+/// 1.5 * 2^23: adding it removes the fractional part of an f32.
+const SHIFT: f32 = 12_582_912.0;
+
+/// The nearest integer, from the last bits of the shifted value.
+#[inline(always)]
+pub(super) fn whole_number(x: f32) -> i32 {
+    (x + SHIFT).to_bits() as i32 - SHIFT.to_bits() as i32
+}
+
+/// Rounds a value within 2^22 to the nearest integer (halves to even) without a function call, so that loops vectorise.
+#[inline(always)]
+fn round(x: f32) -> f32 {
+    (x + SHIFT) - SHIFT
+}
+
+/// Sine and cosine of a number of cycles, with an error of 3e-7.
+#[inline(always)]
+pub(super) fn turn(cycles: f32) -> (f32, f32) {
+    // Reduces to a quarter turn, then uses a Taylor series over an eighth of a turn to either side.
+    let quarter = round(4.0 * cycles);
+    let a = (cycles - 0.25 * quarter) * std::f32::consts::TAU;
+    let a2 = a * a;
+    let sin = a * (1.0 + a2 * (-1.0 / 6.0 + a2 * (1.0 / 120.0 - a2 / 5040.0)));
+    let cos = 1.0 + a2 * (-0.5 + a2 * (1.0 / 24.0 + a2 * (-1.0 / 720.0 + a2 / 40320.0)));
+    let k = whole_number(4.0 * cycles) & 3;
+    let (s, c) = if k & 1 == 0 { (sin, cos) } else { (cos, sin) };
+    let s = if k & 2 == 0 { s } else { -s };
+    let c = if (k + 1) & 2 == 0 { c } else { -c };
+    (s, c)
+}
