@@ -586,9 +586,7 @@ fn fill_beams(
 ) -> u64 {
     samples.clear();
     samples.resize((silent + fan.samples) * fan.beams, BeamSample::default());
-    (0..fan.beams)
-        .map(|b| quantise::beam_column(fan.beam(b), full_scale_v, (b, fan.beams), silent, samples))
-        .sum()
+    quantise::beams(fan, full_scale_v, silent, samples)
 }
 
 /// Writes the elements of 7038. All frames of a ping must have `samples` samples.

@@ -3,8 +3,13 @@
 //! `full_scale_v` of the receiver corresponds to the integer's maximum: 32767 for I and Q (7038), 65535 for magnitudes (7018, 7007). Counts
 //! are volts / full_scale_v x maximum, rounded. Values beyond the range, and NaN, are clipped and counted.
 
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use echotank_core::ping::BeamFrame;
+use echotank_core::simd::widest;
 use num_complex::Complex64;
 
+use crate::by_sample::by_sample;
 use echotank_protocols::sevenk::records::{BeamSample, PHASE_COUNTS_PER_RAD};
 
 /// Counts of I or Q at full scale.
@@ -13,6 +18,7 @@ pub(crate) const IQ_FULL_SCALE: f64 = i16::MAX as f64;
 pub(crate) const MAGNITUDE_FULL_SCALE: f64 = u16::MAX as f64;
 
 /// Rounds `value` counts to the symmetric range of i16. The flag is true if the value was clipped.
+#[inline(always)]
 fn signed(value: f64) -> (i16, bool) {
     let rounded = value.round();
     let fits = rounded.abs() <= IQ_FULL_SCALE;
@@ -20,6 +26,7 @@ fn signed(value: f64) -> (i16, bool) {
     (held as i16, !fits)
 }
 
+#[inline(always)]
 fn unsigned(value: f64) -> (u16, bool) {
     let rounded = value.round();
     let fits = (0.0..=MAGNITUDE_FULL_SCALE).contains(&rounded);
@@ -29,35 +36,84 @@ fn unsigned(value: f64) -> (u16, bool) {
 /// Appends I and Q of one element. Returns the number of clipped values.
 pub fn iq(volts: &[Complex64], full_scale_v: f64, into: &mut Vec<[i16; 2]>) -> u64 {
     let scale = IQ_FULL_SCALE / full_scale_v;
-    let mut saturated = 0;
-    into.extend(volts.iter().map(|v| {
-        let (i, i_held) = signed(v.re * scale);
-        let (q, q_held) = signed(v.im * scale);
-        saturated += u64::from(i_held) + u64::from(q_held);
-        [i, q]
-    }));
-    saturated
+    let start = into.len();
+    into.resize(start + volts.len(), [0; 2]);
+    widest(
+        #[inline(always)]
+        || {
+            let mut saturated = 0;
+            for (out, v) in into[start..].iter_mut().zip(volts) {
+                let (i, i_held) = signed(v.re * scale);
+                let (q, q_held) = signed(v.im * scale);
+                saturated += u64::from(i_held) + u64::from(q_held);
+                *out = [i, q];
+            }
+            saturated
+        },
+    )
 }
 
-/// Writes the samples of one beam into its column of `into` (by sample, then beam), starting at sample `first`. Returns the number of
-/// clipped magnitudes.
-pub(crate) fn beam_column(
-    volts: &[Complex64],
+/// Writes the samples of a fan to `into` (by sample, then beam), starting at sample `first`. Returns the number of clipped magnitudes.
+pub(crate) fn beams(
+    fan: &BeamFrame,
     full_scale_v: f64,
-    (beam, beams): (usize, usize),
     first: usize,
     into: &mut [BeamSample],
 ) -> u64 {
     let scale = MAGNITUDE_FULL_SCALE / full_scale_v;
     let mut saturated = 0;
-    let column = into.iter_mut().skip(first * beams + beam).step_by(beams);
-    for (out, v) in column.zip(volts) {
+    by_sample(fan, &mut into[first * fan.beams..], |volts, out| {
+        saturated += widest(
+            #[inline(always)]
+            || beam_samples(volts, scale, out),
+        );
+    });
+    saturated
+}
+
+#[inline(always)]
+fn beam_samples(volts: &[Complex64], scale: f64, out: &mut [BeamSample]) -> u64 {
+    let mut saturated = 0;
+    for (out, v) in out.iter_mut().zip(volts) {
         let (amplitude, held) = unsigned((v.re * v.re + v.im * v.im).sqrt() * scale);
-        let (phase, _) = signed(v.im.atan2(v.re) * f64::from(PHASE_COUNTS_PER_RAD));
+        let (phase, _) = signed(phase_rad(*v) * f64::from(PHASE_COUNTS_PER_RAD));
         saturated += u64::from(held);
         *out = BeamSample { amplitude, phase };
     }
     saturated
+}
+
+/// The argument with an error of 2e-8, 1/5000 of a count, without a function call, so that loops vectorise. The series is Eq. 4.4.49 of
+/// Abramowitz and Stegun 1964.
+#[inline(always)]
+fn phase_rad(v: Complex64) -> f64 {
+    const TERMS: [f64; 9] = [
+        1.0,
+        -0.333_331_452_8,
+        0.199_935_508_5,
+        -0.142_088_994_4,
+        0.106_562_639_3,
+        -0.075_289_640_0,
+        0.042_909_613_8,
+        -0.016_165_736_7,
+        0.002_866_225_7,
+    ];
+    let (re, im) = (v.re.abs(), v.im.abs());
+    let (low, high) = if im > re { (re, im) } else { (im, re) };
+    let x = low / high.max(f64::MIN_POSITIVE);
+    let x2 = x * x;
+    let mut sum = 0.0;
+    for term in TERMS.iter().rev() {
+        sum = sum * x2 + term;
+    }
+    let acute = x * sum;
+    let upper = if im > re { FRAC_PI_2 - acute } else { acute };
+    let positive = if v.re < 0.0 { PI - upper } else { upper };
+    if v.im.is_sign_negative() {
+        -positive
+    } else {
+        positive
+    }
 }
 
 /// Appends one side-scan line. Returns the number of clipped values.
@@ -104,11 +160,18 @@ mod tests {
     #[test]
     fn beams_are_interleaved_by_sample_with_magnitude_and_phase() {
         let mut out = vec![BeamSample::default(); 3 * 2];
-        let volts = [
-            Complex64::from_polar(0.5, 1.0),
-            Complex64::from_polar(1.0, -PI),
-        ];
-        let saturated = beam_column(&volts, 1.0, (1, 2), 1, &mut out);
+        let fan = BeamFrame {
+            beams: 2,
+            samples: 2,
+            iq: vec![
+                Complex64::ZERO,
+                Complex64::ZERO,
+                Complex64::from_polar(0.5, 1.0),
+                Complex64::from_polar(1.0, -PI),
+            ],
+            ..BeamFrame::default()
+        };
+        let saturated = beams(&fan, 1.0, 1, &mut out);
         assert_eq!(saturated, 0);
         assert_eq!(
             out[3],
@@ -137,5 +200,18 @@ mod tests {
             (out.as_slice(), saturated),
             (&[0, 16384, 65535, 65535, 0][..], 2)
         );
+    }
+
+    #[test]
+    fn phases_are_those_of_the_function_in_every_octant() {
+        for step in -4000..=4000 {
+            let want = f64::from(step) / 4000.0 * PI;
+            for level in [1e-9, 1.0, 3e4] {
+                let v = Complex64::from_polar(level, want);
+                let off = (phase_rad(v) - v.arg()).abs();
+                assert!(off < 2.5e-8, "{want}: {off:e}");
+            }
+        }
+        assert_eq!(phase_rad(Complex64::ZERO), 0.0);
     }
 }

@@ -18,11 +18,13 @@ use echotank_protocols::wbms::{
 };
 use num_complex::Complex64;
 
+use crate::by_sample::by_sample;
 use crate::elements::counts;
 use crate::pool::DatagramPool;
 use echotank_config::spec::{BeamSpacing, SonarSpec};
 use echotank_core::ping::{BeamFrame, Detection, Line, PingOutput, PingPlan, Side, Sounding};
 use echotank_core::records::Datagram;
+use echotank_core::simd::widest;
 use echotank_core::time::UtcNs;
 
 /// Number of snippet samples on each side of a detection.
@@ -283,12 +285,16 @@ impl WbmsEmitter {
         self.samples.clear();
         self.samples.resize(fan.beams * fan.samples, 0);
         let mut saturated = 0;
-        for beam in 0..fan.beams {
-            let column = self.samples.iter_mut().skip(beam).step_by(fan.beams);
-            for (out, v) in column.zip(fan.beam(beam)) {
-                *out = magnitude(*v, full_scale_v, &mut saturated);
-            }
-        }
+        by_sample(fan, &mut self.samples, |volts, out| {
+            widest(
+                #[inline(always)]
+                || {
+                    for (out, v) in out.iter_mut().zip(volts) {
+                        *out = magnitude(*v, full_scale_v, &mut saturated);
+                    }
+                },
+            );
+        });
         self.saturated += saturated;
         self.angles.clear();
         self.angles
@@ -386,8 +392,9 @@ fn stamp_s(plan: &PingPlan) -> f64 {
     plan.stamp_utc.0 as f64 * 1e-9
 }
 
+#[inline(always)]
 fn magnitude(v: Complex64, full_scale_v: f64, saturated: &mut u64) -> i16 {
-    let (value, held) = counts(v.norm() / full_scale_v);
+    let (value, held) = counts((v.re * v.re + v.im * v.im).sqrt() / full_scale_v);
     *saturated += u64::from(held);
     value
 }

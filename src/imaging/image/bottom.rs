@@ -12,6 +12,7 @@
 //! several bottoms in one beam, refraction, gates from other sounders.
 
 use num_complex::Complex64;
+use rayon::prelude::*;
 
 use echotank_core::ping::{BeamFrame, Detection, Sounding};
 
@@ -36,10 +37,22 @@ const ROUNDS: usize = 3;
 pub struct BottomDetector {
     sample_rate_hz: f64,
     bandwidth_hz: f64,
+    workers: Vec<Worker>,
+    /// Of each beam.
+    found: Vec<Option<Sounding>>,
+}
+
+/// Buffers of one share of the beams.
+struct Worker {
     intensity: Vec<f64>,
     smooth: Vec<f64>,
-    cross: Vec<Complex64>,
-    sorted: Vec<f64>,
+}
+
+/// Samples of one beam from the halves, from the first that may be a bottom on.
+#[derive(Clone, Copy)]
+struct Halves<'a> {
+    a: &'a [Complex64],
+    b: &'a [Complex64],
 }
 
 /// Result of one method.
@@ -50,15 +63,20 @@ struct Estimate {
 }
 
 impl BottomDetector {
-    /// `bandwidth_hz` is that of the compressed pulse: samples closer than its inverse are not independent. `samples` sizes the buffers.
+    /// `bandwidth_hz` is that of the compressed pulse: samples closer than its inverse are not independent. `samples` sizes the buffers. Work
+    /// is shared among the threads of the current pool.
     pub fn new(sample_rate_hz: f64, bandwidth_hz: f64, samples: usize) -> Self {
+        let worker = || Worker {
+            intensity: Vec::with_capacity(samples),
+            smooth: Vec::with_capacity(samples),
+        };
         Self {
             sample_rate_hz,
             bandwidth_hz: bandwidth_hz.max(1.0),
-            intensity: Vec::with_capacity(samples),
-            smooth: Vec::with_capacity(samples),
-            cross: Vec::with_capacity(samples),
-            sorted: Vec::with_capacity(samples),
+            workers: (0..rayon::current_num_threads().max(1))
+                .map(|_| worker())
+                .collect(),
+            found: Vec::new(),
         }
     }
 
@@ -71,78 +89,85 @@ impl BottomDetector {
         min_s: f64,
         out: &mut Vec<Sounding>,
     ) {
-        out.clear();
         let [a, b] = halves;
-        let first = ((min_s - first_sample_s) * self.sample_rate_hz).max(0.0) as usize;
-        for beam in 0..a.beams {
-            // Time that a flat bottom stays in the whole line's beam, relative to the travel time of its echo.
-            let stay = 0.5 * a.width_rad[beam] * a.angle_rad[beam].abs().min(MAX_ANGLE_RAD).tan();
-            let delayed = first_sample_s * self.sample_rate_hz;
-            let row = (a.beam(beam), b.beam(beam));
-            let found = self.one(row, first.min(a.samples), delayed, stay);
-            let Some((detection, found, level)) = found else {
-                continue;
-            };
-            out.push(Sounding {
-                beam,
-                angle_rad: a.angle_rad[beam],
-                twtt_s: first_sample_s + found.sample / self.sample_rate_hz,
-                error_s: found.error_samples / self.sample_rate_hz,
-                detection,
-                level_v: level.sqrt(),
+        let rate_hz = self.sample_rate_hz;
+        let first = (((min_s - first_sample_s) * rate_hz).max(0.0) as usize).min(a.samples);
+        let delayed = first_sample_s * rate_hz;
+        // Averaged over about four resolution cells, so that speckle alone is not the maximum.
+        let cell = (rate_hz / self.bandwidth_hz).max(1.0);
+        self.found.clear();
+        self.found.resize(a.beams, None);
+        let share = a.beams.div_ceil(self.workers.len()).max(1);
+        self.found
+            .par_chunks_mut(share)
+            .zip(&mut self.workers)
+            .enumerate()
+            .for_each(|(w, (found, worker))| {
+                for (i, found) in found.iter_mut().enumerate() {
+                    let beam = w * share + i;
+                    let angle_rad = a.angle_rad[beam];
+                    // Time that a flat bottom stays in the whole line's beam, relative to the travel time of its echo.
+                    let stay = 0.5 * a.width_rad[beam] * angle_rad.abs().min(MAX_ANGLE_RAD).tan();
+                    let halves = Halves {
+                        a: &a.beam(beam)[first..],
+                        b: &b.beam(beam)[first..],
+                    };
+                    let echo = worker.find(halves, first as f64 + delayed, stay, cell);
+                    *found = echo.map(|(detection, found, level)| Sounding {
+                        beam,
+                        angle_rad,
+                        twtt_s: first_sample_s + (found.sample + first as f64) / rate_hz,
+                        error_s: found.error_samples / rate_hz,
+                        detection,
+                        level_v: level.sqrt(),
+                    });
+                }
             });
-        }
+        out.clear();
+        out.extend(self.found.iter().flatten().copied());
     }
+}
 
-    fn one(
+impl Worker {
+    /// The bottom of one beam whose first sample is `delayed` samples after the pulse.
+    fn find(
         &mut self,
-        (a, b): (&[Complex64], &[Complex64]),
-        first: usize,
+        halves: Halves,
         delayed: f64,
         stay: f64,
+        cell: f64,
     ) -> Option<(Detection, Estimate, f64)> {
-        let (a, b) = (&a[first..], &b[first..]);
+        let Halves { a, b } = halves;
         if a.len() < MIN_LINE {
             return None;
         }
         self.intensity.clear();
         self.intensity
             .extend(a.iter().zip(b).map(|(a, b)| (0.5 * (a + b)).norm_sqr()));
-        self.cross.clear();
-        self.cross
-            .extend(a.iter().zip(b).map(|(a, b)| a * b.conj()));
-        // Averaged over about four resolution cells, so that speckle alone is not the maximum.
-        let cell = (self.sample_rate_hz / self.bandwidth_hz).max(1.0);
         let window = (4.0 * cell).ceil() as usize | 1;
         running_mean(&self.intensity, window, &mut self.smooth);
         let (rough, _) = largest(&self.smooth)?;
         // Then averaged over half the time that a flat bottom stays in the beam, so that one bright spot is not taken for the whole echo.
-        let footprint = stay * ((rough + first) as f64 + delayed);
-        let window = window.max((0.5 * footprint).ceil() as usize | 1);
-        let window = window.min(a.len() | 1);
-        running_mean(&self.intensity, window, &mut self.smooth);
+        let footprint = stay * (rough as f64 + delayed);
+        let wider = window.max((0.5 * footprint).ceil() as usize | 1);
+        let wider = wider.min(a.len() | 1);
+        if wider != window {
+            running_mean(&self.intensity, wider, &mut self.smooth);
+        }
         let (peak, level) = largest(&self.smooth)?;
-        self.sorted.clear();
-        self.sorted.extend_from_slice(&self.smooth);
-        let middle = self.sorted.len() / 2;
-        let (_, median, _) = self.sorted.select_nth_unstable_by(middle, f64::total_cmp);
-        if level.is_nan()
-            || level <= 0.0
-            || level < *median * 10f64.powf(MIN_ABOVE_MEDIAN_DB / 10.0)
-        {
+        // The median exceeds this floor if no more than half of the samples, rounded down, do not.
+        let floor = level / 10f64.powf(MIN_ABOVE_MEDIAN_DB / 10.0);
+        let below = self.smooth.iter().filter(|level| **level <= floor).count();
+        if level.is_nan() || level <= 0.0 || below <= self.smooth.len() / 2 {
             return None;
         }
         let amplitude = self.by_amplitude(peak, level, footprint, cell);
-        let phase = self.by_phase(peak as f64, level, footprint, cell);
+        let phase = self.by_phase(halves, peak as f64, level, footprint, cell);
         let (detection, found) = match phase {
             Some(phase) if phase.error_samples < amplitude.error_samples => {
                 (Detection::Phase, phase)
             }
             _ => (Detection::Amplitude, amplitude),
-        };
-        let found = Estimate {
-            sample: found.sample + first as f64,
-            ..found
         };
         Some((detection, found, level))
     }
@@ -185,7 +210,14 @@ impl BottomDetector {
 
     /// Fits an energy-weighted straight line to the phases about their zero crossing: first about `centre`, then about the crossing. The
     /// interval is at most the beam's `footprint`, within which the phase is unambiguous.
-    fn by_phase(&self, centre: f64, level: f64, footprint: f64, cell: f64) -> Option<Estimate> {
+    fn by_phase(
+        &self,
+        Halves { a, b }: Halves,
+        centre: f64,
+        level: f64,
+        footprint: f64,
+        cell: f64,
+    ) -> Option<Estimate> {
         if footprint < MIN_LINE as f64 {
             return None;
         }
@@ -194,10 +226,10 @@ impl BottomDetector {
         for round in 0..ROUNDS {
             let half = footprint * if round == 0 { 0.7 } else { 0.5 };
             let from = (crossing - half).max(0.0) as usize;
-            let to = ((crossing + half).max(0.0) as usize + 1).min(self.cross.len());
+            let to = ((crossing + half).max(0.0) as usize + 1).min(a.len());
             let mut line = Line::default();
             for k in from..to {
-                let z = self.cross[k];
+                let z = a[k] * b[k].conj();
                 // Larger phases are the next ambiguity, or noise.
                 if z.arg().abs() <= PHASE_REACH_RAD {
                     line.add(k as f64, z.arg(), z.norm());
