@@ -18,7 +18,6 @@ pub fn elements_of<'a>(
 
 /// Quantises a value relative to full scale (real, I or Q) to counts. The flag is true if the value was clipped.
 #[inline(always)]
-#[inline(always)]
 pub fn counts(value: f64) -> (i16, bool) {
     let rounded = (value * IQ_FULL_SCALE).round();
     let held = rounded.clamp(-IQ_FULL_SCALE, IQ_FULL_SCALE); // NaN stays NaN, and the cast makes it 0
