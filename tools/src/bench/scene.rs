@@ -31,6 +31,7 @@ pub(crate) struct Shape {
     pub(crate) speed_m_per_s: f64,
     /// Azimuth limits about broadside.
     pub(crate) sector_deg: f64,
+    pub(crate) pulse_s: f64,
     /// Fraction of the pulse under its tapers.
     pub(crate) taper: f64,
 }
@@ -123,7 +124,7 @@ fn plan(shape: Shape) -> PingPlan {
     plan.settings.source_level_db = 220.0;
     plan.pulse = Pulse {
         taper: shape.taper,
-        ..rig::lfm(BANDWIDTH_HZ, DURATION_S)
+        ..rig::lfm(BANDWIDTH_HZ, shape.pulse_s)
     };
     plan.absorption_db_per_m = 0.096;
     plan.sample_count = (WINDOW_S * SAMPLE_RATE_HZ) as usize;

@@ -10,7 +10,7 @@ use echotank_synthesis::array::gridded::moments::Real;
 use echotank_synthesis::array::gridded::transform::Transform1d;
 use num_complex::{Complex, Complex64};
 
-use super::scene::{BINS, CARRIER_HZ, PERIOD_S, Scene, Shape};
+use super::scene::{BINS, CARRIER_HZ, DURATION_S, PERIOD_S, Scene, Shape};
 
 /// Delays, carrier-rotated amplitudes and the direct sum over the band, in f64.
 struct Points {
@@ -25,6 +25,7 @@ impl Points {
             scatterers,
             speed_m_per_s: 5.0,
             sector_deg: 15.0,
+            pulse_s: DURATION_S,
             taper: 0.0,
         });
         let mut points = Self {

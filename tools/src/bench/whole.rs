@@ -33,7 +33,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 
-use super::scene::{ECHOES_S, SOUND_SPEED_M_PER_S, Scene, Shape, WINDOW_S};
+use super::scene::{DURATION_S, ECHOES_S, SOUND_SPEED_M_PER_S, Scene, Shape, WINDOW_S};
 use super::stages::Profile;
 use super::transform::simd_level_named;
 use crate::reference::{Probe, values};
@@ -88,8 +88,11 @@ pub(crate) struct Ping {
     pub(crate) sector_deg: f64,
     pub(crate) velocity_m_per_s: DVec3,
     pub(crate) tolerance: f64,
+    pub(crate) pulse_s: f64,
 }
 
+/// Pulse of a multibeam, seconds.
+const SHORT_S: f64 = 0.3e-3;
 const STILL: DVec3 = DVec3::ZERO;
 const AHEAD: DVec3 = DVec3::new(5.0, 0.0, 0.0);
 /// Surge, sway and heave, metres per second.
@@ -132,11 +135,20 @@ const fn ping(
         sector_deg,
         velocity_m_per_s,
         tolerance,
+        pulse_s: DURATION_S,
+    }
+}
+
+/// A wide fan with the short pulse of a multibeam.
+const fn short(scatterers: usize, tolerance: f64) -> Ping {
+    Ping {
+        pulse_s: SHORT_S,
+        ..ping("short", 256, scatterers, 60.0, SEAWAY, tolerance)
     }
 }
 
 /// All numbers of elements and scatterers while moving, then the effect of sector, speed and tolerance, then the real-time target.
-pub(crate) const PINGS: [Ping; 30] = [
+pub(crate) const PINGS: [Ping; 36] = [
     ping("paper", 5, 42_936, 15.0, STILL, 1e-3),
     ping("paper", 5, 42_936, 15.0, SEAWAY, 1e-3),
     ping("paper", 5, 42_936, 15.0, FAST, 1e-3),
@@ -167,6 +179,12 @@ pub(crate) const PINGS: [Ping; 30] = [
     ping("goal", 256, 2_000_000, 15.0, SEAWAY, 1e-3),
     ping("goal", 128, 4_000_000, 15.0, SEAWAY, 1e-3),
     ping("goal", 256, 4_000_000, 15.0, SEAWAY, 1e-3),
+    short(43_000, 1e-3),
+    short(300_000, 1e-3),
+    short(1_000_000, 1e-3),
+    short(43_000, 1e-2),
+    short(300_000, 1e-2),
+    short(1_000_000, 1e-2),
 ];
 
 /// Everything prepared before the first ping.
@@ -210,6 +228,7 @@ impl Ready {
             scatterers: ping.scatterers,
             speed_m_per_s: ping.velocity_m_per_s.x,
             sector_deg: ping.sector_deg,
+            pulse_s: ping.pulse_s,
             taper: 0.1,
         });
         by_tiles(&mut scene.scatterers);
@@ -646,7 +665,7 @@ pub(crate) struct Selection {
 pub(crate) fn run(selection: &Selection, report: &mut Report) -> Result<(), String> {
     let effort = if selection.common.quick { QUICK } else { FULL };
     println!(
-        "whole pings: 400 kHz, 30 kHz, 5 ms, 36..150 m, {:.0} kHz samples; transmit leg, sonar equation, Doppler, templates, filter, samples",
+        "whole pings: 400 kHz, 30 kHz, 5 ms (\"short\": 0.3 ms), 36..150 m, {:.0} kHz samples; transmit leg, sonar equation, Doppler, templates, filter, samples",
         RATE_HZ * 1e-3
     );
     println!(
@@ -737,7 +756,7 @@ fn one(
             );
             let mut kept = serde_json::json!({
                 "ping": ping.name, "elements": ping.elements, "scatterers": ping.scatterers, "sector_deg": ping.sector_deg,
-                "velocity_m_per_s": [v.x, v.y, v.z], "method": method, "simd_level": name, "threads": threads,
+                "velocity_m_per_s": [v.x, v.y, v.z], "pulse_s": ping.pulse_s, "method": method, "simd_level": name, "threads": threads,
                 "tolerance": ping.tolerance,
             });
             let line = match outcome {
