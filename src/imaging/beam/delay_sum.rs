@@ -16,11 +16,11 @@
 //!   Q = |q|, D = |S - v t|. Q - D is computed as x_e (x_e - 2 d_x)/(Q + D), which is well conditioned in f32.
 //!   A focus applies to a zone of ranges r in which its carrier-phase error is at most `focus_error_rad` at the outermost element. The
 //!   error is (pi/lambda) a^2 |1/r - 1/r_zone|, where a is half the aperture in use. With `f_number` = F the aperture in use is r/F, limited
-//!   to the whole line.
+//!   to the whole line. The focus stays at 1.5 a for nearer samples, most of which are received during the pulse.
 //!
 //! Rows are matched-filtered and summed in f32. Delays use rows at a few fractions of a sample, see [`interpolation`]. Their error affects the
 //! envelope only, because carrier phases use the exact delay. A line of many elements with many beams is summed by [`groups`] of elements,
-//! with a fourth of the products; the rest, and ranges shorter than the line, element by element. Work proceeds in tiles of at most
+//! with a fourth of the products; other lines and apertures element by element. Work proceeds in tiles of at most
 //! [`MAX_SAMPLES`] samples, so that rows and sums stay in the second-level cache, and is split by tile.
 //!
 //! For bottom detection the line has two sections, its halves. Their sums are two further fans that refer to the whole line's centre, so that
@@ -52,6 +52,8 @@ use groups::{Directions, Groups, band_hz};
 use interpolation::{Interpolation, TAPS, convolve};
 use steering::{Focus, GridLayout, MIN_DISTANCE_M, Steering};
 
+/// Minimum range of a focus in units of half the aperture in use.
+const MIN_FOCUS: f64 = 1.5;
 /// Maximum number of sections: two halves, and the middle element of an odd number.
 const MAX_SECTIONS: usize = 3;
 
@@ -111,10 +113,12 @@ struct Worker {
     grid: Vec<f32>,
     /// Sums of each group in each direction: real parts, imaginary parts of a tile.
     directions: Vec<f32>,
-    /// Sums of a tile, for each section of each beam.
+    /// Sums of a tile element by element, for each section of each beam.
     tile: Vec<[Sums; MAX_SECTIONS]>,
-    /// Focus of each beam.
+    /// Focus of each direction of the groups, or of each beam.
     focus: Vec<Focus>,
+    /// Focus of each beam in each zone of a tile.
+    zone_focus: Vec<Focus>,
     buffer: Vec<Complex32>,
     scratch: Vec<Complex32>,
 }
@@ -191,9 +195,15 @@ impl DelaySumFormer {
             (pulse, limits.sample_rate_hz, c),
             rows,
         );
-        let room = groups.as_ref().map_or(0, |groups| {
-            groups.parts.len() * groups.capacity * 2 * MAX_SAMPLES + STEP
-        });
+        let (parts, capacity) = groups
+            .as_ref()
+            .map_or((0, 0), |groups| (groups.parts.len(), groups.capacity));
+        let room = parts * capacity * 2 * MAX_SAMPLES + STEP;
+        let zone_room = if parts > 0 {
+            fan.beams * MAX_SAMPLES
+        } else {
+            0
+        };
         let grid_room =
             BLOCK.min(elements) * interpolation.fractions() * 2 * grid_row(margin) + STEP;
         let mut former = Self {
@@ -220,7 +230,8 @@ impl DelaySumFormer {
                     grid: vec![0.0; grid_room],
                     directions: vec![0.0; room],
                     tile: (0..fan.beams).map(|_| [Sums::ZERO; MAX_SECTIONS]).collect(),
-                    focus: vec![Focus::default(); fan.beams],
+                    focus: vec![Focus::default(); fan.beams.max(capacity)],
+                    zone_focus: Vec::with_capacity(zone_room),
                     buffer: vec![Complex32::ZERO; steered.correlator.length()],
                     scratch: steered.correlator.make_scratch(),
                 })
@@ -325,6 +336,14 @@ impl DelaySumFormer {
         while first < samples {
             let near_m = self.range_m(first, first_sample_s);
             let half_m = self.half_aperture_m(near_m);
+            if near_m < MIN_FOCUS * half_m {
+                let min_m = MIN_FOCUS * self.half_aperture_m(f64::INFINITY);
+                let end = self.end_of_range(min_m, first_sample_s);
+                let end = end.clamp((first + 1) as f64, samples as f64) as usize;
+                self.zones.push(zone(first, end, 2.0 * min_m / c));
+                first = end;
+                continue;
+            }
             // Permitted change of 1/r from a zone's middle to its ends.
             let bend = self.focus_error_rad * self.steered.wavelength_m() / (PI * half_m * half_m);
             let far = 1.0 / near_m - 2.0 * bend;
@@ -395,6 +414,7 @@ impl DelaySumFormer {
         self.tiles.clear();
         let c = self.steered.sound_speed_m_per_s;
         let is_focused = self.former == Former::DynamicFocus;
+        let min_focus_m = MIN_FOCUS * self.half_aperture_m(f64::INFINITY);
         let mut first = 0;
         while first < samples {
             let mut tile = Tile {
@@ -407,8 +427,8 @@ impl DelaySumFormer {
                 let near_m = self.range_m(first, first_sample_s);
                 let (far_m, serve) = if !is_focused {
                     (f64::INFINITY, true)
-                } else if near_m < groups.min_range_m() || !self.uses_whole_line(near_m) {
-                    (groups.min_range_m().max(1.05 * near_m), false)
+                } else if near_m < min_focus_m || !self.uses_whole_line(near_m) {
+                    (min_focus_m.max(1.05 * near_m), false)
                 } else {
                     let bend = groups.max_bend_per_m(self.steered.correlator.pulse(), c);
                     let far = 1.0 / near_m - 2.0 * bend;
@@ -473,12 +493,13 @@ impl DelaySumFormer {
         let stride = workers.len();
         workers.par_iter_mut().enumerate().for_each(|(w, worker)| {
             for tile in this.tiles.iter().skip(w).step_by(stride) {
-                match tile.time_s {
-                    Some(time_s) => this.sum_groups(&steering, tile, time_s, worker),
-                    None => this.sum_elements(&steering, tile, worker),
-                }
                 // SAFETY: each tile has samples of its own, and one worker.
-                unsafe { this.finish(tile, worker, &out) };
+                unsafe {
+                    match tile.time_s {
+                        Some(time_s) => this.sum_groups(&steering, tile, time_s, worker, &out),
+                        None => this.sum_elements(&steering, tile, worker, &out),
+                    }
+                }
             }
         });
         self.workers = workers;
@@ -495,8 +516,17 @@ impl DelaySumFormer {
             .map(move |(z, zone)| (first + z, zone))
     }
 
-    /// Sums a tile element by element.
-    fn sum_elements(&self, steering: &Steering, tile: &Tile, worker: &mut Worker) {
+    /// Sums a tile element by element and writes it.
+    ///
+    /// # Safety
+    /// No other thread writes the samples of this tile.
+    unsafe fn sum_elements(
+        &self,
+        steering: &Steering,
+        tile: &Tile,
+        worker: &mut Worker,
+        out: &[Option<Columns>; 3],
+    ) {
         let elements = self.x_m.len();
         let row = grid_row(self.margin);
         worker.tile.fill([Sums::ZERO; MAX_SECTIONS]);
@@ -514,9 +544,14 @@ impl DelaySumFormer {
                         origin: self.margin + from - tile.first,
                     };
                     let sines = &self.steered.directions.sine;
-                    for (focus, sine) in worker.focus.iter_mut().zip(sines) {
-                        *focus = steering.focus(*sine, zone.time_s);
-                    }
+                    self.simd_level.run(
+                        #[inline(always)]
+                        || {
+                            for (focus, sine) in worker.focus.iter_mut().zip(sines) {
+                                *focus = steering.focus(*sine, zone.time_s);
+                            }
+                        },
+                    );
                     for (focus, total) in worker.focus.iter().zip(&mut worker.tile) {
                         let (interpolation, to_sum) = (&self.interpolation, (x_m, weights));
                         self.simd_level.run(
@@ -529,10 +564,25 @@ impl DelaySumFormer {
                 }
             }
         }
+        let scale = self.half_scales(tile);
+        for (beam, sums) in worker.tile.iter().enumerate() {
+            // SAFETY: the caller guarantees that the samples are this tile's alone.
+            unsafe { self.finish(beam, tile, sums, &scale, out) };
+        }
     }
 
-    /// Sums a tile group by group.
-    fn sum_groups(&self, steering: &Steering, tile: &Tile, time_s: f64, worker: &mut Worker) {
+    /// Sums a tile group by group and writes it.
+    ///
+    /// # Safety
+    /// As of [`DelaySumFormer::sum_elements`].
+    unsafe fn sum_groups(
+        &self,
+        steering: &Steering,
+        tile: &Tile,
+        time_s: f64,
+        worker: &mut Worker,
+        out: &[Option<Columns>; 3],
+    ) {
         let (Some(groups), Some(directions)) = (&self.groups, &self.directions) else {
             unreachable!("tiles without groups have no focus of groups");
         };
@@ -542,6 +592,14 @@ impl DelaySumFormer {
             row,
             origin: self.margin,
         };
+        self.simd_level.run(
+            #[inline(always)]
+            || {
+                for (j, focus) in worker.focus[..directions.count].iter_mut().enumerate() {
+                    *focus = steering.focus(directions.sine(j), time_s);
+                }
+            },
+        );
         let mut taps = Taps::NONE;
         let mut to = worker.directions.chunks_exact_mut(2 * MAX_SAMPLES);
         for (part, x_group) in groups.parts.iter().zip(&groups.x_m) {
@@ -550,15 +608,14 @@ impl DelaySumFormer {
             // The weights of the whole line in f32, as of every zone of such a tile.
             let z = self.zones.partition_point(|zone| zone.end <= tile.first);
             let weights = &self.zone_weights[z * self.x_m.len()..][part.clone()];
-            for (j, sums) in (0..directions.count).zip(&mut to) {
-                let focus = steering.focus(directions.sine(j), time_s);
+            for (focus, sums) in worker.focus[..directions.count].iter().zip(&mut to) {
                 let (interpolation, to_sum) = (&self.interpolation, (x_m, weights));
                 self.simd_level.run(
                     #[inline(always)]
                     || {
-                        let reference_m = steering.late_m(&focus, *x_group);
+                        let reference_m = steering.late_m(focus, *x_group);
                         steering.steer(
-                            &focus,
+                            focus,
                             to_sum,
                             reference_m,
                             interpolation,
@@ -575,41 +632,62 @@ impl DelaySumFormer {
                 add_rows(self.simd_level, &worker.grid, row, &taps, sums);
             }
         }
+        // The focus of each beam at the range of the tile, then in each zone.
+        let sines = &self.steered.directions.sine;
+        let beams = sines.len();
+        self.simd_level.run(
+            #[inline(always)]
+            || {
+                for (focus, sine) in worker.focus.iter_mut().zip(sines) {
+                    *focus = steering.focus(*sine, time_s);
+                }
+            },
+        );
+        worker.zone_focus.clear();
+        for (z, (_, zone)) in self.zones_of(tile).enumerate() {
+            worker.zone_focus.resize((z + 1) * beams, Focus::default());
+            self.simd_level.run(
+                #[inline(always)]
+                || {
+                    for (focus, sine) in worker.zone_focus[z * beams..].iter_mut().zip(sines) {
+                        *focus = steering.focus(*sine, zone.time_s);
+                    }
+                },
+            );
+        }
+        let scale = self.half_scales(tile);
         let mut taps = [Taps::NONE; MAX_SECTIONS];
-        for (sine, totals) in self.steered.directions.sine.iter().zip(&mut worker.tile) {
-            let at_tile = steering.focus(*sine, time_s);
+        let mut totals = [Sums::ZERO; MAX_SECTIONS];
+        for (beam, sine) in sines.iter().enumerate() {
             let seen = self.simd_level.run(
                 #[inline(always)]
-                || groups.seen(directions, *sine, &at_tile),
+                || groups.seen(directions, *sine, &worker.focus[beam]),
             );
             for total in totals[..self.sections.len()].iter_mut() {
                 for part in total.part(0..samples) {
                     part.fill(0.0);
                 }
             }
-            for (_, zone) in self.zones_of(tile) {
+            for (z, (_, zone)) in self.zones_of(tile).enumerate() {
                 let from = zone.first.max(tile.first) - tile.first;
                 let range = from..zone.end.min(tile.end) - tile.first;
-                let focus = steering.focus(*sine, zone.time_s);
+                let focus = &worker.zone_focus[z * beams + beam];
                 self.simd_level.run(
                     #[inline(always)]
-                    || groups.mix(steering, directions, &seen, &focus, from, &mut taps),
+                    || groups.mix(steering, directions, &seen, focus, from, &mut taps),
                 );
-                for (taps, total) in taps[..self.sections.len()].iter().zip(&mut *totals) {
+                for (taps, total) in taps[..self.sections.len()].iter().zip(&mut totals) {
                     let (rows, total) = (&worker.directions, total.part(range.clone()));
                     add_rows(self.simd_level, rows, MAX_SAMPLES, taps, total);
                 }
             }
+            // SAFETY: the caller guarantees that the samples are this tile's alone.
+            unsafe { self.finish(beam, tile, &totals, &scale, out) };
         }
     }
 
-    /// Writes the beams of a tile: of the whole line, of its first and of its last section.
-    ///
-    /// # Safety
-    /// No other thread writes the samples of this tile.
-    unsafe fn finish(&self, tile: &Tile, worker: &Worker, out: &[Option<Columns>; 3]) {
-        let samples = tile.end - tile.first;
-        let last = self.sections.len() - 1;
+    /// Inverse sums of the weights of the halves, for each sample of a tile.
+    fn half_scales(&self, tile: &Tile) -> [[f32; MAX_SAMPLES]; 2] {
         let mut scale = [[0.0f32; MAX_SAMPLES]; 2];
         for (_, zone) in self.zones_of(tile) {
             let range =
@@ -618,32 +696,46 @@ impl DelaySumFormer {
                 scale[range.clone()].fill(of_zone);
             }
         }
+        scale
+    }
+
+    /// Writes a beam of a tile: of the whole line, of its first and of its last section.
+    ///
+    /// # Safety
+    /// As of [`DelaySumFormer::sum_elements`].
+    unsafe fn finish(
+        &self,
+        beam: usize,
+        tile: &Tile,
+        sums: &[Sums; MAX_SECTIONS],
+        scale: &[[f32; MAX_SAMPLES]; 2],
+        out: &[Option<Columns>; 3],
+    ) {
+        let last = self.sections.len() - 1;
         let [whole, halves @ ..] = out;
-        for (beam, sums) in worker.tile.iter().enumerate() {
-            if let Some(to) = whole {
-                // SAFETY: the caller guarantees that the samples are this tile's alone.
-                let to = unsafe { to.row(beam, tile) };
-                self.simd_level.run(
-                    #[inline(always)]
-                    || add_sections(&sums[..=last], to),
-                );
-            }
-            for ((to, sums), scale) in halves.iter().zip([&sums[0], &sums[last]]).zip(&scale) {
-                let Some(to) = to else {
-                    continue;
-                };
-                // SAFETY: as above.
-                let to = unsafe { to.row(beam, tile) };
-                self.simd_level.run(
-                    #[inline(always)]
-                    || {
-                        for k in 0..samples {
-                            let (re, im) = (sums.re[k] * scale[k], sums.im[k] * scale[k]);
-                            to[k] = Complex64::new(f64::from(re), f64::from(im));
-                        }
-                    },
-                );
-            }
+        if let Some(to) = whole {
+            // SAFETY: the caller guarantees that the samples are this tile's alone.
+            let to = unsafe { to.row(beam, tile) };
+            self.simd_level.run(
+                #[inline(always)]
+                || add_sections(&sums[..=last], to),
+            );
+        }
+        for ((to, sums), scale) in halves.iter().zip([&sums[0], &sums[last]]).zip(scale) {
+            let Some(to) = to else {
+                continue;
+            };
+            // SAFETY: as above.
+            let to = unsafe { to.row(beam, tile) };
+            self.simd_level.run(
+                #[inline(always)]
+                || {
+                    for (k, to) in to.iter_mut().enumerate() {
+                        let (re, im) = (sums.re[k] * scale[k], sums.im[k] * scale[k]);
+                        *to = Complex64::new(f64::from(re), f64::from(im));
+                    }
+                },
+            );
         }
     }
 
@@ -652,6 +744,7 @@ impl DelaySumFormer {
     fn interpolate(&self, tile: &Tile, elements: Range<usize>, grid: &mut [f32]) {
         let row = grid_row(self.margin);
         let used = 2 * self.margin + (tile.end - tile.first).next_multiple_of(STEP);
+        let used = used.next_multiple_of(STEP);
         // Row index of the grid's first sample: `margin` before the tile, in rows that begin `margin` + TAPS before sample 0.
         let first = tile.first + TAPS;
         let fractions = self.interpolation.fractions();

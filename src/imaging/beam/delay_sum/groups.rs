@@ -30,9 +30,7 @@ const REACH: usize = 1;
 /// Phase error at the ends of a group by the change of its curvature within a tile.
 const MAX_CURVATURE_RAD: f64 = 0.05;
 /// Phase error of the outermost group at the rms frequency of the envelope within a tile.
-const MAX_ENVELOPE_RAD: f64 = 0.03;
-/// The nearest range in lengths of half the line: nearer, the sum of a group varies faster with the direction.
-const MIN_RANGE: f64 = 1.5;
+const MAX_ENVELOPE_RAD: f64 = 0.06;
 /// The dense sum has fewer steps for each product.
 const ADVANTAGE: f64 = 1.3;
 
@@ -172,11 +170,6 @@ impl Groups {
         let rms_rad_per_s = std::f64::consts::PI / 3f64.sqrt() * band_hz(pulse);
         let envelope = 0.5 * self.line_half_m * self.line_half_m / c * rms_rad_per_s;
         (MAX_CURVATURE_RAD / curvature).min(MAX_ENVELOPE_RAD / envelope)
-    }
-
-    /// Range from which the groups serve.
-    pub(super) fn min_range_m(&self) -> f64 {
-        MIN_RANGE * self.line_half_m
     }
 
     /// The beam of a sine, focused on the range of the tile.

@@ -47,11 +47,13 @@ impl Focus {
 }
 
 impl Steering {
+    #[inline(always)]
     pub(super) fn is_focused(&self) -> bool {
         self.former == Former::DynamicFocus
     }
 
     /// The point in focus of a beam at `time_s`. Beyond a sine of 1 it is the analytic continuation, for interpolation up to there.
+    #[inline(always)]
     pub(super) fn focus(&self, sine: f64, time_s: f64) -> Focus {
         if !self.is_focused() {
             return Focus {
@@ -89,10 +91,12 @@ impl Steering {
         }
     }
 
+    #[inline(always)]
     pub(super) fn cycles_per_m(&self) -> f32 {
         (self.carrier_hz / self.c) as f32
     }
 
+    #[inline(always)]
     fn mach(&self) -> [f32; 2] {
         self.velocity_m_per_s.map(|v| (v / self.c) as f32)
     }
