@@ -83,8 +83,8 @@ pub(super) fn auto(rig: &Rig, depth_m: Option<f64>, speckle: bool) -> Option<Den
         lobes /= LOBES_STEP;
     }
     let lobes = match speckle {
-        // Rounded to a tenth, as `check` prints it.
-        true => (10.0 * lobes).round().max(10.0 * MIN_LOBES) / 10.0,
+        // Rounded down to a tenth, as `check` prints it, so that the number of scatterers stays within its limit.
+        true => (10.0 * lobes).floor().max(10.0 * MIN_LOBES) / 10.0,
         false => ALL_LOBES,
     };
     Some(Density::Auto {
