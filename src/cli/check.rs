@@ -84,7 +84,7 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
                     true => format!(
                         ", {:.2} ms on one core per {}",
                         error_model.cost_ms,
-                        cost_unit(sonar)
+                        cost_unit(&error_model)
                     ),
                     false => String::new(),
                 };
@@ -153,13 +153,9 @@ fn check_streaming_time(
     let DeliverySpec::Streaming { block_s, latency_s } = run.delivery else {
         return Ok(());
     };
-    let each = match sonar.model.synthesis {
-        Synthesis::Gridded2d => 1,
-        _ => sonar.receive.iter().map(|array| array.elements).sum(),
-    };
     let cost_ms: f64 = error_models
         .iter()
-        .map(|error_model| error_model.cost_ms * each as f64)
+        .map(|error_model| error_model.cost_ms * times(sonar, error_model))
         .sum();
     let cores = match run.threads {
         0 => std::thread::available_parallelism().map_or(1, usize::from),
@@ -188,10 +184,28 @@ fn check_streaming_time(
 }
 
 /// Unit of work to which the cost of an error model refers.
-fn cost_unit(sonar: &SonarSpec) -> &'static str {
-    match sonar.model.synthesis {
-        Synthesis::Gridded2d => "array and ping",
-        _ => "element and ping",
+fn cost_unit(error_model: &ErrorModel) -> &'static str {
+    match is_of_line(error_model) {
+        true => "array and ping",
+        false => "element and ping",
+    }
+}
+
+fn is_of_line(error_model: &ErrorModel) -> bool {
+    let lines = Synthesis::ALL.into_iter().filter(|s| s.makes_lines());
+    lines
+        .map(Synthesis::name)
+        .any(|name| name == error_model.name)
+}
+
+/// Number of units of work in a ping.
+fn times(sonar: &SonarSpec, error_model: &ErrorModel) -> f64 {
+    // Beside line engines only single elements are made one by one.
+    let lines = sonar.model.synthesis == Synthesis::GriddedLines;
+    let arrays = sonar.receive.iter().filter(|a| !lines || a.elements == 1);
+    match is_of_line(error_model) {
+        true => 1.0,
+        false => arrays.map(|array| array.elements as f64).sum(),
     }
 }
 

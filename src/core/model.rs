@@ -45,6 +45,8 @@ pub enum Synthesis {
     Gridded1d,
     /// Echoes are spread on a grid of delay and slope and transformed for a whole line array, within a tolerance.
     Gridded2d,
+    /// Echoes gridded over delay and Doppler and transformed for 16 neighbouring elements of a line array at a time, within a tolerance.
+    GriddedLines,
 }
 
 /// Motion model, Doppler model and synthesis method of a ping.
@@ -107,7 +109,7 @@ impl DopplerModel {
 
 impl Synthesis {
     /// All methods.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Reference,
         Self::Direct,
         Self::Spectral,
@@ -115,6 +117,7 @@ impl Synthesis {
         Self::Linear,
         Self::Gridded1d,
         Self::Gridded2d,
+        Self::GriddedLines,
     ];
     /// Name in the configuration and in records.
     pub fn name(self) -> &'static str {
@@ -126,6 +129,7 @@ impl Synthesis {
             Self::Linear => "linear",
             Self::Gridded1d => "gridded-1d",
             Self::Gridded2d => "gridded-2d",
+            Self::GriddedLines => "gridded-lines",
         }
     }
     /// Whether all echoes share one pulse. Such methods need a model with [`DopplerModel::keeps_pulse`].
@@ -134,14 +138,20 @@ impl Synthesis {
     }
     /// Whether the method is designed for a tolerance and meets it.
     pub fn keeps_tolerance(self) -> bool {
-        matches!(self, Self::Gridded1d | Self::Gridded2d)
+        matches!(self, Self::Gridded1d | Self::Gridded2d | Self::GriddedLines)
+    }
+    /// Whether the method makes whole line arrays: behind the receiver filter, and on paths without steps of the attitude.
+    pub fn makes_lines(self) -> bool {
+        matches!(self, Self::Gridded2d | Self::GriddedLines)
     }
     /// Whether the method supports this Doppler model.
     pub fn takes(self, doppler: DopplerModel) -> bool {
         match self {
             Self::Reference | Self::Direct => true,
             Self::Spectral | Self::Nearest | Self::Linear => doppler.keeps_pulse(),
-            Self::Gridded1d | Self::Gridded2d => doppler != DopplerModel::PaperEq21,
+            Self::Gridded1d | Self::Gridded2d | Self::GriddedLines => {
+                doppler != DopplerModel::PaperEq21
+            }
         }
     }
 }

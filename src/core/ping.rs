@@ -127,7 +127,8 @@ pub struct EchoCounts {
     /// Pairs after the last segment of the polyline. The last segment is extrapolated.
     pub beyond_track: u64,
     /// Pairs beyond the range of the engine. `gridded-1d` clamps them at its maximum Doppler. `gridded-2d` counts all pairs of a
-    /// ping that is nearer or faster than its tolerance allows.
+    /// ping that is nearer or faster than its tolerance allows. `gridded-lines` counts the pairs beyond its maximum Doppler, and all
+    /// pairs of a ping that is nearer than its interpolation along the line allows.
     pub beyond_engine: u64,
 }
 

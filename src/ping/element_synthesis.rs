@@ -13,7 +13,7 @@ use echotank_core::scene::Scatterers;
 use echotank_core::settings::SonarSettings;
 use echotank_synthesis::array::direct::Direct;
 use echotank_synthesis::array::filter::{self, Decimator, FilterError, grid_ahead};
-use echotank_synthesis::array::gridded::{DopplerSpan, GriddedError};
+use echotank_synthesis::array::gridded::DopplerSpan;
 use echotank_synthesis::array::gridded2d::Refusal;
 use echotank_synthesis::comparison::Comparison;
 use echotank_synthesis::comparison::spectral::Bins;
@@ -27,7 +27,7 @@ use num_complex::Complex64;
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::engines::{Engines, engine_filter};
+use crate::engines::{EngineRefusal, Engines, engine_filter};
 use crate::line_engines::LineEngines;
 use crate::plan;
 
@@ -43,11 +43,14 @@ pub enum PipelineError {
         /// Relative error.
         tolerance: f64,
         /// The limit in the way.
-        why: GriddedError,
+        why: EngineRefusal,
     },
     /// `gridded-2d` cannot be used for this sonar.
     #[error("sonar.model.synthesis = \"gridded-2d\": {0}")]
     LineEngine(#[from] Refusal),
+    /// `gridded-lines` cannot be used for this sonar.
+    #[error("sonar.model.synthesis = \"gridded-lines\": {0}")]
+    Lines(EngineRefusal),
 }
 
 /// The receiver filter leaves room for the Doppler of a platform as fast as this, m/s.
@@ -92,8 +95,8 @@ enum Engine {
     Reference,
     /// Linearised echoes, sample by sample.
     Direct,
-    /// `gridded-1d`: each element on a grid, slab by slab, within a tolerance.
-    GriddedElements {
+    /// Within a tolerance. `gridded-1d`: each element on a grid, slab by slab. `gridded-lines`: 16 elements of a line array at a time.
+    Gridded {
         engines: Engines,
         /// Dopplers of this ping, one span per receive array.
         spans: Vec<DopplerSpan>,
@@ -101,7 +104,7 @@ enum Engine {
         ready: bool,
     },
     /// `gridded-2d`: all elements of a line array at once, within a tolerance.
-    GriddedLines(LineEngines),
+    WholeLines(LineEngines),
     /// A method that is kept to be compared with.
     Comparison(Comparison),
 }
@@ -129,8 +132,10 @@ impl ElementSynthesis {
         let engine = match spec.model.synthesis {
             Synthesis::Reference => Engine::Reference,
             Synthesis::Direct => Engine::Direct,
-            Synthesis::Gridded1d => Engine::elements(spec, medium, decimator)?,
-            Synthesis::Gridded2d => Engine::GriddedLines(line_engines(spec, medium, decimator)?),
+            Synthesis::Gridded1d | Synthesis::GriddedLines => {
+                Engine::gridded(spec, medium, decimator)?
+            }
+            Synthesis::Gridded2d => Engine::WholeLines(line_engines(spec, medium, decimator)?),
             Synthesis::Spectral | Synthesis::Nearest | Synthesis::Linear => {
                 Engine::comparison(spec, decimator, record_s)
             }
@@ -147,7 +152,7 @@ impl ElementSynthesis {
     ) -> Result<Self, PipelineError> {
         let engine = match spec.model.synthesis {
             Synthesis::Reference => Engine::Reference,
-            Synthesis::Gridded1d => Engine::elements(spec, medium, decimator)?,
+            Synthesis::Gridded1d => Engine::gridded(spec, medium, decimator)?,
             _ => Engine::Direct,
         };
         Ok(Self::with_engine(spec, decimator, engine))
@@ -173,7 +178,7 @@ impl ElementSynthesis {
 
     /// Begins to make the engine for settings that are about to be used. Returns at once.
     pub(crate) fn expect(&mut self, settings: &SonarSettings) {
-        if let Engine::GriddedElements { engines, .. } = &mut self.engine {
+        if let Engine::Gridded { engines, .. } = &mut self.engine {
             engines.expect(settings);
         }
     }
@@ -193,13 +198,13 @@ impl ElementSynthesis {
                 let rate_hz = self.spec.receiver.sample_rate_hz;
                 method.prepare(plan, rate_hz, self.decimator.as_ref());
             }
-            Engine::Direct | Engine::GriddedElements { .. } | Engine::GriddedLines(_) => {}
+            Engine::Direct | Engine::Gridded { .. } | Engine::WholeLines(_) => {}
         }
         let window = self.window(plan);
         for (transmit, leg) in self.spec.transmit.iter().zip(&mut self.transmit_legs) {
             counts += insonify(plan, transmit, window, scatterers, leg);
         }
-        if let Engine::GriddedElements {
+        if let Engine::Gridded {
             engines,
             spans,
             ready,
@@ -207,7 +212,10 @@ impl ElementSynthesis {
         {
             *ready = engines.ready(plan);
             let widest = engines.span();
-            for (span, array) in spans.iter_mut().zip(&self.spec.receive) {
+            for (index, (span, array)) in spans.iter_mut().zip(&self.spec.receive).enumerate() {
+                if engines.makes_line(index) {
+                    continue;
+                }
                 let leg = &self.transmit_legs[array.transmit];
                 let (least, greatest) = doppler_span(plan, array, leg, walk);
                 *span = DopplerSpan {
@@ -253,16 +261,23 @@ impl ElementSynthesis {
         let array = &self.spec.receive[index];
         let leg = &self.transmit_legs[array.transmit];
         match &mut self.engine {
-            Engine::GriddedLines(engines) => {
+            Engine::WholeLines(engines) => {
                 *counts += engines.synthesise(plan, &self.spec, index, leg, iq);
                 true
             }
-            Engine::GriddedElements {
+            Engine::Gridded {
                 engines,
                 spans,
                 ready: true,
             } => {
-                let (made, span) = (engines.current(), spans[index]);
+                let made = engines.current_mut();
+                if let Some(line) = made.line(index) {
+                    *counts += line.synthesise(plan, leg, iq);
+                    return true;
+                }
+                let (Some(made), span) = (made.elements(), spans[index]) else {
+                    return false;
+                };
                 let sum = |mut all: EchoCounts, more: EchoCounts| {
                     all += more;
                     all
@@ -309,6 +324,22 @@ impl ElementSynthesis {
         let ElementScratch {
             walk, dense, bins, ..
         } = scratch;
+        if let Engine::Gridded {
+            engines,
+            spans,
+            ready: true,
+        } = &self.engine
+            && let Some(made) = engines.current().elements()
+        {
+            let target = PingElement {
+                plan,
+                array,
+                element,
+                transmit_leg: leg,
+                span: spans[index],
+            };
+            return slab_by_slab(made, target, walk, iq);
+        }
         match &self.engine {
             Engine::Reference => {
                 let transmit = &self.spec.transmit[array.transmit];
@@ -318,30 +349,17 @@ impl ElementSynthesis {
                     )
                 })
             }
-            Engine::GriddedElements {
-                engines,
-                spans,
-                ready: true,
-            } => {
-                let target = PingElement {
-                    plan,
-                    array,
-                    element,
-                    transmit_leg: leg,
-                    span: spans[index],
-                };
-                slab_by_slab(engines.current(), target, walk, iq)
-            }
             Engine::Comparison(method) => {
                 let rate_hz = self.spec.receiver.sample_rate_hz;
                 method.element(plan, rate_hz, array, element, leg, walk, bins, iq)
             }
-            Engine::Direct | Engine::GriddedElements { .. } | Engine::GriddedLines(_) => self
-                .filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
+            Engine::Direct | Engine::Gridded { .. } | Engine::WholeLines(_) => {
+                self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
                     out.fill(Complex64::ZERO);
                     let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
                     arrivals(plan, array, element, leg, walk, &mut sink)
-                }),
+                })
+            }
         }
     }
 
@@ -379,7 +397,7 @@ fn slab_by_slab(
 }
 
 impl Engine {
-    fn elements(
+    fn gridded(
         spec: &SonarSpec,
         medium: &MediumSpec,
         decimator: Option<&Decimator>,
@@ -388,7 +406,7 @@ impl Engine {
             least: 0.0,
             greatest: 0.0,
         };
-        Ok(Self::GriddedElements {
+        Ok(Self::Gridded {
             engines: engines(spec, medium, decimator)?,
             spans: vec![still; spec.receive.len()],
             ready: false,
@@ -414,9 +432,12 @@ fn engines(
     filter: Option<&Decimator>,
 ) -> Result<Engines, PipelineError> {
     let c = medium.sound_speed_m_per_s;
-    Engines::new(spec, c, FASTEST_PLATFORM_M_PER_S, filter).map_err(|why| PipelineError::Engine {
-        tolerance: spec.synthesis.tolerance,
-        why,
+    Engines::new(spec, c, FASTEST_PLATFORM_M_PER_S, filter).map_err(|why| match why {
+        EngineRefusal::Lines(_) => PipelineError::Lines(why),
+        EngineRefusal::Elements(_) => PipelineError::Engine {
+            tolerance: spec.synthesis.tolerance,
+            why,
+        },
     })
 }
 
@@ -431,8 +452,9 @@ fn line_engines(
     Ok(LineEngines::new(spec, c, fastest, filter, segments)?)
 }
 
-/// Error models of the engines that a sonar asks for: one for all its elements, or one for each receive array; empty for methods without a
-/// tolerance. Costs are milliseconds of one core per element, 0 where they are not known.
+/// Error models of the engines that a sonar asks for: one for all its elements, and one for each line array made as a whole; empty for methods
+/// without a tolerance. Costs are milliseconds of one core, per element of `gridded-1d` and per ping of whole lines, 0
+/// where they are not known.
 pub fn engine_error_models(
     spec: &SonarSpec,
     medium: &MediumSpec,
@@ -445,8 +467,9 @@ pub fn engine_error_models(
         let engines = line_engines(spec, medium, filter.as_ref())?;
         return Ok(engines.error_models().cloned().collect());
     }
-    let engines = engines(spec, medium, filter.as_ref())?;
-    Ok(vec![engines.error_model().clone()])
+    Ok(engines(spec, medium, filter.as_ref())?
+        .error_models()
+        .collect())
 }
 
 /// The receiver filter for every pulse within the limits, none where none is configured: its pass band is that of the shortest pulse.

@@ -1,4 +1,5 @@
-//! Engines on a grid, made for a pulse and a length of record before the pings that need them.
+//! Engines on a grid, made for a pulse and a length of record before the pings that need them: `gridded-1d`, one for all elements of a sonar,
+//! and `gridded-lines`, one for each line array. A sonar with `gridded-lines` has arrays of a single element and of parts made by `gridded-1d`.
 //!
 //! Making one takes milliseconds to seconds, the more the longer the pulse and the finer the tolerance. So [`Engines::expect`] makes the
 //! engine for settings that are about to be used on a thread of its own; [`Engines::ready`] waits for it or, where nobody expected it, makes
@@ -10,6 +11,7 @@ use std::thread::{self, JoinHandle};
 
 use crate::plan;
 use echotank_config::spec::SonarSpec;
+use echotank_core::arrays::{ArrayGeometry, Pattern};
 use echotank_core::model::{DopplerModel, Synthesis};
 use echotank_core::ping::PingPlan;
 use echotank_core::pulse::Pulse;
@@ -17,14 +19,16 @@ use echotank_core::settings::SonarSettings;
 use echotank_core::simd::SimdLevel;
 use echotank_synthesis::array::filter::{self, Decimator, FilterError};
 use echotank_synthesis::array::gridded::{DopplerSpan, GriddedError, one_dimensional};
+use echotank_synthesis::array::lines::{self, GriddedLines};
 use echotank_synthesis::error_model::ErrorModel;
 use echotank_synthesis::slabs::{SlabDesign, SlabEngine};
+use thiserror::Error;
 
 /// What the weakest window of a ping may lie below the strongest, dB: from the first bottom echo to the end of a long range.
 pub const LEVEL_RANGE_DB: f64 = 80.0;
 
 /// Echoes of one element for which an engine's sizes are chosen; with fewer or more it is as right, and nearly as fast.
-const NOMINAL_ARRIVALS: usize = 30_000;
+pub(crate) const NOMINAL_ARRIVALS: usize = 30_000;
 
 /// Acceleration of an array along its rays that the engines have room for, m/s^2: a small boat in a steep sea.
 pub(crate) const HARDEST_M_PER_S2: f64 = 5.0;
@@ -42,6 +46,17 @@ const SHORTEST: usize = 256;
 /// repeats with its dense rate.
 pub(crate) const MIN_DENSITY: usize = 20;
 
+/// The tolerance of a sonar cannot be kept.
+#[derive(Debug, Error)]
+pub enum EngineRefusal {
+    /// By `gridded-1d`.
+    #[error(transparent)]
+    Elements(#[from] GriddedError),
+    /// By `gridded-lines`.
+    #[error(transparent)]
+    Lines(#[from] lines::Refusal),
+}
+
 /// Which engine: made for this pulse, and for records of at most so many samples.
 #[derive(Clone, Copy, PartialEq)]
 struct Key {
@@ -49,8 +64,47 @@ struct Key {
     samples: usize,
 }
 
+/// The engines of one pulse and length of record.
+pub(crate) struct Made {
+    /// For the elements of arrays without an engine of their own; none where all have one.
+    elements: Option<SlabEngine>,
+    /// One per receive array: `gridded-lines`, where it makes the array.
+    lines: Vec<Option<GriddedLines>>,
+}
+
+impl Made {
+    /// The engine for single elements, of arrays that [`Self::line`] has none for.
+    pub(crate) fn elements(&self) -> Option<&SlabEngine> {
+        self.elements.as_ref()
+    }
+
+    /// The engine of a whole array.
+    pub(crate) fn line(&mut self, array: usize) -> Option<&mut GriddedLines> {
+        self.lines[array].as_mut()
+    }
+
+    /// Predicted errors; milliseconds of one core per element of `gridded-1d`, per ping of `gridded-lines`.
+    pub(crate) fn error_models(&self) -> impl Iterator<Item = ErrorModel> {
+        let lines = self.lines.iter().flatten();
+        let elements = self.elements.iter().map(SlabEngine::error_model);
+        elements
+            .cloned()
+            .chain(lines.map(|line| line.error_model().clone()))
+    }
+}
+
+/// Whether `gridded-lines` makes this array.
+pub(crate) fn is_line(array: &ArrayGeometry) -> bool {
+    array.elements > 1 && !matches!(array.element_pattern, Pattern::Part { .. })
+}
+
 /// What all engines of a sonar have in common.
 struct Wish {
+    /// One per receive array, where `gridded-lines` is to make it.
+    lines: Vec<Option<ArrayGeometry>>,
+    sound_speed_m_per_s: f64,
+    fastest_m_per_s: f64,
+    nearest_m: f64,
     pulse: Pulse,
     sample_rate_hz: f64,
     filter: Option<Decimator>,
@@ -58,7 +112,7 @@ struct Wish {
     span: DopplerSpan,
     curvature_per_s: f64,
     tolerance: f64,
-    /// Of the largest array.
+    /// Of the largest array made element by element; 0 without one.
     elements: usize,
     threads: usize,
 }
@@ -69,8 +123,8 @@ pub(crate) struct Engines {
     sound_speed_m_per_s: f64,
     max_samples: usize,
     /// The latest used first.
-    kept: Vec<(Key, SlabEngine)>,
-    coming: Vec<(Key, JoinHandle<Result<SlabEngine, GriddedError>>)>,
+    kept: Vec<(Key, Made)>,
+    coming: Vec<(Key, JoinHandle<Result<Made, EngineRefusal>>)>,
 }
 
 /// The receiver filter as the engines want it.
@@ -91,7 +145,7 @@ impl Engines {
         sound_speed_m_per_s: f64,
         fastest_m_per_s: f64,
         filter: Option<&Decimator>,
-    ) -> Result<Self, GriddedError> {
+    ) -> Result<Self, EngineRefusal> {
         let wish = Wish::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
         let mut engines = Self {
             wish: Arc::new(wish),
@@ -107,9 +161,14 @@ impl Engines {
         Ok(engines)
     }
 
-    /// Of the engine in use: predicted error, and milliseconds of one core per element.
-    pub(crate) fn error_model(&self) -> &ErrorModel {
-        self.kept[0].1.error_model()
+    /// Of the engines in use.
+    pub(crate) fn error_models(&self) -> impl Iterator<Item = ErrorModel> {
+        self.kept[0].1.error_models()
+    }
+
+    /// Whether `gridded-lines` makes receive array `index`.
+    pub(crate) fn makes_line(&self, index: usize) -> bool {
+        self.wish.lines[index].is_some()
     }
 
     /// Dopplers that every engine takes.
@@ -162,24 +221,38 @@ impl Engines {
     /// the direct sum then takes its place, which is exact, and slow.
     pub(crate) fn ready(&mut self, plan: &PingPlan) -> bool {
         let key = self.key_of(plan.pulse.duration_s, plan.sample_count);
-        if let Some(at) = self.kept.iter().position(|(kept, _)| *kept == key) {
-            self.kept[..=at].rotate_right(1);
-            return true;
+        match self.kept.iter().position(|(kept, _)| *kept == key) {
+            Some(0) => return true,
+            Some(at) => self.kept[..=at].rotate_right(1),
+            None => {
+                let Ok(made) = self.coming_or_made(key) else {
+                    return false;
+                };
+                self.kept.insert(0, (key, made));
+            }
         }
-        let Ok(made) = self.coming_or_made(key) else {
-            return false;
-        };
-        self.kept.insert(0, (key, made));
+        // The buffers go with the engine in use.
+        if let [(_, now), (_, before), ..] = &mut self.kept[..] {
+            let lines = now.lines.iter_mut().flatten();
+            lines
+                .zip(before.lines.iter_mut().flatten())
+                .for_each(|(now, before)| now.swap_buffers(before));
+        }
         self.kept.truncate(KEPT);
         true
     }
 
     /// What [`Engines::ready`] found last.
-    pub(crate) fn current(&self) -> &SlabEngine {
+    pub(crate) fn current(&self) -> &Made {
         &self.kept[0].1
     }
 
-    fn coming_or_made(&mut self, key: Key) -> Result<SlabEngine, GriddedError> {
+    /// The same, for engines that keep their buffers from ping to ping.
+    pub(crate) fn current_mut(&mut self) -> &mut Made {
+        &mut self.kept[0].1
+    }
+
+    fn coming_or_made(&mut self, key: Key) -> Result<Made, EngineRefusal> {
         if let Some(at) = self.coming.iter().position(|(coming, _)| *coming == key) {
             let (_, thread) = self.coming.remove(at);
             if let Ok(made) = thread.join() {
@@ -190,14 +263,30 @@ impl Engines {
     }
 }
 
-/// The engine that a ping would be made with, without its work: for its error model and cost.
-pub fn sketch(
+/// The engines that a ping would be made with, without their work: for error models and costs.
+pub(crate) struct Sketch {
+    /// As [`Made`] has them.
+    pub(crate) elements: Option<SlabDesign>,
+    pub(crate) lines: Vec<Option<lines::Design>>,
+}
+
+impl Sketch {
+    /// Whether the lines of this sonar interpolate the echoes of scatterers at `nearest_m`.
+    pub(crate) fn reaches(&self, spec: &SonarSpec, nearest_m: f64) -> bool {
+        let arrays = self.lines.iter().zip(&spec.receive);
+        let mut lines = arrays.filter_map(|(line, array)| Some((line.as_ref()?, array)));
+        lines.all(|(line, array)| line.nodes(array, nearest_m).is_some())
+    }
+}
+
+/// The sketch of a ping's engines.
+pub(crate) fn sketch(
     spec: &SonarSpec,
     sound_speed_m_per_s: f64,
     fastest_m_per_s: f64,
     filter: Option<&Decimator>,
     plan: &PingPlan,
-) -> Result<SlabDesign, GriddedError> {
+) -> Result<Sketch, EngineRefusal> {
     let wish = Wish::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
     let most = plan::max_samples(spec, sound_speed_m_per_s);
     let key = Key {
@@ -217,7 +306,20 @@ impl Wish {
     ) -> Self {
         // The wider end: eta - 1 = 2 v/(c - v) of a platform that closes.
         let greatest = 2.0 * fastest_m_per_s / (sound_speed_m_per_s - fastest_m_per_s);
+        let by_lines = spec.model.synthesis == Synthesis::GriddedLines;
+        let lines: Vec<_> = spec
+            .receive
+            .iter()
+            .map(|array| (by_lines && is_line(array)).then(|| array.clone()))
+            .collect();
+        let others = spec.receive.iter().zip(&lines);
+        let others = others.filter(|(_, line)| line.is_none());
         Self {
+            elements: others.map(|(a, _)| a.elements).fold(0, usize::max),
+            lines,
+            sound_speed_m_per_s,
+            fastest_m_per_s,
+            nearest_m: spec.synthesis.nearest_m,
             pulse: spec.pulse,
             sample_rate_hz: spec.receiver.sample_rate_hz,
             filter: filter.cloned(),
@@ -230,17 +332,18 @@ impl Wish {
                 + HARDEST_M_PER_S2)
                 / sound_speed_m_per_s,
             tolerance: spec.synthesis.made_for(),
-            elements: spec.receive.iter().map(|a| a.elements).fold(0, usize::max),
             threads: rayon::current_num_threads(),
         }
     }
 
     /// That the ends of the limits are within reach, where one might not be: how far a spectrum spreads depends on the pulse's length; behind
-    /// the receiver filter nothing does.
-    fn can_be_made(&self, spec: &SonarSpec, key: Key, samples: usize) -> Result<(), GriddedError> {
+    /// the receiver filter nothing of `gridded-1d` does. `gridded-lines` takes short pulses only.
+    fn can_be_made(&self, spec: &SonarSpec, key: Key, samples: usize) -> Result<(), EngineRefusal> {
         let (shortest_s, longest_s) = spec.limits.pulse_duration_s;
         let ends_s = [shortest_s, longest_s].into_iter();
-        for duration_s in ends_s.filter(|&end_s| self.filter.is_none() && end_s != key.duration_s) {
+        let any_line = self.lines.iter().any(Option::is_some);
+        let depends = any_line || self.filter.is_none();
+        for duration_s in ends_s.filter(|&end_s| depends && end_s != key.duration_s) {
             self.sketch(Key {
                 duration_s,
                 samples,
@@ -249,11 +352,47 @@ impl Wish {
         Ok(())
     }
 
-    fn sketch(&self, key: Key) -> Result<SlabDesign, GriddedError> {
-        let pulse = Pulse {
+    fn pulse(&self, key: Key) -> Pulse {
+        Pulse {
             duration_s: key.duration_s,
             ..self.pulse
+        }
+    }
+
+    fn line<'a>(&'a self, key: Key, pulse: &'a Pulse, array: &'a ArrayGeometry) -> lines::Spec<'a> {
+        lines::Spec {
+            array,
+            pulse,
+            sound_speed_m_per_s: self.sound_speed_m_per_s,
+            sample_rate_hz: self.sample_rate_hz,
+            filter: self.filter.as_ref(),
+            doppler: self.doppler,
+            nearest_m: self.nearest_m,
+            fastest_m_per_s: self.fastest_m_per_s,
+            tolerance: self.tolerance,
+            samples: key.samples,
+            scatterers: NOMINAL_ARRIVALS,
+            simd_level: SimdLevel::best(),
+        }
+    }
+
+    fn sketch(&self, key: Key) -> Result<Sketch, EngineRefusal> {
+        let pulse = self.pulse(key);
+        let line = |array: &Option<ArrayGeometry>| {
+            let design = |array| lines::Design::new(&self.line(key, &pulse, array));
+            array.as_ref().map(design).transpose()
         };
+        Ok(Sketch {
+            elements: self.sketch_elements(key)?,
+            lines: self.lines.iter().map(line).collect::<Result<_, _>>()?,
+        })
+    }
+
+    fn sketch_elements(&self, key: Key) -> Result<Option<SlabDesign>, GriddedError> {
+        if self.elements == 0 {
+            return Ok(None);
+        }
+        let pulse = self.pulse(key);
         let spec = one_dimensional::Spec {
             pulse: &pulse,
             sample_rate_hz: self.sample_rate_hz,
@@ -267,11 +406,20 @@ impl Wish {
             arrivals: NOMINAL_ARRIVALS,
             simd_level: SimdLevel::best(),
         };
-        SlabDesign::new(&spec, self.elements)
+        SlabDesign::new(&spec, self.elements).map(Some)
     }
 
-    fn make(&self, key: Key) -> Result<SlabEngine, GriddedError> {
-        Ok(self.sketch(key)?.build(self.threads))
+    fn make(&self, key: Key) -> Result<Made, EngineRefusal> {
+        let pulse = self.pulse(key);
+        let line = |array: &Option<ArrayGeometry>| {
+            let engine = |array| GriddedLines::new(&self.line(key, &pulse, array));
+            array.as_ref().map(engine).transpose()
+        };
+        let elements = self.sketch_elements(key)?;
+        Ok(Made {
+            elements: elements.map(|design| design.build(self.threads)),
+            lines: self.lines.iter().map(line).collect::<Result<_, _>>()?,
+        })
     }
 }
 

@@ -73,6 +73,8 @@ const POINT_NS: f64 = 0.5;
 
 /// Elements that `gridded-2d` takes at a time; good enough for a cost, as is the next.
 const NOMINAL_STRETCH: f64 = 32.0;
+/// Nodes along a line that `gridded-lines` solves delays at; good enough for a cost, as is the next.
+const NOMINAL_NODES: f64 = 5.0;
 const NOMINAL_SOUND_SPEED_M_PER_S: f64 = 1500.0;
 
 /// Keeps these draws apart from everything else that is seeded with the same number.
@@ -377,9 +379,13 @@ fn pair_ns(spec: &SonarSpec) -> f64 {
     let model = &spec.model;
     let walk_ms = path_error_model(model.path, &conditions).cost_ms
         + doppler_error_model(model.doppler, model.path, &conditions).cost_ms;
-    // A whole line is walked once for a stretch of it.
+    // A whole line is walked once for a stretch of it, or at its nodes only.
+    let elements: usize = spec.receive.iter().map(|array| array.elements).sum();
     let shared_by = match model.synthesis {
         Synthesis::Gridded2d => NOMINAL_STRETCH,
+        Synthesis::GriddedLines => {
+            (elements as f64 / (NOMINAL_NODES * spec.receive.len() as f64)).max(1.0)
+        }
         _ => 1.0,
     };
     let sum_ms = synthesis_error_model(model.synthesis, &conditions).cost_ms + walk_ms / shared_by;

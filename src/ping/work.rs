@@ -57,6 +57,8 @@ figures! {
     Gridded1dGrid "gridded_1d_grid" "cost estimate of `gridded-1d` for its grids, in its own ns";
     Gridded2dEcho "gridded_2d_echo" "cost estimate of `gridded-2d` for its echoes, in its own ns";
     Gridded2dGrid "gridded_2d_grid" "cost estimate of `gridded-2d` for its grids, in its own ns";
+    GriddedLinesEcho "gridded_lines_echo" "cost estimate of `gridded-lines` for its echoes, in its own ns";
+    GriddedLinesGrid "gridded_lines_grid" "cost estimate of `gridded-lines` for its grids, in its own ns";
 }
 
 /// Number of kinds of work.

@@ -24,6 +24,7 @@ fn no_path_model_and_no_synthesis_allocates_after_warm_up() {
         "path = \"polyline\"\nsynthesis = \"gridded-1d\"",
         "doppler = \"none\"\nsynthesis = \"gridded-1d\"",
         "path = \"k-segment\"\nsynthesis = \"gridded-2d\"\ntolerance = 2e-2",
+        "path = \"k-segment\"\nsynthesis = \"gridded-lines\"\ntolerance = 2e-2",
         "path = \"k-segment\"\ndoppler = \"stretch-quadratic\"",
         "path = \"continuous\"\ndoppler = \"stretch-quadratic\"",
         "doppler = \"paper-eq21\"",

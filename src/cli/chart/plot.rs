@@ -24,6 +24,7 @@ fn colour(synthesis: Synthesis) -> &'static str {
         Synthesis::Direct => "#0072b2",
         Synthesis::Gridded1d => "#d55e00",
         Synthesis::Gridded2d => "#009e73",
+        Synthesis::GriddedLines => "#999999",
         Synthesis::Spectral => "#cc79a7",
         Synthesis::Nearest => "#e69f00",
         Synthesis::Linear => "#56b4e9",

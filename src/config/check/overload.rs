@@ -16,7 +16,7 @@ pub(crate) fn refuse_overload_conflicts(
         match run.overload.text() {
             Some("degrade") if sonar.looser_tolerances().is_empty() => {
                 let rule = format!(
-                    "sonar {name} has no looser tolerance: model.synthesis must be \"gridded-1d\", \"gridded-2d\" or \"auto\", and model.tolerance below 0.1"
+                    "sonar {name} has no looser tolerance: model.synthesis must be \"gridded-1d\", \"gridded-lines\", \"gridded-2d\" or \"auto\", and model.tolerance below 0.1"
                 );
                 problems.refuse(entry, rule);
             }

@@ -128,6 +128,14 @@ pub(crate) fn sonar<'t>(
             problems.refuse(&t.elements, rule);
         }
     }
+    if model.is_some_and(|m| m.synthesis == Synthesis::GriddedLines)
+        && receive_tables.iter().all(|t| t.elements.to() == Some(1))
+    {
+        for t in receive_tables {
+            let rule = "must be at least 2 in one array with synthesis = \"gridded-lines\", which makes lines";
+            problems.refuse(&t.elements, rule);
+        }
+    }
     let beams = table
         .beams
         .as_ref()
@@ -606,14 +614,15 @@ fn model(
             .collect::<Vec<_>>()
             .join(" or ");
         let why = match synthesis {
-            Synthesis::Gridded1d | Synthesis::Gridded2d => "which places every echo where it is",
+            gridded if gridded.keeps_tolerance() => "which places every echo where it is",
             _ => "which lays one pulse under every echo",
         };
         let name = synthesis.name();
         let rule = format!("must be {known} with synthesis = \"{name}\", {why}");
         problems.refuse(&table.doppler, rule);
     }
-    if (synthesis, filter) == (Some(Synthesis::Gridded2d), Some(ReceiverFilter::None)) {
+    let lines = synthesis.filter(|synthesis| synthesis.makes_lines());
+    if lines.is_some() && filter == Some(ReceiverFilter::None) {
         let rule = "needs receiver.rx_filter = \"fir\": a band that ends";
         problems.refuse(&table.synthesis, rule);
     }
@@ -622,8 +631,11 @@ fn model(
         AUTO => PathModel::KSegment.name(),
         named => named,
     };
-    if (synthesis, path) == (Some(Synthesis::Gridded2d), "polyline") {
-        let rule = "must be another with synthesis = \"gridded-2d\": the polyline's steps of attitude tear a line apart; \"k-segment\" has none";
+    if let (Some(lines), "polyline") = (lines, path) {
+        let rule = format!(
+            "must be another with synthesis = \"{}\": the polyline's steps of attitude tear a line apart; \"k-segment\" has none",
+            lines.name()
+        );
         problems.refuse(&table.path, rule);
     }
     Some(ModelChoice {

@@ -198,11 +198,11 @@ table! {
     doppler: Choice("none", "stretch", "stretch-quadratic", "paper-eq21", "auto"; later "common", "rank-r"), Default("\"stretch\"");
 
     /// "reference": solves the travel time of every sample on the continuous motion (slow; ignores path and doppler). "direct": sums linearised
-    /// echoes. "gridded-1d": the same within tolerance, faster. "gridded-2d": for line arrays of many elements, needs the receiver filter. Both
-    /// take any doppler but "paper-eq21". For comparison, with doppler "none" or "paper-eq21": "spectral" (the sum over frequency of Meng et al.
-    /// 2023), "nearest" and "linear" (a sampled pulse is added). Default: "gridded-1d" if it takes the doppler and the receiver has its filter,
-    /// else "direct".
-    synthesis: Choice("reference", "direct", "gridded-1d", "gridded-2d", "spectral", "nearest", "linear", "auto"; later "gridded"), Shown("\"gridded-1d\"");
+    /// echoes. "gridded-1d": the same within tolerance, faster. "gridded-lines": for line arrays and short pulses, with tolerances from 5e-4 on.
+    /// "gridded-2d": for line arrays, long pulses and many scatterers. Both need the receiver filter. The three take any doppler but
+    /// "paper-eq21". For comparison, with doppler "none" or "paper-eq21": "spectral" (the sum over frequency of Meng et al. 2023), "nearest" and
+    /// "linear" (a sampled pulse is added). Default: "gridded-1d" if it takes the doppler and the receiver has its filter, else "direct".
+    synthesis: Choice("reference", "direct", "gridded-1d", "gridded-lines", "gridded-2d", "spectral", "nearest", "linear", "auto"; later "gridded"), Shown("\"gridded-1d\"");
 
     /// Relative error of element samples, before noise and quantisation, in any window of one pulse length. The gridded methods are designed for
     /// it, and the error check tests it.
@@ -229,7 +229,7 @@ table! {
     segment_ms: Ms(from(0.1, 60_000.0)), Default("50.0");
 
     /// Scatterers whose two-way pattern is below this level are left out. For targets and points the level is lower by their excess strength over
-    /// the seabed. Default: with synthesis = "gridded-1d" or "gridded-2d", a seabed and no scene.points, the highest level that costs half the
+    /// the seabed. Default: with a gridded synthesis, a seabed and no scene.points, the highest level that costs half the
     /// tolerance on flat ground; otherwise all scatterers are kept.
     cull_db: Number(from(-300.0, -1.0)), Optional("-60.0");
 }

@@ -49,7 +49,7 @@ impl SonarSpec {
         let fixed = !self.synthesis.auto.synthesis;
         let unsuited = matches!(
             self.model.synthesis,
-            Synthesis::Reference | Synthesis::Gridded2d
+            Synthesis::Reference | Synthesis::Gridded2d | Synthesis::GriddedLines
         );
         Some(if !self.element_readers().is_empty() {
             "an output carries them"

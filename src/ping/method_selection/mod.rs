@@ -16,7 +16,7 @@ use std::rc::Rc;
 
 use crate::conditions::{conditions, segment_step_s, sum_error_model};
 use crate::element_synthesis::{FASTEST_PLATFORM_M_PER_S, receiver_filter};
-use crate::engines::{HARDEST_M_PER_S2, sketch};
+use crate::engines::{HARDEST_M_PER_S2, Sketch, is_line, sketch};
 use crate::line_engines::{NOMINAL_SCATTERERS, SIDEWAYS_M_PER_S, choices};
 use crate::method_selection::costs::Costs;
 use crate::method_selection::culled::floors;
@@ -31,11 +31,11 @@ use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::error_models::synthesis_error_model;
-use echotank_synthesis::array::filter::oversample;
+use echotank_synthesis::array::filter::{Decimator, oversample};
 use echotank_synthesis::array::gridded::CostEstimate;
+use echotank_synthesis::array::lines;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
 use echotank_synthesis::error_model::{Conditions, ErrorModel};
-use echotank_synthesis::slabs;
 
 /// Lengths of segments, seconds: the longest that is good enough is taken.
 const SEGMENTS_S: [f64; 6] = [0.05, 0.02, 0.01, 0.005, 0.002, 0.001];
@@ -45,7 +45,7 @@ const ENGINE_SHARES: [f64; 3] = [0.8, 0.5, 0.2];
 const NEARER: f64 = 0.7;
 /// rms closing speeds of all but the rarest echoes lie within so many times their rms.
 const EXTREMES: f64 = 3.0;
-/// A line bears the motion across it that the echoes of a window have, and so much more in some.
+/// A line of `gridded-2d` bears the motion across it that the echoes of a window have, and so much more in some.
 const ACROSS: f64 = 3.0;
 /// What engines predict of themselves is their error over all echoes of a window; of single ones it can be so much greater, and more in the worst of
 /// many windows.
@@ -54,12 +54,15 @@ const ENGINE_MARGIN: f64 = 3.0;
 /// was the greater part, with a receiver filter and without.
 const KEPT_BY_ONE: f64 = 0.4;
 /// And `gridded-2d` all of it: it keeps its tolerance in noise, to 0.8 in the worst of 112 answers of `tools/accuracy sweep` but one.
-const KEPT_BY_LINES: f64 = 1.0;
+const KEPT_BY_WHOLE_LINES: f64 = 1.0;
 /// What `gridded-2d` foresees knows nothing of the series that carry Doppler: 1.4 to 3.9 times as much was measured with it, with lines of 8 and 96
 /// elements at tolerances of 8e-3 to 2e-3. Nor does it know how long slabs are and how few elements share a stretch: pings took 0.1 to 8 times as long as
 /// foreseen with the former factor on echoes and grids. The latter is no fit: what is foreseen badly is counted dear.
 const LINE_DOPPLER: f64 = 2.5;
 const LINE_DOPPLER_GRIDS: f64 = 10.0;
+/// `gridded-lines` keeps its tolerance in the worst windows, of little energy; relative to the level of a window or of the ping, whichever is more, it
+/// leaves no more than this.
+const KEPT_BY_LINES: f64 = 0.4;
 /// Mean width of a two-way beam of line arrays, in wavelengths over the root of the sum of their squared lengths: 0.64 for two alike.
 const TWO_WAY_WIDTH: f64 = 0.905;
 
@@ -244,22 +247,25 @@ struct Maker<'a> {
     sketches: &'a Sketches,
 }
 
-/// Engines of one element each that have been looked at: by Doppler model, and the bits of what they are made for.
-#[derive(Default)]
-struct Sketches(RefCell<Vec<(DopplerModel, Option<u64>, Sketch)>>);
-
-type Sketch = Result<Rc<slabs::SlabDesign>, String>;
-
 /// What an engine promises and costs.
 enum Engine {
-    One(Rc<slabs::SlabDesign>),
-    Lines {
+    /// `gridded-1d` and `gridded-lines`.
+    Sketched(Rc<Sketch>),
+    /// `gridded-2d`.
+    WholeLines {
         error: f64,
         cost: CostEstimate,
         stretches: f64,
         why: String,
     },
 }
+
+/// Engines that have been looked at: by synthesis and Doppler model, and the bits of what they are made for.
+#[derive(Default)]
+struct Sketches(RefCell<Vec<(Sketched, SketchResult)>>);
+
+type Sketched = (Synthesis, DopplerModel, Option<u64>);
+type SketchResult = Result<Rc<Sketch>, String>;
 
 impl<'a> Maker<'a> {
     fn new(scene: &'a Scene<'a>, parting: Option<Parting>, sketches: &'a Sketches) -> Self {
@@ -333,7 +339,9 @@ impl<'a> Maker<'a> {
     fn sums(&self) -> Vec<Synthesis> {
         let spec = self.scene.spec;
         // Parts are walked one by one.
-        let lines = self.parting.is_none() && spec.receive.iter().all(|a| a.elements > 1);
+        let lines = self.parting.is_none() && spec.receiver.filter == ReceiverFilter::Fir;
+        let whole = lines && spec.receive.iter().all(|a| a.elements > 1);
+        let some = lines && spec.receive.iter().any(is_line);
         let one_by_one = |s: Synthesis| {
             matches!(
                 s,
@@ -347,8 +355,8 @@ impl<'a> Maker<'a> {
                 true => {
                     // The truth is for those who ask for it.
                     s != Synthesis::Reference
-                        && (s != Synthesis::Gridded2d
-                            || lines && spec.receiver.filter == ReceiverFilter::Fir)
+                        && (s != Synthesis::Gridded2d || whole)
+                        && (s != Synthesis::GriddedLines || some)
                         && (spec.more_pulses.is_empty() || one_by_one(s))
                 }
             })
@@ -366,7 +374,7 @@ impl<'a> Maker<'a> {
                         found.push(self.reference(motion, none));
                     }
                 }
-                Synthesis::Gridded1d | Synthesis::Gridded2d => {
+                Synthesis::Gridded1d | Synthesis::Gridded2d | Synthesis::GriddedLines => {
                     self.engines(synthesis, &motions, &mut found, &mut refused);
                 }
                 _ => {
@@ -401,7 +409,7 @@ impl<'a> Maker<'a> {
             let of: Vec<&Motion> = motions
                 .iter()
                 .filter(|m| m.doppler == doppler && synthesis.takes(doppler))
-                .filter(|m| synthesis != Synthesis::Gridded2d || m.path != PathModel::Polyline)
+                .filter(|m| !synthesis.makes_lines() || m.path != PathModel::Polyline)
                 .collect();
             let Some(least) = of
                 .iter()
@@ -412,14 +420,18 @@ impl<'a> Maker<'a> {
             };
             // Models that are beyond the goal by themselves are listed with one engine, to compare.
             let hopeful = goal.image_cells.is_some() || least < goal.tolerance;
-            let tolerances: Vec<Option<f64>> = match (spec.synthesis.auto.any(), hopeful) {
-                (false, _) => vec![None],
-                (true, false) => vec![Some(ENGINE_SHARES[1] * goal.tolerance)],
-                (true, true) => ENGINE_SHARES
-                    .iter()
-                    .map(|share| Some(share * goal.tolerance))
-                    .collect(),
+            // Of its tolerance the engine for lines leaves little, so that it may be made for all of it.
+            let finest = match synthesis {
+                Synthesis::GriddedLines => lines::MIN_TOLERANCE.min(goal.tolerance),
+                _ => 0.0,
             };
+            let of_share = |share: &f64| Some((share * goal.tolerance).max(finest));
+            let mut tolerances: Vec<Option<f64>> = match (spec.synthesis.auto.any(), hopeful) {
+                (false, _) => vec![None],
+                (true, false) => vec![of_share(&ENGINE_SHARES[1])],
+                (true, true) => ENGINE_SHARES.iter().map(of_share).collect(),
+            };
+            tolerances.dedup();
             // A sum that is the operator's and cannot be made for a share is what it is for the whole, and said to be.
             let whole = (!spec.synthesis.auto.synthesis && spec.synthesis.auto.any())
                 .then_some(Some(goal.tolerance));
@@ -485,13 +497,10 @@ impl<'a> Maker<'a> {
                 "echoes close in at {across:.2} m/s across the line, the engine knows {SIDEWAYS_M_PER_S}"
             ));
         }
-        let bits = engine_tolerance.map(f64::to_bits);
-        if synthesis == Synthesis::Gridded1d {
-            let seen = self.sketches.0.borrow();
-            let same = |of: &&(_, _, Sketch)| (of.0, of.1) == (doppler, bits);
-            if let Some((.., sketch)) = seen.iter().find(same) {
-                return sketch.clone().map(Engine::One);
-            }
+        let sketched = (synthesis, doppler, engine_tolerance.map(f64::to_bits));
+        let mut seen = self.sketches.0.borrow_mut();
+        if let Some((_, sketch)) = seen.iter().find(|(of, _)| *of == sketched) {
+            return sketch.clone().map(Engine::Sketched);
         }
         let mut spec = self.scene.spec.clone();
         spec.model.doppler = doppler;
@@ -503,24 +512,37 @@ impl<'a> Maker<'a> {
         let c = self.scene.medium.sound_speed_m_per_s;
         let filter = receiver_filter(&spec, self.scene.medium).map_err(|why| why.to_string())?;
         let fastest = FASTEST_PLATFORM_M_PER_S;
-        if synthesis == Synthesis::Gridded1d {
-            let made = sketch(&spec, c, fastest, filter.as_ref(), self.scene.plan);
-            let made = made.map(Rc::new).map_err(|why| why.to_string());
-            let mut seen = self.sketches.0.borrow_mut();
-            seen.push((doppler, bits, made.clone()));
-            return made.map(Engine::One);
+        if synthesis == Synthesis::Gridded2d {
+            return self.whole_lines(&spec, filter.as_ref());
         }
+        let made = sketch(&spec, c, fastest, filter.as_ref(), self.scene.plan);
+        let made = made.map(Rc::new).map_err(|why| why.to_string());
+        let nearest_m = self.conditions.range_m.0;
+        let made = made.and_then(|made| match made.reaches(&spec, nearest_m) {
+            true => Ok(made),
+            false => Err(format!(
+                "a scatterer {nearest_m:.1} m away is too near for the interpolation along the line"
+            )),
+        });
+        seen.push((sketched, made.clone()));
+        made.map(Engine::Sketched)
+    }
+
+    /// `gridded-2d` for this sonar.
+    fn whole_lines(&self, spec: &SonarSpec, filter: Option<&Decimator>) -> Result<Engine, String> {
+        let c = self.scene.medium.sound_speed_m_per_s;
+        let fastest = FASTEST_PLATFORM_M_PER_S;
         // As the engines are made; their echoes are then counted in those of this ping.
         let kept = self.cullings[0].of.kept * self.scene.count as f64 / NOMINAL_SCATTERERS as f64;
-        let choices = choices(&spec, c, fastest, filter.as_ref(), NOMINAL_SCATTERERS)
-            .map_err(|why| why.to_string())?;
+        let choices =
+            choices(spec, c, fastest, filter, NOMINAL_SCATTERERS).map_err(|why| why.to_string())?;
         let stretches = choices.iter().zip(&spec.receive);
         let costs = choices.iter().map(|choice| choice.cost);
-        let (echoes_times, grids_times) = match doppler {
+        let (echoes_times, grids_times) = match spec.model.doppler {
             DopplerModel::None => (1.0, 1.0),
             _ => (LINE_DOPPLER, LINE_DOPPLER_GRIDS),
         };
-        Ok(Engine::Lines {
+        Ok(Engine::WholeLines {
             error: choices
                 .iter()
                 .map(|c| c.error_model.error)
@@ -548,55 +570,74 @@ impl<'a> Maker<'a> {
         engine_tolerance: Option<f64>,
         engine: &Engine,
     ) -> Candidate {
-        let elements = self.conditions.elements as f64;
         let scatterers = self.scene.count as f64;
         let arrivals = culling.of.kept * scatterers;
         let tolerance = engine_tolerance.unwrap_or(self.scene.spec.synthesis.tolerance);
         let spread = self.conditions.heard.map_or(1.0, |heard| heard.spread);
         let kept = |error: f64, most: f64| (ENGINE_MARGIN * spread * error).min(most * tolerance);
-        let (error, work, pairs, why) = match engine {
-            Engine::One(engine) => {
-                let bend = self.conditions.heard.map_or(f64::INFINITY, |heard| {
-                    EXTREMES * heard.bend_m_per_s2 / self.conditions.sound_speed_m_per_s
-                });
-                let one = engine.cost_estimate(arrivals as usize, self.doppler_share(), bend);
-                (
-                    kept(engine.error_model().error, KEPT_BY_ONE),
-                    Work::of(Figure::Gridded1dEcho, one.echoes_ns * elements)
-                        .and(Figure::Gridded1dGrid, one.grids_ns * elements),
-                    culling.of.transmit_leg * scatterers * elements,
-                    engine.error_model().why,
-                )
-            }
-            Engine::Lines {
+        let name = format!("{} {tolerance:.1e}", synthesis.name());
+        let engine = match engine {
+            Engine::Sketched(sketch) => sketch,
+            Engine::WholeLines {
                 error,
                 cost,
                 stretches,
                 why,
             } => {
                 let share = culling.of.kept / self.cullings[0].of.kept.max(f64::MIN_POSITIVE);
-                (
-                    kept(*error, KEPT_BY_LINES),
-                    Work::of(Figure::Gridded2dEcho, cost.echoes_ns * share)
-                        .and(Figure::Gridded2dGrid, cost.grids_ns),
-                    culling.of.transmit_leg * scatterers * stretches,
-                    why.clone(),
-                )
+                let work = Work::of(Figure::Gridded2dEcho, cost.echoes_ns * share)
+                    .and(Figure::Gridded2dGrid, cost.grids_ns);
+                let pairs = culling.of.transmit_leg * scatterers * stretches;
+                let sum = self.sum(name, kept(*error, KEPT_BY_WHOLE_LINES), work, why.clone());
+                return self.candidate(synthesis, motion, culling, engine_tolerance, pairs, sum);
             }
         };
-        let name = format!("{} {tolerance:.1e}", synthesis.name());
+        let (mut error, mut work, mut why) = (0.0f64, Work::NONE, String::new());
+        // Elements that are made one by one, and points at which delays are solved.
+        let (mut elements, mut solved) = (0.0, 0.0);
+        for (array, line) in self.scene.spec.receive.iter().zip(&engine.lines) {
+            let Some(line) = line else {
+                elements += array.elements as f64;
+                continue;
+            };
+            let differ = 2.0 * self.closing_m_per_s();
+            let cost = line.cost_estimate(arrivals as usize, differ);
+            work = work
+                .and(Figure::GriddedLinesEcho, cost.echoes_ns)
+                .and(Figure::GriddedLinesGrid, cost.grids_ns);
+            let nodes = line.nodes(array, self.conditions.range_m.0);
+            solved += nodes.map_or(0.0, |nodes| nodes as f64);
+            error = error.max(kept(line.error_model().error, KEPT_BY_LINES));
+            why.clone_from(&line.error_model().why);
+        }
+        if let Some(one) = &engine.elements {
+            let bend = self.conditions.heard.map_or(f64::INFINITY, |heard| {
+                EXTREMES * heard.bend_m_per_s2 / self.conditions.sound_speed_m_per_s
+            });
+            let share = self.closing_m_per_s() / FASTEST_PLATFORM_M_PER_S;
+            let cost = one.cost_estimate(arrivals as usize, share.min(1.0), bend);
+            work = work
+                .and(Figure::Gridded1dEcho, cost.echoes_ns * elements)
+                .and(Figure::Gridded1dGrid, cost.grids_ns * elements);
+            solved += elements;
+            let error_model = one.error_model();
+            error = error.max(kept(error_model.error, KEPT_BY_ONE));
+            if why.is_empty() {
+                why = error_model.why;
+            }
+        }
+        let pairs = culling.of.transmit_leg * scatterers * solved;
         let sum = self.sum(name, error, work, why);
         self.candidate(synthesis, motion, culling, engine_tolerance, pairs, sum)
     }
 
-    /// Of the widest span of Dopplers, what this ping has.
-    fn doppler_share(&self) -> f64 {
+    /// Of all but the rarest echoes, the fastest.
+    fn closing_m_per_s(&self) -> f64 {
         let speed = self.conditions.speed_m_per_s;
         let heard = self.conditions.heard;
-        let closing = heard.map_or(speed, |h| {
+        heard.map_or(speed, |h| {
             (EXTREMES * h.closing_of_echoes_m_per_s).min(speed)
-        });
-        (closing / FASTEST_PLATFORM_M_PER_S).min(1.0)
+        })
     }
 
     /// The part of the sum, with what every way to sum costs.
@@ -706,7 +747,7 @@ impl<'a> Maker<'a> {
         candidate
     }
 
-    /// The parts that all have. `pairs`: of insonified scatterers and elements (or stretches of them), which are solved for.
+    /// The parts that all have. `pairs`: of insonified scatterers and elements (or nodes of a line), which are solved for.
     fn candidate(
         &self,
         synthesis: Synthesis,

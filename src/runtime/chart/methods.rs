@@ -5,6 +5,7 @@ use std::fmt;
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::ReceiverFilter;
 use echotank_core::model::{DopplerModel, ModelChoice, PathModel, Synthesis};
+use echotank_synthesis::array::lines::MIN_TOLERANCE;
 
 /// One choice of path, Doppler and synthesis, with settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -101,6 +102,9 @@ pub fn all(sonar: &SonarSpec, quick: bool) -> Vec<Method> {
             if lines {
                 add(engine(Synthesis::Gridded2d), doppler == Stretch);
             }
+            if lines && tolerance >= MIN_TOLERANCE {
+                add(engine(Synthesis::GriddedLines), doppler == Stretch);
+            }
         }
     }
     methods
@@ -189,10 +193,12 @@ impl Method {
         }
         let filtered = sonar.receiver.filter == ReceiverFilter::Fir;
         match (self.synthesis, self.path) {
-            (Synthesis::Gridded2d, PathModel::Polyline) => {
+            (lines, PathModel::Polyline) if lines.makes_lines() => {
                 Err("the polyline's attitude steps break up an array line".into())
             }
-            (Synthesis::Gridded2d, _) if !filtered => Err("needs the receiver filter".into()),
+            (lines, _) if lines.makes_lines() && !filtered => {
+                Err("needs the receiver filter".into())
+            }
             _ => Ok(()),
         }
     }

@@ -18,6 +18,8 @@ use super::gridded::pulse_spectrum::PulseSpectrum;
 const SAMPLE_NS: f64 = 0.4;
 /// Cost of `gridded-2d`, ns per echo. An echo is spread once for several elements.
 const LINE_NS: f64 = 1.0;
+/// Cost of `gridded-lines`, ns per echo, with transforms; measured by `tools/bench echo`.
+const LANES_NS: f64 = 2.0;
 /// Cost of `gridded-1d`, ns per echo, with Doppler columns and transforms; measured by `tools/bench
 /// echo`.
 const GRIDDED_NS: f64 = 30.0;
@@ -85,6 +87,11 @@ pub fn synthesis_error_model(synthesis: Synthesis, conditions: &Conditions) -> E
             conditions.tolerance,
             LINE_NS,
             "made for the tolerance, stretches of elements at a time".to_owned(),
+        ),
+        Synthesis::GriddedLines => (
+            conditions.tolerance,
+            LANES_NS,
+            "made for the tolerance, 16 elements at a time".to_owned(),
         ),
     };
     ErrorModel {

@@ -3,7 +3,7 @@
 //! The input is the [`ArrivalChunk`](crate::arrivals::ArrivalChunk)s of one element. The result is samples of its complex envelope
 //! in volts. [`direct`] sums the echoes. [`filter`] decimates a dense sum to the sample rate. [`receiver`] applies noise, gain and
 //! conversion, and [`faults`] applies faults. [`gridded`] sums the echoes of one element on a grid within a tolerance.
-//! [`gridded2d`] and [`lines`] sum the echoes of all elements of a line array together. No configuration selects [`lines`] yet.
+//! [`gridded2d`] and [`lines`] sum the echoes of all elements of a line array together.
 //!
 //! Not modelled: transmit leakage.
 

@@ -50,7 +50,10 @@ pub fn window_error_model(
     let exact = match synthesis {
         Synthesis::Direct => conditions.filter == ReceiverFilter::None,
         Synthesis::Spectral | Synthesis::Nearest | Synthesis::Linear => false,
-        Synthesis::Reference | Synthesis::Gridded1d | Synthesis::Gridded2d => true,
+        Synthesis::Reference
+        | Synthesis::Gridded1d
+        | Synthesis::Gridded2d
+        | Synthesis::GriddedLines => true,
     };
     if !exact {
         let alone = SingleEcho::new(synthesis, conditions, plan, doppler_hz)?;

@@ -51,7 +51,8 @@ impl Comparison {
             Synthesis::Reference
             | Synthesis::Direct
             | Synthesis::Gridded1d
-            | Synthesis::Gridded2d => None,
+            | Synthesis::Gridded2d
+            | Synthesis::GriddedLines => None,
         }
     }
 

@@ -492,41 +492,129 @@ fn whole_line_arrays_are_the_direct_sum_within_the_tolerance() {
             let direct = lines(&model("\"direct\""), 1.0);
             let ping = plan(&direct, 1, |_| {});
             let want = once(&direct, &ping, &scatterers);
-            for tolerance in [1e-1, 1e-2, 1e-3] {
-                let engine = lines(
-                    &model(&format!(
-                        "\"gridded-2d\"\nnearest_m = 2.0\ntolerance = {tolerance}"
-                    )),
-                    1.0,
-                );
-                let ping = plan(&engine, 1, |_| {});
-                let got = once(&engine, &ping, &scatterers);
+            let of_each = |tolerance: f64| {
+                ["\"gridded-2d\"\nnearest_m = 2.0", "\"gridded-lines\""]
+                    .map(|engine| (engine, tolerance))
+            };
+            for (engine, tolerance) in [1e-1, 1e-2, 1e-3].into_iter().flat_map(of_each) {
+                let rig = lines(&model(&format!("{engine}\ntolerance = {tolerance}")), 1.0);
+                let ping = plan(&rig, 1, |_| {});
+                let got = once(&rig, &ping, &scatterers);
                 let (error, silent) = worst_window(&got, &want, &ping, 50e3);
                 println!(
-                    "{} {} {tolerance:.0e}: {error:.1e}, silent {silent:.1e}, {:?}",
+                    "{engine} {} {} {tolerance:.0e}: {error:.1e}, silent {silent:.1e}, {:?}",
                     path.name(),
                     doppler.name(),
                     got.counts
                 );
                 assert!(
                     error < tolerance && silent < tolerance,
-                    "{path:?} {doppler:?}: {error:e}, {silent:e} of {tolerance:e}"
+                    "{engine} {path:?} {doppler:?}: {error:e}, {silent:e} of {tolerance:e}"
                 );
                 assert!(got.counts.used > 6000);
-                assert_eq!(got.counts.beyond_engine, 0);
+                // At 1e-3 the nearest, 4 m away, are too near for 16 elements at 100 kHz, and counted.
+                let near = engine == "\"gridded-lines\"" && tolerance < 1e-2;
+                assert!(near || got.counts.beyond_engine == 0);
             }
+        }
+    }
+}
+
+/// A head of 40 elements at 200 kHz with a short pulse, over a bottom 8 m below: `model` and the number of elements of a second array.
+fn multibeam(model: &str, second: usize) -> RigSpec {
+    let text = format!(
+        r#"
+[[nav.source]]
+name = "gnss"
+kind = "udp"
+listen = "127.0.0.1:10110"
+[scene.seabed]
+shape = "plane"
+depth_m = 8.0
+[[sonar]]
+name = "main"
+[sonar.pulse]
+kind = "cw"
+center_frequency_khz = 200.0
+duration_ms = 0.2
+taper = 0.1
+[[sonar.transmit]]
+name = "tx"
+[[sonar.receive]]
+name = "head"
+elements = 40
+spacing_m = 0.00375
+yaw_deg = 90.0
+[[sonar.receive]]
+name = "second"
+elements = {second}
+spacing_m = 0.00375
+[sonar.receiver]
+sample_rate_khz = 60.0
+rx_filter = "fir"
+[sonar.ping]
+range_m = 20.0
+rate_hz = 5.0
+source_level_db = 200.0
+[sonar.limits]
+range_m = [5.0, 25.0]
+pulse_duration_ms = [0.1, 0.4]
+[sonar.model]
+{model}
+"#
+    );
+    parse(&text, Path::new(".")).unwrap_or_else(|problems| panic!("{model}: {problems}"))
+}
+
+/// A still and a moving multibeam, with a second array of one element and of several, against the reference solution.
+#[test]
+fn a_multibeam_by_lines_is_the_reference_within_the_tolerance() {
+    let scatterers = ring(300, [4.0, 14.0], 6.0);
+    let models = "path = \"continuous\"\ndoppler = \"stretch-quadratic\"";
+    for (second, speed) in [(1, 0.0), (5, 4.0)] {
+        let truth = multibeam("synthesis = \"reference\"", second);
+        let at_speed = |rig: &RigSpec| {
+            let settings = rig.sonars[0].settings;
+            let trajectory = match speed > 0.0 {
+                true => restless(speed),
+                false => Trajectory::uniform(DVec3::ZERO, DVec3::ZERO, glam::DQuat::IDENTITY),
+            };
+            plan_on(trajectory, rig, 1, settings)
+        };
+        let want = once(&truth, &at_speed(&truth), &scatterers);
+        for tolerance in [1e-2, 1e-3] {
+            let engine = multibeam(
+                &format!("{models}\nsynthesis = \"gridded-lines\"\ntolerance = {tolerance}"),
+                second,
+            );
+            let ping = at_speed(&engine);
+            let got = once(&engine, &ping, &scatterers);
+            let (error, silent) = worst_window(&got, &want, &ping, 60e3);
+            println!("{second}, {speed} m/s, {tolerance:.0e}: {error:.1e}, {silent:.1e}");
+            assert!(
+                error < tolerance && silent < tolerance,
+                "{error:e}, {silent:e} of {tolerance:e}"
+            );
+            assert_eq!(got.counts.beyond_engine, 0);
+            assert_eq!(got.elements[1].elements, second);
         }
     }
 }
 
 #[test]
 fn whole_line_arrays_give_the_same_bits_for_any_threads_and_history() {
+    for engine in ["gridded-2d", "gridded-lines"] {
+        same_bits(engine);
+    }
+}
+
+fn same_bits(engine: &str) {
     let scatterers = scene(500);
     let rig = lines(
-        "path = \"k-segment\"\nsynthesis = \"gridded-2d\"\ntolerance = 2e-2",
+        &format!("path = \"k-segment\"\nsynthesis = \"{engine}\"\ntolerance = 2e-2"),
         0.1,
     );
-    let with = |threads: usize, past: &[(f64, f64)]| {
+    let with = |threads: usize, past: &[(f64, f64)], expected: bool| {
         let pool = pool(threads).expect("a pool");
         pool.install(|| {
             let mut pipeline = SonarPipeline::new(&rig.sonars[0], &rig.medium).expect("fits");
@@ -536,57 +624,84 @@ fn whole_line_arrays_give_the_same_bits_for_any_threads_and_history() {
                     settings.range_m = range_m;
                     settings.pulse_duration_s = pulse_s;
                 });
+                if expected {
+                    pipeline.expect(&ping.settings);
+                }
                 pipeline.compute_ping(&ping, &scatterers, &mut output);
             }
             output
         })
     };
-    let one = with(1, &[]);
+    let one = with(1, &[], false);
     for (threads, past) in [
         (2, &[][..]),
-        (3, &[(45.0, 3e-3), (12.0, 1e-3)]),
+        (8, &[(45.0, 3e-3), (12.0, 1e-3), (30.0, 2e-3), (45.0, 3e-3)]),
         (1, &[(12.0, 2e-3), (30.0, 1.3e-3)]),
     ] {
-        let other = with(threads, past);
-        assert_eq!(
-            one.elements, other.elements,
-            "{threads} threads after {past:?}"
-        );
-        assert_eq!(one.counts, other.counts);
+        for expected in [false, true] {
+            let other = with(threads, past, expected);
+            assert_eq!(
+                one.elements, other.elements,
+                "{threads} threads after {past:?}"
+            );
+            assert_eq!(one.counts, other.counts);
+        }
     }
 }
 
-/// A scatterer closer than the engine's limit is not summed without a warning.
+/// Scatterers too close for the interpolation along the line are not summed without a warning.
 #[test]
 fn a_ping_beyond_the_engines_bounds_is_counted() {
-    let mut scatterers = scene(100);
-    let rig = lines(
-        "path = \"k-segment\"\nsynthesis = \"gridded-2d\"\nnearest_m = 30.0\ntolerance = 2e-2",
-        0.1,
-    );
-    let ping = plan(&rig, 1, |_| {});
-    for k in 0..20 {
-        let at_m = DVec3::new(0.1 * f64::from(k) - 1.0, 0.3, 0.7);
-        scatterers.push(at_m, [0.0; 3], Complex64::ONE, ScatterLaw::Point);
-    }
-    let output = once(&rig, &ping, &scatterers);
-    assert!(output.counts.beyond_engine > 0, "{:?}", output.counts);
+    let beyond = |model: &str, place_m: &dyn Fn(f64) -> DVec3| {
+        let mut scatterers = scene(100);
+        let rig = lines(&format!("path = \"k-segment\"\nsynthesis = {model}"), 0.1);
+        for k in 0..20 {
+            let at_m = place_m(f64::from(k));
+            scatterers.push(at_m, [0.0; 3], Complex64::ONE, ScatterLaw::Point);
+        }
+        once(&rig, &plan(&rig, 1, |_| {}), &scatterers).counts
+    };
+    let counts = beyond("\"gridded-2d\"\nnearest_m = 30.0\ntolerance = 2e-2", &|k| {
+        DVec3::new(0.1 * k - 1.0, 0.3, 0.7)
+    });
+    assert!(counts.beyond_engine > 0, "{counts:?}");
+    let counts = beyond("\"gridded-lines\"\ntolerance = 1e-3", &|k| {
+        DVec3::new(0.4, 0.1 + 1e-3 * k, 0.31)
+    });
+    assert!(counts.beyond_engine > 0, "{counts:?}");
 }
 
 #[test]
-fn the_line_engine_reports_its_error_model() {
-    let rig = lines(
-        "path = \"k-segment\"\nsynthesis = \"gridded-2d\"\ntolerance = 2e-2",
-        0.1,
-    );
-    let error_models = engine_error_models(&rig.sonars[0], &rig.medium).expect("within reach");
-    assert_eq!(error_models.len(), 2, "one per array");
-    for error_model in &error_models {
-        assert!(
-            error_model.name == "gridded-2d" && error_model.error <= 2e-2,
-            "{error_model:?}"
-        );
+fn the_line_engine_reports_its_error_model_or_what_it_refuses() {
+    let model = |engine: &str, tolerance: &str| {
+        lines(
+            &format!("path = \"k-segment\"\nsynthesis = \"{engine}\"\ntolerance = {tolerance}"),
+            0.1,
+        )
+    };
+    for engine in ["gridded-2d", "gridded-lines"] {
+        let rig = model(engine, "2e-2");
+        let error_models = engine_error_models(&rig.sonars[0], &rig.medium).expect("within reach");
+        assert_eq!(error_models.len(), 2, "one per array");
+        for error_model in &error_models {
+            assert!(
+                error_model.name == engine && error_model.error <= 2e-2,
+                "{error_model:?}"
+            );
+        }
     }
+    let fine = model("gridded-lines", "1e-4");
+    let refused = SonarPipeline::new(&fine.sonars[0], &fine.medium).err();
+    assert_eq!(
+        refused.map(|why| why.to_string()).as_deref(),
+        Some(
+            "sonar.model.synthesis = \"gridded-lines\": tolerance 1e-4 is below its minimum of 5e-4"
+        )
+    );
+    let mixed = multibeam("path = \"k-segment\"\nsynthesis = \"gridded-lines\"", 1);
+    let error_models = engine_error_models(&mixed.sonars[0], &mixed.medium).expect("within reach");
+    let names: Vec<&str> = error_models.iter().map(|model| model.name).collect();
+    assert_eq!(names, ["gridded-1d", "gridded-lines"]);
 }
 
 // ---------------------------------------------------------------- the quickstart
@@ -623,8 +738,9 @@ fn along_the_log(spec: &RigSpec, pings: usize, mut each: impl FnMut(&PingPlan, &
 fn the_repositorys_engines_are_the_direct_sum_within_the_tolerance() {
     for (file, engine, cull_db, tolerance) in [
         ("certified.toml", Synthesis::Gridded1d, -34.0, 1e-3),
-        // A line culls by section, the direct sum by element: with a floor of -40 dB this alone is up to 2e-2.
+        // A line culls by section or at its middle, the direct sum by element: with a floor of -40 dB this alone is up to 2e-2.
         ("multibeam.toml", Synthesis::Gridded2d, -60.0, 2e-2),
+        ("multibeam.toml", Synthesis::GriddedLines, -60.0, 2e-2),
     ] {
         let of = |synthesis: Option<Synthesis>| {
             let spec = thinned(file, |sonar| {
@@ -667,8 +783,14 @@ fn the_repositorys_engines_are_the_direct_sum_within_the_tolerance() {
 #[test]
 fn the_error_check_finds_the_quickstart_within_its_tolerance() {
     let spec = thinned("certified.toml", |_| {});
+    let mut log = LoggedPings::open(&spec).expect("a rig").expect("nav");
     let mut last = None;
-    along_the_log(&spec, 40, |_, output| last = output.error_check.or(last));
+    for _ in 0..10 {
+        // The share of a cheap method's cost is too small for enough samples.
+        log.rig.sonars[0].pipeline.allow_error_checks(f64::INFINITY);
+        log.next_ping();
+        last = log.slot.output.error_check.or(last);
+    }
     let last = last.expect("enough samples");
     println!("{last:?}");
     assert!(!last.fault && last.error < 1.3 * last.tolerance, "{last:?}");

@@ -17,7 +17,7 @@ use echotank_core::simd::SimdLevel;
 
 use super::dopplers::{Columns, MAX_TAPS};
 use super::kernel::{Content, Kernel};
-use super::nodes::interpolation_error_m;
+use super::nodes::{NODES, interpolation_error_m};
 use super::spread::LANES;
 use super::windows::Alone;
 
@@ -28,7 +28,7 @@ const COLUMN_SHARES: [f64; 4] = [0.1, 0.3, 0.5, 0.7];
 /// Flatness of the spectrum for which kernels are fitted: exponents of the energy. A flatter one favours windows with the onset of an echo alone.
 const FLATNESS: [f64; 2] = [1.0, 0.5];
 /// Smallest supported tolerance: at 3e-4, onsets of many echoes were measured 1.1 times above it.
-pub(crate) const MIN_TOLERANCE: f64 = 5e-4;
+pub const MIN_TOLERANCE: f64 = 5e-4;
 /// Kernels and grids to try: rows, and rows per sample as a fraction.
 const WIDTHS: [usize; 7] = [2, 3, 4, 5, 6, 7, 8];
 const DENSITIES: [(usize, usize); 4] = [(1, 1), (5, 4), (3, 2), (2, 1)];
@@ -46,8 +46,13 @@ const TAP_NS: f64 = 0.9;
 /// Per row of a column's transform and log2 of the rows; per sample and element of the output.
 const TRANSFORM_NS: f64 = 1.6;
 const SAMPLE_NS: f64 = 6.0;
-/// Speed that echoes typically differ by, m/s, for the number of columns in the cost.
+/// Ranges at which the interpolation along the line is examined: the farthest, in half lengths, and the steps towards the line.
+const FARTHEST: f64 = 1e4;
+const NEARER: f64 = 0.9;
+const RANGES: i32 = 120;
+/// Speed that echoes typically differ by, m/s, and nodes along a line, for the cost.
 const TYPICAL_M_PER_S: f64 = 1.5;
+const TYPICAL_NODES: f64 = 5.0;
 
 /// Requirements on the engine.
 #[derive(Clone, Copy)]
@@ -133,7 +138,46 @@ pub struct Design {
     /// Largest error of a path length along the line, metres.
     pub(super) path_m: f64,
     error_model: ErrorModel,
-    cost: CostEstimate,
+    effort: Effort,
+}
+
+/// What a ping costs apart from its echoes and their Dopplers.
+#[derive(Clone, Copy, Debug)]
+struct Effort {
+    /// Per echo, nanoseconds; its nodes cost [`NODE_NS`] each.
+    echo_ns: f64,
+    /// All transforms of one column, those that any ping has, and the samples, nanoseconds.
+    column_ns: f64,
+    fixed_ns: f64,
+    taps: f64,
+    /// Stretch between columns; 0 with one column.
+    step: f64,
+    sound_speed_m_per_s: f64,
+}
+
+impl Effort {
+    /// For echoes whose closing speeds differ by `differ_m_per_s`.
+    fn cost(&self, echoes: f64, differ_m_per_s: f64) -> CostEstimate {
+        let columns = match self.step > 0.0 {
+            false => 1.0,
+            true => self.taps + stretch(differ_m_per_s, self.sound_speed_m_per_s) / self.step,
+        };
+        CostEstimate {
+            echoes_ns: echoes * self.echo_ns,
+            grids_ns: columns * self.column_ns + self.fixed_ns,
+        }
+    }
+
+    /// Of a typical ping with so many echoes, with their nodes, milliseconds.
+    fn typical_ms(&self, echoes: f64) -> f64 {
+        let nodes_ns = echoes * TYPICAL_NODES * NODE_NS;
+        self.cost(echoes, TYPICAL_M_PER_S).ms() + 1e-6 * nodes_ns
+    }
+}
+
+/// Stretch of an echo that closes at this speed on both ways.
+fn stretch(m_per_s: f64, sound_speed_m_per_s: f64) -> f64 {
+    2.0 * m_per_s / (sound_speed_m_per_s - m_per_s)
 }
 
 /// Slab sizes for an echo that reaches `extent` samples from its middle.
@@ -209,7 +253,6 @@ impl Design {
 
         let moving = spec.doppler != DopplerModel::None;
         let turn_per_stretch = PI * carrier_hz * pulse.duration_s;
-        let stretch = |m_per_s: f64| 2.0 * m_per_s / (c - m_per_s);
         let candidates: Vec<Columns> = match moving {
             false => vec![Columns::one()],
             true => (2..=MAX_TAPS)
@@ -257,27 +300,25 @@ impl Design {
                 false => 0.0,
                 true => columns.turn_rad / turn_per_stretch,
             };
-            let cost = |columns: &Columns| {
-                let typical = match moving {
-                    false => 1.0,
-                    true => columns.taps as f64 + stretch(TYPICAL_M_PER_S) / step(columns),
-                };
+            let effort = |columns: &Columns| {
                 let row_ns = ROW_NS + TAP_NS * columns.taps as f64;
                 let of_block = BLOCK_NS + rows * row_ns;
-                CostEstimate {
-                    echoes_ns: echoes * (ECHO_NS + 5.0 * NODE_NS + blocks * of_block),
-                    grids_ns: {
-                        let count = (samples + 2 * extent).div_ceil(payload) as f64;
-                        let transform = |n: usize| TRANSFORM_NS * n as f64 * (n as f64).log2();
-                        let of_slab = typical * transform(slab_rows) + transform(slab_samples);
-                        blocks * count * of_slab
-                            + SAMPLE_NS * array.elements as f64 * samples as f64
-                    },
+                let count = (samples + 2 * extent).div_ceil(payload) as f64;
+                let transform = |n: usize| TRANSFORM_NS * n as f64 * (n as f64).log2();
+                Effort {
+                    echo_ns: ECHO_NS + blocks * of_block,
+                    column_ns: blocks * count * transform(slab_rows),
+                    fixed_ns: blocks * count * transform(slab_samples)
+                        + SAMPLE_NS * array.elements as f64 * samples as f64,
+                    taps: columns.taps as f64,
+                    step: step(columns),
+                    sound_speed_m_per_s: c,
                 }
             };
+            let cost_ms = |columns: &Columns| effort(columns).typical_ms(echoes);
             let cheaper = |columns: &&Columns, best: &Option<Self>| {
                 best.as_ref()
-                    .is_none_or(|best| cost(columns).ms() < best.cost.ms())
+                    .is_none_or(|best| cost_ms(columns) < best.error_model.cost_ms)
             };
             if !candidates.iter().any(|columns| cheaper(&columns, &best)) {
                 continue;
@@ -304,10 +345,12 @@ impl Design {
                 if !(error <= tolerance && cheaper(&columns, &best)) {
                     continue;
                 }
-                let (cost, step) = (cost(columns), step(columns));
+                let step = step(columns);
                 let reach = match moving {
                     false => 0,
-                    true => (stretch(spec.fastest_m_per_s) / step).ceil() as usize + columns.taps,
+                    true => {
+                        (stretch(spec.fastest_m_per_s, c) / step).ceil() as usize + columns.taps
+                    }
                 };
                 best = Some(Self {
                     kernel,
@@ -323,13 +366,13 @@ impl Design {
                     error_model: ErrorModel {
                         name: "gridded-lines",
                         error,
-                        cost_ms: cost.ms(),
+                        cost_ms: cost_ms(columns),
                         why: format!(
                             "slabs of {slab_samples} samples, {slab_rows} rows; kernel of {width} rows; {} Doppler taps every {:.2e}",
                             columns.taps, step
                         ),
                     },
-                    cost,
+                    effort: effort(columns),
                 });
             }
         }
@@ -344,18 +387,35 @@ impl Design {
         &self.error_model
     }
 
-    /// Parts of the predicted cost.
-    pub fn cost(&self) -> CostEstimate {
-        self.cost
+    /// Predicted cost of a ping with so many echoes, whose closing speeds differ by `differ_m_per_s`, without the solution of delays and gains
+    /// at the nodes ([`Self::nodes`] of them for every scatterer).
+    pub fn cost_estimate(&self, echoes: usize, differ_m_per_s: f64) -> CostEstimate {
+        self.effort.cost(echoes as f64, differ_m_per_s)
     }
 
-    /// Nodes along a line of `half_m` to either side for scatterers at `nearest_m` and beyond; none if no number is enough.
-    pub(super) fn nodes(&self, half_m: f64, spacing_m: f64, nearest_m: f64) -> Option<usize> {
+    /// Nodes along `array` for scatterers at `nearest_m` and beyond; none if no number is enough.
+    pub fn nodes(&self, array: &ArrayGeometry, nearest_m: f64) -> Option<usize> {
+        let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
+        let enough = |nodes: &usize| self.interpolates(*nodes, half_m, array.spacing_m, nearest_m);
+        NODES.into_iter().find(enough)
+    }
+
+    /// Whether so many nodes along a line of `half_m` to either side are enough at `range_m` and beyond.
+    fn interpolates(&self, nodes: usize, half_m: f64, spacing_m: f64, range_m: f64) -> bool {
         let block_m = (LANES as f64 * spacing_m).min(2.0 * half_m);
-        let fits = |nodes: &usize| {
-            interpolation_error_m(*nodes, half_m, block_m, nearest_m) <= self.path_m
-        };
-        [3, 5, 7, 9].into_iter().find(fits)
+        interpolation_error_m(nodes, half_m, block_m, range_m) <= self.path_m
+    }
+
+    /// Range from which on each of [`NODES`] is enough along a line of `half_m` to either side, metres; infinite if none is.
+    pub(super) fn near_m(&self, half_m: f64, spacing_m: f64) -> [f64; NODES.len()] {
+        NODES.map(|nodes| {
+            let fits = |range_m| self.interpolates(nodes, half_m, spacing_m, range_m);
+            let ranges_m = (0..RANGES).map(|k| half_m * FARTHEST * NEARER.powi(k));
+            ranges_m
+                .take_while(|&range_m| fits(range_m))
+                .last()
+                .unwrap_or(f64::INFINITY)
+        })
     }
 }
 

@@ -24,7 +24,7 @@ use echotank_core::simd::{SimdLevel, widest};
 use super::design::{Design, Refusal, Spec};
 use super::dopplers::{MAX_TAPS, MEAN_BEND, WEIGHT_TERMS};
 use super::kernel::BAND;
-use super::nodes::{BlockWeights, block_weights, coefficients, places};
+use super::nodes::{BlockWeights, NODES, block_weights, coefficients, places};
 use super::spread::{CELL, EchoChunk, LANES, Located, Shape, add};
 
 /// Echoes are ordered by arrival in steps of this many rows.
@@ -52,6 +52,8 @@ pub struct GriddedLines {
     columns: usize,
     /// Whether the change of the Doppler during the pulse counts.
     bends: bool,
+    /// Smallest range at which each of [`NODES`] is enough, metres.
+    near_m: [f64; NODES.len()],
     /// Row of the transformed spectrum that holds each sample.
     row_of_sample: Vec<u32>,
     state: State,
@@ -61,6 +63,9 @@ pub struct GriddedLines {
 #[derive(Default)]
 struct State {
     tracks: NodeTracks,
+    /// Nodes along the line, and the weights of every block on them.
+    nodes: Vec<f64>,
+    along_m: Vec<f64>,
     blocks: Vec<BlockWeights>,
     batches: Vec<Batch>,
     /// Echoes in order: batch and index.
@@ -96,6 +101,10 @@ struct Batch {
 struct SlabPlan {
     /// First sample of its transform, relative to the record.
     origin: isize,
+    /// Time of its first row after the start of the pulse, seconds.
+    start_s: f64,
+    /// Its echoes in the order of arrival.
+    echoes: std::ops::Range<usize>,
     /// Chunks of its echoes.
     chunks: std::ops::Range<usize>,
     first_column: i32,
@@ -103,7 +112,7 @@ struct SlabPlan {
 }
 
 impl GriddedLines {
-    /// Designs and builds the engine. Build it inside the thread pool that runs it.
+    /// Designs and builds the engine.
     ///
     /// Returns a [`Refusal`] if no sizes keep the tolerance.
     pub fn new(spec: &Spec) -> Result<Self, Refusal> {
@@ -130,20 +139,9 @@ impl GriddedLines {
             })
             .collect();
         let templates = templates(spec, &design, filter, &numbers);
-        let threads = rayon::current_num_threads();
-        let fft_scratch = forward.scratch_len().max(inverse.scratch_len());
-        let state = State {
-            geometry: (0..threads).map(|_| Mutex::default()).collect(),
-            work: (0..threads)
-                .map(|_| {
-                    Mutex::new(Work {
-                        scratch: vec![0.0; fft_scratch],
-                        ..Work::default()
-                    })
-                })
-                .collect(),
-            ..State::default()
-        };
+        let array = spec.array;
+        let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
+        let near_m = design.near_m(half_m, array.spacing_m);
         Ok(Self {
             simd_level: spec.simd_level,
             array: spec.array.clone(),
@@ -156,9 +154,10 @@ impl GriddedLines {
             columns: 2 * template_reach(&design) + 1,
             templates,
             bends: spec.doppler == DopplerModel::StretchQuadratic && design.columns.taps > 2,
+            near_m,
             row_of_sample,
             design,
-            state,
+            state: State::default(),
         })
     }
 
@@ -170,6 +169,34 @@ impl GriddedLines {
     /// Length of the pulse that the engine is made for, seconds.
     pub fn pulse_s(&self) -> f64 {
         self.pulse_s
+    }
+
+    /// Exchanges the buffers with those of another engine for the same array, so that a change of engines allocates nothing.
+    pub fn swap_buffers(&mut self, other: &mut Self) {
+        std::mem::swap(&mut self.state, &mut other.state);
+        // They depend on the engine's own nodes.
+        self.state.nodes.clear();
+        other.state.nodes.clear();
+    }
+
+    /// Makes room for every thread of the current pool.
+    fn make_room(&mut self) {
+        let threads = rayon::current_num_threads();
+        let fft_scratch = self.forward.scratch_len().max(self.inverse.scratch_len());
+        let State { geometry, work, .. } = &mut self.state;
+        if work.len() < threads {
+            geometry.resize_with(threads, Mutex::default);
+            work.resize_with(threads, Mutex::default);
+        }
+        for work in work {
+            let scratch = &mut work
+                .get_mut()
+                .unwrap_or_else(PoisonError::into_inner)
+                .scratch;
+            if scratch.len() < fft_scratch {
+                scratch.resize(fft_scratch, 0.0);
+            }
+        }
     }
 
     /// Synthesises one ping. Overwrites `iq`, element-major as in [`echotank_core::ping::ElementFrame`]. The samples are the same bits for any
@@ -187,9 +214,10 @@ impl GriddedLines {
             self.array.elements * plan.sample_count,
             "element-major samples"
         );
+        self.make_room();
         let mut counts = self.solve(plan, transmit_leg);
         let all = transmit_leg.len() as u64 * self.array.elements as u64;
-        self.sort(plan, &mut counts);
+        self.sort(&mut counts);
         counts.outside_window = all.saturating_sub(counts.used + counts.culled);
         self.run_tasks(plan);
         self.assemble(plan, iq);
@@ -233,8 +261,9 @@ impl GriddedLines {
     fn solve(&mut self, plan: &PingPlan, transmit_leg: &TransmitLeg) -> EchoCounts {
         let (half_m, spacing_m) = (self.half_m(), self.array.spacing_m);
         let nearest_m = NodeTracks::nearest_m(transmit_leg);
-        let enough = self.design.nodes(half_m, spacing_m, nearest_m);
-        let nodes = places(enough.unwrap_or(MAX_NODES));
+        let near_m = self.near_m;
+        let enough = (0..NODES.len()).find(|&k| nearest_m >= near_m[k]);
+        let count = enough.map_or(MAX_NODES, |k| NODES[k]);
         let (per_s, slabs) = (self.rows_per_s(), self.slab_count(plan));
         let Design {
             payload,
@@ -251,18 +280,24 @@ impl GriddedLines {
         let buckets = (payload as f64 * buckets_per_s / rate_hz).ceil() as u32 + 1;
         let array = &self.array;
         let state = &mut self.state;
-        let matrix = coefficients(&nodes);
-        let along_m: Vec<f64> = nodes.iter().map(|place| place * half_m).collect();
-        state.tracks.lay(plan, array, transmit_leg, &along_m);
-        let per_element = spacing_m / half_m;
-        state.blocks.clear();
-        state
-            .blocks
-            .extend((0..array.elements.div_ceil(LANES)).map(|block| {
-                let middle = (block * LANES) as f64 + 0.5 * (LANES as f64 - 1.0);
-                let middle = middle - 0.5 * (array.elements - 1) as f64;
-                block_weights(&nodes, middle * per_element, per_element)
-            }));
+        if state.nodes.len() != count {
+            state.nodes.clear();
+            state.nodes.extend(places(count));
+            let nodes = &state.nodes;
+            state.along_m.clear();
+            state.along_m.extend(nodes.iter().map(|at| at * half_m));
+            let per_element = spacing_m / half_m;
+            state.blocks.clear();
+            state
+                .blocks
+                .extend((0..array.elements.div_ceil(LANES)).map(|block| {
+                    let middle = (block * LANES) as f64 + 0.5 * (LANES as f64 - 1.0);
+                    let middle = middle - 0.5 * (array.elements - 1) as f64;
+                    block_weights(nodes, middle * per_element, per_element)
+                }));
+        }
+        let matrix = coefficients(&state.nodes);
+        state.tracks.lay(plan, array, transmit_leg, &state.along_m);
         let batches = NodeTracks::batches(transmit_leg);
         if state.batches.len() < batches {
             state.batches.resize_with(batches, || Batch {
@@ -275,7 +310,6 @@ impl GriddedLines {
         let half_s = 0.5 * plan.pulse.duration_s;
         let bend_per = TAU * plan.pulse.center_frequency_hz * half_s * half_s;
         let (tracks, geometry) = (&state.tracks, &state.geometry);
-        let count = nodes.len();
         state.batches[..batches]
             .par_iter_mut()
             .enumerate()
@@ -345,21 +379,23 @@ impl GriddedLines {
         }
         state.firsts.clear();
         state.firsts.resize(slabs * buckets as usize + 1, 0);
-        state.slabs.clear();
-        state.slabs.resize(slabs, SlabPlan::default());
+        let mut plans = std::mem::take(&mut state.slabs);
+        plans.clear();
+        plans.extend((0..slabs).map(|s| {
+            let origin = self.slab_origin(s);
+            SlabPlan {
+                origin,
+                start_s: self.slab_start_s(plan, origin),
+                ..SlabPlan::default()
+            }
+        }));
+        self.state.slabs = plans;
         counts
     }
 
     /// Orders the echoes by slab and arrival, selects the columns of each slab, and gathers the echoes into chunks of one slab.
-    fn sort(&mut self, plan: &PingPlan, counts: &mut EchoCounts) {
+    fn sort(&mut self, counts: &mut EchoCounts) {
         let per_s = self.rows_per_s();
-        let origins: Vec<isize> = (0..self.state.slabs.len())
-            .map(|s| self.slab_origin(s))
-            .collect();
-        let starts: Vec<f64> = origins
-            .iter()
-            .map(|&origin| self.slab_start_s(plan, origin))
-            .collect();
         let Design { columns, reach, .. } = self.design;
         let beside = (BESIDE_SHARE * self.tolerance * self.tolerance) as f32;
         let state = &mut self.state;
@@ -408,7 +444,6 @@ impl GriddedLines {
         }
         // `next` now holds the ends of the buckets.
         let mut chunks = 0;
-        let mut spans = Vec::with_capacity(slabs);
         for (s, slab) in state.slabs.iter_mut().enumerate() {
             let begin = match s {
                 0 => 0,
@@ -416,10 +451,9 @@ impl GriddedLines {
             };
             let end = next[(s + 1) * per_slab - 1] as usize;
             let of_slab = (end - begin).div_ceil(CHUNK);
-            slab.origin = origins[s];
             slab.chunks = chunks..chunks + of_slab;
             chunks += of_slab;
-            spans.push(begin..end);
+            slab.echoes = begin..end;
             (slab.first_column, slab.columns) = match moving {
                 false => (0, 1),
                 true => {
@@ -443,11 +477,11 @@ impl GriddedLines {
             .par_iter_mut()
             .enumerate()
             .for_each(|(number, chunk)| {
-                let slab = slabs.partition_point(|slab| slab.chunks.end <= number);
-                let begin = spans[slab].start + (number - slabs[slab].chunks.start) * CHUNK;
-                let ids = &order[begin..spans[slab].end.min(begin + CHUNK)];
+                let slab = &slabs[slabs.partition_point(|slab| slab.chunks.end <= number)];
+                let begin = slab.echoes.start + (number - slab.chunks.start) * CHUNK;
+                let ids = &order[begin..slab.echoes.end.min(begin + CHUNK)];
                 chunk.len = ids.len();
-                let start_s = starts[slab];
+                let start_s = slab.start_s;
                 for (i, &id) in ids.iter().enumerate() {
                     let (from, k) = (&batches[id as usize / CHUNK].chunk, id as usize % CHUNK);
                     chunk.middle[i] = (from.middle[k] - start_s) * per_s;
@@ -470,7 +504,6 @@ impl GriddedLines {
             kernel, columns, ..
         } = &self.design;
         let carrier_hz = plan.pulse.center_frequency_hz;
-        let start_s = self.slab_start_s(plan, slab.origin);
         let narrow = |weights: &[[f64; WEIGHT_TERMS]; MAX_TAPS]| {
             weights.map(|terms| terms.map(|term| term as f32))
         };
@@ -485,7 +518,7 @@ impl GriddedLines {
             width: kernel.width as f32,
             terms: kernel.terms.map(|term| term as f32),
             turns_per_row: carrier_hz / self.rows_per_s(),
-            turns: carrier_hz * (start_s - 0.5 * plan.pulse.duration_s),
+            turns: carrier_hz * (slab.start_s - 0.5 * plan.pulse.duration_s),
         }
     }
 

@@ -17,16 +17,17 @@ pub(super) struct BlockWeights {
     pub gain_slope: [f32; GAIN_NODES],
 }
 
+/// Numbers of nodes to select from.
+pub(super) const NODES: [usize; 4] = [3, 5, 7, MAX_NODES];
+
 /// Chebyshev nodes on -1..1, in ascending order.
-pub(super) fn places(nodes: usize) -> Vec<f64> {
-    (0..nodes)
-        .map(|k| -libm::cos(PI * (2 * k + 1) as f64 / (2 * nodes) as f64))
-        .collect()
+pub(super) fn places(nodes: usize) -> impl Iterator<Item = f64> {
+    (0..nodes).map(move |k| -libm::cos(PI * (2 * k + 1) as f64 / (2 * nodes) as f64))
 }
 
-/// Values of the Lagrange polynomials of `nodes` at `x`, and their derivatives.
-fn lagrange(nodes: &[f64], x: f64) -> [Vec<f64>; 2] {
-    let mut out = [const { Vec::new() }; 2];
+/// Values of the Lagrange polynomials of `nodes` at `x`, and their derivatives; 0 beyond the last.
+fn lagrange(nodes: &[f64], x: f64) -> [[f64; MAX_NODES]; 2] {
+    let mut out = [[0.0; MAX_NODES]; 2];
     for (k, node) in nodes.iter().enumerate() {
         // Product of (x - other)/(node - other), with its derivative.
         let (mut value, mut first) = (1.0, 0.0);
@@ -36,8 +37,7 @@ fn lagrange(nodes: &[f64], x: f64) -> [Vec<f64>; 2] {
             first = first * factor + value * per;
             value *= factor;
         }
-        out[0].push(value);
-        out[1].push(first);
+        (out[0][k], out[1][k]) = (value, first);
     }
     out
 }
@@ -74,9 +74,7 @@ fn chebyshev(x: f64) -> [[f64; 3]; MAX_NODES] {
 /// Weights at `x` half lines from the centre; an element is `per_element` half lines long.
 pub(super) fn block_weights(nodes: &[f64], x: f64, per_element: f64) -> BlockWeights {
     let all = chebyshev(x);
-    let gains: Vec<f64> = (0..GAIN_NODES)
-        .map(|k| nodes[k * (nodes.len() - 1) / 2])
-        .collect();
+    let gains: [f64; GAIN_NODES] = std::array::from_fn(|k| nodes[k * (nodes.len() - 1) / 2]);
     let [gain, gain_slope] = lagrange(&gains, x);
     let fill = |derivative: usize, scale: f64| all.map(|at| (scale * at[derivative]) as f32);
     BlockWeights {
@@ -91,7 +89,7 @@ pub(super) fn block_weights(nodes: &[f64], x: f64, per_element: f64) -> BlockWei
 /// Largest error of a path length interpolated from `nodes` nodes over a line of `half_m` to either side, and quadratic over blocks of `block_m`,
 /// for points at `range_m` in all directions, metres.
 pub(super) fn interpolation_error_m(nodes: usize, half_m: f64, block_m: f64, range_m: f64) -> f64 {
-    let places = places(nodes);
+    let places: Vec<f64> = places(nodes).collect();
     let mut worst: f64 = 0.0;
     for angle in 0..=6 {
         let sine = libm::sin(f64::from(angle) * PI / 12.0);
@@ -120,7 +118,7 @@ mod tests {
     #[test]
     fn weights_reproduce_value_slope_and_bend_of_a_polynomial() {
         for nodes in [3, 5, 9] {
-            let places = places(nodes);
+            let places: Vec<f64> = places(nodes).collect();
             let f = |x: f64| 0.3 - 1.2 * x + 0.7 * x * x;
             let terms = coefficients(&places).map(|row| -> f64 {
                 let parts = row.iter().zip(&places);
