@@ -399,27 +399,27 @@ unsafe fn spread<V: Lanes<Number = f32>, const TAPS: usize>(
             // SAFETY: the caller guarantees V; `part` + V's lanes <= LANES; rows and taps lie within `cells`.
             unsafe {
                 let place = V::load(lanes.as_ptr().add(part));
-                let along = |slope: f32, at: f32| V::splat(slope).mul_add(place, V::splat(at));
-                let off = along(located.bend[i], located.slope[i]).mul(place);
+                let off = V::splat(located.bend[i])
+                    .mul_add(place, V::splat(located.slope[i]))
+                    .mul(place);
                 let cycles = off.neg_mul_add(V::splat(turns_per_row), V::splat(located.turns[i]));
                 let (cosine, sine) = turn(cycles);
-                let strength = along(located.fade[i], 1.0);
+                let strength = V::splat(located.fade[i]).mul_add(place, V::splat(1.0));
                 let (cosine, sine) = (cosine.mul(strength), sine.mul(strength));
                 let (u, v) = (V::splat(located.re[i]), V::splat(located.im[i]));
                 let re = u.mul_sub(cosine, v.mul(sine));
                 let im = v.mul_add(cosine, u.mul(sine));
-                let parts: [(V, V); TAPS] = std::array::from_fn(|tap| {
-                    let weight = along(located.weight_slope[tap][i], located.weight[tap][i]);
-                    let (along_re, along_im) = (re.mul(weight), im.mul(weight));
-                    if shape.bends.is_none() {
-                        return (along_re, along_im);
+                // A loop: closures that are not inlined would call every instruction.
+                let mut parts = [(re, im); TAPS];
+                for (tap, part) in parts.iter_mut().enumerate() {
+                    let weight = V::splat(located.weight_slope[tap][i])
+                        .mul_add(place, V::splat(located.weight[tap][i]));
+                    *part = (re.mul(weight), im.mul(weight));
+                    if shape.bends.is_some() {
+                        let across = V::splat(located.weight_im[tap][i]);
+                        *part = (im.neg_mul_add(across, part.0), re.mul_add(across, part.1));
                     }
-                    let across = V::splat(located.weight_im[tap][i]);
-                    (
-                        im.neg_mul_add(across, along_re),
-                        re.mul_add(across, along_im),
-                    )
-                });
+                }
                 let (one, zero) = (V::splat(1.0), V::splat(0.0));
                 let step = V::splat(per_half);
                 let mut z = off.add(V::splat(located.x[i])).mul(step);
