@@ -465,7 +465,9 @@ fn lines_alone_and_a_loose_tolerance_make_fewer_records_and_anything_else_makes_
     let same_engine = loose
         .candidates
         .iter()
-        .filter(|c| c.choice.part_elements == 1 && c.choice.synthesis == chosen.choice.synthesis)
+        .filter(|c| {
+            c.choice.part_elements == 1 && c.choice.model.synthesis == chosen.choice.model.synthesis
+        })
         .min_by(|a, b| a.cost_ms().total_cmp(&b.cost_ms()))
         .expect("the engine makes elements too");
     assert!(
