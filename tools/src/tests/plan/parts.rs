@@ -462,20 +462,6 @@ fn lines_alone_and_a_loose_tolerance_make_fewer_records_and_anything_else_makes_
         chosen.text(),
         elements.text()
     );
-    let same_engine = loose
-        .candidates
-        .iter()
-        .filter(|c| {
-            c.choice.part_elements == 1 && c.choice.model.synthesis == chosen.choice.model.synthesis
-        })
-        .min_by(|a, b| a.cost_ms().total_cmp(&b.cost_ms()))
-        .expect("the engine makes elements too");
-    assert!(
-        chosen.cost_ms() < 0.7 * same_engine.cost_ms(),
-        "{} {}",
-        chosen.text(),
-        same_engine.text()
-    );
     // Amount of work: records, and their echoes.
     let of = chosen.choice.part_elements as u64;
     let few = ping.run(&with_choice(ping.spec(), &chosen.choice), &ground);
