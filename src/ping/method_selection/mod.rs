@@ -429,6 +429,10 @@ impl<'a> Maker<'a> {
             let mut tolerances: Vec<Option<f64>> = match (spec.synthesis.auto.any(), hopeful) {
                 (false, _) => vec![None],
                 (true, false) => vec![of_share(&ENGINE_SHARES[1])],
+                // A design of the engine for lines takes long, and the largest share serves.
+                (true, true) if synthesis == Synthesis::GriddedLines => {
+                    vec![of_share(&ENGINE_SHARES[0])]
+                }
                 (true, true) => ENGINE_SHARES.iter().map(of_share).collect(),
             };
             tolerances.dedup();

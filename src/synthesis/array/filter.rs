@@ -203,9 +203,17 @@ impl Decimator {
     pub fn gain(&self, offset_hz: f64) -> f64 {
         let half = self.half();
         let turn = std::f64::consts::TAU * offset_hz / self.dense_rate_hz();
-        (0..self.taps.len())
-            .map(|k| self.taps[k] * libm::cos(turn * half.abs_diff(k) as f64))
-            .sum()
+        // Taps on either side of the middle one, by repeated rotation.
+        let step = Complex64::cis(turn);
+        let mut rotation = Complex64::ONE;
+        let mut sum = self.taps[half];
+        for k in 1..=half {
+            rotation *= step;
+            let before = self.taps[half - k];
+            let after = self.taps.get(half + k).copied().unwrap_or(0.0);
+            sum += (before + after) * rotation.re;
+        }
+        sum
     }
 }
 
