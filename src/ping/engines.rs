@@ -65,14 +65,14 @@ struct Key {
 }
 
 /// The engines of one pulse and length of record.
-pub(crate) struct Made {
+pub(crate) struct PulseEngines {
     /// For the elements of arrays without an engine of their own; none where all have one.
     elements: Option<SlabEngine>,
     /// One per receive array: `gridded-lines`, where it makes the array.
     lines: Vec<Option<GriddedLines>>,
 }
 
-impl Made {
+impl PulseEngines {
     /// The engine for single elements, of arrays that [`Self::line`] has none for.
     pub(crate) fn elements(&self) -> Option<&SlabEngine> {
         self.elements.as_ref()
@@ -123,8 +123,8 @@ pub(crate) struct Engines {
     sound_speed_m_per_s: f64,
     max_samples: usize,
     /// The latest used first.
-    kept: Vec<(Key, Made)>,
-    coming: Vec<(Key, JoinHandle<Result<Made, EngineRefusal>>)>,
+    kept: Vec<(Key, PulseEngines)>,
+    coming: Vec<(Key, JoinHandle<Result<PulseEngines, EngineRefusal>>)>,
 }
 
 /// The receiver filter as the engines want it.
@@ -243,16 +243,16 @@ impl Engines {
     }
 
     /// What [`Engines::ready`] found last.
-    pub(crate) fn current(&self) -> &Made {
+    pub(crate) fn current(&self) -> &PulseEngines {
         &self.kept[0].1
     }
 
     /// The same, for engines that keep their buffers from ping to ping.
-    pub(crate) fn current_mut(&mut self) -> &mut Made {
+    pub(crate) fn current_mut(&mut self) -> &mut PulseEngines {
         &mut self.kept[0].1
     }
 
-    fn coming_or_made(&mut self, key: Key) -> Result<Made, EngineRefusal> {
+    fn coming_or_made(&mut self, key: Key) -> Result<PulseEngines, EngineRefusal> {
         if let Some(at) = self.coming.iter().position(|(coming, _)| *coming == key) {
             let (_, thread) = self.coming.remove(at);
             if let Ok(made) = thread.join() {
@@ -265,7 +265,7 @@ impl Engines {
 
 /// The engines that a ping would be made with, without their work: for error models and costs.
 pub(crate) struct Sketch {
-    /// As [`Made`] has them.
+    /// As [`PulseEngines`] has them.
     pub(crate) elements: Option<SlabDesign>,
     pub(crate) lines: Vec<Option<lines::Design>>,
 }
@@ -409,14 +409,14 @@ impl Wish {
         SlabDesign::new(&spec, self.elements).map(Some)
     }
 
-    fn make(&self, key: Key) -> Result<Made, EngineRefusal> {
+    fn make(&self, key: Key) -> Result<PulseEngines, EngineRefusal> {
         let pulse = self.pulse(key);
         let line = |array: &Option<ArrayGeometry>| {
             let engine = |array| GriddedLines::new(&self.line(key, &pulse, array));
             array.as_ref().map(engine).transpose()
         };
         let elements = self.sketch_elements(key)?;
-        Ok(Made {
+        Ok(PulseEngines {
             elements: elements.map(|design| design.build(self.threads)),
             lines: self.lines.iter().map(line).collect::<Result<_, _>>()?,
         })

@@ -11,7 +11,7 @@ use super::occlusion::{Occluders, Occlusion};
 use super::pool::{Slot, TilePool};
 use super::seabed::Surface;
 use super::targets::Targets;
-use super::thinning::{self, Hearing};
+use super::thinning::{self, KeepProbability};
 use super::tiles::{Recipe, Tile, TileBox, TileId};
 use echotank_core::ping::SceneCounts;
 use echotank_core::scene::{Footprint, ScatterLaw, Scatterers};
@@ -56,7 +56,7 @@ struct Wanted {
 /// Buffers of tile search and collection.
 #[derive(Debug, Default)]
 pub(crate) struct Gatherer {
-    hearing: Vec<Hearing>,
+    probabilities: Vec<KeepProbability>,
     wanted: Vec<Wanted>,
     places: Vec<Slot>,
     counts: Vec<TileCount>,
@@ -74,7 +74,7 @@ impl Gatherer {
         counts: &mut SceneCounts,
     ) -> usize {
         counts.tiles_used = self.wanted.len() as u64;
-        let hearing = &self.hearing[..];
+        let probabilities = &self.probabilities[..];
         let mut filled = 0;
         for batch in self.wanted.chunks(pool.capacity()) {
             pool.slots(batch.iter().map(|wanted| wanted.id), &mut self.places);
@@ -85,7 +85,7 @@ impl Gatherer {
                 .zip(&mut self.counts)
                 .for_each(|((place, wanted), count)| {
                     pool.work(place, recipe, |tile| {
-                        *count = keep(tile, wanted, hearing, context)
+                        *count = keep(tile, wanted, probabilities, context)
                     });
                 });
             let batch_first = filled;
@@ -130,14 +130,14 @@ impl Gatherer {
         counts: &mut SceneCounts,
     ) {
         self.wanted.clear();
-        self.hearing.clear();
+        self.probabilities.clear();
         let Some((low, high)) = reach(footprints, anchor_m) else {
             return;
         };
         let levels = recipe.levels();
         if let Some(thinning) = levels.thinning() {
-            let of = |footprint| Hearing::new(thinning, footprint);
-            self.hearing.extend(footprints.iter().map(of));
+            let of = |footprint| KeepProbability::new(thinning, footprint);
+            self.probabilities.extend(footprints.iter().map(of));
         }
         let level = levels.no_wider_than((high - low).max_element());
         let side_m = levels.tile_m(level);
@@ -145,7 +145,7 @@ impl Gatherer {
             recipe,
             anchor_m,
             footprints,
-            hearing: &self.hearing,
+            probabilities: &self.probabilities,
             wanted: &mut self.wanted,
             culled: 0,
         };
@@ -162,7 +162,7 @@ struct Search<'a> {
     recipe: &'a Recipe,
     anchor_m: DVec3,
     footprints: &'a [Footprint],
-    hearing: &'a [Hearing],
+    probabilities: &'a [KeepProbability],
     wanted: &'a mut Vec<Wanted>,
     culled: u64,
 }
@@ -196,8 +196,8 @@ impl Search<'_> {
             let apex_m = footprint.apex_m - self.anchor_m;
             if let Some(below) = tile_box.below(footprint, apex_m) {
                 contained |= below <= footprint.depth;
-                most = most.max(self.hearing.get(index).map_or(f64::INFINITY, |hearing| {
-                    hearing.max_probability(tile_box, apex_m, below)
+                most = most.max(self.probabilities.get(index).map_or(f64::INFINITY, |own| {
+                    own.max_probability(tile_box, apex_m, below)
                 }));
             }
         }
@@ -225,7 +225,7 @@ fn keep(
         tile_box,
         max_probability,
     }: &Wanted,
-    hearing: &[Hearing],
+    probabilities: &[KeepProbability],
     context: GatherContext,
 ) -> TileCount {
     let GatherContext {
@@ -249,14 +249,14 @@ fn keep(
     for i in 0..tile.len() {
         let own_m = tile.position_m(i);
         let position_m = own_m + anchor_m;
-        let gain = match hearing {
+        let gain = match probabilities {
             [] => 1.0,
             _ if f64::from(tile.rank[i]) >= max_rank => 0.0,
             _ => {
-                let of = |(footprint, hearing): (&Footprint, &Hearing)| {
-                    hearing.probability(footprint, position_m - footprint.apex_m)
+                let of = |(footprint, own): (&Footprint, &KeepProbability)| {
+                    own.probability(footprint, position_m - footprint.apex_m)
                 };
-                let probability = footprints.iter().zip(hearing).filter_map(of);
+                let probability = footprints.iter().zip(probabilities).filter_map(of);
                 match probability.reduce(f64::max) {
                     Some(probability) => {
                         thinning::gain(f64::from(tile.rank[i]), probability, id.level)

@@ -31,7 +31,7 @@ use echotank_core::scene::{Footprint, ResolutionCell};
 
 /// Half of the interval of u / p in which a scatterer fades.
 const FADE: f64 = 0.25;
-/// Intervals of the cosine from the vertical in which [`Hearing::ceiling`] is linear.
+/// Intervals of the cosine from the vertical in which [`KeepProbability::ceiling`] is linear.
 const COSINES: usize = 64;
 /// Horizontal directions that are tried for the maximum besides those across each side.
 const AZIMUTHS: usize = 16;
@@ -47,7 +47,7 @@ pub(crate) struct Thinning {
 
 /// Probabilities of one footprint of a ping.
 #[derive(Clone, Debug)]
-pub(crate) struct Hearing {
+pub(crate) struct KeepProbability {
     /// Probability in the main lobe at the nearest range.
     main_lobe: f64,
     lobes: f64,
@@ -55,7 +55,7 @@ pub(crate) struct Hearing {
     ceiling: [f64; COSINES + 1],
 }
 
-impl Hearing {
+impl KeepProbability {
     pub(crate) fn new(thinning: &Thinning, footprint: &Footprint) -> Self {
         let Thinning { finest, lobes } = *thinning;
         let share = |finest: f64, own: f64| finest / own.max(finest);

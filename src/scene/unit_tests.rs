@@ -10,7 +10,7 @@ use proptest::prelude::*;
 use super::pool::TilePool;
 use super::read::HeightField;
 use super::seabed::Surface;
-use super::thinning::{self, Hearing};
+use super::thinning::{self, KeepProbability};
 use super::tiles::{Levels, Recipe, SCATTERERS_PER_TILE, TILE_BYTES, Tile, TileId};
 use super::{Files, Scene, SceneError};
 use echotank_config::spec::{
@@ -954,7 +954,7 @@ fn coarse_tiles_hold_every_scatterer_that_the_finest_would_give_and_no_other() {
     let mut out = Scatterers::default();
     let counts = scene.gather(&both, &mut out);
     let thinning = recipe.levels().thinning().unwrap();
-    let hearing = both.map(|f| Hearing::new(thinning, &f));
+    let probabilities = both.map(|f| KeepProbability::new(thinning, &f));
     let mut want: Vec<(DVec3, Complex64)> = Vec::new();
     let side_m = recipe.levels().tile_m(0).x;
     let reach = (45.0 / side_m).ceil() as i64;
@@ -964,8 +964,12 @@ fn coarse_tiles_hold_every_scatterer_that_the_finest_would_give_and_no_other() {
             let tile = make(&recipe, (row, col));
             for (i, strength) in strengths(&tile).enumerate() {
                 let at_m = tile.position_m(i);
-                let of = |(f, h): (&Footprint, &Hearing)| h.probability(f, at_m - f.apex_m);
-                let p = both.iter().zip(&hearing).filter_map(of).reduce(f64::max);
+                let of = |(f, h): (&Footprint, &KeepProbability)| h.probability(f, at_m - f.apex_m);
+                let p = both
+                    .iter()
+                    .zip(&probabilities)
+                    .filter_map(of)
+                    .reduce(f64::max);
                 all += i32::from(p.is_some());
                 let gain = p.map_or(0.0, |p| thinning::gain(tile.rank[i].into(), p, 0));
                 if gain > 0.0 && both.iter().any(|f| f.contains(at_m)) {

@@ -63,6 +63,7 @@ fn every_rig_has_a_number_of_scatterers_that_it_can_use() {
         ("seabat", 10.0, 5.0, &[], 100_000),
         ("seabat", 120.0, 40.0, &[], 100_000),
         ("wbms", 10.0, 5.0, &["sonar.pulse.duration_ms=0.2"], 100_000),
+        // Above the limit even with the smallest k; docs/limits.md states it.
         ("wbms", 45.0, 12.0, &[], 250_000),
         ("edgetech", 75.0, 15.0, &[], 300_000),
         ("omniscan450", 50.0, 12.0, &[], 100_000),

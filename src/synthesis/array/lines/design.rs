@@ -19,13 +19,13 @@ use super::dopplers::{Columns, MAX_TAPS};
 use super::kernel::{Content, Kernel};
 use super::nodes::{NODES, interpolation_error_m};
 use super::spread::LANES;
-use super::windows::Alone;
+use super::windows::SingleEcho;
 
 /// Share of the tolerance, as energy, that the interpolation along the line may use at most.
 const PATH_SHARE: f64 = 0.1;
 /// Shares of the tolerance, as energy, to try for the columns.
 const COLUMN_SHARES: [f64; 4] = [0.1, 0.3, 0.5, 0.7];
-/// Flatness of the spectrum for which kernels are fitted: exponents of the energy. A flatter one favours windows with the onset of an echo alone.
+/// Flatness of the spectrum for which kernels are fitted: exponents of the energy. A flatter one favours windows with the onset of a single echo.
 const FLATNESS: [f64; 2] = [1.0, 0.5];
 /// Smallest supported tolerance: at 3e-4, onsets of many echoes were measured 1.1 times above it.
 pub const MIN_TOLERANCE: f64 = 5e-4;
@@ -238,11 +238,11 @@ impl Design {
             });
         }
         let path_error = tolerance * PATH_SHARE.sqrt();
-        let alone = Alone::new(spec, filter);
+        let single_echo = SingleEcho::new(spec, filter);
         // Least-squares errors of k columns are like the Legendre polynomial of degree k.
         let of_columns = |columns: &Columns| {
             let end = (2.0 * columns.taps as f64 + 1.0).sqrt();
-            alone.worst_of_even(columns.error, end)
+            single_echo.worst_of_even(columns.error, end)
         };
         let carrier_hz = pulse.center_frequency_hz;
         let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
@@ -259,7 +259,7 @@ impl Design {
                 .flat_map(|taps| COLUMN_SHARES.map(|share| (taps, share)))
                 .map(|(taps, share)| {
                     let end = (2.0 * taps as f64 + 1.0).sqrt();
-                    let rms = tolerance * share.sqrt() / alone.worst_of_even(1.0, end);
+                    let rms = tolerance * share.sqrt() / single_echo.worst_of_even(1.0, end);
                     Columns::fit(taps, rms)
                 })
                 .collect(),
@@ -274,8 +274,8 @@ impl Design {
             _ => 0.0,
         };
         let of_bend = |columns: &Columns| match columns.taps {
-            ..3 => alone.worst_of_even(0.3 * bend_rad, 2.2),
-            _ => alone.worst_of_even(0.06 * bend_rad * bend_rad, 4.0),
+            ..3 => single_echo.worst_of_even(0.3 * bend_rad, 2.2),
+            _ => single_echo.worst_of_even(0.06 * bend_rad * bend_rad, 4.0),
         };
         let contents = FLATNESS.map(|flatness| content(spec, filter, flatness));
         let mut finest = f64::INFINITY;
@@ -332,7 +332,10 @@ impl Design {
                     })
                     .collect();
                 let (kernel, _) = Kernel::fit(width, &in_rows);
-                (kernel, alone.worst(alone.errors(&kernel, per_sample)))
+                (
+                    kernel,
+                    single_echo.worst(single_echo.errors(&kernel, per_sample)),
+                )
             });
             let (kernel, kernel_error) = match kernels[0].1 <= kernels[1].1 {
                 true => kernels[0],

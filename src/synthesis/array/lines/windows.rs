@@ -40,7 +40,7 @@ pub(super) struct KernelErrors {
 }
 
 /// An echo alone behind the receiver filter.
-pub(super) struct Alone {
+pub(super) struct SingleEcho {
     /// Frequencies -1..1, cycles per sample, with the spectrum there; entry k folds to bin k of `size`.
     spectrum: Vec<(f64, Complex64)>,
     size: usize,
@@ -59,10 +59,23 @@ pub(super) struct Alone {
 
 /// Energies of the windows that begin at each sample, around the end.
 fn windowed(samples: &[Complex64], window: usize) -> Vec<f64> {
-    let power: Vec<f64> = samples.iter().map(|x| x.norm_sqr()).collect();
-    let n = power.len();
-    (0..n)
-        .map(|k| (k..k + window).map(|at| power[at % n]).sum())
+    let mut total = 0.0;
+    let sums: Vec<f64> = std::iter::once(0.0)
+        .chain(
+            samples
+                .iter()
+                .cycle()
+                .take(samples.len() + window)
+                .map(|x| {
+                    total += x.norm_sqr();
+                    total
+                }),
+        )
+        .collect();
+    sums.iter()
+        .zip(&sums[window..])
+        .take(samples.len())
+        .map(|(before, after)| (after - before).max(0.0))
         .collect()
 }
 
@@ -89,7 +102,7 @@ fn quantile(count: usize, probability: f64) -> f64 {
     high
 }
 
-impl Alone {
+impl SingleEcho {
     pub(super) fn new(spec: &Spec, filter: &Decimator) -> Self {
         let rate_hz = spec.sample_rate_hz;
         let sounding = (spec.pulse.duration_s * rate_hz).ceil();
