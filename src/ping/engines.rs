@@ -19,7 +19,7 @@ use echotank_core::settings::SonarSettings;
 use echotank_core::simd::SimdLevel;
 use echotank_synthesis::array::filter::{self, Decimator, FilterError};
 use echotank_synthesis::array::gridded::{DopplerSpan, GriddedError, one_dimensional};
-use echotank_synthesis::array::lines::{self, GriddedLines};
+use echotank_synthesis::array::lines::{self, GriddedLines, KernelFits};
 use echotank_synthesis::error_model::ErrorModel;
 use echotank_synthesis::slabs::{SlabDesign, SlabEngine};
 use thiserror::Error;
@@ -155,8 +155,10 @@ impl Engines {
             coming: Vec::with_capacity(MAX_COMING),
         };
         let key = engines.key(&spec.settings);
-        engines.wish.can_be_made(spec, key, engines.max_samples)?;
-        let first = engines.wish.make(key)?;
+        let mut fits = KernelFits::default();
+        let most = engines.max_samples;
+        engines.wish.can_be_made(spec, key, most, &mut fits)?;
+        let first = engines.wish.make(key, &mut fits)?;
         engines.kept.push((key, first));
         Ok(engines)
     }
@@ -210,7 +212,7 @@ impl Engines {
         let wish = self.wish.clone();
         let spawned = thread::Builder::new()
             .name("engine".into())
-            .spawn(move || wish.make(key));
+            .spawn(move || wish.make(key, &mut KernelFits::default()));
         // Where there is no thread to be had, `ready` makes it.
         if let Ok(thread) = spawned {
             self.coming.push((key, thread));
@@ -259,7 +261,7 @@ impl Engines {
                 return made;
             }
         }
-        self.wish.make(key)
+        self.wish.make(key, &mut KernelFits::default())
     }
 }
 
@@ -279,13 +281,14 @@ impl Sketch {
     }
 }
 
-/// The sketch of a ping's engines.
+/// The sketch of a ping's engines. Keep `fits` for sketches that differ in tolerance or Doppler model.
 pub(crate) fn sketch(
     spec: &SonarSpec,
     sound_speed_m_per_s: f64,
     fastest_m_per_s: f64,
     filter: Option<&Decimator>,
     plan: &PingPlan,
+    fits: &mut KernelFits,
 ) -> Result<Sketch, EngineRefusal> {
     let wish = Wish::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
     let most = plan::max_samples(spec, sound_speed_m_per_s);
@@ -293,8 +296,8 @@ pub(crate) fn sketch(
         duration_s: plan.pulse.duration_s,
         samples: record_class(plan.sample_count, most.max(plan.sample_count)),
     };
-    wish.can_be_made(spec, key, most)?;
-    wish.sketch(key)
+    wish.can_be_made(spec, key, most, fits)?;
+    wish.sketch(key, fits)
 }
 
 impl Wish {
@@ -338,16 +341,23 @@ impl Wish {
 
     /// That the ends of the limits are within reach, where one might not be: how far a spectrum spreads depends on the pulse's length; behind
     /// the receiver filter nothing of `gridded-1d` does. `gridded-lines` takes short pulses only.
-    fn can_be_made(&self, spec: &SonarSpec, key: Key, samples: usize) -> Result<(), EngineRefusal> {
+    fn can_be_made(
+        &self,
+        spec: &SonarSpec,
+        key: Key,
+        samples: usize,
+        fits: &mut KernelFits,
+    ) -> Result<(), EngineRefusal> {
         let (shortest_s, longest_s) = spec.limits.pulse_duration_s;
         let ends_s = [shortest_s, longest_s].into_iter();
         let any_line = self.lines.iter().any(Option::is_some);
         let depends = any_line || self.filter.is_none();
         for duration_s in ends_s.filter(|&end_s| depends && end_s != key.duration_s) {
-            self.sketch(Key {
+            let end = Key {
                 duration_s,
                 samples,
-            })?;
+            };
+            self.sketch(end, fits)?;
         }
         Ok(())
     }
@@ -376,10 +386,10 @@ impl Wish {
         }
     }
 
-    fn sketch(&self, key: Key) -> Result<Sketch, EngineRefusal> {
+    fn sketch(&self, key: Key, fits: &mut KernelFits) -> Result<Sketch, EngineRefusal> {
         let pulse = self.pulse(key);
         let line = |array: &Option<ArrayGeometry>| {
-            let design = |array| lines::Design::new(&self.line(key, &pulse, array));
+            let design = |array| lines::Design::new(&self.line(key, &pulse, array), fits);
             array.as_ref().map(design).transpose()
         };
         Ok(Sketch {
@@ -409,16 +419,19 @@ impl Wish {
         SlabDesign::new(&spec, self.elements).map(Some)
     }
 
-    fn make(&self, key: Key) -> Result<PulseEngines, EngineRefusal> {
+    fn make(&self, key: Key, fits: &mut KernelFits) -> Result<PulseEngines, EngineRefusal> {
         let pulse = self.pulse(key);
-        let line = |array: &Option<ArrayGeometry>| {
-            let engine = |array| GriddedLines::new(&self.line(key, &pulse, array));
-            array.as_ref().map(engine).transpose()
+        let Sketch { elements, lines } = self.sketch(key, fits)?;
+        let line = |(array, design): (&Option<ArrayGeometry>, _)| {
+            let both = array.as_ref().zip(design);
+            let engine =
+                |(array, design)| GriddedLines::of_design(&self.line(key, &pulse, array), design);
+            both.map(engine).transpose()
         };
-        let elements = self.sketch_elements(key)?;
+        let lines = self.lines.iter().zip(lines).map(line);
         Ok(PulseEngines {
             elements: elements.map(|design| design.build(self.threads)),
-            lines: self.lines.iter().map(line).collect::<Result<_, _>>()?,
+            lines: lines.collect::<Result<_, _>>()?,
         })
     }
 }

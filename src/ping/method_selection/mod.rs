@@ -33,7 +33,7 @@ use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::error_models::synthesis_error_model;
 use echotank_synthesis::array::filter::{Decimator, oversample};
 use echotank_synthesis::array::gridded::CostEstimate;
-use echotank_synthesis::array::lines;
+use echotank_synthesis::array::lines::{self, KernelFits};
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
 use echotank_synthesis::error_model::{Conditions, ErrorModel};
 
@@ -260,9 +260,12 @@ enum Engine {
     },
 }
 
-/// Engines that have been looked at: by synthesis and Doppler model, and the bits of what they are made for.
+/// Engines that have been looked at: by synthesis and Doppler model, and the bits of their tolerance.
 #[derive(Default)]
-struct Sketches(RefCell<Vec<(Sketched, SketchResult)>>);
+struct Sketches {
+    seen: RefCell<Vec<(Sketched, SketchResult)>>,
+    fits: RefCell<KernelFits>,
+}
 
 type Sketched = (Synthesis, DopplerModel, Option<u64>);
 type SketchResult = Result<Rc<Sketch>, String>;
@@ -429,10 +432,6 @@ impl<'a> Maker<'a> {
             let mut tolerances: Vec<Option<f64>> = match (spec.synthesis.auto.any(), hopeful) {
                 (false, _) => vec![None],
                 (true, false) => vec![of_share(&ENGINE_SHARES[1])],
-                // A design of the engine for lines takes long, and the largest share serves.
-                (true, true) if synthesis == Synthesis::GriddedLines => {
-                    vec![of_share(&ENGINE_SHARES[0])]
-                }
                 (true, true) => ENGINE_SHARES.iter().map(of_share).collect(),
             };
             tolerances.dedup();
@@ -502,7 +501,7 @@ impl<'a> Maker<'a> {
             ));
         }
         let sketched = (synthesis, doppler, engine_tolerance.map(f64::to_bits));
-        let mut seen = self.sketches.0.borrow_mut();
+        let mut seen = self.sketches.seen.borrow_mut();
         if let Some((_, sketch)) = seen.iter().find(|(of, _)| *of == sketched) {
             return sketch.clone().map(Engine::Sketched);
         }
@@ -519,7 +518,8 @@ impl<'a> Maker<'a> {
         if synthesis == Synthesis::Gridded2d {
             return self.whole_lines(&spec, filter.as_ref());
         }
-        let made = sketch(&spec, c, fastest, filter.as_ref(), self.scene.plan);
+        let fits = &mut self.sketches.fits.borrow_mut();
+        let made = sketch(&spec, c, fastest, filter.as_ref(), self.scene.plan, fits);
         let made = made.map(Rc::new).map_err(|why| why.to_string());
         let nearest_m = self.conditions.range_m.0;
         let made = made.and_then(|made| match made.reaches(&spec, nearest_m) {

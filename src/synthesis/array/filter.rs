@@ -96,7 +96,7 @@ pub fn oversample(pulse: &Pulse, sample_rate_hz: f64, synthesis: Synthesis) -> u
 }
 
 /// Filter for one sample rate and density. It is designed once per plan.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Decimator {
     oversample: usize,
     sample_rate_hz: f64,

@@ -206,11 +206,64 @@ fn slabs(
         .map(|size| (size, size - spent))
 }
 
+/// Kernels and their errors, which depend on pulse, filter and record, but not on the tolerance. Designs that share them are made several times
+/// faster.
+#[derive(Default)]
+pub struct KernelFits(Vec<(FitKey, PulseFits)>);
+
+/// Everything that kernels and their errors depend on.
+#[derive(PartialEq)]
+struct FitKey {
+    pulse: Pulse,
+    filter: Decimator,
+    sample_rate_hz: f64,
+    samples: usize,
+    scatterers: usize,
+    elements: usize,
+    shift_hz: f64,
+}
+
+/// Fits for one pulse.
+struct PulseFits {
+    single_echo: SingleEcho,
+    /// One per [`FLATNESS`].
+    contents: [Vec<Content>; 2],
+    /// By density and width: the kernel with its largest windowed error.
+    kernels: [[Option<(Kernel, f64)>; WIDTHS.len()]; DENSITIES.len()],
+}
+
+impl KernelFits {
+    fn of(&mut self, spec: &Spec, filter: &Decimator) -> &mut PulseFits {
+        let key = FitKey {
+            pulse: *spec.pulse,
+            filter: filter.clone(),
+            sample_rate_hz: spec.sample_rate_hz,
+            samples: spec.samples,
+            scatterers: spec.scatterers,
+            elements: spec.array.elements,
+            shift_hz: shift_hz(spec),
+        };
+        let at = match self.0.iter().position(|(of, _)| *of == key) {
+            Some(at) => at,
+            None => {
+                let fits = PulseFits {
+                    single_echo: SingleEcho::new(spec, filter),
+                    contents: FLATNESS.map(|flatness| content(spec, filter, flatness)),
+                    kernels: Default::default(),
+                };
+                self.0.push((key, fits));
+                self.0.len() - 1
+            }
+        };
+        &mut self.0[at].1
+    }
+}
+
 impl Design {
     /// Selects the cheapest sizes that keep the tolerance.
     ///
     /// Returns a [`Refusal`] if there are none.
-    pub fn new(spec: &Spec) -> Result<Self, Refusal> {
+    pub fn new(spec: &Spec, fits: &mut KernelFits) -> Result<Self, Refusal> {
         let Spec {
             array,
             pulse,
@@ -238,7 +291,12 @@ impl Design {
             });
         }
         let path_error = tolerance * PATH_SHARE.sqrt();
-        let single_echo = SingleEcho::new(spec, filter);
+        let PulseFits {
+            single_echo,
+            contents,
+            kernels,
+        } = fits.of(spec, filter);
+        let single_echo = &*single_echo;
         // Least-squares errors of k columns are like the Legendre polynomial of degree k.
         let of_columns = |columns: &Columns| {
             let end = (2.0 * columns.taps as f64 + 1.0).sqrt();
@@ -277,13 +335,14 @@ impl Design {
             ..3 => single_echo.worst_of_even(0.3 * bend_rad, 2.2),
             _ => single_echo.worst_of_even(0.06 * bend_rad * bend_rad, 4.0),
         };
-        let contents = FLATNESS.map(|flatness| content(spec, filter, flatness));
         let mut finest = f64::INFINITY;
         let mut best: Option<Self> = None;
-        for (density, width) in DENSITIES
-            .into_iter()
-            .flat_map(|density| WIDTHS.map(move |width| (density, width)))
-        {
+        let places = kernels.iter_mut().zip(DENSITIES);
+        let places = places.flat_map(|(row, density)| {
+            let row = row.iter_mut().zip(WIDTHS);
+            row.map(move |(place, width)| (place, density, width))
+        });
+        for (place, density, width) in places {
             let per_sample = density.0 as f64 / density.1 as f64;
             let guard = (0.5 * width as f64 / per_sample).ceil() as usize + 2;
             let Some((slab_samples, payload)) = slabs(extent, guard, samples, density) else {
@@ -323,7 +382,7 @@ impl Design {
             if !candidates.iter().any(|columns| cheaper(&columns, &best)) {
                 continue;
             }
-            let kernels = contents.each_ref().map(|content| {
+            let fit = |content: &Vec<Content>| {
                 let in_rows: Vec<Content> = content
                     .iter()
                     .map(|c| Content {
@@ -336,11 +395,14 @@ impl Design {
                     kernel,
                     single_echo.worst(single_echo.errors(&kernel, per_sample)),
                 )
-            });
-            let (kernel, kernel_error) = match kernels[0].1 <= kernels[1].1 {
-                true => kernels[0],
-                false => kernels[1],
             };
+            let (kernel, kernel_error) = *place.get_or_insert_with(|| {
+                let [steep, flat] = contents.each_ref().map(fit);
+                match steep.1 <= flat.1 {
+                    true => steep,
+                    false => flat,
+                }
+            });
             finest = finest.min(kernel_error / (1.0 - PATH_SHARE - COLUMN_SHARES[0]).sqrt());
             for columns in &candidates {
                 let of_doppler = of_columns(columns).hypot(of_bend(columns));
@@ -422,13 +484,18 @@ impl Design {
     }
 }
 
+/// Doppler shift of the fastest echoes, Hz.
+fn shift_hz(spec: &Spec) -> f64 {
+    match spec.doppler {
+        DopplerModel::None => 0.0,
+        _ => 2.0 * spec.fastest_m_per_s / spec.sound_speed_m_per_s * spec.pulse.center_frequency_hz,
+    }
+}
+
 /// The spectrum of the received pulse: cycles per sample.
 fn content(spec: &Spec, filter: &Decimator, flatness: f64) -> Vec<Content> {
     let rate_hz = spec.sample_rate_hz;
-    let shift_hz = match spec.doppler {
-        DopplerModel::None => 0.0,
-        _ => 2.0 * spec.fastest_m_per_s / spec.sound_speed_m_per_s * spec.pulse.center_frequency_hz,
-    };
+    let shift_hz = shift_hz(spec);
     let spectrum = PulseSpectrum::new(spec.pulse, 0.5 * rate_hz + shift_hz + 1.0);
     (0..CONTENTS)
         .map(|k| {

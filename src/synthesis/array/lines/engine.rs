@@ -21,7 +21,7 @@ use echotank_core::model::DopplerModel;
 use echotank_core::ping::{EchoCounts, PingPlan};
 use echotank_core::simd::{SimdLevel, widest};
 
-use super::design::{Design, Refusal, Spec};
+use super::design::{Design, KernelFits, Refusal, Spec};
 use super::dopplers::{MAX_TAPS, MEAN_BEND, WEIGHT_TERMS};
 use super::kernel::BAND;
 use super::nodes::{BlockWeights, NODES, block_weights, coefficients, places};
@@ -116,7 +116,13 @@ impl GriddedLines {
     ///
     /// Returns a [`Refusal`] if no sizes keep the tolerance.
     pub fn new(spec: &Spec) -> Result<Self, Refusal> {
-        let design = Design::new(spec)?;
+        Self::of_design(spec, Design::new(spec, &mut KernelFits::default())?)
+    }
+
+    /// Builds the engine of a design for the same requirements. Build it inside the thread pool that runs it.
+    ///
+    /// Returns a [`Refusal`] if there is no receiver filter.
+    pub fn of_design(spec: &Spec, design: Design) -> Result<Self, Refusal> {
         let filter = spec.filter.ok_or(Refusal::NoFilter)?;
         let forward = BatchedFft::new(design.slab_rows);
         let inverse = BatchedFft::new(design.slab_samples);
