@@ -1,11 +1,10 @@
 //! Tests of the commands that print and exit: `check`, `nav`, `scene info`.
 
 use std::path::Path;
-use std::process::Stdio;
 
 use echotank_testing::seeds::{self, data};
 
-use crate::{command, run, run_well};
+use crate::{ends_quietly, run, run_well};
 
 /// `echotank check rig.toml | head -1`
 #[test]
@@ -20,16 +19,7 @@ fn commands_end_quietly_when_their_output_is_closed() {
         ),
         ("scene", "info hil-configs/data/jd211_crop_400x400_2m.asc"),
     ] {
-        let mut child = command(name)
-            .args(arguments.split(' '))
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("started");
-        drop(child.stdout.take());
-        let ended = child.wait_with_output().expect("ended");
-        let said = String::from_utf8_lossy(&ended.stderr);
-        assert!(said.is_empty(), "{name}: {said}");
+        ends_quietly(name, arguments.split(' '));
     }
 }
 

@@ -6,7 +6,7 @@ mod replay;
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 /// `echotank SUBCOMMAND` in the folder of the repository.
 fn command(subcommand: &str) -> Command {
@@ -15,6 +15,20 @@ fn command(subcommand: &str) -> Command {
         .arg(subcommand)
         .current_dir(echotank_testing::repository());
     command
+}
+
+/// That a command whose standard output is closed at once ends without a word on standard error.
+fn ends_quietly<'a>(subcommand: &str, arguments: impl IntoIterator<Item = &'a str>) {
+    let mut child = command(subcommand)
+        .args(arguments)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("started");
+    drop(child.stdout.take());
+    let ended = child.wait_with_output().expect("ended");
+    let words = String::from_utf8_lossy(&ended.stderr);
+    assert!(words.is_empty(), "{subcommand}: {words}");
 }
 
 /// Result of a command: its exit code and its output.

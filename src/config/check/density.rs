@@ -158,7 +158,7 @@ struct Ring {
     shadow_sine: f64,
     sines: Vec<f64>,
     /// Share of the intensity of open ground from which a shadow counts.
-    least_share: f64,
+    min_share: f64,
 }
 
 fn rings(sonar: &SonarSpec, c: f64, depth_m: Option<f64>, range_m: f64) -> Vec<Ring> {
@@ -224,7 +224,7 @@ fn ring(sonar: &SonarSpec, c: f64, cosine: f64, r: f64, step_m: f64) -> Ring {
     Ring {
         pairs,
         shadow_sine: SHADOW_M / r,
-        least_share: sonar.synthesis.tolerance.powi(2),
+        min_share: sonar.synthesis.tolerance.powi(2),
         sines: rays.iter().map(|ray| ray.dot(along).abs()).collect(),
     }
 }
@@ -254,7 +254,7 @@ impl Ring {
                     sum += intensity;
                 }
             }
-            match sum > self.least_share * open {
+            match sum > self.min_share * open {
                 true => 2.0 + 4.0 / 3.0 * squares / (sum * sum) * AZIMUTHS as f64 / pair.in_cell,
                 false => 2.0,
             }

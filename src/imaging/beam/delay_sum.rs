@@ -124,7 +124,9 @@ struct Worker {
 }
 
 impl DelaySumFormer {
-    /// `array` is the receive array that `fan` names, `transmit` its transmitter. Work is shared among the threads of the current pool.
+    /// `array` is the receive array that `fan` names, `transmit` its transmitter. Work is shared among the threads of the current pool. A fan with
+    /// bottom detection has halves, for [`DelaySumFormer::form_with_halves`]: those of an even number of elements; the middle element of an odd
+    /// number is in neither.
     ///
     /// Panics on a fan without beams, an array without elements or a pulse beyond `limits`; a checked configuration prevents these.
     pub(crate) fn new(
@@ -136,36 +138,12 @@ impl DelaySumFormer {
         weighting: Shading,
         sound_speed_m_per_s: f64,
     ) -> Self {
-        let sections = std::iter::once(0..array.elements).collect();
-        let setting = (limits, pulse, weighting, sound_speed_m_per_s);
-        Self::of_sections(array, transmit, fan, sections, setting)
-    }
-
-    /// As [`DelaySumFormer::new`], for [`DelaySumFormer::form_with_halves`]: the halves are those of an even number of elements; the middle
-    /// element of an odd number is in neither.
-    pub(crate) fn new_with_halves(
-        array: &ArrayGeometry,
-        transmit: &TransmitArray,
-        fan: &FanSpec,
-        limits: RowLimits,
-        pulse: &Pulse,
-        weighting: Shading,
-        sound_speed_m_per_s: f64,
-    ) -> Self {
-        let (half, end) = (array.elements / 2, array.elements);
+        let c = sound_speed_m_per_s;
+        let end = array.elements;
+        // One section without halves, else both halves and a middle element.
+        let half = if fan.form.bottom_detection { end / 2 } else { 0 };
         let parts = [0..half, half..end - half, end - half..end];
-        let sections = parts.into_iter().filter(|part| !part.is_empty()).collect();
-        let setting = (limits, pulse, weighting, sound_speed_m_per_s);
-        Self::of_sections(array, transmit, fan, sections, setting)
-    }
-
-    fn of_sections(
-        array: &ArrayGeometry,
-        transmit: &TransmitArray,
-        fan: &FanSpec,
-        sections: Vec<Range<usize>>,
-        (limits, pulse, weighting, c): (RowLimits, &Pulse, Shading, f64),
-    ) -> Self {
+        let sections: Vec<_> = parts.into_iter().filter(|part| !part.is_empty()).collect();
         let steered = SteeredArray::new(array, fan, (limits, 0), pulse, weighting, c);
         let elements = array.elements;
         let half_m = 0.5 * array.spacing_m * (elements - 1) as f64;

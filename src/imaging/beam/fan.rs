@@ -52,11 +52,7 @@ impl Fan {
             Former::Exact => Method::Exact(Box::new(FanFormer::new(far_field()))),
             Former::Fft => Method::Fast(Box::new(FastFan::new(far_field()))),
             Former::TimeDelay | Former::Phase | Former::DynamicFocus => {
-                let new = match fan.form.bottom_detection {
-                    true => DelaySumFormer::new_with_halves,
-                    false => DelaySumFormer::new,
-                };
-                let former = new(array, transmit, fan, limits, pulse, weighting, c);
+                let former = DelaySumFormer::new(array, transmit, fan, limits, pulse, weighting, c);
                 Method::DelaySum(Box::new(former))
             }
         };
@@ -64,8 +60,9 @@ impl Fan {
             let former = (!matches!(method, Method::DelaySum(_))).then(|| {
                 let mut fan = fan.clone();
                 fan.form.former = Former::TimeDelay;
-                let new = DelaySumFormer::new_with_halves;
-                Box::new(new(array, transmit, &fan, limits, pulse, weighting, c))
+                let former =
+                    DelaySumFormer::new(array, transmit, &fan, limits, pulse, weighting, c);
+                Box::new(former)
             });
             Halves {
                 former,

@@ -2,14 +2,13 @@
 
 use std::io::Write;
 use std::path::Path;
-use std::process::Stdio;
 
 use echotank_runtime::io::control::client;
 use serde_json::json;
 
 use super::modes::{rig, status, tell, wait_delivered};
 use super::{Daemon, eventually};
-use crate::{command, run};
+use crate::{ends_quietly, run};
 
 fn quick(folder: &Path, more: &[&str]) -> Daemon {
     let limits = [
@@ -38,16 +37,7 @@ fn clients_end_quietly_when_their_output_is_closed() {
         ("ctl", vec!["--address", &at, "status"]),
         ("ctl", vec!["--address", &at, "metrics"]),
     ] {
-        let mut child = command(name)
-            .args(&arguments)
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("started");
-        drop(child.stdout.take());
-        let ended = child.wait_with_output().expect("ended");
-        let said = String::from_utf8_lossy(&ended.stderr);
-        assert!(said.is_empty(), "{name} {arguments:?}: {said}");
+        ends_quietly(name, arguments);
     }
 }
 

@@ -572,10 +572,12 @@ impl Reverberation {
 
     fn former(&self, fan: &FanSpec) -> DelaySumFormer {
         let limits = limits(self.rate_hz, self.rig.samples, self.rig.pulse.duration_s);
-        DelaySumFormer::new_with_halves(
+        let mut fan = fan.clone();
+        fan.form.bottom_detection = true;
+        DelaySumFormer::new(
             &self.rig.array,
             &transmitter(self.rig.transmit_m),
-            fan,
+            &fan,
             limits,
             &self.rig.pulse,
             Shading::Uniform,

@@ -7,13 +7,15 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use echotank_config::spec::*;
 use echotank_core::arrays::{Pattern, TransmitArray};
+use echotank_core::frames::Trajectory;
+use echotank_core::ping::PingPlan;
 use echotank_core::scene::{Footprint, PatternSide, ResolutionCell, Scatterers};
 use echotank_runtime::io::files::FileSystem;
 use echotank_scene::Scene;
 use echotank_synthesis::arrivals::{ArrivalChunk, ArrivalSink};
 use echotank_synthesis::echo::{TransmitLeg, Window, Workspace, arrivals, insonify};
 use echotank_testing::echo::{C, CARRIER_HZ, WAVELENGTH_M, ahead, cw, element, transmitter};
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use num_complex::Complex64;
 
 /// Metres: height over the bottom, length of a range cell, range of the first cell.
@@ -111,6 +113,16 @@ impl ArrivalSink for Cells {
     }
 }
 
+/// A ping of a platform at rest at `at_m`, with a pulse of one range cell.
+fn plan_at(at_m: DVec3) -> PingPlan {
+    let mut plan = ahead(0.0);
+    plan.pulse = cw(2.0 * CELL / C);
+    plan.absorption_db_per_m = ABSORPTION_DB_PER_M;
+    plan.trajectory = Trajectory::uniform(at_m, DVec3::ZERO, DQuat::IDENTITY);
+    plan.segments[0].position_m = at_m;
+    plan
+}
+
 /// Samples of `pings` pings at places of their own, cell by cell, and the scatterers of a ping.
 fn samples(density: Density, pings: usize) -> (Vec<Vec<Complex64>>, u64) {
     let mut scene = scene(density);
@@ -126,31 +138,23 @@ fn samples(density: Density, pings: usize) -> (Vec<Vec<Complex64>>, u64) {
         },
         element(DVec3::ZERO),
     );
-    let (mut lit, mut work) = (TransmitLeg::default(), Workspace::default());
+    let (mut leg, mut work) = (TransmitLeg::default(), Workspace::default());
     let mut scatterers = Scatterers::default();
     let mut used = 0;
     let all = (0..pings)
         .map(|ping| {
             // Nothing within reach of two pings, either way along the beam.
             let at_m = DVec3::new(30.0 * (ping / 20) as f64, 130.0 * (ping % 20) as f64, 0.0);
-            let mut plan = ahead(0.0);
-            plan.pulse = cw(2.0 * CELL / C);
-            plan.absorption_db_per_m = ABSORPTION_DB_PER_M;
-            plan.trajectory = echotank_core::frames::Trajectory::uniform(
-                at_m,
-                DVec3::ZERO,
-                glam::DQuat::IDENTITY,
-            );
-            plan.segments[0].position_m = at_m;
+            let plan = plan_at(at_m);
             let footprint = Footprint::fan(at_m, range_m, DVec3::X, MAX_SINE);
             used += scene.gather(&[footprint], &mut scatterers).scatterers;
             let window = Window {
                 first_s: 0.0,
                 last_s: 2.0 * (range_m + 1.0) / C,
             };
-            insonify(&plan, &tx, window, &scatterers, &mut lit);
+            insonify(&plan, &tx, window, &scatterers, &mut leg);
             let mut cells = Cells(vec![Complex64::ZERO; CELLS]);
-            arrivals(&plan, &rx, 0, &lit, &mut work, &mut cells);
+            arrivals(&plan, &rx, 0, &leg, &mut work, &mut cells);
             cells.0
         })
         .collect();
@@ -351,7 +355,7 @@ impl Runs {
             pattern: line,
             ..transmitter(DVec3::ZERO)
         };
-        let (mut lit, mut work) = (TransmitLeg::default(), Workspace::default());
+        let (mut leg, mut work) = (TransmitLeg::default(), Workspace::default());
         let mut scatterers = Scatterers::default();
         let mut runs = Self {
             samples: Default::default(),
@@ -361,15 +365,7 @@ impl Runs {
             let (pair, second) = (ping / 2, (ping % 2) as f64);
             let north_m = 13.0 * (pair / 20) as f64 + ADVANCE * second;
             let at_m = DVec3::new(north_m, 130.0 * (pair % 20) as f64, 0.0);
-            let mut plan = ahead(0.0);
-            plan.pulse = cw(2.0 * CELL / C);
-            plan.absorption_db_per_m = ABSORPTION_DB_PER_M;
-            plan.trajectory = echotank_core::frames::Trajectory::uniform(
-                at_m,
-                DVec3::ZERO,
-                glam::DQuat::IDENTITY,
-            );
-            plan.segments[0].position_m = at_m;
+            let plan = plan_at(at_m);
             let mut footprint = Footprint::all_round(at_m, range_m);
             footprint.sides[0] = PatternSide {
                 axis: DVec3::X,
@@ -391,12 +387,12 @@ impl Runs {
                         scatterers.strength[i] = Complex64::ZERO;
                     }
                 }
-                insonify(&plan, &tx, window, &scatterers, &mut lit);
+                insonify(&plan, &tx, window, &scatterers, &mut leg);
                 for (beam, pattern) in [Pattern::Omnidirectional, line].into_iter().enumerate() {
                     let mut rx = element(DVec3::ZERO);
                     rx.element_pattern = pattern;
                     let mut cells = Cells(vec![Complex64::ZERO; CELLS]);
-                    arrivals(&plan, &rx, 0, &lit, &mut work, &mut cells);
+                    arrivals(&plan, &rx, 0, &leg, &mut work, &mut cells);
                     runs.samples[beam][shadow].push(cells.0);
                 }
             }
