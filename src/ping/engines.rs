@@ -382,6 +382,7 @@ impl Wish {
             tolerance: self.tolerance,
             samples: key.samples,
             scatterers: NOMINAL_ARRIVALS,
+            min_scatterers: 1,
             simd_level: SimdLevel::best(),
         }
     }

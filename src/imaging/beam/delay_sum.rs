@@ -141,7 +141,11 @@ impl DelaySumFormer {
         let c = sound_speed_m_per_s;
         let end = array.elements;
         // One section without halves, else both halves and a middle element.
-        let half = if fan.form.bottom_detection { end / 2 } else { 0 };
+        let half = if fan.form.bottom_detection {
+            end / 2
+        } else {
+            0
+        };
         let parts = [0..half, half..end - half, end - half..end];
         let sections: Vec<_> = parts.into_iter().filter(|part| !part.is_empty()).collect();
         let steered = SteeredArray::new(array, fan, (limits, 0), pulse, weighting, c);

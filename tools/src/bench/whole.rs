@@ -618,6 +618,7 @@ fn gridded_lines(ready: &mut Ready, simd_level: SimdLevel) -> Outcome {
         tolerance: ready.ping.tolerance,
         samples: plan.sample_count,
         scatterers: ready.ping.scatterers,
+        min_scatterers: ready.ping.scatterers,
         simd_level,
     })
     .map_err(|e| e.to_string())?;

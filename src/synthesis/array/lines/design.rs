@@ -77,8 +77,10 @@ pub struct Spec<'a> {
     pub tolerance: f64,
     /// Approximate number of samples of one element, for the cost only.
     pub samples: usize,
-    /// Approximate number of echoes, for the cost and for the number of echoes in a window.
+    /// Approximate number of echoes, for the cost only.
     pub scatterers: usize,
+    /// Smallest number of echoes in a ping: with more, errors in a window add like noise. The tolerance holds for this number and more.
+    pub min_scatterers: usize,
     /// Instruction set of the inner loops.
     pub simd_level: SimdLevel,
 }
@@ -218,7 +220,7 @@ struct FitKey {
     filter: Decimator,
     sample_rate_hz: f64,
     samples: usize,
-    scatterers: usize,
+    min_scatterers: usize,
     elements: usize,
     shift_hz: f64,
 }
@@ -239,7 +241,7 @@ impl KernelFits {
             filter: filter.clone(),
             sample_rate_hz: spec.sample_rate_hz,
             samples: spec.samples,
-            scatterers: spec.scatterers,
+            min_scatterers: spec.min_scatterers,
             elements: spec.array.elements,
             shift_hz: shift_hz(spec),
         };

@@ -128,7 +128,7 @@ impl SingleEcho {
         let level = windowed(&samples, window);
         let greatest = level.iter().copied().fold(0.0, f64::max);
         let windows = (spec.samples as f64 / window as f64).max(1.0);
-        let held = spec.scatterers as f64 / windows;
+        let held = spec.min_scatterers as f64 / windows;
         let noise = greatest * NOISE * (SURE * held).max(1.0);
         let free =
             window as f64 / rate_hz * spec.pulse.bandwidth_hz.max(1.0 / spec.pulse.duration_s);

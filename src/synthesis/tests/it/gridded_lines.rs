@@ -41,6 +41,7 @@ fn made(scene: &Scene, tolerance: f64, simd_level: SimdLevel) -> Result<GriddedL
         tolerance,
         samples: scene.plan.sample_count,
         scatterers: scene.scatterers.len(),
+        min_scatterers: scene.scatterers.len(),
         simd_level,
     })
 }
