@@ -357,7 +357,11 @@ impl Wish {
                 duration_s,
                 samples,
             };
-            self.sketch(end, fits)?;
+            let pulse = self.pulse(end);
+            self.sketch_elements(end)?;
+            for array in self.lines.iter().flatten() {
+                lines::Design::exists(&self.line(end, &pulse, array), fits)?;
+            }
         }
         Ok(())
     }

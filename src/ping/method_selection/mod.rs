@@ -63,6 +63,9 @@ const LINE_DOPPLER_GRIDS: f64 = 10.0;
 /// `gridded-lines` predicts its error in the worst window. In windows with the onset of a single echo, 50 dB below the strongest, 1.55 times the
 /// tolerance was measured (`hil-configs/points.toml` with a receiver filter and a taper of 0.1, tolerance 1e-2).
 const ONSETS_OF_LINES: f64 = 1.6;
+/// With fewer scatterers `gridded-2d` is slower than `gridded-lines`: at 43,000 by 1.4 to 1.7 times, at 300,000 it is as fast (`tools/bench echo --only
+/// short`).
+const LEAST_FOR_2D: usize = 150_000;
 /// Mean width of a two-way beam of line arrays, in wavelengths over the root of the sum of their squared lengths: 0.64 for two alike.
 const TWO_WAY_WIDTH: f64 = 0.905;
 
@@ -358,7 +361,7 @@ impl<'a> Maker<'a> {
                 true => {
                     // The truth is for those who ask for it.
                     s != Synthesis::Reference
-                        && (s != Synthesis::Gridded2d || whole)
+                        && (s != Synthesis::Gridded2d || whole && self.scene.count >= LEAST_FOR_2D)
                         && (s != Synthesis::GriddedLines || some)
                         && (spec.more_pulses.is_empty() || one_by_one(s))
                 }

@@ -266,6 +266,27 @@ impl Design {
     ///
     /// Returns a [`Refusal`] if there are none.
     pub fn new(spec: &Spec, fits: &mut KernelFits) -> Result<Self, Refusal> {
+        Self::among(spec, fits, &DENSITIES, &WIDTHS)
+    }
+
+    /// Whether [`Self::new`] finds sizes: those of the largest kernel on the densest grid do, at less effort.
+    pub fn exists(spec: &Spec, fits: &mut KernelFits) -> Result<(), Refusal> {
+        Self::among(
+            spec,
+            fits,
+            &DENSITIES[DENSITIES.len() - 1..],
+            &WIDTHS[WIDTHS.len() - 1..],
+        )
+        .map(drop)
+    }
+
+    /// The cheapest of these kernels and grids.
+    fn among(
+        spec: &Spec,
+        fits: &mut KernelFits,
+        densities: &[(usize, usize)],
+        widths: &[usize],
+    ) -> Result<Self, Refusal> {
         let Spec {
             array,
             pulse,
@@ -340,8 +361,10 @@ impl Design {
         let mut finest = f64::INFINITY;
         let mut best: Option<Self> = None;
         let places = kernels.iter_mut().zip(DENSITIES);
+        let places = places.filter(|(_, density)| densities.contains(density));
         let places = places.flat_map(|(row, density)| {
             let row = row.iter_mut().zip(WIDTHS);
+            let row = row.filter(|(_, width)| widths.contains(width));
             row.map(move |(place, width)| (place, density, width))
         });
         for (place, density, width) in places {

@@ -7,8 +7,9 @@ pub(super) const TERMS: usize = 6;
 /// Highest frequency of a grid that is used beyond half the sample rate, cycles per row: kernels are poor above it. The receiver filter leaves little
 /// there, but it folds into windows with the onset of an echo alone.
 pub(super) const BAND: f64 = 0.36;
-/// Points of the quadrature over half the support; error 1e-8.
-const POINTS: usize = 128;
+/// Below this argument, spherical Bessel functions are summed by their power series, of so many terms.
+const SERIES_BELOW: f64 = 4.0;
+const SERIES_TERMS: usize = 24;
 /// Images of the band on either side that are summed.
 const IMAGES: i32 = 6;
 /// Steps of the fit, each with the weights of the kernel before.
@@ -31,23 +32,45 @@ pub(super) struct Content {
     pub energy: f64,
 }
 
-/// Fourier transform of t^(1 + i) at `nu` cycles per row, rows.
+/// Fourier transform of t^(1 + i) at `nu` cycles per row, rows: 2^(n+1) n! j_n(x)/x^n half widths with n = i + 1 and x = 2 pi nu half widths, where
+/// j_n is the spherical Bessel function (Abramowitz and Stegun 1964, 9.1.20 and 10.1.1).
 fn basis(width: usize, nu: f64) -> [f64; TERMS] {
     let half = 0.5 * width as f64;
-    let step = 1.0 / POINTS as f64;
-    let mut sums = [0.0; TERMS];
-    for k in 0..POINTS {
-        // The substitution makes the integrand smooth at the end of the support.
-        let u = (k as f64 + 0.5) * step;
-        let z = u * (1.5 - 0.5 * u * u);
-        let t = 1.0 - z * z;
-        let mut value = 3.0 * half * step * (1.0 - u * u) * t * libm::cos(TAU * nu * half * z);
-        for sum in &mut sums {
-            *sum += value;
-            value *= t;
-        }
+    let per = bessel_ratios(TAU * nu * half);
+    let mut factor = 2.0 * half;
+    std::array::from_fn(|i| {
+        factor *= 2.0 * (i + 1) as f64;
+        factor * per[i]
+    })
+}
+
+/// j_n(x)/x^n for n = 1, 2 and so on.
+fn bessel_ratios(x: f64) -> [f64; TERMS] {
+    let x2 = x * x;
+    if x2 < SERIES_BELOW * SERIES_BELOW {
+        // Sum of (-x^2/2)^k / (k! (2n + 2k + 1)!!).
+        let mut first = 1.0;
+        return std::array::from_fn(|i| {
+            let n = (i + 1) as f64;
+            first /= 2.0 * n + 1.0;
+            let (mut term, mut sum) = (first, first);
+            for k in 1..SERIES_TERMS {
+                let k = k as f64;
+                term *= -0.5 * x2 / (k * (2.0 * (n + k) + 1.0));
+                sum += term;
+            }
+            sum
+        });
     }
-    sums
+    // j_(n+1) = (2n + 1) j_n / x - j_(n-1), with j_n = r_n x^n.
+    let mut before = libm::sin(x) / x;
+    let mut ratio = (before - libm::cos(x)) / x2;
+    std::array::from_fn(|i| {
+        let now = ratio;
+        ratio = ((2 * i + 3) as f64 * now - before) / x2;
+        before = now;
+        now
+    })
 }
 
 fn dot(a: &[f64; TERMS], b: &[f64; TERMS]) -> f64 {
@@ -165,6 +188,32 @@ mod tests {
             energy: 1.0,
         };
         (-16..=16).map(at).collect()
+    }
+
+    #[test]
+    fn the_transforms_of_the_basis_are_those_of_its_sums() {
+        for width in [2, 5, 8] {
+            for nu in [0.0, 0.01, 0.3, -0.3, 0.7, 2.4, 6.3] {
+                let half = 0.5 * width as f64;
+                let points = 20_000;
+                let mut sums = [0.0; TERMS];
+                for k in 0..points {
+                    let z = (f64::from(k) + 0.5) / f64::from(points);
+                    let t = 1.0 - z * z;
+                    let mut value = 2.0 * half * t * (TAU * nu * half * z).cos();
+                    for sum in &mut sums {
+                        *sum += value / f64::from(points);
+                        value *= t;
+                    }
+                }
+                for (value, sum) in basis(width, nu).iter().zip(sums) {
+                    assert!(
+                        (value - sum).abs() < 1e-8 * half,
+                        "{width}, {nu}: {value} {sum}"
+                    );
+                }
+            }
+        }
     }
 
     /// Optima of this family of kernels by an independent minimiser (Nelder and Mead 1965, in SciPy, from five starts).

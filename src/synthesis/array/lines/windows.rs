@@ -151,19 +151,36 @@ impl SingleEcho {
     /// Errors of echoes spread with `kernel` on a grid of `per_sample` rows a sample.
     pub(super) fn errors(&self, kernel: &Kernel, per_sample: f64) -> KernelErrors {
         let half = 0.5 * kernel.width as f64;
-        // Transform of the kernel's samples, turned back to the echo's place; the mean over places is the kernel's own transform.
-        let at = |nu: f64, place: usize| -> Complex64 {
+        // Samples of the kernel for echoes at each place after a row.
+        let samples: [_; PLACES] = std::array::from_fn(|place| {
             let x = (place as f64 + 0.5) / PLACES as f64;
             let first = (x - half).ceil() as isize;
-            let last = (x + half).floor() as isize;
+            let values = (first..=(x + half).floor() as isize)
+                .map(|row| kernel.value((row as f64 - x) / half))
+                .collect::<Vec<_>>();
+            (first, values)
+        });
+        // Their transforms, turned back to the echo's place; the mean over places is the kernel's own transform.
+        let transforms = |nu: f64| -> [Complex64; PLACES] {
             let step = Complex64::cis(-TAU * nu);
-            let mut turn = Complex64::cis(-TAU * nu * (first as f64 - x));
-            let mut sum = Complex64::ZERO;
-            for row in first..=last {
-                sum += turn * kernel.value((row as f64 - x) / half);
-                turn *= step;
-            }
-            sum
+            let mut back = Complex64::cis(TAU * nu * 0.5 / PLACES as f64);
+            let between = Complex64::cis(TAU * nu / PLACES as f64);
+            let lead = |first: isize| Complex64::cis(-TAU * nu * first as f64);
+            let mut turn_of = (samples[0].0, lead(samples[0].0));
+            std::array::from_fn(|place| {
+                let (first, values) = &samples[place];
+                if turn_of.0 != *first {
+                    turn_of = (*first, lead(*first));
+                }
+                let mut turn = turn_of.1 * back;
+                back *= between;
+                let mut sum = Complex64::ZERO;
+                for value in values {
+                    sum += turn * value;
+                    turn *= step;
+                }
+                sum
+            })
         };
         // Error by frequency and place; what the engine leaves out is wrong as a whole.
         let band = f64::max(0.5, BAND * per_sample);
@@ -174,7 +191,7 @@ impl SingleEcho {
                 if nu.abs() > band {
                     return [-*value; PLACES];
                 }
-                let all: [_; PLACES] = std::array::from_fn(|place| at(nu / per_sample, place));
+                let all = transforms(nu / per_sample);
                 let mean = all.iter().map(|x| x.re).sum::<f64>() / PLACES as f64;
                 all.map(|at| value * (at / mean - 1.0))
             })
