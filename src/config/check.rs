@@ -65,7 +65,7 @@ pub fn parse(text: &str, base_dir: &Path, files: &dyn Files) -> Result<RigSpec, 
         // This is a programming error, which tests find. The operator gets a message instead of a panic.
         debug_assert!(false, "a part is missing and no problem says why");
         problems.push(Problem {
-            rule: "refused without a reason: please report this file".to_owned(),
+            rule: "refused, but no rule names the reason; this is a bug, please report it with this file".to_owned(),
             ..Problem::default()
         });
     }
@@ -91,7 +91,7 @@ fn unique_names<'t>(
             let name = field.text()?;
             if let Some(other) = seen.insert(name, &field.path) {
                 let other = other.trim_end_matches(".name");
-                let rule = format!("must be a name of its own; {other} has it too");
+                let rule = format!("must be unique; {other} has the same name");
                 problems.refuse(field, rule);
             }
             Some(name)
@@ -169,10 +169,7 @@ fn refuse_port_clashes(listeners: &[Listener<'_>], problems: &mut Problems) {
                 && !(one.multicast && other.multicast)
         });
         if let Some(other) = clash {
-            let rule = format!(
-                "{} port taken already by {}",
-                one.protocol, other.entry.path
-            );
+            let rule = format!("{} port already used by {}", one.protocol, other.entry.path);
             problems.refuse(one.entry, rule);
         }
     }
@@ -293,7 +290,8 @@ fn refuse_anchor_without_position(nav: &NavSpec, scene: &keys::Scene, problems: 
     let in_metres = |s: &NavSourceSpec| matches!(s.input, NavInputSpec::Csv { .. });
     let nowhere = nav.origin == OriginSpec::FirstFix && nav.sources.iter().all(in_metres);
     if nowhere && scene.anchor.text() == Some("file") {
-        let rule = "needs a place on the earth: every nav.source is a track in metres, and nav.origin is not given";
+        let rule =
+            "needs a geodetic position: every nav.source is a track in metres, so give nav.origin";
         problems.refuse(&scene.anchor, rule);
     }
 }
@@ -332,7 +330,7 @@ fn refuse_scaled_clock_with_live_sources(nav: &NavSpec, run: &keys::Run, problem
     }
     let own = matches!(run.clock.text(), Some("fast" | "lockstep"));
     if own && !nav.outputs.is_empty() {
-        let rule = "nav.output shares the pings' clock with devices, and this one is nobody's";
+        let rule = "must be \"realtime\" or \"scaled\" with nav.output, because connected devices follow its clock";
         problems.refuse(&run.clock, rule);
     }
 }
@@ -358,7 +356,7 @@ fn control<'t>(
             multicast: false,
         });
         let is_remote = !address.ip().is_loopback();
-        let condition = "a `listen` that is not this machine alone";
+        let condition = "a `listen` that other computers can reach";
         problems.needed_with(&table.token, Some(is_remote), condition);
         let is_short = token
             .as_ref()
@@ -615,7 +613,7 @@ fn nav_source<'t>(
         &table.reverse,
         &table.magnetic_variation_deg,
     ];
-    let condition = "sentences, which a CSV track has not";
+    let condition = "sentences, which a CSV track does not contain";
     problems.only_with(&of_sentences, is("csv").map(|csv| !csv), condition);
     let on_arrival = table.time.is("arrival");
     problems.only_with(&[&table.latency_ms], on_arrival, "time = \"arrival\"");

@@ -21,8 +21,8 @@ pub fn template() -> &'static str {
         comment(&mut text, Rig::TABLE.doc);
         comment(
             &mut text,
-            "Every key there is, with its rule. What is commented out shows its default, or an example where there is none. \
-             Keys end in their unit. Check with: echotank check FILE",
+            "All keys with their rules. A commented key shows its default, or an example if it has no default. \
+             Names of keys end in the unit. Check with: echotank check FILE",
         );
         table(&mut text, &Rig::TABLE, "", false);
         text

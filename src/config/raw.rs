@@ -528,7 +528,7 @@ impl Walk<'_> {
             line: Some(self.line(name.span().start)),
             value: self.quote(value),
             rule: match (later, renamed) {
-                (true, _) => "known, not yet built".to_owned(),
+                (true, _) => "not supported yet".to_owned(),
                 (false, Some(new)) => format!("renamed: write {new} instead"),
                 (false, None) => "unknown key".to_owned(),
             },
@@ -619,7 +619,7 @@ impl Walk<'_> {
                     if built.contains(&text.as_ref()) {
                         Some(RawValue::Text(text.to_string()))
                     } else if later.contains(&text.as_ref()) {
-                        let rule = format!("known, not yet built; must be {}", rule(kind));
+                        let rule = format!("not supported yet; must be {}", rule(kind));
                         problems.refuse(entry, rule);
                         return None;
                     } else {
@@ -780,7 +780,7 @@ pub(crate) fn rule(kind: &Kind) -> String {
         Kind::Name => "a name in quotes: 1 to 32 letters, digits, '-' or '_'".to_owned(),
         Kind::Text => "text in quotes".to_owned(),
         Kind::File => "the name of a file in quotes".to_owned(),
-        Kind::Folder => "the name of a folder in quotes, there or not".to_owned(),
+        Kind::Folder => "the name of a folder in quotes; the folder need not exist".to_owned(),
         Kind::Choice(built, _) => quoted(built, "or"),
         Kind::Numbers(2, range, _) => {
             format!("two numbers [lowest, highest] {}", between(range))

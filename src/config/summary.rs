@@ -63,10 +63,10 @@ fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
         };
         let names: Vec<_> = source.provides.iter().map(|c| c.name()).collect();
         let gives = match (source.detect, names.is_empty()) {
-            (true, _) if source.is_recorded() => "gives what it holds".to_owned(),
-            (true, _) => "gives what it sends".to_owned(),
-            (false, true) => "gives nothing".to_owned(),
-            (false, false) => format!("gives {}", names.join(", ")),
+            (true, _) if source.is_recorded() => "provides the quantities found in it".to_owned(),
+            (true, _) => "provides the quantities it sends".to_owned(),
+            (false, true) => "provides nothing".to_owned(),
+            (false, false) => format!("provides {}", names.join(", ")),
         };
         line(out, "", &format!("{}: {input}; {gives}", source.name))?;
         if source.lever_arm_m != DVec3::ZERO {
@@ -254,7 +254,7 @@ fn write_sonar(
     );
     line(out, "  pulse", &text)?;
     let text = format!(
-        "range {} m: window {:.1} ms, at most {:.2} pings/s; asked {:.2}, kept {:.2}; {:.0} samples per element and ping",
+        "range {} m: window {:.1} ms, at most {:.2} pings/s; configured {:.2}, used {:.2}; {:.0} samples per element and ping",
         settings.range_m,
         d.window_s * 1e3,
         d.longest_rate_hz,
@@ -496,7 +496,7 @@ fn note_surprises(sonar: &SonarSpec, d: &Derived, c: f64, notes: &mut Vec<String
     let name = &sonar.name;
     if sonar.settings.max_ping_rate_hz > d.longest_rate_hz {
         notes.push(format!(
-            "{name}: the range of {} m is too long for {:.2} pings/s; {:.2} are kept",
+            "{name}: the range of {} m is too long for {:.2} pings/s; the rate is reduced to {:.2}",
             sonar.settings.range_m, sonar.settings.max_ping_rate_hz, d.longest_rate_hz
         ));
     }
@@ -506,7 +506,7 @@ fn note_surprises(sonar: &SonarSpec, d: &Derived, c: f64, notes: &mut Vec<String
         && sonar.settings.max_ping_rate_hz > slowest_rate_hz
     {
         notes.push(format!(
-            "{name}: at the longest range allowed, {} m, {:.2} pings/s are kept",
+            "{name}: at the longest range allowed, {} m, the rate is reduced to {:.2} pings/s",
             sonar.limits.range_m.1, slowest_rate_hz
         ));
     }

@@ -112,7 +112,7 @@ pub fn sum_error_model(
         if step_hz * heard_s > 1.0 {
             error_model.error = WRAPPED;
             error_model.why = format!(
-                "steps of {step_hz:.2} Hz repeat every {:.4} s, and {heard_s:.4} s are heard: late echoes lie over early ones",
+                "steps of {step_hz:.2} Hz repeat every {:.4} s, but {heard_s:.4} s are received: late echoes overlap early ones",
                 1.0 / step_hz
             );
         }

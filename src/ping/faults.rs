@@ -211,7 +211,7 @@ impl Faults {
             let live = self.live_sources.iter().enumerate();
             let mut meant = live.filter(|(k, _)| source.is_none_or(|source| source == *k));
             if !meant.any(|(_, live)| *live) {
-                let rule = "is a recording, decoded before the first ping: only what live sources say has bytes to strike";
+                let rule = "is a recording, which is decoded before the first ping: this fault needs a live source";
                 return refused("source", rule.to_owned());
             }
         }

@@ -269,11 +269,11 @@ impl Ranking {
         };
         match cheaper {
             Some(c) => format!(
-                "{why}{} would leave {:.1e}, which is too much",
+                "{why}{} would leave an error of {:.1e}, which is too large",
                 c.part(family).choice,
                 c.part(family).error
             ),
-            None => format!("{why}nothing cheaper goes with the rest"),
+            None => format!("{why}no cheaper choice fits the other methods"),
         }
     }
 

@@ -300,7 +300,7 @@ impl RunControl {
         let mut clock = lock(&self.clock);
         if wanted.is_own() != clock.is_own() {
             return Err(format!(
-                "run.clock = \"{}\" cannot replace the present clock: restart the daemon with it",
+                "run.clock = \"{}\" cannot be set while the daemon runs with the present clock: restart the daemon with it",
                 clock_name(wanted)
             ));
         }
@@ -609,5 +609,5 @@ const STREAM_METRICS: &[(&str, Kind, &str)] = &[
         Kind::Counter,
         "Records that did not fit a client's queue",
     ),
-    ("queued_bytes", Kind::Gauge, "Bytes that wait for a client"),
+    ("queued_bytes", Kind::Gauge, "Bytes waiting for a client"),
 ];

@@ -39,7 +39,7 @@ ping_counters! {
         pub made = "pings_made", "Pings computed";
         pub(crate) skipped_nav = "pings_skipped_nav", "Pings whose navigation was incomplete at the deadline";
         pub(crate) skipped_late = "pings_skipped_late", "Pings whose deadline passed before they could be computed";
-        pub(crate) skipped_queue = "pings_skipped_queue", "Pings for which the queue was full";
+        pub(crate) skipped_queue = "pings_skipped_queue", "Pings skipped because the queue was full";
         pub degraded = "pings_degraded", "Pings computed with a larger tolerance because of overload";
         pub looser = "looser_now", "Degradation level of the newest ping";
         pub truncated = "pings_truncated", "Pings truncated while streaming because of overload";
@@ -168,7 +168,7 @@ impl PingCounters {
         let per_ping = |sum: &AtomicU64| read(sum) / read(&self.made).max(1);
         if read(&self.seabed_used) > 0 {
             text += &format!(
-                ", seabed per ping: {} scatterers used, {} culled, {} in shadow, {} made",
+                ", seabed per ping: {} scatterers used, {} culled, {} in shadow, {} generated",
                 per_ping(&self.seabed_used),
                 per_ping(&self.seabed_culled),
                 per_ping(&self.seabed_shadowed),
@@ -177,7 +177,7 @@ impl PingCounters {
         }
         match read(&self.beyond_engine) {
             0 => {}
-            n => text += &format!(", {n} echoes beyond what the engine is made for"),
+            n => text += &format!(", {n} echoes outside the engine's design limits"),
         }
         if read(&self.checked) > 0 {
             let [error, low, high] = [0, 1, 2].map(|k| f64::from_bits(read(&self.error_check[k])));
@@ -192,25 +192,30 @@ impl PingCounters {
                 ", plan {}{}: {error:.1e} of {tolerance:.1e} predicted",
                 read(&self.plan),
                 match read(&self.plan_part_elements) > 1 {
-                    true => " (lines alone)",
+                    true => " (lines only)",
                     false => "",
                 }
             );
         }
         match (read(&self.degraded), read(&self.looser)) {
             (0, _) => {}
-            (n, 0) => text += &format!(", OVERLOAD: {n} made looser, none now"),
-            (n, now) => text += &format!(", OVERLOAD: {n} made looser, now by {now} steps"),
+            (n, 0) => {
+                text += &format!(", OVERLOAD: {n} computed with a larger tolerance, none now")
+            }
+            (n, now) => {
+                text +=
+                    &format!(", OVERLOAD: {n} computed with a larger tolerance, now at level {now}")
+            }
         }
         match read(&self.truncated) {
             0 => {}
-            n => text += &format!(", OVERLOAD: {n} truncated while they streamed"),
+            n => text += &format!(", OVERLOAD: {n} truncated while streaming"),
         }
         match read(&self.stretched) {
             0 => {}
             n => {
                 text += &format!(
-                    ", OVERLOAD: {n} pulses put off, {:.1} s in all",
+                    ", OVERLOAD: {n} pulses delayed, {:.1} s in total",
                     read(&self.stretched_us) as f64 / 1e6
                 )
             }
@@ -219,7 +224,7 @@ impl PingCounters {
             (0, 0) => {}
             (given_up, failed) => {
                 text += &format!(
-                    ", FAULT: {given_up} plans given up for their error checks, {failed} not made"
+                    ", FAULT: {given_up} method plans abandoned after error checks, {failed} could not be prepared"
                 )
             }
         }
@@ -229,7 +234,7 @@ impl PingCounters {
         }
         match read(&self.error_check_faults) {
             0 => {}
-            n => text += &format!(", FAULT: above 1.3 times the tolerance on {n} of them"),
+            n => text += &format!(", FAULT: {n} of them above 1.3 times the tolerance"),
         }
         text
     }
@@ -269,7 +274,7 @@ impl PingCounters {
     /// Status line of `replay`, which has no clock.
     pub(crate) fn replay_line(&self) -> String {
         format!(
-            "{} pings made, {} skipped (navigation), {} samples saturated{}",
+            "{} pings computed, {} skipped (navigation), {} samples saturated{}",
             read(&self.made),
             read(&self.skipped_nav),
             read(&self.samples_saturated),
@@ -281,7 +286,7 @@ impl PingCounters {
     pub fn advice(&self, latency_s: f64) -> Option<String> {
         (read(&self.made) == 0 && read(&self.skipped_nav) > 0).then(|| {
             format!(
-                "  no ping yet: the navigation has covered none within run.latency_ms = {}. `settle` needs two measurements of every quantity after a ping's window: raise run.latency_ms above twice their interval, or take nav.mode = \"predict\"",
+                "  no ping yet: the navigation did not cover any ping within run.latency_ms = {}. Mode \"settle\" needs two measurements of every quantity after a ping's window: raise run.latency_ms above twice their interval, or set nav.mode = \"predict\"",
                 latency_s * 1e3
             )
         })

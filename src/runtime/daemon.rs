@@ -93,7 +93,7 @@ pub enum DaemonError {
     Control(#[from] ControlOpenError),
     /// A channel that every ping needs is missing from the recorded sources; the text names it.
     #[error(
-        "the recorded navigation does not hold what every ping needs: {0}; what a source never sends must not stand in its `provides`"
+        "the recorded navigation lacks a quantity that every ping needs: {0}; list in `provides` only what a source sends"
     )]
     NoNav(String),
     /// A thread panicked.
@@ -290,7 +290,7 @@ impl Daemon {
             let asked = self.rig.spec.control.listen.map(|asked| asked.port());
             if let Some(asked) = asked.filter(|&port| port != 0 && port != address.port()) {
                 lines.push(format!(
-                    "warning: port {asked} is another program's; page and control are at {address} this time"
+                    "warning: port {asked} is used by another program; page and control are at {address} instead"
                 ));
             }
         }

@@ -147,12 +147,12 @@ impl Histograms {
         [
             (
                 "start_error",
-                "From the instant a ping's records were due until they began to be handed over",
+                "From the due time of a ping's records until the delivery began",
                 &self.start_error,
             ),
             (
                 "compute_margin",
-                "From when a ping was computed until its records were due",
+                "From the end of a ping's computation until its records were due",
                 &self.margin,
             ),
             (
@@ -162,12 +162,12 @@ impl Histograms {
             ),
             (
                 "hand_over",
-                "From the instant a ping's records were due until all were handed over",
+                "From the due time of a ping's records until the delivery of all ended",
                 &self.hand_over,
             ),
             (
                 "send_pacing",
-                "From the instant a group of datagrams was due until it was handed to the kernel",
+                "From the due time of a group of datagrams until it was passed to the kernel",
                 &self.pacing,
             ),
         ]

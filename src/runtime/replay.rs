@@ -31,7 +31,7 @@ pub enum ReplayError {
     Record(#[from] RecordError),
     /// A requested format needs element samples, but the sonar synthesises beams directly.
     #[error(
-        "sonar {sonar}: sonar.model.output = \"beams\" makes no element samples, which {format} needs"
+        "sonar {sonar}: sonar.model.output = \"beams\" computes no element samples, which {format} needs"
     )]
     Beams {
         /// The configured name of the sonar.
@@ -40,7 +40,7 @@ pub enum ReplayError {
         format: &'static str,
     },
     /// No ping lies within the navigation and the range of `--pings`.
-    #[error("no ping was made: {0}")]
+    #[error("no ping was computed: {0}")]
     NoPing(String),
     /// The threads for computing cannot be started.
     #[error("threads: {0}")]

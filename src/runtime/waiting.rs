@@ -27,7 +27,7 @@ pub fn reason(spec: &NavSpec, inputs: &mut NavInputs, history: &NavHistory) -> S
     } else if inputs.timeline().is_none() {
         "the received sentences have no date; after 5 s the computer's clock is used".to_owned()
     } else if history.silent().is_empty() && history.is_detecting() {
-        "it is not known yet what the sources send".to_owned()
+        "still detecting which quantities the sources send".to_owned()
     } else {
         let missing = missing_quantities(spec, history);
         format!("{missing} yet; list in `provides` only what a source sends")

@@ -129,7 +129,8 @@ fn a_log_needs_no_list_of_its_quantities() {
     let done = run("check", [&config]);
     assert_eq!(done.code, Some(0), "{}", done.err);
     assert!(
-        done.out.contains("gives position, course-speed, heading\n"),
+        done.out
+            .contains("provides position, course-speed, heading\n"),
         "{}",
         done.out
     );
@@ -147,7 +148,7 @@ fn a_log_needs_no_list_of_its_quantities() {
     ];
     let done = run("replay", [&[config.as_os_str()], &pings[..]].concat());
     assert_eq!(done.code, Some(0), "{}", done.err);
-    assert!(done.out.contains("3 pings made"), "{}", done.out);
+    assert!(done.out.contains("3 pings computed"), "{}", done.out);
 }
 
 fn picture(path: &Path) -> (png::OutputInfo, Vec<u8>) {

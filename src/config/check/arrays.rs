@@ -34,7 +34,7 @@ impl Arrays<'_> {
         let mut chosen = Vec::new();
         for name in arrays.as_ref()? {
             if !seen.insert(name) {
-                problems.refuse(entry, format!("names \"{name}\" twice"));
+                problems.refuse(entry, format!("contains \"{name}\" twice"));
             }
             chosen.push(index_of(name, entry, self.names, "receive array", problems));
         }

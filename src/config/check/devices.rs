@@ -26,7 +26,7 @@ pub(super) fn ping<'t>(
             PingDevice::Omniscan450 { side } => (
                 beams.lines.iter().any(|line| line.side == side),
                 &table.side,
-                "needs that side's line: sonar.beams",
+                "needs the side-scan line of that side in sonar.beams",
             ),
             PingDevice::Surveyor240 => (
                 (beams.fan.as_ref()).is_some_and(|fan| fan.form.bottom_detection),
@@ -72,7 +72,10 @@ pub(super) fn wbms<'t>(
 ) -> Option<WbmsSpec> {
     let listen = address(&table.listen, problems)?;
     if listen.port() > u16::MAX - WBMS_PORTS {
-        problems.refuse(&table.listen, "leaves no room for three ports behind it");
+        problems.refuse(
+            &table.listen,
+            "must leave three ports above it: at most 65531",
+        );
         return None;
     }
     let spec = WbmsSpec {

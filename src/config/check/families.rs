@@ -45,14 +45,13 @@ pub(super) fn jsf<'t>(
         let specs = arrays.iter().filter_map(|&a| sonar.arrays.specs.get(a));
         let elements: usize = specs.flatten().map(|array| array.elements).sum();
         if elements > MAX_JSF_CHANNELS {
-            let rule = format!("{elements} elements; JSF counts {MAX_JSF_CHANNELS} channels");
+            let rule =
+                format!("{elements} elements; JSF allows at most {MAX_JSF_CHANNELS} channels");
             problems.refuse(&table.arrays, rule);
         }
     }
     if (sonar.samples).is_some_and(|samples| samples > MAX_JSF_SAMPLES) {
-        let rule = format!(
-            "a ping of more than {MAX_JSF_SAMPLES} samples, which is all that JSF counts to"
-        );
+        let rule = format!("a ping has more than {MAX_JSF_SAMPLES} samples, the maximum of JSF");
         problems.refuse(&table.format, rule);
     }
     let silent: Option<u8> = (table.silent_subsystem).given_and_then(|&s| s.try_into().ok())?;
@@ -61,7 +60,7 @@ pub(super) fn jsf<'t>(
         let last = usize::from(subsystem) + sonar.more_pulses;
         if last > usize::from(u8::MAX) {
             let rule = format!(
-                "each pulse is a subsystem, and the last would be {last}; JSF counts to 255"
+                "each pulse is a subsystem, and the last would be {last}; JSF allows at most 255"
             );
             problems.refuse(&table.subsystem, rule);
         }

@@ -39,7 +39,7 @@ fn output<'t>(
     let on_line = matches!(table.pulse.text(), Some("rts" | "dtr"));
     if on_line && table.kind.is("serial") == Some(false) {
         let rule =
-            "needs kind = \"serial\": elsewhere there is no such line, \"byte\" stands for it";
+            "needs kind = \"serial\": only a serial port has that line; use \"byte\" elsewhere";
         problems.refuse(&table.pulse, rule);
     }
     let rate_hz = table.rate_hz.get()?;

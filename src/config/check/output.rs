@@ -21,9 +21,9 @@ pub(super) fn note_element_needs(
         here && matches!(kind, Ok(FaultKind::Element { .. }))
     };
     let of_rig = if faults.iter().any(of_elements) {
-        Some("a fault of elements is in the scenario")
+        Some("the configuration contains an element fault")
     } else if control.is_some_and(|control| control.listen.is_some()) {
-        Some("[control] shows them and can break them")
+        Some("[control] shows elements and can inject faults into them")
     } else {
         None
     };

@@ -21,8 +21,9 @@ pub(crate) fn refuse_overload_conflicts(
                 problems.refuse(entry, rule);
             }
             Some("stretch") if sonar.trigger.from.is_wired() => {
-                let rule =
-                    format!("the pulses of sonar {name} are its trigger's: they cannot wait");
+                let rule = format!(
+                    "an external trigger starts the pulses of sonar {name}, so they cannot be delayed"
+                );
                 problems.refuse(entry, rule);
             }
             _ => {}

@@ -73,12 +73,16 @@ pub(super) fn vita49(
         // Two frames of 2-byte samples take as many words as one frame of I and Q.
         let needed = VRT_AROUND_BYTES + 4 * side_by_side;
         if max_packet < needed || side_by_side > MAX_VECTOR {
-            let rule = format!("must hold a moment of {side_by_side} elements: at least {needed}");
+            let rule =
+                format!("must hold one sample of {side_by_side} elements: at least {needed}");
             problems.refuse(&table.max_packet_bytes, rule);
         }
         let last = table.first_stream.get()? + source.elements(arrays) as i64;
         if last > i64::from(u32::MAX) {
-            problems.refuse(&table.first_stream, "leaves no room for all elements");
+            problems.refuse(
+                &table.first_stream,
+                "must be low enough that every element has a stream number below 2^32",
+            );
         }
     }
     let send_to = destinations(&table.send_to, problems);
@@ -139,10 +143,10 @@ pub(super) fn elements<'t>(
         };
         let needed = HEADER_BYTES + sample.bytes() * elements;
         if elements > usize::from(u16::MAX) {
-            let rule = format!("{elements} elements; a frame counts to {}", u16::MAX);
+            let rule = format!("{elements} elements; a frame holds at most {}", u16::MAX);
             problems.refuse(&table.arrays, rule);
         } else if table.send_to.given && max_packet < needed {
-            let rule = format!("must hold a moment of {elements} elements: at least {needed}");
+            let rule = format!("must hold one sample of {elements} elements: at least {needed}");
             problems.refuse(&table.max_packet_bytes, rule);
         }
     }
@@ -177,7 +181,9 @@ pub(super) fn wav(
     if let Some(arrays) = &arrays {
         let channels = source.elements(arrays);
         if channels > MAX_WAV_CHANNELS {
-            let rule = format!("{channels} elements; a WAV takes {MAX_WAV_CHANNELS}");
+            let rule = format!(
+                "{channels} elements; a WAV file holds at most {MAX_WAV_CHANNELS} channels"
+            );
             problems.refuse(&table.arrays, rule);
         }
     }

@@ -45,7 +45,11 @@ pub(super) fn scene(table: &keys::Scene, rig: &Rig, problems: &mut Problems) -> 
         .get()
         .is_some_and(|path| path.extension().is_some_and(|e| e == "toml"));
     let carried = Some(table.seabed.given || shapes);
-    problems.only_with(&[&table.targets], carried, "a seabed, on which they lie");
+    problems.only_with(
+        &[&table.targets],
+        carried,
+        "a seabed, because the targets lie on it",
+    );
     let memory_limit_bytes: u64 = table.memory_mib.to()?;
     if let Some(density) = seabed.as_ref().map(|s| s.density) {
         let scatterers = rig.scatterers_in_beams(&density);
@@ -120,7 +124,11 @@ fn seabed(
     let bottom = bottom(table, problems);
     let mosaic = mosaic(table, problems)?;
     let constant = Some(!table.density.given);
-    problems.only_with(&[&table.density_per_m2], constant, "no density = \"auto\"");
+    problems.only_with(
+        &[&table.density_per_m2],
+        constant,
+        "a constant density, not density = \"auto\"",
+    );
     let density = match table.density.given {
         true => {
             let depth_m = table

@@ -124,7 +124,8 @@ pub(crate) fn sonar<'t>(
     }
     if model.is_some_and(|m| m.synthesis == Synthesis::Gridded2d) {
         for t in receive_tables.iter().filter(|t| t.elements.to() == Some(1)) {
-            let rule = "must be at least 2 with synthesis = \"gridded-2d\", which wants lines";
+            let rule =
+                "must be at least 2 with synthesis = \"gridded-2d\", which computes whole lines";
             problems.refuse(&t.elements, rule);
         }
     }
@@ -132,7 +133,7 @@ pub(crate) fn sonar<'t>(
         && receive_tables.iter().all(|t| t.elements.to() == Some(1))
     {
         for t in receive_tables {
-            let rule = "must be at least 2 in one array with synthesis = \"gridded-lines\", which makes lines";
+            let rule = "must be at least 2 in one array with synthesis = \"gridded-lines\", which computes whole lines";
             problems.refuse(&t.elements, rule);
         }
     }
@@ -233,7 +234,8 @@ fn more_pulse(
     let center_frequency_hz = table.center_frequency_khz.if_given()?;
     let center_frequency_hz = center_frequency_hz.unwrap_or(own.center_frequency_hz);
     if bandwidth_hz > own.bandwidth_hz {
-        let rule = "must be at most the pulse's own: the receiver filter is made for that";
+        let rule =
+            "must be at most sonar.pulse.bandwidth_khz, for which the receiver filter is designed";
         problems.refuse(&table.bandwidth_khz, rule);
     }
     let kind = match (own.kind, table.sweep.text()?) {
@@ -243,7 +245,7 @@ fn more_pulse(
     };
     let apart_hz = (center_frequency_hz - own.center_frequency_hz).abs();
     if kind == own.kind && apart_hz < own.bandwidth_hz {
-        let rule = "must be the other one, or center_frequency_khz a bandwidth away: nothing else tells the pulses apart";
+        let rule = "must be the opposite sweep, or center_frequency_khz at least one bandwidth away: otherwise the pulses cannot be separated";
         problems.refuse(&table.sweep, rule);
     }
     let transmit = table.transmit.given_and_then(|name| {
@@ -455,7 +457,7 @@ fn receiver(
         (None, Some(rows)) => {
             let increasing = rows.windows(2).all(|w| w[0].0 < w[1].0);
             if !increasing || rows[0].0 < 0.0 {
-                let rule = "must have ranges from 0 on, each beyond the one before";
+                let rule = "must have ranges of 0 or more, in ascending order";
                 problems.refuse(&table.tvg, rule);
             }
             Some(TimeVaryingGain::Table(rows.to_vec()))
@@ -614,8 +616,8 @@ fn model(
             .collect::<Vec<_>>()
             .join(" or ");
         let why = match synthesis {
-            gridded if gridded.keeps_tolerance() => "which places every echo where it is",
-            _ => "which lays one pulse under every echo",
+            gridded if gridded.keeps_tolerance() => "which computes every echo at its exact delay",
+            _ => "which uses the same pulse for every echo",
         };
         let name = synthesis.name();
         let rule = format!("must be {known} with synthesis = \"{name}\", {why}");
@@ -623,7 +625,7 @@ fn model(
     }
     let lines = synthesis.filter(|synthesis| synthesis.makes_lines());
     if lines.is_some() && filter == Some(ReceiverFilter::None) {
-        let rule = "needs receiver.rx_filter = \"fir\": a band that ends";
+        let rule = "needs receiver.rx_filter = \"fir\", which limits the band";
         problems.refuse(&table.synthesis, rule);
     }
     let path = match table.path.text()? {
@@ -633,7 +635,7 @@ fn model(
     };
     if let (Some(lines), "polyline") = (lines, path) {
         let rule = format!(
-            "must be another with synthesis = \"{}\": the polyline's steps of attitude tear a line apart; \"k-segment\" has none",
+            "must be another with synthesis = \"{}\": the attitude steps of \"polyline\" break up an array line; \"k-segment\" has none",
             lines.name()
         );
         problems.refuse(&table.path, rule);
@@ -753,7 +755,7 @@ fn synthetic_aperture(
     for name in table.arrays.as_ref()? {
         let array = index_of(name, entry, arrays.names, "receive array", problems);
         if array.is_some() && chosen.contains(&array) {
-            problems.refuse(entry, format!("names \"{name}\" twice"));
+            problems.refuse(entry, format!("contains \"{name}\" twice"));
         }
         chosen.push(array);
     }
@@ -940,12 +942,14 @@ fn sevenk<'t>(
             .map(|a| a.elements)
             .sum();
         if elements > MAX_7K_ELEMENTS {
-            let rule = format!("{elements} elements; a 7k record counts to {MAX_7K_ELEMENTS}");
+            let rule = format!("{elements} elements; a 7k record holds at most {MAX_7K_ELEMENTS}");
             problems.refuse(&table.arrays, rule);
         }
         let record_bytes = elements as f64 * samples * BYTES_PER_7038_SAMPLE;
         if record_bytes > f64::from(u32::MAX) {
-            let rule = format!("{record_bytes} bytes in one 7038; a 7k record counts to 2^32 - 1");
+            let rule = format!(
+                "{record_bytes} bytes in one 7038 record; a 7k record holds at most 2^32 - 1"
+            );
             problems.refuse(&table.arrays, rule);
         } else if client_queue_bytes.is_some_and(|queue| (queue as f64) < record_bytes) {
             let mib = (record_bytes / f64::from(1 << 20)).ceil() + 1.0;

@@ -41,15 +41,15 @@ pub(crate) fn refuse_tile_conflicts(
         let one_by_one = [Synthesis::Reference, Synthesis::Direct];
         let is_passband = |output: &OutputSpec| matches!(output, OutputSpec::Vita49(output) if output.passband_rate_hz.is_some());
         let why = if sonar.synthesis.auto.any() || !one_by_one.contains(&model.synthesis) {
-            "model.synthesis must be \"reference\" or \"direct\", and nothing \"auto\": other sums need the whole ping"
+            "model.synthesis must be \"reference\" or \"direct\", and no method may be \"auto\": other synthesis methods need the whole ping"
         } else if model.doppler == DopplerModel::StretchQuadratic {
             "model.doppler = \"stretch-quadratic\" fits its curves to the whole ping"
         } else if sonar.synthesis.error_check {
             "model.error_check needs the whole ping"
         } else if !sonar.more_pulses.is_empty() {
-            "further pulses are made with the whole ping"
+            "further pulses need the whole ping"
         } else if sonar.outputs.iter().any(is_passband) {
-            "output.vita49 makes passband samples of the whole ping"
+            "passband samples in output.vita49 need the whole ping"
         } else {
             continue;
         };
@@ -95,7 +95,7 @@ pub(crate) fn refuse_long_prediction(
     if ahead_s + longest_s > nav.max_extrapolation_s {
         let ms = |s: f64| (s * 1e3).ceil();
         let rule = format!(
-            "{} ms and a listening window of {} ms are foreseen, and nav.max_extrapolation_ms = {}: every ping would be skipped",
+            "pings need an extrapolation of {} ms plus a listening window of {} ms, but nav.max_extrapolation_ms = {}: every ping would be skipped",
             ms(ahead_s),
             ms(longest_s),
             ms(nav.max_extrapolation_s)

@@ -92,7 +92,8 @@ pub(crate) fn refuse_trigger_conflicts(
                 }
             }
             Some(own) if own.is_wired() && run.is_some_and(|r| r.clock == ClockSpec::Fast) => {
-                let rule = "needs another run.clock than \"fast\", which waits for nobody";
+                let rule =
+                    "needs a run.clock other than \"fast\", which does not wait for triggers";
                 problems.refuse(&trigger.source, rule);
             }
             _ => {}

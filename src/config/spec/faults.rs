@@ -350,7 +350,9 @@ impl FaultRequest {
         };
         let value = match (unit, self.value) {
             ("", None) => 0.0,
-            ("", Some(_)) => return refused("value", format!("{name} takes none")),
+            ("", Some(_)) => {
+                return refused("value", format!("{name} has no value; leave the key out"));
+            }
             (_, Some(value)) if (min..=max).contains(&value) => value,
             _ => return refused("value", format!("must be from {min} to {max} {unit}")),
         };
@@ -360,14 +362,20 @@ impl FaultRequest {
         let of_nav = name.starts_with("nav-");
         for (key, given) in [("source", &self.source), ("quantity", &self.quantity)] {
             if given.is_some() && !of_nav {
-                return refused(key, format!("{name} is no fault of navigation"));
+                return refused(key, format!("{name} is not a navigation fault"));
             }
         }
         if matches!(name, "nav-checksum" | "nav-cut" | "nav-noise") && self.quantity.is_some() {
-            return refused("quantity", format!("{name} strikes whole sentences"));
+            return refused(
+                "quantity",
+                format!("{name} affects whole sentences; leave quantity out"),
+            );
         }
         if of_nav && self.sonar.is_some() {
-            return refused("sonar", "navigation is every sonar's");
+            return refused(
+                "sonar",
+                "navigation faults affect every sonar; leave sonar out",
+            );
         }
         if name == "nav-wrong" && self.quantity.is_none() {
             return refused("quantity", "nav-wrong needs one: the value has its unit");
@@ -448,7 +456,7 @@ impl FaultRequest {
             });
         }
         if self.array.is_some() || self.element.is_some() {
-            return refused("element", format!("{name} is no fault of an element"));
+            return refused("element", format!("{name} is not an element fault"));
         }
         let quantity = self.channel()?;
         let nav = |fault| FaultKind::Nav { fault, quantity };

@@ -56,21 +56,21 @@ impl SonarSpec {
         } else if beams.fan.is_some() {
             "a fan is formed from them"
         } else if beams.synthetic_aperture.is_some() {
-            "a synthetic aperture is made of them"
+            "a synthetic aperture is computed from them"
         } else if !(0..self.receive.len()).all(lines) {
-            "an array has no line"
+            "an array has no side-scan line"
         } else if beams.focused_lines {
-            "focused lines have other weights at every range"
+            "focused lines have different weights at every range"
         } else if !self.more_pulses.is_empty() {
-            "each of several pulses is filtered for itself"
+            "each of several pulses is filtered separately"
         } else if self.receiver.adc_bits.is_some() {
-            "a converter stands behind each"
+            "each has its own A/D converter"
         } else if (2..=least).all(any) {
-            "they do not come in equal parts"
+            "the arrays cannot be divided into equal parts"
         } else if fixed && unsuited {
-            "the synthesis that is given makes whole lines, or the truth"
+            "the configured synthesis computes whole lines or is the reference"
         } else if !self.synthesis.auto.path && self.model.path == PathModel::Polyline {
-            "the polyline's steps of attitude would tear a part"
+            "the attitude steps of a polyline would break up a part"
         } else {
             return None;
         })

@@ -15,7 +15,7 @@ pub(crate) fn write_mounting(out: &mut String, source: &NavSourceSpec) -> fmt::R
     let sensor = &source.mounting;
     if sensor.heave_arm_m != DVec3::ZERO {
         let text = format!(
-            "{}: heave of a point {}; all of it is taken off",
+            "{}: heave is measured {}; its lift by roll and pitch is subtracted",
             source.name,
             tilted(sensor.heave_arm_m)
         );
@@ -31,13 +31,13 @@ pub(crate) fn write_mounting(out: &mut String, source: &NavSourceSpec) -> fmt::R
         let sensor = rotation_from_angles(roll_rad, pitch_rad, 0.0) * body_from_sensor;
         let (roll, pitch, _) = angles_from_rotation(sensor);
         format!(
-            "says roll {:+.3}, pitch {:+.3}",
+            "measures roll {:+.3}, pitch {:+.3}",
             roll.to_degrees(),
             pitch.to_degrees()
         )
     };
     let text = format!(
-        "{}: on a level platform {}, heading {:+.3} too much; at roll +{SIGN_TEST_DEG} deg (starboard down) {}; at pitch +{SIGN_TEST_DEG} deg (bow up) {}",
+        "{}: on a level platform {}, heading error {:+.3}; at roll +{SIGN_TEST_DEG} deg (starboard down) {}; at pitch +{SIGN_TEST_DEG} deg (bow up) {}",
         source.name,
         says(0.0, 0.0),
         a.z.to_degrees(),
@@ -65,12 +65,12 @@ pub(crate) fn write_rest(out: &mut String, nav: &NavSpec) -> fmt::Result {
             format!("{reference_down_m} m below the waterline")
         }
         VerticalSpec::Gnss { datum_offset_m } => format!(
-            "minus the antenna's height plus {datum_offset_m} m, its arm turned and taken off; heave, which the height holds, is not added"
+            "minus the antenna's height plus {datum_offset_m} m, corrected for the lever arm; heave is not added, because the height includes it"
         ),
         VerticalSpec::Depth if given(NavChannel::Depth) => {
-            "the depth sensor's, its arm turned and taken off; heave, which the depth holds, is not added".to_owned()
+            "from the depth sensor, corrected for the lever arm; heave is not added, because the depth includes it".to_owned()
         }
-        VerticalSpec::Depth => "the track's own; heave is not added".to_owned(),
+        VerticalSpec::Depth => "from the track; heave is not added".to_owned(),
     };
     let down = match nav.heave_from_depth_m {
         Some(depth_m) => {

@@ -35,7 +35,7 @@ pub enum CostsError {
         key: &'static str,
     },
     /// A key is no figure.
-    #[error("{path}: ns.{key}: no such figure; one of {}", names())]
+    #[error("{path}: ns.{key}: unknown cost; must be one of {}", names())]
     Unknown {
         /// The file.
         path: String,
@@ -157,7 +157,8 @@ mod tests {
         assert_eq!(said("#"), "costs.toml: ns.chord is missing");
         let unknown = said("chord = 1.0\nchords = 1.0");
         assert!(
-            unknown.starts_with("costs.toml: ns.chords: no such figure; one of ping, element,"),
+            unknown
+                .starts_with("costs.toml: ns.chords: unknown cost; must be one of ping, element,"),
             "{unknown}"
         );
     }

@@ -486,12 +486,12 @@ impl<'a> Maker<'a> {
         } = self.conditions;
         if speed_m_per_s > FASTEST_PLATFORM_M_PER_S {
             return Err(format!(
-                "the platform does {speed_m_per_s:.1} m/s, the engine knows {FASTEST_PLATFORM_M_PER_S}"
+                "the platform moves at {speed_m_per_s:.1} m/s; the engine is designed for at most {FASTEST_PLATFORM_M_PER_S} m/s"
             ));
         }
         if doppler == DopplerModel::StretchQuadratic && acceleration_m_per_s2 > HARDEST_M_PER_S2 {
             return Err(format!(
-                "an array accelerates by {acceleration_m_per_s2:.1} m/s^2, the engine knows {HARDEST_M_PER_S2}"
+                "an array accelerates by {acceleration_m_per_s2:.1} m/s^2; the engine is designed for at most {HARDEST_M_PER_S2} m/s^2"
             ));
         }
         let across = ACROSS * heard.map_or(speed_m_per_s, |heard| heard.across_m_per_s);
@@ -500,7 +500,7 @@ impl<'a> Maker<'a> {
             && across > SIDEWAYS_M_PER_S
         {
             return Err(format!(
-                "echoes close in at {across:.2} m/s across the line, the engine knows {SIDEWAYS_M_PER_S}"
+                "the closing speed across the line is {across:.2} m/s; the engine is designed for at most {SIDEWAYS_M_PER_S} m/s"
             ));
         }
         let sketched = (synthesis, doppler, engine_tolerance.map(f64::to_bits));
@@ -748,7 +748,7 @@ impl<'a> Maker<'a> {
         for family in [Family::Path, Family::Doppler] {
             let part = &mut candidate.parts[family as usize];
             (part.error, part.cost_ms, part.work) = (0.0, 0.0, Work::NONE);
-            part.why = "not used: on the trajectory itself, sample by sample".into();
+            part.why = "not used: the exact trajectory is evaluated sample by sample".into();
         }
         candidate.displaced = Displaced::default();
         candidate
@@ -808,10 +808,10 @@ impl<'a> Maker<'a> {
                 match culling.of.kept {
                     kept if kept > 1.0 => {
                         format!(
-                            "{kept:.1} times as many scatterers as are at hand above their floor"
+                            "{kept:.1} times as many scatterers as were gathered above the configured threshold"
                         )
                     }
-                    kept => format!("{:.0} % of the scatterers at hand are kept", 100.0 * kept),
+                    kept => format!("{:.0} % of the gathered scatterers are kept", 100.0 * kept),
                 },
             ),
         };
@@ -863,7 +863,7 @@ impl<'a> Maker<'a> {
             None => {
                 let synthesis = &self.scene.spec.synthesis;
                 let why = match synthesis.output {
-                    MadeOutput::Elements => "nothing else is asked for",
+                    MadeOutput::Elements => "no other output is configured",
                     _ => synthesis.elements_for.unwrap_or(""),
                 };
                 ("elements".to_owned(), 0.0, Work::NONE, why.to_owned())
@@ -876,7 +876,7 @@ impl<'a> Maker<'a> {
                     error.unwrap_or(f64::INFINITY),
                     Work::of(Figure::PartElement, pairs * parting.of as f64),
                     format!(
-                        "nobody reads elements: {records} records in place of {}",
+                        "no output reads elements: {records} records instead of {}",
                         records * parting.of
                     ),
                 )

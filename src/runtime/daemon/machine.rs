@@ -14,7 +14,7 @@ use crate::io::sonar::RigTime;
 /// Locks memory and tries a real-time priority. Returns the outcome as a remark.
 pub(super) fn punctuality(priority: u8) -> String {
     if priority == 0 {
-        return "ordinary scheduling (run.priority = 0)".to_owned();
+        return "normal scheduling (run.priority = 0)".to_owned();
     }
     let locked = priority::lock_memory();
     // A separate thread: the calling thread keeps its ordinary scheduling.
@@ -22,7 +22,7 @@ pub(super) fn punctuality(priority: u8) -> String {
     let real_time = tried.unwrap_or_else(|_| Err(std::io::ErrorKind::Other.into()));
     match (real_time, locked) {
         (Ok(()), Ok(())) => {
-            format!("pings are handed over under SCHED_FIFO {priority}, memory is locked")
+            format!("pings are delivered at SCHED_FIFO priority {priority}, memory is locked")
         }
         (real_time, locked) => {
             let why = |what, result: std::io::Result<()>| {
@@ -33,7 +33,7 @@ pub(super) fn punctuality(priority: u8) -> String {
                 .flatten()
                 .collect();
             format!(
-                "warning: pings may be late: {} (echotank doctor says more)",
+                "warning: pings may be late: {} (run `echotank doctor` for details)",
                 why.join("; ")
             )
         }
@@ -50,9 +50,9 @@ pub(super) fn preference(nice: i8) -> Option<String> {
     Some(match tried {
         Ok(Ok(())) => format!("pings are computed at nice {nice}"),
         Ok(Err(error)) => format!(
-            "warning: pings are computed like any other program: nice {nice}: {error} (echotank doctor says more)"
+            "warning: pings are computed at normal priority: cannot set nice {nice}: {error} (run `echotank doctor` for details)"
         ),
-        Err(_) => "warning: pings are computed like any other program".to_owned(),
+        Err(_) => "warning: pings are computed at normal priority".to_owned(),
     })
 }
 

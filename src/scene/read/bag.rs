@@ -118,7 +118,11 @@ fn layer(file: &Hdf5File, path: &str) -> Result<(usize, usize, Vec<f32>), Format
     let values = dataset.read_array::<f32>().at(path)?;
     let (values, offset) = values.into_raw_vec_and_offset();
     if values.len() != rows * cols || offset.unwrap_or(0) != 0 {
-        return refuse(path, "", "damaged: does not hold what its shape announces");
+        return refuse(
+            path,
+            "",
+            "damaged: contains fewer values than its shape states",
+        );
     }
     Ok((rows, cols, values))
 }

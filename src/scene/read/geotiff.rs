@@ -180,7 +180,7 @@ impl BandMetadata {
                 Some("unittype") => {
                     found.unit_m = units::of_word(text);
                     if found.unit_m.is_none() && !text.is_empty() {
-                        return refuse(PLACE, text, "is no unit of length that is read");
+                        return refuse(PLACE, text, "is not a supported unit of length");
                     }
                 }
                 _ => {}
@@ -345,7 +345,7 @@ impl GeoKeys {
                 None => refuse(
                     format!("GeoKey {key}"),
                     code,
-                    "is no unit of length that is read",
+                    "is not a supported unit of length",
                 ),
             },
         };

@@ -118,7 +118,7 @@ fn system(reader: &LasReader) -> Result<(Option<Crs>, Units), FormatError> {
             None => refuse(
                 place,
                 code,
-                "is no unit of length that is read (GeoKeys 3076 and 4099)",
+                "is not a supported unit of length (GeoKeys 3076 and 4099)",
             ),
         },
     };

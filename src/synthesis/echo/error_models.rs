@@ -113,7 +113,7 @@ pub fn path_error_model(path: PathModel, conditions: &Conditions) -> ErrorModel 
         PathModel::StopAndHop => (
             hop_m,
             LEG_NS,
-            format!("the platform moves {hop_m:.1e} m while sound is under way"),
+            format!("the platform moves {hop_m:.1e} m during the travel time"),
         ),
         PathModel::Polyline => (
             sag_m + turned_m,
@@ -128,7 +128,7 @@ pub fn path_error_model(path: PathModel, conditions: &Conditions) -> ErrorModel 
         PathModel::Continuous => (
             0.0,
             2.0 * LEG_NS + TRAJECTORY_NS,
-            "on the trajectory itself".to_owned(),
+            "exact trajectory".to_owned(),
         ),
     };
     let phase_rad = conditions.wavenumber_per_m() * off_m * spread;

@@ -41,7 +41,7 @@ fn a_killed_daemon_loses_no_sent_ping_and_the_next_recovers_its_recording() {
     let pings = pings_in(&pings_of(folder.path())) as u64;
     assert!(pings >= delivered, "{pings} of {delivered} pings");
     let said = run_well("recover", [mended]);
-    assert!(said.contains("is whole"), "{said}");
+    assert!(said.contains("is complete"), "{said}");
 }
 
 #[test]
@@ -56,7 +56,7 @@ fn a_daemon_that_loses_its_terminal_closes_its_recording() {
     let ended = daemon.child.wait().expect("ended");
     assert!(ended.success(), "{ended}");
     let said = run_well("recover", files_in(folder.path()));
-    assert!(said.contains("is whole"), "{said}");
+    assert!(said.contains("is complete"), "{said}");
 }
 
 /// All record formats together.
@@ -120,7 +120,7 @@ fn a_full_disk_stops_recordings_and_they_go_on_when_there_is_room() {
     let kinds = ["s7k", "jsf", "xtf", "svlog", "sigmf-meta", "wav"];
     for kind in kinds {
         let file = file_of(folder.path(), "", &format!(".{kind}"));
-        for want in ["", "is whole"] {
+        for want in ["", "is complete"] {
             let said = run_well("recover", [&file]);
             assert!(said.contains(want), "{said}");
         }

@@ -160,7 +160,10 @@ fn degraded_pings_are_flagged_meet_the_looser_tolerance_and_recover() {
     assert_eq!(last["sonars"][0]["overload"], "degrade");
     assert!(counter(&last, "pings_degraded") > 0);
     assert!(
-        said.contains(&format!("OVERLOAD: {} made looser", all.len())),
+        said.contains(&format!(
+            "OVERLOAD: {} computed with a larger tolerance",
+            all.len()
+        )),
         "{said}"
     );
 }
@@ -191,7 +194,7 @@ fn stretched_periods_match_the_compute_time_and_are_reported() {
     assert!(mean_s > 0.065, "{mean_s} s: {made:?}");
     assert_eq!(last["sonars"][0]["overload"], "stretch");
     assert!(
-        said.contains(&format!("OVERLOAD: {} pulses put off", stretched.len())),
+        said.contains(&format!("OVERLOAD: {} pulses delayed", stretched.len())),
         "{said}"
     );
     // A machine without overload has none of these effects.

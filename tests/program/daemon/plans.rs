@@ -138,7 +138,9 @@ fn a_failed_error_check_is_a_counted_fault_and_selects_costlier_methods() {
     assert!(metric(control, "plan_predicted_error") <= Some(2e-2));
     let printed = daemon.terminate();
     assert!(
-        printed.contains("FAULT: 1 plans given up for their error checks, 0 not made"),
+        printed.contains(
+            "FAULT: 1 method plans abandoned after error checks, 0 could not be prepared"
+        ),
         "{printed}"
     );
 }

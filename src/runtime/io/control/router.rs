@@ -186,7 +186,7 @@ fn objection(headers: &HeaderMap, token: Option<&str>) -> Option<(StatusCode, &'
         if headers.get_all(name).iter().count() > 1 {
             return Some((
                 StatusCode::BAD_REQUEST,
-                "Host, Origin and Authorization may be given once",
+                "Host, Origin and Authorization may be given only once",
             ));
         }
     }

@@ -213,7 +213,7 @@ impl Session {
         let text = match message {
             Message::Text(text) => text,
             Message::Ping(_) | Message::Pong(_) => return Ok(()),
-            Message::Binary(_) => return self.complain("only text is taken").await,
+            Message::Binary(_) => return self.complain("only text messages are accepted").await,
             Message::Close(_) => return Err(Disconnected),
         };
         match serde_json::from_str(&text) {

@@ -48,8 +48,8 @@ pub enum NavOpenError {
     },
     /// A file contains nothing that the source provides.
     #[error(
-        "nav source `{name}`: nothing usable in {path}: {} sentences, of which {} with a wrong checksum, {} without one, {} refused for it, \
-         {} of unknown kinds, {} malformed, {} empty, {} that give nothing of what the source provides; {json} lines of JSON, which is not read",
+        "nav source `{name}`: nothing usable in {path}: {} sentences, of which {} with a wrong checksum, {} without a checksum, {} rejected by checksum, \
+         {} of unknown types, {} malformed, {} empty, {} without a quantity that the source provides; {json} lines of JSON, which is not read",
         .counters.sentences, .counters.bad_checksum, .counters.missing_checksum, .counters.refused_checksum,
         .counters.unsupported, .counters.malformed, .counters.empty_fields, .counters.not_taken
     )]

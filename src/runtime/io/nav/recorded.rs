@@ -71,7 +71,7 @@ impl Recorded {
             let shifted = log.passes.iter().find(|p| p.kind == PassKind::Shifted);
             if let Some(pass) = shifted.filter(|_| recorded > 1) {
                 let problem = format!(
-                    "its clock steps back at line {}: the passes are played one after the other, and another recorded source cannot follow; give each pass a file of its own",
+                    "its clock steps back at line {}: the passes would be played one after the other, which does not work with another recorded source; split the passes into separate files",
                     pass.line
                 );
                 return Err(NavOpenError::source(&source.name, problem));
@@ -85,7 +85,7 @@ impl Recorded {
             let (refused, all) = (s.decoder.refused_checksum, s.decoder.sentences);
             if refused * MAX_REFUSED_ONE_IN > all {
                 warnings.push(format!(
-                    "{}: {refused} of {all} sentences are refused for their checksum (checksum, ignore_checksum_for)",
+                    "{}: {refused} of {all} sentences are rejected by checksum (see the keys checksum, ignore_checksum_for)",
                     s.name
                 ));
             }

@@ -307,7 +307,7 @@ fn of_npz(bytes: Vec<u8>, pulse: u16) -> Result<Vec<RecordedPing>, String> {
         return Err(format!("lines: {} pulses, not {pulse}", pulses + 1));
     }
     if pings * sides * samples == 0 {
-        return Err("lines: there are none".into());
+        return Err("lines: the recording has no side-scan line".into());
     }
     let mut shaped = |name: &str, shape: &[usize]| -> Result<Vec<f64>, String> {
         let found = array(name)?;
@@ -378,7 +378,7 @@ fn of_npz(bytes: Vec<u8>, pulse: u16) -> Result<Vec<RecordedPing>, String> {
 
 /// Parses NumPy's `.npy` format (NEP 1) for the types that this program writes.
 fn npy(bytes: &[u8]) -> Result<Array, String> {
-    const NONE: &str = "is no .npy";
+    const NONE: &str = "is not a .npy array";
     if bytes.get(..6) != Some(b"\x93NUMPY") {
         return Err(NONE.into());
     }
@@ -398,7 +398,7 @@ fn npy(bytes: &[u8]) -> Result<Array, String> {
     if length > HEADER_BYTES {
         return Err(NONE.into());
     }
-    let header = bytes.get(from..from + length).ok_or("is cut off")?;
+    let header = bytes.get(from..from + length).ok_or("is truncated")?;
     let header = std::str::from_utf8(header).map_err(|_| NONE)?;
     if header.contains("'fortran_order': True") {
         return Err("is in Fortran order".into());
@@ -433,7 +433,7 @@ fn npy(bytes: &[u8]) -> Result<Array, String> {
     match wanted == Some(numbers.len()) {
         true => Ok(Array { shape, numbers }),
         false => Err(format!(
-            "shape {shape:?} and {} numbers: it is cut off",
+            "shape {shape:?} and {} numbers: the file is truncated",
             numbers.len()
         )),
     }

@@ -38,8 +38,8 @@ pub enum Recovered {
 impl std::fmt::Display for Recovered {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Whole => f.write_str("is whole"),
-            Self::InUse => f.write_str("is being recorded; left alone"),
+            Self::Whole => f.write_str("is complete"),
+            Self::InUse => f.write_str("is being recorded; left unchanged"),
             Self::Repaired {
                 records,
                 what,

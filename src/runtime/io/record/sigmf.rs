@@ -223,7 +223,7 @@ fn words_of(
     let looser = overload_state
         .tolerance
         .map_or_else(String::new, |tolerance| {
-            format!("; computing did not keep up: made within {tolerance:e}")
+            format!("; overload: computed with tolerance {tolerance:e}")
         });
     let (pulse, nav, settings) = (&plan.pulse, &plan.nav, &plan.settings);
     let capture = Capture {

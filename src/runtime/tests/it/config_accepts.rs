@@ -152,7 +152,8 @@ fn a_range_too_long_for_the_rate_is_a_note_and_no_error() {
     let text = minimal().replace("rate_hz = 5.0", "rate_hz = 50.0");
     let summary = config::summary(&parse(&text));
     // 2 x 100/1500 s, 2 ms pulse, 1 ms between the pings.
-    let want = "main: the range of 100 m is too long for 50.00 pings/s; 7.33 are kept";
+    let want =
+        "main: the range of 100 m is too long for 50.00 pings/s; the rate is reduced to 7.33";
     assert!(summary.contains(want), "{summary}");
 }
 
@@ -217,10 +218,10 @@ fn the_points_and_their_track_match_their_comments() {
 fn the_summary_states_mounting_towing_and_navigation_output() {
     let said = config::summary(&parse(&text_of("towed")));
     for words in [
-        "tty: heave of a point at 1.000 m forward, 2.000 starboard, 3.000 down",
-        "tty: on a level platform says roll +30.000",
+        "tty: heave is measured at 1.000 m forward, 2.000 starboard, 3.000 down",
+        "tty: on a level platform measures roll +30.000",
         "120.0 m of cable",
-        "the depth sensor's",
+        "from the depth sensor",
         "board: GPZDA to /dev/ttyS0 at 9600 Bd 8N2, 1 a second, RTS at each second ahead of its ZDA",
         "bridge: INZDA INGGA INHDT to UDP 239.192.0.2:60002, 0.5 a second",
     ] {

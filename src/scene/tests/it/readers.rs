@@ -571,7 +571,7 @@ fn a_wrong_coordinate_system_is_refused_with_the_reason() {
     );
     assert_eq!(
         keys(&[(1024, 1), (3072, 32632), (3076, 9040)]),
-        "GeoKey 3076: `9040`: is no unit of length that is read"
+        "GeoKey 3076: `9040`: is not a supported unit of length"
     );
     assert!(keys(&[(1024, 3)]).starts_with("GeoKey 1024: `3`: is earth-centred"));
     let far = Tiff {

@@ -545,42 +545,42 @@ fn elements_are_synthesised_if_an_output_needs_them_and_output_beams_is_refused(
             receiver: "adc_bits = 16\nfull_scale_v = 1.0",
             ..whole
         },
-        "a converter stands behind each",
+        "each has its own A/D converter",
     );
     with(
         Rig {
             beams: "line_former = \"dynamic-focus\"",
             ..whole
         },
-        "focused lines have other weights at every range",
+        "focused lines have different weights at every range",
     );
     with(
         Rig {
             elements: 1,
             ..whole
         },
-        "they do not come in equal parts",
+        "the arrays cannot be divided into equal parts",
     );
     with(
         Rig {
             end: "[control]\nlisten = \"127.0.0.1:0\"",
             ..whole
         },
-        "[control] shows them and can break them",
+        "[control] shows elements and can inject faults into them",
     );
     with(
         Rig {
             end: "[[fault]]\nkind = \"dead\"\nelement = 3\nat_s = 1.0",
             ..whole
         },
-        "a fault of elements is in the scenario",
+        "the configuration contains an element fault",
     );
     with(
         Rig {
             model: "path = \"polyline\"\noutput = \"auto\"",
             ..whole
         },
-        "the polyline's steps of attitude would tear a part",
+        "the attitude steps of a polyline would break up a part",
     );
 }
 

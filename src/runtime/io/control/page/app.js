@@ -50,7 +50,7 @@ link.on("state", (what) => {
 
 link.on("world", (world) => world && track.set(world));
 link.on("relief", (frame) => track.relief(frame));
-link.on("dropped", (n) => notice(`this page was too slow for ${n} frames`));
+link.on("dropped", (n) => notice(`this page skipped ${n} frames because it is too slow`));
 link.on("error", (why) => notice(why));
 link.on("line", (frame) => {
   if (frame.sonar !== sonar || !waterfall.add(frame)) return;
@@ -68,7 +68,7 @@ link.on("open", () => {
 });
 link.on("closed", () => {
   pill("bad", "no connection");
-  notice("The daemon does not answer. This page comes back by itself when it does.", true);
+  notice("The daemon does not answer. This page reconnects automatically.", true);
 });
 link.on("token", () => !byId("ask-token").open && byId("ask-token").showModal());
 byId("token-form").addEventListener("submit", () => {
@@ -115,7 +115,7 @@ function refresh() {
   const c = s.counters;
   if (state.health_problem) pill("bad", state.health_problem);
   else if (state.paused) pill("warn", state.clock === "lockstep" ? "lockstep" : "paused");
-  else if (!s.settings.pinging) pill("warn", s.trigger === "external" ? "waits for triggers" : "not pinging");
+  else if (!s.settings.pinging) pill("warn", s.trigger === "external" ? "waiting for triggers" : "not pinging");
   else pill("good", state.clock === "realtime" ? "pinging" : state.clock === "scaled" ? `pinging ×${digits(state.rate, 1)}` : state.clock);
   say(byId("clock"), `${new Date(state.rig_utc_ms).toISOString().slice(0, 10)} ${timeOf(state.rig_utc_ms, 0)}`);
   const skipped = c.pings_skipped_nav + c.pings_skipped_late + c.pings_skipped_queue;

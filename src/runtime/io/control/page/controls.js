@@ -146,12 +146,12 @@ export class Controls {
       say(now, `${short(s.settings[key])} ${unit}`);
       const last = s.journal.findLast((c) => c.what === key && !c.kept);
       if (this.refused.some(([held]) => held === note)) continue;
-      say(note, last ? `${last.why ? "refused" : "accepted"} ${timeOf(last.utc_ms, 0)}, asked ${short(last.value)} by ${who(last)}` : "as configured");
+      say(note, last ? `${last.why ? "refused" : "accepted"} ${timeOf(last.utc_ms, 0)}, requested ${short(last.value)} by ${who(last)}` : "as configured");
       note.dataset.is = last?.why ? "bad" : "";
       row.toggleAttribute("data-fresh", Boolean(last && !last.why && state.rig_utc_ms - last.utc_ms < 3000));
     }
     say(byId("start"), this.pinging ? "Stop" : "Start");
-    say(byId("pause"), state.paused ? "Go on" : "Pause");
+    say(byId("pause"), state.paused ? "Resume" : "Pause");
     byId("pause").setAttribute("aria-pressed", String(state.paused));
     if (document.activeElement !== byId("trigger")) byId("trigger").value = s.trigger;
     if (document.activeElement !== byId("clock-mode")) {
@@ -178,7 +178,7 @@ export class Controls {
   }
 
   #fault(f, state, kept) {
-    const item = kept ?? make("li", { "data-fault": f.fault }, make("span", { class: "name" }), make("span", { class: "when" }), make("button", { type: "button", text: "×", "aria-label": `Take fault ${f.fault} away`, onclick: () => this.ask({ do: "clear-faults", fault: f.fault }) }), make("progress", { max: 1, value: 0, "aria-label": "How far it has gone" }));
+    const item = kept ?? make("li", { "data-fault": f.fault }, make("span", { class: "name" }), make("span", { class: "when" }), make("button", { type: "button", text: "×", "aria-label": `Remove fault ${f.fault}`, onclick: () => this.ask({ do: "clear-faults", fault: f.fault }) }), make("progress", { max: 1, value: 0, "aria-label": "Progress" }));
     const [name, when, , progress] = item.children;
     say(name, faultInWords(f, this.hello.sonars[this.index]));
     const [words, share, standing] = timeline(f, state.rig_utc_ms);
@@ -226,7 +226,7 @@ function faultInWords(f, sonar) {
 
 /** Where a fault is in its time: words, share gone, whether it may strike now. */
 function timeline(f, now) {
-  if (f.from_utc_ns === null) return ["waits for a ping", 0, false];
+  if (f.from_utc_ns === null) return ["waiting for a ping", 0, false];
   const age = now / 1e3 - f.from_utc_ns / 1e9;
   if (age < 0) return [`in ${Math.ceil(-age)} s`, 0, false];
   if (f.for_s === undefined) return ["stands", 0, true];

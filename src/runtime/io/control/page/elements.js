@@ -102,7 +102,7 @@ export class Elements {
   #read() {
     const spoiled = this.cells.filter((c) => c.fault);
     const cell = this.#under();
-    const all = spoiled.length === 0 ? "no faults of elements" : `${spoiled.length} with a fault: ${[...new Set(spoiled.map((c) => c.fault))].join(", ")}`;
+    const all = spoiled.length === 0 ? "no element faults" : `${spoiled.length} with a fault: ${[...new Set(spoiled.map((c) => c.fault))].join(", ")}`;
     if (!cell) return say(byId("elements-cursor"), this.frame ? `ping ${this.frame.ping}   ${all}   click an element for its A-scope` : "");
     const name = this.rig.arrays[cell.array].name;
     say(byId("elements-cursor"), `${name} ${cell.element}   rms ${digits(cell.rms, 1)} dB   peak ${digits(cell.peak, 1)} dB   ${cell.fault ?? "no fault"}`);

@@ -47,7 +47,7 @@ export class Fan {
   #draw(g, w, h, scale) {
     g.clearRect(0, 0, w, h);
     const f = this.frame;
-    if (!f) return nothing(g, w, h, scale, "no fan in this sonar, or no ping yet");
+    if (!f) return nothing(g, w, h, scale, "this sonar has no fan, or no ping has arrived");
     const at = this.#layout(w, h, scale);
     const key = [w, h, f.beams, f.bins, at.range, f.first_s, f.angles[0]].join(" ");
     if (this.key !== key) this.#plan(key, w, h, at);

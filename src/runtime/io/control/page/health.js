@@ -2,11 +2,11 @@
 import { byId, bytes, digits, make, microseconds } from "./lib.js";
 
 const SPREADS = [
-  ["compute_margin", "Margin: ready before due"],
-  ["start_error", "Late: due until handed over"],
+  ["compute_margin", "Margin: computed before due"],
+  ["start_error", "Lateness: due until delivery began"],
   ["nav_to_samples", "Pulse until computed"],
-  ["hand_over", "Due until all have it"],
-  ["send_pacing", "Datagrams late for their instant"],
+  ["hand_over", "Due until delivery ended"],
+  ["send_pacing", "Lateness of datagrams"],
 ];
 
 export class Health {
@@ -32,9 +32,9 @@ export class Health {
       ["Pings made", c.pings_made],
       ["skipped: navigation", c.pings_skipped_nav],
       ["skipped: late", c.pings_skipped_late],
-      ["skipped: no room", c.pings_skipped_queue],
+      ["skipped: queue full", c.pings_skipped_queue],
       ["Deadline misses", c.deadline_misses],
-      ["Worst late", microseconds(c.worst_late_us)],
+      ["Greatest lateness", microseconds(c.worst_late_us)],
       ["Triggers missed", c.triggers_missed],
       ["Faults injected", state.faults_injected],
       ["Saturated values", c.samples_saturated],
@@ -51,7 +51,7 @@ export class Health {
       rows.push(["Path", `${m.path}, ${digits(m.segment_ms, 0)} ms`], ["Doppler", m.doppler], ["Synthesis", m.synthesis]);
       rows.push(["Culling", m.cull_db === null ? "none" : `${m.cull_db} dB`], ["Scatterers", m.scatterers.toLocaleString("en")], ["In shadow", m.shadowed.toLocaleString("en")]);
       const cert = m.error_check;
-      rows.push(["Error check", cert ? `${cert.error.toExponential(1)} of ${cert.tolerance.toExponential(0)}` : "not asked for"]);
+      rows.push(["Error check", cert ? `${cert.error.toExponential(1)} of ${cert.tolerance.toExponential(0)}` : "off"]);
       const plan = s.methods;
       rows.push(["Selected methods", plan ? `no. ${plan.plan}: ${plan.predicted_error.toExponential(1)} of ${plan.tolerance.toExponential(0)} predicted` : "none: as configured"]);
       if (cert) rows.push(["95 % interval", `${cert.low.toExponential(1)} to ${cert.high.toExponential(1)}${cert.fault ? ", FAULT" : ""}`]);
@@ -72,7 +72,7 @@ function spread(title, figures, bins) {
     bar.style.height = n === 0 ? "1px" : `${6 + 94 * (Math.log1p(n) / Math.log1p(most))}%`;
     return bar;
   });
-  const words = `p50 ${microseconds(figures.p50_us)}, p99 ${microseconds(figures.p99_us)}, most ${microseconds(figures.max_us)}, least ${microseconds(figures.min_us)}`;
+  const words = `p50 ${microseconds(figures.p50_us)}, p99 ${microseconds(figures.p99_us)}, max ${microseconds(figures.max_us)}, min ${microseconds(figures.min_us)}`;
   return make("figure", { style: null, "aria-label": `${title}: ${words}` },
     make("div", { class: "bins", role: "img", "aria-hidden": "true" }, ...bars),
     make("div", { class: "bins-scale" }, make("span", { text: bins.length ? `≤ ${microseconds(bins[0][0])}` : "" }), make("span", { text: bins.length ? microseconds(bins.at(-1)[0]) : "" })),
@@ -91,6 +91,6 @@ function clients(s, state) {
   rows.push(make("tr", {}, make("th", { scope: "row", text: `pages: ${f.pages} open, ${f.pages_ever} ever` }), make("td", { text: String(f.sent) }), make("td", { text: "" }), make("td", { text: "" }), make("td", { text: String(f.dropped), is: f.dropped > 0 ? "warn" : "good" })));
   const heads = ["Client", "Records", "Sent", "Waiting", "Lost"];
   const others = s.outputs.filter((text) => !text.startsWith("  "));
-  return make("div", {}, make("table", {}, make("caption", { text: "Clients and what each received" }), make("thead", {}, make("tr", {}, ...heads.map((text) => make("th", { scope: "col", text })))), make("tbody", {}, ...rows)),
+  return make("div", {}, make("table", {}, make("caption", { text: "Clients and their records" }), make("thead", {}, make("tr", {}, ...heads.map((text) => make("th", { scope: "col", text })))), make("tbody", {}, ...rows)),
     ...others.map((text) => make("p", { class: "line", text })));
 }

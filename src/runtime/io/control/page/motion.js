@@ -25,7 +25,7 @@ export class Motion {
 
   sources(nav, owners) {
     const owned = (source) => Object.entries(owners).filter(([, name]) => name === source).map(([quantity]) => quantity).join(", ");
-    const heads = ["Source", "Gives", "State", "Read", "Used", "Bad sum", "Bad form", "Jumps", "Lost"];
+    const heads = ["Source", "Active for", "State", "Read", "Used", "Wrong checksum", "Malformed", "Jumps", "Lost"];
     const rows = nav.map((s) => make("tr", {},
       make("th", { scope: "row", text: s.name }),
       make("td", { text: owned(s.name) || "nothing" }),
@@ -35,7 +35,7 @@ export class Motion {
     const foot = [];
     if (last) {
       const bad = Object.entries(last.invalid).filter(([, is]) => is).map(([name]) => name.replace("_", " and "));
-      const quality = bad.length ? `not to be relied on: ${bad.join(", ")}` : last.extrapolated ? "extrapolated" : "measured on both sides";
+      const quality = bad.length ? `invalid: ${bad.join(", ")}` : last.extrapolated ? "extrapolated" : "measured on both sides";
       foot.push(make("tr", {}, make("th", { scope: "row", text: "Last ping" }), make("td", { colspan: 8, is: bad.length ? "bad" : last.extrapolated ? "warn" : "good", text: `${quality}; position ${age(last.position_age)}, attitude ${age(last.attitude_age)}, fix ${last.fix}` })));
     }
     byId("nav-sources").replaceChildren(

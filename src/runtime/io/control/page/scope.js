@@ -76,7 +76,7 @@ export class Scope {
       const db = spectrum(f.floats, n);
       const peak = Math.max(...db);
       x = { from: (f.center_hz - f.rate_hz / 2) / 1e3, to: (f.center_hz + f.rate_hz / 2) / 1e3, name: "kHz" };
-      if (!f.complex) x = { from: -f.rate_hz / 2e3, to: f.rate_hz / 2e3, name: "kHz about zero" };
+      if (!f.complex) x = { from: -f.rate_hz / 2e3, to: f.rate_hz / 2e3, name: "kHz, baseband" };
       y = { from: Math.floor(peak / 10) * 10 - 80, to: Math.ceil(peak / 10) * 10, name: "dB re 1 V" };
       series.push([ink("accent"), db, (k) => x.from + ((x.to - x.from) * k) / db.length]);
     } else if (show === "iq") {

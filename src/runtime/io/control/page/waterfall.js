@@ -242,10 +242,10 @@ export class Waterfall {
 
   #read(visible) {
     const newest = this.lines.at(-1);
-    if (newest) say(byId("wf-from"), newest.of === "lines" ? "" : `the loudest of the ${newest.of}`);
+    if (newest) say(byId("wf-from"), newest.of === "lines" ? "" : `maximum over all ${newest.of}`);
     if (!this.cursor) return;
     const line = visible[this.cursor.row];
-    if (!line) return say(byId("wf-cursor"), "no ping here");
+    if (!line) return say(byId("wf-cursor"), "no ping at this position");
     const slant = Math.abs(this.cursor.share) * this.range;
     const side = this.cursor.share < 0 ? 0 : 1;
     const parts = [`ping ${line.ping}`, `${timeOf(line.t_ms, 2)} UTC`, `${side === 0 ? "port" : "starboard"} ${slant.toFixed(1)} m`, `${((2 * slant) / line.c * 1e3).toFixed(1)} ms`];
