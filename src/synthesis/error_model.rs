@@ -33,7 +33,7 @@ impl ErrorModel {
 
 /// Refusal of a method, because its error exceeds the tolerance.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{name} is off by {error:.1e} here, and {tolerance:.1e} is asked: {why}")]
+#[error("{name} has an error of {error:.1e} here, above the tolerance of {tolerance:.1e}: {why}")]
 pub struct MethodRefused {
     /// Name of the method.
     pub name: &'static str,

@@ -38,13 +38,13 @@ pub fn synthesis_error_model(synthesis: Synthesis, conditions: &Conditions) -> E
         Synthesis::Reference if filtered => (
             1e-6,
             sampled * dense * REFERENCE_NS,
-            format!("{dense} points a sample behind the filter"),
+            format!("filtered from {dense} points per sample"),
         ),
         Synthesis::Reference => (1e-10, sampled * REFERENCE_NS, "exact".to_owned()),
         Synthesis::Direct if filtered => (
             edge_error(pulse, rate_hz, dense),
             sampled * dense * SAMPLE_NS,
-            format!("{dense} points a sample behind the filter"),
+            format!("filtered from {dense} points per sample"),
         ),
         Synthesis::Direct => (RECURRENCE, sampled * SAMPLE_NS, "exact".to_owned()),
         Synthesis::Spectral if filtered => {
@@ -71,7 +71,7 @@ pub fn synthesis_error_model(synthesis: Synthesis, conditions: &Conditions) -> E
         Synthesis::Nearest => (
             over_spectrum(conditions, nearest_error),
             sampled * 1.5 * SAMPLE_NS,
-            "echoes lie on samples".to_owned(),
+            "echoes are moved to the nearest sample".to_owned(),
         ),
         Synthesis::Linear => (
             over_spectrum(conditions, linear_error),
@@ -81,17 +81,17 @@ pub fn synthesis_error_model(synthesis: Synthesis, conditions: &Conditions) -> E
         Synthesis::Gridded1d => (
             conditions.tolerance,
             GRIDDED_NS,
-            "made for the tolerance".to_owned(),
+            "designed for the tolerance".to_owned(),
         ),
         Synthesis::Gridded2d => (
             conditions.tolerance,
             LINE_NS,
-            "made for the tolerance, stretches of elements at a time".to_owned(),
+            "designed for the tolerance, stretches of elements at a time".to_owned(),
         ),
         Synthesis::GriddedLines => (
             conditions.tolerance,
             LANES_NS,
-            "made for the tolerance, 16 elements at a time".to_owned(),
+            "designed for the tolerance, 16 elements at a time".to_owned(),
         ),
     };
     ErrorModel {

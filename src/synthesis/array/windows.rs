@@ -60,7 +60,7 @@ pub fn window_error_model(
         let worst = alone.worst(conditions, noise_below_db);
         error_model.error = error_model.error.max(MORE * worst).min(MOST);
         error_model.why += &format!(
-            "; {worst:.1e} of an echo alone in its worst window, noise {noise_below_db} dB down"
+            "; largest single-echo error {worst:.1e}, noise floor {noise_below_db} dB below the strongest window"
         );
     }
     Ok(error_model)

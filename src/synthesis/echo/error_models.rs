@@ -118,7 +118,7 @@ pub fn path_error_model(path: PathModel, conditions: &Conditions) -> ErrorModel 
         PathModel::Polyline => (
             sag_m + turned_m,
             2.0 * LEG_NS,
-            format!("{sag_m:.1e} m from chords, {turned_m:.1e} m from attitude held on each"),
+            format!("{sag_m:.1e} m from chords, {turned_m:.1e} m from constant attitude on each"),
         ),
         PathModel::KSegment => (
             sag_m,
@@ -188,25 +188,29 @@ pub fn doppler_error_model(
             first,
             0.0,
             format!(
-                "a pulse at {closing:.2e} m/s along the ray turns by {:.1e} rad",
+                "phase error of {:.1e} rad in the pulse at a closing speed of {closing:.2e} m/s",
                 first * 3f64.sqrt()
             ),
         ),
         DopplerModel::Stretch => (
             second + stale,
             0.0,
-            format!("{second:.1e} rad of the second derivative, {stale:.1e} of held velocities"),
+            format!(
+                "{second:.1e} rad from the second derivative, {stale:.1e} from constant velocities"
+            ),
         ),
         DopplerModel::StretchQuadratic => (
             third + cubic + stale,
             QUADRATIC_NS,
-            format!("{third:.1e} rad of the third derivative, {stale:.1e} of held velocities"),
+            format!(
+                "{third:.1e} rad from the third derivative, {stale:.1e} from constant velocities"
+            ),
         ),
         DopplerModel::PaperEq21 => (
             k * 2.0 * closing / c * 2.0 * farthest_m + first,
             0.0,
             format!(
-                "moves echoes by up to {:.1e} m and stretches none",
+                "displaces echoes by up to {:.1e} m and does not stretch them",
                 2.0 * closing / c * farthest_m
             ),
         ),

@@ -159,13 +159,17 @@ fn unreachable_tolerances_are_refused_with_their_cause() {
     let model = refused(2, Method(Synthesis::Linear), 1e-3);
     assert_eq!(model.by, Reason::Model);
     assert!(
-        model.message.contains("none is off by"),
+        model.message.contains("none has an error of"),
         "{}",
         model.message
     );
     let sum = refused(0, Method(Synthesis::Direct), 1e-4);
     assert_eq!(sum.by, Reason::Sum);
-    assert!(sum.message.contains("direct is off by"), "{}", sum.message);
+    assert!(
+        sum.message.contains("direct has an error of"),
+        "{}",
+        sum.message
+    );
 }
 
 /// Three elements with 400 samples. All are 1 except those of the third element from 300 on, which are 1e-9.

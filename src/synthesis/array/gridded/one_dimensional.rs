@@ -87,7 +87,7 @@ pub struct Spec<'a> {
 pub enum GriddedError {
     /// Too much energy of the pulse lies outside every available band.
     #[error(
-        "gridded-1d: tolerance {tolerance:e} cannot be met: energy of the pulse outside the widest band makes an error of \
+        "gridded-1d: tolerance {tolerance:e} cannot be met: energy of the pulse outside the widest band causes an error of \
          {share:.1e} in some window; use the receiver filter, a longer taper or `direct`"
     )]
     OutOfBand {

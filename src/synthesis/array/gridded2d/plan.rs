@@ -194,7 +194,7 @@ pub enum Refusal {
     },
     /// Too much energy of the pulse lies outside the sampled band.
     #[error(
-        "tolerance {tolerance} cannot be met: energy of the pulse's ends outside the sampled band makes an error of {share:.1e} in some window; use a longer taper or `direct`"
+        "tolerance {tolerance} cannot be met: energy of the pulse's ends outside the sampled band causes an error of {share:.1e} in some window; use a longer taper or `direct`"
     )]
     OutOfBand {
         /// Requested tolerance.

@@ -106,7 +106,7 @@ pub enum Refusal {
     #[error("an array of one element is not a line: use gridded-1d")]
     OneElement,
     /// An element of the array stands for several.
-    #[error("an element that stands for several is not supported: use gridded-1d")]
+    #[error("combined elements are not supported: use gridded-1d")]
     Part,
     /// The pulse is too long for the longest slab.
     #[error(

@@ -150,7 +150,7 @@ fn a_method_that_cannot_reach_what_is_asked_refuses_with_its_reason() {
         .expect_err("a metre is many wavelengths");
     assert_eq!(
         refused.to_string(),
-        "stop-and-hop is off by 2.0e0 here, and 1.0e-3 is asked: the platform moves 1.7e0 m during the travel time"
+        "stop-and-hop has an error of 2.0e0 here, above the tolerance of 1.0e-3: the platform moves 1.7e0 m during the travel time"
     );
     assert!(
         path_error_model(PathModel::Continuous, &c)
