@@ -185,18 +185,18 @@ table! {
     /// Maximum number of pings that wait for delivery.
     queue_pings: Integer(1, 10_000), Default("4");
 
-    /// What to do when a ping waited for others and cannot be ready in time. "skip": leave it out. "degrade": compute it with a tolerance ten
-    /// times looser, then a hundred times, and recover when there is room. "stretch": delay the pulses to the rate that can be computed. Each
-    /// case is counted and written to truth.jsonl; only then do the samples depend on the machine. Without effect with clock = "fast" and
+    /// What to do when a ping cannot be ready in time because it waited for others. "skip": leave it out. "degrade": compute it with a tolerance ten
+    /// times larger, then a hundred times, and return when there is time. "stretch": delay the pulses to the rate that can be computed. Each case is
+    /// counted and written to overload-TIME.jsonl. Only under overload do the samples depend on the machine. No effect with clock = "fast" and
     /// "lockstep".
     overload: Choice("skip", "degrade", "stretch"), Default("\"skip\"");
 
-    /// Every ping takes at least this long to compute, and half of it at each looser tolerance. For testing overload. Without effect with clock =
-    /// "fast" and "lockstep".
+    /// Minimum computing time of a ping, to test overload. Each degradation level (looser tolerance) halves it. No effect with clock = "fast" and
+    /// "lockstep".
     simulated_compute_ms: Ms(from(0.0, 600_000.0)), Default("0.0");
 
-    /// "ping-end": everything leaves at the end of the ping. "streaming": element samples (vita49, elements) leave block by block while the ping
-    /// is received, each block stream_latency_ms after its end; all other records leave at the end of the ping. The ping is computed ahead_ms
+    /// "ping-end": all records leave at the end of the ping. "streaming": element samples (vita49, elements) leave block by block while the ping is
+    /// received. Each block leaves stream_latency_ms after its end; all other records leave at the end of the ping. The ping is computed ahead_ms
     /// before its pulse, so nav.mode must be "predict". With an external trigger it is computed after the pulse, and stream_latency_ms must cover
     /// that time. The samples are the same.
     delivery: Choice("ping-end", "streaming"), Default("\"ping-end\"");
@@ -207,17 +207,17 @@ table! {
     /// Constant delay of each block after its end. Only with delivery = "streaming".
     stream_latency_ms: Ms(from(0.0, 600_000.0)), Default("0.5"), only with delivery = "streaming";
 
-    /// Compute a ping in tiles, each twice as long as the one before, and send the first blocks meanwhile. stream_latency_ms must then cover only
-    /// the first tile. For external triggers, on a machine that computes a ping in a quarter of its window. Only with delivery = "streaming" and
-    /// model.synthesis = "reference" or "direct", without error check, further pulses and passband samples.
+    /// Compute a ping in tiles (sections in time), each twice as long as the one before, and send the first blocks meanwhile. stream_latency_ms then
+    /// covers only the first tile. Use it for external triggers, on a machine that computes a ping in a quarter of its window. Only with delivery =
+    /// "streaming" and model.synthesis = "reference" or "direct", without error check, further pulses and passband samples.
     stream_tiles: Bool, Default("false"), only with delivery = "streaming";
 
-    /// A ping is computed this long before its pulse, with the settings and the motion known then. Should be at least the computing time of a
+    /// A ping is computed this long before its pulse, with the settings and the motion known then. It should be at least the computing time of a
     /// ping. Default: 0, or 100 with delivery = "streaming". Above 0 only with nav.mode = "predict".
     ahead_ms: Ms(from(0.0, 10_000.0)), Shown("100.0");
 
-    /// "realtime": the computer's time. "scaled": clock_rate times as fast. "fast": as fast as pings can be computed. "lockstep": one ping per
-    /// step that is requested (echotank ctl step). All but "realtime" need recorded navigation. The samples do not depend on it.
+    /// "realtime": the computer's time. "scaled": clock_rate times as fast. "fast": as fast as pings can be computed. "lockstep": one ping for each
+    /// requested step (echotank ctl step). All but "realtime" need recorded navigation. The samples do not depend on it.
     clock: Choice("realtime", "scaled", "fast", "lockstep"), Default("\"realtime\"");
 
     /// Speed relative to real time. Only with clock = "scaled".
@@ -237,8 +237,8 @@ table! {
     /// SCHED_FIFO priority of the delivery threads, with locked memory, where the system allows it (echotank doctor). 0: normal scheduling.
     priority: Integer(0, 99), Default("40");
 
-    /// Nice value of the computing threads, where the system allows it (echotank doctor). Lower values take a larger share of the processors; at
-    /// -20 other programs keep about a hundredth. 0: normal.
+    /// Nice value of the computing threads, where the system allows it (echotank doctor). Lower values take a larger share of the processors; at -20
+    /// other programs keep about 1 %. 0: normal.
     compute_nice: Integer(-20, 0), Default("0");
 
     /// Folder for faults-TIME.jsonl and overload-TIME.jsonl. Default: record.directory (with overload = "skip" only the fault file); without a

@@ -25,7 +25,7 @@ table! {
     /// Number of synchronised devices.
     channels: Integer(1, 255), Default("1");
 
-    /// Queue of one slow client; further records are dropped.
+    /// Queue of each client; records beyond it are dropped.
     client_queue_mib: Mib(1, 65_536), Default("16");
     max_clients: Integer(1, 1000), Default("8");
 }
@@ -37,7 +37,7 @@ table! {
     /// Control port; the other three ports follow it. Only this computer by default: the protocol has no password.
     listen: Text, Default("\"127.0.0.1:2209\"");
 
-    /// Queue of one slow client; further records are dropped.
+    /// Queue of each client; records beyond it are dropped.
     client_queue_mib: Mib(1, 65_536), Default("16");
     max_clients: Integer(1, 1000), Default("8");
 }

@@ -32,7 +32,7 @@ table! {
     /// Also write a file in the folder of [record].
     record: Bool, Default("false");
 
-    /// Queue of one slow client; further records are dropped.
+    /// Queue of each client; records beyond it are dropped.
     client_queue_mib: Mib(1, 65_536), Default("64");
     max_clients: Integer(1, 1000), Default("8");
 }
@@ -52,7 +52,7 @@ table! {
     /// Only this computer by default: the protocol has no password.
     listen: Text, Default("\"127.0.0.1:4040\"");
 
-    /// Queue of one slow client; further records are dropped.
+    /// Queue of each client; records beyond it are dropped.
     client_queue_mib: Mib(1, 65_536), Default("64");
     max_clients: Integer(1, 1000), Default("8");
 }

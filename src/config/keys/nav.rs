@@ -75,9 +75,9 @@ table! {
 }
 
 table! {
-    /// The sonar is towed. Positions are those of the ship's antennas (lever_arm_m counts from the ship's reference point); all other quantities
-    /// are those of the towed body. The body follows along the heading, sqrt((cable_out_m * cable_scope)^2 - (body depth - tow point depth)^2)
-    /// behind the tow point.
+    /// The sonar is towed. Positions are those of the ship's antennas, and lever_arm_m counts from the ship's reference point. All other quantities
+    /// are those of the towed body. The body follows along the heading, sqrt((cable_out_m * cable_scope)^2 - (body depth - tow point depth)^2) behind
+    /// the tow point.
     NavTow;
 
     /// The tow point: forward and starboard of the ship's reference point, down from the waterline.
@@ -187,8 +187,8 @@ table! {
     /// NMEA sentences, or the records of one maker. em3000 includes em1000.
     format: Choice("nmea", "tss1", "em3000", "seapath26", "kmb"; later "pd0", "pd6", "stdbin", "sbg"), Default("\"nmea\"");
 
-    /// Variants that the sentence itself does not show. "pashr-heave-up": PASHR with heave positive up (WASSP); elsewhere it is positive down.
-    /// "own-depth": DPT, DBT, DBS and DBK hold the depth of the platform and not of the water.
+    /// Variants that the sentence does not state. "pashr-heave-up": PASHR with heave positive up (WASSP); elsewhere it is positive down. "own-depth":
+    /// DPT, DBT, DBS and DBK hold the depth of the platform, not that of the water.
     variants: Choices("pashr-heave-up", "own-depth"), Optional("[\"pashr-heave-up\"]");
 
     /// Quantities that this instrument sends with the sign opposite to its format.
@@ -206,7 +206,7 @@ table! {
     /// Roll, pitch and yaw that the motion sensor or compass reports on a level platform heading north. They are subtracted.
     mounting_deg: VectorDegrees(ANGLE_DEG), Default("[0.0, 0.0, 0.0]");
 
-    /// Quantities used from this source; a ping needs each of them. "depth" is the depth of the platform (PIXSE,DEPIN_, PIPS, relative
+    /// Quantities that are used from this source; a ping needs each of them. "depth" is the depth of the platform (PIXSE,DEPIN_, PIPS, relative
     /// altitude of MAVLink, and with variants = ["own-depth"] DPT, DBT, DBS and DBK). Default: what a file holds, or what a live source sends.
     provides: Choices("position", "course-speed", "heading", "roll-pitch", "heave", "depth"), Optional("[\"position\", \"heading\"]");
 }

@@ -12,7 +12,7 @@ table! {
     /// Receive arrays whose elements are sent, in this order. Default: all.
     arrays: Names, Shown("[\"rx\"]");
 
-    /// "baseband": I and Q at the receiver's rate. "passband": real samples as a converter takes them at passband_rate_khz.
+    /// "baseband": I and Q at the receiver's rate. "passband": real samples at passband_rate_khz, as from a converter.
     samples: Choice("baseband", "passband"), Default("\"baseband\"");
 
     /// Above twice the highest frequency of the band. Only with samples = "passband".
@@ -59,7 +59,7 @@ table! {
     /// Maximum rate of the datagrams.
     pace_mbit_per_s: Number(from(0.1, 100_000.0)), Default("400.0");
 
-    /// Queue of one slow client; further frames are dropped.
+    /// Queue of each client; frames beyond it are dropped.
     client_queue_mib: Mib(1, 65_536), Default("64");
     max_clients: Integer(1, 1000), Default("8");
 }

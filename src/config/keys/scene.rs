@@ -18,8 +18,8 @@ table! {
     /// CSV of point scatterers: north_m, east_m, down_m, amplitude (echo pressure at 1 m for unit pressure), and optionally amplitude_imag.
     points: File, Optional("\"data/points.csv\"");
 
-    /// Named targets: a CSV of points on the seabed, or a TOML of shapes (spheres, cylinders, boxes, ropes, meshes from OBJ, STL or PLY) anywhere
-    /// in the water. docs/configure/scene.md lists their fields.
+    /// Named targets: a CSV of points on the seabed, or a TOML file of shapes anywhere in the water. Shapes are spheres, cylinders, boxes, ropes and
+    /// meshes (OBJ, STL, PLY). docs/configure/scene.md lists their fields.
     targets: File, Optional("\"data/targets.csv\"");
 
     /// Memory limit of the seabed tiles around the sonar.
@@ -58,10 +58,10 @@ table! {
     /// Weight of the product of scattered energy and two-way pattern. Default: 0, with "acoustic-unbiased" 1.
     weight_echo: Number(from(0.0, 1.0e6)), Optional("1.0");
 
-    /// The choice is renewed after the sonar has moved this far.
+    /// The selection is renewed after the sonar has moved this far.
     hold_m: Number(from(0.0, 1.0e4)), Default("0.5");
 
-    /// The choice is renewed after the sonar has turned this much.
+    /// The selection is renewed after the sonar has turned this much.
     hold_deg: Degrees(from(0.0, 180.0)), Default("0.5");
 
     /// Find shadows among the scatterers even with occlusion = "none", and choose shadowed scatterers last. Not with "acoustic-unbiased".

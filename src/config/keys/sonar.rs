@@ -48,10 +48,10 @@ table! {
 }
 
 table! {
-    /// A further pulse in the water together with the sonar's own, of the same kind, duration and taper; repeat the table for another. Its echoes
-    /// are in the same element samples. Its own matched filter makes further side-scan lines (more_lines in .npz, further rows in the picture,
-    /// further records 7000 and 7007, channels of XTF, subsystems of JSF). Two pulses per ping, the second half a period later, double the
-    /// density along the track. With synthesis "direct", "gridded-1d" or "reference".
+    /// A further pulse in the same ping, of the same kind, duration and taper; repeat the table for another. Its echoes are in the same element
+    /// samples. Its own matched filter gives further side-scan lines: more_lines in .npz, further rows in the picture, records 7000 and 7007,
+    /// channels of XTF, subsystems of JSF. A second pulse half a period later doubles the density along the track. With synthesis "direct",
+    /// "gridded-1d" or "reference".
     MorePulse;
 
     /// The pulses must differ in sweep direction or band, or they cannot be separated.
@@ -71,8 +71,8 @@ table! {
 }
 
 table! {
-    /// One transmit array, a single radiator. Angles: with all zero the array's x axis points forward and it looks straight down; roll_deg = -60
-    /// looks to starboard and 30 degrees below the horizon, 60 to port; body_from_array = Rz(yaw) Ry(pitch) Rx(roll).
+    /// One transmit array, a single radiator. With all angles zero, its x axis points forward and it looks straight down. roll_deg = -60 looks to
+    /// starboard and 30 degrees below the horizon, 60 to port. The rotation is body_from_array = Rz(yaw) Ry(pitch) Rx(roll).
     Transmit;
     name: Name, Required("\"tx\"");
 
@@ -99,8 +99,8 @@ table! {
 }
 
 table! {
-    /// One receive array: equal elements in a line along the array's x axis, centred on position_m. Angles as for transmit; yaw_deg = 90 lays the
-    /// line across the track with its +x end to starboard.
+    /// One receive array: equal elements in a line along its x axis, centred on position_m. Angles are as for transmit. yaw_deg = 90 lays the line
+    /// across the track, with its +x end to starboard.
     Receive, later "element_errors", "dead_elements";
     name: Name, Required("\"rx\"");
 
@@ -188,9 +188,9 @@ table! {
     /// How the echoes are computed.
     Model, later "simd", "incidence";
 
-    /// Motion of the platform between pulse and echo. "stop-and-hop": none. "polyline": straight pieces. "k-segment": straight pieces per
-    /// element. "continuous": the exact motion. "auto" (here, for doppler and for synthesis): the cheapest method that keeps the tolerance for
-    /// this sonar, scene and motion; `check` reports the choice.
+    /// Motion of the platform between pulse and echo. "stop-and-hop": none. "polyline": straight segments. "k-segment": straight chords of each
+    /// element's track. "continuous": the exact motion. "auto" (here, for doppler and for synthesis): the cheapest method that keeps the tolerance
+    /// for this sonar, scene and motion; `check` reports the choice.
     path: Choice("stop-and-hop", "polyline", "k-segment", "continuous", "auto"), Default("\"polyline\"");
 
     /// "stretch": time scaling of the pulse. "stretch-quadratic": also the change of the scaling during the pulse. "paper-eq21": Eq. 21 of Meng
@@ -208,12 +208,12 @@ table! {
     /// it, and the error check tests it.
     tolerance: Number(from(1e-8, 1e-1)), Default("1e-3");
 
-    /// Tolerance of the "auto" choices if only pictures are used: path and doppler may displace echoes by this many range cells, and by 2.5 times
-    /// as many along the track. Default: the sample tolerance applies.
+    /// Tolerance of the "auto" choices if only pictures are used. path and doppler may displace echoes by this many range cells in range, and by 2.5
+    /// times as many along the track. Default: the sample tolerance applies.
     tolerance_image: Number(from(1e-6, 10.0)), Optional("0.1");
 
-    /// "elements": element samples. "beams": only side-scan lines, each from groups of elements as coarse as the tolerance allows; only if no
-    /// output needs elements. "auto": "beams" where possible and cheaper; `check` reports the choice.
+    /// "elements": element samples. "beams": only side-scan lines, if no output needs elements. Each line is computed from groups of elements, as
+    /// coarse as the tolerance allows. "auto": "beams" where possible and cheaper; `check` reports the choice.
     output: Choice("elements", "beams", "auto"), Default("\"elements\"");
 
     /// Range of the nearest scatterer that "gridded-2d" is designed for. Pings with nearer scatterers are counted. Default: 5.
@@ -222,15 +222,16 @@ table! {
     /// Frequency step of "spectral". Default: one over the record length, or finer. With a coarser step late echoes wrap around onto early ones.
     frequency_step_hz: Number(from(0.01, 1e6)), Optional("5.0"), only with synthesis = "spectral";
 
-    /// Recompute random samples with the reference and print the error. Above 1.3 times the tolerance in two consecutive pings it is a fault.
+    /// Recompute random samples with the reference and print the error. An error above 1.3 times the tolerance in two consecutive checked pings
+    /// counts as a fault.
     error_check: Bool, Default("false");
 
-    /// Longest piece of the polyline.
+    /// Longest segment of "polyline" and "k-segment".
     segment_ms: Ms(from(0.1, 60_000.0)), Default("50.0");
 
-    /// Scatterers whose two-way pattern is below this level are left out. For targets and points the level is lower by their excess strength over
-    /// the seabed. Default: with a gridded synthesis, a seabed and no scene.points, the highest level that costs half the
-    /// tolerance on flat ground; otherwise all scatterers are kept.
+    /// Scatterers whose two-way pattern is below this level are left out. For targets and points the level is lower by their excess strength over the
+    /// seabed. Default: with a gridded synthesis, a seabed and no scene.points, the highest level whose error on flat ground is half the tolerance;
+    /// otherwise all scatterers are kept.
     cull_db: Number(from(-300.0, -1.0)), Optional("-60.0");
 }
 
@@ -269,8 +270,8 @@ table! {
 }
 
 table! {
-    /// A horizontal area onto which all pings of a replay are back-projected with their navigation. echotank replay --formats sas writes it as
-    /// picture, NumPy array and numbers. Leave the table out for none.
+    /// A horizontal area onto which a replay back-projects all pings with their navigation. echotank replay --formats sas writes a picture, a NumPy
+    /// array and a file of numbers. Leave the table out for none.
     SyntheticAperture;
 
     /// Receive arrays; each of their elements adds a row per ping.
@@ -306,10 +307,10 @@ table! {
     /// Limits of the grey scale: percentiles of the picture's pixels, or fixed levels.
     contrast: Choice("percentiles", "fixed"), Default("\"percentiles\"");
 
-    /// Share of the pixels that are darkest (in a mosaic at most 2, as it has no water column). Only used with "percentiles".
+    /// Percentage of the pixels that are shown darkest; at most 2 in a mosaic, which has no water column. Only used with "percentiles".
     low_percent: Percent(from(0.0, 100.0)), Default("28.0");
 
-    /// Share of the pixels that are not brightest. Only used with "percentiles".
+    /// Percentage of the pixels that are not shown brightest. Only used with "percentiles".
     high_percent: Percent(from(0.0, 100.0)), Default("99.997");
 
     /// Level of the darkest colour, dB re 1 V. Only used with "fixed".
@@ -405,19 +406,19 @@ table! {
     /// Only this computer by default: the protocol has no password.
     listen: Text, Default("\"127.0.0.1:7000\"");
 
-    /// Records of .s7k files. "common" leaves out those that common readers do not know: 7038, 7042, 7057 and 10038.
+    /// Records of .s7k files. "common" leaves out records that common readers do not know: 7038, 7042, 7057 and 10038.
     file_records: Choice("all", "common"), Default("\"all\"");
 
     /// Longer records are split into packets of this length.
     max_packet_bytes: Integer(1024, 1 << 30), Default("60000");
 
-    /// Queue of one slow client; further records are dropped.
+    /// Queue of each client; records beyond it are dropped.
     client_queue_mib: Mib(1, 65_536), Default("64");
 
     /// A client whose queue is full misses whole records, or is disconnected.
     when_full: Choice("skip", "disconnect"), Default("\"skip\"");
 
-    /// Addresses, separated by commas, to which a client may have records sent by command 1053, besides its own address.
+    /// Addresses, separated by commas. With command 1053 a client may send records to them, besides its own address.
     third_parties: Text, Optional("\"192.168.1.20\"");
     max_clients: Integer(1, 1000), Default("8");
 }
