@@ -40,7 +40,7 @@ fn headers_that_promise_too_much_are_refused_before_memory_is_taken() {
         (
             "a.asc",
             b"ncols 8000 nrows 8000 xllcorner 0 yllcorner 0 cellsize 1 1 2 3".to_vec(),
-            "line 1: `end of file`: comes after 3 numbers; 8000 x 8000 were announced",
+            "line 1: `end of file`: reached after 3 numbers; the header declares 8000 x 8000",
         ),
         (
             "a.tif",
@@ -55,9 +55,9 @@ fn headers_that_promise_too_much_are_refused_before_memory_is_taken() {
         (
             "a.ply",
             b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000\nproperty float x\nproperty float y\nproperty float z\nend_header\n".to_vec(),
-            "PLY header: `4000000`: vertex elements are announced, more than the file can hold",
+            "PLY header: `4000000`: vertex elements are declared, more than the file can hold",
         ),
-        ("a.las", many, "LAS header: `4000000`: points were announced, more than the file's"),
+        ("a.las", many, "LAS header: `4000000`: points are declared, more than the file's"),
         ("a.las", most, "LAS header: `4294967295`: at most 4194304 points are read"),
     ] {
         allocations::reset();
@@ -70,7 +70,7 @@ fn headers_that_promise_too_much_are_refused_before_memory_is_taken() {
         .unwrap_err()
         .to_string();
     assert!(
-        said.starts_with("STL header: `4294967295`: triangles are announced"),
+        said.starts_with("STL header: `4294967295`: triangles are declared"),
         "{said}"
     );
 }

@@ -70,7 +70,7 @@ fn parse(bytes: &[u8], spec: &SeabedFileSpec) -> Result<RawGrid, FormatError> {
     let mut values = Vec::with_capacity(cells.min(tokens.rest.len() / 2 + 1));
     while let Some(token) = tokens.next() {
         if values.len() == cells {
-            let rule = format!("is one number too many; {rows} x {cols} were announced");
+            let rule = format!("is one number too many; the header declares {rows} x {cols}");
             return Err(TextError::new(tokens.line, token, rule).into());
         }
         let value: f64 = token
@@ -88,7 +88,7 @@ fn parse(bytes: &[u8], spec: &SeabedFileSpec) -> Result<RawGrid, FormatError> {
     }
     if values.len() < cells {
         let rule = format!(
-            "comes after {} numbers; {rows} x {cols} were announced",
+            "reached after {} numbers; the header declares {rows} x {cols}",
             values.len()
         );
         return Err(TextError::new(tokens.line, "end of file", rule).into());
@@ -305,11 +305,11 @@ mod tests {
             ),
             (
                 format!("{HEAD}1 2 3\n4 5\n"),
-                "line 8: `end of file`: comes after 5 numbers; 2 x 3 were announced",
+                "line 8: `end of file`: reached after 5 numbers; the header declares 2 x 3",
             ),
             (
                 format!("{HEAD}1 2 3\n4 5 6\n7\n"),
-                "line 8: `7`: is one number too many; 2 x 3 were announced",
+                "line 8: `7`: is one number too many; the header declares 2 x 3",
             ),
             (
                 format!("{HEAD}1 2 3\n4 1e6 6\n"),

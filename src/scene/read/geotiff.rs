@@ -195,7 +195,7 @@ impl BandMetadata {
     fn note(&self) -> Option<String> {
         (self.scale != 1.0 || self.offset != 0.0).then(|| {
             format!(
-                "heights are the stored numbers times {} plus {}, as the file says",
+                "heights are the stored numbers times {} plus {}, as the file states",
                 self.scale, self.offset
             )
         })

@@ -48,7 +48,7 @@ fn read(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
         return refuse("LAS header", total, rule);
     }
     if record == 0 || total.saturating_mul(record) > length {
-        let rule = format!("points were announced, more than the file's {length} bytes can hold");
+        let rule = format!("points are declared, more than the file's {length} bytes can hold");
         return refuse("LAS header", total, rule);
     }
     let (crs, units) = system(&reader)?;
@@ -67,7 +67,7 @@ fn read(bytes: Vec<u8>, spec: &SeabedFileSpec) -> Result<Raw, FormatError> {
             .fill_points(BATCH.min(total - read), &mut batch)
             .at(place())?;
         if count == 0 {
-            let rule = format!("the file ends; {total} points were announced");
+            let rule = format!("the file ends; the header declares {total} points");
             return refuse(place(), "", rule);
         }
         let classes = batch.classification();

@@ -140,7 +140,7 @@ fn stl(bytes: &[u8]) -> Result<Parts, FormatError> {
         && bytes.len() < STL_HEAD + count * STL_TRIANGLE
     {
         let rule = format!(
-            "triangles are announced, more than the file's {} bytes can hold",
+            "triangles are declared, more than the file's {} bytes can hold",
             bytes.len()
         );
         return refuse("STL header", count, rule);

@@ -42,7 +42,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<(Vec<DVec3>, Vec<[u32; 3]>), FormatE
         }
         // Every element with properties takes at least one byte.
         if element.count > bytes.len() || element.properties.is_empty() {
-            let rule = format!("{name} elements are announced, more than the file can hold");
+            let rule = format!("{name} elements are declared, more than the file can hold");
             return refuse("PLY header", element.count, rule);
         }
     }

@@ -84,7 +84,7 @@ impl Tin {
                 a.distance(b) <= longest && b.distance(c) <= longest && c.distance(a) <= longest
             });
             if self.triangles.is_empty() {
-                let rule = "leaves no triangle of the soundings: they lie farther apart";
+                let rule = "removes every triangle: the soundings lie farther apart";
                 return refuse("max_edge_m", longest, rule);
             }
         }
@@ -282,7 +282,7 @@ mod tests {
         );
         assert_eq!(
             message(Tin::new(soundings(20), Some(0.1))),
-            "max_edge_m: `0.1`: leaves no triangle of the soundings: they lie farther apart"
+            "max_edge_m: `0.1`: removes every triangle: the soundings lie farther apart"
         );
         assert!(
             Tin::new(soundings(20), None)

@@ -246,7 +246,8 @@ fn mesh_of_file(fields: &Fields, folder: MeshFolder) -> Result<Solid, TextError>
         *vertex_m = turned * *vertex_m;
     }
     let mesh = Mesh::new(&read);
-    let mesh = mesh.ok_or_else(|| fields.text_error("file", "has no triangle with an area"))?;
+    let mesh =
+        mesh.ok_or_else(|| fields.text_error("file", "has no triangle with a nonzero area"))?;
     let solid = Solid::Mesh(mesh);
     let (low, high) = solid.bounds_m();
     Ok(solid.moved(-(low + high) / 2.0))
@@ -266,7 +267,7 @@ fn rope(fields: &Fields, seabed: SeabedDown) -> Result<Solid, TextError> {
         return Err(fields.text_error("path_m", "is missing"));
     };
     let rule =
-        "must be two or more [north, east] over the seabed, or [north, east, down], all alike";
+        "must be two or more points, all [north, east] over the seabed or all [north, east, down]";
     let wrong = || fields.text_error("path_m", rule);
     let rows = rows.get_ref().as_array().ok_or_else(wrong)?;
     if rows.len() > MAX_ROPE_VERTICES {

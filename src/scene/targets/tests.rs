@@ -686,7 +686,11 @@ fn files_that_are_not_meshes_are_rejected_with_line_and_reason() {
         ("cube.obj", "none.obj", "none.obj: cannot be read"),
         ("cube.obj", "cube.txt", "must end in .obj, .stl or .ply"),
         ("cube.obj", "cut.ply", "damaged or cut short"),
-        ("cube.obj", "flat.obj", "has no triangle with an area"),
+        (
+            "cube.obj",
+            "flat.obj",
+            "has no triangle with a nonzero area",
+        ),
         ("cube.obj", "points.obj", "has no triangles"),
         ("cube.obj", "beyond.ply", "refers to a missing vertex"),
         ("cube.obj", "words.stl", "words.stl: "),
