@@ -187,12 +187,11 @@ table! {
 
     /// What to do when a ping cannot be ready in time because it waited for others. "skip": leave it out. "degrade": compute it with a tolerance ten
     /// times larger, then a hundred times, and return when there is time. "stretch": delay the pulses to the rate that can be computed. Each case is
-    /// counted and written to overload-TIME.jsonl. Only under overload do the samples depend on the machine. No effect with clock = "fast" and
-    /// "lockstep".
+    /// counted and written to overload-TIME.jsonl. Only under overload do the samples depend on the machine. The key has no effect with clock =
+    /// "fast" and "lockstep".
     overload: Choice("skip", "degrade", "stretch"), Default("\"skip\"");
 
-    /// Minimum computing time of a ping, to test overload. Each degradation level (looser tolerance) halves it. No effect with clock = "fast" and
-    /// "lockstep".
+    /// Minimum computing time of a ping, to test overload. Each degradation level halves it. It has no effect with clock = "fast" and "lockstep".
     simulated_compute_ms: Ms(from(0.0, 600_000.0)), Default("0.0");
 
     /// "ping-end": all records leave at the end of the ping. "streaming": element samples (vita49, elements) leave block by block while the ping is

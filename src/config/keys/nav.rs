@@ -34,7 +34,7 @@ table! {
     /// Recorded sources restart at their end, with their time shifted by whole loops.
     r#loop: Bool, Default("false");
 
-    /// Longest extrapolation. on_lost says what happens to a ping that needs a longer one. Only with mode = "predict".
+    /// Longest extrapolation. on_lost selects the action for a ping that needs a longer one. Only with mode = "predict".
     max_extrapolation_ms: Ms(from(0.0, 60_000.0)), Default("250.0");
 
     /// Time for which measurements are kept.
