@@ -199,11 +199,11 @@ class Page(unittest.TestCase):
         page.press("#set-range_m", "Enter")
         self.assertTrue(session.pump(PATIENCE_S, lambda: ranges()[-1] == 40.0), ranges()[-5:])
         self.wait_text("#now-range_m", "40 m")
-        self.wait_text("#note-range_m", "asked 40 by page 127.0.0.1:")
+        self.wait_text("#note-range_m", "requested 40 by page 127.0.0.1:")
         session.command(reader.RANGE, struct.pack("<f", 45.0))
         self.wait_text("#now-range_m", "45 m")
         port = session.socket.getsockname()[1]
-        self.wait_text("#note-range_m", f"asked 45 by 7k 127.0.0.1:{port}")
+        self.wait_text("#note-range_m", f"requested 45 by 7k 127.0.0.1:{port}")
         # A refused command gives a reason and has no effect.
         page.fill("#set-range_m", "1000")
         page.press("#set-range_m", "Enter")
@@ -251,7 +251,7 @@ class Page(unittest.TestCase):
             page.select_option("#scope-show", show)
             page.evaluate("document.activeElement.blur()")
         page.keyboard.press("6")
-        self.wait_text("#health", "Margin: ready before due")
+        self.wait_text("#health", "Margin: computed before due")
         page.keyboard.press("4")
         page.keyboard.press("1")
         page.click("#pause")
