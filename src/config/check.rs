@@ -65,7 +65,8 @@ pub fn parse(text: &str, base_dir: &Path, files: &dyn Files) -> Result<RigSpec, 
         // This is a programming error, which tests find. The operator gets a message instead of a panic.
         debug_assert!(false, "a part is missing and no problem says why");
         problems.push(Problem {
-            rule: "refused without a stated rule; this is a bug, please report it with this file".to_owned(),
+            rule: "refused without a stated rule; this is a bug, please report it with this file"
+                .to_owned(),
             ..Problem::default()
         });
     }

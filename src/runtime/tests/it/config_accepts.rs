@@ -427,7 +427,11 @@ fn any_line_may_be_left_out_and_is_either_not_needed_or_missed_by_name() {
             if let Err(errors) = parsed(&left.join("\n")) {
                 assert!(!errors.problems.is_empty());
                 let said = errors.to_string();
-                assert!(!said.contains("without a stated rule"), "{}: {said}", lines[i]);
+                assert!(
+                    !said.contains("without a stated rule"),
+                    "{}: {said}",
+                    lines[i]
+                );
             }
         }
     }
