@@ -222,19 +222,19 @@ impl RunControl {
     }
 
     fn answer(&self, command: &Command, by: Asker) -> Result<Value, String> {
-        let standing = || json!({ "paused": self.gate.is_paused(), "pings_delivered": self.gate.pings_delivered() });
+        let state = || json!({ "paused": self.gate.is_paused(), "pings_delivered": self.gate.pings_delivered() });
         match command {
             Command::Pause => {
                 self.refuse_without_own_nav()?;
                 self.gate.pause();
-                Ok(standing())
+                Ok(state())
             }
             Command::Resume if *lock(&self.clock) == ClockSpec::Lockstep => Err(
                 "run.clock = \"lockstep\": rig time advances by steps; send \"step\"".to_owned(),
             ),
             Command::Resume => {
                 self.gate.resume();
-                Ok(standing())
+                Ok(state())
             }
             Command::Step { pings } => {
                 self.refuse_without_own_nav()?;
@@ -265,14 +265,14 @@ impl RunControl {
                     .faults
                     .add(request)
                     .map_err(|refused| refused.to_string())?;
-                Ok(json!({ "fault": id, "standing": self.faults.standing() }))
+                Ok(json!({ "fault": id, "scheduled": self.faults.scheduled() }))
             }
             Command::ClearFaults { fault: None } => {
                 let cleared = self.faults.clear();
-                Ok(json!({ "cleared": cleared, "standing": self.faults.standing() }))
+                Ok(json!({ "cleared": cleared, "scheduled": self.faults.scheduled() }))
             }
             Command::ClearFaults { fault: Some(id) } => match self.faults.remove(*id) {
-                true => Ok(json!({ "cleared": 1, "standing": self.faults.standing() })),
+                true => Ok(json!({ "cleared": 1, "scheduled": self.faults.scheduled() })),
                 false => Err(format!("fault = {id}: no such fault")),
             },
             Command::Clock { mode, rate } => self.set_clock(*mode, *rate),
@@ -508,7 +508,7 @@ impl ControlPort for RunControl {
             "rig_utc_ns": (self.rig_time)().0,
             "sonars": self.sonars.iter().map(|s| self.sonar_status(s)).collect::<Vec<_>>(),
             "faults": {
-                "standing": self.faults.standing(),
+                "scheduled": self.faults.scheduled(),
                 "injected": self.faults.injected(),
                 "unlogged": self.faults.unwritten(),
             },

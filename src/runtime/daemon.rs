@@ -430,7 +430,7 @@ fn write_events(
 ) {
     fault_log.write(&faults.take_injections(), control.sonars());
     let overloaded = control.overload_states().take();
-    if faults.standing() > 0 || faults.injected() > 0 {
+    if faults.scheduled() > 0 || faults.injected() > 0 {
         let skipped: Vec<_> = overloaded.iter().filter_map(SkippedPing::of).collect();
         fault_log.write(&skipped, control.sonars());
     }

@@ -364,7 +364,7 @@ impl FaultRequest {
             }
         }
         if matches!(name, "nav-checksum" | "nav-cut" | "nav-noise") && self.quantity.is_some() {
-            return refused("quantity", format!("{name} strikes whole sentences"));
+            return refused("quantity", format!("{name} affects whole sentences"));
         }
         if of_nav && self.sonar.is_some() {
             return refused("sonar", "navigation is every sonar's");

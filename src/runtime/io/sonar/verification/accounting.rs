@@ -201,14 +201,14 @@ impl Accounting {
                 _ => None,
             })
             .collect();
-        let tells = self.family.detectable_faults(self.against.is_some());
+        let detects = self.family.detectable_faults(self.against.is_some());
         Report {
             head: ReportHead {
                 report: "echotank listen".into(),
                 line: Some(self.family.name().into()),
                 sonar: None,
                 covers: (!types.is_empty()).then_some(types),
-                tells: Some(tells.into_iter().map(str::to_owned).collect()),
+                detects: Some(detects.into_iter().map(str::to_owned).collect()),
                 first_ping: self.pings.map(|(first, _)| first),
                 last_ping: self.pings.map(|(_, last)| last),
                 from_utc_ns: self.utc_ns.map(|(first, _)| first),
