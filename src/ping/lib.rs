@@ -5,7 +5,6 @@
 #![warn(missing_docs)]
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
-pub mod beats;
 pub mod conditions;
 pub mod element_synthesis;
 pub mod engines;
@@ -22,6 +21,7 @@ pub mod more_pulses;
 pub mod pipeline;
 pub mod plan;
 pub mod rig;
+pub mod rig_schedule;
 pub mod schedule;
 pub mod threads;
 pub mod trigger;

@@ -88,7 +88,7 @@ pub struct RunControl {
     opened: UtcNs,
     machine: SystemClock,
     /// Time of the pipeline's last iteration, on `machine`.
-    beat_ns: AtomicI64,
+    last_iteration_ns: AtomicI64,
 }
 
 impl RunControl {
@@ -120,7 +120,7 @@ impl RunControl {
             commands_done: AtomicU64::new(0),
             opened: machine.host_utc(),
             machine,
-            beat_ns: AtomicI64::new(0),
+            last_iteration_ns: AtomicI64::new(0),
         }
     }
 
@@ -140,8 +140,9 @@ impl RunControl {
     }
 
     /// Records an iteration of the pipeline.
-    pub fn beat(&self) {
-        self.beat_ns.store(self.machine.mono().0, Ordering::Relaxed);
+    pub fn note_iteration(&self) {
+        self.last_iteration_ns
+            .store(self.machine.mono().0, Ordering::Relaxed);
     }
 
     /// Sets the status of the navigation. `owners` is the index of the active source, by quantity.
@@ -169,8 +170,8 @@ impl RunControl {
 
     /// Reason to restart the daemon; `None` while the pipeline advances.
     pub(crate) fn pipeline_problem(&self) -> Option<String> {
-        let beat = MonoNs(self.beat_ns.load(Ordering::Relaxed));
-        let silent_s = self.machine.mono().seconds_since(beat);
+        let last = MonoNs(self.last_iteration_ns.load(Ordering::Relaxed));
+        let silent_s = self.machine.mono().seconds_since(last);
         // A paused pipeline is not stuck.
         (silent_s > MAX_ITERATION_S && !self.gate.is_paused())
             .then(|| format!("the pipeline has not advanced for {silent_s:.0} s"))

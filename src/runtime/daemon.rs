@@ -13,11 +13,11 @@
 //! This timing applies to the clocks `realtime` and `scaled`. With `fast` and `lockstep` the pipeline advances time from pulse to pulse
 //! (`stepped`), so no ping is late or skipped for lateness. The samples are the same bits with every clock.
 
-mod beat;
 mod delivery;
 mod event_log;
 mod machine;
 mod pacer;
+mod scheduler;
 mod stepped;
 mod triggers;
 

@@ -18,7 +18,7 @@ use echotank_core::settings::{
     SettingRefused, SettingRule, SettingsPort, SonarSettings, TriggerSource,
 };
 use echotank_core::time::MonoNs;
-use echotank_ping::beats::InForce;
+use echotank_ping::rig_schedule::SettingsInForce;
 
 /// Number of changes kept for the operator and the other protocols; older changes are only counted.
 pub(crate) const RECENT_CHANGES: usize = 64;
@@ -51,7 +51,7 @@ struct State {
     recent: VecDeque<RecentChange>,
     journal: VecDeque<JournalEntry>,
     /// Settings with the instant from which they apply, oldest first. The first entry also covers all earlier time.
-    past: VecDeque<(MonoNs, InForce)>,
+    past: VecDeque<(MonoNs, SettingsInForce)>,
 }
 
 /// Requested settings, before the rules of [`RequestedSettings::effective`].
@@ -65,9 +65,9 @@ struct RequestedSettings {
 }
 
 impl RequestedSettings {
-    fn in_force(&self) -> InForce {
+    fn in_force(&self) -> SettingsInForce {
         let obeys = self.settings.pinging && self.trigger == TriggerSource::External;
-        InForce {
+        SettingsInForce {
             settings: self.effective(),
             armed: obeys && self.settings.max_ping_rate_hz > 0.0,
         }
@@ -75,9 +75,9 @@ impl RequestedSettings {
 
     /// Settings that apply to pings. A rate of 0 or an external trigger stops the internal schedule of a started sonar.
     fn effective(&self) -> SonarSettings {
-        let beats = self.settings.pinging && self.trigger == TriggerSource::Internal;
+        let is_scheduled = self.settings.pinging && self.trigger == TriggerSource::Internal;
         SonarSettings {
-            pinging: (beats || self.pings_left > 0) && self.settings.max_ping_rate_hz > 0.0,
+            pinging: (is_scheduled || self.pings_left > 0) && self.settings.max_ping_rate_hz > 0.0,
             ..self.settings
         }
     }
@@ -155,7 +155,7 @@ impl SettingsStore {
     }
 
     /// Like [`SettingsStore::at`], with whether external triggers were accepted at that instant.
-    pub fn in_force(&self, instant: MonoNs) -> InForce {
+    pub fn in_force(&self, instant: MonoNs) -> SettingsInForce {
         let state = self.lock();
         let held = state
             .past
@@ -168,7 +168,7 @@ impl SettingsStore {
 
     /// Records a ping transmitted at `instant`. Decrements the remaining pings of a request for a number of pings; the last one stops
     /// pinging.
-    pub fn pinged(&self, instant: MonoNs) {
+    pub fn note_ping(&self, instant: MonoNs) {
         let mut state = self.lock();
         if state.requested.pings_left == 0 {
             return;
@@ -262,7 +262,7 @@ impl SettingsStore {
 }
 
 impl State {
-    fn remember(&mut self, since: MonoNs, in_force: InForce) {
+    fn remember(&mut self, since: MonoNs, in_force: SettingsInForce) {
         push_bounded(&mut self.past, (since, in_force));
     }
 
@@ -556,15 +556,15 @@ mod tests {
         store.apply(PingTimes(2), NOW).unwrap();
         let at = |k: i64| MonoNs(k * 1_000_000_000);
         assert!(store.at(at(1)).pinging);
-        store.pinged(at(1));
+        store.note_ping(at(1));
         assert!(store.at(at(2)).pinging);
-        store.pinged(at(2));
+        store.note_ping(at(2));
         assert!(!store.at(at(3)).pinging, "two were asked for");
         assert!(!store.snapshot().0.pinging);
         assert_eq!(store.version(), 2, "the end is a change too");
         store.apply(PingTimes(1), NOW).unwrap();
         store.apply(Start, NOW).unwrap();
-        store.pinged(at(4));
+        store.note_ping(at(4));
         assert!(store.snapshot().0.pinging, "started, not counted");
         let refused = store.apply(PingTimes(0), NOW).unwrap_err();
         assert_eq!(

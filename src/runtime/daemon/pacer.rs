@@ -17,8 +17,8 @@ use echotank_ping::rig::{PingSlot, Rig};
 use echotank_ping::{PingOrder, finish_ping, make_degraded_ping, make_ping};
 
 use super::DaemonError;
-use super::beat::{Beat, BeatContext, Ordered};
 use super::delivery::{Delivery, Due, Lane};
+use super::scheduler::{Ordered, PingScheduler, SchedulerContext};
 use super::triggers::Triggers;
 use crate::clock::{Clock, SystemClock};
 use crate::control::{RunControl, SonarControl};
@@ -84,7 +84,7 @@ pub(super) struct Pacer {
     pub(super) rig: Rig,
     /// Cost estimates and degradation levels of the pings, one per sonar.
     pub(super) levels: Vec<DegradationLevels>,
-    /// Load of the pipeline, shared with the beat thread.
+    /// Load of the pipeline, shared with the scheduler thread.
     pub(super) backlog: Arc<Backlog>,
     /// Whether the pipeline has been idle since the last ping. If so, no earlier ping delayed the current one.
     pub(super) has_rested: bool,
@@ -104,7 +104,7 @@ pub(super) struct Pacer {
     pub(super) stop: Arc<AtomicBool>,
     /// Instant of the first ping, once known.
     pub(super) first: Option<UtcNs>,
-    /// Trigger inputs and outputs, until the beat takes them.
+    /// Trigger inputs and outputs, until the scheduler takes them.
     pub(super) triggers: Option<Triggers>,
     /// Orders sorted by transmit time.
     pub(super) waiting: VecDeque<Waiting>,
@@ -133,13 +133,13 @@ impl Pacer {
         // Set only here. Answers stamped before this point carry the host's time.
         let timeline = *self.timeline.get_or_init(|| timeline);
         self.inputs.set_timeline(timeline);
-        let Some(beat) = self.beat(timeline) else {
+        let Some(scheduler) = self.scheduler(timeline) else {
             return Ok(());
         };
         let (sender, orders) = bounded(MAX_ORDERS);
-        let coming = beat.coming();
+        let next_order = scheduler.next_order();
         let priority = self.rig.spec.run.priority;
-        let _beat = match beat.start(sender, priority) {
+        let _thread = match scheduler.start(sender, priority) {
             Ok(thread) => thread,
             Err(why) => {
                 tracing::error!(error = %why, "could not start the thread that orders pings");
@@ -150,8 +150,8 @@ impl Pacer {
         while !self.stop.load(Ordering::Acquire) {
             let now = self.clock.mono();
             let utc = timeline.utc(now);
-            // Read `coming` before taking the orders: every order not taken below then has a pulse at `next` or later.
-            let next = coming.next();
+            // Read `next_order` before taking the orders: every order not taken below then has a pulse at `next` or later.
+            let next = next_order.next();
             self.take_orders(&orders, &timeline);
             let known = self.known_until(utc, next);
             self.inputs.pull(known, &mut self.rig.history);
@@ -178,7 +178,7 @@ impl Pacer {
                 wait_until = wait_until.min(now.plus_ns(POLL_NS));
             }
             self.has_rested = true;
-            self.clock.wait_until(wait_until, &coming.wake_up);
+            self.clock.wait_until(wait_until, &next_order.wake_up);
         }
         Ok(())
     }
@@ -242,9 +242,9 @@ impl Pacer {
         first
     }
 
-    /// Creates the beat. Call once, after [`Self::begin_schedules`]; later calls return `None`.
-    pub(super) fn beat(&mut self, timeline: Timeline) -> Option<Beat> {
-        let context = BeatContext {
+    /// Creates the scheduler. Call once, after [`Self::begin_schedules`]; later calls return `None`.
+    pub(super) fn scheduler(&mut self, timeline: Timeline) -> Option<PingScheduler> {
+        let context = SchedulerContext {
             settings: self.settings.clone(),
             control: self.control.clone(),
             faults: self.rig.faults.clone(),
@@ -253,7 +253,13 @@ impl Pacer {
         };
         let triggers = self.triggers.take()?;
         let spec = &self.rig.spec;
-        Some(Beat::new(spec, self.first?, timeline, context, triggers))
+        Some(PingScheduler::new(
+            spec,
+            self.first?,
+            timeline,
+            context,
+            triggers,
+        ))
     }
 
     /// Waits for the first navigation and aligns rig time with the clock. `None` if stopped before any navigation arrived.
@@ -310,7 +316,7 @@ impl Pacer {
     }
 
     fn renew_nav_lines_with(&mut self, first: impl FnOnce(&mut Self) -> Vec<String>) {
-        self.control.beat();
+        self.control.note_iteration();
         let now = self.machine.mono();
         if now >= self.next_nav_lines {
             self.next_nav_lines = now.plus_ns(NAV_LINES_EVERY_NS);
@@ -341,7 +347,7 @@ impl Pacer {
         }
     }
 
-    /// Moves all waiting orders from the beat to the queue, sorted by transmit time.
+    /// Moves all waiting orders from the scheduler to the queue, sorted by transmit time.
     fn take_orders(&mut self, orders: &Receiver<Ordered>, timeline: &Timeline) {
         let ended = match self.inputs.finished() {
             true => self.inputs.recorded_end(),
@@ -353,7 +359,7 @@ impl Pacer {
                 order,
                 put_off_s,
             } = ordered;
-            // The beat can order a few pings past the end of the log; they are dropped.
+            // The scheduler can order a few pings past the end of the log; they are dropped.
             if ended.is_some_and(|end| order.transmit_utc >= end) {
                 self.backlog.done(sonar);
                 continue;

@@ -44,7 +44,7 @@ impl Pacer {
             .timeline
             .get_or_init(|| Timeline::through(first_mono, first));
         self.inputs.set_timeline(timeline);
-        let Some(mut beat) = self.beat(timeline) else {
+        let Some(mut scheduler) = self.scheduler(timeline) else {
             return Ok(());
         };
         let gate = self.control.gate().clone();
@@ -55,14 +55,14 @@ impl Pacer {
                 return Ok(());
             }
             self.expect_new_settings();
-            let Some(at) = beat.next_pulse() else {
+            let Some(at) = scheduler.next_pulse() else {
                 // No sonar pings: time does not advance until a client changes the settings.
                 self.machine
                     .sleep_until(self.machine.mono().plus_ns(POLL_NS));
                 continue;
             };
             self.clock.sleep_until(timeline.mono(at));
-            let Some((sonar, order)) = beat.next(at) else {
+            let Some((sonar, order)) = scheduler.next(at) else {
                 continue;
             };
             if !crate::rig::read_navigation_for(&mut self.rig, &mut self.inputs, sonar, &order) {
