@@ -22,7 +22,7 @@ use crate::page::{PageSource, ReliefCache, changes, nav_source, settings_json, t
 use crate::settings::SettingsStore;
 use crate::triggers::TriggerCounts;
 use echotank_config::spec::{ClockSpec, NavChannel};
-use echotank_core::settings::{Asked, Asker, SettingChange, SettingsPort};
+use echotank_core::settings::{ChangeOrigin, Requester, SettingChange, SettingsPort};
 use echotank_core::time::{MonoNs, UtcNs};
 use echotank_nav::health::State;
 use echotank_ping::faults::Faults;
@@ -222,7 +222,7 @@ impl RunControl {
         }
     }
 
-    fn answer(&self, command: &Command, by: Asker) -> Result<Value, String> {
+    fn answer(&self, command: &Command, by: Requester) -> Result<Value, String> {
         let state = || json!({ "paused": self.gate.is_paused(), "pings_delivered": self.gate.pings_delivered() });
         match command {
             Command::Pause => {
@@ -328,7 +328,7 @@ impl RunControl {
     }
 
     /// Stores a command for the page and logs it. Settings have their own journal and log entries.
-    fn note(&self, command: &Command, answer: &Answer, by: Asker) {
+    fn note(&self, command: &Command, answer: &Answer, by: Requester) {
         let is_setting = matches!(command, Command::Set(_) | Command::Trigger { .. });
         // A request refused before the journal has no entry there.
         let is_journaled = is_setting
@@ -357,8 +357,8 @@ impl RunControl {
         self.commands_done.fetch_add(1, Ordering::Relaxed);
     }
 
-    fn asked(&self, by: Asker) -> Asked {
-        Asked {
+    fn origin(&self, by: Requester) -> ChangeOrigin {
+        ChangeOrigin {
             utc: (self.rig_time)(),
             by,
         }
@@ -369,10 +369,10 @@ impl RunControl {
         &self,
         sonar: &SonarControl,
         changes: &[SettingChange],
-        by: Asker,
+        by: Requester,
     ) -> Result<Value, String> {
         for (done, change) in changes.iter().enumerate() {
-            if let Err(refused) = sonar.settings.apply(*change, self.asked(by)) {
+            if let Err(refused) = sonar.settings.apply(*change, self.origin(by)) {
                 return Err(match done {
                     0 => refused.to_string(),
                     _ => format!("{refused}; the settings before it were applied"),
@@ -425,7 +425,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl ControlPort for RunControl {
-    fn command(&self, command: &Command, by: Asker) -> Answer {
+    fn command(&self, command: &Command, by: Requester) -> Answer {
         let answer = match self.answer(command, by) {
             Ok(result) => Answer::accepted(command, result),
             Err(why) => Answer::refused(command, why),

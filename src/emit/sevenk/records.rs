@@ -16,7 +16,7 @@ use echotank_protocols::sevenk::records::{
 };
 use echotank_protocols::sevenk::{ErrorCode, RecordStamp, SevenKTime, control_flags, device_id};
 
-use super::kept::Kept;
+use super::stored_settings::StoredSettings;
 use super::{RecordSet, UNCOMMON_RECORDS};
 use echotank_config::spec::{NavSpec, SevenKSpec, SonarSpec};
 use echotank_core::arrays::{Mounting, Pattern, TimeVaryingGain};
@@ -356,7 +356,7 @@ impl DeviceSheet {
         };
         let mut bytes = Vec::new();
         let mut record = self.settings_7503(0, &view);
-        Kept::of(port).report_7503(&mut record);
+        StoredSettings::of(port).report_7503(&mut record);
         record.emit(&mut bytes, &self.stamp(now));
         Datagram {
             record_type: 7503,

@@ -54,7 +54,7 @@ impl Elements {
         )?;
         if spread.streaming.is_some() {
             // One below the priority of the delivery threads that feed the server.
-            server.hurry(context.sending.priority.saturating_sub(1));
+            server.set_priority(context.sending.priority.saturating_sub(1));
         }
         let server = Arc::new(server);
         let (clock, sending) = (|| Arc::clone(context.clock), || context.sending.clone());

@@ -58,7 +58,7 @@ pub(super) async fn serve(
         is_full = false;
         let (routes, stopped) = (routes.clone(), stopped.clone());
         connections.spawn(async move {
-            attend(stream, peer, routes, stopped).await;
+            serve_connection(stream, peer, routes, stopped).await;
             drop(seat);
         });
     }
@@ -66,7 +66,7 @@ pub(super) async fn serve(
     while connections.join_next().await.is_some() {}
 }
 
-async fn attend(
+async fn serve_connection(
     stream: TcpStream,
     peer: SocketAddr,
     routes: Router,

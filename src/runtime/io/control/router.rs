@@ -29,7 +29,7 @@ use tracing::warn;
 
 use super::attempts::Attempts;
 use super::{Command, ControlPort, Shared, assets, refusal, socket};
-use echotank_core::settings::Asker;
+use echotank_core::settings::Requester;
 
 /// Longest command, bytes.
 const MAX_BODY_BYTES: usize = 64 * 1024;
@@ -66,7 +66,7 @@ async fn control(
         Ok(Json(command)) => command,
         Err(rejection) => return refusal(rejection.status(), &rejection.body_text()),
     };
-    let by = Asker {
+    let by = Requester {
         via: "control",
         peer: Some(peer),
     };

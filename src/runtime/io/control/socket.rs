@@ -35,7 +35,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
 
 use super::feed::{Next, Page, Want};
 use super::{Command, ControlPort, Shared, refusal};
-use echotank_core::settings::Asker;
+use echotank_core::settings::Requester;
 
 /// Maximum number of open pages.
 pub(crate) const MAX_PAGES: usize = 64;
@@ -142,7 +142,7 @@ struct Disconnected;
 struct Session {
     socket: WebSocket,
     shared: Shared,
-    by: Asker,
+    by: Requester,
     page: Page,
 }
 
@@ -152,7 +152,7 @@ async fn serve(socket: WebSocket, shared: Shared, peer: SocketAddr) {
         page: shared.port.feed().join(),
         socket,
         shared,
-        by: Asker {
+        by: Requester {
             via: "page",
             peer: Some(peer),
         },

@@ -140,7 +140,7 @@ impl TriggerListener {
     }
 
     /// Runs the input's threads under SCHED_FIFO if the system permits, including those of later clients; 0 changes nothing.
-    pub(crate) fn hurry(&self, priority: u8) {
+    pub(crate) fn set_priority(&self, priority: u8) {
         if let Some(thread) = self.thread.as_ref().filter(|_| priority > 0) {
             // The daemon reports a refused priority at its start.
             let _ = first_in_first_out_of(thread, priority);

@@ -1,6 +1,6 @@
 //! Requests, replies, and the effect on the next ping.
 
-use echotank_core::settings::{KeptKey, SettingsPort, TriggerSource};
+use echotank_core::settings::{SettingsPort, StoredKey, TriggerSource};
 use echotank_core::time::UtcNs;
 use echotank_emit::imagenex872::emit_ping;
 use echotank_emit::session::Wants;
@@ -80,12 +80,12 @@ fn jsf_settings_without_a_model_are_kept_and_reported() {
     use echotank_emit::jsf::session::is_active;
     let active = |channel| is_active(client.store.as_ref(), 20, channel);
     assert_eq!([0, 1, 2].map(active), [false, true, true]);
-    let key = |place| KeptKey {
+    let key = |place| StoredKey {
         via: "jsf",
         name: "message",
         place,
     };
-    assert!(client.store.kept(key(83 | 20 << 16)).is_some());
+    assert!(client.store.stored(key(83 | 20 << 16)).is_some());
 }
 
 #[test]
