@@ -374,7 +374,7 @@ fn pair_ns(spec: &SonarSpec) -> f64 {
         scatterers: 1,
         elements: 1,
         tolerance: spec.synthesis.tolerance,
-        heard: None,
+        echo_statistics: None,
     };
     let model = &spec.model;
     let walk_ms = path_error_model(model.path, &conditions).cost_ms

@@ -40,7 +40,7 @@ words! {
     IncidenceSpec: Normal = "normal", Flat = "flat";
     JsfChannels: Sides = "sides", Staves = "staves";
     JsfFormat: Envelope = "envelope", Analytic = "analytic", Unfiltered = "unfiltered";
-    MadeOutput: Elements = "elements", Beams = "beams", Auto = "auto";
+    SynthesisOutput: Elements = "elements", Beams = "beams", Auto = "auto";
     NavChannel: Position = "position", CourseSpeed = "course-speed", Heading = "heading", RollPitch = "roll-pitch", Heave = "heave", Depth = "depth";
     NavFormat: Nmea = "nmea", Tss1 = "tss1", Em3000 = "em3000", Seapath26 = "seapath26", Kmb = "kmb";
     NavSentence: Zda = "ZDA", Gga = "GGA", Hdt = "HDT";

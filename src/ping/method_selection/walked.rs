@@ -81,10 +81,12 @@ pub(crate) fn direct_runs(
     dense_rate_hz: f64,
 ) -> f64 {
     let points = conditions.pulse.duration_s * dense_rate_hz;
-    let bend = conditions.heard.map_or(0.0, |heard| heard.bend_m_per_s2);
+    let range_acceleration = conditions
+        .echo_statistics
+        .map_or(0.0, |echoes| echoes.range_acceleration_m_per_s2);
     let longest = match doppler {
         DopplerModel::StretchQuadratic => {
-            let curvature_per_s = bend / conditions.sound_speed_m_per_s;
+            let curvature_per_s = range_acceleration / conditions.sound_speed_m_per_s;
             let step_s = 1.0 / dense_rate_hz;
             let cubic = conditions.pulse.sweep_hz_per_s().abs() * curvature_per_s * step_s.powi(3);
             let count = (CUBIC_TURNS / cubic.max(f64::MIN_POSITIVE)).cbrt();

@@ -602,8 +602,8 @@ impl Pacer {
         counters.error_check(output.error_check.as_ref());
         let level = paced.map_or(0, |paced| paced.level);
         counters.overload_state(level, &output.overload_state);
-        if let Some(planner) = &self.rig.sonars[sonar].planner {
-            counters.plan(output.methods.as_ref(), &planner.counts);
+        if let Some(method_selector) = &self.rig.sonars[sonar].method_selector {
+            counters.plan(output.methods.as_ref(), &method_selector.counts);
         }
         counters.nav(&slot.plan.nav);
         if let Some(Paced { due, .. }) = paced {

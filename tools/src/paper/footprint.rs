@@ -34,11 +34,11 @@ struct Rig {
 
 impl Rig {
     fn of(spec: &RigSpec) -> Result<Self, String> {
-        let (heard, _) = pings::run(spec)?;
+        let (pings, _) = pings::run(spec)?;
         let sonar = &spec.sonars[0];
         let c = spec.medium.sound_speed_m_per_s;
         Ok(Self {
-            speed_m_per_s: heard[0].plan.nav.pose.velocity_m_per_s.x,
+            speed_m_per_s: pings[0].plan.nav.pose.velocity_m_per_s.x,
             c,
             length_wavelengths: sonar.receive[0].spacing_m * sonar.pulse.center_frequency_hz / c,
         })
