@@ -56,7 +56,7 @@ const KEPT_BY_ONE: f64 = 0.4;
 /// And `gridded-2d` all of it: it keeps its tolerance in noise, to 0.8 in the worst of 112 answers of `tools/accuracy sweep` but one.
 const KEPT_BY_WHOLE_LINES: f64 = 1.0;
 /// What `gridded-2d` foresees knows nothing of the series that carry Doppler: 1.4 to 3.9 times as much was measured with it, with lines of 8 and 96
-/// elements at tolerances of 8e-3 to 2e-3. Nor does it know how long slabs are and how few elements share a stretch: pings took 0.1 to 8 times as long as
+/// elements at tolerances of 8e-3 to 2e-3. Nor does it know how long slabs are and how few elements a section has: pings took 0.1 to 8 times as long as
 /// foreseen with the former factor on echoes and grids. The latter is no fit: what is foreseen badly is counted dear.
 const LINE_DOPPLER: f64 = 2.5;
 const LINE_DOPPLER_GRIDS: f64 = 10.0;
@@ -257,7 +257,7 @@ enum Engine {
     WholeLines {
         error: f64,
         cost: CostEstimate,
-        stretches: f64,
+        sections: f64,
         why: String,
     },
 }
@@ -543,7 +543,7 @@ impl<'a> Maker<'a> {
         let kept = self.cullings[0].of.kept * self.scene.count as f64 / NOMINAL_SCATTERERS as f64;
         let choices =
             choices(spec, c, fastest, filter, NOMINAL_SCATTERERS).map_err(|why| why.to_string())?;
-        let stretches = choices.iter().zip(&spec.receive);
+        let sections = choices.iter().zip(&spec.receive);
         let costs = choices.iter().map(|choice| choice.cost);
         let (echoes_times, grids_times) = match spec.model.doppler {
             DopplerModel::None => (1.0, 1.0),
@@ -558,9 +558,12 @@ impl<'a> Maker<'a> {
                 echoes_ns: sum.echoes_ns + echoes_times * kept * cost.echoes_ns,
                 grids_ns: sum.grids_ns + grids_times * cost.grids_ns,
             }),
-            stretches: stretches
+            sections: sections
                 .map(|(choice, array)| {
-                    array.elements.div_ceil(choice.resolution.stretch.max(1)) as f64
+                    array
+                        .elements
+                        .div_ceil(choice.resolution.section_elements.max(1))
+                        as f64
                 })
                 .sum(),
             why: choices
@@ -591,13 +594,13 @@ impl<'a> Maker<'a> {
             Engine::WholeLines {
                 error,
                 cost,
-                stretches,
+                sections,
                 why,
             } => {
                 let share = culling.of.kept / self.cullings[0].of.kept.max(f64::MIN_POSITIVE);
                 let work = Work::of(Figure::Gridded2dEcho, cost.echoes_ns * share)
                     .and(Figure::Gridded2dGrid, cost.grids_ns);
-                let pairs = culling.of.transmit_leg * scatterers * stretches;
+                let pairs = culling.of.transmit_leg * scatterers * sections;
                 let sum = self.sum(name, kept(*error, KEPT_BY_WHOLE_LINES), work, why.clone());
                 return self.candidate(synthesis, motion, culling, engine_tolerance, pairs, sum);
             }

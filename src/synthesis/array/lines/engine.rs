@@ -303,7 +303,9 @@ impl GriddedLines {
                 }));
         }
         let matrix = coefficients(&state.nodes);
-        state.tracks.lay(plan, array, transmit_leg, &state.along_m);
+        state
+            .tracks
+            .compute(plan, array, transmit_leg, &state.along_m);
         let batches = NodeTracks::batches(transmit_leg);
         if state.batches.len() < batches {
             state.batches.resize_with(batches, || Batch {
