@@ -39,7 +39,7 @@ pub enum RigError {
     /// A configured fault does not fit the rig.
     #[error("fault {number}: {why}")]
     Fault {
-        /// Number of the fault among the `[[fault]]` tables, from 0.
+        /// Number of the fault among the `[[fault]]` tables, from 1.
         number: usize,
         /// Cause.
         why: FaultRefused,
@@ -131,7 +131,7 @@ impl Rig {
     /// The scene or a pipeline cannot be opened, or a configured fault does not fit the rig.
     pub fn open(spec: &RigSpec, costs: Costs, files: &dyn Files) -> Result<Self, RigError> {
         let faults = Arc::new(Faults::new(&spec.sonars, &spec.nav.sources));
-        for (number, request) in spec.faults.iter().enumerate() {
+        for (number, request) in (1..).zip(&spec.faults) {
             let added = faults.add(request);
             added.map_err(|why| RigError::Fault { number, why })?;
         }

@@ -100,7 +100,7 @@ fn end(args: &Arguments) -> Option<Instant> {
 }
 
 /// Timeout of a read, after which the clock is checked.
-const LOOK: Duration = Duration::from_millis(100);
+const READ_TIMEOUT: Duration = Duration::from_millis(100);
 
 fn is_silence(error: &std::io::Error) -> bool {
     matches!(
@@ -112,7 +112,7 @@ fn is_silence(error: &std::io::Error) -> bool {
 fn tcp(address: &str, args: &Arguments, printer: &mut Printer) -> Result<(), String> {
     let say = |error: std::io::Error| error.to_string();
     let mut stream = TcpStream::connect(address).map_err(say)?;
-    stream.set_read_timeout(Some(LOOK)).map_err(say)?;
+    stream.set_read_timeout(Some(READ_TIMEOUT)).map_err(say)?;
     stream.write_all(&bytes_of(&args.send)?).map_err(say)?;
     let port = stream.peer_addr().map_err(say)?.port();
     let mut words = None;
@@ -175,7 +175,7 @@ fn udp(address: &str, args: &Arguments, printer: &mut Printer) -> Result<(), Str
         }
         address => UdpSocket::bind(address).map_err(say)?,
     };
-    socket.set_read_timeout(Some(LOOK)).map_err(say)?;
+    socket.set_read_timeout(Some(READ_TIMEOUT)).map_err(say)?;
     let mut buffer = vec![0; 1 << 16];
     let mut datagrams = Datagrams::default();
     let end = end(args);

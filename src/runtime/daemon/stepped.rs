@@ -11,7 +11,7 @@ use echotank_core::time::Timeline;
 use echotank_ping::rig::PingSlot;
 
 /// Interval between checks of the stop flag while the pipeline waits for a slot.
-const LOOK: Duration = Duration::from_millis(50);
+const STOP_CHECK_INTERVAL: Duration = Duration::from_millis(50);
 
 impl Lane {
     /// Waits for a free slot. `None` if `stopped` returns true or the delivery thread has ended.
@@ -20,7 +20,7 @@ impl Lane {
             return Some(spare);
         }
         while !stopped() {
-            match self.free.recv_timeout(LOOK) {
+            match self.free.recv_timeout(STOP_CHECK_INTERVAL) {
                 Ok(slot) => return Some(slot),
                 Err(error) if error.is_timeout() => {}
                 Err(_) => return None,

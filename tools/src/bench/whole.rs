@@ -52,20 +52,20 @@ const MANY: usize = 1_500_000;
 #[derive(Clone, Copy)]
 struct Effort {
     /// Maximum core time of a ping, seconds. Methods with slower pings are skipped.
-    patience_s: f64,
+    max_ping_s: f64,
     /// Total time after which runs end, seconds.
     runs_s: f64,
     max_scatterers: usize,
 }
 
 const FULL: Effort = Effort {
-    patience_s: 12.0,
+    max_ping_s: 12.0,
     runs_s: 3.0,
     max_scatterers: usize::MAX,
 };
 
 const QUICK: Effort = Effort {
-    patience_s: 1.0,
+    max_ping_s: 1.0,
     runs_s: 0.2,
     max_scatterers: 50_000,
 };
@@ -397,7 +397,7 @@ fn timed(effort: Effort, mut run: impl FnMut()) -> Took {
 /// Reason why a method is skipped, or `Ok`.
 fn patient(ready: &Ready, per_pair_s: f64) -> Result<(), String> {
     let took_s = (ready.ping.scatterers * ready.ping.elements) as f64 * per_pair_s;
-    if took_s > ready.effort.patience_s {
+    if took_s > ready.effort.max_ping_s {
         return Err(format!("not run: about {took_s:.0} core seconds"));
     }
     Ok(())

@@ -115,7 +115,7 @@ const HALF_LENGTH_M: f64 = 9.0;
 /// Radius of the piers, metres.
 const RADIUS_M: f64 = 1.0;
 /// Half length of the searched interval around the expected position of an echo, metres.
-const LOOK_M: f64 = 3.0;
+const SEARCH_M: f64 = 3.0;
 /// Length of the interval that is averaged, metres. The first echo ends when the average falls below a
 /// fraction of the maximum.
 const STRETCH_M: f64 = 0.15;
@@ -140,7 +140,7 @@ fn piers(pings: &[RecordedPing], axis: RangeAxis, targets: &[Target]) -> Vec<Pie
         let down_m = target.position_m.z - HALF_LENGTH_M - pose.position_m.z;
         let slant_range_m = east_m.hypot(down_m);
         let line = &ping.output.lines[0].amplitude;
-        let near = axis.sample(slant_range_m - LOOK_M)..axis.sample(slant_range_m + LOOK_M);
+        let near = axis.sample(slant_range_m - SEARCH_M)..axis.sample(slant_range_m + SEARCH_M);
         let Some(inside) = line.get(near.clone()) else {
             continue;
         };

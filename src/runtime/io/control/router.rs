@@ -34,7 +34,7 @@ use echotank_core::settings::Requester;
 /// Longest command, bytes.
 const MAX_BODY_BYTES: usize = 64 * 1024;
 /// Time limit for receiving and answering a request; commands do not wait.
-const REQUEST_PATIENCE: Duration = Duration::from_secs(10);
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 
 type Port = State<Arc<dyn ControlPort>>;
 
@@ -96,7 +96,7 @@ async fn health(State(port): Port) -> impl IntoResponse {
 
 /// Answers a request whose body does not arrive in time.
 async fn limit_time(request: Request, next: Next) -> Response {
-    let response = tokio::time::timeout(REQUEST_PATIENCE, next.run(request)).await;
+    let response = tokio::time::timeout(REQUEST_TIMEOUT, next.run(request)).await;
     response.unwrap_or_else(|_| {
         refusal(
             StatusCode::REQUEST_TIMEOUT,

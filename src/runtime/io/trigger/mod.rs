@@ -21,7 +21,7 @@ use crate::io::stamp;
 use crate::io::tcp::end_if_dead;
 use echotank_config::spec::{ModemLine, TriggerFrom};
 use sentence::{MAX_BYTES, TriggerSentence};
-use serial::{Edges, InputLevel, LOOK, PortLine};
+use serial::{Edges, InputLevel, POLL_INTERVAL, PortLine};
 
 /// Read timeout, and interval between checks of the stop flag.
 const READ_TIMEOUT: Duration = Duration::from_millis(100);
@@ -287,7 +287,7 @@ impl Reader {
                             number: None,
                         });
                     }
-                    thread::sleep(LOOK);
+                    thread::sleep(POLL_INTERVAL);
                 }
                 Err(error) => {
                     tracing::warn!(thread = thread::current().name(), %error, "trigger line lost");
