@@ -315,12 +315,12 @@ fn whole(format: Format, bytes: &[u8], each: &mut dyn FnMut(String)) {
         },
         Format::Wav => each(match WavHeader::parse(bytes) {
             Ok(header) => format!(
-                "WAV{} {} channels, {} Hz, {:?}, {} moments from byte {}",
+                "WAV{} {} channels, {} Hz, {:?}, {} sample times from byte {}",
                 if header.is_rf64 { " (RF64)" } else { "" },
                 header.format.channels,
                 header.format.sample_rate_hz,
                 header.format.sample,
-                header.moments(),
+                header.sample_times(),
                 header.data_at
             ),
             Err(error) => format!("not a WAV file: {error}"),

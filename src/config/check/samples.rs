@@ -73,7 +73,8 @@ pub(super) fn vita49(
         // Two frames of 2-byte samples take as many words as one frame of I and Q.
         let needed = VRT_AROUND_BYTES + 4 * side_by_side;
         if max_packet < needed || side_by_side > MAX_VECTOR {
-            let rule = format!("must hold a moment of {side_by_side} elements: at least {needed}");
+            let rule =
+                format!("must hold one sample time of {side_by_side} elements: at least {needed}");
             problems.refuse(&table.max_packet_bytes, rule);
         }
         let last = table.first_stream.get()? + source.elements(arrays) as i64;
@@ -142,7 +143,8 @@ pub(super) fn elements<'t>(
             let rule = format!("{elements} elements; a frame counts to {}", u16::MAX);
             problems.refuse(&table.arrays, rule);
         } else if table.send_to.given && max_packet < needed {
-            let rule = format!("must hold a moment of {elements} elements: at least {needed}");
+            let rule =
+                format!("must hold one sample time of {elements} elements: at least {needed}");
             problems.refuse(&table.max_packet_bytes, rule);
         }
     }

@@ -344,8 +344,8 @@ fn a_dead_element_injected_live_is_dead_only_in_the_logged_pings() {
             let open = client.read(Duration::from_secs(5), |frame, _| {
                 assert_eq!(usize::from(frame.head.elements), ELEMENTS);
                 let heard = |element: usize| {
-                    let mut moments = frame.samples.chunks_exact(4 * ELEMENTS);
-                    moments.any(|m| m[4 * element..4 * element + 4] != [0; 4])
+                    let mut sample_times = frame.samples.chunks_exact(4 * ELEMENTS);
+                    sample_times.any(|m| m[4 * element..4 * element + 4] != [0; 4])
                 };
                 let number = frame.head.ping_number;
                 *pings.entry(number).or_default() |= heard(dead_one);

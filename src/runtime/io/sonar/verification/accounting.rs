@@ -414,14 +414,14 @@ mod tests {
             FrameHead {
                 frame_number: first_number + number,
                 ping_number: ping,
-                first_moment: 0,
-                ping_moments: 2,
+                first_sample: 0,
+                ping_samples: 2,
                 elements: 1,
                 sample_type: SampleType::I16,
                 volts_per_unit: 1.0,
                 pulse_utc_ns: 0,
-                first_moment_s: 0.0,
-                moments_per_s: 1.0,
+                first_sample_s: 0.0,
+                sample_rate_hz: 1.0,
                 center_frequency_hz: 1.0,
             }
             .emit(&mut bytes, 2, |buf| buf.extend([ping as u8; 8]));
