@@ -333,7 +333,7 @@ impl Faults {
             return;
         }
         self.first.get_or_init(|| ping.utc);
-        let moment = Moment {
+        let point = InjectionPoint {
             utc: ping.utc,
             number: ping.number,
             key: record_type,
@@ -341,22 +341,22 @@ impl Faults {
         let meant = |fault: &ScheduledFault| {
             fault.sonar.is_none_or(|sonar| sonar == ping.sonar) && wanted(&fault.spec.kind)
         };
-        self.for_each_active(moment, meant, |fault, _, strength| {
+        self.for_each_active(point, meant, |fault, _, strength| {
             let mut injection = Injection {
                 sonar: Some(self.heads[ping.sonar].name.clone()),
                 ping_number: ping.number,
                 record_type: (record_type != 0).then_some(record_type),
-                ..self.injection(fault, moment, strength)
+                ..self.injection(fault, point, strength)
             };
             apply(&fault.spec, strength, &mut injection);
             self.log(fault, injection);
         });
     }
 
-    /// Calls `apply` for every fault that affects `moment`, with its age, s, and its strength.
+    /// Calls `apply` for every fault that affects `point`, with its age, s, and its strength.
     pub fn for_each_active(
         &self,
-        moment: Moment,
+        point: InjectionPoint,
         wanted: impl Fn(&ScheduledFault) -> bool,
         mut apply: impl FnMut(&ScheduledFault, f64, f64),
     ) {
@@ -369,11 +369,11 @@ impl Faults {
                 (Some(at_s), Some(first)) => first.plus_s(at_s),
                 // Before the first ping, `at_s` has no reference instant.
                 (Some(_), None) => continue,
-                (None, _) => *fault.since.get_or_init(|| moment.utc),
+                (None, _) => *fault.since.get_or_init(|| point.utc),
             };
-            let age_s = moment.utc.seconds_since(from);
+            let age_s = point.utc.seconds_since(from);
             let is_active = age_s >= 0.0 && age_s < spec.for_s;
-            if !is_active || !begins(fault, moment.number, moment.key) {
+            if !is_active || !begins(fault, point.number, point.key) {
                 continue;
             }
             let strength = match spec.ramp_s > 0.0 {
@@ -384,13 +384,18 @@ impl Faults {
         }
     }
 
-    /// Log entry for a fault that is injected at `moment`. `strength` is from 0 to 1.
-    pub fn injection(&self, fault: &ScheduledFault, moment: Moment, strength: f64) -> Injection {
+    /// Log entry for a fault that is injected at `point`. `strength` is from 0 to 1.
+    pub fn injection(
+        &self,
+        fault: &ScheduledFault,
+        point: InjectionPoint,
+        strength: f64,
+    ) -> Injection {
         Injection {
             fault: fault.id,
             kind: fault.spec.name,
             ping_number: self.last_ping.load(Ordering::Relaxed),
-            utc_ns: moment.utc.0,
+            utc_ns: point.utc.0,
             strength,
             ..Injection::default()
         }
@@ -468,9 +473,9 @@ impl Faults {
     }
 }
 
-/// Instant and key of a random draw.
+/// Instant and random draw of a possible injection.
 #[derive(Clone, Copy)]
-pub struct Moment {
+pub struct InjectionPoint {
     /// Rig time.
     pub utc: UtcNs,
     /// Number of the ping, sample or second. Bursts count in these numbers.
@@ -479,7 +484,7 @@ pub struct Moment {
     pub key: u32,
 }
 
-impl Moment {
+impl InjectionPoint {
     /// A whole second, for faults of pulses per second.
     pub fn of_second(second: UtcNs) -> Self {
         Self {

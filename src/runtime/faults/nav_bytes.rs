@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use echotank_config::spec::{FaultKind, NavByteFault};
 use echotank_core::time::UtcNs;
-use echotank_ping::faults::{Faults, Moment, ScheduledFault, unit};
+use echotank_ping::faults::{Faults, InjectionPoint, ScheduledFault, unit};
 
 /// Length of a cut sentence with its start, bytes: the sentence ends in the middle of its first field.
 const CUT_AFTER: usize = 9;
@@ -84,7 +84,7 @@ fn begin(
     sentence: &mut Sentence,
     out: &mut Vec<u8>,
 ) {
-    let moment = Moment {
+    let point = InjectionPoint {
         utc: arrival,
         number: sentence.number,
         // 0xFF differs from the small numbers of the source's quantities.
@@ -94,7 +94,7 @@ fn begin(
         matches!(fault.spec.kind, FaultKind::NavBytes(_))
             && fault.source.is_none_or(|wanted| wanted == source)
     };
-    faults.for_each_active(moment, wanted, |fault, _, strength| {
+    faults.for_each_active(point, wanted, |fault, _, strength| {
         match fault.spec.kind {
             FaultKind::NavBytes(NavByteFault::Checksum) => sentence.wrong_sum = true,
             FaultKind::NavBytes(NavByteFault::Cut) => sentence.cut = true,
@@ -104,8 +104,8 @@ fn begin(
                     let draw = unit(
                         seed ^ u64::from(k),
                         fault.id,
-                        moment.number,
-                        moment.key,
+                        point.number,
+                        point.key,
                         NOISE_TAG,
                     );
                     // Bytes above 0x7F, as from a serial port at the wrong baud rate.
@@ -114,7 +114,7 @@ fn begin(
             }
             _ => return,
         }
-        let mut injection = faults.injection(fault, moment, strength);
+        let mut injection = faults.injection(fault, point, strength);
         injection.source = faults.sources.get(source).cloned();
         faults.log(fault, injection);
     });
