@@ -24,7 +24,7 @@
 //! ```
 
 use crate::WireError;
-use crate::framing::{Framing, Look, Splitter};
+use crate::framing::{Framing, Scan, Splitter};
 use crate::layout::data_at;
 
 /// Size of the frame header.
@@ -210,24 +210,24 @@ impl Framing for ElementFraming {
         MAX_FRAME_BYTES
     }
 
-    fn look(&self, bytes: &[u8]) -> Look {
+    fn scan(&self, bytes: &[u8]) -> Scan {
         if bytes.iter().zip(MAGIC).any(|(&byte, mark)| byte != mark) {
-            return Look::Wrong(WireError::mark(WHAT, u32::from_le_bytes(MAGIC), bytes[0]));
+            return Scan::Wrong(WireError::mark(WHAT, u32::from_le_bytes(MAGIC), bytes[0]));
         }
         if bytes.len() < HEADER_BYTES {
-            return Look::More;
+            return Scan::More;
         }
         let size = u32::from_le_bytes([bytes[8], bytes[9], bytes[10], bytes[11]]) as usize;
         if !(HEADER_BYTES..=MAX_FRAME_BYTES).contains(&size) {
-            return Look::Wrong(WireError::unsupported(
+            return Scan::Wrong(WireError::unsupported(
                 "size of an element frame",
                 size as u64,
             ));
         }
         match bytes.get(..size).map(Frame::parse) {
-            None => Look::More,
-            Some(Ok(_)) => Look::Whole(size),
-            Some(Err(error)) => Look::Wrong(error),
+            None => Scan::More,
+            Some(Ok(_)) => Scan::Whole(size),
+            Some(Err(error)) => Scan::Wrong(error),
         }
     }
 }

@@ -11,7 +11,9 @@ use glam::DVec3;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::declaration::{Key, Kind, MAX_NAMES, MAX_ROWS, Presence, Range, Table, Unit, With};
+use super::declaration::{
+    Key, KeyCondition, Kind, MAX_NAMES, MAX_ROWS, Presence, Range, Table, Unit,
+};
 use super::files::Files;
 use super::problem::Problem;
 use super::spec::words::Words;
@@ -392,7 +394,7 @@ pub(crate) fn read<T: Declared>(
     Some(T::from_raw(table))
 }
 
-impl With {
+impl KeyCondition {
     /// Refuses a key without the `other` key of its condition, and the absence of a required key.
     fn check(&self, own: &Entry, other: &(Entry, Option<RawValue>), problems: &mut Problems) {
         let holds = match other {

@@ -351,7 +351,7 @@ pub enum NavMode {
 impl NavSpec {
     /// Whether the records have the depth of the reference point besides its heave. True if the reference point is not at the
     /// waterline, or a depth sensor is used.
-    pub fn tells_depth(&self) -> bool {
+    pub fn has_depth(&self) -> bool {
         !matches!(self.vertical, VerticalSpec::Gnss { .. }) && self.still_depth_m() != Some(0.0)
     }
 }

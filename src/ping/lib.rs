@@ -32,4 +32,4 @@ pub mod world;
 pub use make_ping::{finish_ping, make_degraded_ping, make_ping};
 pub use plan::{blank, fill, max_samples, max_segments, polyline, pulse, sample_count};
 pub use schedule::{PingOrder, Schedule, TURNAROUND_S, period_ns, window_s};
-pub use trigger::{Early, Refusal, Triggered};
+pub use trigger::{EarlyPolicy, Refusal, Triggered};

@@ -117,9 +117,7 @@ fn sensor_state(rig: &Rig, sonar: usize, nav: &mut NavState) -> SensorState {
         altitude_m: altitude_m
             .map(|down_m| down_m - at_m.z)
             .filter(|a| *a > 0.0),
-        still_depth_m: spec
-            .tells_depth()
-            .then_some(-nav.height_m - nav.heave_down_m),
+        still_depth_m: spec.has_depth().then_some(-nav.height_m - nav.heave_down_m),
     }
 }
 

@@ -5,7 +5,7 @@
 
 use std::collections::VecDeque;
 
-use super::{Early, PingOrder, Refusal, Schedule, Triggered};
+use super::{EarlyPolicy, PingOrder, Refusal, Schedule, Triggered};
 use echotank_config::spec::{TriggerFrom, TriggerSpec};
 use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
@@ -55,7 +55,7 @@ impl Event {
 #[derive(Clone, Debug)]
 struct Entry {
     schedule: Schedule,
-    early: Early,
+    early: EarlyPolicy,
     /// Index of the followed sonar, and delay after its pulses, s.
     follows: Option<(usize, f64)>,
     /// Pending triggers from the followed sonar, earliest first.
@@ -91,7 +91,7 @@ impl RigSchedule {
     ) -> Self {
         let entry = |spec: &TriggerSpec| Entry {
             schedule: Schedule::starting_at(first_utc, sound_speed_m_per_s),
-            early: Early {
+            early: EarlyPolicy {
                 rule: spec.early,
                 min_interval_s: spec.min_interval_s,
             },

@@ -163,7 +163,7 @@ impl Daemon {
         })?;
         let mut inputs = NavInputs::start(nav, clock.clone()).map_err(OpenError::Nav)?;
         let nav_faults = NavFaults::new(rig.faults.clone(), &spec.nav.sources);
-        inputs.spoil_with(Box::new(nav_faults));
+        inputs.set_fault_filter(Box::new(nav_faults));
         let settings: Vec<_> = spec
             .sonars
             .iter()

@@ -74,7 +74,7 @@ impl RecordedRig {
         let mut inputs =
             NavInputs::start(nav, Arc::new(VirtualClock::default())).map_err(OpenError::Nav)?;
         let nav_faults = NavFaults::new(rig.faults.clone(), &spec.nav.sources);
-        inputs.spoil_with(Box::new(nav_faults));
+        inputs.set_fault_filter(Box::new(nav_faults));
         let first = loop {
             if let Some(first) = rig.history.first_usable_utc() {
                 break first;

@@ -402,10 +402,10 @@ fn may_show_undetectable(report: &Report, log: &[LoggedFault], finding: &Finding
 }
 
 /// Pings with a delayed, lost or corrupted record, by sonar, link and record type.
-type Held = HashMap<(Option<String>, Option<String>, Option<u32>), BTreeSet<u32>>;
+type HeldPings = HashMap<(Option<String>, Option<String>, Option<u32>), BTreeSet<u32>>;
 
-fn held_pings(log: &[LoggedFault]) -> Held {
-    let mut held = Held::new();
+fn held_pings(log: &[LoggedFault]) -> HeldPings {
+    let mut held = HeldPings::new();
     for logged in log {
         let holds = matches!(
             logged.kind.as_str(),
@@ -425,7 +425,7 @@ fn held_pings(log: &[LoggedFault]) -> Held {
 }
 
 /// Whether a delayed record still arrives in order because the next record of its type was delayed or lost too.
-fn is_masked(logged: &LoggedFault, held: &Held) -> bool {
+fn is_masked(logged: &LoggedFault, held: &HeldPings) -> bool {
     let key = (
         logged.sonar.clone(),
         logged.line.clone(),

@@ -171,7 +171,7 @@ fn write_sonar(out: &mut String, selection: &SonarSelection, all: bool) -> std::
     if let Some(other) = ranking.next_cheaper() {
         writeln!(out, "  {:<10} {}", "cheaper", ranking.change(other))?;
     }
-    if let Some(other) = ranking.next_dearer() {
+    if let Some(other) = ranking.next_costlier() {
         writeln!(out, "  {:<10} {}", "costlier", ranking.change(other))?;
     }
     if let Some(other) = ranking.other_output() {
@@ -307,7 +307,7 @@ fn sonar_json(selection: &SonarSelection) -> Value {
     value["margin"] =
         json!(selection.period_ms * selection.threads as f64 / ranking.chosen().cost_ms());
     value["next_cheaper"] = json!(ranking.next_cheaper().map(one));
-    value["next_dearer"] = json!(ranking.next_dearer().map(one));
+    value["next_costlier"] = json!(ranking.next_costlier().map(one));
     value["other_output"] = json!(ranking.other_output().map(one));
     value["refused"] = json!(ranking.refused);
     value["candidates"] = json!(ranking.candidates.iter().map(one).collect::<Vec<_>>());

@@ -22,7 +22,7 @@ use crate::method_selection::costs::Costs;
 use crate::method_selection::culled::floors;
 use crate::method_selection::echo_statistics::Shares;
 use crate::method_selection::parts::{Parting, partings};
-use crate::method_selection::walked::{Walked, direct_runs, flank_points};
+use crate::method_selection::walked::{WalkLengths, direct_runs, flank_points};
 use crate::methods::{Candidate, Choice, Displaced, Family, Goal, Part, Ranking, choose};
 use crate::work::{Figure, Work};
 use echotank_config::spec::{MediumSpec, SonarSpec, SynthesisOutput};
@@ -168,16 +168,16 @@ pub fn goal(spec: &SonarSpec) -> Goal {
 pub fn rank(scene: &Scene, barred: &[Choice]) -> Option<Ranking> {
     // An element's engine is a part's too.
     let sketches = Sketches::default();
-    let maker = Maker::new(scene, None, &sketches);
-    let (mut candidates, mut refused) = maker.candidates();
-    let partings = worth_trying(scene, &maker.conditions);
+    let builder = CandidateBuilder::new(scene, None, &sketches);
+    let (mut candidates, mut refused) = builder.candidates();
+    let partings = worth_trying(scene, &builder.conditions);
     for parting in &partings {
         let spec = in_parts(scene.spec.clone(), parting.of);
         let scene = Scene {
             spec: &spec,
             ..*scene
         };
-        let (more, why) = Maker::new(&scene, Some(*parting), &sketches).candidates();
+        let (more, why) = CandidateBuilder::new(&scene, Some(*parting), &sketches).candidates();
         candidates.extend(more);
         refused.extend(why);
     }
@@ -238,12 +238,12 @@ struct Culling {
     of: Shares,
 }
 
-struct Maker<'a> {
+struct CandidateBuilder<'a> {
     scene: &'a Scene<'a>,
     conditions: Conditions,
     nearest_m: f64,
     cullings: Vec<Culling>,
-    walked: Walked,
+    walked: WalkLengths,
     /// How lines are parted; none: elements are made.
     parting: Option<Parting>,
     sketches: &'a Sketches,
@@ -265,14 +265,14 @@ enum Engine {
 /// Engines that have been looked at: by synthesis and Doppler model, and the bits of their tolerance.
 #[derive(Default)]
 struct Sketches {
-    seen: RefCell<Vec<(Sketched, SketchResult)>>,
+    seen: RefCell<Vec<(SketchKey, SketchResult)>>,
     fits: RefCell<KernelFits>,
 }
 
-type Sketched = (Synthesis, DopplerModel, Option<u64>);
+type SketchKey = (Synthesis, DopplerModel, Option<u64>);
 type SketchResult = Result<Rc<Sketch>, String>;
 
-impl<'a> Maker<'a> {
+impl<'a> CandidateBuilder<'a> {
     fn new(scene: &'a Scene<'a>, parting: Option<Parting>, sketches: &'a Sketches) -> Self {
         let spec = scene.spec;
         let mut conditions =
@@ -284,7 +284,7 @@ impl<'a> Maker<'a> {
             scene,
             parting,
             sketches,
-            walked: Walked::of(spec, scene.plan, scene.scatterers, scene.count),
+            walked: WalkLengths::of(spec, scene.plan, scene.scatterers, scene.count),
             nearest_m: nearest_m(spec, conditions.range_m.0),
             conditions,
             cullings: floors(scene),

@@ -15,7 +15,7 @@ const LANES: f64 = 8.0;
 /// What a run may leave out of a bent chirp's phase, turns over 32.
 const CUBIC_TURNS: f64 = 32.0 * 1e-7;
 
-pub(crate) struct Walked {
+pub(crate) struct WalkLengths {
     /// Two-way time from the nearest to the farthest of the scatterers that look for their legs together, mean, and by how much bounds on where an element is stretch it.
     spread_s: f64,
     window_s: f64,
@@ -23,7 +23,7 @@ pub(crate) struct Walked {
     pub patterned: f64,
 }
 
-impl Walked {
+impl WalkLengths {
     /// `scatterers`: all `count` of them, or a sample in their order.
     pub(super) fn of(
         spec: &SonarSpec,

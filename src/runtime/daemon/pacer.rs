@@ -17,7 +17,7 @@ use echotank_ping::rig::{PingSlot, Rig};
 use echotank_ping::{PingOrder, finish_ping, make_degraded_ping, make_ping};
 
 use super::DaemonError;
-use super::delivery::{Delivery, Due, Lane};
+use super::delivery::{Deadlines, Delivery, Lane};
 use super::scheduler::{Ordered, PingScheduler, SchedulerContext};
 use super::triggers::Triggers;
 use crate::clock::{Clock, SystemClock};
@@ -60,7 +60,7 @@ pub(super) struct Streamed {
 /// Timing of a ping under a clock that runs by itself (`realtime`, `scaled`).
 #[derive(Clone, Copy)]
 pub(super) struct Paced {
-    pub(super) due: Due,
+    pub(super) due: Deadlines,
     /// Degradation level; 0 is the full method.
     pub(super) level: usize,
     pub(super) put_off_s: f64,
@@ -76,7 +76,7 @@ pub(super) struct Waiting {
     /// Delay of the pulse behind the regular schedule.
     pub(super) put_off_s: f64,
     pub(super) window_s: f64,
-    pub(super) due: Due,
+    pub(super) due: Deadlines,
 }
 
 /// State of the pipeline thread.
@@ -372,7 +372,7 @@ impl Pacer {
             }
             let window_s = self.rig.window_s(sonar, &order);
             let run = &self.rig.spec.run;
-            let due = Due {
+            let due = Deadlines {
                 pulse: timeline.mono(order.transmit_utc),
                 ready_by: timeline.mono(order.transmit_utc.plus_s(run.ready_after_s(window_s))),
                 deadline: timeline.mono(order.transmit_utc.plus_s(window_s + run.latency_s)),
@@ -558,7 +558,7 @@ impl Pacer {
         &self,
         sonar: usize,
         order: &PingOrder,
-        due: Option<Due>,
+        due: Option<Deadlines>,
         streamed: &Streamed,
         total: usize,
     ) -> Option<Range<usize>> {
@@ -634,7 +634,7 @@ impl Pacer {
     }
 
     /// Instant at which the block that begins with `sample` is due.
-    fn block_due(&self, sonar: usize, due: Due, sample: usize) -> MonoNs {
+    fn block_due(&self, sonar: usize, due: Deadlines, sample: usize) -> MonoNs {
         let rate_hz = self.rig.sonars[sonar].spec.receiver.sample_rate_hz;
         due.ready_by.plus_s(sample as f64 / rate_hz)
     }
@@ -645,7 +645,7 @@ impl Pacer {
         &mut self,
         sonar: usize,
         slot: &mut PingSlot,
-        due: Due,
+        due: Deadlines,
         quiet: bool,
         streamed: &mut Streamed,
     ) {

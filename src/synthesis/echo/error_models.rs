@@ -62,7 +62,7 @@ fn cost_ms(conditions: &Conditions, ns: f64) -> f64 {
 }
 
 /// Motion terms of the closed forms, per leg, for the actual geometry or for the worst direction.
-struct Moving {
+struct MotionTerms {
     displacement_m: f64,
     closing: f64,
     range_acceleration: f64,
@@ -71,11 +71,11 @@ struct Moving {
     spread: f64,
 }
 
-fn moving(conditions: &Conditions) -> Moving {
+fn motion_terms(conditions: &Conditions) -> MotionTerms {
     let v = conditions.speed_m_per_s;
     let a = conditions.acceleration_m_per_s2;
     match conditions.echo_statistics {
-        Some(echoes) => Moving {
+        Some(echoes) => MotionTerms {
             displacement_m: echoes.displacement_m,
             closing: echoes.closing_m_per_s,
             range_acceleration: echoes.range_acceleration_m_per_s2,
@@ -83,7 +83,7 @@ fn moving(conditions: &Conditions) -> Moving {
             turning: echoes.turning_m_per_s,
             spread: echoes.spread,
         },
-        None => Moving {
+        None => MotionTerms {
             displacement_m: v * 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s,
             closing: v,
             range_acceleration: v * v / conditions.range_m.0 + a,
@@ -98,13 +98,13 @@ fn moving(conditions: &Conditions) -> Moving {
 pub fn path_error_model(path: PathModel, conditions: &Conditions) -> ErrorModel {
     let window_s = 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s;
     let h = conditions.segment_s;
-    let Moving {
+    let MotionTerms {
         displacement_m,
         acceleration: a,
         turning,
         spread,
         ..
-    } = moving(conditions);
+    } = motion_terms(conditions);
     // Time to the middle of a chord, or to the last reception on it.
     let until_s = window_s.min(0.5 * h);
     let sag_m = 0.5 * a * until_s * (h - until_s);
@@ -155,13 +155,13 @@ pub fn doppler_error_model(
         pulse,
         ..
     } = *conditions;
-    let Moving {
+    let MotionTerms {
         closing,
         range_acceleration,
         acceleration: a,
         spread,
         ..
-    } = moving(conditions);
+    } = motion_terms(conditions);
     let t = pulse.duration_s;
     let k = conditions.wavenumber_per_m();
     // Two-way phases of three terms: the closing speed d s, its change q s^2, and the change of q.

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use super::pings::{self, RecordedPing};
 use super::strip::{CELL_M, Strip};
-use crate::picture::{self, Grid, Look};
+use crate::picture::{self, ColourScale, Grid};
 
 /// Ranges of the points whose images are measured, metres.
 const POINTS_M: [f64; 6] = [5.0, 10.0, 20.0, 35.0, 50.0, 75.0];
@@ -26,7 +26,7 @@ pub(crate) fn figure_11(out: &Path) -> Result<Value, String> {
         grids.push(lay(&spec, &pings));
         rows.push(json!({ "config": name, "points": points(&spec, &pings[pings.len() / 2])? }));
     }
-    let look = Look::of_shares(&[&grids[1]], ColourMap::Copper, 0.05, 0.995);
+    let look = ColourScale::of_shares(&[&grids[1]], ColourMap::Copper, 0.05, 0.995);
     let panels: Vec<_> = grids.iter().map(|g| (g, look)).collect();
     picture::write(&out.join("fig11.png"), &[panels])?;
     Ok(json!({

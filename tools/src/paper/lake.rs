@@ -8,7 +8,7 @@ use echotank_imaging::image::line::{RangeAxis, mean_intensity};
 use serde_json::{Value, json};
 
 use super::pings::{self, RecordedPing};
-use crate::picture::{self, Grid, Look};
+use crate::picture::{self, ColourScale, Grid};
 
 const CELL_M: f64 = 0.1;
 const RANGE_M: f64 = 85.0;
@@ -23,7 +23,7 @@ pub(crate) fn figure_17(out: &Path) -> Result<Value, String> {
         spec.sonars[0].receiver.sample_rate_hz,
     );
     let grid = waterfall(&pings, axis);
-    let look = Look::of_shares(&[&grid], ColourMap::Copper, 0.05, 0.998);
+    let look = ColourScale::of_shares(&[&grid], ColourMap::Copper, 0.05, 0.998);
     picture::write(&out.join("fig17.png"), &[vec![(&grid, look)]])?;
     Ok(json!({
         "figure": "17", "picture": "slant range to the right, north up", "pings": pings.len(),
@@ -54,8 +54,8 @@ pub(crate) fn figure_18(out: &Path) -> Result<Value, String> {
             curve.set(x, k * ROWS + row, 1.0);
         }
     }
-    let look = Look::of_shares(&[&grid], ColourMap::Copper, 0.05, 0.998);
-    let black_and_white = Look {
+    let look = ColourScale::of_shares(&[&grid], ColourMap::Copper, 0.05, 0.998);
+    let black_and_white = ColourScale {
         map: ColourMap::Grey,
         low: 0.0,
         high: 1.0,

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::pings::{self, RecordedPing};
 use super::strip::{CELL_M, RANGE_M, Strip};
-use crate::picture::{self, Grid, Look};
+use crate::picture::{self, ColourScale, Grid};
 
 /// Number of ranges at which the echo between pings is computed.
 const STEPS: usize = 92;
@@ -41,7 +41,7 @@ pub(crate) fn figure_10(out: &Path) -> Result<Value, String> {
         }));
         grids.push(grid);
     }
-    let look = Look::of_shares(&[&grids[0]], ColourMap::Copper, 0.05, 0.995);
+    let look = ColourScale::of_shares(&[&grids[0]], ColourMap::Copper, 0.05, 0.995);
     picture::write(
         &out.join("fig10.png"),
         &[vec![(&grids[0], look), (&grids[1], look)]],

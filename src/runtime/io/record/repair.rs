@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use echotank_protocols::framing::{Framing, Look};
+use echotank_protocols::framing::{Framing, Scan};
 use echotank_protocols::sevenk::WireError;
 use echotank_protocols::sigmf::Recording;
 use echotank_protocols::wav::{HEADER_BYTES, WavHeader};
@@ -165,13 +165,13 @@ pub(super) fn frames(
         let is_all = held.len() == before;
         let mut at = 0;
         while at < held.len() {
-            match framing.look(&held[at..]) {
-                Look::Whole(len) => {
+            match framing.scan(&held[at..]) {
+                Scan::Whole(len) => {
                     at += len;
                     records += 1;
                 }
-                Look::More => break,
-                Look::Wrong(why) => return Err(strange(path, end + at as u64, why)),
+                Scan::More => break,
+                Scan::Wrong(why) => return Err(strange(path, end + at as u64, why)),
             }
         }
         held.drain(..at);

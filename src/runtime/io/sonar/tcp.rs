@@ -176,7 +176,7 @@ async fn write_all(
             return;
         }
         tokio::select! {
-            () = client.woken() => {}
+            () = client.wait_for_datagram() => {}
             () = stopping(&mut stopped) => {}
         }
     }

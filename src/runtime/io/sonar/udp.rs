@@ -163,7 +163,7 @@ pub(super) async fn write_datagrams(
             return;
         }
         tokio::select! {
-            () = client.woken() => {}
+            () = client.wait_for_datagram() => {}
             () = stopping(&mut stopped) => {}
         }
     }

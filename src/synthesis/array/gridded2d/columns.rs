@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use num_complex::Complex64;
 
 use super::engine::{Orders, Work};
-use super::lanes::{Apart, BLOCK, Lanes, Split};
+use super::lanes::{BLOCK, Lanes, ProductSum, Split};
 use super::merge::Merge;
 use super::panel::{PANEL, Row, transposed};
 use super::pulse::{chebyshev, chebyshev_nodes};
@@ -453,7 +453,7 @@ impl<T: Sample> Task<'_, T> {
         let [sums, total] = &mut work.of_powers;
         let mut e = 0;
         for (q, sum) in sums[..along].iter_mut().enumerate() {
-            let mut total = Apart::<T>::ZERO;
+            let mut total = ProductSum::<T>::ZERO;
             let of_power = work.entries[e..]
                 .iter()
                 .take_while(|entry| entry.power == q);

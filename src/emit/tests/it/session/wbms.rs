@@ -9,7 +9,7 @@ use echotank_core::settings::{SettingsPort, TriggerSource};
 use echotank_core::time::UtcNs;
 use echotank_emit::session::{Outgoing, Protocol, Session, Transport};
 use echotank_emit::wbms::control::ControlPort;
-use echotank_emit::wbms::{Device, Wanted, WbmsEmitter};
+use echotank_emit::wbms::{Device, SubscribedPackets, WbmsEmitter};
 use echotank_protocols::wbms::{Backscatter, Bathymetry, Packet, packet_type};
 use echotank_runtime::settings::SettingsStore;
 use proptest::prelude::*;
@@ -240,7 +240,7 @@ proptest! {
 
 // ---------------------------------------------------------------- packets
 
-const ALL: Wanted = Wanted {
+const ALL: SubscribedPackets = SubscribedPackets {
     bathymetry: true,
     water_column: true,
     side_scan: true,
