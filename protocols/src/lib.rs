@@ -23,6 +23,7 @@
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 pub mod calendar;
+pub mod describer;
 pub mod elements;
 pub mod framing;
 pub mod imagenex872;
@@ -35,7 +36,6 @@ pub mod sigmf;
 pub mod vita49;
 pub mod wav;
 pub mod wbms;
-pub mod words;
 pub mod xtf;
 
 pub use layout::WireError;

@@ -16,7 +16,7 @@ use super::declaration::{
 };
 use super::files::Files;
 use super::problem::Problem;
-use super::spec::words::Words;
+use super::spec::words::NamedChoice;
 
 /// Minimum similarity of a name that is proposed as a correction; 1 means equal.
 const LIKENESS: f64 = 0.5;
@@ -231,7 +231,7 @@ impl Field<String> {
     }
 
     /// The choice that the value names.
-    pub(crate) fn named<T: Words>(&self) -> Option<T> {
+    pub(crate) fn named<T: NamedChoice>(&self) -> Option<T> {
         T::from_word(self.text()?)
     }
 
@@ -243,7 +243,7 @@ impl Field<String> {
 
 impl Field<Vec<String>> {
     /// The choices that the values name.
-    pub(crate) fn all_named<T: Words>(&self) -> Option<Vec<T>> {
+    pub(crate) fn all_named<T: NamedChoice>(&self) -> Option<Vec<T>> {
         self.as_ref()?
             .iter()
             .map(|word| T::from_word(word))

@@ -38,7 +38,7 @@ pub use samples::{ElementStreamSpec, SigmfSpec, Vita49Spec, WavSpec};
 pub use trigger::{
     EarlyTrigger, ModemLine, OutLine, TriggerFrom, TriggerLineSpec, TriggerOutSpec, TriggerSpec,
 };
-pub use words::Words;
+pub use words::NamedChoice;
 
 /// One rig, as a configuration file describes it.
 #[derive(Clone, Debug)]

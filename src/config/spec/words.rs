@@ -3,7 +3,7 @@
 use super::*;
 
 /// Choice without parameters that has a text name.
-pub trait Words: Copy + PartialEq + 'static {
+pub trait NamedChoice: Copy + PartialEq + 'static {
     /// All choices with their text names.
     const WORDS: &'static [(Self, &'static str)];
 
@@ -22,7 +22,7 @@ pub trait Words: Copy + PartialEq + 'static {
 
 macro_rules! words {
     ($($choices:ident: $($choice:ident = $word:literal),+;)+) => {
-        $(impl Words for $choices {
+        $(impl NamedChoice for $choices {
             const WORDS: &'static [(Self, &'static str)] = &[$((Self::$choice, $word)),+];
         })+
     };

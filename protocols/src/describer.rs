@@ -135,7 +135,7 @@ impl fmt::Display for Format {
 }
 
 /// Incremental description of a connection or file, message by message.
-pub struct Words {
+pub struct MessageDescriber {
     state: State,
 }
 
@@ -153,7 +153,7 @@ enum State {
     Whole(Format, Vec<u8>),
 }
 
-impl Words {
+impl MessageDescriber {
     /// An empty input in this format.
     pub fn new(format: Format) -> Self {
         let state = match format {
@@ -251,9 +251,9 @@ impl Datagrams {
             },
             Format::Vita49 => each(vita49_packet(bytes)),
             other => {
-                let mut words = Words::new(other);
-                words.push(bytes, each);
-                words.finish(each);
+                let mut describer = MessageDescriber::new(other);
+                describer.push(bytes, each);
+                describer.finish(each);
             }
         }
     }
