@@ -16,7 +16,7 @@
 //! - [`vita49`]: ANSI/VITA 49.2 signal data and context packets (UDP port 4991).
 //! - [`xtf`]: Triton XTF files.
 //!
-//! [`words`] describes messages of any format as text.
+//! [`describer`] describes messages of any format as text.
 
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
