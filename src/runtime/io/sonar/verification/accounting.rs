@@ -38,7 +38,7 @@ pub struct Accounting {
     findings: Vec<Finding>,
     /// Indices of findings that end at the next ping.
     open: Vec<usize>,
-    unkept: u64,
+    unlisted: u64,
     pings: Option<(u32, u32)>,
     last_ping: Option<u32>,
     utc_ns: Option<(i64, i64)>,
@@ -58,7 +58,7 @@ impl Accounting {
             keeps_checksums,
             findings: Vec::new(),
             open: Vec::new(),
-            unkept: 0,
+            unlisted: 0,
             pings: None,
             last_ping: None,
             utc_ns: None,
@@ -76,15 +76,15 @@ impl Accounting {
     }
 
     /// Number of findings beyond the limit.
-    pub fn unkept(&self) -> u64 {
-        self.unkept
+    pub fn unlisted(&self) -> u64 {
+        self.unlisted
     }
 
     fn find(&mut self, finding: Finding) {
         if self.findings.len() < MAX_FINDINGS {
             self.findings.push(finding);
         } else {
-            self.unkept += 1;
+            self.unlisted += 1;
         }
     }
 
