@@ -53,7 +53,7 @@ def sigmf(path):
         last = pings[-1]
         count = last["core:sample_start"] + last["core:sample_count"]
         if len(recording.read_samples()) != count:
-            raise ValueError("words for %d moments" % count)
+            raise ValueError("words for %d sample times" % count)
     return {"pings": len(pings)}
 
 
@@ -61,7 +61,7 @@ def wav(path):
     import soundfile
     about = soundfile.info(path)
     if about.frames and len(soundfile.read(path, start=about.frames - 1)[0]) != 1:
-        raise ValueError("the last moment is not there")
+        raise ValueError("the last sample time is missing")
     return {"seconds": about.frames / about.samplerate}
 
 

@@ -8,7 +8,7 @@ const S_PER_DAY: i64 = 86_400;
 
 /// A UTC time as date and time fields.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Moment {
+pub struct DateTime {
     /// Gregorian year.
     pub year: i32,
     /// Month; 1 is January.
@@ -27,7 +27,7 @@ pub struct Moment {
     pub nanosecond: u32,
 }
 
-impl Moment {
+impl DateTime {
     /// The fields of a time in nanoseconds since 1970.
     pub fn from_utc_ns(utc_ns: i64) -> Self {
         let (seconds, nanosecond) = (utc_ns.div_euclid(NS_PER_S), utc_ns.rem_euclid(NS_PER_S));
@@ -82,20 +82,28 @@ mod tests {
     #[test]
     fn known_moments_have_their_dates() {
         // 1750000000 is 2025-06-15 15:06:40 UTC, the 166th day of its year (`date -u -d @1750000000 +%F_%T_%j`).
-        let moment = Moment::from_utc_ns(1_750_000_000_123_456_789);
+        let date_time = DateTime::from_utc_ns(1_750_000_000_123_456_789);
         assert_eq!(
-            (moment.year, moment.month, moment.day, moment.day_of_year),
+            (
+                date_time.year,
+                date_time.month,
+                date_time.day,
+                date_time.day_of_year
+            ),
             (2025, 6, 15, 166)
         );
-        assert_eq!((moment.hour, moment.minute, moment.second), (15, 6, 40));
-        assert_eq!(moment.milliseconds_of_day(), 54_400_123);
+        assert_eq!(
+            (date_time.hour, date_time.minute, date_time.second),
+            (15, 6, 40)
+        );
+        assert_eq!(date_time.milliseconds_of_day(), 54_400_123);
         // The last day of a leap year, and a time before 1970.
-        let leap = Moment::from_utc_ns(1_735_603_200 * NS_PER_S - NS_PER_S);
+        let leap = DateTime::from_utc_ns(1_735_603_200 * NS_PER_S - NS_PER_S);
         assert_eq!(
             (leap.year, leap.month, leap.day, leap.day_of_year),
             (2024, 12, 30, 365)
         );
-        let before = Moment::from_utc_ns(-1);
+        let before = DateTime::from_utc_ns(-1);
         assert_eq!(
             (before.year, before.month, before.day, before.nanosecond),
             (1969, 12, 31, 999_999_999)
@@ -106,7 +114,7 @@ mod tests {
     fn every_day_of_four_centuries_comes_back() {
         let mut previous = (0, 0, 0);
         for day in 0..146_097 {
-            let m = Moment::from_utc_ns((day % 106_751) * S_PER_DAY * NS_PER_S);
+            let m = DateTime::from_utc_ns((day % 106_751) * S_PER_DAY * NS_PER_S);
             assert_eq!(
                 days_from_epoch(m.year.into(), m.month.into(), m.day.into()),
                 day % 106_751

@@ -1,7 +1,7 @@
 //! Element stream of Echotank: I and Q samples of all elements with a minimal header.
 //!
 //! Frames are consecutive over TCP; over UDP each datagram holds one frame. Numbers are little endian. Every frame is
-//! self-contained. A moment is one sample time, with a sample of each element.
+//! self-contained. Each sample time has one sample of each element.
 //!
 //! ```text
 //!  0  4s   "ETEL"
@@ -10,21 +10,21 @@
 //!  8  u32  bytes of the whole frame
 //! 12  u32  frame number, counted by the stream: a gap is a loss
 //! 16  u32  ping number
-//! 20  u32  first moment of the frame, counted from the first of the ping
-//! 24  u32  moments in the frame
-//! 28  u32  moments of the whole ping
+//! 20  u32  first sample time of the frame, counted from the first of the ping
+//! 24  u32  sample times in the frame
+//! 28  u32  sample times of the whole ping
 //! 32  u16  elements
 //! 34  u16  1: i16, 2: f32
 //! 36  f32  volts rms of one count (1) or of 1.0 (2)
 //! 40  i64  start of the pulse, UTC, ns since 1970
-//! 48  f64  moment 0, seconds after the start of the pulse
-//! 56  f64  moments per second
+//! 48  f64  sample time 0, seconds after the start of the pulse
+//! 56  f64  sample times per second
 //! 64  f64  centre frequency, Hz: I and Q are about it
-//! 72       moment by moment, element by element: I, Q
+//! 72       sample time by sample time, element by element: I, Q
 //! ```
 
 use crate::WireError;
-use crate::framing::{Framing, Look, Splitter};
+use crate::framing::{Framing, Scan, Splitter};
 use crate::layout::data_at;
 
 /// Size of the frame header.
@@ -64,10 +64,10 @@ pub struct FrameHead {
     pub frame_number: u32,
     /// Ping that the samples belong to.
     pub ping_number: u32,
-    /// Index of the frame's first moment in the ping.
-    pub first_moment: u32,
-    /// Number of moments in the whole ping.
-    pub ping_moments: u32,
+    /// Index of the frame's first sample time in the ping.
+    pub first_sample: u32,
+    /// Number of sample times in the whole ping.
+    pub ping_samples: u32,
     /// Number of elements.
     pub elements: u16,
     /// Number type of the samples.
@@ -76,10 +76,10 @@ pub struct FrameHead {
     pub volts_per_unit: f32,
     /// Start of the pulse, UTC nanoseconds since 1970.
     pub pulse_utc_ns: i64,
-    /// Time of moment 0, seconds after the start of the pulse.
-    pub first_moment_s: f64,
+    /// Time of sample time 0, seconds after the start of the pulse.
+    pub first_sample_s: f64,
     /// Sample rate.
-    pub moments_per_s: f64,
+    pub sample_rate_hz: f64,
     /// Carrier frequency of the complex samples.
     pub center_frequency_hz: f64,
 }
@@ -89,19 +89,25 @@ pub struct FrameHead {
 pub struct Frame<'a> {
     /// Header fields.
     pub head: FrameHead,
-    /// Number of moments in this frame.
-    pub moments: u32,
-    /// Samples as transmitted: by moment, by element, I then Q.
+    /// Number of sample times in this frame.
+    pub sample_times: u32,
+    /// Samples as transmitted: by sample time, by element, I then Q.
     pub samples: &'a [u8],
 }
 
 impl FrameHead {
-    /// Appends a frame. `write_samples` must append I and Q of `moments` moments.
+    /// Appends a frame. `write_samples` must append I and Q of `sample_times` sample times.
     ///
     /// # Panics
     /// If `write_samples` appends another number of bytes, or the frame exceeds [`MAX_FRAME_BYTES`].
-    pub fn emit(&self, buf: &mut Vec<u8>, moments: u32, write_samples: impl FnOnce(&mut Vec<u8>)) {
-        let sample_bytes = self.sample_type.bytes() * usize::from(self.elements) * moments as usize;
+    pub fn emit(
+        &self,
+        buf: &mut Vec<u8>,
+        sample_times: u32,
+        write_samples: impl FnOnce(&mut Vec<u8>),
+    ) {
+        let sample_bytes =
+            self.sample_type.bytes() * usize::from(self.elements) * sample_times as usize;
         let size = HEADER_BYTES + sample_bytes;
         assert!(size <= MAX_FRAME_BYTES, "element frame of {size} bytes");
         buf.extend(MAGIC);
@@ -111,9 +117,9 @@ impl FrameHead {
             size as u32,
             self.frame_number,
             self.ping_number,
-            self.first_moment,
-            moments,
-            self.ping_moments,
+            self.first_sample,
+            sample_times,
+            self.ping_samples,
         ] {
             buf.extend(word.to_le_bytes());
         }
@@ -125,8 +131,8 @@ impl FrameHead {
         buf.extend(sample_type.to_le_bytes());
         buf.extend(self.volts_per_unit.to_le_bytes());
         buf.extend(self.pulse_utc_ns.to_le_bytes());
-        buf.extend(self.first_moment_s.to_le_bytes());
-        buf.extend(self.moments_per_s.to_le_bytes());
+        buf.extend(self.first_sample_s.to_le_bytes());
+        buf.extend(self.sample_rate_hz.to_le_bytes());
         buf.extend(self.center_frequency_hz.to_le_bytes());
         let start = buf.len();
         write_samples(buf);
@@ -160,8 +166,9 @@ impl<'a> Frame<'a> {
             2 => SampleType::F32,
             other => return Err(WireError::unsupported("sample type", other)),
         };
-        let (elements, moments) = (u16_at(32), u32_at(24));
-        let sample_bytes = sample_type.bytes() as u64 * u64::from(elements) * u64::from(moments);
+        let (elements, sample_times) = (u16_at(32), u32_at(24));
+        let sample_bytes =
+            sample_type.bytes() as u64 * u64::from(elements) * u64::from(sample_times);
         let size = u64::from(u32_at(8));
         if size != HEADER_BYTES as u64 + sample_bytes || size > MAX_FRAME_BYTES as u64 {
             return Err(WireError::unsupported("size of an element frame", size));
@@ -170,17 +177,17 @@ impl<'a> Frame<'a> {
             head: FrameHead {
                 frame_number: u32_at(12),
                 ping_number: u32_at(16),
-                first_moment: u32_at(20),
-                ping_moments: u32_at(28),
+                first_sample: u32_at(20),
+                ping_samples: u32_at(28),
                 elements,
                 sample_type,
                 volts_per_unit: f32::from_bits(u32_at(36)),
                 pulse_utc_ns: u64_at(40) as i64,
-                first_moment_s: f64_at(48),
-                moments_per_s: f64_at(56),
+                first_sample_s: f64_at(48),
+                sample_rate_hz: f64_at(56),
                 center_frequency_hz: f64_at(64),
             },
-            moments,
+            sample_times,
             samples: data_at(bytes, HEADER_BYTES, sample_bytes, WHAT)?,
         })
     }
@@ -203,24 +210,24 @@ impl Framing for ElementFraming {
         MAX_FRAME_BYTES
     }
 
-    fn look(&self, bytes: &[u8]) -> Look {
+    fn scan(&self, bytes: &[u8]) -> Scan {
         if bytes.iter().zip(MAGIC).any(|(&byte, mark)| byte != mark) {
-            return Look::Wrong(WireError::mark(WHAT, u32::from_le_bytes(MAGIC), bytes[0]));
+            return Scan::Wrong(WireError::mark(WHAT, u32::from_le_bytes(MAGIC), bytes[0]));
         }
         if bytes.len() < HEADER_BYTES {
-            return Look::More;
+            return Scan::More;
         }
         let size = u32::from_le_bytes([bytes[8], bytes[9], bytes[10], bytes[11]]) as usize;
         if !(HEADER_BYTES..=MAX_FRAME_BYTES).contains(&size) {
-            return Look::Wrong(WireError::unsupported(
+            return Scan::Wrong(WireError::unsupported(
                 "size of an element frame",
                 size as u64,
             ));
         }
         match bytes.get(..size).map(Frame::parse) {
-            None => Look::More,
-            Some(Ok(_)) => Look::Whole(size),
-            Some(Err(error)) => Look::Wrong(error),
+            None => Scan::More,
+            Some(Ok(_)) => Scan::Whole(size),
+            Some(Err(error)) => Scan::Wrong(error),
         }
     }
 }

@@ -7,7 +7,7 @@ use crate::WireError;
 
 /// Result of examining the front of some bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Look {
+pub enum Scan {
     /// The bytes may be the start of a message; more bytes are needed.
     More,
     /// The front is a complete message of this many bytes (at least 1, at most those available).
@@ -18,10 +18,10 @@ pub enum Look {
 
 /// Rule by which a format delimits its messages.
 pub trait Framing {
-    /// Number of bytes that always suffice for a result other than [`Look::More`].
+    /// Number of bytes that always suffice for a result other than [`Scan::More`].
     fn max_message_bytes(&self) -> usize;
     /// Examines the front of `bytes`.
-    fn look(&self, bytes: &[u8]) -> Look;
+    fn scan(&self, bytes: &[u8]) -> Scan;
 }
 
 /// Splits arriving bytes into messages.
@@ -89,19 +89,19 @@ impl<F: Framing> Splitter<F> {
             if held.is_empty() {
                 return None;
             }
-            let error = match self.framing.look(held) {
-                Look::Whole(len) => {
+            let error = match self.framing.scan(held) {
+                Scan::Whole(len) => {
                     let start = self.head;
                     self.head += len.clamp(1, held.len());
                     self.messages += 1;
                     self.searching = false;
                     return Some(Ok(&self.buf[start..self.head]));
                 }
-                Look::More if !self.ended && held.len() <= self.framing.max_message_bytes() => {
+                Scan::More if !self.ended && held.len() <= self.framing.max_message_bytes() => {
                     return None;
                 }
-                Look::More => WireError::truncated("message", held.len() as u64 + 1, held.len()),
-                Look::Wrong(error) => error,
+                Scan::More => WireError::truncated("message", held.len() as u64 + 1, held.len()),
+                Scan::Wrong(error) => error,
             };
             self.head += 1;
             self.skipped_bytes += 1;

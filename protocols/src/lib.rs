@@ -16,13 +16,14 @@
 //! - [`vita49`]: ANSI/VITA 49.2 signal data and context packets (UDP port 4991).
 //! - [`xtf`]: Triton XTF files.
 //!
-//! [`words`] describes messages of any format as text.
+//! [`describer`] describes messages of any format as text.
 
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 pub mod calendar;
+pub mod describer;
 pub mod elements;
 pub mod framing;
 pub mod imagenex872;
@@ -35,7 +36,6 @@ pub mod sigmf;
 pub mod vita49;
 pub mod wav;
 pub mod wbms;
-pub mod words;
 pub mod xtf;
 
 pub use layout::WireError;

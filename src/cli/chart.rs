@@ -93,7 +93,7 @@ pub(crate) fn main(args: &ChartArgs) -> Result<(), Failure> {
         bar.set_message(what.to_owned());
     })
     .map_err(Failure::running)?;
-    let about = table::About {
+    let about = table::ChartContext {
         machine: machine(),
         load: (load_before, load_average()),
         period_ms: 1e3 / spec.sonars[sonar].settings.max_ping_rate_hz.max(1e-9),

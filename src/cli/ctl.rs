@@ -17,11 +17,11 @@ pub(crate) struct CtlArgs {
     #[arg(long, env = "ECHOTANK_TOKEN", hide_env_values = true)]
     pub(crate) token: Option<String>,
     #[command(subcommand)]
-    pub(crate) what: What,
+    pub(crate) what: CtlCommand,
 }
 
 #[derive(Subcommand, Clone, Debug)]
-pub(crate) enum What {
+pub(crate) enum CtlCommand {
     /// Stop the simulation clock
     Pause,
     /// Restart the simulation clock
@@ -92,10 +92,10 @@ fn trigger_name(text: &str) -> Result<TriggerName, String> {
 
 pub(crate) fn main(args: &CtlArgs) -> Result<(), Failure> {
     let command = match &args.what {
-        What::Pause => Command::Pause,
-        What::Resume => Command::Resume,
-        What::Step { pings } => Command::Step { pings: *pings },
-        What::Set(set) => Command::Set(Settings {
+        CtlCommand::Pause => Command::Pause,
+        CtlCommand::Resume => Command::Resume,
+        CtlCommand::Step { pings } => Command::Step { pings: *pings },
+        CtlCommand::Set(set) => Command::Set(Settings {
             sonar: set.sonar.clone(),
             range_m: set.range_m,
             rate_hz: set.rate_hz,
@@ -105,22 +105,22 @@ pub(crate) fn main(args: &CtlArgs) -> Result<(), Failure> {
             pinging: set.pinging,
             trigger: set.trigger,
         }),
-        What::Trigger { pings, sonar } => Command::Trigger {
+        CtlCommand::Trigger { pings, sonar } => Command::Trigger {
             sonar: sonar.clone(),
             pings: *pings,
         },
-        What::Fault { kind, keys } => return send(args, &fault(kind, keys)?),
-        What::ClearFaults { fault } => Command::ClearFaults { fault: *fault },
-        What::Clock { mode, rate } => {
+        CtlCommand::Fault { kind, keys } => return send(args, &fault(kind, keys)?),
+        CtlCommand::ClearFaults { fault } => Command::ClearFaults { fault: *fault },
+        CtlCommand::Clock { mode, rate } => {
             return send(args, &json!({ "do": "clock", "mode": mode, "rate": rate }));
         }
-        What::Send { json } => {
+        CtlCommand::Send { json } => {
             let body = serde_json::from_str(json)
                 .map_err(|why| Failure::Configuration(format!("{json}: {why}")))?;
             return send(args, &body);
         }
-        What::Status => return show(args, "/status"),
-        What::Metrics => return show(args, "/metrics"),
+        CtlCommand::Status => return show(args, "/status"),
+        CtlCommand::Metrics => return show(args, "/metrics"),
     };
     send(args, &json!(command))
 }

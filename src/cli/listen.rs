@@ -125,13 +125,13 @@ fn elements(args: &ListenArgs) -> Result<(), Failure> {
                         |after_s: f64| now.0 - UtcNs(head.pulse_utc_ns).plus_s(after_s).0;
                     let us = |ns: i64| (ns.max(0) / 1000) as u64;
                     if tally.note(frame) {
-                        first_sample.note(us(since_ns(head.first_moment_s)));
+                        first_sample.note(us(since_ns(head.first_sample_s)));
                         if let Some(pulses) = &pulses {
                             pulses.first_sample(now.0);
                         }
                     }
-                    let last = head.first_moment + frame.moments.saturating_sub(1);
-                    let received_s = head.first_moment_s + f64::from(last) / head.moments_per_s;
+                    let last = head.first_sample + frame.sample_times.saturating_sub(1);
+                    let received_s = head.first_sample_s + f64::from(last) / head.sample_rate_hz;
                     frames.note(us(since_ns(received_s)));
                 })
                 .map_err(Failure::running)?;

@@ -23,7 +23,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand};
 
 use self::logging::LogFormat;
-use echotank_config::spec::{RigSpec, Words};
+use echotank_config::spec::{NamedChoice, RigSpec};
 use echotank_runtime::io::nav::NavOpenError;
 use echotank_runtime::rig::OpenError;
 
@@ -89,7 +89,7 @@ pub(crate) struct ConfigArgs {
 }
 
 /// Parser for the words of a configuration choice.
-pub(crate) fn choice<T: Words + Send + Sync>() -> impl TypedValueParser<Value = T> {
+pub(crate) fn choice<T: NamedChoice + Send + Sync>() -> impl TypedValueParser<Value = T> {
     PossibleValuesParser::new(T::WORDS.iter().map(|(_, word)| *word))
         .map(|word| T::from_word(&word).expect("one of the words"))
 }

@@ -10,7 +10,9 @@ use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::{Failure, choice};
-use echotank_config::spec::{CrsSpec, FirstRow, HeightSign, SeabedFileSpec, SeabedFormat, Words};
+use echotank_config::spec::{
+    CrsSpec, FirstRow, HeightSign, NamedChoice, SeabedFileSpec, SeabedFormat,
+};
 use echotank_runtime::io::files::FileSystem;
 use echotank_scene::read::mesh::{self, MeshAxes};
 use echotank_scene::read::relief;

@@ -15,7 +15,7 @@ pub(crate) struct ScoreArgs {
     pub(crate) log: PathBuf,
     /// Report of a device or of `echotank listen --verify --report`: JSON lines, e.g. {"kind": "lost", "ping_number": 17, "record_type": 7038}.
     /// Kinds: lost, duplicate, late, damaged, different, reset, silent, or the kind of a fault. A header line has the keys report, line (7k, jsf,
-    /// wbms, ping, imagenex872, vita49, elements), sonar, covers (record types), tells (kinds of faults), first_ping and last_ping
+    /// wbms, ping, imagenex872, vita49, elements), sonar, covers (record types), detects (kinds of faults), first_ping and last_ping
     pub(crate) report: PathBuf,
     /// Only faults of this sonar
     #[arg(long)]
@@ -49,7 +49,7 @@ pub(crate) fn main(args: &ScoreArgs) -> Result<(), Failure> {
         false => Err(Failure::Running(format!(
             "{} missed, {} false alarms",
             score.missed.len(),
-            score.invented.len()
+            score.false_alarms.len()
         ))),
     }
 }
@@ -59,18 +59,18 @@ const MAX_LINES: usize = 20;
 
 fn print(score: &Score) {
     println!(
-        "{:<20} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8}",
-        "", "injected", "found", "by count", "masked", "missed", "untold", "others"
+        "{:<20} {:>8} {:>8} {:>8} {:>8} {:>8} {:>12} {:>8}",
+        "", "injected", "found", "by count", "masked", "missed", "undetectable", "others"
     );
     for (kind, tally) in &score.kinds {
         println!(
-            "{kind:<20} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8}",
+            "{kind:<20} {:>8} {:>8} {:>8} {:>8} {:>8} {:>12} {:>8}",
             tally.injected,
             tally.found,
             tally.found_by_count,
             tally.masked,
             tally.missed,
-            tally.untold,
+            tally.undetectable,
             tally.not_covered
         );
     }
@@ -81,7 +81,7 @@ fn print(score: &Score) {
     for missed in score.missed.iter().take(MAX_LINES) {
         println!("missed: {missed}");
     }
-    for invented in score.invented.iter().take(MAX_LINES) {
-        println!("false alarm: {}", serde_json::json!(invented));
+    for finding in score.false_alarms.iter().take(MAX_LINES) {
+        println!("false alarm: {}", serde_json::json!(finding));
     }
 }

@@ -13,7 +13,7 @@ pub(crate) struct Key {
     pub name: &'static str,
     pub kind: Kind,
     pub(crate) presence: Presence,
-    pub(crate) with: Option<With>,
+    pub(crate) with: Option<KeyCondition>,
     pub doc: &'static str,
 }
 
@@ -77,7 +77,7 @@ pub(crate) enum Presence {
 }
 
 /// Condition on another key of the same table. The key is refused unless the other key is given, or has one of the values.
-pub(crate) struct With {
+pub(crate) struct KeyCondition {
     /// True if the key is required when the condition holds.
     pub(crate) needed: bool,
     pub(crate) key: &'static str,

@@ -76,7 +76,7 @@ fn table(out: &mut String, declared: &Table, path: &str, commented_out: bool) {
 }
 
 fn value(out: &mut String, key: &Key, commented_out: bool) {
-    let (shown, text, standing) = match key.presence {
+    let (shown, text, presence) = match key.presence {
         Presence::Required(example) => (true, example, "; required".to_owned()),
         Presence::Shown(example) => (true, example, String::new()),
         Presence::Optional(example) => (false, example, "; an example".to_owned()),
@@ -85,7 +85,7 @@ fn value(out: &mut String, key: &Key, commented_out: bool) {
     };
     let mark = if shown && !commented_out { "" } else { "# " };
     let assignment = format!("{mark}{} = {text}", key.name);
-    let rule = format!("{}{standing}", rule(&key.kind));
+    let rule = format!("{}{presence}", rule(&key.kind));
     let one_line = format!("{assignment:RULE_COLUMN$} # {rule}");
     if one_line.len() <= COLUMNS {
         comment(out, key.doc);

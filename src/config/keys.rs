@@ -6,7 +6,7 @@
 
 use glam::DVec3;
 
-use super::declaration::{Key, Kind, Presence, Range, Table, Unit, With, above, from};
+use super::declaration::{Key, KeyCondition, Kind, Presence, Range, Table, Unit, above, from};
 use super::raw::{ChoiceOr, Declared, Field, RawTable};
 
 use Presence::{Default, Optional, Required, Set, Shown};
@@ -67,11 +67,11 @@ macro_rules! value {
     ($number:ident($range:expr)) => { f64 };
 }
 
-/// The [`With`] of a declaration, if it has one: `only` with another key, or `needed` with it.
+/// The [`KeyCondition`] of a declaration, if it has one: `only` with another key, or `needed` with it.
 macro_rules! with {
     () => { None };
-    (only $key:ident $($value:literal)*) => { Some(With { needed: false, key: stringify!($key), values: &[$(stringify!($value)),*] }) };
-    (needed $key:ident $($value:literal)*) => { Some(With { needed: true, key: stringify!($key), values: &[$(stringify!($value)),*] }) };
+    (only $key:ident $($value:literal)*) => { Some(KeyCondition { needed: false, key: stringify!($key), values: &[$(stringify!($value)),*] }) };
+    (needed $key:ident $($value:literal)*) => { Some(KeyCondition { needed: true, key: stringify!($key), values: &[$(stringify!($value)),*] }) };
 }
 
 /// Declares a table: its description, its name, and its keys. Each key has a description, name, kind, `Presence` and the key that

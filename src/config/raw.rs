@@ -11,10 +11,12 @@ use glam::DVec3;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::declaration::{Key, Kind, MAX_NAMES, MAX_ROWS, Presence, Range, Table, Unit, With};
+use super::declaration::{
+    Key, KeyCondition, Kind, MAX_NAMES, MAX_ROWS, Presence, Range, Table, Unit,
+};
 use super::files::Files;
 use super::problem::Problem;
-use super::spec::words::Words;
+use super::spec::words::NamedChoice;
 
 /// Minimum similarity of a name that is proposed as a correction; 1 means equal.
 const LIKENESS: f64 = 0.5;
@@ -229,7 +231,7 @@ impl Field<String> {
     }
 
     /// The choice that the value names.
-    pub(crate) fn named<T: Words>(&self) -> Option<T> {
+    pub(crate) fn named<T: NamedChoice>(&self) -> Option<T> {
         T::from_word(self.text()?)
     }
 
@@ -241,7 +243,7 @@ impl Field<String> {
 
 impl Field<Vec<String>> {
     /// The choices that the values name.
-    pub(crate) fn all_named<T: Words>(&self) -> Option<Vec<T>> {
+    pub(crate) fn all_named<T: NamedChoice>(&self) -> Option<Vec<T>> {
         self.as_ref()?
             .iter()
             .map(|word| T::from_word(word))
@@ -392,7 +394,7 @@ pub(crate) fn read<T: Declared>(
     Some(T::from_raw(table))
 }
 
-impl With {
+impl KeyCondition {
     /// Refuses a key without the `other` key of its condition, and the absence of a required key.
     fn check(&self, own: &Entry, other: &(Entry, Option<RawValue>), problems: &mut Problems) {
         let holds = match other {

@@ -32,13 +32,13 @@ use echotank_core::settings::SonarSettings;
 
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
 pub use methods::AutoModel;
-pub use output::MadeOutput;
+pub use output::SynthesisOutput;
 pub use overload::OverloadSpec;
 pub use samples::{ElementStreamSpec, SigmfSpec, Vita49Spec, WavSpec};
 pub use trigger::{
     EarlyTrigger, ModemLine, OutLine, TriggerFrom, TriggerLineSpec, TriggerOutSpec, TriggerSpec,
 };
-pub use words::Words;
+pub use words::NamedChoice;
 
 /// One rig, as a configuration file describes it.
 #[derive(Clone, Debug)]
@@ -351,7 +351,7 @@ pub enum NavMode {
 impl NavSpec {
     /// Whether the records have the depth of the reference point besides its heave. True if the reference point is not at the
     /// waterline, or a depth sensor is used.
-    pub fn tells_depth(&self) -> bool {
+    pub fn has_depth(&self) -> bool {
         !matches!(self.vertical, VerticalSpec::Gnss { .. }) && self.still_depth_m() != Some(0.0)
     }
 }
@@ -1292,14 +1292,14 @@ pub struct SynthesisSpec {
     /// Maximum displacement of echoes in range cells, if only pictures are used. `None`: the tolerance of samples applies.
     pub image_cells: Option<f64>,
     /// Result of the synthesis: element samples or side-scan lines.
-    pub output: MadeOutput,
+    pub output: SynthesisOutput,
     /// Reason why elements are required; `None` if only side-scan lines are required.
     pub elements_for: Option<&'static str>,
 }
 
 impl SynthesisSpec {
     /// Tolerance for which the engine is designed.
-    pub fn made_for(&self) -> f64 {
+    pub fn design_tolerance(&self) -> f64 {
         self.engine_tolerance.unwrap_or(self.tolerance)
     }
 }
@@ -1314,7 +1314,7 @@ impl Default for SynthesisSpec {
             engine_tolerance: None,
             auto: AutoModel::default(),
             image_cells: None,
-            output: MadeOutput::Elements,
+            output: SynthesisOutput::Elements,
             elements_for: None,
         }
     }

@@ -73,7 +73,7 @@ pub enum SettingChange {
 
 /// Key of a device setting that the program stores for the client but the model does not use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct KeptKey {
+pub struct StoredKey {
     /// Protocol of the setting.
     pub via: &'static str,
     /// Name of the setting in the protocol.
@@ -84,7 +84,7 @@ pub struct KeptKey {
 
 /// Value of a stored setting, reported back unchanged.
 #[derive(Clone, Debug, PartialEq)]
-pub enum KeptValue {
+pub enum StoredValue {
     /// Integer value.
     Integer(i64),
     /// List of numbers.
@@ -95,7 +95,7 @@ pub enum KeptValue {
 
 /// Requester of a change: a protocol, page or command, and its address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Asker {
+pub struct Requester {
     /// Name of the protocol, page or command that requests the change.
     pub via: &'static str,
     /// Network address of the client, if there is one.
@@ -104,17 +104,17 @@ pub struct Asker {
 
 /// Time and requester of a change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Asked {
+pub struct ChangeOrigin {
     /// Rig time.
     pub utc: UtcNs,
     /// Requester.
-    pub by: Asker,
+    pub by: Requester,
 }
 
-impl From<UtcNs> for Asked {
+impl From<UtcNs> for ChangeOrigin {
     /// Origin of a change by the program itself.
     fn from(utc: UtcNs) -> Self {
-        let by = Asker {
+        let by = Requester {
             via: "echotank",
             peer: None,
         };
@@ -128,7 +128,7 @@ pub enum Changed {
     /// A setting of the model.
     Setting(SettingChange),
     /// A stored setting.
-    Kept(KeptKey, KeptValue),
+    Stored(StoredKey, StoredValue),
 }
 
 /// One entry of the journal of changes.
@@ -137,7 +137,7 @@ pub struct JournalEntry {
     /// Version of the settings after this change.
     pub version: u64,
     /// Time and origin.
-    pub asked: Asked,
+    pub origin: ChangeOrigin,
     /// The change.
     pub changed: Changed,
 }
@@ -186,7 +186,7 @@ pub enum SettingRule {
         max: f64,
     },
     /// Too many settings are stored.
-    #[error("one of at most {most} settings that are only kept")]
+    #[error("one of at most {most} stored settings")]
     TooMany {
         /// Maximum number of stored settings.
         most: usize,
@@ -204,11 +204,20 @@ pub trait SettingsPort: Send + Sync {
     /// Version of the settings; increases with every change, including stored settings.
     fn version(&self) -> u64;
     /// Applies a change. Returns the violated rule if the change is refused.
-    fn apply(&self, change: SettingChange, asked: Asked) -> Result<SettingApplied, SettingRefused>;
+    fn apply(
+        &self,
+        change: SettingChange,
+        origin: ChangeOrigin,
+    ) -> Result<SettingApplied, SettingRefused>;
     /// Stores a setting that the model does not use. Refused only if too many settings are stored.
-    fn keep(&self, key: KeptKey, value: KeptValue, asked: Asked) -> Result<(), SettingRefused>;
+    fn store(
+        &self,
+        key: StoredKey,
+        value: StoredValue,
+        origin: ChangeOrigin,
+    ) -> Result<(), SettingRefused>;
     /// Value of a stored setting.
-    fn kept(&self, key: KeptKey) -> Option<KeptValue>;
+    fn stored(&self, key: StoredKey) -> Option<StoredValue>;
     /// Changes after `version`, oldest first. Old entries may be absent.
     fn changes_since(&self, version: u64) -> Vec<JournalEntry>;
 }

@@ -1,7 +1,7 @@
 //! Applies several setting changes as one transaction: all of them, or none. Some protocols send several changes in one command.
 
 use echotank_core::settings::{
-    Asked, SettingChange, SettingLimits, SettingRefused, SettingRule, SettingsPort,
+    ChangeOrigin, SettingChange, SettingLimits, SettingRefused, SettingRule, SettingsPort,
 };
 
 /// Relative precision of an f32. A value that exceeds a limit by no more than this counts as the limit.
@@ -11,7 +11,7 @@ const WIRE_PRECISION: f64 = f32::EPSILON as f64;
 pub(crate) fn apply_all(
     settings: &dyn SettingsPort,
     changes: &[SettingChange],
-    asked: Asked,
+    origin: ChangeOrigin,
 ) -> Result<(), SettingRefused> {
     let limits = settings.limits();
     changes
@@ -19,7 +19,7 @@ pub(crate) fn apply_all(
         .try_for_each(|change| fits(&limits, change))?;
     changes
         .iter()
-        .try_for_each(|&change| settings.apply(change, asked).map(|_| ()))
+        .try_for_each(|&change| settings.apply(change, origin).map(|_| ()))
 }
 
 fn fits(limits: &SettingLimits, change: &SettingChange) -> Result<(), SettingRefused> {

@@ -19,7 +19,7 @@ pub struct ElementStreamEmitter {
     arrays: Vec<usize>,
     sample_type: SampleType,
     full_scale_v: f64,
-    moments_per_s: f64,
+    sample_rate_hz: f64,
     max_frame_bytes: usize,
     /// Frames end at the boundaries of blocks of this duration, seconds.
     block_s: Option<f64>,
@@ -44,7 +44,7 @@ impl ElementStreamEmitter {
                 false => SampleType::I16,
             },
             full_scale_v: sonar.receiver.full_scale_v,
-            moments_per_s: sonar.receiver.sample_rate_hz,
+            sample_rate_hz: sonar.receiver.sample_rate_hz,
             max_frame_bytes,
             block_s,
             frame_number: 0,
@@ -69,18 +69,18 @@ impl ElementStreamEmitter {
         into: &mut Packets,
     ) -> u64 {
         into.clear();
-        let (elements, moments) = (elements_of(output, &self.arrays).count(), rows.end);
+        let (elements, sample_times) = (elements_of(output, &self.arrays).count(), rows.end);
         if elements == 0 {
             return 0;
         }
         let saturated = match self.sample_type {
             SampleType::I16 => {
                 let full = self.full_scale_v;
-                interleave_iq(output, &self.arrays, moments, full, &mut self.counts)
+                interleave_iq(output, &self.arrays, sample_times, full, &mut self.counts)
             }
             SampleType::F32 => {
                 self.volts.clear();
-                self.volts.resize(elements * moments, [0.0; 2]);
+                self.volts.resize(elements * sample_times, [0.0; 2]);
                 for (e, iq) in elements_of(output, &self.arrays).enumerate() {
                     let column = self.volts.iter_mut().skip(e).step_by(elements);
                     for (out, v) in column.zip(iq) {
@@ -90,9 +90,9 @@ impl ElementStreamEmitter {
                 0
             }
         };
-        let moment_bytes = elements * self.sample_type.bytes();
-        let fit = ((self.max_frame_bytes - HEADER_BYTES) / moment_bytes).max(1);
-        let all = blocks(moments, self.moments_per_s, self.block_s);
+        let sample_time_bytes = elements * self.sample_type.bytes();
+        let fit = ((self.max_frame_bytes - HEADER_BYTES) / sample_time_bytes).max(1);
+        let all = blocks(sample_times, self.sample_rate_hz, self.block_s);
         for (block, end_s) in all.filter(|(block, _)| block.start >= rows.start) {
             for first in block.clone().step_by(fit) {
                 let count = fit.min(block.end - first);
@@ -110,8 +110,8 @@ impl ElementStreamEmitter {
         let head = FrameHead {
             frame_number: self.frame_number,
             ping_number: plan.ping_number,
-            first_moment: first as u32,
-            ping_moments: plan.sample_count as u32,
+            first_sample: first as u32,
+            ping_samples: plan.sample_count as u32,
             // The configuration limits the number of elements to the 16 bits of the field.
             elements: elements as u16,
             sample_type: self.sample_type,
@@ -120,8 +120,8 @@ impl ElementStreamEmitter {
                 SampleType::F32 => 1.0,
             },
             pulse_utc_ns: plan.stamp_utc.0,
-            first_moment_s: plan.first_sample_s,
-            moments_per_s: self.moments_per_s,
+            first_sample_s: plan.first_sample_s,
+            sample_rate_hz: self.sample_rate_hz,
             center_frequency_hz: plan.pulse.center_frequency_hz,
         };
         self.frame_number = self.frame_number.wrapping_add(1);

@@ -165,7 +165,7 @@ pub trait Protocol: Send + Sync {
         false
     }
     /// True if this first datagram from an unknown address starts a session. Other datagrams are only counted.
-    fn welcomes(&self, datagram: &[u8]) -> bool {
+    fn recognises(&self, datagram: &[u8]) -> bool {
         let _ = datagram;
         true
     }

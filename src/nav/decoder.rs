@@ -4,7 +4,7 @@
 use super::framing::{Checksum, Framing, RawSentence};
 pub use super::message_time::ClockState;
 use super::message_time::{MessageClock, Stamp};
-use super::reading::{DecodeError, Decoded, Invalid, Reading};
+use super::reading::{DecodeError, Decoded, InvalidQuantities, Reading};
 use super::records::{Record, Records};
 use super::sentence::decode;
 use echotank_config::spec::{ChecksumPolicy, NavChannel, NavDialect, NavSourceSpec, TimePolicy};
@@ -156,7 +156,7 @@ struct Reader {
     clock_events: Vec<ClockEvent>,
     clock_state: ClockState,
     /// Quality flags of the last PSXN,20.
-    invalid: Invalid,
+    invalid: InvalidQuantities,
     scratch: String,
     counters: NavCounters,
 }
@@ -184,7 +184,7 @@ impl NavDecoder {
                 untimed: Vec::with_capacity(MAX_UNTIMED),
                 clock_events: Vec::new(),
                 clock_state: ClockState::Right,
-                invalid: Invalid::default(),
+                invalid: InvalidQuantities::default(),
                 scratch: String::new(),
                 counters: NavCounters::default(),
             },

@@ -11,7 +11,7 @@ use std::collections::HashMap;
 
 use super::framing::Checksum;
 use super::reading::DecodeError::{Malformed, Unsupported};
-use super::reading::{Decoded, Kind, Reading, When};
+use super::reading::{Decoded, Kind, Reading, StatedTime};
 use super::records::Record;
 use echotank_core::navigation::FixQuality;
 use echotank_core::time::UtcNs;
@@ -230,7 +230,7 @@ fn u16_at(b: &[u8; 64], at: usize) -> u16 {
 
 fn decode(frame: &Frame, boot_us: Option<i64>) -> Decoded {
     let b = padded(frame.payload);
-    let instant = |us: i64| When::Instant(UtcNs(us.saturating_mul(1000)));
+    let instant = |us: i64| StatedTime::Instant(UtcNs(us.saturating_mul(1000)));
     let since_boot = |ms: u32| boot_us.map(|boot| instant(boot + i64::from(ms) * 1000));
     match frame.id {
         2 => {

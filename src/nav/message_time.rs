@@ -7,7 +7,7 @@
 //! the source's own times agree with the arrivals again. A log without stamps cannot distinguish a step from a pause, and both
 //! count as a pause.
 
-use super::reading::{Reading, When};
+use super::reading::{Reading, StatedTime};
 use echotank_core::time::{NS_PER_S, UtcNs};
 
 const DAY_NS: i64 = 86_400 * NS_PER_S;
@@ -151,13 +151,13 @@ impl MessageClock {
         };
         let unshifted = expected.plus_ns(-self.shift_ns);
         let (message, dated) = match when {
-            When::TimeOfDay(ns) => (nearest_day(ns, unshifted), false),
-            When::GpsOfWeek(ns) => (nearest_week(ns, unshifted), false),
-            When::Dated {
+            StatedTime::TimeOfDay(ns) => (nearest_day(ns, unshifted), false),
+            StatedTime::GpsOfWeek(ns) => (nearest_week(ns, unshifted), false),
+            StatedTime::Dated {
                 day_ns,
                 time_of_day_ns,
             } => (UtcNs(day_ns.saturating_add(time_of_day_ns)), true),
-            When::Instant(utc) => (utc, true),
+            StatedTime::Instant(utc) => (utc, true),
         };
         let message = if dated {
             self.without_rollover(message, arrival)
@@ -167,9 +167,9 @@ impl MessageClock {
         // Without a date, times that differ by whole periods are equal. Otherwise a clock that is 12 hours wrong would alternate
         // between too early and too late.
         let period_ns = match when {
-            When::TimeOfDay(_) => Some(DAY_NS),
-            When::GpsOfWeek(_) => Some(WEEK_NS),
-            When::Dated { .. } | When::Instant(_) => None,
+            StatedTime::TimeOfDay(_) => Some(DAY_NS),
+            StatedTime::GpsOfWeek(_) => Some(WEEK_NS),
+            StatedTime::Dated { .. } | StatedTime::Instant(_) => None,
         };
         let first_date = dated && !self.dated;
         if first_date {
@@ -177,14 +177,14 @@ impl MessageClock {
         }
         // Time by the uncorrected clock of the source.
         let own = match when {
-            When::TimeOfDay(ns) => nearest_day(ns, expected),
-            When::GpsOfWeek(ns) => nearest_week(ns, expected),
-            When::Dated { .. } | When::Instant(_) => message,
+            StatedTime::TimeOfDay(ns) => nearest_day(ns, expected),
+            StatedTime::GpsOfWeek(ns) => nearest_week(ns, expected),
+            StatedTime::Dated { .. } | StatedTime::Instant(_) => message,
         };
         let own_by_arrival = match when {
-            When::TimeOfDay(ns) => nearest_day(ns, arrival),
-            When::GpsOfWeek(ns) => nearest_week(ns, arrival),
-            When::Dated { .. } | When::Instant(_) => message,
+            StatedTime::TimeOfDay(ns) => nearest_day(ns, arrival),
+            StatedTime::GpsOfWeek(ns) => nearest_week(ns, arrival),
+            StatedTime::Dated { .. } | StatedTime::Instant(_) => message,
         };
         let mut message = message.plus_ns(self.shift_ns);
         if self.last.is_some() && !first_date {

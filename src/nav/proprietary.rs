@@ -6,7 +6,7 @@
 
 use super::fields::Fields;
 use super::reading::DecodeError::{self, Malformed, Unsupported};
-use super::reading::{Decoded, Kind, Reading, When, date_ns, ensure, seconds_ns};
+use super::reading::{Decoded, Kind, Reading, StatedTime, date_ns, ensure, seconds_ns};
 use echotank_config::spec::NavDialect;
 use echotank_core::navigation::FixQuality;
 use echotank_core::time::UtcNs;
@@ -77,7 +77,7 @@ fn pashr_att(f: &Fields) -> Decoded {
     let mut r = attitude(Kind::PashrAshtech, f, 6, [3, 5, 4])?;
     if let Some(seconds) = f.number(2)? {
         ensure((0.0..WEEK_S as f64).contains(&seconds))?;
-        r.when = Some(When::GpsOfWeek(seconds_ns(seconds)));
+        r.when = Some(StatedTime::GpsOfWeek(seconds_ns(seconds)));
     }
     Ok(r)
 }
@@ -117,7 +117,7 @@ fn psxn_20(f: &Fields) -> Decoded {
         "0" | "1" | "" => Ok(false),
         _ => Err(Malformed),
     };
-    r.invalid = Some(super::reading::Invalid {
+    r.invalid = Some(super::reading::InvalidQuantities {
         position: bad(2)?,
         heading: bad(4)?,
         roll_pitch: bad(5)?,
@@ -325,7 +325,7 @@ pub(crate) fn vectornav(f: &Fields) -> Decoded {
                 ensure((0.0..WEEK_S as f64).contains(&seconds) && (0.0..10_000.0).contains(&week))?;
                 let gps_s = GPS_EPOCH_S + week as i64 * WEEK_S;
                 let gps_ns = gps_s * echotank_core::time::NS_PER_S + seconds_ns(seconds);
-                r.when = Some(When::Instant(UtcNs(super::message_time::utc_of_gps(
+                r.when = Some(StatedTime::Instant(UtcNs(super::message_time::utc_of_gps(
                     gps_ns,
                 ))));
             }

@@ -119,7 +119,7 @@ impl Kind {
 
 /// Time of validity that a message states.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum When {
+pub enum StatedTime {
     /// UTC since midnight, nanoseconds. A leap second counts as the first second of the next day.
     TimeOfDay(i64),
     /// Time of day with a date.
@@ -137,7 +137,7 @@ pub enum When {
 
 /// Quantities that PSXN,20 flags as invalid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Invalid {
+pub struct InvalidQuantities {
     /// Horizontal position.
     pub position: bool,
     /// Heading.
@@ -152,7 +152,7 @@ pub struct Reading {
     /// Type of the message.
     pub kind: Kind,
     /// Time of validity.
-    pub when: Option<When>,
+    pub when: Option<StatedTime>,
     /// Latitude (positive north) and longitude (positive east), radians. Present only with a valid fix.
     pub position_rad: Option<(f64, f64)>,
     /// Height, metres, above mean sea level. Above the ellipsoid for Seapath 26, KMB, GGK and VNINS.
@@ -174,7 +174,7 @@ pub struct Reading {
     /// Depth of the platform below the surface, metres.
     pub(crate) own_depth_m: Option<f64>,
     /// Flags of PSXN,20.
-    pub invalid: Option<Invalid>,
+    pub invalid: Option<InvalidQuantities>,
     /// True if the message holds values, but none with a field in this type.
     pub has_other_values: bool,
 }
@@ -216,18 +216,18 @@ impl Reading {
     /// UTC since midnight, nanoseconds, if the message has it.
     pub fn time_of_day_ns(&self) -> Option<i64> {
         match self.when? {
-            When::TimeOfDay(ns)
-            | When::Dated {
+            StatedTime::TimeOfDay(ns)
+            | StatedTime::Dated {
                 time_of_day_ns: ns, ..
             } => Some(ns),
-            When::GpsOfWeek(_) | When::Instant(_) => None,
+            StatedTime::GpsOfWeek(_) | StatedTime::Instant(_) => None,
         }
     }
 
     /// UTC midnight of the date, nanoseconds since 1970, if the message has it.
     pub fn day_ns(&self) -> Option<i64> {
         match self.when? {
-            When::Dated { day_ns, .. } => Some(day_ns),
+            StatedTime::Dated { day_ns, .. } => Some(day_ns),
             _ => None,
         }
     }
@@ -235,22 +235,22 @@ impl Reading {
     /// The full UTC instant, if the message has time and date.
     pub fn instant(&self) -> Option<UtcNs> {
         match self.when? {
-            When::Instant(utc) => Some(utc),
-            When::Dated {
+            StatedTime::Instant(utc) => Some(utc),
+            StatedTime::Dated {
                 day_ns,
                 time_of_day_ns,
             } => Some(UtcNs(day_ns.saturating_add(time_of_day_ns))),
-            When::TimeOfDay(_) | When::GpsOfWeek(_) => None,
+            StatedTime::TimeOfDay(_) | StatedTime::GpsOfWeek(_) => None,
         }
     }
 
     pub(super) fn set_time(&mut self, time_of_day_ns: Option<i64>, day_ns: Option<i64>) {
         self.when = time_of_day_ns.map(|time_of_day_ns| match day_ns {
-            Some(day_ns) => When::Dated {
+            Some(day_ns) => StatedTime::Dated {
                 day_ns,
                 time_of_day_ns,
             },
-            None => When::TimeOfDay(time_of_day_ns),
+            None => StatedTime::TimeOfDay(time_of_day_ns),
         });
     }
 

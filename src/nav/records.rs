@@ -5,7 +5,7 @@
 
 use super::framing::Checksum;
 use super::reading::DecodeError::Malformed;
-use super::reading::{Decoded, Kind, Reading, When, ensure};
+use super::reading::{Decoded, Kind, Reading, StatedTime, ensure};
 use echotank_config::spec::NavFormat;
 use echotank_core::navigation::FixQuality;
 use echotank_core::time::{NS_PER_S, UtcNs};
@@ -232,7 +232,7 @@ fn seapath_26(b: &[u8]) -> Decoded {
     let invalid = |bit: u32| status & (1 << bit) != 0;
     let seconds = i64::from(i32_be(b, 2) as i32);
     let fraction_ns = i64::from(u16::from_be_bytes([b[6], b[7]])) * 100_000;
-    r.when = Some(When::Instant(UtcNs(seconds * NS_PER_S + fraction_ns)));
+    r.when = Some(StatedTime::Instant(UtcNs(seconds * NS_PER_S + fraction_ns)));
     let angle = |raw: f64| raw * 90.0 / 16_384.0;
     if !invalid(1) {
         let degrees = |at: usize| i32_be(b, at) * 90.0 / f64::from(1 << 30);
@@ -273,7 +273,7 @@ fn kmb(b: &[u8]) -> Decoded {
     let nanos = u32_le(b, 12);
     ensure(i64::from(nanos) < NS_PER_S)?;
     let utc_ns = i64::from(u32_le(b, 8)) * NS_PER_S + i64::from(nanos);
-    r.when = Some(When::Instant(UtcNs(utc_ns)));
+    r.when = Some(StatedTime::Instant(UtcNs(utc_ns)));
     let status = u32_le(b, 16);
     let invalid = |bit: u32| status & (1 << bit) != 0;
     if !invalid(0) {

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use crate::method_selection::heard::heard;
+use crate::method_selection::echo_statistics::echo_statistics;
 use echotank_config::spec::SonarSpec;
 use echotank_core::model::Synthesis;
 use echotank_core::ping::PingPlan;
@@ -88,7 +88,7 @@ pub fn conditions(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) ->
         scatterers: scatterers.len(),
         elements: spec.receive.iter().map(|array| array.elements).sum(),
         tolerance: spec.synthesis.tolerance,
-        heard: heard(spec, plan, scatterers),
+        echo_statistics: echo_statistics(spec, plan, scatterers),
     }
 }
 

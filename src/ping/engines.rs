@@ -37,7 +37,7 @@ pub(crate) const HARDEST_M_PER_S2: f64 = 5.0;
 const KEPT: usize = 4;
 
 /// Engines being made at a time, at most: a topside that turns a knob leaves most of its settings unused.
-const MAX_COMING: usize = 2;
+const MAX_PENDING: usize = 2;
 
 /// The least record that an engine is made for, samples.
 const SHORTEST: usize = 256;
@@ -99,7 +99,7 @@ pub(crate) fn is_line(array: &ArrayGeometry) -> bool {
 }
 
 /// What all engines of a sonar have in common.
-struct Wish {
+struct EngineRequirements {
     /// One per receive array, where `gridded-lines` is to make it.
     lines: Vec<Option<ArrayGeometry>>,
     sound_speed_m_per_s: f64,
@@ -119,12 +119,12 @@ struct Wish {
 
 /// The engines of one sonar.
 pub(crate) struct Engines {
-    wish: Arc<Wish>,
+    requirements: Arc<EngineRequirements>,
     sound_speed_m_per_s: f64,
     max_samples: usize,
     /// The latest used first.
     kept: Vec<(Key, PulseEngines)>,
-    coming: Vec<(Key, JoinHandle<Result<PulseEngines, EngineRefusal>>)>,
+    pending: Vec<(Key, JoinHandle<Result<PulseEngines, EngineRefusal>>)>,
 }
 
 /// The receiver filter as the engines want it.
@@ -146,19 +146,22 @@ impl Engines {
         fastest_m_per_s: f64,
         filter: Option<&Decimator>,
     ) -> Result<Self, EngineRefusal> {
-        let wish = Wish::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
+        let requirements =
+            EngineRequirements::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
         let mut engines = Self {
-            wish: Arc::new(wish),
+            requirements: Arc::new(requirements),
             sound_speed_m_per_s,
             max_samples: plan::max_samples(spec, sound_speed_m_per_s),
             kept: Vec::with_capacity(KEPT + 1),
-            coming: Vec::with_capacity(MAX_COMING),
+            pending: Vec::with_capacity(MAX_PENDING),
         };
         let key = engines.key(&spec.settings);
         let mut fits = KernelFits::default();
         let most = engines.max_samples;
-        engines.wish.can_be_made(spec, key, most, &mut fits)?;
-        let first = engines.wish.make(key, &mut fits)?;
+        engines
+            .requirements
+            .can_be_made(spec, key, most, &mut fits)?;
+        let first = engines.requirements.make(key, &mut fits)?;
         engines.kept.push((key, first));
         Ok(engines)
     }
@@ -170,16 +173,16 @@ impl Engines {
 
     /// Whether `gridded-lines` makes receive array `index`.
     pub(crate) fn makes_line(&self, index: usize) -> bool {
-        self.wish.lines[index].is_some()
+        self.requirements.lines[index].is_some()
     }
 
     /// Dopplers that every engine takes.
     pub(crate) fn span(&self) -> DopplerSpan {
-        self.wish.span
+        self.requirements.span
     }
 
     fn key(&self, settings: &SonarSettings) -> Key {
-        let (c, rate_hz) = (self.sound_speed_m_per_s, self.wish.sample_rate_hz);
+        let (c, rate_hz) = (self.sound_speed_m_per_s, self.requirements.sample_rate_hz);
         let count = plan::sample_count(settings, c, rate_hz);
         self.key_of(settings.pulse_duration_s, count)
     }
@@ -194,28 +197,28 @@ impl Engines {
     /// Begins to make the engine of these settings, unless it is there or under way. Returns at once.
     pub(crate) fn expect(&mut self, settings: &SonarSettings) {
         let key = self.key(settings);
-        let under_way = self.coming.iter().any(|(coming, _)| *coming == key);
+        let under_way = self.pending.iter().any(|(pending, _)| *pending == key);
         if under_way || self.kept.iter().any(|(kept, _)| *kept == key) {
             return;
         }
         // What is done and was never asked for gives way.
-        if self.coming.len() == MAX_COMING {
+        if self.pending.len() == MAX_PENDING {
             match self
-                .coming
+                .pending
                 .iter()
                 .position(|(_, thread)| thread.is_finished())
             {
-                Some(done) => drop(self.coming.remove(done)),
+                Some(done) => drop(self.pending.remove(done)),
                 None => return,
             }
         }
-        let wish = self.wish.clone();
+        let requirements = self.requirements.clone();
         let spawned = thread::Builder::new()
             .name("engine".into())
-            .spawn(move || wish.make(key, &mut KernelFits::default()));
+            .spawn(move || requirements.make(key, &mut KernelFits::default()));
         // Where there is no thread to be had, `ready` makes it.
         if let Ok(thread) = spawned {
-            self.coming.push((key, thread));
+            self.pending.push((key, thread));
         }
     }
 
@@ -255,13 +258,13 @@ impl Engines {
     }
 
     fn coming_or_made(&mut self, key: Key) -> Result<PulseEngines, EngineRefusal> {
-        if let Some(at) = self.coming.iter().position(|(coming, _)| *coming == key) {
-            let (_, thread) = self.coming.remove(at);
+        if let Some(at) = self.pending.iter().position(|(pending, _)| *pending == key) {
+            let (_, thread) = self.pending.remove(at);
             if let Ok(made) = thread.join() {
                 return made;
             }
         }
-        self.wish.make(key, &mut KernelFits::default())
+        self.requirements.make(key, &mut KernelFits::default())
     }
 }
 
@@ -290,17 +293,17 @@ pub(crate) fn sketch(
     plan: &PingPlan,
     fits: &mut KernelFits,
 ) -> Result<Sketch, EngineRefusal> {
-    let wish = Wish::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
+    let requirements = EngineRequirements::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
     let most = plan::max_samples(spec, sound_speed_m_per_s);
     let key = Key {
         duration_s: plan.pulse.duration_s,
         samples: record_class(plan.sample_count, most.max(plan.sample_count)),
     };
-    wish.can_be_made(spec, key, most, fits)?;
-    wish.sketch(key, fits)
+    requirements.can_be_made(spec, key, most, fits)?;
+    requirements.sketch(key, fits)
 }
 
-impl Wish {
+impl EngineRequirements {
     fn of(
         spec: &SonarSpec,
         sound_speed_m_per_s: f64,
@@ -334,7 +337,7 @@ impl Wish {
             curvature_per_s: (fastest_m_per_s.powi(2) / spec.synthesis.nearest_m
                 + HARDEST_M_PER_S2)
                 / sound_speed_m_per_s,
-            tolerance: spec.synthesis.made_for(),
+            tolerance: spec.synthesis.design_tolerance(),
             threads: rayon::current_num_threads(),
         }
     }

@@ -72,7 +72,7 @@ const SOLVE_NS: f64 = 500.0;
 const POINT_NS: f64 = 0.5;
 
 /// Elements that `gridded-2d` takes at a time; good enough for a cost, as is the next.
-const NOMINAL_STRETCH: f64 = 32.0;
+const NOMINAL_SECTION_ELEMENTS: f64 = 32.0;
 /// Nodes along a line that `gridded-lines` solves delays at; good enough for a cost, as is the next.
 const NOMINAL_NODES: f64 = 5.0;
 const NOMINAL_SOUND_SPEED_M_PER_S: f64 = 1500.0;
@@ -374,15 +374,15 @@ fn pair_ns(spec: &SonarSpec) -> f64 {
         scatterers: 1,
         elements: 1,
         tolerance: spec.synthesis.tolerance,
-        heard: None,
+        echo_statistics: None,
     };
     let model = &spec.model;
     let walk_ms = path_error_model(model.path, &conditions).cost_ms
         + doppler_error_model(model.doppler, model.path, &conditions).cost_ms;
-    // A whole line is walked once for a stretch of it, or at its nodes only.
+    // A whole line is walked once for a section of it, or at its nodes only.
     let elements: usize = spec.receive.iter().map(|array| array.elements).sum();
     let shared_by = match model.synthesis {
-        Synthesis::Gridded2d => NOMINAL_STRETCH,
+        Synthesis::Gridded2d => NOMINAL_SECTION_ELEMENTS,
         Synthesis::GriddedLines => {
             (elements as f64 / (NOMINAL_NODES * spec.receive.len() as f64)).max(1.0)
         }

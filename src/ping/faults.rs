@@ -111,8 +111,8 @@ impl PingMark {
     }
 }
 
-/// An active fault, with its counts.
-pub struct Standing {
+/// A fault that was added and not removed, with its counts.
+pub struct ScheduledFault {
     /// Number of the fault in the log.
     pub id: u32,
     /// Effect, start and duration of the fault.
@@ -130,9 +130,9 @@ pub struct Standing {
     last_ping: AtomicU32,
 }
 
-/// State of an active fault, for the status.
+/// State of a scheduled fault, for the status.
 #[derive(Clone, Debug, Serialize)]
-pub struct StandingFault {
+pub struct FaultStatus {
     /// Number of the fault in the log.
     pub fault: u32,
     /// Request that added the fault.
@@ -165,8 +165,8 @@ pub struct Faults {
     last_ping: AtomicU32,
     /// Rig time of the first ping, from which `at_s` counts.
     first: OnceLock<UtcNs>,
-    standing: Mutex<Vec<Arc<Standing>>>,
-    /// Length of `standing`, which avoids the lock for pings without faults.
+    scheduled: Mutex<Vec<Arc<ScheduledFault>>>,
+    /// Length of `scheduled`, which avoids the lock for pings without faults.
     count: AtomicU64,
     next_id: AtomicU64,
     waiting: Mutex<VecDeque<Injection>>,
@@ -188,7 +188,7 @@ impl Faults {
             live_sources: sources.iter().map(|s| is_live(&s.input)).collect(),
             last_ping: AtomicU32::new(0),
             first: OnceLock::new(),
-            standing: Mutex::default(),
+            scheduled: Mutex::default(),
             count: AtomicU64::new(0),
             next_id: AtomicU64::new(1),
             waiting: Mutex::new(VecDeque::with_capacity(1024)),
@@ -231,13 +231,13 @@ impl Faults {
                 return refused("kind", "needs sonar.receiver.adc_bits".to_owned());
             }
         }
-        let mut standing = self.lock();
-        if standing.len() >= MAX_FAULTS {
+        let mut scheduled = self.lock();
+        if scheduled.len() >= MAX_FAULTS {
             return refused("kind", format!("at most {MAX_FAULTS} faults at once"));
         }
         // The number of requests is far below 2^32.
         let id = self.next_id.fetch_add(1, Ordering::Relaxed) as u32;
-        standing.push(Arc::new(Standing {
+        scheduled.push(Arc::new(ScheduledFault {
             id,
             spec,
             sonar,
@@ -247,50 +247,50 @@ impl Faults {
             injected: AtomicU64::new(0),
             last_ping: AtomicU32::new(0),
         }));
-        self.count.store(standing.len() as u64, Ordering::Release);
+        self.count.store(scheduled.len() as u64, Ordering::Release);
         Ok(id)
     }
 
     /// Removes all faults. Returns how many were removed.
     pub fn clear(&self) -> usize {
-        let mut standing = self.lock();
-        let were = standing.len();
-        standing.clear();
+        let mut scheduled = self.lock();
+        let were = scheduled.len();
+        scheduled.clear();
         self.count.store(0, Ordering::Release);
         were
     }
 
     /// Removes one fault. Returns whether a fault had this number.
     pub fn remove(&self, id: u32) -> bool {
-        let mut standing = self.lock();
-        let were = standing.len();
-        standing.retain(|fault| fault.id != id);
-        self.count.store(standing.len() as u64, Ordering::Release);
-        standing.len() < were
+        let mut scheduled = self.lock();
+        let were = scheduled.len();
+        scheduled.retain(|fault| fault.id != id);
+        self.count.store(scheduled.len() as u64, Ordering::Release);
+        scheduled.len() < were
     }
 
     /// All faults that were added and not removed, including pending and finished ones.
-    pub fn list(&self) -> Vec<StandingFault> {
+    pub fn list(&self) -> Vec<FaultStatus> {
         let first = self.first.get();
-        let standing = self.lock();
-        let list = standing.iter().map(|standing| {
-            let from = match standing.spec.at_s {
+        let scheduled = self.lock();
+        let list = scheduled.iter().map(|fault| {
+            let from = match fault.spec.at_s {
                 Some(at_s) => first.map(|first| first.plus_s(at_s)),
-                None => standing.since.get().copied(),
+                None => fault.since.get().copied(),
             };
-            StandingFault {
-                fault: standing.id,
-                request: standing.request.clone(),
+            FaultStatus {
+                fault: fault.id,
+                request: fault.request.clone(),
                 from_utc_ns: from.map(|utc| utc.0),
-                injected: standing.injected.load(Ordering::Relaxed),
-                last_ping: standing.last_ping.load(Ordering::Relaxed),
+                injected: fault.injected.load(Ordering::Relaxed),
+                last_ping: fault.last_ping.load(Ordering::Relaxed),
             }
         });
         list.collect()
     }
 
-    /// Number of active faults.
-    pub fn standing(&self) -> usize {
+    /// Number of faults that were added and not removed.
+    pub fn scheduled(&self) -> usize {
         self.count.load(Ordering::Acquire) as usize
     }
 
@@ -310,8 +310,10 @@ impl Faults {
         waiting.drain(..).collect()
     }
 
-    fn lock(&self) -> MutexGuard<'_, Vec<Arc<Standing>>> {
-        self.standing.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Vec<Arc<ScheduledFault>>> {
+        self.scheduled
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Sets the instant from which `at_s` counts. Later calls have no effect.
@@ -319,85 +321,90 @@ impl Faults {
         self.first.get_or_init(|| first);
     }
 
-    /// Calls `strike` with the strength of every fault that affects this ping.
+    /// Calls `apply` with the strength of every fault that affects this ping.
     pub fn inject(
         &self,
         ping: PingMark,
         record_type: u32,
         wanted: impl Fn(&FaultKind) -> bool,
-        mut strike: impl FnMut(&FaultSpec, f64, &mut Injection),
+        mut apply: impl FnMut(&FaultSpec, f64, &mut Injection),
     ) {
-        if self.standing() == 0 {
+        if self.scheduled() == 0 {
             return;
         }
         self.first.get_or_init(|| ping.utc);
-        let moment = Moment {
+        let point = InjectionPoint {
             utc: ping.utc,
             number: ping.number,
             key: record_type,
         };
-        let meant = |standing: &Standing| {
-            standing.sonar.is_none_or(|sonar| sonar == ping.sonar) && wanted(&standing.spec.kind)
+        let meant = |fault: &ScheduledFault| {
+            fault.sonar.is_none_or(|sonar| sonar == ping.sonar) && wanted(&fault.spec.kind)
         };
-        self.each(moment, meant, |standing, _, strength| {
+        self.for_each_active(point, meant, |fault, _, strength| {
             let mut injection = Injection {
                 sonar: Some(self.heads[ping.sonar].name.clone()),
                 ping_number: ping.number,
                 record_type: (record_type != 0).then_some(record_type),
-                ..self.injection(standing, moment, strength)
+                ..self.injection(fault, point, strength)
             };
-            strike(&standing.spec, strength, &mut injection);
-            self.log(standing, injection);
+            apply(&fault.spec, strength, &mut injection);
+            self.log(fault, injection);
         });
     }
 
-    /// Calls `strike` for every fault that affects `moment`, with its age, s, and its strength.
-    pub fn each(
+    /// Calls `apply` for every fault that affects `point`, with its age, s, and its strength.
+    pub fn for_each_active(
         &self,
-        moment: Moment,
-        wanted: impl Fn(&Standing) -> bool,
-        mut strike: impl FnMut(&Standing, f64, f64),
+        point: InjectionPoint,
+        wanted: impl Fn(&ScheduledFault) -> bool,
+        mut apply: impl FnMut(&ScheduledFault, f64, f64),
     ) {
-        if self.standing() == 0 {
+        if self.scheduled() == 0 {
             return;
         }
-        for standing in self.lock().iter().filter(|standing| wanted(standing)) {
-            let spec = &standing.spec;
+        for fault in self.lock().iter().filter(|fault| wanted(fault)) {
+            let spec = &fault.spec;
             let from = match (spec.at_s, self.first.get()) {
                 (Some(at_s), Some(first)) => first.plus_s(at_s),
                 // Before the first ping, `at_s` has no reference instant.
                 (Some(_), None) => continue,
-                (None, _) => *standing.since.get_or_init(|| moment.utc),
+                (None, _) => *fault.since.get_or_init(|| point.utc),
             };
-            let age_s = moment.utc.seconds_since(from);
-            let stands = age_s >= 0.0 && age_s < spec.for_s;
-            if !stands || !begins(standing, moment.number, moment.key) {
+            let age_s = point.utc.seconds_since(from);
+            let is_active = age_s >= 0.0 && age_s < spec.for_s;
+            if !is_active || !begins(fault, point.number, point.key) {
                 continue;
             }
             let strength = match spec.ramp_s > 0.0 {
                 true => (age_s / spec.ramp_s).min(1.0),
                 false => 1.0,
             };
-            strike(standing, age_s, strength);
+            apply(fault, age_s, strength);
         }
     }
 
-    /// Log entry for a fault that is injected at `moment`. `strength` is from 0 to 1.
-    pub fn injection(&self, standing: &Standing, moment: Moment, strength: f64) -> Injection {
+    /// Log entry for a fault that is injected at `point`. `strength` is from 0 to 1.
+    pub fn injection(
+        &self,
+        fault: &ScheduledFault,
+        point: InjectionPoint,
+        strength: f64,
+    ) -> Injection {
         Injection {
-            fault: standing.id,
-            kind: standing.spec.name,
+            fault: fault.id,
+            kind: fault.spec.name,
             ping_number: self.last_ping.load(Ordering::Relaxed),
-            utc_ns: moment.utc.0,
+            utc_ns: point.utc.0,
             strength,
             ..Injection::default()
         }
     }
 
     /// Counts an injection and adds it to the log.
-    pub fn log(&self, standing: &Standing, injection: Injection) {
-        standing.injected.fetch_add(1, Ordering::Relaxed);
-        standing
+    pub fn log(&self, fault: &ScheduledFault, injection: Injection) {
+        fault.injected.fetch_add(1, Ordering::Relaxed);
+        fault
             .last_ping
             .store(injection.ping_number, Ordering::Relaxed);
         self.injected.fetch_add(1, Ordering::Relaxed);
@@ -466,9 +473,9 @@ impl Faults {
     }
 }
 
-/// Instant and key of a random draw.
+/// Instant and random draw of a possible injection.
 #[derive(Clone, Copy)]
-pub struct Moment {
+pub struct InjectionPoint {
     /// Rig time.
     pub utc: UtcNs,
     /// Number of the ping, sample or second. Bursts count in these numbers.
@@ -477,7 +484,7 @@ pub struct Moment {
     pub key: u32,
 }
 
-impl Moment {
+impl InjectionPoint {
     /// A whole second, for faults of pulses per second.
     pub fn of_second(second: UtcNs) -> Self {
         Self {
@@ -510,24 +517,18 @@ fn is_live(input: &NavInputSpec) -> bool {
 }
 
 /// Whether a fault affects a ping. The draw of this ping, or of a previous ping within a burst, is then below the probability.
-fn begins(standing: &Standing, ping_number: u32, record_type: u32) -> bool {
-    let spec = &standing.spec;
+fn begins(fault: &ScheduledFault, ping_number: u32, record_type: u32) -> bool {
+    let spec = &fault.spec;
     if spec.probability >= 1.0 {
         return true;
     }
     (0..spec.burst)
         .take_while(|back| *back < ping_number)
-        .any(|back| chance(standing, ping_number - back, record_type) < spec.probability)
+        .any(|back| chance(fault, ping_number - back, record_type) < spec.probability)
 }
 
-fn chance(standing: &Standing, ping_number: u32, record_type: u32) -> f64 {
-    unit(
-        standing.spec.seed,
-        standing.id,
-        ping_number,
-        record_type,
-        TAG,
-    )
+fn chance(fault: &ScheduledFault, ping_number: u32, record_type: u32) -> f64 {
+    unit(fault.spec.seed, fault.id, ping_number, record_type, TAG)
 }
 
 /// Uniform draw in [0, 1), a function of the arguments only.
@@ -655,6 +656,6 @@ mod tests {
         let last = faults.list().last().map(|fault| fault.fault);
         assert_eq!(last, Some(MAX_FAULTS as u32));
         assert!(faults.remove(MAX_FAULTS as u32) && !faults.remove(MAX_FAULTS as u32));
-        assert_eq!((faults.clear(), faults.standing()), (MAX_FAULTS - 1, 0));
+        assert_eq!((faults.clear(), faults.scheduled()), (MAX_FAULTS - 1, 0));
     }
 }

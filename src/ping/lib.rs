@@ -5,7 +5,6 @@
 #![warn(missing_docs)]
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
-pub mod beats;
 pub mod conditions;
 pub mod element_synthesis;
 pub mod engines;
@@ -22,6 +21,7 @@ pub mod more_pulses;
 pub mod pipeline;
 pub mod plan;
 pub mod rig;
+pub mod rig_schedule;
 pub mod schedule;
 pub mod threads;
 pub mod trigger;
@@ -32,4 +32,4 @@ pub mod world;
 pub use make_ping::{finish_ping, make_degraded_ping, make_ping};
 pub use plan::{blank, fill, max_samples, max_segments, polyline, pulse, sample_count};
 pub use schedule::{PingOrder, Schedule, TURNAROUND_S, period_ns, window_s};
-pub use trigger::{Early, Refusal, Triggered};
+pub use trigger::{EarlyPolicy, Refusal, Triggered};

@@ -74,7 +74,7 @@ fn wanted<'a>(
             across_m_per_s: SIDEWAYS_M_PER_S,
             turning_rad_per_s: FASTEST_TURN_RAD_PER_S,
         },
-        tolerance: spec.synthesis.made_for(),
+        tolerance: spec.synthesis.design_tolerance(),
         level_range_db: LEVEL_RANGE_DB,
         samples: plan::sample_count(
             &spec.settings,
@@ -138,7 +138,7 @@ impl LineEngines {
             work: (0..rayon::current_num_threads())
                 .map(|_| Mutex::new(LineWorkspace::with_room_for(segments)))
                 .collect(),
-            tolerance: spec.synthesis.made_for(),
+            tolerance: spec.synthesis.design_tolerance(),
         })
     }
 

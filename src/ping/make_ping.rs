@@ -86,8 +86,8 @@ pub fn motion(
     let mark = PingMark::of(sonar, order);
     let stamp_utc = stamp_utc.plus_s(rig.faults.stamp_error_s(mark));
     let unit = &mut rig.sonars[sonar];
-    if let Some(planner) = &mut unit.planner {
-        planner.before(order.ping_number, &mut unit.pipeline);
+    if let Some(method_selector) = &mut unit.method_selector {
+        method_selector.before_ping(order.ping_number, &mut unit.pipeline);
         slot.plan.model = unit.pipeline.model();
     }
     rig.faults.elements(mark, unit.pipeline.faults_mut());
@@ -117,9 +117,7 @@ fn sensor_state(rig: &Rig, sonar: usize, nav: &mut NavState) -> SensorState {
         altitude_m: altitude_m
             .map(|down_m| down_m - at_m.z)
             .filter(|a| *a > 0.0),
-        still_depth_m: spec
-            .tells_depth()
-            .then_some(-nav.height_m - nav.heave_down_m),
+        still_depth_m: spec.has_depth().then_some(-nav.height_m - nav.heave_down_m),
     }
 }
 
@@ -159,17 +157,17 @@ fn form(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     let unit = &mut rig.sonars[sonar];
     let PingSlot { plan, output } = slot;
     unit.pipeline.form(plan, output);
-    if let Some(planner) = &mut unit.planner {
-        output.methods = planner.mark();
-        planner.after(plan, &rig.scatterers, output.error_check.as_ref());
+    if let Some(method_selector) = &mut unit.method_selector {
+        output.methods = method_selector.mark();
+        method_selector.after_ping(plan, &rig.scatterers, output.error_check.as_ref());
     }
 }
 
 impl Rig {
     /// Selects the methods of the first pings for `order`, where the configuration leaves them to the selection and navigation is there. To be called
     /// before any ping.
-    pub fn plan_first(&mut self, sonar: usize, order: &PingOrder) {
-        if self.sonars[sonar].planner.is_none() {
+    pub fn select_first_methods(&mut self, sonar: usize, order: &PingOrder) {
+        if self.sonars[sonar].method_selector.is_none() {
             return;
         }
         let mut slot = self.slot(sonar);
@@ -179,12 +177,12 @@ impl Rig {
             .is_ok()
         {
             let unit = &mut self.sonars[sonar];
-            if let Some(planner) = &mut unit.planner {
-                planner.begin(&slot.plan, &self.scatterers, &mut unit.pipeline);
+            if let Some(method_selector) = &mut unit.method_selector {
+                method_selector.select_first(&slot.plan, &self.scatterers, &mut unit.pipeline);
             }
             for level in &mut unit.looser {
-                if let Some(planner) = &mut level.planner {
-                    planner.begin(&slot.plan, &self.scatterers, &mut level.pipeline);
+                if let Some(method_selector) = &mut level.method_selector {
+                    method_selector.select_first(&slot.plan, &self.scatterers, &mut level.pipeline);
                 }
             }
         }

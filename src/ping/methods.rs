@@ -228,7 +228,7 @@ impl Ranking {
     }
 
     /// The cheapest that errs by half as much or less.
-    pub fn next_dearer(&self) -> Option<&Candidate> {
+    pub fn next_costlier(&self) -> Option<&Candidate> {
         let share = 0.5 * self.goal.share(self.chosen());
         self.candidates
             .iter()
@@ -359,7 +359,7 @@ mod tests {
         assert_eq!(none.chosen().error(), 1e-5, "the nearest to it");
         let middle = at(1e-3);
         assert_eq!(middle.next_cheaper().unwrap().error(), 1e-2);
-        assert_eq!(middle.next_dearer().unwrap().error(), 5e-4);
+        assert_eq!(middle.next_costlier().unwrap().error(), 5e-4);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use thiserror::Error;
 use crate::PingOrder;
 use crate::faults::Faults;
 use crate::method_selection::costs::Costs;
-use crate::method_selection::live::Planner;
+use crate::method_selection::live::MethodSelector;
 use crate::pipeline::{PipelineError, SonarPipeline};
 use crate::plan;
 use crate::world::{SceneSummary, SharedSceneSummary};
@@ -39,7 +39,7 @@ pub enum RigError {
     /// A configured fault does not fit the rig.
     #[error("fault {number}: {why}")]
     Fault {
-        /// Number of the fault among the `[[fault]]` tables, from 0.
+        /// Number of the fault among the `[[fault]]` tables, from 1.
         number: usize,
         /// Cause.
         why: FaultRefused,
@@ -68,16 +68,16 @@ pub struct SonarUnit {
     /// Faults of the rig.
     pub faults: Arc<Faults>,
     /// Selects the methods that the configuration leaves open.
-    pub planner: Option<Planner>,
-    /// With `run.overload = "degrade"`: alternatives to pipeline and planner, in order of increasing tolerance.
+    pub method_selector: Option<MethodSelector>,
+    /// With `run.overload = "degrade"`: alternatives to pipeline and method selector, in order of increasing tolerance.
     pub(crate) looser: Vec<DegradationLevel>,
 }
 
-/// Pipeline and planner for a larger tolerance under overload.
+/// Pipeline and method selector for a larger tolerance under overload.
 pub(crate) struct DegradationLevel {
     tolerance: f64,
     pub(crate) pipeline: SonarPipeline,
-    pub(crate) planner: Option<Planner>,
+    pub(crate) method_selector: Option<MethodSelector>,
 }
 
 impl SonarUnit {
@@ -86,11 +86,11 @@ impl SonarUnit {
         1 + self.looser.len()
     }
 
-    /// Exchanges the pipeline and planner with those of a level; a second call exchanges them back. Returns the tolerance of a looser level.
+    /// Exchanges the pipeline and method selector with those of a level; a second call exchanges them back. Returns the tolerance of a looser level.
     pub(crate) fn swap(&mut self, level: usize) -> Option<f64> {
         let looser = self.looser.get_mut(level.checked_sub(1)?)?;
         std::mem::swap(&mut self.pipeline, &mut looser.pipeline);
-        std::mem::swap(&mut self.planner, &mut looser.planner);
+        std::mem::swap(&mut self.method_selector, &mut looser.method_selector);
         Some(looser.tolerance)
     }
 
@@ -131,7 +131,7 @@ impl Rig {
     /// The scene or a pipeline cannot be opened, or a configured fault does not fit the rig.
     pub fn open(spec: &RigSpec, costs: Costs, files: &dyn Files) -> Result<Self, RigError> {
         let faults = Arc::new(Faults::new(&spec.sonars, &spec.nav.sources));
-        for (number, request) in spec.faults.iter().enumerate() {
+        for (number, request) in (1..).zip(&spec.faults) {
             let added = faults.add(request);
             added.map_err(|why| RigError::Fault { number, why })?;
         }
@@ -164,7 +164,7 @@ impl Rig {
                     (Stage::of_spec(simplify, spec.scene.seed), view)
                 }),
                 pipeline,
-                planner: Planner::new(&sonar, &spec.medium, costs.clone()),
+                method_selector: MethodSelector::new(&sonar, &spec.medium, costs.clone()),
                 looser: Vec::new(),
                 spec: sonar,
                 absorption_db_per_m,
@@ -199,11 +199,11 @@ impl Rig {
                     let name = spec.name.clone();
                     RigError::Sonar { name, why }
                 })?;
-                let planner = Planner::new(&spec, medium, self.costs.clone());
+                let method_selector = MethodSelector::new(&spec, medium, self.costs.clone());
                 unit.looser.push(DegradationLevel {
                     tolerance,
                     pipeline,
-                    planner,
+                    method_selector,
                 });
             }
         }

@@ -1,7 +1,7 @@
 //! Ping times of one sonar, and the orders of its pings.
 //!
 //! [`Schedule`] determines the transmit instant and the settings at that instant ([`PingOrder`]), from the internal schedule or from triggers.
-//! [`crate::beats`] combines the schedules of all sonars.
+//! [`crate::rig_schedule`] combines the schedules of all sonars.
 
 use echotank_core::settings::SonarSettings;
 use echotank_core::time::{NS_PER_S, UtcNs};

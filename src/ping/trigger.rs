@@ -11,7 +11,7 @@ use echotank_core::time::UtcNs;
 
 /// Treatment of triggers during the receive window of the previous ping.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Early {
+pub struct EarlyPolicy {
     /// Whether such triggers are queued or refused.
     pub rule: EarlyTrigger,
     /// Minimum time between pulses, s. The receive window limits this time as well.
@@ -44,7 +44,7 @@ pub enum Refusal {
 
 impl Schedule {
     /// Applies a trigger at `at` and returns its outcome.
-    pub fn trigger(&mut self, at: UtcNs, settings: SonarSettings, early: Early) -> Triggered {
+    pub fn trigger(&mut self, at: UtcNs, settings: SonarSettings, early: EarlyPolicy) -> Triggered {
         let Some(last) = self.last_utc else {
             return Triggered::Pulse(self.pulse(at, settings));
         };
@@ -132,17 +132,17 @@ mod tests {
 
     const MS: i64 = NS_PER_S / 1000;
 
-    const REFUSE: Early = Early {
+    const REFUSE: EarlyPolicy = EarlyPolicy {
         rule: EarlyTrigger::Refuse,
         min_interval_s: 0.0,
     };
-    const QUEUE: Early = Early {
+    const QUEUE: EarlyPolicy = EarlyPolicy {
         rule: EarlyTrigger::Queue,
         min_interval_s: 0.0,
     };
 
     /// Instants of pings, milliseconds, and number of refused triggers.
-    fn pings(triggers_ms: &[i64], early: Early) -> (Vec<i64>, usize) {
+    fn pings(triggers_ms: &[i64], early: EarlyPolicy) -> (Vec<i64>, usize) {
         let mut schedule = Schedule::starting_at(UtcNs(0), 1500.0);
         let (mut pings, mut refused) = (Vec::new(), 0);
         let mut note = |done: Triggered| match done {
@@ -179,7 +179,7 @@ mod tests {
         let at = [0, 10, 50, 102, 400];
         assert_eq!(pings(&at, REFUSE), (vec![0, 400], 3));
         assert_eq!(pings(&at, QUEUE), (vec![0, 103, 400], 2));
-        let slow = Early {
+        let slow = EarlyPolicy {
             min_interval_s: 0.35,
             ..QUEUE
         };

@@ -18,7 +18,7 @@ use echotank_core::model::{DopplerModel, PathModel};
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::Scatterers;
 use echotank_ping::method_selection::costs::Costs;
-use echotank_ping::method_selection::{Scene, Swell, rank, with_choice};
+use echotank_ping::method_selection::{MotionScale, Scene, rank, with_choice};
 use echotank_ping::methods::{Candidate, Ranking};
 use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::polyline;
@@ -94,7 +94,7 @@ pub fn calibrate(
                 scatterers: &bench.scatterers,
                 count: bench.scatterers.len(),
                 costs: before,
-                swell: Swell::NONE,
+                motion_scale: MotionScale::NONE,
             };
             if let Some(ranking) = rank(&scene, &[]) {
                 let case = TimingCase {

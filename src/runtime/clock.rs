@@ -164,7 +164,7 @@ impl PacedClock {
     }
 
     /// Restarts the clock from the time at which it stopped.
-    pub fn go(&self) {
+    pub fn restart(&self) {
         self.set(false);
     }
 
@@ -287,7 +287,7 @@ mod tests {
             let sleeper = scope.spawn(|| clock.sleep_until(stopped_at.plus_ns(NS_PER_S)));
             std::thread::sleep(Duration::from_millis(3));
             assert!(!sleeper.is_finished(), "the clock is stopped");
-            clock.go();
+            clock.restart();
             sleeper.join().expect("woken");
         });
         assert!(clock.mono() >= stopped_at.plus_ns(NS_PER_S));

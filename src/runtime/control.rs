@@ -22,7 +22,7 @@ use crate::page::{PageSource, ReliefCache, changes, nav_source, settings_json, t
 use crate::settings::SettingsStore;
 use crate::triggers::TriggerCounts;
 use echotank_config::spec::{ClockSpec, NavChannel};
-use echotank_core::settings::{Asked, Asker, SettingChange, SettingsPort};
+use echotank_core::settings::{ChangeOrigin, Requester, SettingChange, SettingsPort};
 use echotank_core::time::{MonoNs, UtcNs};
 use echotank_nav::health::State;
 use echotank_ping::faults::Faults;
@@ -88,7 +88,7 @@ pub struct RunControl {
     opened: UtcNs,
     machine: SystemClock,
     /// Time of the pipeline's last iteration, on `machine`.
-    beat_ns: AtomicI64,
+    last_iteration_ns: AtomicI64,
 }
 
 impl RunControl {
@@ -120,7 +120,7 @@ impl RunControl {
             commands_done: AtomicU64::new(0),
             opened: machine.host_utc(),
             machine,
-            beat_ns: AtomicI64::new(0),
+            last_iteration_ns: AtomicI64::new(0),
         }
     }
 
@@ -140,8 +140,9 @@ impl RunControl {
     }
 
     /// Records an iteration of the pipeline.
-    pub fn beat(&self) {
-        self.beat_ns.store(self.machine.mono().0, Ordering::Relaxed);
+    pub fn note_iteration(&self) {
+        self.last_iteration_ns
+            .store(self.machine.mono().0, Ordering::Relaxed);
     }
 
     /// Sets the status of the navigation. `owners` is the index of the active source, by quantity.
@@ -169,8 +170,8 @@ impl RunControl {
 
     /// Reason to restart the daemon; `None` while the pipeline advances.
     pub(crate) fn pipeline_problem(&self) -> Option<String> {
-        let beat = MonoNs(self.beat_ns.load(Ordering::Relaxed));
-        let silent_s = self.machine.mono().seconds_since(beat);
+        let last = MonoNs(self.last_iteration_ns.load(Ordering::Relaxed));
+        let silent_s = self.machine.mono().seconds_since(last);
         // A paused pipeline is not stuck.
         (silent_s > MAX_ITERATION_S && !self.gate.is_paused())
             .then(|| format!("the pipeline has not advanced for {silent_s:.0} s"))
@@ -221,20 +222,20 @@ impl RunControl {
         }
     }
 
-    fn answer(&self, command: &Command, by: Asker) -> Result<Value, String> {
-        let standing = || json!({ "paused": self.gate.is_paused(), "pings_delivered": self.gate.pings_delivered() });
+    fn answer(&self, command: &Command, by: Requester) -> Result<Value, String> {
+        let state = || json!({ "paused": self.gate.is_paused(), "pings_delivered": self.gate.pings_delivered() });
         match command {
             Command::Pause => {
                 self.refuse_without_own_nav()?;
                 self.gate.pause();
-                Ok(standing())
+                Ok(state())
             }
             Command::Resume if *lock(&self.clock) == ClockSpec::Lockstep => Err(
                 "run.clock = \"lockstep\": rig time advances by steps; send \"step\"".to_owned(),
             ),
             Command::Resume => {
                 self.gate.resume();
-                Ok(standing())
+                Ok(state())
             }
             Command::Step { pings } => {
                 self.refuse_without_own_nav()?;
@@ -265,14 +266,14 @@ impl RunControl {
                     .faults
                     .add(request)
                     .map_err(|refused| refused.to_string())?;
-                Ok(json!({ "fault": id, "standing": self.faults.standing() }))
+                Ok(json!({ "fault": id, "scheduled": self.faults.scheduled() }))
             }
             Command::ClearFaults { fault: None } => {
                 let cleared = self.faults.clear();
-                Ok(json!({ "cleared": cleared, "standing": self.faults.standing() }))
+                Ok(json!({ "cleared": cleared, "scheduled": self.faults.scheduled() }))
             }
             Command::ClearFaults { fault: Some(id) } => match self.faults.remove(*id) {
-                true => Ok(json!({ "cleared": 1, "standing": self.faults.standing() })),
+                true => Ok(json!({ "cleared": 1, "scheduled": self.faults.scheduled() })),
                 false => Err(format!("fault = {id}: no such fault")),
             },
             Command::Clock { mode, rate } => self.set_clock(*mode, *rate),
@@ -327,7 +328,7 @@ impl RunControl {
     }
 
     /// Stores a command for the page and logs it. Settings have their own journal and log entries.
-    fn note(&self, command: &Command, answer: &Answer, by: Asker) {
+    fn note(&self, command: &Command, answer: &Answer, by: Requester) {
         let is_setting = matches!(command, Command::Set(_) | Command::Trigger { .. });
         // A request refused before the journal has no entry there.
         let is_journaled = is_setting
@@ -356,8 +357,8 @@ impl RunControl {
         self.commands_done.fetch_add(1, Ordering::Relaxed);
     }
 
-    fn asked(&self, by: Asker) -> Asked {
-        Asked {
+    fn origin(&self, by: Requester) -> ChangeOrigin {
+        ChangeOrigin {
             utc: (self.rig_time)(),
             by,
         }
@@ -368,10 +369,10 @@ impl RunControl {
         &self,
         sonar: &SonarControl,
         changes: &[SettingChange],
-        by: Asker,
+        by: Requester,
     ) -> Result<Value, String> {
         for (done, change) in changes.iter().enumerate() {
-            if let Err(refused) = sonar.settings.apply(*change, self.asked(by)) {
+            if let Err(refused) = sonar.settings.apply(*change, self.origin(by)) {
                 return Err(match done {
                     0 => refused.to_string(),
                     _ => format!("{refused}; the settings before it were applied"),
@@ -424,7 +425,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl ControlPort for RunControl {
-    fn command(&self, command: &Command, by: Asker) -> Answer {
+    fn command(&self, command: &Command, by: Requester) -> Answer {
         let answer = match self.answer(command, by) {
             Ok(result) => Answer::accepted(command, result),
             Err(why) => Answer::refused(command, why),
@@ -508,7 +509,7 @@ impl ControlPort for RunControl {
             "rig_utc_ns": (self.rig_time)().0,
             "sonars": self.sonars.iter().map(|s| self.sonar_status(s)).collect::<Vec<_>>(),
             "faults": {
-                "standing": self.faults.standing(),
+                "scheduled": self.faults.scheduled(),
                 "injected": self.faults.injected(),
                 "unlogged": self.faults.unwritten(),
             },

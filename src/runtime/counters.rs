@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use echotank_core::navigation::NavState;
 use echotank_core::ping::{EchoCounts, ErrorCheck, MethodMark, OverloadState, SceneCounts};
-use echotank_ping::method_selection::live::PlanCounts;
+use echotank_ping::method_selection::live::SelectionCounts;
 
 /// Declares the counters. `all` lists those with a metric: the name and the help text, which also documents the field.
 macro_rules! ping_counters {
@@ -142,7 +142,7 @@ impl PingCounters {
     }
 
     /// Counts the method plan of a ping, if it has one.
-    pub fn plan(&self, mark: Option<&MethodMark>, counts: &PlanCounts) {
+    pub fn plan(&self, mark: Option<&MethodMark>, counts: &SelectionCounts) {
         let Some(mark) = mark else {
             return;
         };

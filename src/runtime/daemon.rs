@@ -13,11 +13,11 @@
 //! This timing applies to the clocks `realtime` and `scaled`. With `fast` and `lockstep` the pipeline advances time from pulse to pulse
 //! (`stepped`), so no ping is late or skipped for lateness. The samples are the same bits with every clock.
 
-mod beat;
 mod delivery;
 mod event_log;
 mod machine;
 mod pacer;
+mod scheduler;
 mod stepped;
 mod triggers;
 
@@ -29,7 +29,7 @@ use std::thread::{self};
 
 use self::delivery::{DeliveryContext, open_lane};
 use self::event_log::{EventLog, SkippedPing};
-use self::machine::{clock_of, preference, punctuality, wire_time};
+use self::machine::{answer_time, clock_of, preference, request_real_time};
 use self::pacer::{MAX_ORDERS, Pacer};
 use self::triggers::{Triggers, at_first};
 use thiserror::Error;
@@ -136,7 +136,7 @@ impl Daemon {
             Some(record) => recover_folder(&record.directory),
             None => Vec::new(),
         };
-        remarks.push(punctuality(spec.run.priority));
+        remarks.push(request_real_time(spec.run.priority));
         remarks.extend(preference(spec.run.compute_nice));
         for remark in &remarks {
             match remark.strip_prefix("warning: ") {
@@ -163,7 +163,7 @@ impl Daemon {
         })?;
         let mut inputs = NavInputs::start(nav, clock.clone()).map_err(OpenError::Nav)?;
         let nav_faults = NavFaults::new(rig.faults.clone(), &spec.nav.sources);
-        inputs.spoil_with(Box::new(nav_faults));
+        inputs.set_fault_filter(Box::new(nav_faults));
         let settings: Vec<_> = spec
             .sonars
             .iter()
@@ -177,10 +177,10 @@ impl Daemon {
             })
             .collect();
         let timeline = Arc::new(OnceLock::new());
-        let wire_time = wire_time(spec.nav.stamp, &clock, &timeline);
+        let answer_time = answer_time(spec.nav.stamp, &clock, &timeline);
         let nav_out = {
             let faults: Arc<dyn ClockFaults> = rig.faults.clone();
-            NavOutputs::open_with(&spec.nav.outputs, &clock, &wire_time, Some(&faults))?
+            NavOutputs::open_with(&spec.nav.outputs, &clock, &answer_time, Some(&faults))?
         };
         let feed = Arc::new(Feed::new(spec.sonars.len()));
         let mut outputs = Vec::new();
@@ -192,7 +192,8 @@ impl Daemon {
                 sonar: outputs.len() as u16,
                 world: rig.world.clone(),
             });
-            let opened = Outputs::open(&rig.spec, unit, settings, &wire_time, &clock, &own, page)?;
+            let opened =
+                Outputs::open(&rig.spec, unit, settings, &answer_time, &clock, &own, page)?;
             outputs.push(opened);
             histograms.push(own);
         }
@@ -219,7 +220,7 @@ impl Daemon {
             spec.nav.is_recorded(),
             sonars.collect(),
             rig.faults.clone(),
-            wire_time,
+            answer_time,
             PageSource {
                 feed,
                 spec: spec.clone(),
@@ -430,7 +431,7 @@ fn write_events(
 ) {
     fault_log.write(&faults.take_injections(), control.sonars());
     let overloaded = control.overload_states().take();
-    if faults.standing() > 0 || faults.injected() > 0 {
+    if faults.scheduled() > 0 || faults.injected() > 0 {
         let skipped: Vec<_> = overloaded.iter().filter_map(SkippedPing::of).collect();
         fault_log.write(&skipped, control.sonars());
     }

@@ -18,7 +18,7 @@ use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 use echotank_ping::footprints::footprints;
 use echotank_ping::method_selection::costs::Costs;
-use echotank_ping::method_selection::{Scene, Swell, rank};
+use echotank_ping::method_selection::{MotionScale, Scene, rank};
 use echotank_ping::methods::Ranking;
 use echotank_ping::{self as ping, PingOrder};
 
@@ -71,7 +71,7 @@ pub fn first(spec: &RigSpec, costs: &Costs) -> Result<Vec<FirstPing>, FirstPingE
                     scatterers: &scatterers,
                     count: scatterers.len(),
                     costs,
-                    swell: Swell::NONE,
+                    motion_scale: MotionScale::NONE,
                 },
                 &[],
             ),

@@ -145,7 +145,7 @@ impl Gate {
             if state.holds() {
                 clock.stop();
             } else {
-                clock.go();
+                clock.restart();
             }
         }
         self.changed.notify_all();

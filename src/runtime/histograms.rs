@@ -122,7 +122,7 @@ impl Histograms {
     }
 
     /// Records the delay of a ping's complete delivery after its deadline, ns.
-    pub(crate) fn handed_over_us(&self, ns: i64) {
+    pub(crate) fn note_delivery(&self, ns: i64) {
         self.hand_over.note((ns.max(0) / 1000) as u64);
     }
 

@@ -13,7 +13,7 @@ use crate::io::nav::SourceCounters;
 use crate::settings::{RecentChange, SettingsStore};
 use echotank_config::spec::{FaultRequest, RigSpec, SonarSpec};
 use echotank_core::settings::{
-    Changed, JournalEntry, KeptValue, SettingChange, SettingsPort, SonarSettings, TriggerSource,
+    Changed, JournalEntry, SettingChange, SettingsPort, SonarSettings, StoredValue, TriggerSource,
 };
 use echotank_nav::health::State;
 use echotank_ping::world::SharedSceneSummary;
@@ -163,18 +163,18 @@ pub fn trigger_name(trigger: TriggerSource) -> &'static str {
 
 /// Recent setting changes of a sonar, oldest first: requester, setting, value and outcome.
 pub fn changes(settings: &SettingsStore) -> Value {
-    let kept = settings.changes_since(0);
-    let kept = kept.iter().filter_map(kept_change);
-    let mut rows: Vec<_> = settings.recent().iter().map(change).chain(kept).collect();
+    let stored = settings.changes_since(0);
+    let stored = stored.iter().filter_map(stored_change);
+    let mut rows: Vec<_> = settings.recent().iter().map(change).chain(stored).collect();
     rows.sort_by_key(|row| row["utc_ms"].as_f64().map(f64::to_bits));
     rows.into()
 }
 
-fn row(asked: &echotank_core::settings::Asked, what: &str, value: Value) -> Value {
+fn row(origin: &echotank_core::settings::ChangeOrigin, what: &str, value: Value) -> Value {
     json!({
-        "utc_ms": asked.utc.0 as f64 / 1e6,
-        "via": asked.by.via,
-        "peer": asked.by.peer.map(|peer| peer.to_string()),
+        "utc_ms": origin.utc.0 as f64 / 1e6,
+        "via": origin.by.via,
+        "peer": origin.by.peer.map(|peer| peer.to_string()),
         "what": what,
         "value": value,
     })
@@ -192,7 +192,7 @@ fn change(recent: &RecentChange) -> Value {
         SettingChange::PingTimes(n) => ("pings", n.into()),
         SettingChange::Trigger(source) => ("trigger", trigger_name(source).into()),
     };
-    let mut row = row(&recent.asked, what, value);
+    let mut row = row(&recent.origin, what, value);
     match recent.outcome {
         Ok(version) => row["version"] = version.into(),
         Err(refused) => row["why"] = refused.to_string().into(),
@@ -201,16 +201,16 @@ fn change(recent: &RecentChange) -> Value {
 }
 
 /// Row of a stored setting without effect on the model. The other settings are among the recent changes.
-fn kept_change(entry: &JournalEntry) -> Option<Value> {
-    let Changed::Kept(key, value) = &entry.changed else {
+fn stored_change(entry: &JournalEntry) -> Option<Value> {
+    let Changed::Stored(key, value) = &entry.changed else {
         return None;
     };
     let value = match value {
-        KeptValue::Integer(value) => Value::from(*value),
-        KeptValue::Numbers(values) => values.iter().take(16).map(|v| Value::from(*v)).collect(),
-        KeptValue::Text(text) => Value::from(text.chars().take(MAX_TEXT).collect::<String>()),
+        StoredValue::Integer(value) => Value::from(*value),
+        StoredValue::Numbers(values) => values.iter().take(16).map(|v| Value::from(*v)).collect(),
+        StoredValue::Text(text) => Value::from(text.chars().take(MAX_TEXT).collect::<String>()),
     };
-    let mut row = row(&entry.asked, key.name, value);
+    let mut row = row(&entry.origin, key.name, value);
     row["version"] = entry.version.into();
     row["kept"] = true.into();
     Some(row)

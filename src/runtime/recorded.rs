@@ -13,9 +13,9 @@ use echotank_config::spec::{RigSpec, TriggerFrom, TriggerSpec};
 use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 use echotank_ping::PingOrder;
-use echotank_ping::beats::{Beats, InForce};
 use echotank_ping::faults::PingMark;
 use echotank_ping::rig::Rig;
+use echotank_ping::rig_schedule::{RigSchedule, SettingsInForce};
 
 /// Distance from the ends of a long gap within which pings are ordered one by one, seconds.
 const GAP_MARGIN_S: f64 = 60.0;
@@ -44,7 +44,7 @@ pub struct RecordedRig {
     pub rig: Rig,
     /// Recorded sources, read as far as the pings so far need.
     pub inputs: NavInputs,
-    beats: Beats,
+    schedule: RigSchedule,
     /// UTC of the first ping.
     pub first: UtcNs,
     /// Per sonar: whether another sonar triggers it. A sonar with an external trigger uses its own schedule.
@@ -74,7 +74,7 @@ impl RecordedRig {
         let mut inputs =
             NavInputs::start(nav, Arc::new(VirtualClock::default())).map_err(OpenError::Nav)?;
         let nav_faults = NavFaults::new(rig.faults.clone(), &spec.nav.sources);
-        inputs.spoil_with(Box::new(nav_faults));
+        inputs.set_fault_filter(Box::new(nav_faults));
         let first = loop {
             if let Some(first) = rig.history.first_usable_utc() {
                 break first;
@@ -96,7 +96,7 @@ impl RecordedRig {
         let triggers = spec.sonars.iter().map(|sonar| &sonar.trigger);
         let follows = |trigger: &TriggerSpec| matches!(trigger.from, TriggerFrom::Sonar { .. });
         Ok(Self {
-            beats: Beats::starting_at(first, sound_speed_m_per_s, triggers.clone()),
+            schedule: RigSchedule::starting_at(first, sound_speed_m_per_s, triggers.clone()),
             first,
             follows: triggers.map(follows).collect(),
             passed_over: vec![0; spec.sonars.len()],
@@ -109,18 +109,18 @@ impl RecordedRig {
     /// Sonar index and order of the next ping in time. `None` once every sonar has reached ping number `last`.
     pub fn next_order(&mut self, last: u32) -> Option<(usize, PingOrder)> {
         loop {
-            let (beats, follows) = (&self.beats, &self.follows);
-            let wanted = |sonar: usize| beats.schedule(sonar).next_number() <= last;
+            let (schedule, follows) = (&self.schedule, &self.follows);
+            let wanted = |sonar: usize| schedule.of_sonar(sonar).next_number() <= last;
             let leads = |sonar: usize| wanted(sonar) && !follows[sonar];
-            let now = beats.next_utc(leads)?;
+            let now = schedule.next_utc(leads)?;
             if self.pass_over_gap(now) {
                 continue;
             }
-            let (beats, follows) = (&self.beats, &self.follows);
-            let wanted = |sonar: usize| beats.schedule(sonar).next_number() <= last;
+            let (schedule, follows) = (&self.schedule, &self.follows);
+            let wanted = |sonar: usize| schedule.of_sonar(sonar).next_number() <= last;
             let sonars = &self.rig.sonars;
             let done: Vec<_> = (0..follows.len()).map(|sonar| !wanted(sonar)).collect();
-            let in_force = |sonar: usize, _| InForce {
+            let in_force = |sonar: usize, _| SettingsInForce {
                 settings: SonarSettings {
                     // A replay has no client that starts the sonar.
                     pinging: !follows[sonar] && !done[sonar],
@@ -128,8 +128,8 @@ impl RecordedRig {
                 },
                 armed: follows[sonar] && !done[sonar],
             };
-            let happened = self.beats.due(now, in_force);
-            if let Some((sonar, event)) = happened
+            let next = self.schedule.due(now, in_force);
+            if let Some((sonar, event)) = next
                 && let Some(order) = event.order()
             {
                 return Some((sonar, order));
@@ -145,14 +145,14 @@ impl RecordedRig {
         let sonars = 0..self.rig.sonars.len();
         if sonars
             .into_iter()
-            .all(|s| self.beats.schedule(s).next_utc() >= end)
+            .all(|s| self.schedule.of_sonar(s).next_utc() >= end)
         {
             // Every schedule already continues after the gap. Only pings triggered before the gap remain.
             return false;
         }
         let sound_speed_m_per_s = self.rig.medium().sound_speed_m_per_s;
         for (sonar, unit) in self.rig.sonars.iter().enumerate() {
-            let from = self.beats.schedule(sonar).next_utc();
+            let from = self.schedule.of_sonar(sonar).next_utc();
             let leader = match unit.spec.trigger.from {
                 TriggerFrom::Sonar { sonar, .. } => &self.rig.sonars[sonar],
                 _ => unit,
@@ -160,19 +160,20 @@ impl RecordedRig {
             let period_ns = echotank_ping::period_ns(&leader.spec.settings, sound_speed_m_per_s);
             let missed = end.0.saturating_sub(from.0).max(0) / period_ns.max(1);
             self.passed_over[sonar] += missed as u64;
-            self.beats.put_off(sonar, end);
+            self.schedule.put_off(sonar, end);
         }
         true
     }
 
     /// Records that the order's pulse was transmitted. An injected double-trigger fault schedules a second pulse.
     pub fn record_pulse(&mut self, sonar: usize, order: &PingOrder) {
-        if !self.beats.is_second(sonar)
+        if !self.schedule.is_second(sonar)
             && let Some(after_s) = self.rig.faults.trigger_double_s(PingMark::of(sonar, order))
         {
-            self.beats.again(sonar, order.transmit_utc.plus_s(after_s));
+            self.schedule
+                .trigger_again(sonar, order.transmit_utc.plus_s(after_s));
         }
-        self.beats.pulsed(sonar, order.transmit_utc);
+        self.schedule.note_pulse(sonar, order.transmit_utc);
     }
 
     /// Reads navigation until it covers the ping. Returns false if the log ends first.

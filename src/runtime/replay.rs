@@ -13,7 +13,7 @@ pub use crate::formats::{Formats, ReplayOptions};
 use crate::io::record::RecordError;
 use crate::recorded::{RecordedError, RecordedRig};
 use crate::recorders::Recorders;
-use echotank_config::spec::{MadeOutput, RigSpec, TriggerFrom};
+use echotank_config::spec::{RigSpec, SynthesisOutput, TriggerFrom};
 use echotank_core::time::{NS_PER_S, UtcNs};
 use echotank_ping::PingOrder;
 use echotank_ping::faults::PingMark;
@@ -53,7 +53,7 @@ fn keep_elements(spec: &mut RigSpec, formats: &Formats) -> Result<(), ReplayErro
         return Ok(());
     };
     for sonar in &mut spec.sonars {
-        if sonar.synthesis.output == MadeOutput::Beams {
+        if sonar.synthesis.output == SynthesisOutput::Beams {
             let sonar = sonar.name.clone();
             return Err(ReplayError::Beams { sonar, format });
         }
@@ -204,8 +204,8 @@ impl Replay {
                 counters.scene(&slot.output.scene);
                 counters.nav(&slot.plan.nav);
                 counters.error_check(slot.output.error_check.as_ref());
-                if let Some(planner) = &self.recorded.rig.sonars[sonar].planner {
-                    counters.plan(slot.output.methods.as_ref(), &planner.counts);
+                if let Some(method_selector) = &self.recorded.rig.sonars[sonar].method_selector {
+                    counters.plan(slot.output.methods.as_ref(), &method_selector.counts);
                 }
                 self.recorders.record(slot, &self.recorded.rig)?;
             }

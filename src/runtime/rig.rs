@@ -101,7 +101,7 @@ pub(crate) fn read_navigation_for(
     }
 }
 
-/// Calls [`Rig::plan_first`] for every sonar with a planner, for a ping at `first`. Reads the recorded navigation that the plan needs.
+/// Calls [`Rig::select_first_methods`] for every sonar with a method selector, for a ping at `first`. Reads the recorded navigation that the selection needs.
 pub(crate) fn plan_all(rig: &mut Rig, inputs: &mut NavInputs, first: UtcNs) {
     for sonar in 0..rig.sonars.len() {
         let order = PingOrder {
@@ -113,8 +113,10 @@ pub(crate) fn plan_all(rig: &mut Rig, inputs: &mut NavInputs, first: UtcNs) {
             },
             period_s: 0.0,
         };
-        if rig.sonars[sonar].planner.is_some() && read_navigation_for(rig, inputs, sonar, &order) {
-            rig.plan_first(sonar, &order);
+        if rig.sonars[sonar].method_selector.is_some()
+            && read_navigation_for(rig, inputs, sonar, &order)
+        {
+            rig.select_first_methods(sonar, &order);
         }
     }
 }

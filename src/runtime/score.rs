@@ -118,7 +118,7 @@ pub struct Tally {
     /// Injections without a matching finding.
     pub missed: u64,
     /// Injections of a kind that the reporting device declares as undetectable.
-    pub untold: u64,
+    pub undetectable: u64,
     /// Injections in records, pings or links that the report does not cover.
     pub not_covered: u64,
 }
@@ -131,7 +131,7 @@ pub struct Score {
     /// Descriptions of the missed injections.
     pub missed: Vec<String>,
     /// Findings that no fault explains.
-    pub invented: Vec<Finding>,
+    pub false_alarms: Vec<Finding>,
     /// Findings that follow from a fault but do not show it.
     pub consequences: u64,
 }
@@ -139,7 +139,7 @@ pub struct Score {
 impl Score {
     /// Whether all covered faults were found and no finding is unexplained.
     pub fn is_clean(&self) -> bool {
-        self.missed.is_empty() && self.invented.is_empty()
+        self.missed.is_empty() && self.false_alarms.is_empty()
     }
 }
 
@@ -185,12 +185,13 @@ fn cases<'a>(log: &'a [LoggedFault], report: &Report, score: &mut Score) -> Vec<
     let mut seen_connections = BTreeSet::new();
     for logged in log {
         let tally = score.kinds.entry(logged.kind.clone()).or_default();
-        let tells = report.head.tells.as_ref();
+        let detects = report.head.detects.as_ref();
         let is_covered = covers(report, logged) && logged.kind != SKIPPED;
-        let is_untold = is_covered && tells.is_some_and(|tells| !tells.contains(&logged.kind));
+        let is_undetectable =
+            is_covered && detects.is_some_and(|detects| !detects.contains(&logged.kind));
         tally.not_covered += u64::from(!is_covered);
-        tally.untold += u64::from(is_untold);
-        let is_aside = !is_covered || is_untold;
+        tally.undetectable += u64::from(is_undetectable);
+        let is_aside = !is_covered || is_undetectable;
         if is_aside && !is_of_link(report, logged) {
             continue;
         }
@@ -229,7 +230,7 @@ fn match_placed(report: &Report, cases: &mut [Case], score: &mut Score) {
         match (explains, follows) {
             (true, _) => {}
             (false, true) => score.consequences += 1,
-            (false, false) => score.invented.push(finding.clone()),
+            (false, false) => score.false_alarms.push(finding.clone()),
         }
     }
 }
@@ -244,8 +245,8 @@ fn match_unplaced(report: &Report, log: &[LoggedFault], cases: &mut [Case], scor
             open.find(|case| shows(&case.logged.kind, &finding.kind) && agree(case, finding, 0));
         match case {
             Some(case) => case.by_count = true,
-            None if could_be_untold(report, log, finding) => score.consequences += 1,
-            None => score.invented.push(finding.clone()),
+            None if may_show_undetectable(report, log, finding) => score.consequences += 1,
+            None => score.false_alarms.push(finding.clone()),
         }
     }
 }
@@ -383,14 +384,14 @@ fn follows_from(case: &Case, finding: &Finding, pings: u32) -> bool {
 }
 
 /// Whether a finding without a position can stem from a fault that the device cannot identify.
-fn could_be_untold(report: &Report, log: &[LoggedFault], finding: &Finding) -> bool {
-    let Some(tells) = &report.head.tells else {
+fn may_show_undetectable(report: &Report, log: &[LoggedFault], finding: &Finding) -> bool {
+    let Some(detects) = &report.head.detects else {
         return false;
     };
-    let mut untold = log
+    let mut undetectable = log
         .iter()
-        .filter(|logged| covers(report, logged) && !tells.contains(&logged.kind));
-    untold.any(|logged| {
+        .filter(|logged| covers(report, logged) && !detects.contains(&logged.kind));
+    undetectable.any(|logged| {
         let effects = effects(&logged.kind);
         let kind = finding.kind.as_str();
         // A delayed answer arrives together with the next one.
@@ -401,10 +402,10 @@ fn could_be_untold(report: &Report, log: &[LoggedFault], finding: &Finding) -> b
 }
 
 /// Pings with a delayed, lost or corrupted record, by sonar, link and record type.
-type Held = HashMap<(Option<String>, Option<String>, Option<u32>), BTreeSet<u32>>;
+type HeldPings = HashMap<(Option<String>, Option<String>, Option<u32>), BTreeSet<u32>>;
 
-fn held_pings(log: &[LoggedFault]) -> Held {
-    let mut held = Held::new();
+fn held_pings(log: &[LoggedFault]) -> HeldPings {
+    let mut held = HeldPings::new();
     for logged in log {
         let holds = matches!(
             logged.kind.as_str(),
@@ -424,7 +425,7 @@ fn held_pings(log: &[LoggedFault]) -> Held {
 }
 
 /// Whether a delayed record still arrives in order because the next record of its type was delayed or lost too.
-fn is_masked(logged: &LoggedFault, held: &Held) -> bool {
+fn is_masked(logged: &LoggedFault, held: &HeldPings) -> bool {
     let key = (
         logged.sonar.clone(),
         logged.line.clone(),
@@ -463,7 +464,7 @@ mod tests {
     }
 
     #[test]
-    fn found_missed_and_invented_are_distinguished() {
+    fn found_missed_and_false_are_distinguished() {
         let log = log(&[
             r#"{"fault":1,"kind":"drop","line":"7k","ping_number":5,"record_type":7038,"strength":1}"#,
             r#"{"fault":1,"kind":"drop","line":"7k","ping_number":8,"record_type":7038}"#,
@@ -488,13 +489,13 @@ mod tests {
         let twice = score.kinds["duplicate"];
         assert_eq!((twice.injected, twice.found, twice.not_covered), (1, 1, 2));
         assert_eq!(score.missed, ["drop of ping 8 (fault 1), record 7038"]);
-        let kinds: Vec<_> = score.invented.iter().map(|f| f.kind.as_str()).collect();
+        let kinds: Vec<_> = score.false_alarms.iter().map(|f| f.kind.as_str()).collect();
         assert_eq!(kinds, ["late", "lost"]);
         assert!(!score.is_clean());
     }
 
     #[test]
-    fn a_consequence_of_a_fault_is_neither_found_nor_invented() {
+    fn a_consequence_of_a_fault_is_neither_found_nor_false() {
         let log = log(&[
             r#"{"fault":1,"kind":"truncate","line":"jsf","ping_number":5,"record_type":80}"#,
         ]);
@@ -507,7 +508,7 @@ mod tests {
             ]),
         );
         assert_eq!(score.kinds["truncate"].found, 1);
-        assert_eq!((score.consequences, score.invented.len()), (1, 1));
+        assert_eq!((score.consequences, score.false_alarms.len()), (1, 1));
     }
 
     #[test]
@@ -522,8 +523,8 @@ mod tests {
             ]),
         );
         assert_eq!(score.kinds["reset"].found, 1);
-        assert_eq!((score.consequences, score.invented.len()), (1, 1));
-        assert_eq!(score.invented[0].ping_number, Some(3));
+        assert_eq!((score.consequences, score.false_alarms.len()), (1, 1));
+        assert_eq!(score.false_alarms[0].ping_number, Some(3));
         let log = log_of(r#"{"fault":1,"kind":"half-open","line":"7k","ping_number":10}"#);
         let silent = |from: u32| {
             let to = from + 1;
@@ -582,7 +583,7 @@ mod tests {
         assert_eq!(of("drop"), (2, 1, 0));
         assert_eq!(of("duplicate"), (1, 0, 1));
         assert_eq!(of("dead"), (2, 2, 0));
-        assert_eq!(score.invented.len(), 1, "the second duplicate");
+        assert_eq!(score.false_alarms.len(), 1, "the second duplicate");
     }
 
     #[test]
@@ -607,7 +608,7 @@ mod tests {
             r#"{"fault":1,"kind":"drop","line":"7k","sonar":"a","ping_number":7,"record_type":7000}"#,
         ]);
         let report = report(&[
-            r#"{"report":"me","line":"7k","sonar":"a","tells":["drop"],"first_ping":1,"last_ping":9}"#,
+            r#"{"report":"me","line":"7k","sonar":"a","detects":["drop"],"first_ping":1,"last_ping":9}"#,
             r#"{"kind":"lost","ping_number":5,"record_type":7000}"#,
             r#"{"kind":"lost","ping_number":6,"record_type":7000}"#,
             r#"{"kind":"lost","ping_number":7,"record_type":7000}"#,
@@ -615,7 +616,7 @@ mod tests {
         let score = score(&log, &report);
         assert_eq!((score.consequences, score.missed.len()), (1, 0));
         assert_eq!(score.kinds["drop"].found, 1);
-        let other: Vec<_> = score.invented.iter().map(|f| f.ping_number).collect();
+        let other: Vec<_> = score.false_alarms.iter().map(|f| f.ping_number).collect();
         assert_eq!(other, [Some(6)], "another sonar's");
     }
 
@@ -624,8 +625,8 @@ mod tests {
         let log = log(&[
             r#"{"fault":1,"kind":"corrupt-mended","line":"7k","ping_number":5,"record_type":7038}"#,
         ]);
-        let score = score(&log, &report(&[r#"{"report":"me","tells":["drop"]}"#]));
-        assert_eq!(score.kinds["corrupt-mended"].untold, 1);
+        let score = score(&log, &report(&[r#"{"report":"me","detects":["drop"]}"#]));
+        assert_eq!(score.kinds["corrupt-mended"].undetectable, 1);
         assert!(score.is_clean());
     }
 }

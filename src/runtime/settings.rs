@@ -14,17 +14,17 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use crate::clock::Clock;
 use echotank_config::spec::LimitsSpec;
 use echotank_core::settings::{
-    Asked, Changed, JournalEntry, KeptKey, KeptValue, SettingApplied, SettingChange,
-    SettingRefused, SettingRule, SettingsPort, SonarSettings, TriggerSource,
+    ChangeOrigin, Changed, JournalEntry, SettingApplied, SettingChange, SettingRefused,
+    SettingRule, SettingsPort, SonarSettings, StoredKey, StoredValue, TriggerSource,
 };
 use echotank_core::time::MonoNs;
-use echotank_ping::beats::InForce;
+use echotank_ping::rig_schedule::SettingsInForce;
 
 /// Number of changes kept for the operator and the other protocols; older changes are only counted.
 pub(crate) const RECENT_CHANGES: usize = 64;
 
 /// Maximum number of settings stored without effect on the model. Devices have far fewer. The limit prevents a client from exhausting memory.
-pub const MAX_KEPT: usize = 4096;
+pub const MAX_STORED: usize = 4096;
 
 /// Maximum number of pings in one request.
 const MAX_PINGS_ASKED: f64 = u32::MAX as f64;
@@ -46,12 +46,12 @@ pub struct SettingsStore {
 
 struct State {
     requested: RequestedSettings,
-    kept: BTreeMap<KeptKey, KeptValue>,
+    stored: BTreeMap<StoredKey, StoredValue>,
     counts: SettingCounts,
     recent: VecDeque<RecentChange>,
     journal: VecDeque<JournalEntry>,
     /// Settings with the instant from which they apply, oldest first. The first entry also covers all earlier time.
-    past: VecDeque<(MonoNs, InForce)>,
+    past: VecDeque<(MonoNs, SettingsInForce)>,
 }
 
 /// Requested settings, before the rules of [`RequestedSettings::effective`].
@@ -65,9 +65,9 @@ struct RequestedSettings {
 }
 
 impl RequestedSettings {
-    fn in_force(&self) -> InForce {
+    fn in_force(&self) -> SettingsInForce {
         let obeys = self.settings.pinging && self.trigger == TriggerSource::External;
-        InForce {
+        SettingsInForce {
             settings: self.effective(),
             armed: obeys && self.settings.max_ping_rate_hz > 0.0,
         }
@@ -75,9 +75,9 @@ impl RequestedSettings {
 
     /// Settings that apply to pings. A rate of 0 or an external trigger stops the internal schedule of a started sonar.
     fn effective(&self) -> SonarSettings {
-        let beats = self.settings.pinging && self.trigger == TriggerSource::Internal;
+        let is_scheduled = self.settings.pinging && self.trigger == TriggerSource::Internal;
         SonarSettings {
-            pinging: (beats || self.pings_left > 0) && self.settings.max_ping_rate_hz > 0.0,
+            pinging: (is_scheduled || self.pings_left > 0) && self.settings.max_ping_rate_hz > 0.0,
             ..self.settings
         }
     }
@@ -96,7 +96,7 @@ pub struct SettingCounts {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RecentChange {
     /// Time and requester of the change.
-    pub asked: Asked,
+    pub origin: ChangeOrigin,
     /// Requested change.
     pub change: SettingChange,
     /// First version that contains the change, or the reason for the refusal.
@@ -129,7 +129,7 @@ impl SettingsStore {
             version: AtomicU64::new(0),
             state: Mutex::new(State {
                 requested,
-                kept: BTreeMap::new(),
+                stored: BTreeMap::new(),
                 counts: SettingCounts::default(),
                 recent: VecDeque::with_capacity(RECENT_CHANGES),
                 journal: VecDeque::with_capacity(RECENT_CHANGES),
@@ -155,7 +155,7 @@ impl SettingsStore {
     }
 
     /// Like [`SettingsStore::at`], with whether external triggers were accepted at that instant.
-    pub fn in_force(&self, instant: MonoNs) -> InForce {
+    pub fn in_force(&self, instant: MonoNs) -> SettingsInForce {
         let state = self.lock();
         let held = state
             .past
@@ -168,7 +168,7 @@ impl SettingsStore {
 
     /// Records a ping transmitted at `instant`. Decrements the remaining pings of a request for a number of pings; the last one stops
     /// pinging.
-    pub fn pinged(&self, instant: MonoNs) {
+    pub fn note_ping(&self, instant: MonoNs) {
         let mut state = self.lock();
         if state.requested.pings_left == 0 {
             return;
@@ -191,16 +191,16 @@ impl SettingsStore {
         &self.limits
     }
 
-    /// Applies or refuses one change, and counts it. `asked` is stored in the journal and the list of recent changes.
+    /// Applies or refuses one change, and counts it. `origin` is stored in the journal and the list of recent changes.
     ///
     /// # Errors
     /// The change violates a rule; the settings stay unchanged.
     pub fn apply(
         &self,
         change: SettingChange,
-        asked: impl Into<Asked>,
+        origin: impl Into<ChangeOrigin>,
     ) -> Result<SettingApplied, SettingRefused> {
-        let asked = asked.into();
+        let origin = origin.into();
         let mut state = self.lock();
         let outcome = apply_change(state.requested, change, &self.limits).map(|settings| {
             state.requested = settings;
@@ -209,7 +209,7 @@ impl SettingsStore {
             let version = self.next_version();
             state.note(JournalEntry {
                 version,
-                asked,
+                origin,
                 changed: Changed::Setting(change),
             });
             SettingApplied { settings, version }
@@ -221,13 +221,13 @@ impl SettingsStore {
         push_bounded(
             &mut state.recent,
             RecentChange {
-                asked,
+                origin,
                 change,
                 outcome: outcome.map(|applied| applied.version),
             },
         );
         drop(state);
-        let (via, peer) = (asked.by.via, asked.by.peer.map(|peer| peer.to_string()));
+        let (via, peer) = (origin.by.via, origin.by.peer.map(|peer| peer.to_string()));
         match &outcome {
             Ok(applied) => {
                 let version = applied.version;
@@ -262,7 +262,7 @@ impl SettingsStore {
 }
 
 impl State {
-    fn remember(&mut self, since: MonoNs, in_force: InForce) {
+    fn remember(&mut self, since: MonoNs, in_force: SettingsInForce) {
         push_bounded(&mut self.past, (since, in_force));
     }
 
@@ -291,31 +291,40 @@ impl SettingsPort for SettingsStore {
     fn version(&self) -> u64 {
         SettingsStore::version(self)
     }
-    fn apply(&self, change: SettingChange, asked: Asked) -> Result<SettingApplied, SettingRefused> {
-        SettingsStore::apply(self, change, asked)
+    fn apply(
+        &self,
+        change: SettingChange,
+        origin: ChangeOrigin,
+    ) -> Result<SettingApplied, SettingRefused> {
+        SettingsStore::apply(self, change, origin)
     }
-    fn keep(&self, key: KeptKey, value: KeptValue, asked: Asked) -> Result<(), SettingRefused> {
+    fn store(
+        &self,
+        key: StoredKey,
+        value: StoredValue,
+        origin: ChangeOrigin,
+    ) -> Result<(), SettingRefused> {
         let mut state = self.lock();
-        if state.kept.len() >= MAX_KEPT && !state.kept.contains_key(&key) {
+        if state.stored.len() >= MAX_STORED && !state.stored.contains_key(&key) {
             state.counts.refused += 1;
             return Err(SettingRefused {
                 key: key.name,
                 value: f64::from(key.place),
-                rule: SettingRule::TooMany { most: MAX_KEPT },
+                rule: SettingRule::TooMany { most: MAX_STORED },
             });
         }
-        state.kept.insert(key, value.clone());
+        state.stored.insert(key, value.clone());
         state.counts.applied += 1;
         let version = self.next_version();
         state.note(JournalEntry {
             version,
-            asked,
-            changed: Changed::Kept(key, value),
+            origin,
+            changed: Changed::Stored(key, value),
         });
         Ok(())
     }
-    fn kept(&self, key: KeptKey) -> Option<KeptValue> {
-        self.lock().kept.get(&key).cloned()
+    fn stored(&self, key: StoredKey) -> Option<StoredValue> {
+        self.lock().stored.get(&key).cloned()
     }
     fn changes_since(&self, version: u64) -> Vec<JournalEntry> {
         let state = self.lock();
@@ -503,7 +512,7 @@ mod tests {
         assert_eq!(recent[0].change, GainDb(10.0));
         assert_eq!(recent[0].outcome, Ok(11));
         let last = recent.last().unwrap();
-        assert_eq!(last.asked.utc, NOW.plus_ns(RECENT_CHANGES as i64 + 9));
+        assert_eq!(last.origin.utc, NOW.plus_ns(RECENT_CHANGES as i64 + 9));
         assert!(last.outcome.is_err(), "73 dB is over the limit");
         assert_eq!(counts(&store), (61, 13));
     }
@@ -556,15 +565,15 @@ mod tests {
         store.apply(PingTimes(2), NOW).unwrap();
         let at = |k: i64| MonoNs(k * 1_000_000_000);
         assert!(store.at(at(1)).pinging);
-        store.pinged(at(1));
+        store.note_ping(at(1));
         assert!(store.at(at(2)).pinging);
-        store.pinged(at(2));
-        assert!(!store.at(at(3)).pinging, "two were asked for");
+        store.note_ping(at(2));
+        assert!(!store.at(at(3)).pinging, "two were requested");
         assert!(!store.snapshot().0.pinging);
         assert_eq!(store.version(), 2, "the end is a change too");
         store.apply(PingTimes(1), NOW).unwrap();
         store.apply(Start, NOW).unwrap();
-        store.pinged(at(4));
+        store.note_ping(at(4));
         assert!(store.snapshot().0.pinging, "started, not counted");
         let refused = store.apply(PingTimes(0), NOW).unwrap_err();
         assert_eq!(
@@ -588,28 +597,28 @@ mod tests {
     #[test]
     fn settings_that_the_model_does_not_use_are_kept_journaled_and_bounded() {
         let store = store();
-        let key = |place| KeptKey {
+        let key = |place| StoredKey {
             via: "jsf",
             name: "adc_gain",
             place,
         };
-        let asked = Asked::from(NOW);
-        assert_eq!(store.kept(key(0)), None);
-        for place in 0..MAX_KEPT as u32 {
+        let origin = ChangeOrigin::from(NOW);
+        assert_eq!(store.stored(key(0)), None);
+        for place in 0..MAX_STORED as u32 {
             store
-                .keep(key(place), KeptValue::Integer(7), asked)
+                .store(key(place), StoredValue::Integer(7), origin)
                 .unwrap();
         }
-        let text = KeptValue::Text("a.spf".into());
-        store.keep(key(3), text.clone(), asked).unwrap();
-        assert_eq!(store.kept(key(3)), Some(text.clone()), "the newest");
-        assert!(store.keep(key(u32::MAX), text.clone(), asked).is_err());
+        let text = StoredValue::Text("a.spf".into());
+        store.store(key(3), text.clone(), origin).unwrap();
+        assert_eq!(store.stored(key(3)), Some(text.clone()), "the newest");
+        assert!(store.store(key(u32::MAX), text.clone(), origin).is_err());
         let version = store.version();
         let newest = store.changes_since(version - 1);
         let want = JournalEntry {
             version,
-            asked,
-            changed: Changed::Kept(key(3), text),
+            origin,
+            changed: Changed::Stored(key(3), text),
         };
         assert_eq!(newest, [want]);
         assert_eq!(store.changes_since(0).len(), RECENT_CHANGES, "bounded");

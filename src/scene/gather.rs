@@ -46,7 +46,7 @@ pub(crate) struct GatherContext<'a> {
 
 /// A tile of the ping.
 #[derive(Clone, Copy, Debug)]
-struct Wanted {
+struct WantedTile {
     id: TileId,
     tile_box: TileBox,
     /// No scatterer of the tile has a higher probability.
@@ -57,7 +57,7 @@ struct Wanted {
 #[derive(Debug, Default)]
 pub(crate) struct Gatherer {
     probabilities: Vec<KeepProbability>,
-    wanted: Vec<Wanted>,
+    wanted: Vec<WantedTile>,
     places: Vec<Slot>,
     counts: Vec<TileCount>,
 }
@@ -163,14 +163,14 @@ struct Search<'a> {
     anchor_m: DVec3,
     footprints: &'a [Footprint],
     probabilities: &'a [KeepProbability],
-    wanted: &'a mut Vec<Wanted>,
+    wanted: &'a mut Vec<WantedTile>,
     culled: u64,
 }
 
 impl Search<'_> {
     fn descend(&mut self, id: TileId) {
         let wanted = self.recipe.bounds(id).and_then(|tile_box| {
-            Some(Wanted {
+            Some(WantedTile {
                 id,
                 max_probability: self.max_probability(&tile_box)?,
                 tile_box,
@@ -220,11 +220,11 @@ fn reach(footprints: &[Footprint], anchor_m: DVec3) -> Option<(DVec2, DVec2)> {
 /// Lists the scatterers of a tile that the ping keeps and that lie in a footprint whose transmitter and receiver both see them.
 fn keep(
     tile: &mut Tile,
-    Wanted {
+    WantedTile {
         id,
         tile_box,
         max_probability,
-    }: &Wanted,
+    }: &WantedTile,
     probabilities: &[KeepProbability],
     context: GatherContext,
 ) -> TileCount {

@@ -67,17 +67,17 @@ pub struct LineChunk {
     pub amplitude: [Complex64; CHUNK],
     /// Slope -c du/dy: sine of the angle from broadside, as received by the moving line.
     pub slope: [f64; CHUNK],
-    /// Bend c d2u/dy2, per metre.
-    pub bend_per_m: [f64; CHUNK],
-    /// Twist c d2u/dy dw, per second.
-    pub twist_per_s: [f64; CHUNK],
-    /// Swing c d2u/dw2, m/s^2: the part of the delay that the linear stretch omits.
-    pub swing_m_per_s2: [f64; CHUNK],
+    /// Curvature of the delay along the line, c d2u/dy2, per metre.
+    pub curvature_per_m: [f64; CHUNK],
+    /// Gradient of the range rate along the line, c d2u/dy dw, per second.
+    pub rate_gradient_per_s: [f64; CHUNK],
+    /// Acceleration of the range during the pulse, c d2u/dw2, m/s^2: the part of the delay that the linear stretch omits.
+    pub acceleration_m_per_s2: [f64; CHUNK],
     /// First-order variation of the amplitude along the line section. At y metres from the middle, the amplitude is `amplitude`
-    /// times 1 + fade y + curl y^2, exact at both ends. Zero if not requested.
-    pub fade_per_m: [f64; CHUNK],
-    /// Second-order variation of the amplitude along the line section, as in `fade_per_m`.
-    pub curl_per_m2: [f64; CHUNK],
+    /// times 1 + gain_slope y + gain_curvature y^2, exact at both ends. Zero if not requested.
+    pub gain_slope_per_m: [f64; CHUNK],
+    /// Second-order variation of the amplitude along the line section, as in `gain_slope_per_m`.
+    pub gain_curvature_per_m2: [f64; CHUNK],
 }
 
 impl LineChunk {
@@ -90,22 +90,22 @@ impl LineChunk {
             doppler: zero,
             amplitude: [Complex64::ZERO; CHUNK],
             slope: zero,
-            bend_per_m: zero,
-            twist_per_s: zero,
-            swing_m_per_s2: zero,
-            fade_per_m: zero,
-            curl_per_m2: zero,
+            curvature_per_m: zero,
+            rate_gradient_per_s: zero,
+            acceleration_m_per_s2: zero,
+            gain_slope_per_m: zero,
+            gain_curvature_per_m2: zero,
         }
     }
 
-    /// Copies slope, bend, twist, swing, fade and curl of echo `from` to echo `to`.
+    /// Copies slope, curvature, rate gradient, acceleration, gain slope and gain curvature of echo `from` to echo `to`.
     pub fn move_derivatives(&mut self, from: usize, to: usize) {
         self.slope[to] = self.slope[from];
-        self.bend_per_m[to] = self.bend_per_m[from];
-        self.twist_per_s[to] = self.twist_per_s[from];
-        self.swing_m_per_s2[to] = self.swing_m_per_s2[from];
-        self.fade_per_m[to] = self.fade_per_m[from];
-        self.curl_per_m2[to] = self.curl_per_m2[from];
+        self.curvature_per_m[to] = self.curvature_per_m[from];
+        self.rate_gradient_per_s[to] = self.rate_gradient_per_s[from];
+        self.acceleration_m_per_s2[to] = self.acceleration_m_per_s2[from];
+        self.gain_slope_per_m[to] = self.gain_slope_per_m[from];
+        self.gain_curvature_per_m2[to] = self.gain_curvature_per_m2[from];
     }
 }
 
@@ -123,13 +123,13 @@ pub trait LineSink {
 
 /// Section of a line array, with the requested interval of leading edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LineStretch {
+pub struct LineSection {
     /// Middle of the section relative to the centre of the array, metres.
     pub middle_m: f64,
     /// Distance from the middle of the section to its outermost elements, metres.
     pub half_m: f64,
-    /// True if fade and curl are requested.
-    pub fades: bool,
+    /// True if gain slope and gain curvature are requested.
+    pub gain_terms: bool,
     /// Number of elements, for the counts.
     pub elements: u64,
     /// First requested leading edge, inclusive, seconds.
@@ -146,10 +146,11 @@ pub trait LineSource: Sync {
     /// Lower bound of all leading edges on the line, seconds; infinite without echoes.
     fn earliest_s(&self) -> f64;
 
-    /// Emits points of amplitude 0 that bound nearly all echoes of [`Self::walk`], and a sample of its echoes with fade and curl.
-    fn survey(&self, stretch: LineStretch, sink: &mut impl LineSink);
+    /// Emits points of amplitude 0 that bound nearly all echoes of [`Self::walk`], and a sample of its echoes with gain slope and
+    /// gain curvature.
+    fn survey(&self, section: LineSection, sink: &mut impl LineSink);
 
     /// Emits the echoes at the middle of a section in a fixed order, in chunks of at most [`CHUNK`]. Counts are in
     /// scatterer-element pairs. An echo outside the requested delays is not counted, because another section requests it.
-    fn walk(&self, stretch: LineStretch, sink: &mut impl LineSink) -> EchoCounts;
+    fn walk(&self, section: LineSection, sink: &mut impl LineSink) -> EchoCounts;
 }

@@ -73,15 +73,15 @@ pub struct Conditions {
     /// Tolerance of methods that meet one.
     pub tolerance: f64,
     /// Statistics of the received echoes; `None` if echoes may come from any direction.
-    pub heard: Option<Heard>,
+    pub echo_statistics: Option<EchoStatistics>,
 }
 
 /// Energy-weighted motion of the received echoes. Values are root mean squares over the echoes of a pulse-length window, for the
 /// worst window of a ping. They are relative to that window or to the whole ping, whichever has the higher level.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Heard {
+pub struct EchoStatistics {
     /// Displacement of an element along the ray between pulse and echo, metres.
-    pub hop_m: f64,
+    pub displacement_m: f64,
     /// Closing speed along the ray, mean of transmitter and element, metres per second. A window may hold only the end of a
     /// pulse, where the Doppler phase is largest. The value is scaled so that its root mean square represents a whole pulse. It
     /// therefore exceeds [`Self::closing_of_echoes_m_per_s`].
@@ -89,7 +89,7 @@ pub struct Heard {
     /// Closing speed of whole echoes, metres per second.
     pub closing_of_echoes_m_per_s: f64,
     /// Second derivative of the range, mean of both legs, metres per second squared.
-    pub bend_m_per_s2: f64,
+    pub range_acceleration_m_per_s2: f64,
     /// Acceleration of an element along the ray, metres per second squared.
     pub acceleration_m_per_s2: f64,
     /// Speed of an element on its lever arm from the rotation of the platform, along the ray, metres per second.
@@ -100,7 +100,7 @@ pub struct Heard {
     /// includes an allowance for the sampling of echoes.
     pub spread: f64,
     /// Maximum fraction of the energy of a window in its strongest echo.
-    pub loudest: f64,
+    pub strongest_share: f64,
     /// Number of echoes of all elements.
     pub echoes: f64,
 }

@@ -23,7 +23,7 @@ fn pings_of_changing_motion_allocate_nothing_after_the_first_round() {
     };
     let scenes = [5.0, 4.0, 1.0].map(|speed| draw(drawn(speed)));
     let resolution = Resolution {
-        stretch: 16,
+        section_elements: 16,
         slab_samples: 2048,
         time_width: 4,
         slope_width: 4,

@@ -342,7 +342,7 @@ fn sigmf_and_wav_hold_the_same_pings() {
         (8, 384_000)
     );
     // The second ping begins a quarter of a second after the first. It lasts 2 x 40 m / 1480 m/s plus a pulse.
-    let lasts_s = header.moments() as f64 / 384e3;
+    let lasts_s = header.sample_times() as f64 / 384e3;
     assert!(
         (lasts_s - (0.25 + 80.0 / 1480.0 + 2e-3)).abs() < 1e-3,
         "{lasts_s}"

@@ -21,11 +21,11 @@ use crate::report::{Common, Report};
 #[command(about = "Measure errors and run times of the emulator's parts")]
 pub(crate) struct Arguments {
     #[command(subcommand)]
-    what: What,
+    what: BenchCommand,
 }
 
 #[derive(Subcommand)]
-enum What {
+enum BenchCommand {
     /// Synthesis methods: whole pings, a forward-looking ping.
     Echo(whole::Selection),
     /// Fans of 128 elements, 256 beams and 8000 samples with every beamformer.
@@ -89,13 +89,15 @@ fn echo(selection: &whole::Selection) -> Result<(), String> {
 
 pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let done = match given.what {
-        What::Echo(selection) => echo(&selection),
-        What::Beams { common } => beams::run(common.quick, common.json.as_deref()),
-        What::BeamsDump { directory } => beams::dump(&directory),
-        What::BeamsServe => beams::serve(),
-        What::Ping { common, config } => ping::run(&config, common.quick, common.json.as_deref()),
-        What::Rates(selection) => rates::run(&selection),
-        What::Nav {
+        BenchCommand::Echo(selection) => echo(&selection),
+        BenchCommand::Beams { common } => beams::run(common.quick, common.json.as_deref()),
+        BenchCommand::BeamsDump { directory } => beams::dump(&directory),
+        BenchCommand::BeamsServe => beams::serve(),
+        BenchCommand::Ping { common, config } => {
+            ping::run(&config, common.quick, common.json.as_deref())
+        }
+        BenchCommand::Rates(selection) => rates::run(&selection),
+        BenchCommand::Nav {
             common,
             log,
             python,
@@ -105,14 +107,14 @@ pub(crate) fn run(given: Arguments) -> Result<(), Box<dyn std::error::Error>> {
             common.quick,
             common.json.as_deref(),
         ),
-        What::Wire { common } => wire::run(common.quick, common.json.as_deref()),
-        What::TransformDump {
+        BenchCommand::Wire { common } => wire::run(common.quick, common.json.as_deref()),
+        BenchCommand::TransformDump {
             directory,
             scatterers,
             elements,
             element,
         } => transform::dump(&directory, scatterers, elements, element),
-        What::TransformServe { directory } => transform::serve(&directory),
+        BenchCommand::TransformServe { directory } => transform::serve(&directory),
     };
     Ok(done?)
 }

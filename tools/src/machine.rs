@@ -1,6 +1,6 @@
 //! Description of the machine and its load during a measurement.
 
-use echotank_protocols::calendar::Moment;
+use echotank_protocols::calendar::DateTime;
 
 fn first_line(path: &str, key: &str) -> Option<String> {
     let text = std::fs::read_to_string(path).ok()?;
@@ -25,7 +25,7 @@ pub(crate) fn today() -> String {
     let elapsed = std::time::SystemTime::now()
         .duration_since(std::time::UNIX_EPOCH)
         .unwrap_or_default();
-    let now = Moment::from_utc_ns(elapsed.as_nanos() as i64);
+    let now = DateTime::from_utc_ns(elapsed.as_nanos() as i64);
     format!("{:04}-{:02}-{:02}", now.year, now.month, now.day)
 }
 

@@ -28,13 +28,13 @@ impl Grid {
 
 /// Colour scale of a panel: levels of the darkest and brightest colour.
 #[derive(Clone, Copy, PartialEq)]
-pub(crate) struct Look {
+pub(crate) struct ColourScale {
     pub(crate) map: ColourMap,
     pub(crate) low: f32,
     pub(crate) high: f32,
 }
 
-impl Look {
+impl ColourScale {
     /// Scale from the quantiles `low` and `high` of the levels, 0 to 1.
     pub(crate) fn of_shares(grids: &[&Grid], map: ColourMap, low: f64, high: f64) -> Self {
         let mut levels: Vec<f32> = grids
@@ -65,13 +65,14 @@ const NOTHING: [u8; 3] = [30, 34, 60];
 const SHADES: usize = 32;
 
 /// Writes rows of panels side by side, each row centred, with at most seven different scales.
-pub(crate) fn write(file: &Path, rows: &[Vec<(&Grid, Look)>]) -> Result<(), String> {
-    let wide = |row: &Vec<(&Grid, Look)>| row.iter().map(|p| p.0.width + GAP).sum::<usize>() - GAP;
-    let high = |row: &Vec<(&Grid, Look)>| row.iter().map(|p| p.0.height).max().unwrap_or(1);
+pub(crate) fn write(file: &Path, rows: &[Vec<(&Grid, ColourScale)>]) -> Result<(), String> {
+    let wide =
+        |row: &Vec<(&Grid, ColourScale)>| row.iter().map(|p| p.0.width + GAP).sum::<usize>() - GAP;
+    let high = |row: &Vec<(&Grid, ColourScale)>| row.iter().map(|p| p.0.height).max().unwrap_or(1);
     let width = rows.iter().map(wide).max().unwrap_or(1);
     let height = rows.iter().map(|row| high(row) + GAP).sum::<usize>() - GAP;
     let mut palette = [PAPER, NOTHING].concat();
-    let mut looks: Vec<Look> = Vec::new();
+    let mut looks: Vec<ColourScale> = Vec::new();
     let mut pixels = vec![0u8; width * height];
     let mut top = 0;
     for row in rows {

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use echotank_nav::capture;
-use echotank_protocols::words::{Datagrams, Format, Words};
+use echotank_protocols::describer::{Datagrams, Format, MessageDescriber};
 use echotank_runtime::io::capture_text::describe_capture;
 
 #[derive(Args)]
@@ -88,9 +88,9 @@ fn file(args: &Arguments, printer: &mut Printer) -> Result<(), String> {
         return Ok(());
     }
     let format = args.format.or(Format::of_bytes(&bytes)).ok_or(UNKNOWN)?;
-    let mut words = Words::new(format);
-    words.push(&bytes, &mut |line| printer.print(&line));
-    words.finish(&mut |line| printer.print(&line));
+    let mut describer = MessageDescriber::new(format);
+    describer.push(&bytes, &mut |line| printer.print(&line));
+    describer.finish(&mut |line| printer.print(&line));
     Ok(())
 }
 
@@ -100,7 +100,7 @@ fn end(args: &Arguments) -> Option<Instant> {
 }
 
 /// Timeout of a read, after which the clock is checked.
-const LOOK: Duration = Duration::from_millis(100);
+const READ_TIMEOUT: Duration = Duration::from_millis(100);
 
 fn is_silence(error: &std::io::Error) -> bool {
     matches!(
@@ -112,10 +112,10 @@ fn is_silence(error: &std::io::Error) -> bool {
 fn tcp(address: &str, args: &Arguments, printer: &mut Printer) -> Result<(), String> {
     let say = |error: std::io::Error| error.to_string();
     let mut stream = TcpStream::connect(address).map_err(say)?;
-    stream.set_read_timeout(Some(LOOK)).map_err(say)?;
+    stream.set_read_timeout(Some(READ_TIMEOUT)).map_err(say)?;
     stream.write_all(&bytes_of(&args.send)?).map_err(say)?;
     let port = stream.peer_addr().map_err(say)?.port();
-    let mut words = None;
+    let mut describer = None;
     let mut buffer = vec![0; 1 << 16];
     let end = end(args);
     while !printer.is_done() && end.is_none_or(|end| Instant::now() < end) {
@@ -126,18 +126,18 @@ fn tcp(address: &str, args: &Arguments, printer: &mut Printer) -> Result<(), Str
             Err(error) => return Err(error.to_string()),
         };
         let bytes = &buffer[..len];
-        let words = match &mut words {
-            Some(words) => words,
+        let describer = match &mut describer {
+            Some(describer) => describer,
             none => {
                 let told = args.format.or(Format::of_port(port));
                 let format = told.or(Format::of_bytes(bytes)).ok_or(UNKNOWN)?;
-                none.insert(Words::new(format))
+                none.insert(MessageDescriber::new(format))
             }
         };
-        words.push(bytes, &mut |line| printer.print(&line));
+        describer.push(bytes, &mut |line| printer.print(&line));
     }
-    if let Some(words) = words {
-        words.finish(&mut |line| printer.print(&line));
+    if let Some(describer) = describer {
+        describer.finish(&mut |line| printer.print(&line));
     }
     Ok(())
 }
@@ -175,7 +175,7 @@ fn udp(address: &str, args: &Arguments, printer: &mut Printer) -> Result<(), Str
         }
         address => UdpSocket::bind(address).map_err(say)?,
     };
-    socket.set_read_timeout(Some(LOOK)).map_err(say)?;
+    socket.set_read_timeout(Some(READ_TIMEOUT)).map_err(say)?;
     let mut buffer = vec![0; 1 << 16];
     let mut datagrams = Datagrams::default();
     let end = end(args);

@@ -9,7 +9,7 @@
 use std::ops::Range;
 
 use crate::WireError;
-use crate::framing::{Framing, Look, Splitter};
+use crate::framing::{Framing, Scan, Splitter};
 use crate::layout::data_at;
 
 /// TCP port of the head.
@@ -132,8 +132,8 @@ impl Framing for AnswerFraming {
         ANSWER_BYTES
     }
 
-    fn look(&self, bytes: &[u8]) -> Look {
-        let wrong = Look::Wrong(WireError::mark("Imagenex answer", ANSWER_MARK[0], bytes[0]));
+    fn scan(&self, bytes: &[u8]) -> Scan {
+        let wrong = Scan::Wrong(WireError::mark("Imagenex answer", ANSWER_MARK[0], bytes[0]));
         if bytes
             .iter()
             .zip(ANSWER_MARK)
@@ -142,8 +142,8 @@ impl Framing for AnswerFraming {
             return wrong;
         }
         match bytes.get(ANSWER_BYTES - 1) {
-            None => Look::More,
-            Some(&ANSWER_END) => Look::Whole(ANSWER_BYTES),
+            None => Scan::More,
+            Some(&ANSWER_END) => Scan::Whole(ANSWER_BYTES),
             Some(_) => wrong,
         }
     }
@@ -161,14 +161,14 @@ impl Framing for SwitchFraming {
         SWITCH_BYTES
     }
 
-    fn look(&self, bytes: &[u8]) -> Look {
-        let wrong = Look::Wrong(WireError::mark("Imagenex switch command", 0xFEu8, bytes[0]));
+    fn scan(&self, bytes: &[u8]) -> Scan {
+        let wrong = Scan::Wrong(WireError::mark("Imagenex switch command", 0xFEu8, bytes[0]));
         if bytes.iter().zip(BEGIN).any(|(&byte, mark)| byte != mark) {
             return wrong;
         }
         match bytes.get(SWITCH_BYTES - 1) {
-            None => Look::More,
-            Some(&END) => Look::Whole(SWITCH_BYTES),
+            None => Scan::More,
+            Some(&END) => Scan::Whole(SWITCH_BYTES),
             Some(_) => wrong,
         }
     }
@@ -183,15 +183,15 @@ impl Framing for EitherFraming {
         ANSWER_BYTES
     }
 
-    fn look(&self, bytes: &[u8]) -> Look {
+    fn scan(&self, bytes: &[u8]) -> Scan {
         let seen = bytes.len().min(ANSWER_MARK.len());
         if bytes[..seen] != ANSWER_MARK[..seen] {
-            return SwitchFraming.look(bytes);
+            return SwitchFraming.scan(bytes);
         }
         match bytes.get(ANSWER_BYTES - 1) {
-            None => Look::More,
-            Some(&ANSWER_END) => Look::Whole(ANSWER_BYTES),
-            Some(&other) => Look::Wrong(WireError::mark("Imagenex answer", ANSWER_END, other)),
+            None => Scan::More,
+            Some(&ANSWER_END) => Scan::Whole(ANSWER_BYTES),
+            Some(&other) => Scan::Wrong(WireError::mark("Imagenex answer", ANSWER_END, other)),
         }
     }
 }

@@ -25,7 +25,7 @@ use std::ops::Range;
 use binrw::{BinRead, BinWrite};
 
 use crate::WireError;
-use crate::framing::{Framing, Look, Splitter};
+use crate::framing::{Framing, Scan, Splitter};
 use crate::layout::{data_at, layout};
 
 pub use control::{Control, Value};
@@ -259,10 +259,10 @@ impl Framing for JsfFraming {
         MessageHeader::SIZE_BYTES + self.max_body_bytes as usize
     }
 
-    fn look(&self, bytes: &[u8]) -> Look {
+    fn scan(&self, bytes: &[u8]) -> Scan {
         let mark = MARK.to_le_bytes();
         if bytes.iter().zip(mark).any(|(&byte, mark)| byte != mark) {
-            return Look::Wrong(WireError::Mark {
+            return Scan::Wrong(WireError::Mark {
                 what: "JSF mark",
                 expected: MARK.into(),
                 got: bytes
@@ -273,16 +273,16 @@ impl Framing for JsfFraming {
             });
         }
         let Ok(header) = MessageHeader::parse(bytes) else {
-            return Look::More;
+            return Scan::More;
         };
         if let Err(error) = header.check(self.max_body_bytes) {
-            return Look::Wrong(error);
+            return Scan::Wrong(error);
         }
         let whole = MessageHeader::SIZE_BYTES + header.body_bytes as usize;
         if bytes.len() < whole {
-            Look::More
+            Scan::More
         } else {
-            Look::Whole(whole)
+            Scan::Whole(whole)
         }
     }
 }

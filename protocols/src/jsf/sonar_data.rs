@@ -16,7 +16,7 @@ use binrw::{BinRead, BinWrite};
 
 use super::{MessageHeader, block_float, emit_message, message_type};
 use crate::WireError;
-use crate::calendar::Moment;
+use crate::calendar::DateTime;
 use crate::layout::{data_at, layout, to_i16, to_i32, to_u16, to_u32, turn_counts};
 
 /// Format of the samples of a message.
@@ -331,14 +331,14 @@ impl SonarDataHeader {
 
     /// Sets all time fields of the ping, with millisecond resolution; valid until 2038.
     pub fn set_utc_ns(&mut self, utc_ns: i64) {
-        let moment = Moment::from_utc_ns(utc_ns);
+        let date_time = DateTime::from_utc_ns(utc_ns);
         self.ping_time_s = utc_ns.div_euclid(1_000_000_000).clamp(0, i32::MAX.into()) as i32;
-        self.milliseconds_today = moment.milliseconds_of_day();
-        self.year = moment.year as i16;
-        self.day_of_year = moment.day_of_year as i16;
-        self.hour = moment.hour.into();
-        self.minute = moment.minute.into();
-        self.second = moment.second.into();
+        self.milliseconds_today = date_time.milliseconds_of_day();
+        self.year = date_time.year as i16;
+        self.day_of_year = date_time.day_of_year as i16;
+        self.hour = date_time.hour.into();
+        self.minute = date_time.minute.into();
+        self.second = date_time.second.into();
     }
 
     /// Latitude and longitude in radians, if the position is valid and geographic.

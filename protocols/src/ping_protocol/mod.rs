@@ -21,7 +21,7 @@ pub mod surveyor240;
 use std::ops::Range;
 
 use crate::WireError;
-use crate::framing::{Framing, Look, Splitter};
+use crate::framing::{Framing, Scan, Splitter};
 use crate::layout::{data_at, text_of};
 
 use common::{AckMessage, DeviceInformation, GeneralRequest, ProtocolVersion, SetDeviceId};
@@ -172,18 +172,18 @@ impl Framing for PingFraming {
         MAX_FRAME_BYTES
     }
 
-    fn look(&self, bytes: &[u8]) -> Look {
+    fn scan(&self, bytes: &[u8]) -> Scan {
         if bytes.iter().zip(MARK).any(|(&byte, mark)| byte != mark) {
-            return Look::Wrong(WireError::mark(
+            return Scan::Wrong(WireError::mark(
                 "Ping mark",
                 u16::from_be_bytes(MARK),
                 bytes[0],
             ));
         }
         match Frame::parse(bytes) {
-            Ok(frame) => Look::Whole(HEADER_BYTES + frame.payload.len() + CHECKSUM_BYTES),
-            Err(WireError::Truncated { .. }) => Look::More,
-            Err(error) => Look::Wrong(error),
+            Ok(frame) => Scan::Whole(HEADER_BYTES + frame.payload.len() + CHECKSUM_BYTES),
+            Err(WireError::Truncated { .. }) => Scan::More,
+            Err(error) => Scan::Wrong(error),
         }
     }
 }

@@ -107,7 +107,7 @@ impl Default for StreamDecoder {
 }
 
 /// Result of examining the front of the stream.
-enum Look {
+enum Scan {
     /// More bytes are needed. `believable` is true if the bytes so far passed every check, so that an early end is an error.
     Wait { need_bytes: u64, believable: bool },
     /// The bytes are not a record. `believable` is true if the headers are valid.
@@ -222,8 +222,8 @@ impl StreamDecoder {
             if self.head == self.buf.len() {
                 return None;
             }
-            let (error, believable) = match self.look() {
-                Look::Good {
+            let (error, believable) = match self.scan() {
+                Scan::Good {
                     wire_bytes,
                     frame,
                     body_end,
@@ -242,8 +242,8 @@ impl StreamDecoder {
                         body_end,
                     }));
                 }
-                Look::Wait { .. } if !self.ended => return None,
-                Look::Wait {
+                Scan::Wait { .. } if !self.ended => return None,
+                Scan::Wait {
                     need_bytes,
                     believable,
                 } => {
@@ -253,7 +253,7 @@ impl StreamDecoder {
                         believable,
                     )
                 }
-                Look::Bad { error, believable } => (error, believable),
+                Scan::Bad { error, believable } => (error, believable),
             };
             self.head += 1;
             self.counters.skipped_bytes += 1;
@@ -266,18 +266,18 @@ impl StreamDecoder {
         }
     }
 
-    fn look(&mut self) -> Look {
+    fn scan(&mut self) -> Scan {
         let held = &self.buf[self.head..];
-        let first = match self.look_at_headers(held) {
+        let first = match self.scan_headers(held) {
             Ok(frame) => frame,
             Err(look) => return look,
         };
         // From this point, the bytes are likely a record.
-        let bad = |error| Look::Bad {
+        let bad = |error| Scan::Bad {
             error,
             believable: true,
         };
-        let wait = |need_bytes| Look::Wait {
+        let wait = |need_bytes| Scan::Wait {
             need_bytes,
             believable: true,
         };
@@ -325,7 +325,7 @@ impl StreamDecoder {
             &held[NETWORK_FRAME_BYTES..wire_bytes]
         };
         match Record::dissect(record) {
-            Ok((frame, body_end)) => Look::Good {
+            Ok((frame, body_end)) => Scan::Good {
                 wire_bytes,
                 frame,
                 body_end,
@@ -336,12 +336,12 @@ impl StreamDecoder {
     }
 
     /// Validates the first network frame and the data record frame as soon as their bytes are available.
-    fn look_at_headers(&self, held: &[u8]) -> Result<NetworkFrame, Look> {
-        let bad = |error| Look::Bad {
+    fn scan_headers(&self, held: &[u8]) -> Result<NetworkFrame, Scan> {
+        let bad = |error| Scan::Bad {
             error,
             believable: false,
         };
-        let wait = |need: usize, believable| Look::Wait {
+        let wait = |need: usize, believable| Scan::Wait {
             need_bytes: need as u64,
             believable,
         };

@@ -6,7 +6,7 @@
 
 use serde_json::{Map, Value, json};
 
-use crate::calendar::Moment;
+use crate::calendar::DateTime;
 
 /// Version of the specification.
 pub const VERSION: &str = "1.2.5";
@@ -259,7 +259,7 @@ fn whole_at(value: &Value, field: &'static str) -> Result<u64, SigmfError> {
 
 /// ISO 8601 with nine decimals of a second.
 fn date_time(utc_ns: i64) -> String {
-    let m = Moment::from_utc_ns(utc_ns);
+    let m = DateTime::from_utc_ns(utc_ns);
     format!(
         "{:04}-{:02}-{:02}T{:02}:{:02}:{:02}.{:09}Z",
         m.year, m.month, m.day, m.hour, m.minute, m.second, m.nanosecond

@@ -54,20 +54,20 @@ impl SignalStream {
             context_count: 0,
         };
         assert!(
-            stream.moments_per_packet() > 0,
+            stream.sample_times_per_packet() > 0,
             "packets of {max_packet_bytes} bytes do not hold the samples of {vector_size} elements"
         );
         stream
     }
 
     /// Maximum number of samples per element in a packet.
-    pub fn moments_per_packet(&self) -> usize {
+    pub fn sample_times_per_packet(&self) -> usize {
         let payload = self.max_packet_bytes.saturating_sub(AROUND_PAYLOAD_BYTES);
-        let moments = payload / (self.sample_bytes() * self.vector_size as usize);
+        let sample_times = payload / (self.sample_bytes() * self.vector_size as usize);
         if self.is_complex {
-            moments
+            sample_times
         } else {
-            moments / 2 * 2
+            sample_times / 2 * 2
         }
     }
 
@@ -163,11 +163,11 @@ impl SignalStream {
             "{} samples of {vector} elements",
             samples.len()
         );
-        let moments = self.moments_per_packet();
-        for (packet, chunk) in samples.chunks(moments * vector).enumerate() {
+        let sample_times = self.sample_times_per_packet();
+        for (packet, chunk) in samples.chunks(sample_times * vector).enumerate() {
             buf.clear();
             // Each time is computed from the start of the record, so rounding errors do not accumulate.
-            let after_s = (packet * moments) as f64 / self.sample_rate_hz;
+            let after_s = (packet * sample_times) as f64 / self.sample_rate_hz;
             emit_packet(
                 buf,
                 PacketType::SignalData,

@@ -75,10 +75,11 @@ impl WavFormat {
     ///
     /// # Panics
     /// If there is no channel, or the size of one sample of all channels exceeds 16 bits.
-    pub fn emit_header(&self, buf: &mut Vec<u8>, moments: u64, container: Container) {
-        let frame_bytes = u16::try_from(self.frame_bytes()).expect("bytes of a moment in 16 bits");
+    pub fn emit_header(&self, buf: &mut Vec<u8>, sample_times: u64, container: Container) {
+        let frame_bytes =
+            u16::try_from(self.frame_bytes()).expect("bytes of a sample time in 16 bits");
         assert!(frame_bytes > 0, "WAV without a channel");
-        let data_bytes = moments.saturating_mul(u64::from(frame_bytes));
+        let data_bytes = sample_times.saturating_mul(u64::from(frame_bytes));
         // Chunks are padded to an even length.
         let riff_bytes = (HEADER_BYTES as u64 - 8)
             .saturating_add(data_bytes)
@@ -92,7 +93,7 @@ impl WavFormat {
         buf.extend(if is_64 { b"ds64" } else { b"JUNK" });
         buf.extend(28_u32.to_le_bytes());
         let sizes = if is_64 {
-            [riff_bytes, data_bytes, moments]
+            [riff_bytes, data_bytes, sample_times]
         } else {
             [0; 3]
         };
@@ -143,7 +144,7 @@ pub struct WavHeader {
 
 impl WavHeader {
     /// Number of samples per channel.
-    pub fn moments(&self) -> u64 {
+    pub fn sample_times(&self) -> u64 {
         self.data_bytes / self.format.frame_bytes()
     }
 

@@ -26,7 +26,7 @@ use std::ops::Range;
 use binrw::{BinRead, BinWrite};
 
 use crate::WireError;
-use crate::framing::{Framing, Look, Splitter};
+use crate::framing::{Framing, Scan, Splitter};
 use crate::layout::{data_at, layout};
 
 pub use backscatter::{Backscatter, BackscatterHead, DataKind, Tail, emit_backscatter};
@@ -184,16 +184,16 @@ impl Framing for WbmsFraming {
         MAX_PACKET_BYTES as usize
     }
 
-    fn look(&self, bytes: &[u8]) -> Look {
+    fn scan(&self, bytes: &[u8]) -> Scan {
         let mark = MARK.to_le_bytes();
         if bytes.iter().zip(mark).any(|(&byte, mark)| byte != mark) {
-            return Look::Wrong(WireError::mark("WBMS mark", MARK, bytes[0]));
+            return Scan::Wrong(WireError::mark("WBMS mark", MARK, bytes[0]));
         }
         match PacketHeader::parse(bytes).map(|header| (header, header.check())) {
-            Err(_) => Look::More,
-            Ok((_, Err(error))) => Look::Wrong(error),
-            Ok((header, Ok(()))) if bytes.len() < header.size_bytes as usize => Look::More,
-            Ok((header, Ok(()))) => Look::Whole(header.size_bytes as usize),
+            Err(_) => Scan::More,
+            Ok((_, Err(error))) => Scan::Wrong(error),
+            Ok((header, Ok(()))) if bytes.len() < header.size_bytes as usize => Scan::More,
+            Ok((header, Ok(()))) => Scan::Whole(header.size_bytes as usize),
         }
     }
 }

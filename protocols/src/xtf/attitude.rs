@@ -6,7 +6,7 @@ use binrw::{BinRead, BinWrite};
 
 use super::{MARK, PacketStart, packet_of, packet_type};
 use crate::WireError;
-use crate::calendar::Moment;
+use crate::calendar::DateTime;
 use crate::layout::layout;
 
 #[derive(Debug, Clone, Copy, PartialEq, BinRead, BinWrite)]
@@ -65,7 +65,7 @@ impl Attitude {
     /// Appends the packet and returns its byte range.
     pub fn emit(&self, buf: &mut Vec<u8>) -> Range<usize> {
         let at = buf.len();
-        let moment = Moment::from_utc_ns(self.utc_ns);
+        let date_time = DateTime::from_utc_ns(self.utc_ns);
         RawAttitude {
             start: PacketStart {
                 mark: MARK,
@@ -74,7 +74,7 @@ impl Attitude {
                 channels_to_follow: 0,
                 packet_bytes: RawAttitude::SIZE_BYTES as u32,
             },
-            epoch_us: moment.nanosecond / 1000,
+            epoch_us: date_time.nanosecond / 1000,
             epoch_s: self
                 .utc_ns
                 .div_euclid(1_000_000_000)
@@ -83,15 +83,15 @@ impl Attitude {
             roll_deg: self.roll_deg,
             heave_up_m: self.heave_up_m,
             yaw_deg: 0.0,
-            time_tag_ms: moment.milliseconds_of_day(),
+            time_tag_ms: date_time.milliseconds_of_day(),
             heading_deg: self.heading_deg,
-            year: moment.year as u16,
-            month: moment.month,
-            day: moment.day,
-            hour: moment.hour,
-            minute: moment.minute,
-            second: moment.second,
-            millisecond: (moment.nanosecond / 1_000_000) as u16,
+            year: date_time.year as u16,
+            month: date_time.month,
+            day: date_time.day,
+            hour: date_time.hour,
+            minute: date_time.minute,
+            second: date_time.second,
+            millisecond: (date_time.nanosecond / 1_000_000) as u16,
         }
         .emit(buf);
         at..buf.len()

@@ -17,7 +17,7 @@ pub mod ping;
 use binrw::{BinRead, BinWrite};
 
 use crate::WireError;
-use crate::framing::{Framing, Look, Splitter};
+use crate::framing::{Framing, Scan, Splitter};
 use crate::layout::{data_at, layout};
 
 pub use attitude::Attitude;
@@ -112,19 +112,19 @@ impl Framing for XtfFraming {
         (self.max_packet_bytes as usize).max(PacketStart::SIZE_BYTES)
     }
 
-    fn look(&self, bytes: &[u8]) -> Look {
+    fn scan(&self, bytes: &[u8]) -> Scan {
         let mark = MARK.to_le_bytes();
         let Ok(start) = PacketStart::parse(bytes) else {
             return if bytes.iter().zip(mark).all(|(&byte, mark)| byte == mark) {
-                Look::More
+                Scan::More
             } else {
-                Look::Wrong(WireError::mark("XTF mark", MARK, bytes[0]))
+                Scan::Wrong(WireError::mark("XTF mark", MARK, bytes[0]))
             };
         };
         match start.check(self.max_packet_bytes) {
-            Err(error) => Look::Wrong(error),
-            Ok(()) if bytes.len() < start.packet_bytes as usize => Look::More,
-            Ok(()) => Look::Whole(start.packet_bytes as usize),
+            Err(error) => Scan::Wrong(error),
+            Ok(()) if bytes.len() < start.packet_bytes as usize => Scan::More,
+            Ok(()) => Scan::Whole(start.packet_bytes as usize),
         }
     }
 }

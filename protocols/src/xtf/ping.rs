@@ -12,7 +12,7 @@ use super::{
     FileHeader, MARK, PACKET_STEP_BYTES, PacketStart, SampleFormat, packet_of, packet_type,
 };
 use crate::WireError;
-use crate::calendar::{Moment, days_from_epoch};
+use crate::calendar::{DateTime, days_from_epoch};
 use crate::layout::{data_at, layout};
 use crate::sevenk::frame::extend_encoded;
 
@@ -140,13 +140,14 @@ impl PingHeader {
 
     /// Sets the time of the ping and of the position, rounded to the resolution of 0.01 s, and the same time in whole milliseconds.
     pub fn set_utc_ns(&mut self, utc_ns: i64) {
-        let milliseconds = Moment::from_utc_ns(utc_ns).milliseconds_of_day();
-        let moment = Moment::from_utc_ns(utc_ns.saturating_add(NS_PER_HUNDREDTH / 2));
-        self.year = moment.year as u16;
-        (self.month, self.day) = (moment.month, moment.day);
-        (self.hour, self.minute, self.second) = (moment.hour, moment.minute, moment.second);
-        self.hundredths = (i64::from(moment.nanosecond) / NS_PER_HUNDREDTH) as u8;
-        self.julian_day = moment.day_of_year;
+        let milliseconds = DateTime::from_utc_ns(utc_ns).milliseconds_of_day();
+        let date_time = DateTime::from_utc_ns(utc_ns.saturating_add(NS_PER_HUNDREDTH / 2));
+        self.year = date_time.year as u16;
+        (self.month, self.day) = (date_time.month, date_time.day);
+        (self.hour, self.minute, self.second) =
+            (date_time.hour, date_time.minute, date_time.second);
+        self.hundredths = (i64::from(date_time.nanosecond) / NS_PER_HUNDREDTH) as u8;
+        self.julian_day = date_time.day_of_year;
         self.fix_time = [self.hour, self.minute, self.second, self.hundredths];
         self.nav_fix_ms = milliseconds;
         self.attitude_time_tag_ms = milliseconds;

@@ -10,14 +10,14 @@ fn head(frame_number: u32) -> FrameHead {
     FrameHead {
         frame_number,
         ping_number: 0x0102_0304,
-        first_moment: 20,
-        ping_moments: 900,
+        first_sample: 20,
+        ping_samples: 900,
         elements: 2,
         sample_type: SampleType::I16,
         volts_per_unit: 0.5,
         pulse_utc_ns: -2,
-        first_moment_s: 0.25,
-        moments_per_s: 40_000.0,
+        first_sample_s: 0.25,
+        sample_rate_hz: 40_000.0,
         center_frequency_hz: 2e5,
     }
 }
@@ -43,7 +43,7 @@ fn the_bytes_match_the_layout() {
     want.extend(0..24);
     assert_eq!(bytes, want);
     let read = Frame::parse(&bytes).expect("a frame");
-    assert_eq!((read.head, read.moments), (head(7), 3));
+    assert_eq!((read.head, read.sample_times), (head(7), 3));
     assert_eq!(
         (read.samples, read.size_bytes()),
         (&want[HEADER_BYTES..], 96)

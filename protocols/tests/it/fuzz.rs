@@ -3,7 +3,7 @@
 mod cases;
 
 use cases::{Random, decoders};
-use echotank_protocols::words::{Format, Words};
+use echotank_protocols::describer::{Format, MessageDescriber};
 
 #[test]
 fn twenty_thousand_corrupted_messages_per_decoder_do_not_panic() {
@@ -37,9 +37,9 @@ const COMPLAINTS: [&str; 13] = [
 
 fn in_words(format: Format, bytes: &[u8]) -> Vec<String> {
     let mut lines = Vec::new();
-    let mut words = Words::new(format);
-    words.push(bytes, &mut |line| lines.push(line));
-    words.finish(&mut |line| lines.push(line));
+    let mut describer = MessageDescriber::new(format);
+    describer.push(bytes, &mut |line| lines.push(line));
+    describer.finish(&mut |line| lines.push(line));
     lines
 }
 

@@ -45,24 +45,27 @@ fn a_small_file_is_riff_as_the_wave_definition_specifies() {
     assert_same(&bytes, &golden, "RIFF");
     let header = WavHeader::parse(&golden).unwrap();
     assert_eq!((header.format, header.is_rf64), (EIGHT, false));
-    assert_eq!((header.data_at, header.moments()), (HEADER_BYTES, 1000));
+    assert_eq!(
+        (header.data_at, header.sample_times()),
+        (HEADER_BYTES, 1000)
+    );
 }
 
 #[test]
 fn a_file_over_4_gib_is_rf64_with_its_sizes_in_ds64() {
     // 16 B x 2^28 = 4 GiB.
-    let moments = 1_u64 << 28;
+    let sample_times = 1_u64 << 28;
     let mut bytes = Vec::new();
-    EIGHT.emit_header(&mut bytes, moments, Container::AsNeeded);
+    EIGHT.emit_header(&mut bytes, sample_times, Container::AsNeeded);
     assert_eq!((&bytes[..4], &bytes[12..16]), (&b"RF64"[..], &b"ds64"[..]));
     assert_eq!(&bytes[4..8], [0xFF; 4]);
     assert_eq!(&bytes[100..104], [0xFF; 4]);
     assert_eq!(bytes[20..28], ((1_u64 << 32) + 96).to_le_bytes());
     assert_eq!(bytes[28..36], (1_u64 << 32).to_le_bytes());
-    assert_eq!(bytes[36..44], moments.to_le_bytes());
+    assert_eq!(bytes[36..44], sample_times.to_le_bytes());
     let header = WavHeader::parse(&bytes).unwrap();
     assert!(header.is_rf64);
-    assert_eq!(header.moments(), moments);
+    assert_eq!(header.sample_times(), sample_times);
     // The last one that fits: sizes below 0xFFFFFFFF.
     bytes.clear();
     EIGHT.emit_header(
@@ -185,7 +188,7 @@ proptest! {
         EIGHT.emit_header(&mut good, 77, Container::Rf64);
         let at = spoil.0.index(good.len());
         good[at] = spoil.1;
-        if let Ok(header) = WavHeader::parse(&good) { let _ = header.moments(); }
+        if let Ok(header) = WavHeader::parse(&good) { let _ = header.sample_times(); }
         if bytes.len() > 12 {
             bytes[..4].copy_from_slice(b"RIFF");
             bytes[8..12].copy_from_slice(b"WAVE");
@@ -199,12 +202,12 @@ proptest! {
     }
 
     #[test]
-    fn headers_round_trip(channels in 1..4000_u16, sample_rate_hz: u32, sample in 0..3_usize, moments in 0..1_u64 << 40, is_64: bool) {
+    fn headers_round_trip(channels in 1..4000_u16, sample_rate_hz: u32, sample in 0..3_usize, sample_times in 0..1_u64 << 40, is_64: bool) {
         let format = WavFormat { channels, sample_rate_hz, sample: [WavSample::I16, WavSample::I32, WavSample::F32][sample] };
         let mut bytes = Vec::new();
-        format.emit_header(&mut bytes, moments, if is_64 { Container::Rf64 } else { Container::AsNeeded });
+        format.emit_header(&mut bytes, sample_times, if is_64 { Container::Rf64 } else { Container::AsNeeded });
         let header = WavHeader::parse(&bytes).unwrap();
-        prop_assert_eq!((header.format, header.moments(), header.data_at), (format, moments, HEADER_BYTES));
+        prop_assert_eq!((header.format, header.sample_times(), header.data_at), (format, sample_times, HEADER_BYTES));
     }
 
     #[test]

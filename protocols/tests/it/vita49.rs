@@ -154,7 +154,7 @@ fn another_decoder_gives_equal_results() {
 fn packets_of_a_ping_are_contiguous_to_a_picosecond_and_their_counter_wraps() {
     // 10 MS/s: 100 ns a sample, exact in picoseconds.
     let mut stream = SignalStream::new(1, true, 1, 10e6, 24 + 4 * 10);
-    assert_eq!(stream.moments_per_packet(), 10);
+    assert_eq!(stream.sample_times_per_packet(), 10);
     let mut at = 0_u64;
     let samples = vec![[0; 2]; 205];
     let mut counts = Vec::new();

@@ -2,14 +2,14 @@
 
 use echotank_runtime::chart::Chart;
 
-use super::table::{About, note, subtitle};
+use super::table::{ChartContext, note, subtitle};
 use echotank_drawing::escaped;
 
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:1.5rem auto;max-width:1240px;color:#1b1f24;background:#fff}svg{max-width:100%;height:auto}table{border-collapse:collapse;font-size:13px}th,td{padding:3px 9px;text-align:right;border-bottom:1px solid #e4e7eb}th:last-child,td:last-child{text-align:left}tr.at{background:#fff3c4}tr.front td:last-child{font-weight:600}#tip{position:fixed;pointer-events:none;background:#1b1f24;color:#fff;padding:6px 9px;border-radius:5px;font-size:13px;white-space:pre;display:none;z-index:2}[data-row]{cursor:pointer}";
 
 const SCRIPT: &str = "const tip=document.getElementById('tip');const rows=[...document.querySelectorAll('tr[data-row]')];function at(id){for(const r of rows)r.classList.toggle('at',r.dataset.row===id)}for(const p of document.querySelectorAll('svg [data-row]')){p.addEventListener('pointermove',e=>{tip.textContent=p.dataset.tip;tip.style.display='block';tip.style.left=Math.min(e.clientX+14,innerWidth-tip.offsetWidth-8)+'px';tip.style.top=(e.clientY+14)+'px';at(p.dataset.row)});p.addEventListener('pointerleave',()=>{tip.style.display='none'});p.addEventListener('click',()=>{const r=rows.find(r=>r.dataset.row===p.dataset.row);if(r)r.scrollIntoView({block:'center',behavior:'smooth'})})}";
 
-pub(crate) fn html(chart: &Chart, svg: &str, work: Option<&str>, about: &About) -> String {
+pub(crate) fn html(chart: &Chart, svg: &str, work: Option<&str>, about: &ChartContext) -> String {
     let mut table = String::from(
         "<table><thead><tr><th>ms, median<th>min<th>max<th>element error<th>predicted<th>lines<th>image dB<th>level dB<th>method</tr></thead><tbody>",
     );

@@ -10,7 +10,7 @@ use echotank_runtime::chart::work::{Curve, Work};
 use echotank_runtime::chart::{Chart, Measured, Row};
 
 use super::peers::Peer;
-use super::table::{About, subtitle};
+use super::table::{ChartContext, subtitle};
 use echotank_drawing::{Anchor, GREY, INK, PALE, Svg, escaped, width_of};
 
 const WIDTH: f64 = 1200.0;
@@ -145,7 +145,7 @@ fn measured(chart: &Chart) -> impl Iterator<Item = (usize, &Row, &Measured)> {
 const MIN_ERROR: f64 = 1e-8;
 const MIN_DB: f64 = 1e-4;
 
-pub(crate) fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
+pub(crate) fn chart(chart: &Chart, peers: &[Peer], about: &ChartContext) -> String {
     let mut svg = Svg::new(WIDTH, HEIGHT);
     let title = format!("{}: accuracy against speed", chart.sonar);
     svg.label((24.0, 32.0), 20.0, Anchor::Start, INK, &title);
@@ -267,10 +267,10 @@ pub(crate) fn chart(chart: &Chart, peers: &[Peer], about: &About) -> String {
 }
 
 /// A rectangle: left, top, right, bottom.
-type Box4 = (f64, f64, f64, f64);
+type Rectangle = (f64, f64, f64, f64);
 
 /// Rectangles covered by points, marks and lines.
-fn occupied(axes: &Axes, chart: &Chart, peers: &[Peer], period_ms: f64) -> Vec<Box4> {
+fn occupied(axes: &Axes, chart: &Chart, peers: &[Peer], period_ms: f64) -> Vec<Rectangle> {
     let ours = measured(chart).map(|(_, _, m)| (m.times.median_ms, m.errors.elements));
     let theirs = peers.iter().map(|peer| (peer.here_ms(chart), peer.error));
     let around = |(ms, error): (f64, f64)| {
@@ -288,7 +288,13 @@ fn occupied(axes: &Axes, chart: &Chart, peers: &[Peer], period_ms: f64) -> Vec<B
 }
 
 /// Draws the measurements of other software at their times scaled to this scene.
-fn draw_peers(svg: &mut Svg, axes: &Axes, chart: &Chart, peers: &[Peer], taken: &mut Vec<Box4>) {
+fn draw_peers(
+    svg: &mut Svg,
+    axes: &Axes,
+    chart: &Chart,
+    peers: &[Peer],
+    taken: &mut Vec<Rectangle>,
+) {
     for peer in peers {
         let (x, y) = axes.at(peer.here_ms(chart), peer.error.max(MIN_ERROR));
         let tip = peer.description(chart);
@@ -379,7 +385,7 @@ fn points(
 }
 
 /// Labels the configured and selected methods and the methods on the front, if space permits.
-fn labels(svg: &mut Svg, axes: &Axes, chart: &Chart, taken: &mut Vec<Box4>) {
+fn labels(svg: &mut Svg, axes: &Axes, chart: &Chart, taken: &mut Vec<Rectangle>) {
     // The configured and the selected method are placed first.
     let chosen = |row: &Row| row.configured || row.planned_ms.is_some();
     let first = measured(chart).filter(|(_, row, _)| chosen(row));
@@ -396,7 +402,7 @@ fn labels(svg: &mut Svg, axes: &Axes, chart: &Chart, taken: &mut Vec<Box4>) {
     }
 }
 
-fn label(svg: &mut Svg, axes: &Axes, (x, y): (f64, f64), text: &str, taken: &mut Vec<Box4>) {
+fn label(svg: &mut Svg, axes: &Axes, (x, y): (f64, f64), text: &str, taken: &mut Vec<Rectangle>) {
     let wide = width_of(text, LABEL);
     let places = [
         (x + 10.0, y - 6.0),
@@ -464,7 +470,7 @@ fn nth_colour(methods: &[Method], curve: &Curve) -> &'static str {
 }
 
 /// Plots run time against four kinds of work.
-pub(crate) fn work(curves: &[Curve], about: &About) -> String {
+pub(crate) fn work(curves: &[Curve], about: &ChartContext) -> String {
     let mut svg = Svg::new(WIDTH, 420.0);
     svg.label(
         (24.0, 32.0),

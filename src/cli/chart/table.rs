@@ -10,7 +10,7 @@ use echotank_runtime::chart::{Chart, Row};
 use super::peers::Peer;
 
 /// The machine and ping period of a chart.
-pub(crate) struct About {
+pub(crate) struct ChartContext {
     pub(crate) machine: String,
     /// Load average before and after the measurement.
     pub(crate) load: (Option<f64>, Option<f64>),
@@ -18,7 +18,7 @@ pub(crate) struct About {
     pub(crate) period_ms: f64,
 }
 
-impl About {
+impl ChartContext {
     pub(crate) fn load_text(&self) -> String {
         match self.load {
             (Some(before), Some(after)) => format!("load {before:.1} to {after:.1}"),
@@ -28,7 +28,7 @@ impl About {
 }
 
 /// One line with the values that are common to all methods.
-pub(crate) fn subtitle(chart: &Chart, about: &About) -> String {
+pub(crate) fn subtitle(chart: &Chart, about: &ChartContext) -> String {
     let reference = match chart.reference_error {
         Some((error, samples)) => {
             format!("reference solution within {error:.1e} of the reference at {samples} samples")
@@ -57,7 +57,7 @@ pub(crate) fn note(row: &Row) -> String {
     words.join(", ")
 }
 
-pub(crate) fn text(chart: &Chart, curves: &[Curve], about: &About) -> String {
+pub(crate) fn text(chart: &Chart, curves: &[Curve], about: &ChartContext) -> String {
     let mut out = String::new();
     let _ = writeln!(out, "{}: {}", chart.sonar, subtitle(chart, about));
     let _ = writeln!(
@@ -201,7 +201,12 @@ pub(crate) fn csv(chart: &Chart, peers: &[Peer]) -> String {
     out
 }
 
-pub(crate) fn json(chart: &Chart, curves: &[Curve], peers: &[Peer], about: &About) -> String {
+pub(crate) fn json(
+    chart: &Chart,
+    curves: &[Curve],
+    peers: &[Peer],
+    about: &ChartContext,
+) -> String {
     let rows: Vec<_> = chart.rows.iter().map(row).collect();
     let curves: Vec<_> = curves
         .iter()

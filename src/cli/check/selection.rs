@@ -7,9 +7,9 @@ use serde_json::{Value, json};
 
 use crate::cli::Failure;
 use crate::cli::chart::{load_average, machine};
-use echotank_config::spec::{MadeOutput, RigSpec, SonarSpec};
+use echotank_config::spec::{RigSpec, SonarSpec, SynthesisOutput};
 use echotank_ping::method_selection::costs::Costs;
-use echotank_ping::method_selection::{Scene, Swell, rank};
+use echotank_ping::method_selection::{MotionScale, Scene, rank};
 use echotank_ping::methods::{ALONG_PER_RANGE, Candidate, Family, Ranking};
 use echotank_ping::period_ns;
 use echotank_ping::threads::pool;
@@ -80,7 +80,7 @@ fn select_for_images(
         scatterers: &first.scatterers,
         count: first.scatterers.len(),
         costs,
-        swell: Swell::NONE,
+        motion_scale: MotionScale::NONE,
     };
     rank(&scene, &[])
 }
@@ -171,7 +171,7 @@ fn write_sonar(out: &mut String, selection: &SonarSelection, all: bool) -> std::
     if let Some(other) = ranking.next_cheaper() {
         writeln!(out, "  {:<10} {}", "cheaper", ranking.change(other))?;
     }
-    if let Some(other) = ranking.next_dearer() {
+    if let Some(other) = ranking.next_costlier() {
         writeln!(out, "  {:<10} {}", "costlier", ranking.change(other))?;
     }
     if let Some(other) = ranking.other_output() {
@@ -210,7 +210,7 @@ fn is_auto(sonar: &SonarSpec, family: Family) -> bool {
         Family::Doppler => auto.doppler,
         Family::Sum => auto.synthesis,
         Family::Culling => auto.cull,
-        Family::Output => sonar.synthesis.output != MadeOutput::Elements,
+        Family::Output => sonar.synthesis.output != SynthesisOutput::Elements,
     }
 }
 
@@ -234,7 +234,8 @@ fn output(selection: &SonarSelection) -> String {
         of => format!("element samples go to {}", of.join(", ")),
     };
     let mut text = format!("; {readers}; {} lines, {fans} fans", lines.len());
-    if sonar.synthesis.output == MadeOutput::Elements && sonar.synthesis.elements_for.is_none() {
+    if sonar.synthesis.output == SynthesisOutput::Elements && sonar.synthesis.elements_for.is_none()
+    {
         text += "; output = \"auto\" would synthesise only side-scan lines where that is cheaper";
     }
     if let Some(ranking) = &selection.for_pictures {
@@ -306,7 +307,7 @@ fn sonar_json(selection: &SonarSelection) -> Value {
     value["margin"] =
         json!(selection.period_ms * selection.threads as f64 / ranking.chosen().cost_ms());
     value["next_cheaper"] = json!(ranking.next_cheaper().map(one));
-    value["next_dearer"] = json!(ranking.next_dearer().map(one));
+    value["next_costlier"] = json!(ranking.next_costlier().map(one));
     value["other_output"] = json!(ranking.other_output().map(one));
     value["refused"] = json!(ranking.refused);
     value["candidates"] = json!(ranking.candidates.iter().map(one).collect::<Vec<_>>());

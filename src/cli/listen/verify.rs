@@ -104,8 +104,11 @@ fn print(listener: &Listener, took: Duration) -> u64 {
         let words: Vec<_> = kinds.iter().map(|(k, n)| format!("{n} {k}")).collect();
         println!("findings: {}", words.join(", "));
     }
-    if listener.asked > 0 {
-        println!("{} requests, {} replies", listener.asked, listener.answers);
+    if listener.requests > 0 {
+        println!(
+            "{} requests, {} replies",
+            listener.requests, listener.answers
+        );
     }
     println!(
         "{} bytes in {:.1} s; {} transmission errors, {} records without a number, {} resets, {} silences",

@@ -36,10 +36,10 @@ struct Tally {
 struct Stream {
     next: Option<u8>,
     sample_rate_hz: Option<f64>,
-    moment_bytes: Option<usize>,
+    sample_time_bytes: Option<usize>,
 }
 
-fn moment_bytes(format: PayloadFormat) -> usize {
+fn sample_time_bytes(format: PayloadFormat) -> usize {
     let value = match format.kind {
         SampleKind::Fixed { bits } => usize::from(bits).div_ceil(8),
         SampleKind::Float => 4,
@@ -62,7 +62,7 @@ impl Tally {
             PacketType::Context => {
                 if let Ok(context) = Context::parse(packet.payload) {
                     stream.sample_rate_hz = context.sample_rate_hz;
-                    stream.moment_bytes = context.payload_format.map(moment_bytes);
+                    stream.sample_time_bytes = context.payload_format.map(sample_time_bytes);
                 }
                 if self.ping_utc_ns.replace(utc_ns) != Some(utc_ns) {
                     self.pings += 1;
@@ -79,10 +79,10 @@ impl Tally {
                 self.lost += u64::from(gap);
                 let is_first =
                     std::mem::take(&mut self.first_is_due) && self.ping_utc_ns == Some(utc_ns);
-                let last_ns = match (stream.sample_rate_hz, stream.moment_bytes) {
+                let last_ns = match (stream.sample_rate_hz, stream.sample_time_bytes) {
                     (Some(rate_hz), Some(bytes)) if rate_hz > 0.0 && bytes > 0 => {
-                        let moments = packet.payload.len() / bytes;
-                        let last_s = moments.saturating_sub(1) as f64 / rate_hz;
+                        let sample_times = packet.payload.len() / bytes;
+                        let last_s = sample_times.saturating_sub(1) as f64 / rate_hz;
                         Some(now_ns - utc_ns - (last_s * 1e9) as i64)
                     }
                     _ => None,
@@ -178,10 +178,10 @@ mod tests {
             };
             stream.emit_context(&mut packet, time, &context);
             assert_eq!(tally.note(&packet, 0), (None, None));
-            for (first, moments) in [(0_u128, 5), (5, 2)] {
+            for (first, sample_times) in [(0_u128, 5), (5, 2)] {
                 let mut bytes = Vec::new();
                 let time = time.plus_ps(first * 1_000_000_000);
-                let iq = vec![[1, 2]; moments];
+                let iq = vec![[1, 2]; sample_times];
                 stream.emit_complex(&mut bytes, time, &iq, None, |_| {});
                 if lost && first == 0 {
                     continue;

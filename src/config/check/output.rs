@@ -2,7 +2,7 @@
 
 use super::Problems;
 use crate::keys;
-use crate::spec::{ControlSpec, FaultKind, FaultRequest, MadeOutput, SonarSpec};
+use crate::spec::{ControlSpec, FaultKind, FaultRequest, SonarSpec, SynthesisOutput};
 
 /// Records why elements are required, and refuses model.output = "beams" in that case.
 pub(super) fn note_element_needs(
@@ -28,7 +28,8 @@ pub(super) fn note_element_needs(
         None
     };
     sonar.synthesis.elements_for = sonar.needs_elements().or(of_rig);
-    if let (MadeOutput::Beams, Some(why)) = (sonar.synthesis.output, sonar.synthesis.elements_for)
+    if let (SynthesisOutput::Beams, Some(why)) =
+        (sonar.synthesis.output, sonar.synthesis.elements_for)
         && let Some(model) = table.model.as_ref()
     {
         let rule = format!("must be \"elements\" or \"auto\": {why}");

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::NavChannel;
-use super::words::Words;
+use super::words::NamedChoice;
 
 /// Request for a fault, from a `[[fault]]` table or while the rig runs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -5,7 +5,7 @@ use echotank_core::model::{PathModel, Synthesis};
 
 /// Result of a sonar's synthesis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum MadeOutput {
+pub enum SynthesisOutput {
     /// Samples of every element of every array.
     #[default]
     Elements,
@@ -17,8 +17,8 @@ pub enum MadeOutput {
 
 impl SynthesisSpec {
     /// Whether the method selection chooses any method.
-    pub fn is_planned(&self) -> bool {
-        self.auto.any() || self.output != MadeOutput::Elements
+    pub fn selects_methods(&self) -> bool {
+        self.auto.any() || self.output != SynthesisOutput::Elements
     }
 }
 

@@ -1,7 +1,7 @@
 //! Action for pings that cannot be ready in time.
 
 use super::SonarSpec;
-use super::words::Words;
+use super::words::NamedChoice;
 
 /// Factor between successive tolerances.
 const COARSER: f64 = 10.0;

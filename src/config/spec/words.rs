@@ -3,7 +3,7 @@
 use super::*;
 
 /// Choice without parameters that has a text name.
-pub trait Words: Copy + PartialEq + 'static {
+pub trait NamedChoice: Copy + PartialEq + 'static {
     /// All choices with their text names.
     const WORDS: &'static [(Self, &'static str)];
 
@@ -22,7 +22,7 @@ pub trait Words: Copy + PartialEq + 'static {
 
 macro_rules! words {
     ($($choices:ident: $($choice:ident = $word:literal),+;)+) => {
-        $(impl Words for $choices {
+        $(impl NamedChoice for $choices {
             const WORDS: &'static [(Self, &'static str)] = &[$((Self::$choice, $word)),+];
         })+
     };
@@ -40,7 +40,7 @@ words! {
     IncidenceSpec: Normal = "normal", Flat = "flat";
     JsfChannels: Sides = "sides", Staves = "staves";
     JsfFormat: Envelope = "envelope", Analytic = "analytic", Unfiltered = "unfiltered";
-    MadeOutput: Elements = "elements", Beams = "beams", Auto = "auto";
+    SynthesisOutput: Elements = "elements", Beams = "beams", Auto = "auto";
     NavChannel: Position = "position", CourseSpeed = "course-speed", Heading = "heading", RollPitch = "roll-pitch", Heave = "heave", Depth = "depth";
     NavFormat: Nmea = "nmea", Tss1 = "tss1", Em3000 = "em3000", Seapath26 = "seapath26", Kmb = "kmb";
     NavSentence: Zda = "ZDA", Gga = "GGA", Hdt = "HDT";

@@ -20,7 +20,9 @@ use echotank_protocols::imagenex872::{
 use super::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
 use echotank_core::ping::{PingOutput, PingPlan, Side};
 use echotank_core::records::Datagram;
-use echotank_core::settings::{Asked, Asker, KeptKey, KeptValue, SettingChange, SettingsPort};
+use echotank_core::settings::{
+    ChangeOrigin, Requester, SettingChange, SettingsPort, StoredKey, StoredValue,
+};
 use echotank_core::time::UtcNs;
 
 /// Name under which this protocol changes settings.
@@ -154,7 +156,7 @@ impl Protocol for ImagenexProtocol {
             link: Link {
                 settings: Arc::clone(&self.settings),
                 head: Arc::clone(&self.head),
-                by: Asker {
+                by: Requester {
                     via: VIA,
                     peer: Some(peer),
                 },
@@ -184,7 +186,7 @@ struct Client {
 struct Link {
     settings: Arc<dyn SettingsPort>,
     head: Arc<Head>,
-    by: Asker,
+    by: Requester,
     requested: Wants,
     counts: SessionCounts,
 }
@@ -243,7 +245,7 @@ impl Link {
             WireSide::Port => Side::Port,
             WireSide::Starboard => Side::Starboard,
         };
-        let asked = Asked {
+        let origin = ChangeOrigin {
             utc: now,
             by: self.by,
         };
@@ -257,22 +259,22 @@ impl Link {
         changes.extend((is.gain_db != gain_db).then_some(SettingChange::GainDb(gain_db)));
         changes.extend((!is.pinging).then_some(SettingChange::PingTimes(1)));
         for change in changes {
-            let refused = self.settings.apply(change, asked).is_err();
+            let refused = self.settings.apply(change, origin).is_err();
             self.counts.nacks += u64::from(refused);
         }
         for (name, value) in [
             ("frequency index", command.frequency_index),
             ("balance gain", command.balance_gain),
         ] {
-            let key = KeptKey {
+            let key = StoredKey {
                 via: VIA,
                 name,
                 place: record_type(side),
             };
-            let value = KeptValue::Integer(value.into());
-            if self.settings.kept(key).as_ref() != Some(&value) {
+            let value = StoredValue::Integer(value.into());
+            if self.settings.stored(key).as_ref() != Some(&value) {
                 // Storing fails only if thousands of values are stored, and the protocol cannot report a failure.
-                let _ = self.settings.keep(key, value, asked);
+                let _ = self.settings.store(key, value, origin);
             }
         }
         self.head.side(side).add(Waiting {

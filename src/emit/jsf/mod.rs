@@ -18,7 +18,7 @@ use std::sync::Arc;
 
 use num_complex::Complex64;
 
-use echotank_protocols::calendar::Moment;
+use echotank_protocols::calendar::DateTime;
 use echotank_protocols::jsf::block_float;
 use echotank_protocols::jsf::control::system_type;
 use echotank_protocols::jsf::sensors::SensorTime;
@@ -500,7 +500,7 @@ fn sensors(plan: &PingPlan, is_new_second: bool, into: &mut Vec<Arc<Datagram>>) 
 
 /// Position, speed and course as an RMC sentence, with a resolution of 1e-5 minutes of arc (2 cm).
 fn position_sentence(nav: &NavState, utc: UtcNs) -> String {
-    let moment = Moment::from_utc_ns(utc.0);
+    let date_time = DateTime::from_utc_ns(utc.0);
     let parts = |rad: f64| {
         let hundred_thousandths = (rad.to_degrees().abs() * 60.0 * 1e5).round() as u64;
         (
@@ -513,19 +513,19 @@ fn position_sentence(nav: &NavState, utc: UtcNs) -> String {
     let velocity = nav.pose.velocity_m_per_s;
     let mut text = format!(
         "GPRMC,{:02}{:02}{:02}.{:02},{},{lat_deg:02}{lat_min:08.5},{},{lon_deg:03}{lon_min:08.5},{},{:.2},{:.2},{:02}{:02}{:02},,,A",
-        moment.hour,
-        moment.minute,
-        moment.second,
+        date_time.hour,
+        date_time.minute,
+        date_time.second,
         // Seconds are truncated, so 59.999 s does not round to the next minute.
-        moment.nanosecond / 10_000_000,
+        date_time.nanosecond / 10_000_000,
         if nav.invalid.position { 'V' } else { 'A' },
         if nav.latitude_rad < 0.0 { 'S' } else { 'N' },
         if nav.longitude_rad < 0.0 { 'W' } else { 'E' },
         velocity.truncate().length() * 3600.0 / 1852.0,
         course_rad(nav).to_degrees(),
-        moment.day,
-        moment.month,
-        moment.year.rem_euclid(100),
+        date_time.day,
+        date_time.month,
+        date_time.year.rem_euclid(100),
     );
     let checksum = text.bytes().fold(0, |sum, byte| sum ^ byte);
     text.insert(0, '$');

@@ -24,7 +24,7 @@ use super::{JsfSheet, record_type};
 use crate::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
 use echotank_core::records::Datagram;
 use echotank_core::settings::{
-    Asked, Asker, KeptKey, KeptValue, SettingChange, SettingsPort, TriggerSource,
+    ChangeOrigin, Requester, SettingChange, SettingsPort, StoredKey, StoredValue, TriggerSource,
 };
 use echotank_core::time::UtcNs;
 
@@ -48,8 +48,8 @@ pub struct JsfData {
     pub sheet: Arc<JsfSheet>,
 }
 
-fn key(message_type: u16, subsystem: u8, channel: u8) -> KeptKey {
-    KeptKey {
+fn key(message_type: u16, subsystem: u8, channel: u8) -> StoredKey {
+    StoredKey {
         via: VIA,
         name: "message",
         place: record_type(message_type, subsystem, channel),
@@ -58,8 +58,8 @@ fn key(message_type: u16, subsystem: u8, channel: u8) -> KeptKey {
 
 /// True if data of a channel are active (83). Data are active until a client disables them.
 pub fn is_active(settings: &dyn SettingsPort, subsystem: u8, channel: u8) -> bool {
-    let kept = settings.kept(key(message_type::DATA_ACTIVE, subsystem, channel));
-    kept != Some(KeptValue::Integer(0))
+    let value = settings.stored(key(message_type::DATA_ACTIVE, subsystem, channel));
+    value != Some(StoredValue::Integer(0))
 }
 
 impl Protocol for JsfCommands {
@@ -75,7 +75,7 @@ impl Protocol for JsfCommands {
             client: Client {
                 sheet: Arc::clone(&self.sheet),
                 settings: Arc::clone(&self.settings),
-                by: Asker {
+                by: Requester {
                     via: VIA,
                     peer: Some(peer),
                 },
@@ -133,7 +133,7 @@ struct CommandSession {
 struct Client {
     sheet: Arc<JsfSheet>,
     settings: Arc<dyn SettingsPort>,
-    by: Asker,
+    by: Requester,
     counts: SessionCounts,
 }
 
@@ -239,37 +239,37 @@ impl Client {
     }
 
     fn set(&self, control: &Control, now: UtcNs) -> Result<(), i32> {
-        let asked = Asked {
+        let origin = ChangeOrigin {
             utc: now,
             by: self.by,
         };
         let ours = self.addresses_sonar(control)?;
-        let kept = match &control.value {
-            Value::Number(number) => KeptValue::Integer(i64::from(*number)),
+        let value = match &control.value {
+            Value::Number(number) => StoredValue::Integer(i64::from(*number)),
             Value::Coupling {
                 master_subsystem,
                 divisor,
                 delay_us,
-            } => KeptValue::Numbers(vec![
+            } => StoredValue::Numbers(vec![
                 f64::from(*master_subsystem),
                 f64::from(*divisor),
                 f64::from(*delay_us),
             ]),
             Value::PulseName(name) if name.is_empty() => return Err(error_code::UNKNOWN_PULSE),
-            Value::PulseName(name) => KeptValue::Text(name.clone()),
+            Value::PulseName(name) => StoredValue::Text(name.clone()),
             _ => return Err(error_code::FAILED),
         };
-        if ours && let KeptValue::Integer(number) = kept {
-            self.execute(control.message_type, number, asked)?;
+        if ours && let StoredValue::Integer(number) = value {
+            self.execute(control.message_type, number, origin)?;
         }
         let key = key(control.message_type, control.subsystem, control.channel);
         self.settings
-            .keep(key, kept, asked)
+            .store(key, value, origin)
             .map_err(|_| error_code::FAILED)
     }
 
     /// Applies a setting that the model has. Any other setting is only stored.
-    fn execute(&self, message_type: u16, number: i64, asked: Asked) -> Result<(), i32> {
+    fn execute(&self, message_type: u16, number: i64, origin: ChangeOrigin) -> Result<(), i32> {
         let value = number as f64;
         let changes: &[SettingChange] = match message_type {
             message_type::PING_RANGE => &[SettingChange::RangeM(value * 1e-3)],
@@ -299,7 +299,7 @@ impl Client {
             _ => &[],
         };
         for &change in changes {
-            let applied = self.settings.apply(change, asked);
+            let applied = self.settings.apply(change, origin);
             applied.map_err(|_| error_code::FAILED)?;
         }
         Ok(())
@@ -340,16 +340,16 @@ impl Client {
             }
         }
         let key = key(kind, control.subsystem, control.channel);
-        Ok(match (kind, self.settings.kept(key)) {
+        Ok(match (kind, self.settings.stored(key)) {
             // Another protocol has since selected the internal trigger.
-            (message_type::PING_TRIGGER, Some(KeptValue::Integer(was)))
+            (message_type::PING_TRIGGER, Some(StoredValue::Integer(was)))
                 if ours && was == i64::from(trigger::EXTERNAL) =>
             {
                 Value::Number(trigger::INTERNAL)
             }
-            (_, Some(KeptValue::Integer(number))) => Value::Number(number as i32),
-            (_, Some(KeptValue::Text(name))) => Value::PulseName(name),
-            (_, Some(KeptValue::Numbers(n))) if n.len() == 3 => Value::Coupling {
+            (_, Some(StoredValue::Integer(number))) => Value::Number(number as i32),
+            (_, Some(StoredValue::Text(name))) => Value::PulseName(name),
+            (_, Some(StoredValue::Numbers(n))) if n.len() == 3 => Value::Coupling {
                 master_subsystem: n[0] as u32,
                 divisor: n[1] as u32,
                 delay_us: n[2] as u32,

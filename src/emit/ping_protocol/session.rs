@@ -25,7 +25,7 @@ use crate::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Want
 use echotank_config::spec::PingDevice;
 use echotank_core::records::Datagram;
 use echotank_core::settings::{
-    Asked, Asker, KeptKey, KeptValue, SettingChange, SettingLimits, SettingsPort,
+    ChangeOrigin, Requester, SettingChange, SettingLimits, SettingsPort, StoredKey, StoredValue,
 };
 use echotank_core::time::UtcNs;
 
@@ -69,7 +69,7 @@ impl PingPort {
         Box::new(Client {
             device: Arc::clone(&self.device),
             settings: Arc::clone(&self.settings),
-            by: Asker { via: VIA, peer },
+            by: Requester { via: VIA, peer },
             stream: PingStream::new(PingFraming),
             datagrams,
             counts: SessionCounts::default(),
@@ -87,7 +87,7 @@ impl Protocol for PingPort {
     fn class(&self, _record_type: u32) -> Wants {
         Wants::ALL
     }
-    fn welcomes(&self, datagram: &[u8]) -> bool {
+    fn recognises(&self, datagram: &[u8]) -> bool {
         Frame::parse(datagram).is_ok()
     }
 }
@@ -95,7 +95,7 @@ impl Protocol for PingPort {
 struct Client {
     device: Arc<Device>,
     settings: Arc<dyn SettingsPort>,
-    by: Asker,
+    by: Requester,
     stream: PingStream,
     /// Each datagram begins with a frame.
     datagrams: bool,
@@ -192,7 +192,7 @@ impl Client {
         out: &mut Vec<Outgoing>,
     ) -> Result<Outcome, Refusal> {
         let is_omniscan = self.device.spec.device != PingDevice::Surveyor240;
-        let asked = Asked {
+        let origin = ChangeOrigin {
             utc: now,
             by: self.by,
         };
@@ -206,10 +206,14 @@ impl Client {
                 }
                 self.device.lock().device_id = set.device_id;
             }
-            Message::OsPingParams(params) if is_omniscan => self.os_ping_params(params, asked)?,
+            Message::OsPingParams(params) if is_omniscan => self.os_ping_params(params, origin)?,
             Message::SetSpeedOfSound(set) if is_omniscan => {
                 let m_per_s = f64::from(set.speed_of_sound_mm_per_s) / 1e3;
-                self.keep("speed_of_sound", KeptValue::Numbers(vec![m_per_s]), asked)?;
+                self.store(
+                    "speed_of_sound",
+                    StoredValue::Numbers(vec![m_per_s]),
+                    origin,
+                )?;
             }
             Message::SetSyncChannel(sync) if is_omniscan => {
                 if sync.channel_number >= sync.number_of_channels {
@@ -218,12 +222,12 @@ impl Client {
                 self.device.lock().sync = *sync;
             }
             Message::SetPingParameters(params) if !is_omniscan => {
-                self.set_ping_parameters(params, asked)?;
+                self.set_ping_parameters(params, origin)?;
             }
             Message::SetNetInfo(info) if !is_omniscan => {
                 let numbers = [info.ntp_ip_address, info.subnet_mask, info.gateway_ip];
-                let value = KeptValue::Numbers(numbers.map(f64::from).into());
-                self.keep("net_info", value, asked)?;
+                let value = StoredValue::Numbers(numbers.map(f64::from).into());
+                self.store("net_info", value, origin)?;
             }
             // The device uses rig time instead of the time of the client.
             Message::UtcResponse(_)
@@ -272,7 +276,11 @@ impl Client {
     }
 
     /// Applies message 2197 (Omniscan ping parameters).
-    fn os_ping_params(&mut self, params: &OsPingParams, asked: Asked) -> Result<(), Refusal> {
+    fn os_ping_params(
+        &mut self,
+        params: &OsPingParams,
+        origin: ChangeOrigin,
+    ) -> Result<(), Refusal> {
         let (start_m, length_m) = (
             f64::from(params.start_mm) / 1e3,
             f64::from(params.length_mm) / 1e3,
@@ -294,12 +302,12 @@ impl Client {
             &limits,
         )?);
         changes.push(start_or_stop(params.enable != 0));
-        apply_all(&*self.settings, &changes, asked).map_err(|refused| refused.to_string())?;
+        apply_all(&*self.settings, &changes, origin).map_err(|refused| refused.to_string())?;
         let filter = f64::from(params.filter_duration_percent);
-        self.keep(
+        self.store(
             "filter_duration_percent",
-            KeptValue::Numbers(vec![filter]),
-            asked,
+            StoredValue::Numbers(vec![filter]),
+            origin,
         )?;
         let mut requested = self.device.lock();
         requested.start_m = start_m;
@@ -311,7 +319,7 @@ impl Client {
     fn set_ping_parameters(
         &mut self,
         params: &SetPingParameters,
-        asked: Asked,
+        origin: ChangeOrigin,
     ) -> Result<(), Refusal> {
         if !(200..=800).contains(&params.n_range_steps) {
             return Err("n_range_steps must be from 200 to 800".into());
@@ -347,11 +355,11 @@ impl Client {
             2.0 * end_m / self.device.sound_speed_m_per_s / f64::from(params.n_range_steps);
         changes.push(pulse(f64::from(params.pulse_len_steps) * step_s, &limits)?);
         changes.push(start_or_stop(params.ping_enable != 0));
-        apply_all(&*self.settings, &changes, asked).map_err(|refused| refused.to_string())?;
-        let numbers = |value: f64| KeptValue::Numbers(vec![value]);
-        self.keep("sos_mps", numbers(f64::from(params.sos_mps)), asked)?;
-        let frequency = KeptValue::Integer(params.target_ping_hz.into());
-        self.keep("target_ping_hz", frequency, asked)?;
+        apply_all(&*self.settings, &changes, origin).map_err(|refused| refused.to_string())?;
+        let numbers = |value: f64| StoredValue::Numbers(vec![value]);
+        self.store("sos_mps", numbers(f64::from(params.sos_mps)), origin)?;
+        let frequency = StoredValue::Integer(params.target_ping_hz.into());
+        self.store("target_ping_hz", frequency, origin)?;
         let mut requested = self.device.lock();
         // The device starts at 5 % of the range or more. Automatic range starts at 0.
         requested.start_m = match params.end_mm {
@@ -364,14 +372,19 @@ impl Client {
         Ok(())
     }
 
-    fn keep(&self, name: &'static str, value: KeptValue, asked: Asked) -> Result<(), Refusal> {
-        let key = KeptKey {
+    fn store(
+        &self,
+        name: &'static str,
+        value: StoredValue,
+        origin: ChangeOrigin,
+    ) -> Result<(), Refusal> {
+        let key = StoredKey {
             via: VIA,
             name,
             place: 0,
         };
         self.settings
-            .keep(key, value, asked)
+            .store(key, value, origin)
             .map_err(|refused| refused.to_string())
     }
 }

@@ -14,8 +14,8 @@ use echotank_protocols::sevenk::records::{
     SnippetDescriptor, SnippetSamples, emit_7027, emit_7028, emit_7042, emit_7058, flags_7042,
 };
 
-use super::kept::Kept;
 use super::quantise::MAGNITUDE_FULL_SCALE;
+use super::stored_settings::StoredSettings;
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::TimeVaryingGain;
 use echotank_core::ping::{BeamFrame, Detection, PingOutput, PingPlan, Sounding};
@@ -58,7 +58,7 @@ pub(super) struct Source<'a> {
     pub plan: &'a PingPlan,
     pub output: &'a PingOutput,
     pub sonar: &'a SonarSpec,
-    pub kept: &'a Kept,
+    pub stored: &'a StoredSettings,
     /// Number of samples between the start of the pulse and the first computed sample.
     pub silent: usize,
     pub stamp: RecordStamp,
@@ -151,7 +151,7 @@ fn half_footprint_samples(sounding: &Sounding, fan: &BeamFrame, rate_hz: f64) ->
 
 /// Computes the sample ranges of the snippets of a ping, counted from range 0.
 fn snippets(work: &mut Workspace, source: &Source<'_>, fan: &BeamFrame) {
-    let window = source.kept.snippets;
+    let window = source.stored.snippets;
     let last = (source.silent + fan.samples).saturating_sub(1) as u32;
     work.descriptors.clear();
     for sounding in &source.output.soundings {
@@ -211,7 +211,7 @@ pub(crate) fn snippets_7028(
     let rth = Rth7028 {
         sonar_id: source.sonar.serial,
         ping_number: source.plan.ping_number,
-        control_flags: source.kept.snippets.flags as u8,
+        control_flags: source.stored.snippets.flags as u8,
         ..Rth7028::default()
     };
     let samples = SnippetSamples::U16(&work.intensities);
@@ -279,7 +279,7 @@ pub(crate) fn water_column_7042(
     fan: &BeamFrame,
     buf: &mut Vec<u8>,
 ) -> u64 {
-    let flags = source.kept.water_column_flags;
+    let flags = source.stored.water_column_flags;
     let divisor = match (flags >> flags_7042::DIVISOR_SHIFT) & 0xF {
         0 => 1,
         divisor => divisor as usize,

@@ -14,11 +14,11 @@
 //! specifies. The timestamp of navigation records is the time of their state, which is the start of the pulse.
 
 mod bottom;
-pub mod kept;
 pub mod protocol;
 pub mod quantise;
 pub mod records;
 pub mod session;
+pub mod stored_settings;
 
 use std::sync::Arc;
 
@@ -34,8 +34,8 @@ use bottom::{Source, Workspace};
 use echotank_core::ping::{BeamFrame, ElementFrame, Line, PingOutput, PingPlan, Side};
 use echotank_core::pulse::Pulse;
 use echotank_core::records::Datagram;
-use kept::Kept;
 use records::{DeviceSheet, View};
+use stored_settings::StoredSettings;
 
 /// Record types of a simulated sonar. The records of a ping are sent in this order, because readers assign records to the
 /// preceding record 7000. Record 7610 precedes 7000, so that the sound velocity is known before the first detections.
@@ -154,7 +154,7 @@ pub struct SevenKEmitter {
     beam_numbers: Vec<u16>,
     single: Vec<[f32; 2]>,
     bottom: Workspace,
-    kept: Kept,
+    stored: StoredSettings,
     totals: EmitCounts,
 }
 
@@ -184,7 +184,7 @@ impl SevenKEmitter {
             beam_numbers: Vec::new(),
             single: Vec::new(),
             bottom: Workspace::default(),
-            kept: Kept::default(),
+            stored: StoredSettings::default(),
             totals: EmitCounts::default(),
         }
     }
@@ -195,8 +195,8 @@ impl SevenKEmitter {
     }
 
     /// Sets the stored settings that apply to the pings from now on.
-    pub fn keep(&mut self, kept: Kept) {
-        self.kept = kept;
+    pub fn set_stored(&mut self, stored: StoredSettings) {
+        self.stored = stored;
     }
 
     /// Counts since the start.
@@ -219,7 +219,7 @@ impl SevenKEmitter {
         into: &mut Vec<Arc<Datagram>>,
     ) -> EmitCounts {
         let mut counts = EmitCounts::default();
-        let mut keep = |(record, saturated): (Arc<Datagram>, u64)| {
+        let mut add = |(record, saturated): (Arc<Datagram>, u64)| {
             counts += EmitCounts {
                 records: 1,
                 bytes: record.bytes.len() as u64,
@@ -231,7 +231,7 @@ impl SevenKEmitter {
             if wanted.contains(id)
                 && let Some(made) = self.record(place, id, plan, output)
             {
-                keep(made);
+                add(made);
             }
         }
         for number in 0..output.more_lines.len() {
@@ -239,7 +239,7 @@ impl SevenKEmitter {
                 if wanted.contains(id)
                     && let Some(made) = self.further_record(number, id, plan, output)
                 {
-                    keep(made);
+                    add(made);
                 }
             }
         }
@@ -271,7 +271,7 @@ impl SevenKEmitter {
         };
         let width_rad = sheet.receive_beam_width_rad(plan, output.beams.first());
         let mut settings = sheet.settings_7000(plan.ping_number, &view, width_rad);
-        self.kept.report_7000(&mut settings);
+        self.stored.report_7000(&mut settings);
         settings.multi_ping_sequence = sequence;
         let record = self.pools[place].write(|buf| settings.emit(buf, &stamp));
         Some((record, 0))
@@ -328,7 +328,7 @@ impl SevenKEmitter {
             plan,
             output,
             sonar: sheet.sonar(),
-            kept: &self.kept,
+            stored: &self.stored,
             silent: silent_samples(plan, sheet.sample_rate_hz()),
             stamp: ping_stamp,
         };
@@ -338,13 +338,13 @@ impl SevenKEmitter {
             7000 => {
                 let beam_width_rad = sheet.receive_beam_width_rad(plan, output.beams.first());
                 let mut settings = sheet.settings_7000(plan.ping_number, &view, beam_width_rad);
-                self.kept.report_7000(&mut settings);
+                self.stored.report_7000(&mut settings);
                 settings.multi_ping_sequence = own_sequence(output);
                 exact(pool.write(|buf| settings.emit(buf, &ping_stamp)))
             }
             7503 => {
                 let mut settings = sheet.settings_7503(plan.ping_number, &view);
-                self.kept.report_7503(&mut settings);
+                self.stored.report_7503(&mut settings);
                 exact(pool.write(|buf| settings.emit(buf, &ping_stamp)))
             }
             7004 => {

@@ -8,12 +8,12 @@ use echotank_protocols::sevenk::packet::{MAX_DATAGRAM_BYTES, PacketLimitError};
 use echotank_protocols::sevenk::{Command, ControlRequest, Packetiser, Reassembler};
 
 use super::RecordSet;
-use super::kept::VIA;
 use super::records::DeviceSheet;
 use super::session::{MAX_COMMAND_BYTES, Session as Inner, SessionContext};
+use super::stored_settings::VIA;
 use crate::session::{Framer, Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
 use echotank_core::records::Datagram;
-use echotank_core::settings::{Asker, Changed, SettingChange, SettingsPort, TriggerSource};
+use echotank_core::settings::{Changed, Requester, SettingChange, SettingsPort, TriggerSource};
 use echotank_core::time::UtcNs;
 
 /// 7k on one port, over TCP and UDP.
@@ -75,7 +75,7 @@ impl Protocol for SevenKProtocol {
             sheet: Arc::clone(&self.sheet),
             settings: Arc::clone(&self.settings),
             is_own: self.is_own,
-            by: Asker {
+            by: Requester {
                 via: VIA,
                 peer: Some(peer),
             },
@@ -95,7 +95,7 @@ impl Protocol for SevenKProtocol {
     }
 
     /// A first command that is split over several datagrams cannot start a session.
-    fn welcomes(&self, datagram: &[u8]) -> bool {
+    fn recognises(&self, datagram: &[u8]) -> bool {
         matches!(
             Reassembler::new(MAX_COMMAND_BYTES).push_datagram(datagram),
             Ok(Some(_))
@@ -110,7 +110,7 @@ impl Protocol for SevenKProtocol {
     fn notices(&self, version: u64, now: UtcNs) -> Vec<Datagram> {
         let stamp = self.sheet.stamp(now);
         let changes = self.settings.changes_since(version);
-        let foreign = changes.iter().filter(|entry| entry.asked.by.via != VIA);
+        let foreign = changes.iter().filter(|entry| entry.origin.by.via != VIA);
         let mut out: Vec<_> = foreign
             .filter_map(|entry| command_for(&entry.changed))
             .map(|command| {
@@ -172,7 +172,7 @@ struct Client {
     sheet: Arc<DeviceSheet>,
     settings: Arc<dyn SettingsPort>,
     is_own: fn(SocketAddr) -> bool,
-    by: Asker,
+    by: Requester,
 }
 
 impl Client {

@@ -16,7 +16,7 @@ use echotank_protocols::sevenk::records::{
 };
 use echotank_protocols::sevenk::{ErrorCode, RecordStamp, SevenKTime, control_flags, device_id};
 
-use super::kept::Kept;
+use super::stored_settings::StoredSettings;
 use super::{RecordSet, UNCOMMON_RECORDS};
 use echotank_config::spec::{NavSpec, SevenKSpec, SonarSpec};
 use echotank_core::arrays::{Mounting, Pattern, TimeVaryingGain};
@@ -52,7 +52,7 @@ pub struct DeviceSheet {
     absorption_db_per_m: f64,
     /// Depth of the reference point without heave, metres.
     still_depth_m: f64,
-    tells_depth: bool,
+    has_depth: bool,
     info_xml: String,
 }
 
@@ -107,7 +107,7 @@ impl DeviceSheet {
             sound_speed_m_per_s,
             absorption_db_per_m,
             still_depth_m: 0.0,
-            tells_depth: false,
+            has_depth: false,
         }
     }
 
@@ -116,7 +116,7 @@ impl DeviceSheet {
     #[must_use]
     pub fn with_navigation(mut self, nav: &NavSpec) -> Self {
         self.still_depth_m = nav.still_depth_m().unwrap_or(0.0);
-        self.tells_depth = nav.tells_depth();
+        self.has_depth = nav.has_depth();
         self
     }
 
@@ -173,7 +173,7 @@ impl DeviceSheet {
     /// Records that this sonar sends while it pings.
     pub(crate) fn ping_records(&self) -> RecordSet {
         let mut set = RecordSet::of(&[7000, 7503, 7610, 1003, 1012, 1013, 1015, 1016]);
-        if self.tells_depth {
+        if self.has_depth {
             set.insert(1008);
         }
         if self.sonar.beams.fan.is_some() {
@@ -356,7 +356,7 @@ impl DeviceSheet {
         };
         let mut bytes = Vec::new();
         let mut record = self.settings_7503(0, &view);
-        Kept::of(port).report_7503(&mut record);
+        StoredSettings::of(port).report_7503(&mut record);
         record.emit(&mut bytes, &self.stamp(now));
         Datagram {
             record_type: 7503,

@@ -6,7 +6,7 @@
 //! - 7030 and 1009 are sent once to a client that subscribes to them.
 //! - 1050 for 7001, 7503, 7030 or 1009 is answered at once. For a ping record, the record of the next ping is sent once. While the
 //!   sonar is not pinging, the request is refused (0x7002). 7500 is available by subscription only (0x700A).
-//! - Settings of a SeaBat that the model does not use are stored and reported in 7503 ([`super::kept`]). Values that the
+//! - Settings of a SeaBat that the model does not use are stored and reported in 7503 ([`super::stored_settings`]). Values that the
 //!   configuration fixes (pulse type, frequency, band) are accepted if they match and refused (0x7006) otherwise.
 //! - 1114, 1100 and 1101 stop the internal trigger. 1107 and 1121 stop continuous pinging.
 //! - The four bytes of an address in 1053 and 1054 are in the order a.b.c.d.
@@ -29,14 +29,14 @@ use echotank_protocols::sevenk::{
 };
 
 use super::bottom::can_compress;
-use super::kept;
 use super::records::DeviceSheet;
+use super::stored_settings;
 use super::{RECORDS, RecordSet};
 use crate::session::Transport;
 pub use crate::session::{Outgoing, SessionCounts};
 use echotank_core::records::Datagram;
 use echotank_core::settings::{
-    Asked, Asker, KeptValue, SettingChange, SettingsPort, TriggerSource,
+    ChangeOrigin, Requester, SettingChange, SettingsPort, StoredValue, TriggerSource,
 };
 use echotank_core::time::UtcNs;
 
@@ -59,7 +59,7 @@ pub struct SessionContext<'a> {
     /// True for an address of the server itself.
     pub is_own: fn(SocketAddr) -> bool,
     /// Origin of the commands, recorded with setting changes.
-    pub by: Asker,
+    pub by: Requester,
 }
 
 /// 7k session of one client, over TCP or UDP.
@@ -245,20 +245,22 @@ impl Client {
         command: &Command,
         context: &SessionContext<'_>,
     ) -> Result<Option<Outgoing>, ErrorCode> {
-        let asked = Asked {
+        let origin = ChangeOrigin {
             utc: context.now,
             by: context.by,
         };
-        if let Some((name, numbers)) = kept::stored_setting(command) {
+        if let Some((name, numbers)) = stored_settings::stored_setting(command) {
             check_kept(command)?;
-            let value = KeptValue::Numbers(numbers);
-            let kept = context.settings.keep(kept::key(name), value, asked);
-            return kept
+            let value = StoredValue::Numbers(numbers);
+            let stored = context
+                .settings
+                .store(stored_settings::key(name), value, origin);
+            return stored
                 .map(|()| None)
                 .map_err(|_| ErrorCode::RemoteCommandDenied);
         }
         let apply = |change| {
-            let applied = context.settings.apply(change, asked);
+            let applied = context.settings.apply(change, origin);
             applied
                 .map(|_| None)
                 .map_err(|_| ErrorCode::ParameterOutOfRange)

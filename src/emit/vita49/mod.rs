@@ -211,7 +211,7 @@ impl Vita49Emitter {
             true => self.iq.len(),
             false => self.real.len(),
         } / elements;
-        let per_packet = self.streams[0].moments_per_packet();
+        let per_packet = self.streams[0].sample_times_per_packet();
         let rate_hz = self.streams[0].sample_rate_hz;
         // Two real samples fill a word. An odd last sample of a block is sent with the next block.
         let whole = |row: usize| if is_complex { row } else { row / 2 * 2 };

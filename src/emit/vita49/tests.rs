@@ -78,7 +78,7 @@ fn spec() -> Vita49Spec {
 }
 
 /// Time of sample `k` of the ping, picoseconds since 1970.
-fn moment_ps(k: usize, rate_hz: f64) -> u128 {
+fn sample_time_ps(k: usize, rate_hz: f64) -> u128 {
     1_700_000_000_999_900_000_000 + 250_000_000 + (k as f64 / rate_hz * 1e12).round() as u128
 }
 
@@ -121,7 +121,7 @@ fn each_element_stream_carries_its_samples_times_and_counts() {
             for (n, packet) in mine[1..].iter().enumerate() {
                 let before = usize::from(round) * (mine.len() - 1);
                 assert_eq!(usize::from(packet.count), (before + n) % 16);
-                assert_eq!(ps(packet.time), moment_ps(k, RATE_HZ));
+                assert_eq!(ps(packet.time), sample_time_ps(k, RATE_HZ));
                 let trailer = packet.trailer.expect("a trailer");
                 assert_eq!(trailer.over_range, Some(false));
                 assert_eq!(trailer.sample_loss, Some(round == 1));
@@ -153,7 +153,7 @@ fn a_vector_stream_interleaves_all_elements_by_sample() {
         let packet = Packet::parse(bytes).expect("a packet");
         assert_eq!(packet.stream_id, 7);
         if packet.packet_type == PacketType::SignalData {
-            assert_eq!(ps(packet.time), moment_ps(all.len() / 4, RATE_HZ));
+            assert_eq!(ps(packet.time), sample_time_ps(all.len() / 4, RATE_HZ));
             all.extend(complex_samples(packet.payload));
         }
     }
@@ -202,7 +202,7 @@ fn passband_samples_equal_the_modulated_carrier_within_one_count() {
                 assert!(!said.payload_format.expect("a format").is_complex);
                 continue;
             }
-            assert_eq!(ps(packet.time), moment_ps(k, 1.2e6));
+            assert_eq!(ps(packet.time), sample_time_ps(k, 1.2e6));
             for got in real_samples(packet.payload) {
                 let t = 2.5e-4 + k as f64 / 1.2e6;
                 let want = 0.5 * 32767.0 * (std::f64::consts::TAU * 403e3 * t).cos();
@@ -233,7 +233,7 @@ fn blocks_of_an_odd_number_of_passband_samples_carry_every_sample_once() {
         for bytes in packets.iter() {
             let packet = Packet::parse(bytes).expect("a packet");
             if packet.stream_id == 7 && packet.packet_type == PacketType::SignalData {
-                assert_eq!(ps(packet.time), moment_ps(all.len(), 1.2e6));
+                assert_eq!(ps(packet.time), sample_time_ps(all.len(), 1.2e6));
                 all.extend(real_samples(packet.payload));
             }
         }

@@ -17,7 +17,8 @@ use crate::changes::{apply_all, at_part, part_of};
 use crate::session::{Outgoing, Protocol, Session, SessionCounts, Transport, Wants};
 use echotank_core::records::Datagram;
 use echotank_core::settings::{
-    Asked, Asker, KeptKey, KeptValue, SettingChange, SettingLimits, SettingsPort, TriggerSource,
+    ChangeOrigin, Requester, SettingChange, SettingLimits, SettingsPort, StoredKey, StoredValue,
+    TriggerSource,
 };
 use echotank_core::time::UtcNs;
 
@@ -90,7 +91,7 @@ impl Protocol for ControlPort {
         Box::new(Client {
             device: Arc::clone(&self.device),
             settings: Arc::clone(&self.settings),
-            by: Asker {
+            by: Requester {
                 via: VIA,
                 peer: Some(peer),
             },
@@ -107,7 +108,7 @@ impl Protocol for ControlPort {
 struct Client {
     device: Arc<Device>,
     settings: Arc<dyn SettingsPort>,
-    by: Asker,
+    by: Requester,
     /// Start of a line whose end has not arrived.
     held: String,
     is_over: bool,
@@ -166,13 +167,13 @@ impl Client {
         }
         self.counts.commands += 1;
         let word = line.split_ascii_whitespace().next().unwrap_or_default();
-        let asked = Asked {
+        let origin = ChangeOrigin {
             utc: now,
             by: self.by,
         };
         let outcome = Command::parse(line)
             .map_err(|error| error.to_string())
-            .and_then(|command| self.execute(word, command, asked));
+            .and_then(|command| self.execute(word, command, origin));
         let comment = outcome.err().unwrap_or_default();
         self.counts.nacks += u64::from(!comment.is_empty());
         let comment = match comment.as_str() {
@@ -188,7 +189,12 @@ impl Client {
         out.push(text(self.answer(&word, &comment)));
     }
 
-    fn execute(&mut self, word: &str, command: Command, asked: Asked) -> Result<(), String> {
+    fn execute(
+        &mut self,
+        word: &str,
+        command: Command,
+        origin: ChangeOrigin,
+    ) -> Result<(), String> {
         let limits = self.settings.limits();
         let changes: Vec<SettingChange> = match command {
             Command::Query(_) => return Ok(()),
@@ -230,7 +236,7 @@ impl Client {
             }
             _ => Vec::new(),
         };
-        apply_all(&*self.settings, &changes, asked).map_err(|refused| refused.to_string())?;
+        apply_all(&*self.settings, &changes, origin).map_err(|refused| refused.to_string())?;
         let mut requested = self.device.lock();
         match command {
             Command::RangeM { start, .. } => requested.start_m = start,
@@ -241,16 +247,16 @@ impl Client {
             _ => {}
         }
         drop(requested);
-        self.keep(word, &command, asked)
+        self.store(word, &command, origin)
     }
 
     /// Stores values without an effect in the model.
-    fn keep(&self, word: &str, command: &Command, asked: Asked) -> Result<(), String> {
+    fn store(&self, word: &str, command: &Command, origin: ChangeOrigin) -> Result<(), String> {
         if let (Command::NtpServer(server), Some(key)) = (command, key_of(word)) {
-            let kept = self
+            let stored = self
                 .settings
-                .keep(key, KeptValue::Text(server.clone()), asked);
-            return kept.map_err(|refused| refused.to_string());
+                .store(key, StoredValue::Text(server.clone()), origin);
+            return stored.map_err(|refused| refused.to_string());
         }
         let numbers = match *command {
             Command::Mode(value)
@@ -283,7 +289,7 @@ impl Client {
             return Ok(());
         };
         self.settings
-            .keep(key, KeptValue::Numbers(numbers), asked)
+            .store(key, StoredValue::Numbers(numbers), origin)
             .map_err(|refused| refused.to_string())
     }
 
@@ -310,31 +316,31 @@ impl Client {
             "set_snippet_rate" => vec![requested.snippet_rate_hz],
             "set_tp_rate" => vec![requested.water_column_rate_hz],
             "set_gain" => vec![settings.gain_db],
-            "set_trigger_mode" => vec![match (self.settings.trigger(), self.kept(word)) {
-                (TriggerSource::External, Some(kept)) => kept.first().copied().unwrap_or(4.0),
+            "set_trigger_mode" => vec![match (self.settings.trigger(), self.stored(word)) {
+                (TriggerSource::External, Some(stored)) => stored.first().copied().unwrap_or(4.0),
                 (TriggerSource::External, None) => 4.0,
-                (TriggerSource::Internal, kept) => kept
-                    .and_then(|kept| kept.first().copied())
+                (TriggerSource::Internal, stored) => stored
+                    .and_then(|stored| stored.first().copied())
                     .filter(|&mode| mode < 4.0)
                     .unwrap_or(0.0),
             }],
             "serial" => vec![sonar.serial as f64],
-            "set_opening_angle" => self.kept(word).unwrap_or_else(|| {
+            "set_opening_angle" => self.stored(word).unwrap_or_else(|| {
                 vec![fan.map_or(0.0, |fan| fan.sector_rad.to_degrees().round())]
             }),
-            "set_direction" => self.kept(word).unwrap_or_else(|| {
+            "set_direction" => self.stored(word).unwrap_or_else(|| {
                 vec![fan.map_or(0.0, |fan| fan.form.center_rad.to_degrees().round())]
             }),
             "sound_velocity" => self
-                .kept(word)
-                .filter(|kept| kept.first().is_some_and(|&c| c > 0.0))
+                .stored(word)
+                .filter(|stored| stored.first().is_some_and(|&c| c > 0.0))
                 .unwrap_or_else(|| vec![self.device.sound_speed_m_per_s]),
             "set_mode" | "set_tx_beam_number" | "set_mf_decimation" => {
-                self.kept(word).unwrap_or_else(|| vec![1.0])
+                self.stored(word).unwrap_or_else(|| vec![1.0])
             }
             "set_ntp_server" => Vec::new(),
-            "set_resolution" => self.kept(word).unwrap_or_else(|| vec![0.0, 0.0]),
-            _ if key_of(word).is_some() => self.kept(word).unwrap_or_else(|| vec![0.0]),
+            "set_resolution" => self.stored(word).unwrap_or_else(|| vec![0.0, 0.0]),
+            _ if key_of(word).is_some() => self.stored(word).unwrap_or_else(|| vec![0.0]),
             _ => Vec::new(),
         };
         let comment = match (word, comment) {
@@ -344,15 +350,15 @@ impl Client {
             ("bit_log" | "ntp_log", "") => "empty",
             (_, comment) => comment,
         };
-        match key_of(word).and_then(|key| self.settings.kept(key)) {
-            Some(KeptValue::Text(text)) => answer(&format!("{word} {text}"), &values, comment),
+        match key_of(word).and_then(|key| self.settings.stored(key)) {
+            Some(StoredValue::Text(text)) => answer(&format!("{word} {text}"), &values, comment),
             _ => answer(word, &values, comment),
         }
     }
 
-    fn kept(&self, word: &str) -> Option<Vec<f64>> {
-        match self.settings.kept(key_of(word)?) {
-            Some(KeptValue::Numbers(numbers)) => Some(numbers),
+    fn stored(&self, word: &str) -> Option<Vec<f64>> {
+        match self.settings.stored(key_of(word)?) {
+            Some(StoredValue::Numbers(numbers)) => Some(numbers),
             _ => None,
         }
     }
@@ -380,9 +386,9 @@ const KEPT: [&str; 18] = [
     "set_ntp_server",
 ];
 
-fn key_of(word: &str) -> Option<KeptKey> {
+fn key_of(word: &str) -> Option<StoredKey> {
     let name = KEPT.into_iter().find(|&known| known == word)?;
-    Some(KeptKey {
+    Some(StoredKey {
         via: VIA,
         name,
         place: 0,

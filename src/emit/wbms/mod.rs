@@ -90,7 +90,7 @@ impl RequestedSettings {
 
 /// Types of packets that have a subscriber.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Wanted {
+pub struct SubscribedPackets {
     /// Detections of the fan.
     pub bathymetry: bool,
     /// Magnitudes of all beams.
@@ -146,7 +146,7 @@ impl WbmsEmitter {
         &mut self,
         plan: &PingPlan,
         output: &PingOutput,
-        wanted: Wanted,
+        wanted: SubscribedPackets,
         into: &mut Vec<Arc<Datagram>>,
     ) {
         let requested = self.device.requested();

@@ -327,8 +327,9 @@ impl DelaySumFormer {
                 continue;
             }
             // Permitted change of 1/r from a zone's middle to its ends.
-            let bend = self.focus_error_rad * self.steered.wavelength_m() / (PI * half_m * half_m);
-            let far = 1.0 / near_m - 2.0 * bend;
+            let curvature =
+                self.focus_error_rad * self.steered.wavelength_m() / (PI * half_m * half_m);
+            let far = 1.0 / near_m - 2.0 * curvature;
             // An aperture that grows with range is adapted in steps of 5 %.
             let max_m = match self.uses_whole_line(near_m) {
                 false => 1.05 * near_m,
@@ -412,8 +413,8 @@ impl DelaySumFormer {
                 } else if near_m < min_focus_m || !self.uses_whole_line(near_m) {
                     (min_focus_m.max(1.05 * near_m), false)
                 } else {
-                    let bend = groups.max_bend_per_m(self.steered.correlator.pulse(), c);
-                    let far = 1.0 / near_m - 2.0 * bend;
+                    let curvature = groups.max_curvature_per_m(self.steered.correlator.pulse(), c);
+                    let far = 1.0 / near_m - 2.0 * curvature;
                     (if far > 0.0 { 1.0 / far } else { f64::INFINITY }, true)
                 };
                 tile.end = self

@@ -38,11 +38,11 @@ impl NavHistory {
     ) -> Result<NavState, NavGap> {
         self.last_ping = self.last_ping.max(transmit_utc);
         let beyond = match (mode, self.on_lost) {
-            (NavMode::Settle, _) => Beyond::Refused { after_s: 0.0 },
-            (NavMode::Predict, OnLost::Skip) => Beyond::Refused {
+            (NavMode::Settle, _) => ExtrapolationPolicy::Refused { after_s: 0.0 },
+            (NavMode::Predict, OnLost::Skip) => ExtrapolationPolicy::Refused {
                 after_s: self.max_extrapolation_s,
             },
-            (NavMode::Predict, OnLost::Hold) => Beyond::Held {
+            (NavMode::Predict, OnLost::Hold) => ExtrapolationPolicy::Held {
                 after_s: self.max_extrapolation_s,
             },
         };
@@ -66,7 +66,7 @@ impl NavHistory {
     /// Predicted state and motion at `utc` from the samples so far. The motion is extrapolated for `max_extrapolation_s`, then held
     /// and flagged invalid. Refusals are not counted.
     pub fn predict(&mut self, utc: UtcNs, trajectory: &mut Trajectory) -> Result<NavState, NavGap> {
-        let beyond = Beyond::Held {
+        let beyond = ExtrapolationPolicy::Held {
             after_s: self.max_extrapolation_s,
         };
         let invalid = self.fill_trajectory(utc, 0.0, beyond, trajectory)?;
@@ -93,7 +93,7 @@ impl NavHistory {
         &mut self,
         zero: UtcNs,
         window_s: f64,
-        beyond: Beyond,
+        beyond: ExtrapolationPolicy,
         trajectory: &mut Trajectory,
     ) -> Result<NavInvalid, NavGap> {
         let window = Window {
@@ -176,7 +176,7 @@ impl NavHistory {
     /// Time for which a channel is extrapolated before it comes to rest, seconds. `None` if the channel does not come to rest in
     /// this window.
     fn resting(&self, channel: NavChannel, w: &Window) -> Option<f64> {
-        let Beyond::Held { after_s } = w.beyond else {
+        let ExtrapolationPolicy::Held { after_s } = w.beyond else {
             return None;
         };
         let newest = self.newest_of(channel, self.stretch(channel, w).ok()?)?;
@@ -217,7 +217,7 @@ impl NavHistory {
             .filter(|s| *s <= w.zero)
             .max()
             .unwrap_or(NO_SEAM_BEFORE);
-        if matches!(w.beyond, Beyond::Refused { .. }) {
+        if matches!(w.beyond, ExtrapolationPolicy::Refused { .. }) {
             return match end <= w.end {
                 true => Err(NavGap::Seam),
                 false => Ok(Stretch { start, end }),
@@ -260,10 +260,10 @@ impl NavHistory {
         let last = ends.next_back().unwrap_or(first);
         let age_s = w.end.seconds_since(last.utc);
         match w.beyond {
-            Beyond::Refused { .. } if age_s > 0.0 && stretch.end != NO_SEAM_AFTER => {
+            ExtrapolationPolicy::Refused { .. } if age_s > 0.0 && stretch.end != NO_SEAM_AFTER => {
                 return Err(NavGap::Seam);
             }
-            Beyond::Refused { after_s } if age_s > after_s => {
+            ExtrapolationPolicy::Refused { after_s } if age_s > after_s => {
                 return Err(NavGap::Stale { channel, age_s });
             }
             _ => {}
@@ -509,7 +509,7 @@ fn newest_used(times_s: impl Iterator<Item = f64>, window_s: f64) -> f64 {
 
 /// Policy for a window that extends beyond the last measurement.
 #[derive(Clone, Copy)]
-enum Beyond {
+enum ExtrapolationPolicy {
     /// The window is refused if it ends more than `after_s` seconds after the last measurement.
     Refused { after_s: f64 },
     /// Motion is extrapolated for `after_s` seconds and then comes to rest.
@@ -577,7 +577,7 @@ struct Window {
     zero: UtcNs,
     from: UtcNs,
     end: UtcNs,
-    beyond: Beyond,
+    beyond: ExtrapolationPolicy,
 }
 
 impl Window {

@@ -14,7 +14,7 @@
 //! by Chernoff's bound for two gamma variables of shape n, the independent samples of a window: no more than band times time, and no more than scatterers
 //! make them. Beside windows louder than themselves errors are counted against the ping's mean: there the short part's own fluctuation is all.
 
-use crate::method_selection::heard::{MIN_WINDOW, Shares, kept_shares};
+use crate::method_selection::echo_statistics::{MIN_WINDOW, Shares, kept_shares};
 use crate::method_selection::{Culling, Scene};
 use echotank_config::spec::SonarSpec;
 use echotank_core::ping::PingPlan;

@@ -1,20 +1,20 @@
-//! Plans while the sonar runs: made anew when motion or settings have changed enough, when an error check says that a plan does not hold, and in
-//! effect a fixed number of pings later.
+//! Method selection while the sonar runs. Methods are selected anew when motion or settings have changed enough, or when an error check exceeds
+//! the tolerance. A selection takes effect a fixed number of pings later.
 //!
 //! ```text
 //! ping n: the motion has grown -> a thread ranks, and makes a pipeline if the choice is another
 //! ping n + lead: the new pipeline is taken, and waited for if it must be
 //! ```
 //!
-//! Which ping looks, what it sees and when its plan is in effect depend on ping numbers, navigation and settings alone, never on how fast anything
-//! was: the same pings are made with the same plans in every clock mode. A ping that is skipped looks at nothing.
+//! When a selection starts, its input and when it takes effect depend only on ping numbers, navigation and settings, never on computing time. The
+//! same pings therefore use the same methods in every clock mode. A skipped ping is not examined.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 
 use crate::method_selection::costs::Costs;
-use crate::method_selection::{Scene, Swell, goal, rank, sample, with_choice};
+use crate::method_selection::{MotionScale, Scene, goal, rank, sample, with_choice};
 use crate::methods::{Choice, Ranking};
 use crate::pipeline::{PipelineError, SonarPipeline};
 use crate::threads::pool;
@@ -23,47 +23,47 @@ use echotank_core::ping::{ErrorCheck, MethodMark, PingPlan};
 use echotank_core::scene::Scatterers;
 use echotank_core::settings::SonarSettings;
 
-/// Every so many pings the motion is looked at.
-const LOOK_EVERY: u32 = 4;
-/// What was seen in so many looks counts: at 10 pings a second 13 s, longer than a swell's period.
-const REMEMBERED: usize = 32;
-/// A plan made now is in effect after this long, in whole pings: time to make an engine with the finest tolerance.
+/// Interval between examinations of the motion, in pings.
+const MOTION_CHECK_PINGS: u32 = 4;
+/// Number of examinations that are remembered: at 10 pings a second 13 s, longer than the period of a swell.
+const MOTION_HISTORY: usize = 32;
+/// Delay until a selection takes effect, rounded up to whole pings: time to make an engine with the finest tolerance.
 const LEAD_S: f64 = 4.0;
-/// In pings, at least.
+/// Minimum delay until a selection takes effect, in pings.
 const MIN_LEAD: u32 = 2;
-/// Motion that has grown by this factor, or fallen to this share in all that is remembered, asks for a new plan.
-const GROWN: f64 = 1.2;
-const FALLEN: f64 = 0.4;
-/// Below this nothing is motion: m/s, m/s^2, m/s.
-const STILL: [f64; 3] = [1e-6, 1e-6, 1e-6];
-/// A plan that costs less than this share of the one in effect is worth the change.
-const WORTH: f64 = 0.85;
-/// Instants of a ping at which its motion is looked at.
+/// Methods are selected anew if the motion grows by the first factor, or if all remembered motion falls below the second share.
+const MAX_GROWTH: f64 = 1.2;
+const MIN_REMAINDER: f64 = 0.4;
+/// Smaller motion counts as none: m/s, m/s^2, m/s.
+const MIN_MOTION: [f64; 3] = [1e-6, 1e-6, 1e-6];
+/// A selection must cost less than this share of the current one to replace it.
+const WORTHWHILE_COST: f64 = 0.85;
+/// Instants of a ping at which its motion is examined.
 const INSTANTS: usize = 8;
 
-/// Speed, acceleration and turning of the worst arm.
-type Seen = [f64; 3];
+/// Maximum speed, acceleration and rotational speed over all lever arms, m/s, m/s^2 and m/s.
+type MotionPeaks = [f64; 3];
 
-/// The plans of one sonar.
-pub struct Planner {
+/// Selects the methods of one sonar while it runs.
+pub struct MethodSelector {
     /// As configured.
     spec: SonarSpec,
     medium: MediumSpec,
     costs: Arc<Costs>,
     choice: Choice,
     mark: MethodMark,
-    /// What the plan in effect was made for; none before the first.
-    made_for: Option<(Seen, SonarSettings)>,
-    seen: VecDeque<Seen>,
-    barred: Vec<Choice>,
+    /// Motion and settings on which the current selection is based; `None` before the first selection.
+    basis: Option<(MotionPeaks, SonarSettings)>,
+    recent: VecDeque<MotionPeaks>,
+    excluded: Vec<Choice>,
     pending: Option<Pending>,
     /// Counts since the sonar was opened.
-    pub counts: PlanCounts,
+    pub counts: SelectionCounts,
 }
 
 /// Of a sonar, since it was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct PlanCounts {
+pub struct SelectionCounts {
     /// New rankings of the candidates.
     pub(crate) ranked: u64,
     /// Rankings after which the selected methods changed.
@@ -76,7 +76,7 @@ pub struct PlanCounts {
 
 struct Pending {
     from_ping: u32,
-    made_for: (Seen, SonarSettings),
+    basis: (MotionPeaks, SonarSettings),
     thread: JoinHandle<Outcome>,
 }
 
@@ -87,10 +87,10 @@ type Outcome = Option<(
     Result<Option<Box<SonarPipeline>>, PipelineError>,
 )>;
 
-impl Planner {
-    /// None where nothing is left to the plan.
+impl MethodSelector {
+    /// `None` if the configuration fixes all methods.
     pub fn new(spec: &SonarSpec, medium: &MediumSpec, costs: Arc<Costs>) -> Option<Self> {
-        spec.synthesis.is_planned().then(|| Self {
+        spec.synthesis.selects_methods().then(|| Self {
             choice: Choice {
                 model: spec.model,
                 engine_tolerance: spec.synthesis.engine_tolerance,
@@ -107,49 +107,54 @@ impl Planner {
             spec: spec.clone(),
             medium: medium.clone(),
             costs,
-            made_for: None,
-            seen: VecDeque::with_capacity(REMEMBERED + 1),
-            barred: Vec::new(),
+            basis: None,
+            recent: VecDeque::with_capacity(MOTION_HISTORY + 1),
+            excluded: Vec::new(),
             pending: None,
-            counts: PlanCounts::default(),
+            counts: SelectionCounts::default(),
         })
     }
 
-    /// What the pings of the plan in effect carry.
+    /// Selection that the pings record.
     pub fn mark(&self) -> Option<MethodMark> {
-        self.made_for.is_some().then_some(self.mark)
+        self.basis.is_some().then_some(self.mark)
     }
 
-    /// The first plan, at once, in place of a pipeline that has made nothing yet. To be called inside the pool that runs it.
-    pub fn begin(
+    /// Makes the first selection at once and replaces a pipeline that has not computed a ping. Call inside the pool that runs the pipeline.
+    pub fn select_first(
         &mut self,
         plan: &PingPlan,
         scatterers: &Scatterers,
         pipeline: &mut SonarPipeline,
     ) {
-        let seen = look(&self.spec, plan);
-        let made_for = (seen, plan.settings);
-        let job = self.job(plan, sample(scatterers), scatterers.len(), Swell::NONE);
-        self.take(made_for, job.run(), pipeline);
+        let peaks = motion_peaks(&self.spec, plan);
+        let basis = (peaks, plan.settings);
+        let job = self.job(
+            plan,
+            sample(scatterers),
+            scatterers.len(),
+            MotionScale::NONE,
+        );
+        self.adopt(basis, job.run(), pipeline);
     }
 
-    /// Takes the plan that is due.
-    pub fn before(&mut self, ping_number: u32, pipeline: &mut SonarPipeline) {
+    /// Adopts the selection that is due.
+    pub fn before_ping(&mut self, ping_number: u32, pipeline: &mut SonarPipeline) {
         let due = |p: &Pending| ping_number >= p.from_ping;
         if let Some(pending) = self.pending.take_if(|p| due(p)) {
             let outcome = pending.thread.join().ok().flatten();
-            self.take(pending.made_for, outcome, pipeline);
+            self.adopt(pending.basis, outcome, pipeline);
         }
     }
 
-    fn take(
+    fn adopt(
         &mut self,
-        made_for: (Seen, SonarSettings),
+        basis: (MotionPeaks, SonarSettings),
         outcome: Outcome,
         pipeline: &mut SonarPipeline,
     ) {
         self.counts.ranked += 1;
-        self.made_for = Some(made_for);
+        self.basis = Some(basis);
         match outcome {
             Some((choice, mark, Ok(made))) => {
                 if let Some(made) = made {
@@ -160,15 +165,15 @@ impl Planner {
                 self.mark = mark;
             }
             Some((choice, _, Err(_))) => {
-                self.barred.push(choice);
+                self.excluded.push(choice);
                 self.counts.failed += 1;
             }
             None => self.counts.failed += 1,
         }
     }
 
-    /// Looks at a ping that has been made.
-    pub fn after(
+    /// Examines a computed ping.
+    pub fn after_ping(
         &mut self,
         plan: &PingPlan,
         scatterers: &Scatterers,
@@ -178,13 +183,13 @@ impl Planner {
         if self.pending.is_some() {
             return;
         }
-        if fault && self.made_for.is_some() && !self.barred.contains(&self.choice) {
+        if fault && self.basis.is_some() && !self.excluded.contains(&self.choice) {
             self.counts.given_up += 1;
-            self.barred.push(self.choice);
-            self.order(plan, scatterers);
+            self.excluded.push(self.choice);
+            self.start_selection(plan, scatterers);
             return;
         }
-        let changed = match &self.made_for {
+        let changed = match &self.basis {
             None => true,
             Some((_, settings)) => {
                 settings.range_m != plan.settings.range_m
@@ -193,57 +198,57 @@ impl Planner {
         };
         if changed {
             // Another pulse or range is another problem: what failed there may do here.
-            self.barred.clear();
+            self.excluded.clear();
         }
-        if !changed && !plan.ping_number.is_multiple_of(LOOK_EVERY) {
+        if !changed && !plan.ping_number.is_multiple_of(MOTION_CHECK_PINGS) {
             return;
         }
-        self.seen.push_back(look(&self.spec, plan));
-        if self.seen.len() > REMEMBERED {
-            self.seen.pop_front();
+        self.recent.push_back(motion_peaks(&self.spec, plan));
+        if self.recent.len() > MOTION_HISTORY {
+            self.recent.pop_front();
         }
-        if changed || self.has_moved_on() {
-            self.order(plan, scatterers);
+        if changed || self.has_motion_changed() {
+            self.start_selection(plan, scatterers);
         }
     }
 
-    /// The worst of all that is remembered.
-    fn envelope(&self) -> Seen {
-        self.seen.iter().fold(STILL, |mut worst, seen| {
-            for (worst, value) in worst.iter_mut().zip(seen) {
+    /// Maximum of all remembered motion.
+    fn envelope(&self) -> MotionPeaks {
+        self.recent.iter().fold(MIN_MOTION, |mut worst, peaks| {
+            for (worst, value) in worst.iter_mut().zip(peaks) {
                 *worst = worst.max(*value);
             }
             worst
         })
     }
 
-    fn has_moved_on(&self) -> bool {
-        let Some((made_for, _)) = &self.made_for else {
+    fn has_motion_changed(&self) -> bool {
+        let Some((basis, _)) = &self.basis else {
             return true;
         };
-        let full = self.seen.len() == REMEMBERED;
-        self.envelope().iter().zip(made_for).any(|(now, then)| {
-            let then = then.max(STILL[0]);
-            *now > GROWN * then || full && *now < FALLEN * then
+        let full = self.recent.len() == MOTION_HISTORY;
+        self.envelope().iter().zip(basis).any(|(now, then)| {
+            let then = then.max(MIN_MOTION[0]);
+            *now > MAX_GROWTH * then || full && *now < MIN_REMAINDER * then
         })
     }
 
-    /// Begins a plan beside the ping path.
-    fn order(&mut self, plan: &PingPlan, scatterers: &Scatterers) {
-        let now = look(&self.spec, plan);
+    /// Starts a selection in another thread.
+    fn start_selection(&mut self, plan: &PingPlan, scatterers: &Scatterers) {
+        let now = motion_peaks(&self.spec, plan);
         let worst = self.envelope();
-        let times = |k: usize| (worst[k] / now[k].max(STILL[k])).max(1.0);
+        let times = |k: usize| (worst[k] / now[k].max(MIN_MOTION[k])).max(1.0);
         // A ping that happens to stand still says nothing of the directions: as far as ten times it is believed.
-        let swell = Swell {
+        let motion_scale = MotionScale {
             speed: times(0).min(10.0),
             acceleration: times(1).min(10.0),
             turning: times(2).min(10.0),
         };
-        let job = self.job(plan, sample(scatterers), scatterers.len(), swell);
+        let job = self.job(plan, sample(scatterers), scatterers.len(), motion_scale);
         let c = plan.sound_speed_m_per_s;
         let period_s = 1e-9 * crate::period_ns(&plan.settings, c) as f64;
         let lead = ((LEAD_S / period_s).ceil() as u32).max(MIN_LEAD);
-        let made_for = ([0, 1, 2].map(|k| worst[k].max(now[k])), plan.settings);
+        let basis = ([0, 1, 2].map(|k| worst[k].max(now[k])), plan.settings);
         let spawned = thread::Builder::new()
             .name("plan".into())
             .spawn(move || job.run());
@@ -251,7 +256,7 @@ impl Planner {
             Ok(thread) => {
                 self.pending = Some(Pending {
                     from_ping: plan.ping_number.saturating_add(lead),
-                    made_for,
+                    basis,
                     thread,
                 });
             }
@@ -259,7 +264,13 @@ impl Planner {
         }
     }
 
-    fn job(&self, plan: &PingPlan, scatterers: Scatterers, count: usize, swell: Swell) -> Job {
+    fn job(
+        &self,
+        plan: &PingPlan,
+        scatterers: Scatterers,
+        count: usize,
+        motion_scale: MotionScale,
+    ) -> Job {
         let mut spec = self.spec.clone();
         // Engines are made for the settings in force.
         spec.settings = plan.settings;
@@ -270,17 +281,17 @@ impl Planner {
             plan: plan.clone(),
             scatterers,
             count,
-            swell,
-            barred: self.barred.clone(),
+            motion_scale,
+            excluded: self.excluded.clone(),
             current: self.choice,
-            is_first: self.made_for.is_none(),
+            is_first: self.basis.is_none(),
             number: self.mark.plan,
             threads: rayon::current_num_threads(),
         }
     }
 }
 
-/// A plan to be made, with all it needs.
+/// A selection to be made, with its input.
 struct Job {
     spec: SonarSpec,
     medium: MediumSpec,
@@ -288,8 +299,8 @@ struct Job {
     plan: PingPlan,
     scatterers: Scatterers,
     count: usize,
-    swell: Swell,
-    barred: Vec<Choice>,
+    motion_scale: MotionScale,
+    excluded: Vec<Choice>,
     current: Choice,
     is_first: bool,
     number: u32,
@@ -305,10 +316,10 @@ impl Job {
             scatterers: &self.scatterers,
             count: self.count,
             costs: &self.costs,
-            swell: self.swell,
+            motion_scale: self.motion_scale,
         };
-        let ranking = rank(&scene, &self.barred)?;
-        let kept = self.kept(&ranking);
+        let ranking = rank(&scene, &self.excluded)?;
+        let kept = self.current_candidate(&ranking);
         let (choice, candidate) = match kept {
             Some(k) => (self.current, &ranking.candidates[k]),
             None => (ranking.chosen().choice, ranking.chosen()),
@@ -333,9 +344,9 @@ impl Job {
         Some((choice, mark, made.ok()?))
     }
 
-    /// The choice in effect, where it still does and what would take its place is hardly cheaper.
-    fn kept(&self, ranking: &Ranking) -> Option<usize> {
-        if self.is_first || self.barred.contains(&self.current) {
+    /// The current choice, if it still meets the goal and its replacement is hardly cheaper.
+    fn current_candidate(&self, ranking: &Ranking) -> Option<usize> {
+        if self.is_first || self.excluded.contains(&self.current) {
             return None;
         }
         let same = |choice: &Choice| {
@@ -346,14 +357,14 @@ impl Job {
         };
         let at = ranking.candidates.iter().position(|c| same(&c.choice))?;
         let candidate = &ranking.candidates[at];
-        let dear = ranking.chosen().cost_ms() < WORTH * candidate.cost_ms();
+        let is_expensive = ranking.chosen().cost_ms() < WORTHWHILE_COST * candidate.cost_ms();
         let nearer = ranking.chosen().choice.nearest_m < 0.9 * self.current.nearest_m;
-        (goal(&self.spec).meets(candidate) && !dear && !nearer).then_some(at)
+        (goal(&self.spec).meets(candidate) && !is_expensive && !nearer).then_some(at)
     }
 }
 
-/// The motion of a ping, quickly: of all transmitters and both ends of every line.
-fn look(spec: &SonarSpec, plan: &PingPlan) -> Seen {
+/// Motion of a ping at all transmitters and both ends of every line.
+fn motion_peaks(spec: &SonarSpec, plan: &PingPlan) -> MotionPeaks {
     let step_s = plan.window_s(spec.receiver.sample_rate_hz) / INSTANTS as f64;
     let mut worst = [0.0f64; 3];
     let transmit = spec.transmit.iter().map(|t| t.mounting.position_m);

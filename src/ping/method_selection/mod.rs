@@ -6,7 +6,7 @@
 
 pub mod costs;
 mod culled;
-pub mod heard;
+pub mod echo_statistics;
 pub mod live;
 pub mod parts;
 mod walked;
@@ -20,12 +20,12 @@ use crate::engines::{HARDEST_M_PER_S2, Sketch, is_line, sketch};
 use crate::line_engines::{NOMINAL_SCATTERERS, SIDEWAYS_M_PER_S, choices};
 use crate::method_selection::costs::Costs;
 use crate::method_selection::culled::floors;
-use crate::method_selection::heard::Shares;
+use crate::method_selection::echo_statistics::Shares;
 use crate::method_selection::parts::{Parting, partings};
-use crate::method_selection::walked::{Walked, direct_runs, flank_points};
+use crate::method_selection::walked::{WalkLengths, direct_runs, flank_points};
 use crate::methods::{Candidate, Choice, Displaced, Family, Goal, Part, Ranking, choose};
 use crate::work::{Figure, Work};
-use echotank_config::spec::{MadeOutput, MediumSpec, SonarSpec};
+use echotank_config::spec::{MediumSpec, SonarSpec, SynthesisOutput};
 use echotank_core::arrays::{Pattern, ReceiverFilter};
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::PingPlan;
@@ -56,7 +56,7 @@ const KEPT_BY_ONE: f64 = 0.4;
 /// And `gridded-2d` all of it: it keeps its tolerance in noise, to 0.8 in the worst of 112 answers of `tools/accuracy sweep` but one.
 const KEPT_BY_WHOLE_LINES: f64 = 1.0;
 /// What `gridded-2d` foresees knows nothing of the series that carry Doppler: 1.4 to 3.9 times as much was measured with it, with lines of 8 and 96
-/// elements at tolerances of 8e-3 to 2e-3. Nor does it know how long slabs are and how few elements share a stretch: pings took 0.1 to 8 times as long as
+/// elements at tolerances of 8e-3 to 2e-3. Nor does it know how long slabs are and how few elements a section has: pings took 0.1 to 8 times as long as
 /// foreseen with the former factor on echoes and grids. The latter is no fit: what is foreseen badly is counted dear.
 const LINE_DOPPLER: f64 = 2.5;
 const LINE_DOPPLER_GRIDS: f64 = 10.0;
@@ -85,12 +85,12 @@ pub struct Scene<'a> {
     /// Cost model of the machine.
     pub costs: &'a Costs,
     /// Recent motion of the platform over its motion in this ping.
-    pub swell: Swell,
+    pub motion_scale: MotionScale,
 }
 
 /// Recent motion over the motion in one ping: factors of 1 and more.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Swell {
+pub struct MotionScale {
     /// Of the speed.
     pub speed: f64,
     /// Of the acceleration.
@@ -99,7 +99,7 @@ pub struct Swell {
     pub turning: f64,
 }
 
-impl Swell {
+impl MotionScale {
     /// The motion of the ping itself.
     pub const NONE: Self = Self {
         speed: 1.0,
@@ -107,18 +107,18 @@ impl Swell {
         turning: 1.0,
     };
 
-    fn on(&self, mut conditions: Conditions) -> Conditions {
+    fn apply_to(&self, mut conditions: Conditions) -> Conditions {
         conditions.speed_m_per_s *= self.speed;
         conditions.acceleration_m_per_s2 *= self.acceleration;
         conditions.turning_m_per_s *= self.turning;
-        if let Some(heard) = &mut conditions.heard {
-            heard.hop_m *= self.speed;
-            heard.closing_m_per_s *= self.speed;
-            heard.closing_of_echoes_m_per_s *= self.speed;
-            heard.across_m_per_s *= self.speed;
-            heard.bend_m_per_s2 *= self.acceleration.max(self.speed * self.speed);
-            heard.acceleration_m_per_s2 *= self.acceleration;
-            heard.turning_m_per_s *= self.turning;
+        if let Some(echoes) = &mut conditions.echo_statistics {
+            echoes.displacement_m *= self.speed;
+            echoes.closing_m_per_s *= self.speed;
+            echoes.closing_of_echoes_m_per_s *= self.speed;
+            echoes.across_m_per_s *= self.speed;
+            echoes.range_acceleration_m_per_s2 *= self.acceleration.max(self.speed * self.speed);
+            echoes.acceleration_m_per_s2 *= self.acceleration;
+            echoes.turning_m_per_s *= self.turning;
         }
         conditions
     }
@@ -130,7 +130,7 @@ pub fn sample(all: &Scatterers) -> Scatterers {
         curve: all.curve.clone(),
         ..Scatterers::default()
     };
-    for (i, stands_for) in heard::drawn(all, heard::LOOKED_AT) {
+    for (i, stands_for) in echo_statistics::sampled(all, echo_statistics::SAMPLE_SIZE) {
         let strength = all.strength[i] * stands_for.sqrt();
         some.push(all.position_m(i), all.normal[i], strength, all.law[i]);
         if let Some(loud) = some.loud.last_mut() {
@@ -171,21 +171,21 @@ pub fn goal(spec: &SonarSpec) -> Goal {
 pub fn rank(scene: &Scene, barred: &[Choice]) -> Option<Ranking> {
     // An element's engine is a part's too.
     let sketches = Sketches::default();
-    let maker = Maker::new(scene, None, &sketches);
-    let (mut candidates, mut refused) = maker.candidates();
-    let partings = worth_trying(scene, &maker.conditions);
+    let builder = CandidateBuilder::new(scene, None, &sketches);
+    let (mut candidates, mut refused) = builder.candidates();
+    let partings = worth_trying(scene, &builder.conditions);
     for parting in &partings {
         let spec = in_parts(scene.spec.clone(), parting.of);
         let scene = Scene {
             spec: &spec,
             ..*scene
         };
-        let (more, why) = Maker::new(&scene, Some(*parting), &sketches).candidates();
+        let (more, why) = CandidateBuilder::new(&scene, Some(*parting), &sketches).candidates();
         candidates.extend(more);
         refused.extend(why);
     }
     let of_parts = |c: &Candidate| c.choice.part_elements > 1;
-    if scene.spec.synthesis.output == MadeOutput::Beams && candidates.iter().any(of_parts) {
+    if scene.spec.synthesis.output == SynthesisOutput::Beams && candidates.iter().any(of_parts) {
         candidates.retain(of_parts);
     }
     choose(goal(scene.spec), candidates, refused, barred)
@@ -198,11 +198,13 @@ const PART_SHARES: [f64; 3] = [0.6, 0.3, 0.1];
 fn worth_trying(scene: &Scene, conditions: &Conditions) -> Vec<Parting> {
     let spec = scene.spec;
     let synthesis = &spec.synthesis;
-    if synthesis.output == MadeOutput::Elements || synthesis.elements_for.is_some() {
+    if synthesis.output == SynthesisOutput::Elements || synthesis.elements_for.is_some() {
         return Vec::new();
     }
-    let spread = conditions.heard.map_or(1.0, |heard| heard.spread);
-    let turning = scene.swell.turning;
+    let spread = conditions
+        .echo_statistics
+        .map_or(1.0, |echoes| echoes.spread);
+    let turning = scene.motion_scale.turning;
     let all = partings(spec, scene.plan, scene.scatterers, spread, turning);
     let leaves = |parting: &Parting| {
         let path = PathModel::Continuous;
@@ -239,12 +241,12 @@ struct Culling {
     of: Shares,
 }
 
-struct Maker<'a> {
+struct CandidateBuilder<'a> {
     scene: &'a Scene<'a>,
     conditions: Conditions,
     nearest_m: f64,
     cullings: Vec<Culling>,
-    walked: Walked,
+    walked: WalkLengths,
     /// How lines are parted; none: elements are made.
     parting: Option<Parting>,
     sketches: &'a Sketches,
@@ -258,7 +260,7 @@ enum Engine {
     WholeLines {
         error: f64,
         cost: CostEstimate,
-        stretches: f64,
+        sections: f64,
         why: String,
     },
 }
@@ -266,25 +268,26 @@ enum Engine {
 /// Engines that have been looked at: by synthesis and Doppler model, and the bits of their tolerance.
 #[derive(Default)]
 struct Sketches {
-    seen: RefCell<Vec<(Sketched, SketchResult)>>,
+    seen: RefCell<Vec<(SketchKey, SketchResult)>>,
     fits: RefCell<KernelFits>,
 }
 
-type Sketched = (Synthesis, DopplerModel, Option<u64>);
+type SketchKey = (Synthesis, DopplerModel, Option<u64>);
 type SketchResult = Result<Rc<Sketch>, String>;
 
-impl<'a> Maker<'a> {
+impl<'a> CandidateBuilder<'a> {
     fn new(scene: &'a Scene<'a>, parting: Option<Parting>, sketches: &'a Sketches) -> Self {
         let spec = scene.spec;
-        let mut conditions = scene
-            .swell
-            .on(conditions(spec, scene.plan, scene.scatterers));
+        let mut conditions =
+            scene
+                .motion_scale
+                .apply_to(conditions(spec, scene.plan, scene.scatterers));
         conditions.scatterers = scene.count;
         Self {
             scene,
             parting,
             sketches,
-            walked: Walked::of(spec, scene.plan, scene.scatterers, scene.count),
+            walked: WalkLengths::of(spec, scene.plan, scene.scatterers, scene.count),
             nearest_m: nearest_m(spec, conditions.range_m.0),
             conditions,
             cullings: floors(scene),
@@ -481,7 +484,7 @@ impl<'a> Maker<'a> {
         let Conditions {
             speed_m_per_s,
             acceleration_m_per_s2,
-            heard,
+            echo_statistics,
             ..
         } = self.conditions;
         if speed_m_per_s > FASTEST_PLATFORM_M_PER_S {
@@ -494,7 +497,7 @@ impl<'a> Maker<'a> {
                 "an array accelerates by {acceleration_m_per_s2:.1} m/s^2; the engine is designed for at most {HARDEST_M_PER_S2} m/s^2"
             ));
         }
-        let across = ACROSS * heard.map_or(speed_m_per_s, |heard| heard.across_m_per_s);
+        let across = ACROSS * echo_statistics.map_or(speed_m_per_s, |echoes| echoes.across_m_per_s);
         if synthesis == Synthesis::Gridded2d
             && doppler != DopplerModel::None
             && across > SIDEWAYS_M_PER_S
@@ -543,7 +546,7 @@ impl<'a> Maker<'a> {
         let kept = self.cullings[0].of.kept * self.scene.count as f64 / NOMINAL_SCATTERERS as f64;
         let choices =
             choices(spec, c, fastest, filter, NOMINAL_SCATTERERS).map_err(|why| why.to_string())?;
-        let stretches = choices.iter().zip(&spec.receive);
+        let sections = choices.iter().zip(&spec.receive);
         let costs = choices.iter().map(|choice| choice.cost);
         let (echoes_times, grids_times) = match spec.model.doppler {
             DopplerModel::None => (1.0, 1.0),
@@ -558,9 +561,12 @@ impl<'a> Maker<'a> {
                 echoes_ns: sum.echoes_ns + echoes_times * kept * cost.echoes_ns,
                 grids_ns: sum.grids_ns + grids_times * cost.grids_ns,
             }),
-            stretches: stretches
+            sections: sections
                 .map(|(choice, array)| {
-                    array.elements.div_ceil(choice.resolution.stretch.max(1)) as f64
+                    array
+                        .elements
+                        .div_ceil(choice.resolution.section_elements.max(1))
+                        as f64
                 })
                 .sum(),
             why: choices
@@ -580,7 +586,10 @@ impl<'a> Maker<'a> {
         let scatterers = self.scene.count as f64;
         let arrivals = culling.of.kept * scatterers;
         let tolerance = engine_tolerance.unwrap_or(self.scene.spec.synthesis.tolerance);
-        let spread = self.conditions.heard.map_or(1.0, |heard| heard.spread);
+        let spread = self
+            .conditions
+            .echo_statistics
+            .map_or(1.0, |echoes| echoes.spread);
         let kept = |error: f64, most: f64| (ENGINE_MARGIN * spread * error).min(most * tolerance);
         let name = format!("{} {tolerance:.1e}", synthesis.name());
         let engine = match engine {
@@ -588,13 +597,13 @@ impl<'a> Maker<'a> {
             Engine::WholeLines {
                 error,
                 cost,
-                stretches,
+                sections,
                 why,
             } => {
                 let share = culling.of.kept / self.cullings[0].of.kept.max(f64::MIN_POSITIVE);
                 let work = Work::of(Figure::Gridded2dEcho, cost.echoes_ns * share)
                     .and(Figure::Gridded2dGrid, cost.grids_ns);
-                let pairs = culling.of.transmit_leg * scatterers * stretches;
+                let pairs = culling.of.transmit_leg * scatterers * sections;
                 let sum = self.sum(name, kept(*error, KEPT_BY_WHOLE_LINES), work, why.clone());
                 return self.candidate(synthesis, motion, culling, engine_tolerance, pairs, sum);
             }
@@ -618,11 +627,15 @@ impl<'a> Maker<'a> {
             why.clone_from(&line.error_model().why);
         }
         if let Some(one) = &engine.elements {
-            let bend = self.conditions.heard.map_or(f64::INFINITY, |heard| {
-                EXTREMES * heard.bend_m_per_s2 / self.conditions.sound_speed_m_per_s
-            });
+            let curvature_per_s = self
+                .conditions
+                .echo_statistics
+                .map_or(f64::INFINITY, |echoes| {
+                    EXTREMES * echoes.range_acceleration_m_per_s2
+                        / self.conditions.sound_speed_m_per_s
+                });
             let share = self.closing_m_per_s() / FASTEST_PLATFORM_M_PER_S;
-            let cost = one.cost_estimate(arrivals as usize, share.min(1.0), bend);
+            let cost = one.cost_estimate(arrivals as usize, share.min(1.0), curvature_per_s);
             work = work
                 .and(Figure::Gridded1dEcho, cost.echoes_ns * elements)
                 .and(Figure::Gridded1dGrid, cost.grids_ns * elements);
@@ -641,9 +654,9 @@ impl<'a> Maker<'a> {
     /// Of all but the rarest echoes, the fastest.
     fn closing_m_per_s(&self) -> f64 {
         let speed = self.conditions.speed_m_per_s;
-        let heard = self.conditions.heard;
-        heard.map_or(speed, |h| {
-            (EXTREMES * h.closing_of_echoes_m_per_s).min(speed)
+        let echoes = self.conditions.echo_statistics;
+        echoes.map_or(speed, |echoes| {
+            (EXTREMES * echoes.closing_of_echoes_m_per_s).min(speed)
         })
     }
 
@@ -863,7 +876,7 @@ impl<'a> Maker<'a> {
             None => {
                 let synthesis = &self.scene.spec.synthesis;
                 let why = match synthesis.output {
-                    MadeOutput::Elements => "no other output is configured",
+                    SynthesisOutput::Elements => "no other output is configured",
                     _ => synthesis.elements_for.unwrap_or(""),
                 };
                 ("elements".to_owned(), 0.0, Work::NONE, why.to_owned())
@@ -898,15 +911,15 @@ impl<'a> Maker<'a> {
         let c = self.conditions.sound_speed_m_per_s;
         let pulse = &self.conditions.pulse;
         let speed = self.conditions.speed_m_per_s;
-        let (hop_m, closing) = match self.conditions.heard {
-            Some(heard) => (heard.hop_m, heard.closing_of_echoes_m_per_s),
+        let (displacement_m, closing) = match self.conditions.echo_statistics {
+            Some(echoes) => (echoes.displacement_m, echoes.closing_of_echoes_m_per_s),
             None => (speed * 2.0 * self.conditions.range_m.1 / c, speed),
         };
         let mut displaced = Displaced::default();
         if motion.path == PathModel::StopAndHop {
             let wavelength_m = c / pulse.center_frequency_hz;
             displaced.along_cells = speed * self.aperture_m() / (TWO_WAY_WIDTH * wavelength_m * c);
-            displaced.range_cells += hop_m * pulse.bandwidth_hz / c;
+            displaced.range_cells += displacement_m * pulse.bandwidth_hz / c;
         }
         if motion.doppler.keeps_pulse() {
             let d = 2.0 * closing / c;
@@ -939,7 +952,7 @@ impl<'a> Maker<'a> {
 fn nearest_m(spec: &SonarSpec, nearest_heard_m: f64) -> f64 {
     let said_m = spec.synthesis.nearest_m;
     let auto = spec.synthesis.auto;
-    match spec.synthesis.is_planned()
+    match spec.synthesis.selects_methods()
         && (auto.synthesis || spec.model.synthesis != Synthesis::Gridded2d)
     {
         true => (NEARER * nearest_heard_m).min(said_m.max(5.0)),

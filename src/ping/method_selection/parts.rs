@@ -14,7 +14,7 @@ use std::f64::consts::TAU;
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
-use crate::method_selection::heard::drawn;
+use crate::method_selection::echo_statistics::sampled;
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::model::PathModel;
@@ -233,7 +233,7 @@ impl<'a> Line<'a> {
         let (here_m, _, from_world) = self.middle(plan, 0.0);
         let curve = scatterers.curve.as_deref();
         let mut heard: Vec<(Echo, f64)> = Vec::new();
-        for (i, weight) in drawn(scatterers, AMONG) {
+        for (i, weight) in sampled(scatterers, AMONG) {
             let law = scatterers.law[i];
             let place_m = scatterers.position_m(i);
             let out_m = place_m - self.transmit_m;
@@ -318,10 +318,10 @@ impl<'a> Line<'a> {
         };
         let mut windows = vec![blank.clone(); WINDOWS];
         let mut points: Vec<Sums> = Vec::new();
-        let mut hearing = Hearing::new(self, divisors);
+        let mut summation = EchoSummation::new(self, divisors);
         for echo in &echoes {
             let mut sums = blank.clone();
-            hearing.hear(plan, scatterers.curve.as_deref(), echo, &mut sums);
+            summation.add_echo(plan, scatterers.curve.as_deref(), echo, &mut sums);
             let window = (echo.delay_s / self.window_s * WINDOWS as f64) as usize;
             windows[window.min(WINDOWS - 1)].add(&sums);
             if echo.law == ScatterLaw::Point {
@@ -357,8 +357,8 @@ impl<'a> Line<'a> {
     }
 }
 
-/// Buffers for [`Hearing::hear`].
-struct Hearing<'a> {
+/// Buffers for [`EchoSummation::add_echo`].
+struct EchoSummation<'a> {
     line: &'a Line<'a>,
     divisors: &'a [usize],
     /// Of each element, and of each part: x along the line.
@@ -368,15 +368,15 @@ struct Hearing<'a> {
     halfway: Vec<Complex64>,
 }
 
-/// The scatterer from the line's middle at one instant, in array axes.
+/// The scatterer relative to the middle of the line at one instant, in array axes.
 #[derive(Clone, Copy)]
-struct Seen {
+struct RelativePosition {
     d_m: DVec3,
     v_m_per_s: DVec3,
     normal: DVec3,
 }
 
-impl<'a> Hearing<'a> {
+impl<'a> EchoSummation<'a> {
     fn new(line: &'a Line<'a>, divisors: &'a [usize]) -> Self {
         let array = line.array;
         let parts = |of: &usize| {
@@ -392,9 +392,9 @@ impl<'a> Hearing<'a> {
         }
     }
 
-    fn seen(&self, plan: &PingPlan, echo: &Echo, time_s: f64) -> Seen {
+    fn relative(&self, plan: &PingPlan, echo: &Echo, time_s: f64) -> RelativePosition {
         let (here_m, velocity, from_world) = self.line.middle(plan, time_s);
-        Seen {
+        RelativePosition {
             d_m: from_world * (echo.place_m - here_m),
             v_m_per_s: from_world * velocity,
             normal: from_world * echo.normal,
@@ -402,20 +402,26 @@ impl<'a> Hearing<'a> {
     }
 
     /// Later than the line's middle, x beside it, seconds.
-    fn late_s(&self, seen: &Seen, x_m: f64) -> f64 {
-        let d = seen.d_m;
+    fn late_s(&self, relative: &RelativePosition, x_m: f64) -> f64 {
+        let d = relative.d_m;
         let q = d - DVec3::X * x_m;
         let range_m = q.length().max(f64::MIN_POSITIVE);
         let longer_m = x_m * (x_m - 2.0 * d.x) / (range_m + d.length());
-        longer_m / (self.line.c + seen.v_m_per_s.dot(q) / range_m)
+        longer_m / (self.line.c + relative.v_m_per_s.dot(q) / range_m)
     }
 
     /// Level of what an element x beside the middle hears.
-    fn level(&self, seen: &Seen, echo: &Echo, curve: Option<&LawCurve>, x_m: f64) -> f64 {
-        let q = seen.d_m - DVec3::X * x_m;
+    fn level(
+        &self,
+        relative: &RelativePosition,
+        echo: &Echo,
+        curve: Option<&LawCurve>,
+        x_m: f64,
+    ) -> f64 {
+        let q = relative.d_m - DVec3::X * x_m;
         let range_m = q.length().max(f64::MIN_POSITIVE);
         let u = q / range_m;
-        let cosine = (-seen.normal.dot(u)).max(0.0);
+        let cosine = (-relative.normal.dot(u)).max(0.0);
         let law = match echo.law {
             ScatterLaw::Point | ScatterLaw::LambertOneWay => 1.0,
             ScatterLaw::Lambert => cosine.sqrt(),
@@ -426,24 +432,30 @@ impl<'a> Hearing<'a> {
     }
 
     /// What one echo adds.
-    fn hear(&mut self, plan: &PingPlan, curve: Option<&LawCurve>, echo: &Echo, sums: &mut Sums) {
+    fn add_echo(
+        &mut self,
+        plan: &PingPlan,
+        curve: Option<&LawCurve>,
+        echo: &Echo,
+        sums: &mut Sums,
+    ) {
         let line = self.line;
         // Once more with the line where it is by then.
         let (here_m, ..) = line.middle(plan, echo.delay_s);
         let out_m = echo.place_m.distance(line.transmit_m);
         let delay_s = (out_m + echo.place_m.distance(here_m)) / line.c;
         let half_s = 0.5 * plan.pulse.duration_s;
-        let halfway = self.seen(plan, echo, delay_s + half_s);
+        let halfway = self.relative(plan, echo, delay_s + half_s);
         let per_s = TAU * line.carrier_hz;
         for e in 0..self.x_m.len() {
             self.halfway[e] = Complex64::cis(-per_s * self.late_s(&halfway, self.x_m[e]));
         }
         for &(w_s, beside_hz, error_share, energy_share) in &line.looks {
-            let seen = self.seen(plan, echo, delay_s + w_s);
+            let relative = self.relative(plan, echo, delay_s + w_s);
             let turning = TAU * (line.carrier_hz + beside_hz);
             let one = |x_m: f64| {
-                let level = echo.sent * self.level(&seen, echo, curve, x_m);
-                Complex64::cis(-turning * self.late_s(&seen, x_m)) * level
+                let level = echo.sent * self.level(&relative, echo, curve, x_m);
+                Complex64::cis(-turning * self.late_s(&relative, x_m)) * level
             };
             let echoes: Vec<Complex64> = self.x_m.iter().map(|&x_m| one(x_m)).collect();
             let whole = echoes.iter().sum::<Complex64>() / self.x_m.len() as f64;

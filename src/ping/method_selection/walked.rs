@@ -15,7 +15,7 @@ const LANES: f64 = 8.0;
 /// What a run may leave out of a bent chirp's phase, turns over 32.
 const CUBIC_TURNS: f64 = 32.0 * 1e-7;
 
-pub(crate) struct Walked {
+pub(crate) struct WalkLengths {
     /// Two-way time from the nearest to the farthest of the scatterers that look for their legs together, mean, and by how much bounds on where an element is stretch it.
     spread_s: f64,
     window_s: f64,
@@ -23,7 +23,7 @@ pub(crate) struct Walked {
     pub patterned: f64,
 }
 
-impl Walked {
+impl WalkLengths {
     /// `scatterers`: all `count` of them, or a sample in their order.
     pub(super) fn of(
         spec: &SonarSpec,
@@ -81,10 +81,12 @@ pub(crate) fn direct_runs(
     dense_rate_hz: f64,
 ) -> f64 {
     let points = conditions.pulse.duration_s * dense_rate_hz;
-    let bend = conditions.heard.map_or(0.0, |heard| heard.bend_m_per_s2);
+    let range_acceleration = conditions
+        .echo_statistics
+        .map_or(0.0, |echoes| echoes.range_acceleration_m_per_s2);
     let longest = match doppler {
         DopplerModel::StretchQuadratic => {
-            let curvature_per_s = bend / conditions.sound_speed_m_per_s;
+            let curvature_per_s = range_acceleration / conditions.sound_speed_m_per_s;
             let step_s = 1.0 / dense_rate_hz;
             let cubic = conditions.pulse.sweep_hz_per_s().abs() * curvature_per_s * step_s.powi(3);
             let count = (CUBIC_TURNS / cubic.max(f64::MIN_POSITIVE)).cbrt();

@@ -204,7 +204,7 @@ pub(super) fn benches() -> impl Iterator<Item = Bench> {
 mod tests {
     use super::*;
     use echotank_ping::method_selection::costs::Costs;
-    use echotank_ping::method_selection::{Scene, Swell, rank};
+    use echotank_ping::method_selection::{MotionScale, Scene, rank};
     use echotank_ping::work::Figure;
 
     /// Calibration needs every kind of work, except the slow reference and line arrays computed in parts.
@@ -226,7 +226,7 @@ mod tests {
                     scatterers: &bench.scatterers,
                     count: bench.scatterers.len(),
                     costs: &costs,
-                    swell: Swell::NONE,
+                    motion_scale: MotionScale::NONE,
                 },
                 &[],
             );

@@ -18,14 +18,14 @@ use crate::chart::methods::Method;
 use crate::chart::metrics::{Errors, errors};
 use crate::recorded::{RecordedError, RecordedRig};
 use crate::rig::OpenError;
-use echotank_config::spec::{AutoModel, MadeOutput, MediumSpec, RigSpec, SonarSpec};
+use echotank_config::spec::{AutoModel, MediumSpec, RigSpec, SonarSpec, SynthesisOutput};
 use echotank_core::model::Synthesis;
 use echotank_core::ping::{PingOutput, PingPlan};
 use echotank_core::scene::Scatterers;
 use echotank_core::time::UtcNs;
 use echotank_ping::conditions::{conditions, sum_error_model};
 use echotank_ping::method_selection::costs::Costs;
-use echotank_ping::method_selection::{self, Swell, rank, sample, with_choice};
+use echotank_ping::method_selection::{self, MotionScale, rank, sample, with_choice};
 use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::threads::pool;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
@@ -157,7 +157,7 @@ pub fn bare(spec: &SonarSpec) -> SonarSpec {
     spec.receiver.noise_db = None;
     spec.receiver.adc_bits = None;
     spec.synthesis.error_check = false;
-    spec.synthesis.output = MadeOutput::Elements;
+    spec.synthesis.output = SynthesisOutput::Elements;
     spec
 }
 
@@ -315,7 +315,7 @@ pub fn measure(
             let spec = &selected.spec;
             rows.push(Row {
                 configured: auto,
-                method: Method::of(spec).with_tolerance(spec.synthesis.made_for()),
+                method: Method::of(spec).with_tolerance(spec.synthesis.design_tolerance()),
                 predicted_error: selected.error,
                 outcome: run(spec),
                 pareto: false,
@@ -353,7 +353,7 @@ fn select(
 ) -> Option<Selected> {
     let mut spec = sonar.clone();
     // The chart compares element errors.
-    spec.synthesis.output = MadeOutput::Elements;
+    spec.synthesis.output = SynthesisOutput::Elements;
     if !spec.synthesis.auto.any() {
         spec.synthesis.auto = AutoModel {
             path: true,
@@ -372,7 +372,7 @@ fn select(
             scatterers: &some,
             count: scene.scatterers.len(),
             costs,
-            swell: Swell::NONE,
+            motion_scale: MotionScale::NONE,
         },
         &[],
     )?;

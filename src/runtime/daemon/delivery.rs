@@ -31,7 +31,7 @@ const TILE_SLOTS: usize = 4;
 pub(super) struct Delivery {
     pub(super) slot: Box<PingSlot>,
     /// `None` with a `fast` or `lockstep` clock: deliver at once.
-    pub(super) due: Option<Due>,
+    pub(super) due: Option<Deadlines>,
     /// Samples to stream; earlier samples were already sent.
     pub(super) samples: Range<usize>,
     /// Whether more of the ping follows. If so, the slot is returned once these samples are sent.
@@ -40,7 +40,7 @@ pub(super) struct Delivery {
 
 /// Instants at which the parts of a ping are due.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Due {
+pub(super) struct Deadlines {
     /// Start of the pulse.
     pub(super) pulse: MonoNs,
     /// Latest useful instant of readiness: that of the first block if samples stream, else the deadline.
@@ -201,7 +201,7 @@ fn deliver(
         if let Some(deadline) = deadline {
             context
                 .histograms
-                .handed_over_us(context.clock.mono().0 - deadline.0);
+                .note_delivery(context.clock.mono().0 - deadline.0);
         }
         context.gate.delivered();
     }

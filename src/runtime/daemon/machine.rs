@@ -12,7 +12,7 @@ use crate::io::priority;
 use crate::io::sonar::RigTime;
 
 /// Locks memory and tries a real-time priority. Returns the outcome as a remark.
-pub(super) fn punctuality(priority: u8) -> String {
+pub(super) fn request_real_time(priority: u8) -> String {
     if priority == 0 {
         return "normal scheduling (run.priority = 0)".to_owned();
     }
@@ -72,7 +72,7 @@ pub(super) fn clock_of(mode: ClockSpec) -> (Arc<dyn Clock>, Arc<Gate>) {
 }
 
 /// Source of the time stamps in answers: the same clock as the pings.
-pub(super) fn wire_time(
+pub(super) fn answer_time(
     stamp: StampSpec,
     clock: &Arc<dyn Clock>,
     timeline: &Arc<OnceLock<Timeline>>,

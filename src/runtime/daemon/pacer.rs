@@ -17,8 +17,8 @@ use echotank_ping::rig::{PingSlot, Rig};
 use echotank_ping::{PingOrder, finish_ping, make_degraded_ping, make_ping};
 
 use super::DaemonError;
-use super::beat::{Beat, BeatContext, Ordered};
-use super::delivery::{Delivery, Due, Lane};
+use super::delivery::{Deadlines, Delivery, Lane};
+use super::scheduler::{Ordered, PingScheduler, SchedulerContext};
 use super::triggers::Triggers;
 use crate::clock::{Clock, SystemClock};
 use crate::control::{RunControl, SonarControl};
@@ -60,7 +60,7 @@ pub(super) struct Streamed {
 /// Timing of a ping under a clock that runs by itself (`realtime`, `scaled`).
 #[derive(Clone, Copy)]
 pub(super) struct Paced {
-    pub(super) due: Due,
+    pub(super) due: Deadlines,
     /// Degradation level; 0 is the full method.
     pub(super) level: usize,
     pub(super) put_off_s: f64,
@@ -76,7 +76,7 @@ pub(super) struct Waiting {
     /// Delay of the pulse behind the regular schedule.
     pub(super) put_off_s: f64,
     pub(super) window_s: f64,
-    pub(super) due: Due,
+    pub(super) due: Deadlines,
 }
 
 /// State of the pipeline thread.
@@ -84,7 +84,7 @@ pub(super) struct Pacer {
     pub(super) rig: Rig,
     /// Cost estimates and degradation levels of the pings, one per sonar.
     pub(super) levels: Vec<DegradationLevels>,
-    /// Load of the pipeline, shared with the beat thread.
+    /// Load of the pipeline, shared with the scheduler thread.
     pub(super) backlog: Arc<Backlog>,
     /// Whether the pipeline has been idle since the last ping. If so, no earlier ping delayed the current one.
     pub(super) has_rested: bool,
@@ -104,7 +104,7 @@ pub(super) struct Pacer {
     pub(super) stop: Arc<AtomicBool>,
     /// Instant of the first ping, once known.
     pub(super) first: Option<UtcNs>,
-    /// Trigger inputs and outputs, until the beat takes them.
+    /// Trigger inputs and outputs, until the scheduler takes them.
     pub(super) triggers: Option<Triggers>,
     /// Orders sorted by transmit time.
     pub(super) waiting: VecDeque<Waiting>,
@@ -133,13 +133,13 @@ impl Pacer {
         // Set only here. Answers stamped before this point carry the host's time.
         let timeline = *self.timeline.get_or_init(|| timeline);
         self.inputs.set_timeline(timeline);
-        let Some(beat) = self.beat(timeline) else {
+        let Some(scheduler) = self.scheduler(timeline) else {
             return Ok(());
         };
         let (sender, orders) = bounded(MAX_ORDERS);
-        let coming = beat.coming();
+        let next_order = scheduler.next_order();
         let priority = self.rig.spec.run.priority;
-        let _beat = match beat.start(sender, priority) {
+        let _thread = match scheduler.start(sender, priority) {
             Ok(thread) => thread,
             Err(why) => {
                 tracing::error!(error = %why, "could not start the thread that orders pings");
@@ -150,8 +150,8 @@ impl Pacer {
         while !self.stop.load(Ordering::Acquire) {
             let now = self.clock.mono();
             let utc = timeline.utc(now);
-            // Read `coming` before taking the orders: every order not taken below then has a pulse at `next` or later.
-            let next = coming.next();
+            // Read `next_order` before taking the orders: every order not taken below then has a pulse at `next` or later.
+            let next = next_order.next();
             self.take_orders(&orders, &timeline);
             let known = self.known_until(utc, next);
             self.inputs.pull(known, &mut self.rig.history);
@@ -178,7 +178,7 @@ impl Pacer {
                 wait_until = wait_until.min(now.plus_ns(POLL_NS));
             }
             self.has_rested = true;
-            self.clock.wait_until(wait_until, &coming.wake_up);
+            self.clock.wait_until(wait_until, &next_order.wake_up);
         }
         Ok(())
     }
@@ -242,9 +242,9 @@ impl Pacer {
         first
     }
 
-    /// Creates the beat. Call once, after [`Self::begin_schedules`]; later calls return `None`.
-    pub(super) fn beat(&mut self, timeline: Timeline) -> Option<Beat> {
-        let context = BeatContext {
+    /// Creates the scheduler. Call once, after [`Self::begin_schedules`]; later calls return `None`.
+    pub(super) fn scheduler(&mut self, timeline: Timeline) -> Option<PingScheduler> {
+        let context = SchedulerContext {
             settings: self.settings.clone(),
             control: self.control.clone(),
             faults: self.rig.faults.clone(),
@@ -253,7 +253,13 @@ impl Pacer {
         };
         let triggers = self.triggers.take()?;
         let spec = &self.rig.spec;
-        Some(Beat::new(spec, self.first?, timeline, context, triggers))
+        Some(PingScheduler::new(
+            spec,
+            self.first?,
+            timeline,
+            context,
+            triggers,
+        ))
     }
 
     /// Waits for the first navigation and aligns rig time with the clock. `None` if stopped before any navigation arrived.
@@ -310,7 +316,7 @@ impl Pacer {
     }
 
     fn renew_nav_lines_with(&mut self, first: impl FnOnce(&mut Self) -> Vec<String>) {
-        self.control.beat();
+        self.control.note_iteration();
         let now = self.machine.mono();
         if now >= self.next_nav_lines {
             self.next_nav_lines = now.plus_ns(NAV_LINES_EVERY_NS);
@@ -341,7 +347,7 @@ impl Pacer {
         }
     }
 
-    /// Moves all waiting orders from the beat to the queue, sorted by transmit time.
+    /// Moves all waiting orders from the scheduler to the queue, sorted by transmit time.
     fn take_orders(&mut self, orders: &Receiver<Ordered>, timeline: &Timeline) {
         let ended = match self.inputs.finished() {
             true => self.inputs.recorded_end(),
@@ -353,7 +359,7 @@ impl Pacer {
                 order,
                 put_off_s,
             } = ordered;
-            // The beat can order a few pings past the end of the log; they are dropped.
+            // The scheduler can order a few pings past the end of the log; they are dropped.
             if ended.is_some_and(|end| order.transmit_utc >= end) {
                 self.backlog.done(sonar);
                 continue;
@@ -366,7 +372,7 @@ impl Pacer {
             }
             let window_s = self.rig.window_s(sonar, &order);
             let run = &self.rig.spec.run;
-            let due = Due {
+            let due = Deadlines {
                 pulse: timeline.mono(order.transmit_utc),
                 ready_by: timeline.mono(order.transmit_utc.plus_s(run.ready_after_s(window_s))),
                 deadline: timeline.mono(order.transmit_utc.plus_s(window_s + run.latency_s)),
@@ -552,7 +558,7 @@ impl Pacer {
         &self,
         sonar: usize,
         order: &PingOrder,
-        due: Option<Due>,
+        due: Option<Deadlines>,
         streamed: &Streamed,
         total: usize,
     ) -> Option<Range<usize>> {
@@ -596,8 +602,8 @@ impl Pacer {
         counters.error_check(output.error_check.as_ref());
         let level = paced.map_or(0, |paced| paced.level);
         counters.overload_state(level, &output.overload_state);
-        if let Some(planner) = &self.rig.sonars[sonar].planner {
-            counters.plan(output.methods.as_ref(), &planner.counts);
+        if let Some(method_selector) = &self.rig.sonars[sonar].method_selector {
+            counters.plan(output.methods.as_ref(), &method_selector.counts);
         }
         counters.nav(&slot.plan.nav);
         if let Some(Paced { due, .. }) = paced {
@@ -628,7 +634,7 @@ impl Pacer {
     }
 
     /// Instant at which the block that begins with `sample` is due.
-    fn block_due(&self, sonar: usize, due: Due, sample: usize) -> MonoNs {
+    fn block_due(&self, sonar: usize, due: Deadlines, sample: usize) -> MonoNs {
         let rate_hz = self.rig.sonars[sonar].spec.receiver.sample_rate_hz;
         due.ready_by.plus_s(sample as f64 / rate_hz)
     }
@@ -639,7 +645,7 @@ impl Pacer {
         &mut self,
         sonar: usize,
         slot: &mut PingSlot,
-        due: Due,
+        due: Deadlines,
         quiet: bool,
         streamed: &mut Streamed,
     ) {

@@ -11,7 +11,7 @@ use echotank_core::time::Timeline;
 use echotank_ping::rig::PingSlot;
 
 /// Interval between checks of the stop flag while the pipeline waits for a slot.
-const LOOK: Duration = Duration::from_millis(50);
+const STOP_CHECK_INTERVAL: Duration = Duration::from_millis(50);
 
 impl Lane {
     /// Waits for a free slot. `None` if `stopped` returns true or the delivery thread has ended.
@@ -20,7 +20,7 @@ impl Lane {
             return Some(spare);
         }
         while !stopped() {
-            match self.free.recv_timeout(LOOK) {
+            match self.free.recv_timeout(STOP_CHECK_INTERVAL) {
                 Ok(slot) => return Some(slot),
                 Err(error) if error.is_timeout() => {}
                 Err(_) => return None,
@@ -44,7 +44,7 @@ impl Pacer {
             .timeline
             .get_or_init(|| Timeline::through(first_mono, first));
         self.inputs.set_timeline(timeline);
-        let Some(mut beat) = self.beat(timeline) else {
+        let Some(mut scheduler) = self.scheduler(timeline) else {
             return Ok(());
         };
         let gate = self.control.gate().clone();
@@ -55,14 +55,14 @@ impl Pacer {
                 return Ok(());
             }
             self.expect_new_settings();
-            let Some(at) = beat.next_pulse() else {
+            let Some(at) = scheduler.next_pulse() else {
                 // No sonar pings: time does not advance until a client changes the settings.
                 self.machine
                     .sleep_until(self.machine.mono().plus_ns(POLL_NS));
                 continue;
             };
             self.clock.sleep_until(timeline.mono(at));
-            let Some((sonar, order)) = beat.next(at) else {
+            let Some((sonar, order)) = scheduler.next(at) else {
                 continue;
             };
             if !crate::rig::read_navigation_for(&mut self.rig, &mut self.inputs, sonar, &order) {

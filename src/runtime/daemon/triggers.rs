@@ -22,7 +22,7 @@ const MAX_WAITING: usize = 1024;
 
 /// An external trigger.
 #[derive(Clone, Copy)]
-pub(super) struct Came {
+pub(super) struct ExternalTrigger {
     pub sonar: usize,
     pub at: MonoNs,
     pub number: Option<u32>,
@@ -32,7 +32,7 @@ pub(super) struct Triggers {
     /// Inputs, one per sonar; they close when dropped.
     pub listeners: Vec<Option<TriggerListener>>,
     pub(crate) outs: Vec<Option<TriggerOut>>,
-    pub came: Receiver<Came>,
+    pub received: Receiver<ExternalTrigger>,
     /// Notified when a trigger arrives.
     pub wake_up: Arc<WakeUp>,
 }
@@ -54,7 +54,7 @@ impl Triggers {
         gate: &Arc<Gate>,
         counts: &[Arc<TriggerCounts>],
     ) -> Result<Self, DaemonError> {
-        let (sender, came) = bounded(MAX_WAITING);
+        let (sender, received) = bounded(MAX_WAITING);
         let wake_up = Arc::new(WakeUp::default());
         let (mut listeners, mut outs) = (Vec::new(), Vec::new());
         for (sonar, (spec_of, counts)) in spec.sonars.iter().zip(counts).enumerate() {
@@ -66,7 +66,10 @@ impl Triggers {
                 Arc::new(move |Trigger { age_ns, number }| {
                     let age_ns = (age_ns as f64 * gate.rate().unwrap_or(1.0)) as i64;
                     let at = clock.mono().plus_ns(-age_ns);
-                    if sender.try_send(Came { sonar, at, number }).is_err() {
+                    if sender
+                        .try_send(ExternalTrigger { sonar, at, number })
+                        .is_err()
+                    {
                         add(&counts.dropped, 1);
                     }
                     wake_up.notify(&*clock);
@@ -74,7 +77,7 @@ impl Triggers {
             };
             let listener = TriggerListener::open(&spec_of.trigger.from, sink)?;
             if let Some(listener) = &listener {
-                listener.hurry(spec.run.priority);
+                listener.set_priority(spec.run.priority);
                 let _ = counts.listener.set(listener.counts().clone());
             }
             listeners.push(listener);
@@ -87,7 +90,7 @@ impl Triggers {
         Ok(Self {
             listeners,
             outs,
-            came,
+            received,
             wake_up,
         })
     }

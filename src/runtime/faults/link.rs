@@ -372,7 +372,7 @@ impl OutputLink for FaultyLink {
     }
 
     fn records<'a>(&'a mut self, records: &'a [Arc<Datagram>]) -> &'a [Arc<Datagram>] {
-        if self.faults.standing() == 0 && self.held.is_empty() {
+        if self.faults.scheduled() == 0 && self.held.is_empty() {
             return records;
         }
         let ping = self.mark.now();
@@ -392,7 +392,7 @@ impl OutputLink for FaultyLink {
     }
 
     fn packets(&mut self, packets: &mut Packets) {
-        if self.faults.standing() == 0 && self.held_packets.is_empty() {
+        if self.faults.scheduled() == 0 && self.held_packets.is_empty() {
             return;
         }
         let ping = self.mark.now();

@@ -14,7 +14,7 @@ use echotank_config::spec::{FaultKind, NavChannel, NavFault, NavSourceSpec, Time
 use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::UtcNs;
 use echotank_nav::fault::NavFaultFilter;
-use echotank_ping::faults::{Faults, Moment, Standing};
+use echotank_ping::faults::{Faults, InjectionPoint, ScheduledFault};
 
 /// Mean radius of the earth, for offsets of latitude.
 const MEAN_RADIUS_M: f64 = 6_371_000.0;
@@ -105,7 +105,7 @@ impl NavFaultFilter for NavFaults {
     }
 
     fn modify_sample(&mut self, sample: NavSample) -> Option<NavSample> {
-        if self.faults.standing() == 0 {
+        if self.faults.scheduled() == 0 {
             self.channels.clear();
             return Some(sample);
         }
@@ -114,22 +114,22 @@ impl NavFaultFilter for NavFaults {
         let faults = Arc::clone(&self.faults);
         let state = self.channel(sample.source, channel);
         state.samples += 1;
-        let moment = Moment {
+        let point = InjectionPoint {
             utc: sample.arrival_utc,
             number: state.samples,
             key: u32::from(sample.source) << 8 | channel as u32,
         };
         let (mut passes, mut late_s, mut is_stuck) = (true, 0.0, false);
         let mut altered = sample;
-        let wanted = |standing: &Standing| match standing.spec.kind {
+        let wanted = |scheduled: &ScheduledFault| match scheduled.spec.kind {
             FaultKind::Nav { quantity, .. } => {
-                standing.source.is_none_or(|wanted| wanted == source)
+                scheduled.source.is_none_or(|wanted| wanted == source)
                     && quantity.is_none_or(|wanted| wanted == channel)
             }
             _ => false,
         };
-        faults.each(moment, wanted, |standing, age_s, strength| {
-            let FaultKind::Nav { fault, .. } = standing.spec.kind else {
+        faults.for_each_active(point, wanted, |scheduled, age_s, strength| {
+            let FaultKind::Nav { fault, .. } = scheduled.spec.kind else {
                 return;
             };
             match fault {
@@ -138,7 +138,7 @@ impl NavFaultFilter for NavFaults {
                     is_stuck = true;
                     altered.quantity = *state.stuck.get_or_insert(altered.quantity);
                 }
-                NavFault::Garbage => altered.quantity = garbage(altered.quantity, standing, moment),
+                NavFault::Garbage => altered.quantity = garbage(altered.quantity, scheduled, point),
                 NavFault::Wrong { by } => {
                     altered.quantity = offset(altered.quantity, by * strength)
                 }
@@ -148,10 +148,10 @@ impl NavFaultFilter for NavFaults {
                 NavFault::Intermittent { s } if (age_s / s) as u64 % 2 == 1 => return,
                 NavFault::Intermittent { .. } => passes = false,
             }
-            let mut injection = faults.injection(standing, moment, strength);
+            let mut injection = faults.injection(scheduled, point, strength);
             injection.source = faults.sources.get(source).cloned();
             injection.quantity = Some(name);
-            faults.log(standing, injection);
+            faults.log(scheduled, injection);
         });
         if !is_stuck {
             state.stuck = None;
@@ -194,13 +194,17 @@ fn offset(quantity: NavQuantity, by: f64) -> NavQuantity {
 }
 
 /// Uniform random value in the range of the quantity.
-fn garbage(quantity: NavQuantity, standing: &Standing, moment: Moment) -> NavQuantity {
+fn garbage(
+    quantity: NavQuantity,
+    scheduled: &ScheduledFault,
+    point: InjectionPoint,
+) -> NavQuantity {
     use std::f64::consts::{FRAC_PI_2, PI, TAU};
     let mut key = [0; 32];
-    key[..8].copy_from_slice(&standing.spec.seed.to_le_bytes());
-    key[8..12].copy_from_slice(&standing.id.to_le_bytes());
-    key[12..16].copy_from_slice(&moment.number.to_le_bytes());
-    key[16..20].copy_from_slice(&moment.key.to_le_bytes());
+    key[..8].copy_from_slice(&scheduled.spec.seed.to_le_bytes());
+    key[8..12].copy_from_slice(&scheduled.id.to_le_bytes());
+    key[12..16].copy_from_slice(&point.number.to_le_bytes());
+    key[16..20].copy_from_slice(&point.key.to_le_bytes());
     key[24..].copy_from_slice(&TAG);
     let mut rng = ChaCha8Rng::from_seed(key);
     let mut within = |max: f64| {

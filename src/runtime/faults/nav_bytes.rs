@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use echotank_config::spec::{FaultKind, NavByteFault};
 use echotank_core::time::UtcNs;
-use echotank_ping::faults::{Faults, Moment, Standing, unit};
+use echotank_ping::faults::{Faults, InjectionPoint, ScheduledFault, unit};
 
 /// Length of a cut sentence with its start, bytes: the sentence ends in the middle of its first field.
 const CUT_AFTER: usize = 9;
@@ -44,7 +44,7 @@ impl NavByteFaults {
 
     /// Alters the bytes of one source that arrived at `arrival`.
     pub(super) fn inject(&mut self, source: usize, arrival: UtcNs, bytes: &mut Vec<u8>) {
-        if self.faults.standing() == 0 {
+        if self.faults.scheduled() == 0 {
             self.sentences.fill(Sentence::default());
             return;
         }
@@ -84,28 +84,28 @@ fn begin(
     sentence: &mut Sentence,
     out: &mut Vec<u8>,
 ) {
-    let moment = Moment {
+    let point = InjectionPoint {
         utc: arrival,
         number: sentence.number,
         // 0xFF differs from the small numbers of the source's quantities.
         key: (source as u32) << 8 | 0xFF,
     };
-    let wanted = |standing: &Standing| {
-        matches!(standing.spec.kind, FaultKind::NavBytes(_))
-            && standing.source.is_none_or(|wanted| wanted == source)
+    let wanted = |fault: &ScheduledFault| {
+        matches!(fault.spec.kind, FaultKind::NavBytes(_))
+            && fault.source.is_none_or(|wanted| wanted == source)
     };
-    faults.each(moment, wanted, |standing, _, strength| {
-        match standing.spec.kind {
+    faults.for_each_active(point, wanted, |fault, _, strength| {
+        match fault.spec.kind {
             FaultKind::NavBytes(NavByteFault::Checksum) => sentence.wrong_sum = true,
             FaultKind::NavBytes(NavByteFault::Cut) => sentence.cut = true,
             FaultKind::NavBytes(NavByteFault::Noise { bytes }) => {
-                let seed = standing.spec.seed;
+                let seed = fault.spec.seed;
                 out.extend((0..bytes as u32).map(|k| {
                     let draw = unit(
                         seed ^ u64::from(k),
-                        standing.id,
-                        moment.number,
-                        moment.key,
+                        fault.id,
+                        point.number,
+                        point.key,
                         NOISE_TAG,
                     );
                     // Bytes above 0x7F, as from a serial port at the wrong baud rate.
@@ -114,9 +114,9 @@ fn begin(
             }
             _ => return,
         }
-        let mut injection = faults.injection(standing, moment, strength);
+        let mut injection = faults.injection(fault, point, strength);
         injection.source = faults.sources.get(source).cloned();
-        faults.log(standing, injection);
+        faults.log(fault, injection);
     });
 }
 

@@ -5,7 +5,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use echotank_protocols::words::{Datagrams, Format, Words};
+use echotank_protocols::describer::{Datagrams, Format, MessageDescriber};
 
 use echotank_nav::capture::{self, Segment};
 
@@ -16,7 +16,7 @@ const MAX_WAITING: usize = 64;
 #[derive(Default)]
 struct StreamDirection {
     /// `None` until the first bytes reveal the format.
-    words: Option<Words>,
+    describer: Option<MessageDescriber>,
     /// Sequence number of the next byte; `None` before the first segment.
     next: Option<u32>,
     /// Early segments by offset from the first sequence number, which orders them across wrap-around.
@@ -29,7 +29,7 @@ impl StreamDirection {
     fn push(&mut self, segment: &Segment<'_>, mut each: impl FnMut(&[u8])) {
         if segment.is_start {
             *self = Self {
-                words: self.words.take(),
+                describer: self.describer.take(),
                 next: Some(segment.sequence.wrapping_add(1)),
                 begun: segment.sequence.wrapping_add(1),
                 ..Self::default()
@@ -94,21 +94,22 @@ pub fn describe_capture(
                 .or_default();
             let mut say =
                 |line: String| goes_on &= each(format!("{arrival} {from} to {to}: {line}"));
-            let mut words = direction.words.take();
+            let mut describer = direction.describer.take();
             direction.push(&segment, |new| {
                 let told = format
                     .or(Format::of_port(to))
                     .or(Format::of_port(from))
                     .or(Format::of_bytes(new));
-                match (&mut words, told) {
-                    (Some(words), _) => words.push(new, &mut say),
+                match (&mut describer, told) {
+                    (Some(describer), _) => describer.push(new, &mut say),
                     (none, Some(format)) => {
-                        none.insert(Words::new(format)).push(new, &mut say);
+                        none.insert(MessageDescriber::new(format))
+                            .push(new, &mut say);
                     }
                     (_, None) => say(format!("{} B of no format that we know", new.len())),
                 }
             });
-            direction.words = words;
+            direction.describer = describer;
         }
         if !goes_on {
             return;
@@ -116,8 +117,9 @@ pub fn describe_capture(
     }
     let mut goes_on = true;
     for ((_, from, to), direction) in directions {
-        if let Some(words) = direction.words.filter(|_| goes_on) {
-            words.finish(&mut |line: String| goes_on &= each(format!("{from} to {to}: {line}")));
+        if let Some(describer) = direction.describer.filter(|_| goes_on) {
+            describer
+                .finish(&mut |line: String| goes_on &= each(format!("{from} to {to}: {line}")));
         }
     }
 }

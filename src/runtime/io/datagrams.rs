@@ -41,11 +41,11 @@ pub(crate) struct Route {
 
 /// Send times of the packets of a ping.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Leaving {
+pub(crate) enum SendTimes {
     /// Evenly over this time from now, s; 0 sends as fast as the pace allows.
     Over(f64),
     /// Each block `latency_s` after its last sample. `pulse` is the start of the pulse on the rig's clock.
-    AsHeard { pulse: MonoNs, latency_s: f64 },
+    AsReceived { pulse: MonoNs, latency_s: f64 },
 }
 
 /// Counters of a sender.
@@ -86,7 +86,7 @@ impl DatagramCounts {
 
 /// Queue of the sending thread. On drop, the queued pings are sent and the thread ends.
 pub(crate) struct DatagramSender {
-    full: Option<Sender<(Packets, Leaving)>>,
+    full: Option<Sender<(Packets, SendTimes)>>,
     empty: Receiver<Packets>,
     counts: Arc<DatagramCounts>,
     thread: Option<JoinHandle<()>>,
@@ -168,8 +168,8 @@ impl DatagramSender {
             .name("datagrams".into())
             .spawn(move || {
                 line.sending.begin();
-                for (ping, leaving) in pings {
-                    line.send(&ping, leaving);
+                for (ping, send_times) in pings {
+                    line.send(&ping, send_times);
                     // Full only if more buffers exist than the queue holds. The buffer is then freed.
                     let _ = give_back.try_send(ping);
                 }
@@ -199,7 +199,7 @@ impl DatagramSender {
     }
 
     /// Queues a ping. Returns false if the queue is full.
-    pub(crate) fn send(&self, mut ping: Packets, leaving: Leaving) -> bool {
+    pub(crate) fn send(&self, mut ping: Packets, send_times: SendTimes) -> bool {
         let mut faulty = self.faulty.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(line) = &mut *faulty {
             if let Some(server) = &self.server {
@@ -211,7 +211,7 @@ impl DatagramSender {
         let queued = self
             .full
             .as_ref()
-            .is_some_and(|full| full.try_send((ping, leaving)).is_ok());
+            .is_some_and(|full| full.try_send((ping, send_times)).is_ok());
         if !queued {
             self.counts.dropped_pings.fetch_add(1, Ordering::Relaxed);
         }
@@ -268,17 +268,19 @@ struct Transmission {
 }
 
 impl Transmission {
-    fn send(&mut self, ping: &Packets, leaving: Leaving) {
-        let rate = match leaving {
-            Leaving::Over(over_s) if over_s > 0.0 => {
+    fn send(&mut self, ping: &Packets, send_times: SendTimes) {
+        let rate = match send_times {
+            SendTimes::Over(over_s) if over_s > 0.0 => {
                 self.pace_bytes_per_s.min(ping.len_bytes() as f64 / over_s)
             }
             _ => self.pace_bytes_per_s,
         };
         self.bucket.set_rate(rate, self.machine.mono());
-        for (block, heard_s) in ping.blocks() {
-            if let (Leaving::AsHeard { pulse, latency_s }, Some(heard_s)) = (leaving, heard_s) {
-                let due = pulse.plus_s(heard_s + latency_s);
+        for (block, received_s) in ping.blocks() {
+            if let (SendTimes::AsReceived { pulse, latency_s }, Some(received_s)) =
+                (send_times, received_s)
+            {
+                let due = pulse.plus_s(received_s + latency_s);
                 self.clock.sleep_until(due);
                 self.sending.note(self.clock.mono().0 - due.0);
             }
@@ -361,7 +363,7 @@ mod tests {
         DatagramSender::open(route, clock, Sending::default()).expect("opens")
     }
 
-    const AT_ONCE: Leaving = Leaving::Over(0.0);
+    const AT_ONCE: SendTimes = SendTimes::Over(0.0);
 
     fn ping_of(bytes: &[&[u8]]) -> Packets {
         let mut packets = Packets::default();
@@ -449,14 +451,14 @@ mod tests {
         }
         let pulse = clock.mono().plus_s(0.05);
         let latency_s = 0.005;
-        assert!(sender.send(ping, Leaving::AsHeard { pulse, latency_s }));
+        assert!(sender.send(ping, SendTimes::AsReceived { pulse, latency_s }));
         let mut buffer = [0; 4];
         for (k, want) in [1, 10, 2, 20, 3, 30].into_iter().enumerate() {
             assert_eq!(inbox.recv(&mut buffer).expect("a packet"), 1);
             assert_eq!(buffer[0], want);
             let after_s = clock.mono().seconds_since(pulse);
-            let heard_s = (k / 2 + 1) as f64 * 0.02;
-            assert!(after_s >= heard_s + latency_s, "{after_s} {heard_s}");
+            let received_s = (k / 2 + 1) as f64 * 0.02;
+            assert!(after_s >= received_s + latency_s, "{after_s} {received_s}");
         }
     }
 
@@ -468,7 +470,7 @@ mod tests {
         let packet = vec![0; 1472];
         let packets: Vec<&[u8]> = (0..100).map(|_| packet.as_slice()).collect();
         let began = std::time::Instant::now();
-        sender.send(ping_of(&packets), Leaving::Over(0.2));
+        sender.send(ping_of(&packets), SendTimes::Over(0.2));
         drop(sender);
         // All but the first bucketful.
         let min_s = 0.2 * (1.0 - 32.0 * 1024.0 / 147_200.0) - 1e-3;

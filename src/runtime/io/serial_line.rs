@@ -19,9 +19,9 @@ use echotank_emit::session::{Outgoing, Session};
 /// Maximum number of records queued for the line.
 const MAX_WAITING: usize = 4;
 /// Read timeout, which is the maximum delay of a reply.
-const LOOK: Duration = Duration::from_millis(20);
+const READ_TIMEOUT: Duration = Duration::from_millis(20);
 /// Number of read timeouts after which an incomplete command is discarded.
-const STALLED_LOOKS: u32 = 100;
+const STALLED_READS: u32 = 100;
 /// Pause before a failed line is reopened.
 const AGAIN: Duration = Duration::from_secs(1);
 
@@ -124,7 +124,7 @@ impl Drop for SerialLine {
 }
 
 fn open(name: &str, baud: u32) -> std::io::Result<Box<dyn serialport::SerialPort>> {
-    Ok(serialport::new(name, baud).timeout(LOOK).open()?)
+    Ok(serialport::new(name, baud).timeout(READ_TIMEOUT).open()?)
 }
 
 /// Serves one session until the line fails or the server stops.
@@ -138,7 +138,7 @@ fn serve(
 ) -> std::io::Result<()> {
     let mut out = Vec::new();
     let mut buffer = [0; 4096];
-    let mut silent_looks = 0;
+    let mut silent_reads = 0;
     session.greet(rig_time(), &mut out);
     loop {
         for item in out.drain(..) {
@@ -157,12 +157,12 @@ fn serve(
         match line.read(&mut buffer) {
             Ok(0) => return Err(ErrorKind::UnexpectedEof.into()),
             Ok(len) => {
-                silent_looks = 0;
+                silent_reads = 0;
                 session.receive(&buffer[..len], rig_time(), &mut out);
             }
             Err(error) if is_silence(&error) => {
-                silent_looks += 1;
-                if silent_looks == STALLED_LOOKS && session.is_waiting() {
+                silent_reads += 1;
+                if silent_reads == STALLED_READS && session.is_waiting() {
                     session.give_up_waiting(rig_time(), &mut out);
                 }
             }

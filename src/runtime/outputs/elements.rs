@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use super::server_counts::{server_lines, server_streams};
 use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts};
 use crate::faults::link::RecordLayout;
-use crate::io::datagrams::{DatagramCounts, DatagramSender, Leaving, Route};
+use crate::io::datagrams::{DatagramCounts, DatagramSender, Route, SendTimes};
 use crate::io::sonar::SonarServer;
 use echotank_config::spec::ElementStreamSpec;
 use echotank_core::time::MonoNs;
@@ -54,7 +54,7 @@ impl Elements {
         )?;
         if spread.streaming.is_some() {
             // One below the priority of the delivery threads that feed the server.
-            server.hurry(context.sending.priority.saturating_sub(1));
+            server.set_priority(context.sending.priority.saturating_sub(1));
         }
         let server = Arc::new(server);
         let (clock, sending) = (|| Arc::clone(context.clock), || context.sending.clone());
@@ -151,7 +151,7 @@ impl Output for Elements {
         for transport in &mut self.transports {
             if let Some((packets, over_s)) = transport.pending.take() {
                 // The sender counts packets that find its queue full.
-                transport.sender.send(packets, Leaving::Over(over_s));
+                transport.sender.send(packets, SendTimes::Over(over_s));
             }
         }
         Ok(())
@@ -165,7 +165,9 @@ impl Output for Elements {
         self.emit(slot, samples);
         for transport in &mut self.transports {
             if let Some((packets, _)) = transport.pending.take() {
-                transport.sender.send(packets, self.spread.leaving(pulse));
+                transport
+                    .sender
+                    .send(packets, self.spread.send_times(pulse));
             }
         }
     }

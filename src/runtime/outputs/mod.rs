@@ -23,7 +23,7 @@ use thiserror::Error;
 use crate::clock::Clock;
 use crate::faults::link::{FaultyLink, LinkMark, RecordLayout};
 use crate::histograms::Histograms;
-use crate::io::datagrams::Leaving;
+use crate::io::datagrams::SendTimes;
 use crate::io::link::Link as OutputLink;
 use crate::io::pace::Sending;
 use crate::io::record::RecordError;
@@ -185,10 +185,10 @@ impl Spread {
     }
 
     /// Send times of the blocks of a ping whose pulse starts at `pulse`.
-    fn leaving(self, pulse: Option<MonoNs>) -> Leaving {
+    fn send_times(self, pulse: Option<MonoNs>) -> SendTimes {
         match (self.streaming, pulse) {
-            (Some((_, latency_s)), Some(pulse)) => Leaving::AsHeard { pulse, latency_s },
-            _ => Leaving::Over(0.0),
+            (Some((_, latency_s)), Some(pulse)) => SendTimes::AsReceived { pulse, latency_s },
+            _ => SendTimes::Over(0.0),
         }
     }
 

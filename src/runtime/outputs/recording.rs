@@ -15,7 +15,7 @@ use echotank_core::time::UtcNs;
 /// Interval at which a stopped recording tries to open a new file.
 const RETRY_INTERVAL: Duration = Duration::from_secs(5);
 /// Interval at which the existence of the file is checked.
-const LOOK_INTERVAL: Duration = Duration::from_secs(1);
+const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Reasons of stopped recordings, by name and extension of their files.
 #[derive(Debug, Default)]
@@ -73,7 +73,7 @@ struct Open<R> {
     recorder: R,
     /// Whether the file holds more than its head.
     has_contents: bool,
-    looked: Instant,
+    checked: Instant,
 }
 
 impl<R> Recording<R> {
@@ -118,7 +118,7 @@ impl<R> Recording<R> {
         self.open = Some(Open {
             recorder,
             has_contents: false,
-            looked: Instant::now(),
+            checked: Instant::now(),
         });
         Ok(())
     }
@@ -161,10 +161,10 @@ impl<R> Recording<R> {
         let Some(open) = &mut self.open else {
             return Ok(());
         };
-        if now - open.looked < LOOK_INTERVAL {
+        if now - open.checked < CHECK_INTERVAL {
             return Ok(());
         }
-        open.looked = now;
+        open.checked = now;
         let Err(source) = std::fs::metadata(&self.path) else {
             return Ok(());
         };
@@ -293,7 +293,7 @@ mod tests {
         let mut recording =
             Recording::open(place(&inside), Box::new(begin), stopped.clone()).expect("opens");
         std::fs::remove_dir_all(&inside).expect("deleted");
-        recording.open.as_mut().expect("open").looked -= LOOK_INTERVAL;
+        recording.open.as_mut().expect("open").checked -= CHECK_INTERVAL;
         let error = recording.write(put).expect_err("gone").to_string();
         assert!(error.contains("hull-"), "{error}");
         assert_eq!(stopped.lines().len(), 1);

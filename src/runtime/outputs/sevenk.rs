@@ -13,8 +13,8 @@ use crate::settings::SettingsStore;
 use echotank_config::spec::SevenKSpec;
 use echotank_core::records::Datagram;
 use echotank_core::settings::SettingsPort;
-use echotank_emit::sevenk::kept::Kept;
 use echotank_emit::sevenk::records::DeviceSheet;
+use echotank_emit::sevenk::stored_settings::StoredSettings;
 use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_ping::rig::PingSlot;
 
@@ -93,7 +93,8 @@ impl Output for SevenK {
         };
         if self.kept_version != Some(self.settings.version()) {
             self.kept_version = Some(self.settings.version());
-            self.emitter.keep(Kept::of(self.settings.as_ref()));
+            self.emitter
+                .set_stored(StoredSettings::of(self.settings.as_ref()));
         }
         self.pending.clear();
         self.over_s = self.spread.over_s(&slot.plan);

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts};
 use crate::faults::link::RecordLayout;
-use crate::io::datagrams::{DatagramCounts, DatagramSender, Leaving, Route};
+use crate::io::datagrams::{DatagramCounts, DatagramSender, Route, SendTimes};
 use echotank_config::spec::Vita49Spec;
 use echotank_core::time::MonoNs;
 use echotank_emit::packets::Packets;
@@ -92,7 +92,7 @@ impl Output for Vita49 {
 
     fn deliver(&mut self) -> Result<(), OutputError> {
         if let Some((packets, over_s)) = self.pending.take() {
-            self.lost = !self.sender.send(packets, Leaving::Over(over_s));
+            self.lost = !self.sender.send(packets, SendTimes::Over(over_s));
         }
         Ok(())
     }
@@ -104,7 +104,7 @@ impl Output for Vita49 {
     fn stream(&mut self, slot: &PingSlot, samples: Range<usize>, pulse: Option<MonoNs>) {
         self.emit(slot, samples);
         if let Some((packets, _)) = self.pending.take() {
-            self.lost = !self.sender.send(packets, self.spread.leaving(pulse));
+            self.lost = !self.sender.send(packets, self.spread.send_times(pulse));
         }
     }
 }

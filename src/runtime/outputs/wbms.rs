@@ -11,7 +11,7 @@ use echotank_core::records::Datagram;
 use echotank_core::settings::SettingsPort;
 use echotank_emit::session::Protocol;
 use echotank_emit::wbms::control::{ControlPort, DataPort};
-use echotank_emit::wbms::{Device, Wanted, WbmsEmitter};
+use echotank_emit::wbms::{Device, SubscribedPackets, WbmsEmitter};
 use echotank_ping::rig::PingSlot;
 
 /// Names of the servers, in the order of their ports.
@@ -95,7 +95,7 @@ impl Output for Wbms {
         let [_, bathymetry, water_column, side_scan] = &self.servers[..] else {
             unreachable!("four servers are opened");
         };
-        let wanted = Wanted {
+        let wanted = SubscribedPackets {
             bathymetry: !bathymetry.wanted().is_empty(),
             water_column: !water_column.wanted().is_empty(),
             side_scan: !side_scan.wanted().is_empty(),

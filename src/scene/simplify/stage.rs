@@ -23,7 +23,7 @@ pub struct StageCounts {
 #[derive(Debug)]
 pub struct Stage {
     settings: Settings,
-    held: Option<Held>,
+    held: Option<HeldRule>,
     energies: Energies,
     selection: Selection,
 }
@@ -57,7 +57,7 @@ impl Stage {
             offered: scatterers.len() as u64,
             ..StageCounts::default()
         };
-        let serves = |held: &Held| still_serves(&held.view, view);
+        let serves = |held: &HeldRule| still_serves(&held.view, view);
         let chosen = !self.held.as_ref().is_some_and(serves);
         let held = self.held.get_or_insert_default();
         if chosen {
@@ -84,13 +84,13 @@ impl Stage {
 
 /// A rule and the view from which it was made.
 #[derive(Debug)]
-struct Held {
+struct HeldRule {
     view: View,
     scale: EnergyScale,
     rule: Rule,
 }
 
-impl Default for Held {
+impl Default for HeldRule {
     fn default() -> Self {
         Self {
             view: View::default(),

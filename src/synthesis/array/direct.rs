@@ -218,30 +218,30 @@ impl Echo<'_> {
 
     /// Phase coefficients of `count` samples that begin `since_s` after the leading edge.
     #[inline(always)]
-    fn run(&self, since_s: f64, count: f64) -> Stretch {
+    fn run(&self, since_s: f64, count: f64) -> SampleRun {
         let pulse = self.pulse;
         let carrier_hz = pulse.center_frequency_hz;
         let half_sweep = 0.5 * pulse.sweep_hz_per_s();
-        let bend = self.curvature_per_s;
-        // Emission time of sample n: emitted + step n + bend n^2.
-        let emitted_s = ((1.0 + self.doppler) + bend * since_s) * since_s;
-        let step_s = ((1.0 + self.doppler) + 2.0 * bend * since_s) * self.step_s;
-        let bend_s = bend * self.step_s * self.step_s;
+        let curvature = self.curvature_per_s;
+        // Emission time of sample n: emitted + step n + curvature n^2.
+        let emitted_s = ((1.0 + self.doppler) + curvature * since_s) * since_s;
+        let step_s = ((1.0 + self.doppler) + 2.0 * curvature * since_s) * self.step_s;
+        let curvature_s = curvature * self.step_s * self.step_s;
         let from_middle_s = emitted_s - 0.5 * pulse.duration_s;
-        let shift_hz = carrier_hz * (self.doppler + 2.0 * bend * since_s);
+        let shift_hz = carrier_hz * (self.doppler + 2.0 * curvature * since_s);
         // The square has a cubic part, and a much smaller quartic part. On 0..count, the best parabola for n^3 is (3/2) count n^2 -
         // (9/16) count^2 n + count^3/32. Its error is at most count^3/32.
-        let cubic = 2.0 * half_sweep * step_s * bend_s;
-        Stretch {
+        let cubic = 2.0 * half_sweep * step_s * curvature_s;
+        SampleRun {
             p0: self.turns(since_s) + cubic * count * count * count / 32.0,
             p1: 2.0 * half_sweep * from_middle_s * step_s + shift_hz * self.step_s
                 - cubic * count * count * (9.0 / 16.0),
-            p2: half_sweep * (step_s * step_s + 2.0 * from_middle_s * bend_s)
-                + carrier_hz * bend_s
+            p2: half_sweep * (step_s * step_s + 2.0 * from_middle_s * curvature_s)
+                + carrier_hz * curvature_s
                 + cubic * count * 1.5,
             emitted_s,
             step_s,
-            bend_s,
+            curvature_s,
             duration_s: pulse.duration_s,
             flank_s: 0.5 * pulse.taper * pulse.duration_s,
         }
@@ -249,27 +249,27 @@ impl Echo<'_> {
 }
 
 /// Run of samples of one echo. The phase of sample n is p0 + p1 n + p2 n^2 turns.
-struct Stretch {
+struct SampleRun {
     p0: f64,
     p1: f64,
     p2: f64,
-    /// Emission time of sample n: emitted + step n + bend n^2.
+    /// Emission time of sample n: emitted + step n + curvature n^2.
     emitted_s: f64,
     step_s: f64,
-    bend_s: f64,
+    curvature_s: f64,
     duration_s: f64,
     /// Length of one flank of the Tukey taper, seconds.
     flank_s: f64,
 }
 
-impl Stretch {
+impl SampleRun {
     /// Range of the blocks, of `count` blocks of [`LANES`] samples, in which the taper is 1 throughout.
     #[inline(always)]
     fn flat_blocks(&self, count: usize) -> std::ops::Range<usize> {
         if self.flank_s <= 0.0 {
             return 0..count;
         }
-        // The bend, below 1e-8 s, shifts a block by less than a sample. The taper is smooth where a flank meets the flat part.
+        // The curvature, below 1e-8 s, shifts a block by less than a sample. The taper is smooth where a flank meets the flat part.
         let block_at = |t_s: f64| (t_s - self.emitted_s) / (self.step_s * LANES as f64);
         let first = block_at(self.flank_s).ceil().max(0.0) as usize;
         let end = block_at(self.duration_s - self.flank_s).floor().max(0.0) as usize;
@@ -284,7 +284,7 @@ impl Stretch {
         if self.flank_s > 0.0 {
             for (j, w) in weight.iter_mut().enumerate() {
                 let n = (n + j) as f64;
-                let t_s = self.emitted_s + n * (self.step_s + n * self.bend_s);
+                let t_s = self.emitted_s + n * (self.step_s + n * self.curvature_s);
                 let inside_s = t_s.min(self.duration_s - t_s).clamp(0.0, self.flank_s);
                 let (_, sin) = cis(0.25 * inside_s / self.flank_s);
                 *w = sin * sin;
@@ -308,7 +308,7 @@ struct Lanes {
 
 impl Lanes {
     #[inline(always)]
-    fn new(echo: &Stretch, amplitude: Complex64) -> Self {
+    fn new(echo: &SampleRun, amplitude: Complex64) -> Self {
         const STEP: f64 = LANES as f64;
         let (p1, p2) = (echo.p1, echo.p2);
         let (mut now, mut forward) = ([0.0; LANES], [0.0; LANES]);
@@ -424,7 +424,7 @@ impl Lanes {
 /// Adds one echo to at most [`RESTART`] samples.
 #[inline(always)]
 fn add_stretch(
-    echo: &Stretch,
+    echo: &SampleRun,
     amplitude: Complex64,
     out: &mut [Complex64],
     add_flat: impl Fn(&mut Lanes, &mut [Block]),
@@ -474,13 +474,13 @@ fn add_tone_with(
 ) {
     for (r, run) in out.chunks_mut(RESTART).enumerate() {
         let start = p0 + p1 * (r * RESTART) as f64;
-        let tone = Stretch {
+        let tone = SampleRun {
             p0: start - start.round_ties_even(),
             p1,
             p2: 0.0,
             emitted_s: 0.0,
             step_s: 0.0,
-            bend_s: 0.0,
+            curvature_s: 0.0,
             duration_s: 0.0,
             flank_s: 0.0,
         };

@@ -86,7 +86,7 @@ pub fn synthesis_error_model(synthesis: Synthesis, conditions: &Conditions) -> E
         Synthesis::Gridded2d => (
             conditions.tolerance,
             LINE_NS,
-            "designed for the tolerance, stretches of elements at a time".to_owned(),
+            "designed for the tolerance, sections of elements at a time".to_owned(),
         ),
         Synthesis::GriddedLines => (
             conditions.tolerance,

@@ -217,7 +217,7 @@ mod tests {
             scatterers: 1000,
             elements: 1,
             tolerance: 1e-3,
-            heard: None,
+            echo_statistics: None,
         }
     }
 

@@ -4,7 +4,7 @@
 //! Other simulators use this method; it is for comparison. Interpolation attenuates the upper band of the pulse. The pulse is not
 //! stretched, so Doppler models with stretch are not supported.
 
-use super::replica::Laid;
+use super::replica::ReplicaSink;
 
 /// Sink that adds echoes to the samples of one element, interpolated between samples.
-pub type Linear<'a> = Laid<'a, true>;
+pub type Linear<'a> = ReplicaSink<'a, true>;

@@ -4,7 +4,7 @@
 //! Simple simulators use this method; it is for comparison. An echo is displaced by up to half a sample. The pulse is not
 //! stretched, so Doppler models with stretch are not supported.
 
-use super::replica::Laid;
+use super::replica::ReplicaSink;
 
 /// Sink that adds echoes to the samples of one element, each at the nearest sample.
-pub type Nearest<'a> = Laid<'a, false>;
+pub type Nearest<'a> = ReplicaSink<'a, false>;

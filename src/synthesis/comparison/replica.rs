@@ -69,7 +69,7 @@ impl Replica {
 }
 
 /// Sink that adds replicas to the samples of one element.
-pub struct Laid<'a, const INTERPOLATED: bool> {
+pub struct ReplicaSink<'a, const INTERPOLATED: bool> {
     replica: &'a Replica,
     carrier_hz: f64,
     rate_hz: f64,
@@ -77,7 +77,7 @@ pub struct Laid<'a, const INTERPOLATED: bool> {
     out: &'a mut [Complex64],
 }
 
-impl<'a, const INTERPOLATED: bool> Laid<'a, INTERPOLATED> {
+impl<'a, const INTERPOLATED: bool> ReplicaSink<'a, INTERPOLATED> {
     /// Sink for samples at `first_sample_s + k / rate_hz` seconds after the start of the pulse. Echoes are added to the values of
     /// `out`.
     pub fn new(
@@ -97,7 +97,7 @@ impl<'a, const INTERPOLATED: bool> Laid<'a, INTERPOLATED> {
     }
 }
 
-impl<const INTERPOLATED: bool> ArrivalSink for Laid<'_, INTERPOLATED> {
+impl<const INTERPOLATED: bool> ArrivalSink for ReplicaSink<'_, INTERPOLATED> {
     fn accept(&mut self, chunk: &ArrivalChunk) {
         for (delay_s, amplitude) in chunk.delay_s.iter().zip(&chunk.amplitude).take(chunk.len) {
             let at = (delay_s - self.first_sample_s) * self.rate_hz;

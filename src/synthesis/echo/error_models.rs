@@ -33,8 +33,8 @@ fn edge_error(conditions: &Conditions, shift_s: f64) -> f64 {
         return 0.0;
     }
     let echo_samples = (pulse.duration_s * conditions.sample_rate_hz).max(1.0);
-    let (loudest, echoes, spread) = match conditions.heard {
-        Some(heard) => (heard.loudest, heard.echoes, heard.spread),
+    let (strongest_share, echoes, spread) = match conditions.echo_statistics {
+        Some(echoes) => (echoes.strongest_share, echoes.echoes, echoes.spread),
         None => (
             1.0,
             (conditions.scatterers * conditions.elements) as f64,
@@ -45,7 +45,7 @@ fn edge_error(conditions: &Conditions, shift_s: f64) -> f64 {
     if crossed * echoes < RARE {
         return 0.0;
     }
-    (loudest / echo_samples).sqrt() + (crossed / echo_samples).sqrt() * spread
+    (strongest_share / echo_samples).sqrt() + (crossed / echo_samples).sqrt() * spread
 }
 
 /// Minimum error of all models. On a platform at rest every model is the same sum of two lengths,
@@ -62,31 +62,31 @@ fn cost_ms(conditions: &Conditions, ns: f64) -> f64 {
 }
 
 /// Motion terms of the closed forms, per leg, for the actual geometry or for the worst direction.
-struct Moving {
-    hop_m: f64,
+struct MotionTerms {
+    displacement_m: f64,
     closing: f64,
-    bend: f64,
+    range_acceleration: f64,
     acceleration: f64,
     turning: f64,
     spread: f64,
 }
 
-fn moving(conditions: &Conditions) -> Moving {
+fn motion_terms(conditions: &Conditions) -> MotionTerms {
     let v = conditions.speed_m_per_s;
     let a = conditions.acceleration_m_per_s2;
-    match conditions.heard {
-        Some(heard) => Moving {
-            hop_m: heard.hop_m,
-            closing: heard.closing_m_per_s,
-            bend: heard.bend_m_per_s2,
-            acceleration: heard.acceleration_m_per_s2,
-            turning: heard.turning_m_per_s,
-            spread: heard.spread,
+    match conditions.echo_statistics {
+        Some(echoes) => MotionTerms {
+            displacement_m: echoes.displacement_m,
+            closing: echoes.closing_m_per_s,
+            range_acceleration: echoes.range_acceleration_m_per_s2,
+            acceleration: echoes.acceleration_m_per_s2,
+            turning: echoes.turning_m_per_s,
+            spread: echoes.spread,
         },
-        None => Moving {
-            hop_m: v * 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s,
+        None => MotionTerms {
+            displacement_m: v * 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s,
             closing: v,
-            bend: v * v / conditions.range_m.0 + a,
+            range_acceleration: v * v / conditions.range_m.0 + a,
             acceleration: a,
             turning: conditions.turning_m_per_s,
             spread: 1.0,
@@ -98,22 +98,22 @@ fn moving(conditions: &Conditions) -> Moving {
 pub fn path_error_model(path: PathModel, conditions: &Conditions) -> ErrorModel {
     let window_s = 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s;
     let h = conditions.segment_s;
-    let Moving {
-        hop_m,
+    let MotionTerms {
+        displacement_m,
         acceleration: a,
         turning,
         spread,
         ..
-    } = moving(conditions);
+    } = motion_terms(conditions);
     // Time to the middle of a chord, or to the last reception on it.
     let until_s = window_s.min(0.5 * h);
     let sag_m = 0.5 * a * until_s * (h - until_s);
     let turned_m = turning * h.min(window_s);
     let (off_m, ns, why) = match path {
         PathModel::StopAndHop => (
-            hop_m,
+            displacement_m,
             LEG_NS,
-            format!("the platform moves {hop_m:.1e} m during the travel time"),
+            format!("the platform moves {displacement_m:.1e} m during the travel time"),
         ),
         PathModel::Polyline => (
             sag_m + turned_m,
@@ -155,26 +155,26 @@ pub fn doppler_error_model(
         pulse,
         ..
     } = *conditions;
-    let Moving {
+    let MotionTerms {
         closing,
-        bend,
+        range_acceleration,
         acceleration: a,
         spread,
         ..
-    } = moving(conditions);
+    } = motion_terms(conditions);
     let t = pulse.duration_s;
     let k = conditions.wavenumber_per_m();
     // Two-way phases of three terms: the closing speed d s, its change q s^2, and the change of q.
     let first = k * 2.0 * closing * t / 3f64.sqrt();
-    let second = k * bend * t * t / 5f64.sqrt();
+    let second = k * range_acceleration * t * t / 5f64.sqrt();
     // About mid-pulse, the error is that of half a pulse cubed. The acceleration may change within
     // the pulse, by about a hundredth of its value on real tracks.
     let third = k * 3.0 * v * (v * closing / nearest_m + a) / nearest_m * (t / 2.0).powi(3)
         + 1e-2 * k * a * t * t / 5f64.sqrt();
     // The parabolas of the synthesis lack the cubic phase of a Doppler-distorted chirp, over the
     // part of the pulse that they cover.
-    let bend_per_s = bend / c;
-    let cubic_turns = pulse.sweep_hz_per_s().abs() * bend_per_s * t.powi(3) / 32.0;
+    let curvature_per_s = range_acceleration / c;
+    let cubic_turns = pulse.sweep_hz_per_s().abs() * curvature_per_s * t.powi(3) / 32.0;
     let cubic = TAU * cubic_turns.min(1e-7) / 2f64.sqrt();
     // Error of the segment's velocity compared with the instantaneous velocity.
     let stale = match path {
@@ -299,7 +299,7 @@ mod tests {
             scatterers: 1000,
             elements: 10,
             tolerance: 1e-3,
-            heard: None,
+            echo_statistics: None,
         }
     }
 

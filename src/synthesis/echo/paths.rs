@@ -195,18 +195,18 @@ impl ElementTrack {
     }
 
     /// Computes the legs of `element` under the plan's path and Doppler models.
-    pub(crate) fn lay(
+    pub(crate) fn compute(
         &mut self,
         plan: &PingPlan,
         transmit: &Transmit,
         array: &ArrayGeometry,
         element: usize,
     ) {
-        self.lay_at(plan, transmit, array, array.element_x_m(element));
+        self.compute_at(plan, transmit, array, array.element_x_m(element));
     }
 
-    /// As [`Self::lay`], for a point `along_m` from the centre of the array.
-    pub(crate) fn lay_at(
+    /// As [`Self::compute`], for a point `along_m` from the centre of the array.
+    pub(crate) fn compute_at(
         &mut self,
         plan: &PingPlan,
         transmit: &Transmit,
@@ -219,8 +219,8 @@ impl ElementTrack {
         self.sag_m = 0.0;
         self.legs.clear();
         match plan.model.path {
-            PathModel::StopAndHop | PathModel::Polyline => self.lay_segments(plan, transmit),
-            PathModel::KSegment | PathModel::Continuous => self.lay_chords(plan, transmit),
+            PathModel::StopAndHop | PathModel::Polyline => self.compute_segments(plan, transmit),
+            PathModel::KSegment | PathModel::Continuous => self.compute_chords(plan, transmit),
         }
         self.seamless = plan.model.path != PathModel::Polyline;
         self.end_s = match (plan.model.path, self.legs.last()) {
@@ -248,7 +248,7 @@ impl ElementTrack {
     }
 
     /// Legs from the plan's segments. `stop-and-hop` uses only the first segment, at rest.
-    fn lay_segments(&mut self, plan: &PingPlan, transmit: &Transmit) {
+    fn compute_segments(&mut self, plan: &PingPlan, transmit: &Transmit) {
         let (segments, moving) = match plan.model.path {
             PathModel::StopAndHop => (&plan.segments[..1], 0.0),
             _ => (&plan.segments[..], 1.0),
@@ -273,7 +273,7 @@ impl ElementTrack {
     /// Legs from chords between the element's positions at the vertices of the segments. The array
     /// axes are those of each chord's middle and turn uniformly from there. The Doppler velocity is
     /// linear between vertices.
-    fn lay_chords(&mut self, plan: &PingPlan, transmit: &Transmit) {
+    fn compute_chords(&mut self, plan: &PingPlan, transmit: &Transmit) {
         let pose_at = |time_s: f64| plan.trajectory.pose_from(transmit.reference_m, time_s);
         let place_m = |pose: &Pose| pose.point_m(self.element_m) - transmit.arm_m;
         let segments = &plan.segments;

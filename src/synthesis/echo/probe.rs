@@ -267,11 +267,13 @@ impl<'a> Prober<'a> {
         let now_s = self.emitted_s(at_m, 1, guess_s);
         let before_s = self.emitted_s(at_m, 0, now_s - self.step_s);
         let after_s = self.emitted_s(at_m, 2, now_s + self.step_s);
-        // t' = now + rate x + bend x^2, with x counted from the instant.
+        // t' = now + rate x + curvature x^2, with x counted from the instant.
         let rate = (after_s - before_s) / (2.0 * self.step_s);
-        let bend_per_s =
+        let curvature_per_s =
             ((after_s - now_s) - (now_s - before_s)) / (2.0 * self.step_s * self.step_s);
-        let root = (rate * rate - 4.0 * now_s * bend_per_s).max(0.0).sqrt();
+        let root = (rate * rate - 4.0 * now_s * curvature_per_s)
+            .max(0.0)
+            .sqrt();
         let edge_s = -2.0 * now_s / (rate + root);
         let leading_s = self.at.time_s + edge_s;
         let receive_m = self.receive_m[1] + self.velocity_m_per_s * edge_s;
@@ -284,8 +286,8 @@ impl<'a> Prober<'a> {
         );
         Some(Echo {
             delay_s: leading_s,
-            doppler: (rate - 1.0) + 2.0 * bend_per_s * edge_s,
-            curvature_per_s: bend_per_s,
+            doppler: (rate - 1.0) + 2.0 * curvature_per_s * edge_s,
+            curvature_per_s,
             amplitude: scatterers.strength[i] * amplitude,
         })
     }

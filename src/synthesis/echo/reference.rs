@@ -80,11 +80,11 @@ pub fn reference_with(
     let duration_s = plan.pulse.duration_s;
 
     let (track, origin_m) = near_origin(&plan.trajectory);
-    let transmitter = Mover {
+    let transmitter = BodyPoint {
         track: &track,
         body_m: tx.mounting.position_m,
     };
-    let receiver = Mover {
+    let receiver = BodyPoint {
         track: &track,
         body_m: array.element_body_m(element),
     };
@@ -218,12 +218,12 @@ fn near_origin(trajectory: &Trajectory) -> (Trajectory, DVec3) {
 }
 
 /// A body-fixed point on the trajectory.
-struct Mover<'a> {
+struct BodyPoint<'a> {
     track: &'a Trajectory,
     body_m: DVec3,
 }
 
-impl Mover<'_> {
+impl BodyPoint<'_> {
     /// Position and velocity in world axes.
     fn at(&self, time_s: f64) -> (DVec3, DVec3) {
         let pose = self.track.pose_at(time_s);
@@ -236,7 +236,7 @@ impl Mover<'_> {
 
 /// Time at which the sound reaches the receiver, seconds: c t = travelled + |S - r(t)|.
 /// `travelled_m` is the path up to the scatterer, in metres since t = 0.
-fn receive_time_s(c: f64, travelled_m: f64, at_m: DVec3, receiver: &Mover) -> f64 {
+fn receive_time_s(c: f64, travelled_m: f64, at_m: DVec3, receiver: &BodyPoint) -> f64 {
     let residual = |t_s: f64| {
         let (place_m, velocity) = receiver.at(t_s);
         let ray_m = at_m - place_m;

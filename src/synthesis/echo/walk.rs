@@ -446,7 +446,7 @@ pub fn arrivals_of_slab(
         chunk,
     } = work;
     let part = SubarrayElements::of(plan, array);
-    track.lay(plan, &transmit_leg.transmit, array, element);
+    track.compute(plan, &transmit_leg.transmit, array, element);
     // u >= (2 r_T - reach)/c, so batches entirely after the window are skipped. Eq. 21 can shorten
     // a delay by at most the factor 3 v/c, with v below 0.1 c.
     let forward = match plan.model.doppler {

@@ -215,15 +215,15 @@ fn every_live_family_finds_exactly_the_logged_faults() {
         let score = score(&log, &heard.report);
         assert!(
             score.is_clean(),
-            "{name}: missed {:#?}, invented {:#?}",
+            "{name}: missed {:#?}, false alarms {:#?}",
             score.missed,
-            score.invented
+            score.false_alarms
         );
         for kind in KINDS {
             let tally = score.kinds[kind];
             // There is at least one record per ping: six draws.
             assert!(tally.injected > 0, "{name} {kind}: {tally:?}");
-            assert_eq!(tally.untold, 0, "{name} {kind}");
+            assert_eq!(tally.undetectable, 0, "{name} {kind}");
             let held = matches!(kind, "reorder" | "delay" | "jitter");
             assert!(
                 tally.found > 0 && (held || tally.masked == 0),
@@ -303,8 +303,13 @@ fn resets_and_silences_are_found_at_their_logged_times() {
             let found = (tally.injected, tally.found);
             assert_eq!(found, (ROUNDS, ROUNDS), "{name} {kind}: {score:?}");
             // A machine that stalls for a third of a second also causes a silence.
-            let invented = score.invented.iter().filter(|f| f.kind != "silent");
-            assert_eq!(invented.count(), 0, "{name} {kind}: {:?}", score.invented);
+            let false_alarms = score.false_alarms.iter().filter(|f| f.kind != "silent");
+            assert_eq!(
+                false_alarms.count(),
+                0,
+                "{name} {kind}: {:?}",
+                score.false_alarms
+            );
         }
     }
 }
@@ -339,8 +344,8 @@ fn a_dead_element_injected_live_is_dead_only_in_the_logged_pings() {
             let open = client.read(Duration::from_secs(5), |frame, _| {
                 assert_eq!(usize::from(frame.head.elements), ELEMENTS);
                 let heard = |element: usize| {
-                    let mut moments = frame.samples.chunks_exact(4 * ELEMENTS);
-                    moments.any(|m| m[4 * element..4 * element + 4] != [0; 4])
+                    let mut sample_times = frame.samples.chunks_exact(4 * ELEMENTS);
+                    sample_times.any(|m| m[4 * element..4 * element + 4] != [0; 4])
                 };
                 let number = frame.head.ping_number;
                 *pings.entry(number).or_default() |= heard(dead_one);

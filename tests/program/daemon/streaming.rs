@@ -26,21 +26,21 @@ type Pings = BTreeMap<u32, Vec<u8>>;
 /// Frames of a ping until it is complete.
 #[derive(Default)]
 struct Part {
-    moments: u32,
+    sample_times: u32,
     samples: Vec<u8>,
 }
 
 impl Part {
     /// Adds a frame. Returns the samples of the whole ping with its last frame.
     fn push(&mut self, frame: &Frame<'_>) -> Option<Vec<u8>> {
-        if frame.head.first_moment == 0 {
+        if frame.head.first_sample == 0 {
             *self = Self::default();
         }
-        if self.moments == frame.head.first_moment {
-            self.moments += frame.moments;
+        if self.sample_times == frame.head.first_sample {
+            self.sample_times += frame.sample_times;
             self.samples.extend_from_slice(frame.samples);
         }
-        let is_whole = self.moments == frame.head.ping_moments;
+        let is_whole = self.sample_times == frame.head.ping_samples;
         is_whole.then(|| std::mem::take(&mut self.samples))
     }
 }
@@ -59,8 +59,8 @@ impl Heard {
     fn vita_pings_among_the_others(&self) -> usize {
         // Elements of the first array, sample by sample, in big endian.
         let port = |frames: &[u8]| -> Vec<u8> {
-            let moments = frames.chunks_exact(4 * ELEMENTS);
-            let values = moments.flat_map(|moment| moment[..4 * PORT].chunks_exact(2));
+            let sample_times = frames.chunks_exact(4 * ELEMENTS);
+            let values = sample_times.flat_map(|k| k[..4 * PORT].chunks_exact(2));
             values.flat_map(|v| [v[1], v[0]]).collect()
         };
         let pings: Vec<_> = self.pings.values().map(|frames| port(frames)).collect();
@@ -109,7 +109,7 @@ fn listen(more: &[&str]) -> Heard {
         assert!(Instant::now() < until, "{} pings", heard.pings.len());
         let open = client.read(Duration::from_millis(5), |frame, now| {
             let head = &frame.head;
-            if head.first_moment == 0 {
+            if head.first_sample == 0 {
                 heard
                     .first_sample_s
                     .push((now.0 - head.pulse_utc_ns) as f64 / 1e9);
@@ -235,7 +235,7 @@ fn triggered(latency_s: f64, more: &[&str]) {
         }
         let open = client.read(Duration::from_millis(5), |frame, now| {
             let head = &frame.head;
-            let end_s = f64::from(head.first_moment + frame.moments) / head.moments_per_s;
+            let end_s = f64::from(head.first_sample + frame.sample_times) / head.sample_rate_hz;
             let since_s = (now.0 - head.pulse_utc_ns) as f64 / 1e9;
             min_s = min_s.min(since_s - end_s);
             streamed.extend(part.push(frame));

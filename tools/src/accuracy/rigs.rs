@@ -16,7 +16,7 @@ use crate::report::{Common, Report};
 use echotank_config as config;
 use echotank_ping::method_selection::costs::Costs;
 use echotank_ping::threads::pool;
-use measure::{Did, Measured, measure};
+use measure::{CandidateResult, Measured, measure};
 
 /// Computing time of a ping below which the cost limit does not apply, ms.
 const MIN_MS: f64 = 1.0;
@@ -156,7 +156,7 @@ fn configuration(path: &Path) -> Result<config::spec::RigSpec, Box<dyn std::erro
 
 /// Cost of the selected methods over the minimum cost of the methods that predict, and of those that reach, the same error.
 fn ratios(of: &Measured) -> (f64, f64) {
-    let least = |good: &dyn Fn(&&Did) -> bool| {
+    let least = |good: &dyn Fn(&&CandidateResult) -> bool| {
         let others = of.others.iter().filter(good);
         others.map(|did| did.ms).fold(of.plan.ms, f64::min)
     };

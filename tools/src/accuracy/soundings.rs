@@ -8,7 +8,7 @@ use clap::Args;
 use echotank_config::spec::ColourMap;
 use serde_json::json;
 
-use crate::picture::{self, Grid, Look};
+use crate::picture::{self, ColourScale, Grid};
 use crate::report::{Common, Report};
 use measure::{Case, Soundings, agreement};
 
@@ -86,7 +86,7 @@ fn draw(soundings: &Soundings, file: &std::path::Path) -> Result<(), String> {
         grid
     };
     let (found, truth) = (grid(|c| c.0), grid(|c| c.1));
-    let look = Look::of_shares(&[&truth], ColourMap::Rainbow, 0.0, 1.0);
+    let look = ColourScale::of_shares(&[&truth], ColourMap::Rainbow, 0.0, 1.0);
     picture::write(file, &[vec![(&found, look)], vec![(&truth, look)]])?;
     println!(
         "from {:.2} m (red) to {:.2} m (blue)\n",

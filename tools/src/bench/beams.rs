@@ -324,13 +324,13 @@ fn kaiser(beta: f64) -> impl Fn(f64) -> f64 {
 
 /// Run times of repeated calls of `work` on this thread, milliseconds.
 #[derive(Clone, Copy)]
-struct Took {
+struct RunTimes {
     wall: f64,
     /// Processor time; the wall time where the system does not report it.
     core: f64,
 }
 
-fn timed(work: impl FnOnce()) -> Took {
+fn timed(work: impl FnOnce()) -> RunTimes {
     let on_core_ns = || -> Option<f64> {
         let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
         text.split_whitespace().next()?.parse().ok()
@@ -339,7 +339,7 @@ fn timed(work: impl FnOnce()) -> Took {
     work();
     let wall = start.elapsed().as_secs_f64() * 1e3;
     let core = before.zip(on_core_ns()).map(|(a, b)| (b - a) * 1e-6);
-    Took {
+    RunTimes {
         wall,
         core: core.unwrap_or(wall),
     }
@@ -396,7 +396,7 @@ fn time(scene: &Scene, formers: &[Former], quick: bool, report: &mut Report) -> 
             let mut fan = scene.make(former);
             let plan = scene.plan();
             let mut out = BeamFrame::default();
-            let mut took: Vec<Took> = (0..=runs)
+            let mut took: Vec<RunTimes> = (0..=runs)
                 .map(|_| {
                     timed(|| {
                         fan.form(&plan, &frame, &mut out);
@@ -498,7 +498,7 @@ pub(crate) fn serve() -> Result<(), String> {
                     made.len() - 1
                 }
             };
-            let Took { wall, core } = timed(|| {
+            let RunTimes { wall, core } = timed(|| {
                 made[place].1.form(&scene.plan(), &frame, &mut out);
             });
             let error = error(&probes, former == Former::DynamicFocus, &out);

@@ -28,7 +28,7 @@ pub(crate) fn run(file: &Path, quick: bool, json: Option<&Path>) -> Result<(), S
         let line = pool(threads)
             .map_err(|e| e.to_string())?
             .install(|| pinged(&spec, pings))?;
-        let Pinged {
+        let PingTimes {
             mut ms,
             error,
             echoes,
@@ -54,16 +54,16 @@ pub(crate) fn run(file: &Path, quick: bool, json: Option<&Path>) -> Result<(), S
     report.finish(json)
 }
 
-struct Pinged {
+struct PingTimes {
     ms: Vec<f64>,
     error: Option<f64>,
     echoes: u64,
 }
 
-fn pinged(spec: &config::spec::RigSpec, pings: usize) -> Result<Pinged, String> {
+fn pinged(spec: &config::spec::RigSpec, pings: usize) -> Result<PingTimes, String> {
     let ended = || "the navigation log ends before the pings do".to_string();
     let mut log = LoggedPings::open(spec)?.ok_or_else(ended)?;
-    let mut done = Pinged {
+    let mut done = PingTimes {
         ms: Vec::new(),
         error: None,
         echoes: 0,

@@ -409,13 +409,13 @@ pub(crate) fn run(selection: &Selection) -> Result<(), String> {
 /// Replaces the kept rows of the same rigs and ranges, in the order of the file, and draws all rows.
 fn keep(rows: Vec<Row>, rates: &Rates, report: &mut Report) -> Result<(), String> {
     #[derive(Deserialize)]
-    struct Kept {
+    struct Table {
         rows: Vec<Row>,
     }
     let path = kept("rates.json");
     let mut all = match std::fs::read_to_string(&path) {
         Ok(text) => {
-            let before: Kept = serde_json::from_str(&text)
+            let before: Table = serde_json::from_str(&text)
                 .map_err(|e| format!("{}: {e}; remove it", path.display()))?;
             before.rows
         }

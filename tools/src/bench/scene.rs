@@ -87,7 +87,7 @@ impl Scene {
             scatterers,
         } = self;
         insonify(plan, transmit, window, scatterers, &mut transmit_leg);
-        let mut kept = Kept(Vec::new());
+        let mut collector = ArrivalCollector(Vec::new());
         let array = self.array(elements);
         arrivals(
             plan,
@@ -95,17 +95,17 @@ impl Scene {
             element,
             &transmit_leg,
             &mut Workspace::new(),
-            &mut kept,
+            &mut collector,
         );
-        kept.0
+        collector.0
     }
 }
 
 /// Sink that collects all arrivals.
 #[derive(Default)]
-pub(crate) struct Kept(pub(crate) Vec<ArrivalChunk>);
+pub(crate) struct ArrivalCollector(pub(crate) Vec<ArrivalChunk>);
 
-impl ArrivalSink for Kept {
+impl ArrivalSink for ArrivalCollector {
     fn accept(&mut self, chunk: &ArrivalChunk) {
         self.0.push(ArrivalChunk {
             len: chunk.len,

@@ -53,7 +53,7 @@ impl Profile {
     }
 
     pub(crate) fn print(&self, threads: usize) {
-        let roof = Roof::measure();
+        let roof = Roofline::measure();
         println!(
             "  one core: {:.0} GFLOP/s in f32, {:.0} GB/s from memory, {:.0} GB/s in 1 MB; {threads} threads",
             roof.flops * 1e-9,
@@ -161,13 +161,13 @@ impl Work {
 }
 
 /// Peak rates of one core.
-struct Roof {
+struct Roofline {
     flops: f64,
     memory: f64,
     cache: f64,
 }
 
-impl Roof {
+impl Roofline {
     fn measure() -> Self {
         let flops = (0..5).map(|_| fused_per_s()).fold(0.0, f64::max);
         let pass = |values: usize, passes: usize| {

@@ -52,20 +52,20 @@ const MANY: usize = 1_500_000;
 #[derive(Clone, Copy)]
 struct Effort {
     /// Maximum core time of a ping, seconds. Methods with slower pings are skipped.
-    patience_s: f64,
+    max_ping_s: f64,
     /// Total time after which runs end, seconds.
     runs_s: f64,
     max_scatterers: usize,
 }
 
 const FULL: Effort = Effort {
-    patience_s: 12.0,
+    max_ping_s: 12.0,
     runs_s: 3.0,
     max_scatterers: usize::MAX,
 };
 
 const QUICK: Effort = Effort {
-    patience_s: 1.0,
+    max_ping_s: 1.0,
     runs_s: 0.2,
     max_scatterers: 50_000,
 };
@@ -196,11 +196,11 @@ struct Ready {
     filter: Decimator,
     iq: Vec<Complex64>,
     /// Reference samples by window, computed on first use.
-    truth: Vec<Looked>,
+    truth: Vec<SampledWindow>,
 }
 
 /// Window of one element, with reference values of some of its samples.
-struct Looked {
+struct SampledWindow {
     element: usize,
     window: std::ops::Range<usize>,
     samples: Vec<(usize, Complex64)>,
@@ -213,14 +213,14 @@ struct Error {
 }
 
 /// Milliseconds of several runs.
-struct Took {
+struct RunTimes {
     best_ms: f64,
     median_ms: f64,
     runs: usize,
 }
 
 /// Time of a method and the error it predicts.
-type Outcome = Result<(Took, String), String>;
+type Outcome = Result<(RunTimes, String), String>;
 
 impl Ready {
     fn new(ping: Ping, effort: Effort) -> Self {
@@ -280,7 +280,7 @@ impl Ready {
     }
 
     /// Samples of some windows by the equation of the reference.
-    fn look(&self) -> Vec<Looked> {
+    fn sample_windows(&self) -> Vec<SampledWindow> {
         let Scene {
             plan,
             transmit,
@@ -292,7 +292,7 @@ impl Ready {
         let mut below = |n: usize| (draws.next_u64() % n as u64) as usize;
         let many = scatterers.len() > MANY;
         let (windows, samples) = if many { (4, 4) } else { (WINDOWS, SAMPLES) };
-        let mut looked: Vec<Looked> = (0..windows)
+        let mut looked: Vec<SampledWindow> = (0..windows)
             .map(|k| {
                 let start = match k {
                     0 => first,
@@ -300,14 +300,14 @@ impl Ready {
                     _ => first + below(last - first),
                 };
                 let samples = (0..samples).map(|_| (start + below(length), Complex64::ZERO));
-                Looked {
+                SampledWindow {
                     samples: samples.collect(),
                     element: below(self.ping.elements),
                     window: start..start + length,
                 }
             })
             .collect();
-        let of = |looked: &Looked, sample: usize| Probe {
+        let of = |looked: &SampledWindow, sample: usize| Probe {
             transmit,
             array: &self.array,
             element: looked.element,
@@ -326,7 +326,7 @@ impl Ready {
     /// Error of the output of the last ping.
     fn error(&mut self) -> Error {
         if self.truth.is_empty() {
-            self.truth = self.look();
+            self.truth = self.sample_windows();
         }
         let count = self.scene.plan.sample_count;
         let squares: Vec<f64> = self
@@ -372,7 +372,7 @@ fn by_tiles(scatterers: &mut Scatterers) {
 }
 
 /// Times several runs after a first run that grows buffers. A long run reduces their number.
-fn timed(effort: Effort, mut run: impl FnMut()) -> Took {
+fn timed(effort: Effort, mut run: impl FnMut()) -> RunTimes {
     let started = Instant::now();
     let mut taken = Vec::new();
     for round in 0..=RUNS {
@@ -387,7 +387,7 @@ fn timed(effort: Effort, mut run: impl FnMut()) -> Took {
         }
     }
     taken.sort_by(f64::total_cmp);
-    Took {
+    RunTimes {
         best_ms: taken[0],
         median_ms: taken[taken.len() / 2],
         runs: taken.len(),
@@ -397,7 +397,7 @@ fn timed(effort: Effort, mut run: impl FnMut()) -> Took {
 /// Reason why a method is skipped, or `Ok`.
 fn patient(ready: &Ready, per_pair_s: f64) -> Result<(), String> {
     let took_s = (ready.ping.scatterers * ready.ping.elements) as f64 * per_pair_s;
-    if took_s > ready.effort.patience_s {
+    if took_s > ready.effort.max_ping_s {
         return Err(format!("not run: about {took_s:.0} core seconds"));
     }
     Ok(())
@@ -433,7 +433,7 @@ fn timed_elements(
     ready: &mut Ready,
     plan: &PingPlan,
     element: impl Fn(&Ready, &TransmitLeg, usize, &mut [Complex64]) + Sync,
-) -> Took {
+) -> RunTimes {
     let mut transmit_leg = TransmitLeg::new();
     let mut iq = std::mem::take(&mut ready.iq);
     let this = &*ready;
@@ -762,7 +762,7 @@ fn one(
             });
             let line = match outcome {
                 Ok((took, says)) => {
-                    let Took {
+                    let RunTimes {
                         best_ms,
                         median_ms,
                         runs,

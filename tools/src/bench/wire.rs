@@ -20,7 +20,7 @@ use echotank_emit::session::Wants;
 use echotank_emit::sevenk::records::DeviceSheet;
 use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_emit::vita49::Vita49Emitter;
-use echotank_emit::wbms::{Device as WbmsDevice, Wanted, WbmsEmitter};
+use echotank_emit::wbms::{Device as WbmsDevice, SubscribedPackets, WbmsEmitter};
 use echotank_emit::xtf::XtfEmitter;
 use echotank_protocols::jsf::{Message, SonarData80, message_type};
 use echotank_protocols::sevenk::Record;
@@ -174,7 +174,7 @@ fn devices(
     tell("vita49, a stream an element", error, measured);
 
     let mut emitter = WbmsEmitter::new(Arc::new(WbmsDevice::new(&sonar, SOUND_M_PER_S)), 1);
-    let wanted = Wanted {
+    let wanted = SubscribedPackets {
         bathymetry: false,
         water_column: true,
         side_scan: false,

@@ -20,7 +20,7 @@ const MAX_BYTES: usize = 1 << 30;
 )]
 struct Args {
     #[arg(value_enum)]
-    what: What,
+    what: FuzzCommand,
     #[arg(long, default_value_t = 60.0)]
     seconds: f64,
     #[arg(long, default_value_t = 1)]
@@ -31,14 +31,14 @@ struct Args {
 }
 
 #[derive(Clone, ValueEnum)]
-enum What {
+enum FuzzCommand {
     /// Readers of seabeds and models
     Scene,
 }
 
 fn main() -> ExitCode {
     let args = Args::parse();
-    let What::Scene = args.what;
+    let FuzzCommand::Scene = args.what;
     let mut files = seeds::small();
     files.push(seeds::bag());
     files.retain(|f| f.name.contains(&args.only));

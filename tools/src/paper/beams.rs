@@ -10,9 +10,9 @@ use echotank_ping::pipeline::SonarPipeline;
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use super::pings::{self, Heard};
+use super::pings::{self, RecordedPing};
 use super::strip::{CELL_M, Strip};
-use crate::picture::{self, Grid, Look};
+use crate::picture::{self, ColourScale, Grid};
 
 /// Ranges of the points whose images are measured, metres.
 const POINTS_M: [f64; 6] = [5.0, 10.0, 20.0, 35.0, 50.0, 75.0];
@@ -22,11 +22,11 @@ pub(crate) fn figure_11(out: &Path) -> Result<Value, String> {
     let mut rows = Vec::new();
     for name in ["fig11_conventional.toml", "fig11_focused.toml"] {
         let spec = pings::load(name)?;
-        let (heard, _) = pings::run(&spec)?;
-        grids.push(lay(&spec, &heard));
-        rows.push(json!({ "config": name, "points": points(&spec, &heard[heard.len() / 2])? }));
+        let (pings, _) = pings::run(&spec)?;
+        grids.push(lay(&spec, &pings));
+        rows.push(json!({ "config": name, "points": points(&spec, &pings[pings.len() / 2])? }));
     }
-    let look = Look::of_shares(&[&grids[1]], ColourMap::Copper, 0.05, 0.995);
+    let look = ColourScale::of_shares(&[&grids[1]], ColourMap::Copper, 0.05, 0.995);
     let panels: Vec<_> = grids.iter().map(|g| (g, look)).collect();
     picture::write(&out.join("fig11.png"), &[panels])?;
     Ok(json!({
@@ -39,9 +39,9 @@ pub(crate) fn figure_11(out: &Path) -> Result<Value, String> {
 
 /// Along-track position of a sample of a beam. Focused beams refer to the position of the array at the start of the pulse.
 /// Far-field beams refer to its position at reception.
-fn along_m(spec: &RigSpec, heard: &Heard, sine: f64, range_m: f64) -> f64 {
-    let pose = &heard.plan.nav.pose;
-    let c = heard.plan.sound_speed_m_per_s;
+fn along_m(spec: &RigSpec, ping: &RecordedPing, sine: f64, range_m: f64) -> f64 {
+    let pose = &ping.plan.nav.pose;
+    let c = ping.plan.sound_speed_m_per_s;
     let moved = match spec.sonars[0].beams.fan.as_ref().map(|f| f.form.former) {
         Some(Former::DynamicFocus) => 0.0,
         _ => pose.velocity_m_per_s.x * 2.0 * range_m / c,
@@ -50,10 +50,10 @@ fn along_m(spec: &RigSpec, heard: &Heard, sine: f64, range_m: f64) -> f64 {
 }
 
 /// Image of the strip. Each cell has the level of the beam that passes nearest.
-fn lay(spec: &RigSpec, heard: &[Heard]) -> Grid {
+fn lay(spec: &RigSpec, pings: &[RecordedPing]) -> Grid {
     let mut strip = Strip::new();
     let rate_hz = spec.sonars[0].receiver.sample_rate_hz;
-    for ping in heard {
+    for ping in pings {
         let fan = &ping.output.beams[0];
         let c = ping.plan.sound_speed_m_per_s;
         let step = fan.angle_rad[1] - fan.angle_rad[0];
@@ -79,7 +79,7 @@ fn lay(spec: &RigSpec, heard: &[Heard]) -> Grid {
 }
 
 /// Images of single points on the boresight plane: peak loss, width, and the strongest false echo.
-fn points(spec: &RigSpec, heard: &Heard) -> Result<Vec<Value>, String> {
+fn points(spec: &RigSpec, ping: &RecordedPing) -> Result<Vec<Value>, String> {
     let mut wide = spec.clone();
     let sonar = &mut wide.sonars[0];
     let Some(fan) = &mut sonar.beams.fan else {
@@ -96,7 +96,7 @@ fn points(spec: &RigSpec, heard: &Heard) -> Result<Vec<Value>, String> {
     let mut pipeline =
         SonarPipeline::new(&wide.sonars[0], &wide.medium).map_err(|e| e.to_string())?;
     let mut output = pipeline.blank_output();
-    let (plan, pose) = (&heard.plan, &heard.plan.nav.pose);
+    let (plan, pose) = (&ping.plan, &ping.plan.nav.pose);
     let down = 30f64.to_radians();
     let mut rows = Vec::new();
     for range_m in POINTS_M {

@@ -10,7 +10,7 @@ use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::pings;
-use crate::picture::{self, Grid, Look};
+use crate::picture::{self, ColourScale, Grid};
 
 const CELL_M: f64 = 0.05;
 const NORTH_M: (f64, f64) = (-6.0, 6.0);
@@ -34,11 +34,11 @@ struct Rig {
 
 impl Rig {
     fn of(spec: &RigSpec) -> Result<Self, String> {
-        let (heard, _) = pings::run(spec)?;
+        let (pings, _) = pings::run(spec)?;
         let sonar = &spec.sonars[0];
         let c = spec.medium.sound_speed_m_per_s;
         Ok(Self {
-            speed_m_per_s: heard[0].plan.nav.pose.velocity_m_per_s.x,
+            speed_m_per_s: pings[0].plan.nav.pose.velocity_m_per_s.x,
             c,
             length_wavelengths: sonar.receive[0].spacing_m * sonar.pulse.center_frequency_hz / c,
         })
@@ -123,7 +123,7 @@ pub(crate) fn figure_6(out: &Path) -> Result<Value, String> {
             }
         }
     }
-    let level = Look {
+    let level = ColourScale {
         map: ColourMap::Copper,
         low: -30.0,
         high: 0.0,
@@ -133,13 +133,13 @@ pub(crate) fn figure_6(out: &Path) -> Result<Value, String> {
         &[vec![
             (
                 &bottom,
-                Look::of_shares(&[&bottom], ColourMap::Rainbow, 0.0, 1.0),
+                ColourScale::of_shares(&[&bottom], ColourMap::Rainbow, 0.0, 1.0),
             ),
             (&stop, level),
             (&moving, level),
             (
                 &path,
-                Look::of_shares(&[&path], ColourMap::Rainbow, 0.0, 1.0),
+                ColourScale::of_shares(&[&path], ColourMap::Rainbow, 0.0, 1.0),
             ),
         ]],
     )?;
@@ -173,11 +173,11 @@ pub(crate) fn figure_7(out: &Path) -> Result<Value, String> {
         &[vec![
             (
                 &incidence,
-                Look::of_shares(&[&incidence], ColourMap::Rainbow, 0.0, 1.0),
+                ColourScale::of_shares(&[&incidence], ColourMap::Rainbow, 0.0, 1.0),
             ),
             (
                 &arrival,
-                Look::of_shares(&[&arrival], ColourMap::Rainbow, 0.0, 1.0),
+                ColourScale::of_shares(&[&arrival], ColourMap::Rainbow, 0.0, 1.0),
             ),
         ]],
     )?;

@@ -7,8 +7,8 @@ use echotank_core::scene::Target;
 use echotank_imaging::image::line::{RangeAxis, mean_intensity};
 use serde_json::{Value, json};
 
-use super::pings::{self, Heard};
-use crate::picture::{self, Grid, Look};
+use super::pings::{self, RecordedPing};
+use crate::picture::{self, ColourScale, Grid};
 
 const CELL_M: f64 = 0.1;
 const RANGE_M: f64 = 85.0;
@@ -17,17 +17,17 @@ const ROWS: usize = 2;
 
 pub(crate) fn figure_17(out: &Path) -> Result<Value, String> {
     let spec = pings::load("fig17.toml")?;
-    let (heard, targets) = pings::run(&spec)?;
+    let (pings, targets) = pings::run(&spec)?;
     let axis = RangeAxis::new(
         spec.medium.sound_speed_m_per_s,
         spec.sonars[0].receiver.sample_rate_hz,
     );
-    let grid = waterfall(&heard, axis);
-    let look = Look::of_shares(&[&grid], ColourMap::Copper, 0.05, 0.998);
+    let grid = waterfall(&pings, axis);
+    let look = ColourScale::of_shares(&[&grid], ColourMap::Copper, 0.05, 0.998);
     picture::write(&out.join("fig17.png"), &[vec![(&grid, look)]])?;
     Ok(json!({
-        "figure": "17", "picture": "slant range to the right, north up", "pings": heard.len(),
-        "piers": piers(&heard, axis, &targets).iter().map(|p| json!({
+        "figure": "17", "picture": "slant range to the right, north up", "pings": pings.len(),
+        "piers": piers(&pings, axis, &targets).iter().map(|p| json!({
             "name": p.name, "true_east_m": p.true_east_m, "slant_range_m": p.slant_range_m, "near_wall_shown_at_m": p.shown_range_m,
         })).collect::<Vec<_>>(),
     }))
@@ -36,15 +36,15 @@ pub(crate) fn figure_17(out: &Path) -> Result<Value, String> {
 pub(crate) fn figure_18(out: &Path) -> Result<Value, String> {
     let (straight, _) = pings::run(&pings::load("fig17.toml")?)?;
     let spec = pings::load("fig18.toml")?;
-    let (heard, targets) = pings::run(&spec)?;
+    let (pings, targets) = pings::run(&spec)?;
     let axis = RangeAxis::new(
         spec.medium.sound_speed_m_per_s,
         spec.sonars[0].receiver.sample_rate_hz,
     );
-    let grid = waterfall(&heard, axis);
+    let grid = waterfall(&pings, axis);
     // The curve beside the image has a row per ping, with sway from -15 to 15 m.
     let mut curve = Grid::new(150, grid.height);
-    for (k, ping) in heard.iter().rev().enumerate() {
+    for (k, ping) in pings.iter().rev().enumerate() {
         let x = (ping.plan.nav.pose.position_m.y * 5.0 + 75.0).clamp(0.0, 149.0) as usize;
         for row in 0..ROWS {
             for i in 0..150 {
@@ -54,8 +54,8 @@ pub(crate) fn figure_18(out: &Path) -> Result<Value, String> {
             curve.set(x, k * ROWS + row, 1.0);
         }
     }
-    let look = Look::of_shares(&[&grid], ColourMap::Copper, 0.05, 0.998);
-    let black_and_white = Look {
+    let look = ColourScale::of_shares(&[&grid], ColourMap::Copper, 0.05, 0.998);
+    let black_and_white = ColourScale {
         map: ColourMap::Grey,
         low: 0.0,
         high: 1.0,
@@ -66,7 +66,7 @@ pub(crate) fn figure_18(out: &Path) -> Result<Value, String> {
     )?;
     // Displacement of each pier, if the image is interpreted as from a straight track.
     let before = piers(&straight, axis, &targets);
-    let shifts: Vec<Value> = piers(&heard, axis, &targets)
+    let shifts: Vec<Value> = piers(&pings, axis, &targets)
         .iter()
         .filter_map(|p| {
             let was = before.iter().find(|b| b.name == p.name)?;
@@ -74,7 +74,7 @@ pub(crate) fn figure_18(out: &Path) -> Result<Value, String> {
             Some(json!({ "name": p.name, "sway_m": p.sway_m, "predicted_displacement_m": -p.sway_m, "displacement_m": moved_m }))
         })
         .collect();
-    let greatest = heard
+    let greatest = pings
         .iter()
         .map(|h| h.plan.nav.pose.position_m.y.abs())
         .fold(0.0, f64::max);
@@ -84,11 +84,11 @@ pub(crate) fn figure_18(out: &Path) -> Result<Value, String> {
     }))
 }
 
-fn waterfall(heard: &[Heard], axis: RangeAxis) -> Grid {
+fn waterfall(pings: &[RecordedPing], axis: RangeAxis) -> Grid {
     let width = (RANGE_M / CELL_M) as usize;
-    let mut grid = Grid::new(width, heard.len() * ROWS);
+    let mut grid = Grid::new(width, pings.len() * ROWS);
     let mut cells = vec![0.0; width];
-    for (k, ping) in heard.iter().rev().enumerate() {
+    for (k, ping) in pings.iter().rev().enumerate() {
         mean_intensity(&ping.output.lines[0].amplitude, axis, CELL_M, &mut cells);
         for row in 0..ROWS {
             for (x, cell) in cells.iter().enumerate() {
@@ -115,14 +115,14 @@ const HALF_LENGTH_M: f64 = 9.0;
 /// Radius of the piers, metres.
 const RADIUS_M: f64 = 1.0;
 /// Half length of the searched interval around the expected position of an echo, metres.
-const LOOK_M: f64 = 3.0;
+const SEARCH_M: f64 = 3.0;
 /// Length of the interval that is averaged, metres. The first echo ends when the average falls below a
 /// fraction of the maximum.
 const STRETCH_M: f64 = 0.15;
 const FIRST_SHARE: f32 = 0.2;
 
 /// Piers without occlusion, by the first echo of the upper edge of their near wall.
-fn piers(heard: &[Heard], axis: RangeAxis, targets: &[Target]) -> Vec<Pier> {
+fn piers(pings: &[RecordedPing], axis: RangeAxis, targets: &[Target]) -> Vec<Pier> {
     let hidden = |t: &Target| {
         targets.iter().any(|o| {
             let (to, from) = (o.position_m, t.position_m);
@@ -131,8 +131,8 @@ fn piers(heard: &[Heard], axis: RangeAxis, targets: &[Target]) -> Vec<Pier> {
     };
     let mut rows = Vec::new();
     for target in targets.iter().filter(|t| !hidden(t)) {
-        let off = |h: &Heard| (h.plan.nav.pose.position_m.x - target.position_m.x).abs();
-        let Some(ping) = heard.iter().min_by(|a, b| off(a).total_cmp(&off(b))) else {
+        let off = |h: &RecordedPing| (h.plan.nav.pose.position_m.x - target.position_m.x).abs();
+        let Some(ping) = pings.iter().min_by(|a, b| off(a).total_cmp(&off(b))) else {
             continue;
         };
         let pose = &ping.plan.nav.pose;
@@ -140,7 +140,7 @@ fn piers(heard: &[Heard], axis: RangeAxis, targets: &[Target]) -> Vec<Pier> {
         let down_m = target.position_m.z - HALF_LENGTH_M - pose.position_m.z;
         let slant_range_m = east_m.hypot(down_m);
         let line = &ping.output.lines[0].amplitude;
-        let near = axis.sample(slant_range_m - LOOK_M)..axis.sample(slant_range_m + LOOK_M);
+        let near = axis.sample(slant_range_m - SEARCH_M)..axis.sample(slant_range_m + SEARCH_M);
         let Some(inside) = line.get(near.clone()) else {
             continue;
         };

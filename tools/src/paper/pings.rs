@@ -13,21 +13,21 @@ pub(crate) fn load(name: &str) -> Result<RigSpec, String> {
 }
 
 /// Parts of a ping that the figures need.
-pub(crate) struct Heard {
+pub(crate) struct RecordedPing {
     pub(crate) plan: PingPlan,
     pub(crate) output: PingOutput,
 }
 
 /// Computes pings until the navigation ends. Also returns the targets of the scene.
-pub(crate) fn run(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
+pub(crate) fn run(spec: &RigSpec) -> Result<(Vec<RecordedPing>, Vec<Target>), String> {
     pool(0)
         .map_err(|e| e.to_string())?
         .install(|| run_here(spec))
 }
 
-fn run_here(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
+fn run_here(spec: &RigSpec) -> Result<(Vec<RecordedPing>, Vec<Target>), String> {
     let mut pings = LoggedPings::open(spec)?.ok_or("the navigation has no position")?;
-    let mut heard = Vec::new();
+    let mut recorded = Vec::new();
     loop {
         let order = pings.next_order()?;
         if !pings.cover(&order) {
@@ -35,7 +35,7 @@ fn run_here(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
         }
         pings.make(&order)?;
         let slot = &pings.slot;
-        heard.push(Heard {
+        recorded.push(RecordedPing {
             plan: slot.plan.clone(),
             // Element samples are large, and no figure shows them.
             output: PingOutput {
@@ -45,10 +45,10 @@ fn run_here(spec: &RigSpec) -> Result<(Vec<Heard>, Vec<Target>), String> {
             },
         });
     }
-    if heard.is_empty() {
+    if recorded.is_empty() {
         return Err("the navigation ends before the first ping".into());
     }
-    Ok((heard, pings.rig.targets().to_vec()))
+    Ok((recorded, pings.rig.targets().to_vec()))
 }
 
 /// One point of unit strength.

@@ -9,9 +9,9 @@ use echotank_ping::pipeline::SonarPipeline;
 use glam::DVec3;
 use serde_json::{Value, json};
 
-use super::pings::{self, Heard};
+use super::pings::{self, RecordedPing};
 use super::strip::{CELL_M, RANGE_M, Strip};
-use crate::picture::{self, Grid, Look};
+use crate::picture::{self, ColourScale, Grid};
 
 /// Number of ranges at which the echo between pings is computed.
 const STEPS: usize = 92;
@@ -25,14 +25,14 @@ pub(crate) fn figure_10(out: &Path) -> Result<Value, String> {
         let c = spec.medium.sound_speed_m_per_s;
         let length_m = sonar.receive[0].spacing_m;
         let theta_rad = 0.886 * c / sonar.pulse.center_frequency_hz / length_m;
-        let (heard, _) = pings::run(&spec)?;
+        let (pings, _) = pings::run(&spec)?;
         let axis = RangeAxis::new(c, sonar.receiver.sample_rate_hz);
-        let grid = lay(&heard, axis, theta_rad, c);
-        let speed = heard[0].plan.nav.pose.velocity_m_per_s.x;
-        let period_s = heard[1].plan.ping_period_s;
+        let grid = lay(&pings, axis, theta_rad, c);
+        let speed = pings[0].plan.nav.pose.velocity_m_per_s.x;
+        let period_s = pings[1].plan.ping_period_s;
         let predicted_m = speed * period_s / theta_rad;
         let measured_m = fractured_to_m(&grid);
-        let echo_m = half_way_echo_m(&spec, &heard[heard.len() / 2])?;
+        let echo_m = half_way_echo_m(&spec, &pings[pings.len() / 2])?;
         numbers.push(json!({
             "config": name, "knots": knots, "speed_m_per_s": speed, "ping_period_s": period_s, "beam_deg": theta_rad.to_degrees(),
             "gaps_nearer_than_m": { "predicted_r_eq_vT_over_theta": predicted_m, "measured_in_picture": measured_m, "measured_by_echo_between_pings": echo_m },
@@ -41,7 +41,7 @@ pub(crate) fn figure_10(out: &Path) -> Result<Value, String> {
         }));
         grids.push(grid);
     }
-    let look = Look::of_shares(&[&grids[0]], ColourMap::Copper, 0.05, 0.995);
+    let look = ColourScale::of_shares(&[&grids[0]], ColourMap::Copper, 0.05, 0.995);
     picture::write(
         &out.join("fig10.png"),
         &[vec![(&grids[0], look), (&grids[1], look)]],
@@ -52,9 +52,9 @@ pub(crate) fn figure_10(out: &Path) -> Result<Value, String> {
 }
 
 /// Image of the strip. Each ping fills its own -3 dB footprint, centred between its transmit and receive positions.
-fn lay(heard: &[Heard], axis: RangeAxis, theta_rad: f64, c: f64) -> Grid {
+fn lay(pings: &[RecordedPing], axis: RangeAxis, theta_rad: f64, c: f64) -> Grid {
     let mut strip = Strip::new();
-    for ping in heard {
+    for ping in pings {
         let pose = &ping.plan.nav.pose;
         let line = &ping.output.lines[0].amplitude;
         for x in 0..strip.grid.width {
@@ -89,7 +89,7 @@ fn fractured_to_m(grid: &Grid) -> Option<f64> {
 /// Range at which the echo of a point half way between two pings is 6 dB (3 dB each way) below that of a point on the beam axis.
 fn half_way_echo_m(
     spec: &echotank_config::spec::RigSpec,
-    ping: &Heard,
+    ping: &RecordedPing,
 ) -> Result<Option<f64>, String> {
     let sonar = &spec.sonars[0];
     let mut pipeline = SonarPipeline::new(sonar, &spec.medium).map_err(|e| e.to_string())?;

@@ -12,7 +12,7 @@ use echotank_core::ping::{ErrorCheck, PingPlan};
 use echotank_core::scene::Scatterers;
 use echotank_core::time::UtcNs;
 use echotank_ping::method_selection::costs::Costs;
-use echotank_ping::method_selection::{Scene, Swell, rank};
+use echotank_ping::method_selection::{MotionScale, Scene, rank};
 use echotank_ping::threads::pool;
 use echotank_runtime::first_pings::{first, pings};
 use echotank_runtime::recorded::RecordedRig;
@@ -141,7 +141,7 @@ impl One {
             scatterers: &self.scatterers,
             count: self.scatterers.len(),
             costs: &self.costs,
-            swell: Swell::NONE,
+            motion_scale: MotionScale::NONE,
         };
         let model = rank(&scene, &[]).expect("a plan").chosen().choice.model;
         (model.path, model.doppler)
@@ -426,9 +426,12 @@ fn a_failed_error_check_selects_costlier_methods() {
                     tolerance: 1e-2,
                     fault: true,
                 };
-                let planner = recorded.rig.sonars[0].planner.as_mut().expect("auto");
-                planner.after(&slot.plan, &scatterers, Some(&failed));
-                assert_eq!(planner.counts.given_up, 1);
+                let method_selector = recorded.rig.sonars[0]
+                    .method_selector
+                    .as_mut()
+                    .expect("auto");
+                method_selector.after_ping(&slot.plan, &scatterers, Some(&failed));
+                assert_eq!(method_selector.counts.given_up, 1);
             }
         });
         marks

@@ -1,22 +1,22 @@
 //! Tests of the simplification levels of the paper; `tools/paper 12` is the long form.
 
-use crate::paper::thinning::measure::{Figures, Once, POINT_COUNTS, Simplifier, Thinning};
+use crate::paper::thinning::measure::{Figures, POINT_COUNTS, SelectionTime, Simplifier, Thinning};
 
 /// 4 pings and 2 seeds; `tools/paper 12` has 48 and 64.
 #[test]
 fn simplification_levels_match_the_paper_in_short() {
     let rows = Thinning::new(4).measure(2);
-    let row = |points: usize, once: Once, simplifier: Simplifier| -> Figures {
+    let row = |points: usize, once: SelectionTime, simplifier: Simplifier| -> Figures {
         *rows
             .iter()
             .find(|r| (r.points, r.once, r.simplifier) == (points, once, simplifier))
             .unwrap()
     };
     for points in POINT_COUNTS {
-        let unbiased = row(points, Once::EachPing, Simplifier::Unbiased);
-        let acoustic = row(points, Once::EachPing, Simplifier::Acoustic);
-        let conventional = row(points, Once::Pass, Simplifier::Conventional);
-        let paper = row(points, Once::EachPing, Simplifier::Paper);
+        let unbiased = row(points, SelectionTime::EachPing, Simplifier::Unbiased);
+        let acoustic = row(points, SelectionTime::EachPing, Simplifier::Acoustic);
+        let conventional = row(points, SelectionTime::Pass, Simplifier::Conventional);
+        let paper = row(points, SelectionTime::EachPing, Simplifier::Paper);
         println!("{unbiased:?}\n{acoustic:?}\n{conventional:?}\n{paper:?}");
         assert!(unbiased.level_db.abs() < 0.5, "{unbiased:?}");
         assert!(
@@ -29,15 +29,15 @@ fn simplification_levels_match_the_paper_in_short() {
         );
         // If the selection is made once for the pass, the whole bottom is thinned. Without the weights, the
         // level falls.
-        let once = row(points, Once::Pass, Simplifier::Unbiased);
-        let falls = row(points, Once::Pass, Simplifier::Acoustic);
+        let once = row(points, SelectionTime::Pass, Simplifier::Unbiased);
+        let falls = row(points, SelectionTime::Pass, Simplifier::Acoustic);
         assert!(
             falls.level_db < -2.0 && once.level_db > falls.level_db + 2.0,
             "{once:?} {falls:?}"
         );
     }
     for points in [3000, 1000] {
-        for once in Once::ALL {
+        for once in SelectionTime::ALL {
             let unbiased = row(points, once, Simplifier::Unbiased);
             let acoustic = row(points, once, Simplifier::Acoustic);
             assert!(

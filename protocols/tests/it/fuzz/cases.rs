@@ -2,6 +2,7 @@
 //! the byte orders that formats use. Lengths and checksums are often corrected afterwards, so that the following contents are parsed.
 //! Messages are cut, doubled and spliced. The oracle: nothing panics while all is described as text, which parses every field and sample.
 
+use echotank_protocols::describer::{Format, MessageDescriber, datagram};
 use echotank_protocols::imagenex872::{Side, SwitchCommand, emit_answer};
 use echotank_protocols::jsf;
 use echotank_protocols::ping_protocol;
@@ -20,7 +21,6 @@ use echotank_protocols::wav::{Container, WavFormat, WavSample};
 use echotank_protocols::wbms::{
     BackscatterHead, BathymetryHead, Detection, Tail, emit_backscatter, emit_bathymetry,
 };
-use echotank_protocols::words::{Format, Words, datagram};
 
 /// xorshift64*, deterministic on every platform.
 pub(crate) struct Random(pub u64);
@@ -81,12 +81,12 @@ impl Decoder {
         if self.is_datagram {
             datagram(self.format, bytes, each);
         } else {
-            let mut words = Words::new(self.format);
+            let mut describer = MessageDescriber::new(self.format);
             // In two pieces, as connections deliver them.
             let (front, back) = bytes.split_at(bytes.len() / 3);
-            words.push(front, each);
-            words.push(back, each);
-            words.finish(each);
+            describer.push(front, each);
+            describer.push(back, each);
+            describer.finish(each);
         }
     }
 

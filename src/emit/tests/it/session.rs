@@ -6,7 +6,7 @@ mod wbms;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 
-use echotank_core::settings::{Asked, Asker};
+use echotank_core::settings::{ChangeOrigin, Requester};
 use echotank_core::time::UtcNs;
 use echotank_emit::sevenk::RecordSet;
 use echotank_emit::sevenk::records::DeviceSheet;
@@ -56,9 +56,9 @@ impl Rig {
             settings: self.store.as_ref(),
             now: NOW,
             is_own: |address| address.port() == OWN_PORT,
-            by: Asker {
+            by: Requester {
                 peer: Some(CLIENT),
-                ..Asked::from(NOW).by
+                ..ChangeOrigin::from(NOW).by
             },
         };
         step(&mut self.session, &context, &mut out);

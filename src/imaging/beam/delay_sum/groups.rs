@@ -9,7 +9,7 @@
 //! so that the function is oversampled by two. Least-squares coefficients for that band interpolate it with an rms error of
 //! 2e-3 at most. The exact phase of the group's centre belongs to the second sum. Between the range of the tile and that of a zone, the
 //! direction in which a group sees the point in focus changes; the second sum takes the direction of equal slope. What remains is the change
-//! of the curvature within a group and of the envelope's delay, which [`Groups::max_bend_per_m`] limits.
+//! of the curvature within a group and of the envelope's delay, which [`Groups::max_curvature_per_m`] limits.
 
 use std::ops::Range;
 
@@ -164,7 +164,7 @@ impl Groups {
     }
 
     /// Largest change of 1/r from the range of a tile to its ends.
-    pub(super) fn max_bend_per_m(&self, pulse: &Pulse, c: f64) -> f64 {
+    pub(super) fn max_curvature_per_m(&self, pulse: &Pulse, c: f64) -> f64 {
         let wavelength_m = c / pulse.center_frequency_hz;
         let curvature = std::f64::consts::PI * self.half_m * self.half_m / wavelength_m;
         let rms_rad_per_s = std::f64::consts::PI / 3f64.sqrt() * band_hz(pulse);

@@ -14,16 +14,16 @@ const MAX_CLIENTS: usize = 1024;
 
 /// Wrong tokens of each client address.
 #[derive(Default)]
-pub(super) struct Attempts(Mutex<HashMap<IpAddr, Wrong>>);
+pub(super) struct Attempts(Mutex<HashMap<IpAddr, FailedAttempts>>);
 
 #[derive(Clone, Copy)]
-struct Wrong {
+struct FailedAttempts {
     /// Wrong tokens not yet forgiven at `at`.
     count: f64,
     at: Instant,
 }
 
-impl Wrong {
+impl FailedAttempts {
     fn count(&self, now: Instant) -> f64 {
         let forgiven = now.duration_since(self.at).as_secs_f64() / FORGIVEN_AFTER.as_secs_f64();
         (self.count - forgiven).max(0.0)
@@ -50,12 +50,12 @@ impl Attempts {
                 all.remove(&oldest);
             }
         }
-        let fresh = Wrong {
+        let fresh = FailedAttempts {
             count: 0.0,
             at: now,
         };
         let wrong = all.entry(client.to_canonical()).or_insert(fresh);
-        *wrong = Wrong {
+        *wrong = FailedAttempts {
             count: wrong.count(now) + 1.0,
             at: now,
         };

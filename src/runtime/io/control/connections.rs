@@ -20,7 +20,7 @@ use crate::io::tcp::end_if_dead;
 /// Maximum number of connections, apart from those of open pages, which [`super::socket`] limits.
 const MAX_CONNECTIONS: usize = 64;
 /// Time limit for the header of a request, and for the pause between two requests.
-const HEADER_PATIENCE: Duration = Duration::from_secs(5);
+const HEADER_TIMEOUT: Duration = Duration::from_secs(5);
 /// Time limit for the client to acknowledge a response.
 const UNACKNOWLEDGED: Duration = Duration::from_secs(30);
 /// Pause after a failed accept: without free file descriptors the next one fails at once.
@@ -58,7 +58,7 @@ pub(super) async fn serve(
         is_full = false;
         let (routes, stopped) = (routes.clone(), stopped.clone());
         connections.spawn(async move {
-            attend(stream, peer, routes, stopped).await;
+            serve_connection(stream, peer, routes, stopped).await;
             drop(seat);
         });
     }
@@ -66,7 +66,7 @@ pub(super) async fn serve(
     while connections.join_next().await.is_some() {}
 }
 
-async fn attend(
+async fn serve_connection(
     stream: TcpStream,
     peer: SocketAddr,
     routes: Router,
@@ -77,7 +77,7 @@ async fn attend(
     let service = TowerToHyperService::new(routes.layer(Extension(ConnectInfo(peer))));
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
-        .header_read_timeout(HEADER_PATIENCE)
+        .header_read_timeout(HEADER_TIMEOUT)
         .serve_connection(TokioIo::new(stream), service)
         .with_upgrades();
     let mut connection = std::pin::pin!(connection);

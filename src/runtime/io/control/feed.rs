@@ -79,7 +79,7 @@ impl Want {
 
 /// Data that all pages together need from the next ping of one sonar.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Wanted {
+pub struct PageDemand {
     /// The fan of beams.
     pub fan: bool,
     /// Levels of the elements.
@@ -153,8 +153,8 @@ impl Feed {
     }
 
     /// Returns the data that the pages need from the next ping of a sonar.
-    pub fn wanted(&self, sonar: u16) -> Wanted {
-        let mut wanted = Wanted::default();
+    pub fn wanted(&self, sonar: u16) -> PageDemand {
+        let mut wanted = PageDemand::default();
         if !self.is_watched() {
             return wanted;
         }
@@ -350,7 +350,7 @@ mod tests {
     #[test]
     fn nothing_is_wanted_without_a_page_and_only_so_many_scopes_with_many() {
         let feed = Arc::new(Feed::new(2));
-        assert_eq!(feed.wanted(0), Wanted::default());
+        assert_eq!(feed.wanted(0), PageDemand::default());
         let mut pages: Vec<_> = (0..20).map(|_| feed.join()).collect();
         for (index, page) in pages.iter_mut().enumerate() {
             page.look(Want {
@@ -365,14 +365,14 @@ mod tests {
                 }),
             });
         }
-        assert_eq!(feed.wanted(0), Wanted::default());
+        assert_eq!(feed.wanted(0), PageDemand::default());
         let wanted = feed.wanted(1);
         assert!(wanted.fan && !wanted.elements);
         assert_eq!(wanted.scopes.len(), MAX_SCOPES);
         assert_eq!(feed.counts().pages, 20);
         drop(pages);
         assert!(!feed.is_watched());
-        assert_eq!(feed.wanted(1), Wanted::default());
+        assert_eq!(feed.wanted(1), PageDemand::default());
     }
 
     #[test]

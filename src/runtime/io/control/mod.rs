@@ -30,7 +30,7 @@ use tokio::sync::watch;
 
 use crate::io::listening::Listening;
 use echotank_config::spec::FaultRequest;
-use echotank_core::settings::{Asker, SettingChange, TriggerSource};
+use echotank_core::settings::{Requester, SettingChange, TriggerSource};
 use feed::Feed;
 use socket::{Pages, ReliefTile};
 
@@ -211,7 +211,7 @@ impl Answer {
 /// The daemon's interface for this server; no method waits.
 pub trait ControlPort: Send + Sync {
     /// Carries out or refuses a command.
-    fn command(&self, command: &Command, by: Asker) -> Answer;
+    fn command(&self, command: &Command, by: Requester) -> Answer;
     /// Full state as JSON, for GET /status.
     fn status(&self) -> Value;
     /// Prometheus text, version 0.0.4.

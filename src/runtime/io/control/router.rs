@@ -29,12 +29,12 @@ use tracing::warn;
 
 use super::attempts::Attempts;
 use super::{Command, ControlPort, Shared, assets, refusal, socket};
-use echotank_core::settings::Asker;
+use echotank_core::settings::Requester;
 
 /// Longest command, bytes.
 const MAX_BODY_BYTES: usize = 64 * 1024;
 /// Time limit for receiving and answering a request; commands do not wait.
-const REQUEST_PATIENCE: Duration = Duration::from_secs(10);
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 
 type Port = State<Arc<dyn ControlPort>>;
 
@@ -66,7 +66,7 @@ async fn control(
         Ok(Json(command)) => command,
         Err(rejection) => return refusal(rejection.status(), &rejection.body_text()),
     };
-    let by = Asker {
+    let by = Requester {
         via: "control",
         peer: Some(peer),
     };
@@ -96,7 +96,7 @@ async fn health(State(port): Port) -> impl IntoResponse {
 
 /// Answers a request whose body does not arrive in time.
 async fn limit_time(request: Request, next: Next) -> Response {
-    let response = tokio::time::timeout(REQUEST_PATIENCE, next.run(request)).await;
+    let response = tokio::time::timeout(REQUEST_TIMEOUT, next.run(request)).await;
     response.unwrap_or_else(|_| {
         refusal(
             StatusCode::REQUEST_TIMEOUT,

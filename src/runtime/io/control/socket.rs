@@ -35,19 +35,19 @@ use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
 
 use super::feed::{Next, Page, Want};
 use super::{Command, ControlPort, Shared, refusal};
-use echotank_core::settings::Asker;
+use echotank_core::settings::Requester;
 
 /// Maximum number of open pages.
 pub(crate) const MAX_PAGES: usize = 64;
 /// Longest message from a page, bytes.
 const MAX_MESSAGE_BYTES: usize = 16 * 1024;
 /// Time limit for sending one message. A page that exceeds the limit is closed.
-const SEND_PATIENCE: Duration = Duration::from_secs(30);
-/// Interval of WebSocket pings; a page silent for [`SILENCE`] is closed.
+const SEND_TIMEOUT: Duration = Duration::from_secs(30);
+/// Interval of WebSocket pings; a page silent for [`SILENCE_TIMEOUT`] is closed.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
-const SILENCE: Duration = Duration::from_secs(60);
+const SILENCE_TIMEOUT: Duration = Duration::from_secs(60);
 /// Interval between checks for changes of the state, and longest interval between states.
-const LOOK: Duration = Duration::from_millis(100);
+const STATE_INTERVAL: Duration = Duration::from_millis(100);
 const STATE_EVERY: Duration = Duration::from_millis(500);
 /// Pause after each seabed tile, shared by all pages. The pause limits the processor time.
 const RELIEF_REST: Duration = Duration::from_millis(8);
@@ -96,11 +96,11 @@ impl Pages {
 
     /// Renews the state while pages are open. Never returns.
     pub(super) async fn renew(&self, port: &dyn ControlPort) {
-        let mut look = interval(LOOK);
+        let mut ticks = interval(STATE_INTERVAL);
         look.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut written = (0, Instant::now());
         loop {
-            look.tick().await;
+            ticks.tick().await;
             if self.state.receiver_count() == 0 {
                 continue;
             }
@@ -142,7 +142,7 @@ struct Disconnected;
 struct Session {
     socket: WebSocket,
     shared: Shared,
-    by: Asker,
+    by: Requester,
     page: Page,
 }
 
@@ -152,7 +152,7 @@ async fn serve(socket: WebSocket, shared: Shared, peer: SocketAddr) {
         page: shared.port.feed().join(),
         socket,
         shared,
-        by: Asker {
+        by: Requester {
             via: "page",
             peer: Some(peer),
         },
@@ -166,7 +166,11 @@ async fn serve(socket: WebSocket, shared: Shared, peer: SocketAddr) {
         code: close_code::AWAY,
         reason: "the daemon stops".into(),
     };
-    let _ = timeout(LOOK, session.socket.send(Message::Close(Some(goodbye)))).await;
+    let _ = timeout(
+        STATE_INTERVAL,
+        session.socket.send(Message::Close(Some(goodbye))),
+    )
+    .await;
 }
 
 impl Session {
@@ -176,13 +180,13 @@ impl Session {
         let mut state = self.shared.pages.state.subscribe();
         state.mark_changed();
         let mut alive = interval(KEEP_ALIVE);
-        let mut heard = Instant::now();
+        let mut last_received = Instant::now();
         loop {
             tokio::select! {
                 message = self.socket.recv() => {
                     // An oversized or malformed frame ends the session.
                     let message = message.ok_or(Disconnected)?.map_err(|_| Disconnected)?;
-                    heard = Instant::now();
+                    last_received = Instant::now();
                     self.take(message).await?;
                 }
                 next = self.page.next() => match next {
@@ -200,7 +204,7 @@ impl Session {
                     }
                 }
                 _ = alive.tick() => {
-                    if heard.elapsed() > SILENCE {
+                    if last_received.elapsed() > SILENCE_TIMEOUT {
                         return Err(Disconnected);
                     }
                     self.send(Message::Ping(Default::default())).await?;
@@ -260,7 +264,7 @@ impl Session {
     }
 
     async fn send(&mut self, message: Message) -> Result<(), Disconnected> {
-        let sent = timeout(SEND_PATIENCE, self.socket.send(message)).await;
+        let sent = timeout(SEND_TIMEOUT, self.socket.send(message)).await;
         sent.map_err(|_| Disconnected)?.map_err(|_| Disconnected)
     }
 }

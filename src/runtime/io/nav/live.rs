@@ -55,7 +55,7 @@ const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
 /// Navigation time within this of the host's clock uses the host's timeline.
 const HOST_TOLERANCE_NS: i64 = 2 * NS_PER_S;
 /// Time of received bytes without a dated message after which the host's clock becomes rig time.
-const PATIENCE_NS: i64 = 5 * NS_PER_S;
+const UNDATED_LIMIT_NS: i64 = 5 * NS_PER_S;
 
 /// Received bytes.
 struct Chunk {
@@ -321,7 +321,7 @@ impl Live {
             .kept
             .front()
             .map_or(0, |first| self.clock.mono().0 - first.mono.0);
-        if self.timeline.is_none() && !self.foreign && waited_ns > PATIENCE_NS {
+        if self.timeline.is_none() && !self.foreign && waited_ns > UNDATED_LIMIT_NS {
             self.timeline = Some(self.host);
         }
     }

@@ -158,7 +158,7 @@ pub struct NavInputs {
     counters: Vec<SourceCounters>,
     /// State of each source at the last pull, in the configuration's order.
     states: Vec<State>,
-    spoiler: Option<Box<dyn NavFaultFilter>>,
+    fault_filter: Option<Box<dyn NavFaultFilter>>,
     clock_log: ClockLog,
 }
 
@@ -168,7 +168,7 @@ pub struct Feed<'a> {
     /// Names of the sources, by source index.
     names: &'a [SourceCounters],
     clock_log: &'a mut ClockLog,
-    spoiler: Option<&'a mut (dyn NavFaultFilter + 'static)>,
+    fault_filter: Option<&'a mut (dyn NavFaultFilter + 'static)>,
 }
 
 /// Logs changes of the clocks of sources.
@@ -214,14 +214,14 @@ impl ClockLog {
 
 impl Feed<'_> {
     fn insert(&mut self, sample: &NavSample) {
-        match &mut self.spoiler {
+        match &mut self.fault_filter {
             None => self.history.insert(sample),
-            Some(spoiler) => {
+            Some(fault_filter) => {
                 // Delayed samples are inserted in order.
-                while let Some(late) = spoiler.take_delayed(sample.arrival_utc) {
+                while let Some(late) = fault_filter.take_delayed(sample.arrival_utc) {
                     self.history.insert(&late);
                 }
-                if let Some(sample) = spoiler.modify_sample(*sample) {
+                if let Some(sample) = fault_filter.modify_sample(*sample) {
                     self.history.insert(&sample);
                 }
             }
@@ -244,16 +244,20 @@ impl Feed<'_> {
 
     /// Inserts delayed samples that are due by `until`.
     fn release(&mut self, until: UtcNs) {
-        while let Some(late) = self.spoiler.as_mut().and_then(|s| s.take_delayed(until)) {
+        while let Some(late) = self
+            .fault_filter
+            .as_mut()
+            .and_then(|s| s.take_delayed(until))
+        {
             self.history.insert(&late);
         }
     }
 }
 
 impl NavInputs {
-    /// Applies the fault filter `spoiler` to all further samples.
-    pub fn spoil_with(&mut self, spoiler: Box<dyn NavFaultFilter>) {
-        self.spoiler = Some(spoiler);
+    /// Applies the fault filter `fault_filter` to all further samples.
+    pub fn set_fault_filter(&mut self, fault_filter: Box<dyn NavFaultFilter>) {
+        self.fault_filter = Some(fault_filter);
     }
 
     /// Opens every source: [`ReadNav::read`] followed by [`NavInputs::start`].
@@ -283,7 +287,7 @@ impl NavInputs {
             recorded,
             live,
             states: vec![State::Silent; counters.len()],
-            spoiler: None,
+            fault_filter: None,
             clock_log: ClockLog::default(),
             counters,
         })
@@ -305,7 +309,7 @@ impl NavInputs {
             history,
             names: &self.counters,
             clock_log: &mut self.clock_log,
-            spoiler: self.spoiler.as_deref_mut(),
+            fault_filter: self.fault_filter.as_deref_mut(),
         };
         if let Some(recorded) = &mut self.recorded {
             while recorded
@@ -345,7 +349,7 @@ impl NavInputs {
                     history,
                     names: &self.counters,
                     clock_log: &mut self.clock_log,
-                    spoiler: self.spoiler.as_deref_mut(),
+                    fault_filter: self.fault_filter.as_deref_mut(),
                 });
                 true
             }

@@ -31,7 +31,7 @@ const PUBLISH_EVERY_NS: i64 = 10_000_000;
 /// Length of a pulse, ns.
 const PULSE_NS: i64 = 100_000_000;
 /// Interval between checks of the stop flag, ns.
-const LOOK_NS: i64 = 100_000_000;
+const STOP_CHECK_NS: i64 = 100_000_000;
 /// Lateness beyond which a tick is skipped, ns, because its sentences are useless as a clock.
 const TOO_LATE_NS: i64 = NS_PER_S / 2;
 
@@ -319,15 +319,15 @@ impl Sender {
         while !self.stop.load(Relaxed) {
             let now = self.clock.mono();
             if !self.has_begun() {
-                self.clock.sleep_until(now.plus_ns(LOOK_NS / 10));
+                self.clock.sleep_until(now.plus_ns(STOP_CHECK_NS / 10));
                 continue;
             }
             let tick = self.next_tick(now, last);
             let late = waiting.front().map(|t| t.at.plus_ns(latency_ns));
             let events = [Some(tick.at), late, pulse_ends].into_iter().flatten();
             let next = events.min().unwrap_or(tick.at);
-            if next > now.plus_ns(LOOK_NS) {
-                self.clock.sleep_until(now.plus_ns(LOOK_NS));
+            if next > now.plus_ns(STOP_CHECK_NS) {
+                self.clock.sleep_until(now.plus_ns(STOP_CHECK_NS));
                 self.counts.clients.store(self.transport.clients(), Relaxed);
                 continue;
             }

@@ -7,9 +7,9 @@ use socket2::{SockAddr, SockRef};
 
 /// Maximum number of datagrams per call. A 1 ms group at 41 MB/s in Ethernet frames has 28 datagrams.
 #[cfg(target_os = "linux")]
-const MOST: usize = 64;
+const MAX_BATCH: usize = 64;
 /// Maximum wait for room in a full send buffer, ms. After this time the datagram fails.
-const PATIENCE_MS: libc::c_int = 200;
+const POLL_TIMEOUT_MS: libc::c_int = 200;
 
 /// Sends in order until all datagrams are sent or one fails. Returns the number sent. Waits for room in a full buffer on non-blocking sockets too.
 pub(crate) fn send_batch(
@@ -51,7 +51,7 @@ fn wait_for_room(socket: &impl AsFd) {
         revents: 0,
     };
     // SAFETY: one live structure, as the count says. The result is ignored: the next send shows the socket's state.
-    unsafe { libc::poll(&mut poll, 1, PATIENCE_MS) };
+    unsafe { libc::poll(&mut poll, 1, POLL_TIMEOUT_MS) };
 }
 
 /// Sends one datagram. Returns the number sent.
@@ -68,16 +68,16 @@ fn send_some(socket: &impl AsFd, to: &SockAddr, packets: &[&[u8]]) -> io::Result
     send_one(socket, to, packets)
 }
 
-/// Sends at most [`MOST`] datagrams. Returns the number sent, or the error of the first datagram.
+/// Sends at most [`MAX_BATCH`] datagrams. Returns the number sent, or the error of the first datagram.
 #[cfg(target_os = "linux")]
 fn send_some(socket: &impl AsFd, to: &SockAddr, packets: &[&[u8]]) -> io::Result<usize> {
-    let count = packets.len().min(MOST);
+    let count = packets.len().min(MAX_BATCH);
     let mut parts = [libc::iovec {
         iov_base: std::ptr::null_mut(),
         iov_len: 0,
-    }; MOST];
+    }; MAX_BATCH];
     // SAFETY: all zero is a valid mmsghdr: no address, no parts, no control data.
-    let mut heads: [libc::mmsghdr; MOST] = unsafe { std::mem::zeroed() };
+    let mut heads: [libc::mmsghdr; MAX_BATCH] = unsafe { std::mem::zeroed() };
     for ((packet, part), head) in packets.iter().zip(&mut parts).zip(&mut heads) {
         *part = libc::iovec {
             iov_base: packet.as_ptr().cast_mut().cast(),

@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use echotank_protocols::framing::{Framing, Look};
+use echotank_protocols::framing::{Framing, Scan};
 use echotank_protocols::sevenk::WireError;
 use echotank_protocols::sigmf::Recording;
 use echotank_protocols::wav::{HEADER_BYTES, WavHeader};
@@ -165,13 +165,13 @@ pub(super) fn frames(
         let is_all = held.len() == before;
         let mut at = 0;
         while at < held.len() {
-            match framing.look(&held[at..]) {
-                Look::Whole(len) => {
+            match framing.scan(&held[at..]) {
+                Scan::Whole(len) => {
                     at += len;
                     records += 1;
                 }
-                Look::More => break,
-                Look::Wrong(why) => return Err(strange(path, end + at as u64, why)),
+                Scan::More => break,
+                Scan::Wrong(why) => return Err(strange(path, end + at as u64, why)),
             }
         }
         held.drain(..at);
@@ -218,7 +218,7 @@ pub(super) fn wav(path: &Path) -> Result<Recovered, RecoverError> {
         .read_to_end(&mut front)
         .map_err(RecordError::io(path, "read"))?;
     if front.len() < HEADER_BYTES {
-        return cut(path, &file, 0, 0, "moments");
+        return cut(path, &file, 0, 0, "sample times");
     }
     let header = WavHeader::parse(&front).map_err(|why| strange(path, 0, why))?;
     if header.data_at != HEADER_BYTES {
@@ -232,7 +232,7 @@ pub(super) fn wav(path: &Path) -> Result<Recovered, RecoverError> {
     if length < end {
         return Err(strange(path, length, "shorter than its header says"));
     }
-    cut(path, &file, end, header.moments(), "moments")
+    cut(path, &file, end, header.sample_times(), "sample times")
 }
 
 /// Completes the metadata from the journal, and removes samples that neither of them describes.
@@ -245,7 +245,7 @@ pub(super) fn sigmf(path: &Path) -> Result<Recovered, RecoverError> {
         |path: &PathBuf| std::fs::read_to_string(path).map_err(RecordError::io(path, "read"));
     let text = read(&paths.meta)?;
     let mut words = Recording::parse(&text).map_err(|why| strange(&paths.meta, 0, why))?;
-    let moment_bytes = words.data_type.bytes() as u64 * u64::from(words.channels);
+    let sample_time_bytes = words.data_type.bytes() as u64 * u64::from(words.channels);
     let length = data
         .metadata()
         .map_err(RecordError::io(&paths.data, "read"))?
@@ -253,7 +253,7 @@ pub(super) fn sigmf(path: &Path) -> Result<Recovered, RecoverError> {
     let end_of = |words: &Recording| {
         let last = words.annotations.last();
         last.map_or(0, |last| {
-            (last.sample_start + last.sample_count) * moment_bytes
+            (last.sample_start + last.sample_count) * sample_time_bytes
         })
     };
     let has_journal = paths.journal.exists();
@@ -262,7 +262,7 @@ pub(super) fn sigmf(path: &Path) -> Result<Recovered, RecoverError> {
             // Skips entries that the metadata already contains, and those of a ping whose samples are incomplete.
             let known = words.annotations.last();
             let next = known.map_or(0, |last| last.sample_start + last.sample_count);
-            let end = (annotation.sample_start + annotation.sample_count) * moment_bytes;
+            let end = (annotation.sample_start + annotation.sample_count) * sample_time_bytes;
             if annotation.sample_start == next && end <= length {
                 words.captures.push(capture);
                 words.annotations.push(annotation);

@@ -176,8 +176,8 @@ impl SigmfRecorder {
 
     /// Stops recording and removes an incomplete ping. Metadata and journal stay as written.
     fn stop(&mut self, source: std::io::Error) -> RecordError {
-        let moment_bytes = 4 * u64::from(self.words.channels);
-        let _ = self.data.set_len(self.samples * moment_bytes);
+        let sample_time_bytes = 4 * u64::from(self.words.channels);
+        let _ = self.data.set_len(self.samples * sample_time_bytes);
         self.closed = true;
         RecordError::io(&self.paths.data, "write")(source)
     }
@@ -296,7 +296,7 @@ mod tests {
         let data = std::fs::read(dir.path().join("rec.sigmf-data")).expect("there");
         assert!(data == want, "{} bytes, {} wanted", data.len(), want.len());
         let words = Recording::parse(&meta()).expect("whole");
-        let moment_bytes = 4 * u64::from(words.channels);
+        let sample_time_bytes = 4 * u64::from(words.channels);
         assert_eq!(words.channels as usize, spec.receive[0].elements);
         let mut start = 0;
         for ((plan, _), (capture, annotation)) in pings
@@ -312,7 +312,7 @@ mod tests {
             );
             start += plan.sample_count as u64;
         }
-        assert_eq!(start * moment_bytes, data.len() as u64);
+        assert_eq!(start * sample_time_bytes, data.len() as u64);
     }
 
     #[test]

@@ -28,7 +28,7 @@ pub(crate) struct WavRecorder {
     /// Start of the first ping's pulse.
     origin: Option<UtcNs>,
     /// Number of sample times written or skipped.
-    moments: u64,
+    sample_times: u64,
     bytes: Vec<u8>,
     stopped: bool,
 }
@@ -71,7 +71,7 @@ impl WavRecorder {
                 sonar.pulse.center_frequency_hz,
             ),
             origin: None,
-            moments: 0,
+            sample_times: 0,
             bytes: Vec::new(),
             stopped: false,
         };
@@ -102,23 +102,23 @@ impl WavRecorder {
         let begin_s = pulse_s + plan.first_sample_s;
         let end_s = begin_s + plan.sample_count as f64 / self.in_rate_hz;
         // A ping begins after the previous window; a shared sample belongs to the earlier ping.
-        let first = ((begin_s * rate_hz).ceil().max(0.0) as u64).max(self.moments);
+        let first = ((begin_s * rate_hz).ceil().max(0.0) as u64).max(self.sample_times);
         let last = ((end_s * rate_hz).floor().max(0.0) as u64).max(first);
-        let moments = (last - first) as usize;
+        let sample_times = (last - first) as usize;
         self.passband.begin(
             first as f64 / rate_hz - pulse_s,
-            moments,
+            sample_times,
             plan.first_sample_s,
         );
-        let saturated = self.fill(output, moments);
+        let saturated = self.fill(output, sample_times);
         let frame_bytes = self.format.frame_bytes();
         let at = echotank_protocols::wav::HEADER_BYTES as u64 + first * frame_bytes;
         let written = self
             .file
             .seek(SeekFrom::Start(at))
             .and_then(|_| self.file.write_all(&self.bytes));
-        let before = self.moments;
-        self.moments = if written.is_ok() { last } else { before };
+        let before = self.sample_times;
+        self.sample_times = if written.is_ok() { last } else { before };
         written
             .and_then(|()| self.write_header())
             .map_err(|source| {
@@ -132,11 +132,11 @@ impl WavRecorder {
         Ok(saturated)
     }
 
-    fn fill(&mut self, output: &PingOutput, moments: usize) -> u64 {
+    fn fill(&mut self, output: &PingOutput, sample_times: usize) -> u64 {
         let frame_bytes = self.format.frame_bytes() as usize;
         let sample_bytes = self.format.sample.bytes();
         self.bytes.clear();
-        self.bytes.resize(moments * frame_bytes, 0);
+        self.bytes.resize(sample_times * frame_bytes, 0);
         let mut saturated = 0;
         for (e, envelope) in elements_of(output, &self.arrays).enumerate() {
             let mut at = e * sample_bytes;
@@ -160,7 +160,7 @@ impl WavRecorder {
     fn write_header(&mut self) -> std::io::Result<()> {
         let mut header = Vec::new();
         self.format
-            .emit_header(&mut header, self.moments, Container::AsNeeded);
+            .emit_header(&mut header, self.sample_times, Container::AsNeeded);
         self.file.seek(SeekFrom::Start(0))?;
         self.file.write_all(&header)
     }
@@ -221,25 +221,25 @@ mod tests {
         let channels = usize::from(header.format.channels);
         assert_eq!(channels, spec.receive[0].elements);
         assert_eq!(header.data_bytes as usize, bytes.len() - HEADER_BYTES);
-        let at = |moment: usize, channel: usize| {
-            let at = HEADER_BYTES + 2 * (moment * channels + channel);
+        let at = |k: usize, channel: usize| {
+            let at = HEADER_BYTES + 2 * (k * channels + channel);
             f64::from(i16::from_le_bytes([bytes[at], bytes[at + 1]]))
         };
         let origin = pings[0].0.transmit_utc;
-        let mut sounding = vec![false; header.moments() as usize];
+        let mut sounding = vec![false; header.sample_times() as usize];
         for (plan, _) in &pings {
             let pulse_s = plan.transmit_utc.seconds_since(origin);
             let window_s = plan.sample_count as f64 / spec.receiver.sample_rate_hz;
-            for (moment, sounds) in sounding.iter_mut().enumerate() {
-                let t = moment as f64 / 1e6 - pulse_s;
+            for (k, sounds) in sounding.iter_mut().enumerate() {
+                let t = k as f64 / 1e6 - pulse_s;
                 let into_s = t - plan.first_sample_s;
                 *sounds |= (0.0..window_s).contains(&into_s);
                 // A constant envelope of a quarter of full scale gives a constant carrier, with ringing at its ends.
                 if into_s > 1e-3 && into_s < window_s - 1e-3 {
                     let turns = spec.pulse.center_frequency_hz * t;
                     let want = 32767.0 / 4.0 * (std::f64::consts::TAU * turns).cos();
-                    let got = at(moment, channels - 1);
-                    assert!((got - want).abs() <= 1.0, "{moment}: {got}, {want}");
+                    let got = at(k, channels - 1);
+                    assert!((got - want).abs() <= 1.0, "{k}: {got}, {want}");
                 }
             }
         }
@@ -249,8 +249,8 @@ mod tests {
             "{loud} of {}",
             sounding.len()
         );
-        for (moment, _) in sounding.iter().enumerate().filter(|(_, sounds)| !**sounds) {
-            assert_eq!(at(moment, 0), 0.0, "{moment} lies between pings");
+        for (k, _) in sounding.iter().enumerate().filter(|(_, sounds)| !**sounds) {
+            assert_eq!(at(k, 0), 0.0, "{k} lies between pings");
         }
     }
 

@@ -39,7 +39,7 @@ pub(super) async fn serve(
                     // A repeated request replaces the selection of records.
                     shared.hang_up(dial.peer, dial.transport);
                     if let Some(slot) = shared.admit(dial.peer, dial.transport, true) {
-                        clients.spawn(attend(dial, slot, stopped.clone()));
+                        clients.spawn(serve_client(dial, slot, stopped.clone()));
                     }
                 }
                 None => break,
@@ -51,7 +51,7 @@ pub(super) async fn serve(
     let _ = timeout(shared.times.drain, all_written).await;
 }
 
-async fn attend(dial: Dial, slot: ClientSlot, mut stopped: watch::Receiver<bool>) {
+async fn serve_client(dial: Dial, slot: ClientSlot, mut stopped: watch::Receiver<bool>) {
     let begin = |slot: &ClientSlot| {
         slot.client.want(dial.wants, Wants::NONE);
         slot.shared.update_wanted(&slot.shared.lock());

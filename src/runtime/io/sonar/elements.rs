@@ -89,21 +89,28 @@ impl FrameTally {
             self.lost_frames += u64::from(head.frame_number.wrapping_sub(next));
         }
         self.next = Some(head.frame_number.wrapping_add(1));
-        let is_first = head.first_moment == 0;
+        let is_first = head.first_sample == 0;
         match self.ping {
             Some((number, had)) if number == head.ping_number => {
-                let in_order = had == head.first_moment;
-                let had = if in_order { had + frame.moments } else { had };
+                let in_order = had == head.first_sample;
+                let had = if in_order {
+                    had + frame.sample_times
+                } else {
+                    had
+                };
                 self.ping = Some((number, had));
             }
             other => {
                 // `self.ping` is `None` after a complete ping.
                 self.incomplete_pings += u64::from(other.is_some());
                 self.pings += 1;
-                self.ping = Some((head.ping_number, if is_first { frame.moments } else { 0 }));
+                self.ping = Some((
+                    head.ping_number,
+                    if is_first { frame.sample_times } else { 0 },
+                ));
             }
         }
-        if self.ping == Some((head.ping_number, head.ping_moments)) {
+        if self.ping == Some((head.ping_number, head.ping_samples)) {
             self.ping = None;
         }
         is_first
@@ -119,7 +126,7 @@ mod tests {
     #[test]
     fn lost_frames_and_torn_pings_are_told_from_whole_ones() {
         let mut tally = FrameTally::default();
-        // Frame number, ping, first of 4 moments; each frame has 2.
+        // Frame number, ping, first of 4 sample times; each frame has 2.
         let frames = [
             (7, 1, 0),
             (8, 1, 2),
@@ -129,19 +136,19 @@ mod tests {
             (13, 4, 0),
             (15, 5, 0),
         ];
-        let firsts = frames.map(|(frame_number, ping_number, first_moment)| {
+        let firsts = frames.map(|(frame_number, ping_number, first_sample)| {
             let mut bytes = Vec::new();
             FrameHead {
                 frame_number,
                 ping_number,
-                first_moment,
-                ping_moments: 4,
+                first_sample,
+                ping_samples: 4,
                 elements: 1,
                 sample_type: SampleType::I16,
                 volts_per_unit: 1.0,
                 pulse_utc_ns: 0,
-                first_moment_s: 0.0,
-                moments_per_s: 1.0,
+                first_sample_s: 0.0,
+                sample_rate_hz: 1.0,
                 center_frequency_hz: 1.0,
             }
             .emit(&mut bytes, 2, |buf| buf.extend([0; 8]));

@@ -310,7 +310,7 @@ impl SonarServer {
 
     /// Runs the server's thread under SCHED_FIFO with this priority if the system permits; 0 changes nothing. Streams need this, because their
     /// commands are urgent too.
-    pub(crate) fn hurry(&self, priority: u8) {
+    pub(crate) fn set_priority(&self, priority: u8) {
         if let Some(thread) = self.thread.as_ref().filter(|_| priority > 0) {
             // The daemon reports a refused priority at its start.
             let _ = first_in_first_out_of(thread, priority);
@@ -631,16 +631,16 @@ impl Shared {
     }
 
     /// Opens a session for a new client.
-    fn welcome(&self, client: &Client) -> Box<dyn Session> {
+    fn open_session(&self, client: &Client) -> Box<dyn Session> {
         let mut session = self.protocol.connect(client.transport, client.peer);
-        self.converse(client, &mut *session, |session, now, out| {
+        self.run_step(client, &mut *session, |session, now, out| {
             session.greet(now, out);
         });
         session
     }
 
     /// Runs one step of a session and executes its requests.
-    fn converse(
+    fn run_step(
         &self,
         client: &Client,
         session: &mut dyn Session,

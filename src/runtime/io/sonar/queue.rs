@@ -68,7 +68,7 @@ struct Queue {
 }
 
 /// A datagram being written; return it with [`Client::written`].
-pub(super) struct Taken {
+pub(super) struct TakenDatagram {
     pub datagram: Arc<Datagram>,
     is_reply: bool,
 }
@@ -229,7 +229,7 @@ impl Client {
     }
 
     /// Pace of a datagram, bytes/s; replies are sent at once.
-    pub(super) fn pace_bytes_per_s(&self, taken: &Taken) -> f64 {
+    pub(super) fn pace_bytes_per_s(&self, taken: &TakenDatagram) -> f64 {
         match taken.is_reply {
             true => f64::INFINITY,
             false => f64::from_bits(self.pace_bytes_per_s.load(Ordering::Relaxed)),
@@ -245,28 +245,28 @@ impl Client {
 
     // ------------------------------------------------------------ queue out
 
-    pub(super) fn take(&self) -> Option<Taken> {
+    pub(super) fn take(&self) -> Option<TakenDatagram> {
         let mut queue = self.lock();
         if let Some(datagram) = queue.replies.pop_front() {
-            return Some(Taken {
+            return Some(TakenDatagram {
                 datagram,
                 is_reply: true,
             });
         }
         let offer = queue.records.pop_front()?;
-        Some(Taken {
+        Some(TakenDatagram {
             datagram: offer.datagram,
             is_reply: false,
         })
     }
 
     /// Waits until a datagram may be available or the client leaves.
-    pub(crate) async fn woken(&self) {
+    pub(crate) async fn wait_for_datagram(&self) {
         self.wake.notified().await;
     }
 
     /// Counts a datagram as written (`wire_bytes`) or as lost (`None`).
-    pub(super) fn written(&self, taken: Taken, wire_bytes: Option<usize>) {
+    pub(super) fn written(&self, taken: TakenDatagram, wire_bytes: Option<usize>) {
         self.written_ms.store(self.now_ms(), Ordering::Relaxed);
         match wire_bytes {
             Some(bytes) => {
@@ -325,7 +325,7 @@ impl Client {
     /// Waits until nothing more may be written, not even the rest of a record.
     pub(super) async fn gone(&self) {
         while !self.dropped.load(Ordering::Acquire) {
-            self.woken().await;
+            self.wait_for_datagram().await;
         }
     }
 

@@ -36,7 +36,7 @@ pub(super) async fn serve(
             accepted = listener.accept() => match accepted {
                 Ok((stream, peer)) => {
                     if let Some(slot) = shared.admit(peer, Transport::Tcp, false) {
-                        clients.spawn(attend(stream, slot, stopped.clone()));
+                        clients.spawn(serve_client(stream, slot, stopped.clone()));
                     }
                 }
                 Err(error) => {
@@ -59,7 +59,7 @@ pub(super) fn prepare(stream: &TcpStream, shared: &Shared) {
     tcp::limit_unsent(stream);
 }
 
-async fn attend(stream: TcpStream, slot: ClientSlot, mut stopped: watch::Receiver<bool>) {
+async fn serve_client(stream: TcpStream, slot: ClientSlot, mut stopped: watch::Receiver<bool>) {
     prepare(&stream, &slot.shared);
     let (read_half, write_half) = stream.into_split();
     let (shared, client) = (&slot.shared, &slot.client);
@@ -77,7 +77,7 @@ async fn attend(stream: TcpStream, slot: ClientSlot, mut stopped: watch::Receive
 
 /// Reads commands until the client closes the connection.
 async fn read_commands(mut stream: OwnedReadHalf, shared: &Shared, client: &Client) {
-    let mut session = shared.welcome(client);
+    let mut session = shared.open_session(client);
     let mut buffer = vec![0; READ_BYTES];
     // Start of the incomplete command, or instant of the last decoded command.
     let mut since = Instant::now();
@@ -98,7 +98,7 @@ async fn read_commands(mut stream: OwnedReadHalf, shared: &Shared, client: &Clie
         match read {
             Ok(Ok(len)) if len > 0 => {
                 client.note_received();
-                shared.converse(client, &mut *session, |session, now, out| {
+                shared.run_step(client, &mut *session, |session, now, out| {
                     session.receive(&buffer[..len], now, out);
                 });
                 if session.counts() != before {
@@ -106,13 +106,13 @@ async fn read_commands(mut stream: OwnedReadHalf, shared: &Shared, client: &Clie
                 }
             }
             Err(_stalled) => {
-                shared.converse(client, &mut *session, |session, now, out| {
+                shared.run_step(client, &mut *session, |session, now, out| {
                     session.give_up_waiting(now, out);
                 });
                 since = Instant::now();
             }
             Ok(Ok(_) | Err(_)) => {
-                return shared.converse(client, &mut *session, |session, now, out| {
+                return shared.run_step(client, &mut *session, |session, now, out| {
                     session.give_up_waiting(now, out);
                 });
             }
@@ -176,7 +176,7 @@ async fn write_all(
             return;
         }
         tokio::select! {
-            () = client.woken() => {}
+            () = client.wait_for_datagram() => {}
             () = stopping(&mut stopped) => {}
         }
     }

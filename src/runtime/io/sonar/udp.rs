@@ -53,10 +53,10 @@ pub(super) async fn serve(
                     peers.retain(|_, peer| !peer.client.is_leaving());
                     if let Some(peer) = peers.get_mut(&from) {
                         peer.last_received = Instant::now();
-                        listen(&shared, peer, datagram);
-                    } else if let Some((mut peer, slot)) = welcome(&shared, from, datagram) {
+                        receive(&shared, peer, datagram);
+                    } else if let Some((mut peer, slot)) = admit(&shared, from, datagram) {
                         writers.spawn(write_datagrams(Arc::clone(&socket), from, slot, stopped.clone()));
-                        listen(&shared, &mut peer, datagram);
+                        receive(&shared, &mut peer, datagram);
                         peers.insert(from, peer);
                     }
                 }
@@ -88,23 +88,23 @@ fn end_refused(socket: &UdpSocket, peers: &mut HashMap<SocketAddr, Peer>) {
     }
 }
 
-fn listen(shared: &Shared, peer: &mut Peer, datagram: &[u8]) {
+fn receive(shared: &Shared, peer: &mut Peer, datagram: &[u8]) {
     peer.client.note_received();
-    shared.converse(&peer.client, &mut *peer.session, |session, now, out| {
+    shared.run_step(&peer.client, &mut *peer.session, |session, now, out| {
         session.receive(datagram, now, out);
     });
 }
 
 /// Admits a sender whose datagram belongs to the protocol; other datagrams are only counted.
-fn welcome(shared: &Arc<Shared>, from: SocketAddr, datagram: &[u8]) -> Option<(Peer, ClientSlot)> {
+fn admit(shared: &Arc<Shared>, from: SocketAddr, datagram: &[u8]) -> Option<(Peer, ClientSlot)> {
     // The source address is forged: answers would come back as commands.
-    if is_own(from) || !shared.protocol.welcomes(datagram) {
+    if is_own(from) || !shared.protocol.recognises(datagram) {
         shared.lock().gone.framing_errors += 1;
         return None;
     }
     let slot = shared.admit(from, Transport::Udp, false)?;
     let peer = Peer {
-        session: shared.welcome(&slot.client),
+        session: shared.open_session(&slot.client),
         client: Arc::clone(&slot.client),
         last_received: Instant::now(),
     };
@@ -163,7 +163,7 @@ pub(super) async fn write_datagrams(
             return;
         }
         tokio::select! {
-            () = client.woken() => {}
+            () = client.wait_for_datagram() => {}
             () = stopping(&mut stopped) => {}
         }
     }

@@ -21,7 +21,7 @@ use crate::io::stamp;
 use crate::io::tcp::end_if_dead;
 use echotank_config::spec::{ModemLine, TriggerFrom};
 use sentence::{MAX_BYTES, TriggerSentence};
-use serial::{Edges, InputLevel, LOOK, PortLine};
+use serial::{Edges, InputLevel, POLL_INTERVAL, PortLine};
 
 /// Read timeout, and interval between checks of the stop flag.
 const READ_TIMEOUT: Duration = Duration::from_millis(100);
@@ -140,7 +140,7 @@ impl TriggerListener {
     }
 
     /// Runs the input's threads under SCHED_FIFO if the system permits, including those of later clients; 0 changes nothing.
-    pub(crate) fn hurry(&self, priority: u8) {
+    pub(crate) fn set_priority(&self, priority: u8) {
         if let Some(thread) = self.thread.as_ref().filter(|_| priority > 0) {
             // The daemon reports a refused priority at its start.
             let _ = first_in_first_out_of(thread, priority);
@@ -287,7 +287,7 @@ impl Reader {
                             number: None,
                         });
                     }
-                    thread::sleep(LOOK);
+                    thread::sleep(POLL_INTERVAL);
                 }
                 Err(error) => {
                     tracing::warn!(thread = thread::current().name(), %error, "trigger line lost");

@@ -9,7 +9,7 @@ use std::time::Duration;
 use echotank_config::spec::ModemLine;
 
 /// Polling interval.
-pub const LOOK: Duration = Duration::from_micros(500);
+pub const POLL_INTERVAL: Duration = Duration::from_micros(500);
 
 /// A line that is high or low.
 pub(crate) trait InputLevel: Send {

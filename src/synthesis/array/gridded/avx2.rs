@@ -216,11 +216,11 @@ pub(crate) unsafe fn share_32<const BENT: bool>(points: Sharing<f32>, values: &m
             let mut real = _mm256_fmadd_ps(_mm256_fmadd_ps(bow, x, slope), x, plain);
             let out = value.as_mut_ptr();
             if BENT {
-                let bend = _mm256_set1_ps(*points.bend.get_unchecked(j));
-                let more = _mm256_fmadd_ps(of(&weights.real_2), bend, of(&weights.real));
-                real = _mm256_fmadd_ps(more, bend, real);
+                let curvature = _mm256_set1_ps(*points.curvature.get_unchecked(j));
+                let more = _mm256_fmadd_ps(of(&weights.real_2), curvature, of(&weights.real));
+                real = _mm256_fmadd_ps(more, curvature, real);
                 let [plain, slope] = [0, 1].map(|k| of(&weights.imaginary[k]));
-                let imaginary = _mm256_mul_ps(_mm256_fmadd_ps(slope, x, plain), bend);
+                let imaginary = _mm256_mul_ps(_mm256_fmadd_ps(slope, x, plain), curvature);
                 let across = _mm256_mul_ps(im, imaginary);
                 _mm256_storeu_ps(out, _mm256_fmsub_ps(re, real, across));
                 let across = _mm256_mul_ps(re, imaginary);

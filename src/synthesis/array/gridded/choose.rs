@@ -103,15 +103,15 @@ const TERM_SHARE: f64 = 0.1;
 /// Truncation error of that series allowed at the ends of a pulse, as a fraction of the tolerance.
 pub(crate) const SERIES_SHARE: f64 = 0.1;
 
-/// Number of terms for the phase `bend_rad` at the ends of a pulse; `None` if [`MAX_ORDER`] is too
+/// Number of terms for the phase `curvature_rad` at the ends of a pulse; `None` if [`MAX_ORDER`] is too
 /// few.
-pub(crate) fn series_terms(bend_rad: f64, tolerance: f64) -> Option<usize> {
-    let mut rest = bend_rad;
+pub(crate) fn series_terms(curvature_rad: f64, tolerance: f64) -> Option<usize> {
+    let mut rest = curvature_rad;
     for terms in 0..=MAX_ORDER {
         if rest <= SERIES_SHARE * tolerance {
             return Some(terms);
         }
-        rest *= bend_rad / (terms + 2) as f64;
+        rest *= curvature_rad / (terms + 2) as f64;
     }
     None
 }
@@ -119,16 +119,16 @@ pub(crate) fn series_terms(bend_rad: f64, tolerance: f64) -> Option<usize> {
 /// Error allowed for a curvature carried by weights, as a fraction of the tolerance.
 const BENT_SHARE: f64 = 0.2;
 
-/// Whether weights may carry a curvature with the phase `bend_rad` at the ends of a pulse. p is at
+/// Whether weights may carry a curvature with the phase `curvature_rad` at the ends of a pulse. p is at
 /// most `greatest_p` per second.
-pub(crate) fn weights_bend(spec: &Spec, bend_rad: f64, greatest_p: f64) -> bool {
+pub(crate) fn weights_carry_curvature(spec: &Spec, curvature_rad: f64, greatest_p: f64) -> bool {
     let pulse = spec.pulse;
     let wide = 0.5 * (spec.sample_rate_hz + pulse.bandwidth_hz) / pulse.center_frequency_hz;
     // Weights do not depend on frequency. After the correction at the ends of pulses (`doppler`),
     // the remaining error is of second order in the relative band.
-    let unknown = wide * wide * bend_rad;
+    let unknown = wide * wide * curvature_rad;
     let strength = greatest_p * pulse.duration_s;
-    let third = bend_rad.powi(3) / 6.0;
+    let third = curvature_rad.powi(3) / 6.0;
     unknown + strength + third <= BENT_SHARE * spec.tolerance
 }
 
@@ -164,18 +164,18 @@ pub(crate) struct Trials<'a> {
 }
 
 impl Trials<'_> {
-    /// Selects the grid for echoes without curvature, or with a curvature of phase `bend_rad` at
+    /// Selects the grid for echoes without curvature, or with a curvature of phase `curvature_rad` at
     /// the ends of pulses. Returns the grid with its error. `alone` returns the single-echo error
     /// of a grid in the worst window, without curvature.
     pub(super) fn doppler(
         &self,
-        bend_rad: f64,
+        curvature_rad: f64,
         alone: impl Fn(&DopplerGrid) -> f64,
     ) -> Option<(DopplerGrid, f64)> {
-        if self.span.greatest == self.span.least && bend_rad == 0.0 {
+        if self.span.greatest == self.span.least && curvature_rad == 0.0 {
             return Some((DopplerGrid::common(self.span), 0.0));
         }
-        let trial = self.trial(bend_rad);
+        let trial = self.trial(curvature_rad);
         let alone_share = match few(self.spec) {
             true => ALONE_SHARE,
             false => ALONE_AMONG_MANY_SHARE,
@@ -198,7 +198,7 @@ impl Trials<'_> {
         Some((grid, error * size))
     }
 
-    fn trial(&self, bend_rad: f64) -> Trial {
+    fn trial(&self, curvature_rad: f64) -> Trial {
         let pulse = self.spec.pulse;
         let DopplerSpan { least, greatest } = self.span;
         // The phase at the upper end of the band changes fastest with Doppler.
@@ -206,7 +206,7 @@ impl Trials<'_> {
         let eta = 1.0 + least.min(0.0);
         Trial {
             turns: highest_hz * 0.5 * pulse.duration_s * (greatest - least) / (eta * eta),
-            bend_rad,
+            curvature_rad,
             sweep: sweep(self.spec),
         }
     }

@@ -15,10 +15,10 @@ use super::band::{Band, band, widest};
 use super::batched_fft::lanes_for;
 use super::choose::{
     NS_PER_ARRIVAL, NS_PER_GRID_VALUE, NS_PER_LANE_VALUE, NS_PER_SPREAD, SERIES_SHARE, Trials,
-    delay_kernel, series_terms, sweep, weights_bend,
+    delay_kernel, series_terms, sweep, weights_carry_curvature,
 };
 use super::cost_estimate::CostEstimate;
-use super::doppler::{Bent, DopplerGrid, DopplerSpan, Received};
+use super::doppler::{CurvatureWeights, DopplerGrid, DopplerSpan, Received};
 use super::evenly::{beyond_hz, evenly};
 use super::kernel::{Kernel, MAX_WIDTH};
 use super::moments::Real;
@@ -59,7 +59,7 @@ pub(crate) struct Design {
 pub(crate) struct DesignedTerm {
     pub grid: DopplerGrid,
     /// Chunks whose largest |p|, relative to that of the design, is below this value skip the term.
-    pub(crate) min_bend: f64,
+    pub(crate) min_curvature: f64,
 }
 
 impl Design {
@@ -103,14 +103,14 @@ impl Design {
         let greatest_p = greatest_q / (1.0 - fastest).powi(3);
         // The phase at the upper end of the band changes faster than at the carrier.
         let highest_carrier_hz = carrier_hz + 0.5 * pulse.bandwidth_hz;
-        let bend_rad = TAU * highest_carrier_hz * greatest_p * half_s * half_s;
+        let curvature_rad = TAU * highest_carrier_hz * greatest_p * half_s * half_s;
         let needed = match greatest_q < MAX_CURVATURE_TIMES_PULSE / pulse.duration_s {
-            true => series_terms(bend_rad, spec.tolerance),
+            true => series_terms(curvature_rad, spec.tolerance),
             false => None,
         };
         let count = needed.ok_or(GriddedError::Curvature {
             curvature_per_s: greatest_q,
-            turned_rad: bend_rad,
+            turned_rad: curvature_rad,
             tolerance: asked.tolerance,
         })?;
         let highest_hz =
@@ -148,30 +148,30 @@ impl Design {
             greatest_p,
         };
         let of_dopplers = |grid: &DopplerGrid| alone.dopplers(grid, received(0), &kept) / weakening;
-        let bent = match count > 0 && weights_bend(spec, bend_rad, greatest_p) {
-            true => trials.doppler(bend_rad, of_dopplers),
+        let weights = match count > 0 && weights_carry_curvature(spec, curvature_rad, greatest_p) {
+            true => trials.doppler(curvature_rad, of_dopplers),
             false => None,
         };
-        let weights_carry = bent.is_some();
+        let weights_carry = weights.is_some();
         let count = if weights_carry { 0 } else { count };
-        let doppler = bent
+        let doppler = weights
             .or_else(|| trials.doppler(0.0, of_dopplers))
             .ok_or_else(|| unreachable(MIN_F32_MOMENTS))?;
         let mut terms = vec![DesignedTerm {
             grid: doppler.0,
-            min_bend: 0.0,
+            min_curvature: 0.0,
         }];
         let mut fit_error2 = doppler.1.powi(2);
         let mut term_rad = 1.0;
         for order in 1..=count {
-            term_rad *= bend_rad / order as f64;
+            term_rad *= curvature_rad / order as f64;
             let (grid, error) = trials
                 .term(term_rad)
                 .ok_or_else(|| unreachable(MIN_F32_MOMENTS))?;
             fit_error2 += error * error;
             terms.push(DesignedTerm {
                 grid,
-                min_bend: (SERIES_SHARE * spec.tolerance / term_rad).powf(1.0 / order as f64),
+                min_curvature: (SERIES_SHARE * spec.tolerance / term_rad).powf(1.0 / order as f64),
             });
         }
         // The ends of curved pulses move by p (T/2)^2.
@@ -195,7 +195,7 @@ impl Design {
         let rounding = if M::MOMENTS == 8 { 1e-7 } else { 3e-13 } * kernel.amplification();
         let series = match weights_carry {
             true => 0.0,
-            false => term_rad * bend_rad / (count + 1) as f64,
+            false => term_rad * curvature_rad / (count + 1) as f64,
         };
         let error = [
             kernel.error,
@@ -220,7 +220,7 @@ impl Design {
                     false => 0.0,
                 },
                 greatest_p,
-                bent: weights_carry,
+                curved: weights_carry,
                 sweep_hz_per_s: pulse.sweep_hz_per_s(),
             },
             spectrum,
@@ -282,12 +282,13 @@ impl Design {
 
     /// Curvature terms of the weights on `grid`, and the phase at the ends of the pulse for which
     /// they are designed. `None` if separate columns carry the curvature.
-    pub(crate) fn bent(&self, grid: &DopplerGrid) -> Option<(Bent, f64)> {
+    pub(crate) fn curvature_weights(&self, grid: &DopplerGrid) -> Option<(CurvatureWeights, f64)> {
         let (carrier_hz, half_s) = (self.frame.carrier_hz, self.frame.half_pulse_s);
-        self.frame.bent.then(|| {
-            let bent = grid.bent(grid.theta(carrier_hz, self.pulse.duration_s), self.sweep);
+        self.frame.curved.then(|| {
+            let weights =
+                grid.curvature_weights(grid.theta(carrier_hz, self.pulse.duration_s), self.sweep);
             (
-                bent,
+                weights,
                 TAU * carrier_hz * self.frame.greatest_p * half_s * half_s,
             )
         })
@@ -305,8 +306,12 @@ impl Design {
             echoes_ns: arrivals as f64 * NS_PER_ARRIVAL,
             grids_ns: 0.0,
         };
-        let bend = curvature_per_s / self.frame.greatest_p.max(f64::MIN_POSITIVE);
-        for term in self.terms.iter().filter(|term| term.min_bend <= bend) {
+        let curvature = curvature_per_s / self.frame.greatest_p.max(f64::MIN_POSITIVE);
+        for term in self
+            .terms
+            .iter()
+            .filter(|term| term.min_curvature <= curvature)
+        {
             let grid = &term.grid;
             ns.grids_ns += self.grid as f64
                 * words

@@ -33,7 +33,7 @@
 //! alpha p w^2 is small (7e-3 rad at 5 m/s, 36 m, 400 kHz and 5 ms), so few terms of the series in
 //! p suffice. There are two ways to add them.
 //!
-//! The first way is by the weights ([`DopplerGrid::bent`]). d^2/dd^2 of the integrand is -(alpha w/eta^2)^2
+//! The first way is by the weights ([`DopplerGrid::curvature_weights`]). d^2/dd^2 of the integrand is -(alpha w/eta^2)^2
 //! times the integrand. The columns that fit S_d therefore also fit j alpha p w^2 S_d, with -j p eta^4/alpha
 //! times the second derivative of the weights. The weights do not depend on f in alpha. A sweep of K Hz/s has
 //! f near K w, and each factor w is one more derivative. At the ends of a pulse all frequencies occur, and the
@@ -112,14 +112,14 @@ impl Received<'_> {
         let (p, half_s) = (self.greatest_p, 0.5 * self.duration_s);
         let alpha = std::f64::consts::TAU * (f_hz + self.carrier_hz);
         // Phase of the quadratic term at the ends of the pulse.
-        let bend = Complex64::new(0.0, alpha * p * half_s * half_s);
-        // bend^(k-1) / (k-1)!
-        let before = (1..k).fold(Complex64::ONE, |term, i| term * bend / i as f64);
-        let mut sum = powers[2 * k] * before * bend / (k as f64 * eta)
+        let curvature = Complex64::new(0.0, alpha * p * half_s * half_s);
+        // curvature^(k-1) / (k-1)!
+        let before = (1..k).fold(Complex64::ONE, |term, i| term * curvature / i as f64);
+        let mut sum = powers[2 * k] * before * curvature / (k as f64 * eta)
             - powers[2 * k - 1] * before * (2.0 * p * half_s);
         if k == 2 {
             sum += powers[2] * (6.0 * eta * (p * half_s).powi(2))
-                - powers[3] * bend * (2.0 * p * half_s);
+                - powers[3] * curvature * (2.0 * p * half_s);
         }
         sum
     }
@@ -151,8 +151,8 @@ fn times(factor: f64, polynomials: Polynomials) -> Polynomials {
     polynomials.map(|row| row.map(|power| factor * power))
 }
 
-/// Derivative combinations of the weights; see [`DopplerGrid::bent`].
-pub(crate) struct Bent {
+/// Derivative combinations of the weights; see [`DopplerGrid::curvature_weights`].
+pub(crate) struct CurvatureWeights {
     pub imaginary: Polynomials,
     pub real: Polynomials,
     pub(crate) real_2: Polynomials,
@@ -301,8 +301,8 @@ impl DopplerGrid {
     ///
     /// `theta` is the phase change of a pulse's end over half a cell. `sweep` is half the swept band over the
     /// carrier, with its sign.
-    pub(crate) fn bent(&self, theta: f64, sweep: f64) -> Bent {
-        Bent {
+    pub(crate) fn curvature_weights(&self, theta: f64, sweep: f64) -> CurvatureWeights {
+        CurvatureWeights {
             imaginary: times(-theta.powi(-2), derivative(&self.weights, 2)),
             real: times(sweep * theta.powi(-3), derivative(&self.weights, 3)),
             real_2: times(-0.5 * theta.powi(-4), derivative(&self.weights, 4)),
@@ -356,7 +356,7 @@ pub(crate) struct Trial {
     /// Phase change of the pulse's end relative to its middle over the whole span, in turns.
     pub turns: f64,
     /// Maximum curvature phase at the ends of the pulse, if the weights carry the curvature.
-    pub(crate) bend_rad: f64,
+    pub(crate) curvature_rad: f64,
     /// Half the swept band over the carrier, with its sign.
     pub sweep: f64,
 }
@@ -385,13 +385,20 @@ impl Trial {
         let shares = even_shares(2 * count);
         let weights = grid.weights_at(&shares);
         let theta = std::f64::consts::PI * self.turns / grid.cells as f64;
-        let bent = (self.bend_rad > 0.0 && theta > 0.0).then(|| grid.bent(theta, self.sweep));
-        let parts: Vec<(Matrix, f64)> = match &bent {
+        let curvature = (self.curvature_rad > 0.0 && theta > 0.0)
+            .then(|| grid.curvature_weights(theta, self.sweep));
+        let parts: Vec<(Matrix, f64)> = match &curvature {
             None => Vec::new(),
-            Some(bent) => vec![
-                (grid.matrix(&shares, &bent.imaginary), self.bend_rad),
-                (grid.matrix(&shares, &bent.real), self.bend_rad),
-                (grid.matrix(&shares, &bent.real_2), self.bend_rad.powi(2)),
+            Some(curvature) => vec![
+                (
+                    grid.matrix(&shares, &curvature.imaginary),
+                    self.curvature_rad,
+                ),
+                (grid.matrix(&shares, &curvature.real), self.curvature_rad),
+                (
+                    grid.matrix(&shares, &curvature.real_2),
+                    self.curvature_rad.powi(2),
+                ),
             ],
         };
         let mut worst: f64 = 0.0;

@@ -385,7 +385,7 @@ fn check_sharing<T>(points: &Sharing<T>, len: usize) {
     assert_eq!(points.entry.len(), len, "entries");
     assert_eq!(points.beyond.len(), len, "places");
     assert_eq!(points.amplitude.len(), len, "amplitudes");
-    assert_eq!(points.bend.len(), len, "curvatures");
+    assert_eq!(points.curvature.len(), len, "curvatures");
     let last = points.entry.iter().fold(0, |a, &b| a.max(b)) as usize;
     assert!(
         len == 0 || last < points.table.len(),
@@ -522,7 +522,7 @@ mod tests {
             .map(|j| (chance(j).abs() * 15.9) as u32)
             .collect();
         let beyond: Vec<f32> = (0..BLOCK).map(|j| number(3 * j)).collect();
-        let bend: Vec<f32> = (0..BLOCK).map(|j| number(5 * j + 1)).collect();
+        let curvature: Vec<f32> = (0..BLOCK).map(|j| number(5 * j + 1)).collect();
         let amplitude: Vec<Complex32> = (0..BLOCK)
             .map(|j| Complex32::new(number(7 * j), number(11 * j)))
             .collect();
@@ -531,7 +531,7 @@ mod tests {
             entry: &entry,
             beyond: &beyond,
             amplitude: &amplitude,
-            bend: &bend,
+            curvature: &curvature,
         };
         let made = |run: &dyn Fn(&mut [Shared<f32>])| {
             let mut values = vec![[0f32; 2 * MAX_TAPS]; BLOCK];

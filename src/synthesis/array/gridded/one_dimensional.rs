@@ -192,8 +192,8 @@ impl Gridded1d {
         let words = (size_of::<G>() / size_of::<f32>()) as f64;
         let error = weakening * (design.error.powi(2) + spread_error.powi(2)).sqrt();
         let doppler = &design.terms[0].grid;
-        let bent = match &design.terms[1..] {
-            [] if design.frame.bent => ", which carry curvature".into(),
+        let curvature = match &design.terms[1..] {
+            [] if design.frame.curved => ", which carry curvature".into(),
             [] => String::new(),
             more => {
                 let columns: Vec<String> = more
@@ -210,7 +210,7 @@ impl Gridded1d {
                 .cost_estimate(words, spec.arrivals, 1.0, f64::INFINITY)
                 .ms(),
             why: format!(
-                "{precision}; {} bins, grid {}, width {}; {} Doppler columns, {} taps{bent}",
+                "{precision}; {} bins, grid {}, width {}; {} Doppler columns, {} taps{curvature}",
                 design.bins, design.grid, design.kernel.width, doppler.columns, doppler.taps
             ),
         };
@@ -222,8 +222,8 @@ impl Gridded1d {
                 let made = || Arc::new(Plan::<M, G>::new(&design, simd_level, samples));
                 Box::new(Work::new(plan.get_or_init(made).clone()))
             }),
-            cost_estimate: Box::new(move |arrivals, share, bend| {
-                costing.cost_estimate(words, arrivals, share, bend)
+            cost_estimate: Box::new(move |arrivals, share, curvature| {
+                costing.cost_estimate(words, arrivals, share, curvature)
             }),
             error_model,
         })
@@ -304,7 +304,7 @@ struct Term<M: Real, G: Real> {
     columns: Columns<M>,
     templates: Templates<G>,
     /// Chunks whose largest |p|, relative to that of the design, is below this value skip the term.
-    min_bend: f64,
+    min_curvature: f64,
 }
 
 /// Templates of the columns, with the correction of the kernel.
@@ -389,8 +389,8 @@ impl<M: Real, G: Real> Plan<M, G> {
                 };
                 Term {
                     templates,
-                    columns: Columns::new(term.grid.clone(), design.bent(&term.grid)),
-                    min_bend: term.min_bend,
+                    columns: Columns::new(term.grid.clone(), design.curvature_weights(&term.grid)),
+                    min_curvature: term.min_curvature,
                 }
             });
         Self {
@@ -611,11 +611,13 @@ impl<M: Real + Into<f64>, G: Real + Into<f64>> Element for Work<M, G> {
             locate(plan.simd_level, axis, &prepared.delay_s[..n], located);
         for (order, (term, planned)) in self.terms.iter_mut().zip(&plan.terms).enumerate() {
             if order > 0 {
-                if prepared.most_bent < planned.min_bend {
+                if prepared.max_curvature < planned.min_curvature {
                     break;
                 }
-                for (amplitude, bend) in prepared.amplitude[..n].iter_mut().zip(&prepared.bend) {
-                    *amplitude = *amplitude * *bend;
+                for (amplitude, curvature) in
+                    prepared.amplitude[..n].iter_mut().zip(&prepared.curvature)
+                {
+                    *amplitude = *amplitude * *curvature;
                 }
             }
             term.used = true;

@@ -16,7 +16,9 @@ use num_complex::Complex;
 use crate::array::phasor::cis;
 use crate::arrivals::{ArrivalChunk, CHUNK};
 
-use super::doppler::{Bent, DopplerGrid, DopplerSpan, POWERS, Polynomials, derivative, value_of};
+use super::doppler::{
+    CurvatureWeights, DopplerGrid, DopplerSpan, POWERS, Polynomials, derivative, value_of,
+};
 use super::moments::{BLOCK, MAX_TAPS, ROUND, Real, Shared};
 use echotank_core::simd::{Kind, SimdLevel};
 
@@ -33,7 +35,7 @@ pub(super) struct Frame {
     pub(crate) greatest_q: f64,
     pub(crate) greatest_p: f64,
     /// True if weights carry the curvature.
-    pub(crate) bent: bool,
+    pub(crate) curved: bool,
     /// Sweep rate of the pulse; 0 without a sweep.
     pub sweep_hz_per_s: f64,
 }
@@ -42,7 +44,7 @@ pub(super) struct Frame {
 pub(super) struct Columns<T> {
     pub grid: DopplerGrid,
     /// True if weights carry a curvature.
-    bent: bool,
+    curved: bool,
     /// Table of weights across a cell, with [`ENTRIES`] entries.
     table: Vec<Entry<T>>,
 }
@@ -73,7 +75,7 @@ pub struct Sharing<'a, T> {
     pub entry: &'a [u32],
     pub beyond: &'a [T],
     pub amplitude: &'a [Complex<T>],
-    pub bend: &'a [T],
+    pub curvature: &'a [T],
 }
 
 /// Points of a chunk. `delay_s` is that of the echo's middle.
@@ -84,9 +86,9 @@ pub(super) struct Prepared<T> {
     pub doppler: [f64; BLOCK],
     /// p relative to its largest value. If weights carry the curvature, p eta^4 relative to the
     /// largest p.
-    pub bend: [T; BLOCK],
-    /// Largest |bend|.
-    pub(crate) most_bent: f64,
+    pub curvature: [T; BLOCK],
+    /// Largest |curvature|.
+    pub(crate) max_curvature: f64,
     pub column: [u32; BLOCK],
     /// Weight times amplitude.
     pub value: [Shared<T>; BLOCK],
@@ -98,8 +100,8 @@ impl<T: Real> Prepared<T> {
             delay_s: [0.0; BLOCK],
             amplitude: [Complex::new(T::zero(), T::zero()); BLOCK],
             doppler: [0.0; BLOCK],
-            bend: [T::zero(); BLOCK],
-            most_bent: 0.0,
+            curvature: [T::zero(); BLOCK],
+            max_curvature: 0.0,
             column: [0; BLOCK],
             value: [[T::zero(); 2 * MAX_TAPS]; BLOCK],
         }
@@ -166,7 +168,7 @@ impl Frame {
         let mut ahead_s = [0.0; BLOCK];
         let mut middle_s = [0.0; BLOCK];
         let mut later_s = [0.0; BLOCK];
-        points.most_bent = 0.0;
+        points.max_curvature = 0.0;
         if self.still {
             points.doppler[..n].fill(0.0);
             middle_s[..n].fill(self.half_pulse_s);
@@ -187,8 +189,8 @@ impl Frame {
                 later_s: &mut later_s,
             };
             outside = match self.gentle() {
-                true => self.bend::<T, true>(chunk, span, points, middles),
-                false => self.bend::<T, false>(chunk, span, points, middles),
+                true => self.set_curvatures::<T, true>(chunk, span, points, middles),
+                false => self.set_curvatures::<T, false>(chunk, span, points, middles),
             };
         }
         for j in 0..n {
@@ -217,7 +219,7 @@ impl Frame {
     /// Computes middles, their Dopplers and curvatures. Returns the number of echoes outside the
     /// design range.
     #[inline(always)]
-    fn bend<T: Real, const GENTLE: bool>(
+    fn set_curvatures<T: Real, const GENTLE: bool>(
         &self,
         chunk: &ArrivalChunk,
         DopplerSpan { least, greatest }: DopplerSpan,
@@ -227,14 +229,14 @@ impl Frame {
         let n = chunk.len.min(BLOCK);
         let half_s = self.half_pulse_s;
         let per_greatest = 1.0 / self.greatest_p;
-        let (later_s2, faster) = match self.bent {
+        let (later_s2, faster) = match self.curved {
             true => (
                 half_s.powi(2),
                 half_s.powi(2) * self.sweep_hz_per_s / self.carrier_hz,
             ),
             false => (0.0, 0.0),
         };
-        // The maximum of |bend| is found through its bits, which have the same order. Compilers
+        // The maximum of |curvature| is found through its bits, which have the same order. Compilers
         // vectorise the maximum of integers.
         let (mut outside, mut most) = (0, 0u64);
         for j in 0..n {
@@ -266,14 +268,14 @@ impl Frame {
             middles.later_s[j] = later_s2 * p;
             // The difference from d is small, so this form loses no digits.
             points.doppler[j] = (d + 2.0 * q * m + faster * p).max(least).min(greatest);
-            let bend = match self.bent {
+            let curvature = match self.curved {
                 true => q * of_middle * per_greatest,
                 false => p * per_greatest,
             };
-            points.bend[j] = T::narrow(bend);
-            most = most.max(bend.abs().to_bits());
+            points.curvature[j] = T::narrow(curvature);
+            most = most.max(curvature.abs().to_bits());
         }
-        points.most_bent = f64::from_bits(most);
+        points.max_curvature = f64::from_bits(most);
         outside
     }
 }
@@ -287,12 +289,12 @@ struct Middles<'a> {
 }
 
 impl<T: Real> Columns<T> {
-    /// `bent` has the curvature terms of the weights, and the phase at the ends of pulses for which
+    /// `weights` has the curvature terms, and the phase at the ends of pulses for which
     /// they are designed.
-    pub(super) fn new(grid: DopplerGrid, bent: Option<(Bent, f64)>) -> Self {
+    pub(super) fn new(grid: DopplerGrid, weights: Option<(CurvatureWeights, f64)>) -> Self {
         let entries = ENTRIES[usize::from(T::MOMENTS != 8)];
-        let (b, max_rad) = match &bent {
-            Some((bent, max_rad)) => (Some(bent), *max_rad),
+        let (b, max_rad) = match &weights {
+            Some((weights, max_rad)) => (Some(weights), *max_rad),
             None => (None, 0.0),
         };
         let none = [[0.0; MAX_TAPS]; POWERS];
@@ -317,7 +319,7 @@ impl<T: Real> Columns<T> {
             .collect();
         Self {
             grid,
-            bent: bent.is_some(),
+            curved: weights.is_some(),
             table,
         }
     }
@@ -352,10 +354,10 @@ impl<T: Real> Columns<T> {
             entry: &entry[..n],
             beyond: &beyond[..n],
             amplitude: &points.amplitude[..n],
-            bend: &points.bend[..n],
+            curvature: &points.curvature[..n],
         };
         let value = &mut points.value[..n];
-        match self.bent {
+        match self.curved {
             true => T::share::<true>(simd_level, sharing, value),
             false => T::share::<false>(simd_level, sharing, value),
         }
@@ -435,23 +437,23 @@ pub(crate) fn share_plain<T: Real, const BENT: bool>(points: Sharing<T>, values:
         entry,
         beyond,
         amplitude,
-        bend,
+        curvature,
     } = points;
     let all = values
         .iter_mut()
         .zip(entry)
         .zip(beyond)
         .zip(amplitude)
-        .zip(bend);
-    for ((((value, &entry), &x), &c), &bend) in all {
+        .zip(curvature);
+    for ((((value, &entry), &x), &c), &curvature) in all {
         let weights = &table[entry as usize];
         let (re, im) = value.split_at_mut(MAX_TAPS);
         for i in 0..MAX_TAPS {
             let [plain, slope, bow] = [0, 1, 2].map(|k| weights.plain[k][i]);
             let plain = plain + x * (slope + x * bow);
             if BENT {
-                let real = plain + bend * (weights.real[i] + bend * weights.real_2[i]);
-                let imaginary = bend * (weights.imaginary[0][i] + x * weights.imaginary[1][i]);
+                let real = plain + curvature * (weights.real[i] + curvature * weights.real_2[i]);
+                let imaginary = curvature * (weights.imaginary[0][i] + x * weights.imaginary[1][i]);
                 re[i] = c.re * real - c.im * imaginary;
                 im[i] = c.re * imaginary + c.im * real;
             } else {

@@ -1,11 +1,11 @@
-//! Columns of the grid to powers along the stretch: Fourier transforms, pulse and shape.
+//! Columns of the grid to powers along the section: Fourier transforms, pulse and shape.
 
 use std::f64::consts::PI;
 
 use num_complex::Complex64;
 
 use super::engine::{Orders, Work};
-use super::lanes::{Apart, BLOCK, Lanes, Split};
+use super::lanes::{BLOCK, Lanes, ProductSum, Split};
 use super::merge::Merge;
 use super::panel::{PANEL, Row, transposed};
 use super::pulse::{chebyshev, chebyshev_nodes};
@@ -27,7 +27,7 @@ const WHOLE: usize = 16;
 pub(super) struct Entry {
     /// Index of the source that it multiplies.
     pub sound: usize,
-    /// Power along the stretch.
+    /// Power along the section.
     pub power: usize,
 }
 
@@ -38,13 +38,13 @@ impl<T: Sample> Task<'_, T> {
     }
 
     /// Entries of a template per power of the frequency: terms of the emission, channels, powers
-    /// along the stretch.
+    /// along the section.
     fn entries(&self) -> usize {
         self.orders.instants * self.channels() * self.orders.along
     }
 
     /// Transforms each column to frequency and computes its contribution to the powers along the
-    /// stretch.
+    /// section.
     #[inline(always)]
     pub(crate) fn to_spectra<const FUSED: bool>(&self, work: &mut Work<T>) {
         let mut since = stages::now();
@@ -140,8 +140,8 @@ impl<T: Sample> Task<'_, T> {
         self.middle_hz(block) / (0.5 * self.engine.rate_hz)
     }
 
-    /// Computes the shape at a few slopes, as series of bend and twist, powers along the stretch
-    /// and powers of the frequency.
+    /// Computes the shape at a few slopes, as series of curvature and rate gradient, powers along
+    /// the section and powers of the frequency.
     fn shapes(&self, work: &mut Work<T>) {
         let orders = self.orders;
         let (along, band) = (orders.along, orders.band);
@@ -156,11 +156,11 @@ impl<T: Sample> Task<'_, T> {
             let each = chebyshev_nodes(orders.instants)
                 .flat_map(|w| kinds.iter().map(move |&kind| (w, kind)));
             for (w, kind) in each {
-                for b in chebyshev_nodes(orders.bend) {
-                    for twist in chebyshev_nodes(orders.twist) {
+                for b in chebyshev_nodes(orders.curvature) {
+                    for rate_gradient in chebyshev_nodes(orders.rate_gradient) {
                         let ray = Ray {
                             per_range_per_m: self.smooth.per_range_per_m.at(b),
-                            twist,
+                            rate_gradient,
                             kind,
                         };
                         for x in chebyshev_nodes(along) {
@@ -174,12 +174,17 @@ impl<T: Sample> Task<'_, T> {
             // One dimension after the other, from the outermost.
             let inner = along * band;
             along_dimension(
-                &engine.series[orders.bend - 1],
+                &engine.series[orders.curvature - 1],
                 values,
                 next,
-                orders.twist * inner,
+                orders.rate_gradient * inner,
             );
-            along_dimension(&engine.series[orders.twist - 1], next, values, inner);
+            along_dimension(
+                &engine.series[orders.rate_gradient - 1],
+                next,
+                values,
+                inner,
+            );
             self.merge_products(&work.merge, &work.dilation, values, next);
             along_dimension(&engine.powers[along - 1], next, values, band);
             along_dimension(&engine.powers[band - 1], values, next, 1);
@@ -211,9 +216,9 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// Converts templates of products, `[instant][kind][bend][twist][place][frequency]`, times
-    /// those of the residual dilation, to those of channels:
-    /// `[instant][channel][place][frequency]`.
+    /// Converts templates of products,
+    /// `[instant][kind][curvature][rate_gradient][place][frequency]`, times those of the residual
+    /// dilation, to those of channels: `[instant][channel][place][frequency]`.
     fn merge_products(
         &self,
         merge: &Merge,
@@ -229,7 +234,8 @@ impl<T: Sample> Task<'_, T> {
         for (n, to) in to.chunks_exact_mut(channels * inner).enumerate() {
             for (m, (kept, r)) in self.products().enumerate() {
                 let kind = n * orders.kinds + kept.kind;
-                let product = (kind * orders.bend + kept.bend) * orders.twist + kept.twist;
+                let product = (kind * orders.curvature + kept.curvature) * orders.rate_gradient
+                    + kept.rate_gradient;
                 let from = &from[product * inner..][..inner];
                 let turned = &dilation[(n * orders.dilation + r) * band..][..band];
                 for (i, to) in to.chunks_exact_mut(inner).enumerate() {
@@ -247,7 +253,7 @@ impl<T: Sample> Task<'_, T> {
         }
     }
 
-    /// Largest value of each channel's templates for each power along the stretch, over slopes,
+    /// Largest value of each channel's templates for each power along the section, over slopes,
     /// instants and frequencies.
     fn most_of_powers(&self, work: &mut Work<T>) {
         let Orders { along, band, .. } = self.orders;
@@ -422,7 +428,7 @@ impl<T: Sample> Task<'_, T> {
         middle * self.engine.rate_hz / bins as f64
     }
 
-    /// Combines channels, pulse and shape of one block of one column into powers along the stretch,
+    /// Combines channels, pulse and shape of one block of one column into powers along the section,
     /// at index `near` of the current columns.
     #[inline(always)]
     pub(super) fn block<const FUSED: bool>(
@@ -447,7 +453,7 @@ impl<T: Sample> Task<'_, T> {
         let [sums, total] = &mut work.of_powers;
         let mut e = 0;
         for (q, sum) in sums[..along].iter_mut().enumerate() {
-            let mut total = Apart::<T>::ZERO;
+            let mut total = ProductSum::<T>::ZERO;
             let of_power = work.entries[e..]
                 .iter()
                 .take_while(|entry| entry.power == q);

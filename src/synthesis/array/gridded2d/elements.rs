@@ -1,4 +1,4 @@
-//! Powers along the stretch to elements, and elements back to time.
+//! Powers along the section to elements, and elements back to time.
 
 use num_complex::Complex;
 
@@ -35,7 +35,7 @@ pub struct Columns<'a, T> {
     /// `[pair][column]`, with `room` entries per pair.
     pub(super) rotors: &'a [[T; 2]],
     pub(super) room: usize,
-    /// Position of each pair, relative to half the stretch.
+    /// Position of each pair, relative to half the section.
     pub(super) x: &'a [T],
     pub(super) sums: &'a mut [PairSums<T>],
 }
@@ -79,13 +79,13 @@ impl<T: Sample> Task<'_, T> {
     /// of the pulse for a block and the powers of those columns stay in the cache.
     #[inline(always)]
     fn to_elements<const FUSED: bool>(&self, work: &mut Work<T>) {
-        let elements = self.stretch.along_m.len();
+        let elements = self.section.along_m.len();
         let pairs = elements.div_ceil(2);
         let room = self.columns.next_multiple_of(LANES);
         work.elements.resize(elements * self.passed_bins());
         work.rotors.resize(pairs * room, [T::ZERO; 2]);
         let half_m = self.half_m();
-        let places = self.stretch.along_m[..pairs].iter();
+        let places = self.section.along_m[..pairs].iter();
         work.places.clear();
         work.places.extend(places.map(|&y| T::narrow(y / half_m)));
         let near = NEAR.min(self.columns) * work.powers * BLOCK;
@@ -97,7 +97,7 @@ impl<T: Sample> Task<'_, T> {
             for (rotors, &y) in work
                 .rotors
                 .chunks_exact_mut(room)
-                .zip(&self.stretch.along_m)
+                .zip(&self.section.along_m)
             {
                 self.rotors(rotors, block, y);
             }
@@ -137,7 +137,7 @@ impl<T: Sample> Task<'_, T> {
     /// powers.
     #[inline(always)]
     fn part_of_elements<const FUSED: bool>(&self, work: &mut Work<T>, block: usize) {
-        let (elements, passed_bins) = (self.stretch.along_m.len(), self.passed_bins());
+        let (elements, passed_bins) = (self.section.along_m.len(), self.passed_bins());
         for (pair, [re, im, opposite_re, opposite_im]) in work.sums.iter().enumerate() {
             for (e, sign) in [(elements - 1 - pair, -T::one()), (pair, T::one())] {
                 let at = e * passed_bins + block * BLOCK;
@@ -183,9 +183,9 @@ impl<T: Sample> Task<'_, T> {
         let step_hz = self.engine.rate_hz / bins as f64;
         let zero = Complex::new(T::ZERO, T::ZERO);
         let first = self.engine.blocks.start * BLOCK;
-        output.resize(self.stretch.along_m.len() * bins, zero);
+        output.resize(self.section.along_m.len() * bins, zero);
         for (e, row) in output.chunks_exact_mut(bins).enumerate() {
-            let per_hz = self.stretch.along_m[e] * self.step / c;
+            let per_hz = self.section.along_m[e] * self.step / c;
             row.fill(zero);
             for block in 0..self.engine.blocks.len() {
                 let at = first + block * BLOCK;

@@ -7,7 +7,7 @@ use num_complex::{Complex, Complex64};
 
 use crate::array::gridded::kernel::Kernel;
 use crate::array::gridded::transform::grid_size;
-use crate::arrivals::{LineSource, LineStretch};
+use crate::arrivals::{LineSection, LineSource};
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::ping::{EchoCounts, PingPlan};
 use echotank_core::simd::SimdLevel;
@@ -47,8 +47,8 @@ pub enum PulseMotion {
 /// Resolution of the computation, chosen by [`super::plan`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Resolution {
-    /// Elements of one stretch of the line.
-    pub stretch: usize,
+    /// Elements of one section of the line.
+    pub section_elements: usize,
     /// Output samples of one slab, a multiple of 32.
     pub slab_samples: usize,
     /// Width of the kernel over time, grid rows.
@@ -85,27 +85,28 @@ pub struct Filter<'a> {
 pub struct Orders {
     /// Instants of the emission.
     pub instants: usize,
-    /// Kinds of values in the channels: the echoes, and separate terms that vary along the stretch
+    /// Kinds of values in the channels: the echoes, and separate terms that vary along the section
     /// or during the pulse.
     pub kinds: usize,
-    /// Powers of the position along the stretch, without the rotation inside a block.
+    /// Powers of the position along the section, without the rotation inside a block.
     pub along: usize,
-    /// Powers of the position along the stretch, with the rotation inside a block.
+    /// Powers of the position along the section, with the rotation inside a block.
     pub turn: usize,
     /// Powers of the frequency.
     pub band: usize,
-    /// Terms for the residual of the dilation. A channel is a product of dilation, bend and twist.
+    /// Terms for the residual of the dilation. A channel is a product of dilation, curvature and rate
+    /// gradient.
     pub dilation: usize,
-    /// Terms for the bend.
-    pub bend: usize,
-    /// Terms for the residual of the twist.
-    pub twist: usize,
+    /// Terms for the curvature.
+    pub curvature: usize,
+    /// Terms for the residual of the rate gradient.
+    pub rate_gradient: usize,
 }
 
 /// Statistics of one task.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TaskReport {
-    /// Elements of the stretch.
+    /// Elements of the section.
     pub elements: usize,
     /// Echoes of the slab.
     pub echoes: usize,
@@ -117,11 +118,11 @@ pub struct TaskReport {
     pub columns: usize,
     /// Channels of the grid.
     pub channels: usize,
-    /// Products of kind, dilation, bend and twist, of which the channels are sums.
+    /// Products of kind, dilation, curvature and rate gradient, of which the channels are sums.
     pub products: usize,
     /// Coefficients of a template.
     pub entries: usize,
-    /// Powers of the position along the stretch.
+    /// Powers of the position along the section.
     pub powers: usize,
     /// Lengths of the series.
     pub orders: Orders,
@@ -131,9 +132,9 @@ pub struct TaskReport {
     pub stages: Stages,
 }
 
-/// One stretch of the line.
+/// One section of the line.
 #[derive(Clone, Debug)]
-pub(super) struct Stretch {
+pub(super) struct Section {
     pub first: usize,
     pub middle_m: f64,
     /// Position of each element relative to the middle.
@@ -149,7 +150,7 @@ pub struct LineEngine<T: Sample> {
     /// Platform speed that the tables of the pulse allow for.
     pub(super) fastest_m_per_s: f64,
     pub(super) simd_level: SimdLevel,
-    pub(super) stretches: Vec<Stretch>,
+    pub(super) sections: Vec<Section>,
     pub(super) time_kernel: Kernel,
     pub(super) slope_kernel: Kernel,
     pub(super) time_taps: Vec<Taps<T>>,
@@ -200,13 +201,14 @@ pub struct Work<T: Sample> {
     pub(super) spectrum: Split<T>,
     /// Of one block and the current columns: `[column][power][lane]`.
     pub(super) moments: Split<T>,
-    /// `[instant][kind][bend][twist]`, then `[instant][channel]`; `[power along][power of frequency]`.
+    /// `[instant][kind][curvature][rate_gradient]`, then `[instant][channel]`; `[power along][power of
+    /// frequency]`.
     pub(super) values: Vec<Complex64>,
     pub(super) values_next: Vec<Complex64>,
     /// `[slope][power of frequency][instant][channel][power along]`; then with terms of the
     /// emission in place of instants, in `values`.
     pub(super) all_shapes: Vec<Complex64>,
-    /// Largest value of each channel and power along the stretch.
+    /// Largest value of each channel and power along the section.
     pub(super) most: Vec<f64>,
     /// Largest value of each coefficient, and its index.
     pub(super) sizes: Vec<(f64, usize)>,
@@ -214,7 +216,7 @@ pub struct Work<T: Sample> {
     pub(super) sources: Vec<usize>,
     /// Entries of the shapes that matter, power by power.
     pub(super) entries: Vec<Entry>,
-    /// Powers along the stretch that have entries, without and with those that the rotation inside
+    /// Powers along the section that have entries, without and with those that the rotation inside
     /// a block adds.
     pub(super) along: usize,
     pub(super) powers: usize,
@@ -229,14 +231,14 @@ pub struct Work<T: Sample> {
     /// Residual of the dilation: `[instant][dilation][frequency]`.
     pub(super) dilation: Vec<Complex64>,
     /// The pulse received by a column in one block, by terms of the emission; and its powers along
-    /// the stretch, without and with the rotation.
+    /// the section, without and with the rotation.
     pub(super) pulses: Vec<Lanes<T>>,
     pub(super) of_powers: [Vec<Lanes<T>>; 2],
     /// Spectra of the sources in one block of one column.
     pub(super) sounds: Vec<Lanes<T>>,
     /// Of one block, by pair of elements and column: cosine and sine.
     pub(super) rotors: Vec<[T; 2]>,
-    /// Of one block, pair by pair; and the positions of the pairs, relative to half the stretch.
+    /// Of one block, pair by pair; and the positions of the pairs, relative to half the section.
     pub(super) sums: Vec<PairSums<T>>,
     pub(super) places: Vec<T>,
     /// `[element][bin]`.
@@ -253,7 +255,10 @@ impl<T: Sample> LineEngine<T> {
     ) -> Self {
         let bins = resolution.slab_samples;
         assert!(bins.is_multiple_of(BLOCK) && bins > 0, "{bins} samples");
-        assert!(resolution.stretch > 0, "a stretch without elements");
+        assert!(
+            resolution.section_elements > 0,
+            "a section without elements"
+        );
         let step_hz = rate_hz / bins as f64;
         let gain: Vec<f64> = (0..bins)
             .map(|q| (filter.gain)((q as f64 - (bins / 2) as f64) * step_hz))
@@ -283,16 +288,16 @@ impl<T: Sample> LineEngine<T> {
                 gain[q] * step_hz / time_kernel.window_gain(bin / rows as f64)
             })
             .collect();
-        let count = array.elements.div_ceil(resolution.stretch);
-        let stretches = (0..count)
+        let count = array.elements.div_ceil(resolution.section_elements);
+        let sections = (0..count)
             .map(|s| {
-                // Stretches as equal as whole elements allow.
+                // Sections as equal as whole elements allow.
                 let (first, end) = (s * array.elements / count, (s + 1) * array.elements / count);
                 let middle_m = 0.5 * (array.element_x_m(first) + array.element_x_m(end - 1));
                 let along_m: Vec<f64> = (first..end)
                     .map(|e| array.element_x_m(e) - middle_m)
                     .collect();
-                Stretch {
+                Section {
                     first,
                     middle_m,
                     half_m: along_m[along_m.len() - 1],
@@ -307,7 +312,7 @@ impl<T: Sample> LineEngine<T> {
             filter_half_s: filter.half_s,
             fastest_m_per_s: 5.0,
             simd_level,
-            stretches,
+            sections,
             time_taps: tap_tables(&time_kernel),
             slope_taps: tap_tables(&slope_kernel),
             slope_inverse: InverseGain::new(&slope_kernel),
@@ -337,10 +342,10 @@ impl<T: Sample> LineEngine<T> {
         self.rows + 1
     }
 
-    /// Largest time difference between the middle and the ends of a stretch, filter included,
+    /// Largest time difference between the middle and the ends of a section, filter included,
     /// seconds.
     fn beside_s(&self, sound_speed_m_per_s: f64) -> f64 {
-        let halves_m = self.stretches.iter().map(|stretch| stretch.half_m);
+        let halves_m = self.sections.iter().map(|section| section.half_m);
         self.filter_half_s + halves_m.fold(0.0, f64::max) / sound_speed_m_per_s
     }
 
@@ -441,9 +446,9 @@ impl<T: Sample> LineEngine<T> {
         };
     }
 
-    /// Number of tasks of this ping: slabs times stretches, stretch by stretch.
+    /// Number of tasks of this ping: slabs times sections, section by section.
     pub fn tasks(&self) -> usize {
-        self.ping.slabs * self.stretches.len()
+        self.ping.slabs * self.sections.len()
     }
 
     /// Number of slabs of this ping.
@@ -451,8 +456,8 @@ impl<T: Sample> LineEngine<T> {
         self.ping.slabs
     }
 
-    fn stretch(&self, task: usize) -> &Stretch {
-        &self.stretches[task / self.ping.slabs]
+    fn section(&self, task: usize) -> &Section {
+        &self.sections[task / self.ping.slabs]
     }
 
     fn slab(&self, task: usize) -> usize {
@@ -460,15 +465,15 @@ impl<T: Sample> LineEngine<T> {
     }
 
     /// The echoes that a task needs.
-    pub fn wanted(&self, task: usize) -> LineStretch {
-        let stretch = self.stretch(task);
+    pub fn wanted(&self, task: usize) -> LineSection {
+        let section = self.section(task);
         let ping = &self.ping;
         let edge_s = |slab: usize| ping.first_edge_s + slab as f64 * ping.slab_s;
-        LineStretch {
-            middle_m: stretch.middle_m,
-            half_m: stretch.half_m,
-            fades: false,
-            elements: stretch.along_m.len() as u64,
+        LineSection {
+            middle_m: section.middle_m,
+            half_m: section.half_m,
+            gain_terms: false,
+            elements: section.along_m.len() as u64,
             earliest_s: edge_s(self.slab(task)),
             latest_s: edge_s(self.slab(task) + 1),
         }
@@ -491,9 +496,9 @@ impl<T: Sample> LineEngine<T> {
     ) {
         record.fill(Complex64::ZERO);
         let Some(s) = self
-            .stretches
+            .sections
             .iter()
-            .rposition(|stretch| stretch.first <= element)
+            .rposition(|section| section.first <= element)
         else {
             return;
         };
@@ -503,7 +508,7 @@ impl<T: Sample> LineEngine<T> {
             if output.is_empty() {
                 continue;
             }
-            let row = &output[(element - self.stretches[s].first) * bins..][..bins];
+            let row = &output[(element - self.sections[s].first) * bins..][..bins];
             let start = self.slab_start(slab);
             let skip = (-start).max(0) as usize;
             let to = start.max(0) as usize;
@@ -526,7 +531,7 @@ impl<T: Sample> LineEngine<T> {
         self.rows as f64 * self.rate_hz / self.bins() as f64
     }
 
-    /// Columns per unit of slope for a stretch at rest; motion needs more.
+    /// Columns per unit of slope for a section at rest; motion needs more.
     fn columns_per_slope(&self, half_m: f64) -> f64 {
         let ping = &self.ping;
         let reach_m = half_m.max(0.25 * ping.sound_speed_m_per_s / ping.carrier_hz);
@@ -577,7 +582,7 @@ impl<T: Sample> LineEngine<T> {
             return (counts, report);
         }
         let window_s = 0.5 * self.ping.duration_s;
-        let half_m = self.stretch(task).half_m;
+        let half_m = self.section(task).half_m;
         let surveyed = Smooth::of(
             &work.echoes,
             window_s,
@@ -589,15 +594,21 @@ impl<T: Sample> LineEngine<T> {
         for margin in MARGINS {
             let numbers = Task::new(
                 self,
-                self.stretch(task),
+                self.section(task),
                 surveyed.widened(margin),
                 &work.echoes,
                 &mut work.merge,
             );
             work.stages.lap(Stage::Orders, &mut since);
-            let fades = numbers.fades();
+            let gain_terms = numbers.gain_terms();
             let mut spread = Spread::new(&numbers, centring, work);
-            counts = source.walk(LineStretch { fades, ..wanted }, &mut spread);
+            counts = source.walk(
+                LineSection {
+                    gain_terms,
+                    ..wanted
+                },
+                &mut spread,
+            );
             let (echoes, beyond, spent) = (spread.echoes, spread.beyond, spread.spent);
             work.stages.lap(Stage::Walk, &mut since);
             work.stages.transfer(Stage::Walk, Stage::Spread, spent);
@@ -608,7 +619,7 @@ impl<T: Sample> LineEngine<T> {
                 numbers.run(work, output);
             }
             report = TaskReport {
-                elements: self.stretch(task).along_m.len(),
+                elements: self.section(task).along_m.len(),
                 echoes,
                 rows: self.rows,
                 passed_bins: numbers.passed_bins(),

@@ -99,11 +99,11 @@ impl<T: Sample> Lanes<T> {
 /// A sum of products of blocks with four separate real products, so no addition depends on the
 /// previous one.
 #[derive(Clone, Copy)]
-pub(crate) struct Apart<T> {
+pub(crate) struct ProductSum<T> {
     parts: [[T; BLOCK]; 4],
 }
 
-impl<T: Sample> Apart<T> {
+impl<T: Sample> ProductSum<T> {
     pub(super) const ZERO: Self = Self {
         parts: [[T::ZERO; BLOCK]; 4],
     };

@@ -129,7 +129,7 @@ impl Gridded2d {
     /// Synthesises one ping. Overwrites `iq`, element-major as in
     /// [`echotank_core::ping::ElementFrame`].
     ///
-    /// In the counts, `outside_window` holds the pairs outside the delays of every stretch.
+    /// In the counts, `outside_window` holds the pairs outside the delays of every section.
     pub fn synthesise(
         &mut self,
         plan: &PingPlan,

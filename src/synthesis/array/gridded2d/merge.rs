@@ -1,10 +1,10 @@
 //! Reduces the products of the series to fewer channels, for the echoes of one task.
 //!
-//! Each echo has its own dilation, bend, twist and swing, which enter as products of Chebyshev
-//! terms. Over a seabed these values are correlated, since nearly all follow from the position of
-//! the echo, so the products span few directions. A pivoted Gram-Schmidt process over the surveyed
-//! echoes finds a basis: each step adds the echo with the largest residual. Products are weighted
-//! by the largest value of their templates, so the largest residual bounds the error.
+//! Each echo has its own dilation, curvature, rate gradient and acceleration, which enter as products of
+//! Chebyshev terms. Over a seabed these values are correlated, since nearly all follow from the position of
+//! the echo, so the products span few directions. A pivoted Gram-Schmidt process over the surveyed echoes
+//! finds a basis: each step adds the echo with the largest residual. Products are weighted by the largest
+//! value of their templates, so the largest residual bounds the error.
 
 use echotank_core::simd::{Kind as Processor, SimdLevel};
 

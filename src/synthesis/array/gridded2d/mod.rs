@@ -1,7 +1,7 @@
-//! Synthesis of line arrays, whole stretches of elements at a time: a transform over delay and
+//! Synthesis of line arrays, whole sections of elements at a time: a transform over delay and
 //! slope.
 //!
-//! For an element at y metres along a stretch, sound that left w seconds from mid-pulse arrives at
+//! For an element at y metres along a section, sound that left w seconds from mid-pulse arrives at
 //! the delay
 //!
 //! ```text
@@ -26,11 +26,11 @@
 //! and a few columns at a time. It uses a polynomial in the element's position times one rotor per
 //! block. Slabs of delay are added in order.
 //!
-//! Input: [`LineChunk`](crate::arrivals::LineChunk)s of one slab at the middle of one stretch.
+//! Input: [`LineChunk`](crate::arrivals::LineChunk)s of one slab at the middle of one section.
 //! Output: samples of its elements, with the receiver filter. Geometry and templates are f64, grids
 //! and transforms f32 or f64. One thread computes a task, and no sum crosses threads.
 //!
-//! The strength of an echo also varies along a stretch (range, scattering law, element pattern).
+//! The strength of an echo also varies along a section (range, scattering law, element pattern).
 //! The part that is linear in slope goes into the templates. Where a survey of the echoes finds the
 //! residual too large, it goes into channels of first and second order in position. The residual of
 //! the pulse's third order, from motion across the line, is treated in the same way.

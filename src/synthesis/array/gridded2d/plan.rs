@@ -2,7 +2,7 @@
 //!
 //! The parts of the error, each relative to the echoes of a window, are: the two kernels (computed,
 //! see [`Kernel::error`]); the series (each task takes as many terms as its echoes need, and
-//! reports the truncation error); the fourth order of the delay along a stretch; attitude steps
+//! reports the truncation error); the fourth order of the delay along a section; attitude steps
 //! between segments of a polyline; and rounding.
 
 use std::f64::consts::{PI, TAU};
@@ -24,8 +24,8 @@ use super::series::terms_needed;
 use super::single_echo::{SingleEcho, noise_db};
 use super::task::MAX_DILATION;
 
-/// Stretch lengths to try, from long to short; long ones are cheap.
-const STRETCHES: [usize; 6] = [128, 64, 32, 16, 8, 1];
+/// Section lengths to try, from long to short; long ones are cheap.
+const SECTION_ELEMENTS: [usize; 6] = [128, 64, 32, 16, 8, 1];
 /// Ratio of the kernel error in the worst of many windows, where echoes cancel, to its mean over
 /// the band. Measured: 4.4 in 17,000 windows of a multibeam over a swath of seabed. In a window
 /// that holds only the onset of a few echoes, a cancellation by this factor has a probability of
@@ -50,22 +50,22 @@ const UNDERWAY_ERROR_S_PER_M: f64 = 1.8e-6 * 36.0 / 400e3;
 /// Share of the tolerance (half of it if the rest is not small) for the truncation of each series
 /// in the worst corner of its spans. The error in a window is several times smaller (measured).
 const SERIES_SHARE: f64 = 0.2;
-/// Maximum number of terms in the series of the dilation. It leaves channels for bend, twist and
-/// fade.
+/// Maximum number of terms in the series of the dilation. It leaves channels for curvature, rate
+/// gradient and gain slope.
 const MAX_TERMS: usize = 16;
 /// f32 transforms do not reach levels further below the strongest echo of a slab than this, dB.
 const FARTHEST_DB: f64 = 60.0;
-/// Share of the tolerance for changes of delay and strength along a stretch; a shorter stretch
+/// Share of the tolerance for changes of delay and strength along a section; a shorter section
 /// reduces them.
-const STRETCH_SHARE: f64 = 0.3;
+const SECTION_SHARE: f64 = 0.3;
 /// Oversamplings to try: rows per used bin, and columns per cycle of the aperture relative to the
-/// sampling limit. (Fewer columns need more powers along the stretch: 13 instead of 9 at 1.25,
+/// sampling limit. (Fewer columns need more powers along the section: 13 instead of 9 at 1.25,
 /// which takes longer in total.)
 const ROWS: [f64; 4] = [1.25, 1.5, 1.75, 2.0];
 const COLUMNS: [f64; 3] = [1.5, 1.75, 2.0];
 /// Maximum width of the kernels.
 const MAX_WIDTH: usize = 14;
-/// Approximate costs in nanoseconds of one core (measured at 2.7 GHz): per echo and stretch; per
+/// Approximate costs in nanoseconds of one core (measured at 2.7 GHz): per echo and section; per
 /// grid value of an echo; per element and slab; and per element and slab for the columns of a grid
 /// at twice the sampling limit. The last share is independent of the rows of the columns.
 const ECHO_NS: f64 = 60.0;
@@ -154,9 +154,9 @@ pub enum Refusal {
         /// Requested tolerance.
         tolerance: f64,
     },
-    /// Scatterers are too close for every stretch length.
+    /// Scatterers are too close for every section length.
     #[error(
-        "tolerance {tolerance} cannot be met with scatterers as near as {nearest_m} m: no stretch of the line is short enough"
+        "tolerance {tolerance} cannot be met with scatterers as near as {nearest_m} m: no section of the line is short enough"
     )]
     TooNear {
         /// Requested tolerance.
@@ -265,16 +265,16 @@ fn motion_matters(doppler: DopplerModel) -> bool {
 /// Length of the slabs in samples, and their approximate number. Among lengths near the minimum
 /// cost it takes the one with the most slabs, to balance the threads.
 ///
-/// `half_m`: half the length of a stretch; `turned_rad`: phase that the templates follow.
+/// `half_m`: half the length of a section; `turned_rad`: phase that the templates follow.
 fn slabs(
     spec: &Spec,
-    stretches: usize,
+    sections: usize,
     half_m: f64,
     turned_rad: f64,
 ) -> Result<(usize, f64), Refusal> {
     let rate_hz = spec.sample_rate_hz;
     // Echoes that begin near the end of a slab last beyond it. The filter and the time difference
-    // to the ends of a stretch add to both sides.
+    // to the ends of a section add to both sides.
     let filter_s = spec.filter.map_or(FILTER_S, |filter| 2.0 * filter.half_s());
     let beside_s = filter_s + 2.0 * half_m / spec.sound_speed_m_per_s;
     let spent = rate_hz * (spec.pulse.duration_s + beside_s) + 2.0;
@@ -298,7 +298,7 @@ fn slabs(
         .clone()
         .map(|(_, _, cost)| cost)
         .fold(f64::INFINITY, f64::min);
-    let enough = |&(_, slabs, _): &(usize, f64, f64)| slabs * stretches as f64 >= TASKS;
+    let enough = |&(_, slabs, _): &(usize, f64, f64)| slabs * sections as f64 >= TASKS;
     let cheap = sized
         .clone()
         .filter(|(_, _, cost)| *cost <= SLAB_SLACK * least);
@@ -380,18 +380,18 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     };
     let underway = UNDERWAY_ERROR_S_PER_M * pulse.center_frequency_hz / bounds.nearest_m
         * bounds.along_m_per_s;
-    let along_stretch = |stretch: usize| {
-        let half_m = 0.5 * (stretch.min(array.elements) - 1) as f64 * array.spacing_m;
+    let along_section = |section_elements: usize| {
+        let half_m = 0.5 * (section_elements.min(array.elements) - 1) as f64 * array.spacing_m;
         let quartic = per_m * half_m.powi(4) / (8.0 * bounds.nearest_m.powi(3));
         let turned = (1.0 + PI * sides) * half_m / bounds.nearest_m;
         quartic + turned.powi(3) / 6.0
     };
-    let beyond_series = |stretch: usize| along_stretch(stretch) + underway;
-    // The attitude of a polyline steps at its vertices. While the wave passes the stretch, a part
-    // of the stretch lies on either side of a step.
-    let steps = |stretch: usize| match spec.model.path {
+    let beyond_series = |section_elements: usize| along_section(section_elements) + underway;
+    // The attitude of a polyline steps at its vertices. While the wave passes the section, a part
+    // of the section lies on either side of a step.
+    let steps = |section_elements: usize| match spec.model.path {
         PathModel::Polyline => {
-            let half_m = 0.5 * (stretch.min(array.elements) - 1) as f64 * array.spacing_m;
+            let half_m = 0.5 * (section_elements.min(array.elements) - 1) as f64 * array.spacing_m;
             let step_rad = per_m * half_m * bounds.turning_rad_per_s * spec.model.segment_s;
             let passes_s = 2.0 * half_m * bounds.greatest_slope / sound_speed_m_per_s;
             let share = passes_s / spec.model.segment_s.min(pulse.duration_s);
@@ -401,12 +401,12 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     };
     // All other parts add up to at most four fifths of the tolerance, squared.
     let share = if tolerance < 1e-4 { 0.9 } else { 0.3 } * tolerance;
-    let stretch = STRETCHES
+    let section_elements = SECTION_ELEMENTS
         .into_iter()
-        .find(|&stretch| {
-            along_stretch(stretch) <= STRETCH_SHARE * tolerance
-                && beyond_series(stretch) <= share
-                && steps(stretch) <= share
+        .find(|&section_elements| {
+            along_section(section_elements) <= SECTION_SHARE * tolerance
+                && beyond_series(section_elements) <= share
+                && steps(section_elements) <= share
         })
         .ok_or(Refusal::TooNear {
             tolerance,
@@ -424,14 +424,14 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     };
     // If the rest is not small either, the kernels leave it a share.
     let kernel_share = if tolerance < 1e-4 { 0.42 } else { 0.78 };
-    let stretches = array.elements.div_ceil(stretch);
-    let half_m = 0.5 * (stretch.min(array.elements) - 1) as f64 * array.spacing_m;
-    let bend_rad = 0.5 * per_m * half_m * half_m / bounds.nearest_m;
+    let sections = array.elements.div_ceil(section_elements);
+    let half_m = 0.5 * (section_elements.min(array.elements) - 1) as f64 * array.spacing_m;
+    let curvature_rad = 0.5 * per_m * half_m * half_m / bounds.nearest_m;
     let across_rad = match motion_matters(spec.model.doppler) {
         true => per_m * half_s * 2.0 * across,
         false => 0.0,
     };
-    let echoes = (spec.scatterers * stretches) as f64;
+    let echoes = (spec.scatterers * sections) as f64;
     let factor = (FACTOR_OF_WEAKEST / pulse.weakest_window(rate_hz)).max(KERNEL_FACTOR);
     // Few values per echo on a dense grid, or more values on a coarse grid: many echoes favour the
     // dense grid.
@@ -448,7 +448,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
         });
         two_that(fits, |fit| fit.error <= room)
     });
-    // Motion carries a stretch beyond its ends. There the column's spectrum differs from that at
+    // Motion carries a section beyond its ends. There the column's spectrum differs from that at
     // the end, where it is divided out, by a power of the frequency.
     let drift_m = match motion_matters(spec.model.doppler) {
         true => pulse.duration_s * (bounds.along_m_per_s + across),
@@ -458,8 +458,8 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     let power = |fit: Fit| edge_power(&Kernel::new(fit.width, fit.oversampling, moments));
     let power = slopes.into_iter().flatten().flatten().map(power);
     let power = power.fold(0.0, f64::max) * drift_m / reach_m;
-    let turned_rad = (bend_rad + across_rad).hypot(power);
-    let (slab_samples, slabs) = slabs(spec, stretches, half_m, turned_rad)?;
+    let turned_rad = (curvature_rad + across_rad).hypot(power);
+    let (slab_samples, slabs) = slabs(spec, sections, half_m, turned_rad)?;
     let element_slabs = array.elements as f64 * slabs;
     // Over time, also beside echoes; exact where the pulse has energy.
     let alone = spec.filter.map(|filter| {
@@ -535,8 +535,8 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     let error = [
         kernel_error,
         series,
-        beyond_series(stretch),
-        steps(stretch),
+        beyond_series(section_elements),
+        steps(section_elements),
         rounding,
     ]
     .iter()
@@ -548,7 +548,7 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
     }
     Ok(Choice {
         resolution: Resolution {
-            stretch,
+            section_elements,
             slab_samples,
             time_width: time.width,
             slope_width: slope.width,
@@ -566,12 +566,12 @@ pub fn choose(spec: &Spec) -> Result<Choice, Refusal> {
             error,
             cost_ms: cost.ms(),
             why: format!(
-                "stretches of {stretch} elements, kernels {} x {} wide on grids {} x {} dense ({kernel_error:.1e}, core {core:.2}), series to {series:.1e}, beyond them {:.1e}",
+                "sections of {section_elements} elements, kernels {} x {} wide on grids {} x {} dense ({kernel_error:.1e}, core {core:.2}), series to {series:.1e}, beyond them {:.1e}",
                 time.width,
                 slope.width,
                 time.oversampling,
                 slope.oversampling,
-                beyond_series(stretch)
+                beyond_series(section_elements)
             ),
         },
         cost,

@@ -9,13 +9,13 @@ pub(super) struct Echoes {
     pub dilation: Vec<f64>,
     /// c d2u/dy2 over 1 - slope^2: 1/R up to terms of v/c.
     pub(crate) per_range_per_m: Vec<f64>,
-    pub twist_per_s: Vec<f64>,
-    pub swing_m_per_s2: Vec<f64>,
+    pub rate_gradient_per_s: Vec<f64>,
+    pub acceleration_m_per_s2: Vec<f64>,
     /// Echoes with an amplitude, without the survey points.
     pub strengths: Vec<EchoStrength>,
 }
 
-/// Strength of an echo along the stretch.
+/// Strength of an echo along the section.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct EchoStrength {
     /// From the first sample of the slab.
@@ -24,8 +24,8 @@ pub(crate) struct EchoStrength {
     pub(crate) per_range_per_m: f64,
     pub energy: f64,
     /// Beyond the effect of range and absorption.
-    pub fade_per_m: f64,
-    pub curl_per_m2: f64,
+    pub gain_slope_per_m: f64,
+    pub gain_curvature_per_m2: f64,
 }
 
 impl Echoes {
@@ -34,8 +34,8 @@ impl Echoes {
             &mut self.slope,
             &mut self.dilation,
             &mut self.per_range_per_m,
-            &mut self.twist_per_s,
-            &mut self.swing_m_per_s2,
+            &mut self.rate_gradient_per_s,
+            &mut self.acceleration_m_per_s2,
         ] {
             column.clear();
         }
@@ -87,9 +87,9 @@ impl Span {
     }
 }
 
-/// Curve a (1 - s^2) + p + q s over the slope s. This is the form that steady motion gives to twist
-/// and swing: motion along the line gives the first term, and the mean of motion across the line
-/// gives the others.
+/// Curve a (1 - s^2) + p + q s over the slope s. This is the form that steady motion gives to rate
+/// gradient and acceleration: motion along the line gives the first term, and the mean of motion
+/// across the line gives the others.
 ///
 /// Columns beside the slopes of the echoes use the values of the curve there. A free polynomial
 /// would follow the scatter of the echoes and diverge between and beyond them.
@@ -177,32 +177,32 @@ pub(crate) struct Smooth {
     /// Largest residual of the dilation.
     pub(crate) dilation_rest: f64,
     pub(crate) per_range_per_m: Span,
-    /// Twist and swing times range, m/s and (m/s)^2: for motion along the line v (1 - s^2) and 2
-    /// v^2 (1 - s^2).
-    pub twist: Curve,
-    pub swing: Curve,
-    /// Largest residuals of twist and swing themselves, 1/s and m/s^2.
-    pub(crate) twist_rest: f64,
-    pub(crate) swing_rest: f64,
-    /// Fade times range: linear in the slope, with a part symmetric about broadside and an
+    /// Rate gradient and acceleration times range, m/s and (m/s)^2. For motion along the line they
+    /// are v (1 - s^2) and 2 v^2 (1 - s^2).
+    pub rate_gradient: Curve,
+    pub acceleration: Curve,
+    /// Largest residuals of rate gradient and acceleration themselves, 1/s and m/s^2.
+    pub(crate) rate_gradient_rest: f64,
+    pub(crate) acceleration_rest: f64,
+    /// Gain slope times range: linear in the slope, with a part symmetric about broadside and an
     /// antisymmetric part.
-    pub(crate) fade: Curve,
-    /// Largest square root of the share of a window's energy in fade and curl, at the ends of the
-    /// stretch.
-    pub(crate) faded: [f64; FADES],
+    pub(crate) gain_slope: Curve,
+    /// Largest square root of the share of a window's energy in gain slope and gain curvature, at
+    /// the ends of the section.
+    pub(crate) gain_variation: [f64; GAIN_TERMS],
 }
 
 /// Over narrower spans of slopes the dilation is linear; a quadratic would diverge beside them.
 const MIN_BOW: f64 = 0.05;
 
-/// Orders of the change of strength along a stretch.
-pub(crate) const FADES: usize = 2;
+/// Orders of the change of strength along a section.
+pub(crate) const GAIN_TERMS: usize = 2;
 /// Windows of half a pulse over which energies are summed; later ones join the last.
 const WINDOWS: usize = 256;
 
 impl Smooth {
     /// Fits the echoes. `window_s` is the length of the energy windows and `half_m` half the
-    /// stretch. `min_bow` is the smallest half span of slopes for a curved dilation, and `steepest`
+    /// section. `min_bow` is the smallest half span of slopes for a curved dilation, and `steepest`
     /// its largest curvature.
     pub(super) fn of(
         echoes: &Echoes,
@@ -251,15 +251,15 @@ impl Smooth {
                 .map(|i| (values[i] - echoes.per_range_per_m[i] * curve.at(echoes.slope[i])).abs())
                 .fold(0.0, f64::max)
         };
-        smooth.twist = times_range(true, &echoes.twist_per_s);
-        smooth.swing = times_range(false, &echoes.swing_m_per_s2);
-        smooth.twist_rest = left_over(&smooth.twist, &echoes.twist_per_s);
-        smooth.swing_rest = left_over(&smooth.swing, &echoes.swing_m_per_s2);
-        smooth.measure_fades(&echoes.strengths, window_s, half_m);
+        smooth.rate_gradient = times_range(true, &echoes.rate_gradient_per_s);
+        smooth.acceleration = times_range(false, &echoes.acceleration_m_per_s2);
+        smooth.rate_gradient_rest = left_over(&smooth.rate_gradient, &echoes.rate_gradient_per_s);
+        smooth.acceleration_rest = left_over(&smooth.acceleration, &echoes.acceleration_m_per_s2);
+        smooth.measure_gain_terms(&echoes.strengths, window_s, half_m);
         smooth
     }
 
-    fn measure_fades(&mut self, strengths: &[EchoStrength], window_s: f64, half_m: f64) {
+    fn measure_gain_terms(&mut self, strengths: &[EchoStrength], window_s: f64, half_m: f64) {
         let window =
             |echo: &EchoStrength| ((echo.middle_s / window_s).max(0.0) as usize).min(WINDOWS - 1);
         let mut energies = [0.0; WINDOWS];
@@ -271,28 +271,31 @@ impl Smooth {
         // Every window has the same weight, and every echo its share of energy in the window.
         let [linear, constant] = least_squares(strengths.iter().map(|echo| {
             let weight = (share(echo) * echo.per_range_per_m.powi(2)).sqrt();
-            let over_range = echo.fade_per_m / echo.per_range_per_m.max(1e-12);
+            let over_range = echo.gain_slope_per_m / echo.per_range_per_m.max(1e-12);
             ([weight * echo.slope, weight], weight * over_range)
         }));
-        self.fade = Curve {
+        self.gain_slope = Curve {
             along: 0.0,
             constant,
             linear,
         };
-        let mut faded = [[0.0; WINDOWS]; FADES];
+        let mut gain_variation = [[0.0; WINDOWS]; GAIN_TERMS];
         for echo in strengths {
-            let rest = echo.fade_per_m - self.shared_fade(echo.slope, echo.per_range_per_m);
+            let rest =
+                echo.gain_slope_per_m - self.shared_gain_slope(echo.slope, echo.per_range_per_m);
             let at = window(echo);
-            faded[0][at] += share(echo) * (rest * half_m).powi(2);
-            faded[1][at] += share(echo) * (echo.curl_per_m2 * half_m * half_m).powi(2);
+            gain_variation[0][at] += share(echo) * (rest * half_m).powi(2);
+            gain_variation[1][at] +=
+                share(echo) * (echo.gain_curvature_per_m2 * half_m * half_m).powi(2);
         }
-        self.faded = faded.map(|windows| windows.into_iter().fold(0.0, f64::max).sqrt());
+        self.gain_variation =
+            gain_variation.map(|windows| windows.into_iter().fold(0.0, f64::max).sqrt());
     }
 
-    /// The part of the fade that the templates carry.
+    /// The part of the gain slope that the templates carry.
     #[inline(always)]
-    pub(crate) fn shared_fade(&self, slope: f64, per_range_per_m: f64) -> f64 {
-        per_range_per_m * self.fade.at(slope)
+    pub(crate) fn shared_gain_slope(&self, slope: f64, per_range_per_m: f64) -> f64 {
+        per_range_per_m * self.gain_slope.at(slope)
     }
 
     /// The same with spans widened by a share, and slightly for rounding.
@@ -301,7 +304,7 @@ impl Smooth {
         wider.slope.half = (1.0 + share) * self.slope.half + 1e-9;
         wider.per_range_per_m.half = (1.0 + share) * self.per_range_per_m.half + 1e-9;
         wider.dilation_rest = (1.0 + share) * self.dilation_rest + 1e-13;
-        wider.twist_rest = (1.0 + share) * self.twist_rest + 1e-9;
+        wider.rate_gradient_rest = (1.0 + share) * self.rate_gradient_rest + 1e-9;
         wider
     }
 

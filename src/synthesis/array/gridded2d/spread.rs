@@ -14,12 +14,15 @@ use super::merge::Merge;
 use super::panel::{PANEL, Row};
 use super::sample::Sample;
 use super::series::chebyshev_terms as chebyshev;
-use super::smooth::{EchoStrength, Echoes, FADES, Smooth};
+use super::smooth::{EchoStrength, Echoes, GAIN_TERMS, Smooth};
 use super::stages::now;
-use super::task::{KINDS, Kept, Kind, MAX_BEND, MAX_CHANNELS, MAX_DILATION, MAX_TWIST, Task};
+use super::task::{
+    ChannelProduct, KINDS, Kind, MAX_CHANNELS, MAX_CURVATURE_TERMS, MAX_DILATION,
+    MAX_RATE_GRADIENT_TERMS, Task,
+};
 use super::weights::{Taps, taps};
 
-/// Closer to endfire the range cannot be computed from the bend over 1 - s^2, and it does not
+/// Closer to endfire the range cannot be computed from the curvature over 1 - s^2, and it does not
 /// matter.
 const MIN_BROADSIDE: f64 = 1e-3;
 
@@ -53,7 +56,7 @@ struct Centred {
     slope: f64,
     dilation: f64,
     per_range_per_m: f64,
-    twist_per_s: f64,
+    rate_gradient_per_s: f64,
     /// Phase of the amplitude, turns.
     turns: f64,
     stretched: f64,
@@ -79,33 +82,34 @@ impl Centring {
         let half_s = self.half_s;
         let stretched = 1.0 / (1.0 + chunk.doppler[i]);
         let at_edge = -chunk.doppler[i] * stretched;
-        let rate = self.bent * chunk.swing_m_per_s2[i];
+        let rate = self.bent * chunk.acceleration_m_per_s2[i];
         let delay_s = chunk.delay_s[i] + half_s * (at_edge + 0.5 * rate * half_s);
         let slope = chunk.slope[i];
         // Third order of the motion during the pulse, which follows from the second: the range
         // changes along the line.
-        let per_range_there = chunk.bend_per_m[i] / (1.0 - slope * slope).max(MIN_BROADSIDE);
-        let third = 3.0 * slope * per_range_there * self.follows * chunk.swing_m_per_s2[i];
-        let twist = chunk.twist_per_s[i] + 0.5 * third * half_s;
-        let middle = slope - twist * half_s;
-        let twist_per_s = chunk.twist_per_s[i] + third * half_s;
-        // The bend also changes during the pulse. This is third order, so plain 1/R suffices.
-        let bend = chunk.bend_per_m[i] + 3.0 * slope * per_range_there * twist * half_s;
+        let per_range_there = chunk.curvature_per_m[i] / (1.0 - slope * slope).max(MIN_BROADSIDE);
+        let third = 3.0 * slope * per_range_there * self.follows * chunk.acceleration_m_per_s2[i];
+        let rate_gradient = chunk.rate_gradient_per_s[i] + 0.5 * third * half_s;
+        let middle = slope - rate_gradient * half_s;
+        let rate_gradient_per_s = chunk.rate_gradient_per_s[i] + third * half_s;
+        // The curvature also changes during the pulse. This is third order, so plain 1/R suffices.
+        let curvature =
+            chunk.curvature_per_m[i] + 3.0 * slope * per_range_there * rate_gradient * half_s;
         Centred {
             middle_s: delay_s + half_s - self.first_s,
             slope: middle,
             dilation: at_edge + rate * half_s,
-            per_range_per_m: bend / (1.0 - middle * middle).max(MIN_BROADSIDE),
-            twist_per_s,
+            per_range_per_m: curvature / (1.0 - middle * middle).max(MIN_BROADSIDE),
+            rate_gradient_per_s,
             turns: -self.carrier_hz * delay_s,
             stretched,
         }
     }
 
-    /// Fade beyond the effect of range and absorption.
+    /// Gain slope beyond the effect of range and absorption.
     #[inline(always)]
-    fn fade_per_m(&self, chunk: &LineChunk, i: usize, echo: &Centred) -> f64 {
-        chunk.fade_per_m[i] - echo.slope * (echo.per_range_per_m + self.nepers_per_m)
+    fn gain_slope_per_m(&self, chunk: &LineChunk, i: usize, echo: &Centred) -> f64 {
+        chunk.gain_slope_per_m[i] - echo.slope * (echo.per_range_per_m + self.nepers_per_m)
     }
 }
 
@@ -129,8 +133,8 @@ impl LineSink for Survey<'_> {
                     slope: echo.slope,
                     per_range_per_m: echo.per_range_per_m,
                     energy: chunk.amplitude[i].norm_sqr(),
-                    fade_per_m: self.centring.fade_per_m(chunk, i, &echo),
-                    curl_per_m2: chunk.curl_per_m2[i],
+                    gain_slope_per_m: self.centring.gain_slope_per_m(chunk, i, &echo),
+                    gain_curvature_per_m2: chunk.gain_curvature_per_m2[i],
                 });
             }
             if !self.chunks.is_multiple_of(every) {
@@ -139,8 +143,8 @@ impl LineSink for Survey<'_> {
             e.slope.push(echo.slope);
             e.dilation.push(echo.dilation);
             e.per_range_per_m.push(echo.per_range_per_m);
-            e.twist_per_s.push(echo.twist_per_s);
-            e.swing_m_per_s2.push(chunk.swing_m_per_s2[i]);
+            e.rate_gradient_per_s.push(echo.rate_gradient_per_s);
+            e.acceleration_m_per_s2.push(chunk.acceleration_m_per_s2[i]);
         }
     }
 }
@@ -149,12 +153,12 @@ impl LineSink for Survey<'_> {
 pub(super) struct Prepared<T> {
     pub(super) re: [T; CHUNK],
     pub(super) im: [T; CHUNK],
-    /// Residuals of dilation, bend and twist, each relative to its span.
+    /// Residuals of dilation, curvature and rate gradient, each relative to its span.
     pub(super) dilation: [T; CHUNK],
-    pub(super) bend: [T; CHUNK],
-    pub(super) twist: [T; CHUNK],
-    /// Values of all kinds except the echo itself: fade and curl at the end of the stretch, and
-    /// residual swing at the end of the pulse.
+    pub(super) curvature: [T; CHUNK],
+    pub(super) rate_gradient: [T; CHUNK],
+    /// Values of all kinds except the echo itself: gain slope and gain curvature at the end of the
+    /// section, and residual acceleration at the end of the pulse.
     pub(super) kinds: [[T; CHUNK]; KINDS - 1],
     /// Largest of the three.
     farthest: [f64; CHUNK],
@@ -231,17 +235,18 @@ impl<T: Sample> Mixing<T> {
     ) {
         let (orders, kinds) = (task.orders, task.kinds());
         let dilation = chebyshev::<T, MAX_DILATION>(p.dilation[i], orders.dilation);
-        let bend = chebyshev::<T, MAX_BEND>(p.bend[i], orders.bend);
-        let twist = chebyshev::<T, MAX_TWIST>(p.twist[i], orders.twist);
+        let curvature = chebyshev::<T, MAX_CURVATURE_TERMS>(p.curvature[i], orders.curvature);
+        let rate_gradient =
+            chebyshev::<T, MAX_RATE_GRADIENT_TERMS>(p.rate_gradient[i], orders.rate_gradient);
         mixed[..self.vectors * PANEL].fill(T::ZERO);
         let mut rows = self.into.chunks_exact(self.vectors.max(1));
         for kept in task.kept() {
             let of_kind = match kinds[kept.kind] {
                 Kind::Whole => T::one(),
-                Kind::Fade(order) => p.kinds[order][i],
-                Kind::Swing => p.kinds[FADES][i],
+                Kind::Gain(order) => p.kinds[order][i],
+                Kind::Acceleration => p.kinds[GAIN_TERMS][i],
             };
-            let share = of_kind * bend[kept.bend] * twist[kept.twist];
+            let share = of_kind * curvature[kept.curvature] * rate_gradient[kept.rate_gradient];
             for (&r, into) in dilation[..kept.dilation].iter().zip(&mut rows) {
                 for (v, into) in into.iter().enumerate() {
                     let sum = vector_mut(mixed, v * PANEL);
@@ -261,7 +266,7 @@ pub struct Wide<'a, T> {
     pub(super) channels: usize,
     pub(super) orders: Orders,
     pub(super) kinds: &'a [Kind],
-    pub(super) kept: &'a [Kept],
+    pub(super) kept: &'a [ChannelProduct],
     pub(super) mixing: &'a Mixing<T>,
     pub(super) time_taps: &'a [Taps<T>],
     pub(super) slope_taps: &'a [Taps<T>],
@@ -277,8 +282,8 @@ impl<T: Sample> Default for Prepared<T> {
             re: [T::ZERO; CHUNK],
             im: [T::ZERO; CHUNK],
             dilation: [T::ZERO; CHUNK],
-            bend: [T::ZERO; CHUNK],
-            twist: [T::ZERO; CHUNK],
+            curvature: [T::ZERO; CHUNK],
+            rate_gradient: [T::ZERO; CHUNK],
             kinds: [[T::ZERO; CHUNK]; KINDS - 1],
             farthest: [0.0; CHUNK],
             row: [0; CHUNK],
@@ -294,11 +299,11 @@ impl<T: Sample> Default for Prepared<T> {
 struct Scales {
     smooth: Smooth,
     per_dilation: f64,
-    per_bend: f64,
-    per_twist: f64,
+    per_curvature: f64,
+    per_rate_gradient: f64,
     half_m: f64,
-    /// Phase per swing at the ends of the pulse.
-    per_swing: f64,
+    /// Phase per acceleration at the ends of the pulse.
+    per_acceleration: f64,
     /// Columns per unit of slope, offset of the cells, and the first column.
     per_step: f64,
     slope_shift: f64,
@@ -317,10 +322,10 @@ impl Scales {
         Self {
             smooth,
             per_dilation: over(smooth.dilation_rest),
-            per_bend: over(smooth.per_range_per_m.half),
-            per_twist: over(smooth.twist_rest),
+            per_curvature: over(smooth.per_range_per_m.half),
+            per_rate_gradient: over(smooth.rate_gradient_rest),
             half_m: task.half_m(),
-            per_swing: task.rad_per_swing(),
+            per_acceleration: task.rad_per_acceleration(),
             per_step: 1.0 / task.step,
             slope_shift: slope.shift(),
             first_column: (slope.first() - task.first) as f64,
@@ -348,13 +353,13 @@ fn prepare<T: Sample>(k: Scales, centring: Centring, chunk: &LineChunk, p: &mut 
         let s = echo.slope;
         let shared = k.smooth.dilation(s) + k.smooth.bow(s);
         let dilation = (echo.dilation - shared) * k.per_dilation;
-        let bend = (echo.per_range_per_m - k.smooth.per_range_per_m.middle) * k.per_bend;
-        let shared = echo.per_range_per_m * k.smooth.twist.at(s);
-        let twist = (echo.twist_per_s - shared) * k.per_twist;
-        p.farthest[i] = dilation.abs().max(bend.abs()).max(twist.abs());
+        let curvature = (echo.per_range_per_m - k.smooth.per_range_per_m.middle) * k.per_curvature;
+        let shared = echo.per_range_per_m * k.smooth.rate_gradient.at(s);
+        let rate_gradient = (echo.rate_gradient_per_s - shared) * k.per_rate_gradient;
+        p.farthest[i] = dilation.abs().max(curvature.abs()).max(rate_gradient.abs());
         p.dilation[i] = T::narrow(dilation);
-        p.bend[i] = T::narrow(bend);
-        p.twist[i] = T::narrow(twist);
+        p.curvature[i] = T::narrow(curvature);
+        p.rate_gradient[i] = T::narrow(rate_gradient);
     }
     for i in 0..chunk.len.min(CHUNK) {
         let echo = centring.echo(chunk, i);
@@ -367,17 +372,18 @@ fn prepare<T: Sample>(k: Scales, centring: Centring, chunk: &LineChunk, p: &mut 
     }
 }
 
-/// Computes the residuals of fade, curl and swing.
+/// Computes the residuals of gain slope, gain curvature and acceleration.
 #[inline(always)]
 fn prepare_kinds<T: Sample>(k: Scales, centring: Centring, chunk: &LineChunk, p: &mut Prepared<T>) {
     for i in 0..chunk.len.min(CHUNK) {
         let echo = centring.echo(chunk, i);
-        let shared = k.smooth.shared_fade(echo.slope, echo.per_range_per_m);
-        let fade = centring.fade_per_m(chunk, i, &echo) - shared;
-        let swing = chunk.swing_m_per_s2[i] - echo.per_range_per_m * k.smooth.swing.at(echo.slope);
-        p.kinds[0][i] = T::narrow(fade * k.half_m);
-        p.kinds[1][i] = T::narrow(chunk.curl_per_m2[i] * k.half_m * k.half_m);
-        p.kinds[2][i] = T::narrow(swing * k.per_swing);
+        let shared = k.smooth.shared_gain_slope(echo.slope, echo.per_range_per_m);
+        let gain_slope = centring.gain_slope_per_m(chunk, i, &echo) - shared;
+        let acceleration = chunk.acceleration_m_per_s2[i]
+            - echo.per_range_per_m * k.smooth.acceleration.at(echo.slope);
+        p.kinds[0][i] = T::narrow(gain_slope * k.half_m);
+        p.kinds[1][i] = T::narrow(chunk.gain_curvature_per_m2[i] * k.half_m * k.half_m);
+        p.kinds[2][i] = T::narrow(acceleration * k.per_acceleration);
     }
 }
 

@@ -4,9 +4,9 @@
 use std::arch::x86_64::*;
 
 use super::panel::{PANEL, Row};
-use super::smooth::FADES;
+use super::smooth::GAIN_TERMS;
 use super::spread::Wide;
-use super::task::{Kind, MAX_BEND, MAX_CHANNELS, MAX_DILATION, MAX_TWIST};
+use super::task::{Kind, MAX_CHANNELS, MAX_CURVATURE_TERMS, MAX_DILATION, MAX_RATE_GRADIENT_TERMS};
 use super::weights::Taps;
 
 /// Maximum number of vectors in the row of one echo: sixteen channels in fourteen columns, and the
@@ -52,15 +52,16 @@ fn products(wide: &Wide<f32>, start: usize, to: &mut [[f32; PANEL]; MAX_CHANNELS
     let load = |values: &[f32]| unsafe { _mm512_loadu_ps(values[start..][..PANEL].as_ptr()) };
     let orders = wide.orders;
     let dilation = chebyshev::<MAX_DILATION>(load(&p.dilation), orders.dilation);
-    let bend = chebyshev::<MAX_BEND>(load(&p.bend), orders.bend);
-    let twist = chebyshev::<MAX_TWIST>(load(&p.twist), orders.twist);
+    let curvature = chebyshev::<MAX_CURVATURE_TERMS>(load(&p.curvature), orders.curvature);
+    let rate_gradient =
+        chebyshev::<MAX_RATE_GRADIENT_TERMS>(load(&p.rate_gradient), orders.rate_gradient);
     let mut rows = to.iter_mut();
     for kept in wide.kept {
-        let mut share = _mm512_mul_ps(bend[kept.bend], twist[kept.twist]);
+        let mut share = _mm512_mul_ps(curvature[kept.curvature], rate_gradient[kept.rate_gradient]);
         match wide.kinds[kept.kind] {
             Kind::Whole => {}
-            Kind::Fade(order) => share = _mm512_mul_ps(share, load(&p.kinds[order])),
-            Kind::Swing => share = _mm512_mul_ps(share, load(&p.kinds[FADES])),
+            Kind::Gain(order) => share = _mm512_mul_ps(share, load(&p.kinds[order])),
+            Kind::Acceleration => share = _mm512_mul_ps(share, load(&p.kinds[GAIN_TERMS])),
         }
         for (&r, row) in dilation[..kept.dilation].iter().zip(&mut rows) {
             // SAFETY: a row is sixteen numbers.

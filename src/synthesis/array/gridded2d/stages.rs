@@ -23,7 +23,7 @@ pub enum Stage {
     Survey,
     /// Choosing the number of terms of each series.
     Orders,
-    /// Computing delays and amplitudes of all echoes at the middle of the stretch.
+    /// Computing delays and amplitudes of all echoes at the middle of the section.
     Walk,
     /// Spreading echoes onto the grid.
     Spread,
@@ -31,9 +31,9 @@ pub enum Stage {
     Transform,
     /// Computing the templates for the motion.
     Templates,
-    /// Combining channels, pulse and templates into powers along the stretch.
+    /// Combining channels, pulse and templates into powers along the section.
     Combine,
-    /// Evaluating powers along the stretch at the elements.
+    /// Evaluating powers along the section at the elements.
     Elements,
     /// Transforming the elements back to time samples.
     Return,

@@ -7,24 +7,24 @@ use num_complex::Complex64;
 
 use crate::array::phasor::cis;
 
-use super::engine::{LineEngine, Orders, PulseMotion, Stretch};
+use super::engine::{LineEngine, Orders, PulseMotion, Section};
 use super::lanes::BLOCK;
 use super::merge::{MIDWAY, Merge};
 use super::panel::PANEL;
 use super::pulse::{MAX_INSTANTS, PulseSpectra};
 use super::sample::Sample;
 use super::series::{chebyshev_terms as chebyshev, sizes, terms_needed};
-use super::smooth::{Echoes, FADES, Smooth, Span};
+use super::smooth::{Echoes, GAIN_TERMS, Smooth, Span};
 
 /// Maximum number of terms of each series. A larger remainder is reported as error.
 pub(crate) const MAX_ALONG: usize = 16;
 const MAX_BAND: usize = 10;
 pub(crate) const MAX_DILATION: usize = MAX_INSTANTS;
-pub(crate) const MAX_BEND: usize = 8;
+pub(crate) const MAX_CURVATURE_TERMS: usize = 8;
 pub(crate) const MAX_TURN: usize = 12;
-pub(crate) const MAX_TWIST: usize = 4;
+pub(crate) const MAX_RATE_GRADIENT_TERMS: usize = 4;
 const MAX_NODES: usize = 16;
-const MAX_KEPT: usize = KINDS * MAX_BEND * MAX_TWIST;
+const MAX_PRODUCTS: usize = KINDS * MAX_CURVATURE_TERMS * MAX_RATE_GRADIENT_TERMS;
 /// Maximum number of products of the series, and of channels of the grid.
 pub(super) const MAX_CHANNELS: usize = 96;
 /// Error of the merged products, as a share of the truncation error allowed per series.
@@ -41,11 +41,12 @@ const KIND_PEAK: f64 = 3.0;
 /// appear in terms of fourth order.
 const STEP_NU: f64 = 1e-3;
 
-/// Values of an echo beyond its slope: inverse range, and residual twist relative to its maximum.
+/// Values of an echo beyond its slope: inverse range, and residual rate gradient relative to its
+/// maximum.
 #[derive(Clone, Copy)]
 pub(crate) struct Ray {
     pub(crate) per_range_per_m: f64,
-    pub twist: f64,
+    pub rate_gradient: f64,
     pub kind: Kind,
 }
 
@@ -55,22 +56,22 @@ pub(super) enum Kind {
     /// The echoes themselves.
     #[default]
     Whole,
-    /// Fade (0) and curl (1).
-    Fade(usize),
-    /// The residual swing.
-    Swing,
+    /// Gain slope (0) and gain curvature (1).
+    Gain(usize),
+    /// The residual acceleration.
+    Acceleration,
 }
 
 /// Number of kinds.
-pub(super) const KINDS: usize = 2 + FADES;
+pub(super) const KINDS: usize = 2 + GAIN_TERMS;
 
-/// Channels of one kind times one term of the bend times one of the twist.
+/// Channels of one kind times one term of the curvature times one of the rate gradient.
 #[derive(Clone, Copy, Default)]
-pub(super) struct Kept {
+pub(super) struct ChannelProduct {
     /// Index in [`Task::kinds`].
     pub kind: usize,
-    pub bend: usize,
-    pub twist: usize,
+    pub curvature: usize,
+    pub rate_gradient: usize,
     /// Number of terms of the dilation, from the first.
     pub dilation: usize,
 }
@@ -79,15 +80,15 @@ pub(super) struct Kept {
 pub(crate) struct Task<'a, T: Sample> {
     pub engine: &'a LineEngine<T>,
     pub pulse: &'a PulseSpectra<T>,
-    pub stretch: &'a Stretch,
+    pub section: &'a Section,
     pub smooth: Smooth,
     pub orders: Orders,
     /// Slopes at which the shape is computed; columns interpolate between them.
     pub nodes: usize,
     kinds: [Kind; KINDS],
-    /// Products of kinds and terms of bend and twist that have channels, with their number of terms
-    /// of the dilation.
-    kept: [Kept; MAX_KEPT],
+    /// Products of kinds and terms of curvature and rate gradient that have channels, with their
+    /// number of terms of the dilation.
+    kept: [ChannelProduct; MAX_PRODUCTS],
     kept_len: usize,
     merged: usize,
     pub left_out: f64,
@@ -102,7 +103,7 @@ impl<'a, T: Sample> Task<'a, T> {
     /// channels of this task.
     pub(super) fn new(
         engine: &'a LineEngine<T>,
-        stretch: &'a Stretch,
+        section: &'a Section,
         smooth: Smooth,
         echoes: &Echoes,
         merge: &mut Merge,
@@ -111,7 +112,7 @@ impl<'a, T: Sample> Task<'a, T> {
         let c = ping.sound_speed_m_per_s;
         // The aperture, extended by the motion along the line during the emission.
         let drift_m = 0.5 * ping.duration_s * c * smooth.dilation1.abs();
-        let reach_m = (stretch.half_m + drift_m).max(0.25 * c / ping.carrier_hz);
+        let reach_m = (section.half_m + drift_m).max(0.25 * c / ping.carrier_hz);
         let step = c / (engine.top_hz() * 2.0 * engine.resolution.slope_oversampling * reach_m);
         let kernel = &engine.slope_kernel;
         let cell = |slope: f64| (slope / step + kernel.shift()).floor() as isize;
@@ -120,12 +121,12 @@ impl<'a, T: Sample> Task<'a, T> {
         let mut task = Self {
             engine,
             pulse: engine.pulse.as_ref().expect("prepared"),
-            stretch,
+            section,
             smooth,
             orders: Orders::default(),
             nodes: 1,
             kinds: [Kind::Whole; KINDS],
-            kept: [Kept::default(); MAX_KEPT],
+            kept: [ChannelProduct::default(); MAX_PRODUCTS],
             kept_len: 0,
             merged: 0,
             left_out: 0.0,
@@ -143,23 +144,23 @@ impl<'a, T: Sample> Task<'a, T> {
     }
 
     /// Whether any of them is a change of strength.
-    pub(super) fn fades(&self) -> bool {
+    pub(super) fn gain_terms(&self) -> bool {
         self.kinds()
             .iter()
-            .any(|kind| matches!(kind, Kind::Fade(_)))
+            .any(|kind| matches!(kind, Kind::Gain(_)))
     }
 
     /// Size of a kind relative to the echo.
     fn size_of(&self, kind: Kind) -> f64 {
         match kind {
             Kind::Whole => 1.0,
-            Kind::Fade(order) => self.smooth.faded[order],
-            Kind::Swing => self.smooth.swing_rest * self.rad_per_swing(),
+            Kind::Gain(order) => self.smooth.gain_variation[order],
+            Kind::Acceleration => self.smooth.acceleration_rest * self.rad_per_acceleration(),
         }
     }
 
-    /// Phase per swing at the ends of the pulse.
-    pub(crate) fn rad_per_swing(&self) -> f64 {
+    /// Phase per acceleration at the ends of the pulse.
+    pub(crate) fn rad_per_acceleration(&self) -> f64 {
         let per_m = TAU * self.engine.top_hz() / self.engine.ping.sound_speed_m_per_s;
         let half_s = 0.5 * self.engine.ping.duration_s;
         match self.engine.resolution.motion {
@@ -170,44 +171,53 @@ impl<'a, T: Sample> Task<'a, T> {
 
     pub(super) fn half_m(&self) -> f64 {
         // A single element has no length to scale by.
-        self.stretch.half_m.max(1e-6)
+        self.section.half_m.max(1e-6)
     }
 
     pub(crate) fn absolute_hz(&self, band: f64) -> f64 {
         self.engine.ping.carrier_hz + 0.5 * self.engine.rate_hz * band
     }
 
-    /// Factor of an echo beyond the plane wave, at `x` (relative to half the stretch), `w` (half
+    /// Factor of an echo beyond the plane wave, at `x` (relative to half the section), `w` (half
     /// the pulse) and `band` (half the band).
     fn beyond_plane(&self, s: f64, ray: Ray, x: f64, w: f64, band: f64) -> Complex64 {
         let ping = &self.engine.ping;
         let c = ping.sound_speed_m_per_s;
-        let (y, t) = (x * self.stretch.half_m, w * 0.5 * ping.duration_s);
+        let (y, t) = (x * self.section.half_m, w * 0.5 * ping.duration_s);
         let per_range = ray.per_range_per_m;
         // Polynomials in the slope, which continue smoothly for columns beside the echoes' slopes,
         // even beyond endfire.
-        let bend = per_range * (1.0 - s * s);
-        let (twist, swing) = (self.smooth.twist.at(s), self.smooth.swing.at(s));
-        let twist_rest = ray.twist * self.smooth.twist_rest;
+        let curvature = per_range * (1.0 - s * s);
+        let (rate_gradient, acceleration) = (
+            self.smooth.rate_gradient.at(s),
+            self.smooth.acceleration.at(s),
+        );
+        let rate_gradient_rest = ray.rate_gradient * self.smooth.rate_gradient_rest;
         let quadratic = match self.engine.resolution.motion {
             PulseMotion::Stretch => 0.0,
             PulseMotion::Quadratic => 1.0,
         };
         // Second order of the delay, and the third order that follows from the change of range
         // along the line.
-        let path_m = per_range * t * (twist * y + 0.5 * quadratic * swing * t)
-            + twist_rest * y * t
+        let path_m = per_range * t * (rate_gradient * y + 0.5 * quadratic * acceleration * t)
+            + rate_gradient_rest * y * t
             + c * self.smooth.bow(s) * t
-            + bend * y * y * 0.5 * (1.0 + s * y * per_range)
-            + 1.5 * s * per_range * per_range * y * t * (twist * y + quadratic * swing * t);
+            + curvature * y * y * 0.5 * (1.0 + s * y * per_range)
+            + 1.5
+                * s
+                * per_range
+                * per_range
+                * y
+                * t
+                * (rate_gradient * y + quadratic * acceleration * t);
         let (cos, sin) = cis(-self.absolute_hz(band) / c * path_m);
         let level = match ray.kind {
             Kind::Whole => {
-                let shared = self.smooth.shared_fade(s, per_range);
+                let shared = self.smooth.shared_gain_slope(s, per_range);
                 1.0 + y * (s * (per_range + ping.nepers_per_m) + shared)
             }
-            Kind::Fade(order) => x.powi(order as i32 + 1),
-            Kind::Swing => {
+            Kind::Gain(order) => x.powi(order as i32 + 1),
+            Kind::Acceleration => {
                 // To first order, relative to the largest residual.
                 let turned = self.absolute_hz(band) / self.engine.top_hz() * w * w;
                 return Complex64::new(turned * sin, -turned * cos);
@@ -226,7 +236,7 @@ impl<'a, T: Sample> Task<'a, T> {
         let ping = &self.engine.ping;
         let c = ping.sound_speed_m_per_s;
         let per_column = self.absolute_hz(band) / c * self.step;
-        let y = x * self.stretch.half_m;
+        let y = x * self.section.half_m;
         let moved_m = y - c * self.smooth.dilation1 * w * 0.5 * ping.duration_s;
         let nu = moved_m * per_column;
         let inverse = |nu: f64| self.engine.slope_inverse.at(nu);
@@ -246,22 +256,22 @@ impl<'a, T: Sample> Task<'a, T> {
 
     fn choose_orders(&mut self, echoes: &Echoes, merge: &mut Merge) {
         let ping = &self.engine.ping;
-        let half_m = self.stretch.half_m;
+        let half_m = self.section.half_m;
         // The truncation error of a series is as smooth over the slope as its kept part, so the
         // kernel's spectrum cancels from it too.
         let tolerance = self.engine.resolution.series.max(1e-13);
         let slopes = [-1.0, 0.0, 1.0].map(|x| self.smooth.slope.at(x));
-        let bends = [-1.0, 1.0].map(|x| self.smooth.per_range_per_m.at(x));
+        let inverse_ranges = [-1.0, 1.0].map(|x| self.smooth.per_range_per_m.at(x));
         let mut left_out: f64 = 0.0;
         // f of the coordinate, slope, ray and the sign of the others.
         let mut most = |f: &dyn Fn(f64, f64, Ray, f64) -> Complex64, limit: usize| {
             let (mut terms, mut rest) = (1, 0.0f64);
             for s in slopes {
-                for per_range_per_m in bends {
+                for per_range_per_m in inverse_ranges {
                     for sign in [-1.0, 1.0] {
                         let ray = Ray {
                             per_range_per_m,
-                            twist: sign,
+                            rate_gradient: sign,
                             kind: Kind::Whole,
                         };
                         let got = terms_needed(|x| f(x, s, ray, sign), limit, tolerance);
@@ -279,15 +289,18 @@ impl<'a, T: Sample> Task<'a, T> {
             per_range_per_m: self.smooth.per_range_per_m.at(b),
             ..ray
         };
-        let twisted = |ray: Ray, twist: f64| Ray { twist, ..ray };
+        let with_rate_gradient = |ray: Ray, rate_gradient: f64| Ray {
+            rate_gradient,
+            ..ray
+        };
         let instants = most(
             &|w, s, ray, x| self.shape(s, ray, x, w, 1.0) * beyond(rest_rad * w),
             MAX_INSTANTS,
         );
-        // Kinds that matter; everything beyond the last fade is omitted with it.
+        // Kinds that matter; everything beyond the last gain term is omitted with it.
         let mut kinds = 1;
         let mut unkept = 0.0;
-        for kind in [Kind::Fade(0), Kind::Fade(1), Kind::Swing] {
+        for kind in [Kind::Gain(0), Kind::Gain(1), Kind::Acceleration] {
             let size = self.size_of(kind);
             if size > KIND_SHARE * tolerance {
                 self.kinds[kinds] = kind;
@@ -298,17 +311,17 @@ impl<'a, T: Sample> Task<'a, T> {
         }
         let along = most(
             &|x, s, ray, w| self.shape(s, ray, x, w, 1.0),
-            MAX_ALONG - FADES,
+            MAX_ALONG - GAIN_TERMS,
         );
-        // The channels of a fade have powers of their own.
-        let along = along + if kinds > 1 { FADES } else { 0 };
-        let bend = most(
+        // The channels of a gain term have powers of their own.
+        let along = along + if kinds > 1 { GAIN_TERMS } else { 0 };
+        let curvature = most(
             &|b, s, ray, x| self.shape(s, bent(ray, b), x, x, 1.0),
-            MAX_BEND,
+            MAX_CURVATURE_TERMS,
         );
-        let twist = most(
-            &|z, s, ray, x| self.shape(s, twisted(ray, z), x, x, 1.0),
-            MAX_TWIST,
+        let rate_gradient = most(
+            &|z, s, ray, x| self.shape(s, with_rate_gradient(ray, z), x, x, 1.0),
+            MAX_RATE_GRADIENT_TERMS,
         );
         let dilation = most(&|d, _, _, _| beyond(rest_rad * d), MAX_DILATION);
         let band = most(
@@ -331,14 +344,14 @@ impl<'a, T: Sample> Task<'a, T> {
             turn,
             band,
             dilation,
-            bend,
-            twist,
+            curvature,
+            rate_gradient,
         };
         left_out += unkept;
         self.nodes = nodes;
         left_out += self.choose_channels(slopes, tolerance, echoes, merge);
         let per_m = TAU * self.engine.top_hz() / ping.sound_speed_m_per_s;
-        // Fourth order of the delay along the stretch.
+        // Fourth order of the delay along the section.
         left_out +=
             per_m * half_m.powi(4) / 8.0 * self.smooth.per_range_per_m.at(1.0).max(0.0).powi(3);
         self.left_out = left_out;
@@ -355,13 +368,16 @@ impl<'a, T: Sample> Task<'a, T> {
     ) -> f64 {
         let Orders {
             dilation,
-            bend,
-            twist,
+            curvature,
+            rate_gradient,
             ..
         } = self.orders;
         let rest_rad = self.rest_rad(1.0);
         let dilation_sizes = sizes(|d| Complex64::from_polar(1.0, -rest_rad * d), dilation + 4);
-        let (mut bend_sizes, mut twist_sizes) = ([0.0f64; MAX_BEND], [0.0f64; MAX_TWIST]);
+        let (mut curvature_sizes, mut rate_gradient_sizes) = (
+            [0.0f64; MAX_CURVATURE_TERMS],
+            [0.0f64; MAX_RATE_GRADIENT_TERMS],
+        );
         let widen = |most: &mut [f64], found: &[f64]| {
             for (most, size) in most.iter_mut().zip(found) {
                 *most = most.max(*size);
@@ -369,13 +385,13 @@ impl<'a, T: Sample> Task<'a, T> {
         };
         for s in slopes {
             for x in [-1.0, 1.0] {
-                let at = |b: f64, twist: f64| {
+                let at = |b: f64, rate_gradient: f64| {
                     let per_range_per_m = self.smooth.per_range_per_m.at(b);
                     self.shape(
                         s,
                         Ray {
                             per_range_per_m,
-                            twist,
+                            rate_gradient,
                             kind: Kind::Whole,
                         },
                         x,
@@ -383,18 +399,21 @@ impl<'a, T: Sample> Task<'a, T> {
                         1.0,
                     )
                 };
-                widen(&mut bend_sizes, &sizes(|b| at(b, 0.0), bend + 4));
-                widen(&mut twist_sizes, &sizes(|z| at(0.0, z), twist + 4));
+                widen(&mut curvature_sizes, &sizes(|b| at(b, 0.0), curvature + 4));
+                widen(
+                    &mut rate_gradient_sizes,
+                    &sizes(|z| at(0.0, z), rate_gradient + 4),
+                );
             }
         }
-        let products = self.orders.kinds * bend * twist;
+        let products = self.orders.kinds * curvature * rate_gradient;
         let mut share = tolerance / products as f64;
         let left_out = loop {
             let (channels, left_out) = self.keep(
                 share,
                 &dilation_sizes[..dilation],
-                &bend_sizes,
-                &twist_sizes,
+                &curvature_sizes,
+                &rate_gradient_sizes,
             );
             // If there are too many, the accuracy of all is reduced alike.
             if channels <= MAX_CHANNELS {
@@ -403,7 +422,10 @@ impl<'a, T: Sample> Task<'a, T> {
             share *= 1.5;
         };
         let weights = self.products().map(|(kept, r)| {
-            (dilation_sizes[r] * bend_sizes[kept.bend] * twist_sizes[kept.twist]).max(MIN_WEIGHT)
+            (dilation_sizes[r]
+                * curvature_sizes[kept.curvature]
+                * rate_gradient_sizes[kept.rate_gradient])
+                .max(MIN_WEIGHT)
         });
         let (every, looked) = Merge::sample(echoes.len());
         let midway = Merge::midway(looked);
@@ -411,7 +433,7 @@ impl<'a, T: Sample> Task<'a, T> {
         self.look(echoes, every, looked, merge);
         let unmerged = merge.choose(MERGED * tolerance, self.engine.simd_level);
         for (number, kind) in self.kinds().iter().enumerate() {
-            if matches!(kind, Kind::Fade(_)) {
+            if matches!(kind, Kind::Gain(_)) {
                 let products = self.products().enumerate();
                 let of_kind = products.filter(|(_, (kept, _))| kept.kind == number);
                 let peak = (KIND_PEAK * self.size_of(*kind)).min(1.0);
@@ -422,26 +444,29 @@ impl<'a, T: Sample> Task<'a, T> {
         left_out + unmerged
     }
 
-    /// Computes the products of all echoes in the process, except fades.
+    /// Computes the products of all echoes in the process, except the gain terms.
     fn look(&self, echoes: &Echoes, every: usize, looked: usize, merge: &mut Merge) {
         let per = |half: f64| if half > 0.0 { 1.0 / half } else { 0.0 };
         let smooth = &self.smooth;
-        let (per_dilation, per_twist) = (per(smooth.dilation_rest), per(smooth.twist_rest));
-        let per_bend = per(smooth.per_range_per_m.half);
-        let per_swing = self.rad_per_swing();
+        let (per_dilation, per_rate_gradient) =
+            (per(smooth.dilation_rest), per(smooth.rate_gradient_rest));
+        let per_curvature = per(smooth.per_range_per_m.half);
+        let per_acceleration = self.rad_per_acceleration();
         let own = |i: usize| {
             let (s, per_range) = (echoes.slope[i], echoes.per_range_per_m[i]);
             [
                 smooth.rest(echoes, i) * per_dilation,
-                (per_range - smooth.per_range_per_m.middle) * per_bend,
-                (echoes.twist_per_s[i] - per_range * smooth.twist.at(s)) * per_twist,
-                (echoes.swing_m_per_s2[i] - per_range * smooth.swing.at(s)) * per_swing,
+                (per_range - smooth.per_range_per_m.middle) * per_curvature,
+                (echoes.rate_gradient_per_s[i] - per_range * smooth.rate_gradient.at(s))
+                    * per_rate_gradient,
+                (echoes.acceleration_m_per_s2[i] - per_range * smooth.acceleration.at(s))
+                    * per_acceleration,
             ]
         };
         let all = looked + Merge::midway(looked);
         let products = merge.products_mut();
         for k in 0..all {
-            let [dilation, bend, twist, swing] = match k.checked_sub(looked) {
+            let [dilation, curvature, rate_gradient, acceleration] = match k.checked_sub(looked) {
                 None => own(k * every),
                 Some(between) => {
                     let (a, b) = (
@@ -452,16 +477,20 @@ impl<'a, T: Sample> Task<'a, T> {
                 }
             };
             let of_dilation = chebyshev::<f64, MAX_DILATION>(dilation, self.orders.dilation);
-            let of_bend = chebyshev::<f64, MAX_BEND>(bend, self.orders.bend);
-            let of_twist = chebyshev::<f64, MAX_TWIST>(twist, self.orders.twist);
+            let of_curvature =
+                chebyshev::<f64, MAX_CURVATURE_TERMS>(curvature, self.orders.curvature);
+            let of_rate_gradient =
+                chebyshev::<f64, MAX_RATE_GRADIENT_TERMS>(rate_gradient, self.orders.rate_gradient);
             for (m, (kept, r)) in self.products().enumerate() {
                 let of_kind = match self.kinds[kept.kind] {
                     Kind::Whole => 1.0,
-                    Kind::Fade(_) => 0.0,
-                    Kind::Swing => swing,
+                    Kind::Gain(_) => 0.0,
+                    Kind::Acceleration => acceleration,
                 };
-                products[m * all + k] =
-                    of_kind * of_dilation[r] * of_bend[kept.bend] * of_twist[kept.twist];
+                products[m * all + k] = of_kind
+                    * of_dilation[r]
+                    * of_curvature[kept.curvature]
+                    * of_rate_gradient[kept.rate_gradient];
             }
         }
     }
@@ -472,20 +501,26 @@ impl<'a, T: Sample> Task<'a, T> {
         &mut self,
         share: f64,
         dilation_sizes: &[f64],
-        bend_sizes: &[f64; MAX_BEND],
-        twist_sizes: &[f64; MAX_TWIST],
+        curvature_sizes: &[f64; MAX_CURVATURE_TERMS],
+        rate_gradient_sizes: &[f64; MAX_RATE_GRADIENT_TERMS],
     ) -> (usize, f64) {
         let Orders {
-            kinds, bend, twist, ..
+            kinds,
+            curvature,
+            rate_gradient,
+            ..
         } = self.orders;
         let (mut left_out, mut channels, mut len) = (0.0, 0, 0);
-        let products = |kind| (0..bend * twist).map(move |k| (kind, k / twist, k % twist));
+        let products = |kind| {
+            (0..curvature * rate_gradient)
+                .map(move |k| (kind, k / rate_gradient, k % rate_gradient))
+        };
         for (kind, p, z) in (0..kinds).flat_map(products) {
             let of_kind = match kind {
                 0 => 1.0,
                 _ => (KIND_PEAK * self.size_of(self.kinds[kind])).min(1.0),
             };
-            let size = of_kind * bend_sizes[p] * twist_sizes[z];
+            let size = of_kind * curvature_sizes[p] * rate_gradient_sizes[z];
             let (mut rest, mut terms) = (0.0, dilation_sizes.len());
             // The first product carries the echo itself.
             let first = kind + p + z == 0;
@@ -495,10 +530,10 @@ impl<'a, T: Sample> Task<'a, T> {
             }
             left_out += rest;
             if terms > 0 {
-                self.kept[len] = Kept {
+                self.kept[len] = ChannelProduct {
                     kind,
-                    bend: p,
-                    twist: z,
+                    curvature: p,
+                    rate_gradient: z,
                     dilation: terms,
                 };
                 len += 1;
@@ -509,16 +544,16 @@ impl<'a, T: Sample> Task<'a, T> {
         (channels, left_out)
     }
 
-    pub(super) fn kept(&self) -> &[Kept] {
+    pub(super) fn kept(&self) -> &[ChannelProduct] {
         &self.kept[..self.kept_len]
     }
 
-    /// Rotation of the rotor of slope `s` at the end of the stretch from the middle of a block to a
+    /// Rotation of the rotor of slope `s` at the end of the section from the middle of a block to a
     /// lane, radians.
     pub(crate) fn turn_rad(&self, lane: usize, s: f64) -> f64 {
         let step_hz = self.engine.rate_hz / self.engine.bins() as f64;
         let from_middle = lane as f64 - 0.5 * (BLOCK - 1) as f64;
-        TAU * from_middle * step_hz * s * self.stretch.half_m / self.engine.ping.sound_speed_m_per_s
+        TAU * from_middle * step_hz * s * self.section.half_m / self.engine.ping.sound_speed_m_per_s
     }
 
     /// Largest slope of the columns that matter.
@@ -529,8 +564,8 @@ impl<'a, T: Sample> Task<'a, T> {
 
     /// Products that the channels are sums of: each kept product times each of its terms of the
     /// dilation.
-    pub(super) fn products(&self) -> impl Iterator<Item = (Kept, usize)> + '_ {
-        let terms = |kept: &Kept| {
+    pub(super) fn products(&self) -> impl Iterator<Item = (ChannelProduct, usize)> + '_ {
+        let terms = |kept: &ChannelProduct| {
             let kept = *kept;
             (0..kept.dilation).map(move |r| (kept, r))
         };

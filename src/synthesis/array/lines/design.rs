@@ -347,16 +347,16 @@ impl Design {
         };
         // The change of the Doppler during the pulse: left out with two columns, to first order with more. The rms of q^2 less its mean is 0.3, that of
         // half its square 0.06; both are largest at the ends of the pulse.
-        let bend_rad = match spec.doppler {
+        let curvature_rad = match spec.doppler {
             DopplerModel::StretchQuadratic => {
                 let per_s = spec.fastest_m_per_s.powi(2) / (spec.nearest_m * c);
                 0.5 * PI * carrier_hz * pulse.duration_s.powi(2) * per_s
             }
             _ => 0.0,
         };
-        let of_bend = |columns: &Columns| match columns.taps {
-            ..3 => single_echo.worst_of_even(0.3 * bend_rad, 2.2),
-            _ => single_echo.worst_of_even(0.06 * bend_rad * bend_rad, 4.0),
+        let of_curvature = |columns: &Columns| match columns.taps {
+            ..3 => single_echo.worst_of_even(0.3 * curvature_rad, 2.2),
+            _ => single_echo.worst_of_even(0.06 * curvature_rad * curvature_rad, 4.0),
         };
         let mut finest = f64::INFINITY;
         let mut best: Option<Self> = None;
@@ -430,7 +430,7 @@ impl Design {
             });
             finest = finest.min(kernel_error / (1.0 - PATH_SHARE - COLUMN_SHARES[0]).sqrt());
             for columns in &candidates {
-                let of_doppler = of_columns(columns).hypot(of_bend(columns));
+                let of_doppler = of_columns(columns).hypot(of_curvature(columns));
                 let error = kernel_error.hypot(of_doppler).hypot(path_error);
                 if !(error <= tolerance && cheaper(&columns, &best)) {
                     continue;

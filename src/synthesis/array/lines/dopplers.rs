@@ -12,7 +12,7 @@ pub(super) const MAX_TAPS: usize = 4;
 pub(super) const WEIGHT_TERMS: usize = 6;
 
 /// Mean of (2w/T)^2 over the pulse, which the second weights leave out.
-pub(super) const MEAN_BEND: f64 = 1.0 / 3.0;
+pub(super) const MEAN_CURVATURE: f64 = 1.0 / 3.0;
 
 /// Columns a step apart, and the weights of an echo on `taps` of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,7 +25,7 @@ pub(super) struct Columns {
     /// `[tap][power]` of the distance from the middle of the taps, -1/2..1/2.
     pub weights: [[f64; WEIGHT_TERMS]; MAX_TAPS],
     /// The same for the echo times (2w/T)^2 less its mean.
-    pub bends: [[f64; WEIGHT_TERMS]; MAX_TAPS],
+    pub curvature_weights: [[f64; WEIGHT_TERMS]; MAX_TAPS],
 }
 
 /// Mean of exp(j phase 2w/T) over the pulse.
@@ -37,7 +37,7 @@ fn mean(phase_rad: f64) -> f64 {
 }
 
 /// Mean of (2w/T)^2 exp(j phase 2w/T) over the pulse.
-fn mean_bent(phase_rad: f64) -> f64 {
+fn mean_curvature(phase_rad: f64) -> f64 {
     let y = phase_rad;
     if y.abs() < 0.1 {
         // Next term y^4 / 168.
@@ -138,7 +138,7 @@ impl Columns {
             turn_rad: 0.0,
             error: 0.0,
             weights,
-            bends: [[0.0; WEIGHT_TERMS]; MAX_TAPS],
+            curvature_weights: [[0.0; WEIGHT_TERMS]; MAX_TAPS],
         }
     }
 
@@ -159,8 +159,9 @@ impl Columns {
             turn_rad,
             error: error(taps, turn_rad),
             weights: polynomials(taps, |x| fit(taps, turn_rad, x).0),
-            bends: polynomials(taps, |x| {
-                let product = |phase_rad| mean_bent(phase_rad) - MEAN_BEND * mean(phase_rad);
+            curvature_weights: polynomials(taps, |x| {
+                let product =
+                    |phase_rad| mean_curvature(phase_rad) - MEAN_CURVATURE * mean(phase_rad);
                 fit_to(taps, turn_rad, x, product).0
             }),
         }

@@ -22,7 +22,7 @@ use echotank_core::ping::{EchoCounts, PingPlan};
 use echotank_core::simd::{SimdLevel, widest};
 
 use super::design::{Design, KernelFits, Refusal, Spec};
-use super::dopplers::{MAX_TAPS, MEAN_BEND, WEIGHT_TERMS};
+use super::dopplers::{MAX_TAPS, MEAN_CURVATURE, WEIGHT_TERMS};
 use super::kernel::BAND;
 use super::nodes::{BlockWeights, NODES, block_weights, coefficients, places};
 use super::spread::{CELL, EchoChunk, LANES, Located, Shape, add};
@@ -51,7 +51,7 @@ pub struct GriddedLines {
     /// Number of columns of the templates.
     columns: usize,
     /// Whether the change of the Doppler during the pulse counts.
-    bends: bool,
+    models_curvature: bool,
     /// Smallest range at which each of [`NODES`] is enough, metres.
     near_m: [f64; NODES.len()],
     /// Row of the transformed spectrum that holds each sample.
@@ -159,7 +159,8 @@ impl GriddedLines {
             bins,
             columns: 2 * template_reach(&design) + 1,
             templates,
-            bends: spec.doppler == DopplerModel::StretchQuadratic && design.columns.taps > 2,
+            models_curvature: spec.doppler == DopplerModel::StretchQuadratic
+                && design.columns.taps > 2,
             near_m,
             row_of_sample,
             design,
@@ -303,7 +304,9 @@ impl GriddedLines {
                 }));
         }
         let matrix = coefficients(&state.nodes);
-        state.tracks.lay(plan, array, transmit_leg, &state.along_m);
+        state
+            .tracks
+            .compute(plan, array, transmit_leg, &state.along_m);
         let batches = NodeTracks::batches(transmit_leg);
         if state.batches.len() < batches {
             state.batches.resize_with(batches, || Batch {
@@ -312,9 +315,9 @@ impl GriddedLines {
                 counts: EchoCounts::default(),
             });
         }
-        let bends = self.bends;
+        let models_curvature = self.models_curvature;
         let half_s = 0.5 * plan.pulse.duration_s;
-        let bend_per = TAU * plan.pulse.center_frequency_hz * half_s * half_s;
+        let rad_per_curvature = TAU * plan.pulse.center_frequency_hz * half_s * half_s;
         let (tracks, geometry) = (&state.tracks, &state.geometry);
         state.batches[..batches]
             .par_iter_mut()
@@ -344,11 +347,12 @@ impl GriddedLines {
                     chunk.re[i] = solved.amplitude[i].re as f32;
                     chunk.im[i] = solved.amplitude[i].im as f32;
                 }
-                if bends {
+                if models_curvature {
                     for i in 0..CHUNK {
-                        chunk.bend_rad[i] = (solved.curvature_per_s[i] * bend_per) as f32;
+                        chunk.curvature_rad[i] =
+                            (solved.curvature_per_s[i] * rad_per_curvature) as f32;
                         // The mean over the pulse; the weights of the columns do the rest.
-                        let x = MEAN_BEND as f32 * chunk.bend_rad[i];
+                        let x = MEAN_CURVATURE as f32 * chunk.curvature_rad[i];
                         let (sine, cosine) = (x - x * x * x / 6.0, 1.0 - 0.5 * x * x);
                         let (re, im) = (chunk.re[i], chunk.im[i]);
                         chunk.re[i] = re * cosine - im * sine;
@@ -498,7 +502,7 @@ impl GriddedLines {
                         chunk.gain[g][i] = from.gain[g][k];
                         chunk.doppler[g][i] = from.doppler[g][k];
                     }
-                    chunk.bend_rad[i] = from.bend_rad[k];
+                    chunk.curvature_rad[i] = from.curvature_rad[k];
                     chunk.re[i] = from.re[k];
                     chunk.im[i] = from.im[k];
                 }
@@ -520,7 +524,9 @@ impl GriddedLines {
             first_column: slab.first_column,
             taps: columns.taps,
             weights: narrow(&columns.weights),
-            bends: self.bends.then(|| narrow(&columns.bends)),
+            curvature_weights: self
+                .models_curvature
+                .then(|| narrow(&columns.curvature_weights)),
             width: kernel.width as f32,
             terms: kernel.terms.map(|term| term as f32),
             turns_per_row: carrier_hz / self.rows_per_s(),

@@ -1,4 +1,4 @@
-//! Interpolation along the line: where delays are solved, and their value, slope and bend in the middle of a block of elements.
+//! Interpolation along the line: where delays are solved, and their value, slope and curvature in the middle of a block of elements.
 
 use std::f64::consts::PI;
 
@@ -11,7 +11,7 @@ pub(super) struct BlockWeights {
     /// Per element.
     pub slope: [f32; MAX_NODES],
     /// Half the second derivative, per element squared.
-    pub bend: [f32; MAX_NODES],
+    pub curvature: [f32; MAX_NODES],
     /// Weights of the gain nodes, and their change per element.
     pub gain: [f32; GAIN_NODES],
     pub gain_slope: [f32; GAIN_NODES],
@@ -43,7 +43,7 @@ fn lagrange(nodes: &[f64], x: f64) -> [[f64; MAX_NODES]; 2] {
 }
 
 /// Matrix `[order][node]` from values at the nodes to the coefficients of Chebyshev polynomials, which fall with the order: in f32 they keep slopes
-/// and bends, which values would not.
+/// and curvatures, which values would not.
 pub(super) fn coefficients(nodes: &[f64]) -> [[f64; MAX_NODES]; MAX_NODES] {
     let mut matrix = [[0.0; MAX_NODES]; MAX_NODES];
     for (order, row) in matrix[..nodes.len()].iter_mut().enumerate() {
@@ -80,7 +80,7 @@ pub(super) fn block_weights(nodes: &[f64], x: f64, per_element: f64) -> BlockWei
     BlockWeights {
         value: fill(0, 1.0),
         slope: fill(1, per_element),
-        bend: fill(2, 0.5 * per_element * per_element),
+        curvature: fill(2, 0.5 * per_element * per_element),
         gain: std::array::from_fn(|k| gain[k] as f32),
         gain_slope: std::array::from_fn(|k| (gain_slope[k] * per_element) as f32),
     }
@@ -132,7 +132,7 @@ mod tests {
                 // Rounded to f32.
                 assert!((sum(&weights.value) - f(x)).abs() < 2e-7);
                 assert!((sum(&weights.slope) - 0.01 * (-1.2 + 1.4 * x)).abs() < 2e-9);
-                assert!((sum(&weights.bend) - 1e-4 * 0.7).abs() < 1e-11);
+                assert!((sum(&weights.curvature) - 1e-4 * 0.7).abs() < 1e-11);
             }
         }
     }

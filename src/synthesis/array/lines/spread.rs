@@ -34,7 +34,7 @@ pub(super) struct EchoChunk {
     pub doppler: [[f32; CHUNK]; GAIN_NODES],
     pub gain: [[f32; CHUNK]; GAIN_NODES],
     /// Phase at the ends of the pulse from the change of the Doppler, radians.
-    pub bend_rad: [f32; CHUNK],
+    pub curvature_rad: [f32; CHUNK],
     pub re: [f32; CHUNK],
     pub im: [f32; CHUNK],
 }
@@ -48,7 +48,7 @@ impl Default for EchoChunk {
             along: [zero; MAX_NODES - 1],
             doppler: [zero; GAIN_NODES],
             gain: [zero; GAIN_NODES],
-            bend_rad: zero,
+            curvature_rad: zero,
             re: zero,
             im: zero,
         }
@@ -67,7 +67,7 @@ pub(super) struct Shape {
     pub taps: usize,
     pub weights: [[f32; WEIGHT_TERMS]; MAX_TAPS],
     /// Those of the change of the Doppler during the pulse, if it counts.
-    pub bends: Option<[[f32; WEIGHT_TERMS]; MAX_TAPS]>,
+    pub curvature_weights: Option<[[f32; WEIGHT_TERMS]; MAX_TAPS]>,
     /// Width of the kernel, rows, and its coefficients.
     pub width: f32,
     pub terms: [f32; TERMS],
@@ -87,13 +87,13 @@ pub(super) struct Located {
     /// Middle of the block after the first row, rows; its change per element and element squared.
     x: [f32; CHUNK],
     slope: [f32; CHUNK],
-    bend: [f32; CHUNK],
+    curvature: [f32; CHUNK],
     /// Phase in the middle, cycles.
     turns: [f32; CHUNK],
     re: [f32; CHUNK],
     im: [f32; CHUNK],
     /// Relative change of the amplitude per element.
-    fade: [f32; CHUNK],
+    gain_slope: [f32; CHUNK],
     column: [u32; CHUNK],
     weight: [[f32; CHUNK]; MAX_TAPS],
     /// Change of the weight per element, from the change of the Doppler along the block.
@@ -112,11 +112,11 @@ impl Default for Located {
             rows: none,
             x: zero,
             slope: zero,
-            bend: zero,
+            curvature: zero,
             turns: zero,
             re: zero,
             im: zero,
-            fade: zero,
+            gain_slope: zero,
             column: none,
             weight: [zero; MAX_TAPS],
             weight_slope: [zero; MAX_TAPS],
@@ -246,14 +246,18 @@ fn locate<const FUSED: bool>(
     let last = shape.rows as f64 - f64::from(shape.width) - 1.0;
     let mut later = [0.0f32; CHUNK];
     out.slope = [0.0; CHUNK];
-    out.bend = [0.0; CHUNK];
+    out.curvature = [0.0; CHUNK];
     let along = &chunk.along[..shape.nodes.clamp(1, MAX_NODES) - 1];
     for (order, at) in (1..).zip(along) {
-        let (a, b, c) = (block.value[order], block.slope[order], block.bend[order]);
+        let (a, b, c) = (
+            block.value[order],
+            block.slope[order],
+            block.curvature[order],
+        );
         for i in 0..CHUNK {
             later[i] = mul_add::<FUSED>(a, at[i], later[i]);
             out.slope[i] = mul_add::<FUSED>(b, at[i], out.slope[i]);
-            out.bend[i] = mul_add::<FUSED>(c, at[i], out.bend[i]);
+            out.curvature[i] = mul_add::<FUSED>(c, at[i], out.curvature[i]);
         }
     }
     // Adding and subtracting these rounds to a whole number; the low bits of a sum with the third are the number.
@@ -263,7 +267,8 @@ fn locate<const FUSED: bool>(
     const WHOLE_F32: f32 = (1u32 << 23) as f32;
     for (i, later) in later.iter().enumerate() {
         let value = chunk.middle[i] + f64::from(*later);
-        let reach = f64::from(out.slope[i].abs() * MIDDLE + out.bend[i].abs() * (MIDDLE * MIDDLE));
+        let reach =
+            f64::from(out.slope[i].abs() * MIDDLE + out.curvature[i].abs() * (MIDDLE * MIDDLE));
         // Smallest whole number not below, largest not above.
         let low = least(greater(value - reach - half_width, 0.0), last);
         let whole = (low + ROUND) - ROUND;
@@ -289,7 +294,7 @@ fn locate<const FUSED: bool>(
         }
         out.re[i] = gain * chunk.re[i];
         out.im[i] = gain * chunk.im[i];
-        out.fade[i] = if gain != 0.0 { change / gain } else { 0.0 };
+        out.gain_slope[i] = if gain != 0.0 { change / gain } else { 0.0 };
         at[i] = doppler;
         at_slope[i] = turning;
     }
@@ -314,16 +319,21 @@ fn locate<const FUSED: bool>(
             change[i] = slope * at_slope[i];
         }
     }
-    let Some(bends) = &shape.bends else {
+    let Some(curvature_weights) = &shape.curvature_weights else {
         return;
     };
-    for (weight, terms) in out.weight_im.iter_mut().zip(bends).take(shape.taps) {
+    for (weight, terms) in out
+        .weight_im
+        .iter_mut()
+        .zip(curvature_weights)
+        .take(shape.taps)
+    {
         for i in 0..CHUNK {
             let mut sum = terms[WEIGHT_TERMS - 1];
             for term in terms[..WEIGHT_TERMS - 1].iter().rev() {
                 sum = mul_add::<FUSED>(sum, at[i], *term);
             }
-            weight[i] = sum * chunk.bend_rad[i];
+            weight[i] = sum * chunk.curvature_rad[i];
         }
     }
 }
@@ -399,12 +409,12 @@ unsafe fn spread<V: Lanes<Number = f32>, const TAPS: usize>(
             // SAFETY: the caller guarantees V; `part` + V's lanes <= LANES; rows and taps lie within `cells`.
             unsafe {
                 let place = V::load(lanes.as_ptr().add(part));
-                let off = V::splat(located.bend[i])
+                let off = V::splat(located.curvature[i])
                     .mul_add(place, V::splat(located.slope[i]))
                     .mul(place);
                 let cycles = off.neg_mul_add(V::splat(turns_per_row), V::splat(located.turns[i]));
                 let (cosine, sine) = turn(cycles);
-                let strength = V::splat(located.fade[i]).mul_add(place, V::splat(1.0));
+                let strength = V::splat(located.gain_slope[i]).mul_add(place, V::splat(1.0));
                 let (cosine, sine) = (cosine.mul(strength), sine.mul(strength));
                 let (u, v) = (V::splat(located.re[i]), V::splat(located.im[i]));
                 let re = u.mul_sub(cosine, v.mul(sine));
@@ -415,7 +425,7 @@ unsafe fn spread<V: Lanes<Number = f32>, const TAPS: usize>(
                     let weight = V::splat(located.weight_slope[tap][i])
                         .mul_add(place, V::splat(located.weight[tap][i]));
                     *part = (re.mul(weight), im.mul(weight));
-                    if shape.bends.is_some() {
+                    if shape.curvature_weights.is_some() {
                         let across = V::splat(located.weight_im[tap][i]);
                         *part = (im.neg_mul_add(across, part.0), re.mul_add(across, part.1));
                     }

@@ -26,7 +26,7 @@ use std::sync::{Mutex, PoisonError};
 
 use glam::DVec3;
 
-use crate::arrivals::{CHUNK, LineChunk, LineSink, LineSource, LineStretch};
+use crate::arrivals::{CHUNK, LineChunk, LineSection, LineSink, LineSource};
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::model::{DopplerModel, PathModel};
 use echotank_core::ping::{EchoCounts, PingPlan};
@@ -219,7 +219,7 @@ impl LineSource for LineEchoes<'_> {
             let track = &mut work.track;
             track
                 .middle
-                .lay_at(self.plan, &self.transmit_leg.transmit, self.array, 0.0);
+                .compute_at(self.plan, &self.transmit_leg.transmit, self.array, 0.0);
             let half_m = 0.5 * (self.array.elements.max(1) - 1) as f64 * self.array.spacing_m;
             // The motion after the delay from the transmitter's own position has no effect.
             let reach_m = track.middle.reach_m(2.0 * nearest_m / c) + half_m;
@@ -227,12 +227,12 @@ impl LineSource for LineEchoes<'_> {
         })
     }
 
-    fn survey(&self, stretch: LineStretch, sink: &mut impl LineSink) {
+    fn survey(&self, section: LineSection, sink: &mut impl LineSink) {
         self.with_work(|work| {
             line_survey(
                 self.plan,
                 self.array,
-                stretch,
+                section,
                 self.transmit_leg,
                 work,
                 sink,
@@ -240,12 +240,12 @@ impl LineSource for LineEchoes<'_> {
         });
     }
 
-    fn walk(&self, stretch: LineStretch, sink: &mut impl LineSink) -> EchoCounts {
+    fn walk(&self, section: LineSection, sink: &mut impl LineSink) -> EchoCounts {
         self.with_work(|work| {
             line_arrivals(
                 self.plan,
                 self.array,
-                stretch,
+                section,
                 self.transmit_leg,
                 work,
                 sink,
@@ -257,25 +257,25 @@ impl LineSource for LineEchoes<'_> {
 /// Emits the echoes of all insonified scatterers at the middle of a section to `sink`, in chunks of at most
 /// [`CHUNK`] and in a fixed order.
 ///
-/// `stretch` sets the delays, and the window given to [`insonify`](super::insonify) is ignored. Counts are in
-/// scatterer-element pairs. Echoes outside the delays of `stretch` are not counted, because another call
+/// `section` sets the delays, and the window given to [`insonify`](super::insonify) is ignored. Counts are in
+/// scatterer-element pairs. Echoes outside the delays of `section` are not counted, because another call
 /// covers them.
 pub fn line_arrivals(
     plan: &PingPlan,
     array: &ArrayGeometry,
-    stretch: LineStretch,
+    section: LineSection,
     transmit_leg: &TransmitLeg,
     work: &mut LineWorkspace,
     sink: &mut impl LineSink,
 ) -> EchoCounts {
-    walk_batches(plan, array, stretch, transmit_leg, 1, work, sink)
+    walk_batches(plan, array, section, transmit_leg, 1, work, sink)
 }
 
 /// [`line_arrivals`] of every `step`-th batch.
 fn walk_batches(
     plan: &PingPlan,
     array: &ArrayGeometry,
-    stretch: LineStretch,
+    section: LineSection,
     transmit_leg: &TransmitLeg,
     every: usize,
     work: &mut LineWorkspace,
@@ -288,7 +288,8 @@ fn walk_batches(
     let c = plan.sound_speed_m_per_s;
     let receive = ReceiveLeg::new(plan, array);
     let floor = pattern_floor(plan);
-    let (nearest_m, farthest_m) = lay(plan, array, stretch, transmit_leg, &mut work.track);
+    let (nearest_m, farthest_m) =
+        compute_track(plan, array, section, transmit_leg, &mut work.track);
     let LineWorkspace {
         track,
         rays,
@@ -299,7 +300,7 @@ fn walk_batches(
         chunk,
         ..
     } = work;
-    let asked = stretch.earliest_s..stretch.latest_s;
+    let requested = section.earliest_s..section.latest_s;
 
     for (b, &(min_range_m, max_range_m)) in
         transmit_leg.batch_range_m.iter().enumerate().step_by(every)
@@ -318,14 +319,14 @@ fn walk_batches(
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &u| {
                 (a.min(u), b.max(u))
             });
-        if first_s >= stretch.latest_s || last_s < stretch.earliest_s {
+        if first_s >= section.latest_s || last_s < section.earliest_s {
             continue;
         }
-        counts.no_root += odd.no_root * stretch.elements;
-        counts.two_roots += odd.two_roots * stretch.elements;
+        counts.no_root += odd.no_root * section.elements;
+        counts.two_roots += odd.two_roots * section.elements;
         receive_gains(&receive, transmit_leg, span.clone(), rays, received);
 
-        let whole = asked.contains(&first_s) && asked.contains(&last_s);
+        let whole = requested.contains(&first_s) && requested.contains(&last_s);
         let mut since_s = first_s;
         while since_s <= last_s {
             let motion = track.motion_at(plan, array, since_s);
@@ -338,36 +339,36 @@ fn walk_batches(
                 rays,
             };
             derivation.run(&received.doppler, chunk);
-            if stretch.fades {
-                let half_m = stretch.half_m;
+            if section.gain_terms {
+                let half_m = section.half_m;
                 for (end_m, gains) in [-half_m, half_m].into_iter().zip(gains.iter_mut()) {
                     rays_from(rays, end_m, &motion, &chunk.slope[..n], c, end_rays);
                     receive_gains(&receive, transmit_leg, span.clone(), end_rays, end_received);
                     gains[..n].copy_from_slice(&end_received.gain[..n]);
                 }
-                fade(&mut received.gain[..n], gains, half_m, chunk);
+                set_gain_terms(&mut received.gain[..n], gains, half_m, chunk);
             } else {
-                chunk.fade_per_m[..n].fill(0.0);
-                chunk.curl_per_m2[..n].fill(0.0);
+                chunk.gain_slope_per_m[..n].fill(0.0);
+                chunk.gain_curvature_per_m2[..n].fill(0.0);
             }
             let one_leg = since_s == first_s && last_s < motion.until_s;
             let mut used = 0;
             for i in 0..n {
                 let delay_s = rays.delay_s[i];
                 let here = one_leg || (since_s..motion.until_s).contains(&delay_s);
-                if !(whole || asked.contains(&delay_s)) || !here {
+                if !(whole || requested.contains(&delay_s)) || !here {
                     continue;
                 }
                 let amplitude = transmit_leg.amplitude[span.start + i] * received.gain[i];
                 if received.level[i] < floor || amplitude == Complex64::ZERO {
-                    counts.culled += stretch.elements;
+                    counts.culled += section.elements;
                     continue;
                 }
                 if received.range_m[i] < receive.one_way.wavelength_m {
-                    counts.too_close += stretch.elements;
+                    counts.too_close += section.elements;
                 }
                 if delay_s >= track.middle.end_s() {
-                    counts.beyond_track += stretch.elements;
+                    counts.beyond_track += section.elements;
                 }
                 chunk.delay_s[used] = delay_s;
                 chunk.doppler[used] = received.doppler[i];
@@ -377,7 +378,7 @@ fn walk_batches(
                 }
                 used += 1;
             }
-            counts.used += used as u64 * stretch.elements;
+            counts.used += used as u64 * section.elements;
             if used > 0 {
                 chunk.len = used;
                 sink.accept(chunk);
@@ -406,7 +407,7 @@ fn rays_from(rays: &Rays, end_m: f64, motion: &LineMotion, slope: &[f64], c: f64
 
 /// First and second derivative of the gain along the line, from the gains at both ends. In a null, the middle
 /// has 1e-6 of the end gains, so that the derivatives remain relative to a non-zero gain.
-fn fade(gain: &mut [f64], ends: &[[f64; CHUNK]; 2], half_m: f64, chunk: &mut LineChunk) {
+fn set_gain_terms(gain: &mut [f64], ends: &[[f64; CHUNK]; 2], half_m: f64, chunk: &mut LineChunk) {
     // A single element has no extent.
     let per_m = if half_m > 0.0 { 0.5 / half_m } else { 0.0 };
     let per_m2 = 2.0 * per_m * per_m;
@@ -417,32 +418,32 @@ fn fade(gain: &mut [f64], ends: &[[f64; CHUNK]; 2], half_m: f64, chunk: &mut Lin
             *gain = least.copysign(here);
         }
         let per_gain = if *gain == 0.0 { 0.0 } else { 1.0 / *gain };
-        chunk.fade_per_m[i] = (after - before) * per_m * per_gain;
-        chunk.curl_per_m2[i] = (after + before - 2.0 * here) * per_m2 * per_gain;
+        chunk.gain_slope_per_m[i] = (after - before) * per_m * per_gain;
+        chunk.gain_curvature_per_m2[i] = (after + before - 2.0 * here) * per_m2 * per_gain;
     }
 }
 
 /// Computes the motion of the section. Returns the smallest and largest range from the transmitter at which a
 /// scatterer arrives in time, metres: 2 r_T - reach <= c u <= 2 r_T + reach.
-fn lay(
+fn compute_track(
     plan: &PingPlan,
     array: &ArrayGeometry,
-    stretch: LineStretch,
+    section: LineSection,
     transmit_leg: &TransmitLeg,
     track: &mut LineTrack,
 ) -> (f64, f64) {
     let c = plan.sound_speed_m_per_s;
-    let (middle_m, ahead_m) = (stretch.middle_m, stretch.middle_m + 1.0);
+    let (middle_m, ahead_m) = (section.middle_m, section.middle_m + 1.0);
     track
         .middle
-        .lay_at(plan, &transmit_leg.transmit, array, middle_m);
+        .compute_at(plan, &transmit_leg.transmit, array, middle_m);
     track
         .ahead
-        .lay_at(plan, &transmit_leg.transmit, array, ahead_m);
-    let reach_m = track.middle.reach_m(stretch.latest_s) * (1.0 + 1e-9);
+        .compute_at(plan, &transmit_leg.transmit, array, ahead_m);
+    let reach_m = track.middle.reach_m(section.latest_s) * (1.0 + 1e-9);
     (
-        0.5 * (c * stretch.earliest_s - reach_m) * (1.0 - 1e-12),
-        0.5 * (c * stretch.latest_s + reach_m) * (1.0 + 1e-12),
+        0.5 * (c * section.earliest_s - reach_m) * (1.0 - 1e-12),
+        0.5 * (c * section.latest_s + reach_m) * (1.0 + 1e-12),
     )
 }
 
@@ -451,7 +452,7 @@ fn lay(
 pub(crate) fn line_survey(
     plan: &PingPlan,
     array: &ArrayGeometry,
-    stretch: LineStretch,
+    section: LineSection,
     transmit_leg: &TransmitLeg,
     work: &mut LineWorkspace,
     sink: &mut impl LineSink,
@@ -459,7 +460,8 @@ pub(crate) fn line_survey(
     if transmit_leg.window.is_none() {
         return;
     }
-    let (nearest_m, farthest_m) = lay(plan, array, stretch, transmit_leg, &mut work.track);
+    let (nearest_m, farthest_m) =
+        compute_track(plan, array, section, transmit_leg, &mut work.track);
     work.points.len = 0;
     for (b, &(min_range_m, max_range_m)) in transmit_leg.batch_range_m.iter().enumerate() {
         if min_range_m > farthest_m || max_range_m < nearest_m {
@@ -467,7 +469,7 @@ pub(crate) fn line_survey(
         }
         let (low_m, high_m) = transmit_leg.batch_box_m[b];
         if work.points.len > CHUNK - CORNERS {
-            survey_points(plan, array, stretch, None, transmit_leg, work, sink);
+            survey_points(plan, array, section, None, transmit_leg, work, sink);
         }
         if (high_m - low_m).length() < SMALL_BOX * min_range_m {
             for corner in 0..CORNERS {
@@ -485,7 +487,7 @@ pub(crate) fn line_survey(
             }
             continue;
         }
-        survey_points(plan, array, stretch, None, transmit_leg, work, sink);
+        survey_points(plan, array, section, None, transmit_leg, work, sink);
         for i in b * CHUNK..((b + 1) * CHUNK).min(transmit_leg.len()) {
             let at_m = DVec3::new(
                 transmit_leg.x_m[i],
@@ -498,15 +500,26 @@ pub(crate) fn line_survey(
                 transmit_leg.closing_m_per_s[i],
             );
         }
-        let asked = stretch.earliest_s..stretch.latest_s;
-        survey_points(plan, array, stretch, Some(asked), transmit_leg, work, sink);
+        let requested = section.earliest_s..section.latest_s;
+        survey_points(
+            plan,
+            array,
+            section,
+            Some(requested),
+            transmit_leg,
+            work,
+            sink,
+        );
     }
-    survey_points(plan, array, stretch, None, transmit_leg, work, sink);
+    survey_points(plan, array, section, None, transmit_leg, work, sink);
     let in_reach =
         |&&(min_m, greatest_m): &&(f64, f64)| min_m <= farthest_m && greatest_m >= nearest_m;
     let every = transmit_leg.batch_range_m.iter().filter(in_reach).count() / SAMPLED;
-    let fades = true;
-    let sampled = LineStretch { fades, ..stretch };
+    let gain_terms = true;
+    let sampled = LineSection {
+        gain_terms,
+        ..section
+    };
     walk_batches(plan, array, sampled, transmit_leg, every.max(1), work, sink);
 }
 
@@ -520,12 +533,12 @@ impl SurveyPoints {
     }
 }
 
-/// Emits the collected points and clears them. Of surveyed echoes, only those within `asked` are emitted.
+/// Emits the collected points and clears them. Of surveyed echoes, only those within `requested` are emitted.
 fn survey_points(
     plan: &PingPlan,
     array: &ArrayGeometry,
-    stretch: LineStretch,
-    asked: Option<std::ops::Range<f64>>,
+    section: LineSection,
+    requested: Option<std::ops::Range<f64>>,
     transmit_leg: &TransmitLeg,
     work: &mut LineWorkspace,
     sink: &mut impl LineSink,
@@ -561,7 +574,7 @@ fn survey_points(
     }
     let mut since_s = f64::NEG_INFINITY;
     loop {
-        let motion = track.motion_at(plan, array, since_s.max(stretch.earliest_s));
+        let motion = track.motion_at(plan, array, since_s.max(section.earliest_s));
         let derivation = Derivation {
             c,
             motion: &motion,
@@ -572,12 +585,14 @@ fn survey_points(
         };
         derivation.run(&received.doppler, chunk);
         // Corners beyond the requested delays are assigned to the first or last leg.
-        let last = motion.until_s >= stretch.latest_s;
+        let last = motion.until_s >= section.latest_s;
         let until_s = if last { f64::INFINITY } else { motion.until_s };
         let mut used = 0;
         for i in 0..n {
             let delay_s = rays.delay_s[i];
-            let wanted = asked.as_ref().is_none_or(|asked| asked.contains(&delay_s));
+            let wanted = requested
+                .as_ref()
+                .is_none_or(|requested| requested.contains(&delay_s));
             if !wanted || delay_s < since_s || delay_s >= until_s {
                 continue;
             }
@@ -615,7 +630,8 @@ struct Derivation<'a> {
 }
 
 impl Derivation<'_> {
-    /// Computes slope, bend, twist and swing of every echo of the batch, as if all arrived on this leg.
+    /// Computes slope, curvature, rate gradient and acceleration of every echo of the batch, as if all arrived
+    /// on this leg.
     fn run(&self, doppler: &[f64; CHUNK], chunk: &mut LineChunk) {
         widest(
             #[inline(always)]
@@ -640,8 +656,11 @@ impl Derivation<'_> {
         );
         let delay_s = &self.rays.delay_s[..n];
         let doppler = &doppler[..n];
-        let (slope, bend) = (&mut chunk.slope[..n], &mut chunk.bend_per_m[..n]);
-        let (twist, swing) = (&mut chunk.twist_per_s[..n], &mut chunk.swing_m_per_s2[..n]);
+        let (slope, curvature) = (&mut chunk.slope[..n], &mut chunk.curvature_per_m[..n]);
+        let (rate_gradient, acceleration) = (
+            &mut chunk.rate_gradient_per_s[..n],
+            &mut chunk.acceleration_m_per_s2[..n],
+        );
         let c = self.c;
         let LineMotion {
             start_s,
@@ -687,15 +706,16 @@ impl Derivation<'_> {
             let per_w = c / (c + closing);
             let stretched = 1.0 / (1.0 + doppler[i]);
             slope[i] = s;
-            bend[i] = ((qx * qx + qy * qy + qz * qz - s * s) * per_m - 2.0 * u_y * dot(turning))
+            curvature[i] = ((qx * qx + qy * qy + qz * qz - s * s) * per_m
+                - 2.0 * u_y * dot(turning))
                 * c
                 * per_s;
-            twist[i] = stretched
+            rate_gradient[i] = stretched
                 * ((wx * qx + wy * qy + wz * qz - closing * s) * per_m - dot(along))
                 * per_w;
             let transmit_per_m = 1.0 / transmit_m[i].max(TOUCHING_M);
             let pulled = transmit_a.x * tx[i] + transmit_a.y * ty[i] + transmit_a.z * tz[i];
-            swing[i] = ((transmit_v2 - transmit_closing[i] * transmit_closing[i] - pulled)
+            acceleration[i] = ((transmit_v2 - transmit_closing[i] * transmit_closing[i] - pulled)
                 * transmit_per_m
                 + stretched
                     * stretched

@@ -84,7 +84,7 @@ impl NodeTracks {
     }
 
     /// Computes the tracks of the points `along_m` from the centre of `array`. Their number is odd, from three to [`MAX_NODES`].
-    pub fn lay(
+    pub fn compute(
         &mut self,
         plan: &PingPlan,
         array: &ArrayGeometry,
@@ -101,7 +101,7 @@ impl NodeTracks {
             self.tracks.resize_with(nodes, ElementTrack::default);
         }
         for (track, &along_m) in self.tracks.iter_mut().zip(along_m) {
-            track.lay_at(plan, &transmit_leg.transmit, array, along_m);
+            track.compute_at(plan, &transmit_leg.transmit, array, along_m);
         }
         let at: [f64; GAIN_NODES] = std::array::from_fn(|k| along_m[gain_node(k, nodes)]);
         for (shares, &x) in self.shares.iter_mut().zip(along_m) {

@@ -31,7 +31,7 @@ pub(crate) fn conditions(plan: &PingPlan, range_m: (f64, f64)) -> Conditions {
         scatterers: 1_000_000,
         elements: 1,
         tolerance: 1e-3,
-        heard: None,
+        echo_statistics: None,
     }
 }
 

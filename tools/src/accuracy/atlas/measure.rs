@@ -10,7 +10,7 @@ use echotank_core::scene::Scatterers;
 use echotank_ping::conditions::{conditions, sum_error_model};
 use echotank_ping::error_check::worst_window;
 use echotank_ping::method_selection::costs::Costs;
-use echotank_ping::method_selection::{Scene, Swell, rank, with_choice};
+use echotank_ping::method_selection::{MotionScale, Scene, rank, with_choice};
 use echotank_ping::pipeline::SonarPipeline;
 use echotank_runtime::chart::methods::Method;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
@@ -248,7 +248,7 @@ impl Bench {
             scatterers,
             count: scatterers.len(),
             costs: self.costs.get_or_insert_with(Costs::committed),
-            swell: Swell::NONE,
+            motion_scale: MotionScale::NONE,
         };
         let ranking = catch_unwind(AssertUnwindSafe(|| rank(&scene, &[])));
         let ranking = match ranking {
@@ -385,7 +385,7 @@ impl ErrorModels {
                     scatterers,
                     count: scatterers.len(),
                     costs: &costs,
-                    swell: Swell::NONE,
+                    motion_scale: MotionScale::NONE,
                 };
                 rank(&scene, &[]).map_or(0.0, |ranking| {
                     ranking

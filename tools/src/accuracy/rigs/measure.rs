@@ -30,7 +30,7 @@ const OTHERS: usize = 12;
 
 /// Result of one candidate on one ping.
 #[derive(Clone, Serialize, Deserialize)]
-pub(crate) struct Did {
+pub(crate) struct CandidateResult {
     pub(crate) text: String,
     /// Predicted errors by method family.
     pub(crate) parts: [f64; 5],
@@ -54,8 +54,8 @@ pub(crate) struct Measured {
     pub(crate) elements: usize,
     /// Error of the reference solution at random samples, by the reference's equation.
     pub(crate) reference: Option<f64>,
-    pub(crate) plan: Did,
-    pub(crate) others: Vec<Did>,
+    pub(crate) plan: CandidateResult,
+    pub(crate) others: Vec<CandidateResult>,
     /// True if the selection itself predicts that it misses the goal.
     pub(crate) out_of_reach: bool,
 }
@@ -63,7 +63,7 @@ pub(crate) struct Measured {
 impl Measured {
     /// The full result: a line for the selection and one for each other candidate.
     pub(crate) fn said(&self) -> String {
-        let did = |did: &Did| {
+        let did = |did: &CandidateResult| {
             format!(
                 "{:.1e} measured{}, {:.1e} predicted ({}), {:.2} ms, {:.2} predicted{}: {}",
                 did.error,
@@ -245,20 +245,22 @@ fn one(
     }
     let coarse = own_error.is_some_and(|error| error > FINE_REFERENCE * ranking.goal.tolerance);
     let chosen = ranking.chosen();
-    let mut did = runners.iter().map(|(candidate, _, runner)| Did {
-        by_error_check: coarse,
-        text: candidate.text(),
-        parts: Family::ALL.map(|family| candidate.part(family).error),
-        predicted_error: candidate.error(),
-        predicted_ms: candidate.cost_ms(),
-        error: match (coarse, candidate.choice == chosen.choice) {
-            (true, _) => reference.error_check(&runner.output),
-            (false, true) => reference.worst_by_reference(&runner.output),
-            (false, false) => reference.worst(&runner.output),
-        },
-        ms: runner.min_ms,
-        promised: ranking.goal.meets(candidate),
-    });
+    let mut did = runners
+        .iter()
+        .map(|(candidate, _, runner)| CandidateResult {
+            by_error_check: coarse,
+            text: candidate.text(),
+            parts: Family::ALL.map(|family| candidate.part(family).error),
+            predicted_error: candidate.error(),
+            predicted_ms: candidate.cost_ms(),
+            error: match (coarse, candidate.choice == chosen.choice) {
+                (true, _) => reference.error_check(&runner.output),
+                (false, true) => reference.worst_by_reference(&runner.output),
+                (false, false) => reference.worst(&runner.output),
+            },
+            ms: runner.min_ms,
+            promised: ranking.goal.meets(candidate),
+        });
     let Some(plan) = did.next() else {
         return Ok(None);
     };

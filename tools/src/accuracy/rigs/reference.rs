@@ -38,7 +38,7 @@ struct Pick {
 }
 
 /// Window of an element, with its error.
-struct Off {
+struct WindowError {
     square: f64,
     array: usize,
     element: usize,
@@ -141,7 +141,7 @@ impl<'a> ReferenceSolution<'a> {
     }
 
     /// Every window of every element, worst first.
-    fn offs(&self, got: &PingOutput) -> Vec<Off> {
+    fn offs(&self, got: &PingOutput) -> Vec<WindowError> {
         let mut offs = Vec::new();
         for (array, (frame, records)) in got.elements.iter().zip(&self.records).enumerate() {
             for (element, want) in records.iter().enumerate() {
@@ -153,7 +153,7 @@ impl<'a> ReferenceSolution<'a> {
                     let first = k * self.window;
                     let against = self.against(array, element, first);
                     if against > 0.0 {
-                        offs.push(Off {
+                        offs.push(WindowError {
                             square: off / against,
                             array,
                             element,
@@ -165,7 +165,7 @@ impl<'a> ReferenceSolution<'a> {
             }
         }
         // Among equal errors, the window with the higher level is first.
-        let louder = |a: &Off, b: &Off| b.against.total_cmp(&a.against);
+        let louder = |a: &WindowError, b: &WindowError| b.against.total_cmp(&a.against);
         offs.sort_by(|a, b| b.square.total_cmp(&a.square).then(louder(a, b)));
         offs
     }

@@ -153,7 +153,7 @@ impl Swath {
 
 /// Transmitted pulse and receiver.
 #[derive(Clone, Copy)]
-struct Hearing {
+struct Reception {
     pulse: Pulse,
     rate_hz: f64,
     filter: ReceiverFilter,
@@ -165,11 +165,11 @@ fn build(
     names: (String, String),
     motion: &Motion,
     swath: Swath,
-    hearing: Hearing,
+    reception: Reception,
     arrays: (TransmitArray, ArrayGeometry),
     scatterers: Scatterers,
 ) -> Case {
-    let Hearing { pulse, .. } = hearing;
+    let Reception { pulse, .. } = reception;
     let (tx, rx) = arrays;
     let settings = SonarSettings {
         pinging: true,
@@ -182,7 +182,7 @@ fn build(
     // The record extends from well before the first echo to well past the last, so that no window is truncated.
     let first_sample_s = 2.0 * swath.near_m / C - 3.1e-3;
     let span_s = 2.0 * (swath.far_m - swath.near_m) / C + pulse.duration_s + 6.2e-3;
-    let sample_count = (span_s * hearing.rate_hz) as usize;
+    let sample_count = (span_s * reception.rate_hz) as usize;
     let until_s = first_sample_s + span_s;
     let trajectory = motion.trajectory(until_s);
     let mut segments = Vec::new();
@@ -190,7 +190,7 @@ fn build(
     let segment_s = if motion.uniform() {
         10.0
     } else {
-        hearing.segment_s
+        reception.segment_s
     };
     ping::polyline(&trajectory, until_s, segment_s, &mut segments);
     let plan = PingPlan {
@@ -212,7 +212,7 @@ fn build(
     // The compared elements are the ends and the middle. A median needs three elements.
     let mut looked_at = vec![0, (rx.elements - 1) / 2, rx.elements - 1];
     looked_at.dedup();
-    let conditions = conditions(&plan, &tx, &rx, swath, hearing, scatterers.len());
+    let conditions = conditions(&plan, &tx, &rx, swath, reception, scatterers.len());
     Case {
         scene: names.0,
         motion: names.1,
@@ -220,9 +220,9 @@ fn build(
         tx,
         rx,
         scatterers,
-        rate_hz: hearing.rate_hz,
-        filter: hearing.filter,
-        doppler_hz: hearing.doppler_hz,
+        rate_hz: reception.rate_hz,
+        filter: reception.filter,
+        doppler_hz: reception.doppler_hz,
         looked_at,
         conditions,
     }
@@ -234,11 +234,11 @@ fn conditions(
     tx: &TransmitArray,
     rx: &ArrayGeometry,
     swath: Swath,
-    hearing: Hearing,
+    reception: Reception,
     scatterers: usize,
 ) -> Conditions {
     const STEPS: usize = 200;
-    let until_s = plan.window_s(hearing.rate_hz);
+    let until_s = plan.window_s(reception.rate_hz);
     let step_s = until_s / STEPS as f64;
     let points = [
         tx.mounting.position_m,
@@ -270,8 +270,8 @@ fn conditions(
     Conditions {
         pulse: plan.pulse,
         sound_speed_m_per_s: C,
-        sample_rate_hz: hearing.rate_hz,
-        filter: hearing.filter,
+        sample_rate_hz: reception.rate_hz,
+        filter: reception.filter,
         speed_m_per_s: speed,
         acceleration_m_per_s2: acceleration,
         turning_m_per_s: turning,
@@ -280,7 +280,7 @@ fn conditions(
         scatterers,
         elements: rx.elements,
         tolerance: 0.0,
-        heard: None,
+        echo_statistics: None,
     }
 }
 
@@ -407,7 +407,7 @@ impl Scene {
             rough_m: 0.3,
         };
         let pulse = paper_pulse(self.kind, self.taper);
-        let hearing = Hearing {
+        let reception = Reception {
             pulse,
             rate_hz: 48e3,
             filter: ReceiverFilter::Fir,
@@ -418,7 +418,7 @@ impl Scene {
         let tx = rig::transmitter(DVec3::new(0.5, 0.3, 0.45));
         let scatterers = swath.scatter(scatterers, ScatterLaw::Lambert, &mut Chance::new(7));
         let names = (self.name.to_string(), motion.name.to_string());
-        build(names, motion, swath, hearing, (tx, rx), scatterers)
+        build(names, motion, swath, reception, (tx, rx), scatterers)
     }
 }
 
@@ -473,7 +473,7 @@ pub(crate) fn random(seed: u64) -> Case {
     };
     let doppler_hz = 2.0 * 11.0 / C * pulse.center_frequency_hz;
     let occupied_hz = bandwidth_hz.max(4.0 / pulse.duration_s);
-    let hearing = Hearing {
+    let reception = Reception {
         pulse,
         rate_hz: chance.between(1.25, 2.0) * (occupied_hz + 2.0 * doppler_hz),
         filter: chance.one_of(&[
@@ -524,7 +524,7 @@ pub(crate) fn random(seed: u64) -> Case {
     let count = (windows * chance.between(4.0, 10.0)) as usize;
     let scatterers = swath.scatter(count, law, &mut chance);
     let names = (format!("random {seed}"), format!("{speed} m/s"));
-    build(names, &motion, swath, hearing, (tx, rx), scatterers)
+    build(names, &motion, swath, reception, (tx, rx), scatterers)
 }
 
 /// One-line description of a random scene, for diagnosis.

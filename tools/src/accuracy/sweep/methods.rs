@@ -25,7 +25,7 @@ use num_complex::Complex64;
 
 use super::case::Case;
 use super::measure::{LEVEL_RANGE_DB, Truth};
-use crate::bench::scene::Kept;
+use crate::bench::scene::ArrivalCollector;
 use crate::reference::received;
 
 /// Minimum number of elements for which a line engine is designed.
@@ -364,7 +364,7 @@ fn gridded_1d(
         .looked_at
         .iter()
         .map(|&element| {
-            let mut kept = Kept::default();
+            let mut kept = ArrivalCollector::default();
             walk(case, plan, element, grid(case, filter), &mut kept);
             kept.0
         })

@@ -76,7 +76,7 @@ pub(super) fn largest(spec: &RigSpec, pings: u32) -> Result<Option<f64>, String>
         if gap {
             continue;
         }
-        let of_ping = Looked {
+        let of_ping = SampledPing {
             spec: &made.rig.sonars[sonar].spec,
             output: &slot.output,
             scatterers: truth.rig.scatterers(),
@@ -89,7 +89,7 @@ pub(super) fn largest(spec: &RigSpec, pings: u32) -> Result<Option<f64>, String>
 }
 
 /// Ping whose windows are sampled.
-struct Looked<'a> {
+struct SampledPing<'a> {
     spec: &'a SonarSpec,
     output: &'a PingOutput,
     /// All scatterers, without culling.
@@ -108,7 +108,7 @@ fn mean_square(samples: &[Complex64]) -> f64 {
     samples.iter().map(Complex64::norm_sqr).sum::<f64>() / samples.len() as f64
 }
 
-impl Looked<'_> {
+impl SampledPing<'_> {
     fn largest(
         &self,
         plan: &echotank_core::ping::PingPlan,

@@ -11,7 +11,7 @@ use echotank_emit::ping_protocol::{Device as PingDevice, PingEmitter};
 use echotank_emit::sevenk::records::DeviceSheet;
 use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_emit::vita49::Vita49Emitter;
-use echotank_emit::wbms::{Device as WbmsDevice, Wanted, WbmsEmitter};
+use echotank_emit::wbms::{Device as WbmsDevice, SubscribedPackets, WbmsEmitter};
 use echotank_ping::rig::PingSlot;
 
 enum Encoder {
@@ -92,7 +92,7 @@ impl Encoders {
                     packet_bytes += packets.len_bytes();
                 }
                 Encoder::Wbms(emitter) => {
-                    let wanted = Wanted {
+                    let wanted = SubscribedPackets {
                         bathymetry: true,
                         water_column: true,
                         side_scan: true,

@@ -96,12 +96,12 @@ impl Simplifier {
 
 /// Time at which the selection is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Once {
+pub(crate) enum SelectionTime {
     EachPing,
     Pass,
 }
 
-impl Once {
+impl SelectionTime {
     pub(crate) const ALL: [Self; 2] = [Self::EachPing, Self::Pass];
     pub(crate) fn name(self) -> &'static str {
         match self {
@@ -115,7 +115,7 @@ impl Once {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Figures {
     pub(crate) points: usize,
-    pub(crate) once: Once,
+    pub(crate) once: SelectionTime,
     pub(crate) simplifier: Simplifier,
     /// Mean number of kept scatterers.
     pub(crate) kept: f64,
@@ -209,7 +209,7 @@ impl Thinning {
             self.visible(&all, ping, out);
         });
         let mut sums = vec![Sums::default(); rows().len()];
-        for once in Once::ALL {
+        for once in SelectionTime::ALL {
             for simplifier in Simplifier::ALL {
                 let passes = self.simplified(&all, seed, once, simplifier, &mut imager);
                 for (points, (pass, kept)) in POINT_COUNTS.iter().zip(passes) {
@@ -234,7 +234,7 @@ impl Thinning {
     }
 
     /// Passes of a simplifier at every level, with the mean number of kept scatterers.
-    pub(crate) fn passes(&self, once: Once, simplifier: Simplifier) -> Vec<(Pass, f64)> {
+    pub(crate) fn passes(&self, once: SelectionTime, simplifier: Simplifier) -> Vec<(Pass, f64)> {
         let all = cloud(0).scatterers;
         self.simplified(&all, 0, once, simplifier, &mut Imager::new())
     }
@@ -266,7 +266,7 @@ impl Thinning {
         &self,
         all: &Scatterers,
         seed: u64,
-        once: Once,
+        once: SelectionTime,
         simplifier: Simplifier,
         imager: &mut Imager,
     ) -> Vec<(Pass, f64)> {
@@ -296,8 +296,8 @@ impl Thinning {
                             seed,
                         };
                         let place = match once {
-                            Once::EachPing => Some(ping),
-                            Once::Pass => None,
+                            SelectionTime::EachPing => Some(ping),
+                            SelectionTime::Pass => None,
                         };
                         let selection = chooser.choose(all, place, self.pings, size, &settings);
                         for (&i, gain) in selection.kept.iter().zip(&selection.gain) {
@@ -370,13 +370,13 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-pub(crate) fn rows() -> Vec<(usize, Once, Simplifier)> {
+pub(crate) fn rows() -> Vec<(usize, SelectionTime, Simplifier)> {
     let mut rows = Vec::new();
     for points in POINT_COUNTS {
-        for once in Once::ALL {
+        for once in SelectionTime::ALL {
             for simplifier in Simplifier::ALL {
                 let collapses = simplifier.rule().is_none();
-                if !(collapses && once == Once::EachPing) {
+                if !(collapses && once == SelectionTime::EachPing) {
                     rows.push((points, once, simplifier));
                 }
             }
@@ -616,7 +616,12 @@ impl Sums {
         sums
     }
 
-    fn figures(each: &[&Self], points: usize, once: Once, simplifier: Simplifier) -> Figures {
+    fn figures(
+        each: &[&Self],
+        points: usize,
+        once: SelectionTime,
+        simplifier: Simplifier,
+    ) -> Figures {
         let sum = |part: fn(&Self) -> f64| each.iter().map(|s| part(s)).sum::<f64>();
         let count = each.len() as f64;
         let level = |s: &&Self| 10.0 * (s.energy / s.energy_original).log10();

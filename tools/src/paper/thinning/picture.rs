@@ -4,8 +4,8 @@ use std::path::Path;
 
 use echotank_config::spec::ColourMap;
 
-use super::measure::{Once, POINT_COUNTS, Pass, Simplifier, Thinning};
-use crate::picture::{self, Grid, Look};
+use super::measure::{POINT_COUNTS, Pass, SelectionTime, Simplifier, Thinning};
+use crate::picture::{self, ColourScale, Grid};
 
 /// Number of range samples per pixel.
 const SAMPLES_PER_PIXEL: usize = 6;
@@ -18,9 +18,9 @@ const RANGE_DB: f32 = 40.0;
 /// acoustic-unbiased.
 pub(crate) fn draw(thinning: &Thinning, file: &Path) -> Result<(), String> {
     let columns = [
-        (Once::Pass, Simplifier::Conventional),
-        (Once::EachPing, Simplifier::Acoustic),
-        (Once::EachPing, Simplifier::Unbiased),
+        (SelectionTime::Pass, Simplifier::Conventional),
+        (SelectionTime::EachPing, Simplifier::Acoustic),
+        (SelectionTime::EachPing, Simplifier::Unbiased),
     ];
     let original = panel(&thinning.original());
     let passes = columns.map(|(once, simplifier)| thinning.passes(once, simplifier));
@@ -28,8 +28,8 @@ pub(crate) fn draw(thinning: &Thinning, file: &Path) -> Result<(), String> {
         .map(|size| passes.iter().map(|pass| panel(&pass[size].0)).collect())
         .collect();
     // 1 % of the pixels of the original exceed white. The scale is the same for all panels.
-    let white = Look::of_shares(&[&original], ColourMap::Grey, 0.0, 0.99);
-    let look = Look {
+    let white = ColourScale::of_shares(&[&original], ColourMap::Grey, 0.0, 0.99);
+    let look = ColourScale {
         low: white.high - RANGE_DB,
         ..white
     };

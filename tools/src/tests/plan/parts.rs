@@ -4,7 +4,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use echotank_config::spec::{MadeOutput, RigSpec, SonarSpec};
+use echotank_config::spec::{RigSpec, SonarSpec, SynthesisOutput};
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::{PingOutput, PingPlan};
 use echotank_core::scene::{ScatterLaw, Scatterers};
@@ -12,7 +12,7 @@ use echotank_ping::conditions::conditions;
 use echotank_ping::error_check::worst_window;
 use echotank_ping::method_selection::costs::Costs;
 use echotank_ping::method_selection::parts::partings;
-use echotank_ping::method_selection::{Scene, Swell, rank, with_choice};
+use echotank_ping::method_selection::{MotionScale, Scene, rank, with_choice};
 use echotank_ping::methods::{Choice, Family, Ranking};
 use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::polyline;
@@ -254,7 +254,7 @@ impl Ping {
         )
     }
 
-    fn rank(&self, output: MadeOutput, tolerance: f64, scatterers: &Scatterers) -> Ranking {
+    fn rank(&self, output: SynthesisOutput, tolerance: f64, scatterers: &Scatterers) -> Ranking {
         let mut spec = self.spec().clone();
         spec.synthesis.output = output;
         spec.synthesis.tolerance = tolerance;
@@ -266,7 +266,7 @@ impl Ping {
             scatterers,
             count: scatterers.len(),
             costs: &costs,
-            swell: Swell::NONE,
+            motion_scale: MotionScale::NONE,
         };
         rank(&scene, &[]).expect("a plan")
     }
@@ -320,8 +320,8 @@ fn held(
     let spec = ping.spec();
     let rate_hz = spec.receiver.sample_rate_hz;
     let spread = conditions(spec, &ping.plan, scatterers)
-        .heard
-        .expect("heard")
+        .echo_statistics
+        .expect("echoes")
         .spread;
     let whole = means(truth);
     for parting in partings(spec, &ping.plan, scatterers, spread, 1.0) {
@@ -393,8 +393,8 @@ fn errors_of_parts_on_chords_equal_the_rotation_within_a_chord() {
     let truth = ping.run(ping.spec(), &ground);
     let (mut still, mut ratios) = (Vec::new(), Vec::new());
     let spread = conditions(ping.spec(), &ping.plan, &ground)
-        .heard
-        .expect("heard")
+        .echo_statistics
+        .expect("echoes")
         .spread;
     for parting in partings(ping.spec(), &ping.plan, &ground, spread, 1.0) {
         still.push(parting.error(PathModel::Continuous, 0.0).expect("no steps"));
@@ -445,7 +445,7 @@ const AUTO: &str = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"auto\"\no
 fn lines_alone_and_a_loose_tolerance_make_fewer_records_and_anything_else_makes_elements() {
     let ping = Ping::of(&Rig { model: AUTO, ..RIG });
     let ground = ground();
-    let auto = |tolerance: f64| ping.rank(MadeOutput::Auto, tolerance, &ground);
+    let auto = |tolerance: f64| ping.rank(SynthesisOutput::Auto, tolerance, &ground);
     let loose = auto(3e-2);
     let chosen = loose.chosen();
     println!("{}", loose.reason(Family::Output));
@@ -494,10 +494,10 @@ fn lines_alone_and_a_loose_tolerance_make_fewer_records_and_anything_else_makes_
         model: AUTO_MODELS,
         ..RIG
     });
-    let fixed = ping.rank(MadeOutput::Beams, 1e-4, &ground);
+    let fixed = ping.rank(SynthesisOutput::Beams, 1e-4, &ground);
     assert!(fixed.chosen().choice.part_elements > 1 && !fixed.is_within());
     assert!(fixed.chosen().part(Family::Output).error > 1e-4);
-    let plain = ping.rank(MadeOutput::Elements, 3e-2, &ground);
+    let plain = ping.rank(SynthesisOutput::Elements, 3e-2, &ground);
     assert!(plain.candidates.iter().all(|c| c.choice.part_elements == 1));
     assert!(
         fixed

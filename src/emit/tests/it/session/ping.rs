@@ -15,7 +15,7 @@ use std::sync::Arc;
 use echotank_config::spec::{PingDevice, PingProtocolSpec};
 use echotank_core::ping::{Detection, PingOutput, PingPlan, Side, Sounding};
 use echotank_core::records::Datagram;
-use echotank_core::settings::{Asked, KeptKey, KeptValue, SettingChange, SettingsPort};
+use echotank_core::settings::{ChangeOrigin, SettingChange, SettingsPort, StoredKey, StoredValue};
 use echotank_core::time::UtcNs;
 use echotank_emit::ping_protocol::session::PingPort;
 use echotank_emit::ping_protocol::{Device, PingEmitter};
@@ -247,14 +247,14 @@ fn settings_without_a_model_are_stored_and_unsupported_ones_refused() {
         matches!(acked, Message::Ack(ack) if ack.acked_id == id),
         "{acked:?}"
     );
-    let key = KeptKey {
+    let key = StoredKey {
         via: "ping",
         name: "speed_of_sound",
         place: 0,
     };
     assert_eq!(
-        bench.settings.kept(key),
-        Some(KeptValue::Numbers(vec![1480.5]))
+        bench.settings.stored(key),
+        Some(StoredValue::Numbers(vec![1480.5]))
     );
     assert_eq!(bench.ask(|buf| set_sync(buf, 0)), Answer::Ack);
     assert_eq!(bench.device.requested().sync.channel_number, 0);
@@ -490,10 +490,10 @@ proptest! {
 #[test]
 fn settings_changed_by_another_protocol_are_in_the_next_profile() {
     let bench = bench(OMNISCAN, Transport::Tcp);
-    let asked = Asked::from(NOW);
+    let origin = ChangeOrigin::from(NOW);
     bench
         .settings
-        .apply(SettingChange::GainDb(60.0), asked)
+        .apply(SettingChange::GainDb(60.0), origin)
         .expect("within the limits");
     let (mut plan, output) = ping();
     plan.settings = bench.settings.settings();

@@ -9,7 +9,7 @@ use echotank_core::settings::{SettingsPort, TriggerSource};
 use echotank_core::time::UtcNs;
 use echotank_emit::session::{Outgoing, Protocol, Session, Transport};
 use echotank_emit::wbms::control::ControlPort;
-use echotank_emit::wbms::{Device, Wanted, WbmsEmitter};
+use echotank_emit::wbms::{Device, SubscribedPackets, WbmsEmitter};
 use echotank_protocols::wbms::{Backscatter, Bathymetry, Packet, packet_type};
 use echotank_runtime::settings::SettingsStore;
 use proptest::prelude::*;
@@ -126,11 +126,11 @@ fn each_control_is_answered_with_the_values_in_force_and_is_in_the_settings() {
 #[test]
 fn queries_report_current_settings_whoever_changed_them() {
     let mut bench = bench();
-    let asked = echotank_core::settings::Asked::from(NOW);
+    let origin = echotank_core::settings::ChangeOrigin::from(NOW);
     let change = echotank_core::settings::SettingChange::RangeM(42.5);
     bench
         .settings
-        .apply(change, asked)
+        .apply(change, origin)
         .expect("within the limits");
     assert_eq!(bench.say("set_range\r\n"), "set_range 0 42.5\r\n");
     assert_eq!(bench.say("set_rate\r\n"), "set_rate 5\r\n");
@@ -240,7 +240,7 @@ proptest! {
 
 // ---------------------------------------------------------------- packets
 
-const ALL: Wanted = Wanted {
+const ALL: SubscribedPackets = SubscribedPackets {
     bathymetry: true,
     water_column: true,
     side_scan: true,

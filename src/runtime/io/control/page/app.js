@@ -109,7 +109,7 @@ byId("sonar").addEventListener("change", (e) => {
 function refresh() {
   const s = state.sonars[sonar];
   controls.show(state);
-  elements.standing(state.faults.map(ofElements), hello.sonars[sonar].name);
+  elements.setFaults(state.faults.map(ofElements), hello.sonars[sonar].name);
   motion.sources(state.nav, state.nav_owners);
   health.show(state, sonar);
   const c = s.counters;

@@ -181,9 +181,9 @@ export class Controls {
     const item = kept ?? make("li", { "data-fault": f.fault }, make("span", { class: "name" }), make("span", { class: "when" }), make("button", { type: "button", text: "×", "aria-label": `Remove fault ${f.fault}`, onclick: () => this.ask({ do: "clear-faults", fault: f.fault }) }), make("progress", { max: 1, value: 0, "aria-label": "Progress" }));
     const [name, when, , progress] = item.children;
     say(name, faultInWords(f, this.hello.sonars[this.index]));
-    const [words, share, standing] = timeline(f, state.rig_utc_ms);
+    const [words, share, isActive] = timeline(f, state.rig_utc_ms);
     say(when, `${words}, injected ${f.injected}`);
-    name.dataset.is = standing ? "good" : "";
+    name.dataset.is = isActive ? "good" : "";
     progress.value = share;
     progress.hidden = !f.for_s;
     return item;
@@ -224,12 +224,12 @@ function faultInWords(f, sonar) {
   return `${f.fault} ${f.kind}${value}${where.length ? ` at ${where.join(" ")}` : ""}`;
 }
 
-/** Where a fault is in its time: words, share gone, whether it may strike now. */
+/** Where a fault is in its time: words, share gone, whether it is active now. */
 function timeline(f, now) {
   if (f.from_utc_ns === null) return ["waiting for a ping", 0, false];
   const age = now / 1e3 - f.from_utc_ns / 1e9;
   if (age < 0) return [`in ${Math.ceil(-age)} s`, 0, false];
-  if (f.for_s === undefined) return ["stands", 0, true];
+  if (f.for_s === undefined) return ["active", 0, true];
   if (age >= f.for_s) return ["over", 1, false];
   return [`${Math.ceil(f.for_s - age)} s left`, age / f.for_s, true];
 }

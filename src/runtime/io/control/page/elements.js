@@ -32,8 +32,8 @@ export class Elements {
     this.#read();
   }
 
-  /** Faults of elements that stand. */
-  standing(faults, sonar) {
+  /** Scheduled faults of elements. */
+  setFaults(faults, sonar) {
     this.faults = faults.filter((f) => f.isOfElement && (!f.sonar || f.sonar === sonar));
     this.paint();
   }

@@ -38,7 +38,7 @@ pub struct Accounting {
     findings: Vec<Finding>,
     /// Indices of findings that end at the next ping.
     open: Vec<usize>,
-    unkept: u64,
+    unlisted: u64,
     pings: Option<(u32, u32)>,
     last_ping: Option<u32>,
     utc_ns: Option<(i64, i64)>,
@@ -58,7 +58,7 @@ impl Accounting {
             keeps_checksums,
             findings: Vec::new(),
             open: Vec::new(),
-            unkept: 0,
+            unlisted: 0,
             pings: None,
             last_ping: None,
             utc_ns: None,
@@ -76,15 +76,15 @@ impl Accounting {
     }
 
     /// Number of findings beyond the limit.
-    pub fn unkept(&self) -> u64 {
-        self.unkept
+    pub fn unlisted(&self) -> u64 {
+        self.unlisted
     }
 
     fn find(&mut self, finding: Finding) {
         if self.findings.len() < MAX_FINDINGS {
             self.findings.push(finding);
         } else {
-            self.unkept += 1;
+            self.unlisted += 1;
         }
     }
 
@@ -201,14 +201,14 @@ impl Accounting {
                 _ => None,
             })
             .collect();
-        let tells = self.family.detectable_faults(self.against.is_some());
+        let detects = self.family.detectable_faults(self.against.is_some());
         Report {
             head: ReportHead {
                 report: "echotank listen".into(),
                 line: Some(self.family.name().into()),
                 sonar: None,
                 covers: (!types.is_empty()).then_some(types),
-                tells: Some(tells.into_iter().map(str::to_owned).collect()),
+                detects: Some(detects.into_iter().map(str::to_owned).collect()),
                 first_ping: self.pings.map(|(first, _)| first),
                 last_ping: self.pings.map(|(_, last)| last),
                 from_utc_ns: self.utc_ns.map(|(first, _)| first),
@@ -414,14 +414,14 @@ mod tests {
             FrameHead {
                 frame_number: first_number + number,
                 ping_number: ping,
-                first_moment: 0,
-                ping_moments: 2,
+                first_sample: 0,
+                ping_samples: 2,
                 elements: 1,
                 sample_type: SampleType::I16,
                 volts_per_unit: 1.0,
                 pulse_utc_ns: 0,
-                first_moment_s: 0.0,
-                moments_per_s: 1.0,
+                first_sample_s: 0.0,
+                sample_rate_hz: 1.0,
                 center_frequency_hz: 1.0,
             }
             .emit(&mut bytes, 2, |buf| buf.extend([ping as u8; 8]));

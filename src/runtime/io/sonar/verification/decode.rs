@@ -362,7 +362,7 @@ fn of_elements(bytes: &[u8]) -> Option<ReceivedRecord<'_>> {
         ping_number: Some(frame.head.ping_number),
         utc_ns: None,
         is_damaged: false,
-        key: u64::from(frame.head.ping_number) << 32 | u64::from(frame.head.first_moment),
+        key: u64::from(frame.head.ping_number) << 32 | u64::from(frame.head.first_sample),
         // The content begins after the frame number.
         content: &bytes[16..],
     })

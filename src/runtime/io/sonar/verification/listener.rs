@@ -14,12 +14,12 @@ use super::decode::{Family, RecordDecoder};
 use crate::clock::{Clock, SystemClock};
 
 /// Read timeout, and interval between checks of the stop flag.
-const LOOK: Duration = Duration::from_millis(50);
+const READ_TIMEOUT: Duration = Duration::from_millis(50);
 /// Interval and time limit of reconnection after a reset.
-const AGAIN: Duration = Duration::from_millis(10);
-const PATIENCE: Duration = Duration::from_secs(2);
+const RECONNECT_INTERVAL: Duration = Duration::from_millis(10);
+const RECONNECT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Time after which an unanswered switch command is repeated.
-const ASK_AGAIN: Duration = Duration::from_millis(500);
+const REPEAT_INTERVAL: Duration = Duration::from_millis(500);
 /// Pause after an answer. A second answer to the same ping would otherwise count as the next answer.
 const SETTLE: Duration = Duration::from_millis(10);
 /// Receive buffer requested from the kernel, bytes.
@@ -54,7 +54,7 @@ pub struct Listener {
     link: Link,
     /// Findings so far.
     pub accounting: Accounting,
-    heard: Decoders,
+    decoders: Decoders,
     /// Bytes received.
     pub bytes: u64,
     /// Connections reset by the server.
@@ -62,7 +62,7 @@ pub struct Listener {
     /// Number of pauses longer than [`ListenerSpec::silence`].
     pub silences: u64,
     /// Imagenex 872: switch commands sent.
-    pub asked: u64,
+    pub requests: u64,
     /// Imagenex 872: answers received.
     pub answers: u64,
 }
@@ -94,14 +94,14 @@ impl Listener {
                 let socket = UdpSocket::bind(what.address)?;
                 // The kernel may grant less.
                 let _ = socket2::SockRef::from(&socket).set_recv_buffer_size(SOCKET_BUFFER_BYTES);
-                socket.set_read_timeout(Some(LOOK))?;
+                socket.set_read_timeout(Some(READ_TIMEOUT))?;
                 Link::Udp(socket)
             }
             _ => Link::Tcp(connect(&what)?),
         };
         Ok(Self {
             accounting: Accounting::new(what.family, against, keeps_checksums),
-            heard: Decoders {
+            decoders: Decoders {
                 decoder: RecordDecoder::new(what.family),
                 errors_before: 0,
                 unnumbered_before: 0,
@@ -111,7 +111,7 @@ impl Listener {
             bytes: 0,
             resets: 0,
             silences: 0,
-            asked: 0,
+            requests: 0,
             answers: 0,
         })
     }
@@ -126,12 +126,12 @@ impl Listener {
 
     /// Number of undecodable byte ranges and damaged records.
     pub fn errors(&self) -> u64 {
-        self.heard.errors_before + self.heard.decoder.errors()
+        self.decoders.errors_before + self.decoders.decoder.errors()
     }
 
     /// Number of undamaged records without a number.
     pub fn unnumbered(&self) -> u64 {
-        self.heard.unnumbered_before + self.heard.decoder.unnumbered()
+        self.decoders.unnumbered_before + self.decoders.decoder.unnumbered()
     }
 
     /// Receives until `stop` returns true or the server closes the connection.
@@ -149,22 +149,22 @@ impl Listener {
                     if !self.reconnect(stop) {
                         return Ok(());
                     }
-                    self.heard.errors_before += self.heard.decoder.errors();
-                    self.heard.unnumbered_before += self.heard.decoder.unnumbered();
-                    self.heard.decoder = RecordDecoder::new(self.what.family);
+                    self.decoders.errors_before += self.decoders.decoder.errors();
+                    self.decoders.unnumbered_before += self.decoders.decoder.unnumbered();
+                    self.decoders.decoder = RecordDecoder::new(self.what.family);
                 }
             }
         }
     }
 
     fn reconnect(&mut self, stop: &mut dyn FnMut() -> bool) -> bool {
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + RECONNECT_TIMEOUT;
         while Instant::now() < until && !stop() {
             if let Ok(stream) = connect(&self.what) {
                 self.link = Link::Tcp(stream);
                 return true;
             }
-            std::thread::sleep(AGAIN);
+            std::thread::sleep(RECONNECT_INTERVAL);
         }
         false
     }
@@ -173,10 +173,10 @@ impl Listener {
         let mut buffer = vec![0; READ_BYTES];
         let asks = self.what.family == Family::Imagenex872;
         if asks {
-            self.asked += 1;
+            self.requests += 1;
             self.ask()?;
         }
-        let mut heard_at = Instant::now();
+        let mut last_received = Instant::now();
         let mut is_answered = false;
         loop {
             if stop() {
@@ -197,12 +197,12 @@ impl Listener {
                     ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted => {
                         if asks && is_answered {
                             is_answered = false;
-                            self.asked += 1;
+                            self.requests += 1;
                             self.ask()?;
-                        } else if asks && heard_at.elapsed() > ASK_AGAIN {
-                            heard_at = Instant::now();
+                        } else if asks && last_received.elapsed() > REPEAT_INTERVAL {
+                            last_received = Instant::now();
                             self.give_up();
-                            self.asked += 1;
+                            self.requests += 1;
                             self.ask()?;
                         }
                         continue;
@@ -213,28 +213,31 @@ impl Listener {
             };
             self.bytes += len as u64;
             let now = Instant::now();
-            if self.what.silence.is_some_and(|most| now - heard_at > most)
+            if self
+                .what
+                .silence
+                .is_some_and(|most| now - last_received > most)
                 && self.accounting.last_ping().is_some()
             {
                 self.silences += 1;
                 self.accounting.found_until_next("silent");
             }
-            heard_at = now;
+            last_received = now;
             let accounting = &mut self.accounting;
-            let (mut came, errors) = (0, self.heard.decoder.errors());
-            self.heard.decoder.decode(&buffer[..len], &mut |record| {
-                came += 1;
+            let (mut records, errors) = (0, self.decoders.decoder.errors());
+            self.decoders.decoder.decode(&buffer[..len], &mut |record| {
+                records += 1;
                 accounting.note(record);
             });
             if asks {
                 self.damaged_since(errors);
-                self.answers += came;
+                self.answers += records;
                 // Each command has one answer; further answers are duplicates.
-                for _ in self.asked..self.answers {
+                for _ in self.requests..self.answers {
                     self.accounting.found("duplicate", None, None);
-                    self.asked += 1;
+                    self.requests += 1;
                 }
-                if came > 0 {
+                if records > 0 {
                     is_answered = true;
                     self.wait_for(SETTLE)?;
                 }
@@ -247,25 +250,25 @@ impl Listener {
         if let Link::Tcp(stream) = &mut self.link {
             stream.write_all(&switch(self.what.range_m))?;
         }
-        self.wait_for(LOOK)
+        self.wait_for(READ_TIMEOUT)
     }
 
-    fn wait_for(&self, patience: Duration) -> std::io::Result<()> {
+    fn wait_for(&self, timeout: Duration) -> std::io::Result<()> {
         match &self.link {
-            Link::Tcp(stream) => stream.set_read_timeout(Some(patience)),
-            Link::Udp(socket) => socket.set_read_timeout(Some(patience)),
+            Link::Tcp(stream) => stream.set_read_timeout(Some(timeout)),
+            Link::Udp(socket) => socket.set_read_timeout(Some(timeout)),
         }
     }
 
     /// Counts an incomplete answer as truncated.
     fn give_up(&mut self) {
-        let errors = self.heard.decoder.errors();
-        self.heard.decoder.give_up();
+        let errors = self.decoders.decoder.errors();
+        self.decoders.decoder.give_up();
         self.damaged_since(errors);
     }
 
     fn damaged_since(&mut self, errors: u64) {
-        for _ in errors..self.heard.decoder.errors() {
+        for _ in errors..self.decoders.decoder.errors() {
             self.accounting.found("damaged", None, None);
         }
     }
@@ -274,7 +277,7 @@ impl Listener {
 fn connect(what: &ListenerSpec) -> std::io::Result<TcpStream> {
     let mut stream = TcpStream::connect(what.address)?;
     stream.set_nodelay(true)?;
-    stream.set_read_timeout(Some(LOOK))?;
+    stream.set_read_timeout(Some(READ_TIMEOUT))?;
     if what.family == Family::SevenK {
         let command = ControlRequest {
             ticket: 1,

@@ -1,7 +1,7 @@
 //! Findings of a listener or another device, as JSON lines. `echotank score` compares the findings with the fault log.
 //!
 //! ```text
-//! {"report": "my topside", "line": "7k", "covers": [7000, 7038], "tells": ["drop", "duplicate"], "first_ping": 1, "last_ping": 900}
+//! {"report": "my topside", "line": "7k", "covers": [7000, 7038], "detects": ["drop", "duplicate"], "first_ping": 1, "last_ping": 900}
 //! {"kind": "lost", "ping_number": 17, "record_type": 7038}
 //! {"kind": "silent", "ping_number": 40, "to_ping": 46}
 //! {"kind": "dead", "ping_number": 100, "to_ping": 180, "array": 0, "element": 3}
@@ -29,7 +29,7 @@ pub struct ReportHead {
     pub covers: Option<Vec<u32>>,
     /// Kinds of faults that the reporter can detect; `None` means all.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub tells: Option<Vec<String>>,
+    pub detects: Option<Vec<String>>,
     /// First ping received.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub first_ping: Option<u32>,

@@ -1,6 +1,6 @@
 //! Requests, replies, and the effect on the next ping.
 
-use echotank_core::settings::{KeptKey, SettingsPort, TriggerSource};
+use echotank_core::settings::{SettingsPort, StoredKey, TriggerSource};
 use echotank_core::time::UtcNs;
 use echotank_emit::imagenex872::emit_ping;
 use echotank_emit::session::Wants;
@@ -37,7 +37,7 @@ fn every_jsf_setting_that_the_model_has_is_obeyed_by_the_next_ping() {
     assert_eq!(client.get(t::PING, 0), N(0));
     assert_eq!(client.set(t::PING, 0, N(2)), None);
     assert!(client.store.snapshot().0.pinging, "one is owed");
-    client.store.pinged(echotank_core::time::MonoNs(1));
+    client.store.note_ping(echotank_core::time::MonoNs(1));
     assert!(!client.store.snapshot().0.pinging, "and then none");
     assert_eq!(client.set(t::PING, 0, N(1)), None);
     assert_eq!(client.get(t::PING, 0), N(1));
@@ -48,7 +48,7 @@ fn every_jsf_setting_that_the_model_has_is_obeyed_by_the_next_ping() {
     assert!(!client.store.snapshot().0.pinging);
     assert_eq!(client.set(t::PING_TRIGGER, 0, N(trigger::COUPLED)), None);
     assert_eq!(client.get(t::PING_TRIGGER, 0), N(trigger::COUPLED));
-    assert!(client.store.snapshot().0.pinging, "its own beat again");
+    assert!(client.store.snapshot().0.pinging, "its own schedule again");
     assert_eq!(client.set(t::SHUTDOWN, 0, N(1)), None);
     assert!(!client.store.snapshot().0.pinging);
 }
@@ -80,12 +80,12 @@ fn jsf_settings_without_a_model_are_kept_and_reported() {
     use echotank_emit::jsf::session::is_active;
     let active = |channel| is_active(client.store.as_ref(), 20, channel);
     assert_eq!([0, 1, 2].map(active), [false, true, true]);
-    let key = |place| KeptKey {
+    let key = |place| StoredKey {
         via: "jsf",
         name: "message",
         place,
     };
-    assert!(client.store.kept(key(83 | 20 << 16)).is_some());
+    assert!(client.store.stored(key(83 | 20 << 16)).is_some());
 }
 
 #[test]
@@ -247,7 +247,7 @@ fn a_switch_command_sets_range_and_gain_and_asks_for_one_side_of_one_ping() {
         Wants::class(0).union(Wants::class(2))
     );
     assert!(store.snapshot().0.pinging);
-    store.pinged(echotank_core::time::MonoNs(1));
+    store.note_ping(echotank_core::time::MonoNs(1));
     assert!(!store.snapshot().0.pinging);
 }
 

@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use echotank_config::spec::{JsfChannels, JsfFormat};
 use echotank_core::ping::{Detection, PingOutput, PingPlan, Sounding};
-use echotank_core::settings::{Asked, KeptKey, KeptValue, SettingsPort};
-use echotank_emit::sevenk::kept::Kept;
+use echotank_core::settings::{ChangeOrigin, SettingsPort, StoredKey, StoredValue};
 use echotank_emit::sevenk::records::DeviceSheet;
+use echotank_emit::sevenk::stored_settings::StoredSettings;
 use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_protocols::jsf::{SonarData80, message_type};
 use echotank_protocols::sevenk::Record;
@@ -71,18 +71,18 @@ const FLAT: Bottom = Bottom {
 };
 
 /// State of the emitter after the command 7042 with `flags`.
-fn told_7042(flags: u32) -> Kept {
+fn stored_7042(flags: u32) -> StoredSettings {
     let store = store();
-    let key = KeptKey {
+    let key = StoredKey {
         via: "7k",
         name: "compressed water column",
         place: 0,
     };
-    let value = KeptValue::Numbers(vec![flags.into()]);
+    let value = StoredValue::Numbers(vec![flags.into()]);
     store
-        .keep(key, value, Asked::from(TRANSMIT_UTC))
-        .expect("kept");
-    Kept::of(store.as_ref())
+        .store(key, value, ChangeOrigin::from(TRANSMIT_UTC))
+        .expect("stored");
+    StoredSettings::of(store.as_ref())
 }
 
 fn sheet_that_detects() -> Arc<DeviceSheet> {
@@ -120,7 +120,7 @@ fn the_7042_set_up_is_obeyed_sample_by_sample() {
         (4 << 4 | 1 << 8, 250.0, SAMPLES / 4), // every fourth sample, the maximum of its window
     ] {
         let mut emitter = SevenKEmitter::new(sheet.clone(), 1);
-        emitter.keep(told_7042(flags));
+        emitter.set_stored(stored_7042(flags));
         let mut records = Vec::new();
         emitter.emit_ping(&plan, &output, RecordSet::of(&[7042]), &mut records);
         let record = Record::parse(&records[0].bytes).expect("whole");
@@ -143,7 +143,7 @@ fn the_7042_set_up_is_obeyed_sample_by_sample() {
     }
     // Truncated after the detections.
     let mut emitter = SevenKEmitter::new(sheet, 1);
-    emitter.keep(told_7042(1));
+    emitter.set_stored(stored_7042(1));
     let mut records = Vec::new();
     emitter.emit_ping(&plan, &output, RecordSet::of(&[7042]), &mut records);
     let record = Record::parse(&records[0].bytes).expect("whole");

@@ -21,7 +21,7 @@ use echotank_emit::session::Wants;
 use echotank_emit::sevenk::records::DeviceSheet;
 use echotank_emit::sevenk::{RecordSet, SevenKEmitter};
 use echotank_emit::vita49::Vita49Emitter;
-use echotank_emit::wbms::{Device as WbmsDevice, Wanted, WbmsEmitter};
+use echotank_emit::wbms::{Device as WbmsDevice, SubscribedPackets, WbmsEmitter};
 use echotank_emit::xtf::XtfEmitter;
 use echotank_ping::threads::pool;
 use echotank_protocols::imagenex872::{Side as HeadSide, SwitchCommand, parse_answer};
@@ -460,7 +460,7 @@ fn ping_protocol(sonar: &SonarSpec, plan: &PingPlan, output: &PingOutput) {
 fn wbms(sonar: &SonarSpec, plan: &PingPlan, output: &PingOutput) {
     let device = Arc::new(WbmsDevice::new(sonar, SOUND_M_PER_S));
     let mut emitter = WbmsEmitter::new(device, 1);
-    let all = Wanted {
+    let all = SubscribedPackets {
         bathymetry: true,
         water_column: true,
         side_scan: true,

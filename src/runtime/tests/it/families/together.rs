@@ -220,8 +220,8 @@ fn contradictory_commands_end_in_one_state_that_both_report() {
     // Every accepted command counts once, plus the settings that only JSF has.
     assert_eq!(counts.applied, ROUNDS as u64 - refused + 2 * ROUNDS as u64);
     let last = rig.store.recent().pop().expect("a change");
-    assert!(["7k", "jsf"].contains(&last.asked.by.via), "{last:?}");
-    assert!(last.asked.by.peer.is_some());
+    assert!(["7k", "jsf"].contains(&last.origin.by.via), "{last:?}");
+    assert!(last.origin.by.peer.is_some());
 }
 
 #[test]

@@ -20,7 +20,7 @@ fn heard(fault: Option<&str>) -> (NavCounters, u64) {
         let request: FaultRequest = serde_json::from_str(json).expect("JSON");
         faults.add(&request).expect("sound");
     }
-    inputs.spoil_with(Box::new(NavFaults::new(faults.clone(), &spec.sources)));
+    inputs.set_fault_filter(Box::new(NavFaults::new(faults.clone(), &spec.sources)));
     send(&mut inputs, 0, sentences().concat().chunks(301));
     let begun = Instant::now();
     let (mut before, mut same) = (0, 0);

@@ -151,15 +151,15 @@ fn unsupported_models_are_refused() {
     model.segment_s = 0.05;
     turning.model = &model;
     let why = |spec: &Spec| Gridded2d::new(spec).map(|engine| engine.error_model().why.clone());
-    let said = why(&turning).expect("short stretches follow the steps");
-    assert!(said.contains("stretches of 1 "), "{said}");
+    let said = why(&turning).expect("short sections follow the steps");
+    assert!(said.contains("sections of 1 "), "{said}");
     let chords = ModelChoice {
         path: PathModel::KSegment,
         ..model
     };
     turning.model = &chords;
     let said = why(&turning).expect("chords have no steps");
-    assert!(said.contains("stretches of 128 "), "{said}");
+    assert!(said.contains("sections of 128 "), "{said}");
 
     let mut nowhere = spec(&scene);
     nowhere.bounds.nearest_m = f64::NAN;

@@ -4,7 +4,7 @@ use std::sync::Mutex;
 
 use echotank_synthesis::array::gridded2d::{PulseMotion, Resolution};
 use echotank_synthesis::arrivals::LineSource;
-use echotank_synthesis::arrivals::{LineChunk, LineSink, LineStretch};
+use echotank_synthesis::arrivals::{LineChunk, LineSection, LineSink};
 use echotank_synthesis::echo::LineWorkspace;
 use glam::DVec3;
 
@@ -12,7 +12,7 @@ use echotank_testing::line_scene::*;
 
 /// Resolution with full accuracy of all stages.
 pub(crate) const FINE: Resolution = Resolution {
-    stretch: 16,
+    section_elements: 16,
     slab_samples: 2048,
     time_width: 12,
     slope_width: 12,
@@ -52,7 +52,7 @@ fn echoes_at_the_ends_of_a_long_section_keep_their_delays() {
         ..SIDE_SCAN
     });
     let resolution = Resolution {
-        stretch: 128,
+        section_elements: 128,
         slab_samples: 1024,
         ..FINE
     };
@@ -90,15 +90,15 @@ fn slabs_begin_with_the_first_echo_and_share_the_rest_evenly() {
         let end_m = scene.rx.element_x_m(scene.rx.elements - 1);
         let mut delays = Delays(f64::INFINITY, 0.0);
         for middle_m in [-end_m, 0.0, end_m] {
-            let stretch = LineStretch {
+            let section = LineSection {
                 middle_m,
                 half_m: 0.0,
-                fades: false,
+                gain_terms: false,
                 elements: 1,
                 earliest_s: 0.0,
                 latest_s: 1.0,
             };
-            echoes.walk(stretch, &mut delays);
+            echoes.walk(section, &mut delays);
         }
         let earliest_s = echoes.earliest_s();
         println!("not before {earliest_s} s: from {} s on", delays.0);

@@ -54,9 +54,9 @@ fn the_error_by_window_keeps_every_tolerance() {
                 let left_out = reports.iter().map(|r| r.left_out).fold(0.0, f64::max);
                 let most = reports.iter().max_by_key(|r| r.channels).expect("tasks");
                 println!(
-                    "{velocity_m_per_s} m/s, +-{sector_deg} deg, {tolerance:e}: {got:.1e}, predicted {:.1e}, left out {left_out:.1e}; stretch {}, width {}, {} columns, {} channels, {:?}",
+                    "{velocity_m_per_s} m/s, +-{sector_deg} deg, {tolerance:e}: {got:.1e}, predicted {:.1e}, left out {left_out:.1e}; section {}, width {}, {} columns, {} channels, {:?}",
                     choice.error_model.error,
-                    choice.resolution.stretch,
+                    choice.resolution.section_elements,
                     choice.resolution.time_width,
                     most.columns,
                     most.channels,
@@ -86,7 +86,11 @@ fn unreachable_tolerances_are_refused_with_a_reason() {
         ..SIDE_SCAN
     };
     match chosen(&scene, close, 1e-3) {
-        Ok(choice) => assert!(choice.resolution.stretch < 64, "{:?}", choice.resolution),
+        Ok(choice) => assert!(
+            choice.resolution.section_elements < 64,
+            "{:?}",
+            choice.resolution
+        ),
         Err(refusal) => assert!(matches!(refusal, Refusal::TooNear { .. }), "{refusal}"),
     }
     assert!(chosen(&scene, SIDE_SCAN, f64::NAN).is_err());

@@ -1,7 +1,7 @@
-//! The beat: issues ping orders from the schedules and from external triggers.
+//! The ping scheduler: issues ping orders from the schedules and from external triggers.
 //!
-//! With a real-time or scaled clock the beat runs in its own thread. Pulses and trigger outputs therefore stay on time while the pipeline is busy.
-//! With a `fast` or `lockstep` clock the pipeline calls the beat.
+//! With a real-time or scaled clock the scheduler runs in its own thread. Pulses and trigger outputs therefore stay on time while the pipeline is busy.
+//! With a `fast` or `lockstep` clock the pipeline calls the scheduler.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use std::thread::{self, JoinHandle};
 
 use crossbeam_channel::Sender;
 
-use super::triggers::{Came, Triggers};
+use super::triggers::{ExternalTrigger, Triggers};
 use crate::clock::{Clock, WakeUp};
 use crate::control::RunControl;
 use crate::counters::{add, worst};
@@ -20,19 +20,19 @@ use crate::score::SKIPPED;
 use crate::settings::SettingsStore;
 use echotank_config::spec::{OverloadSpec, RigSpec, RunSpec, StampSpec};
 use echotank_core::time::{MonoNs, NS_PER_S, Timeline, UtcNs};
-use echotank_ping::beats::{Beats, Event, InForce};
 use echotank_ping::faults::{Faults, PingMark};
+use echotank_ping::rig_schedule::{Event, RigSchedule, SettingsInForce};
 use echotank_ping::trigger::Numbers;
 use echotank_ping::{self as ping, PingOrder, Refusal, Triggered};
 
 /// Maximum interval between checks of the stop flag.
-const LOOK_NS: i64 = NS_PER_S / 10;
+const MAX_WAIT_NS: i64 = NS_PER_S / 10;
 
 /// Minimum delay of a pulse that is put off, which limits the wake-ups of the thread.
 const MIN_PUT_OFF_NS: i64 = NS_PER_S / 2000;
 
-pub(super) struct Beat {
-    beats: Beats,
+pub(super) struct PingScheduler {
+    schedule: RigSchedule,
     timeline: Timeline,
     stamp: StampSpec,
     settings: Vec<Arc<SettingsStore>>,
@@ -41,21 +41,21 @@ pub(super) struct Beat {
     clock: Arc<dyn Clock>,
     own_time: bool,
     triggers: Triggers,
-    /// Oldest external trigger that has not been processed.
-    came: Option<Came>,
+    /// Oldest external trigger that is not processed yet.
+    pending: Option<ExternalTrigger>,
     numbers: Vec<Numbers>,
     /// Watchdog of each sonar that has one.
-    watches: Vec<Option<Watch>>,
+    watchdogs: Vec<Option<Watchdog>>,
     /// Lead of an order before its pulse, nanoseconds.
     ahead_ns: i64,
     /// Ordered pulses whose trigger outputs are still to be sent, earliest first.
-    untold: VecDeque<PulseNotice>,
-    coming: Arc<Coming>,
+    notices: VecDeque<PulseNotice>,
+    next_order: Arc<NextOrder>,
     backlog: Arc<Backlog>,
     stretch: Option<Stretch>,
 }
 
-/// An order on its way from the beat to the pipeline.
+/// An order on its way from the scheduler to the pipeline.
 #[derive(Clone, Copy)]
 pub(super) struct Ordered {
     pub sonar: usize,
@@ -82,14 +82,14 @@ struct PulseNotice {
     utc: UtcNs,
 }
 
-/// Instant of the next scheduled pulse and wake-up of the pipeline, shared by the beat and the pipeline.
-pub(super) struct Coming {
+/// Instant of the next scheduled pulse and wake-up of the pipeline, shared by the scheduler and the pipeline.
+pub(super) struct NextOrder {
     /// Notified when an order is queued.
     pub wake_up: WakeUp,
     next_utc_ns: AtomicI64,
 }
 
-impl Coming {
+impl NextOrder {
     /// Instant before which no further order has its pulse, except by external trigger.
     pub(super) fn next(&self) -> UtcNs {
         UtcNs(self.next_utc_ns.load(Ordering::Acquire))
@@ -97,13 +97,13 @@ impl Coming {
 }
 
 #[derive(Clone, Copy)]
-struct Watch {
-    patience_s: f64,
+struct Watchdog {
+    timeout_s: f64,
     since: UtcNs,
 }
 
-/// Shared state that the beat works with.
-pub(super) struct BeatContext {
+/// Shared state that the scheduler works with.
+pub(super) struct SchedulerContext {
     pub settings: Vec<Arc<SettingsStore>>,
     pub control: Arc<RunControl>,
     pub faults: Arc<Faults>,
@@ -111,34 +111,38 @@ pub(super) struct BeatContext {
     pub(crate) backlog: Arc<Backlog>,
 }
 
-impl Beat {
+impl PingScheduler {
     pub(super) fn new(
         spec: &RigSpec,
         first: UtcNs,
         timeline: Timeline,
-        context: BeatContext,
+        context: SchedulerContext,
         triggers: Triggers,
     ) -> Self {
         let specs = spec.sonars.iter().map(|sonar| &sonar.trigger);
-        let watch = |patience_s| Watch {
-            patience_s,
+        let watchdog = |timeout_s| Watchdog {
+            timeout_s,
             since: first,
         };
         Self {
-            beats: Beats::starting_at(first, spec.medium.sound_speed_m_per_s, specs.clone()),
+            schedule: RigSchedule::starting_at(
+                first,
+                spec.medium.sound_speed_m_per_s,
+                specs.clone(),
+            ),
             timeline,
             stamp: spec.nav.stamp,
             own_time: spec.run.clock.is_own(),
             numbers: vec![Numbers::default(); spec.sonars.len()],
-            watches: specs.map(|spec| spec.watchdog_s.map(watch)).collect(),
+            watchdogs: specs.map(|spec| spec.watchdog_s.map(watchdog)).collect(),
             settings: context.settings,
             control: context.control,
             faults: context.faults,
             clock: context.clock,
             triggers,
-            came: None,
+            pending: None,
             ahead_ns: spec.run.ahead_ns(),
-            untold: VecDeque::new(),
+            notices: VecDeque::new(),
             stretch: (spec.run.overload == OverloadSpec::Stretch).then(|| Stretch {
                 backlog: context.backlog.clone(),
                 run: spec.run.clone(),
@@ -146,42 +150,44 @@ impl Beat {
                 put_off_ns: vec![0; spec.sonars.len()],
             }),
             backlog: context.backlog,
-            coming: Arc::new(Coming {
+            next_order: Arc::new(NextOrder {
                 wake_up: WakeUp::default(),
                 next_utc_ns: AtomicI64::new(first.0),
             }),
         }
     }
 
-    pub(super) fn coming(&self) -> Arc<Coming> {
-        self.coming.clone()
+    pub(super) fn next_order(&self) -> Arc<NextOrder> {
+        self.next_order.clone()
     }
 
     /// Instant of the next scheduled pulse of any sonar that pings. `None` if no sonar pings.
     pub(crate) fn next_pulse(&self) -> Option<UtcNs> {
         let pings = |sonar: usize| self.settings[sonar].snapshot().0.pinging;
-        self.beats.next_utc(pings)
+        self.schedule.next_utc(pings)
     }
 
     /// Next order with a pulse at or before `now`, in order of time.
     pub(super) fn next(&mut self, now: UtcNs) -> Option<(usize, PingOrder)> {
         loop {
-            self.came = self.came.or_else(|| self.triggers.came.try_recv().ok());
+            self.pending = self
+                .pending
+                .or_else(|| self.triggers.received.try_recv().ok());
             let until = self
-                .came
-                .map_or(now, |came| self.timeline.utc(came.at).min(now));
+                .pending
+                .map_or(now, |trigger| self.timeline.utc(trigger.at).min(now));
             self.stretch_until(until);
-            let happened = {
+            let next = {
                 let (settings, timeline) = (&self.settings, self.timeline);
-                self.beats.due(until, |sonar, at| {
+                self.schedule.due(until, |sonar, at| {
                     settings[sonar].in_force(timeline.mono(at))
                 })
             };
-            let (sonar, event) = match (happened, self.came) {
-                (Some(happened), _) => happened,
-                (None, Some(came)) => {
-                    self.came = None;
-                    (came.sonar, Event::Trigger(self.obey(came)))
+            let (sonar, event) = match (next, self.pending) {
+                (Some(next), _) => next,
+                (None, Some(trigger)) => {
+                    self.pending = None;
+                    (trigger.sonar, Event::Trigger(self.apply(trigger)))
                 }
                 (None, None) => return None,
             };
@@ -198,12 +204,12 @@ impl Beat {
         };
         let now = self.clock.mono();
         for (sonar, settings) in self.settings.iter().enumerate() {
-            let at = self.beats.schedule(sonar).next_utc();
+            let at = self.schedule.of_sonar(sonar).next_utc();
             if at > until {
                 continue;
             }
             let pulse = self.timeline.mono(at);
-            let InForce { settings, .. } = settings.in_force(pulse);
+            let SettingsInForce { settings, .. } = settings.in_force(pulse);
             if !settings.pinging {
                 stretch.put_off_ns[sonar] = 0;
                 continue;
@@ -213,7 +219,7 @@ impl Beat {
             let put_off_ns = stretch.backlog.put_off_ns(sonar, now.0, ready_by.0);
             if put_off_ns > 0 {
                 let put_off_ns = put_off_ns.max(MIN_PUT_OFF_NS);
-                self.beats.put_off(sonar, at.plus_ns(put_off_ns));
+                self.schedule.put_off(sonar, at.plus_ns(put_off_ns));
                 stretch.put_off_ns[sonar] += put_off_ns;
             }
         }
@@ -226,22 +232,22 @@ impl Beat {
     }
 
     /// Outcome of an external trigger.
-    fn obey(&mut self, came: Came) -> Triggered {
-        let at = self.timeline.utc(came.at);
-        let known = came
+    fn apply(&mut self, trigger: ExternalTrigger) -> Triggered {
+        let at = self.timeline.utc(trigger.at);
+        let known = trigger
             .number
-            .map_or(Ok(()), |number| self.numbers[came.sonar].check(number));
+            .map_or(Ok(()), |number| self.numbers[trigger.sonar].check(number));
         if let Err(why) = known {
             return Triggered::Refused(why);
         }
-        if let Some(watch) = &mut self.watches[came.sonar] {
-            watch.since = watch.since.max(at);
+        if let Some(watchdog) = &mut self.watchdogs[trigger.sonar] {
+            watchdog.since = watchdog.since.max(at);
         }
         if self.control.gate().is_held() {
             return Triggered::Refused(Refusal::Held);
         }
-        let in_force = self.settings[came.sonar].in_force(came.at);
-        self.beats.trigger(came.sonar, at, in_force)
+        let in_force = self.settings[trigger.sonar].in_force(trigger.at);
+        self.schedule.trigger(trigger.sonar, at, in_force)
     }
 
     /// Counts an event. Returns its order if the event is one and no fault suppresses the pulse.
@@ -252,70 +258,71 @@ impl Beat {
         }
         let order = event.order()?;
         let at = self.timeline.mono(order.transmit_utc);
-        if let Event::Beat(_) = event {
-            self.settings[sonar].pinged(at);
+        if let Event::Scheduled(_) = event {
+            self.settings[sonar].note_ping(at);
         }
         if self.faults.trigger_missed(PingMark::of(sonar, &order)) {
             add(&self.control.sonars()[sonar].counters.triggers_missed, 1);
             return None;
         }
-        let again_s = match self.beats.is_second(sonar) {
+        let second_s = match self.schedule.is_second(sonar) {
             // An injected double trigger is not repeated again.
             true => None,
             false => self.faults.trigger_double_s(PingMark::of(sonar, &order)),
         };
-        if let Some(after_s) = again_s {
-            self.beats.again(sonar, order.transmit_utc.plus_s(after_s));
+        if let Some(after_s) = second_s {
+            self.schedule
+                .trigger_again(sonar, order.transmit_utc.plus_s(after_s));
         }
         if self.triggers.outs[sonar].is_some() {
-            for after_s in [Some(0.0), again_s].into_iter().flatten() {
+            for after_s in [Some(0.0), second_s].into_iter().flatten() {
                 let at = at.plus_s(after_s);
-                let told = PulseNotice {
+                let notice = PulseNotice {
                     at,
                     sonar,
                     number: order.ping_number,
                     utc: order.transmit_utc.plus_s(after_s),
                 };
-                let place = self.untold.partition_point(|other| other.at <= at);
-                self.untold.insert(place, told);
+                let place = self.notices.partition_point(|other| other.at <= at);
+                self.notices.insert(place, notice);
             }
-            self.tell();
+            self.send_notices();
         }
-        self.beats.pulsed(sonar, order.transmit_utc);
+        self.schedule.note_pulse(sonar, order.transmit_utc);
         Some(order)
     }
 
     /// Sends the trigger outputs that are due.
-    fn tell(&mut self) {
-        while let Some(told) = self.untold.front().copied() {
-            let late_ns = self.clock.mono().0 - told.at.0;
+    fn send_notices(&mut self) {
+        while let Some(notice) = self.notices.front().copied() {
+            let late_ns = self.clock.mono().0 - notice.at.0;
             if late_ns < 0 {
                 return;
             }
-            self.untold.pop_front();
-            let Some(out) = &self.triggers.outs[told.sonar] else {
+            self.notices.pop_front();
+            let Some(out) = &self.triggers.outs[notice.sonar] else {
                 continue;
             };
             let utc = match self.stamp {
-                StampSpec::Log => told.utc,
+                StampSpec::Log => notice.utc,
                 StampSpec::Host => self.clock.host_utc().plus_ns(-late_ns),
             };
-            out.pulse(told.number, utc);
+            out.pulse(notice.number, utc);
             if !self.own_time {
-                let counts = &self.control.sonars()[told.sonar].triggers;
+                let counts = &self.control.sonars()[notice.sonar].triggers;
                 worst(&counts.worst_pulse_us, late_ns as u64 / 1000);
             }
         }
     }
 
     /// Counts the external triggers that are overdue.
-    fn watch(&mut self, now: UtcNs) {
-        for (sonar, watch) in self.watches.iter_mut().enumerate() {
-            let Some(watch) = watch else { continue };
+    fn check_watchdogs(&mut self, now: UtcNs) {
+        for (sonar, watchdog) in self.watchdogs.iter_mut().enumerate() {
+            let Some(watchdog) = watchdog else { continue };
             let in_force = |at| self.settings[sonar].in_force(self.timeline.mono(at));
-            while now.seconds_since(watch.since) > watch.patience_s {
-                watch.since = watch.since.plus_s(watch.patience_s);
-                let InForce { armed, .. } = in_force(watch.since);
+            while now.seconds_since(watchdog.since) > watchdog.timeout_s {
+                watchdog.since = watchdog.since.plus_s(watchdog.timeout_s);
+                let SettingsInForce { armed, .. } = in_force(watchdog.since);
                 add(
                     &self.control.sonars()[sonar].triggers.absent,
                     u64::from(armed),
@@ -329,7 +336,7 @@ impl Beat {
         while !stop.load(Ordering::Acquire) {
             let now = self.clock.mono();
             let utc = self.timeline.utc(now);
-            self.tell();
+            self.send_notices();
             while let Some((sonar, order)) = self.next(utc.plus_ns(self.ahead_ns)) {
                 let put_off_s = self.put_off_s(sonar);
                 self.backlog.ordered(sonar);
@@ -352,15 +359,15 @@ impl Beat {
                         put_off_ms: None,
                     });
                 }
-                self.coming.wake_up.notify(&*self.clock);
+                self.next_order.wake_up.notify(&*self.clock);
             }
-            self.watch(utc);
-            let next = self.beats.next_utc(|_| true).unwrap_or(UtcNs(i64::MAX));
-            self.coming.next_utc_ns.store(next.0, Ordering::Release);
+            self.check_watchdogs(utc);
+            let next = self.schedule.next_utc(|_| true).unwrap_or(UtcNs(i64::MAX));
+            self.next_order.next_utc_ns.store(next.0, Ordering::Release);
             let order = self.timeline.mono(next.plus_ns(-self.ahead_ns));
-            let told = self.untold.front().map(|told| told.at);
-            let look = now.plus_ns(LOOK_NS);
-            let until = told.map_or(order, |told| told.min(order)).min(look);
+            let notice = self.notices.front().map(|notice| notice.at);
+            let check = now.plus_ns(MAX_WAIT_NS);
+            let until = notice.map_or(order, |notice| notice.min(order)).min(check);
             let wake_up = self.triggers.wake_up.clone();
             self.clock.wait_until(until, &wake_up);
         }
@@ -371,10 +378,10 @@ impl Beat {
         self,
         orders: Sender<Ordered>,
         priority: u8,
-    ) -> std::io::Result<BeatThread> {
+    ) -> std::io::Result<SchedulerThread> {
         let stop = Arc::new(AtomicBool::new(false));
         let (clock, wake_up) = (self.clock.clone(), self.triggers.wake_up.clone());
-        let thread = thread::Builder::new().name("beat".into()).spawn({
+        let thread = thread::Builder::new().name("scheduler".into()).spawn({
             let stop = stop.clone();
             move || {
                 if priority > 0 {
@@ -384,7 +391,7 @@ impl Beat {
                 self.run(&orders, &stop);
             }
         })?;
-        Ok(BeatThread {
+        Ok(SchedulerThread {
             stop,
             clock,
             wake_up,
@@ -393,14 +400,14 @@ impl Beat {
     }
 }
 
-pub(super) struct BeatThread {
+pub(super) struct SchedulerThread {
     stop: Arc<AtomicBool>,
     clock: Arc<dyn Clock>,
     wake_up: Arc<WakeUp>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Drop for BeatThread {
+impl Drop for SchedulerThread {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Release);
         self.wake_up.notify(&*self.clock);

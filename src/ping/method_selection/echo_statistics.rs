@@ -1,8 +1,8 @@
-//! How what a ping hears moves: the error models' closed forms are for echoes from any direction, and a beam that looks to the side has none from
-//! ahead. Here the motion along each ray is weighted with the energy that comes along it.
+//! Motion along the rays of a ping, weighted with the energy of their echoes. The closed forms of the error models hold for echoes from any
+//! direction, but a beam to the side receives none from ahead.
 //!
-//! In: a ping's plan and scatterers. Out: [`Heard`]. Of a seabed only a sample of the scatterers is looked at, evenly over the list; points
-//! and targets all.
+//! In: a ping's plan and scatterers. Out: [`EchoStatistics`]. Of a seabed, only an even sample of the scatterers is used;
+//! points and targets are all used.
 
 use glam::{DMat3, DVec3};
 
@@ -11,10 +11,10 @@ use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::echo::levels::{Directivity, OneWay, amplitude_from_db};
-use echotank_synthesis::error_model::Heard;
+use echotank_synthesis::error_model::EchoStatistics;
 
-/// Scatterers of a seabed looked at, roughly: in a hundred windows enough of each for its root mean squares to within a tenth.
-pub const LOOKED_AT: usize = 20_000;
+/// Approximate number of seabed scatterers in the sample. In each of a hundred windows they give root mean squares within a tenth.
+pub const SAMPLE_SIZE: usize = 20_000;
 /// Instants at which an element's motion is tabled.
 const INSTANTS: usize = 64;
 /// A window is a pulse long, but so many samples at least, as error checks have it.
@@ -27,11 +27,11 @@ const SAMPLED: f64 = 1.1;
 /// A window may begin anywhere, and cut an echo anywhere: it is put together of so many parts, and looked at from each of them on.
 const PARTS: usize = 4;
 
-/// Quantities of [`Heard`] that are root mean squares.
+/// Quantities of [`EchoStatistics`] that are root mean squares.
 const QUANTITIES: usize = 7;
 
 /// All points and targets, and of the ground every so many, about `among` of them: each with how many it stands for.
-pub fn drawn(scatterers: &Scatterers, among: usize) -> impl Iterator<Item = (usize, f64)> {
+pub fn sampled(scatterers: &Scatterers, among: usize) -> impl Iterator<Item = (usize, f64)> {
     let stride = scatterers.len().div_ceil(among).max(1);
     let laws = scatterers.law.iter().enumerate();
     laws.filter_map(move |(i, law)| match law {
@@ -41,7 +41,7 @@ pub fn drawn(scatterers: &Scatterers, among: usize) -> impl Iterator<Item = (usi
     })
 }
 
-/// What sounds in a part of a window: energy, and the weighted squares of [`Heard`]'s quantities.
+/// What sounds in a part of a window: energy, and the weighted squares of [`EchoStatistics`]'s quantities.
 #[derive(Clone, Copy, Default)]
 struct Part {
     energy: f64,
@@ -81,8 +81,12 @@ impl Part {
     }
 }
 
-/// None where nothing is heard.
-pub fn heard(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Option<Heard> {
+/// Statistics of the received echoes; `None` without echoes.
+pub fn echo_statistics(
+    spec: &SonarSpec,
+    plan: &PingPlan,
+    scatterers: &Scatterers,
+) -> Option<EchoStatistics> {
     let rate_hz = spec.receiver.sample_rate_hz;
     let window_s = plan.pulse.duration_s.max(MIN_WINDOW as f64 / rate_hz);
     let windows = (plan.window_s(rate_hz) / window_s).ceil().max(1.0) as usize;
@@ -91,7 +95,7 @@ pub fn heard(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Opti
     let mut sounded = false;
     // Echoes in a loud window that count, at most; the loudest of a window; all of them.
     let mut crowd = 1.0f64;
-    let (mut loudest, mut echoes) = (0.0f64, 0.0);
+    let (mut strongest_share, mut echoes) = (0.0f64, 0.0);
     let mut parts = vec![Part::default(); windows * PARTS];
     for array in &spec.receive {
         let transmit = &spec.transmit[array.transmit];
@@ -100,8 +104,8 @@ pub fn heard(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Opti
         let each = array.elements as f64 / ends.len() as f64;
         for &element in ends {
             parts.fill(Part::default());
-            let ear = Ear::new(spec, plan, transmit, array, element);
-            ear.listen(plan, scatterers, part_s, &mut parts);
+            let receiver = ReceivingElement::new(spec, plan, transmit, array, element);
+            receiver.accumulate(plan, scatterers, part_s, &mut parts);
             echoes += each * parts.iter().map(|part| part.echoes).sum::<f64>();
             let mean = parts.iter().map(|part| part.energy).sum::<f64>() / windows as f64;
             if mean == 0.0 {
@@ -114,26 +118,34 @@ pub fn heard(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Opti
                     crowd = crowd.max(window.begun.powi(2) / window.begun2);
                 }
                 let against = window.energy.max(mean);
-                loudest = loudest.max(window.loudest / against);
+                strongest_share = strongest_share.max(window.loudest / against);
                 for (worst, square) in worst.iter_mut().zip(window.squares) {
                     *worst = worst.max((square / against).sqrt());
                 }
             }
         }
     }
-    let [hop, closing, bend, acceleration, turning, across, of_echoes] = worst;
+    let [
+        displacement,
+        closing,
+        range_acceleration,
+        acceleration,
+        turning,
+        across,
+        of_echoes,
+    ] = worst;
     let elements: usize = spec.receive.iter().map(|array| array.elements).sum();
-    sounded.then(|| Heard {
-        hop_m: hop,
+    sounded.then(|| EchoStatistics {
+        displacement_m: displacement,
         closing_m_per_s: closing,
         closing_of_echoes_m_per_s: of_echoes,
-        bend_m_per_s2: bend,
+        range_acceleration_m_per_s2: range_acceleration,
         acceleration_m_per_s2: acceleration,
         turning_m_per_s: turning,
         across_m_per_s: across,
         spread: 1.0
             + (spread(plan, window_s, windows * elements, crowd) - 1.0) * (1.0 - 1.0 / crowd),
-        loudest,
+        strongest_share,
         echoes,
     })
 }
@@ -148,7 +160,7 @@ fn spread(plan: &PingPlan, window_s: f64, looks: usize, crowd: f64) -> f64 {
 }
 
 /// One element with its transmitter, through a ping.
-struct Ear {
+struct ReceivingElement {
     transmit_m: DVec3,
     transmit_m_per_s: DVec3,
     transmit_m_per_s2: DVec3,
@@ -172,7 +184,7 @@ struct At {
     axis: DVec3,
 }
 
-impl Ear {
+impl ReceivingElement {
     fn new(
         spec: &SonarSpec,
         plan: &PingPlan,
@@ -226,12 +238,18 @@ impl Ear {
         }
     }
 
-    fn listen(&self, plan: &PingPlan, scatterers: &Scatterers, part_s: f64, parts: &mut [Part]) {
+    fn accumulate(
+        &self,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+        part_s: f64,
+        parts: &mut [Part],
+    ) {
         // Of a pulse, in parts.
         let length = plan.pulse.duration_s / part_s;
         let floor = plan.model.cull_db.map_or(0.0, amplitude_from_db);
         let curve = scatterers.curve.as_deref();
-        for (i, weight) in drawn(scatterers, LOOKED_AT) {
+        for (i, weight) in sampled(scatterers, SAMPLE_SIZE) {
             let law = scatterers.law[i];
             let place_m = scatterers.position_m(i);
             let out_m = place_m - self.transmit_m;
@@ -279,12 +297,12 @@ impl Ear {
             let energy = weight * amplitude * amplitude * scatterers.strength[i].norm_sqr();
             let (v_out, v_back) = (self.transmit_m_per_s, at.velocity_m_per_s);
             let (closing_out, closing_back) = (v_out.dot(out), v_back.dot(back));
-            let bend = |v: DVec3, closing: f64, a: DVec3, ray: DVec3, range_m: f64| {
+            let leg_acceleration = |v: DVec3, closing: f64, a: DVec3, ray: DVec3, range_m: f64| {
                 (v.length_squared() - closing * closing) / range_m - a.dot(ray)
             };
-            let bend = 0.5
-                * (bend(v_out, closing_out, self.transmit_m_per_s2, out, out_range_m)
-                    + bend(
+            let range_acceleration = 0.5
+                * (leg_acceleration(v_out, closing_out, self.transmit_m_per_s2, out, out_range_m)
+                    + leg_acceleration(
                         v_back,
                         closing_back,
                         at.acceleration_m_per_s2,
@@ -295,7 +313,7 @@ impl Ear {
             let values = [
                 (here_m - self.at[0].position_m).dot(back),
                 closing,
-                bend,
+                range_acceleration,
                 at.acceleration_m_per_s2.dot(back),
                 at.turning_m_per_s.dot(back),
                 v_back.dot(back) - v_back.dot(at.axis) * at.axis.dot(back),
@@ -346,18 +364,19 @@ pub(crate) fn kept_shares(
         .map(|db| db.map_or(f64::MIN_POSITIVE, amplitude_from_db))
         .collect();
     let (mut all, mut sums) = (0.0, vec![(0.0, 0.0); floors.len()]);
-    let stride = scatterers.len().div_ceil(LOOKED_AT).max(1);
+    let stride = scatterers.len().div_ceil(SAMPLE_SIZE).max(1);
     for array in &spec.receive {
-        let ear = Ear::new(spec, plan, &spec.transmit[array.transmit], array, 0);
-        let at = &ear.at[0];
+        let receiver = ReceivingElement::new(spec, plan, &spec.transmit[array.transmit], array, 0);
+        let at = &receiver.at[0];
         let pairs = array.elements as f64;
         for i in (0..scatterers.len()).step_by(stride) {
             let place_m = scatterers.position_m(i);
-            let out = ear.transmit_from_world * (place_m - ear.transmit_m).normalize_or_zero();
+            let out =
+                receiver.transmit_from_world * (place_m - receiver.transmit_m).normalize_or_zero();
             let back = at.array_from_world * (place_m - at.position_m).normalize_or_zero();
             let loud = f64::from(scatterers.loud[i]);
-            let sent = (ear.transmit_leg.towards(out.x, out.y, out.z) * loud).abs();
-            let level = (sent * ear.element.towards(back.x, back.y, back.z)).abs();
+            let sent = (receiver.transmit_leg.towards(out.x, out.y, out.z) * loud).abs();
+            let level = (sent * receiver.element.towards(back.x, back.y, back.z)).abs();
             all += pairs;
             for ((transmit_leg, kept), floor) in sums.iter_mut().zip(&floors) {
                 *transmit_leg += if sent >= *floor { pairs } else { 0.0 };

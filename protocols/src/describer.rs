@@ -135,7 +135,7 @@ impl fmt::Display for Format {
 }
 
 /// Incremental description of a connection or file, message by message.
-pub struct Words {
+pub struct MessageDescriber {
     state: State,
 }
 
@@ -153,7 +153,7 @@ enum State {
     Whole(Format, Vec<u8>),
 }
 
-impl Words {
+impl MessageDescriber {
     /// An empty input in this format.
     pub fn new(format: Format) -> Self {
         let state = match format {
@@ -251,9 +251,9 @@ impl Datagrams {
             },
             Format::Vita49 => each(vita49_packet(bytes)),
             other => {
-                let mut words = Words::new(other);
-                words.push(bytes, each);
-                words.finish(each);
+                let mut describer = MessageDescriber::new(other);
+                describer.push(bytes, each);
+                describer.finish(each);
             }
         }
     }
@@ -315,12 +315,12 @@ fn whole(format: Format, bytes: &[u8], each: &mut dyn FnMut(String)) {
         },
         Format::Wav => each(match WavHeader::parse(bytes) {
             Ok(header) => format!(
-                "WAV{} {} channels, {} Hz, {:?}, {} moments from byte {}",
+                "WAV{} {} channels, {} Hz, {:?}, {} sample times from byte {}",
                 if header.is_rf64 { " (RF64)" } else { "" },
                 header.format.channels,
                 header.format.sample_rate_hz,
                 header.format.sample,
-                header.moments(),
+                header.sample_times(),
                 header.data_at
             ),
             Err(error) => format!("not a WAV file: {error}"),

@@ -5,7 +5,7 @@ use echotank_protocols::sevenk::Command;
 use echotank_protocols::sevenk::control::{GainType, PulseEnvelope};
 use echotank_protocols::sevenk::records::{RemoteSettings7503, SonarSettings7000};
 
-use echotank_core::settings::{KeptKey, KeptValue, SettingsPort, TriggerSource};
+use echotank_core::settings::{SettingsPort, StoredKey, StoredValue, TriggerSource};
 
 /// Name under which 7k changes settings.
 pub(crate) const VIA: &str = "7k";
@@ -29,8 +29,8 @@ mod name {
 }
 
 /// Key of the stored setting `name`.
-pub(crate) fn key(name: &'static str) -> KeptKey {
-    KeptKey {
+pub(crate) fn key(name: &'static str) -> StoredKey {
+    StoredKey {
         via: VIA,
         name,
         place: 0,
@@ -159,7 +159,7 @@ impl Default for SnippetWindow {
 
 /// Stored settings that the records contain.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Kept {
+pub struct StoredSettings {
     /// Limits on the length of snippets.
     pub snippets: SnippetWindow,
     /// Set-up flags of 7042.
@@ -176,15 +176,15 @@ pub struct Kept {
     pub(crate) foreign_trigger: bool,
 }
 
-impl Kept {
+impl StoredSettings {
     /// Reads the stored settings.
     pub fn of(settings: &dyn SettingsPort) -> Self {
         fn numbers<const N: usize>(
             settings: &dyn SettingsPort,
             name: &'static str,
         ) -> Option<[f64; N]> {
-            match settings.kept(key(name)) {
-                Some(KeptValue::Numbers(numbers)) => numbers.try_into().ok(),
+            match settings.stored(key(name)) {
+                Some(StoredValue::Numbers(numbers)) => numbers.try_into().ok(),
                 _ => None,
             }
         }

@@ -5,24 +5,24 @@
 
 use std::collections::VecDeque;
 
-use super::{Early, PingOrder, Refusal, Schedule, Triggered};
+use super::{EarlyPolicy, PingOrder, Refusal, Schedule, Triggered};
 use echotank_config::spec::{TriggerFrom, TriggerSpec};
 use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 
 /// Maximum number of pending triggers from a followed sonar: more than its pulses within the longest possible delay.
-const MAX_AHEAD: usize = 4096;
+const MAX_PENDING: usize = 4096;
 
 /// Settings that apply to a sonar at an instant.
 #[derive(Clone, Copy, Debug)]
-pub struct InForce {
+pub struct SettingsInForce {
     /// Settings; `pinging` states whether the internal schedule is active.
     pub settings: SonarSettings,
     /// Whether the sonar accepts triggers.
     pub armed: bool,
 }
 
-impl InForce {
+impl SettingsInForce {
     /// Settings of a triggered ping; `None` if the sonar accepts no triggers.
     fn triggered(&self) -> Option<SonarSettings> {
         self.armed.then_some(SonarSettings {
@@ -36,7 +36,7 @@ impl InForce {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Event {
     /// A pulse of the internal schedule.
-    Beat(PingOrder),
+    Scheduled(PingOrder),
     /// A trigger with its outcome.
     Trigger(Triggered),
 }
@@ -45,30 +45,31 @@ impl Event {
     /// Order of the ping that the event starts, if any.
     pub fn order(&self) -> Option<PingOrder> {
         match self {
-            Self::Beat(order) | Self::Trigger(Triggered::Pulse(order)) => Some(*order),
+            Self::Scheduled(order) | Self::Trigger(Triggered::Pulse(order)) => Some(*order),
             Self::Trigger(_) => None,
         }
     }
 }
 
+/// Schedule and pending triggers of one sonar.
 #[derive(Clone, Debug)]
-struct Lane {
+struct Entry {
     schedule: Schedule,
-    early: Early,
+    early: EarlyPolicy,
     /// Index of the followed sonar, and delay after its pulses, s.
     follows: Option<(usize, f64)>,
     /// Pending triggers from the followed sonar, earliest first.
-    ahead: VecDeque<UtcNs>,
+    pending: VecDeque<UtcNs>,
     /// Instant of a pending second trigger.
-    again: Option<UtcNs>,
+    second: Option<UtcNs>,
     /// Whether the last event was the second trigger.
     is_second: bool,
 }
 
-impl Lane {
+impl Entry {
     fn next_trigger(&self) -> Option<UtcNs> {
-        let ahead = self.ahead.front().copied();
-        [self.schedule.queued_utc(), ahead, self.again]
+        let pending = self.pending.front().copied();
+        [self.schedule.queued_utc(), pending, self.second]
             .into_iter()
             .flatten()
             .min()
@@ -77,20 +78,20 @@ impl Lane {
 
 /// Internal schedules and triggers of all sonars of a rig.
 #[derive(Clone, Debug)]
-pub struct Beats {
-    lanes: Vec<Lane>,
+pub struct RigSchedule {
+    entries: Vec<Entry>,
 }
 
-impl Beats {
+impl RigSchedule {
     /// Creates one schedule for each item of `triggers`; all schedules start at `first_utc`.
     pub fn starting_at<'a>(
         first_utc: UtcNs,
         sound_speed_m_per_s: f64,
         triggers: impl Iterator<Item = &'a TriggerSpec>,
     ) -> Self {
-        let lane = |spec: &TriggerSpec| Lane {
+        let entry = |spec: &TriggerSpec| Entry {
             schedule: Schedule::starting_at(first_utc, sound_speed_m_per_s),
-            early: Early {
+            early: EarlyPolicy {
                 rule: spec.early,
                 min_interval_s: spec.min_interval_s,
             },
@@ -98,12 +99,12 @@ impl Beats {
                 TriggerFrom::Sonar { sonar, delay_s } => Some((sonar, delay_s)),
                 _ => None,
             },
-            ahead: VecDeque::new(),
-            again: None,
+            pending: VecDeque::new(),
+            second: None,
             is_second: false,
         };
         Self {
-            lanes: triggers.map(lane).collect(),
+            entries: triggers.map(entry).collect(),
         }
     }
 
@@ -111,33 +112,36 @@ impl Beats {
     ///
     /// # Panics
     /// The index is out of range.
-    pub fn schedule(&self, sonar: usize) -> &Schedule {
-        &self.lanes[sonar].schedule
+    pub fn of_sonar(&self, sonar: usize) -> &Schedule {
+        &self.entries[sonar].schedule
     }
 
     /// Delays the sonar's next scheduled pulse until `utc` at the earliest.
     pub fn put_off(&mut self, sonar: usize, utc: UtcNs) {
-        self.lanes[sonar].schedule.put_off(utc);
+        self.entries[sonar].schedule.put_off(utc);
     }
 
-    /// Instant of the next event: scheduled pulses of the sonars that `beats` selects, and triggers of all sonars. `None` if there is no event.
-    pub fn next_utc(&self, beats: impl Fn(usize) -> bool) -> Option<UtcNs> {
-        let lanes = self.lanes.iter().enumerate();
-        let own = |(sonar, lane): (usize, &Lane)| {
-            let beat = beats(sonar).then(|| lane.schedule.next_utc());
-            [beat, lane.next_trigger()].into_iter().flatten().min()
+    /// Instant of the next event: scheduled pulses of the sonars that `selects` accepts, and triggers of all sonars. `None` if there is no event.
+    pub fn next_utc(&self, selects: impl Fn(usize) -> bool) -> Option<UtcNs> {
+        let entries = self.entries.iter().enumerate();
+        let own = |(sonar, entry): (usize, &Entry)| {
+            let scheduled = selects(sonar).then(|| entry.schedule.next_utc());
+            [scheduled, entry.next_trigger()]
+                .into_iter()
+                .flatten()
+                .min()
         };
-        lanes.filter_map(own).min()
+        entries.filter_map(own).min()
     }
 
-    /// Next event at or before `now`. The caller reports every order that becomes a pulse with [`Beats::pulsed`].
+    /// Next event at or before `now`. The caller reports every order that becomes a pulse with [`RigSchedule::note_pulse`].
     pub fn due(
         &mut self,
         now: UtcNs,
-        in_force: impl Fn(usize, UtcNs) -> InForce,
+        in_force: impl Fn(usize, UtcNs) -> SettingsInForce,
     ) -> Option<(usize, Event)> {
         while let Some((at, sonar)) = self.earliest().filter(|(at, _)| *at <= now) {
-            if let Some(event) = self.happens(sonar, at, |at| in_force(sonar, at)) {
+            if let Some(event) = self.event_at(sonar, at, |at| in_force(sonar, at)) {
                 return Some((sonar, event));
             }
         }
@@ -146,72 +150,77 @@ impl Beats {
 
     /// Instant and sonar of the next event. For equal instants the sonar with the lower index comes first.
     fn earliest(&self) -> Option<(UtcNs, usize)> {
-        let lanes = self.lanes.iter().enumerate();
-        let next = |(sonar, lane): (usize, &Lane)| {
-            let beat = lane.schedule.next_utc();
-            (lane.next_trigger().map_or(beat, |at| at.min(beat)), sonar)
+        let entries = self.entries.iter().enumerate();
+        let next = |(sonar, entry): (usize, &Entry)| {
+            let scheduled = entry.schedule.next_utc();
+            (
+                entry
+                    .next_trigger()
+                    .map_or(scheduled, |at| at.min(scheduled)),
+                sonar,
+            )
         };
-        lanes.map(next).min()
+        entries.map(next).min()
     }
 
-    fn happens(
+    fn event_at(
         &mut self,
         sonar: usize,
         at: UtcNs,
-        in_force: impl Fn(UtcNs) -> InForce,
+        in_force: impl Fn(UtcNs) -> SettingsInForce,
     ) -> Option<Event> {
-        let lane = &mut self.lanes[sonar];
-        lane.is_second = false;
-        let queued = lane.schedule.queued_due(at, |at| {
+        let entry = &mut self.entries[sonar];
+        entry.is_second = false;
+        let queued = entry.schedule.queued_due(at, |at| {
             // A sonar with an internal schedule also accepts the queued second trigger.
-            let InForce { settings, armed } = in_force(at);
+            let SettingsInForce { settings, armed } = in_force(at);
             let armed = armed || settings.pinging;
-            InForce { settings, armed }.triggered()
+            SettingsInForce { settings, armed }.triggered()
         });
         if let Some(triggered) = queued {
             return Some(Event::Trigger(triggered));
         }
-        if let Some(again) = lane.again.filter(|again| *again <= at) {
-            (lane.again, lane.is_second) = (None, true);
-            let InForce { settings, armed } = in_force(again);
+        if let Some(second) = entry.second.filter(|second| *second <= at) {
+            (entry.second, entry.is_second) = (None, true);
+            let SettingsInForce { settings, armed } = in_force(second);
             let armed = armed || settings.pinging;
-            let triggered = self.trigger(sonar, again, InForce { settings, armed });
+            let triggered = self.trigger(sonar, second, SettingsInForce { settings, armed });
             return Some(Event::Trigger(triggered));
         }
-        if lane.ahead.front().is_some_and(|ahead| *ahead <= at) {
-            let at = lane.ahead.pop_front()?;
+        if entry.pending.front().is_some_and(|pending| *pending <= at) {
+            let at = entry.pending.pop_front()?;
             return Some(Event::Trigger(self.trigger(sonar, at, in_force(at))));
         }
-        let beat = lane.schedule.due(at, |at| in_force(at).settings);
-        beat.map(Event::Beat)
+        let scheduled = entry.schedule.due(at, |at| in_force(at).settings);
+        scheduled.map(Event::Scheduled)
     }
 
-    /// Applies an external trigger for `sonar` at `at`. The caller first takes all earlier events with [`Beats::due`].
-    pub fn trigger(&mut self, sonar: usize, at: UtcNs, in_force: InForce) -> Triggered {
-        let lane = &mut self.lanes[sonar];
+    /// Applies an external trigger for `sonar` at `at`. The caller first takes all earlier events with [`RigSchedule::due`].
+    pub fn trigger(&mut self, sonar: usize, at: UtcNs, in_force: SettingsInForce) -> Triggered {
+        let entry = &mut self.entries[sonar];
         match in_force.triggered() {
-            Some(settings) => lane.schedule.trigger(at, settings, lane.early),
+            Some(settings) => entry.schedule.trigger(at, settings, entry.early),
             None => Triggered::Refused(Refusal::Held),
         }
     }
 
     /// Triggers the sonar once more at `at`, independent of its trigger source.
-    pub fn again(&mut self, sonar: usize, at: UtcNs) {
-        self.lanes[sonar].again = Some(at);
+    pub fn trigger_again(&mut self, sonar: usize, at: UtcNs) {
+        self.entries[sonar].second = Some(at);
     }
 
-    /// Whether the last event of this sonar was due to [`Beats::again`].
+    /// Whether the last event of this sonar was due to [`RigSchedule::trigger_again`].
     pub fn is_second(&self, sonar: usize) -> bool {
-        self.lanes[sonar].is_second
+        self.entries[sonar].is_second
     }
 
     /// Reports that the sonar transmitted a pulse at `at`, which triggers the sonars that follow it.
-    pub fn pulsed(&mut self, sonar: usize, at: UtcNs) {
-        let follows = |lane: &&mut Lane| lane.follows.is_some_and(|(whom, _)| whom == sonar);
-        for lane in self.lanes.iter_mut().filter(follows) {
-            let delay_s = lane.follows.map_or(0.0, |(_, delay_s)| delay_s);
-            if lane.ahead.len() < MAX_AHEAD {
-                lane.ahead.push_back(at.plus_s(delay_s));
+    pub fn note_pulse(&mut self, sonar: usize, at: UtcNs) {
+        let follows = |entry: &&mut Entry| entry.follows.is_some_and(|(whom, _)| whom == sonar);
+        for entry in self.entries.iter_mut().filter(follows) {
+            let delay_s = entry.follows.map_or(0.0, |(_, delay_s)| delay_s);
+            if entry.pending.len() < MAX_PENDING {
+                entry.pending.push_back(at.plus_s(delay_s));
             }
         }
     }
@@ -248,8 +257,8 @@ mod tests {
     fn second(others: &[TriggerSpec], ranges_m: &[f64]) -> Vec<(i64, usize)> {
         let first = TriggerSpec::default();
         let specs = std::iter::once(&first).chain(others);
-        let mut beats = Beats::starting_at(UtcNs(0), 1500.0, specs);
-        let in_force = |sonar: usize, _| InForce {
+        let mut schedule = RigSchedule::starting_at(UtcNs(0), 1500.0, specs);
+        let in_force = |sonar: usize, _| SettingsInForce {
             settings: SonarSettings {
                 pinging: sonar == 0,
                 ..settings(ranges_m[sonar])
@@ -257,9 +266,9 @@ mod tests {
             armed: sonar > 0,
         };
         let mut pings = Vec::new();
-        while let Some((sonar, event)) = beats.due(UtcNs(999 * MS), in_force) {
+        while let Some((sonar, event)) = schedule.due(UtcNs(999 * MS), in_force) {
             if let Some(order) = event.order() {
-                beats.pulsed(sonar, order.transmit_utc);
+                schedule.note_pulse(sonar, order.transmit_utc);
                 pings.push((order.transmit_utc.0 / MS, sonar));
             }
         }
@@ -300,16 +309,16 @@ mod tests {
                 early,
                 ..TriggerSpec::default()
             };
-            let mut beats = Beats::starting_at(UtcNs(0), 1500.0, std::iter::once(&spec));
-            let in_force = |_, _| InForce {
+            let mut schedule = RigSchedule::starting_at(UtcNs(0), 1500.0, std::iter::once(&spec));
+            let in_force = |_, _| SettingsInForce {
                 settings: settings(75.0),
                 armed: false,
             };
             let mut pings = Vec::new();
-            while let Some((_, event)) = beats.due(UtcNs(450 * MS), in_force) {
+            while let Some((_, event)) = schedule.due(UtcNs(450 * MS), in_force) {
                 let Some(order) = event.order() else { continue };
                 if order.ping_number == 1 {
-                    beats.again(0, order.transmit_utc.plus_ns(20 * MS));
+                    schedule.trigger_again(0, order.transmit_utc.plus_ns(20 * MS));
                 }
                 pings.push(order.transmit_utc.0 / MS);
             }
@@ -318,10 +327,10 @@ mod tests {
     }
 
     #[test]
-    fn who_is_not_armed_refuses_and_who_is_stopped_keeps_its_beat() {
-        let mut beats =
-            Beats::starting_at(UtcNs(0), 1500.0, std::iter::once(&TriggerSpec::default()));
-        let held = InForce {
+    fn a_sonar_that_is_not_armed_refuses_and_a_stopped_one_keeps_its_schedule() {
+        let mut schedule =
+            RigSchedule::starting_at(UtcNs(0), 1500.0, std::iter::once(&TriggerSpec::default()));
+        let held = SettingsInForce {
             settings: SonarSettings {
                 pinging: false,
                 ..settings(75.0)
@@ -329,12 +338,12 @@ mod tests {
             armed: false,
         };
         assert_eq!(
-            beats.trigger(0, UtcNs(MS), held),
+            schedule.trigger(0, UtcNs(MS), held),
             Triggered::Refused(Refusal::Held)
         );
-        assert_eq!(beats.due(UtcNs(999 * MS), |_, _| held), None);
-        assert_eq!(beats.schedule(0).next_utc(), UtcNs(1000 * MS));
-        assert_eq!(beats.next_utc(|_| false), None);
-        assert_eq!(beats.next_utc(|_| true), Some(UtcNs(1000 * MS)));
+        assert_eq!(schedule.due(UtcNs(999 * MS), |_, _| held), None);
+        assert_eq!(schedule.of_sonar(0).next_utc(), UtcNs(1000 * MS));
+        assert_eq!(schedule.next_utc(|_| false), None);
+        assert_eq!(schedule.next_utc(|_| true), Some(UtcNs(1000 * MS)));
     }
 }
