@@ -135,25 +135,25 @@ pub fn gather(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
 }
 
 /// The way of the sound from the transmitters to every scatterer.
-fn insonify(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
+pub fn insonify(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     let pipeline = &mut rig.sonars[sonar].pipeline;
     pipeline.insonify(&slot.plan, &rig.scatterers, &mut slot.output);
 }
 
 /// The sum of the echoes at every element.
-fn synthesise(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
+pub fn synthesise(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     let pipeline = &mut rig.sonars[sonar].pipeline;
     pipeline.synthesise(&slot.plan, &rig.scatterers, &mut slot.output);
 }
 
 /// The receiver of every element: noise, gain, converter and faults.
-fn receive(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
+pub fn receive(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     let pipeline = &mut rig.sonars[sonar].pipeline;
     pipeline.receive(&slot.plan, &mut slot.output);
 }
 
 /// Side-scan lines, beams and soundings; then the method selection learns from the ping.
-fn form(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
+pub fn form(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     let unit = &mut rig.sonars[sonar];
     let PingSlot { plan, output } = slot;
     unit.pipeline.form(plan, output);

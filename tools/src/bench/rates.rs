@@ -14,7 +14,8 @@ use clap::Args;
 use echotank_config::spec::RigSpec;
 use echotank_ping::rig::{PingSlot, Rig};
 use echotank_ping::threads::pool;
-use echotank_ping::{PingOrder, finish_ping, period_ns};
+use echotank_ping::make_ping::{form, insonify, receive, synthesise};
+use echotank_ping::{PingOrder, period_ns};
 use echotank_runtime::recorded::RecordedRig;
 use serde::{Deserialize, Serialize};
 
@@ -111,7 +112,7 @@ impl RigRates {
 }
 
 /// Separately timed parts of a ping.
-const STAGES: [&str; 3] = ["gather", "echoes and beams", "records"];
+const STAGES: [&str; 6] = ["gather", "insonify", "echoes", "receiver", "beams", "records"];
 
 /// Times of the pings of one sonar.
 struct Timed {
@@ -149,15 +150,22 @@ fn timed_ping(
     encoders: &mut Encoders,
 ) -> Option<([f64; STAGES.len()], usize)> {
     let mode = rig.spec.nav.mode;
-    let start = Instant::now();
+    let mut last = Instant::now();
+    let mut lap = || {
+        let now = Instant::now();
+        let took = now.duration_since(std::mem::replace(&mut last, now));
+        took.as_secs_f64() * 1e3
+    };
     rig.prepare(sonar, order, mode, order.transmit_utc, slot)
         .ok()?;
-    let gathered = start.elapsed();
-    finish_ping(rig, sonar, slot);
-    let made = start.elapsed();
+    let mut ms = [0.0; STAGES.len()];
+    ms[0] = lap();
+    for (ms, stage) in ms[1..].iter_mut().zip([insonify, synthesise, receive, form]) {
+        stage(rig, sonar, slot);
+        *ms = lap();
+    }
     let bytes = encoders.encode(slot);
-    let encoded = start.elapsed();
-    let ms = [gathered, made - gathered, encoded - made].map(|took| took.as_secs_f64() * 1e3);
+    ms[5] = lap();
     Some((ms, bytes))
 }
 
@@ -329,7 +337,7 @@ impl Row {
 fn head() -> String {
     let stages: Vec<String> = STAGES
         .iter()
-        .map(|name| format!("{:>9}", name.split(' ').next().unwrap_or(name)))
+        .map(|name| format!("{name:>9}"))
         .collect();
     format!(
         "{:<12} {:>5} {:>5} {:>5} {:>9} {} | {:>7} {:>7} {:>7} {:>6} | {:>7} {:>5} | {:>7} {:>7}",
@@ -367,7 +375,7 @@ pub(crate) fn run(selection: &Selection) -> Result<(), String> {
     let quick = selection.common.quick;
     let mut report = Report::new();
     println!(
-        "ms of one period of each rig, medians, {} threads; \"echoes\": from the transmit leg to soundings; \"est.\": of `echotank check`",
+        "ms of one period of each rig, medians, {} threads; \"est.\": of `echotank check`",
         selection.threads
     );
     println!("{}", head());
