@@ -12,9 +12,9 @@ use std::time::Instant;
 
 use clap::Args;
 use echotank_config::spec::RigSpec;
+use echotank_ping::make_ping::{form, insonify, receive, synthesise};
 use echotank_ping::rig::{PingSlot, Rig};
 use echotank_ping::threads::pool;
-use echotank_ping::make_ping::{form, insonify, receive, synthesise};
 use echotank_ping::{PingOrder, period_ns};
 use echotank_runtime::recorded::RecordedRig;
 use serde::{Deserialize, Serialize};
@@ -112,7 +112,9 @@ impl RigRates {
 }
 
 /// Separately timed parts of a ping.
-const STAGES: [&str; 6] = ["gather", "insonify", "echoes", "receiver", "beams", "records"];
+const STAGES: [&str; 6] = [
+    "gather", "insonify", "echoes", "receiver", "beams", "records",
+];
 
 /// Times of the pings of one sonar.
 struct Timed {
@@ -160,7 +162,10 @@ fn timed_ping(
         .ok()?;
     let mut ms = [0.0; STAGES.len()];
     ms[0] = lap();
-    for (ms, stage) in ms[1..].iter_mut().zip([insonify, synthesise, receive, form]) {
+    for (ms, stage) in ms[1..]
+        .iter_mut()
+        .zip([insonify, synthesise, receive, form])
+    {
         stage(rig, sonar, slot);
         *ms = lap();
     }
@@ -335,10 +340,7 @@ impl Row {
 }
 
 fn head() -> String {
-    let stages: Vec<String> = STAGES
-        .iter()
-        .map(|name| format!("{name:>9}"))
-        .collect();
+    let stages: Vec<String> = STAGES.iter().map(|name| format!("{name:>9}")).collect();
     format!(
         "{:<12} {:>5} {:>5} {:>5} {:>9} {} | {:>7} {:>7} {:>7} {:>6} | {:>7} {:>5} | {:>7} {:>7}",
         "rig",

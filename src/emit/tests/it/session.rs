@@ -384,12 +384,12 @@ fn pings_by_number_and_by_a_foreign_trigger_are_asked_for_and_ended() {
     let mut rig = Rig::tcp();
     assert_eq!(rig.ask(Command::SinglePing, 1), Ok(()));
     assert!(rig.store.snapshot().0.pinging, "one is owed");
-    rig.store.pinged(MonoNs(1));
+    rig.store.note_ping(MonoNs(1));
     assert!(!rig.store.snapshot().0.pinging, "continuous pinging ended");
     assert_eq!(rig.ask(Command::PingTimes { count: 2 }, 2), Ok(()));
-    rig.store.pinged(MonoNs(2));
+    rig.store.note_ping(MonoNs(2));
     assert!(rig.store.snapshot().0.pinging);
-    rig.store.pinged(MonoNs(3));
+    rig.store.note_ping(MonoNs(3));
     assert!(!rig.store.snapshot().0.pinging);
     assert_eq!(rig.ask(Command::StartPinging, 3), Ok(()));
     assert_eq!(rig.ask(Command::ExternalTrigger, 4), Ok(()));

@@ -97,7 +97,7 @@ impl Pages {
     /// Renews the state while pages are open. Never returns.
     pub(super) async fn renew(&self, port: &dyn ControlPort) {
         let mut ticks = interval(STATE_INTERVAL);
-        look.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut written = (0, Instant::now());
         loop {
             ticks.tick().await;

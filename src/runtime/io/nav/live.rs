@@ -277,8 +277,8 @@ impl Live {
             self.waiting_bytes.fetch_sub(chunk.bytes.len(), Relaxed);
             let source = &mut self.sources[chunk.source];
             let samples = &mut self.samples;
-            if let Some(spoiler) = &mut feed.spoiler {
-                spoiler.modify_bytes(source.index, timeline.utc(chunk.mono), &mut chunk.bytes);
+            if let Some(fault_filter) = &mut feed.fault_filter {
+                fault_filter.modify_bytes(source.index, timeline.utc(chunk.mono), &mut chunk.bytes);
             }
             let pace = (source.stream, source.byte_ns);
             decode(&mut source.decoder, &chunk, pace, timeline, samples);

@@ -505,10 +505,11 @@ struct ClientTable {
 }
 
 impl ClientTable {
-    /// Client that has been idle for the longest time, among those that a full server may disconnect.
+    /// Client that has been idle for the longest time, among those that a full server may disconnect; the first admitted among equals.
     fn idlest(&self, times: &ServerTimes) -> Option<Arc<Client>> {
         let idle = |client: &Arc<Client>| Some((client.idle(times)?, Arc::clone(client)));
-        let idle = self.clients.iter().filter_map(idle);
+        // `max_by_key` returns the last of equal ones.
+        let idle = self.clients.iter().rev().filter_map(idle);
         idle.max_by_key(|(idle, _)| *idle).map(|(_, client)| client)
     }
 }

@@ -120,7 +120,7 @@ fn quickstart_is_accepted_and_its_summary_is_complete() {
     let summary = config::summary(&rig);
     for expected in [
         "wavelength 15.25 mm, range resolution 15.2 cm", // 1525/100e3; 1525/(2 x 5e3)
-        "asked 4.00, kept 4.00",
+        "configured 4.00, used 4.00",
         "2397 samples per element and ping", // (2 x 150/1525 + 3e-3) s at 12 kHz
         "together 1.99 deg",                 // 2 asin(0.443 x 15.25e-3/0.39)
         "elements (7038) 14.73 Mbit/s",      // 48 x 2397 x 4 B x 4 Hz

@@ -13,7 +13,7 @@ use echotank_core::navigation::{FixQuality, NavQuantity, NavSample};
 use echotank_core::time::UtcNs;
 use echotank_nav::NavHistory;
 use echotank_nav::framing::{Checksum, Framing};
-use echotank_nav::reading::{Kind, Reading, When};
+use echotank_nav::reading::{Kind, Reading, StatedTime};
 use echotank_nav::sentence::decode;
 use echotank_ping::faults::Faults;
 use echotank_runtime::clock::{Clock, SystemClock};
@@ -198,7 +198,7 @@ fn check(bench: &Bench, heard: &[Heard], has_pulses: bool) {
         let (latitude, longitude) = r.position_rad.expect("a position");
         assert_eq!(r.fix, FixQuality::RtkFixed);
         // The value is valid at the time in the sentence, independent of its arrival.
-        let Some(When::TimeOfDay(ns)) = r.when else {
+        let Some(StatedTime::TimeOfDay(ns)) = r.when else {
             panic!("{r:?}")
         };
         let named_s = ns as f64 / 1e9;
