@@ -97,9 +97,16 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    /// Upper bound of the relative error of element samples: the sum over the parts.
+    /// Upper bound of the relative error of element samples. The errors of path and Doppler are phases of the same echo, and add. The others are
+    /// independent of them and of each other: their energies add.
     pub fn error(&self) -> f64 {
-        self.parts.iter().map(|part| part.error).sum()
+        let of = |family: Family| self.part(family).error;
+        let phase = of(Family::Path) + of(Family::Doppler);
+        let others = self
+            .parts
+            .iter()
+            .filter(|part| !matches!(part.family, Family::Path | Family::Doppler));
+        others.fold(phase, |sum, part| sum.hypot(part.error))
     }
     /// Cost estimate, milliseconds of one core.
     pub fn cost_ms(&self) -> f64 {
@@ -215,7 +222,7 @@ impl Ranking {
         &self.candidates[self.chosen]
     }
 
-    /// Whether what was chosen keeps what is asked.
+    /// Whether the selected candidate meets the goal.
     pub fn is_within(&self) -> bool {
         self.goal.meets(self.chosen())
     }

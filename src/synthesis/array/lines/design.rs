@@ -23,6 +23,10 @@ use super::windows::SingleEcho;
 
 /// Share of the tolerance, as energy, that the interpolation along the line may use at most.
 const PATH_SHARE: f64 = 0.1;
+/// Share of the tolerance, as energy, that the change of the Doppler during the pulse may use, with three taps and more.
+const CURVATURE_SHARE: f64 = 0.1;
+/// Share of the tolerance, as energy, that echoes with a Doppler beyond all columns may use.
+pub(super) const BEYOND_SHARE: f64 = 0.05;
 /// Shares of the tolerance, as energy, to try for the columns.
 const COLUMN_SHARES: [f64; 4] = [0.1, 0.3, 0.5, 0.7];
 /// Flatness of the spectrum for which kernels are fitted: exponents of the energy. A flatter one favours windows with the onset of a single echo.
@@ -42,16 +46,16 @@ const ECHO_NS: f64 = 30.0;
 const NODE_NS: f64 = 18.0;
 const BLOCK_NS: f64 = 15.0;
 const ROW_NS: f64 = 1.9;
-const TAP_NS: f64 = 0.9;
+const TAP_NS: f64 = 1.5;
 /// Per row of a column's transform and log2 of the rows; per sample and element of the output.
-const TRANSFORM_NS: f64 = 1.6;
+const TRANSFORM_NS: f64 = 2.0;
 const SAMPLE_NS: f64 = 6.0;
 /// Ranges at which the interpolation along the line is examined: the farthest, in half lengths, and the steps towards the line.
 const FARTHEST: f64 = 1e4;
 const NEARER: f64 = 0.9;
 const RANGES: i32 = 120;
-/// Speed that echoes typically differ by, m/s, and nodes along a line, for the cost.
-const TYPICAL_M_PER_S: f64 = 1.5;
+/// Speed that echoes typically differ by with their side lobes, m/s, and nodes along a line, for the cost.
+const TYPICAL_M_PER_S: f64 = 6.0;
 const TYPICAL_NODES: f64 = 5.0;
 
 /// Requirements on the engine.
@@ -127,6 +131,8 @@ pub struct Design {
     pub(super) columns: Columns,
     /// Stretch between neighbouring columns; 0 with one column.
     pub(super) step: f64,
+    /// Largest phase at the ends of the pulse from the change of the Doppler, radians; echoes beyond it are counted.
+    pub(super) max_curvature_rad: f64,
     /// Columns to either side of zero Doppler.
     pub(super) reach: usize,
     /// Samples and grid rows of a slab's transform.
@@ -314,6 +320,10 @@ impl Design {
             });
         }
         let path_error = tolerance * PATH_SHARE.sqrt();
+        let beyond_error = match spec.doppler {
+            DopplerModel::None => 0.0,
+            _ => tolerance * BEYOND_SHARE.sqrt(),
+        };
         let PulseFits {
             single_echo,
             contents,
@@ -354,9 +364,16 @@ impl Design {
             }
             _ => 0.0,
         };
+        let curvature_room = tolerance * CURVATURE_SHARE.sqrt();
         let of_curvature = |columns: &Columns| match columns.taps {
             ..3 => single_echo.worst_of_even(0.3 * curvature_rad, 2.2),
-            _ => single_echo.worst_of_even(0.06 * curvature_rad * curvature_rad, 4.0),
+            _ => single_echo
+                .worst_of_even(0.06 * curvature_rad * curvature_rad, 4.0)
+                .min(curvature_room),
+        };
+        let max_curvature_rad = |columns: &Columns| match columns.taps {
+            ..3 => f64::INFINITY,
+            _ => (curvature_room / single_echo.worst_of_even(0.06, 4.0)).sqrt(),
         };
         let mut finest = f64::INFINITY;
         let mut best: Option<Self> = None;
@@ -377,8 +394,8 @@ impl Design {
                 });
             };
             let slab_rows = slab_samples * density.0 / density.1;
-            // Rows that the delays of a block spread over, for echoes from 45 degrees.
-            let block_s = 0.7 * LANES as f64 * array.spacing_m / c;
+            // Rows that the delays of a block spread over, for echoes from 20 degrees: between those of a side-scan's beam and of a wide fan.
+            let block_s = 0.35 * LANES as f64 * array.spacing_m / c;
             let rows = width as f64 + block_s * rate_hz * per_sample;
             let step = |columns: &Columns| match moving {
                 false => 0.0,
@@ -428,10 +445,13 @@ impl Design {
                     false => flat,
                 }
             });
-            finest = finest.min(kernel_error / (1.0 - PATH_SHARE - COLUMN_SHARES[0]).sqrt());
+            let rest = 1.0 - PATH_SHARE - COLUMN_SHARES[0] - CURVATURE_SHARE - BEYOND_SHARE;
+            finest = finest.min(kernel_error / rest.sqrt());
             for columns in &candidates {
                 let of_doppler = of_columns(columns).hypot(of_curvature(columns));
-                let error = kernel_error.hypot(of_doppler).hypot(path_error);
+                let error = kernel_error
+                    .hypot(of_doppler)
+                    .hypot(path_error.hypot(beyond_error));
                 if !(error <= tolerance && cheaper(&columns, &best)) {
                     continue;
                 }
@@ -446,6 +466,7 @@ impl Design {
                     kernel,
                     columns: *columns,
                     step,
+                    max_curvature_rad: max_curvature_rad(columns),
                     reach,
                     slab_samples,
                     slab_rows,

@@ -21,7 +21,7 @@ use echotank_core::model::DopplerModel;
 use echotank_core::ping::{EchoCounts, PingPlan};
 use echotank_core::simd::{SimdLevel, widest};
 
-use super::design::{Design, KernelFits, Refusal, Spec};
+use super::design::{BEYOND_SHARE, Design, KernelFits, Refusal, Spec};
 use super::dopplers::{MAX_TAPS, MEAN_CURVATURE, WEIGHT_TERMS};
 use super::kernel::BAND;
 use super::nodes::{BlockWeights, NODES, block_weights, coefficients, places};
@@ -29,8 +29,17 @@ use super::spread::{CELL, EchoChunk, LANES, Located, Shape, add};
 
 /// Echoes are ordered by arrival in steps of this many rows.
 const BUCKET_ROWS: usize = 8;
-/// Share of the energy in a bucket that echoes with a Doppler beyond the columns may have, relative to the squared tolerance.
-const BESIDE_SHARE: f64 = 0.02;
+/// Within so many of these steps, echoes are ordered by direction first. At the ends of a long line, echoes of different directions lie many rows
+/// apart. Those of one direction share rows, which then stay in the nearest cache.
+const GROUP_BUCKETS: usize = 8;
+/// Maximum number of sectors of direction.
+const MAX_SECTORS: usize = 8;
+/// Energies are compared over windows of half a pulse, in steps of a quarter.
+const PARTS_OF_PULSE: f64 = 4.0;
+/// Energy below the strongest window that counts as noise.
+const NOISE: f32 = 3.162e-6;
+/// Mean squared error of an echo at a wrong Doppler.
+const WRONG: f64 = 2.0;
 /// Marks echoes that no slab takes.
 const NOWHERE: u32 = u32::MAX;
 
@@ -70,11 +79,12 @@ struct State {
     batches: Vec<Batch>,
     /// Echoes in order: batch and index.
     order: Vec<u32>,
-    /// First echo of every bucket in `order`.
+    echo_order: EchoOrder,
+    /// First echo of every place in `order`.
     firsts: Vec<u32>,
     chunks: Vec<EchoChunk>,
     slabs: Vec<SlabPlan>,
-    /// Energy by bucket and column.
+    /// Energy by part of a slab and column; the parts are as long as a part of the pulse.
     energy: Vec<f32>,
     outputs: Vec<Vec<f32>>,
     geometry: Vec<Mutex<(NodeWorkspace, Box<NodeBatch>)>>,
@@ -89,10 +99,51 @@ struct Work {
     scratch: Vec<f32>,
 }
 
+/// Order of the echoes of a slab: by groups of rows, then by sector of direction, then by rows.
+#[derive(Clone, Copy, Default)]
+struct EchoOrder {
+    groups: usize,
+    sectors: usize,
+    /// Sectors per row of difference between the centre and an end of the line.
+    sectors_per_row: f32,
+}
+
+impl EchoOrder {
+    /// For slabs of so many buckets of rows, and a line along which delays differ from the centre by at most `reach` rows.
+    fn new(buckets: usize, reach: f64) -> Self {
+        let sectors = (2.0 * reach / BUCKET_ROWS as f64).ceil().max(1.0) as usize;
+        let sectors = sectors.min(MAX_SECTORS);
+        Self {
+            groups: buckets.div_ceil(GROUP_BUCKETS),
+            sectors,
+            sectors_per_row: sectors as f32 / (2.0 * reach).max(1e-3) as f32,
+        }
+    }
+
+    /// Number of places of a slab.
+    fn len(&self) -> usize {
+        self.groups * self.sectors * GROUP_BUCKETS
+    }
+
+    /// Place of an echo in a bucket of rows, with this difference along half the line.
+    fn place(&self, bucket: usize, along_rows: f32) -> usize {
+        let sector = 0.5 * self.sectors as f32 + along_rows * self.sectors_per_row;
+        let sector = (sector.max(0.0) as usize).min(self.sectors - 1);
+        (bucket / GROUP_BUCKETS * self.sectors + sector) * GROUP_BUCKETS + bucket % GROUP_BUCKETS
+    }
+
+    /// Bucket of rows of a place.
+    fn bucket(&self, place: usize) -> usize {
+        let group = place / (self.sectors * GROUP_BUCKETS);
+        group * GROUP_BUCKETS + place % GROUP_BUCKETS
+    }
+}
+
 /// Stored geometry of [`CHUNK`] scatterers.
 struct Batch {
     chunk: EchoChunk,
-    bucket: [u32; CHUNK],
+    /// Slab and place in its order.
+    place: [u32; CHUNK],
     counts: EchoCounts,
 }
 
@@ -284,7 +335,8 @@ impl GriddedLines {
         let (first_s, rate_hz) = (plan.first_sample_s, self.sample_rate_hz);
         let first_middle_s = first_s - extent as f64 / rate_hz;
         let per_payload = rate_hz / payload as f64;
-        let buckets = (payload as f64 * buckets_per_s / rate_hz).ceil() as u32 + 1;
+        let buckets = (payload as f64 * buckets_per_s / rate_hz).ceil() as usize + 1;
+        let order = EchoOrder::new(buckets, half_m / plan.sound_speed_m_per_s * per_s);
         let array = &self.array;
         let state = &mut self.state;
         if state.nodes.len() != count {
@@ -311,11 +363,12 @@ impl GriddedLines {
         if state.batches.len() < batches {
             state.batches.resize_with(batches, || Batch {
                 chunk: EchoChunk::default(),
-                bucket: [NOWHERE; CHUNK],
+                place: [NOWHERE; CHUNK],
                 counts: EchoCounts::default(),
             });
         }
         let models_curvature = self.models_curvature;
+        let max_curvature_rad = self.design.max_curvature_rad as f32;
         let half_s = 0.5 * plan.pulse.duration_s;
         let rad_per_curvature = TAU * plan.pulse.center_frequency_hz * half_s * half_s;
         let (tracks, geometry) = (&state.tracks, &state.geometry);
@@ -365,15 +418,17 @@ impl GriddedLines {
                     let after_s = middle_s - first_middle_s;
                     let slab = (after_s * per_payload).floor();
                     let inside = solved.keep[i] && slab >= 0.0 && slab < slabs as f64;
-                    batch.bucket[i] = match inside && i < solved.len {
+                    batch.place[i] = match inside && i < solved.len {
                         true => {
                             let rest_s = after_s - slab / per_payload;
-                            let bucket = (rest_s * buckets_per_s).max(0.0) as u32;
-                            slab as u32 * buckets + bucket.min(buckets - 1)
+                            let bucket = (rest_s * buckets_per_s).max(0.0) as usize;
+                            let place = order.place(bucket.min(buckets - 1), chunk.along[0][i]);
+                            (slab as usize * order.len() + place) as u32
                         }
                         false => NOWHERE,
                     };
-                    let fast = chunk.doppler[1][i].abs() > most;
+                    let fast = chunk.doppler[1][i].abs() > most
+                        || models_curvature && chunk.curvature_rad[i].abs() > max_curvature_rad;
                     beyond += u64::from(inside && i < solved.len && (fast || enough.is_none()));
                 }
                 batch.counts.beyond_engine = beyond * array.elements as u64;
@@ -385,10 +440,11 @@ impl GriddedLines {
         // What lies past the last batch is of an earlier ping.
         for batch in &mut state.batches[batches..] {
             batch.chunk.len = 0;
-            batch.bucket = [NOWHERE; CHUNK];
+            batch.place = [NOWHERE; CHUNK];
         }
         state.firsts.clear();
-        state.firsts.resize(slabs * buckets as usize + 1, 0);
+        state.firsts.resize(slabs * order.len() + 1, 0);
+        state.echo_order = order;
         let mut plans = std::mem::take(&mut state.slabs);
         plans.clear();
         plans.extend((0..slabs).map(|s| {
@@ -407,23 +463,28 @@ impl GriddedLines {
     fn sort(&mut self, counts: &mut EchoCounts) {
         let per_s = self.rows_per_s();
         let Design { columns, reach, .. } = self.design;
-        let beside = (BESIDE_SHARE * self.tolerance * self.tolerance) as f32;
+        let beside = (BEYOND_SHARE / WRONG * self.tolerance * self.tolerance) as f32;
         let state = &mut self.state;
-        let buckets = state.firsts.len() - 1;
+        let places = state.firsts.len() - 1;
+        let echo_order = state.echo_order;
         let slabs = state.slabs.len();
-        let per_slab = (buckets / slabs.max(1)).max(1);
+        let per_slab = echo_order.len();
         let width = 2 * reach + 1;
         let moving = reach > 0;
+        // Parts of a pulse, in buckets, and of a slab.
+        let pulse_rows = self.pulse_s * per_s;
+        let per_part = ((pulse_rows / PARTS_OF_PULSE) as usize / BUCKET_ROWS).max(1);
+        let parts = (echo_order.groups * GROUP_BUCKETS).div_ceil(per_part);
         if moving {
             state.energy.clear();
-            state.energy.resize(buckets * width, 0.0);
+            state.energy.resize(slabs * parts * width, 0.0);
         }
         for batch in &state.batches {
-            for (i, &bucket) in batch.bucket[..batch.chunk.len].iter().enumerate() {
-                if bucket == NOWHERE {
+            for (i, &place) in batch.place[..batch.chunk.len].iter().enumerate() {
+                if place == NOWHERE {
                     continue;
                 }
-                state.firsts[bucket as usize + 1] += 1;
+                state.firsts[place as usize + 1] += 1;
                 if moving {
                     let chunk = &batch.chunk;
                     let gain = chunk.gain[1][i];
@@ -431,28 +492,33 @@ impl GriddedLines {
                         gain * gain * (chunk.re[i] * chunk.re[i] + chunk.im[i] * chunk.im[i]);
                     let column = chunk.doppler[1][i].round() + reach as f32;
                     let column = (column.max(0.0) as usize).min(width - 1);
-                    state.energy[bucket as usize * width + column] += power;
+                    let (slab, place) = (place as usize / per_slab, place as usize % per_slab);
+                    let part = slab * parts + echo_order.bucket(place) / per_part;
+                    state.energy[part * width + column] += power;
                 }
             }
         }
-        for k in 0..buckets {
+        for k in 0..places {
             state.firsts[k + 1] += state.firsts[k];
         }
-        let total = state.firsts[buckets] as usize;
+        let total = state.firsts[places] as usize;
         counts.used = total as u64 * self.array.elements as u64;
         state.order.clear();
         state.order.resize(total, 0);
         let mut next = std::mem::take(&mut state.firsts);
         for (b, batch) in state.batches.iter().enumerate() {
-            for (i, &bucket) in batch.bucket[..batch.chunk.len].iter().enumerate() {
-                if bucket != NOWHERE {
-                    let at = &mut next[bucket as usize];
+            for (i, &place) in batch.place[..batch.chunk.len].iter().enumerate() {
+                if place != NOWHERE {
+                    let at = &mut next[place as usize];
                     state.order[*at as usize] = (b * CHUNK + i) as u32;
                     *at += 1;
                 }
             }
         }
-        // `next` now holds the ends of the buckets.
+        let strongest = windows(&state.energy, width)
+            .map(|window| window.by_column().sum())
+            .fold(0.0, f32::max);
+        // `next` now holds the ends of the places.
         let mut chunks = 0;
         for (s, slab) in state.slabs.iter_mut().enumerate() {
             let begin = match s {
@@ -467,8 +533,11 @@ impl GriddedLines {
             (slab.first_column, slab.columns) = match moving {
                 false => (0, 1),
                 true => {
-                    let energy = &state.energy[s * per_slab * width..(s + 1) * per_slab * width];
-                    let (first, last) = used_columns(energy, width, beside);
+                    // With the parts before and after, which share windows with it.
+                    let begin = (s * parts).saturating_sub(1) * width;
+                    let end = (((s + 1) * parts + 1) * width).min(state.energy.len());
+                    let energy = &state.energy[begin..end];
+                    let (first, last) = used_columns(energy, width, beside, NOISE * strongest);
                     // The taps of echoes at either end.
                     let before = (columns.taps / 2) as i32;
                     let first_column = first as i32 - reach as i32 - before;
@@ -713,24 +782,39 @@ fn expand(
     }
 }
 
-/// First and last column, of `width`, that hold all but a share `beside` of the energy of every bucket.
-fn used_columns(energy: &[f32], width: usize, beside: f32) -> (usize, usize) {
+/// Energies of two parts that follow each other, by column.
+struct Pair<'a>(&'a [f32], &'a [f32]);
+
+impl Pair<'_> {
+    fn by_column(&self) -> impl DoubleEndedIterator<Item = f32> + ExactSizeIterator {
+        self.0.iter().zip(self.1).map(|(a, b)| a + b)
+    }
+}
+
+/// All pairs of neighbouring parts.
+fn windows(energy: &[f32], width: usize) -> impl Iterator<Item = Pair<'_>> {
+    let parts = energy.chunks_exact(width);
+    parts.clone().zip(parts.skip(1)).map(|(a, b)| Pair(a, b))
+}
+
+/// First and last column, of `width`, beyond which no window has more than a `share` of its energy or of the noise.
+fn used_columns(energy: &[f32], width: usize, share: f32, noise: f32) -> (usize, usize) {
     let (mut first, mut last) = (width, 0);
-    for bucket in energy.chunks_exact(width) {
-        let room = beside * bucket.iter().sum::<f32>();
-        let skipped = |of: &mut dyn Iterator<Item = &f32>| {
+    for window in windows(energy, width) {
+        let room = share * window.by_column().sum::<f32>().max(noise);
+        let skipped = |of: &mut dyn Iterator<Item = f32>| {
             let mut sum = 0.0;
-            let beyond = |power: &&f32| {
-                sum += **power;
+            let beyond = |power: &f32| {
+                sum += *power;
                 sum <= room
             };
             of.take_while(beyond).count()
         };
-        let before = skipped(&mut bucket.iter());
+        let before = skipped(&mut window.by_column());
         if before == width {
             continue;
         }
-        let after = skipped(&mut bucket.iter().rev());
+        let after = skipped(&mut window.by_column().rev());
         first = first.min(before);
         last = last.max(width - 1 - after);
     }

@@ -1,4 +1,4 @@
-//! Interpolation along the line: where delays are solved, and their value, slope and curvature in the middle of a block of elements.
+//! Interpolation along the line: where delays are solved, and their derivatives in the middle of a block of elements.
 
 use std::f64::consts::PI;
 
@@ -12,6 +12,8 @@ pub(super) struct BlockWeights {
     pub slope: [f32; MAX_NODES],
     /// Half the second derivative, per element squared.
     pub curvature: [f32; MAX_NODES],
+    /// A sixth of the third derivative, per element cubed.
+    pub cubic: [f32; MAX_NODES],
     /// Weights of the gain nodes, and their change per element.
     pub gain: [f32; GAIN_NODES],
     pub gain_slope: [f32; GAIN_NODES],
@@ -55,17 +57,18 @@ pub(super) fn coefficients(nodes: &[f64]) -> [[f64; MAX_NODES]; MAX_NODES] {
     matrix
 }
 
-/// Chebyshev polynomials at `x`, with their first and second derivatives: `[order][derivative]`.
-fn chebyshev(x: f64) -> [[f64; 3]; MAX_NODES] {
-    let mut all = [[0.0; 3]; MAX_NODES];
-    all[0] = [1.0, 0.0, 0.0];
-    all[1] = [x, 1.0, 0.0];
+/// Chebyshev polynomials at `x`, with their first three derivatives: `[order][derivative]`.
+fn chebyshev(x: f64) -> [[f64; 4]; MAX_NODES] {
+    let mut all = [[0.0; 4]; MAX_NODES];
+    all[0] = [1.0, 0.0, 0.0, 0.0];
+    all[1] = [x, 1.0, 0.0, 0.0];
     for k in 2..MAX_NODES {
         let (one, two) = (all[k - 1], all[k - 2]);
         all[k] = [
             2.0 * x * one[0] - two[0],
             2.0 * (one[0] + x * one[1]) - two[1],
             2.0 * (2.0 * one[1] + x * one[2]) - two[2],
+            2.0 * (3.0 * one[2] + x * one[3]) - two[3],
         ];
     }
     all
@@ -81,13 +84,14 @@ pub(super) fn block_weights(nodes: &[f64], x: f64, per_element: f64) -> BlockWei
         value: fill(0, 1.0),
         slope: fill(1, per_element),
         curvature: fill(2, 0.5 * per_element * per_element),
+        cubic: fill(3, per_element.powi(3) / 6.0),
         gain: std::array::from_fn(|k| gain[k] as f32),
         gain_slope: std::array::from_fn(|k| (gain_slope[k] * per_element) as f32),
     }
 }
 
-/// Largest error of a path length interpolated from `nodes` nodes over a line of `half_m` to either side, and quadratic over blocks of `block_m`,
-/// for points at `range_m` in all directions, metres.
+/// Largest error of a path length interpolated from `nodes` nodes over a line of `half_m` to either side, and cubic over blocks of `block_m`, for
+/// points at `range_m` in all directions, metres.
 pub(super) fn interpolation_error_m(nodes: usize, half_m: f64, block_m: f64, range_m: f64) -> f64 {
     let places: Vec<f64> = places(nodes).collect();
     let mut worst: f64 = 0.0;
@@ -106,9 +110,9 @@ pub(super) fn interpolation_error_m(nodes: usize, half_m: f64, block_m: f64, ran
             worst = worst.max((sum - path(x * half_m)).abs());
         }
     }
-    // Third order over half a block; sin cos^2 is at most 0.385.
+    // Fourth order over half a block: cos^2 (5 sin^2 - 1) is at most 1.
     let half_block_m = 0.5 * block_m;
-    worst + 0.385 * half_block_m.powi(3) / (2.0 * range_m * range_m)
+    worst + half_block_m.powi(4) / (8.0 * range_m.powi(3))
 }
 
 #[cfg(test)]
@@ -116,10 +120,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn weights_reproduce_value_slope_and_bend_of_a_polynomial() {
+    fn weights_reproduce_value_and_derivatives_of_a_polynomial() {
         for nodes in [3, 5, 9] {
             let places: Vec<f64> = places(nodes).collect();
-            let f = |x: f64| 0.3 - 1.2 * x + 0.7 * x * x;
+            let cubic = if nodes > 3 { 0.4 } else { 0.0 };
+            let f = |x: f64| 0.3 - 1.2 * x + 0.7 * x * x + cubic * x.powi(3);
             let terms = coefficients(&places).map(|row| -> f64 {
                 let parts = row.iter().zip(&places);
                 parts.map(|(weight, place)| weight * f(*place)).sum()
@@ -131,8 +136,11 @@ mod tests {
                 };
                 // Rounded to f32.
                 assert!((sum(&weights.value) - f(x)).abs() < 2e-7);
-                assert!((sum(&weights.slope) - 0.01 * (-1.2 + 1.4 * x)).abs() < 2e-9);
-                assert!((sum(&weights.curvature) - 1e-4 * 0.7).abs() < 1e-11);
+                let slope = -1.2 + 1.4 * x + 3.0 * cubic * x * x;
+                assert!((sum(&weights.slope) - 0.01 * slope).abs() < 4e-9);
+                let curvature = 0.7 + 3.0 * cubic * x;
+                assert!((sum(&weights.curvature) - 1e-4 * curvature).abs() < 3e-11);
+                assert!((sum(&weights.cubic) - 1e-6 * cubic).abs() < 1e-12);
             }
         }
     }

@@ -84,10 +84,11 @@ pub(super) struct Located {
     /// First row and number of rows.
     row: [u32; CHUNK],
     rows: [u32; CHUNK],
-    /// Middle of the block after the first row, rows; its change per element and element squared.
+    /// Middle of the block after the first row, rows; its change per element, element squared and cubed.
     x: [f32; CHUNK],
     slope: [f32; CHUNK],
     curvature: [f32; CHUNK],
+    cubic: [f32; CHUNK],
     /// Phase in the middle, cycles.
     turns: [f32; CHUNK],
     re: [f32; CHUNK],
@@ -113,6 +114,7 @@ impl Default for Located {
             x: zero,
             slope: zero,
             curvature: zero,
+            cubic: zero,
             turns: zero,
             re: zero,
             im: zero,
@@ -247,17 +249,16 @@ fn locate<const FUSED: bool>(
     let mut later = [0.0f32; CHUNK];
     out.slope = [0.0; CHUNK];
     out.curvature = [0.0; CHUNK];
+    out.cubic = [0.0; CHUNK];
     let along = &chunk.along[..shape.nodes.clamp(1, MAX_NODES) - 1];
     for (order, at) in (1..).zip(along) {
-        let (a, b, c) = (
-            block.value[order],
-            block.slope[order],
-            block.curvature[order],
-        );
+        let (a, b) = (block.value[order], block.slope[order]);
+        let (c, d) = (block.curvature[order], block.cubic[order]);
         for i in 0..CHUNK {
             later[i] = mul_add::<FUSED>(a, at[i], later[i]);
             out.slope[i] = mul_add::<FUSED>(b, at[i], out.slope[i]);
             out.curvature[i] = mul_add::<FUSED>(c, at[i], out.curvature[i]);
+            out.cubic[i] = mul_add::<FUSED>(d, at[i], out.cubic[i]);
         }
     }
     // Adding and subtracting these rounds to a whole number; the low bits of a sum with the third are the number.
@@ -267,8 +268,8 @@ fn locate<const FUSED: bool>(
     const WHOLE_F32: f32 = (1u32 << 23) as f32;
     for (i, later) in later.iter().enumerate() {
         let value = chunk.middle[i] + f64::from(*later);
-        let reach =
-            f64::from(out.slope[i].abs() * MIDDLE + out.curvature[i].abs() * (MIDDLE * MIDDLE));
+        let end = (out.cubic[i].abs() * MIDDLE + out.curvature[i].abs()) * MIDDLE;
+        let reach = f64::from((end + out.slope[i].abs()) * MIDDLE);
         // Smallest whole number not below, largest not above.
         let low = least(greater(value - reach - half_width, 0.0), last);
         let whole = (low + ROUND) - ROUND;
@@ -409,7 +410,8 @@ unsafe fn spread<V: Lanes<Number = f32>, const TAPS: usize>(
             // SAFETY: the caller guarantees V; `part` + V's lanes <= LANES; rows and taps lie within `cells`.
             unsafe {
                 let place = V::load(lanes.as_ptr().add(part));
-                let off = V::splat(located.curvature[i])
+                let off = V::splat(located.cubic[i])
+                    .mul_add(place, V::splat(located.curvature[i]))
                     .mul_add(place, V::splat(located.slope[i]))
                     .mul(place);
                 let cycles = off.neg_mul_add(V::splat(turns_per_row), V::splat(located.turns[i]));
