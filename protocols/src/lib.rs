@@ -39,3 +39,4 @@ pub mod wbms;
 pub mod xtf;
 
 pub use layout::WireError;
+pub use sevenk::frame::extend_encoded;

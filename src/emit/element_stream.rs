@@ -4,6 +4,7 @@ use std::net::SocketAddr;
 use std::ops::Range;
 
 use echotank_protocols::elements::{FrameHead, HEADER_BYTES, SampleType};
+use echotank_protocols::extend_encoded;
 
 use super::blocks::blocks;
 use super::elements::{elements_of, interleave_iq};
@@ -131,12 +132,10 @@ impl ElementStreamEmitter {
         head.emit(&mut self.frame, count as u32, |buf| {
             match head.sample_type {
                 SampleType::I16 => {
-                    let values = counts[values].as_flattened().iter();
-                    buf.extend(values.flat_map(|v| v.to_le_bytes()));
+                    extend_encoded(buf, counts[values].as_flattened(), i16::to_le_bytes);
                 }
                 SampleType::F32 => {
-                    let values = volts[values].as_flattened().iter();
-                    buf.extend(values.flat_map(|v| v.to_le_bytes()));
+                    extend_encoded(buf, volts[values].as_flattened(), f32::to_le_bytes);
                 }
             }
         });

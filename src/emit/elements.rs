@@ -2,8 +2,12 @@
 
 use num_complex::Complex64;
 
-use super::sevenk::quantise::IQ_FULL_SCALE;
+use super::sevenk::quantise::{IQ_FULL_SCALE, signed};
 use echotank_core::ping::{ElementFrame, PingOutput};
+use echotank_core::simd::widest;
+
+/// Samples of an element that are converted together.
+const BLOCK: usize = 256;
 
 /// Iterates over the elements of `arrays` in order; each item is the sample row of one element.
 pub fn elements_of<'a>(
@@ -19,10 +23,7 @@ pub fn elements_of<'a>(
 /// Quantises a value relative to full scale (real, I or Q) to counts. The flag is true if the value was clipped.
 #[inline(always)]
 pub fn counts(value: f64) -> (i16, bool) {
-    let rounded = (value * IQ_FULL_SCALE).round();
-    let held = rounded.clamp(-IQ_FULL_SCALE, IQ_FULL_SCALE); // NaN stays NaN, and the cast makes it 0
-    let fits = rounded.abs() <= IQ_FULL_SCALE; // false for NaN
-    (held as i16, !fits)
+    signed(value * IQ_FULL_SCALE)
 }
 
 /// Fills `into` with the I and Q counts of all elements, interleaved by sample. Returns the number of clipped values.
@@ -37,13 +38,27 @@ pub fn interleave_iq(
     into.clear();
     into.resize(elements * samples, [0; 2]);
     let mut saturated = 0;
+    let mut block = [[0; 2]; BLOCK];
     for (e, iq) in elements_of(output, arrays).enumerate() {
-        let column = into.iter_mut().skip(e).step_by(elements);
-        for (out, v) in column.zip(iq) {
-            let ((i, i_held), (q, q_held)) =
-                (counts(v.re / full_scale_v), counts(v.im / full_scale_v));
-            saturated += u64::from(i_held) + u64::from(q_held);
-            *out = [i, q];
+        let mut column = into.iter_mut().skip(e).step_by(elements);
+        for volts in iq[..samples.min(iq.len())].chunks(BLOCK) {
+            let out_block = &mut block;
+            saturated += widest(
+                #[inline(always)]
+                move || {
+                    let mut saturated = 0;
+                    for (out, v) in out_block.iter_mut().zip(volts) {
+                        let (i, i_held) = counts(v.re / full_scale_v);
+                        let (q, q_held) = counts(v.im / full_scale_v);
+                        saturated += u64::from(i_held) + u64::from(q_held);
+                        *out = [i, q];
+                    }
+                    saturated
+                },
+            );
+            for (counts, out) in block[..volts.len()].iter().zip(&mut column) {
+                *out = *counts;
+            }
         }
     }
     saturated

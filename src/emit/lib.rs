@@ -7,7 +7,6 @@
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 pub mod blocks;
-mod by_sample;
 pub mod changes;
 pub mod element_stream;
 pub mod elements;

@@ -52,7 +52,7 @@ pub(crate) fn read_fixed<T: Layout>(bytes: &[u8]) -> Result<T, WireError> {
 }
 
 /// Appends numbers as bytes in blocks that stay in the cache. This avoids zeroing `buf` and growing it for each number.
-pub(crate) fn extend_encoded<T: Copy, const N: usize>(
+pub fn extend_encoded<T: Copy, const N: usize>(
     buf: &mut Vec<u8>,
     values: &[T],
     encode: impl Fn(T) -> [u8; N],
@@ -68,13 +68,67 @@ pub(crate) fn extend_encoded<T: Copy, const N: usize>(
     }
 }
 
+/// Appends numbers that are stored row by row as bytes, column by column. Every row has `values.len() / rows` numbers.
+pub(crate) fn extend_transposed<T: Copy, const N: usize>(
+    buf: &mut Vec<u8>,
+    values: &[T],
+    rows: usize,
+    encode: impl Fn(T) -> [u8; N],
+) {
+    /// Rows of a tile: a cache line of output at four bytes a number.
+    const ROWS: usize = 16;
+    /// Columns of a tile: its input and output fit the first-level cache.
+    const COLUMNS: usize = 64;
+    if rows == 0 {
+        return;
+    }
+    let columns = values.len() / rows;
+    let start = buf.len();
+    buf.resize(start + columns * rows * N, 0);
+    let (out, _) = buf[start..].as_chunks_mut::<N>();
+    for first_row in (0..rows).step_by(ROWS) {
+        let count = ROWS.min(rows - first_row);
+        for first in (0..columns).step_by(COLUMNS) {
+            let width = COLUMNS.min(columns - first);
+            let tile: [&[T]; ROWS] = std::array::from_fn(|r| match r < count {
+                true => &values[(first_row + r) * columns + first..][..width],
+                false => &[],
+            });
+            let lines = out[first * rows + first_row..].chunks_mut(rows);
+            for (k, line) in lines.take(width).enumerate() {
+                if count == ROWS {
+                    for (bytes, row) in line[..ROWS].iter_mut().zip(tile) {
+                        *bytes = encode(row[k]);
+                    }
+                } else {
+                    for (bytes, row) in line.iter_mut().zip(&tile[..count]) {
+                        *bytes = encode(row[k]);
+                    }
+                }
+            }
+        }
+    }
+}
+
 /// Sum of all bytes, modulo 2^32.
 pub fn checksum(bytes: &[u8]) -> u32 {
-    // The sum of a block of 2^16 bytes cannot overflow a u32, so the inner sum needs no wrapping.
-    bytes
-        .chunks(1 << 16)
-        .map(|block| block.iter().map(|&b| u32::from(b)).sum::<u32>())
-        .fold(0, u32::wrapping_add)
+    /// Every second byte of a word.
+    const EVEN: u64 = 0x00FF_00FF_00FF_00FF;
+    let (words, rest) = bytes.as_chunks::<8>();
+    let mut sum = rest.iter().map(|&b| u32::from(b)).sum::<u32>();
+    // Four sums of 16 bits a word, each of at most 128 x 2 x 255, do not overflow.
+    for block in words.chunks(128) {
+        let mut lanes = 0;
+        for word in block {
+            let word = u64::from_le_bytes(*word);
+            lanes += (word & EVEN) + (word >> 8 & EVEN);
+        }
+        let sums = [lanes, lanes >> 16, lanes >> 32, lanes >> 48];
+        for lane in sums {
+            sum = sum.wrapping_add((lane & 0xFFFF) as u32);
+        }
+    }
+    sum
 }
 
 pub(crate) fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
@@ -582,6 +636,23 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn checksum_is_the_plain_sum(bytes in proptest::collection::vec(any::<u8>(), 0..5000)) {
+            let plain = bytes.iter().fold(0, |sum, &b| sum + u32::from(b));
+            prop_assert_eq!(checksum(&bytes), plain);
+        }
+
+        #[test]
+        fn rows_are_encoded_column_by_column(rows in 1_usize..40, columns in 0_usize..150) {
+            let values: Vec<u16> = (0..rows * columns).map(|n| n as u16).collect();
+            let mut buf = vec![1];
+            extend_transposed(&mut buf, &values, rows, u16::to_le_bytes);
+            let by_column = (0..columns).flat_map(|c| (0..rows).map(move |r| r * columns + c));
+            let bytes = by_column.flat_map(|n| values[n].to_le_bytes());
+            let expected: Vec<u8> = std::iter::once(1).chain(bytes).collect();
+            prop_assert_eq!(buf, expected);
+        }
+
         #[test]
         fn numbers_are_encoded_in_order(values in proptest::collection::vec(any::<u16>(), 0..1000)) {
             let mut buf = vec![1];

@@ -14,7 +14,7 @@ use binrw::{BinRead, BinWrite};
 use super::{Packet, emit_packet, packet_type};
 use crate::WireError;
 use crate::layout::{data_at, layout};
-use crate::sevenk::frame::extend_encoded;
+use crate::sevenk::frame::{extend_encoded, extend_transposed};
 
 /// Number type of the samples. Emitted packets have i16, because a widely used display requires this type. All real types are
 /// parsed.
@@ -194,6 +194,33 @@ pub fn emit_backscatter(
     samples_by_beams: &[i16],
     tail: Tail<'_>,
 ) -> Range<usize> {
+    emit_samples(buf, head, samples_by_beams.len(), tail, |buf, _| {
+        extend_encoded(buf, samples_by_beams, i16::to_le_bytes);
+    })
+}
+
+/// Like [`emit_backscatter`], from samples ordered by beam, then by sample, which it transposes.
+///
+/// # Panics
+/// As [`emit_backscatter`].
+pub fn emit_backscatter_beam_major(
+    buf: &mut Vec<u8>,
+    head: &BackscatterHead,
+    samples_beam_major: &[i16],
+    tail: Tail<'_>,
+) -> Range<usize> {
+    emit_samples(buf, head, samples_beam_major.len(), tail, |buf, beams| {
+        extend_transposed(buf, samples_beam_major, beams, i16::to_le_bytes);
+    })
+}
+
+fn emit_samples(
+    buf: &mut Vec<u8>,
+    head: &BackscatterHead,
+    samples: usize,
+    tail: Tail<'_>,
+    write_samples: impl FnOnce(&mut Vec<u8>, usize),
+) -> Range<usize> {
     let (kind, beams) = match tail {
         Tail::WaterColumn { angles_rad } => (packet_type::WATER_COLUMN, angles_rad.len()),
         Tail::Snippets {
@@ -208,19 +235,18 @@ pub fn emit_backscatter(
         Tail::SideScan => (packet_type::SIDE_SCAN, 2),
     };
     assert!(
-        beams > 0 && samples_by_beams.len().is_multiple_of(beams),
-        "{} samples of {beams} beams",
-        samples_by_beams.len()
+        beams > 0 && samples.is_multiple_of(beams),
+        "{samples} samples of {beams} beams"
     );
     let head = BackscatterHead {
         beams: beams as u32,
-        samples: (samples_by_beams.len() / beams) as u32,
+        samples: (samples / beams) as u32,
         data_type: I16_CODE,
         ..*head
     };
     emit_packet(buf, kind, |buf| {
         head.emit(buf);
-        extend_encoded(buf, samples_by_beams, i16::to_le_bytes);
+        write_samples(buf, beams);
         match tail {
             Tail::WaterColumn { angles_rad } => extend_encoded(buf, angles_rad, f32::to_le_bytes),
             Tail::Snippets {

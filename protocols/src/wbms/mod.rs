@@ -29,7 +29,9 @@ use crate::WireError;
 use crate::framing::{Framing, Scan, Splitter};
 use crate::layout::{data_at, layout};
 
-pub use backscatter::{Backscatter, BackscatterHead, DataKind, Tail, emit_backscatter};
+pub use backscatter::{
+    Backscatter, BackscatterHead, DataKind, Tail, emit_backscatter, emit_backscatter_beam_major,
+};
 pub use bathymetry::{Bathymetry, BathymetryHead, Detection, emit_bathymetry};
 pub use control::{Command, CommandError, answer, commands_in};
 
@@ -152,27 +154,9 @@ fn emit_packet(
     start..buf.len()
 }
 
-const CRC_TABLE: [u32; 256] = {
-    let mut table = [0; 256];
-    let mut byte = 0;
-    while byte < 256 {
-        let mut value = byte as u32;
-        let mut bit = 0;
-        while bit < 8 {
-            value = value >> 1 ^ if value & 1 == 1 { 0xEDB8_8320 } else { 0 };
-            bit += 1;
-        }
-        table[byte] = value;
-        byte += 1;
-    }
-    table
-};
-
 /// CRC-32 as in zlib: polynomial 0xEDB88320.
 pub fn crc32(bytes: &[u8]) -> u32 {
-    !bytes.iter().fold(u32::MAX, |crc, &byte| {
-        crc >> 8 ^ CRC_TABLE[usize::from(crc as u8 ^ byte)]
-    })
+    crc32fast::hash(bytes)
 }
 
 /// Framing of packets in a connection.

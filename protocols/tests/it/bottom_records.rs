@@ -32,6 +32,64 @@ fn head() -> Vec<u8> {
 }
 
 #[test]
+fn beams_ordered_by_beam_give_the_same_bytes() {
+    let (beams, samples, silent) = (19, 70, 3);
+    let sample = |beam: usize, k: usize| BeamSample {
+        amplitude: (beam * 1000 + k) as u16,
+        phase: (k * 31) as i16 - (beam * 77) as i16,
+    };
+    let by_beam: Vec<_> = (0..beams * samples)
+        .map(|n| sample(n / samples, n % samples))
+        .collect();
+    let silence = std::iter::repeat_n(BeamSample::default(), silent * beams);
+    let by_sample: Vec<_> = silence
+        .chain((0..beams * samples).map(|n| sample(n % beams, n / beams)))
+        .collect();
+    let rth = Rth7018 {
+        beams: beams as u16,
+        samples: (silent + samples) as u32,
+        ..Rth7018::default()
+    };
+    let (mut got, mut want) = (Vec::new(), Vec::new());
+    emit_7018_beam_major(&mut got, &STAMP, &rth, silent, &by_beam);
+    emit_7018(&mut want, &STAMP, &rth, &by_sample);
+    assert_same(&got, &want, "7018");
+
+    // Beam b of 7042 has 70 - b samples.
+    let rows: Vec<_> = by_beam
+        .chunks(samples)
+        .enumerate()
+        .map(|(beam, row)| &row[..samples - beam])
+        .collect();
+    let numbers: Vec<(Vec<u32>, Vec<i16>)> = rows
+        .iter()
+        .map(|row| {
+            row.iter()
+                .map(|s| (u32::from(s.amplitude), s.phase))
+                .unzip()
+        })
+        .collect();
+    let all: Vec<_> = numbers
+        .iter()
+        .enumerate()
+        .map(|(beam, (magnitudes, phases))| BeamSamples {
+            beam: beam as u16,
+            segment: 0,
+            magnitudes,
+            phases,
+        })
+        .collect();
+    let rth = Rth7042 {
+        flags: flags_7042::LIMITED_BY_DETECTION,
+        ..Rth7042::default()
+    };
+    let (mut got, mut want) = (Vec::new(), Vec::new());
+    emit_7042_of_16_bits(&mut got, &STAMP, &rth, rows.into_iter());
+    emit_7042(&mut want, &STAMP, &rth, &all);
+    assert_same(&got, &want, "7042");
+}
+
+#[test]
 fn navigation_1015_and_attitude_1016_match_tables_32_to_34() {
     let golden = table(
         41,

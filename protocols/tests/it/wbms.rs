@@ -7,8 +7,8 @@ use echotank_protocols::imagenex872::{
 };
 use echotank_protocols::wbms::{
     Backscatter, BackscatterHead, Bathymetry, BathymetryHead, Command, CommandError, Detection,
-    Packet, Tail, WbmsFraming, answer, commands_in, crc32, emit_backscatter, emit_bathymetry,
-    packet_type,
+    Packet, Tail, WbmsFraming, answer, commands_in, crc32, emit_backscatter,
+    emit_backscatter_beam_major, emit_bathymetry, packet_type,
 };
 use proptest::prelude::*;
 
@@ -208,6 +208,17 @@ fn water_column_side_scan_and_snippets_match_their_table() {
         let mut bytes = Vec::new();
         emit_backscatter(&mut bytes, &backscatter_head(), &samples, tail);
         assert_same(&bytes, &golden, "backscatter");
+        let beams = match tail {
+            Tail::SideScan => 2,
+            Tail::WaterColumn { angles_rad } | Tail::Snippets { angles_rad, .. } => {
+                angles_rad.len()
+            }
+        };
+        let of_beam = |beam| samples.iter().skip(beam).step_by(beams);
+        let by_beam: Vec<i16> = (0..beams).flat_map(of_beam).copied().collect();
+        bytes.clear();
+        emit_backscatter_beam_major(&mut bytes, &backscatter_head(), &by_beam, tail);
+        assert_same(&bytes, &golden, "backscatter by beam");
         let read = Backscatter::parse(&Packet::parse(&golden).unwrap()).unwrap();
         assert_eq!(read.values().collect::<Vec<_>>(), samples.map(f64::from));
         match read.packet_type {

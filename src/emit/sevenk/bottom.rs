@@ -10,11 +10,12 @@ use num_complex::Complex64;
 
 use echotank_protocols::sevenk::RecordStamp;
 use echotank_protocols::sevenk::records::{
-    BeamSamples, Detection7027, PHASE_COUNTS_PER_RAD, Rth7027, Rth7028, Rth7042, Rth7058,
-    SnippetDescriptor, SnippetSamples, emit_7027, emit_7028, emit_7042, emit_7058, flags_7042,
+    BeamSample, BeamSamples, Detection7027, PHASE_COUNTS_PER_RAD, Rth7027, Rth7028, Rth7042,
+    Rth7058, SnippetDescriptor, SnippetSamples, emit_7027, emit_7028, emit_7042,
+    emit_7042_of_16_bits, emit_7058, flags_7042,
 };
 
-use super::quantise::MAGNITUDE_FULL_SCALE;
+use super::quantise::{MAGNITUDE_FULL_SCALE, phase_rad};
 use super::stored_settings::StoredSettings;
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::TimeVaryingGain;
@@ -51,6 +52,7 @@ pub(super) struct Workspace {
     footprints_m2: Vec<f32>,
     magnitudes: Vec<u32>,
     phases: Vec<i16>,
+    lengths: Vec<usize>,
 }
 
 /// One ping, and the position of its samples.
@@ -280,10 +282,7 @@ pub(crate) fn water_column_7042(
     buf: &mut Vec<u8>,
 ) -> u64 {
     let flags = source.stored.water_column_flags;
-    let divisor = match (flags >> flags_7042::DIVISOR_SHIFT) & 0xF {
-        0 => 1,
-        divisor => divisor as usize,
-    };
+    let divisor = divisor_7042(flags);
     let largest = if flags & flags_7042::MAGNITUDE_IN_32_BITS == 0 {
         MAGNITUDE_FULL_SCALE
     } else {
@@ -291,19 +290,13 @@ pub(crate) fn water_column_7042(
     };
     let scale = largest / source.full_scale_v();
     let mut saturated = 0;
+    lengths_7042(work, source, fan);
     work.magnitudes.clear();
     work.phases.clear();
     let mut ends = Vec::with_capacity(fan.beams);
     for beam in 0..fan.beams {
-        let row = fan.beam(beam);
-        let len = match source.output.soundings.iter().find(|s| s.beam == beam) {
-            Some(s) if flags & flags_7042::LIMITED_BY_DETECTION != 0 => {
-                let at = (s.twtt_s * source.rate_hz()).ceil() as usize + 1;
-                at.saturating_sub(source.silent).min(row.len())
-            }
-            _ => row.len(),
-        };
-        for window in row[..len].chunks(divisor) {
+        let row = &fan.beam(beam)[..work.lengths[beam]];
+        for window in row.chunks(divisor) {
             let magnitude = window_magnitude(window, (flags >> 8) & 0xF) * scale;
             let middle = window[window.len() / 2];
             saturated += u64::from(!(0.0..largest + 0.5).contains(&magnitude));
@@ -314,7 +307,7 @@ pub(crate) fn water_column_7042(
                 } else {
                     (20.0 * held.max(1.0).log10() / DB_OF_16_BITS * 255.0).round() as u32
                 });
-            let phase = middle.im.atan2(middle.re) * f64::from(PHASE_COUNTS_PER_RAD);
+            let phase = phase_rad(middle) * f64::from(PHASE_COUNTS_PER_RAD);
             work.phases.push(phase.round() as i16);
         }
         ends.push(work.magnitudes.len());
@@ -334,17 +327,66 @@ pub(crate) fn water_column_7042(
             }
         })
         .collect();
-    let rth = Rth7042 {
+    let rth = rth_7042(source, fan, divisor);
+    emit_7042(buf, &source.stamp, &rth, &beams);
+    saturated
+}
+
+/// True if 7042 with these flags has every sample, with the magnitude and phase of 7018.
+pub(super) fn has_all_samples_in_16_bits(flags: u32) -> bool {
+    let others = flags_7042::MAGNITUDE_ONLY
+        | flags_7042::DB_IN_8_BITS
+        | flags_7042::MAGNITUDE_IN_32_BITS
+        | NOT_DONE;
+    flags & others == 0 && divisor_7042(flags) == 1
+}
+
+/// Record 7042 from the samples of 7018, ordered by beam; see [`has_all_samples_in_16_bits`].
+pub(super) fn beams_7042(
+    work: &mut Workspace,
+    source: &Source<'_>,
+    fan: &BeamFrame,
+    samples_beam_major: &[BeamSample],
+    buf: &mut Vec<u8>,
+) {
+    lengths_7042(work, source, fan);
+    let beam = |(beam, &len): (usize, &usize)| &samples_beam_major[beam * fan.samples..][..len];
+    let beams = work.lengths.iter().enumerate().map(beam);
+    let rth = rth_7042(source, fan, 1);
+    emit_7042_of_16_bits(buf, &source.stamp, &rth, beams);
+}
+
+/// Number of samples of which 7042 has one.
+fn divisor_7042(flags: u32) -> usize {
+    ((flags >> flags_7042::DIVISOR_SHIFT) & 0xF).max(1) as usize
+}
+
+/// Number of samples of each beam of 7042, at the rate of the receiver: all, or those to the detection.
+fn lengths_7042(work: &mut Workspace, source: &Source<'_>, fan: &BeamFrame) {
+    work.lengths.clear();
+    work.lengths.resize(fan.beams, fan.samples);
+    if source.stored.water_column_flags & flags_7042::LIMITED_BY_DETECTION == 0 {
+        return;
+    }
+    // The first sounding of a beam is the last one here.
+    for sounding in source.output.soundings.iter().rev() {
+        let at = (sounding.twtt_s * source.rate_hz()).ceil() as usize + 1;
+        if let Some(len) = work.lengths.get_mut(sounding.beam) {
+            *len = at.saturating_sub(source.silent).min(fan.samples);
+        }
+    }
+}
+
+fn rth_7042(source: &Source<'_>, fan: &BeamFrame, divisor: usize) -> Rth7042 {
+    Rth7042 {
         sonar_id: source.sonar.serial,
         ping_number: source.plan.ping_number,
         samples: (source.silent + fan.samples) as u32,
-        flags,
+        flags: source.stored.water_column_flags,
         first_sample: source.silent as u32,
         sample_rate_hz: (source.rate_hz() / divisor as f64) as f32,
         ..Rth7042::default()
-    };
-    emit_7042(buf, &source.stamp, &rth, &beams);
-    saturated
+    }
 }
 
 /// Magnitude of a window of samples. `kind` 0 selects the middle sample, 1 the largest sample, 2 the mean.

@@ -25,7 +25,7 @@ use std::sync::Arc;
 use echotank_protocols::sevenk::RecordStamp;
 use echotank_protocols::sevenk::records::{
     BeamAngles, BeamSample, CalibratedSide, Rth7007, Rth7018, Rth7038, Rth7057, Rth10038,
-    SAMPLE_TYPE_I16, SideSamples, emit_1016, emit_7004, emit_7007, emit_7018,
+    SAMPLE_TYPE_I16, SideSamples, emit_1016, emit_7004, emit_7007, emit_7018_beam_major,
     emit_7038_element_major, emit_7057, emit_10038,
 };
 
@@ -145,7 +145,8 @@ pub struct SevenKEmitter {
     pools: Vec<DatagramPool>,
     element_numbers: Vec<u16>,
     iq_element_major: Vec<[i16; 2]>,
-    beams: Vec<BeamSample>,
+    /// Samples of the fan by beam, once a record of the ping needs them.
+    beams: QuantisedBeams,
     port: Vec<u16>,
     starboard: Vec<u16>,
     angles: [Vec<f32>; 4],
@@ -176,7 +177,7 @@ impl SevenKEmitter {
             sheet,
             pools,
             iq_element_major: Vec::new(),
-            beams: Vec::new(),
+            beams: QuantisedBeams::default(),
             port: Vec::new(),
             starboard: Vec::new(),
             angles: Default::default(),
@@ -210,7 +211,8 @@ impl SevenKEmitter {
     }
 
     /// Appends the wanted records that this ping has data for, in the order of [`RECORDS`]. After the longest ping, only 7042
-    /// allocates (a list of beams), unless the queues hold more than `waiting_pings` pings.
+    /// with decimated samples or other widths than 16 bits allocates (a list of beams), unless the queues hold more than
+    /// `waiting_pings` pings.
     pub fn emit_ping(
         &mut self,
         plan: &PingPlan,
@@ -227,6 +229,7 @@ impl SevenKEmitter {
             };
             into.push(record);
         };
+        self.beams.saturated = None;
         for (place, &id) in RECORDS[..PING_RECORDS].iter().enumerate() {
             if wanted.contains(id)
                 && let Some(made) = self.record(place, id, plan, output)
@@ -377,6 +380,13 @@ impl SevenKEmitter {
             }
             7042 => {
                 let fan = output.beams.first()?;
+                if bottom::has_all_samples_in_16_bits(source.stored.water_column_flags) {
+                    let saturated = self.beams.fill(fan, sheet.full_scale_v());
+                    let beams = &self.beams.samples;
+                    let record =
+                        pool.write(|buf| bottom::beams_7042(work, &source, fan, beams, buf));
+                    return Some((record, saturated));
+                }
                 let mut saturated = 0;
                 let record = pool
                     .write(|buf| saturated = bottom::water_column_7042(work, &source, fan, buf));
@@ -435,7 +445,7 @@ impl SevenKEmitter {
             7018 => {
                 let fan = output.beams.first()?;
                 let before = silent_samples(plan, sheet.sample_rate_hz());
-                let saturated = fill_beams(&mut self.beams, fan, before, sheet.full_scale_v());
+                let saturated = self.beams.fill(fan, sheet.full_scale_v());
                 let rth = Rth7018 {
                     sonar_id: sheet.sonar_id(),
                     ping_number: plan.ping_number,
@@ -443,7 +453,9 @@ impl SevenKEmitter {
                     beams: fan.beams as u16,
                     samples: (before + fan.samples) as u32,
                 };
-                let record = pool.write(|buf| emit_7018(buf, &ping_stamp, &rth, &self.beams));
+                let beams = &self.beams.samples;
+                let record =
+                    pool.write(|buf| emit_7018_beam_major(buf, &ping_stamp, &rth, before, beams));
                 Some((record, saturated))
             }
             7038 => {
@@ -578,15 +590,21 @@ fn fill_pressures(sides: &mut [Vec<f32>; 2], source: &Source<'_>) {
     }
 }
 
-fn fill_beams(
-    samples: &mut Vec<BeamSample>,
-    fan: &BeamFrame,
-    silent: usize,
-    full_scale_v: f64,
-) -> u64 {
-    samples.clear();
-    samples.resize((silent + fan.samples) * fan.beams, BeamSample::default());
-    quantise::beams(fan, full_scale_v, silent, samples)
+/// Magnitudes and phases of the fan of one ping, for the records that share them.
+#[derive(Default)]
+struct QuantisedBeams {
+    /// By beam, then by sample.
+    samples: Vec<BeamSample>,
+    /// Number of clipped magnitudes; `None` if the samples are those of an earlier ping.
+    saturated: Option<u64>,
+}
+
+impl QuantisedBeams {
+    /// Converts the samples of the fan once per ping. Returns the number of clipped magnitudes.
+    fn fill(&mut self, fan: &BeamFrame, full_scale_v: f64) -> u64 {
+        let convert = || quantise::beams(&fan.iq, full_scale_v, &mut self.samples);
+        *self.saturated.get_or_insert_with(convert)
+    }
 }
 
 /// Writes the elements of 7038. All frames of a ping must have `samples` samples.

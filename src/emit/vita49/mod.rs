@@ -10,10 +10,11 @@ use echotank_protocols::vita49::{Context, SignalStream, Trailer, VrtTime};
 use super::blocks::blocks;
 use super::elements::{counts, elements_of, interleave_iq};
 use super::packets::Packets;
-use super::passband::Passband;
+use super::passband::{BLOCK, LANES, Passband};
 use super::sevenk::EmitCounts;
 use echotank_config::spec::{SonarSpec, Vita49Spec};
 use echotank_core::ping::{PingOutput, PingPlan};
+use echotank_core::simd::widest;
 
 /// Converter of pings into packets. It owns its buffers and the packet counters of the streams, and serves one thread.
 pub struct Vita49Emitter {
@@ -255,6 +256,11 @@ fn take<T: Copy>(
     into: &mut Vec<T>,
 ) {
     into.clear();
+    if columns.len() == 1 {
+        let column = all[rows.start * width..rows.end * width].iter();
+        into.extend(column.skip(columns.start).step_by(width));
+        return;
+    }
     for row in rows {
         into.extend_from_slice(&all[row * width + columns.start..row * width + columns.end]);
     }
@@ -272,15 +278,28 @@ fn interleave_real(
     let mut saturated = 0;
     into.clear();
     into.resize(passband.samples() * elements, 0);
-    for (e, envelope) in elements_of(output, arrays).enumerate() {
-        let mut at = e;
-        passband.element(envelope, |volts| {
-            let (value, held) = counts(volts / full_scale_v);
-            saturated += u64::from(held);
-            into[at] = value;
-            at += elements;
-        });
-    }
+    let mut block = [[0; LANES]; BLOCK];
+    passband.elements(elements_of(output, arrays), |columns, first, rows| {
+        let (counted, width) = (&mut block, columns.len());
+        saturated += widest(
+            #[inline(always)]
+            move || {
+                let mut saturated = 0;
+                for (out, volts) in counted.iter_mut().zip(rows) {
+                    for lane in 0..LANES {
+                        let (value, held) = counts(volts[lane] / full_scale_v);
+                        out[lane] = value;
+                        saturated += u64::from(held & (lane < width));
+                    }
+                }
+                saturated
+            },
+        );
+        let lines = into[first * elements..].chunks_mut(elements);
+        for (line, block) in lines.zip(&block[..rows.len()]) {
+            line[columns.clone()].copy_from_slice(&block[..width]);
+        }
+    });
     saturated
 }
 

@@ -14,13 +14,13 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use echotank_protocols::wbms::{
     BackscatterHead, BathymetryHead, Detection as WireDetection, Tail, emit_backscatter,
-    emit_bathymetry, packet_type,
+    emit_backscatter_beam_major, emit_bathymetry, packet_type,
 };
 use num_complex::Complex64;
 
-use crate::by_sample::by_sample;
 use crate::elements::counts;
 use crate::pool::DatagramPool;
+use crate::sevenk::quantise::{IQ_FULL_SCALE, signed};
 use echotank_config::spec::{BeamSpacing, SonarSpec};
 use echotank_core::ping::{BeamFrame, Detection, Line, PingOutput, PingPlan, Side, Sounding};
 use echotank_core::records::Datagram;
@@ -281,28 +281,27 @@ impl WbmsEmitter {
 
     /// Packet type 2 (water column).
     fn water_column(&mut self, plan: &PingPlan, fan: &BeamFrame) -> Arc<Datagram> {
-        let full_scale_v = self.device.sonar.receiver.full_scale_v;
-        self.samples.clear();
-        self.samples.resize(fan.beams * fan.samples, 0);
-        let mut saturated = 0;
-        by_sample(fan, &mut self.samples, |volts, out| {
-            widest(
-                #[inline(always)]
-                || {
-                    for (out, v) in out.iter_mut().zip(volts) {
-                        *out = magnitude(*v, full_scale_v, &mut saturated);
-                    }
-                },
-            );
-        });
-        self.saturated += saturated;
+        let counts_per_v = IQ_FULL_SCALE / self.device.sonar.receiver.full_scale_v;
+        self.samples.resize(fan.iq.len(), 0);
+        let samples = &mut self.samples;
+        self.saturated += widest(
+            #[inline(always)]
+            move || {
+                let mut saturated = 0;
+                for (out, v) in samples.iter_mut().zip(&fan.iq) {
+                    *out = magnitude(*v, counts_per_v, &mut saturated);
+                }
+                saturated
+            },
+        );
         self.angles.clear();
         self.angles
             .extend(fan.angle_rad.iter().map(|&angle| angle as f32));
         let head = self.head(plan, self.first_sample(plan));
         let (samples, angles_rad) = (&self.samples, &self.angles[..]);
         self.pools[1].write(|buf| {
-            emit_backscatter(buf, &head, samples, Tail::WaterColumn { angles_rad });
+            let tail = Tail::WaterColumn { angles_rad };
+            emit_backscatter_beam_major(buf, &head, samples, tail);
         })
     }
 
@@ -336,10 +335,11 @@ impl WbmsEmitter {
         fan: &BeamFrame,
         soundings: &[Sounding],
     ) -> Arc<Datagram> {
-        let (rate_hz, full_scale_v) = {
-            let receiver = &self.device.sonar.receiver;
-            (receiver.sample_rate_hz, receiver.full_scale_v)
-        };
+        let receiver = &self.device.sonar.receiver;
+        let (rate_hz, counts_per_v) = (
+            receiver.sample_rate_hz,
+            IQ_FULL_SCALE / receiver.full_scale_v,
+        );
         let first = self.first_sample(plan).max(0) as usize;
         let count = soundings.len();
         self.samples.clear();
@@ -355,7 +355,7 @@ impl WbmsEmitter {
                 // Samples outside the record stay zero.
                 let sample = (start + m).checked_sub(first);
                 if let Some(v) = sample.and_then(|k| fan.beam(sounding.beam).get(k)) {
-                    self.samples[m * count + n] = magnitude(*v, full_scale_v, &mut saturated);
+                    self.samples[m * count + n] = magnitude(*v, counts_per_v, &mut saturated);
                 }
             }
             self.angles.push(sounding.angle_rad as f32);
@@ -393,8 +393,8 @@ fn stamp_s(plan: &PingPlan) -> f64 {
 }
 
 #[inline(always)]
-fn magnitude(v: Complex64, full_scale_v: f64, saturated: &mut u64) -> i16 {
-    let (value, held) = counts((v.re * v.re + v.im * v.im).sqrt() / full_scale_v);
+fn magnitude(v: Complex64, counts_per_v: f64, saturated: &mut u64) -> i16 {
+    let (value, held) = signed((v.re * v.re + v.im * v.im).sqrt() * counts_per_v);
     *saturated += u64::from(held);
     value
 }

@@ -13,7 +13,8 @@ use binrw::{BinRead, BinWrite};
 
 use super::{data_at, rth};
 use crate::sevenk::frame::{
-    Layout, OpenRecord, RecordStamp, extend_encoded, read_fixed, u16_at, write_layout,
+    Layout, OpenRecord, RecordStamp, extend_encoded, extend_transposed, read_fixed, u16_at,
+    write_layout,
 };
 use crate::sevenk::{WireError, record_id};
 
@@ -50,7 +51,8 @@ pub struct BeamSample {
 impl BeamSample {
     const BYTES: usize = 4;
 
-    fn to_le_bytes(self) -> [u8; 4] {
+    #[inline]
+    pub(super) fn to_le_bytes(self) -> [u8; 4] {
         let ([a0, a1], [p0, p1]) = (self.amplitude.to_le_bytes(), self.phase.to_le_bytes());
         [a0, a1, p0, p1]
     }
@@ -109,19 +111,41 @@ pub fn emit_7018(
     rth: &Rth7018,
     samples_sample_major: &[BeamSample],
 ) -> Range<usize> {
+    let open = begin_7018(buf, stamp, rth, samples_sample_major.len());
+    extend_encoded(buf, samples_sample_major, BeamSample::to_le_bytes);
+    open.finish(buf)
+}
+
+/// Appends a record 7018 (beamformed data) from samples ordered by beam, then by sample, and transposes them. The first `silent`
+/// samples of every beam are zero and absent from the slice.
+///
+/// # Panics
+/// If the number of samples is not `(rth.samples - silent) * rth.beams`.
+pub fn emit_7018_beam_major(
+    buf: &mut Vec<u8>,
+    stamp: &RecordStamp,
+    rth: &Rth7018,
+    silent: usize,
+    samples_beam_major: &[BeamSample],
+) -> Range<usize> {
+    let beams = usize::from(rth.beams);
+    let open = begin_7018(buf, stamp, rth, silent * beams + samples_beam_major.len());
+    buf.resize(buf.len() + silent * beams * BeamSample::BYTES, 0);
+    extend_transposed(buf, samples_beam_major, beams, BeamSample::to_le_bytes);
+    open.finish(buf)
+}
+
+fn begin_7018(buf: &mut Vec<u8>, stamp: &RecordStamp, rth: &Rth7018, samples: usize) -> OpenRecord {
     let expected = rth.samples as usize * usize::from(rth.beams);
     assert_eq!(
-        samples_sample_major.len(),
-        expected,
+        samples, expected,
         "7018 of {} samples x {} beams",
-        rth.samples,
-        rth.beams
+        rth.samples, rth.beams
     );
     let open = OpenRecord::begin(buf, record_id::BEAMFORMED, stamp);
     buf.reserve(Rth7018::SIZE_BYTES + expected * BeamSample::BYTES + 4);
     write_layout(rth, buf);
-    extend_encoded(buf, samples_sample_major, BeamSample::to_le_bytes);
-    open.finish(buf)
+    open
 }
 
 impl fmt::Display for Beamformed7018<'_> {

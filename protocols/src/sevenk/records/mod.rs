@@ -24,7 +24,9 @@ mod water_column;
 pub(crate) use configuration::{text_field, text_of};
 
 pub use attitude::{Attitude1016, AttitudeSet, emit_1016};
-pub use beamformed::{BeamSample, Beamformed7018, PHASE_COUNTS_PER_RAD, Rth7018, emit_7018};
+pub use beamformed::{
+    BeamSample, Beamformed7018, PHASE_COUNTS_PER_RAD, Rth7018, emit_7018, emit_7018_beam_major,
+};
 pub use calibrated::{
     CalibratedSide, CalibratedSideScan7057, Rth7057, Rth10038, SingleBeamIq10038, emit_7057,
     emit_10038,
@@ -45,7 +47,8 @@ pub use snippets::{
     emit_7028, emit_7058,
 };
 pub use water_column::{
-    BeamSamples, CompressedBeam, Rth7042, WaterColumn7042, emit_7042, flags_7042,
+    BeamSamples, CompressedBeam, Rth7042, WaterColumn7042, emit_7042, emit_7042_of_16_bits,
+    flags_7042,
 };
 
 use super::WireError;

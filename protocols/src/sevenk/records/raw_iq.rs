@@ -16,7 +16,8 @@ use binrw::{BinRead, BinWrite};
 
 use super::{data_at, rth};
 use crate::sevenk::frame::{
-    Layout, OpenRecord, RecordStamp, extend_encoded, read_fixed, u16_at, write_layout,
+    Layout, OpenRecord, RecordStamp, extend_encoded, extend_transposed, read_fixed, u16_at,
+    write_layout,
 };
 use crate::sevenk::{WireError, record_id};
 
@@ -156,24 +157,8 @@ pub fn emit_7038_element_major(
     element_numbers: &[u16],
     iq_element_major: &[[i16; 2]],
 ) -> Range<usize> {
-    /// Edge of a tile: 32 x 32 pairs take 4 KiB on either side and fit the first-level cache.
-    const TILE: usize = 32;
     let open = begin_7038(buf, stamp, rth, element_numbers, iq_element_major.len());
-    let (elements, samples) = (element_numbers.len(), rth.samples_present() as usize);
-    let data_at = buf.len();
-    buf.resize(data_at + iq_element_major.len() * SAMPLE_BYTES, 0);
-    let out = &mut buf[data_at..];
-    for sample_tile in (0..samples).step_by(TILE) {
-        for element_tile in (0..elements).step_by(TILE) {
-            for sample in sample_tile..samples.min(sample_tile + TILE) {
-                for element in element_tile..elements.min(element_tile + TILE) {
-                    let at = (sample * elements + element) * SAMPLE_BYTES;
-                    out[at..at + SAMPLE_BYTES]
-                        .copy_from_slice(&iq_bytes(iq_element_major[element * samples + sample]));
-                }
-            }
-        }
-    }
+    extend_transposed(buf, iq_element_major, element_numbers.len(), iq_bytes);
     open.finish(buf)
 }
 

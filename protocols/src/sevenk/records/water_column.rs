@@ -11,8 +11,10 @@ use std::ops::Range;
 
 use binrw::{BinRead, BinWrite};
 
-use super::{data_at, rth};
-use crate::sevenk::frame::{OpenRecord, RecordStamp, read_fixed, u32_at, write_layout};
+use super::{BeamSample, data_at, rth};
+use crate::sevenk::frame::{
+    OpenRecord, RecordStamp, extend_encoded, read_fixed, u32_at, write_layout,
+};
 use crate::sevenk::{WireError, record_id};
 
 /// Bits of [`Rth7042::flags`].
@@ -226,6 +228,37 @@ pub fn emit_7042(
                 buf.extend_from_slice(&beam.phases[index].to_le_bytes()[2 - phase_bytes..]);
             }
         }
+    }
+    open.finish(buf)
+}
+
+/// Appends a record 7042 (compressed water column) with magnitudes and phases of 16 bits, one item of `beams` for each beam in order.
+/// `beams` and `compressed_samples` of `rth` are ignored.
+///
+/// # Panics
+/// If `rth.flags` asks for other samples, or there are more than 65535 beams.
+pub fn emit_7042_of_16_bits<'a>(
+    buf: &mut Vec<u8>,
+    stamp: &RecordStamp,
+    rth: &Rth7042,
+    beams: impl Iterator<Item = &'a [BeamSample]> + Clone,
+) -> Range<usize> {
+    let has_16_bits = widths(rth.flags) == Ok((2, 2)) && rth.flags & flags_7042::SEGMENTS == 0;
+    assert!(has_16_bits, "7042 with flags {:#x}", rth.flags);
+    let open = OpenRecord::begin(buf, record_id::COMPRESSED_WATER_COLUMN, stamp);
+    let longest = beams.clone().map(<[_]>::len).max();
+    write_layout(
+        &Rth7042 {
+            beams: u16::try_from(beams.clone().count()).expect("at most 65535 beams"),
+            compressed_samples: longest.unwrap_or_default() as u32,
+            ..*rth
+        },
+        buf,
+    );
+    for (beam, samples) in beams.enumerate() {
+        buf.extend_from_slice(&(beam as u16).to_le_bytes());
+        buf.extend_from_slice(&(samples.len() as u32).to_le_bytes());
+        extend_encoded(buf, samples, BeamSample::to_le_bytes);
     }
     open.finish(buf)
 }

@@ -12,7 +12,7 @@ use echotank_emit::sevenk::{RECORDS, RecordSet, SevenKEmitter};
 use echotank_protocols::sevenk::records::{
     BeamGeometry7004, Beamformed7018, Configuration7001, Installation7030, MountingOffset,
     Position1003, RawIq7038, RemoteSettings7503, RollPitchHeave1012, SideScan7007,
-    SonarSettings7000, SoundVelocityProfile1009,
+    SonarSettings7000, SoundVelocityProfile1009, WaterColumn7042,
 };
 use echotank_protocols::sevenk::{Record, ping_order_rank};
 use echotank_testing::wire::*;
@@ -269,6 +269,28 @@ fn beams_7018_lie_sample_by_sample_from_range_zero() {
             assert_eq!((parsed.amplitude, parsed.phase), got);
         }
     }
+}
+
+#[test]
+fn beams_7042_have_the_samples_of_7018() {
+    let wanted = RecordSet::of(&[7018, 7042]);
+    let (records, _) = emitted(&plan(9, 6), &output(6), wanted);
+    let beams = Beamformed7018::parse(body(&records[0].bytes)).expect("7018");
+    let column = WaterColumn7042::parse(body(&records[1].bytes)).expect("7042");
+    let silent = beams.rth.samples - 6;
+    assert_eq!(
+        (column.beams().count(), column.rth.first_sample),
+        (4, silent)
+    );
+    for beam in column.beams() {
+        assert_eq!(beam.samples().len(), 6);
+        for (k, sample) in (silent..).zip(beam.samples()) {
+            let want = beams.sample(k, beam.beam).expect("there");
+            assert_eq!(sample, (want.amplitude.into(), want.phase));
+        }
+    }
+    // Without 7018 the record is the same.
+    assert_eq!(records[1].bytes, one(7042));
 }
 
 #[test]

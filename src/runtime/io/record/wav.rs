@@ -138,22 +138,25 @@ impl WavRecorder {
         self.bytes.clear();
         self.bytes.resize(sample_times * frame_bytes, 0);
         let mut saturated = 0;
-        for (e, envelope) in elements_of(output, &self.arrays).enumerate() {
-            let mut at = e * sample_bytes;
-            let (bytes, full_scale_v) = (&mut self.bytes, self.full_scale_v);
-            let is_float = self.format.sample == WavSample::F32;
-            self.passband.element(envelope, |volts| {
-                let value = volts / full_scale_v;
-                if is_float {
-                    bytes[at..at + 4].copy_from_slice(&(value as f32).to_le_bytes());
-                } else {
-                    let (counts, held) = counts(value);
-                    saturated += u64::from(held);
-                    bytes[at..at + 2].copy_from_slice(&counts.to_le_bytes());
+        let (bytes, full_scale_v) = (&mut self.bytes, self.full_scale_v);
+        let is_float = self.format.sample == WavSample::F32;
+        let envelopes = elements_of(output, &self.arrays);
+        self.passband.elements(envelopes, |elements, first, rows| {
+            let frames = bytes[first * frame_bytes..].chunks_mut(frame_bytes);
+            for (frame, row) in frames.zip(rows) {
+                let samples = frame.chunks_mut(sample_bytes).skip(elements.start);
+                for (sample, volts) in samples.zip(&row[..elements.len()]) {
+                    let value = volts / full_scale_v;
+                    if is_float {
+                        sample.copy_from_slice(&(value as f32).to_le_bytes());
+                    } else {
+                        let (counts, held) = counts(value);
+                        saturated += u64::from(held);
+                        sample.copy_from_slice(&counts.to_le_bytes());
+                    }
                 }
-                at += frame_bytes;
-            });
-        }
+            }
+        });
         saturated
     }
 
