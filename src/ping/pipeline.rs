@@ -29,7 +29,7 @@ use echotank_imaging::beam::fan::Fan;
 use echotank_imaging::beam::sidescan::LineFormer;
 use echotank_imaging::image::bottom::BottomDetector;
 use echotank_synthesis::array::faults::{ActiveFault, apply_fault};
-use echotank_synthesis::array::receiver::receive;
+use echotank_synthesis::array::{fill_gains, receive};
 
 /// No bottom is looked for nearer than this beyond the pulse, metres.
 const NEAREST_BOTTOM_M: f64 = 1.0;
@@ -63,6 +63,8 @@ pub struct SonarPipeline {
     /// Of the next ping.
     faults: Vec<ActiveFault>,
     spoiling: Vec<Complex64>,
+    /// Linear receiver gain of each sample of the ping.
+    gains: Vec<f64>,
 }
 
 impl SonarPipeline {
@@ -120,6 +122,7 @@ impl SonarPipeline {
             bottom: bottom(spec, limits),
             faults: Vec::new(),
             spoiling: Vec::new(),
+            gains: Vec::with_capacity(limits.samples),
             more_pulses,
             fan,
             spec: spec.clone(),
@@ -238,6 +241,7 @@ impl SonarPipeline {
 
     /// The receiver of every element: filter tails, noise, gain and converter, then the elements' faults.
     pub(crate) fn receive(&mut self, plan: &PingPlan, output: &mut PingOutput) {
+        self.fill_gains(plan);
         for (index, frame) in output.elements.iter_mut().enumerate() {
             self.receive_array(plan, index, frame);
         }
@@ -298,6 +302,7 @@ impl SonarPipeline {
         let samples = std::mem::replace(&mut plan.sample_count, end);
         self.synthesis.limit_to_window(plan);
         self.is_quiet = scatterers.is_empty();
+        self.fill_gains(plan);
         for (index, frame) in elements.iter_mut().enumerate() {
             self.synthesise_array(plan, scatterers, index, frame, &mut counts);
             self.receive_array(plan, index, frame);
@@ -373,10 +378,15 @@ impl SonarPipeline {
         counts
     }
 
+    fn fill_gains(&mut self, plan: &PingPlan) {
+        let receiver = &self.spec.receiver;
+        fill_gains(plan, receiver, plan.sample_count, &mut self.gains);
+    }
+
     /// The receiver of the elements of one receive array.
     fn receive_array(&mut self, plan: &PingPlan, index: usize, frame: &mut ElementFrame) {
         let array = &self.spec.receive[index];
-        let receiver = &self.spec.receiver;
+        let (receiver, gains) = (&self.spec.receiver, &self.gains);
         let together = if self.is_quiet {
             array.elements.max(1)
         } else {
@@ -390,7 +400,7 @@ impl SonarPipeline {
             .zip(&mut *results)
             .enumerate()
             .for_each(|(element, (iq, result))| {
-                result.saturated = receive(plan, receiver, array, index, element, iq);
+                result.saturated = receive(plan, receiver, gains, array, index, element, iq);
             });
         frame.saturated = results.iter().map(|result| result.saturated).sum();
     }

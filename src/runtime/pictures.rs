@@ -4,7 +4,6 @@ use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
-use num_complex::Complex64;
 
 use crate::formats::Formats;
 use crate::io::record::masks::MaskRecorder;
@@ -23,7 +22,7 @@ use echotank_imaging::image::waterfall::{Waterfall, WaterfallSpec, rows_that_kee
 use echotank_ping::fan_truth::fan_truth;
 use echotank_ping::line_truth::line_truths;
 use echotank_ping::rig::{PingSlot, Rig};
-use echotank_synthesis::array::receiver::amplify;
+use echotank_synthesis::array::fill_gains;
 
 /// Default number of columns per side of a waterfall; both sides fit a screen.
 const WATERFALL_COLUMNS: f64 = 600.0;
@@ -43,7 +42,7 @@ pub(crate) struct Pictures {
     fan_masks: Option<MaskRecorder>,
     /// Paths of the fan pictures and their masks.
     written: Vec<PathBuf>,
-    gains: Vec<Complex64>,
+    gains: Vec<f64>,
     /// Altitude from the newest detected first return.
     last_return_m: Option<f64>,
 }
@@ -181,15 +180,13 @@ impl Pictures {
     fn raw(&mut self, plan: &PingPlan, lines: &[Line]) -> Vec<Line> {
         let rate_hz = self.spec.receiver.sample_rate_hz;
         let half_pulse = (0.5 * plan.pulse.duration_s * rate_hz).round() as usize;
-        self.gains.clear();
-        self.gains
-            .resize(plan.sample_count + half_pulse, Complex64::new(1.0, 0.0));
-        amplify(plan, &self.spec.receiver, &mut self.gains);
+        let samples = plan.sample_count + half_pulse;
+        fill_gains(plan, &self.spec.receiver, samples, &mut self.gains);
         let fixed = 10f64.powf(plan.settings.gain_db / 20.0);
         let first = (plan.first_sample_s * rate_hz).round().max(0.0) as usize;
         let gain = |k: usize| {
             let at = k.saturating_sub(first) + half_pulse;
-            self.gains.get(at).map_or(1.0, |g| g.re / fixed) as f32
+            self.gains.get(at).map_or(1.0, |gain| gain / fixed) as f32
         };
         let mut raw = lines.to_vec();
         for line in &mut raw {

@@ -8,8 +8,9 @@ use num_complex::Complex64;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
+use super::noise::add_noise;
 use super::phasor::cis;
-use super::receiver::{add_noise, quantise};
+use super::receiver::quantise;
 use echotank_config::spec::ElementFault;
 use echotank_core::arrays::Receiver;
 use echotank_core::ping::{ElementFrame, PingPlan};

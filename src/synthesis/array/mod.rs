@@ -14,10 +14,11 @@ pub mod filter;
 pub mod gridded;
 pub mod gridded2d;
 pub mod lines;
+mod noise;
 pub(crate) mod phasor;
 pub mod receiver;
 pub mod windows;
 
 pub use direct::Direct;
 pub use filter::{Decimator, FilterError, oversample};
-pub use receiver::receive;
+pub use receiver::{fill_gains, receive};

@@ -3,20 +3,24 @@
 
 use num_complex::Complex64;
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand_chacha::rand_core::SeedableRng;
 
 use echotank_core::arrays::{ArrayGeometry, Receiver, TimeVaryingGain};
 use echotank_core::ping::PingPlan;
+use echotank_core::simd::widest;
 
-use super::phasor::cis;
+use super::noise::add_noise;
 
 /// Tag of the random numbers of elements, different from other uses of the same seed.
 const NOISE_TAG: [u8; 8] = *b"elementn";
 /// Tag of the random numbers of subarrays.
 const PART_TAG: [u8; 8] = *b"partnois";
 
-/// Applies the receiver to the samples of one element in place. Returns the number of I or Q values
-/// that clip at the converter.
+/// Addition and subtraction of this number round to an integer below 2^51. Unlike the function of the library, this vectorises.
+const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
+
+/// Applies the receiver to the samples of one element in place. `gains` are those of [`fill_gains`] for at least as many samples.
+/// Returns the number of I or Q values that clip at the converter.
 ///
 /// The noise is circular Gaussian with variance N_0 f_s, in volts after `array.sensitivity_db`.
 /// Each (seed, sonar, ping, array, element) has its own random stream. The noise therefore depends
@@ -26,6 +30,7 @@ const PART_TAG: [u8; 8] = *b"partnois";
 pub fn receive(
     plan: &PingPlan,
     receiver: &Receiver,
+    gains: &[f64],
     array: &ArrayGeometry,
     array_index: usize,
     element: usize,
@@ -41,7 +46,16 @@ pub fn receive(
         let rng = noise_stream(plan, receiver.seed, (array_index, element), tag);
         add_noise(variance.sqrt(), rng, samples);
     }
-    amplify(plan, receiver, samples);
+    assert!(samples.len() <= gains.len(), "one gain for each sample");
+    let amplified = &mut *samples;
+    widest(
+        #[inline(always)]
+        move || {
+            for (sample, gain) in amplified.iter_mut().zip(gains) {
+                *sample *= gain;
+            }
+        },
+    );
     match receiver.adc_bits {
         Some(bits) => quantise(bits, receiver.full_scale_v, samples),
         None => 0,
@@ -64,52 +78,36 @@ fn noise_stream(
     ChaCha8Rng::from_seed(key)
 }
 
-/// Adds circular Gaussian noise: E|n|^2 = rms^2.
-pub(super) fn add_noise(rms: f64, mut rng: ChaCha8Rng, samples: &mut [Complex64]) {
-    const UNIT: f64 = 1.0 / (1u64 << 53) as f64;
-    for sample in samples {
-        // Box and Muller (1958): a pair of uniform numbers gives I and Q.
-        let chance = ((rng.next_u64() >> 11) + 1) as f64 * UNIT; // (0, 1]
-        let turns = (rng.next_u64() >> 11) as f64 * UNIT;
-        let radius = rms * (-libm::log(chance)).sqrt();
-        let (cos, sin) = cis(turns);
-        sample.re += radius * cos;
-        sample.im += radius * sin;
-    }
-}
-
-/// Applies the fixed gain and the time-varying law at slant range c t / 2.
-pub fn amplify(plan: &PingPlan, receiver: &Receiver, samples: &mut [Complex64]) {
-    let gain_db = plan.settings.gain_db;
-    let fixed = linear(gain_db);
+/// Fills `gains` with the linear gain of each of the first `samples` samples of a ping: the fixed gain and the time-varying law
+/// at slant range c t / 2.
+pub fn fill_gains(plan: &PingPlan, receiver: &Receiver, samples: usize, gains: &mut Vec<f64>) {
+    let fixed = linear(plan.settings.gain_db);
     let range_m = |k: usize| {
         let time_s = plan.first_sample_s + k as f64 / receiver.sample_rate_hz;
         0.5 * plan.sound_speed_m_per_s * time_s.max(0.0)
     };
+    gains.clear();
     match &receiver.tvg {
-        TimeVaryingGain::None if gain_db == 0.0 => {}
-        TimeVaryingGain::None => samples.iter_mut().for_each(|sample| *sample *= fixed),
+        TimeVaryingGain::None => gains.resize(samples, fixed),
         TimeVaryingGain::Law {
             spreading,
             absorption_db_per_m,
             max_db,
-        } => {
-            for (k, sample) in samples.iter_mut().enumerate() {
-                let r = range_m(k);
-                // log10(0) is minus infinity, and the limit below changes it to 0 dB.
-                let law_db = spreading * libm::log10(r) + 2.0 * absorption_db_per_m * r;
-                *sample *= fixed * linear(law_db.min(*max_db).max(0.0));
-            }
-        }
+        } => gains.extend((0..samples).map(|k| {
+            let r = range_m(k);
+            // log10(0) is minus infinity, and the limit below changes it to 0 dB.
+            let law_db = spreading * libm::log10(r) + 2.0 * absorption_db_per_m * r;
+            fixed * linear(law_db.min(*max_db).max(0.0))
+        })),
         TimeVaryingGain::Table(table) => {
             let mut next = 0;
-            for (k, sample) in samples.iter_mut().enumerate() {
+            gains.extend((0..samples).map(|k| {
                 let r = range_m(k);
                 while next < table.len() && table[next].0 <= r {
                     next += 1;
                 }
-                *sample *= fixed * linear(table_db(table, next, r));
-            }
+                fixed * linear(table_db(table, next, r))
+            }));
         }
     }
 }
@@ -134,15 +132,25 @@ fn table_db(table: &[(f64, f64)], next: usize, range_m: f64) -> f64 {
 pub(super) fn quantise(bits: u32, full_scale_v: f64, samples: &mut [Complex64]) -> u64 {
     let codes = 2f64.powi(bits as i32);
     let step = 2.0 * full_scale_v / codes;
+    let codes_per_v = 1.0 / step;
     let (lowest, highest) = (-0.5 * codes, 0.5 * codes - 1.0);
-    let mut saturated = 0;
-    let mut convert = |volts: f64| {
-        let code = (volts / step).round_ties_even();
-        saturated += u64::from(code < lowest || code > highest);
-        code.clamp(lowest, highest) * step
-    };
-    for sample in samples {
-        *sample = Complex64::new(convert(sample.re), convert(sample.im));
-    }
-    saturated
+    widest(
+        #[inline(always)]
+        move || {
+            let mut saturated = 0;
+            for sample in samples {
+                let convert = |volts: f64| {
+                    // Within these limits the sum rounds to the nearest integer, ties to even.
+                    let limited = (volts * codes_per_v).clamp(lowest - 1.0, highest + 1.0);
+                    let code = (limited + ROUND) - ROUND;
+                    let is_clipped = (code < lowest) | (code > highest);
+                    (code.clamp(lowest, highest) * step, u64::from(is_clipped))
+                };
+                let ((re, re_clipped), (im, im_clipped)) = (convert(sample.re), convert(sample.im));
+                *sample = Complex64::new(re, im);
+                saturated += re_clipped + im_clipped;
+            }
+            saturated
+        },
+    )
 }

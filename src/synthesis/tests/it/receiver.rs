@@ -3,7 +3,7 @@ use num_complex::Complex64;
 
 use echotank_core::arrays::{Receiver, ReceiverFilter, TimeVaryingGain};
 use echotank_core::ping::PingPlan;
-use echotank_synthesis::array::receive;
+use echotank_synthesis::array::{fill_gains, receive};
 
 use echotank_testing::echo::*;
 
@@ -27,8 +27,9 @@ fn through(
 ) -> (Vec<Complex64>, u64) {
     let mut rx = element(DVec3::ZERO);
     rx.sensitivity_db = -180.0;
-    let mut out = samples.to_vec();
-    let saturated = receive(plan, receiver, &rx, 0, element_index, &mut out);
+    let (mut out, mut gains) = (samples.to_vec(), Vec::new());
+    fill_gains(plan, receiver, out.len(), &mut gains);
+    let saturated = receive(plan, receiver, &gains, &rx, 0, element_index, &mut out);
     (out, saturated)
 }
 
@@ -108,13 +109,13 @@ fn the_first_noise_samples_are_fixed() {
     let mut rx = element(DVec3::ZERO);
     rx.sensitivity_db = 0.0;
     let mut out = [Complex64::ZERO; 2];
-    receive(&ahead(0.0), &receiver, &rx, 1, 3, &mut out);
+    receive(&ahead(0.0), &receiver, &[1.0; 2], &rx, 1, 3, &mut out);
     let bits = out.map(|n| (n.re.to_bits(), n.im.to_bits()));
     assert_eq!(
         bits,
         [
-            (13_808_791_062_759_309_460, 4_608_725_580_370_389_953),
-            (4_600_650_031_963_082_879, 4_608_137_321_766_257_987)
+            (4_602_880_013_694_402_560, 4_606_088_782_687_502_336),
+            (13_804_276_804_208_295_936, 4_604_209_723_221_213_184)
         ],
         "{out:?}"
     );

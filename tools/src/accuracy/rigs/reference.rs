@@ -8,7 +8,7 @@ use echotank_core::arrays::ArrayGeometry;
 use echotank_core::ping::{PingOutput, PingPlan};
 use echotank_core::scene::Scatterers;
 use echotank_ping::pipeline::PipelineError;
-use echotank_synthesis::array::{Decimator, Direct, receive};
+use echotank_synthesis::array::{Decimator, Direct, fill_gains, receive};
 use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
 
 use crate::draw::SplitMix as Chance;
@@ -78,6 +78,8 @@ impl<'a> ReferenceSolution<'a> {
         let filter = self.decimator.as_ref();
         let of_window = (spec.receiver.sample_rate_hz, plan.first_sample_s);
         let (mut transmit_leg, mut walk) = (TransmitLeg::default(), Workspace::default());
+        let mut gains = Vec::new();
+        fill_gains(plan, &spec.receiver, plan.sample_count, &mut gains);
         let mut record = |index: usize, array: &ArrayGeometry, element: usize| {
             let mut record = vec![Complex64::ZERO; plan.sample_count];
             received(
@@ -94,7 +96,8 @@ impl<'a> ReferenceSolution<'a> {
                     arrivals(plan, array, element, &transmit_leg, &mut walk, &mut sink);
                 },
             );
-            receive(plan, &spec.receiver, array, index, element, &mut record);
+            let receiver = &spec.receiver;
+            receive(plan, receiver, &gains, array, index, element, &mut record);
             record
         };
         let arrays = spec.receive.iter().enumerate();
@@ -123,10 +126,12 @@ impl<'a> ReferenceSolution<'a> {
         let probes: Vec<Probe> = picks.iter().map(probe).collect();
         let (filter, rate_hz) = (self.decimator.as_ref(), spec.receiver.sample_rate_hz);
         let mut values = values(plan, self.ping.everything, filter, rate_hz, &probes);
+        let (receiver, mut gains) = (&spec.receiver, Vec::new());
+        fill_gains(plan, receiver, 1, &mut gains);
         for (pick, value) in picks.iter().zip(&mut values) {
             let array = &spec.receive[pick.array];
-            let value = std::slice::from_mut(value);
-            receive(plan, &spec.receiver, array, pick.array, pick.element, value);
+            let (index, value) = (pick.array, std::slice::from_mut(value));
+            receive(plan, receiver, &gains, array, index, pick.element, value);
         }
         values
     }

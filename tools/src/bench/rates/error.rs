@@ -11,7 +11,7 @@ use echotank_core::scene::Scatterers;
 use echotank_ping::make_ping;
 use echotank_runtime::chart::bare;
 use echotank_runtime::recorded::RecordedRig;
-use echotank_synthesis::array::receive;
+use echotank_synthesis::array::{fill_gains, receive};
 use num_complex::Complex64;
 
 use crate::draw::SplitMix;
@@ -118,7 +118,7 @@ impl SampledPing<'_> {
         let plan = reference_plan(plan);
         let filter = reference_filter(spec, &rig.medium).map_err(|e| e.to_string())?;
         let rate_hz = spec.receiver.sample_rate_hz;
-        let mut worst: Option<f64> = None;
+        let (mut worst, mut gains): (Option<f64>, _) = (None, Vec::new());
         for (index, array) in spec.receive.iter().enumerate() {
             let windows = self.windows(
                 index,
@@ -140,9 +140,11 @@ impl SampledPing<'_> {
                 })
                 .collect();
             let mut want = values(&plan, self.scatterers, filter.as_ref(), rate_hz, &probes);
+            fill_gains(&plan, &spec.receiver, 1, &mut gains);
             for (probe, value) in probes.iter().zip(&mut want) {
                 let value = std::slice::from_mut(value);
-                receive(&plan, &spec.receiver, array, index, probe.element, value);
+                let (receiver, element) = (&spec.receiver, probe.element);
+                receive(&plan, receiver, &gains, array, index, element, value);
             }
             let mut want = want.into_iter();
             for window in &windows {
