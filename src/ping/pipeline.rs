@@ -263,12 +263,12 @@ impl SonarPipeline {
         }
         if let (Some(former), Some(beams)) = (&mut self.fan, output.beams.first_mut()) {
             let array = former.array();
-            let halves = former.form(plan, &output.elements[array], beams);
-            if let (Some(halves), Some(bottom)) = (halves, &mut self.bottom) {
+            let products = former.form(plan, &output.elements[array], beams);
+            if let (Some(products), Some(bottom)) = (products, &mut self.bottom) {
                 let min_s =
                     plan.pulse.duration_s + NEAREST_BOTTOM_M * 2.0 / plan.sound_speed_m_per_s;
                 let soundings = &mut output.soundings;
-                bottom.detect(halves, plan.first_sample_s, min_s, soundings);
+                bottom.detect(beams, products, plan.first_sample_s, min_s, soundings);
             }
         }
     }

@@ -23,14 +23,15 @@
 //! with a fourth of the products; other lines and apertures element by element. Work proceeds in tiles of at most
 //! [`MAX_SAMPLES`] samples, so that rows and sums stay in the second-level cache, and is split by tile.
 //!
-//! For bottom detection the line has two sections, its halves. Their sums are two further fans that refer to the whole line's centre, so that
-//! they agree in phase on the axis of every beam; the fan of the whole line is their sum.
+//! For bottom detection the line has two sections, its halves. Their sums refer to the whole line's centre, so that they agree in phase on the
+//! axis of every beam. The fan of the whole line is their sum; a detection needs only their product besides.
 //!
 //! Not modelled in the steering: motion out of the plane of line and boresight, rotation during the echo, and the Doppler stretch (a common
 //! range shift through range-Doppler coupling).
 
 mod groups;
 mod interpolation;
+mod second_sum;
 mod steering;
 
 use std::f64::consts::PI;
@@ -48,12 +49,15 @@ use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
 use echotank_core::pulse::Pulse;
 use echotank_core::simd::SimdLevel;
-use groups::{Directions, Groups, band_hz};
-use interpolation::{Interpolation, TAPS, convolve};
-use steering::{Focus, GridLayout, MIN_DISTANCE_M, Steering};
+use groups::{BEAMS, Directions, Groups, Mix, Seen};
+use interpolation::{Interpolation, TAPS, band_hz, convolve};
+use second_sum::{CHUNK, Totals, sum_directions};
+use steering::{Foci, Focus, GridLayout, MIN_DISTANCE_M, Steering};
 
 /// Minimum range of a focus in units of half the aperture in use.
 const MIN_FOCUS: f64 = 1.5;
+/// Directions of a group that are steered together.
+const FOCI: usize = 8;
 /// Maximum number of sections: two halves, and the middle element of an odd number.
 const MAX_SECTIONS: usize = 3;
 
@@ -73,6 +77,8 @@ pub(crate) struct DelaySumFormer {
     sections: Vec<Range<usize>>,
     /// Zeros before and after each row, for the reach of delays and filters.
     margin: usize,
+    /// Samples before and after a tile that the delays of each element reach.
+    reach: Vec<usize>,
     /// Element-major compressed rows with their margins: real parts, imaginary parts.
     rows: Vec<f32>,
     row_length: usize,
@@ -95,8 +101,6 @@ struct Zone {
     end: usize,
     /// Two-way time of the focus.
     time_s: f64,
-    /// Inverse sums of the weights of the first and the last section.
-    half_scale: [f32; 2],
 }
 
 /// Samples that are summed together.
@@ -115,12 +119,19 @@ struct Worker {
     directions: Vec<f32>,
     /// Sums of a tile element by element, for each section of each beam.
     tile: Vec<[Sums; MAX_SECTIONS]>,
-    /// Focus of each direction of the groups, or of each beam.
+    /// Focus of each direction of a group, or of each beam.
     focus: Vec<Focus>,
-    /// Focus of each beam in each zone of a tile.
-    zone_focus: Vec<Focus>,
+    beams: Box<BeamBatch>,
     buffer: Vec<Complex32>,
     scratch: Vec<Complex32>,
+}
+
+/// [`BEAMS`] beams of a tile.
+struct BeamBatch {
+    foci: Foci,
+    seen: Seen,
+    mix: Mix,
+    totals: Totals,
 }
 
 impl DelaySumFormer {
@@ -152,18 +163,14 @@ impl DelaySumFormer {
         let elements = array.elements;
         let half_m = 0.5 * array.spacing_m * (elements - 1) as f64;
         // A platform speed of a tenth of the sound speed lengthens delays by that fraction, and groups reach beyond the outermost beams.
-        let reach = 1.4 * half_m / c * limits.sample_rate_hz;
-        let margin = reach.ceil() as usize + 3;
+        let reach = |x_m: f64| (1.4 * x_m.abs() / c * limits.sample_rate_hz).ceil() as usize + 3;
+        let margin = reach(half_m);
         let array_from_body = array.mounting.body_from_array.inverse();
         let transmit_m =
             array_from_body * (transmit.mounting.position_m - array.mounting.position_m);
         let row_length = limits.samples + 2 * (margin + TAPS) + 2 * MAX_SAMPLES;
         let former = fan.form.former;
-        let band = match former {
-            Former::Phase => 0.0,
-            _ => band_hz(pulse) / limits.sample_rate_hz,
-        };
-        let interpolation = Interpolation::new(former, band);
+        let interpolation = Interpolation::new(former, pulse, limits.sample_rate_hz);
         let rows = if interpolation.is_linear { 2 } else { 1 };
         // Roll may turn the fan to any direction.
         let sector = match fan.form.roll_stabilised {
@@ -177,15 +184,8 @@ impl DelaySumFormer {
             (pulse, limits.sample_rate_hz, c),
             rows,
         );
-        let (parts, capacity) = groups
-            .as_ref()
-            .map_or((0, 0), |groups| (groups.parts.len(), groups.capacity));
-        let room = parts * capacity * 2 * MAX_SAMPLES + STEP;
-        let zone_room = if parts > 0 {
-            fan.beams * MAX_SAMPLES
-        } else {
-            0
-        };
+        let capacity = groups.as_ref().map_or(0, |groups| groups.capacity);
+        let room = capacity * 2 * MAX_SAMPLES + STEP;
         let grid_room =
             BLOCK.min(elements) * interpolation.fractions() * 2 * grid_row(margin) + STEP;
         let mut former = Self {
@@ -198,6 +198,7 @@ impl DelaySumFormer {
             focus_error_rad: fan.form.focus_error_rad,
             sections,
             margin,
+            reach: (0..elements).map(|e| reach(array.element_x_m(e))).collect(),
             rows: vec![0.0; elements * 2 * row_length],
             row_length,
             zones: Vec::with_capacity(limits.samples),
@@ -213,7 +214,12 @@ impl DelaySumFormer {
                     directions: vec![0.0; room],
                     tile: (0..fan.beams).map(|_| [Sums::ZERO; MAX_SECTIONS]).collect(),
                     focus: vec![Focus::default(); fan.beams.max(capacity)],
-                    zone_focus: Vec::with_capacity(zone_room),
+                    beams: Box::new(BeamBatch {
+                        foci: Foci::NONE,
+                        seen: Seen::NONE,
+                        mix: Mix::NONE,
+                        totals: [[[0.0; CHUNK]; 2]; MAX_SECTIONS],
+                    }),
                     buffer: vec![Complex32::ZERO; steered.correlator.length()],
                     scratch: steered.correlator.make_scratch(),
                 })
@@ -235,42 +241,40 @@ impl DelaySumFormer {
 
     /// Forms the beams of one ping. `frame` holds the samples of the fan's array; `out` grows once to its maximum size and is reused.
     pub(crate) fn form(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut BeamFrame) {
-        self.steered.begin(plan, frame, out);
-        self.form_into(plan, frame, [Some(out), None, None]);
+        self.form_with_halves(plan, frame, Some(out), None);
     }
 
-    /// Forms the beams of the half at the array's -x end and of that at its +x end, and those of the whole line in `whole`.
+    /// Forms the beams of the whole line in `whole`, and in `products`, beam-major, the products of the beams of the half at the array's -x end and
+    /// the conjugates of those at its +x end.
     pub(crate) fn form_with_halves(
         &mut self,
         plan: &PingPlan,
         frame: &ElementFrame,
-        whole: Option<&mut BeamFrame>,
-        halves: &mut [BeamFrame; 2],
+        mut whole: Option<&mut BeamFrame>,
+        mut products: Option<&mut Vec<Complex32>>,
     ) {
-        let [first, second] = halves;
-        self.steered.begin(plan, frame, first);
-        self.steered.size(frame.samples, second);
-        let mut whole = whole;
+        self.steered.begin(plan, frame);
         if let Some(whole) = &mut whole {
             self.steered.size(frame.samples, whole);
         }
-        self.form_into(plan, frame, [whole, Some(first), Some(second)]);
-    }
-
-    fn form_into(
-        &mut self,
-        plan: &PingPlan,
-        frame: &ElementFrame,
-        out: [Option<&mut BeamFrame>; 3],
-    ) {
+        if let Some(products) = &mut products {
+            self.steered.size_samples(frame.samples, products);
+        }
         if frame.samples == 0 {
             return;
         }
+        let limits = self.steered.correlator.limits();
+        self.interpolation
+            .set_pulse(&plan.pulse, limits.sample_rate_hz);
         self.make_zones(frame.samples, plan.first_sample_s);
         self.weigh_zones();
         self.aim_groups();
         self.make_tiles(frame.samples, plan.first_sample_s);
         self.compress(frame);
+        let out = Outputs {
+            whole: whole.map(|whole| Columns::new(&mut whole.iq, frame.samples)),
+            products: products.map(|products| Columns::new(products, frame.samples)),
+        };
         self.sum(plan, out);
     }
 
@@ -301,12 +305,7 @@ impl DelaySumFormer {
 
     fn make_zones(&mut self, samples: usize, first_sample_s: f64) {
         self.zones.clear();
-        let zone = |first: usize, end: usize, time_s: f64| Zone {
-            first,
-            end,
-            time_s,
-            half_scale: [1.0; 2],
-        };
+        let zone = |first: usize, end: usize, time_s: f64| Zone { first, end, time_s };
         if self.former != Former::DynamicFocus {
             let rate_hz = self.steered.correlator.limits().sample_rate_hz;
             let time_s = first_sample_s + samples as f64 / rate_hz;
@@ -373,12 +372,6 @@ impl DelaySumFormer {
                     *w /= sum;
                 }
             }
-            let weights = &self.zone_weights[start..start + elements];
-            let halves = [self.sections.first(), self.sections.last()];
-            self.zones[z].half_scale = halves.map(|section| {
-                let sum: f32 = section.map_or(0.0, |part| weights[part.clone()].iter().sum());
-                if sum > 0.0 { 1.0 / sum } else { 0.0 }
-            });
         }
     }
 
@@ -458,7 +451,7 @@ impl DelaySumFormer {
             });
     }
 
-    fn sum(&mut self, plan: &PingPlan, out: [Option<&mut BeamFrame>; 3]) {
+    fn sum(&mut self, plan: &PingPlan, out: Outputs) {
         let velocity = plan.segments.first().map_or(glam::DVec3::ZERO, |s| {
             self.array_from_body * (s.world_from_body.inverse() * s.velocity_m_per_s)
         });
@@ -470,7 +463,6 @@ impl DelaySumFormer {
             carrier_hz: self.steered.correlator.pulse().center_frequency_hz,
             rate_hz: self.steered.correlator.limits().sample_rate_hz,
         };
-        let out = out.map(|frame| frame.map(Columns::new));
         let mut workers = std::mem::take(&mut self.workers);
         let this = &*self;
         let stride = workers.len();
@@ -508,7 +500,7 @@ impl DelaySumFormer {
         steering: &Steering,
         tile: &Tile,
         worker: &mut Worker,
-        out: &[Option<Columns>; 3],
+        out: &Outputs,
     ) {
         let elements = self.x_m.len();
         let row = grid_row(self.margin);
@@ -547,10 +539,13 @@ impl DelaySumFormer {
                 }
             }
         }
-        let scale = self.half_scales(tile);
+        let samples = tile.end - tile.first;
         for (beam, sums) in worker.tile.iter().enumerate() {
+            let sums = sums
+                .each_ref()
+                .map(|sums| [&sums.re[..samples], &sums.im[..samples]]);
             // SAFETY: the caller guarantees that the samples are this tile's alone.
-            unsafe { self.finish(beam, tile, sums, &scale, out) };
+            unsafe { self.finish(beam, tile.first, &sums[..self.sections.len()], out) };
         }
     }
 
@@ -564,7 +559,7 @@ impl DelaySumFormer {
         tile: &Tile,
         time_s: f64,
         worker: &mut Worker,
-        out: &[Option<Columns>; 3],
+        out: &Outputs,
     ) {
         let (Some(groups), Some(directions)) = (&self.groups, &self.directions) else {
             unreachable!("tiles without groups have no focus of groups");
@@ -575,147 +570,110 @@ impl DelaySumFormer {
             row,
             origin: self.margin,
         };
-        self.simd_level.run(
-            #[inline(always)]
-            || {
-                for (j, focus) in worker.focus[..directions.count].iter_mut().enumerate() {
-                    *focus = steering.focus(directions.sine(j), time_s);
-                }
-            },
-        );
-        let mut taps = Taps::NONE;
-        let mut to = worker.directions.chunks_exact_mut(2 * MAX_SAMPLES);
-        for (part, x_group) in groups.parts.iter().zip(&groups.x_m) {
+        let mut taps = [Taps::NONE; FOCI];
+        let chunk_rows = 2 * CHUNK * directions.count;
+        let of_group = groups.parts.iter().zip(&groups.x_m);
+        for ((part, x_group), grid) in of_group.zip(&directions.of_group) {
             self.interpolate(tile, part.clone(), &mut worker.grid);
             let x_m = &self.x_m[part.clone()];
             // The weights of the whole line in f32, as of every zone of such a tile.
             let z = self.zones.partition_point(|zone| zone.end <= tile.first);
             let weights = &self.zone_weights[z * self.x_m.len()..][part.clone()];
-            for (focus, sums) in worker.focus[..directions.count].iter().zip(&mut to) {
+            for first in (0..grid.count).step_by(FOCI) {
+                let taps = &mut taps[..FOCI.min(grid.count - first)];
                 let (interpolation, to_sum) = (&self.interpolation, (x_m, weights));
                 self.simd_level.run(
                     #[inline(always)]
                     || {
-                        let reference_m = steering.late_m(focus, *x_group);
-                        steering.steer(
-                            focus,
-                            to_sum,
-                            reference_m,
-                            interpolation,
-                            layout,
-                            &mut taps,
-                        );
+                        for (j, taps) in taps.iter_mut().enumerate() {
+                            let focus = &steering.focus(grid.sine(first + j), time_s);
+                            let late_m = steering.late_m(focus, *x_group);
+                            steering.steer(focus, to_sum, late_m, interpolation, layout, taps);
+                        }
                     },
                 );
-                let (re, im) = sums.split_at_mut(MAX_SAMPLES);
-                let mut sums = [&mut re[..samples], &mut im[..samples]];
-                for part in &mut sums {
-                    part.fill(0.0);
+                let chunks = worker.directions.chunks_mut(chunk_rows);
+                for (from, rows) in (0..samples).step_by(CHUNK).zip(chunks) {
+                    let rows = &mut rows[2 * CHUNK * (grid.before + first)..];
+                    for (taps, row_of) in taps.iter().zip(rows.chunks_exact_mut(2 * CHUNK)) {
+                        row_of.fill(0.0);
+                        let (re, im) = row_of.split_at_mut(CHUNK);
+                        let samples = CHUNK.min(samples - from);
+                        let sums = [&mut re[..samples], &mut im[..samples]];
+                        add_rows(self.simd_level, &worker.grid[from..], row, taps, sums);
+                    }
                 }
-                add_rows(self.simd_level, &worker.grid, row, &taps, sums);
             }
         }
-        // The focus of each beam at the range of the tile, then in each zone.
-        let sines = &self.steered.directions.sine;
-        let beams = sines.len();
-        self.simd_level.run(
-            #[inline(always)]
-            || {
-                for (focus, sine) in worker.focus.iter_mut().zip(sines) {
-                    *focus = steering.focus(*sine, time_s);
-                }
-            },
-        );
-        worker.zone_focus.clear();
-        for (z, (_, zone)) in self.zones_of(tile).enumerate() {
-            worker.zone_focus.resize((z + 1) * beams, Focus::default());
+        let BeamBatch {
+            foci,
+            seen,
+            mix,
+            totals,
+        } = &mut *worker.beams;
+        for (batch, sines) in self.steered.directions.sine.chunks(BEAMS).enumerate() {
+            let beams = sines.len();
+            let sines = &std::array::from_fn(|i| sines[i.min(beams - 1)]);
             self.simd_level.run(
                 #[inline(always)]
                 || {
-                    for (focus, sine) in worker.zone_focus[z * beams..].iter_mut().zip(sines) {
-                        *focus = steering.focus(*sine, zone.time_s);
-                    }
+                    steering.focus_all(sines, time_s, foci);
+                    groups.see(directions, foci, seen);
                 },
             );
-        }
-        let scale = self.half_scales(tile);
-        let mut taps = [Taps::NONE; MAX_SECTIONS];
-        let mut totals = [Sums::ZERO; MAX_SECTIONS];
-        for (beam, sine) in sines.iter().enumerate() {
-            let seen = self.simd_level.run(
-                #[inline(always)]
-                || groups.seen(directions, *sine, &worker.focus[beam]),
-            );
-            for total in totals[..self.sections.len()].iter_mut() {
-                for part in total.part(0..samples) {
-                    part.fill(0.0);
-                }
-            }
-            for (z, (_, zone)) in self.zones_of(tile).enumerate() {
-                let from = zone.first.max(tile.first) - tile.first;
-                let range = from..zone.end.min(tile.end) - tile.first;
-                let focus = &worker.zone_focus[z * beams + beam];
+            for (_, zone) in self.zones_of(tile) {
                 self.simd_level.run(
                     #[inline(always)]
-                    || groups.mix(steering, directions, &seen, focus, from, &mut taps),
+                    || {
+                        steering.focus_all(sines, zone.time_s, foci);
+                        groups.mix(steering, directions, seen, foci, mix);
+                    },
                 );
-                for (taps, total) in taps[..self.sections.len()].iter().zip(&mut totals) {
-                    let (rows, total) = (&worker.directions, total.part(range.clone()));
-                    add_rows(self.simd_level, rows, MAX_SAMPLES, taps, total);
+                let (mut first, end) = (zone.first.max(tile.first), zone.end.min(tile.end));
+                while first < end {
+                    let (chunk, origin) =
+                        ((first - tile.first) / CHUNK, (first - tile.first) % CHUNK);
+                    let rows = &worker.directions[chunk * chunk_rows..];
+                    let samples = (CHUNK - origin).min(end - first);
+                    for i in 0..beams {
+                        let (of, at) = ((&*mix, i), (origin, samples));
+                        sum_directions(self.simd_level, rows, of, &groups.sections, at, totals);
+                        let sums = totals
+                            .each_ref()
+                            .map(|parts| parts.each_ref().map(|part| &part[..samples]));
+                        let sums = &sums[..self.sections.len()];
+                        // SAFETY: the caller guarantees that the samples are this tile's alone.
+                        unsafe { self.finish(batch * BEAMS + i, first, sums, out) };
+                    }
+                    first += samples;
                 }
             }
-            // SAFETY: the caller guarantees that the samples are this tile's alone.
-            unsafe { self.finish(beam, tile, &totals, &scale, out) };
         }
     }
 
-    /// Inverse sums of the weights of the halves, for each sample of a tile.
-    fn half_scales(&self, tile: &Tile) -> [[f32; MAX_SAMPLES]; 2] {
-        let mut scale = [[0.0f32; MAX_SAMPLES]; 2];
-        for (_, zone) in self.zones_of(tile) {
-            let range =
-                zone.first.max(tile.first) - tile.first..zone.end.min(tile.end) - tile.first;
-            for (scale, of_zone) in scale.iter_mut().zip(zone.half_scale) {
-                scale[range.clone()].fill(of_zone);
-            }
-        }
-        scale
-    }
-
-    /// Writes a beam of a tile: of the whole line, of its first and of its last section.
+    /// Writes samples of a beam from `first` on: the sum of all sections, and the product of the first with the conjugate of the last.
     ///
     /// # Safety
-    /// As of [`DelaySumFormer::sum_elements`].
-    unsafe fn finish(
-        &self,
-        beam: usize,
-        tile: &Tile,
-        sums: &[Sums; MAX_SECTIONS],
-        scale: &[[f32; MAX_SAMPLES]; 2],
-        out: &[Option<Columns>; 3],
-    ) {
-        let last = self.sections.len() - 1;
-        let [whole, halves @ ..] = out;
-        if let Some(to) = whole {
-            // SAFETY: the caller guarantees that the samples are this tile's alone.
-            let to = unsafe { to.row(beam, tile) };
+    /// No other thread writes these samples.
+    unsafe fn finish(&self, beam: usize, first: usize, sums: &[[&[f32]; 2]], out: &Outputs) {
+        let samples = first..first + sums[0][0].len();
+        if let Some(to) = &out.whole {
+            // SAFETY: the caller guarantees that the samples are this thread's alone.
+            let to = unsafe { to.row(beam, samples.clone()) };
             self.simd_level.run(
                 #[inline(always)]
-                || add_sections(&sums[..=last], to),
+                || add_sections(sums, to),
             );
         }
-        for ((to, sums), scale) in halves.iter().zip([&sums[0], &sums[last]]).zip(scale) {
-            let Some(to) = to else {
-                continue;
-            };
+        if let (Some(to), [a, .., b]) = (&out.products, sums) {
             // SAFETY: as above.
-            let to = unsafe { to.row(beam, tile) };
+            let to = unsafe { to.row(beam, samples) };
             self.simd_level.run(
                 #[inline(always)]
                 || {
-                    for (k, to) in to.iter_mut().enumerate() {
-                        let (re, im) = (sums.re[k] * scale[k], sums.im[k] * scale[k]);
-                        *to = Complex64::new(f64::from(re), f64::from(im));
+                    let (a, b) = (a[0].iter().zip(a[1]), b[0].iter().zip(b[1]));
+                    for ((to, a), b) in to.iter_mut().zip(a).zip(b) {
+                        *to = Complex32::new(a.0 * b.0 + a.1 * b.1, a.1 * b.0 - a.0 * b.1);
                     }
                 },
             );
@@ -726,18 +684,24 @@ impl DelaySumFormer {
     /// plus the fraction.
     fn interpolate(&self, tile: &Tile, elements: Range<usize>, grid: &mut [f32]) {
         let row = grid_row(self.margin);
-        let used = 2 * self.margin + (tile.end - tile.first).next_multiple_of(STEP);
-        let used = used.next_multiple_of(STEP);
-        // Row index of the grid's first sample: `margin` before the tile, in rows that begin `margin` + TAPS before sample 0.
-        let first = tile.first + TAPS;
         let fractions = self.interpolation.fractions();
         for (i, e) in elements.enumerate() {
+            let skipped = self.margin - self.reach[e];
+            let used = 2 * self.reach[e] + (tile.end - tile.first).next_multiple_of(STEP);
+            let used = used.next_multiple_of(STEP);
+            // Rows begin `margin` + TAPS before sample 0.
+            let first = tile.first + skipped + TAPS + 1 - self.interpolation.taps / 2;
             let parts = &self.rows[e * 2 * self.row_length..][..2 * self.row_length];
             for (part, from) in parts.chunks_exact(self.row_length).enumerate() {
-                let to = &mut grid[(i * fractions * 2 + part) * row..];
-                let from = &from[first + 1 - TAPS / 2..];
-                let filters = &self.interpolation.filters;
-                convolve(self.simd_level, filters, from, (row, used), to);
+                let to = &mut grid[(i * fractions * 2 + part) * row + skipped..];
+                let interpolation = &self.interpolation;
+                convolve(
+                    self.simd_level,
+                    interpolation,
+                    &from[first..],
+                    (row, used),
+                    to,
+                );
             }
         }
     }
@@ -751,65 +715,73 @@ fn ends(sines: &[f64]) -> [f64; 2] {
 }
 
 #[inline(always)]
-fn add_sections(sections: &[Sums], to: &mut [Complex64]) {
+fn add_sections(sections: &[[&[f32]; 2]], to: &mut [Complex64]) {
+    let number = |re: f32, im: f32| Complex64::new(f64::from(re), f64::from(im));
     match sections {
-        [all] => {
-            for (k, to) in to.iter_mut().enumerate() {
-                *to = Complex64::new(f64::from(all.re[k]), f64::from(all.im[k]));
+        [[re, im]] => {
+            for ((to, re), im) in to.iter_mut().zip(*re).zip(*im) {
+                *to = number(*re, *im);
             }
         }
-        [first, rest @ ..] => {
-            for (k, to) in to.iter_mut().enumerate() {
-                let (mut re, mut im) = (first.re[k], first.im[k]);
-                for more in rest {
-                    re += more.re[k];
-                    im += more.im[k];
-                }
-                *to = Complex64::new(f64::from(re), f64::from(im));
+        [[re, im], [more_re, more_im]] => {
+            let (re, im) = (re.iter().zip(*more_re), im.iter().zip(*more_im));
+            for ((to, re), im) in to.iter_mut().zip(re).zip(im) {
+                *to = number(re.0 + re.1, im.0 + im.1);
             }
         }
-        [] => {}
+        _ => {
+            for (k, to) in to.iter_mut().enumerate() {
+                let sum = |part: usize| sections.iter().map(|section| section[part][k]).sum();
+                *to = number(sum(0), sum(1));
+            }
+        }
     }
 }
 
+/// What a former writes.
+struct Outputs {
+    whole: Option<Columns<Complex64>>,
+    products: Option<Columns<Complex32>>,
+}
+
 /// The samples of a fan, of which several threads write different ones.
-struct Columns {
-    start: *mut Complex64,
+struct Columns<T> {
+    start: *mut T,
     beams: usize,
     samples: usize,
 }
 
 // SAFETY: threads only reach samples through `row`, whose callers share no sample.
-unsafe impl Send for Columns {}
+unsafe impl<T: Send> Send for Columns<T> {}
 // SAFETY: as above.
-unsafe impl Sync for Columns {}
+unsafe impl<T: Send> Sync for Columns<T> {}
 
-impl Columns {
-    fn new(frame: &mut BeamFrame) -> Self {
-        assert_eq!(frame.iq.len(), frame.beams * frame.samples);
+impl<T> Columns<T> {
+    /// `rows` holds a row of `samples` for each beam.
+    fn new(rows: &mut [T], samples: usize) -> Self {
         Self {
-            start: frame.iq.as_mut_ptr(),
-            beams: frame.beams,
-            samples: frame.samples,
+            start: rows.as_mut_ptr(),
+            beams: rows.len() / samples,
+            samples,
         }
     }
 
     /// # Safety
-    /// The frame outlives the result, and nothing else refers to these samples.
+    /// The rows outlive the result, and nothing else refers to these samples.
     #[expect(clippy::mut_from_ref, reason = "see the caller's duty")]
-    unsafe fn row(&self, beam: usize, tile: &Tile) -> &mut [Complex64] {
-        assert!(beam < self.beams && tile.first <= tile.end && tile.end <= self.samples);
-        // SAFETY: within the frame; the caller guarantees the rest.
+    unsafe fn row(&self, beam: usize, samples: Range<usize>) -> &mut [T] {
+        assert!(beam < self.beams && samples.start <= samples.end && samples.end <= self.samples);
+        // SAFETY: within the rows; the caller guarantees the rest.
         unsafe {
-            let start = self.start.add(beam * self.samples + tile.first);
-            std::slice::from_raw_parts_mut(start, tile.end - tile.first)
+            let start = self.start.add(beam * self.samples + samples.start);
+            std::slice::from_raw_parts_mut(start, samples.len())
         }
     }
 }
 
 /// Row length of a grid: a tile, margins, and the samples that the kernel may read beyond.
 fn grid_row(margin: usize) -> usize {
-    (2 * margin + MAX_SAMPLES + STEP).next_multiple_of(STEP)
+    (2 * margin + MAX_SAMPLES + 2 * STEP).next_multiple_of(STEP)
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
-//! The fan of one receive array, formed by the method that its configuration selects; for bottom detection also from each half of the line.
-//! The phase between the halves gives the direction within a beam.
+//! The fan of one receive array, formed by the method that its configuration selects; for bottom detection also the phase between the beams of
+//! the line's halves, which gives the direction within a beam.
 
 use super::RowLimits;
 use super::conventional::FanFormer;
@@ -10,6 +10,7 @@ use echotank_config::spec::{FanSpec, Former, Shading};
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
 use echotank_core::pulse::Pulse;
+use num_complex::Complex32;
 
 /// Beamformer of a fan.
 pub struct Fan {
@@ -20,7 +21,7 @@ pub struct Fan {
 struct Halves {
     /// Where the method forms no halves.
     former: Option<Box<DelaySumFormer>>,
-    beams: Box<[BeamFrame; 2]>,
+    products: Vec<Complex32>,
 }
 
 enum Method {
@@ -66,7 +67,7 @@ impl Fan {
             });
             Halves {
                 former,
-                beams: Box::default(),
+                products: Vec::new(),
             }
         });
         Self { method, halves }
@@ -87,27 +88,26 @@ impl Fan {
     }
 
     /// Forms the beams of one ping. `frame` holds the samples of the fan's array; `out` grows once to its maximum size and is reused.
-    /// Returns, for bottom detection, the beams of the half at the array's -x end, then those of the half at its +x end. Both refer to the
-    /// whole line's centre, so that they agree in phase on the axis of every beam.
+    /// Returns, for bottom detection, the product of each sample of the half at the array's -x end and the conjugate of that at its +x end, in
+    /// the order of `out`. Both refer to the whole line's centre, so that its phase is zero on the axis of every beam.
     pub fn form(
         &mut self,
         plan: &PingPlan,
         frame: &ElementFrame,
         out: &mut BeamFrame,
-    ) -> Option<[&BeamFrame; 2]> {
+    ) -> Option<&[Complex32]> {
         match (&mut self.method, &mut self.halves) {
-            (Method::DelaySum(former), Some(halves)) => {
-                former.form_with_halves(plan, frame, Some(out), &mut halves.beams);
+            (Method::DelaySum(former), halves) => {
+                let products = halves.as_mut().map(|halves| &mut halves.products);
+                former.form_with_halves(plan, frame, Some(out), products);
             }
-            (Method::DelaySum(former), None) => former.form(plan, frame, out),
             (Method::Exact(former), _) => former.form(plan, frame, out),
             (Method::Fast(former), _) => former.form(plan, frame, out),
         }
-        let halves = self.halves.as_mut()?;
-        if let Some(former) = &mut halves.former {
-            former.form_with_halves(plan, frame, None, &mut halves.beams);
+        let Halves { former, products } = self.halves.as_mut()?;
+        if let Some(former) = former {
+            former.form_with_halves(plan, frame, None, Some(products));
         }
-        let [first, second] = &*halves.beams;
-        Some([first, second])
+        Some(products)
     }
 }

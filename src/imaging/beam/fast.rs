@@ -145,7 +145,8 @@ impl FastFan {
 
     /// Forms the beams of one ping. `frame` holds the samples of the fan's array; `out` grows once to its maximum size and is reused.
     pub fn form(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut BeamFrame) {
-        self.steered.begin(plan, frame, out);
+        self.steered.begin(plan, frame);
+        self.steered.size(frame.samples, out);
         if frame.samples == 0 {
             return;
         }

@@ -81,20 +81,21 @@ pub(super) fn add_rows(
         // SAFETY: a `SimdLevel` proves that the processor has the features; the rows are checked above.
         Kind::Avx2 => unsafe { add_avx2(grid, imaginary, taps, re, im) },
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: as above.
-        Kind::Avx512 => unsafe {
-            match steps {
-                0 => {}
-                1 => add_avx512::<1>(grid, imaginary, taps, re, im),
-                2 => add_avx512::<2>(grid, imaginary, taps, re, im),
-                3 => add_avx512::<3>(grid, imaginary, taps, re, im),
-                4 => add_avx512::<4>(grid, imaginary, taps, re, im),
-                5 => add_avx512::<5>(grid, imaginary, taps, re, im),
-                6 => add_avx512::<6>(grid, imaginary, taps, re, im),
-                7 => add_avx512::<7>(grid, imaginary, taps, re, im),
-                _ => add_avx512::<8>(grid, imaginary, taps, re, im),
+        Kind::Avx512 => {
+            let parts = re.chunks_mut(4 * STEP).zip(im.chunks_mut(4 * STEP));
+            for (first, (re, im)) in (0..).step_by(4 * STEP).zip(parts) {
+                let grid = &grid[first..];
+                // SAFETY: as above.
+                unsafe {
+                    match re.len().div_ceil(STEP) {
+                        1 => add_avx512::<1>(grid, imaginary, taps, re, im),
+                        2 => add_avx512::<2>(grid, imaginary, taps, re, im),
+                        3 => add_avx512::<3>(grid, imaginary, taps, re, im),
+                        _ => add_avx512::<4>(grid, imaginary, taps, re, im),
+                    }
+                }
             }
-        },
+        }
         #[cfg(not(target_arch = "x86_64"))]
         _ => add_plain(grid, imaginary, taps, re, im),
     }
@@ -133,6 +134,9 @@ unsafe fn add_avx512<const V: usize>(
     use std::arch::x86_64::*;
     let mut re = [_mm512_setzero_ps(); V];
     let mut im = [_mm512_setzero_ps(); V];
+    // The products with imaginary weights are summed apart, so that no product waits for another of the same tap.
+    let mut more_re = [_mm512_setzero_ps(); V];
+    let mut more_im = [_mm512_setzero_ps(); V];
     for (start, w_re, w_im) in taps.iter() {
         let (w_re, w_im) = (_mm512_set1_ps(w_re), _mm512_set1_ps(w_im));
         // SAFETY: the caller guarantees the rows.
@@ -143,10 +147,14 @@ unsafe fn add_avx512<const V: usize>(
                 let x_im = _mm512_loadu_ps(row.add(imaginary + 16 * v));
                 re[v] = _mm512_fmadd_ps(w_re, x_re, re[v]);
                 im[v] = _mm512_fmadd_ps(w_re, x_im, im[v]);
-                re[v] = _mm512_fnmadd_ps(w_im, x_im, re[v]);
-                im[v] = _mm512_fmadd_ps(w_im, x_re, im[v]);
+                more_re[v] = _mm512_fnmadd_ps(w_im, x_im, more_re[v]);
+                more_im[v] = _mm512_fmadd_ps(w_im, x_re, more_im[v]);
             }
         }
+    }
+    for v in 0..V {
+        re[v] = _mm512_add_ps(re[v], more_re[v]);
+        im[v] = _mm512_add_ps(im[v], more_im[v]);
     }
     for v in 0..V {
         let left = to_re.len() - 16 * v;

@@ -1,7 +1,6 @@
 //! A line array steered to the directions of a fan: the part that all fan formers share.
 
 use echotank_fft::Planned;
-use num_complex::Complex64;
 
 use super::RowLimits;
 use super::directions::{Directions, widths_rad};
@@ -97,10 +96,10 @@ impl<T: Planned> SteeredArray<T> {
         self.sound_speed_m_per_s / self.correlator.pulse().center_frequency_hz
     }
 
-    /// Sets the ping's pulse, sound speed and roll and sizes `out`, which grows once to its maximum size.
+    /// Sets the ping's pulse, sound speed and roll.
     ///
     /// Panics on a frame of another array or on more samples than the limits allow.
-    pub(super) fn begin(&mut self, plan: &PingPlan, frame: &ElementFrame, out: &mut BeamFrame) {
+    pub(super) fn begin(&mut self, plan: &PingPlan, frame: &ElementFrame) {
         assert!(
             frame.array == self.array && frame.elements == self.elements(),
             "the frame belongs to another array"
@@ -121,19 +120,22 @@ impl<T: Planned> SteeredArray<T> {
             self.sound_speed_m_per_s = plan.sound_speed_m_per_s;
             self.measure_widths();
         }
-        self.size(frame.samples, out);
     }
 
-    /// Sizes `out` for the fan's beams.
+    /// Sizes `out` for the fan's beams; it grows once to its maximum size.
     pub(super) fn size(&self, samples: usize, out: &mut BeamFrame) {
-        let (beams, max_samples) = (self.beams(), self.correlator.limits().samples);
-        out.beams = beams;
+        out.beams = self.beams();
         out.samples = samples;
         out.angle_rad.clone_from(&self.directions.angle_rad);
         out.width_rad.clone_from(&self.width_rad);
-        out.iq
-            .reserve_exact((beams * max_samples).saturating_sub(out.iq.len()));
-        out.iq.resize(beams * samples, Complex64::ZERO);
+        self.size_samples(samples, &mut out.iq);
+    }
+
+    /// Sizes a row of `samples` for each beam; `rows` grows once to its maximum size.
+    pub(super) fn size_samples<S: Clone + Default>(&self, samples: usize, rows: &mut Vec<S>) {
+        let max = self.beams() * self.correlator.limits().samples;
+        rows.reserve_exact(max.saturating_sub(rows.len()));
+        rows.resize(self.beams() * samples, S::default());
     }
 
     fn measure_widths(&mut self) {

@@ -1,6 +1,6 @@
 //! Bottom detection: the time at which each beam of a fan meets the bottom.
 //!
-//! Each half of the line forms a beam of the same direction. Where the bottom crosses a beam, the phase between the halves passes through
+//! Each half of the line forms a beam of the same direction. Where the bottom crosses the beam, the phase between the halves passes through
 //! zero. A straight line through the phases near the crossing gives the time (outer beams). Where the bottom is flat under a beam, the echo
 //! is short and the centre of its energy gives the time (inner beams). The method with the smaller predicted error is used.
 //!
@@ -11,10 +11,11 @@
 //! The search starts at `first_sample_s` and takes the strongest interval of each beam; neighbouring beams are not used. Not modelled:
 //! several bottoms in one beam, refraction, gates from other sounders.
 
-use num_complex::Complex64;
+use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
 
 use echotank_core::ping::{BeamFrame, Detection, Sounding};
+use echotank_core::simd::widest;
 
 /// A beam has a bottom only if its largest smoothed level exceeds its median by this much.
 const MIN_ABOVE_MEDIAN_DB: f64 = 6.0;
@@ -44,15 +45,17 @@ pub struct BottomDetector {
 
 /// Buffers of one share of the beams.
 struct Worker {
-    intensity: Vec<f64>,
+    /// Sums of the intensities of all samples before each, one more than samples.
+    before: Vec<f64>,
     smooth: Vec<f64>,
 }
 
-/// Samples of one beam from the halves, from the first that may be a bottom on.
+/// Samples of one beam, from the first that may be a bottom on.
 #[derive(Clone, Copy)]
-struct Halves<'a> {
-    a: &'a [Complex64],
-    b: &'a [Complex64],
+struct Beam<'a> {
+    whole: &'a [Complex64],
+    /// Products of the halves; the phase is that between them.
+    products: &'a [Complex32],
 }
 
 /// Result of one method.
@@ -67,7 +70,7 @@ impl BottomDetector {
     /// is shared among the threads of the current pool.
     pub fn new(sample_rate_hz: f64, bandwidth_hz: f64, samples: usize) -> Self {
         let worker = || Worker {
-            intensity: Vec::with_capacity(samples),
+            before: Vec::with_capacity(samples + 1),
             smooth: Vec::with_capacity(samples),
         };
         Self {
@@ -80,24 +83,26 @@ impl BottomDetector {
         }
     }
 
-    /// Returns one sounding for each beam with a bottom. `halves` are the fans of the line's two halves, with equal beams and samples;
-    /// sample k lies at `first_sample_s` + k / rate. Soundings before `min_s` are not considered.
+    /// Returns one sounding for each beam with a bottom. `whole` is the fan of the whole line; sample k lies at `first_sample_s` + k / rate.
+    /// `products` holds, in its order, the products of the beams of one half and the conjugates of those of the other. Soundings before `min_s`
+    /// are not considered.
     pub fn detect(
         &mut self,
-        halves: [&BeamFrame; 2],
+        whole: &BeamFrame,
+        products: &[Complex32],
         first_sample_s: f64,
         min_s: f64,
         out: &mut Vec<Sounding>,
     ) {
-        let [a, b] = halves;
+        assert_eq!(whole.iq.len(), products.len(), "products of another fan");
         let rate_hz = self.sample_rate_hz;
-        let first = (((min_s - first_sample_s) * rate_hz).max(0.0) as usize).min(a.samples);
+        let first = (((min_s - first_sample_s) * rate_hz).max(0.0) as usize).min(whole.samples);
         let delayed = first_sample_s * rate_hz;
         // Averaged over about four resolution cells, so that speckle alone is not the maximum.
         let cell = (rate_hz / self.bandwidth_hz).max(1.0);
         self.found.clear();
-        self.found.resize(a.beams, None);
-        let share = a.beams.div_ceil(self.workers.len()).max(1);
+        self.found.resize(whole.beams, None);
+        let share = whole.beams.div_ceil(self.workers.len()).max(1);
         self.found
             .par_chunks_mut(share)
             .zip(&mut self.workers)
@@ -105,14 +110,16 @@ impl BottomDetector {
             .for_each(|(w, (found, worker))| {
                 for (i, found) in found.iter_mut().enumerate() {
                     let beam = w * share + i;
-                    let angle_rad = a.angle_rad[beam];
+                    let angle_rad = whole.angle_rad[beam];
                     // Time that a flat bottom stays in the whole line's beam, relative to the travel time of its echo.
-                    let stay = 0.5 * a.width_rad[beam] * angle_rad.abs().min(MAX_ANGLE_RAD).tan();
-                    let halves = Halves {
-                        a: &a.beam(beam)[first..],
-                        b: &b.beam(beam)[first..],
+                    let stay =
+                        0.5 * whole.width_rad[beam] * angle_rad.abs().min(MAX_ANGLE_RAD).tan();
+                    let samples = beam * whole.samples + first..(beam + 1) * whole.samples;
+                    let of_beam = Beam {
+                        whole: &whole.iq[samples.clone()],
+                        products: &products[samples],
                     };
-                    let echo = worker.find(halves, first as f64 + delayed, stay, cell);
+                    let echo = worker.find(of_beam, first as f64 + delayed, stay, cell);
                     *found = echo.map(|(detection, found, level)| Sounding {
                         beam,
                         angle_rad,
@@ -132,37 +139,43 @@ impl Worker {
     /// The bottom of one beam whose first sample is `delayed` samples after the pulse.
     fn find(
         &mut self,
-        halves: Halves,
+        beam: Beam,
         delayed: f64,
         stay: f64,
         cell: f64,
     ) -> Option<(Detection, Estimate, f64)> {
-        let Halves { a, b } = halves;
-        if a.len() < MIN_LINE {
+        let samples = beam.whole.len();
+        if samples < MIN_LINE {
             return None;
         }
-        self.intensity.clear();
-        self.intensity
-            .extend(a.iter().zip(b).map(|(a, b)| (0.5 * (a + b)).norm_sqr()));
-        let window = (4.0 * cell).ceil() as usize | 1;
-        running_mean(&self.intensity, window, &mut self.smooth);
-        let (rough, _) = largest(&self.smooth)?;
+        add_intensities(beam.whole, &mut self.before);
+        if !self.before[samples].is_finite() {
+            return None;
+        }
+        let limit = (samples - 1) | 1;
+        let window = ((4.0 * cell).ceil() as usize | 1).min(limit);
+        running_mean(&self.before, window, &mut self.smooth);
+        let (rough, _) = largest(&self.smooth);
         // Then averaged over half the time that a flat bottom stays in the beam, so that one bright spot is not taken for the whole echo.
         let footprint = stay * (rough as f64 + delayed);
         let wider = window.max((0.5 * footprint).ceil() as usize | 1);
-        let wider = wider.min(a.len() | 1);
+        let wider = wider.min(limit);
         if wider != window {
-            running_mean(&self.intensity, wider, &mut self.smooth);
+            running_mean(&self.before, wider, &mut self.smooth);
         }
-        let (peak, level) = largest(&self.smooth)?;
+        let (peak, level) = largest(&self.smooth);
         // The median exceeds this floor if no more than half of the samples, rounded down, do not.
         let floor = level / 10f64.powf(MIN_ABOVE_MEDIAN_DB / 10.0);
-        let below = self.smooth.iter().filter(|level| **level <= floor).count();
-        if level.is_nan() || level <= 0.0 || below <= self.smooth.len() / 2 {
+        let smooth = &self.smooth;
+        let below = widest(
+            #[inline(always)]
+            || smooth.iter().filter(|level| **level <= floor).count(),
+        );
+        if level <= 0.0 || below <= self.smooth.len() / 2 {
             return None;
         }
-        let amplitude = self.by_amplitude(peak, level, footprint, cell);
-        let phase = self.by_phase(halves, peak as f64, level, footprint, cell);
+        let amplitude = self.by_amplitude(beam.whole, peak, level, footprint, cell);
+        let phase = self.by_phase(beam.products, peak as f64, level, footprint, cell);
         let (detection, found) = match phase {
             Some(phase) if phase.error_samples < amplitude.error_samples => {
                 (Detection::Phase, phase)
@@ -173,10 +186,18 @@ impl Worker {
     }
 
     /// Centre of the energy in the interval about the peak.
-    fn by_amplitude(&self, peak: usize, level: f64, footprint: f64, cell: f64) -> Estimate {
+    fn by_amplitude(
+        &self,
+        whole: &[Complex64],
+        peak: usize,
+        level: f64,
+        footprint: f64,
+        cell: f64,
+    ) -> Estimate {
         let (from, to) = self.stretch(peak, level * AMPLITUDE_FLOOR);
         let (mut sum, mut first, mut second) = (0.0, 0.0, 0.0);
-        for (k, i) in self.intensity[from..to].iter().enumerate() {
+        for (k, sample) in whole[from..to].iter().enumerate() {
+            let i = sample.norm_sqr();
             let x = (from + k) as f64 - peak as f64;
             sum += i;
             first += i * x;
@@ -212,7 +233,7 @@ impl Worker {
     /// interval is at most the beam's `footprint`, within which the phase is unambiguous.
     fn by_phase(
         &self,
-        Halves { a, b }: Halves,
+        products: &[Complex32],
         centre: f64,
         level: f64,
         footprint: f64,
@@ -226,13 +247,14 @@ impl Worker {
         for round in 0..ROUNDS {
             let half = footprint * if round == 0 { 0.7 } else { 0.5 };
             let from = (crossing - half).max(0.0) as usize;
-            let to = ((crossing + half).max(0.0) as usize + 1).min(a.len());
+            let to = ((crossing + half).max(0.0) as usize + 1).min(products.len());
             let mut line = Line::default();
-            for k in from..to {
-                let z = a[k] * b[k].conj();
+            for (k, z) in (from..).zip(&products[from..to.max(from)]) {
+                let phase = f64::from(z.arg());
                 // Larger phases are the next ambiguity, or noise.
-                if z.arg().abs() <= PHASE_REACH_RAD {
-                    line.add(k as f64, z.arg(), z.norm());
+                if phase.abs() <= PHASE_REACH_RAD {
+                    let (re, im) = (f64::from(z.re), f64::from(z.im));
+                    line.add(k as f64, phase, (re * re + im * im).sqrt());
                 }
             }
             let (slope, zero) = line.fit()?;
@@ -308,25 +330,69 @@ impl Line {
     }
 }
 
-fn largest(levels: &[f64]) -> Option<(usize, f64)> {
-    let levels = levels.iter().copied().enumerate();
-    levels.max_by(|x, y| x.1.total_cmp(&y.1))
+/// Number of samples that the loops over a beam take together.
+const LANES: usize = 8;
+
+/// Sums of the intensities before each sample, and of all.
+fn add_intensities(beam: &[Complex64], before: &mut Vec<f64>) {
+    before.clear();
+    before.push(0.0);
+    let mut sum = 0.0;
+    let (chunks, rest) = beam.as_chunks::<LANES>();
+    for chunk in chunks {
+        // Sums within a chunk do not wait for those before it.
+        let mut within = chunk.map(|sample| sample.norm_sqr());
+        for i in 1..LANES {
+            within[i] += within[i - 1];
+        }
+        before.extend_from_slice(&within.map(|within| sum + within));
+        sum += within[LANES - 1];
+    }
+    for sample in rest {
+        sum += sample.norm_sqr();
+        before.push(sum);
+    }
 }
 
-/// Mean over `window` (odd) samples centred on each sample.
-fn running_mean(from: &[f64], window: usize, out: &mut Vec<f64>) {
+/// The first largest level, of at least one.
+fn largest(levels: &[f64]) -> (usize, f64) {
+    let top = widest(
+        #[inline(always)]
+        || {
+            let (chunks, rest) = levels.as_chunks::<LANES>();
+            let mut tops = [f64::NEG_INFINITY; LANES];
+            for chunk in chunks {
+                for i in 0..LANES {
+                    tops[i] = if chunk[i] > tops[i] {
+                        chunk[i]
+                    } else {
+                        tops[i]
+                    };
+                }
+            }
+            let tops = tops.iter().chain(rest).copied();
+            tops.fold(f64::NEG_INFINITY, f64::max)
+        },
+    );
+    let at = levels.iter().position(|level| *level == top);
+    (at.unwrap_or(0), top)
+}
+
+/// Mean over `window` samples centred on each sample, from the sums before each. The window is odd, and not longer than the samples.
+fn running_mean(before: &[f64], window: usize, out: &mut Vec<f64>) {
+    let (samples, half) = (before.len() - 1, window / 2);
+    let scale = 1.0 / window as f64;
     out.clear();
-    let half = window / 2;
-    let mut sum: f64 = from[..half.min(from.len())].iter().sum();
-    for k in 0..from.len() {
-        if let Some(x) = from.get(k + half) {
-            sum += x;
-        }
-        if k > half {
-            sum -= from[k - half - 1];
-        }
-        out.push(sum / window as f64);
-    }
+    out.extend(before[half + 1..window].iter().map(|sum| sum * scale));
+    widest(
+        #[inline(always)]
+        || {
+            let pairs = before[window..].iter().zip(before);
+            out.extend(pairs.map(|(to, from)| (to - from) * scale));
+        },
+    );
+    let from = &before[samples + 1 - window..samples - half];
+    out.extend(from.iter().map(|from| (before[samples] - from) * scale));
 }
 
 #[cfg(test)]
@@ -343,8 +409,8 @@ mod tests {
     const LINE_WAVELENGTHS: f64 = 64.0;
     const SEEDS: usize = 6;
 
-    /// Half beams of a line above a bottom z = depth + slope y of point scatterers with random strengths, Lambert's law and spreading.
-    fn halves(slope: f64, angles: &[f64], seed: u64) -> [BeamFrame; 2] {
+    /// The whole line's beams and the products of its halves above a bottom z = depth + slope y of point scatterers with random strengths, Lambert's law and spreading.
+    fn beams(slope: f64, angles: &[f64], seed: u64) -> (BeamFrame, Vec<Complex32>) {
         let samples = 4500;
         let mut rng = ChaCha12Rng::seed_from_u64(seed);
         let mut uniform = || (rng.next_u64() as f64 + 0.5) / 2f64.powi(64);
@@ -396,7 +462,14 @@ mod tests {
                 }
             }
         }
-        frames
+        let [mut whole, other] = frames;
+        let mut products = Vec::new();
+        for (a, b) in whole.iq.iter_mut().zip(&other.iq) {
+            let product = *a * b.conj();
+            products.push(Complex32::new(product.re as f32, product.im as f32));
+            *a = 0.5 * (*a + b);
+        }
+        (whole, products)
     }
 
     #[test]
@@ -411,8 +484,8 @@ mod tests {
             let mut detector = BottomDetector::new(RATE_HZ, BANDWIDTH_HZ, 4500);
             let mut soundings = Vec::new();
             for seed in 0..SEEDS as u64 {
-                let [a, b] = halves(slope, &angles, seed);
-                detector.detect([&a, &b], 0.0, 0.005, &mut soundings);
+                let (whole, products) = beams(slope, &angles, seed);
+                detector.detect(&whole, &products, 0.0, 0.005, &mut soundings);
                 for s in &soundings {
                     let r = 0.5 * C * s.twtt_s;
                     let (y, z) = (r * s.angle_rad.sin(), r * s.angle_rad.cos());
@@ -455,7 +528,8 @@ mod tests {
         }
         let mut soundings = Vec::new();
         let mut detector = BottomDetector::new(RATE_HZ, BANDWIDTH_HZ, 3000);
-        detector.detect([&frame, &frame], 0.0, 0.005, &mut soundings);
+        let products = vec![Complex32::ONE; 6000];
+        detector.detect(&frame, &products, 0.0, 0.005, &mut soundings);
         assert!(soundings.is_empty(), "{soundings:?}");
     }
 }

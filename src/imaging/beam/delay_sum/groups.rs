@@ -5,7 +5,7 @@
 //! the second sums, for each beam of the fan and each zone of ranges, [`TAPS`] directions of every group.
 //!
 //! As a function of the sine u, the sum of a group about x_g is exp(j 2pi f_c x_g u/c) times a function with frequencies up to
-//! nu = (f_c h + X B/2)/c cycles, where h is the group's half-length, X that of the line, and B the bandwidth. Directions lie 1/(4 nu) apart,
+//! nu = (f_c h + X B/2)/c cycles, where h is the group's half-length, X the distance of its far end, and B the bandwidth. Directions lie 1/(4 nu) apart,
 //! so that the function is oversampled by two. Least-squares coefficients for that band interpolate it with an rms error of
 //! 2e-3 at most. The exact phase of the group's centre belongs to the second sum. Between the range of the tile and that of a zone, the
 //! direction in which a group sees the point in focus changes; the second sum takes the direction of equal slope. What remains is the change
@@ -13,18 +13,21 @@
 
 use std::ops::Range;
 
-use super::steering::{Focus, Steering, turn, whole_number};
-use crate::beam::kernel::{BLOCK, MAX_SAMPLES, Taps};
+use super::interpolation::{band_hz, least_squares, solve};
+use super::steering::{Foci, Steering, turn, whole_number};
+use crate::beam::kernel::BLOCK;
 use echotank_core::pulse::{Pulse, PulseKind};
 
 /// Maximum number of groups.
 pub(super) const MAX_GROUPS: usize = 16;
 /// Directions of each group that a beam sums.
 pub(super) const TAPS: usize = 6;
+/// Beams whose coefficients are computed together.
+pub(super) const BEAMS: usize = 16;
 /// Directions between samples of the fastest variation of a group, times two.
 const OVERSAMPLING: f64 = 2.0;
-/// Number of coefficients of the polynomials of the interpolation kernel.
-const TERMS: usize = 8;
+/// Number of coefficients of the polynomials of the interpolation kernel: even.
+const TERMS: usize = 6;
 /// Directions beyond those of the outermost beams, for the change of direction within a tile.
 const REACH: usize = 1;
 /// Phase error at the ends of a group by the change of its curvature within a tile.
@@ -33,14 +36,6 @@ const MAX_CURVATURE_RAD: f64 = 0.05;
 const MAX_ENVELOPE_RAD: f64 = 0.06;
 /// The dense sum has fewer steps for each product.
 const ADVANTAGE: f64 = 1.3;
-
-/// Bandwidth of the pulse's compressed echo.
-pub(super) fn band_hz(pulse: &Pulse) -> f64 {
-    match pulse.kind {
-        PulseKind::Cw => 1.0 / pulse.duration_s,
-        _ => pulse.bandwidth_hz + 1.0 / pulse.duration_s,
-    }
-}
 
 /// Division of a line into groups.
 pub(super) struct Groups {
@@ -55,31 +50,69 @@ pub(super) struct Groups {
     line_half_m: f64,
     /// Room for directions.
     pub(super) capacity: usize,
-    /// Coefficients of each tap: a polynomial of the position between the two middle directions, from -1/2 to 1/2.
-    kernel: [[f32; TERMS]; TAPS],
+    /// Coefficients of the first half of the taps: polynomials of the position between the two middle directions, from -1/2 to 1/2. The others
+    /// mirror them.
+    kernel: [[f32; TERMS]; TAPS / 2],
 }
 
-/// Directions of one ping.
-#[derive(Clone, Copy, Debug, Default)]
+/// Directions of every group in one ping.
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Directions {
-    pub(super) first: f64,
-    pub(super) step: f64,
+    pub(super) of_group: [Grid; MAX_GROUPS],
+    /// Of all groups.
     pub(super) count: usize,
 }
 
-impl Directions {
+/// Directions of one group, in equal steps of the sine.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Grid {
+    first: f64,
+    step: f64,
+    pub(super) count: usize,
+    /// Directions of the groups before.
+    pub(super) before: usize,
+}
+
+impl Grid {
     pub(super) fn sine(&self, j: usize) -> f64 {
         self.first + self.step * j as f64
     }
 }
 
-/// A beam of the fan at the range of a tile, as each group sees it.
+/// [`BEAMS`] beams of the fan at the range of a tile, as each group sees them.
 pub(super) struct Seen {
-    /// Index of the direction.
-    at: f32,
-    slope: [f32; MAX_GROUPS],
+    /// Index of the direction, counted from the group's first.
+    at: [[f32; BEAMS]; MAX_GROUPS],
+    slope: [[f32; BEAMS]; MAX_GROUPS],
     /// Change of the index for each change of the slope.
-    per_slope: [f32; MAX_GROUPS],
+    per_slope: [[f32; BEAMS]; MAX_GROUPS],
+}
+
+impl Seen {
+    pub(super) const NONE: Self = Self {
+        at: [[0.0; BEAMS]; MAX_GROUPS],
+        slope: [[0.0; BEAMS]; MAX_GROUPS],
+        per_slope: [[0.0; BEAMS]; MAX_GROUPS],
+    };
+}
+
+/// Coefficients of the second sums of [`BEAMS`] beams in one zone. A group contributes the sum of [`TAPS`] directions times `w`, turned by
+/// the phase of its centre.
+pub(super) struct Mix {
+    /// First direction.
+    pub(super) first: [[u32; BEAMS]; MAX_GROUPS],
+    pub(super) w: [[[f32; BEAMS]; TAPS]; MAX_GROUPS],
+    pub(super) cos: [[f32; BEAMS]; MAX_GROUPS],
+    pub(super) sin: [[f32; BEAMS]; MAX_GROUPS],
+}
+
+impl Mix {
+    pub(super) const NONE: Self = Self {
+        first: [[0; BEAMS]; MAX_GROUPS],
+        w: [[[0.0; BEAMS]; TAPS]; MAX_GROUPS],
+        cos: [[0.0; BEAMS]; MAX_GROUPS],
+        sin: [[0.0; BEAMS]; MAX_GROUPS],
+    };
 }
 
 impl Groups {
@@ -99,8 +132,9 @@ impl Groups {
                 continue;
             }
             let directions = groups.directions(sector, pulse, band_hz(pulse), c);
-            let first = (elements * directions.count * rows) as f64;
-            let products = first + (beams * groups.parts.len() * TAPS) as f64;
+            let first = (directions.count * elements / groups.parts.len() * rows) as f64;
+            // A real coefficient has half of the products of a complex one.
+            let products = first + (beams * groups.parts.len() * (TAPS / 2 + 1)) as f64;
             if best.as_ref().is_none_or(|(least, _)| products < *least) {
                 let capacity = groups.directions(sector, pulse, rate_hz, c).count;
                 best = Some((products, Self { capacity, ..groups }));
@@ -153,14 +187,27 @@ impl Groups {
             PulseKind::Cw => band_hz,
             _ => 0.5 * band_hz,
         };
-        let cycles = (pulse.center_frequency_hz * self.half_m + edge_hz * self.line_half_m) / c;
-        let step = 0.5 / (OVERSAMPLING * cycles);
-        let margin = (TAPS / 2 + REACH) as f64;
-        Directions {
-            first: sector[0] - margin * step,
-            step,
-            count: ((sector[1] - sector[0]) / step).ceil() as usize + 2 * (TAPS / 2 + REACH),
+        let mut directions = Directions {
+            of_group: [Grid::default(); MAX_GROUPS],
+            count: 0,
+        };
+        let margin = TAPS / 2 + REACH;
+        for (grid, x_m) in directions.of_group[..self.parts.len()]
+            .iter_mut()
+            .zip(self.x_m)
+        {
+            let end_m = f64::from(x_m.abs()) + self.half_m;
+            let cycles = (pulse.center_frequency_hz * self.half_m + edge_hz * end_m) / c;
+            let step = 0.5 / (OVERSAMPLING * cycles);
+            *grid = Grid {
+                first: sector[0] - margin as f64 * step,
+                step,
+                count: ((sector[1] - sector[0]) / step).ceil() as usize + 2 * margin,
+                before: directions.count,
+            };
+            directions.count += grid.count;
         }
+        directions
     }
 
     /// Largest change of 1/r from the range of a tile to its ends.
@@ -172,81 +219,76 @@ impl Groups {
         (MAX_CURVATURE_RAD / curvature).min(MAX_ENVELOPE_RAD / envelope)
     }
 
-    /// The beam of a sine, focused on the range of the tile.
+    /// Beams focused on the range of the tile.
     #[inline(always)]
-    pub(super) fn seen(&self, directions: &Directions, sine: f64, focus: &Focus) -> Seen {
-        let mut seen = Seen {
-            at: ((sine - directions.first) / directions.step) as f32,
-            slope: [0.0; MAX_GROUPS],
-            per_slope: [0.0; MAX_GROUPS],
-        };
-        let per_step = (1.0 / directions.step) as f32;
-        for g in 0..MAX_GROUPS {
-            let (q, slope) = focus.leg(self.x_m[g]);
-            seen.slope[g] = slope;
-            // d slope / d sine = -(R/q) (1 - slope x/q).
-            let over = focus.radius_m * (q - slope * self.x_m[g]);
-            seen.per_slope[g] = per_step * q * q / over.max(1e-6);
+    pub(super) fn see(&self, directions: &Directions, foci: &Foci, seen: &mut Seen) {
+        for (g, grid) in directions.of_group[..self.parts.len()].iter().enumerate() {
+            let (first, per_step) = (grid.first, 1.0 / grid.step);
+            let x = self.x_m[g];
+            for i in 0..BEAMS {
+                let focus = foci.at(i);
+                let (q, slope) = focus.leg(x);
+                seen.at[g][i] = ((f64::from(focus.sine) - first) * per_step) as f32;
+                seen.slope[g][i] = slope;
+                // d slope / d sine = -(R/q) (1 - slope x/q).
+                let over = focus.radius_m * (q - slope * x);
+                seen.per_slope[g][i] = per_step as f32 * q * q / over.max(1e-6);
+            }
         }
-        seen
     }
 
-    /// Rows and weights of a beam's second sums, one for each section, for a zone from sample `origin` of the tile on.
+    /// Coefficients of beams focused on a zone.
     #[inline(always)]
     pub(super) fn mix(
         &self,
         steering: &Steering,
         directions: &Directions,
         seen: &Seen,
-        focus: &Focus,
-        origin: usize,
-        taps: &mut [Taps],
+        foci: &Foci,
+        mix: &mut Mix,
     ) {
         let is_focused = steering.is_focused();
         let cycles_per_m = steering.cycles_per_m();
-        let last = directions.count as i32 - TAPS as i32;
-        let (mut start, mut at) = ([0i32; MAX_GROUPS], [0.0f32; MAX_GROUPS]);
-        let (mut sin, mut cos) = ([0.0f32; MAX_GROUPS], [0.0f32; MAX_GROUPS]);
-        for g in 0..MAX_GROUPS {
-            let x = self.x_m[g];
-            let mut index = seen.at;
-            if is_focused {
-                index += (seen.slope[g] - focus.leg(x).1) * seen.per_slope[g];
+        for (g, grid) in directions.of_group[..self.parts.len()].iter().enumerate() {
+            let last = (grid.count - TAPS) as i32;
+            let (x, before) = (self.x_m[g], grid.before as i32);
+            let mut at = [0.0f32; BEAMS];
+            for (i, at) in at.iter_mut().enumerate() {
+                let focus = foci.at(i);
+                let mut index = seen.at[g][i];
+                if is_focused {
+                    index += (seen.slope[g][i] - focus.leg(x).1) * seen.per_slope[g][i];
+                }
+                let first = (whole_number(index - 0.5) - (TAPS / 2 - 1) as i32).clamp(0, last);
+                *at = index - first as f32 - (TAPS / 2) as f32 + 0.5;
+                mix.first[g][i] = (before + first) as u32;
+                let (sin, cos) = turn(steering.late_m(&focus, x) * cycles_per_m);
+                (mix.sin[g][i], mix.cos[g][i]) = (sin, cos);
             }
-            let first = (whole_number(index - 0.5) - (TAPS / 2 - 1) as i32).clamp(0, last);
-            at[g] = index - first as f32 - (TAPS / 2) as f32 + 0.5;
-            start[g] = (g as i32 * directions.count as i32 + first) * (2 * MAX_SAMPLES) as i32
-                + origin as i32;
-            (sin[g], cos[g]) = turn(steering.late_m(focus, x) * cycles_per_m);
-        }
-        for (t, terms) in self.kernel.iter().enumerate() {
-            let mut w = [0.0f32; MAX_GROUPS];
-            for term in terms.iter().rev() {
-                for g in 0..MAX_GROUPS {
-                    w[g] = w[g] * at[g] + term;
+            for (t, terms) in self.kernel.iter().enumerate() {
+                for (i, at) in at.iter().enumerate() {
+                    let square = at * at;
+                    let (mut even, mut odd) = (0.0, 0.0);
+                    for pair in terms.chunks_exact(2).rev() {
+                        even = even * square + pair[0];
+                        odd = odd * square + pair[1];
+                    }
+                    odd *= at;
+                    mix.w[g][t][i] = even + odd;
+                    mix.w[g][TAPS - 1 - t][i] = even - odd;
                 }
             }
-            for (section, taps) in self.sections.iter().zip(&mut *taps) {
-                let to = t * section.len();
-                for (i, g) in section.clone().enumerate() {
-                    taps.start[to + i] = (start[g] + (t * 2 * MAX_SAMPLES) as i32) as u32;
-                    taps.re[to + i] = w[g] * cos[g];
-                    taps.im[to + i] = w[g] * sin[g];
-                }
-            }
-        }
-        for (section, taps) in self.sections.iter().zip(taps) {
-            taps.len = TAPS * section.len();
         }
     }
 }
 
 /// Coefficients that interpolate functions of the band with least squares, as polynomials through Chebyshev nodes.
-fn kernel() -> [[f32; TERMS]; TAPS] {
+fn kernel() -> [[f32; TERMS]; TAPS / 2] {
     let node = |n: usize| 0.5 * (std::f64::consts::PI * (n as f64 + 0.5) / TERMS as f64).cos();
-    let mut at_node = [[0.0; TERMS]; TAPS];
+    let mut at_node = [[0.0; TERMS]; TAPS / 2];
     for n in 0..TERMS {
-        for (values, w) in at_node.iter_mut().zip(coefficients(node(n))) {
+        let (w, _) = least_squares::<TAPS>(TAPS, 0.5 / OVERSAMPLING, node(n));
+        for (values, w) in at_node.iter_mut().zip(w) {
             values[n] = w;
         }
     }
@@ -255,43 +297,6 @@ fn kernel() -> [[f32; TERMS]; TAPS] {
             std::array::from_fn(|n| std::array::from_fn(|k| node(n).powi(k as i32)));
         solve(powers, values).map(|term| term as f32)
     })
-}
-
-/// Least-squares coefficients for the position `at` from the middle between the two middle directions.
-fn coefficients(at: f64) -> [f64; TAPS] {
-    // Mean of exp(j 2pi nu x) over the band |nu| <= 1 / (2 OVERSAMPLING) cycles per step.
-    let mean = |x: f64| match std::f64::consts::PI * x / OVERSAMPLING {
-        0.0 => 1.0,
-        a => a.sin() / a,
-    };
-    let place = |t: usize| t as f64 - 0.5 * (TAPS - 1) as f64;
-    solve(
-        std::array::from_fn(|s| std::array::from_fn(|t| mean(place(s) - place(t)))),
-        std::array::from_fn(|t| mean(at - place(t))),
-    )
-}
-
-/// Solves a linear system by elimination with row pivots.
-fn solve<const N: usize>(mut a: [[f64; N]; N], mut b: [f64; N]) -> [f64; N] {
-    for i in 0..N {
-        let pivot = (i..N)
-            .max_by(|&p, &q| a[p][i].abs().total_cmp(&a[q][i].abs()))
-            .unwrap_or(i);
-        a.swap(i, pivot);
-        b.swap(i, pivot);
-        for row in i + 1..N {
-            let (pivot, factor) = (a[i], a[row][i] / a[i][i]);
-            for (to, from) in a[row].iter_mut().zip(pivot) {
-                *to -= factor * from;
-            }
-            b[row] -= factor * b[i];
-        }
-    }
-    for i in (0..N).rev() {
-        let known: f64 = (i + 1..N).map(|k| a[i][k] * b[k]).sum();
-        b[i] = (b[i] - known) / a[i][i];
-    }
-    b
 }
 
 #[cfg(test)]
@@ -307,7 +312,11 @@ mod tests {
         for step in 0..=40 {
             let at = f64::from(step) / 40.0 - 0.5;
             let w: [f64; TAPS] = std::array::from_fn(|t| {
-                let terms = kernel[t].iter().rev();
+                let (terms, at) = match kernel.get(t) {
+                    Some(terms) => (terms, at),
+                    None => (&kernel[TAPS - 1 - t], -at),
+                };
+                let terms = terms.iter().rev();
                 terms.fold(0.0, |sum, term| sum * at + f64::from(*term))
             });
             let mut sum = 0.0;

@@ -1,5 +1,6 @@
 //! Delays and weights of the elements for the points in focus of a ping.
 
+use super::groups::BEAMS;
 use super::interpolation::Interpolation;
 use crate::beam::kernel::{BLOCK, Taps};
 use echotank_config::spec::Former;
@@ -46,7 +47,47 @@ impl Focus {
     }
 }
 
+/// Several foci, structure of arrays.
+pub(super) struct Foci {
+    sine: [f32; BEAMS],
+    radius_m: [f32; BEAMS],
+    d_m: [[f32; BEAMS]; 2],
+    range_m: [f32; BEAMS],
+}
+
+impl Foci {
+    pub(super) const NONE: Self = Self {
+        sine: [0.0; BEAMS],
+        radius_m: [0.0; BEAMS],
+        d_m: [[0.0; BEAMS]; 2],
+        range_m: [0.0; BEAMS],
+    };
+
+    #[inline(always)]
+    pub(super) fn at(&self, i: usize) -> Focus {
+        Focus {
+            sine: self.sine[i],
+            radius_m: self.radius_m[i],
+            d_m: [self.d_m[0][i], self.d_m[1][i]],
+            range_m: self.range_m[i],
+        }
+    }
+}
+
 impl Steering {
+    /// The points in focus of some beams at `time_s`.
+    #[inline(always)]
+    pub(super) fn focus_all(&self, sines: &[f64; BEAMS], time_s: f64, foci: &mut Foci) {
+        for (i, sine) in sines.iter().enumerate() {
+            let focus = self.focus(*sine, time_s);
+            foci.sine[i] = focus.sine;
+            foci.radius_m[i] = focus.radius_m;
+            foci.d_m[0][i] = focus.d_m[0];
+            foci.d_m[1][i] = focus.d_m[1];
+            foci.range_m[i] = focus.range_m;
+        }
+    }
+
     #[inline(always)]
     pub(super) fn is_focused(&self) -> bool {
         self.former == Former::DynamicFocus
@@ -62,32 +103,28 @@ impl Steering {
             };
         }
         let toward = [sine, (1.0 - sine * sine).max(0.0).sqrt()];
-        let moved_m = self.velocity_m_per_s.map(|v| v * time_s);
         let path_m = self.c * time_s;
-        // Distance from a point to R (sine, cosine), and its slope over R.
-        let leg = |radius_m: f64, [x, z]: [f64; 2]| {
-            let along = x * toward[0] + z * toward[1];
-            let square = radius_m * (radius_m - 2.0 * along) + x * x + z * z;
-            let length = square.max(MIN_DISTANCE_M * MIN_DISTANCE_M).sqrt();
-            (length, (radius_m - along) / length)
-        };
-        // Newton's method on |S - p_T| + |S - v t| = c t, which is nearly linear in R.
-        let mut radius_m = 0.5 * path_m;
-        for _ in 0..3 {
-            let (out_m, out_slope) = leg(radius_m, self.transmit_m);
-            let (back_m, back_slope) = leg(radius_m, moved_m);
-            let slope = (out_slope + back_slope).max(0.5);
-            radius_m = (radius_m - (out_m + back_m - path_m) / slope).max(MIN_DISTANCE_M);
-        }
-        let d = [
-            radius_m * toward[0] - moved_m[0],
-            radius_m * toward[1] - moved_m[1],
-        ];
+        // S = R (sine, cosine) lies on the ellipse |S - p| + |S - q| = c t about the transmitter p and q = v t. With the difference of the squares
+        // of its two legs, |S - p| = a + b R, which is squared once more.
+        let (p, q) = (self.transmit_m, self.velocity_m_per_s.map(|v| v * time_s));
+        let along = |[x, z]: [f64; 2]| x * toward[0] + z * toward[1];
+        let square = |[x, z]: [f64; 2]| x * x + z * z;
+        let per_path = 1.0 / path_m.max(MIN_DISTANCE_M);
+        let a = 0.5 * (path_m + (square(p) - square(q)) * per_path);
+        let b = (along(q) - along(p)) * per_path;
+        let middle = along(p) + a * b;
+        let scale = (1.0 - b * b).max(1e-3);
+        let root = (middle * middle + scale * (a * a - square(p)))
+            .max(0.0)
+            .sqrt();
+        let radius_m = ((middle + root) / scale).max(MIN_DISTANCE_M);
+        let d = [radius_m * toward[0] - q[0], radius_m * toward[1] - q[1]];
+        let range2 = radius_m * (radius_m - 2.0 * along(q)) + square(q);
         Focus {
             sine: sine as f32,
             radius_m: radius_m as f32,
             d_m: d.map(|x| x as f32),
-            range_m: leg(radius_m, moved_m).0 as f32,
+            range_m: range2.max(MIN_DISTANCE_M * MIN_DISTANCE_M).sqrt() as f32,
         }
     }
 
