@@ -20,7 +20,7 @@
 //!
 //! Rows are matched-filtered and summed in f32. Delays use rows at a few fractions of a sample, see [`interpolation`]. Their error affects the
 //! envelope only, because carrier phases use the exact delay. A line of many elements with many beams is summed by [`groups`] of elements,
-//! with a fourth of the products; other lines and apertures element by element. Work proceeds in tiles of at most
+//! with a few of the products; other lines and apertures element by element. Work proceeds in tiles of at most
 //! [`MAX_SAMPLES`] samples, so that rows and sums stay in the second-level cache, and is split by tile.
 //!
 //! For bottom detection the line has two sections, its halves. Their sums refer to the whole line's centre, so that they agree in phase on the
@@ -50,8 +50,8 @@ use echotank_core::ping::{BeamFrame, ElementFrame, PingPlan};
 use echotank_core::pulse::Pulse;
 use echotank_core::simd::SimdLevel;
 use groups::{BEAMS, Directions, Groups, Mix, Seen};
-use interpolation::{Interpolation, TAPS, band_hz, convolve};
-use second_sum::{CHUNK, Totals, sum_directions};
+use interpolation::{Interpolation, MAX_FRACTIONS, TAPS, band_hz, convolve};
+use second_sum::{CHUNK, sum_directions};
 use steering::{Foci, Focus, GridLayout, MIN_DISTANCE_M, Steering};
 
 /// Minimum range of a focus in units of half the aperture in use.
@@ -131,7 +131,6 @@ struct BeamBatch {
     foci: Foci,
     seen: Seen,
     mix: Mix,
-    totals: Totals,
 }
 
 impl DelaySumFormer {
@@ -186,8 +185,7 @@ impl DelaySumFormer {
         );
         let capacity = groups.as_ref().map_or(0, |groups| groups.capacity);
         let room = capacity * 2 * MAX_SAMPLES + STEP;
-        let grid_room =
-            BLOCK.min(elements) * interpolation.fractions() * 2 * grid_row(margin) + STEP;
+        let grid_room = BLOCK.min(elements) * MAX_FRACTIONS * 2 * grid_row(margin) + STEP;
         let mut former = Self {
             former,
             x_m: (0..elements).map(|e| array.element_x_m(e) as f32).collect(),
@@ -218,7 +216,6 @@ impl DelaySumFormer {
                         foci: Foci::NONE,
                         seen: Seen::NONE,
                         mix: Mix::NONE,
-                        totals: [[[0.0; CHUNK]; 2]; MAX_SECTIONS],
                     }),
                     buffer: vec![Complex32::ZERO; steered.correlator.length()],
                     scratch: steered.correlator.make_scratch(),
@@ -544,8 +541,12 @@ impl DelaySumFormer {
             let sums = sums
                 .each_ref()
                 .map(|sums| [&sums.re[..samples], &sums.im[..samples]]);
-            // SAFETY: the caller guarantees that the samples are this tile's alone.
-            unsafe { self.finish(beam, tile.first, &sums[..self.sections.len()], out) };
+            let sums = &sums[..self.sections.len()];
+            self.simd_level.run(
+                #[inline(always)]
+                // SAFETY: the caller guarantees that the samples are this tile's alone.
+                || unsafe { finish(beam, tile.first, sums, out) },
+            );
         }
     }
 
@@ -605,12 +606,7 @@ impl DelaySumFormer {
                 }
             }
         }
-        let BeamBatch {
-            foci,
-            seen,
-            mix,
-            totals,
-        } = &mut *worker.beams;
+        let BeamBatch { foci, seen, mix } = &mut *worker.beams;
         for (batch, sines) in self.steered.directions.sine.chunks(BEAMS).enumerate() {
             let beams = sines.len();
             let sines = &std::array::from_fn(|i| sines[i.min(beams - 1)]);
@@ -635,48 +631,27 @@ impl DelaySumFormer {
                         ((first - tile.first) / CHUNK, (first - tile.first) % CHUNK);
                     let rows = &worker.directions[chunk * chunk_rows..];
                     let samples = (CHUNK - origin).min(end - first);
-                    for i in 0..beams {
-                        let (of, at) = ((&*mix, i), (origin, samples));
-                        sum_directions(self.simd_level, rows, of, &groups.sections, at, totals);
-                        let sums = totals
-                            .each_ref()
-                            .map(|parts| parts.each_ref().map(|part| &part[..samples]));
-                        let sums = &sums[..self.sections.len()];
-                        // SAFETY: the caller guarantees that the samples are this tile's alone.
-                        unsafe { self.finish(batch * BEAMS + i, first, sums, out) };
-                    }
+                    let sections = &groups.sections;
+                    let (of, at) = ((&*mix, beams), (origin, samples));
+                    sum_directions(
+                        self.simd_level,
+                        rows,
+                        of,
+                        sections,
+                        at,
+                        #[inline(always)]
+                        |i, totals| {
+                            let sums = totals
+                                .each_ref()
+                                .map(|parts| parts.each_ref().map(|part| &part[..samples]));
+                            let sums = &sums[..sections.len()];
+                            // SAFETY: the caller guarantees that the samples are this tile's alone.
+                            unsafe { finish(batch * BEAMS + i, first, sums, out) };
+                        },
+                    );
                     first += samples;
                 }
             }
-        }
-    }
-
-    /// Writes samples of a beam from `first` on: the sum of all sections, and the product of the first with the conjugate of the last.
-    ///
-    /// # Safety
-    /// No other thread writes these samples.
-    unsafe fn finish(&self, beam: usize, first: usize, sums: &[[&[f32]; 2]], out: &Outputs) {
-        let samples = first..first + sums[0][0].len();
-        if let Some(to) = &out.whole {
-            // SAFETY: the caller guarantees that the samples are this thread's alone.
-            let to = unsafe { to.row(beam, samples.clone()) };
-            self.simd_level.run(
-                #[inline(always)]
-                || add_sections(sums, to),
-            );
-        }
-        if let (Some(to), [a, .., b]) = (&out.products, sums) {
-            // SAFETY: as above.
-            let to = unsafe { to.row(beam, samples) };
-            self.simd_level.run(
-                #[inline(always)]
-                || {
-                    let (a, b) = (a[0].iter().zip(a[1]), b[0].iter().zip(b[1]));
-                    for ((to, a), b) in to.iter_mut().zip(a).zip(b) {
-                        *to = Complex32::new(a.0 * b.0 + a.1 * b.1, a.1 * b.0 - a.0 * b.1);
-                    }
-                },
-            );
         }
     }
 
@@ -712,6 +687,27 @@ fn ends(sines: &[f64]) -> [f64; 2] {
     sines
         .iter()
         .fold([1.0, -1.0], |[a, b], s| [s.min(a), s.max(b)])
+}
+
+/// Writes samples of a beam from `first` on: the sum of all sections, and the product of the first with the conjugate of the last.
+///
+/// # Safety
+/// No other thread writes these samples.
+#[inline(always)]
+unsafe fn finish(beam: usize, first: usize, sums: &[[&[f32]; 2]], out: &Outputs) {
+    let samples = first..first + sums[0][0].len();
+    if let Some(to) = &out.whole {
+        // SAFETY: the caller guarantees that the samples are this thread's alone.
+        add_sections(sums, unsafe { to.row(beam, samples.clone()) });
+    }
+    if let (Some(to), [a, .., b]) = (&out.products, sums) {
+        // SAFETY: as above.
+        let to = unsafe { to.row(beam, samples) };
+        let (a, b) = (a[0].iter().zip(a[1]), b[0].iter().zip(b[1]));
+        for ((to, a), b) in to.iter_mut().zip(a).zip(b) {
+            *to = Complex32::new(a.0 * b.0 + a.1 * b.1, a.1 * b.0 - a.0 * b.1);
+        }
+    }
 }
 
 #[inline(always)]

@@ -5,9 +5,9 @@
 //! the second sums, for each beam of the fan and each zone of ranges, [`TAPS`] directions of every group.
 //!
 //! As a function of the sine u, the sum of a group about x_g is exp(j 2pi f_c x_g u/c) times a function with frequencies up to
-//! nu = (f_c h + X B/2)/c cycles, where h is the group's half-length, X the distance of its far end, and B the bandwidth. Directions lie 1/(4 nu) apart,
-//! so that the function is oversampled by two. Least-squares coefficients for that band interpolate it with an rms error of
-//! 2e-3 at most. The exact phase of the group's centre belongs to the second sum. Between the range of the tile and that of a zone, the
+//! nu = (f_c h + X B/2)/c cycles, where h is the group's half-length, X the distance of its far end, and B the bandwidth. Directions lie
+//! 1/(3.6 nu) apart, so that the function is oversampled by 1.8. Least-squares coefficients for that band interpolate it with an rms error of
+//! 4e-3 at most, a sixth of the power that an error of 1e-2 has. The exact phase of the group's centre belongs to the second sum. Between the range of the tile and that of a zone, the
 //! direction in which a group sees the point in focus changes; the second sum takes the direction of equal slope. What remains is the change
 //! of the curvature within a group and of the envelope's delay, which [`Groups::max_curvature_per_m`] limits.
 
@@ -24,8 +24,8 @@ pub(super) const MAX_GROUPS: usize = 16;
 pub(super) const TAPS: usize = 6;
 /// Beams whose coefficients are computed together.
 pub(super) const BEAMS: usize = 16;
-/// Directions between samples of the fastest variation of a group, times two.
-const OVERSAMPLING: f64 = 2.0;
+/// Directions for each half cycle of the fastest variation of a group.
+const OVERSAMPLING: f64 = 1.8;
 /// Number of coefficients of the polynomials of the interpolation kernel: even.
 const TERMS: usize = 6;
 /// Directions beyond those of the outermost beams, for the change of direction within a tile.
@@ -33,7 +33,7 @@ const REACH: usize = 1;
 /// Phase error at the ends of a group by the change of its curvature within a tile.
 const MAX_CURVATURE_RAD: f64 = 0.05;
 /// Phase error of the outermost group at the rms frequency of the envelope within a tile.
-const MAX_ENVELOPE_RAD: f64 = 0.06;
+const MAX_ENVELOPE_RAD: f64 = 0.08;
 /// The dense sum has fewer steps for each product.
 const ADVANTAGE: f64 = 1.3;
 
@@ -306,7 +306,7 @@ mod tests {
     use std::f64::consts::TAU;
 
     #[test]
-    fn the_kernel_interpolates_its_band_with_an_rms_error_of_2e_3() {
+    fn the_kernel_interpolates_its_band_with_an_rms_error_of_4e_3() {
         let kernel = kernel();
         let mut worst = 0.0_f64;
         for step in 0..=40 {
@@ -331,6 +331,6 @@ mod tests {
             worst = worst.max((sum / 101.0).sqrt());
         }
         println!("rms error at the worst position: {worst:.2e}");
-        assert!(worst < 2e-3, "{worst:.2e}");
+        assert!(worst < 4e-3, "{worst:.2e}");
     }
 }

@@ -9,14 +9,13 @@ use echotank_core::simd::{Kind, SimdLevel};
 /// Maximum length of the filters.
 pub(super) const TAPS: usize = 16;
 /// The filters are the shortest with this rms error at the most over the pulse's band, if any is.
-const MAX_FILTER_ERROR: f64 = 1.5e-3;
+const MAX_FILTER_ERROR: f64 = 3e-3;
 /// Largest share of the sample rate from the middle to the edge of the band: the margin that the checked sample rate leaves.
 const MAX_EDGE: f64 = 0.4;
 /// Maximum number of fractions of a sample.
-pub(super) const MAX_FRACTIONS: usize = 16;
-/// Largest bandwidth, as a share of the sample rate, for which the nearest of [`MAX_FRACTIONS`] rows serves: the remaining delay is at most
-/// 1/32 of a sample, an rms phase of 0.4 % over that band. Wider pulses use the two nearest of half as many rows, linearly.
-const MAX_NEAREST_BAND: f64 = 0.12;
+pub(super) const MAX_FRACTIONS: usize = 8;
+/// There are the fewest rows between samples that keep the rms error of linear interpolation between them below this over the pulse's band.
+const MAX_LINEAR_ERROR: f64 = 3.5e-3;
 
 /// How rows between samples are made.
 pub(super) struct Interpolation {
@@ -31,15 +30,10 @@ pub(super) struct Interpolation {
 impl Interpolation {
     /// For this pulse until [`Interpolation::set_pulse`].
     pub(super) fn new(former: Former, pulse: &Pulse, rate_hz: f64) -> Self {
-        let (fractions, is_linear) = match former {
-            Former::Phase => (1, false),
-            _ if band_hz(pulse) / rate_hz <= MAX_NEAREST_BAND => (MAX_FRACTIONS, false),
-            _ => (MAX_FRACTIONS / 2, true),
-        };
         let mut interpolation = Self {
-            filters: vec![[0.0; TAPS]; fractions],
+            filters: Vec::with_capacity(MAX_FRACTIONS),
             taps: TAPS,
-            is_linear,
+            is_linear: former != Former::Phase,
             edge: 0.0,
         };
         interpolation.set_pulse(pulse, rate_hz);
@@ -54,11 +48,15 @@ impl Interpolation {
             _ => 0.5 * pulse.bandwidth_hz + 1.0 / pulse.duration_s,
         };
         let edge = (edge_hz / rate_hz).min(MAX_EDGE);
-        if edge == self.edge {
+        let fractions = match self.is_linear {
+            true => fractions(band_hz(pulse) / rate_hz),
+            false => 1,
+        };
+        if edge == self.edge && fractions == self.filters.len() {
             return;
         }
         self.edge = edge;
-        let fractions = self.filters.len();
+        self.filters.resize(fractions, [0.0; TAPS]);
         for taps in (4..=TAPS).step_by(2) {
             let mut worst = 0.0_f64;
             for (q, filter) in self.filters.iter_mut().enumerate() {
@@ -78,6 +76,17 @@ impl Interpolation {
     pub(super) fn fractions(&self) -> usize {
         self.filters.len()
     }
+}
+
+/// Number of rows for each sample for a bandwidth as a share of the sample rate.
+fn fractions(band: f64) -> usize {
+    // At most (w step)^2 / 8 at the frequency w; 0.73 times that at random positions, and 1/sqrt(5) times over all w of the band.
+    let error = |n: usize| (PI * band / n as f64).powi(2) / 8.0 * 0.73 / 5f64.sqrt();
+    let mut n = 1;
+    while n < MAX_FRACTIONS && error(n) > MAX_LINEAR_ERROR {
+        n *= 2;
+    }
+    n
 }
 
 /// Bandwidth of the pulse's compressed echo.

@@ -16,41 +16,54 @@ pub(super) const CHUNK: usize = 32;
 /// Sums of each section: real parts, imaginary parts.
 pub(super) type Totals = [[[f32; CHUNK]; 2]; MAX_SECTIONS];
 
-/// Sums a beam of a batch from sample `origin` of the chunk on. `rows` holds for each direction [`CHUNK`] real parts, then as many imaginary
-/// parts. `sections` are the groups of each section. Samples beyond `samples` are undefined.
+const NO_TOTALS: Totals = [[[0.0; CHUNK]; 2]; MAX_SECTIONS];
+
+/// Sums the first `beams` of a batch from sample `origin` of a chunk on, and gives the sums of each to `write`. `rows` holds for each direction
+/// [`CHUNK`] real parts, then as many imaginary parts. `sections` are the groups of each section. Samples beyond `samples` are undefined.
 ///
 /// Panics if a row, rounded up to whole steps, lies outside `rows`.
 pub(super) fn sum_directions(
     simd_level: SimdLevel,
     rows: &[f32],
-    (mix, beam): (&Mix, usize),
+    (mix, beams): (&Mix, usize),
     sections: &[Range<usize>],
     (origin, samples): (usize, usize),
-    totals: &mut Totals,
+    mut write: impl FnMut(usize, &Totals),
 ) {
     let steps = samples.div_ceil(STEP);
-    assert!(beam < BEAMS && sections.len() <= MAX_SECTIONS && samples <= CHUNK);
+    assert!(beams <= BEAMS && sections.len() <= MAX_SECTIONS && samples <= CHUNK);
     let groups = sections.last().map_or(0, |section| section.end);
-    let last = mix.first[..groups].iter().map(|first| first[beam]).max();
-    let end = (last.unwrap_or(0) as usize + TAPS - 1) * 2 * CHUNK + origin;
+    let firsts = mix.first[..groups].iter().flatten();
+    let last = firsts.copied().max().unwrap_or(0) as usize;
+    let end = (last + TAPS - 1) * 2 * CHUNK + origin;
     assert!(
         groups <= MAX_GROUPS && end + CHUNK + STEP * steps <= rows.len(),
         "row outside the directions"
     );
     match simd_level.kind() {
-        Kind::Portable => sum_plain::<false>(rows, (mix, beam), sections, (origin, steps), totals),
+        Kind::Portable => {
+            for beam in 0..beams {
+                let to = sum_plain::<false>(rows, (mix, beam), sections, (origin, steps));
+                write(beam, &to);
+            }
+        }
         #[cfg(target_arch = "x86_64")]
         // SAFETY: a `SimdLevel` proves that the processor has the features; the rows are checked above.
         Kind::Avx512 => unsafe {
             match steps {
                 0 => {}
-                1 => sum_avx512::<1>(rows, (mix, beam), sections, origin, totals),
-                _ => sum_avx512::<2>(rows, (mix, beam), sections, origin, totals),
+                1 => sum_avx512::<1>(rows, (mix, beams), sections, origin, write),
+                _ => sum_avx512::<2>(rows, (mix, beams), sections, origin, write),
             }
         },
         _ => simd_level.run(
             #[inline(always)]
-            || sum_plain::<true>(rows, (mix, beam), sections, (origin, steps), totals),
+            || {
+                for beam in 0..beams {
+                    let to = sum_plain::<true>(rows, (mix, beam), sections, (origin, steps));
+                    write(beam, &to);
+                }
+            },
         ),
     }
 }
@@ -62,8 +75,7 @@ fn sum_plain<const FUSED: bool>(
     (mix, beam): (&Mix, usize),
     sections: &[Range<usize>],
     (origin, steps): (usize, usize),
-    totals: &mut Totals,
-) {
+) -> Totals {
     let add = |a: f32, b: f32, sum: f32| {
         if FUSED {
             a.mul_add(b, sum)
@@ -71,7 +83,8 @@ fn sum_plain<const FUSED: bool>(
             a * b + sum
         }
     };
-    for (section, [to_re, to_im]) in sections.iter().zip(totals) {
+    let mut totals = NO_TOTALS;
+    for (section, [to_re, to_im]) in sections.iter().zip(&mut totals) {
         for step in 0..steps {
             let (mut total_re, mut total_im) = ([0.0f32; STEP], [0.0f32; STEP]);
             for g in section.clone() {
@@ -95,55 +108,60 @@ fn sum_plain<const FUSED: bool>(
             to_im[step * STEP..][..STEP].copy_from_slice(&total_im);
         }
     }
+    totals
 }
 
 /// # Safety
-/// The processor has AVX-512F. Every row of 16 `V` samples lies in `rows`; `beam` and the groups of `sections` are in `mix`.
+/// The processor has AVX-512F. Every row of 16 `V` samples lies in `rows`; `beams` and the groups of `sections` are in `mix`.
 #[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl")]
 unsafe fn sum_avx512<const V: usize>(
     rows: &[f32],
-    (mix, beam): (&Mix, usize),
+    (mix, beams): (&Mix, usize),
     sections: &[Range<usize>],
     origin: usize,
-    totals: &mut Totals,
+    mut write: impl FnMut(usize, &Totals),
 ) {
     use std::arch::x86_64::*;
-    for (section, [to_re, to_im]) in sections.iter().zip(totals) {
-        let mut total_re = [_mm512_setzero_ps(); V];
-        let mut total_im = [_mm512_setzero_ps(); V];
-        for g in section.clone() {
-            let first = mix.first[g][beam] as usize * 2 * CHUNK + origin;
-            let mut re = [_mm512_setzero_ps(); V];
-            let mut im = [_mm512_setzero_ps(); V];
-            for t in 0..TAPS {
-                let w = _mm512_set1_ps(mix.w[g][t][beam]);
-                // SAFETY: the caller guarantees the rows.
-                unsafe {
-                    let row = rows.as_ptr().add(first + t * 2 * CHUNK);
-                    for v in 0..V {
-                        re[v] = _mm512_fmadd_ps(w, _mm512_loadu_ps(row.add(16 * v)), re[v]);
-                        let x_im = _mm512_loadu_ps(row.add(CHUNK + 16 * v));
-                        im[v] = _mm512_fmadd_ps(w, x_im, im[v]);
+    let mut totals = NO_TOTALS;
+    for beam in 0..beams {
+        for (section, [to_re, to_im]) in sections.iter().zip(&mut totals) {
+            let mut total_re = [_mm512_setzero_ps(); V];
+            let mut total_im = [_mm512_setzero_ps(); V];
+            for g in section.clone() {
+                let first = mix.first[g][beam] as usize * 2 * CHUNK + origin;
+                let mut re = [_mm512_setzero_ps(); V];
+                let mut im = [_mm512_setzero_ps(); V];
+                for t in 0..TAPS {
+                    let w = _mm512_set1_ps(mix.w[g][t][beam]);
+                    // SAFETY: the caller guarantees the rows.
+                    unsafe {
+                        let row = rows.as_ptr().add(first + t * 2 * CHUNK);
+                        for v in 0..V {
+                            re[v] = _mm512_fmadd_ps(w, _mm512_loadu_ps(row.add(16 * v)), re[v]);
+                            let x_im = _mm512_loadu_ps(row.add(CHUNK + 16 * v));
+                            im[v] = _mm512_fmadd_ps(w, x_im, im[v]);
+                        }
                     }
                 }
+                let cos = _mm512_set1_ps(mix.cos[g][beam]);
+                let sin = _mm512_set1_ps(mix.sin[g][beam]);
+                for v in 0..V {
+                    total_re[v] = _mm512_fmadd_ps(cos, re[v], total_re[v]);
+                    total_im[v] = _mm512_fmadd_ps(cos, im[v], total_im[v]);
+                    total_re[v] = _mm512_fnmadd_ps(sin, im[v], total_re[v]);
+                    total_im[v] = _mm512_fmadd_ps(sin, re[v], total_im[v]);
+                }
             }
-            let cos = _mm512_set1_ps(mix.cos[g][beam]);
-            let sin = _mm512_set1_ps(mix.sin[g][beam]);
             for v in 0..V {
-                total_re[v] = _mm512_fmadd_ps(cos, re[v], total_re[v]);
-                total_im[v] = _mm512_fmadd_ps(cos, im[v], total_im[v]);
-                total_re[v] = _mm512_fnmadd_ps(sin, im[v], total_re[v]);
-                total_im[v] = _mm512_fmadd_ps(sin, re[v], total_im[v]);
+                // SAFETY: `CHUNK` is at least 16 V.
+                unsafe {
+                    _mm512_storeu_ps(to_re.as_mut_ptr().add(16 * v), total_re[v]);
+                    _mm512_storeu_ps(to_im.as_mut_ptr().add(16 * v), total_im[v]);
+                }
             }
         }
-        for v in 0..V {
-            // SAFETY: `CHUNK` is at least 16 V.
-            unsafe {
-                _mm512_storeu_ps(to_re.as_mut_ptr().add(16 * v), total_re[v]);
-                _mm512_storeu_ps(to_im.as_mut_ptr().add(16 * v), total_im[v]);
-            }
-        }
+        write(beam, &totals);
     }
 }
 
@@ -171,41 +189,39 @@ mod tests {
         let sections = [0..7, 7..9, 9..16];
         for simd_level in SimdLevel::available() {
             for (origin, samples) in [(0, 0), (31, 1), (0, 16), (9, 17), (0, 32), (5, 20)] {
-                for beam in 0..BEAMS {
-                    let mut got: Totals = [[[0.0; CHUNK]; 2]; MAX_SECTIONS];
-                    let of = (&mix, beam);
-                    sum_directions(
-                        simd_level,
-                        &rows,
-                        of,
-                        &sections,
-                        (origin, samples),
-                        &mut got,
-                    );
-                    for (section, got) in sections.iter().zip(&got) {
-                        for k in 0..samples {
-                            let (mut re, mut im) = (0.0, 0.0);
-                            for g in section.clone() {
-                                for t in 0..TAPS {
-                                    let first = mix.first[g][beam] as usize + t;
-                                    let x = &rows[first * 2 * CHUNK + origin + k..];
-                                    let w = f64::from(mix.w[g][t][beam]);
-                                    let [a, b] = [x[0], x[CHUNK]].map(|x| w * f64::from(x));
+                let at = (origin, samples);
+                sum_directions(
+                    simd_level,
+                    &rows,
+                    (&mix, BEAMS),
+                    &sections,
+                    at,
+                    |beam, got| {
+                        for (section, got) in sections.iter().zip(got) {
+                            for k in 0..samples {
+                                let (mut re, mut im) = (0.0, 0.0);
+                                for g in section.clone() {
                                     let cos = f64::from(mix.cos[g][beam]);
                                     let sin = f64::from(mix.sin[g][beam]);
-                                    re += a * cos - b * sin;
-                                    im += a * sin + b * cos;
+                                    for t in 0..TAPS {
+                                        let first = mix.first[g][beam] as usize + t;
+                                        let x = &rows[first * 2 * CHUNK + origin + k..];
+                                        let w = f64::from(mix.w[g][t][beam]);
+                                        let [a, b] = [x[0], x[CHUNK]].map(|x| w * f64::from(x));
+                                        re += a * cos - b * sin;
+                                        im += a * sin + b * cos;
+                                    }
                                 }
+                                let off = (f64::from(got[0][k]) - re).abs()
+                                    + (f64::from(got[1][k]) - im).abs();
+                                assert!(
+                                    off < 2e-6,
+                                    "{simd_level:?}, sample {k}, beam {beam}: {off:e}"
+                                );
                             }
-                            let off = (f64::from(got[0][k]) - re).abs()
-                                + (f64::from(got[1][k]) - im).abs();
-                            assert!(
-                                off < 2e-6,
-                                "{simd_level:?}, sample {k}, beam {beam}: {off:e}"
-                            );
                         }
-                    }
-                }
+                    },
+                );
             }
         }
     }
@@ -216,14 +232,14 @@ mod tests {
         let mut mix = Mix::NONE;
         mix.first[0][3] = 5;
         let rows = vec![0.0; 10 * 2 * CHUNK];
-        let mut totals: Totals = [[[0.0; CHUNK]; 2]; MAX_SECTIONS];
+        let at = (0, CHUNK);
         sum_directions(
             SimdLevel::best(),
             &rows,
             (&mix, 3),
             &[0..1, 1..2],
-            (0, 32),
-            &mut totals,
+            at,
+            |_, _| {},
         );
     }
 }
