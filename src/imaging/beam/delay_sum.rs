@@ -422,6 +422,7 @@ impl DelaySumFormer {
     /// Matched-filters every element into its row.
     fn compress(&mut self, frame: &ElementFrame) {
         let (correlator, row_length) = (&self.steered.correlator, self.row_length);
+        let simd_level = self.simd_level;
         let before = self.margin + TAPS;
         let share = self.x_m.len().div_ceil(self.workers.len());
         self.rows
@@ -431,19 +432,30 @@ impl DelaySumFormer {
             .for_each(|(w, (rows, worker))| {
                 for (i, row) in rows.chunks_exact_mut(2 * row_length).enumerate() {
                     let (head, tail) = worker.buffer.split_at_mut(frame.samples);
-                    for (to, x) in head.iter_mut().zip(frame.element(w * share + i)) {
-                        *to = Complex32::new(x.re as f32, x.im as f32);
-                    }
+                    simd_level.run(
+                        #[inline(always)]
+                        || {
+                            for (to, x) in head.iter_mut().zip(frame.element(w * share + i)) {
+                                *to = Complex32::new(x.re as f32, x.im as f32);
+                            }
+                        },
+                    );
                     tail.fill(Complex32::ZERO);
                     correlator.forward(&mut worker.buffer, &mut worker.scratch);
                     correlator.inverse(&mut worker.buffer, &mut worker.scratch);
                     let (re, im) = row.split_at_mut(row_length);
-                    re[before + frame.samples..].fill(0.0);
-                    im[before + frame.samples..].fill(0.0);
-                    for (k, y) in worker.buffer[..frame.samples].iter().enumerate() {
-                        re[before + k] = y.re;
-                        im[before + k] = y.im;
-                    }
+                    let (re, re_tail) = re[before..].split_at_mut(frame.samples);
+                    let (im, im_tail) = im[before..].split_at_mut(frame.samples);
+                    simd_level.run(
+                        #[inline(always)]
+                        || {
+                            for ((re, im), y) in re.iter_mut().zip(im).zip(&worker.buffer) {
+                                (*re, *im) = (y.re, y.im);
+                            }
+                        },
+                    );
+                    re_tail.fill(0.0);
+                    im_tail.fill(0.0);
                 }
             });
     }

@@ -19,6 +19,7 @@ use super::RowLimits;
 use super::weights::Taper;
 use echotank_config::spec::Shading;
 use echotank_core::pulse::Pulse;
+use echotank_core::simd::widest;
 
 /// Transform lengths are multiples of this, so that the fan's tiles divide them.
 const LENGTH_STEP: usize = 16;
@@ -140,9 +141,14 @@ impl<T: Planned> Correlator<T> {
     /// Replaces a row followed by zeros in `buffer` by the spectrum of the correlated row.
     pub(super) fn forward(&self, buffer: &mut [Complex<T>], scratch: &mut [Complex<T>]) {
         self.forward.process_with_scratch(buffer, scratch);
-        for (x, s) in buffer.iter_mut().zip(&self.spectrum) {
-            *x = *x * *s;
-        }
+        widest(
+            #[inline(always)]
+            || {
+                for (x, s) in buffer.iter_mut().zip(&self.spectrum) {
+                    *x = *x * *s;
+                }
+            },
+        );
     }
 
     /// Replaces a correlated spectrum by the correlated row, in the first samples of `buffer`.
