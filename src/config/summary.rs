@@ -157,7 +157,7 @@ fn scene(rig: &RigSpec) -> String {
                     kurtosis: [open, shadow],
                 } = Estimate::new(&rig.sonars, c, depth_m, lobes);
                 format!(
-                    "{per_cell} scatterers in {:.1} cm x {:.2} degrees, in side lobes {lobes:.1} times their relative pressure (about {:.0},000 a ping; kurtosis {open:.2}, in a shadow {shadow:.2})",
+                    "{per_cell} scatterers in {:.1} cm x {:.2} degrees, in side lobes {lobes} times their relative pressure (about {:.0},000 a ping; kurtosis {open:.2}, in a shadow {shadow:.2})",
                     cell.range_m * 1e2,
                     cell.beam_rad.to_degrees(),
                     (scatterers / 1e3).max(1.0),

@@ -93,17 +93,18 @@ const BEAM_WIDTH: f64 = 0.886;
 const ALONG: f64 = 0.5;
 
 impl ArrayGeometry {
-    /// Width of the beam of the whole array with a transmitter, radians, at most 1: that of the longer of the two where they are parallel, and that
-    /// of the transmitter otherwise.
-    pub fn beam_width_rad(&self, transmit: &TransmitArray, wavelength_m: f64) -> f64 {
+    /// Widths of the beam of the whole array with a transmitter, radians, at most 1. First that of the longer of the two where they are parallel, and that
+    /// of the transmitter otherwise; then that of the array across it, 1 where they are parallel.
+    pub fn beam_widths_rad(&self, transmit: &TransmitArray, wavelength_m: f64) -> [f64; 2] {
         let [transmit_m, _] = transmit.pattern.sides_m();
         let axis = |mounting: &Mounting| mounting.body_from_array * DVec3::X;
         let common = axis(&transmit.mounting).dot(axis(&self.mounting)).abs();
-        let receive_m = match common > ALONG || transmit_m == 0.0 {
-            true => self.elements as f64 * self.spacing_m,
-            false => 0.0,
+        let receive_m = self.elements as f64 * self.spacing_m;
+        let sides_m = match common > ALONG || transmit_m == 0.0 {
+            true => [transmit_m.max(receive_m), 0.0],
+            false => [transmit_m, receive_m],
         };
-        (BEAM_WIDTH * wavelength_m / transmit_m.max(receive_m)).min(1.0)
+        sides_m.map(|side_m| (BEAM_WIDTH * wavelength_m / side_m).min(1.0))
     }
 
     /// Position of element `e` along the array's x axis, metres.

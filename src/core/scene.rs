@@ -168,6 +168,29 @@ pub struct ResolutionCell {
     pub range_m: f64,
     /// Beam width, radians.
     pub beam_rad: f64,
+    /// Width of the beams that divide a range cell of steeply insonified ground, radians; 1 where no beams do.
+    pub across_rad: f64,
+}
+
+impl ResolutionCell {
+    /// Least ratio of the range cell to its length on the ground at a range. That length has two limits: the width of a beam across the track, and the
+    /// radius of the first range cell, a disc below the sonar.
+    #[inline(always)]
+    pub fn min_slant(&self, range_m: f64) -> f64 {
+        if self.across_rad == 0.0 {
+            return 1.0;
+        }
+        let of_beam = self.range_m / (self.across_rad * range_m);
+        of_beam.max((2.0 * self.range_m / range_m).sqrt()).min(1.0)
+    }
+}
+
+/// Share of the scatterers of the main lobe's density that a ping keeps where the envelope of the two-way pressure pattern is `envelope` of its maximum:
+/// `lobes` times the envelope, at most 1. With `lobes` below 1, the main lobe is as with 1, up to the first null of a line (envelope 1 / pi).
+#[inline(always)]
+pub fn kept_share(lobes: f64, envelope: f64) -> f64 {
+    let of_main = envelope * (std::f64::consts::PI * envelope).min(1.0);
+    (lobes * envelope).max(of_main).min(1.0)
 }
 
 /// Bound on the pattern along one side of a rectangular radiator. The pattern stays below 1 / (u / knee), with u the sine of the
@@ -313,6 +336,7 @@ impl Footprint {
                 .all(|f| f.normal.is_finite() && f.turn >= 0.0 && f.shift_m >= 0.0)
             && self.cell.range_m >= 0.0
             && self.cell.beam_rad >= 0.0
+            && self.cell.across_rad >= 0.0
     }
 }
 

@@ -49,6 +49,7 @@ pub fn footprints(spec: &SonarSpec, plan: &PingPlan, out: &mut Vec<Footprint>) {
             mounting: &array.mounting,
             margin: at_reception,
         };
+        let [beam_rad, across_rad] = array.beam_widths_rad(transmit, wavelength_m);
         let [a, b] = at_start.sides(start.world_from_body, wavelength_m);
         let [c, d] = of_element.sides(start.world_from_body, wavelength_m);
         Footprint {
@@ -63,7 +64,8 @@ pub fn footprints(spec: &SonarSpec, plan: &PingPlan, out: &mut Vec<Footprint>) {
             faces: [at_start, of_element].map(|r| r.face(start.world_from_body)),
             cell: ResolutionCell {
                 range_m: resolution_m,
-                beam_rad: array.beam_width_rad(transmit, wavelength_m),
+                beam_rad,
+                across_rad,
             },
         }
     };

@@ -74,14 +74,50 @@ pub(crate) fn fraction(word: u32) -> f64 {
     f64::from(word) / 4_294_967_296.0
 }
 
-/// Circular Gaussian with E|z|^2 = 1 (Box and Muller 1958).
+/// Circular Gaussian with E|z|^2 = 1 (Box and Muller 1958). Only IEEE operations, so that the bits are the same on every machine.
 #[inline(always)]
 pub(crate) fn circular_gaussian(a: u32, b: u32) -> Complex32 {
-    // In (0, 1), so that the logarithm is finite.
-    let u = ((f64::from(a) + 0.5) / 4_294_967_296.0) as f32;
-    let radius = (-libm::logf(u)).max(0.0).sqrt();
-    let (sin, cos) = libm::sincosf((std::f64::consts::TAU * fraction(b)) as f32);
+    // In (0, 1], so that the logarithm is finite.
+    let u = (a as f32 + 0.5) * (1.0 / 4_294_967_296.0);
+    let radius = (-ln(u)).max(0.0).sqrt();
+    let (sin, cos) = sin_cos_turn(b);
     Complex32::new(radius * cos, radius * sin)
+}
+
+/// Natural logarithm of a normal positive number, to 2e-7 of its value or of 1.
+#[inline(always)]
+fn ln(x: f32) -> f32 {
+    // x = 2^exponent m, with m from sqrt(1/2) to sqrt(2).
+    const ROOT_HALF: u32 = 0x3F35_04F3;
+    let bits = x.to_bits().wrapping_sub(ROOT_HALF);
+    let exponent = (bits as i32 >> 23) as f32;
+    let m = f32::from_bits((bits & 0x007F_FFFF) + ROOT_HALF);
+    // ln m = 2 artanh((m - 1) / (m + 1)); the next term of the series is below 1e-9.
+    let s = (m - 1.0) / (m + 1.0);
+    let q = s * s;
+    let series = q * (1.0 / 3.0 + q * (0.2 + q * (1.0 / 7.0 + q * (1.0 / 9.0))));
+    exponent * std::f32::consts::LN_2 + 2.0 * (s + s * series)
+}
+
+/// Sine and cosine of a fraction of a turn, in units of 2^-32 turns, to 1e-7.
+#[inline(always)]
+fn sin_cos_turn(turn: u32) -> (f32, f32) {
+    // Nearest quarter of a turn, and the rest, up to an eighth of a turn either way.
+    let quarter = turn.wrapping_add(1 << 29) >> 30;
+    let rest = turn.wrapping_sub(quarter << 30) as i32;
+    let x = rest as f32 * (std::f32::consts::TAU / 4_294_967_296.0);
+    // Taylor series.
+    let q = x * x;
+    let sin = x - x * q * (1.0 / 6.0 - q * (1.0 / 120.0 - q * (1.0 / 5_040.0 - q / 362_880.0)));
+    let cos = 1.0 - q * (0.5 - q * (1.0 / 24.0 - q * (1.0 / 720.0 - q / 40_320.0)));
+    let (a, b) = if quarter & 1 == 0 {
+        (sin, cos)
+    } else {
+        (cos, sin)
+    };
+    let a = if quarter & 2 == 0 { a } else { -a };
+    let b = if (quarter + 1) & 2 == 0 { b } else { -b };
+    (a, b)
 }
 
 #[cfg(test)]
@@ -111,6 +147,24 @@ mod tests {
             let got = philox(counter, key);
             assert!(got == want, "{got:x?} against {want:x?}");
         }
+    }
+
+    #[test]
+    fn elementary_functions_agree_with_the_library() {
+        let mut worst = [0.0_f64; 2];
+        for k in 0..1_000_000_u32 {
+            let word = k.wrapping_mul(2_654_435_761);
+            let u = (word as f32 + 0.5) * (1.0 / 4_294_967_296.0);
+            let want = f64::from(u).ln();
+            worst[0] = worst[0].max((f64::from(ln(u)) - want).abs() / want.abs().max(1.0));
+            let (sin, cos) = sin_cos_turn(word);
+            let turn = std::f64::consts::TAU * fraction(word);
+            let off = (f64::from(sin) - turn.sin()).abs();
+            worst[1] = worst[1].max(off).max((f64::from(cos) - turn.cos()).abs());
+        }
+        println!("{worst:?}");
+        assert!(worst[0] < 2e-7 && worst[1] < 1.5e-7, "{worst:?}");
+        assert!(circular_gaussian(0, 0).is_finite() && circular_gaussian(u32::MAX, 1).is_finite());
     }
 
     #[test]

@@ -1,5 +1,8 @@
 //! Scatterers of the seabed for one ping: selects tiles, levels and visible scatterers.
 //!
+//! A region is left out as a whole where the bounds of its probabilities allow it: first tiles, then blocks of tiles, then the scatterers of a block from
+//! the first rank on that the ping cannot keep. The others are tested 16 at a time.
+//!
 //! Work is split by tile, and the scatterers follow the order of the tiles. The result does not depend on the number of threads. Buffers grow only if
 //! a ping needs more than any ping before it.
 
@@ -11,10 +14,11 @@ use super::occlusion::{Occluders, Occlusion};
 use super::pool::{Slot, TilePool};
 use super::seabed::Surface;
 use super::targets::Targets;
-use super::thinning::{self, KeepProbability};
-use super::tiles::{Recipe, Tile, TileBox, TileId};
+use super::thinning::{self, Found, KeepProbability, LANES, Lanes};
+use super::tiles::{BLOCKS_PER_TILE, CELLS_PER_BLOCK, Recipe, Tile, TileBox, TileId};
 use echotank_core::ping::SceneCounts;
 use echotank_core::scene::{Footprint, ScatterLaw, Scatterers};
+use echotank_core::simd::widest;
 
 /// Greatest distance of the seabed from the scene's origin, metres.
 const EDGE_M: f64 = 1e9;
@@ -25,7 +29,8 @@ const COPIED_TOGETHER: usize = 8;
 /// Scatterer counts of one tile.
 #[derive(Clone, Copy, Debug, Default)]
 struct TileCount {
-    tile: u32,
+    made: u32,
+    tested: u32,
     kept: u32,
     shadowed: u32,
     /// Index of its first scatterer in the list of the ping.
@@ -56,7 +61,9 @@ struct WantedTile {
 /// Buffers of tile search and collection.
 #[derive(Debug, Default)]
 pub(crate) struct Gatherer {
+    /// Of each footprint; empty where the density is constant.
     probabilities: Vec<KeepProbability>,
+    lanes: Vec<Lanes>,
     wanted: Vec<WantedTile>,
     places: Vec<Slot>,
     counts: Vec<TileCount>,
@@ -74,7 +81,12 @@ impl Gatherer {
         counts: &mut SceneCounts,
     ) -> usize {
         counts.tiles_used = self.wanted.len() as u64;
-        let probabilities = &self.probabilities[..];
+        let chances = Chances {
+            footprints: context.footprints,
+            probabilities: &self.probabilities,
+            anchor_m: context.anchor_m,
+        };
+        let lanes = &self.lanes[..];
         let mut filled = 0;
         for batch in self.wanted.chunks(pool.capacity()) {
             pool.slots(batch.iter().map(|wanted| wanted.id), &mut self.places);
@@ -85,19 +97,17 @@ impl Gatherer {
                 .zip(&mut self.counts)
                 .for_each(|((place, wanted), count)| {
                     pool.work(place, recipe, |tile| {
-                        *count = keep(tile, wanted, probabilities, context)
+                        *count = keep(recipe, tile, wanted, chances, lanes, context)
                     });
                 });
             let batch_first = filled;
             for (place, count) in self.places.iter().zip(&mut self.counts) {
                 count.first = filled;
                 filled += count.kept as usize;
-                if place.stale {
-                    counts.tiles_made += 1;
-                    counts.made += u64::from(count.tile);
-                }
+                counts.tiles_made += u64::from(place.stale);
+                counts.made += u64::from(count.made);
                 counts.shadowed += u64::from(count.shadowed);
-                counts.culled += u64::from(count.tile - count.kept - count.shadowed);
+                counts.culled += u64::from(count.tested - count.kept - count.shadowed);
             }
             if out.len() < filled {
                 out.resize(filled);
@@ -131,6 +141,7 @@ impl Gatherer {
     ) {
         self.wanted.clear();
         self.probabilities.clear();
+        self.lanes.clear();
         let Some((low, high)) = reach(footprints, anchor_m) else {
             return;
         };
@@ -139,13 +150,18 @@ impl Gatherer {
             let of = |footprint| KeepProbability::new(thinning, footprint);
             self.probabilities.extend(footprints.iter().map(of));
         }
+        let lanes = footprints.iter().enumerate();
+        self.lanes
+            .extend(lanes.map(|(index, f)| Lanes::new(f, self.probabilities.get(index))));
         let level = levels.no_wider_than((high - low).max_element());
         let side_m = levels.tile_m(level);
         let mut search = Search {
             recipe,
-            anchor_m,
-            footprints,
-            probabilities: &self.probabilities,
+            chances: Chances {
+                footprints,
+                probabilities: &self.probabilities,
+                anchor_m,
+            },
             wanted: &mut self.wanted,
             culled: 0,
         };
@@ -160,9 +176,7 @@ impl Gatherer {
 
 struct Search<'a> {
     recipe: &'a Recipe,
-    anchor_m: DVec3,
-    footprints: &'a [Footprint],
-    probabilities: &'a [KeepProbability],
+    chances: Chances<'a>,
     wanted: &'a mut Vec<WantedTile>,
     culled: u64,
 }
@@ -172,7 +186,7 @@ impl Search<'_> {
         let wanted = self.recipe.bounds(id).and_then(|tile_box| {
             Some(WantedTile {
                 id,
-                max_probability: self.max_probability(&tile_box)?,
+                max_probability: self.chances.max_probability(&tile_box)?,
                 tile_box,
             })
         });
@@ -188,7 +202,18 @@ impl Search<'_> {
             }
         }
     }
+}
 
+/// Footprints of a ping and their probabilities.
+#[derive(Clone, Copy)]
+struct Chances<'a> {
+    footprints: &'a [Footprint],
+    /// Empty where the density is constant.
+    probabilities: &'a [KeepProbability],
+    anchor_m: DVec3,
+}
+
+impl Chances<'_> {
     /// An upper bound of the probabilities in a box, infinite where the density is constant; none if no footprint may contain a point of it.
     fn max_probability(&self, tile_box: &TileBox) -> Option<f64> {
         let (mut contained, mut most) = (false, 0.0_f64);
@@ -217,80 +242,115 @@ fn reach(footprints: &[Footprint], anchor_m: DVec3) -> Option<(DVec2, DVec2)> {
     (low.min_element() >= -EDGE_M && high.max_element() <= EDGE_M).then_some((low, high))
 }
 
-/// Lists the scatterers of a tile that the ping keeps and that lie in a footprint whose transmitter and receiver both see them.
+/// Lists the scatterers of a tile that the ping keeps and that lie in a footprint whose transmitter and receiver both see them. Makes those that it may
+/// keep.
 fn keep(
+    recipe: &Recipe,
     tile: &mut Tile,
-    WantedTile {
-        id,
-        tile_box,
-        max_probability,
-    }: &WantedTile,
-    probabilities: &[KeepProbability],
+    wanted: &WantedTile,
+    chances: Chances,
+    lanes: &[Lanes],
     context: GatherContext,
 ) -> TileCount {
-    let GatherContext {
-        anchor_m,
-        footprints,
-        occlusion,
-        surface,
-        targets,
-    } = context;
-    let around = Occluders {
-        ground: occlusion.ground_before(tile_box, surface),
-        solids: occlusion.solids_before(tile_box, targets),
-        on_ground: true,
-    };
-    let mut kept = std::mem::take(&mut tile.kept);
-    let mut gains = std::mem::take(&mut tile.gain);
+    let WantedTile { id, tile_box, .. } = wanted;
+    let around = context.occluders(tile_box);
+    let mut count = TileCount::default();
+    let (mut kept, mut gains) = (
+        std::mem::take(&mut tile.kept),
+        std::mem::take(&mut tile.gain),
+    );
     kept.clear();
     gains.clear();
-    let mut shadowed = 0;
-    let max_rank = thinning::max_rank(*max_probability, id.level);
-    for i in 0..tile.len() {
-        let own_m = tile.position_m(i);
-        let position_m = own_m + anchor_m;
-        let gain = match probabilities {
-            [] => 1.0,
-            _ if f64::from(tile.rank[i]) >= max_rank => 0.0,
-            _ => {
-                let of = |(footprint, own): (&Footprint, &KeepProbability)| {
-                    own.probability(footprint, position_m - footprint.apex_m)
-                };
-                let probability = footprints.iter().zip(probabilities).filter_map(of);
-                match probability.reduce(f64::max) {
-                    Some(probability) => {
-                        thinning::gain(f64::from(tile.rank[i]), probability, id.level)
-                    }
-                    None => 0.0,
-                }
-            }
-        };
-        if gain == 0.0 {
+    for block in 0..BLOCKS_PER_TILE {
+        let block_box = tile_box.of_block(block);
+        let Some(max_probability) = chances.max_probability(&block_box) else {
             continue;
-        }
-        let (mut contained, mut seen) = (false, false);
-        for (index, footprint) in footprints.iter().enumerate() {
-            if footprint.contains(position_m) {
-                contained = true;
-                seen = occlusion.sees(index, own_m, around);
-                if seen {
-                    break;
-                }
+        };
+        let max_rank = thinning::max_rank(max_probability, id.level);
+        let (rows, made) = recipe.make(*id, block, max_rank, tile);
+        let around = match around {
+            Occluders {
+                ground: None,
+                solids: None,
+                ..
+            } => around,
+            _ => context.occluders(&block_box),
+        };
+        let first = block * CELLS_PER_BLOCK;
+        let tested = widest(
+            #[inline(always)]
+            || test(tile, first, rows, id.level, chances, lanes),
+        );
+        // Appended without a branch, which would be predicted wrong for every other scatterer.
+        let (mut indices, mut factors, mut some) =
+            ([0; CELLS_PER_BLOCK], [0.0; CELLS_PER_BLOCK], 0);
+        let hidden = around.ground.is_some() || around.solids.is_some();
+        for (i, gain) in (first..first + rows).zip(tested) {
+            let is_kept = gain > 0.0;
+            if hidden && is_kept && !context.sees(tile.position_m(i), around) {
+                count.shadowed += 1;
+                continue;
             }
+            (indices[some], factors[some]) = (i as u16, gain);
+            some += usize::from(is_kept);
         }
-        if seen {
-            kept.push(i as u16);
-            gains.push(gain as f32);
-        }
-        shadowed += u32::from(contained && !seen);
+        kept.extend_from_slice(&indices[..some]);
+        gains.extend_from_slice(&factors[..some]);
+        count.tested += tile.on_seabed(first..first + rows);
+        count.made += tile.on_seabed(first + rows - made..first + rows);
     }
     tile.kept = kept;
     tile.gain = gains;
-    TileCount {
-        tile: tile.len() as u32,
-        kept: tile.kept.len() as u32,
-        shadowed,
-        first: 0,
+    count.kept = tile.kept.len() as u32;
+    count
+}
+
+/// Factors on the strengths of the first `rows` scatterers of a block, in shadow or not; 0 for those that the ping does not keep.
+#[inline(always)]
+fn test(
+    tile: &Tile,
+    first: usize,
+    rows: usize,
+    level: u32,
+    chances: Chances,
+    lanes: &[Lanes],
+) -> [f32; CELLS_PER_BLOCK] {
+    let mut gains = [0.0; CELLS_PER_BLOCK];
+    let (groups, _) = gains.as_chunks_mut::<LANES>();
+    for (group, gains) in groups[..rows / LANES].iter_mut().enumerate() {
+        let (grounds, ranks) = tile.lanes(first + group * LANES);
+        let mut found = Found::NOTHING;
+        for (index, (lanes, footprint)) in lanes.iter().zip(chances.footprints).enumerate() {
+            let offset_m = tile.zero_m + (chances.anchor_m - footprint.apex_m);
+            let own = chances.probabilities.get(index);
+            lanes.test(own, offset_m.as_vec3().to_array(), grounds, &mut found);
+        }
+        *gains = match chances.probabilities {
+            [] => found.contained.map(f32::from),
+            _ => thinning::gains(ranks, &found, level),
+        };
+    }
+    gains
+}
+
+impl<'a> GatherContext<'a> {
+    /// What may hide the scatterers in a box.
+    fn occluders(&self, tile_box: &TileBox) -> Occluders<'a> {
+        Occluders {
+            ground: self.occlusion.ground_before(tile_box, self.surface),
+            solids: self.occlusion.solids_before(tile_box, self.targets),
+            on_ground: true,
+        }
+    }
+
+    /// Whether the transmitter and the receiver of a footprint that contains a scatterer both see it. Some footprint contains it.
+    #[inline(always)]
+    fn sees(&self, own_m: DVec3, around: Occluders) -> bool {
+        let position_m = own_m + self.anchor_m;
+        let mut footprints = self.footprints.iter().enumerate();
+        footprints.any(|(index, footprint)| {
+            footprint.contains(position_m) && self.occlusion.sees(index, own_m, around)
+        })
     }
 }
 
@@ -363,7 +423,7 @@ impl<'a> Rows<'a> {
             self.north_m[row] = zero_m.x + f64::from(tile.north_m[i]);
             self.east_m[row] = zero_m.y + f64::from(tile.east_m[i]);
             self.down_m[row] = zero_m.z + f64::from(tile.down_m[i]);
-            self.normal[row] = tile.normal[i];
+            self.normal[row] = tile.normal(i);
             let strength = tile.strength[i] * gain;
             self.strength[row] = Complex64::new(strength.re.into(), strength.im.into());
         }

@@ -81,7 +81,7 @@ impl TilePool {
         }
     }
 
-    /// Runs `work` on the tile of a slot, and makes the tile first if the slot is stale. Call it once for each slot before calling it again for any.
+    /// Runs `work` on the tile of a slot, and starts the tile first if the slot is stale. Call it once for each slot before calling it again for any.
     pub(crate) fn work<T>(
         &self,
         slot: &Slot,
@@ -90,12 +90,12 @@ impl TilePool {
     ) -> T {
         let mut tile = self.tile(slot);
         if slot.stale {
-            recipe.make(slot.id, &mut tile);
+            recipe.start(slot.id, &mut tile);
         }
         work(&mut tile)
     }
 
-    /// Runs `read` on a tile that [`Self::work`] has made.
+    /// Runs `read` on a tile that [`Self::work`] has started.
     pub(crate) fn read<T>(&self, slot: &Slot, read: impl FnOnce(&Tile) -> T) -> T {
         read(&self.tile(slot))
     }

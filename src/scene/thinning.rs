@@ -4,10 +4,13 @@
 //! and Thompson 1952). For an array with the resolution cell dr x b r at a range r,
 //!
 //! ```text
-//! p = (density of five scatterers a cell / density of level 0) min(1, k E / E_max)
+//! p = (density of five scatterers a cell / density of level 0) share(k, E / E_max)
 //! ```
 //!
-//! E is the upper envelope of the two-way pressure pattern ([`Footprint::below_maximum`]), which has no nulls. E_max is its maximum over all horizontal
+//! The cell lies on the ground: it is dr / s long, s the slope of the range along the ground, which is the sine of the incidence on flat ground. Near the
+//! vertical, s has a least value ([`ResolutionCell::min_slant`]).
+//!
+//! The share is min(1, k E / E_max), k at least 1, or slightly more for a k below 1 ([`kept_share`]). E is the upper envelope of the two-way pressure pattern ([`Footprint::below_maximum`]), which has no nulls. E_max is its maximum over all horizontal
 //! directions at the scatterer's angle from the vertical. A ping keeps the largest p of its arrays.
 //!
 //! Probabilities in proportion to pressure give the least variance of the intensity for a number of scatterers (Neyman 1934). The intensity of a
@@ -27,7 +30,10 @@
 use glam::DVec3;
 
 use super::tiles::{NEAREST_M, TileBox};
-use echotank_core::scene::{Footprint, ResolutionCell};
+use echotank_core::scene::{Footprint, ResolutionCell, kept_share};
+
+/// Scatterers that are tested together.
+pub(crate) const LANES: usize = 16;
 
 /// Half of the interval of u / p in which a scatterer fades.
 const FADE: f64 = 0.25;
@@ -51,34 +57,49 @@ pub(crate) struct KeepProbability {
     /// Probability in the main lobe at the nearest range.
     main_lobe: f64,
     lobes: f64,
+    cell: ResolutionCell,
     /// Maximum of the envelope over the horizontal directions, at even steps of the cosine from the downward vertical, -1 to 1.
     ceiling: [f64; COSINES + 1],
+    /// The same and its steps.
+    ceiling_f32: [[f32; COSINES]; 2],
 }
 
 impl KeepProbability {
     pub(crate) fn new(thinning: &Thinning, footprint: &Footprint) -> Self {
         let Thinning { finest, lobes } = *thinning;
         let share = |finest: f64, own: f64| finest / own.max(finest);
+        let at = |k: usize| ceiling(footprint, 2.0 * k as f64 / COSINES as f64 - 1.0);
+        let ceiling: [f64; COSINES + 1] = std::array::from_fn(at);
         Self {
             main_lobe: share(finest.range_m, footprint.cell.range_m)
                 * share(finest.beam_rad, footprint.cell.beam_rad),
             lobes,
-            ceiling: std::array::from_fn(|k| {
-                ceiling(footprint, 2.0 * k as f64 / COSINES as f64 - 1.0)
-            }),
+            cell: footprint.cell,
+            ceiling_f32: [
+                std::array::from_fn(|k| ceiling[k] as f32),
+                std::array::from_fn(|k| (ceiling[k + 1] - ceiling[k]) as f32),
+            ],
+            ceiling,
         }
     }
 
-    /// Probability, relative to level 0, of a scatterer at an offset from the apex; none out of range or behind the footprint's faces.
-    #[inline(always)]
-    pub(crate) fn probability(&self, footprint: &Footprint, offset_m: DVec3) -> Option<f64> {
+    /// Probability, relative to level 0, of a scatterer at an offset from the apex, on ground of a slope northward and eastward; none out of range or
+    /// behind the footprint's faces. The reference of [`Lanes::test`].
+    #[cfg(test)]
+    pub(crate) fn probability(
+        &self,
+        footprint: &Footprint,
+        offset_m: DVec3,
+        slope: glam::DVec2,
+    ) -> Option<f64> {
         let range_m = footprint.may_face(offset_m)?;
         let place = (0.5 * COSINES as f64) * (offset_m.z / range_m + 1.0);
         let k = (place as usize).min(COSINES - 1);
         let step = self.ceiling[k + 1] - self.ceiling[k];
         let ceiling = self.ceiling[k] + (place - k as f64) * step;
         let below = footprint.below_maximum(offset_m, range_m);
-        Some(self.at(range_m, below * ceiling))
+        let slant = (offset_m.truncate() + offset_m.z * slope).length() / range_m;
+        Some(self.at(range_m, below * ceiling, slant))
     }
 
     /// An upper bound of the probability in a box for which [`TileBox::below`] is `below`.
@@ -88,14 +109,153 @@ impl KeepProbability {
         let nodes = place(least).floor() as usize..=place(greatest).ceil() as usize;
         let ceiling = self.ceiling[nodes].iter().copied();
         let ceiling = ceiling.fold(f64::INFINITY, f64::min);
-        self.at(tile_box.distance_m(apex_m), below * ceiling)
+        let min_cosine = least.max(-greatest).max(0.0);
+        let slant = (1.0 - min_cosine * min_cosine).sqrt() + tile_box.max_slope;
+        self.at(tile_box.distance_m(apex_m), below * ceiling, slant)
     }
 
-    /// `relative` is the envelope's maximum over the envelope.
+    /// `relative` is the envelope's maximum over the envelope, `slant` the slope of the range along the ground. Grows with `slant` and falls with the
+    /// other two.
     #[inline(always)]
-    fn at(&self, range_m: f64, relative: f64) -> f64 {
-        self.main_lobe * NEAREST_M / range_m.max(NEAREST_M) * (self.lobes / relative).min(1.0)
+    fn at(&self, range_m: f64, relative: f64, slant: f64) -> f64 {
+        let range_m = range_m.max(NEAREST_M);
+        let slant = slant.clamp(self.cell.min_slant(range_m), 1.0);
+        self.main_lobe * NEAREST_M / range_m * slant * kept_share(self.lobes, 1.0 / relative)
     }
+}
+
+/// Positions and slopes of scatterers, relative to the origin of their tile.
+#[derive(Clone, Copy)]
+pub(crate) struct Grounds<'a> {
+    pub north_m: &'a [f32; LANES],
+    pub east_m: &'a [f32; LANES],
+    pub down_m: &'a [f32; LANES],
+    pub slope_north: &'a [f32; LANES],
+    pub slope_east: &'a [f32; LANES],
+}
+
+/// What the test of scatterers against all footprints finds.
+#[derive(Clone, Copy)]
+pub(crate) struct Found {
+    /// Greatest probability of any footprint; 0 where none has the scatterer in range and before its faces.
+    pub probability: [f32; LANES],
+    /// Whether any footprint contains the scatterer.
+    pub contained: [bool; LANES],
+}
+
+impl Found {
+    pub(crate) const NOTHING: Self = Self {
+        probability: [0.0; LANES],
+        contained: [false; LANES],
+    };
+}
+
+/// A footprint in single precision. Positions are relative to a tile, so that their rounding is below a part in 10^6.
+#[derive(Clone, Debug)]
+pub(crate) struct Lanes {
+    max_range_squared_m2: f32,
+    /// Axis, the inverse of the knee, rotation and displacement of each side.
+    axes: [[f32; 3]; 4],
+    per_knee: [f32; 4],
+    turn: [f32; 4],
+    shift_m: [f32; 4],
+    depth: f32,
+    normals: [[f32; 3]; 2],
+    face_turn: [f32; 2],
+    face_shift_m: [f32; 2],
+    main_lobe: f32,
+    lobes: f32,
+    range_m: f32,
+    per_across: f32,
+}
+
+impl Lanes {
+    pub(crate) fn new(footprint: &Footprint, own: Option<&KeepProbability>) -> Self {
+        let Footprint { sides, faces, .. } = footprint;
+        let vector = |v: DVec3| v.as_vec3().to_array();
+        let cell = footprint.cell;
+        Self {
+            max_range_squared_m2: (footprint.max_range_m * footprint.max_range_m) as f32,
+            axes: sides.map(|s| vector(s.axis)),
+            per_knee: sides.map(|s| (1.0 / s.knee) as f32),
+            turn: sides.map(|s| s.turn as f32),
+            shift_m: sides.map(|s| s.shift_m as f32),
+            depth: footprint.depth as f32,
+            normals: faces.map(|f| vector(f.normal)),
+            face_turn: faces.map(|f| f.turn as f32),
+            face_shift_m: faces.map(|f| f.shift_m as f32),
+            main_lobe: own.map_or(0.0, |own| own.main_lobe * NEAREST_M) as f32,
+            lobes: own.map_or(0.0, |own| own.lobes) as f32,
+            range_m: cell.range_m as f32,
+            // Zeros resolve everything.
+            per_across: match cell.across_rad == 0.0 {
+                true => f32::INFINITY,
+                false => (cell.range_m / cell.across_rad) as f32,
+            },
+        }
+    }
+
+    /// Adds this footprint's probabilities to those found. `offset_m` is the tile's origin less the apex. Holes, whose depth is not a number, are in
+    /// no footprint.
+    #[inline(always)]
+    pub(crate) fn test(
+        &self,
+        own: Option<&KeepProbability>,
+        offset_m: [f32; 3],
+        of: Grounds,
+        found: &mut Found,
+    ) {
+        for i in 0..LANES {
+            let d = [
+                offset_m[0] + of.north_m[i],
+                offset_m[1] + of.east_m[i],
+                offset_m[2] + of.down_m[i],
+            ];
+            let dot = |v: &[f32; 3]| d[0] * v[0] + d[1] * v[1] + d[2] * v[2];
+            let range_squared_m2 = dot(&d);
+            let range_m = range_squared_m2.sqrt();
+            let per_range = 1.0 / range_m;
+            let mut inside = range_squared_m2 <= self.max_range_squared_m2;
+            for k in 0..2 {
+                let least_m = -(self.face_turn[k] * range_m + self.face_shift_m[k]);
+                inside &= dot(&self.normals[k]) >= least_m;
+            }
+            let (mut envelope, mut below) = (1.0_f32, 1.0_f32);
+            for k in 0..4 {
+                let along_m = dot(&self.axes[k]).abs();
+                envelope *= at_least_1(along_m * per_range * self.per_knee[k]);
+                let sine = (along_m - self.shift_m[k]) * per_range - self.turn[k];
+                below *= at_least_1(sine * self.per_knee[k]);
+            }
+            found.contained[i] |= inside & (below <= self.depth);
+            let Some(own) = own else {
+                continue;
+            };
+            let place = (0.5 * COSINES as f32) * (d[2] * per_range + 1.0);
+            let k = (place as i32).clamp(0, COSINES as i32 - 1);
+            let [ceiling, step] = &own.ceiling_f32;
+            let ceiling = ceiling[k as usize] + (place - k as f32) * step[k as usize];
+            let share = {
+                let envelope = 1.0 / (envelope * ceiling);
+                let of_main = envelope * (std::f32::consts::PI * envelope).min(1.0);
+                (self.lobes * envelope).max(of_main).min(1.0)
+            };
+            let north = (d[0] + d[2] * of.slope_north[i]) * per_range;
+            let east = (d[1] + d[2] * of.slope_east[i]) * per_range;
+            let far = 1.0 / range_m.max(NEAREST_M as f32);
+            let min_slant = (self.per_across * far).max((2.0 * self.range_m * far).sqrt());
+            let slant = (north * north + east * east).sqrt().max(min_slant).min(1.0);
+            let probability = self.main_lobe * far * slant * share;
+            let probability = if inside { probability } else { 0.0 };
+            found.probability[i] = found.probability[i].max(probability);
+        }
+    }
+}
+
+/// Also for a side of length 0 and no width, whose product is not a number.
+#[inline(always)]
+fn at_least_1(x: f32) -> f32 {
+    if x > 1.0 { x } else { 1.0 }
 }
 
 /// Maximum of the envelope over all horizontal directions at a cosine from the downward vertical.
@@ -139,16 +299,39 @@ pub(crate) fn max_rank(max_probability: f64, level: u32) -> f64 {
 
 /// Factor w on the strength of a scatterer of a level, whose strength there is 2^(level/2) times that of level 0. `rank` is u times 2^level, and
 /// `probability` is p.
-#[inline(always)]
+#[cfg(test)]
 pub(crate) fn gain(rank: f64, probability: f64, level: u32) -> f64 {
+    /// Integral of g from 0 to t.
+    fn integral(t: f64) -> f64 {
+        let over = t.clamp(1.0 - FADE, 1.0 + FADE) - (1.0 - FADE);
+        t.min(1.0 - FADE) + over - over * over / (4.0 * FADE)
+    }
     let scaled = probability * (1_u64 << level.min(63)) as f64;
     let part = ((1.0 + FADE - rank / scaled) / (2.0 * FADE)).clamp(0.0, 1.0);
     (part / (scaled * integral(1.0 / probability))).sqrt()
 }
 
-/// Integral of g from 0 to t.
+/// The factors w on the strengths of scatterers of a level: with p the probability, u / p and G(1 / p) as above. A rank here is u times 2^level, and a
+/// strength is 2^(level/2) times that of level 0.
 #[inline(always)]
-fn integral(t: f64) -> f64 {
-    let over = t.clamp(1.0 - FADE, 1.0 + FADE) - (1.0 - FADE);
-    t.min(1.0 - FADE) + over - over * over / (4.0 * FADE)
+pub(crate) fn gains(ranks: &[f32; LANES], found: &Found, level: u32) -> [f32; LANES] {
+    const LOW: f32 = 1.0 - FADE as f32;
+    const HIGH: f32 = 1.0 + FADE as f32;
+    let scale = (1_u64 << level.min(63)) as f32;
+    let mut gains = [0.0; LANES];
+    for i in 0..LANES {
+        let p = found.probability[i];
+        let scaled = p * scale;
+        let part = ((HIGH - ranks[i] / scaled) / (HIGH - LOW)).min(1.0);
+        let t = 1.0 / p;
+        let over = t.clamp(LOW, HIGH) - LOW;
+        let integral = t.min(LOW) + over - over * over / (2.0 * (HIGH - LOW));
+        let kept = (part > 0.0) & (p > 0.0) & found.contained[i];
+        gains[i] = if kept {
+            (part / (scaled * integral)).sqrt()
+        } else {
+            0.0
+        };
+    }
+    gains
 }

@@ -9,9 +9,14 @@
 //! an area is thus the same at every level. Where the level changes, half of the scatterers stay, so the speckle intensities of the two levels have a
 //! correlation of 1/2.
 //!
-//! Random numbers are addressed by seed and cell (`draws`), and elementary functions come from `libm`. A tile therefore has the same bits on every
-//! machine and in any order of making. Not modelled: spatial correlation of the reflectivity, change in time.
+//! Scatterers are made when a ping first needs them. A tile has 16 blocks of 8 x 8 cells, in the order of Morton's curve (1966), so that scatterers
+//! that are near in the list are near on the bottom. Where the density is automatic, the scatterers of a block are sorted by rank (`thinning`). Those
+//! that a ping may keep are then the first ones of the block, and only these are made.
+//!
+//! Random numbers are addressed by seed and cell (`draws`), and elementary functions are computed without the machine's library. A scatterer
+//! therefore has the same bits on every machine and in any order of making. Not modelled: spatial correlation of the reflectivity, change in time.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::{DVec2, DVec3};
@@ -19,18 +24,23 @@ use num_complex::Complex32;
 
 use super::bottoms::Bottom;
 use super::draws;
-use super::seabed::{Depth, Surface};
-use super::thinning::Thinning;
+use super::seabed::Surface;
+use super::thinning::{Grounds, LANES, Thinning};
 use echotank_config::spec::{Density, IncidenceSpec, MosaicValues, SeabedSpec};
 use echotank_core::scene::Footprint;
+use echotank_core::simd::widest;
 
 /// Cells on a side of a tile. With 1024 scatterers the overhead of a tile is small, and few scatterers are made in vain.
 pub(crate) const CELLS_ON_SIDE: usize = 32;
 pub(crate) const SCATTERERS_PER_TILE: usize = CELLS_ON_SIDE * CELLS_ON_SIDE;
 
-/// Size of a full tile, bytes: position, rank, normal, strength, index and gain in the list of kept scatterers.
+/// Cells of a block, a square of them.
+pub(crate) const CELLS_PER_BLOCK: usize = 64;
+pub(crate) const BLOCKS_PER_TILE: usize = SCATTERERS_PER_TILE / CELLS_PER_BLOCK;
+
+/// Size of a full tile, bytes: position, slope, rank, strength, cell, and index and gain in the list of kept scatterers.
 pub const TILE_BYTES: u64 = (SCATTERERS_PER_TILE
-    * (5 * size_of::<f32>() + size_of::<[f32; 3]>() + size_of::<Complex32>() + size_of::<u16>()))
+    * (7 * size_of::<f32>() + size_of::<Complex32>() + size_of::<u8>() + size_of::<u16>()))
     as u64;
 
 /// Distance below which the automatic density is constant, metres.
@@ -191,41 +201,56 @@ impl Mosaic {
     }
 }
 
-/// Scatterers of one tile, as a structure of arrays.
-#[derive(Clone, Debug, Default)]
+/// Scatterers of one tile, as a structure of arrays. Each block has [`CELLS_PER_BLOCK`] rows, the first ones of which are made.
+#[derive(Clone, Debug)]
 pub(crate) struct Tile {
     /// Origin of the positions in scene coordinates, metres.
     pub(crate) zero_m: DVec3,
-    pub north_m: Vec<f32>,
-    pub east_m: Vec<f32>,
-    pub down_m: Vec<f32>,
-    pub normal: Vec<[f32; 3]>,
-    pub strength: Vec<Complex32>,
-    /// Permanent random numbers in (0, 1], uniform within the tile's level; empty where the density is constant.
-    pub rank: Vec<f32>,
-    /// Indices of the scatterers that the current ping keeps, and the factors on their strengths.
+    pub(crate) north_m: Vec<f32>,
+    pub(crate) east_m: Vec<f32>,
+    /// Not a number in a hole of the seabed.
+    pub(crate) down_m: Vec<f32>,
+    /// Slope of the seabed northward and eastward.
+    slope_north: Vec<f32>,
+    slope_east: Vec<f32>,
+    incidence: IncidenceSpec,
+    pub(crate) strength: Vec<Complex32>,
+    /// Permanent random numbers in (0, 1], uniform within the tile's level, ascending in each block; 0 where the density is constant.
+    pub(crate) rank: Vec<f32>,
+    /// Place of the cell in its block, along Morton's curve.
+    cell: Vec<u8>,
+    /// Whether any scatterer made so far lies in a hole.
+    has_holes: bool,
+    /// Bit of each block whose ranks and cells are known.
+    sorted: u16,
+    /// Number of scatterers of each block that are made.
+    made: [u8; BLOCKS_PER_TILE],
+    /// Rows of the scatterers that the current ping keeps, and the factors on their strengths.
     pub(super) kept: Vec<u16>,
     pub(super) gain: Vec<f32>,
 }
 
 impl Tile {
-    /// An empty tile with capacity for all of its scatterers.
+    /// An empty tile with memory for all of its scatterers.
     pub(crate) fn with_room() -> Self {
+        const N: usize = SCATTERERS_PER_TILE;
         Self {
             zero_m: DVec3::ZERO,
-            north_m: Vec::with_capacity(SCATTERERS_PER_TILE),
-            east_m: Vec::with_capacity(SCATTERERS_PER_TILE),
-            down_m: Vec::with_capacity(SCATTERERS_PER_TILE),
-            normal: Vec::with_capacity(SCATTERERS_PER_TILE),
-            strength: Vec::with_capacity(SCATTERERS_PER_TILE),
-            rank: Vec::with_capacity(SCATTERERS_PER_TILE),
-            kept: Vec::with_capacity(SCATTERERS_PER_TILE),
-            gain: Vec::with_capacity(SCATTERERS_PER_TILE),
+            north_m: vec![0.0; N],
+            east_m: vec![0.0; N],
+            down_m: vec![0.0; N],
+            slope_north: vec![0.0; N],
+            slope_east: vec![0.0; N],
+            incidence: IncidenceSpec::Normal,
+            strength: vec![Complex32::ZERO; N],
+            rank: vec![0.0; N],
+            cell: vec![0; N],
+            has_holes: false,
+            sorted: 0,
+            made: [0; BLOCKS_PER_TILE],
+            kept: Vec::with_capacity(N),
+            gain: Vec::with_capacity(N),
         }
-    }
-
-    pub(crate) fn len(&self) -> usize {
-        self.north_m.len()
     }
 
     pub(crate) fn position_m(&self, i: usize) -> DVec3 {
@@ -233,13 +258,43 @@ impl Tile {
         self.zero_m + DVec3::from(from_zero.map(f64::from))
     }
 
-    fn clear(&mut self) {
-        self.north_m.clear();
-        self.east_m.clear();
-        self.down_m.clear();
-        self.normal.clear();
-        self.strength.clear();
-        self.rank.clear();
+    /// Places and ranks of [`LANES`] rows from `from` on.
+    #[inline(always)]
+    pub(crate) fn lanes(&self, from: usize) -> (Grounds<'_>, &[f32; LANES]) {
+        #[inline(always)]
+        fn of(list: &[f32], from: usize) -> &[f32; LANES] {
+            list[from..from + LANES].try_into().expect("as many rows")
+        }
+        let grounds = Grounds {
+            north_m: of(&self.north_m, from),
+            east_m: of(&self.east_m, from),
+            down_m: of(&self.down_m, from),
+            slope_north: of(&self.slope_north, from),
+            slope_east: of(&self.slope_east, from),
+        };
+        (grounds, of(&self.rank, from))
+    }
+
+    /// Number of scatterers in a range of rows, less those in holes.
+    pub(crate) fn on_seabed(&self, rows: Range<usize>) -> u32 {
+        let holes = match self.has_holes {
+            true => self.down_m[rows.clone()]
+                .iter()
+                .filter(|m| m.is_nan())
+                .count(),
+            false => 0,
+        };
+        (rows.len() - holes) as u32
+    }
+
+    /// Normal from which the scattering law measures angles at a scatterer, a unit vector away from the solid.
+    pub(crate) fn normal(&self, i: usize) -> [f32; 3] {
+        if self.incidence == IncidenceSpec::Flat {
+            return super::UP;
+        }
+        let (north, east) = (self.slope_north[i], self.slope_east[i]);
+        let cos = 1.0 / (1.0 + north * north + east * east).sqrt();
+        [north * cos, east * cos, -cos]
     }
 }
 
@@ -288,16 +343,16 @@ impl Recipe {
         let side_m = self.levels.tile_m(id.level);
         let edges = |index: i64, side_m: f64| (index as f64 * side_m, (index + 1) as f64 * side_m);
         let (north, east) = (edges(id.row, side_m.x), edges(id.col, side_m.y));
-        let down = self.surface.bounds_m(north, east)?;
+        let (down, max_slope) = self.surface.bounds_m(north, east)?;
         Some(TileBox {
             low_m: DVec3::new(north.0, east.0, down.0),
             high_m: DVec3::new(north.1, east.1, down.1),
+            max_slope,
         })
     }
 
-    /// Fills `tile` with the scatterers of one tile, cells in the order of [`cell_at`]. A hole yields no scatterer.
-    pub(crate) fn make(&self, id: TileId, tile: &mut Tile) {
-        tile.clear();
+    /// Makes `tile` the one with this index, without any scatterer.
+    pub(crate) fn start(&self, id: TileId, tile: &mut Tile) {
         let side_m = self.levels.tile_m(id.level);
         let middle_m = DVec2::new(
             (id.row as f64 + 0.5) * side_m.x,
@@ -305,24 +360,105 @@ impl Recipe {
         );
         let down_m = self.bounds(id).map_or(0.0, |b| b.low_m.z);
         tile.zero_m = middle_m.extend(down_m);
+        tile.incidence = self.incidence;
+        tile.has_holes = false;
+        tile.sorted = 0;
+        tile.made = [0; BLOCKS_PER_TILE];
+    }
+
+    /// Makes the scatterers of a block whose ranks are below `max_rank`, and further ones up to a multiple of [`LANES`]. Returns the number of those
+    /// scatterers, the first ones of the block, and how many of them were not made before.
+    pub(crate) fn make(
+        &self,
+        id: TileId,
+        block: usize,
+        max_rank: f64,
+        tile: &mut Tile,
+    ) -> (usize, usize) {
+        let first = block * CELLS_PER_BLOCK;
+        if tile.sorted & 1 << block == 0 {
+            self.sort(id, block, tile);
+            tile.sorted |= 1 << block;
+        }
+        let ranks = &tile.rank[first..first + CELLS_PER_BLOCK];
+        let count = ranks.partition_point(|rank| f64::from(*rank) < max_rank);
+        let count = count.next_multiple_of(LANES);
+        let made = usize::from(tile.made[block]);
+        for from in (made..count).step_by(LANES) {
+            self.make_lanes(id, block, from, tile);
+        }
+        tile.made[block] = made.max(count) as u8;
+        (count, count.saturating_sub(made))
+    }
+
+    /// Orders the cells of a block by rank.
+    fn sort(&self, id: TileId, block: usize, tile: &mut Tile) {
+        let rows = block * CELLS_PER_BLOCK..(block + 1) * CELLS_PER_BLOCK;
+        let mut order: [u64; CELLS_PER_BLOCK] = std::array::from_fn(|cell| cell as u64);
+        if self.levels.thinning.is_some() {
+            for order in order.as_chunks_mut::<LANES>().0 {
+                let own = Cells::of_block(id, block, &order.map(|cell| cell as u8));
+                let ranks = widest(
+                    #[inline(always)]
+                    || {
+                        let mut finest = own;
+                        finest.represent(self.seed, id.level);
+                        own.ranks(self.seed, id.level, &finest)
+                    },
+                );
+                for (order, rank) in order.iter_mut().zip(ranks) {
+                    // The bits of positive numbers have the order of the numbers.
+                    *order |= u64::from(rank.to_bits()) << 8;
+                }
+            }
+            order.sort_unstable();
+        }
+        let ranks = tile.rank[rows.clone()].iter_mut();
+        for ((rank, cell), order) in ranks.zip(&mut tile.cell[rows]).zip(order) {
+            *rank = f32::from_bits((order >> 8) as u32);
+            *cell = order as u8;
+        }
+    }
+
+    /// Makes [`LANES`] scatterers of a block from row `from` of the block on.
+    fn make_lanes(&self, id: TileId, block: usize, from: usize, tile: &mut Tile) {
+        let first = block * CELLS_PER_BLOCK + from;
+        let (cells, _) = tile.cell[first..].as_chunks::<LANES>();
+        let mut finest = Cells::of_block(id, block, &cells[0]);
+        let mut words = [[0; LANES]; 4];
+        let mut reflectivity = [Complex32::ONE; LANES];
+        widest(
+            #[inline(always)]
+            || {
+                finest.represent(self.seed, id.level);
+                for i in 0..LANES {
+                    let own = draws::of_cell(self.seed, finest.north[i], finest.east[i]);
+                    for (words, own) in words.iter_mut().zip(own) {
+                        words[i] = own;
+                    }
+                }
+                if self.speckle {
+                    for i in 0..LANES {
+                        reflectivity[i] = draws::circular_gaussian(words[2][i], words[3][i]);
+                    }
+                }
+            },
+        );
         // Intensity is proportional to the area of the sloping patch, not of its horizontal projection. The cosine follows below.
         let mu_area_m2 = self.bottom.mu / self.levels.density_per_m2(id.level);
-        let first = |index: i64| index * CELLS_ON_SIDE as i64;
-        for place in 0..SCATTERERS_PER_TILE {
-            let (north, east) = cell_at(place);
-            let own = (first(id.row) + north, first(id.col) + east);
-            let (north, east) = self.representative_cell(id.level, own.0, own.1);
-            let [a, b, c, d] = draws::of_cell(self.seed, north, east);
+        let zero_m = tile.zero_m;
+        for i in 0..LANES {
             let from_middle = |cell: i64, jitter: u32, middle_m: f64| {
                 ((cell as f64 + draws::fraction(jitter)) * self.levels.cell_m - middle_m) as f32
             };
-            let north_m = from_middle(north, a, middle_m.x);
-            let east_m = from_middle(east, b, middle_m.y);
-            let (at_north_m, at_east_m) = (
-                middle_m.x + f64::from(north_m),
-                middle_m.y + f64::from(east_m),
-            );
+            let north_m = from_middle(finest.north[i], words[0][i], zero_m.x);
+            let east_m = from_middle(finest.east[i], words[1][i], zero_m.y);
+            let (at_north_m, at_east_m) =
+                (zero_m.x + f64::from(north_m), zero_m.y + f64::from(east_m));
+            let row = first + i;
             let Some(depth) = self.surface.sample(at_north_m, at_east_m) else {
+                tile.down_m[row] = f32::NAN;
+                tile.has_holes = true;
                 continue;
             };
             let mut amplitude = (mu_area_m2 / depth.slope_cos()).sqrt();
@@ -330,72 +466,119 @@ impl Recipe {
                 let (north_m, east_m) = self.surface.unmirrored(at_north_m, at_east_m);
                 amplitude *= mosaic.factor(north_m, east_m);
             }
-            let reflectivity = match self.speckle {
-                true => draws::circular_gaussian(c, d),
-                false => Complex32::ONE,
-            };
-            tile.north_m.push(north_m);
-            tile.east_m.push(east_m);
-            tile.down_m.push((depth.down_m - down_m) as f32);
-            tile.normal.push(self.normal(&depth));
-            tile.strength.push(amplitude as f32 * reflectivity);
-            if self.levels.thinning.is_some() {
-                let fraction = draws::rank(self.seed, north, east);
-                tile.rank
-                    .push(self.rank(id.level, own.0, own.1, fraction) as f32);
-            }
+            tile.north_m[row] = north_m;
+            tile.east_m[row] = east_m;
+            tile.down_m[row] = (depth.down_m - zero_m.z) as f32;
+            tile.slope_north[row] = depth.slope_north as f32;
+            tile.slope_east[row] = depth.slope_east as f32;
+            tile.strength[row] = amplitude as f32 * reflectivity[i];
         }
-    }
-
-    /// Permanent random number of the scatterer of a cell, among those of the cell's level. The scatterer is in the next level with probability 1/2.
-    /// Those in k further levels and no more have ranks in 2^-k (1/2, 1]; `fraction`, in [0, 1), gives the place in that interval.
-    fn rank(&self, level: u32, mut north: i64, mut east: i64, fraction: f64) -> f64 {
-        let mut rank = 1.0 - fraction / 2.0;
-        for level in level + 1..=MAX_LEVEL {
-            let index = match level % 2 {
-                1 => &mut north,
-                _ => &mut east,
-            };
-            let half = *index & 1;
-            *index >>= 1;
-            if draws::half_of(self.seed, level, north, east) != half {
-                break;
-            }
-            rank *= 0.5;
-        }
-        rank
-    }
-
-    /// Normal from which the scattering law measures angles.
-    fn normal(&self, depth: &Depth) -> [f32; 3] {
-        match self.incidence {
-            IncidenceSpec::Normal => depth.normal().map(|x| x as f32),
-            IncidenceSpec::Flat => super::UP,
-        }
-    }
-
-    /// The cell of level 0 whose scatterer represents a cell of a level.
-    #[inline(always)]
-    fn representative_cell(&self, level: u32, mut north: i64, mut east: i64) -> (i64, i64) {
-        for level in (1..=level).rev() {
-            let half = draws::half_of(self.seed, level, north, east);
-            match level % 2 {
-                1 => north = 2 * north + half,
-                _ => east = 2 * east + half,
-            }
-        }
-        (north, east)
     }
 }
 
-/// Row and column of the cell at a position of the tile's list, along Morton's curve (1966). Scatterers that are near in the list are near on the
-/// bottom, and so are their echoes.
-fn cell_at(place: usize) -> (i64, i64) {
-    let every_other = |bits: usize| {
-        let bit = |k: u32| (bits >> (2 * k) & 1) << k;
-        (0..CELLS_ON_SIDE.ilog2()).map(bit).sum::<usize>() as i64
-    };
+/// Indices of cells of a block in a level. The functions are loops without branches over the cells.
+#[derive(Clone, Copy)]
+struct Cells {
+    north: [i64; LANES],
+    east: [i64; LANES],
+}
+
+impl Cells {
+    /// Cells at places of a block.
+    fn of_block(id: TileId, block: usize, places: &[u8; LANES]) -> Self {
+        let first = |index: i64| index * CELLS_ON_SIDE as i64;
+        let zero = (first(id.row), first(id.col));
+        let mut cells = Self {
+            north: [0; LANES],
+            east: [0; LANES],
+        };
+        for (i, place) in places.iter().enumerate() {
+            let (north, east) = cell_at(block * CELLS_PER_BLOCK + usize::from(*place));
+            (cells.north[i], cells.east[i]) = (zero.0 + north, zero.1 + east);
+        }
+        cells
+    }
+
+    /// The halves that represent the cells, which are of a level: 0 or 1.
+    #[inline(always)]
+    fn halves(&self, seed: u64, level: u32) -> [i64; LANES] {
+        let mut halves = [0; LANES];
+        let cells = self.north.iter().zip(&self.east);
+        for (half, (north, east)) in halves.iter_mut().zip(cells) {
+            *half = draws::half_of(seed, level, *north, *east);
+        }
+        halves
+    }
+
+    /// The indices in the direction in which cells of a level are halved.
+    #[inline(always)]
+    fn halved(&mut self, level: u32) -> &mut [i64; LANES] {
+        match level % 2 {
+            1 => &mut self.north,
+            _ => &mut self.east,
+        }
+    }
+
+    /// Replaces cells of a level by the cells of level 0 whose scatterers represent them.
+    #[inline(always)]
+    fn represent(&mut self, seed: u64, level: u32) {
+        for level in (1..=level).rev() {
+            let halves = self.halves(seed, level);
+            let indices = self.halved(level);
+            for i in 0..LANES {
+                indices[i] = 2 * indices[i] + halves[i];
+            }
+        }
+    }
+
+    /// Permanent random numbers of the scatterers of cells, among those of the cells' level. The scatterer is in the next level with probability 1/2.
+    /// Those in k further levels and no more have ranks in 2^-k (1/2, 1]; the representing cell of level 0 gives the place in that interval.
+    #[inline(always)]
+    fn ranks(&self, seed: u64, level: u32, finest: &Self) -> [f32; LANES] {
+        let mut cells = *self;
+        // 1 while the scatterer is in every level so far, and the number of these levels.
+        let (mut represents, mut further) = ([1; LANES], [0; LANES]);
+        for level in level + 1..=MAX_LEVEL {
+            let mut own = [0; LANES];
+            let indices = cells.halved(level);
+            for i in 0..LANES {
+                own[i] = indices[i] & 1;
+                indices[i] >>= 1;
+            }
+            let halves = cells.halves(seed, level);
+            let mut any = 0;
+            for i in 0..LANES {
+                represents[i] &= 1 ^ own[i] ^ halves[i];
+                further[i] += represents[i];
+                any |= represents[i];
+            }
+            if any == 0 {
+                break;
+            }
+        }
+        let mut ranks = [0.0; LANES];
+        for i in 0..LANES {
+            let place = 1.0 - draws::rank(seed, finest.north[i], finest.east[i]) / 2.0;
+            // 2^-k.
+            let factor = f64::from_bits((1023 - further[i] as u64) << 52);
+            ranks[i] = (place * factor) as f32;
+        }
+        ranks
+    }
+}
+
+/// Row and column of the cell at a place of the tile, along Morton's curve.
+#[inline(always)]
+const fn cell_at(place: usize) -> (i64, i64) {
     (every_other(place >> 1), every_other(place))
+}
+
+/// The even bits of a number below 2^10.
+const fn every_other(bits: usize) -> i64 {
+    let bits = bits & 0x155;
+    let bits = (bits | bits >> 1) & 0x133;
+    let bits = (bits | bits >> 2) & 0x10F;
+    ((bits | bits >> 4) & 0x1F) as i64
 }
 
 /// Bounding box of the scatterers of a tile.
@@ -403,12 +586,28 @@ fn cell_at(place: usize) -> (i64, i64) {
 pub(crate) struct TileBox {
     pub low_m: DVec3,
     pub high_m: DVec3,
+    /// Bound of the seabed's slope; infinite where it is not known.
+    pub max_slope: f64,
 }
 
 /// Margin of the boxes, metres. Positions in a tile are f32; the margin covers their rounding.
 const BOX_MARGIN_M: f64 = 1e-3;
 
 impl TileBox {
+    /// The part of a tile's box that holds a block.
+    pub(crate) fn of_block(&self, block: usize) -> Self {
+        let (north, east) = cell_at(block * CELLS_PER_BLOCK);
+        let size_m = (self.high_m - self.low_m).truncate();
+        let cell_m = size_m / CELLS_ON_SIDE as f64;
+        let low_m = self.low_m.truncate() + cell_m * DVec2::new(north as f64, east as f64);
+        let high_m = low_m + cell_m * (CELLS_PER_BLOCK as f64).sqrt();
+        Self {
+            low_m: low_m.extend(self.low_m.z),
+            high_m: high_m.extend(self.high_m.z),
+            max_slope: self.max_slope,
+        }
+    }
+
     /// Distance from a point in the box's coordinates to the nearest point of the box, metres.
     pub(crate) fn distance_m(&self, from_m: DVec3) -> f64 {
         let (low, high) = (self.low_m - BOX_MARGIN_M, self.high_m + BOX_MARGIN_M);

@@ -92,13 +92,50 @@ fn id((row, col): (i64, i64)) -> TileId {
     TileId { level: 0, row, col }
 }
 
-fn make_id(recipe: &Recipe, id: TileId) -> Tile {
-    let mut tile = Tile::default();
-    recipe.make(id, &mut tile);
-    tile
+/// All scatterers of a tile, holes left out.
+struct Whole {
+    place_m: Vec<DVec3>,
+    strength: Vec<Complex64>,
+    normal: Vec<[f32; 3]>,
+    rank: Vec<f32>,
 }
 
-fn make(recipe: &Recipe, at: (i64, i64)) -> Tile {
+impl Whole {
+    fn make(recipe: &Recipe, id: TileId, tile: &mut Tile) -> Self {
+        for block in 0..super::tiles::BLOCKS_PER_TILE {
+            let made = recipe.make(id, block, f64::INFINITY, tile);
+            assert_eq!(made.0, super::tiles::CELLS_PER_BLOCK);
+        }
+        let rows = 0..super::tiles::SCATTERERS_PER_TILE;
+        let rows: Vec<usize> = rows.filter(|i| !tile.down_m[*i].is_nan()).collect();
+        let strength = |i: usize| {
+            let s = tile.strength[i];
+            Complex64::new(s.re.into(), s.im.into())
+        };
+        Self {
+            place_m: rows.iter().map(|i| tile.position_m(*i)).collect(),
+            strength: rows.iter().map(|i| strength(*i)).collect(),
+            normal: rows.iter().map(|i| tile.normal(*i)).collect(),
+            rank: rows.iter().map(|i| tile.rank[*i]).collect(),
+        }
+    }
+
+    fn len(&self) -> usize {
+        self.place_m.len()
+    }
+
+    fn position_m(&self, i: usize) -> DVec3 {
+        self.place_m[i]
+    }
+}
+
+fn make_id(recipe: &Recipe, id: TileId) -> Whole {
+    let mut tile = Tile::with_room();
+    recipe.start(id, &mut tile);
+    Whole::make(recipe, id, &mut tile)
+}
+
+fn make(recipe: &Recipe, at: (i64, i64)) -> Whole {
     make_id(recipe, id(at))
 }
 
@@ -106,10 +143,8 @@ fn side_m(density_per_m2: f64) -> f64 {
     Levels::new(&Density::PerM2(density_per_m2)).tile_m(0).x
 }
 
-fn strengths(tile: &Tile) -> impl Iterator<Item = Complex64> {
-    tile.strength
-        .iter()
-        .map(|s| Complex64::new(s.re.into(), s.im.into()))
+fn strengths(tile: &Whole) -> impl Iterator<Item = Complex64> {
+    tile.strength.iter().copied()
 }
 
 fn all_round(apex_m: DVec3, max_range_m: f64) -> Footprint {
@@ -128,7 +163,7 @@ fn bits(s: &Scatterers) -> Bits {
         .collect()
 }
 
-fn tile_bits(tile: &Tile) -> Bits {
+fn tile_bits(tile: &Whole) -> Bits {
     strengths(tile)
         .enumerate()
         .map(|(i, strength)| bits_of(tile.position_m(i), strength))
@@ -264,7 +299,9 @@ fn requested(pool: &mut TilePool, recipe: &Recipe, ids: &[TileId]) -> Vec<(Bits,
         .iter()
         .map(|place| {
             (
-                pool.work(place, recipe, |tile| tile_bits(tile)),
+                pool.work(place, recipe, |tile| {
+                    tile_bits(&Whole::make(recipe, place.id, tile))
+                }),
                 place.stale,
             )
         })
@@ -452,7 +489,7 @@ fn without_speckle_every_strength_is_the_root_of_mu_times_the_patch() {
         assert!((s - want).norm() < 1e-7 * want, "{s} against {want}");
     }
     let noisy = make(&plane_recipe(0.3, -0.4, 2.0, true), (7, 7));
-    assert_eq!(noisy.north_m, tile.north_m, "speckle moves nothing");
+    assert_eq!(noisy.place_m, tile.place_m, "speckle moves nothing");
 }
 
 /// Kolmogorov-Smirnov statistic sqrt(n) D against a distribution function.
@@ -878,6 +915,7 @@ const AUTO: Density = Density::Auto {
     cell: ResolutionCell {
         range_m: 0.05,
         beam_rad: 0.017_453_292_519_943_295,
+        across_rad: 1.0,
     },
     longest_range_m: 200.0,
     lobes: 2.0,
@@ -916,6 +954,7 @@ fn side_looking(apex_m: DVec3, max_range_m: f64) -> Footprint {
         cell: ResolutionCell {
             range_m: 0.1,
             beam_rad: 0.03,
+            across_rad: 0.1,
         },
         ..all_round(apex_m, max_range_m)
     }
@@ -964,7 +1003,9 @@ fn coarse_tiles_hold_every_scatterer_that_the_finest_would_give_and_no_other() {
             let tile = make(&recipe, (row, col));
             for (i, strength) in strengths(&tile).enumerate() {
                 let at_m = tile.position_m(i);
-                let of = |(f, h): (&Footprint, &KeepProbability)| h.probability(f, at_m - f.apex_m);
+                let of = |(f, h): (&Footprint, &KeepProbability)| {
+                    h.probability(f, at_m - f.apex_m, glam::DVec2::new(0.1, 0.0))
+                };
                 let p = both
                     .iter()
                     .zip(&probabilities)

@@ -1,6 +1,6 @@
 //! The automatic density: the resolution cell that it serves, and how far side lobes are thinned.
 //!
-//! In a side lobe a ping keeps scatterers with a probability p = min(1, k E), E the envelope of the two-way pressure pattern relative to the main
+//! In a side lobe a ping keeps scatterers with a probability p = min(1, k E) (`kept_share`), E the envelope of the two-way pressure pattern relative to the main
 //! lobe's (`scene::thinning`). k follows from the kurtosis of a window (mean fourth over squared second moment of the pressure),
 //!
 //! ```text
@@ -8,7 +8,9 @@
 //! ```
 //!
 //! summed over the scatterers of a range cell, with I the two-way intensity pattern. It is the least k, from [`DEFAULT_LOBES`] on, with which a
-//! shadow has at most [`MAX_KURTOSIS`]; shadows that are below open ground by more than the tolerance do not count. The number of scatterers a ping limits it, down to [`MIN_LOBES`]. The rig is level over flat ground.
+//! shadow has at most [`MAX_KURTOSIS`]; shadows that are below open ground by more than the tolerance do not count. The number of scatterers of one ping of
+//! all sonars limits it, down to 1. Below 1, with p = `kept_share`, it goes down only as far as shadows have at most [`MAX_KURTOSIS`]. The rig is level over
+//! flat ground.
 
 use std::f64::consts::{PI, TAU};
 
@@ -18,14 +20,16 @@ use super::culling::response;
 use super::scene::Rig;
 use crate::spec::{Density, SonarSpec};
 use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, TransmitArray};
-use echotank_core::scene::ResolutionCell;
+use echotank_core::scene::{ResolutionCell, kept_share};
 
 /// Scatterers in a resolution cell: enough for a Rayleigh envelope (docs/concepts/model.md).
 const SCATTERERS_PER_CELL: f64 = 5.0;
 /// k where nothing else decides.
 const DEFAULT_LOBES: f64 = 2.0;
-/// Least k: with less, scatterers of the main lobe are left out.
-const MIN_LOBES: f64 = 1.0;
+/// Least k whatever the shadows: with less, side lobes are left out more than in proportion to their pressure.
+const PROPORTIONAL_LOBES: f64 = 1.0;
+/// Least k.
+const MIN_LOBES: f64 = 0.2;
 /// Greatest k that a shadow may ask for.
 const MAX_LOBES: f64 = 8.0;
 /// k that leaves out nothing.
@@ -41,10 +45,8 @@ const MAX_SCATTERERS: f64 = 1e5;
 /// Most scatterers a ping of a side-scan with more than [`MANY_CELLS`] range cells a side.
 const MAX_SCATTERERS_OF_LINES: f64 = 3e5;
 const MANY_CELLS: f64 = 3000.0;
-/// Fading scatterers add this factor to their number.
-const FADING: f64 = 1.25;
-/// A rolling platform has more scatterers than a level one by up to this factor.
-const ROLLING: f64 = 1.15;
+/// Fading scatterers, and those that a rolling platform adds, increase their number by this factor.
+const FADING: f64 = 1.2;
 /// Directions on a ring, and rings between the bottom and the longest range.
 const AZIMUTHS: usize = 21_600;
 const RINGS: usize = 4;
@@ -61,30 +63,33 @@ pub(super) fn auto(rig: &Rig, depth_m: Option<f64>, speckle: bool) -> Option<Den
     });
     let cell =
         cells.min_by(|a, b| (a.range_m * a.beam_rad).total_cmp(&(b.range_m * b.beam_rad)))?;
-    let rings: Vec<_> = rig
-        .sonars
-        .iter()
-        .map(|sonar| (*sonar, rings(sonar, c, depth_m, sonar.settings.range_m)))
+    let of_sonars = rig.sonars.iter();
+    let rings: Vec<_> = of_sonars
+        .map(|sonar| rings(sonar, c, depth_m, sonar.settings.range_m))
         .collect();
     let mut lobes = DEFAULT_LOBES;
     let shadows = |lobes: f64| {
-        let all = rings.iter().flat_map(|(_, rings)| rings);
+        let all = rings.iter().flatten();
         all.map(|ring| ring.kurtosis(lobes)[1]).fold(0.0, f64::max)
     };
     while lobes < MAX_LOBES && shadows(lobes) > MAX_KURTOSIS {
         lobes *= LOBES_STEP;
     }
+    let limits = rig.sonars.iter().map(|sonar| max_scatterers(sonar, c));
+    let max_scatterers = limits.fold(0.0, f64::max);
     let too_many = |lobes: f64| {
-        rings
-            .iter()
-            .any(|(sonar, rings)| scatterers(rings, lobes) > max_scatterers(sonar, c))
+        let each = rings.iter().map(|rings| scatterers(rings, lobes));
+        each.sum::<f64>() > max_scatterers
     };
-    while lobes > MIN_LOBES && too_many(lobes) {
+    while lobes > PROPORTIONAL_LOBES && too_many(lobes) {
+        lobes = (lobes / LOBES_STEP).max(PROPORTIONAL_LOBES);
+    }
+    while lobes > MIN_LOBES && too_many(lobes) && shadows(lobes / LOBES_STEP) <= MAX_KURTOSIS {
         lobes /= LOBES_STEP;
     }
     let lobes = match speckle {
-        // Rounded down to a tenth, as `check` prints it, so that the number of scatterers stays within its limit.
-        true => (10.0 * lobes).floor().max(10.0 * MIN_LOBES) / 10.0,
+        // Rounded down, as `check` prints it, so that the number of scatterers stays within its limit.
+        true => (100.0 * lobes).floor() / 100.0,
         false => ALL_LOBES,
     };
     Some(Density::Auto {
@@ -135,9 +140,12 @@ fn cell(
         pulse.duration_s = duration_s;
         pulse.range_resolution_m(c)
     });
+    let [beam_rad, across_rad] =
+        array.beam_widths_rad(transmit, c / sonar.pulse.center_frequency_hz);
     ResolutionCell {
         range_m: range_m.fold(f64::INFINITY, f64::min),
-        beam_rad: array.beam_width_rad(transmit, c / sonar.pulse.center_frequency_hz),
+        beam_rad,
+        across_rad,
     }
 }
 
@@ -233,12 +241,12 @@ fn scatterers(rings: &[Ring], lobes: f64) -> f64 {
     let of_ring = |ring: &Ring| {
         let at = |k: usize| {
             let pairs = ring.pairs.iter();
-            let kept = pairs.map(|pair| pair.in_all * (lobes * pair.envelope[k]).min(1.0));
+            let kept = pairs.map(|pair| pair.in_all * kept_share(lobes, pair.envelope[k]));
             kept.fold(0.0, f64::max)
         };
         (0..AZIMUTHS).map(at).sum::<f64>() / AZIMUTHS as f64
     };
-    FADING * ROLLING * rings.iter().map(of_ring).sum::<f64>()
+    FADING * rings.iter().map(of_ring).sum::<f64>()
 }
 
 impl Ring {
@@ -247,7 +255,7 @@ impl Ring {
         let of = |pair: &PairRing, from_sine: f64| {
             let (mut squares, mut sum, mut open) = (0.0, 0.0, 0.0);
             for (k, intensity) in pair.intensity.iter().enumerate() {
-                let p = (lobes * pair.envelope[k]).min(1.0);
+                let p = kept_share(lobes, pair.envelope[k]);
                 open += intensity;
                 if p > 0.0 && self.sines[k] >= from_sine {
                     squares += intensity * intensity / p;

@@ -27,6 +27,7 @@ use rayon::prelude::*;
 
 use super::seabed::Surface;
 use super::targets::Targets;
+use super::targets::solid::Solid;
 use super::tiles::TileBox;
 use echotank_config::spec::OcclusionSpec;
 use echotank_core::scene::Footprint;
@@ -37,6 +38,9 @@ const SAME_EYE_M: f64 = 1e-3;
 
 /// A point at most this far below the ground counts as lying on it, metres.
 const ON_GROUND_M: f64 = 1e-4;
+
+/// Ropes of up to this many vertices are tested link by link before each tile.
+const MAX_VERTICES: usize = 8;
 
 /// Objects that may hide a point.
 #[derive(Clone, Copy, Debug, Default)]
@@ -217,11 +221,21 @@ impl Occlusion {
         let radius_m = tile.low_m.distance(tile.high_m) / 2.0;
         let near = |eye_m: &DVec3, solid: usize| {
             let (center_m, solid_m) = solids.ball_m(solid);
-            let offset_m = middle_m - *eye_m;
-            let share = (center_m - *eye_m).dot(offset_m) / offset_m.length_squared().max(1e-12);
-            let nearest_m = *eye_m + offset_m * share.clamp(0.0, 1.0);
             // The cone from the eye to the tile is nowhere wider than the tile.
-            nearest_m.distance(center_m) <= solid_m + radius_m * SQRT_2
+            let axis_m = [*eye_m, middle_m];
+            let in_cone = |way_m: [DVec3; 2], wide_m: f64| {
+                distance_m(axis_m, way_m) <= wide_m + radius_m * SQRT_2
+            };
+            in_cone([center_m; 2], solid_m)
+                && match solids.solid(solid) {
+                    Some(Solid::Rope {
+                        vertices_m,
+                        radius_m,
+                    }) if vertices_m.len() <= MAX_VERTICES => vertices_m
+                        .windows(2)
+                        .any(|link| in_cone([link[0], link[1]], *radius_m)),
+                    _ => true,
+                }
         };
         let any = self
             .solids
@@ -229,6 +243,19 @@ impl Occlusion {
             .any(|&k| self.eyes_m.iter().any(|eye_m| near(eye_m, k)));
         any.then_some(solids)
     }
+}
+
+/// Distance between two line segments, given by their ends (Ericson 2005, Real-Time Collision Detection, 5.1.9).
+fn distance_m(a: [DVec3; 2], b: [DVec3; 2]) -> f64 {
+    let (along_a, along_b, apart) = (a[1] - a[0], b[1] - b[0], a[0] - b[0]);
+    let share = |dot: f64, squared: f64| (dot / squared.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+    let (aa, bb) = (along_a.length_squared(), along_b.length_squared());
+    let (ab, a_apart, b_apart) = (along_a.dot(along_b), along_a.dot(apart), along_b.dot(apart));
+    // Nearest points of the two lines; any point of the first where they are parallel.
+    let on_a = share(ab * b_apart - a_apart * bb, aa * bb - ab * ab);
+    let on_b = share(ab * on_a + b_apart, bb);
+    let on_a = share(ab * on_b - a_apart, aa);
+    (a[0] + along_a * on_a).distance(b[0] + along_b * on_b)
 }
 
 fn is_above(ground: &Surface, at_m: DVec3) -> bool {

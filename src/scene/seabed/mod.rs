@@ -205,8 +205,12 @@ impl Surface {
         }
     }
 
-    /// Bounds of the depth over a rectangle, metres; may be wider than necessary. None where the rectangle holds no seabed.
-    pub(crate) fn bounds_m(&self, north_m: (f64, f64), east_m: (f64, f64)) -> Option<(f64, f64)> {
+    /// Bounds of the depth over a rectangle, metres, and of the slope; may be wider than necessary. None where the rectangle holds no seabed.
+    pub(crate) fn bounds_m(
+        &self,
+        north_m: (f64, f64),
+        east_m: (f64, f64),
+    ) -> Option<((f64, f64), f64)> {
         match self {
             Self::Plane {
                 depth_m,
@@ -215,13 +219,14 @@ impl Surface {
             } => {
                 let n = (slope_north * north_m.0, slope_north * north_m.1);
                 let e = (slope_east * east_m.0, slope_east * east_m.1);
-                Some((
+                let down_m = (
                     depth_m + n.0.min(n.1) + e.0.min(e.1),
                     depth_m + n.0.max(n.1) + e.0.max(e.1),
-                ))
+                );
+                Some((down_m, slope_north.hypot(*slope_east)))
             }
             Self::Grid(surface) => surface.bounds_m(north_m, east_m),
-            Self::Paper(shape) => Some(paper::bounds_m(*shape, east_m)),
+            Self::Paper(shape) => Some((paper::bounds_m(*shape, east_m), f64::INFINITY)),
         }
     }
 }
@@ -352,7 +357,7 @@ impl GridSurface {
         })
     }
 
-    fn bounds_m(&self, north_m: (f64, f64), east_m: (f64, f64)) -> Option<(f64, f64)> {
+    fn bounds_m(&self, north_m: (f64, f64), east_m: (f64, f64)) -> Option<((f64, f64), f64)> {
         let side = |ends: (f64, f64), first: f64, extent: f64| {
             let ends = (ends.0 - first, ends.1 - first);
             if self.mirror {
@@ -373,13 +378,18 @@ impl GridSurface {
             (self.blocks.intervals_east, self.grid.cell_east_m),
             self.blocks.cols,
         );
-        let mut bounds = NOTHING;
+        let (mut down_m, mut north, mut east) = (NOTHING, NOTHING, NOTHING);
         for row in rows {
             for col in cols.clone() {
-                bounds = united(bounds, self.blocks.at(row, col).down_m);
+                let block = self.blocks.at(row, col);
+                down_m = united(down_m, block.down_m);
+                north = united(north, block.slope_north);
+                east = united(east, block.slope_east);
             }
         }
-        (bounds.0 <= bounds.1).then_some(bounds)
+        let steepest = |(least, most): (f64, f64)| most.max(-least).max(0.0);
+        let max_slope = steepest(north).hypot(steepest(east));
+        (down_m.0 <= down_m.1).then_some((down_m, max_slope))
     }
 }
 
