@@ -19,7 +19,7 @@ use echotank_core::settings::SonarSettings;
 use echotank_core::simd::SimdLevel;
 use echotank_synthesis::array::filter::{self, Decimator, FilterError};
 use echotank_synthesis::array::gridded::{DopplerSpan, GriddedError, one_dimensional};
-use echotank_synthesis::array::lines::{self, GriddedLines, KernelFits};
+use echotank_synthesis::array::lines::{self, GriddedLines};
 use echotank_synthesis::error_model::ErrorModel;
 use echotank_synthesis::slabs::{SlabDesign, SlabEngine};
 use thiserror::Error;
@@ -156,12 +156,9 @@ impl Engines {
             pending: Vec::with_capacity(MAX_PENDING),
         };
         let key = engines.key(&spec.settings);
-        let mut fits = KernelFits::default();
         let most = engines.max_samples;
-        engines
-            .requirements
-            .can_be_made(spec, key, most, &mut fits)?;
-        let first = engines.requirements.make(key, &mut fits)?;
+        engines.requirements.can_be_made(spec, key, most)?;
+        let first = engines.requirements.make(key)?;
         engines.kept.push((key, first));
         Ok(engines)
     }
@@ -215,7 +212,7 @@ impl Engines {
         let requirements = self.requirements.clone();
         let spawned = thread::Builder::new()
             .name("engine".into())
-            .spawn(move || requirements.make(key, &mut KernelFits::default()));
+            .spawn(move || requirements.make(key));
         // Where there is no thread to be had, `ready` makes it.
         if let Ok(thread) = spawned {
             self.pending.push((key, thread));
@@ -264,7 +261,7 @@ impl Engines {
                 return made;
             }
         }
-        self.requirements.make(key, &mut KernelFits::default())
+        self.requirements.make(key)
     }
 }
 
@@ -284,14 +281,13 @@ impl Sketch {
     }
 }
 
-/// The sketch of a ping's engines. Keep `fits` for sketches that differ in tolerance or Doppler model.
+/// The sketch of a ping's engines.
 pub(crate) fn sketch(
     spec: &SonarSpec,
     sound_speed_m_per_s: f64,
     fastest_m_per_s: f64,
     filter: Option<&Decimator>,
     plan: &PingPlan,
-    fits: &mut KernelFits,
 ) -> Result<Sketch, EngineRefusal> {
     let requirements = EngineRequirements::of(spec, sound_speed_m_per_s, fastest_m_per_s, filter);
     let most = plan::max_samples(spec, sound_speed_m_per_s);
@@ -299,8 +295,8 @@ pub(crate) fn sketch(
         duration_s: plan.pulse.duration_s,
         samples: record_class(plan.sample_count, most.max(plan.sample_count)),
     };
-    requirements.can_be_made(spec, key, most, fits)?;
-    requirements.sketch(key, fits)
+    requirements.can_be_made(spec, key, most)?;
+    requirements.sketch(key)
 }
 
 impl EngineRequirements {
@@ -344,13 +340,7 @@ impl EngineRequirements {
 
     /// That the ends of the limits are within reach, where one might not be: how far a spectrum spreads depends on the pulse's length; behind
     /// the receiver filter nothing of `gridded-1d` does. `gridded-lines` takes short pulses only.
-    fn can_be_made(
-        &self,
-        spec: &SonarSpec,
-        key: Key,
-        samples: usize,
-        fits: &mut KernelFits,
-    ) -> Result<(), EngineRefusal> {
+    fn can_be_made(&self, spec: &SonarSpec, key: Key, samples: usize) -> Result<(), EngineRefusal> {
         let (shortest_s, longest_s) = spec.limits.pulse_duration_s;
         let ends_s = [shortest_s, longest_s].into_iter();
         let any_line = self.lines.iter().any(Option::is_some);
@@ -363,7 +353,7 @@ impl EngineRequirements {
             let pulse = self.pulse(end);
             self.sketch_elements(end)?;
             for array in self.lines.iter().flatten() {
-                lines::Design::exists(&self.line(end, &pulse, array), fits)?;
+                lines::Design::exists(&self.line(end, &pulse, array))?;
             }
         }
         Ok(())
@@ -394,10 +384,10 @@ impl EngineRequirements {
         }
     }
 
-    fn sketch(&self, key: Key, fits: &mut KernelFits) -> Result<Sketch, EngineRefusal> {
+    fn sketch(&self, key: Key) -> Result<Sketch, EngineRefusal> {
         let pulse = self.pulse(key);
         let line = |array: &Option<ArrayGeometry>| {
-            let design = |array| lines::Design::new(&self.line(key, &pulse, array), fits);
+            let design = |array| lines::Design::new(&self.line(key, &pulse, array));
             array.as_ref().map(design).transpose()
         };
         Ok(Sketch {
@@ -427,9 +417,9 @@ impl EngineRequirements {
         SlabDesign::new(&spec, self.elements).map(Some)
     }
 
-    fn make(&self, key: Key, fits: &mut KernelFits) -> Result<PulseEngines, EngineRefusal> {
+    fn make(&self, key: Key) -> Result<PulseEngines, EngineRefusal> {
         let pulse = self.pulse(key);
-        let Sketch { elements, lines } = self.sketch(key, fits)?;
+        let Sketch { elements, lines } = self.sketch(key)?;
         let line = |(array, design): (&Option<ArrayGeometry>, _)| {
             let both = array.as_ref().zip(design);
             let engine =

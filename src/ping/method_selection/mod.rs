@@ -33,7 +33,7 @@ use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::error_models::synthesis_error_model;
 use echotank_synthesis::array::filter::{Decimator, oversample};
 use echotank_synthesis::array::gridded::CostEstimate;
-use echotank_synthesis::array::lines::{self, KernelFits};
+use echotank_synthesis::array::lines;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
 use echotank_synthesis::error_model::{Conditions, ErrorModel};
 
@@ -271,7 +271,6 @@ enum Engine {
 #[derive(Default)]
 struct Sketches {
     seen: RefCell<Vec<(SketchKey, SketchResult)>>,
-    fits: RefCell<KernelFits>,
 }
 
 type SketchKey = (Synthesis, DopplerModel, Option<u64>);
@@ -526,8 +525,7 @@ impl<'a> CandidateBuilder<'a> {
         if synthesis == Synthesis::Gridded2d {
             return self.whole_lines(&spec, filter.as_ref());
         }
-        let fits = &mut self.sketches.fits.borrow_mut();
-        let made = sketch(&spec, c, fastest, filter.as_ref(), self.scene.plan, fits);
+        let made = sketch(&spec, c, fastest, filter.as_ref(), self.scene.plan);
         let made = made.map(Rc::new).map_err(|why| why.to_string());
         let nearest_m = self.conditions.range_m.0;
         let made = made.and_then(|made| match made.reaches(&spec, nearest_m) {

@@ -4,6 +4,7 @@
 //! `windows` tells what the first two are in the worst window of a ping with that many echoes; the third is a bound.
 
 use std::f64::consts::{PI, TAU};
+use std::sync::{Mutex, PoisonError};
 
 use crate::array::filter::Decimator;
 use crate::array::gridded::CostEstimate;
@@ -19,7 +20,7 @@ use super::dopplers::{Columns, MAX_TAPS};
 use super::kernel::{Content, Kernel};
 use super::nodes::{NODES, interpolation_error_m};
 use super::spread::LANES;
-use super::windows::SingleEcho;
+use super::windows::{KernelErrors, SingleEcho, noise_factor, worst, worst_of_even};
 
 /// Share of the tolerance, as energy, that the interpolation along the line may use at most.
 const PATH_SHARE: f64 = 0.1;
@@ -214,10 +215,11 @@ fn slabs(
         .map(|size| (size, size - spent))
 }
 
-/// Kernels and their errors, which depend on pulse, filter and record, but not on the tolerance. Designs that share them are made several times
-/// faster.
-#[derive(Default)]
-pub struct KernelFits(Vec<(FitKey, PulseFits)>);
+/// Kernels and their errors, which depend on pulse and filter alone. They are kept for all designs of the program: fitting them is most of the
+/// effort of a design, and results do not depend on who fits them.
+static FITS: Mutex<Vec<(FitKey, PulseFits)>> = Mutex::new(Vec::new());
+/// Maximum number of pulses that are kept; the oldest gives way.
+const MAX_FITS: usize = 32;
 
 /// Everything that kernels and their errors depend on.
 #[derive(PartialEq)]
@@ -225,61 +227,63 @@ struct FitKey {
     pulse: Pulse,
     filter: Decimator,
     sample_rate_hz: f64,
-    samples: usize,
-    min_scatterers: usize,
-    elements: usize,
+    noise_factor: f64,
     shift_hz: f64,
 }
+
+/// One per [`FLATNESS`].
+type Fitted = [(Kernel, KernelErrors); 2];
 
 /// Fits for one pulse.
 struct PulseFits {
     single_echo: SingleEcho,
     /// One per [`FLATNESS`].
     contents: [Vec<Content>; 2],
-    /// By density and width: the kernel with its largest windowed error.
-    kernels: [[Option<(Kernel, f64)>; WIDTHS.len()]; DENSITIES.len()],
+    /// By density and width.
+    kernels: [[Option<Fitted>; WIDTHS.len()]; DENSITIES.len()],
 }
 
-impl KernelFits {
-    fn of(&mut self, spec: &Spec, filter: &Decimator) -> &mut PulseFits {
-        let key = FitKey {
-            pulse: *spec.pulse,
-            filter: filter.clone(),
-            sample_rate_hz: spec.sample_rate_hz,
-            samples: spec.samples,
-            min_scatterers: spec.min_scatterers,
-            elements: spec.array.elements,
-            shift_hz: shift_hz(spec),
-        };
-        let at = match self.0.iter().position(|(of, _)| *of == key) {
-            Some(at) => at,
-            None => {
-                let fits = PulseFits {
-                    single_echo: SingleEcho::new(spec, filter),
-                    contents: FLATNESS.map(|flatness| content(spec, filter, flatness)),
-                    kernels: Default::default(),
-                };
-                self.0.push((key, fits));
-                self.0.len() - 1
+/// Makes a design with the fits for its pulse.
+fn with_fits<T>(spec: &Spec, filter: &Decimator, design: impl FnOnce(&mut PulseFits) -> T) -> T {
+    let key = FitKey {
+        pulse: *spec.pulse,
+        filter: filter.clone(),
+        sample_rate_hz: spec.sample_rate_hz,
+        noise_factor: noise_factor(spec),
+        shift_hz: shift_hz(spec),
+    };
+    // A panic under the lock leaves complete fits.
+    let mut all = FITS.lock().unwrap_or_else(PoisonError::into_inner);
+    let at = match all.iter().position(|(of, _)| *of == key) {
+        Some(at) => at,
+        None => {
+            let fits = PulseFits {
+                single_echo: SingleEcho::new(spec, filter),
+                contents: FLATNESS.map(|flatness| content(spec, filter, flatness)),
+                kernels: Default::default(),
+            };
+            if all.len() == MAX_FITS {
+                all.remove(0);
             }
-        };
-        &mut self.0[at].1
-    }
+            all.push((key, fits));
+            all.len() - 1
+        }
+    };
+    design(&mut all[at].1)
 }
 
 impl Design {
     /// Selects the cheapest sizes that keep the tolerance.
     ///
     /// Returns a [`Refusal`] if there are none.
-    pub fn new(spec: &Spec, fits: &mut KernelFits) -> Result<Self, Refusal> {
-        Self::among(spec, fits, &DENSITIES, &WIDTHS)
+    pub fn new(spec: &Spec) -> Result<Self, Refusal> {
+        Self::among(spec, &DENSITIES, &WIDTHS)
     }
 
     /// Whether [`Self::new`] finds sizes: those of the largest kernel on the densest grid do, at less effort.
-    pub fn exists(spec: &Spec, fits: &mut KernelFits) -> Result<(), Refusal> {
+    pub fn exists(spec: &Spec) -> Result<(), Refusal> {
         Self::among(
             spec,
-            fits,
             &DENSITIES[DENSITIES.len() - 1..],
             &WIDTHS[WIDTHS.len() - 1..],
         )
@@ -287,19 +291,9 @@ impl Design {
     }
 
     /// The cheapest of these kernels and grids.
-    fn among(
-        spec: &Spec,
-        fits: &mut KernelFits,
-        densities: &[(usize, usize)],
-        widths: &[usize],
-    ) -> Result<Self, Refusal> {
+    fn among(spec: &Spec, densities: &[(usize, usize)], widths: &[usize]) -> Result<Self, Refusal> {
         let Spec {
-            array,
-            pulse,
-            sound_speed_m_per_s: c,
-            sample_rate_hz: rate_hz,
-            tolerance,
-            ..
+            array, tolerance, ..
         } = *spec;
         let Some(filter) = spec.filter else {
             return Err(Refusal::NoFilter);
@@ -319,6 +313,27 @@ impl Design {
                 least: MIN_TOLERANCE,
             });
         }
+        with_fits(spec, filter, |fits| {
+            Self::with(spec, filter, fits, densities, widths)
+        })
+    }
+
+    /// The same for requirements that any design meets, with the fits for its pulse.
+    fn with(
+        spec: &Spec,
+        filter: &Decimator,
+        fits: &mut PulseFits,
+        densities: &[(usize, usize)],
+        widths: &[usize],
+    ) -> Result<Self, Refusal> {
+        let Spec {
+            array,
+            pulse,
+            sound_speed_m_per_s: c,
+            sample_rate_hz: rate_hz,
+            tolerance,
+            ..
+        } = *spec;
         let path_error = tolerance * PATH_SHARE.sqrt();
         let beyond_error = match spec.doppler {
             DopplerModel::None => 0.0,
@@ -328,12 +343,13 @@ impl Design {
             single_echo,
             contents,
             kernels,
-        } = fits.of(spec, filter);
+        } = fits;
         let single_echo = &*single_echo;
+        let fading = single_echo.fading(spec);
         // Least-squares errors of k columns are like the Legendre polynomial of degree k.
         let of_columns = |columns: &Columns| {
             let end = (2.0 * columns.taps as f64 + 1.0).sqrt();
-            single_echo.worst_of_even(columns.error, end)
+            worst_of_even(fading, columns.error, end)
         };
         let carrier_hz = pulse.center_frequency_hz;
         let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
@@ -350,7 +366,7 @@ impl Design {
                 .flat_map(|taps| COLUMN_SHARES.map(|share| (taps, share)))
                 .map(|(taps, share)| {
                     let end = (2.0 * taps as f64 + 1.0).sqrt();
-                    let rms = tolerance * share.sqrt() / single_echo.worst_of_even(1.0, end);
+                    let rms = tolerance * share.sqrt() / worst_of_even(fading, 1.0, end);
                     Columns::fit(taps, rms)
                 })
                 .collect(),
@@ -366,14 +382,14 @@ impl Design {
         };
         let curvature_room = tolerance * CURVATURE_SHARE.sqrt();
         let of_curvature = |columns: &Columns| match columns.taps {
-            ..3 => single_echo.worst_of_even(0.3 * curvature_rad, 2.2),
-            _ => single_echo
-                .worst_of_even(0.06 * curvature_rad * curvature_rad, 4.0)
-                .min(curvature_room),
+            ..3 => worst_of_even(fading, 0.3 * curvature_rad, 2.2),
+            _ => {
+                worst_of_even(fading, 0.06 * curvature_rad * curvature_rad, 4.0).min(curvature_room)
+            }
         };
         let max_curvature_rad = |columns: &Columns| match columns.taps {
             ..3 => f64::INFINITY,
-            _ => (curvature_room / single_echo.worst_of_even(0.06, 4.0)).sqrt(),
+            _ => (curvature_room / worst_of_even(fading, 0.06, 4.0)).sqrt(),
         };
         let mut finest = f64::INFINITY;
         let mut best: Option<Self> = None;
@@ -433,18 +449,14 @@ impl Design {
                     })
                     .collect();
                 let (kernel, _) = Kernel::fit(width, &in_rows);
-                (
-                    kernel,
-                    single_echo.worst(single_echo.errors(&kernel, per_sample)),
-                )
+                (kernel, single_echo.errors(&kernel, per_sample))
             };
-            let (kernel, kernel_error) = *place.get_or_insert_with(|| {
-                let [steep, flat] = contents.each_ref().map(fit);
-                match steep.1 <= flat.1 {
-                    true => steep,
-                    false => flat,
-                }
-            });
+            let fitted = *place.get_or_insert_with(|| contents.each_ref().map(fit));
+            let [steep, flat] = fitted.map(|(kernel, errors)| (kernel, worst(fading, errors)));
+            let (kernel, kernel_error) = match steep.1 <= flat.1 {
+                true => steep,
+                false => flat,
+            };
             let rest = 1.0 - PATH_SHARE - COLUMN_SHARES[0] - CURVATURE_SHARE - BEYOND_SHARE;
             finest = finest.min(kernel_error / rest.sqrt());
             for columns in &candidates {

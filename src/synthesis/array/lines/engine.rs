@@ -21,7 +21,7 @@ use echotank_core::model::DopplerModel;
 use echotank_core::ping::{EchoCounts, PingPlan};
 use echotank_core::simd::{SimdLevel, widest};
 
-use super::design::{BEYOND_SHARE, Design, KernelFits, Refusal, Spec};
+use super::design::{BEYOND_SHARE, Design, Refusal, Spec};
 use super::dopplers::{MAX_TAPS, MEAN_CURVATURE, WEIGHT_TERMS};
 use super::kernel::BAND;
 use super::nodes::{BlockWeights, NODES, block_weights, coefficients, places};
@@ -167,7 +167,7 @@ impl GriddedLines {
     ///
     /// Returns a [`Refusal`] if no sizes keep the tolerance.
     pub fn new(spec: &Spec) -> Result<Self, Refusal> {
-        Self::of_design(spec, Design::new(spec, &mut KernelFits::default())?)
+        Self::of_design(spec, Design::new(spec)?)
     }
 
     /// Builds the engine of a design for the same requirements. Build it inside the thread pool that runs it.

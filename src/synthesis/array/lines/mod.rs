@@ -33,5 +33,5 @@ mod nodes;
 mod spread;
 mod windows;
 
-pub use design::{Design, KernelFits, MIN_TOLERANCE, Refusal, Spec};
+pub use design::{Design, MIN_TOLERANCE, Refusal, Spec};
 pub use engine::GriddedLines;

@@ -53,8 +53,8 @@ pub(super) struct SingleEcho {
     /// Noise below a dense succession of echoes, one per sample.
     noise_of_many: f64,
     energy: f64,
-    /// Largest ratio of the mean level of windows to that of the weakest, as amplitude.
-    pub(super) fading: f64,
+    /// Independent values of a window.
+    free: usize,
 }
 
 /// Energies of the windows that begin at each sample, around the end.
@@ -102,13 +102,29 @@ fn quantile(count: usize, probability: f64) -> f64 {
     high
 }
 
+/// Samples of a pulse, and of a window of the contract.
+fn lengths(spec: &Spec) -> (usize, usize) {
+    let sounding = (spec.pulse.duration_s * spec.sample_rate_hz).ceil();
+    (sounding as usize, sounding.max(MIN_WINDOW) as usize)
+}
+
+/// Number of windows of a ping.
+fn windows(spec: &Spec) -> f64 {
+    (spec.samples as f64 / lengths(spec).1 as f64).max(1.0)
+}
+
+/// Noise relative to that below a single echo, as energy: more where every window holds many echoes.
+pub(super) fn noise_factor(spec: &Spec) -> f64 {
+    let held = spec.min_scatterers as f64 / windows(spec);
+    (SURE * held).max(1.0)
+}
+
 impl SingleEcho {
     pub(super) fn new(spec: &Spec, filter: &Decimator) -> Self {
         let rate_hz = spec.sample_rate_hz;
-        let sounding = (spec.pulse.duration_s * rate_hz).ceil();
-        let window = sounding.max(MIN_WINDOW) as usize;
+        let (sounding, window) = lengths(spec);
         let reach = (filter.half_s() * rate_hz).ceil() as usize;
-        let size = (sounding as usize + 2 * (reach + window + 16)).next_power_of_two();
+        let size = (sounding + 2 * (reach + window + 16)).next_power_of_two();
         let pulse = PulseSpectrum::new(spec.pulse, rate_hz + 1.0);
         let spectrum: Vec<(f64, Complex64)> = (0..2 * size)
             .map(|k| {
@@ -127,14 +143,9 @@ impl SingleEcho {
         inverse.process(&mut samples);
         let level = windowed(&samples, window);
         let greatest = level.iter().copied().fold(0.0, f64::max);
-        let windows = (spec.samples as f64 / window as f64).max(1.0);
-        let held = spec.min_scatterers as f64 / windows;
-        let noise = greatest * NOISE * (SURE * held).max(1.0);
+        let noise = greatest * NOISE * noise_factor(spec);
         let free =
             window as f64 / rate_hz * spec.pulse.bandwidth_hz.max(1.0 / spec.pulse.duration_s);
-        let free = free.round() as usize + 1;
-        let independent = windows * (spec.array.elements as f64 / 4.0).max(1.0);
-        let fading = (free as f64 / quantile(free, 1.0 / independent.max(2.0))).sqrt();
         Self {
             energy: samples.iter().map(|x| x.norm_sqr()).sum(),
             spectrum,
@@ -144,8 +155,15 @@ impl SingleEcho {
             noise,
             noise_of_many: NOISE * level.iter().sum::<f64>(),
             level,
-            fading,
+            free: free.round() as usize + 1,
         }
+    }
+
+    /// Largest ratio of the mean level of a ping's windows to that of the weakest, as amplitude.
+    pub(super) fn fading(&self, spec: &Spec) -> f64 {
+        let independent = windows(spec) * (spec.array.elements as f64 / 4.0).max(1.0);
+        let weakest = quantile(self.free, 1.0 / independent.max(2.0));
+        (self.free as f64 / weakest).sqrt()
     }
 
     /// Errors of echoes spread with `kernel` on a grid of `per_sample` rows a sample.
@@ -226,16 +244,16 @@ impl SingleEcho {
             edges: worst.sqrt(),
         }
     }
+}
 
-    /// The largest error in any window of a ping.
-    pub(super) fn worst(&self, errors: KernelErrors) -> f64 {
-        MORE * (self.fading * errors.rms).max(errors.edges)
-    }
+/// The largest error in any window of a ping whose windows fade so much.
+pub(super) fn worst(fading: f64, errors: KernelErrors) -> f64 {
+    MORE * (fading * errors.rms).max(errors.edges)
+}
 
-    /// The same for errors that are alike all over the echo, `end` times as large as their rms at its ends.
-    pub(super) fn worst_of_even(&self, rms: f64, end: f64) -> f64 {
-        MORE * self.fading.max(end) * rms
-    }
+/// The same for errors that are alike all over the echo, `end` times as large as their rms at its ends.
+pub(super) fn worst_of_even(fading: f64, rms: f64, end: f64) -> f64 {
+    MORE * fading.max(end) * rms
 }
 
 #[cfg(test)]
