@@ -146,6 +146,7 @@ pub struct Design {
     pub(super) guard: usize,
     /// Largest error of a path length along the line, metres.
     pub(super) path_m: f64,
+    wavelength_m: f64,
     error_model: ErrorModel,
     effort: Effort,
 }
@@ -486,6 +487,7 @@ impl Design {
                     extent,
                     guard,
                     path_m: path_error * c / (TAU * carrier_hz),
+                    wavelength_m: c / carrier_hz,
                     error_model: ErrorModel {
                         name: "gridded-lines",
                         error,
@@ -526,7 +528,11 @@ impl Design {
     /// Whether so many nodes along a line of `half_m` to either side are enough at `range_m` and beyond.
     fn interpolates(&self, nodes: usize, half_m: f64, spacing_m: f64, range_m: f64) -> bool {
         let block_m = (LANES as f64 * spacing_m).min(2.0 * half_m);
-        interpolation_error_m(nodes, half_m, block_m, range_m) <= self.path_m
+        // Gains are linear within a block. The pattern of an element as long as the spacing falls by (pi u spacing / wavelength)^2 / 6 at the sine u.
+        let end = PI * spacing_m / self.wavelength_m * 0.5 * block_m / range_m;
+        let gain_error = end * end / 6.0;
+        let as_path_m = gain_error * self.wavelength_m / TAU;
+        interpolation_error_m(nodes, half_m, block_m, range_m).hypot(as_path_m) <= self.path_m
     }
 
     /// Range from which on each of [`NODES`] is enough along a line of `half_m` to either side, metres; infinite if none is.
