@@ -66,7 +66,8 @@ const ONSETS_OF_LINES: f64 = 1.6;
 /// With fewer scatterers `gridded-2d` is slower than `gridded-lines`: at 43,000 by 1.4 to 1.7 times, at 300,000 it is as fast (`tools/bench echo --only
 /// short`).
 const LEAST_FOR_2D: usize = 150_000;
-/// Time to solve the delay of an echo at a node of a line, many at once, over that at an element of `gridded-1d`: 40 and 90 ns were measured.
+/// Time to solve the delay of an echo at a node of a line, many at once, over that at an element of `gridded-1d`: 40 ns were measured with five nodes
+/// (`tools/rates/wbms.toml` at 45 m), where the table of costs has 90.
 const NODE_PER_ELEMENT: f64 = 0.45;
 /// Mean width of a two-way beam of line arrays, in wavelengths over the root of the sum of their squared lengths: 0.64 for two alike.
 const TWO_WAY_WIDTH: f64 = 0.905;

@@ -29,11 +29,6 @@ use super::spread::{CELL, EchoChunk, LANES, Located, Shape, add};
 
 /// Echoes are ordered by arrival in steps of this many rows.
 const BUCKET_ROWS: usize = 8;
-/// Within so many of these steps, echoes are ordered by direction first. At the ends of a long line, echoes of different directions lie many rows
-/// apart. Those of one direction share rows, which then stay in the nearest cache.
-const GROUP_BUCKETS: usize = 8;
-/// Maximum number of sectors of direction.
-const MAX_SECTORS: usize = 8;
 /// Energies are compared over windows of half a pulse, in steps of a quarter.
 const PARTS_OF_PULSE: f64 = 4.0;
 /// Energy below the strongest window that counts as noise.
@@ -79,8 +74,7 @@ struct State {
     batches: Vec<Batch>,
     /// Echoes in order: batch and index.
     order: Vec<u32>,
-    echo_order: EchoOrder,
-    /// First echo of every place in `order`.
+    /// First echo of every bucket in `order`.
     firsts: Vec<u32>,
     chunks: Vec<EchoChunk>,
     slabs: Vec<SlabPlan>,
@@ -99,51 +93,10 @@ struct Work {
     scratch: Vec<f32>,
 }
 
-/// Order of the echoes of a slab: by groups of rows, then by sector of direction, then by rows.
-#[derive(Clone, Copy, Default)]
-struct EchoOrder {
-    groups: usize,
-    sectors: usize,
-    /// Sectors per row of difference between the centre and an end of the line.
-    sectors_per_row: f32,
-}
-
-impl EchoOrder {
-    /// For slabs of so many buckets of rows, and a line along which delays differ from the centre by at most `reach` rows.
-    fn new(buckets: usize, reach: f64) -> Self {
-        let sectors = (2.0 * reach / BUCKET_ROWS as f64).ceil().max(1.0) as usize;
-        let sectors = sectors.min(MAX_SECTORS);
-        Self {
-            groups: buckets.div_ceil(GROUP_BUCKETS),
-            sectors,
-            sectors_per_row: sectors as f32 / (2.0 * reach).max(1e-3) as f32,
-        }
-    }
-
-    /// Number of places of a slab.
-    fn len(&self) -> usize {
-        self.groups * self.sectors * GROUP_BUCKETS
-    }
-
-    /// Place of an echo in a bucket of rows, with this difference along half the line.
-    fn place(&self, bucket: usize, along_rows: f32) -> usize {
-        let sector = 0.5 * self.sectors as f32 + along_rows * self.sectors_per_row;
-        let sector = (sector.max(0.0) as usize).min(self.sectors - 1);
-        (bucket / GROUP_BUCKETS * self.sectors + sector) * GROUP_BUCKETS + bucket % GROUP_BUCKETS
-    }
-
-    /// Bucket of rows of a place.
-    fn bucket(&self, place: usize) -> usize {
-        let group = place / (self.sectors * GROUP_BUCKETS);
-        group * GROUP_BUCKETS + place % GROUP_BUCKETS
-    }
-}
-
 /// Stored geometry of [`CHUNK`] scatterers.
 struct Batch {
     chunk: EchoChunk,
-    /// Slab and place in its order.
-    place: [u32; CHUNK],
+    bucket: [u32; CHUNK],
     counts: EchoCounts,
 }
 
@@ -336,7 +289,6 @@ impl GriddedLines {
         let first_middle_s = first_s - extent as f64 / rate_hz;
         let per_payload = rate_hz / payload as f64;
         let buckets = (payload as f64 * buckets_per_s / rate_hz).ceil() as usize + 1;
-        let order = EchoOrder::new(buckets, half_m / plan.sound_speed_m_per_s * per_s);
         let array = &self.array;
         let state = &mut self.state;
         if state.nodes.len() != count {
@@ -363,7 +315,7 @@ impl GriddedLines {
         if state.batches.len() < batches {
             state.batches.resize_with(batches, || Batch {
                 chunk: EchoChunk::default(),
-                place: [NOWHERE; CHUNK],
+                bucket: [NOWHERE; CHUNK],
                 counts: EchoCounts::default(),
             });
         }
@@ -418,12 +370,11 @@ impl GriddedLines {
                     let after_s = middle_s - first_middle_s;
                     let slab = (after_s * per_payload).floor();
                     let inside = solved.keep[i] && slab >= 0.0 && slab < slabs as f64;
-                    batch.place[i] = match inside && i < solved.len {
+                    batch.bucket[i] = match inside && i < solved.len {
                         true => {
                             let rest_s = after_s - slab / per_payload;
                             let bucket = (rest_s * buckets_per_s).max(0.0) as usize;
-                            let place = order.place(bucket.min(buckets - 1), chunk.along[0][i]);
-                            (slab as usize * order.len() + place) as u32
+                            (slab as usize * buckets + bucket.min(buckets - 1)) as u32
                         }
                         false => NOWHERE,
                     };
@@ -440,11 +391,10 @@ impl GriddedLines {
         // What lies past the last batch is of an earlier ping.
         for batch in &mut state.batches[batches..] {
             batch.chunk.len = 0;
-            batch.place = [NOWHERE; CHUNK];
+            batch.bucket = [NOWHERE; CHUNK];
         }
         state.firsts.clear();
-        state.firsts.resize(slabs * order.len() + 1, 0);
-        state.echo_order = order;
+        state.firsts.resize(slabs * buckets + 1, 0);
         let mut plans = std::mem::take(&mut state.slabs);
         plans.clear();
         plans.extend((0..slabs).map(|s| {
@@ -465,26 +415,25 @@ impl GriddedLines {
         let Design { columns, reach, .. } = self.design;
         let beside = (BEYOND_SHARE / WRONG * self.tolerance * self.tolerance) as f32;
         let state = &mut self.state;
-        let places = state.firsts.len() - 1;
-        let echo_order = state.echo_order;
+        let buckets = state.firsts.len() - 1;
         let slabs = state.slabs.len();
-        let per_slab = echo_order.len();
+        let per_slab = (buckets / slabs.max(1)).max(1);
         let width = 2 * reach + 1;
         let moving = reach > 0;
         // Parts of a pulse, in buckets, and of a slab.
         let pulse_rows = self.pulse_s * per_s;
         let per_part = ((pulse_rows / PARTS_OF_PULSE) as usize / BUCKET_ROWS).max(1);
-        let parts = (echo_order.groups * GROUP_BUCKETS).div_ceil(per_part);
+        let parts = per_slab.div_ceil(per_part);
         if moving {
             state.energy.clear();
             state.energy.resize(slabs * parts * width, 0.0);
         }
         for batch in &state.batches {
-            for (i, &place) in batch.place[..batch.chunk.len].iter().enumerate() {
-                if place == NOWHERE {
+            for (i, &bucket) in batch.bucket[..batch.chunk.len].iter().enumerate() {
+                if bucket == NOWHERE {
                     continue;
                 }
-                state.firsts[place as usize + 1] += 1;
+                state.firsts[bucket as usize + 1] += 1;
                 if moving {
                     let chunk = &batch.chunk;
                     let gain = chunk.gain[1][i];
@@ -492,24 +441,24 @@ impl GriddedLines {
                         gain * gain * (chunk.re[i] * chunk.re[i] + chunk.im[i] * chunk.im[i]);
                     let column = chunk.doppler[1][i].round() + reach as f32;
                     let column = (column.max(0.0) as usize).min(width - 1);
-                    let (slab, place) = (place as usize / per_slab, place as usize % per_slab);
-                    let part = slab * parts + echo_order.bucket(place) / per_part;
+                    let (slab, bucket) = (bucket as usize / per_slab, bucket as usize % per_slab);
+                    let part = slab * parts + bucket / per_part;
                     state.energy[part * width + column] += power;
                 }
             }
         }
-        for k in 0..places {
+        for k in 0..buckets {
             state.firsts[k + 1] += state.firsts[k];
         }
-        let total = state.firsts[places] as usize;
+        let total = state.firsts[buckets] as usize;
         counts.used = total as u64 * self.array.elements as u64;
         state.order.clear();
         state.order.resize(total, 0);
         let mut next = std::mem::take(&mut state.firsts);
         for (b, batch) in state.batches.iter().enumerate() {
-            for (i, &place) in batch.place[..batch.chunk.len].iter().enumerate() {
-                if place != NOWHERE {
-                    let at = &mut next[place as usize];
+            for (i, &bucket) in batch.bucket[..batch.chunk.len].iter().enumerate() {
+                if bucket != NOWHERE {
+                    let at = &mut next[bucket as usize];
                     state.order[*at as usize] = (b * CHUNK + i) as u32;
                     *at += 1;
                 }
@@ -518,7 +467,7 @@ impl GriddedLines {
         let strongest = windows(&state.energy, width)
             .map(|window| window.by_column().sum())
             .fold(0.0, f32::max);
-        // `next` now holds the ends of the places.
+        // `next` now holds the ends of the buckets.
         let mut chunks = 0;
         for (s, slab) in state.slabs.iter_mut().enumerate() {
             let begin = match s {

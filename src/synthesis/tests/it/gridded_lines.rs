@@ -1,7 +1,9 @@
 //! Tests of the engine for whole line arrays against the direct sum.
 
+use echotank_core::arrays::ArrayGeometry;
+use echotank_core::model::DopplerModel;
 use echotank_core::simd::SimdLevel;
-use echotank_synthesis::array::lines::{GriddedLines, Refusal, Spec};
+use echotank_synthesis::array::lines::{Design, GriddedLines, Refusal, Spec};
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -30,7 +32,14 @@ fn short(drawn: Draw, duration_s: f64, bandwidth_hz: f64) -> Scene {
 
 fn made(scene: &Scene, tolerance: f64, simd_level: SimdLevel) -> Result<GriddedLines, Refusal> {
     GriddedLines::new(&Spec {
-        array: &scene.rx,
+        simd_level,
+        ..spec(scene, &scene.rx, tolerance)
+    })
+}
+
+fn spec<'a>(scene: &'a Scene, array: &'a ArrayGeometry, tolerance: f64) -> Spec<'a> {
+    Spec {
+        array,
         pulse: &scene.plan.pulse,
         sound_speed_m_per_s: echotank_testing::echo::C,
         sample_rate_hz: RATE_HZ,
@@ -42,8 +51,8 @@ fn made(scene: &Scene, tolerance: f64, simd_level: SimdLevel) -> Result<GriddedL
         samples: scene.plan.sample_count,
         scatterers: scene.scatterers.len(),
         min_scatterers: scene.scatterers.len(),
-        simd_level,
-    })
+        simd_level: SimdLevel::best(),
+    }
 }
 
 fn samples(scene: &Scene, engine: &mut GriddedLines) -> Vec<Complex64> {
@@ -152,6 +161,45 @@ fn threads_do_not_change_a_bit_and_simd_levels_little() {
         println!("{simd_level:?}: {off:.1e}");
         assert!(off < 1e-5, "{simd_level:?}: {off:e}");
     }
+}
+
+/// Gains are linear within a block. Near the array, the pattern of a long element is not.
+#[test]
+fn lines_of_long_elements_interpolate_from_afar_only() {
+    let scene = short(SCENE, 0.4e-3, 0.0);
+    let mut array = scene.rx.clone();
+    array.elements = 20;
+    let nearest_m = |spacing_m: f64| {
+        let mut array = array.clone();
+        array.spacing_m = spacing_m;
+        let design = Design::new(&spec(&scene, &array, 2e-3)).expect("within reach");
+        (1..1000).find(|range_m| design.nodes(&array, f64::from(*range_m)).is_some())
+    };
+    let (elements_m, sidescan_m) = (nearest_m(1.9e-3), nearest_m(25e-3));
+    println!("{elements_m:?} m, {sidescan_m:?} m");
+    assert!(
+        elements_m < Some(5) && sidescan_m > Some(50),
+        "{elements_m:?}, {sidescan_m:?}"
+    );
+}
+
+/// The Doppler changes with the square of the speed over the range.
+#[test]
+fn echoes_whose_doppler_changes_too_much_are_counted() {
+    let counts = |speed_m_per_s: f64| {
+        let drawn = Draw {
+            velocity_m_per_s: DVec3::new(speed_m_per_s, 0.0, 0.0),
+            ..SCENE
+        };
+        let mut scene = short(drawn, 8e-3, 30e3);
+        scene.plan.model.doppler = DopplerModel::StretchQuadratic;
+        let mut engine = made(&scene, 5e-4, SimdLevel::best()).expect("within reach");
+        let (leg, _) = scene.transmit_leg();
+        let mut iq = vec![Complex64::ZERO; scene.rx.elements * scene.plan.sample_count];
+        engine.synthesise(&scene.plan, &leg, &mut iq).beyond_engine
+    };
+    assert_eq!(counts(1.0), 0);
+    assert!(counts(9.0) > 0);
 }
 
 #[test]
