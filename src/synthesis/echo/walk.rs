@@ -41,7 +41,7 @@ mod subarray;
 
 use insonifier::Insonifier;
 pub use line::{LineEchoes, LineWorkspace, line_arrivals};
-pub use nodes::{GAIN_NODES, MAX_NODES, NodeBatch, NodeTracks, NodeWorkspace};
+pub use nodes::{MAX_GAIN_NODES, MAX_NODES, NodeBatch, NodeTracks, NodeWorkspace, gain_node};
 use subarray::{ArrayFactor, SubarrayElements};
 
 /// Time span to synthesise, including filter margins.

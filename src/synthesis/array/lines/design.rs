@@ -18,7 +18,7 @@ use echotank_core::simd::SimdLevel;
 
 use super::dopplers::{Columns, MAX_TAPS};
 use super::kernel::{Content, Kernel};
-use super::nodes::{NODES, interpolation_error_m};
+use super::nodes::{NODES, NodeCounts, gain_error, interpolation_error_m};
 use super::spread::LANES;
 use super::windows::{KernelErrors, SingleEcho, noise_factor, worst, worst_of_even};
 
@@ -42,6 +42,8 @@ const CONTENTS: usize = 48;
 /// Samples of a slab's transform.
 const MIN_SLAB: usize = 192;
 const MAX_SLAB: usize = 8192;
+/// Samples of a slab of which a few columns fit the second-level cache.
+const CACHED_SLAB: f64 = 768.0;
 /// Costs, nanoseconds of one core (AVX-512, measured): per echo; per echo and node; per echo and block; per row of it; per tap of a row.
 const ECHO_NS: f64 = 30.0;
 const NODE_NS: f64 = 18.0;
@@ -208,8 +210,10 @@ fn slabs(
     let cost = |&size: &usize| {
         let payload = size - spent;
         let count = (samples + 2 * extent).div_ceil(payload);
+        // Columns of more rows leave the second-level cache between transform and template.
+        let cached = 1.0 + 0.1 * (size as f64 / CACHED_SLAB).log2().max(0.0);
         // A fixed part for every slab, as many samples.
-        (count * (size + 64)) as f64 * (size as f64).log2()
+        (count * (size + 64)) as f64 * (size as f64).log2() * cached
     };
     sizes
         .min_by(|a, b| cost(a).total_cmp(&cost(b)))
@@ -520,25 +524,30 @@ impl Design {
 
     /// Nodes along `array` for scatterers at `nearest_m` and beyond; none if no number is enough.
     pub fn nodes(&self, array: &ArrayGeometry, nearest_m: f64) -> Option<usize> {
+        let enough = |counts: &&NodeCounts| self.interpolates(**counts, array, nearest_m);
+        NODES.iter().find(enough).map(|counts| counts.delays)
+    }
+
+    /// Whether so many nodes along `array` are enough at `range_m` and beyond.
+    fn interpolates(&self, counts: NodeCounts, array: &ArrayGeometry, range_m: f64) -> bool {
         let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
-        let enough = |nodes: &usize| self.interpolates(*nodes, half_m, array.spacing_m, nearest_m);
-        NODES.into_iter().find(enough)
-    }
-
-    /// Whether so many nodes along a line of `half_m` to either side are enough at `range_m` and beyond.
-    fn interpolates(&self, nodes: usize, half_m: f64, spacing_m: f64, range_m: f64) -> bool {
-        let block_m = (LANES as f64 * spacing_m).min(2.0 * half_m);
-        // Gains are linear within a block. The pattern of an element as long as the spacing falls by (pi u spacing / wavelength)^2 / 6 at the sine u.
-        let end = PI * spacing_m / self.wavelength_m * 0.5 * block_m / range_m;
-        let gain_error = end * end / 6.0;
+        let block_m = (LANES as f64 * array.spacing_m).min(2.0 * half_m);
+        let element_m = match array.element_pattern {
+            Pattern::Rectangle { length_m, .. } => length_m,
+            Pattern::Omnidirectional | Pattern::Part { .. } => 0.0,
+        };
+        let of = [element_m, self.wavelength_m];
+        let gain_error = gain_error(counts.gains, of, half_m, block_m, range_m);
         let as_path_m = gain_error * self.wavelength_m / TAU;
-        interpolation_error_m(nodes, half_m, block_m, range_m).hypot(as_path_m) <= self.path_m
+        let path_m = interpolation_error_m(counts.delays, half_m, block_m, range_m);
+        path_m.hypot(as_path_m) <= self.path_m
     }
 
-    /// Range from which on each of [`NODES`] is enough along a line of `half_m` to either side, metres; infinite if none is.
-    pub(super) fn near_m(&self, half_m: f64, spacing_m: f64) -> [f64; NODES.len()] {
-        NODES.map(|nodes| {
-            let fits = |range_m| self.interpolates(nodes, half_m, spacing_m, range_m);
+    /// Range from which on each of [`NODES`] is enough along `array`, metres; infinite if none is.
+    pub(super) fn near_m(&self, array: &ArrayGeometry) -> [f64; NODES.len()] {
+        let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
+        NODES.map(|counts| {
+            let fits = |range_m| self.interpolates(counts, array, range_m);
             let ranges_m = (0..RANGES).map(|k| half_m * FARTHEST * NEARER.powi(k));
             ranges_m
                 .take_while(|&range_m| fits(range_m))

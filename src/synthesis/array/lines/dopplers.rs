@@ -6,6 +6,8 @@
 //! The change of an echo's Doppler during the pulse adds a phase in proportion to (2w/T)^2. A second set of weights, times j and that phase at the ends,
 //! is this to first order. It needs three columns.
 
+use super::polynomials::{chebyshev_nodes, lagrange_powers};
+
 /// Maximum number of columns of one echo.
 pub(super) const MAX_TAPS: usize = 4;
 /// Coefficients of a weight as a polynomial of the place between columns; error 1e-6.
@@ -95,23 +97,10 @@ fn polynomials(
     taps: usize,
     weights_at: impl Fn(f64) -> [f64; MAX_TAPS],
 ) -> [[f64; WEIGHT_TERMS]; MAX_TAPS] {
-    let node = |k: usize| {
-        let angle = std::f64::consts::PI * (k as f64 + 0.5) / WEIGHT_TERMS as f64;
-        0.5 * libm::cos(angle)
-    };
+    let nodes = chebyshev_nodes::<WEIGHT_TERMS>().map(|z| 0.5 * z);
     let mut weights = [[0.0; WEIGHT_TERMS]; MAX_TAPS];
-    for k in 0..WEIGHT_TERMS {
-        // The Lagrange polynomial of node k, by powers.
-        let mut powers = [0.0; WEIGHT_TERMS];
-        powers[0] = 1.0;
-        for other in (0..WEIGHT_TERMS).filter(|&other| other != k) {
-            let per = 1.0 / (node(k) - node(other));
-            for power in (0..WEIGHT_TERMS).rev() {
-                let below = if power > 0 { powers[power - 1] } else { 0.0 };
-                powers[power] = (below - node(other) * powers[power]) * per;
-            }
-        }
-        for (weight, value) in weights[..taps].iter_mut().zip(weights_at(node(k))) {
+    for (node, powers) in nodes.iter().zip(lagrange_powers(&nodes)) {
+        for (weight, value) in weights[..taps].iter_mut().zip(weights_at(*node)) {
             for (weight, power) in weight.iter_mut().zip(powers) {
                 *weight += value * power;
             }

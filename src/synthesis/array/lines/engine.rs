@@ -14,7 +14,7 @@ use crate::array::filter::Decimator;
 use crate::array::gridded::batched_fft::{BatchedFft, LaneTable, transform_lanes};
 use crate::array::gridded::pulse_spectrum::PulseSpectrum;
 use crate::arrivals::CHUNK;
-use crate::echo::walk::{GAIN_NODES, MAX_NODES, NodeBatch, NodeTracks, NodeWorkspace, TransmitLeg};
+use crate::echo::walk::{MAX_NODES, NodeBatch, NodeTracks, NodeWorkspace, TransmitLeg};
 use crate::error_model::ErrorModel;
 use echotank_core::arrays::ArrayGeometry;
 use echotank_core::model::DopplerModel;
@@ -24,8 +24,8 @@ use echotank_core::simd::{SimdLevel, widest};
 use super::design::{BEYOND_SHARE, Design, Refusal, Spec};
 use super::dopplers::{MAX_TAPS, MEAN_CURVATURE, WEIGHT_TERMS};
 use super::kernel::BAND;
-use super::nodes::{BlockWeights, NODES, block_weights, coefficients, places};
-use super::spread::{CELL, EchoChunk, LANES, Located, Shape, add};
+use super::nodes::{BlockWeights, NODES, NodeCounts, block_weights, coefficients, places};
+use super::spread::{CELL, EchoChunk, LANES, Located, Shape, add, column_stride};
 
 /// Echoes are ordered by arrival in steps of this many rows.
 const BUCKET_ROWS: usize = 8;
@@ -35,6 +35,8 @@ const PARTS_OF_PULSE: f64 = 4.0;
 const NOISE: f32 = 3.162e-6;
 /// Mean squared error of an echo at a wrong Doppler.
 const WRONG: f64 = 2.0;
+/// Columns that are transformed before their templates are applied: they fit the second-level cache.
+const TOGETHER: usize = 4;
 /// Marks echoes that no slab takes.
 const NOWHERE: u32 = u32::MAX;
 
@@ -50,10 +52,8 @@ pub struct GriddedLines {
     inverse: BatchedFft<f32>,
     /// Row of the grid and row of the spectrum of every used bin.
     bins: Vec<(u32, u32)>,
-    /// `[bin][column]`
+    /// `[column][bin]`
     templates: Vec<Complex<f32>>,
-    /// Number of columns of the templates.
-    columns: usize,
     /// Whether the change of the Doppler during the pulse counts.
     models_curvature: bool,
     /// Smallest range at which each of [`NODES`] is enough, metres.
@@ -67,8 +67,9 @@ pub struct GriddedLines {
 #[derive(Default)]
 struct State {
     tracks: NodeTracks,
-    /// Nodes along the line, and the weights of every block on them.
+    /// Nodes along the line, how many of them have gains, and the weights of every block on them.
     nodes: Vec<f64>,
+    gain_nodes: usize,
     along_m: Vec<f64>,
     blocks: Vec<BlockWeights>,
     batches: Vec<Batch>,
@@ -150,8 +151,7 @@ impl GriddedLines {
             .collect();
         let templates = templates(spec, &design, filter, &numbers);
         let array = spec.array;
-        let half_m = 0.5 * (array.elements - 1) as f64 * array.spacing_m;
-        let near_m = design.near_m(half_m, array.spacing_m);
+        let near_m = design.near_m(array);
         Ok(Self {
             simd_level: spec.simd_level,
             array: spec.array.clone(),
@@ -161,7 +161,6 @@ impl GriddedLines {
             forward,
             inverse,
             bins,
-            columns: 2 * template_reach(&design) + 1,
             templates,
             models_curvature: spec.doppler == DopplerModel::StretchQuadratic
                 && design.columns.taps > 2,
@@ -274,7 +273,10 @@ impl GriddedLines {
         let nearest_m = NodeTracks::nearest_m(transmit_leg);
         let near_m = self.near_m;
         let enough = (0..NODES.len()).find(|&k| nearest_m >= near_m[k]);
-        let count = enough.map_or(MAX_NODES, |k| NODES[k]);
+        let NodeCounts {
+            delays: count,
+            gains,
+        } = NODES[enough.unwrap_or(NODES.len() - 1)];
         let (per_s, slabs) = (self.rows_per_s(), self.slab_count(plan));
         let Design {
             payload,
@@ -291,7 +293,8 @@ impl GriddedLines {
         let buckets = (payload as f64 * buckets_per_s / rate_hz).ceil() as usize + 1;
         let array = &self.array;
         let state = &mut self.state;
-        if state.nodes.len() != count {
+        if (state.nodes.len(), state.gain_nodes) != (count, gains) {
+            state.gain_nodes = gains;
             state.nodes.clear();
             state.nodes.extend(places(count));
             let nodes = &state.nodes;
@@ -304,13 +307,13 @@ impl GriddedLines {
                 .extend((0..array.elements.div_ceil(LANES)).map(|block| {
                     let middle = (block * LANES) as f64 + 0.5 * (LANES as f64 - 1.0);
                     let middle = middle - 0.5 * (array.elements - 1) as f64;
-                    block_weights(nodes, middle * per_element, per_element)
+                    block_weights(nodes, gains, middle * per_element, per_element)
                 }));
         }
         let matrix = coefficients(&state.nodes);
         state
             .tracks
-            .compute(plan, array, transmit_leg, &state.along_m);
+            .compute(plan, array, transmit_leg, &state.along_m, gains);
         let batches = NodeTracks::batches(transmit_leg);
         if state.batches.len() < batches {
             state.batches.resize_with(batches, || Batch {
@@ -342,7 +345,7 @@ impl GriddedLines {
                     #[inline(always)]
                     || expand(&matrix, &solved.middle_s[..count], per_s, chunk),
                 );
-                for k in 0..GAIN_NODES {
+                for k in 0..gains {
                     for i in 0..CHUNK {
                         chunk.gain[k][i] = solved.gain[k][i] as f32;
                         chunk.doppler[k][i] = (solved.doppler[k][i] * per_step) as f32;
@@ -378,7 +381,7 @@ impl GriddedLines {
                         }
                         false => NOWHERE,
                     };
-                    let fast = chunk.doppler[1][i].abs() > most
+                    let fast = chunk.doppler[gains / 2][i].abs() > most
                         || models_curvature && chunk.curvature_rad[i].abs() > max_curvature_rad;
                     beyond += u64::from(inside && i < solved.len && (fast || enough.is_none()));
                 }
@@ -420,6 +423,7 @@ impl GriddedLines {
         let per_slab = (buckets / slabs.max(1)).max(1);
         let width = 2 * reach + 1;
         let moving = reach > 0;
+        let (gains, middle) = (state.gain_nodes, state.gain_nodes / 2);
         // Parts of a pulse, in buckets, and of a slab.
         let pulse_rows = self.pulse_s * per_s;
         let per_part = ((pulse_rows / PARTS_OF_PULSE) as usize / BUCKET_ROWS).max(1);
@@ -436,10 +440,10 @@ impl GriddedLines {
                 state.firsts[bucket as usize + 1] += 1;
                 if moving {
                     let chunk = &batch.chunk;
-                    let gain = chunk.gain[1][i];
+                    let gain = chunk.gain[middle][i];
                     let power =
                         gain * gain * (chunk.re[i] * chunk.re[i] + chunk.im[i] * chunk.im[i]);
-                    let column = chunk.doppler[1][i].round() + reach as f32;
+                    let column = chunk.doppler[middle][i].round() + reach as f32;
                     let column = (column.max(0.0) as usize).min(width - 1);
                     let (slab, bucket) = (bucket as usize / per_slab, bucket as usize % per_slab);
                     let part = slab * parts + bucket / per_part;
@@ -516,7 +520,7 @@ impl GriddedLines {
                     for (to, from) in chunk.along.iter_mut().zip(&from.along[..nodes - 1]) {
                         to[i] = from[k];
                     }
-                    for g in 0..GAIN_NODES {
+                    for g in 0..gains {
                         chunk.gain[g][i] = from.gain[g][k];
                         chunk.doppler[g][i] = from.doppler[g][k];
                     }
@@ -537,6 +541,7 @@ impl GriddedLines {
         };
         Shape {
             nodes: self.state.tracks.count(),
+            gain_nodes: self.state.gain_nodes,
             rows: self.design.slab_rows,
             columns: slab.columns,
             first_column: slab.first_column,
@@ -602,29 +607,38 @@ impl GriddedLines {
             scratch,
         } = work;
         let shape = self.shape(plan, slab);
-        grid.clear();
-        grid.resize(shape.rows * shape.columns * CELL, 0.0);
+        // Each task leaves zeros.
+        let stride = column_stride(shape.rows) * CELL;
+        let used = shape.columns * stride;
+        if grid.len() < used {
+            grid.resize(used, 0.0);
+        }
+        let grid = &mut grid[..used];
         for chunk in &self.state.chunks[slab.chunks.clone()] {
             add(self.simd_level, &shape, block, chunk, located, grid);
-        }
-        let stride = shape.columns * CELL;
-        for column in 0..shape.columns {
-            let table = LaneTable {
-                table: grid,
-                stride,
-                first: column * CELL,
-                lanes: LANES,
-                scratch,
-            };
-            transform_lanes(self.simd_level, &self.forward, table);
         }
         output.clear();
         output.resize(self.design.slab_samples * CELL, 0.0);
         let first = (slab.first_column + template_reach(&self.design) as i32) as usize;
-        self.simd_level.run(
-            #[inline(always)]
-            || self.apply_templates(first, shape.columns, grid, output),
-        );
+        let bins = self.bins.len();
+        let templates = self.templates[first * bins..].chunks(TOGETHER * bins);
+        for (columns, templates) in grid.chunks_mut(TOGETHER * stride).zip(templates) {
+            for column in columns.chunks_exact_mut(stride) {
+                let table = LaneTable {
+                    table: column,
+                    stride: CELL,
+                    first: 0,
+                    lanes: LANES,
+                    scratch,
+                };
+                transform_lanes(self.simd_level, &self.forward, table);
+            }
+            self.simd_level.run(
+                #[inline(always)]
+                || self.apply_templates(templates, columns, output),
+            );
+            columns.fill(0.0);
+        }
         let table = LaneTable {
             table: output,
             stride: CELL,
@@ -635,16 +649,18 @@ impl GriddedLines {
         transform_lanes(self.simd_level, &self.inverse, table);
     }
 
-    /// Adds the columns from `first` on, each times its template, to the rows of the spectrum, with real and imaginary parts exchanged.
+    /// Adds up to [`TOGETHER`] columns, each row times its template, to the rows of the spectrum, with real and imaginary parts exchanged.
     #[inline(always)]
-    fn apply_templates(&self, first: usize, columns: usize, grid: &[f32], output: &mut [f32]) {
-        let stride = columns * CELL;
-        let templates = self.templates.chunks_exact(self.columns);
-        for (templates, &(from, to)) in templates.zip(&self.bins) {
-            let row = &grid[from as usize * stride..][..stride];
+    fn apply_templates(&self, templates: &[Complex<f32>], columns: &[f32], output: &mut [f32]) {
+        let stride = column_stride(self.design.slab_rows);
+        let columns = columns.as_chunks::<CELL>().0;
+        let output = output.as_chunks_mut::<CELL>().0;
+        let bins = self.bins.len();
+        for (bin, &(from, to)) in self.bins.iter().enumerate() {
             let (mut re, mut im) = ([0.0f32; LANES], [0.0f32; LANES]);
-            let templates = &templates[first..first + columns];
-            for (template, cell) in templates.iter().zip(row.as_chunks::<CELL>().0) {
+            let templates = templates[bin..].iter().step_by(bins);
+            let cells = columns[from as usize..].iter().step_by(stride);
+            for (template, cell) in templates.zip(cells) {
                 let Complex { re: a, im: b } = *template;
                 for lane in 0..LANES {
                     let (x, y) = (cell[lane], cell[LANES + lane]);
@@ -652,10 +668,10 @@ impl GriddedLines {
                     im[lane] += a * y + b * x;
                 }
             }
-            let cell = &mut output[to as usize * CELL..][..CELL];
+            let out = &mut output[to as usize];
             for lane in 0..LANES {
-                cell[lane] += im[lane];
-                cell[LANES + lane] += re[lane];
+                out[lane] += im[lane];
+                out[LANES + lane] += re[lane];
             }
         }
     }
@@ -781,7 +797,7 @@ fn template_reach(design: &Design) -> usize {
     }
 }
 
-/// Spectrum of the pulse as each column stretches it, behind the receiver filter, with the correction of the kernel: `[bin][column]`.
+/// Spectrum of the pulse as each column stretches it, behind the receiver filter, with the correction of the kernel: `[column][bin]`.
 fn templates(
     spec: &Spec,
     design: &Design,
@@ -795,17 +811,22 @@ fn templates(
     let highest_hz =
         (0.5 * bin_hz * design.slab_rows as f64 + carrier_hz * greatest) / (1.0 - greatest);
     let spectrum = PulseSpectrum::new(spec.pulse, highest_hz + bin_hz);
-    let of_bin = |&k: &isize| {
-        let per_row = k as f64 / design.slab_rows as f64;
-        let common = bin_hz * filter.gain(k as f64 * bin_hz) / design.kernel.gain(per_row);
+    let commons: Vec<f64> = bins
+        .iter()
+        .map(|&k| {
+            let per_row = k as f64 / design.slab_rows as f64;
+            bin_hz * filter.gain(k as f64 * bin_hz) / design.kernel.gain(per_row)
+        })
+        .collect();
+    let of_column = |column: isize| {
+        let stretch = design.step * column as f64;
+        let per = 1.0 / (1.0 + stretch);
         let spectrum = &spectrum;
-        (-reach..=reach).map(move |column| {
-            let stretch = design.step * column as f64;
-            let per = 1.0 / (1.0 + stretch);
+        bins.iter().zip(&commons).map(move |(&k, common)| {
             let at_hz = (k as f64 * bin_hz - carrier_hz * stretch) * per;
             let value = spectrum.at(at_hz) * (common * per);
             Complex::new(value.re as f32, value.im as f32)
         })
     };
-    bins.iter().flat_map(of_bin).collect()
+    (-reach..=reach).flat_map(of_column).collect()
 }

@@ -4,7 +4,7 @@
 //! a few columns (Dopplers) with interpolation weights:
 //!
 //! ```text
-//! grid[block][row][column][element] += weight(column) kernel(row - x) amplitude exp(-j 2pi f_c (m - T/2))
+//! grid[block][column][row][element] += weight(column) kernel(row - x) amplitude exp(-j 2pi f_c (m - T/2))
 //! ```
 //!
 //! Here m is the arrival of the middle of the pulse at the element and x the same in rows. An FFT over the rows of each column, a template per
@@ -13,7 +13,8 @@
 //!
 //! - `kernel`: the kernel, a polynomial fitted to the spectrum of the pulse.
 //! - `dopplers`: columns and their weights.
-//! - `nodes`: interpolation along the line. Delays are exact at the nodes.
+//! - `nodes`: interpolation along the line. Delays and gains are exact at nodes, and cubic within a block.
+//! - `polynomials`: polynomials through values, by powers.
 //! - `design`: sizes from a tolerance, with predicted error and cost.
 //! - `windows`: the error in the worst window.
 //! - `spread`: the inner loop.
@@ -30,6 +31,7 @@ mod dopplers;
 mod engine;
 mod kernel;
 mod nodes;
+mod polynomials;
 mod spread;
 mod windows;
 

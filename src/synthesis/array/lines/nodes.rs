@@ -2,7 +2,13 @@
 
 use std::f64::consts::PI;
 
-use crate::echo::walk::{GAIN_NODES, MAX_NODES};
+use crate::echo::walk::{MAX_GAIN_NODES, MAX_NODES, gain_node};
+
+use super::polynomials::{chebyshev_nodes, lagrange_powers};
+use super::spread::LANES;
+
+/// Coefficients of the gain along a block.
+pub(super) const GAIN_TERMS: usize = 4;
 
 /// Weights of the Chebyshev coefficients of delays, and of the gain nodes, for one block.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -14,32 +20,60 @@ pub(super) struct BlockWeights {
     pub curvature: [f32; MAX_NODES],
     /// A sixth of the third derivative, per element cubed.
     pub cubic: [f32; MAX_NODES],
-    /// Weights of the gain nodes, and their change per element.
-    pub gain: [f32; GAIN_NODES],
-    pub gain_slope: [f32; GAIN_NODES],
+    /// Weights of the gain nodes: a polynomial of the distance from the middle of the block in elements, by powers.
+    pub gain: [[f32; MAX_GAIN_NODES]; GAIN_TERMS],
 }
 
-/// Numbers of nodes to select from.
-pub(super) const NODES: [usize; 4] = [3, 5, 7, MAX_NODES];
+/// Numbers of nodes along a line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct NodeCounts {
+    /// Nodes at which delays are solved.
+    pub delays: usize,
+    /// Those of them that have stretch and gain.
+    pub gains: usize,
+}
+
+/// Numbers of nodes to select from, in the order of their cost.
+pub(super) const NODES: [NodeCounts; 6] = [
+    NodeCounts {
+        delays: 3,
+        gains: 3,
+    },
+    NodeCounts {
+        delays: 5,
+        gains: 3,
+    },
+    NodeCounts {
+        delays: 5,
+        gains: 5,
+    },
+    NodeCounts {
+        delays: 7,
+        gains: 3,
+    },
+    NodeCounts {
+        delays: MAX_NODES,
+        gains: 3,
+    },
+    NodeCounts {
+        delays: MAX_NODES,
+        gains: MAX_GAIN_NODES,
+    },
+];
 
 /// Chebyshev nodes on -1..1, in ascending order.
 pub(super) fn places(nodes: usize) -> impl Iterator<Item = f64> {
     (0..nodes).map(move |k| -libm::cos(PI * (2 * k + 1) as f64 / (2 * nodes) as f64))
 }
 
-/// Values of the Lagrange polynomials of `nodes` at `x`, and their derivatives; 0 beyond the last.
-fn lagrange(nodes: &[f64], x: f64) -> [[f64; MAX_NODES]; 2] {
-    let mut out = [[0.0; MAX_NODES]; 2];
+/// Values of the Lagrange polynomials of `nodes` at `x`; 0 beyond the last.
+fn lagrange(nodes: &[f64], x: f64) -> [f64; MAX_NODES] {
+    let mut out = [0.0; MAX_NODES];
     for (k, node) in nodes.iter().enumerate() {
-        // Product of (x - other)/(node - other), with its derivative.
-        let (mut value, mut first) = (1.0, 0.0);
-        for (_, other) in nodes.iter().enumerate().filter(|(other, _)| *other != k) {
-            let per = 1.0 / (node - other);
-            let factor = (x - other) * per;
-            first = first * factor + value * per;
-            value *= factor;
-        }
-        (out[0][k], out[1][k]) = (value, first);
+        let others = nodes.iter().enumerate().filter(|(other, _)| *other != k);
+        out[k] = others
+            .map(|(_, other)| (x - other) / (node - other))
+            .product();
     }
     out
 }
@@ -74,20 +108,63 @@ fn chebyshev(x: f64) -> [[f64; 4]; MAX_NODES] {
     all
 }
 
-/// Weights at `x` half lines from the centre; an element is `per_element` half lines long.
-pub(super) fn block_weights(nodes: &[f64], x: f64, per_element: f64) -> BlockWeights {
+/// Weights at `x` half lines from the centre for gains at `gain_nodes` of the `nodes`; an element is `per_element` half lines long.
+pub(super) fn block_weights(
+    nodes: &[f64],
+    gain_nodes: usize,
+    x: f64,
+    per_element: f64,
+) -> BlockWeights {
     let all = chebyshev(x);
-    let gains: [f64; GAIN_NODES] = std::array::from_fn(|k| nodes[k * (nodes.len() - 1) / 2]);
-    let [gain, gain_slope] = lagrange(&gains, x);
+    let gains: Vec<f64> = (0..gain_nodes)
+        .map(|k| nodes[gain_node(k, gain_nodes, nodes.len())])
+        .collect();
+    // Cubic through four points of the block.
+    let points = chebyshev_nodes::<GAIN_TERMS>().map(|z| z * 0.5 * LANES as f64);
+    let mut gain = [[0.0f64; MAX_GAIN_NODES]; GAIN_TERMS];
+    for (point, powers) in points.iter().zip(lagrange_powers(&points)) {
+        let values = lagrange(&gains, x + point * per_element);
+        for (terms, power) in gain.iter_mut().zip(powers) {
+            for (term, value) in terms.iter_mut().zip(values) {
+                *term += power * value;
+            }
+        }
+    }
     let fill = |derivative: usize, scale: f64| all.map(|at| (scale * at[derivative]) as f32);
     BlockWeights {
         value: fill(0, 1.0),
         slope: fill(1, per_element),
         curvature: fill(2, 0.5 * per_element * per_element),
         cubic: fill(3, per_element.powi(3) / 6.0),
-        gain: std::array::from_fn(|k| gain[k] as f32),
-        gain_slope: std::array::from_fn(|k| (gain_slope[k] * per_element) as f32),
+        gain: gain.map(|terms| terms.map(|term| term as f32)),
     }
+}
+
+/// Relative error of the gains of elements `element_m` long, interpolated from `gain_nodes` nodes over a line of `half_m` to either side, and cubic
+/// over blocks of `block_m`, for points at `range_m`: rms over all directions, at the worst element.
+///
+/// The pattern is a mean of exp(j t x) over |t| < 1, of x = pi u `element_m`/lambda, so that the rms of its derivative of order n is 1/sqrt(2n + 1).
+pub(super) fn gain_error(
+    gain_nodes: usize,
+    [element_m, wavelength_m]: [f64; 2],
+    half_m: f64,
+    block_m: f64,
+    range_m: f64,
+) -> f64 {
+    let per_m = PI * element_m / (wavelength_m * range_m);
+    let (line, block) = (per_m * half_m, per_m * 0.5 * block_m);
+    // Largest product of the distances from the nodes, over the factorial of their number.
+    let of_line = match gain_nodes {
+        3 => 0.06 * line.powi(3) / 7f64.sqrt(),
+        _ => 5.4e-4 * line.powi(5) / 11f64.sqrt(),
+    };
+    let of_block = match gain_nodes {
+        // A quadratic.
+        3 => 0.0,
+        _ => block.powi(4) / (8.0 * 24.0 * 3.0),
+    };
+    // What the leading terms leave out.
+    1.1 * (of_line + of_block)
 }
 
 /// Largest error of a path length interpolated from `nodes` nodes over a line of `half_m` to either side, and cubic over blocks of `block_m`, for
@@ -105,7 +182,7 @@ pub(super) fn interpolation_error_m(nodes: usize, half_m: f64, block_m: f64, ran
         let at: Vec<f64> = places.iter().map(|place| path(place * half_m)).collect();
         for k in 0..=16 {
             let x = f64::from(k) / 8.0 - 1.0;
-            let [value, _] = lagrange(&places, x);
+            let value = lagrange(&places, x);
             let sum: f64 = value.iter().zip(&at).map(|(a, b)| a * b).sum();
             worst = worst.max((sum - path(x * half_m)).abs());
         }
@@ -130,7 +207,7 @@ mod tests {
                 parts.map(|(weight, place)| weight * f(*place)).sum()
             });
             for x in [-1.0, -0.2, 0.0, 0.9] {
-                let weights = block_weights(&places, x, 0.01);
+                let weights = block_weights(&places, 3, x, 0.01);
                 let sum = |w: &[f32; MAX_NODES]| -> f64 {
                     w.iter().zip(&terms).map(|(w, t)| f64::from(*w) * t).sum()
                 };
@@ -141,6 +218,55 @@ mod tests {
                 let curvature = 0.7 + 3.0 * cubic * x;
                 assert!((sum(&weights.curvature) - 1e-4 * curvature).abs() < 3e-11);
                 assert!((sum(&weights.cubic) - 1e-6 * cubic).abs() < 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn gains_of_long_elements_have_the_errors_that_are_predicted() {
+        // 40 elements of 2.5 cm at 455 kHz: sinc(x) at the element's own sine.
+        let (half_m, wavelength_m, element_m) = (0.5, 3.25e-3, 0.025);
+        for counts in NODES {
+            for range_m in [7.0, 14.0, 30.0] {
+                let nodes: Vec<f64> = places(counts.delays).collect();
+                let gain = |along_m: f64, sine: f64| {
+                    let x = PI * element_m / wavelength_m * (sine - along_m / range_m);
+                    if x.abs() < 1e-9 { 1.0 } else { x.sin() / x }
+                };
+                let (mut off, mut all) = ([0.0f64; 48], 0.0);
+                for k in 0..4000 {
+                    let sine = f64::from(k) / 2000.0 - 1.0;
+                    let at: Vec<f64> = (0..counts.gains)
+                        .map(|k| gain_node(k, counts.gains, counts.delays))
+                        .map(|node| gain(nodes[node] * half_m, sine))
+                        .collect();
+                    all += gain(0.0, sine).powi(2);
+                    for block in 0..3 {
+                        let middle = (block * LANES) as f64 + 7.5 - 19.5;
+                        let per_element = 0.05;
+                        let weights =
+                            block_weights(&nodes, counts.gains, middle * per_element, per_element);
+                        for lane in 0..LANES {
+                            let element = block * LANES + lane;
+                            let place = lane as f64 - 7.5;
+                            let sum = weights.gain.iter().rev().fold(0.0, |sum, terms| {
+                                let parts = terms.iter().zip(&at);
+                                let term: f64 = parts.map(|(w, g)| f64::from(*w) * g).sum();
+                                sum * place + term
+                            });
+                            let along_m = (element as f64 - 19.5) * 0.025;
+                            off[element] += (sum - gain(along_m, sine)).powi(2);
+                        }
+                    }
+                }
+                // Lanes beyond the last element do not count.
+                let worst = off[..40].iter().copied().fold(0.0, f64::max);
+                let measured = (worst / all).sqrt();
+                let block_m = LANES as f64 * 0.025;
+                let of = [element_m, wavelength_m];
+                let predicted = gain_error(counts.gains, of, half_m, block_m, range_m);
+                println!("{counts:?}, {range_m} m: {measured:.2e}, {predicted:.2e} predicted");
+                assert!(measured < predicted && measured > 0.3 * predicted);
             }
         }
     }

@@ -1,13 +1,13 @@
 //! The inner loop: echoes of one chunk onto the grid of one block of elements.
 //!
-//! A grid has rows of delay; a row has columns of Doppler; a cell has the real parts of [`LANES`] neighbouring elements and then their
+//! A grid has columns of Doppler; a column has rows of delay; a cell has the real parts of [`LANES`] neighbouring elements and then their
 //! imaginary parts.
 
 use std::f32::consts::TAU;
 
 use crate::array::gridded::lanes::Lanes;
 use crate::arrivals::CHUNK;
-use crate::echo::walk::{GAIN_NODES, MAX_NODES};
+use crate::echo::walk::{MAX_GAIN_NODES, MAX_NODES};
 use echotank_core::simd::{Kind, SimdLevel};
 
 #[cfg(target_arch = "x86_64")]
@@ -15,12 +15,18 @@ use std::arch::x86_64::{__m256, __m512};
 
 use super::dopplers::{MAX_TAPS, WEIGHT_TERMS};
 use super::kernel::TERMS;
-use super::nodes::BlockWeights;
+use super::nodes::{BlockWeights, GAIN_TERMS};
 
 /// Elements of a block.
 pub(super) const LANES: usize = 16;
 /// Numbers of a cell.
 pub(super) const CELL: usize = 2 * LANES;
+/// Cells between the columns of a grid with so many rows. The cells of one row in neighbouring columns lie 8 cells apart but for multiples of the page,
+/// so that they do not share sets of the innermost cache.
+pub(super) fn column_stride(rows: usize) -> usize {
+    rows.next_multiple_of(32) + 8
+}
+
 /// The middle of a block lies at this lane.
 const MIDDLE: f32 = 0.5 * (LANES as f32 - 1.0);
 
@@ -31,8 +37,8 @@ pub(super) struct EchoChunk {
     pub middle: [f64; CHUNK],
     pub along: [[f32; CHUNK]; MAX_NODES - 1],
     /// Stretch, steps of columns.
-    pub doppler: [[f32; CHUNK]; GAIN_NODES],
-    pub gain: [[f32; CHUNK]; GAIN_NODES],
+    pub doppler: [[f32; CHUNK]; MAX_GAIN_NODES],
+    pub gain: [[f32; CHUNK]; MAX_GAIN_NODES],
     /// Phase at the ends of the pulse from the change of the Doppler, radians.
     pub curvature_rad: [f32; CHUNK],
     pub re: [f32; CHUNK],
@@ -46,8 +52,8 @@ impl Default for EchoChunk {
             len: 0,
             middle: [0.0; CHUNK],
             along: [zero; MAX_NODES - 1],
-            doppler: [zero; GAIN_NODES],
-            gain: [zero; GAIN_NODES],
+            doppler: [zero; MAX_GAIN_NODES],
+            gain: [zero; MAX_GAIN_NODES],
             curvature_rad: zero,
             re: zero,
             im: zero,
@@ -58,7 +64,9 @@ impl Default for EchoChunk {
 /// Numbers that all echoes of a task share.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shape {
+    /// Nodes with delays, and those with gains.
     pub nodes: usize,
+    pub gain_nodes: usize,
     /// Rows of the grid.
     pub rows: usize,
     /// Columns of the grid, and the first one's Doppler in steps.
@@ -93,8 +101,8 @@ pub(super) struct Located {
     turns: [f32; CHUNK],
     re: [f32; CHUNK],
     im: [f32; CHUNK],
-    /// Relative change of the amplitude per element.
-    gain_slope: [f32; CHUNK],
+    /// Gain as a polynomial of the element, by powers.
+    gain: [[f32; CHUNK]; GAIN_TERMS],
     column: [u32; CHUNK],
     weight: [[f32; CHUNK]; MAX_TAPS],
     /// Change of the weight per element, from the change of the Doppler along the block.
@@ -118,7 +126,7 @@ impl Default for Located {
             turns: zero,
             re: zero,
             im: zero,
-            gain_slope: zero,
+            gain: [zero; GAIN_TERMS],
             column: none,
             weight: [zero; MAX_TAPS],
             weight_slope: [zero; MAX_TAPS],
@@ -127,7 +135,7 @@ impl Default for Located {
     }
 }
 
-/// Adds the echoes of `chunk` to the grid of a block: `rows * columns * CELL` numbers.
+/// Adds the echoes of `chunk` to the grid of a block: `columns * column_stride(rows) * CELL` numbers.
 pub(super) fn add(
     simd_level: SimdLevel,
     shape: &Shape,
@@ -136,7 +144,8 @@ pub(super) fn add(
     located: &mut Located,
     grid: &mut [f32],
 ) {
-    assert_eq!(grid.len(), shape.rows * shape.columns * CELL, "grid");
+    let cells = shape.columns * column_stride(shape.rows);
+    assert_eq!(grid.len(), cells * CELL, "grid");
     assert!(
         (1..=MAX_TAPS).contains(&shape.taps) && shape.taps <= shape.columns,
         "{} taps of {} columns",
@@ -284,20 +293,21 @@ fn locate<const FUSED: bool>(
         out.x[i] = (value - first) as f32;
         out.turns[i] = (cycles - ((cycles + ROUND) - ROUND)) as f32;
     }
+    out.re = chunk.re;
+    out.im = chunk.im;
+    out.gain = [[0.0; CHUNK]; GAIN_TERMS];
     let (mut at, mut at_slope) = ([0.0f32; CHUNK], [0.0f32; CHUNK]);
-    for i in 0..CHUNK {
-        let (mut gain, mut change, mut doppler, mut turning) = (0.0, 0.0, 0.0, 0.0);
-        for k in 0..GAIN_NODES {
-            gain = mul_add::<FUSED>(block.gain[k], chunk.gain[k][i], gain);
-            change = mul_add::<FUSED>(block.gain_slope[k], chunk.gain[k][i], change);
-            doppler = mul_add::<FUSED>(block.gain[k], chunk.doppler[k][i], doppler);
-            turning = mul_add::<FUSED>(block.gain_slope[k], chunk.doppler[k][i], turning);
+    for k in 0..shape.gain_nodes.clamp(1, MAX_GAIN_NODES) {
+        let (gain, doppler) = (&chunk.gain[k], &chunk.doppler[k]);
+        for (sum, terms) in out.gain.iter_mut().zip(&block.gain) {
+            for i in 0..CHUNK {
+                sum[i] = mul_add::<FUSED>(terms[k], gain[i], sum[i]);
+            }
         }
-        out.re[i] = gain * chunk.re[i];
-        out.im[i] = gain * chunk.im[i];
-        out.gain_slope[i] = if gain != 0.0 { change / gain } else { 0.0 };
-        at[i] = doppler;
-        at_slope[i] = turning;
+        for i in 0..CHUNK {
+            at[i] = mul_add::<FUSED>(block.gain[0][k], doppler[i], at[i]);
+            at_slope[i] = mul_add::<FUSED>(block.gain[1][k], doppler[i], at_slope[i]);
+        }
     }
     let middle = 0.5 * (shape.taps as f32 - 1.0);
     let greatest = (shape.columns - shape.taps) as f32;
@@ -393,7 +403,7 @@ unsafe fn spread<V: Lanes<Number = f32>, const TAPS: usize>(
     located: &Located,
     grid: &mut [f32],
 ) {
-    let stride = shape.columns * CELL;
+    let stride = column_stride(shape.rows) * CELL;
     let per_half = 2.0 / shape.width;
     let turns_per_row = shape.turns_per_row as f32;
     let mut lanes = [0.0f32; LANES];
@@ -404,8 +414,8 @@ unsafe fn spread<V: Lanes<Number = f32>, const TAPS: usize>(
         let i = i as usize % CHUNK;
         let (rows, first) = (located.rows[i] as usize, located.row[i] as usize);
         // Checks once what the rows below write.
-        let begin = first * stride + located.column[i] as usize * CELL;
-        let cells = &mut grid[begin..begin + (rows - 1) * stride + TAPS * CELL];
+        let begin = located.column[i] as usize * stride + first * CELL;
+        let cells = &mut grid[begin..begin + (TAPS - 1) * stride + rows * CELL];
         for part in (0..LANES).step_by(V::COUNT) {
             // SAFETY: the caller guarantees V; `part` + V's lanes <= LANES; rows and taps lie within `cells`.
             unsafe {
@@ -416,7 +426,12 @@ unsafe fn spread<V: Lanes<Number = f32>, const TAPS: usize>(
                     .mul(place);
                 let cycles = off.neg_mul_add(V::splat(turns_per_row), V::splat(located.turns[i]));
                 let (cosine, sine) = turn(cycles);
-                let strength = V::splat(located.gain_slope[i]).mul_add(place, V::splat(1.0));
+                let [first, slope, square, cube] =
+                    located.gain.each_ref().map(|of| V::splat(of[i]));
+                let strength = cube
+                    .mul_add(place, square)
+                    .mul_add(place, slope)
+                    .mul_add(place, first);
                 let (cosine, sine) = (cosine.mul(strength), sine.mul(strength));
                 let (u, v) = (V::splat(located.re[i]), V::splat(located.im[i]));
                 let re = u.mul_sub(cosine, v.mul(sine));
@@ -440,12 +455,12 @@ unsafe fn spread<V: Lanes<Number = f32>, const TAPS: usize>(
                     let t = z.neg_mul_add(z, one).max(zero);
                     let k = horner(&shape.terms, t).mul(t);
                     for (tap, (re, im)) in parts.iter().enumerate() {
-                        let (at_re, at_im) = (to.add(tap * CELL), to.add(tap * CELL + LANES));
+                        let (at_re, at_im) = (to.add(tap * stride), to.add(tap * stride + LANES));
                         re.mul_add(k, V::load(at_re)).store(at_re);
                         im.mul_add(k, V::load(at_im)).store(at_im);
                     }
                     z = z.sub(step);
-                    to = to.wrapping_add(stride);
+                    to = to.wrapping_add(CELL);
                 }
             }
         }

@@ -1,7 +1,7 @@
 //! Walk for whole line arrays: the middle of every echo at a few points along the line. Engines interpolate between these nodes.
 //!
 //! Delays, motion and amplitudes are smooth along a line. Delays are solved at all nodes in the same way as in [`super::arrivals`].
-//! Stretch and gain are computed at three nodes: the first, the middle and the last.
+//! Stretch and gain are computed at three or five of them, the first and the last included.
 
 use crate::arrivals::CHUNK;
 use echotank_core::arrays::ArrayGeometry;
@@ -15,16 +15,17 @@ use super::{
 
 /// Maximum number of nodes along a line.
 pub const MAX_NODES: usize = 9;
-/// Number of nodes with stretch and gain.
-pub const GAIN_NODES: usize = 3;
+/// Maximum number of nodes with stretch and gain.
+pub const MAX_GAIN_NODES: usize = 5;
 
 /// Tracks of the nodes through one ping, shared by all threads.
 #[derive(Debug, Default)]
 pub struct NodeTracks {
     tracks: Vec<ElementTrack>,
-    /// Interpolation weights of the three gain nodes at every node.
-    shares: [[f64; GAIN_NODES]; MAX_NODES],
+    /// Interpolation weights of the gain nodes at every node.
+    shares: [[f64; MAX_GAIN_NODES]; MAX_NODES],
     nodes: usize,
+    gain_nodes: usize,
 }
 
 /// Per-thread buffers of [`NodeTracks::batch`].
@@ -41,11 +42,11 @@ pub struct NodeBatch {
     /// Arrival of the middle of the pulse at each node, seconds after the start of the pulse.
     pub middle_s: [[f64; CHUNK]; MAX_NODES],
     /// Stretch minus one, at mid-pulse.
-    pub doppler: [[f64; CHUNK]; GAIN_NODES],
+    pub doppler: [[f64; CHUNK]; MAX_GAIN_NODES],
     /// Half the second derivative of the emission time at the middle node, per second.
     pub curvature_per_s: [f64; CHUNK],
     /// Gain of the receive leg, volts per uPa at 1 m.
-    pub gain: [[f64; CHUNK]; GAIN_NODES],
+    pub gain: [[f64; CHUNK]; MAX_GAIN_NODES],
     /// Amplitude of the transmit leg, uPa at 1 m from the scatterer.
     pub amplitude: [Complex64; CHUNK],
     /// True if the echo is above the floor of culling.
@@ -58,18 +59,18 @@ impl Default for NodeBatch {
         Self {
             len: 0,
             middle_s: [zero; MAX_NODES],
-            doppler: [zero; GAIN_NODES],
+            doppler: [zero; MAX_GAIN_NODES],
             curvature_per_s: zero,
-            gain: [zero; GAIN_NODES],
+            gain: [zero; MAX_GAIN_NODES],
             amplitude: [Complex64::ZERO; CHUNK],
             keep: [false; CHUNK],
         }
     }
 }
 
-/// Index of gain node `k` among `nodes` nodes.
-fn gain_node(k: usize, nodes: usize) -> usize {
-    k * (nodes - 1) / 2
+/// Index of gain node `k` of `gain_nodes` among `nodes` nodes.
+pub fn gain_node(k: usize, gain_nodes: usize, nodes: usize) -> usize {
+    k * (nodes - 1) / (gain_nodes - 1)
 }
 
 impl NodeTracks {
@@ -83,34 +84,41 @@ impl NodeTracks {
         }
     }
 
-    /// Computes the tracks of the points `along_m` from the centre of `array`. Their number is odd, from three to [`MAX_NODES`].
+    /// Computes the tracks of the points `along_m` from the centre of `array`. Their number is odd, from three to [`MAX_NODES`]. `gain_nodes` is
+    /// three, or five where five or nine points are given.
     pub fn compute(
         &mut self,
         plan: &PingPlan,
         array: &ArrayGeometry,
         transmit_leg: &TransmitLeg,
         along_m: &[f64],
+        gain_nodes: usize,
     ) {
         let nodes = along_m.len();
         assert!(
-            nodes % 2 == 1 && (GAIN_NODES..=MAX_NODES).contains(&nodes),
+            nodes % 2 == 1 && (3..=MAX_NODES).contains(&nodes),
             "{nodes} nodes"
         );
+        assert!(
+            matches!(gain_nodes, 3 | 5) && (nodes - 1).is_multiple_of(gain_nodes - 1),
+            "gains at {gain_nodes} of {nodes} nodes"
+        );
         self.nodes = nodes;
+        self.gain_nodes = gain_nodes;
         if self.tracks.len() < nodes {
             self.tracks.resize_with(nodes, ElementTrack::default);
         }
         for (track, &along_m) in self.tracks.iter_mut().zip(along_m) {
             track.compute_at(plan, &transmit_leg.transmit, array, along_m);
         }
-        let at: [f64; GAIN_NODES] = std::array::from_fn(|k| along_m[gain_node(k, nodes)]);
+        let at = |k| along_m[gain_node(k, gain_nodes, nodes)];
         for (shares, &x) in self.shares.iter_mut().zip(along_m) {
-            *shares = std::array::from_fn(|k| {
-                let others = (0..GAIN_NODES).filter(|&other| other != k);
-                others
-                    .map(|other| (x - at[other]) / (at[k] - at[other]))
-                    .product()
-            });
+            for (k, share) in shares[..gain_nodes].iter_mut().enumerate() {
+                let others = (0..gain_nodes).filter(|&other| other != k);
+                *share = others
+                    .map(|other| (x - at(other)) / (at(k) - at(other)))
+                    .product();
+            }
         }
     }
 
@@ -147,14 +155,15 @@ impl NodeTracks {
         out.len = n;
         let middle = self.nodes / 2;
         // Time from the leading edge to the arrival of mid-pulse, at the gain nodes.
-        let mut after_s = [[0.0; CHUNK]; GAIN_NODES];
+        let mut after_s = [[0.0; CHUNK]; MAX_GAIN_NODES];
         for (node, track) in self.tracks[..self.nodes].iter().enumerate() {
             let odd = solve(track, c, batch, rays);
             if plan.model.path == PathModel::Continuous {
                 refine(plan, &transmit_leg.transmit, track, batch, rays);
             }
             out.middle_s[node][..n].copy_from_slice(&rays.delay_s[..n]);
-            let Some(k) = (0..GAIN_NODES).find(|&k| gain_node(k, self.nodes) == node) else {
+            let at_gain = |k: &usize| gain_node(*k, self.gain_nodes, self.nodes) == node;
+            let Some(k) = (0..self.gain_nodes).find(at_gain) else {
                 continue;
             };
             receive_gains(&receive, transmit_leg, span.clone(), rays, received);
@@ -190,11 +199,10 @@ impl NodeTracks {
             }
         }
         for (middle_s, shares) in out.middle_s[..self.nodes].iter_mut().zip(&self.shares) {
-            for i in 0..n {
-                let later = shares[0] * after_s[0][i]
-                    + shares[1] * after_s[1][i]
-                    + shares[2] * after_s[2][i];
-                middle_s[i] += later;
+            for (share, after_s) in shares.iter().zip(&after_s[..self.gain_nodes]) {
+                for (middle_s, after_s) in middle_s[..n].iter_mut().zip(after_s) {
+                    *middle_s += share * after_s;
+                }
             }
         }
         counts

@@ -1,6 +1,6 @@
 //! Tests of the engine for whole line arrays against the direct sum.
 
-use echotank_core::arrays::ArrayGeometry;
+use echotank_core::arrays::{ArrayGeometry, Pattern};
 use echotank_core::model::DopplerModel;
 use echotank_core::simd::SimdLevel;
 use echotank_synthesis::array::lines::{Design, GriddedLines, Refusal, Spec};
@@ -163,24 +163,34 @@ fn threads_do_not_change_a_bit_and_simd_levels_little() {
     }
 }
 
-/// Gains are linear within a block. Near the array, the pattern of a long element is not.
+/// The patterns of elements as long as those of side-scans change along the line; near the array no number of nodes follows them.
 #[test]
-fn lines_of_long_elements_interpolate_from_afar_only() {
-    let scene = short(SCENE, 0.4e-3, 0.0);
-    let mut array = scene.rx.clone();
-    array.elements = 20;
-    let nearest_m = |spacing_m: f64| {
-        let mut array = array.clone();
-        array.spacing_m = spacing_m;
-        let design = Design::new(&spec(&scene, &array, 2e-3)).expect("within reach");
-        (1..1000).find(|range_m| design.nodes(&array, f64::from(*range_m)).is_some())
+fn lines_of_long_elements_keep_the_tolerance_from_a_range_on() {
+    let drawn = Draw {
+        elements: 20,
+        velocity_m_per_s: DVec3::new(5.0, 0.3, 0.3),
+        ..SCENE
     };
-    let (elements_m, sidescan_m) = (nearest_m(1.9e-3), nearest_m(25e-3));
-    println!("{elements_m:?} m, {sidescan_m:?} m");
-    assert!(
-        elements_m < Some(5) && sidescan_m > Some(50),
-        "{elements_m:?}, {sidescan_m:?}"
-    );
+    let mut scene = short(drawn, 0.4e-3, 0.0);
+    scene.rx.spacing_m = 0.05;
+    scene.rx.element_pattern = Pattern::Rectangle {
+        length_m: 0.05,
+        width_m: 0.003,
+        baffled: false,
+    };
+    let tolerance = 5e-3;
+    let mut engine = made(&scene, tolerance, SimdLevel::best()).expect("within reach");
+    let iq = samples(&scene, &mut engine);
+    for element in [0, 7, 19] {
+        let want = truth(&scene, element, false);
+        let got = &iq[element * scene.plan.sample_count..][..scene.plan.sample_count];
+        let error = worst(got, &want, 0.4e-3);
+        println!("element {element}: {error:.1e}");
+        assert!(error <= tolerance, "element {element}: {error:e}");
+    }
+    let design = Design::new(&spec(&scene, &scene.rx, tolerance)).expect("within reach");
+    assert!(design.nodes(&scene.rx, 36.0).is_some());
+    assert_eq!(design.nodes(&scene.rx, 5.0), None);
 }
 
 /// The Doppler changes with the square of the speed over the range.
