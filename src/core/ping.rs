@@ -2,7 +2,7 @@
 
 use glam::DQuat;
 use glam::DVec3;
-use num_complex::Complex64;
+use num_complex::{Complex32, Complex64};
 
 use crate::frames::Trajectory;
 use crate::model::ModelChoice;
@@ -183,13 +183,19 @@ pub struct BeamFrame {
     /// -3 dB width of each beam across track, radians.
     pub width_rad: Vec<f64>,
     /// Beam-major samples: `iq[b * samples + k]`.
-    pub iq: Vec<Complex64>,
+    pub iq: Vec<Complex32>,
 }
 
 impl BeamFrame {
     /// Samples of beam `b`.
-    pub fn beam(&self, b: usize) -> &[Complex64] {
+    pub fn beam(&self, b: usize) -> &[Complex32] {
         &self.iq[b * self.samples..(b + 1) * self.samples]
+    }
+
+    /// Sample `k` of beam `b` in double precision.
+    pub fn sample(&self, b: usize, k: usize) -> Complex64 {
+        let Complex32 { re, im } = self.beam(b)[k];
+        Complex64::new(re.into(), im.into())
     }
 }
 

@@ -23,7 +23,7 @@ use echotank_protocols::sevenk::{Command, ControlRequest, Packetiser, RecordStam
 use echotank_runtime::clock::VirtualClock;
 use echotank_runtime::settings::SettingsStore;
 use glam::{DQuat, DVec3};
-use num_complex::Complex64;
+use num_complex::{Complex32, Complex64};
 
 /// 2025-06-15 15:06:40 UTC.
 pub const TRANSMIT_UTC: UtcNs = UtcNs(1_750_000_000_000_000_000);
@@ -174,12 +174,13 @@ pub fn large_sonar(elements: usize) -> SonarSpec {
 pub fn large_output(elements: usize, samples: usize) -> PingOutput {
     let value = |k: usize| Complex64::from_polar(0.5 + 0.001 * (k % 997) as f64, k as f64 * 0.37);
     let iq: Vec<_> = (0..elements * samples).map(value).collect();
+    let beams = iq.iter().copied().map(narrow).collect();
     PingOutput {
         elements: vec![ElementFrame {
             array: 0,
             elements,
             samples,
-            iq: iq.clone(),
+            iq,
             saturated: 0,
         }],
         beams: vec![BeamFrame {
@@ -187,7 +188,7 @@ pub fn large_output(elements: usize, samples: usize) -> PingOutput {
             samples,
             angle_rad: (0..elements).map(|b| b as f64 * 0.007 - 0.9).collect(),
             width_rad: vec![0.01; elements],
-            iq,
+            iq: beams,
         }],
         ..PingOutput::default()
     }
@@ -267,6 +268,10 @@ pub fn plan(ping_number: u32, samples: usize) -> PingPlan {
     }
 }
 
+fn narrow(z: Complex64) -> Complex32 {
+    Complex32::new(z.re as f32, z.im as f32)
+}
+
 /// Voltages that identify array, element and sample.
 pub fn volts(array: usize, element: usize, sample: usize) -> Complex64 {
     Complex64::new(
@@ -298,7 +303,8 @@ pub fn output(samples: usize) -> PingOutput {
         iq: (0..4)
             .flat_map(|b| {
                 (0..samples).map(move |k| {
-                    Complex64::from_polar(0.23 * (b + 1) as f64, -1.0 + 0.001 * (k % 1000) as f64)
+                    let phase_rad = -1.0 + 0.001 * (k % 1000) as f64;
+                    narrow(Complex64::from_polar(0.23 * (b + 1) as f64, phase_rad))
                 })
             })
             .collect(),

@@ -6,7 +6,7 @@
 
 use std::f64::consts::PI;
 
-use num_complex::Complex64;
+use num_complex::Complex32;
 
 use echotank_protocols::sevenk::RecordStamp;
 use echotank_protocols::sevenk::records::{
@@ -184,7 +184,7 @@ fn samples_of<'a>(
     descriptor: &SnippetDescriptor,
     fan: &'a BeamFrame,
     silent: usize,
-) -> &'a [Complex64] {
+) -> &'a [Complex32] {
     let beam = fan.beam(descriptor.beam.into());
     let from = (descriptor.start_sample as usize).saturating_sub(silent);
     let to = (descriptor.end_sample as usize + 1).saturating_sub(silent);
@@ -204,7 +204,7 @@ pub(crate) fn snippets_7028(
     work.intensities.clear();
     for descriptor in &work.descriptors {
         for v in samples_of(descriptor, fan, source.silent) {
-            let counts = (v.norm() * scale).round();
+            let counts = (f64::from(v.norm()) * scale).round();
             saturated += u64::from(!(0.0..=MAGNITUDE_FULL_SCALE).contains(&counts));
             work.intensities
                 .push(counts.min(MAGNITUDE_FULL_SCALE) as u16);
@@ -247,8 +247,8 @@ pub(crate) fn strengths_7058(
             let beam_m = range_m * fan.width_rad[beam] / angle_rad.cos().max(1e-3);
             let pulse_m = cell_m / angle_rad.sin().max(1e-6);
             let footprint_m2 = range_m * along_track_width_rad.min(PI) * beam_m.min(pulse_m);
-            let level_db =
-                20.0 * v.norm().max(f64::MIN_POSITIVE).log10() - source.gain_db(array, range_m);
+            let level_db = 20.0 * f64::from(v.norm()).max(f64::MIN_POSITIVE).log10()
+                - source.gain_db(array, range_m);
             let loss_db = 20.0 * range_m.log10() + plan.absorption_db_per_m * range_m;
             let strength_db =
                 level_db - source_level_db + 2.0 * loss_db - 10.0 * footprint_m2.log10();
@@ -307,8 +307,8 @@ pub(crate) fn water_column_7042(
                 } else {
                     (20.0 * held.max(1.0).log10() / DB_OF_16_BITS * 255.0).round() as u32
                 });
-            let phase = phase_rad(middle) * f64::from(PHASE_COUNTS_PER_RAD);
-            work.phases.push(phase.round() as i16);
+            work.phases
+                .push((phase_rad(middle) * PHASE_COUNTS_PER_RAD).round() as i16);
         }
         ends.push(work.magnitudes.len());
     }
@@ -390,10 +390,11 @@ fn rth_7042(source: &Source<'_>, fan: &BeamFrame, divisor: usize) -> Rth7042 {
 }
 
 /// Magnitude of a window of samples. `kind` 0 selects the middle sample, 1 the largest sample, 2 the mean.
-fn window_magnitude(window: &[Complex64], kind: u32) -> f64 {
+fn window_magnitude(window: &[Complex32], kind: u32) -> f64 {
+    let magnitudes = window.iter().map(|v| f64::from(v.norm()));
     match kind {
-        1 => window.iter().map(|v| v.norm()).fold(0.0, f64::max),
-        2 => window.iter().map(|v| v.norm()).sum::<f64>() / window.len() as f64,
-        _ => window[window.len() / 2].norm(),
+        1 => magnitudes.fold(0.0, f64::max),
+        2 => magnitudes.sum::<f64>() / window.len() as f64,
+        _ => window[window.len() / 2].norm().into(),
     }
 }

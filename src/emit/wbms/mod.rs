@@ -16,11 +16,11 @@ use echotank_protocols::wbms::{
     BackscatterHead, BathymetryHead, Detection as WireDetection, Tail, emit_backscatter,
     emit_backscatter_beam_major, emit_bathymetry, packet_type,
 };
-use num_complex::Complex64;
+use num_complex::Complex32;
 
 use crate::elements::counts;
 use crate::pool::DatagramPool;
-use crate::sevenk::quantise::{IQ_FULL_SCALE, signed};
+use crate::sevenk::quantise::{self, IQ_FULL_SCALE};
 use echotank_config::spec::{BeamSpacing, SonarSpec};
 use echotank_core::ping::{BeamFrame, Detection, Line, PingOutput, PingPlan, Side, Sounding};
 use echotank_core::records::Datagram;
@@ -281,7 +281,7 @@ impl WbmsEmitter {
 
     /// Packet type 2 (water column).
     fn water_column(&mut self, plan: &PingPlan, fan: &BeamFrame) -> Arc<Datagram> {
-        let counts_per_v = IQ_FULL_SCALE / self.device.sonar.receiver.full_scale_v;
+        let counts_per_v = (IQ_FULL_SCALE / self.device.sonar.receiver.full_scale_v) as f32;
         self.samples.resize(fan.iq.len(), 0);
         let samples = &mut self.samples;
         self.saturated += widest(
@@ -338,7 +338,7 @@ impl WbmsEmitter {
         let receiver = &self.device.sonar.receiver;
         let (rate_hz, counts_per_v) = (
             receiver.sample_rate_hz,
-            IQ_FULL_SCALE / receiver.full_scale_v,
+            (IQ_FULL_SCALE / receiver.full_scale_v) as f32,
         );
         let first = self.first_sample(plan).max(0) as usize;
         let count = soundings.len();
@@ -393,8 +393,10 @@ fn stamp_s(plan: &PingPlan) -> f64 {
 }
 
 #[inline(always)]
-fn magnitude(v: Complex64, counts_per_v: f64, saturated: &mut u64) -> i16 {
-    let (value, held) = signed((v.re * v.re + v.im * v.im).sqrt() * counts_per_v);
+fn magnitude(v: Complex32, counts_per_v: f32, saturated: &mut u64) -> i16 {
+    // Scaled first: squares of weak volts are too small for single precision.
+    let (re, im) = (v.re * counts_per_v, v.im * counts_per_v);
+    let (value, held) = quantise::magnitude((re * re + im * im).sqrt(), IQ_FULL_SCALE);
     *saturated += u64::from(held);
-    value
+    value as i16
 }

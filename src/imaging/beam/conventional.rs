@@ -20,7 +20,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use num_complex::Complex64;
+use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
 
 use super::steered::{Band, SteeredArray};
@@ -105,7 +105,7 @@ impl FanFormer {
             });
     }
 
-    fn sum_beams(&mut self, samples: usize, out: &mut [Complex64]) {
+    fn sum_beams(&mut self, samples: usize, out: &mut [Complex32]) {
         let (correlator, spectra) = (&self.steered.correlator, &self.spectra);
         let (length, band) = (correlator.length(), self.steered.band());
         let sines = &self.steered.directions.sine;
@@ -123,7 +123,9 @@ impl FanFormer {
                         .zip(worker.beams.chunks_exact_mut(length))
                     {
                         correlator.inverse(beam, &mut worker.scratch);
-                        row.copy_from_slice(&beam[..samples]);
+                        for (to, y) in row.iter_mut().zip(&beam[..samples]) {
+                            *to = Complex32::new(y.re as f32, y.im as f32);
+                        }
                     }
                 }
             });
@@ -312,7 +314,7 @@ mod tests {
                 let sine = -0.99 + i as f64 * 0.0247;
                 let frame = rig.tone(sine);
                 former.form(&plan(&rig.pulse, rig.samples, C), &frame, &mut out);
-                let got = out.beam(2)[400].norm();
+                let got = out.sample(2, 400).norm();
                 let want = line_array_response(elements, 0.5, sine - beam_sine);
                 worst = worst.max((got - want).abs());
             }
@@ -334,11 +336,11 @@ mod tests {
                 let frame = rig.echo(f64::to_radians(angle_deg).sin(), edge as f64 / rig.rate_hz);
                 let out = rig.beams(&spec, &frame);
                 assert!((out.angle_rad[b].to_degrees() - angle_deg).abs() < 1e-12);
-                let peak = out.beam(b)[edge].norm();
+                let peak = out.sample(b, edge).norm();
                 // The loss is the part of the pulse spectrum outside the sampled band, which fractional shifts cannot preserve.
                 assert!((peak - 1.0).abs() < 0.01, "{shading:?} beam {b}: {peak}");
                 let top = (0..out.samples)
-                    .max_by(|&i, &j| out.beam(b)[i].norm().total_cmp(&out.beam(b)[j].norm()));
+                    .max_by(|&i, &j| out.sample(b, i).norm().total_cmp(&out.sample(b, j).norm()));
                 assert_eq!(top, Some(edge), "{shading:?} beam {b}");
             }
         }
@@ -365,7 +367,7 @@ mod tests {
         let broadside = rig.beams(&spec, &rig.echo(0.0, edge_s));
         let slanted = rig.beams(&spec, &rig.echo(f64::to_radians(60.0).sin(), edge_s));
         let worst = (edge - 40..edge + 40)
-            .map(|k| (broadside.beam(1)[k] - slanted.beam(2)[k]).norm())
+            .map(|k| (broadside.sample(1, k) - slanted.sample(2, k)).norm())
             .fold(0.0, f64::max);
         println!("compressed pulse at 60 deg against broadside: {worst:.2e}");
         assert!(worst < 0.01, "{worst:.2e}");
@@ -381,7 +383,11 @@ mod tests {
                 let sine = sign * f64::to_radians(starboard_deg).sin();
                 let out = rig.beams(&spec, &rig.echo(sine, 300.0 / rig.rate_hz));
                 let strongest = (0..out.beams)
-                    .max_by(|&i, &j| out.beam(i)[300].norm().total_cmp(&out.beam(j)[300].norm()))
+                    .max_by(|&i, &j| {
+                        out.sample(i, 300)
+                            .norm()
+                            .total_cmp(&out.sample(j, 300).norm())
+                    })
                     .unwrap_or(0);
                 let got_deg = out.angle_rad[strongest].to_degrees();
                 assert!(
@@ -491,7 +497,7 @@ mod tests {
                             * Complex64::from_polar(weights[e] / total, -TAU * center_hz * delay)
                     })
                     .sum();
-                worst = worst.max((out.beam(b)[k] - want).norm());
+                worst = worst.max((out.sample(b, k) - want).norm());
             }
         }
         println!("against the definition: {worst:.2e}");

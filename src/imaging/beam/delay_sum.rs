@@ -37,7 +37,7 @@ mod steering;
 use std::f64::consts::PI;
 use std::ops::Range;
 
-use num_complex::{Complex32, Complex64};
+use num_complex::Complex32;
 use rayon::prelude::*;
 
 use super::RowLimits;
@@ -723,8 +723,8 @@ unsafe fn finish(beam: usize, first: usize, sums: &[[&[f32]; 2]], out: &Outputs)
 }
 
 #[inline(always)]
-fn add_sections(sections: &[[&[f32]; 2]], to: &mut [Complex64]) {
-    let number = |re: f32, im: f32| Complex64::new(f64::from(re), f64::from(im));
+fn add_sections(sections: &[[&[f32]; 2]], to: &mut [Complex32]) {
+    let number = Complex32::new;
     match sections {
         [[re, im]] => {
             for ((to, re), im) in to.iter_mut().zip(*re).zip(*im) {
@@ -748,7 +748,7 @@ fn add_sections(sections: &[[&[f32]; 2]], to: &mut [Complex64]) {
 
 /// What a former writes.
 struct Outputs {
-    whole: Option<Columns<Complex64>>,
+    whole: Option<Columns<Complex32>>,
     products: Option<Columns<Complex32>>,
 }
 

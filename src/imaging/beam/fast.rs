@@ -242,7 +242,7 @@ impl FastFan {
         );
     }
 
-    fn transform_beams(&mut self, samples: usize, out: &mut [Complex64]) {
+    fn transform_beams(&mut self, samples: usize, out: &mut [Complex32]) {
         let beams = self.steered.beams();
         let (mixed, inverse) = (&self.mixed, &self.inverse);
         let share = beams.div_ceil(self.workers.len());
@@ -260,9 +260,7 @@ impl FastFan {
                         to.copy_from_slice(&tile[b * TILE..][..TILE]);
                     }
                     inverse.process_with_scratch(&mut worker.beam, &mut worker.beam_scratch);
-                    for (y, x) in row.iter_mut().zip(&worker.beam) {
-                        *y = Complex64::new(f64::from(x.re), f64::from(x.im));
-                    }
+                    row.copy_from_slice(&worker.beam[..samples]);
                 }
             });
     }

@@ -122,7 +122,7 @@ impl Rig {
             .iter()
             .map(|y| {
                 former.form(&self.plan(first), &self.echo(range_m, *y, first), &mut out);
-                out.iq.iter().fold(0.0, |m, x| x.norm().max(m))
+                f64::from(out.iq.iter().fold(0.0, |m, x| x.norm().max(m)))
             })
             .collect()
     }
@@ -265,7 +265,8 @@ fn conventional_beams_show_false_alarms_at_short_range_and_focused_ones_do_not()
             let mut out = BeamFrame::default();
             rig.former(&fan).form(&rig.plan(first), &frame, &mut out);
             let level: Vec<f64> = (0..out.beams)
-                .map(|b| out.beam(b).iter().fold(0.0, |m, x| x.norm().max(m)))
+                .map(|b| out.beam(b).iter().fold(0.0_f32, |m, x| x.norm().max(m)))
+                .map(f64::from)
                 .collect();
             let peak = level.iter().copied().fold(0.0, f64::max);
             let off = |b: usize| (out.angle_rad[b].sin() - rig.sine).abs();

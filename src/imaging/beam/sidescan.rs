@@ -111,7 +111,9 @@ impl LineFormer {
         let sum = &mut self.sum[..frame.samples];
         if let Some(focus) = &mut self.focus {
             focus.former.form(plan, frame, &mut focus.beam);
-            sum.copy_from_slice(focus.beam.beam(0));
+            for (s, y) in sum.iter_mut().zip(focus.beam.beam(0)) {
+                *s = Complex64::new(y.re.into(), y.im.into());
+            }
         } else {
             sum.fill(Complex64::ZERO);
             let weight = 1.0 / frame.elements as f64;

@@ -11,7 +11,7 @@
 //! The search starts at `first_sample_s` and takes the strongest interval of each beam; neighbouring beams are not used. Not modelled:
 //! several bottoms in one beam, refraction, gates from other sounders.
 
-use num_complex::{Complex32, Complex64};
+use num_complex::Complex32;
 use rayon::prelude::*;
 
 use echotank_core::ping::{BeamFrame, Detection, Sounding};
@@ -53,7 +53,7 @@ struct Worker {
 /// Samples of one beam, from the first that may be a bottom on.
 #[derive(Clone, Copy)]
 struct Beam<'a> {
-    whole: &'a [Complex64],
+    whole: &'a [Complex32],
     /// Products of the halves; the phase is that between them.
     products: &'a [Complex32],
 }
@@ -188,7 +188,7 @@ impl Worker {
     /// Centre of the energy in the interval about the peak.
     fn by_amplitude(
         &self,
-        whole: &[Complex64],
+        whole: &[Complex32],
         peak: usize,
         level: f64,
         footprint: f64,
@@ -197,7 +197,7 @@ impl Worker {
         let (from, to) = self.stretch(peak, level * AMPLITUDE_FLOOR);
         let (mut sum, mut first, mut second) = (0.0, 0.0, 0.0);
         for (k, sample) in whole[from..to].iter().enumerate() {
-            let i = sample.norm_sqr();
+            let i = intensity(*sample);
             let x = (from + k) as f64 - peak as f64;
             sum += i;
             first += i * x;
@@ -334,14 +334,14 @@ impl Line {
 const LANES: usize = 8;
 
 /// Sums of the intensities before each sample, and of all.
-fn add_intensities(beam: &[Complex64], before: &mut Vec<f64>) {
+fn add_intensities(beam: &[Complex32], before: &mut Vec<f64>) {
     before.clear();
     before.push(0.0);
     let mut sum = 0.0;
     let (chunks, rest) = beam.as_chunks::<LANES>();
     for chunk in chunks {
         // Sums within a chunk do not wait for those before it.
-        let mut within = chunk.map(|sample| sample.norm_sqr());
+        let mut within = chunk.map(intensity);
         for i in 1..LANES {
             within[i] += within[i - 1];
         }
@@ -349,9 +349,16 @@ fn add_intensities(beam: &[Complex64], before: &mut Vec<f64>) {
         sum += within[LANES - 1];
     }
     for sample in rest {
-        sum += sample.norm_sqr();
+        sum += intensity(*sample);
         before.push(sum);
     }
+}
+
+/// Squared magnitude, of numbers whose squares are too small for single precision as well.
+#[inline(always)]
+fn intensity(sample: Complex32) -> f64 {
+    let (re, im) = (f64::from(sample.re), f64::from(sample.im));
+    re * re + im * im
 }
 
 /// The first largest level, of at least one.
@@ -398,6 +405,7 @@ fn running_mean(before: &[f64], window: usize, out: &mut Vec<f64>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use num_complex::Complex64;
     use rand_chacha::ChaCha12Rng;
     use rand_chacha::rand_core::{Rng, SeedableRng};
     use std::f64::consts::{PI, TAU};
@@ -414,15 +422,15 @@ mod tests {
         let samples = 4500;
         let mut rng = ChaCha12Rng::seed_from_u64(seed);
         let mut uniform = || (rng.next_u64() as f64 + 0.5) / 2f64.powi(64);
-        let mut frames = [BeamFrame::default(), BeamFrame::default()];
-        for frame in &mut frames {
-            frame.beams = angles.len();
-            frame.samples = samples;
-            frame.angle_rad = angles.to_vec();
-            let width = |angle: &f64| 0.886 / (0.5 * LINE_WAVELENGTHS) / angle.cos();
-            frame.width_rad = angles.iter().map(width).collect();
-            frame.iq = vec![Complex64::ZERO; angles.len() * samples];
-        }
+        let width = |angle: &f64| 0.886 / (0.5 * LINE_WAVELENGTHS) / angle.cos();
+        let mut whole = BeamFrame {
+            beams: angles.len(),
+            samples,
+            angle_rad: angles.to_vec(),
+            width_rad: angles.iter().map(width).collect(),
+            iq: Vec::new(),
+        };
+        let mut halves = [(); 2].map(|()| vec![Complex64::ZERO; angles.len() * samples]);
         let sinc = |x: f64| {
             if x.abs() < 1e-9 {
                 1.0
@@ -448,7 +456,7 @@ mod tests {
                     continue;
                 }
                 let pattern = sinc(u);
-                for (frame, sign) in frames.iter_mut().zip([-1.0, 1.0]) {
+                for (half, sign) in halves.iter_mut().zip([-1.0, 1.0]) {
                     let phase = sign * 0.5 * PI * LINE_WAVELENGTHS * off;
                     let echo = strength * pattern * Complex64::from_polar(1.0, phase);
                     let first = (place as usize).saturating_sub(6);
@@ -457,17 +465,16 @@ mod tests {
                         let at = t * BANDWIDTH_HZ;
                         // A compressed pulse with the side lobes of a Hann weighting.
                         let level = sinc(at) + 0.5 * (sinc(at - 1.0) + sinc(at + 1.0));
-                        frame.iq[b * samples + k] += echo * level;
+                        half[b * samples + k] += echo * level;
                     }
                 }
             }
         }
-        let [mut whole, other] = frames;
+        let narrow = |z: Complex64| Complex32::new(z.re as f32, z.im as f32);
         let mut products = Vec::new();
-        for (a, b) in whole.iq.iter_mut().zip(&other.iq) {
-            let product = *a * b.conj();
-            products.push(Complex32::new(product.re as f32, product.im as f32));
-            *a = 0.5 * (*a + b);
+        for (a, b) in halves[0].iter().zip(&halves[1]) {
+            products.push(narrow(a * b.conj()));
+            whole.iq.push(narrow(0.5 * (a + b)));
         }
         (whole, products)
     }
@@ -520,11 +527,11 @@ mod tests {
             samples: 3000,
             angle_rad: vec![0.0; 2],
             width_rad: vec![0.0; 2],
-            iq: vec![Complex64::ZERO; 6000],
+            iq: vec![Complex32::ZERO; 6000],
         };
         for x in &mut frame.iq[3000..] {
-            let mut draw = || rng.next_u32() as f64 / f64::from(u32::MAX) - 0.5;
-            *x = Complex64::new(draw(), draw());
+            let mut draw = || rng.next_u32() as f32 / u32::MAX as f32 - 0.5;
+            *x = Complex32::new(draw(), draw());
         }
         let mut soundings = Vec::new();
         let mut detector = BottomDetector::new(RATE_HZ, BANDWIDTH_HZ, 3000);

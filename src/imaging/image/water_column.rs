@@ -95,7 +95,8 @@ fn samples_between(fan: &BeamFrame, from: f64, to: f64) -> Option<Range<usize>> 
 fn intensity(fan: &BeamFrame, beam: usize, samples: Range<usize>) -> f64 {
     let count = samples.len() as f64;
     let inside = fan.beam(beam)[samples].iter();
-    inside.map(|y| y.norm_sqr()).sum::<f64>() / count
+    let square = |x: f32| f64::from(x) * f64::from(x);
+    inside.map(|y| square(y.re) + square(y.im)).sum::<f64>() / count
 }
 
 /// The beam nearest to an angle; none more than half a step outside the fan.
@@ -400,7 +401,7 @@ mod tests {
     use echotank_core::ping::Detection;
     use echotank_core::pulse::{Pulse, PulseKind};
     use echotank_core::testing::plan_at_rest;
-    use num_complex::Complex64;
+    use num_complex::Complex32;
 
     const C: f64 = 1500.0;
     const RATE_HZ: f64 = 15e3;
@@ -424,8 +425,8 @@ mod tests {
 
     fn fan(echo: (usize, usize)) -> BeamFrame {
         let (beams, samples) = (61, 1000);
-        let mut iq = vec![Complex64::new(1e-3, 0.0); beams * samples];
-        iq[echo.0 * samples + echo.1] = Complex64::ONE;
+        let mut iq = vec![Complex32::new(1e-3, 0.0); beams * samples];
+        iq[echo.0 * samples + echo.1] = Complex32::ONE;
         BeamFrame {
             beams,
             samples,

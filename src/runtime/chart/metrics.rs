@@ -1,6 +1,6 @@
 //! Error measures of the pings of a method against the reference solution.
 
-use num_complex::Complex64;
+use num_complex::{Complex32, Complex64};
 
 use echotank_core::ping::PingOutput;
 
@@ -91,8 +91,8 @@ pub fn errors(got: &[PingOutput], want: &[PingOutput]) -> Errors {
     }
 }
 
-fn envelope(row: &[Complex64]) -> Vec<f32> {
-    row.iter().map(|x| x.norm() as f32).collect()
+fn envelope(row: &[Complex32]) -> Vec<f32> {
+    row.iter().map(|x| x.norm()).collect()
 }
 
 fn complex_sums(got: &[Complex64], want: &[Complex64]) -> Sums {

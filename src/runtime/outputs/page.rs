@@ -6,6 +6,7 @@
 use std::sync::Arc;
 
 use glam::DVec3;
+use num_complex::{Complex32, Complex64};
 use serde_json::{Value, json};
 
 use super::{Output, OutputError, Report};
@@ -220,7 +221,7 @@ impl Page {
             let begin = self.power.len();
             self.power.resize(begin + bins, 0.0);
             for beam in first..=last {
-                max_hold(powers(beams.beam(beam)), &mut row);
+                max_hold(beam_powers(beams.beam(beam)), &mut row);
                 for (held, new) in self.power[begin..].iter_mut().zip(&row) {
                     *held = held.max(*new);
                 }
@@ -281,31 +282,35 @@ impl Page {
             first..all.min(first + MAX_SAMPLES)
         };
         let mut first_s = plan.first_sample_s;
-        let found = match scope.of {
+        let all = match scope.of {
             ScopeOf::Element => {
                 let frame = output.elements.get(array).filter(|f| index < f.elements);
-                frame.map(|frame| frame.element(index))
+                let samples = frame.map_or(&[][..], |frame| frame.element(index));
+                for x in &samples[part(samples.len())] {
+                    put(x.re as f32, x.im as f32);
+                }
+                samples.len()
             }
             ScopeOf::Beam => {
                 let frame = output.beams.get(array).filter(|f| index < f.beams);
-                frame.map(|frame| frame.beam(index))
+                let samples = frame.map_or(&[][..], |frame| frame.beam(index));
+                for x in &samples[part(samples.len())] {
+                    put(x.re, x.im);
+                }
+                samples.len()
             }
-            ScopeOf::Line => None,
-        };
-        let all = if let Some(samples) = found {
-            for x in &samples[part(samples.len())] {
-                put(x.re as f32, x.im as f32);
+            ScopeOf::Line => {
+                let line = output.lines.get(array);
+                let amplitude = line.map_or(&[][..], |line| &line.amplitude);
+                if line.is_some() {
+                    // Sample 0 of a line is the start of the pulse.
+                    first_s = 0.0;
+                }
+                for a in &amplitude[part(amplitude.len())] {
+                    put(*a, 0.0);
+                }
+                amplitude.len()
             }
-            samples.len()
-        } else if let (ScopeOf::Line, Some(line)) = (scope.of, output.lines.get(array)) {
-            // Sample 0 of a line is the start of the pulse.
-            first_s = 0.0;
-            for a in &line.amplitude[part(line.amplitude.len())] {
-                put(*a, 0.0);
-            }
-            line.amplitude.len()
-        } else {
-            0
         };
         let text = json!({
             "all": all,
@@ -366,11 +371,15 @@ impl LineSource {
                 let beams = &output.beams[0];
                 let of_side = |beam: &usize| (beams.angle_rad[*beam] < 0.0) == (side == Side::Port);
                 let rows = (0..beams.beams).filter(of_side);
-                max_power(rows.map(|beam| beams.beam(beam)), beams.samples, into)
+                max_power(
+                    rows.map(|beam| beam_powers(beams.beam(beam))),
+                    beams.samples,
+                    into,
+                )
             }
             Self::Elements => match (side, output.elements.first()) {
                 (Side::Starboard, Some(array)) => {
-                    let rows = (0..array.elements).map(|element| array.element(element));
+                    let rows = (0..array.elements).map(|element| powers(array.element(element)));
                     max_power(rows, array.samples, into)
                 }
                 _ => (0, 0),
@@ -379,23 +388,25 @@ impl LineSource {
     }
 }
 
-type Samples = [num_complex::Complex64];
-
-fn powers(row: &Samples) -> impl ExactSizeIterator<Item = f32> + '_ {
+fn powers(row: &[Complex64]) -> impl ExactSizeIterator<Item = f32> {
     row.iter().map(|x| x.norm_sqr() as f32)
 }
 
+fn beam_powers(row: &[Complex32]) -> impl ExactSizeIterator<Item = f32> {
+    row.iter().map(|x| x.norm_sqr())
+}
+
 /// Maximum power over several rows, per pixel.
-fn max_power<'a>(
-    rows: impl Iterator<Item = &'a Samples>,
+fn max_power(
+    rows: impl Iterator<Item = impl ExactSizeIterator<Item = f32>>,
     samples: usize,
     into: &mut [f32],
 ) -> (usize, usize) {
     let mut row = [0.0; MAX_PIXELS];
     let pixels = samples.min(into.len());
     into[..pixels].fill(0.0);
-    for samples in rows {
-        max_hold(powers(samples), &mut row[..pixels]);
+    for powers in rows {
+        max_hold(powers, &mut row[..pixels]);
         for (held, new) in into.iter_mut().zip(&row) {
             *held = held.max(*new);
         }

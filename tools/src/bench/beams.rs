@@ -363,7 +363,7 @@ fn error(probes: &[Probe], focused: bool, out: &BeamFrame) -> f64 {
     let (mut off, mut all) = (0.0, 0.0);
     for p in probes {
         let want = p.want[usize::from(focused)];
-        off += (out.beam(p.beam)[p.sample] - want).norm_sqr();
+        off += (out.sample(p.beam, p.sample) - want).norm_sqr();
         all += want.norm_sqr();
     }
     f64::sqrt(off / all)

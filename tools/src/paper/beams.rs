@@ -68,7 +68,9 @@ fn lay(spec: &RigSpec, pings: &[RecordedPing]) -> Grid {
                 else {
                     continue;
                 };
-                let power = inside.iter().map(|y| y.norm_sqr()).sum::<f64>() / inside.len() as f64;
+                let square = |x: f32| f64::from(x) * f64::from(x);
+                let powers = inside.iter().map(|y| square(y.re) + square(y.im));
+                let power = powers.sum::<f64>() / inside.len() as f64;
                 let at_m = along_m(spec, ping, angle.sin(), range_m);
                 let reach_m = (0.75 * step * range_m).max(CELL_M);
                 strip.lay(x, at_m, reach_m, 10.0 * power.log10() as f32);
@@ -139,7 +141,7 @@ fn points(spec: &RigSpec, ping: &RecordedPing) -> Result<Vec<Value>, String> {
 
 fn greatest_of_each(fan: &BeamFrame) -> Vec<f64> {
     (0..fan.beams)
-        .map(|b| fan.beam(b).iter().map(|y| y.norm()).fold(0.0, f64::max))
+        .map(|b| f64::from(fan.beam(b).iter().map(|y| y.norm()).fold(0.0, f32::max)))
         .collect()
 }
 

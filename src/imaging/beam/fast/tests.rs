@@ -51,7 +51,8 @@ fn steered(array: &ArrayGeometry, spec: &FanSpec) -> SteeredArray {
 /// rms of the differences relative to the rms, and largest difference relative to the largest value.
 fn error(got: &BeamFrame, want: &BeamFrame) -> (f64, f64) {
     let (mut off, mut all, mut worst, mut most) = (0.0, 0.0, 0.0_f64, 0.0_f64);
-    for (g, w) in got.iq.iter().zip(&want.iq) {
+    let wide = |z: &Complex32| Complex64::new(z.re.into(), z.im.into());
+    for (g, w) in got.iq.iter().map(wide).zip(want.iq.iter().map(wide)) {
         let d = (g - w).norm_sqr();
         off += d;
         all += w.norm_sqr();

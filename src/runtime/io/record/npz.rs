@@ -30,7 +30,7 @@ use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use num_complex::Complex64;
+use num_complex::{Complex32, Complex64};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
@@ -194,10 +194,17 @@ impl NpzRecorder {
     fn write(&mut self, plan: &PingPlan, output: &PingOutput) -> Result<(), RecordError> {
         let (to, bytes) = (&mut self.arrays, &mut self.bytes);
         for frame in &output.elements {
-            write_samples(&mut to.iq_by_element, bytes, &frame.iq, self.double)?;
+            let parts = |x: &Complex64| [x.re, x.im];
+            write_samples(
+                &mut to.iq_by_element,
+                bytes,
+                (&frame.iq, parts),
+                self.double,
+            )?;
         }
         for fan in &output.beams {
-            write_samples(&mut to.beams, bytes, &fan.iq, self.double)?;
+            let parts = |x: &Complex32| [x.re, x.im].map(f64::from);
+            write_samples(&mut to.beams, bytes, (&fan.iq, parts), self.double)?;
             let angles = fan.angle_rad.iter().flat_map(|angle| angle.to_le_bytes());
             to.beam_angle_rad.write(&angles.collect::<Vec<_>>())?;
             let first = self.first.as_ref().map(|first| &first.beam_angle_rad);
@@ -388,21 +395,21 @@ fn element_count(sonar: &SonarSpec) -> usize {
     sonar.receive.iter().map(|array| array.elements).sum()
 }
 
-fn write_samples(
+/// Writes the real and imaginary `parts` of samples in double or single precision.
+fn write_samples<T>(
     to: &mut PartialFile,
     bytes: &mut Vec<u8>,
-    iq: &[Complex64],
+    (iq, parts): (&[T], impl Fn(&T) -> [f64; 2]),
     double: bool,
 ) -> Result<(), RecordError> {
     if double {
         write_items(to, bytes, iq, |x, out| {
-            out.extend(x.re.to_le_bytes());
-            out.extend(x.im.to_le_bytes());
+            out.extend(parts(x).map(f64::to_le_bytes).as_flattened());
         })
     } else {
         write_items(to, bytes, iq, |x, out| {
-            out.extend((x.re as f32).to_le_bytes());
-            out.extend((x.im as f32).to_le_bytes());
+            let parts = parts(x).map(|x| (x as f32).to_le_bytes());
+            out.extend(parts.as_flattened());
         })
     }
 }

@@ -3,7 +3,7 @@
 use echotank_protocols::sevenk::file::FileHeader7200;
 use echotank_protocols::sevenk::{OpenRecord, RecordStamp, SevenKTime};
 use glam::DVec3;
-use num_complex::Complex64;
+use num_complex::{Complex32, Complex64};
 
 use echotank_config::spec::{BeamsSpec, FanForm, FanSpec, LimitsSpec, Shading, SonarSpec};
 use echotank_core::arrays::{
@@ -141,7 +141,10 @@ pub fn output(ping_number: u32) -> PingOutput {
             samples: SAMPLES,
             angle_rad: vec![-0.5, 0.0, 0.5],
             width_rad: vec![0.3; 3],
-            iq: iq(3, 100.0),
+            iq: iq(3, 100.0)
+                .iter()
+                .map(|x| Complex32::new(x.re as f32, x.im as f32))
+                .collect(),
         }],
         lines: vec![line(Side::Port, 200.0), line(Side::Starboard, 300.0)],
         ..PingOutput::default()

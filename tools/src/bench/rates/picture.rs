@@ -1,6 +1,6 @@
 //! Picture of ping period against computing time of every rig, on logarithmic axes.
 
-use echotank_drawing::{Anchor, GREY, INK, PALE, Svg, width_of};
+use echotank_drawing::{Anchor, GREY, INK, PALE, Svg};
 
 use super::Row;
 
@@ -95,13 +95,10 @@ pub(super) fn svg(rows: &[Row]) -> String {
         if low < high {
             let end = |period: f64| (x.at(period), y.at(period / headroom));
             svg.line(end(low), end(high), GREY, "5 4");
-            let (at_x, at_y) = end(high);
+            // Beside the axis of time, where no points are.
+            let (at_x, at_y) = end(low);
             let text = format!("headroom {headroom}");
-            let anchor = match at_x + width_of(&text, 10.0) > WIDTH - RIGHT {
-                true => Anchor::End,
-                false => Anchor::Start,
-            };
-            svg.label((at_x, at_y - 4.0), 10.0, anchor, GREY, &text);
+            svg.label((at_x + 4.0, at_y + 12.0), 10.0, Anchor::Start, GREY, &text);
         }
     }
     let mut names: Vec<&str> = rows.iter().map(|r| r.rig.as_str()).collect();

@@ -12,7 +12,7 @@ use echotank_protocols::jsf::{SonarData80, message_type};
 use echotank_protocols::sevenk::Record;
 use echotank_protocols::sevenk::records::{RawDetections7027, WaterColumn7042};
 use echotank_protocols::xtf::{FileHeader, Ping};
-use num_complex::Complex64;
+use num_complex::{Complex32, Complex64};
 
 use super::pipeline::{Bottom, peak};
 use super::rig::*;
@@ -37,10 +37,10 @@ fn flat() -> (PingPlan, PingOutput) {
     let mut output = output(SAMPLES);
     let zero = Complex64::ZERO;
     let fan = &mut output.beams[0];
-    fan.iq.fill(zero);
+    fan.iq.fill(Complex32::ZERO);
     for beam in 0..fan.beams {
         let range_m = DEPTH_M / fan.angle_rad[beam].cos();
-        fan.iq[beam * SAMPLES + sample_of(range_m) - SILENT] = Complex64::new(1.0, 0.5);
+        fan.iq[beam * SAMPLES + sample_of(range_m) - SILENT] = Complex32::new(1.0, 0.5);
         output.soundings.push(Sounding {
             beam,
             angle_rad: fan.angle_rad[beam],
