@@ -47,7 +47,7 @@ use crate::io::notify::Notify;
 use crate::io::record::RecordError;
 use crate::io::record::recover::recover_folder;
 use crate::io::trigger::ListenerError;
-use crate::io::trigger::out::OutError;
+use crate::io::trigger::out::TriggerOutputError;
 use crate::outputs::{OutputError, Outputs, PageContext};
 use crate::overload::{Backlog, DegradationLevels};
 use crate::page::PageSource;
@@ -87,7 +87,7 @@ pub enum DaemonError {
     Trigger(#[from] ListenerError),
     /// The trigger output cannot be opened.
     #[error(transparent)]
-    TriggerOut(#[from] OutError),
+    TriggerOut(#[from] TriggerOutputError),
     /// The control server cannot listen.
     #[error("control: {0}")]
     Control(#[from] ControlOpenError),

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, OnceLock};
 
 use crate::io::trigger::TriggerListenerCounts;
-use crate::io::trigger::out::OutCounts;
+use crate::io::trigger::out::TriggerOutputCounts;
 use echotank_ping::{Refusal, Triggered};
 
 /// Trigger counters of one sonar.
@@ -31,7 +31,7 @@ pub struct TriggerCounts {
     /// Counters of the sonar's trigger input, if it has one.
     pub listener: OnceLock<Arc<TriggerListenerCounts>>,
     /// Counters of the sonar's trigger output, if it has one.
-    pub out: OnceLock<Arc<OutCounts>>,
+    pub out: OnceLock<Arc<TriggerOutputCounts>>,
 }
 
 impl TriggerCounts {
@@ -59,7 +59,7 @@ impl TriggerCounts {
         let listener = |of: fn(&TriggerListenerCounts) -> &AtomicU64| {
             self.listener.get().map(|listener| of(listener))
         };
-        let out = |of: fn(&OutCounts) -> &AtomicU64| self.out.get().map(|out| of(out));
+        let out = |of: fn(&TriggerOutputCounts) -> &AtomicU64| self.out.get().map(|out| of(out));
         [
             (
                 "triggers_received",

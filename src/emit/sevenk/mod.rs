@@ -200,7 +200,7 @@ impl SevenKEmitter {
         self.stored = stored;
     }
 
-    /// Counts since the start.
+    /// Records, bytes and clipped values since the emitter was made.
     pub fn totals(&self) -> EmitCounts {
         self.totals
     }

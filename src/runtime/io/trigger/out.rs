@@ -19,14 +19,14 @@ use echotank_core::time::UtcNs;
 /// Error of opening a trigger output.
 #[derive(Debug, Error)]
 #[error("trigger_out: cannot open {what}: {why}")]
-pub struct OutError {
+pub struct TriggerOutputError {
     what: String,
     why: io::Error,
 }
 
 /// Counters of a trigger output.
 #[derive(Debug, Default)]
-pub struct OutCounts {
+pub struct TriggerOutputCounts {
     /// Triggers sent.
     pub sent: AtomicU64,
     /// Triggers that could not be sent.
@@ -58,7 +58,7 @@ pub struct TriggerOut {
     sonar: String,
     socket: Option<(UdpSocket, SocketAddr)>,
     line: Option<Pulser>,
-    counts: Arc<OutCounts>,
+    counts: Arc<TriggerOutputCounts>,
 }
 
 impl TriggerOut {
@@ -66,12 +66,12 @@ impl TriggerOut {
     ///
     /// # Errors
     /// The socket, the serial port or the thread cannot be opened.
-    pub fn open(spec: &TriggerOutSpec, sonar: &str) -> Result<Option<Self>, OutError> {
+    pub fn open(spec: &TriggerOutSpec, sonar: &str) -> Result<Option<Self>, TriggerOutputError> {
         if *spec == TriggerOutSpec::default() {
             return Ok(None);
         }
-        let refused = |what: String| move |why| OutError { what, why };
-        let counts = Arc::new(OutCounts::default());
+        let refused = |what: String| move |why| TriggerOutputError { what, why };
+        let counts = Arc::new(TriggerOutputCounts::default());
         let socket = match spec.to {
             None => None,
             Some(to) => {
@@ -104,7 +104,7 @@ impl TriggerOut {
     }
 
     /// Counters so far.
-    pub fn counts(&self) -> &Arc<OutCounts> {
+    pub fn counts(&self) -> &Arc<TriggerOutputCounts> {
         &self.counts
     }
 
@@ -147,7 +147,7 @@ impl Pulser {
     fn start(
         line: impl OutputLine + 'static,
         length: Duration,
-        counts: Arc<OutCounts>,
+        counts: Arc<TriggerOutputCounts>,
     ) -> io::Result<Self> {
         // Unbuffered, because a pulse that waited for the end of another would be late.
         let (pulses, wanted) = bounded(0);
@@ -161,7 +161,12 @@ impl Pulser {
     }
 }
 
-fn raise(mut line: impl OutputLine, length: Duration, wanted: &Receiver<()>, counts: &OutCounts) {
+fn raise(
+    mut line: impl OutputLine,
+    length: Duration,
+    wanted: &Receiver<()>,
+    counts: &TriggerOutputCounts,
+) {
     while wanted.recv().is_ok() {
         let raised = line.raise(true);
         thread::sleep(length);
@@ -223,7 +228,7 @@ mod tests {
     fn a_line_is_raised_for_as_long_as_it_is_told() {
         let seen = Arc::new(Mutex::new(Vec::new()));
         let length = Duration::from_millis(5);
-        let counts = Arc::new(OutCounts::default());
+        let counts = Arc::new(TriggerOutputCounts::default());
         let pulser = Pulser::start(Fake(seen.clone()), length, counts.clone()).expect("starts");
         for _ in 0..2 {
             pulser.pulses.send(()).expect("taken");
