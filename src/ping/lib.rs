@@ -18,6 +18,7 @@ pub mod make_ping;
 pub mod method_selection;
 pub mod methods;
 pub mod more_pulses;
+pub mod ping_cost;
 pub mod pipeline;
 pub mod plan;
 pub mod rig;

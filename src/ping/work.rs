@@ -59,10 +59,31 @@ figures! {
     Gridded2dGrid "gridded_2d_grid" "cost estimate of `gridded-2d` for its grids, in its own ns";
     GriddedLinesEcho "gridded_lines_echo" "cost estimate of `gridded-lines` for its echoes, in its own ns";
     GriddedLinesGrid "gridded_lines_grid" "cost estimate of `gridded-lines` for its grids, in its own ns";
+    Tile "tile" "a tile of the seabed in reach of a ping";
+    Made "made" "a scatterer of the seabed made anew";
+    Tested "tested" "a scatterer of the seabed that a ping may keep";
+    Gathered "gathered" "... that it keeps";
+    Noise "noise" "a sample of an element's noise";
+    Received "received" "a sample of an element through gain and converter";
+    BeamTransform "beam_transform" "a point of a beamformer's transform, for each doubling of its length";
+    BeamProduct "beam_product" "a complex product of a beamformer";
+    BeamZone "beam_zone" "a group of elements of a beam, for each of its focal zones";
+    BeamSample "beam_sample" "a sample of a beam, whatever formed it";
+    BottomSample "bottom_sample" "a sample of a beam in which the bottom is looked for";
+    RecordIq "record_iq" "a sample of an element or a beam in a record, I and Q";
+    RecordAmplitude "record_amplitude" "an amplitude of a beam or a line in a record";
+    RecordPassband "record_passband" "a passband sample of an element in a record";
 }
 
 /// Number of kinds of work.
 pub const FIGURES: usize = Figure::ALL.len();
+
+impl Figure {
+    /// Whether the choice of methods decides how much of it there is. The others are those of [`crate::ping_cost`].
+    pub fn is_of_methods(self) -> bool {
+        (self as usize) < Self::Tile as usize
+    }
+}
 
 /// Amounts of each kind.
 #[derive(Clone, Copy, Debug, PartialEq)]

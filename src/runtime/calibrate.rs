@@ -107,7 +107,14 @@ pub fn calibrate(
                 all &= case.time(&ranking, began + MAX_TOTAL, &mut timed);
             }
         }
-        let factors = fit(&timed, &before.ns);
+        let mut factors = fit(&timed, &before.ns);
+        // The stages that no method changes are not timed: they follow the machine's speed.
+        let speed = speed(&timed, &before.ns);
+        for (factor, figure) in factors.iter_mut().zip(Figure::ALL) {
+            if !figure.is_of_methods() {
+                *factor = speed;
+            }
+        }
         let spread = |ns: &Work| {
             let squares = timed.iter().map(|t| residual(t, ns).powi(2));
             (squares.sum::<f64>() / timed.len().max(1) as f64)
@@ -261,6 +268,13 @@ fn residual(timed: &Timed, ns: &Work) -> f64 {
     let parts = Figure::ALL.iter().map(|&f| 1e-6 * ns[f] * timed.work[f]);
     let predicted_ms: f64 = parts.sum();
     (predicted_ms / timed.took_ms.max(1e-6)).max(1e-9).ln()
+}
+
+/// Median of the methods' measured times over those that the table predicts; 1 without methods.
+fn speed(timed: &[Timed], before: &Work) -> f64 {
+    let mut all: Vec<f64> = timed.iter().map(|t| residual(t, before)).collect();
+    all.sort_by(f64::total_cmp);
+    all.get(all.len() / 2).map_or(1.0, |middle| (-middle).exp())
 }
 
 /// Fits factors on the table `before`: least squares of logarithms by coordinate search with halving steps.

@@ -1,7 +1,7 @@
 //! Plans each sonar's first ping without computing it, for `echotank check` and for tools.
 //!
-//! For each sonar, the result contains the plan, its scatterers and the [`Ranking`] of the methods. Without recorded navigation, a uniform motion is
-//! assumed.
+//! For each sonar, the result contains the plan, its scatterers, the [`Ranking`] of the methods and the cost of a ping. Without recorded navigation, a
+//! uniform motion is assumed. The first ping makes all tiles of the seabed around it; what a ping under way makes is counted on the one after it.
 
 use glam::{DQuat, DVec3};
 use thiserror::Error;
@@ -12,14 +12,16 @@ use echotank_config::spec::{AnchorSpec, RigSpec, SonarSpec, VerticalSpec};
 use echotank_core::frames::Trajectory;
 use echotank_core::model::Synthesis;
 use echotank_core::navigation::NavState;
-use echotank_core::ping::PingPlan;
+use echotank_core::ping::{PingPlan, SceneCounts};
 use echotank_core::scene::Scatterers;
 use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 use echotank_ping::footprints::footprints;
 use echotank_ping::method_selection::costs::Costs;
-use echotank_ping::method_selection::{MotionScale, Scene, rank};
+use echotank_ping::method_selection::{MotionScale, Scene, rank, with_choice};
 use echotank_ping::methods::Ranking;
+use echotank_ping::ping_cost::PingCost;
+use echotank_ping::rig::PingSlot;
 use echotank_ping::{self as ping, PingOrder};
 
 /// Speed assumed without recorded navigation: 5 knots, straight ahead and level.
@@ -47,8 +49,12 @@ pub struct FirstPing {
     pub plan: PingPlan,
     /// Scatterers in the footprint of the ping.
     pub scatterers: Scatterers,
+    /// Counts of the next ping's scene.
+    pub scene: SceneCounts,
     /// Candidate methods; `None` if no method applies.
     pub ranking: Option<Ranking>,
+    /// Cost of a ping with the chosen methods.
+    pub cost: Option<PingCost>,
     /// Whether the motion is assumed, because the navigation is not recorded.
     pub is_supposed: bool,
 }
@@ -58,12 +64,17 @@ pub struct FirstPing {
 /// # Errors
 /// The rig cannot be opened, or the navigation covers none of the first 50 pings of a sonar.
 pub fn first(spec: &RigSpec, costs: &Costs) -> Result<Vec<FirstPing>, FirstPingError> {
-    let pings = pings(spec)?;
+    let pings = planned(spec)?;
     let is_supposed = !spec.nav.is_recorded();
     let sonars = spec.sonars.iter().zip(pings);
     Ok(sonars
-        .map(|(sonar, (plan, scatterers))| FirstPing {
-            ranking: rank(
+        .map(|(sonar, planned)| {
+            let Planned {
+                plan,
+                scatterers,
+                scene,
+            } = planned;
+            let ranking = rank(
                 &Scene {
                     spec: sonar,
                     medium: &spec.medium,
@@ -74,12 +85,30 @@ pub fn first(spec: &RigSpec, costs: &Costs) -> Result<Vec<FirstPing>, FirstPingE
                     motion_scale: MotionScale::NONE,
                 },
                 &[],
-            ),
-            plan,
-            scatterers,
-            is_supposed,
+            );
+            let cost = ranking.as_ref().map(|ranking| {
+                let chosen = ranking.chosen();
+                let sonar = with_choice(sonar, &chosen.choice);
+                PingCost::new(&sonar, &plan, &scene, chosen.cost_ms(), costs)
+            });
+            FirstPing {
+                plan,
+                scatterers,
+                scene,
+                ranking,
+                cost,
+                is_supposed,
+            }
         })
         .collect())
+}
+
+/// First ping of a sonar.
+struct Planned {
+    plan: PingPlan,
+    scatterers: Scatterers,
+    /// Of the next ping.
+    scene: SceneCounts,
 }
 
 /// First plan of each sonar with the scatterers in its footprint, culled at the configured level.
@@ -87,6 +116,11 @@ pub fn first(spec: &RigSpec, costs: &Costs) -> Result<Vec<FirstPing>, FirstPingE
 /// # Errors
 /// See [`first`].
 pub fn pings(spec: &RigSpec) -> Result<Vec<(PingPlan, Scatterers)>, FirstPingError> {
+    let planned = planned(spec)?.into_iter();
+    Ok(planned.map(|ping| (ping.plan, ping.scatterers)).collect())
+}
+
+fn planned(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
     match RecordedRig::open(&bare(spec)) {
         Ok(recorded) => recorded_pings(recorded),
         Err(RecordedError::NoLog) => assumed_pings(&bare(spec)),
@@ -109,14 +143,13 @@ fn bare(spec: &RigSpec) -> RigSpec {
     spec
 }
 
-fn recorded_pings(
-    mut recorded: RecordedRig,
-) -> Result<Vec<(PingPlan, Scatterers)>, FirstPingError> {
+fn recorded_pings(mut recorded: RecordedRig) -> Result<Vec<Planned>, FirstPingError> {
     let sonars = recorded.rig.sonars.len();
     let mode = recorded.rig.spec.nav.mode;
-    let mut found: Vec<Option<(PingPlan, Scatterers)>> = vec![None; sonars];
+    let mut found: Vec<Option<Planned>> = (0..sonars).map(|_| None).collect();
+    let mut under_way = vec![false; sonars];
     while let Some((sonar, order)) = recorded.next_order(TRIES) {
-        if found[sonar].is_some() {
+        if under_way[sonar] {
             continue;
         }
         if !recorded.settle(sonar, &order) {
@@ -126,11 +159,24 @@ fn recorded_pings(
         let rig = &mut recorded.rig;
         if rig
             .prepare(sonar, &order, mode, UtcNs(0), &mut slot)
-            .is_ok()
+            .is_err()
         {
-            found[sonar] = Some((slot.plan, rig.scatterers().clone()));
+            continue;
         }
-        if found.iter().all(Option::is_some) {
+        match &mut found[sonar] {
+            Some(planned) => {
+                planned.scene = slot.output.scene;
+                under_way[sonar] = true;
+            }
+            none => {
+                *none = Some(Planned {
+                    plan: slot.plan,
+                    scatterers: rig.scatterers().clone(),
+                    scene: slot.output.scene,
+                });
+            }
+        }
+        if under_way.iter().all(|&is| is) {
             break;
         }
     }
@@ -141,7 +187,7 @@ fn recorded_pings(
         .collect()
 }
 
-fn assumed_pings(spec: &RigSpec) -> Result<Vec<(PingPlan, Scatterers)>, FirstPingError> {
+fn assumed_pings(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
     let mut rig = crate::rig::open(spec)?;
     let place = rig.scene.geodetic_place().map(|p| (p.north_m, p.east_m));
     let (north_m, east_m) = match (spec.scene.anchor, place) {
@@ -166,18 +212,28 @@ fn assumed_pings(spec: &RigSpec) -> Result<Vec<(PingPlan, Scatterers)>, FirstPin
             },
             period_s: 0.0,
         };
-        slot.plan.trajectory = Trajectory::uniform(
-            DVec3::new(0.0, 0.0, down_m),
-            DVec3::X * ASSUMED_M_PER_S,
-            DQuat::IDENTITY,
-        );
         let spec: SonarSpec = unit.spec.clone();
-        ping::fill(&mut slot.plan, &spec, &order, NavState::default(), UtcNs(0));
-        let mut areas = Vec::new();
-        footprints(&spec, &slot.plan, &mut areas);
-        let mut scatterers = Scatterers::default();
-        rig.scene.gather(&areas, &mut scatterers);
-        pings.push((slot.plan, scatterers));
+        let mut gather = |at_m: f64, slot: &mut PingSlot| {
+            slot.plan.trajectory = Trajectory::uniform(
+                DVec3::new(at_m, 0.0, down_m),
+                DVec3::X * ASSUMED_M_PER_S,
+                DQuat::IDENTITY,
+            );
+            ping::fill(&mut slot.plan, &spec, &order, NavState::default(), UtcNs(0));
+            let mut areas = Vec::new();
+            footprints(&spec, &slot.plan, &mut areas);
+            let mut scatterers = Scatterers::default();
+            let scene = rig.scene.gather(&areas, &mut scatterers);
+            (slot.plan.clone(), scatterers, scene)
+        };
+        let (plan, scatterers, _) = gather(0.0, &mut slot);
+        let period_s = 1e-9 * ping::period_ns(&order.settings, plan.sound_speed_m_per_s) as f64;
+        let (_, _, scene) = gather(ASSUMED_M_PER_S * period_s, &mut slot);
+        pings.push(Planned {
+            plan,
+            scatterers,
+            scene,
+        });
     }
     Ok(pings)
 }

@@ -158,16 +158,20 @@ fn write_sonar(out: &mut String, selection: &SonarSelection, all: bool) -> std::
         100.0 * ranking.goal.share(chosen),
         displaced(ranking, chosen)
     )?;
-    let wall_ms = chosen.cost_ms() / selection.threads as f64;
-    writeln!(
-        out,
-        "  {:<10} {:.2} ms on one core, {wall_ms:.2} ms on {} threads; ping period {:.1} ms, margin {:.1} times",
-        "cost",
-        chosen.cost_ms(),
-        selection.threads,
-        selection.period_ms,
-        selection.period_ms / wall_ms
-    )?;
+    if let Some(cost) = &selection.first.cost {
+        let wall_ms = cost.wall_ms(selection.threads);
+        writeln!(
+            out,
+            "  {:<10} {:.2} ms on one core, {wall_ms:.2} ms on {} threads; ping period {:.1} ms, margin {:.1} times",
+            "cost",
+            cost.core_ms(),
+            selection.threads,
+            selection.period_ms,
+            selection.period_ms / wall_ms
+        )?;
+        let stages = cost.stages().map(|(name, ms)| format!("{name} {ms:.2}"));
+        writeln!(out, "  {:<10} {} ms on one core", "", stages.join(", "))?;
+    }
     if let Some(other) = ranking.next_cheaper() {
         writeln!(out, "  {:<10} {}", "cheaper", ranking.change(other))?;
     }
@@ -304,8 +308,12 @@ fn sonar_json(selection: &SonarSelection) -> Value {
     value["within"] = json!(ranking.is_within());
     value["families"] = json!(families);
     value["chosen"] = one(ranking.chosen());
-    value["margin"] =
-        json!(selection.period_ms * selection.threads as f64 / ranking.chosen().cost_ms());
+    if let Some(cost) = &selection.first.cost {
+        let wall_ms = cost.wall_ms(selection.threads);
+        value["cost_ms"] = json!({ "core": cost.core_ms(), "wall": wall_ms });
+        value["cost_ms"]["stages"] = cost.stages().into_iter().collect();
+        value["margin"] = json!(selection.period_ms / wall_ms);
+    }
     value["next_cheaper"] = json!(ranking.next_cheaper().map(one));
     value["next_costlier"] = json!(ranking.next_costlier().map(one));
     value["other_output"] = json!(ranking.other_output().map(one));

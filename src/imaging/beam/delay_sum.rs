@@ -149,15 +149,7 @@ impl DelaySumFormer {
         sound_speed_m_per_s: f64,
     ) -> Self {
         let c = sound_speed_m_per_s;
-        let end = array.elements;
-        // One section without halves, else both halves and a middle element.
-        let half = if fan.form.bottom_detection {
-            end / 2
-        } else {
-            0
-        };
-        let parts = [0..half, half..end - half, end - half..end];
-        let sections: Vec<_> = parts.into_iter().filter(|part| !part.is_empty()).collect();
+        let sections = sections(array.elements, fan.form.bottom_detection);
         let steered = SteeredArray::new(array, fan, (limits, 0), pulse, weighting, c);
         let elements = array.elements;
         let half_m = 0.5 * array.spacing_m * (elements - 1) as f64;
@@ -229,6 +221,48 @@ impl DelaySumFormer {
             .zone_weights
             .reserve_exact(elements * former.zones.len());
         former
+    }
+
+    /// Products of complex numbers of a ping with so many samples, and groups (or elements) of all beams for each focal zone.
+    pub(super) fn work(
+        array: &ArrayGeometry,
+        fan: &FanSpec,
+        pulse: &Pulse,
+        (rate_hz, samples): (f64, usize),
+        c: f64,
+    ) -> (f64, f64) {
+        let interpolation = Interpolation::new(fan.form.former, pulse, rate_hz);
+        let rows = if interpolation.is_linear { 2 } else { 1 };
+        let sector = ends(&super::directions::Directions::new(array, fan).sine);
+        let groups = Groups::new(
+            &sections(array.elements, fan.form.bottom_detection),
+            array.spacing_m,
+            (sector, fan.beams),
+            (pulse, rate_hz, c),
+            rows,
+        );
+        let (sums, parts) = match &groups {
+            Some(groups) => (
+                groups.products((sector, fan.beams), (pulse, c), rows),
+                groups.parts.len(),
+            ),
+            None => ((array.elements * fan.beams * rows) as f64, array.elements),
+        };
+        // A real coefficient has half of the products of a complex one.
+        let between =
+            0.5 * (array.elements * interpolation.fractions() * interpolation.taps) as f64;
+        let zones = match fan.form.former {
+            Former::DynamicFocus => {
+                let half_m = 0.5 * array.spacing_m * array.elements as f64;
+                let wavelength_m = c / pulse.center_frequency_hz;
+                let focus_error_rad = fan.form.focus_error_rad;
+                let curvature = focus_error_rad * wavelength_m / (PI * half_m * half_m);
+                zones(curvature, MIN_FOCUS * half_m, samples, 0.5 * c / rate_hz)
+            }
+            _ => 1.0,
+        };
+        let products = samples as f64 * (between + sums);
+        (products, zones * (fan.beams * parts) as f64)
     }
 
     /// Index of the fan's receive array.
@@ -692,6 +726,25 @@ impl DelaySumFormer {
             }
         }
     }
+}
+
+/// About how many focal zones there are from `near_m` on over `samples` of `step_m`, of which a zone has one at least. Within a zone 1/r changes by
+/// `curvature` either way.
+fn zones(curvature: f64, near_m: f64, samples: usize, step_m: f64) -> f64 {
+    let far_m = samples as f64 * step_m;
+    // Nearer than this a zone is shorter than a sample.
+    let short_m = (step_m / (2.0 * curvature))
+        .sqrt()
+        .clamp(near_m, far_m.max(near_m));
+    let short = (short_m - near_m) / step_m;
+    1.0 + short + (1.0 / short_m - 1.0 / far_m.max(short_m)) / (2.0 * curvature)
+}
+
+/// The line as one, or both halves and between them the middle element of an odd number.
+fn sections(elements: usize, has_halves: bool) -> Vec<Range<usize>> {
+    let half = if has_halves { elements / 2 } else { 0 };
+    let parts = [0..half, half..elements - half, elements - half..elements];
+    parts.into_iter().filter(|part| !part.is_empty()).collect()
 }
 
 /// The smallest and the largest.

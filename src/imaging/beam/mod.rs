@@ -9,6 +9,7 @@
 //! - [`fan`]: the former that a configuration selects, also of the halves of a line for bottom detection.
 //! - [`backproject`]: synthetic aperture over many pings.
 //! - [`sidescan`]: the whole aperture as one beam, one line per side, with or without focus.
+//! - [`work`]: how much work these are.
 //!
 //! Every former belongs to one array, is sized once from [`RowLimits`], and does not allocate afterwards. Work is split by element,
 //! by beam and by tile of samples, so that the samples are bit-identical for any number of threads.
@@ -29,6 +30,7 @@ mod steered;
 #[cfg(test)]
 mod test_rig;
 pub mod weights;
+pub mod work;
 
 /// Largest row of samples that a former must process; it determines buffer and transform sizes.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,7 +5,8 @@ use num_complex::Complex64;
 use super::RowLimits;
 use super::delay_sum::DelaySumFormer;
 use super::matched::MatchedFilter;
-use echotank_config::spec::{FanForm, FanSpec, Former, LineSpec, Shading, SonarSpec};
+use super::work::broadside;
+use echotank_config::spec::{LineSpec, Shading, SonarSpec};
 use echotank_core::ping::{BeamFrame, ElementFrame, Line, PingPlan, Side};
 use echotank_core::pulse::Pulse;
 
@@ -49,17 +50,7 @@ impl LineFormer {
         }
         let array = &spec.receive[line.array];
         let transmit = &spec.transmit[array.transmit];
-        let broadside = FanSpec {
-            array: line.array,
-            beams: 1,
-            sector_rad: 0.0,
-            shading: beams.line_shading,
-            form: FanForm {
-                former: Former::DynamicFocus,
-                f_number: beams.line_f_number,
-                ..FanForm::default()
-            },
-        };
+        let broadside = broadside(spec, line);
         let (c, weighting) = (sound_speed_m_per_s, beams.weighting);
         let former = DelaySumFormer::new(array, transmit, &broadside, limits, pulse, weighting, c);
         Self {

@@ -13,10 +13,12 @@ use std::time::Instant;
 use clap::Args;
 use echotank_config::spec::RigSpec;
 use echotank_ping::make_ping::{form, insonify, receive, synthesise};
+use echotank_ping::ping_cost::PingCost;
 use echotank_ping::rig::{PingSlot, Rig};
 use echotank_ping::threads::pool;
 use echotank_ping::{PingOrder, period_ns};
 use echotank_runtime::recorded::RecordedRig;
+use echotank_runtime::rig::costs_of;
 use serde::{Deserialize, Serialize};
 
 use crate::report::{Common, Report, kept};
@@ -123,8 +125,8 @@ struct Timed {
     ms: Vec<[f64; STAGES.len()]>,
     scatterers: usize,
     record_bytes: usize,
-    /// Cost estimate of the selected methods, milliseconds of one core.
-    estimate_ms: Option<f64>,
+    /// Cost estimate of the last ping.
+    estimate: Option<PingCost>,
 }
 
 impl Timed {
@@ -177,6 +179,7 @@ fn timed_ping(
 /// Times pings of every sonar. Call inside the pool.
 fn time(spec: &RigSpec, quick: bool) -> Result<Vec<Timed>, String> {
     let mut recorded = RecordedRig::open(spec).map_err(|e| e.to_string())?;
+    let costs = costs_of(spec.run.costs.as_deref()).map_err(|e| e.to_string())?;
     let c = spec.medium.sound_speed_m_per_s;
     let mut sonars = Vec::new();
     for sonar in 0..spec.sonars.len() {
@@ -188,7 +191,7 @@ fn time(spec: &RigSpec, quick: bool) -> Result<Vec<Timed>, String> {
             ms: Vec::new(),
             scatterers: 0,
             record_bytes: 0,
-            estimate_ms: None,
+            estimate: None,
         };
         sonars.push((slot, encoders, timed));
     }
@@ -214,8 +217,12 @@ fn time(spec: &RigSpec, quick: bool) -> Result<Vec<Timed>, String> {
         }
         timed.scatterers = recorded.rig.scatterers().len();
         timed.record_bytes = bytes;
-        let estimate = slot.output.methods.map(|mark| mark.predicted_ms);
-        timed.estimate_ms = estimate.filter(|ms| ms.is_finite());
+        let PingSlot { plan, output } = &*slot;
+        let predicted_ms = output.methods.map(|mark| mark.predicted_ms);
+        timed.estimate = predicted_ms.filter(|ms| ms.is_finite()).map(|ms| {
+            let sonar = &recorded.rig.sonars[sonar].spec;
+            PingCost::new(sonar, plan, &output.scene, ms, &costs)
+        });
     }
     let timed: Vec<Timed> = sonars.into_iter().map(|(_, _, timed)| timed).collect();
     match timed.iter().any(|timed| timed.ms.is_empty()) {
@@ -229,6 +236,9 @@ fn time(spec: &RigSpec, quick: bool) -> Result<Vec<Timed>, String> {
 struct Stage {
     name: String,
     ms: f64,
+    /// Cost estimate; none for insonification, which is in that of the echoes.
+    #[serde(default)]
+    estimate_ms: Option<f64>,
 }
 
 /// Results of a rig at one range.
@@ -248,7 +258,7 @@ struct Row {
     ms_95: f64,
     headroom: f64,
     record_bytes: usize,
-    /// Cost estimate of the selected methods on these threads.
+    /// Cost estimate on these threads.
     estimate_ms: Option<f64>,
     /// Largest error of the sampled windows, in this norm of docs/accuracy.md.
     error: Option<f64>,
@@ -269,12 +279,24 @@ impl Row {
         let share = |timed: &Timed| period_ms / timed.period_ms;
         let sum = |of: &dyn Fn(&Timed) -> f64| timed.iter().map(|t| share(t) * of(t)).sum::<f64>();
         let ms = sum(&|t| t.whole().0);
-        let estimates = timed
-            .iter()
-            .map(|t| Some(share(t) * t.estimate_ms? / threads as f64));
+        let estimate = |of: &dyn Fn(&PingCost) -> f64| -> Option<f64> {
+            let each = timed.iter();
+            each.map(|t| Some(share(t) * of(t.estimate.as_ref()?)))
+                .sum()
+        };
+        let parallel = |of: fn(&PingCost) -> f64| estimate(&|cost| of(cost) / threads as f64);
         let stage = |(stage, name): (usize, &&str)| Stage {
             name: (*name).to_owned(),
             ms: sum(&|t| t.stage_median(stage)),
+            estimate_ms: match *name {
+                "gather" => parallel(|cost| cost.gather_ms),
+                // With insonification.
+                "echoes" => parallel(|cost| cost.methods_ms),
+                "receiver" => parallel(|cost| cost.receiver_ms),
+                "beams" => parallel(|cost| cost.beams_ms),
+                "records" => estimate(&|cost| cost.records_ms),
+                _ => None,
+            },
         };
         Self {
             rig: rig.name.clone(),
@@ -298,7 +320,7 @@ impl Row {
             ms_95: sum(&|t| t.whole().1),
             headroom: period_ms / ms,
             record_bytes: timed.iter().map(|t| t.record_bytes).sum(),
-            estimate_ms: estimates.sum(),
+            estimate_ms: estimate(&|cost| cost.wall_ms(threads)),
             error: None,
             norm: "M".to_owned(),
             tolerance: spec

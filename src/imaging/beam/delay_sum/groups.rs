@@ -131,10 +131,7 @@ impl Groups {
             if groups.parts.len() > MAX_GROUPS {
                 continue;
             }
-            let directions = groups.directions(sector, pulse, band_hz(pulse), c);
-            let first = (directions.count * elements / groups.parts.len() * rows) as f64;
-            // A real coefficient has half of the products of a complex one.
-            let products = first + (beams * groups.parts.len() * (TAPS / 2 + 1)) as f64;
+            let products = groups.products((sector, beams), (pulse, c), rows);
             if best.as_ref().is_none_or(|(least, _)| products < *least) {
                 let capacity = groups.directions(sector, pulse, rate_hz, c).count;
                 best = Some((products, Self { capacity, ..groups }));
@@ -143,6 +140,20 @@ impl Groups {
         let dense = (elements * beams * rows) as f64;
         best.filter(|(products, _)| ADVANTAGE * products < dense)
             .map(|(_, groups)| groups)
+    }
+
+    /// Products for each sample of all beams.
+    pub(super) fn products(
+        &self,
+        (sector, beams): ([f64; 2], usize),
+        (pulse, c): (&Pulse, f64),
+        rows: usize,
+    ) -> f64 {
+        let directions = self.directions(sector, pulse, band_hz(pulse), c);
+        let elements = self.parts.last().map_or(0, |part| part.end);
+        let first = directions.count * elements / self.parts.len() * rows;
+        // A real coefficient has half of the products of a complex one.
+        (first + beams * self.parts.len() * (TAPS / 2 + 1)) as f64
     }
 
     fn of_size(size: usize, sections: &[Range<usize>], spacing_m: f64) -> Option<Self> {

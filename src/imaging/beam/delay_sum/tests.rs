@@ -399,9 +399,14 @@ fn zone_phase_errors_are_within_the_configured_limit() {
                 worst = worst.max(TAU * (late(range_m) - late(at_m)).abs() / LAMBDA_M);
             }
         }
-        println!(
-            "{} zones, {worst:.4} rad of {error_rad}",
-            former.zones.len()
+        let zones = former.zones.len();
+        println!("{zones} zones, {worst:.4} rad of {error_rad}");
+        let (array, samples) = (&rig.array, (RATE_HZ, rig.samples));
+        let (_, foreseen) = DelaySumFormer::work(array, &spec, &rig.pulse, samples, C);
+        let ratio = foreseen / (array.elements * zones) as f64;
+        assert!(
+            (0.8..1.25).contains(&ratio),
+            "foreseen for the cost: {ratio}"
         );
         assert!(worst <= error_rad * 1.001, "{worst}");
         assert!(

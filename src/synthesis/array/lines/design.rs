@@ -44,12 +44,13 @@ const MIN_SLAB: usize = 192;
 const MAX_SLAB: usize = 8192;
 /// Samples of a slab of which a few columns fit the second-level cache.
 const CACHED_SLAB: f64 = 768.0;
-/// Costs, nanoseconds of one core (AVX-512, measured): per echo; per echo and node; per echo and block; per row of it; per tap of a row.
-const ECHO_NS: f64 = 30.0;
+/// Costs, nanoseconds of one core: per echo; per echo and node; per echo and block; per row of it; per tap of a row. Fitted to `tools/bench rates` with
+/// AVX-512 on lines of 8, 16 and 256 elements (`board`, `surveyor240`, `seabat`, `wbms`).
+const ECHO_NS: f64 = 330.0;
 const NODE_NS: f64 = 18.0;
-const BLOCK_NS: f64 = 15.0;
-const ROW_NS: f64 = 1.9;
-const TAP_NS: f64 = 1.5;
+const BLOCK_NS: f64 = 25.0;
+const ROW_NS: f64 = 3.1;
+const TAP_NS: f64 = 2.5;
 /// Per row of a column's transform and log2 of the rows; per sample and element of the output.
 const TRANSFORM_NS: f64 = 2.0;
 const SAMPLE_NS: f64 = 6.0;

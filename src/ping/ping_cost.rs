@@ -1,0 +1,210 @@
+//! Cost of a whole ping: of its methods, and of the stages that are the same whatever these are: gathering, receiver, beams and records.
+//!
+//! In: a sonar with its methods, a ping's plan, the counts of its scene and the table of costs. Out: [`PingCost`]. Gathering, methods, receiver and beams
+//! share the threads; the records of a ping are made by one thread. Not counted: `scene.simplify`, error checks, motion of targets, delivery and page.
+
+use crate::method_selection::costs::Costs;
+use crate::plan;
+use crate::work::{Figure, Work};
+use echotank_config::spec::{JsfChannels, JsfFormat, OutputSpec, PingDevice, SonarSpec};
+use echotank_core::ping::{PingPlan, SceneCounts};
+use echotank_imaging::beam::RowLimits;
+use echotank_imaging::beam::work::BeamWork;
+
+/// Results of a ping in the Ping protocol, and points of one side of an Imagenex 872.
+const PING_RESULTS: f64 = 1200.0;
+const IMAGENEX_POINTS: f64 = 1000.0;
+
+/// Cost estimate of a ping by stage, milliseconds of one core.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PingCost {
+    /// Scatterers of the scene.
+    pub gather_ms: f64,
+    /// Echoes at the elements, by the chosen methods.
+    pub methods_ms: f64,
+    /// Noise, gain and converter of every element.
+    pub receiver_ms: f64,
+    /// Beams, side-scan lines and bottom detection.
+    pub beams_ms: f64,
+    /// Records of every output, for a client that takes all of them.
+    pub records_ms: f64,
+}
+
+impl PingCost {
+    /// Of a sonar whose methods cost `methods_ms`; `sonar` has them.
+    pub fn new(
+        sonar: &SonarSpec,
+        plan: &PingPlan,
+        scene: &SceneCounts,
+        methods_ms: f64,
+        costs: &Costs,
+    ) -> Self {
+        Self {
+            gather_ms: costs.ms(&gather(scene)),
+            methods_ms,
+            receiver_ms: costs.ms(&receiver(sonar, plan)),
+            beams_ms: costs.ms(&beams(sonar, plan)),
+            records_ms: costs.ms(&records(sonar, plan)),
+        }
+    }
+
+    /// The stages by name, in their order.
+    pub fn stages(&self) -> [(&'static str, f64); 5] {
+        [
+            ("gather", self.gather_ms),
+            ("methods", self.methods_ms),
+            ("receiver", self.receiver_ms),
+            ("beams", self.beams_ms),
+            ("records", self.records_ms),
+        ]
+    }
+
+    /// On one core.
+    pub fn core_ms(&self) -> f64 {
+        self.stages().iter().map(|(_, ms)| ms).sum()
+    }
+
+    /// On so many threads, each with a core.
+    pub fn wall_ms(&self, threads: usize) -> f64 {
+        (self.core_ms() - self.records_ms) / threads.max(1) as f64 + self.records_ms
+    }
+}
+
+fn gather(scene: &SceneCounts) -> Work {
+    let tested = scene.culled + scene.shadowed + scene.scatterers;
+    Work::of(Figure::Tile, scene.tiles_used as f64)
+        .and(Figure::Made, scene.made as f64)
+        .and(Figure::Tested, tested as f64)
+        .and(Figure::Gathered, scene.scatterers as f64)
+}
+
+fn receiver(sonar: &SonarSpec, plan: &PingPlan) -> Work {
+    let samples = (elements(sonar) * plan.sample_count) as f64;
+    let noise = match sonar.receiver.noise_db {
+        Some(_) => samples,
+        None => 0.0,
+    };
+    Work::of(Figure::Noise, noise).and(Figure::Received, samples)
+}
+
+fn elements(sonar: &SonarSpec) -> usize {
+    sonar.receive.iter().map(|array| array.elements).sum()
+}
+
+fn beams(sonar: &SonarSpec, plan: &PingPlan) -> Work {
+    let (samples, c) = (plan.sample_count, plan.sound_speed_m_per_s);
+    let limits = RowLimits {
+        sample_rate_hz: sonar.receiver.sample_rate_hz,
+        samples: plan::max_samples(sonar, c),
+        pulse_s: sonar.limits.pulse_duration_s.1,
+    };
+    let of_pulse = sonar.beams.lines.iter();
+    let of_pulse = of_pulse.map(|line| BeamWork::of_line(sonar, line, limits, samples, c));
+    let pulse = of_pulse.fold(BeamWork::default(), BeamWork::plus);
+    let mut work = pulse;
+    for _ in &sonar.more_pulses {
+        work = work.plus(pulse);
+    }
+    let mut detected = 0.0;
+    if let Some(fan) = &sonar.beams.fan {
+        work = work.plus(BeamWork::of_fan(sonar, fan, limits, samples, c));
+        if fan.form.bottom_detection {
+            detected = (fan.beams * samples) as f64;
+        }
+    }
+    Work::of(Figure::BeamTransform, work.transforms)
+        .and(Figure::BeamProduct, work.products)
+        .and(Figure::BeamZone, work.zones)
+        .and(Figure::BeamSample, work.samples)
+        .and(Figure::BottomSample, detected)
+}
+
+fn records(sonar: &SonarSpec, plan: &PingPlan) -> Work {
+    let samples = plan.sample_count as f64;
+    let window_s = samples / sonar.receiver.sample_rate_hz;
+    let elements = |arrays: &[usize]| -> f64 {
+        let of = arrays.iter().map(|&array| sonar.receive[array].elements);
+        of.sum::<usize>() as f64
+    };
+    let fan = sonar.beams.fan.as_ref().map_or(0, |fan| fan.beams) as f64;
+    let lines = (sonar.beams.lines.len() * (1 + sonar.more_pulses.len())) as f64;
+    let of_output = |output: &OutputSpec| match output {
+        OutputSpec::SevenK(output) => {
+            let iq = elements(&output.arrays) + fan;
+            Work::of(Figure::RecordIq, iq * samples).and(Figure::RecordAmplitude, lines * samples)
+        }
+        OutputSpec::Jsf(output) => match (output.channels, output.format) {
+            (JsfChannels::Staves, _) => {
+                Work::of(Figure::RecordIq, elements(&output.arrays) * samples)
+            }
+            (JsfChannels::Sides, JsfFormat::Envelope) => {
+                Work::of(Figure::RecordAmplitude, lines * samples)
+            }
+            (JsfChannels::Sides, _) => Work::of(Figure::RecordIq, lines * samples),
+        },
+        OutputSpec::Xtf(_) => Work::of(Figure::RecordAmplitude, lines * samples),
+        OutputSpec::Imagenex872(_) => Work::of(Figure::RecordAmplitude, lines * IMAGENEX_POINTS),
+        OutputSpec::Vita49(output) => match output.passband_rate_hz {
+            Some(rate_hz) => Work::of(
+                Figure::RecordPassband,
+                elements(&output.arrays) * window_s * rate_hz,
+            ),
+            None => Work::of(Figure::RecordIq, elements(&output.arrays) * samples),
+        },
+        OutputSpec::Elements(output) => {
+            Work::of(Figure::RecordIq, elements(&output.arrays) * samples)
+        }
+        OutputSpec::Sigmf(output) => Work::of(Figure::RecordIq, elements(&output.arrays) * samples),
+        OutputSpec::Wav(output) => Work::of(
+            Figure::RecordPassband,
+            elements(&output.arrays) * window_s * f64::from(output.rate_hz),
+        ),
+        OutputSpec::Ping(output) => {
+            let of = match output.device {
+                PingDevice::Omniscan450 { .. } => samples + PING_RESULTS,
+                PingDevice::Surveyor240 => fan,
+            };
+            Work::of(Figure::RecordAmplitude, of)
+        }
+        OutputSpec::Wbms(_) => Work::of(Figure::RecordAmplitude, fan * samples),
+    };
+    let all = sonar.outputs.iter().map(of_output);
+    all.fold(Work::NONE, |sum, work| sum.plus(&work))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn records_are_made_by_one_thread_and_the_rest_by_all() {
+        let cost = PingCost {
+            gather_ms: 1.0,
+            methods_ms: 5.0,
+            receiver_ms: 0.5,
+            beams_ms: 1.5,
+            records_ms: 3.0,
+        };
+        assert_eq!(cost.core_ms(), 11.0);
+        assert_eq!(cost.wall_ms(1), 11.0);
+        assert_eq!(cost.wall_ms(2), 7.0);
+    }
+
+    #[test]
+    fn a_scene_at_rest_costs_its_scatterers() {
+        let costs = Costs::committed();
+        let scene = SceneCounts {
+            tiles_used: 10,
+            culled: 300,
+            shadowed: 50,
+            scatterers: 650,
+            ..SceneCounts::default()
+        };
+        let work = gather(&scene);
+        assert_eq!(work[Figure::Made], 0.0);
+        assert_eq!(work[Figure::Tested], 1000.0);
+        assert_eq!(work[Figure::Gathered], 650.0);
+        let made = SceneCounts { made: 100, ..scene };
+        assert!(costs.ms(&gather(&made)) > costs.ms(&work));
+    }
+}
