@@ -1,14 +1,16 @@
-//! `echotank check`: validates a configuration and reports derived values, costs and selected methods.
+//! `echotank check`: validates a configuration, reports derived values and ends in a verdict: whether the rig does what is meant, and what to change where
+//! it does not. The selected methods and their costs are reported on request.
 
 mod selection;
+mod verdict;
 
 use std::path::PathBuf;
 
 use clap::Args;
 
 use super::{Failure, load};
-use echotank_config as config;
 use echotank_config::spec::{DeliverySpec, MediumSpec, RigSpec, RunSpec, SeabedShape, SonarSpec};
+use echotank_config::{self as config, Finding};
 use echotank_core::model::Synthesis;
 use echotank_ping::element_synthesis::engine_error_models;
 use echotank_ping::pipeline::PipelineError;
@@ -32,13 +34,16 @@ pub(crate) struct CheckArgs {
     /// Print the JSON Schema of a configuration
     #[arg(long, conflicts_with = "template")]
     pub(crate) schema: bool,
-    /// Print only the selected methods, as JSON
+    /// Print only the verdict, its findings and the selected methods, as JSON
     #[arg(long, requires = "config")]
     pub(crate) json: bool,
-    /// Also print every candidate method, cheapest first
+    /// Also print the engines, culling, the selected methods with their costs, and alternatives
+    #[arg(long, requires = "config")]
+    pub(crate) verbose: bool,
+    /// As --verbose, with every candidate method, cheapest first
     #[arg(long, requires = "config")]
     pub(crate) all: bool,
-    /// Only validate the configuration; do not select methods
+    /// Only validate the configuration; do not select methods, and give a verdict of the configuration alone
     #[arg(long, conflicts_with_all = ["json", "all"])]
     pub(crate) quick: bool,
     /// Cost table of this machine, as --calibrate writes it (default: run.costs, or the built-in table)
@@ -60,9 +65,12 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
         if let Some(file) = &args.calibrate {
             return selection::calibrate(&spec, file);
         }
+        let is_verbose = args.verbose || args.all;
         if args.json {
-            print!("{}", selection::json(&spec)?);
-            return Ok(());
+            let (costs, selections) = selection::select_methods(&spec)?;
+            let findings = verdict::findings(&spec, &selections);
+            print!("{}", selection::json(&costs, &selections, &findings)?);
+            return end(&findings);
         }
         let warnings = match args.quick || !spec.nav.sources.iter().any(|s| s.is_recorded()) {
             true => Vec::new(),
@@ -79,7 +87,7 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
             let refuse = |why: PipelineError| refuse_text(why.to_string());
             let error_models = engine_error_models(sonar, &spec.medium).map_err(refuse)?;
             check_streaming_time(&spec.run, sonar, &error_models).map_err(refuse_text)?;
-            for error_model in error_models {
+            for error_model in error_models.into_iter().filter(|_| is_verbose) {
                 let cost = match error_model.cost_ms > 0.0 {
                     true => format!(
                         ", {:.2} ms on one core per {}",
@@ -94,16 +102,30 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
                 );
             }
         }
-        for sonar in &spec.sonars {
+        for sonar in spec.sonars.iter().filter(|_| is_verbose) {
             print!("{}", culling(sonar, &spec.medium));
         }
+        let mut selections = Vec::new();
         if !args.quick {
             print!("{}", guesses(&spec)?);
-            print!("{}", selection::text(&spec, args.all)?);
+            let costs;
+            (costs, selections) = selection::select_methods(&spec)?;
+            if is_verbose {
+                print!("{}", selection::text(&costs, &selections, args.all));
+            }
         }
-        println!("{}: ok", path.display());
+        let findings = verdict::findings(&spec, &selections);
+        print!("{}", verdict::text(&spec, &selections, &findings));
+        return end(&findings);
     }
     Ok(())
+}
+
+fn end(findings: &[Finding]) -> Result<(), Failure> {
+    match findings.is_empty() {
+        true => Ok(()),
+        false => Err(Failure::Findings),
+    }
 }
 
 /// Reads the recorded navigation and completes `spec` with the quantities found in each log. Returns warnings about missing, ignored or replaced

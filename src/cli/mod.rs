@@ -1,6 +1,6 @@
 //! Command line: one file per subcommand.
 //!
-//! Exit status: 0 success, 1 failure while running, 2 wrong configuration or arguments.
+//! Exit status: 0 success, 1 failure while running or a rig that runs otherwise than meant, 2 wrong configuration or arguments.
 
 pub(crate) mod chart;
 pub(crate) mod check;
@@ -102,6 +102,7 @@ pub(crate) fn main() -> ExitCode {
     let done = logging::start(cli.log).and_then(|()| execute(cli.command));
     match done {
         Ok(()) => ExitCode::SUCCESS,
+        Err(Failure::Findings) => ExitCode::FAILURE,
         Err(Failure::Configuration(text)) => {
             logging::report_failure(cli.log, &text);
             ExitCode::from(2)
@@ -147,6 +148,8 @@ pub(crate) enum Failure {
     Configuration(String),
     /// Failure of a file, device, network or computation. Exit status 1.
     Running(String),
+    /// The output of `check` has findings. Exit status 1.
+    Findings,
 }
 
 impl Failure {

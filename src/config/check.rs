@@ -4,7 +4,7 @@
 //! missing value is skipped and all other checks are made, so one run lists every problem.
 
 mod arrays;
-mod culling;
+pub(crate) mod culling;
 pub(crate) mod density;
 mod devices;
 mod families;

@@ -22,4 +22,4 @@ pub use check::{load, parse};
 pub use describe::{schema, template};
 pub use files::{AnyFiles, Files};
 pub use problem::{ConfigErrors, Problem};
-pub use summary::summary;
+pub use summary::{Finding, FindingKind, findings, summary};

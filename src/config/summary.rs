@@ -3,13 +3,15 @@
 mod families;
 mod nav;
 mod outputs;
+mod rates;
+mod verdict;
+
+pub use verdict::{Finding, FindingKind, findings};
 
 use std::fmt::{self, Write};
 
 use super::check::density::Estimate;
-use super::check::sonar::{
-    BYTES_PER_7038_SAMPLE, MAX_PLATFORM_SPEED_M_PER_S, max_doppler_hz, min_sample_rate_hz,
-};
+use super::check::sonar::{MAX_PLATFORM_SPEED_M_PER_S, max_doppler_hz, min_sample_rate_hz};
 use glam::DVec3;
 
 use super::spec::*;
@@ -109,13 +111,14 @@ fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
     for sonar in &rig.sonars {
         write_sonar(out, sonar, c, &mut notes)?;
     }
-    if rig.scene.seabed.is_none() && rig.scene.points.is_none() {
-        notes.push("the scene is empty: there is only noise".to_owned());
-    }
     for note in notes {
         line(out, "note", &note)?;
     }
     Ok(())
+}
+
+fn mbit_per_s(bytes_per_s: f64) -> f64 {
+    bytes_per_s * 8.0 / 1e6
 }
 
 fn line(out: &mut String, label: &str, text: &str) -> fmt::Result {
@@ -462,30 +465,20 @@ fn model(sonar: &SonarSpec) -> String {
 }
 
 fn write_outputs(out: &mut String, sonar: &SonarSpec, d: &Derived) -> fmt::Result {
-    for output in &sonar.outputs {
-        let OutputSpec::SevenK(output) = output else {
-            families::write(out, sonar, d, output)?;
-            outputs::write(out, sonar, d, output)?;
+    for all in &sonar.outputs {
+        let OutputSpec::SevenK(output) = all else {
+            families::write(out, sonar, d, all)?;
+            outputs::write(out, sonar, d, all)?;
             continue;
         };
-        let elements: usize = output
-            .arrays
-            .iter()
-            .map(|&a| sonar.receive[a].elements)
-            .sum();
-        let mbit_per_s = |channels: usize| {
-            channels as f64 * d.samples * BYTES_PER_7038_SAMPLE * d.ping_rate_hz * 8.0 / 1e6
-        };
+        let [of_elements, of_beams] = rates::bytes_per_s(sonar, d, all).map(mbit_per_s);
         let beams = match &sonar.beams.fan {
-            Some(fan) => format!(", beams (7018) {:.2} Mbit/s", mbit_per_s(fan.beams)),
+            Some(_) => format!(", beams (7018) {of_beams:.2} Mbit/s"),
             None => String::new(),
         };
         let text = format!(
-            "TCP {}, device {}.{}; elements (7038) {:.2} Mbit/s{beams} to each client that asks",
-            output.listen,
-            output.device_id,
-            output.enumerator,
-            mbit_per_s(elements),
+            "TCP {}, device {}.{}; elements (7038) {of_elements:.2} Mbit/s{beams} to each client that asks",
+            output.listen, output.device_id, output.enumerator,
         );
         line(out, "  7k", &text)?;
     }
@@ -509,17 +502,6 @@ fn note_surprises(sonar: &SonarSpec, d: &Derived, c: f64, notes: &mut Vec<String
             "{name}: at the longest range allowed, {} m, the rate is reduced to {:.2} pings/s",
             sonar.limits.range_m.1, slowest_rate_hz
         ));
-    }
-    if let Some(fan) = &sonar.beams.fan {
-        let array = &sonar.receive[fan.array];
-        // d (1 + sin of the outermost beam) < lambda keeps the first grating lobe outside the visible region.
-        let reach = 1.0 + (fan.sector_rad / 2.0).sin();
-        if array.spacing_m * reach > d.wavelength_m {
-            notes.push(format!(
-                "{name}: the fan's elements lie {:.2} wavelengths apart; its outer beams have grating lobes",
-                array.spacing_m / d.wavelength_m
-            ));
-        }
     }
     for output in &sonar.outputs {
         let OutputSpec::SevenK(output) = output else {

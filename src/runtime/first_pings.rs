@@ -226,9 +226,11 @@ fn assumed_pings(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
             let scene = rig.scene.gather(&areas, &mut scatterers);
             (slot.plan.clone(), scatterers, scene)
         };
-        let (plan, scatterers, _) = gather(0.0, &mut slot);
+        let (mut plan, scatterers, _) = gather(0.0, &mut slot);
         let period_s = 1e-9 * ping::period_ns(&order.settings, plan.sound_speed_m_per_s) as f64;
         let (_, _, scene) = gather(ASSUMED_M_PER_S * period_s, &mut slot);
+        let altitude_m = rig.scene.seabed_down_m(0.0, 0.0).map(|z_m| z_m - down_m);
+        plan.sensor.altitude_m = altitude_m.filter(|a| *a > 0.0);
         pings.push(Planned {
             plan,
             scatterers,

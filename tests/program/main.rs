@@ -3,6 +3,7 @@
 mod commands;
 mod daemon;
 mod replay;
+mod verdict;
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};

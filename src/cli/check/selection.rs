@@ -5,8 +5,10 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
+use super::verdict::verdict;
 use crate::cli::Failure;
 use crate::cli::chart::{load_average, machine};
+use echotank_config::Finding;
 use echotank_config::spec::{RigSpec, SonarSpec, SynthesisOutput};
 use echotank_ping::method_selection::costs::Costs;
 use echotank_ping::method_selection::{MotionScale, Scene, rank};
@@ -20,16 +22,17 @@ use echotank_runtime::first_pings::{FirstPing, first};
 const IMAGE_CELLS: f64 = 0.1;
 
 /// Selected methods of one sonar at its first ping.
-struct SonarSelection<'a> {
-    sonar: &'a SonarSpec,
-    first: FirstPing,
+pub(super) struct SonarSelection<'a> {
+    pub(super) sonar: &'a SonarSpec,
+    pub(super) first: FirstPing,
     /// Alternative selection with an image tolerance. Present if no output carries element samples but the tolerance refers to them.
     for_pictures: Option<Ranking>,
-    period_ms: f64,
-    threads: usize,
+    pub(super) period_ms: f64,
+    pub(super) threads: usize,
 }
 
-fn select_methods(spec: &RigSpec) -> Result<(Costs, Vec<SonarSelection<'_>>), Failure> {
+/// Plans the first ping of every sonar.
+pub(super) fn select_methods(spec: &RigSpec) -> Result<(Costs, Vec<SonarSelection<'_>>), Failure> {
     let refuse = |why: &dyn std::fmt::Display| Failure::Configuration(why.to_string());
     let costs =
         echotank_runtime::rig::costs_of(spec.run.costs.as_deref()).map_err(|why| refuse(&why))?;
@@ -86,14 +89,13 @@ fn select_for_images(
 }
 
 /// Formats the report as text, a few lines per sonar. `all` adds every candidate.
-pub(crate) fn text(spec: &RigSpec, all: bool) -> Result<String, Failure> {
-    let (costs, selections) = select_methods(spec)?;
+pub(super) fn text(costs: &Costs, selections: &[SonarSelection], all: bool) -> String {
     let mut text = String::new();
-    for selection in &selections {
+    for selection in selections {
         let _ = write_sonar(&mut text, selection, all);
     }
     let _ = writeln!(text, "costs        {}", costs.machine);
-    Ok(text)
+    text
 }
 
 fn write_sonar(out: &mut String, selection: &SonarSelection, all: bool) -> std::fmt::Result {
@@ -254,10 +256,25 @@ fn output(selection: &SonarSelection) -> String {
 }
 
 /// Formats the report as JSON.
-pub(crate) fn json(spec: &RigSpec) -> Result<String, Failure> {
-    let (costs, selections) = select_methods(spec)?;
+pub(super) fn json(
+    costs: &Costs,
+    selections: &[SonarSelection],
+    findings: &[Finding],
+) -> Result<String, Failure> {
     let sonars: Vec<Value> = selections.iter().map(sonar_json).collect();
-    let value = json!({ "costs": costs.machine, "sonars": sonars });
+    let findings_json = findings.iter().map(|finding| {
+        json!({
+            "finding": finding.kind.name(),
+            "text": finding.text,
+            "remedy": finding.remedy,
+        })
+    });
+    let value = json!({
+        "verdict": verdict(findings),
+        "findings": findings_json.collect::<Vec<_>>(),
+        "costs": costs.machine,
+        "sonars": sonars,
+    });
     let text = serde_json::to_string_pretty(&value).map_err(Failure::running)?;
     Ok(text + "\n")
 }

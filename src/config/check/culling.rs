@@ -65,7 +65,7 @@ fn floor(
 
 /// Response of [`Pattern`] towards a unit vector in array axes. The ping path uses `echo::levels::Directivity`;
 /// `src/ping/tests/it/culling.rs` tests the default against it.
-pub(super) fn response(pattern: &Pattern, wavelength_m: f64, u: DVec3) -> f64 {
+pub(crate) fn response(pattern: &Pattern, wavelength_m: f64, u: DVec3) -> f64 {
     let sinc = |x: f64| match x == 0.0 {
         true => 1.0,
         false => libm::sin(std::f64::consts::PI * x) / (std::f64::consts::PI * x),

@@ -23,7 +23,7 @@ use echotank_core::arrays::{ArrayGeometry, Mounting, Pattern, TransmitArray};
 use echotank_core::scene::{ResolutionCell, kept_share};
 
 /// Scatterers in a resolution cell: enough for a Rayleigh envelope (docs/concepts/model.md).
-const SCATTERERS_PER_CELL: f64 = 5.0;
+pub(crate) const SCATTERERS_PER_CELL: f64 = 5.0;
 /// k where nothing else decides.
 const DEFAULT_LOBES: f64 = 2.0;
 /// Least k whatever the shadows: with less, side lobes are left out more than in proportion to their pressure.
@@ -117,6 +117,18 @@ fn max_scatterers(sonar: &SonarSpec, c: f64) -> f64 {
         true => MAX_SCATTERERS_OF_LINES,
         false => MAX_SCATTERERS,
     }
+}
+
+/// Fewest seabed scatterers in a resolution cell of a sonar's main lobes with a constant density, in the middle of the range.
+pub(crate) fn in_cell(sonar: &SonarSpec, c: f64, depth_m: Option<f64>, per_m2: f64) -> f64 {
+    let middle_m = 0.5 * sonar.settings.range_m;
+    let r = depth_m.map_or(middle_m, |depth_m| middle_m.max(1.5 * depth_m));
+    let cosine = depth_m.map_or(USUAL_COSINE, |depth_m| (depth_m / r).clamp(0.0, 1.0));
+    let sine = (1.0 - cosine * cosine).sqrt();
+    let duration_s = sonar.settings.pulse_duration_s;
+    let cells = pairs(sonar).map(|(array, transmit)| cell(sonar, duration_s, array, transmit, c));
+    let areas_m2 = cells.map(|cell| cell.range_m / sine * cell.beam_rad * r);
+    per_m2 * areas_m2.fold(f64::INFINITY, f64::min)
 }
 
 /// Receive arrays with the transmitters whose echoes they receive.

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use super::super::spec::*;
+use super::rates::bytes_per_s;
 use super::{Derived, line};
 
 pub(super) fn write(
@@ -11,9 +12,7 @@ pub(super) fn write(
     d: &Derived,
     output: &OutputSpec,
 ) -> fmt::Result {
-    let mbit_per_s = |channels: usize, sample_bytes: usize| {
-        channels as f64 * d.samples * sample_bytes as f64 * d.ping_rate_hz * 8.0 / 1e6
-    };
+    let mbit_per_s = bytes_per_s(sonar, d, output)[0] * 8.0 / 1e6;
     let sides = sonar.beams.lines.len();
     match output {
         OutputSpec::Jsf(output) => {
@@ -28,28 +27,24 @@ pub(super) fn write(
                     "element",
                 ),
             };
-            let (format, bytes) = match output.format {
-                JsfFormat::Envelope => ("envelope", 2),
-                JsfFormat::Analytic => ("analytic", 4),
-                JsfFormat::Unfiltered => ("unfiltered analytic", 4),
+            let format = match output.format {
+                JsfFormat::Envelope => "envelope",
+                JsfFormat::Analytic => "analytic",
+                JsfFormat::Unfiltered => "unfiltered analytic",
             };
             let text = format!(
-                "commands TCP {}, data TCP {}; subsystem {}, {channels} channels, a {what} each, {format}: {:.2} Mbit/s to each client{}",
+                "commands TCP {}, data TCP {}; subsystem {}, {channels} channels, a {what} each, {format}: {mbit_per_s:.2} Mbit/s to each client{}",
                 output.listen,
                 output.listen_data,
                 output.subsystem,
-                mbit_per_s(channels, bytes),
                 if output.record { "; recorded" } else { "" },
             );
             line(out, "  jsf", &text)
         }
-        OutputSpec::Xtf(output) => line(
+        OutputSpec::Xtf(_) => line(
             out,
             "  xtf",
-            &format!(
-                "a file of {sides} channels, {:.2} Mbit/s",
-                mbit_per_s(sides, if output.is_float { 4 } else { 2 })
-            ),
+            &format!("a file of {sides} channels, {mbit_per_s:.2} Mbit/s"),
         ),
         OutputSpec::Imagenex872(output) => line(
             out,
