@@ -3,7 +3,7 @@
 use crate::{run, run_well, sets};
 
 const MINIMAL: &str = "tests/data/config/minimal.toml";
-const QUICKSTART: &str = "hil-configs/quickstart.toml";
+const SEABED: &str = "hil-configs/seabed.toml";
 
 /// Checks a configuration with settings that make a mistake; the output holds these words, and the exit status is 1.
 fn finds(config: &str, settings: &[&str], words: [&str; 3]) {
@@ -22,13 +22,13 @@ fn finds(config: &str, settings: &[&str], words: [&str; 3]) {
 
 #[test]
 fn a_rig_that_does_what_is_meant_works() {
-    let text = run_well("check", [QUICKSTART]);
+    let text = run_well("check", [SEABED]);
     let verdict = text.lines().last().expect("a line");
     assert!(
         verdict.starts_with("verdict      works: pings take "),
         "{verdict}"
     );
-    let json = run_well("check", [QUICKSTART, "--json"]);
+    let json = run_well("check", [SEABED, "--json"]);
     let json: serde_json::Value = serde_json::from_str(&json).expect("JSON");
     assert_eq!(json["verdict"], "works");
     assert_eq!(json["findings"].as_array().map(Vec::len), Some(0));
@@ -61,7 +61,7 @@ fn pings_that_take_longer_than_their_period_are_too_slow() {
     finds(
         MINIMAL,
         &[
-            "scene.seabed.density_per_m2=2000",
+            "scene.seabed.density_per_m2=100",
             "sonar.receive.0.elements=64",
         ],
         [
@@ -78,6 +78,7 @@ fn a_tolerance_that_no_method_keeps_is_inaccurate() {
         MINIMAL,
         &[
             "sonar.model.synthesis=\"nearest\"",
+            "sonar.model.doppler=\"none\"",
             "sonar.model.tolerance=1e-4",
         ],
         [
@@ -152,6 +153,8 @@ fn more_data_than_gigabit_ethernet_carries_is_found() {
             "sonar.receive.0.elements=512",
             "sonar.receiver.sample_rate_khz=600",
             "sonar.output.sevenk.listen=\"127.0.0.1:0\"",
+            "sonar.output.sevenk.id=7125",
+            "sonar.output.sevenk.client_queue_mib=256",
         ],
         [
             "records exceed the link",
