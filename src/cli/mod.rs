@@ -10,6 +10,7 @@ pub(crate) mod listen;
 pub(crate) mod logging;
 pub(crate) mod mosaic;
 pub(crate) mod nav;
+pub(crate) mod new;
 pub(crate) mod recover;
 pub(crate) mod replay;
 pub(crate) mod run;
@@ -52,6 +53,8 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Write a rig for a kind of sonar, a frequency, a range and a protocol
+    New(new::NewArgs),
     /// Run the daemon: navigation in, pings in real time, sonar protocols out, until stopped
     Run(run::RunArgs),
     /// The same pipeline offline, without pacing: writes files, reproducible byte for byte
@@ -116,6 +119,7 @@ pub(crate) fn main() -> ExitCode {
 
 fn execute(command: Option<Command>) -> Result<(), Failure> {
     match command.unwrap_or_else(|| Command::Run(run::RunArgs::default())) {
+        Command::New(args) => new::main(&args),
         Command::Run(args) => run::main(&args),
         Command::Recover(args) => recover::main(&args),
         Command::Replay(args) => replay::main(&args),

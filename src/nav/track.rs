@@ -10,7 +10,8 @@ use echotank_config::spec::NavChannel;
 use echotank_core::navigation::{NavQuantity, NavSample};
 use echotank_core::time::{NS_PER_S, UtcNs};
 
-pub(crate) const HEADER: &str = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg";
+/// First line of a track.
+pub const HEADER: &str = "time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg";
 const COLUMNS: [&str; 7] = [
     "time_s",
     "north_m",

@@ -2,6 +2,7 @@
 
 mod commands;
 mod daemon;
+mod new;
 mod replay;
 mod verdict;
 
