@@ -500,8 +500,10 @@ impl GriddedLines {
             };
         }
         state.firsts = next;
-        if state.chunks.len() < chunks {
-            state.chunks.resize_with(chunks, EchoChunk::default);
+        // As many as any distribution of the echoes over the slabs needs, so that none allocates later.
+        let most = total / CHUNK + slabs;
+        if state.chunks.len() < most {
+            state.chunks.resize_with(most, EchoChunk::default);
         }
         let nodes = state.tracks.count();
         let (batches, order, slabs) = (&state.batches, &state.order, &state.slabs);
@@ -573,6 +575,7 @@ impl GriddedLines {
             .for_each(|(task, output)| {
                 let slab = &this.state.slabs[task / blocks];
                 output.clear();
+                output.reserve_exact(this.design.slab_samples * CELL);
                 if slab.chunks.is_empty() {
                     return;
                 }
@@ -611,6 +614,9 @@ impl GriddedLines {
         let stride = column_stride(shape.rows) * CELL;
         let used = shape.columns * stride;
         if grid.len() < used {
+            // Room for all columns: a ping of the same size may use more of them.
+            let most = (2 * template_reach(&self.design) + 1) * stride;
+            grid.reserve_exact(most.saturating_sub(grid.len()));
             grid.resize(used, 0.0);
         }
         let grid = &mut grid[..used];

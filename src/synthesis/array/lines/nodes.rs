@@ -116,14 +116,15 @@ pub(super) fn block_weights(
     per_element: f64,
 ) -> BlockWeights {
     let all = chebyshev(x);
-    let gains: Vec<f64> = (0..gain_nodes)
-        .map(|k| nodes[gain_node(k, gain_nodes, nodes.len())])
-        .collect();
+    let mut gains = [0.0; MAX_GAIN_NODES];
+    for (k, at) in gains[..gain_nodes].iter_mut().enumerate() {
+        *at = nodes[gain_node(k, gain_nodes, nodes.len())];
+    }
     // Cubic through four points of the block.
     let points = chebyshev_nodes::<GAIN_TERMS>().map(|z| z * 0.5 * LANES as f64);
     let mut gain = [[0.0f64; MAX_GAIN_NODES]; GAIN_TERMS];
     for (point, powers) in points.iter().zip(lagrange_powers(&points)) {
-        let values = lagrange(&gains, x + point * per_element);
+        let values = lagrange(&gains[..gain_nodes], x + point * per_element);
         for (terms, power) in gain.iter_mut().zip(powers) {
             for (term, value) in terms.iter_mut().zip(values) {
                 *term += power * value;
