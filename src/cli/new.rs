@@ -1,4 +1,4 @@
-//! `echotank new`: writes a rig for a kind of sonar, a frequency, a range and a protocol, sized to run in real time on two cores.
+//! `echotank new`: writes a rig for a kind of sonar, a frequency, a range and a protocol, with the ping rate that its estimated cost on two cores allows.
 
 mod design;
 mod text;
@@ -345,16 +345,7 @@ fn nav(text: &str, folder: &Path) -> Result<Nav, Failure> {
 }
 
 fn seabed(path: &Path, range_m: f64, folder: &Path) -> Result<Seabed, Failure> {
-    let spec = SeabedFileSpec {
-        path: path.to_owned(),
-        format: None,
-        crs: None,
-        values: None,
-        first_row: None,
-        nodata: None,
-        cell_m: None,
-        max_edge_m: None,
-    };
+    let spec = SeabedFileSpec::of(path.to_owned());
     let refuse = |rule: &str| refusal("--seabed", path.display(), rule);
     let survey = Survey::open(&FileSystem, &spec).map_err(|why| refuse(&why.to_string()))?;
     let middle_m = survey.field.percentiles_m(&[0.5]).first().copied();

@@ -26,11 +26,12 @@ pub(crate) fn signed(value: f64) -> (i16, bool) {
     )
 }
 
+/// 1.5 x 2^23: a sum with it has the nearest integer in its last places.
+const LAST_PLACES: f32 = 12_582_912.0;
+
 /// Rounds a magnitude to an integer of at most `largest`, halves to even numbers. The flag is true if it was clipped. NaN gives 0.
 #[inline(always)]
 pub(crate) fn magnitude(counts: f32, largest: f64) -> (u16, bool) {
-    // A sum with 1.5 x 2^23 has the nearest integer in its last places.
-    const LAST_PLACES: f32 = 12_582_912.0;
     let fits = (0.0..largest as f32 + 0.5).contains(&counts);
     let held = counts.max(0.0).min(largest as f32);
     ((held + LAST_PLACES).to_bits() as u16, !fits)
@@ -67,7 +68,6 @@ pub fn iq(volts: &[Complex64], full_scale_v: f64, into: &mut Vec<[i16; 2]>) -> u
 
 /// Magnitudes and phases of complex volts, in the same order. Returns the number of clipped magnitudes.
 pub(crate) fn beams(volts: &[Complex32], full_scale_v: f64, into: &mut Vec<BeamSample>) -> u64 {
-    const LAST_PLACES: f32 = 12_582_912.0;
     let scale = (MAGNITUDE_FULL_SCALE / full_scale_v) as f32;
     into.resize(volts.len(), BeamSample::default());
     widest(

@@ -2,7 +2,7 @@
 //!
 //! In: a sonar, a ping's plan and scatterers. Out: floors, each with its error and what it keeps.
 //!
-//! What lies below the floor is not at hand (nobody gathers it), so it is foreseen: the ground is taken for flat, with the law, the density and the
+//! What lies below the floor is not at hand (nobody gathers it), so it is predicted: the ground is taken for flat, with the law, the density and the
 //! attitude of the ping. That gives each window's mean energy and that of what it is short of. Echoes have random phases, so both fluctuate, and the worst of
 //! many windows counts: the short part may be loud where the whole is weak. For Gaussian samples the short part is s of the whole (its share of the
 //! energy), and a rest that does not depend on the whole, of mean energy s (1 - s):
@@ -30,7 +30,7 @@ const MIN_CULL_DB: f64 = -110.0;
 const INCIDENCES_DEG: [f64; 4] = [20.0, 45.0, 70.0, 85.0];
 /// What a platform that turns on, over ground that is not flat, leaves out more.
 const UNEVEN: f64 = 1.5;
-/// A ping's mean energy is no less than this of what is foreseen.
+/// A ping's mean energy is no less than this of what is predicted.
 const MIN_MEAN: f64 = 0.8;
 /// Mean square over squared mean of a scatterer's energy: exponential, as speckle is.
 const SPECKLE: f64 = 2.0;
@@ -73,7 +73,7 @@ pub(super) fn floors(scene: &Scene) -> Vec<Culling> {
     let floors: Vec<Option<f64>> = dbs.iter().copied().map(Some).collect();
     let kept = kept_shares(spec, scene.plan, scene.scatterers, &floors);
     let own = kept[0];
-    // Below the floor that they were gathered with scatterers are foreseen too.
+    // Below the floor that they were gathered with scatterers are predicted too.
     let shares = dbs.iter().zip(kept).map(|(&db, at_hand)| {
         let grown = seabed.above_m2(db) / seabed.above_m2(own_db).max(f64::MIN_POSITIVE);
         Shares {
@@ -91,7 +91,7 @@ pub(super) fn floors(scene: &Scene) -> Vec<Culling> {
         .collect()
 }
 
-/// The ground of a ping, foreseen for every array.
+/// The ground of a ping, predicted for every array.
 struct Seabed {
     rings: Vec<Rings>,
     /// Of each array.
@@ -218,7 +218,7 @@ mod tests {
 
     /// Against draws of windows: n samples of the whole, of which a share s is left out, none of 1000 above, and not ten times too high.
     #[test]
-    fn of_a_thousand_windows_none_leaves_out_more_than_is_foreseen() {
+    fn of_a_thousand_windows_none_leaves_out_more_than_is_predicted() {
         let mut state = 1u64;
         let mut even = || {
             state = state

@@ -55,9 +55,9 @@ const ENGINE_MARGIN: f64 = 3.0;
 const KEPT_BY_ONE: f64 = 0.4;
 /// And `gridded-2d` all of it: it keeps its tolerance in noise, to 0.8 in the worst of 112 answers of `tools/accuracy sweep` but one.
 const KEPT_BY_WHOLE_LINES: f64 = 1.0;
-/// What `gridded-2d` foresees knows nothing of the series that carry Doppler: 1.4 to 3.9 times as much was measured with it, with lines of 8 and 96
+/// The error that `gridded-2d` predicts leaves out the series that carry Doppler: 1.4 to 3.9 times as much was measured with it, with lines of 8 and 96
 /// elements at tolerances of 8e-3 to 2e-3. Nor does it know how long slabs are and how few elements a section has: pings took 0.1 to 8 times as long as
-/// foreseen with the former factor on echoes and grids. The latter is no fit: what is foreseen badly is counted dear.
+/// predicted with the former factor on echoes and grids. The latter is no fit: an unreliable prediction is made expensive.
 const LINE_DOPPLER: f64 = 2.5;
 const LINE_DOPPLER_GRIDS: f64 = 10.0;
 /// `gridded-lines` predicts its error in the worst window. In windows with the onset of a single echo, 50 dB below the strongest, 1.55 times the

@@ -402,11 +402,11 @@ fn zone_phase_errors_are_within_the_configured_limit() {
         let zones = former.zones.len();
         println!("{zones} zones, {worst:.4} rad of {error_rad}");
         let (array, samples) = (&rig.array, (RATE_HZ, rig.samples));
-        let (_, foreseen) = DelaySumFormer::work(array, &spec, &rig.pulse, samples, C);
-        let ratio = foreseen / (array.elements * zones) as f64;
+        let (_, predicted) = DelaySumFormer::work(array, &spec, &rig.pulse, samples, C);
+        let ratio = predicted / (array.elements * zones) as f64;
         assert!(
             (0.8..1.25).contains(&ratio),
-            "foreseen for the cost: {ratio}"
+            "predicted over counted products: {ratio}"
         );
         assert!(worst <= error_rad * 1.001, "{worst}");
         assert!(

@@ -394,11 +394,11 @@ fn changed_settings_give_the_bits_of_a_sonar_started_with_them() {
     let alone: Vec<PingOutput> = (0..changes.len())
         .map(|number| once(&rig, &of(number), &scatterers))
         .collect();
-    for foreseen in [0, 1, 3] {
+    for known in [0, 1, 3] {
         let mut pipeline = SonarPipeline::new(&rig.sonars[0], &rig.medium).expect("fits");
         let mut output = pipeline.blank_output();
         for (number, want) in alone.iter().enumerate() {
-            for ahead in number + 1..(number + 1 + foreseen).min(changes.len()) {
+            for ahead in number + 1..(number + 1 + known).min(changes.len()) {
                 pipeline.expect(&of(ahead).settings);
             }
             let ping = of(number);
