@@ -219,6 +219,11 @@ class Ping:
         self.kinds = [7000]
         self.beams = None
 
+    @property
+    def pulse_ns(self):
+        """Start of the pulse. Records of a ping are stamped with the end of the transmission (Data Format Definition, 7KTIME of 7000)."""
+        return None if self.stamp_ns is None else self.stamp_ns - round(1e9 * self.settings["tx_pulse_width"])
+
 
 class PingLedger:
     """Follows pings through a stream of records in order of arrival."""
@@ -541,7 +546,7 @@ class Contract:
             raise StepFailed("%s: %d pings came, expected %d more" % (why, len(pings) - target + count, count))
 
     def judge(self, reply, begun, obeyed, describe):
-        """A setting is obeyed by the first ping that is sent after its acknowledgement (7KTIME against 7KTIME); pings already
+        """A setting is obeyed by the first ping whose pulse starts after its acknowledgement (7KTIME against 7KTIME); pings already
         in flight may still come with the old one. Where the server stamps pings from another clock than its answers, only
         the order of arrival can be judged, with two pings of grace."""
         pings = self.session.pings
@@ -551,7 +556,7 @@ class Contract:
             late = [p for p in pings[begun + 2:] if not obeyed(p)]
             rule = "by order of arrival"
         else:
-            late = [p for p in pings if p.stamp_ns is not None and p.stamp_ns > reply.stamp_ns + STAMP_STEP_NS and not obeyed(p)]
+            late = [p for p in pings if p.pulse_ns is not None and p.pulse_ns > reply.stamp_ns + STAMP_STEP_NS and not obeyed(p)]
             rule = "by time stamps"
         if late:
             raise StepFailed("ping %d was sent after the acknowledgement and has %s" % (late[0].number, describe(late[0])))
@@ -689,7 +694,7 @@ class Contract:
         session.pump(max(1.0, 3.0 * period))
         if len(session.pings) != count:
             raise StepFailed("%d pings came while stopped" % (len(session.pings) - count))
-        last = session.pings[-1].stamp_ns
+        last = session.pings[-1].pulse_ns
         if None not in (last, reply.stamp_ns) and reply.stamp_ns + STAMP_STEP_NS < last < reply.stamp_ns + 30e9:
             raise StepFailed("ping %d was sent after the stop was acknowledged" % session.pings[-1].number)
         session.command(START_PINGING)

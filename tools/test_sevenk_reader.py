@@ -10,6 +10,7 @@ import sys
 import tempfile
 import threading
 import time
+import types
 import unittest
 import unittest.mock
 
@@ -246,7 +247,8 @@ class Server(threading.Thread):
             made = made[1:] + made[:1]
         for kind, body in made:
             if kind in self.kinds and not (self.fault == "drops-one" and kind == 7007 and self.ping == 5):
-                self.send(kind, body, stamp_of(when + (0.001 if self.fault == "stamps" and kind == 7038 else 0.0)))
+                sent = when + values["pulse"]    # 7KTIME is the end of the transmission
+                self.send(kind, body, stamp_of(sent + (0.001 if self.fault == "stamps" and kind == 7038 else 0.0)))
         for kind, body in ((7610, struct.pack("<fff", C, 283.0, 0.0)), (1003, struct.pack("<IfdddBBBBB", 0, 0, 0.9, 0.2, 0, 0, 0, 0, 0, 9)),
                            (1012, struct.pack("<fff", 0.01, 0.02, 0.3)), (1013, struct.pack("<f", 1.0))):
             if kind in self.kinds:
@@ -345,6 +347,22 @@ class Live(unittest.TestCase):
         with unittest.mock.patch.object(reader, "MAX_PACKET", 1000):
             code, summary = run_reader(Server(limit=70000))
         self.assertEqual((code, list(summary["finding_counts"])), (1, ["packet"]))
+
+    def test_a_ping_obeys_what_was_acknowledged_before_its_pulse(self):
+        def ping(stamp_s, pulse_s, range_m):
+            header = {"ping_number": 1, "tx_pulse_width": pulse_s, "range_selection": range_m}
+            return reader.Ping(types.SimpleNamespace(header=header, stamp_ns=round(1e9 * stamp_s)))
+
+        def judge(stamp_s, range_m):
+            pings = [ping(99.0, 3e-3, 150.0), ping(stamp_s, 3e-3, range_m), ping(101.0, 3e-3, 90.0)]
+            contract = reader.Contract(types.SimpleNamespace(pings=pings), 1.0)
+            reply = types.SimpleNamespace(stamp_ns=round(100e9))
+            return contract.judge(reply, 1, lambda p: p.settings["range_selection"] == 90.0, lambda p: "the range")
+
+        self.assertEqual(judge(100.002, 150.0)[0].settings["range_selection"], 90.0)    # the command came during its pulse
+        judge(100.004, 90.0)
+        with self.assertRaises(reader.StepFailed):
+            judge(100.004, 150.0)
 
     def test_no_server_is_a_finding_and_not_a_crash(self):
         with socket.create_server(("127.0.0.1", 0)) as taken:
