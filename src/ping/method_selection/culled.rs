@@ -32,6 +32,9 @@ const INCIDENCES_DEG: [f64; 4] = [20.0, 45.0, 70.0, 85.0];
 const UNEVEN: f64 = 1.5;
 /// A ping's mean energy is no less than this of what is predicted.
 const MIN_MEAN: f64 = 0.8;
+/// Beyond the floor that they were gathered with, scatterers are as dense as just above it, within so many dB: a thinned seabed has fewer, the farther
+/// a side lobe lies below the main lobe.
+const NEAR_FLOOR_DB: f64 = 10.0;
 /// Mean square over squared mean of a scatterer's energy: exponential, as speckle is.
 const SPECKLE: f64 = 2.0;
 
@@ -71,11 +74,19 @@ pub(super) fn floors(scene: &Scene) -> Vec<Culling> {
         }
     }
     let floors: Vec<Option<f64>> = dbs.iter().copied().map(Some).collect();
-    let kept = kept_shares(spec, scene.plan, scene.scatterers, &floors);
+    let near_db = own_db + NEAR_FLOOR_DB;
+    let with_near: Vec<_> = floors.iter().copied().chain([Some(near_db)]).collect();
+    let mut kept = kept_shares(spec, scene.plan, scene.scatterers, &with_near);
+    let near = kept.pop().unwrap_or(Shares::ALL);
     let own = kept[0];
+    let own_m2 = seabed.above_m2(own_db);
+    let near_m2 = (own_m2 - seabed.above_m2(near_db)).max(f64::MIN_POSITIVE);
+    // Of the scatterers at hand, per square metre just above the floor.
+    let per_m2 = (own.kept - near.kept).max(0.0) / near_m2;
     // Below the floor that they were gathered with scatterers are predicted too.
     let shares = dbs.iter().zip(kept).map(|(&db, at_hand)| {
-        let grown = seabed.above_m2(db) / seabed.above_m2(own_db).max(f64::MIN_POSITIVE);
+        let more_m2 = (seabed.above_m2(db) - own_m2).max(0.0);
+        let grown = 1.0 + per_m2 * more_m2 / own.kept.max(f64::MIN_POSITIVE);
         Shares {
             transmit_leg: at_hand.transmit_leg.max(own.transmit_leg * grown),
             kept: at_hand.kept.max(own.kept * grown),

@@ -43,6 +43,8 @@ const SEGMENTS_S: [f64; 6] = [0.05, 0.02, 0.01, 0.005, 0.002, 0.001];
 const ENGINE_SHARES: [f64; 3] = [0.8, 0.5, 0.2];
 /// Engines are made for scatterers somewhat nearer than the nearest of the ping that a plan is made on.
 const NEARER: f64 = 0.7;
+/// Steps of that distance for each doubling: plans on similar pings then find their engines designed.
+const STEPS_PER_DOUBLING: f64 = 4.0;
 /// rms closing speeds of all but the rarest echoes lie within so many times their rms.
 const EXTREMES: f64 = 3.0;
 /// A line of `gridded-2d` bears the motion across it that the echoes of a window have, and so much more in some.
@@ -956,7 +958,10 @@ fn nearest_m(spec: &SonarSpec, nearest_heard_m: f64) -> f64 {
     match spec.synthesis.selects_methods()
         && (auto.synthesis || spec.model.synthesis != Synthesis::Gridded2d)
     {
-        true => (NEARER * nearest_heard_m).min(said_m.max(5.0)),
+        true => {
+            let steps = STEPS_PER_DOUBLING * libm::log2(NEARER * nearest_heard_m);
+            libm::exp2(steps.floor() / STEPS_PER_DOUBLING).min(said_m.max(5.0))
+        }
         false => said_m,
     }
 }

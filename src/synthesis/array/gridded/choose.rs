@@ -1,7 +1,8 @@
 //! Selection of the cheapest kernel over delay and of the cheapest Doppler grid for a tolerance.
 //! [`super::band`] selects the band.
 
-use std::sync::LazyLock;
+use std::collections::HashMap;
+use std::sync::{LazyLock, Mutex, PoisonError};
 
 use super::doppler::{DopplerGrid, DopplerSpan, MAX_ORDER, Trial};
 use super::kernel::{Kernel, MIN_WIDTH};
@@ -90,7 +91,7 @@ const ALONE_AMONG_MANY_SHARE: f64 = 0.5;
 const KERNEL_ALONE_AMONG_MANY_SHARE: f64 = 0.6;
 
 /// Whether fewer than one echo begins per sample.
-fn few(spec: &Spec) -> bool {
+pub(super) fn few(spec: &Spec) -> bool {
     spec.arrivals < spec.samples
 }
 
@@ -154,6 +155,32 @@ static TRIAL_KERNELS: LazyLock<Vec<Kernel>> = LazyLock::new(|| {
         .flat_map(|taps| TRIAL_SHAPES.map(|shape| Kernel::rough(taps, shape, taps + MORE_POWERS)))
         .collect()
 });
+
+/// Errors of trials, by the bits of the trial, the index of its kernel and its number of cells. A selection asks for the same grids at several
+/// tolerances and with several Doppler models, and so does the next one.
+static TRIED: LazyLock<Mutex<HashMap<TrialKey, f64>>> = LazyLock::new(Mutex::default);
+
+type TrialKey = ([u64; 3], usize, usize);
+
+/// Maximum number of [`TRIED`] errors; a topside that tries many pulses does not grow the table without end.
+const MAX_TRIED: usize = 1 << 16;
+
+/// [`Trial::worst`], computed once.
+fn worst(trial: &Trial, kernel: usize, grid: &DopplerGrid) -> f64 {
+    let bits = [trial.turns, trial.curvature_rad, trial.sweep].map(f64::to_bits);
+    let key = (bits, kernel, grid.cells);
+    let tried = || TRIED.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(&error) = tried().get(&key) {
+        return error;
+    }
+    let error = trial.worst(grid);
+    let mut tried = tried();
+    if tried.len() >= MAX_TRIED {
+        tried.clear();
+    }
+    tried.insert(key, error);
+    error
+}
 
 /// Inputs to the selection of Doppler grids.
 pub(crate) struct Trials<'a> {
@@ -226,16 +253,16 @@ impl Trials<'_> {
         }
         let mut best = None;
         let mut held = f64::INFINITY;
-        let enough = |g: &DopplerGrid| trial.worst(g) <= share;
-        for kernel in &*TRIAL_KERNELS {
+        for (index, kernel) in TRIAL_KERNELS.iter().enumerate() {
+            let error = |g: &DopplerGrid| worst(trial, index, g);
             // The error decreases with the number of cells, so bisection finds the coarsest
             // sufficient grid.
             let grids = TRIAL_CELLS.map(|cells| DopplerGrid::new(self.span, cells, kernel));
             let affordable = grids.partition_point(|g| self.cost(g) < held);
-            let first = grids[..affordable].partition_point(|g| !enough(g));
+            let first = grids[..affordable].partition_point(|g| error(g) > share);
             if first < affordable {
                 held = self.cost(&grids[first]);
-                best = Some((grids[first].clone(), trial.worst(&grids[first])));
+                best = Some((grids[first].clone(), error(&grids[first])));
             }
         }
         best

@@ -4,6 +4,7 @@
 //! The input is a [`Spec`]. The result is a [`Design`], or the reason for refusal.
 
 use std::f64::consts::TAU;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use num_complex::Complex64;
 
@@ -15,7 +16,7 @@ use super::band::{Band, band, widest};
 use super::batched_fft::lanes_for;
 use super::choose::{
     NS_PER_ARRIVAL, NS_PER_GRID_VALUE, NS_PER_LANE_VALUE, NS_PER_SPREAD, SERIES_SHARE, Trials,
-    delay_kernel, series_terms, sweep, weights_carry_curvature,
+    delay_kernel, few, series_terms, sweep, weights_carry_curvature,
 };
 use super::cost_estimate::CostEstimate;
 use super::doppler::{CurvatureWeights, DopplerGrid, DopplerSpan, Received};
@@ -62,10 +63,66 @@ pub(crate) struct DesignedTerm {
     pub(crate) min_curvature: f64,
 }
 
+/// All that a design depends on.
+#[derive(Clone, PartialEq)]
+struct DesignKey {
+    pulse: Pulse,
+    sample_rate_hz: f64,
+    samples: usize,
+    filter: Option<Decimator>,
+    doppler: DopplerModel,
+    span: DopplerSpan,
+    curvature_per_s: f64,
+    tolerance: f64,
+    level_range_db: f64,
+    few: bool,
+    moments: usize,
+}
+
+type Designed = Result<Arc<Design>, GriddedError>;
+
+/// Designs made last, the latest first. A design takes up to half a second. Method selections ask for the same ones again and again, and so does
+/// the engine that is made after them.
+static DESIGNED: Mutex<Vec<(DesignKey, Designed)>> = Mutex::new(Vec::new());
+
+/// Maximum number of [`DESIGNED`] designs, of about a megabyte each.
+const MAX_DESIGNED: usize = 32;
+
+/// [`Design::new`], made once for a specification.
+pub(super) fn designed<M: Real>(spec: &Spec, weakening: f64) -> Designed {
+    let key = DesignKey {
+        pulse: *spec.pulse,
+        sample_rate_hz: spec.sample_rate_hz,
+        samples: spec.samples,
+        filter: spec.filter.cloned(),
+        doppler: spec.doppler,
+        span: spec.span,
+        curvature_per_s: spec.curvature_per_s,
+        tolerance: spec.tolerance,
+        level_range_db: spec.level_range_db,
+        few: few(spec),
+        moments: M::MOMENTS,
+    };
+    // Designs are complete when they are inserted, so a poisoned lock is ignored.
+    let kept = || DESIGNED.lock().unwrap_or_else(PoisonError::into_inner);
+    {
+        let mut kept = kept();
+        if let Some(at) = kept.iter().position(|(of, _)| *of == key) {
+            kept[..=at].rotate_right(1);
+            return kept[0].1.clone();
+        }
+    }
+    let made = Design::new::<M>(spec, weakening).map(Arc::new);
+    let mut kept = kept();
+    kept.insert(0, (key, made.clone()));
+    kept.truncate(MAX_DESIGNED);
+    made
+}
+
 impl Design {
     /// Designs an engine; M is the precision of moments. `weakening`: see
     /// [`weakening()`](super::choose::weakening).
-    pub(super) fn new<M: Real>(asked: &Spec, weakening: f64) -> Result<Self, GriddedError> {
+    fn new<M: Real>(asked: &Spec, weakening: f64) -> Result<Self, GriddedError> {
         let spec = &Spec {
             tolerance: asked.tolerance / weakening,
             ..*asked

@@ -37,7 +37,7 @@ use echotank_core::pulse::Pulse;
 use super::batched_fft::{BatchedFft, Job, LANES, MAX_TOGETHER, Place, lanes_for};
 use super::choose::{SHARE, weakening};
 use super::cost_estimate::CostEstimate;
-use super::design::Design;
+use super::design::{Design, designed};
 use super::doppler::DopplerSpan;
 use super::kernel::MAX_WIDTH;
 use super::moments::{Across, Axis, FlushWeights, Located, Points, Real, locate};
@@ -187,7 +187,7 @@ impl Gridded1d {
         spread_error: f64,
         precision: &str,
     ) -> Result<Self, GriddedError> {
-        let design = Design::new::<M>(spec, weakening)?;
+        let design = designed::<M>(spec, weakening)?;
         // f64 doubles the memory traffic.
         let words = (size_of::<G>() / size_of::<f32>()) as f64;
         let error = weakening * (design.error.powi(2) + spread_error.powi(2)).sqrt();
@@ -214,7 +214,6 @@ impl Gridded1d {
                 design.bins, design.grid, design.kernel.width, doppler.columns, doppler.taps
             ),
         };
-        let design = Arc::new(design);
         let (costing, (simd_level, samples)) = (design.clone(), (spec.simd_level, spec.samples));
         let plan = OnceLock::new();
         Ok(Self {
