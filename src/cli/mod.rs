@@ -165,9 +165,12 @@ impl Failure {
     pub(crate) fn opening(error: &OpenError) -> Self {
         let text = error.to_string();
         match error {
-            OpenError::Nav(NavOpenError::Unreadable { .. } | NavOpenError::Missing(_)) => {
-                Self::Configuration(text)
-            }
+            OpenError::Nav(
+                NavOpenError::Unreadable { .. }
+                | NavOpenError::NothingUsable { .. }
+                | NavOpenError::Recording(_)
+                | NavOpenError::Missing(_),
+            ) => Self::Configuration(text),
             _ => Self::Running(text),
         }
     }

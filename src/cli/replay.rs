@@ -1,12 +1,19 @@
 //! `echotank replay`: runs the pipeline offline and writes files.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{ConfigArgs, Failure, load};
-use echotank_config::spec::{NavChannel, NavInputSpec, RigSpec, SonarSpec};
+use echotank_config::spec::RigSpec;
+use echotank_nav::recording::is_recording;
+use echotank_nav::replacement::replace_sources;
+use echotank_runtime::config_files::read_bounded;
+use echotank_runtime::io::nav::MAX_LOG_BYTES;
+use echotank_runtime::io::signals;
 use echotank_runtime::recorded::RecordedError;
 use echotank_runtime::replay::{Formats, Replay, ReplayError, ReplayOptions};
 
@@ -14,14 +21,15 @@ use echotank_runtime::replay::{Formats, Replay, ReplayError, ReplayOptions};
 pub(crate) struct ReplayArgs {
     #[command(flatten)]
     pub(crate) config: ConfigArgs,
-    /// Recorded navigation to use instead of the first source's file; the quantities that it holds are used
+    /// Navigation to use instead of the live sources and of the first source's file: a log, whose quantities are used, or what `run --record-nav`
+    /// wrote, which repeats the pings of that run
     #[arg(long, value_name = "LOG")]
     pub(crate) nav: Option<PathBuf>,
     /// Folder for the results; created if absent
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// What to write, separated by commas; truth.jsonl is always written
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "s7k,png")]
+    /// What to write, separated by commas; truth.jsonl is always written [default: s7k, and png for side-scan lines]
+    #[arg(long, value_enum, value_delimiter = ',')]
     pub(crate) formats: Vec<Format>,
     /// Element samples and beams in .npz as complex128 instead of complex64
     #[arg(long)]
@@ -64,8 +72,9 @@ pub(crate) enum Format {
 }
 
 fn parse_range(text: &str) -> Result<(u32, u32), String> {
-    let (a, b) = text.split_once("..").ok_or("expected A..B")?;
-    let parse = |s: &str| s.trim().parse::<u32>().map_err(|e| format!("{s}: {e}"));
+    let expected = "expected A..B, the first and the last ping, e.g. 1..600";
+    let (a, b) = text.split_once("..").ok_or(expected)?;
+    let parse = |s: &str| s.trim().parse::<u32>().map_err(|_| expected);
     let (a, b) = (parse(a)?, parse(b.trim_start_matches('='))?);
     if a == 0 || b < a {
         return Err("pings are numbered from 1, and B must not be below A".into());
@@ -73,48 +82,58 @@ fn parse_range(text: &str) -> Result<(u32, u32), String> {
     Ok((a, b))
 }
 
-/// Replaces the file of the first recorded navigation source. The source then provides all quantities of the new log.
-fn replace_log(spec: &mut RigSpec, log: &std::path::Path) -> Result<(), Failure> {
-    for source in &mut spec.nav.sources {
-        if let NavInputSpec::Log { path, .. } | NavInputSpec::Csv { path } = &mut source.input {
-            *path = log.to_path_buf();
-            if let NavInputSpec::Log { .. } = source.input {
-                source.provides = NavChannel::ALL.to_vec();
-                source.detect = true;
-            }
-            return Ok(());
-        }
+/// Uses a log, or a recording of live sources, in place of the configured sources.
+fn replace_nav(spec: &mut RigSpec, log: &Path) -> Result<(), Failure> {
+    let bytes = read_bounded(log, MAX_LOG_BYTES)
+        .map_err(|why| Failure::Configuration(format!("--nav {}: {why}", log.display())))?;
+    if is_recording(&bytes) {
+        spec.nav.recording = Some(log.to_path_buf());
+    } else {
+        replace_sources(&mut spec.nav, log);
     }
-    Err(Failure::Configuration(
-        "--nav: the configuration has no recorded source (kind = \"log\" or \"csv\") to replace"
-            .into(),
-    ))
+    Ok(())
+}
+
+/// The requested formats, each of which must have data in this rig.
+fn formats(asked: &[Format], spec: &RigSpec) -> Result<Formats, Failure> {
+    let has_lines = spec.sonars.iter().any(|s| !s.beams.lines.is_empty());
+    let asked = match (asked.is_empty(), has_lines) {
+        (false, _) => asked,
+        (true, true) => &[Format::S7k, Format::Png][..],
+        (true, false) => &[Format::S7k],
+    };
+    let formats = Formats {
+        s7k: asked.contains(&Format::S7k),
+        jsf: asked.contains(&Format::Jsf),
+        xtf: asked.contains(&Format::Xtf),
+        npz: asked.contains(&Format::Npz),
+        png: asked.contains(&Format::Png),
+        sas: asked.contains(&Format::Sas),
+        fan: asked.contains(&Format::Fan),
+        mosaic: asked.contains(&Format::Mosaic),
+        masks: asked.contains(&Format::Masks),
+        sigmf: asked.contains(&Format::Sigmf),
+        wav: asked.contains(&Format::Wav),
+    };
+    match formats.unfit(spec) {
+        None => Ok(formats),
+        Some((name, lacks)) => Err(Failure::Configuration(format!(
+            "--formats {name}: would write nothing, because no sonar of this rig {lacks}"
+        ))),
+    }
 }
 
 pub(crate) fn main(args: &ReplayArgs) -> Result<(), Failure> {
     let mut spec = load(&args.config.config, &args.config.set)?;
+    let formats = formats(&args.formats, &spec)?;
     if let Some(log) = &args.nav {
-        replace_log(&mut spec, log)?;
+        replace_nav(&mut spec, log)?;
     }
-    let formats = Formats {
-        s7k: args.formats.contains(&Format::S7k),
-        jsf: args.formats.contains(&Format::Jsf),
-        xtf: args.formats.contains(&Format::Xtf),
-        npz: args.formats.contains(&Format::Npz),
-        png: args.formats.contains(&Format::Png),
-        sas: args.formats.contains(&Format::Sas),
-        fan: args.formats.contains(&Format::Fan),
-        mosaic: args.formats.contains(&Format::Mosaic),
-        masks: args.formats.contains(&Format::Masks),
-        sigmf: args.formats.contains(&Format::Sigmf),
-        wav: args.formats.contains(&Format::Wav),
-    };
-    let has_patch = |sonar: &SonarSpec| sonar.beams.synthetic_aperture.is_some();
-    if formats.sas && !spec.sonars.iter().any(has_patch) {
-        return Err(Failure::Configuration(
-            "--formats sas: no sonar of the configuration has [sonar.beams.synthetic_aperture]"
-                .into(),
-        ));
+    if args.out.exists() && !args.out.is_dir() {
+        return Err(Failure::Configuration(format!(
+            "--out {}: is a file; name a folder",
+            args.out.display()
+        )));
     }
     let options = ReplayOptions {
         out: args.out.clone(),
@@ -123,11 +142,9 @@ pub(crate) fn main(args: &ReplayArgs) -> Result<(), Failure> {
         pings: args.pings,
         threads: args.threads.unwrap_or(spec.run.threads),
     };
-    let replay = Replay::open(spec, options).map_err(|error| match &error {
-        ReplayError::Recorded(RecordedError::Rig(error)) => Failure::opening(error),
-        _ => Failure::running(error),
-    })?;
-    let bar = match (args.quiet, replay.pings_expected()) {
+    let replay = Replay::open(spec, options).map_err(|error| refused_or_failed(&error))?;
+    let expected = replay.pings_expected();
+    let bar = match (args.quiet, expected) {
         (true, _) => ProgressBar::hidden(),
         (false, Some(pings)) => ProgressBar::new(pings),
         (false, None) => ProgressBar::new_spinner(),
@@ -136,8 +153,31 @@ pub(crate) fn main(args: &ReplayArgs) -> Result<(), Failure> {
         ProgressStyle::with_template("{bar:40} {pos}/{len} pings, {per_sec}, {eta} left {msg}")
             .unwrap_or_else(|_| ProgressStyle::default_bar()),
     );
-    let summary = replay.run(|_| bar.inc(1)).map_err(Failure::running)?;
+    let stop = Arc::new(AtomicBool::new(false));
+    signals::stop_on_signals(&stop).map_err(Failure::running)?;
+    let summary = replay
+        .run_until(&stop, |_| bar.inc(1))
+        .map_err(|error| refused_or_failed(&error))?;
+    let is_part = expected.is_none_or(|expected| bar.position() < expected);
     bar.finish_and_clear();
     println!("{summary}");
+    if stop.load(Ordering::Acquire) && is_part {
+        let of = expected.map_or(String::new(), |expected| format!(" of {expected}"));
+        return Err(Failure::Running(format!(
+            "stopped by a signal after {}{of} pings; the files above are complete and hold these pings",
+            summary.pings
+        )));
+    }
     Ok(())
+}
+
+fn refused_or_failed(error: &ReplayError) -> Failure {
+    match error {
+        ReplayError::Recorded(RecordedError::Rig(error)) => Failure::opening(error),
+        ReplayError::Recorded(_)
+        | ReplayError::Beams { .. }
+        | ReplayError::PastEnd { .. }
+        | ReplayError::NoPing(_) => Failure::Configuration(error.to_string()),
+        ReplayError::Record(_) | ReplayError::Threads(_) => Failure::running(error),
+    }
 }

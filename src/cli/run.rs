@@ -12,7 +12,9 @@ use clap::Args;
 use super::{Failure, load};
 use echotank_config::spec::{NavInputSpec, RigSpec, SeabedShape};
 use echotank_runtime::daemon::{Daemon, DaemonError};
+use echotank_runtime::io::nav::NavOpenError;
 use echotank_runtime::io::signals;
+use echotank_runtime::rig::OpenError;
 
 /// Default configuration: a real navigation log over a real seabed, both in the repository.
 const QUICKSTART: &str = "hil-configs/quickstart.toml";
@@ -24,11 +26,14 @@ pub(crate) struct RunArgs {
     /// Change a value before checking, e.g. --set 'sonar.output.sevenk.listen="127.0.0.1:7001"' (every [[sonar]]) or --set sonar.0.ping.range_m=75
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub(crate) set: Vec<String>,
+    /// Write what the live navigation sources receive, and the pings, to this new file (pcapng); `replay --nav FILE` repeats the run
+    #[arg(long, value_name = "FILE")]
+    pub(crate) record_nav: Option<PathBuf>,
     /// Threads; 0 means one per core (default: the configuration's)
     #[arg(long)]
     pub(crate) threads: Option<usize>,
     /// Stop after this many seconds (default: run until SIGINT or SIGTERM)
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub(crate) seconds: Option<f64>,
 }
 
@@ -90,6 +95,19 @@ fn describe(spec: &RigSpec) -> Vec<String> {
     lines
 }
 
+/// The failure to open a port or device, with its remedy.
+fn not_opened(error: &DaemonError) -> Failure {
+    let text = error.to_string();
+    let remedy = if text.contains("Address already in use") {
+        "; another program uses this port: end it, or choose another port (0 means any free one)"
+    } else if text.contains("serial port") {
+        "; `ls /dev/tty* /dev/serial/by-id` shows the ports, and the group of the device may use it"
+    } else {
+        ""
+    };
+    Failure::Running(format!("{text}{remedy}"))
+}
+
 /// Prints a line. Errors are ignored, so that the daemon continues after its standard output is closed.
 fn print_line(line: &str) {
     let _ = writeln!(io::stdout(), "{line}");
@@ -100,16 +118,38 @@ pub(crate) fn main(args: &RunArgs) -> Result<(), Failure> {
         Some(path) => path.clone(),
         None => quickstart()?,
     };
+    if let Some(seconds) = args.seconds.filter(|s| !(s.is_finite() && *s > 0.0)) {
+        let why = format!("--seconds {seconds}: must be above 0");
+        return Err(Failure::Configuration(why));
+    }
     let mut spec = load(&path, &args.set)?;
     // The user did not choose the control port of the quickstart, so any free port is acceptable.
     spec.control.or_any_port = args.config.is_none();
+    if let Some(file) = &args.record_nav {
+        let name = file.display();
+        let refuse = |why| {
+            Err(Failure::Configuration(format!(
+                "--record-nav {name}: {why}"
+            )))
+        };
+        if spec.nav.is_recorded() {
+            return refuse("this rig has no live navigation source; replay its log");
+        }
+        if file.exists() {
+            return refuse("exists; name a new file");
+        }
+    }
     let stop = Arc::new(AtomicBool::new(false));
     signals::stop_on_signals(&stop).map_err(Failure::running)?;
     let threads = args.threads.unwrap_or(spec.run.threads);
-    let daemon = Daemon::open(&spec, threads, stop.clone()).map_err(|error| match &error {
+    let mut daemon = Daemon::open(&spec, threads, stop.clone()).map_err(|error| match &error {
+        DaemonError::Rig(OpenError::Nav(NavOpenError::Source { .. })) => not_opened(&error),
         DaemonError::Rig(error) => Failure::opening(error),
-        _ => Failure::running(error),
+        _ => not_opened(&error),
     })?;
+    if let Some(file) = &args.record_nav {
+        daemon.record_navigation(file).map_err(Failure::running)?;
+    }
     print_line(&format!(
         "echotank {}: {}",
         env!("CARGO_PKG_VERSION"),
@@ -126,11 +166,6 @@ pub(crate) fn main(args: &RunArgs) -> Result<(), Failure> {
         "pinging; stop with Ctrl-C; {look} echotank listen ADDRESS"
     ));
     if let Some(seconds) = args.seconds {
-        if !(seconds.is_finite() && seconds > 0.0) {
-            return Err(Failure::Configuration(format!(
-                "--seconds {seconds}: must be above 0"
-            )));
-        }
         let stop = stop.clone();
         thread::spawn(move || {
             thread::sleep(Duration::from_secs_f64(seconds.min(1e9)));

@@ -487,6 +487,7 @@ fn nav<'t>(
         on_lost: table.on_lost.named()?,
         tow: table.tow.and_then(nav::tow),
         outputs: outputs?,
+        recording: None,
         sources: all(sources).filter(|s| !s.is_empty())?,
     })
 }

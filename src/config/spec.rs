@@ -139,6 +139,8 @@ pub struct NavSpec {
     pub tow: Option<TowSpec>,
     /// Navigation sources, at least one.
     pub sources: Vec<NavSourceSpec>,
+    /// Recording that takes the place of the live sources in a replay. A configuration never sets it.
+    pub recording: Option<PathBuf>,
     /// Outputs of navigation sentences.
     pub outputs: Vec<NavOutputSpec>,
 }

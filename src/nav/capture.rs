@@ -7,7 +7,7 @@
 
 use echotank_core::time::UtcNs;
 use pcap_parser::nom::{Err as ParseError, IResult};
-use pcap_parser::pcapng::{Block, parse_block_be, parse_block_le};
+use pcap_parser::pcapng::{Block, OptionCode, parse_block_be, parse_block_le};
 use pcap_parser::{
     LegacyPcapBlock, PcapError, parse_pcap_frame, parse_pcap_frame_be, parse_pcap_frame_modified,
     parse_pcap_header,
@@ -17,7 +17,11 @@ use pcap_parser::{
 const MAX_PACKET: usize = 256 * 1024;
 const ETHERNET: u32 = 1;
 const NULL_LOOPBACK: u32 = 0;
-const RAW_IP: [u32; 3] = [12, 14, 101];
+const RAW_IP: [u32; 3] = [12, 14, RAW_IP_LINK];
+/// Link type of IP packets without a link header.
+pub(crate) const RAW_IP_LINK: u32 = 101;
+/// First link type for private use.
+pub(crate) const USER_LINK: u32 = 147;
 const LINUX_COOKED: u32 = 113;
 const LINUX_COOKED_2: u32 = 276;
 /// Block type of a pcapng section header. The value is the same in both byte orders.
@@ -67,68 +71,60 @@ fn is_pcapng(bytes: &[u8]) -> bool {
 }
 
 /// The packets of a whole capture file, in file order. Empty if `bytes` is not a capture.
-pub fn packets(bytes: &[u8]) -> Packets<'_> {
-    if let Ok((rest, header)) = parse_pcap_header(bytes) {
-        let interface = Interface {
-            // The upper half holds flags.
-            link: header.network.0 as u32 & 0xFFFF,
-            ticks_per_s: match header.is_nanosecond_precision() {
-                true => 1_000_000_000,
-                false => 1_000_000,
+pub fn packets(bytes: &[u8]) -> impl Iterator<Item = Packet<'_>> {
+    let mut packets = Packets::of(bytes);
+    std::iter::from_fn(move || packets.next_frame().map(|frame| frame.packet))
+}
+
+impl<'a> Packets<'a> {
+    pub(crate) fn of(bytes: &'a [u8]) -> Self {
+        if let Ok((rest, header)) = parse_pcap_header(bytes) {
+            let interface = Interface {
+                // The upper half holds flags.
+                link: header.network.0 as u32 & 0xFFFF,
+                name: String::new(),
+                ticks_per_s: match header.is_nanosecond_precision() {
+                    true => 1_000_000_000,
+                    false => 1_000_000,
+                },
+            };
+            let parse = match (header.is_bigendian(), header.is_modified_format()) {
+                (true, _) => parse_pcap_frame_be,
+                (false, true) => parse_pcap_frame_modified,
+                (false, false) => parse_pcap_frame,
+            };
+            return Packets {
+                rest,
+                format: Format::Pcap { parse },
+                interfaces: vec![interface],
+            };
+        }
+        Packets {
+            rest: if is_pcapng(bytes) { bytes } else { &[] },
+            format: Format::PcapNg {
+                is_big_endian: false,
             },
-        };
-        let parse = match (header.is_bigendian(), header.is_modified_format()) {
-            (true, _) => parse_pcap_frame_be,
-            (false, true) => parse_pcap_frame_modified,
-            (false, false) => parse_pcap_frame,
-        };
-        return Packets {
-            rest,
-            format: Format::Pcap { parse, interface },
-        };
-    }
-    Packets {
-        rest: if is_pcapng(bytes) { bytes } else { &[] },
-        format: Format::PcapNg {
-            is_big_endian: false,
             interfaces: Vec::new(),
-        },
+        }
     }
-}
 
-#[derive(Clone, Copy)]
-struct Interface {
-    link: u32,
-    ticks_per_s: u64,
-}
+    /// Name of an interface; empty without one.
+    pub(crate) fn interface_name(&self, index: usize) -> Option<&str> {
+        Some(&self.interfaces.get(index)?.name)
+    }
 
-type ParseFrame =
-    for<'a> fn(&'a [u8]) -> IResult<&'a [u8], LegacyPcapBlock<'a>, PcapError<&'a [u8]>>;
+    /// Names of the interfaces of the current section.
+    pub(crate) fn interface_names(&self) -> impl Iterator<Item = &str> {
+        self.interfaces
+            .iter()
+            .map(|interface| interface.name.as_str())
+    }
 
-enum Format {
-    Pcap {
-        parse: ParseFrame,
-        interface: Interface,
-    },
-    PcapNg {
-        is_big_endian: bool,
-        /// Interfaces of the current section.
-        interfaces: Vec<Interface>,
-    },
-}
-
-/// Iterator over the packets of a capture file.
-pub struct Packets<'a> {
-    rest: &'a [u8],
-    format: Format,
-}
-
-impl<'a> Iterator for Packets<'a> {
-    type Item = Packet<'a>;
-
-    fn next(&mut self) -> Option<Packet<'a>> {
+    /// The next frame of the file.
+    pub(crate) fn next_frame(&mut self) -> Option<Frame<'a>> {
         match &mut self.format {
-            Format::Pcap { parse, interface } => {
+            Format::Pcap { parse } => {
+                let interface = self.interfaces.first()?;
                 let (rest, frame) = parse(self.rest).ok()?;
                 if frame.data.len() > MAX_PACKET {
                     return None;
@@ -136,19 +132,52 @@ impl<'a> Iterator for Packets<'a> {
                 self.rest = rest;
                 let seconds = u64::from(frame.ts_sec) * interface.ticks_per_s;
                 let ticks = seconds + u64::from(frame.ts_usec);
-                Some(packet(frame.data, *interface, ticks))
+                Some(Frame {
+                    interface: 0,
+                    data: frame.data,
+                    packet: packet(frame.data, interface, ticks),
+                })
             }
-            Format::PcapNg {
-                is_big_endian,
-                interfaces,
-            } => loop {
+            Format::PcapNg { is_big_endian } => loop {
                 let block = next_block(&mut self.rest, is_big_endian)?;
-                if let Some(packet) = block.and_then(|block| packet_of(block, interfaces)) {
-                    return Some(packet);
+                if let Some(frame) = block.and_then(|block| frame_of(block, &mut self.interfaces)) {
+                    return Some(frame);
                 }
             },
         }
     }
+}
+
+/// A packet and the interface that captured it.
+pub(crate) struct Frame<'a> {
+    /// Index of the interface in the section.
+    pub(crate) interface: usize,
+    /// The captured bytes, from the link header on.
+    pub(crate) data: &'a [u8],
+    pub(crate) packet: Packet<'a>,
+}
+
+#[derive(Clone)]
+struct Interface {
+    link: u32,
+    name: String,
+    ticks_per_s: u64,
+}
+
+type ParseFrame =
+    for<'a> fn(&'a [u8]) -> IResult<&'a [u8], LegacyPcapBlock<'a>, PcapError<&'a [u8]>>;
+
+enum Format {
+    Pcap { parse: ParseFrame },
+    PcapNg { is_big_endian: bool },
+}
+
+/// Reader of the packets of a capture file.
+pub(crate) struct Packets<'a> {
+    rest: &'a [u8],
+    format: Format,
+    /// Interfaces of the current section.
+    interfaces: Vec<Interface>,
 }
 
 /// Removes the next pcapng block from `rest`. `Some(None)` for a damaged block of known length.
@@ -183,18 +212,27 @@ fn next_block<'a>(rest: &mut &'a [u8], is_big_endian: &mut bool) -> Option<Optio
 }
 
 /// The packet of an Enhanced Packet Block. Interface and section blocks update `interfaces`; other blocks are ignored.
-fn packet_of<'a>(block: Block<'a>, interfaces: &mut Vec<Interface>) -> Option<Packet<'a>> {
+fn frame_of<'a>(block: Block<'a>, interfaces: &mut Vec<Interface>) -> Option<Frame<'a>> {
     match block {
         Block::SectionHeader(_) => interfaces.clear(),
         Block::InterfaceDescription(block) => interfaces.push(Interface {
             link: block.linktype.0 as u32,
+            name: (block.options.iter())
+                .find(|option| option.code == OptionCode::IfName)
+                .and_then(|option| option.as_str().ok())
+                .unwrap_or_default()
+                .to_owned(),
             ticks_per_s: ticks_per_s(block.if_tsresol),
         }),
         Block::EnhancedPacket(block) => {
-            let interface = *interfaces.get(block.if_id as usize)?;
+            let interface = interfaces.get(block.if_id as usize)?;
             let ticks = u64::from(block.ts_high) << 32 | u64::from(block.ts_low);
             let data = block.data.get(..block.caplen as usize)?;
-            return Some(packet(data, interface, ticks));
+            return Some(Frame {
+                interface: block.if_id as usize,
+                data,
+                packet: packet(data, interface, ticks),
+            });
         }
         _ => {}
     }
@@ -209,7 +247,7 @@ fn ticks_per_s(resolution: u8) -> u64 {
     base.checked_pow(power).unwrap_or(1_000_000)
 }
 
-fn packet(data: &[u8], interface: Interface, ticks: u64) -> Packet<'_> {
+fn packet<'a>(data: &'a [u8], interface: &Interface, ticks: u64) -> Packet<'a> {
     let ns = u128::from(ticks) * 1_000_000_000 / u128::from(interface.ticks_per_s);
     let ip = ip_packet(data, interface.link);
     let datagram = ip.and_then(udp);

@@ -88,7 +88,6 @@ pub fn detect(
         }
         let source = &mut spec.sources[i];
         source.detect = false;
-        source.provides = NavChannel::ALL.to_vec();
         source.provides.retain(|&channel| gives(i, channel));
         for channel in NavChannel::ALL {
             if holds(i, channel) && !source.provides.contains(&channel) {

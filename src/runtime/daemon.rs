@@ -23,6 +23,7 @@ mod triggers;
 
 use std::collections::VecDeque;
 use std::net::SocketAddr;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread::{self};
@@ -82,6 +83,9 @@ pub enum DaemonError {
     /// The log of injected faults cannot be written.
     #[error("the log of faults: {0}")]
     FaultLog(#[from] RecordError),
+    /// The recording of the live navigation cannot be created.
+    #[error("--record-nav: {0}")]
+    NavRecording(RecordError),
     /// The trigger input cannot be opened.
     #[error(transparent)]
     Trigger(#[from] ListenerError),
@@ -251,6 +255,19 @@ impl Daemon {
             server,
             remarks,
         })
+    }
+
+    /// Writes what the live navigation sources receive, and the pings, to a new file that `replay --nav` reads. Call before [`Daemon::run`].
+    ///
+    /// # Errors
+    /// The file exists or cannot be created.
+    pub fn record_navigation(&mut self, path: &Path) -> Result<(), DaemonError> {
+        let first = self.control.sonars().first();
+        let stopped = first.map(|sonar| sonar.reports.stopped().clone());
+        let spec = &self.rig.spec.nav;
+        self.inputs
+            .record(path, spec, stopped.unwrap_or_default())
+            .map_err(DaemonError::NavRecording)
     }
 
     /// Address of the operator's page, if one is served.

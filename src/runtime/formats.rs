@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use echotank_config::spec::{RigSpec, SonarSpec};
+
 /// File formats that a replay writes.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Formats {
@@ -30,6 +32,37 @@ pub struct Formats {
 }
 
 impl Formats {
+    /// The first requested format that no sonar of a rig has data for: its name, and what the sonars lack.
+    pub fn unfit(&self, rig: &RigSpec) -> Option<(&'static str, &'static str)> {
+        const LINES: &str = "has side-scan lines: receive arrays named in sonar.beams.port and sonar.beams.starboard";
+        let any = |has: fn(&SonarSpec) -> bool| rig.sonars.iter().any(has);
+        let lines = any(|sonar| !sonar.beams.lines.is_empty());
+        let fan = any(|sonar| sonar.beams.fan.is_some());
+        let aperture = any(|sonar| sonar.beams.synthetic_aperture.is_some());
+        let all = [
+            (self.xtf && !lines, "xtf", LINES),
+            (self.png && !lines, "png", LINES),
+            (self.mosaic && !lines, "mosaic", LINES),
+            (
+                self.fan && !fan,
+                "fan",
+                "has a fan: a table [sonar.beams.fan]",
+            ),
+            (
+                self.masks && !lines && !fan,
+                "masks",
+                "has side-scan lines or a fan, whose pictures the masks label",
+            ),
+            (
+                self.sas && !aperture,
+                "sas",
+                "has a table [sonar.beams.synthetic_aperture]",
+            ),
+        ];
+        let mut all = all.into_iter();
+        all.find_map(|(unfit, name, lacks)| unfit.then_some((name, lacks)))
+    }
+
     /// Name of the first requested format that needs element samples.
     pub(crate) fn of_elements(&self) -> Option<&'static str> {
         let all = [

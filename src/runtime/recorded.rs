@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use crate::clock::VirtualClock;
 use crate::faults::nav::NavFaults;
-use crate::io::nav::{NavInputs, ReadNav};
+use crate::io::nav::{Mark, NavInputs, ReadNav};
 use crate::rig::OpenError;
 use crate::waiting::missing_quantities;
 use echotank_config::spec::{RigSpec, TriggerFrom, TriggerSpec};
@@ -28,9 +28,12 @@ pub enum RecordedError {
     Rig(#[from] OpenError),
     /// The configuration has no source of kind `log` or `csv`.
     #[error(
-        "there is nothing to replay: the configuration has no recorded navigation (a source of kind \"log\" or \"csv\")"
+        "there is nothing to replay: the configuration has no recorded navigation (a source of kind \"log\" or \"csv\"); give one with --nav LOG"
     )]
     NoLog,
+    /// The recording of the live sources does not fit the rig.
+    #[error("--nav: {0}")]
+    Recording(String),
     /// The recording lacks a quantity that every ping needs; the text names it.
     #[error(
         "the recorded navigation lacks a quantity that every ping needs: {0}; list in `provides` only what a source sends"
@@ -62,36 +65,38 @@ impl RecordedRig {
     /// See [`RecordedError`].
     pub fn open(spec: &RigSpec) -> Result<Self, RecordedError> {
         let nav = ReadNav::read(&spec.nav).map_err(OpenError::Nav)?;
-        if !nav.has_recorded() {
+        let (is_played, has_recorded) = (nav.is_played(), nav.has_recorded());
+        if !is_played && !has_recorded {
             return Err(RecordedError::NoLog);
         }
         let spec = &RigSpec {
             nav: nav.spec.clone(),
             ..spec.clone()
         };
-        let nav_warnings = nav.warnings.clone();
+        let mut nav_warnings = nav.warnings.clone();
         let mut rig = crate::rig::open(spec)?;
         let mut inputs =
             NavInputs::start(nav, Arc::new(VirtualClock::default())).map_err(OpenError::Nav)?;
         let nav_faults = NavFaults::new(rig.faults.clone(), &spec.nav.sources);
         inputs.set_fault_filter(Box::new(nav_faults));
-        let first = loop {
-            if let Some(first) = rig.history.first_usable_utc() {
-                break first;
-            }
-            if inputs.is_all_known() {
-                return Err(RecordedError::NoNav(missing_quantities(
-                    &spec.nav,
-                    &rig.history,
-                )));
-            }
-            inputs.pull_next(&mut rig.history);
+        let first = match is_played {
+            true => first_played(&mut rig, &mut inputs)?,
+            // Prediction needs navigation from before the ping.
+            false => first_usable(&mut rig, &mut inputs)?.plus_ns(spec.run.ahead_ns()),
         };
-        // Prediction needs navigation from before the ping.
-        let first = first.plus_ns(spec.run.ahead_ns());
         // Planning reads navigation ahead; injected faults must already apply to it, as in the daemon.
         rig.faults.begin(first);
-        crate::rig::plan_all(&mut rig, &mut inputs, first);
+        let pings = inputs.played_pings().into_iter().flatten();
+        let degraded = pings.filter(|ping| ping.level > 0).count();
+        if degraded > 0 {
+            nav_warnings.push(format!(
+                "the run computed {degraded} pings with a larger tolerance; the replay computes them in full, so their samples differ"
+            ));
+        }
+        // With live sources only, the daemon knows no navigation ahead.
+        if has_recorded {
+            crate::rig::plan_all(&mut rig, &mut inputs, first);
+        }
         let sound_speed_m_per_s = rig.medium().sound_speed_m_per_s;
         let triggers = spec.sonars.iter().map(|sonar| &sonar.trigger);
         let follows = |trigger: &TriggerSpec| matches!(trigger.from, TriggerFrom::Sonar { .. });
@@ -108,6 +113,9 @@ impl RecordedRig {
 
     /// Sonar index and order of the next ping in time. `None` once every sonar has reached ping number `last`.
     pub fn next_order(&mut self, last: u32) -> Option<(usize, PingOrder)> {
+        if self.inputs.played_pings().is_some() {
+            return self.next_played(last);
+        }
         loop {
             let (schedule, follows) = (&self.schedule, &self.follows);
             let wanted = |sonar: usize| schedule.of_sonar(sonar).next_number() <= last;
@@ -133,6 +141,23 @@ impl RecordedRig {
                 && let Some(order) = event.order()
             {
                 return Some((sonar, order));
+            }
+        }
+    }
+
+    /// The next ping of the recorded run with a number up to `last`.
+    fn next_played(&mut self, last: u32) -> Option<(usize, PingOrder)> {
+        loop {
+            if let Mark::Ping(ping) = self.inputs.play(&mut self.rig.history)?
+                && ping.number <= last
+            {
+                let order = PingOrder {
+                    ping_number: ping.number,
+                    transmit_utc: ping.transmit_utc,
+                    settings: ping.settings,
+                    period_s: ping.period_s,
+                };
+                return Some((ping.sonar, order));
             }
         }
     }
@@ -178,6 +203,59 @@ impl RecordedRig {
 
     /// Reads navigation until it covers the ping. Returns false if the log ends first.
     pub fn settle(&mut self, sonar: usize, order: &PingOrder) -> bool {
+        if self.inputs.played_pings().is_some() {
+            // `next_order` has inserted the samples that the run had.
+            return true;
+        }
         crate::rig::read_navigation_for(&mut self.rig, &mut self.inputs, sonar, order)
+    }
+}
+
+/// First instant at which the recorded sources have every quantity that a ping needs.
+fn first_usable(rig: &mut Rig, inputs: &mut NavInputs) -> Result<UtcNs, RecordedError> {
+    loop {
+        if let Some(first) = rig.history.first_usable_utc() {
+            return Ok(first);
+        }
+        if inputs.is_all_known() {
+            let missing = missing_quantities(&rig.spec.nav, &rig.history);
+            return Err(RecordedError::NoNav(missing));
+        }
+        inputs.pull_next(&mut rig.history);
+    }
+}
+
+/// Instant of the first ping of the recorded run, whose pings must fit the rig.
+fn first_played(rig: &mut Rig, inputs: &mut NavInputs) -> Result<UtcNs, RecordedError> {
+    let refuse = |why: String| Err(RecordedError::Recording(why));
+    for ping in inputs.played_pings().into_iter().flatten() {
+        let Some(unit) = rig.sonars.get(ping.sonar) else {
+            return refuse(format!(
+                "the recorded run has a sonar {} that the rig lacks: replay it with the rig that recorded it",
+                ping.sonar + 1
+            ));
+        };
+        let (limits, s) = (&unit.spec.limits, &ping.settings);
+        for (key, value, (min, max)) in [
+            ("range_m", s.range_m, limits.range_m),
+            ("gain_db", s.gain_db, limits.gain_db),
+            ("source_level_db", s.source_level_db, limits.source_level_db),
+            (
+                "pulse_duration_s",
+                s.pulse_duration_s,
+                limits.pulse_duration_s,
+            ),
+        ] {
+            if !(min..=max).contains(&value) {
+                return refuse(format!(
+                    "ping {} of {} has {key} = {value}, but the rig allows {min} to {max}: replay it with the limits of the run",
+                    ping.number, unit.spec.name
+                ));
+            }
+        }
+    }
+    match inputs.play(&mut rig.history) {
+        Some(Mark::Start(start)) => Ok(start.first_utc),
+        _ => refuse("the recorded run ended before its first ping".to_owned()),
     }
 }

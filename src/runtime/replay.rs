@@ -4,7 +4,8 @@
 
 use std::fmt;
 use std::sync::Arc;
-use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::{Acquire, Relaxed};
 
 use thiserror::Error;
 
@@ -14,7 +15,7 @@ use crate::io::record::RecordError;
 use crate::recorded::{RecordedError, RecordedRig};
 use crate::recorders::Recorders;
 use echotank_config::spec::{RigSpec, SynthesisOutput, TriggerFrom};
-use echotank_core::time::{NS_PER_S, UtcNs};
+use echotank_core::time::NS_PER_S;
 use echotank_ping::PingOrder;
 use echotank_ping::faults::PingMark;
 use echotank_ping::rig::PingSlot;
@@ -39,8 +40,20 @@ pub enum ReplayError {
         /// The file format, by its extension.
         format: &'static str,
     },
-    /// No ping lies within the navigation and the range of `--pings`.
-    #[error("no ping was computed: {0}")]
+    /// The navigation ends before the first ping of `--pings`.
+    #[error(
+        "--pings {first}..{last}: the navigation holds only about {held} pings; choose from 1..{held}"
+    )]
+    PastEnd {
+        /// First requested ping.
+        first: u32,
+        /// Last requested ping.
+        last: u32,
+        /// Number of pings within the navigation.
+        held: u64,
+    },
+    /// No ping lies within the navigation and the range of `--pings`. No file remains.
+    #[error("no ping was computed and no file written: {0}")]
     NoPing(String),
     /// The threads for computing cannot be started.
     #[error("threads: {0}")]
@@ -71,13 +84,14 @@ pub struct Replay {
     recorded: RecordedRig,
     recorders: Recorders,
     pings: (u32, u32),
-    recorded_end: Option<UtcNs>,
     counters: Vec<PingCounters>,
 }
 
 /// Result of a replay. Displays one line of counters per sonar and one line per file.
 pub struct Summary {
     text: String,
+    /// Number of pings in the files.
+    pub pings: u64,
 }
 
 impl fmt::Display for Summary {
@@ -100,10 +114,17 @@ impl Replay {
         for warning in &recorded.nav_warnings {
             tracing::warn!("navigation: {warning}");
         }
+        let pings = options.pings.unwrap_or((1, u32::MAX));
+        if let Some(held) = held_pings(&recorded).and_then(|held| held.into_iter().max())
+            && !spec.nav.loop_log
+            && u64::from(pings.0) > held
+        {
+            let (first, last) = pings;
+            return Err(ReplayError::PastEnd { first, last, held });
+        }
         let recorders = Recorders::create(&spec, &options, &recorded.rig)?;
         Ok(Self {
             pool: Arc::new(pool),
-            recorded_end: recorded.inputs.recorded_end(),
             counters: recorded
                 .rig
                 .sonars
@@ -112,49 +133,49 @@ impl Replay {
                 .collect(),
             recorded,
             recorders,
-            pings: options.pings.unwrap_or((1, u32::MAX)),
+            pings,
         })
     }
 
     /// Expected number of pings over all sonars. `None` if the end of the log is unknown.
     pub fn pings_expected(&self) -> Option<u64> {
         let (first, last) = self.pings;
+        if let Some(pings) = self.recorded.inputs.played_pings() {
+            let wanted = pings.filter(|ping| (first..=last).contains(&ping.number));
+            return Some(wanted.count() as u64);
+        }
         if last < u32::MAX {
             return Some(u64::from(last - first + 1) * self.recorded.rig.sonars.len() as u64);
         }
-        let end = self.recorded_end?;
-        let c = self.recorded.rig.medium().sound_speed_m_per_s;
-        Some(
-            self.recorded
-                .rig
-                .sonars
-                .iter()
-                .map(|unit| {
-                    // A sonar triggered by another pings at that sonar's rate.
-                    let leader = match unit.spec.trigger.from {
-                        TriggerFrom::Sonar { sonar, .. } => &self.recorded.rig.sonars[sonar],
-                        _ => unit,
-                    };
-                    let period_s =
-                        echotank_ping::period_ns(&leader.spec.settings, c) as f64 / NS_PER_S as f64;
-                    (end.seconds_since(self.recorded.first) / period_s).max(0.0) as u64
-                })
-                .sum(),
-        )
+        held_pings(&self.recorded).map(|held| held.into_iter().sum())
     }
 
     /// Computes and writes all pings. Calls `progress` with the number of every ping made or skipped.
     ///
     /// # Errors
     /// A file cannot be written, or no ping was made.
-    pub fn run(mut self, mut progress: impl FnMut(u32) + Send) -> Result<Summary, ReplayError> {
+    pub fn run(self, progress: impl FnMut(u32) + Send) -> Result<Summary, ReplayError> {
+        self.run_until(&AtomicBool::new(false), progress)
+    }
+
+    /// As [`Replay::run`]. If `stop` becomes true, the ping in progress is the last, and all files are completed.
+    ///
+    /// # Errors
+    /// See [`Replay::run`].
+    pub fn run_until(
+        mut self,
+        stop: &AtomicBool,
+        mut progress: impl FnMut(u32) + Send,
+    ) -> Result<Summary, ReplayError> {
         let pool = self.pool.clone();
         pool.install(move || {
             let mut slots: Vec<PingSlot> = (0..self.recorded.rig.sonars.len())
                 .map(|sonar| self.recorded.rig.slot(sonar))
                 .collect();
             let last = self.pings.1;
-            while let Some((sonar, order)) = self.recorded.next_order(last) {
+            while !stop.load(Acquire)
+                && let Some((sonar, order)) = self.recorded.next_order(last)
+            {
                 let mark = PingMark::of(sonar, &order);
                 let missed = self.recorded.rig.faults.trigger_missed(mark);
                 if !missed {
@@ -219,9 +240,13 @@ impl Replay {
         for (counters, passed_over) in self.counters.iter().zip(&self.recorded.passed_over) {
             add(&counters.skipped_nav, *passed_over);
         }
-        let made_none =
-            |c: &PingCounters| c.made.load(Relaxed) + c.triggers_missed.load(Relaxed) == 0;
-        if self.counters.iter().all(made_none) {
+        let made = |c: &PingCounters| c.made.load(Relaxed);
+        let missed = |c: &PingCounters| c.triggers_missed.load(Relaxed);
+        if self.counters.iter().all(|c| made(c) + missed(c) == 0) {
+            for file in &files {
+                // A file that cannot be removed remains without a ping.
+                let _ = std::fs::remove_file(file);
+            }
             let lines = self.counters.iter().map(PingCounters::replay_line);
             let counts = lines.collect::<Vec<_>>().join("; ");
             return Err(ReplayError::NoPing(counts));
@@ -234,6 +259,33 @@ impl Replay {
             text += &format!("wrote {}\n", file.display());
         }
         text.truncate(text.trim_end().len());
-        Ok(Summary { text })
+        Ok(Summary {
+            text,
+            pings: self.counters.iter().map(made).sum(),
+        })
     }
+}
+
+/// About how many pings of each sonar the navigation holds. `None` if the end of the log is unknown.
+fn held_pings(recorded: &RecordedRig) -> Option<Vec<u64>> {
+    let sonars = &recorded.rig.sonars;
+    if let Some(pings) = recorded.inputs.played_pings() {
+        let mut last = vec![0; sonars.len()];
+        for ping in pings {
+            last[ping.sonar] = last[ping.sonar].max(u64::from(ping.number));
+        }
+        return Some(last);
+    }
+    let end = recorded.inputs.recorded_end()?;
+    let c = recorded.rig.medium().sound_speed_m_per_s;
+    let held = sonars.iter().map(|unit| {
+        // A sonar triggered by another pings at that sonar's rate.
+        let leader = match unit.spec.trigger.from {
+            TriggerFrom::Sonar { sonar, .. } => &sonars[sonar],
+            _ => unit,
+        };
+        let period_s = echotank_ping::period_ns(&leader.spec.settings, c) as f64 / NS_PER_S as f64;
+        (end.seconds_since(recorded.first) / period_s).max(0.0) as u64 + 1
+    });
+    Some(held.collect())
 }

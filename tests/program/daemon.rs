@@ -11,6 +11,7 @@ mod modes;
 mod nav_while_pinging;
 mod overload;
 mod plans;
+mod record_nav;
 mod scored;
 mod streaming;
 mod triggers;

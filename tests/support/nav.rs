@@ -50,6 +50,7 @@ pub fn nav(sources: Vec<NavSourceSpec>) -> NavSpec {
         lost_s: 10.0,
         on_lost: OnLost::Skip,
         tow: None,
+        recording: None,
         outputs: Vec::new(),
         sources,
     }

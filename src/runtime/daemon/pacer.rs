@@ -238,6 +238,7 @@ impl Pacer {
         // Prediction needs navigation over the whole order lead before the first pulse.
         let first = first.plus_ns(self.ahead_ns());
         self.first = Some(first);
+        self.inputs.note_start(first);
         self.rig.faults.begin(first);
         first
     }
@@ -423,6 +424,8 @@ impl Pacer {
         timeline: &Timeline,
     ) -> bool {
         let began = self.machine.mono();
+        let level = paced.map_or(0, |paced| paced.level);
+        self.inputs.note_ping(sonar, order, level);
         let made = self.make(sonar, order, paced, &mut slot, timeline);
         let Some(samples) = self.account(sonar, order, paced, made, began, &mut slot) else {
             self.lanes[sonar].spare = Some(slot);

@@ -27,6 +27,11 @@ impl StoppedRecordings {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Notes that a recording ended before the run.
+    pub(crate) fn stop(&self, name: &str, why: &str) {
+        self.lock().insert(name.to_owned(), why.to_owned());
+    }
+
     /// One line per stopped recording.
     pub(crate) fn lines(&self) -> Vec<String> {
         let all = self.lock();

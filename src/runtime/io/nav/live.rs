@@ -23,15 +23,15 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use socket2::{Domain, Protocol, Socket, Type};
 use tracing::warn;
 
+use super::recorder::NavRecorder;
+use super::source_decoder::SourceDecoder;
 use super::{Feed, LiveCounters, NavOpenError, SourceCounters};
 use crate::clock::Clock;
 use crate::io::listening::Listening;
 use crate::io::stamp;
 use echotank_config::spec::{NavInputSpec, NavSourceSpec, NavSpec, TimePolicy};
-use echotank_core::navigation::NavSample;
 use echotank_core::time::{MonoNs, NS_PER_S, Timeline};
-use echotank_nav::NavDecoder;
-use echotank_nav::decoder::ignore_events;
+use echotank_nav::recording::Entry;
 
 /// Maximum number of datagrams or reads that wait for decoding: 40 s of a 100 Hz sensor.
 const QUEUE: usize = 4096;
@@ -77,16 +77,10 @@ struct Stats {
 }
 
 struct LiveSource {
-    /// Index into `NavSpec::sources`.
-    index: usize,
     name: String,
-    decoder: NavDecoder,
+    decoder: SourceDecoder,
     /// Decoder that searches for the first dated message before there is a timeline. `None` for sources timed by arrival.
-    scout: Option<NavDecoder>,
-    /// Duration of a byte on a serial line; 0 elsewhere.
-    byte_ns: i64,
-    /// A byte stream; otherwise datagrams.
-    stream: bool,
+    scout: Option<SourceDecoder>,
     address: Option<SocketAddr>,
     _listening: Option<Listening>,
     stats: Arc<Stats>,
@@ -103,7 +97,6 @@ pub(super) struct Live {
     kept: VecDeque<Chunk>,
     /// Total size of the chunks in `chunks` and `kept`, bytes.
     waiting_bytes: Arc<AtomicUsize>,
-    samples: Vec<NavSample>,
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
@@ -126,7 +119,6 @@ impl Live {
             foreign,
             kept: VecDeque::new(),
             waiting_bytes: Arc::default(),
-            samples: Vec::new(),
             stop: Arc::new(AtomicBool::new(false)),
             threads: Vec::new(),
         };
@@ -146,16 +138,12 @@ impl Live {
         spec: &NavSourceSpec,
         sender: &Sender<Chunk>,
     ) -> Result<(), NavOpenError> {
-        let id = u16::try_from(index).unwrap_or(u16::MAX);
         let stats = Arc::new(Stats::default());
         let mut source = LiveSource {
-            index,
             name: spec.name.clone(),
-            decoder: NavDecoder::new(id, spec),
+            decoder: SourceDecoder::new(index, spec),
             scout: (!matches!(spec.time, TimePolicy::Arrival { .. }))
-                .then(|| NavDecoder::new(id, spec)),
-            byte_ns: 0,
-            stream: false,
+                .then(|| SourceDecoder::new(index, spec)),
             address: None,
             _listening: None,
             stats: stats.clone(),
@@ -188,20 +176,17 @@ impl Live {
                     let what = format!("cannot open serial port {port} at {baud} baud");
                     NavOpenError::source(&spec.name, format!("{what}: {reason}"))
                 })?;
-                source.stream = true;
-                source.byte_ns = line.bits_per_byte() * NS_PER_S / i64::from((*baud).max(1));
-                let (port, baud, line, byte_ns) = (port.clone(), *baud, *line, source.byte_ns);
+                let byte_ns = source.decoder.byte_ns;
+                let (port, baud, line) = (port.clone(), *baud, *line);
                 thread.spawn(move || {
                     serial::read(open, || open_serial(&port, baud, line), byte_ns, &outlet);
                 })
             }
             NavInputSpec::TcpConnect { address } => {
-                source.stream = true;
                 let address = address.clone();
                 thread.spawn(move || tcp::read_server(&address, &outlet))
             }
             NavInputSpec::TcpListen { listen } => {
-                source.stream = true;
                 let listener = tcp::listen(*listen)
                     .map_err(failed(format!("cannot listen on tcp {listen}")))?;
                 source.address = listener.local_addr().ok();
@@ -240,8 +225,9 @@ impl Live {
                 read_errors,
                 reopened,
             } = &*source.stats;
-            counters[source.index].decoder = *source.decoder.counters();
-            counters[source.index].live = LiveCounters {
+            let SourceDecoder { index, decoder, .. } = &source.decoder;
+            counters[*index].decoder = *decoder.counters();
+            counters[*index].live = LiveCounters {
                 received: received.load(Acquire),
                 dropped_full: dropped_full.load(Relaxed),
                 dropped_flood: dropped_flood.load(Relaxed),
@@ -256,8 +242,8 @@ impl Live {
         self.timeline.is_some() && !(self.kept.is_empty() && self.chunks.is_empty())
     }
 
-    /// Decodes received bytes, within the limits of a turn, or keeps them while rig time is unknown.
-    pub(super) fn pull(&mut self, feed: &mut Feed) {
+    /// Decodes received bytes, within the limits of a turn, or keeps them while rig time is unknown. `recorder` receives the decoded bytes.
+    pub(super) fn pull(&mut self, feed: &mut Feed, mut recorder: Option<&mut NavRecorder>) {
         if self.timeline.is_none() {
             self.keep();
         }
@@ -275,20 +261,16 @@ impl Live {
             };
             left_bytes = left_bytes.saturating_sub(chunk.bytes.len());
             self.waiting_bytes.fetch_sub(chunk.bytes.len(), Relaxed);
-            let source = &mut self.sources[chunk.source];
-            let samples = &mut self.samples;
-            if let Some(fault_filter) = &mut feed.fault_filter {
-                fault_filter.modify_bytes(source.index, timeline.utc(chunk.mono), &mut chunk.bytes);
+            let arrival = timeline.utc(chunk.mono);
+            if let Some(recorder) = &mut recorder {
+                recorder.note(Entry::Bytes {
+                    source: chunk.source,
+                    arrival,
+                    bytes: chunk.bytes.clone(),
+                });
             }
-            let pace = (source.stream, source.byte_ns);
-            decode(&mut source.decoder, &chunk, pace, timeline, samples);
-            let id = u16::try_from(source.index).unwrap_or(u16::MAX);
-            for event in source.decoder.take_clock_events() {
-                feed.clock_changed(id, event.arrival, event.state);
-            }
-            for sample in samples.drain(..) {
-                feed.insert(&sample);
-            }
+            let source = &mut self.sources[chunk.source].decoder;
+            source.feed(&mut chunk.bytes, arrival, feed);
         }
     }
 
@@ -300,9 +282,7 @@ impl Live {
                 && !self.foreign
                 && let Some(scout) = &mut source.scout
             {
-                let pace = (source.stream, source.byte_ns);
-                decode(scout, &chunk, pace, self.host, &mut self.samples);
-                self.samples.clear();
+                scout.look(&chunk.bytes, self.host.utc(chunk.mono));
                 self.timeline = timeline_of(scout, self.host);
             }
             if self.kept.len() == QUEUE {
@@ -338,7 +318,8 @@ impl Drop for Live {
 }
 
 /// Rig time from the first dated message; `None` until there is one.
-fn timeline_of(scout: &NavDecoder, host: Timeline) -> Option<Timeline> {
+fn timeline_of(scout: &SourceDecoder, host: Timeline) -> Option<Timeline> {
+    let scout = &scout.decoder;
     let (message, arrival) = scout.last_message_time().filter(|_| scout.is_dated())?;
     let off_ns = message.0.saturating_sub(arrival.0).saturating_abs();
     Some(if off_ns > HOST_TOLERANCE_NS {
@@ -346,27 +327,6 @@ fn timeline_of(scout: &NavDecoder, host: Timeline) -> Option<Timeline> {
     } else {
         host
     })
-}
-
-fn decode(
-    decoder: &mut NavDecoder,
-    chunk: &Chunk,
-    (stream, byte_ns): (bool, i64),
-    timeline: Timeline,
-    out: &mut Vec<NavSample>,
-) {
-    let arrival = timeline.utc(chunk.mono);
-    if !stream {
-        // A datagram that begins with a sentence ends an incomplete previous one; other datagrams continue it.
-        let starts = [&b"$"[..], b"!", b"\\", b"UdPbC"];
-        if starts.iter().any(|start| chunk.bytes.starts_with(start)) {
-            decoder.flush(out);
-        }
-        decoder.push(&chunk.bytes, arrival, out);
-        return;
-    }
-    // Each sentence has the arrival time of its first byte.
-    decoder.push_paced(&chunk.bytes, arrival, byte_ns, out, &mut ignore_events);
 }
 
 /// Sending side of the queue, one per source thread.

@@ -1,18 +1,24 @@
 //! Navigation inputs: recorded logs, CSV tracks, UDP, TCP and serial ports, decoded into a [`NavHistory`].
 //!
 //! Recorded sources are read completely when opened and merged by arrival time. Each live source has a blocking thread; [`NavInputs::pull`]
-//! decodes its bytes. A rig can have both kinds. [`output`] sends navigation.
+//! decodes its bytes. A rig can have both kinds. A recording of live sources takes their place in a replay. [`output`] sends navigation.
 mod live;
 pub mod output;
+mod played;
 mod recorded;
+mod recorder;
+mod source_decoder;
 
 use std::net::SocketAddr;
+use std::path::Path;
 use std::sync::Arc;
 
 use thiserror::Error;
 use tracing::{info, warn};
 
 use crate::clock::Clock;
+use crate::io::record::RecordError;
+use crate::outputs::recording::StoppedRecordings;
 use echotank_config::spec::NavSpec;
 use echotank_core::navigation::NavSample;
 use echotank_core::time::{Timeline, UtcNs};
@@ -21,11 +27,16 @@ use echotank_nav::detection::MissingQuantity;
 use echotank_nav::fault::NavFaultFilter;
 use echotank_nav::health::State;
 use echotank_nav::log::LogCounts;
+use echotank_nav::recording::{Entry, RecordedPing, RecordedStart};
 use echotank_nav::{NavCounters, NavHistory};
+use echotank_ping::PingOrder;
 
 use live::Live;
+pub(crate) use played::Mark;
+use played::Played;
 pub use recorded::MAX_LOG_BYTES;
 use recorded::Recorded;
+use recorder::NavRecorder;
 
 /// Errors of opening the navigation.
 #[derive(Debug, Error)]
@@ -46,13 +57,11 @@ pub enum NavOpenError {
         /// The file and its format.
         problem: String,
     },
+    /// The recording of live sources cannot take their place.
+    #[error("--nav {0}")]
+    Recording(String),
     /// A file contains nothing that the source provides.
-    #[error(
-        "nav source `{name}`: nothing usable in {path}: {} sentences, of which {} with a wrong checksum, {} without a checksum, {} rejected by checksum, \
-         {} of unknown types, {} malformed, {} empty, {} without a quantity that the source provides; {json} lines of JSON, which is not read",
-        .counters.sentences, .counters.bad_checksum, .counters.missing_checksum, .counters.refused_checksum,
-        .counters.unsupported, .counters.malformed, .counters.empty_fields, .counters.not_taken
-    )]
+    #[error("nav source `{name}`: nothing usable in {path}: {}", unusable(.counters, *.json))]
     NothingUsable {
         /// The source's configured name.
         name: String,
@@ -71,6 +80,43 @@ pub enum NavOpenError {
         "nav: the recorded sources have no time in common to repeat (`loop`): the last channel starts when the first has ended"
     )]
     NothingToLoop,
+}
+
+/// Why a file contains nothing usable, with the remedy where there is one.
+fn unusable(counters: &NavCounters, json: u64) -> String {
+    let is_refused = counters.refused_checksum > 0;
+    let refused = |count| if is_refused { count } else { 0 };
+    let counts = [
+        (refused(counters.bad_checksum), "with a wrong checksum"),
+        (refused(counters.missing_checksum), "without a checksum"),
+        (counters.unsupported, "of unknown types"),
+        (counters.malformed, "malformed"),
+        (counters.empty_fields, "empty"),
+        (
+            counters.not_taken,
+            "without a quantity that the source provides",
+        ),
+        (counters.time_jumps, "with a jump of their time"),
+    ];
+    let counts = counts.iter().filter(|(count, _)| *count > 0);
+    let counts: Vec<_> = counts
+        .map(|(count, what)| format!("{count} {what}"))
+        .collect();
+    let mut text = match counters.sentences {
+        0 => "it holds no sentence".to_owned(),
+        sentences => format!("{sentences} sentences: {}", counts.join(", ")),
+    };
+    if json > 0 {
+        text += &format!("; {json} lines of JSON, which is not read");
+    }
+    let remedy = if is_refused {
+        "checksum = \"ignore\" in its [[nav.source]] accepts them"
+    } else if counters.not_taken > 0 {
+        "leave out `provides` to use what the log holds"
+    } else {
+        "`echotank nav FILE` shows what a file holds"
+    };
+    format!("{text}; {remedy}")
 }
 
 impl NavOpenError {
@@ -117,6 +163,7 @@ pub struct ReadNav {
     /// Missing, ignored or replaced parts of the navigation, one line each.
     pub warnings: Vec<String>,
     recorded: Option<Recorded>,
+    played: Option<Played>,
     counters: Vec<SourceCounters>,
 }
 
@@ -135,13 +182,27 @@ impl ReadNav {
             })
             .collect();
         let mut spec = spec.clone();
-        let (recorded, warnings) = Recorded::open(&mut spec, &mut counters)?;
+        let (recorded, mut warnings) = Recorded::open(&mut spec, &mut counters)?;
+        let played = match &spec.recording {
+            Some(path) => {
+                let (played, unused) = Played::open(path, &spec)?;
+                warnings.extend(unused);
+                Some(played)
+            }
+            None => None,
+        };
         Ok(Self {
             spec,
             warnings,
             recorded,
+            played,
             counters,
         })
+    }
+
+    /// Whether a recording takes the place of the live sources.
+    pub(crate) fn is_played(&self) -> bool {
+        self.played.is_some()
     }
 
     /// Whether any source is a file.
@@ -154,6 +215,11 @@ impl ReadNav {
 pub struct NavInputs {
     recorded: Option<Recorded>,
     live: Option<Live>,
+    /// Recording in place of `live`.
+    played: Option<Played>,
+    recorder: Option<NavRecorder>,
+    /// Argument of the last pull.
+    known_utc: UtcNs,
     /// One entry per configured source, in the configuration's order.
     counters: Vec<SourceCounters>,
     /// State of each source at the last pull, in the configuration's order.
@@ -276,21 +342,90 @@ impl NavInputs {
         let ReadNav {
             spec,
             recorded,
+            played,
             counters,
             ..
         } = read;
-        let live = match spec.is_recorded() {
+        let live = match spec.is_recorded() || played.is_some() {
             true => None,
             false => Some(Live::open(&spec, clock, recorded.is_some())?),
         };
         Ok(Self {
             recorded,
             live,
+            played,
+            recorder: None,
+            known_utc: UtcNs(i64::MIN),
             states: vec![State::Silent; counters.len()],
             fault_filter: None,
             clock_log: ClockLog::default(),
             counters,
         })
+    }
+
+    /// Writes everything that the live sources receive from now on to a new file.
+    ///
+    /// # Errors
+    /// The file exists or cannot be created.
+    pub(crate) fn record(
+        &mut self,
+        path: &Path,
+        spec: &NavSpec,
+        stopped: Arc<StoppedRecordings>,
+    ) -> Result<(), RecordError> {
+        self.recorder = Some(NavRecorder::create(path, spec, stopped)?);
+        Ok(())
+    }
+
+    /// Records the instant of the first ping.
+    pub(crate) fn note_start(&mut self, first_utc: UtcNs) {
+        let known_utc = self.known_utc;
+        if let Some(recorder) = &mut self.recorder {
+            recorder.note(Entry::Start(RecordedStart {
+                first_utc,
+                known_utc,
+            }));
+        }
+    }
+
+    /// Records a ping that is about to be computed, at this degradation level.
+    pub(crate) fn note_ping(&mut self, sonar: usize, order: &PingOrder, level: usize) {
+        let known_utc = self.known_utc;
+        if let Some(recorder) = &mut self.recorder {
+            recorder.note(Entry::Ping(RecordedPing {
+                sonar,
+                number: order.ping_number,
+                transmit_utc: order.transmit_utc,
+                period_s: order.period_s,
+                settings: order.settings,
+                known_utc,
+                level,
+            }));
+        }
+    }
+
+    /// The pings of the recording that takes the place of the live sources.
+    pub(crate) fn played_pings(&self) -> Option<impl Iterator<Item = &RecordedPing>> {
+        self.played.as_ref().map(Played::pings)
+    }
+
+    /// Inserts the samples that the recorded run had at its next ping, and returns the ping. `None` after the last.
+    pub(crate) fn play(&mut self, history: &mut NavHistory) -> Option<Mark> {
+        let played = self.played.as_mut()?;
+        let mark = played.next_mark()?;
+        let mut feed = Feed {
+            history,
+            names: &self.counters,
+            clock_log: &mut self.clock_log,
+            fault_filter: self.fault_filter.as_deref_mut(),
+        };
+        let known = mark.known_utc();
+        if let Some(recorded) = &mut self.recorded {
+            recorded.take_until(known, &mut feed);
+        }
+        played.pass_mark(&mut feed);
+        feed.release(known);
+        Some(mark)
     }
 
     /// Arrival of the first recorded sample.
@@ -311,16 +446,12 @@ impl NavInputs {
             clock_log: &mut self.clock_log,
             fault_filter: self.fault_filter.as_deref_mut(),
         };
+        self.known_utc = until;
         if let Some(recorded) = &mut self.recorded {
-            while recorded
-                .next_arrival()
-                .is_some_and(|arrival| arrival <= until)
-            {
-                recorded.take(&mut feed);
-            }
+            recorded.take_until(until, &mut feed);
         }
         if let Some(live) = &mut self.live {
-            live.pull(&mut feed);
+            live.pull(&mut feed, self.recorder.as_mut());
         }
         feed.release(until);
         // Before rig time is known, no age is defined.
@@ -454,6 +585,9 @@ impl NavInputs {
     pub fn counters(&mut self) -> &[SourceCounters] {
         if let Some(live) = &self.live {
             live.count(&mut self.counters);
+        }
+        if let Some(played) = &self.played {
+            played.count(&mut self.counters);
         }
         &self.counters
     }

@@ -66,7 +66,19 @@ impl Recorded {
         for (i, source) in spec.sources.iter().enumerate() {
             // Source indices fit in 16 bits.
             let index = u16::try_from(i).unwrap_or(u16::MAX);
-            by_source.push(read_source(index, source, &mut counters[i])?);
+            let shares_log = |other: &NavSourceSpec| {
+                other.name != source.name
+                    && log_of(other).is_some_and(|path| Some(path) == log_of(source))
+            };
+            by_source.push(match read_source(index, source, &mut counters[i]) {
+                // Another source uses the rest of this log.
+                Err(NavOpenError::NothingUsable { .. })
+                    if spec.sources.iter().any(shares_log) && source.detect =>
+                {
+                    Vec::new()
+                }
+                read => read?,
+            });
             let log = &counters[i].log;
             let shifted = log.passes.iter().find(|p| p.kind == PassKind::Shifted);
             if let Some(pass) = shifted.filter(|_| recorded > 1) {
@@ -156,6 +168,13 @@ impl Recorded {
         Some(self.start().plus_ns(self.shift_ns + repeat.period_ns))
     }
 
+    /// Inserts the samples that arrived by `until`.
+    pub(super) fn take_until(&mut self, until: UtcNs, feed: &mut Feed) {
+        while self.next_arrival().is_some_and(|arrival| arrival <= until) {
+            self.take(feed);
+        }
+    }
+
     /// Inserts the next sample, if any, into the history.
     pub(super) fn take(&mut self, feed: &mut Feed) {
         if self.next == self.samples.len()
@@ -184,6 +203,14 @@ impl Recorded {
             arrival_utc: sample.arrival_utc.plus_ns(self.shift_ns),
             ..*sample
         });
+    }
+}
+
+/// Path of a recorded log.
+fn log_of(source: &NavSourceSpec) -> Option<&Path> {
+    match &source.input {
+        NavInputSpec::Log { path, .. } => Some(path),
+        _ => None,
     }
 }
 
