@@ -6,15 +6,15 @@ use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
 use super::Failure;
-use echotank_runtime::io::control::{Command, Settings, TriggerName, client};
+use echotank_runtime::io::control::{Command, client, words};
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct CtlArgs {
     /// Address of the daemon's control server: `control.listen` of its configuration
-    #[arg(long, default_value = "127.0.0.1:7780")]
+    #[arg(long, global = true, default_value = "127.0.0.1:7780")]
     pub(crate) address: SocketAddr,
     /// `control.token` of its configuration, if set
-    #[arg(long, env = "ECHOTANK_TOKEN", hide_env_values = true)]
+    #[arg(long, global = true, env = "ECHOTANK_TOKEN", hide_env_values = true)]
     pub(crate) token: Option<String>,
     #[command(subcommand)]
     pub(crate) what: CtlCommand,
@@ -31,8 +31,14 @@ pub(crate) enum CtlCommand {
         #[arg(default_value_t = 1)]
         pings: u64,
     },
-    /// Change sonar settings; others keep their values
-    Set(SetArgs),
+    /// Change settings of a sonar, e.g. range_m=75 gain_db=3; others keep their values
+    ///
+    /// Keys: sonar (its name, required if there are several), range_m, rate_hz (maximum ping rate; 0 stops pinging), source_level_db, gain_db,
+    /// pulse_ms, pinging (true or false), trigger (internal: pings at the sonar's own rate; external: only when triggered).
+    Set {
+        #[arg(value_name = "KEY=VALUE", required = true, allow_hyphen_values = true)]
+        keys: Vec<String>,
+    },
     /// Request pings of an externally triggered sonar; they start at its ping period
     Trigger {
         #[arg(default_value_t = 1)]
@@ -44,13 +50,17 @@ pub(crate) enum CtlCommand {
     /// Inject a fault: kind and keys as in [[fault]] of a configuration, e.g. gain element=3 value=-6 for_s=10
     Fault {
         kind: String,
-        #[arg(value_name = "KEY=VALUE")]
+        #[arg(value_name = "KEY=VALUE", allow_hyphen_values = true)]
         keys: Vec<String>,
     },
     /// Remove the fault with this number, or all faults
     ClearFaults { fault: Option<u32> },
     /// Set the clock mode: realtime or scaled (with a rate), or fast or lockstep. Only switching within either pair is allowed
-    Clock { mode: String, rate: Option<f64> },
+    Clock {
+        #[arg(value_parser = ["realtime", "scaled", "fast", "lockstep"])]
+        mode: String,
+        rate: Option<f64>,
+    },
     /// Send a command as JSON, e.g. '{"do": "step", "pings": 3}'
     Send { json: String },
     /// Print the complete status as JSON
@@ -59,52 +69,15 @@ pub(crate) enum CtlCommand {
     Metrics,
 }
 
-#[derive(Args, Clone, Debug)]
-pub(crate) struct SetArgs {
-    /// Name of the sonar, required if there are several
-    #[arg(long)]
-    pub(crate) sonar: Option<String>,
-    #[arg(long)]
-    pub(crate) range_m: Option<f64>,
-    /// Maximum ping rate; 0 stops pinging
-    #[arg(long)]
-    pub(crate) rate_hz: Option<f64>,
-    #[arg(long)]
-    pub(crate) source_level_db: Option<f64>,
-    #[arg(long)]
-    pub(crate) gain_db: Option<f64>,
-    #[arg(long)]
-    pub(crate) pulse_ms: Option<f64>,
-    #[arg(long)]
-    pub(crate) pinging: Option<bool>,
-    /// internal: pings at the sonar's own rate; external: only when triggered
-    #[arg(long, value_parser = trigger_name)]
-    pub(crate) trigger: Option<TriggerName>,
-}
-
-fn trigger_name(text: &str) -> Result<TriggerName, String> {
-    match text {
-        "internal" => Ok(TriggerName::Internal),
-        "external" => Ok(TriggerName::External),
-        _ => Err("must be internal or external".to_owned()),
-    }
-}
-
 pub(crate) fn main(args: &CtlArgs) -> Result<(), Failure> {
     let command = match &args.what {
         CtlCommand::Pause => Command::Pause,
         CtlCommand::Resume => Command::Resume,
         CtlCommand::Step { pings } => Command::Step { pings: *pings },
-        CtlCommand::Set(set) => Command::Set(Settings {
-            sonar: set.sonar.clone(),
-            range_m: set.range_m,
-            rate_hz: set.rate_hz,
-            source_level_db: set.source_level_db,
-            gain_db: set.gain_db,
-            pulse_ms: set.pulse_ms,
-            pinging: set.pinging,
-            trigger: set.trigger,
-        }),
+        CtlCommand::Set { keys } => {
+            let body = words::from_pairs("set", keys).map_err(Failure::Configuration)?;
+            return send(args, &Value::Object(body));
+        }
         CtlCommand::Trigger { pings, sonar } => Command::Trigger {
             sonar: sonar.clone(),
             pings: *pings,
@@ -115,8 +88,9 @@ pub(crate) fn main(args: &CtlArgs) -> Result<(), Failure> {
             return send(args, &json!({ "do": "clock", "mode": mode, "rate": rate }));
         }
         CtlCommand::Send { json } => {
-            let body = serde_json::from_str(json)
-                .map_err(|why| Failure::Configuration(format!("{json}: {why}")))?;
+            let body: Value = serde_json::from_str(json)
+                .map_err(|_| Failure::Configuration(format!("{json}: is not valid JSON")))?;
+            words::parse(&body).map_err(Failure::Configuration)?;
             return send(args, &body);
         }
         CtlCommand::Status => return show(args, "/status"),
@@ -125,16 +99,27 @@ pub(crate) fn main(args: &CtlArgs) -> Result<(), Failure> {
     send(args, &json!(command))
 }
 
-/// Converts `KEY=VALUE` pairs to JSON. A value that parses as JSON keeps its type.
+/// The command of a fault, whose kind and values are checked.
 fn fault(kind: &str, keys: &[String]) -> Result<Value, Failure> {
-    let mut body = json!({ "do": "fault", "kind": kind });
-    for pair in keys {
-        let Some((key, value)) = pair.split_once('=') else {
-            return Err(Failure::Configuration(format!(
-                "{pair}: expected KEY=VALUE"
-            )));
+    let mut body = words::from_pairs("fault", keys).map_err(Failure::Configuration)?;
+    if body.contains_key("kind") {
+        let why = format!("{kind}: the kind is given twice");
+        return Err(Failure::Configuration(why));
+    }
+    body.insert("kind".to_owned(), json!(kind));
+    let body = Value::Object(body);
+    let command = words::parse(&body).map_err(Failure::Configuration)?;
+    if let Command::Fault(request) = command
+        && let Err(refused) = request.checked()
+    {
+        let given = match &body[refused.key] {
+            Value::Null => String::new(),
+            value => format!(" = {value}"),
         };
-        body[key] = serde_json::from_str(value).unwrap_or_else(|_| json!(value));
+        return Err(Failure::Configuration(format!(
+            "{}{given}: {}",
+            refused.key, refused.rule
+        )));
     }
     Ok(body)
 }
@@ -149,15 +134,28 @@ fn show(args: &CtlArgs, path: &str) -> Result<(), Failure> {
 }
 
 fn print(args: &CtlArgs, reply: std::io::Result<client::Reply>) -> Result<(), Failure> {
-    let (status, body) =
-        reply.map_err(|why| Failure::Running(format!("{}: {why}", args.address)))?;
-    let text = match serde_json::from_str::<Value>(&body) {
+    let (status, body) = reply.map_err(|why| no_answer(args.address, &why))?;
+    let value = serde_json::from_str::<Value>(&body);
+    if status != 200 {
+        let why = value.ok().and_then(|v| Some(v["why"].as_str()?.to_owned()));
+        let why = why.unwrap_or_else(|| body.trim_end().to_owned());
+        return Err(Failure::Running(format!("{} refused: {why}", args.address)));
+    }
+    let text = match value {
         Ok(value) => serde_json::to_string_pretty(&value).unwrap_or(body),
         Err(_) => body.trim_end().to_owned(),
     };
-    if status != 200 {
-        return Err(Failure::Running(format!("{}: {text}", args.address)));
-    }
     println!("{text}");
     Ok(())
+}
+
+/// The failure to reach the daemon.
+fn no_answer(address: SocketAddr, why: &std::io::Error) -> Failure {
+    use std::io::ErrorKind::{ConnectionRefused, TimedOut, WouldBlock};
+    let remedy = "start one with `echotank run RIG`, or give its control.listen with --address";
+    Failure::Running(match why.kind() {
+        ConnectionRefused => format!("no daemon listens at {address}: {remedy}"),
+        TimedOut | WouldBlock => format!("no daemon answers at {address} in time: {remedy}"),
+        _ => format!("no daemon answers at {address}: {why}"),
+    })
 }

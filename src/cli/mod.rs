@@ -2,6 +2,7 @@
 //!
 //! Exit status: 0 success, 1 failure while running or a rig that runs otherwise than meant, 2 wrong configuration or arguments.
 
+mod arguments;
 pub(crate) mod chart;
 pub(crate) mod check;
 pub(crate) mod ctl;
@@ -30,8 +31,9 @@ use echotank_runtime::rig::OpenError;
 
 /// Feed a real sonar topside, DSP or acquisition board as though it were in the water.
 ///
-/// Navigation comes in from a recorded log, UDP or a serial port. An echo model runs at the ping rate over a virtual seabed. Element
-/// samples, beams and side-scan lines go out in the binary protocols of real sonars, such as Teledyne RESON 7k.
+/// Navigation comes in from a recorded log, UDP, TCP or a serial port. An echo model runs at the ping rate over a virtual seabed. Element
+/// samples, beams and side-scan lines go out in the binary protocols of real sonars: Teledyne RESON 7k, EdgeTech JSF, NORBIT WBMS,
+/// Cerulean Ping, Imagenex 872, VITA 49.2 and a plain element stream. Recordings are .s7k, JSF, XTF, SVLOG, SigMF and WAV files.
 ///
 /// Without a subcommand: `run` with the quickstart configuration.
 #[derive(Parser)]
@@ -98,7 +100,7 @@ pub(crate) fn choice<T: NamedChoice + Send + Sync>() -> impl TypedValueParser<Va
 }
 
 pub(crate) fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = Cli::try_parse().unwrap_or_else(|error| arguments::exit(error));
     if !matches!(cli.command, None | Some(Command::Run(_))) {
         restore_sigpipe();
     }

@@ -92,7 +92,7 @@ pub(crate) fn main(args: &NavArgs) -> Result<(), Failure> {
         return Err(Failure::Configuration(text.to_owned()));
     }
     let bytes = read_bounded(&args.log, MAX_LOG_BYTES)
-        .map_err(|why| Failure::running(format!("{}: {why}", args.log.display())))?;
+        .map_err(|why| Failure::Configuration(format!("{}: {why}", args.log.display())))?;
     let refused = |why: &str| Failure::Configuration(format!("{} {why}", args.log.display()));
     if let Some(why) = echotank_nav::log::refusal(&bytes) {
         return Err(refused(why));

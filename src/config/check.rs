@@ -241,6 +241,9 @@ fn rig(table: &keys::Rig, text: &str, problems: &mut Problems) -> Option<RigSpec
     if let (Some(nav), Some(t)) = (&nav, table.scene.as_ref()) {
         refuse_anchor_without_position(nav, t, problems);
     }
+    if let (Some(spec), Some(t)) = (&nav, table.nav.as_ref()) {
+        refuse_arrays_in_air(spec, t, tables, &sonars, problems);
+    }
     let faults = faults::faults(table.fault.all(), problems);
     for (sonar, t) in sonars.iter_mut().zip(tables) {
         if let Some(sonar) = sonar {
@@ -282,6 +285,42 @@ fn refuse_recordings_without_folder(table: &keys::Rig, problems: &mut Problems) 
             && jsf.record.get() == Some(true)
         {
             problems.refuse(&jsf.record, "needs a folder: [record]");
+        }
+    }
+}
+
+/// Refuses arrays above the waterline of a platform at rest.
+fn refuse_arrays_in_air(
+    nav: &NavSpec,
+    nav_table: &keys::Nav,
+    tables: &[keys::Sonar],
+    sonars: &[Option<SonarSpec>],
+    problems: &mut Problems,
+) {
+    let (VerticalSpec::Waterline { reference_down_m }, None) = (nav.vertical, &nav.tow) else {
+        return;
+    };
+    for (sonar, table) in sonars.iter().zip(tables) {
+        let Some(sonar) = sonar else { continue };
+        let receive = sonar.receive.iter().zip(table.receive.all());
+        let receive = receive.map(|(array, t)| (&t.name, array.mounting, &t.position_m));
+        let transmit = sonar.transmit.iter().zip(table.transmit.all());
+        let transmit = transmit.map(|(array, t)| (&t.name, array.mounting, &t.position_m));
+        for (name, mounting, entry) in receive.chain(transmit) {
+            let name = name.text().unwrap_or_default();
+            let up_m = -(reference_down_m + mounting.position_m.z);
+            if up_m > 0.0 {
+                let entry: &Entry = match nav_table.reference_depth_m.given {
+                    true => &nav_table.reference_depth_m,
+                    false => entry,
+                };
+                let rule = format!(
+                    "array {name} of sonar {} is {up_m} m above the waterline; reference_depth_m and the third number of position_m count downwards",
+                    sonar.name
+                );
+                problems.refuse(entry, rule);
+                return;
+            }
         }
     }
 }

@@ -22,4 +22,5 @@ pub use check::{load, parse};
 pub use describe::{schema, template};
 pub use files::{AnyFiles, Files};
 pub use problem::{ConfigErrors, Problem};
+pub use raw::did_you_mean;
 pub use summary::{Finding, FindingKind, findings, summary};

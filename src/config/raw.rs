@@ -331,7 +331,7 @@ const RENAMED: &[(&str, &str)] = &[
 ];
 
 /// `did you mean "…"?` with the most similar of `names`, if the similarity is sufficient.
-fn did_you_mean<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> Option<String> {
+pub fn did_you_mean<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> Option<String> {
     names
         .map(|n| (strsim::normalized_damerau_levenshtein(name, n), n))
         .filter(|(likeness, _)| *likeness >= LIKENESS)
@@ -536,7 +536,10 @@ impl Walk<'_> {
             },
             hint: match later || renamed.is_some() {
                 true => None,
-                false => did_you_mean(name.get_ref(), names),
+                false => did_you_mean(name.get_ref(), names).or_else(|| {
+                    let place = place_of(declared, name.get_ref()).filter(|_| path.is_empty())?;
+                    Some(format!("did you mean \"{place}\"?"))
+                }),
             },
         }
     }
@@ -663,6 +666,20 @@ impl Walk<'_> {
             };
         if read.is_none() {
             problems.refuse(entry, format!("must be {}", rule(kind)));
+            let is_number = matches!(kind, Kind::Number(..) | Kind::Integer(..));
+            let begins_with_digit = |text: &str| {
+                text.trim_start_matches(['-', '+', ' '])
+                    .starts_with(|c: char| c.is_ascii_digit())
+            };
+            if is_number
+                && value.get_ref().as_str().is_some_and(begins_with_digit)
+                && let Some(last) = problems.0.last_mut()
+            {
+                last.hint = Some(
+                    "write the number alone, without quotes: the name of the key ends in its unit"
+                        .to_owned(),
+                );
+            }
         }
         read
     }
@@ -802,6 +819,23 @@ fn between(range: &Range) -> String {
         true => format!("from {} to {}", range.min, range.max),
         false => format!("above {}, at most {}", range.min, range.max),
     }
+}
+
+/// Path of the first key of this name in the tables below `table`.
+fn place_of(table: &Table, name: &str) -> Option<String> {
+    let tables = |kind: &Kind| match kind {
+        Kind::Table(table) | Kind::Tables(table, _) => Some(*table),
+        Kind::Either(_, Kind::Table(table) | Kind::Tables(table, _)) => Some(*table),
+        _ => None,
+    };
+    let below = table.keys.iter();
+    let mut below = below.filter_map(|key| Some((key.name, tables(&key.kind)?)));
+    below.find_map(|(outer, table)| {
+        if table.keys.iter().any(|key| key.name == name) {
+            return Some(format!("{outer}.{name}"));
+        }
+        Some(format!("{outer}.{}", place_of(table, name)?))
+    })
 }
 
 fn key_names(table: &Table) -> String {

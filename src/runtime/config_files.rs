@@ -102,7 +102,9 @@ pub fn load_with(path: &Path, overrides: &[String]) -> Result<RigSpec, String> {
     }
     let name = path.display();
     let text = read_text(path).map_err(|why| format!("{name}: {why}"))?;
-    let mut table: toml::Table = text.parse().map_err(|e| format!("{name}: {e}"))?;
+    let Ok(mut table) = text.parse::<toml::Table>() else {
+        return load(path).map_err(|e| e.to_string());
+    };
     for change in overrides {
         apply(&mut table, change).map_err(|why| format!("--set {change}: {why}"))?;
     }

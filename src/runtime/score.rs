@@ -4,6 +4,7 @@
 //! position, if stated, agrees with the fault. A consequence of a fault, such as the record lost behind a truncated record, is not a false finding. A
 //! finding without a position counts for the first fault that it can match, and is counted separately.
 
+use crate::io::json_problem;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use serde::{Deserialize, Serialize};
@@ -54,7 +55,7 @@ pub fn log_of(text: &str) -> Result<Vec<LoggedFault>, (usize, String)> {
     let lines = text.lines().enumerate();
     let lines = lines.filter(|(_, line)| !line.trim().is_empty());
     lines
-        .map(|(at, line)| serde_json::from_str(line).map_err(|why| (at + 1, why.to_string())))
+        .map(|(at, line)| serde_json::from_str(line).map_err(|why| (at + 1, json_problem(&why))))
         .collect()
 }
 

@@ -2,6 +2,7 @@
 
 mod commands;
 mod daemon;
+mod mistakes;
 mod new;
 mod replay;
 mod verdict;

@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::Deserialize;
 
 use echotank_runtime::chart::Chart;
+use echotank_runtime::io::json_problem;
 
 use super::super::Failure;
 
@@ -38,7 +39,7 @@ pub(crate) fn read(asked: Option<&Path>) -> Result<Vec<Peer>, Failure> {
 }
 
 fn parse(text: &str) -> Result<Vec<Peer>, String> {
-    let peers: Vec<Peer> = serde_json::from_str(text).map_err(|why| why.to_string())?;
+    let peers: Vec<Peer> = serde_json::from_str(text).map_err(|why| json_problem(&why))?;
     for peer in &peers {
         let amounts = [
             peer.scatterers,

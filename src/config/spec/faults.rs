@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::NavChannel;
 use super::words::NamedChoice;
+use crate::did_you_mean;
 
 /// Request for a fault, from a `[[fault]]` table or while the rig runs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -345,8 +346,12 @@ impl FaultRequest {
     pub fn checked(&self) -> Result<FaultSpec, FaultRefused> {
         let known = Self::KINDS.iter().find(|(name, ..)| *name == self.kind);
         let Some(&(name, unit, min, max)) = known else {
-            let names: Vec<_> = Self::KINDS.iter().map(|(name, ..)| *name).collect();
-            return refused("kind", format!("must be one of {}", names.join(", ")));
+            let names = Self::KINDS.iter().map(|(name, ..)| *name);
+            let known: Vec<_> = names.clone().collect();
+            let hint = did_you_mean(&self.kind, names);
+            let hint = hint.map_or(String::new(), |hint| format!("; {hint}"));
+            let rule = format!("must be one of {}{hint}", known.join(", "));
+            return refused("kind", rule);
         };
         let value = match (unit, self.value) {
             ("", None) => 0.0,
@@ -507,8 +512,11 @@ impl FaultRequest {
         };
         let channel = NavChannel::from_word(wanted);
         channel.map(Some).ok_or_else(|| {
-            let names: Vec<_> = NavChannel::WORDS.iter().map(|(_, name)| *name).collect();
-            let rule = format!("must be one of {}", names.join(", "));
+            let names = NavChannel::WORDS.iter().map(|(_, name)| *name);
+            let known: Vec<_> = names.clone().collect();
+            let hint = did_you_mean(wanted, names);
+            let hint = hint.map_or(String::new(), |hint| format!("; {hint}"));
+            let rule = format!("must be one of {}{hint}", known.join(", "));
             FaultRefused {
                 key: "quantity",
                 rule,

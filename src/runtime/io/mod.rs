@@ -18,6 +18,16 @@ mod stamp;
 mod tcp;
 pub mod trigger;
 
+/// What is wrong with a line of JSON, without the parser's own wording for syntax and places.
+pub fn json_problem(error: &serde_json::Error) -> String {
+    if !error.is_data() {
+        return format!("is not valid JSON, from column {} on", error.column());
+    }
+    let text = error.to_string();
+    let place = text.rfind(" at line ").unwrap_or(text.len());
+    text[..place].to_owned()
+}
+
 /// Reads a text file.
 ///
 /// # Errors

@@ -71,11 +71,11 @@ fn settings_are_applied_refused_and_reported_over_http_and_ctl() {
     assert_eq!(tell(at, &long).0, 413);
 
     let address = at.to_string();
-    let (well, said) = ctl(&["--address", &address, "set", "--source-level-db", "3"]);
+    let (well, said) = ctl(&["--address", &address, "set", "source_level_db=3"]);
     let shown = status(at);
     assert!(well, "{said}");
     assert_eq!(shown["sonars"][0]["settings"]["source_level_db"], 3.0);
-    let (well, said) = ctl(&["--address", &address, "set", "--range-m", "1e6"]);
+    let (well, said) = ctl(&["--address", &address, "set", "range_m=1e6"]);
     assert!(!well && said.contains("range_m"), "{said}");
     wait_delivered(at, 2);
     let (well, said) = ctl(&["--address", &address, "status"]);

@@ -13,6 +13,7 @@ pub mod feed;
 pub mod frame;
 mod router;
 pub mod socket;
+pub mod words;
 
 use std::net::SocketAddr;
 use std::sync::Arc;

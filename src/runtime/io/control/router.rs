@@ -2,7 +2,7 @@
 //!
 //! | route | content |
 //! |---|---|
-//! | POST /control | a [`Command`]; replies with an [`Answer`](super::Answer): 200 accepted, 409 refused, 4xx malformed |
+//! | POST /control | a [`Command`](super::Command); replies with an [`Answer`](super::Answer): 200 accepted, 409 refused, 4xx malformed |
 //! | GET /status | the full state as JSON |
 //! | GET /metrics | counters and quantiles as Prometheus text |
 //! | GET /healthz | 200, or 503 with the reason; needs no token |
@@ -25,10 +25,11 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
+use serde_json::Value;
 use tracing::warn;
 
 use super::attempts::Attempts;
-use super::{Command, ControlPort, Shared, assets, refusal, socket};
+use super::{ControlPort, Shared, assets, refusal, socket, words};
 use echotank_core::settings::Requester;
 
 /// Longest command, bytes.
@@ -60,11 +61,18 @@ pub(super) fn router(shared: Shared, token: Option<String>) -> Router {
 async fn control(
     State(port): Port,
     ConnectInfo(peer): ConnectInfo<SocketAddr>,
-    command: Result<Json<Command>, JsonRejection>,
+    body: Result<Json<Value>, JsonRejection>,
 ) -> impl IntoResponse {
-    let command = match command {
-        Ok(Json(command)) => command,
+    let command = match body {
+        Ok(Json(value)) => words::parse(&value),
+        Err(JsonRejection::JsonSyntaxError(_)) => {
+            return refusal(StatusCode::BAD_REQUEST, "the command is not valid JSON");
+        }
         Err(rejection) => return refusal(rejection.status(), &rejection.body_text()),
+    };
+    let command = match command {
+        Ok(command) => command,
+        Err(why) => return refusal(StatusCode::UNPROCESSABLE_ENTITY, &why),
     };
     let by = Requester {
         via: "control",

@@ -24,7 +24,9 @@ const READ_BYTES: usize = 256 * 1024;
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     /// The connection to the address failed.
-    #[error("cannot connect: {0}")]
+    #[error(
+        "cannot connect ({0}): is the daemon running, and does it print this address for the protocol?"
+    )]
     Connect(std::io::Error),
     /// Reading or writing failed.
     #[error("connection failed: {0}")]

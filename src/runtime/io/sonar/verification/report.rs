@@ -10,6 +10,7 @@
 //! A line with `report` is a head; without a head the report covers everything. Every other line is a finding. A report claims only the listed
 //! faults; unknown keys are ignored.
 
+use crate::io::json_problem;
 use serde::{Deserialize, Serialize};
 
 /// Scope of a report.
@@ -123,7 +124,7 @@ impl Report {
             }
             let refused = |why: String| ReportError { line: at + 1, why };
             let value: serde_json::Value =
-                serde_json::from_str(line).map_err(|why| refused(why.to_string()))?;
+                serde_json::from_str(line).map_err(|why| refused(json_problem(&why)))?;
             let has = |key| value.get(key).is_some();
             let done = if has("report") {
                 serde_json::from_value(value).map(|head| report.head = head)
@@ -132,7 +133,7 @@ impl Report {
             } else {
                 return Err(refused("neither `report` nor `kind`".into()));
             };
-            done.map_err(|why| refused(why.to_string()))?;
+            done.map_err(|why| refused(json_problem(&why)))?;
         }
         Ok(report)
     }
