@@ -7,6 +7,7 @@ pub(crate) mod chart;
 pub(crate) mod check;
 pub(crate) mod ctl;
 pub(crate) mod doctor;
+pub(crate) mod generate;
 pub(crate) mod listen;
 pub(crate) mod logging;
 pub(crate) mod mosaic;
@@ -22,7 +23,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
 
 use self::logging::LogFormat;
 use echotank_config::spec::{NamedChoice, RigSpec};
@@ -81,6 +82,8 @@ enum Command {
     Nav(nav::NavArgs),
     /// Inspect seabeds and 3-D models
     Scene(scene::SceneArgs),
+    /// Write manual pages or a shell's completion script
+    Generate(generate::GenerateArgs),
 }
 
 /// A configuration file and its overrides from the command line.
@@ -134,6 +137,7 @@ fn execute(command: Option<Command>) -> Result<(), Failure> {
         Command::Mosaic(args) => mosaic::main(&args),
         Command::Nav(args) => nav::main(&args),
         Command::Scene(args) => scene::main(&args),
+        Command::Generate(args) => generate::main(&args, Cli::command()),
     }
 }
 
@@ -189,7 +193,6 @@ mod tests {
 
     #[test]
     fn command_line_is_well_formed() {
-        use clap::CommandFactory;
         Cli::command().debug_assert();
     }
 }

@@ -3,6 +3,7 @@
 mod commands;
 mod daemon;
 mod mistakes;
+mod generate;
 mod new;
 mod replay;
 mod verdict;
