@@ -8,6 +8,7 @@ use std::thread;
 use std::time::Duration;
 
 use clap::Args;
+use tempfile::TempDir;
 
 use super::{Failure, load};
 use echotank_config::spec::{NavInputSpec, RigSpec, SeabedShape};
@@ -16,12 +17,12 @@ use echotank_runtime::io::nav::NavOpenError;
 use echotank_runtime::io::signals;
 use echotank_runtime::rig::OpenError;
 
-/// Default configuration: a real navigation log over a real seabed, both in the repository.
+/// Default configuration in the repository: a real navigation log over a real seabed.
 const QUICKSTART: &str = "hil-configs/quickstart.toml";
 
 #[derive(Args, Clone, Debug, Default)]
 pub(crate) struct RunArgs {
-    /// Configuration file (TOML) [default: hil-configs/quickstart.toml]
+    /// Configuration file (TOML) [default: hil-configs/quickstart.toml, or the built-in copy of it]
     pub(crate) config: Option<PathBuf>,
     /// Change a value before checking, e.g. --set 'sonar.output.sevenk.listen="127.0.0.1:7001"' (every [[sonar]]) or --set sonar.0.ping.range_m=75
     #[arg(long = "set", value_name = "KEY=VALUE")]
@@ -37,14 +38,34 @@ pub(crate) struct RunArgs {
     pub(crate) seconds: Option<f64>,
 }
 
-/// Path of the quickstart configuration, in the working folder or in the source folder of the build.
-fn quickstart() -> Result<PathBuf, Failure> {
-    let built = Path::new(env!("CARGO_MANIFEST_DIR")).join(QUICKSTART);
-    [PathBuf::from(QUICKSTART), built].into_iter().find(|path| path.exists()).ok_or_else(|| {
-        Failure::Configuration(format!(
-            "no configuration given, and the default {QUICKSTART} does not exist in this folder; name a file (`echotank check --template` prints one)"
-        ))
-    })
+/// The quickstart and its data for a program without its repository, by name in the folder of the configuration.
+const BUILT_IN: [(&str, &[u8]); 4] = [
+    (
+        "quickstart.toml",
+        include_bytes!("../../hil-configs/quickstart.toml"),
+    ),
+    (
+        "data/nbp1406_s330_2014-08-01.rvdas",
+        include_bytes!("../../hil-configs/data/nbp1406_s330_2014-08-01.rvdas"),
+    ),
+    (
+        "data/jd211_crop_400x400_2m.asc",
+        include_bytes!("../../hil-configs/data/jd211_crop_400x400_2m.asc"),
+    ),
+    (
+        "data/quickstart_targets.csv",
+        include_bytes!("../../hil-configs/data/quickstart_targets.csv"),
+    ),
+];
+
+/// Writes the built-in quickstart into a temporary folder, which is removed with the guard.
+fn built_in_quickstart() -> io::Result<TempDir> {
+    let folder = tempfile::Builder::new().prefix("echotank-").tempdir()?;
+    std::fs::create_dir(folder.path().join("data"))?;
+    for (name, content) in BUILT_IN {
+        std::fs::write(folder.path().join(name), content)?;
+    }
+    Ok(folder)
 }
 
 /// Describes navigation sources, seabed and sonars, one line each.
@@ -114,9 +135,16 @@ fn print_line(line: &str) {
 }
 
 pub(crate) fn main(args: &RunArgs) -> Result<(), Failure> {
+    let mut built_in = None;
     let path = match &args.config {
         Some(path) => path.clone(),
-        None => quickstart()?,
+        None if Path::new(QUICKSTART).exists() => PathBuf::from(QUICKSTART),
+        None => {
+            let folder = built_in_quickstart().map_err(|error| {
+                Failure::Running(format!("no temporary folder for the quickstart: {error}"))
+            })?;
+            built_in.insert(folder).path().join("quickstart.toml")
+        }
     };
     if let Some(seconds) = args.seconds.filter(|s| !(s.is_finite() && *s > 0.0)) {
         let why = format!("--seconds {seconds}: must be above 0");

@@ -160,6 +160,28 @@ fn next_settings(client: &mut SevenKClient, verifier: &mut Verifier) -> (u32, f3
     panic!("no ping came");
 }
 
+/// As after `cargo install`: no repository in the working folder.
+#[test]
+fn without_a_repository_the_built_in_quickstart_runs_and_leaves_no_file() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut daemon = Daemon::spawn(
+        command("run")
+            .current_dir(folder.path())
+            .env("TMPDIR", folder.path())
+            .args(sets([
+                "sonar.output.sevenk.listen=127.0.0.1:0",
+                "control.listen=127.0.0.1:0",
+                "scene.seabed.density_per_m2=0.2",
+            ])),
+    );
+    let address = daemon.announced("7k hull", "tcp");
+    let mut client = SevenKClient::connect(address).expect("listening");
+    client.subscribe(&[7000]).expect("subscribed");
+    next_settings(&mut client, &mut Verifier::default());
+    daemon.terminate();
+    assert_eq!(crate::files_in(folder.path()).count(), 0);
+}
+
 #[test]
 fn quickstart_pings_obeys_and_ends_with_its_record_closed() {
     let folder = tempfile::tempdir().expect("folder");
