@@ -4,6 +4,7 @@ import contextlib
 import io
 import math
 import os
+import pathlib
 import sys
 import tempfile
 import unittest
@@ -12,6 +13,8 @@ import numpy as np
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 import points_check as check  # noqa: E402
+import points_model as model  # noqa: E402
+import points_random  # noqa: E402
 
 REAL = check.REAL
 C, FC, FS = 1500.0, 400e3, 40e3
@@ -20,7 +23,7 @@ VELOCITY = np.array([4.896, 1.428, 0.0], REAL)      # 5.1 m/s along (0.96, 0.28)
 
 def rig_of(points, duration_s=5e-3, kind="lfm", bandwidth_hz=20e3, sign=1.0, elements=3):
     array = check.ReceiveArray("port", elements, 0.002, np.array([0.1, -0.2, 0.3]), (60.0, 0.0, 2.0), 0, 0.0)
-    return check.Rig(C, FC, kind, bandwidth_hz, duration_s, sign, 0.0, [array], [np.array([0.5, 0.0, 0.2])], points, [])
+    return check.Rig(C, FC, kind, bandwidth_hz, duration_s, sign, 0.0, [array], [check.Transmitter(np.array([0.5, 0.0, 0.2]))], points, [])
 
 
 def brute_force(rig, transmit, receive, velocity, t):
@@ -148,7 +151,9 @@ class Signal(unittest.TestCase):
 RIG = """
 [medium]
 sound_speed_m_per_s = 1500.0
+absorption = "none"
 [nav]
+vertical = "depth"
 source = [{ kind = "csv", path = "track.csv" }]
 [scene]
 points = "points.csv"
@@ -160,6 +165,8 @@ center_frequency_khz = 400.0
 bandwidth_khz = 20.0
 duration_ms = 1.0
 sweep = "down"
+[sonar.receiver]
+rx_filter = "none"
 [sonar.ping]
 source_level_db = 0.0
 [[sonar.transmit]]
@@ -202,8 +209,8 @@ class Comparison(unittest.TestCase):
                      "velocity_m_per_s": np.zeros((pings, 3))}
         bodies = [b for a in rig.receive for b in check.elements_in_body(a)]
         for p in range(pings):
-            position, velocity, world = check.pose_at(rig.nav, int(self.data["ping_utc_ns"][p]), 0.06)
-            transmit = position + world @ rig.transmit_positions_m[0].astype(REAL)
+            position, velocity, world = check.uniform_pose(rig.nav, int(self.data["ping_utc_ns"][p]), 0.06)
+            transmit = position + world @ rig.transmit[0].position_m.astype(REAL)
             self.data["transmit_position_m"][p], self.data["velocity_m_per_s"][p] = transmit, velocity
             for e, body in enumerate(bodies):
                 receive = position + world @ body
@@ -256,11 +263,198 @@ class Comparison(unittest.TestCase):
         self.data["iq_by_element"] = self.data["iq_by_element"][:, :, :100]
         self.assertEqual(self.run_check()[0], 1)
 
-    def test_a_track_that_bends_is_refused(self):
+    def test_a_track_that_bends_is_refused_by_the_linear_model(self):
         self.write_track("0.001")
-        code, text = self.run_check()
+        code, text = self.run_check("--model", "linear")
         self.assertEqual(code, 2)
         self.assertIn("bends", text)
+
+    def test_samples_of_a_straight_track_fail_on_one_that_bends(self):
+        self.write_track("0.001")
+        self.assertEqual(self.run_check()[0], 1)
+
+    def test_a_weak_window_fails_by_the_norm_of_windows_alone(self):
+        # A 1e-6 of the strongest sample, where only a filter's tail would be.
+        self.data["iq_by_element"][1, 3, 100] += 1e-6 * np.abs(self.data["iq_by_element"]).max()
+        self.assertEqual(self.run_check("--limit", "1e-5")[0], 0)
+        code, text = self.run_check("--limit", "1e-5", "--norm", "window")
+        self.assertEqual(code, 1)
+        self.assertIn("ping 1, element 3", text)
+
+    def test_elements_can_be_chosen_and_values_set(self):
+        self.data["iq_by_element"][:, 4] = 0
+        self.assertEqual(self.run_check("--elements", "0,3")[0], 0)
+        self.assertEqual(self.run_check("--elements", "0,4")[0], 1)
+        self.assertEqual(self.run_check("--elements", "0,3", "--set", "sonar.pulse.taper=0.1")[0], 1)
+        self.assertEqual(self.run_check("--set", "sonar.receiver.noise_db=30")[0], 2)
+
+
+def sway(t):
+    """A motion that rolls, turns and accelerates: position, and angles in degrees."""
+    return (8 * t + 1.5 * t * t, 0.5 * np.sin(3 * t), 0.3 * np.cos(2 * t)), (10 * np.sin(2 * t), 5 * np.cos(3 * t), (350 + 25 * t) % 360)
+
+
+class Moving(unittest.TestCase):
+    """The calculation for any motion, against plain ones: a scalar solution, closed forms, and sums that are merely dense."""
+
+    def setUp(self):
+        self.nav = [(k * 20_000_000, *sway(k / 50)) for k in range(60)]
+        self.motion = model.Motion(self.nav, 503_000_000)
+        self.array = check.ReceiveArray("port", 2, 0.002, np.array([0.1, -0.2, 0.3]), (60.0, 0.0, 2.0), 0, 0.0)
+        self.body = check.elements_in_body(self.array)[1].astype(float)
+
+    def rig(self, points, **changes):
+        rig = rig_of([(tuple(self.motion.origin_m + np.array(place)), strength) for place, strength in points], duration_s=2e-3)
+        rig.receive = [self.array]
+        for key, value in changes.items():
+            setattr(rig, key, value)
+        return rig
+
+    def record(self, rig, first=0.0, count=2400, fs=FS):
+        return model.element_record(rig, self.motion, self.array, self.body, fs, first, count)[0]
+
+    def test_the_curve_meets_its_knots_and_a_smooth_motion_between_them(self):
+        for k, (ns, place, angles) in enumerate(self.nav[20:40]):
+            t = np.array([(ns - 503_000_000) / 1e9])
+            position, matrix = self.motion.pose(t)
+            np.testing.assert_allclose(position[0] + self.motion.origin_m, place, atol=1e-13)
+            np.testing.assert_allclose(matrix[0], model.rotation(*angles), atol=1e-14)
+        t = np.linspace(-0.2, 0.2, 37)
+        for position, matrix, at in zip(*self.motion.pose(t), t + 0.503):
+            place, angles = sway(at)
+            np.testing.assert_allclose(position + self.motion.origin_m, place, atol=2e-5)
+            np.testing.assert_allclose(matrix, model.rotation(*angles), atol=2e-5)
+
+    def test_position_and_attitude_have_no_corner_at_a_knot(self):
+        h, knot = 1e-6, self.motion.times[30]
+        for part in self.motion.pose(np.array([knot - h, knot, knot + h])):
+            np.testing.assert_allclose((part[1] - part[0]) / h, (part[2] - part[1]) / h, atol=1e-3)
+
+    def test_the_rotation_of_either_tool_is_the_same(self):
+        np.testing.assert_allclose(model.rotation(10, -20, 130), check.rotation(10, -20, 130).astype(float), atol=1e-15)
+
+    def test_samples_satisfy_the_defining_equation(self):
+        rig = self.rig([((0.5, 3.0, 12.0), 2.0 - 1.0j)], tukey=0.3)
+        got = self.record(rig)
+        c, place = C, np.array(rig.points[0][0]) - self.motion.origin_m
+
+        def leg(t, body):
+            position, matrix = self.motion.pose(np.array([t]))
+            return float(np.linalg.norm(place - position[0] - matrix[0] @ body))
+
+        leading = leg(0.0, rig.transmit[0].position_m) / c
+        for _ in range(30):
+            leading = (leg(0.0, rig.transmit[0].position_m) + leg(leading, self.body)) / c
+        amplitude = rig.points[0][1] / leg(0.0, rig.transmit[0].position_m) / leg(leading, self.body)
+        inside = np.flatnonzero(got)
+        self.assertAlmostEqual(len(inside), rig.duration_s * FS, delta=3)
+        for k in inside[::5]:
+            t, sent = k / FS, 0.0
+            for _ in range(30):
+                sent = t - (leg(sent, rig.transmit[0].position_m) + leg(t, self.body)) / c
+            level = math.sin(math.pi / 2 * min(sent, rig.duration_s - sent, 3e-4) / 3e-4) ** 2
+            phase = math.pi * rig.bandwidth_hz / rig.duration_s * (sent - rig.duration_s / 2) ** 2 + 2 * math.pi * FC * (sent - t)
+            self.assertLess(abs(got[k] - amplitude * level * complex(math.cos(phase), math.sin(phase))), 1e-9 * abs(amplitude), k)
+
+    def test_uniform_motion_has_the_closed_form(self):
+        velocity = np.array([4.896, 1.428, 0.3])
+        nav = [(k * 100_000_000, tuple(velocity * k / 10), (3.0, -2.0, 35.0)) for k in range(20)]
+        self.motion = model.Motion(nav, 1_000_000_000)
+        rig = rig_of([((46.0, 21.0, 13.0), 1.0 - 0.5j), ((10.0, 1.0, 3.0), 0.1j)])
+        rig.receive = [self.array]
+        position, _, world = check.uniform_pose(nav, 1_000_000_000, 0.06)
+        wanted = check.element_samples(rig, 0.0, position + world @ rig.transmit[0].position_m, position + world @ self.body,
+                                       velocity.astype(REAL), FS, 0.0, 2400)
+        self.assertLess(check.relative_l2(self.record(rig), wanted.exact), 1e-10)
+
+    def test_the_filter_integrates_what_a_dense_sum_integrates(self):
+        for taper, kind in ((0.0, "lfm"), (0.4, "lfm"), (1.0, "cw")):
+            rig = self.rig([((0.5, 3.0, 12.0), 2.0 - 1.0j), ((0.3, 0.2, -0.4), 0.01)], filtered=True, tukey=taper, pulse_kind=kind)
+            got = self.record(rig, count=1000)
+            h, dense = model.Filter(rig, FS), 400
+            reach = int(math.ceil(h.half_s * FS)) * dense
+            rig.filtered = False
+            # Samples between the dense steps: an error of first order is left at sharp edges.
+            sums = self.record(rig, first=-reach / dense / FS + 0.5 / dense / FS, count=1000 * dense + 2 * reach, fs=FS * dense)
+            taps = h.at((np.arange(2 * reach) - reach + 0.5) / dense / FS) / dense / FS
+            wanted = np.array([sums[k * dense:k * dense + 2 * reach] @ taps[::-1] for k in range(1000)])
+            with self.subTest(taper=taper):
+                self.assertLess(check.relative_l2(got, wanted), 1e-7 if taper else 1e-3)
+
+    def test_the_filter_passes_its_band_and_stops_beyond_half_the_rate(self):
+        rig = self.rig([])
+        h = model.Filter(rig, FS)
+        t = np.linspace(-h.half_s, h.half_s, 200_001)
+
+        def gain(hz):
+            return (h.at(t) * np.cos(2 * np.pi * hz * t)).sum() * (t[1] - t[0])
+
+        self.assertAlmostEqual(gain(0.0), 1.0, delta=1e-9)
+        self.assertLess(abs(gain(15e3) - 1), 2e-4)
+        self.assertLess(abs(gain(21e3)), 1e-4)
+
+    def test_patterns_have_zeros_and_a_baffled_back(self):
+        piston = check.Pattern(2.0, 0.0, True)
+        rays = np.array([[0, 0, 1], [0.5, 0, 0.75 ** 0.5], [0, 0, -1]])
+        np.testing.assert_allclose(piston.towards(rays, 1.0), [1, 0, 0], atol=1e-15)
+
+    def test_planted_faults_are_found(self):
+        right = self.rig([((0.5, 3.0, 12.0), 2.0 - 1.0j), ((0.3, 0.2, -0.4), 0.01)], filtered=True, tukey=0.1)
+        wanted = self.record(right)[None, :]
+        faults = {"taper": dict(tukey=0.11), "filter": dict(filtered=False), "sweep": dict(sweep_sign=-1.0),
+                  "duration": dict(duration_s=2.0001e-3), "sound speed": dict(sound_speed_m_per_s=C * (1 + 1e-6))}
+        for name, change in faults.items():
+            with self.subTest(name):
+                wrong = self.rig([((0.5, 3.0, 12.0), 2.0 - 1.0j), ((0.3, 0.2, -0.4), 0.01)], **{"filtered": True, "tukey": 0.1, **change})
+                self.assertGreater(model.window_error(self.record(wrong)[None, :], wanted, 80)[0], 1e-4)
+        for name, row in (("roll", lambda place, angles: (place, (angles[0] * 1.01, *angles[1:]))),
+                          ("turn", lambda place, angles: (place, (*angles[:2], angles[2] * 1.001))),
+                          ("acceleration", lambda place, angles: ((place[0] * 1.0001, *place[1:]), angles))):
+            with self.subTest(name):
+                self.motion = model.Motion([(ns, *row(place, angles)) for ns, place, angles in self.nav], 503_000_000)
+                self.assertGreater(model.window_error(self.record(right)[None, :], wanted, 80)[0], 1e-4)
+
+
+class Windows(unittest.TestCase):
+    def test_the_worst_window_lies_at_any_offset(self):
+        want = np.zeros((2, 300), complex)
+        want[1, 100:150] = 1.0
+        got = want.copy()
+        got[1, 160] = 0.01
+        # Windows of 40 samples: the one from sample 149 holds a single sample of the echo, the one from 150 none.
+        error, row, offset = model.window_error(got, want, 40)
+        self.assertEqual((row, offset), (1, 150))
+        self.assertAlmostEqual(error, 0.01 / math.sqrt(40 * 10 ** -5.5), places=12)
+
+    def test_silence_is_right_only_if_it_is_silent(self):
+        silent = np.zeros((1, 50), complex)
+        self.assertEqual(model.window_error(silent, silent, 32)[0], 0.0)
+        self.assertEqual(model.window_error(silent + 1e-30, silent, 32)[0], math.inf)
+
+
+class Promises(unittest.TestCase):
+    def row(self, **values):
+        return points_random.judge({"promised": 5e-4, "measured": 1e-4, "marks": [], **values}, 1e-3)
+
+    def test_a_kept_promise_is_not_broken(self):
+        self.assertEqual(self.row()["broken"], [])
+
+    def test_an_error_above_the_promise_or_silently_above_the_tolerance_is_broken(self):
+        self.assertEqual(self.row(measured=6e-4)["broken"], ["promise"])
+        self.assertEqual(self.row(measured=2e-3)["broken"], ["promise", "silent"])
+
+    def test_a_marked_answer_is_not_silent(self):
+        self.assertEqual(self.row(measured=2e-3, promised=3e-3)["broken"], [])
+        self.assertEqual(self.row(measured=2e-3, marks=["design limits"])["broken"], ["promise"])
+
+    def test_a_seed_draws_the_same_rig_again(self):
+        texts = []
+        for _ in range(2):
+            with tempfile.TemporaryDirectory() as folder:
+                points_random.draw_rig(np.random.default_rng([7, 3]), pathlib.Path(folder), "auto")
+                texts.append([pathlib.Path(folder, name).read_text() for name in ("rig.toml", "track.csv", "points.csv")])
+        self.assertEqual(*texts)
+        self.assertEqual(points_random.asked_of(os.devnull, ["sonar.model.tolerance=1e-4"]), 1e-4)
 
 
 if __name__ == "__main__":
