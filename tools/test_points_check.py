@@ -381,6 +381,13 @@ class Moving(unittest.TestCase):
             with self.subTest(taper=taper):
                 self.assertLess(check.relative_l2(got, wanted), 1e-7 if taper else 1e-3)
 
+    def test_more_nodes_change_no_window_of_a_short_pulse(self):
+        rig = self.rig([((0.5, 3.0, 12.0), 2.0 - 1.0j), ((0.3, 0.2, -0.4), 0.01)], filtered=True, tukey=0.5, duration_s=2.5e-4)
+        few, rule = self.record(rig, count=1000), model.gauss
+        self.addCleanup(setattr, model, "gauss", rule)
+        model.gauss = lambda begin, end, count=None: rule(begin, end, (count or 5 + math.ceil(7 * (end - begin))) + 8)
+        self.assertLess(model.window_error(few[None, :], self.record(rig, count=1000)[None, :], 32)[0], 1e-9)
+
     def test_the_filter_passes_its_band_and_stops_beyond_half_the_rate(self):
         rig = self.rig([])
         h = model.Filter(rig, FS)
