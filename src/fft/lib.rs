@@ -6,8 +6,8 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use rustfft::{FftDirection, FftPlanner};
 pub use rustfft::{Fft, FftNum};
+use rustfft::{FftDirection, FftPlanner};
 
 /// The numbers that have plans.
 pub trait Planned: FftNum {

@@ -2,8 +2,8 @@
 
 mod commands;
 mod daemon;
-mod mistakes;
 mod generate;
+mod mistakes;
 mod new;
 mod replay;
 mod verdict;
