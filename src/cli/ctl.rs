@@ -55,6 +55,14 @@ pub(crate) enum CtlCommand {
     },
     /// Remove the fault with this number, or all faults
     ClearFaults { fault: Option<u32> },
+    /// Start or stop recording: on or off. A start opens new files
+    Record {
+        #[arg(value_parser = ["on", "off"])]
+        state: String,
+        /// Name of the sonar (default: all)
+        #[arg(long)]
+        sonar: Option<String>,
+    },
     /// Set the clock mode: realtime or scaled (with a rate), or fast or lockstep. Only switching within either pair is allowed
     Clock {
         #[arg(value_parser = ["realtime", "scaled", "fast", "lockstep"])]
@@ -84,6 +92,10 @@ pub(crate) fn main(args: &CtlArgs) -> Result<(), Failure> {
         },
         CtlCommand::Fault { kind, keys } => return send(args, &fault(kind, keys)?),
         CtlCommand::ClearFaults { fault } => Command::ClearFaults { fault: *fault },
+        CtlCommand::Record { state, sonar } => Command::Record {
+            sonar: sonar.clone(),
+            on: state == "on",
+        },
         CtlCommand::Clock { mode, rate } => {
             return send(args, &json!({ "do": "clock", "mode": mode, "rate": rate }));
         }

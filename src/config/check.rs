@@ -260,8 +260,10 @@ fn rig(table: &keys::Rig, text: &str, problems: &mut Problems) -> Option<RigSpec
         scene: scene?,
         run: run?,
         record: table.record.given_and_then(|t| {
-            let directory = t.directory.get()?;
-            Some(RecordSpec { directory })
+            Some(RecordSpec {
+                directory: t.directory.get()?,
+                at_start: t.at_start.get()?,
+            })
         })?,
         control: control?,
         faults,

@@ -255,6 +255,9 @@ table! {
 
     /// Created if it does not exist.
     directory: Folder, Required("\"out\"");
+
+    /// Whether recording is on when the daemon starts. The operator's page and `echotank ctl record` stop and start it.
+    at_start: Bool, Default("true");
 }
 
 table! {

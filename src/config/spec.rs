@@ -13,8 +13,8 @@ mod trigger;
 pub(crate) mod words;
 
 pub use faults::{
-    ConnectionFault, ElementFault, FaultKind, FaultRefused, FaultRequest, FaultSpec, NavByteFault,
-    NavFault, TransportFault,
+    ConnectionFault, ElementFault, FaultCatalogueEntry, FaultKind, FaultRefused, FaultRequest,
+    FaultSpec, NavByteFault, NavFault, TransportFault,
 };
 
 use std::net::{IpAddr, SocketAddr};
@@ -1100,6 +1100,8 @@ impl ClockSpec {
 pub struct RecordSpec {
     /// Folder of the records. It is created if it does not exist.
     pub directory: PathBuf,
+    /// Whether recording is on when the daemon starts.
+    pub at_start: bool,
 }
 
 /// Server for control over HTTP: address and password.

@@ -134,6 +134,11 @@ impl RunControl {
         &self.sonars
     }
 
+    /// Addresses of the rig, one line each.
+    pub(crate) fn ports(&self) -> &[String] {
+        &self.page.ports
+    }
+
     /// The gate that pauses and steps rig time.
     pub fn gate(&self) -> &Arc<Gate> {
         &self.gate
@@ -276,8 +281,36 @@ impl RunControl {
                 true => Ok(json!({ "cleared": 1, "scheduled": self.faults.scheduled() })),
                 false => Err(format!("fault = {id}: no such fault")),
             },
+            Command::Record { sonar, on } => self.record(sonar.as_deref(), *on),
             Command::Clock { mode, rate } => self.set_clock(*mode, *rate),
         }
+    }
+
+    /// Stops or starts the recordings of one sonar, or of all.
+    fn record(&self, sonar: Option<&str>, on: bool) -> Result<Value, String> {
+        if self.page.spec.record.is_none() {
+            return Err(
+                "the configuration names no folder of recordings: set record.directory and restart the daemon"
+                    .to_owned(),
+            );
+        }
+        let wanted: Vec<_> = match sonar {
+            Some(name) => vec![self.sonar(Some(name))?],
+            None => self.sonars.iter().collect(),
+        };
+        let recording = |s: &&SonarControl| s.reports.recordings().has_switched();
+        let switched: Vec<_> = wanted.into_iter().filter(recording).collect();
+        if switched.is_empty() {
+            return Err(format!(
+                "{} has no output that records: 7k, Ping, XTF, SigMF, WAV, or JSF with record = true",
+                sonar.map_or("the rig".to_owned(), |name| format!("sonar {name}"))
+            ));
+        }
+        for sonar in &switched {
+            sonar.reports.recordings().switch(on);
+        }
+        let names: Vec<_> = switched.iter().map(|s| s.name.as_str()).collect();
+        Ok(json!({ "recording": on, "sonars": names }))
     }
 
     /// Changes the clock. Machine time can run at any rate; simulated time runs freely or by steps. A change between the two requires a restart.
@@ -406,6 +439,10 @@ impl RunControl {
             "methods": sonar.counters.methods_json(),
             "microseconds": histograms,
             "outputs": sonar.reports.lines(),
+            "recording": {
+                "on": sonar.reports.recordings().is_on(),
+                "files": sonar.reports.recordings().files(),
+            },
         })
     }
 }
@@ -482,7 +519,7 @@ impl ControlPort for RunControl {
             "delivered": self.gate.pings_delivered(),
             "rig_utc_ms": (self.rig_time)().0 as f64 / 1e6,
             "up_s": self.machine.mono().0 as f64 / 1e9,
-            "health_problem": self.health_problem(),
+            "pipeline_problem": self.pipeline_problem(),
             "sonars": sonars.collect::<Value>(),
             "faults": self.faults.list(),
             "faults_injected": self.faults.injected(),
@@ -521,7 +558,10 @@ impl ControlPort for RunControl {
     }
 
     fn health_problem(&self) -> Option<String> {
-        let stopped = self.sonars.iter().flat_map(|s| s.reports.stopped().lines());
+        let stopped = self
+            .sonars
+            .iter()
+            .flat_map(|s| s.reports.recordings().lines());
         let all: Vec<_> = self.pipeline_problem().into_iter().chain(stopped).collect();
         (!all.is_empty()).then(|| all.join("; "))
     }

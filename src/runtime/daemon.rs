@@ -105,6 +105,34 @@ pub enum DaemonError {
     Panic,
 }
 
+/// Addresses of navigation, outputs and triggers, one line each.
+fn addresses(
+    spec: &RigSpec,
+    inputs: &NavInputs,
+    nav_out: &NavOutputs,
+    outputs: &[Outputs],
+    triggers: &Triggers,
+) -> Vec<String> {
+    let transport = |name: &str| {
+        let tcp =
+            |s: &NavSourceSpec| s.name == name && matches!(s.input, NavInputSpec::TcpListen { .. });
+        if spec.nav.sources.iter().any(tcp) {
+            "tcp"
+        } else {
+            "udp"
+        }
+    };
+    let listening = inputs.listening();
+    let mut lines: Vec<String> = listening
+        .iter()
+        .map(|(name, address)| format!("nav {name} {} {address}", transport(name)))
+        .collect();
+    lines.extend(nav_out.addresses());
+    lines.extend(outputs.iter().flat_map(Outputs::addresses));
+    lines.extend(triggers.addresses(spec));
+    lines
+}
+
 /// A daemon that has opened everything it needs.
 pub struct Daemon {
     clock: Arc<dyn Clock>,
@@ -207,6 +235,7 @@ impl Daemon {
             .map(|_| Arc::new(TriggerCounts::default()))
             .collect();
         let triggers = Triggers::open(spec, &clock, &gate, &trigger_counts)?;
+        let ports = addresses(spec, &inputs, &nav_out, &outputs, &triggers);
         let mut trigger_counts = trigger_counts.into_iter();
         let sonars = spec.sonars.iter().zip(&settings).zip(&outputs);
         let sonars = sonars.zip(histograms);
@@ -229,6 +258,7 @@ impl Daemon {
                 feed,
                 spec: spec.clone(),
                 world: rig.world.clone(),
+                ports,
             },
         ));
         let server = match spec.control.listen {
@@ -263,10 +293,10 @@ impl Daemon {
     /// The file exists or cannot be created.
     pub fn record_navigation(&mut self, path: &Path) -> Result<(), DaemonError> {
         let first = self.control.sonars().first();
-        let stopped = first.map(|sonar| sonar.reports.stopped().clone());
+        let recordings = first.map(|sonar| sonar.reports.recordings().clone());
         let spec = &self.rig.spec.nav;
         self.inputs
-            .record(path, spec, stopped.unwrap_or_default())
+            .record(path, spec, recordings.unwrap_or_default())
             .map_err(DaemonError::NavRecording)
     }
 
@@ -282,25 +312,7 @@ impl Daemon {
 
     /// Listening addresses and links, one line each.
     pub fn describe(&self) -> Vec<String> {
-        let sources = &self.rig.spec.nav.sources;
-        let transport = |name: &str| {
-            let tcp = |s: &NavSourceSpec| {
-                s.name == name && matches!(s.input, NavInputSpec::TcpListen { .. })
-            };
-            if sources.iter().any(tcp) {
-                "tcp"
-            } else {
-                "udp"
-            }
-        };
-        let listening = self.inputs.listening();
-        let mut lines: Vec<String> = listening
-            .iter()
-            .map(|(name, address)| format!("nav {name} {} {address}", transport(name)))
-            .collect();
-        lines.extend(self.nav_out.addresses());
-        lines.extend(self.outputs.iter().flat_map(Outputs::addresses));
-        lines.extend(self.triggers.addresses(&self.rig.spec));
+        let mut lines = self.control.ports().to_vec();
         if let Some(server) = &self.server {
             let address = server.local_addr();
             lines.push(format!("control http {address}"));
@@ -328,16 +340,16 @@ impl Daemon {
         let faults = rig.faults.clone();
         let said = rig.spec.run.fault_directory.clone();
         let beside = rig.spec.record.as_ref().map(|r| r.directory.clone());
-        let stopped = control
+        let recordings = control
             .sonars()
             .first()
-            .map(|s| s.reports.stopped().clone());
-        let stopped = stopped.unwrap_or_default();
+            .map(|s| s.reports.recordings().clone());
+        let recordings = recordings.unwrap_or_default();
         let directory = said.clone().or(beside.clone());
-        let mut fault_log = EventLog::new("faults", directory, &stopped);
+        let mut fault_log = EventLog::new("faults", directory, &recordings);
         // With `overload = "skip"`, missing ping numbers in the records already show the skipped pings.
         let beside = beside.filter(|_| rig.spec.run.overload != OverloadSpec::Skip);
-        let mut overload_log = EventLog::new("overload", said.or(beside), &stopped);
+        let mut overload_log = EventLog::new("overload", said.or(beside), &recordings);
         let latency_s = rig.spec.run.latency_s;
         let status_interval_ns = (rig.spec.run.status_interval_s * NS_PER_S as f64) as i64;
         let own_time = rig.spec.run.clock.is_own();

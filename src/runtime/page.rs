@@ -11,7 +11,7 @@ use crate::io::control::frame::{Kind, frame};
 use crate::io::control::socket::ReliefTile;
 use crate::io::nav::SourceCounters;
 use crate::settings::{RecentChange, SettingsStore};
-use echotank_config::spec::{FaultRequest, RigSpec, SonarSpec};
+use echotank_config::spec::{FaultRequest, NamedChoice, NavChannel, RigSpec, SonarSpec};
 use echotank_core::settings::{
     Changed, JournalEntry, SettingChange, SettingsPort, SonarSettings, StoredValue, TriggerSource,
 };
@@ -39,6 +39,8 @@ pub struct PageSource {
     pub spec: RigSpec,
     /// Targets and terrain, once they are placed.
     pub world: SharedSceneSummary,
+    /// Addresses of the rig's inputs and outputs, one line each: `WHAT NAME TRANSPORT ADDRESS`.
+    pub ports: Vec<String>,
 }
 
 /// Cache of relief tiles, the newest last.
@@ -48,16 +50,18 @@ pub struct ReliefCache(Mutex<VecDeque<(ReliefTile, Bytes)>>);
 impl PageSource {
     /// First message to a page: the sonars, the fault kinds and the navigation sources. `run` identifies this run of the daemon.
     pub fn hello(&self, run: i64) -> Value {
-        let faults = FaultRequest::KINDS.iter().map(
-            |(kind, unit, min, max)| json!({ "kind": kind, "unit": unit, "min": min, "max": max }),
-        );
+        let faults = FaultRequest::KINDS.iter();
+        let quantities = NavChannel::WORDS.iter().map(|(_, name)| *name);
         json!({
             "page": 1,
             "echotank": env!("CARGO_PKG_VERSION"),
             // A page discards its data when this changes.
             "run": run.to_string(),
             "sonars": self.spec.sonars.iter().map(sonar).collect::<Value>(),
-            "faults": faults.collect::<Value>(),
+            "faults": faults.map(|kind| json!(kind)).collect::<Value>(),
+            "quantities": quantities.collect::<Value>(),
+            "ports": self.ports,
+            "records_to": self.spec.record.as_ref().map(|r| r.directory.display().to_string()),
             "recorded_nav": self.spec.nav.is_recorded(),
             "nav": self.spec.nav.sources.iter().map(|s| Value::from(s.name.as_str())).collect::<Value>(),
             "latency_s": self.spec.run.latency_s,
@@ -126,6 +130,7 @@ fn sonar(sonar: &SonarSpec) -> Value {
         "lines": lines.map(|line| Value::from(format!("{:?}", line.side).to_lowercase())).collect::<Value>(),
         "beams": sonar.beams.fan.as_ref().map_or(0, |fan| fan.beams),
         "sector_deg": sonar.beams.fan.as_ref().map_or(0.0, |fan| fan.sector_rad.to_degrees()),
+        "bottom_detection": sonar.beams.fan.as_ref().is_some_and(|fan| fan.form.bottom_detection),
         "center_hz": sonar.pulse.center_frequency_hz,
         "bandwidth_hz": sonar.pulse.bandwidth_hz,
         "pulse": format!("{:?}", sonar.pulse.kind),

@@ -296,57 +296,371 @@ fn refused<T>(key: &'static str, rule: impl Into<String>) -> Result<T, FaultRefu
     Err(FaultRefused { key, rule })
 }
 
+/// A kind of fault, for checks and forms.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct FaultCatalogueEntry {
+    /// Name of the kind.
+    #[serde(rename = "kind")]
+    pub name: &'static str,
+    /// Part of the rig that the fault affects.
+    pub group: &'static str,
+    /// Unit of `value`; empty if the kind has no value.
+    pub unit: &'static str,
+    /// Smallest value.
+    pub min: f64,
+    /// Largest value.
+    pub max: f64,
+    /// Effect, in one sentence.
+    pub effect: &'static str,
+}
+
+const ELEMENTS: &str = "elements";
+const LINK: &str = "link to the clients";
+const NAVIGATION: &str = "navigation";
+const TIME: &str = "time";
+
+const fn kind(
+    group: &'static str,
+    name: &'static str,
+    unit: &'static str,
+    min: f64,
+    max: f64,
+    effect: &'static str,
+) -> FaultCatalogueEntry {
+    FaultCatalogueEntry {
+        name,
+        group,
+        unit,
+        min,
+        max,
+        effect,
+    }
+}
+
 impl FaultRequest {
-    /// Kind, unit of `value`, minimum and maximum. An empty unit means that the kind has no value.
-    pub const KINDS: &'static [(&'static str, &'static str, f64, f64)] = &[
-        ("dead", "", 0.0, 0.0),
-        ("stuck", "volts", -1e6, 1e6),
-        ("inverted", "", 0.0, 0.0),
-        ("swapped", "", 0.0, 0.0),
-        ("gain", "dB", -200.0, 100.0),
-        ("phase", "degrees", -360.0, 360.0),
-        ("clipping", "volts", 1e-12, 1e6),
-        ("offset", "volts", -1e6, 1e6),
-        ("noise-burst", "volts rms", 0.0, 1e6),
-        ("mains-hum", "volts rms", 0.0, 1e6),
-        ("adc-bit-stuck-high", "bit", 0.0, 31.0),
-        ("adc-bit-stuck-low", "bit", 0.0, 31.0),
-        ("crosstalk", "dB", -200.0, 40.0),
-        ("clock-drift", "ppm", -1000.0, 1000.0),
-        ("sample-slip", "samples", 1.0, 1e9),
-        ("drop", "", 0.0, 0.0),
-        ("duplicate", "", 0.0, 0.0),
-        ("reorder", "", 0.0, 0.0),
-        ("corrupt", "", 0.0, 0.0),
-        ("corrupt-mended", "", 0.0, 0.0),
-        ("truncate", "", 0.0, 0.0),
-        ("delay", "ms", 0.001, 600_000.0),
-        ("jitter", "ms", 0.001, 600_000.0),
-        ("link-down", "", 0.0, 0.0),
-        ("reset", "", 0.0, 0.0),
-        ("half-open", "", 0.0, 0.0),
-        ("nav-off", "", 0.0, 0.0),
-        ("nav-stuck", "", 0.0, 0.0),
-        ("nav-garbage", "", 0.0, 0.0),
-        ("nav-wrong", "m, m/s or degrees", -1e6, 1e6),
-        ("nav-slow", "samples for one", 2.0, 1e6),
-        ("nav-delayed", "ms", 1.0, 600_000.0),
-        ("nav-intermittent", "ms", 1.0, 600_000.0),
-        ("nav-checksum", "", 0.0, 0.0),
-        ("nav-cut", "", 0.0, 0.0),
-        ("nav-noise", "bytes", 1.0, 1000.0),
-        ("trigger-missed", "", 0.0, 0.0),
-        ("trigger-double", "ms", 0.001, 60_000.0),
-        ("pps-loss", "", 0.0, 0.0),
-        ("wrong-zda", "s", -1e6, 1e6),
-        ("wrong-second", "s", -1e6, 1e6),
+    /// The catalogue of faults.
+    pub const KINDS: &'static [FaultCatalogueEntry] = &[
+        kind(ELEMENTS, "dead", "", 0.0, 0.0, "The samples are zero."),
+        kind(
+            ELEMENTS,
+            "stuck",
+            "volts",
+            -1e6,
+            1e6,
+            "I and Q keep this value.",
+        ),
+        kind(
+            ELEMENTS,
+            "inverted",
+            "",
+            0.0,
+            0.0,
+            "The sign of the samples is inverted.",
+        ),
+        kind(
+            ELEMENTS,
+            "swapped",
+            "",
+            0.0,
+            0.0,
+            "The samples are exchanged with those of the other element.",
+        ),
+        kind(
+            ELEMENTS,
+            "gain",
+            "dB",
+            -200.0,
+            100.0,
+            "The level changes by this many dB.",
+        ),
+        kind(
+            ELEMENTS,
+            "phase",
+            "degrees",
+            -360.0,
+            360.0,
+            "The phase changes by this angle.",
+        ),
+        kind(
+            ELEMENTS,
+            "clipping",
+            "volts",
+            1e-12,
+            1e6,
+            "I and Q are limited to this value.",
+        ),
+        kind(
+            ELEMENTS,
+            "offset",
+            "volts",
+            -1e6,
+            1e6,
+            "This voltage is added to I and Q.",
+        ),
+        kind(
+            ELEMENTS,
+            "noise-burst",
+            "volts rms",
+            0.0,
+            1e6,
+            "Noise of this level is added.",
+        ),
+        kind(
+            ELEMENTS,
+            "mains-hum",
+            "volts rms",
+            0.0,
+            1e6,
+            "A 50 Hz tone of this level is added to I and Q.",
+        ),
+        kind(
+            ELEMENTS,
+            "adc-bit-stuck-high",
+            "bit",
+            0.0,
+            31.0,
+            "This bit of the converter stays 1; bit 0 is the least significant.",
+        ),
+        kind(
+            ELEMENTS,
+            "adc-bit-stuck-low",
+            "bit",
+            0.0,
+            31.0,
+            "This bit of the converter stays 0; bit 0 is the least significant.",
+        ),
+        kind(
+            ELEMENTS,
+            "crosstalk",
+            "dB",
+            -200.0,
+            40.0,
+            "The signal of the other element is added at this level.",
+        ),
+        kind(
+            ELEMENTS,
+            "clock-drift",
+            "ppm",
+            -1000.0,
+            1000.0,
+            "The sample clock is too fast by this share.",
+        ),
+        kind(
+            ELEMENTS,
+            "sample-slip",
+            "samples",
+            1.0,
+            1e9,
+            "The samples are delayed by this number of samples.",
+        ),
+        kind(LINK, "drop", "", 0.0, 0.0, "Records are not sent."),
+        kind(LINK, "duplicate", "", 0.0, 0.0, "Records are sent twice."),
+        kind(
+            LINK,
+            "reorder",
+            "",
+            0.0,
+            0.0,
+            "Records are exchanged with those of the next ping.",
+        ),
+        kind(
+            LINK,
+            "corrupt",
+            "",
+            0.0,
+            0.0,
+            "One byte of the body changes.",
+        ),
+        kind(
+            LINK,
+            "corrupt-mended",
+            "",
+            0.0,
+            0.0,
+            "One byte of the body changes, and the checksum fits.",
+        ),
+        kind(
+            LINK,
+            "truncate",
+            "",
+            0.0,
+            0.0,
+            "The second half of the record is missing.",
+        ),
+        kind(
+            LINK,
+            "delay",
+            "ms",
+            0.001,
+            600_000.0,
+            "Records are sent later by this time.",
+        ),
+        kind(
+            LINK,
+            "jitter",
+            "ms",
+            0.001,
+            600_000.0,
+            "Records are sent later by a random time up to this.",
+        ),
+        kind(
+            LINK,
+            "link-down",
+            "",
+            0.0,
+            0.0,
+            "Every record of the ping is lost.",
+        ),
+        kind(
+            LINK,
+            "reset",
+            "",
+            0.0,
+            0.0,
+            "The TCP connections of the clients are reset.",
+        ),
+        kind(
+            LINK,
+            "half-open",
+            "",
+            0.0,
+            0.0,
+            "The clients stay connected, but nothing is sent or received.",
+        ),
+        kind(
+            NAVIGATION,
+            "nav-off",
+            "",
+            0.0,
+            0.0,
+            "The source gives nothing.",
+        ),
+        kind(
+            NAVIGATION,
+            "nav-stuck",
+            "",
+            0.0,
+            0.0,
+            "The source repeats its last sample.",
+        ),
+        kind(
+            NAVIGATION,
+            "nav-garbage",
+            "",
+            0.0,
+            0.0,
+            "The values are random.",
+        ),
+        kind(
+            NAVIGATION,
+            "nav-wrong",
+            "m, m/s or degrees",
+            -1e6,
+            1e6,
+            "This error is added to the quantity.",
+        ),
+        kind(
+            NAVIGATION,
+            "nav-slow",
+            "samples for one",
+            2.0,
+            1e6,
+            "One sample in this many is kept.",
+        ),
+        kind(
+            NAVIGATION,
+            "nav-delayed",
+            "ms",
+            1.0,
+            600_000.0,
+            "The samples arrive later by this time.",
+        ),
+        kind(
+            NAVIGATION,
+            "nav-intermittent",
+            "ms",
+            1.0,
+            600_000.0,
+            "The source is silent and active in turn, each for this time.",
+        ),
+        kind(
+            NAVIGATION,
+            "nav-checksum",
+            "",
+            0.0,
+            0.0,
+            "The checksum of a live sentence is wrong.",
+        ),
+        kind(
+            NAVIGATION,
+            "nav-cut",
+            "",
+            0.0,
+            0.0,
+            "A live sentence is split into two lines.",
+        ),
+        kind(
+            NAVIGATION,
+            "nav-noise",
+            "bytes",
+            1.0,
+            1000.0,
+            "This many random bytes precede a live sentence.",
+        ),
+        kind(
+            TIME,
+            "trigger-missed",
+            "",
+            0.0,
+            0.0,
+            "A pulse is missing, and its number is used up.",
+        ),
+        kind(
+            TIME,
+            "trigger-double",
+            "ms",
+            0.001,
+            60_000.0,
+            "The sonar is triggered a second time, later by this time.",
+        ),
+        kind(
+            TIME,
+            "pps-loss",
+            "",
+            0.0,
+            0.0,
+            "The pulse of the navigation output is missing.",
+        ),
+        kind(
+            TIME,
+            "wrong-zda",
+            "s",
+            -1e6,
+            1e6,
+            "ZDA of the navigation output is wrong by this time.",
+        ),
+        kind(
+            TIME,
+            "wrong-second",
+            "s",
+            -1e6,
+            1e6,
+            "The time stamps of the records are late by this time.",
+        ),
     ];
 
     /// Checks the request. Returns the fault, or the violated rule.
     pub fn checked(&self) -> Result<FaultSpec, FaultRefused> {
-        let known = Self::KINDS.iter().find(|(name, ..)| *name == self.kind);
-        let Some(&(name, unit, min, max)) = known else {
-            let names = Self::KINDS.iter().map(|(name, ..)| *name);
+        let known = Self::KINDS.iter().find(|kind| kind.name == self.kind);
+        let Some(&FaultCatalogueEntry {
+            name,
+            unit,
+            min,
+            max,
+            ..
+        }) = known
+        else {
+            let names = Self::KINDS.iter().map(|kind| kind.name);
             let known: Vec<_> = names.clone().collect();
             let hint = did_you_mean(&self.kind, names);
             let hint = hint.map_or(String::new(), |hint| format!("; {hint}"));
@@ -534,7 +848,14 @@ mod tests {
 
     #[test]
     fn every_kind_of_the_catalogue_can_be_asked_for_and_nothing_else() {
-        for &(name, unit, min, max) in FaultRequest::KINDS {
+        for &FaultCatalogueEntry {
+            name,
+            unit,
+            min,
+            max,
+            ..
+        } in FaultRequest::KINDS
+        {
             let two = matches!(name, "swapped" | "crosstalk");
             let request = FaultRequest {
                 kind: name.into(),

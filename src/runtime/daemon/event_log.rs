@@ -10,7 +10,7 @@ use crate::control::SonarControl;
 use crate::counters::add;
 use crate::io::record::RecordError;
 use crate::io::record::faults::FaultLog;
-use crate::outputs::recording::{Place, Recording, StoppedRecordings};
+use crate::outputs::recording::{Place, Recording, Recordings};
 use crate::overload::OverloadRecord;
 use crate::score::SKIPPED;
 
@@ -24,7 +24,7 @@ impl EventLog {
     pub(super) fn new(
         stem: &'static str,
         directory: Option<PathBuf>,
-        stopped: &Arc<StoppedRecordings>,
+        recordings: &Arc<Recordings>,
     ) -> Self {
         let recording = directory.map(|directory| {
             let place = Place {
@@ -34,7 +34,7 @@ impl EventLog {
                 time: Arc::new(|| SystemClock::new().host_utc()),
             };
             let begin = |path: &std::path::Path, _| FaultLog::create(path);
-            Recording::later(place, Box::new(begin), Arc::clone(stopped))
+            Recording::later(place, Box::new(begin), Arc::clone(recordings))
         });
         Self { stem, recording }
     }

@@ -60,7 +60,7 @@ impl SampleFile {
         context: &OutputContext,
         begin: impl FnMut(&Path, UtcNs) -> Result<Box<dyn Recorder>, RecordError> + Send + 'static,
     ) -> Result<Self, OutputError> {
-        let recording = context.recording(extension, begin)?;
+        let recording = context.recording(extension, begin, |recorder, _| recorder.close())?;
         Ok(Self {
             name: context.unit.spec.name.clone(),
             kind,
@@ -72,6 +72,9 @@ impl SampleFile {
     }
 
     fn push(&mut self, slot: &PingSlot) {
+        if !self.recording.is_on() {
+            return;
+        }
         match self.recording.write(|recorder| recorder.push(slot)) {
             Ok(None) => {}
             Ok(Some(saturated)) => {
@@ -137,7 +140,7 @@ impl Output for SampleFile {
     }
 
     fn close(self: Box<Self>) -> Result<(), OutputError> {
-        Ok(self.recording.close(|recorder| recorder.close())?)
+        Ok(self.recording.close()?)
     }
 }
 

@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use super::recording::Recording;
 use super::server_counts::ServersReport;
-use super::{Output, OutputContext, OutputError, Report, Spread, record};
+use super::{Output, OutputContext, OutputError, Report, Spread, close, is_recorded, record};
 use crate::faults::link::RecordLayout;
 use crate::io::record::stream::StreamRecorder;
-use crate::io::sonar::{RigTime, SonarServer};
+use crate::io::sonar::SonarServer;
 use crate::settings::SettingsStore;
 use echotank_config::spec::{JsfSpec, MediumSpec, SonarSpec};
 use echotank_core::records::Datagram;
@@ -25,7 +25,6 @@ pub(super) struct Jsf {
     data: Arc<SonarServer>,
     settings: Arc<SettingsStore>,
     recorder: Option<Recording<StreamRecorder>>,
-    rig_time: RigTime,
     /// Messages of the encoded ping, sent at its deadline.
     pending: Vec<Arc<Datagram>>,
     spread: Spread,
@@ -53,7 +52,6 @@ impl Jsf {
             spec,
             unit,
             settings,
-            rig_time,
             ..
         } = context;
         let sheet = Arc::new(JsfSheet {
@@ -75,10 +73,14 @@ impl Jsf {
         let data = serve(Arc::new(data), output.listen_data)?;
         context.configure(&data, RecordLayout::JSF);
         let recorder = match output.record {
-            true => context.recording("jsf", {
+            true => {
                 let sheet = Arc::clone(&sheet);
-                move |path, utc| StreamRecorder::create(path, &sheet.file_head(utc))
-            })?,
+                context.recording(
+                    "jsf",
+                    move |path, utc| StreamRecorder::create(path, &sheet.file_head(utc)),
+                    |recorder, utc| recorder.close(&file_time(utc)),
+                )?
+            }
             false => None,
         };
         Ok(Self {
@@ -88,7 +90,6 @@ impl Jsf {
             data: Arc::new(data),
             settings: Arc::clone(settings),
             recorder,
-            rig_time: Arc::clone(rig_time),
             pending: Vec::new(),
             spread: context.spread,
             over_s: 0.0,
@@ -114,7 +115,8 @@ impl Output for Jsf {
     fn encode(&mut self, slot: &PingSlot) {
         self.pending.clear();
         self.over_s = self.spread.over_s(&slot.plan);
-        if self.data.wanted().is_empty() && self.recorder.is_none() {
+        let is_recorded = is_recorded(&mut self.recorder);
+        if self.data.wanted().is_empty() && !is_recorded {
             return;
         }
         let settings = Arc::clone(&self.settings);
@@ -132,9 +134,6 @@ impl Output for Jsf {
     }
 
     fn close(self: Box<Self>) -> Result<(), OutputError> {
-        let tail = file_time((self.rig_time)());
-        Ok(self
-            .recorder
-            .map_or(Ok(()), |r| r.close(|recorder| recorder.close(&tail)))?)
+        close(self.recorder)
     }
 }

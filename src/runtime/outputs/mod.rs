@@ -37,7 +37,7 @@ use echotank_ping::rig::{PingSlot, SonarUnit};
 
 use page::Page;
 pub use page::PageContext;
-use recording::{Place, Recording, StoppedRecordings};
+use recording::{End, Place, Recording, Recordings};
 
 pub(super) use jsf::row_filter;
 
@@ -111,8 +111,18 @@ pub trait Report: Send + Sync {
     }
 }
 
+/// Whether there is a recording that takes the next ping.
+fn is_recorded<R: Send + 'static>(recording: &mut Option<Recording<R>>) -> bool {
+    recording.as_mut().is_some_and(Recording::is_on)
+}
+
+/// Closes the recording, if there is one.
+fn close<R: Send + 'static>(recording: Option<Recording<R>>) -> Result<(), OutputError> {
+    Ok(recording.map_or(Ok(()), Recording::close)?)
+}
+
 /// Writes to the recording, if there is one.
-fn record<R>(
+fn record<R: Send + 'static>(
     recording: &mut Option<Recording<R>>,
     write: impl FnOnce(&mut R) -> Result<(), RecordError>,
 ) -> Result<(), OutputError> {
@@ -151,7 +161,7 @@ struct OutputContext<'a> {
     sending: Sending,
     spread: Spread,
     mark: Arc<LinkMark>,
-    stopped: &'a Arc<StoppedRecordings>,
+    recordings: &'a Arc<Recordings>,
 }
 
 /// Spread of the datagrams of a ping over time.
@@ -275,11 +285,12 @@ impl OutputContext<'_> {
         server.set_paces_tcp(self.spec.run.pace_tcp);
     }
 
-    /// Opens a recording in the folder of recordings, with its first file; `None` if the configuration names no folder.
-    fn recording<R>(
+    /// Opens a recording in the folder of recordings, with its first file if recording is on; `None` if the configuration names no folder.
+    fn recording<R: Send + 'static>(
         &self,
         extension: &'static str,
         begin: impl FnMut(&Path, UtcNs) -> Result<R, RecordError> + Send + 'static,
+        end: End<R>,
     ) -> Result<Option<Recording<R>>, RecordError> {
         let Some(record) = &self.spec.record else {
             return Ok(None);
@@ -290,14 +301,14 @@ impl OutputContext<'_> {
             extension,
             time: Arc::clone(self.rig_time),
         };
-        Recording::open(place, Box::new(begin), Arc::clone(self.stopped)).map(Some)
+        Recording::open(place, Box::new(begin), end, Arc::clone(self.recordings)).map(Some)
     }
 }
 
 /// Outputs of one sonar.
 pub(crate) struct Outputs {
     all: Vec<MarkedOutput>,
-    stopped: Arc<StoppedRecordings>,
+    recordings: Arc<Recordings>,
 }
 
 /// An output and the ping to which its link faults refer.
@@ -309,7 +320,7 @@ struct MarkedOutput {
 /// Reads the outputs' counters from another thread.
 pub struct OutputReports {
     all: Vec<Arc<dyn Report>>,
-    stopped: Arc<StoppedRecordings>,
+    recordings: Arc<Recordings>,
 }
 
 impl Outputs {
@@ -332,7 +343,8 @@ impl Outputs {
             priority: spec.run.priority,
             lateness: Some(Arc::new(lateness)),
         };
-        let stopped = Arc::<StoppedRecordings>::default();
+        let recordings = Arc::<Recordings>::default();
+        recordings.switch(spec.record.as_ref().is_none_or(|record| record.at_start));
         let mut all = unit
             .spec
             .outputs
@@ -347,7 +359,7 @@ impl Outputs {
                     sending: sending.clone(),
                     spread: Spread::of(&spec.run),
                     mark: Arc::default(),
-                    stopped: &stopped,
+                    recordings: &recordings,
                 };
                 Ok(MarkedOutput {
                     output: context.output(output)?,
@@ -360,7 +372,7 @@ impl Outputs {
             output: Box::new(Page::new(&unit.spec, page)),
             mark: Arc::default(),
         }));
-        Ok(Self { all, stopped })
+        Ok(Self { all, recordings })
     }
 
     /// Addresses that the outputs listen on or send to.
@@ -374,17 +386,17 @@ impl Outputs {
     pub(crate) fn reports(&self) -> OutputReports {
         OutputReports {
             all: self.all.iter().map(|out| out.output.report()).collect(),
-            stopped: Arc::clone(&self.stopped),
+            recordings: Arc::clone(&self.recordings),
         }
     }
 
     /// Splits into outputs sent at the end of a ping and streaming outputs.
     pub(crate) fn split(self) -> (Self, Self) {
         let (streams, rest) = self.all.into_iter().partition(|out| out.output.is_stream());
-        let stopped = Arc::clone(&self.stopped);
+        let recordings = Arc::clone(&self.recordings);
         let of = |all| Self {
             all,
-            stopped: Arc::clone(&stopped),
+            recordings: Arc::clone(&recordings),
         };
         (of(rest), of(streams))
     }
@@ -433,12 +445,12 @@ impl OutputReports {
     /// One line per output, per client and per recording that has stopped.
     pub fn lines(&self) -> Vec<String> {
         let reports = self.all.iter().flat_map(|report| report.lines());
-        reports.chain(self.stopped.lines()).collect()
+        reports.chain(self.recordings.lines()).collect()
     }
 
-    /// Recordings that have stopped.
-    pub(crate) fn stopped(&self) -> &Arc<StoppedRecordings> {
-        &self.stopped
+    /// Recordings of the outputs.
+    pub(crate) fn recordings(&self) -> &Arc<Recordings> {
+        &self.recordings
     }
 
     /// Counters of every client of every output.

@@ -1,6 +1,6 @@
 //! Output to the operator's page: decimated copies of the data of each ping, for [`Feed`].
 //!
-//! Frames are made before the deadline of the ping and published after all other outputs. Without an open page, each ping makes only one line frame,
+//! Frames are made before the deadline of the ping and published after all other outputs. Without an open page, each ping makes only a line and its soundings,
 //! for the history.
 
 use std::sync::Arc;
@@ -108,11 +108,24 @@ impl Page {
             "c": plan.sound_speed_m_per_s,
             "low_db": low_db,
             "range_m": plan.settings.range_m,
+            "altitude_m": self.altitude_m(plan),
             "nav": self.nav(plan),
             "expected": self.expected(plan),
             "model": model(plan, output),
         });
         self.push(Kind::Line, None, plan, &text);
+    }
+
+    /// Height of the array of the lines above the seabed below it at the start of the pulse, m. No bottom echo has a shorter slant range over level
+    /// ground. `None` without a seabed.
+    fn altitude_m(&self, plan: &PingPlan) -> Option<f64> {
+        let ground = self.world.get()?.ground.as_ref()?;
+        let beams = &self.spec.beams;
+        let array = beams.lines.first().map(|line| line.array);
+        let array = array.or(beams.fan.as_ref().map(|fan| fan.array));
+        let mounting = &self.spec.receive.get(array.unwrap_or(0))?.mounting;
+        let at = plan.trajectory.pose_at(0.0).point_m(mounting.position_m);
+        Some(ground.down_m(at.x, at.y)? - at.z)
     }
 
     fn nav(&self, plan: &PingPlan) -> Value {
@@ -248,6 +261,34 @@ impl Page {
             "soundings": soundings.collect::<Value>(),
         });
         self.push(Kind::Fan, None, plan, &text);
+    }
+
+    /// World positions of the bottom detections: at half the travel time along the angle from the boresight, with the pose at the middle of the
+    /// echo's path.
+    fn soundings(&mut self, plan: &PingPlan, output: &PingOutput) {
+        let Some(fan) = self.spec.beams.fan.as_ref() else {
+            return;
+        };
+        if output.soundings.is_empty() {
+            return;
+        }
+        let mounting = &self.spec.receive[fan.array].mounting;
+        let x = mounting.body_from_array * DVec3::X;
+        let boresight = mounting.body_from_array * DVec3::Z;
+        // Angles are positive to starboard, whichever way the array's x axis points.
+        let starboard = if x.y < -1e-9 { -x } else { x };
+        self.bytes.clear();
+        for sounding in &output.soundings {
+            let pose = plan.trajectory.pose_at(0.5 * sounding.twtt_s);
+            let range_m = 0.5 * plan.sound_speed_m_per_s * sounding.twtt_s;
+            let (sin, cos) = sounding.angle_rad.sin_cos();
+            let towards = sin * starboard + cos * boresight;
+            let at = pose.point_m(mounting.position_m + range_m * towards);
+            for coordinate in at.to_array() {
+                self.bytes.extend((coordinate as f32).to_le_bytes());
+            }
+        }
+        self.push(Kind::Soundings, None, plan, &json!({}));
     }
 
     fn elements(&mut self, plan: &PingPlan, output: &PingOutput) {
@@ -446,6 +487,7 @@ impl Output for Page {
         let PingSlot { plan, output } = slot;
         self.pending.clear();
         self.line(plan, output);
+        self.soundings(plan, output);
         let wanted = self.feed.wanted(self.sonar);
         if wanted.fan {
             self.fan(plan, output);
@@ -481,6 +523,7 @@ mod tests {
     use crate::io::control::feed::Want;
     use crate::io::control::frame::{HEAD_BYTES, STEP_DB};
     use crate::io::record::testing::{output, plan, sonar};
+    use echotank_core::ping::Sounding;
     use echotank_core::scene::Target;
     use echotank_ping::world::SceneSummary;
 
@@ -638,5 +681,44 @@ mod tests {
         let to_m = DVec3::new(0.0, 0.25 - 0.3, 0.1).length();
         let want_s = (from_m + to_m) / 1500.0;
         assert!((delay_s - want_s).abs() < 2e-6, "{delay_s} {want_s}");
+    }
+
+    #[test]
+    fn soundings_lie_in_the_world_where_their_angle_and_time_say() {
+        let (mut page, _) = page(Vec::new());
+        let mut slot = slot(2);
+        let sounding = |angle_rad, twtt_s| Sounding {
+            beam: 0,
+            angle_rad,
+            twtt_s,
+            error_s: 1e-5,
+            detection: Detection::Amplitude,
+            level_v: 1.0,
+        };
+        page.encode(&slot);
+        let kinds = |page: &Page| page.pending.iter().map(|f| f.kind).collect::<Vec<_>>();
+        assert_eq!(kinds(&page), [Kind::Line], "no detections, no frame");
+        slot.output.soundings = vec![sounding(0.0, 0.02), sounding(0.5, 0.024)];
+        page.encode(&slot);
+        assert_eq!(kinds(&page), [Kind::Line, Kind::Soundings]);
+        let (_, bytes) = parts(&page.pending[1]);
+        let floats: Vec<f64> = bytes
+            .chunks_exact(4)
+            .map(|b| f32::from_le_bytes(b.try_into().expect("four")).into())
+            .collect();
+        // Mounted with a yaw of 0.3 rad: the array's x axis points forward and to starboard.
+        for (got, (angle, twtt_s)) in floats.chunks(3).zip([(0.0f64, 0.02), (0.5, 0.024)]) {
+            let range_m = 0.5 * 1500.0 * twtt_s;
+            let along = range_m * angle.sin();
+            let body_m = DVec3::new(0.5, 0.3, 0.7)
+                + DVec3::new(
+                    along * 0.3f64.cos(),
+                    along * 0.3f64.sin(),
+                    range_m * angle.cos(),
+                );
+            let want = slot.plan.trajectory.pose_at(twtt_s / 2.0).point_m(body_m);
+            let got = DVec3::from_slice(got);
+            assert!(got.distance(want) < 1e-5, "{got} {want}");
+        }
     }
 }

@@ -5,7 +5,9 @@ use std::sync::atomic::Ordering;
 
 use super::recording::Recording;
 use super::server_counts::{server_lines, server_streams};
-use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts, record};
+use super::{
+    Output, OutputContext, OutputError, Report, Spread, StreamCounts, close, is_recorded, record,
+};
 use crate::faults::link::RecordLayout;
 use crate::io::record::stream::StreamRecorder;
 use crate::io::record::svlog;
@@ -74,9 +76,11 @@ impl PingProtocol {
         };
         let url = format!("tcp://{}", server.local_addr());
         let kind = output.device;
-        let recorder = context.recording("svlog", move |path, utc| {
-            svlog::create(path, kind, &url, utc)
-        })?;
+        let recorder = context.recording(
+            "svlog",
+            move |path, utc| svlog::create(path, kind, &url, utc),
+            |recorder, _| recorder.close(&[]),
+        )?;
         Ok(Self {
             name,
             spec: output.clone(),
@@ -116,8 +120,9 @@ impl Output for PingProtocol {
     fn encode(&mut self, slot: &PingSlot) {
         self.pending.clear();
         self.over_s = self.spread.over_s(&slot.plan);
+        let is_recorded = is_recorded(&mut self.recorder);
         let no_clients = self.server.wanted().is_empty();
-        if no_clients && self.line.is_none() && self.recorder.is_none() {
+        if no_clients && self.line.is_none() && !is_recorded {
             return;
         }
         self.emitter
@@ -136,9 +141,7 @@ impl Output for PingProtocol {
     }
 
     fn close(self: Box<Self>) -> Result<(), OutputError> {
-        Ok(self
-            .recorder
-            .map_or(Ok(()), |r| r.close(|recorder| recorder.close(&[])))?)
+        close(self.recorder)
     }
 }
 

@@ -1,10 +1,13 @@
 //! Teledyne RESON 7k: a server on one TCP and UDP port, and a `.s7k` recorder.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use super::recording::Recording;
 use super::server_counts::{server_lines, server_streams};
-use super::{Output, OutputContext, OutputError, Report, Spread, StreamCounts, record};
+use super::{
+    Output, OutputContext, OutputError, Report, Spread, StreamCounts, close, is_recorded, record,
+};
 use crate::faults::link::RecordLayout;
 use crate::io::record::s7k::S7kRecorder;
 use crate::io::sonar::{SonarServer, start_sevenk};
@@ -53,10 +56,11 @@ impl SevenK {
         let server = start_sevenk(output, sheet.clone(), port, Arc::clone(rig_time))
             .map_err(|source| context.server_error(source))?;
         context.configure(&server, RecordLayout::SEVENK);
-        let recorder = context.recording("s7k", {
+        let begin = {
             let sheet = Arc::clone(&sheet);
-            move |path, utc| begin_s7k(path, &sheet, utc)
-        })?;
+            move |path: &Path, utc| begin_s7k(path, &sheet, utc)
+        };
+        let recorder = context.recording("s7k", begin, |recorder, _| recorder.close())?;
         Ok(Self {
             name: unit.spec.name.clone(),
             emitter: SevenKEmitter::new(sheet, spec.run.queue_pings),
@@ -86,7 +90,7 @@ impl Output for SevenK {
     }
 
     fn encode(&mut self, slot: &PingSlot) {
-        let recorded = if self.recorder.is_some() {
+        let recorded = if is_recorded(&mut self.recorder) {
             self.emitter.sheet().file_records()
         } else {
             RecordSet::EMPTY
@@ -116,8 +120,7 @@ impl Output for SevenK {
     }
 
     fn close(self: Box<Self>) -> Result<(), OutputError> {
-        let recorder = self.recorder;
-        Ok(recorder.map_or(Ok(()), |recorder| recorder.close(S7kRecorder::close))?)
+        close(self.recorder)
     }
 }
 

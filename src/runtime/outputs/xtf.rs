@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::recording::Recording;
-use super::{Output, OutputContext, OutputError, Report, record};
+use super::{Output, OutputContext, OutputError, Report, close, is_recorded, record};
 use crate::io::record::stream::StreamRecorder;
 use echotank_config::spec::XtfSpec;
 use echotank_emit::xtf::XtfEmitter;
@@ -24,8 +24,11 @@ impl Xtf {
         let emitter = XtfEmitter::new(output, &context.unit.spec, c);
         // The configuration check ensures that the folder is set.
         let head = emitter.file_head();
-        let recorder =
-            context.recording("xtf", move |path, _| StreamRecorder::create(path, &head))?;
+        let recorder = context.recording(
+            "xtf",
+            move |path, _| StreamRecorder::create(path, &head),
+            |recorder, _| recorder.close(&[]),
+        )?;
         Ok(Self {
             emitter,
             recorder,
@@ -53,7 +56,7 @@ impl Output for Xtf {
 
     fn encode(&mut self, slot: &PingSlot) {
         self.pending.clear();
-        if self.recorder.is_some() {
+        if is_recorded(&mut self.recorder) {
             let saturated = self
                 .emitter
                 .emit_ping(&slot.plan, &slot.output, &mut self.pending);
@@ -64,17 +67,13 @@ impl Output for Xtf {
     }
 
     fn deliver(&mut self) -> Result<(), OutputError> {
-        if self.recorder.is_some() {
-            let bytes = self.pending.len() as u64;
-            self.report.bytes.fetch_add(bytes, Ordering::Relaxed);
-        }
+        let bytes = self.pending.len() as u64;
+        self.report.bytes.fetch_add(bytes, Ordering::Relaxed);
         record(&mut self.recorder, |recorder| recorder.write(&self.pending))
     }
 
     fn close(self: Box<Self>) -> Result<(), OutputError> {
-        Ok(self
-            .recorder
-            .map_or(Ok(()), |r| r.close(|recorder| recorder.close(&[])))?)
+        close(self.recorder)
     }
 }
 

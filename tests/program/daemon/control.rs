@@ -1,5 +1,6 @@
 //! Tests of `/control`, `/status`, `/metrics`, `/healthz` and `echotank ctl`.
 
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
@@ -97,6 +98,113 @@ fn settings_are_applied_refused_and_reported_over_http_and_ctl() {
     }
     assert_eq!(client::get(at, "/healthz", None).expect("answers").0, 200);
     assert_eq!(client::get(at, "/nothing", None).expect("answers").0, 404);
+    daemon.terminate();
+}
+
+/// Lengths of the `.s7k` files in a folder, by name.
+fn recorded(folder: &Path) -> BTreeMap<String, u64> {
+    let files = std::fs::read_dir(folder).expect("the folder");
+    let files = files.map(|file| file.expect("an entry"));
+    let length = |file: std::fs::DirEntry| {
+        let name = file.file_name().into_string().expect("a name");
+        (name, file.metadata().expect("a length").len())
+    };
+    files
+        .map(length)
+        .filter(|(name, _)| name.ends_with(".s7k"))
+        .collect()
+}
+
+#[test]
+fn recordings_stop_and_start_in_a_new_file_at_run_time() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut daemon = quick(folder.path(), &["record.at_start=false"]);
+    let at = daemon.announced("control http", "http");
+    let address = at.to_string();
+    let after = |pings| wait_delivered(at, wait_delivered(at, 0) + pings);
+    after(2);
+    assert!(recorded(folder.path()).is_empty(), "off at the start");
+    assert_eq!(status(at)["sonars"][0]["recording"]["on"], false);
+    let (well, said) = ctl(&["--address", &address, "record", "on"]);
+    assert!(well, "{said}");
+    after(4);
+    let file = &status(at)["sonars"][0]["recording"]["files"]["points.s7k"];
+    assert_eq!(
+        (&file["is_open"], &file["stopped"]),
+        (&json!(true), &json!(null))
+    );
+    let command = json!({ "do": "record", "sonar": "points", "on": false });
+    let (code, answer) = tell(at, &command);
+    assert_eq!(code, 200, "{answer}");
+    assert_eq!(
+        answer["now"],
+        json!({ "recording": false, "sonars": ["points"] })
+    );
+    // The ping on its way may still be recorded, and its file is flushed beside the pings.
+    after(3);
+    let first = recorded(folder.path());
+    assert_eq!(first.len(), 1);
+    after(4);
+    assert_eq!(recorded(folder.path()), first, "the file is closed");
+    let (code, answer) = tell(at, &json!({ "do": "record", "on": true }));
+    assert_eq!(code, 200, "{answer}");
+    after(3);
+    assert_eq!(recorded(folder.path()).len(), 2, "a new file");
+    for (bad, code, why) in [
+        (
+            json!({ "do": "record" }),
+            422,
+            "on is missing: must be true or false",
+        ),
+        (
+            json!({ "do": "record", "on": "yes" }),
+            422,
+            "on = \"yes\": must be true or false",
+        ),
+        (
+            json!({ "do": "record", "on": true, "sonar": "other" }),
+            409,
+            "no sonar is named other",
+        ),
+        (
+            json!({ "do": "record", "on": true, "to": "/etc" }),
+            422,
+            "\"record\" has no such key",
+        ),
+    ] {
+        let (got, answer) = tell(at, &bad);
+        assert_eq!((got, &answer["accepted"]), (code, &json!(false)), "{bad}");
+        let said = answer["why"].as_str().expect("a reason");
+        assert!(said.contains(why), "{bad}: {said}");
+    }
+    let (well, said) = ctl(&["--address", &address, "record", "maybe"]);
+    assert!(!well && said.contains("possible values: on, off"), "{said}");
+    daemon.terminate();
+    // Both files are complete: a reader finds whole pings.
+    for name in recorded(folder.path()).keys() {
+        let path = folder.path().join(name);
+        let mended = run("recover", [path.to_str().expect("UTF-8")]);
+        assert!(
+            mended.out.contains("complete"),
+            "{}{}",
+            mended.out,
+            mended.err
+        );
+    }
+}
+
+#[test]
+fn a_recording_without_a_folder_is_refused_with_the_key_that_is_missing() {
+    let settings = [
+        "sonar.output.vita49.send_to=127.0.0.1:14998",
+        "control.listen=127.0.0.1:0",
+    ];
+    let mut daemon = Daemon::start("hil-configs/board.toml", settings);
+    let at = daemon.announced("control http", "http");
+    let (code, answer) = tell(at, &json!({ "do": "record", "on": true }));
+    assert_eq!(code, 409, "{answer}");
+    let why = answer["why"].as_str().expect("a reason");
+    assert!(why.contains("set record.directory"), "{why}");
     daemon.terminate();
 }
 

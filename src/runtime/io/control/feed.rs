@@ -13,8 +13,8 @@ use tokio::sync::broadcast;
 
 use super::frame::Kind;
 
-/// Side-scan lines kept for each sonar, for scrolling back and for new pages: 2.5 minutes at 4 pings/s, about 2 MB.
-pub(crate) const HISTORY_LINES: usize = 600;
+/// Pings kept for each sonar, for new pages: 2.5 minutes at 4 pings/s, about 2 MB of lines and 2 MB of soundings of 256 beams.
+pub(crate) const HISTORY_PINGS: usize = 600;
 /// Maximum number of frames queued for the slowest page: a few seconds of a sonar with a fan.
 const QUEUE_FRAMES: usize = 64;
 /// Maximum number of different rows of samples taken from one ping for all pages together.
@@ -68,7 +68,7 @@ impl Want {
     pub fn takes(&self, frame: &Frame) -> bool {
         self.sonar == frame.sonar
             && match frame.kind {
-                Kind::Line => true,
+                Kind::Line | Kind::Soundings => true,
                 Kind::Fan => self.fan,
                 Kind::Elements => self.elements,
                 Kind::Scope => frame.scope == self.scope,
@@ -103,14 +103,31 @@ pub struct Frame {
 /// The channel from the pings to the pages.
 pub struct Feed {
     frames: broadcast::Sender<Arc<Frame>>,
-    /// Frames of lines per sonar, oldest first.
-    history: Mutex<Vec<VecDeque<Arc<Frame>>>>,
+    /// Recent lines and soundings per sonar.
+    history: Mutex<Vec<History>>,
     /// Selection of each page by page number; `None` until the page has chosen.
     wants: Mutex<BTreeMap<u64, Option<Want>>>,
     next_page: AtomicU64,
     /// Number of `wants`; 0 avoids the lock.
     pages: AtomicUsize,
     counts: Counts,
+}
+
+/// Recent frames of one sonar, oldest first.
+struct History {
+    lines: VecDeque<Arc<Frame>>,
+    soundings: VecDeque<Arc<Frame>>,
+}
+
+impl History {
+    /// Ring of a kind of frame that is kept.
+    fn ring(&mut self, kind: Kind) -> Option<&mut VecDeque<Arc<Frame>>> {
+        match kind {
+            Kind::Line => Some(&mut self.lines),
+            Kind::Soundings => Some(&mut self.soundings),
+            Kind::Fan | Kind::Elements | Kind::Scope | Kind::Relief => None,
+        }
+    }
 }
 
 #[derive(Default)]
@@ -136,10 +153,14 @@ pub struct FeedCounts {
 impl Feed {
     /// A feed for this number of sonars.
     pub fn new(sonars: usize) -> Self {
-        let ring = || VecDeque::with_capacity(HISTORY_LINES);
+        let ring = || VecDeque::with_capacity(HISTORY_PINGS);
+        let history = || History {
+            lines: ring(),
+            soundings: ring(),
+        };
         Self {
             frames: broadcast::Sender::new(QUEUE_FRAMES),
-            history: Mutex::new((0..sonars).map(|_| ring()).collect()),
+            history: Mutex::new((0..sonars).map(|_| history()).collect()),
             wants: Mutex::default(),
             next_page: AtomicU64::new(0),
             pages: AtomicUsize::new(0),
@@ -176,19 +197,15 @@ impl Feed {
     pub fn publish(&self, frame: Frame) {
         let frame = Arc::new(frame);
         self.counts.frames.fetch_add(1, Ordering::Relaxed);
-        if frame.kind != Kind::Line {
-            // Fails when no page is open.
-            let _ = self.frames.send(frame);
-            return;
-        }
         let mut history = lock(&self.history);
-        if let Some(ring) = history.get_mut(usize::from(frame.sonar)) {
-            if ring.len() == HISTORY_LINES {
+        let of_sonar = history.get_mut(usize::from(frame.sonar));
+        if let Some(ring) = of_sonar.and_then(|history| history.ring(frame.kind)) {
+            if ring.len() == HISTORY_PINGS {
                 ring.pop_front();
             }
             ring.push_back(Arc::clone(&frame));
         }
-        // The lock on the history makes a new page get this line exactly once.
+        // The lock on the history makes a new page get this frame exactly once. Sending fails when no page is open.
         let _ = self.frames.send(frame);
     }
 
@@ -239,7 +256,7 @@ pub enum Next {
 }
 
 impl Page {
-    /// Changes what the page displays. Returns the line history if the sonar changes or this is the first choice.
+    /// Changes what the page displays. Returns the recent lines and soundings if the sonar changes or this is the first choice.
     pub fn look(&mut self, want: Want) -> Vec<Arc<Frame>> {
         let before = self.want.replace(want);
         lock(&self.feed.wants).insert(self.id, self.want);
@@ -248,8 +265,11 @@ impl Page {
         }
         let history = lock(&self.feed.history);
         self.frames = self.feed.frames.subscribe();
-        let ring = history.get(usize::from(want.sonar));
-        ring.map_or(Vec::new(), |ring| ring.iter().cloned().collect())
+        let Some(history) = history.get(usize::from(want.sonar)) else {
+            return Vec::new();
+        };
+        let frames = history.lines.iter().chain(&history.soundings);
+        frames.cloned().collect()
     }
 
     /// Waits for the next frame that the page needs.
@@ -336,6 +356,7 @@ mod tests {
         for ping in 0..5 {
             feed.publish(frame(Kind::Line, ping));
             feed.publish(frame(Kind::Fan, ping));
+            feed.publish(frame(Kind::Soundings, 100 + ping));
         }
         let mut page = feed.join();
         let before = page.look(Want::default());
@@ -344,7 +365,7 @@ mod tests {
         if let Next::Frame(frame) = runtime().block_on(page.next()) {
             seen.push(frame.bytes[0]);
         }
-        assert_eq!(seen, [0, 1, 2, 3, 4, 5]);
+        assert_eq!(seen, [0, 1, 2, 3, 4, 100, 101, 102, 103, 104, 5]);
     }
 
     #[test]
@@ -378,11 +399,13 @@ mod tests {
     #[test]
     fn the_history_is_bounded() {
         let feed = Arc::new(Feed::new(1));
-        for ping in 0..HISTORY_LINES + 7 {
+        for ping in 0..HISTORY_PINGS + 7 {
             feed.publish(frame(Kind::Line, (ping % 251) as u8));
+            feed.publish(frame(Kind::Soundings, (ping % 251) as u8));
         }
-        let lines = feed.join().look(Want::default());
-        assert_eq!(lines.len(), HISTORY_LINES);
-        assert_eq!(lines[0].bytes[0], 7);
+        let frames = feed.join().look(Want::default());
+        assert_eq!(frames.len(), 2 * HISTORY_PINGS);
+        assert_eq!(frames[0].bytes[0], 7);
+        assert_eq!(frames[HISTORY_PINGS].bytes[0], 7);
     }
 }

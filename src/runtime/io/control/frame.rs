@@ -40,6 +40,8 @@ pub enum Kind {
     Scope = 4,
     /// Depths of a seabed tile, f32, m, positive down, row by row from the south-western corner; NaN without data.
     Relief = 5,
+    /// Bottom detections as triples of f32: north, east and down of the world, m.
+    Soundings = 6,
 }
 
 /// Encodes a frame. `text` is padded with spaces to a multiple of 4 bytes; `arrays` is appended unchanged.

@@ -71,6 +71,14 @@ pub enum Command {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         fault: Option<u32>,
     },
+    /// Stops or starts the recordings from the next ping. A start opens new files.
+    Record {
+        /// Sonar name; `None`: every sonar that records.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        sonar: Option<String>,
+        /// Whether pings are recorded.
+        on: bool,
+    },
     /// Changes how rig time passes.
     Clock {
         /// The new mode.

@@ -21,7 +21,7 @@ use ValueType::{Bool, Count, Number, Text, Word};
 type Keys = &'static [(&'static str, ValueType)];
 
 /// The commands and their keys.
-const COMMANDS: [(&str, Keys); 8] = [
+const COMMANDS: [(&str, Keys); 9] = [
     ("pause", &[]),
     ("resume", &[]),
     ("step", &[("pings", Count)]),
@@ -59,6 +59,7 @@ const COMMANDS: [(&str, Keys); 8] = [
         ],
     ),
     ("clear-faults", &[("fault", Count)]),
+    ("record", &[("sonar", Text), ("on", Bool)]),
     (
         "clock",
         &[
@@ -159,7 +160,7 @@ pub fn parse(value: &Value) -> Result<Command, String> {
             return Err(refuse_other_type(key, value_type, &value.to_string()));
         }
     }
-    for (of, key) in [("clock", "mode"), ("fault", "kind")] {
+    for (of, key) in [("clock", "mode"), ("fault", "kind"), ("record", "on")] {
         if command == of && table.get(key).is_none_or(Value::is_null) {
             let rule = type_of(command, keys, key)?.rule();
             return Err(format!("{key} is missing: {rule}"));
@@ -244,6 +245,10 @@ mod tests {
             (
                 json!({"do": "set", "trigger": "externl"}),
                 "must be one of internal, external; did you mean \"external\"?",
+            ),
+            (
+                json!({"do": "record"}),
+                "on is missing: must be true or false",
             ),
             (
                 json!({"do": "clock"}),

@@ -18,7 +18,7 @@ use tracing::{info, warn};
 
 use crate::clock::Clock;
 use crate::io::record::RecordError;
-use crate::outputs::recording::StoppedRecordings;
+use crate::outputs::recording::Recordings;
 use echotank_config::spec::NavSpec;
 use echotank_core::navigation::NavSample;
 use echotank_core::time::{Timeline, UtcNs};
@@ -371,9 +371,9 @@ impl NavInputs {
         &mut self,
         path: &Path,
         spec: &NavSpec,
-        stopped: Arc<StoppedRecordings>,
+        recordings: Arc<Recordings>,
     ) -> Result<(), RecordError> {
-        self.recorder = Some(NavRecorder::create(path, spec, stopped)?);
+        self.recorder = Some(NavRecorder::create(path, spec, recordings)?);
         Ok(())
     }
 

@@ -10,7 +10,7 @@ use std::thread::JoinHandle;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 
 use crate::io::record::RecordError;
-use crate::outputs::recording::StoppedRecordings;
+use crate::outputs::recording::Recordings;
 use echotank_config::spec::{NavInputSpec, NavSpec};
 use echotank_nav::recording::{Entry, RecordingWriter};
 
@@ -25,7 +25,7 @@ pub(super) struct NavRecorder {
     sender: Option<Sender<Entry>>,
     thread: Option<JoinHandle<()>>,
     name: String,
-    stopped: Arc<StoppedRecordings>,
+    recordings: Arc<Recordings>,
 }
 
 impl NavRecorder {
@@ -33,7 +33,7 @@ impl NavRecorder {
     pub(super) fn create(
         path: &Path,
         spec: &NavSpec,
-        stopped: Arc<StoppedRecordings>,
+        recordings: Arc<Recordings>,
     ) -> Result<Self, RecordError> {
         let mut head = Vec::new();
         let sources: Vec<_> = spec
@@ -56,10 +56,10 @@ impl NavRecorder {
         let thread = std::thread::Builder::new()
             .name("nav recorder".into())
             .spawn({
-                let (path, stopped) = (path.to_owned(), stopped.clone());
+                let (path, recordings) = (path.to_owned(), recordings.clone());
                 move || {
                     if let Err(error) = write_all(&path, file, &writer, &entries) {
-                        stop(&path.display().to_string(), &error.to_string(), &stopped);
+                        stop(&path.display().to_string(), &error.to_string(), &recordings);
                     }
                 }
             })
@@ -68,7 +68,7 @@ impl NavRecorder {
             sender: Some(sender),
             thread: Some(thread),
             name,
-            stopped,
+            recordings,
         })
     }
 
@@ -78,7 +78,7 @@ impl NavRecorder {
         match sender.try_send(entry) {
             Ok(()) => {}
             Err(TrySendError::Full(_)) => {
-                stop(&self.name, "the disk is too slow", &self.stopped);
+                stop(&self.name, "the disk is too slow", &self.recordings);
                 self.sender = None;
             }
             // The thread has reported its error.
@@ -97,13 +97,13 @@ impl Drop for NavRecorder {
     }
 }
 
-fn stop(name: &str, why: &str, stopped: &StoppedRecordings) {
+fn stop(name: &str, why: &str, recordings: &Recordings) {
     tracing::error!(
         file = name,
         why,
         "navigation recording stopped; it can be replayed up to here"
     );
-    stopped.stop(name, why);
+    recordings.stop(name, why);
 }
 
 /// Writes the entries until the senders are gone. After an error the file ends with its last whole entries.
