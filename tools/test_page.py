@@ -3,12 +3,15 @@
 The program is target/release/echotank, or ECHOTANK.
 """
 
+import csv
+import io
 import json
 import math
 import os
 import re
 import shutil
 import socket
+import statistics
 import struct
 import sys
 import tempfile
@@ -80,8 +83,8 @@ def two_way_s(seconds):
     return delay_s
 
 
-class Page(unittest.TestCase):
-    """One daemon and one page for all tests; each restores their state."""
+class Browser(unittest.TestCase):
+    """One daemon and one page for all tests of a class; each restores their state."""
 
     @classmethod
     def setUpClass(cls):
@@ -90,7 +93,7 @@ class Page(unittest.TestCase):
         from playwright.sync_api import sync_playwright
         cls.folder = tempfile.TemporaryDirectory()
         cls.addClassCleanup(cls.folder.cleanup)
-        cls.rig, cls.settings = rig(cls.folder.name)
+        cls.rig, cls.settings = cls.configure()
         cls.start("127.0.0.1:0")
         cls.addClassCleanup(lambda: cls.daemon.stop())
         cls.playwright = sync_playwright().start()
@@ -98,17 +101,22 @@ class Page(unittest.TestCase):
         # Chromium has no sandbox for root.
         cls.browser = cls.playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"] if os.geteuid() == 0 else [])
         cls.addClassCleanup(cls.browser.close)
-        cls.page = cls.browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme="dark")
-        cls.page.set_default_timeout(PATIENCE_S * 1000)
         cls.said = []
-        cls.page.on("console", lambda message: cls.said.append((message.type, message.text)))
-        cls.page.on("pageerror", lambda error: cls.said.append(("error", str(error))))
-        cls.page.goto(f"http://{cls.at}/")
+        cls.page = cls.open()
+
+    @classmethod
+    def open(cls, at=None):
+        page = cls.browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme="dark")
+        page.set_default_timeout(PATIENCE_S * 1000)
+        page.on("console", lambda message: cls.said.append((message.type, message.text)))
+        page.on("pageerror", lambda error: cls.said.append(("error", str(error))))
+        page.goto(f"http://{at or cls.at}/")
+        return page
 
     @classmethod
     def start(cls, listen):
         cls.daemon = Daemon(cls.rig, "sonar.output.sevenk.listen=127.0.0.1:0", f"control.listen={listen}", *cls.settings)
-        cls.sevenk = cls.daemon.address(r"7k points tcp")
+        cls.sevenk = cls.daemon.address(r"7k \w+ tcp")
         host, port = cls.daemon.address(r"control http")
         cls.at = f"{host}:{port}"
 
@@ -121,7 +129,15 @@ class Page(unittest.TestCase):
         self.assertEqual(complaints, [], "the page complained")
 
     def wait(self, condition, argument=None):
-        self.page.wait_for_function(condition, arg=argument)
+        from playwright.sync_api import TimeoutError
+        try:
+            self.page.wait_for_function(condition, arg=argument)
+        except TimeoutError:
+            shown = self.page.evaluate("() => ['state', 'reason', 'log'].map((id) => document.getElementById(id).textContent.slice(0, 400))")
+            raise AssertionError(f"{condition} with {argument} did not come; the page shows {shown}") from None
+
+    def wait_state(self, text):
+        self.wait("(text) => document.getElementById('state').textContent === text", text)
 
     def wait_text(self, place, text):
         self.wait("([place, text]) => document.querySelector(place).textContent.includes(text)", [place, text])
@@ -129,6 +145,14 @@ class Page(unittest.TestCase):
     def status(self):
         with urllib.request.urlopen(f"http://{self.at}/status", timeout=10) as reply:
             return json.load(reply)
+
+
+class Page(Browser):
+    """A known target, commands from several sides, and the way back after a restart."""
+
+    @classmethod
+    def configure(cls):
+        return rig(cls.folder.name)
 
     def test_a_known_target_is_drawn_where_its_range_and_time_say(self):
         page = self.page
@@ -252,6 +276,8 @@ class Page(unittest.TestCase):
             page.evaluate("document.activeElement.blur()")
         page.keyboard.press("6")
         self.wait_text("#health", "Margin: computed before due")
+        order = page.evaluate("""() => ["ul.checks", "table", ".bins"].map((part) => document.querySelector("#health " + part).getBoundingClientRect().top)""")
+        self.assertEqual(order, sorted(order), "the verdict comes before the ports, these before the histograms")
         page.keyboard.press("4")
         page.keyboard.press("1")
         page.click("#pause")
@@ -308,6 +334,508 @@ class Page(unittest.TestCase):
         self.wait("() => { const n = Number(document.getElementById('ping').textContent); return n > 0 && n < 200; }")
         self.assertTrue(self.page.locator("#banner").is_hidden())
         self.said[:] = [said for said in self.said if "ERR_CONNECTION_REFUSED" not in said[1] and "WebSocket" not in said[1]]
+
+
+DRIVEN = """() => {
+    // Every control that was used, by its name. Playwright selects without a trusted event.
+    window.driven = new Set();
+    window.nameOf = (control) => control.id || control.name || [control.closest("[data-save-of]")?.dataset.saveOf, control.dataset.save ?? control.textContent].join(" ");
+    for (const kind of ["click", "input"]) document.addEventListener(kind, (e) => {
+        const control = e.target.closest("button, input, select");
+        const isPressed = control?.matches("button, [type=checkbox]");
+        if ((e.isTrusted || control?.matches("select")) && control && isPressed === (kind === "click")) window.driven.add(window.nameOf(control));
+    }, true);
+}"""
+
+
+class Ranges(Browser):
+    """The rig of the quickstart, some 52 m above the seabed, at 50 m, 100 m and 150 m, with recordings and bottom detection."""
+
+    RANGES_M = (50, 100, 150)
+
+    @classmethod
+    def configure(cls):
+        cls.records = os.path.join(cls.folder.name, "records")
+        with open(os.path.join(ROOT, "hil-configs", "quickstart.toml"), encoding="utf-8") as file:
+            text = file.read().replace('path = "data/', f'path = "{ROOT}/hil-configs/data/').replace('targets = "data/', f'targets = "{ROOT}/hil-configs/data/')
+        path = os.path.join(cls.folder.name, "rig.toml")
+        with open(path, "w", encoding="utf-8") as file:
+            file.write(text + f'\n[record]\ndirectory = "{cls.records}"\nat_start = false\n')
+        return path, ["sonar.ping.range_m=50", "sonar.limits.range_m=[20.0, 200.0]", "sonar.beams.fan.bottom_detection=true"]
+
+    def setUp(self):
+        super().setUp()
+        self.page.mouse.move(0, 0)
+
+    def set_range(self, range_m):
+        self.page.fill("#set-range_m", str(range_m))
+        self.page.press("#set-range_m", "Enter")
+        self.wait_text("#now-range_m", f"{range_m} m")
+
+    def rows(self, pings):
+        """Waits until so many pings of the present range have come."""
+        last = int(self.page.text_content("#ping"))
+        self.wait("(last) => Number(document.getElementById('ping').textContent) > last", last + pings)
+
+    def download(self, place):
+        with self.page.expect_download() as download:
+            self.page.click(place)
+        path = download.value.path()
+        with open(path, "rb") as file:
+            return download.value.suggested_filename, file.read()
+
+    def csv(self, place):
+        name, content = self.download(place)
+        lines = content.decode().splitlines()
+        about = [line for line in lines if line.startswith("#")]
+        return name, about, list(csv.DictReader(io.StringIO("\n".join(lines[len(about):])), restkey="more"))
+
+    def picture(self, place):
+        """Name, width and height of a saved picture."""
+        name, content = self.download(place)
+        self.assertEqual(content[:8], b"\x89PNG\r\n\x1a\n", name)
+        return (name, *struct.unpack_from(">II", content, 16))
+
+    def press_outside(self, key):
+        self.page.evaluate("document.activeElement.blur()")
+        self.page.keyboard.press(key)
+
+    def brightness(self, pings=20):
+        """Of the newest pings, from 0 (darkest colour) to 1 (brightest): mean and spread where the seabed lies, and mean in the water column."""
+        low, high = (float(self.page.input_value(f"#wf-{end}")) for end in ("low", "high"))
+        _, _, rows = self.csv("#wf-data")
+        seabed, water = [], []
+        for row in rows[:2 * pings]:
+            altitude, first, step = (float(row[key]) for key in ("altitude_m", "first_m", "step_m"))
+            for k, level in enumerate([row["levels"], *row["more"]]):
+                slant = first + k * step
+                shade = min(1.0, max(0.0, (float(level) - low) / (high - low))) if level else 0.0
+                if slant > 1.1 * altitude:
+                    seabed.append(shade)
+                elif 3.0 < slant < 0.85 * altitude:
+                    water.append(shade)
+        seen = {"water": statistics.fmean(water), "seabed": len(seabed)}
+        return {**seen, "mean": statistics.fmean(seabed), "spread": statistics.pstdev(seabed)} if seabed else seen
+
+    def test_the_seabed_alone_sets_the_contrast_at_every_range(self):
+        for range_m in self.RANGES_M:
+            self.set_range(range_m)
+            self.rows(40)
+            seen = self.brightness()
+            with self.subTest(range_m=range_m, **seen):
+                self.assertLess(seen["water"], 0.04, "the water column is dark")
+                if range_m > 60:
+                    self.assertGreater(seen["seabed"], 1000)
+                    self.assertTrue(0.25 < seen["mean"] < 0.65, "the seabed is neither black nor washed out")
+                    self.assertGreater(seen["spread"], 0.15)
+        low, high = (float(self.page.input_value(f"#wf-{end}")) for end in ("low", "high"))
+        # A range that ends in the water column changes nothing.
+        self.set_range(30)
+        self.rows(30)
+        now = [float(self.page.input_value(f"#wf-{end}")) for end in ("low", "high")]
+        self.assertTrue(abs(now[0] - low) <= 3 and abs(now[1] - high) <= 3, (now, low, high))
+
+    def test_a_page_that_opens_is_filled_from_recent_history(self):
+        self.rows(30)
+        page = self.open()
+        self.addCleanup(page.close)
+        page.wait_for_function("() => Number(document.getElementById('ping').textContent) > 0")
+        filled = page.evaluate("""async () => {
+            await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+            const canvas = document.getElementById("wf");
+            const data = new Uint32Array(canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data.buffer);
+            let rows = 0;
+            for (let y = 0; y < canvas.height; y += 2) rows += data[y * canvas.width] !== 0;
+            return rows;
+        }""")
+        self.assertGreaterEqual(filled, 30, "rows of a page that has just opened")
+
+    def test_every_control_works_at_every_range(self):
+        page = self.page
+        page.evaluate(DRIVEN)
+        for range_m in self.RANGES_M:
+            with self.subTest(range_m=range_m):
+                page.evaluate("() => window.driven.clear()")
+                self.set_range(range_m)
+                self.drive_settings()
+                self.drive_time()
+                self.drive_waterfall(range_m)
+                self.drive_samples()
+                self.drive_platform(range_m)
+                self.drive_faults()
+                self.drive_recording()
+                for button in ("#theme", "#theme", "#help"):
+                    page.click(button)
+                page.click("#about button")
+                all_controls = page.evaluate("""() => [...document.querySelectorAll("button, input, select")]
+                    .filter((c) => !c.closest("#ask-token, #log, #faults")).map(window.nameOf)""")
+                missed = set(all_controls) - set(page.evaluate("() => [...window.driven]"))
+                # With one sonar there is no other to choose.
+                self.assertEqual(missed, {"sonar"}, "controls that no event reached")
+
+    def drive_settings(self):
+        page = self.page
+        for key, value, shown in (("source_level_db", "205", "205 dB"), ("gain_db", "3", "3 dB"), ("pulse_ms", "2", "2 ms"), ("rate_hz", "3", "3 /s"),
+                                  ("source_level_db", "210", "210 dB"), ("gain_db", "0", "0 dB"), ("pulse_ms", "3", "3 ms"), ("rate_hz", "4", "4 /s")):
+            page.fill(f"#set-{key}", value)
+            page.click(f"#set-{key} + button")
+            self.wait_text(f"#now-{key}", shown)
+        page.fill("#set-range_m", page.text_content("#now-range_m").split()[0])
+        page.click("#set-range_m + button")
+        page.click("#start")
+        self.wait_text("#state", "not pinging")
+        self.assertNotEqual(page.get_attribute("#verdict", "data-is"), "good")
+        before = self.status()["pings_delivered"]
+        page.click("#single")
+        self.wait_delivered(before + 1)
+        # A sonar counts as pinging until its single ping is over, and the page hears of that twice a second.
+        self.until(lambda: not self.status()["sonars"][0]["settings"]["pinging"])
+        page.wait_for_timeout(700)
+        page.click("#start")
+        self.wait_state("pinging")
+        for trigger, state in (("external", "waiting for triggers"), ("internal", "pinging")):
+            page.select_option("#trigger", trigger)
+            self.wait_state(state)
+
+    def until(self, is_so):
+        deadline = time.monotonic() + PATIENCE_S
+        while not is_so():
+            self.assertLess(time.monotonic(), deadline)
+            time.sleep(0.05)
+
+    def wait_delivered(self, pings):
+        self.until(lambda: self.status()["pings_delivered"] >= pings)
+
+    def drive_time(self):
+        page = self.page
+        page.select_option("#clock-mode", "scaled")
+        self.wait_text("#state", "pinging ×2")
+        page.fill("#clock-rate", "1.5")
+        page.press("#clock-rate", "Enter")
+        self.wait_text("#state", "pinging ×1.5")
+        page.select_option("#clock-mode", "realtime")
+        self.wait_state("pinging")
+        page.click("#pause")
+        self.wait_text("#state", "paused")
+        before = self.status()["pings_delivered"]
+        page.click("#step")
+        self.wait_delivered(before + 1)
+        page.click("#pause")
+        self.wait_text("#state", "pinging")
+
+    def drive_waterfall(self, range_m):
+        page = self.page
+
+        def drawn():
+            return page.evaluate("""() => {
+                const canvas = document.getElementById("wf");
+                const data = new Uint32Array(canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data.buffer);
+                return data.reduce((sum, v) => (sum * 31 + v) >>> 0, 0);
+            }""")
+
+        def changes(act):
+            # Nothing else moves while time stands still.
+            before = drawn()
+            act()
+            page.wait_for_function("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))")
+            self.assertNotEqual(drawn(), before)
+        page.click("#pause")
+        self.wait_text("#state", "paused")
+        page.wait_for_timeout(300)
+        for name in ("grey", "viridis", "copper"):
+            changes(lambda: page.select_option("#wf-map", name))
+        for rows in ("1", "4", "2"):
+            changes(lambda: page.select_option("#wf-rows", rows))
+        for end, value in (("low", "-200"), ("high", "-100")):
+            def fill():
+                page.fill(f"#wf-{end}", value)
+                page.press(f"#wf-{end}", "Enter")
+            changes(fill)
+        self.assertFalse(page.is_checked("#wf-auto"))
+        changes(lambda: page.check("#wf-auto"))
+        for _ in range(2):
+            page.click("#wf-truth")
+        changes(lambda: (page.focus("#wf"), page.keyboard.press("PageDown")))
+        changes(lambda: page.click("#wf-live"))
+        name, width, height = self.picture("#wf-picture")
+        self.assertRegex(name, r"^echotank-hull-waterfall-\d{8}T\d{6}\.png$")
+        self.assertTrue(width > 800 and height > 250, (width, height))
+        name, about, rows = self.csv("#wf-data")
+        self.assertIn("dB re 1 V", about[1])
+        self.assertEqual({row["side"] for row in rows}, {"port", "starboard"})
+        row = rows[0]
+        levels = [row["levels"], *row["more"]]
+        self.assertAlmostEqual(float(row["first_m"]) + len(levels) * float(row["step_m"]), range_m, delta=0.06 * range_m)
+        self.assertEqual(row["ping"], page.text_content("#ping"))
+        page.click("#pause")
+        self.wait_text("#state", "pinging")
+
+    def save_both(self, list_id, tab, columns):
+        """Picture and data of a view, with the columns of the data."""
+        page = self.page
+        self.wait("([list, how]) => !document.querySelector(`[data-save-of=${list}] [data-save=${how}]`).disabled", [list_id, "data"])
+        name, width, _ = self.picture(f"[data-save-of={list_id}] [data-save=picture]")
+        self.assertIn(f"-{tab}-", name)
+        self.assertGreater(width, 300)
+        name, _, rows = self.csv(f"[data-save-of={list_id}] [data-save=data]")
+        self.assertIn(f"-{tab}-", name)
+        self.assertEqual([c for c in rows[0] if c != "more"], columns)
+        self.assertEqual(page.evaluate("document.querySelectorAll('a[download]').length"), 0)
+        return rows
+
+    def drive_samples(self):
+        page = self.page
+        page.click("#tab-elements")
+        self.wait_text("#elements-cursor", "no element faults")
+        rows = self.save_both("tabs-samples", "elements", ["array", "element", "rms_db_re_1_v", "peak_db_re_1_v", "fault"])
+        self.assertEqual(len(rows), 48)
+        page.click("#tab-scope")
+        for of, array, index in (("beam", "0", "3"), ("line", "1", None), ("element", "2", "5")):
+            page.select_option("#scope-of", of)
+            page.select_option("#scope-array", array)
+            if index:
+                page.fill("#scope-index", index)
+                page.press("#scope-index", "Enter")
+            for show in ("iq", "spectrum", "envelope"):
+                page.select_option("#scope-show", show)
+            self.wait("() => document.getElementById('scope-cursor').textContent.includes('samples at')")
+        self.wait("() => !document.querySelector('[data-save-of=tabs-samples] [data-save=data]').disabled")
+        self.save_both("tabs-samples", "a-scope", ["time_s", "i_v", "q_v"])
+        page.click("#tab-fan")
+        self.wait_text("#fan-cursor", "48 beams")
+        rows = self.save_both("tabs-samples", "fan", ["angle_deg", "levels"])
+        self.assertEqual(len(rows), 48)
+
+    def drive_platform(self, range_m):
+        page = self.page
+        page.click("#tab-motion")
+        self.wait_text("#nav-sources", "seapath")
+        name, _, _ = self.picture("[data-save-of=tabs-platform] [data-save=picture]")
+        self.assertIn("-navigation-", name)
+        page.click("#tab-health")
+        self.wait_text("#health", "Ports")
+        self.assertTrue(page.is_disabled("[data-save-of=tabs-platform] [data-save=picture]"))
+        page.click("#tab-track")
+        for button in ("#track-in", "#track-out"):
+            page.click(button)
+        track = self.save_both("tabs-platform", "track", ["ping", "utc", "latitude_deg", "longitude_deg", "north_m", "east_m", "down_m", "heading_deg", "pitch_deg", "roll_deg",
+                                                          "heave_m", "speed_m_per_s"])
+        page.click("#tab-bathymetry")
+        if range_m < 60:
+            return
+        self.wait_text("#bathymetry-cursor", "soundings")
+        rows = self.save_both("tabs-platform", "bathymetry", ["ping", "latitude_deg", "longitude_deg", "north_m", "east_m", "depth_m"])
+        depths = sorted(float(row["depth_m"]) for row in rows)
+        below = float(re.search(r"bottom ([\d.]+) m below", page.text_content("#track-cursor")).group(1))
+        bottom = below + float(track[-1]["down_m"])
+        self.assertAlmostEqual(depths[len(depths) // 2], bottom, delta=3.0)
+        east = [float(row["east_m"]) for row in rows]
+        self.assertGreater(max(east) - min(east), 40.0, "a swath, not a line")
+        colours = page.evaluate("""() => {
+            const canvas = document.getElementById("bathymetry");
+            return new Set(new Uint32Array(canvas.getContext("2d").getImageData(0, 0, canvas.width - 60, canvas.height).data.buffer)).size;
+        }""")
+        self.assertGreater(colours, 30, "depths have colours")
+
+    def inject(self, kind, fields):
+        page = self.page
+        page.select_option("#fault-kind", kind)
+        for name, value in fields.items():
+            field = f"#fault-form [name={name}]"
+            if page.evaluate("(f) => document.querySelector(f).tagName", field) == "SELECT":
+                page.select_option(field, value)
+            else:
+                page.fill(field, value)
+        page.click("#fault-form [type=submit]")
+
+    def drive_faults(self):
+        page = self.page
+        late = {"at_s": "100000", "for_s": "5", "ramp_s": "1", "probability": "0.5", "burst": "2", "seed": "7"}
+        self.inject("crosstalk", {"value": "-20", "array": "0", "element": "2", "other": "3", **late})
+        self.wait_text("#faults", "crosstalk -20 at port 2 and 3")
+        kept = self.status()["faults"]["scheduled"]
+        self.inject("nav-wrong", {"value": "1", "source": "seapath", "quantity": "heading"})
+        self.wait_text("#faults", "nav-wrong 1 at seapath heading")
+        self.wait_text("#fault-effect", "This error is added to the quantity.")
+        self.assertFalse(page.is_visible("#fault-form [name=element]"))
+        # Without a value the browser asks for one; beyond its range the daemon says so beside the form.
+        self.inject("gain", {"value": "1000"})
+        self.wait_text("#fault-note", "must be from -200 to 100 dB")
+        self.assertEqual(self.status()["faults"]["scheduled"], kept + 1)
+        page.click("#faults li:first-child button")
+        self.wait("() => document.getElementById('faults').children.length === 1")
+        page.click("#faults-clear")
+        self.wait("() => document.getElementById('faults').children.length === 0")
+        for name in late:
+            page.fill(f"#fault-form [name={name}]", "")
+
+    def drive_recording(self):
+        page = self.page
+        self.assertEqual(page.text_content("#record"), "Record")
+        self.wait_text("#recording", "off")
+        before = set(os.listdir(self.records)) if os.path.isdir(self.records) else set()
+        page.click("#record")
+        self.wait_text("#recording", "on, ")
+        self.wait("() => /on, [1-9]/.test(document.getElementById('recording').textContent)")
+        page.click("#record")
+        self.wait_text("#recording", "off")
+        new = [name for name in set(os.listdir(self.records)) - before if name.endswith(".s7k")]
+        self.assertEqual(len(new), 1, new)
+        path = os.path.join(self.records, new[0])
+        self.rows(2)
+        size = os.path.getsize(path)
+        self.assertGreater(size, 1000)
+        self.rows(4)
+        self.assertEqual(os.path.getsize(path), size, "the file is closed")
+
+    def test_keys_work_after_a_click_on_any_control(self):
+        page = self.page
+
+        def pauses_and_resumes(what):
+            for state in ("paused", "pinging"):
+                page.keyboard.press("Space")
+                try:
+                    self.wait_text("#state", state)
+                except Exception as error:
+                    raise AssertionError(f"the space bar after a click on {what}") from error
+        page.click("#tab-track")
+        for place in ("#theme", "#theme", "#wf-truth", "#wf-truth", "#track-in", "#set-gain_db", "#fault-form [name=seed]", "#tab-track", "#wf", "#wf-map", "#trigger"):
+            page.click(place)
+            if page.evaluate("(place) => document.querySelector(place).tagName", place) == "SELECT":
+                page.keyboard.press("Escape")
+            pauses_and_resumes(place)
+        # A list that was used.
+        page.select_option("#wf-rows", "4")
+        page.select_option("#wf-rows", "2")
+        pauses_and_resumes("#wf-rows")
+        # Digits belong to a number field, and to the views elsewhere.
+        page.click("#set-gain_db")
+        page.keyboard.press("5")
+        self.assertEqual(page.input_value("#set-gain_db"), "5")
+        self.assertTrue(page.is_visible("#pane-track"))
+        page.fill("#set-gain_db", "")
+        page.click("#theme")
+        page.click("#theme")
+        page.keyboard.press("5")
+        self.assertTrue(page.is_visible("#pane-motion"))
+        page.keyboard.press("4")
+        # A button that was reached by Tab keeps the space bar.
+        page.focus("#pause")
+        page.keyboard.press("Tab")
+        page.keyboard.press("Shift+Tab")
+        page.keyboard.press("Space")
+        self.wait_text("#state", "paused")
+        page.keyboard.press("Space")
+        self.wait_text("#state", "pinging")
+
+    def test_the_state_is_red_while_a_recording_cannot_go_on(self):
+        # A daemon of its own, whose exit status tells of the failure too.
+        records = self.records + "-lost"
+        daemon = Daemon(self.rig, "sonar.output.sevenk.listen=127.0.0.1:0", "control.listen=127.0.0.1:0", *self.settings, f"record.directory={records}", "record.at_start=true")
+
+        def stop():
+            with self.assertRaisesRegex(AssertionError, "hull-.*s7k: cannot"):
+                daemon.stop()
+        self.addCleanup(stop)
+        page = self.open("%s:%d" % daemon.address(r"control http"))
+        self.addCleanup(page.close)
+        page.wait_for_function("() => /on, [1-9]/.test(document.getElementById('recording').textContent)")
+        os.rename(records, records + "-moved")
+        # No folder can be made here.
+        with open(records, "w", encoding="ascii"):
+            pass
+        page.wait_for_function("() => document.getElementById('reason').textContent.includes('recording hull.s7k stopped: ')")
+        self.assertEqual(page.get_attribute("#verdict", "data-is"), "bad")
+        self.assertEqual(page.text_content("#recording"), "stopped by an error")
+        page.keyboard.press("6")
+        page.wait_for_function("() => document.querySelector('#health .checks').textContent.includes('recording hull.s7k stopped: ')")
+        os.remove(records)
+        page.wait_for_function("() => !document.getElementById('reason').textContent.includes('stopped')")
+
+    def test_lost_navigation_is_red_with_its_reason(self):
+        page = self.page
+        self.inject("nav-off", {"source": "seapath", "for_s": "8"})
+        self.wait("() => document.getElementById('verdict').dataset.is === 'bad'")
+        self.wait("() => /navigation lost|without navigation/.test(document.getElementById('reason').textContent)")
+        page.fill("#fault-form [name=for_s]", "")
+        page.select_option("#fault-form [name=source]", "")
+        page.click("#faults-clear")
+
+    def test_ports_and_what_each_client_gets_are_shown(self):
+        page = self.page
+        session = reader.Session(self.sevenk, reader.Findings(), gapless=False)
+        self.addCleanup(session.close)
+        session.command(reader.SUBSCRIBE, struct.pack("<II", 1, 7000))
+        self.assertTrue(session.pump(PATIENCE_S, lambda: len(session.pings) > 2))
+        page.evaluate("document.activeElement.blur()")
+        page.keyboard.press("6")
+        host, port = self.sevenk
+        self.wait_text("#health", f"{host}:{port}")
+        rows = page.evaluate("() => [...document.querySelectorAll('#health > table tbody tr')].map((row) => [...row.cells].map((c) => c.textContent))")
+        self.assertEqual(rows, [["7k hull", how, f"{host}:{port}"] for how in ("tcp", "udp")])
+        self.wait_text("#health", "gets records 7000")
+        own = session.socket.getsockname()[1]
+        self.wait("(port) => [...document.querySelectorAll('#health th')].some((th) => th.textContent.includes(`:${port}`) && /^[1-9][.\\d]* \\/s$/.test(th.nextElementSibling.textContent))", own)
+        page.keyboard.press("4")
+
+    def test_the_verdict_weighs_what_happened_in_the_last_minute(self):
+        counters = {key: 0 for key in ("deadline_misses", "pings_skipped_late", "pings_skipped_nav", "pings_skipped_queue", "pings_truncated", "pings_stretched", "pings_degraded",
+                                       "error_check_faults", "worst_late_us", "looser_now")}
+
+        def state(up_s, nav="ok", owners=None, dropped=0, made=None, **changed):
+            stream = {"family": "7k", "peer": "TCP 127.0.0.1:9", "records_dropped": dropped}
+            sonar = {"name": "hull", "counters": {**counters, "pings_made": int(4 * up_s) if made is None else made, **changed}, "settings": {"pinging": True, "rate_hz": 4},
+                     "trigger": "internal", "recording": {"on": True, "files": {}}, "streams": [stream]}
+            return {"up_s": up_s, "paused": False, "pipeline_problem": None, "sonars": [sonar], "nav": [{"name": "gps", "state": nav}, {"name": "ins", "state": "ok"}],
+                    "nav_owners": owners or {"position": "gps", "heading": "ins"}}
+
+        def verdict(*states):
+            return self.page.evaluate("""async (states) => {
+                const { Verdict } = await import("/page/verdict.js");
+                const verdict = new Verdict();
+                for (const state of states) verdict.take(state);
+                return [verdict.worst.is, verdict.worst.reasons.join("; ")];
+            }""", list(states))
+        first = state(10)
+        for second, want, why in (
+                (state(11), "good", ""),
+                (state(11, deadline_misses=3, worst_late_us=7000), "warn", "3 pings late in the last minute, by up to 7.00 ms"),
+                (state(11, pings_skipped_late=1), "bad", "1 ping skipped in the last minute (1 not computed in time)"),
+                (state(11, pings_skipped_queue=2), "bad", "queue full"),
+                (state(11, looser_now=1), "warn", "larger tolerance"),
+                (state(11, pings_truncated=1), "warn", "truncated"),
+                (state(11, error_check_faults=1), "bad", "above the tolerance"),
+                (state(11, dropped=5), "warn", "client 7k TCP 127.0.0.1:9 lost 5 records"),
+                (state(11, nav="stale"), "bad", "navigation lost: source gps is stale (position)"),
+                (state(11, nav="lost", owners={"heading": "ins"}), "bad", "navigation lost: source gps is lost (position)"),
+                (state(11, nav="lost", owners={"position": "ins", "heading": "ins"}), "warn", "another source took over"),
+                (state(20, made=40), "bad", "sonar hull has not pinged for 10 s")):
+            got = verdict(first, second)
+            self.assertEqual(got[0], want, got)
+            self.assertIn(why, got[1])
+        # A minute later it is history.
+        late = {"deadline_misses": 3, "pings_skipped_late": 1, "dropped": 5}
+        self.assertEqual(verdict(first, state(11, **late), *(state(t, **late) for t in range(12, 80)))[0], "good")
+        self.assertEqual(verdict(first, state(11, **late), *(state(t, **late) for t in range(12, 60)))[0], "bad")
+
+    def test_nothing_is_cut_off_at_any_size(self):
+        page = self.open()
+        self.addCleanup(page.close)
+        for width, height in ((1280, 800), (1920, 1080), (820, 1180)):
+            page.set_viewport_size({"width": width, "height": height})
+            page.wait_for_timeout(200)
+            self.assertLessEqual(page.evaluate("document.documentElement.scrollWidth"), width)
+            cut = page.evaluate("""() => [...document.querySelectorAll("button, input, select")].filter((control) => {
+                if (control.closest("dialog") || control.offsetParent === null) return false;
+                control.scrollIntoView({ block: "nearest" });
+                const box = control.getBoundingClientRect();
+                const middle = document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2);
+                return box.left < 0 || box.right > innerWidth + 0.5 || !(control === middle || control.contains(middle));
+            }).map((control) => control.id || control.name || control.textContent)""")
+            self.assertEqual(cut, [], f"controls that cannot be clicked at {width} x {height}")
+            for canvas in ("wf", "fan", "track"):
+                box = page.locator(f"#{canvas}").bounding_box()
+                self.assertTrue(box["width"] >= 250 and box["height"] >= 150, (width, canvas, box))
 
 
 class Hostile(unittest.TestCase):

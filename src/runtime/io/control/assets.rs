@@ -35,7 +35,11 @@ const ASSETS: &[(&str, &str, &str)] = &[
     asset!("/page/track.js", SCRIPT, "track.js"),
     asset!("/page/motion.js", SCRIPT, "motion.js"),
     asset!("/page/health.js", SCRIPT, "health.js"),
+    asset!("/page/bathymetry.js", SCRIPT, "bathymetry.js"),
     asset!("/page/controls.js", SCRIPT, "controls.js"),
+    asset!("/page/faults.js", SCRIPT, "faults.js"),
+    asset!("/page/save.js", SCRIPT, "save.js"),
+    asset!("/page/verdict.js", SCRIPT, "verdict.js"),
 ];
 
 pub(super) fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {

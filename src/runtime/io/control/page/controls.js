@@ -1,5 +1,5 @@
 // What can be asked, what was accepted, and by whom.
-import { byId, make, say, short, timeOf } from "./lib.js";
+import { byId, bytes, make, say, short, timeOf } from "./lib.js";
 
 const SETTINGS = [
   ["range_m", "Range", "m"],
@@ -9,8 +9,6 @@ const SETTINGS = [
   ["rate_hz", "Pings", "/s"],
 ];
 const NAMES = Object.fromEntries(SETTINGS.map(([key, name, unit]) => [key, [name.toLowerCase(), unit]]));
-const OF_ELEMENTS = new Set(["dead", "stuck", "inverted", "swapped", "gain", "phase", "clipping", "offset", "noise-burst", "mains-hum", "adc-bit-stuck-high", "adc-bit-stuck-low", "crosstalk", "clock-drift", "sample-slip"]);
-const OF_TWO = new Set(["swapped", "crosstalk"]);
 
 export class Controls {
   constructor(link) {
@@ -52,12 +50,7 @@ export class Controls {
       clock();
     });
     byId("clock-rate").addEventListener("change", clock);
-    byId("fault-kind").addEventListener("change", () => this.#shape());
-    byId("faults-clear").addEventListener("click", () => this.ask({ do: "clear-faults" }));
-    byId("fault-form").addEventListener("submit", (e) => {
-      e.preventDefault();
-      this.#inject(new FormData(e.target));
-    });
+    byId("record").addEventListener("click", () => this.ask({ do: "record", on: !this.recording }));
   }
 
   /** The rig, and which of its sonars is looked at. */
@@ -70,36 +63,6 @@ export class Controls {
       input.placeholder = `${short(least)}–${short(most)}`;
       input.title = `from ${short(least)} to ${short(most)}`;
     }
-    const kind = byId("fault-kind");
-    const was = kind.value;
-    kind.replaceChildren(...hello.faults.map((f) => make("option", { value: f.kind, text: f.kind })));
-    if (was) kind.value = was;
-    const arrays = hello.sonars[index].arrays.map((a, k) => make("option", { value: k, text: a.name }));
-    byId("fault-form").elements.array.replaceChildren(make("option", { value: "", text: "all" }), ...arrays);
-    this.#shape();
-  }
-
-  #shape() {
-    const fault = this.hello.faults.find((f) => f.kind === byId("fault-kind").value);
-    const form = byId("fault-form");
-    say(byId("fault-unit"), fault.unit ? `Value, ${fault.unit}` : "No value");
-    const { value } = form.elements;
-    value.disabled = !fault.unit;
-    value.required = Boolean(fault.unit);
-    value.placeholder = fault.unit ? `${short(fault.min)} to ${short(fault.max)}` : "";
-    for (const label of form.querySelectorAll("[data-of]")) {
-      const fits = label.dataset.of === "two" ? OF_TWO.has(fault.kind) : OF_ELEMENTS.has(fault.kind);
-      label.querySelector("input, select").disabled = !fits;
-    }
-  }
-
-  #inject(data) {
-    const command = { do: "fault", sonar: this.name };
-    for (const [key, text] of data) {
-      if (text === "") continue;
-      command[key] = key === "kind" ? text : Number(text);
-    }
-    this.ask(command);
   }
 
   /** Asks; a refusal is told beside what was asked for. */
@@ -146,7 +109,7 @@ export class Controls {
       say(now, `${short(s.settings[key])} ${unit}`);
       const last = s.journal.findLast((c) => c.what === key && !c.kept);
       if (this.refused.some(([held]) => held === note)) continue;
-      say(note, last ? `${last.why ? "refused" : "accepted"} ${timeOf(last.utc_ms, 0)}, requested ${short(last.value)} by ${who(last)}` : "as configured");
+      say(note, last ? `${last.why ? "refused" : "accepted"} ${timeOf(last.utc_ms, 0)}, requested ${short(last.value)} by ${who(last)}` : "");
       note.dataset.is = last?.why ? "bad" : "";
       row.toggleAttribute("data-fresh", Boolean(last && !last.why && state.rig_utc_ms - last.utc_ms < 3000));
     }
@@ -161,32 +124,23 @@ export class Controls {
     const own = state.clock === "fast" || state.clock === "lockstep";
     for (const option of byId("clock-mode").options) option.disabled = !this.hello.recorded_nav || (option.value === "fast" || option.value === "lockstep") !== own;
     if (document.activeElement !== byId("clock-rate") && state.rate) byId("clock-rate").value = state.rate;
-    this.#faults(state);
+    this.#recordings(state);
     this.#log(state);
   }
 
-  #faults(state) {
-    say(byId("faults-count"), state.faults.length ? `${state.faults.length} active, ${state.faults_injected} injected` : "none");
-    byId("faults-clear").disabled = state.faults.length === 0;
-    const key = JSON.stringify(state.faults.map((f) => [f.fault, f.injected]));
-    const list = byId("faults");
-    if (this.faultsKey !== key || state.faults.some((f) => f.for_s)) {
-      this.faultsKey = key;
-      const kept = new Map([...list.children].map((li) => [li.dataset.fault, li]));
-      list.replaceChildren(...state.faults.map((f) => this.#fault(f, state, kept.get(String(f.fault)))));
-    }
-  }
-
-  #fault(f, state, kept) {
-    const item = kept ?? make("li", { "data-fault": f.fault }, make("span", { class: "name" }), make("span", { class: "when" }), make("button", { type: "button", text: "×", "aria-label": `Remove fault ${f.fault}`, onclick: () => this.ask({ do: "clear-faults", fault: f.fault }) }), make("progress", { max: 1, value: 0, "aria-label": "Progress" }));
-    const [name, when, , progress] = item.children;
-    say(name, faultInWords(f, this.hello.sonars[this.index]));
-    const [words, share, isActive] = timeline(f, state.rig_utc_ms);
-    say(when, `${words}, injected ${f.injected}`);
-    name.dataset.is = isActive ? "good" : "";
-    progress.value = share;
-    progress.hidden = !f.for_s;
-    return item;
+  /** Of all sonars together: one button for all. */
+  #recordings(state) {
+    const files = state.sonars.flatMap((s) => Object.values(s.recording.files)).filter((f) => f.is_switched);
+    const button = byId("record");
+    this.recording = files.length > 0 && state.sonars.some((s) => s.recording.on && Object.values(s.recording.files).some((f) => f.is_switched));
+    button.disabled = files.length === 0;
+    button.title = files.length ? `Records go to ${this.hello.records_to}` : this.hello.records_to ? "No output of this rig records" : "The configuration has no folder of recordings: record.directory";
+    button.setAttribute("aria-pressed", String(this.recording));
+    say(button, this.recording ? "Stop recording" : "Record");
+    const stopped = files.find((f) => f.stopped);
+    const sum = files.filter((f) => f.is_open).reduce((sum, f) => sum + f.bytes, 0);
+    say(byId("recording"), files.length === 0 ? "not configured" : !this.recording ? "off" : stopped ? "stopped by an error" : `on, ${bytes(sum)}`);
+    byId("recording").dataset.is = stopped && this.recording ? "bad" : "";
   }
 
   #log(state) {
@@ -211,27 +165,7 @@ const who = (c) => `${c.via}${c.peer ? ` ${c.peer}` : ""}`;
 
 function inWords(command) {
   const { do: what, ...rest } = command;
+  if (what === "record") return `recording ${rest.on ? "on" : "off"}${rest.sonar ? ` for ${rest.sonar}` : ""}`;
   const more = Object.entries(rest).map(([key, value]) => `${key} ${typeof value === "number" ? short(value) : value}`);
   return [what, ...more].join(" ");
 }
-
-function faultInWords(f, sonar) {
-  const where = [];
-  if (f.array !== undefined) where.push(sonar.arrays[f.array]?.name ?? f.array);
-  if (f.element !== undefined) where.push(f.element);
-  if (f.other !== undefined) where.push(`and ${f.other}`);
-  const value = f.value === undefined ? "" : ` ${short(f.value)}`;
-  return `${f.fault} ${f.kind}${value}${where.length ? ` at ${where.join(" ")}` : ""}`;
-}
-
-/** Where a fault is in its time: words, share gone, whether it is active now. */
-function timeline(f, now) {
-  if (f.from_utc_ns === null) return ["waiting for a ping", 0, false];
-  const age = now / 1e3 - f.from_utc_ns / 1e9;
-  if (age < 0) return [`in ${Math.ceil(-age)} s`, 0, false];
-  if (f.for_s === undefined) return ["active", 0, true];
-  if (age >= f.for_s) return ["over", 1, false];
-  return [`${Math.ceil(f.for_s - age)} s left`, age / f.for_s, true];
-}
-
-export const ofElements = (fault) => ({ ...fault, isOfElement: OF_ELEMENTS.has(fault.kind) });

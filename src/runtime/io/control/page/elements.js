@@ -1,6 +1,7 @@
 // The elements at a glance: level and peak of each, and what is wrong with it.
 import { byId, digits, ink, line, painter, pointer, say, stepOf } from "./lib.js";
 import { nothing } from "./fan.js";
+import { saveData, savePicture } from "./save.js";
 
 export class Elements {
   constructor(look) {
@@ -34,7 +35,7 @@ export class Elements {
 
   /** Scheduled faults of elements. */
   setFaults(faults, sonar) {
-    this.faults = faults.filter((f) => f.isOfElement && (!f.sonar || f.sonar === sonar));
+    this.faults = faults.filter((f) => !f.sonar || f.sonar === sonar);
     this.paint();
   }
 
@@ -91,6 +92,19 @@ export class Elements {
       }
       begin += 2 * array.elements;
     });
+  }
+
+  get isEmpty() {
+    return this.cells.length === 0;
+  }
+
+  savePicture(name, title) {
+    savePicture(`${name}.png`, title, this.canvas, [this.canvas]);
+  }
+
+  saveData(name, title) {
+    const rows = this.cells.map((c) => [this.rig.arrays[c.array].name, c.element, c.rms.toFixed(2), c.peak.toFixed(2), c.fault ?? ""]);
+    saveData(`${name}.csv`, [title], ["array", "element", "rms_db_re_1_v", "peak_db_re_1_v", "fault"], rows);
   }
 
   #under() {

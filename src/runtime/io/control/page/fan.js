@@ -1,6 +1,10 @@
 // The fan: the water column under the sonar, beam by beam, in true angles and ranges.
-import { Contrast, byId, digits, ink, lookup, painter, palette, pointer, say, stepOf } from "./lib.js";
+import { Contrast, byId, colourBar, digits, ink, line, lookup, painter, palette, pointer, say, stepOf } from "./lib.js";
 import { STEP_DB } from "./link.js";
+import { saveData, savePicture } from "./save.js";
+
+/** Shares of the levels that are darkest and brightest: the water column is dark. */
+const SHARES = [0.3, 0.9995];
 
 export class Fan {
   constructor() {
@@ -27,7 +31,7 @@ export class Fan {
 
   add(frame) {
     this.frame = frame;
-    this.contrast.add(frame.levels, frame.low_db, STEP_DB);
+    this.contrast.add([[frame.levels, frame.levels.length]], frame.low_db, STEP_DB);
     this.paint();
     this.#read();
   }
@@ -39,9 +43,11 @@ export class Fan {
     const step = f.angles.length > 1 ? f.angles[1] - f.angles[0] : 1;
     const widest = Math.min(89, Math.max(Math.abs(f.angles[0]), Math.abs(f.angles.at(-1))) + Math.abs(step) / 2);
     const sin = Math.sin((widest * Math.PI) / 180);
-    const top = 6 * scale;
-    const perMetre = Math.min((w / 2 - 40 * scale) / (range * sin), (h - top - 16 * scale) / range);
-    return { x0: w / 2, y0: top, perMetre, range, widest };
+    const top = 8 * scale;
+    // Depths are written to the left, the colour bar lies to the right.
+    const left = 62 * scale, right = 74 * scale;
+    const perMetre = Math.min((w - left - right) / 2 / (range * sin), (h - top - 18 * scale) / range);
+    return { x0: (left + w - right) / 2, y0: top, perMetre, range, widest };
   }
 
   #draw(g, w, h, scale) {
@@ -51,7 +57,7 @@ export class Fan {
     const at = this.#layout(w, h, scale);
     const key = [w, h, f.beams, f.bins, at.range, f.first_s, f.angles[0]].join(" ");
     if (this.key !== key) this.#plan(key, w, h, at);
-    const [low, high] = this.contrast.span(0.3, 0.9995, 30);
+    const [low, high] = this.contrast.span(SHARES, SHARES, 30);
     const table = lookup(this.colours, f.low_db, STEP_DB, low, high);
     const image = g.createImageData(w, h);
     const pixels = new Uint32Array(image.data.buffer);
@@ -59,18 +65,9 @@ export class Fan {
     g.putImageData(image, 0, 0);
     g.font = `${10.5 * scale}px system-ui, sans-serif`;
     g.lineWidth = scale;
+    this.#grid(g, h, at, scale);
+    colourBar(g, { x: w - 50 * scale, y: 22 * scale, height: h - 30 * scale }, scale, this.colours, low, high, "dB re 1 V");
     const rad = (deg) => (deg * Math.PI) / 180;
-    const step = stepOf(at.range, 4);
-    g.strokeStyle = "#ffffff2c";
-    g.fillStyle = ink("soft");
-    g.textAlign = "left";
-    for (let r = step; r <= at.range + 1e-6; r += step) {
-      g.beginPath();
-      g.arc(at.x0, at.y0, r * at.perMetre, rad(90 - at.widest), rad(90 + at.widest));
-      g.stroke();
-      const x = at.x0 + r * at.perMetre * Math.sin(rad(at.widest));
-      g.fillText(`${Math.round(r)} m`, x + 5 * scale, Math.min(h - 3 * scale, at.y0 + r * at.perMetre * Math.cos(rad(at.widest)) + 2 * scale));
-    }
     g.fillStyle = ink("truth");
     for (const [angle, time, byPhase] of f.soundings) {
       const r = ((time * f.c) / 2) * at.perMetre;
@@ -79,6 +76,53 @@ export class Fan {
       g.arc(x, y, (byPhase ? 1.6 : 2.4) * scale, 0, 7);
       g.fill();
     }
+  }
+
+  /** Lines of equal depth below the sonar and of equal angle, and the arc of the range. */
+  #grid(g, h, at, scale) {
+    const rad = (deg) => (deg * Math.PI) / 180;
+    const end = (angle, r) => [at.x0 + r * at.perMetre * Math.sin(rad(angle)), at.y0 + r * at.perMetre * Math.cos(rad(angle))];
+    g.strokeStyle = "#ffffff38";
+    g.fillStyle = ink("soft");
+    g.textBaseline = "middle";
+    g.textAlign = "right";
+    const step = stepOf(at.range, Math.max(2, (at.range * at.perMetre) / (32 * scale)));
+    for (let depth = step; depth < at.range * 0.995; depth += step) {
+      // As wide as the fan is at this depth.
+      const half = Math.min(Math.sqrt(at.range ** 2 - depth ** 2), depth * Math.tan(rad(at.widest)));
+      const y = at.y0 + depth * at.perMetre;
+      line(g, at.x0 - half * at.perMetre, y, at.x0 + half * at.perMetre, y);
+      line(g, 40 * scale, y, 44 * scale, y);
+      g.fillText(`${Math.round(depth * 10) / 10} m`, 37 * scale, y);
+    }
+    g.textAlign = "center";
+    g.textBaseline = "top";
+    const turn = at.widest > 30 ? 15 : at.widest > 12 ? 5 : 2;
+    for (let angle = -Math.floor(at.widest / turn) * turn; angle <= at.widest; angle += turn) {
+      const [x, y] = end(angle, at.range);
+      line(g, at.x0, at.y0, x, y);
+      g.fillText(`${angle}°`, x + 8 * scale * Math.sin(rad(angle)), Math.min(h - 12 * scale, y + 3 * scale));
+    }
+    g.beginPath();
+    g.arc(at.x0, at.y0, at.range * at.perMetre, rad(90 - at.widest), rad(90 + at.widest));
+    g.stroke();
+  }
+
+  get isEmpty() {
+    return this.frame === null;
+  }
+
+  savePicture(name, title) {
+    savePicture(`${name}.png`, title, this.canvas, [this.canvas]);
+  }
+
+  /** One row a beam. */
+  saveData(name, title) {
+    const f = this.frame;
+    const metres = ((f.c / 2) * f.samples) / f.rate_hz / f.bins;
+    const rows = f.angles.map((angle, k) => [angle.toFixed(3), ...Array.from(f.levels.subarray(k * f.bins, (k + 1) * f.bins), (v) => (v === 0 ? "" : (f.low_db + v * STEP_DB).toFixed(1)))]);
+    const about = `levels in dB re 1 V rms: level k lies at ${((f.first_s * f.c) / 2).toFixed(4)} m + k ${metres.toFixed(5)} m; empty without a signal`;
+    saveData(`${name}.csv`, [title, about], ["angle_deg", "levels"], rows);
   }
 
   /** Which pixel shows which cell of the frame. */
@@ -112,7 +156,8 @@ export class Fan {
   #read() {
     const f = this.frame;
     if (!f) return say(byId("fan-cursor"), "");
-    const parts = [`ping ${f.ping}`, `${f.all_beams} beams`, `${f.soundings.length} soundings`];
+    const parts = [`ping ${f.ping}`, `${f.all_beams} beams`];
+    if (f.soundings.length) parts.push(`${f.soundings.length} soundings`);
     if (this.at && this.canvas.width > 8) {
       const l = this.#layout(this.canvas.width, this.canvas.height, this.canvas.scale ?? 1);
       const across = (this.at[0] - l.x0) / l.perMetre, down = (this.at[1] - l.y0) / l.perMetre;

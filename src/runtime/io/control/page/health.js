@@ -9,21 +9,64 @@ const SPREADS = [
   ["send_pacing", "Lateness of datagrams"],
 ];
 
+/** States over which the rates of clients are taken: about five seconds. */
+const RATE_STATES = 10;
+
 export class Health {
   constructor() {
     this.model = null;
+    this.rates = new Map();
   }
 
   add(frame) {
     this.model = frame.model;
   }
 
-  show(state, sonar) {
+  show(hello, state, sonar, checks) {
     if (byId("pane-health").hidden) return;
     const s = state.sonars[sonar];
     // A way of sending that is not used has nothing to show.
     const spreads = SPREADS.filter(([name]) => s.bins[name]?.length > 0 || name !== "send_pacing").map(([name, title]) => spread(title, s.microseconds[name], s.bins[name]));
-    byId("health").replaceChildren(make("div", { class: "figures" }, ...spreads), make("div", { class: "figures" }, this.#counts(s, state), this.#plan(s)), clients(s, state));
+    byId("health").replaceChildren(
+      verdict(checks),
+      ports(hello),
+      this.#clients(s, state),
+      make("div", { class: "figures" }, this.#counts(s, state), this.#plan(s)),
+      make("div", { class: "figures" }, ...spreads));
+  }
+
+  get isEmpty() {
+    return true;
+  }
+
+  /** Records and bytes a second of a client, from the states of the last seconds. */
+  #rate(client, up) {
+    const key = `${client.family} ${client.peer}`;
+    const marks = this.rates.get(key) ?? [];
+    this.rates.set(key, marks);
+    if (marks.at(-1)?.up !== up) marks.push({ up, records: client.records_sent, bytes: client.bytes_sent });
+    if (marks.length > RATE_STATES) marks.shift();
+    const [first, last] = [marks[0], marks.at(-1)];
+    const seconds = last.up - first.up;
+    return seconds > 0 ? [(last.records - first.records) / seconds, (last.bytes - first.bytes) / seconds] : [NaN, NaN];
+  }
+
+  #clients(s, state) {
+    const rows = s.streams.map((c) => {
+      const [records, rate] = this.#rate(c, state.up_s);
+      return make("tr", {},
+        make("th", { scope: "row" }, `${c.family} ${c.peer}`, c.receives ? make("small", { text: `gets records ${c.receives}` }) : null),
+        make("td", { text: `${digits(records, 1)} /s` }),
+        make("td", { text: Number.isFinite(rate) ? `${bytes(Math.round(rate))}/s` : "–" }),
+        make("td", { text: bytes(c.queued_bytes) }),
+        make("td", { text: String(c.records_dropped), is: c.records_dropped > 0 ? "bad" : "good" }));
+    });
+    if (!rows.length) rows.push(make("tr", {}, make("td", { colspan: 5, text: "no clients" })));
+    const f = state.feed;
+    rows.push(make("tr", {}, make("th", { scope: "row", text: `pages: ${f.pages} open` }), make("td", { text: "" }), make("td", { text: "" }), make("td", { text: "" }), make("td", { text: String(f.dropped), is: f.dropped > 0 ? "warn" : "good" })));
+    const heads = ["Client", "Records", "Data", "Waiting", "Lost"];
+    const others = s.outputs.filter((text) => !text.startsWith("  "));
+    return make("div", {}, table("Clients", heads, rows), ...others.map((text) => make("p", { class: "line", text })));
   }
 
   #counts(s, state) {
@@ -79,18 +122,19 @@ function spread(title, figures, bins) {
     make("figcaption", {}, make("strong", { text: title }), make("span", { text: words })));
 }
 
-function clients(s, state) {
-  const rows = s.streams.map((c) => make("tr", {},
-    make("th", { scope: "row" }, `${c.family} ${c.peer}`, c.receives ? make("small", { text: `  ${c.receives}` }) : null),
-    make("td", { text: String(c.records_sent) }),
-    make("td", { text: bytes(c.bytes_sent) }),
-    make("td", { text: bytes(c.queued_bytes) }),
-    make("td", { text: String(c.records_dropped), is: c.records_dropped > 0 ? "bad" : "good" })));
-  if (!rows.length) rows.push(make("tr", {}, make("td", { colspan: 5, text: "no clients" })));
-  const f = state.feed;
-  rows.push(make("tr", {}, make("th", { scope: "row", text: `pages: ${f.pages} open, ${f.pages_ever} ever` }), make("td", { text: String(f.sent) }), make("td", { text: "" }), make("td", { text: "" }), make("td", { text: String(f.dropped), is: f.dropped > 0 ? "warn" : "good" })));
-  const heads = ["Client", "Records", "Sent", "Waiting", "Lost"];
-  const others = s.outputs.filter((text) => !text.startsWith("  "));
-  return make("div", {}, make("table", {}, make("caption", { text: "Clients and their records" }), make("thead", {}, make("tr", {}, ...heads.map((text) => make("th", { scope: "col", text })))), make("tbody", {}, ...rows)),
-    ...others.map((text) => make("p", { class: "line", text })));
+function table(caption, heads, rows) {
+  return make("table", {}, make("caption", { text: caption }), make("thead", {}, make("tr", {}, ...heads.map((text) => make("th", { scope: "col", text })))), make("tbody", {}, ...rows));
+}
+
+function verdict(checks) {
+  const rows = checks.map((c) => make("li", { is: c.is }, make("strong", { text: c.name }), make("span", { text: c.text })));
+  return make("ul", { class: "checks", "aria-label": "Verdict" }, ...rows);
+}
+
+/** Where programs can connect, or where data goes: the protocol, the name, how, and the address. */
+function ports(hello) {
+  const parts = hello.ports.map((text) => text.match(/^(.+?) (tcp|udp|serial|tcp-listen|file)( .*)?$/) ?? [text, text, "", ""]);
+  const rows = parts.filter(([, , how]) => how !== "file").map(([, what, how, at]) => make("tr", {}, make("th", { scope: "row", text: what }), make("td", { text: how }), make("td", { class: "at", text: (at ?? "").trim() })));
+  if (!rows.length) rows.push(make("tr", {}, make("td", { colspan: 3, text: "no output of this rig has an address" })));
+  return table("Ports", ["Protocol and sonar", "Transport", "Address"], rows);
 }

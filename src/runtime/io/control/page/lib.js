@@ -53,6 +53,9 @@ export function degrees(value, positive, negative, places = 5) {
   return `${Math.abs(value).toFixed(places)}° ${value < 0 ? negative : positive}`;
 }
 
+/** A time for a file name: 20140801T000049. */
+export const stampOf = (ms) => new Date(ms).toISOString().slice(0, 19).replace(/[-:]/g, "");
+
 /** Round steps for an axis: about `count` of them over `span`. */
 export function stepOf(span, count) {
   const raw = span / Math.max(1, count);
@@ -93,34 +96,83 @@ export function lookup(colours, lowDb, stepDb, fromDb, toDb) {
   return out;
 }
 
-/** Where most of the levels lie, by a histogram that forgets. */
+/** Half decibels from -600 dB to 600 dB. */
+const BINS = 2400;
+/** Fewer samples of the seabed say nothing about its levels. */
+const ENOUGH = 200;
+
+/** Where most of the levels lie, by histograms that forget. Levels of the seabed count as soon as there are any; else all do. */
 export class Contrast {
   constructor() {
-    this.bins = new Float64Array(2400); // -600 dB to 600 dB in halves
+    this.all = new Float64Array(BINS);
+    this.seabed = new Float64Array(BINS);
+    this.count = 0;
   }
-  add(levels, lowDb, stepDb) {
-    for (let k = 0; k < this.bins.length; k++) this.bins[k] *= 0.98;
-    for (const v of levels) {
-      if (v === 0) continue;
-      const bin = Math.round((lowDb + v * stepDb + 600) * 2);
-      if (bin >= 0 && bin < this.bins.length) this.bins[bin] += 1;
+  /** Rows of one ping: levels, and the index of the first that belongs to the seabed. */
+  add(rows, lowDb, stepDb) {
+    const hasSeabed = rows.some(([levels, seabed]) => seabed < levels.length);
+    for (let k = 0; k < BINS; k++) {
+      this.all[k] *= 0.98;
+      // Levels of the seabed outlast pings that do not reach it.
+      if (hasSeabed) this.seabed[k] *= 0.98;
+    }
+    if (hasSeabed) this.count *= 0.98;
+    for (const [levels, seabed] of rows) {
+      for (let k = 0; k < levels.length; k++) {
+        if (levels[k] === 0) continue;
+        const bin = Math.round((lowDb + levels[k] * stepDb + 600) * 2);
+        if (bin < 0 || bin >= BINS) continue;
+        this.all[bin] += 1;
+        if (k < seabed) continue;
+        this.seabed[bin] += 1;
+        this.count += 1;
+      }
     }
   }
-  span(low = 0.36, high = 0.9995, least = 24) {
-    let sum = 0;
-    for (const n of this.bins) sum += n;
+  /** Levels in dB between two shares of the samples, with at least `least` dB between them. */
+  span([low, high], ofAll = [low, high], least = 15) {
+    const [bins, shares] = this.count >= ENOUGH ? [this.seabed, [low, high]] : [this.all, ofAll];
+    const sum = bins.reduce((a, n) => a + n, 0);
     if (sum === 0) return [-60, 0];
     const at = (share) => {
       let below = 0;
-      for (let k = 0; k < this.bins.length; k++) {
-        below += this.bins[k];
+      for (let k = 0; k < BINS; k++) {
+        below += bins[k];
         if (below >= share * sum) return k / 2 - 600;
       }
       return 0;
     };
-    const [a, b] = [at(low), at(high)];
-    return b - a < least ? [b - least, b + 3] : [a, b + 3];
+    const [a, b] = shares.map(at);
+    return b - a < least ? [b - least, b + 1] : [a, b + 1];
   }
+}
+
+/** A colour bar with its scale: the first colour belongs to `from`, at the bottom. */
+export function colourBar(g, box, scale, colours, from, to, unit) {
+  const { x, y, height } = box;
+  const width = 10 * scale;
+  const image = g.createImageData(Math.round(width), Math.round(height));
+  const pixels = new Uint32Array(image.data.buffer);
+  for (let row = 0; row < image.height; row++) {
+    const colour = colours[Math.round(255 * (1 - row / Math.max(1, image.height - 1)))];
+    pixels.fill(colour, row * image.width, (row + 1) * image.width);
+  }
+  g.putImageData(image, Math.round(x), Math.round(y));
+  g.font = `${10.5 * scale}px system-ui, sans-serif`;
+  g.fillStyle = g.strokeStyle = ink("soft");
+  g.lineWidth = scale;
+  g.textAlign = "left";
+  g.textBaseline = "middle";
+  const [low, high] = [Math.min(from, to), Math.max(from, to)];
+  const step = stepOf(high - low || 1, height / (34 * scale));
+  const at = (v) => y + height - ((v - from) / (to - from || 1)) * height;
+  for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + 1e-9 * step; v += step) {
+    line(g, x + width, at(v), x + width + 3 * scale, at(v));
+    const inside = Math.max(y + 5 * scale, Math.min(y + height - 5 * scale, at(v)));
+    g.fillText(short(Math.abs(v) < step * 1e-6 ? 0 : v), x + width + 5 * scale, inside);
+  }
+  g.textBaseline = "bottom";
+  g.fillText(unit, x, y - 3 * scale);
 }
 
 /** A canvas as large as the screen shows it; false while it is not shown. */

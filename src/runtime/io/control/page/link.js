@@ -2,7 +2,7 @@
 
 const HEAD_BYTES = 16;
 const VERSION = 1;
-const KINDS = { 1: "line", 2: "fan", 3: "elements", 4: "scope", 5: "relief" };
+const KINDS = { 1: "line", 2: "fan", 3: "elements", 4: "scope", 5: "relief", 6: "soundings" };
 export const STEP_DB = 0.5;
 
 /** A binary frame taken apart; null where it is not one. */

@@ -1,5 +1,6 @@
 // Attitude of late, and how good the navigation is, source by source.
 import { byId, digits, ink, line, make, painter, stepOf } from "./lib.js";
+import { savePicture } from "./save.js";
 
 const STRIPS = [["roll", "°", 4], ["pitch", "°", 4], ["heave", "m", 1], ["heading", "°", 4]];
 const SHOWN_S = 120;
@@ -21,6 +22,14 @@ export class Motion {
     this.lines.push({ t: frame.t_ms / 1e3, nav: frame.nav });
     if (this.lines.length > 6000) this.lines.splice(0, 1000);
     this.paint();
+  }
+
+  get isEmpty() {
+    return this.lines.length === 0;
+  }
+
+  savePicture(name, title) {
+    savePicture(`${name}.png`, title, this.canvas, [this.canvas]);
   }
 
   sources(nav, owners) {

@@ -1,6 +1,7 @@
 // The A-scope: samples of one element, beam or line as envelope, I and Q, or spectrum.
 import { axes, byId, digits, ink, make, painter, pointer, say } from "./lib.js";
 import { nothing } from "./fan.js";
+import { saveData, savePicture } from "./save.js";
 
 export class Scope {
   constructor(changed) {
@@ -60,6 +61,20 @@ export class Scope {
   add(frame) {
     this.frame = frame;
     this.paint();
+  }
+
+  get isEmpty() {
+    return !this.frame || this.frame.floats.length === 0;
+  }
+
+  savePicture(name, title) {
+    savePicture(`${name}.png`, title, this.canvas, [this.canvas]);
+  }
+
+  saveData(name, title) {
+    const f = this.frame;
+    const rows = Array.from({ length: f.floats.length / 2 }, (_, k) => [(f.first_s + (f.first + k) / f.rate_hz).toFixed(9), f.floats[2 * k], f.floats[2 * k + 1]]);
+    saveData(`${name}.csv`, [title, `${byId("scope-of").value} ${byId("scope-index").value} of ${byId("scope-array").selectedOptions[0]?.text}, ping ${f.ping}; seconds from the start of the pulse, volts`], ["time_s", "i_v", "q_v"], rows);
   }
 
   #draw(g, w, h, scale) {

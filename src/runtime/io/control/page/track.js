@@ -1,5 +1,6 @@
 // The track over the shaded relief of the seabed, with the swath, the targets and the ship.
 import { byId, degrees, digits, ink, painter, pointer, say, stepOf } from "./lib.js";
+import { saveData, savePicture } from "./save.js";
 
 const CELLS = 128;
 const MOST_TILES = 200;
@@ -59,7 +60,7 @@ export class Track {
   }
 
   add(frame) {
-    this.lines.push({ nav: frame.nav, range: frame.range_m, ping: frame.ping });
+    this.lines.push({ nav: frame.nav, range: frame.range_m, ping: frame.ping, t_ms: frame.t_ms });
     if (this.lines.length > 6000) this.lines.splice(0, 1000);
     // Asked again while the daemon does not know yet.
     if (!this.world) this.link.send({ world: {} });
@@ -123,19 +124,21 @@ export class Track {
         g.fillText(name, x + r + 2 * scale, y);
       }
     }
-    this.#ship(g, X(last.nav.east), Y(last.nav.north), last.nav.heading, scale);
-    const bar = stepOf(metres * 110 * scale, 1.4);
-    const px = bar / metres;
-    g.fillStyle = "#fff";
-    g.strokeStyle = "#000a";
-    g.fillRect(10 * scale, h - 12 * scale, px, 3 * scale);
-    g.textAlign = "left";
-    g.lineWidth = 3 * scale;
-    const label = bar >= 1000 ? `${bar / 1000} km` : `${bar} m`;
-    g.strokeText(label, 12 * scale, h - 20 * scale);
-    g.fillText(label, 12 * scale, h - 20 * scale);
-    g.strokeText("N ↑", 12 * scale, 12 * scale);
-    g.fillText("N ↑", 12 * scale, 12 * scale);
+    drawShip(g, X(last.nav.east), Y(last.nav.north), last.nav.heading, scale);
+    drawScaleBar(g, h, metres, scale);
+  }
+
+  get isEmpty() {
+    return this.lines.length === 0;
+  }
+
+  savePicture(name, title) {
+    savePicture(`${name}.png`, title, this.canvas, [this.canvas]);
+  }
+
+  saveData(name, title) {
+    const rows = this.lines.map(({ nav, ping, t_ms }) => [ping, new Date(t_ms).toISOString(), nav.lat.toFixed(7), nav.lon.toFixed(7), nav.north.toFixed(3), nav.east.toFixed(3), nav.down.toFixed(3), nav.heading.toFixed(2), nav.pitch.toFixed(3), nav.roll.toFixed(3), nav.heave.toFixed(3), nav.speed.toFixed(3)]);
+    saveData(`${name}.csv`, [title], ["ping", "utc", "latitude_deg", "longitude_deg", "north_m", "east_m", "down_m", "heading_deg", "pitch_deg", "roll_deg", "heave_m", "speed_m_per_s"], rows);
   }
 
   #ground(g, w, h, metres, X, Y) {
@@ -180,24 +183,6 @@ export class Track {
     g.stroke();
   }
 
-  #ship(g, x, y, heading, scale) {
-    g.save();
-    g.translate(x, y);
-    g.rotate((heading * Math.PI) / 180);
-    g.beginPath();
-    const s = 6 * scale;
-    g.moveTo(0, -1.8 * s);
-    g.quadraticCurveTo(s, -0.6 * s, 0.8 * s, s);
-    g.lineTo(-0.8 * s, s);
-    g.quadraticCurveTo(-s, -0.6 * s, 0, -1.8 * s);
-    g.fillStyle = "#f3b04a";
-    g.strokeStyle = "#1b1206";
-    g.lineWidth = 1.2 * scale;
-    g.fill();
-    g.stroke();
-    g.restore();
-  }
-
   #read() {
     const last = this.lines.at(-1);
     if (!last) return;
@@ -219,6 +204,40 @@ export class Track {
       if (row >= 0 && row < CELLS && col >= 0 && col < CELLS) return f.floats[(row + 1) * (CELLS + 2) + col + 1];
     }
     return NaN;
+  }
+}
+
+export function drawShip(g, x, y, heading, scale) {
+  g.save();
+  g.translate(x, y);
+  g.rotate((heading * Math.PI) / 180);
+  g.beginPath();
+  const s = 6 * scale;
+  g.moveTo(0, -1.8 * s);
+  g.quadraticCurveTo(s, -0.6 * s, 0.8 * s, s);
+  g.lineTo(-0.8 * s, s);
+  g.quadraticCurveTo(-s, -0.6 * s, 0, -1.8 * s);
+  g.fillStyle = "#f3b04a";
+  g.strokeStyle = "#1b1206";
+  g.lineWidth = 1.2 * scale;
+  g.fill();
+  g.stroke();
+  g.restore();
+}
+
+/** A scale bar and the direction of north, for `metres` a pixel. */
+export function drawScaleBar(g, h, metres, scale, colour = "#fff", halo = "#000a") {
+  const bar = stepOf(metres * 110 * scale, 1.4);
+  g.font = `${10.5 * scale}px system-ui, sans-serif`;
+  g.textBaseline = "middle";
+  g.textAlign = "left";
+  g.fillStyle = colour;
+  g.strokeStyle = halo;
+  g.fillRect(10 * scale, h - 12 * scale, bar / metres, 3 * scale);
+  g.lineWidth = 3 * scale;
+  for (const [text, y] of [[bar >= 1000 ? `${bar / 1000} km` : `${bar} m`, h - 20 * scale], ["N ↑", 12 * scale]]) {
+    g.strokeText(text, 12 * scale, y);
+    g.fillText(text, 12 * scale, y);
   }
 }
 

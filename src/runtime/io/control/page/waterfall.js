@@ -1,16 +1,25 @@
 // The waterfall: a row a ping, the newest on top, port on the left. A sample is drawn at its slant range; of several in one pixel the loudest.
-import { Contrast, byId, degrees, ink, line as stroke, lookup, make, mapNames, painter, palette, pointer, say, stepOf, timeOf } from "./lib.js";
+import { Contrast, byId, colourBar, degrees, ink, line as stroke, lookup, make, mapNames, painter, palette, pointer, say, stepOf, timeOf } from "./lib.js";
 import { STEP_DB } from "./link.js";
+import { saveData, savePicture } from "./save.js";
 
 /** Lines kept for scrolling back. */
 const MOST_LINES = 6000;
-const EARTH_M = 6371000;
+export const EARTH_M = 6371000;
+/** Shares of the levels of the seabed that are black and brightest; of all levels, where no seabed is in sight. */
+const OF_SEABED = [0.06, 0.998];
+const OF_ALL = [0.36, 0.9995];
+/** Range beyond the altitude at which the echo of the seabed has risen. */
+const RISE = 1.02;
+const RISE_M = 0.5;
 
 export class Waterfall {
   constructor() {
     this.canvas = byId("wf");
     this.over = byId("wf-over");
     this.axis = byId("wf-axis");
+    this.times = byId("wf-time");
+    this.bar = byId("wf-bar");
     this.lines = [];
     this.back = 0; // rows scrolled back
     this.cursor = null; // {x share -1..1, row}
@@ -21,6 +30,8 @@ export class Waterfall {
     this.paint = painter(this.canvas, (g, w, h, scale) => this.#draw(g, w, h, scale));
     this.paintOver = painter(this.over, (g, w, h, scale) => this.#drawOver(g, w, h, scale));
     this.paintAxis = painter(this.axis, (g, w, h, scale) => this.#drawAxis(g, w, h, scale));
+    this.paintTimes = painter(this.times, (g, w, h, scale) => this.#drawTimes(g, w, h, scale));
+    this.paintBar = painter(this.bar, (g, w, h, scale) => this.#drawBar(g, w, h, scale));
     this.#listen();
     this.recolour();
   }
@@ -41,7 +52,8 @@ export class Waterfall {
     this.lines.push(frame);
     if (this.lines.length > MOST_LINES) this.lines.splice(0, this.lines.length - MOST_LINES);
     if (this.back > 0) this.back = Math.min(this.back + 1, this.lines.length - 1);
-    this.contrast.add(frame.levels, frame.low_db, STEP_DB);
+    const port = frame.pixels[0];
+    this.contrast.add([0, 1].map((side) => [side === 0 ? frame.levels.subarray(0, port) : frame.levels.subarray(port), seabedPixel(frame, side)]), frame.low_db, STEP_DB);
     this.#auto();
     this.redraw();
     return true;
@@ -51,6 +63,8 @@ export class Waterfall {
     this.paint();
     this.paintOver();
     this.paintAxis();
+    this.paintTimes();
+    this.paintBar();
   }
 
   recolour() {
@@ -75,7 +89,7 @@ export class Waterfall {
 
   #auto() {
     if (!byId("wf-auto").checked) return;
-    const [low, high] = this.contrast.span();
+    const [low, high] = this.contrast.span(OF_SEABED, OF_ALL);
     this.low = low;
     this.high = high;
     byId("wf-low").value = Math.round(low);
@@ -240,6 +254,57 @@ export class Waterfall {
     }
   }
 
+  /** Times and ping numbers of some rows, which move with them. */
+  #drawTimes(g, w, h, scale) {
+    g.clearRect(0, 0, w, h);
+    g.font = `${10.5 * scale}px system-ui, sans-serif`;
+    g.textAlign = "right";
+    g.textBaseline = "middle";
+    g.strokeStyle = ink("soft");
+    g.lineWidth = scale;
+    const step = stepOf((34 * scale) / this.rowHeight, 1);
+    const visible = this.#visible();
+    let free = 12 * scale; // where pings are missing, labels would overlap
+    visible.forEach((line, row) => {
+      const older = visible[row + 1];
+      const y = (row + 0.5) * this.rowHeight;
+      if (!older || Math.floor(line.ping / step) === Math.floor(older.ping / step) || y < free || y > h - 12 * scale) return;
+      free = y + 28 * scale;
+      stroke(g, w - 4 * scale, y, w, y);
+      g.fillStyle = ink("ink");
+      g.fillText(timeOf(line.t_ms, 0), w - 7 * scale, y - 6 * scale);
+      g.fillStyle = ink("soft");
+      g.fillText(`ping ${line.ping}`, w - 7 * scale, y + 7 * scale);
+    });
+  }
+
+  #drawBar(g, w, h, scale) {
+    g.clearRect(0, 0, w, h);
+    colourBar(g, { x: 8 * scale, y: 20 * scale, height: h - 26 * scale }, scale, this.colours, this.low ?? -60, this.high ?? 0, "dB re 1 V");
+  }
+
+  savePicture(name, title) {
+    savePicture(`${name}.png`, title, byId("wf-grid"), [this.axis, this.times, this.canvas, this.over, this.bar]);
+  }
+
+  /** The rows in sight, port and starboard one after the other. */
+  saveData(name, title) {
+    const rows = [];
+    for (const line of this.#visible()) {
+      const { nav } = line;
+      for (const side of [0, 1]) {
+        const count = line.pixels[side];
+        if (count === 0) continue;
+        const metres = ((line.c / 2) * line.samples) / line.rate_hz / count;
+        const begin = side === 0 ? 0 : line.pixels[0];
+        const levels = Array.from(line.levels.subarray(begin, begin + count), (v) => (v === 0 ? "" : (line.low_db + v * STEP_DB).toFixed(1)));
+        rows.push([line.ping, new Date(line.t_ms).toISOString(), nav.lat.toFixed(7), nav.lon.toFixed(7), nav.heading.toFixed(2), line.altitude_m?.toFixed(2) ?? "", side === 0 ? "port" : "starboard", ((line.first_s * line.c) / 2).toFixed(4), metres.toFixed(5), ...levels]);
+      }
+    }
+    const columns = ["ping", "utc", "latitude_deg", "longitude_deg", "heading_deg", "altitude_m", "side", "first_m", "step_m", "levels"];
+    saveData(`${name}.csv`, [title, "levels in dB re 1 V rms, from nadir outwards: level k lies at the slant range first_m + k step_m; empty without a signal"], columns, rows);
+  }
+
   #read(visible) {
     const newest = this.lines.at(-1);
     if (newest) say(byId("wf-from"), newest.of === "lines" ? "" : `maximum over all ${newest.of}`);
@@ -336,4 +401,13 @@ export function placeOf(line, side, slant) {
   const lat = nav.lat + ((across * Math.cos(bearing)) / EARTH_M) * (180 / Math.PI);
   const lon = nav.lon + ((across * Math.sin(bearing)) / EARTH_M / Math.cos((nav.lat * Math.PI) / 180)) * (180 / Math.PI);
   return { across, lat, lon, north: nav.north + across * Math.cos(bearing), east: nav.east + across * Math.sin(bearing) };
+}
+
+/** Index of the first pixel of a line that belongs to the seabed; the number of pixels where the range ends before it or there is none. */
+export function seabedPixel(line, side) {
+  const count = line.pixels[side];
+  if (line.altitude_m === null) return count;
+  const slant = Math.max(0, line.altitude_m) * RISE + RISE_M;
+  const pixel = Math.ceil((((2 * slant) / line.c - line.first_s) * line.rate_hz * count) / Math.max(1, line.samples));
+  return Math.max(0, Math.min(count, pixel));
 }
