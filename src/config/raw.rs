@@ -675,10 +675,7 @@ impl Walk<'_> {
                 && value.get_ref().as_str().is_some_and(begins_with_digit)
                 && let Some(last) = problems.0.last_mut()
             {
-                last.hint = Some(
-                    "write the number alone, without quotes: the name of the key ends in its unit"
-                        .to_owned(),
-                );
+                last.hint = Some("write the number alone, without quotes and unit".to_owned());
             }
         }
         read
