@@ -146,20 +146,6 @@ fn repeated(mode: &str) {
     let lengths: Vec<_> = live.values().map(Vec::len).collect();
     assert!(lengths.iter().any(|n| n < &lengths[0]), "the range changed");
 
-    // The recording is a capture, so any rig reads it as a log, with a schedule of its own.
-    let text = fs::read_to_string(&rig).expect("readable");
-    let (head, rest) = text.split_once("[[nav.source]]").expect("sources");
-    let (_, tail) = rest.split_once("[scene]").expect("a scene");
-    let source = format!("[[nav.source]]\nname = \"log\"\nkind = \"log\"\npath = {nav:?}\n");
-    let of_log = at("log.toml");
-    fs::write(&of_log, format!("{head}{source}[scene]{tail}")).expect("written");
-    replay_into(
-        &at("as_log"),
-        &of_log,
-        &["--pings", "1..2", "--formats", "s7k"],
-    );
-    assert_eq!(samples(&at("as_log").join("live.s7k")).len(), 2);
-
     // Another rig is refused.
     let minimal = "tests/data/config/minimal.toml";
     let other = [
