@@ -461,7 +461,10 @@ class Svlog(unittest.TestCase):
                 self.assertAlmostEqual(first["pixM"], 50.0 / 600, places=9)
                 times = table["time_s"].to_numpy(dtype=float)
                 np.testing.assert_allclose(times, [ms / 1e3 for _, _, _, ms in profiles], atol=1e-6)
-                self.assertAlmostEqual(float(np.diff(times).mean()), 0.2, delta=0.02)
+                # A busy machine skips pings, but those that are sent keep to the schedule of 5 a second.
+                steps = np.diff(times) / 0.2
+                self.assertGreaterEqual(steps.min(), 0.99)
+                np.testing.assert_allclose(steps, np.round(steps), atol=0.02)
 
 
 if __name__ == "__main__":

@@ -457,6 +457,8 @@ class Ranges(Browser):
             with self.subTest(range_m=range_m):
                 page.evaluate("() => window.driven.clear()")
                 self.set_range(range_m)
+                # Those in flight, 13 while the log settles, still have the range before.
+                self.rows(20)
                 self.drive_settings()
                 self.drive_time()
                 self.drive_waterfall(range_m)
