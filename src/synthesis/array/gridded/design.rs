@@ -85,7 +85,7 @@ type Designed = Result<Arc<Design>, GriddedError>;
 /// the engine that is made after them.
 static DESIGNED: Mutex<Vec<(DesignKey, Designed)>> = Mutex::new(Vec::new());
 
-/// Maximum number of [`DESIGNED`] designs, of about a megabyte each.
+/// Maximum number of [`DESIGNED`] designs. The tables of a pulse's spectrum are most of one.
 const MAX_DESIGNED: usize = 32;
 
 /// [`Design::new`], made once for a specification.

@@ -1,5 +1,5 @@
 // The bathymetry: bottom detections from above, north up, coloured by depth.
-import { byId, colourBar, digits, ink, painter, palette, pointer, say } from "./lib.js";
+import { byId, colourBar, digits, followPointer, ink, painter, palette, say } from "./lib.js";
 import { nothing } from "./fan.js";
 import { EARTH_M } from "./waterfall.js";
 import { saveData, savePicture } from "./save.js";
@@ -15,14 +15,7 @@ export class Bathymetry {
     this.canvas = byId("bathymetry");
     this.colours = palette("rainbow"); // from deep to shallow
     this.paint = painter(this.canvas, (g, w, h, scale) => this.#draw(g, w, h, scale));
-    this.canvas.addEventListener("pointermove", (e) => {
-      this.at = pointer(this.canvas, e);
-      this.#read();
-    });
-    this.canvas.addEventListener("pointerleave", () => {
-      this.at = null;
-      this.#read();
-    });
+    followPointer(this, () => this.#read());
     this.clear();
   }
 

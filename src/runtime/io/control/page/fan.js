@@ -1,5 +1,5 @@
 // The fan: the water column under the sonar, beam by beam, in true angles and ranges.
-import { Contrast, byId, colourBar, digits, ink, line, lookup, painter, palette, pointer, say, stepOf } from "./lib.js";
+import { Contrast, byId, colourBar, digits, followPointer, ink, line, lookup, painter, palette, say, stepOf } from "./lib.js";
 import { STEP_DB } from "./link.js";
 import { saveData, savePicture } from "./save.js";
 
@@ -13,14 +13,7 @@ export class Fan {
     this.contrast = new Contrast();
     this.colours = palette("viridis");
     this.paint = painter(this.canvas, (g, w, h, scale) => this.#draw(g, w, h, scale));
-    this.canvas.addEventListener("pointermove", (e) => {
-      this.at = pointer(this.canvas, e);
-      this.#read();
-    });
-    this.canvas.addEventListener("pointerleave", () => {
-      this.at = null;
-      this.#read();
-    });
+    followPointer(this, () => this.#read());
   }
 
   clear() {

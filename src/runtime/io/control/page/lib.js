@@ -224,6 +224,18 @@ export function pointer(canvas, event) {
   return [(event.clientX - box.left) * scale, (event.clientY - box.top) * scale];
 }
 
+/** Keeps the pointer's place on the canvas of a view as `view.at`, null beside it, and calls `react` after each change. */
+export function followPointer(view, react) {
+  view.canvas.addEventListener("pointermove", (e) => {
+    view.at = pointer(view.canvas, e);
+    react();
+  });
+  view.canvas.addEventListener("pointerleave", () => {
+    view.at = null;
+    react();
+  });
+}
+
 /** Axes of a plot: frame, ticks, names. Returns the two scales. */
 export function axes(g, w, h, scale, x, y) {
   const left = 46 * scale, right = w - 8 * scale, top = 8 * scale, bottom = h - 24 * scale;

@@ -1,5 +1,5 @@
 // The A-scope: samples of one element, beam or line as envelope, I and Q, or spectrum.
-import { axes, byId, digits, ink, make, painter, pointer, say } from "./lib.js";
+import { axes, byId, digits, followPointer, ink, make, painter, say } from "./lib.js";
 import { nothing } from "./fan.js";
 import { saveData, savePicture } from "./save.js";
 
@@ -15,14 +15,7 @@ export class Scope {
     });
     for (const id of ["scope-array", "scope-index"]) byId(id).addEventListener("change", changed);
     byId("scope-show").addEventListener("change", this.paint);
-    this.canvas.addEventListener("pointermove", (e) => {
-      this.at = pointer(this.canvas, e);
-      this.paint();
-    });
-    this.canvas.addEventListener("pointerleave", () => {
-      this.at = null;
-      this.paint();
-    });
+    followPointer(this, () => this.paint());
   }
 
   /** Another sonar. */

@@ -1,5 +1,5 @@
 // The track over the shaded relief of the seabed, with the swath, the targets and the ship.
-import { byId, degrees, digits, ink, painter, pointer, say, stepOf } from "./lib.js";
+import { byId, degrees, digits, followPointer, ink, painter, say, stepOf } from "./lib.js";
 import { saveData, savePicture } from "./save.js";
 
 const CELLS = 128;
@@ -23,14 +23,7 @@ export class Track {
       e.preventDefault();
       this.zoom(e.deltaY > 0 ? 1.25 : 0.8);
     }, { passive: false });
-    this.canvas.addEventListener("pointermove", (e) => {
-      this.at = pointer(this.canvas, e);
-      this.#read();
-    });
-    this.canvas.addEventListener("pointerleave", () => {
-      this.at = null;
-      this.#read();
-    });
+    followPointer(this, () => this.#read());
   }
 
   /** Another run: the world may be another. */
