@@ -40,6 +40,9 @@ pub(crate) struct ReplayArgs {
     /// Threads; 0 means one per core (default: the configuration's)
     #[arg(long)]
     pub(crate) threads: Option<usize>,
+    /// Fail if a ping is predicted or measured above the tolerance
+    #[arg(long)]
+    pub(crate) strict: bool,
     /// Hide the progress bar
     #[arg(long)]
     pub(crate) quiet: bool,
@@ -168,7 +171,13 @@ pub(crate) fn main(args: &ReplayArgs) -> Result<(), Failure> {
             summary.pings
         )));
     }
-    Ok(())
+    match summary.above_tolerance {
+        n if args.strict && n > 0 => Err(Failure::Running(format!(
+            "--strict: {n} of {} pings are predicted or measured above sonar.model.tolerance; `methods` and `error_check` of truth.jsonl name them",
+            summary.pings
+        ))),
+        _ => Ok(()),
+    }
 }
 
 fn refused_or_failed(error: &ReplayError) -> Failure {

@@ -126,9 +126,9 @@ pub struct EchoCounts {
     pub two_roots: u64,
     /// Pairs after the last segment of the polyline. The last segment is extrapolated.
     pub beyond_track: u64,
-    /// Pairs beyond the range of the engine. `gridded-1d` clamps them at its maximum Doppler. `gridded-2d` counts all pairs of a
-    /// ping that is nearer or faster than its tolerance allows. `gridded-lines` counts the pairs beyond its maximum Doppler, and all
-    /// pairs of a ping that is nearer than its interpolation along the line allows.
+    /// Pairs beyond the range of the engine: faster, or of a greater change of Doppler, than it is designed for; for `gridded-2d`
+    /// all pairs of a ping that is nearer or faster than its tolerance allows, for `gridded-lines` all pairs of a ping that is
+    /// nearer than its interpolation along the line allows. The direct sum makes their elements instead.
     pub beyond_engine: u64,
 }
 
@@ -293,29 +293,33 @@ pub enum GroundSeen {
     Hidden,
 }
 
-/// Error of element samples against the reference solution, at random samples before noise, gain and converter. The error is the
-/// rms of relative differences. Each difference is relative to the rms of the surrounding samples or of the whole ping of the
-/// element, whichever is larger.
+/// Error of element samples against the reference solution, in windows of one pulse length, before noise, gain and converter. The
+/// error of a window is the rms of its differences over its own rms, or over a noise floor 55 dB below the strongest window of
+/// the element, whichever is larger.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ErrorCheck {
-    /// Number of compared samples.
-    pub samples: u32,
-    /// Relative error.
+    /// Number of compared windows at random places.
+    pub windows: u32,
+    /// Relative error: rms over these windows.
     pub error: f64,
-    /// Lower end of the 95 % confidence interval.
+    /// Lower end of the 95 % confidence interval of `error`.
     pub low: f64,
-    /// Upper end of the 95 % confidence interval.
+    /// Upper end of the 95 % confidence interval of `error`.
     pub high: f64,
+    /// Largest error of the newest windows, the weakest of their elements among them.
+    pub worst: f64,
     /// `sonar.model.tolerance`.
     pub tolerance: f64,
-    /// The error exceeds 1.3 tolerances on the last two pings with compared samples.
+    /// A window of this ping exceeds 1.3 tolerances.
+    pub exceeded: bool,
+    /// A window exceeds 1.3 tolerances on each of the last two pings with compared windows.
     pub fault: bool,
 }
 
 /// Results of one ping: samples, beams, soundings, lines and counts.
 #[derive(Clone, Debug, Default)]
 pub struct PingOutput {
-    /// Error check over the newest compared samples; `None` if disabled or with too few samples.
+    /// Error check over the newest compared windows; `None` if disabled or with too few windows.
     pub error_check: Option<ErrorCheck>,
     /// Element samples, one frame per receive array.
     pub elements: Vec<ElementFrame>,

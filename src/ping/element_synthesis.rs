@@ -248,22 +248,45 @@ impl ElementSynthesis {
     }
 
     /// Overwrites `iq` with the samples of all elements of receive array `index`, element-major, where the engine makes a whole array at a time;
-    /// false where it makes single elements, see [`Self::element`]. `together`: elements that one thread makes, at least.
+    /// none where it makes single elements, see [`Self::element`]. `together`: elements that one thread makes, at least.
+    ///
+    /// Where an echo is beyond what the engine is designed for, the direct sum makes the array again.
     pub(crate) fn array(
         &mut self,
         plan: &PingPlan,
         index: usize,
         together: usize,
         scratch: &[Mutex<ElementScratch>],
-        counts: &mut EchoCounts,
         iq: &mut [Complex64],
-    ) -> bool {
+    ) -> Option<EchoCounts> {
+        let counts = self.whole_array(plan, index, together, scratch, iq)?;
+        if counts.beyond_engine == 0 {
+            return Some(counts);
+        }
+        let elements = iq.par_chunks_mut(plan.sample_count).with_min_len(together);
+        let made = elements.enumerate().map(|(element, iq)| {
+            let ElementScratch { walk, dense, .. } = &mut *of_this_thread(scratch);
+            self.direct(plan, index, element, walk, dense, iq)
+        });
+        Some(EchoCounts {
+            beyond_engine: counts.beyond_engine,
+            ..made.reduce(EchoCounts::default, sum)
+        })
+    }
+
+    fn whole_array(
+        &mut self,
+        plan: &PingPlan,
+        index: usize,
+        together: usize,
+        scratch: &[Mutex<ElementScratch>],
+        iq: &mut [Complex64],
+    ) -> Option<EchoCounts> {
         let array = &self.spec.receive[index];
         let leg = &self.transmit_legs[array.transmit];
         match &mut self.engine {
             Engine::WholeLines(engines) => {
-                *counts += engines.synthesise(plan, &self.spec, index, leg, iq);
-                true
+                Some(engines.synthesise(plan, &self.spec, index, leg, iq))
             }
             Engine::Gridded {
                 engines,
@@ -272,16 +295,9 @@ impl ElementSynthesis {
             } => {
                 let made = engines.current_mut();
                 if let Some(line) = made.line(index) {
-                    *counts += line.synthesise(plan, leg, iq);
-                    return true;
+                    return Some(line.synthesise(plan, leg, iq));
                 }
-                let (Some(made), span) = (made.elements(), spans[index]) else {
-                    return false;
-                };
-                let sum = |mut all: EchoCounts, more: EchoCounts| {
-                    all += more;
-                    all
-                };
+                let (made, span) = (made.elements()?, spans[index]);
                 let elements = iq.par_chunks_mut(plan.sample_count);
                 let of_each = elements
                     .with_min_len(together)
@@ -302,10 +318,9 @@ impl ElementSynthesis {
                         });
                         of_each.reduce(EchoCounts::default, sum)
                     });
-                *counts += of_each.reduce(EchoCounts::default, sum);
-                true
+                Some(of_each.reduce(EchoCounts::default, sum))
             }
-            _ => false,
+            _ => None,
         }
     }
 
@@ -338,7 +353,14 @@ impl ElementSynthesis {
                 transmit_leg: leg,
                 span: spans[index],
             };
-            return slab_by_slab(made, target, walk, iq);
+            let counts = slab_by_slab(made, target, walk, iq);
+            if counts.beyond_engine == 0 {
+                return counts;
+            }
+            return EchoCounts {
+                beyond_engine: counts.beyond_engine,
+                ..self.direct(plan, index, element, walk, dense, iq)
+            };
         }
         match &self.engine {
             Engine::Reference => {
@@ -354,13 +376,28 @@ impl ElementSynthesis {
                 method.element(plan, rate_hz, array, element, leg, walk, bins, iq)
             }
             Engine::Direct | Engine::Gridded { .. } | Engine::WholeLines(_) => {
-                self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
-                    out.fill(Complex64::ZERO);
-                    let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
-                    arrivals(plan, array, element, leg, walk, &mut sink)
-                })
+                self.direct(plan, index, element, walk, dense, iq)
             }
         }
+    }
+
+    /// One element by the direct sum.
+    fn direct(
+        &self,
+        plan: &PingPlan,
+        index: usize,
+        element: usize,
+        walk: &mut Workspace,
+        dense: &mut Vec<Complex64>,
+        iq: &mut [Complex64],
+    ) -> EchoCounts {
+        let array = &self.spec.receive[index];
+        let leg = &self.transmit_legs[array.transmit];
+        self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
+            out.fill(Complex64::ZERO);
+            let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
+            arrivals(plan, array, element, leg, walk, &mut sink)
+        })
     }
 
     /// A sum over echoes through the receiver filter, if there is one: `sum` gets the treatment of edges, rate, first instant and samples.
@@ -380,6 +417,11 @@ impl ElementSynthesis {
         decimator.apply(dense, iq);
         counts
     }
+}
+
+fn sum(mut all: EchoCounts, more: EchoCounts) -> EchoCounts {
+    all += more;
+    all
 }
 
 /// One element by one thread.

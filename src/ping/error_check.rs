@@ -1,8 +1,11 @@
-//! The measured error of what goes out: random samples of every few pings, computed again through the reference's equation.
+//! The measured error of what goes out: windows of every few pings, computed again through the reference's equation.
 //!
-//! In: the samples of a ping before noise, gain and converter. Out: a [`ErrorCheck`] over the newest [`KEPT`] of them. Which samples are
-//! looked at depends on seed and ping number alone, and how many on the ping's predicted cost, of which they may use [`SHARE`]: the same
-//! pings are checked the same on every machine. One sample sees every scatterer whose echo is under way at it, and those alone.
+//! In: the samples of a ping before noise, gain and converter. Out: a [`ErrorCheck`] over the newest [`KEPT`] windows. A window is a pulse long and
+//! its error counts against its own level, or a noise floor 55 dB below the strongest window of its element, as the tolerance has it. Half of the
+//! windows are drawn at random; the others are the weakest of their element above the floor, where errors count most. Of a long window a part is
+//! computed. Which windows are looked at depends on seed, ping number and samples alone, and how many on the ping's predicted cost, of which they
+//! may use [`SHARE`]: the same pings are checked the same on every machine. A window sees every scatterer whose echo is under way in it, and
+//! those alone.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -11,6 +14,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 
+use crate::method_selection::echo_statistics::NOISE_BELOW_DB;
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::ReceiverFilter;
 use echotank_core::model::Synthesis;
@@ -25,45 +29,80 @@ use echotank_synthesis::echo::probe::{Instant, echoes_at, receivable, receivable
 use echotank_synthesis::edges::Edges;
 use echotank_synthesis::error_model::Conditions;
 
-/// Samples that an error check rests on, at most.
-pub const KEPT: usize = 128;
-/// ... and at least: with 64 an error of 0.9 of what is allowed shows above it 4 times in 100, with 4 samples 27 times.
-pub const LEAST: usize = 64;
-/// Of a ping's predicted cost. Of the real one, as CPU time: 3.3 % (5 elements, 42,936 points, continuous) and 3.2 % (the quickstart).
-pub const SHARE: f64 = 0.03;
-/// A checked error is above what is allowed when it is above this many tolerances; on two pings running that is a fault.
+/// Windows that an error check rests on, at most.
+pub const KEPT: usize = 64;
+/// ... and at least.
+pub const LEAST: usize = 16;
+/// Of a ping's predicted cost.
+pub const SHARE: f64 = 0.01;
+/// A checked window is above what is allowed when its error is above this many tolerances; on two checked pings running that is a fault.
 pub const FAULT: f64 = 1.3;
 /// Looked at in one ping, at most.
-pub(crate) const MAX_PER_PING: usize = 64;
+pub(crate) const MAX_PER_PING: usize = 16;
 /// A window's rms is taken over a pulse, but over this many samples at least.
 const MIN_WINDOW: usize = 32;
+/// Samples that are computed of a window, at most.
+const SPAN: usize = 64;
+/// ... and no longer than this, seconds: so long the expansion about their middle is good to 1e-6 rad.
+const SPAN_S: f64 = 1e-3;
 
 fn window_samples(pulse_s: f64, rate_hz: f64) -> usize {
     ((pulse_s * rate_hz).ceil() as usize).max(MIN_WINDOW)
 }
 
-/// The worst window of any element of a whole ping, in the error check's norm: rms of what is off over the truth's rms in the window or in the
-/// ping, whichever is larger. Infinite where something is heard and nothing is there, no number where a sample is none.
+/// Share of the strongest window's mean square below which a window's level counts as noise.
+fn noise_share() -> f64 {
+    libm::exp10(-0.1 * NOISE_BELOW_DB)
+}
+
+/// The worst window of any element of a whole ping, by halves of a window: rms of what is off over the truth's rms in the window, or over the noise
+/// floor. Infinite where something is heard and nothing is there, no number where a sample is none.
 pub fn worst_window(got: &PingOutput, truth: &PingOutput, pulse_s: f64, rate_hz: f64) -> f64 {
     let window = window_samples(pulse_s, rate_hz);
     let mut worst = 0.0f64;
     for (got, truth) in got.elements.iter().zip(&truth.elements) {
         for element in 0..truth.elements {
             let (got, truth) = (got.element(element), truth.element(element));
-            let whole = mean_square(truth);
-            for (got, truth) in got.chunks(window).zip(truth.chunks(window)) {
-                let off = got.iter().zip(truth).map(|(g, t)| (g - t).norm_sqr());
+            let floor = strongest(truth, window) * noise_share();
+            for first in starts(truth.len(), window) {
+                let truth = &truth[first..(first + window).min(truth.len())];
+                let off = got[first..]
+                    .iter()
+                    .zip(truth)
+                    .map(|(g, t)| (g - t).norm_sqr());
                 let off = off.sum::<f64>() / truth.len() as f64;
                 if off.is_nan() {
                     return f64::NAN;
                 }
                 if off > 0.0 {
-                    worst = worst.max((off / mean_square(truth).max(whole)).sqrt());
+                    worst = worst.max((off / mean_square(truth).max(floor)).sqrt());
                 }
             }
         }
     }
     worst
+}
+
+/// First samples of the windows of a record, half a window apart; the last one ends with the record.
+fn starts(samples: usize, window: usize) -> impl Iterator<Item = usize> {
+    let last = samples.saturating_sub(window);
+    (0..last).step_by((window / 2).max(1)).chain([last])
+}
+
+/// Mean square of the strongest window.
+fn strongest(iq: &[Complex64], window: usize) -> f64 {
+    let of = |first: usize| mean_square(&iq[first..(first + window).min(iq.len())]);
+    starts(iq.len(), window).map(of).fold(0.0, f64::max)
+}
+
+/// First sample of the weakest window above the floor; none in a silent record.
+fn weakest(iq: &[Complex64], window: usize, floor: f64) -> Option<usize> {
+    let of = |first: usize| mean_square(&iq[first..(first + window).min(iq.len())]);
+    let levels = starts(iq.len(), window).map(|first| (first, of(first)));
+    let above = levels.filter(|(_, level)| *level > floor);
+    above
+        .min_by(|a, b| a.1.total_cmp(&b.1))
+        .map(|(first, _)| first)
 }
 
 /// Measured on one core: ns per scatterer to find those that are heard, per scatterer heard to solve it, and per point of its echo.
@@ -80,17 +119,41 @@ const NOMINAL_SOUND_SPEED_M_PER_S: f64 = 1500.0;
 /// Keeps these draws apart from everything else that is seeded with the same number.
 const TAG: [u8; 8] = *b"certific";
 
-/// One sample under scrutiny.
-#[derive(Clone, Copy, Debug, Default)]
+/// One window under scrutiny.
+#[derive(Clone, Copy, Debug)]
 struct Probe {
     array: usize,
     element: usize,
-    sample: usize,
+    /// The weakest of the element, or a random one.
+    is_weakest: bool,
+    /// Where the window begins in the record, and what is computed in the window, as shares of what there is.
+    begins: f64,
+    part: f64,
+    /// The part that is computed.
+    first: usize,
+    count: usize,
     /// What the ping made of it, and the mean square it is held against.
-    got: Complex64,
+    got: [Complex64; SPAN],
     scale: f64,
-    /// |got - reference|^2 / scale.
+    /// Mean of |got - reference|^2 / scale.
     error: f64,
+}
+
+impl Default for Probe {
+    fn default() -> Self {
+        Self {
+            array: 0,
+            element: 0,
+            is_weakest: false,
+            begins: 0.0,
+            part: 0.0,
+            first: 0,
+            count: 1,
+            got: [Complex64::ZERO; SPAN],
+            scale: 0.0,
+            error: 0.0,
+        }
+    }
 }
 
 pub(crate) struct ErrorChecker {
@@ -108,9 +171,11 @@ pub(crate) struct ErrorChecker {
     /// What may be spent, ns, and which share of a ping's predicted cost is added for each.
     credit_ns: f64,
     share: f64,
-    /// Relative square errors, the newest `KEPT`.
+    /// Relative square errors of random windows, the newest `KEPT`, and of all windows.
     recent: [f64; KEPT],
     seen: usize,
+    recent_of_all: [f64; KEPT],
+    seen_of_all: usize,
     tolerance: f64,
     /// The newest error check was above [`FAULT`] tolerances, and so was the one before it.
     above: bool,
@@ -144,6 +209,8 @@ impl ErrorChecker {
             share: SHARE,
             recent: [0.0; KEPT],
             seen: 0,
+            recent_of_all: [0.0; KEPT],
+            seen_of_all: 0,
             tolerance: spec.synthesis.tolerance,
             above: false,
             fault: false,
@@ -156,22 +223,41 @@ impl ErrorChecker {
         self.credit_ns = 0.0;
     }
 
-    /// Points that one sample of the output is made of.
-    fn points(&self) -> usize {
-        self.decimator.as_ref().map_or(1, |d| d.dense_len(1))
+    /// Samples of a window that are computed.
+    fn span(&self, window: usize, rate_hz: f64) -> usize {
+        window.min(SPAN).min((SPAN_S * rate_hz) as usize).max(1)
     }
 
-    /// Chooses this ping's samples, as many as its cost allows.
+    /// Points that `count` samples of the output are made of.
+    fn points(&self, count: usize) -> usize {
+        self.decimator
+            .as_ref()
+            .map_or(count, |d| d.dense_len(count))
+    }
+
+    /// What the filter takes in around `count` samples, seconds.
+    fn reach_s(&self, count: usize, rate_hz: f64) -> f64 {
+        let dense_hz = self
+            .decimator
+            .as_ref()
+            .map_or(rate_hz, Decimator::dense_rate_hz);
+        self.points(count) as f64 / dense_hz
+    }
+
+    /// Chooses this ping's windows, as many as its cost allows.
     pub(crate) fn choose(&mut self, plan: &PingPlan, spec: &SonarSpec, scatterers: usize) {
         let rate_hz = spec.receiver.sample_rate_hz;
         let elements: usize = spec.receive.iter().map(|array| array.elements).sum();
         let window_s = plan.window_s(rate_hz);
-        let span_s = plan.pulse.duration_s + self.span_s(rate_hz);
+        let window = window_samples(plan.pulse.duration_s, rate_hz).min(plan.sample_count);
+        let span = self.span(window, rate_hz);
+        let span_s = plan.pulse.duration_s + self.reach_s(span, rate_hz);
         let under_way = scatterers as f64 * (span_s / window_s).min(1.0);
         // Of a part every element is looked at.
         let looks = spec.receive.iter().map(|a| a.element_pattern.stands_for());
         let looks = looks.max().unwrap_or(1) as f64;
-        let probe_ns = looks * under_way * (SOLVE_NS + POINT_NS * self.points() as f64) + 1e3;
+        let points = self.points(span) as f64;
+        let probe_ns = looks * under_way * (SOLVE_NS + POINT_NS * points) + 1e3;
         let find_ns = FIND_NS * scatterers as f64;
         self.credit_ns += self.share * self.pair_ns * (scatterers * elements) as f64;
         // Nothing is saved up beyond a full ping's worth: scenes change.
@@ -179,7 +265,7 @@ impl ErrorChecker {
         self.credit_ns = self.credit_ns.min(find_ns + most * probe_ns);
         self.active = 0;
         let affordable = ((self.credit_ns - find_ns) / probe_ns).floor();
-        // What finding the scatterers costs is shared by a ping's samples: wait until there are enough of them.
+        // What finding the scatterers costs is shared by a ping's windows: wait until there are enough of them.
         if elements == 0 || affordable < 1.0 || affordable < most && affordable * probe_ns < find_ns
         {
             return;
@@ -187,28 +273,20 @@ impl ErrorChecker {
         self.active = affordable as usize;
         self.credit_ns -= find_ns + affordable * probe_ns;
         let mut draws = stream(plan, spec.receiver.seed);
-        let mut below = |n: usize| (draws.next_u64() % n.max(1) as u64) as usize;
         for probe in &mut self.probes[..self.active] {
-            let mut element = below(elements);
+            let mut element = (draws.next_u64() % elements as u64) as usize;
             let mut array = 0;
             while element >= spec.receive[array].elements {
                 element -= spec.receive[array].elements;
                 array += 1;
             }
-            *probe.get_mut().unwrap_or_else(PoisonError::into_inner) = Probe {
-                array,
-                element,
-                sample: below(plan.sample_count),
-                ..Probe::default()
-            };
-        }
-    }
-
-    /// What the filter takes in around a sample, seconds.
-    fn span_s(&self, rate_hz: f64) -> f64 {
-        match &self.decimator {
-            Some(d) => d.dense_len(1) as f64 / d.dense_rate_hz(),
-            None => 1.0 / rate_hz,
+            let mut share = || (draws.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
+            let probe = probe.get_mut().unwrap_or_else(PoisonError::into_inner);
+            probe.array = array;
+            probe.element = element;
+            probe.is_weakest = share() < 0.5;
+            (probe.begins, probe.part) = (share(), share());
+            (probe.count, probe.scale) = (0, 0.0);
         }
     }
 
@@ -221,22 +299,29 @@ impl ErrorChecker {
         element: usize,
         iq: &[Complex64],
     ) {
-        let mut ping_square = None;
+        let window = window_samples(plan.pulse.duration_s, rate_hz).min(iq.len());
+        let mut floor = None;
         for probe in &self.probes[..self.active] {
             let mut probe = probe.lock().unwrap_or_else(PoisonError::into_inner);
             if (probe.array, probe.element) != (array, element) {
                 continue;
             }
-            let whole = *ping_square.get_or_insert_with(|| mean_square(iq));
-            let window = window_samples(plan.pulse.duration_s, rate_hz);
-            let first = probe.sample.saturating_sub(window / 2);
-            let around = &iq[first..(first + window).min(iq.len())];
-            probe.got = iq[probe.sample];
-            probe.scale = mean_square(around).max(whole);
+            let floor = *floor.get_or_insert_with(|| strongest(iq, window) * noise_share());
+            let at = |share: f64, places: usize| (share * (places + 1) as f64) as usize;
+            let quiet = match probe.is_weakest {
+                true => weakest(iq, window, floor),
+                false => None,
+            };
+            let begins = quiet.unwrap_or_else(|| at(probe.begins, iq.len() - window));
+            let count = self.span(window, rate_hz);
+            let first = begins + at(probe.part, window - count);
+            probe.scale = mean_square(&iq[begins..begins + window]).max(floor);
+            (probe.first, probe.count) = (first, count);
+            probe.got[..count].copy_from_slice(&iq[first..first + count]);
         }
     }
 
-    /// Computes this ping's samples again, and says what the newest ones tell together.
+    /// Computes this ping's windows again, and says what the newest ones tell together.
     pub(crate) fn check_error(
         &mut self,
         plan: &PingPlan,
@@ -244,10 +329,13 @@ impl ErrorChecker {
         scatterers: &Scatterers,
     ) -> Option<ErrorCheck> {
         let rate_hz = spec.receiver.sample_rate_hz;
-        let half_span_s = 0.5 * self.span_s(rate_hz);
+        let window = window_samples(plan.pulse.duration_s, rate_hz).min(plan.sample_count);
+        let span = self.span(window, rate_hz);
+        let half_span_s = 0.5 * self.reach_s(span, rate_hz);
+        let middle = 0.5 * (span - 1) as f64;
         let instant = |probe: &Probe| Instant {
             element: probe.element,
-            time_s: plan.first_sample_s + probe.sample as f64 / rate_hz,
+            time_s: plan.first_sample_s + (probe.first as f64 + middle) / rate_hz,
             half_span_s,
         };
         self.ranges_m.clear();
@@ -282,57 +370,68 @@ impl ErrorChecker {
             .for_each(|(k, probe)| {
                 let mut probe = probe.lock().unwrap_or_else(PoisonError::into_inner);
                 let at = instant(&probe);
-                let want = this.reference(plan, spec, scatterers, probe.array, at, k);
-                let square = (probe.got - want).norm_sqr();
+                let square = this.off(plan, spec, scatterers, &probe, at, k);
                 // Where nothing sounds the reference must be silent too.
                 probe.error = match (probe.scale > 0.0, square > 0.0) {
                     (true, _) => square / probe.scale,
                     (false, wrong) => f64::from(u8::from(wrong)),
                 };
             });
+        let mut worst = 0.0f64;
         for probe in &mut self.probes[..self.active] {
             let probe = probe.get_mut().unwrap_or_else(PoisonError::into_inner);
-            self.recent[self.seen % KEPT] = probe.error;
-            self.seen += 1;
+            worst = worst.max(probe.error.sqrt());
+            self.recent_of_all[self.seen_of_all % KEPT] = probe.error;
+            self.seen_of_all += 1;
+            if !probe.is_weakest {
+                self.recent[self.seen % KEPT] = probe.error;
+                self.seen += 1;
+            }
         }
-        let (samples, error, low, high) = estimate(&self.recent[..self.seen.min(KEPT)])?;
         if self.active > 0 {
-            let above = error > FAULT * self.tolerance;
+            let above = worst > FAULT * self.tolerance;
             self.fault = above && self.above;
             self.above = above;
         }
+        let (windows, error, low, high) = estimate(&self.recent[..self.seen.min(KEPT)])?;
+        let of_all = &self.recent_of_all[..self.seen_of_all.min(KEPT)];
         Some(ErrorCheck {
-            samples,
+            windows,
             error,
             low,
             high,
+            worst: of_all.iter().copied().fold(0.0, f64::max).sqrt(),
             tolerance: self.tolerance,
+            exceeded: self.active > 0 && self.above,
             fault: self.fault,
         })
     }
 
-    /// One sample as the reference has it, from the `k`th instant's candidates.
-    fn reference(
+    /// Mean square of what a window is off by, from the `k`th instant's candidates.
+    fn off(
         &self,
         plan: &PingPlan,
         spec: &SonarSpec,
         scatterers: &Scatterers,
-        array: usize,
+        probe: &Probe,
         at: Instant,
         k: usize,
-    ) -> Complex64 {
+    ) -> f64 {
         let thread = rayon::current_thread_index().unwrap_or(0);
         let dense = &mut *self.dense[thread]
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
         dense.clear();
-        dense.resize(self.points(), Complex64::ZERO);
+        dense.resize(self.points(probe.count), Complex64::ZERO);
+        let array = probe.array;
+        let first_sample_s =
+            plan.first_sample_s + probe.first as f64 / spec.receiver.sample_rate_hz;
         let (edges, rate_hz, first_s) = match &self.decimator {
-            None => (Edges::Sampled, spec.receiver.sample_rate_hz, at.time_s),
+            None => (Edges::Sampled, spec.receiver.sample_rate_hz, first_sample_s),
             Some(d) => (
                 Edges::Weighted,
                 d.dense_rate_hz(),
-                d.dense_first_s(at.time_s),
+                d.dense_first_s(first_sample_s),
             ),
         };
         let of = spec.receive[array].element_pattern.stands_for();
@@ -350,12 +449,20 @@ impl ErrorChecker {
             let at = Instant { element, ..at };
             echoes_at(plan, tx, array, at, scatterers, indices(), &mut sink);
         }
-        let mut sample = [Complex64::ZERO];
-        match &self.decimator {
-            None => sample[0] = dense[0],
-            Some(d) => d.apply(dense, &mut sample),
-        }
-        sample[0] / of as f64
+        let mut filtered = [Complex64::ZERO; SPAN];
+        let want = match &self.decimator {
+            None => &dense[..probe.count],
+            Some(d) => {
+                d.apply(dense, &mut filtered[..probe.count]);
+                &filtered[..probe.count]
+            }
+        };
+        let got = &probe.got[..probe.count];
+        let off = got
+            .iter()
+            .zip(want)
+            .map(|(g, w)| (g - w / of as f64).norm_sqr());
+        off.sum::<f64>() / probe.count.max(1) as f64
     }
 }
 

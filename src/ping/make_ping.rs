@@ -136,8 +136,12 @@ pub fn gather(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
 
 /// The way of the sound from the transmitters to every scatterer.
 pub fn insonify(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
-    let pipeline = &mut rig.sonars[sonar].pipeline;
-    pipeline.insonify(&slot.plan, &rig.scatterers, &mut slot.output);
+    let unit = &mut rig.sonars[sonar];
+    if let Some(method_selector) = &mut unit.method_selector {
+        method_selector.at_ping(&mut slot.plan, &rig.scatterers);
+    }
+    unit.pipeline
+        .insonify(&slot.plan, &rig.scatterers, &mut slot.output);
 }
 
 /// The sum of the echoes at every element.

@@ -328,9 +328,11 @@ impl SonarPipeline {
             .iq
             .resize(elements * plan.sample_count, Complex64::ZERO);
         let together = if self.is_quiet { elements.max(1) } else { 1 };
-        let is_whole =
-            self.synthesis
-                .array(plan, index, together, &self.scratch, counts, &mut frame.iq);
+        let made = self
+            .synthesis
+            .array(plan, index, together, &self.scratch, &mut frame.iq);
+        let is_whole = made.is_some();
+        *counts += made.unwrap_or_default();
         if is_whole && self.error_checker.is_none() && self.more_pulses.is_empty() {
             return;
         }

@@ -4,8 +4,11 @@ use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use echotank_core::navigation::NavState;
-use echotank_core::ping::{EchoCounts, ErrorCheck, MethodMark, OverloadState, SceneCounts};
+use echotank_core::ping::{
+    EchoCounts, ErrorCheck, MethodMark, OverloadState, PingOutput, SceneCounts,
+};
 use echotank_ping::method_selection::live::SelectionCounts;
+use echotank_ping::rig::SonarUnit;
 
 /// Declares the counters. `all` lists those with a metric: the name and the help text, which also documents the field.
 macro_rules! ping_counters {
@@ -62,6 +65,7 @@ ping_counters! {
         pub plan = "plan", "Number of the newest ping's method plan; 0 without a plan";
         pub plans_given_up = "plans_given_up", "Method plans abandoned because an error check exceeded their tolerance";
         pub(crate) plans_failed = "plans_failed", "Method plans that could not be prepared";
+        pub above_tolerance = "pings_above_tolerance", "Pings with a predicted error above the tolerance, or with a checked window above 1.3 tolerances";
     }
     without_metric {
         /// Echo paths culled.
@@ -129,8 +133,21 @@ impl PingCounters {
         add(&self.stretched_us, (overload_state.put_off_s * 1e6) as u64);
     }
 
-    /// Counts the error check of a ping, if it has one.
-    pub fn error_check(&self, error_check: Option<&ErrorCheck>) {
+    /// Counts what a ping says of its error: its error check and its method plan, if it has them.
+    pub fn errors_of(&self, output: &PingOutput, unit: &SonarUnit) {
+        self.error_check(output.error_check.as_ref());
+        let methods = output.methods.as_ref();
+        if let Some(method_selector) = &unit.method_selector {
+            self.plan(methods, &method_selector.counts);
+        }
+        // Of pictures the tolerance is not asked of samples.
+        let asked = unit.spec.synthesis.image_cells.is_none();
+        let predicted = methods.is_some_and(|m| asked && m.predicted_error > m.tolerance);
+        let measured = output.error_check.is_some_and(|c| c.exceeded);
+        add(&self.above_tolerance, u64::from(predicted || measured));
+    }
+
+    fn error_check(&self, error_check: Option<&ErrorCheck>) {
         let Some(c) = error_check else {
             return;
         };
@@ -141,8 +158,7 @@ impl PingCounters {
         }
     }
 
-    /// Counts the method plan of a ping, if it has one.
-    pub fn plan(&self, mark: Option<&MethodMark>, counts: &SelectionCounts) {
+    fn plan(&self, mark: Option<&MethodMark>, counts: &SelectionCounts) {
         let Some(mark) = mark else {
             return;
         };
@@ -177,7 +193,11 @@ impl PingCounters {
         }
         match read(&self.beyond_engine) {
             0 => {}
-            n => text += &format!(", {n} echoes outside the engine's design limits"),
+            n => {
+                text += &format!(
+                    ", {n} echoes outside the engine's design limits, made by the direct sum"
+                )
+            }
         }
         if read(&self.checked) > 0 {
             let [error, low, high] = [0, 1, 2].map(|k| f64::from_bits(read(&self.error_check[k])));
@@ -196,6 +216,10 @@ impl PingCounters {
                     false => "",
                 }
             );
+        }
+        match read(&self.above_tolerance) {
+            0 => {}
+            n => text += &format!(", {n} predicted or measured above the tolerance"),
         }
         match (read(&self.degraded), read(&self.looser)) {
             (0, _) => {}
@@ -258,6 +282,7 @@ impl PingCounters {
             "error_check_faults": read(&self.error_check_faults),
             "given_up": read(&self.plans_given_up),
             "failed": read(&self.plans_failed),
+            "above_tolerance": read(&self.above_tolerance),
         })
     }
 

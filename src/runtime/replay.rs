@@ -92,6 +92,8 @@ pub struct Summary {
     text: String,
     /// Number of pings in the files.
     pub pings: u64,
+    /// Number of those that are predicted or measured above the tolerance.
+    pub above_tolerance: u64,
 }
 
 impl fmt::Display for Summary {
@@ -224,10 +226,7 @@ impl Replay {
                 counters.ping(&slot.output.counts, saturated, 0);
                 counters.scene(&slot.output.scene);
                 counters.nav(&slot.plan.nav);
-                counters.error_check(slot.output.error_check.as_ref());
-                if let Some(method_selector) = &self.recorded.rig.sonars[sonar].method_selector {
-                    counters.plan(slot.output.methods.as_ref(), &method_selector.counts);
-                }
+                counters.errors_of(&slot.output, &self.recorded.rig.sonars[sonar]);
                 self.recorders.record(slot, &self.recorded.rig)?;
             }
             Err(_gap) => add(&counters.skipped_nav, 1),
@@ -262,6 +261,11 @@ impl Replay {
         Ok(Summary {
             text,
             pings: self.counters.iter().map(made).sum(),
+            above_tolerance: self
+                .counters
+                .iter()
+                .map(|c| c.above_tolerance.load(Relaxed))
+                .sum(),
         })
     }
 }

@@ -76,8 +76,9 @@ pub struct Conditions {
     pub echo_statistics: Option<EchoStatistics>,
 }
 
-/// Energy-weighted motion of the received echoes. Values are root mean squares over the echoes of a pulse-length window, for the
-/// worst window of a ping. They are relative to that window or to the whole ping, whichever has the higher level.
+/// Energy-weighted motion of the received echoes, for the worst window of one pulse length, at any offset, of a ping. A phase in proportion to a
+/// value is the relative error of that window's samples, against the window's own level or a noise floor 55 dB below the strongest window,
+/// whichever is higher. Where many echoes interfere, the values include what their samples may cancel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EchoStatistics {
     /// Displacement of an element along the ray between pulse and echo, metres.
@@ -90,6 +91,8 @@ pub struct EchoStatistics {
     pub closing_of_echoes_m_per_s: f64,
     /// Second derivative of the range, mean of both legs, metres per second squared.
     pub range_acceleration_m_per_s2: f64,
+    /// Third derivative of the range, mean of both legs, metres per second cubed.
+    pub range_jerk_m_per_s3: f64,
     /// Acceleration of an element along the ray, metres per second squared.
     pub acceleration_m_per_s2: f64,
     /// Speed of an element on its lever arm from the rotation of the platform, along the ray, metres per second.

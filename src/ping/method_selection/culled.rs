@@ -15,7 +15,7 @@
 //! make them. Beside windows louder than themselves errors are counted against the ping's mean: there the short part's own fluctuation is all.
 
 use crate::method_selection::echo_statistics::{MIN_WINDOW, Shares, kept_shares};
-use crate::method_selection::{Culling, Scene};
+use crate::method_selection::{Culling, Scene, fades};
 use echotank_config::spec::SonarSpec;
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::{ScatterLaw, Scatterers};
@@ -167,30 +167,17 @@ impl Seabed {
             let from = per_m2 * self.density_per_m2 / SPECKLE;
             from.min(self.samples).max(1.0)
         };
-        let looks = |samples: f64| self.looks / samples;
         let (all, left_out) = (
             independent(window.from_all),
             independent(window.from_left_out),
         );
         // Beside what is louder than this window.
-        let beside = (highest(looks(left_out)) * window.left_out / MIN_MEAN).sqrt();
+        let beside = (fades::worst_peak(self.looks, left_out) * window.left_out / MIN_MEAN).sqrt();
         let share = window.left_out / window.all;
-        let ratio = highest_ratio(looks(all.min(left_out)));
+        let ratio = fades::worst_ratio(self.looks, all.min(left_out));
         let alone = share + (share * (1.0 - share) * ratio).sqrt();
         alone.min(beside)
     }
-}
-
-/// The greatest of mean squares of n samples, over their mean: Laurent and Massart 2000, Lemma 1, in its sharper form; `looks`: ln of how many there are,
-/// over n.
-fn highest(looks: f64) -> f64 {
-    1.0 + (2.0 * looks).sqrt() + looks
-}
-
-/// R of (1 + R)^2/(4 R) = exp(looks).
-fn highest_ratio(looks: f64) -> f64 {
-    let half = 2.0 * looks.exp() - 1.0;
-    half + (half * half - 1.0).max(0.0).sqrt()
 }
 
 /// In the ping's own attitude and range, from the first return on.

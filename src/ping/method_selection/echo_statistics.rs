@@ -6,17 +6,21 @@
 
 use glam::{DMat3, DVec3};
 
+use crate::method_selection::{MotionScale, fades};
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::echo::levels::{Directivity, OneWay, amplitude_from_db};
-use echotank_synthesis::error_model::EchoStatistics;
+use echotank_synthesis::error_model::{Conditions, EchoStatistics};
 
 /// Approximate number of seabed scatterers in the sample. In each of a hundred windows they give root mean squares within a tenth.
 pub const SAMPLE_SIZE: usize = 20_000;
 /// Instants at which an element's motion is tabled.
 const INSTANTS: usize = 64;
+/// ... for [`motion_peaks`], which looks at no more than so many scatterers.
+const FEW_INSTANTS: usize = 8;
+const FEW_SCATTERERS: usize = 400;
 /// A window is a pulse long, but so many samples at least, as error checks have it.
 pub(super) const MIN_WINDOW: usize = 32;
 /// Rounding of finite differences of velocities, m/s^2.
@@ -26,9 +30,19 @@ const SAMPLED: f64 = 1.1;
 
 /// A window may begin anywhere, and cut an echo anywhere: it is put together of so many parts, and looked at from each of them on.
 const PARTS: usize = 4;
+/// Errors count against a window's own level, or against a noise floor so far below that of the strongest window.
+pub const NOISE_BELOW_DB: f64 = 55.0;
 
-/// Quantities of [`EchoStatistics`] that are root mean squares.
-const QUANTITIES: usize = 7;
+/// Quantities that the error models multiply, in the order of [`EchoStatistics`]: displacement, closing speed, range acceleration, its rate,
+/// acceleration, turning.
+const QUANTITIES: usize = 6;
+/// How their phases grow within an echo: t^0, t^1, t^2, each with a mean square of 1 over the echo. The third order is about mid-pulse, and as large
+/// at both ends.
+const GROWTH: [i32; QUANTITIES] = [0, 1, 2, 0, 0, 0];
+/// The last instant of an echo over the last part of a window's worth of it, for each of these powers: sqrt(3/2.31) and sqrt(5/3.05).
+const LAST_INSTANT: [f64; 3] = [1.0, 1.14, 1.28];
+/// A window with fewer echoes than this, by their energies, is one echo or the end of one: nothing interferes.
+const SINGLE: f64 = 1.25;
 
 /// All points and targets, and of the ground every so many, about `among` of them: each with how many it stands for.
 pub fn sampled(scatterers: &Scatterers, among: usize) -> impl Iterator<Item = (usize, f64)> {
@@ -41,11 +55,15 @@ pub fn sampled(scatterers: &Scatterers, among: usize) -> impl Iterator<Item = (u
     })
 }
 
-/// What sounds in a part of a window: energy, and the weighted squares of [`EchoStatistics`]'s quantities.
+/// What sounds in a part of a window: energy, and the weighted sums and squares of the quantities of [`EchoStatistics`].
 #[derive(Clone, Copy, Default)]
 struct Part {
     energy: f64,
+    sums: [f64; QUANTITIES],
     squares: [f64; QUANTITIES],
+    /// Squares of the component across the array and of the closing speed of whole echoes.
+    across2: f64,
+    closing2: f64,
     /// Of the loudest echo, all of it.
     loudest: f64,
     /// Of the echoes that begin here: how many, their energy, and the sum of its squares.
@@ -57,9 +75,12 @@ struct Part {
 impl Part {
     fn and(mut self, other: &Self) -> Self {
         self.energy += other.energy;
-        for (sum, square) in self.squares.iter_mut().zip(other.squares) {
-            *sum += square;
+        for q in 0..QUANTITIES {
+            self.sums[q] += other.sums[q];
+            self.squares[q] += other.squares[q];
         }
+        self.across2 += other.across2;
+        self.closing2 += other.closing2;
         self.loudest = self.loudest.max(other.loudest);
         self.echoes += other.echoes;
         self.begun += other.begun;
@@ -68,16 +89,45 @@ impl Part {
     }
 
     /// Of an echo what sounds here, `from` and `to` in pulses.
-    fn add(&mut self, energy: f64, whole: f64, (from, to): (f64, f64), values: [f64; QUANTITIES]) {
+    fn add(&mut self, energy: f64, whole: f64, (from, to): (f64, f64), echo: &EchoMotion) {
         let share = energy * (to - from);
         self.energy += share;
         self.loudest = self.loudest.max(whole);
-        // Phases of Doppler grow with time, those of its change with the square: the end of a pulse has more of them than its beginning.
-        let grown = |power: i32| energy * (to.powi(power) - f64::powi(from, power));
-        let shares = [share, grown(3), grown(5), share, share, share, share];
-        for ((sum, value), share) in self.squares.iter_mut().zip(values).zip(shares) {
-            *sum += share * value * value;
+        for (q, value) in echo.values.into_iter().enumerate() {
+            // Phases of Doppler grow with time, those of its change with the square: the end of a pulse has more of them than its beginning.
+            let k = GROWTH[q];
+            let grown = |power: i32| energy * (to.powi(power) - f64::powi(from, power));
+            let unit = f64::from(2 * k + 1);
+            self.sums[q] += value * unit.sqrt() / f64::from(k + 1) * grown(k + 1);
+            self.squares[q] += value * value * grown(2 * k + 1);
         }
+        self.across2 += share * echo.across_m_per_s.powi(2);
+        self.closing2 += share * echo.values[1].powi(2);
+    }
+
+    /// The worst that the quantities amount to in samples of a window like this one, among windows whose number has the logarithm `looks`.
+    ///
+    /// A single echo is off by its own phase. Many echoes of random phases are Gaussian, and so is their error: it has a part in proportion to the
+    /// samples (the mean phase) and one that does not depend on them (the spread of the phases), which counts more where the samples cancel.
+    fn amounts(&self, floor: f64, looks: f64, independent: f64) -> [f64; QUANTITIES] {
+        let energy = self.energy.max(f64::MIN_POSITIVE);
+        let of_floor = energy / energy.max(floor);
+        let crowd = energy / self.loudest.max(f64::MIN_POSITIVE);
+        let mut amounts = [0.0; QUANTITIES];
+        for (q, amount) in amounts.iter_mut().enumerate() {
+            let square = self.squares[q] / energy;
+            if crowd < SINGLE {
+                *amount = (square * of_floor).sqrt() * LAST_INSTANT[GROWTH[q] as usize];
+                continue;
+            }
+            let n = independent.min(crowd);
+            let mean = (self.sums[q] / energy).abs();
+            let variance = (square - mean * mean).max(0.0);
+            let alone = mean + (variance * fades::worst_ratio(looks, n)).sqrt();
+            let on_floor = (square * energy * fades::worst_peak(looks, n) / floor).sqrt();
+            *amount = SAMPLED * alone.min(on_floor);
+        }
+        amounts
     }
 }
 
@@ -91,7 +141,12 @@ pub fn echo_statistics(
     let window_s = plan.pulse.duration_s.max(MIN_WINDOW as f64 / rate_hz);
     let windows = (plan.window_s(rate_hz) / window_s).ceil().max(1.0) as usize;
     let part_s = window_s / PARTS as f64;
+    let elements: usize = spec.receive.iter().map(|array| array.elements).sum();
+    let looks = ((windows * PARTS * elements).max(2) as f64).ln();
+    // Autocorrelated over a pulse, a pulse's length of samples has two degrees of freedom and more.
+    let independent = (1.0 + plan.pulse.bandwidth_hz * window_s).max(2.0);
     let mut worst = [0.0f64; QUANTITIES];
+    let (mut across2, mut closing2) = (0.0f64, 0.0f64);
     let mut sounded = false;
     // Echoes in a loud window that count, at most; the loudest of a window; all of them.
     let mut crowd = 1.0f64;
@@ -104,7 +159,8 @@ pub fn echo_statistics(
         let each = array.elements as f64 / ends.len() as f64;
         for &element in ends {
             parts.fill(Part::default());
-            let receiver = ReceivingElement::new(spec, plan, transmit, array, element);
+            let ends = (array, element);
+            let receiver = ReceivingElement::new(spec, plan, transmit, ends, INSTANTS);
             receiver.accumulate(plan, scatterers, part_s, &mut parts);
             echoes += each * parts.iter().map(|part| part.echoes).sum::<f64>();
             let mean = parts.iter().map(|part| part.energy).sum::<f64>() / windows as f64;
@@ -112,15 +168,24 @@ pub fn echo_statistics(
                 continue;
             }
             sounded = true;
-            for window in parts.windows(PARTS) {
-                let window = window.iter().fold(Part::default(), Part::and);
+            let window = |parts: &[Part]| parts.iter().fold(Part::default(), Part::and);
+            let strongest = parts.windows(PARTS).map(|parts| window(parts).energy);
+            let floor = strongest.fold(mean, f64::max) * libm::exp10(-0.1 * NOISE_BELOW_DB);
+            for window in parts.windows(PARTS).map(window) {
+                if window.energy == 0.0 {
+                    continue;
+                }
                 if window.energy > mean && window.begun > 0.0 {
                     crowd = crowd.max(window.begun.powi(2) / window.begun2);
                 }
+                // What a typical window has, for costs and pictures.
                 let against = window.energy.max(mean);
                 strongest_share = strongest_share.max(window.loudest / against);
-                for (worst, square) in worst.iter_mut().zip(window.squares) {
-                    *worst = worst.max((square / against).sqrt());
+                across2 = across2.max(window.across2 / against);
+                closing2 = closing2.max(window.closing2 / against);
+                let amounts = window.amounts(floor, looks, independent);
+                for (worst, amount) in worst.iter_mut().zip(amounts) {
+                    *worst = worst.max(amount);
                 }
             }
         }
@@ -129,20 +194,19 @@ pub fn echo_statistics(
         displacement,
         closing,
         range_acceleration,
+        range_jerk,
         acceleration,
         turning,
-        across,
-        of_echoes,
     ] = worst;
-    let elements: usize = spec.receive.iter().map(|array| array.elements).sum();
     sounded.then(|| EchoStatistics {
         displacement_m: displacement,
         closing_m_per_s: closing,
-        closing_of_echoes_m_per_s: of_echoes,
+        closing_of_echoes_m_per_s: closing2.sqrt(),
         range_acceleration_m_per_s2: range_acceleration,
+        range_jerk_m_per_s3: range_jerk,
         acceleration_m_per_s2: acceleration,
         turning_m_per_s: turning,
-        across_m_per_s: across,
+        across_m_per_s: across2.sqrt(),
         spread: 1.0
             + (spread(plan, window_s, windows * elements, crowd) - 1.0) * (1.0 - 1.0 / crowd),
         strongest_share,
@@ -155,9 +219,134 @@ pub fn echo_statistics(
 /// independent samples than echoes.
 fn spread(plan: &PingPlan, window_s: f64, looks: usize, crowd: f64) -> f64 {
     let independent = (1.0 + plan.pulse.bandwidth_hz * window_s).min(crowd);
-    let l = (looks.max(2) as f64).ln() / independent;
-    SAMPLED * (1.0 + (2.0 * l).sqrt() + l).sqrt()
+    SAMPLED * fades::worst_peak((looks.max(2) as f64).ln(), independent).sqrt()
 }
+
+/// How a ping's echo moves, along its rays.
+struct EchoMotion {
+    /// In the order of [`EchoStatistics`].
+    values: [f64; QUANTITIES],
+    /// Across the array.
+    across_m_per_s: f64,
+}
+
+/// Largest motion of the echoes of a ping, by a small sample of its scatterers: enough to tell one ping from another.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct MotionPeaks {
+    /// In the order of [`EchoStatistics`].
+    values: [f64; QUANTITIES],
+    nearest_m: f64,
+}
+
+/// The peaks of a ping.
+pub(super) fn motion_peaks(
+    spec: &SonarSpec,
+    plan: &PingPlan,
+    scatterers: &Scatterers,
+) -> MotionPeaks {
+    let mut peaks = MotionPeaks {
+        values: [0.0; QUANTITIES],
+        nearest_m: f64::INFINITY,
+    };
+    let stride = scatterers.len().div_ceil(FEW_SCATTERERS).max(1);
+    let heard_m = plan.window_s(spec.receiver.sample_rate_hz) * plan.sound_speed_m_per_s;
+    let near = near(spec, plan, scatterers);
+    for array in &spec.receive {
+        let transmit = &spec.transmit[array.transmit];
+        for element in [0, array.elements - 1] {
+            let receiver =
+                ReceivingElement::new(spec, plan, transmit, (array, element), FEW_INSTANTS);
+            let evenly = (0..scatterers.len()).step_by(stride);
+            for i in evenly.chain(near.iter().copied()) {
+                let ray = receiver.ray(scatterers.position_m(i), plan.sound_speed_m_per_s);
+                if ray.out_range_m + ray.back_range_m > heard_m {
+                    continue;
+                }
+                peaks.nearest_m = peaks.nearest_m.min(ray.out_range_m).min(ray.back_range_m);
+                let values = receiver.motion(&ray).values;
+                for (peak, value) in peaks.values.iter_mut().zip(values) {
+                    *peak = peak.max(value.abs());
+                }
+            }
+        }
+    }
+    peaks
+}
+
+/// Scatterers so near that the platform's way during a pulse is no small part of their range.
+fn near(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Vec<usize> {
+    let pose = plan.trajectory.pose_at(0.0);
+    let arms = spec.receive.iter().flat_map(|array| {
+        let transmit = spec.transmit[array.transmit].mounting.position_m;
+        [
+            transmit,
+            array.element_body_m(0),
+            array.element_body_m(array.elements - 1),
+        ]
+    });
+    let arm_m = arms.map(|arm_m| arm_m.length()).fold(0.0, f64::max);
+    let way_m = pose.velocity_m_per_s.length() * plan.pulse.duration_s;
+    let reach_m = arm_m + NEAR_WAYS * way_m;
+    let at_m = pose.position_m;
+    let places = scatterers
+        .north_m
+        .iter()
+        .zip(&scatterers.east_m)
+        .zip(&scatterers.down_m);
+    places
+        .enumerate()
+        .filter(|&(_, ((&north_m, &east_m), &down_m))| {
+            let (x, y, z) = (north_m - at_m.x, east_m - at_m.y, down_m - at_m.z);
+            x * x + y * y + z * z < reach_m * reach_m
+        })
+        .map(|(i, _)| i)
+        .take(FEW_SCATTERERS)
+        .collect()
+}
+
+/// So many ways of the platform during a pulse away, series in that way converge well.
+const NEAR_WAYS: f64 = 5.0;
+
+impl MotionPeaks {
+    /// Those of motion that is so much greater.
+    pub(super) fn times(mut self, motion: &MotionScale) -> Self {
+        for (value, factor) in self.values.iter_mut().zip(motion.factors()) {
+            *value *= factor;
+        }
+        self
+    }
+
+    /// The conditions of a ping with these peaks, from those of another ping whose peaks were `then`.
+    pub(super) fn scale(&self, then: &Self, mut conditions: Conditions) -> Conditions {
+        if let Some(echoes) = &mut conditions.echo_statistics {
+            let statistics = [
+                &mut echoes.displacement_m,
+                &mut echoes.closing_m_per_s,
+                &mut echoes.range_acceleration_m_per_s2,
+                &mut echoes.range_jerk_m_per_s3,
+                &mut echoes.acceleration_m_per_s2,
+                &mut echoes.turning_m_per_s,
+            ];
+            for (k, statistic) in statistics.into_iter().enumerate() {
+                let (now, then) = (self.values[k], then.values[k]);
+                // What the other ping had none of, this one has at most everywhere.
+                *statistic = match then > RESTING * now {
+                    true => *statistic * now / then,
+                    false => now,
+                };
+            }
+        }
+        let (nearest_m, farthest_m) = conditions.range_m;
+        let nearer = self.nearest_m / then.nearest_m;
+        if nearer.is_finite() {
+            conditions.range_m.0 = (nearest_m * nearer).min(farthest_m);
+        }
+        conditions
+    }
+}
+
+/// Motion below this share of another ping's is none.
+const RESTING: f64 = 1e-6;
 
 /// One element with its transmitter, through a ping.
 struct ReceivingElement {
@@ -170,6 +359,16 @@ struct ReceivingElement {
     one_way: OneWay,
     step_s: f64,
     at: Vec<At>,
+}
+
+/// The way of an echo: directions, lengths, and the element where it is heard.
+struct Ray {
+    out: DVec3,
+    out_range_m: f64,
+    instant: usize,
+    here_m: DVec3,
+    back: DVec3,
+    back_range_m: f64,
 }
 
 /// The element at one instant.
@@ -189,11 +388,11 @@ impl ReceivingElement {
         spec: &SonarSpec,
         plan: &PingPlan,
         transmit: &TransmitArray,
-        array: &ArrayGeometry,
-        element: usize,
+        (array, element): (&ArrayGeometry, usize),
+        instants: usize,
     ) -> Self {
         let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
-        let step_s = plan.window_s(spec.receiver.sample_rate_hz) / INSTANTS as f64;
+        let step_s = plan.window_s(spec.receiver.sample_rate_hz) / instants as f64;
         let arm_m = array.element_body_m(element);
         let velocity =
             |t_s: f64, arm_m: DVec3| plan.trajectory.pose_at(t_s).point_velocity_m_per_s(arm_m);
@@ -218,7 +417,7 @@ impl ReceivingElement {
             element: Directivity::new(&array.element_pattern, wavelength_m),
             one_way: OneWay::new(wavelength_m, plan.absorption_db_per_m),
             step_s,
-            at: (0..=INSTANTS)
+            at: (0..=instants)
                 .map(|k| {
                     let t_s = k as f64 * step_s;
                     let pose = plan.trajectory.pose_at(t_s);
@@ -238,6 +437,67 @@ impl ReceivingElement {
         }
     }
 
+    /// The way to a scatterer and back.
+    fn ray(&self, place_m: DVec3, c: f64) -> Ray {
+        let out_m = place_m - self.transmit_m;
+        let out_range_m = out_m.length().max(f64::MIN_POSITIVE);
+        let about_s = (out_range_m + place_m.distance(self.at[0].position_m)) / c;
+        let instant = ((about_s / self.step_s) as usize).min(self.at.len() - 1);
+        let at = &self.at[instant];
+        let since_s = (about_s - instant as f64 * self.step_s).clamp(0.0, self.step_s);
+        let here_m = at.position_m + at.velocity_m_per_s * since_s;
+        let back_m = place_m - here_m;
+        let back_range_m = back_m.length().max(f64::MIN_POSITIVE);
+        Ray {
+            out: out_m / out_range_m,
+            out_range_m,
+            instant,
+            here_m,
+            back: back_m / back_range_m,
+            back_range_m,
+        }
+    }
+
+    fn motion(&self, ray: &Ray) -> EchoMotion {
+        let at = &self.at[ray.instant];
+        let (v_out, v_back) = (self.transmit_m_per_s, at.velocity_m_per_s);
+        let (closing_out, closing_back) = (v_out.dot(ray.out), v_back.dot(ray.back));
+        // What is nearer than a wavelength is no far field of anything; see [`crate::conditions`].
+        let at_least = |range_m: f64| range_m.max(self.one_way.wavelength_m);
+        // Of a leg of length r: r'' = (v^2 - r'^2)/r - a.e, r''' = 3 (v.a - r' r'')/r.
+        let leg = |v: DVec3, closing: f64, a: DVec3, ray: DVec3, range_m: f64| {
+            let second = (v.length_squared() - closing * closing) / range_m - a.dot(ray);
+            (second, 3.0 * (v.dot(a) + closing * second) / range_m)
+        };
+        let legs = [
+            leg(
+                v_out,
+                closing_out,
+                self.transmit_m_per_s2,
+                ray.out,
+                at_least(ray.out_range_m),
+            ),
+            leg(
+                v_back,
+                closing_back,
+                at.acceleration_m_per_s2,
+                ray.back,
+                at_least(ray.back_range_m),
+            ),
+        ];
+        EchoMotion {
+            values: [
+                (ray.here_m - self.at[0].position_m).dot(ray.back),
+                0.5 * (closing_out + closing_back),
+                0.5 * (legs[0].0 + legs[1].0),
+                0.5 * (legs[0].1 + legs[1].1),
+                at.acceleration_m_per_s2.dot(ray.back),
+                at.turning_m_per_s.dot(ray.back),
+            ],
+            across_m_per_s: closing_back - v_back.dot(at.axis) * at.axis.dot(ray.back),
+        }
+    }
+
     fn accumulate(
         &self,
         plan: &PingPlan,
@@ -252,20 +512,10 @@ impl ReceivingElement {
         for (i, weight) in sampled(scatterers, SAMPLE_SIZE) {
             let law = scatterers.law[i];
             let place_m = scatterers.position_m(i);
-            let out_m = place_m - self.transmit_m;
-            let out_range_m = out_m.length().max(f64::MIN_POSITIVE);
-            let out = out_m / out_range_m;
-            let per_c = 1.0 / plan.sound_speed_m_per_s;
-            let about_s = per_c * (out_range_m + place_m.distance(self.at[0].position_m));
-            let k = ((about_s / self.step_s) as usize).min(self.at.len() - 1);
-            let at = &self.at[k];
-            let since_s = (about_s - k as f64 * self.step_s).clamp(0.0, self.step_s);
-            let here_m = at.position_m + at.velocity_m_per_s * since_s;
-            let back_m = place_m - here_m;
-            let back_range_m = back_m.length().max(f64::MIN_POSITIVE);
-            let back = back_m / back_range_m;
-            let u_s = per_c * (out_range_m + back_range_m);
-            let begins = u_s / part_s;
+            let ray = self.ray(place_m, plan.sound_speed_m_per_s);
+            let (out, back) = (ray.out, ray.back);
+            let at = &self.at[ray.instant];
+            let begins = (ray.out_range_m + ray.back_range_m) / plan.sound_speed_m_per_s / part_s;
             if begins as usize >= parts.len() {
                 continue;
             }
@@ -292,33 +542,10 @@ impl ReceivingElement {
             };
             let amplitude = level
                 * law
-                * self.one_way.amplitude(out_range_m)
-                * self.one_way.amplitude(back_range_m);
+                * self.one_way.amplitude(ray.out_range_m)
+                * self.one_way.amplitude(ray.back_range_m);
             let energy = weight * amplitude * amplitude * scatterers.strength[i].norm_sqr();
-            let (v_out, v_back) = (self.transmit_m_per_s, at.velocity_m_per_s);
-            let (closing_out, closing_back) = (v_out.dot(out), v_back.dot(back));
-            let leg_acceleration = |v: DVec3, closing: f64, a: DVec3, ray: DVec3, range_m: f64| {
-                (v.length_squared() - closing * closing) / range_m - a.dot(ray)
-            };
-            let range_acceleration = 0.5
-                * (leg_acceleration(v_out, closing_out, self.transmit_m_per_s2, out, out_range_m)
-                    + leg_acceleration(
-                        v_back,
-                        closing_back,
-                        at.acceleration_m_per_s2,
-                        back,
-                        back_range_m,
-                    ));
-            let closing = 0.5 * (closing_out + closing_back);
-            let values = [
-                (here_m - self.at[0].position_m).dot(back),
-                closing,
-                range_acceleration,
-                at.acceleration_m_per_s2.dot(back),
-                at.turning_m_per_s.dot(back),
-                v_back.dot(back) - v_back.dot(at.axis) * at.axis.dot(back),
-                closing,
-            ];
+            let echo = self.motion(&ray);
             let first = &mut parts[begins as usize];
             first.echoes += weight;
             first.begun += energy;
@@ -329,7 +556,7 @@ impl ReceivingElement {
                     break;
                 }
                 let to = (((k + 1) as f64 - begins) / length).min(1.0);
-                part.add(energy, energy / weight, (from, to), values);
+                part.add(energy, energy / weight, (from, to), &echo);
                 from = to;
             }
         }
@@ -366,7 +593,8 @@ pub(crate) fn kept_shares(
     let (mut all, mut sums) = (0.0, vec![(0.0, 0.0); floors.len()]);
     let stride = scatterers.len().div_ceil(SAMPLE_SIZE).max(1);
     for array in &spec.receive {
-        let receiver = ReceivingElement::new(spec, plan, &spec.transmit[array.transmit], array, 0);
+        let transmit = &spec.transmit[array.transmit];
+        let receiver = ReceivingElement::new(spec, plan, transmit, (array, 0), 1);
         let at = &receiver.at[0];
         let pairs = array.elements as f64;
         for i in (0..scatterers.len()).step_by(stride) {

@@ -8,13 +8,21 @@
 //!
 //! When a selection starts, its input and when it takes effect depend only on ping numbers, navigation and settings, never on computing time. The
 //! same pings therefore use the same methods in every clock mode. A skipped ping is not examined.
+//!
+//! Every ping has its own promise: the error models of path and Doppler with its own motion, which takes microseconds. A ping that moves more than
+//! the selection expected is made on the exact trajectory. Where even that leaves more than the tolerance, its promise says so, and a selection
+//! begins.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 
 use crate::method_selection::costs::Costs;
-use crate::method_selection::{MotionScale, Scene, goal, rank, sample, with_choice};
+use crate::method_selection::echo_statistics;
+use crate::method_selection::promise::Promise;
+use crate::method_selection::{
+    MotionScale, Scene, goal, rank_with_conditions, sample, with_choice,
+};
 use crate::methods::{Choice, Ranking};
 use crate::pipeline::{PipelineError, SonarPipeline};
 use crate::threads::pool;
@@ -52,6 +60,10 @@ pub struct MethodSelector {
     costs: Arc<Costs>,
     choice: Choice,
     mark: MethodMark,
+    /// What the current selection promises of a ping; `None` before the first.
+    promise: Option<Promise>,
+    /// Of the ping that is being made.
+    ping_error: f64,
     /// Motion and settings on which the current selection is based; `None` before the first selection.
     basis: Option<(MotionPeaks, SonarSettings)>,
     recent: VecDeque<MotionPeaks>,
@@ -72,6 +84,10 @@ pub struct SelectionCounts {
     pub given_up: u64,
     /// Selections that could not be made; the one before stays.
     pub failed: u64,
+    /// Pings made on the exact trajectory, because they move more than their selection expected.
+    pub exact_path: u64,
+    /// Pings whose predicted error is above the tolerance although their selection's is not.
+    pub beyond: u64,
 }
 
 struct Pending {
@@ -84,6 +100,7 @@ struct Pending {
 type Outcome = Option<(
     Choice,
     MethodMark,
+    Promise,
     Result<Option<Box<SonarPipeline>>, PipelineError>,
 )>;
 
@@ -104,6 +121,8 @@ impl MethodSelector {
                 tolerance: spec.synthesis.tolerance,
                 part_elements: 1,
             },
+            promise: None,
+            ping_error: f64::NAN,
             spec: spec.clone(),
             medium: medium.clone(),
             costs,
@@ -117,7 +136,32 @@ impl MethodSelector {
 
     /// Selection that the pings record.
     pub fn mark(&self) -> Option<MethodMark> {
-        self.basis.is_some().then_some(self.mark)
+        self.promise.is_some().then_some(MethodMark {
+            predicted_error: self.ping_error,
+            ..self.mark
+        })
+    }
+
+    /// Predicts the error of a ping that is about to be made, and replaces its path model by the exact one if the ping needs that.
+    pub fn at_ping(&mut self, plan: &mut PingPlan, scatterers: &Scatterers) {
+        let Some(promise) = &self.promise else {
+            return;
+        };
+        let goal = goal(&self.spec);
+        // Of pictures the goal is no error of samples.
+        if goal.image_cells.is_some() || scatterers.is_empty() {
+            self.ping_error = self.mark.predicted_error;
+            return;
+        }
+        // A selection that misses the tolerance is no reason to call every ping an exception.
+        let expected = self.mark.predicted_error.max(goal.tolerance);
+        let (path, error) = promise.of_ping(&self.spec, plan, scatterers, expected);
+        if path != plan.model.path {
+            self.counts.exact_path += 1;
+            plan.model.path = path;
+        }
+        self.ping_error = error;
+        self.counts.beyond += u64::from(error > expected);
     }
 
     /// Makes the first selection at once and replaces a pipeline that has not computed a ping. Call inside the pool that runs the pipeline.
@@ -156,7 +200,8 @@ impl MethodSelector {
         self.counts.ranked += 1;
         self.basis = Some(basis);
         match outcome {
-            Some((choice, mark, Ok(made))) => {
+            Some((choice, mark, promise, Ok(made))) => {
+                self.promise = Some(promise);
                 if let Some(made) = made {
                     *pipeline = *made;
                     self.choice = choice;
@@ -164,7 +209,7 @@ impl MethodSelector {
                 }
                 self.mark = mark;
             }
-            Some((choice, _, Err(_))) => {
+            Some((choice, _, _, Err(_))) => {
                 self.excluded.push(choice);
                 self.counts.failed += 1;
             }
@@ -200,14 +245,16 @@ impl MethodSelector {
             // Another pulse or range is another problem: what failed there may do here.
             self.excluded.clear();
         }
-        if !changed && !plan.ping_number.is_multiple_of(MOTION_CHECK_PINGS) {
+        let beyond = self.promise.is_some()
+            && self.ping_error > self.mark.predicted_error.max(self.spec.synthesis.tolerance);
+        if !changed && !beyond && !plan.ping_number.is_multiple_of(MOTION_CHECK_PINGS) {
             return;
         }
         self.recent.push_back(motion_peaks(&self.spec, plan));
         if self.recent.len() > MOTION_HISTORY {
             self.recent.pop_front();
         }
-        if changed || self.has_motion_changed() {
+        if changed || beyond || self.has_motion_changed() {
             self.start_selection(plan, scatterers);
         }
     }
@@ -318,7 +365,8 @@ impl Job {
             costs: &self.costs,
             motion_scale: self.motion_scale,
         };
-        let ranking = rank(&scene, &self.excluded)?;
+        let (ranking, conditions) = rank_with_conditions(&scene, &self.excluded)?;
+        let peaks = echo_statistics::motion_peaks(&self.spec, &self.plan, &self.scatterers);
         let kept = self.current_candidate(&ranking);
         let (choice, candidate) = match kept {
             Some(k) => (self.current, &ranking.candidates[k]),
@@ -332,8 +380,14 @@ impl Job {
             tolerance: self.spec.synthesis.tolerance,
             part_elements: choice.part_elements,
         };
+        let promise = Promise::new(
+            candidate,
+            conditions,
+            peaks.times(&self.motion_scale),
+            &self.plan,
+        );
         if !is_new {
-            return Some((choice, mark, Ok(None)));
+            return Some((choice, mark, promise, Ok(None)));
         }
         let spec = with_choice(&self.spec, &choice);
         // With as many threads as the pool that will run it, and none of its own.
@@ -341,7 +395,7 @@ impl Job {
             pool.install(|| SonarPipeline::new(&spec, &self.medium))
                 .map(|pipeline| Some(Box::new(pipeline)))
         });
-        Some((choice, mark, made.ok()?))
+        Some((choice, mark, promise, made.ok()?))
     }
 
     /// The current choice, if it still meets the goal and its replacement is hardly cheaper.

@@ -400,7 +400,7 @@ fn predicted(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> f64 
     }
 }
 
-/// Outputs of the reference solution, with its error and the number of random samples compared.
+/// Outputs of the reference solution, with its error in the worst window and the number of random windows compared.
 #[allow(clippy::type_complexity)]
 fn reference(
     sonar: &SonarSpec,
@@ -418,7 +418,7 @@ fn reference(
         .iter()
         .rev()
         .find_map(|output| output.error_check)
-        .map(|c| (c.error, c.samples));
+        .map(|c| (c.worst, c.windows));
     Ok((truth, error_check))
 }
 

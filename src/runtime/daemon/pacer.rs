@@ -602,12 +602,9 @@ impl Pacer {
         let took_us = (self.machine.mono().0 - began.0).max(0) as u64 / 1000;
         counters.ping(&output.counts, saturated, took_us);
         counters.scene(&output.scene);
-        counters.error_check(output.error_check.as_ref());
+        counters.errors_of(output, &self.rig.sonars[sonar]);
         let level = paced.map_or(0, |paced| paced.level);
         counters.overload_state(level, &output.overload_state);
-        if let Some(method_selector) = &self.rig.sonars[sonar].method_selector {
-            counters.plan(output.methods.as_ref(), &method_selector.counts);
-        }
         counters.nav(&slot.plan.nav);
         if let Some(Paced { due, .. }) = paced {
             histograms.margin_us(due.ready_by.0 - first_ready.0);

@@ -458,7 +458,7 @@ fn max_power(
 /// Selected methods of the ping and size of its scene.
 fn model(plan: &PingPlan, output: &PingOutput) -> Value {
     let error_check = output.error_check.map(|c| {
-        json!({ "error": c.error, "low": c.low, "high": c.high, "tolerance": c.tolerance, "fault": c.fault })
+        json!({ "error": c.error, "low": c.low, "high": c.high, "worst": c.worst, "tolerance": c.tolerance, "fault": c.fault })
     });
     json!({
         "path": plan.model.path.name(),

@@ -66,6 +66,7 @@ struct MotionTerms {
     displacement_m: f64,
     closing: f64,
     range_acceleration: f64,
+    range_jerk: f64,
     acceleration: f64,
     turning: f64,
     spread: f64,
@@ -79,14 +80,17 @@ fn motion_terms(conditions: &Conditions) -> MotionTerms {
             displacement_m: echoes.displacement_m,
             closing: echoes.closing_m_per_s,
             range_acceleration: echoes.range_acceleration_m_per_s2,
+            range_jerk: echoes.range_jerk_m_per_s3,
             acceleration: echoes.acceleration_m_per_s2,
             turning: echoes.turning_m_per_s,
-            spread: echoes.spread,
+            // Of their own interference the statistics know.
+            spread: 1.0,
         },
         None => MotionTerms {
             displacement_m: v * 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s,
             closing: v,
             range_acceleration: v * v / conditions.range_m.0 + a,
+            range_jerk: 4.5 * v * (v * v / conditions.range_m.0 + a) / conditions.range_m.0,
             acceleration: a,
             turning: conditions.turning_m_per_s,
             spread: 1.0,
@@ -94,51 +98,157 @@ fn motion_terms(conditions: &Conditions) -> MotionTerms {
     }
 }
 
+/// Where a path model has the platform, against where it is.
+struct PathError {
+    off_m: f64,
+    sag_m: f64,
+    turned_m: f64,
+    error: f64,
+}
+
+impl PathError {
+    fn new(path: PathModel, conditions: &Conditions) -> Self {
+        let window_s = 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s;
+        let h = conditions.segment_s;
+        let motion = motion_terms(conditions);
+        // Time to the middle of a chord, or to the last reception on it.
+        let until_s = window_s.min(0.5 * h);
+        let sag_m = 0.5 * motion.acceleration * until_s * (h - until_s);
+        let turned_m = motion.turning * h.min(window_s);
+        let off_m = match path {
+            PathModel::StopAndHop => motion.displacement_m,
+            PathModel::Polyline => sag_m + turned_m,
+            PathModel::KSegment => sag_m,
+            PathModel::Continuous => 0.0,
+        };
+        let phase_rad = conditions.wavenumber_per_m() * off_m * motion.spread;
+        let edges = edge_error(conditions, off_m / conditions.sound_speed_m_per_s);
+        Self {
+            off_m,
+            sag_m,
+            turned_m,
+            error: Conditions::error_of_phase(phase_rad + edges).max(floor(conditions)),
+        }
+    }
+}
+
+/// Predicted relative error of a path model, as [`path_error_model`] has it.
+pub fn path_error(path: PathModel, conditions: &Conditions) -> f64 {
+    PathError::new(path, conditions).error
+}
+
 /// Predicted phase error of a path model.
 pub fn path_error_model(path: PathModel, conditions: &Conditions) -> ErrorModel {
-    let window_s = 2.0 * conditions.range_m.1 / conditions.sound_speed_m_per_s;
-    let h = conditions.segment_s;
-    let MotionTerms {
-        displacement_m,
-        acceleration: a,
-        turning,
-        spread,
-        ..
-    } = motion_terms(conditions);
-    // Time to the middle of a chord, or to the last reception on it.
-    let until_s = window_s.min(0.5 * h);
-    let sag_m = 0.5 * a * until_s * (h - until_s);
-    let turned_m = turning * h.min(window_s);
-    let (off_m, ns, why) = match path {
+    let PathError {
+        off_m,
+        sag_m,
+        turned_m,
+        error,
+    } = PathError::new(path, conditions);
+    let (ns, why) = match path {
         PathModel::StopAndHop => (
-            displacement_m,
             LEG_NS,
-            format!("the platform moves {displacement_m:.1e} m during the travel time"),
+            format!("the platform moves {off_m:.1e} m during the travel time"),
         ),
         PathModel::Polyline => (
-            sag_m + turned_m,
             2.0 * LEG_NS,
             format!("{sag_m:.1e} m from chords, {turned_m:.1e} m from constant attitude on each"),
         ),
-        PathModel::KSegment => (
-            sag_m,
-            2.0 * LEG_NS,
-            format!("{sag_m:.1e} m from elements' chords"),
-        ),
-        PathModel::Continuous => (
-            0.0,
-            2.0 * LEG_NS + TRAJECTORY_NS,
-            "exact trajectory".to_owned(),
-        ),
+        PathModel::KSegment => (2.0 * LEG_NS, format!("{sag_m:.1e} m from elements' chords")),
+        PathModel::Continuous => (2.0 * LEG_NS + TRAJECTORY_NS, "exact trajectory".to_owned()),
     };
-    let phase_rad = conditions.wavenumber_per_m() * off_m * spread;
-    let edges = edge_error(conditions, off_m / conditions.sound_speed_m_per_s);
     ErrorModel {
         name: path.name(),
-        error: Conditions::error_of_phase(phase_rad + edges).max(floor(conditions)),
+        error,
         cost_ms: cost_ms(conditions, ns),
         why,
     }
+}
+
+/// Ratio of the rest of a Taylor series of a range, from its first neglected term on, to that term. `moved` is the way that the
+/// platform makes in the time of the expansion, relative to the range. Terms fall by this factor; from 1 on the series diverges.
+fn all_terms(moved: f64) -> f64 {
+    match moved < 1.0 {
+        true => (1.0 - moved).powi(-2).min(DIVERGED),
+        false => DIVERGED,
+    }
+}
+
+const DIVERGED: f64 = 1e12;
+
+/// Phases that a Doppler model leaves within a pulse.
+struct DopplerError {
+    closing_m_per_s: f64,
+    first: f64,
+    second: f64,
+    third: f64,
+    /// Of the velocity of a segment, against that of the instant.
+    stale: f64,
+    error: f64,
+}
+
+impl DopplerError {
+    fn new(doppler: DopplerModel, path: PathModel, conditions: &Conditions) -> Self {
+        let Conditions {
+            speed_m_per_s: v,
+            range_m: (nearest_m, farthest_m),
+            segment_s,
+            sound_speed_m_per_s: c,
+            pulse,
+            ..
+        } = *conditions;
+        let MotionTerms {
+            closing,
+            range_acceleration,
+            range_jerk,
+            acceleration: a,
+            spread,
+            ..
+        } = motion_terms(conditions);
+        let t = pulse.duration_s;
+        let k = conditions.wavenumber_per_m();
+        // Two-way phases of three terms: the closing speed d s, its change q s^2, and the change of q.
+        let first = k * 2.0 * closing * t / 3f64.sqrt();
+        let second = k * range_acceleration * t * t / 5f64.sqrt();
+        // About mid-pulse, the error is that of half a pulse cubed; twice that, because the parabola fits neither end. The
+        // acceleration may change within the pulse, by about a hundredth of its value on real tracks.
+        let third =
+            k * 2.0 / 3.0 * range_jerk * (t / 2.0).powi(3) * all_terms(0.5 * v * t / nearest_m)
+                + 1e-2 * k * a * t * t / 5f64.sqrt();
+        // The parabolas of the synthesis lack the cubic phase of a Doppler-distorted chirp, over the
+        // part of the pulse that they cover.
+        let curvature_per_s = range_acceleration / c;
+        let cubic_turns = pulse.sweep_hz_per_s().abs() * curvature_per_s * t.powi(3) / 32.0;
+        let cubic = TAU * cubic_turns.min(1e-7) * 7f64.sqrt();
+        let stale = match path {
+            PathModel::StopAndHop => first_of(k, a * 2.0 * farthest_m / c, t),
+            PathModel::Polyline => first_of(k, a * segment_s, t),
+            PathModel::KSegment => first_of(k, 0.05 * a * segment_s, t),
+            PathModel::Continuous => 0.0,
+        };
+        let phase_rad = match doppler {
+            DopplerModel::None => first,
+            DopplerModel::Stretch => second + stale,
+            DopplerModel::StretchQuadratic => third + cubic + stale,
+            DopplerModel::PaperEq21 => k * 2.0 * closing / c * 2.0 * farthest_m + first,
+        };
+        // Phase errors are largest at the end of the pulse. The edge moves by the same fraction of a
+        // carrier period.
+        let edges = edge_error(conditions, 5f64.sqrt() * phase_rad / (k * c));
+        Self {
+            closing_m_per_s: closing,
+            first,
+            second,
+            third,
+            stale,
+            error: Conditions::error_of_phase(phase_rad * spread + edges).max(floor(conditions)),
+        }
+    }
+}
+
+/// Predicted relative error of a Doppler model, as [`doppler_error_model`] has it.
+pub fn doppler_error(doppler: DopplerModel, path: PathModel, conditions: &Conditions) -> f64 {
+    DopplerError::new(doppler, path, conditions).error
 }
 
 /// Predicted phase error of a Doppler model within the pulse, with the velocity of this path model.
@@ -147,45 +257,16 @@ pub fn doppler_error_model(
     path: PathModel,
     conditions: &Conditions,
 ) -> ErrorModel {
-    let Conditions {
-        speed_m_per_s: v,
-        range_m: (nearest_m, farthest_m),
-        segment_s,
-        sound_speed_m_per_s: c,
-        pulse,
-        ..
-    } = *conditions;
-    let MotionTerms {
-        closing,
-        range_acceleration,
-        acceleration: a,
-        spread,
-        ..
-    } = motion_terms(conditions);
-    let t = pulse.duration_s;
-    let k = conditions.wavenumber_per_m();
-    // Two-way phases of three terms: the closing speed d s, its change q s^2, and the change of q.
-    let first = k * 2.0 * closing * t / 3f64.sqrt();
-    let second = k * range_acceleration * t * t / 5f64.sqrt();
-    // About mid-pulse, the error is that of half a pulse cubed. The acceleration may change within
-    // the pulse, by about a hundredth of its value on real tracks.
-    let third = k * 3.0 * v * (v * closing / nearest_m + a) / nearest_m * (t / 2.0).powi(3)
-        + 1e-2 * k * a * t * t / 5f64.sqrt();
-    // The parabolas of the synthesis lack the cubic phase of a Doppler-distorted chirp, over the
-    // part of the pulse that they cover.
-    let curvature_per_s = range_acceleration / c;
-    let cubic_turns = pulse.sweep_hz_per_s().abs() * curvature_per_s * t.powi(3) / 32.0;
-    let cubic = TAU * cubic_turns.min(1e-7) / 2f64.sqrt();
-    // Error of the segment's velocity compared with the instantaneous velocity.
-    let stale = match path {
-        PathModel::StopAndHop => first_of(k, a * 2.0 * farthest_m / c, t),
-        PathModel::Polyline => first_of(k, a * segment_s, t),
-        PathModel::KSegment => first_of(k, 0.05 * a * segment_s, t),
-        PathModel::Continuous => 0.0,
-    };
-    let (phase_rad, ns, why) = match doppler {
+    let DopplerError {
+        closing_m_per_s: closing,
+        first,
+        second,
+        third,
+        stale,
+        error,
+    } = DopplerError::new(doppler, path, conditions);
+    let (ns, why) = match doppler {
         DopplerModel::None => (
-            first,
             0.0,
             format!(
                 "phase error of {:.1e} rad in the pulse at a closing speed of {closing:.2e} m/s",
@@ -193,34 +274,28 @@ pub fn doppler_error_model(
             ),
         ),
         DopplerModel::Stretch => (
-            second + stale,
             0.0,
             format!(
                 "{second:.1e} rad from the second derivative, {stale:.1e} from constant velocities"
             ),
         ),
         DopplerModel::StretchQuadratic => (
-            third + cubic + stale,
             QUADRATIC_NS,
             format!(
                 "{third:.1e} rad from the third derivative, {stale:.1e} from constant velocities"
             ),
         ),
         DopplerModel::PaperEq21 => (
-            k * 2.0 * closing / c * 2.0 * farthest_m + first,
             0.0,
             format!(
                 "displaces echoes by up to {:.1e} m and does not stretch them",
-                2.0 * closing / c * farthest_m
+                2.0 * closing / conditions.sound_speed_m_per_s * conditions.range_m.1
             ),
         ),
     };
-    // Phase errors are largest at the end of the pulse. The edge moves by the same fraction of a
-    // carrier period.
-    let edges = edge_error(conditions, 5f64.sqrt() * phase_rad / (k * c));
     ErrorModel {
         name: doppler.name(),
-        error: Conditions::error_of_phase(phase_rad * spread + edges).max(floor(conditions)),
+        error,
         cost_ms: cost_ms(conditions, ns),
         why,
     }

@@ -10,7 +10,7 @@
 //! | `plan` | settings, pulse, window and models of the ping |
 //! | `segments` | trajectory samples used to compute the echoes |
 //! | `scene` | seabed scatterers: `made` for this ping, `culled` (tested, outside every footprint or left out by the automatic density), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made` |
-//! | `error_check` | if configured and enough samples exist: `error`, `low`, `high`, `samples`, `tolerance`, `fault` |
+//! | `error_check` | if configured and enough windows exist: `error`, `low`, `high`, `worst`, `windows`, `tolerance`, `exceeded`, `fault` |
 //! | `methods` | if the method selection applies: `plan` (its number), `predicted_error`, `predicted_ms`, `tolerance`, `output` (`elements`, or `beams` where only lines are computed) with `part_elements` (elements of a line computed as one), and, with an error check, `margin` (tolerance over measured error) |
 //! | `soundings` | for each beam with a detected bottom: `beam`, `angle_deg`, `twtt_s`, `error_s` (predicted), `by` (`amplitude`, `phase`), `level_v` |
 //! | `targets` | every named target, see below |
@@ -145,8 +145,10 @@ struct ErrorCheckTruth {
     error: f64,
     low: f64,
     high: f64,
-    samples: u32,
+    worst: f64,
+    windows: u32,
     tolerance: f64,
+    exceeded: bool,
     fault: bool,
 }
 
@@ -156,8 +158,10 @@ impl From<ErrorCheck> for ErrorCheckTruth {
             error: c.error,
             low: c.low,
             high: c.high,
-            samples: c.samples,
+            worst: c.worst,
+            windows: c.windows,
             tolerance: c.tolerance,
+            exceeded: c.exceeded,
             fault: c.fault,
         }
     }

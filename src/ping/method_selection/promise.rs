@@ -1,0 +1,88 @@
+//! What a selection promises of each ping: the error models of path and Doppler with the ping's own motion.
+//!
+//! In: the selected candidate with the conditions that it was selected for, and the peaks of a ping's motion. Out: the ping's path model and its
+//! predicted error.
+
+use crate::conditions::{conditions, segment_step_s};
+use crate::method_selection::echo_statistics::{MotionPeaks, motion_peaks};
+use crate::methods::{Candidate, Family};
+use echotank_config::spec::SonarSpec;
+use echotank_core::model::{DopplerModel, PathModel, Synthesis};
+use echotank_core::ping::PingPlan;
+use echotank_core::scene::Scatterers;
+use echotank_synthesis::echo::error_models::{doppler_error, path_error};
+use echotank_synthesis::error_model::Conditions;
+
+/// Of so few scatterers the statistics are made anew for each ping: which of them is heard alone changes from ping to ping. Of more, the peaks of
+/// their motion tell how much greater the statistics are than those of the selection.
+const ALL: usize = 1000;
+
+/// What a selection promises of pings that move otherwise than the one that it was made on.
+#[derive(Clone, Copy)]
+pub(super) struct Promise {
+    conditions: Conditions,
+    peaks: MotionPeaks,
+    path: PathModel,
+    doppler: DopplerModel,
+    /// Of the reference, which uses neither.
+    is_exact: bool,
+    /// Of what does not move: sum, culling, output.
+    others: f64,
+}
+
+impl Promise {
+    pub(super) fn new(
+        candidate: &Candidate,
+        conditions: Conditions,
+        peaks: MotionPeaks,
+        plan: &PingPlan,
+    ) -> Self {
+        let model = candidate.choice.model;
+        let window_s = plan.window_s(conditions.sample_rate_hz);
+        let others = [Family::Sum, Family::Culling, Family::Output];
+        let errors = others.map(|family| candidate.part(family).error);
+        Self {
+            conditions: Conditions {
+                segment_s: segment_step_s(window_s, model.segment_s),
+                ..conditions
+            },
+            peaks,
+            path: model.path,
+            doppler: model.doppler,
+            is_exact: model.synthesis == Synthesis::Reference,
+            others: errors.into_iter().fold(0.0, f64::hypot),
+        }
+    }
+
+    /// Of a ping: its path model, and its predicted error. The path that was selected stays if it keeps the tolerance.
+    pub(super) fn of_ping(
+        &self,
+        spec: &SonarSpec,
+        plan: &PingPlan,
+        scatterers: &Scatterers,
+        tolerance: f64,
+    ) -> (PathModel, f64) {
+        if self.is_exact {
+            return (self.path, self.others);
+        }
+        let conditions = match scatterers.len() <= ALL {
+            true => Conditions {
+                segment_s: self.conditions.segment_s,
+                ..conditions(spec, plan, scatterers)
+            },
+            false => motion_peaks(spec, plan, scatterers).scale(&self.peaks, self.conditions),
+        };
+        let error = |path: PathModel| {
+            let doppler = doppler_error(self.doppler, path, &conditions);
+            (path_error(path, &conditions) + doppler).hypot(self.others)
+        };
+        let selected = error(self.path);
+        if selected <= tolerance {
+            return (self.path, selected);
+        }
+        match error(PathModel::Continuous) {
+            exact if exact < selected => (PathModel::Continuous, exact),
+            _ => (self.path, selected),
+        }
+    }
+}
