@@ -13,7 +13,7 @@ use echotank_config::spec::{DeliverySpec, MediumSpec, RigSpec, RunSpec, SeabedSh
 use echotank_config::{self as config, Finding};
 use echotank_core::model::Synthesis;
 use echotank_ping::element_synthesis::engine_error_models;
-use echotank_ping::pipeline::PipelineError;
+use echotank_ping::method_selection::with_choice;
 use echotank_runtime::io::files::FileSystem;
 use echotank_runtime::io::nav::ReadNav;
 use echotank_scene::read::survey::Survey;
@@ -80,27 +80,17 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
         for warning in warnings {
             println!("warning      navigation: {warning}");
         }
-        for sonar in &spec.sonars {
-            let refuse_text = |why: String| {
-                Failure::Configuration(format!("{}: sonar {}: {why}", path.display(), sonar.name))
-            };
-            let refuse = |why: PipelineError| refuse_text(why.to_string());
-            let error_models = engine_error_models(sonar, &spec.medium).map_err(refuse)?;
-            check_streaming_time(&spec.run, sonar, &error_models).map_err(refuse_text)?;
-            for error_model in error_models.into_iter().filter(|_| is_verbose) {
-                let cost = match error_model.cost_ms > 0.0 {
-                    true => format!(
-                        ", {:.2} ms on one core per {}",
-                        error_model.cost_ms,
-                        cost_unit(&error_model)
-                    ),
-                    false => String::new(),
-                };
-                println!(
-                    "engine       {}: {} within {:.1e}{cost} ({})",
-                    sonar.name, error_model.name, error_model.error, error_model.why
-                );
+        let engines = |sonar: &SonarSpec| {
+            let text = engines(&spec, sonar)
+                .map_err(|why| Failure::Configuration(format!("{}: {why}", path.display())))?;
+            if is_verbose {
+                print!("{text}");
             }
+            Ok::<_, Failure>(())
+        };
+        let is_selected = |sonar: &SonarSpec| sonar.synthesis.auto.synthesis;
+        for sonar in spec.sonars.iter().filter(|sonar| !is_selected(sonar)) {
+            engines(sonar)?;
         }
         for sonar in spec.sonars.iter().filter(|_| is_verbose) {
             print!("{}", culling(sonar, &spec.medium));
@@ -110,6 +100,14 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
             print!("{}", guesses(&spec)?);
             let costs;
             (costs, selections) = selection::select_methods(&spec)?;
+            let is_streamed = matches!(spec.run.delivery, DeliverySpec::Streaming { .. });
+            for selection in selections.iter().filter(|s| is_selected(s.sonar)) {
+                if let Some(ranking) = &selection.first.ranking
+                    && (is_verbose || is_streamed)
+                {
+                    engines(&with_choice(selection.sonar, &ranking.chosen().choice))?;
+                }
+            }
             if is_verbose {
                 print!("{}", selection::text(&costs, &selections, args.all));
             }
@@ -119,6 +117,30 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
         return end(&findings);
     }
     Ok(())
+}
+
+/// The engines of a sonar with their errors and costs, one line each. Refuses engines that cannot be made, or are too slow for a streamed delivery.
+fn engines(spec: &RigSpec, sonar: &SonarSpec) -> Result<String, String> {
+    let name = &sonar.name;
+    let error_models = engine_error_models(sonar, &spec.medium)
+        .map_err(|why| why.to_string())
+        .and_then(|models| check_streaming_time(&spec.run, sonar, &models).map(|()| models))
+        .map_err(|why| format!("sonar {name}: {why}"))?;
+    let line = |error_model: &ErrorModel| {
+        let cost = match error_model.cost_ms > 0.0 {
+            true => format!(
+                ", {:.2} ms on one core per {}",
+                error_model.cost_ms,
+                cost_unit(error_model)
+            ),
+            false => String::new(),
+        };
+        format!(
+            "engine       {name}: {} within {:.1e}{cost} ({})\n",
+            error_model.name, error_model.error, error_model.why
+        )
+    };
+    Ok(error_models.iter().map(line).collect())
 }
 
 fn end(findings: &[Finding]) -> Result<(), Failure> {

@@ -149,10 +149,7 @@ impl Rig {
                 // The law compensates the absorption of the medium, whose value is known only here.
                 *law = absorption_db_per_m;
             }
-            let pipeline = SonarPipeline::new(&sonar, &spec.medium).map_err(|why| {
-                let name = sonar.name.clone();
-                RigError::Sonar { name, why }
-            })?;
+            let pipeline = unselected(&sonar, &spec.medium)?;
             sonars.push(SonarUnit {
                 simplify: spec.scene.simplify.as_ref().map(|simplify| {
                     let view = View {
@@ -195,10 +192,7 @@ impl Rig {
                 let mut spec = unit.spec.clone();
                 spec.synthesis.tolerance = tolerance;
                 let medium = &self.spec.medium;
-                let pipeline = SonarPipeline::new(&spec, medium).map_err(|why| {
-                    let name = spec.name.clone();
-                    RigError::Sonar { name, why }
-                })?;
+                let pipeline = unselected(&spec, medium)?;
                 let method_selector = MethodSelector::new(&spec, medium, self.costs.clone());
                 unit.looser.push(DegradationLevel {
                     tolerance,
@@ -208,6 +202,22 @@ impl Rig {
             }
         }
         Ok(())
+    }
+
+    /// Creates the engines of the configured starting methods for sonars whose synthesis is selected, but without navigation for a first selection. A
+    /// sonar whose starting engine is refused keeps the direct sum until a selection. Call inside the pool that runs the pings.
+    pub fn make_starting_engines(&mut self) {
+        let medium = &self.spec.medium;
+        for unit in &mut self.sonars {
+            let own = (&mut unit.pipeline, &mut unit.method_selector);
+            let looser = unit.looser.iter_mut();
+            let looser = looser.map(|level| (&mut level.pipeline, &mut level.method_selector));
+            for (pipeline, method_selector) in std::iter::once(own).chain(looser) {
+                if let Some(method_selector) = method_selector {
+                    method_selector.start(medium, pipeline);
+                }
+            }
+        }
     }
 
     /// Properties of the water.
@@ -333,4 +343,14 @@ impl Rig {
         tile.plan.clone_from(&slot.plan);
         true
     }
+}
+
+/// The pipeline of a sonar before any selection: without an engine where the synthesis is selected.
+fn unselected(spec: &SonarSpec, medium: &MediumSpec) -> Result<SonarPipeline, RigError> {
+    let mut start = spec.clone();
+    start.model = MethodSelector::start_model(spec);
+    SonarPipeline::new(&start, medium).map_err(|why| RigError::Sonar {
+        name: spec.name.clone(),
+        why,
+    })
 }

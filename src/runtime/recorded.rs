@@ -94,8 +94,9 @@ impl RecordedRig {
             ));
         }
         // With live sources only, the daemon knows no navigation ahead.
-        if has_recorded {
-            crate::rig::plan_all(&mut rig, &mut inputs, first);
+        match has_recorded {
+            true => crate::rig::plan_all(&mut rig, &mut inputs, first),
+            false => rig.make_starting_engines(),
         }
         let sound_speed_m_per_s = rig.medium().sound_speed_m_per_s;
         let triggers = spec.sonars.iter().map(|sonar| &sonar.trigger);

@@ -119,6 +119,7 @@ pub(crate) fn plan_all(rig: &mut Rig, inputs: &mut NavInputs, first: UtcNs) {
             rig.select_first_methods(sonar, &order);
         }
     }
+    rig.make_starting_engines();
 }
 
 /// Builds the thread pool that computes pings.

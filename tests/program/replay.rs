@@ -9,6 +9,7 @@ use serde_json::Value;
 use crate::{files_in, replay_into};
 
 mod pictures;
+mod starts;
 mod stopped;
 mod times;
 

@@ -35,6 +35,7 @@ impl LoggedPings {
             ..spec.clone()
         };
         let mut rig = echotank_runtime::rig::open(spec).map_err(|e| e.to_string())?;
+        rig.make_starting_engines();
         let clock = Arc::new(VirtualClock::default());
         let mut inputs = NavInputs::start(nav, clock).map_err(|e| e.to_string())?;
         let first_utc = loop {

@@ -27,6 +27,7 @@ use crate::methods::{Choice, Ranking};
 use crate::pipeline::{PipelineError, SonarPipeline};
 use crate::threads::pool;
 use echotank_config::spec::{MediumSpec, SonarSpec};
+use echotank_core::model::{ModelChoice, Synthesis};
 use echotank_core::ping::{ErrorCheck, MethodMark, PingPlan};
 use echotank_core::scene::Scatterers;
 use echotank_core::settings::SonarSettings;
@@ -109,7 +110,7 @@ impl MethodSelector {
     pub fn new(spec: &SonarSpec, medium: &MediumSpec, costs: Arc<Costs>) -> Option<Self> {
         spec.synthesis.selects_methods().then(|| Self {
             choice: Choice {
-                model: spec.model,
+                model: Self::start_model(spec),
                 engine_tolerance: spec.synthesis.engine_tolerance,
                 nearest_m: spec.synthesis.nearest_m,
                 part_elements: 1,
@@ -132,6 +133,28 @@ impl MethodSelector {
             pending: None,
             counts: SelectionCounts::default(),
         })
+    }
+
+    /// Methods before the first selection: where the synthesis is selected, the direct sum, which needs no engine and suits every pulse.
+    pub(crate) fn start_model(spec: &SonarSpec) -> ModelChoice {
+        ModelChoice {
+            synthesis: match spec.synthesis.auto.synthesis {
+                true => Synthesis::Direct,
+                false => spec.model.synthesis,
+            },
+            ..spec.model
+        }
+    }
+
+    /// Takes the configured starting methods in place of the direct sum, if nothing has been selected and their engine can be made.
+    pub(crate) fn start(&mut self, medium: &MediumSpec, pipeline: &mut SonarPipeline) {
+        if self.basis.is_some() || self.choice.model == self.spec.model {
+            return;
+        }
+        if let Ok(made) = SonarPipeline::new(&self.spec, medium) {
+            *pipeline = made;
+            self.choice.model = self.spec.model;
+        }
     }
 
     /// Selection that the pings record.
@@ -173,13 +196,22 @@ impl MethodSelector {
     ) {
         let peaks = motion_peaks(&self.spec, plan);
         let basis = (peaks, plan.settings);
-        let job = self.job(
-            plan,
-            sample(scatterers),
-            scatterers.len(),
-            MotionScale::NONE,
-        );
-        self.adopt(basis, job.run(), pipeline);
+        loop {
+            let job = self.job(
+                plan,
+                sample(scatterers),
+                scatterers.len(),
+                MotionScale::NONE,
+            );
+            let outcome = job.run();
+            let is_refused = matches!(outcome, Some((_, _, Err(_))));
+            self.adopt(basis, outcome, pipeline);
+            if !is_refused {
+                return;
+            }
+            // What was refused is excluded; the next best is as good as a first selection.
+            self.basis = None;
+        }
     }
 
     /// Adopts the selection that is due.

@@ -290,6 +290,7 @@ impl Pacer {
                 first.plus_ns(window_ns + latency_ns),
             )));
         }
+        self.rig.make_starting_engines();
         while !self.stop.load(Ordering::Acquire) {
             let now = self.clock.mono();
             let rig_time = self.inputs.timeline();

@@ -345,6 +345,24 @@ fn without_the_filter_the_pulse_determines_the_error() {
     assert_eq!(again.to_string(), said);
 }
 
+/// Without navigation for a first selection.
+#[test]
+fn a_selected_synthesis_starts_with_its_engine_or_the_direct_sum_where_that_is_refused() {
+    let auto = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"auto\"";
+    for (duration_s, started) in [(2e-3, Synthesis::Gridded1d), (30e-3, Synthesis::Direct)] {
+        let mut spec = rig(auto, FILTER, 0.1);
+        let sonar = &mut spec.sonars[0];
+        sonar.settings.pulse_duration_s = duration_s;
+        sonar.limits.pulse_duration_s = (duration_s, duration_s);
+        let made = SonarPipeline::new(sonar, &spec.medium);
+        assert_eq!(made.is_err(), started == Synthesis::Direct);
+        let mut rig = echotank_runtime::rig::open(&spec).expect("opens");
+        assert_eq!(rig.sonars[0].pipeline.model().synthesis, Synthesis::Direct);
+        rig.make_starting_engines();
+        assert_eq!(rig.sonars[0].pipeline.model().synthesis, started);
+    }
+}
+
 #[test]
 fn the_error_model_names_the_limits_of_its_engine() {
     for tolerance in [1e-1, 1e-3, 1e-6, 1e-8] {
