@@ -59,17 +59,26 @@ pub fn conditions(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) ->
     let above = |value: f64, floor: f64| if value < floor { 0.0 } else { value };
     let pose = plan.trajectory.pose_at(0.0);
     let (mut nearest_m, mut farthest_m) = (f64::INFINITY, 0.0f64);
+    let places = scatterers
+        .north_m
+        .iter()
+        .zip(&scatterers.east_m)
+        .zip(&scatterers.down_m);
+    let place_m = |((&north_m, &east_m), &down_m)| DVec3::new(north_m, east_m, down_m);
     for &arm_m in &arms[..spec.transmit.len()] {
         let from = pose.point_m(arm_m);
-        let places = scatterers
-            .north_m
-            .iter()
-            .zip(&scatterers.east_m)
-            .zip(&scatterers.down_m);
-        for ((&north_m, &east_m), &down_m) in places {
-            let range_m = from.distance(DVec3::new(north_m, east_m, down_m));
+        for range_m in places.clone().map(|place| from.distance(place_m(place))) {
             nearest_m = nearest_m.min(range_m);
             farthest_m = farthest_m.max(range_m);
+        }
+    }
+    for array in &spec.receive {
+        let [first, last] = [0, array.elements - 1].map(|e| pose.point_m(array.element_body_m(e)));
+        let line = last - first;
+        let square = line.length_squared().max(f64::MIN_POSITIVE);
+        for from_first in places.clone().map(|place| place_m(place) - first) {
+            let along = (from_first.dot(line) / square).clamp(0.0, 1.0);
+            nearest_m = nearest_m.min((from_first - line * along).length());
         }
     }
     // What lies beyond the window is not heard; what is nearer than a wavelength is no far field of anything.

@@ -222,8 +222,8 @@ table! {
     /// Frequency step of "spectral". Default: one over the record length, or finer. With a coarser step late echoes wrap around onto early ones.
     frequency_step_hz: Number(from(0.01, 1e6)), Optional("5.0"), only with synthesis = "spectral";
 
-    /// Recompute random samples with the reference and print the error. An error above 1.3 times the tolerance in two consecutive checked pings
-    /// counts as a fault.
+    /// Recompute windows of a ping with the reference and print the error, for about 1 % of its cost. Errors above 1.3 times the tolerance on two checked pings running
+    /// are a fault.
     error_check: Bool, Default("false");
 
     /// Longest segment of "polyline" and "k-segment".

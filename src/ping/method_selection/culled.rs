@@ -12,9 +12,9 @@
 //! ```
 //!
 //! by Chernoff's bound for two gamma variables of shape n, the independent samples of a window: no more than band times time, and no more than scatterers
-//! make them. Beside windows louder than themselves errors are counted against the ping's mean: there the short part's own fluctuation is all.
+//! make them. Below the noise floor errors are counted against that: there the short part's own fluctuation is all.
 
-use crate::method_selection::echo_statistics::{MIN_WINDOW, Shares, kept_shares};
+use crate::method_selection::echo_statistics::{MIN_WINDOW, NOISE_BELOW_DB, Shares, kept_shares};
 use crate::method_selection::{Culling, Scene, fades};
 use echotank_config::spec::SonarSpec;
 use echotank_core::ping::PingPlan;
@@ -30,8 +30,6 @@ const MIN_CULL_DB: f64 = -110.0;
 const INCIDENCES_DEG: [f64; 4] = [20.0, 45.0, 70.0, 85.0];
 /// What a platform that turns on, over ground that is not flat, leaves out more.
 const UNEVEN: f64 = 1.5;
-/// A ping's mean energy is no less than this of what is predicted.
-const MIN_MEAN: f64 = 0.8;
 /// Beyond the floor that they were gathered with, scatterers are as dense as just above it, within so many dB: a thinned seabed has fewer, the farther
 /// a side lobe lies below the main lobe.
 const NEAR_FLOOR_DB: f64 = 10.0;
@@ -152,13 +150,18 @@ impl Seabed {
 
     /// Relative error of the worst window's samples.
     fn worst(&self, db: f64) -> f64 {
-        let windows = self.rings.iter().flat_map(|rings| rings.left_out(db));
-        windows
-            .map(|window| self.error(&window))
-            .fold(0.0, f64::max)
+        let arrays = self.rings.iter().map(|rings| {
+            let strongest = rings.left_out(db).map(|window| window.all);
+            let floor = strongest.fold(0.0, f64::max) * libm::exp10(-0.1 * NOISE_BELOW_DB);
+            let windows = rings.left_out(db);
+            let errors = windows.map(|window| self.error(&window, floor));
+            errors.fold(0.0, f64::max)
+        });
+        arrays.fold(0.0, f64::max)
     }
 
-    fn error(&self, window: &LeftOut) -> f64 {
+    /// Of a window, beside a noise floor.
+    fn error(&self, window: &LeftOut, floor: f64) -> f64 {
         if window.left_out <= 0.0 {
             return 0.0;
         }
@@ -171,8 +174,7 @@ impl Seabed {
             independent(window.from_all),
             independent(window.from_left_out),
         );
-        // Beside what is louder than this window.
-        let beside = (fades::worst_peak(self.looks, left_out) * window.left_out / MIN_MEAN).sqrt();
+        let beside = (fades::worst_peak(self.looks, left_out) * window.left_out / floor).sqrt();
         let share = window.left_out / window.all;
         let ratio = fades::worst_ratio(self.looks, all.min(left_out));
         let alone = share + (share * (1.0 - share) * ratio).sqrt();
@@ -251,7 +253,7 @@ mod tests {
                 from_left_out: 1e9,
             };
             // As it is promised.
-            let said = UNEVEN * seabed.error(&window);
+            let said = UNEVEN * seabed.error(&window, 1e-6);
             println!("{n} samples, share {share}: {said:.3e} said, {worst:.3e} at worst");
             assert!(
                 worst <= said && said < 10.0 * worst,

@@ -262,7 +262,8 @@ pub(super) fn motion_peaks(
                 if ray.out_range_m + ray.back_range_m > heard_m {
                     continue;
                 }
-                peaks.nearest_m = peaks.nearest_m.min(ray.out_range_m).min(ray.back_range_m);
+                let line_m = receiver.from_line_m(&ray, &receiver.at[ray.instant]);
+                peaks.nearest_m = peaks.nearest_m.min(ray.out_range_m).min(line_m);
                 let values = receiver.motion(&ray).values;
                 for (peak, value) in peaks.values.iter_mut().zip(values) {
                     *peak = peak.max(value.abs());
@@ -345,6 +346,9 @@ impl MotionPeaks {
     }
 }
 
+/// Below this share of the range from an array's end, the distance from the array counts.
+const NEAR_LINE: f64 = 0.9;
+
 /// Motion below this share of another ping's is none.
 const RESTING: f64 = 1e-6;
 
@@ -357,6 +361,8 @@ struct ReceivingElement {
     transmit_leg: Directivity,
     element: Directivity,
     one_way: OneWay,
+    /// Way along the array from this element to the last one on its other side, metres.
+    line_m: f64,
     step_s: f64,
     at: Vec<At>,
 }
@@ -416,6 +422,11 @@ impl ReceivingElement {
             transmit_leg: Directivity::new(&transmit.pattern, wavelength_m),
             element: Directivity::new(&array.element_pattern, wavelength_m),
             one_way: OneWay::new(wavelength_m, plan.absorption_db_per_m),
+            line_m: {
+                let to_last_m = (array.elements - 1 - element) as f64 * array.spacing_m;
+                let to_first_m = -(element as f64) * array.spacing_m;
+                if element == 0 { to_last_m } else { to_first_m }
+            },
             step_s,
             at: (0..=instants)
                 .map(|k| {
@@ -458,6 +469,14 @@ impl ReceivingElement {
         }
     }
 
+    /// Distance of a scatterer from the nearest element of the array.
+    fn from_line_m(&self, ray: &Ray, at: &At) -> f64 {
+        let back_m = ray.back * ray.back_range_m;
+        let (low, high) = (self.line_m.min(0.0), self.line_m.max(0.0));
+        let along_m = back_m.dot(at.axis).clamp(low, high);
+        (back_m - at.axis * along_m).length()
+    }
+
     fn motion(&self, ray: &Ray) -> EchoMotion {
         let at = &self.at[ray.instant];
         let (v_out, v_back) = (self.transmit_m_per_s, at.velocity_m_per_s);
@@ -485,12 +504,25 @@ impl ReceivingElement {
                 at_least(ray.back_range_m),
             ),
         ];
+        let mut change = [0.5 * (legs[0].0 + legs[1].0), 0.5 * (legs[0].1 + legs[1].1)];
+        // Elements between the ends may be nearer: 2/sqrt(3) v^3/d^2 is the greatest of 3 v r'(1 - r'^2/v^2) v/d^2.
+        let nearest_m = at_least(self.from_line_m(ray, at));
+        if nearest_m < NEAR_LINE * ray.back_range_m {
+            let (v, a) = (v_back.length(), at.acceleration_m_per_s2.length());
+            let most = [
+                v * v / nearest_m + a,
+                (2.0 / 3f64.sqrt() * v * v / nearest_m + 3.0 * a) * v / nearest_m,
+            ];
+            for ((value, most), leg) in change.iter_mut().zip(most).zip([legs[0].0, legs[0].1]) {
+                *value = value.abs().max(0.5 * (leg.abs() + most));
+            }
+        }
         EchoMotion {
             values: [
                 (ray.here_m - self.at[0].position_m).dot(ray.back),
                 0.5 * (closing_out + closing_back),
-                0.5 * (legs[0].0 + legs[1].0),
-                0.5 * (legs[0].1 + legs[1].1),
+                change[0],
+                change[1],
                 at.acceleration_m_per_s2.dot(ray.back),
                 at.turning_m_per_s.dot(ray.back),
             ],

@@ -10,10 +10,8 @@ pub(super) fn worst_peak(looks: f64, n: f64) -> f64 {
 }
 
 /// The greatest ratio of mean squares of `n` samples to those of `n` others, each over its mean. For two gamma variables of shape n,
-/// P(ratio > R) <= (4 R/(1 + R)^2)^n by Chernoff's bound, less a factor of 2 sqrt(pi n) in the tail (the binomial coefficient of the incomplete
-/// beta function, by Stirling).
+/// P(ratio > R) <= (4 R/(1 + R)^2)^n by Chernoff's bound.
 pub(super) fn worst_ratio(looks: f64, n: f64) -> f64 {
-    let beyond = (looks - 0.5 * (4.0 * std::f64::consts::PI * n).ln()).max(0.0);
-    let half = 2.0 * (beyond / n).exp() - 1.0;
+    let half = 2.0 * (looks / n).exp() - 1.0;
     half + (half * half - 1.0).max(0.0).sqrt()
 }

@@ -85,10 +85,6 @@ pub struct SelectionCounts {
     pub given_up: u64,
     /// Selections that could not be made; the one before stays.
     pub failed: u64,
-    /// Pings made on the exact trajectory, because they move more than their selection expected.
-    pub exact_path: u64,
-    /// Pings whose predicted error is above the tolerance although their selection's is not.
-    pub beyond: u64,
 }
 
 struct Pending {
@@ -179,12 +175,8 @@ impl MethodSelector {
         // A selection that misses the tolerance is no reason to call every ping an exception.
         let expected = self.mark.predicted_error.max(goal.tolerance);
         let (path, error) = promise.of_ping(&self.spec, plan, scatterers, expected);
-        if path != plan.model.path {
-            self.counts.exact_path += 1;
-            plan.model.path = path;
-        }
+        plan.model.path = path;
         self.ping_error = error;
-        self.counts.beyond += u64::from(error > expected);
     }
 
     /// Makes the first selection at once and replaces a pipeline that has not computed a ping. Call inside the pool that runs the pipeline.
@@ -204,7 +196,7 @@ impl MethodSelector {
                 MotionScale::NONE,
             );
             let outcome = job.run();
-            let is_refused = matches!(outcome, Some((_, _, Err(_))));
+            let is_refused = matches!(outcome, Some((.., Err(_))));
             self.adopt(basis, outcome, pipeline);
             if !is_refused {
                 return;

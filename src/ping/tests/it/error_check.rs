@@ -98,7 +98,11 @@ fn the_interval_of_an_error_check_contains_the_error_of_every_window() {
         let lines = format!("{receiver}\n{QUIET}");
         let checked = rig(&format!("{model}\nerror_check = true"), &lines);
         // The budget for checking a cheap method is small.
-        let pings = if model.contains("gridded") { 4000 } else { 400 };
+        let pings = if model.contains("gridded") {
+            4000
+        } else {
+            1600
+        };
         let (error_checks, got) = run(&checked, &scatterers, pings);
         let none = error_checks.iter().take_while(|c| c.is_none()).count();
         let last = error_checks
@@ -140,7 +144,7 @@ fn an_error_check_changes_no_sample_and_detects_a_wrong_model() {
     let scatterers = scene(150);
     let bits = |error_check: bool| {
         let model = format!("path = \"stop-and-hop\"\nerror_check = {error_check}");
-        run(&rig(&model, QUIET), &scatterers, 400)
+        run(&rig(&model, QUIET), &scatterers, 1600)
     };
     let ((error_checks, watched), (nothing, plain)) = (bits(true), bits(false));
     assert_eq!(watched, plain);
@@ -155,14 +159,13 @@ fn a_fault_is_an_error_above_1p3_tolerances_on_two_consecutive_pings() {
     let scatterers = scene(150);
     for (tolerance, faulty) in [(1e-1, false), (1e-5, true)] {
         let model = format!("error_check = true\ntolerance = {tolerance}\nsegment_ms = 5.0");
-        let (error_checks, _) = run(&rig(&model, QUIET), &scatterers, 400);
+        let (error_checks, _) = run(&rig(&model, QUIET), &scatterers, 1600);
         let known: Vec<ErrorCheck> = error_checks.into_iter().flatten().collect();
-        let (first, last) = (known[0], known[known.len() - 1]);
+        let last = known[known.len() - 1];
         assert_eq!(last.tolerance, tolerance);
-        assert!(!first.fault, "one ping is not two");
-        assert_eq!(last.fault, faulty, "{last:?}");
+        assert_eq!(known.iter().any(|c| c.fault), faulty, "{last:?}");
+        assert_eq!(known.iter().any(|c| c.exceeded), faulty, "{last:?}");
         assert_eq!(last.worst > FAULT * tolerance, faulty, "{last:?}");
-        assert!(!faulty || last.exceeded, "{last:?}");
     }
 }
 
@@ -172,7 +175,7 @@ fn an_error_check_is_the_same_for_any_number_of_threads() {
     let rig = rig("error_check = true", QUIET);
     let with = |threads: usize| {
         let pool = pool(threads).expect("a pool");
-        pool.install(|| run(&rig, &scatterers, 400).0)
+        pool.install(|| run(&rig, &scatterers, 1600).0)
     };
     let one = with(1);
     assert_eq!(one, with(3));
