@@ -78,6 +78,9 @@ impl Pulse {
 /// Minimum length of the windows over which errors are measured, samples.
 pub const MIN_WINDOW: f64 = 32.0;
 
+/// Level of the noise floor below the strongest window of a ping, dB. Errors of weaker windows are relative to the floor.
+pub const FLOOR_BELOW_STRONGEST_DB: f64 = 55.0;
+
 /// Fraction of windows that may be weaker than [`Pulse::weakest_window`]. A ping has some thousands of windows.
 const WEAKEST_WINDOWS: f64 = 1e-4;
 

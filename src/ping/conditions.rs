@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 
+use crate::element_synthesis::filter_design;
 use crate::method_selection::echo_statistics::echo_statistics;
 use echotank_config::spec::SonarSpec;
 use echotank_core::model::Synthesis;
@@ -109,10 +110,11 @@ pub fn sum_error_model(
     plan: &PingPlan,
     conditions: &Conditions,
 ) -> ErrorModel {
-    let mut error_model = synthesis_error_model(synthesis, conditions);
-    if matches!(synthesis, Synthesis::Nearest | Synthesis::Linear) {
-        error_model.error *= ONE_END;
-    }
+    // Errors of single echoes are kept, so the sound speed may not change them from ping to ping. A higher one gives a narrower filter, which fits.
+    let c = (conditions.sound_speed_m_per_s / SOUND_SPEED_STEP_M_PER_S).ceil()
+        * SOUND_SPEED_STEP_M_PER_S;
+    let filter = filter_design(spec, synthesis, c);
+    let mut error_model = synthesis_error_model(synthesis, conditions, plan, filter);
     if synthesis == Synthesis::Spectral
         && let Some(step_hz) = spec.synthesis.frequency_step_hz
     {
@@ -129,9 +131,8 @@ pub fn sum_error_model(
     error_model
 }
 
-/// What `nearest` and `linear` leave of an echo is of its whole spectrum; of a window that holds one end of it alone it is more, 1.8 times at most in
-/// 200 random rigs.
-const ONE_END: f64 = 2.0;
+/// Step of the sound speeds for which the filter of an error model is designed.
+const SOUND_SPEED_STEP_M_PER_S: f64 = 10.0;
 
 /// Of samples over which others of their kind are laid: as an echo turned upside down.
 const WRAPPED: f64 = 2.0;

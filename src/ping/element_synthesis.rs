@@ -12,15 +12,14 @@ use echotank_core::pulse::Pulse;
 use echotank_core::scene::Scatterers;
 use echotank_core::settings::SonarSettings;
 use echotank_synthesis::array::direct::Direct;
-use echotank_synthesis::array::filter::{self, Decimator, FilterError, grid_ahead};
+use echotank_synthesis::array::filter::{self, Decimator, FilterDesign, FilterError, grid_ahead};
 use echotank_synthesis::array::gridded::DopplerSpan;
 use echotank_synthesis::array::gridded2d::Refusal;
 use echotank_synthesis::comparison::Comparison;
 use echotank_synthesis::comparison::spectral::Bins;
-use echotank_synthesis::echo::reference::reference_with;
+use echotank_synthesis::echo::reference;
 use echotank_synthesis::echo::span::doppler_span;
 use echotank_synthesis::echo::walk::{TransmitLeg, Window, Workspace, arrivals, insonify};
-use echotank_synthesis::edges::Edges;
 use echotank_synthesis::error_model::ErrorModel;
 use echotank_synthesis::slabs::{PingElement, SlabEngine};
 use num_complex::Complex64;
@@ -365,11 +364,12 @@ impl ElementSynthesis {
         match &self.engine {
             Engine::Reference => {
                 let transmit = &self.spec.transmit[array.transmit];
-                self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
-                    reference_with(
-                        edges, plan, transmit, array, element, scatterers, rate_hz, first_s, out,
-                    )
-                })
+                let filter = self.decimator.as_ref();
+                let rate_hz = self.spec.receiver.sample_rate_hz;
+                let first_s = plan.first_sample_s;
+                reference(
+                    plan, transmit, array, element, scatterers, filter, rate_hz, first_s, iq,
+                )
             }
             Engine::Comparison(method) => {
                 let rate_hz = self.spec.receiver.sample_rate_hz;
@@ -381,7 +381,7 @@ impl ElementSynthesis {
         }
     }
 
-    /// One element by the direct sum.
+    /// One element by the direct sum, through the receiver filter if there is one.
     fn direct(
         &self,
         plan: &PingPlan,
@@ -393,28 +393,22 @@ impl ElementSynthesis {
     ) -> EchoCounts {
         let array = &self.spec.receive[index];
         let leg = &self.transmit_legs[array.transmit];
-        self.filtered(plan, dense, iq, |edges, rate_hz, first_s, out| {
-            out.fill(Complex64::ZERO);
-            let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
-            arrivals(plan, array, element, leg, walk, &mut sink)
-        })
-    }
-
-    /// A sum over echoes through the receiver filter, if there is one: `sum` gets the treatment of edges, rate, first instant and samples.
-    fn filtered(
-        &self,
-        plan: &PingPlan,
-        dense: &mut Vec<Complex64>,
-        iq: &mut [Complex64],
-        sum: impl FnOnce(Edges, f64, f64, &mut [Complex64]) -> EchoCounts,
-    ) -> EchoCounts {
         let (first_s, rate_hz, len) = self.grid(plan);
-        let Some(decimator) = &self.decimator else {
-            return sum(Edges::Sampled, rate_hz, first_s, iq);
+        let filter = self.decimator.as_ref();
+        let out = match filter {
+            Some(_) => {
+                dense.resize(len, Complex64::ZERO);
+                &mut **dense
+            }
+            None => &mut *iq,
         };
-        dense.resize(len, Complex64::ZERO);
-        let counts = sum(Edges::Weighted, rate_hz, first_s, dense);
-        decimator.apply(dense, iq);
+        out.fill(Complex64::ZERO);
+        let ends = filter.map(Decimator::ends);
+        let mut sink = Direct::new(plan, rate_hz, first_s, out).with_ends(ends);
+        let counts = arrivals(plan, array, element, leg, walk, &mut sink);
+        if let Some(filter) = filter {
+            filter.apply(dense, iq);
+        }
         counts
     }
 }
@@ -522,14 +516,32 @@ pub(crate) fn receiver_filter(
     if spec.receiver.filter == ReceiverFilter::None {
         return Ok(None);
     }
-    let shortest = shortest_pulse(spec);
-    let rate_hz = spec.receiver.sample_rate_hz;
-    let doppler_hz = doppler_hz(spec, medium);
     if spec.model.synthesis.keeps_tolerance() {
-        return engine_filter(&shortest, rate_hz, doppler_hz).map(Some);
+        let rate_hz = spec.receiver.sample_rate_hz;
+        let doppler_hz = doppler_hz(spec, medium.sound_speed_m_per_s);
+        return engine_filter(&shortest_pulse(spec), rate_hz, doppler_hz).map(Some);
     }
-    let oversample = filter::oversample(&shortest, rate_hz, spec.model.synthesis);
-    Decimator::new(&shortest, rate_hz, doppler_hz, oversample).map(Some)
+    let design = filter_design(spec, spec.model.synthesis, medium.sound_speed_m_per_s);
+    design.map(|design| design.decimator()).transpose()
+}
+
+/// What the receiver filter is designed for ahead of a method without a tolerance, none where no filter is configured.
+pub(crate) fn filter_design(
+    spec: &SonarSpec,
+    synthesis: Synthesis,
+    sound_speed_m_per_s: f64,
+) -> Option<FilterDesign> {
+    if spec.receiver.filter == ReceiverFilter::None {
+        return None;
+    }
+    let pulse = shortest_pulse(spec);
+    let sample_rate_hz = spec.receiver.sample_rate_hz;
+    Some(FilterDesign {
+        pulse,
+        sample_rate_hz,
+        doppler_hz: doppler_hz(spec, sound_speed_m_per_s),
+        oversample: filter::oversample(&pulse, sample_rate_hz, synthesis),
+    })
 }
 
 /// The shortest pulse within the limits.
@@ -541,6 +553,6 @@ pub(crate) fn shortest_pulse(spec: &SonarSpec) -> Pulse {
 }
 
 /// Doppler shift of the fastest platform, hertz.
-pub(crate) fn doppler_hz(spec: &SonarSpec, medium: &MediumSpec) -> f64 {
-    2.0 * FASTEST_PLATFORM_M_PER_S / medium.sound_speed_m_per_s * spec.pulse.center_frequency_hz
+pub(crate) fn doppler_hz(spec: &SonarSpec, sound_speed_m_per_s: f64) -> f64 {
+    2.0 * FASTEST_PLATFORM_M_PER_S / sound_speed_m_per_s * spec.pulse.center_frequency_hz
 }

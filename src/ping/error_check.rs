@@ -22,11 +22,10 @@ use echotank_core::ping::{ErrorCheck, PingOutput, PingPlan};
 use echotank_core::pulse::Pulse;
 use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::direct::Direct;
-use echotank_synthesis::array::error_models::synthesis_error_model;
+use echotank_synthesis::array::error_models::synthesis_cost_ms;
 use echotank_synthesis::array::filter::{self, Decimator, FilterError};
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
 use echotank_synthesis::echo::probe::{Instant, echoes_at, receivable, receivable_ranges_m};
-use echotank_synthesis::edges::Edges;
 use echotank_synthesis::error_model::Conditions;
 
 /// Windows that an error check rests on, at most.
@@ -190,7 +189,8 @@ impl ErrorChecker {
         doppler_hz: f64,
     ) -> Result<Self, FilterError> {
         let rate_hz = spec.receiver.sample_rate_hz;
-        let oversample = filter::oversample(shortest, rate_hz, Synthesis::Reference);
+        // Denser than `direct`, whose own error the check shall see.
+        let oversample = 2 * filter::oversample(shortest, rate_hz, Synthesis::Direct);
         let decimator = match spec.receiver.filter {
             ReceiverFilter::Fir => Some(Decimator::new(shortest, rate_hz, doppler_hz, oversample)?),
             ReceiverFilter::None => None,
@@ -424,16 +424,12 @@ impl ErrorChecker {
         dense.clear();
         dense.resize(self.points(probe.count), Complex64::ZERO);
         let array = probe.array;
-        let first_sample_s =
-            plan.first_sample_s + probe.first as f64 / spec.receiver.sample_rate_hz;
-        let (edges, rate_hz, first_s) = match &self.decimator {
-            None => (Edges::Sampled, spec.receiver.sample_rate_hz, first_sample_s),
-            Some(d) => (
-                Edges::Weighted,
-                d.dense_rate_hz(),
-                d.dense_first_s(first_sample_s),
-            ),
-        };
+        let sample_rate_hz = spec.receiver.sample_rate_hz;
+        let first_sample_s = plan.first_sample_s + probe.first as f64 / sample_rate_hz;
+        let filter = self.decimator.as_ref();
+        let (first_s, rate_hz, _) =
+            filter::grid_ahead(filter, first_sample_s, sample_rate_hz, probe.count);
+        let ends = filter.map(Decimator::ends);
         let of = spec.receive[array].element_pattern.stands_for();
         let array = &spec.receive[array].whole();
         let tx = &spec.transmit[array.transmit];
@@ -443,7 +439,7 @@ impl ErrorChecker {
                 .filter(|(_, mask)| mask >> k & 1 == 1)
                 .map(|(i, _)| *i as usize)
         };
-        let mut sink = Direct::new(plan, rate_hz, first_s, dense).with_edges(edges);
+        let mut sink = Direct::new(plan, rate_hz, first_s, dense).with_ends(ends);
         for j in 0..of {
             let element = at.element * of + j;
             let at = Instant { element, ..at };
@@ -495,7 +491,7 @@ fn pair_ns(spec: &SonarSpec) -> f64 {
         }
         _ => 1.0,
     };
-    let sum_ms = synthesis_error_model(model.synthesis, &conditions).cost_ms + walk_ms / shared_by;
+    let sum_ms = synthesis_cost_ms(model.synthesis, &conditions) + walk_ms / shared_by;
     sum_ms * 1e6
 }
 

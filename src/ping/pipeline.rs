@@ -108,7 +108,7 @@ impl SonarPipeline {
             is_quiet: false,
             error_checker: match spec.synthesis.error_check {
                 true => {
-                    let doppler_hz = doppler_hz(spec, medium);
+                    let doppler_hz = doppler_hz(spec, medium.sound_speed_m_per_s);
                     Some(ErrorChecker::new(spec, &shortest_pulse(spec), doppler_hz)?)
                 }
                 false => None,

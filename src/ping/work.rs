@@ -47,7 +47,7 @@ figures! {
     DirectRun "direct_run" "a run of samples of an echo in `direct`: sines and cosines anew";
     DirectPoint "direct_point" "a point of an echo in `direct`";
     DirectFlank "direct_flank" "... more, on a taper's flank";
-    DirectEdge "direct_edge" "the two sharp ends of an echo in `direct` behind the receiver filter";
+    DirectEdge "direct_edge" "an end of a smooth piece of an echo in `direct` behind the receiver filter";
     ReferencePoint "reference_point" "a point of an echo in `reference`";
     SpectralBin "spectral_bin" "a bin of an echo in `spectral`";
     ReplicaEcho "replica_echo" "an echo in `nearest` and `linear`";

@@ -202,21 +202,30 @@ pub fn truth(scene: &Scene, element: usize, slow: bool) -> Vec<Complex64> {
         scatterers,
         decimator,
     } = scene;
-    let (rate_hz, first_s) = (
-        decimator.dense_rate_hz(),
-        decimator.dense_first_s(plan.first_sample_s),
-    );
-    let mut dense = vec![Complex64::ZERO; decimator.dense_len(plan.sample_count)];
-    if slow {
-        reference(
-            plan, tx, rx, element, scatterers, rate_hz, first_s, &mut dense,
-        );
-    } else {
-        let window = Window::of_samples(first_s, rate_hz, dense.len());
-        let mut sink = Direct::new(plan, rate_hz, first_s, &mut dense);
-        walk(plan, tx, rx, element, window, scatterers, &mut sink);
-    }
     let mut record = vec![Complex64::ZERO; plan.sample_count];
+    if slow {
+        let filter = Some(decimator);
+        let first_s = plan.first_sample_s;
+        reference(
+            plan,
+            tx,
+            rx,
+            element,
+            scatterers,
+            filter,
+            RATE_HZ,
+            first_s,
+            &mut record,
+        );
+        return record;
+    }
+    let rate_hz = decimator.dense_rate_hz();
+    let first_s = decimator.dense_first_s(plan.first_sample_s);
+    let mut dense = vec![Complex64::ZERO; decimator.dense_len(plan.sample_count)];
+    let window = Window::of_samples(first_s, rate_hz, dense.len());
+    let mut sink =
+        Direct::new(plan, rate_hz, first_s, &mut dense).with_ends(Some(decimator.ends()));
+    walk(plan, tx, rx, element, window, scatterers, &mut sink);
     decimator.apply(&dense, &mut record);
     record
 }

@@ -4,13 +4,13 @@ use echotank_config::spec::{MediumSpec, SonarSpec};
 use echotank_core::arrays::{ArrayGeometry, ReceiverFilter, TransmitArray};
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::PingPlan;
-use echotank_core::pulse::Pulse;
+use echotank_core::pulse::{MIN_WINDOW, Pulse};
 use echotank_core::scene::Scatterers;
 use echotank_ping::element_synthesis::FASTEST_PLATFORM_M_PER_S;
 use echotank_synthesis::array::filter::{self, FilterError};
 use echotank_synthesis::array::{Decimator, Direct};
 use echotank_synthesis::echo::probe::{Instant, echoes_at, receivable, receivable_ranges_m};
-use echotank_synthesis::edges::Edges;
+use echotank_synthesis::edges::EndWeights;
 use num_complex::Complex64;
 use rayon::prelude::*;
 
@@ -18,28 +18,26 @@ use rayon::prelude::*;
 const AT_ONCE: usize = 64;
 
 /// Samples of `sum` from `first_s`, after the filter. With a filter, `sum` is sampled at the density of the filter, with weighted
-/// edges. `sum` gets edges, rate, first instant and the output.
+/// ends. `sum` gets the weights, rate, first instant and the output.
 pub(crate) fn received(
     filter: Option<&Decimator>,
     (rate_hz, first_s): (f64, f64),
     out: &mut [Complex64],
-    sum: impl FnOnce(Edges, f64, f64, &mut [Complex64]),
+    sum: impl FnOnce(Option<&EndWeights>, f64, f64, &mut [Complex64]),
 ) {
     let Some(filter) = filter else {
-        return sum(Edges::Sampled, rate_hz, first_s, out);
+        return sum(None, rate_hz, first_s, out);
     };
     let mut dense = vec![Complex64::ZERO; filter.dense_len(out.len())];
     let first_s = filter.dense_first_s(first_s);
-    sum(Edges::Weighted, filter.dense_rate_hz(), first_s, &mut dense);
+    let ends = Some(filter.ends());
+    sum(ends, filter.dense_rate_hz(), first_s, &mut dense);
     filter.apply(&dense, out);
 }
 
-/// Minimum length of a window in samples; a window is otherwise a pulse long.
-const MIN_WINDOW: usize = 32;
-
 /// Number of samples of a window of the accuracy requirement.
 pub(crate) fn window_samples(pulse_s: f64, rate_hz: f64) -> usize {
-    ((pulse_s * rate_hz).ceil() as usize).max(MIN_WINDOW)
+    (pulse_s * rate_hz).ceil().max(MIN_WINDOW) as usize
 }
 
 /// Receiver filter of the sonar with the density of the reference; `None` if the sonar has no filter.
@@ -109,8 +107,8 @@ pub(crate) fn values(
                 filter,
                 (rate_hz, at.time_s),
                 &mut value,
-                |edges, rate_hz, first_s, out| {
-                    let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
+                |ends, rate_hz, first_s, out| {
+                    let mut sink = Direct::new(plan, rate_hz, first_s, out).with_ends(ends);
                     let Probe {
                         transmit, array, ..
                     } = probe;

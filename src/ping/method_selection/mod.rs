@@ -17,7 +17,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use crate::conditions::{conditions, segment_step_s, sum_error_model};
-use crate::element_synthesis::{FASTEST_PLATFORM_M_PER_S, receiver_filter};
+use crate::element_synthesis::{FASTEST_PLATFORM_M_PER_S, filter_design, receiver_filter};
 use crate::engines::{HARDEST_M_PER_S2, Sketch, is_line, sketch};
 use crate::line_engines::{NOMINAL_SCATTERERS, SIDEWAYS_M_PER_S, choices};
 use crate::method_selection::costs::Costs;
@@ -32,8 +32,8 @@ use echotank_core::arrays::{Pattern, ReceiverFilter};
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::Scatterers;
-use echotank_synthesis::array::error_models::synthesis_error_model;
-use echotank_synthesis::array::filter::{Decimator, oversample};
+use echotank_synthesis::array::error_models::{NODES_PER_SAMPLE, reference_points};
+use echotank_synthesis::array::filter::{Decimator, FilterDesign};
 use echotank_synthesis::array::gridded::CostEstimate;
 use echotank_synthesis::array::lines;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
@@ -750,12 +750,10 @@ impl<'a> CandidateBuilder<'a> {
         self.conditions.elements as f64 * self.scene.plan.sample_count as f64
     }
 
-    /// Taps of the receiver filter ahead of this way to sum, 0 without one.
-    fn taps(&self, synthesis: Synthesis) -> f64 {
-        let mut spec = self.scene.spec.clone();
-        spec.model.synthesis = synthesis;
-        let filter = receiver_filter(&spec, self.scene.medium).ok().flatten();
-        filter.map_or(0.0, |filter| filter.dense_len(1) as f64)
+    /// The receiver filter ahead of this way to sum, none where none is configured.
+    fn filter(&self, synthesis: Synthesis) -> Option<FilterDesign> {
+        let c = self.scene.medium.sound_speed_m_per_s;
+        filter_design(self.scene.spec, synthesis, c)
     }
 
     fn plain(
@@ -769,25 +767,27 @@ impl<'a> CandidateBuilder<'a> {
         let pairs = culling.of.kept * all;
         let pulse = &self.conditions.pulse;
         let rate_hz = self.conditions.sample_rate_hz;
-        let filtered = self.conditions.filter == ReceiverFilter::Fir;
-        let dense = match filtered {
-            true => oversample(pulse, rate_hz, synthesis) as f64,
-            false => 1.0,
-        };
+        let filter = self.filter(synthesis);
+        let dense = filter.map_or(1.0, |filter| filter.oversample as f64);
+        let taps = filter.map_or(0.0, |filter| filter.taps() as f64);
         let echo_samples = pulse.duration_s * rate_hz;
         let points = echo_samples * dense;
         let work = match synthesis {
             Synthesis::Direct => {
                 let runs = direct_runs(&self.conditions, motion.doppler, rate_hz * dense);
-                let sharp = filtered && pulse.taper == 0.0;
+                let ends = match (filter, pulse.taper > 0.0) {
+                    (None, _) => 0.0,
+                    (Some(_), false) => 2.0,
+                    (Some(_), true) => 4.0,
+                };
                 Work::of(Figure::DirectRun, pairs * runs)
                     .and(Figure::DirectPoint, pairs * points)
                     .and(Figure::DirectFlank, pairs * flank_points(pulse, points))
-                    .and(Figure::DirectEdge, if sharp { pairs } else { 0.0 })
-                    .and(Figure::FilterTap, self.samples() * self.taps(synthesis))
+                    .and(Figure::DirectEdge, ends * pairs)
+                    .and(Figure::FilterTap, self.samples() * taps)
             }
             Synthesis::Spectral => {
-                let tails = self.taps(synthesis) / dense;
+                let tails = taps / dense;
                 let bins = self.scene.plan.sample_count as f64 + echo_samples + tails;
                 Work::of(Figure::SpectralBin, pairs * bins)
             }
@@ -809,17 +809,19 @@ impl<'a> CandidateBuilder<'a> {
 
     fn reference(&self, motion: &Motion, culling: Culling) -> Candidate {
         let synthesis = Synthesis::Reference;
-        let error_model = synthesis_error_model(synthesis, &self.conditions);
+        let Scene { spec, plan, .. } = self.scene;
+        let error_model = sum_error_model(synthesis, spec, plan, &self.conditions);
         let pulse = &self.conditions.pulse;
         let rate_hz = self.conditions.sample_rate_hz;
-        let dense = match self.conditions.filter {
-            ReceiverFilter::Fir => oversample(pulse, rate_hz, synthesis) as f64,
-            ReceiverFilter::None => 1.0,
-        };
+        let filter = self.filter(synthesis);
         let pairs = (self.scene.count * self.conditions.elements) as f64;
-        let points = pairs * pulse.duration_s * rate_hz * dense;
-        let work = Work::of(Figure::ReferencePoint, points)
-            .and(Figure::FilterTap, self.samples() * self.taps(synthesis));
+        let points = pairs * reference_points(pulse, rate_hz, filter.is_some());
+        // Each node of a sample has a tap for each sample within the filter.
+        let taps = filter.map_or(0.0, |f| {
+            NODES_PER_SAMPLE * f.taps() as f64 / f.oversample as f64
+        });
+        let work =
+            Work::of(Figure::ReferencePoint, points).and(Figure::FilterTap, self.samples() * taps);
         let sum = self.sum("reference".into(), error_model.error, work, error_model.why);
         let whole = Culling {
             db: culling.db,

@@ -10,7 +10,7 @@
 use num_complex::Complex64;
 
 use crate::arrivals::{ArrivalChunk, ArrivalSink};
-use crate::edges::{EDGE_POINTS, Edges, edge_corrections};
+use crate::edges::{END_POINTS, EndWeights, FIRST_POINT};
 use echotank_core::ping::PingPlan;
 use echotank_core::pulse::Pulse;
 
@@ -27,7 +27,7 @@ pub struct Direct<'a> {
     pulse: Pulse,
     rate_hz: f64,
     first_sample_s: f64,
-    edges: Edges,
+    ends: Option<&'a EndWeights>,
     out: &'a mut [Complex64],
 }
 
@@ -54,30 +54,27 @@ impl<'a> Direct<'a> {
             pulse: plan.pulse,
             rate_hz,
             first_sample_s,
-            edges: Edges::Sampled,
+            ends: None,
             out,
         }
     }
 
-    /// Sets the treatment of the edges of a rectangular pulse. A tapered pulse has no steps and is always sampled.
-    pub fn with_edges(mut self, edges: Edges) -> Self {
-        self.edges = if self.pulse.taper > 0.0 {
-            Edges::Sampled
-        } else {
-            edges
-        };
+    /// Weights the points next to the breaks of each echo, for a sum that a filter follows
+    /// ([`Decimator::ends`](super::Decimator::ends)). `None` leaves the values at the samples, as from a receiver without a filter.
+    pub fn with_ends(mut self, ends: Option<&'a EndWeights>) -> Self {
+        self.ends = ends;
         self
     }
 
     /// Range of the samples with 0 <= t' <= T.
     #[inline(always)]
-    fn span(&self, delay_s: f64, eta: f64, curvature_per_s: f64) -> Span {
+    fn span(&self, echo: &Echo) -> Span {
+        let delay_s = echo.delay_s;
         let since_s = |k: f64| (self.first_sample_s + k / self.rate_hz) - delay_s;
-        let emitted_s = |k: f64| (eta + curvature_per_s * since_s(k)) * since_s(k);
+        let emitted_s = |k: f64| echo.emitted_s(since_s(k));
         let edge = |at_s: f64| (at_s - self.first_sample_s) * self.rate_hz;
         let duration_s = self.pulse.duration_s;
-        let root = (eta * eta + 4.0 * curvature_per_s * duration_s).sqrt();
-        let trailing_s = 2.0 * duration_s / (eta + root);
+        let trailing_s = echo.received_s(duration_s);
         // The estimates are wrong by at most two samples. The condition on t' gives the exact range.
         let mut first = edge(delay_s).floor();
         let mut last = edge(delay_s + trailing_s).ceil();
@@ -103,7 +100,6 @@ impl<'a> Direct<'a> {
             let (delay_s, doppler) = (chunk.delay_s[i], chunk.doppler[i]);
             let curvature_per_s = chunk.curvature_per_s[i];
             let amplitude = chunk.amplitude[i];
-            let span = self.span(delay_s, 1.0 + doppler, curvature_per_s);
             let echo = Echo {
                 pulse: &pulse,
                 step_s: 1.0 / self.rate_hz,
@@ -111,11 +107,12 @@ impl<'a> Direct<'a> {
                 doppler,
                 curvature_per_s,
             };
+            let span = self.span(&echo);
             // The conversion to integer saturates: a negative start gives 0, a negative end an empty range.
             let end = ((span.last + 1.0).max(0.0) as usize).min(self.out.len());
             let mut first = (span.first.max(0.0) as usize).min(end);
-            if self.edges == Edges::Weighted && first < end {
-                self.correct_edges(&echo, &span, amplitude);
+            if let Some(ends) = self.ends {
+                self.correct_ends(ends, &echo, &span, amplitude);
             }
             let longest = echo.longest_run();
             while first < end {
@@ -128,32 +125,67 @@ impl<'a> Direct<'a> {
         }
     }
 
-    /// Adds the difference between the weights of [`edge_corrections`] and 1 at the samples next to both edges.
+    /// Adds the difference between the weights of [`EndWeights`] and 1 at the points next to all breaks of an echo.
     #[inline(always)]
-    fn correct_edges(&mut self, echo: &Echo, span: &Span, amplitude: Complex64) {
-        const _: () = assert!(2 * EDGE_POINTS == LANES, "both ends fill the lanes");
-        let leading = edge_corrections(span.inside.0);
-        let trailing = edge_corrections(span.inside.1);
-        let mut turns = [0.0; LANES];
-        let mut at = [0.0; LANES];
-        for j in 0..LANES {
-            let back = (j % EDGE_POINTS) as f64;
-            at[j] = if j < EDGE_POINTS {
-                span.first + back
-            } else {
-                span.last - back
-            };
-            turns[j] = echo.turns((self.first_sample_s + at[j] / self.rate_hz) - echo.delay_s);
+    fn correct_ends(&mut self, ends: &EndWeights, echo: &Echo, span: &Span, amplitude: Complex64) {
+        // Also false for delays that are no numbers.
+        let near = span.first < self.out.len() as f64 - FIRST_POINT && span.last > FIRST_POINT;
+        if !near {
+            return;
         }
-        let (cos, sin) = cis_lanes(turns);
-        for j in 0..LANES {
-            let weight = if j < EDGE_POINTS {
-                leading[j]
-            } else {
-                trailing[j - EDGE_POINTS]
-            };
-            if at[j] >= 0.0 && at[j] < self.out.len() as f64 {
-                self.out[at[j] as usize] += amplitude * Complex64::new(cos[j], sin[j]) * weight;
+        let duration_s = self.pulse.duration_s;
+        let flank_s = 0.5 * self.pulse.taper * duration_s;
+        if flank_s <= 0.0 {
+            let leading = (span.first, span.inside.0, 1.0);
+            let trailing = (span.last, span.inside.1, -1.0);
+            for end in [leading, trailing] {
+                self.correct_end(ends, echo, end, |_| 1.0, amplitude);
+            }
+            return;
+        }
+        // Beside the ends of a flank, the taper is sin^2 on one side and 0 on the other, or 1 - sin^2 = cos^2 is added to it. Both are the same
+        // function of the time from the break.
+        let turns_per_s = 0.5 / flank_s;
+        for (break_s, inward) in [
+            (0.0, 1.0),
+            (flank_s, 1.0),
+            (duration_s - flank_s, -1.0),
+            (duration_s, -1.0),
+        ] {
+            let at =
+                (echo.received_s(break_s) + (echo.delay_s - self.first_sample_s)) * self.rate_hz;
+            let first = if inward > 0.0 { at.ceil() } else { at.floor() };
+            let end = (first, (first - at).abs(), inward);
+            let rise = |emitted_s: f64| 0.5 - 0.5 * cis((emitted_s - break_s) * turns_per_s).0;
+            self.correct_end(ends, echo, end, rise, amplitude);
+        }
+    }
+
+    /// Corrects one end of a piece of an echo that continues in direction `inward` (1 or -1) from point `first`, which is `inside` points from the
+    /// end. `level` is the level of the piece at an emission time.
+    #[inline(always)]
+    fn correct_end(
+        &mut self,
+        ends: &EndWeights,
+        echo: &Echo,
+        (first, inside, inward): (f64, f64, f64),
+        level: impl Fn(f64) -> f64,
+        amplitude: Complex64,
+    ) {
+        let weights = ends.at(inside);
+        let (mut re, mut im) = ([0.0; END_POINTS], [0.0; END_POINTS]);
+        for j in 0..END_POINTS {
+            let at = first + inward * (FIRST_POINT + j as f64);
+            let since_s = (self.first_sample_s + at / self.rate_hz) - echo.delay_s;
+            let weight = weights[j] * level(echo.emitted_s(since_s));
+            let (cos, sin) = cis(echo.turns(since_s));
+            re[j] = weight * (amplitude.re * cos - amplitude.im * sin);
+            im[j] = weight * (amplitude.re * sin + amplitude.im * cos);
+        }
+        for j in 0..END_POINTS {
+            let at = first + inward * (FIRST_POINT + j as f64);
+            if at >= 0.0 && at < self.out.len() as f64 {
+                self.out[at as usize] += Complex64::new(re[j], im[j]);
             }
         }
     }
@@ -195,13 +227,26 @@ impl Echo<'_> {
     #[inline(always)]
     fn turns(&self, since_s: f64) -> f64 {
         let carrier_hz = self.pulse.center_frequency_hz;
-        let emitted_s = ((1.0 + self.doppler) + self.curvature_per_s * since_s) * since_s;
-        let from_middle_s = emitted_s - 0.5 * self.pulse.duration_s;
+        let from_middle_s = self.emitted_s(since_s) - 0.5 * self.pulse.duration_s;
         let carrier = carrier_hz * self.delay_s;
         // Whole turns are removed first, which preserves the digits of the rest.
         0.5 * self.pulse.sweep_hz_per_s() * from_middle_s * from_middle_s
             + carrier_hz * (self.doppler + self.curvature_per_s * since_s) * since_s
             - (carrier - carrier.round_ties_even())
+    }
+
+    /// Emission time of the sound that arrives `since_s` after the leading edge, seconds.
+    #[inline(always)]
+    fn emitted_s(&self, since_s: f64) -> f64 {
+        ((1.0 + self.doppler) + self.curvature_per_s * since_s) * since_s
+    }
+
+    /// Time after the leading edge at which the sound of an emission time arrives, seconds.
+    #[inline(always)]
+    fn received_s(&self, emitted_s: f64) -> f64 {
+        let eta = 1.0 + self.doppler;
+        let root = (eta * eta + 4.0 * self.curvature_per_s * emitted_s).sqrt();
+        2.0 * emitted_s / (eta + root)
     }
 
     /// Maximum number of samples between restarts of the recurrence.
@@ -280,17 +325,20 @@ impl SampleRun {
     /// Tukey weights of the block that starts at sample `n`.
     #[inline(always)]
     fn taper(&self, n: usize) -> [f64; LANES] {
-        let mut weight = [1.0; LANES];
-        if self.flank_s > 0.0 {
-            for (j, w) in weight.iter_mut().enumerate() {
-                let n = (n + j) as f64;
-                let t_s = self.emitted_s + n * (self.step_s + n * self.curvature_s);
-                let inside_s = t_s.min(self.duration_s - t_s).clamp(0.0, self.flank_s);
-                let (_, sin) = cis(0.25 * inside_s / self.flank_s);
-                *w = sin * sin;
-            }
+        if self.flank_s <= 0.0 {
+            return [1.0; LANES];
         }
-        weight
+        let turns_per_s = 0.5 / self.flank_s;
+        let mut turns = [0.0; LANES];
+        for (j, turns) in turns.iter_mut().enumerate() {
+            let n = (n + j) as f64;
+            let t_s = self.emitted_s + n * (self.step_s + n * self.curvature_s);
+            // `clamp` would check its bounds, which keeps the loop from being vectorised.
+            let inside_s = t_s.min(self.duration_s - t_s).max(0.0).min(self.flank_s);
+            *turns = inside_s * turns_per_s;
+        }
+        let (cos, _) = cis_lanes(turns);
+        cos.map(|cos| 0.5 - 0.5 * cos)
     }
 }
 
@@ -542,7 +590,7 @@ mod tests {
                         pulse,
                         rate_hz,
                         first_sample_s: first_s,
-                        edges: Edges::Sampled,
+                        ends: None,
                         out: &mut out,
                     };
                     sink.accept(&chunk_of(&[arrival]));
@@ -560,12 +608,13 @@ mod tests {
 
     #[test]
     fn echoes_off_the_record_touch_nothing_and_never_panic() {
+        let ends = EndWeights::new(1.5);
         let mut out = vec![Complex64::ZERO; 100];
         let mut sink = Direct {
             pulse: pulse(PulseKind::LfmUp, 0.0),
             rate_hz: 40e3,
             first_sample_s: 0.1,
-            edges: Edges::Weighted,
+            ends: Some(&ends),
             out: &mut out,
         };
         let off: Vec<_> = [
@@ -588,7 +637,7 @@ mod tests {
             pulse: pulse(PulseKind::LfmUp, 0.0),
             rate_hz: 40e3,
             first_sample_s: 0.1,
-            edges: Edges::Weighted,
+            ends: Some(&ends),
             out: &mut [],
         }
         .accept(&chunk_of(&[(0.1, 0.0, Complex64::ONE)]));
@@ -610,13 +659,14 @@ mod tests {
                 )
             })
             .collect();
+        let ends = EndWeights::new(1.5);
         let run = |wide: bool| {
             let mut out = vec![Complex64::ZERO; 2000];
             let mut sink = Direct {
                 pulse: pulse(PulseKind::LfmDown, 0.2),
                 rate_hz: 40e3,
                 first_sample_s: 0.025,
-                edges: Edges::Weighted,
+                ends: Some(&ends),
                 out: &mut out,
             };
             if wide {

@@ -2,18 +2,18 @@
 //! then decimation by L.
 //!
 //! The impulse response h(t) is a fixed function of time, a Kaiser-windowed sinc (Kaiser 1974). The
-//! The dense rate is only the step of the convolution sum, so a denser evaluation converges to one
+//! dense rate is only the step of the convolution sum, so a denser evaluation converges to one
 //! result. The filter delay is removed.
 //!
-//! The step at the ends of the Kaiser window is subtracted. With the step, filters of different
-//! density would end at different times. Their difference one filter length from an echo would be
-//! 1e-5 of the echo.
-//!
-//! A pulse with sharp edges makes the convergence first order in the dense step. Weighted edge
-//! points ([`Edges::Weighted`](crate::edges::Edges)) raise it to fourth order or better.
+//! The step at the ends of the Kaiser window is subtracted, which leaves corners there. The taps
+//! next to the corners are weighted, as are the points next to the breaks of a pulse (see
+//! [`EndWeights`]). The sum then has the error of its aliases: the response beyond L times the
+//! sample rate, far in the stop band. The reference solution computes the
+//! same integral without dense points.
 
 use num_complex::Complex64;
 
+use crate::edges::{END_POINTS, EndWeights, FIRST_POINT};
 use echotank_core::model::Synthesis;
 use echotank_core::pulse::Pulse;
 
@@ -23,20 +23,18 @@ const STOP_BAND_DB: f64 = 84.5;
 
 /// Ratio of the dense rate to the band, where the band is max(B, 4/T) and at least [`MIN_BAND`] of
 /// the sample rate.
-///
-/// The tests measure the resulting error (relative l2 of a full record, 30 kHz x 5 ms at 40 kHz).
-/// Weighted sharp edges: 7e-7 (sampled: 1.2e-3). A Tukey taper of 0.1: 2e-7.
 const REFERENCE_DENSITY: f64 = 32.0;
-/// Density for sharp edges. The error with weighted edges is 3e-4 (sampled: 4.4e-3).
-const DIRECT_DENSITY: f64 = 8.0;
-/// Density for a taper of 0.1. The error is 5e-6.
-const DIRECT_DENSITY_TAPERED: f64 = 4.0;
-/// Minimum ratio of band to sample rate. The filter also passes spectrum of the pulse's edges
-/// outside a narrow band, and its aliases must stay small. One point per sample gave errors of 0.2
-/// beside echoes of a rectangular CW pulse.
 const MIN_BAND: f64 = 0.7;
-/// Smallest Tukey taper at which a pulse counts as tapered.
-const TAPERED: f64 = 0.1;
+/// Share of the sample rate that `direct` adds to the band for Doppler.
+const DOPPLER_SHARE: f64 = 0.05;
+/// Largest share of the sample rate that `direct` adds for the flanks of a taper, which modulate
+/// the pulse. Flanks of less than a sample have more, and a larger error.
+const MAX_FLANK_SHARE: f64 = 0.6;
+/// Band for which `direct` takes its points, radians per point: the weights of ends err by 2e-6.
+const DIRECT_BAND: f64 = 1.5;
+/// Minimum number of points per sample of `direct`. Two leave aliases of the stop band of 1e-3
+/// beside echoes, three leave 5e-5.
+const MIN_DIRECT: usize = 3;
 
 /// Error of the filter design.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -82,17 +80,96 @@ pub fn grid_ahead(
 
 /// Number of dense samples per output sample at the input of the receiver filter.
 ///
-/// The reference takes at least 32 times the band. `direct` takes 8 times, or 4 times for a tapered
-/// pulse.
+/// `direct` takes as many as [`EndWeights`] need for its pulse behind the filter. The other methods
+/// compute one replica or spectrum per plan, so a high density costs little.
 pub fn oversample(pulse: &Pulse, sample_rate_hz: f64, synthesis: Synthesis) -> usize {
-    let density = match synthesis {
-        Synthesis::Direct if pulse.taper >= TAPERED => DIRECT_DENSITY_TAPERED,
-        Synthesis::Direct => DIRECT_DENSITY,
-        // The other methods compute one replica or spectrum per plan, so a high density costs
-        // little.
-        _ => REFERENCE_DENSITY,
-    };
-    (density * (occupied_hz(pulse) / sample_rate_hz).max(MIN_BAND)).ceil() as usize
+    let occupied = occupied_hz(pulse) / sample_rate_hz;
+    match synthesis {
+        Synthesis::Direct => {
+            let flank = flank_share(pulse, sample_rate_hz).min(MAX_FLANK_SHARE);
+            let band = 0.5 * (1.0 + occupied) + DOPPLER_SHARE + flank;
+            ((std::f64::consts::TAU * band / DIRECT_BAND).ceil() as usize).max(MIN_DIRECT)
+        }
+        _ => (REFERENCE_DENSITY * occupied.max(MIN_BAND)).ceil() as usize,
+    }
+}
+
+/// Frequency with which the flanks of a taper modulate the pulse, as a share of the sample rate.
+fn flank_share(pulse: &Pulse, sample_rate_hz: f64) -> f64 {
+    if pulse.taper <= 0.0 {
+        return 0.0;
+    }
+    1.0 / (pulse.taper * pulse.duration_s * sample_rate_hz)
+}
+
+/// Edges of the pass band and of the stop band, Hz.
+fn band_hz(pulse: &Pulse, sample_rate_hz: f64, doppler_hz: f64) -> (f64, f64) {
+    let pass_hz = 0.5 * occupied_hz(pulse) + doppler_hz;
+    (pass_hz, 0.5 * sample_rate_hz)
+}
+
+/// Length of the impulse response from rejection and transition width, seconds (Kaiser 1974).
+fn length_s(pulse: &Pulse, sample_rate_hz: f64, doppler_hz: f64) -> f64 {
+    let (pass_hz, stop_hz) = band_hz(pulse, sample_rate_hz, doppler_hz);
+    (STOP_BAND_DB - 7.95) / (2.285 * std::f64::consts::TAU * (stop_hz - pass_hz))
+}
+
+/// Impulse response of the filter as a function of time, without its scale.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Response {
+    cut_hz: f64,
+    /// Half the length of the response, seconds.
+    half_s: f64,
+    beta: f64,
+}
+
+impl Response {
+    /// Value at `t_s` from the middle. Beyond the ends it is the continuation of the inner part.
+    fn at(&self, t_s: f64) -> f64 {
+        let edge = t_s / self.half_s;
+        let inside = self.beta * self.beta * (1.0 - edge * edge);
+        let window = (i0_of_square(inside) - 1.0) / (bessel_i0(self.beta) - 1.0);
+        let pi_x = std::f64::consts::TAU * self.cut_hz * t_s;
+        let sinc = if pi_x == 0.0 {
+            1.0
+        } else {
+            libm::sin(pi_x) / pi_x
+        };
+        2.0 * self.cut_hz * sinc * window
+    }
+}
+
+/// Inputs of [`Decimator::new`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FilterDesign {
+    /// Pulse whose band the filter passes.
+    pub pulse: Pulse,
+    /// Sample rate after the filter, Hz.
+    pub sample_rate_hz: f64,
+    /// Pass band beside the band of the pulse, Hz.
+    pub doppler_hz: f64,
+    /// Number of dense samples per output sample.
+    pub oversample: usize,
+}
+
+impl FilterDesign {
+    /// Number of taps of the filter.
+    pub fn taps(&self) -> usize {
+        let half_s = 0.5 * length_s(&self.pulse, self.sample_rate_hz, self.doppler_hz);
+        let half = (half_s * self.sample_rate_hz * self.oversample as f64).floor() as usize;
+        2 * (half + END_POINTS / 2) + 1
+    }
+
+    /// Designs the filter.
+    pub fn decimator(&self) -> Result<Decimator, FilterError> {
+        let Self {
+            pulse,
+            sample_rate_hz,
+            doppler_hz,
+            oversample,
+        } = self;
+        Decimator::new(pulse, *sample_rate_hz, *doppler_hz, *oversample)
+    }
 }
 
 /// Filter for one sample rate and density. It is designed once per plan.
@@ -100,8 +177,13 @@ pub fn oversample(pulse: &Pulse, sample_rate_hz: f64, synthesis: Synthesis) -> u
 pub struct Decimator {
     oversample: usize,
     sample_rate_hz: f64,
+    response: Response,
+    /// Integral of the response.
+    scale: f64,
     /// Taps of the filter: symmetric, odd number, sum 1.
     taps: Vec<f64>,
+    /// Weights of the points next to the breaks of an echo.
+    ends: EndWeights,
 }
 
 impl Decimator {
@@ -116,8 +198,7 @@ impl Decimator {
         doppler_hz: f64,
         oversample: usize,
     ) -> Result<Self, FilterError> {
-        let pass_hz = 0.5 * occupied_hz(pulse) + doppler_hz;
-        let stop_hz = 0.5 * sample_rate_hz;
+        let (pass_hz, stop_hz) = band_hz(pulse, sample_rate_hz, doppler_hz);
         if pass_hz > 0.9 * stop_hz {
             return Err(FilterError::RateTooLow {
                 sample_rate_hz,
@@ -125,37 +206,66 @@ impl Decimator {
                 min_hz: pass_hz / 0.45,
             });
         }
-        // Kaiser (1974): length and shape from rejection and transition width.
+        // Kaiser (1974): shape from rejection.
         let beta = 0.1102 * (STOP_BAND_DB - 8.7);
-        let length_s =
-            (STOP_BAND_DB - 7.95) / (2.285 * std::f64::consts::TAU * (stop_hz - pass_hz));
-        let cut_hz = 0.5 * (pass_hz + stop_hz);
+        let response = Response {
+            cut_hz: 0.5 * (pass_hz + stop_hz),
+            half_s: 0.5 * length_s(pulse, sample_rate_hz, doppler_hz),
+            beta,
+        };
         let dense_s = 1.0 / (sample_rate_hz * oversample as f64);
-        let half = (0.5 * length_s / dense_s).floor() as usize;
-        let mut taps: Vec<f64> = (0..=2 * half)
-            .map(|k| {
-                let t_s = half.abs_diff(k) as f64 * dense_s;
-                let edge = (2.0 * t_s / length_s).min(1.0);
-                let window =
-                    (bessel_i0(beta * (1.0 - edge * edge).sqrt()) - 1.0) / (bessel_i0(beta) - 1.0);
-                let x = 2.0 * cut_hz * t_s;
-                let pi_x = std::f64::consts::PI * x;
-                let sinc = if x == 0.0 {
-                    1.0
-                } else {
-                    libm::sin(pi_x) / pi_x
-                };
-                2.0 * cut_hz * sinc * window
-            })
-            .collect();
+        // Of the pulse behind the filter.
+        let flank_hz = flank_share(pulse, sample_rate_hz) * sample_rate_hz;
+        let ends =
+            EndWeights::new(std::f64::consts::TAU * (stop_hz + pass_hz + flank_hz) * dense_s);
+        let inside = response.half_s / dense_s;
+        let last = inside.floor();
+        let corrections = ends.at(inside - last);
+        let half = last as usize + END_POINTS / 2;
+        let mut taps = vec![0.0; 2 * half + 1];
+        for k in 0..=half {
+            let from_last = last - k as f64;
+            let inner = if from_last >= 0.0 { 1.0 } else { 0.0 };
+            let place = from_last - FIRST_POINT;
+            let corrected = corrections.get(place as usize).copied().unwrap_or(0.0);
+            let tap = (inner + corrected) * response.at(k as f64 * dense_s);
+            (taps[half - k], taps[half + k]) = (tap, tap);
+        }
         // Unit gain at the centre frequency.
         let sum: f64 = taps.iter().sum();
         taps.iter_mut().for_each(|tap| *tap /= sum);
         Ok(Self {
             oversample,
             sample_rate_hz,
+            response,
+            scale: sum * dense_s,
             taps,
+            ends,
         })
+    }
+
+    /// Weights of the points next to the breaks of an echo, in a sum that this filter follows.
+    pub fn ends(&self) -> &EndWeights {
+        &self.ends
+    }
+
+    /// Sample rate after the filter, Hz.
+    pub(super) fn sample_rate_hz(&self) -> f64 {
+        self.sample_rate_hz
+    }
+
+    /// Half the length of the impulse response as a function of time, seconds; beyond it, the
+    /// response is zero.
+    pub(crate) fn response_half_s(&self) -> f64 {
+        self.response.half_s
+    }
+
+    /// Impulse response at `t_s`, per second.
+    pub(super) fn response(&self, t_s: f64) -> f64 {
+        if t_s.abs() >= self.response.half_s {
+            return 0.0;
+        }
+        self.response.at(t_s) / self.scale
     }
 
     fn half(&self) -> usize {
@@ -240,7 +350,12 @@ fn dot(taps: &[f64], x: &[Complex64]) -> Complex64 {
 /// Modified Bessel function of the first kind, order 0. The power series ends within 40 terms for
 /// the arguments here (below 12).
 pub(super) fn bessel_i0(x: f64) -> f64 {
-    let quarter = 0.25 * x * x;
+    i0_of_square(x * x)
+}
+
+/// [`bessel_i0`] of the square root of `square`, which may be negative.
+fn i0_of_square(square: f64) -> f64 {
+    let quarter = 0.25 * square;
     let (mut term, mut sum) = (1.0, 1.0);
     for k in 1..60 {
         term *= quarter / (k * k) as f64;
@@ -338,7 +453,7 @@ mod tests {
         assert_eq!(occupied_hz(&PULSE), 30e3);
         assert_eq!(oversample(&PULSE, 40e3, Synthesis::Reference), 24);
         // A narrow pulse in a wide receiver needs the same density as a wide pulse.
-        assert_eq!(oversample(&PULSE, 40e3, Synthesis::Direct), 6);
-        assert_eq!(oversample(&ping, 1e6, Synthesis::Direct), 6);
+        assert_eq!(oversample(&PULSE, 40e3, Synthesis::Direct), 4);
+        assert_eq!(oversample(&ping, 1e6, Synthesis::Direct), 3);
     }
 }

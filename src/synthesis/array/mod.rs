@@ -16,9 +16,10 @@ pub mod gridded2d;
 pub mod lines;
 mod noise;
 pub(crate) mod phasor;
+pub(crate) mod quadrature;
 pub mod receiver;
-pub mod windows;
+mod windows;
 
 pub use direct::Direct;
-pub use filter::{Decimator, FilterError, oversample};
+pub use filter::{Decimator, FilterDesign, FilterError, oversample};
 pub use receiver::{fill_gains, receive};

@@ -4,7 +4,6 @@
 use num_complex::Complex64;
 
 use crate::arrivals::{ArrivalChunk, ArrivalSink};
-use crate::edges::Edges;
 use echotank_core::ping::PingPlan;
 use echotank_core::pulse::Pulse;
 
@@ -47,7 +46,7 @@ impl Replica {
                     .resize(filter.dense_len(self.samples.len()), Complex64::ZERO);
                 let dense_first_s = filter.dense_first_s(first_s);
                 Direct::new(plan, filter.dense_rate_hz(), dense_first_s, &mut self.dense)
-                    .with_edges(Edges::Weighted)
+                    .with_ends(Some(filter.ends()))
                     .accept(&echo);
                 filter.apply(&self.dense, &mut self.samples);
             }

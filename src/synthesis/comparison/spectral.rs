@@ -15,17 +15,13 @@ use std::sync::Arc;
 use echotank_fft::{Fft, Planned};
 use num_complex::Complex64;
 
+use crate::array::quadrature::rule;
 use crate::arrivals::{ArrivalChunk, ArrivalSink};
-use crate::edges::{EDGE_POINTS, edge_corrections};
 use echotank_core::ping::PingPlan;
 use echotank_core::pulse::Pulse;
 
 use crate::array::direct::add_tone;
 use crate::array::filter::{Decimator, occupied_hz};
-
-/// Number of points per period of the widest band in the integral of S. With weights at the ends of the pulse, the error is 1e-8 of
-/// the peak of S.
-const SPECTRUM_DENSITY: f64 = 64.0;
 
 /// Frequency grid of one sonar, with the values of S H.
 pub struct Spectrum {
@@ -92,29 +88,26 @@ impl Spectrum {
         }
         self.pulse = Some(plan.pulse);
         let pulse = &plan.pulse;
-        let density_hz = SPECTRUM_DENSITY * occupied_hz(pulse).max(self.rate_hz);
-        let steps = pulse.duration_s * density_hz;
-        let last = steps.floor() as usize;
-        let sharp = pulse.taper == 0.0;
-        let (leading, trailing) = (edge_corrections(0.0), edge_corrections(steps - last as f64));
+        let flank_s = 0.5 * pulse.taper * pulse.duration_s;
+        let breaks_s = [0.0, flank_s, pulse.duration_s - flank_s, pulse.duration_s];
+        // Panels have one oscillation of the pulse and of the highest bin.
+        let panel_s = 1.0 / occupied_hz(pulse).max(self.rate_hz);
         self.shaped.fill(Complex64::ZERO);
         let lowest_hz = offset(0, self.bins()) * self.step_hz;
-        for n in 0..=last {
-            let mut weight = 1.0;
-            if sharp && n < EDGE_POINTS {
-                weight += leading[n];
+        for ends_s in breaks_s.windows(2) {
+            let panels = ((ends_s[1] - ends_s[0]) / panel_s).ceil() as usize;
+            let length_s = (ends_s[1] - ends_s[0]) / panels as f64;
+            for panel in 0..panels {
+                for node in rule(panel as f64, panel as f64 + 1.0) {
+                    let t_s = ends_s[0] + node.at * length_s;
+                    add_tone(
+                        -lowest_hz * t_s,
+                        -self.step_hz * t_s,
+                        pulse.envelope(t_s) * (node.weight * length_s),
+                        &mut self.shaped,
+                    );
+                }
             }
-            if sharp && last - n < EDGE_POINTS {
-                weight += trailing[last - n];
-            }
-            let t_s = n as f64 / density_hz;
-            let sample = pulse.envelope(t_s) * (weight / density_hz);
-            add_tone(
-                -lowest_hz * t_s,
-                -self.step_hz * t_s,
-                sample,
-                &mut self.shaped,
-            );
         }
         for (shaped, gain) in self.shaped.iter_mut().zip(&self.gain) {
             *shaped *= gain;

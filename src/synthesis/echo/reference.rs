@@ -12,7 +12,8 @@
 use glam::{DMat3, DQuat, DVec3};
 use num_complex::Complex64;
 
-use crate::edges::{EDGE_POINTS, Edges, edge_corrections};
+use crate::array::filter::Decimator;
+use crate::array::quadrature::Quadrature;
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::frames::Trajectory;
 use echotank_core::ping::{EchoCounts, PingPlan};
@@ -24,7 +25,11 @@ use super::levels::{Directivity, OneWay, amplitude_from_db};
 /// bisections reach the last bit of f64.
 const MAX_STEPS: usize = 80;
 
-/// As [`reference_with`], with plain sampling of the echo edges.
+/// Overwrites `out` with the echoes of all scatterers at one element: complex envelope, volts
+/// (rms), after the receiver filter if there is one.
+///
+/// Sample k is `first_sample_s + k / rate_hz` seconds after the start of the pulse. An echo covers
+/// 0 <= t' <= T, both ends inclusive. With a filter, `rate_hz` must be its sample rate.
 #[expect(
     clippy::too_many_arguments,
     reason = "the whole problem, each part a noun of its own"
@@ -35,40 +40,7 @@ pub fn reference(
     array: &ArrayGeometry,
     element: usize,
     scatterers: &Scatterers,
-    rate_hz: f64,
-    first_sample_s: f64,
-    out: &mut [Complex64],
-) -> EchoCounts {
-    reference_with(
-        Edges::Sampled,
-        plan,
-        tx,
-        array,
-        element,
-        scatterers,
-        rate_hz,
-        first_sample_s,
-        out,
-    )
-}
-
-/// Overwrites `out` with the echoes of all scatterers at one element: complex envelope, volts
-/// (rms).
-///
-/// Sample k is `first_sample_s + k / rate_hz` seconds after the start of the pulse. An echo covers
-/// 0 <= t' <= T, both ends inclusive. `edges` selects the treatment of the ends of a rectangular
-/// pulse; a tapered pulse is always sampled.
-#[expect(
-    clippy::too_many_arguments,
-    reason = "the whole problem, each part a noun of its own"
-)]
-pub fn reference_with(
-    edges: Edges,
-    plan: &PingPlan,
-    tx: &TransmitArray,
-    array: &ArrayGeometry,
-    element: usize,
-    scatterers: &Scatterers,
+    filter: Option<&Decimator>,
     rate_hz: f64,
     first_sample_s: f64,
     out: &mut [Complex64],
@@ -89,26 +61,32 @@ pub fn reference_with(
         body_m: array.element_body_m(element),
     };
     let time_s = |k: usize| first_sample_s + k as f64 / rate_hz;
-    let receiver_m: Vec<DVec3> = (0..out.len()).map(|k| receiver.at(time_s(k)).0).collect();
+    let mut quadrature = filter.map(|filter| Quadrature::new(filter, first_sample_s, out.len()));
+    let shared_s: Vec<f64> = match &quadrature {
+        Some(quadrature) => quadrature.shared_s().collect(),
+        None => (0..out.len()).map(time_s).collect(),
+    };
+    let receiver_m: Vec<DVec3> = shared_s.iter().map(|&t_s| receiver.at(t_s).0).collect();
     let sonar = Sonar::new(plan, tx, array, &track);
-    let weighted = edges == Edges::Weighted && plan.pulse.taper == 0.0;
     let transmit_m = transmitter.at(0.0).0;
     let last_transmit_m = transmitter.at(duration_s).0;
+    let tail_s = filter.map_or(0.0, Decimator::response_half_s);
+    let flank_s = 0.5 * plan.pulse.taper * duration_s;
+    let breaks_s = [0.0, flank_s, duration_s - flank_s, duration_s];
 
     for i in 0..scatterers.len() {
         let at_m = scatterers.position_m(i) - origin_m;
+        // Time at which the sound of an emission time arrives.
+        let received_s = |emitted_s: f64, from_m: DVec3| {
+            receive_time_s(c, c * emitted_s + at_m.distance(from_m), at_m, &receiver)
+        };
         let first_leg_m = at_m.distance(transmit_m);
-        let leading_s = receive_time_s(c, first_leg_m, at_m, &receiver);
-        let trailing_s = receive_time_s(
-            c,
-            c * duration_s + at_m.distance(last_transmit_m),
-            at_m,
-            &receiver,
-        );
+        let leading_s = received_s(0.0, transmit_m);
+        let trailing_s = received_s(duration_s, last_transmit_m);
         // The range has one spare sample at either end. The condition on t' decides whether a
         // sample is in the echo.
-        let first = ((leading_s - first_sample_s) * rate_hz).floor() - 1.0;
-        let end = ((trailing_s - first_sample_s) * rate_hz).ceil() + 2.0;
+        let first = ((leading_s - tail_s - first_sample_s) * rate_hz).floor() - 1.0;
+        let end = ((trailing_s + tail_s - first_sample_s) * rate_hz).ceil() + 2.0;
         let range = (first.max(0.0) as usize)..(end.max(0.0) as usize).min(out.len());
         if range.is_empty() {
             counts.outside_window += 1;
@@ -125,25 +103,8 @@ pub fn reference_with(
                 leading_s,
                 facing(scatterers, i),
             );
-        let weights = EdgeWeights::new(leading_s, trailing_s, first_sample_s, rate_hz);
         let mut guess_s = 0.0;
-        for k in range {
-            let t_s = time_s(k);
-            let second_leg_m = at_m.distance(receiver_m[k]);
-            // c (t - t') - |S - p_T(t')| - second leg decreases with t', so its signs at the ends
-            // of the pulse show whether t' is in the pulse.
-            let before = c * t_s - first_leg_m - second_leg_m;
-            let after = c * (t_s - duration_s) - at_m.distance(last_transmit_m) - second_leg_m;
-            // Next to an edge, the weights follow from the time of the edge, so membership must
-            // follow from it too.
-            let weight = if weighted {
-                weights.at(k)
-            } else {
-                f64::from(u8::from(before >= 0.0 && after <= 0.0))
-            };
-            if weight == 0.0 {
-                continue;
-            }
+        let mut value = |t_s: f64, second_leg_m: f64| {
             let emitted_s = newton(0.0, duration_s, guess_s, |emitted_s| {
                 let (place_m, velocity) = transmitter.at(emitted_s);
                 let ray_m = at_m - place_m;
@@ -157,53 +118,35 @@ pub fn reference_with(
             let (sin, cos) = libm::sincos(std::f64::consts::TAU * (cycles - cycles.round()));
             // Newton may end slightly outside the pulse, so t' is clamped.
             let sent = plan.pulse.envelope(emitted_s.clamp(0.0, duration_s));
-            out[k] += amplitude * weight * sent * Complex64::new(cos, sin);
+            amplitude * sent * Complex64::new(cos, sin)
+        };
+        if let Some(quadrature) = &mut quadrature {
+            for ends_s in breaks_s.windows(2).filter(|ends_s| ends_s[1] > ends_s[0]) {
+                let [begin_s, end_s] = [ends_s[0], ends_s[1]]
+                    .map(|emitted_s| received_s(emitted_s, transmitter.at(emitted_s).0));
+                quadrature.add((begin_s, end_s), |t_s, shared| {
+                    let place_m = shared.map_or_else(|| receiver.at(t_s).0, |k| receiver_m[k]);
+                    value(t_s, at_m.distance(place_m))
+                });
+            }
+            continue;
         }
+        for k in range {
+            let t_s = time_s(k);
+            let second_leg_m = at_m.distance(receiver_m[k]);
+            // c (t - t') - |S - p_T(t')| - second leg decreases with t', so its signs at the ends
+            // of the pulse show whether t' is in the pulse.
+            let before = c * t_s - first_leg_m - second_leg_m;
+            let after = c * (t_s - duration_s) - at_m.distance(last_transmit_m) - second_leg_m;
+            if before >= 0.0 && after <= 0.0 {
+                out[k] += value(t_s, second_leg_m);
+            }
+        }
+    }
+    if let Some(quadrature) = quadrature {
+        quadrature.finish(out);
     }
     counts
-}
-
-/// Quadrature weights of the samples between two edges.
-struct EdgeWeights {
-    /// Index of the first sample inside the edges.
-    first: f64,
-    /// Index of the last sample inside the edges.
-    last: f64,
-    /// Corrections of the weights at the leading and the trailing edge.
-    corrections: [[f64; EDGE_POINTS]; 2],
-}
-
-impl EdgeWeights {
-    fn new(leading_s: f64, trailing_s: f64, first_sample_s: f64, rate_hz: f64) -> Self {
-        let leading = (leading_s - first_sample_s) * rate_hz;
-        let trailing = (trailing_s - first_sample_s) * rate_hz;
-        let (first, last) = (leading.ceil(), trailing.floor());
-        Self {
-            first,
-            last,
-            corrections: [
-                edge_corrections(first - leading),
-                edge_corrections(trailing - last),
-            ],
-        }
-    }
-
-    /// Weight of sample `k`; 0 outside the edges.
-    fn at(&self, k: usize) -> f64 {
-        let k = k as f64;
-        if k < self.first || k > self.last {
-            return 0.0;
-        }
-        let from_edges = [k - self.first, self.last - k];
-        let beside = |(from, corrections): (f64, &[f64; EDGE_POINTS])| {
-            corrections.get(from as usize).copied().unwrap_or(0.0)
-        };
-        1.0 + from_edges
-            .into_iter()
-            .zip(&self.corrections)
-            .map(beside)
-            .sum::<f64>()
-    }
 }
 
 /// Moves the trajectory so that its first knot is at zero, and returns the original position of

@@ -413,7 +413,8 @@ fn direct(ready: &mut Ready) -> Outcome {
     let took = timed_elements(ready, &plan, |this, transmit_leg, element, out| {
         let mut dense = vec![Complex64::ZERO; filter.dense_len(plan.sample_count)];
         let first_s = filter.dense_first_s(0.0);
-        let mut sink = Direct::new(&plan, filter.dense_rate_hz(), first_s, &mut dense);
+        let mut sink = Direct::new(&plan, filter.dense_rate_hz(), first_s, &mut dense)
+            .with_ends(Some(filter.ends()));
         let mut work = Workspace::new();
         arrivals(
             &plan,

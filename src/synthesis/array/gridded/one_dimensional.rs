@@ -810,7 +810,6 @@ mod tests {
     use super::*;
     use crate::array::Direct;
     use crate::arrivals::CHUNK;
-    use crate::edges::Edges;
     use echotank_core::pulse::PulseKind;
     use echotank_core::testing::plan_at_rest;
 
@@ -859,12 +858,9 @@ mod tests {
     ) -> Vec<Complex64> {
         let plan = plan_at_rest(pulse, SAMPLES, 1500.0);
         let mut out = vec![Complex64::ZERO; SAMPLES];
-        let edges = match filter {
-            None => Edges::Sampled,
-            Some(_) => Edges::Weighted,
-        };
+        let ends = filter.map(Decimator::ends);
         let sum = |rate_hz: f64, first_s: f64, out: &mut [Complex64]| {
-            let mut sink = Direct::new(&plan, rate_hz, first_s, out).with_edges(edges);
+            let mut sink = Direct::new(&plan, rate_hz, first_s, out).with_ends(ends);
             chunks.iter().for_each(|chunk| sink.accept(chunk));
         };
         match filter {

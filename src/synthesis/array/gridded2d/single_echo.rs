@@ -13,12 +13,10 @@ use crate::array::gridded::kernel::Kernel;
 use crate::array::gridded::pulse_spectrum::{PulseSpectrum, energies};
 use crate::array::gridded::transform::grid_size;
 use crate::array::phasor::cis;
-use echotank_core::pulse::Pulse;
+use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, Pulse};
 
 /// Smallest window, samples.
 const MIN_WINDOW: f64 = 32.0;
-/// Level of the noise below the strongest window, dB; weaker windows count as the noise.
-const NOISE_DB: f64 = 55.0;
 /// Width of the check in sample rates. Half of it lies beyond the sampled band, where the receiver
 /// filter stops.
 const DENSE: f64 = 2.0;
@@ -28,7 +26,7 @@ const CORE_REST: f64 = 1e-5;
 const MIN_CORE: f64 = 0.3;
 /// Level of the noise below the strongest window, dB, for a given level range.
 pub fn noise_db(level_range_db: f64) -> f64 {
-    level_range_db.clamp(0.0, NOISE_DB)
+    level_range_db.clamp(0.0, FLOOR_BELOW_STRONGEST_DB)
 }
 
 /// Positions across a cell at which a kernel is tested.

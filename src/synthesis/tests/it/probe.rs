@@ -5,10 +5,10 @@ use num_complex::Complex64;
 
 use echotank_core::model::{DopplerModel, PathModel};
 use echotank_core::ping::PingPlan;
+use echotank_synthesis::array::filter::grid_ahead;
 use echotank_synthesis::array::{Decimator, Direct};
 use echotank_synthesis::echo::probe::{Instant, echoes_at, receivable, receivable_ranges_m};
-use echotank_synthesis::echo::reference::reference_with;
-use echotank_synthesis::edges::Edges;
+use echotank_synthesis::echo::reference;
 
 use crate::paths::restless;
 use crate::synthesis::busy;
@@ -23,15 +23,7 @@ fn both(
     time_s: f64,
 ) -> (Complex64, Complex64) {
     let (tx, rx, scatterers) = busy();
-    let (dense_rate_hz, first_s, len, edges) = match filter {
-        Some(d) => (
-            d.dense_rate_hz(),
-            d.dense_first_s(time_s),
-            d.dense_len(1),
-            Edges::Weighted,
-        ),
-        None => (rate_hz, time_s, 1, Edges::Sampled),
-    };
+    let (first_s, dense_rate_hz, len) = grid_ahead(filter, time_s, rate_hz, 1);
     let sampled = |dense: &[Complex64]| match filter {
         Some(d) => {
             let mut out = [Complex64::ZERO];
@@ -56,21 +48,23 @@ fn both(
         at,
         &scatterers,
         candidates.iter().map(|(i, _)| *i as usize),
-        &mut Direct::new(plan, dense_rate_hz, first_s, &mut dense).with_edges(edges),
+        &mut Direct::new(plan, dense_rate_hz, first_s, &mut dense)
+            .with_ends(filter.map(Decimator::ends)),
     );
     let got = sampled(&dense);
-    reference_with(
-        edges,
+    let mut want = [Complex64::ZERO];
+    reference(
         plan,
         &tx,
         &rx,
         element,
         &scatterers,
-        dense_rate_hz,
-        first_s,
-        &mut dense,
+        filter,
+        rate_hz,
+        time_s,
+        &mut want,
     );
-    (got, sampled(&dense))
+    (got, want[0])
 }
 
 #[test]

@@ -122,6 +122,7 @@ fn record(
             rx,
             element,
             &scatterers,
+            None,
             RATE_HZ,
             first_s,
             &mut out,

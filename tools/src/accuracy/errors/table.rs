@@ -128,7 +128,17 @@ pub(crate) fn measure(method: &Method, case: Case) -> (f64, f64) {
     let first_s = exact_s - 3e-3;
     let count = ((plan.pulse.duration_s + 6e-3) * RATE_HZ) as usize;
     let mut want = vec![Complex64::ZERO; count];
-    reference(&plan, &tx, &rx, 0, &scatterers, RATE_HZ, first_s, &mut want);
+    reference(
+        &plan,
+        &tx,
+        &rx,
+        0,
+        &scatterers,
+        None,
+        RATE_HZ,
+        first_s,
+        &mut want,
+    );
     let mut got = vec![Complex64::ZERO; count];
     let window = Window::of_samples(first_s, RATE_HZ, count);
     let mut sink = Direct::new(&plan, RATE_HZ, first_s, &mut got);

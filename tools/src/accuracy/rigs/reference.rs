@@ -86,13 +86,13 @@ impl<'a> ReferenceSolution<'a> {
                 filter,
                 of_window,
                 &mut record,
-                |edges, rate_hz, first_s, out| {
+                |ends, rate_hz, first_s, out| {
                     if element == 0 {
                         let tx = &spec.transmit[array.transmit];
                         let heard = Window::of_samples(first_s, rate_hz, out.len());
                         insonify(plan, tx, heard, self.ping.everything, &mut transmit_leg);
                     }
-                    let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
+                    let mut sink = Direct::new(plan, rate_hz, first_s, out).with_ends(ends);
                     arrivals(plan, array, element, &transmit_leg, &mut walk, &mut sink);
                 },
             );

@@ -5,34 +5,17 @@ use std::sync::Mutex;
 
 use echotank_core::arrays::ReceiverFilter;
 use echotank_core::model::Synthesis;
-use echotank_synthesis::array::Decimator;
-use echotank_synthesis::array::filter::occupied_hz;
-use echotank_synthesis::array::windows::window_error_model;
-use echotank_synthesis::echo::reference::reference_with;
+use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, MIN_WINDOW};
+use echotank_synthesis::array::error_models::synthesis_error_model;
+use echotank_synthesis::array::{Decimator, FilterDesign, oversample};
+use echotank_synthesis::echo::reference;
 use echotank_synthesis::error_model::ErrorModel;
 use num_complex::Complex64;
 
 use super::case::Case;
-use crate::reference::received;
-
-/// Number of points of the reference over max(B, 4/T): twice the usual density of the reference. The remaining error is 4e-8 for
-/// sharp edges and 1e-9 for long tapers.
-const TRUTH_DENSITY: f64 = 64.0;
-
-/// Maximum density. Without weights for edges, points converge slowly on tapers of a few points.
-const DENSEST: f64 = 512.0;
-
-/// Minimum number of points per sample for narrow pulses. The bandwidth of the receiver limits the sharpness of their edges.
-const MIN_OVERSAMPLE: f64 = 64.0;
-
-/// Dynamic range for which engines are designed, and level of the noise floor for weak windows.
-pub(crate) const LEVEL_RANGE_DB: f64 = 55.0;
-
-/// Minimum length of a window in samples; a window is otherwise a pulse long.
-const MIN_WINDOW: usize = 32;
 
 pub(crate) struct Truth {
-    /// Receiver filter with the density of the reference.
+    /// Receiver filter.
     pub(crate) filter: Option<Decimator>,
     /// Reference samples of the compared elements.
     pub(crate) records: Vec<Vec<Complex64>>,
@@ -47,42 +30,37 @@ impl Truth {
         if let Some((_, error_model)) = error_models.iter().find(|(of, _)| *of == synthesis) {
             return error_model.clone();
         }
-        let error_model = window_error_model(
-            synthesis,
-            &case.conditions,
-            &case.plan,
-            case.doppler_hz,
-            LEVEL_RANGE_DB,
-        )
-        .expect("the case's sample rate holds its pulse");
+        let filter = filter_design(case, synthesis);
+        let error_model = synthesis_error_model(synthesis, &case.conditions, &case.plan, filter);
         error_models.push((synthesis, error_model.clone()));
         error_model
     }
 }
 
-/// Receiver filter of a case with `density` points over the occupied band.
-pub(crate) fn filter(case: &Case, density: f64) -> Option<Decimator> {
-    if case.filter == ReceiverFilter::None {
-        return None;
-    }
-    let pulse = &case.plan.pulse;
-    let least = MIN_OVERSAMPLE * density / TRUTH_DENSITY;
-    let oversample = (density * occupied_hz(pulse) / case.rate_hz).max(least);
-    let filter = Decimator::new(
+/// Receiver filter of a case for a method.
+pub(crate) fn filter_design(case: &Case, synthesis: Synthesis) -> Option<FilterDesign> {
+    let pulse = case.plan.pulse;
+    let design = FilterDesign {
         pulse,
-        case.rate_hz,
-        case.doppler_hz,
-        oversample.ceil() as usize,
-    );
-    Some(filter.expect("the case's sample rate holds its pulse"))
+        sample_rate_hz: case.rate_hz,
+        doppler_hz: case.doppler_hz,
+        oversample: oversample(&pulse, case.rate_hz, synthesis),
+    };
+    (case.filter == ReceiverFilter::Fir).then_some(design)
+}
+
+/// As [`filter_design`].
+pub(crate) fn filter(case: &Case, synthesis: Synthesis) -> Option<Decimator> {
+    let design = filter_design(case, synthesis)?;
+    Some(
+        design
+            .decimator()
+            .expect("the case's sample rate holds its pulse"),
+    )
 }
 
 pub(crate) fn truth(case: &Case) -> Truth {
-    truth_of(case, TRUTH_DENSITY)
-}
-
-fn truth_of(case: &Case, density: f64) -> Truth {
-    let filter = filter(case, density);
+    let filter = filter(case, Synthesis::Reference);
     let all = case.looked_at.iter();
     Truth {
         records: all
@@ -93,45 +71,23 @@ fn truth_of(case: &Case, density: f64) -> Truth {
     }
 }
 
-/// A reference whose half-dense version differs by at most `most` with noise floor, and that difference.
-pub(crate) fn truth_within(case: &Case, most: f64) -> (Truth, WorstWindow) {
-    let mut density = TRUTH_DENSITY;
-    let mut truth = truth(case);
-    let mut doubt = doubt(case, &truth);
-    while doubt.in_noise > most && density < DENSEST {
-        density *= 2.0;
-        let denser = truth_of(case, density);
-        doubt = error(case, &denser, &truth.records);
-        truth = denser;
-    }
-    (truth, doubt)
-}
-
-/// Uncertainty of the reference: error of the half-dense reference and filter against it, by each measure. Without a filter, no
-/// density is involved.
-pub(crate) fn doubt(case: &Case, truth: &Truth) -> WorstWindow {
-    match truth.filter {
-        None => WorstWindow::default(),
-        Some(_) => error(case, truth, &truth_of(case, 0.5 * TRUTH_DENSITY).records),
-    }
-}
-
 fn reference_record(case: &Case, filter: Option<&Decimator>, element: usize) -> Vec<Complex64> {
     let plan = &case.plan;
     let mut record = vec![Complex64::ZERO; plan.sample_count];
-    let of_window = (case.rate_hz, plan.first_sample_s);
-    received(
+    let Case {
+        tx, rx, scatterers, ..
+    } = case;
+    let (rate_hz, first_s) = (case.rate_hz, plan.first_sample_s);
+    reference(
+        plan,
+        tx,
+        rx,
+        element,
+        scatterers,
         filter,
-        of_window,
+        rate_hz,
+        first_s,
         &mut record,
-        |edges, rate_hz, first_s, out| {
-            let Case {
-                tx, rx, scatterers, ..
-            } = case;
-            reference_with(
-                edges, plan, tx, rx, element, scatterers, rate_hz, first_s, out,
-            );
-        },
     );
     record
 }
@@ -144,7 +100,7 @@ const FLOOR_OF_MEDIAN: f64 = 1e-6;
 pub(crate) struct WorstWindow {
     /// Measure without noise: over |want| in the same window, or over 1e-6 of the median of that window over the elements. Infinite
     /// if no element receives an echo and the method synthesises one. In a window with only the end of a taper or of the filter's
-    /// tail, that end is the reference level. Even the half-dense reference misses the tolerance there.
+    /// tail, that end is the reference level.
     pub(crate) without_noise: f64,
     /// Measure that tolerances apply to: over |want| in the same window, or over its noise, 55 dB below the strongest window.
     pub(crate) in_noise: f64,
@@ -182,7 +138,7 @@ pub(crate) fn worst_window(
     want: &[Vec<Complex64>],
     length: usize,
 ) -> WorstWindow {
-    let length = length.max(MIN_WINDOW).min(want[0].len());
+    let length = length.max(MIN_WINDOW as usize).min(want[0].len());
     let size: Vec<Vec<f64>> = want
         .iter()
         .map(|record| energies(record.iter().map(|w| w.norm_sqr()), length))
@@ -192,7 +148,7 @@ pub(crate) fn worst_window(
         .map(|at| FLOOR_OF_MEDIAN.powi(2) * median(size.iter().map(|s| s[at])))
         .collect();
     let strongest = size.iter().flatten().copied().fold(0.0, f64::max);
-    let noise = strongest * 10f64.powf(-LEVEL_RANGE_DB / 10.0);
+    let noise = strongest * 10f64.powf(-FLOOR_BELOW_STRONGEST_DB / 10.0);
     for ((got, want), size) in got.iter().zip(want).zip(&size) {
         let off = got.iter().zip(want).map(|(g, w)| (g - w).norm_sqr());
         let off = energies(off, length);

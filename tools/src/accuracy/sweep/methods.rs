@@ -2,11 +2,10 @@
 
 use std::sync::Mutex;
 
-use echotank_core::arrays::ReceiverFilter;
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::PingPlan;
+use echotank_core::pulse::FLOOR_BELOW_STRONGEST_DB;
 use echotank_core::simd::SimdLevel;
-use echotank_synthesis::array::filter::oversample;
 use echotank_synthesis::array::gridded::{DopplerSpan, Gridded1d, one_dimensional};
 use echotank_synthesis::array::gridded2d::{self, Gridded2d};
 use echotank_synthesis::array::{Decimator, Direct};
@@ -24,7 +23,7 @@ use echotank_testing::echo as rig;
 use num_complex::Complex64;
 
 use super::case::Case;
-use super::measure::{LEVEL_RANGE_DB, Truth};
+use super::measure::{Truth, filter};
 use crate::bench::scene::ArrivalCollector;
 use crate::reference::received;
 
@@ -275,19 +274,6 @@ fn walk(
     );
 }
 
-/// Receiver filter of the pipeline for this synthesis.
-fn own_filter(case: &Case, synthesis: Synthesis) -> Option<Decimator> {
-    let pulse = &case.plan.pulse;
-    let factor = oversample(pulse, case.rate_hz, synthesis);
-    match case.filter {
-        ReceiverFilter::None => None,
-        ReceiverFilter::Fir => Some(
-            Decimator::new(pulse, case.rate_hz, case.doppler_hz, factor)
-                .expect("the case's sample rate holds its pulse"),
-        ),
-    }
-}
-
 fn each(case: &Case, mut record: impl FnMut(usize, &mut [Complex64])) -> Vec<Vec<Complex64>> {
     let all = case.looked_at.iter().map(|&element| {
         let mut out = vec![Complex64::ZERO; case.plan.sample_count];
@@ -298,7 +284,7 @@ fn each(case: &Case, mut record: impl FnMut(usize, &mut [Complex64])) -> Vec<Vec
 }
 
 fn direct(case: &Case, plan: &PingPlan) -> Vec<Vec<Complex64>> {
-    direct_with(case, plan, own_filter(case, Synthesis::Direct).as_ref())
+    direct_with(case, plan, filter(case, Synthesis::Direct).as_ref())
 }
 
 pub(crate) fn direct_with(
@@ -308,16 +294,16 @@ pub(crate) fn direct_with(
 ) -> Vec<Vec<Complex64>> {
     let of_window = (case.rate_hz, plan.first_sample_s);
     each(case, |element, out| {
-        received(filter, of_window, out, |edges, rate_hz, first_s, out| {
+        received(filter, of_window, out, |ends, rate_hz, first_s, out| {
             let grid = (rate_hz, first_s, out.len());
-            let mut sink = Direct::new(plan, rate_hz, first_s, out).with_edges(edges);
+            let mut sink = Direct::new(plan, rate_hz, first_s, out).with_ends(ends);
             walk(case, plan, element, grid, &mut sink);
         });
     })
 }
 
 fn spectral(case: &Case, plan: &PingPlan) -> Vec<Vec<Complex64>> {
-    let filter = own_filter(case, Synthesis::Spectral);
+    let filter = filter(case, Synthesis::Spectral);
     let tails_s = filter.as_ref().map_or(0.0, |f| -2.0 * f.dense_first_s(0.0));
     let record_s = plan.sample_count as f64 / case.rate_hz + plan.pulse.duration_s + tails_s;
     let mut spectrum = Spectrum::new(case.rate_hz, record_s, None, filter.as_ref());
@@ -331,7 +317,7 @@ fn spectral(case: &Case, plan: &PingPlan) -> Vec<Vec<Complex64>> {
 }
 
 fn replicas(case: &Case, plan: &PingPlan, linear: bool) -> Vec<Vec<Complex64>> {
-    let filter = own_filter(case, Synthesis::Nearest);
+    let filter = filter(case, Synthesis::Nearest);
     let mut replica = Replica::default();
     replica.prepare(plan, case.rate_hz, filter.as_ref());
     let (rate_hz, first_s) = (case.rate_hz, plan.first_sample_s);
@@ -386,7 +372,7 @@ fn gridded_1d(
         span,
         curvature_per_s,
         tolerance,
-        level_range_db: LEVEL_RANGE_DB,
+        level_range_db: FLOOR_BELOW_STRONGEST_DB,
         arrivals: case.scatterers.len(),
         simd_level: SimdLevel::best(),
     })
@@ -428,7 +414,7 @@ fn gridded_2d(
         model: &plan.model,
         bounds: case.bounds(),
         tolerance,
-        level_range_db: LEVEL_RANGE_DB,
+        level_range_db: FLOOR_BELOW_STRONGEST_DB,
         samples: plan.sample_count,
         scatterers: case.scatterers.len(),
         simd_level: SimdLevel::best(),

@@ -143,19 +143,6 @@ impl Row {
     }
 }
 
-/// Uncertainty of the reference.
-pub(crate) fn doubt(case: &Case, truth: &Truth) -> String {
-    let WorstWindow {
-        without_noise,
-        in_noise,
-        beside,
-    } = measure::doubt(case, truth);
-    format!(
-        "{:<18} {:<22} the half-dense reference: {in_noise:.1e}, beside {beside:.1e}, without noise {without_noise:.1e}\n",
-        case.scene, case.motion
-    )
-}
-
 pub(crate) fn heading() -> String {
     let mut line = format!(
         "{:<18} {:<22} {:<10} {:>8}",
