@@ -14,12 +14,11 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 
-use crate::method_selection::echo_statistics::NOISE_BELOW_DB;
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::ReceiverFilter;
 use echotank_core::model::Synthesis;
 use echotank_core::ping::{ErrorCheck, PingOutput, PingPlan};
-use echotank_core::pulse::Pulse;
+use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, Pulse};
 use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::direct::Direct;
 use echotank_synthesis::array::error_models::synthesis_cost_ms;
@@ -51,7 +50,7 @@ fn window_samples(pulse_s: f64, rate_hz: f64) -> usize {
 
 /// Share of the strongest window's mean square below which a window's level counts as noise.
 fn noise_share() -> f64 {
-    libm::exp10(-0.1 * NOISE_BELOW_DB)
+    libm::exp10(-0.1 * FLOOR_BELOW_STRONGEST_DB)
 }
 
 /// The worst window of any element of a whole ping, by halves of a window: rms of what is off over the truth's rms in the window, or over the noise

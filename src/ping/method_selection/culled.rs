@@ -14,10 +14,11 @@
 //! by Chernoff's bound for two gamma variables of shape n, the independent samples of a window: no more than band times time, and no more than scatterers
 //! make them. Below the noise floor errors are counted against that: there the short part's own fluctuation is all.
 
-use crate::method_selection::echo_statistics::{MIN_WINDOW, NOISE_BELOW_DB, Shares, kept_shares};
+use crate::method_selection::echo_statistics::{MIN_WINDOW, Shares, kept_shares};
 use crate::method_selection::{Culling, Scene, fades};
 use echotank_config::spec::SonarSpec;
 use echotank_core::ping::PingPlan;
+use echotank_core::pulse::FLOOR_BELOW_STRONGEST_DB;
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::echo::culling::{Ground, LeftOut, Rings, left_out_share};
 
@@ -152,7 +153,8 @@ impl Seabed {
     fn worst(&self, db: f64) -> f64 {
         let arrays = self.rings.iter().map(|rings| {
             let strongest = rings.left_out(db).map(|window| window.all);
-            let floor = strongest.fold(0.0, f64::max) * libm::exp10(-0.1 * NOISE_BELOW_DB);
+            let floor =
+                strongest.fold(0.0, f64::max) * libm::exp10(-0.1 * FLOOR_BELOW_STRONGEST_DB);
             let windows = rings.left_out(db);
             let errors = windows.map(|window| self.error(&window, floor));
             errors.fold(0.0, f64::max)

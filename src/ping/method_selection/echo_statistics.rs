@@ -10,6 +10,7 @@ use crate::method_selection::{MotionScale, fades};
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::ping::PingPlan;
+use echotank_core::pulse::FLOOR_BELOW_STRONGEST_DB;
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::echo::levels::{Directivity, OneWay, amplitude_from_db};
 use echotank_synthesis::error_model::{Conditions, EchoStatistics};
@@ -30,8 +31,6 @@ const SAMPLED: f64 = 1.1;
 
 /// A window may begin anywhere, and cut an echo anywhere: it is put together of so many parts, and looked at from each of them on.
 const PARTS: usize = 4;
-/// Errors count against a window's own level, or against a noise floor so far below that of the strongest window.
-pub const NOISE_BELOW_DB: f64 = 55.0;
 
 /// Quantities that the error models multiply, in the order of [`EchoStatistics`]: displacement, closing speed, range acceleration, its rate,
 /// acceleration, turning.
@@ -170,7 +169,8 @@ pub fn echo_statistics(
             sounded = true;
             let window = |parts: &[Part]| parts.iter().fold(Part::default(), Part::and);
             let strongest = parts.windows(PARTS).map(|parts| window(parts).energy);
-            let floor = strongest.fold(mean, f64::max) * libm::exp10(-0.1 * NOISE_BELOW_DB);
+            let floor =
+                strongest.fold(mean, f64::max) * libm::exp10(-0.1 * FLOOR_BELOW_STRONGEST_DB);
             for window in parts.windows(PARTS).map(window) {
                 if window.energy == 0.0 {
                     continue;

@@ -419,11 +419,13 @@ fn a_failed_error_check_selects_costlier_methods() {
             if order.ping_number == 3 {
                 let scatterers = recorded.rig.scatterers().clone();
                 let failed = ErrorCheck {
-                    samples: 64,
+                    windows: 64,
                     error: 2e-2,
                     low: 1e-2,
                     high: 3e-2,
+                    worst: 3e-2,
                     tolerance: 1e-2,
+                    exceeded: true,
                     fault: true,
                 };
                 let method_selector = recorded.rig.sonars[0]
