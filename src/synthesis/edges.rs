@@ -18,8 +18,8 @@ pub const END_POINTS: usize = 12;
 
 const HALF: usize = END_POINTS / 2;
 
-/// Number of powers of the distance from an end. For W = 1.6 the first one left out counts 2e-10.
-const POWERS: usize = 12;
+/// Number of powers of the distance from an end. For W = 1.6 the first one left out counts 3e-8.
+const POWERS: usize = 10;
 
 /// Bounds of the band for which weights can be computed, radians per point. Below the lower one, rounding would exceed what a smaller band gains.
 const MIN_BAND: f64 = 0.4;

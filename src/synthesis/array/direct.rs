@@ -139,7 +139,7 @@ impl<'a> Direct<'a> {
             let leading = (span.first, span.inside.0, 1.0);
             let trailing = (span.last, span.inside.1, -1.0);
             for end in [leading, trailing] {
-                self.correct_end(ends, echo, end, |_| 1.0, amplitude);
+                self.correct_end(ends, echo, end, None, amplitude);
             }
             return;
         }
@@ -156,36 +156,40 @@ impl<'a> Direct<'a> {
                 (echo.received_s(break_s) + (echo.delay_s - self.first_sample_s)) * self.rate_hz;
             let first = if inward > 0.0 { at.ceil() } else { at.floor() };
             let end = (first, (first - at).abs(), inward);
-            let rise = |emitted_s: f64| 0.5 - 0.5 * cis((emitted_s - break_s) * turns_per_s).0;
-            self.correct_end(ends, echo, end, rise, amplitude);
+            self.correct_end(ends, echo, end, Some((break_s, turns_per_s)), amplitude);
         }
     }
 
     /// Corrects one end of a piece of an echo that continues in direction `inward` (1 or -1) from point `first`, which is `inside` points from the
-    /// end. `level` is the level of the piece at an emission time.
+    /// end. `flank`: the emission time from which the level rises as a flank, and half the inverse of the flank's length; none for a level of 1.
     #[inline(always)]
     fn correct_end(
         &mut self,
         ends: &EndWeights,
         echo: &Echo,
         (first, inside, inward): (f64, f64, f64),
-        level: impl Fn(f64) -> f64,
+        flank: Option<(f64, f64)>,
         amplitude: Complex64,
     ) {
-        let weights = ends.at(inside);
-        let (mut re, mut im) = ([0.0; END_POINTS], [0.0; END_POINTS]);
+        let mut weights = ends.at(inside);
+        let (mut since_s, mut turns) = ([0.0; END_POINTS], [0.0; END_POINTS]);
         for j in 0..END_POINTS {
             let at = first + inward * (FIRST_POINT + j as f64);
-            let since_s = (self.first_sample_s + at / self.rate_hz) - echo.delay_s;
-            let weight = weights[j] * level(echo.emitted_s(since_s));
-            let (cos, sin) = cis(echo.turns(since_s));
-            re[j] = weight * (amplitude.re * cos - amplitude.im * sin);
-            im[j] = weight * (amplitude.re * sin + amplitude.im * cos);
+            since_s[j] = (self.first_sample_s + at / self.rate_hz) - echo.delay_s;
+            turns[j] = echo.turns(since_s[j]);
         }
+        if let Some((break_s, turns_per_s)) = flank {
+            let rise = since_s.map(|since_s| (echo.emitted_s(since_s) - break_s) * turns_per_s);
+            let (cos, _) = cis_lanes(rise);
+            for (weight, cos) in weights.iter_mut().zip(cos) {
+                *weight *= 0.5 - 0.5 * cos;
+            }
+        }
+        let (cos, sin) = cis_lanes(turns);
         for j in 0..END_POINTS {
             let at = first + inward * (FIRST_POINT + j as f64);
             if at >= 0.0 && at < self.out.len() as f64 {
-                self.out[at as usize] += Complex64::new(re[j], im[j]);
+                self.out[at as usize] += amplitude * Complex64::new(cos[j], sin[j]) * weights[j];
             }
         }
     }

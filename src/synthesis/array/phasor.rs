@@ -46,11 +46,11 @@ pub(crate) fn cis(turns: f64) -> (f64, f64) {
     )
 }
 
-/// [`cis`] of [`LANES`] values: (cosines, sines).
+/// [`cis`] of several values: (cosines, sines).
 #[inline(always)]
-pub(crate) fn cis_lanes(turns: [f64; LANES]) -> ([f64; LANES], [f64; LANES]) {
-    let (mut re, mut im) = ([0.0; LANES], [0.0; LANES]);
-    for j in 0..LANES {
+pub(crate) fn cis_lanes<const N: usize>(turns: [f64; N]) -> ([f64; N], [f64; N]) {
+    let (mut re, mut im) = ([0.0; N], [0.0; N]);
+    for j in 0..N {
         (re[j], im[j]) = cis(turns[j]);
     }
     (re, im)

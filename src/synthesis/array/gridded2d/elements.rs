@@ -160,7 +160,8 @@ impl<T: Sample> Task<'_, T> {
         let carrier_hz = self.engine.ping.carrier_hz;
         let per_m = (carrier_hz + self.middle_hz(block)) / self.engine.ping.sound_speed_m_per_s;
         let (turn, start) = (per_m * self.step * y, per_m * self.slope(0) * y);
-        let (mut cos, mut sin) = cis_lanes(std::array::from_fn(|k: usize| start + turn * k as f64));
+        let turns: [f64; LANES] = std::array::from_fn(|k| start + turn * k as f64);
+        let (mut cos, mut sin) = cis_lanes(turns);
         let (cos_on, sin_on) = cis(LANES as f64 * turn);
         for rotors in rotors.chunks_exact_mut(LANES) {
             for (k, rotor) in rotors.iter_mut().enumerate() {
