@@ -223,9 +223,11 @@ fn rank_with_conditions(scene: &Scene, barred: &[Choice]) -> Option<(Ranking, Co
         candidates.retain(of_parts);
     }
     let goal = goal(scene.spec);
-    // The truth is for those who ask for it, and for what nothing else reaches.
+    // The truth is for those who ask for it, and for what nothing else reaches and one core has the time for.
     if scene.spec.synthesis.auto.synthesis && !candidates.iter().any(|c| goal.meets(c)) {
-        candidates.extend(builder.exact());
+        let c = scene.plan.sound_speed_m_per_s;
+        let period_ms = 1e-6 * crate::period_ns(&scene.plan.settings, c) as f64;
+        candidates.extend(builder.exact().filter(|c| c.cost_ms() <= period_ms));
     }
     let ranking = choose(goal, candidates, refused, barred)?;
     Some((ranking, builder.conditions))
