@@ -544,7 +544,9 @@ impl<'a> CandidateBuilder<'a> {
             ));
         }
         let across = ACROSS * echo_statistics.map_or(speed_m_per_s, |echoes| echoes.across_m_per_s);
-        if synthesis == Synthesis::Gridded2d
+        // Of its own bounds a fixed engine knows better, ping by ping.
+        if self.scene.spec.synthesis.auto.synthesis
+            && synthesis == Synthesis::Gridded2d
             && doppler != DopplerModel::None
             && across > SIDEWAYS_M_PER_S
         {

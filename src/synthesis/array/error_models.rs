@@ -114,7 +114,7 @@ pub fn reference_points(pulse: &Pulse, rate_hz: f64, filtered: bool) -> f64 {
 const RECURRENCE: f64 = 512.0 * f64::EPSILON;
 
 /// Error of the quadrature of the reference in the worst window.
-const QUADRATURE: f64 = 1e-8;
+const QUADRATURE: f64 = 1e-7;
 
 /// Error of a method whose filter cannot be designed.
 const WRONG: f64 = 2.0;
