@@ -262,7 +262,7 @@ pub(super) fn motion_peaks(
                 if ray.out_range_m + ray.back_range_m > heard_m {
                     continue;
                 }
-                let line_m = receiver.from_line_m(&ray, &receiver.at[ray.instant]);
+                let line_m = receiver.line_distance_m(&ray, &receiver.at[ray.instant]);
                 peaks.nearest_m = peaks.nearest_m.min(ray.out_range_m).min(line_m);
                 let values = receiver.motion(&ray).values;
                 for (peak, value) in peaks.values.iter_mut().zip(values) {
@@ -470,7 +470,7 @@ impl ReceivingElement {
     }
 
     /// Distance of a scatterer from the nearest element of the array.
-    fn from_line_m(&self, ray: &Ray, at: &At) -> f64 {
+    fn line_distance_m(&self, ray: &Ray, at: &At) -> f64 {
         let back_m = ray.back * ray.back_range_m;
         let (low, high) = (self.line_m.min(0.0), self.line_m.max(0.0));
         let along_m = back_m.dot(at.axis).clamp(low, high);
@@ -506,7 +506,7 @@ impl ReceivingElement {
         ];
         let mut change = [0.5 * (legs[0].0 + legs[1].0), 0.5 * (legs[0].1 + legs[1].1)];
         // Elements between the ends may be nearer: 2/sqrt(3) v^3/d^2 is the greatest of 3 v r'(1 - r'^2/v^2) v/d^2.
-        let nearest_m = at_least(self.from_line_m(ray, at));
+        let nearest_m = at_least(self.line_distance_m(ray, at));
         if nearest_m < NEAR_LINE * ray.back_range_m {
             let (v, a) = (v_back.length(), at.acceleration_m_per_s2.length());
             let most = [
