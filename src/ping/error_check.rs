@@ -53,27 +53,23 @@ fn noise_share() -> f64 {
     libm::exp10(-0.1 * FLOOR_BELOW_STRONGEST_DB)
 }
 
-/// The worst window of any element of a whole ping, by halves of a window: rms of what is off over the truth's rms in the window, or over the noise
-/// floor. Infinite where something is heard and nothing is there, no number where a sample is none.
+/// The worst window of any element of a whole ping, rms of what is off over the truth's rms in the window or in the ping, whichever is larger:
+/// norm M of docs/accuracy.md, weaker than the contract. Infinite where something is heard and nothing is there, no number where a sample is none.
 pub fn worst_window(got: &PingOutput, truth: &PingOutput, pulse_s: f64, rate_hz: f64) -> f64 {
     let window = window_samples(pulse_s, rate_hz);
     let mut worst = 0.0f64;
     for (got, truth) in got.elements.iter().zip(&truth.elements) {
         for element in 0..truth.elements {
             let (got, truth) = (got.element(element), truth.element(element));
-            let floor = strongest(truth, window) * noise_share();
-            for first in starts(truth.len(), window) {
-                let truth = &truth[first..(first + window).min(truth.len())];
-                let off = got[first..]
-                    .iter()
-                    .zip(truth)
-                    .map(|(g, t)| (g - t).norm_sqr());
+            let whole = mean_square(truth);
+            for (got, truth) in got.chunks(window).zip(truth.chunks(window)) {
+                let off = got.iter().zip(truth).map(|(g, t)| (g - t).norm_sqr());
                 let off = off.sum::<f64>() / truth.len() as f64;
                 if off.is_nan() {
                     return f64::NAN;
                 }
                 if off > 0.0 {
-                    worst = worst.max((off / mean_square(truth).max(floor)).sqrt());
+                    worst = worst.max((off / mean_square(truth).max(whole)).sqrt());
                 }
             }
         }

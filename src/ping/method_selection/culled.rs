@@ -12,13 +12,13 @@
 //! ```
 //!
 //! by Chernoff's bound for two gamma variables of shape n, the independent samples of a window: no more than band times time, and no more than scatterers
-//! make them. Below the noise floor errors are counted against that: there the short part's own fluctuation is all.
+//! make them. Beside windows louder than themselves errors are counted against the ping's mean, which is weaker than the contract: a floor that kept
+//! the windows of a side-scan's water column to it would keep the whole disc of ground around the sonar.
 
 use crate::method_selection::echo_statistics::{MIN_WINDOW, Shares, kept_shares};
 use crate::method_selection::{Culling, Scene, fades};
 use echotank_config::spec::SonarSpec;
 use echotank_core::ping::PingPlan;
-use echotank_core::pulse::FLOOR_BELOW_STRONGEST_DB;
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::echo::culling::{Ground, LeftOut, Rings, left_out_share};
 
@@ -31,6 +31,8 @@ const MIN_CULL_DB: f64 = -110.0;
 const INCIDENCES_DEG: [f64; 4] = [20.0, 45.0, 70.0, 85.0];
 /// What a platform that turns on, over ground that is not flat, leaves out more.
 const UNEVEN: f64 = 1.5;
+/// A ping's mean energy is no less than this of what is predicted.
+const MIN_MEAN: f64 = 0.8;
 /// Beyond the floor that they were gathered with, scatterers are as dense as just above it, within so many dB: a thinned seabed has fewer, the farther
 /// a side lobe lies below the main lobe.
 const NEAR_FLOOR_DB: f64 = 10.0;
@@ -151,19 +153,13 @@ impl Seabed {
 
     /// Relative error of the worst window's samples.
     fn worst(&self, db: f64) -> f64 {
-        let arrays = self.rings.iter().map(|rings| {
-            let strongest = rings.left_out(db).map(|window| window.all);
-            let floor =
-                strongest.fold(0.0, f64::max) * libm::exp10(-0.1 * FLOOR_BELOW_STRONGEST_DB);
-            let windows = rings.left_out(db);
-            let errors = windows.map(|window| self.error(&window, floor));
-            errors.fold(0.0, f64::max)
-        });
-        arrays.fold(0.0, f64::max)
+        let windows = self.rings.iter().flat_map(|rings| rings.left_out(db));
+        windows
+            .map(|window| self.error(&window))
+            .fold(0.0, f64::max)
     }
 
-    /// Of a window, beside a noise floor.
-    fn error(&self, window: &LeftOut, floor: f64) -> f64 {
+    fn error(&self, window: &LeftOut) -> f64 {
         if window.left_out <= 0.0 {
             return 0.0;
         }
@@ -176,7 +172,8 @@ impl Seabed {
             independent(window.from_all),
             independent(window.from_left_out),
         );
-        let beside = (fades::worst_peak(self.looks, left_out) * window.left_out / floor).sqrt();
+        // Beside what is louder than this window.
+        let beside = (fades::worst_peak(self.looks, left_out) * window.left_out / MIN_MEAN).sqrt();
         let share = window.left_out / window.all;
         let ratio = fades::worst_ratio(self.looks, all.min(left_out));
         let alone = share + (share * (1.0 - share) * ratio).sqrt();
@@ -255,7 +252,7 @@ mod tests {
                 from_left_out: 1e9,
             };
             // As it is promised.
-            let said = UNEVEN * seabed.error(&window, 1e-6);
+            let said = UNEVEN * seabed.error(&window);
             println!("{n} samples, share {share}: {said:.3e} said, {worst:.3e} at worst");
             assert!(
                 worst <= said && said < 10.0 * worst,
