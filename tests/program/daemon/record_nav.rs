@@ -1,7 +1,8 @@
 //! Tests of `run --record-nav` and `replay --nav`: a run with live navigation is repeated bit for bit.
 
 use std::collections::BTreeMap;
-use std::net::{SocketAddr, UdpSocket};
+use std::io::Write;
+use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use std::{fs, thread};
@@ -9,21 +10,27 @@ use std::{fs, thread};
 use echotank_protocols::sevenk::file::FileReader;
 use echotank_runtime::io::sonar::verify::ping_number;
 
+use serialport::{SerialPort, TTYPort};
+
 use super::{Daemon, LIVE_SONAR, gnss, sentence};
 use crate::{command, file_of, replay_into, run};
 
-/// A rig with three live sources in this mode, of which the second replaces the first.
-fn rig(folder: &Path, mode: &str) -> PathBuf {
-    let source = |name: &str, time: &str, provides: &str| {
+/// Keys of a source that receives datagrams.
+const UDP: &str = "kind = \"udp\"\nlisten = \"127.0.0.1:0\"";
+
+/// A rig with three live sources in this mode, of which the second replaces the first. `links`: their keys.
+fn rig(folder: &Path, mode: &str, links: [&str; 3]) -> PathBuf {
+    let source = |name: &str, link: &str, time: &str, provides: &str| {
         format!(
-            "[[nav.source]]\nname = \"{name}\"\nkind = \"udp\"\nlisten = \"127.0.0.1:0\"\ntime = \"{time}\"\nprovides = {provides}\n"
+            "[[nav.source]]\nname = \"{name}\"\n{link}\ntime = \"{time}\"\nprovides = {provides}\n"
         )
     };
     let fixes = "[\"position\", \"heading\"]";
+    let [first, second, mru] = links;
     let sources = [
-        source("first", "message", fixes),
-        source("second", "message", fixes),
-        source("mru", "arrival", "[\"roll-pitch\", \"heave\"]"),
+        source("first", first, "message", fixes),
+        source("second", second, "message", fixes),
+        source("mru", mru, "arrival", "[\"roll-pitch\", \"heave\"]"),
     ];
     let text = format!(
         r#"
@@ -80,24 +87,40 @@ fn samples(path: &Path) -> BTreeMap<u32, Vec<u8>> {
         .collect()
 }
 
+/// The other end of a source's link.
+enum Instrument {
+    Udp(UdpSocket, SocketAddr),
+    Tcp(TcpStream),
+    Serial(TTYPort),
+}
+
+impl Instrument {
+    fn udp(to: SocketAddr) -> Self {
+        Self::Udp(UdpSocket::bind("127.0.0.1:0").expect("socket"), to)
+    }
+
+    fn send(&mut self, text: &str) {
+        let text = text.as_bytes();
+        match self {
+            Self::Udp(socket, to) => socket.send_to(text, *to).map(|_| ()),
+            Self::Tcp(stream) => stream.write_all(text),
+            Self::Serial(port) => port.write_all(text),
+        }
+        .expect("sent");
+    }
+}
+
 /// Sends 25 rounds of sentences a second. The first source ends after 2 s of 4 s.
-fn sail(first: SocketAddr, second: SocketAddr, mru: SocketAddr, range: impl Fn()) {
-    let socket = UdpSocket::bind("127.0.0.1:0").expect("socket");
+fn sail([mut first, mut second, mut mru]: [Instrument; 3], range: impl Fn()) {
     let begun = Instant::now();
-    let send = |text: &str, to| {
-        socket.send_to(text.as_bytes(), to).expect("sent");
-    };
     for round in 0..100 {
         let minutes = 1e-4 * f64::from(round);
         if round < 50 {
-            send(&gnss(minutes, 0), first);
+            first.send(&gnss(minutes, 0));
         }
-        send(&gnss(minutes + 1e-3, 0), second);
+        second.send(&gnss(minutes + 1e-3, 0));
         let roll = 3.0 * (0.2 * f64::from(round)).sin();
-        send(
-            &sentence(&format!("PSXN,23,{roll:.3},-1.5,123.45,0.2")),
-            mru,
-        );
+        mru.send(&sentence(&format!("PSXN,23,{roll:.3},-1.5,123.45,0.2")));
         if round == 70 {
             range();
         }
@@ -106,17 +129,19 @@ fn sail(first: SocketAddr, second: SocketAddr, mru: SocketAddr, range: impl Fn()
     }
 }
 
-fn repeated(mode: &str) {
+/// Runs a rig with these links, repeats it from its recording, and compares the samples. `instruments`: the other ends of the links.
+fn repeated(
+    mode: &str,
+    links: [&str; 3],
+    instruments: impl FnOnce(&mut Daemon) -> [Instrument; 3],
+) {
     let folder = tempfile::tempdir().expect("folder");
     let at = |name: &str| folder.path().join(name);
-    let (rig, nav) = (rig(folder.path(), mode), at("nav.pcapng"));
+    let (rig, nav) = (rig(folder.path(), mode, links), at("nav.pcapng"));
     let mut daemon = Daemon::spawn(command("run").arg(&rig).arg("--record-nav").arg(&nav));
-    let port = |daemon: &mut Daemon, name: &str| daemon.address_of(&format!("nav {name}"), "udp");
-    let first = port(&mut daemon, "first");
-    let second = port(&mut daemon, "second");
-    let mru = port(&mut daemon, "mru");
+    let instruments = instruments(&mut daemon);
     let control = daemon.address_of("control http", "http").to_string();
-    sail(first, second, mru, || {
+    sail(instruments, || {
         let done = run("ctl", ["--address", &control, "set", "range_m=15"]);
         assert_eq!(done.code, Some(0), "{}", done.err);
     });
@@ -171,21 +196,52 @@ fn repeated(mode: &str) {
     assert!(fs::read(&nav).expect("readable") == before);
 }
 
+fn over_udp(daemon: &mut Daemon) -> [Instrument; 3] {
+    ["first", "second", "mru"]
+        .map(|name| Instrument::udp(daemon.address_of(&format!("nav {name}"), "udp")))
+}
+
 #[test]
 fn a_predicted_run_with_live_sources_is_repeated_bit_for_bit() {
-    repeated("predict");
+    repeated("predict", [UDP; 3], over_udp);
 }
 
 #[test]
 fn a_settled_run_with_live_sources_is_repeated_bit_for_bit() {
-    repeated("settle");
+    repeated("settle", [UDP; 3], over_udp);
+}
+
+/// The daemon calls one source over TCP, another calls the daemon, and the third is on a serial line.
+#[test]
+fn a_run_with_sources_on_tcp_and_on_a_serial_line_is_repeated_bit_for_bit() {
+    let server = TcpListener::bind("127.0.0.1:0").expect("a listener");
+    let address = server.local_addr().expect("an address");
+    let connect = format!("kind = \"tcp\"\nconnect = \"{address}\"");
+    let listen = "kind = \"tcp\"\nlisten = \"127.0.0.1:0\"";
+    let (instrument, port) = TTYPort::pair().expect("a pseudo-terminal");
+    let name = port.name().expect("a name");
+    let serial = format!("kind = \"serial\"\nport = \"{name}\"\nbaud = 115200");
+    repeated("settle", [&connect, listen, &serial], |daemon| {
+        let (called, _) = server.accept().expect("the daemon calls");
+        let second = daemon.address_of("nav second", "tcp");
+        let calling = TcpStream::connect(second).expect("the daemon listens");
+        [
+            Instrument::Tcp(called),
+            Instrument::Tcp(calling),
+            Instrument::Serial(instrument),
+        ]
+    });
+    drop(port);
 }
 
 #[test]
 fn a_log_takes_the_place_of_live_sources() {
     let folder = tempfile::tempdir().expect("folder");
     let data = echotank_testing::repository().join("tests/data");
-    let (rig, out) = (rig(folder.path(), "settle"), folder.path().join("out"));
+    let (rig, out) = (
+        rig(folder.path(), "settle", [UDP; 3]),
+        folder.path().join("out"),
+    );
     let log = data.join("nav/seapath330_90s.rvdas");
     let arguments = [
         "--nav".as_ref(),
