@@ -115,9 +115,13 @@ def set_value(config, assignment):
 
 
 def pattern_of(table, kind, side):
-    if table.get(kind, "omnidirectional") == "omnidirectional":
+    name = table.get(kind, "auto")
+    length_m, width_m = (float(table.get(side + key, 0)) for key in ("length_m", "width_m"))
+    if name == "auto" and length_m == width_m == 0 and int(table.get("elements", 1)) > 1:
+        length_m = float(table["spacing_m"])
+    if name == "omnidirectional" or length_m == width_m == 0:
         return Pattern()
-    return Pattern(float(table.get(side + "length_m", 0)), float(table.get(side + "width_m", 0)), table.get("baffled", True))
+    return Pattern(length_m, width_m, table.get("baffled", True))
 
 
 def angles_of(table):
@@ -137,7 +141,9 @@ def load_rig(path, sonar_name=None, changes=()):
     sonars = config["sonar"]
     sonar = next(s for s in sonars if s.get("name") == sonar_name) if sonar_name else sonars[0]
     pulse, receiver = sonar["pulse"], sonar["receiver"]
-    for key, off in (("noise_db", None), ("adc_bits", None), ("tvg", "none")):
+    if receiver.get("noise_db", "ambient") != "none":
+        raise ValueError("noise_db must be \"none\"")
+    for key, off in (("adc_bits", None), ("tvg", "none")):
         if receiver.get(key, off) != off:
             raise ValueError("%s is not supported" % key)
     if config["medium"]["absorption"] != "none":
@@ -165,7 +171,7 @@ def load_rig(path, sonar_name=None, changes=()):
                   for t in sonar["transmit"]],
         points=read_points(path.parent / config["scene"]["points"]),
         nav=read_nav(path.parent / config["nav"]["source"][0]["path"]),
-        filtered=receiver.get("rx_filter", "none") == "fir",
+        filtered=receiver.get("rx_filter", "fir") == "fir",
     )
 
 

@@ -176,6 +176,7 @@ position_m = {moved}
 [sonar.receiver]
 sample_rate_khz = {rate}
 rx_filter = "{'fir' if fir else 'none'}"
+noise_db = "none"
 full_scale_v = 1000.0
 [sonar.ping]
 range_m = {range_m}
@@ -187,6 +188,7 @@ tolerance = {tolerance}
 path = "auto"
 doppler = "auto"
 synthesis = "{engine}"
+error_check = false
 """
     (folder / "rig.toml").write_text(text)
     (folder / "track.csv").write_text("time_s,north_m,east_m,down_m,roll_deg,pitch_deg,heading_deg\n" + "\n".join(track) + "\n")

@@ -167,6 +167,7 @@ duration_ms = 1.0
 sweep = "down"
 [sonar.receiver]
 rx_filter = "none"
+noise_db = "none"
 [sonar.ping]
 source_level_db = 0.0
 [[sonar.transmit]]
@@ -178,6 +179,7 @@ transmit = "tx"
 sensitivity_db = 0.0
 elements = 2
 spacing_m = 0.002
+element_pattern = "omnidirectional"
 position_m = [0.1, -0.2, 0.3]
 roll_deg = 60.0
 [[sonar.receive]]
@@ -185,6 +187,7 @@ name = "starboard"
 sensitivity_db = 0.0
 elements = 3
 spacing_m = 0.003
+element_pattern = "omnidirectional"
 position_m = [0.1, 0.2, 0.3]
 roll_deg = -60.0
 transmit = "tx"

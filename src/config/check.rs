@@ -202,6 +202,15 @@ fn rig(table: &keys::Rig, text: &str, problems: &mut Problems) -> Option<RigSpec
         .enumerate()
         .map(|(k, t)| sonar::sonar(t, (k, &names), medium.as_ref(), &mut listeners, problems))
         .collect();
+    // Tiles leave before there is a whole ping to check.
+    if run.as_ref().is_some_and(|run| run.stream_tiles) {
+        for (sonar, t) in sonars.iter_mut().zip(tables) {
+            let given = t.model.as_ref().is_some_and(|t| t.error_check.given);
+            if let Some(sonar) = sonar.as_mut().filter(|_| !given) {
+                sonar.synthesis.error_check = false;
+            }
+        }
+    }
     trigger::refuse_trigger_conflicts(tables, &sonars, run.as_ref(), problems);
     let longest_range_m = tables
         .iter()

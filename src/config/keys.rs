@@ -35,6 +35,7 @@ macro_rules! kind {
     (VectorDegrees($range:expr)) => { Kind::Numbers(3, $range, Unit::Degrees) };
     (Choice($($name:literal),+ $(; later $($later:literal),+)?)) => { Kind::Choice(&[$($name),+], &[$($($later),+)?]) };
     (ChoiceOf($names:expr)) => { Kind::Choice($names, &[]) };
+    (ChoiceOrNumber($range:expr, $($choice:tt)*)) => { Kind::Either(&kind!(Choice($($choice)*)), &kind!(Number($range))) };
     (ChoiceOrRows($($choice:tt)*)) => { Kind::Either(&kind!(Choice($($choice)*)), &Kind::Rows) };
     (ChoiceOrTable($table:ident: $($choice:tt)*)) => { Kind::Either(&kind!(Choice($($choice)*)), &kind!(Table($table))) };
     (Choices($($name:literal),+)) => { Kind::Choices(&[$($name),+]) };
@@ -60,6 +61,7 @@ macro_rules! value {
     (Choices($($name:tt)*)) => { Vec<String> };
     (Choice($($name:tt)*)) => { String };
     (ChoiceOf($names:expr)) => { String };
+    (ChoiceOrNumber($range:expr, $($choice:tt)*)) => { ChoiceOr<f64> };
     (ChoiceOrRows($($choice:tt)*)) => { ChoiceOr<Vec<(f64, f64)>> };
     (ChoiceOrTable($table:ident: $($choice:tt)*)) => { ChoiceOr<$table> };
     (Table($table:path)) => { $table };

@@ -743,6 +743,7 @@ fn type_fits(kind: &Kind, value: &DeValue<'_>) -> bool {
         Kind::Choice(..) => value.is_str(),
         Kind::Table(_) => value.is_table(),
         Kind::Rows => value.is_array(),
+        Kind::Number(..) => value.is_float() || value.is_integer(),
         _ => false,
     }
 }

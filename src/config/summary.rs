@@ -430,14 +430,16 @@ fn write_beams(out: &mut String, sonar: &SonarSpec) -> fmt::Result {
 }
 
 fn model(sonar: &SonarSpec) -> String {
-    let model = &sonar.model;
+    let (model, auto) = (&sonar.model, sonar.synthesis.auto);
     let path = match model.path {
+        _ if auto.path => "path auto".to_owned(),
         PathModel::StopAndHop | PathModel::Continuous => model.path.name().to_owned(),
         PathModel::Polyline | PathModel::KSegment => {
             format!("{} of {} ms", model.path.name(), model.segment_s * 1e3)
         }
     };
     let doppler = match model.doppler {
+        _ if auto.doppler => "Doppler auto".to_owned(),
         DopplerModel::None => "no Doppler".to_owned(),
         other => format!("Doppler {}", other.name()),
     };
@@ -452,13 +454,16 @@ fn model(sonar: &SonarSpec) -> String {
     match model.synthesis {
         Synthesis::Reference => format!("reference, {cull}{error_check}"),
         other => {
-            let within = match other.keeps_tolerance() {
+            let within = match other.keeps_tolerance() || auto.synthesis {
                 true => format!(" within {:.0e}", sonar.synthesis.tolerance),
                 false => String::new(),
             };
             format!(
                 "{}{within}, {path}, {doppler}, {cull}{error_check}",
-                other.name()
+                match auto.synthesis {
+                    true => "auto",
+                    false => other.name(),
+                }
             )
         }
     }

@@ -69,7 +69,7 @@ const MISTAKES: &[Mistake] = &[
     (
         "a ping rate beyond the speed of sound",
         "check {Q} --set sonar.ping.rate_hz=10",
-        1,
+        0,
         &["the range of 150 m is too long for 10.00 pings/s; the rate is reduced to 4.98"],
     ),
     (

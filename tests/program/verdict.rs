@@ -150,6 +150,7 @@ fn more_data_than_gigabit_ethernet_carries_is_found() {
     finds(
         MINIMAL,
         &[
+            "scene.seabed.density_per_m2=1",
             "sonar.receive.0.elements=512",
             "sonar.receiver.sample_rate_khz=600",
             "sonar.output.sevenk.listen=\"127.0.0.1:0\"",

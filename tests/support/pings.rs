@@ -117,8 +117,26 @@ pub fn plan_on(
 }
 
 /// Side-scan sonar of 400 kHz over a plane, with additional configuration lines: `receiver` of `[sonar.receiver]`, `tables` after
-/// `[sonar.ping]`, and `model` of `[sonar.model]`.
+/// `[sonar.ping]`, and `model` of `[sonar.model]`. Without other lines it has neither filter nor noise, and omnidirectional elements.
 pub fn small_rig(elements: usize, receiver: &str, tables: &str, model: &str) -> RigSpec {
+    let unless = |lines: &str, key: &str, line: &'static str| match lines.contains(key) {
+        true => "",
+        false => line,
+    };
+    let filter = unless(receiver, "rx_filter", "rx_filter = \"none\"");
+    let gridded = receiver.contains("\"fir\"") && !model.contains("paper-eq21");
+    let noise = unless(receiver, "noise_db", "noise_db = \"none\"");
+    let path = unless(model, "path", "path = \"polyline\"");
+    let doppler = unless(model, "doppler", "doppler = \"stretch\"");
+    let synthesis = unless(
+        model,
+        "synthesis",
+        match gridded {
+            true => "synthesis = \"gridded-1d\"",
+            false => "synthesis = \"direct\"",
+        },
+    );
+    let error_check = unless(model, "error_check", "error_check = false");
     let text = format!(
         r#"
 [[nav.source]]
@@ -128,6 +146,7 @@ listen = "127.0.0.1:10110"
 [scene.seabed]
 shape = "plane"
 depth_m = 40.0
+density_per_m2 = 1.0
 [[sonar]]
 name = "main"
 [sonar.pulse]
@@ -141,8 +160,11 @@ name = "tx"
 name = "rx"
 elements = {elements}
 spacing_m = 0.002
+element_pattern = "omnidirectional"
 [sonar.receiver]
 sample_rate_khz = 60.0
+{filter}
+{noise}
 {receiver}
 [sonar.ping]
 range_m = 30.0
@@ -150,6 +172,10 @@ rate_hz = 5.0
 source_level_db = 200.0
 {tables}
 [sonar.model]
+{path}
+{doppler}
+{synthesis}
+{error_check}
 {model}
 "#
     );

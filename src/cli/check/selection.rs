@@ -70,7 +70,7 @@ fn select_for_images(
     costs: &Costs,
 ) -> Option<Ranking> {
     let synthesis = &sonar.synthesis;
-    let asked = synthesis.auto.any() && synthesis.image_cells.is_none() && !synthesis.error_check;
+    let asked = synthesis.auto.any() && synthesis.image_cells.is_none();
     if !asked || !sonar.element_readers().is_empty() {
         return None;
     }

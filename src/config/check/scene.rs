@@ -57,7 +57,9 @@ pub(super) fn scene(table: &keys::Scene, rig: &Rig, problems: &mut Problems) -> 
         if needed_mib > (memory_limit_bytes / MIB) as f64 {
             let density = match density {
                 Density::PerM2(n) => format!("density_per_m2 = {n}"),
-                Density::Auto { .. } => "density = \"auto\"".to_owned(),
+                Density::Auto { .. } => {
+                    "density = \"auto\"; density_per_m2 is a constant density instead".to_owned()
+                }
             };
             let rule = format!(
                 "must be at least {needed_mib}, to hold the {scatterers:.3e} scatterers in the beams within {} m ({density})",
@@ -129,7 +131,7 @@ fn seabed(
         constant,
         "a constant density, not density = \"auto\"",
     );
-    let density = match table.density.given {
+    let density = match table.density.given || !table.density_per_m2.given {
         true => {
             let depth_m = table
                 .depth_m

@@ -88,7 +88,7 @@ pub(crate) fn sonar<'t>(
     let receiver = table
         .receiver
         .as_ref()
-        .and_then(|t| receiver(t, medium, problems));
+        .and_then(|t| receiver(t, pulse.as_ref(), medium, problems));
     if let Some(t) = table.receiver.as_ref() {
         refuse_slow_sampling(t, pulse.as_ref(), limits.as_ref(), medium, problems);
         refuse_bands_beyond_sampling(table, t, pulse.as_ref(), &more_pulses, problems);
@@ -349,18 +349,25 @@ fn mounting(position_m: &Field<DVec3>, [roll, pitch, yaw]: [&Field<f64>; 3]) -> 
     })
 }
 
-/// The pattern called `name`. Its sides are parallel to the x and y axes of the array.
+/// The pattern called `name`. Its sides are parallel to the x and y axes of the array. `spacing_m`: of the elements of a line.
 fn pattern(
     name: &Field<String>,
     [length, width]: [&Field<f64>; 2],
+    spacing_m: Option<f64>,
     baffled: &Field<bool>,
     problems: &mut Problems,
 ) -> Option<Pattern> {
-    if !name.is("rectangle")? {
-        return Some(Pattern::Omnidirectional);
+    let (mut length_m, width_m) = (length.get()?, width.get()?);
+    let has_sides = length_m > 0.0 || width_m > 0.0;
+    match name.text()? {
+        AUTO if !has_sides => length_m = spacing_m.unwrap_or(0.0),
+        AUTO | "rectangle" => {}
+        _ => return Some(Pattern::Omnidirectional),
     }
-    let (length_m, width_m) = (length.get()?, width.get()?);
     if length_m == 0.0 && width_m == 0.0 {
+        if name.is(AUTO)? {
+            return Some(Pattern::Omnidirectional);
+        }
         let rule = format!("must have {} or {} above 0", length.key(), width.key());
         problems.refuse(name, rule);
     }
@@ -373,7 +380,7 @@ fn pattern(
 
 fn transmit(table: &keys::Transmit, problems: &mut Problems) -> Option<TransmitArray> {
     let sides = [&table.length_m, &table.width_m];
-    let pattern = pattern(&table.pattern, sides, &table.baffled, problems);
+    let pattern = pattern(&table.pattern, sides, None, &table.baffled, problems);
     let angles = [&table.roll_deg, &table.pitch_deg, &table.yaw_deg];
     Some(TransmitArray {
         mounting: mounting(&table.position_m, angles)?,
@@ -395,7 +402,9 @@ fn receive(
         false => Some(0.0),
     };
     let sides = [&table.element_length_m, &table.element_width_m];
-    let element_pattern = pattern(&table.element_pattern, sides, &table.baffled, problems);
+    let of_line_m = spacing_m.filter(|_| several == Some(true));
+    let baffled = &table.baffled;
+    let element_pattern = pattern(&table.element_pattern, sides, of_line_m, baffled, problems);
     let angles = [&table.roll_deg, &table.pitch_deg, &table.yaw_deg];
     if let (Some(true), Some(spacing_m), Some(Pattern::Rectangle { length_m, .. })) =
         (several, spacing_m, element_pattern)
@@ -429,8 +438,23 @@ fn receive(
 
 // ---------------------------------------------------------------- receiver
 
+/// Wind over the surface with `noise_db = "ambient"`, m/s: a moderate breeze.
+const WIND_M_PER_S: f64 = 5.0;
+
+/// Thermal noise, and noise of the surface by wind, at a frequency, dB re 1 uPa^2/Hz (Coates 1990: N_th = -15 + 20 log f, N_w = 50 + 7.5 sqrt(w) + 20
+/// log f - 40 log (f + 0.4), f in kHz and w in m/s).
+fn ambient_noise_db(frequency_hz: f64) -> f64 {
+    let khz = 1e-3 * frequency_hz;
+    let thermal_db = -15.0 + 20.0 * libm::log10(khz);
+    let surface_db =
+        50.0 + 7.5 * WIND_M_PER_S.sqrt() + 20.0 * libm::log10(khz) - 40.0 * libm::log10(khz + 0.4);
+    let power = libm::exp10(0.1 * thermal_db) + libm::exp10(0.1 * surface_db);
+    10.0 * libm::log10(power)
+}
+
 fn receiver(
     table: &keys::Receiver,
+    pulse: Option<&Pulse>,
     medium: Option<&MediumSpec>,
     problems: &mut Problems,
 ) -> Option<Receiver> {
@@ -471,7 +495,11 @@ fn receiver(
             _ => ReceiverFilter::None,
         },
         tvg: tvg?,
-        noise_db: table.noise_db.if_given()?,
+        noise_db: match (table.noise_db.text(), table.noise_db.other()) {
+            (Some("none"), _) => None,
+            (Some(_), _) => Some(ambient_noise_db(pulse?.center_frequency_hz)),
+            (None, given) => Some(*given?),
+        },
         adc_bits: table.adc_bits.given_and_then(|&n| n.try_into().ok())?,
         full_scale_v: table.full_scale_v.get()?,
         seed: table.seed.to()?,
@@ -602,9 +630,9 @@ fn model(
             .into_iter()
             .find(|d| Some(d.name()) == named),
     };
-    let synthesis = match table.synthesis.given && table.synthesis.text() != Some(AUTO) {
-        true => table.synthesis.text().and_then(synthesis_named),
-        false => doppler.zip(filter).map(|(d, f)| default_synthesis(d, f)),
+    let synthesis = match table.synthesis.text() {
+        Some(AUTO) => doppler.zip(filter).map(|(d, f)| start_synthesis(d, f)),
+        named => named.and_then(synthesis_named),
     };
     if let (Some(doppler), Some(synthesis)) = (doppler, synthesis)
         && !synthesis.takes(doppler)
@@ -646,7 +674,7 @@ fn model(
         synthesis: synthesis?,
         segment_s: match auto_model(table).segment {
             true => START_SEGMENT_S,
-            false => table.segment_ms.get()?,
+            false => table.segment_ms.if_given()?.unwrap_or(SEGMENT_S),
         },
         cull_db: table.cull_db.if_given()?,
     })
@@ -655,16 +683,21 @@ fn model(
 /// Value of a key whose method is selected automatically.
 const AUTO: &str = "auto";
 
+/// Segment length of a named path, seconds.
+const SEGMENT_S: f64 = 0.05;
+
 /// Segment length of an automatic path before the method selection, seconds. The length suits any motion.
 const START_SEGMENT_S: f64 = 0.001;
 
 fn auto_model(table: &keys::Model) -> AutoModel {
-    let is_auto = |key: &Field<String>| key.is(AUTO) == Some(true);
+    // The reference uses neither path nor doppler.
+    let is_reference = table.synthesis.is(Synthesis::Reference.name()) == Some(true);
+    let is_auto = |key: &Field<String>| key.is(AUTO) == Some(true) && !is_reference;
     AutoModel {
         path: is_auto(&table.path),
         segment: is_auto(&table.path) && !table.segment_ms.given,
         doppler: is_auto(&table.doppler),
-        synthesis: table.synthesis.given && is_auto(&table.synthesis),
+        synthesis: is_auto(&table.synthesis),
         cull: false,
     }
 }
@@ -672,7 +705,7 @@ fn auto_model(table: &keys::Model) -> AutoModel {
 /// Doppler model before an automatic selection: the most accurate model that the synthesis accepts.
 fn start_doppler(table: &keys::Model) -> DopplerModel {
     let named = table.synthesis.text().and_then(synthesis_named);
-    match table.synthesis.given && named.is_some_and(Synthesis::shares_pulse) {
+    match named.is_some_and(Synthesis::shares_pulse) {
         true => DopplerModel::None,
         false => DopplerModel::StretchQuadratic,
     }
@@ -682,9 +715,9 @@ fn synthesis_named(name: &str) -> Option<Synthesis> {
     Synthesis::ALL.into_iter().find(|s| s.name() == name)
 }
 
-/// The gridded engine if it certainly meets its tolerance. Without the receiver filter, this depends on the spectrum of the pulse,
-/// and the direct sum is used.
-fn default_synthesis(doppler: DopplerModel, filter: ReceiverFilter) -> Synthesis {
+/// Synthesis before an automatic selection: the gridded engine if it certainly meets its tolerance. Without the receiver filter, this depends on the
+/// spectrum of the pulse, and the direct sum is used.
+fn start_synthesis(doppler: DopplerModel, filter: ReceiverFilter) -> Synthesis {
     match filter {
         ReceiverFilter::Fir if Synthesis::Gridded1d.takes(doppler) => Synthesis::Gridded1d,
         _ => Synthesis::Direct,
@@ -694,7 +727,10 @@ fn default_synthesis(doppler: DopplerModel, filter: ReceiverFilter) -> Synthesis
 fn synthesis(table: &keys::Model) -> Option<SynthesisSpec> {
     Some(SynthesisSpec {
         tolerance: table.tolerance.get()?,
-        error_check: table.error_check.get()?,
+        error_check: match table.error_check.given {
+            true => table.error_check.get()?,
+            false => !table.synthesis.is(Synthesis::Reference.name())?,
+        },
         frequency_step_hz: table.frequency_step_hz.if_given()?,
         nearest_m: match table.nearest_m.given {
             true => table.nearest_m.get()?,

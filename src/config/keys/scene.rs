@@ -117,10 +117,11 @@ table! {
     max_edge_m: Number(above(0.0, 1.0e6)), Optional("50.0"), only with shape = "file";
 
     /// Five scatterers in every resolution cell, c/(2 B) times beam width times range, of the ping's own arrays; fewer in side lobes. The density falls with range.
+    /// Default: "auto", unless density_per_m2 is given.
     density: Choice("auto"), Optional("\"auto\"");
 
     /// Constant number of scatterers per horizontal square metre. Not with density = "auto". The mean level does not depend on it.
-    density_per_m2: Number(above(0.0, 1.0e6)), Default("1.0");
+    density_per_m2: Number(above(0.0, 1.0e6)), Optional("1.0");
 
     /// Scattering law. "three-term": specular facets, Lambert and an intermediate lobe. The sediments are three-term laws with their own
     /// parameters.

@@ -82,17 +82,18 @@ table! {
     pitch_deg: Degrees(ANGLE_DEG), Default("0.0");
     yaw_deg: Degrees(ANGLE_DEG), Default("0.0");
 
-    /// "rectangle": a flat piston, sinc(L u_x/lambda) sinc(W u_y/lambda).
-    pattern: Choice("omnidirectional", "rectangle"; later "circle", "table"), Default("\"omnidirectional\"");
+    /// "rectangle": a flat piston, sinc(L u_x/lambda) sinc(W u_y/lambda). "auto": a rectangle if length_m or width_m is given, else
+    /// omnidirectional.
+    pattern: Choice("auto", "omnidirectional", "rectangle"; later "circle", "table"), Default("\"auto\"");
 
-    /// Along the array's x. 0: no directivity in that direction. Only with pattern = "rectangle".
-    length_m: Number(SIDE_M), Default("0.0"), only with pattern = "rectangle";
+    /// Along the array's x. 0: no directivity in that direction.
+    length_m: Number(SIDE_M), Default("0.0"), only with pattern = "auto" or "rectangle";
 
-    /// Along the array's y. Only with pattern = "rectangle".
-    width_m: Number(SIDE_M), Default("0.0"), only with pattern = "rectangle";
+    /// Along the array's y.
+    width_m: Number(SIDE_M), Default("0.0"), only with pattern = "auto" or "rectangle";
 
-    /// No transmission to the back. Only with pattern = "rectangle".
-    baffled: Bool, Default("true"), only with pattern = "rectangle";
+    /// No transmission to the back.
+    baffled: Bool, Default("true"), only with pattern = "auto" or "rectangle";
 
     /// Added to ping.source_level_db.
     level_offset_db: Number(GAIN_DB), Default("0.0");
@@ -114,16 +115,19 @@ table! {
     roll_deg: Degrees(ANGLE_DEG), Default("0.0");
     pitch_deg: Degrees(ANGLE_DEG), Default("0.0");
     yaw_deg: Degrees(ANGLE_DEG), Set("0.0", "90.0");
-    element_pattern: Choice("omnidirectional", "rectangle"; later "circle", "table"), Default("\"omnidirectional\"");
 
-    /// Along the line, at most the spacing. Only with element_pattern = "rectangle".
-    element_length_m: Number(SIDE_M), Default("0.0"), only with element_pattern = "rectangle";
+    /// "rectangle": as for transmit. "auto": a rectangle if element_length_m or element_width_m is given; otherwise elements of a line are as long as
+    /// their spacing, and a single element is omnidirectional.
+    element_pattern: Choice("auto", "omnidirectional", "rectangle"; later "circle", "table"), Default("\"auto\"");
 
-    /// Across the line. Only with element_pattern = "rectangle".
-    element_width_m: Number(SIDE_M), Default("0.0"), only with element_pattern = "rectangle";
+    /// Along the line, at most the spacing.
+    element_length_m: Number(SIDE_M), Default("0.0"), only with element_pattern = "auto" or "rectangle";
 
-    /// No reception from the back. Only with element_pattern = "rectangle".
-    baffled: Bool, Default("true"), only with element_pattern = "rectangle";
+    /// Across the line.
+    element_width_m: Number(SIDE_M), Default("0.0"), only with element_pattern = "auto" or "rectangle";
+
+    /// No reception from the back.
+    baffled: Bool, Default("true"), only with element_pattern = "auto" or "rectangle";
 
     /// dB re 1 V/uPa. With 0 the volts are micropascals.
     sensitivity_db: Number(from(-400.0, 200.0)), Default("-190.0");
@@ -137,7 +141,7 @@ table! {
     sample_rate_khz: Khz(from(0.001, 100_000.0)), Required("40.0");
 
     /// "fir": a linear-phase low-pass before sampling, with its delay removed.
-    rx_filter: Choice("none", "fir"), Set("\"none\"", "\"fir\"");
+    rx_filter: Choice("none", "fir"), Default("\"fir\"");
 
     /// Time-varying gain: N log10 r + 2 alpha r, limited to 0 to tvg_max_db, or a table [[range_m, db], ...].
     tvg: ChoiceOrRows("none", "20logr", "30logr", "40logr"), Default("\"none\"");
@@ -145,8 +149,9 @@ table! {
     /// Only with one of the "logr" laws.
     tvg_max_db: Number(from(0.0, 300.0)), Default("120.0");
 
-    /// Noise at the elements, dB re 1 uPa^2/Hz. Default: no noise.
-    noise_db: Number(from(-200.0, 250.0)), Optional("45.0");
+    /// Noise at the elements, dB re 1 uPa^2/Hz. "ambient": thermal noise, and that of the surface at 5 m/s of wind, at the centre frequency (Coates
+    /// 1990).
+    noise_db: ChoiceOrNumber(from(-200.0, 250.0), "ambient", "none"), Default("\"ambient\"");
 
     /// Default: no quantisation.
     adc_bits: Integer(2, 32), Optional("16");
@@ -191,18 +196,18 @@ table! {
     /// Motion of the platform between pulse and echo. "stop-and-hop": none. "polyline": straight segments. "k-segment": straight chords of each
     /// element's track. "continuous": the exact motion. "auto" (here, for doppler and for synthesis): the cheapest method that keeps the tolerance
     /// for this sonar, scene and motion; `check` reports the choice.
-    path: Choice("stop-and-hop", "polyline", "k-segment", "continuous", "auto"), Default("\"polyline\"");
+    path: Choice("stop-and-hop", "polyline", "k-segment", "continuous", "auto"), Default("\"auto\"");
 
     /// "stretch": time scaling of the pulse. "stretch-quadratic": also the change of the scaling during the pulse. "paper-eq21": Eq. 21 of Meng
     /// et al. 2023 as printed, for comparison.
-    doppler: Choice("none", "stretch", "stretch-quadratic", "paper-eq21", "auto"; later "common", "rank-r"), Default("\"stretch\"");
+    doppler: Choice("none", "stretch", "stretch-quadratic", "paper-eq21", "auto"; later "common", "rank-r"), Default("\"auto\"");
 
     /// "reference": solves the travel time of every sample on the continuous motion (slow; ignores path and doppler). "direct": sums linearised
     /// echoes. "gridded-1d": the same within tolerance, faster. "gridded-lines": for line arrays and short pulses, with tolerances from 5e-4 on.
     /// "gridded-2d": for line arrays, long pulses and many scatterers. Both need the receiver filter. The three take any doppler but
     /// "paper-eq21". For comparison, with doppler "none" or "paper-eq21": "spectral" (the sum over frequency of Meng et al. 2023), "nearest" and
-    /// "linear" (a sampled pulse is added). Default: "gridded-1d" if it takes the doppler and the receiver has its filter, else "direct".
-    synthesis: Choice("reference", "direct", "gridded-1d", "gridded-lines", "gridded-2d", "spectral", "nearest", "linear", "auto"; later "gridded"), Shown("\"gridded-1d\"");
+    /// "linear" (a sampled pulse is added).
+    synthesis: Choice("reference", "direct", "gridded-1d", "gridded-lines", "gridded-2d", "spectral", "nearest", "linear", "auto"; later "gridded"), Default("\"auto\"");
 
     /// Relative error of element samples, before noise and quantisation, in any window of one pulse length. The gridded methods are designed for
     /// it, and the error check tests it.
@@ -223,11 +228,11 @@ table! {
     frequency_step_hz: Number(from(0.01, 1e6)), Optional("5.0"), only with synthesis = "spectral";
 
     /// Recompute windows of a ping with the reference and print the error, for about 1 % of its cost. Errors above 1.3 times the tolerance on two checked pings running
-    /// are a fault.
-    error_check: Bool, Default("false");
+    /// are a fault. Default: true, but false with synthesis = "reference" and with run.stream_tiles.
+    error_check: Bool, Optional("true");
 
-    /// Longest segment of "polyline" and "k-segment".
-    segment_ms: Ms(from(0.1, 60_000.0)), Default("50.0");
+    /// Longest segment of "polyline" and "k-segment". Default: 50 ms, and with path = "auto" the longest that keeps the tolerance.
+    segment_ms: Ms(from(0.1, 60_000.0)), Optional("50.0");
 
     /// Scatterers whose two-way pattern is below this level are left out. For targets and points the level is lower by their excess strength over the
     /// seabed. Default: with a gridded synthesis, a seabed and no scene.points, the highest level whose error on flat ground is half the tolerance;

@@ -115,6 +115,7 @@ listen = "127.0.0.1:0"
 [scene.seabed]
 shape = "plane"
 depth_m = {DEPTH_M:?}
+density_per_m2 = 1.0
 [[sonar]]
 name = "bench"
 [sonar.pulse]
@@ -132,7 +133,9 @@ spacing_m = {spacing_m:?}
 "#,
             self.carrier_khz, self.bandwidth_khz, self.pulse_ms, self.taper, self.elements
         );
-        if self.patterned {
+        if !self.patterned {
+            text.push_str("element_pattern = \"omnidirectional\"\n");
+        } else {
             let _ = write!(
                 text,
                 "element_pattern = \"rectangle\"\nelement_length_m = {spacing_m:?}\nelement_width_m = {spacing_m:?}\n"
@@ -143,6 +146,7 @@ spacing_m = {spacing_m:?}
             r#"[sonar.receiver]
 sample_rate_khz = {:?}
 rx_filter = "{}"
+noise_db = "none"
 [sonar.ping]
 range_m = {range_m:?}
 rate_hz = 2.0
@@ -155,6 +159,7 @@ path = "auto"
 doppler = "auto"
 synthesis = "{}"
 tolerance = {:?}
+error_check = false
 "#,
             self.rate_khz,
             if self.filtered { "fir" } else { "none" },

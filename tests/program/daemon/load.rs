@@ -11,7 +11,7 @@ use super::{Daemon, PATIENCE, eventually};
 /// Multibeam sonar with 256 elements, and beams of 2000 samples. A record has 2 MB; four records may wait for a client, and more in
 /// its socket.
 const LARGE: [&str; 10] = [
-    "sonar.receive=[{name=\"rx\", elements=256, spacing_m=0.00375, position_m=[0.6, 0.0, 0.9], yaw_deg=90.0, sensitivity_db=0.0}]",
+    "sonar.receive=[{name=\"rx\", elements=256, spacing_m=0.00375, position_m=[0.6, 0.0, 0.9], yaw_deg=90.0, element_pattern=\"omnidirectional\", sensitivity_db=0.0}]",
     "sonar.beams={fan={array=\"rx\", beams=256, sector_deg=120.0, shading=\"uniform\", former=\"fft\"}}",
     "sonar.output.sevenk={id=103, arrays=[\"rx\"], listen=\"127.0.0.1:0\", client_queue_mib=8}",
     "control.listen=127.0.0.1:0",

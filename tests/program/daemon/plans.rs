@@ -48,8 +48,11 @@ name = "tx"
 name = "rx"
 elements = 64
 spacing_m = 0.001875
+element_pattern = "omnidirectional"
 [sonar.receiver]
 sample_rate_khz = 60.0
+rx_filter = "none"
+noise_db = "none"
 rx_filter = "none"
 tvg = "none"
 [sonar.ping]

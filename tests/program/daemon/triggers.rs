@@ -215,9 +215,12 @@ fn every_pulse_is_announced_with_the_number_and_the_time_of_its_records() {
 pub(crate) fn three(folder: &Path, model: &str, more: &str) -> std::path::PathBuf {
     let root = echotank_testing::repository().join("hil-configs");
     let text = std::fs::read_to_string(root.join("points.toml")).expect("readable");
+    // Beside the reference, what the text pins would be named twice.
+    let pinned = "path = \"polyline\"\ndoppler = \"stretch\"\nsynthesis = \"reference\"";
+    assert!(text.contains(pinned));
     let text = text
         .replace("data/", &format!("{}/data/", root.display()))
-        .replace("synthesis = \"reference\"", model)
+        .replace(pinned, model)
         .replace("range_m = 75.0", "range_m = 25.0")
         .replace("rate_hz = 2.0", "rate_hz = 10.0")
         .replace("127.0.0.1:7000", "127.0.0.1:0");
@@ -239,7 +242,11 @@ pub(crate) fn three(folder: &Path, model: &str, more: &str) -> std::path::PathBu
 fn sonars_of_one_daemon_ping_together_or_in_turn_each_on_its_own_port() {
     let folder = tempfile::tempdir().expect("folder");
     let [live, stepped, offline] = ["live", "stepped", "offline"].map(|n| folder.path().join(n));
-    let config = three(folder.path(), "synthesis = \"direct\"", "");
+    let config = three(
+        folder.path(),
+        "path = \"polyline\"\ndoppler = \"stretch\"\nsynthesis = \"direct\"",
+        "",
+    );
     let [live_at, stepped_at] =
         [&live, &stepped].map(|folder| format!("record.directory={folder:?}"));
     let control = "control.listen=127.0.0.1:0";

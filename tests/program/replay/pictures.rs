@@ -84,6 +84,7 @@ sensitivity_db = -190.0
 [sonar.receiver]
 sample_rate_khz = 24.0
 rx_filter = "none"
+noise_db = "none"
 tvg = "30logr"
 tvg_max_db = 100.0
 
@@ -93,6 +94,10 @@ rate_hz = 2.0
 source_level_db = 210.0
 
 [sonar.model]
+path = "polyline"
+doppler = "stretch"
+synthesis = "direct"
+error_check = false
 cull_db = -30.0
 
 [sonar.beams]
@@ -430,6 +435,8 @@ fn lines_and_mosaic_of_a_second_pulse_come_from_s7k_and_npz_alike() {
         "1..12",
         "--set",
         "scene.seabed.density_per_m2=0.05",
+        "--set",
+        "sonar.receiver.full_scale_v=0.25",
         "--set",
         "sonar.ping.range_m=45",
         "--set",

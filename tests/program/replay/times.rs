@@ -38,6 +38,7 @@ elements = 2
 spacing_m = 0.0075
 [sonar.receiver]
 sample_rate_khz = 10.0
+rx_filter = "none"
 [sonar.ping]
 range_m = 40.0
 rate_hz = 2.0

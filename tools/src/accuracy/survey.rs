@@ -237,6 +237,7 @@ taper = 0.1
 {sides}[sonar.receiver]
 sample_rate_khz = 60.0
 rx_filter = "fir"
+noise_db = "none"
 
 [sonar.ping]
 range_m = 150.0
@@ -244,6 +245,8 @@ rate_hz = 1.0
 source_level_db = 210.0
 
 [sonar.model]
+path = "polyline"
+doppler = "stretch"
 synthesis = "gridded-1d"
 tolerance = 1e-2
 error_check = true

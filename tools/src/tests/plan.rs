@@ -50,6 +50,10 @@ fn rig(folder: &Path, angle_deg: f64, focused: bool, model: &str) -> RigSpec {
         false => String::new(),
     };
     let (lit, heard) = (pattern(""), pattern("element_"));
+    let error_check = match model.contains("error_check") {
+        true => "",
+        false => "error_check = false",
+    };
     let text = format!(
         r#"[medium]
 sound_speed_m_per_s = {C}
@@ -84,6 +88,7 @@ sensitivity_db = 0.0
 [sonar.receiver]
 sample_rate_khz = 60.0
 rx_filter = "none"
+noise_db = "none"
 tvg = "none"
 full_scale_v = 1.0
 [sonar.ping]
@@ -98,6 +103,7 @@ source_level_db = [170.0, 220.0]
 gain_db = [-30.0, 40.0]
 pulse_duration_ms = [{pulse_ms}, {pulse_ms}]
 [sonar.model]
+{error_check}
 {model}
 "#,
         carrier_khz = CARRIER_HZ / 1e3,

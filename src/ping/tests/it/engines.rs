@@ -25,6 +25,14 @@ fn rig(model: &str, receiver: &str, taper: f64) -> RigSpec {
 /// Elements and spacing of both arrays.
 fn rig_of(arrays: [(usize, f64); 2], model: &str, receiver: &str, taper: f64) -> RigSpec {
     let [(along, along_m), (across, across_m)] = arrays;
+    let filter = match receiver.contains("rx_filter") {
+        true => "",
+        false => "rx_filter = \"none\"",
+    };
+    let noise = match receiver.contains("noise_db") {
+        true => "",
+        false => "noise_db = \"none\"",
+    };
     let text = format!(
         r#"
 [[nav.source]]
@@ -34,6 +42,7 @@ listen = "127.0.0.1:10110"
 [scene.seabed]
 shape = "plane"
 depth_m = 40.0
+density_per_m2 = 1.0
 [[sonar]]
 name = "main"
 [sonar.pulse]
@@ -49,14 +58,18 @@ position_m = [0.4, 0.1, 0.3]
 name = "along"
 elements = {along}
 spacing_m = {along_m}
+element_pattern = "omnidirectional"
 [[sonar.receive]]
 name = "across"
 elements = {across}
 spacing_m = {across_m}
+element_pattern = "omnidirectional"
 position_m = [-1.0, 0.3, 0.2]
 yaw_deg = 90.0
 [sonar.receiver]
 sample_rate_khz = 50.0
+{filter}
+{noise}
 {receiver}
 [sonar.ping]
 range_m = 30.0
@@ -563,13 +576,16 @@ name = "head"
 elements = 40
 spacing_m = 0.00375
 yaw_deg = 90.0
+element_pattern = "omnidirectional"
 [[sonar.receive]]
 name = "second"
 elements = {second}
 spacing_m = 0.00375
+element_pattern = "omnidirectional"
 [sonar.receiver]
 sample_rate_khz = 60.0
 rx_filter = "fir"
+noise_db = "none"
 [sonar.ping]
 range_m = 20.0
 rate_hz = 5.0

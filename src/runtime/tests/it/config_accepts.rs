@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use echotank_config::{self as config, spec::*};
+use echotank_core::arrays::{Pattern, ReceiverFilter};
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_runtime::config_files;
 use echotank_testing::repository;
@@ -474,7 +475,7 @@ fn every_path_doppler_and_synthesis_is_selected_by_its_name() {
         }
     }
     let spec = with_model("").sonars[0].synthesis;
-    assert_eq!((spec.error_check, spec.frequency_step_hz), (false, None));
+    assert_eq!((spec.error_check, spec.frequency_step_hz), (true, None));
     assert_eq!(spec.tolerance, 1e-3);
     let spec = with_model(
         "error_check = true\ntolerance = 2e-5\nsynthesis = \"spectral\"\ndoppler = \"none\"\nfrequency_step_hz = 2.5",
@@ -487,9 +488,51 @@ fn every_path_doppler_and_synthesis_is_selected_by_its_name() {
     assert_eq!(spec.tolerance, 2e-5);
 }
 
-/// The default is the fast engine if it is certain to reach its tolerance, otherwise the exact sum.
+/// What absent keys mean: the table is in CHANGELOG.md.
 #[test]
-fn the_default_synthesis_is_an_engine_with_the_filter_and_the_direct_sum_without() {
+fn absent_keys_mean_what_most_rigs_want() {
+    let rig = parse(&minimal());
+    let sonar = &rig.sonars[0];
+    let auto = sonar.synthesis.auto;
+    assert!(auto.path && auto.doppler && auto.synthesis && sonar.synthesis.error_check);
+    assert_eq!(sonar.receiver.filter, ReceiverFilter::Fir);
+    // Coates 1990 at 200 kHz: 31.0 dB of thermal noise and 20.7 dB of the surface at 5 m/s.
+    let noise_db = sonar.receiver.noise_db.expect("noise");
+    assert!((noise_db - 31.4).abs() < 0.05, "{noise_db}");
+    assert_eq!(sonar.transmit[0].pattern, Pattern::Omnidirectional);
+    let of_its_spacing = Pattern::Rectangle {
+        length_m: sonar.receive[0].spacing_m,
+        width_m: 0.0,
+        baffled: true,
+    };
+    assert_eq!(sonar.receive[0].element_pattern, of_its_spacing);
+    let density = |rig: &RigSpec| rig.scene.seabed.as_ref().expect("a seabed").density;
+    assert!(matches!(density(&rig), Density::Auto { .. }));
+
+    let told = minimal()
+        .replace("depth_m = 40.0", "depth_m = 40.0\ndensity_per_m2 = 2.0")
+        .replace("name = \"tx\"", "name = \"tx\"\nlength_m = 0.1")
+        .replace("elements = 16", "elements = 1")
+        .replace(
+            "sample_rate_khz = 40.0",
+            "sample_rate_khz = 40.0\nnoise_db = \"none\"",
+        );
+    let rig = parse(&told);
+    let sonar = &rig.sonars[0];
+    assert!(matches!(density(&rig), Density::PerM2(2.0)));
+    assert!(
+        matches!(sonar.transmit[0].pattern, Pattern::Rectangle { length_m, .. } if length_m == 0.1)
+    );
+    assert_eq!(sonar.receive[0].element_pattern, Pattern::Omnidirectional);
+    assert_eq!(sonar.receiver.noise_db, None);
+    // The reference leaves nothing to select, and nothing to check.
+    let spec = with_model("synthesis = \"reference\"").sonars[0].synthesis;
+    assert!(!spec.auto.any() && !spec.error_check);
+}
+
+/// Before the first selection: the fast engine if it is certain to reach its tolerance, otherwise the exact sum.
+#[test]
+fn an_unselected_synthesis_is_an_engine_with_the_filter_and_the_direct_sum_without() {
     let chosen = |filter: &str, doppler: &str| {
         let text = minimal().replace(
             "sample_rate_khz = 40.0",

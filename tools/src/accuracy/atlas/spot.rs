@@ -86,12 +86,14 @@ name = "rx"
 transmit = "tx"
 elements = {elements}
 spacing_m = 0.001875
+element_pattern = "omnidirectional"
 position_m = [0.1, 0.0, 0.0]
 roll_deg = -60.0
 sensitivity_db = 0.0
 [sonar.receiver]
 sample_rate_khz = {rate_khz:.3}
 rx_filter = "fir"
+noise_db = "none"
 tvg = "none"
 full_scale_v = 1e9
 [sonar.ping]
@@ -111,6 +113,7 @@ doppler = "stretch"
 synthesis = "direct"
 segment_ms = 10.0
 tolerance = 1e-3
+error_check = false
 "#,
             rate_khz = 1.35 * (bandwidth_khz + 4.0 * 10.0 * 415.0 / C),
         );

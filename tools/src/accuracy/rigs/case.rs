@@ -143,10 +143,12 @@ spacing_m = {spacing_m:.6}
 position_m = [0.5, 0.2, 0.5]
 roll_deg = {roll_deg:.2}
 yaw_deg = {yaw_deg:.1}
+element_pattern = "omnidirectional"
 sensitivity_db = -190.0
 [sonar.receiver]
 sample_rate_khz = {rate_khz:.3}
 rx_filter = "{filter}"
+noise_db = "none"
 tvg = "none"
 full_scale_v = 5.0
 [sonar.ping]
@@ -165,6 +167,7 @@ path = "auto"
 doppler = "auto"
 synthesis = "auto"
 tolerance = {tolerance:.3e}
+error_check = false
 "#,
         kind = if cw { "cw" } else { "lfm" },
         sweep = match cw {

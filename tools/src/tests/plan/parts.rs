@@ -69,6 +69,14 @@ impl Rig {
             output,
             end,
         } = self;
+        let noise = match receiver.contains("noise_db") {
+            true => "",
+            false => "noise_db = \"none\"",
+        };
+        let error_check = match model.contains("error_check") {
+            true => "",
+            false => "error_check = false",
+        };
         let length_m = *elements as f64 * spacing_m;
         let element_m = 0.8 * spacing_m;
         let sides: String = [("port", 90.0), ("starboard", -90.0)]
@@ -124,6 +132,7 @@ taper = 0.1
 sample_rate_khz = 60.0
 rx_filter = "fir"
 tvg = "none"
+{noise}
 {receiver}
 [sonar.ping]
 range_m = 60.0
@@ -133,6 +142,7 @@ source_level_db = 200.0
 range_m = [10.0, 60.0]
 pulse_duration_ms = [{duration_ms}, {duration_ms}]
 [sonar.model]
+{error_check}
 {model}
 [sonar.beams]
 port = "port"

@@ -98,12 +98,14 @@ name = "fan"
 transmit = "tx"
 elements = 96
 spacing_m = 0.00375
+element_pattern = "omnidirectional"
 yaw_deg = 90.0
 sensitivity_db = 0.0
 [sonar.receiver]
 sample_rate_khz = 40.0
 rx_filter = "none"
 tvg = "none"
+noise_db = "none"
 full_scale_v = 0.02
 [sonar.ping]
 range_m = 45.0
@@ -111,7 +113,10 @@ rate_hz = 2.0
 source_level_db = 0.0
 gain_db = 0.0
 [sonar.model]
+path = "polyline"
+doppler = "stretch"
 synthesis = "direct"
+error_check = false
 [sonar.beams]
 port = "port"
 starboard = "starboard"

@@ -52,11 +52,18 @@ spacing_m = 0.00375
 position_m = [0.6, 0.1, 0.8]
 [sonar.receiver]
 sample_rate_khz = 40.0
+rx_filter = "none"
+noise_db = "none"
 [sonar.ping]
 range_m = 60.0
 rate_hz = 4.0
 source_level_db = 200.0
 gain_db = 0.0
+[sonar.model]
+path = "polyline"
+doppler = "stretch"
+synthesis = "direct"
+error_check = false
 [sonar.beams]
 port = "port"
 starboard = "starboard"
