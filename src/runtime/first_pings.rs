@@ -8,7 +8,8 @@ use thiserror::Error;
 
 use crate::recorded::{RecordedError, RecordedRig};
 use crate::rig::OpenError;
-use echotank_config::spec::{AnchorSpec, RigSpec, SonarSpec, VerticalSpec};
+use echotank_config::spec::{AnchorSpec, MediumSpec, RigSpec, SonarSpec, VerticalSpec};
+use echotank_core::arrays::{ReceiverFilter, TimeVaryingGain};
 use echotank_core::frames::Trajectory;
 use echotank_core::model::Synthesis;
 use echotank_core::navigation::NavState;
@@ -21,6 +22,7 @@ use echotank_ping::method_selection::costs::Costs;
 use echotank_ping::method_selection::{MotionScale, Scene, rank, with_choice};
 use echotank_ping::methods::Ranking;
 use echotank_ping::ping_cost::PingCost;
+use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::rig::PingSlot;
 use echotank_ping::{self as ping, PingOrder};
 
@@ -101,6 +103,78 @@ pub fn first(spec: &RigSpec, costs: &Costs) -> Result<Vec<FirstPing>, FirstPingE
             }
         })
         .collect())
+}
+
+/// Largest values of a ping, volts.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PeakLevels {
+    /// I or Q of an element sample.
+    pub element_v: f64,
+    /// Magnitude of a beam sample.
+    pub beam_v: f64,
+    /// Sample of a side-scan line.
+    pub line_v: f64,
+}
+
+/// Samples of echoes that the direct sum adds for the levels of a ping, at most: a second of one core, as long as an engine for long pulses takes to be made.
+/// The lines of a fan have short pulses, and engines that are made sooner.
+const MAX_DIRECT_SAMPLES: f64 = 2e8;
+const MAX_DIRECT_SAMPLES_OF_FAN: f64 = 3e7;
+
+/// Computes the first ping of `sonar` with noise and gain, but without converter: by the direct sum, or by the chosen methods where that takes too long.
+/// `None` without methods, or if their estimated time on the threads of the current pool exceeds `max_ms`.
+pub fn peak_levels(
+    sonar: &SonarSpec,
+    medium: &MediumSpec,
+    first: &FirstPing,
+    max_ms: f64,
+) -> Option<PeakLevels> {
+    let choice = &first.ranking.as_ref()?.chosen().choice;
+    let mut plan = first.plan.clone();
+    let elements: usize = sonar.receive.iter().map(|array| array.elements).sum();
+    let echoes = (first.scatterers.len() * elements * (1 + sonar.more_pulses.len())) as f64;
+    let max_samples = match sonar.beams.fan {
+        Some(_) => MAX_DIRECT_SAMPLES_OF_FAN,
+        None => MAX_DIRECT_SAMPLES,
+    };
+    let mut spec = sonar.clone();
+    if echoes * plan.pulse.duration_s * sonar.receiver.sample_rate_hz <= max_samples {
+        // No engine needs to be made for one ping; the receiver filter leaves levels as they are.
+        spec.model = choice.model;
+        spec.model.synthesis = Synthesis::Direct;
+        spec.receiver.filter = ReceiverFilter::None;
+    } else if first.cost.as_ref()?.wall_ms(rayon::current_num_threads()) <= max_ms {
+        spec = with_choice(sonar, choice);
+    } else {
+        return None;
+    }
+    spec.synthesis.error_check = false;
+    spec.receiver.adc_bits = None;
+    if let TimeVaryingGain::Law {
+        absorption_db_per_m,
+        ..
+    } = &mut spec.receiver.tvg
+    {
+        *absorption_db_per_m = plan.absorption_db_per_m;
+    }
+    plan.model = spec.model;
+    let window_s = plan.window_s(spec.receiver.sample_rate_hz);
+    let segment_s = spec.model.segment_s;
+    ping::polyline(&plan.trajectory, window_s, segment_s, &mut plan.segments);
+    let mut pipeline = SonarPipeline::new(&spec, medium).ok()?;
+    let mut output = pipeline.blank_output();
+    pipeline.compute_ping(&plan, &first.scatterers, &mut output);
+    let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
+    let elements = output.elements.iter().flat_map(|frame| &frame.iq);
+    let beams = output.beams.iter().flat_map(|frame| &frame.iq);
+    let further = output.more_lines.iter().flat_map(|pulse| &pulse.lines);
+    let lines = output.lines.iter().chain(further);
+    let lines = lines.flat_map(|line| &line.amplitude);
+    Some(PeakLevels {
+        element_v: largest(&mut elements.map(|v| v.re.abs().max(v.im.abs()))),
+        beam_v: f64::from(beams.map(|v| v.norm_sqr()).fold(0.0, f32::max)).sqrt(),
+        line_v: largest(&mut lines.map(|&v| f64::from(v))),
+    })
 }
 
 /// First ping of a sonar.

@@ -5,6 +5,7 @@ mod daemon;
 mod generate;
 mod mistakes;
 mod new;
+mod new_mistakes;
 mod replay;
 mod verdict;
 

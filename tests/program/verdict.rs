@@ -146,6 +146,35 @@ fn wide_spacing_of_a_fan_has_grating_lobes() {
 }
 
 #[test]
+fn samples_beyond_the_full_scale_saturate() {
+    finds(
+        MINIMAL,
+        &[
+            "sonar.receiver.adc_bits=16",
+            "sonar.receiver.full_scale_v=1e-6",
+        ],
+        [
+            "saturates",
+            "dB above the full scale of the converter",
+            "sonar.ping.gain_db of at most -",
+        ],
+    );
+}
+
+#[test]
+fn a_sharp_pulse_without_a_receiver_filter_is_aliased() {
+    finds(
+        MINIMAL,
+        &["sonar.receiver.rx_filter=none"],
+        [
+            "aliased band",
+            "lies beyond half the sample rate",
+            "rx_filter = \"fir\" in [sonar.receiver], a longer pulse.taper, or sample_rate_khz of at least ",
+        ],
+    );
+}
+
+#[test]
 fn more_data_than_gigabit_ethernet_carries_is_found() {
     finds(
         MINIMAL,

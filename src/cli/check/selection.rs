@@ -16,8 +16,10 @@ use echotank_ping::methods::{ALONG_PER_RANGE, Candidate, Family, Ranking};
 use echotank_ping::period_ns;
 use echotank_ping::threads::pool;
 use echotank_runtime::calibrate::{self, Calibration};
-use echotank_runtime::first_pings::{FirstPing, first};
+use echotank_runtime::first_pings::{FirstPing, PeakLevels, first, peak_levels};
 
+/// A first ping that is estimated to take longer is not computed for its levels.
+const MAX_PEAK_PING_MS: f64 = 300.0;
 /// Default displacement allowed in images, range cells, if no output carries element samples.
 const IMAGE_CELLS: f64 = 0.1;
 
@@ -27,6 +29,8 @@ pub(super) struct SonarSelection<'a> {
     pub(super) first: FirstPing,
     /// Alternative selection with an image tolerance. Present if no output carries element samples but the tolerance refers to them.
     for_pictures: Option<Ranking>,
+    /// Largest values of the first ping; absent if it takes long.
+    pub(super) peaks: Option<PeakLevels>,
     pub(super) period_ms: f64,
     pub(super) threads: usize,
 }
@@ -46,20 +50,29 @@ pub(super) fn select_methods(spec: &RigSpec) -> Result<(Costs, Vec<SonarSelectio
         .zip(&found)
         .map(|(sonar, first)| pool.install(|| select_for_images(spec, sonar, first, &costs)))
         .collect();
-    let threads = pool.current_num_threads();
-    let found = found.into_iter().zip(for_pictures);
-    let selections = spec
+    let peaks: Vec<_> = spec
         .sonars
         .iter()
-        .zip(found)
-        .map(|(sonar, (first, for_pictures))| SonarSelection {
-            for_pictures,
-            period_ms: 1e-6
-                * period_ns(&first.plan.settings, spec.medium.sound_speed_m_per_s) as f64,
-            sonar,
-            first,
-            threads,
-        });
+        .zip(&found)
+        .map(|(sonar, first)| {
+            pool.install(|| peak_levels(sonar, &spec.medium, first, MAX_PEAK_PING_MS))
+        })
+        .collect();
+    let threads = pool.current_num_threads();
+    let found = found.into_iter().zip(for_pictures).zip(peaks);
+    let selections =
+        spec.sonars
+            .iter()
+            .zip(found)
+            .map(|(sonar, ((first, for_pictures), peaks))| SonarSelection {
+                for_pictures,
+                peaks,
+                period_ms: 1e-6
+                    * period_ns(&first.plan.settings, spec.medium.sound_speed_m_per_s) as f64,
+                sonar,
+                first,
+                threads,
+            });
     Ok((costs, selections.collect()))
 }
 

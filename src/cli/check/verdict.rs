@@ -1,6 +1,6 @@
 //! The verdict of `echotank check`: whether the rig does what is meant, and what to change where it does not.
 
-use echotank_config::spec::{ClockSpec, Density, RigSpec};
+use echotank_config::spec::{ClockSpec, Density, OutputSpec, RigSpec};
 use echotank_config::{self as config, Finding, FindingKind};
 
 use super::selection::SonarSelection;
@@ -18,6 +18,7 @@ pub(super) fn findings(spec: &RigSpec, selections: &[SonarSelection]) -> Vec<Fin
     if spec.scene.seabed.is_some() {
         found.extend(selections.iter().filter_map(no_seabed));
     }
+    found.extend(selections.iter().filter_map(saturates));
     found.extend(config::findings(spec));
     found
 }
@@ -146,6 +147,73 @@ fn inaccurate(selection: &SonarSelection) -> Option<Finding> {
         kind: FindingKind::Inaccurate,
         text: format!("{}: {text}", sonar.name),
         remedy,
+    })
+}
+
+/// Samples beyond the full scale of the converter, or of an output whose words have a fixed scale: JSF scales every ping, XTF every line, and the Ping
+/// protocol sends decibels.
+fn saturates(selection: &SonarSelection) -> Option<Finding> {
+    let (sonar, peaks) = (selection.sonar, selection.peaks?);
+    let has_fan = sonar.beams.fan.is_some();
+    let has_lines = !sonar.beams.lines.is_empty();
+    let mut levels = Vec::new();
+    if sonar.receiver.adc_bits.is_some() {
+        levels.push((peaks.element_v, "element samples", "the converter"));
+    }
+    for output in &sonar.outputs {
+        match output {
+            OutputSpec::SevenK(sevenk) => {
+                if !sevenk.arrays.is_empty() {
+                    levels.push((peaks.element_v, "element samples", "the words of 7k 7038"));
+                }
+                if has_fan {
+                    levels.push((peaks.beam_v, "beams", "the words of 7k beams"));
+                }
+                if has_lines {
+                    levels.push((peaks.line_v, "side-scan lines", "the words of 7k 7007"));
+                }
+            }
+            OutputSpec::Wbms(_) => levels.push((peaks.beam_v, "beams", "the words of WBMS")),
+            OutputSpec::Imagenex872(_) => {
+                levels.push((peaks.line_v, "side-scan lines", "the bytes of Imagenex"));
+            }
+            OutputSpec::Vita49(_) => {
+                levels.push((peaks.element_v, "element samples", "the words of VITA 49"));
+            }
+            OutputSpec::Elements(output) if !output.is_float => {
+                levels.push((
+                    peaks.element_v,
+                    "element samples",
+                    "the words of the element stream",
+                ));
+            }
+            OutputSpec::Wav(output) if !output.is_float => {
+                levels.push((peaks.element_v, "element samples", "the words of WAV"));
+            }
+            OutputSpec::Elements(_)
+            | OutputSpec::Wav(_)
+            | OutputSpec::Sigmf(_)
+            | OutputSpec::Jsf(_)
+            | OutputSpec::Xtf(_)
+            | OutputSpec::Ping(_) => {}
+        }
+    }
+    let (peak_v, what, words) = levels.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let full_scale_v = sonar.receiver.full_scale_v;
+    let excess_db = 20.0 * (peak_v / full_scale_v).log10();
+    let gain_db = selection.first.plan.settings.gain_db;
+    (excess_db > 0.0).then(|| Finding {
+        kind: FindingKind::Saturates,
+        text: format!(
+            "{}: the {what} of the first ping reach {peak_v:.3} V, {excess_db:.1} dB above the full scale of {words} ({full_scale_v} V)",
+            sonar.name
+        ),
+        remedy: format!(
+            "sonar.ping.gain_db of at most {:.0}, a source level lower by {:.0} dB, or sonar.receiver.full_scale_v of at least {:.3}",
+            (gain_db - excess_db).floor(),
+            excess_db.ceil(),
+            (1e3 * peak_v).ceil() / 1e3
+        ),
     })
 }
 
