@@ -9,9 +9,8 @@
 //! When a selection starts, its input and when it takes effect depend only on ping numbers, navigation and settings, never on computing time. The
 //! same pings therefore use the same methods in every clock mode. A skipped ping is not examined.
 //!
-//! Every ping has its own promise: the error models of path and Doppler with its own motion, which takes microseconds. A ping that moves more than
-//! the selection expected is made on the exact trajectory. Where even that leaves more than the tolerance, its promise says so, and a selection
-//! begins.
+//! Every ping has its own promise ([`Promise`]): the error models of path and Doppler with its own motion. A ping that moves more than the selection
+//! expected is made on the exact trajectory. Where even that leaves more than the tolerance, its promise says so, and a selection begins.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -404,12 +403,7 @@ impl Job {
             tolerance: self.spec.synthesis.tolerance,
             part_elements: choice.part_elements,
         };
-        let promise = Promise::new(
-            candidate,
-            conditions,
-            peaks.times(&self.motion_scale),
-            &self.plan,
-        );
+        let promise = Promise::new(candidate, conditions, peaks.times(&self.motion_scale));
         if !is_new {
             return Some((choice, mark, promise, Ok(None)));
         }

@@ -23,6 +23,7 @@ pub(super) struct Promise {
     conditions: Conditions,
     peaks: MotionPeaks,
     path: PathModel,
+    segment_s: f64,
     doppler: DopplerModel,
     /// Of the reference, which uses neither.
     is_exact: bool,
@@ -31,30 +32,23 @@ pub(super) struct Promise {
 }
 
 impl Promise {
-    pub(super) fn new(
-        candidate: &Candidate,
-        conditions: Conditions,
-        peaks: MotionPeaks,
-        plan: &PingPlan,
-    ) -> Self {
+    pub(super) fn new(candidate: &Candidate, conditions: Conditions, peaks: MotionPeaks) -> Self {
         let model = candidate.choice.model;
-        let window_s = plan.window_s(conditions.sample_rate_hz);
         let others = [Family::Sum, Family::Culling, Family::Output];
         let errors = others.map(|family| candidate.part(family).error);
         Self {
-            conditions: Conditions {
-                segment_s: segment_step_s(window_s, model.segment_s),
-                ..conditions
-            },
+            conditions,
             peaks,
             path: model.path,
+            segment_s: model.segment_s,
             doppler: model.doppler,
             is_exact: model.synthesis == Synthesis::Reference,
             others: errors.into_iter().fold(0.0, f64::hypot),
         }
     }
 
-    /// Of a ping: its path model, and its predicted error. The path that was selected stays if it keeps the tolerance.
+    /// Of a ping: its path model, and its predicted error. A path that is the operator's stays, and so does a selected one that keeps the
+    /// tolerance.
     pub(super) fn of_ping(
         &self,
         spec: &SonarSpec,
@@ -66,18 +60,20 @@ impl Promise {
             return (self.path, self.others);
         }
         let conditions = match scatterers.len() <= ALL {
-            true => Conditions {
-                segment_s: self.conditions.segment_s,
-                ..conditions(spec, plan, scatterers)
-            },
+            true => conditions(spec, plan, scatterers),
             false => motion_peaks(spec, plan, scatterers).scale(&self.peaks, self.conditions),
+        };
+        let conditions = Conditions {
+            pulse: plan.pulse,
+            segment_s: segment_step_s(plan.window_s(conditions.sample_rate_hz), self.segment_s),
+            ..conditions
         };
         let error = |path: PathModel| {
             let doppler = doppler_error(self.doppler, path, &conditions);
             (path_error(path, &conditions) + doppler).hypot(self.others)
         };
         let selected = error(self.path);
-        if selected <= tolerance {
+        if selected <= tolerance || !spec.synthesis.auto.path {
             return (self.path, selected);
         }
         match error(PathModel::Continuous) {
