@@ -410,6 +410,39 @@ fn a_platform_that_starts_moving_changes_the_selection_at_a_reproducible_ping() 
     assert_eq!(once, voyage(2));
 }
 
+/// A platform that stands still for three pings and then starts: the pings until a new selection takes effect are made on the exact trajectory and
+/// predict what their Doppler model leaves.
+#[test]
+fn pings_that_move_more_than_their_selection_expected_say_so() {
+    let folder = tempfile::tempdir().expect("folder");
+    let model = "path = \"auto\"\ndoppler = \"auto\"\nsynthesis = \"direct\"\ntolerance = 1e-2";
+    let spec = rig(folder.path(), 60.0, false, model);
+    at_speed(folder.path(), |t_s| 3.0 * (t_s - 2.0).max(0.0));
+    let mut pings = Vec::new();
+    pool(1).expect("threads").install(|| {
+        let mut recorded = RecordedRig::open(&spec).expect("opens");
+        each_ping(&mut recorded, &spec, 20, |_, _, slot| {
+            let methods = slot.output.methods.expect("a plan");
+            pings.push((slot.plan.model, methods));
+        });
+    });
+    let tolerance = 1e-2;
+    let (first, resting) = pings[0];
+    assert_eq!(first.doppler, DopplerModel::None);
+    assert!(resting.predicted_error <= tolerance, "{resting:?}");
+    // 2 Hz: ping 8 moves at 3 m/s, by the methods for a platform at rest.
+    let (model, moving) = pings[7];
+    assert_eq!(moving.plan, resting.plan);
+    assert_eq!(
+        (model.path, model.doppler),
+        (PathModel::Continuous, DopplerModel::None)
+    );
+    assert!(moving.predicted_error > tolerance, "{moving:?}");
+    let (model, selected) = pings[19];
+    assert!(selected.plan > resting.plan && model.doppler != DopplerModel::None);
+    assert!(selected.predicted_error <= tolerance, "{selected:?}");
+}
+
 /// The next costlier methods are selected from a later ping that depends only on the ping of the fault. The fault is counted.
 #[test]
 fn a_failed_error_check_selects_costlier_methods() {

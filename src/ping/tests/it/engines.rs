@@ -10,6 +10,7 @@ use echotank_core::ping::{EchoCounts, PingOutput, PingPlan};
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_core::settings::SonarSettings;
 use echotank_ping::element_synthesis::engine_error_models;
+use echotank_ping::error_check::worst_window;
 use echotank_ping::pipeline::{PipelineError, SonarPipeline};
 use echotank_ping::threads::pool;
 use echotank_runtime::config_files::{load, parse};
@@ -472,20 +473,26 @@ fn the_bits_are_the_same_for_any_number_of_threads() {
     }
 }
 
-/// A platform faster than the limit: counted and received at the largest supported Doppler, without further effect.
+/// Relative difference of the worst window of two pings.
+fn differ(rig: &RigSpec, got: &PingOutput, want: &PingOutput) -> f64 {
+    let sonar = &rig.sonars[0];
+    let pulse_s = sonar.settings.pulse_duration_s;
+    worst_window(got, want, pulse_s, sonar.receiver.sample_rate_hz)
+}
+
+/// A platform faster than the limit: its echoes are counted, and the direct sum makes them.
 #[test]
-fn echoes_too_fast_for_the_engine_are_counted() {
+fn echoes_too_fast_for_the_engine_are_counted_and_made_by_the_direct_sum() {
     let scatterers = scene(300);
     let rig = rig("", FILTER, 0.1);
     let slow = once(&rig, &plan_at(&rig, 1, 9.0, |_| {}), &scatterers);
     assert_eq!(slow.counts.beyond_engine, 0);
-    let fast = once(&rig, &plan_at(&rig, 1, 25.0, |_| {}), &scatterers);
-    assert!(
-        fast.counts.beyond_engine > 100 && fast.counts.beyond_engine < fast.counts.used,
-        "{:?}",
-        fast.counts
-    );
-    assert!(fast.elements[0].iq.iter().all(|x| x.is_finite()));
+    let plan = plan_at(&rig, 1, 25.0, |_| {});
+    let fast = once(&rig, &plan, &scatterers);
+    assert!(fast.counts.beyond_engine > 100, "{:?}", fast.counts);
+    let direct = self::rig("synthesis = \"direct\"", FILTER, 0.1);
+    let off = differ(&rig, &fast, &once(&direct, &plan, &scatterers));
+    assert!(off < 2e-4, "{off:e}");
 }
 
 #[test]
@@ -683,26 +690,31 @@ fn same_bits(engine: &str) {
     }
 }
 
-/// Scatterers too close for the interpolation along the line are not summed without a warning.
+/// Scatterers too close for the interpolation along the line are counted, and the direct sum makes the ping.
 #[test]
-fn a_ping_beyond_the_engines_bounds_is_counted() {
+fn a_ping_beyond_the_engines_bounds_is_counted_and_made_by_the_direct_sum() {
     let beyond = |model: &str, place_m: &dyn Fn(f64) -> DVec3| {
         let mut scatterers = scene(100);
-        let rig = lines(&format!("path = \"k-segment\"\nsynthesis = {model}"), 0.1);
         for k in 0..20 {
             let at_m = place_m(f64::from(k));
             scatterers.push(at_m, [0.0; 3], Complex64::ONE, ScatterLaw::Point);
         }
-        once(&rig, &plan(&rig, 1, |_| {}), &scatterers).counts
+        let of = |model: &str| {
+            let rig = lines(&format!("path = \"k-segment\"\nsynthesis = {model}"), 0.1);
+            let made = once(&rig, &plan(&rig, 1, |_| {}), &scatterers);
+            (rig, made)
+        };
+        let ((rig, made), (_, direct)) = (of(model), of("\"direct\""));
+        assert!(made.counts.beyond_engine > 0, "{:?}", made.counts);
+        let off = differ(&rig, &made, &direct);
+        assert!(off < 2e-4, "{model}: {off:e}");
     };
-    let counts = beyond("\"gridded-2d\"\nnearest_m = 30.0\ntolerance = 2e-2", &|k| {
+    beyond("\"gridded-2d\"\nnearest_m = 30.0\ntolerance = 2e-2", &|k| {
         DVec3::new(0.1 * k - 1.0, 0.3, 0.7)
     });
-    assert!(counts.beyond_engine > 0, "{counts:?}");
-    let counts = beyond("\"gridded-lines\"\ntolerance = 1e-3", &|k| {
+    beyond("\"gridded-lines\"\ntolerance = 1e-3", &|k| {
         DVec3::new(0.4, 0.1 + 1e-3 * k, 0.31)
     });
-    assert!(counts.beyond_engine > 0, "{counts:?}");
 }
 
 #[test]
