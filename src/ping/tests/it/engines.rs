@@ -10,7 +10,6 @@ use echotank_core::ping::{EchoCounts, PingOutput, PingPlan};
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_core::settings::SonarSettings;
 use echotank_ping::element_synthesis::engine_error_models;
-use echotank_ping::error_check::worst_window;
 use echotank_ping::pipeline::{PipelineError, SonarPipeline};
 use echotank_ping::threads::pool;
 use echotank_runtime::config_files::{load, parse};
@@ -473,13 +472,6 @@ fn the_bits_are_the_same_for_any_number_of_threads() {
     }
 }
 
-/// Relative difference of the worst window of two pings.
-fn differ(rig: &RigSpec, got: &PingOutput, want: &PingOutput) -> f64 {
-    let sonar = &rig.sonars[0];
-    let pulse_s = sonar.settings.pulse_duration_s;
-    worst_window(got, want, pulse_s, sonar.receiver.sample_rate_hz)
-}
-
 /// A platform faster than the limit: its echoes are counted, and the direct sum makes them.
 #[test]
 fn echoes_too_fast_for_the_engine_are_counted_and_made_by_the_direct_sum() {
@@ -491,7 +483,8 @@ fn echoes_too_fast_for_the_engine_are_counted_and_made_by_the_direct_sum() {
     let fast = once(&rig, &plan, &scatterers);
     assert!(fast.counts.beyond_engine > 100, "{:?}", fast.counts);
     let direct = self::rig("synthesis = \"direct\"", FILTER, 0.1);
-    let off = differ(&rig, &fast, &once(&direct, &plan, &scatterers));
+    let rate_hz = rig.sonars[0].receiver.sample_rate_hz;
+    let (off, _) = worst_window(&fast, &once(&direct, &plan, &scatterers), &plan, rate_hz);
     assert!(off < 2e-4, "{off:e}");
 }
 
@@ -701,12 +694,13 @@ fn a_ping_beyond_the_engines_bounds_is_counted_and_made_by_the_direct_sum() {
         }
         let of = |model: &str| {
             let rig = lines(&format!("path = \"k-segment\"\nsynthesis = {model}"), 0.1);
-            let made = once(&rig, &plan(&rig, 1, |_| {}), &scatterers);
-            (rig, made)
+            let plan = plan(&rig, 1, |_| {});
+            let rate_hz = rig.sonars[0].receiver.sample_rate_hz;
+            (once(&rig, &plan, &scatterers), plan, rate_hz)
         };
-        let ((rig, made), (_, direct)) = (of(model), of("\"direct\""));
+        let ((made, plan, rate_hz), (direct, ..)) = (of(model), of("\"direct\""));
         assert!(made.counts.beyond_engine > 0, "{:?}", made.counts);
-        let off = differ(&rig, &made, &direct);
+        let (off, _) = worst_window(&made, &direct, &plan, rate_hz);
         assert!(off < 2e-4, "{model}: {off:e}");
     };
     beyond("\"gridded-2d\"\nnearest_m = 30.0\ntolerance = 2e-2", &|k| {
