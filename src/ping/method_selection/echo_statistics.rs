@@ -363,6 +363,7 @@ struct ReceivingElement {
     one_way: OneWay,
     /// Way along the array from this element to the last one on its other side, metres.
     line_m: f64,
+    pulse_s: f64,
     step_s: f64,
     at: Vec<At>,
 }
@@ -422,6 +423,7 @@ impl ReceivingElement {
             transmit_leg: Directivity::new(&transmit.pattern, wavelength_m),
             element: Directivity::new(&array.element_pattern, wavelength_m),
             one_way: OneWay::new(wavelength_m, plan.absorption_db_per_m),
+            pulse_s: plan.pulse.duration_s,
             line_m: {
                 let to_last_m = (array.elements - 1 - element) as f64 * array.spacing_m;
                 let to_first_m = -(element as f64) * array.spacing_m;
@@ -505,10 +507,13 @@ impl ReceivingElement {
             ),
         ];
         let mut change = [0.5 * (legs[0].0 + legs[1].0), 0.5 * (legs[0].1 + legs[1].1)];
-        // Elements between the ends may be nearer: 2/sqrt(3) v^3/d^2 is the greatest of 3 v r'(1 - r'^2/v^2) v/d^2.
-        let nearest_m = at_least(self.line_distance_m(ray, at));
-        if nearest_m < NEAR_LINE * ray.back_range_m {
-            let (v, a) = (v_back.length(), at.acceleration_m_per_s2.length());
+        // Elements between the ends may be nearer, and what is very near soon lies in another direction: 2/sqrt(3) v^3/d^2 is the greatest of
+        // 3 v r'(1 - r'^2/v^2) v/d^2.
+        let ends_m = ray.out_range_m.min(ray.back_range_m);
+        let nearest_m = at_least(self.line_distance_m(ray, at).min(ends_m));
+        let v = v_back.length();
+        if nearest_m < (NEAR_LINE * ends_m).max(NEAR_WAYS * v * self.pulse_s) {
+            let a = at.acceleration_m_per_s2.length();
             let most = [
                 v * v / nearest_m + a,
                 (2.0 / 3f64.sqrt() * v * v / nearest_m + 3.0 * a) * v / nearest_m,
