@@ -65,8 +65,11 @@ const KEPT_BY_WHOLE_LINES: f64 = 1.0;
 const LINE_DOPPLER: f64 = 2.5;
 const LINE_DOPPLER_GRIDS: f64 = 10.0;
 /// `gridded-lines` predicts its error in the worst window of many echoes. In windows with the onset of a single echo, 50 dB below the strongest, 2.5
-/// times that was measured (a 10 ms pulse at 10 m/s; `tools/points_random.py`).
+/// times that was measured (a 10 ms pulse at 10 m/s; `tools/points_random.py`), where many echoes sound together less than 1.6 times.
 const ONSETS_OF_LINES: f64 = 2.6;
+const MANY_ON_LINES: f64 = 1.6;
+/// A ping has windows with a single echo if one has so much of the energy of a window as loud as the mean.
+const SINGLE_SHARE: f64 = 0.5;
 /// With fewer scatterers `gridded-2d` is slower than `gridded-lines`: at 43,000 by 1.4 to 1.7 times, at 300,000 it is as fast (`tools/bench echo --only
 /// short`).
 const LEAST_FOR_2D: usize = 150_000;
@@ -682,6 +685,15 @@ impl<'a> CandidateBuilder<'a> {
             }
         };
         let (mut error, mut work, mut why) = (0.0f64, Work::NONE, String::new());
+        let single = self
+            .conditions
+            .echo_statistics
+            .is_none_or(|echoes| echoes.strongest_share > SINGLE_SHARE);
+        let onsets = if single {
+            ONSETS_OF_LINES
+        } else {
+            MANY_ON_LINES
+        };
         // Elements that are made one by one, and points at which delays are solved.
         let (mut elements, mut solved) = (0.0, 0.0);
         for (array, line) in self.scene.spec.receive.iter().zip(&engine.lines) {
@@ -696,7 +708,7 @@ impl<'a> CandidateBuilder<'a> {
                 .and(Figure::GriddedLinesGrid, cost.grids_ns);
             let nodes = line.nodes(array, self.conditions.range_m.0);
             solved += NODE_PER_ELEMENT * nodes.map_or(0.0, |nodes| nodes as f64);
-            error = error.max(ONSETS_OF_LINES * line.error_model().error);
+            error = error.max(onsets * line.error_model().error);
             why.clone_from(&line.error_model().why);
         }
         if let Some(one) = &engine.elements {
