@@ -68,8 +68,8 @@ const LINE_DOPPLER_GRIDS: f64 = 10.0;
 /// times that was measured (a 10 ms pulse at 10 m/s; `tools/points_random.py`), where many echoes sound together less than 1.6 times.
 const ONSETS_OF_LINES: f64 = 2.6;
 const MANY_ON_LINES: f64 = 1.6;
-/// A ping has windows with a single echo if one has so much of the energy of a window as loud as the mean.
-const SINGLE_SHARE: f64 = 0.5;
+/// Many are so many echoes that begin in a window, on the average.
+const MANY: f64 = 10.0;
 /// With fewer scatterers `gridded-2d` is slower than `gridded-lines`: at 43,000 by 1.4 to 1.7 times, at 300,000 it is as fast (`tools/bench echo --only
 /// short`).
 const LEAST_FOR_2D: usize = 150_000;
@@ -685,10 +685,12 @@ impl<'a> CandidateBuilder<'a> {
             }
         };
         let (mut error, mut work, mut why) = (0.0f64, Work::NONE, String::new());
+        let pulse_s = self.conditions.pulse.duration_s;
+        let windows = self.scene.plan.window_s(self.conditions.sample_rate_hz) / pulse_s;
         let single = self
             .conditions
             .echo_statistics
-            .is_none_or(|echoes| echoes.strongest_share > SINGLE_SHARE);
+            .is_none_or(|echoes| echoes.echoes < MANY * windows * self.conditions.elements as f64);
         let onsets = if single {
             ONSETS_OF_LINES
         } else {

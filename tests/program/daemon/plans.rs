@@ -5,7 +5,6 @@ use std::fmt::Write;
 use std::net::SocketAddr;
 
 use echotank_runtime::io::control::client;
-use serde_json::json;
 
 use super::Daemon;
 use super::modes::{status, step};
