@@ -92,7 +92,7 @@ fn a_selection_that_stops_fitting_is_replaced_before_an_error_check_fails() {
     }
     std::fs::write(folder.path().join("points.csv"), points).expect("written");
     let mut track = String::from(COLUMNS);
-    for k in 0..1200 {
+    for k in 0..4000 {
         let t_s = 0.1 * f64::from(k);
         let _ = writeln!(
             track,
@@ -129,7 +129,9 @@ fn a_selection_that_stops_fitting_is_replaced_before_an_error_check_fails() {
     assert!(greatest > 2e-2, "{greatest}");
     assert!((1.0..=LEAD_PINGS as f64).contains(&exceeded), "{exceeded}");
 
-    step(control, &mut delivered, CHECKED_PINGS);
+    for _ in 0..CHECKED_PINGS / 50 {
+        step(control, &mut delivered, 50);
+    }
     assert!(metric(control, "checked_error") < Some(2e-2));
     assert!(metric(control, "plan_predicted_error") <= Some(2e-2));
     assert_eq!(metric(control, "error_check_faults"), Some(0.0));
