@@ -18,7 +18,7 @@ use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::ReceiverFilter;
 use echotank_core::model::Synthesis;
 use echotank_core::ping::{ErrorCheck, PingOutput, PingPlan};
-use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, Pulse};
+use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, MIN_WINDOW, Pulse};
 use echotank_core::scene::Scatterers;
 use echotank_synthesis::array::direct::Direct;
 use echotank_synthesis::array::error_models::synthesis_cost_ms;
@@ -37,15 +37,14 @@ pub const SHARE: f64 = 0.01;
 pub const FAULT: f64 = 1.3;
 /// Looked at in one ping, at most.
 pub(crate) const MAX_PER_PING: usize = 16;
-/// A window's rms is taken over a pulse, but over this many samples at least.
-const MIN_WINDOW: usize = 32;
 /// Samples that are computed of a window, at most.
 const SPAN: usize = 64;
 /// ... and no longer than this, seconds: so long the expansion about their middle is good to 1e-6 rad.
 const SPAN_S: f64 = 1e-3;
 
+/// Samples of a window: a pulse long, but of [`MIN_WINDOW`] samples at least.
 fn window_samples(pulse_s: f64, rate_hz: f64) -> usize {
-    ((pulse_s * rate_hz).ceil() as usize).max(MIN_WINDOW)
+    (pulse_s * rate_hz).ceil().max(MIN_WINDOW) as usize
 }
 
 /// Share of the strongest window's mean square below which a window's level counts as noise.

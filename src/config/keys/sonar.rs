@@ -227,7 +227,7 @@ table! {
     /// Frequency step of "spectral". Default: one over the record length, or finer. With a coarser step late echoes wrap around onto early ones.
     frequency_step_hz: Number(from(0.01, 1e6)), Optional("5.0"), only with synthesis = "spectral";
 
-    /// Recompute windows of a ping with the reference and print the error, for about 1 % of its cost. Errors above 1.3 times the tolerance on two checked pings running
+    /// Recompute windows of a ping with the reference and print the error, for 1 % of its predicted cost. Errors above 1.3 times the tolerance on two checked pings running
     /// are a fault. Default: true, but false with synthesis = "reference" and with run.stream_tiles.
     error_check: Bool, Optional("true");
 

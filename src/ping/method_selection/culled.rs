@@ -15,10 +15,11 @@
 //! make them. Beside windows louder than themselves errors are counted against the ping's mean, which is weaker than the contract: a floor that kept
 //! the windows of a side-scan's water column to it would keep the whole disc of ground around the sonar.
 
-use crate::method_selection::echo_statistics::{MIN_WINDOW, Shares, kept_shares};
+use crate::method_selection::echo_statistics::{Shares, kept_shares};
 use crate::method_selection::{Culling, Scene, fades};
 use echotank_config::spec::SonarSpec;
 use echotank_core::ping::PingPlan;
+use echotank_core::pulse::MIN_WINDOW;
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::echo::culling::{Ground, LeftOut, Rings, left_out_share};
 
@@ -125,7 +126,7 @@ impl Seabed {
             ..
         } = *scene;
         let rate_hz = spec.receiver.sample_rate_hz;
-        let window_s = plan.pulse.duration_s.max(MIN_WINDOW as f64 / rate_hz);
+        let window_s = plan.pulse.duration_s.max(MIN_WINDOW / rate_hz);
         let elements: usize = spec.receive.iter().map(|array| array.elements).sum();
         let windows = (plan.window_s(rate_hz) / window_s).ceil().max(2.0);
         let kept = kept_shares(spec, plan, scatterers, &[Some(own_db)]);

@@ -10,7 +10,7 @@ use crate::method_selection::{MotionScale, fades};
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, TransmitArray};
 use echotank_core::ping::PingPlan;
-use echotank_core::pulse::FLOOR_BELOW_STRONGEST_DB;
+use echotank_core::pulse::{FLOOR_BELOW_STRONGEST_DB, MIN_WINDOW};
 use echotank_core::scene::{ScatterLaw, Scatterers};
 use echotank_synthesis::echo::levels::{Directivity, OneWay, amplitude_from_db};
 use echotank_synthesis::error_model::{Conditions, EchoStatistics};
@@ -19,11 +19,9 @@ use echotank_synthesis::error_model::{Conditions, EchoStatistics};
 pub const SAMPLE_SIZE: usize = 20_000;
 /// Instants at which an element's motion is tabled.
 const INSTANTS: usize = 64;
-/// ... for [`motion_peaks`], which looks at no more than so many scatterers.
+/// ... for [`echo_peaks`], which looks at no more than so many scatterers.
 const FEW_INSTANTS: usize = 8;
 const FEW_SCATTERERS: usize = 400;
-/// A window is a pulse long, but so many samples at least, as error checks have it.
-pub(super) const MIN_WINDOW: usize = 32;
 /// Rounding of finite differences of velocities, m/s^2.
 const STILL_M_PER_S2: f64 = 1e-9;
 /// What a sample of the echoes and of the elements, and motion tabled at instants, may leave out of a root mean square.
@@ -35,6 +33,18 @@ const PARTS: usize = 4;
 /// Quantities that the error models multiply, in the order of [`EchoStatistics`]: displacement, closing speed, range acceleration, its rate,
 /// acceleration, turning.
 const QUANTITIES: usize = 6;
+/// These quantities.
+pub(super) fn quantities(echoes: &mut EchoStatistics) -> [&mut f64; QUANTITIES] {
+    [
+        &mut echoes.displacement_m,
+        &mut echoes.closing_m_per_s,
+        &mut echoes.range_acceleration_m_per_s2,
+        &mut echoes.range_jerk_m_per_s3,
+        &mut echoes.acceleration_m_per_s2,
+        &mut echoes.turning_m_per_s,
+    ]
+}
+
 /// How their phases grow within an echo: t^0, t^1, t^2, each with a mean square of 1 over the echo. The third order is about mid-pulse, and as large
 /// at both ends.
 const GROWTH: [i32; QUANTITIES] = [0, 1, 2, 0, 0, 0];
@@ -137,7 +147,7 @@ pub fn echo_statistics(
     scatterers: &Scatterers,
 ) -> Option<EchoStatistics> {
     let rate_hz = spec.receiver.sample_rate_hz;
-    let window_s = plan.pulse.duration_s.max(MIN_WINDOW as f64 / rate_hz);
+    let window_s = plan.pulse.duration_s.max(MIN_WINDOW / rate_hz);
     let windows = (plan.window_s(rate_hz) / window_s).ceil().max(1.0) as usize;
     let part_s = window_s / PARTS as f64;
     let elements: usize = spec.receive.iter().map(|array| array.elements).sum();
@@ -232,19 +242,15 @@ struct EchoMotion {
 
 /// Largest motion of the echoes of a ping, by a small sample of its scatterers: enough to tell one ping from another.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct MotionPeaks {
+pub(super) struct EchoPeaks {
     /// In the order of [`EchoStatistics`].
     values: [f64; QUANTITIES],
     nearest_m: f64,
 }
 
 /// The peaks of a ping.
-pub(super) fn motion_peaks(
-    spec: &SonarSpec,
-    plan: &PingPlan,
-    scatterers: &Scatterers,
-) -> MotionPeaks {
-    let mut peaks = MotionPeaks {
+pub(super) fn echo_peaks(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> EchoPeaks {
+    let mut peaks = EchoPeaks {
         values: [0.0; QUANTITIES],
         nearest_m: f64::INFINITY,
     };
@@ -308,7 +314,7 @@ fn near(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> Vec<usize
 /// So many ways of the platform during a pulse away, series in that way converge well.
 const NEAR_WAYS: f64 = 5.0;
 
-impl MotionPeaks {
+impl EchoPeaks {
     /// Those of motion that is so much greater.
     pub(super) fn times(mut self, motion: &MotionScale) -> Self {
         for (value, factor) in self.values.iter_mut().zip(motion.factors()) {
@@ -320,15 +326,7 @@ impl MotionPeaks {
     /// The conditions of a ping with these peaks, from those of another ping whose peaks were `then`.
     pub(super) fn scale(&self, then: &Self, mut conditions: Conditions) -> Conditions {
         if let Some(echoes) = &mut conditions.echo_statistics {
-            let statistics = [
-                &mut echoes.displacement_m,
-                &mut echoes.closing_m_per_s,
-                &mut echoes.range_acceleration_m_per_s2,
-                &mut echoes.range_jerk_m_per_s3,
-                &mut echoes.acceleration_m_per_s2,
-                &mut echoes.turning_m_per_s,
-            ];
-            for (k, statistic) in statistics.into_iter().enumerate() {
+            for (k, statistic) in quantities(echoes).into_iter().enumerate() {
                 let (now, then) = (self.values[k], then.values[k]);
                 // What the other ping had none of, this one has at most everywhere.
                 *statistic = match then > RESTING * now {

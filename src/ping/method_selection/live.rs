@@ -17,7 +17,7 @@ use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 
 use crate::method_selection::costs::Costs;
-use crate::method_selection::echo_statistics;
+use crate::method_selection::echo_statistics::echo_peaks;
 use crate::method_selection::promise::Promise;
 use crate::method_selection::{
     MotionScale, Scene, goal, rank_with_conditions, sample, with_choice,
@@ -389,7 +389,7 @@ impl Job {
             motion_scale: self.motion_scale,
         };
         let (ranking, conditions) = rank_with_conditions(&scene, &self.excluded)?;
-        let peaks = echo_statistics::motion_peaks(&self.spec, &self.plan, &self.scatterers);
+        let peaks = echo_peaks(&self.spec, &self.plan, &self.scatterers);
         let kept = self.current_candidate(&ranking);
         let (choice, candidate) = match kept {
             Some(k) => (self.current, &ranking.candidates[k]),

@@ -4,7 +4,7 @@
 //! predicted error.
 
 use crate::conditions::{conditions, segment_step_s};
-use crate::method_selection::echo_statistics::{MotionPeaks, motion_peaks};
+use crate::method_selection::echo_statistics::{EchoPeaks, echo_peaks};
 use crate::methods::{Candidate, Family};
 use echotank_config::spec::SonarSpec;
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
@@ -21,7 +21,7 @@ const ALL: usize = 1000;
 #[derive(Clone, Copy)]
 pub(super) struct Promise {
     conditions: Conditions,
-    peaks: MotionPeaks,
+    peaks: EchoPeaks,
     path: PathModel,
     segment_s: f64,
     doppler: DopplerModel,
@@ -32,7 +32,7 @@ pub(super) struct Promise {
 }
 
 impl Promise {
-    pub(super) fn new(candidate: &Candidate, conditions: Conditions, peaks: MotionPeaks) -> Self {
+    pub(super) fn new(candidate: &Candidate, conditions: Conditions, peaks: EchoPeaks) -> Self {
         let model = candidate.choice.model;
         let others = [Family::Sum, Family::Culling, Family::Output];
         let errors = others.map(|family| candidate.part(family).error);
@@ -61,7 +61,7 @@ impl Promise {
         }
         let conditions = match scatterers.len() <= ALL {
             true => conditions(spec, plan, scatterers),
-            false => motion_peaks(spec, plan, scatterers).scale(&self.peaks, self.conditions),
+            false => echo_peaks(spec, plan, scatterers).scale(&self.peaks, self.conditions),
         };
         let conditions = Conditions {
             pulse: plan.pulse,
