@@ -361,7 +361,7 @@ impl OverloadState {
 /// Method selection of a ping and its prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MethodMark {
-    /// Sequence number of the selection; the configuration is 0.
+    /// Number of the block of pings whose first ping the selection was made on, from 1.
     pub plan: u32,
     /// Predicted relative error of element samples.
     pub predicted_error: f64,

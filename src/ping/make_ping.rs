@@ -192,6 +192,31 @@ impl Rig {
         }
     }
 
+    /// Lets the method selection examine a ping that is not made, as if it had been: of a replay that begins later.
+    ///
+    /// # Errors
+    /// The navigation has a gap at the ping.
+    pub fn examine(
+        &mut self,
+        sonar: usize,
+        order: &PingOrder,
+        mode: NavMode,
+        slot: &mut PingSlot,
+    ) -> Result<(), NavGap> {
+        if self.sonars[sonar].method_selector.is_none() {
+            return Ok(());
+        }
+        motion(self, sonar, order, mode, order.transmit_utc, slot)?;
+        let selector = &self.sonars[sonar].method_selector;
+        if selector.as_ref().is_some_and(|s| s.examines(&slot.plan)) {
+            gather(self, sonar, slot);
+        }
+        if let Some(method_selector) = &mut self.sonars[sonar].method_selector {
+            method_selector.after_ping(&slot.plan, &self.scatterers, None);
+        }
+        Ok(())
+    }
+
     /// Makes the plan of a ping and gathers its scatterers, without the ping itself.
     pub fn prepare(
         &mut self,

@@ -62,7 +62,7 @@ ping_counters! {
         pub time_jumped = "pings_time_jumped", "Pings while the clock of a navigation source jumped or was corrected";
         pub checked = "pings_checked", "Pings with an error check";
         pub error_check_faults = "error_check_faults", "Pings whose error check, like the one before, exceeded 1.3 tolerances";
-        pub plan = "plan", "Number of the newest ping's method plan; 0 without a plan";
+        pub plan = "plan", "Block of pings that the newest ping's methods were selected on, from 1; 0 without a selection";
         pub plans_given_up = "plans_given_up", "Method plans abandoned because an error check exceeded their tolerance";
         pub(crate) plans_failed = "plans_failed", "Method plans that could not be prepared";
         pub above_tolerance = "pings_above_tolerance", "Pings with a predicted error above the tolerance, or with a checked window above 1.3 tolerances";

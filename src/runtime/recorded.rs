@@ -14,7 +14,8 @@ use echotank_core::settings::SonarSettings;
 use echotank_core::time::UtcNs;
 use echotank_ping::PingOrder;
 use echotank_ping::faults::PingMark;
-use echotank_ping::rig::Rig;
+use echotank_ping::method_selection::live;
+use echotank_ping::rig::{PingSlot, Rig};
 use echotank_ping::rig_schedule::{RigSchedule, SettingsInForce};
 
 /// Distance from the ends of a long gap within which pings are ordered one by one, seconds.
@@ -97,6 +98,11 @@ impl RecordedRig {
         match has_recorded {
             true => crate::rig::plan_all(&mut rig, &mut inputs, first),
             false => rig.make_starting_engines(),
+        }
+        for unit in &mut rig.sonars {
+            if let Some(method_selector) = &mut unit.method_selector {
+                method_selector.correct(false);
+            }
         }
         let sound_speed_m_per_s = rig.medium().sound_speed_m_per_s;
         let triggers = spec.sonars.iter().map(|sonar| &sonar.trigger);
@@ -189,6 +195,28 @@ impl RecordedRig {
             self.schedule.put_off(sonar, end);
         }
         true
+    }
+
+    /// Passes over the ping of `order`, which comes before `first`, the first to be made. The method selection examines those pings on which the methods
+    /// of `first` depend. Returns false if the log ends first.
+    pub fn pass_over(
+        &mut self,
+        first: u32,
+        sonar: usize,
+        order: &PingOrder,
+        slot: &mut PingSlot,
+    ) -> bool {
+        let c = self.rig.medium().sound_speed_m_per_s;
+        if !live::is_examined_before(first, order, c) {
+            return true;
+        }
+        let is_covered = self.settle(sonar, order);
+        if is_covered {
+            let mode = self.rig.spec.nav.mode;
+            // In a gap of the navigation there is nothing to examine.
+            let _gap = self.rig.examine(sonar, order, mode, slot);
+        }
+        is_covered
     }
 
     /// Records that the order's pulse was transmitted. An injected double-trigger fault schedules a second pulse.

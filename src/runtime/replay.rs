@@ -183,15 +183,22 @@ impl Replay {
                 if !missed {
                     self.recorded.record_pulse(sonar, &order);
                 }
-                if order.ping_number < self.pings.0 {
-                    continue;
-                }
+                let first = self.pings.0;
+                let is_wanted = order.ping_number >= first;
                 if missed {
-                    add(&self.counters[sonar].triggers_missed, 1);
+                    add(&self.counters[sonar].triggers_missed, u64::from(is_wanted));
                     continue;
                 }
-                if !self.recorded.settle(sonar, &order) {
+                let slot = &mut slots[sonar];
+                let is_covered = match is_wanted {
+                    true => self.recorded.settle(sonar, &order),
+                    false => self.recorded.pass_over(first, sonar, &order, slot),
+                };
+                if !is_covered {
                     break;
+                }
+                if !is_wanted {
+                    continue;
                 }
                 self.ping(sonar, &order, &mut slots[sonar])?;
                 progress(order.ping_number);

@@ -76,11 +76,13 @@ impl Projection {
 ///
 /// The first return is the first interval of 0.25 m whose level is within 12 dB of the line's 90th percentile. This threshold is above the
 /// side lobes that precede a compressed pulse. If the 2nd percentile is less than 24 dB lower, the threshold is half way (in dB) between
-/// the two percentiles.
+/// the two percentiles. Through the edge of a pattern the bottom below the sonar rises to the threshold over several intervals: the intervals
+/// just before that are within 10 dB of it belong to the return.
 pub fn first_return_m(lines: &[Line], axis: RangeAxis) -> Option<f64> {
     const INTERVAL_M: f64 = 0.25;
     const UNDER_LOUD_DB: f64 = 12.0;
     const MIN_CONTRAST_DB: f64 = 10.0;
+    const RISE_DB: f64 = 10.0;
     let interval = (INTERVAL_M / axis.metres_per_sample).ceil().max(1.0) as usize;
     let each = lines.iter().filter_map(|line| {
         let levels: Vec<f64> = line
@@ -97,7 +99,10 @@ pub fn first_return_m(lines: &[Line], axis: RangeAxis) -> Option<f64> {
             return None;
         }
         let threshold = (loud - UNDER_LOUD_DB).max(0.5 * (quiet + loud));
-        let first = levels.iter().position(|l| *l > threshold)?;
+        let crossing = levels.iter().position(|l| *l > threshold)?;
+        let rise = levels[..crossing].iter().rev();
+        let rise = rise.take_while(|l| **l > levels[crossing] - RISE_DB);
+        let first = crossing - rise.count();
         Some(axis.slant_range_m(first * interval + interval / 2))
     });
     each.min_by(f64::total_cmp)

@@ -16,7 +16,7 @@
 //! the windows of a side-scan's water column to it would keep the whole disc of ground around the sonar.
 
 use crate::method_selection::echo_statistics::{Shares, kept_shares};
-use crate::method_selection::{Culling, Scene, fades};
+use crate::method_selection::{Culling, Memo, Scene, fades};
 use echotank_config::spec::SonarSpec;
 use echotank_core::ping::PingPlan;
 use echotank_core::pulse::MIN_WINDOW;
@@ -40,8 +40,8 @@ const NEAR_FLOOR_DB: f64 = 10.0;
 /// Mean square over squared mean of a scatterer's energy: exponential, as speckle is.
 const SPECKLE: f64 = 2.0;
 
-/// Floors of the patterns, the configuration's own first.
-pub(super) fn floors(scene: &Scene) -> Vec<Culling> {
+/// Floors of the patterns, the configuration's own first. `of` elements of a line are one.
+pub(super) fn floors(scene: &Scene, of: usize, memo: &Memo) -> Vec<Culling> {
     let spec = scene.spec;
     let Some(own_db) = spec.model.cull_db else {
         return vec![Culling {
@@ -61,6 +61,7 @@ pub(super) fn floors(scene: &Scene) -> Vec<Culling> {
         });
         arrays.fold(0.0, f64::max)
     };
+    let level = |db: f64| Memo::of(&memo.left_out, (of, db.to_bits()), || level(db));
     let left_out = |db: f64| UNEVEN * level(db).max(seabed.worst(db));
     let mut dbs = vec![own_db];
     if spec.synthesis.auto.cull {

@@ -1,18 +1,18 @@
-//! Method selection while the sonar runs. Methods are selected anew when motion or settings have changed enough, or when an error check exceeds
-//! the tolerance. A selection takes effect a fixed number of pings later.
+//! Method selection while the sonar runs, for blocks of pings of about [`BLOCK_S`].
 //!
 //! ```text
-//! ping n: the motion has grown -> a thread ranks, and makes a pipeline if the choice is another
-//! ping n + lead: the new pipeline is taken, and waited for if it must be
+//! first ping of block b: a thread ranks for block b + 1, and makes a pipeline if the choice is another
+//! first ping of block b + 1: the new pipeline is taken, and waited for if it must be
 //! ```
 //!
-//! When a selection starts, its input and when it takes effect depend only on ping numbers, navigation and settings, never on computing time. The
-//! same pings therefore use the same methods in every clock mode. A skipped ping is not examined.
+//! A ranking sees the settings, the first ping of its block and the largest motion in the two blocks before, rounded up, and nothing of earlier
+//! selections: the methods of a ping depend on configuration, navigation and ping number alone, in every clock mode, and in a replay that begins
+//! anywhere ([`is_examined_before`]). The first two blocks have the selection made ahead of the first ping. Changed settings are examined at once. A
+//! skipped ping is not examined.
 //!
 //! Every ping has its own promise ([`Promise`]): the error models of path and Doppler with its own motion. A ping that moves more than the selection
-//! expected is made on the exact trajectory. Where even that leaves more than the tolerance, its promise says so, and a selection begins.
+//! expected is made on the exact trajectory. Where even that leaves more than the tolerance, its promise says so.
 
-use std::collections::VecDeque;
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 
@@ -20,32 +20,28 @@ use crate::method_selection::costs::Costs;
 use crate::method_selection::echo_statistics::echo_peaks;
 use crate::method_selection::promise::Promise;
 use crate::method_selection::{
-    MotionScale, Scene, goal, rank_with_conditions, sample, with_choice,
+    Memo, MotionScale, Scene, goal, rank_with_conditions, sample, with_choice,
 };
 use crate::methods::{Choice, Ranking};
 use crate::pipeline::{PipelineError, SonarPipeline};
+use crate::schedule::PingOrder;
 use crate::threads::pool;
 use echotank_config::spec::{MediumSpec, SonarSpec};
 use echotank_core::model::{ModelChoice, Synthesis};
 use echotank_core::ping::{ErrorCheck, MethodMark, PingPlan};
 use echotank_core::scene::Scatterers;
 use echotank_core::settings::SonarSettings;
+use echotank_synthesis::error_model::Conditions;
 
-/// Interval between examinations of the motion, in pings.
-const MOTION_CHECK_PINGS: u32 = 4;
-/// Number of examinations that are remembered: at 10 pings a second 13 s, longer than the period of a swell.
-const MOTION_HISTORY: usize = 32;
-/// Delay until a selection takes effect, rounded up to whole pings: time to make an engine with the finest tolerance.
-const LEAD_S: f64 = 4.0;
-/// Minimum delay until a selection takes effect, in pings.
-const MIN_LEAD: u32 = 2;
-/// Methods are selected anew if the motion grows by the first factor, or if all remembered motion falls below the second share.
-const MAX_GROWTH: f64 = 1.2;
-const MIN_REMAINDER: f64 = 0.4;
+/// Length of a block, rounded up to whole pings: time to rank, and to make an engine with the finest tolerance.
+const BLOCK_S: f64 = 4.0;
+const MIN_BLOCK_PINGS: u32 = 2;
+/// Blocks whose motion counts: at least 8 s, the period of a swell.
+const BLOCKS_SEEN: usize = 3;
+/// Motion is rounded up to powers of the root of two: similar blocks then get the same methods.
+const STEPS_PER_DOUBLING: f64 = 2.0;
 /// Smaller motion counts as none: m/s, m/s^2, m/s.
 const MIN_MOTION: [f64; 3] = [1e-6, 1e-6, 1e-6];
-/// A selection must cost less than this share of the current one to replace it.
-const WORTHWHILE_COST: f64 = 0.85;
 /// Instants of a ping at which its motion is examined.
 const INSTANTS: usize = 8;
 
@@ -58,17 +54,25 @@ pub struct MethodSelector {
     spec: SonarSpec,
     medium: MediumSpec,
     costs: Arc<Costs>,
+    memo: Arc<Memo>,
     choice: Choice,
     mark: MethodMark,
     /// What the current selection promises of a ping; `None` before the first.
     promise: Option<Promise>,
     /// Of the ping that is being made.
     ping_error: f64,
-    /// Motion and settings on which the current selection is based; `None` before the first selection.
-    basis: Option<(MotionPeaks, SonarSettings)>,
-    recent: VecDeque<MotionPeaks>,
+    /// Settings of the current selection; `None` before the first.
+    selected_for: Option<SonarSettings>,
+    /// Block of the newest ping, and the largest motion of the two blocks before and of this one so far.
+    block: Option<u32>,
+    motion: [MotionPeaks; BLOCKS_SEEN],
+    /// What an error check has refuted.
     excluded: Vec<Choice>,
+    /// Whether a failed error check changes the methods.
+    corrects: bool,
     pending: Option<Pending>,
+    /// The choice before, whose pipeline is kept: two that cost about the same may alternate.
+    spare: Option<(Choice, Box<SonarPipeline>)>,
     /// Counts since the sonar was opened.
     pub counts: SelectionCounts,
 }
@@ -88,17 +92,27 @@ pub struct SelectionCounts {
 
 struct Pending {
     from_ping: u32,
-    basis: (MotionPeaks, SonarSettings),
-    thread: JoinHandle<Outcome>,
+    settings: SonarSettings,
+    thread: JoinHandle<Option<Selection>>,
 }
 
-/// The rank's, and a pipeline where another choice is worth it.
-type Outcome = Option<(
-    Choice,
-    MethodMark,
-    Promise,
-    Result<Option<Box<SonarPipeline>>, PipelineError>,
-)>;
+/// What was chosen, and where its pipeline is.
+struct Selection {
+    choice: Choice,
+    mark: MethodMark,
+    promise: Promise,
+    pipeline: Made,
+    /// Better choices whose pipeline was refused.
+    refused: u64,
+}
+
+enum Made {
+    /// It is in use.
+    Current,
+    /// It is the spare one.
+    Spare,
+    New(Box<SonarPipeline>),
+}
 
 impl MethodSelector {
     /// `None` if the configuration fixes all methods.
@@ -122,10 +136,14 @@ impl MethodSelector {
             spec: spec.clone(),
             medium: medium.clone(),
             costs,
-            basis: None,
-            recent: VecDeque::with_capacity(MOTION_HISTORY + 1),
+            memo: Arc::default(),
+            selected_for: None,
+            block: None,
+            motion: [MIN_MOTION; BLOCKS_SEEN],
             excluded: Vec::new(),
+            corrects: true,
             pending: None,
+            spare: None,
             counts: SelectionCounts::default(),
         })
     }
@@ -143,7 +161,7 @@ impl MethodSelector {
 
     /// Takes the configured starting methods in place of the direct sum, if nothing has been selected and their engine can be made.
     pub(crate) fn start(&mut self, medium: &MediumSpec, pipeline: &mut SonarPipeline) {
-        if self.basis.is_some() || self.choice.model == self.spec.model {
+        if self.selected_for.is_some() || self.choice.model == self.spec.model {
             return;
         }
         if let Ok(made) = SonarPipeline::new(&self.spec, medium) {
@@ -178,6 +196,11 @@ impl MethodSelector {
         self.ping_error = error;
     }
 
+    /// Whether a failed error check changes the methods (at first it does). Otherwise no ping depends on the checks of those before it.
+    pub fn correct(&mut self, corrects: bool) {
+        self.corrects = corrects;
+    }
+
     /// Makes the first selection at once and replaces a pipeline that has not computed a ping. Call inside the pool that runs the pipeline.
     pub fn select_first(
         &mut self,
@@ -185,59 +208,45 @@ impl MethodSelector {
         scatterers: &Scatterers,
         pipeline: &mut SonarPipeline,
     ) {
-        let peaks = motion_peaks(&self.spec, plan);
-        let basis = (peaks, plan.settings);
-        loop {
-            let job = self.job(
-                plan,
-                sample(scatterers),
-                scatterers.len(),
-                MotionScale::NONE,
-            );
-            let outcome = job.run();
-            let is_refused = matches!(outcome, Some((.., Err(_))));
-            self.adopt(basis, outcome, pipeline);
-            if !is_refused {
-                return;
-            }
-            // What was refused is excluded; the next best is as good as a first selection.
-            self.basis = None;
-        }
+        let selection = self.job(plan, scatterers).run();
+        self.adopt(plan.settings, selection, pipeline);
     }
 
     /// Adopts the selection that is due.
     pub fn before_ping(&mut self, ping_number: u32, pipeline: &mut SonarPipeline) {
         let due = |p: &Pending| ping_number >= p.from_ping;
         if let Some(pending) = self.pending.take_if(|p| due(p)) {
-            let outcome = pending.thread.join().ok().flatten();
-            self.adopt(pending.basis, outcome, pipeline);
+            let selection = pending.thread.join().ok().flatten();
+            self.adopt(pending.settings, selection, pipeline);
         }
     }
 
     fn adopt(
         &mut self,
-        basis: (MotionPeaks, SonarSettings),
-        outcome: Outcome,
+        settings: SonarSettings,
+        selection: Option<Selection>,
         pipeline: &mut SonarPipeline,
     ) {
         self.counts.ranked += 1;
-        self.basis = Some(basis);
-        match outcome {
-            Some((choice, mark, promise, Ok(made))) => {
-                self.promise = Some(promise);
-                if let Some(made) = made {
-                    *pipeline = *made;
-                    self.choice = choice;
-                    self.counts.changed += 1;
-                }
-                self.mark = mark;
-            }
-            Some((choice, _, _, Err(_))) => {
-                self.excluded.push(choice);
-                self.counts.failed += 1;
-            }
-            None => self.counts.failed += 1,
+        self.selected_for = Some(settings);
+        let Some(selection) = selection else {
+            self.counts.failed += 1;
+            return;
+        };
+        self.counts.failed += selection.refused;
+        let made = match selection.pipeline {
+            Made::Current => None,
+            Made::Spare => self.spare.take().map(|(_, spare)| spare),
+            Made::New(made) => Some(made),
+        };
+        if let Some(mut made) = made {
+            std::mem::swap(pipeline, &mut made);
+            self.spare = Some((self.choice, made));
+            self.counts.changed += 1;
         }
+        self.choice = selection.choice;
+        self.promise = Some(selection.promise);
+        self.mark = selection.mark;
     }
 
     /// Examines a computed ping.
@@ -247,86 +256,90 @@ impl MethodSelector {
         scatterers: &Scatterers,
         error_check: Option<&ErrorCheck>,
     ) {
-        let fault = error_check.is_some_and(|c| c.fault);
-        if self.pending.is_some() {
-            return;
-        }
-        if fault && self.basis.is_some() && !self.excluded.contains(&self.choice) {
-            self.counts.given_up += 1;
-            self.excluded.push(self.choice);
-            self.start_selection(plan, scatterers);
-            return;
-        }
-        let changed = match &self.basis {
-            None => true,
-            Some((_, settings)) => {
-                settings.range_m != plan.settings.range_m
-                    || settings.pulse_duration_s != plan.settings.pulse_duration_s
-            }
-        };
-        if changed {
+        let begins = self.begins_block(plan);
+        let is_changed = self.is_changed(plan);
+        self.remember(plan);
+        if is_changed {
             // Another pulse or range is another problem: what failed there may do here.
             self.excluded.clear();
         }
-        let beyond = self.promise.is_some()
-            && self.ping_error > self.mark.predicted_error.max(self.spec.synthesis.tolerance);
-        if !changed && !beyond && !plan.ping_number.is_multiple_of(MOTION_CHECK_PINGS) {
+        let fault = self.corrects && error_check.is_some_and(|c| c.fault);
+        let is_refuted = fault && self.promise.is_some() && !self.excluded.contains(&self.choice);
+        if self.pending.is_some() {
             return;
         }
-        self.recent.push_back(motion_peaks(&self.spec, plan));
-        if self.recent.len() > MOTION_HISTORY {
-            self.recent.pop_front();
-        }
-        if changed || beyond || self.has_motion_changed() {
-            self.start_selection(plan, scatterers);
-        }
-    }
-
-    /// Maximum of all remembered motion.
-    fn envelope(&self) -> MotionPeaks {
-        self.recent.iter().fold(MIN_MOTION, |mut worst, peaks| {
-            for (worst, value) in worst.iter_mut().zip(peaks) {
-                *worst = worst.max(*value);
-            }
-            worst
-        })
-    }
-
-    fn has_motion_changed(&self) -> bool {
-        let Some((basis, _)) = &self.basis else {
-            return true;
+        let pings = block_pings(&plan.settings, plan.sound_speed_m_per_s);
+        let from_ping = match is_changed || is_refuted {
+            true => plan.ping_number.saturating_add(pings),
+            // The next block; the first two have the first selection.
+            false if begins && block(plan) > 0 => (block(plan) + 1) * pings + 1,
+            false => return,
         };
-        let full = self.recent.len() == MOTION_HISTORY;
-        self.envelope().iter().zip(basis).any(|(now, then)| {
-            let then = then.max(MIN_MOTION[0]);
-            *now > MAX_GROWTH * then || full && *now < MIN_REMAINDER * then
+        if is_refuted {
+            self.counts.given_up += 1;
+            self.excluded.push(self.choice);
+        }
+        self.start_selection(plan, scatterers, from_ping);
+    }
+
+    /// Whether a selection may begin with this ping, which needs its scatterers.
+    pub(crate) fn examines(&self, plan: &PingPlan) -> bool {
+        self.begins_block(plan) || self.is_changed(plan)
+    }
+
+    fn begins_block(&self, plan: &PingPlan) -> bool {
+        self.block != Some(block(plan))
+    }
+
+    /// Whether the current selection is for other settings.
+    fn is_changed(&self, plan: &PingPlan) -> bool {
+        self.selected_for.is_none_or(|settings| {
+            settings.range_m != plan.settings.range_m
+                || settings.pulse_duration_s != plan.settings.pulse_duration_s
         })
+    }
+
+    /// Notes the motion of a ping.
+    fn remember(&mut self, plan: &PingPlan) {
+        let block = block(plan);
+        let passed = self.block.map_or(0, |before| block.abs_diff(before));
+        for _ in 0..passed.min(BLOCKS_SEEN as u32) {
+            self.motion.rotate_left(1);
+            self.motion[BLOCKS_SEEN - 1] = MIN_MOTION;
+        }
+        self.block = Some(block);
+        let now = motion_peaks(&self.spec, plan);
+        self.motion[BLOCKS_SEEN - 1] = larger(self.motion[BLOCKS_SEEN - 1], now);
+    }
+
+    /// The motion to select for over that of this ping.
+    fn motion_scale(&self, plan: &PingPlan) -> MotionScale {
+        let now = motion_peaks(&self.spec, plan);
+        let all = self.motion.iter().copied().fold(now, larger);
+        let times = |k: usize| {
+            let now = now[k].max(MIN_MOTION[k]);
+            let steps = (STEPS_PER_DOUBLING * libm::log2(all[k].max(now))).ceil();
+            // A ping that happens to stand still says nothing of the directions: as far as ten times it is believed.
+            (libm::exp2(steps / STEPS_PER_DOUBLING) / now).clamp(1.0, 10.0)
+        };
+        MotionScale {
+            speed: times(0),
+            acceleration: times(1),
+            turning: times(2),
+        }
     }
 
     /// Starts a selection in another thread.
-    fn start_selection(&mut self, plan: &PingPlan, scatterers: &Scatterers) {
-        let now = motion_peaks(&self.spec, plan);
-        let worst = self.envelope();
-        let times = |k: usize| (worst[k] / now[k].max(MIN_MOTION[k])).max(1.0);
-        // A ping that happens to stand still says nothing of the directions: as far as ten times it is believed.
-        let motion_scale = MotionScale {
-            speed: times(0).min(10.0),
-            acceleration: times(1).min(10.0),
-            turning: times(2).min(10.0),
-        };
-        let job = self.job(plan, sample(scatterers), scatterers.len(), motion_scale);
-        let c = plan.sound_speed_m_per_s;
-        let period_s = 1e-9 * crate::period_ns(&plan.settings, c) as f64;
-        let lead = ((LEAD_S / period_s).ceil() as u32).max(MIN_LEAD);
-        let basis = ([0, 1, 2].map(|k| worst[k].max(now[k])), plan.settings);
+    fn start_selection(&mut self, plan: &PingPlan, scatterers: &Scatterers, from_ping: u32) {
+        let job = self.job(plan, scatterers);
         let spawned = thread::Builder::new()
             .name("plan".into())
             .spawn(move || job.run());
         match spawned {
             Ok(thread) => {
                 self.pending = Some(Pending {
-                    from_ping: plan.ping_number.saturating_add(lead),
-                    basis,
+                    from_ping,
+                    settings: plan.settings,
                     thread,
                 });
             }
@@ -334,13 +347,7 @@ impl MethodSelector {
         }
     }
 
-    fn job(
-        &self,
-        plan: &PingPlan,
-        scatterers: Scatterers,
-        count: usize,
-        motion_scale: MotionScale,
-    ) -> Job {
+    fn job(&self, plan: &PingPlan, scatterers: &Scatterers) -> Job {
         let mut spec = self.spec.clone();
         // Engines are made for the settings in force.
         spec.settings = plan.settings;
@@ -348,14 +355,15 @@ impl MethodSelector {
             spec,
             medium: self.medium.clone(),
             costs: self.costs.clone(),
+            memo: self.memo.clone(),
             plan: plan.clone(),
-            scatterers,
-            count,
-            motion_scale,
+            scatterers: sample(scatterers),
+            count: scatterers.len(),
+            motion_scale: self.motion_scale(plan),
             excluded: self.excluded.clone(),
-            current: self.choice,
-            is_first: self.basis.is_none(),
-            number: self.mark.plan,
+            // Before the first selection the pipeline may be the configured one or the direct sum.
+            current: self.promise.is_some().then_some(self.choice),
+            spare: self.spare.as_ref().map(|(choice, _)| *choice),
             threads: rayon::current_num_threads(),
         }
     }
@@ -366,19 +374,56 @@ struct Job {
     spec: SonarSpec,
     medium: MediumSpec,
     costs: Arc<Costs>,
+    memo: Arc<Memo>,
     plan: PingPlan,
     scatterers: Scatterers,
     count: usize,
     motion_scale: MotionScale,
     excluded: Vec<Choice>,
-    current: Choice,
-    is_first: bool,
-    number: u32,
+    current: Option<Choice>,
+    spare: Option<Choice>,
     threads: usize,
 }
 
 impl Job {
-    fn run(&self) -> Outcome {
+    fn run(mut self) -> Option<Selection> {
+        let peaks = echo_peaks(&self.spec, &self.plan, &self.scatterers);
+        let mut refused = 0;
+        loop {
+            let (ranking, conditions) = self.rank()?;
+            let candidate = ranking.chosen();
+            let choice = candidate.choice;
+            let pipeline = match Some(choice) {
+                chosen if chosen == self.current => Made::Current,
+                chosen if chosen == self.spare => Made::Spare,
+                _ => match self.make(&choice) {
+                    Ok(made) => Made::New(made),
+                    // The next best.
+                    Err(_) if !self.excluded.contains(&choice) => {
+                        self.excluded.push(choice);
+                        refused += 1;
+                        continue;
+                    }
+                    Err(_) => return None,
+                },
+            };
+            return Some(Selection {
+                choice,
+                mark: MethodMark {
+                    plan: block(&self.plan) + 1,
+                    predicted_error: candidate.error(),
+                    predicted_ms: candidate.cost_ms(),
+                    tolerance: self.spec.synthesis.tolerance,
+                    part_elements: choice.part_elements,
+                },
+                promise: Promise::new(candidate, conditions, peaks.times(&self.motion_scale)),
+                pipeline,
+                refused,
+            });
+        }
+    }
+
+    fn rank(&self) -> Option<(Ranking, Conditions)> {
         let scene = Scene {
             spec: &self.spec,
             medium: &self.medium,
@@ -388,51 +433,40 @@ impl Job {
             costs: &self.costs,
             motion_scale: self.motion_scale,
         };
-        let (ranking, conditions) = rank_with_conditions(&scene, &self.excluded)?;
-        let peaks = echo_peaks(&self.spec, &self.plan, &self.scatterers);
-        let kept = self.current_candidate(&ranking);
-        let (choice, candidate) = match kept {
-            Some(k) => (self.current, &ranking.candidates[k]),
-            None => (ranking.chosen().choice, ranking.chosen()),
-        };
-        let is_new = choice != self.current;
-        let mark = MethodMark {
-            plan: self.number + u32::from(is_new || self.is_first),
-            predicted_error: candidate.error(),
-            predicted_ms: candidate.cost_ms(),
-            tolerance: self.spec.synthesis.tolerance,
-            part_elements: choice.part_elements,
-        };
-        let promise = Promise::new(candidate, conditions, peaks.times(&self.motion_scale));
-        if !is_new {
-            return Some((choice, mark, promise, Ok(None)));
-        }
-        let spec = with_choice(&self.spec, &choice);
-        // With as many threads as the pool that will run it, and none of its own.
-        let made = pool(self.threads).map(|pool| {
-            pool.install(|| SonarPipeline::new(&spec, &self.medium))
-                .map(|pipeline| Some(Box::new(pipeline)))
-        });
-        Some((choice, mark, promise, made.ok()?))
+        rank_with_conditions(&scene, &self.excluded, &self.memo)
     }
 
-    /// The current choice, if it still meets the goal and its replacement is hardly cheaper.
-    fn current_candidate(&self, ranking: &Ranking) -> Option<usize> {
-        if self.is_first || self.excluded.contains(&self.current) {
-            return None;
+    /// With as many threads as the pool that will run it, and none of its own.
+    fn make(&self, choice: &Choice) -> Result<Box<SonarPipeline>, PipelineError> {
+        let spec = with_choice(&self.spec, choice);
+        let make = || SonarPipeline::new(&spec, &self.medium).map(Box::new);
+        match pool(self.threads) {
+            Ok(pool) => pool.install(make),
+            Err(_) => make(),
         }
-        let same = |choice: &Choice| {
-            Choice {
-                nearest_m: self.current.nearest_m,
-                ..*choice
-            } == self.current
-        };
-        let at = ranking.candidates.iter().position(|c| same(&c.choice))?;
-        let candidate = &ranking.candidates[at];
-        let is_expensive = ranking.chosen().cost_ms() < WORTHWHILE_COST * candidate.cost_ms();
-        let nearer = ranking.chosen().choice.nearest_m < 0.9 * self.current.nearest_m;
-        (goal(&self.spec).meets(candidate) && !is_expensive && !nearer).then_some(at)
     }
+}
+
+/// Pings of a block.
+fn block_pings(settings: &SonarSettings, sound_speed_m_per_s: f64) -> u32 {
+    let period_s = 1e-9 * crate::period_ns(settings, sound_speed_m_per_s) as f64;
+    ((BLOCK_S / period_s).ceil() as u32).max(MIN_BLOCK_PINGS)
+}
+
+/// Block of a ping; pings are numbered from 1.
+fn block(plan: &PingPlan) -> u32 {
+    (plan.ping_number.max(1) - 1) / block_pings(&plan.settings, plan.sound_speed_m_per_s)
+}
+
+/// Whether the selection for ping `first` has seen the motion of the ping of `order`, which comes before it.
+pub fn is_examined_before(first: u32, order: &PingOrder, sound_speed_m_per_s: f64) -> bool {
+    let pings = block_pings(&order.settings, sound_speed_m_per_s);
+    let block = |number: u32| (number.max(1) - 1) / pings;
+    block(order.ping_number) + BLOCKS_SEEN as u32 >= block(first)
+}
+
+fn larger(a: MotionPeaks, b: MotionPeaks) -> MotionPeaks {
+    [0, 1, 2].map(|k| a[k].max(b[k]))
 }
 
 /// Motion of a ping at all transmitters and both ends of every line.

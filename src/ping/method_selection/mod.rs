@@ -13,8 +13,7 @@ pub mod parts;
 mod promise;
 mod walked;
 
-use std::cell::RefCell;
-use std::rc::Rc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::conditions::{conditions, segment_step_s, sum_error_model};
 use crate::element_synthesis::{FASTEST_PLATFORM_M_PER_S, filter_design, receiver_filter};
@@ -191,14 +190,16 @@ pub fn goal(spec: &SonarSpec) -> Goal {
 
 /// The plan for this ping's conditions; what the configuration fixes has one member.
 pub fn rank(scene: &Scene, barred: &[Choice]) -> Option<Ranking> {
-    rank_with_conditions(scene, barred).map(|(ranking, _)| ranking)
+    rank_with_conditions(scene, barred, &Memo::default()).map(|(ranking, _)| ranking)
 }
 
 /// The plan, and the conditions that it was made for.
-fn rank_with_conditions(scene: &Scene, barred: &[Choice]) -> Option<(Ranking, Conditions)> {
-    // An element's engine is a part's too.
-    let sketches = Sketches::default();
-    let builder = CandidateBuilder::new(scene, None, &sketches);
+fn rank_with_conditions(
+    scene: &Scene,
+    barred: &[Choice],
+    memo: &Memo,
+) -> Option<(Ranking, Conditions)> {
+    let builder = CandidateBuilder::new(scene, None, memo);
     let (mut candidates, mut refused) = builder.candidates();
     let partings = worth_trying(scene, &builder.conditions);
     for parting in &partings {
@@ -207,7 +208,7 @@ fn rank_with_conditions(scene: &Scene, barred: &[Choice]) -> Option<(Ranking, Co
             spec: &spec,
             ..*scene
         };
-        let (more, why) = CandidateBuilder::new(&scene, Some(*parting), &sketches).candidates();
+        let (more, why) = CandidateBuilder::new(&scene, Some(*parting), memo).candidates();
         candidates.extend(more);
         refused.extend(why);
     }
@@ -284,13 +285,13 @@ struct CandidateBuilder<'a> {
     walked: WalkLengths,
     /// How lines are parted; none: elements are made.
     parting: Option<Parting>,
-    sketches: &'a Sketches,
+    memo: &'a Memo,
 }
 
 /// What an engine promises and costs.
 enum Engine {
     /// `gridded-1d` and `gridded-lines`.
-    Sketched(Rc<Sketch>),
+    Sketched(Arc<Sketch>),
     /// `gridded-2d`.
     WholeLines {
         error: f64,
@@ -300,17 +301,42 @@ enum Engine {
     },
 }
 
-/// Engines that have been looked at: by synthesis and Doppler model, and the bits of their tolerance.
+/// What rankings of one sonar found that does not depend on a ping's scatterers and motion.
 #[derive(Default)]
-struct Sketches {
-    seen: RefCell<Vec<(SketchKey, SketchResult)>>,
+pub(crate) struct Memo {
+    /// Engines that have been looked at. An element's engine is a part's too.
+    sketches: Mutex<Vec<(SketchKey, SketchResult)>>,
+    /// Shares of the energy on a level platform, by elements of a part and floor.
+    left_out: Mutex<Vec<((usize, u64), f64)>>,
 }
 
-type SketchKey = (Synthesis, DopplerModel, Option<u64>);
-type SketchResult = Result<Rc<Sketch>, String>;
+/// Synthesis and Doppler model; the bits of tolerance, nearest range and pulse length; samples.
+type SketchKey = (Synthesis, DopplerModel, Option<u64>, [u64; 2], usize);
+type SketchResult = Result<Arc<Sketch>, String>;
+
+impl Memo {
+    /// What is remembered of `key`, or what `make` makes of it. The oldest of many entries is forgotten.
+    fn of<K: PartialEq, V: Clone>(
+        entries: &Mutex<Vec<(K, V)>>,
+        key: K,
+        make: impl FnOnce() -> V,
+    ) -> V {
+        const MOST: usize = 128;
+        let mut entries = entries.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, value)) = entries.iter().find(|(known, _)| *known == key) {
+            return value.clone();
+        }
+        if entries.len() == MOST {
+            entries.remove(0);
+        }
+        let value = make();
+        entries.push((key, value.clone()));
+        value
+    }
+}
 
 impl<'a> CandidateBuilder<'a> {
-    fn new(scene: &'a Scene<'a>, parting: Option<Parting>, sketches: &'a Sketches) -> Self {
+    fn new(scene: &'a Scene<'a>, parting: Option<Parting>, memo: &'a Memo) -> Self {
         let spec = scene.spec;
         let mut conditions =
             scene
@@ -320,11 +346,11 @@ impl<'a> CandidateBuilder<'a> {
         Self {
             scene,
             parting,
-            sketches,
+            memo,
             walked: WalkLengths::of(spec, scene.plan, scene.scatterers, scene.count),
             nearest_m: nearest_m(spec, conditions.range_m.0),
             conditions,
-            cullings: floors(scene),
+            cullings: floors(scene, parting.map_or(1, |parting| parting.of), memo),
         }
     }
 
@@ -573,11 +599,6 @@ impl<'a> CandidateBuilder<'a> {
         doppler: DopplerModel,
         engine_tolerance: Option<f64>,
     ) -> Result<Engine, String> {
-        let sketched = (synthesis, doppler, engine_tolerance.map(f64::to_bits));
-        let mut seen = self.sketches.seen.borrow_mut();
-        if let Some((_, sketch)) = seen.iter().find(|(of, _)| *of == sketched) {
-            return sketch.clone().map(Engine::Sketched);
-        }
         let mut spec = self.scene.spec.clone();
         spec.model.doppler = doppler;
         spec.model.synthesis = synthesis;
@@ -586,22 +607,30 @@ impl<'a> CandidateBuilder<'a> {
         spec.synthesis.engine_tolerance = engine_tolerance;
         spec.synthesis.nearest_m = self.nearest_m;
         let c = self.scene.medium.sound_speed_m_per_s;
-        let filter = receiver_filter(&spec, self.scene.medium).map_err(|why| why.to_string())?;
+        let filter = || receiver_filter(&spec, self.scene.medium).map_err(|why| why.to_string());
         let fastest = FASTEST_PLATFORM_M_PER_S;
         if synthesis == Synthesis::Gridded2d {
-            return self.whole_lines(&spec, filter.as_ref());
+            return self.whole_lines(&spec, filter()?.as_ref());
         }
-        let made = sketch(&spec, c, fastest, filter.as_ref(), self.scene.plan);
-        let made = made.map(Rc::new).map_err(|why| why.to_string());
+        let plan = self.scene.plan;
+        let key = (
+            synthesis,
+            doppler,
+            engine_tolerance.map(f64::to_bits),
+            [self.nearest_m, plan.pulse.duration_s].map(f64::to_bits),
+            plan.sample_count,
+        );
+        let made = Memo::of(&self.memo.sketches, key, || {
+            let made = sketch(&spec, c, fastest, filter()?.as_ref(), plan);
+            made.map(Arc::new).map_err(|why| why.to_string())
+        })?;
         let nearest_m = self.conditions.range_m.0;
-        let made = made.and_then(|made| match made.reaches(&spec, nearest_m) {
-            true => Ok(made),
+        match made.reaches(&spec, nearest_m) {
+            true => Ok(Engine::Sketched(made)),
             false => Err(format!(
                 "a scatterer {nearest_m:.1} m away is too near for the interpolation along the line"
             )),
-        });
-        seen.push((sketched, made.clone()));
-        made.map(Engine::Sketched)
+        }
     }
 
     /// `gridded-2d` for this sonar.

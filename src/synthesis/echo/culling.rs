@@ -60,8 +60,10 @@ const PARTS: usize = 4;
 /// Number of rings from there to the end of the ping, evenly spaced in time. Each ring represents
 /// the windows around it.
 const FAR_RINGS: usize = 24;
-/// Number of directions on each of these rings.
-const RING_AZIMUTHS: usize = 3600;
+/// Number of directions on a ring at grazing incidence. A ring nearer to the vertical has fewer, at the same spacing of directions, but at least
+/// the second number.
+const RING_AZIMUTHS: f64 = 3600.0;
+const MIN_RING_AZIMUTHS: f64 = 360.0;
 /// Step of the level histogram, dB. Energy in the step that contains the floor counts as culled.
 const LEVEL_STEP_DB: f64 = 0.5;
 const LEVELS: usize = 480;
@@ -156,18 +158,23 @@ impl Rings {
         let farthest_m = ground.farthest_m.max(1.01 * height_m);
         let mut areas_m2 = Box::new([0.0; LEVELS]);
         let mut all = 0.0;
-        let azimuths: Vec<(f64, f64)> = (0..RING_AZIMUTHS)
-            .map(|k| libm::sincos(std::f64::consts::TAU * k as f64 / RING_AZIMUTHS as f64))
-            .collect();
         let mut ring = |from_m: f64, to_m: f64| {
             let range_m = 0.5 * (from_m + to_m);
             let cos = height_m / range_m;
             let sin = (1.0 - cos * cos).sqrt();
-            let area_m2_per_m = range_m * std::f64::consts::TAU / RING_AZIMUTHS as f64;
+            let azimuths = (RING_AZIMUTHS * sin).max(MIN_RING_AZIMUTHS).ceil();
+            let azimuth_rad = std::f64::consts::TAU / azimuths;
+            let area_m2_per_m = range_m * azimuth_rad;
             let strength = (ground.law)(cos) / range_m.powi(4)
                 * libm::exp10(-0.2 * ground.absorption_db_per_m * range_m);
             let mut ring = Ring::silent();
-            for (east, north) in &azimuths {
+            let (turn_sin, turn_cos) = libm::sincos(azimuth_rad);
+            let (mut east, mut north) = (0.0, 1.0);
+            for _ in 0..azimuths as usize {
+                (east, north) = (
+                    east * turn_cos + north * turn_sin,
+                    north * turn_cos - east * turn_sin,
+                );
                 let ray = DVec3::new(sin * north, sin * east, cos);
                 let [out, back] = faces.map(|(pattern, array_from_world)| {
                     let u = array_from_world * ray;

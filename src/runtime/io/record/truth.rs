@@ -11,7 +11,7 @@
 //! | `segments` | trajectory samples used to compute the echoes |
 //! | `scene` | seabed scatterers: `made` for this ping, `culled` (tested, outside every footprint or left out by the automatic density), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made` |
 //! | `error_check` | if configured and enough windows exist: `error`, `low`, `high`, `worst`, `windows`, `tolerance`, `exceeded`, `fault` |
-//! | `methods` | if the method selection applies: `plan` (its number), `predicted_error`, `predicted_ms`, `tolerance`, `output` (`elements`, or `beams` where only lines are computed) with `part_elements` (elements of a line computed as one), and, with an error check, `margin` (tolerance over measured error) |
+//! | `methods` | if the method selection applies: `plan` (the block of pings that the methods were selected on, from 1), `predicted_error`, `predicted_ms`, `tolerance`, `output` (`elements`, or `beams` where only lines are computed) with `part_elements` (elements of a line computed as one), and, with an error check, `margin` (tolerance over measured error) |
 //! | `soundings` | for each beam with a detected bottom: `beam`, `angle_deg`, `twtt_s`, `error_s` (predicted), `by` (`amplitude`, `phase`), `level_v` |
 //! | `targets` | every named target, see below |
 //!

@@ -636,7 +636,7 @@ fn voyage(threads: usize, error_check: &str) -> (Vec<(u32, usize, u64)>, Option<
             pipeline.allow_error_checks(f64::INFINITY);
         }
         let (mut seen, mut error) = (Vec::new(), None);
-        each_ping(&mut recorded, &spec, 4, |_, _, slot| {
+        each_ping(&mut recorded, &spec, (1, 4), |_, _, slot| {
             let mark = slot.output.methods.expect("a plan");
             let amplitudes = slot.output.lines.iter().flat_map(|line| &line.amplitude);
             let bits = amplitudes.fold(0u64, |sum, a| {
