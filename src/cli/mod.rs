@@ -184,7 +184,8 @@ impl Failure {
 
 /// Reads a configuration, applies `--set` overrides and checks it.
 pub(crate) fn load(path: &Path, set: &[String]) -> Result<RigSpec, Failure> {
-    echotank_runtime::config_files::load_with(path, set).map_err(Failure::Configuration)
+    echotank_runtime::config_files::load_with(path, set)
+        .map_err(|error| Failure::Configuration(error.to_string()))
 }
 
 #[cfg(test)]

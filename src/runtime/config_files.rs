@@ -1,10 +1,10 @@
 //! Configurations in the file system.
 
 use std::io::{self, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use echotank_config::spec::RigSpec;
-use echotank_config::{ConfigErrors, Files};
+use echotank_config::{ConfigErrors, Files, Problem};
 
 /// Maximum size of a configuration and of each table that the configuration names, bytes.
 const MAX_CONFIGURATION_BYTES: u64 = 16 << 20;
@@ -95,23 +95,56 @@ pub fn parse(text: &str, folder: &Path) -> Result<RigSpec, ConfigErrors> {
 /// the index in the key. Absent tables are created. A value that is not TOML is taken as a string.
 ///
 /// # Errors
-/// The text names the file or the override, and the reason.
-pub fn load_with(path: &Path, overrides: &[String]) -> Result<RigSpec, String> {
+/// All violations of the configuration's rules, or an override that cannot be applied.
+pub fn load_with(path: &Path, overrides: &[String]) -> Result<RigSpec, LoadError> {
     if overrides.is_empty() {
-        return load(path).map_err(|e| e.to_string());
+        return Ok(load(path)?);
     }
     let name = path.display();
-    let text = read_text(path).map_err(|why| format!("{name}: {why}"))?;
+    let text = read_text(path).map_err(|why| LoadError::Override(format!("{name}: {why}")))?;
     let Ok(mut table) = text.parse::<toml::Table>() else {
-        return load(path).map_err(|e| e.to_string());
+        return Ok(load(path)?);
     };
     for change in overrides {
-        apply(&mut table, change).map_err(|why| format!("--set {change}: {why}"))?;
+        apply(&mut table, change)
+            .map_err(|why| LoadError::Override(format!("--set {change}: {why}")))?;
     }
-    let text = toml::to_string(&table).map_err(|e| e.to_string())?;
+    let text = toml::to_string(&table).map_err(|e| LoadError::Override(e.to_string()))?;
     let folder = path.parent().unwrap_or(Path::new("."));
-    // The lines are those of the text with the overrides, which nobody sees.
-    parse(&text, folder).map_err(|e| format!("{name} (with --set)\n{}", e.without_lines()))
+    parse(&text, folder).map_err(|errors| LoadError::Overridden {
+        file: path.to_owned(),
+        // The lines are those of the text with the overrides, which nobody sees.
+        errors: errors.without_lines(),
+    })
+}
+
+/// Errors of reading a configuration with overrides.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum LoadError {
+    /// The file violates rules of the configuration.
+    #[error(transparent)]
+    File(#[from] ConfigErrors),
+    /// The file with the overrides violates rules of the configuration.
+    #[error("{} (with --set)\n{errors}", file.display())]
+    Overridden {
+        /// The file.
+        file: PathBuf,
+        /// Problems without lines.
+        errors: ConfigErrors,
+    },
+    /// The file cannot be read or an override cannot be applied; the text names it, and the reason.
+    #[error("{0}")]
+    Override(String),
+}
+
+impl LoadError {
+    /// The violated rules; none of an override that cannot be applied.
+    pub fn problems(&self) -> &[Problem] {
+        match self {
+            Self::File(errors) | Self::Overridden { errors, .. } => &errors.problems,
+            Self::Override(_) => &[],
+        }
+    }
 }
 
 fn apply(table: &mut toml::Table, change: &str) -> Result<(), String> {
@@ -174,6 +207,8 @@ mod tests {
     fn problems_with_overrides_name_keys_and_no_lines_of_another_text() {
         let file = echotank_testing::repository().join("hil-configs/quickstart.toml");
         let said = load_with(&file, &["sonar.ping.range_m=-1".into()]).unwrap_err();
+        assert_eq!(said.problems().len(), 1, "{said}");
+        let said = said.to_string();
         assert!(said.contains("sonar[0].ping.range_m"), "{said}");
         assert!(!said.contains("line "), "{said}");
     }

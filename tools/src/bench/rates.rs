@@ -109,7 +109,7 @@ impl RigRates {
         for further in [&self.set, &at.set, more] {
             set.extend(further.iter().cloned());
         }
-        echotank_runtime::config_files::load_with(&path, &set)
+        echotank_runtime::config_files::load_with(&path, &set).map_err(|e| e.to_string())
     }
 }
 
