@@ -2,7 +2,6 @@
 //! it does not. The selected methods and their costs are reported on request.
 
 mod selection;
-mod verdict;
 
 use std::path::PathBuf;
 
@@ -13,7 +12,9 @@ use echotank_config::spec::{DeliverySpec, MediumSpec, RigSpec, RunSpec, SeabedSh
 use echotank_config::{self as config, Finding};
 use echotank_core::model::Synthesis;
 use echotank_ping::element_synthesis::engine_error_models;
+use echotank_ping::method_selection::costs::Costs;
 use echotank_ping::method_selection::with_choice;
+use echotank_runtime::check::{self as verdict, CheckError, SonarSelection, select_methods};
 use echotank_runtime::io::files::FileSystem;
 use echotank_runtime::io::nav::ReadNav;
 use echotank_scene::read::survey::Survey;
@@ -67,7 +68,7 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
         }
         let is_verbose = args.verbose || args.all;
         if args.json {
-            let (costs, selections) = selection::select_methods(&spec)?;
+            let (costs, selections) = selected(&spec)?;
             let findings = verdict::findings(&spec, &selections);
             print!("{}", selection::json(&costs, &selections, &findings)?);
             return end(&findings);
@@ -99,7 +100,7 @@ pub(crate) fn main(args: &CheckArgs) -> Result<(), Failure> {
         if !args.quick {
             print!("{}", guesses(&spec)?);
             let costs;
-            (costs, selections) = selection::select_methods(&spec)?;
+            (costs, selections) = selected(&spec)?;
             let is_streamed = matches!(spec.run.delivery, DeliverySpec::Streaming { .. });
             for selection in selections.iter().filter(|s| is_selected(s.sonar)) {
                 if let Some(ranking) = &selection.first.ranking
@@ -141,6 +142,13 @@ fn engines(spec: &RigSpec, sonar: &SonarSpec) -> Result<String, String> {
         )
     };
     Ok(error_models.iter().map(line).collect())
+}
+
+fn selected(spec: &RigSpec) -> Result<(Costs, Vec<SonarSelection<'_>>), Failure> {
+    select_methods(spec).map_err(|error| match error {
+        CheckError::Threads(_) => Failure::running(error),
+        CheckError::Costs(_) | CheckError::First(_) => Failure::Configuration(error.to_string()),
+    })
 }
 
 fn end(findings: &[Finding]) -> Result<(), Failure> {

@@ -6,6 +6,7 @@
 
 pub mod calibrate;
 pub mod chart;
+pub mod check;
 pub mod clock;
 pub mod config_files;
 pub mod control;

@@ -5,101 +5,14 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use super::verdict::verdict;
 use crate::cli::Failure;
 use crate::cli::chart::{load_average, machine};
 use echotank_config::Finding;
 use echotank_config::spec::{RigSpec, SonarSpec, SynthesisOutput};
 use echotank_ping::method_selection::costs::Costs;
-use echotank_ping::method_selection::{MotionScale, Scene, rank};
 use echotank_ping::methods::{ALONG_PER_RANGE, Candidate, Family, Ranking};
-use echotank_ping::period_ns;
-use echotank_ping::threads::pool;
 use echotank_runtime::calibrate::{self, Calibration};
-use echotank_runtime::first_pings::{FirstPing, PeakLevels, first, peak_levels};
-
-/// A first ping that is estimated to take longer is not computed for its levels.
-const MAX_PEAK_PING_MS: f64 = 300.0;
-/// Default displacement allowed in images, range cells, if no output carries element samples.
-const IMAGE_CELLS: f64 = 0.1;
-
-/// Selected methods of one sonar at its first ping.
-pub(super) struct SonarSelection<'a> {
-    pub(super) sonar: &'a SonarSpec,
-    pub(super) first: FirstPing,
-    /// Alternative selection with an image tolerance. Present if no output carries element samples but the tolerance refers to them.
-    for_pictures: Option<Ranking>,
-    /// Largest values of the first ping; absent if it takes long.
-    pub(super) peaks: Option<PeakLevels>,
-    pub(super) period_ms: f64,
-    pub(super) threads: usize,
-}
-
-/// Plans the first ping of every sonar.
-pub(super) fn select_methods(spec: &RigSpec) -> Result<(Costs, Vec<SonarSelection<'_>>), Failure> {
-    let refuse = |why: &dyn std::fmt::Display| Failure::Configuration(why.to_string());
-    let costs =
-        echotank_runtime::rig::costs_of(spec.run.costs.as_deref()).map_err(|why| refuse(&why))?;
-    let pool = pool(spec.run.threads).map_err(Failure::running)?;
-    let found = pool
-        .install(|| first(spec, &costs))
-        .map_err(|why| refuse(&why))?;
-    let for_pictures: Vec<_> = spec
-        .sonars
-        .iter()
-        .zip(&found)
-        .map(|(sonar, first)| pool.install(|| select_for_images(spec, sonar, first, &costs)))
-        .collect();
-    let peaks: Vec<_> = spec
-        .sonars
-        .iter()
-        .zip(&found)
-        .map(|(sonar, first)| {
-            pool.install(|| peak_levels(sonar, &spec.medium, first, MAX_PEAK_PING_MS))
-        })
-        .collect();
-    let threads = pool.current_num_threads();
-    let found = found.into_iter().zip(for_pictures).zip(peaks);
-    let selections =
-        spec.sonars
-            .iter()
-            .zip(found)
-            .map(|(sonar, ((first, for_pictures), peaks))| SonarSelection {
-                for_pictures,
-                peaks,
-                period_ms: 1e-6
-                    * period_ns(&first.plan.settings, spec.medium.sound_speed_m_per_s) as f64,
-                sonar,
-                first,
-                threads,
-            });
-    Ok((costs, selections.collect()))
-}
-
-fn select_for_images(
-    rig: &RigSpec,
-    sonar: &SonarSpec,
-    first: &FirstPing,
-    costs: &Costs,
-) -> Option<Ranking> {
-    let synthesis = &sonar.synthesis;
-    let asked = synthesis.auto.any() && synthesis.image_cells.is_none();
-    if !asked || !sonar.element_readers().is_empty() {
-        return None;
-    }
-    let mut spec = sonar.clone();
-    spec.synthesis.image_cells = Some(IMAGE_CELLS);
-    let scene = Scene {
-        spec: &spec,
-        medium: &rig.medium,
-        plan: &first.plan,
-        scatterers: &first.scatterers,
-        count: first.scatterers.len(),
-        costs,
-        motion_scale: MotionScale::NONE,
-    };
-    rank(&scene, &[])
-}
+use echotank_runtime::check::{IMAGE_CELLS, SonarSelection, verdict};
 
 /// Formats the report as text, a few lines per sonar. `all` adds every candidate.
 pub(super) fn text(costs: &Costs, selections: &[SonarSelection], all: bool) -> String {

@@ -1,9 +1,9 @@
-//! The verdict of `echotank check`: whether the rig does what is meant, and what to change where it does not.
+//! The verdict on a rig: whether it does what is meant, and what to change where it does not.
 
 use echotank_config::spec::{ClockSpec, Density, OutputSpec, RigSpec};
 use echotank_config::{self as config, Finding, FindingKind};
 
-use super::selection::SonarSelection;
+use super::SonarSelection;
 
 /// Least margin of real time: delivery, page and system use the rest.
 const MIN_MARGIN: f64 = 1.25;
@@ -11,7 +11,7 @@ const MIN_MARGIN: f64 = 1.25;
 const MIN_SHARE: f64 = 0.05;
 
 /// Findings of the configuration, and of its first pings where they are planned.
-pub(super) fn findings(spec: &RigSpec, selections: &[SonarSelection]) -> Vec<Finding> {
+pub fn findings(spec: &RigSpec, selections: &[SonarSelection]) -> Vec<Finding> {
     let mut found = Vec::new();
     found.extend(too_slow(spec, selections));
     found.extend(selections.iter().filter_map(inaccurate));
@@ -24,7 +24,7 @@ pub(super) fn findings(spec: &RigSpec, selections: &[SonarSelection]) -> Vec<Fin
 }
 
 /// The verdict in words.
-pub(super) fn verdict(findings: &[Finding]) -> String {
+pub fn verdict(findings: &[Finding]) -> String {
     let mut names: Vec<&str> = findings.iter().map(|f| f.kind.name()).collect();
     names.sort_unstable();
     names.dedup();
@@ -35,7 +35,7 @@ pub(super) fn verdict(findings: &[Finding]) -> String {
 }
 
 /// The findings with their remedies, and the verdict with its numbers.
-pub(super) fn text(spec: &RigSpec, selections: &[SonarSelection], findings: &[Finding]) -> String {
+pub fn text(spec: &RigSpec, selections: &[SonarSelection], findings: &[Finding]) -> String {
     let mut text = String::new();
     for Finding {
         kind,
