@@ -1,6 +1,6 @@
 //! `echotank replay`: runs the pipeline offline and writes files.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -9,13 +9,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{ConfigArgs, Failure, load};
 use echotank_config::spec::RigSpec;
-use echotank_nav::recording::is_recording;
-use echotank_nav::replacement::replace_sources;
-use echotank_runtime::config_files::read_bounded;
-use echotank_runtime::io::nav::MAX_LOG_BYTES;
 use echotank_runtime::io::signals;
 use echotank_runtime::recorded::RecordedError;
-use echotank_runtime::replay::{Formats, Replay, ReplayError, ReplayOptions};
+use echotank_runtime::replay::{Formats, Replay, ReplayError, ReplayOptions, use_navigation};
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct ReplayArgs {
@@ -85,18 +81,6 @@ fn parse_range(text: &str) -> Result<(u32, u32), String> {
     Ok((a, b))
 }
 
-/// Uses a log, or a recording of live sources, in place of the configured sources.
-fn replace_nav(spec: &mut RigSpec, log: &Path) -> Result<(), Failure> {
-    let bytes = read_bounded(log, MAX_LOG_BYTES)
-        .map_err(|why| Failure::Configuration(format!("--nav {}: {why}", log.display())))?;
-    if is_recording(&bytes) {
-        spec.nav.recording = Some(log.to_path_buf());
-    } else {
-        replace_sources(&mut spec.nav, log);
-    }
-    Ok(())
-}
-
 /// The requested formats, each of which must have data in this rig.
 fn formats(asked: &[Format], spec: &RigSpec) -> Result<Formats, Failure> {
     let has_lines = spec.sonars.iter().any(|s| !s.beams.lines.is_empty());
@@ -130,7 +114,8 @@ pub(crate) fn main(args: &ReplayArgs) -> Result<(), Failure> {
     let mut spec = load(&args.config.config, &args.config.set)?;
     let formats = formats(&args.formats, &spec)?;
     if let Some(log) = &args.nav {
-        replace_nav(&mut spec, log)?;
+        use_navigation(&mut spec, log)
+            .map_err(|why| Failure::Configuration(format!("--nav {}: {why}", log.display())))?;
     }
     if args.out.exists() && !args.out.is_dir() {
         return Err(Failure::Configuration(format!(

@@ -8,9 +8,10 @@ use crate::clock::VirtualClock;
 use crate::faults::nav::NavFaults;
 use crate::io::nav::{Mark, NavInputs, ReadNav};
 use crate::rig::OpenError;
+use crate::settings::changed;
 use crate::waiting::missing_quantities;
 use echotank_config::spec::{RigSpec, TriggerFrom, TriggerSpec};
-use echotank_core::settings::SonarSettings;
+use echotank_core::settings::{SettingChange, SettingRefused, SettingRule, SonarSettings};
 use echotank_core::time::UtcNs;
 use echotank_ping::PingOrder;
 use echotank_ping::faults::PingMark;
@@ -55,6 +56,8 @@ pub struct RecordedRig {
     follows: Vec<bool>,
     /// Per sonar: pings in long gaps of the navigation, which have no number.
     pub(crate) passed_over: Vec<u64>,
+    /// Per sonar: settings of the next ping. A recorded run has settings of its own.
+    pub(crate) settings: Vec<SonarSettings>,
     /// Missing, ignored or replaced parts of the navigation, one line each.
     pub nav_warnings: Vec<String>,
 }
@@ -112,10 +115,38 @@ impl RecordedRig {
             first,
             follows: triggers.map(follows).collect(),
             passed_over: vec![0; spec.sonars.len()],
+            settings: spec.sonars.iter().map(|sonar| sonar.settings).collect(),
             nav_warnings,
             rig,
             inputs,
         })
+    }
+
+    /// Changes settings of a sonar from its next ping on: all of them, or none. The sonar of a replay always pings, so a rate of 0 is refused.
+    ///
+    /// # Errors
+    /// A value is outside the configured limits; the settings stay unchanged.
+    ///
+    /// # Panics
+    /// The index is out of range.
+    pub fn change(
+        &mut self,
+        sonar: usize,
+        changes: &[SettingChange],
+    ) -> Result<SonarSettings, SettingRefused> {
+        let limits = &self.rig.sonars[sonar].spec.limits;
+        let apply = |settings, change: &SettingChange| changed(settings, *change, limits);
+        let settings = changes.iter().try_fold(self.settings[sonar], apply)?;
+        if settings.max_ping_rate_hz == 0.0 {
+            let (min, max) = limits.ping_rate_hz;
+            return Err(SettingRefused {
+                key: "max_ping_rate_hz",
+                value: 0.0,
+                rule: SettingRule::Between { min, max },
+            });
+        }
+        self.settings[sonar] = settings;
+        Ok(settings)
     }
 
     /// Sonar index and order of the next ping in time. `None` once every sonar has reached ping number `last`.
@@ -133,13 +164,13 @@ impl RecordedRig {
             }
             let (schedule, follows) = (&self.schedule, &self.follows);
             let wanted = |sonar: usize| schedule.of_sonar(sonar).next_number() <= last;
-            let sonars = &self.rig.sonars;
+            let settings = &self.settings;
             let done: Vec<_> = (0..follows.len()).map(|sonar| !wanted(sonar)).collect();
             let in_force = |sonar: usize, _| SettingsInForce {
                 settings: SonarSettings {
                     // A replay has no client that starts the sonar.
                     pinging: !follows[sonar] && !done[sonar],
-                    ..sonars[sonar].spec.settings
+                    ..settings[sonar]
                 },
                 armed: follows[sonar] && !done[sonar],
             };
@@ -186,10 +217,10 @@ impl RecordedRig {
         for (sonar, unit) in self.rig.sonars.iter().enumerate() {
             let from = self.schedule.of_sonar(sonar).next_utc();
             let leader = match unit.spec.trigger.from {
-                TriggerFrom::Sonar { sonar, .. } => &self.rig.sonars[sonar],
-                _ => unit,
+                TriggerFrom::Sonar { sonar: leader, .. } => leader,
+                _ => sonar,
             };
-            let period_ns = echotank_ping::period_ns(&leader.spec.settings, sound_speed_m_per_s);
+            let period_ns = echotank_ping::period_ns(&self.settings[leader], sound_speed_m_per_s);
             let missed = end.0.saturating_sub(from.0).max(0) / period_ns.max(1);
             self.passed_over[sonar] += missed as u64;
             self.schedule.put_off(sonar, end);

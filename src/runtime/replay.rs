@@ -2,8 +2,9 @@
 //!
 //! The output bytes are the same for every run and every number of threads.
 
+mod pings;
+
 use std::fmt;
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::{Acquire, Relaxed};
 
@@ -12,14 +13,10 @@ use thiserror::Error;
 use crate::counters::{PingCounters, add};
 pub use crate::formats::{Formats, ReplayOptions};
 use crate::io::record::RecordError;
-use crate::recorded::{RecordedError, RecordedRig};
+use crate::recorded::RecordedError;
 use crate::recorders::Recorders;
-use echotank_config::spec::{RigSpec, SynthesisOutput, TriggerFrom};
-use echotank_core::time::NS_PER_S;
-use echotank_ping::PingOrder;
-use echotank_ping::faults::PingMark;
-use echotank_ping::rig::PingSlot;
-use echotank_ping::threads::pool;
+use echotank_config::spec::RigSpec;
+pub use pings::{PingOptions, ReplayPings, Step, use_navigation};
 
 /// Errors of a replay.
 #[derive(Debug, Error)]
@@ -60,31 +57,10 @@ pub enum ReplayError {
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
-/// Makes every sonar keep its element samples if a requested format needs them.
-fn keep_elements(spec: &mut RigSpec, formats: &Formats) -> Result<(), ReplayError> {
-    let Some(format) = formats.of_elements() else {
-        return Ok(());
-    };
-    for sonar in &mut spec.sonars {
-        if sonar.synthesis.output == SynthesisOutput::Beams {
-            let sonar = sonar.name.clone();
-            return Err(ReplayError::Beams { sonar, format });
-        }
-        sonar
-            .synthesis
-            .elements_for
-            .get_or_insert("a file of this replay holds element samples");
-    }
-    Ok(())
-}
-
 /// An open replay that has not run yet.
 pub struct Replay {
-    pool: Arc<rayon::ThreadPool>,
-    recorded: RecordedRig,
+    pings: ReplayPings,
     recorders: Recorders,
-    pings: (u32, u32),
-    counters: Vec<PingCounters>,
 }
 
 /// Result of a replay. Displays one line of counters per sonar and one line per file.
@@ -107,49 +83,25 @@ impl Replay {
     ///
     /// # Errors
     /// See [`ReplayError`].
-    pub fn open(mut spec: RigSpec, options: ReplayOptions) -> Result<Self, ReplayError> {
-        // A looped log never ends, so it needs an explicit last ping.
-        spec.nav.loop_log &= options.pings.is_some();
-        keep_elements(&mut spec, &options.formats)?;
-        let pool = pool(options.threads)?;
-        let recorded = pool.install(|| RecordedRig::open(&spec))?;
-        for warning in &recorded.nav_warnings {
+    pub fn open(spec: RigSpec, options: ReplayOptions) -> Result<Self, ReplayError> {
+        let pings = ReplayPings::open(
+            spec.clone(),
+            PingOptions {
+                pings: options.pings,
+                threads: options.threads,
+                elements_for: options.formats.of_elements(),
+            },
+        )?;
+        for warning in pings.nav_warnings() {
             tracing::warn!("navigation: {warning}");
         }
-        let pings = options.pings.unwrap_or((1, u32::MAX));
-        if let Some(held) = held_pings(&recorded).and_then(|held| held.into_iter().max())
-            && !spec.nav.loop_log
-            && u64::from(pings.0) > held
-        {
-            let (first, last) = pings;
-            return Err(ReplayError::PastEnd { first, last, held });
-        }
-        let recorders = Recorders::create(&spec, &options, &recorded.rig)?;
-        Ok(Self {
-            pool: Arc::new(pool),
-            counters: recorded
-                .rig
-                .sonars
-                .iter()
-                .map(|_| PingCounters::default())
-                .collect(),
-            recorded,
-            recorders,
-            pings,
-        })
+        let recorders = Recorders::create(&spec, &options, pings.rig())?;
+        Ok(Self { pings, recorders })
     }
 
     /// Expected number of pings over all sonars. `None` if the end of the log is unknown.
     pub fn pings_expected(&self) -> Option<u64> {
-        let (first, last) = self.pings;
-        if let Some(pings) = self.recorded.inputs.played_pings() {
-            let wanted = pings.filter(|ping| (first..=last).contains(&ping.number));
-            return Some(wanted.count() as u64);
-        }
-        if last < u32::MAX {
-            return Some(u64::from(last - first + 1) * self.recorded.rig.sonars.len() as u64);
-        }
-        held_pings(&self.recorded).map(|held| held.into_iter().sum())
+        self.pings.expected()
     }
 
     /// Computes and writes all pings. Calls `progress` with the number of every ping made or skipped.
@@ -169,96 +121,45 @@ impl Replay {
         stop: &AtomicBool,
         mut progress: impl FnMut(u32) + Send,
     ) -> Result<Summary, ReplayError> {
-        let pool = self.pool.clone();
+        // The recorders compute on the same threads.
+        let pool = self.pings.pool();
         pool.install(move || {
-            let mut slots: Vec<PingSlot> = (0..self.recorded.rig.sonars.len())
-                .map(|sonar| self.recorded.rig.slot(sonar))
-                .collect();
-            let last = self.pings.1;
             while !stop.load(Acquire)
-                && let Some((sonar, order)) = self.recorded.next_order(last)
+                && let Some(step) = self.pings.step()
             {
-                let mark = PingMark::of(sonar, &order);
-                let missed = self.recorded.rig.faults.trigger_missed(mark);
-                if !missed {
-                    self.recorded.record_pulse(sonar, &order);
+                match step {
+                    Step::Ping { sonar, number } => {
+                        let slot = self.pings.slot(sonar);
+                        self.recorders.record(slot, self.pings.rig())?;
+                        progress(number);
+                    }
+                    Step::Skipped { number } => progress(number),
                 }
-                let first = self.pings.0;
-                let is_wanted = order.ping_number >= first;
-                if missed {
-                    add(&self.counters[sonar].triggers_missed, u64::from(is_wanted));
-                    continue;
-                }
-                let slot = &mut slots[sonar];
-                let is_covered = match is_wanted {
-                    true => self.recorded.settle(sonar, &order),
-                    false => self.recorded.pass_over(first, sonar, &order, slot),
-                };
-                if !is_covered {
-                    break;
-                }
-                if !is_wanted {
-                    continue;
-                }
-                self.ping(sonar, &order, &mut slots[sonar])?;
-                progress(order.ping_number);
             }
             self.finish()
         })
     }
 
-    fn ping(
-        &mut self,
-        sonar: usize,
-        order: &PingOrder,
-        slot: &mut PingSlot,
-    ) -> Result<(), ReplayError> {
-        let counters = &self.counters[sonar];
-        let mode = self.recorded.rig.spec.nav.mode;
-        match echotank_ping::make_ping(
-            &mut self.recorded.rig,
-            sonar,
-            order,
-            mode,
-            order.transmit_utc,
-            slot,
-        ) {
-            Ok(()) => {
-                let saturated = slot
-                    .output
-                    .elements
-                    .iter()
-                    .map(|frame| frame.saturated)
-                    .sum();
-                counters.ping(&slot.output.counts, saturated, 0);
-                counters.scene(&slot.output.scene);
-                counters.nav(&slot.plan.nav);
-                counters.errors_of(&slot.output, &self.recorded.rig.sonars[sonar]);
-                self.recorders.record(slot, &self.recorded.rig)?;
-            }
-            Err(_gap) => add(&counters.skipped_nav, 1),
-        }
-        Ok(())
-    }
-
     fn finish(self) -> Result<Summary, ReplayError> {
-        let files = self.recorders.finish(self.recorded.rig.targets())?;
-        for (counters, passed_over) in self.counters.iter().zip(&self.recorded.passed_over) {
+        let Self { pings, recorders } = self;
+        let files = recorders.finish(pings.rig().targets())?;
+        let counters = pings.counters();
+        for (counters, passed_over) in &counters {
             add(&counters.skipped_nav, *passed_over);
         }
         let made = |c: &PingCounters| c.made.load(Relaxed);
         let missed = |c: &PingCounters| c.triggers_missed.load(Relaxed);
-        if self.counters.iter().all(|c| made(c) + missed(c) == 0) {
+        if counters.iter().all(|(c, _)| made(c) + missed(c) == 0) {
             for file in &files {
                 // A file that cannot be removed remains without a ping.
                 let _ = std::fs::remove_file(file);
             }
-            let lines = self.counters.iter().map(PingCounters::replay_line);
+            let lines = counters.iter().map(|(c, _)| c.replay_line());
             let counts = lines.collect::<Vec<_>>().join("; ");
             return Err(ReplayError::NoPing(counts));
         }
         let mut text = String::new();
-        for (unit, counters) in self.recorded.rig.sonars.iter().zip(&self.counters) {
+        for (unit, (counters, _)) in pings.rig().sonars.iter().zip(&counters) {
             text += &format!("{}: {}\n", unit.spec.name, counters.replay_line());
         }
         for file in files {
@@ -267,36 +168,11 @@ impl Replay {
         text.truncate(text.trim_end().len());
         Ok(Summary {
             text,
-            pings: self.counters.iter().map(made).sum(),
-            above_tolerance: self
-                .counters
+            pings: counters.iter().map(|(c, _)| made(c)).sum(),
+            above_tolerance: counters
                 .iter()
-                .map(|c| c.above_tolerance.load(Relaxed))
+                .map(|(c, _)| c.above_tolerance.load(Relaxed))
                 .sum(),
         })
     }
-}
-
-/// About how many pings of each sonar the navigation holds. `None` if the end of the log is unknown.
-fn held_pings(recorded: &RecordedRig) -> Option<Vec<u64>> {
-    let sonars = &recorded.rig.sonars;
-    if let Some(pings) = recorded.inputs.played_pings() {
-        let mut last = vec![0; sonars.len()];
-        for ping in pings {
-            last[ping.sonar] = last[ping.sonar].max(u64::from(ping.number));
-        }
-        return Some(last);
-    }
-    let end = recorded.inputs.recorded_end()?;
-    let c = recorded.rig.medium().sound_speed_m_per_s;
-    let held = sonars.iter().map(|unit| {
-        // A sonar triggered by another pings at that sonar's rate.
-        let leader = match unit.spec.trigger.from {
-            TriggerFrom::Sonar { sonar, .. } => &sonars[sonar],
-            _ => unit,
-        };
-        let period_s = echotank_ping::period_ns(&leader.spec.settings, c) as f64 / NS_PER_S as f64;
-        (end.seconds_since(recorded.first) / period_s).max(0.0) as u64 + 1
-    });
-    Some(held.collect())
 }

@@ -333,6 +333,23 @@ impl SettingsPort for SettingsStore {
     }
 }
 
+/// `settings` after one change, for a sonar that no client controls.
+///
+/// # Errors
+/// The value is outside the limits.
+pub(crate) fn changed(
+    settings: SonarSettings,
+    change: SettingChange,
+    limits: &LimitsSpec,
+) -> Result<SonarSettings, SettingRefused> {
+    let requested = RequestedSettings {
+        settings,
+        trigger: TriggerSource::Internal,
+        pings_left: 0,
+    };
+    Ok(apply_change(requested, change, limits)?.settings)
+}
+
 fn apply_change(
     mut requested: RequestedSettings,
     change: SettingChange,

@@ -16,6 +16,37 @@ use super::npz::{Archive, write_items};
 use super::{PartialFile, RecordError};
 use echotank_core::ping::{GroundSeen, LineTruth, Side};
 
+/// Labels of the samples of one side-scan line or beam.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SampleLabels {
+    /// Side of the platform.
+    pub side: Side,
+    /// Target whose echoes hold more energy than all others: 1 is the scene's first target, 0 none.
+    pub target: Vec<u16>,
+    /// 1 where the ground on the beam axis exists but is not insonified, and no target is labelled.
+    pub shadow: Vec<u8>,
+    /// Depth of the ground on the beam axis below the world's origin, metres; NaN where absent.
+    pub depth_m: Vec<f32>,
+}
+
+impl SampleLabels {
+    /// Picture pixels use the same rule.
+    pub(crate) fn of(truth: &LineTruth) -> Self {
+        let energies = truth.target_energy.iter().zip(&truth.other_energy);
+        let target: Vec<u16> = (truth.target.iter().zip(energies))
+            .map(|(target, (own, others))| if own > others { *target } else { 0 })
+            .collect();
+        Self {
+            side: truth.side,
+            shadow: (truth.ground.iter().zip(&target))
+                .map(|(ground, target)| u8::from(*ground == GroundSeen::Hidden && *target == 0))
+                .collect(),
+            depth_m: truth.down_m.clone(),
+            target,
+        }
+    }
+}
+
 pub(crate) struct MaskRecorder {
     path: PathBuf,
     target: PartialFile,
@@ -81,19 +112,10 @@ impl MaskRecorder {
         }
         let bytes = &mut self.bytes;
         for truth in truths {
-            // Picture pixels use the same rule.
-            let own: Vec<u16> = (0..self.samples)
-                .map(|k| match truth.target_energy[k] > truth.other_energy[k] {
-                    true => truth.target[k],
-                    false => 0,
-                })
-                .collect();
-            write_items(&mut self.target, bytes, &own, |t, out| {
+            let SampleLabels { target, shadow, .. } = SampleLabels::of(truth);
+            write_items(&mut self.target, bytes, &target, |t, out| {
                 out.extend(t.to_le_bytes())
             })?;
-            let shadow: Vec<u8> = (truth.ground.iter().zip(&own))
-                .map(|(ground, target)| u8::from(*ground == GroundSeen::Hidden && *target == 0))
-                .collect();
             self.shadow.write(&shadow)?;
             write_items(&mut self.depth_m, bytes, &truth.down_m, |d, out| {
                 out.extend(d.to_le_bytes())

@@ -23,7 +23,7 @@ pub mod lines;
 pub mod masks;
 pub mod npz;
 pub mod picture;
-mod plan_text;
+pub(crate) mod plan_text;
 pub mod png;
 pub mod recover;
 mod repair;

@@ -9,7 +9,7 @@ use echotank_core::ping::{PingPlan, Segment, Side};
 use echotank_core::pulse::{Pulse, PulseKind};
 
 /// Properties common to all pings of fixed settings, from the plan of one ping.
-pub(super) fn sonar_and_plan(sonar: &SonarSpec, plan: &PingPlan) -> Value {
+pub(crate) fn sonar_and_plan(sonar: &SonarSpec, plan: &PingPlan) -> Value {
     json!({
         "sonar": sonar.name,
         "serial": sonar.serial,

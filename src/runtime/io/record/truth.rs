@@ -228,18 +228,9 @@ impl TruthRecorder {
         output: &PingOutput,
         targets: &[Target],
     ) -> Result<(), RecordError> {
-        let truth = PingTruth {
-            scene: output.scene.into(),
-            error_check: output.error_check.map(Into::into),
-            methods: output
-                .methods
-                .map(|mark| MethodTruth::of(mark, output.error_check)),
-            soundings: output.soundings.iter().map(Into::into).collect(),
-            ..ping_truth(sonar, plan, targets)
-        };
         self.line.clear();
-        serde_json::to_writer(&mut self.line, &truth)
-            .map_err(|e| RecordError::io(&self.path, "write")(e.into()))?;
+        write_truth(&mut self.line, sonar, plan, output, targets)
+            .map_err(RecordError::io(&self.path, "write"))?;
         self.line.push(b'\n');
         self.file
             .write_all(&self.line)
@@ -249,6 +240,26 @@ impl TruthRecorder {
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
+}
+
+/// Appends the truth of a ping to `line`: one JSON object without a line end.
+pub(crate) fn write_truth(
+    line: &mut Vec<u8>,
+    sonar: &SonarSpec,
+    plan: &PingPlan,
+    output: &PingOutput,
+    targets: &[Target],
+) -> std::io::Result<()> {
+    let truth = PingTruth {
+        scene: output.scene.into(),
+        error_check: output.error_check.map(Into::into),
+        methods: output
+            .methods
+            .map(|mark| MethodTruth::of(mark, output.error_check)),
+        soundings: output.soundings.iter().map(Into::into).collect(),
+        ..ping_truth(sonar, plan, targets)
+    };
+    Ok(serde_json::to_writer(line, &truth)?)
 }
 
 fn ping_truth<'a>(sonar: &'a SonarSpec, plan: &PingPlan, targets: &'a [Target]) -> PingTruth<'a> {
