@@ -1,0 +1,82 @@
+"""The package as a whole: examples, types, memory."""
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, Dict, Set
+
+import pytest
+
+import echotank
+from conftest import FLAT, ROOT
+
+EXAMPLES = ROOT / "python" / "examples"
+
+
+@pytest.mark.parametrize(
+    ("example", "args"),
+    [
+        ("beams.py", ["--range-m", "50"]),
+        ("doppler.py", ["--pings", "3"]),
+        ("soundings.py", ["--pings", "3"]),
+        ("training_set.py", ["--runs", "1", "--pings", "8"]),
+        ("parameter_study.py", ["--pings", "2"]),
+    ],
+)
+def test_examples_run(example: str, args: list, tmp_path: Path) -> None:
+    command = [sys.executable, "-W", "error", str(EXAMPLES / example), *args]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stdout + done.stderr
+    if example == "training_set.py":
+        import numpy as np
+
+        with np.load(tmp_path / "out" / "training.npz") as file:
+            assert file["level_db"].shape == file["label"].shape == (2, 8, 256)
+            assert set(np.unique(file["label"])) == {0, 1, 2}
+
+
+def test_the_test_of_a_topside_runs(program: str) -> None:
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(EXAMPLES / "test_topside.py")]
+    done = subprocess.run(command, env={**os.environ, "ECHOTANK": program}, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_stub_declares_the_members_of_every_class() -> None:
+    folder = Path(echotank.__file__).parent
+    assert (folder / "py.typed").is_file()
+    tree = ast.parse((folder / "_native.pyi").read_text())
+    declared: Dict[str, Set[str]] = {}
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef):
+            declared[node.name] = {item.name for item in node.body if isinstance(item, ast.FunctionDef)}
+            for item in node.body:
+                if isinstance(item, ast.FunctionDef) and not item.name.startswith("__"):
+                    assert ast.get_docstring(item), f"{node.name}.{item.name}"
+    for name, members in declared.items():
+        native = getattr(echotank, name)
+        public = {member for member in vars(native) if not member.startswith("_")}
+        assert public == {member for member in members if not member.startswith("_")}, name
+        for member in public:
+            assert vars(native)[member].__doc__, f"{name}.{member}"
+
+
+def resident_bytes() -> int:
+    with open("/proc/self/statm", encoding="ascii") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads /proc")
+def test_memory_does_not_grow_with_the_number_of_pings() -> None:
+    # Tiles of the seabed fill their memory within the first pings.
+    tiles = {"scene.memory_mib": 1, "scene.seabed.density_per_m2": 1.0}
+    short: Dict[str, Any] = {**tiles, "sonar.ping.range_m": 16.0, "sonar.limits.range_m": [10.0, 16.0]}
+    pings = echotank.Rig(FLAT, short).pings(1, 300)
+    ping_bytes, at = 0, []
+    for ping in pings:
+        ping_bytes = sum(samples.nbytes for samples in ping.elements.values()) + ping.beams.nbytes
+        if ping.number in (100, 300):
+            at.append(resident_bytes())
+    # A leak of one ping in ten would show.
+    assert at[1] - at[0] < 2 * ping_bytes + (4 << 20), at
