@@ -17,6 +17,7 @@ pub mod records;
 pub mod scene;
 pub mod settings;
 pub mod simd;
+pub mod sound_speed;
 #[doc(hidden)]
 pub mod testing;
 pub mod time;

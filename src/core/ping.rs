@@ -1,5 +1,7 @@
 //! One ping: its plan, its counts and its output.
 
+use std::sync::Arc;
+
 use glam::DQuat;
 use glam::DVec3;
 use num_complex::{Complex32, Complex64};
@@ -9,6 +11,7 @@ use crate::model::ModelChoice;
 use crate::navigation::NavState;
 use crate::pulse::Pulse;
 use crate::settings::SonarSettings;
+use crate::sound_speed::SoundSpeedProfile;
 use crate::time::UtcNs;
 
 /// One segment of the polyline. Velocity and attitude of the reference point are constant from `start_s` on.
@@ -43,8 +46,10 @@ pub struct PingPlan {
     pub ping_rate_hz: f64,
     /// Transmitted pulse.
     pub pulse: Pulse,
-    /// Sound speed, metres per second.
+    /// Sound speed at the sonar, metres per second.
     pub sound_speed_m_per_s: f64,
+    /// With a sound-speed profile, how sound bends. `None` in water of one sound speed.
+    pub refraction: Option<Refraction>,
     /// One-way absorption, dB per metre.
     pub absorption_db_per_m: f64,
     /// Samples per element; sample k lies at `first_sample_s + k / receiver.sample_rate_hz`.
@@ -67,6 +72,25 @@ impl PingPlan {
     /// Length of the listening window, seconds.
     pub fn window_s(&self, sample_rate_hz: f64) -> f64 {
         self.first_sample_s + self.sample_count as f64 / sample_rate_hz
+    }
+}
+
+/// Water of a ping in which sound bends. Every scatterer is replaced by its *virtual point*, from which sound would arrive with the same time and direction in
+/// water of the sound speed at the sonar.
+#[derive(Clone, Debug)]
+pub struct Refraction {
+    /// Sound speed over depth.
+    pub profile: Arc<SoundSpeedProfile>,
+    /// Place of the sonar at the start of the pulse, world, metres: the mean of its receive arrays. Times and directions are exact there.
+    pub array_m: DVec3,
+    /// No ray is followed below this depth, metres: the seabed below the sonar.
+    pub floor_m: f64,
+}
+
+impl Refraction {
+    /// Sound speed at the sonar, metres per second.
+    pub fn sound_speed_m_per_s(&self) -> f64 {
+        self.profile.at_m_per_s(self.array_m.z)
     }
 }
 
@@ -103,6 +127,8 @@ pub struct SceneCounts {
     pub shadowed: u64,
     /// Scatterers passed on, including explicit points and scatterers of targets.
     pub scatterers: u64,
+    /// Scatterers passed on without strength, because no ray reaches them through the water; included in `scatterers`.
+    pub unreached: u64,
     /// Explicit points passed on; included in `scatterers`.
     pub points: u64,
     /// Targets passed on.

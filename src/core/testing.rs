@@ -31,6 +31,7 @@ pub fn plan_at_rest(pulse: &Pulse, sample_count: usize, sound_speed_m_per_s: f64
         ping_rate_hz: 1.0,
         pulse: *pulse,
         sound_speed_m_per_s,
+        refraction: None,
         absorption_db_per_m: 0.0,
         sample_count,
         first_sample_s: 0.0,

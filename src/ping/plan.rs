@@ -98,6 +98,7 @@ pub fn blank(
         ping_rate_hz: 0.0,
         pulse: spec.pulse,
         sound_speed_m_per_s: medium.sound_speed_m_per_s,
+        refraction: None,
         absorption_db_per_m,
         sample_count: 0,
         first_sample_s: 0.0,

@@ -9,7 +9,7 @@
 //! [`reference()`](reference::reference) is the slow reference solution. It computes samples itself
 //! and shares only the sonar equation with the other methods.
 //!
-//! Not modelled: refraction, multipath and volume reverberation. The scene resolves occlusion
+//! [`rays`] bends the sound: it replaces scatterers by the points where the array sees them. Not modelled: multipath and volume reverberation. The scene resolves occlusion
 //! before the echo model receives the scatterers.
 
 pub mod absorption;
@@ -19,6 +19,7 @@ pub mod error_models;
 pub mod levels;
 pub mod paths;
 pub mod probe;
+pub mod rays;
 pub mod reference;
 pub mod span;
 pub mod stretch;

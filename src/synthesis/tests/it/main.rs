@@ -6,6 +6,7 @@ mod gridded_lines;
 mod line_array;
 mod paths;
 mod probe;
+mod rays;
 mod receiver;
 mod span;
 mod synthesis;
