@@ -22,10 +22,14 @@ mod trigger;
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::Path;
+use std::sync::Arc;
+
+use echotank_core::sound_speed::{ProfileRefused, SoundSpeedProfile};
 
 use super::files::Files;
 use super::keys;
 use super::problem::{ConfigErrors, Problem};
+use super::profile::read_profile;
 use super::raw::{self, Entry, Field, Problems};
 use super::spec::*;
 
@@ -56,7 +60,7 @@ pub fn load(path: &Path, files: &dyn Files) -> Result<RigSpec, ConfigErrors> {
 pub fn parse(text: &str, base_dir: &Path, files: &dyn Files) -> Result<RigSpec, ConfigErrors> {
     let mut problems = Problems::default();
     let checked = raw::read(text, base_dir, files, &mut problems)
-        .and_then(|table| rig(&table, text, &mut problems));
+        .and_then(|table| rig(&table, text, files, &mut problems));
     let mut problems = problems.0;
     // Problems without a line concern the whole file and are listed first.
     problems.sort_by(|a, b| (a.line, &a.path).cmp(&(b.line, &b.path)));
@@ -178,9 +182,14 @@ fn refuse_port_clashes(listeners: &[Listener<'_>], problems: &mut Problems) {
 
 // ---------------------------------------------------------------- the rig
 
-fn rig(table: &keys::Rig, text: &str, problems: &mut Problems) -> Option<RigSpec> {
+fn rig(
+    table: &keys::Rig,
+    text: &str,
+    files: &dyn Files,
+    problems: &mut Problems,
+) -> Option<RigSpec> {
     let mut listeners = Vec::new();
-    let medium = table.medium.and_then(medium);
+    let medium = table.medium.and_then(|t| medium(t, files, problems));
     let nav = table
         .nav
         .as_ref()
@@ -347,7 +356,13 @@ fn refuse_anchor_without_position(nav: &NavSpec, scene: &keys::Scene, problems: 
     }
 }
 
-fn medium(table: &keys::Medium) -> Option<MediumSpec> {
+fn medium(table: &keys::Medium, files: &dyn Files, problems: &mut Problems) -> Option<MediumSpec> {
+    let condition = "one sound speed: [medium.profile] holds the sound speeds";
+    let is_uniform = Some(!table.profile.given);
+    problems.only_with(&[&table.sound_speed_m_per_s], is_uniform, condition);
+    let profile = table
+        .profile
+        .given_and_then(|t| profile(t, &table.profile, files, problems));
     let water = || {
         Some(Water {
             temperature_c: table.temperature_c.get()?,
@@ -366,10 +381,44 @@ fn medium(table: &keys::Medium) -> Option<MediumSpec> {
             .map(|db_per_m| AbsorptionSpec::Fixed { db_per_m }),
         _ => None,
     };
+    let profile = profile?;
+    let sound_speed_m_per_s = match &profile {
+        Some(profile) => profile.range_m_per_s().0,
+        None => table.sound_speed_m_per_s.get()?,
+    };
     Some(MediumSpec {
-        sound_speed_m_per_s: table.sound_speed_m_per_s.get()?,
+        sound_speed_m_per_s,
+        profile: profile.map(Arc::new),
         absorption: absorption?,
     })
+}
+
+/// The profile of a file or of points.
+fn profile(
+    table: &keys::Profile,
+    entry: &Entry,
+    files: &dyn Files,
+    problems: &mut Problems,
+) -> Option<SoundSpeedProfile> {
+    match (table.file.given, table.points.given) {
+        (true, false) => {
+            let path = table.file.as_ref()?;
+            let read = files
+                .read(path)
+                .map_err(|why| format!("cannot be read: {why}"));
+            let read = read.and_then(|bytes| read_profile(path, &bytes));
+            read.map_err(|why| problems.refuse(&table.file, why)).ok()
+        }
+        (false, true) => {
+            let read = SoundSpeedProfile::new(table.points.get()?);
+            let refuse = |why: ProfileRefused| problems.refuse(&table.points, why.to_string());
+            read.map_err(refuse).ok()
+        }
+        _ => {
+            problems.refuse(entry, "must have either `file` or `points`");
+            None
+        }
+    }
 }
 
 /// Refuses live sources with a scaled clock, because live measurements carry the computer's time.

@@ -41,8 +41,8 @@ pub(crate) enum Kind {
     Choice(&'static [&'static str], &'static [&'static str]),
     /// Array of this many numbers.
     Numbers(usize, Range, Unit),
-    /// Pairs of numbers, at most [`MAX_ROWS`].
-    Rows,
+    /// Pairs of numbers, at most [`MAX_ROWS`], and the names of the two columns.
+    Rows(&'static str),
     /// One to [`MAX_NAMES`] names.
     Names,
     /// One to [`MAX_NAMES`] of the choices.

@@ -142,7 +142,7 @@ fn kind_schema(kind: &Kind) -> Value {
         Kind::Text | Kind::File | Kind::Folder => json!({ "type": "string", "minLength": 1 }),
         Kind::Choice(built, _) => json!({ "enum": built }),
         Kind::Numbers(count, range, _) => array_of(*count, range_schema(range)),
-        Kind::Rows => some_of(array_of(2, json!({ "type": "number" }))),
+        Kind::Rows(_) => some_of(array_of(2, json!({ "type": "number" }))),
         Kind::Names => some_of(kind_schema(&Kind::Name)),
         Kind::Choices(built) => some_of(json!({ "enum": built })),
         Kind::Table(inner) => table_schema(inner),

@@ -36,7 +36,7 @@ macro_rules! kind {
     (Choice($($name:literal),+ $(; later $($later:literal),+)?)) => { Kind::Choice(&[$($name),+], &[$($($later),+)?]) };
     (ChoiceOf($names:expr)) => { Kind::Choice($names, &[]) };
     (ChoiceOrNumber($range:expr, $($choice:tt)*)) => { Kind::Either(&kind!(Choice($($choice)*)), &kind!(Number($range))) };
-    (ChoiceOrRows($($choice:tt)*)) => { Kind::Either(&kind!(Choice($($choice)*)), &Kind::Rows) };
+    (ChoiceOrRows($($choice:tt)*)) => { Kind::Either(&kind!(Choice($($choice)*)), &Kind::Rows("range_m, db")) };
     (ChoiceOrTable($table:ident: $($choice:tt)*)) => { Kind::Either(&kind!(Choice($($choice)*)), &kind!(Table($table))) };
     (Choices($($name:literal),+)) => { Kind::Choices(&[$($name),+]) };
     (Table($table:path)) => { Kind::Table(&<$table as Declared>::TABLE) };
@@ -64,6 +64,7 @@ macro_rules! value {
     (ChoiceOrNumber($range:expr, $($choice:tt)*)) => { ChoiceOr<f64> };
     (ChoiceOrRows($($choice:tt)*)) => { ChoiceOr<Vec<(f64, f64)>> };
     (ChoiceOrTable($table:ident: $($choice:tt)*)) => { ChoiceOr<$table> };
+    (Rows($columns:literal)) => { Vec<(f64, f64)> };
     (Table($table:path)) => { $table };
     (Tables($table:path, $max:expr)) => { Vec<$table> };
     ($number:ident($range:expr)) => { f64 };
@@ -146,9 +147,14 @@ table! {
 }
 
 table! {
-    /// The water: one sound speed everywhere.
-    Medium, later "profile", "sound_speed_profile";
+    /// The water.
+    Medium, later "sound_speed_profile";
+
+    /// The same everywhere. Not with a profile.
     sound_speed_m_per_s: Number(from(300.0, 3000.0)), Default("1500.0");
+
+    /// Sound speed over depth, which bends the sound. Left out: one sound speed everywhere.
+    profile: Table(Profile), Optional("");
 
     /// "francois-garrison": Francois and Garrison 1982. "ainslie-mccolm": Ainslie and McColm 1998. "none": no absorption. Or a fixed one-way
     /// value: { db_per_km = 30.0 }.
@@ -161,6 +167,19 @@ table! {
     salinity_psu: Number(from(0.0, 50.0)), Default("35.0");
     depth_m: Number(from(0.0, 11_000.0)), Default("50.0");
     ph: Number(from(6.0, 9.0)), Default("8.0");
+}
+
+table! {
+    /// A sound-speed profile: a file or points. The speed is linear between the points, and constant above the first and below the last. It can be
+    /// replaced while the sonars ping: `echotank ctl profile CAST`.
+    Profile;
+
+    /// A cast: .asvp (Kongsberg), .svp (CARIS, SonarWiz), .vel (Hypack, in metres), or any other text with a depth in metres and a sound speed in m/s on
+    /// each line (.csv).
+    file: File, Optional("\"data/cast.asvp\"");
+
+    /// Depth in metres below the waterline and sound speed in m/s, the shallowest point first: 2 to 1000 points, the first at most 10 m deep.
+    points: Rows("depth_m, m_per_s"), Optional("[[0.0, 1500.0], [20.0, 1480.0]]");
 }
 
 table! {

@@ -705,7 +705,7 @@ fn simple(kind: &Kind, value: &DeValue<'_>) -> Option<RawValue> {
                 .collect::<Option<_>>()
                 .map(RawValue::Numbers)
         }
-        (Kind::Rows, DeValue::Array(items)) if !items.is_empty() => items
+        (Kind::Rows(_), DeValue::Array(items)) if !items.is_empty() => items
             .iter()
             .map(|row| {
                 let row = row.get_ref().as_array().filter(|r| r.len() == 2)?;
@@ -721,7 +721,7 @@ fn simple(kind: &Kind, value: &DeValue<'_>) -> Option<RawValue> {
     }
 }
 
-/// Range of metres and decibels in a table of pairs.
+/// Range of metres, decibels and metres per second in a table of pairs.
 const ROW_CELL: Range = Range {
     min: -1.0e5,
     min_included: true,
@@ -731,7 +731,7 @@ const ROW_CELL: Range = Range {
 /// Maximum length of a list of this kind.
 pub(crate) fn max_items(kind: &Kind) -> Option<usize> {
     match kind {
-        Kind::Rows => Some(MAX_ROWS),
+        Kind::Rows(_) => Some(MAX_ROWS),
         Kind::Names | Kind::Choices(_) => Some(MAX_NAMES),
         Kind::Tables(_, max) => Some(*max),
         _ => None,
@@ -742,7 +742,7 @@ fn type_fits(kind: &Kind, value: &DeValue<'_>) -> bool {
     match kind {
         Kind::Choice(..) => value.is_str(),
         Kind::Table(_) => value.is_table(),
-        Kind::Rows => value.is_array(),
+        Kind::Rows(_) => value.is_array(),
         Kind::Number(..) => value.is_float() || value.is_integer(),
         _ => false,
     }
@@ -803,7 +803,7 @@ pub(crate) fn rule(kind: &Kind) -> String {
             format!("two numbers [lowest, highest] {}", between(range))
         }
         Kind::Numbers(count, range, _) => format!("{count} numbers in brackets {}", between(range)),
-        Kind::Rows => format!("1 to {MAX_ROWS} pairs of numbers [[range_m, db], ...]"),
+        Kind::Rows(columns) => format!("1 to {MAX_ROWS} pairs of numbers [[{columns}], ...]"),
         Kind::Names => format!("1 to {MAX_NAMES} names in brackets"),
         Kind::Choices(built) => format!("in brackets some of {}", quoted(built, "and")),
         Kind::Table(table) => format!("a table of {}", key_names(table)),

@@ -19,6 +19,7 @@ pub use faults::{
 
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use glam::DVec3;
 
@@ -29,6 +30,7 @@ use echotank_core::ping::Side;
 use echotank_core::pulse::Pulse;
 use echotank_core::scene::ResolutionCell;
 use echotank_core::settings::SonarSettings;
+use echotank_core::sound_speed::SoundSpeedProfile;
 
 pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
 pub use methods::AutoModel;
@@ -66,8 +68,10 @@ pub struct RigSpec {
 /// Acoustic properties of the water.
 #[derive(Clone, Debug)]
 pub struct MediumSpec {
-    /// Sound speed, the same everywhere.
+    /// Sound speed, the same everywhere. With a profile its lowest speed, by which windows and buffers are long enough for every echo within range.
     pub sound_speed_m_per_s: f64,
+    /// Sound speed over depth, if it changes.
+    pub profile: Option<Arc<SoundSpeedProfile>>,
     /// Absorption law or value.
     pub absorption: AbsorptionSpec,
 }

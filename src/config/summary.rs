@@ -45,7 +45,19 @@ fn write_rig(out: &mut String, rig: &RigSpec) -> fmt::Result {
         AbsorptionSpec::FrancoisGarrison(water) => format!("Francois-Garrison, {}", words(&water)),
         AbsorptionSpec::AinslieMcColm(water) => format!("Ainslie-McColm, {}", words(&water)),
     };
-    line(out, "medium", &format!("{c} m/s, absorption {absorption}"))?;
+    let speed = match &rig.medium.profile {
+        None => format!("{c} m/s"),
+        Some(profile) => {
+            let (low, high) = profile.range_m_per_s();
+            let points = profile.points();
+            let deepest_m = points.last().map_or(0.0, |point| point.0);
+            format!(
+                "{low} to {high} m/s, a profile of {} points down to {deepest_m} m",
+                points.len()
+            )
+        }
+    };
+    line(out, "medium", &format!("{speed}, absorption {absorption}"))?;
     let mode = match rig.nav.mode {
         NavMode::Settle => "settle: pings wait for measurements on both sides",
         NavMode::Predict => "predict: pings are extrapolated to",

@@ -182,7 +182,7 @@ impl FanGeometry<'_> {
         for side in [Side::Port, Side::Starboard] {
             trace_ground(rig, trace, self.fan.array, side, end_s, |point| {
                 let pose = self.motion.at(point.two_way_s);
-                let way = point.at_m - pose.point_m(mounting.position_m);
+                let way = point.seen_m - pose.point_m(mounting.position_m);
                 let line = pose.world_from_body * (mounting.body_from_array * DVec3::X);
                 let sine = towards_x * way.normalize_or_zero().dot(line);
                 let k = ((point.two_way_s - self.first_s()) * rate_hz).round();

@@ -24,6 +24,7 @@ pub fn footprints(spec: &SonarSpec, plan: &PingPlan, out: &mut Vec<Footprint>) {
     let (turn, moved_m) = motion(plan, &start, window_s);
     let durations =
         std::iter::once(plan.pulse).chain(spec.more_pulses.iter().map(|more| more.pulse));
+    let bend = Bend::of(plan);
     let resolution_m = durations.map(|mut pulse| {
         pulse.duration_s = plan.pulse.duration_s;
         pulse.range_resolution_m(plan.sound_speed_m_per_s)
@@ -43,11 +44,13 @@ pub fn footprints(spec: &SonarSpec, plan: &PingPlan, out: &mut Vec<Footprint>) {
             pattern: &transmit.pattern,
             mounting: &transmit.mounting,
             margin: MotionMargin::default(),
+            bend,
         };
         let of_element = Radiator {
             pattern: &array.element_pattern,
             mounting: &array.mounting,
             margin: at_reception,
+            bend,
         };
         let [beam_rad, across_rad] = array.beam_widths_rad(transmit, wavelength_m);
         let [a, b] = at_start.sides(start.world_from_body, wavelength_m);
@@ -55,7 +58,7 @@ pub fn footprints(spec: &SonarSpec, plan: &PingPlan, out: &mut Vec<Footprint>) {
         Footprint {
             apex_m,
             receiver_m,
-            max_range_m: 0.5 * window_s * plan.sound_speed_m_per_s,
+            max_range_m: 0.5 * window_s * bend.fastest_m_per_s,
             sides: [a, b, c, d],
             depth: plan
                 .model
@@ -120,11 +123,48 @@ struct MotionMargin {
     shift_m: f64,
 }
 
+/// Bounds of refraction. Along a ray, the cosine of its elevation is proportional to the sound speed (Snell), and the straight line to a scatterer lies
+/// between the directions of its ray.
+#[derive(Clone, Copy)]
+struct Bend {
+    fastest_m_per_s: f64,
+    /// Of the elevation, radians.
+    elevation_rad: f64,
+    /// Of the cosine of the elevation.
+    level: f64,
+}
+
+impl Bend {
+    fn of(plan: &PingPlan) -> Self {
+        match &plan.refraction {
+            None => Self {
+                fastest_m_per_s: plan.sound_speed_m_per_s,
+                elevation_rad: 0.0,
+                level: 0.0,
+            },
+            Some(water) => {
+                let (slowest, fastest_m_per_s) = water.profile.range_m_per_s();
+                Self {
+                    fastest_m_per_s,
+                    elevation_rad: libm::acos(slowest / fastest_m_per_s),
+                    level: fastest_m_per_s / slowest - 1.0,
+                }
+            }
+        }
+    }
+
+    /// Error of the sine from a plane, by its unit normal.
+    fn sine(&self, normal: DVec3) -> f64 {
+        self.level + normal.z.abs() * self.elevation_rad
+    }
+}
+
 #[derive(Clone, Copy)]
 struct Radiator<'a> {
     pattern: &'a Pattern,
     mounting: &'a Mounting,
     margin: MotionMargin,
+    bend: Bend,
 }
 
 impl Radiator<'_> {
@@ -139,21 +179,25 @@ impl Radiator<'_> {
         else {
             return [PatternSide::OPEN; 2];
         };
-        [(DVec3::X, length_m), (DVec3::Y, width_m)].map(|(axis, side_m)| PatternSide {
-            axis: world_from_body * (self.mounting.body_from_array * axis),
-            // A side of length 0 divides to infinity.
-            knee: wavelength_m / (PI * side_m),
-            turn: self.margin.turn,
-            shift_m: self.margin.shift_m,
+        [(DVec3::X, length_m), (DVec3::Y, width_m)].map(|(axis, side_m)| {
+            let axis = world_from_body * (self.mounting.body_from_array * axis);
+            PatternSide {
+                axis,
+                // A side of length 0 divides to infinity.
+                knee: wavelength_m / (PI * side_m),
+                turn: self.margin.turn + self.bend.sine(axis),
+                shift_m: self.margin.shift_m,
+            }
         })
     }
 
     fn face(&self, world_from_body: DQuat) -> BaffledFace {
         match *self.pattern {
             Pattern::Rectangle { baffled: true, .. } | Pattern::Part { baffled: true, .. } => {
+                let normal = world_from_body * (self.mounting.body_from_array * DVec3::Z);
                 BaffledFace {
-                    normal: world_from_body * (self.mounting.body_from_array * DVec3::Z),
-                    turn: self.margin.turn,
+                    normal,
+                    turn: self.margin.turn + self.bend.sine(normal),
                     shift_m: self.margin.shift_m,
                 }
             }

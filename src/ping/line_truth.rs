@@ -203,6 +203,8 @@ pub(super) fn half_cell(plan: &PingPlan, rate_hz: f64) -> usize {
 /// A ground point with its geometry relative to an array.
 pub(super) struct GroundPoint {
     pub(super) at_m: DVec3,
+    /// Where the array sees it: see [`Rig::virtual_m`].
+    pub(super) seen_m: DVec3,
     pub(super) two_way_s: f64,
     pub(super) seen: bool,
 }
@@ -267,7 +269,9 @@ pub(super) fn trace_ground(
     };
     let mut two_way_m = 2.0 * (down_m - transmitter_m.z).max(0.0);
     let mut across_m = 0.0;
-    while across_m < 0.5 * end_s * c {
+    let fastest = plan.refraction.as_ref();
+    let fastest = fastest.map_or(c, |water| water.profile.range_m_per_s().1);
+    while across_m < 0.5 * end_s * fastest {
         across_m += step_m;
         let receiver_m = motion.at(two_way_m / c).point_m(receive.position_m);
         let midpoint_m = 0.5 * (transmitter_m + receiver_m);
@@ -286,9 +290,13 @@ pub(super) fn trace_ground(
             continue;
         };
         let at_m = at.extend(there_m);
-        two_way_m = at_m.distance(transmitter_m) + at_m.distance(receiver_m);
+        let Some(seen_m) = rig.virtual_m(plan, at_m) else {
+            continue;
+        };
+        two_way_m = seen_m.distance(transmitter_m) + seen_m.distance(receiver_m);
         add(&GroundPoint {
             at_m,
+            seen_m,
             two_way_s: two_way_m / c,
             seen,
         });

@@ -9,7 +9,6 @@ use echotank_core::navigation::NavState;
 use echotank_core::ping::{OverloadState, SensorState};
 use echotank_core::time::UtcNs;
 use echotank_nav::NavGap;
-use glam::DVec3;
 
 use crate::faults::PingMark;
 use crate::plan;
@@ -92,7 +91,9 @@ pub fn motion(
     }
     rig.faults.elements(mark, unit.pipeline.faults_mut());
     slot.plan.sensor = sensor;
+    slot.plan.sound_speed_m_per_s = rig.spec.medium.sound_speed_m_per_s;
     plan::fill(&mut slot.plan, &unit.spec, order, nav, stamp_utc);
+    rig.set_water(&mut slot.plan);
     Ok(())
 }
 
@@ -102,9 +103,7 @@ fn sensor_state(rig: &Rig, sonar: usize, nav: &mut NavState) -> SensorState {
     if let Some(still_depth_m) = spec.heave_from_depth_m {
         nav.heave_down_m = -nav.height_m - still_depth_m;
     }
-    let arrays = &rig.sonars[sonar].spec.receive;
-    let arms: DVec3 = arrays.iter().map(|array| array.mounting.position_m).sum();
-    let at_m = nav.pose.point_m(arms / arrays.len().max(1) as f64);
+    let at_m = rig.sonars[sonar].center_m(&nav.pose);
     let (latitude_rad, longitude_rad) = match rig.history.origin() {
         Some(plane) => plane.geodetic_rad(at_m.x, at_m.y),
         None => (nav.latitude_rad, nav.longitude_rad),
@@ -121,7 +120,7 @@ fn sensor_state(rig: &Rig, sonar: usize, nav: &mut NavState) -> SensorState {
     }
 }
 
-/// The scatterers within the footprints of the ping's arrays.
+/// The scatterers within the footprints of the ping's arrays, where its water shows them.
 pub fn gather(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     let unit = &mut rig.sonars[sonar];
     let footprints = unit.pipeline.footprints(&slot.plan);
@@ -132,6 +131,9 @@ pub fn gather(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
         let seabed = slot.output.scene.scatterers as usize;
         rig.simplify_counts = stage.thin(&mut rig.scatterers, seabed, view);
     }
+    let mut scatterers = std::mem::take(&mut rig.scatterers);
+    slot.output.scene.unreached = rig.bend(&slot.plan, &mut scatterers);
+    rig.scatterers = scatterers;
 }
 
 /// The way of the sound from the transmitters to every scatterer.

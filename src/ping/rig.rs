@@ -13,6 +13,7 @@ use crate::plan;
 use crate::world::{SceneSummary, SharedSceneSummary};
 use echotank_config::spec::{AnchorSpec, FaultRefused, MediumSpec, RigSpec, SonarSpec};
 use echotank_core::arrays::TimeVaryingGain;
+use echotank_core::frames::Pose;
 use echotank_core::ping::{PingOutput, PingPlan};
 use echotank_core::scene::{Scatterers, Target};
 use echotank_core::settings::SonarSettings;
@@ -21,6 +22,8 @@ use echotank_scene::simplify::energy::View;
 use echotank_scene::simplify::stage::{Stage, StageCounts};
 use echotank_scene::{Files, Scene, SceneError};
 use echotank_synthesis::echo::absorption::absorption_db_per_m;
+use echotank_synthesis::echo::rays::VirtualPoints;
+use glam::DVec3;
 
 /// Errors of opening a rig.
 #[derive(Debug, Error)]
@@ -81,6 +84,13 @@ pub(crate) struct DegradationLevel {
 }
 
 impl SonarUnit {
+    /// Place of the sonar in the world, metres: the mean of its receive arrays.
+    pub(crate) fn center_m(&self, pose: &Pose) -> DVec3 {
+        let arrays = &self.spec.receive;
+        let arms: DVec3 = arrays.iter().map(|array| array.mounting.position_m).sum();
+        pose.point_m(arms / arrays.len().max(1) as f64)
+    }
+
     /// Number of tolerance levels: the configured one and the looser ones.
     pub fn levels(&self) -> usize {
         1 + self.looser.len()
@@ -120,6 +130,8 @@ pub struct Rig {
     /// Summary of the scene for threads other than those of the pings.
     pub world: SharedSceneSummary,
     pub(crate) scatterers: Scatterers,
+    /// With a sound-speed profile.
+    pub(crate) virtual_points: Option<VirtualPoints>,
     pub(crate) simplify_counts: StageCounts,
 }
 
@@ -178,6 +190,7 @@ impl Rig {
             placed: false,
             world: SharedSceneSummary::default(),
             scatterers: Scatterers::default(),
+            virtual_points: spec.medium.profile.clone().map(VirtualPoints::new),
             simplify_counts: StageCounts::default(),
         })
     }
@@ -313,8 +326,8 @@ impl Rig {
         tile: &mut PingSlot,
     ) -> bool {
         let unit = &mut self.sonars[sonar];
-        if unit.simplify.is_some() {
-            // A simplified scatterer can be nearer than each of the scatterers that it represents.
+        // A simplified scatterer can be nearer than each of the scatterers that it represents, and a virtual point nearer than its scatterer.
+        if unit.simplify.is_some() || slot.plan.refraction.is_some() {
             return false;
         }
         let pipeline = &mut unit.pipeline;

@@ -58,6 +58,7 @@ ping_counters! {
         pub(crate) worst_compute_us = "worst_compute_us", "Longest computing time of a ping, microseconds";
         pub(crate) samples_saturated = "samples_saturated", "Samples clipped by the converter";
         pub arrivals = "arrivals", "Echo paths summed";
+        pub unreached = "scatterers_unreached", "Scatterers of pings that no sound ray reaches";
         pub extrapolated = "pings_extrapolated", "Pings whose navigation was extrapolated";
         pub time_jumped = "pings_time_jumped", "Pings while the clock of a navigation source jumped or was corrected";
         pub checked = "pings_checked", "Pings with an error check";
@@ -123,6 +124,7 @@ impl PingCounters {
         add(&self.seabed_culled, counts.culled);
         add(&self.seabed_shadowed, counts.shadowed);
         add(&self.seabed_used, counts.scatterers);
+        add(&self.unreached, counts.unreached);
     }
 
     /// Counts the overload measures of a ping with degradation level `level`.
@@ -190,6 +192,10 @@ impl PingCounters {
                 per_ping(&self.seabed_shadowed),
                 per_ping(&self.seabed_made)
             );
+        }
+        match per_ping(&self.unreached) {
+            0 => {}
+            n => text += &format!(", {n} scatterers per ping without a sound ray"),
         }
         match read(&self.beyond_engine) {
             0 => {}

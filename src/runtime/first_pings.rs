@@ -293,18 +293,21 @@ fn assumed_pings(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
                 DVec3::X * ASSUMED_M_PER_S,
                 DQuat::IDENTITY,
             );
+            let altitude_m = rig.scene.seabed_down_m(at_m, 0.0).map(|z_m| z_m - down_m);
+            slot.plan.sensor.altitude_m = altitude_m.filter(|a| *a > 0.0);
+            slot.plan.sound_speed_m_per_s = rig.medium().sound_speed_m_per_s;
             ping::fill(&mut slot.plan, &spec, &order, NavState::default(), UtcNs(0));
+            rig.set_water(&mut slot.plan);
             let mut areas = Vec::new();
             footprints(&spec, &slot.plan, &mut areas);
             let mut scatterers = Scatterers::default();
-            let scene = rig.scene.gather(&areas, &mut scatterers);
+            let mut scene = rig.scene.gather(&areas, &mut scatterers);
+            scene.unreached = rig.bend(&slot.plan, &mut scatterers);
             (slot.plan.clone(), scatterers, scene)
         };
-        let (mut plan, scatterers, _) = gather(0.0, &mut slot);
-        let period_s = 1e-9 * ping::period_ns(&order.settings, plan.sound_speed_m_per_s) as f64;
+        let (plan, scatterers, _) = gather(0.0, &mut slot);
+        let period_s = 1.0 / plan.ping_rate_hz;
         let (_, _, scene) = gather(ASSUMED_M_PER_S * period_s, &mut slot);
-        let altitude_m = rig.scene.seabed_down_m(0.0, 0.0).map(|z_m| z_m - down_m);
-        plan.sensor.altitude_m = altitude_m.filter(|a| *a > 0.0);
         pings.push(Planned {
             plan,
             scatterers,

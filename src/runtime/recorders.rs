@@ -125,7 +125,8 @@ impl S7k {
             rig.medium.sound_speed_m_per_s,
             unit.absorption_db_per_m,
         )
-        .with_navigation(&rig.nav);
+        .with_navigation(&rig.nav)
+        .with_profile(rig.medium.profile.as_ref());
         Self {
             path: folder.join(format!("{}.s7k", sonar.name)),
             emitter: SevenKEmitter::new(Arc::new(sheet), 1),

@@ -132,6 +132,8 @@ pub struct Scene {
     footprints: Vec<Footprint>,
     gatherer: Gatherer,
     occlusion: Occlusion,
+    /// Index of each target scatterer that the last ping kept.
+    target_rows: Vec<usize>,
 }
 
 impl Scene {
@@ -204,6 +206,7 @@ impl Scene {
             })?,
         };
         Ok(Self {
+            target_rows: Vec::with_capacity(targets.scatterers().len()),
             anchor_m: DVec2::ZERO,
             anchor: spec.anchor,
             seabed,
@@ -275,19 +278,14 @@ impl Scene {
 
     /// Fills `labels` with the target number of each scatterer of the last [`Scene::gather`]: 1 is the first target, 0 is no target.
     ///
-    /// Scatterers of targets come last and in their own order, less those in shadow. Their positions therefore identify them.
+    /// Scatterers of targets come last.
     pub fn target_of_each(&self, scatterers: &Scatterers, labels: &mut Vec<u16>) {
         labels.clear();
         labels.resize(scatterers.len(), 0);
-        let own = self.own_targets.scatterers();
-        let anchor_m = self.anchor_m.extend(0.0);
-        let mut left = scatterers.len();
-        for j in (0..own.len()).rev() {
-            if left > 0 && scatterers.position_m(left - 1) == own.position_m(j) + anchor_m {
-                left -= 1;
-                let number = self.own_targets.target_of(j) + 1;
-                labels[left] = u16::try_from(number).unwrap_or(u16::MAX);
-            }
+        let first = scatterers.len().saturating_sub(self.target_rows.len());
+        for (label, &row) in labels[first..].iter_mut().zip(&self.target_rows) {
+            let number = self.own_targets.target_of(row) + 1;
+            *label = u16::try_from(number).unwrap_or(u16::MAX);
         }
     }
 
@@ -383,14 +381,15 @@ impl Scene {
     }
 
     /// Removes points and targets that no footprint's arrays see from `out`, from index `first` on.
-    fn drop_shadowed(&self, first: usize, out: &mut Scatterers, counts: &mut SceneCounts) {
+    fn drop_shadowed(&mut self, first: usize, out: &mut Scatterers, counts: &mut SceneCounts) {
         let anchor_m = self.anchor_m.extend(0.0);
         let around = Occluders {
             ground: self.seabed.as_ref().map(|(recipe, _)| recipe.surface()),
             solids: Some(&self.own_targets),
             on_ground: false,
         };
-        let mut kept = first;
+        let first_target = out.len() - self.target_rows.len();
+        let (mut kept, mut kept_targets) = (first, 0);
         for i in first..out.len() {
             let at_m = out.position_m(i) - anchor_m;
             let seen = self.footprints.is_empty()
@@ -398,8 +397,13 @@ impl Scene {
             if seen {
                 out.copy_within(i, kept);
                 kept += 1;
+                if i >= first_target {
+                    self.target_rows[kept_targets] = self.target_rows[i - first_target];
+                    kept_targets += 1;
+                }
             }
         }
+        self.target_rows.truncate(kept_targets);
         counts.shadowed += (out.len() - kept) as u64;
         out.truncate(kept);
     }
@@ -418,8 +422,9 @@ impl Scene {
         counts.points = points.len() as u64;
     }
 
-    fn gather_targets(&self, out: &mut Scatterers, counts: &mut SceneCounts) {
+    fn gather_targets(&mut self, out: &mut Scatterers, counts: &mut SceneCounts) {
         let anchor_m = self.anchor_m.extend(0.0);
+        self.target_rows.clear();
         for target in 0..self.own_targets.len() {
             let (center_m, radius_m) = self.own_targets.ball_m(target);
             let center_m = center_m + anchor_m;
@@ -436,6 +441,7 @@ impl Scene {
                     .floor_reference
                     .factor(strength, recipe, nearest_m.max(0.0));
                 self.own_targets.gather(target, anchor_m, loud, out);
+                self.target_rows.extend(self.own_targets.span(target));
                 counts.targets += 1;
             }
         }

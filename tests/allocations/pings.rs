@@ -1,17 +1,31 @@
 //! Test that the ping path does not allocate after warm-up. It is a separate binary, because it counts with the global allocator.
 
+use std::sync::Arc;
+
 use echotank_config::spec::Density;
 use echotank_core::model::Synthesis;
+use echotank_core::sound_speed::SoundSpeedProfile;
 use echotank_ping::threads::pool;
 use echotank_testing::allocations;
 use echotank_testing::pings::LoggedPings;
 
 /// Number of allocations in each of the last `watched` pings of `count`.
-fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize) -> Vec<u64> {
+fn allocations_per_ping(
+    file: &str,
+    profile: Option<Vec<(f64, f64)>>,
+    threads: usize,
+    count: usize,
+    watched: usize,
+) -> Vec<u64> {
     let path = echotank_testing::repository()
         .join("hil-configs")
         .join(file);
     let mut spec = echotank_runtime::config_files::load(&path).expect("a good configuration");
+    if let Some(points) = profile {
+        let profile = SoundSpeedProfile::new(points).expect("a good profile");
+        spec.medium.sound_speed_m_per_s = profile.range_m_per_s().0;
+        spec.medium.profile = Some(Arc::new(profile));
+    }
     // A moving ship needs new tiles. A static scene shows the allocations of the ping only.
     spec.scene
         .seabed
@@ -44,11 +58,14 @@ fn allocations_per_ping(file: &str, threads: usize, count: usize, watched: usize
 fn a_ping_allocates_nothing_after_warm_up() {
     let _alone = allocations::alone();
     for threads in [1, 2] {
-        let points = allocations_per_ping("points.toml", threads, 8, 4);
+        let points = allocations_per_ping("points.toml", None, threads, 8, 4);
         assert_eq!(points, [0; 4], "points, {threads} threads");
+        let cast = vec![(0.0, 1500.0), (20.0, 1480.0), (60.0, 1485.0)];
+        let bent = allocations_per_ping("points.toml", Some(cast), threads, 8, 4);
+        assert_eq!(bent, [0; 4], "points in a profile, {threads} threads");
         // Over a seabed, new tiles appear as the ship moves, and a ping may have more scatterers than all before. Both rarely grow
         // a buffer, and nothing else allocates.
-        let seabed = allocations_per_ping("quickstart.toml", threads, 36, 20);
+        let seabed = allocations_per_ping("quickstart.toml", None, threads, 36, 20);
         let quiet = seabed.iter().filter(|&&n| n == 0).count();
         assert!(quiet >= 10, "quickstart, {threads} threads: {seabed:?}");
     }

@@ -230,6 +230,9 @@ impl SevenKEmitter {
             into.push(record);
         };
         self.beams.saturated = None;
+        if self.sheet.renew_profile(plan) && wanted.contains(1009) {
+            add((Arc::new(self.sheet.profile_1009(plan.stamp_utc)), 0));
+        }
         for (place, &id) in RECORDS[..PING_RECORDS].iter().enumerate() {
             if wanted.contains(id)
                 && let Some(made) = self.record(place, id, plan, output)

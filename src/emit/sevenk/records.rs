@@ -5,6 +5,7 @@
 
 use std::fmt::Write;
 use std::net::IpAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use glam::DVec3;
 
@@ -25,6 +26,7 @@ use echotank_core::ping::{BeamFrame, PingPlan};
 use echotank_core::pulse::{Pulse, PulseKind};
 use echotank_core::records::Datagram;
 use echotank_core::settings::{SettingsPort, SonarSettings};
+use echotank_core::sound_speed::SoundSpeedProfile;
 use echotank_core::time::UtcNs;
 
 /// Argument u at which sinc(pi u) is -3 dB (1/sqrt 2). Half the beam width of a line source is asin(HALF_POWER lambda / length).
@@ -54,6 +56,8 @@ pub struct DeviceSheet {
     still_depth_m: f64,
     has_depth: bool,
     info_xml: String,
+    /// Sound speed over depth in the newest ping, shared with the clones of this sheet; `None` where it is the same at all depths.
+    profile: Arc<Mutex<Option<Arc<SoundSpeedProfile>>>>,
 }
 
 /// Values of the settings records that change from ping to ping.
@@ -108,7 +112,35 @@ impl DeviceSheet {
             absorption_db_per_m,
             still_depth_m: 0.0,
             has_depth: false,
+            profile: Arc::default(),
         }
+    }
+
+    /// Sets the sound-speed profile before the first ping.
+    #[must_use]
+    pub fn with_profile(self, profile: Option<&Arc<SoundSpeedProfile>>) -> Self {
+        *self.profile() = profile.cloned();
+        self
+    }
+
+    /// Locks the profile. It is replaced in one assignment, so a poisoned lock holds a whole one.
+    fn profile(&self) -> MutexGuard<'_, Option<Arc<SoundSpeedProfile>>> {
+        self.profile.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes over the profile of a ping. Returns whether it is another than that of the ping before.
+    pub(crate) fn renew_profile(&self, plan: &PingPlan) -> bool {
+        let new = plan.refraction.as_ref().map(|water| &water.profile);
+        let mut held = self.profile();
+        let is_same = match (&*held, new) {
+            (Some(held), Some(new)) => Arc::ptr_eq(held, new),
+            (_, None) => true,
+            (None, Some(_)) => false,
+        };
+        if !is_same {
+            *held = new.cloned();
+        }
+        !is_same
     }
 
     /// Sets the depth of the platform's reference point from the navigation. Without this call the reference point is at the
@@ -414,13 +446,24 @@ impl DeviceSheet {
         }
     }
 
-    /// Record 1009 (sound velocity profile): the sound velocity of the water, equal at all depths.
-    fn profile_1009(&self, now: UtcNs) -> Datagram {
+    /// Record 1009 (sound velocity profile): the sound velocity of the water over depth.
+    pub(crate) fn profile_1009(&self, now: UtcNs) -> Datagram {
         let mut bytes = Vec::new();
-        let samples = [0.0, DEEPEST_M].map(|depth_m| VelocityAtDepth {
+        let sample = |depth_m: f32, speed: f64| VelocityAtDepth {
             depth_m,
-            sound_velocity_m_per_s: self.sound_speed_m_per_s as f32,
-        });
+            sound_velocity_m_per_s: speed as f32,
+        };
+        let samples: Vec<_> = match &*self.profile() {
+            Some(profile) => {
+                let points = profile.points().iter();
+                points
+                    .map(|&(depth_m, c)| sample(depth_m as f32, c))
+                    .collect()
+            }
+            None => [0.0, DEEPEST_M]
+                .map(|depth_m| sample(depth_m, self.sound_speed_m_per_s))
+                .into(),
+        };
         emit_1009(&mut bytes, &self.stamp(now), &Rth1009::default(), &samples);
         Datagram {
             record_type: 1009,

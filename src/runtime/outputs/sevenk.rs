@@ -51,7 +51,11 @@ impl SevenK {
             spec.medium.sound_speed_m_per_s,
             unit.absorption_db_per_m,
         );
-        let sheet = Arc::new(sheet.with_navigation(&spec.nav));
+        let sheet = Arc::new(
+            sheet
+                .with_navigation(&spec.nav)
+                .with_profile(spec.medium.profile.as_ref()),
+        );
         let port: Arc<dyn SettingsPort> = Arc::clone(settings) as _;
         let server = start_sevenk(output, sheet.clone(), port, Arc::clone(rig_time))
             .map_err(|source| context.server_error(source))?;

@@ -5,8 +5,9 @@ use std::sync::Arc;
 
 use echotank_config::spec::{SevenKSpec, VerticalSpec};
 use echotank_core::frames::rotation_from_angles;
-use echotank_core::ping::{PingOutput, PingPlan, Side};
+use echotank_core::ping::{PingOutput, PingPlan, Refraction, Side};
 use echotank_core::records::Datagram;
+use echotank_core::sound_speed::SoundSpeedProfile;
 use echotank_emit::sevenk::records::DeviceSheet;
 use echotank_emit::sevenk::{RECORDS, RecordSet, SevenKEmitter};
 use echotank_protocols::sevenk::records::{
@@ -424,6 +425,43 @@ fn descriptions_hold_the_mounting_and_a_profile_of_one_sound_velocity() {
     assert!(samples[1].depth_m > 11_000.0, "below all oceans");
     for sample in samples {
         assert_eq!(f64::from(sample.sound_velocity_m_per_s), SOUND_M_PER_S);
+    }
+}
+
+#[test]
+fn a_new_profile_is_sent_with_its_first_ping_and_described_from_then_on() {
+    let sheet = DeviceSheet::new(&output_spec(), &sonar(), SOUND_M_PER_S, 0.0);
+    let mut emitter = SevenKEmitter::new(Arc::new(sheet), 2);
+    let mut profiles = |points: &[(f64, f64)]| {
+        let profile = Arc::new(SoundSpeedProfile::new(points.to_vec()).expect("sound"));
+        let mut plan = plan(9, 6);
+        plan.refraction = Some(Refraction {
+            profile,
+            array_m: DVec3::ZERO,
+            floor_m: 50.0,
+        });
+        let sent = [(); 2].map(|()| {
+            let mut records = Vec::new();
+            emitter.emit_ping(
+                &plan,
+                &output(6),
+                RecordSet::of(&[1009, 7610]),
+                &mut records,
+            );
+            records.iter().map(|r| r.record_type).collect::<Vec<_>>()
+        });
+        let [_, described] = emitter.sheet().descriptions(TRANSMIT_UTC);
+        let p = SoundVelocityProfile1009::parse(body(&described.bytes)).expect("1009");
+        let samples = p.samples();
+        let points = samples.map(|s| (s.depth_m.into(), s.sound_velocity_m_per_s.into()));
+        (sent, points.collect::<Vec<(f64, f64)>>())
+    };
+    for points in [
+        [(0.0, 1500.0), (20.0, 1480.5)],
+        [(0.5, 1490.0), (30.0, 1475.0)],
+    ] {
+        let want = [vec![1009, 7610], vec![7610]];
+        assert_eq!(profiles(&points), (want, points.to_vec()));
     }
 }
 

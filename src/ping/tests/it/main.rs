@@ -4,4 +4,5 @@ mod culling;
 mod density;
 mod engines;
 mod error_check;
+mod refraction;
 mod reverberation;

@@ -9,7 +9,7 @@
 //! | `velocity_m_per_s` | north, east, down |
 //! | `plan` | settings, pulse, window and models of the ping |
 //! | `segments` | trajectory samples used to compute the echoes |
-//! | `scene` | seabed scatterers: `made` for this ping, `culled` (tested, outside every footprint or left out by the automatic density), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made` |
+//! | `scene` | seabed scatterers: `made` for this ping, `culled` (tested, outside every footprint or left out by the automatic density), `shadowed`, `used`; `points` and `targets` used; `tiles_used`, `tiles_made`; with a sound-speed profile `unreached`, of the used, by any ray |
 //! | `error_check` | if configured and enough windows exist: `error`, `low`, `high`, `worst`, `windows`, `tolerance`, `exceeded`, `fault` |
 //! | `methods` | if the method selection applies: `plan` (the block of pings that the methods were selected on, from 1), `predicted_error`, `predicted_ms`, `tolerance`, `output` (`elements`, or `beams` where only lines are computed) with `part_elements` (elements of a line computed as one), and, with an error check, `margin` (tolerance over measured error) |
 //! | `soundings` | for each beam with a detected bottom: `beam`, `angle_deg`, `twtt_s`, `error_s` (predicted), `by` (`amplitude`, `phase`), `level_v` |
@@ -123,6 +123,9 @@ struct SceneTruth {
     targets: u64,
     tiles_used: u64,
     tiles_made: u64,
+    /// Those that no ray reaches; absent if there are none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    unreached: Option<u64>,
 }
 
 impl From<SceneCounts> for SceneTruth {
@@ -136,6 +139,7 @@ impl From<SceneCounts> for SceneTruth {
             targets: c.targets,
             tiles_used: c.tiles_used,
             tiles_made: c.tiles_made,
+            unreached: (c.unreached > 0).then_some(c.unreached),
         }
     }
 }
@@ -351,7 +355,7 @@ fn target_truth<'a>(
     }
 }
 
-/// Arrival of the leading edge of an echo from `target_m` (world) at the centre of a receive array, s after the start of the pulse.
+/// Arrival of the leading edge of an echo from `target_m` (world) at the centre of a receive array, s after the start of the pulse. NaN without a ray.
 pub(crate) fn echo_delay_s(
     sonar: &SonarSpec,
     plan: &PingPlan,
@@ -361,8 +365,11 @@ pub(crate) fn echo_delay_s(
     let array = &sonar.receive[array];
     let transmit = &sonar.transmit[array.transmit].mounting;
     let transmit_m = plan.trajectory.pose_at(0.0).point_m(transmit.position_m);
-    let first_leg_m = target_m.distance(transmit_m);
-    delay_s(plan, first_leg_m, array.mounting.position_m, target_m)
+    let Some(seen_m) = echotank_ping::virtual_point_m(plan, target_m) else {
+        return f64::NAN;
+    };
+    let first_leg_m = seen_m.distance(transmit_m);
+    delay_s(plan, first_leg_m, array.mounting.position_m, seen_m)
 }
 
 /// Solves c u = first leg + |target - r(u)| by fixed-point iteration. Each round reduces the error by v/c; twelve reach f64 precision at v = 0.1 c.

@@ -54,6 +54,58 @@ fn each_broken_configuration_prints_its_whole_list_of_problems() {
 }
 
 #[test]
+fn a_bad_profile_is_refused_with_place_value_and_rule() {
+    let minimal = fs::read_to_string(broken_dir().join("../minimal.toml")).expect("readable");
+    for (medium, words) in [
+        (
+            "profile = { points = [[0, 1500], [9, 1490], [9, 1489]] }",
+            "medium.profile.points = [[0, 1500], [9, 1490], [9, 1489]]: point 3: depth 9 m: must be greater than 9 m",
+        ),
+        (
+            "profile = { points = [[0, 1500]] }",
+            "medium.profile.points = [[0, 1500]]: 1 points: must be 2 to 1000",
+        ),
+        (
+            "profile = { points = [[-1, 1500], [9, 1490]] }",
+            "point 1: depth -1 m: must not lie above the surface",
+        ),
+        (
+            "profile = { points = [[0, 1500], [9, 1790]] }",
+            "point 2: sound speed 1790 m/s: must be from 1300 to 1700 m/s",
+        ),
+        (
+            "profile = { points = [[11, 1500], [19, 1490]] }",
+            "point 1: depth 11 m: the first point must lie at most 10 m below the surface",
+        ),
+        (
+            "profile = { points = [[0, 1500, 1], [9, 1490]] }",
+            "must be 1 to 10000 pairs of numbers [[depth_m, m_per_s], ...]",
+        ),
+        (
+            "profile = { file = \"cast.csv\" }",
+            "medium.profile.file = \"cast.csv\": line 4: depth 7 m: must be greater than 8 m, the depth of the point before",
+        ),
+        (
+            "profile = { file = \"nowhere.asvp\" }",
+            "medium.profile.file = \"nowhere.asvp\": must be a file that can be read: not found",
+        ),
+        (
+            "profile = {}",
+            "medium.profile = {}: must have either `file` or `points`",
+        ),
+        (
+            "sound_speed_m_per_s = 1500\nprofile = { points = [[0, 1500], [9, 1490]] }",
+            "medium.sound_speed_m_per_s = 1500: only with one sound speed: [medium.profile] holds the sound speeds",
+        ),
+    ] {
+        let text = format!("{minimal}\n[medium]\n{medium}\n");
+        let errors = config_files::parse(&text, &broken_dir()).expect_err(medium);
+        let said = errors.to_string();
+        assert!(said.contains(words), "{medium}:\n{said}\nwant {words}");
+    }
+}
+
+#[test]
 fn no_broken_configuration_is_accepted_and_each_problem_is_one_line() {
     for file in broken_files() {
         let text = fs::read_to_string(&file).expect("readable");
