@@ -1,6 +1,7 @@
 //! `echotank ctl`: controls and queries a running daemon over HTTP.
 
 use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
@@ -63,6 +64,8 @@ pub(crate) enum CtlCommand {
         #[arg(long)]
         sonar: Option<String>,
     },
+    /// Replace the sound-speed profile from the next ping, by a cast: .asvp, .svp, .vel or lines of depth and sound speed
+    Profile { cast: PathBuf },
     /// Set the clock mode: realtime or scaled (with a rate), or fast or lockstep. Only switching within either pair is allowed
     Clock {
         #[arg(value_parser = ["realtime", "scaled", "fast", "lockstep"])]
@@ -96,6 +99,9 @@ pub(crate) fn main(args: &CtlArgs) -> Result<(), Failure> {
             sonar: sonar.clone(),
             on: state == "on",
         },
+        CtlCommand::Profile { cast } => Command::Profile {
+            points: points(cast)?,
+        },
         CtlCommand::Clock { mode, rate } => {
             return send(args, &json!({ "do": "clock", "mode": mode, "rate": rate }));
         }
@@ -109,6 +115,15 @@ pub(crate) fn main(args: &CtlArgs) -> Result<(), Failure> {
         CtlCommand::Metrics => return show(args, "/metrics"),
     };
     send(args, &json!(command))
+}
+
+/// The points of a cast.
+fn points(cast: &Path) -> Result<Vec<(f64, f64)>, Failure> {
+    let read = std::fs::read(cast).map_err(|why| format!("cannot be read: {why}"));
+    let profile = read.and_then(|bytes| echotank_config::read_profile(cast, &bytes));
+    let profile =
+        profile.map_err(|why| Failure::Configuration(format!("{}: {why}", cast.display())))?;
+    Ok(profile.points().to_vec())
 }
 
 /// The command of a fault, whose kind and values are checked.

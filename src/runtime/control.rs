@@ -23,6 +23,7 @@ use crate::settings::SettingsStore;
 use crate::triggers::TriggerCounts;
 use echotank_config::spec::{ClockSpec, NavChannel};
 use echotank_core::settings::{ChangeOrigin, Requester, SettingChange, SettingsPort};
+use echotank_core::sound_speed::SoundSpeedProfile;
 use echotank_core::time::{MonoNs, UtcNs};
 use echotank_nav::health::State;
 use echotank_ping::faults::Faults;
@@ -41,6 +42,9 @@ const CLOCK_RATES: std::ops::RangeInclusive<f64> = 0.1..=1000.0;
 
 /// Number of commands other than settings kept for the page.
 const MAX_RECENT_COMMANDS: usize = 64;
+
+/// Number of profiles kept for pings that are ordered late.
+const MAX_PROFILES: usize = 8;
 
 /// Control and state of one sonar.
 pub struct SonarControl {
@@ -81,6 +85,8 @@ pub struct RunControl {
     nav_owners: Mutex<NavOwners>,
     page: PageSource,
     relief: ReliefCache,
+    /// Sound-speed profiles set by commands, with their instants, the newest last.
+    profiles: Mutex<VecDeque<(MonoNs, Arc<SoundSpeedProfile>)>>,
     /// Commands other than settings, the newest last.
     recent_commands: Mutex<VecDeque<Value>>,
     commands_done: AtomicU64,
@@ -116,6 +122,7 @@ impl RunControl {
             nav_owners: Mutex::default(),
             page,
             relief: ReliefCache::default(),
+            profiles: Mutex::default(),
             recent_commands: Mutex::default(),
             commands_done: AtomicU64::new(0),
             opened: machine.host_utc(),
@@ -282,6 +289,7 @@ impl RunControl {
                 false => Err(format!("fault = {id}: no such fault")),
             },
             Command::Record { sonar, on } => self.record(sonar.as_deref(), *on),
+            Command::Profile { points } => self.set_profile(points),
             Command::Clock { mode, rate } => self.set_clock(*mode, *rate),
         }
     }
@@ -311,6 +319,34 @@ impl RunControl {
         }
         let names: Vec<_> = switched.iter().map(|s| s.name.as_str()).collect();
         Ok(json!({ "recording": on, "sonars": names }))
+    }
+
+    /// Replaces the sound-speed profile for pulses from now on.
+    fn set_profile(&self, points: &[(f64, f64)]) -> Result<Value, String> {
+        if self.page.spec.medium.profile.is_none() {
+            return Err(
+                "the configuration has one sound speed: add [medium.profile] and restart the daemon"
+                    .to_owned(),
+            );
+        }
+        let profile = SoundSpeedProfile::new(points.to_vec());
+        let profile = profile.map_err(|refused| refused.to_string())?;
+        let now = self.sonars.first().map(|sonar| sonar.settings.now());
+        let now = now.ok_or("the rig has no sonar")?;
+        let mut profiles = lock(&self.profiles);
+        if profiles.len() == MAX_PROFILES {
+            profiles.pop_front();
+        }
+        profiles.push_back((now, Arc::new(profile)));
+        Ok(json!({ "points": points.len() }))
+    }
+
+    /// The newest profile that a command set before a pulse; `None` while that of the configuration is in force.
+    pub(crate) fn profile_at(&self, pulse: MonoNs) -> Option<Arc<SoundSpeedProfile>> {
+        let profiles = lock(&self.profiles);
+        let mut newest = profiles.iter().rev();
+        let (_, profile) = newest.find(|(since, _)| *since < pulse)?;
+        Some(profile.clone())
     }
 
     /// Changes the clock. Machine time can run at any rate; simulated time runs freely or by steps. A change between the two requires a restart.

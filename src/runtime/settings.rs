@@ -138,6 +138,11 @@ impl SettingsStore {
         }
     }
 
+    /// Present instant, on the clock that decides which pulses obey a change.
+    pub(crate) fn now(&self) -> MonoNs {
+        self.clock.mono()
+    }
+
     /// Settings of a ping scheduled now, and their version. If `pinging` is true, `max_ping_rate_hz` is above 0.
     pub fn snapshot(&self) -> (SonarSettings, u64) {
         let state = self.lock();

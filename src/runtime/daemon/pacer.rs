@@ -427,6 +427,9 @@ impl Pacer {
         let began = self.machine.mono();
         let level = paced.map_or(0, |paced| paced.level);
         self.inputs.note_ping(sonar, order, level);
+        if let Some(profile) = self.control.profile_at(timeline.mono(order.transmit_utc)) {
+            self.rig.set_profile(profile);
+        }
         let made = self.make(sonar, order, paced, &mut slot, timeline);
         let Some(samples) = self.account(sonar, order, paced, made, began, &mut slot) else {
             self.lanes[sonar].spare = Some(slot);

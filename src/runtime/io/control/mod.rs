@@ -79,6 +79,11 @@ pub enum Command {
         /// Whether pings are recorded.
         on: bool,
     },
+    /// Replaces the sound-speed profile from the next ping of each sonar.
+    Profile {
+        /// Depth in metres and sound speed in metres per second, the shallowest first.
+        points: Vec<(f64, f64)>,
+    },
     /// Changes how rig time passes.
     Clock {
         /// The new mode.

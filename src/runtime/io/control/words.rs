@@ -14,14 +14,16 @@ enum ValueType {
     Bool,
     Text,
     Word(&'static [&'static str]),
+    /// Pairs of numbers.
+    Pairs,
 }
 
-use ValueType::{Bool, Count, Number, Text, Word};
+use ValueType::{Bool, Count, Number, Pairs, Text, Word};
 
 type Keys = &'static [(&'static str, ValueType)];
 
 /// The commands and their keys.
-const COMMANDS: [(&str, Keys); 9] = [
+const COMMANDS: [(&str, Keys); 10] = [
     ("pause", &[]),
     ("resume", &[]),
     ("step", &[("pings", Count)]),
@@ -60,6 +62,7 @@ const COMMANDS: [(&str, Keys); 9] = [
     ),
     ("clear-faults", &[("fault", Count)]),
     ("record", &[("sonar", Text), ("on", Bool)]),
+    ("profile", &[("points", Pairs)]),
     (
         "clock",
         &[
@@ -77,6 +80,7 @@ impl ValueType {
             Bool => "must be true or false".to_owned(),
             Text => "must be a name".to_owned(),
             Word(words) => format!("must be one of {}", words.join(", ")),
+            Pairs => "must be pairs of numbers [[depth_m, m_per_s], ...]".to_owned(),
         }
     }
 
@@ -89,6 +93,13 @@ impl ValueType {
             Bool => value.is_boolean(),
             Text => value.is_string(),
             Word(words) => value.as_str().is_some_and(|word| words.contains(&word)),
+            Pairs => value.as_array().is_some_and(|rows| {
+                let is_pair = |row: &Value| {
+                    let row = row.as_array().filter(|row| row.len() == 2);
+                    row.is_some_and(|row| row.iter().all(Value::is_number))
+                };
+                rows.iter().all(is_pair)
+            }),
         }
     }
 
@@ -99,6 +110,7 @@ impl ValueType {
             Count => text.parse::<u64>().map_or(Value::Null, Value::from),
             Bool => text.parse::<bool>().map_or(Value::Null, Value::from),
             Text | Word(_) => json!(text),
+            Pairs => serde_json::from_str(text).unwrap_or(Value::Null),
         }
     }
 }
@@ -160,7 +172,12 @@ pub fn parse(value: &Value) -> Result<Command, String> {
             return Err(refuse_other_type(key, value_type, &value.to_string()));
         }
     }
-    for (of, key) in [("clock", "mode"), ("fault", "kind"), ("record", "on")] {
+    for (of, key) in [
+        ("clock", "mode"),
+        ("fault", "kind"),
+        ("record", "on"),
+        ("profile", "points"),
+    ] {
         if command == of && table.get(key).is_none_or(Value::is_null) {
             let rule = type_of(command, keys, key)?.rule();
             return Err(format!("{key} is missing: {rule}"));
@@ -251,6 +268,11 @@ mod tests {
                 "on is missing: must be true or false",
             ),
             (
+                json!({"do": "profile", "points": [[0, 1500], [5]]}),
+                "points = [[0,1500],[5]]: must be pairs of numbers",
+            ),
+            (json!({"do": "profile"}), "points is missing: must be pairs"),
+            (
                 json!({"do": "clock"}),
                 "mode is missing: must be one of realtime, scaled",
             ),
@@ -295,6 +317,7 @@ mod tests {
             Bool => json!(true),
             Text => json!("a"),
             Word(words) => json!(words[0]),
+            Pairs => json!([[0.0, 1500.0]]),
         };
         for (command, keys) in COMMANDS {
             let all = keys.iter().map(|&(key, t)| (key.to_owned(), value_of(t)));
