@@ -3,6 +3,7 @@
 //! Exit status: 0 success, 1 failure while running or a rig that runs otherwise than meant, 2 wrong configuration or arguments.
 
 mod arguments;
+pub(crate) mod campaign;
 pub(crate) mod chart;
 pub(crate) mod check;
 pub(crate) mod ctl;
@@ -62,6 +63,8 @@ enum Command {
     Run(run::RunArgs),
     /// The same pipeline offline, without pacing: writes files, reproducible byte for byte
     Replay(replay::ReplayArgs),
+    /// Many replays of one rig, in shards that a scheduler computes
+    Campaign(campaign::CampaignArgs),
     /// Measure every method on this scene and machine: error against run time, as plots, a page and tables
     Chart(chart::ChartArgs),
     /// Check a configuration; print derived values, cost estimates and the selected methods
@@ -128,6 +131,7 @@ fn execute(command: Option<Command>) -> Result<(), Failure> {
         Command::Run(args) => run::main(&args),
         Command::Recover(args) => recover::main(&args),
         Command::Replay(args) => replay::main(&args),
+        Command::Campaign(args) => campaign::main(&args),
         Command::Chart(args) => chart::main(&args),
         Command::Check(args) => check::main(&args),
         Command::Ctl(args) => ctl::main(&args),

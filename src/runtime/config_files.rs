@@ -97,8 +97,17 @@ pub fn parse(text: &str, folder: &Path) -> Result<RigSpec, ConfigErrors> {
 /// # Errors
 /// All violations of the configuration's rules, or an override that cannot be applied.
 pub fn load_with(path: &Path, overrides: &[String]) -> Result<RigSpec, LoadError> {
+    load_from(path, overrides, &FileSystem)
+}
+
+/// Like [`load_with`], with the files that the configuration names taken from `files`.
+pub(crate) fn load_from(
+    path: &Path,
+    overrides: &[String],
+    files: &dyn Files,
+) -> Result<RigSpec, LoadError> {
     if overrides.is_empty() {
-        return Ok(load(path)?);
+        return Ok(echotank_config::load(path, files)?);
     }
     let name = path.display();
     let text = read_text(path).map_err(|why| LoadError::Override(format!("{name}: {why}")))?;
@@ -111,7 +120,8 @@ pub fn load_with(path: &Path, overrides: &[String]) -> Result<RigSpec, LoadError
     }
     let text = toml::to_string(&table).map_err(|e| LoadError::Override(e.to_string()))?;
     let folder = path.parent().unwrap_or(Path::new("."));
-    parse(&text, folder).map_err(|errors| LoadError::Overridden {
+    let parsed = echotank_config::parse(&text, folder, files);
+    parsed.map_err(|errors| LoadError::Overridden {
         file: path.to_owned(),
         // The lines are those of the text with the overrides, which nobody sees.
         errors: errors.without_lines(),

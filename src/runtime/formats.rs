@@ -32,6 +32,36 @@ pub struct Formats {
 }
 
 impl Formats {
+    /// The formats of a list of names, as `replay --formats` takes them.
+    ///
+    /// # Errors
+    /// A name is unknown, or there is none.
+    pub fn of_names(names: &[String]) -> Result<Self, String> {
+        const NAMES: &str = "s7k, npz, jsf, xtf, png, sas, fan, mosaic, masks, sigmf, wav";
+        let mut formats = Self::default();
+        if names.is_empty() {
+            return Err(format!("formats = []: must name at least one of {NAMES}"));
+        }
+        for name in names {
+            let asked = match name.as_str() {
+                "s7k" => &mut formats.s7k,
+                "npz" => &mut formats.npz,
+                "jsf" => &mut formats.jsf,
+                "xtf" => &mut formats.xtf,
+                "png" => &mut formats.png,
+                "sas" => &mut formats.sas,
+                "fan" => &mut formats.fan,
+                "mosaic" => &mut formats.mosaic,
+                "masks" => &mut formats.masks,
+                "sigmf" => &mut formats.sigmf,
+                "wav" => &mut formats.wav,
+                _ => return Err(format!("formats: {name:?}: must be one of {NAMES}")),
+            };
+            *asked = true;
+        }
+        Ok(formats)
+    }
+
     /// The first requested format that no sonar of a rig has data for: its name, and what the sonars lack.
     pub fn unfit(&self, rig: &RigSpec) -> Option<(&'static str, &'static str)> {
         const LINES: &str = "has side-scan lines: receive arrays named in sonar.beams.port and sonar.beams.starboard";

@@ -5,6 +5,7 @@
 #![warn(missing_docs)]
 
 pub mod calibrate;
+pub mod campaign;
 pub mod chart;
 pub mod check;
 pub mod clock;

@@ -1,5 +1,6 @@
 //! Tests of the program as its user runs it: commands, daemon and replay.
 
+mod campaign;
 mod commands;
 mod daemon;
 mod generate;

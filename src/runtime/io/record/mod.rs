@@ -2,6 +2,7 @@
 //!
 //! - [`faults`]: injected faults, one JSON line each.
 //! - [`npz`]: samples of every ping as NumPy arrays, with geometry and ground truth.
+//! - `npz_join`: joins the arrays of successive pings.
 //! - [`recover`]: repairs records that were cut off.
 //! - [`masks`]: target and shadow labels of the samples of each line.
 //! - [`png`]: the waterfall picture. [`picture`]: other pictures, mosaics and their masks.
@@ -22,6 +23,7 @@ pub mod faults;
 pub mod lines;
 pub mod masks;
 pub mod npz;
+pub(crate) mod npz_join;
 pub mod picture;
 pub(crate) mod plan_text;
 pub mod png;

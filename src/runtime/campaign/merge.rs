@@ -1,0 +1,227 @@
+//! Joins the shards of each run.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+
+use super::{CampaignError, Manifest, Run, digest, shard, shard_folder};
+use crate::io::record::make_folder;
+use crate::io::record::npz_join::join;
+use crate::replay::{Formats, Replay, ReplayOptions, use_navigation};
+
+/// What a merge has written and compared.
+#[derive(Clone, Debug, Default)]
+pub struct Merged {
+    /// Joined files.
+    pub files: Vec<PathBuf>,
+    /// Number of files that remain in their shards, because their format is not joined.
+    pub left: usize,
+    /// Results of the comparison with one replay of each run; empty without a check.
+    pub compared: Vec<Compared>,
+}
+
+/// A joined file against that of one replay of the whole run.
+#[derive(Clone, Debug)]
+pub struct Compared {
+    /// The joined file.
+    pub file: PathBuf,
+    /// First place that differs, such as `byte 12` or `line 3`; `None` if the files are equal.
+    pub differs_at: Option<String>,
+}
+
+impl fmt::Display for Merged {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for file in &self.files {
+            writeln!(f, "wrote {}", file.display())?;
+        }
+        if self.left > 0 {
+            let left = self.left;
+            writeln!(f, "{left} files of other formats remain in the shards")?;
+        }
+        for Compared { file, differs_at } in &self.compared {
+            let name = file.display();
+            match differs_at {
+                None => writeln!(f, "{name}: equal to one replay")?,
+                Some(at) => writeln!(f, "{name}: differs from one replay at {at}")?,
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Joins truth.jsonl, pings.npz and the masks of every run into `merged/RUN`. Verifies the checksums of all shards before. With `check_threads`,
+/// replays every run as a whole on so many threads and compares: arrays byte for byte, and the truth line for line.
+///
+/// # Errors
+/// Shards are missing, damaged, or of another version, processor or configuration: one line each, and nothing is written.
+pub fn merge(
+    folder: &Path,
+    manifest: &Manifest,
+    check_threads: Option<usize>,
+) -> Result<Merged, CampaignError> {
+    let damage: Vec<String> = (0..manifest.shards.len())
+        .filter_map(|number| {
+            let path = shard_folder(folder, number);
+            match path.is_dir() {
+                true => shard::damage(&path, manifest, number),
+                false => Some(format!("shard {number}: is missing")),
+            }
+        })
+        .collect();
+    if !damage.is_empty() {
+        return Err(CampaignError::Unfit(damage.join("\n")));
+    }
+    let mut merged = Merged::default();
+    for (index, run) in manifest.runs.iter().enumerate() {
+        let mut parts: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
+        for (number, part) in manifest.shards.iter().enumerate() {
+            if part.run != index {
+                continue;
+            }
+            let path = shard_folder(folder, number);
+            let record = shard::record(&path).map_err(CampaignError::Unfit)?;
+            for file in record.files {
+                let of = path.join(&file.name);
+                parts.entry(file.name).or_default().push(of);
+            }
+        }
+        let out = folder.join("merged").join(&run.name);
+        let mut joined = Vec::new();
+        for (name, parts) in &parts {
+            let target = out.join(name);
+            if name.ends_with(".npz") {
+                make_folder(target.parent().unwrap_or(&out))?;
+                let parts: Vec<&Path> = parts.iter().map(PathBuf::as_path).collect();
+                join(&parts, &target)?;
+            } else if name.ends_with(".jsonl") {
+                make_folder(target.parent().unwrap_or(&out))?;
+                concatenate(parts, &target)?;
+            } else {
+                merged.left += parts.len();
+                continue;
+            }
+            joined.push((name.as_str(), target));
+        }
+        if let Some(threads) = check_threads {
+            let whole = out.with_extension("check");
+            let compared = compare(manifest, run, &joined, &whole, threads);
+            // The replay is of no use after the comparison.
+            let _ = std::fs::remove_dir_all(&whole);
+            merged.compared.extend(compared?);
+        }
+        merged
+            .files
+            .extend(joined.into_iter().map(|(_, path)| path));
+    }
+    Ok(merged)
+}
+
+fn concatenate(parts: &[PathBuf], target: &Path) -> Result<(), CampaignError> {
+    let beside = target.with_extension("partial");
+    let mut whole = File::create(&beside).map_err(CampaignError::io(&beside, "create"))?;
+    for part in parts {
+        let mut file = File::open(part).map_err(CampaignError::io(part, "open"))?;
+        io::copy(&mut file, &mut whole).map_err(CampaignError::io(&beside, "write"))?;
+    }
+    whole.flush().map_err(CampaignError::io(&beside, "write"))?;
+    std::fs::rename(&beside, target).map_err(CampaignError::io(target, "rename"))
+}
+
+/// Replays a run as a whole into `whole` and compares the joined files.
+fn compare(
+    manifest: &Manifest,
+    run: &Run,
+    joined: &[(&str, PathBuf)],
+    whole: &Path,
+    threads: usize,
+) -> Result<Vec<Compared>, CampaignError> {
+    let wrong = |error| CampaignError::Configuration {
+        run: run.name.clone(),
+        error,
+    };
+    let (mut spec, configuration) =
+        digest::of_configuration(&manifest.rig, &run.set, run.nav.as_deref()).map_err(wrong)?;
+    if configuration != run.configuration {
+        let name = &run.name;
+        return Err(CampaignError::Unfit(format!(
+            "{name}: the configuration has changed since the campaign was planned"
+        )));
+    }
+    if let Some(log) = &run.nav {
+        use_navigation(&mut spec, log).map_err(CampaignError::Refused)?;
+    }
+    let options = ReplayOptions {
+        out: whole.to_owned(),
+        formats: Formats::of_names(&manifest.formats).map_err(CampaignError::Refused)?,
+        f64: false,
+        pings: Some(run.pings),
+        threads,
+    };
+    Replay::open(spec, options)
+        .and_then(|replay| replay.run(|_| ()).map(|_| ()))
+        .map_err(|error| CampaignError::Replay {
+            what: run.name.clone(),
+            error: Box::new(error),
+        })?;
+    joined
+        .iter()
+        .map(|(name, file)| {
+            let other = whole.join(name);
+            let differs_at = match name.ends_with(".jsonl") {
+                true => first_other_line(file, &other).map(|at| at.map(|at| format!("line {at}"))),
+                false => first_other_byte(file, &other).map(|at| at.map(|at| format!("byte {at}"))),
+            };
+            Ok(Compared {
+                differs_at: differs_at.map_err(CampaignError::io(file, "compare"))?,
+                file: file.clone(),
+            })
+        })
+        .collect()
+}
+
+/// Number of the first line of ground truth that differs. Left out is what depends on the pings that the same process computed before: the tiles
+/// of the seabed that were made, and the error check, whose windows it collects.
+fn first_other_line(one: &Path, other: &Path) -> io::Result<Option<usize>> {
+    let lines = |path: &Path| -> io::Result<Vec<serde_json::Value>> {
+        let mut truths = Vec::new();
+        for line in BufReader::new(File::open(path)?).lines() {
+            let mut truth: serde_json::Value = serde_json::from_str(&line?)?;
+            for (table, key) in [
+                ("scene", "made"),
+                ("scene", "culled"),
+                ("scene", "tiles_made"),
+                ("methods", "margin"),
+            ] {
+                if let Some(table) = truth.get_mut(table).and_then(|t| t.as_object_mut()) {
+                    table.remove(key);
+                }
+            }
+            if let Some(truth) = truth.as_object_mut() {
+                truth.remove("error_check");
+            }
+            truths.push(truth);
+        }
+        Ok(truths)
+    };
+    let (one, other) = (lines(one)?, lines(other)?);
+    let longest = one.len().max(other.len());
+    Ok((0..longest)
+        .find(|&k| one.get(k) != other.get(k))
+        .map(|k| k + 1))
+}
+
+/// Place of the first byte that differs.
+fn first_other_byte(one: &Path, other: &Path) -> io::Result<Option<u64>> {
+    let mut one = BufReader::new(File::open(one)?).bytes();
+    let mut other = BufReader::new(File::open(other)?).bytes();
+    let mut at = 0;
+    loop {
+        match (one.next().transpose()?, other.next().transpose()?) {
+            (None, None) => return Ok(None),
+            (a, b) if a == b => at += 1,
+            _ => return Ok(Some(at)),
+        }
+    }
+}
