@@ -268,11 +268,12 @@ impl MethodSelector {
         if self.pending.is_some() {
             return;
         }
-        let pings = block_pings(&plan.settings, plan.sound_speed_m_per_s);
+        let pings = block_pings(&plan.settings, self.medium.sound_speed_m_per_s);
+        let block = block(plan, &self.medium);
         let from_ping = match is_changed || is_refuted {
             true => plan.ping_number.saturating_add(pings),
             // The next block; the first two have the first selection.
-            false if begins && block(plan) > 0 => (block(plan) + 1) * pings + 1,
+            false if begins && block > 0 => (block + 1) * pings + 1,
             false => return,
         };
         if is_refuted {
@@ -288,7 +289,7 @@ impl MethodSelector {
     }
 
     fn begins_block(&self, plan: &PingPlan) -> bool {
-        self.block != Some(block(plan))
+        self.block != Some(block(plan, &self.medium))
     }
 
     /// Whether the current selection is for other settings.
@@ -301,7 +302,7 @@ impl MethodSelector {
 
     /// Notes the motion of a ping.
     fn remember(&mut self, plan: &PingPlan) {
-        let block = block(plan);
+        let block = block(plan, &self.medium);
         let passed = self.block.map_or(0, |before| block.abs_diff(before));
         for _ in 0..passed.min(BLOCKS_SEEN as u32) {
             self.motion.rotate_left(1);
@@ -410,7 +411,7 @@ impl Job {
             return Some(Selection {
                 choice,
                 mark: MethodMark {
-                    plan: block(&self.plan) + 1,
+                    plan: block(&self.plan, &self.medium) + 1,
                     predicted_error: candidate.error(),
                     predicted_ms: candidate.cost_ms(),
                     tolerance: self.spec.synthesis.tolerance,
@@ -453,9 +454,9 @@ fn block_pings(settings: &SonarSettings, sound_speed_m_per_s: f64) -> u32 {
     ((BLOCK_S / period_s).ceil() as u32).max(MIN_BLOCK_PINGS)
 }
 
-/// Block of a ping; pings are numbered from 1.
-fn block(plan: &PingPlan) -> u32 {
-    (plan.ping_number.max(1) - 1) / block_pings(&plan.settings, plan.sound_speed_m_per_s)
+/// Block of a ping; pings are numbered from 1. The sound speed is that of the schedule, which refraction does not change.
+fn block(plan: &PingPlan, medium: &MediumSpec) -> u32 {
+    (plan.ping_number.max(1) - 1) / block_pings(&plan.settings, medium.sound_speed_m_per_s)
 }
 
 /// Whether the selection for ping `first` has seen the motion of the ping of `order`, which comes before it.
