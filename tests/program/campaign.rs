@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use crate::{command, ended, run, run_well};
 
-/// Overrides without a selection of methods, which looks at earlier pings: the shards then have the bits of one replay.
+/// Overrides for short pings with few methods to design.
 const FIXED: &str = r#"
 [set]
 "sonar.ping.range_m" = 16.0
@@ -23,9 +23,17 @@ struct Planned {
 
 impl Planned {
     fn new(more: &str) -> Self {
+        Self::of(
+            "python/examples/rigs/flat.toml",
+            "pings = [1, 7]\nshard_pings = 3",
+            more,
+        )
+    }
+
+    fn of(rig: &str, pings: &str, more: &str) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
-        let rig = echotank_testing::repository().join("python/examples/rigs/flat.toml");
-        let text = format!("rig = {:?}\npings = [1, 7]\nshard_pings = 3\n{more}", rig);
+        let rig = echotank_testing::repository().join(rig);
+        let text = format!("rig = {rig:?}\n{pings}\n{more}");
         std::fs::write(folder.path().join("campaign.toml"), text).expect("written");
         let planned = Self { folder };
         run_well("campaign", planned.plan_arguments());
@@ -103,6 +111,19 @@ fn shards_in_any_order_merge_to_the_bytes_of_one_replay() {
         "{merged}"
     );
     assert!(!merged.contains("differs"), "{merged}");
+}
+
+#[test]
+fn shards_with_selected_methods_merge_to_the_bytes_of_one_replay() {
+    // Several blocks of the selection, in swell; the shards begin within blocks.
+    let campaign = Planned::of(
+        "hil-configs/quickstart.toml",
+        "pings = [1, 60]\nshard_pings = 25",
+        "formats = [\"npz\"]\n[set]\n\"sonar.ping.range_m\" = 60.0\n",
+    );
+    run_well("campaign", campaign.arguments("run", &["--jobs", "2"]));
+    let merged = run_well("campaign", campaign.arguments("merge", &["--check"]));
+    assert_eq!(merged.matches("equal to one replay").count(), 2, "{merged}");
 }
 
 #[test]
