@@ -91,7 +91,7 @@ fn a_bad_profile_is_refused_with_place_value_and_rule() {
         ),
         (
             "profile = {}",
-            "medium.profile = {}: must have either `file` or `points`",
+            "medium.profile: must have either `file` or `points`",
         ),
         (
             "sound_speed_m_per_s = 1500\nprofile = { points = [[0, 1500], [9, 1490]] }",
