@@ -211,6 +211,14 @@ impl ErrorChecker {
         })
     }
 
+    /// Goes on from the windows and the allowance of another: the error check is of what goes out, whichever methods made it.
+    pub(crate) fn carry_on(&mut self, from: &Self) {
+        self.credit_ns = from.credit_ns;
+        (self.recent, self.seen) = (from.recent, from.seen);
+        (self.recent_of_all, self.seen_of_all) = (from.recent_of_all, from.seen_of_all);
+        (self.above, self.fault) = (from.above, from.fault);
+    }
+
     /// How much error checks may cost, in place of [`SHARE`] of a ping: 0 is nothing, infinity as many samples as a ping can have looked at.
     pub(crate) fn allow(&mut self, share: f64) {
         self.share = share;

@@ -171,6 +171,13 @@ impl SonarPipeline {
         }
     }
 
+    /// Goes on with the error checks of the pipeline that it replaces.
+    pub(crate) fn carry_on_checks(&mut self, from: &Self) {
+        if let (Some(to), Some(from)) = (&mut self.error_checker, &from.error_checker) {
+            to.carry_on(from);
+        }
+    }
+
     /// How much error checks may cost from now on, as a share of a ping's predicted cost; see [`ErrorChecker::allow`]. Nothing without error checks.
     pub fn allow_error_checks(&mut self, share: f64) {
         if let Some(error_checker) = &mut self.error_checker {

@@ -8,10 +8,11 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use crate::rig::Rig;
+use echotank_config::spec::SonarSpec;
 use echotank_core::ping::{PingPlan, Refraction};
 use echotank_core::scene::Scatterers;
 use echotank_core::sound_speed::SoundSpeedProfile;
-use echotank_synthesis::echo::rays::{self, VirtualPoints};
+use echotank_synthesis::echo::rays::{self, VirtualPoints, virtual_point_error};
 
 impl Rig {
     /// Replaces the sound-speed profile of the pings to come. Windows and buffers stay those of the configured one.
@@ -64,4 +65,36 @@ pub fn virtual_point_m(plan: &PingPlan, at_m: DVec3) -> Option<DVec3> {
         Some(water) => Some(rays::seen(water, 0.0, at_m)?.position_m),
         None => Some(at_m),
     }
+}
+
+/// Bound of the relative error of element samples by virtual points, at the seabed below the sonar or the deepest scatterer: of both legs, for the
+/// transmitter and the ends of the arrays, and how far these move while the sonar listens.
+pub(crate) fn refraction_error(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers) -> f64 {
+    let Some(water) = &plan.refraction else {
+        return 0.0;
+    };
+    let depths_m = scatterers.down_m.iter().copied();
+    let depth_m = depths_m.fold(water.array_m.z, f64::max).min(water.floor_m);
+    let pose = plan.trajectory.pose_at(0.0);
+    let moved_m = pose.velocity_m_per_s * plan.window_s(spec.receiver.sample_rate_hz);
+    let leg = |arms_m: &mut dyn Iterator<Item = DVec3>, moved_m: DVec3| {
+        let (mut level_m, mut vertical_m) = (0.0f64, 0.0f64);
+        for arm_m in arms_m {
+            let offset_m = pose.point_m(arm_m) - water.array_m;
+            level_m = level_m.max(offset_m.truncate().length());
+            vertical_m = vertical_m.max(offset_m.z.abs());
+        }
+        let offsets_m = (
+            level_m + moved_m.truncate().length(),
+            vertical_m + moved_m.z.abs(),
+        );
+        let carrier_hz = plan.pulse.center_frequency_hz;
+        virtual_point_error(water, carrier_hz, offsets_m, depth_m)
+    };
+    let transmit = &mut spec.transmit.iter().map(|t| t.mounting.position_m);
+    let receive = &mut spec
+        .receive
+        .iter()
+        .flat_map(|array| [0, array.elements - 1].map(|e| array.element_body_m(e)));
+    leg(transmit, DVec3::ZERO) + leg(receive, moved_m)
 }

@@ -240,6 +240,10 @@ impl MethodSelector {
             Made::New(made) => Some(made),
         };
         if let Some(mut made) = made {
+            // What refuted the methods before says nothing of these.
+            if !self.excluded.contains(&self.choice) {
+                made.carry_on_checks(pipeline);
+            }
             std::mem::swap(pipeline, &mut made);
             self.spare = Some((self.choice, made));
             self.counts.changed += 1;

@@ -25,6 +25,7 @@ use crate::method_selection::echo_statistics::{Shares, quantities};
 use crate::method_selection::parts::{Parting, partings};
 use crate::method_selection::walked::{WalkLengths, direct_runs, flank_points};
 use crate::methods::{Candidate, Choice, Displaced, Family, Goal, Part, Ranking, choose};
+use crate::refraction::refraction_error;
 use crate::work::{Figure, Work};
 use echotank_config::spec::{MediumSpec, SonarSpec, SynthesisOutput};
 use echotank_core::arrays::{Pattern, ReceiverFilter};
@@ -282,6 +283,8 @@ struct CandidateBuilder<'a> {
     conditions: Conditions,
     nearest_m: f64,
     cullings: Vec<Culling>,
+    /// Of virtual points in water that bends sound, which every path model uses.
+    refraction_error: f64,
     walked: WalkLengths,
     /// How lines are parted; none: elements are made.
     parting: Option<Parting>,
@@ -350,6 +353,7 @@ impl<'a> CandidateBuilder<'a> {
             walked: WalkLengths::of(spec, scene.plan, scene.scatterers, scene.count),
             nearest_m: nearest_m(spec, conditions.range_m.0),
             conditions,
+            refraction_error: refraction_error(spec, scene.plan, scene.scatterers),
             cullings: floors(scene, parting.map_or(1, |parting| parting.of), memo),
         }
     }
@@ -868,7 +872,11 @@ impl<'a> CandidateBuilder<'a> {
         let mut candidate = self.candidate(synthesis, motion, whole, None, 0.0, sum);
         for family in [Family::Path, Family::Doppler] {
             let part = &mut candidate.parts[family as usize];
-            (part.error, part.cost_ms, part.work) = (0.0, 0.0, Work::NONE);
+            (part.cost_ms, part.work) = (0.0, Work::NONE);
+            part.error = match family {
+                Family::Path => self.refraction_error,
+                _ => 0.0,
+            };
             part.why = "not used: the exact trajectory is evaluated sample by sample".into();
         }
         candidate.displaced = Displaced::default();
@@ -905,6 +913,15 @@ impl<'a> CandidateBuilder<'a> {
         let second = match motion.doppler {
             DopplerModel::StretchQuadratic => Work::of(Figure::Quadratic, pairs),
             _ => Work::NONE,
+        };
+        // Both are phases of one echo.
+        let path_error = match synthesis {
+            Synthesis::Reference => 0.0,
+            _ => path_error_model.error,
+        } + self.refraction_error;
+        let path_why = match self.refraction_error {
+            0.0 => path_error_model.why.clone(),
+            bent => format!("{}; virtual points: {bent:.1e}", path_error_model.why),
         };
         let part = |family, choice: String, error, work: Work, why: &str| Part {
             family,
@@ -950,13 +967,7 @@ impl<'a> CandidateBuilder<'a> {
                 part_elements: self.parting.map_or(1, |parting| parting.of),
             },
             parts: [
-                part(
-                    Family::Path,
-                    path_name,
-                    path_error_model.error,
-                    legs,
-                    &path_error_model.why,
-                ),
+                part(Family::Path, path_name, path_error, legs, &path_why),
                 part(
                     Family::Doppler,
                     doppler_name,

@@ -6,6 +6,7 @@
 use crate::conditions::{conditions, segment_step_s};
 use crate::method_selection::echo_statistics::{EchoPeaks, echo_peaks};
 use crate::methods::{Candidate, Family};
+use crate::refraction::refraction_error;
 use echotank_config::spec::SonarSpec;
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::PingPlan;
@@ -56,8 +57,9 @@ impl Promise {
         scatterers: &Scatterers,
         tolerance: f64,
     ) -> (PathModel, f64) {
+        let bent = refraction_error(spec, plan, scatterers);
         if self.is_exact {
-            return (self.path, self.others);
+            return (self.path, self.others.hypot(bent));
         }
         let conditions = match scatterers.len() <= ALL {
             true => conditions(spec, plan, scatterers),
@@ -70,7 +72,7 @@ impl Promise {
         };
         let error = |path: PathModel| {
             let doppler = doppler_error(self.doppler, path, &conditions);
-            (path_error(path, &conditions) + doppler).hypot(self.others)
+            (path_error(path, &conditions) + bent + doppler).hypot(self.others)
         };
         let selected = error(self.path);
         if selected <= tolerance || !spec.synthesis.auto.path {

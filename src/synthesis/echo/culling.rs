@@ -162,7 +162,8 @@ impl Rings {
             let range_m = 0.5 * (from_m + to_m);
             let cos = height_m / range_m;
             let sin = (1.0 - cos * cos).sqrt();
-            let azimuths = (RING_AZIMUTHS * sin).max(MIN_RING_AZIMUTHS).ceil();
+            // The same in every quadrant.
+            let azimuths = 4.0 * (0.25 * (RING_AZIMUTHS * sin).max(MIN_RING_AZIMUTHS)).ceil();
             let azimuth_rad = std::f64::consts::TAU / azimuths;
             let area_m2_per_m = range_m * azimuth_rad;
             let strength = (ground.law)(cos) / range_m.powi(4)
@@ -334,7 +335,9 @@ mod tests {
                     share(db),
                     share(db + LEVEL_STEP_DB),
                 );
-                let around = 0.97 * low..=1.03 * high;
+                // Where the edge of a lobe lies at the floor, one direction more or less is 3 % of this sum and 1.5 % of the other, by the limit of many
+                // directions.
+                let around = 0.95 * low..=1.05 * high;
                 assert!(
                     around.contains(&got),
                     "{db} dB, {range_m} m: {got} {low} {high}"

@@ -4,11 +4,14 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
+use echotank_protocols::sevenk::RecordBody;
 use echotank_runtime::io::control::client;
+use echotank_runtime::io::sonar::client::SevenKClient;
+use echotank_testing::repository;
 use serde_json::json;
 
 use super::modes::{rig, status, tell, wait_delivered};
-use super::{Daemon, eventually};
+use super::{Daemon, PATIENCE, eventually};
 use crate::{ends_quietly, run};
 
 fn quick(folder: &Path, more: &[&str]) -> Daemon {
@@ -24,6 +27,73 @@ fn quick(folder: &Path, more: &[&str]) -> Daemon {
 fn ctl(arguments: &[&str]) -> (bool, String) {
     let done = run("ctl", arguments);
     (done.code == Some(0), done.out + &done.err)
+}
+
+/// Number and sound speed of the next ping, and the number of points of every profile (1009) before it.
+fn next_speed(client: &mut SevenKClient) -> (u32, f32, Vec<u32>) {
+    let mut profiles = Vec::new();
+    loop {
+        let record = client.next_record(PATIENCE).expect("connected");
+        let record = record.expect("a ping in time");
+        let parsed = record.record().expect("whole");
+        match RecordBody::parse(&parsed) {
+            Ok(RecordBody::SoundVelocityProfile(profile)) => profiles.push(profile.rth.samples),
+            Ok(RecordBody::SonarSettings(s)) => {
+                return (s.ping_number, s.sound_velocity_m_per_s, profiles);
+            }
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn a_profile_changed_while_pinging_takes_effect_at_one_ping() {
+    let folder = tempfile::tempdir().expect("folder");
+    let text = std::fs::read_to_string(repository().join("hil-configs/points.toml"));
+    let text = text.expect("readable").replace(
+        "sound_speed_m_per_s = 1500.0",
+        "profile = { points = [[0.0, 1500.0], [20.0, 1480.0]] }",
+    );
+    let data = repository().join("hil-configs/data");
+    let text = text.replace("\"data/", &format!("\"{}/", data.display()));
+    let config = folder.path().join("bent.toml");
+    std::fs::write(&config, text).expect("written");
+    let more = [
+        "nav.loop=true",
+        "sonar.output.sevenk.listen=127.0.0.1:0",
+        "control.listen=127.0.0.1:0",
+    ];
+    let mut daemon = Daemon::start(config.to_str().expect("UTF-8"), more);
+    let at = daemon.announced("control http", "http").to_string();
+    let sevenk = daemon.announced("7k", "tcp");
+    let mut client = SevenKClient::connect(sevenk).expect("listening");
+    client.subscribe(&[7000, 1009]).expect("subscribed");
+    let (mut last, speed, profiles) = next_speed(&mut client);
+    assert!((1490.0..1500.0).contains(&speed), "{speed} m/s");
+    assert_eq!(profiles, [2], "on subscription");
+
+    let cast = folder.path().join("cast.vel");
+    let points = "FTP NEW 3 54.4 10.3 08:13 11/26/2026\n0 1460\n10 1461\n30 1470\n";
+    std::fs::write(&cast, points).expect("written");
+    let cast = cast.to_str().expect("UTF-8");
+    let (well, said) = ctl(&["--address", &at, "profile", cast]);
+    assert!(well, "{said}");
+    let refused = json!({ "do": "profile", "points": [[0.0, 1500.0]] });
+    let (code, answer) = tell(at.parse().expect("an address"), &refused);
+    assert_eq!(code, 409, "{answer}");
+    assert_eq!(answer["why"], "1 points: must be 2 to 1000");
+
+    let mut new = 0;
+    while new < 3 {
+        let (number, speed, profiles) = next_speed(&mut client);
+        assert_eq!(number, last + 1);
+        last = number;
+        let is_new = speed < 1465.0;
+        assert!(is_new || new == 0 && speed > 1490.0, "{speed} m/s");
+        let first = is_new && new == 0;
+        assert_eq!(profiles, if first { vec![3] } else { vec![] });
+        new += u32::from(is_new);
+    }
 }
 
 /// `echotank listen ADDRESS | head` and the like.

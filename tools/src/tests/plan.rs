@@ -4,12 +4,14 @@ mod parts;
 
 use std::f64::consts::TAU;
 use std::path::Path;
+use std::sync::Arc;
 
 use echotank_config::spec::{Density, RigSpec};
 use echotank_core::frames::Trajectory;
 use echotank_core::model::{DopplerModel, PathModel, Synthesis};
 use echotank_core::ping::{ErrorCheck, PingPlan};
 use echotank_core::scene::Scatterers;
+use echotank_core::sound_speed::SoundSpeedProfile;
 use echotank_core::time::UtcNs;
 use echotank_ping::method_selection::costs::Costs;
 use echotank_ping::method_selection::{MotionScale, Scene, rank};
@@ -261,6 +263,27 @@ fn slow_or_tolerant_sonars_get_cheap_models_and_ten_knots_at_1e_4_does_not() {
         path != PathModel::StopAndHop && doppler != DopplerModel::None,
         "{path:?} {doppler:?}"
     );
+}
+
+/// A virtual point is exact at the place of the sonar at the pulse, not at the ends of an array and where it is when it hears the echo.
+#[test]
+fn predicted_errors_include_the_virtual_points_of_water_that_bends_sound() {
+    let file = crate::repository().join("hil-configs/surveyor240.toml");
+    let mut spec = echotank_runtime::config_files::load(&file).expect("a rig");
+    let error = |spec: &RigSpec| {
+        let firsts = first(spec, &Costs::committed()).expect("a ping");
+        firsts[0].ranking.as_ref().expect("a plan").chosen().error()
+    };
+    let straight = error(&spec);
+    let mut bent = |gradient_per_s: f64| {
+        let points = vec![(0.0, 1500.0), (100.0, 1500.0 + 100.0 * gradient_per_s)];
+        let profile = SoundSpeedProfile::new(points).expect("sound");
+        spec.medium.profile = Some(Arc::new(profile));
+        error(&spec)
+    };
+    let (weak, strong) = (bent(-0.016), bent(-1.5));
+    println!("{straight:.1e}, -0.016 /s {weak:.1e}, -1.5 /s {strong:.1e}");
+    assert!(weak < strong && straight < strong && strong < 1.0);
 }
 
 /// `tools/accuracy rigs` is the long form.
