@@ -60,12 +60,13 @@ fn a_profile_changed_while_pinging_takes_effect_at_one_ping() {
     std::fs::write(&config, text).expect("written");
     let more = [
         "nav.loop=true",
+        "sonar.model.synthesis=direct",
         "sonar.output.sevenk.listen=127.0.0.1:0",
         "control.listen=127.0.0.1:0",
     ];
     let mut daemon = Daemon::start(config.to_str().expect("UTF-8"), more);
-    let at = daemon.announced("control http", "http").to_string();
     let sevenk = daemon.announced("7k", "tcp");
+    let at = daemon.announced("control http", "http").to_string();
     let mut client = SevenKClient::connect(sevenk).expect("listening");
     client.subscribe(&[7000, 1009]).expect("subscribed");
     let (mut last, speed, profiles) = next_speed(&mut client);
@@ -86,7 +87,8 @@ fn a_profile_changed_while_pinging_takes_effect_at_one_ping() {
     let mut new = 0;
     while new < 3 {
         let (number, speed, profiles) = next_speed(&mut client);
-        assert_eq!(number, last + 1);
+        // A busy machine skips pings.
+        assert!(number > last, "{number} after {last}");
         last = number;
         let is_new = speed < 1465.0;
         assert!(is_new || new == 0 && speed > 1490.0, "{speed} m/s");
