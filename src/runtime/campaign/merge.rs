@@ -6,10 +6,10 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
-use super::{CampaignError, Manifest, Run, digest, shard, shard_folder};
+use super::{CampaignError, Manifest, Run, shard, shard_folder};
 use crate::io::record::make_folder;
 use crate::io::record::npz_join::join;
-use crate::replay::{Formats, Replay, ReplayOptions, use_navigation};
+use crate::replay::{Formats, Replay, ReplayOptions};
 
 /// What a merge has written and compared.
 #[derive(Clone, Debug, Default)]
@@ -137,21 +137,7 @@ fn compare(
     whole: &Path,
     threads: usize,
 ) -> Result<Vec<Compared>, CampaignError> {
-    let wrong = |error| CampaignError::Configuration {
-        run: run.name.clone(),
-        error,
-    };
-    let (mut spec, configuration) =
-        digest::of_configuration(&manifest.rig, &run.set, run.nav.as_deref()).map_err(wrong)?;
-    if configuration != run.configuration {
-        let name = &run.name;
-        return Err(CampaignError::Unfit(format!(
-            "{name}: the configuration has changed since the campaign was planned"
-        )));
-    }
-    if let Some(log) = &run.nav {
-        use_navigation(&mut spec, log).map_err(CampaignError::Refused)?;
-    }
+    let spec = shard::specification(manifest, run)?;
     let options = ReplayOptions {
         out: whole.to_owned(),
         formats: Formats::of_names(&manifest.formats).map_err(CampaignError::Refused)?,

@@ -6,10 +6,11 @@ use std::thread;
 use std::time::Duration;
 
 use super::{
-    CampaignError, FileRecord, Manifest, RECORD, ShardRecord, digest, json, own_simd, own_version,
-    shard_folder, sync_folder, write_whole,
+    CampaignError, FileRecord, Manifest, RECORD, Run, ShardRecord, digest, json, own_simd,
+    own_version, shard_folder, sync_folder, write_whole,
 };
 use crate::replay::{Formats, Replay, ReplayError, ReplayOptions, use_navigation};
+use echotank_config::spec::RigSpec;
 
 /// Tries to lock a shard before another worker counts as computing it, and time between them.
 const LOCK_TRIES: u32 = 10;
@@ -51,24 +52,7 @@ pub fn compute(
         }
         remove(&target)?;
     }
-    let wrong = |error| CampaignError::Configuration {
-        run: run.name.clone(),
-        error,
-    };
-    let (mut spec, configuration) =
-        digest::of_configuration(&manifest.rig, &run.set, run.nav.as_deref()).map_err(wrong)?;
-    if configuration != run.configuration {
-        return Err(CampaignError::Unfit(format!(
-            "{}: {} or a file that it names has changed since the campaign was planned: restore it, or plan a new campaign",
-            run.name,
-            manifest.rig.display()
-        )));
-    }
-    if let Some(log) = &run.nav {
-        use_navigation(&mut spec, log).map_err(|why| {
-            CampaignError::Refused(format!("{}: {}: {why}", run.name, log.display()))
-        })?;
-    }
+    let spec = specification(manifest, run)?;
     let beside = target.with_extension("partial");
     remove(&beside)?;
     let failed = |error: ReplayError| CampaignError::Replay {
@@ -97,7 +81,7 @@ pub fn compute(
         shard: number,
         version: own_version().to_owned(),
         simd: own_simd(),
-        configuration,
+        configuration: run.configuration.clone(),
         pings: shard.pings,
         files,
     };
@@ -105,6 +89,29 @@ pub fn compute(
     std::fs::rename(&beside, &target).map_err(CampaignError::io(&target, "rename"))?;
     sync_folder(&shards)?;
     Ok(Computed::Now)
+}
+
+/// The configuration of a run, as it was planned.
+pub(super) fn specification(manifest: &Manifest, run: &Run) -> Result<RigSpec, CampaignError> {
+    let wrong = |error| CampaignError::Configuration {
+        run: run.name.clone(),
+        error,
+    };
+    let (mut spec, configuration) =
+        digest::of_configuration(&manifest.rig, &run.set, run.nav.as_deref()).map_err(wrong)?;
+    if configuration != run.configuration {
+        return Err(CampaignError::Unfit(format!(
+            "{}: {} or a file that it names has changed since the campaign was planned: restore it, or plan a new campaign",
+            run.name,
+            manifest.rig.display()
+        )));
+    }
+    if let Some(log) = &run.nav {
+        use_navigation(&mut spec, log).map_err(|why| {
+            CampaignError::Refused(format!("{}: {}: {why}", run.name, log.display()))
+        })?;
+    }
+    Ok(spec)
 }
 
 /// Locks a shard for this process; `None` if another has it. The lock ends with its file or with the process.
