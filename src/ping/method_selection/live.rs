@@ -7,8 +7,8 @@
 //!
 //! A ranking sees the settings, the first ping of its block and the largest motion in the two blocks before, rounded up, and nothing of earlier
 //! selections: the methods of a ping depend on configuration, navigation and ping number alone, in every clock mode, and in a replay that begins
-//! anywhere ([`is_examined_before`]). The first two blocks have the selection made ahead of the first ping. Changed settings are examined at once. A
-//! skipped ping is not examined.
+//! anywhere ([`is_examined_before`]). The first block has the selection made ahead of the first ping, at which navigation may not know the motion yet;
+//! the second has one from the middle of the first. Changed settings are examined at once. A skipped ping is not examined.
 //!
 //! Every ping has its own promise ([`Promise`]): the error models of path and Doppler with its own motion. A ping that moves more than the selection
 //! expected is made on the exact trajectory. Where even that leaves more than the tolerance, its promise says so.
@@ -276,8 +276,9 @@ impl MethodSelector {
         let block = block(plan, &self.medium);
         let from_ping = match is_changed || is_refuted {
             true => plan.ping_number.saturating_add(pings),
-            // The next block; the first two have the first selection.
-            false if begins && block > 0 => (block + 1) * pings + 1,
+            false if begins && block > 0 || is_middle_of_first(plan.ping_number, pings) => {
+                (block + 1) * pings + 1
+            }
             false => return,
         };
         if is_refuted {
@@ -289,7 +290,10 @@ impl MethodSelector {
 
     /// Whether a selection may begin with this ping, which needs its scatterers.
     pub(crate) fn examines(&self, plan: &PingPlan) -> bool {
-        self.begins_block(plan) || self.is_changed(plan)
+        let pings = block_pings(&plan.settings, self.medium.sound_speed_m_per_s);
+        self.begins_block(plan)
+            || self.is_changed(plan)
+            || is_middle_of_first(plan.ping_number, pings)
     }
 
     fn begins_block(&self, plan: &PingPlan) -> bool {
@@ -456,6 +460,11 @@ impl Job {
 fn block_pings(settings: &SonarSettings, sound_speed_m_per_s: f64) -> u32 {
     let period_s = 1e-9 * crate::period_ns(settings, sound_speed_m_per_s) as f64;
     ((BLOCK_S / period_s).ceil() as u32).max(MIN_BLOCK_PINGS)
+}
+
+/// Whether the second block is selected for on this ping; blocks have so many pings.
+fn is_middle_of_first(ping_number: u32, pings: u32) -> bool {
+    ping_number == 1 + pings / 2
 }
 
 /// Block of a ping; pings are numbered from 1. The sound speed is that of the schedule, which refraction does not change.
