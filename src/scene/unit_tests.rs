@@ -724,25 +724,36 @@ proptest! {
         ];
         let mut got = Scatterers::default();
         let counts = scene.gather(&footprints, &mut got);
-        // All scatterers of a large footprint, then each footprint by itself.
+        // All scatterers of a large footprint, then each footprint by itself. The gathering tests positions in f32: those nearer to an edge than its
+        // rounding may fall on either side.
         let mut all = Scatterers::default();
         scene.gather(&[all_round(apex_m, 150.0)], &mut all);
-        let mut want = Scatterers::default();
-        for i in 0..all.len() {
-            let p = all.position_m(i);
-            if footprints.iter().any(|f| f.contains(p)) {
-                want.push(p, all.normal[i], all.strength[i], all.law[i]);
+        let within = |margin: f64| {
+            let moved = footprints.map(|mut footprint| {
+                footprint.max_range_m *= 1.0 + margin;
+                footprint.sides[0].knee += margin;
+                footprint
+            });
+            let mut found = Scatterers::default();
+            for i in 0..all.len() {
+                let p = all.position_m(i);
+                if moved.iter().any(|f| f.contains(p)) {
+                    found.push(p, all.normal[i], all.strength[i], all.law[i]);
+                }
             }
-        }
-        let want = sorted(bits(&want));
-        prop_assert_eq!(&sorted(bits(&got)), &want);
+            sorted(bits(&found))
+        };
+        let found = sorted(bits(&got));
+        let (surely, perhaps) = (within(-1e-6), within(1e-6));
+        prop_assert!(surely.iter().all(|own| found.binary_search(own).is_ok()));
+        prop_assert!(found.iter().all(|own| perhaps.binary_search(own).is_ok()));
         prop_assert_eq!(counts.scatterers, got.len() as u64);
         // A pool with capacity for one tile gives the same.
         spec.memory_limit_bytes = TILE_BYTES;
         let mut poor = Scene::open(&Disk, &spec).unwrap();
         poor.place(anchor[0], anchor[1]);
         poor.gather(&footprints, &mut got);
-        prop_assert_eq!(&sorted(bits(&got)), &want);
+        prop_assert_eq!(&sorted(bits(&got)), &found);
     }
 }
 
