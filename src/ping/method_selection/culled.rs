@@ -15,9 +15,12 @@
 //! make them. Beside windows louder than themselves errors are counted against the ping's mean, which is weaker than the contract: a floor that kept
 //! the windows of a side-scan's water column to it would keep the whole disc of ground around the sonar.
 
+use std::sync::Arc;
+
 use crate::method_selection::echo_statistics::{Shares, kept_shares};
 use crate::method_selection::{Culling, Memo, Scene, fades};
 use echotank_config::spec::SonarSpec;
+use echotank_core::frames::{angles_from_rotation, rotation_from_angles};
 use echotank_core::ping::PingPlan;
 use echotank_core::pulse::MIN_WINDOW;
 use echotank_core::scene::{ScatterLaw, Scatterers};
@@ -37,6 +40,11 @@ const MIN_MEAN: f64 = 0.8;
 /// Beyond the floor that they were gathered with, scatterers are as dense as just above it, within so many dB: a thinned seabed has fewer, the farther
 /// a side lobe lies below the main lobe.
 const NEAR_FLOOR_DB: f64 = 10.0;
+/// Steps in which roll and pitch count, 2 degrees, and heights, 3 %: what is left out hardly depends on them, and few grounds need to be made.
+const ATTITUDE_STEP_RAD: f64 = std::f64::consts::PI / 90.0;
+const HEIGHTS_PER_DOUBLING: f64 = 24.0;
+/// Grounds that are remembered, of up to a megabyte an array.
+const MAX_GROUNDS: usize = 32;
 /// Mean square over squared mean of a scatterer's energy: exponential, as speckle is.
 const SPECKLE: f64 = 2.0;
 
@@ -50,7 +58,7 @@ pub(super) fn floors(scene: &Scene, of: usize, memo: &Memo) -> Vec<Culling> {
             of: Shares::ALL,
         }];
     };
-    let seabed = Seabed::new(scene, own_db);
+    let seabed = Seabed::new(scene, own_db, memo);
     let wavelength_m = scene.plan.sound_speed_m_per_s / scene.plan.pulse.center_frequency_hz;
     let level = |db: f64| {
         let arrays = spec.receive.iter().flat_map(|array| {
@@ -61,7 +69,7 @@ pub(super) fn floors(scene: &Scene, of: usize, memo: &Memo) -> Vec<Culling> {
         });
         arrays.fold(0.0, f64::max)
     };
-    let level = |db: f64| Memo::of(&memo.left_out, (of, db.to_bits()), || level(db));
+    let level = |db: f64| Memo::of(&memo.left_out, Memo::MOST, (of, db.to_bits()), || level(db));
     let left_out = |db: f64| UNEVEN * level(db).max(seabed.worst(db));
     let mut dbs = vec![own_db];
     if spec.synthesis.auto.cull {
@@ -107,7 +115,7 @@ pub(super) fn floors(scene: &Scene, of: usize, memo: &Memo) -> Vec<Culling> {
 
 /// The ground of a ping, predicted for every array.
 struct Seabed {
-    rings: Vec<Rings>,
+    rings: Arc<Vec<Rings>>,
     /// Of each array.
     elements: Vec<usize>,
     /// Scatterers to the square metre.
@@ -119,7 +127,7 @@ struct Seabed {
 }
 
 impl Seabed {
-    fn new(scene: &Scene, own_db: f64) -> Self {
+    fn new(scene: &Scene, own_db: f64, memo: &Memo) -> Self {
         let Scene {
             spec,
             plan,
@@ -133,7 +141,7 @@ impl Seabed {
         let kept = kept_shares(spec, plan, scatterers, &[Some(own_db)]);
         let heard = kept[0].kept * scene.count as f64;
         let mut seabed = Self {
-            rings: rings(spec, plan, scatterers, window_s),
+            rings: rings(spec, plan, scatterers, window_s, memo),
             elements: spec.receive.iter().map(|array| array.elements).collect(),
             density_per_m2: 0.0,
             samples: 1.0 + plan.pulse.bandwidth_hz * window_s,
@@ -183,8 +191,15 @@ impl Seabed {
     }
 }
 
-/// In the ping's own attitude and range, from the first return on.
-fn rings(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers, window_s: f64) -> Vec<Rings> {
+/// In about the attitude, height and range of the ping, from the first return on: pings that differ by less than [`ATTITUDE_STEP_RAD`] and
+/// [`HEIGHTS_PER_DOUBLING`] have the same.
+fn rings(
+    spec: &SonarSpec,
+    plan: &PingPlan,
+    scatterers: &Scatterers,
+    window_s: f64,
+    memo: &Memo,
+) -> Arc<Vec<Rings>> {
     let wavelength_m = plan.sound_speed_m_per_s / plan.pulse.center_frequency_hz;
     let pose = plan.trajectory.pose_at(0.0);
     let of_ground: Vec<usize> = (0..scatterers.len())
@@ -192,25 +207,46 @@ fn rings(spec: &SonarSpec, plan: &PingPlan, scatterers: &Scatterers, window_s: f
         .collect();
     let down_m = of_ground.iter().map(|&i| scatterers.down_m[i]).sum::<f64>();
     let mean_down_m = down_m / of_ground.len().max(1) as f64;
+    let (roll_rad, pitch_rad, _) = angles_from_rotation(pose.world_from_body);
+    // Not -0, which has other bits than 0.
+    let [roll, pitch] = [roll_rad, pitch_rad].map(|a| (a / ATTITUDE_STEP_RAD).round() + 0.0);
+    let world_from_body =
+        rotation_from_angles(roll * ATTITUDE_STEP_RAD, pitch * ATTITUDE_STEP_RAD, 0.0);
+    let octaves = libm::log2((mean_down_m - pose.position_m.z).max(wavelength_m));
+    let octaves = (octaves * HEIGHTS_PER_DOUBLING).round() / HEIGHTS_PER_DOUBLING;
     let curve = scatterers.curve.as_deref();
     let law = |cos: f64| match curve {
         Some(curve) => curve.half(cos.max(0.0).sqrt().min(1.0)).powi(4),
         None => cos * cos,
     };
     let c = plan.sound_speed_m_per_s;
-    let arrays = spec.receive.iter().map(|array| {
-        let transmit = &spec.transmit[array.transmit];
-        let ground = Ground {
-            world_from_body: pose.world_from_body,
-            height_m: mean_down_m - pose.point_m(transmit.mounting.position_m).z,
-            farthest_m: 0.5 * plan.window_s(spec.receiver.sample_rate_hz) * c,
-            absorption_db_per_m: plan.absorption_db_per_m,
-            law,
-            window_m: 0.5 * window_s * c,
-        };
-        Rings::new(transmit, array, wavelength_m, &ground)
-    });
-    arrays.collect()
+    let farthest_m = 0.5 * plan.window_s(spec.receiver.sample_rate_hz) * c;
+    let window_m = 0.5 * window_s * c;
+    let key = [
+        roll,
+        pitch,
+        octaves,
+        farthest_m,
+        window_m,
+        wavelength_m,
+        plan.absorption_db_per_m,
+    ];
+    Memo::of(&memo.rings, MAX_GROUNDS, key.map(f64::to_bits), || {
+        let arrays = spec.receive.iter().map(|array| {
+            let transmit = &spec.transmit[array.transmit];
+            let arm_m = world_from_body * transmit.mounting.position_m;
+            let ground = Ground {
+                world_from_body,
+                height_m: libm::exp2(octaves) - arm_m.z,
+                farthest_m,
+                absorption_db_per_m: plan.absorption_db_per_m,
+                law,
+                window_m,
+            };
+            Rings::new(transmit, array, wavelength_m, &ground)
+        });
+        Arc::new(arrays.collect())
+    })
 }
 
 #[cfg(test)]
@@ -240,7 +276,7 @@ mod tests {
                 worst = worst.max((short / whole).sqrt());
             }
             let seabed = Seabed {
-                rings: Vec::new(),
+                rings: Arc::default(),
                 elements: Vec::new(),
                 density_per_m2: 1.0,
                 samples: n as f64,

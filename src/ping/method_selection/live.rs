@@ -11,7 +11,7 @@
 //! the second has one from the middle of the first. Changed settings are examined at once. A skipped ping is not examined.
 //!
 //! Every ping has its own promise ([`Promise`]): the error models of path and Doppler with its own motion. A ping that moves more than the selection
-//! expected is made on the exact trajectory. Where even that leaves more than the tolerance, its promise says so.
+//! expected is made on the elements' own chords or, where these do not suffice, on the exact trajectory. Where even that leaves more than the tolerance, its promise says so.
 
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
@@ -178,7 +178,7 @@ impl MethodSelector {
         })
     }
 
-    /// Predicts the error of a ping that is about to be made, and replaces its path model by the exact one if the ping needs that.
+    /// Predicts the error of a ping that is about to be made, and replaces its path model by a more exact one if the ping needs that.
     pub fn at_ping(&mut self, plan: &mut PingPlan, scatterers: &Scatterers) {
         let Some(promise) = &self.promise else {
             return;

@@ -36,6 +36,7 @@ use echotank_synthesis::array::error_models::{NODES_PER_SAMPLE, reference_points
 use echotank_synthesis::array::filter::{Decimator, FilterDesign};
 use echotank_synthesis::array::gridded::CostEstimate;
 use echotank_synthesis::array::lines;
+use echotank_synthesis::echo::culling::Rings;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
 use echotank_synthesis::error_model::{Conditions, ErrorModel};
 
@@ -304,13 +305,15 @@ enum Engine {
     },
 }
 
-/// What rankings of one sonar found that does not depend on a ping's scatterers and motion.
+/// What rankings of one sonar found and will find again for the same key. Answers do not depend on what is remembered.
 #[derive(Default)]
 pub(crate) struct Memo {
     /// Engines that have been looked at. An element's engine is a part's too.
     sketches: Mutex<Vec<(SketchKey, SketchResult)>>,
     /// Shares of the energy on a level platform, by elements of a part and floor.
     left_out: Mutex<Vec<((usize, u64), f64)>>,
+    /// Grounds, by attitude, height and what else they are made of.
+    rings: Mutex<Vec<([u64; 7], Arc<Vec<Rings>>)>>,
 }
 
 /// Synthesis and Doppler model; the bits of tolerance, nearest range and pulse length; samples.
@@ -318,18 +321,20 @@ type SketchKey = (Synthesis, DopplerModel, Option<u64>, [u64; 2], usize);
 type SketchResult = Result<Arc<Sketch>, String>;
 
 impl Memo {
-    /// What is remembered of `key`, or what `make` makes of it. The oldest of many entries is forgotten.
+    const MOST: usize = 128;
+
+    /// What is remembered of `key`, or what `make` makes of it. The oldest of more than `most` entries is forgotten.
     fn of<K: PartialEq, V: Clone>(
         entries: &Mutex<Vec<(K, V)>>,
+        most: usize,
         key: K,
         make: impl FnOnce() -> V,
     ) -> V {
-        const MOST: usize = 128;
         let mut entries = entries.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, value)) = entries.iter().find(|(known, _)| *known == key) {
             return value.clone();
         }
-        if entries.len() == MOST {
+        if entries.len() == most {
             entries.remove(0);
         }
         let value = make();
@@ -624,7 +629,7 @@ impl<'a> CandidateBuilder<'a> {
             [self.nearest_m, plan.pulse.duration_s].map(f64::to_bits),
             plan.sample_count,
         );
-        let made = Memo::of(&self.memo.sketches, key, || {
+        let made = Memo::of(&self.memo.sketches, Memo::MOST, key, || {
             let made = sketch(&spec, c, fastest, filter()?.as_ref(), plan);
             made.map(Arc::new).map_err(|why| why.to_string())
         })?;

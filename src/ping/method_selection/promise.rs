@@ -78,9 +78,17 @@ impl Promise {
         if selected <= tolerance || !spec.synthesis.auto.path {
             return (self.path, selected);
         }
-        match error(PathModel::Continuous) {
-            exact if exact < selected => (PathModel::Continuous, exact),
-            _ => (self.path, selected),
+        // The chords of the elements cost a little more than those of the platform, the exact trajectory several times as much.
+        let costlier = [PathModel::KSegment, PathModel::Continuous];
+        let mut best = (self.path, selected);
+        for path in costlier {
+            if best.1 > tolerance && path != self.path {
+                let other = error(path);
+                if other < best.1 {
+                    best = (path, other);
+                }
+            }
         }
+        best
     }
 }

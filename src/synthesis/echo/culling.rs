@@ -84,7 +84,7 @@ const RING_AZIMUTHS: f64 = 4500.0;
 const MIN_RING_AZIMUTHS: f64 = 360.0;
 /// Step of the level histogram, dB. Energy in the step that contains the floor counts as culled.
 const LEVEL_STEP_DB: f64 = 0.5;
-const LEVELS: usize = 480;
+const LEVELS: usize = 256;
 
 /// Level histograms of the windows of one ping over a flat seabed.
 pub struct Rings {
