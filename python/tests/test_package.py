@@ -5,8 +5,9 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, Dict, Set
+from typing import Any, Callable, Dict, Set
 
+import numpy as np
 import pytest
 
 import echotank
@@ -30,11 +31,39 @@ def test_examples_run(example: str, args: list, tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stdout + done.stderr
     if example == "training_set.py":
-        import numpy as np
-
         with np.load(tmp_path / "out" / "training.npz") as file:
             assert file["level_db"].shape == file["label"].shape == (2, 8, 256)
             assert set(np.unique(file["label"])) == {0, 1, 2}
+
+
+def run_example(example: str, *args: Any, program: str = "") -> str:
+    command = [sys.executable, "-W", "error", str(EXAMPLES / example), *map(str, args)]
+    done = subprocess.run(command, env={**os.environ, "ECHOTANK": program}, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_the_example_for_dask_computes_the_shards_of_a_campaign(program: str, echotank_command: Callable[..., Any], tmp_path: Path) -> None:
+    campaign = tmp_path / "campaign.toml"
+    campaign.write_text(f"""
+rig = '{FLAT}'
+pings = [1, 7]
+shard_pings = 2
+formats = ["npz"]
+
+[set]
+"sonar.ping.range_m" = 16.0
+"sonar.model.path" = "polyline"
+"sonar.model.doppler" = "stretch"
+"sonar.model.synthesis" = "gridded-1d"
+""")
+    sweep = tmp_path / "sweep"
+    echotank_command("campaign", "plan", campaign, "--out", sweep)
+    said = run_example("campaign_dask.py", sweep, "--workers", 2, program=program)
+    assert all(f"shard {k}: computed" in said for k in range(4)), said
+    assert echotank_command("campaign", "merge", sweep, "--check").stdout.count("equal to one replay") == 2
+    again = run_example("campaign_dask.py", sweep, "--workers", 2, program=program)
+    assert again.count("complete already") == 4, again
 
 
 def test_the_test_of_a_topside_runs(program: str) -> None:
