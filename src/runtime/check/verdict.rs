@@ -2,6 +2,7 @@
 
 use echotank_config::spec::{ClockSpec, Density, OutputSpec, RigSpec};
 use echotank_config::{self as config, Finding, FindingKind};
+use echotank_ping::ping_cost::speedup;
 
 use super::SonarSelection;
 
@@ -92,7 +93,7 @@ fn too_slow(spec: &RigSpec, selections: &[SonarSelection]) -> Option<Finding> {
             cost.wall_ms(threads)
         ));
         rates.push(format!("{:.2}", 1e3 / period_ms / excess));
-        of_scatterers += (cost.gather_ms + cost.methods_ms) / threads as f64 / period_ms;
+        of_scatterers += (cost.gather_ms + cost.methods_ms) / speedup(threads) / period_ms;
     }
     // What grows with the number of scatterers may take what the rest leaves.
     let of_scatterers = of_scatterers * speed(spec)?;
