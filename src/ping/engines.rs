@@ -10,6 +10,7 @@ use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 
 use crate::plan;
+use crate::threads::run_in_background;
 use echotank_config::spec::SonarSpec;
 use echotank_core::arrays::{ArrayGeometry, Pattern};
 use echotank_core::model::{DopplerModel, Synthesis};
@@ -210,9 +211,10 @@ impl Engines {
             }
         }
         let requirements = self.requirements.clone();
-        let spawned = thread::Builder::new()
-            .name("engine".into())
-            .spawn(move || requirements.make(key));
+        let spawned = thread::Builder::new().name("engine".into()).spawn(move || {
+            run_in_background();
+            requirements.make(key)
+        });
         // Where there is no thread to be had, `ready` makes it.
         if let Ok(thread) = spawned {
             self.pending.push((key, thread));

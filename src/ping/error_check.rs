@@ -219,6 +219,11 @@ impl ErrorChecker {
         (self.above, self.fault) = (from.above, from.fault);
     }
 
+    /// Takes the cost of a scatterer from this sonar's model.
+    pub(crate) fn take_model(&mut self, spec: &SonarSpec) {
+        self.pair_ns = pair_ns(spec);
+    }
+
     /// How much error checks may cost, in place of [`SHARE`] of a ping: 0 is nothing, infinity as many samples as a ping can have looked at.
     pub(crate) fn allow(&mut self, share: f64) {
         self.share = share;

@@ -8,7 +8,7 @@
 //! phase would add as squares, and the bound is then up to twice too high with four parts alike.
 
 use crate::work::Work;
-use echotank_core::model::ModelChoice;
+use echotank_core::model::{ModelChoice, Synthesis};
 
 /// One of the choices that make up a candidate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -83,6 +83,27 @@ pub struct Choice {
     pub nearest_m: f64,
     /// Elements of a line that are made as one; 1 where elements are made.
     pub part_elements: usize,
+}
+
+impl Choice {
+    /// Whether a pipeline for the other choice has the engines of this one. Path, segments and culling are a matter of each ping's plan, except
+    /// with `gridded-2d`, whose tables depend on them.
+    pub(crate) fn has_engines_of(&self, other: &Self) -> bool {
+        let plan = |model: ModelChoice| ModelChoice {
+            path: self.model.path,
+            segment_s: self.model.segment_s,
+            cull_db: self.model.cull_db,
+            ..model
+        };
+        let like = Self {
+            model: plan(other.model),
+            ..*other
+        };
+        match self.model.synthesis {
+            Synthesis::Gridded2d => self == other,
+            _ => *self == like,
+        }
+    }
 }
 
 /// A combination of methods with its predicted errors and costs.

@@ -190,6 +190,14 @@ impl SonarPipeline {
         self.spec.model
     }
 
+    /// Makes the next pings with this path model, segments and culling; its engines stay.
+    pub(crate) fn take_model(&mut self, model: ModelChoice) {
+        self.spec.model = model;
+        if let Some(error_checker) = &mut self.error_checker {
+            error_checker.take_model(&self.spec);
+        }
+    }
+
     /// What is wrong with the elements in the next ping.
     pub(crate) fn faults_mut(&mut self) -> &mut Vec<ActiveFault> {
         &mut self.faults

@@ -1,4 +1,4 @@
-//! The threads that compute pings.
+//! The threads that compute pings, and those that prepare for them.
 
 /// The threads that compute pings; 0 means as many as there are cores.
 pub fn pool(threads: usize) -> Result<rayon::ThreadPool, rayon::ThreadPoolBuildError> {
@@ -6,4 +6,13 @@ pub fn pool(threads: usize) -> Result<rayon::ThreadPool, rayon::ThreadPoolBuildE
         .num_threads(threads)
         .thread_name(|k| format!("ping {k}"))
         .build()
+}
+
+/// Nice value of threads that prepare for later pings.
+const BACKGROUND: libc::c_int = 10;
+
+/// Puts the calling thread, and the threads that it will start, behind those that compute pings. Without effect where it already is farther behind.
+pub(crate) fn run_in_background() {
+    // SAFETY: takes no pointers; on Linux 0 is the calling thread.
+    let _ = unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, BACKGROUND) };
 }

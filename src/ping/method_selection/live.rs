@@ -25,7 +25,7 @@ use crate::method_selection::{
 use crate::methods::{Choice, Ranking};
 use crate::pipeline::{PipelineError, SonarPipeline};
 use crate::schedule::PingOrder;
-use crate::threads::pool;
+use crate::threads::{pool, run_in_background};
 use echotank_config::spec::{MediumSpec, SonarSpec};
 use echotank_core::model::{ModelChoice, Synthesis};
 use echotank_core::ping::{ErrorCheck, MethodMark, PingPlan};
@@ -239,6 +239,9 @@ impl MethodSelector {
             Made::Spare => self.spare.take().map(|(_, spare)| spare),
             Made::New(made) => Some(made),
         };
+        if made.is_some() || selection.choice != self.choice {
+            self.counts.changed += 1;
+        }
         if let Some(mut made) = made {
             // What refuted the methods before says nothing of these.
             if !self.excluded.contains(&self.choice) {
@@ -246,8 +249,8 @@ impl MethodSelector {
             }
             std::mem::swap(pipeline, &mut made);
             self.spare = Some((self.choice, made));
-            self.counts.changed += 1;
         }
+        pipeline.take_model(selection.choice.model);
         self.choice = selection.choice;
         self.promise = Some(selection.promise);
         self.mark = selection.mark;
@@ -341,9 +344,10 @@ impl MethodSelector {
     /// Starts a selection in another thread.
     fn start_selection(&mut self, plan: &PingPlan, scatterers: &Scatterers, from_ping: u32) {
         let job = self.job(plan, scatterers);
-        let spawned = thread::Builder::new()
-            .name("plan".into())
-            .spawn(move || job.run());
+        let spawned = thread::Builder::new().name("plan".into()).spawn(move || {
+            run_in_background();
+            job.run()
+        });
         match spawned {
             Ok(thread) => {
                 self.pending = Some(Pending {
@@ -402,10 +406,11 @@ impl Job {
             let (ranking, conditions) = self.rank()?;
             let candidate = ranking.chosen();
             let choice = candidate.choice;
-            let pipeline = match Some(choice) {
-                chosen if chosen == self.current => Made::Current,
-                chosen if chosen == self.spare => Made::Spare,
-                _ => match self.make(&choice) {
+            let has_engines = |made: &Choice| made.has_engines_of(&choice);
+            let pipeline = match () {
+                () if self.current.as_ref().is_some_and(has_engines) => Made::Current,
+                () if self.spare.as_ref().is_some_and(has_engines) => Made::Spare,
+                () => match self.make(&choice) {
                     Ok(made) => Made::New(made),
                     // The next best.
                     Err(_) if !self.excluded.contains(&choice) => {

@@ -313,8 +313,11 @@ pub(crate) struct Memo {
     /// Shares of the energy on a level platform, by elements of a part and floor.
     left_out: Mutex<Vec<((usize, u64), f64)>>,
     /// Grounds, by attitude, height and what else they are made of.
-    rings: Mutex<Vec<([u64; 7], Arc<Vec<Rings>>)>>,
+    rings: Mutex<Vec<(GroundKey, Arc<Vec<Rings>>)>>,
 }
+
+/// The bits of what a ground is made of.
+type GroundKey = [u64; 7];
 
 /// Synthesis and Doppler model; the bits of tolerance, nearest range and pulse length; samples.
 type SketchKey = (Synthesis, DopplerModel, Option<u64>, [u64; 2], usize);
