@@ -61,7 +61,7 @@ class Recording(Sequence[RecordedPing]):
     """The pings of a recording, in the order of the file."""
 
     path: Path
-    #: "npz", "masks", "s7k", "jsf", "xtf", "svlog", "sigmf", "wav" or "truth".
+    #: "npz", "zarr", "masks", "s7k", "jsf", "xtf", "svlog", "sigmf", "wav" or "truth".
     format: str
     #: Unit of the samples: "V" (volts, rms), "counts", or "full scale" (an envelope of the receiver's ``full_scale_v`` is 1).
     unit: str
@@ -87,11 +87,11 @@ class Recording(Sequence[RecordedPing]):
 def read(path: Union[str, "os.PathLike[str]"]) -> Recording:
     """Read a recording of ``echotank run`` or ``echotank replay``.
 
-    The format follows from the contents: ``.npz`` (samples or masks), ``.s7k``, ``.jsf``, ``.xtf``, ``.svlog``, SigMF (either file), ``.wav`` and
-    ``truth.jsonl``.
+    The format follows from the contents: ``.npz`` (samples or masks), ``.zarr``, ``.s7k``, ``.jsf``, ``.xtf``, ``.svlog``, SigMF (either file),
+    ``.wav`` and ``truth.jsonl``. A ``.mcap`` is left to the package ``mcap``.
 
     Args:
-        path: The file.
+        path: The file, or the folder of a ``.zarr``.
 
     Returns:
         The pings, with the attributes that the format holds.
@@ -101,17 +101,25 @@ def read(path: Union[str, "os.PathLike[str]"]) -> Recording:
         OSError: The file cannot be opened.
     """
     path = Path(path)
-    with open(path, "rb") as file:
-        head = file.read(12)
-    reader = _reader(path, head)
-    if reader is None:
-        raise RecordingError(f"{path}: is of no known format: it begins with {head!r}")
+    reader: Optional[Callable[[Path], Recording]] = _zarr
+    if not path.is_dir():
+        with open(path, "rb") as file:
+            head = file.read(12)
+        if head.startswith(b"\x89MCAP"):
+            raise RecordingError(f"{path}: is an MCAP file: read it with the packages mcap and mcap-ros2-support")
+        reader = _reader(path, head)
+        if reader is None:
+            raise RecordingError(f"{path}: is of no known format: it begins with {head!r}")
+    elif not (path / "zarr.json").is_file():
+        raise RecordingError(f"{path}: is a folder without zarr.json; name a file, or a Zarr store of format 3")
     try:
         return reader(path)
     except (KeyError, IndexError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
         if isinstance(error, RecordingError):
             raise
         raise RecordingError(f"{path}: is damaged or not of this program: {error!r}") from error
+    except FileNotFoundError as error:
+        raise RecordingError(f"{path}: {error.filename} is missing") from error
 
 
 def _reader(path: Path, head: bytes) -> Optional[Callable[[Path], Recording]]:
@@ -184,9 +192,52 @@ def _soundings(arrays: Dict[str, _Array], angles: _Array, p: int) -> Optional[So
         angle_rad=angles[p][beam],
         twtt_s=arrays["sounding_twtt_s"][p][beam],
         error_s=arrays["sounding_error_s"][p][beam],
-        level_v=np.full(len(beam), np.nan),
+        level_v=arrays["sounding_level_v"][p][beam] if "sounding_level_v" in arrays else np.full(len(beam), np.nan),
         method=method[beam],
     )
+
+
+def _zarr(path: Path) -> Recording:
+    group = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
+    metadata = group["consolidated_metadata"]["metadata"]
+    arrays = {name: _zarr_array(path / name, of) for name, of in metadata.items()}
+    about = group["attributes"]
+    names = metadata["element_array"]["attributes"]["names"]
+    rows = {name: arrays["element_array"] == k for k, name in enumerate(names)}
+    sides = [_side(side) for side in arrays.get("line_side", [])]
+    pings = []
+    for p, number in enumerate(arrays["ping"]):
+        ping = RecordedPing(
+            number=int(number),
+            utc_ns=int(arrays["time"][p]),
+            sample_rate_hz=float(about["sample_rate_hz"]),
+            first_sample_s=float(about["first_sample_s"]),
+            sound_speed_m_per_s=float(about["sound_speed_m_per_s"]),
+            lines={side: arrays["lines"][p, k] for k, side in enumerate(sides)},
+        )
+        if "elements" in arrays:
+            ping.elements = {name: arrays["elements"][p, of] for name, of in rows.items()}
+        if "beams" in arrays:
+            ping.beams, ping.beam_angle_rad = arrays["beams"][p], arrays["beam_angle_rad"][p]
+        ping.soundings = _soundings(arrays, arrays.get("beam_angle_rad", np.zeros((0, 0))), p)
+        mask = ("target", "shadow", "depth_m")
+        if "line_target" in arrays:
+            ping.masks = {side: Mask(*(arrays["line_" + m][p, k] for m in mask)) for k, side in enumerate(sides)}
+        if "beam_target" in arrays:
+            ping.masks["beams"] = Mask(*(arrays["beam_" + m][p] for m in mask))
+        pings.append(ping)
+    return Recording(path, "zarr", "V", pings)
+
+
+def _zarr_array(folder: Path, metadata: Dict[str, Any]) -> _Array:
+    """An array of little-endian values in chunks along its first dimension."""
+    if [codec["name"] for codec in metadata["codecs"]] != ["bytes"]:
+        raise ValueError(f"{folder.name}: has compressed chunks, which xarray reads")
+    shape, chunk = metadata["shape"], metadata["chunk_grid"]["configuration"]["chunk_shape"]
+    dtype = np.dtype(metadata["data_type"]).newbyteorder("<")
+    zeros = ["0"] * (len(shape) - 1)
+    parts = [np.fromfile(folder.joinpath("c", str(k), *zeros), dtype) for k in range(-(-shape[0] // chunk[0]))]
+    return np.concatenate(parts).reshape(shape)
 
 
 def _masks(path: Path, arrays: Dict[str, _Array]) -> Recording:

@@ -1,5 +1,6 @@
 """Recordings of a replay, read again, against the pings that they hold."""
 
+import shutil
 from pathlib import Path
 from typing import Callable, List
 
@@ -12,7 +13,7 @@ from conftest import FLAT, SHORT
 #: With a full scale that suits the samples, so that integers keep their detail.
 RIG = {**SHORT, "sonar.receiver.full_scale_v": 5.0}
 COUNT_V = 5.0 / 32767
-FORMATS = "npz,s7k,jsf,xtf,sigmf,wav,masks"
+FORMATS = "npz,zarr,s7k,jsf,xtf,sigmf,wav,masks"
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +32,32 @@ def close(got: np.ndarray, want: np.ndarray, step: float) -> None:
 
 
 def test_npz_holds_the_pings_bit_for_bit(folder: Path, pings: List[echotank.Ping]) -> None:
-    recording = echotank.read(folder / "pings.npz")
-    assert (recording.format, recording.unit, len(recording)) == ("npz", "V", 3)
+    assert_equal_bits(echotank.read(folder / "pings.npz"), pings)
+
+
+def test_zarr_holds_the_pings_and_their_masks_bit_for_bit(folder: Path, pings: List[echotank.Ping]) -> None:
+    recording = echotank.read(folder / "pings.zarr")
+    assert_equal_bits(recording, pings, "zarr")
+    for got, want in zip(recording, pings):
+        assert got.soundings.level_v.tobytes() == want.soundings.level_v.tobytes()
+        assert got.masks.keys() == {*want.masks, "beams"}
+        for side, mask in {**want.masks, "beams": want.beam_mask}.items():
+            assert np.array_equal(got.masks[side].target, mask.target)
+            assert np.array_equal(got.masks[side].shadow, mask.shadow)
+            assert np.array_equal(got.masks[side].depth_m, mask.depth_m, equal_nan=True)
+
+
+def test_an_incomplete_zarr_names_what_is_missing(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(echotank.RecordingError, match="is a folder without zarr.json"):
+        echotank.read(tmp_path)
+    store = shutil.copytree(folder / "pings.zarr", tmp_path / "pings.zarr")
+    (store / "beams" / "c" / "1" / "0" / "0").unlink()
+    with pytest.raises(echotank.RecordingError, match="beams/c/1/0/0 is missing"):
+        echotank.read(store)
+
+
+def assert_equal_bits(recording: echotank.Recording, pings: List[echotank.Ping], form: str = "npz") -> None:
+    assert (recording.format, recording.unit, len(recording)) == (form, "V", 3)
     for got, want in zip(recording, pings):
         assert (got.number, got.utc_ns) == (want.number, want.utc_ns)
         assert got.elements.keys() == want.elements.keys()

@@ -27,7 +27,7 @@ pub(crate) struct ReplayArgs {
     /// What to write, separated by commas; truth.jsonl is always written [default: s7k, and png for side-scan lines]
     #[arg(long, value_enum, value_delimiter = ',')]
     pub(crate) formats: Vec<Format>,
-    /// Element samples and beams in .npz as complex128 instead of complex64
+    /// Element samples in .npz and .zarr, and beams in .npz, as complex128 instead of complex64
     #[arg(long)]
     pub(crate) f64: bool,
     /// Only these pings, counted from 1, both ends included, e.g. 1..600
@@ -50,6 +50,8 @@ pub(crate) enum Format {
     S7k,
     /// Element samples, beams and side-scan lines as NumPy arrays, one file per sonar
     Npz,
+    /// The arrays of npz as a Zarr store (format 3) with a chunk for each ping, for xarray; with masks, their labels too
+    Zarr,
     /// EdgeTech JSF, one file per sonar
     Jsf,
     /// Triton XTF, one file per sonar with side-scan lines
@@ -94,6 +96,7 @@ fn formats(asked: &[Format], spec: &RigSpec) -> Result<Formats, Failure> {
         jsf: asked.contains(&Format::Jsf),
         xtf: asked.contains(&Format::Xtf),
         npz: asked.contains(&Format::Npz),
+        zarr: asked.contains(&Format::Zarr),
         png: asked.contains(&Format::Png),
         sas: asked.contains(&Format::Sas),
         fan: asked.contains(&Format::Fan),

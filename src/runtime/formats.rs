@@ -15,6 +15,8 @@ pub struct Formats {
     pub xtf: bool,
     /// NumPy archives of element samples, one per ping.
     pub npz: bool,
+    /// Zarr stores of the same arrays.
+    pub zarr: bool,
     /// Side-scan waterfall pictures.
     pub png: bool,
     /// Synthetic-aperture images, for the sonars with a synthetic aperture configured.
@@ -37,7 +39,7 @@ impl Formats {
     /// # Errors
     /// A name is unknown, or there is none.
     pub fn of_names(names: &[String]) -> Result<Self, String> {
-        const NAMES: &str = "s7k, npz, jsf, xtf, png, sas, fan, mosaic, masks, sigmf, wav";
+        const NAMES: &str = "s7k, npz, zarr, jsf, xtf, png, sas, fan, mosaic, masks, sigmf, wav";
         let mut formats = Self::default();
         if names.is_empty() {
             return Err(format!("formats = []: must name at least one of {NAMES}"));
@@ -46,6 +48,7 @@ impl Formats {
             let asked = match name.as_str() {
                 "s7k" => &mut formats.s7k,
                 "npz" => &mut formats.npz,
+                "zarr" => &mut formats.zarr,
                 "jsf" => &mut formats.jsf,
                 "xtf" => &mut formats.xtf,
                 "png" => &mut formats.png,
@@ -99,6 +102,7 @@ impl Formats {
             (self.s7k, "s7k"),
             (self.jsf, "jsf"),
             (self.npz, "npz"),
+            (self.zarr, "zarr"),
             (self.sas, "sas"),
             (self.sigmf, "sigmf"),
             (self.wav, "wav"),

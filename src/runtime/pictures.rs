@@ -76,14 +76,22 @@ impl Pictures {
         })
     }
 
-    /// Adds the ping in `slot`, which `rig` has just computed.
-    pub(crate) fn push(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
-        self.fan(slot, rig)?;
+    /// Adds the ping in `slot`, which `rig` has just computed. Returns the truths of its side-scan lines and of its beams if masks are written.
+    pub(crate) fn push(
+        &mut self,
+        slot: &PingSlot,
+        rig: &Rig,
+    ) -> Result<(Vec<LineTruth>, Vec<LineTruth>), RecordError> {
+        let beams = self.fan(slot, rig)?;
+        Ok((self.lines(slot, rig)?, beams))
+    }
+
+    fn lines(&mut self, slot: &PingSlot, rig: &Rig) -> Result<Vec<LineTruth>, RecordError> {
         let Formats {
             png, mosaic, masks, ..
         } = self.formats;
         if slot.output.lines.is_empty() || !(png || mosaic || masks) {
-            return Ok(());
+            return Ok(Vec::new());
         }
         let truths = match masks {
             true => line_truths(rig, slot),
@@ -133,14 +141,14 @@ impl Pictures {
         if mosaic {
             self.add_to_mosaic(rig, plan, &arms, altitude_m, &own, &truths);
         }
-        Ok(())
+        Ok(truths)
     }
 
-    fn fan(&mut self, slot: &PingSlot, rig: &Rig) -> Result<(), RecordError> {
+    fn fan(&mut self, slot: &PingSlot, rig: &Rig) -> Result<Vec<LineTruth>, RecordError> {
         let (plan, output) = (&slot.plan, &slot.output);
         let Formats { fan, masks, .. } = self.formats;
         let Some(beams) = output.beams.first().filter(|_| fan || masks) else {
-            return Ok(());
+            return Ok(Vec::new());
         };
         let truths = match masks {
             true => fan_truth(rig, slot),
@@ -150,7 +158,7 @@ impl Pictures {
             recorder.push(plan.ping_number, &truths)?;
         }
         if !fan {
-            return Ok(());
+            return Ok(truths);
         }
         let rate_hz = self.spec.receiver.sample_rate_hz;
         let contrast = self.spec.picture.contrast;
@@ -173,7 +181,7 @@ impl Pictures {
                 (self.written).extend(write_masks(folder, &stem, size, masks, &names)?);
             }
         }
-        Ok(())
+        Ok(truths)
     }
 
     /// Side-scan lines without the time-varying gain, at the middle of the pulse.

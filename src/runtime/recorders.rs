@@ -13,6 +13,7 @@ use crate::io::record::sigmf::SigmfRecorder;
 use crate::io::record::stream::StreamRecorder;
 use crate::io::record::truth::TruthRecorder;
 use crate::io::record::wav::WavRecorder;
+use crate::io::record::zarr::ZarrRecorder;
 use crate::io::record::{RecordError, make_folder};
 use crate::outputs::row_filter;
 use crate::pictures::Pictures;
@@ -44,6 +45,7 @@ struct SonarFiles {
     jsf: Option<Jsf>,
     xtf: Option<Xtf>,
     npz: Option<NpzRecorder>,
+    zarr: Option<ZarrRecorder>,
     pictures: Pictures,
     sas: Option<SyntheticAperture>,
     sigmf: Option<SigmfRecorder>,
@@ -229,6 +231,10 @@ impl SonarFiles {
                 true => Some(NpzRecorder::create(&folder, sonar, options.f64)?),
                 false => None,
             },
+            zarr: match formats.zarr {
+                true => Some(ZarrRecorder::create(&folder, sonar, options.f64)?),
+                false => None,
+            },
             sas: match formats.sas {
                 true => SyntheticAperture::new(sonar, medium.sound_speed_m_per_s),
                 false => None,
@@ -279,6 +285,9 @@ impl SonarFiles {
         }
         if let Some(npz) = self.npz {
             written.extend(npz.finish()?);
+        }
+        if let Some(zarr) = self.zarr {
+            written.extend(zarr.finish()?);
         }
         if let Some(sigmf) = self.sigmf {
             written.extend(sigmf.paths().map(Path::to_path_buf));
@@ -349,7 +358,11 @@ impl Recorders {
         if let Some(sas) = &mut files.sas {
             sas.push(&files.spec, plan, output);
         }
-        files.pictures.push(slot, rig)
+        let (lines, beams) = files.pictures.push(slot, rig)?;
+        if let Some(zarr) = &mut files.zarr {
+            zarr.push(plan, output, (&lines, &beams))?;
+        }
+        Ok(())
     }
 
     /// Closes every file and returns the paths of files with contents.

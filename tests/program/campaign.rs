@@ -76,7 +76,7 @@ fn replace_in(path: &Path, from: &str, to: &str) {
 #[test]
 fn shards_in_any_order_merge_to_the_bytes_of_one_replay() {
     let campaign = Planned::new(&format!(
-        "formats = [\"npz\", \"masks\", \"s7k\"]\n{FIXED}[grid]\n\"scene.seed\" = [1, 2]\n"
+        "formats = [\"npz\", \"zarr\", \"masks\", \"s7k\"]\n{FIXED}[grid]\n\"scene.seed\" = [1, 2]\n"
     ));
     let manifest = campaign.manifest();
     let (runs, shards) = (&manifest["runs"], &manifest["shards"]);
@@ -100,7 +100,13 @@ fn shards_in_any_order_merge_to_the_bytes_of_one_replay() {
     run_well("campaign", campaign.arguments("run", &["--jobs", "2"]));
     run_well("campaign", campaign.arguments("status", &[]));
     let merged = run_well("campaign", campaign.arguments("merge", &["--check"]));
-    for name in ["truth.jsonl", "pings.npz", "masks.npz", "fan_masks.npz"] {
+    for name in [
+        "truth.jsonl",
+        "pings.npz",
+        "pings.zarr",
+        "masks.npz",
+        "fan_masks.npz",
+    ] {
         for run in ["run-0001", "run-0002"] {
             let line = format!("merged/{run}/{name}: equal to one replay");
             assert!(merged.contains(&line), "{line}\n{merged}");

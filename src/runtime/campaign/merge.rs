@@ -7,8 +7,7 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
 use super::{CampaignError, Manifest, Run, shard, shard_folder};
-use crate::io::record::make_folder;
-use crate::io::record::npz_join::join;
+use crate::io::record::{make_folder, npz_join, zarr};
 use crate::replay::{Formats, Replay, ReplayOptions};
 
 /// What a merge has written and compared.
@@ -31,6 +30,15 @@ pub struct Compared {
     pub differs_at: Option<String>,
 }
 
+/// A joined file or store of a run.
+struct Joined<'a> {
+    /// Path below the folder of the run.
+    name: &'a str,
+    file: PathBuf,
+    /// Files of a store; empty for a file.
+    inner: Vec<PathBuf>,
+}
+
 impl fmt::Display for Merged {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for file in &self.files {
@@ -51,7 +59,7 @@ impl fmt::Display for Merged {
     }
 }
 
-/// Joins truth.jsonl, pings.npz and the masks of every run into `merged/RUN`. Verifies the checksums of all shards before. With `check_threads`,
+/// Joins truth.jsonl, pings.npz, pings.zarr and the masks of every run into `merged/RUN`. Verifies the checksums of all shards before. With `check_threads`,
 /// replays every run as a whole on so many threads and compares: arrays byte for byte, and the truth line for line.
 ///
 /// # Errors
@@ -83,26 +91,40 @@ pub fn merge(
             let path = shard_folder(folder, number);
             let record = shard::record(&path).map_err(CampaignError::Unfit)?;
             for file in record.files {
-                let of = path.join(&file.name);
-                parts.entry(file.name).or_default().push(of);
+                // The files of a store are joined together.
+                let name = match file.name.split_once(".zarr/") {
+                    Some((store, _)) => format!("{store}.zarr"),
+                    None => file.name,
+                };
+                let of = path.join(&name);
+                let parts = parts.entry(name).or_default();
+                if parts.last() != Some(&of) {
+                    parts.push(of);
+                }
             }
         }
         let out = folder.join("merged").join(&run.name);
         let mut joined = Vec::new();
         for (name, parts) in &parts {
             let target = out.join(name);
+            let paths: Vec<&Path> = parts.iter().map(PathBuf::as_path).collect();
+            let mut inner = Vec::new();
+            make_folder(target.parent().unwrap_or(&out))?;
             if name.ends_with(".npz") {
-                make_folder(target.parent().unwrap_or(&out))?;
-                let parts: Vec<&Path> = parts.iter().map(PathBuf::as_path).collect();
-                join(&parts, &target)?;
+                npz_join::join(&paths, &target)?;
+            } else if name.ends_with(".zarr") {
+                inner = zarr::join(&paths, &target)?;
             } else if name.ends_with(".jsonl") {
-                make_folder(target.parent().unwrap_or(&out))?;
                 concatenate(parts, &target)?;
             } else {
                 merged.left += parts.len();
                 continue;
             }
-            joined.push((name.as_str(), target));
+            joined.push(Joined {
+                name,
+                file: target,
+                inner,
+            });
         }
         if let Some(threads) = check_threads {
             let whole = out.with_extension("check");
@@ -113,7 +135,7 @@ pub fn merge(
         }
         merged
             .files
-            .extend(joined.into_iter().map(|(_, path)| path));
+            .extend(joined.into_iter().map(|joined| joined.file));
     }
     Ok(merged)
 }
@@ -133,7 +155,7 @@ fn concatenate(parts: &[PathBuf], target: &Path) -> Result<(), CampaignError> {
 fn compare(
     manifest: &Manifest,
     run: &Run,
-    joined: &[(&str, PathBuf)],
+    joined: &[Joined],
     whole: &Path,
     threads: usize,
 ) -> Result<Vec<Compared>, CampaignError> {
@@ -153,11 +175,14 @@ fn compare(
         })?;
     joined
         .iter()
-        .map(|(name, file)| {
+        .map(|Joined { name, file, inner }| {
             let other = whole.join(name);
             let differs_at = match name.ends_with(".jsonl") {
                 true => first_other_line(file, &other).map(|at| at.map(|at| format!("line {at}"))),
-                false => first_other_byte(file, &other).map(|at| at.map(|at| format!("byte {at}"))),
+                false if inner.is_empty() => {
+                    first_other_byte(file, &other).map(|at| at.map(|at| format!("byte {at}")))
+                }
+                false => first_other_inner(file, &other, inner),
             };
             Ok(Compared {
                 differs_at: differs_at.map_err(CampaignError::io(file, "compare"))?,
@@ -165,6 +190,16 @@ fn compare(
             })
         })
         .collect()
+}
+
+/// File and place of the first byte of a store that differs.
+fn first_other_inner(one: &Path, other: &Path, inner: &[PathBuf]) -> io::Result<Option<String>> {
+    for name in inner {
+        if let Some(at) = first_other_byte(&one.join(name), &other.join(name))? {
+            return Ok(Some(format!("byte {at} of {}", name.display())));
+        }
+    }
+    Ok(None)
 }
 
 /// Number of the first line of ground truth that differs. Left out is what depends on the pings that the same process computed before: the tiles

@@ -14,10 +14,11 @@
 //! - [`wav`]: signals at the elements, for playback on a bench.
 //! - [`svlog`]: frames of the Ping protocol.
 //! - [`truth`]: ground truth, one JSON line per ping.
+//! - `zarr`: the arrays of `npz` as a folder of chunks.
 //!
 //! Recorders run outside the ping path. They neither panic nor print. A missing folder or a full disk gives a [`RecordError`] that names the file.
 //!
-//! Pictures and `.npz` files appear complete or not at all. `.s7k`, `.jsf`, `.xtf` and `truth.jsonl` grow in place. If interrupted, they are readable
+//! Pictures, `.npz` files and Zarr stores appear complete or not at all. `.s7k`, `.jsf`, `.xtf` and `truth.jsonl` grow in place. If interrupted, they are readable
 //! up to the last whole record or line. Interrupted `.svlog`, SigMF and WAV files are readable after a repair ([`recover`]).
 pub mod faults;
 pub mod lines;
@@ -36,6 +37,7 @@ pub mod svlog;
 pub mod synthetic_aperture;
 pub mod truth;
 pub mod wav;
+pub(crate) mod zarr;
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -83,7 +85,7 @@ pub enum RecordError {
     },
     /// The ping has another shape than the first ping and is omitted; the file stays valid.
     #[error(
-        "{}: ping {ping_number} has {got} {what}, the first had {want}: an .npz file holds pings of one shape; keep range and pulse fixed",
+        "{}: ping {ping_number} has {got} {what}, the first had {want}: arrays hold pings of one shape; keep range and pulse fixed",
         path.display()
     )]
     ShapeChanged {
