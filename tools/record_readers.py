@@ -3,7 +3,7 @@
 
     .venv/bin/python tools/record_readers.py FILE...
 
-pyjsf for .jsf, pyxtf for .xtf, brping for .svlog, sigmf for .sigmf-meta, libsndfile for .wav, json for .jsonl (.s7k
+pyjsf for .jsf, pyxtf for .xtf, brping for .svlog, sigmf for .sigmf-meta, libsndfile for .wav, mcap with mcap-ros2-support for .mcap, json for .jsonl (.s7k
 has tools/sevenk_reader.py). A file that its reader cannot read completely is an error.
 """
 
@@ -65,6 +65,16 @@ def wav(path):
     return {"seconds": about.frames / about.samplerate}
 
 
+def mcap(path):
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+    if os.path.getsize(path) == 0:
+        return {"pings": 0}
+    with open(path, "rb") as file:
+        decoded = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        return {"pings": len({of.message.sequence for of in decoded})}
+
+
 def jsonl(path):
     with open(path, encoding="utf-8") as file:
         text = file.read()
@@ -73,7 +83,7 @@ def jsonl(path):
     return {"lines": len([json.loads(line) for line in text.splitlines()])}
 
 
-READERS = {".jsf": jsf, ".xtf": xtf, ".svlog": svlog, ".sigmf-meta": sigmf, ".wav": wav, ".jsonl": jsonl}
+READERS = {".jsf": jsf, ".xtf": xtf, ".svlog": svlog, ".sigmf-meta": sigmf, ".wav": wav, ".mcap": mcap, ".jsonl": jsonl}
 
 
 def main():

@@ -35,7 +35,7 @@ use echotank_runtime::rig::OpenError;
 ///
 /// Navigation comes in from a recorded log, UDP, TCP or a serial port. An echo model runs at the ping rate over a virtual seabed. Element
 /// samples, beams and side-scan lines go out in the binary protocols of real sonars: Teledyne RESON 7k, EdgeTech JSF, NORBIT WBMS,
-/// Cerulean Ping, Imagenex 872, VITA 49.2 and a plain element stream. Recordings are .s7k, JSF, XTF, SVLOG, SigMF and WAV files.
+/// Cerulean Ping, Imagenex 872, VITA 49.2 and a plain element stream. Recordings are .s7k, JSF, XTF, SVLOG, SigMF, WAV and MCAP files.
 ///
 /// Without a subcommand: `run` with the quickstart configuration.
 #[derive(Parser)]

@@ -9,7 +9,7 @@ use echotank_runtime::io::record::recover::recover;
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct RecoverArgs {
-    /// .s7k, .jsf, .xtf, .svlog, .wav, .jsonl, .sigmf-meta; modified in place
+    /// .s7k, .jsf, .xtf, .svlog, .wav, .mcap, .jsonl, .sigmf-meta; modified in place
     #[arg(required = true)]
     pub(crate) files: Vec<PathBuf>,
 }

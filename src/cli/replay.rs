@@ -66,6 +66,8 @@ pub(crate) enum Format {
     Mosaic,
     /// Label masks (target, shadow, depth) for each image, and for every line sample in masks.npz
     Masks,
+    /// ROS 2 messages of elements, beams, side-scan lines, soundings and pose as MCAP, one file per sonar
+    Mcap,
     /// Element samples as SigMF with an annotation per ping, two files per sonar
     Sigmf,
     /// Element signals at a converter's sample rate, one file per sonar
@@ -102,6 +104,7 @@ fn formats(asked: &[Format], spec: &RigSpec) -> Result<Formats, Failure> {
         fan: asked.contains(&Format::Fan),
         mosaic: asked.contains(&Format::Mosaic),
         masks: asked.contains(&Format::Masks),
+        mcap: asked.contains(&Format::Mcap),
         sigmf: asked.contains(&Format::Sigmf),
         wav: asked.contains(&Format::Wav),
     };

@@ -296,7 +296,7 @@ fn refuse_recordings_without_folder(table: &keys::Rig, problems: &mut Problems) 
     }
     let outputs = table.sonar.all().iter().filter_map(|t| t.output.as_ref());
     for output in outputs {
-        let files: [&Entry; 3] = [&output.sigmf, &output.wav, &output.xtf];
+        let files: [&Entry; 4] = [&output.mcap, &output.sigmf, &output.wav, &output.xtf];
         for entry in files.into_iter().filter(|entry| entry.given) {
             problems.refuse(entry, "needs a folder: [record]");
         }

@@ -36,7 +36,7 @@ pub use devices::{PingDevice, PingProtocolSpec, WbmsSpec};
 pub use methods::AutoModel;
 pub use output::SynthesisOutput;
 pub use overload::OverloadSpec;
-pub use samples::{ElementStreamSpec, SigmfSpec, Vita49Spec, WavSpec};
+pub use samples::{ElementStreamSpec, McapSpec, SigmfSpec, Vita49Spec, WavSpec};
 pub use trigger::{
     EarlyTrigger, ModemLine, OutLine, TriggerFrom, TriggerLineSpec, TriggerOutSpec, TriggerSpec,
 };
@@ -1528,6 +1528,8 @@ pub enum OutputSpec {
     Elements(ElementStreamSpec),
     /// SigMF recording.
     Sigmf(SigmfSpec),
+    /// MCAP recording with ROS 2 messages.
+    Mcap(McapSpec),
     /// Multichannel WAV recording.
     Wav(WavSpec),
     /// Ping protocol.

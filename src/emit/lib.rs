@@ -16,6 +16,7 @@ pub mod packets;
 pub mod passband;
 pub mod ping_protocol;
 pub mod pool;
+pub mod ros2;
 pub mod session;
 pub mod sevenk;
 pub mod vita49;

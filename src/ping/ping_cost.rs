@@ -161,6 +161,18 @@ fn records(sonar: &SonarSpec, plan: &PingPlan) -> Work {
         OutputSpec::Elements(output) => {
             Work::of(Figure::RecordIq, elements(&output.arrays) * samples)
         }
+        OutputSpec::Mcap(output) => {
+            let of_elements: usize = sonar.receive.iter().map(|array| array.elements).sum();
+            let iq = if output.elements {
+                of_elements as f64
+            } else {
+                0.0
+            };
+            let iq = iq + if output.beams { fan } else { 0.0 };
+            let real = if output.image { fan } else { 0.0 };
+            let real = real + if output.lines { lines } else { 0.0 };
+            Work::of(Figure::RecordIq, iq * samples).and(Figure::RecordAmplitude, real * samples)
+        }
         OutputSpec::Sigmf(output) => Work::of(Figure::RecordIq, elements(&output.arrays) * samples),
         OutputSpec::Wav(output) => Work::of(
             Figure::RecordPassband,

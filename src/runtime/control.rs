@@ -310,7 +310,7 @@ impl RunControl {
         let switched: Vec<_> = wanted.into_iter().filter(recording).collect();
         if switched.is_empty() {
             return Err(format!(
-                "{} has no output that records: 7k, Ping, XTF, SigMF, WAV, or JSF with record = true",
+                "{} has no output that records: 7k, Ping, XTF, SigMF, MCAP, WAV, or JSF with record = true",
                 sonar.map_or("the rig".to_owned(), |name| format!("sonar {name}"))
             ));
         }

@@ -27,6 +27,8 @@ pub struct Formats {
     pub mosaic: bool,
     /// Target and shadow masks beside the waterfall.
     pub masks: bool,
+    /// MCAP recordings with ROS 2 messages.
+    pub mcap: bool,
     /// SigMF recordings of element samples.
     pub sigmf: bool,
     /// WAV recordings of element samples.
@@ -39,7 +41,8 @@ impl Formats {
     /// # Errors
     /// A name is unknown, or there is none.
     pub fn of_names(names: &[String]) -> Result<Self, String> {
-        const NAMES: &str = "s7k, npz, zarr, jsf, xtf, png, sas, fan, mosaic, masks, sigmf, wav";
+        const NAMES: &str =
+            "s7k, npz, zarr, jsf, xtf, png, sas, fan, mosaic, masks, sigmf, wav, mcap";
         let mut formats = Self::default();
         if names.is_empty() {
             return Err(format!("formats = []: must name at least one of {NAMES}"));
@@ -56,6 +59,7 @@ impl Formats {
                 "fan" => &mut formats.fan,
                 "mosaic" => &mut formats.mosaic,
                 "masks" => &mut formats.masks,
+                "mcap" => &mut formats.mcap,
                 "sigmf" => &mut formats.sigmf,
                 "wav" => &mut formats.wav,
                 _ => return Err(format!("formats: {name:?}: must be one of {NAMES}")),
@@ -104,6 +108,7 @@ impl Formats {
             (self.npz, "npz"),
             (self.zarr, "zarr"),
             (self.sas, "sas"),
+            (self.mcap, "mcap"),
             (self.sigmf, "sigmf"),
             (self.wav, "wav"),
         ];

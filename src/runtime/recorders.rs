@@ -7,6 +7,7 @@ use echotank_protocols::jsf::subsystem;
 use echotank_protocols::sevenk::file::{FileDevice, FileHeader7200};
 
 use crate::formats::ReplayOptions;
+use crate::io::record::mcap::McapRecorder;
 use crate::io::record::npz::NpzRecorder;
 use crate::io::record::s7k::S7kRecorder;
 use crate::io::record::sigmf::SigmfRecorder;
@@ -19,8 +20,8 @@ use crate::outputs::row_filter;
 use crate::pictures::Pictures;
 use crate::synthetic_aperture::SyntheticAperture;
 use echotank_config::spec::{
-    JsfChannels, JsfFormat, JsfSpec, MediumSpec, OutputSpec, RigSpec, SevenKSpec, SonarSpec,
-    WavSpec, XtfSpec,
+    JsfChannels, JsfFormat, JsfSpec, McapSpec, MediumSpec, OutputSpec, RigSpec, SevenKSpec,
+    SonarSpec, WavSpec, XtfSpec,
 };
 use echotank_core::ping::{PingOutput, PingPlan};
 use echotank_core::records::Datagram;
@@ -48,6 +49,7 @@ struct SonarFiles {
     zarr: Option<ZarrRecorder>,
     pictures: Pictures,
     sas: Option<SyntheticAperture>,
+    mcap: Option<McapRecorder>,
     sigmf: Option<SigmfRecorder>,
     wav: Option<WavRecorder>,
 }
@@ -240,6 +242,10 @@ impl SonarFiles {
                 false => None,
             },
             pictures: Pictures::create(sonar, &folder, formats)?,
+            mcap: match formats.mcap {
+                true => Some(begin_mcap(&folder, sonar)?),
+                false => None,
+            },
             sigmf: match formats.sigmf {
                 true => Some(begin_sigmf(&folder, sonar)?),
                 false => None,
@@ -288,6 +294,10 @@ impl SonarFiles {
         }
         if let Some(zarr) = self.zarr {
             written.extend(zarr.finish()?);
+        }
+        if let Some(mcap) = self.mcap {
+            written.push(mcap.path().to_path_buf());
+            mcap.close()?;
         }
         if let Some(sigmf) = self.sigmf {
             written.extend(sigmf.paths().map(Path::to_path_buf));
@@ -348,6 +358,9 @@ impl Recorders {
         }
         if let Some(npz) = &mut files.npz {
             npz.push(plan, output)?;
+        }
+        if let Some(mcap) = &mut files.mcap {
+            mcap.push(plan, output)?;
         }
         if let Some(sigmf) = &mut files.sigmf {
             sigmf.push(plan, output)?;
@@ -445,6 +458,13 @@ fn first_channels(spec: &SonarSpec) -> Vec<usize> {
 fn xtf_output(spec: &SonarSpec) -> XtfSpec {
     let configured = configured!(spec, Xtf);
     configured.copied().unwrap_or(XtfSpec { is_float: false })
+}
+
+/// Starts an MCAP recording with the messages of the configured output, or with all messages.
+fn begin_mcap(folder: &Path, spec: &SonarSpec) -> Result<McapRecorder, RecordError> {
+    let output = configured!(spec, Mcap).copied();
+    let path = folder.join(format!("{}.mcap", spec.name));
+    McapRecorder::create(&path, &output.unwrap_or(McapSpec::ALL), spec)
 }
 
 /// Starts a SigMF recording with the arrays of the configured output, or with all arrays.

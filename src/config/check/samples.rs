@@ -172,6 +172,18 @@ pub(super) fn sigmf(
     })
 }
 
+pub(super) fn mcap(table: &keys::samples::Mcap) -> Option<McapSpec> {
+    let chosen = table.messages.as_ref()?;
+    let has = |name: &str| chosen.iter().any(|of| of == name);
+    Some(McapSpec {
+        elements: has("elements"),
+        beams: has("beams"),
+        image: has("image"),
+        lines: has("lines"),
+        soundings: has("soundings"),
+    })
+}
+
 pub(super) fn wav(
     table: &keys::samples::Wav,
     source: Source<'_>,

@@ -926,6 +926,7 @@ fn outputs<'t>(
         output(&table.sigmf, OutputSpec::Sigmf, |t| {
             samples::sigmf(t, source, problems)
         }),
+        output(&table.mcap, OutputSpec::Mcap, samples::mcap),
         output(&table.wav, OutputSpec::Wav, |t| {
             samples::wav(t, source, problems)
         }),

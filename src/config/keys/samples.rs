@@ -73,6 +73,14 @@ table! {
 }
 
 table! {
+    /// MCAP with ROS 2 messages in CDR, in the folder of [record].
+    Mcap;
+
+    /// Messages besides the pose and the frames. Without elements, the synthesis may compute beams only.
+    messages: Choices("elements", "beams", "image", "lines", "soundings"), Default("[\"elements\", \"beams\", \"image\", \"lines\", \"soundings\"]");
+}
+
+table! {
     /// Multichannel WAV (RF64 above 4 GiB) of the element signals in the folder of [record], for playback on a test bench. Silence between the
     /// pings.
     Wav;

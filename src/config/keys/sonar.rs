@@ -392,6 +392,7 @@ table! {
     vita49: Table(samples::Vita49), Optional("");
     elements: Table(samples::Elements), Optional("");
     sigmf: Table(samples::Sigmf), Optional("");
+    mcap: Table(samples::Mcap), Optional("");
     wav: Table(samples::Wav), Optional("");
 }
 

@@ -31,6 +31,7 @@ impl SonarSpec {
             OutputSpec::Vita49(_) => Some("VITA 49"),
             OutputSpec::Elements(_) => Some("elements"),
             OutputSpec::Sigmf(_) => Some("SigMF"),
+            OutputSpec::Mcap(mcap) => mcap.elements.then_some("MCAP"),
             OutputSpec::Wav(_) => Some("WAV"),
             OutputSpec::Xtf(_)
             | OutputSpec::Imagenex872(_)

@@ -53,6 +53,32 @@ pub struct SigmfSpec {
     pub arrays: Vec<usize>,
 }
 
+/// MCAP recording: which messages it holds besides the pose and the frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct McapSpec {
+    /// Element samples.
+    pub elements: bool,
+    /// Complex beams of the fan.
+    pub beams: bool,
+    /// Magnitudes of the beams.
+    pub image: bool,
+    /// Side-scan lines.
+    pub lines: bool,
+    /// Bottom detections.
+    pub soundings: bool,
+}
+
+impl McapSpec {
+    /// All messages.
+    pub const ALL: Self = Self {
+        elements: true,
+        beams: true,
+        image: true,
+        lines: true,
+        soundings: true,
+    };
+}
+
 /// Multichannel WAV recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WavSpec {

@@ -79,6 +79,10 @@ pub(super) fn write(
             let text = format!("{n} elements, {:.2} MB/s", rates[0] / 1e6);
             line(out, "  sigmf", &text)
         }
+        OutputSpec::Mcap(_) => {
+            let text = format!("ROS 2 messages, {:.2} MB/s", rates[0] / 1e6);
+            line(out, "  mcap", &text)
+        }
         OutputSpec::Wav(wav) => {
             let n = elements(&wav.arrays);
             let text = format!(

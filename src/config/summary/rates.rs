@@ -7,6 +7,8 @@ use crate::check::sonar::BYTES_PER_7038_SAMPLE;
 /// Bytes of one 16-bit complex sample (I and Q), and of one 16-bit real sample.
 const IQ_BYTES: f64 = 4.0;
 const REAL_BYTES: f64 = 2.0;
+/// Bytes of one value of an MCAP message.
+const FLOAT_BYTES: f64 = 4.0;
 /// Bytes per detection of WBMS, per point of a Surveyor 240, and the most results of an Omniscan 450.
 const BYTES_PER_DETECTION: f64 = 20.0;
 const BYTES_PER_POINT: f64 = 16.0;
@@ -48,6 +50,14 @@ pub(super) fn bytes_per_s(sonar: &SonarSpec, d: &Derived, output: &OutputSpec) -
         OutputSpec::Elements(output) => {
             let bytes = if output.is_float { 2.0 } else { 1.0 } * IQ_BYTES;
             per_s(elements(&output.arrays), bytes)
+        }
+        OutputSpec::Mcap(output) => {
+            let elements: usize = sonar.receive.iter().map(|array| array.elements).sum();
+            let complex = if output.elements { elements } else { 0 };
+            let complex = complex + if output.beams { beams } else { 0 };
+            let real = if output.image { beams } else { 0 };
+            let real = real + if output.lines { sides } else { 0 };
+            per_s(2 * complex + real, FLOAT_BYTES)
         }
         OutputSpec::Sigmf(output) => per_s(elements(&output.arrays), IQ_BYTES),
         OutputSpec::Wav(output) => {

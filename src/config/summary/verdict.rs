@@ -255,7 +255,9 @@ fn energy_beyond(pulse: &Pulse, limit_hz: f64) -> f64 {
 fn link(sonar: &SonarSpec, d: &Derived, output: &OutputSpec) -> Option<Finding> {
     let all = bytes_per_s(sonar, d, output).iter().sum();
     let (link, limit_mbit_per_s, remedy) = match output {
-        OutputSpec::Xtf(_) | OutputSpec::Sigmf(_) | OutputSpec::Wav(_) => return None,
+        OutputSpec::Xtf(_) | OutputSpec::Sigmf(_) | OutputSpec::Mcap(_) | OutputSpec::Wav(_) => {
+            return None;
+        }
         OutputSpec::Vita49(vita) => (
             "the output is paced to",
             mbit_per_s(vita.pace_bytes_per_s).min(LINK_MBIT_PER_S),

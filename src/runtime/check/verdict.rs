@@ -194,6 +194,7 @@ fn saturates(selection: &SonarSelection) -> Option<Finding> {
             OutputSpec::Elements(_)
             | OutputSpec::Wav(_)
             | OutputSpec::Sigmf(_)
+            | OutputSpec::Mcap(_)
             | OutputSpec::Jsf(_)
             | OutputSpec::Xtf(_)
             | OutputSpec::Ping(_) => {}

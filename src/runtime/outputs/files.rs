@@ -1,4 +1,4 @@
-//! SigMF and WAV recordings of element samples. A ping is written when it is encoded, before its deadline.
+//! SigMF, WAV and MCAP recordings. A ping is written when it is encoded, before its deadline.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -7,13 +7,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use super::recording::Recording;
 use super::{Output, OutputContext, OutputError, Report};
 use crate::io::record::RecordError;
+use crate::io::record::mcap::McapRecorder;
 use crate::io::record::sigmf::SigmfRecorder;
 use crate::io::record::wav::WavRecorder;
-use echotank_config::spec::{SigmfSpec, WavSpec};
+use echotank_config::spec::{McapSpec, SigmfSpec, WavSpec};
 use echotank_core::time::UtcNs;
 use echotank_ping::rig::PingSlot;
 
-/// A SigMF or WAV recorder.
+/// A SigMF, WAV or MCAP recorder.
 trait Recorder: Send {
     /// Writes a ping. Returns the number of values clipped at full scale.
     fn push(&mut self, slot: &PingSlot) -> Result<u64, RecordError>;
@@ -38,7 +39,16 @@ impl Recorder for WavRecorder {
     }
 }
 
-/// A recording of one sonar's element samples.
+impl Recorder for McapRecorder {
+    fn push(&mut self, slot: &PingSlot) -> Result<u64, RecordError> {
+        self.push(&slot.plan, &slot.output).map(|()| 0)
+    }
+    fn close(self: Box<Self>) -> Result<(), RecordError> {
+        (*self).close()
+    }
+}
+
+/// A recording of one sonar's pings.
 pub(super) struct SampleFile {
     name: String,
     kind: &'static str,
@@ -106,6 +116,14 @@ pub(super) fn wav(output: &WavSpec, context: &OutputContext) -> Result<SampleFil
     let (sonar, output) = (context.unit.spec.clone(), output.clone());
     SampleFile::open("wav", "wav", context, move |path, _| {
         Ok(Box::new(WavRecorder::create(path, &output, &sonar)?))
+    })
+}
+
+/// Opens the MCAP recording of a sonar.
+pub(super) fn mcap(output: &McapSpec, context: &OutputContext) -> Result<SampleFile, OutputError> {
+    let (sonar, output) = (context.unit.spec.clone(), *output);
+    SampleFile::open("mcap", "mcap", context, move |path, _| {
+        Ok(Box::new(McapRecorder::create(path, &output, &sonar)?))
     })
 }
 

@@ -227,6 +227,7 @@ impl OutputContext<'_> {
             OutputSpec::Vita49(output) => Box::new(vita49::Vita49::open(output, self)?),
             OutputSpec::Elements(output) => Box::new(elements::Elements::open(output, self)?),
             OutputSpec::Sigmf(output) => Box::new(files::sigmf(output, self)?),
+            OutputSpec::Mcap(output) => Box::new(files::mcap(output, self)?),
             OutputSpec::Ping(output) => Box::new(ping_protocol::PingProtocol::open(output, self)?),
             OutputSpec::Wbms(output) => Box::new(wbms::Wbms::open(output, self)?),
             OutputSpec::Wav(output) => Box::new(files::wav(output, self)?),

@@ -60,7 +60,7 @@ fn a_daemon_that_loses_its_terminal_closes_its_recording() {
 }
 
 /// All record formats together.
-const EVERY_KIND: [&str; 12] = [
+const EVERY_KIND: [&str; 13] = [
     "run.queue_pings=30",
     "sonar.output.sevenk.listen=127.0.0.1:0",
     "control.listen=127.0.0.1:0",
@@ -73,6 +73,7 @@ const EVERY_KIND: [&str; 12] = [
     "sonar.output.ping={device=\"omniscan450\", side=\"port\", listen=\"127.0.0.1:0\"}",
     "sonar.output.sigmf={arrays=[\"port\"]}",
     "sonar.output.wav={arrays=[\"port\"]}",
+    "sonar.output.mcap={}",
 ];
 
 #[test]
@@ -91,14 +92,14 @@ fn a_full_disk_stops_recordings_and_they_go_on_when_there_is_room() {
     let at = daemon.announced("control http", "http");
     eventually(|| {
         let stopped = &status(at)["sonars"][0]["counters"]["recordings_stopped"];
-        let all = (stopped.as_u64() >= Some(6)).then_some(());
-        all.ok_or(format!("{stopped} of 6 recordings stopped"))
+        let all = (stopped.as_u64() >= Some(7)).then_some(());
+        all.ok_or(format!("{stopped} of 7 recordings stopped"))
     });
     let then = status(at)["pings_delivered"].as_u64().expect("a count");
     wait_delivered(at, then + 5);
     let health = || client::get(at, "/healthz", None).expect("answers");
     // Short pings fit into the next file, which is then full in turn.
-    for kind in ["s7k", "jsf", "xtf", "svlog", "sigmf-data", "wav"] {
+    for kind in ["s7k", "jsf", "xtf", "svlog", "sigmf-data", "wav", "mcap"] {
         eventually(|| match health() {
             (503, why) if why.contains(&format!("points.{kind} stopped")) => Ok(()),
             (code, why) => Err(format!("{code} {why}, not {kind}")),
@@ -117,7 +118,7 @@ fn a_full_disk_stops_recordings_and_they_go_on_when_there_is_room() {
     daemon.child.kill().expect("killed");
     daemon.child.wait().expect("gone");
     // The files are complete or recovered.
-    let kinds = ["s7k", "jsf", "xtf", "svlog", "sigmf-meta", "wav"];
+    let kinds = ["s7k", "jsf", "xtf", "svlog", "sigmf-meta", "wav", "mcap"];
     for kind in kinds {
         let file = file_of(folder.path(), "", &format!(".{kind}"));
         for want in ["", "is complete"] {

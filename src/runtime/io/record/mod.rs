@@ -4,6 +4,7 @@
 //! - [`npz`]: samples of every ping as NumPy arrays, with geometry and ground truth.
 //! - `npz_join`: joins the arrays of successive pings.
 //! - [`recover`]: repairs records that were cut off.
+//! - `mcap`: ROS 2 messages of every ping.
 //! - [`masks`]: target and shadow labels of the samples of each line.
 //! - [`png`]: the waterfall picture. [`picture`]: other pictures, mosaics and their masks.
 //! - [`lines`]: reads the side-scan lines of a recording.
@@ -19,10 +20,11 @@
 //! Recorders run outside the ping path. They neither panic nor print. A missing folder or a full disk gives a [`RecordError`] that names the file.
 //!
 //! Pictures, `.npz` files and Zarr stores appear complete or not at all. `.s7k`, `.jsf`, `.xtf` and `truth.jsonl` grow in place. If interrupted, they are readable
-//! up to the last whole record or line. Interrupted `.svlog`, SigMF and WAV files are readable after a repair ([`recover`]).
+//! up to the last whole record or line. Interrupted `.svlog`, SigMF, WAV and MCAP files are readable after a repair ([`recover`]).
 pub mod faults;
 pub mod lines;
 pub mod masks;
+pub(crate) mod mcap;
 pub mod npz;
 pub(crate) mod npz_join;
 pub mod picture;

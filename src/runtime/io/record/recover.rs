@@ -36,6 +36,7 @@ pub fn recover(path: &Path) -> Result<Recovered, RecoverError> {
         Some("svlog") => repair::frames(path, 0, &PingFraming),
         Some("jsonl") => repair::lines(path),
         Some("wav") => repair::wav(path),
+        Some("mcap") => repair::mcap(path),
         Some("sigmf-meta" | "sigmf-data" | "sigmf-journal") => repair::sigmf(path),
         _ => Err(RecoverError::Unknown {
             path: path.to_owned(),

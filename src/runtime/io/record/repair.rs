@@ -1,10 +1,13 @@
-//! Outcome of a repair, and the repair of framed streams, JSON lines, WAV and SigMF. [`recover`](super::recover) repairs `.s7k`.
+//! Outcome of a repair, and the repair of framed streams, JSON lines, WAV, MCAP and SigMF. [`recover`](super::recover) repairs `.s7k`.
 //!
 //! A repair removes only the incomplete end, so no complete ping is lost. A file that the recorders of this program cannot have left is not changed.
 
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+
+use mcap::MAGIC;
+use mcap::records::op;
 
 use echotank_protocols::framing::{Framing, Scan};
 use echotank_protocols::sevenk::WireError;
@@ -16,6 +19,10 @@ use super::sigmf::{Paths, journal_of};
 
 /// Bytes read at a time.
 const READ_BYTES: usize = 1 << 20;
+/// Type and length in front of a record of an MCAP file, bytes.
+const MCAP_HEAD_BYTES: usize = 9;
+/// Bytes in which the first record of an MCAP file names its program.
+const MCAP_FRONT_BYTES: u64 = 128;
 
 /// Outcome for one file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -85,12 +92,13 @@ pub enum RecoverError {
 }
 
 /// File name endings that a repair supports. The files of a SigMF recording are repaired together.
-pub(super) const KINDS: [&str; 7] = [
+pub(super) const KINDS: [&str; 8] = [
     ".s7k",
     ".jsf",
     ".xtf",
     ".svlog",
     ".wav",
+    ".mcap",
     ".jsonl",
     ".sigmf-meta",
 ];
@@ -235,6 +243,69 @@ pub(super) fn wav(path: &Path) -> Result<Recovered, RecoverError> {
     cut(path, &file, end, header.sample_times(), "sample times")
 }
 
+/// Removes an incomplete last record, and ends the file without an index, as the format allows: readers then read it from its beginning. An incomplete
+/// header is removed as well.
+pub(super) fn mcap(path: &Path) -> Result<Recovered, RecoverError> {
+    let Some(mut file) = open_for_repair(path)? else {
+        return Ok(Recovered::InUse);
+    };
+    let io = |action| RecordError::io(path, action);
+    let length = file.metadata().map_err(io("read"))?.len();
+    let mut front = Vec::new();
+    (&file)
+        .take(MCAP_FRONT_BYTES)
+        .read_to_end(&mut front)
+        .map_err(io("read"))?;
+    let magic = MAGIC.len().min(front.len());
+    if front[..magic] != MAGIC[..magic] {
+        return Err(strange(path, 0, "no MCAP file"));
+    }
+    let (mut end, mut data_end) = (MAGIC.len() as u64, None);
+    let (mut records, mut chunks) = (0, 0);
+    let mut head = [0; MCAP_HEAD_BYTES];
+    while length.saturating_sub(end) >= head.len() as u64 {
+        file.seek(SeekFrom::Start(end)).map_err(io("read"))?;
+        file.read_exact(&mut head).map_err(io("read"))?;
+        let [kind, size @ ..] = head;
+        let body = end + head.len() as u64;
+        let after = body.saturating_add(u64::from_le_bytes(size));
+        if after > length {
+            break;
+        }
+        match kind {
+            op::FOOTER if after + MAGIC.len() as u64 == length => return Ok(Recovered::Whole),
+            op::HEADER if !front.windows(8).any(|part| part == b"echotank") => {
+                return Err(strange(path, end, "an MCAP file of another program"));
+            }
+            op::CHUNK => chunks += 1,
+            op::DATA_END => data_end = data_end.or(Some(end)),
+            _ => {}
+        }
+        records += 1;
+        end = after;
+    }
+    if records == 0 {
+        return cut(path, &file, 0, 0, "chunks");
+    }
+    let end = data_end.unwrap_or(end);
+    // The end of the data and the footer, without checksums and index.
+    let mut tail = vec![op::DATA_END, 4, 0, 0, 0, 0, 0, 0, 0];
+    tail.extend([0; 4]);
+    tail.extend([op::FOOTER, 20, 0, 0, 0, 0, 0, 0, 0]);
+    tail.extend([0; 20]);
+    tail.extend(MAGIC);
+    file.set_len(end)
+        .and_then(|()| file.seek(SeekFrom::Start(end)))
+        .and_then(|_| file.write_all(&tail))
+        .and_then(|()| file.sync_data())
+        .map_err(io("mend"))?;
+    Ok(Recovered::Repaired {
+        records: chunks,
+        what: "chunks",
+        cut_bytes: length - end,
+    })
+}
+
 /// Completes the metadata from the journal, and removes samples that neither of them describes.
 pub(super) fn sigmf(path: &Path) -> Result<Recovered, RecoverError> {
     let paths = Paths::of(&path.with_extension(""));
@@ -303,6 +374,7 @@ mod tests {
     use echotank_protocols::xtf::{FileHeader, MARK, PacketStart};
 
     use super::super::faults::FaultLog;
+    use super::super::mcap::McapRecorder;
     use super::super::recover::{recover, recover_folder};
     use super::super::sigmf::SigmfRecorder;
     use super::super::stream::StreamRecorder;
@@ -310,6 +382,7 @@ mod tests {
     use super::super::testing;
     use super::super::wav::WavRecorder;
     use super::*;
+    use echotank_config::spec::McapSpec;
     use echotank_config::spec::{PingDevice, WavSpec};
     use echotank_core::time::UtcNs;
 
@@ -440,6 +513,58 @@ mod tests {
         }
         assert_eq!(length(&copy), end);
         assert_eq!(recover(&path).expect("looked at"), Recovered::Whole);
+    }
+
+    #[test]
+    fn an_mcap_file_cut_off_at_any_byte_keeps_every_whole_ping() {
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("a.mcap");
+        let mut recorder =
+            McapRecorder::create(&path, &McapSpec::ALL, &testing::sonar()).expect("creates");
+        let length = |path: &Path| std::fs::metadata(path).expect("there").len() as usize;
+        let mut ends = vec![length(&path)];
+        for number in 1..=3 {
+            let (plan, output) = (testing::plan(number), testing::output(number));
+            recorder.push(&plan, &output).expect("writes");
+            ends.push(length(&path));
+        }
+        assert_eq!(recover(&path).expect("looked at"), Recovered::InUse);
+        recorder.close().expect("closes");
+        assert_eq!(recover(&path).expect("looked at"), Recovered::Whole);
+        let whole = std::fs::read(&path).expect("there");
+        // Sequence numbers of the poses, which the reader takes from the chunks.
+        let pings = |path: &Path| -> Vec<u32> {
+            let bytes = std::fs::read(path).expect("there");
+            let messages = mcap::MessageStream::new(&bytes).expect("an MCAP file");
+            let messages = messages.map(|message| message.expect("a whole message"));
+            let poses = messages.filter(|message| message.channel.topic.ends_with("/pose"));
+            poses.map(|message| message.sequence).collect()
+        };
+        assert_eq!(pings(&path), [1, 2, 3]);
+        for cut in (ends[0]..whole.len()).step_by(97).chain(ends.clone()) {
+            std::fs::write(&path, &whole[..cut]).expect("written");
+            let outcome = recover(&path).expect("repaired");
+            assert!(
+                matches!(outcome, Recovered::Repaired { .. }),
+                "{cut}: {outcome}"
+            );
+            // A chunk is whole before its index is.
+            let kept = pings(&path).len();
+            let ended = ends[1..].iter().filter(|&&end| end <= cut).count();
+            assert!(kept == ended || kept == ended + 1, "cut at {cut}: {kept}");
+            assert_eq!(pings(&path), (1..=kept as u32).collect::<Vec<_>>());
+            assert_eq!(recover(&path).expect("again"), Recovered::Whole);
+        }
+        for cut in [0, 5, 8, 20] {
+            std::fs::write(&path, &whole[..cut]).expect("written");
+            recover(&path).expect("without a record");
+            assert_eq!(length(&path), 0, "cut at {cut}");
+        }
+        let foreign = b"\x89MCAP0\r\n\x01\x09\0\0\0\0\0\0\0\0\0\0\0\x01\0\0\0x";
+        std::fs::write(&path, foreign).expect("written");
+        let why = recover(&path).expect_err("of another program").to_string();
+        assert!(why.contains("an MCAP file of another program"), "{why}");
+        assert_eq!(std::fs::read(&path).expect("kept"), foreign);
     }
 
     #[test]

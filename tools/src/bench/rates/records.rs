@@ -63,6 +63,7 @@ impl Encoders {
             | OutputSpec::Imagenex872(_)
             | OutputSpec::Elements(_)
             | OutputSpec::Sigmf(_)
+            | OutputSpec::Mcap(_)
             | OutputSpec::Wav(_) => None,
         };
         Self {
