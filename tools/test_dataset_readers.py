@@ -26,6 +26,11 @@ folder = None
 npz = {}
 
 
+def replay(out, formats, pings, rig=RIG):
+    command = [program(), "replay", rig, "--out", out, "--pings", "1..%d" % pings, "--formats", formats, "--set", "sonar.ping.range_m=20"]
+    subprocess.run([*command, "--quiet"], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+
+
 def setUpModule():
     global folder
     if sys.version_info < (3, 11):
@@ -33,8 +38,7 @@ def setUpModule():
     keep = tempfile.TemporaryDirectory()
     unittest.addModuleCleanup(keep.cleanup)
     folder = pathlib.Path(keep.name)
-    command = [program(), "replay", RIG, "--out", folder, "--pings", "1..%d" % PINGS, "--formats", "npz,zarr,mcap,masks", "--set", "sonar.ping.range_m=20"]
-    subprocess.run([*command, "--quiet"], cwd=ROOT, check=True)
+    replay(folder, "npz,zarr,mcap,masks", PINGS)
     with np.load(folder / "pings.npz", allow_pickle=False) as arrays:
         npz.update(arrays)
 
@@ -198,17 +202,32 @@ class Mcap:
         ahead = [np.sin(heading) * np.cos(pitch), np.cos(heading) * np.cos(pitch), np.sin(pitch)]
         np.testing.assert_allclose(base[:, 0], ahead, atol=1e-9)
         self.assertLess(abs(base[2, 1] - np.sin(roll) * np.cos(pitch)), 1e-9)
-        # The elements, through the frames of their arrays, lie where npz has them.
-        arrays = {t.child_frame_id: t.transform for t in one["/tf_static"].transforms}
-        self.assertEqual(sorted(arrays), ["demo/fan", "demo/port", "demo/starboard"])
-        for k, array in enumerate(("port", "starboard", "fan")):
-            frame = arrays["demo/" + array]
-            position_m = npz["element_position_m"][p, npz["element_array"] == k]
+        self.elements(base, at, one["/tf_static"], npz, p)
+
+    def elements(self, base, at, static, arrays, p):
+        """The elements, through the frames of their arrays, lie where npz has them. y points to starboard, whichever way the array's +x end does."""
+        frames = {t.child_frame_id: t.transform for t in static.transforms}
+        for k, array in enumerate(("port", "starboard", "fan", "other")[: len(frames)]):
+            frame = frames["demo/" + array]
+            position_m = arrays["element_position_m"][p, arrays["element_array"] == k]
             elements = len(position_m)
-            along_m = 0.0025 * (np.arange(elements) - 0.5 * (elements - 1))
+            along_m = (-1 if array == "other" else 1) * 0.0025 * (np.arange(elements) - 0.5 * (elements - 1))
             local = np.stack([0 * along_m, along_m, 0 * along_m], 1)
             got = at + (vector(frame.translation) + local @ rotation(frame.rotation).T) @ base.T
             np.testing.assert_allclose(got[:, [1, 0, 2]] * [1, 1, -1], position_m, atol=1e-9)
+
+    def test_frames_point_to_starboard_where_an_array_is_mounted_the_other_way(self):
+        other = '[[sonar.receive]]\nname = "other"\ntransmit = "tx-down"\nelements = 4\nspacing_m = 0.0025\nyaw_deg = -90.0\n\n'
+        text = RIG.read_text(encoding="utf-8").replace("[sonar.receiver]", other + "[sonar.receiver]")
+        text = text.replace('"track.csv"', '"%s"' % RIG.with_name("track.csv"))
+        with tempfile.TemporaryDirectory() as place:
+            place = pathlib.Path(place)
+            (place / "rig.toml").write_text(text, encoding="utf-8")
+            replay(place, "npz,mcap", 1, place / "rig.toml")
+            one = {topic: message for topic, _, message in self.messages(place / "demo.mcap")}
+            with np.load(place / "pings.npz", allow_pickle=False) as arrays:
+                transform = one["/tf"].transforms[0].transform
+                self.elements(rotation(transform.rotation), vector(transform.translation), one["/tf_static"], arrays, 0)
 
     def test_a_file_that_was_cut_off_holds_every_whole_ping_after_recover(self):
         data = (folder / "demo.mcap").read_bytes()
