@@ -1,7 +1,6 @@
 //! Job files for schedulers: a job array of Slurm, an Indexed Job of Kubernetes.
 //!
-//! A task of either computes one shard: the index of the task is the number of the shard. A task that is lost is started again by the scheduler;
-//! a shard that is complete ends at once.
+//! The index of a task is the number of its shard. A task that is lost is started again by the scheduler; a shard that is complete ends at once.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -12,6 +11,8 @@ use super::Manifest;
 const TIME_FACTOR: f64 = 4.0;
 /// Shortest time limit, minutes.
 const MIN_MINUTES: f64 = 10.0;
+/// Maximum number of tasks of a job array: Slurm refuses indices above 1000 (`MaxArraySize`) unless its administrator allows more.
+const MAX_TASKS: usize = 1000;
 
 /// Time limit of a task of the costliest shard, whole minutes.
 fn minutes(manifest: &Manifest, cores: usize) -> u64 {
@@ -25,12 +26,13 @@ fn quoted(text: &str) -> String {
     format!("'{}'", text.replace('\'', "'\\''"))
 }
 
-/// A batch script of Slurm: `sbatch FILE` starts an array of all shards.
+/// A batch script of Slurm: `sbatch FILE` starts an array of all shards. With more than [`MAX_TASKS`] shards, each task computes every so-many-th, one
+/// after another.
 pub fn slurm(manifest: &Manifest, folder: &Path, program: &Path, cores: usize) -> String {
-    let (last, minutes) = (
-        manifest.shards.len().saturating_sub(1),
-        minutes(manifest, cores),
-    );
+    let shards = manifest.shards.len();
+    let tasks = shards.clamp(1, MAX_TASKS);
+    let (last, last_shard) = (tasks - 1, shards.saturating_sub(1));
+    let minutes = minutes(manifest, cores) * shards.div_ceil(tasks) as u64;
     let (program, folder) = (
         quoted(&program.display().to_string()),
         quoted(&folder.display().to_string()),
@@ -46,9 +48,17 @@ pub fn slurm(manifest: &Manifest, folder: &Path, program: &Path, cores: usize) -
     ] {
         let _ = writeln!(text, "#SBATCH --{option}");
     }
-    text += &format!(
-        "exec {program} campaign run {folder} --shard \"$SLURM_ARRAY_TASK_ID\" --threads {cores}\n"
-    );
+    text += &match shards > tasks {
+        false => format!(
+            "exec {program} campaign run {folder} --shard \"$SLURM_ARRAY_TASK_ID\" --threads {cores}\n"
+        ),
+        // A shard that fails leaves the others of its task alone.
+        true => format!(
+            "status=0\nfor shard in $(seq \"$SLURM_ARRAY_TASK_ID\" {tasks} {last_shard}); do\n\
+             \u{20}   {program} campaign run {folder} --shard \"$shard\" --threads {cores} || status=1\n\
+             done\nexit $status\n"
+        ),
+    };
     text
 }
 
@@ -98,4 +108,48 @@ spec:
             claimName: echotank
 "#
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::campaign::Shard;
+
+    #[test]
+    fn a_job_array_computes_more_shards_than_it_may_have_tasks() {
+        let shard = Shard {
+            run: 0,
+            pings: (1, 1),
+            cost_s: 1.0,
+        };
+        let manifest = Manifest {
+            version: String::new(),
+            simd: String::new(),
+            rig: PathBuf::new(),
+            formats: Vec::new(),
+            runs: Vec::new(),
+            shards: vec![shard; 2500],
+        };
+        let script = slurm(&manifest, Path::new("out"), Path::new("/bin/echo"), 1);
+        assert!(
+            script
+                .contains("#SBATCH --array=0-999\n#SBATCH --cpus-per-task=1\n#SBATCH --time=30\n"),
+            "{script}"
+        );
+        for (task, shards) in [
+            (0, vec![0, 1000, 2000]),
+            (499, vec![499, 1499, 2499]),
+            (999, vec![999, 1999]),
+        ] {
+            let done = std::process::Command::new("sh")
+                .args(["-c", &script])
+                .env("SLURM_ARRAY_TASK_ID", task.to_string())
+                .output()
+                .expect("a shell");
+            let line = |shard| format!("campaign run out --shard {shard} --threads 1\n");
+            let expected: String = shards.into_iter().map(line).collect();
+            assert_eq!(String::from_utf8_lossy(&done.stdout), expected);
+            assert!(done.status.success());
+        }
+    }
 }
