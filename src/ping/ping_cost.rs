@@ -206,7 +206,11 @@ mod tests {
         };
         assert_eq!(cost.core_ms(), 11.0);
         assert_eq!(cost.wall_ms(1), 11.0);
-        assert_eq!(cost.wall_ms(2), 7.0);
+        for threads in [2, 16] {
+            let rest_ms = cost.wall_ms(threads) - 3.0;
+            assert!((rest_ms * speedup(threads) - 8.0).abs() < 1e-12);
+        }
+        assert!((1.3..1.8).contains(&speedup(2)) && (3.8..7.3).contains(&speedup(16)));
     }
 
     #[test]

@@ -13,7 +13,7 @@ use std::time::Instant;
 use clap::Args;
 use echotank_config::spec::RigSpec;
 use echotank_ping::make_ping::{form, insonify, receive, synthesise};
-use echotank_ping::ping_cost::PingCost;
+use echotank_ping::ping_cost::{PingCost, speedup};
 use echotank_ping::rig::{PingSlot, Rig};
 use echotank_ping::threads::pool;
 use echotank_ping::{PingOrder, period_ns};
@@ -284,7 +284,7 @@ impl Row {
             each.map(|t| Some(share(t) * of(t.estimate.as_ref()?)))
                 .sum()
         };
-        let parallel = |of: fn(&PingCost) -> f64| estimate(&|cost| of(cost) / threads as f64);
+        let parallel = |of: fn(&PingCost) -> f64| estimate(&|cost| of(cost) / speedup(threads));
         let stage = |(stage, name): (usize, &&str)| Stage {
             name: (*name).to_owned(),
             ms: sum(&|t| t.stage_median(stage)),
