@@ -24,6 +24,7 @@ use crate::method_selection::{
 };
 use crate::methods::{Choice, Ranking};
 use crate::pipeline::{PipelineError, SonarPipeline};
+use crate::plan::polyline;
 use crate::schedule::PingOrder;
 use crate::threads::{pool, run_in_background};
 use echotank_config::spec::{MediumSpec, SonarSpec};
@@ -191,8 +192,13 @@ impl MethodSelector {
         }
         // A selection that misses the tolerance is no reason to call every ping an exception.
         let expected = self.mark.predicted_error.max(goal.tolerance);
-        let (path, error) = promise.of_ping(&self.spec, plan, scatterers, expected);
+        let (path, segment_s, error) = promise.of_ping(&self.spec, plan, scatterers, expected);
         plan.model.path = path;
+        if segment_s != plan.model.segment_s {
+            plan.model.segment_s = segment_s;
+            let window_s = plan.window_s(self.spec.receiver.sample_rate_hz);
+            polyline(&plan.trajectory, window_s, segment_s, &mut plan.segments);
+        }
         self.ping_error = error;
     }
 

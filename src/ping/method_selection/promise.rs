@@ -4,6 +4,7 @@
 //! predicted error.
 
 use crate::conditions::{conditions, segment_step_s};
+use crate::method_selection::SEGMENTS_S;
 use crate::method_selection::echo_statistics::{EchoPeaks, echo_peaks};
 use crate::methods::{Candidate, Family};
 use crate::refraction::refraction_error;
@@ -48,18 +49,18 @@ impl Promise {
         }
     }
 
-    /// Of a ping: its path model, and its predicted error. A path that is the operator's stays, and so does a selected one that keeps the
-    /// tolerance.
+    /// Of a ping: its path model, the length of its segments, and its predicted error. A path that is the operator's stays, and so does a selected
+    /// one that keeps the tolerance.
     pub(super) fn of_ping(
         &self,
         spec: &SonarSpec,
         plan: &PingPlan,
         scatterers: &Scatterers,
         tolerance: f64,
-    ) -> (PathModel, f64) {
+    ) -> (PathModel, f64, f64) {
         let bent = refraction_error(spec, plan, scatterers);
         if self.is_exact {
-            return (self.path, self.others.hypot(bent));
+            return (self.path, self.segment_s, self.others.hypot(bent));
         }
         let conditions = match scatterers.len() <= ALL {
             true => conditions(spec, plan, scatterers),
@@ -67,25 +68,33 @@ impl Promise {
         };
         let conditions = Conditions {
             pulse: plan.pulse,
-            segment_s: segment_step_s(plan.window_s(conditions.sample_rate_hz), self.segment_s),
             ..conditions
         };
-        let error = |path: PathModel| {
+        let window_s = plan.window_s(conditions.sample_rate_hz);
+        let error = |path: PathModel, segment_s: f64| {
+            let conditions = Conditions {
+                segment_s: segment_step_s(window_s, segment_s),
+                ..conditions
+            };
             let doppler = doppler_error(self.doppler, path, &conditions);
             (path_error(path, &conditions) + bent + doppler).hypot(self.others)
         };
-        let selected = error(self.path);
-        if selected <= tolerance || !spec.synthesis.auto.path {
-            return (self.path, selected);
+        let mut best = (self.path, self.segment_s, error(self.path, self.segment_s));
+        if best.2 <= tolerance || !spec.synthesis.auto.path {
+            return best;
         }
-        // The chords of the elements cost a little more than those of the platform, the exact trajectory several times as much.
-        let costlier = [PathModel::KSegment, PathModel::Continuous];
-        let mut best = (self.path, selected);
-        for path in costlier {
-            if best.1 > tolerance && path != self.path {
-                let other = error(path);
-                if other < best.1 {
-                    best = (path, other);
+        // The chords of the elements cost a little more than those of the platform, and shorter ones hardly more; the exact trajectory costs several
+        // times as much.
+        let shorter = SEGMENTS_S
+            .into_iter()
+            .filter(|&segment_s| spec.synthesis.auto.segment && segment_s < self.segment_s);
+        let chords = std::iter::once(self.segment_s).chain(shorter);
+        let costlier = chords.map(|segment_s| (PathModel::KSegment, segment_s));
+        for (path, segment_s) in costlier.chain([(PathModel::Continuous, self.segment_s)]) {
+            if best.2 > tolerance {
+                let other = error(path, segment_s);
+                if other < best.2 {
+                    best = (path, segment_s, other);
                 }
             }
         }
