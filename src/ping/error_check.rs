@@ -219,8 +219,8 @@ impl ErrorChecker {
         (self.above, self.fault) = (from.above, from.fault);
     }
 
-    /// Takes the cost of a scatterer from this sonar's model.
-    pub(crate) fn take_model(&mut self, spec: &SonarSpec) {
+    /// Sets the predicted cost of a scatterer from the sonar's model.
+    pub(crate) fn set_model(&mut self, spec: &SonarSpec) {
         self.pair_ns = pair_ns(spec);
     }
 

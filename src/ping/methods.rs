@@ -86,22 +86,21 @@ pub struct Choice {
 }
 
 impl Choice {
-    /// Whether a pipeline for the other choice has the engines of this one. Path, segments and culling are a matter of each ping's plan, except
-    /// with `gridded-2d`, whose tables depend on them.
+    /// Whether both choices have the same engines. Path, segments and culling belong to the plan of each ping; only the tables of `gridded-2d` depend
+    /// on them.
     pub(crate) fn has_engines_of(&self, other: &Self) -> bool {
-        let plan = |model: ModelChoice| ModelChoice {
-            path: self.model.path,
-            segment_s: self.model.segment_s,
-            cull_db: self.model.cull_db,
-            ..model
-        };
-        let like = Self {
-            model: plan(other.model),
+        let with_own_plan = Self {
+            model: ModelChoice {
+                path: self.model.path,
+                segment_s: self.model.segment_s,
+                cull_db: self.model.cull_db,
+                ..other.model
+            },
             ..*other
         };
         match self.model.synthesis {
             Synthesis::Gridded2d => self == other,
-            _ => *self == like,
+            _ => *self == with_own_plan,
         }
     }
 }

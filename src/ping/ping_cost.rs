@@ -64,15 +64,15 @@ impl PingCost {
         self.stages().iter().map(|(_, ms)| ms).sum()
     }
 
-    /// On so many threads, each with a core or with its share of one.
+    /// Time on several threads, milliseconds; see [`speedup`].
     pub fn wall_ms(&self, threads: usize) -> f64 {
         (self.core_ms() - self.records_ms) / speedup(threads) + self.records_ms
     }
 }
 
-/// How many times as fast as one so many threads make a ping. They share memory and, as two threads of one core, arithmetic; some parts of a ping have
-/// one thread. Four multibeams and side-scans of `tools/bench rates --threads` on 16 hardware threads: 1.3 to 1.8 with 2 threads, 1.9 to 2.6 with 4,
-/// 3.3 to 4.3 with 8, 3.8 to 7.3 with 16.
+/// Time of a ping on one thread over that on several. Threads share memory, hardware threads of one core share arithmetic, and some stages have one
+/// thread. The exponent is a fit to four rigs of `tools/bench rates --threads N` on 16 hardware threads: 1.3 to 1.8 with 2 threads, 1.9 to 2.6 with
+/// 4, 3.3 to 4.3 with 8, 3.8 to 7.3 with 16.
 pub fn speedup(threads: usize) -> f64 {
     (threads.max(1) as f64).powf(0.62)
 }

@@ -190,11 +190,11 @@ impl SonarPipeline {
         self.spec.model
     }
 
-    /// Makes the next pings with this path model, segments and culling; its engines stay.
-    pub(crate) fn take_model(&mut self, model: ModelChoice) {
+    /// Sets path model, segments and culling of the next pings. The engines stay, so `model` must need the same ones.
+    pub(crate) fn set_model(&mut self, model: ModelChoice) {
         self.spec.model = model;
         if let Some(error_checker) = &mut self.error_checker {
-            error_checker.take_model(&self.spec);
+            error_checker.set_model(&self.spec);
         }
     }
 

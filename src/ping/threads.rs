@@ -11,7 +11,7 @@ pub fn pool(threads: usize) -> Result<rayon::ThreadPool, rayon::ThreadPoolBuildE
 /// Nice value of threads that prepare for later pings.
 const BACKGROUND: libc::c_int = 10;
 
-/// Puts the calling thread, and the threads that it will start, behind those that compute pings. Without effect where it already is farther behind.
+/// Lowers the priority of the calling thread, and of threads that it starts later, below those that compute pings. A lower priority stays.
 pub(crate) fn run_in_background() {
     // SAFETY: takes no pointers; on Linux 0 is the calling thread.
     let _ = unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, BACKGROUND) };

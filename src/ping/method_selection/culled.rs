@@ -40,10 +40,10 @@ const MIN_MEAN: f64 = 0.8;
 /// Beyond the floor that they were gathered with, scatterers are as dense as just above it, within so many dB: a thinned seabed has fewer, the farther
 /// a side lobe lies below the main lobe.
 const NEAR_FLOOR_DB: f64 = 10.0;
-/// Steps in which roll and pitch count, 2 degrees, and heights, 3 %: what is left out hardly depends on them, and few grounds need to be made.
+/// Quantisation of roll and pitch (2 degrees) and of height (3 %) for the level histograms. Finer steps would need more histograms.
 const ATTITUDE_STEP_RAD: f64 = std::f64::consts::PI / 90.0;
 const HEIGHTS_PER_DOUBLING: f64 = 24.0;
-/// Grounds that are remembered, of up to a megabyte an array.
+/// Maximum number of stored attitudes and heights. The histograms of each take 0.4 MB for each array.
 const MAX_GROUNDS: usize = 32;
 /// Mean square over squared mean of a scatterer's energy: exponential, as speckle is.
 const SPECKLE: f64 = 2.0;
@@ -69,7 +69,14 @@ pub(super) fn floors(scene: &Scene, of: usize, memo: &Memo) -> Vec<Culling> {
         });
         arrays.fold(0.0, f64::max)
     };
-    let level = |db: f64| Memo::of(&memo.left_out, Memo::MOST, (of, db.to_bits()), || level(db));
+    let level = |db: f64| {
+        Memo::of(
+            &memo.left_out,
+            Memo::MAX_ENTRIES,
+            (of, db.to_bits()),
+            || level(db),
+        )
+    };
     let left_out = |db: f64| UNEVEN * level(db).max(seabed.worst(db));
     let mut dbs = vec![own_db];
     if spec.synthesis.auto.cull {
@@ -191,8 +198,8 @@ impl Seabed {
     }
 }
 
-/// In about the attitude, height and range of the ping, from the first return on: pings that differ by less than [`ATTITUDE_STEP_RAD`] and
-/// [`HEIGHTS_PER_DOUBLING`] have the same.
+/// Level histograms of every array from the first return on, in the attitude and height of the ping, rounded to [`ATTITUDE_STEP_RAD`] and
+/// [`HEIGHTS_PER_DOUBLING`].
 fn rings(
     spec: &SonarSpec,
     plan: &PingPlan,
@@ -208,7 +215,7 @@ fn rings(
     let down_m = of_ground.iter().map(|&i| scatterers.down_m[i]).sum::<f64>();
     let mean_down_m = down_m / of_ground.len().max(1) as f64;
     let (roll_rad, pitch_rad, _) = angles_from_rotation(pose.world_from_body);
-    // Not -0, which has other bits than 0.
+    // Adding 0 turns -0 into 0, which has other bits.
     let [roll, pitch] = [roll_rad, pitch_rad].map(|a| (a / ATTITUDE_STEP_RAD).round() + 0.0);
     let world_from_body =
         rotation_from_angles(roll * ATTITUDE_STEP_RAD, pitch * ATTITUDE_STEP_RAD, 0.0);

@@ -11,7 +11,8 @@
 //! the second has one from the middle of the first. Changed settings are examined at once. A skipped ping is not examined.
 //!
 //! Every ping has its own promise ([`Promise`]): the error models of path and Doppler with its own motion. A ping that moves more than the selection
-//! expected is made on the elements' own chords or, where these do not suffice, on the exact trajectory. Where even that leaves more than the tolerance, its promise says so.
+//! expected is computed with the elements' own chords, with shorter ones, or on the exact trajectory. If that exceeds the tolerance, its promise
+//! says so.
 
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
@@ -256,7 +257,7 @@ impl MethodSelector {
             std::mem::swap(pipeline, &mut made);
             self.spare = Some((self.choice, made));
         }
-        pipeline.take_model(selection.choice.model);
+        pipeline.set_model(selection.choice.model);
         self.choice = selection.choice;
         self.promise = Some(selection.promise);
         self.mark = selection.mark;
@@ -413,10 +414,12 @@ impl Job {
             let candidate = ranking.chosen();
             let choice = candidate.choice;
             let has_engines = |made: &Choice| made.has_engines_of(&choice);
-            let pipeline = match () {
-                () if self.current.as_ref().is_some_and(has_engines) => Made::Current,
-                () if self.spare.as_ref().is_some_and(has_engines) => Made::Spare,
-                () => match self.make(&choice) {
+            let pipeline = if self.current.as_ref().is_some_and(has_engines) {
+                Made::Current
+            } else if self.spare.as_ref().is_some_and(has_engines) {
+                Made::Spare
+            } else {
+                match self.make(&choice) {
                     Ok(made) => Made::New(made),
                     // The next best.
                     Err(_) if !self.excluded.contains(&choice) => {
@@ -425,7 +428,7 @@ impl Job {
                         continue;
                     }
                     Err(_) => return None,
-                },
+                }
             };
             return Some(Selection {
                 choice,
@@ -473,7 +476,7 @@ fn block_pings(settings: &SonarSettings, sound_speed_m_per_s: f64) -> u32 {
     ((BLOCK_S / period_s).ceil() as u32).max(MIN_BLOCK_PINGS)
 }
 
-/// Whether the second block is selected for on this ping; blocks have so many pings.
+/// Whether the selection for the second block examines this ping. `pings`: of a block.
 fn is_middle_of_first(ping_number: u32, pings: u32) -> bool {
     ping_number == 1 + pings / 2
 }

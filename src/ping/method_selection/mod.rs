@@ -305,18 +305,18 @@ enum Engine {
     },
 }
 
-/// What rankings of one sonar found and will find again for the same key. Answers do not depend on what is remembered.
+/// Cache of the rankings of one sonar. Every value is a function of its key alone.
 #[derive(Default)]
 pub(crate) struct Memo {
     /// Engines that have been looked at. An element's engine is a part's too.
     sketches: Mutex<Vec<(SketchKey, SketchResult)>>,
     /// Shares of the energy on a level platform, by elements of a part and floor.
     left_out: Mutex<Vec<((usize, u64), f64)>>,
-    /// Grounds, by attitude, height and what else they are made of.
+    /// Level histograms of the ground under each array.
     rings: Mutex<Vec<(GroundKey, Arc<Vec<Rings>>)>>,
 }
 
-/// The bits of what a ground is made of.
+/// Bits of roll and pitch steps, octaves of the height in metres, longest range, window and wavelength in metres, and absorption in dB/m.
 type GroundKey = [u64; 7];
 
 /// Synthesis and Doppler model; the bits of tolerance, nearest range and pulse length; samples.
@@ -324,12 +324,12 @@ type SketchKey = (Synthesis, DopplerModel, Option<u64>, [u64; 2], usize);
 type SketchResult = Result<Arc<Sketch>, String>;
 
 impl Memo {
-    const MOST: usize = 128;
+    const MAX_ENTRIES: usize = 128;
 
-    /// What is remembered of `key`, or what `make` makes of it. The oldest of more than `most` entries is forgotten.
+    /// The stored value of `key`, or a new value from `make`, which is then stored. Replaces the oldest of `max_entries`.
     fn of<K: PartialEq, V: Clone>(
         entries: &Mutex<Vec<(K, V)>>,
-        most: usize,
+        max_entries: usize,
         key: K,
         make: impl FnOnce() -> V,
     ) -> V {
@@ -337,7 +337,7 @@ impl Memo {
         if let Some((_, value)) = entries.iter().find(|(known, _)| *known == key) {
             return value.clone();
         }
-        if entries.len() == most {
+        if entries.len() == max_entries {
             entries.remove(0);
         }
         let value = make();
@@ -632,7 +632,7 @@ impl<'a> CandidateBuilder<'a> {
             [self.nearest_m, plan.pulse.duration_s].map(f64::to_bits),
             plan.sample_count,
         );
-        let made = Memo::of(&self.memo.sketches, Memo::MOST, key, || {
+        let made = Memo::of(&self.memo.sketches, Memo::MAX_ENTRIES, key, || {
             let made = sketch(&spec, c, fastest, filter()?.as_ref(), plan);
             made.map(Arc::new).map_err(|why| why.to_string())
         })?;

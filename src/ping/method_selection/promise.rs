@@ -49,8 +49,8 @@ impl Promise {
         }
     }
 
-    /// Of a ping: its path model, the length of its segments, and its predicted error. A path that is the operator's stays, and so does a selected
-    /// one that keeps the tolerance.
+    /// Path model of a ping, length of its segments in seconds, and its predicted error. A configured path stays, and so does a selected one that
+    /// keeps the tolerance.
     pub(super) fn of_ping(
         &self,
         spec: &SonarSpec,
@@ -83,8 +83,7 @@ impl Promise {
         if best.2 <= tolerance || !spec.synthesis.auto.path {
             return best;
         }
-        // The chords of the elements cost a little more than those of the platform, and shorter ones hardly more; the exact trajectory costs several
-        // times as much.
+        // From cheap to costly.
         let shorter = SEGMENTS_S
             .into_iter()
             .filter(|&segment_s| spec.synthesis.auto.segment && segment_s < self.segment_s);
