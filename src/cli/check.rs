@@ -261,9 +261,10 @@ fn times(sonar: &SonarSpec, error_model: &ErrorModel) -> f64 {
     }
 }
 
-/// Error of each array's reverberation due to `cull_db`; empty without culling.
+/// Error of each array's reverberation due to a configured `cull_db`; empty without one.
 fn culling(sonar: &SonarSpec, medium: &MediumSpec) -> String {
-    let Some(cull_db) = sonar.model.cull_db else {
+    let configured = |_: &f64| !sonar.synthesis.culls_by_window;
+    let Some(cull_db) = sonar.model.cull_db.filter(configured) else {
         return String::new();
     };
     let wavelength_m = medium.sound_speed_m_per_s / sonar.pulse.center_frequency_hz;

@@ -235,7 +235,7 @@ fn rig(
             let keeps = auto || sonar.model.synthesis.keeps_tolerance();
             if sonar.model.cull_db.is_none() && keeps {
                 sonar.model.cull_db = culling::floor_db(sonar, medium.sound_speed_m_per_s);
-                sonar.synthesis.auto.cull = auto;
+                sonar.synthesis.culls_by_window = true;
             }
         }
     }

@@ -1297,6 +1297,8 @@ pub struct SynthesisSpec {
     pub engine_tolerance: Option<f64>,
     /// Methods that are selected automatically.
     pub auto: AutoModel,
+    /// True if the culling level is not configured: culling then keeps its part of the tolerance in every window.
+    pub culls_by_window: bool,
     /// Maximum displacement of echoes in range cells, if only pictures are used. `None`: the tolerance of samples applies.
     pub image_cells: Option<f64>,
     /// Result of the synthesis: element samples or side-scan lines.
@@ -1321,6 +1323,7 @@ impl Default for SynthesisSpec {
             nearest_m: 5.0,
             engine_tolerance: None,
             auto: AutoModel::default(),
+            culls_by_window: false,
             image_cells: None,
             output: SynthesisOutput::Elements,
             elements_for: None,

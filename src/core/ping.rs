@@ -58,6 +58,8 @@ pub struct PingPlan {
     pub first_sample_s: f64,
     /// Selected models and method.
     pub model: ModelChoice,
+    /// Pattern floors by range, in place of the one of [`Self::model`].
+    pub range_floors: RangeFloors,
     /// State of the platform for output records.
     pub nav: NavState,
     /// Position of the sonar for output records.
@@ -72,6 +74,26 @@ impl PingPlan {
     /// Length of the listening window, seconds.
     pub fn window_s(&self, sample_rate_hz: f64) -> f64 {
         self.first_sample_s + self.sample_count as f64 / sample_rate_hz
+    }
+}
+
+/// Pattern floors by range. Empty where [`ModelChoice::cull_db`] holds at all ranges.
+#[derive(Clone, Debug, Default)]
+pub struct RangeFloors {
+    /// Bins of slant range from the transmitter at the start of the pulse, per metre.
+    pub per_m: f64,
+    /// Lowest two-way pattern that culling keeps, relative to boresight, by bin. Infinite where the floor of the model holds.
+    pub levels: Vec<f32>,
+}
+
+impl RangeFloors {
+    /// The floor at a range. `floor`: that of the model, 0 without culling.
+    #[inline(always)]
+    pub fn at(&self, floor: f64, range_m: f64) -> f64 {
+        match self.levels.get((range_m * self.per_m) as usize) {
+            Some(level) if level.is_finite() && floor > 0.0 => f64::from(*level),
+            _ => floor,
+        }
     }
 }
 

@@ -42,6 +42,7 @@ pub fn plan_at_rest(pulse: &Pulse, sample_count: usize, sound_speed_m_per_s: f64
             segment_s: 1.0,
             cull_db: None,
         },
+        range_floors: crate::ping::RangeFloors::default(),
         nav: NavState {
             utc: UtcNs(0),
             pose: trajectory.pose_at(0.0),

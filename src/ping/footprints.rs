@@ -11,6 +11,8 @@ use echotank_core::frames::Pose;
 use echotank_core::ping::PingPlan;
 use echotank_core::scene::{BaffledFace, Footprint, PatternSide, ResolutionCell};
 
+use crate::range_floors::GATHERED_BELOW_DB;
+
 /// Number of times in the reception window at which the platform's motion is sampled.
 const MOTION_SAMPLES: usize = 16;
 /// Margin for motion between the samples, as a fraction of the largest rotation and displacement found.
@@ -60,10 +62,13 @@ pub fn footprints(spec: &SonarSpec, plan: &PingPlan, out: &mut Vec<Footprint>) {
             receiver_m,
             max_range_m: 0.5 * window_s * bend.fastest_m_per_s,
             sides: [a, b, c, d],
-            depth: plan
-                .model
-                .cull_db
-                .map_or(f64::INFINITY, |db| 10f64.powf(-db / 20.0)),
+            depth: plan.model.cull_db.map_or(f64::INFINITY, |db| {
+                let below_db = match spec.synthesis.culls_by_window {
+                    true => GATHERED_BELOW_DB,
+                    false => 0.0,
+                };
+                10f64.powf((below_db - db) / 20.0)
+            }),
             faces: [at_start, of_element].map(|r| r.face(start.world_from_body)),
             cell: ResolutionCell {
                 range_m: resolution_m,

@@ -21,6 +21,7 @@ pub mod more_pulses;
 pub mod ping_cost;
 pub mod pipeline;
 pub mod plan;
+mod range_floors;
 mod refraction;
 pub mod rig;
 pub mod rig_schedule;
@@ -33,6 +34,7 @@ pub mod world;
 
 pub use make_ping::{finish_ping, make_degraded_ping, make_ping};
 pub use plan::{blank, fill, max_samples, max_segments, polyline, pulse, sample_count};
+pub use range_floors::RangeFloorFinder;
 pub use refraction::virtual_point_m;
 pub use schedule::{PingOrder, Schedule, TURNAROUND_S, period_ns, window_s};
 pub use trigger::{EarlyPolicy, Refusal, Triggered};

@@ -134,6 +134,9 @@ pub fn gather(rig: &mut Rig, sonar: usize, slot: &mut PingSlot) {
     let mut scatterers = std::mem::take(&mut rig.scatterers);
     slot.output.scene.unreached = rig.bend(&slot.plan, &mut scatterers);
     rig.scatterers = scatterers;
+    let unit = &mut rig.sonars[sonar];
+    let finder = &mut unit.range_floors;
+    finder.find(&unit.spec, &mut slot.plan, &rig.scatterers);
 }
 
 /// The way of the sound from the transmitters to every scatterer.

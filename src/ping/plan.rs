@@ -11,6 +11,7 @@ use echotank_core::pulse::Pulse;
 use echotank_core::settings::SonarSettings;
 use echotank_core::time::{NS_PER_S, UtcNs};
 
+use crate::range_floors;
 use crate::schedule::{PingOrder, period_ns, window_s};
 
 /// Number of samples that cover [`window_s`], at least 1.
@@ -103,6 +104,7 @@ pub fn blank(
         sample_count: 0,
         first_sample_s: 0.0,
         model: spec.model,
+        range_floors: range_floors::with_room(),
         nav: NavState::default(),
         sensor: SensorState::default(),
         trajectory: Trajectory::default(),

@@ -10,6 +10,7 @@ use crate::method_selection::costs::Costs;
 use crate::method_selection::live::MethodSelector;
 use crate::pipeline::{PipelineError, SonarPipeline};
 use crate::plan;
+use crate::range_floors::RangeFloorFinder;
 use crate::world::{SceneSummary, SharedSceneSummary};
 use echotank_config::spec::{AnchorSpec, FaultRefused, MediumSpec, RigSpec, SonarSpec};
 use echotank_core::arrays::TimeVaryingGain;
@@ -66,6 +67,8 @@ pub struct SonarUnit {
     pub pipeline: SonarPipeline,
     /// Simplification of the scene, which omits scatterers that the ping does not need.
     pub(crate) simplify: Option<(Stage, View)>,
+    /// Lowers the pattern floor where little is received.
+    pub(crate) range_floors: RangeFloorFinder,
     /// One-way absorption at the centre frequency, dB/m.
     pub absorption_db_per_m: f64,
     /// Faults of the rig.
@@ -176,6 +179,7 @@ impl Rig {
                 method_selector: MethodSelector::new(&sonar, &spec.medium, costs.clone()),
                 looser: Vec::new(),
                 spec: sonar,
+                range_floors: RangeFloorFinder::default(),
                 absorption_db_per_m,
                 faults: faults.clone(),
             });

@@ -159,7 +159,6 @@ fn configured(spec: &RigSpec, costs: &Costs, until: Instant) -> Result<Vec<Timed
             segment: true,
             doppler: true,
             synthesis: true,
-            cull: false,
         };
     }
     let mut timed = Vec::new();

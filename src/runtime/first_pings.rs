@@ -24,7 +24,7 @@ use echotank_ping::methods::Ranking;
 use echotank_ping::ping_cost::PingCost;
 use echotank_ping::pipeline::SonarPipeline;
 use echotank_ping::rig::PingSlot;
-use echotank_ping::{self as ping, PingOrder};
+use echotank_ping::{self as ping, PingOrder, RangeFloorFinder};
 
 /// Speed assumed without recorded navigation: 5 knots, straight ahead and level.
 const ASSUMED_M_PER_S: f64 = 2.572;
@@ -303,6 +303,7 @@ fn assumed_pings(spec: &RigSpec) -> Result<Vec<Planned>, FirstPingError> {
             let mut scatterers = Scatterers::default();
             let mut scene = rig.scene.gather(&areas, &mut scatterers);
             scene.unreached = rig.bend(&slot.plan, &mut scatterers);
+            RangeFloorFinder::default().find(&spec, &mut slot.plan, &scatterers);
             (slot.plan.clone(), scatterers, scene)
         };
         let (plan, scatterers, _) = gather(0.0, &mut slot);

@@ -141,7 +141,7 @@ fn is_auto(sonar: &SonarSpec, family: Family) -> bool {
         Family::Path => auto.path,
         Family::Doppler => auto.doppler,
         Family::Sum => auto.synthesis,
-        Family::Culling => auto.cull,
+        Family::Culling => sonar.synthesis.culls_by_window,
         Family::Output => sonar.synthesis.output != SynthesisOutput::Elements,
     }
 }

@@ -698,7 +698,6 @@ fn auto_model(table: &keys::Model) -> AutoModel {
         segment: is_auto(&table.path) && !table.segment_ms.given,
         doppler: is_auto(&table.doppler),
         synthesis: is_auto(&table.synthesis),
-        cull: false,
     }
 }
 
@@ -738,6 +737,7 @@ fn synthesis(table: &keys::Model) -> Option<SynthesisSpec> {
         },
         engine_tolerance: None,
         auto: auto_model(table),
+        culls_by_window: false,
         image_cells: table.tolerance_image.if_given()?,
         output: table.output.named()?,
         elements_for: None,

@@ -12,8 +12,6 @@ pub struct AutoModel {
     pub doppler: bool,
     /// The synthesis method.
     pub synthesis: bool,
-    /// The culling level; selected if `synthesis` is.
-    pub cull: bool,
 }
 
 impl AutoModel {

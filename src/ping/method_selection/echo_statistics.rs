@@ -561,6 +561,7 @@ impl ReceivingElement {
             };
             let level = towards(&self.transmit_leg, &self.transmit_from_world, out)
                 * towards(&self.element, &at.array_from_world, back);
+            let floor = plan.range_floors.at(floor, ray.out_range_m);
             if level.abs() * f64::from(scatterers.loud[i]) < floor {
                 continue;
             }
@@ -615,18 +616,15 @@ impl Shares {
     };
 }
 
-/// What each floor (dB; none is no floor) leaves.
+/// What the pattern floors leave. `cull_db`: the one of the model.
 pub(crate) fn kept_shares(
     spec: &SonarSpec,
     plan: &PingPlan,
     scatterers: &Scatterers,
-    floors_db: &[Option<f64>],
-) -> Vec<Shares> {
-    let floors: Vec<f64> = floors_db
-        .iter()
-        .map(|db| db.map_or(f64::MIN_POSITIVE, amplitude_from_db))
-        .collect();
-    let (mut all, mut sums) = (0.0, vec![(0.0, 0.0); floors.len()]);
+    cull_db: f64,
+) -> Shares {
+    let floor = amplitude_from_db(cull_db);
+    let (mut all, mut transmit_leg, mut kept) = (0.0, 0.0, 0.0);
     let stride = scatterers.len().div_ceil(SAMPLE_SIZE).max(1);
     for array in &spec.receive {
         let transmit = &spec.transmit[array.transmit];
@@ -635,24 +633,21 @@ pub(crate) fn kept_shares(
         let pairs = array.elements as f64;
         for i in (0..scatterers.len()).step_by(stride) {
             let place_m = scatterers.position_m(i);
-            let out =
-                receiver.transmit_from_world * (place_m - receiver.transmit_m).normalize_or_zero();
+            let out_m = place_m - receiver.transmit_m;
+            let out = receiver.transmit_from_world * out_m.normalize_or_zero();
             let back = at.array_from_world * (place_m - at.position_m).normalize_or_zero();
             let loud = f64::from(scatterers.loud[i]);
             let sent = (receiver.transmit_leg.towards(out.x, out.y, out.z) * loud).abs();
             let level = (sent * receiver.element.towards(back.x, back.y, back.z)).abs();
+            let floor = plan.range_floors.at(floor, out_m.length());
             all += pairs;
-            for ((transmit_leg, kept), floor) in sums.iter_mut().zip(&floors) {
-                *transmit_leg += if sent >= *floor { pairs } else { 0.0 };
-                *kept += if level >= *floor { pairs } else { 0.0 };
-            }
+            transmit_leg += if sent >= floor { pairs } else { 0.0 };
+            kept += if level >= floor { pairs } else { 0.0 };
         }
     }
     let share = |sum: f64| if all > 0.0 { sum / all } else { 0.0 };
-    sums.into_iter()
-        .map(|(transmit_leg, kept)| Shares {
-            transmit_leg: share(transmit_leg),
-            kept: share(kept),
-        })
-        .collect()
+    Shares {
+        transmit_leg: share(transmit_leg),
+        kept: share(kept),
+    }
 }

@@ -7,7 +7,7 @@
 pub mod costs;
 mod culled;
 pub mod echo_statistics;
-mod fades;
+pub(crate) mod fades;
 pub mod live;
 pub mod parts;
 mod promise;
@@ -20,7 +20,7 @@ use crate::element_synthesis::{FASTEST_PLATFORM_M_PER_S, filter_design, receiver
 use crate::engines::{HARDEST_M_PER_S2, Sketch, is_line, sketch};
 use crate::line_engines::{NOMINAL_SCATTERERS, SIDEWAYS_M_PER_S, choices};
 use crate::method_selection::costs::Costs;
-use crate::method_selection::culled::floors;
+use crate::method_selection::culled::culling;
 use crate::method_selection::echo_statistics::{Shares, quantities};
 use crate::method_selection::parts::{Parting, partings};
 use crate::method_selection::walked::{WalkLengths, direct_runs, flank_points};
@@ -36,7 +36,6 @@ use echotank_synthesis::array::error_models::{NODES_PER_SAMPLE, reference_points
 use echotank_synthesis::array::filter::{Decimator, FilterDesign};
 use echotank_synthesis::array::gridded::CostEstimate;
 use echotank_synthesis::array::lines;
-use echotank_synthesis::echo::culling::Rings;
 use echotank_synthesis::echo::error_models::{doppler_error_model, path_error_model};
 use echotank_synthesis::error_model::{Conditions, ErrorModel};
 
@@ -283,7 +282,7 @@ struct CandidateBuilder<'a> {
     scene: &'a Scene<'a>,
     conditions: Conditions,
     nearest_m: f64,
-    cullings: Vec<Culling>,
+    culling: Culling,
     /// Of virtual points in water that bends sound, which every path model uses.
     refraction_error: f64,
     walked: WalkLengths,
@@ -310,14 +309,7 @@ enum Engine {
 pub(crate) struct Memo {
     /// Engines that have been looked at. An element's engine is a part's too.
     sketches: Mutex<Vec<(SketchKey, SketchResult)>>,
-    /// Shares of the energy on a level platform, by elements of a part and floor.
-    left_out: Mutex<Vec<((usize, u64), f64)>>,
-    /// Level histograms of the ground under each array.
-    rings: Mutex<Vec<(GroundKey, Arc<Vec<Rings>>)>>,
 }
-
-/// Bits of roll and pitch steps, octaves of the height in metres, longest range, window and wavelength in metres, and absorption in dB/m.
-type GroundKey = [u64; 7];
 
 /// Synthesis and Doppler model; the bits of tolerance, nearest range and pulse length; samples.
 type SketchKey = (Synthesis, DopplerModel, Option<u64>, [u64; 2], usize);
@@ -326,23 +318,18 @@ type SketchResult = Result<Arc<Sketch>, String>;
 impl Memo {
     const MAX_ENTRIES: usize = 128;
 
-    /// The stored value of `key`, or a new value from `make`, which is then stored. Replaces the oldest of `max_entries`.
-    fn of<K: PartialEq, V: Clone>(
-        entries: &Mutex<Vec<(K, V)>>,
-        max_entries: usize,
-        key: K,
-        make: impl FnOnce() -> V,
-    ) -> V {
-        let mut entries = entries.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, value)) = entries.iter().find(|(known, _)| *known == key) {
-            return value.clone();
+    /// The stored engine of `key`, or a new one from `make`, which is then stored in place of the oldest.
+    fn sketch(&self, key: SketchKey, make: impl FnOnce() -> SketchResult) -> SketchResult {
+        let mut entries = self.sketches.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, sketch)) = entries.iter().find(|(known, _)| *known == key) {
+            return sketch.clone();
         }
-        if entries.len() == max_entries {
-            entries.remove(0);
+        if entries.len() == Self::MAX_ENTRIES {
+            drop(entries.remove(0));
         }
-        let value = make();
-        entries.push((key, value.clone()));
-        value
+        let sketch = make();
+        entries.push((key, sketch.clone()));
+        sketch
     }
 }
 
@@ -362,7 +349,7 @@ impl<'a> CandidateBuilder<'a> {
             nearest_m: nearest_m(spec, conditions.range_m.0),
             conditions,
             refraction_error: refraction_error(spec, scene.plan, scene.scatterers),
-            cullings: floors(scene, parting.map_or(1, |parting| parting.of), memo),
+            culling: culling(scene),
         }
     }
 
@@ -460,9 +447,7 @@ impl<'a> CandidateBuilder<'a> {
                         &self.conditions,
                     );
                     for motion in motions.iter().filter(|m| synthesis.takes(m.doppler)) {
-                        for &culling in &self.cullings {
-                            found.push(self.plain(synthesis, &error_model, motion, culling));
-                        }
+                        found.push(self.plain(synthesis, &error_model, motion));
                     }
                 }
             }
@@ -473,7 +458,7 @@ impl<'a> CandidateBuilder<'a> {
     /// The reference.
     fn exact(&self) -> Option<Candidate> {
         let motions = self.motions();
-        Some(self.reference(motions.last()?, self.cullings[0]))
+        Some(self.reference(motions.last()?))
     }
 
     /// Candidates of one engine, Doppler by Doppler: an engine knows nothing of paths but whether they step.
@@ -534,15 +519,9 @@ impl<'a> CandidateBuilder<'a> {
                     Ok(engine) => {
                         is_made = true;
                         for motion in &of {
-                            for &culling in &self.cullings {
-                                found.push(self.on_engine(
-                                    synthesis,
-                                    motion,
-                                    culling,
-                                    engine_tolerance,
-                                    &engine,
-                                ));
-                            }
+                            let of_engine =
+                                self.on_engine(synthesis, motion, engine_tolerance, &engine);
+                            found.push(of_engine);
                         }
                     }
                     Err(why) => {
@@ -595,12 +574,10 @@ impl<'a> CandidateBuilder<'a> {
         error_model.why = format!("by the direct sum: {why}");
         let mut found = Vec::new();
         for motion in motions {
-            for &culling in &self.cullings {
-                let mut candidate = self.plain(Synthesis::Direct, &error_model, motion, culling);
-                candidate.choice.model.synthesis = synthesis;
-                candidate.parts[Family::Sum as usize].choice = synthesis.name().to_owned();
-                found.push(candidate);
-            }
+            let mut candidate = self.plain(Synthesis::Direct, &error_model, motion);
+            candidate.choice.model.synthesis = synthesis;
+            candidate.parts[Family::Sum as usize].choice = synthesis.name().to_owned();
+            found.push(candidate);
         }
         found
     }
@@ -632,7 +609,7 @@ impl<'a> CandidateBuilder<'a> {
             [self.nearest_m, plan.pulse.duration_s].map(f64::to_bits),
             plan.sample_count,
         );
-        let made = Memo::of(&self.memo.sketches, Memo::MAX_ENTRIES, key, || {
+        let made = self.memo.sketch(key, || {
             let made = sketch(&spec, c, fastest, filter()?.as_ref(), plan);
             made.map(Arc::new).map_err(|why| why.to_string())
         })?;
@@ -650,7 +627,7 @@ impl<'a> CandidateBuilder<'a> {
         let c = self.scene.medium.sound_speed_m_per_s;
         let fastest = FASTEST_PLATFORM_M_PER_S;
         // As the engines are made; their echoes are then counted in those of this ping.
-        let kept = self.cullings[0].of.kept * self.scene.count as f64 / NOMINAL_SCATTERERS as f64;
+        let kept = self.culling.of.kept * self.scene.count as f64 / NOMINAL_SCATTERERS as f64;
         let choices =
             choices(spec, c, fastest, filter, NOMINAL_SCATTERERS).map_err(|why| why.to_string())?;
         let sections = choices.iter().zip(&spec.receive);
@@ -686,10 +663,10 @@ impl<'a> CandidateBuilder<'a> {
         &self,
         synthesis: Synthesis,
         motion: &Motion,
-        culling: Culling,
         engine_tolerance: Option<f64>,
         engine: &Engine,
     ) -> Candidate {
+        let culling = self.culling;
         let scatterers = self.scene.count as f64;
         let arrivals = culling.of.kept * scatterers;
         let tolerance = engine_tolerance.unwrap_or(self.scene.spec.synthesis.tolerance);
@@ -707,8 +684,7 @@ impl<'a> CandidateBuilder<'a> {
                 sections,
                 why,
             } => {
-                let share = culling.of.kept / self.cullings[0].of.kept.max(f64::MIN_POSITIVE);
-                let work = Work::of(Figure::Gridded2dEcho, cost.echoes_ns * share)
+                let work = Work::of(Figure::Gridded2dEcho, cost.echoes_ns)
                     .and(Figure::Gridded2dGrid, cost.grids_ns);
                 let pairs = culling.of.transmit_leg * scatterers * sections;
                 let sum = self.sum(name, kept(*error, KEPT_BY_WHOLE_LINES), work, why.clone());
@@ -805,13 +781,8 @@ impl<'a> CandidateBuilder<'a> {
         filter_design(self.scene.spec, synthesis, c)
     }
 
-    fn plain(
-        &self,
-        synthesis: Synthesis,
-        error_model: &ErrorModel,
-        motion: &Motion,
-        culling: Culling,
-    ) -> Candidate {
+    fn plain(&self, synthesis: Synthesis, error_model: &ErrorModel, motion: &Motion) -> Candidate {
+        let culling = self.culling;
         let all = (self.scene.count * self.conditions.elements) as f64;
         let pairs = culling.of.kept * all;
         let pulse = &self.conditions.pulse;
@@ -856,7 +827,7 @@ impl<'a> CandidateBuilder<'a> {
         self.candidate(synthesis, motion, culling, None, transmit_leg, sum)
     }
 
-    fn reference(&self, motion: &Motion, culling: Culling) -> Candidate {
+    fn reference(&self, motion: &Motion) -> Candidate {
         let synthesis = Synthesis::Reference;
         let Scene { spec, plan, .. } = self.scene;
         let error_model = sum_error_model(synthesis, spec, plan, &self.conditions);
@@ -873,7 +844,7 @@ impl<'a> CandidateBuilder<'a> {
             Work::of(Figure::ReferencePoint, points).and(Figure::FilterTap, self.samples() * taps);
         let sum = self.sum("reference".into(), error_model.error, work, error_model.why);
         let whole = Culling {
-            db: culling.db,
+            db: self.culling.db,
             error: 0.0,
             of: Shares::ALL,
         };
@@ -947,18 +918,16 @@ impl<'a> CandidateBuilder<'a> {
             DopplerModel::None => "no Doppler".to_owned(),
             doppler => doppler.name().to_owned(),
         };
-        let (cull_name, cull_why) = match culling.db {
-            None => ("all scatterers".to_owned(), String::new()),
-            Some(db) => (
-                format!("culled at {db:.0} dB"),
-                match culling.of.kept {
-                    kept if kept > 1.0 => {
-                        format!(
-                            "{kept:.1} times as many scatterers as were gathered above the configured threshold"
-                        )
-                    }
-                    kept => format!("{:.0} % of the gathered scatterers are kept", 100.0 * kept),
-                },
+        let cull_name = match culling.db {
+            None => "all scatterers".to_owned(),
+            Some(_) if spec.synthesis.culls_by_window => "culled by window".to_owned(),
+            Some(db) => format!("culled at {db:.0} dB"),
+        };
+        let cull_why = match culling.db {
+            None => String::new(),
+            Some(_) => format!(
+                "{:.0} % of the gathered scatterers are kept",
+                100.0 * culling.of.kept
             ),
         };
         let mut model = spec.model;

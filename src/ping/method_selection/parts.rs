@@ -248,7 +248,8 @@ impl<'a> Line<'a> {
             let sent = self.transmit_leg.towards(out.x, out.y, out.z);
             let received = self.element.towards(back.x, back.y, back.z);
             let level = (sent * received).abs();
-            if level == 0.0 || level * f64::from(scatterers.loud[i]) < self.floor {
+            let floor = plan.range_floors.at(self.floor, out_range_m);
+            if level == 0.0 || level * f64::from(scatterers.loud[i]) < floor {
                 continue;
             }
             let [a, b, c] = scatterers.normal[i].map(f64::from);

@@ -360,7 +360,6 @@ fn select(
             segment: true,
             doppler: true,
             synthesis: true,
-            cull: true,
         };
     }
     let some = sample(&scene.scatterers);

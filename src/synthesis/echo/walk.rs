@@ -263,6 +263,7 @@ pub fn insonify(
         },
         scatterers,
         floor,
+        range_floors: &plan.range_floors,
         farthest_m,
     };
     let counts = insonifier.insonify_all(transmit_leg);

@@ -316,7 +316,7 @@ fn the_error_of_a_fixed_floor_is_bounded_within_ten_times() {
             .expect("good");
         spec.scene.seabed.as_mut().expect("a seabed").density = Density::PerM2(1.0);
         for sonar in &mut spec.sonars {
-            sonar.synthesis.auto.cull = false;
+            sonar.synthesis.culls_by_window = false;
             sonar.model.cull_db = Some(floor_db);
         }
         let measured = pool(2)

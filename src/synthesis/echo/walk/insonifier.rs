@@ -4,6 +4,7 @@
 //! order is that of the scatterers for any number of threads.
 
 use super::*;
+use echotank_core::ping::RangeFloors;
 
 /// Number of scatterers of one task.
 const PART: usize = 32 * CHUNK;
@@ -89,6 +90,7 @@ pub(super) struct Insonifier<'a> {
     pub leg: TransmitLegTerms<'a>,
     pub scatterers: &'a Scatterers,
     pub floor: f64,
+    pub range_floors: &'a RangeFloors,
     pub farthest_m: f64,
 }
 
@@ -171,7 +173,11 @@ impl Insonifier<'_> {
             }
         };
         let amplitude = scatterers.strength[i] * (batch.amplitude[j] * law);
-        let level = batch.level[j] * f64::from(scatterers.loud[i]);
+        let mut level = batch.level[j] * f64::from(scatterers.loud[i]);
+        if self.floor > 0.0 {
+            // All further comparisons are with the floor of the model.
+            level *= self.floor / self.range_floors.at(self.floor, range_m);
+        }
         if level < self.floor || amplitude == Complex64::ZERO {
             counts.culled += 1;
             return false;

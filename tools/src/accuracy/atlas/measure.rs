@@ -239,8 +239,8 @@ impl Bench {
             segment: true,
             doppler: true,
             synthesis: self.whole_plans,
-            cull: self.whole_plans,
         };
+        spec.synthesis.culls_by_window &= self.whole_plans;
         let scene = Scene {
             spec: &spec,
             medium: &spot.rig().medium,
